@@ -1,0 +1,294 @@
+//! Cameras and light stages: the two traits, what crosses them, and one file
+//! per protocol.
+//!
+//! Drivers block; each is owned by one thread. A driver returns what happened
+//! (read back from the device), never what was asked.
+
+use crate::units::{Seconds, StageAngles};
+use serde::{Deserialize, Serialize};
+
+/// Which part of the lamp is lit. A lamp of one colour has one channel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct LampChannel(pub u8);
+
+/// The lamp's state: dark, or one channel lit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum LampState {
+    /// No light.
+    Off,
+    /// This channel at its configured power, the others off.
+    On(LampChannel),
+}
+
+/// What the stage is doing, as it says itself.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum StageActivity {
+    /// Standing still, position known.
+    Idle,
+    /// Moving to a target.
+    Moving,
+    /// Searching its reference switches.
+    Homing,
+    /// Motion paused.
+    Held,
+    /// Refuses to move until it is homed or unlocked; the position is unknown.
+    Alarm,
+}
+
+/// A stage's read-back.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct StageStatus {
+    /// What it is doing.
+    pub activity: StageActivity,
+    /// Where it is; `None` while unknown (not homed, after an alarm or a reset).
+    pub position: Option<StageAngles>,
+    /// The lamp, as far as the device reports it.
+    pub lamp: Option<LampState>,
+}
+
+/// What a stage is and can reach.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct StageInfo {
+    /// The driver's name, e.g. `grbl`.
+    pub driver: String,
+    /// Firmware version as the device gives it.
+    pub firmware: String,
+    /// The port, by a stable name where there is one.
+    pub port: String,
+    /// Whether the firmware turns the lamp off by itself when the host is lost.
+    pub has_watchdog: bool,
+}
+
+/// A lamp on a movable (or switchable) mount.
+///
+/// After an alarm, reset, timeout or reconnect the position is unknown and
+/// `move_to` refuses until `home` succeeds. Connecting never moves anything.
+pub trait LightStage: Send {
+    /// What was found at connection.
+    fn info(&self) -> &StageInfo;
+    /// Finds the reference switches; on success the position is known.
+    fn home(&mut self) -> Result<StageStatus, DeviceError>;
+    /// Moves, approaching each axis from one side, waits until the stage stands,
+    /// and returns the position it reports.
+    fn move_to(&mut self, target: StageAngles) -> Result<StageAngles, DeviceError>;
+    /// Switches the lamp and returns the state the device reports.
+    fn set_lamp(&mut self, lamp: LampState) -> Result<LampState, DeviceError>;
+    /// Asks the device.
+    fn status(&mut self) -> Result<StageStatus, DeviceError>;
+    /// A handle that stops motion and lamp from another thread, also while this
+    /// one waits for a reply.
+    fn stop_handle(&self) -> Result<Box<dyn StopHandle>, DeviceError>;
+}
+
+/// Stops a stage without its driver's thread.
+pub trait StopHandle: Send {
+    /// Motion halted at once and lamp off. Afterwards the position is unknown.
+    fn stop(&mut self) -> Result<(), DeviceError>;
+}
+
+/// Settings of a camera. Requested ones go in, applied ones come back.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct CameraSettings {
+    /// Time during which a frame collects light.
+    pub exposure: Seconds,
+    /// Analogue gain, as a factor; 1 is the camera's lowest.
+    pub gain: f64,
+}
+
+/// The order of colour filters over the sensor, by its first two pixels of the first two rows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+#[allow(missing_docs)]
+pub enum Mosaic {
+    /// A monochrome sensor.
+    None,
+    Rggb,
+    Grbg,
+    Gbrg,
+    Bggr,
+}
+
+/// What a camera is and can do.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct CameraInfo {
+    /// The driver's name, e.g. `v4l`.
+    pub driver: String,
+    /// Model as the device gives it.
+    pub model: String,
+    /// Serial number; empty if the device has none.
+    pub serial: String,
+    /// Width and height of a frame, pixels.
+    pub resolution_px: [u32; 2],
+    /// Significant bits of a raw count.
+    pub bit_depth: u32,
+    /// Colour filters.
+    pub mosaic: Mosaic,
+    /// Shortest and longest exposure of one frame.
+    pub exposure_range: [Seconds; 2],
+    /// Smallest step of the exposure.
+    pub exposure_step: Seconds,
+}
+
+/// What a frame is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum FrameKind {
+    /// Lamp on.
+    Light,
+    /// Lamp off, shutter open: the room's own light.
+    Ambient,
+    /// No light reaches the sensor.
+    Dark,
+}
+
+/// The place of a frame in a capture; a simulated camera keys its noise by it,
+/// a real one ignores it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+pub struct FrameKey {
+    /// Index of the light direction in the plan.
+    pub light: u32,
+    /// Index of the bracket entry (lamp channel and exposure) in the plan.
+    pub exposure: u32,
+    /// Repeat at the same settings.
+    pub repeat: u32,
+    /// Light, ambient or dark.
+    pub kind: FrameKind,
+}
+
+/// Raw counts as the sensor gave them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RawFrame {
+    /// Pixels per row.
+    pub width: u32,
+    /// Rows; row 0 is the top.
+    pub height: u32,
+    /// `width * height` raw counts, DN, row by row.
+    pub counts: Vec<u16>,
+    /// The device's running number, where it has one: a gap is a dropped frame.
+    pub sequence: Option<u64>,
+    /// Device time of the frame's start on its own monotonic clock, seconds, where it has one.
+    pub timestamp: Option<Seconds>,
+}
+
+/// A camera under manual control.
+pub trait Camera: Send {
+    /// What was found at connection.
+    fn info(&self) -> &CameraInfo;
+    /// Sets manual mode and the settings, and returns those read back. Frames
+    /// already under way keep the old ones.
+    fn configure(&mut self, requested: CameraSettings) -> Result<CameraSettings, DeviceError>;
+    /// Closes or opens the shutter for dark frames. `Ok(false)`: the camera has
+    /// none, and somebody must cover the lens or dark frames are taken with the
+    /// lamp off.
+    fn set_shutter(&mut self, open: bool) -> Result<bool, DeviceError>;
+    /// The next frame that begins after this call.
+    fn grab(&mut self, key: FrameKey) -> Result<RawFrame, DeviceError>;
+}
+
+/// What went wrong at a device; facts only.
+#[derive(Debug, thiserror::Error)]
+pub enum DeviceError {
+    /// There is no such port or device file.
+    #[error("{device} does not exist")]
+    NotFound {
+        /// Path or name.
+        device: String,
+    },
+    /// The system refuses access.
+    #[error("{device}: permission denied")]
+    PermissionDenied {
+        /// Path or name.
+        device: String,
+    },
+    /// Another process holds it.
+    #[error("{device} is in use by another process")]
+    Busy {
+        /// Path or name.
+        device: String,
+    },
+    /// No answer in time.
+    #[error("{device} did not answer within {timeout} (sent {sent:?})")]
+    NoReply {
+        /// Path or name.
+        device: String,
+        /// How long was waited.
+        timeout: Seconds,
+        /// What was sent last.
+        sent: String,
+    },
+    /// An answer that the protocol does not allow.
+    #[error("{device} answered {answer:?}, which is not {expected}")]
+    Garbled {
+        /// Path or name.
+        device: String,
+        /// The bytes, as text.
+        answer: String,
+        /// What the protocol allows here.
+        expected: String,
+    },
+    /// The device refused a command.
+    #[error("{device} refused {command:?}: {reason}")]
+    Refused {
+        /// Path or name.
+        device: String,
+        /// What was sent.
+        command: String,
+        /// The device's error code and its meaning.
+        reason: String,
+    },
+    /// The device is in alarm: its position is unknown.
+    #[error("{device} is in alarm: {reason}")]
+    Alarm {
+        /// Path or name.
+        device: String,
+        /// The alarm code and its meaning.
+        reason: String,
+    },
+    /// A move was asked for while the position is unknown.
+    #[error("{device} has not been homed since {since}, so its position is unknown")]
+    NotHomed {
+        /// Path or name.
+        device: String,
+        /// The event that made the position unknown.
+        since: String,
+    },
+    /// A target outside the configured limits.
+    #[error("{device}: {target} is outside the limits ({limits})")]
+    OutOfReach {
+        /// Path or name.
+        device: String,
+        /// The target.
+        target: StageAngles,
+        /// The limits.
+        limits: String,
+    },
+    /// The device reports another state than the one commanded.
+    #[error("{device}: {what} is {is} after {wanted} was commanded")]
+    NotApplied {
+        /// Path or name.
+        device: String,
+        /// Which setting.
+        what: String,
+        /// Read back.
+        is: String,
+        /// Asked for.
+        wanted: String,
+    },
+    /// The device went away.
+    #[error("{device} was disconnected")]
+    Disconnected {
+        /// Path or name.
+        device: String,
+    },
+    /// Any other failure of the system.
+    #[error("{device}: {source}")]
+    Io {
+        /// Path or name.
+        device: String,
+        /// The system's error.
+        source: std::io::Error,
+    },
+}

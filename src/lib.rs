@@ -1,0 +1,43 @@
+//! `rig` measures how a material reflects light: images of a concave sample of
+//! known shape, taken under a few known lights, are explained by following
+//! light through all its interreflections and fitting the weights of a BRDF
+//! dictionary.
+//!
+//! The modules are floors; a floor imports only from floors below it
+//! (`tests/floors.rs` checks that from the source):
+//!
+//! | floor | modules |
+//! |---|---|
+//! | 0 | [`units`], [`frames`], [`random`] |
+//! | 1 | [`brdf`], [`geometry`] |
+//! | 2 | [`transport`], [`radiometry`] |
+//! | 3 | [`inverse`], [`device`], [`simulation`] |
+//! | 4 | [`config`], [`session`], [`calibration`] |
+//! | 5 | [`capture`] |
+//! | 6 | [`report`], [`export`] |
+//! | 7 | [`cli`] |
+
+pub mod frames;
+pub mod random;
+pub mod units;
+
+pub mod brdf;
+pub mod geometry;
+
+pub mod radiometry;
+pub mod transport;
+
+pub mod device;
+pub mod inverse;
+pub mod simulation;
+
+pub mod calibration;
+pub mod config;
+pub mod session;
+
+pub mod capture;
+
+pub mod export;
+pub mod report;
+
+pub mod cli;
