@@ -1,0 +1,32 @@
+//! Radiance over a pixel grid with its variance: what a merge gives, what a
+//! render gives, what a fit compares.
+
+/// Three channels of radiance with the variance of each value, and which
+/// pixels are trustworthy. Row 0 is the top.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RadianceImage {
+    /// Pixels per row.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// Mean radiance per pixel, R, G, B. Negative values are kept.
+    pub mean: Vec<[f32; 3]>,
+    /// Variance of each mean, same unit squared.
+    pub variance: Vec<[f32; 3]>,
+    /// `false` where the pixel says nothing (saturated in every exposure, hot).
+    pub valid: Vec<bool>,
+}
+
+impl RadianceImage {
+    /// All black, zero variance, all valid.
+    pub fn new(width: usize, height: usize) -> Self {
+        let pixels = width * height;
+        Self {
+            width,
+            height,
+            mean: vec![[0.0; 3]; pixels],
+            variance: vec![[0.0; 3]; pixels],
+            valid: vec![true; pixels],
+        }
+    }
+}
