@@ -508,10 +508,7 @@ mod tests {
         assert_eq!(after.sequence, before + 2 * ordinary + 2);
         faults.inject(CameraFault::Corrupt(1));
         let corrupt = camera.grab(KEY).unwrap();
-        assert_eq!(
-            corrupt.counts.iter().filter(|&&c| c > 200).count() > 16,
-            true
-        );
+        assert!(corrupt.counts.iter().filter(|&&c| c > 200).count() > 16);
         assert!(camera.grab(KEY).unwrap().counts.iter().all(|&c| c < 100));
         faults.inject(CameraFault::Stall(1));
         assert!(matches!(
