@@ -88,6 +88,22 @@ fn hold_and_resume() {
 }
 
 #[test]
+fn a_program_pause_waits_for_the_end_of_the_motion_and_for_a_resume() {
+    let clock = Clock::manual();
+    let (simulator, mut host) = unlocked(clock.clone());
+    host.exchange("G0 X90", &["ok"]);
+    host.send("M0\n");
+    assert_eq!(host.state(), "Run");
+    clock.advance(10.0);
+    while host.state() == "Idle" {} // until the M0 has had its turn
+    assert_eq!(host.state(), "Hold:0");
+    assert!((simulator.bench().motor_position()[0] - 90.0).abs() < 1e-9);
+    host.send("~");
+    assert_eq!(host.line().as_deref(), Some("ok"));
+    assert_eq!(host.state(), "Idle");
+}
+
+#[test]
 fn a_reset_keeps_the_position_only_at_rest() {
     let clock = Clock::manual();
     let (simulator, mut host) = homed(clock.clone());

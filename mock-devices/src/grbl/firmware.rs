@@ -622,3 +622,89 @@ fn from_time(piece: &Piece, time_s: f64) -> Piece {
         ..*piece
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bench::BenchConfig;
+    use crate::clock::Clock;
+    use proptest::prelude::*;
+
+    fn firmware(homing: bool) -> (Firmware, Clock) {
+        let clock = Clock::manual();
+        let mut config = GrblConfig::default();
+        config.settings.homing = homing;
+        config.settings.soft_limits = homing;
+        config.settings.hard_limits = homing;
+        let mut firmware = Firmware::new(config, Bench::new(BenchConfig::default(), clock.clone()));
+        firmware.finish_boot(clock.now_s());
+        (firmware, clock)
+    }
+
+    proptest! {
+        /// Whatever is sent, whenever: no panic, and a reset always brings it back.
+        #[test]
+        fn no_bytes_break_it(
+            chunks in prop::collection::vec(
+                (prop_oneof![
+                    prop::collection::vec(any::<u8>(), 0..40),
+                    "[$GMXYFSJH0-9=.!~?\\-\n]{0,40}".prop_map(String::into_bytes),
+                ], 0.0..3.0_f64),
+                0..20,
+            ),
+            homing in any::<bool>(),
+        ) {
+            let (mut firmware, clock) = firmware(homing);
+            for (bytes, seconds) in chunks {
+                for byte in bytes {
+                    firmware.receive(byte, clock.now_s());
+                    firmware.step(clock.now_s());
+                }
+                clock.advance(seconds);
+                firmware.step(clock.now_s());
+            }
+            clock.advance(1.0);
+            firmware.step(clock.now_s());
+            firmware.take_output();
+            firmware.receive(0x18, clock.now_s());
+            clock.advance(1.0);
+            firmware.step(clock.now_s());
+            prop_assert!(firmware.take_output().iter().any(|output| output.text == BANNER));
+        }
+
+        /// Every line that the buffer took gets one "ok" or one "error", in the end.
+        #[test]
+        fn every_line_has_one_answer(
+            lines in prop::collection::vec(
+                prop::sample::select(vec![
+                    "", "G0X5", "G1X-3F500", "G91", "G4P0.1", "M3S10", "M5", "M8", "Q", "$G",
+                    "$$", "$J=X1F100", "$J=X1", "G0", "$110=50", "M2",
+                ]),
+                0..40,
+            ),
+        ) {
+            let (mut firmware, clock) = firmware(false);
+            let mut answers = 0;
+            for line in &lines {
+                for byte in line.bytes().chain([b'\n']) {
+                    firmware.receive(byte, clock.now_s());
+                    firmware.step(clock.now_s());
+                }
+                // As a host that waits for each answer.
+                for _ in 0..1000 {
+                    if firmware.current.is_none() && firmware.rx.is_empty() {
+                        break;
+                    }
+                    clock.advance(1.0);
+                    firmware.step(clock.now_s());
+                }
+                answers += firmware
+                    .take_output()
+                    .iter()
+                    .filter(|output| output.text == "ok\r\n" || output.text.starts_with("error:"))
+                    .count();
+            }
+            prop_assert_eq!(answers, lines.len());
+        }
+    }
+}
