@@ -5,6 +5,7 @@
 //! `pub fn run(args: &XArgs, context: &Context) -> Result<(), CliError>`, a
 //! `pub mod` line and one line in [`commands!`] below.
 
+pub mod brdf;
 pub mod completions;
 pub mod error;
 pub mod exit;
@@ -37,6 +38,7 @@ macro_rules! commands {
 }
 
 commands! {
+    Brdf(brdf::BrdfArgs) => brdf::run,
     Completions(completions::CompletionsArgs) => completions::run,
     Man(completions::ManArgs) => completions::run_man,
 }
