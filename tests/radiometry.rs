@@ -386,15 +386,15 @@ fn merge_is_unbiased_calibrated_and_efficient_from_black_to_saturation() {
                 s.bias_sigma.abs() < 0.05 || s.bias_relative.abs() < 0.001,
                 "{at}"
             );
-            assert!(s.chi2 < 1.05, "{at}");
+            // Rounding errors are independent and normal only where noise spans a count.
+            let fine = case.gain_dn_per_e * case.read_noise_e > 0.4;
+            assert!(s.chi2 < if fine { 1.05 } else { 1.10 }, "{at}");
             if !case.rounding_repeats(fraction) {
                 assert!(s.chi2 > 0.95, "{at}");
                 chi2_low = chi2_low.min(s.chi2);
             }
             worst_bias = worst_bias.max(s.bias_sigma.abs());
             chi2_high = chi2_high.max(s.chi2);
-            // The bound takes rounding errors as independent, which needs noise of a count.
-            let fine = case.gain_dn_per_e * case.read_noise_e > 0.4;
             if fine && case.electrons(fraction) > 20.0 {
                 let bound = if case.near_clipping(fraction) {
                     1.5
