@@ -6,6 +6,8 @@
 
 pub mod grbl;
 pub mod kinematics;
+#[cfg(feature = "serial")]
+pub mod simulated;
 
 use crate::units::{Seconds, StageAngles};
 use serde::{Deserialize, Serialize};

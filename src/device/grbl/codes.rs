@@ -19,11 +19,6 @@ pub fn alarm(code: u16) -> String {
     format!("alarm {code}: {meaning}")
 }
 
-/// Whether the firmware answers nothing more until it is reset.
-pub fn is_critical(alarm: u16) -> bool {
-    matches!(alarm, 1 | 2)
-}
-
 /// An error with its meaning.
 pub fn error(code: u16) -> String {
     let meaning = match code {

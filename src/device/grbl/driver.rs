@@ -115,6 +115,8 @@ impl GrblStage {
             if let Reply::Info { key, text } = reply
                 && key == "VER"
             {
+                // Stock GRBL has no watchdog; builds with one say so in their name.
+                self.info.has_watchdog = text.contains("host-watchdog=");
                 self.info.firmware = text.trim_end_matches(':').to_owned();
             }
         }
@@ -163,14 +165,24 @@ impl GrblStage {
         }
     }
 
+    fn check_homed(&self) -> Result<(), DeviceError> {
+        match self.link.known().unhomed_since.clone() {
+            Some(since) => Err(self.not_homed(since)),
+            None => Ok(()),
+        }
+    }
+
     /// Sends a line and returns what came before its `ok`.
-    fn command(&self, line: &str, timeout: Duration) -> Result<Vec<Reply>, DeviceError> {
+    pub(super) fn command(&self, line: &str, timeout: Duration) -> Result<Vec<Reply>, DeviceError> {
         let printable = line.bytes().all(|byte| (b' '..=b'~').contains(&byte));
         if line.len() > LONGEST_COMMAND || !printable {
             return Err(self.refused(line, "not a line of at most 79 printable characters"));
         }
         tracing::trace!(device = self.link.device(), line, "sent");
         let restarts = self.link.known().restarts;
+        // Late answers to something else would count as this line's.
+        while self.link.receive(Instant::now())?.is_some() {}
+        self.check_restart(restarts)?;
         self.link.send(format!("{line}\n").as_bytes())?;
         let deadline = Instant::now() + timeout;
         let mut replies = Vec::new();
@@ -282,8 +294,9 @@ impl GrblStage {
         let expected = self.duration(from, to);
         // Twice what it should take, and something for the firmware itself.
         let timeout = 2 * expected + self.reply_timeout() + Duration::from_secs(1);
-        self.in_motion = true;
         let restarts = self.link.known().restarts;
+        self.check_homed()?;
+        self.in_motion = true;
         self.command(&line, self.reply_timeout())?;
         let start = Instant::now();
         let mut pause = Duration::from_millis(1);
@@ -438,6 +451,7 @@ impl LightStage for GrblStage {
 
     fn home(&mut self) -> Result<StageStatus, DeviceError> {
         self.link.forget_position("homing began");
+        self.link.drain()?;
         if self.link.known().needs_reset {
             let timeout = self.config.connect_timeout.to_duration();
             self.link.restart(false, "it was reset before homing", timeout)?;
@@ -456,19 +470,13 @@ impl LightStage for GrblStage {
     fn move_to(&mut self, target: StageAngles) -> Result<StageAngles, DeviceError> {
         let kinematics = self.config.kinematics;
         let device = self.link.device().to_owned();
-        kinematics.reach(&device, target)?;
-        if let Some(since) = self.link.known().unhomed_since.clone() {
-            return Err(self.not_homed(since));
-        }
+        let wanted = kinematics.solve(&device, target)?;
+        self.check_homed()?;
         let (report, from) = self.report_with_position()?;
-        if let Some(since) = self.link.known().unhomed_since.clone() {
-            return Err(self.not_homed(since));
-        }
         if report.state != MachineState::Idle {
             let reason = format!("the controller is in state {:?}", report.state);
             return Err(self.refused("move", &reason));
         }
-        let wanted = kinematics.solve(&device, target, Some(from))?;
         let mut at = from;
         if let Some(start) = kinematics.approach(at, wanted) {
             at = self.drive(at, start)?;

@@ -190,7 +190,8 @@ impl Link {
                     known.unhomed_since = Some(reason.clone());
                 }
                 known.alarm = Some(reason);
-                known.needs_reset |= codes::is_critical(*code);
+                // Either the firmware is deaf to all but a reset or its banner follows.
+                known.needs_reset = true;
             }
             Reply::Status(report) => known.note_report(report),
             _ => {}

@@ -7,6 +7,8 @@ mod driver;
 #[cfg(feature = "serial")]
 mod link;
 pub mod protocol;
+#[cfg(all(test, feature = "serial"))]
+mod tests;
 
 #[cfg(feature = "serial")]
 pub use driver::{GrblStage, stop_port};
