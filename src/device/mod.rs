@@ -4,6 +4,11 @@
 //! Drivers block; each is owned by one thread. A driver returns what happened
 //! (read back from the device), never what was asked.
 
+pub mod grbl;
+pub mod kinematics;
+#[cfg(feature = "serial")]
+pub mod simulated;
+
 use crate::units::{Seconds, StageAngles};
 use serde::{Deserialize, Serialize};
 
