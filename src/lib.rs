@@ -8,7 +8,7 @@
 //!
 //! | floor | modules |
 //! |---|---|
-//! | 0 | [`units`], [`frames`], [`random`], [`radiance_image`] |
+//! | 0 | [`units`], [`frames`], [`random`], [`radiance_image`], [`interrupt`] |
 //! | 1 | [`brdf`], [`geometry`] |
 //! | 2 | [`transport`], [`radiometry`] |
 //! | 3 | [`inverse`], [`device`], [`simulation`] |
@@ -18,6 +18,7 @@
 //! | 7 | [`cli`] |
 
 pub mod frames;
+pub mod interrupt;
 pub mod radiance_image;
 pub mod random;
 pub mod units;

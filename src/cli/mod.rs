@@ -1,1 +1,290 @@
-//! To be written.
+//! The command line: one file per command, and what they share: errors with
+//! hints, exit codes, output, signals.
+//!
+//! A command is a file with `pub struct XArgs` (`clap::Args`) and
+//! `pub fn run(args: &XArgs, context: &Context) -> Result<(), CliError>`, a
+//! `pub mod` line and one line in [`commands!`] below.
+
+pub mod completions;
+pub mod error;
+pub mod exit;
+pub mod hints;
+pub mod interrupt;
+pub mod output;
+
+use std::ffi::OsString;
+use std::io::IsTerminal;
+use std::process::ExitCode;
+
+use clap::{Args, ColorChoice, CommandFactory, FromArgMatches, Parser, Subcommand};
+
+pub use error::{CliError, HintExt};
+use exit::Exit;
+use output::write_stderr;
+
+/// The table of commands: `Name(arguments) => function`, in the order of `rig --help`.
+macro_rules! commands {
+    ($($name:ident($arguments:ty) => $run:path,)*) => {
+        #[derive(Subcommand, Debug)]
+        enum Command { $($name($arguments),)* }
+
+        impl Command {
+            fn run(&self, context: &Context) -> Result<(), CliError> {
+                match self { $(Command::$name(arguments) => $run(arguments, context),)* }
+            }
+        }
+    };
+}
+
+commands! {
+    Completions(completions::CompletionsArgs) => completions::run,
+    Man(completions::ManArgs) => completions::run_man,
+}
+
+/// Measures how a material reflects light, from the interreflections of a concave sample
+#[derive(Parser, Debug)]
+#[command(
+    name = "rig",
+    version,
+    arg_required_else_help = true,
+    propagate_version = true,
+    after_help = "Exit codes: 0 done, 1 failed or bad input, 2 internal error, 130/143/129 stopped by SIGINT/SIGTERM/SIGHUP."
+)]
+struct Cli {
+    #[command(flatten)]
+    global: GlobalArgs,
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Args, Debug)]
+struct GlobalArgs {
+    /// Only errors on stderr: no progress, no notes
+    #[arg(long, short, global = true, conflicts_with = "verbose")]
+    quiet: bool,
+    /// What happens inside, on stderr; twice for more
+    #[arg(long, short, global = true, action = clap::ArgAction::Count)]
+    verbose: u8,
+    /// When to colour; also NO_COLOR is respected
+    #[arg(long, global = true, value_name = "WHEN", default_value = "auto")]
+    color: ColorChoice,
+}
+
+/// What every command gets beside its own arguments.
+#[derive(Clone, Debug)]
+pub struct Context {
+    quiet: bool,
+    color: bool,
+}
+
+impl Context {
+    /// A remark for the person at the terminal, on stderr; `--quiet` drops it.
+    pub fn note(&self, text: impl std::fmt::Display) {
+        if !self.quiet {
+            write_stderr(&format!("{text}\n"));
+        }
+    }
+
+    /// A remark that matters: `warning: …` on stderr, also with `--quiet`.
+    pub fn warn(&self, text: impl std::fmt::Display) {
+        let (yellow, plain) = if self.color {
+            ("\x1b[1;33m", "\x1b[0m")
+        } else {
+            ("", "")
+        };
+        write_stderr(&format!("{yellow}warning:{plain} {text}\n"));
+    }
+
+    /// Whether to draw progress bars: stderr is a terminal and nobody asked for quiet.
+    pub fn shows_progress(&self) -> bool {
+        !self.quiet && std::io::stderr().is_terminal()
+    }
+}
+
+/// The command line's definition, for parsing, completions and manual pages.
+pub fn definition() -> clap::Command {
+    Cli::command()
+}
+
+/// Parses the process's arguments, runs the command, prints its error and
+/// returns the exit code.
+pub fn main() -> ExitCode {
+    install_panic_hook();
+    let exit = std::panic::catch_unwind(|| run(std::env::args_os().collect()));
+    ExitCode::from(exit.unwrap_or(Exit::Internal).code())
+}
+
+fn run(arguments: Vec<OsString>) -> Exit {
+    let choice = color_choice(&arguments);
+    let color = use_color(choice);
+    let parsed = definition()
+        .color(choice)
+        .try_get_matches_from(arguments)
+        .and_then(|matches| Cli::from_arg_matches(&matches));
+    let cli = match parsed {
+        Ok(cli) => cli,
+        Err(error) => return report_usage(&error, color),
+    };
+    start_tracing(&cli.global, color);
+    let context = Context {
+        quiet: cli.global.quiet,
+        color,
+    };
+    match cli.command.run(&context) {
+        Ok(()) => Exit::Done,
+        Err(error) => {
+            write_stderr(&error.render(color));
+            error.exit()
+        }
+    }
+}
+
+/// Help and version go to stdout with code 0; wrong usage is an error like any other.
+fn report_usage(error: &clap::Error, color: bool) -> Exit {
+    use clap::error::ErrorKind::*;
+    match error.kind() {
+        DisplayHelp | DisplayVersion => {
+            let _ = error.print();
+            Exit::Done
+        }
+        DisplayHelpOnMissingArgumentOrSubcommand => {
+            let _ = error.print();
+            Exit::Failed
+        }
+        _ => {
+            let error = usage_error(&error.render().to_string());
+            write_stderr(&error.render(color));
+            error.exit()
+        }
+    }
+}
+
+/// clap's paragraphs as one fact and one hint.
+fn usage_error(rendered: &str) -> CliError {
+    let mut paragraphs = rendered.split("\n\n");
+    let fact = paragraphs.next().unwrap_or(rendered);
+    let mut tips = Vec::new();
+    let mut command = "rig".to_owned();
+    for paragraph in paragraphs {
+        let paragraph = paragraph.trim();
+        if let Some(usage) = paragraph.strip_prefix("Usage: ") {
+            let words = usage
+                .split_whitespace()
+                .take_while(|word| word.starts_with(|c: char| c.is_ascii_lowercase()));
+            command = words.collect::<Vec<_>>().join(" ");
+        } else if paragraph.contains("tip: ") {
+            tips.extend(
+                paragraph
+                    .lines()
+                    .map(|line| line.trim().trim_start_matches("tip: ").to_owned()),
+            );
+        }
+    }
+    tips.push(format!("`{command} --help` explains the arguments"));
+    CliError::new(fact.trim_start_matches("error: ")).hint(tips.join("; "))
+}
+
+/// `--color` as it is needed before anything is parsed.
+fn color_choice(arguments: &[OsString]) -> ColorChoice {
+    let words: Vec<_> = arguments
+        .iter()
+        .map(|word| word.to_string_lossy())
+        .collect();
+    let value = words.iter().enumerate().find_map(|(i, word)| {
+        if word == "--color" {
+            words.get(i + 1).map(|value| value.as_ref())
+        } else {
+            word.strip_prefix("--color=")
+        }
+    });
+    match value {
+        Some("always") => ColorChoice::Always,
+        Some("never") => ColorChoice::Never,
+        _ => ColorChoice::Auto,
+    }
+}
+
+fn use_color(choice: ColorChoice) -> bool {
+    match choice {
+        ColorChoice::Always => true,
+        ColorChoice::Never => false,
+        ColorChoice::Auto => {
+            std::io::stderr().is_terminal()
+                && std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty())
+        }
+    }
+}
+
+fn start_tracing(global: &GlobalArgs, color: bool) {
+    let level = match (global.quiet, global.verbose) {
+        (true, _) => "error",
+        (_, 0) => "warn",
+        (_, 1) => "info,rig=debug",
+        _ => "trace",
+    };
+    let filter = std::env::var("RUST_LOG").unwrap_or_else(|_| level.to_owned());
+    let _ = tracing_subscriber::fmt()
+        .with_env_filter(tracing_subscriber::EnvFilter::new(filter))
+        .with_writer(std::io::stderr)
+        .with_ansi(color)
+        .log_internal_errors(false)
+        .try_init();
+}
+
+/// A defect says so in one line; the backtrace only where RUST_BACKTRACE asks for it.
+fn install_panic_hook() {
+    let with_backtrace = std::env::var_os("RUST_BACKTRACE").is_some_and(|value| value != "0");
+    let default = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |panic| {
+        let message = panic.payload_as_str().unwrap_or("no message");
+        let place = panic
+            .location()
+            .map(|place| format!(" ({}:{})", place.file(), place.line()))
+            .unwrap_or_default();
+        write_stderr(&format!(
+            "internal error: {message}{place}\n\n\
+             hint: this is a defect of rig {}; please report it with the command line and this message (RUST_BACKTRACE=1 adds a backtrace)\n",
+            env!("CARGO_PKG_VERSION")
+        ));
+        if with_backtrace {
+            default(panic);
+        }
+    }));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_definition_is_consistent() {
+        definition().debug_assert();
+    }
+
+    #[test]
+    fn usage_errors_are_one_fact_and_one_hint() {
+        let parse = |arguments: &[&str]| {
+            let error = definition().try_get_matches_from(arguments).unwrap_err();
+            usage_error(&error.render().to_string()).render(false)
+        };
+        assert_eq!(
+            parse(&["rig", "completions", "bsh"]),
+            "error: invalid value 'bsh' for '<SHELL>' [possible values: bash, elvish, fish, powershell, zsh]\n\n\
+             hint: a similar value exists: 'bash'; `rig --help` explains the arguments\n"
+        );
+        assert_eq!(
+            parse(&["rig", "man"]),
+            "error: the following required arguments were not provided: --out <DIR>\n\n\
+             hint: `rig man --help` explains the arguments\n"
+        );
+    }
+
+    #[test]
+    fn color_is_known_before_parsing() {
+        let of =
+            |words: &[&str]| color_choice(&words.iter().map(OsString::from).collect::<Vec<_>>());
+        assert_eq!(of(&["rig", "--color", "never"]), ColorChoice::Never);
+        assert_eq!(of(&["rig", "--color=always", "x"]), ColorChoice::Always);
+        assert_eq!(of(&["rig"]), ColorChoice::Auto);
+    }
+}

@@ -1,0 +1,154 @@
+//! What a command returns when it fails: the fact on one line, and advice.
+
+use std::error::Error;
+use std::fmt::Display;
+
+use super::exit::Exit;
+use super::hints;
+use crate::interrupt::Signal;
+
+/// A failed command.
+///
+/// Any library error becomes one with `?`: its message and its causes are the
+/// fact, and [`hints`] finds the advice from its type. It is deliberately not
+/// an [`Error`] itself, so that the conversion can be for all of them.
+#[derive(Debug)]
+pub struct CliError {
+    fact: String,
+    hint: Option<String>,
+    exit: Exit,
+    quiet: bool,
+}
+
+impl CliError {
+    /// A fact that no library error states; exit code 1.
+    pub fn new(fact: impl Display) -> Self {
+        Self {
+            fact: one_line(&fact.to_string()),
+            hint: None,
+            exit: Exit::Failed,
+            quiet: false,
+        }
+    }
+
+    /// The command stopped in good order because of `signal`; exit code 128 + its number.
+    pub fn interrupted(signal: Signal, fact: impl Display) -> Self {
+        Self {
+            exit: Exit::Signal(signal),
+            ..Self::new(fact)
+        }
+    }
+
+    /// Whoever reads stdout went away: nothing is left to say, and nothing failed.
+    pub(super) fn stdout_closed() -> Self {
+        Self {
+            exit: Exit::Done,
+            quiet: true,
+            ..Self::new("stdout was closed")
+        }
+    }
+
+    /// The same error with this advice instead of any other.
+    pub fn hint(mut self, hint: impl Display) -> Self {
+        self.hint = Some(one_line(&hint.to_string()));
+        self
+    }
+
+    /// How the program ends because of it.
+    pub fn exit(&self) -> Exit {
+        self.exit
+    }
+
+    /// `error: …`, a blank line, `hint: …`; empty if there is nothing to say.
+    pub fn render(&self, color: bool) -> String {
+        if self.quiet {
+            return String::new();
+        }
+        let (red, cyan, plain) = if color {
+            ("\x1b[1;31m", "\x1b[1;36m", "\x1b[0m")
+        } else {
+            ("", "", "")
+        };
+        let mut text = format!("{red}error:{plain} {}\n", self.fact);
+        if let Some(hint) = &self.hint {
+            text += &format!("\n{cyan}hint:{plain} {hint}\n");
+        }
+        text
+    }
+}
+
+impl<E: Error + Send + Sync + 'static> From<E> for CliError {
+    fn from(error: E) -> Self {
+        Self {
+            hint: hints::for_error(&error),
+            ..Self::new(facts(&error))
+        }
+    }
+}
+
+/// The error and its causes, outermost first, joined by `: `. A cause that its
+/// parent already quotes is not repeated.
+fn facts(error: &(dyn Error + 'static)) -> String {
+    let mut text = one_line(&error.to_string());
+    let mut cause = error.source();
+    while let Some(error) = cause {
+        let fact = one_line(&error.to_string());
+        if !text.ends_with(&fact) {
+            text = format!("{text}: {fact}");
+        }
+        cause = error.source();
+    }
+    text
+}
+
+/// Lines and runs of blanks joined by single blanks.
+fn one_line(text: &str) -> String {
+    text.split_whitespace().collect::<Vec<_>>().join(" ")
+}
+
+/// Advice given where the error is raised.
+pub trait HintExt<T> {
+    /// On failure, this advice instead of the one that belongs to the error's type.
+    fn hint(self, hint: impl Display) -> Result<T, CliError>;
+}
+
+impl<T, E: Into<CliError>> HintExt<T> for Result<T, E> {
+    fn hint(self, hint: impl Display) -> Result<T, CliError> {
+        self.map_err(|error| error.into().hint(hint))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[derive(Debug, thiserror::Error)]
+    #[error("rig.toml: cannot be read")]
+    struct Outer(#[source] std::io::Error);
+
+    #[derive(Debug, thiserror::Error)]
+    #[error("rig.toml: {0}")]
+    struct Quoting(#[source] std::io::Error);
+
+    fn denied() -> std::io::Error {
+        std::io::Error::other("permission\n  denied")
+    }
+
+    #[test]
+    fn causes_are_joined_on_one_line_and_not_repeated() {
+        assert_eq!(
+            CliError::from(Outer(denied())).hint("look").render(false),
+            "error: rig.toml: cannot be read: permission denied\n\nhint: look\n"
+        );
+        assert_eq!(
+            CliError::from(Quoting(denied())).fact,
+            "rig.toml: permission denied"
+        );
+    }
+
+    #[test]
+    fn interruption_has_the_signals_code() {
+        let error = CliError::interrupted(Signal::Terminate, "stopped after light 2 of 4");
+        assert_eq!(error.exit().code(), 143);
+    }
+}

@@ -1,0 +1,54 @@
+//! stdout carries data, stderr everything else.
+//!
+//! A reader that goes away (`rig … | head`) ends the command quietly; a stderr
+//! that goes away is no reason to stop, least of all while a lamp is on. The
+//! standard `println!` and `eprintln!` panic in both cases, so a lint forbids
+//! them here.
+
+use std::fmt::Arguments;
+use std::io::{ErrorKind, Write};
+
+use super::CliError;
+
+/// Writes a line of data to stdout: `out!("{path}")?`.
+#[macro_export]
+macro_rules! out {
+    ($($argument:tt)*) => {
+        $crate::cli::output::write_line(format_args!($($argument)*))
+    };
+}
+
+/// What [`out!`](crate::out) calls.
+pub fn write_line(text: Arguments<'_>) -> Result<(), CliError> {
+    let mut stdout = std::io::stdout().lock();
+    writeln!(stdout, "{text}")
+        .and_then(|()| stdout.flush())
+        .map_err(stdout_error)
+}
+
+/// Writes data as it is to stdout.
+pub fn write_bytes(bytes: &[u8]) -> Result<(), CliError> {
+    let mut stdout = std::io::stdout().lock();
+    stdout
+        .write_all(bytes)
+        .and_then(|()| stdout.flush())
+        .map_err(stdout_error)
+}
+
+/// Writes `value` as indented JSON and a line end to stdout.
+pub fn write_json(value: &impl serde::Serialize) -> Result<(), CliError> {
+    write_line(format_args!("{}", serde_json::to_string_pretty(value)?))
+}
+
+/// Writes text to stderr; a closed stderr is ignored.
+pub fn write_stderr(text: &str) {
+    let _ = std::io::stderr().lock().write_all(text.as_bytes());
+}
+
+fn stdout_error(error: std::io::Error) -> CliError {
+    if error.kind() == ErrorKind::BrokenPipe {
+        CliError::stdout_closed()
+    } else {
+        CliError::new(format!("stdout: {error}"))
+    }
+}

@@ -1,0 +1,98 @@
+//! A request to stop, shared between whoever hears it (a signal handler, a
+//! button) and whoever must obey it at a safe moment.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicI32, AtomicU32, Ordering};
+
+/// What asked the program to stop.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Signal {
+    /// Ctrl-C, SIGINT.
+    Interrupt,
+    /// SIGTERM.
+    Terminate,
+    /// SIGHUP: the terminal went away.
+    HangUp,
+}
+
+impl Signal {
+    /// POSIX number.
+    pub fn number(self) -> i32 {
+        match self {
+            Signal::HangUp => 1,
+            Signal::Interrupt => 2,
+            Signal::Terminate => 15,
+        }
+    }
+
+    /// The signal of a POSIX number, if it is one of the three.
+    pub fn from_number(number: i32) -> Option<Self> {
+        [Signal::Interrupt, Signal::Terminate, Signal::HangUp]
+            .into_iter()
+            .find(|signal| signal.number() == number)
+    }
+}
+
+/// How urgent the request is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum StopLevel {
+    /// Nobody asked.
+    Continue,
+    /// Asked once: finish the frame, lamp off, leave a resumable session.
+    AfterThisFrame,
+    /// Asked again: stop the motion now, lamp off.
+    Now,
+}
+
+/// A shared counter of stop requests; clones see the same requests.
+#[derive(Clone, Debug, Default)]
+pub struct Interrupt {
+    requests: Arc<AtomicU32>,
+    latest: Arc<AtomicI32>,
+}
+
+impl Interrupt {
+    /// Nobody has asked yet.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Asks once more.
+    pub fn raise(&self, signal: Signal) {
+        self.latest.store(signal.number(), Ordering::SeqCst);
+        self.requests.fetch_add(1, Ordering::SeqCst);
+    }
+
+    /// What is wanted now; cheap enough to ask in every loop.
+    pub fn level(&self) -> StopLevel {
+        match self.requests.load(Ordering::SeqCst) {
+            0 => StopLevel::Continue,
+            1 => StopLevel::AfterThisFrame,
+            _ => StopLevel::Now,
+        }
+    }
+
+    /// The latest signal, once there was one.
+    pub fn signal(&self) -> Option<Signal> {
+        Signal::from_number(self.latest.load(Ordering::SeqCst))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn clones_share_requests_and_each_request_is_more_urgent() {
+        let heard = Interrupt::new();
+        let obeyed = heard.clone();
+        assert_eq!(obeyed.level(), StopLevel::Continue);
+        assert_eq!(obeyed.signal(), None);
+        heard.raise(Signal::Terminate);
+        assert_eq!(obeyed.level(), StopLevel::AfterThisFrame);
+        assert_eq!(obeyed.signal(), Some(Signal::Terminate));
+        heard.raise(Signal::Interrupt);
+        assert_eq!(obeyed.level(), StopLevel::Now);
+        assert_eq!(obeyed.signal(), Some(Signal::Interrupt));
+    }
+}
