@@ -4,10 +4,64 @@
 //! All directions are in the local frame of the surface (+z is the normal) and
 //! point away from it. Values are in 1/sr, cosine excluded, 0 below the horizon.
 
+use std::path::PathBuf;
+
 use glam::Vec3;
+
+pub mod dictionary;
+pub mod ggx;
+pub mod mixture;
+
+pub use dictionary::{Atom, Dictionary, GridAxes};
+pub use mixture::Mixture;
 
 /// An isotropic BRDF in three colour channels.
 pub trait Brdf: Send + Sync {
     /// f_r at `to_light` and `to_viewer` (unit, local frame), 1/sr, cosine excluded.
     fn eval(&self, to_light: Vec3, to_viewer: Vec3) -> [f32; 3];
+}
+
+/// What is wrong with a BRDF or with the file that should hold one.
+#[derive(Debug, thiserror::Error)]
+pub enum BrdfError {
+    /// A dictionary's atoms are not usable.
+    #[error("dictionary {name}: {fact}")]
+    Dictionary {
+        /// Its name.
+        name: String,
+        /// What is wrong, with the value and what is allowed.
+        fact: String,
+    },
+    /// Mixture weights are not on the simplex.
+    #[error("mixture weights of channel {channel}: {fact}")]
+    Weights {
+        /// R, G or B.
+        channel: &'static str,
+        /// What is wrong, with the value and what is allowed.
+        fact: String,
+    },
+    /// A name or file type that no reader claims.
+    #[error("\"{spec}\" is no BRDF or dictionary known here (known: {known})")]
+    UnknownSource {
+        /// As given.
+        spec: String,
+        /// What would have been understood.
+        known: String,
+    },
+    /// The operating system refused.
+    #[error("{}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// Its reason.
+        source: std::io::Error,
+    },
+    /// A file was read but does not hold what its type promises.
+    #[error("{}: {fact}", path.display())]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong, with the value and what is allowed.
+        fact: String,
+    },
 }

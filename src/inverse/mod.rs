@@ -1,1 +1,4 @@
-//! To be written.
+//! From images to weights: the objective, the simplex, the optimisers and what
+//! they can say about their own error.
+
+pub mod simplex;

@@ -1,0 +1,417 @@
+//! The BRDF dictionary: a fixed list of simple BRDFs (atoms) whose convex
+//! mixtures describe a material.
+
+use std::path::Path;
+
+use glam::{DVec3, Vec3};
+use serde::{Deserialize, Serialize};
+
+use super::BrdfError;
+use super::ggx::{self, Cosines};
+
+/// One entry of a dictionary.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "type", rename_all = "lowercase")]
+pub enum Atom {
+    /// A GGX reflection lobe, see [`ggx`].
+    Ggx {
+        /// Width of the facet distribution, (0, 1].
+        alpha: f64,
+        /// Real relative index of refraction, 1.01 and above.
+        eta: f64,
+    },
+    /// Equal radiance in all directions.
+    Lambertian {
+        /// Reflected over incident power, [0, 1].
+        albedo: f64,
+    },
+    /// Reflects nothing; lets a mixture's other weights sum to less than one.
+    Black,
+}
+
+impl Atom {
+    /// f_r, 1/sr, cosine excluded, for directions above the horizon.
+    pub fn eval(&self, at: &Cosines<f64>) -> f64 {
+        match *self {
+            Atom::Ggx { alpha, eta } => ggx::eval(alpha, eta, at),
+            Atom::Lambertian { albedo } => albedo * std::f64::consts::FRAC_1_PI,
+            Atom::Black => 0.0,
+        }
+    }
+
+    /// [`Self::eval`] in single precision.
+    pub fn eval_f32(&self, at: &Cosines<f32>) -> f32 {
+        match *self {
+            Atom::Ggx { alpha, eta } => ggx::eval(alpha as f32, eta as f32, at),
+            Atom::Lambertian { albedo } => albedo as f32 * std::f32::consts::FRAC_1_PI,
+            Atom::Black => 0.0,
+        }
+    }
+
+    /// A direction for the other end of a reflection, given one end (unit, local
+    /// frame, z > 0), with its density per solid angle (1/sr, cosine excluded).
+    /// `u` is uniform in [0, 1)². `None` where the sample falls below the
+    /// horizon and for [`Atom::Black`].
+    pub fn sample(&self, from: DVec3, u: [f64; 2]) -> Option<(DVec3, f64)> {
+        let to = match *self {
+            Atom::Ggx { alpha, .. } => {
+                DVec3::from_array(ggx::sample_visible(alpha, from.to_array(), u))
+            }
+            Atom::Lambertian { .. } => cosine_direction(u),
+            Atom::Black => return None,
+        };
+        let pdf = self.pdf(from, to);
+        (pdf > 0.0).then_some((to, pdf))
+    }
+
+    /// Density of [`Self::sample`] at `to`, per solid angle (1/sr, cosine excluded).
+    pub fn pdf(&self, from: DVec3, to: DVec3) -> f64 {
+        let Some(at) = Cosines::new(from.to_array(), to.to_array()) else {
+            return 0.0;
+        };
+        match *self {
+            Atom::Ggx { alpha, .. } => ggx::pdf_visible(alpha, at.cos_i, at.sin2_h),
+            Atom::Lambertian { .. } => at.cos_o * std::f64::consts::FRAC_1_PI,
+            Atom::Black => 0.0,
+        }
+    }
+}
+
+/// Direction with density cos θ/π (1/sr, cosine excluded) from `u` uniform in [0, 1)².
+pub fn cosine_direction(u: [f64; 2]) -> DVec3 {
+    let radius = u[1].sqrt();
+    let (sin, cos) = (std::f64::consts::TAU * u[0]).sin_cos();
+    DVec3::new(radius * cos, radius * sin, (1.0 - u[1]).sqrt())
+}
+
+/// A named list of atoms, each with parameters in range.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Dictionary {
+    name: String,
+    atoms: Vec<Atom>,
+}
+
+/// The axes of a dictionary whose GGX atoms are all pairs of a few widths and a
+/// few indices: D·G depends on the width alone and F on the index alone, which
+/// makes evaluation separable.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GridAxes {
+    /// Distinct widths, ascending.
+    pub alphas: Vec<f64>,
+    /// Distinct indices, ascending.
+    pub etas: Vec<f64>,
+    /// Atom index of (width a, index e) at `a · etas.len() + e`.
+    pub atom: Vec<usize>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct DictionaryFile {
+    name: Option<String>,
+    #[allow(dead_code, reason = "a note for the reader of the file")]
+    source: Option<String>,
+    atoms: Vec<Atom>,
+}
+
+/// Most atoms a dictionary may have.
+pub const MAX_ATOMS: usize = 256;
+
+impl Dictionary {
+    /// From atoms, at least one and at most [`MAX_ATOMS`]; parameters out of range
+    /// are refused. A Lambertian atom of albedo 0 becomes [`Atom::Black`].
+    pub fn new(name: impl Into<String>, atoms: Vec<Atom>) -> Result<Self, BrdfError> {
+        let name = name.into();
+        let refuse = |fact: String| BrdfError::Dictionary {
+            name: name.clone(),
+            fact,
+        };
+        if atoms.is_empty() || atoms.len() > MAX_ATOMS {
+            return Err(refuse(format!(
+                "{} atoms, allowed are 1 to {MAX_ATOMS}",
+                atoms.len()
+            )));
+        }
+        let mut checked = Vec::with_capacity(atoms.len());
+        for (index, atom) in atoms.into_iter().enumerate() {
+            let (key, value, low, high) = match atom {
+                Atom::Ggx { alpha, .. } if !(1e-3..=1.0).contains(&alpha) => {
+                    ("alpha", alpha, 1e-3, 1.0)
+                }
+                Atom::Ggx { eta, .. } if !(1.01..=100.0).contains(&eta) => {
+                    ("eta", eta, 1.01, 100.0)
+                }
+                Atom::Lambertian { albedo } if !(0.0..=1.0).contains(&albedo) => {
+                    ("albedo", albedo, 0.0, 1.0)
+                }
+                Atom::Lambertian { albedo: 0.0 } => {
+                    checked.push(Atom::Black);
+                    continue;
+                }
+                valid => {
+                    checked.push(valid);
+                    continue;
+                }
+            };
+            return Err(refuse(format!(
+                "atom {index} has {key} {value}, allowed is {low} to {high}"
+            )));
+        }
+        Ok(Self {
+            name,
+            atoms: checked,
+        })
+    }
+
+    /// The dictionary published by the paper's authors: 40 GGX atoms, white
+    /// Lambertian, black. (0.01, 10) stands twice there and here: see
+    /// [`Self::duplicate_of`].
+    pub fn paper42() -> Self {
+        Self::embedded(
+            "paper42",
+            include_str!("../../data/dictionaries/paper42.json"),
+        )
+    }
+
+    /// Eight widths from 0.01 to 0.6 in equal ratios by five indices, white
+    /// Lambertian, black: separable, and wide enough for measured materials.
+    pub fn grid42() -> Self {
+        let alphas = [0.01, 0.018, 0.032, 0.058, 0.104, 0.186, 0.334, 0.6];
+        Self::grid("grid42", &alphas, &[1.3, 1.6, 2.4, 5.0, 20.0])
+    }
+
+    /// A narrower grid (0.05 to 0.5 by 1.25 to 5) that independent reference
+    /// renders use.
+    pub fn reference_grid42() -> Self {
+        let alphas = [0.05, 0.08, 0.11, 0.15, 0.2, 0.28, 0.4, 0.5];
+        Self::grid("reference-grid42", &alphas, &[1.25, 1.5, 2.0, 3.0, 5.0])
+    }
+
+    /// The dictionaries that [`Self::load`] knows by name.
+    pub const NAMES: [&'static str; 3] = ["paper42", "grid42", "reference-grid42"];
+
+    /// By one of [`Self::NAMES`], or from a `.json` or `.toml` file with a list
+    /// `atoms` of `{type = "ggx", alpha, eta}`, `{type = "lambertian", albedo}`
+    /// or `{type = "black"}`, and optionally `name` and `source`.
+    pub fn load(name_or_path: &str) -> Result<Self, BrdfError> {
+        match name_or_path {
+            "paper42" => Ok(Self::paper42()),
+            "grid42" => Ok(Self::grid42()),
+            "reference-grid42" => Ok(Self::reference_grid42()),
+            path => Self::read(Path::new(path)),
+        }
+    }
+
+    fn read(path: &Path) -> Result<Self, BrdfError> {
+        let extension = path.extension().and_then(|e| e.to_str()).unwrap_or("");
+        if !matches!(extension, "json" | "toml") {
+            return Err(BrdfError::UnknownSource {
+                spec: path.display().to_string(),
+                known: format!("{}, a .json or .toml file", Self::NAMES.join(", ")),
+            });
+        }
+        let text = std::fs::read_to_string(path).map_err(|source| BrdfError::Io {
+            path: path.into(),
+            source,
+        })?;
+        let stem = path.file_stem().and_then(|s| s.to_str()).unwrap_or("file");
+        Self::parse(stem, &text, extension == "json").map_err(|fact| match fact {
+            BrdfError::Dictionary { fact, .. } => BrdfError::File {
+                path: path.into(),
+                fact,
+            },
+            other => other,
+        })
+    }
+
+    fn parse(default_name: &str, text: &str, json: bool) -> Result<Self, BrdfError> {
+        let parsed: Result<DictionaryFile, String> = if json {
+            serde_json::from_str(text).map_err(|e| e.to_string())
+        } else {
+            toml::from_str(text).map_err(|e| e.message().to_owned())
+        };
+        let file = parsed.map_err(|fact| BrdfError::Dictionary {
+            name: default_name.to_owned(),
+            fact,
+        })?;
+        Self::new(file.name.as_deref().unwrap_or(default_name), file.atoms)
+    }
+
+    fn embedded(name: &str, json: &str) -> Self {
+        Self::parse(name, json, true).expect("an embedded dictionary is valid (tested)")
+    }
+
+    /// Width-major grid, then white Lambertian, then black.
+    fn grid(name: &str, alphas: &[f64], etas: &[f64]) -> Self {
+        let mut atoms: Vec<Atom> = alphas
+            .iter()
+            .flat_map(|&alpha| etas.iter().map(move |&eta| Atom::Ggx { alpha, eta }))
+            .collect();
+        atoms.extend([Atom::Lambertian { albedo: 1.0 }, Atom::Black]);
+        Self {
+            name: name.to_owned(),
+            atoms,
+        }
+    }
+
+    /// What tables and files call it.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// The atoms in order; weights are indexed alike.
+    pub fn atoms(&self) -> &[Atom] {
+        &self.atoms
+    }
+
+    /// Number of atoms.
+    pub fn len(&self) -> usize {
+        self.atoms.len()
+    }
+
+    /// Never true; for the convention that goes with [`Self::len`].
+    pub fn is_empty(&self) -> bool {
+        self.atoms.is_empty()
+    }
+
+    /// Per atom, the index of an earlier equal atom: such an atom adds nothing,
+    /// and a fit may keep its weight at zero.
+    pub fn duplicate_of(&self) -> Vec<Option<usize>> {
+        (0..self.len())
+            .map(|i| (0..i).find(|&j| self.atoms[j] == self.atoms[i]))
+            .collect()
+    }
+
+    /// The grid of the GGX atoms, if they form a full one without repeats, of at
+    /// most 8 widths by 5 indices (the shape the fast kernel is built for).
+    pub fn grid_axes(&self) -> Option<GridAxes> {
+        let (mut alphas, mut etas) = (Vec::new(), Vec::new());
+        let mut lobes = 0;
+        for atom in &self.atoms {
+            if let Atom::Ggx { alpha, eta } = *atom {
+                alphas.push(alpha);
+                etas.push(eta);
+                lobes += 1;
+            }
+        }
+        for axis in [&mut alphas, &mut etas] {
+            axis.sort_by(f64::total_cmp);
+            axis.dedup();
+        }
+        if lobes == 0 || alphas.len() > 8 || etas.len() > 5 || lobes != alphas.len() * etas.len() {
+            return None;
+        }
+        let mut atom = Vec::with_capacity(lobes);
+        for &alpha in &alphas {
+            for &eta in &etas {
+                let wanted = Atom::Ggx { alpha, eta };
+                atom.push(self.atoms.iter().position(|a| *a == wanted)?);
+            }
+        }
+        Some(GridAxes { alphas, etas, atom })
+    }
+
+    /// f_r of every atom, 1/sr, zero if either direction is not above the horizon.
+    pub fn eval(&self, to_light: Vec3, to_viewer: Vec3) -> Vec<f32> {
+        match Cosines::new(to_light.to_array(), to_viewer.to_array()) {
+            Some(at) => self.atoms.iter().map(|atom| atom.eval_f32(&at)).collect(),
+            None => vec![0.0; self.len()],
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_published_dictionary_has_one_pair_twice() {
+        let paper = Dictionary::paper42();
+        assert_eq!(paper.len(), 42);
+        assert_eq!(paper.atoms()[40], Atom::Lambertian { albedo: 1.0 });
+        assert_eq!(paper.atoms()[41], Atom::Black);
+        let duplicates: Vec<_> = paper
+            .duplicate_of()
+            .into_iter()
+            .enumerate()
+            .filter_map(|(i, j)| j.map(|j| (i, j)))
+            .collect();
+        assert_eq!(duplicates, [(33, 0)]);
+        assert!(paper.grid_axes().is_none());
+    }
+
+    #[test]
+    fn grids_know_their_axes() {
+        for dictionary in [Dictionary::grid42(), Dictionary::reference_grid42()] {
+            let axes = dictionary.grid_axes().unwrap();
+            assert_eq!((axes.alphas.len(), axes.etas.len()), (8, 5));
+            for (a, &alpha) in axes.alphas.iter().enumerate() {
+                for (e, &eta) in axes.etas.iter().enumerate() {
+                    let atom = dictionary.atoms()[axes.atom[a * 5 + e]];
+                    assert_eq!(atom, Atom::Ggx { alpha, eta });
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn an_incomplete_or_repeated_grid_is_no_grid() {
+        let ggx = |alpha, eta| Atom::Ggx { alpha, eta };
+        let corner = vec![ggx(0.1, 1.5), ggx(0.2, 1.5), ggx(0.1, 2.0)];
+        assert!(
+            Dictionary::new("three of four", corner.clone())
+                .unwrap()
+                .grid_axes()
+                .is_none()
+        );
+        let mut repeated = corner.clone();
+        repeated.push(ggx(0.1, 1.5));
+        assert!(
+            Dictionary::new("repeated", repeated)
+                .unwrap()
+                .grid_axes()
+                .is_none()
+        );
+        let mut full = corner;
+        full.push(ggx(0.2, 2.0));
+        assert_eq!(
+            Dictionary::new("full", full)
+                .unwrap()
+                .grid_axes()
+                .unwrap()
+                .atom,
+            [0, 2, 1, 3]
+        );
+    }
+
+    #[test]
+    fn files_are_checked() {
+        let toml = "atoms = [{ type = \"ggx\", alpha = 0.1, eta = 1.5 }, { type = \"black\" }]";
+        assert_eq!(Dictionary::parse("two", toml, false).unwrap().len(), 2);
+        for (bad, said) in [
+            ("atoms = []", "0 atoms"),
+            (
+                "atoms = [{ type = \"ggx\", alpha = 2.0, eta = 1.5 }]",
+                "alpha 2",
+            ),
+            (
+                "atoms = [{ type = \"ggx\", alpha = 0.2, eta = 0.5 }]",
+                "eta 0.5",
+            ),
+            (
+                "atoms = [{ type = \"ggx\", alpha = nan, eta = 1.5 }]",
+                "alpha NaN",
+            ),
+            (
+                "atoms = [{ type = \"lambertian\", albedo = 1.5 }]",
+                "albedo 1.5",
+            ),
+            ("atoms = [{ type = \"mirror\" }]", "mirror"),
+            ("atom = []", "atom"),
+        ] {
+            let error = Dictionary::parse("bad", bad, false)
+                .unwrap_err()
+                .to_string();
+            assert!(error.contains(said), "{bad}: {error}");
+        }
+    }
+}
