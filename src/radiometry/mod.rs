@@ -1,1 +1,6 @@
-//! To be written.
+//! From raw counts to radiance: what a sensor's noise is, which exposures to
+//! take, and how a bracket becomes one radiance with its variance.
+
+pub mod exposure;
+pub mod mosaic;
+pub mod sensor;

@@ -1,0 +1,264 @@
+//! An indexed triangle mesh that has been checked once.
+
+use glam::Vec3;
+
+/// Vertices and triangles of one body. The front of a triangle is the side
+/// from which its corners run counter-clockwise; the BRDF lives there, the
+/// back is black.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Mesh {
+    /// Corners, millimetres, sample frame.
+    pub positions_mm: Vec<Vec3>,
+    /// Indices of three corners each.
+    pub triangles: Vec<[u32; 3]>,
+    /// Unit normals per corner, for smooth shading, where known.
+    pub normals: Option<Vec<Vec3>>,
+}
+
+/// Why a mesh cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum MeshError {
+    /// The file could not be read or written.
+    #[error("{path}: {source}")]
+    Io {
+        /// The file.
+        path: String,
+        /// The system's error.
+        source: std::io::Error,
+    },
+    /// The file does not follow its format.
+    #[error("{path}: {what}")]
+    Format {
+        /// The file.
+        path: String,
+        /// What was found and where.
+        what: String,
+    },
+    /// No triangle.
+    #[error("the mesh has no triangle")]
+    Empty,
+    /// More than indices can address or memory should hold.
+    #[error("the mesh has {triangles} triangles; at most {limit} are supported")]
+    TooLarge {
+        /// Triangles found.
+        triangles: usize,
+        /// The limit.
+        limit: usize,
+    },
+    /// A coordinate is NaN or infinite.
+    #[error("vertex {vertex} has a coordinate that is not finite")]
+    NotFinite {
+        /// Index from 0.
+        vertex: usize,
+    },
+    /// A triangle refers to a vertex that does not exist.
+    #[error("triangle {triangle} refers to vertex {vertex}, but there are {vertices}")]
+    NoSuchVertex {
+        /// Index from 0.
+        triangle: usize,
+        /// The index it holds.
+        vertex: u32,
+        /// Number of vertices.
+        vertices: usize,
+    },
+    /// A triangle without area.
+    #[error("triangle {triangle} has no area")]
+    Degenerate {
+        /// Index from 0.
+        triangle: usize,
+    },
+    /// More than two triangles meet in an edge, or two face opposite ways.
+    #[error(
+        "the edge between vertices {a} and {b} is shared by {count} triangles of the same orientation"
+    )]
+    NonManifold {
+        /// One end.
+        a: u32,
+        /// Other end.
+        b: u32,
+        /// Triangles that run along it in this direction.
+        count: usize,
+    },
+}
+
+/// Most triangles that a mesh may have.
+pub const MAX_TRIANGLES: usize = 20_000_000;
+
+impl Mesh {
+    /// Checks indices, coordinates, areas and edges. Triangles that repeat a
+    /// corner are refused.
+    pub fn new(positions_mm: Vec<Vec3>, triangles: Vec<[u32; 3]>) -> Result<Self, MeshError> {
+        if triangles.is_empty() {
+            return Err(MeshError::Empty);
+        }
+        if triangles.len() > MAX_TRIANGLES {
+            return Err(MeshError::TooLarge {
+                triangles: triangles.len(),
+                limit: MAX_TRIANGLES,
+            });
+        }
+        if let Some(vertex) = positions_mm.iter().position(|p| !p.is_finite()) {
+            return Err(MeshError::NotFinite { vertex });
+        }
+        for (triangle, corners) in triangles.iter().enumerate() {
+            if let Some(&vertex) = corners.iter().find(|&&v| v as usize >= positions_mm.len()) {
+                return Err(MeshError::NoSuchVertex {
+                    triangle,
+                    vertex,
+                    vertices: positions_mm.len(),
+                });
+            }
+            let [a, b, c] = corners.map(|v| positions_mm[v as usize].as_dvec3());
+            if (b - a).cross(c - a).length_squared() <= 0.0 {
+                return Err(MeshError::Degenerate { triangle });
+            }
+        }
+        check_edges(&triangles)?;
+        Ok(Self {
+            positions_mm,
+            triangles,
+            normals: None,
+        })
+    }
+
+    /// With unit normals at the corners, used for smooth shading; lengths are normalised.
+    pub fn with_normals(mut self, normals: Vec<Vec3>) -> Result<Self, MeshError> {
+        if normals.len() != self.positions_mm.len() {
+            return Err(MeshError::NotFinite {
+                vertex: normals.len().min(self.positions_mm.len()),
+            });
+        }
+        if let Some(vertex) = normals.iter().position(|n| n.try_normalize().is_none()) {
+            return Err(MeshError::NotFinite { vertex });
+        }
+        self.normals = Some(normals.into_iter().map(Vec3::normalize).collect());
+        Ok(self)
+    }
+
+    /// Corners of a triangle.
+    pub fn corners(&self, triangle: usize) -> [Vec3; 3] {
+        self.triangles[triangle].map(|v| self.positions_mm[v as usize])
+    }
+
+    /// Unit normal of a triangle's front.
+    pub fn face_normal(&self, triangle: usize) -> Vec3 {
+        let [a, b, c] = self.corners(triangle).map(Vec3::as_dvec3);
+        (b - a).cross(c - a).normalize().as_vec3()
+    }
+
+    /// Largest angle between the normals of two triangles that share an edge,
+    /// among angles below `crease_rad` (larger ones are meant to be creases), radians.
+    /// A lobe narrower than eight times this angle sees the facets.
+    pub fn facet_step_rad(&self, crease_rad: f32) -> f32 {
+        let mut edges = std::collections::HashMap::new();
+        let mut step: f32 = 0.0;
+        for (index, corners) in self.triangles.iter().enumerate() {
+            let normal = self.face_normal(index);
+            for i in 0..3 {
+                let (a, b) = (corners[i], corners[(i + 1) % 3]);
+                match edges.remove(&(b, a)) {
+                    Some(other) => {
+                        let angle = normal.angle_between(other);
+                        if angle < crease_rad {
+                            step = step.max(angle);
+                        }
+                    }
+                    None => {
+                        edges.insert((a, b), normal);
+                    }
+                }
+            }
+        }
+        step
+    }
+
+    /// Smallest and largest coordinates, millimetres.
+    pub fn bounds_mm(&self) -> [Vec3; 2] {
+        self.positions_mm
+            .iter()
+            .fold([Vec3::INFINITY, Vec3::NEG_INFINITY], |[low, high], &p| {
+                [low.min(p), high.max(p)]
+            })
+    }
+
+    /// Another mesh moved by a rigid transform into the frame `Dst`.
+    pub fn transformed<Dst, Src>(&self, dst_from_src: &crate::frames::Rigid<Dst, Src>) -> Self {
+        let point = |p: &Vec3| dst_from_src.point(p.as_dvec3()).as_vec3();
+        let direction = |n: &Vec3| dst_from_src.direction(n.as_dvec3()).as_vec3();
+        Self {
+            positions_mm: self.positions_mm.iter().map(point).collect(),
+            triangles: self.triangles.clone(),
+            normals: self
+                .normals
+                .as_ref()
+                .map(|n| n.iter().map(direction).collect()),
+        }
+    }
+}
+
+/// Every directed edge may occur once.
+fn check_edges(triangles: &[[u32; 3]]) -> Result<(), MeshError> {
+    let mut edges: Vec<(u32, u32)> = triangles
+        .iter()
+        .flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)])
+        .collect();
+    edges.sort_unstable();
+    for run in edges.chunk_by(|x, y| x == y) {
+        if run.len() > 1 {
+            return Err(MeshError::NonManifold {
+                a: run[0].0,
+                b: run[0].1,
+                count: run.len(),
+            });
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn square() -> (Vec<Vec3>, Vec<[u32; 3]>) {
+        (
+            vec![Vec3::ZERO, Vec3::X, Vec3::new(1.0, 1.0, 0.0), Vec3::Y],
+            vec![[0, 1, 2], [0, 2, 3]],
+        )
+    }
+
+    #[test]
+    fn bad_meshes_are_named() {
+        let (positions, triangles) = square();
+        assert!(Mesh::new(positions.clone(), triangles.clone()).is_ok());
+        assert!(matches!(
+            Mesh::new(positions.clone(), vec![]),
+            Err(MeshError::Empty)
+        ));
+        assert!(matches!(
+            Mesh::new(positions.clone(), vec![[0, 1, 9]]),
+            Err(MeshError::NoSuchVertex {
+                triangle: 0,
+                vertex: 9,
+                vertices: 4
+            })
+        ));
+        assert!(matches!(
+            Mesh::new(positions.clone(), vec![[0, 1, 1]]),
+            Err(MeshError::Degenerate { triangle: 0 })
+        ));
+        assert!(matches!(
+            Mesh::new(positions.clone(), vec![[0, 1, 2], [0, 1, 3]]),
+            Err(MeshError::NonManifold {
+                a: 0,
+                b: 1,
+                count: 2
+            })
+        ));
+        let mut broken = positions;
+        broken[2].y = f32::NAN;
+        assert!(matches!(
+            Mesh::new(broken, triangles),
+            Err(MeshError::NotFinite { vertex: 2 })
+        ));
+    }
+}

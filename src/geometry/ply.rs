@@ -1,0 +1,357 @@
+//! PLY meshes, ascii and binary little-endian (the two that programs write).
+
+use std::io::Write;
+use std::path::Path;
+
+use glam::Vec3;
+
+use super::mesh::{MAX_TRIANGLES, Mesh, MeshError};
+
+/// How one element's property is stored.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Kind {
+    I8,
+    U8,
+    I16,
+    U16,
+    I32,
+    U32,
+    F32,
+    F64,
+}
+
+impl Kind {
+    fn parse(name: &str) -> Option<Self> {
+        Some(match name {
+            "char" | "int8" => Kind::I8,
+            "uchar" | "uint8" => Kind::U8,
+            "short" | "int16" => Kind::I16,
+            "ushort" | "uint16" => Kind::U16,
+            "int" | "int32" => Kind::I32,
+            "uint" | "uint32" => Kind::U32,
+            "float" | "float32" => Kind::F32,
+            "double" | "float64" => Kind::F64,
+            _ => return None,
+        })
+    }
+}
+
+enum Property {
+    Scalar(String, Kind),
+    List(String, Kind, Kind),
+}
+
+struct Element {
+    name: String,
+    count: usize,
+    properties: Vec<Property>,
+}
+
+/// The body's numbers in order, whatever the encoding.
+enum Body<'a> {
+    Ascii(std::str::SplitAsciiWhitespace<'a>),
+    Binary(&'a [u8]),
+}
+
+impl Body<'_> {
+    fn next(&mut self, kind: Kind) -> Option<f64> {
+        match self {
+            Body::Ascii(words) => words.next()?.parse().ok(),
+            Body::Binary(bytes) => {
+                macro_rules! take {
+                    ($t:ty) => {{
+                        let (head, rest) = bytes.split_first_chunk()?;
+                        *bytes = rest;
+                        <$t>::from_le_bytes(*head) as f64
+                    }};
+                }
+                Some(match kind {
+                    Kind::I8 => take!(i8),
+                    Kind::U8 => take!(u8),
+                    Kind::I16 => take!(i16),
+                    Kind::U16 => take!(u16),
+                    Kind::I32 => take!(i32),
+                    Kind::U32 => take!(u32),
+                    Kind::F32 => take!(f32),
+                    Kind::F64 => take!(f64),
+                })
+            }
+        }
+    }
+}
+
+/// Reads a mesh; polygons are cut into fans. Coordinates are taken as millimetres
+/// times `mm_per_unit`.
+pub fn read(path: &Path, mm_per_unit: f32) -> Result<Mesh, MeshError> {
+    let name = path.display().to_string();
+    let bytes = std::fs::read(path).map_err(|source| MeshError::Io {
+        path: name.clone(),
+        source,
+    })?;
+    parse(&bytes, mm_per_unit).map_err(|error| match error {
+        MeshError::Format { what, .. } => MeshError::Format { path: name, what },
+        other => MeshError::Format {
+            path: name,
+            what: other.to_string(),
+        },
+    })
+}
+
+/// The same from memory. Declared counts are never trusted beyond the bytes present.
+pub fn parse(bytes: &[u8], mm_per_unit: f32) -> Result<Mesh, MeshError> {
+    let bad = |what: String| MeshError::Format {
+        path: String::new(),
+        what,
+    };
+    let (elements, mut body) = header(bytes)?;
+    let mut positions = Vec::new();
+    let mut normals = Vec::new();
+    let mut triangles = Vec::new();
+    for element in &elements {
+        for row in 0..element.count {
+            let ended = || {
+                bad(format!(
+                    "{} {row} of {}: the file ends early or holds no number",
+                    element.name, element.count
+                ))
+            };
+            let mut vertex = [[0.0f64; 3]; 2];
+            let mut has_normal = 0;
+            for property in &element.properties {
+                match property {
+                    Property::Scalar(name, kind) => {
+                        let value = body.next(*kind).ok_or_else(ended)?;
+                        match name.as_str() {
+                            "x" => vertex[0][0] = value,
+                            "y" => vertex[0][1] = value,
+                            "z" => vertex[0][2] = value,
+                            "nx" => (vertex[1][0], has_normal) = (value, has_normal | 1),
+                            "ny" => (vertex[1][1], has_normal) = (value, has_normal | 2),
+                            "nz" => (vertex[1][2], has_normal) = (value, has_normal | 4),
+                            _ => {}
+                        }
+                    }
+                    Property::List(name, count_kind, kind) => {
+                        let count = body.next(*count_kind).ok_or_else(ended)?;
+                        let is_face = element.name == "face" && name.starts_with("vertex_ind");
+                        if is_face && !(3.0..=255.0).contains(&count) {
+                            return Err(bad(format!(
+                                "face {row} has {count} corners; 3 to 255 are allowed"
+                            )));
+                        }
+                        let mut fan = [0u32; 2];
+                        for k in 0..count as u64 {
+                            let value = body.next(*kind).ok_or_else(ended)?;
+                            if !is_face {
+                                continue;
+                            }
+                            if value < 0.0 || value > f64::from(u32::MAX) {
+                                return Err(bad(format!("face {row} refers to vertex {value}")));
+                            }
+                            let index = value as u32;
+                            match k {
+                                0 => fan[0] = index,
+                                1 => fan[1] = index,
+                                _ => {
+                                    triangles.push([fan[0], fan[1], index]);
+                                    fan[1] = index;
+                                }
+                            }
+                        }
+                        if triangles.len() > MAX_TRIANGLES {
+                            return Err(MeshError::TooLarge {
+                                triangles: triangles.len(),
+                                limit: MAX_TRIANGLES,
+                            });
+                        }
+                    }
+                }
+            }
+            if element.name == "vertex" {
+                let [p, n] = vertex.map(|v| Vec3::new(v[0] as f32, v[1] as f32, v[2] as f32));
+                positions.push(p * mm_per_unit);
+                if has_normal == 7 {
+                    normals.push(n);
+                }
+            }
+        }
+    }
+    let mesh = Mesh::new(positions, triangles)?;
+    if !normals.is_empty() && normals.len() == mesh.positions_mm.len() {
+        mesh.with_normals(normals)
+    } else {
+        Ok(mesh)
+    }
+}
+
+fn header(bytes: &[u8]) -> Result<(Vec<Element>, Body<'_>), MeshError> {
+    let bad = |what: &str| MeshError::Format {
+        path: String::new(),
+        what: what.to_owned(),
+    };
+    let mut elements: Vec<Element> = Vec::new();
+    let mut binary = None;
+    let mut rest = bytes;
+    let mut first = true;
+    loop {
+        let end = rest
+            .iter()
+            .take(1024)
+            .position(|&b| b == b'\n')
+            .ok_or_else(|| bad("the header has no end_header line"))?;
+        let line = std::str::from_utf8(&rest[..end])
+            .map_err(|_| bad("the header is not text"))?
+            .trim();
+        rest = &rest[end + 1..];
+        let words: Vec<&str> = line.split_ascii_whitespace().collect();
+        if first && words != ["ply"] {
+            return Err(bad("the file does not begin with \"ply\""));
+        }
+        first = false;
+        match words.as_slice() {
+            ["format", "ascii", "1.0"] => binary = Some(false),
+            ["format", "binary_little_endian", "1.0"] => binary = Some(true),
+            ["format", other, ..] => {
+                return Err(bad(&format!(
+                    "format {other} is not ascii or binary_little_endian"
+                )));
+            }
+            ["element", name, count] => {
+                let count = count
+                    .parse()
+                    .map_err(|_| bad(&format!("element {name} has count {count:?}")))?;
+                elements.push(Element {
+                    name: (*name).to_owned(),
+                    count,
+                    properties: Vec::new(),
+                });
+            }
+            ["property", "list", count, kind, name] => {
+                let (Some(count), Some(kind)) = (Kind::parse(count), Kind::parse(kind)) else {
+                    return Err(bad(&format!("property {name} has an unknown type")));
+                };
+                let element = elements
+                    .last_mut()
+                    .ok_or_else(|| bad("a property before any element"))?;
+                element
+                    .properties
+                    .push(Property::List((*name).to_owned(), count, kind));
+            }
+            ["property", kind, name] => {
+                let kind = Kind::parse(kind)
+                    .ok_or_else(|| bad(&format!("property {name} has the unknown type {kind}")))?;
+                let element = elements
+                    .last_mut()
+                    .ok_or_else(|| bad("a property before any element"))?;
+                element
+                    .properties
+                    .push(Property::Scalar((*name).to_owned(), kind));
+            }
+            ["end_header"] => break,
+            _ => {}
+        }
+    }
+    if elements
+        .iter()
+        .any(|e| e.properties.is_empty() && e.count > 0)
+    {
+        return Err(bad("an element without properties"));
+    }
+    let body = match binary {
+        Some(true) => Body::Binary(rest),
+        Some(false) => Body::Ascii(
+            std::str::from_utf8(rest)
+                .map_err(|_| bad("the body is not text"))?
+                .split_ascii_whitespace(),
+        ),
+        None => return Err(bad("the header has no format line")),
+    };
+    Ok((elements, body))
+}
+
+/// Writes a mesh as binary little-endian PLY, millimetres.
+pub fn write(mesh: &Mesh, out: &mut dyn Write) -> std::io::Result<()> {
+    write!(
+        out,
+        "ply\nformat binary_little_endian 1.0\ncomment millimetres\nelement vertex {}\n",
+        mesh.positions_mm.len()
+    )?;
+    write!(
+        out,
+        "property float x\nproperty float y\nproperty float z\n"
+    )?;
+    if mesh.normals.is_some() {
+        write!(
+            out,
+            "property float nx\nproperty float ny\nproperty float nz\n"
+        )?;
+    }
+    write!(
+        out,
+        "element face {}\nproperty list uchar uint vertex_indices\nend_header\n",
+        mesh.triangles.len()
+    )?;
+    for (i, p) in mesh.positions_mm.iter().enumerate() {
+        for value in p.to_array() {
+            out.write_all(&value.to_le_bytes())?;
+        }
+        if let Some(normals) = &mesh.normals {
+            for value in normals[i].to_array() {
+                out.write_all(&value.to_le_bytes())?;
+            }
+        }
+    }
+    for triangle in &mesh.triangles {
+        out.write_all(&[3])?;
+        for v in triangle {
+            out.write_all(&v.to_le_bytes())?;
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Shape;
+    use proptest::prelude::*;
+
+    fn bowl_bytes() -> (Mesh, Vec<u8>) {
+        let mesh = Shape::Bowl {
+            radius_mm: 1.0,
+            segments: 16,
+        }
+        .mesh()
+        .unwrap();
+        let mut bytes = Vec::new();
+        write(&mesh, &mut bytes).unwrap();
+        (mesh, bytes)
+    }
+
+    #[test]
+    fn round_trip() {
+        let (mesh, bytes) = bowl_bytes();
+        let back = parse(&bytes, 1.0).unwrap();
+        assert_eq!(back.positions_mm, mesh.positions_mm);
+        assert_eq!(back.triangles, mesh.triangles);
+    }
+
+    #[test]
+    fn ascii_polygons_become_fans() {
+        let text = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n4 0 1 2 3\n";
+        let mesh = parse(text.as_bytes(), 10.0).unwrap();
+        assert_eq!(mesh.triangles, [[0, 1, 2], [0, 2, 3]]);
+        assert_eq!(mesh.positions_mm[2], Vec3::new(10.0, 10.0, 0.0));
+    }
+
+    proptest! {
+        #[test]
+        fn broken_files_never_panic(flip in 0usize..2000, value in any::<u8>(), cut in 0usize..4000) {
+            let (_, mut bytes) = bowl_bytes();
+            let flip = flip % bytes.len();
+            bytes[flip] = value;
+            bytes.truncate(cut.min(bytes.len()));
+            let _ = parse(&bytes, 1.0);
+        }
+    }
+}

@@ -1,0 +1,117 @@
+//! A disk that fails where a test says, over the real one.
+
+use std::io;
+use std::path::Path;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use super::commit::{Disk, SystemDisk};
+
+/// How an operation fails.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Fault {
+    /// An input/output error, once; nothing was written.
+    Error,
+    /// Half of the bytes were written, then an error, once.
+    ShortWrite,
+    /// The disk is full from here on; half of the bytes still fitted.
+    DiskFull,
+    /// The operation and all later ones do not happen: the process is gone.
+    Crash,
+}
+
+impl Fault {
+    /// Every kind.
+    pub const ALL: [Self; 4] = [Self::Error, Self::ShortWrite, Self::DiskFull, Self::Crash];
+}
+
+/// The system's disk, with one fault at the `at`-th operation (from 0).
+#[derive(Debug)]
+pub struct FaultyDisk {
+    at: u64,
+    fault: Fault,
+    count: AtomicU64,
+}
+
+impl FaultyDisk {
+    /// Fails at operation number `at`, counted from 0.
+    pub fn new(at: u64, fault: Fault) -> Self {
+        Self {
+            at,
+            fault,
+            count: AtomicU64::new(0),
+        }
+    }
+
+    /// How many operations were asked for so far.
+    pub fn operations(&self) -> u64 {
+        self.count.load(Ordering::SeqCst)
+    }
+
+    /// `part` performs what a torn operation still does.
+    fn step(
+        &self,
+        whole: impl FnOnce() -> io::Result<()>,
+        part: impl FnOnce(),
+        needs_space: bool,
+    ) -> io::Result<()> {
+        let number = self.count.fetch_add(1, Ordering::SeqCst);
+        let now = number == self.at;
+        let since = number >= self.at;
+        match self.fault {
+            Fault::Error if now => Err(io::Error::other("injected fault")),
+            Fault::ShortWrite if now => {
+                part();
+                Err(io::Error::new(
+                    io::ErrorKind::WriteZero,
+                    "injected short write",
+                ))
+            }
+            Fault::DiskFull if since && (now || needs_space) => {
+                if now {
+                    part();
+                }
+                Err(io::ErrorKind::StorageFull.into())
+            }
+            Fault::Crash if since => Err(io::Error::other("injected crash")),
+            _ => whole(),
+        }
+    }
+}
+
+impl Disk for FaultyDisk {
+    fn create_dir(&self, path: &Path) -> io::Result<()> {
+        self.step(|| SystemDisk.create_dir(path), || (), true)
+    }
+
+    fn write_new(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
+        self.step(
+            || SystemDisk.write_new(path, bytes),
+            || drop(SystemDisk.write_new(path, &bytes[..bytes.len() / 2])),
+            true,
+        )
+    }
+
+    fn append(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
+        self.step(
+            || SystemDisk.append(path, bytes),
+            || drop(SystemDisk.append(path, &bytes[..bytes.len() / 2])),
+            true,
+        )
+    }
+
+    fn truncate(&self, path: &Path, bytes: u64) -> io::Result<()> {
+        self.step(|| SystemDisk.truncate(path, bytes), || (), false)
+    }
+
+    fn sync_file(&self, path: &Path) -> io::Result<()> {
+        self.step(|| SystemDisk.sync_file(path), || (), false)
+    }
+
+    fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
+        self.step(|| SystemDisk.rename(from, to), || (), false)
+    }
+
+    fn sync_dir(&self, path: &Path) -> io::Result<()> {
+        self.step(|| SystemDisk.sync_dir(path), || (), false)
+    }
+}
