@@ -5,6 +5,15 @@
 //! true stage position and lamp state, and the radiance of the scene comes from
 //! whoever implements [`RadianceSource`].
 
+pub mod bench;
+pub mod camera;
+pub mod clock;
+pub mod grbl;
+pub mod motion;
+pub mod sensor;
+
+mod random;
+
 use std::sync::Arc;
 
 /// The light that falls on the scene at one moment.

@@ -6,11 +6,13 @@
 //! `pub mod` line and one line in [`commands!`] below.
 
 pub mod completions;
+pub mod doctor;
 pub mod error;
 pub mod exit;
 pub mod hints;
 pub mod interrupt;
 pub mod output;
+pub mod rig_choice;
 
 use std::ffi::OsString;
 use std::io::IsTerminal;
@@ -37,6 +39,7 @@ macro_rules! commands {
 }
 
 commands! {
+    Doctor(doctor::DoctorArgs) => doctor::run,
     Completions(completions::CompletionsArgs) => completions::run,
     Man(completions::ManArgs) => completions::run_man,
 }
