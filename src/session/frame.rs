@@ -16,6 +16,8 @@ use crate::units::{Seconds, StageAngles};
 pub struct Sidecar {
     /// Its place in the plan.
     pub key: FrameKey,
+    /// Whether it served to choose the exposures and is no part of the bracket.
+    pub pilot: bool,
     /// As the stage read it back.
     pub lamp: LampState,
     /// Settings asked for.

@@ -97,6 +97,13 @@ pub enum Event {
         /// Index in the plan.
         light: u32,
     },
+    /// Something that a reader of the session should know.
+    Warning {
+        /// Index of the light direction in the plan.
+        light: u32,
+        /// The fact.
+        text: String,
+    },
     /// Any other file is on the disk; a later record of the same path replaces it.
     File {
         /// The file.

@@ -35,5 +35,6 @@ pub mod verify;
 pub use error::SessionError;
 pub use frame::{FrameTimes, Sidecar};
 pub use journal::{Event, FileDigest, Journal, Record};
-pub use record::{CalibrationCopy, PlanRecord, SessionRecord, Versions};
+pub use record::{CalibrationCopy, ExposureRules, PlanRecord, SessionRecord, Versions};
+pub(crate) use store::utc_now;
 pub use store::{FrameEntry, NewSession, Session, SessionState, SessionWriter};

@@ -58,61 +58,52 @@ pub struct CalibrationCopy {
     pub sha256: String,
 }
 
-/// The plan of a capture as data: which directions, which exposures are
-/// possible, and what decides between them.
-///
-/// A bracket entry is a (lamp channel, exposure step) pair with the index
-/// `channel · steps + step`: the `exposure` of a frame's key.
+/// The plan of a capture as data: which directions, and the rules by which each
+/// bracket's exposures are chosen from pilot frames.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PlanRecord {
     /// Lamp channels, lit one after the other.
     pub channels: Vec<LampChannel>,
-    /// Exposures that may be used, shortest first, seconds.
-    pub ladder_s: Vec<Seconds>,
-    /// Step of the ladder at which each bracket begins.
-    pub pilot_step: u32,
     /// Analogue gain of every frame.
     pub gain: f64,
-    /// Signal-to-noise ratio that the sample's dark pixels shall reach.
-    pub dark_snr: f64,
-    /// Most frames averaged at one exposure, at least 1.
-    pub max_repeats: u32,
-    /// Frames with the lamp off at each exposure used.
-    pub ambient_repeats: u32,
-    /// Frames without light at each exposure used; taken once per session and exposure.
-    pub dark_repeats: u32,
+    /// Exposures and averaging.
+    pub exposure: ExposureRules,
     /// Wait after a move, seconds.
     pub settle_s: Seconds,
+    /// Wait after the lamp was switched, seconds.
+    pub lamp_settle_s: Seconds,
     /// Frames thrown away after a change of the camera's settings, at least.
     pub settings_latency_frames: u32,
-    /// Estimated time of the whole capture, seconds.
+    /// Estimated time of the whole capture for a scene of usual contrast, seconds.
     pub estimated_s: Seconds,
-    /// Estimated size of the raw frames, bytes.
+    /// Estimated size of the session for a scene of usual contrast, bytes.
     pub estimated_bytes: u64,
     /// Light directions in the order of capture.
-    pub lights: Vec<PlannedLight>,
+    pub lights: Vec<StageAngles>,
 }
 
-/// One direction of the lamp.
+/// What decides the exposures of a bracket.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct PlannedLight {
-    /// Where the stage goes.
-    #[serde(flatten)]
-    pub angles: StageAngles,
-}
-
-impl PlanRecord {
-    /// Lamp channel and exposure step of a bracket entry; `None` outside the plan.
-    pub fn entry(&self, exposure: u32) -> Option<(LampChannel, Seconds)> {
-        let steps = u32::try_from(self.ladder_s.len()).ok()?;
-        let channel = self.channels.get((exposure.checked_div(steps)?) as usize)?;
-        Some((*channel, self.ladder_s[(exposure % steps) as usize]))
-    }
-
-    /// Bracket entry of a channel's index and a ladder step.
-    pub fn entry_index(&self, channel: usize, step: usize) -> u32 {
-        (channel * self.ladder_s.len() + step) as u32
-    }
+pub struct ExposureRules {
+    /// Exposure of the first pilot frames, seconds.
+    pub pilot_s: Seconds,
+    /// The camera's shortest exposure, seconds.
+    pub shortest_s: Seconds,
+    /// The longest exposure of one frame that may be used, seconds.
+    pub longest_s: Seconds,
+    /// Step of the camera's exposures, seconds.
+    pub step_s: Seconds,
+    /// Part of the usable range that the brightest pixel of the sample may reach
+    /// in the shortest exposure, (0, 1).
+    pub peak_fraction: f64,
+    /// Signal-to-noise ratio that the sample's dark pixels shall reach.
+    pub dark_snr: f64,
+    /// Largest ratio of neighbouring exposures, > 1.
+    pub ratio: f64,
+    /// Most frames averaged at one exposure, at least 1.
+    pub max_frames: u32,
+    /// Frames without any light at the longest exposure of each light direction.
+    pub dark_frames: u32,
 }

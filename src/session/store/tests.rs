@@ -8,7 +8,6 @@ use crate::device::*;
 use crate::session::commit::SystemDisk;
 use crate::session::faults::{Fault, FaultyDisk};
 use crate::session::journal::{Event, sha256_hex};
-use crate::session::record::PlannedLight;
 use crate::session::verify::verify;
 use crate::session::*;
 use crate::units::{Seconds, StageAngles};
@@ -48,18 +47,24 @@ fn record() -> SessionRecord {
         },
         plan: PlanRecord {
             channels: vec![LampChannel(0)],
-            ladder_s: vec![Seconds(0.001), Seconds(0.004)],
-            pilot_step: 1,
             gain: 1.0,
-            dark_snr: 20.0,
-            max_repeats: 4,
-            ambient_repeats: 1,
-            dark_repeats: 1,
+            exposure: ExposureRules {
+                pilot_s: Seconds(0.002),
+                shortest_s: Seconds(0.001),
+                longest_s: Seconds(1.0),
+                step_s: Seconds(0.0001),
+                peak_fraction: 0.7,
+                dark_snr: 20.0,
+                ratio: 4.0,
+                max_frames: 4,
+                dark_frames: 2,
+            },
             settle_s: Seconds(0.1),
+            lamp_settle_s: Seconds(0.0),
             settings_latency_frames: 2,
             estimated_s: Seconds(12.0),
             estimated_bytes: 1000,
-            lights: vec![PlannedLight { angles: ANGLES }; 2],
+            lights: vec![ANGLES; 2],
         },
         calibration: vec![],
     }
@@ -97,6 +102,7 @@ fn frame(repeat: u32) -> (RawFrame, Sidecar) {
             repeat,
             kind: FrameKind::Light,
         },
+        pilot: false,
         lamp: LampState::On(LampChannel(0)),
         requested: settings,
         applied: settings,
