@@ -54,6 +54,9 @@ fn for_device(error: &DeviceError) -> String {
     }
 }
 
+const EXPLAINED: &str =
+    "correct the file; rig-configs/simulated.toml explains every key with its unit and range";
+
 fn for_config(error: &ConfigError) -> String {
     use ConfigError::*;
     match error {
@@ -66,9 +69,14 @@ fn for_config(error: &ConfigError) -> String {
                 None => "rig-configs/simulated.toml explains every key".into(),
             }
         }
-        Missing { .. } | Invalid { .. } => {
-            "correct the file; rig-configs/simulated.toml explains every key with its unit and range".into()
+        Missing { key, unread, .. } => {
+            let last = key.rsplit('.').next().unwrap_or(key);
+            match nearest(last, unread) {
+                Some(near) => format!("is `{near}` meant to be it?"),
+                None => EXPLAINED.into(),
+            }
         }
+        Invalid { .. } => EXPLAINED.into(),
         UnknownRig { name, known } => match nearest(name, known) {
             Some(near) => format!("did you mean `{near}`? A file is named with its path or its ending .toml"),
             None => "a file is named with its path or its ending .toml".into(),
