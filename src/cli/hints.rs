@@ -2,6 +2,8 @@
 
 use std::error::Error;
 
+use crate::calibration::RecordError;
+use crate::config::ConfigError;
 use crate::device::DeviceError;
 
 /// The advice for the first error in the chain that has some.
@@ -19,6 +21,12 @@ pub fn for_error(error: &(dyn Error + 'static)) -> Option<String> {
 fn for_one(error: &(dyn Error + 'static)) -> Option<String> {
     if let Some(error) = error.downcast_ref::<DeviceError>() {
         return Some(for_device(error));
+    }
+    if let Some(error) = error.downcast_ref::<ConfigError>() {
+        return Some(for_config(error));
+    }
+    if let Some(error) = error.downcast_ref::<RecordError>() {
+        return Some(for_record(error));
     }
     if let Some(error) = error.downcast_ref::<std::io::Error>() {
         return for_io(error).map(str::to_owned);
@@ -44,6 +52,76 @@ fn for_device(error: &DeviceError) -> String {
         Disconnected { .. } => "check the cable and the USB hub's power, then `rig doctor`; an interrupted capture continues with `rig capture --resume`".into(),
         Io { .. } => "run `rig doctor`".into(),
     }
+}
+
+const EXPLAINED: &str =
+    "correct the file; rig-configs/simulated.toml explains every key with its unit and range";
+
+fn for_config(error: &ConfigError) -> String {
+    use ConfigError::*;
+    match error {
+        Read { .. } => "check the path; a bare name is looked for in rig-configs/ and among the built-in rigs".into(),
+        Syntax { .. } => "the file is TOML (https://toml.io): `key = value`, texts in double quotes, `[table]`".into(),
+        UnknownKey { key, known, .. } => {
+            let last = key.rsplit('.').next().unwrap_or(key);
+            match nearest(last, known) {
+                Some(near) => format!("did you mean `{near}`?"),
+                None => "rig-configs/simulated.toml explains every key".into(),
+            }
+        }
+        Missing { key, unread, .. } => {
+            let last = key.rsplit('.').next().unwrap_or(key);
+            match nearest(last, unread) {
+                Some(near) => format!("is `{near}` meant to be it?"),
+                None => EXPLAINED.into(),
+            }
+        }
+        Invalid { .. } => EXPLAINED.into(),
+        UnknownRig { name, known } => match nearest(name, known) {
+            Some(near) => format!("did you mean `{near}`? A file is named with its path or its ending .toml"),
+            None => "a file is named with its path or its ending .toml".into(),
+        },
+        FallbackRefused { .. } => {
+            "name the rig with --rig, RIG_CONFIG or ./rig.toml; for the simulated one, --rig simulated".into()
+        }
+    }
+}
+
+fn for_record(error: &RecordError) -> String {
+    use RecordError::*;
+    match error {
+        Io { .. } => "check the path and the permissions of the calibration folder".into(),
+        NotFound { .. } => "correct the id in the rig file's [calibration] table, or remove it to use the newest record".into(),
+        Syntax { .. } | Invalid { .. } | Checksum { .. } => {
+            "the record was changed or damaged: restore it from a backup, or calibrate anew and remove it".into()
+        }
+        Mismatch { .. } => "calibrate this device at these settings, or name a record that belongs to them in the rig file's [calibration] table".into(),
+        Exists { .. } => "give the new record another id".into(),
+    }
+}
+
+/// The known word that differs least, if it differs little.
+fn nearest<'a>(word: &str, known: &'a [String]) -> Option<&'a str> {
+    known
+        .iter()
+        .map(|other| (distance(word, other), other))
+        .filter(|(distance, other)| *distance * 3 <= word.len().max(other.len()))
+        .min()
+        .map(|(_, other)| other.as_str())
+}
+
+/// Levenshtein's distance in bytes.
+fn distance(a: &str, b: &str) -> usize {
+    let mut row: Vec<usize> = (0..=b.len()).collect();
+    for (i, x) in a.bytes().enumerate() {
+        let mut diagonal = std::mem::replace(&mut row[0], i + 1);
+        for (j, y) in b.bytes().enumerate() {
+            let substituted = diagonal + usize::from(x != y);
+            diagonal = row[j + 1];
+            row[j + 1] = substituted.min(diagonal + 1).min(row[j] + 1);
+        }
+    }
+    row[b.len()]
 }
 
 fn for_io(error: &std::io::Error) -> Option<&'static str> {
@@ -74,6 +152,15 @@ mod tests {
             since: "a reset".into(),
         });
         assert!(for_error(&error).unwrap().contains("rig stage home"));
+    }
+
+    #[test]
+    fn a_slip_of_the_pen_is_recognised() {
+        let known = ["radius_mm".to_owned(), "segments".to_owned()];
+        assert_eq!(nearest("segmets", &known), Some("segments"));
+        assert_eq!(nearest("raduis_mm", &known), Some("radius_mm"));
+        assert_eq!(nearest("colour", &known), None);
+        assert_eq!(distance("kitten", "sitting"), 3);
     }
 
     #[test]

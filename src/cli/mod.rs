@@ -7,11 +7,15 @@
 
 pub mod brdf;
 pub mod completions;
+pub mod doctor;
 pub mod error;
 pub mod exit;
+pub mod export;
 pub mod hints;
 pub mod interrupt;
 pub mod output;
+pub mod report;
+pub mod rig_choice;
 
 use std::ffi::OsString;
 use std::io::IsTerminal;
@@ -39,6 +43,9 @@ macro_rules! commands {
 
 commands! {
     Brdf(brdf::BrdfArgs) => brdf::run,
+    Doctor(doctor::DoctorArgs) => doctor::run,
+    Report(report::ReportArgs) => report::run,
+    Export(export::ExportArgs) => export::run,
     Completions(completions::CompletionsArgs) => completions::run,
     Man(completions::ManArgs) => completions::run_man,
 }
@@ -111,9 +118,13 @@ pub fn definition() -> clap::Command {
 /// Parses the process's arguments, runs the command, prints its error and
 /// returns the exit code.
 pub fn main() -> ExitCode {
+    ExitCode::from(guarded(|| run(std::env::args_os().collect())).code())
+}
+
+/// Runs `body`; a panic in it is reported in one line and becomes [`Exit::Internal`].
+pub fn guarded(body: impl FnOnce() -> Exit + std::panic::UnwindSafe) -> Exit {
     install_panic_hook();
-    let exit = std::panic::catch_unwind(|| run(std::env::args_os().collect()));
-    ExitCode::from(exit.unwrap_or(Exit::Internal).code())
+    std::panic::catch_unwind(body).unwrap_or(Exit::Internal)
 }
 
 fn run(arguments: Vec<OsString>) -> Exit {
@@ -238,7 +249,7 @@ fn install_panic_hook() {
     let with_backtrace = std::env::var_os("RUST_BACKTRACE").is_some_and(|value| value != "0");
     let default = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {
-        let message = panic.payload_as_str().unwrap_or("no message");
+        let message = error::one_line(panic.payload_as_str().unwrap_or("no message"));
         let place = panic
             .location()
             .map(|place| format!(" ({}:{})", place.file(), place.line()))

@@ -1,0 +1,103 @@
+//! The `[camera]` table of a rig file: the device, not where it stands.
+
+use super::ConfigError;
+use super::reader::Section;
+use crate::device::Mosaic;
+use crate::units::Seconds;
+
+/// A camera as the rig file describes it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CameraConfig {
+    /// Which driver, and what it needs to find the device.
+    pub driver: CameraDriver,
+    /// The serial number that the device must have; `None`: any.
+    pub serial: Option<String>,
+    /// Width and height of a frame, pixels.
+    pub resolution_px: [u32; 2],
+    /// Significant bits of a raw count.
+    pub bit_depth: u32,
+    /// Colour filters over the sensor.
+    pub mosaic: Mosaic,
+    /// Analogue gain, a factor; 1 is the camera's lowest.
+    pub gain: f64,
+    /// Shortest and longest exposure that may be asked for.
+    pub exposure_range: [Seconds; 2],
+    /// Smallest step of the exposure.
+    pub exposure_step: Seconds,
+    /// Frames that still have the old settings after a change.
+    pub settings_latency_frames: u32,
+    /// How long a frame may take beyond its exposure.
+    pub frame_timeout: Seconds,
+}
+
+/// Which driver a camera needs.
+#[derive(Clone, Debug, PartialEq)]
+pub enum CameraDriver {
+    /// The simulated sensor.
+    Simulated,
+    /// Video4Linux.
+    V4l {
+        /// Path, best below `/dev/v4l/by-id`.
+        device: String,
+        /// Pixel format, four characters as the driver names it.
+        format: [u8; 4],
+    },
+}
+
+impl CameraConfig {
+    /// Reads the `[camera]` table.
+    pub fn read(mut table: Section) -> Result<Self, ConfigError> {
+        let simulated = table
+            .choice("driver", &[("v4l", false), ("simulated", true)])?
+            .required()?;
+        let driver = if simulated {
+            CameraDriver::Simulated
+        } else {
+            CameraDriver::V4l {
+                device: table.text("device")?.required()?,
+                format: table
+                    .parsed("format", "a four-character code such as \"Y12 \"", four_cc)?
+                    .required()?,
+            }
+        };
+        let shortest_ms = table.number("shortest_ms", 1e-3..=1e6)?.or(0.05);
+        let longest_ms = table.number("longest_ms", 1e-3..=1e6)?.or(2000.0);
+        if shortest_ms > longest_ms {
+            let allowed = format!("at least shortest_ms ({shortest_ms})");
+            return Err(table.conflict("longest_ms", longest_ms, &allowed));
+        }
+        let ms = |value: f64| Seconds(value * 1e-3);
+        let camera = Self {
+            driver,
+            serial: table.text("serial")?.optional(),
+            resolution_px: table.resolution("resolution_px")?.required()?,
+            bit_depth: table.integer("bit_depth", 8..=16)?.required()? as u32,
+            mosaic: table
+                .choice(
+                    "mosaic",
+                    &[
+                        ("none", Mosaic::None),
+                        ("rggb", Mosaic::Rggb),
+                        ("grbg", Mosaic::Grbg),
+                        ("gbrg", Mosaic::Gbrg),
+                        ("bggr", Mosaic::Bggr),
+                    ],
+                )?
+                .or(Mosaic::None),
+            gain: table.number("gain", 1.0..=1000.0)?.or(1.0),
+            exposure_range: [ms(shortest_ms), ms(longest_ms)],
+            exposure_step: ms(table.number("step_ms", 1e-6..=1000.0)?.or(0.1)),
+            settings_latency_frames: table.integer("settings_latency_frames", 0..=32)?.or(3) as u32,
+            frame_timeout: Seconds(table.number("frame_timeout_s", 0.1..=600.0)?.or(5.0)),
+        };
+        table.finish()?;
+        Ok(camera)
+    }
+}
+
+fn four_cc(text: &str) -> Option<[u8; 4]> {
+    let code: [u8; 4] = text.as_bytes().try_into().ok()?;
+    code.iter()
+        .all(|b| (b' '..=b'~').contains(b))
+        .then_some(code)
+}

@@ -1,0 +1,162 @@
+//! The tables of a rig file that say how it is used: `[capture]`, `[fit]`,
+//! `[calibration]`.
+
+use std::path::PathBuf;
+
+use super::ConfigError;
+use super::camera::CameraConfig;
+use super::reader::Section;
+use crate::units::Seconds;
+
+/// How a capture is done.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CaptureConfig {
+    /// Signal-to-noise ratio that dark pixels of the sample reach after the merge.
+    pub snr: f64,
+    /// Shortest and longest exposure of a bracket.
+    pub exposure_range: [Seconds; 2],
+    /// Largest ratio of neighbouring exposures.
+    pub exposure_ratio: f64,
+    /// Part of the usable range that the brightest pixel reaches in the shortest exposure.
+    pub peak_fraction: f64,
+    /// Most frames averaged at one exposure.
+    pub max_frames: u32,
+    /// Whether frames with the lamp off are taken at every light.
+    pub ambient: bool,
+    /// Dark frames at each exposure; 0 takes none.
+    pub dark_frames: u32,
+    /// Wait after a move before the first frame.
+    pub settle: Seconds,
+    /// Wait after the lamp is switched before the first frame.
+    pub lamp_settle: Seconds,
+    /// Wait with the lamp on before the first light.
+    pub lamp_warm_up: Seconds,
+    /// Free space that must remain on the disk, bytes.
+    pub disk_reserve_bytes: u64,
+}
+
+impl CaptureConfig {
+    /// Reads the `[capture]` table; exposures must be the camera's.
+    pub fn read(mut table: Section, camera: &CameraConfig) -> Result<Self, ConfigError> {
+        let [shortest, longest] = camera.exposure_range.map(|exposure| exposure.0 * 1e3);
+        let shortest_ms = table
+            .number("shortest_ms", shortest..=longest)?
+            .or(shortest);
+        let longest_ms = table.number("longest_ms", shortest..=longest)?.or(longest);
+        if shortest_ms > longest_ms {
+            let allowed = format!("at least shortest_ms ({shortest_ms})");
+            return Err(table.conflict("longest_ms", longest_ms, &allowed));
+        }
+        let capture = Self {
+            snr: table.number("snr", 1.0..=1e4)?.or(20.0),
+            exposure_range: [Seconds(shortest_ms * 1e-3), Seconds(longest_ms * 1e-3)],
+            exposure_ratio: table.number("exposure_ratio", 1.2..=64.0)?.or(4.0),
+            peak_fraction: table.number("peak_fraction", 0.1..=0.95)?.or(0.7),
+            max_frames: table.integer("max_frames", 1..=4096)?.or(64) as u32,
+            ambient: table.flag("ambient")?.or(true),
+            dark_frames: table.integer("dark_frames", 0..=1024)?.or(8) as u32,
+            settle: Seconds(table.number("settle_s", 0.0..=60.0)?.or(0.3)),
+            lamp_settle: Seconds(table.number("lamp_settle_s", 0.0..=60.0)?.or(0.1)),
+            lamp_warm_up: Seconds(table.number("lamp_warm_up_s", 0.0..=7200.0)?.or(0.0)),
+            disk_reserve_bytes: table.integer("disk_reserve_mb", 0..=1_000_000)?.or(500) << 20,
+        };
+        table.finish()?;
+        Ok(capture)
+    }
+}
+
+/// How a session is fitted unless the command says otherwise.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FitConfig {
+    /// Name of a dictionary or a dictionary file.
+    pub dictionary: String,
+    /// Which optimiser.
+    pub optimizer: Optimizer,
+    /// Light paths per pixel.
+    pub samples_per_pixel: u32,
+    /// Longest path in surface reflections.
+    pub max_reflections: u32,
+    /// Seed of the paths.
+    pub seed: u64,
+}
+
+/// Which optimiser fits the weights.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Optimizer {
+    /// Gauss-Newton steps on the simplex.
+    GaussNewton,
+    /// Exponentiated gradient with Adam-style steps (the paper's).
+    ExponentiatedGradient,
+}
+
+impl FitConfig {
+    /// Reads the `[fit]` table.
+    pub fn read(mut table: Section) -> Result<Self, ConfigError> {
+        let fit = Self {
+            dictionary: table.text("dictionary")?.or("paper42".to_owned()),
+            optimizer: table
+                .choice(
+                    "optimizer",
+                    &[
+                        ("gauss-newton", Optimizer::GaussNewton),
+                        ("exponentiated-gradient", Optimizer::ExponentiatedGradient),
+                    ],
+                )?
+                .or(Optimizer::GaussNewton),
+            samples_per_pixel: table.integer("samples_per_pixel", 2..=65_536)?.or(256) as u32,
+            max_reflections: table.integer("max_reflections", 1..=64)?.or(16) as u32,
+            seed: table.integer("seed", 0..=i64::MAX as u64)?.or(1),
+        };
+        table.finish()?;
+        Ok(fit)
+    }
+}
+
+/// Which calibration records belong to the rig; a record that isn't named is
+/// the newest valid one of its kind.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CalibrationConfig {
+    /// Folder with one folder per kind; `None`: `calibration/<rig>` beside or
+    /// above the rig file, or the records built into the program.
+    pub folder: Option<PathBuf>,
+    /// Id of the record of the sensor's noise.
+    pub sensor: Option<String>,
+    /// Id of the record of the sensor's relative response by pixel.
+    pub flat: Option<String>,
+    /// Id of the record of the radiometric scale.
+    pub scale: Option<String>,
+    /// Id of the record of the lamp's irradiance.
+    pub lights: Option<String>,
+}
+
+impl CalibrationConfig {
+    /// Reads the `[calibration]` table.
+    pub fn read(mut table: Section) -> Result<Self, ConfigError> {
+        let mut id = |kind| -> Result<_, ConfigError> {
+            Ok(table
+                .parsed(
+                    kind,
+                    "the id of a record: letters, digits, - and _",
+                    record_id,
+                )?
+                .optional())
+        };
+        let (sensor, flat, scale, lights) =
+            (id("sensor")?, id("flat")?, id("scale")?, id("lights")?);
+        let folder = table.path("folder")?.optional();
+        table.finish()?;
+        Ok(Self {
+            folder,
+            sensor,
+            flat,
+            scale,
+            lights,
+        })
+    }
+}
+
+/// A record's id names a file, so it has no path in it.
+fn record_id(text: &str) -> Option<String> {
+    let allowed = |b: u8| b.is_ascii_alphanumeric() || b == b'-' || b == b'_';
+    ((1..=80).contains(&text.len()) && text.bytes().all(allowed)).then(|| text.to_owned())
+}

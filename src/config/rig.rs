@@ -1,0 +1,268 @@
+//! The rig file: everything that one bench is and how it is used.
+
+use std::path::Path;
+
+use super::ConfigError;
+use super::camera::{CameraConfig, CameraDriver};
+use super::geometry::GeometryConfig;
+use super::process::{CalibrationConfig, CaptureConfig, FitConfig};
+use super::reader::Section;
+use super::simulation::SimulationConfig;
+use super::stage::{StageConfig, StageDriver};
+
+/// A rig file, parsed and valid.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RigConfig {
+    /// Name of the bench; also the folder of its calibration records.
+    pub name: String,
+    /// The camera.
+    pub camera: CameraConfig,
+    /// The light stage and its lamp.
+    pub stage: StageConfig,
+    /// Where camera, sample and stage are.
+    pub geometry: GeometryConfig,
+    /// How a capture is done.
+    pub capture: CaptureConfig,
+    /// How a session is fitted by default.
+    pub fit: FitConfig,
+    /// Which calibration records belong to it.
+    pub calibration: CalibrationConfig,
+    /// The simulated bench; there if and only if the devices are simulated.
+    pub simulation: Option<SimulationConfig>,
+    /// The file's text as it was read, for the session.
+    pub text: String,
+}
+
+impl RigConfig {
+    /// Reads a rig file; paths in it are relative to it.
+    pub fn load(path: &Path) -> Result<Self, ConfigError> {
+        let text = super::read_text(path)?;
+        let folder = path.parent().unwrap_or(Path::new(""));
+        Self::parse(&path.display().to_string(), folder, &text)
+    }
+
+    /// Reads a rig from text; `file` is what errors call it.
+    pub fn parse(file: &str, folder: &Path, text: &str) -> Result<Self, ConfigError> {
+        Self::read(&mut Section::parse(file, folder, text)?, text)
+    }
+
+    /// Whether its devices are simulated.
+    pub fn is_simulated(&self) -> bool {
+        self.simulation.is_some()
+    }
+
+    pub(super) fn read(root: &mut Section, text: &str) -> Result<Self, ConfigError> {
+        let mut rig = root.section("rig")?.required()?;
+        let name = rig.parsed("name", NAME, valid_name)?.required()?;
+        rig.finish()?;
+        let camera = CameraConfig::read(root.section("camera")?.required()?)?;
+        let stage = StageConfig::read(root.section("stage")?.required()?)?;
+        let simulated_camera = camera.driver == CameraDriver::Simulated;
+        let simulated_stage = stage.driver == StageDriver::Simulated;
+        if simulated_camera != simulated_stage {
+            let driver = if simulated_stage { "simulated" } else { "grbl" };
+            let allowed = "simulated together with the camera or not at all";
+            return Err(root.conflict("stage.driver", format!("{driver:?}"), allowed));
+        }
+        let simulation = root.section("simulation")?.optional();
+        let simulation = match (simulation, simulated_stage) {
+            (Some(table), true) => Some(SimulationConfig::read(table, &camera)?),
+            (None, false) => None,
+            (None, true) => {
+                return Err(
+                    root.missing("simulation", "a table, because the drivers are simulated")
+                );
+            }
+            (Some(_), false) => {
+                let allowed = "absent unless the drivers are simulated";
+                return Err(root.conflict("simulation", "given", allowed));
+            }
+        };
+        let geometry =
+            GeometryConfig::read(root.section("geometry")?.required()?, camera.resolution_px)?;
+        let capture = root.section_or_empty("capture")?;
+        let config = Self {
+            name,
+            capture: CaptureConfig::read(capture, &camera)?,
+            camera,
+            stage,
+            geometry,
+            fit: FitConfig::read(root.section_or_empty("fit")?)?,
+            calibration: CalibrationConfig::read(root.section_or_empty("calibration")?)?,
+            simulation,
+            text: text.to_owned(),
+        };
+        root.check_finished()?;
+        Ok(config)
+    }
+}
+
+const NAME: &str = "1 to 40 of a-z, 0-9 and -, because it names a folder";
+
+fn valid_name(text: &str) -> Option<String> {
+    let allowed = |b: u8| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'-';
+    ((1..=40).contains(&text.len()) && text.bytes().all(allowed)).then(|| text.to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use super::*;
+    use crate::config::BUILT_IN;
+
+    fn simulated() -> &'static str {
+        BUILT_IN[0].1
+    }
+
+    fn parse(text: &str) -> Result<RigConfig, ConfigError> {
+        RigConfig::parse("rig.toml", Path::new(""), text)
+    }
+
+    /// Dotted paths of the keys a file has, set or commented out.
+    fn written(text: &str) -> BTreeSet<String> {
+        let mut table = String::new();
+        let mut keys = BTreeSet::new();
+        for line in text.lines() {
+            let line = line.trim_start_matches(['#', ' ']);
+            if let Some(header) = line.strip_prefix("[[") {
+                table = format!("{}[]", header.trim_end_matches(']'));
+            } else if let Some(header) = line.strip_prefix('[') {
+                table = header.trim_end_matches(']').to_owned();
+            } else if let Some((key, _)) = line.split_once(" = ")
+                && !key.contains(' ')
+            {
+                keys.insert(format!("{table}.{key}"));
+            }
+        }
+        keys
+    }
+
+    /// Every key that the readers ask for, in every variant, stands in the
+    /// commented file; what a scene file also has (`brdf`) is explained there.
+    #[test]
+    fn the_commented_file_names_every_key() {
+        let mut asked = BTreeSet::new();
+        let shape = "kind = \"bowl\"";
+        let perspective = simulated()
+            .replace("model = \"orthographic\"", "model = \"perspective\"")
+            .replace("extent_mm = [22.0, 22.0]", "fov_deg = 12.0");
+        let mut texts = vec![
+            simulated().to_owned(),
+            BUILT_IN[1].1.to_owned(),
+            perspective,
+        ];
+        for other in [
+            "kind = \"cap\"",
+            "kind = \"designed\"\nlength_mm = 3",
+            "kind = \"tetrahedron\"\ndepth_mm = 3",
+        ] {
+            texts.push(simulated().replace(shape, other));
+        }
+        for text in texts {
+            let mut root = Section::parse("rig.toml", Path::new(""), &text).unwrap();
+            // The tetrahedron refuses `segments`; what it asked for is recorded all the same.
+            let _ = RigConfig::read(&mut root, &text);
+            asked.extend(root.vocabulary());
+        }
+        let mut written = written(simulated());
+        let tables: BTreeSet<_> = asked
+            .iter()
+            .filter(|key| {
+                let inside = [format!("{key}."), format!("{key}[].")];
+                asked
+                    .iter()
+                    .any(|other| inside.iter().any(|table| other.starts_with(table)))
+            })
+            .cloned()
+            .collect();
+        let missing: Vec<_> = asked
+            .difference(&tables)
+            .filter(|key| !written.contains(*key))
+            .collect();
+        assert!(missing.is_empty(), "not in simulated.toml: {missing:?}");
+        written.retain(|key| !asked.contains(key));
+        assert!(written.is_empty(), "no such keys: {written:?}");
+        assert!(
+            asked.len() > 100,
+            "only {} keys were asked for",
+            asked.len()
+        );
+    }
+
+    #[test]
+    fn the_simulated_rig_reads_as_written() {
+        let rig = parse(simulated()).unwrap();
+        assert!(rig.is_simulated());
+        assert_eq!(rig.camera.resolution_px, [64, 64]);
+        assert_eq!(rig.stage.grbl.lamp_on, [["M3 S1000"], ["M7"], ["M8"]]);
+        assert_eq!(rig.stage.grbl.lamp_off, ["M5", "M9"]);
+        assert_eq!(rig.stage.grbl.kinematics.azimuth.position(-180.0), 0.0);
+        assert_eq!(rig.text, simulated());
+    }
+
+    #[test]
+    fn bad_rigs_are_refused_with_the_place() {
+        const CASES: &[(&str, &str, &str)] = &[
+            (
+                "name = \"simulated\"",
+                "name = \"../x\"",
+                "`rig.name` is \"../x\"",
+            ),
+            (
+                "bit_depth = 12",
+                "bit_depth = 32",
+                "`camera.bit_depth` is 32, but must be an integer from 8 to 16",
+            ),
+            (
+                "driver = \"simulated\"",
+                "driver = \"nikon\"",
+                "`camera.driver` is \"nikon\", but must be \"v4l\" or \"simulated\"",
+            ),
+            (
+                "axis = \"Y\"",
+                "axis = \"X\"",
+                "`stage.elevation.axis` is X, but must be another axis",
+            ),
+            (
+                "max_deg = 90.0",
+                "max_deg = 10.0",
+                "`stage.elevation.max_deg` is 10, but must be at least min_deg (20)",
+            ),
+            (
+                "measures = \"G\"",
+                "measures = \"R\"",
+                "`stage.lamp[1].measures` is R, but must be a colour that no earlier",
+            ),
+            (
+                "on = \"M7\"",
+                "on = \"M7!\"",
+                "`stage.lamp[1].on` is \"M7!\"",
+            ),
+            (
+                "longest_ms = 500.0",
+                "longest_ms = 5000.0",
+                "`capture.longest_ms` is 5000, but must be a number from 0.05 to 2000",
+            ),
+            ("material = ", "# ", "`simulation.material` is missing"),
+            (
+                "scale = 1.0",
+                "scale = 0.0",
+                "`stage.azimuth.scale` is 0, but must be away from 0",
+            ),
+            ("[fit]", "[fits]", "unknown key `fits`"),
+            (
+                "driver = \"simulated\"",
+                "driver = \"v4l\"\ndevice = \"/dev/video0\"\nformat = \"Y12 \"",
+                "`stage.driver` is \"simulated\", but must be simulated together",
+            ),
+        ];
+        for (good, bad, expected) in CASES {
+            assert!(simulated().contains(good), "{good}");
+            let error = parse(&simulated().replacen(good, bad, 1))
+                .unwrap_err()
+                .to_string();
+            assert!(error.contains(expected), "{bad}: {error}");
+        }
+    }
+}

@@ -1,0 +1,73 @@
+//! Sample shapes that need no mesh file, as both kinds of file name them.
+
+use std::ops::RangeInclusive;
+
+use super::ConfigError;
+use super::reader::Section;
+use crate::geometry::Shape;
+use crate::geometry::shapes::Form;
+
+/// Lengths of samples, mm.
+const LENGTH_MM: RangeInclusive<f64> = 1e-3..=1e4;
+
+/// Reads `{ kind = "bowl", radius_mm = 10.0, segments = 128 }`.
+pub fn read_shape(mut table: Section) -> Result<Shape, ConfigError> {
+    let kind = table
+        .choice(
+            "kind",
+            &[
+                ("bowl", 0),
+                ("sphere", 1),
+                ("cap", 2),
+                ("tetrahedron", 3),
+                ("designed", 4),
+            ],
+        )?
+        .required()?;
+    let radius_mm = table.number("radius_mm", LENGTH_MM)?.required()? as f32;
+    let shape = match kind {
+        0 => Shape::Bowl {
+            radius_mm,
+            segments: segments(&mut table)?,
+        },
+        1 => Shape::Sphere {
+            radius_mm,
+            segments: segments(&mut table)?,
+        },
+        2 => Shape::Cap {
+            radius_mm,
+            segments: segments(&mut table)?,
+        },
+        3 => Shape::Tetrahedron {
+            radius_mm,
+            depth_mm: table.number("depth_mm", -1e4..=1e4)?.required()? as f32,
+        },
+        _ => {
+            let form = [("extruded", Form::Extruded), ("revolved", Form::Revolved)];
+            let form = table.choice("form", &form)?.or(Form::Extruded);
+            let length_mm = table.number("length_mm", LENGTH_MM)?;
+            Shape::Designed {
+                radius_mm,
+                offset: table.number("offset", 0.0..=2.0)?.or(0.5) as f32,
+                phi_min_deg: table.number("phi_min_deg", 30.0..=60.0)?.or(45.0) as f32,
+                form,
+                length_mm: match form {
+                    Form::Extruded => length_mm.required()? as f32,
+                    Form::Revolved => length_mm.or(0.0) as f32,
+                },
+                segments: segments(&mut table)?,
+            }
+        }
+    };
+    table.finish()?;
+    Ok(shape)
+}
+
+fn segments(table: &mut Section) -> Result<u32, ConfigError> {
+    let segments = table.integer("segments", 8..=4096)?.or(128) as u32;
+    if segments.is_multiple_of(4) {
+        Ok(segments)
+    } else {
+        Err(table.conflict("segments", segments, "a multiple of 4"))
+    }
+}

@@ -1,0 +1,95 @@
+//! What rig files and scene files say in the same words: where the camera
+//! stands, and what lies in front of it.
+
+use std::path::PathBuf;
+
+use glam::{DVec2, DVec3};
+
+use super::ConfigError;
+use super::reader::Section;
+use super::shape::read_shape;
+use crate::geometry::Shape;
+use crate::transport::{Camera, Projection, Shading};
+
+/// Takes the camera's place and lens out of a table that may have other keys;
+/// the pixel grid is the caller's. A lens with an aperture is sharp at the
+/// point it looks at.
+pub fn take_camera(table: &mut Section, resolution_px: [u32; 2]) -> Result<Camera, ConfigError> {
+    let orthographic = table
+        .choice("model", &[("orthographic", true), ("perspective", false)])?
+        .required()?;
+    let projection = if orthographic {
+        let extent_mm = table.numbers("extent_mm", 1e-3..=1e4)?.required()?;
+        Projection::Orthographic {
+            extent_mm: DVec2::from_array(extent_mm),
+        }
+    } else {
+        let fov_deg = table.number("fov_deg", 0.1..=170.0)?.required()?;
+        Projection::Perspective {
+            fov_rad: fov_deg.to_radians(),
+        }
+    };
+    let position_mm = table.position("position_mm")?.required()?;
+    let look_at_mm = table.position("look_at_mm")?.or(DVec3::ZERO);
+    let up = table.direction("up")?.or(DVec3::Y);
+    let object_na = table.number("object_na", 0.0..=0.95)?.or(0.0);
+    let resolution_px = resolution_px.map(|side| side as usize);
+    let camera = Camera::looking_at(resolution_px, projection, position_mm, look_at_mm, up);
+    let mut camera = camera.ok_or_else(|| {
+        let allowed = "across the view, with look_at_mm away from position_mm";
+        table.conflict("up", up, allowed)
+    })?;
+    camera.object_na = object_na;
+    Ok(camera)
+}
+
+/// A surface, from a file or by its parameters.
+#[derive(Clone, Debug, PartialEq)]
+pub enum SurfaceSpec {
+    /// A mesh file (PLY, OBJ, STL), millimetres.
+    Mesh(PathBuf),
+    /// A shape by its parameters.
+    Shape(Shape),
+}
+
+impl SurfaceSpec {
+    /// Takes `mesh` or `shape`.
+    pub fn take(table: &mut Section) -> Result<Self, ConfigError> {
+        let mesh = table.path("mesh")?.optional();
+        let shape = table.section("shape")?.optional();
+        match (mesh, shape) {
+            (Some(mesh), None) => Ok(Self::Mesh(mesh)),
+            (None, Some(shape)) => Ok(Self::Shape(read_shape(shape)?)),
+            (Some(mesh), Some(_)) => {
+                Err(table.conflict("mesh", mesh.display(), "absent where `shape` is given"))
+            }
+            (None, None) => Err(table.missing("mesh", "a mesh file, or `shape` a table")),
+        }
+    }
+}
+
+/// The sample under the camera, in its own frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SampleSpec {
+    /// Its surface.
+    pub surface: SurfaceSpec,
+    /// Which normals shade.
+    pub shading: Shading,
+}
+
+impl SampleSpec {
+    /// Reads the `[sample]` table.
+    pub fn read(mut table: Section) -> Result<Self, ConfigError> {
+        let sample = Self {
+            surface: SurfaceSpec::take(&mut table)?,
+            shading: table
+                .choice(
+                    "shading",
+                    &[("flat", Shading::Flat), ("smooth", Shading::Smooth)],
+                )?
+                .or(Shading::Flat),
+        };
+        table.finish()?;
+        Ok(sample)
+    }
+}
