@@ -129,8 +129,7 @@ impl Kinematics {
             })
         })
         .filter(move |pose| {
-            limits.azimuth.reaches(pose.azimuth_deg)
-                && limits.elevation.reaches(pose.elevation_deg)
+            limits.azimuth.reaches(pose.azimuth_deg) && limits.elevation.reaches(pose.elevation_deg)
         })
         .map(move |pose| Pose {
             azimuth_deg: pose
@@ -211,9 +210,12 @@ mod tests {
             "arm: azimuth 10.000°, elevation 3.000° is outside the limits \
              (azimuth -180° to 180°, elevation 5° to 90°)"
         );
-        for (azimuth_deg, elevation_deg) in
-            [(f64::NAN, 45.0), (0.0, f64::INFINITY), (0.0, -5.0), (0.0, 176.0)]
-        {
+        for (azimuth_deg, elevation_deg) in [
+            (f64::NAN, 45.0),
+            (0.0, f64::INFINITY),
+            (0.0, -5.0),
+            (0.0, 176.0),
+        ] {
             let target = angles(azimuth_deg, elevation_deg);
             assert!(arm().reach("arm", target).is_err(), "{target}");
         }

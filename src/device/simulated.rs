@@ -4,7 +4,9 @@
 use std::sync::Arc;
 
 use mock_devices::RadianceSource;
-use mock_devices::bench::{AngleAxis, Axis, Bench, BenchConfig, Kinematics, LampModel, StageErrors};
+use mock_devices::bench::{
+    AngleAxis, Axis, Bench, BenchConfig, Kinematics, LampModel, StageErrors,
+};
 use mock_devices::camera::{CameraConfig, CameraFaults, MockCameraError};
 use mock_devices::clock::Clock;
 use mock_devices::grbl::{Faults, GrblSettings, GrblSimulator, LampPin};
@@ -253,10 +255,7 @@ impl Camera for SimulatedCamera {
     }
 
     fn configure(&mut self, requested: CameraSettings) -> Result<CameraSettings, DeviceError> {
-        match self
-            .camera
-            .configure(requested.exposure.0, requested.gain)
-        {
+        match self.camera.configure(requested.exposure.0, requested.gain) {
             Ok(applied) => Ok(CameraSettings {
                 exposure: Seconds(applied.exposure_s),
                 gain: applied.gain,

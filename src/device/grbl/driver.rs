@@ -259,18 +259,22 @@ impl GrblStage {
                 return Ok((report, pose));
             }
         }
-        Err(self
-            .link
-            .garbled("reports without a position", "a status report with MPos or WPos and WCO"))
+        Err(self.link.garbled(
+            "reports without a position",
+            "a status report with MPos or WPos and WCO",
+        ))
     }
 
     fn pose_of(&self, axes: &[f64]) -> Result<Pose, DeviceError> {
         let angle_deg = |map: &AxisMap| {
             let position = map.index().and_then(|index| axes.get(index));
-            position.map(|&position| map.angle_deg(position)).ok_or_else(|| {
-                let answer = format!("a position with {} axes", axes.len());
-                self.link.garbled(&answer, &format!("one with axis {}", map.axis))
-            })
+            position
+                .map(|&position| map.angle_deg(position))
+                .ok_or_else(|| {
+                    let answer = format!("a position with {} axes", axes.len());
+                    self.link
+                        .garbled(&answer, &format!("one with axis {}", map.axis))
+                })
         };
         Ok(Pose {
             azimuth_deg: angle_deg(&self.config.kinematics.azimuth)?,
@@ -321,7 +325,9 @@ impl GrblStage {
                 MachineState::Alarm => return Err(self.alarm(self.reason_of_lock())),
                 MachineState::Run | MachineState::Hold(1) => idle_elsewhere = None,
                 state => {
-                    return Err(self.refused(&line, &format!("the controller is in state {state:?}")));
+                    return Err(
+                        self.refused(&line, &format!("the controller is in state {state:?}"))
+                    );
                 }
             }
             if start.elapsed() > timeout {
@@ -410,13 +416,17 @@ impl GrblStage {
     fn commands_of(&self, lamp: LampState) -> Result<Vec<String>, DeviceError> {
         let mut commands = self.config.lamp_off.clone();
         if let LampState::On(LampChannel(channel)) = lamp {
-            let on = self.config.lamp_on.get(usize::from(channel)).ok_or_else(|| {
-                let channels = self.config.lamp_on.len();
-                self.refused(
-                    &format!("lamp channel {channel}"),
-                    &format!("the lamp has {channels} channels, counted from 0"),
-                )
-            })?;
+            let on = self
+                .config
+                .lamp_on
+                .get(usize::from(channel))
+                .ok_or_else(|| {
+                    let channels = self.config.lamp_on.len();
+                    self.refused(
+                        &format!("lamp channel {channel}"),
+                        &format!("the lamp has {channels} channels, counted from 0"),
+                    )
+                })?;
             commands.extend(on.iter().cloned());
         }
         Ok(commands)
@@ -454,7 +464,8 @@ impl LightStage for GrblStage {
         self.link.drain()?;
         if self.link.known().needs_reset {
             let timeout = self.config.connect_timeout.to_duration();
-            self.link.restart(false, "it was reset before homing", timeout)?;
+            self.link
+                .restart(false, "it was reset before homing", timeout)?;
             self.link.drain()?;
         }
         self.in_motion = true;
@@ -539,7 +550,9 @@ impl Drop for GrblStage {
         let turned_off = !self.in_motion && self.set_lamp(LampState::Off).is_ok();
         if !turned_off {
             // The firmware's restart ends motion and turns all outputs off.
-            let _ = self.link.restart(true, "its driver ended", self.reply_timeout());
+            let _ = self
+                .link
+                .restart(true, "its driver ended", self.reply_timeout());
         }
     }
 }

@@ -216,7 +216,12 @@ impl Link {
 
     /// Restarts the firmware and waits for its banner, which it sends with all
     /// outputs off and all motion ended. Works beside another reader.
-    pub fn restart(&self, brake_first: bool, cause: &str, timeout: Duration) -> Result<(), DeviceError> {
+    pub fn restart(
+        &self,
+        brake_first: bool,
+        cause: &str,
+        timeout: Duration,
+    ) -> Result<(), DeviceError> {
         let before = {
             let mut known = self.known();
             known.restart_cause = Some(cause.to_owned());
@@ -333,7 +338,13 @@ impl Known {
 /// An error of the system while the port is open.
 fn io_error(device: &str, source: std::io::Error) -> DeviceError {
     use rustix::io::Errno;
-    let gone = [Errno::IO, Errno::NXIO, Errno::NODEV, Errno::PIPE, Errno::BADF];
+    let gone = [
+        Errno::IO,
+        Errno::NXIO,
+        Errno::NODEV,
+        Errno::PIPE,
+        Errno::BADF,
+    ];
     let device = device.to_owned();
     match Errno::from_io_error(&source) {
         Some(errno) if gone.contains(&errno) => DeviceError::Disconnected { device },
@@ -373,7 +384,10 @@ mod tests {
         };
         for (kind, expected) in [
             (ErrorKind::NoDevice, "in use by another process"),
-            (ErrorKind::Io(std::io::ErrorKind::NotFound), "does not exist"),
+            (
+                ErrorKind::Io(std::io::ErrorKind::NotFound),
+                "does not exist",
+            ),
             (
                 ErrorKind::Io(std::io::ErrorKind::PermissionDenied),
                 "permission denied",
@@ -390,7 +404,10 @@ mod tests {
     fn files_that_are_no_ports_are_refused() {
         let file = tempfile::NamedTempFile::new().unwrap();
         let path = file.path().to_str().unwrap();
-        assert!(matches!(Link::open(path, 115_200), Err(DeviceError::Io { .. })));
+        assert!(matches!(
+            Link::open(path, 115_200),
+            Err(DeviceError::Io { .. })
+        ));
         let missing = format!("{path}-missing");
         assert!(matches!(
             Link::open(&missing, 115_200),

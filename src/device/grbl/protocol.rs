@@ -214,7 +214,11 @@ fn accessories(text: &str) -> Option<Accessories> {
 
 /// One to six finite numbers, separated by commas.
 fn numbers(text: &str) -> Option<Vec<f64>> {
-    let numbers: Vec<f64> = text.split(',').take(7).map(number_in).collect::<Option<_>>()?;
+    let numbers: Vec<f64> = text
+        .split(',')
+        .take(7)
+        .map(number_in)
+        .collect::<Option<_>>()?;
     (numbers.len() <= 6).then_some(numbers)
 }
 
@@ -299,10 +303,7 @@ mod tests {
             ("ok", Reply::Ok),
             ("error:20", Reply::Error(20)),
             ("ALARM:1", Reply::Alarm(1)),
-            (
-                "Grbl 1.1h ['$' for help]",
-                Reply::Banner("1.1h".to_owned()),
-            ),
+            ("Grbl 1.1h ['$' for help]", Reply::Banner("1.1h".to_owned())),
             (
                 "$110=500.000",
                 Reply::Setting {
@@ -399,7 +400,10 @@ mod tests {
             "Grbl ",
             "smoothie",
         ] {
-            assert_eq!(parse(line.as_bytes()), Reply::Unknown(line.trim().to_owned()));
+            assert_eq!(
+                parse(line.as_bytes()),
+                Reply::Unknown(line.trim().to_owned())
+            );
         }
         assert!(matches!(parse(b"\xff\xfe"), Reply::Unknown(_)));
     }
@@ -427,12 +431,18 @@ mod tests {
             effect_of(&commands)
         };
         let (on, speed) = effect(&["M5", "M9", "m3 s 750.5"]);
-        assert_eq!((on.spindle, on.flood, on.mist), (Spindle::Clockwise, false, false));
+        assert_eq!(
+            (on.spindle, on.flood, on.mist),
+            (Spindle::Clockwise, false, false)
+        );
         assert_eq!(speed, Some(750.5));
         let (on, speed) = effect(&["M7", "M8"]);
         assert_eq!((on.spindle, on.flood, on.mist), (Spindle::Off, true, true));
         assert_eq!(speed, None);
-        assert_eq!(effect(&["M3 S9 M8", "M5M9"]), (Accessories::default(), None));
+        assert_eq!(
+            effect(&["M3 S9 M8", "M5M9"]),
+            (Accessories::default(), None)
+        );
     }
 
     proptest! {

@@ -52,7 +52,11 @@ fn connecting_identifies_the_firmware_and_moves_nothing() {
     let mut stage = bench.open_stage().unwrap();
     assert_eq!(bench.bench().motor_position(), before);
     assert_eq!(stage.info().driver, "grbl");
-    assert!(stage.info().firmware.starts_with("1.1"), "{:?}", stage.info());
+    assert!(
+        stage.info().firmware.starts_with("1.1"),
+        "{:?}",
+        stage.info()
+    );
     assert!(!stage.info().has_watchdog);
     let status = stage.status().unwrap();
     assert_eq!(status.activity, StageActivity::Alarm, "locked until homed");
@@ -73,7 +77,10 @@ fn homing_and_moves_arrive_where_they_say() {
     for (azimuth_deg, elevation_deg) in [(0.0, 90.0), (-120.5, 30.25), (179.0, 3.0), (0.0, 45.0)] {
         let target = angles(azimuth_deg, elevation_deg);
         let reached = stage.move_to(target).unwrap();
-        assert!((reached.azimuth_deg - azimuth_deg).abs() < 0.011, "{reached}");
+        assert!(
+            (reached.azimuth_deg - azimuth_deg).abs() < 0.011,
+            "{reached}"
+        );
         assert!((reached.elevation_deg - elevation_deg).abs() < 0.011);
         assert_there(&bench, [azimuth_deg, elevation_deg]);
     }
@@ -241,9 +248,7 @@ fn a_restart_in_mid_move_makes_the_position_unknown() {
 #[test]
 fn silence_ends_in_time_and_makes_the_position_unknown() {
     let (bench, mut stage) = homed_and_hasty();
-    bench
-        .stage_faults()
-        .inject(Trigger::Always, Fault::NoReply);
+    bench.stage_faults().inject(Trigger::Always, Fault::NoReply);
     let begin = Instant::now();
     let error = stage.move_to(angles(0.0, 45.0)).unwrap_err();
     assert!(matches!(error, DeviceError::NoReply { .. }), "{error}");
