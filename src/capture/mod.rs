@@ -1,1 +1,26 @@
-//! To be written.
+//! A capture: planned as data, then carried out on a camera and a stage.
+//!
+//! - [`directions`]: which light directions, from what the stage can reach;
+//! - [`plan`]: the whole plan with its estimates and checks, before anything moves;
+//! - [`bracket`]: which exposures a light needs, decided from its pilot frames;
+//! - [`exposure_check`]: whether an exposure was what it claims, from the images;
+//! - [`run`]: the execution, interruptible and resumable.
+//!
+//! Every decision during a run is a pure function of the plan and of the frames
+//! taken so far. A resumed run therefore decides what the uninterrupted one
+//! would have: it goes through the same steps and only takes the frames that
+//! the session does not hold yet.
+
+pub mod bracket;
+mod devices;
+pub mod directions;
+mod disk;
+mod error;
+pub mod exposure_check;
+pub mod plan;
+pub mod run;
+mod worker;
+
+pub use disk::BracketSink;
+pub use error::CaptureError;
+pub use run::{Capture, Observer, Outcome, Progress};

@@ -18,7 +18,7 @@ use crate::calibration::record::{
     FlatValues, Kind, LightsValues, ScaleValues, SensorValues, Values,
 };
 use crate::calibration::{Library, RecordError};
-use crate::config::stage::StagePort;
+use crate::config::stage::StageDriver;
 use crate::config::{CameraDriver, Origin, ResolvedRig};
 
 /// Checks configuration, devices, permissions, disk and calibration
@@ -198,14 +198,14 @@ fn camera(rig: &ResolvedRig) -> Check {
 }
 
 fn stage(rig: &ResolvedRig) -> Check {
-    match &rig.config.stage.port {
-        StagePort::Simulated => Check::ok("stage", "simulated"),
-        StagePort::Serial { .. } if !cfg!(feature = "serial") => Check::failed(
+    match rig.config.stage.driver {
+        StageDriver::Simulated => Check::ok("stage", "simulated"),
+        StageDriver::Grbl if !cfg!(feature = "serial") => Check::failed(
             "stage",
             "this program was built without serial ports",
             "build it with the feature `serial`",
         ),
-        StagePort::Serial { path, .. } => device_file("stage", path, "/dev/serial/by-id"),
+        StageDriver::Grbl => device_file("stage", &rig.config.stage.grbl.port, "/dev/serial/by-id"),
     }
 }
 

@@ -9,9 +9,11 @@ pub mod completions;
 pub mod doctor;
 pub mod error;
 pub mod exit;
+pub mod export;
 pub mod hints;
 pub mod interrupt;
 pub mod output;
+pub mod report;
 pub mod rig_choice;
 
 use std::ffi::OsString;
@@ -40,6 +42,8 @@ macro_rules! commands {
 
 commands! {
     Doctor(doctor::DoctorArgs) => doctor::run,
+    Report(report::ReportArgs) => report::run,
+    Export(export::ExportArgs) => export::run,
     Completions(completions::CompletionsArgs) => completions::run,
     Man(completions::ManArgs) => completions::run_man,
 }

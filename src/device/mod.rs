@@ -16,6 +16,8 @@ pub mod v4l;
 use crate::units::{Seconds, StageAngles};
 use serde::{Deserialize, Serialize};
 
+pub use crate::radiometry::mosaic::Mosaic;
+
 /// Which part of the lamp is lit. A lamp of one colour has one channel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(transparent)]
@@ -105,19 +107,6 @@ pub struct CameraSettings {
     pub exposure: Seconds,
     /// Analogue gain, as a factor; 1 is the camera's lowest.
     pub gain: f64,
-}
-
-/// The order of colour filters over the sensor, by its first two pixels of the first two rows.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-#[allow(missing_docs)]
-pub enum Mosaic {
-    /// A monochrome sensor.
-    None,
-    Rggb,
-    Grbg,
-    Gbrg,
-    Bggr,
 }
 
 /// What a camera is and can do.

@@ -1,1 +1,8 @@
-//! To be written.
+//! From raw counts to radiance: what a sensor's noise is, which exposures to
+//! take, and how a bracket becomes one radiance with its variance.
+
+pub mod exposure;
+pub mod merge;
+pub mod mosaic;
+mod rate;
+pub mod sensor;

@@ -1,0 +1,267 @@
+//! The camera and the stage as a capture sees them: what state they are known
+//! to be in, and the promise that the lamp is off when the capture ends.
+
+use std::time::Duration;
+
+use super::CaptureError;
+use super::worker::Worker;
+use crate::device::{
+    Camera, CameraInfo, CameraSettings, DeviceError, FrameKey, LampState, LightStage, RawFrame,
+    StageInfo, StageStatus, StopHandle,
+};
+use crate::interrupt::{Interrupt, StopLevel};
+use crate::units::{Seconds, StageAngles};
+
+/// How often a waiting capture looks whether it shall stop at once.
+const POLL: Duration = Duration::from_millis(20);
+/// A stage that stands further than this from its target did not get there.
+const POSITION_TOLERANCE_DEG: f64 = 0.25;
+
+/// Both devices, each on its thread.
+pub(super) struct Devices {
+    /// First, because it is dropped first: the lamp goes off before anybody
+    /// waits for a driver.
+    guard: LampGuard,
+    camera: Worker<Box<dyn Camera>>,
+    stage: Worker<Box<dyn LightStage>>,
+    interrupt: Interrupt,
+    pub(super) camera_info: CameraInfo,
+    stage_info: StageInfo,
+    known: Known,
+}
+
+/// What the devices said last; `None` where they have not been told yet.
+#[derive(Clone, Copy, Debug, Default)]
+struct Known {
+    homed: bool,
+    position: Option<StageAngles>,
+    lamp: Option<LampState>,
+    settings: Option<(CameraSettings, CameraSettings)>,
+    shutter_open: Option<bool>,
+}
+
+/// Stops motion and lamp when dropped, on every way out except an orderly one.
+struct LampGuard {
+    handle: Box<dyn StopHandle>,
+    armed: bool,
+}
+
+impl LampGuard {
+    fn stop(&mut self) {
+        self.armed = false;
+        if let Err(error) = self.handle.stop() {
+            tracing::error!("the stage could not be stopped: {error}");
+        }
+    }
+}
+
+impl Drop for LampGuard {
+    fn drop(&mut self) {
+        if self.armed {
+            self.stop();
+        }
+    }
+}
+
+impl Devices {
+    /// Takes the devices over; nothing moves yet.
+    pub(super) fn new(
+        camera: Box<dyn Camera>,
+        stage: Box<dyn LightStage>,
+        interrupt: Interrupt,
+    ) -> Result<Self, CaptureError> {
+        let guard = LampGuard {
+            handle: stage.stop_handle()?,
+            armed: false,
+        };
+        Ok(Self {
+            camera_info: camera.info().clone(),
+            stage_info: stage.info().clone(),
+            camera: Worker::spawn("camera", camera)?,
+            stage: Worker::spawn("stage", stage)?,
+            guard,
+            interrupt,
+            known: Known::default(),
+        })
+    }
+
+    /// Waits for an answer, and stops everything at once when that is asked for.
+    async fn answer<T>(
+        &mut self,
+        answer: impl Future<Output = Result<T, CaptureError>>,
+    ) -> Result<T, CaptureError> {
+        tokio::pin!(answer);
+        loop {
+            tokio::select! {
+                biased;
+                result = &mut answer => return result,
+                () = tokio::time::sleep(POLL) => {}
+            }
+            self.stop_if_asked()?;
+        }
+    }
+
+    fn stop_if_asked(&mut self) -> Result<(), CaptureError> {
+        if self.interrupt.level() < StopLevel::Now {
+            return Ok(());
+        }
+        self.guard.stop();
+        self.stage.abandon();
+        self.camera.abandon();
+        Err(CaptureError::StoppedNow)
+    }
+
+    async fn stage<T: Send + 'static>(
+        &mut self,
+        job: impl FnOnce(&mut dyn LightStage) -> Result<T, DeviceError> + Send + 'static,
+    ) -> Result<T, CaptureError> {
+        // From the first command on, every way out must stop the stage.
+        self.guard.armed = true;
+        let answer = self.stage.call(move |stage| job(stage.as_mut()));
+        Ok(self.answer(answer).await??)
+    }
+
+    async fn camera<T: Send + 'static>(
+        &mut self,
+        job: impl FnOnce(&mut dyn Camera) -> Result<T, DeviceError> + Send + 'static,
+    ) -> Result<T, CaptureError> {
+        let answer = self.camera.call(move |camera| job(camera.as_mut()));
+        Ok(self.answer(answer).await??)
+    }
+
+    /// Waits; a request to stop at once ends the wait.
+    pub(super) async fn pause(&mut self, time: Seconds) -> Result<(), CaptureError> {
+        if time.0 > 0.0 {
+            let wait = tokio::time::sleep(time.to_duration());
+            self.answer(async {
+                wait.await;
+                Ok(())
+            })
+            .await?;
+        }
+        Ok(())
+    }
+
+    /// Whether this run has homed the stage.
+    pub(super) fn is_homed(&self) -> bool {
+        self.known.homed
+    }
+
+    /// Lamp off, then the reference switches are sought.
+    pub(super) async fn home(&mut self) -> Result<StageStatus, CaptureError> {
+        self.lamp(LampState::Off, Seconds(0.0)).await?;
+        let status = self.stage(|stage| stage.home()).await?;
+        self.known.homed = true;
+        Ok(status)
+    }
+
+    /// Moves and returns the position read back.
+    pub(super) async fn move_to(
+        &mut self,
+        target: StageAngles,
+    ) -> Result<StageAngles, CaptureError> {
+        self.known.position = None;
+        let position = self.stage(move |stage| stage.move_to(target)).await?;
+        let off_deg = (position.azimuth_deg - target.azimuth_deg)
+            .abs()
+            .max((position.elevation_deg - target.elevation_deg).abs());
+        // A position that is not a number is not at the target either.
+        if !(off_deg <= POSITION_TOLERANCE_DEG) {
+            return Err(self.stage_differs("the position", position, target).into());
+        }
+        self.known.position = Some(position);
+        Ok(position)
+    }
+
+    /// Switches the lamp where it is not in this state, and waits `settle` after.
+    pub(super) async fn lamp(
+        &mut self,
+        wanted: LampState,
+        settle: Seconds,
+    ) -> Result<(), CaptureError> {
+        if self.known.lamp == Some(wanted) {
+            return Ok(());
+        }
+        self.known.lamp = None;
+        let applied = self.stage(move |stage| stage.set_lamp(wanted)).await?;
+        if applied != wanted {
+            let words = |lamp| match lamp {
+                LampState::Off => "off".to_owned(),
+                LampState::On(channel) => format!("channel {}", channel.0),
+            };
+            return Err(self
+                .stage_differs("the lamp", words(applied), words(wanted))
+                .into());
+        }
+        self.known.lamp = Some(applied);
+        self.pause(settle).await
+    }
+
+    fn stage_differs(
+        &self,
+        what: &str,
+        is: impl std::fmt::Display,
+        wanted: impl std::fmt::Display,
+    ) -> DeviceError {
+        DeviceError::NotApplied {
+            device: self.stage_info.port.clone(),
+            what: what.into(),
+            is: is.to_string(),
+            wanted: wanted.to_string(),
+        }
+    }
+
+    /// Settings read back after these were applied; `true` if they were others before.
+    pub(super) async fn configure(
+        &mut self,
+        requested: CameraSettings,
+    ) -> Result<(CameraSettings, bool), CaptureError> {
+        if let Some((before, applied)) = self.known.settings
+            && before == requested
+        {
+            return Ok((applied, false));
+        }
+        self.known.settings = None;
+        let applied = self
+            .camera(move |camera| camera.configure(requested))
+            .await?;
+        self.known.settings = Some((requested, applied));
+        Ok((applied, true))
+    }
+
+    /// Opens or closes the shutter; `false` if the camera has none.
+    pub(super) async fn shutter(&mut self, open: bool) -> Result<bool, CaptureError> {
+        if self.known.shutter_open == Some(open) {
+            return Ok(true);
+        }
+        let has_shutter = self.camera(move |camera| camera.set_shutter(open)).await?;
+        if has_shutter {
+            self.known.shutter_open = Some(open);
+        }
+        Ok(has_shutter)
+    }
+
+    /// The next frame, of the size that the camera states.
+    pub(super) async fn grab(&mut self, key: FrameKey) -> Result<RawFrame, CaptureError> {
+        let frame = self.camera(move |camera| camera.grab(key)).await?;
+        let [width, height] = self.camera_info.resolution_px;
+        let expected = width as usize * height as usize;
+        if frame.counts.len() != expected || [frame.width, frame.height] != [width, height] {
+            return Err(CaptureError::FrameSize {
+                found: frame.counts.len(),
+                expected,
+            });
+        }
+        Ok(frame)
+    }
+
+    /// Ends in good order: lamp off, read back. The stage keeps its position.
+    pub(super) async fn shut_down(mut self) -> Result<(), CaptureError> {
+        if self.guard.armed {
+            self.known.lamp = None;
+            self.lamp(LampState::Off, Seconds(0.0)).await?;
+            self.guard.armed = false;
+        }
+        Ok(())
+    }
+}

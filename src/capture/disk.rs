@@ -1,0 +1,207 @@
+//! The two threads behind a capture: one brings frames to the disk, one merges
+//! finished brackets while the stage already moves on.
+
+use std::sync::Arc;
+
+use tokio::sync::{mpsc, oneshot};
+
+use super::CaptureError;
+use crate::device::RawFrame;
+use crate::session::{Event, SessionWriter, Sidecar, layout};
+
+/// Makes one merged image out of a bracket's frames, which come one by one.
+///
+/// Errors are the merge's own words.
+pub trait BracketSink: Send {
+    /// The frames of another light direction follow.
+    fn begin(&mut self, light: u32) -> Result<(), String>;
+    /// A light, ambient or dark frame of the bracket; pilots are left out.
+    fn add(&mut self, frame: &RawFrame, sidecar: &Sidecar) -> Result<(), String>;
+    /// The bracket is whole; returns the bytes of its `radiance_L….exr`.
+    fn finish(&mut self) -> Result<Vec<u8>, String>;
+}
+
+/// Frames that wait for the disk at most. With the one being written, these are
+/// what a crash can cost.
+pub const WRITE_QUEUE: usize = 4;
+/// Frames that wait for the merge at most.
+const MERGE_QUEUE: usize = 8;
+
+enum DiskJob {
+    Event(Event),
+    Frame(Arc<RawFrame>, Box<Sidecar>),
+    Radiance(u32, Vec<u8>),
+    /// Ends the capture's session.
+    Finish,
+    /// Ends the thread; the session stays resumable.
+    Leave(String),
+}
+
+/// The disk's thread.
+pub(super) struct Disk {
+    jobs: mpsc::Sender<DiskJob>,
+    end: oneshot::Receiver<Result<(), CaptureError>>,
+}
+
+impl Disk {
+    pub(super) fn spawn(mut session: SessionWriter) -> Result<Self, CaptureError> {
+        let (jobs, mut inbox) = mpsc::channel(WRITE_QUEUE);
+        let end = spawn("disk", move || {
+            while let Some(job) = inbox.blocking_recv() {
+                match job {
+                    DiskJob::Event(event) => session.record(event)?,
+                    DiskJob::Frame(frame, sidecar) => session.commit_frame(&frame, &sidecar)?,
+                    DiskJob::Radiance(light, bytes) => {
+                        session.commit_file(&layout::radiance_file(light), &bytes)?;
+                    }
+                    DiskJob::Finish => {
+                        session.finish()?;
+                        break;
+                    }
+                    DiskJob::Leave(reason) => {
+                        session.record(Event::Interrupted { reason })?;
+                        break;
+                    }
+                }
+            }
+            Ok(())
+        })?;
+        Ok(Self { jobs, end })
+    }
+
+    pub(super) async fn record(&mut self, event: Event) -> Result<(), CaptureError> {
+        self.send(DiskJob::Event(event)).await
+    }
+
+    pub(super) async fn frame(
+        &mut self,
+        frame: Arc<RawFrame>,
+        sidecar: Sidecar,
+    ) -> Result<(), CaptureError> {
+        self.send(DiskJob::Frame(frame, Box::new(sidecar))).await
+    }
+
+    pub(super) async fn finish(mut self) -> Result<(), CaptureError> {
+        self.send(DiskJob::Finish).await?;
+        self.ended().await
+    }
+
+    /// Writes what waits, then that the work was interrupted.
+    pub(super) async fn leave(mut self, reason: String) -> Result<(), CaptureError> {
+        self.send(DiskJob::Leave(reason)).await?;
+        self.ended().await
+    }
+
+    async fn send(&mut self, job: DiskJob) -> Result<(), CaptureError> {
+        match self.jobs.send(job).await {
+            Ok(()) => Ok(()),
+            // The thread has ended, and why is the error.
+            Err(_) => match self.ended().await {
+                Ok(()) => Err(CaptureError::WorkerGone { name: "disk" }),
+                Err(error) => Err(error),
+            },
+        }
+    }
+
+    async fn ended(&mut self) -> Result<(), CaptureError> {
+        (&mut self.end)
+            .await
+            .unwrap_or(Err(CaptureError::WorkerGone { name: "disk" }))
+    }
+}
+
+enum MergeJob {
+    Begin(u32),
+    Add(Arc<RawFrame>, Box<Sidecar>),
+    Finish,
+}
+
+/// The merge's thread; its results go to the disk's.
+pub(super) struct Merger {
+    jobs: mpsc::Sender<MergeJob>,
+    end: oneshot::Receiver<Result<(), CaptureError>>,
+}
+
+impl Merger {
+    pub(super) fn spawn(mut sink: Box<dyn BracketSink>, disk: &Disk) -> Result<Self, CaptureError> {
+        let (jobs, mut inbox) = mpsc::channel(MERGE_QUEUE);
+        let results = disk.jobs.clone();
+        let end = spawn("merge", move || {
+            let mut current = 0;
+            while let Some(job) = inbox.blocking_recv() {
+                if let MergeJob::Begin(light) = job {
+                    current = light;
+                }
+                let fail = |reason| CaptureError::Merge {
+                    light: current,
+                    reason,
+                };
+                match job {
+                    MergeJob::Begin(light) => {
+                        sink.begin(light).map_err(fail)?;
+                    }
+                    MergeJob::Add(frame, sidecar) => sink.add(&frame, &sidecar).map_err(fail)?,
+                    MergeJob::Finish => {
+                        let bytes = sink.finish().map_err(fail)?;
+                        if results
+                            .blocking_send(DiskJob::Radiance(current, bytes))
+                            .is_err()
+                        {
+                            // The disk's thread has ended and says why itself.
+                            return Ok(());
+                        }
+                    }
+                }
+            }
+            Ok(())
+        })?;
+        Ok(Self { jobs, end })
+    }
+
+    pub(super) async fn begin(&mut self, light: u32) -> Result<(), CaptureError> {
+        self.send(MergeJob::Begin(light)).await
+    }
+
+    pub(super) async fn add(
+        &mut self,
+        frame: Arc<RawFrame>,
+        sidecar: Sidecar,
+    ) -> Result<(), CaptureError> {
+        self.send(MergeJob::Add(frame, Box::new(sidecar))).await
+    }
+
+    pub(super) async fn finish_bracket(&mut self) -> Result<(), CaptureError> {
+        self.send(MergeJob::Finish).await
+    }
+
+    /// Waits until every bracket was merged and handed to the disk.
+    pub(super) async fn finish(self) -> Result<(), CaptureError> {
+        drop(self.jobs);
+        self.end
+            .await
+            .unwrap_or(Err(CaptureError::WorkerGone { name: "merge" }))
+    }
+
+    async fn send(&mut self, job: MergeJob) -> Result<(), CaptureError> {
+        match self.jobs.send(job).await {
+            Ok(()) => Ok(()),
+            Err(_) => match (&mut self.end).await {
+                Ok(Err(error)) => Err(error),
+                _ => Err(CaptureError::WorkerGone { name: "merge" }),
+            },
+        }
+    }
+}
+
+/// A thread whose result can be awaited; a panic closes the channel.
+fn spawn(
+    name: &str,
+    work: impl FnOnce() -> Result<(), CaptureError> + Send + 'static,
+) -> Result<oneshot::Receiver<Result<(), CaptureError>>, CaptureError> {
+    let (result, end) = oneshot::channel();
+    std::thread::Builder::new()
+        .name(name.into())
+        .spawn(move || drop(result.send(work())))
+        .map_err(CaptureError::Thread)?;
+    Ok(end)
+}

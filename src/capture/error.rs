@@ -1,0 +1,133 @@
+//! Why a capture ended early; facts only.
+
+use crate::device::DeviceError;
+use crate::radiometry::exposure::PlanError;
+use crate::session::SessionError;
+use crate::units::StageAngles;
+
+/// A capture could not be planned, or did not come to its end.
+#[derive(Debug, thiserror::Error)]
+pub enum CaptureError {
+    /// A device failed.
+    #[error(transparent)]
+    Device(#[from] DeviceError),
+    /// The session could not be written or read.
+    #[error(transparent)]
+    Session(#[from] SessionError),
+    /// The exposure rules make no sense.
+    #[error(transparent)]
+    Exposure(#[from] PlanError),
+    /// A planned light is outside the soft limits.
+    #[error("light {light} ({angles}) is outside the stage's limits ({limits})")]
+    LightOutOfReach {
+        /// Index in the plan.
+        light: usize,
+        /// Where it should be.
+        angles: StageAngles,
+        /// The limits.
+        limits: String,
+    },
+    /// More lights than the stage has distinct directions.
+    #[error("{wanted} lights were asked for, and the stage reaches {reachable}")]
+    TooManyLights {
+        /// Asked for.
+        wanted: usize,
+        /// Distinct directions.
+        reachable: usize,
+    },
+    /// Nothing to capture.
+    #[error("the plan has no {what}")]
+    Empty {
+        /// What is missing, e.g. `light`.
+        what: &'static str,
+    },
+    /// The disk cannot hold the session.
+    #[error(
+        "the session needs about {needed_bytes} bytes and {folder} has {free_bytes} free",
+        folder = folder.display()
+    )]
+    NotEnoughSpace {
+        /// Where the session would go.
+        folder: std::path::PathBuf,
+        /// Estimate, bytes.
+        needed_bytes: u64,
+        /// Free, bytes.
+        free_bytes: u64,
+    },
+    /// The camera is not the one of the plan.
+    #[error("the camera's {what} is {found}, the plan was made for {expected}")]
+    OtherCamera {
+        /// Which property.
+        what: &'static str,
+        /// Of the camera connected.
+        found: String,
+        /// Of the plan.
+        expected: String,
+    },
+    /// A frame has another size than the camera states.
+    #[error("a frame has {found} counts instead of {expected}")]
+    FrameSize {
+        /// Counts in the frame.
+        found: usize,
+        /// Width times height.
+        expected: usize,
+    },
+    /// The images contradict the exposure that the camera reports.
+    #[error(
+        "light {light}: the exposure is {exposure_s} s by the camera, but the images show \
+         {ratio:.3} of the expected signal after {discarded} discarded frames"
+    )]
+    ExposureNotApplied {
+        /// Index in the plan.
+        light: u32,
+        /// Read back, seconds.
+        exposure_s: f64,
+        /// Signal over expected signal.
+        ratio: f64,
+        /// Frames thrown away while waiting for the change.
+        discarded: u32,
+    },
+    /// No pixel shows any light from the lamp.
+    #[error(
+        "light {light}: the lamp is on by the stage, but the images of {exposure_s} s stay dark"
+    )]
+    NoLight {
+        /// Index in the plan.
+        light: u32,
+        /// Longest exposure tried, seconds.
+        exposure_s: f64,
+    },
+    /// Merging a bracket failed.
+    #[error("light {light} could not be merged: {reason}")]
+    Merge {
+        /// Index in the plan.
+        light: u32,
+        /// The merge's own words.
+        reason: String,
+    },
+    /// The journalled frames lead to other decisions than the ones recorded.
+    #[error("frame {frame} in the session was taken with {found}, the plan leads to {expected}")]
+    OtherFrame {
+        /// The frame's name.
+        frame: String,
+        /// In its sidecar.
+        found: String,
+        /// From the plan and the frames before.
+        expected: String,
+    },
+    /// A thread could not be started.
+    #[error("cannot start a thread: {0}")]
+    Thread(#[source] std::io::Error),
+    /// A device's or the disk's thread ended unexpectedly.
+    #[error("the {name} thread ended unexpectedly")]
+    WorkerGone {
+        /// Which one.
+        name: &'static str,
+    },
+    /// The operator asked once.
+    #[error("stopped after a frame as asked")]
+    Interrupted,
+    /// The operator asked twice: motion and lamp were stopped at once.
+    #[error("stopped at once")]
+    StoppedNow,
+}

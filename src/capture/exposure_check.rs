@@ -1,0 +1,176 @@
+//! Whether an exposure was what the camera says, from two frames of one scene.
+
+use crate::radiometry::sensor::SensorNoise;
+
+/// A ratio of exposures within this of 1 is as claimed.
+pub const GOOD: f64 = 0.01;
+/// A ratio of exposures further than this from 1 is refused.
+pub const REFUSED: f64 = 0.03;
+
+/// Signal per exposure time of one frame over that of another, both of the same
+/// scene: 1 if the exposures are what they claim.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SignalRatio {
+    /// The later frame over the earlier one.
+    pub ratio: f64,
+    /// Its standard uncertainty from noise and black level.
+    pub std_dev: f64,
+}
+
+/// What a ratio says about the later frame's exposure.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Verdict {
+    /// Within 1%, or the signal is too weak to tell.
+    Good,
+    /// Between 1% and 3%, beyond what noise explains.
+    Doubtful,
+    /// Beyond 3%: the frame was not taken with this exposure.
+    Refused,
+}
+
+/// Counts and the exposure that they claim.
+#[derive(Clone, Copy, Debug)]
+pub struct Exposed<'a> {
+    /// Raw counts, DN.
+    pub counts: &'a [u16],
+    /// Read back, seconds.
+    pub exposure_s: f64,
+}
+
+/// A pixel says something about the exposure where its signal in the longer
+/// frame is at least this part of the usable range.
+const MIN_SIGNAL: f64 = 0.05;
+/// ... and at most this part, so that noise at the clipping level cannot bias.
+const MAX_SIGNAL: f64 = 0.9;
+/// Uncertainty of the black level common to all pixels, DN.
+const BLACK_LEVEL_STD_DN: f64 = 0.25;
+
+/// Compares two frames over the pixels that are well exposed in the longer one
+/// as it is and as it should be. `None` where no such pixel is.
+pub fn signal_ratio(
+    noise: &SensorNoise,
+    earlier: Exposed<'_>,
+    later: Exposed<'_>,
+) -> Option<SignalRatio> {
+    let signal = |frame: Exposed<'_>, pixel: usize| {
+        f64::from(frame.counts[pixel])
+            - noise.black_level_dn
+            - noise.gain_dn_per_e * noise.dark_current_e_s * frame.exposure_s
+    };
+    let range_dn = noise.usable_range_dn();
+    let well = |frame: Exposed<'_>, pixel: usize| {
+        (MIN_SIGNAL * range_dn..=MAX_SIGNAL * range_dn).contains(&signal(frame, pixel))
+    };
+    let below = |frame: Exposed<'_>, pixel: usize| signal(frame, pixel) <= MAX_SIGNAL * range_dn;
+    let (longer, shorter) = if later.exposure_s >= earlier.exposure_s {
+        (later, earlier)
+    } else {
+        (earlier, later)
+    };
+    let (mut sums_dn, mut variances_dn2, mut pixels) = ([0.0; 2], [0.0; 2], 0.0);
+    for pixel in 0..earlier.counts.len().min(later.counts.len()) {
+        // Where the claimed longer frame was taken with the old short exposure it
+        // is dark; such pixels are judged by the other frame.
+        if !(well(longer, pixel) || well(shorter, pixel))
+            || !below(longer, pixel)
+            || !below(shorter, pixel)
+        {
+            continue;
+        }
+        pixels += 1.0;
+        for (i, frame) in [earlier, later].into_iter().enumerate() {
+            let signal_dn = signal(frame, pixel);
+            sums_dn[i] += signal_dn;
+            variances_dn2[i] += noise.gain_dn_per_e * signal_dn.max(0.0)
+                + (noise.gain_dn_per_e * noise.read_noise_e).powi(2)
+                + 1.0 / 12.0;
+        }
+    }
+    let rate = |i: usize, frame: Exposed<'_>| sums_dn[i] / frame.exposure_s;
+    if pixels == 0.0 || sums_dn[0] <= 0.0 {
+        return None;
+    }
+    let ratio = rate(1, later) / rate(0, earlier);
+    let black_dn2 = (BLACK_LEVEL_STD_DN * pixels).powi(2);
+    let relative2 = |i: usize| (variances_dn2[i] + black_dn2) / sums_dn[i].max(1.0).powi(2);
+    Some(SignalRatio {
+        ratio,
+        std_dev: ratio.abs() * (relative2(0) + relative2(1)).sqrt(),
+    })
+}
+
+impl SignalRatio {
+    /// Judges; three standard deviations are granted to noise.
+    pub fn verdict(&self) -> Verdict {
+        let excess = (self.ratio - 1.0).abs() - 3.0 * self.std_dev;
+        if excess > REFUSED {
+            Verdict::Refused
+        } else if excess > GOOD {
+            Verdict::Doubtful
+        } else {
+            Verdict::Good
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::{Purpose, stream};
+
+    /// Frames of a ramp, taken with `true_s`.
+    fn frame(noise: &SensorNoise, true_s: f64, seed: u64) -> Vec<u16> {
+        (0..4096u64)
+            .map(|pixel| {
+                let signal_e = 2e4 * (1.0 + pixel as f64 / 4096.0) * true_s;
+                let std_e = (signal_e + noise.read_noise_e.powi(2)).sqrt();
+                let normal = stream(seed, Purpose::Experiment, 0, pixel, 0).normal();
+                let dn = noise.black_level_dn + noise.gain_dn_per_e * (signal_e + std_e * normal);
+                dn.round().clamp(0.0, 4095.0) as u16
+            })
+            .collect()
+    }
+
+    fn judge(claimed_s: f64, true_s: f64) -> (SignalRatio, Verdict) {
+        let noise = SensorNoise::ideal(0.4, 2.5, 64.0, 12);
+        let earlier = frame(&noise, 0.05, 1);
+        let later = frame(&noise, true_s, 2);
+        let ratio = signal_ratio(
+            &noise,
+            Exposed {
+                counts: &earlier,
+                exposure_s: 0.05,
+            },
+            Exposed {
+                counts: &later,
+                exposure_s: claimed_s,
+            },
+        )
+        .unwrap();
+        (ratio, ratio.verdict())
+    }
+
+    #[test]
+    fn true_exposures_are_good_and_stale_or_wrong_ones_refused() {
+        for claimed_s in [0.0125, 0.025, 0.1, 0.2] {
+            let (ratio, verdict) = judge(claimed_s, claimed_s);
+            assert_eq!(verdict, Verdict::Good, "{claimed_s}: {ratio:?}");
+            assert!((ratio.ratio - 1.0).abs() < 4.0 * ratio.std_dev, "{ratio:?}");
+            let (ratio, verdict) = judge(claimed_s, 0.05);
+            assert_eq!(verdict, Verdict::Refused, "stale at {claimed_s}: {ratio:?}");
+        }
+        assert_eq!(judge(0.1, 0.1 * 1.06).1, Verdict::Refused);
+        assert_eq!(judge(0.1, 0.1 * 1.024).1, Verdict::Doubtful);
+        assert_eq!(judge(0.1, 0.1 * 1.005).1, Verdict::Good);
+    }
+
+    #[test]
+    fn darkness_says_nothing() {
+        let noise = SensorNoise::ideal(0.4, 2.5, 64.0, 12);
+        let dark = Exposed {
+            counts: &[64; 100],
+            exposure_s: 0.1,
+        };
+        assert_eq!(signal_ratio(&noise, dark, dark), None);
+    }
+}

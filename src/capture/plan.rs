@@ -1,0 +1,305 @@
+//! The plan of a capture, made and checked before anything moves. Pure data in,
+//! pure data out.
+
+use std::path::Path;
+
+use glam::DVec3;
+
+use super::CaptureError;
+use super::bracket;
+use super::directions::{StageReach, farthest_point_order};
+use crate::device::LampChannel;
+use crate::radiometry::exposure::{PilotStatistics, plan_bracket};
+use crate::radiometry::sensor::SensorNoise;
+use crate::session::commit::free_bytes;
+use crate::session::{ExposureRules, PlanRecord};
+use crate::units::{Seconds, StageAngles};
+
+/// Which light directions are wanted.
+#[derive(Clone, Debug, PartialEq)]
+pub enum LightChoice {
+    /// This many in farthest-point order.
+    Count(usize),
+    /// All in farthest-point order that keep this angle between them, degrees.
+    Spacing(f64),
+    /// These, in this order.
+    Listed(Vec<StageAngles>),
+}
+
+/// What a plan is made from.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PlanRequest {
+    /// Which light directions.
+    pub lights: LightChoice,
+    /// What the stage can reach.
+    pub reach: StageReach,
+    /// Unit direction from the sample to the camera in the stage's frame.
+    pub coaxial: DVec3,
+    /// Lamp channels, lit one after the other.
+    pub channels: Vec<LampChannel>,
+    /// Analogue gain.
+    pub gain: f64,
+    /// Exposures and averaging.
+    pub exposure: ExposureRules,
+    /// Wait after a move.
+    pub settle: Seconds,
+    /// Wait after the lamp was switched.
+    pub lamp_settle: Seconds,
+    /// Wait with the lamp on before the first light.
+    pub lamp_warm_up: Seconds,
+    /// Frames thrown away after a change of the camera's settings.
+    pub settings_latency_frames: u32,
+    /// Width and height of a frame, pixels.
+    pub resolution_px: [u32; 2],
+    /// How fast things go, for the estimate.
+    pub pace: Pace,
+}
+
+/// How fast the devices are, for the estimate only.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pace {
+    /// Speed of the stage, degrees per second; > 0.
+    pub stage_deg_s: f64,
+    /// Time to home.
+    pub homing: Seconds,
+    /// Time between frames where the exposure is shorter.
+    pub frame_interval: Seconds,
+}
+
+/// Brightest over darkest level of interest of the scene that estimates assume.
+const USUAL_CONTRAST: f64 = 100.0;
+/// PNG overhead and sidecar of one frame, bytes.
+const FRAME_OVERHEAD_BYTES: u64 = 2048;
+/// Mean, variance (32 bits each for three colours) and mask of a merged pixel, bytes.
+const MERGED_PIXEL_BYTES: u64 = 28;
+
+/// Makes the plan and checks every light against the soft limits.
+///
+/// # Errors
+/// A light outside the limits, more lights than there are directions, exposure
+/// rules that make no sense.
+pub fn plan(request: &PlanRequest, noise: &SensorNoise) -> Result<PlanRecord, CaptureError> {
+    let lights = choose_lights(request)?;
+    if request.channels.is_empty() {
+        return Err(CaptureError::Empty {
+            what: "lamp channel",
+        });
+    }
+    let (per_light_s, frames_per_light) = usual_light(request, noise)?;
+    let count = lights.len() as u64;
+    let moving_s: f64 = lights
+        .windows(2)
+        .map(|pair| move_deg(pair[0], pair[1]) / request.pace.stage_deg_s)
+        .sum();
+    let [width, height] = request.resolution_px.map(u64::from);
+    let pixels = width * height;
+    Ok(PlanRecord {
+        channels: request.channels.clone(),
+        gain: request.gain,
+        exposure: request.exposure,
+        settle_s: request.settle,
+        lamp_settle_s: request.lamp_settle,
+        lamp_warm_up_s: request.lamp_warm_up,
+        settings_latency_frames: request.settings_latency_frames,
+        estimated_s: Seconds(
+            request.pace.homing.0 + request.lamp_warm_up.0 + moving_s + count as f64 * per_light_s,
+        ),
+        estimated_bytes: count
+            * (frames_per_light * (2 * pixels + FRAME_OVERHEAD_BYTES)
+                + MERGED_PIXEL_BYTES * pixels),
+        lights,
+    })
+}
+
+fn choose_lights(request: &PlanRequest) -> Result<Vec<StageAngles>, CaptureError> {
+    let order = |count, spacing_deg| {
+        farthest_point_order(&request.reach, request.coaxial, count, spacing_deg)
+    };
+    let lights = match &request.lights {
+        LightChoice::Count(count) => {
+            let lights = order(*count, 0.0);
+            if lights.len() < *count {
+                return Err(CaptureError::TooManyLights {
+                    wanted: *count,
+                    reachable: lights.len(),
+                });
+            }
+            lights
+        }
+        LightChoice::Spacing(spacing_deg) => order(usize::MAX, *spacing_deg),
+        LightChoice::Listed(lights) => lights.clone(),
+    };
+    if lights.is_empty() {
+        return Err(CaptureError::Empty { what: "light" });
+    }
+    check_reach(&lights, &request.reach)?;
+    Ok(lights)
+}
+
+/// Checks all directions against the soft limits; a resumed plan is checked again.
+pub fn check_reach(lights: &[StageAngles], reach: &StageReach) -> Result<(), CaptureError> {
+    match lights.iter().position(|&angles| !reach.contains(angles)) {
+        None => Ok(()),
+        Some(light) => Err(CaptureError::LightOutOfReach {
+            light,
+            angles: lights[light],
+            limits: format!(
+                "azimuth {}° to {}°, elevation {}° to {}°",
+                reach.azimuth_deg[0],
+                reach.azimuth_deg[1],
+                reach.elevation_deg[0],
+                reach.elevation_deg[1]
+            ),
+        }),
+    }
+}
+
+/// The axes turn together; the longer way counts.
+fn move_deg(from: StageAngles, to: StageAngles) -> f64 {
+    let azimuth_deg = (to.azimuth_deg - from.azimuth_deg).abs();
+    azimuth_deg.max((to.elevation_deg - from.elevation_deg).abs())
+}
+
+/// Time, without the move, and number of frames of one light over a scene whose
+/// pilot is well exposed and whose contrast is usual.
+fn usual_light(request: &PlanRequest, noise: &SensorNoise) -> Result<(f64, u64), CaptureError> {
+    let rules = &request.exposure;
+    let full_e = noise.usable_range_dn() / noise.gain_dn_per_e;
+    let pilot_s = rules.pilot_s.0.clamp(rules.shortest_s.0, rules.longest_s.0);
+    let brightest_e_s = 0.5 * rules.peak_fraction * full_e / pilot_s;
+    let usual = PilotStatistics {
+        brightest_e_s,
+        darkest_e_s: brightest_e_s / USUAL_CONTRAST,
+    };
+    let bracket = plan_bracket(
+        noise,
+        &usual,
+        &bracket::limits(rules),
+        &bracket::target(rules),
+    )?;
+    let channels = request.channels.len() as f64;
+    let frame_s = |exposure_s: f64| exposure_s.max(request.pace.frame_interval.0);
+    let latency = f64::from(request.settings_latency_frames);
+    let mut seconds = request.settle.0
+        + (latency + channels) * frame_s(pilot_s)
+        + channels * request.lamp_settle.0;
+    let mut frames = request.channels.len() as u64;
+    let states = request.channels.len() as u64 + u64::from(rules.ambient);
+    for step in &bracket.steps {
+        let taken = u64::from(step.frames) * states + u64::from(rules.dark_frames);
+        seconds += (latency + taken as f64) * frame_s(step.exposure_s)
+            + states as f64 * request.lamp_settle.0;
+        frames += taken;
+    }
+    Ok((seconds, frames))
+}
+
+/// Checks that the disk that holds (or will hold) `folder` has room for the
+/// plan and `reserve_bytes` beyond.
+pub fn check_space(
+    plan: &PlanRecord,
+    folder: &Path,
+    reserve_bytes: u64,
+) -> Result<(), CaptureError> {
+    let free_bytes = free_bytes(folder)?;
+    let needed_bytes = plan.estimated_bytes.saturating_add(reserve_bytes);
+    if free_bytes >= needed_bytes {
+        return Ok(());
+    }
+    Err(CaptureError::NotEnoughSpace {
+        folder: folder.to_owned(),
+        needed_bytes,
+        free_bytes,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn request(lights: LightChoice) -> PlanRequest {
+        PlanRequest {
+            lights,
+            reach: StageReach {
+                azimuth_deg: [-170.0, 170.0],
+                elevation_deg: [10.0, 85.0],
+            },
+            coaxial: DVec3::Z,
+            channels: (0..3).map(LampChannel).collect(),
+            gain: 1.0,
+            exposure: ExposureRules {
+                pilot_s: Seconds(0.01),
+                shortest_s: Seconds(1e-4),
+                longest_s: Seconds(1.0),
+                step_s: Seconds(1e-4),
+                peak_fraction: 0.7,
+                dark_snr: 20.0,
+                ratio: 4.0,
+                max_frames: 8,
+                ambient: true,
+                dark_frames: 2,
+            },
+            settle: Seconds(0.5),
+            lamp_settle: Seconds(0.05),
+            lamp_warm_up: Seconds(0.0),
+            settings_latency_frames: 2,
+            resolution_px: [64, 48],
+            pace: Pace {
+                stage_deg_s: 20.0,
+                homing: Seconds(10.0),
+                frame_interval: Seconds(1.0 / 30.0),
+            },
+        }
+    }
+
+    fn noise() -> SensorNoise {
+        SensorNoise::ideal(0.4, 2.5, 64.0, 12)
+    }
+
+    #[test]
+    fn time_and_bytes_grow_with_the_lights() {
+        let of = |count| plan(&request(LightChoice::Count(count)), &noise()).unwrap();
+        let (two, four) = (of(2), of(4));
+        assert_eq!(four.lights[..2], two.lights);
+        assert_eq!(four.estimated_bytes, 2 * two.estimated_bytes);
+        assert!(two.estimated_s.0 > 10.0 + 2.0 * 0.5 && four.estimated_s.0 > two.estimated_s.0);
+        // At least a pilot and one exposure of each channel, and one without lamp.
+        assert!(two.estimated_bytes > 2 * (7 * 2 + 28) * 64 * 48);
+    }
+
+    #[test]
+    fn lights_outside_the_limits_and_too_many_are_refused() {
+        let listed = LightChoice::Listed(vec![
+            StageAngles {
+                azimuth_deg: 0.0,
+                elevation_deg: 80.0,
+            },
+            StageAngles {
+                azimuth_deg: 0.0,
+                elevation_deg: 86.0,
+            },
+        ]);
+        let error = plan(&request(listed), &noise()).unwrap_err().to_string();
+        assert!(
+            error.contains("light 1") && error.contains("10° to 85°"),
+            "{error}"
+        );
+        assert!(matches!(
+            plan(&request(LightChoice::Count(100_000)), &noise()),
+            Err(CaptureError::TooManyLights { .. })
+        ));
+        assert!(plan(&request(LightChoice::Count(0)), &noise()).is_err());
+    }
+
+    #[test]
+    fn a_plan_that_no_disk_holds_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut plan = plan(&request(LightChoice::Spacing(30.0)), &noise()).unwrap();
+        check_space(&plan, folder.path(), 1000).unwrap();
+        plan.estimated_bytes = u64::MAX / 2;
+        assert!(matches!(
+            check_space(&plan, &folder.path().join("not/made/yet"), u64::MAX),
+            Err(CaptureError::NotEnoughSpace { .. })
+        ));
+    }
+}

@@ -1,0 +1,59 @@
+//! Colour filter arrays: which colour a sensor pixel sees.
+
+use serde::{Deserialize, Serialize};
+
+/// The order of colour filters over the sensor, by its first two pixels of the first two rows.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+#[allow(missing_docs)]
+pub enum Mosaic {
+    /// A monochrome sensor.
+    #[default]
+    None,
+    Rggb,
+    Grbg,
+    Gbrg,
+    Bggr,
+}
+
+impl Mosaic {
+    /// Channel (0 red, 1 green, 2 blue) of a sensor pixel; `None` on a
+    /// monochrome sensor.
+    pub fn channel(self, x: usize, y: usize) -> Option<usize> {
+        let cell = match self {
+            Self::None => return None,
+            Self::Rggb => [0, 1, 1, 2],
+            Self::Grbg => [1, 0, 2, 1],
+            Self::Gbrg => [1, 2, 0, 1],
+            Self::Bggr => [2, 1, 1, 0],
+        };
+        Some(cell[(y % 2) * 2 + x % 2])
+    }
+
+    /// Distance in pixels to the next pixel of the same position in the cell.
+    pub fn period(self) -> usize {
+        if self == Self::None { 1 } else { 2 }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_spell_the_first_cell() {
+        for (mosaic, name) in [
+            (Mosaic::Rggb, "rggb"),
+            (Mosaic::Grbg, "grbg"),
+            (Mosaic::Gbrg, "gbrg"),
+            (Mosaic::Bggr, "bggr"),
+        ] {
+            let spelled: String = [(0, 0), (1, 0), (0, 1), (1, 1)]
+                .iter()
+                .map(|&(x, y)| ['r', 'g', 'b'][mosaic.channel(x, y).unwrap()])
+                .collect();
+            assert_eq!(spelled, name);
+        }
+        assert_eq!(Mosaic::None.channel(3, 5), None);
+    }
+}

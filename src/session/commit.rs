@@ -1,0 +1,210 @@
+//! How bytes reach the disk, and in which order.
+//!
+//! A file is written under a temporary name in its own folder, fsynced, renamed,
+//! and the folder is fsynced; only then may a journal line speak of it. A crash
+//! between any two steps leaves either nothing under the final name or the whole
+//! file. Every step is one operation of [`Disk`].
+
+use std::ffi::OsString;
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use super::SessionError;
+
+/// The operations that change a disk. Each either happened or returns an error;
+/// [`Disk::append`] and [`Disk::write_new`] may have happened in part.
+pub trait Disk: Send + Sync {
+    /// Makes one folder; its parent exists. An existing one is an error.
+    fn create_dir(&self, path: &Path) -> io::Result<()>;
+    /// Makes a file that does not exist yet and writes all bytes.
+    fn write_new(&self, path: &Path, bytes: &[u8]) -> io::Result<()>;
+    /// Writes all bytes at the end of an existing file.
+    fn append(&self, path: &Path, bytes: &[u8]) -> io::Result<()>;
+    /// Cuts a file to this length.
+    fn truncate(&self, path: &Path, bytes: u64) -> io::Result<()>;
+    /// Waits until a file's bytes are on the medium.
+    fn sync_file(&self, path: &Path) -> io::Result<()>;
+    /// Gives a file or folder its new name, in one step.
+    fn rename(&self, from: &Path, to: &Path) -> io::Result<()>;
+    /// Waits until a folder's names are on the medium.
+    fn sync_dir(&self, path: &Path) -> io::Result<()>;
+}
+
+/// The system's file system.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct SystemDisk;
+
+impl Disk for SystemDisk {
+    fn create_dir(&self, path: &Path) -> io::Result<()> {
+        fs::create_dir(path)
+    }
+
+    fn write_new(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
+        OpenOptions::new()
+            .write(true)
+            .create_new(true)
+            .open(path)?
+            .write_all(bytes)
+    }
+
+    fn append(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
+        OpenOptions::new().append(true).open(path)?.write_all(bytes)
+    }
+
+    fn truncate(&self, path: &Path, bytes: u64) -> io::Result<()> {
+        OpenOptions::new().write(true).open(path)?.set_len(bytes)
+    }
+
+    fn sync_file(&self, path: &Path) -> io::Result<()> {
+        File::open(path)?.sync_all()
+    }
+
+    fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
+        fs::rename(from, to)
+    }
+
+    fn sync_dir(&self, path: &Path) -> io::Result<()> {
+        File::open(path)?.sync_all()
+    }
+}
+
+/// Whether a file may take the place of one that exists.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Replace {
+    /// An existing file is an error (raw frames, `session.toml`).
+    Never,
+    /// Derived files can be made again.
+    Derived,
+}
+
+/// Name under which a file is written before it gets its own.
+pub fn temporary_name(path: &Path) -> PathBuf {
+    let mut name = OsString::from(".");
+    name.push(path.file_name().unwrap_or_default());
+    name.push(".part");
+    path.with_file_name(name)
+}
+
+/// Brings files of one folder to the disk: all are written and fsynced, then
+/// all renamed, then the folder is fsynced once. After `Ok` they survive a
+/// power cut.
+///
+/// # Errors
+/// [`SessionError::Exists`] with [`Replace::Never`] where a file has its name
+/// already; otherwise what the file system says.
+pub fn commit_files(
+    disk: &dyn Disk,
+    folder: &Path,
+    files: &[(&str, &[u8])],
+    replace: Replace,
+) -> Result<(), SessionError> {
+    for (name, bytes) in files {
+        let path = folder.join(name);
+        if replace == Replace::Never && path.symlink_metadata().is_ok() {
+            return Err(SessionError::Exists { path });
+        }
+        let temporary = temporary_name(&path);
+        disk.write_new(&temporary, bytes)
+            .map_err(|e| SessionError::io("write", &temporary, e))?;
+        disk.sync_file(&temporary)
+            .map_err(|e| SessionError::io("fsync", &temporary, e))?;
+    }
+    for (name, _) in files {
+        let path = folder.join(name);
+        disk.rename(&temporary_name(&path), &path)
+            .map_err(|e| SessionError::io("rename to", &path, e))?;
+    }
+    sync_dir(disk, folder)
+}
+
+/// Appends one journal line and waits until it is on the medium.
+pub fn append_line(disk: &dyn Disk, path: &Path, line: &[u8]) -> Result<(), SessionError> {
+    disk.append(path, line)
+        .map_err(|e| SessionError::io("append to", path, e))?;
+    disk.sync_file(path)
+        .map_err(|e| SessionError::io("fsync", path, e))
+}
+
+/// Makes a folder and its missing parents, each name fsynced in its parent.
+pub fn create_dirs(disk: &dyn Disk, path: &Path) -> Result<(), SessionError> {
+    if path.is_dir() {
+        return Ok(());
+    }
+    let parent = match path.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    };
+    create_dirs(disk, parent)?;
+    match disk.create_dir(path) {
+        Ok(()) => sync_dir(disk, parent),
+        Err(_) if path.is_dir() => Ok(()),
+        Err(e) => Err(SessionError::io("create the folder", path, e)),
+    }
+}
+
+pub(crate) fn sync_dir(disk: &dyn Disk, path: &Path) -> Result<(), SessionError> {
+    disk.sync_dir(path)
+        .map_err(|e| SessionError::io("fsync the folder", path, e))
+}
+
+/// Bytes that this process may still write on the disk that holds `path`, or
+/// the nearest of its parents that exists.
+pub fn free_bytes(path: &Path) -> Result<u64, SessionError> {
+    let absolute = std::path::absolute(path).map_err(|e| SessionError::io("find", path, e))?;
+    let existing = absolute
+        .ancestors()
+        .find(|p| p.exists())
+        .unwrap_or(Path::new("/"));
+    let disk = rustix::fs::statvfs(existing)
+        .map_err(|e| SessionError::io("ask for the free space of", existing, e.into()))?;
+    Ok(disk.f_bavail.saturating_mul(disk.f_frsize))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::session::faults::{Fault, FaultyDisk};
+
+    #[test]
+    fn a_failed_commit_leaves_no_file_under_its_name_or_the_whole_one() {
+        for fault in Fault::ALL {
+            for operation in 0.. {
+                let folder = tempfile::tempdir().unwrap();
+                let disk = FaultyDisk::new(operation, fault);
+                let done = commit_files(
+                    &disk,
+                    folder.path(),
+                    &[("a.png", b"counts"), ("a.toml", b"sidecar")],
+                    Replace::Never,
+                );
+                for (name, bytes) in [("a.png", &b"counts"[..]), ("a.toml", b"sidecar")] {
+                    match fs::read(folder.path().join(name)) {
+                        Ok(found) => assert_eq!(found, bytes, "{fault:?} at {operation}"),
+                        Err(_) => assert!(done.is_err(), "{fault:?} at {operation}"),
+                    }
+                }
+                if done.is_ok() {
+                    assert!(operation > 6, "{fault:?} at {operation} went unnoticed");
+                    break;
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn nothing_is_overwritten() {
+        let folder = tempfile::tempdir().unwrap();
+        let commit = |bytes: &[u8], replace| {
+            commit_files(&SystemDisk, folder.path(), &[("x", bytes)], replace)
+        };
+        commit(b"first", Replace::Never).unwrap();
+        assert!(matches!(
+            commit(b"second", Replace::Never),
+            Err(SessionError::Exists { .. })
+        ));
+        assert_eq!(fs::read(folder.path().join("x")).unwrap(), b"first");
+        commit(b"third", Replace::Derived).unwrap();
+        assert_eq!(fs::read(folder.path().join("x")).unwrap(), b"third");
+    }
+}

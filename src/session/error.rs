@@ -1,0 +1,121 @@
+//! What can be wrong with a session; facts only.
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// A session could not be written, read or trusted.
+#[derive(Debug, thiserror::Error)]
+pub enum SessionError {
+    /// The folder or file that was to be made is there already.
+    #[error("{} exists already", path.display())]
+    Exists {
+        /// What exists.
+        path: PathBuf,
+    },
+    /// The folder holds no session.
+    #[error("{} is not a session: {why}", path.display())]
+    NotASession {
+        /// The folder.
+        path: PathBuf,
+        /// What is missing.
+        why: String,
+    },
+    /// The disk is full.
+    #[error("no space left on the disk of {} ({operation})", path.display())]
+    DiskFull {
+        /// What was being written.
+        path: PathBuf,
+        /// Which operation met the end of the disk.
+        operation: &'static str,
+    },
+    /// Any other failure of the file system.
+    #[error("cannot {operation} {}: {source}", path.display())]
+    Io {
+        /// The file or folder.
+        path: PathBuf,
+        /// What was tried, e.g. `rename`.
+        operation: &'static str,
+        /// The system's error.
+        source: io::Error,
+    },
+    /// A file holds other bytes than the journal says.
+    #[error("{} has SHA-256 {actual}, the journal says {expected}", path.display())]
+    Checksum {
+        /// The file.
+        path: PathBuf,
+        /// From the journal, hexadecimal.
+        expected: String,
+        /// Of the file, hexadecimal.
+        actual: String,
+    },
+    /// A journalled file is gone.
+    #[error("{} is in the journal but not on the disk", path.display())]
+    Missing {
+        /// The file.
+        path: PathBuf,
+    },
+    /// A line of the journal is not what was written.
+    #[error("{}, line {line}: {why}", path.display())]
+    CorruptJournal {
+        /// The journal.
+        path: PathBuf,
+        /// Line number, from 1.
+        line: usize,
+        /// What is wrong with it.
+        why: String,
+    },
+    /// A file of the session is malformed.
+    #[error("{}: {why}", path.display())]
+    Malformed {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        why: String,
+    },
+    /// Another process writes this session.
+    #[error("{} is being written by another process", path.display())]
+    Locked {
+        /// The session.
+        path: PathBuf,
+    },
+    /// The sample's name cannot be part of a folder name.
+    #[error(
+        "sample name {name:?} is not 1 to 64 letters, digits, dots, hyphens or underscores \
+         that start with a letter or a digit"
+    )]
+    SampleName {
+        /// The name.
+        name: String,
+    },
+    /// A raw frame is committed a second time.
+    #[error("{} is journalled already; raw frames are never replaced", path.display())]
+    FrameTaken {
+        /// The frame's file.
+        path: PathBuf,
+    },
+}
+
+impl SessionError {
+    /// Sorts a system error into what it means.
+    pub(crate) fn io(operation: &'static str, path: &Path, source: io::Error) -> Self {
+        let path = path.to_owned();
+        match source.kind() {
+            io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
+                Self::DiskFull { path, operation }
+            }
+            io::ErrorKind::AlreadyExists => Self::Exists { path },
+            _ => Self::Io {
+                path,
+                operation,
+                source,
+            },
+        }
+    }
+
+    pub(crate) fn malformed(path: &Path, why: impl ToString) -> Self {
+        Self::Malformed {
+            path: path.to_owned(),
+            why: why.to_string(),
+        }
+    }
+}

@@ -1,0 +1,113 @@
+//! `session.toml`: what was planned and with what. Written once, before
+//! anything moves; a resume needs nothing else.
+
+use serde::{Deserialize, Serialize};
+
+use crate::device::{CameraInfo, LampChannel, StageInfo};
+use crate::units::{Seconds, StageAngles};
+
+/// Everything that a capture is decided by.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SessionRecord {
+    /// The sample's name.
+    pub sample: String,
+    /// Start, RFC 3339, UTC.
+    pub created_utc: String,
+    /// Whether any device was a simulated one.
+    pub simulated: bool,
+    /// The material that the simulated sample is made of; only on a simulated rig.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub true_material: Option<String>,
+    /// Seed of every random stream.
+    pub seed: u64,
+    /// The rig's configuration by its file or name.
+    pub rig: String,
+    /// The whole resolved configuration, TOML.
+    pub config: String,
+    /// Programs and devices.
+    pub versions: Versions,
+    /// What was captured.
+    pub plan: PlanRecord,
+    /// Calibration records that were used; copies lie in `calibration/`.
+    #[serde(default)]
+    pub calibration: Vec<CalibrationCopy>,
+}
+
+/// What made the session.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Versions {
+    /// Of this program.
+    pub rig: String,
+    /// The camera as found at connection.
+    pub camera: CameraInfo,
+    /// The stage as found at connection.
+    pub stage: StageInfo,
+}
+
+/// A calibration record that a session was captured with.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CalibrationCopy {
+    /// What it calibrates, e.g. `sensor`.
+    pub id: String,
+    /// The copy, relative to the session.
+    pub file: String,
+    /// Lowercase hexadecimal.
+    pub sha256: String,
+}
+
+/// The plan of a capture as data: which directions, and the rules by which each
+/// bracket's exposures are chosen from pilot frames.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PlanRecord {
+    /// Lamp channels, lit one after the other.
+    pub channels: Vec<LampChannel>,
+    /// Analogue gain of every frame.
+    pub gain: f64,
+    /// Exposures and averaging.
+    pub exposure: ExposureRules,
+    /// Wait after a move, seconds.
+    pub settle_s: Seconds,
+    /// Wait after the lamp was switched, seconds.
+    pub lamp_settle_s: Seconds,
+    /// Wait with the lamp on before the first light of a run, seconds.
+    pub lamp_warm_up_s: Seconds,
+    /// Frames thrown away after a change of the camera's settings, at least.
+    pub settings_latency_frames: u32,
+    /// Estimated time of the whole capture for a scene of usual contrast, seconds.
+    pub estimated_s: Seconds,
+    /// Estimated size of the session for a scene of usual contrast, bytes.
+    pub estimated_bytes: u64,
+    /// Light directions in the order of capture.
+    pub lights: Vec<StageAngles>,
+}
+
+/// What decides the exposures of a bracket.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ExposureRules {
+    /// Exposure of the first pilot frames, seconds.
+    pub pilot_s: Seconds,
+    /// The camera's shortest exposure, seconds.
+    pub shortest_s: Seconds,
+    /// The longest exposure of one frame that may be used, seconds.
+    pub longest_s: Seconds,
+    /// Step of the camera's exposures, seconds.
+    pub step_s: Seconds,
+    /// Part of the usable range that the brightest pixel of the sample may reach
+    /// in the shortest exposure, (0, 1).
+    pub peak_fraction: f64,
+    /// Signal-to-noise ratio that the sample's dark pixels shall reach.
+    pub dark_snr: f64,
+    /// Largest ratio of neighbouring exposures, > 1.
+    pub ratio: f64,
+    /// Most frames averaged at one exposure, at least 1.
+    pub max_frames: u32,
+    /// Whether as many frames with the lamp off as with it are taken at each exposure.
+    pub ambient: bool,
+    /// Frames without any light at each exposure, where the camera has a shutter.
+    pub dark_frames: u32,
+}

@@ -1,0 +1,490 @@
+//! A session opened for reading, and one opened for adding to.
+
+use std::fs::{self, File, TryLockError};
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use super::SessionError;
+use super::commit::{self, Disk, Replace};
+use super::frame::{self, Sidecar};
+use super::journal::{self, Event, FORMAT, FileDigest, Journal, Record};
+use super::layout::{self, CALIBRATION_FOLDER, JOURNAL_FILE, MANIFEST_FILE, SESSION_FILE};
+use super::record::SessionRecord;
+use super::verify::{self, Summary};
+use crate::device::{FrameKey, RawFrame};
+
+/// Whether a capture ran to its end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SessionState {
+    /// It has a stop record.
+    Complete,
+    /// It has none: it can be resumed.
+    Interrupted,
+}
+
+/// A journalled frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FrameEntry {
+    /// Its place in the plan.
+    pub key: FrameKey,
+    /// 16-bit PNG.
+    pub image: FileDigest,
+    /// How it was taken.
+    pub sidecar: FileDigest,
+}
+
+/// A session as its journal and `session.toml` tell it.
+#[derive(Clone, Debug)]
+pub struct Session {
+    root: PathBuf,
+    record: SessionRecord,
+    journal: Journal,
+}
+
+impl Session {
+    /// Reads the journal, checks `session.toml` against it and parses that.
+    /// The other files are checked as they are read.
+    pub fn open(root: &Path) -> Result<Self, SessionError> {
+        let journal = Journal::read(root)?;
+        let Some(Event::Start { session, .. }) = journal.records.first().map(|r| &r.event) else {
+            return Err(SessionError::NotASession {
+                path: root.to_owned(),
+                why: "its journal has no start".into(),
+            });
+        };
+        let bytes = read_checked(root, session)?;
+        let path = root.join(SESSION_FILE);
+        let text = str::from_utf8(&bytes).map_err(|e| SessionError::malformed(&path, e))?;
+        let record = toml::from_str(text).map_err(|e| SessionError::malformed(&path, e))?;
+        Ok(Self {
+            root: root.to_owned(),
+            record,
+            journal,
+        })
+    }
+
+    /// The session's folder.
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
+    /// `session.toml`.
+    pub fn record(&self) -> &SessionRecord {
+        &self.record
+    }
+
+    /// What happened.
+    pub fn journal(&self) -> &Journal {
+        &self.journal
+    }
+
+    /// Whether the capture ran to its end.
+    pub fn state(&self) -> SessionState {
+        if self.journal.is_complete() {
+            SessionState::Complete
+        } else {
+            SessionState::Interrupted
+        }
+    }
+
+    /// The journalled frames, in the order in which they were taken.
+    pub fn frames(&self) -> impl Iterator<Item = FrameEntry> + '_ {
+        self.journal.records.iter().filter_map(|r| match &r.event {
+            Event::Frame {
+                key,
+                image,
+                sidecar,
+            } => Some(FrameEntry {
+                key: *key,
+                image: image.clone(),
+                sidecar: sidecar.clone(),
+            }),
+            _ => None,
+        })
+    }
+
+    /// Whether all frames of a light direction are journalled.
+    pub fn light_is_finished(&self, light: u32) -> bool {
+        self.journal
+            .records
+            .iter()
+            .any(|r| r.event == Event::LightStop { light })
+    }
+
+    /// A frame's counts and sidecar, checked against the journal.
+    pub fn read_frame(&self, entry: &FrameEntry) -> Result<(RawFrame, Sidecar), SessionError> {
+        let image_path = self.root.join(&entry.image.path);
+        let png = read_checked(&self.root, &entry.image)?;
+        let counts =
+            frame::decode_png(&png).map_err(|why| SessionError::malformed(&image_path, why))?;
+        let sidecar_path = self.root.join(&entry.sidecar.path);
+        let text = read_checked(&self.root, &entry.sidecar)?;
+        let text = str::from_utf8(&text).map_err(|e| SessionError::malformed(&sidecar_path, e))?;
+        let sidecar: Sidecar =
+            toml::from_str(text).map_err(|e| SessionError::malformed(&sidecar_path, e))?;
+        if sidecar.key != entry.key {
+            return Err(SessionError::malformed(
+                &sidecar_path,
+                format!(
+                    "it describes {:?}, the journal says {:?}",
+                    sidecar.key, entry.key
+                ),
+            ));
+        }
+        Ok((counts, sidecar))
+    }
+
+    /// The bytes of a journalled file (a calibration copy, merged radiance),
+    /// checked against the journal.
+    pub fn read_file(&self, relative: &str) -> Result<Vec<u8>, SessionError> {
+        match self
+            .journal
+            .files()
+            .into_iter()
+            .find(|f| f.path == relative)
+        {
+            Some(file) => read_checked(&self.root, file),
+            None => Err(SessionError::Missing {
+                path: self.root.join(relative),
+            }),
+        }
+    }
+
+    /// One line for a list.
+    pub fn summary(&self) -> Summary {
+        let lights = self.record.plan.lights.len();
+        Summary {
+            session: self.root.clone(),
+            sample: self.record.sample.clone(),
+            created_utc: self.record.created_utc.clone(),
+            simulated: self.record.simulated,
+            complete: self.state() == SessionState::Complete,
+            lights_planned: lights,
+            lights_finished: (0..lights)
+                .filter(|&l| self.light_is_finished(l as u32))
+                .count(),
+            frames: self.frames().count(),
+        }
+    }
+}
+
+fn read_checked(root: &Path, file: &FileDigest) -> Result<Vec<u8>, SessionError> {
+    let path = root.join(&file.path);
+    let bytes = fs::read(&path).map_err(|e| match e.kind() {
+        io::ErrorKind::NotFound => SessionError::Missing { path: path.clone() },
+        _ => SessionError::io("read", &path, e),
+    })?;
+    let actual = journal::sha256_hex(&bytes);
+    if actual == file.sha256 {
+        return Ok(bytes);
+    }
+    Err(SessionError::Checksum {
+        path,
+        expected: file.sha256.clone(),
+        actual,
+    })
+}
+
+/// What a session begins with.
+pub struct NewSession<'a> {
+    /// The folder that receives the session's folder; made if missing.
+    pub parent: &'a Path,
+    /// Time in the session's name.
+    pub created: jiff::Timestamp,
+    /// Keeps apart sessions of one second; letters and digits.
+    pub short_id: &'a str,
+    /// Becomes `session.toml`.
+    pub record: &'a SessionRecord,
+    /// File names and contents for `calibration/`.
+    pub calibration: &'a [(String, Vec<u8>)],
+}
+
+/// The one process that may add to a session.
+pub struct SessionWriter {
+    disk: Arc<dyn Disk>,
+    root: PathBuf,
+    journal: Journal,
+    /// The journal may hold a torn line, because the last append failed.
+    torn: bool,
+    /// Held locked as long as the writer lives.
+    _lock: File,
+}
+
+impl SessionWriter {
+    /// Makes a session: everything up to the start record is written in a hidden
+    /// folder beside it, which then gets the session's name. A failure leaves
+    /// no session.
+    ///
+    /// # Errors
+    /// [`SessionError::Exists`] where the folder exists.
+    pub fn create(disk: Arc<dyn Disk>, new: &NewSession<'_>) -> Result<Self, SessionError> {
+        let name = layout::session_name(new.created, &new.record.sample, new.short_id)?;
+        let root = new.parent.join(&name);
+        if root.symlink_metadata().is_ok() {
+            return Err(SessionError::Exists { path: root });
+        }
+        commit::create_dirs(&*disk, new.parent)?;
+        let hidden = new.parent.join(format!(".{name}.part"));
+        let made = Self::create_hidden(Arc::clone(&disk), &hidden, new).and_then(|mut writer| {
+            disk.rename(&hidden, &root)
+                .map_err(|e| SessionError::io("rename to", &root, e))?;
+            writer.root = root;
+            commit::sync_dir(&*disk, new.parent)?;
+            Ok(writer)
+        });
+        if made.is_err() {
+            // Best effort: a hidden folder that stays behind is in nobody's way.
+            drop(fs::remove_dir_all(&hidden));
+        }
+        made
+    }
+
+    fn create_hidden(
+        disk: Arc<dyn Disk>,
+        hidden: &Path,
+        new: &NewSession<'_>,
+    ) -> Result<Self, SessionError> {
+        disk.create_dir(hidden)
+            .map_err(|e| SessionError::io("create the folder", hidden, e))?;
+        for folder in [
+            layout::RAW_FOLDER,
+            CALIBRATION_FOLDER,
+            layout::DERIVED_FOLDER,
+        ] {
+            commit::create_dirs(&*disk, &hidden.join(folder))?;
+        }
+        let text = toml::to_string(new.record)
+            .map_err(|e| SessionError::malformed(&hidden.join(SESSION_FILE), e))?;
+        commit::commit_files(
+            &*disk,
+            hidden,
+            &[(SESSION_FILE, text.as_bytes()), (JOURNAL_FILE, b"")],
+            Replace::Never,
+        )?;
+        let mut writer = Self {
+            disk,
+            root: hidden.to_owned(),
+            journal: Journal::default(),
+            torn: false,
+            _lock: lock(hidden)?,
+        };
+        writer.record(Event::Start {
+            format: FORMAT,
+            session: FileDigest::of(SESSION_FILE, text.as_bytes()),
+        })?;
+        for (name, bytes) in new.calibration {
+            writer.commit_file(&format!("{CALIBRATION_FOLDER}/{name}"), bytes)?;
+        }
+        Ok(writer)
+    }
+
+    /// Opens a session to add derived files: a fit, a report.
+    pub fn open(disk: Arc<dyn Disk>, root: &Path) -> Result<Self, SessionError> {
+        // Read once before locking, for the better error where there is no session.
+        Journal::read(root)?;
+        let lock = lock(root)?;
+        let journal = Journal::read(root)?;
+        Ok(Self {
+            disk,
+            root: root.to_owned(),
+            torn: journal.torn_bytes > 0,
+            journal,
+            _lock: lock,
+        })
+    }
+
+    /// Opens an interrupted session to go on with the capture: a torn line is
+    /// cut off, every journalled file is checked, files without a record and
+    /// derived files that are broken go to the quarantine folder.
+    ///
+    /// # Errors
+    /// [`SessionError::Checksum`] or [`SessionError::Missing`] where a raw frame,
+    /// calibration copy or `session.toml` is not what was journalled; nothing
+    /// was changed then.
+    pub fn resume(disk: Arc<dyn Disk>, root: &Path) -> Result<Self, SessionError> {
+        let mut writer = Self::open(disk, root)?;
+        let mut unwanted = verify::strays(root, &writer.journal)?;
+        for file in writer.journal.files() {
+            match verify::check(root, file) {
+                Ok(()) => {}
+                Err(SessionError::Checksum { .. }) if layout::is_derived(&file.path) => {
+                    unwanted.push(PathBuf::from(&file.path));
+                }
+                Err(SessionError::Missing { .. }) if layout::is_derived(&file.path) => {}
+                Err(problem) => return Err(problem),
+            }
+        }
+        if writer.journal.is_complete() && unwanted.is_empty() {
+            return Ok(writer);
+        }
+        writer.quarantine(&unwanted)?;
+        writer.record(Event::Resume {
+            quarantined: unwanted.len() as u32,
+        })?;
+        Ok(writer)
+    }
+
+    fn quarantine(&self, files: &[PathBuf]) -> Result<(), SessionError> {
+        if files.is_empty() {
+            return Ok(());
+        }
+        let quarantine = self.root.join(layout::QUARANTINE_FOLDER);
+        let folder = (1..)
+            .map(|n: u32| quarantine.join(n.to_string()))
+            .find(|folder| !folder.exists())
+            .expect("a free number exists");
+        for file in files {
+            let from = self.root.join(file);
+            let to = folder.join(file);
+            let parent = to.parent().unwrap_or(&folder);
+            commit::create_dirs(&*self.disk, parent)?;
+            self.disk
+                .rename(&from, &to)
+                .map_err(|e| SessionError::io("rename to", &to, e))?;
+            commit::sync_dir(&*self.disk, parent)?;
+            commit::sync_dir(&*self.disk, from.parent().unwrap_or(&self.root))?;
+        }
+        Ok(())
+    }
+
+    /// The session's folder.
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
+    /// What was journalled so far.
+    pub fn journal(&self) -> &Journal {
+        &self.journal
+    }
+
+    /// Journals an event. After a failed append the journal is first cut back
+    /// to its last whole line.
+    pub fn record(&mut self, event: Event) -> Result<(), SessionError> {
+        let path = self.root.join(JOURNAL_FILE);
+        if self.torn {
+            self.disk
+                .truncate(&path, self.journal.whole_bytes)
+                .map_err(|e| SessionError::io("truncate", &path, e))?;
+            self.torn = false;
+            self.journal.torn_bytes = 0;
+        }
+        let record = Record {
+            number: self.journal.records.len() as u64,
+            utc: utc_now(),
+            event,
+        };
+        let line = journal::encode(&record);
+        self.torn = true;
+        commit::append_line(&*self.disk, &path, &line)?;
+        self.torn = false;
+        self.journal.whole_bytes += line.len() as u64;
+        self.journal.records.push(record);
+        Ok(())
+    }
+
+    /// Brings a frame and its sidecar to the disk, then to the journal. When it
+    /// returns, the frame is finished.
+    ///
+    /// # Errors
+    /// [`SessionError::FrameTaken`] if the journal holds this frame.
+    pub fn commit_frame(
+        &mut self,
+        frame: &RawFrame,
+        sidecar: &Sidecar,
+    ) -> Result<(), SessionError> {
+        let folder = self.root.join(layout::RAW_FOLDER);
+        let stem = layout::frame_stem(sidecar.key);
+        let (image, text) = (format!("{stem}.png"), format!("{stem}.toml"));
+        let path = folder.join(&image);
+        let taken =
+            |r: &Record| matches!(&r.event, Event::Frame { key, .. } if *key == sidecar.key);
+        if self.journal.records.iter().any(taken) {
+            return Err(SessionError::FrameTaken { path });
+        }
+        let png = frame::encode_png(frame).map_err(|why| SessionError::malformed(&path, why))?;
+        let sidecar_toml = toml::to_string(sidecar)
+            .map_err(|e| SessionError::malformed(&folder.join(&text), e))?;
+        commit::commit_files(
+            &*self.disk,
+            &folder,
+            &[(&image, &png), (&text, sidecar_toml.as_bytes())],
+            Replace::Never,
+        )?;
+        let raw = layout::RAW_FOLDER;
+        self.record(Event::Frame {
+            key: sidecar.key,
+            image: FileDigest::of(format!("{raw}/{image}"), &png),
+            sidecar: FileDigest::of(format!("{raw}/{text}"), sidecar_toml.as_bytes()),
+        })
+    }
+
+    /// Brings any other file to the disk, then to the journal. `relative` has
+    /// `/` between names; missing folders are made. Derived files (`derived/`,
+    /// `fits/`, the report, the manifest) may replace an older one.
+    pub fn commit_file(&mut self, relative: &str, bytes: &[u8]) -> Result<(), SessionError> {
+        let path = self.root.join(relative);
+        let (Some(folder), Some(name), true) = (
+            path.parent(),
+            path.file_name().and_then(|name| name.to_str()),
+            layout::is_inside(relative),
+        ) else {
+            return Err(SessionError::malformed(
+                &path,
+                "the path leaves the session",
+            ));
+        };
+        commit::create_dirs(&*self.disk, folder)?;
+        let replace = if layout::is_derived(relative) {
+            Replace::Derived
+        } else {
+            Replace::Never
+        };
+        commit::commit_files(&*self.disk, folder, &[(name, bytes)], replace)?;
+        self.record(Event::File {
+            file: FileDigest::of(relative, bytes),
+        })
+    }
+
+    /// Writes the manifest of all files journalled so far, sorted by path, in
+    /// the format that `sha256sum -c` reads.
+    pub fn write_manifest(&mut self) -> Result<(), SessionError> {
+        let mut lines: Vec<String> = self
+            .journal
+            .files()
+            .iter()
+            .filter(|file| file.path != MANIFEST_FILE)
+            .map(|file| format!("{}  {}\n", file.sha256, file.path))
+            .collect();
+        lines.sort_by(|a, b| a[64..].cmp(&b[64..]));
+        self.commit_file(MANIFEST_FILE, lines.concat().as_bytes())
+    }
+
+    /// Ends the capture: manifest, then the stop record.
+    pub fn finish(&mut self) -> Result<(), SessionError> {
+        self.write_manifest()?;
+        self.record(Event::Stop)
+    }
+}
+
+/// Now, RFC 3339 to the millisecond.
+pub(crate) fn utc_now() -> String {
+    jiff::Timestamp::now()
+        .strftime("%Y-%m-%dT%H:%M:%S%.3fZ")
+        .to_string()
+}
+
+fn lock(root: &Path) -> Result<File, SessionError> {
+    let path = root.join(JOURNAL_FILE);
+    let file = File::open(&path).map_err(|e| SessionError::io("open", &path, e))?;
+    match file.try_lock() {
+        Ok(()) => Ok(file),
+        Err(TryLockError::WouldBlock) => Err(SessionError::Locked {
+            path: root.to_owned(),
+        }),
+        Err(TryLockError::Error(e)) => Err(SessionError::io("lock", &path, e)),
+    }
+}
+
+#[cfg(test)]
+mod tests;

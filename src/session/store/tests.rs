@@ -1,0 +1,299 @@
+//! Sessions that are written, broken and resumed.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use crate::device::*;
+use crate::session::commit::SystemDisk;
+use crate::session::faults::{Fault, FaultyDisk, UnsyncedDisk};
+use crate::session::journal::{Event, sha256_hex};
+use crate::session::verify::verify;
+use crate::session::*;
+use crate::units::{Seconds, StageAngles};
+
+const ANGLES: StageAngles = StageAngles {
+    azimuth_deg: 10.0,
+    elevation_deg: 80.0,
+};
+
+fn record() -> SessionRecord {
+    SessionRecord {
+        sample: "bowl".into(),
+        created_utc: "2026-11-21T02:34:00Z".into(),
+        simulated: true,
+        true_material: Some("red plastic".into()),
+        seed: 7,
+        rig: "simulated".into(),
+        config: "[camera]\nname = \"x\"\n".into(),
+        versions: Versions {
+            rig: "0.1.0".into(),
+            camera: CameraInfo {
+                driver: "simulated".into(),
+                model: "m".into(),
+                serial: "s".into(),
+                resolution_px: [4, 3],
+                bit_depth: 12,
+                mosaic: Mosaic::None,
+                exposure_range: [Seconds(1e-4), Seconds(1.0)],
+                exposure_step: Seconds(1e-4),
+            },
+            stage: StageInfo {
+                driver: "grbl".into(),
+                firmware: "1.1h".into(),
+                port: "/dev/x".into(),
+                has_watchdog: false,
+            },
+        },
+        plan: PlanRecord {
+            channels: vec![LampChannel(0)],
+            gain: 1.0,
+            exposure: ExposureRules {
+                pilot_s: Seconds(0.002),
+                shortest_s: Seconds(0.001),
+                longest_s: Seconds(1.0),
+                step_s: Seconds(0.0001),
+                peak_fraction: 0.7,
+                dark_snr: 20.0,
+                ratio: 4.0,
+                max_frames: 4,
+                ambient: true,
+                dark_frames: 2,
+            },
+            settle_s: Seconds(0.1),
+            lamp_settle_s: Seconds(0.0),
+            lamp_warm_up_s: Seconds(0.0),
+            settings_latency_frames: 2,
+            estimated_s: Seconds(12.0),
+            estimated_bytes: 1000,
+            lights: vec![ANGLES; 2],
+        },
+        calibration: vec![],
+    }
+}
+
+fn create(disk: Arc<dyn commit::Disk>, parent: &Path) -> Result<SessionWriter, SessionError> {
+    SessionWriter::create(
+        disk,
+        &NewSession {
+            parent,
+            created: jiff::Timestamp::UNIX_EPOCH,
+            short_id: "0f3a9c",
+            record: &record(),
+            calibration: &[("sensor.toml".into(), b"gain = 1".to_vec())],
+        },
+    )
+}
+
+fn frame(repeat: u32) -> (RawFrame, Sidecar) {
+    let settings = CameraSettings {
+        exposure: Seconds(0.001),
+        gain: 1.0,
+    };
+    let raw = RawFrame {
+        width: 4,
+        height: 3,
+        counts: (0..12).map(|i| i * 100 + repeat as u16).collect(),
+        sequence: None,
+        timestamp: None,
+    };
+    let sidecar = Sidecar {
+        key: FrameKey {
+            light: 0,
+            exposure: 1,
+            repeat,
+            kind: FrameKind::Light,
+        },
+        pilot: false,
+        lamp: LampState::On(LampChannel(0)),
+        requested: settings,
+        applied: settings,
+        black_level_dn: 64.0,
+        bit_depth: 12,
+        mosaic: Mosaic::None,
+        camera_serial: "s".into(),
+        stage_target: ANGLES,
+        stage_position: ANGLES,
+        frames_discarded: 2,
+        exposure_ratio: None,
+        time: FrameTimes {
+            utc: "2026-11-21T02:34:00Z".into(),
+            monotonic_s: Seconds(1.0),
+            device_s: None,
+            device_sequence: Some(4),
+        },
+    };
+    (raw, sidecar)
+}
+
+/// Adds what is missing of three frames and finishes.
+fn capture(writer: &mut SessionWriter) -> Result<(), SessionError> {
+    for repeat in 0..3 {
+        let (raw, sidecar) = frame(repeat);
+        match writer.commit_frame(&raw, &sidecar) {
+            Ok(()) | Err(SessionError::FrameTaken { .. }) => {}
+            Err(e) => return Err(e),
+        }
+    }
+    writer.commit_file("derived/radiance_L000.exr", b"radiance")?;
+    writer.finish()
+}
+
+fn only_session(parent: &Path) -> Option<PathBuf> {
+    let mut all: Vec<_> = fs::read_dir(parent)
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .filter(|path| !path.file_name().unwrap().to_str().unwrap().starts_with('.'))
+        .collect();
+    assert!(all.len() <= 1);
+    all.pop()
+}
+
+#[test]
+fn what_is_committed_is_read_and_verified() {
+    let parent = tempfile::tempdir().unwrap();
+    let mut writer = create(Arc::new(SystemDisk), parent.path()).unwrap();
+    let root = writer.root().to_owned();
+    assert_eq!(root.file_name().unwrap(), "19700101T000000Z_bowl_0f3a9c");
+    capture(&mut writer).unwrap();
+    drop(writer);
+
+    let session = Session::open(&root).unwrap();
+    assert_eq!(session.record(), &record());
+    assert_eq!(session.state(), SessionState::Complete);
+    let entries: Vec<_> = session.frames().collect();
+    assert_eq!(entries.len(), 3);
+    let (raw, sidecar) = session.read_frame(&entries[2]).unwrap();
+    assert_eq!((raw.counts, sidecar), (frame(2).0.counts, frame(2).1));
+    assert_eq!(
+        session.read_file("calibration/sensor.toml").unwrap(),
+        b"gain = 1"
+    );
+
+    let found = verify(&root).unwrap();
+    assert!(found.is_intact() && found.complete, "{found:?}");
+    let manifest = fs::read_to_string(root.join("manifest-sha256.txt")).unwrap();
+    for line in manifest.lines() {
+        let (sha256, path) = line.split_once("  ").unwrap();
+        assert_eq!(
+            sha256,
+            sha256_hex(&fs::read(root.join(path)).unwrap()),
+            "{path}"
+        );
+    }
+    assert_eq!(manifest.lines().count(), 9);
+}
+
+#[test]
+fn an_existing_session_and_a_second_writer_are_refused() {
+    let parent = tempfile::tempdir().unwrap();
+    let writer = create(Arc::new(SystemDisk), parent.path()).unwrap();
+    assert!(matches!(
+        create(Arc::new(SystemDisk), parent.path()),
+        Err(SessionError::Exists { .. })
+    ));
+    assert!(matches!(
+        SessionWriter::resume(Arc::new(SystemDisk), writer.root()),
+        Err(SessionError::Locked { .. })
+    ));
+}
+
+#[test]
+fn every_flipped_bit_is_detected() {
+    let parent = tempfile::tempdir().unwrap();
+    let mut writer = create(Arc::new(SystemDisk), parent.path()).unwrap();
+    capture(&mut writer).unwrap();
+    let root = writer.root().to_owned();
+    drop(writer);
+    let mut files: Vec<String> = Journal::read(&root)
+        .unwrap()
+        .files()
+        .iter()
+        .map(|f| f.path.clone())
+        .collect();
+    files.push("journal.jsonl".into());
+    for file in files {
+        let path = root.join(&file);
+        let bytes = fs::read(&path).unwrap();
+        for at in [0, bytes.len() / 3, bytes.len() / 2, bytes.len() - 1] {
+            let mut broken = bytes.clone();
+            broken[at] ^= 1 << (at % 8);
+            fs::write(&path, &broken).unwrap();
+            assert!(
+                verify(&root).map_or(true, |found| !found.is_intact()),
+                "byte {at} of {file}"
+            );
+        }
+        fs::write(&path, &bytes).unwrap();
+    }
+    assert!(verify(&root).unwrap().is_intact());
+}
+
+#[test]
+fn a_broken_raw_frame_stops_a_resume_and_a_broken_derived_file_is_set_aside() {
+    let parent = tempfile::tempdir().unwrap();
+    let mut writer = create(Arc::new(SystemDisk), parent.path()).unwrap();
+    let (raw, sidecar) = frame(0);
+    writer.commit_frame(&raw, &sidecar).unwrap();
+    writer
+        .commit_file("derived/radiance_L000.exr", b"radiance")
+        .unwrap();
+    let root = writer.root().to_owned();
+    drop(writer);
+
+    fs::write(root.join("derived/radiance_L000.exr"), b"other").unwrap();
+    fs::write(root.join("raw/.L000_E01_R01_light.png.part"), b"half").unwrap();
+    let writer = SessionWriter::resume(Arc::new(SystemDisk), &root).unwrap();
+    assert_eq!(
+        writer.journal().records.last().unwrap().event,
+        Event::Resume { quarantined: 2 }
+    );
+    drop(writer);
+    assert!(root.join("quarantine/1/derived/radiance_L000.exr").exists());
+    assert!(
+        root.join("quarantine/1/raw/.L000_E01_R01_light.png.part")
+            .exists()
+    );
+
+    fs::write(root.join("raw/L000_E01_R00_light.png"), b"other").unwrap();
+    assert!(matches!(
+        SessionWriter::resume(Arc::new(SystemDisk), &root),
+        Err(SessionError::Checksum { .. })
+    ));
+}
+
+/// Every operation of a whole session fails once in every way: either there is
+/// no session yet, or it resumes and then holds the same files.
+#[test]
+fn a_fault_at_any_write_leaves_a_session_that_resumes() {
+    for fault in Fault::ALL {
+        for at in 0.. {
+            let parent = tempfile::tempdir().unwrap();
+            let disk = Arc::new(FaultyDisk::over(Arc::new(UnsyncedDisk), at, fault));
+            let first = create(disk.clone(), parent.path()).and_then(|mut w| capture(&mut w));
+            if first.is_ok() {
+                assert!(disk.operations() <= at, "{fault:?} at {at} went unnoticed");
+                break;
+            }
+            let mut writer = match only_session(parent.path()) {
+                None => create(Arc::new(UnsyncedDisk), parent.path()),
+                Some(root) => SessionWriter::resume(Arc::new(UnsyncedDisk), &root),
+            }
+            .unwrap_or_else(|e| panic!("{fault:?} at {at}: {e}"));
+            capture(&mut writer).unwrap_or_else(|e| panic!("{fault:?} at {at}: {e}"));
+            let found = verify(writer.root()).unwrap();
+            assert!(
+                found.is_intact() && found.complete,
+                "{fault:?} at {at}: {found:?}"
+            );
+            let session = Session::open(writer.root()).unwrap();
+            for (repeat, entry) in session.frames().enumerate() {
+                let (raw, sidecar) = session.read_frame(&entry).unwrap();
+                assert_eq!(
+                    (raw.counts, sidecar),
+                    (frame(repeat as u32).0.counts, frame(repeat as u32).1)
+                );
+            }
+        }
+    }
+}
