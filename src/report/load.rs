@@ -59,6 +59,14 @@ pub enum LoadError {
 /// # Errors
 /// Anything on disk that is broken; a report is not made of half a fit.
 pub fn load(root: &Path, fit_number: Option<u32>) -> Result<ReportInput, LoadError> {
+    load_with(root, fit_number, SPHERE_PX)
+}
+
+fn load_with(
+    root: &Path,
+    fit_number: Option<u32>,
+    sphere_px: usize,
+) -> Result<ReportInput, LoadError> {
     let session = Session::open(root)?;
     let record = session.record();
     let fit = chosen_fit(root, fit_number)?
@@ -72,15 +80,25 @@ pub fn load(root: &Path, fit_number: Option<u32>) -> Result<ReportInput, LoadErr
             })
         })
         .transpose()?;
-    let truth = match &record.true_material {
-        Some(name) => Some(Truth {
-            brdf: source::load(name)?.into(),
-            name: name.clone(),
-        }),
-        None => None,
+    // A material that this version cannot evaluate is named, and takes only the comparison away.
+    let material = record.true_material.as_deref();
+    let truth = material.map(|name| (name, source::load(name)));
+    let unknown = match &truth {
+        Some((_, Err(error))) => Some(error.to_string()),
+        _ => None,
     };
+    let truth = truth.and_then(|(name, brdf)| {
+        Some(Truth {
+            name: name.to_owned(),
+            brdf: brdf.ok()?.into(),
+        })
+    });
     let spheres = match &fit {
-        Some(fit) => spheres(&*fit.estimate, truth.as_ref().map(|truth| &*truth.brdf)),
+        Some(fit) => spheres(
+            &*fit.estimate,
+            truth.as_ref().map(|truth| &*truth.brdf),
+            sphere_px,
+        ),
         None => Vec::new(),
     };
     let lights = (0..record.plan.lights.len())
@@ -92,7 +110,7 @@ pub fn load(root: &Path, fit_number: Option<u32>) -> Result<ReportInput, LoadErr
         captured: readable_time(&record.created_utc),
         simulated: record.simulated,
         incomplete: incomplete(&session),
-        provenance: provenance(&session, fit.as_ref()),
+        provenance: provenance(&session, fit.as_ref(), unknown),
         lights,
         fit,
         truth,
@@ -199,6 +217,9 @@ fn exposures(session: &Session, light: u32) -> Result<Vec<ExposureInput>, LoadEr
             path: session.root().join(&frame.sidecar.path),
             fact: error.message().to_owned(),
         })?;
+        if sidecar.pilot {
+            continue;
+        }
         let lamp_channel = match sidecar.lamp {
             LampState::On(channel) if several => Some(channel.0),
             _ => None,
@@ -220,11 +241,11 @@ fn exposures(session: &Session, light: u32) -> Result<Vec<ExposureInput>, LoadEr
     Ok(found)
 }
 
-fn spheres(estimate: &dyn Brdf, truth: Option<&dyn Brdf>) -> Vec<SphereInput> {
+fn spheres(estimate: &dyn Brdf, truth: Option<&dyn Brdf>, sphere_px: usize) -> Vec<SphereInput> {
     EnvironmentMap::all()
         .iter()
         .map(|map| {
-            let picture = |brdf| as_radiance(&sphere_image(brdf, map, SPHERE_PX));
+            let picture = |brdf| as_radiance(&sphere_image(brdf, map, sphere_px));
             SphereInput {
                 map: map.name().to_owned(),
                 estimate: picture(estimate),
@@ -245,7 +266,11 @@ fn as_radiance(sphere: &SphereImage) -> RadianceImage {
     image
 }
 
-fn provenance(session: &Session, fit: Option<&FitInput>) -> Vec<ProvenanceGroup> {
+fn provenance(
+    session: &Session,
+    fit: Option<&FitInput>,
+    unknown_truth: Option<String>,
+) -> Vec<ProvenanceGroup> {
     let record = session.record();
     let group = |title: &str, entries: Vec<(&str, String)>| ProvenanceGroup {
         title: title.to_owned(),
@@ -274,6 +299,11 @@ fn provenance(session: &Session, fit: Option<&FitInput>) -> Vec<ProvenanceGroup>
             ("Captured with", format!("rig {}", record.versions.rig)),
         ],
     )];
+    if let Some(name) = &record.true_material {
+        let reason = unknown_truth.map(|reason| format!(" (cannot be evaluated: {reason})"));
+        let text = format!("{name}{}", reason.unwrap_or_default());
+        groups[0].entries.push(("True material".to_owned(), text));
+    }
     let (camera, stage) = (&record.versions.camera, &record.versions.stage);
     let [width, height] = camera.resolution_px;
     groups.push(group(
@@ -366,3 +396,6 @@ fn fit_group(record: &FitRecord) -> ProvenanceGroup {
         entries,
     }
 }
+
+#[cfg(test)]
+mod tests;
