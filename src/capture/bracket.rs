@@ -106,14 +106,13 @@ pub fn decide(
     };
     let more = rounds.len() < MAX_ROUNDS;
     let full_e = noise.usable_range_dn() / noise.gain_dn_per_e;
-    let at_most = |limit: f64| last.exposure_s <= limit * (1.0 + 1e-9);
+    let is_shortest = last.exposure_s <= shortest_s * (1.0 + 1e-9);
     if last.is_clipped() {
-        if more && !at_most(shortest_s) {
+        if more && !is_shortest {
             let exposure_s = (last.exposure_s / SHORTEN).max(shortest_s);
             return Ok(Decision::Pilot { exposure_s });
         }
-        let ceiling_e_s = rules.peak_fraction * full_e / shortest_s - noise.dark_current_e_s;
-        return bracket(noise, rules, joint(rounds, Some(ceiling_e_s)), true);
+        return bracket(noise, rules, joint(rounds, true), true);
     }
     let brightest_e = peak(last) * last.exposure_s;
     let clipped_before = rounds.iter().any(PilotRound::is_clipped);
@@ -133,7 +132,7 @@ pub fn decide(
     if brightest_e < NOISE_PEAK_SIGMAS * noise_e {
         return Ok(Decision::NoLight);
     }
-    bracket(noise, rules, joint(rounds, None), false)
+    bracket(noise, rules, joint(rounds, false), false)
 }
 
 fn peak(round: &PilotRound) -> f64 {
@@ -141,8 +140,8 @@ fn peak(round: &PilotRound) -> f64 {
 }
 
 /// One range of levels for all channels: each from its longest usable round. A
-/// channel without a usable one is as bright as `ceiling_e_s`.
-fn joint(rounds: &[PilotRound], ceiling_e_s: Option<f64>) -> PilotStatistics {
+/// channel that still clips is brighter than any number.
+fn joint(rounds: &[PilotRound], clips: bool) -> PilotStatistics {
     let channels = rounds
         .iter()
         .map(|round| round.readings.len())
@@ -158,20 +157,17 @@ fn joint(rounds: &[PilotRound], ceiling_e_s: Option<f64>) -> PilotStatistics {
             .max_by(|a, b| a.0.total_cmp(&b.0))
             .map(|(_, statistics)| statistics)
     };
-    let found: Vec<PilotStatistics> = (0..channels)
-        .filter_map(of_channel)
-        .chain(ceiling_e_s.map(|ceiling_e_s| PilotStatistics {
-            brightest_e_s: ceiling_e_s,
-            darkest_e_s: ceiling_e_s * PilotOptions::default().darkest_fraction,
-        }))
-        .collect();
-    let brightest_e_s = found.iter().map(|s| s.brightest_e_s).fold(0.0, f64::max);
+    let found: Vec<PilotStatistics> = (0..channels).filter_map(of_channel).collect();
+    let brightest_e_s = if clips {
+        f64::INFINITY
+    } else {
+        found.iter().map(|s| s.brightest_e_s).fold(0.0, f64::max)
+    };
     let darkest_e_s = found
         .iter()
         .map(|s| s.darkest_e_s)
         .filter(|&rate| rate > 0.0)
-        .fold(brightest_e_s, f64::min)
-        .max(brightest_e_s * PilotOptions::default().darkest_fraction);
+        .fold(brightest_e_s, f64::min);
     PilotStatistics {
         brightest_e_s,
         darkest_e_s,
@@ -181,9 +177,18 @@ fn joint(rounds: &[PilotRound], ceiling_e_s: Option<f64>) -> PilotStatistics {
 fn bracket(
     noise: &SensorNoise,
     rules: &ExposureRules,
-    statistics: PilotStatistics,
+    levels: PilotStatistics,
     clips: bool,
 ) -> Result<Decision, PlanError> {
+    // What is brighter than the shortest exposure can take begins there.
+    let peak_e = rules.peak_fraction * noise.usable_range_dn() / noise.gain_dn_per_e;
+    let ceiling_e_s = 0.999_999 * peak_e / rules.shortest_s.0 - noise.dark_current_e_s;
+    let brightest_e_s = levels.brightest_e_s.min(ceiling_e_s);
+    let faintest_e_s = brightest_e_s * PilotOptions::default().darkest_fraction;
+    let statistics = PilotStatistics {
+        brightest_e_s,
+        darkest_e_s: levels.darkest_e_s.clamp(faintest_e_s, brightest_e_s),
+    };
     let plan = plan_bracket(noise, &statistics, &limits(rules), &target(rules))?;
     Ok(Decision::Bracket {
         steps: plan.steps,
@@ -234,6 +239,7 @@ mod tests {
             dark_snr: 20.0,
             ratio: 4.0,
             max_frames: 8,
+            ambient: true,
             dark_frames: 2,
         }
     }
@@ -268,7 +274,7 @@ mod tests {
 
     #[test]
     fn no_pixel_stays_saturated_and_dark_pixels_reach_the_snr() {
-        for scale in [3e2, 1e4, 1e6, 1e7] {
+        for scale in [3e2, 1e4, 1e5, 5e5] {
             let bright: Vec<f64> = (1..=100).map(|i| scale * f64::from(i)).collect();
             let dim: Vec<f64> = bright.iter().map(|rate| 0.2 * rate).collect();
             let (rounds, decision) = decide_for(&[&bright, &dim]);
@@ -293,12 +299,15 @@ mod tests {
 
     #[test]
     fn too_bright_a_scene_is_captured_in_the_shortest_exposure_and_said_so() {
-        let (_, decision) = decide_for(&[&[2e9, 1e5]]);
-        let Decision::Bracket { steps, clips, .. } = decision else {
-            panic!("{decision:?}");
-        };
-        assert!(clips);
-        assert_eq!(steps[0].exposure_s, 1e-4);
+        // Clipped in the shortest exposure, and so bright that noise could clip it.
+        for (brightest_e_s, clipped) in [(2e9, true), (9.5e7, false)] {
+            let (_, decision) = decide_for(&[&[brightest_e_s, 1e5]]);
+            let Decision::Bracket { steps, clips, .. } = decision else {
+                panic!("{decision:?}");
+            };
+            assert_eq!(clips, clipped, "{brightest_e_s}");
+            assert_eq!(steps[0].exposure_s, 1e-4);
+        }
     }
 
     #[test]

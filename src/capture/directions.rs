@@ -34,7 +34,7 @@ impl StageReach {
     pub fn candidates(&self) -> Vec<StageAngles> {
         let mut all: Vec<(StageAngles, DVec3)> = Vec::new();
         for elevation_deg in ticks(self.elevation_deg) {
-            for azimuth_deg in ticks(self.azimuth_deg) {
+            for azimuth_deg in near_zero_first(ticks(self.azimuth_deg)) {
                 let angles = StageAngles {
                     azimuth_deg,
                     elevation_deg,
@@ -66,6 +66,12 @@ fn ticks([low, high]: [f64; 2]) -> Vec<f64> {
     ticks.push(high);
     ticks.dedup_by(|a, b| (*a - *b).abs() < 1e-9);
     ticks
+}
+
+/// Where several directions are equally good, the axis shall turn little.
+fn near_zero_first(mut angles_deg: Vec<f64>) -> Vec<f64> {
+    angles_deg.sort_by(|a, b| a.abs().total_cmp(&b.abs()).then(b.total_cmp(a)));
+    angles_deg
 }
 
 /// Directions in the order in which they should be taken. `coaxial` is the unit

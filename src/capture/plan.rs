@@ -45,6 +45,8 @@ pub struct PlanRequest {
     pub settle: Seconds,
     /// Wait after the lamp was switched.
     pub lamp_settle: Seconds,
+    /// Wait with the lamp on before the first light.
+    pub lamp_warm_up: Seconds,
     /// Frames thrown away after a change of the camera's settings.
     pub settings_latency_frames: u32,
     /// Width and height of a frame, pixels.
@@ -97,8 +99,11 @@ pub fn plan(request: &PlanRequest, noise: &SensorNoise) -> Result<PlanRecord, Ca
         exposure: request.exposure,
         settle_s: request.settle,
         lamp_settle_s: request.lamp_settle,
+        lamp_warm_up_s: request.lamp_warm_up,
         settings_latency_frames: request.settings_latency_frames,
-        estimated_s: Seconds(request.pace.homing.0 + moving_s + count as f64 * per_light_s),
+        estimated_s: Seconds(
+            request.pace.homing.0 + request.lamp_warm_up.0 + moving_s + count as f64 * per_light_s,
+        ),
         estimated_bytes: count
             * (frames_per_light * (2 * pixels + FRAME_OVERHEAD_BYTES)
                 + MERGED_PIXEL_BYTES * pixels),
@@ -179,25 +184,25 @@ fn usual_light(request: &PlanRequest, noise: &SensorNoise) -> Result<(f64, u64),
         + (latency + channels) * frame_s(pilot_s)
         + channels * request.lamp_settle.0;
     let mut frames = request.channels.len() as u64;
+    let states = request.channels.len() as u64 + u64::from(rules.ambient);
     for step in &bracket.steps {
-        let states = channels + 1.0;
-        let taken = f64::from(step.frames) * states;
-        seconds += (latency + taken) * frame_s(step.exposure_s) + states * request.lamp_settle.0;
-        frames += u64::from(step.frames) * (request.channels.len() as u64 + 1);
+        let taken = u64::from(step.frames) * states + u64::from(rules.dark_frames);
+        seconds += (latency + taken as f64) * frame_s(step.exposure_s)
+            + states as f64 * request.lamp_settle.0;
+        frames += taken;
     }
-    let longest_s = bracket.steps.last().map_or(pilot_s, |step| step.exposure_s);
-    seconds += f64::from(rules.dark_frames) * frame_s(longest_s);
-    frames += u64::from(rules.dark_frames);
     Ok((seconds, frames))
 }
 
 /// Checks that the disk that holds (or will hold) `folder` has room for the
-/// plan, with a tenth to spare.
-pub fn check_space(plan: &PlanRecord, folder: &Path) -> Result<(), CaptureError> {
+/// plan and `reserve_bytes` beyond.
+pub fn check_space(
+    plan: &PlanRecord,
+    folder: &Path,
+    reserve_bytes: u64,
+) -> Result<(), CaptureError> {
     let free_bytes = free_bytes(folder)?;
-    let needed_bytes = plan
-        .estimated_bytes
-        .saturating_add(plan.estimated_bytes / 10);
+    let needed_bytes = plan.estimated_bytes.saturating_add(reserve_bytes);
     if free_bytes >= needed_bytes {
         return Ok(());
     }
@@ -231,10 +236,12 @@ mod tests {
                 dark_snr: 20.0,
                 ratio: 4.0,
                 max_frames: 8,
+                ambient: true,
                 dark_frames: 2,
             },
             settle: Seconds(0.5),
             lamp_settle: Seconds(0.05),
+            lamp_warm_up: Seconds(0.0),
             settings_latency_frames: 2,
             resolution_px: [64, 48],
             pace: Pace {
@@ -288,10 +295,10 @@ mod tests {
     fn a_plan_that_no_disk_holds_is_refused() {
         let folder = tempfile::tempdir().unwrap();
         let mut plan = plan(&request(LightChoice::Spacing(30.0)), &noise()).unwrap();
-        check_space(&plan, folder.path()).unwrap();
+        check_space(&plan, folder.path(), 1000).unwrap();
         plan.estimated_bytes = u64::MAX / 2;
         assert!(matches!(
-            check_space(&plan, &folder.path().join("not/made/yet")),
+            check_space(&plan, &folder.path().join("not/made/yet"), u64::MAX),
             Err(CaptureError::NotEnoughSpace { .. })
         ));
     }

@@ -304,6 +304,12 @@ impl Run<'_> {
                 }
             }
         };
+        let rules = self.plan.exposure;
+        let dark_frames = if self.has_shutter(light).await? {
+            rules.dark_frames
+        } else {
+            0
+        };
         let first = rounds.len() as u32;
         for (step, index) in steps.iter().zip(first..) {
             let part = f64::from(index - first) / steps.len() as f64;
@@ -317,20 +323,15 @@ impl Run<'_> {
                     }
                 }
             }
-            for repeat in 0..step.frames {
-                let shot =
-                    self.unlit_shot(light, index, repeat, step.exposure_s, FrameKind::Ambient);
-                self.take(shot, None).await?;
-            }
-        }
-        if let Some(longest) = steps.last()
-            && self.has_shutter(light).await?
-        {
-            let index = first + steps.len() as u32 - 1;
-            for repeat in 0..self.plan.exposure.dark_frames {
-                let shot =
-                    self.unlit_shot(light, index, repeat, longest.exposure_s, FrameKind::Dark);
-                self.take(shot, None).await?;
+            let ambient = if rules.ambient { step.frames } else { 0 };
+            for (kind, frames) in [
+                (FrameKind::Ambient, ambient),
+                (FrameKind::Dark, dark_frames),
+            ] {
+                for repeat in 0..frames {
+                    let shot = self.unlit_shot(light, index, repeat, step.exposure_s, kind);
+                    self.take(shot, None).await?;
+                }
             }
         }
         self.disk.record(Event::LightStop { light }).await?;
@@ -398,16 +399,14 @@ impl Run<'_> {
         self.disk.record(Event::Warning { light, text }).await
     }
 
-    /// The camera's shutter closes, or its dark frames are there already.
+    /// Whether the camera can take dark frames. It is not asked where none are
+    /// wanted or the session holds some of this light already.
     async fn has_shutter(&mut self, light: u32) -> Result<bool, CaptureError> {
-        if self
-            .held
-            .keys()
-            .any(|key| key.light == light && key.kind == FrameKind::Dark)
-        {
+        let is_dark = |key: &FrameKey| key.light == light && key.kind == FrameKind::Dark;
+        if self.plan.exposure.dark_frames == 0 || self.held.keys().any(is_dark) {
             return Ok(true);
         }
-        self.devices.shutter(false).await
+        self.devices.shutter(true).await
     }
 
     /// Exposures of a light are numbered by round, then by lamp state: the
@@ -608,6 +607,14 @@ impl Run<'_> {
         self.observer.observe(Progress::Moving { light, target });
         let position = self.devices.move_to(target).await?;
         self.devices.pause(self.plan.settle_s).await?;
+        if self.position.is_none()
+            && self.plan.lamp_warm_up_s.0 > 0.0
+            && let Some(&channel) = self.plan.channels.first()
+        {
+            self.devices
+                .lamp(LampState::On(channel), self.plan.lamp_warm_up_s)
+                .await?;
+        }
         self.position = Some((light, position));
         self.disk
             .record(Event::LightStart {

@@ -18,7 +18,7 @@ use crate::calibration::record::{
     FlatValues, Kind, LightsValues, ScaleValues, SensorValues, Values,
 };
 use crate::calibration::{Library, RecordError};
-use crate::config::stage::StagePort;
+use crate::config::stage::StageDriver;
 use crate::config::{CameraDriver, Origin, ResolvedRig};
 
 /// Checks configuration, devices, permissions, disk and calibration
@@ -60,33 +60,38 @@ struct Findings {
 
 /// `rig doctor`.
 pub fn run(args: &DoctorArgs, context: &Context) -> Result<(), CliError> {
-    let checks = match args.rig.resolve(context) {
-        Ok(rig) => all_checks(&rig),
-        Err(error) => vec![Check {
-            name: "configuration",
-            verdict: Verdict::Failed,
-            fact: error.fact().to_owned(),
-            remedy: error.advice().map(str::to_owned),
-        }],
-    };
-    let verdict = checks.iter().map(|check| check.verdict).max();
-    let verdict = verdict.unwrap_or(Verdict::Ok);
-    let failed = checks
-        .iter()
-        .filter(|c| c.verdict == Verdict::Failed)
-        .count();
-    if args.json {
-        write_json(&Findings { verdict, checks })?;
-    } else {
-        for check in &checks {
-            print(check)?;
+    let rig = match args.rig.resolve(context) {
+        Ok(rig) => rig,
+        // Nothing else can be checked, so the command's own error says it all.
+        Err(error) => {
+            if args.json {
+                let remedy = error.advice().unwrap_or_default();
+                let check = Check::failed("configuration", error.fact(), remedy);
+                report(vec![check], true)?;
+            }
+            return Err(error);
         }
-    }
+    };
+    let failed = report(all_checks(&rig), args.json)?;
     match failed {
         0 => Ok(()),
-        1 => Err(CliError::new("1 check failed").hint("the remedy stands below it")),
+        1 => Err(CliError::new("1 check failed").hint("its remedy stands below it")),
         n => Err(CliError::new(format!("{n} checks failed")).hint("the remedies stand below them")),
     }
+}
+
+/// Prints the checks and returns how many failed.
+fn report(checks: Vec<Check>, json: bool) -> Result<usize, CliError> {
+    let failed = |check: &&Check| check.verdict == Verdict::Failed;
+    let failed = checks.iter().filter(failed).count();
+    if json {
+        let verdict = checks.iter().map(|check| check.verdict).max();
+        let verdict = verdict.unwrap_or(Verdict::Ok);
+        write_json(&Findings { verdict, checks })?;
+    } else {
+        checks.iter().try_for_each(print)?;
+    }
+    Ok(failed)
 }
 
 fn print(check: &Check) -> Result<(), CliError> {
@@ -193,14 +198,14 @@ fn camera(rig: &ResolvedRig) -> Check {
 }
 
 fn stage(rig: &ResolvedRig) -> Check {
-    match &rig.config.stage.port {
-        StagePort::Simulated => Check::ok("stage", "simulated"),
-        StagePort::Serial { .. } if !cfg!(feature = "serial") => Check::failed(
+    match rig.config.stage.driver {
+        StageDriver::Simulated => Check::ok("stage", "simulated"),
+        StageDriver::Grbl if !cfg!(feature = "serial") => Check::failed(
             "stage",
             "this program was built without serial ports",
             "build it with the feature `serial`",
         ),
-        StagePort::Serial { path, .. } => device_file("stage", path, "/dev/serial/by-id"),
+        StageDriver::Grbl => device_file("stage", &rig.config.stage.grbl.port, "/dev/serial/by-id"),
     }
 }
 

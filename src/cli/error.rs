@@ -112,7 +112,7 @@ fn facts(error: &(dyn Error + 'static)) -> String {
 }
 
 /// Lines and runs of blanks joined by single blanks.
-fn one_line(text: &str) -> String {
+pub(super) fn one_line(text: &str) -> String {
     text.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 

@@ -1,10 +1,46 @@
-//! A disk that fails where a test says, over the real one.
+//! Disks for tests: one that fails where the test says, one that does not wait.
 
 use std::io;
 use std::path::Path;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::commit::{Disk, SystemDisk};
+
+/// The system's disk without waiting for the medium: for tests of everything
+/// but a power cut, which fsync many thousand times otherwise.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct UnsyncedDisk;
+
+impl Disk for UnsyncedDisk {
+    fn create_dir(&self, path: &Path) -> io::Result<()> {
+        SystemDisk.create_dir(path)
+    }
+
+    fn write_new(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
+        SystemDisk.write_new(path, bytes)
+    }
+
+    fn append(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
+        SystemDisk.append(path, bytes)
+    }
+
+    fn truncate(&self, path: &Path, bytes: u64) -> io::Result<()> {
+        SystemDisk.truncate(path, bytes)
+    }
+
+    fn sync_file(&self, _: &Path) -> io::Result<()> {
+        Ok(())
+    }
+
+    fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
+        SystemDisk.rename(from, to)
+    }
+
+    fn sync_dir(&self, _: &Path) -> io::Result<()> {
+        Ok(())
+    }
+}
 
 /// How an operation fails.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -24,18 +60,24 @@ impl Fault {
     pub const ALL: [Self; 4] = [Self::Error, Self::ShortWrite, Self::DiskFull, Self::Crash];
 }
 
-/// The system's disk, with one fault at the `at`-th operation (from 0).
-#[derive(Debug)]
+/// A disk with one fault at the `at`-th operation (from 0).
 pub struct FaultyDisk {
+    under: Arc<dyn Disk>,
     at: u64,
     fault: Fault,
     count: AtomicU64,
 }
 
 impl FaultyDisk {
-    /// Fails at operation number `at`, counted from 0.
+    /// The system's disk, which fails at operation number `at`, counted from 0.
     pub fn new(at: u64, fault: Fault) -> Self {
+        Self::over(Arc::new(SystemDisk), at, fault)
+    }
+
+    /// Likewise over another disk.
+    pub fn over(under: Arc<dyn Disk>, at: u64, fault: Fault) -> Self {
         Self {
+            under,
             at,
             fault,
             count: AtomicU64::new(0),
@@ -80,38 +122,38 @@ impl FaultyDisk {
 
 impl Disk for FaultyDisk {
     fn create_dir(&self, path: &Path) -> io::Result<()> {
-        self.step(|| SystemDisk.create_dir(path), || (), true)
+        self.step(|| self.under.create_dir(path), || (), true)
     }
 
     fn write_new(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
         self.step(
-            || SystemDisk.write_new(path, bytes),
-            || drop(SystemDisk.write_new(path, &bytes[..bytes.len() / 2])),
+            || self.under.write_new(path, bytes),
+            || drop(self.under.write_new(path, &bytes[..bytes.len() / 2])),
             true,
         )
     }
 
     fn append(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
         self.step(
-            || SystemDisk.append(path, bytes),
-            || drop(SystemDisk.append(path, &bytes[..bytes.len() / 2])),
+            || self.under.append(path, bytes),
+            || drop(self.under.append(path, &bytes[..bytes.len() / 2])),
             true,
         )
     }
 
     fn truncate(&self, path: &Path, bytes: u64) -> io::Result<()> {
-        self.step(|| SystemDisk.truncate(path, bytes), || (), false)
+        self.step(|| self.under.truncate(path, bytes), || (), false)
     }
 
     fn sync_file(&self, path: &Path) -> io::Result<()> {
-        self.step(|| SystemDisk.sync_file(path), || (), false)
+        self.step(|| self.under.sync_file(path), || (), false)
     }
 
     fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
-        self.step(|| SystemDisk.rename(from, to), || (), false)
+        self.step(|| self.under.rename(from, to), || (), false)
     }
 
     fn sync_dir(&self, path: &Path) -> io::Result<()> {
-        self.step(|| SystemDisk.sync_dir(path), || (), false)
+        self.step(|| self.under.sync_dir(path), || (), false)
     }
 }

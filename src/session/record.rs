@@ -73,6 +73,8 @@ pub struct PlanRecord {
     pub settle_s: Seconds,
     /// Wait after the lamp was switched, seconds.
     pub lamp_settle_s: Seconds,
+    /// Wait with the lamp on before the first light of a run, seconds.
+    pub lamp_warm_up_s: Seconds,
     /// Frames thrown away after a change of the camera's settings, at least.
     pub settings_latency_frames: u32,
     /// Estimated time of the whole capture for a scene of usual contrast, seconds.
@@ -104,6 +106,8 @@ pub struct ExposureRules {
     pub ratio: f64,
     /// Most frames averaged at one exposure, at least 1.
     pub max_frames: u32,
-    /// Frames without any light at the longest exposure of each light direction.
+    /// Whether as many frames with the lamp off as with it are taken at each exposure.
+    pub ambient: bool,
+    /// Frames without any light at each exposure, where the camera has a shutter.
     pub dark_frames: u32,
 }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use crate::device::*;
 use crate::session::commit::SystemDisk;
-use crate::session::faults::{Fault, FaultyDisk};
+use crate::session::faults::{Fault, FaultyDisk, UnsyncedDisk};
 use crate::session::journal::{Event, sha256_hex};
 use crate::session::verify::verify;
 use crate::session::*;
@@ -57,10 +57,12 @@ fn record() -> SessionRecord {
                 dark_snr: 20.0,
                 ratio: 4.0,
                 max_frames: 4,
+                ambient: true,
                 dark_frames: 2,
             },
             settle_s: Seconds(0.1),
             lamp_settle_s: Seconds(0.0),
+            lamp_warm_up_s: Seconds(0.0),
             settings_latency_frames: 2,
             estimated_s: Seconds(12.0),
             estimated_bytes: 1000,
@@ -267,15 +269,15 @@ fn a_fault_at_any_write_leaves_a_session_that_resumes() {
     for fault in Fault::ALL {
         for at in 0.. {
             let parent = tempfile::tempdir().unwrap();
-            let disk = Arc::new(FaultyDisk::new(at, fault));
+            let disk = Arc::new(FaultyDisk::over(Arc::new(UnsyncedDisk), at, fault));
             let first = create(disk.clone(), parent.path()).and_then(|mut w| capture(&mut w));
             if first.is_ok() {
                 assert!(disk.operations() <= at, "{fault:?} at {at} went unnoticed");
                 break;
             }
             let mut writer = match only_session(parent.path()) {
-                None => create(Arc::new(SystemDisk), parent.path()),
-                Some(root) => SessionWriter::resume(Arc::new(SystemDisk), &root),
+                None => create(Arc::new(UnsyncedDisk), parent.path()),
+                Some(root) => SessionWriter::resume(Arc::new(UnsyncedDisk), &root),
             }
             .unwrap_or_else(|e| panic!("{fault:?} at {at}: {e}"));
             capture(&mut writer).unwrap_or_else(|e| panic!("{fault:?} at {at}: {e}"));
