@@ -5,6 +5,7 @@
 //! `pub fn run(args: &XArgs, context: &Context) -> Result<(), CliError>`, a
 //! `pub mod` line and one line in [`commands!`] below.
 
+pub mod calibrate;
 pub mod completions;
 pub mod doctor;
 pub mod error;
@@ -12,6 +13,7 @@ pub mod exit;
 pub mod export;
 pub mod hints;
 pub mod interrupt;
+pub mod merge;
 pub mod output;
 pub mod report;
 pub mod rig_choice;
@@ -42,6 +44,8 @@ macro_rules! commands {
 
 commands! {
     Doctor(doctor::DoctorArgs) => doctor::run,
+    Calibrate(calibrate::CalibrateArgs) => calibrate::run,
+    Merge(merge::MergeArgs) => merge::run,
     Report(report::ReportArgs) => report::run,
     Export(export::ExportArgs) => export::run,
     Completions(completions::CompletionsArgs) => completions::run,

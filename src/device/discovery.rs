@@ -209,14 +209,19 @@ mod tests {
     fn tree() -> tempfile::TempDir {
         let folder = tempfile::tempdir().unwrap();
         let root = folder.path();
-        for node in ["ttyUSB0", "ttyUSB10", "ttyACM0", "ttyS0", "video0", "video1", "videotex"] {
+        for node in [
+            "ttyUSB0", "ttyUSB10", "ttyACM0", "ttyS0", "video0", "video1", "videotex",
+        ] {
             write(&root.join("dev").join(node), "");
         }
         let usb = root.join("sys/devices/usb1");
         write(&usb.join("1-1/idVendor"), "1a86\n");
         write(&usb.join("1-1/product"), "USB Serial\n");
         write(&usb.join("1-1/1-1:1.0/ttyUSB0/tty/ttyUSB0/dev"), "");
-        link("../../ttyUSB0", &root.join("dev/serial/by-id/usb-1a86_USB_Serial-if00-port0"));
+        link(
+            "../../ttyUSB0",
+            &root.join("dev/serial/by-id/usb-1a86_USB_Serial-if00-port0"),
+        );
         link(
             "../../../devices/usb1/1-1/1-1:1.0/ttyUSB0",
             &root.join("sys/class/tty/ttyUSB0/device"),
@@ -248,16 +253,34 @@ mod tests {
             })
             .collect();
         let expected = [
-            (DeviceKind::Camera, "video0", "v4l/by-id/usb-Mono_C4711-video-index0"),
-            (DeviceKind::Camera, "video1", "v4l/by-id/usb-Mono_C4711-video-index1"),
-            (DeviceKind::Serial, "ttyUSB0", "serial/by-id/usb-1a86_USB_Serial-if00-port0"),
+            (
+                DeviceKind::Camera,
+                "video0",
+                "v4l/by-id/usb-Mono_C4711-video-index0",
+            ),
+            (
+                DeviceKind::Camera,
+                "video1",
+                "v4l/by-id/usb-Mono_C4711-video-index1",
+            ),
+            (
+                DeviceKind::Serial,
+                "ttyUSB0",
+                "serial/by-id/usb-1a86_USB_Serial-if00-port0",
+            ),
             (DeviceKind::Serial, "ttyUSB10", "ttyUSB10"),
             (DeviceKind::Serial, "ttyACM0", "ttyACM0"),
         ];
         let expected = expected.map(|(kind, node, path)| (kind, node.to_owned(), path.to_owned()));
         assert_eq!(names, expected);
-        assert_eq!((found[0].model.as_str(), found[0].serial.as_str()), ("Mono camera", "C4711"));
-        assert_eq!((found[2].model.as_str(), found[2].serial.as_str()), ("USB Serial", ""));
+        assert_eq!(
+            (found[0].model.as_str(), found[0].serial.as_str()),
+            ("Mono camera", "C4711")
+        );
+        assert_eq!(
+            (found[2].model.as_str(), found[2].serial.as_str()),
+            ("USB Serial", "")
+        );
         assert!(found.iter().all(|device| device.accessible));
         let by_link = serial_of_camera(folder.path(), &found[1].path);
         assert_eq!(by_link.as_deref(), Some("C4711"));

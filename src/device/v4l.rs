@@ -416,7 +416,9 @@ impl Camera for V4lCamera {
                 control.factor(applied).ok_or_else(unknown)?
             }
         };
-        let steps = self.exposure.nearest(requested.exposure.0 / EXPOSURE_UNIT_S);
+        let steps = self
+            .exposure
+            .nearest(requested.exposure.0 / EXPOSURE_UNIT_S);
         let applied = self.set(id::EXPOSURE_ABSOLUTE, steps)?;
         let settings = CameraSettings {
             exposure: Seconds(applied as f64 * EXPOSURE_UNIT_S),
