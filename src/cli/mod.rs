@@ -5,16 +5,20 @@
 //! `pub fn run(args: &XArgs, context: &Context) -> Result<(), CliError>`, a
 //! `pub mod` line and one line in [`commands!`] below.
 
+pub mod camera;
 pub mod completions;
+pub mod devices;
 pub mod doctor;
 pub mod error;
 pub mod exit;
 pub mod export;
 pub mod hints;
 pub mod interrupt;
+pub mod open;
 pub mod output;
 pub mod report;
 pub mod rig_choice;
+pub mod stage;
 
 use std::ffi::OsString;
 use std::io::IsTerminal;
@@ -41,7 +45,10 @@ macro_rules! commands {
 }
 
 commands! {
+    Devices(devices::DevicesArgs) => devices::run,
     Doctor(doctor::DoctorArgs) => doctor::run,
+    Stage(stage::StageArgs) => stage::run,
+    Camera(camera::CameraArgs) => camera::run,
     Report(report::ReportArgs) => report::run,
     Export(export::ExportArgs) => export::run,
     Completions(completions::CompletionsArgs) => completions::run,
