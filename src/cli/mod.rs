@@ -135,13 +135,14 @@ pub fn guarded(body: impl FnOnce() -> Exit + std::panic::UnwindSafe) -> Exit {
 fn run(arguments: Vec<OsString>) -> Exit {
     let choice = color_choice(&arguments);
     let color = use_color(choice);
+    let subcommand = subcommand(&arguments);
     let parsed = definition()
         .color(choice)
         .try_get_matches_from(arguments)
         .and_then(|matches| Cli::from_arg_matches(&matches));
     let cli = match parsed {
         Ok(cli) => cli,
-        Err(error) => return report_usage(&error, color),
+        Err(error) => return report_usage(&error, &subcommand, color),
     };
     start_tracing(&cli.global, color);
     let context = Context {
@@ -158,7 +159,7 @@ fn run(arguments: Vec<OsString>) -> Exit {
 }
 
 /// Help and version go to stdout with code 0; wrong usage is an error like any other.
-fn report_usage(error: &clap::Error, color: bool) -> Exit {
+fn report_usage(error: &clap::Error, subcommand: &str, color: bool) -> Exit {
     use clap::error::ErrorKind::*;
     match error.kind() {
         DisplayHelp | DisplayVersion => {
@@ -170,36 +171,33 @@ fn report_usage(error: &clap::Error, color: bool) -> Exit {
             Exit::Failed
         }
         _ => {
-            let error = usage_error(&error.render().to_string());
+            let error = usage_error(&error.render().to_string(), subcommand);
             write_stderr(&error.render(color));
             error.exit()
         }
     }
 }
 
+/// `rig`, or `rig` and the command that the arguments name.
+fn subcommand(arguments: &[OsString]) -> String {
+    let definition = definition();
+    let mut words = arguments.iter().skip(1).filter_map(|word| word.to_str());
+    match words.find_map(|word| definition.find_subcommand(word)) {
+        Some(found) => format!("rig {}", found.get_name()),
+        None => "rig".to_owned(),
+    }
+}
+
 /// clap's paragraphs as one fact and one hint.
-fn usage_error(rendered: &str) -> CliError {
+fn usage_error(rendered: &str, subcommand: &str) -> CliError {
     let mut paragraphs = rendered.split("\n\n");
     let fact = paragraphs.next().unwrap_or(rendered);
-    let mut tips = Vec::new();
-    let mut command = "rig".to_owned();
-    for paragraph in paragraphs {
-        let paragraph = paragraph.trim();
-        if let Some(usage) = paragraph.strip_prefix("Usage: ") {
-            let words = usage
-                .split_whitespace()
-                .take_while(|word| word.starts_with(|c: char| c.is_ascii_lowercase()));
-            command = words.collect::<Vec<_>>().join(" ");
-        } else if paragraph.contains("tip: ") {
-            tips.extend(
-                paragraph
-                    .lines()
-                    .map(|line| line.trim().trim_start_matches("tip: ").to_owned()),
-            );
-        }
-    }
-    tips.push(format!("`{command} --help` explains the arguments"));
-    CliError::new(fact.trim_start_matches("error: ")).hint(tips.join("; "))
+    let tips = paragraphs
+        .flat_map(str::lines)
+        .filter_map(|line| line.trim().strip_prefix("tip: "));
+    let help = format!("`{subcommand} --help` explains the arguments");
+    let hints: Vec<_> = tips.chain([help.as_str()]).collect();
+    CliError::new(fact.trim_start_matches("error: ")).hint(hints.join("; "))
 }
 
 /// `--color` as it is needed before anything is parsed.
@@ -283,12 +281,13 @@ mod tests {
     fn usage_errors_are_one_fact_and_one_hint() {
         let parse = |arguments: &[&str]| {
             let error = definition().try_get_matches_from(arguments).unwrap_err();
-            usage_error(&error.render().to_string()).render(false)
+            let arguments: Vec<_> = arguments.iter().map(OsString::from).collect();
+            usage_error(&error.render().to_string(), &subcommand(&arguments)).render(false)
         };
         assert_eq!(
             parse(&["rig", "completions", "bsh"]),
             "error: invalid value 'bsh' for '<SHELL>' [possible values: bash, elvish, fish, powershell, zsh]\n\n\
-             hint: a similar value exists: 'bash'; `rig --help` explains the arguments\n"
+             hint: a similar value exists: 'bash'; `rig completions --help` explains the arguments\n"
         );
         assert_eq!(
             parse(&["rig", "man"]),
