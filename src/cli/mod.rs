@@ -8,7 +8,9 @@
 pub mod bench;
 pub mod brdf;
 pub mod calibrate;
+pub mod camera;
 pub mod completions;
+pub mod devices;
 pub mod doctor;
 pub mod error;
 pub mod exit;
@@ -17,6 +19,7 @@ pub mod fit;
 pub mod hints;
 pub mod interrupt;
 pub mod merge;
+pub mod open;
 pub mod output;
 pub mod pipeline;
 pub mod progress;
@@ -24,6 +27,7 @@ pub mod render;
 pub mod report;
 pub mod rig_choice;
 pub mod shape;
+pub mod stage;
 
 use std::ffi::OsString;
 use std::io::IsTerminal;
@@ -58,6 +62,10 @@ commands! {
     Doctor(doctor::DoctorArgs) => doctor::run,
     Calibrate(calibrate::CalibrateArgs) => calibrate::run,
     Merge(merge::MergeArgs) => merge::run,
+    Devices(devices::DevicesArgs) => devices::run,
+    Doctor(doctor::DoctorArgs) => doctor::run,
+    Stage(stage::StageArgs) => stage::run,
+    Camera(camera::CameraArgs) => camera::run,
     Report(report::ReportArgs) => report::run,
     Export(export::ExportArgs) => export::run,
     Completions(completions::CompletionsArgs) => completions::run,
