@@ -5,16 +5,23 @@
 //! `pub fn run(args: &XArgs, context: &Context) -> Result<(), CliError>`, a
 //! `pub mod` line and one line in [`commands!`] below.
 
+pub mod bench;
+pub mod brdf;
 pub mod completions;
 pub mod doctor;
 pub mod error;
 pub mod exit;
 pub mod export;
+pub mod fit;
 pub mod hints;
 pub mod interrupt;
 pub mod output;
+pub mod pipeline;
+pub mod progress;
+pub mod render;
 pub mod report;
 pub mod rig_choice;
+pub mod shape;
 
 use std::ffi::OsString;
 use std::io::IsTerminal;
@@ -41,6 +48,11 @@ macro_rules! commands {
 }
 
 commands! {
+    Brdf(brdf::BrdfArgs) => brdf::run,
+    Fit(fit::FitCommandArgs) => fit::run,
+    Render(render::RenderArgs) => render::run,
+    Shape(shape::ShapeArgs) => shape::run,
+    Bench(bench::BenchArgs) => bench::run,
     Doctor(doctor::DoctorArgs) => doctor::run,
     Report(report::ReportArgs) => report::run,
     Export(export::ExportArgs) => export::run,
