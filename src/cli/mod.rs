@@ -7,6 +7,7 @@
 
 pub mod bench;
 pub mod brdf;
+pub mod calibrate;
 pub mod completions;
 pub mod doctor;
 pub mod error;
@@ -15,6 +16,7 @@ pub mod export;
 pub mod fit;
 pub mod hints;
 pub mod interrupt;
+pub mod merge;
 pub mod output;
 pub mod pipeline;
 pub mod progress;
@@ -54,6 +56,8 @@ commands! {
     Shape(shape::ShapeArgs) => shape::run,
     Bench(bench::BenchArgs) => bench::run,
     Doctor(doctor::DoctorArgs) => doctor::run,
+    Calibrate(calibrate::CalibrateArgs) => calibrate::run,
+    Merge(merge::MergeArgs) => merge::run,
     Report(report::ReportArgs) => report::run,
     Export(export::ExportArgs) => export::run,
     Completions(completions::CompletionsArgs) => completions::run,
