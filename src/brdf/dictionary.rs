@@ -312,9 +312,76 @@ impl Dictionary {
 
     /// f_r of every atom, 1/sr, zero if either direction is not above the horizon.
     pub fn eval(&self, to_light: Vec3, to_viewer: Vec3) -> Vec<f32> {
-        match Cosines::new(to_light.to_array(), to_viewer.to_array()) {
-            Some(at) => self.atoms.iter().map(|atom| atom.eval_f32(&at)).collect(),
-            None => vec![0.0; self.len()],
+        let mut values = vec![0.0; self.len()];
+        if let Some(at) = Cosines::new(to_light.to_array(), to_viewer.to_array()) {
+            self.evaluator().eval(&at, &mut values);
+        }
+        values
+    }
+
+    /// For evaluating all atoms at many pairs of directions.
+    pub fn evaluator(&self) -> Evaluator {
+        let mut evaluator = Evaluator {
+            alphas: Vec::new(),
+            etas: Vec::new(),
+            terms: Vec::new(),
+        };
+        let index_in = |axis: &mut Vec<f32>, value: f64| {
+            let value = value as f32;
+            axis.iter().position(|v| *v == value).unwrap_or_else(|| {
+                axis.push(value);
+                axis.len() - 1
+            })
+        };
+        for atom in &self.atoms {
+            let term = match *atom {
+                Atom::Ggx { alpha, eta } => Term::Lobe(
+                    index_in(&mut evaluator.alphas, alpha),
+                    index_in(&mut evaluator.etas, eta),
+                ),
+                Atom::Lambertian { albedo } => {
+                    Term::Constant(albedo as f32 * std::f32::consts::FRAC_1_PI)
+                }
+                Atom::Black => Term::Constant(0.0),
+            };
+            evaluator.terms.push(term);
+        }
+        evaluator
+    }
+}
+
+/// Evaluates all atoms of a dictionary at once: D·G once per distinct width, F
+/// once per distinct index.
+#[derive(Clone, Debug)]
+pub struct Evaluator {
+    alphas: Vec<f32>,
+    etas: Vec<f32>,
+    terms: Vec<Term>,
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Term {
+    /// Positions in `alphas` and `etas`.
+    Lobe(usize, usize),
+    Constant(f32),
+}
+
+impl Evaluator {
+    /// Writes f_r of each atom, 1/sr; `values` is one per atom.
+    pub fn eval(&self, at: &Cosines<f32>, values: &mut [f32]) {
+        let mut lobes = [0.0; MAX_ATOMS];
+        for (lobe, &alpha) in lobes.iter_mut().zip(&self.alphas) {
+            *lobe = ggx::d_g(alpha, at.cos_i, at.cos_o, at.sin2_h);
+        }
+        let mut reflectances = [0.0; MAX_ATOMS];
+        for (reflectance, &eta) in reflectances.iter_mut().zip(&self.etas) {
+            *reflectance = ggx::fresnel(eta, at.cos_d);
+        }
+        for (value, term) in values.iter_mut().zip(&self.terms) {
+            *value = match *term {
+                Term::Lobe(alpha, eta) => lobes[alpha] * reflectances[eta],
+                Term::Constant(constant) => constant,
+            };
         }
     }
 }
@@ -381,6 +448,19 @@ mod tests {
                 .atom,
             [0, 2, 1, 3]
         );
+    }
+
+    #[test]
+    fn the_evaluator_is_the_atoms() {
+        let at = Cosines::new([0.6, 0.0, 0.8], [-0.48, 0.36, 0.8f32]).unwrap();
+        for dictionary in [Dictionary::paper42(), Dictionary::grid42()] {
+            let mut values = vec![f32::NAN; dictionary.len()];
+            dictionary.evaluator().eval(&at, &mut values);
+            for (value, atom) in values.iter().zip(dictionary.atoms()) {
+                let single = atom.eval_f32(&at);
+                assert!((value - single).abs() <= 1e-6 * single, "{atom:?}");
+            }
+        }
     }
 
     #[test]

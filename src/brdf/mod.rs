@@ -8,12 +8,27 @@ use std::path::PathBuf;
 
 use glam::Vec3;
 
+pub mod bivariate;
+pub mod check;
 pub mod dictionary;
+pub mod environment;
 pub mod ggx;
+pub mod half_difference;
+pub mod merl;
 pub mod mixture;
+pub mod nbrdf;
+pub mod quadrature;
+pub mod rgl;
+pub mod score;
+pub mod source;
+pub mod sphere;
+pub mod table;
+pub mod weights;
 
 pub use dictionary::{Atom, Dictionary, GridAxes};
+pub use half_difference::HalfDifference;
 pub use mixture::Mixture;
+pub use table::TabulatedBrdf;
 
 /// An isotropic BRDF in three colour channels.
 pub trait Brdf: Send + Sync {
@@ -38,6 +53,12 @@ pub enum BrdfError {
         /// R, G or B.
         channel: &'static str,
         /// What is wrong, with the value and what is allowed.
+        fact: String,
+    },
+    /// A table's values do not fit its shape.
+    #[error("BRDF table: {fact}")]
+    Table {
+        /// What is wrong.
         fact: String,
     },
     /// A name or file type that no reader claims.

@@ -33,7 +33,10 @@ pub fn run(args: &CompletionsArgs, _: &Context) -> Result<(), CliError> {
 
 /// `rig man`.
 pub fn run_man(args: &ManArgs, _: &Context) -> Result<(), CliError> {
-    let failed = |error: std::io::Error| CliError::new(format!("{}: {error}", args.out.display()));
+    let failed = |error: std::io::Error| {
+        CliError::new(format!("{}: {error}", args.out.display()))
+            .hint("choose another folder with --out")
+    };
     std::fs::create_dir_all(&args.out).map_err(failed)?;
     clap_mangen::generate_to(definition(), &args.out).map_err(failed)?;
     out!("{}", args.out.display())

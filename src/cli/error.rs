@@ -54,6 +54,16 @@ impl CliError {
         self
     }
 
+    /// The fact, one line.
+    pub fn fact(&self) -> &str {
+        &self.fact
+    }
+
+    /// The advice, if there is any.
+    pub fn advice(&self) -> Option<&str> {
+        self.hint.as_deref()
+    }
+
     /// How the program ends because of it.
     pub fn exit(&self) -> Exit {
         self.exit
@@ -102,7 +112,7 @@ fn facts(error: &(dyn Error + 'static)) -> String {
 }
 
 /// Lines and runs of blanks joined by single blanks.
-fn one_line(text: &str) -> String {
+pub(super) fn one_line(text: &str) -> String {
     text.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 

@@ -2,7 +2,18 @@
 
 use std::error::Error;
 
+use crate::brdf::BrdfError;
+use crate::calibration::RecordError;
+use crate::capture::CaptureError;
+use crate::config::ConfigError;
 use crate::device::DeviceError;
+use crate::export::ExportError;
+use crate::geometry::MeshError;
+use crate::radiance_image::exr::ExrError;
+use crate::radiometry::exposure::PlanError;
+use crate::report::load::LoadError;
+use crate::session::SessionError;
+use crate::session::fit_record::FitRecordError;
 
 /// The advice for the first error in the chain that has some.
 pub fn for_error(error: &(dyn Error + 'static)) -> Option<String> {
@@ -16,9 +27,41 @@ pub fn for_error(error: &(dyn Error + 'static)) -> Option<String> {
     None
 }
 
+/// A wrapper that shows its inner error as its own hides it from the chain, so
+/// such wrappers are unwrapped here.
 fn for_one(error: &(dyn Error + 'static)) -> Option<String> {
-    if let Some(error) = error.downcast_ref::<DeviceError>() {
+    if let Some(error) = error.downcast_ref() {
         return Some(for_device(error));
+    }
+    if let Some(error) = error.downcast_ref() {
+        return Some(for_config(error));
+    }
+    if let Some(error) = error.downcast_ref() {
+        return Some(for_record(error));
+    }
+    if let Some(error) = error.downcast_ref() {
+        return for_session(error);
+    }
+    if let Some(error) = error.downcast_ref() {
+        return for_capture(error);
+    }
+    if let Some(error) = error.downcast_ref() {
+        return for_loading(error);
+    }
+    if let Some(error) = error.downcast_ref() {
+        return for_fit_record(error);
+    }
+    if let Some(error) = error.downcast_ref() {
+        return for_brdf(error);
+    }
+    if let Some(ExportError::Brdf(error)) = error.downcast_ref() {
+        return for_brdf(error);
+    }
+    if let Some(error) = error.downcast_ref() {
+        return for_exr(error);
+    }
+    if let Some(error) = error.downcast_ref() {
+        return for_mesh(error);
     }
     if let Some(error) = error.downcast_ref::<std::io::Error>() {
         return for_io(error).map(str::to_owned);
@@ -44,6 +87,175 @@ fn for_device(error: &DeviceError) -> String {
         Disconnected { .. } => "check the cable and the USB hub's power, then `rig doctor`; an interrupted capture continues with `rig capture --resume`".into(),
         Io { .. } => "run `rig doctor`".into(),
     }
+}
+
+const EXPLAINED: &str =
+    "correct the file; rig-configs/simulated.toml explains every key with its unit and range";
+
+fn for_config(error: &ConfigError) -> String {
+    use ConfigError::*;
+    match error {
+        Read { .. } => "check the path; a bare name is looked for in rig-configs/ and among the built-in rigs".into(),
+        Syntax { .. } => "the file is TOML (https://toml.io): `key = value`, texts in double quotes, `[table]`".into(),
+        UnknownKey { key, known, .. } => {
+            let last = key.rsplit('.').next().unwrap_or(key);
+            match nearest(last, known) {
+                Some(near) => format!("did you mean `{near}`?"),
+                None => "rig-configs/simulated.toml explains every key".into(),
+            }
+        }
+        Missing { key, unread, .. } => {
+            let last = key.rsplit('.').next().unwrap_or(key);
+            match nearest(last, unread) {
+                Some(near) => format!("is `{near}` meant to be it?"),
+                None => EXPLAINED.into(),
+            }
+        }
+        Invalid { .. } => EXPLAINED.into(),
+        UnknownRig { name, known } => match nearest(name, known) {
+            Some(near) => format!("did you mean `{near}`? A file is named with its path or its ending .toml"),
+            None => "a file is named with its path or its ending .toml".into(),
+        },
+        FallbackRefused { .. } => {
+            "name the rig with --rig, RIG_CONFIG or ./rig.toml; for the simulated one, --rig simulated".into()
+        }
+    }
+}
+
+fn for_record(error: &RecordError) -> String {
+    use RecordError::*;
+    match error {
+        Io { .. } => "check the path and the permissions of the calibration folder".into(),
+        NotFound { .. } => "correct the id in the rig file's [calibration] table, or remove it to use the newest record".into(),
+        Syntax { .. } | Invalid { .. } | Checksum { .. } => {
+            "the record was changed or damaged: restore it from a backup, or calibrate anew and remove it".into()
+        }
+        Mismatch { .. } => "calibrate this device at these settings, or name a record that belongs to them in the rig file's [calibration] table".into(),
+        Exists { .. } => "give the new record another id".into(),
+    }
+}
+
+fn for_session(error: &SessionError) -> Option<String> {
+    use SessionError::*;
+    Some(match error {
+        Exists { .. } => "nothing was overwritten; choose another folder or name".into(),
+        NotASession { .. } => "name the session's own folder, the one with session.toml in it".into(),
+        DiskFull { .. } => {
+            "what is journalled is safe: free some space, then `rig capture --resume` the session".into()
+        }
+        Io { source, .. } => return for_io(source).map(str::to_owned),
+        Checksum { .. } | Missing { .. } | Malformed { .. } | CorruptJournal { .. } => {
+            "the session was changed or damaged: `rig session verify` lists every such file; restore them from a backup".into()
+        }
+        Locked { .. } => "wait until the other capture has ended, or end it".into(),
+        SampleName { .. } => "choose a name such as `red-plastic_01`".into(),
+        FrameTaken { .. } => "start a new session, or `rig capture --resume` this one".into(),
+    })
+}
+
+fn for_capture(error: &CaptureError) -> Option<String> {
+    use CaptureError::*;
+    Some(match error {
+        Device(error) => for_device(error),
+        Session(error) => return for_session(error),
+        Exposure(PlanError::OutOfRange { .. }) => EXPLAINED.into(),
+        Exposure(PlanError::TooBright { .. }) => "dim the lamp or close the aperture, or lower capture.shortest_ms in the rig file if the camera can do less".into(),
+        LightOutOfReach { .. } => "choose fewer or other lights, or correct the limits in the rig file's [stage] table".into(),
+        TooManyLights { reachable, .. } => format!("ask for at most {reachable}, or `--lights all`"),
+        Empty { .. } => "ask for at least one light, e.g. `--lights 4`".into(),
+        NotEnoughSpace { .. } => "free some space, choose another disk with --out, or ask for fewer lights".into(),
+        OtherCamera { .. } => "connect the camera that the session was begun with, or start a new session".into(),
+        FrameSize { .. } => "check resolution_px in the rig file against `rig camera info`".into(),
+        ExposureNotApplied { .. } => "raise camera.settings_latency_frames in the rig file; check that the camera is in manual mode and the lamp doesn't flicker".into(),
+        NoLight { .. } => "check the lamp's power and cable, the lens cap, and that the stage points at the sample".into(),
+        OtherFrame { .. } => "the session was changed since it was captured; start a new one".into(),
+        Interrupted | StoppedNow => "`rig capture --resume SESSION` continues it".into(),
+        Merge { .. } | Thread(_) | WorkerGone { .. } => return None,
+    })
+}
+
+fn for_loading(error: &LoadError) -> Option<String> {
+    use LoadError::*;
+    match error {
+        Session(error) => for_session(error),
+        Fit(error) => for_fit_record(error),
+        Brdf(error) => for_brdf(error),
+        Image(error) => for_exr(error),
+        Sidecar { .. } => Some("`rig session verify` lists every damaged file".into()),
+        NoSuchFit { .. } => {
+            Some("`rig fit SESSION` makes one; without --fit the newest is taken".into())
+        }
+    }
+}
+
+fn for_fit_record(error: &FitRecordError) -> Option<String> {
+    use FitRecordError::*;
+    match error {
+        Io { source, .. } => for_io(source).map(str::to_owned),
+        Exists { .. } => Some("nothing was overwritten; choose another folder".into()),
+        Syntax { .. } | Value { .. } => {
+            Some("the fit was changed by hand or damaged; fit again".into())
+        }
+        Session(error) => for_session(error),
+        Image(error) => for_exr(error),
+    }
+}
+
+fn for_brdf(error: &BrdfError) -> Option<String> {
+    use BrdfError::*;
+    match error {
+        UnknownSource { .. } => Some("a file needs its path; names are listed above".into()),
+        Io { source, .. } => for_io(source).map(str::to_owned),
+        File { .. } | Table { .. } => {
+            Some("the file is not what its ending says, or it is damaged: get it again".into())
+        }
+        Dictionary { .. } | Weights { .. } => None,
+    }
+}
+
+fn for_exr(error: &ExrError) -> Option<String> {
+    use ExrError::*;
+    match error {
+        Io { source, .. } => for_io(source).map(str::to_owned),
+        Format { .. } | Size { .. } => {
+            Some("the image is damaged or no OpenEXR file: render or merge it again".into())
+        }
+        Channels { .. } => {
+            Some("images need the channels R, G, B, and where known var.R, var.G, var.B".into())
+        }
+        _ => None,
+    }
+}
+
+fn for_mesh(error: &MeshError) -> Option<String> {
+    match error {
+        MeshError::Io { source, .. } => for_io(source).map(str::to_owned),
+        _ => Some("repair the mesh where it was made: triangles with area, finite coordinates in millimetres".into()),
+    }
+}
+
+/// The known word that differs least, if it differs little.
+fn nearest<'a>(word: &str, known: &'a [String]) -> Option<&'a str> {
+    known
+        .iter()
+        .map(|other| (distance(word, other), other))
+        .filter(|(distance, other)| *distance * 3 <= word.len().max(other.len()))
+        .min()
+        .map(|(_, other)| other.as_str())
+}
+
+/// Levenshtein's distance in bytes.
+fn distance(a: &str, b: &str) -> usize {
+    let mut row: Vec<usize> = (0..=b.len()).collect();
+    for (i, x) in a.bytes().enumerate() {
+        let mut diagonal = std::mem::replace(&mut row[0], i + 1);
+        for (j, y) in b.bytes().enumerate() {
+            let substituted = diagonal + usize::from(x != y);
+            diagonal = row[j + 1];
+            row[j + 1] = substituted.min(diagonal + 1).min(row[j] + 1);
+        }
+    }
+    row[b.len()]
 }
 
 fn for_io(error: &std::io::Error) -> Option<&'static str> {
@@ -74,6 +286,32 @@ mod tests {
             since: "a reset".into(),
         });
         assert!(for_error(&error).unwrap().contains("rig stage home"));
+    }
+
+    /// A wrapper that is transparent hides the inner error from the chain.
+    #[test]
+    fn the_hint_is_found_inside_a_transparent_wrapper() {
+        let alarm = DeviceError::Alarm {
+            device: "arm".into(),
+            reason: "hard limit".into(),
+        };
+        let hint = for_error(&CaptureError::Device(alarm)).unwrap();
+        assert!(hint.contains("rig stage home"), "{hint}");
+        let full = SessionError::DiskFull {
+            path: "raw".into(),
+            operation: "write",
+        };
+        let hint = for_error(&LoadError::Session(full)).unwrap();
+        assert!(hint.contains("--resume"), "{hint}");
+    }
+
+    #[test]
+    fn a_slip_of_the_pen_is_recognised() {
+        let known = ["radius_mm".to_owned(), "segments".to_owned()];
+        assert_eq!(nearest("segmets", &known), Some("segments"));
+        assert_eq!(nearest("raduis_mm", &known), Some("radius_mm"));
+        assert_eq!(nearest("colour", &known), None);
+        assert_eq!(distance("kitten", "sitting"), 3);
     }
 
     #[test]

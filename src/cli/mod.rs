@@ -5,12 +5,17 @@
 //! `pub fn run(args: &XArgs, context: &Context) -> Result<(), CliError>`, a
 //! `pub mod` line and one line in [`commands!`] below.
 
+pub mod brdf;
 pub mod completions;
+pub mod doctor;
 pub mod error;
 pub mod exit;
+pub mod export;
 pub mod hints;
 pub mod interrupt;
 pub mod output;
+pub mod report;
+pub mod rig_choice;
 
 use std::ffi::OsString;
 use std::io::IsTerminal;
@@ -37,6 +42,10 @@ macro_rules! commands {
 }
 
 commands! {
+    Brdf(brdf::BrdfArgs) => brdf::run,
+    Doctor(doctor::DoctorArgs) => doctor::run,
+    Report(report::ReportArgs) => report::run,
+    Export(export::ExportArgs) => export::run,
     Completions(completions::CompletionsArgs) => completions::run,
     Man(completions::ManArgs) => completions::run_man,
 }
@@ -109,21 +118,26 @@ pub fn definition() -> clap::Command {
 /// Parses the process's arguments, runs the command, prints its error and
 /// returns the exit code.
 pub fn main() -> ExitCode {
+    ExitCode::from(guarded(|| run(std::env::args_os().collect())).code())
+}
+
+/// Runs `body`; a panic in it is reported in one line and becomes [`Exit::Internal`].
+pub fn guarded(body: impl FnOnce() -> Exit + std::panic::UnwindSafe) -> Exit {
     install_panic_hook();
-    let exit = std::panic::catch_unwind(|| run(std::env::args_os().collect()));
-    ExitCode::from(exit.unwrap_or(Exit::Internal).code())
+    std::panic::catch_unwind(body).unwrap_or(Exit::Internal)
 }
 
 fn run(arguments: Vec<OsString>) -> Exit {
     let choice = color_choice(&arguments);
     let color = use_color(choice);
+    let subcommand = subcommand(&arguments);
     let parsed = definition()
         .color(choice)
         .try_get_matches_from(arguments)
         .and_then(|matches| Cli::from_arg_matches(&matches));
     let cli = match parsed {
         Ok(cli) => cli,
-        Err(error) => return report_usage(&error, color),
+        Err(error) => return report_usage(&error, &subcommand, color),
     };
     start_tracing(&cli.global, color);
     let context = Context {
@@ -140,7 +154,7 @@ fn run(arguments: Vec<OsString>) -> Exit {
 }
 
 /// Help and version go to stdout with code 0; wrong usage is an error like any other.
-fn report_usage(error: &clap::Error, color: bool) -> Exit {
+fn report_usage(error: &clap::Error, subcommand: &str, color: bool) -> Exit {
     use clap::error::ErrorKind::*;
     match error.kind() {
         DisplayHelp | DisplayVersion => {
@@ -152,36 +166,33 @@ fn report_usage(error: &clap::Error, color: bool) -> Exit {
             Exit::Failed
         }
         _ => {
-            let error = usage_error(&error.render().to_string());
+            let error = usage_error(&error.render().to_string(), subcommand);
             write_stderr(&error.render(color));
             error.exit()
         }
     }
 }
 
+/// `rig`, or `rig` and the command that the arguments name.
+fn subcommand(arguments: &[OsString]) -> String {
+    let definition = definition();
+    let mut words = arguments.iter().skip(1).filter_map(|word| word.to_str());
+    match words.find_map(|word| definition.find_subcommand(word)) {
+        Some(found) => format!("rig {}", found.get_name()),
+        None => "rig".to_owned(),
+    }
+}
+
 /// clap's paragraphs as one fact and one hint.
-fn usage_error(rendered: &str) -> CliError {
+fn usage_error(rendered: &str, subcommand: &str) -> CliError {
     let mut paragraphs = rendered.split("\n\n");
     let fact = paragraphs.next().unwrap_or(rendered);
-    let mut tips = Vec::new();
-    let mut command = "rig".to_owned();
-    for paragraph in paragraphs {
-        let paragraph = paragraph.trim();
-        if let Some(usage) = paragraph.strip_prefix("Usage: ") {
-            let words = usage
-                .split_whitespace()
-                .take_while(|word| word.starts_with(|c: char| c.is_ascii_lowercase()));
-            command = words.collect::<Vec<_>>().join(" ");
-        } else if paragraph.contains("tip: ") {
-            tips.extend(
-                paragraph
-                    .lines()
-                    .map(|line| line.trim().trim_start_matches("tip: ").to_owned()),
-            );
-        }
-    }
-    tips.push(format!("`{command} --help` explains the arguments"));
-    CliError::new(fact.trim_start_matches("error: ")).hint(tips.join("; "))
+    let tips = paragraphs
+        .flat_map(str::lines)
+        .filter_map(|line| line.trim().strip_prefix("tip: "));
+    let help = format!("`{subcommand} --help` explains the arguments");
+    let hints: Vec<_> = tips.chain([help.as_str()]).collect();
+    CliError::new(fact.trim_start_matches("error: ")).hint(hints.join("; "))
 }
 
 /// `--color` as it is needed before anything is parsed.
@@ -236,7 +247,7 @@ fn install_panic_hook() {
     let with_backtrace = std::env::var_os("RUST_BACKTRACE").is_some_and(|value| value != "0");
     let default = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {
-        let message = panic.payload_as_str().unwrap_or("no message");
+        let message = error::one_line(panic.payload_as_str().unwrap_or("no message"));
         let place = panic
             .location()
             .map(|place| format!(" ({}:{})", place.file(), place.line()))
@@ -265,12 +276,13 @@ mod tests {
     fn usage_errors_are_one_fact_and_one_hint() {
         let parse = |arguments: &[&str]| {
             let error = definition().try_get_matches_from(arguments).unwrap_err();
-            usage_error(&error.render().to_string()).render(false)
+            let arguments: Vec<_> = arguments.iter().map(OsString::from).collect();
+            usage_error(&error.render().to_string(), &subcommand(&arguments)).render(false)
         };
         assert_eq!(
             parse(&["rig", "completions", "bsh"]),
             "error: invalid value 'bsh' for '<SHELL>' [possible values: bash, elvish, fish, powershell, zsh]\n\n\
-             hint: a similar value exists: 'bash'; `rig --help` explains the arguments\n"
+             hint: a similar value exists: 'bash'; `rig completions --help` explains the arguments\n"
         );
         assert_eq!(
             parse(&["rig", "man"]),

@@ -46,6 +46,8 @@ pub enum ConfigError {
         key: String,
         /// What may stand there.
         allowed: String,
+        /// Keys that are there and that nobody has asked for so far.
+        unread: Vec<String>,
     },
     /// A value of the wrong type or outside its range.
     #[error("{file}:{line}: `{key}` is {value}, but must be {allowed}")]

@@ -4,15 +4,16 @@ use glam::DVec3;
 
 use super::ConfigError;
 use super::reader::Section;
-use super::view::{CameraView, SampleSpec};
+use super::view::{SampleSpec, take_camera};
 use crate::frames::{Rigid, Sample, Stage};
+use crate::transport::{Camera, Light};
 use crate::units::StageAngles;
 
 /// The geometry as calibrated (or as designed, before the first calibration).
 #[derive(Clone, Debug, PartialEq)]
 pub struct GeometryConfig {
-    /// Where the camera stands; the pixel grid is the camera's.
-    pub camera: CameraView,
+    /// Where the camera stands, with the device's pixel grid.
+    pub camera: Camera,
     /// The sample's known shape.
     pub sample: SampleSpec,
     /// The stage's axes as seen from the sample.
@@ -26,17 +27,18 @@ pub struct GeometryConfig {
 pub struct LightConfig {
     /// Distance of the lamp from the stage's centre, mm; `None`: parallel light.
     pub distance_mm: Option<f64>,
-    /// Half the angle under which the sample sees the lamp, degrees.
+    /// Half the angle under which the sample sees the lamp, degrees; 0 for a
+    /// lamp at a finite distance, which counts as a point.
     pub angular_radius_deg: f64,
     /// Irradiance at the sample across the light, for R, G and B, W/m².
     pub irradiance_w_m2: [f64; 3],
 }
 
 impl GeometryConfig {
-    /// Reads the `[geometry]` table.
-    pub fn read(mut table: Section) -> Result<Self, ConfigError> {
+    /// Reads the `[geometry]` table for a camera of this resolution.
+    pub fn read(mut table: Section, resolution_px: [u32; 2]) -> Result<Self, ConfigError> {
         let mut camera = table.section("camera")?.required()?;
-        let view = CameraView::take(&mut camera)?;
+        let view = take_camera(&mut camera, resolution_px)?;
         camera.finish()?;
         let sample = SampleSpec::read(table.section("sample")?.required()?)?;
         let mut stage = table.section_or_empty("sample_from_stage")?;
@@ -54,6 +56,11 @@ impl GeometryConfig {
             angular_radius_deg: light.number("angular_radius_deg", 0.0..=45.0)?.or(0.0),
             irradiance_w_m2: light.channels("irradiance_w_m2", 1e-9..=1e9)?.or([1.0; 3]),
         };
+        if light_config.distance_mm.is_some() && light_config.angular_radius_deg > 0.0 {
+            let allowed = "0 where distance_mm is given";
+            let radius_deg = light_config.angular_radius_deg;
+            return Err(light.conflict("angular_radius_deg", radius_deg, allowed));
+        }
         light.finish()?;
         table.finish()?;
         Ok(Self {
@@ -64,15 +71,21 @@ impl GeometryConfig {
         })
     }
 
-    /// Unit vector from the sample's origin towards the lamp at these angles, sample frame.
-    pub fn to_light(&self, angles: StageAngles) -> DVec3 {
+    /// The lamp with all channels lit while the stage is at these angles,
+    /// sample frame. A lamp at a finite distance turns about the stage's centre
+    /// and gives its irradiance there.
+    pub fn light(&self, angles: StageAngles) -> Light {
         let to_light = self.sample_from_stage.direction(angles.to_light());
         match self.light.distance_mm {
-            None => to_light,
-            Some(distance_mm) => {
-                let lamp_mm = to_light * distance_mm + self.sample_from_stage.translation_mm;
-                lamp_mm.try_normalize().unwrap_or(to_light)
-            }
+            None => Light::Directional {
+                to_light,
+                irradiance: self.light.irradiance_w_m2,
+                angular_radius_rad: self.light.angular_radius_deg.to_radians(),
+            },
+            Some(distance_mm) => Light::Point {
+                position_mm: self.sample_from_stage.translation_mm + to_light * distance_mm,
+                intensity_mm2: self.light.irradiance_w_m2.map(|e| e * distance_mm.powi(2)),
+            },
         }
     }
 }

@@ -19,6 +19,7 @@ pub mod view;
 
 use std::path::Path;
 
+pub use camera::{CameraConfig, CameraDriver};
 pub use error::ConfigError;
 pub use resolve::{BUILT_IN, Origin, ResolvedRig, Surroundings, resolve_rig};
 pub use rig::RigConfig;

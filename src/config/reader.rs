@@ -335,6 +335,7 @@ impl Section {
             line: self.line,
             key: self.path_of(key),
             allowed: allowed.to_owned(),
+            unread: self.entries.keys().cloned().collect(),
         }
     }
 

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use super::ConfigError;
 use super::reader::Section;
+use crate::brdf::Atom;
 
 /// A BRDF as a file gives it.
 #[derive(Clone, Debug, PartialEq)]
@@ -27,26 +28,7 @@ pub struct WeightedAtom {
     /// Share per channel, 0 to 1.
     pub weight: [f64; 3],
     /// The closed form.
-    pub atom: AtomSpec,
-}
-
-/// A closed form.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum AtomSpec {
-    /// Perfectly diffuse.
-    Lambertian {
-        /// Reflected share of the light, 0 to 1.
-        albedo: f64,
-    },
-    /// A rough dielectric's surface reflection.
-    Ggx {
-        /// Width of the lobe itself (not squared).
-        alpha: f64,
-        /// Refractive index against air.
-        eta: f64,
-    },
-    /// Reflects nothing.
-    Black,
+    pub atom: Atom,
 }
 
 /// How far per-channel weights may sum away from 1.
@@ -101,19 +83,19 @@ impl WeightedAtom {
             (Some(mut inner), None, None) => {
                 let albedo = inner.number("albedo", 0.0..=1.0)?.required()?;
                 inner.finish()?;
-                AtomSpec::Lambertian { albedo }
+                Atom::Lambertian { albedo }
             }
             (None, Some(mut inner), None) => {
-                let atom = AtomSpec::Ggx {
-                    alpha: inner.number("alpha", 1e-3..=2.0)?.required()?,
-                    eta: inner.number("eta", 1.0..=10.0)?.required()?,
+                let atom = Atom::Ggx {
+                    alpha: inner.number("alpha", 1e-3..=1.0)?.required()?,
+                    eta: inner.number("eta", 1.01..=100.0)?.required()?,
                 };
                 inner.finish()?;
                 atom
             }
             (None, None, Some(inner)) => {
                 inner.finish()?;
-                AtomSpec::Black
+                Atom::Black
             }
             _ => {
                 return Err(table.missing("lambertian", "the only one of lambertian, ggx, black"));

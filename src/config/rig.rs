@@ -8,7 +8,7 @@ use super::geometry::GeometryConfig;
 use super::process::{CalibrationConfig, CaptureConfig, FitConfig};
 use super::reader::Section;
 use super::simulation::SimulationConfig;
-use super::stage::{StageConfig, StagePort};
+use super::stage::{StageConfig, StageDriver};
 
 /// A rig file, parsed and valid.
 #[derive(Clone, Debug, PartialEq)]
@@ -58,7 +58,7 @@ impl RigConfig {
         let camera = CameraConfig::read(root.section("camera")?.required()?)?;
         let stage = StageConfig::read(root.section("stage")?.required()?)?;
         let simulated_camera = camera.driver == CameraDriver::Simulated;
-        let simulated_stage = stage.port == StagePort::Simulated;
+        let simulated_stage = stage.driver == StageDriver::Simulated;
         if simulated_camera != simulated_stage {
             let driver = if simulated_stage { "simulated" } else { "grbl" };
             let allowed = "simulated together with the camera or not at all";
@@ -66,7 +66,7 @@ impl RigConfig {
         }
         let simulation = root.section("simulation")?.optional();
         let simulation = match (simulation, simulated_stage) {
-            (Some(table), true) => Some(SimulationConfig::read(table)?),
+            (Some(table), true) => Some(SimulationConfig::read(table, &camera)?),
             (None, false) => None,
             (None, true) => {
                 return Err(
@@ -78,7 +78,8 @@ impl RigConfig {
                 return Err(root.conflict("simulation", "given", allowed));
             }
         };
-        let geometry = GeometryConfig::read(root.section("geometry")?.required()?)?;
+        let geometry =
+            GeometryConfig::read(root.section("geometry")?.required()?, camera.resolution_px)?;
         let capture = root.section_or_empty("capture")?;
         let config = Self {
             name,
@@ -152,7 +153,7 @@ mod tests {
             perspective,
         ];
         for other in [
-            "kind = \"cap\"\nhalf_angle_deg = 60",
+            "kind = \"cap\"",
             "kind = \"designed\"\nlength_mm = 3",
             "kind = \"tetrahedron\"\ndepth_mm = 3",
         ] {
@@ -194,17 +195,9 @@ mod tests {
         let rig = parse(simulated()).unwrap();
         assert!(rig.is_simulated());
         assert_eq!(rig.camera.resolution_px, [64, 64]);
-        assert_eq!(rig.stage.lamp.len(), 3);
-        assert_eq!(rig.stage.lamp_off, ["M5", "M9"]);
-        assert!((rig.stage.azimuth.position(-180.0)).abs() < 1e-12);
-        assert!(
-            (rig.stage
-                .azimuth
-                .angle_deg(rig.stage.azimuth.position(33.0))
-                - 33.0)
-                .abs()
-                < 1e-12
-        );
+        assert_eq!(rig.stage.grbl.lamp_on, [["M3 S1000"], ["M7"], ["M8"]]);
+        assert_eq!(rig.stage.grbl.lamp_off, ["M5", "M9"]);
+        assert_eq!(rig.stage.grbl.kinematics.azimuth.position(-180.0), 0.0);
         assert_eq!(rig.text, simulated());
     }
 

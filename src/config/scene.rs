@@ -2,50 +2,25 @@
 
 use std::path::Path;
 
-use glam::DVec3;
-
 use super::ConfigError;
 use super::reader::Section;
 use super::reflectance::BrdfSpec;
-use super::view::{CameraView, SampleSpec, Shading, SurfaceSpec};
+use super::view::{SampleSpec, SurfaceSpec, take_camera};
+use crate::transport::{Camera, Light, Shading};
 
 /// A scene file, valid but with its meshes and tables still unread.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SceneFile {
-    /// Where the camera stands.
-    pub camera: CameraView,
-    /// Width and height of the image, pixels.
-    pub resolution_px: [u32; 2],
+    /// The camera.
+    pub camera: Camera,
     /// At least one; each gives an image.
-    pub lights: Vec<LightSpec>,
+    pub lights: Vec<Light>,
     /// The fitted surface.
     pub sample: SampleSpec,
     /// The sample's reflectance; a fit doesn't need it.
     pub brdf: Option<BrdfSpec>,
     /// Other things in view: holder, occluder, reference.
     pub bodies: Vec<BodySpec>,
-}
-
-/// A light, in the sample frame.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum LightSpec {
-    /// So far away that its light is parallel.
-    Directional {
-        /// Unit vector from the sample towards the light.
-        to_light: DVec3,
-        /// Irradiance on a surface across the light, per channel, W/m².
-        irradiance: [f64; 3],
-        /// Half the angle under which the light is seen, degrees; 0 is a point.
-        angular_radius_deg: f64,
-    },
-    /// A point at finite distance.
-    Point {
-        /// Where it is, mm.
-        position_mm: DVec3,
-        /// Irradiance it gives across its light at 1 mm, per channel, W/m²; falls with
-        /// the square of the distance.
-        intensity: [f64; 3],
-    },
 }
 
 /// A thing in view that is not fitted.
@@ -72,17 +47,16 @@ impl SceneFile {
         let mut root = Section::parse(file, folder, text)?;
         let mut camera = root.section("camera")?.required()?;
         let resolution_px = camera.resolution("resolution_px")?.required()?;
-        let view = CameraView::take(&mut camera)?;
+        let view = take_camera(&mut camera, resolution_px)?;
         camera.finish()?;
         let lights = root.sections("light")?.required()?;
         let brdf = root.section("brdf")?.optional();
         let bodies = root.sections("body")?.optional().unwrap_or_default();
         let scene = Self {
             camera: view,
-            resolution_px,
             lights: lights
                 .into_iter()
-                .map(LightSpec::read)
+                .map(read_light)
                 .collect::<Result<_, _>>()?,
             sample: SampleSpec::read(root.section("sample")?.required()?)?,
             brdf: brdf.map(BrdfSpec::read).transpose()?,
@@ -96,26 +70,25 @@ impl SceneFile {
     }
 }
 
-impl LightSpec {
-    fn read(mut table: Section) -> Result<Self, ConfigError> {
-        let directional = table
-            .choice("kind", &[("directional", true), ("point", false)])?
-            .required()?;
-        let light = if directional {
-            Self::Directional {
-                to_light: table.direction("to_light")?.required()?,
-                irradiance: table.channels("irradiance", 0.0..=1e9)?.or([1.0; 3]),
-                angular_radius_deg: table.number("angular_radius_deg", 0.0..=45.0)?.or(0.0),
-            }
-        } else {
-            Self::Point {
-                position_mm: table.position("position_mm")?.required()?,
-                intensity: table.channels("intensity", 0.0..=1e18)?.required()?,
-            }
-        };
-        table.finish()?;
-        Ok(light)
-    }
+fn read_light(mut table: Section) -> Result<Light, ConfigError> {
+    let directional = table
+        .choice("kind", &[("directional", true), ("point", false)])?
+        .required()?;
+    let light = if directional {
+        let radius_deg = table.number("angular_radius_deg", 0.0..=45.0)?.or(0.0);
+        Light::Directional {
+            to_light: table.direction("to_light")?.required()?,
+            irradiance: table.channels("irradiance", 0.0..=1e9)?.or([1.0; 3]),
+            angular_radius_rad: radius_deg.to_radians(),
+        }
+    } else {
+        Light::Point {
+            position_mm: table.position("position_mm")?.required()?,
+            intensity_mm2: table.channels("intensity", 0.0..=1e18)?.required()?,
+        }
+    };
+    table.finish()?;
+    Ok(light)
 }
 
 impl BodySpec {
@@ -133,9 +106,12 @@ impl BodySpec {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::reflectance::AtomSpec;
-    use crate::config::shape::{DesignedForm, ShapeSpec};
-    use crate::config::view::Projection;
+    use glam::{DVec2, DVec3};
+
+    use crate::brdf::Atom;
+    use crate::geometry::Shape;
+    use crate::geometry::shapes::Form;
+    use crate::transport::Projection;
 
     const BOWL: &str = r#"
 [camera]
@@ -165,7 +141,7 @@ mixture = [
 ]
 
 [[body]]
-shape = { kind = "designed", c = 1.0, form = "extruded", length_mm = 6.0 }
+shape = { kind = "designed", radius_mm = 1.0, offset = 1.0, form = "extruded", length_mm = 6.0 }
 shading = "smooth"
 brdf = { table = "holder.binary" }
 "#;
@@ -177,13 +153,13 @@ brdf = { table = "holder.binary" }
     #[test]
     fn everything_is_read() {
         let scene = parse(BOWL).unwrap();
-        assert_eq!(scene.resolution_px, [64, 48]);
-        let extent_mm = [2.2, 1.65];
+        assert_eq!(scene.camera.resolution_px, [64, 48]);
+        let extent_mm = DVec2::new(2.2, 1.65);
         assert_eq!(
             scene.camera.projection,
             Projection::Orthographic { extent_mm }
         );
-        let LightSpec::Directional {
+        let Light::Directional {
             to_light,
             irradiance,
             ..
@@ -195,9 +171,9 @@ brdf = { table = "holder.binary" }
         assert_eq!(irradiance, [1.0, 2.0, 3.0]);
         assert_eq!(
             scene.lights[1],
-            LightSpec::Point {
+            Light::Point {
                 position_mm: DVec3::new(0.0, 0.0, 300.0),
-                intensity: [9e4; 3]
+                intensity_mm2: [9e4; 3]
             }
         );
         assert_eq!(
@@ -209,7 +185,7 @@ brdf = { table = "holder.binary" }
         };
         assert_eq!(
             atoms[1].atom,
-            AtomSpec::Ggx {
+            Atom::Ggx {
                 alpha: 0.15,
                 eta: 1.5
             }
@@ -217,11 +193,12 @@ brdf = { table = "holder.binary" }
         assert_eq!(scene.bodies[0].shading, Shading::Smooth);
         assert_eq!(
             scene.bodies[0].surface,
-            SurfaceSpec::Shape(ShapeSpec::Designed {
+            SurfaceSpec::Shape(Shape::Designed {
                 radius_mm: 1.0,
-                c: 1.0,
+                offset: 1.0,
                 phi_min_deg: 45.0,
-                form: DesignedForm::Extruded { length_mm: 6.0 },
+                form: Form::Extruded,
+                length_mm: 6.0,
                 segments: 128
             })
         );

@@ -1,9 +1,17 @@
 //! The `[simulation]` table: the truth of a simulated bench, which the capture
 //! and the fit never see.
 
-use super::ConfigError;
+use mock_devices::bench::{LampModel, StageErrors};
+use mock_devices::camera::CameraConfig as MockCamera;
+use mock_devices::sensor::SensorConfig;
+
+#[cfg(feature = "serial")]
+use super::RigConfig;
 use super::reader::Section;
 use super::reflectance::BrdfSpec;
+use super::{CameraConfig, ConfigError};
+#[cfg(feature = "serial")]
+use crate::device::simulated::SimulatedConfig;
 
 /// What is true on a simulated bench.
 #[derive(Clone, Debug, PartialEq)]
@@ -16,8 +24,6 @@ pub struct SimulationConfig {
     pub pose_error_mm: f64,
     /// Standard deviation of its true orientation, degrees.
     pub pose_error_deg: f64,
-    /// Standard deviation of the lamp's true direction against the commanded one, degrees.
-    pub light_error_deg: f64,
     /// Facets around the true sample's rim: finer than the fit's, so that the
     /// fit doesn't share its mesh.
     pub segments: u32,
@@ -29,10 +35,14 @@ pub struct SimulationConfig {
     pub ambient_w_m2_sr: f64,
     /// Whether motion and exposure take time.
     pub timing: Timing,
-    /// Whether the camera can shut out the light by itself.
-    pub has_shutter: bool,
-    /// The sensor's truth.
-    pub sensor: SensorTruth,
+    /// How the true stage departs from what it reports, axis units.
+    pub stage_errors: StageErrors,
+    /// The lamp's power over time.
+    pub lamp: LampModel,
+    /// The sensor's truth; its calibration record is what was measured of it.
+    pub sensor: SensorConfig,
+    /// The camera around the sensor.
+    pub camera: MockCamera,
 }
 
 /// What the simulated sample is made of.
@@ -58,36 +68,9 @@ pub enum Timing {
     Realistic,
 }
 
-/// What a simulated sensor truly is; its calibration record is what was measured of it.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SensorTruth {
-    /// Electrons per second and per W/(m² sr): lens, pixel area and quantum efficiency together.
-    pub responsivity: f64,
-    /// System gain K, DN per electron.
-    pub gain_dn_per_e: f64,
-    /// Standard deviation of the read noise, e⁻.
-    pub read_noise_e: f64,
-    /// Most electrons a pixel holds.
-    pub full_well_e: f64,
-    /// Count without any electron, DN.
-    pub black_level_dn: f64,
-    /// Mean dark current, e⁻/s.
-    pub dark_current_e_s: f64,
-    /// Standard deviation of the dark current over the pixels, e⁻/s.
-    pub dsnu_e_s: f64,
-    /// Standard deviation of the offset over the pixels, e⁻.
-    pub offset_dsnu_e: f64,
-    /// Relative standard deviation of the response over the pixels.
-    pub prnu: f64,
-    /// Fraction of pixels that are hot.
-    pub hot_fraction: f64,
-    /// Extra dark current of a hot pixel, e⁻/s.
-    pub hot_current_e_s: f64,
-}
-
 impl SimulationConfig {
-    /// Reads the `[simulation]` table.
-    pub fn read(mut table: Section) -> Result<Self, ConfigError> {
+    /// Reads the `[simulation]` table of a rig with this camera.
+    pub fn read(mut table: Section, camera: &CameraConfig) -> Result<Self, ConfigError> {
         let bundled = table
             .parsed(
                 "material",
@@ -106,14 +89,17 @@ impl SimulationConfig {
                 return Err(table.missing("material", "`source:name`, or `brdf` a table"));
             }
         };
-        let sensor = SensorTruth::read(table.section_or_empty("sensor")?)?;
+        let seed = table.integer("seed", 0..=i64::MAX as u64)?.or(1);
+        let sensor = read_sensor(table.section_or_empty("sensor")?, camera, seed)?;
         let simulation = Self {
             material,
+            seed,
             sensor,
-            seed: table.integer("seed", 0..=i64::MAX as u64)?.or(1),
+            camera: read_camera(table.section_or_empty("camera")?, camera, seed)?,
+            stage_errors: read_stage_errors(table.section_or_empty("stage")?)?,
+            lamp: read_lamp(table.section_or_empty("lamp")?)?,
             pose_error_mm: table.number("pose_error_mm", 0.0..=10.0)?.or(0.0),
             pose_error_deg: table.number("pose_error_deg", 0.0..=10.0)?.or(0.0),
-            light_error_deg: table.number("light_error_deg", 0.0..=10.0)?.or(0.0),
             segments: table.integer("segments", 8..=4096)?.or(256) as u32,
             samples_per_pixel: table.integer("samples_per_pixel", 1..=1_048_576)?.or(4096) as u32,
             max_reflections: table.integer("max_reflections", 1..=64)?.or(32) as u32,
@@ -127,7 +113,6 @@ impl SimulationConfig {
                     ],
                 )?
                 .or(Timing::Realistic),
-            has_shutter: table.flag("has_shutter")?.or(true),
         };
         table.finish()?;
         Ok(simulation)
@@ -143,22 +128,145 @@ fn material(text: &str) -> Option<(String, String)> {
     (valid(source) && valid(name)).then(|| (source.to_owned(), name.to_owned()))
 }
 
-impl SensorTruth {
-    fn read(mut table: Section) -> Result<Self, ConfigError> {
-        let sensor = Self {
-            responsivity: table.number("responsivity", 1.0..=1e12)?.or(1e6),
-            gain_dn_per_e: table.number("gain_dn_per_e", 1e-4..=100.0)?.or(0.38),
-            read_noise_e: table.number("read_noise_e", 0.0..=1000.0)?.or(2.4),
-            full_well_e: table.number("full_well_e", 100.0..=1e7)?.or(10_500.0),
-            black_level_dn: table.number("black_level_dn", 0.0..=16_384.0)?.or(64.0),
-            dark_current_e_s: table.number("dark_current_e_s", 0.0..=1e6)?.or(3.0),
-            dsnu_e_s: table.number("dsnu_e_s", 0.0..=1e6)?.or(0.6),
-            offset_dsnu_e: table.number("offset_dsnu_e", 0.0..=1000.0)?.or(0.5),
-            prnu: table.number("prnu", 0.0..=0.2)?.or(0.006),
-            hot_fraction: table.number("hot_fraction", 0.0..=0.1)?.or(2e-4),
-            hot_current_e_s: table.number("hot_current_e_s", 0.0..=1e8)?.or(2000.0),
+fn read_sensor(
+    mut table: Section,
+    camera: &CameraConfig,
+    seed: u64,
+) -> Result<SensorConfig, ConfigError> {
+    let sensor = SensorConfig {
+        resolution_px: camera.resolution_px,
+        bit_depth: camera.bit_depth,
+        responsivity: table.number("responsivity", 1.0..=1e12)?.or(1e6),
+        gain_dn_per_e: table.number("gain_dn_per_e", 1e-4..=100.0)?.or(0.38),
+        read_noise_e: table.number("read_noise_e", 0.0..=1000.0)?.or(2.4),
+        full_well_e: table.number("full_well_e", 100.0..=1e7)?.or(10_500.0),
+        black_level_dn: table.number("black_level_dn", 0.0..=16_384.0)?.or(64.0),
+        dark_current_e_s: table.number("dark_current_e_s", 0.0..=1e6)?.or(3.0),
+        dsnu_e_s: table.number("dsnu_e_s", 0.0..=1e6)?.or(0.6),
+        offset_dsnu_e: table.number("offset_dsnu_e", 0.0..=1000.0)?.or(0.5),
+        prnu: table.number("prnu", 0.0..=0.2)?.or(0.006),
+        hot_fraction: table.number("hot_fraction", 0.0..=0.1)?.or(2e-4),
+        hot_current_e_s: table.number("hot_current_e_s", 0.0..=1e8)?.or(2000.0),
+        hot_pixels: Vec::new(),
+        seed,
+    };
+    table.finish()?;
+    Ok(sensor)
+}
+
+fn read_camera(
+    mut table: Section,
+    camera: &CameraConfig,
+    seed: u64,
+) -> Result<MockCamera, ConfigError> {
+    let ms = |value: f64| value * 1e-3;
+    let mock = MockCamera {
+        exposure_range_s: camera.exposure_range.map(|exposure| exposure.0),
+        exposure_step_s: camera.exposure_step.0,
+        settings_latency_frames: table.integer("settings_latency_frames", 0..=32)?.or(2) as u32,
+        frame_interval_s: ms(table.number("frame_interval_ms", 0.0..=1e4)?.or(33.3)),
+        readout_s: ms(table.number("readout_ms", 0.0..=1e4)?.or(10.0)),
+        has_shutter: table.flag("has_shutter")?.or(true),
+        noise_seed: seed,
+        ..MockCamera::default()
+    };
+    table.finish()?;
+    Ok(mock)
+}
+
+fn read_stage_errors(mut table: Section) -> Result<StageErrors, ConfigError> {
+    let errors = StageErrors {
+        azimuth_offset_deg: table.number("azimuth_offset_deg", -10.0..=10.0)?.or(0.0),
+        elevation_offset_deg: table.number("elevation_offset_deg", -10.0..=10.0)?.or(0.0),
+        backlash_mm: [table.number("backlash", 0.0..=10.0)?.or(0.0); 3],
+        positioning_mm: table.number("positioning", 0.0..=10.0)?.or(0.0),
+        repeatability_mm: table.number("repeatability", 0.0..=10.0)?.or(0.0),
+        homing_mm: table.number("homing", 0.0..=10.0)?.or(0.0),
+        coast_s: table.number("coast_s", 0.0..=10.0)?.or(0.0),
+    };
+    table.finish()?;
+    Ok(errors)
+}
+
+fn read_lamp(mut table: Section) -> Result<LampModel, ConfigError> {
+    let lamp = LampModel {
+        power: table.channels("power", 0.0..=10.0)?.or([1.0; 3]),
+        warm_up_fraction: table.number("warm_up_fraction", 0.0..=1.0)?.or(0.0),
+        warm_up_s: table.number("warm_up_s", 0.1..=1e5)?.or(60.0),
+        drift_per_hour: table.number("drift_per_hour", -1.0..=1.0)?.or(0.0),
+    };
+    table.finish()?;
+    Ok(lamp)
+}
+
+#[cfg(feature = "serial")]
+impl RigConfig {
+    /// The simulated bench that this rig describes; `None` for a real one.
+    pub fn simulated_bench(&self) -> Option<SimulatedConfig> {
+        let simulation = self.simulation.as_ref()?;
+        let channel_of = |colour: usize| {
+            let mut channels = self.stage.measures.iter();
+            channels
+                .position(|measures| measures.colours().contains(&colour))
+                .map(|channel| channel as u8)
         };
-        table.finish()?;
-        Ok(sensor)
+        Some(SimulatedConfig {
+            stage: self.stage.grbl.clone(),
+            errors: simulation.stage_errors,
+            lamp: simulation.lamp,
+            channel_of_colour: [0, 1, 2].map(channel_of),
+            sensor: simulation.sensor.clone(),
+            camera: simulation.camera.clone(),
+            mosaic: self.camera.mosaic,
+            instant: simulation.timing == Timing::Instant,
+            seed: simulation.seed,
+        })
+    }
+}
+
+#[cfg(all(test, feature = "serial"))]
+mod tests {
+    use std::path::Path;
+
+    use crate::config::{BUILT_IN, RigConfig};
+    use crate::device::simulated::SimulatedBench;
+    use crate::device::{LampChannel, LampState, LightStage};
+    use crate::units::StageAngles;
+
+    /// The simulated rig as it is shipped runs: its stage homes, reaches its
+    /// limits, and each lamp channel lights the colour that it claims to measure.
+    #[test]
+    fn the_shipped_bench_runs() {
+        let rig = RigConfig::parse("simulated", Path::new(""), BUILT_IN[0].1).unwrap();
+        let bench = SimulatedBench::start(rig.simulated_bench().unwrap()).unwrap();
+        let mut stage = bench.open_stage().unwrap();
+        stage.home().unwrap();
+        for (azimuth_deg, elevation_deg) in [(-180.0, 20.0), (180.0, 90.0), (0.0, 90.0)] {
+            let target = StageAngles {
+                azimuth_deg,
+                elevation_deg,
+            };
+            let reached = stage.move_to(target).unwrap();
+            assert!(
+                (reached.azimuth_deg - azimuth_deg).abs() < 0.05,
+                "{reached}"
+            );
+            assert!(
+                (reached.elevation_deg - elevation_deg).abs() < 0.05,
+                "{reached}"
+            );
+        }
+        for (channel, measures) in rig.stage.measures.iter().enumerate() {
+            stage
+                .set_lamp(LampState::On(LampChannel(channel as u8)))
+                .unwrap();
+            let lit = bench.bench().illumination().channels;
+            for (colour, power) in lit.iter().enumerate() {
+                let expected = f64::from(measures.colours().contains(&colour));
+                assert_eq!(*power, expected, "{measures:?} lights {lit:?}");
+            }
+        }
+        stage.set_lamp(LampState::Off).unwrap();
+        assert_eq!(bench.bench().illumination().channels, [0.0; 3]);
     }
 }

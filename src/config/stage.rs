@@ -2,86 +2,30 @@
 
 use super::ConfigError;
 use super::reader::Section;
-use crate::units::{Seconds, StageAngles};
+use crate::device::grbl::GrblConfig;
+use crate::device::kinematics::{AxisMap, Kinematics};
+use crate::units::Seconds;
 
 /// A light stage as the rig file describes it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StageConfig {
-    /// Where the firmware is reached.
-    pub port: StagePort,
-    /// The axis that turns the lamp about the stage's +z.
-    pub azimuth: AxisMap,
-    /// The axis that raises the lamp.
-    pub elevation: AxisMap,
-    /// Speed of a move, axis units per minute.
-    pub feed_per_min: f64,
-    /// Every target is approached from this far below it on each axis, degrees; 0 turns it off.
-    pub approach_deg: f64,
-    /// How long a reply may take.
-    pub reply_timeout: Seconds,
-    /// How long homing may take.
-    pub homing_timeout: Seconds,
-    /// How long a move may take.
-    pub move_timeout: Seconds,
-    /// Commands that turn every channel off.
-    pub lamp_off: Vec<String>,
-    /// The lamp's channels, one to three.
-    pub lamp: Vec<LampChannelConfig>,
+    /// Real or simulated.
+    pub driver: StageDriver,
+    /// What the GRBL driver needs. The simulated firmware speaks the same
+    /// protocol; its port is only known once it runs, and empty here.
+    pub grbl: GrblConfig,
+    /// Which colour frames under each lamp channel measure, one to three
+    /// entries, as many as `grbl.lamp_on`.
+    pub measures: Vec<Measures>,
 }
 
-/// Where the stage's firmware is reached.
-#[derive(Clone, Debug, PartialEq)]
-pub enum StagePort {
+/// Where the stage's firmware is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StageDriver {
     /// GRBL 1.1 on a serial port.
-    Serial {
-        /// Path, best below `/dev/serial/by-id`.
-        path: String,
-        /// Bits per second.
-        baud: u32,
-    },
-    /// The simulated firmware on a pseudo-terminal.
+    Grbl,
+    /// Simulated firmware on a pseudo-terminal.
     Simulated,
-}
-
-/// How an angle maps to an axis of the controller.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct AxisMap {
-    /// The axis' letter: X, Y, Z, A, B or C.
-    pub axis: char,
-    /// Axis units per degree; not 0, negative where the axis turns the other way.
-    pub scale: f64,
-    /// The angle at axis position 0, degrees.
-    pub offset_deg: f64,
-    /// Smallest angle, degrees.
-    pub min_deg: f64,
-    /// Largest angle, degrees.
-    pub max_deg: f64,
-}
-
-impl AxisMap {
-    /// The axis position of an angle.
-    pub fn position(&self, angle_deg: f64) -> f64 {
-        (angle_deg - self.offset_deg) * self.scale
-    }
-
-    /// The angle of an axis position, degrees.
-    pub fn angle_deg(&self, position: f64) -> f64 {
-        position / self.scale + self.offset_deg
-    }
-
-    /// Whether an angle is within the limits.
-    pub fn reaches(&self, angle_deg: f64) -> bool {
-        (self.min_deg..=self.max_deg).contains(&angle_deg)
-    }
-}
-
-/// One switchable colour of the lamp.
-#[derive(Clone, Debug, PartialEq)]
-pub struct LampChannelConfig {
-    /// Which colour its frames measure.
-    pub measures: Measures,
-    /// Commands that turn it on.
-    pub on: Vec<String>,
 }
 
 /// The colours that a frame under one lamp channel measures.
@@ -118,73 +62,78 @@ impl Measures {
 }
 
 impl StageConfig {
-    /// Whether both axes reach these angles.
-    pub fn reaches(&self, angles: StageAngles) -> bool {
-        self.azimuth.reaches(angles.azimuth_deg) && self.elevation.reaches(angles.elevation_deg)
-    }
-
     /// Reads the `[stage]` table.
     pub fn read(mut table: Section) -> Result<Self, ConfigError> {
-        let simulated = table
-            .choice("driver", &[("grbl", false), ("simulated", true)])?
-            .required()?;
-        let port = if simulated {
-            StagePort::Simulated
-        } else {
-            StagePort::Serial {
-                path: table.text("port")?.required()?,
-                baud: table.integer("baud", 1200..=3_000_000)?.or(115_200) as u32,
-            }
+        let drivers = [
+            ("grbl", StageDriver::Grbl),
+            ("simulated", StageDriver::Simulated),
+        ];
+        let driver = table.choice("driver", &drivers)?.required()?;
+        let (port, baud) = match driver {
+            StageDriver::Simulated => (String::new(), DEFAULT_BAUD),
+            StageDriver::Grbl => (
+                table.text("port")?.required()?,
+                table.integer("baud", 1200..=3_000_000)?.or(DEFAULT_BAUD),
+            ),
         };
-        let azimuth = AxisMap::read(table.section("azimuth")?.required()?)?;
-        let elevation = AxisMap::read(table.section("elevation")?.required()?)?;
+        let azimuth = read_axis(table.section("azimuth")?.required()?)?;
+        let elevation = read_axis(table.section("elevation")?.required()?)?;
         if azimuth.axis == elevation.axis {
             let allowed = "another axis than the azimuth's";
             return Err(table.conflict("elevation.axis", elevation.axis, allowed));
         }
-        let seconds = |found: f64| Seconds(found);
-        let stage = Self {
+        let (measures, lamp_on) = read_lamp(&mut table)?;
+        let grbl = GrblConfig {
             port,
-            azimuth,
-            elevation,
+            baud: baud as u32,
+            kinematics: Kinematics {
+                azimuth,
+                elevation,
+                approach_deg: table.number("approach_deg", 0.0..=45.0)?.or(2.0),
+            },
             feed_per_min: table.number("feed_per_min", 1.0..=1e5)?.or(3000.0),
-            approach_deg: table.number("approach_deg", 0.0..=45.0)?.or(2.0),
-            reply_timeout: seconds(table.number("reply_timeout_s", 0.05..=60.0)?.or(2.0)),
-            homing_timeout: seconds(table.number("homing_timeout_s", 1.0..=600.0)?.or(60.0)),
-            move_timeout: seconds(table.number("move_timeout_s", 1.0..=600.0)?.or(60.0)),
             lamp_off: table.parsed("lamp_off", COMMANDS, commands)?.required()?,
-            lamp: read_lamp(&mut table)?,
+            lamp_on,
+            connect_timeout: Seconds(table.number("connect_timeout_s", 0.1..=60.0)?.or(5.0)),
+            reply_timeout: Seconds(table.number("reply_timeout_s", 0.05..=60.0)?.or(2.0)),
+            homing_timeout: Seconds(table.number("homing_timeout_s", 1.0..=600.0)?.or(120.0)),
+            position_tolerance_deg: table.number("position_tolerance_deg", 1e-4..=5.0)?.or(0.05),
         };
         table.finish()?;
-        Ok(stage)
+        Ok(Self {
+            driver,
+            grbl,
+            measures,
+        })
     }
 }
 
-impl AxisMap {
-    fn read(mut table: Section) -> Result<Self, ConfigError> {
-        let axis = |text: &str| match text {
-            "X" | "Y" | "Z" | "A" | "B" | "C" => text.chars().next(),
-            _ => None,
-        };
-        let map = Self {
-            axis: table
-                .parsed("axis", "one of X, Y, Z, A, B, C", axis)?
-                .required()?,
-            scale: table.number("scale", -1e4..=1e4)?.or(1.0),
-            offset_deg: table.number("offset_deg", -360.0..=360.0)?.or(0.0),
-            min_deg: table.number("min_deg", -360.0..=360.0)?.required()?,
-            max_deg: table.number("max_deg", -360.0..=360.0)?.required()?,
-        };
-        if map.scale.abs() < 1e-6 {
-            return Err(table.conflict("scale", map.scale, "away from 0"));
-        }
-        if map.min_deg > map.max_deg {
-            let allowed = format!("at least min_deg ({})", map.min_deg);
-            return Err(table.conflict("max_deg", map.max_deg, &allowed));
-        }
-        table.finish()?;
-        Ok(map)
+/// GRBL's own.
+const DEFAULT_BAUD: u64 = 115_200;
+
+fn read_axis(mut table: Section) -> Result<AxisMap, ConfigError> {
+    let axis = |text: &str| match text {
+        "X" | "Y" | "Z" | "A" | "B" | "C" => text.chars().next(),
+        _ => None,
+    };
+    let map = AxisMap {
+        axis: table
+            .parsed("axis", "one of X, Y, Z, A, B, C", axis)?
+            .required()?,
+        scale: table.number("scale", -1e4..=1e4)?.or(1.0),
+        offset_deg: table.number("offset_deg", -360.0..=360.0)?.or(0.0),
+        min_deg: table.number("min_deg", -360.0..=360.0)?.required()?,
+        max_deg: table.number("max_deg", -360.0..=360.0)?.required()?,
+    };
+    if map.scale.abs() < 1e-6 {
+        return Err(table.conflict("scale", map.scale, "away from 0"));
     }
+    if map.min_deg > map.max_deg {
+        let allowed = format!("at least min_deg ({})", map.min_deg);
+        return Err(table.conflict("max_deg", map.max_deg, &allowed));
+    }
+    table.finish()?;
+    Ok(map)
 }
 
 const COMMANDS: &str = "controller commands separated by `;`, printable ASCII, at most 80 each";
@@ -205,9 +154,12 @@ fn commands(text: &str) -> Option<Vec<String>> {
     commands.iter().all(valid).then_some(commands)
 }
 
-fn read_lamp(table: &mut Section) -> Result<Vec<LampChannelConfig>, ConfigError> {
+/// What each channel measures, and the commands that turn it on.
+type Lamp = (Vec<Measures>, Vec<Vec<String>>);
+
+fn read_lamp(table: &mut Section) -> Result<Lamp, ConfigError> {
     let sections = table.sections("lamp")?.required()?;
-    let mut channels = Vec::with_capacity(sections.len());
+    let (mut channels, mut commands_on) = (Vec::new(), Vec::new());
     let mut measured = [false; 3];
     for mut section in sections {
         let measures = section
@@ -227,16 +179,14 @@ fn read_lamp(table: &mut Section) -> Result<Vec<LampChannelConfig>, ConfigError>
                 return Err(section.conflict("measures", measures.name(), allowed));
             }
         }
-        channels.push(LampChannelConfig {
-            measures,
-            on: section.parsed("on", COMMANDS, commands)?.required()?,
-        });
+        channels.push(measures);
+        commands_on.push(section.parsed("on", COMMANDS, commands)?.required()?);
         section.finish()?;
     }
     if measured != [true; 3] {
-        let names: Vec<_> = channels.iter().map(|c| c.measures.name()).collect();
+        let names: Vec<_> = channels.iter().map(|channel| channel.name()).collect();
         let allowed = "channels that together measure R, G and B";
         return Err(table.conflict("lamp", names.join(" and "), allowed));
     }
-    Ok(channels)
+    Ok((channels, commands_on))
 }

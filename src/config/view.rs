@@ -3,77 +3,44 @@
 
 use std::path::PathBuf;
 
-use glam::DVec3;
+use glam::{DVec2, DVec3};
 
 use super::ConfigError;
 use super::reader::Section;
-use super::shape::ShapeSpec;
-use crate::frames::{Camera, Rigid, Sample, look_at};
+use super::shape::read_shape;
+use crate::geometry::Shape;
+use crate::transport::{Camera, Projection, Shading};
 
-/// How the camera maps directions to pixels.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Projection {
-    /// Parallel rays (a telecentric lens).
-    Orthographic {
-        /// Field of view, width and height, mm.
-        extent_mm: [f64; 2],
-    },
-    /// A pinhole.
-    Perspective {
-        /// Full horizontal angle of view, degrees.
-        fov_deg: f64,
-    },
-}
-
-/// Where the camera stands and what it sees; the pixel grid is elsewhere.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct CameraView {
-    /// Parallel or pinhole.
-    pub projection: Projection,
-    /// The camera's position, sample frame, mm.
-    pub position_mm: DVec3,
-    /// The point in the middle of the image, sample frame, mm.
-    pub look_at_mm: DVec3,
-    /// Unit direction that points up in the image, sample frame.
-    pub up: DVec3,
-    /// Numerical aperture on the sample's side; 0 is a pinhole.
-    pub object_na: f64,
-}
-
-impl CameraView {
-    /// Takes the view's keys out of a table that may have others.
-    pub fn take(table: &mut Section) -> Result<Self, ConfigError> {
-        let orthographic = table
-            .choice("model", &[("orthographic", true), ("perspective", false)])?
-            .required()?;
-        let projection = if orthographic {
-            let extent_mm = table.numbers("extent_mm", 1e-3..=1e4)?.required()?;
-            Projection::Orthographic { extent_mm }
-        } else {
-            let fov_deg = table.number("fov_deg", 0.1..=170.0)?.required()?;
-            Projection::Perspective { fov_deg }
-        };
-        let view = Self {
-            projection,
-            position_mm: table.position("position_mm")?.required()?,
-            look_at_mm: table.position("look_at_mm")?.or(DVec3::ZERO),
-            up: table.direction("up")?.or(DVec3::Y),
-            object_na: table.number("object_na", 0.0..=0.95)?.or(0.0),
-        };
-        if look_at(view.position_mm, view.look_at_mm, view.up).is_none() {
-            return Err(table.conflict(
-                "up",
-                view.up,
-                "across the view, with look_at_mm away from position_mm",
-            ));
+/// Takes the camera's place and lens out of a table that may have other keys;
+/// the pixel grid is the caller's. A lens with an aperture is sharp at the
+/// point it looks at.
+pub fn take_camera(table: &mut Section, resolution_px: [u32; 2]) -> Result<Camera, ConfigError> {
+    let orthographic = table
+        .choice("model", &[("orthographic", true), ("perspective", false)])?
+        .required()?;
+    let projection = if orthographic {
+        let extent_mm = table.numbers("extent_mm", 1e-3..=1e4)?.required()?;
+        Projection::Orthographic {
+            extent_mm: DVec2::from_array(extent_mm),
         }
-        Ok(view)
-    }
-
-    /// The camera's place; `None` never happens for a view that was read.
-    pub fn sample_from_camera(&self) -> Option<Rigid<Sample, Camera>> {
-        look_at(self.position_mm, self.look_at_mm, self.up)
-    }
+    } else {
+        let fov_deg = table.number("fov_deg", 0.1..=170.0)?.required()?;
+        Projection::Perspective {
+            fov_rad: fov_deg.to_radians(),
+        }
+    };
+    let position_mm = table.position("position_mm")?.required()?;
+    let look_at_mm = table.position("look_at_mm")?.or(DVec3::ZERO);
+    let up = table.direction("up")?.or(DVec3::Y);
+    let object_na = table.number("object_na", 0.0..=0.95)?.or(0.0);
+    let resolution_px = resolution_px.map(|side| side as usize);
+    let camera = Camera::looking_at(resolution_px, projection, position_mm, look_at_mm, up);
+    let mut camera = camera.ok_or_else(|| {
+        let allowed = "across the view, with look_at_mm away from position_mm";
+        table.conflict("up", up, allowed)
+    })?;
+    camera.object_na = object_na;
+    Ok(camera)
 }
 
 /// A surface, from a file or by its parameters.
@@ -82,7 +49,7 @@ pub enum SurfaceSpec {
     /// A mesh file (PLY, OBJ, STL), millimetres.
     Mesh(PathBuf),
     /// A shape by its parameters.
-    Shape(ShapeSpec),
+    Shape(Shape),
 }
 
 impl SurfaceSpec {
@@ -92,22 +59,13 @@ impl SurfaceSpec {
         let shape = table.section("shape")?.optional();
         match (mesh, shape) {
             (Some(mesh), None) => Ok(Self::Mesh(mesh)),
-            (None, Some(shape)) => Ok(Self::Shape(ShapeSpec::read(shape)?)),
+            (None, Some(shape)) => Ok(Self::Shape(read_shape(shape)?)),
             (Some(mesh), Some(_)) => {
                 Err(table.conflict("mesh", mesh.display(), "absent where `shape` is given"))
             }
             (None, None) => Err(table.missing("mesh", "a mesh file, or `shape` a table")),
         }
     }
-}
-
-/// Which normals shade.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Shading {
-    /// The facets' own.
-    Flat,
-    /// Interpolated between vertices: no facets in mirror images, but not reciprocal.
-    Smooth,
 }
 
 /// The sample under the camera, in its own frame.

@@ -4,6 +4,15 @@
 //! Drivers block; each is owned by one thread. A driver returns what happened
 //! (read back from the device), never what was asked.
 
+pub mod discovery;
+pub mod grbl;
+pub mod kinematics;
+pub mod pixel_format;
+#[cfg(feature = "serial")]
+pub mod simulated;
+#[cfg(feature = "v4l")]
+pub mod v4l;
+
 use crate::units::{Seconds, StageAngles};
 use serde::{Deserialize, Serialize};
 

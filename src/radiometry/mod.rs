@@ -2,5 +2,7 @@
 //! take, and how a bracket becomes one radiance with its variance.
 
 pub mod exposure;
+pub mod merge;
 pub mod mosaic;
+mod rate;
 pub mod sensor;

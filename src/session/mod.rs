@@ -25,6 +25,7 @@
 pub mod commit;
 mod error;
 pub mod faults;
+pub mod fit_record;
 pub mod frame;
 pub mod journal;
 pub mod layout;

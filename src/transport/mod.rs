@@ -1,1 +1,26 @@
-//! To be written.
+//! How light travels from lamp to camera over the sample: the scene, path
+//! sampling, plain rendering, and the path cache on which a fit evaluates image,
+//! Jacobian and gradient without tracing again.
+//!
+//! Path vertices do not depend on the BRDF when continuations are drawn from a
+//! fixed proposal, so paths are traced once and evaluated for any mixture.
+
+pub mod cache;
+pub mod camera;
+pub mod direct;
+pub mod evaluate;
+pub mod event;
+pub mod lanes;
+pub mod light;
+pub mod proposal;
+pub mod render;
+pub mod scene;
+
+pub use cache::{Cache, CacheOptions};
+pub use camera::{Camera, Projection};
+pub use direct::DirectMatrix;
+pub use evaluate::{Kernel, PixelRows};
+pub use light::Light;
+pub use proposal::Proposal;
+pub use render::{RenderOptions, render};
+pub use scene::{Scene, Shading};

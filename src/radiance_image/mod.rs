@@ -1,6 +1,8 @@
 //! Radiance over a pixel grid with its variance: what a merge gives, what a
 //! render gives, what a fit compares.
 
+pub mod exr;
+
 /// Three channels of radiance with the variance of each value, and which
 /// pixels are trustworthy. Row 0 is the top.
 #[derive(Clone, Debug, PartialEq)]

@@ -1,0 +1,34 @@
+# `make demo`: build, then the whole pipeline on the simulated rig.
+# `make test`: all tests.
+
+CARGO ?= cargo
+SUDO := $(if $(filter 0,$(shell id -u)),,sudo)
+
+.PHONY: demo test build deps
+
+demo: build
+	target/release/rig demo
+
+build: deps
+	$(CARGO) build --release
+
+test: deps
+	$(CARGO) test --release --workspace
+
+# What the build needs from the system: a C compiler to link, libclang for the
+# Video4Linux bindings. Nothing happens if it is there.
+deps:
+	@command -v $(CARGO) >/dev/null || { \
+	  echo "error: cargo was not found" >&2; echo >&2; \
+	  echo "hint: install a Rust toolchain (https://rustup.rs)" >&2; exit 1; }
+	@if ! command -v dpkg-query >/dev/null; then \
+	  echo "note: not a Debian system; a C compiler and libclang are needed" >&2; \
+	else \
+	  missing=; \
+	  command -v cc >/dev/null || missing="$$missing build-essential"; \
+	  dpkg-query -W -f='$${Status}' libclang-dev 2>/dev/null | grep -q 'ok installed' \
+	    || missing="$$missing libclang-dev"; \
+	  if [ -n "$$missing" ]; then \
+	    $(SUDO) apt-get update && $(SUDO) apt-get install -y --no-install-recommends $$missing; \
+	  fi; \
+	fi

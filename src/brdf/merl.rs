@@ -1,0 +1,164 @@
+//! Files of the MERL database (Matusik et al. 2003): `.binary`.
+//!
+//! Three little-endian i32 (cells in θh, θd, φd), then R, G and B as planes of
+//! little-endian f64 in order θh, θd, φd (fastest), scaled by 1500, 1500/1.15 and
+//! 1500/1.66; negative values mark directions below the horizon.
+
+use std::io::Write;
+use std::path::Path;
+
+use super::table::{MERL_SHAPE, TabulatedBrdf, node};
+use super::{Brdf, BrdfError};
+
+/// 1/sr per stored unit, R, G, B.
+pub const SCALE: [f64; 3] = [1.0 / 1500.0, 1.15 / 1500.0, 1.66 / 1500.0];
+
+/// Reads a `.binary` file of any cell counts; its size must be the one its header implies.
+pub fn read(path: &Path) -> Result<TabulatedBrdf, BrdfError> {
+    let bytes = std::fs::read(path).map_err(|source| BrdfError::Io {
+        path: path.into(),
+        source,
+    })?;
+    parse(&bytes).map_err(|fact| BrdfError::File {
+        path: path.into(),
+        fact,
+    })
+}
+
+/// [`read`] from memory.
+pub fn parse(bytes: &[u8]) -> Result<TabulatedBrdf, String> {
+    let (header, body) = bytes
+        .split_at_checked(12)
+        .ok_or_else(|| format!("{} bytes, a MERL file has at least 12", bytes.len()))?;
+    let mut shape = [0usize; 3];
+    for (axis, word) in header.as_chunks::<4>().0.iter().enumerate() {
+        let count = i32::from_le_bytes(*word);
+        shape[axis] = usize::try_from(count)
+            .ok()
+            .filter(|count| (1..=4096).contains(count))
+            .ok_or_else(|| format!("{count} cells along axis {axis}, allowed are 1 to 4096"))?;
+    }
+    let cells = shape[0] * shape[1] * shape[2];
+    if body.len() != cells * 24 {
+        return Err(format!(
+            "{} bytes after the header, {} x {} x {} cells need {}",
+            body.len(),
+            shape[0],
+            shape[1],
+            shape[2],
+            cells * 24
+        ));
+    }
+    let stored = body.as_chunks::<8>().0;
+    let values = (0..cells)
+        .map(|cell| {
+            [0, 1, 2].map(|c| (f64::from_le_bytes(stored[c * cells + cell]) * SCALE[c]) as f32)
+        })
+        .collect();
+    TabulatedBrdf::new(shape, values).map_err(|error| error.to_string())
+}
+
+/// The bytes of a `.binary` file of `brdf` in the database's own cell counts.
+pub fn to_bytes(brdf: &dyn Brdf) -> Vec<u8> {
+    let table = TabulatedBrdf::from_brdf(MERL_SHAPE, brdf);
+    let [n_h, n_d, n_phi] = MERL_SHAPE;
+    let mut bytes = Vec::with_capacity(12 + table.values().len() * 24);
+    for count in MERL_SHAPE {
+        bytes.extend((count as i32).to_le_bytes());
+    }
+    let mut below_horizon = Vec::with_capacity(n_h * n_d * n_phi);
+    for cell in 0..n_h * n_d * n_phi {
+        let index = [cell / (n_d * n_phi), cell / n_phi % n_d, cell % n_phi];
+        let (i, o) = node(MERL_SHAPE, index).to_directions();
+        below_horizon.push(!(i.z > 0.0 && o.z > 0.0));
+    }
+    for channel in 0..3 {
+        for (value, &below) in table.values().iter().zip(&below_horizon) {
+            let stored = if below {
+                -1.0
+            } else {
+                f64::from(value[channel]) / SCALE[channel]
+            };
+            bytes.extend(stored.to_le_bytes());
+        }
+    }
+    bytes
+}
+
+/// Writes a `.binary` file, 35 MB, in place of any file of that name.
+pub fn write(path: &Path, brdf: &dyn Brdf) -> Result<(), BrdfError> {
+    let io = |source| BrdfError::Io {
+        path: path.into(),
+        source,
+    };
+    let folder = path.parent().filter(|p| !p.as_os_str().is_empty());
+    let mut file = tempfile::NamedTempFile::new_in(folder.unwrap_or(Path::new("."))).map_err(io)?;
+    file.write_all(&to_bytes(brdf)).map_err(io)?;
+    file.persist(path).map_err(|error| io(error.error))?;
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn small() -> Vec<u8> {
+        let mut bytes = Vec::new();
+        for count in [2i32, 3, 1] {
+            bytes.extend(count.to_le_bytes());
+        }
+        for value in 0..18 {
+            bytes.extend(f64::from(value * 150).to_le_bytes());
+        }
+        bytes
+    }
+
+    #[test]
+    fn planes_and_scales() {
+        let table = parse(&small()).unwrap();
+        assert_eq!(table.shape(), [2, 3, 1]);
+        let [r, g, b] = table.values()[4];
+        for (got, want) in [(r, 0.4), (g, 1.0 * 1.15), (b, 1.6 * 1.66)] {
+            assert!((got - want).abs() < 1e-6, "{got} {want}");
+        }
+    }
+
+    #[test]
+    fn what_is_written_reads_back() {
+        let original = TabulatedBrdf::tabulate([4, 4, 1], |a| {
+            [0.1 + a.theta_h_rad as f32, 0.2, 0.3 + a.theta_d_rad as f32]
+        });
+        let back = parse(&to_bytes(&original)).unwrap();
+        assert_eq!(back.shape(), MERL_SHAPE);
+        let again = parse(&to_bytes(&back)).unwrap();
+        let worst = back
+            .values()
+            .iter()
+            .zip(again.values())
+            .flat_map(|(a, b)| [0, 1, 2].map(|c| (a[c] - b[c]).abs() / a[c]));
+        assert!(worst.fold(0.0, f32::max) < 1e-3);
+    }
+
+    proptest! {
+        #[test]
+        fn no_bytes_panic(bytes in proptest::collection::vec(any::<u8>(), 0..200)) {
+            let _ = parse(&bytes);
+        }
+
+        #[test]
+        fn no_header_panics(header in any::<[i32; 3]>(), rest in 0usize..100) {
+            let mut bytes: Vec<u8> = header.iter().flat_map(|c| c.to_le_bytes()).collect();
+            bytes.resize(12 + rest, 0);
+            let _ = parse(&bytes);
+        }
+
+        #[test]
+        fn every_other_length_is_refused(length in 0usize..200) {
+            let mut bytes = small();
+            prop_assume!(length != bytes.len());
+            bytes.resize(length, 0);
+            prop_assert!(parse(&bytes).is_err());
+        }
+    }
+}

@@ -1,0 +1,272 @@
+//! A sphere of a material under an environment map: the picture by which
+//! BRDFs are compared.
+//!
+//! Unit sphere, orthographic view along −z, +y up, direct light only, one sample
+//! position per pixel (its centre). The incident directions of each pixel are fixed:
+//! [`PER_TECHNIQUE`] of each technique of [`quadrature`] and
+//! [`FROM_MAP`] drawn by the map's luminance, combined by the balance heuristic.
+//! They don't depend on the material, so two materials are compared with
+//! the same rule, and the picture is linear in the BRDF.
+
+use glam::DVec3;
+use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
+
+use super::Brdf;
+use super::dictionary::Dictionary;
+use super::environment::EnvironmentMap;
+use super::ggx::Cosines;
+use super::quadrature::{self, TECHNIQUES};
+use crate::random::{Purpose, stream};
+
+/// Directions per technique and pixel.
+pub const PER_TECHNIQUE: u32 = 40;
+/// Directions per pixel drawn from the map.
+pub const FROM_MAP: u32 = 64;
+
+/// Radiance of a sphere over a square image, row 0 at the top.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SphereImage {
+    /// Pixels per side.
+    pub size: usize,
+    /// R, G, B; zero outside the sphere.
+    pub radiance: Vec<[f32; 3]>,
+}
+
+impl SphereImage {
+    /// The exposure that leaves the brightest 3% of the values to clip.
+    pub fn natural_exposure(&self) -> f32 {
+        let mut values: Vec<f32> = normals(self.size)
+            .into_iter()
+            .flat_map(|(pixel, _)| self.radiance[pixel])
+            .collect();
+        values.sort_by(f32::total_cmp);
+        let bright = values.get(values.len() * 97 / 100).copied().unwrap_or(1.0);
+        if bright > 0.0 { 1.0 / bright } else { 1.0 }
+    }
+
+    /// 8-bit sRGB for looking at, `exposure` × radiance 1 is white; outside the sphere white.
+    pub fn to_srgb(&self, exposure: f32) -> Vec<[u8; 3]> {
+        let encode = |x: f32| {
+            let x = (exposure * x).clamp(0.0, 1.0);
+            let encoded = if x <= 0.003_130_8 {
+                12.92 * x
+            } else {
+                1.055 * x.powf(1.0 / 2.4) - 0.055
+            };
+            (255.0 * encoded + 0.5) as u8
+        };
+        let mut pixels = vec![[255; 3]; self.radiance.len()];
+        for (pixel, _) in normals(self.size) {
+            pixels[pixel] = self.radiance[pixel].map(encode);
+        }
+        pixels
+    }
+}
+
+/// Pixels whose centre lies on the sphere, with the normal there.
+pub fn normals(size: usize) -> Vec<(usize, DVec3)> {
+    let coordinate = |k: usize| (2.0 * k as f64 + 1.0) / size as f64 - 1.0;
+    (0..size * size)
+        .filter_map(|pixel| {
+            let (x, y) = (coordinate(pixel % size), -coordinate(pixel / size));
+            let z2 = 1.0 - x * x - y * y;
+            (z2 > 0.0).then(|| (pixel, DVec3::new(x, y, z2.sqrt())))
+        })
+        .collect()
+}
+
+/// Light that reaches one pixel's point from one direction.
+struct Incident {
+    at: Cosines<f32>,
+    to_light: glam::Vec3,
+    to_viewer: glam::Vec3,
+    /// Radiance × cosine × quadrature weight, R, G, B.
+    irradiance: [f32; 3],
+}
+
+fn incident(map: &EnvironmentMap, pixel: usize, normal: DVec3) -> Vec<Incident> {
+    let mut numbers = stream(0, Purpose::Experiment, 0, pixel as u64, 0);
+    let shift = [numbers.uniform(), numbers.uniform()];
+    // The local frame: the viewer (+z) lies in its xz plane.
+    let tangent = (DVec3::Z - normal * normal.z)
+        .try_normalize()
+        .unwrap_or(DVec3::X);
+    let bitangent = normal.cross(tangent);
+    let to_local = |d: DVec3| DVec3::new(d.dot(tangent), d.dot(bitangent), d.dot(normal));
+    let to_world = |d: DVec3| d.x * tangent + d.y * bitangent + d.z * normal;
+    let viewer = to_local(DVec3::Z);
+    let lobes = quadrature::directions(viewer, PER_TECHNIQUE, shift).map(|d| (d, to_world(d)));
+    let map_directions = (0..FROM_MAP).map(|k| {
+        // The evenly spaced coordinate walks through the map.
+        let [within, along] = quadrature::point(k, FROM_MAP, shift);
+        let d = map.sample([along, within]);
+        (to_local(d), d)
+    });
+    lobes
+        .chain(map_directions)
+        .filter_map(|(local, world)| {
+            let (to_light, to_viewer) = (local.as_vec3(), viewer.as_vec3());
+            let at = Cosines::new(to_light.to_array(), to_viewer.to_array())?;
+            let (radiance, map_density) = map.look(world);
+            let density =
+                f64::from(PER_TECHNIQUE) * TECHNIQUES as f64 * quadrature::density(viewer, local)
+                    + f64::from(FROM_MAP) * map_density;
+            let scale = (local.z / density) as f32;
+            Some(Incident {
+                at,
+                to_light,
+                to_viewer,
+                irradiance: radiance.map(|l| l * scale),
+            })
+        })
+        .collect()
+}
+
+/// The sphere of `brdf` under `map`, `size` × `size` pixels.
+pub fn sphere_image(brdf: &dyn Brdf, map: &EnvironmentMap, size: usize) -> SphereImage {
+    let [image] = sphere_images([brdf], map, size);
+    image
+}
+
+/// [`sphere_image`] of several BRDFs, in the time that one takes and little more.
+pub fn sphere_images<const N: usize>(
+    brdfs: [&dyn Brdf; N],
+    map: &EnvironmentMap,
+    size: usize,
+) -> [SphereImage; N] {
+    let shaded: Vec<(usize, [[f32; 3]; N])> = normals(size)
+        .into_par_iter()
+        .map(|(pixel, normal)| {
+            let mut sums = [[0.0f64; 3]; N];
+            for light in incident(map, pixel, normal) {
+                for (sum, brdf) in sums.iter_mut().zip(brdfs) {
+                    let f = brdf.eval(light.to_light, light.to_viewer);
+                    for c in 0..3 {
+                        sum[c] += f64::from(f[c] * light.irradiance[c]);
+                    }
+                }
+            }
+            (pixel, sums.map(|sum| sum.map(|s| s as f32)))
+        })
+        .collect();
+    std::array::from_fn(|k| {
+        let mut radiance = vec![[0.0; 3]; size * size];
+        for (pixel, rgb) in &shaded {
+            radiance[*pixel] = rgb[k];
+        }
+        SphereImage { size, radiance }
+    })
+}
+
+/// The sphere images of all atoms of a dictionary under one map: the image of a mixture is
+/// this matrix times its weights.
+#[derive(Clone, Debug)]
+pub struct SphereMatrix {
+    /// Pixels on the sphere, in the order of the rows.
+    pub pixels: Vec<usize>,
+    /// Per channel: radiance, pixels on the sphere × atoms.
+    pub channels: [DMatrix<f64>; 3],
+}
+
+impl SphereMatrix {
+    /// A channel of an image of the same size, at the rows' pixels.
+    pub fn column_of(&self, image: &SphereImage, channel: usize) -> DVector<f64> {
+        DVector::from_iterator(
+            self.pixels.len(),
+            self.pixels
+                .iter()
+                .map(|&pixel| f64::from(image.radiance[pixel][channel])),
+        )
+    }
+}
+
+/// [`sphere_image`] of every atom at once.
+pub fn sphere_matrix(dictionary: &Dictionary, map: &EnvironmentMap, size: usize) -> SphereMatrix {
+    let evaluator = dictionary.evaluator();
+    let n = dictionary.len();
+    let points = normals(size);
+    let rows: Vec<[Vec<f64>; 3]> = points
+        .par_iter()
+        .map(|&(pixel, normal)| {
+            let mut values = vec![0.0f32; n];
+            let mut sums = [0, 1, 2].map(|_| vec![0.0f64; n]);
+            for light in incident(map, pixel, normal) {
+                evaluator.eval(&light.at, &mut values);
+                for (sums, irradiance) in sums.iter_mut().zip(light.irradiance) {
+                    for (sum, value) in sums.iter_mut().zip(&values) {
+                        *sum += f64::from(value * irradiance);
+                    }
+                }
+            }
+            sums
+        })
+        .collect();
+    SphereMatrix {
+        channels: [0, 1, 2]
+            .map(|c| DMatrix::from_fn(rows.len(), n, |row, atom| rows[row][c][atom])),
+        pixels: points.into_iter().map(|(pixel, _)| pixel).collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::brdf::dictionary::Atom;
+    use crate::brdf::mixture::Mixture;
+    use std::sync::Arc;
+
+    fn uniform() -> EnvironmentMap {
+        EnvironmentMap::new("uniform", 8, 4, vec![[1.0, 2.0, 3.0]; 32]).unwrap()
+    }
+
+    #[test]
+    fn a_white_sphere_under_a_uniform_sky_is_flat() {
+        let dictionary = Dictionary::new("white", vec![Atom::Lambertian { albedo: 1.0 }]).unwrap();
+        let white = Mixture::grey(Arc::new(dictionary), vec![1.0]).unwrap();
+        let image = sphere_image(&white, &uniform(), 24);
+        for (pixel, normal) in normals(24) {
+            for (c, want) in [1.0, 2.0, 3.0].into_iter().enumerate() {
+                let got = image.radiance[pixel][c];
+                assert!(
+                    (got / want - 1.0).abs() < 0.06,
+                    "{normal}: {got} for {want}"
+                );
+            }
+        }
+        assert_eq!(image.radiance[0], [0.0; 3]);
+    }
+
+    #[test]
+    fn light_from_above_lights_the_top() {
+        let mut texels = vec![[0.0; 3]; 32 * 16];
+        texels[..32 * 3].fill([1.0; 3]);
+        let map = EnvironmentMap::new("above", 32, 16, texels).unwrap();
+        let dictionary = Dictionary::new("white", vec![Atom::Lambertian { albedo: 1.0 }]).unwrap();
+        let white = Mixture::grey(Arc::new(dictionary), vec![1.0]).unwrap();
+        let image = sphere_image(&white, &map, 16);
+        let mean = |rows: std::ops::Range<usize>| -> f32 {
+            rows.map(|r| image.radiance[r * 16 + 8][0]).sum()
+        };
+        assert!(mean(1..4) > 10.0 * mean(12..15));
+    }
+
+    #[test]
+    fn the_matrix_times_weights_is_the_image() {
+        let dictionary = Arc::new(Dictionary::grid42());
+        let map = EnvironmentMap::embedded("city").unwrap();
+        let mut weights = vec![0.0; 42];
+        (weights[3], weights[22], weights[40], weights[41]) = (0.2, 0.3, 0.4, 0.1);
+        let image = sphere_image(
+            &Mixture::grey(dictionary.clone(), weights.clone()).unwrap(),
+            &map,
+            12,
+        );
+        let matrix = sphere_matrix(&dictionary, &map, 12);
+        for c in 0..3 {
+            let product = &matrix.channels[c] * DVector::from_vec(weights.clone());
+            let direct = matrix.column_of(&image, c);
+            assert!((product - &direct).norm() < 1e-5 * direct.norm());
+        }
+    }
+}

@@ -1,0 +1,189 @@
+//! Mixture weights as a table in a file: `weights.csv`.
+//!
+//! Columns by name: `atom` (index in the dictionary), `kind`, `alpha`, `eta` (for
+//! the reader), `weight_r`, `weight_g`, `weight_b`, and optionally the standard
+//! deviations `sd_r`, `sd_g`, `sd_b`. Weights alone are not identifiable: atoms
+//! resemble each other, so their deviations are large where the BRDF's are not.
+
+use std::fmt::Write;
+use std::path::Path;
+use std::sync::Arc;
+
+use super::BrdfError;
+use super::dictionary::{Atom, Dictionary};
+use super::mixture::Mixture;
+
+/// The text of `weights.csv`; `deviations` are standard deviations, indexed as the weights.
+pub fn to_csv(mixture: &Mixture, deviations: Option<&[Vec<f64>; 3]>) -> String {
+    let mut text = String::from("atom,kind,alpha,eta,weight_r,weight_g,weight_b");
+    if deviations.is_some() {
+        text += ",sd_r,sd_g,sd_b";
+    }
+    text.push('\n');
+    for (index, atom) in mixture.dictionary().atoms().iter().enumerate() {
+        let described = match *atom {
+            Atom::Ggx { alpha, eta } => format!("ggx,{alpha},{eta}"),
+            Atom::Lambertian { .. } => "lambertian,,".to_owned(),
+            Atom::Black => "black,,".to_owned(),
+        };
+        let _ = write!(text, "{index},{described}");
+        for columns in [Some(mixture.weights()), deviations].into_iter().flatten() {
+            for channel in columns {
+                let _ = write!(text, ",{}", channel.get(index).copied().unwrap_or(f64::NAN));
+            }
+        }
+        text.push('\n');
+    }
+    text
+}
+
+/// Reads `weights.csv`; every atom of `dictionary` must stand once, with the
+/// kind it has there, and the weights must be on the simplex.
+pub fn read(path: &Path, dictionary: Arc<Dictionary>) -> Result<Mixture, BrdfError> {
+    let text = std::fs::read_to_string(path).map_err(|source| BrdfError::Io {
+        path: path.into(),
+        source,
+    })?;
+    let weights = parse(&text, &dictionary).map_err(|fact| BrdfError::File {
+        path: path.into(),
+        fact,
+    })?;
+    Mixture::new(dictionary, weights).map_err(|error| BrdfError::File {
+        path: path.into(),
+        fact: error.to_string(),
+    })
+}
+
+/// R, G, B weights in the dictionary's order, from the text of a `weights.csv`.
+fn parse(text: &str, dictionary: &Dictionary) -> Result<[Vec<f64>; 3], String> {
+    let mut lines = text
+        .lines()
+        .enumerate()
+        .filter(|(_, l)| !l.trim().is_empty());
+    let header: Vec<&str> = lines
+        .next()
+        .ok_or("the file is empty")?
+        .1
+        .split(',')
+        .map(str::trim)
+        .collect();
+    let column = |name: &str| {
+        header
+            .iter()
+            .position(|h| *h == name)
+            .ok_or_else(|| format!("no column {name}"))
+    };
+    let atom_column = column("atom")?;
+    let kind_column = column("kind")?;
+    let weight_columns = [
+        column("weight_r")?,
+        column("weight_g")?,
+        column("weight_b")?,
+    ];
+    let mut weights = [0, 1, 2].map(|_| vec![f64::NAN; dictionary.len()]);
+    for (number, line) in lines {
+        let cells: Vec<&str> = line.split(',').map(str::trim).collect();
+        let cell = |column: usize| {
+            cells
+                .get(column)
+                .copied()
+                .ok_or_else(|| format!("line {}: {} columns", number + 1, cells.len()))
+        };
+        let text = cell(atom_column)?;
+        let index = text
+            .parse::<usize>()
+            .ok()
+            .filter(|&index| index < dictionary.len())
+            .ok_or_else(|| {
+                let last = dictionary.len() - 1;
+                format!("line {}: atom {text}, allowed is 0 to {last}", number + 1)
+            })?;
+        let kind = match dictionary.atoms()[index] {
+            Atom::Ggx { .. } => "ggx",
+            Atom::Lambertian { .. } => "lambertian",
+            Atom::Black => "black",
+        };
+        if cell(kind_column)? != kind {
+            return Err(format!(
+                "line {}: atom {index} is {}, in {} it is {kind}",
+                number + 1,
+                cell(kind_column)?,
+                dictionary.name()
+            ));
+        }
+        for (channel, &column) in weights.iter_mut().zip(&weight_columns) {
+            if !channel[index].is_nan() {
+                return Err(format!("line {}: atom {index} stands twice", number + 1));
+            }
+            let text = cell(column)?;
+            channel[index] = text
+                .parse()
+                .ok()
+                .filter(|weight: &f64| weight.is_finite())
+                .ok_or_else(|| format!("line {}: weight {text} is no number", number + 1))?;
+        }
+    }
+    if let Some(missing) = weights[0].iter().position(|w| w.is_nan()) {
+        return Err(format!(
+            "atom {missing} of {} is missing",
+            dictionary.name()
+        ));
+    }
+    Ok(weights)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn example() -> Mixture {
+        let dictionary = Arc::new(Dictionary::paper42());
+        let weights = [3, 17, 40].map(|k| {
+            let mut w = vec![0.0; 42];
+            (w[k], w[41]) = (1.0 / 3.0, 2.0 / 3.0);
+            w
+        });
+        Mixture::new(dictionary, weights).unwrap()
+    }
+
+    #[test]
+    fn what_is_written_reads_back() {
+        let mixture = example();
+        for deviations in [None, Some(mixture.weights())] {
+            let text = to_csv(&mixture, deviations);
+            assert_eq!(
+                &parse(&text, mixture.dictionary()).unwrap(),
+                mixture.weights()
+            );
+        }
+    }
+
+    #[test]
+    fn faults_are_named() {
+        let (mixture, good) = (example(), to_csv(&example(), None));
+        for (bad, said) in [
+            (String::new(), "empty"),
+            (good.replace("weight_g", "green"), "weight_g"),
+            (good.replace("\n41,", "\n42,"), "atom 42"),
+            (
+                good.replace("\n41,", "\n40,"),
+                "black, in paper42 it is lambertian",
+            ),
+            (good.replace("\n1,", "\n0,"), "twice"),
+            (good.replace("0.33", "zero"), "no number"),
+            (good.rsplit_once("\n41").unwrap().0.to_owned(), "atom 41"),
+        ] {
+            let error = parse(&bad, mixture.dictionary()).unwrap_err();
+            assert!(error.contains(said), "{said}: {error}");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn no_text_panics(text in "[a-z0-9_,.\n-]{0,200}") {
+            let _ = parse(&text, &Dictionary::grid42());
+            let _ = parse(&format!("atom,kind,weight_r,weight_g,weight_b\n{text}"), &Dictionary::grid42());
+        }
+    }
+}

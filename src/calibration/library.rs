@@ -1,0 +1,415 @@
+//! A rig's records: finding, checking, adding.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use jiff::Timestamp;
+use sha2::{Digest, Sha256};
+
+use super::built_in;
+use super::record::{BadValue, Kind, Record, Values};
+use crate::config::{CameraConfig, ResolvedRig};
+
+/// Records and their maps are small; anything larger is another file.
+const LARGEST_FILE_BYTES: u64 = 256 << 20;
+
+/// Where a rig's records are.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Library {
+    /// A folder with one folder per kind.
+    Folder(PathBuf),
+    /// Built into the program: `<kind>/<file>` and bytes.
+    BuiltIn(&'static [(&'static str, &'static [u8])]),
+}
+
+/// A record that is valid and whose files are what it says.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Loaded<V> {
+    /// The record.
+    pub record: Record<V>,
+    /// SHA-256 of its file, hexadecimal.
+    pub sha256: String,
+    /// Its files by name, the record's own first: what a session copies.
+    pub files: Vec<(String, Vec<u8>)>,
+}
+
+/// A record that cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum RecordError {
+    /// A file cannot be read or written.
+    #[error("{file}: {source}")]
+    Io {
+        /// Path or name.
+        file: String,
+        /// The system's error.
+        source: std::io::Error,
+    },
+    /// The named record doesn't exist.
+    #[error("there is no {} record {id:?} in {library}", kind.folder())]
+    NotFound {
+        /// What it is about.
+        kind: Kind,
+        /// Its id.
+        id: String,
+        /// Where was looked.
+        library: String,
+    },
+    /// Not a record of this format.
+    #[error("{file}:{line}: {problem}")]
+    Syntax {
+        /// Path or name.
+        file: String,
+        /// Line, from 1.
+        line: usize,
+        /// What the parser says.
+        problem: String,
+    },
+    /// A value outside its range, or one that contradicts the file's place.
+    #[error("{file}: `{key}` is {value}, but must be {allowed}")]
+    Invalid {
+        /// Path or name.
+        file: String,
+        /// Dotted path of the key.
+        key: String,
+        /// Its value.
+        value: String,
+        /// What may stand there.
+        allowed: String,
+    },
+    /// A map holds other bytes than the record says.
+    #[error("{file} has SHA-256 {actual}, its record says {expected}")]
+    Checksum {
+        /// The map.
+        file: String,
+        /// From the record.
+        expected: String,
+        /// Of the file.
+        actual: String,
+    },
+    /// The record belongs to another device or setting.
+    #[error("{file} belongs to {what} {has}, the rig has {wanted}")]
+    Mismatch {
+        /// Path or name.
+        file: String,
+        /// Serial number, gain, …
+        what: &'static str,
+        /// The record's.
+        has: String,
+        /// The rig's.
+        wanted: String,
+    },
+    /// A record is never changed, only followed by a newer one.
+    #[error("{file} exists already; records are never changed")]
+    Exists {
+        /// Path.
+        file: String,
+    },
+}
+
+impl Library {
+    /// The rig's library: the folder its file names; else `calibration/<rig>`
+    /// beside the rig file, above it, or in the working folder; else what is
+    /// built in. A built-in rig has the built-in records.
+    pub fn of_rig(rig: &ResolvedRig) -> Self {
+        if let Some(folder) = &rig.config.calibration.folder {
+            return Self::Folder(folder.clone());
+        }
+        let name = &rig.config.name;
+        if let Some(folder) = &rig.folder {
+            let places = [folder.clone(), folder.join(".."), PathBuf::new()];
+            let mut places = places.map(|place| place.join("calibration").join(name));
+            if let Some(found) = places.iter_mut().find(|place| place.is_dir()) {
+                return Self::Folder(std::mem::take(found));
+            }
+        }
+        match name.as_str() {
+            "simulated" => Self::BuiltIn(built_in::SIMULATED),
+            _ => Self::Folder(Path::new("calibration").join(name)),
+        }
+    }
+
+    /// Where it is, in words.
+    pub fn place(&self) -> String {
+        match self {
+            Self::Folder(folder) => folder.display().to_string(),
+            Self::BuiltIn(_) => "the built-in records".to_owned(),
+        }
+    }
+
+    /// Ids of the records of a kind, in order.
+    pub fn ids(&self, kind: Kind) -> Result<Vec<String>, RecordError> {
+        let mut ids: Vec<String> = match self {
+            Self::BuiltIn(files) => files
+                .iter()
+                .filter_map(|(path, _)| {
+                    let name = path.strip_prefix(kind.folder())?.strip_prefix('/')?;
+                    name.strip_suffix(".toml").map(str::to_owned)
+                })
+                .collect(),
+            Self::Folder(folder) => {
+                let folder = folder.join(kind.folder());
+                let entries = match std::fs::read_dir(&folder) {
+                    Ok(entries) => entries,
+                    Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
+                        return Ok(Vec::new());
+                    }
+                    Err(source) => return Err(io_error(&folder, source)),
+                };
+                entries
+                    .flatten()
+                    .filter_map(|entry| {
+                        let name = entry.file_name().into_string().ok()?;
+                        name.strip_suffix(".toml").map(str::to_owned)
+                    })
+                    .collect()
+            }
+        };
+        ids.sort();
+        Ok(ids)
+    }
+
+    /// The record with this id; without one the newest of its kind, or `None`
+    /// if there is none.
+    pub fn load<V: Values>(&self, id: Option<&str>) -> Result<Option<Loaded<V>>, RecordError> {
+        if let Some(id) = id {
+            return self.load_id(id).map(Some);
+        }
+        let mut newest: Option<(Timestamp, Loaded<V>)> = None;
+        for id in self.ids(V::KIND)? {
+            let loaded: Loaded<V> = self.load_id(&id)?;
+            // The date was checked on loading.
+            let date = loaded.record.date.parse().unwrap_or(Timestamp::MIN);
+            if newest.as_ref().is_none_or(|(latest, _)| date >= *latest) {
+                newest = Some((date, loaded));
+            }
+        }
+        Ok(newest.map(|(_, loaded)| loaded))
+    }
+
+    /// Adds a record with its maps (name and bytes); an existing one is never
+    /// replaced. Returns the record's path; `None` for the built-in library.
+    pub fn add<V: Values>(
+        &self,
+        record: &Record<V>,
+        maps: &[(&str, &[u8])],
+    ) -> Result<Option<PathBuf>, RecordError> {
+        let Self::Folder(folder) = self else {
+            return Ok(None);
+        };
+        let folder = folder.join(V::KIND.folder());
+        std::fs::create_dir_all(&folder).map_err(|source| io_error(&folder, source))?;
+        let path = folder.join(format!("{}.toml", record.id));
+        let text = toml::to_string(record).map_err(|error| RecordError::Syntax {
+            file: path.display().to_string(),
+            line: 1,
+            problem: error.to_string(),
+        })?;
+        check(record, &record.id, &path.display().to_string())?;
+        for (name, bytes) in maps {
+            write_new(&folder.join(name), bytes)?;
+        }
+        write_new(&path, text.as_bytes())?;
+        Ok(Some(path))
+    }
+
+    fn load_id<V: Values>(&self, id: &str) -> Result<Loaded<V>, RecordError> {
+        let name = format!("{id}.toml");
+        let file = self.file_name(V::KIND, &name);
+        let bytes = self.read(V::KIND, &name)?.ok_or(RecordError::NotFound {
+            kind: V::KIND,
+            id: id.to_owned(),
+            library: self.place(),
+        })?;
+        let syntax = |problem: String, line| RecordError::Syntax {
+            file: file.clone(),
+            line,
+            problem,
+        };
+        let text = std::str::from_utf8(&bytes).map_err(|error| syntax(error.to_string(), 1))?;
+        let record: Record<V> = toml::from_str(text).map_err(|error| {
+            let start = error.span().map_or(0, |span| span.start);
+            let line = 1 + text.bytes().take(start).filter(|&b| b == b'\n').count();
+            syntax(error.message().to_owned(), line)
+        })?;
+        check(&record, id, &file)?;
+        let sha256 = hex_sha256(&bytes);
+        let mut files = vec![(name, bytes)];
+        for map in record.values.maps() {
+            let file = self.file_name(V::KIND, &map.file);
+            let bytes = self
+                .read(V::KIND, &map.file)?
+                .ok_or_else(|| io_error(Path::new(&file), std::io::ErrorKind::NotFound.into()))?;
+            let actual = hex_sha256(&bytes);
+            if !actual.eq_ignore_ascii_case(&map.sha256) {
+                return Err(RecordError::Checksum {
+                    file,
+                    expected: map.sha256.clone(),
+                    actual,
+                });
+            }
+            files.push((map.file.clone(), bytes));
+        }
+        Ok(Loaded {
+            record,
+            sha256,
+            files,
+        })
+    }
+
+    fn file_name(&self, kind: Kind, name: &str) -> String {
+        format!("{}/{}/{name}", self.place(), kind.folder())
+    }
+
+    /// The file's bytes; `None` if there is none.
+    fn read(&self, kind: Kind, name: &str) -> Result<Option<Vec<u8>>, RecordError> {
+        match self {
+            Self::BuiltIn(files) => {
+                let path = format!("{}/{name}", kind.folder());
+                let found = files.iter().find(|(known, _)| *known == path);
+                Ok(found.map(|(_, bytes)| bytes.to_vec()))
+            }
+            Self::Folder(folder) => {
+                let path = folder.join(kind.folder()).join(name);
+                let read = || {
+                    let length = std::fs::metadata(&path)?.len();
+                    if length > LARGEST_FILE_BYTES {
+                        let fact = format!("{length} bytes, at most {LARGEST_FILE_BYTES} are read");
+                        return Err(std::io::Error::other(fact));
+                    }
+                    std::fs::read(&path)
+                };
+                match read() {
+                    Ok(bytes) => Ok(Some(bytes)),
+                    Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
+                    Err(source) => Err(io_error(&path, source)),
+                }
+            }
+        }
+    }
+}
+
+impl<V> Loaded<V> {
+    /// Refuses a record of another camera, gain, depth or resolution. An empty
+    /// `serial` (the camera has none) matches every record.
+    pub fn check_camera(&self, serial: &str, camera: &CameraConfig) -> Result<(), RecordError> {
+        let settings = &self.record.settings;
+        let mismatch = |what, has: String, wanted: String| {
+            Err(RecordError::Mismatch {
+                file: self.record.id.clone(),
+                what,
+                has,
+                wanted,
+            })
+        };
+        if !serial.is_empty() && serial != self.record.device_serial {
+            let has = self.record.device_serial.clone();
+            return mismatch("the camera with serial number", has, serial.to_owned());
+        }
+        if let Some(gain) = settings.gain
+            && (gain - camera.gain).abs() > 1e-6 * gain
+        {
+            return mismatch("gain", gain.to_string(), camera.gain.to_string());
+        }
+        if let Some(bits) = settings.bit_depth
+            && bits != camera.bit_depth
+        {
+            return mismatch("bit depth", bits.to_string(), camera.bit_depth.to_string());
+        }
+        if let Some(pixels) = settings.resolution_px
+            && pixels != camera.resolution_px
+        {
+            let text = |[width, height]: [u32; 2]| format!("{width} x {height}");
+            return mismatch("resolution", text(pixels), text(camera.resolution_px));
+        }
+        Ok(())
+    }
+
+    /// Whether it may no longer be used.
+    pub fn is_expired(&self, now: Timestamp) -> bool {
+        let until = self.record.valid_until.as_deref();
+        until.is_some_and(|until| until.parse::<Timestamp>().is_ok_and(|until| until < now))
+    }
+}
+
+fn check<V: Values>(record: &Record<V>, id: &str, file: &str) -> Result<(), RecordError> {
+    let invalid = |key: &str, value: &str, allowed: &str| RecordError::Invalid {
+        file: file.to_owned(),
+        key: key.to_owned(),
+        value: value.to_owned(),
+        allowed: allowed.to_owned(),
+    };
+    if record.id != id {
+        return Err(invalid("id", &record.id, "the file's name without .toml"));
+    }
+    if record.kind != V::KIND {
+        return Err(invalid("kind", record.kind.folder(), V::KIND.folder()));
+    }
+    let dates = [
+        ("date", Some(&record.date)),
+        ("valid_until", record.valid_until.as_ref()),
+    ];
+    for (key, date) in dates {
+        if let Some(date) = date
+            && date.parse::<Timestamp>().is_err()
+        {
+            return Err(invalid(
+                key,
+                date,
+                "a UTC time such as 2026-11-21T02:34:00Z",
+            ));
+        }
+    }
+    for map in record.values.maps() {
+        let plain = Path::new(&map.file).file_name() == Some(map.file.as_ref());
+        if !plain {
+            return Err(invalid(
+                "values.map.file",
+                &map.file,
+                "a file name without folder",
+            ));
+        }
+    }
+    let values = record.values.check();
+    values.map_err(
+        |BadValue {
+             key,
+             value,
+             allowed,
+         }| invalid(&key, &value, &allowed),
+    )
+}
+
+fn write_new(path: &Path, bytes: &[u8]) -> Result<(), RecordError> {
+    let folder = path.parent().unwrap_or(Path::new("."));
+    let write = || -> std::io::Result<tempfile::NamedTempFile> {
+        let mut file = tempfile::NamedTempFile::new_in(folder)?;
+        file.write_all(bytes)?;
+        file.as_file().sync_all()?;
+        Ok(file)
+    };
+    let file = write().map_err(|source| io_error(path, source))?;
+    match file.persist_noclobber(path) {
+        Ok(_) => Ok(()),
+        Err(error) if error.error.kind() == std::io::ErrorKind::AlreadyExists => {
+            Err(RecordError::Exists {
+                file: path.display().to_string(),
+            })
+        }
+        Err(error) => Err(io_error(path, error.error)),
+    }
+}
+
+fn io_error(path: &Path, source: std::io::Error) -> RecordError {
+    RecordError::Io {
+        file: path.display().to_string(),
+        source,
+    }
+}
+
+fn hex_sha256(bytes: &[u8]) -> String {
+    let digest = Sha256::digest(bytes);
+    digest.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,276 @@
+//! The record's format. Every number has its standard uncertainty.
+
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+
+/// What a record is about; also the name of its folder.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Kind {
+    /// Noise, gain and limits of the sensor.
+    Sensor,
+    /// Relative response by pixel.
+    Flat,
+    /// Electrons per second for unit radiance.
+    Scale,
+    /// Irradiance of the lamp's channels at the sample.
+    Lights,
+}
+
+impl Kind {
+    /// All kinds.
+    pub const ALL: [Kind; 4] = [Kind::Sensor, Kind::Flat, Kind::Scale, Kind::Lights];
+
+    /// The folder's name.
+    pub fn folder(self) -> &'static str {
+        match self {
+            Kind::Sensor => "sensor",
+            Kind::Flat => "flat",
+            Kind::Scale => "scale",
+            Kind::Lights => "lights",
+        }
+    }
+}
+
+/// One calibration, as its file has it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Record<V> {
+    /// The file's name without `.toml`; starts with the date by custom.
+    pub id: String,
+    /// What it is about.
+    pub kind: Kind,
+    /// Name of the rig.
+    pub rig: String,
+    /// Serial number of the device it was measured on.
+    pub device_serial: String,
+    /// When it was measured, UTC, RFC 3339.
+    pub date: String,
+    /// Until when it may be used, UTC, RFC 3339; absent: no end.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub valid_until: Option<String>,
+    /// How the values were found, in words, e.g. "photon transfer, 20 levels of 2 frames".
+    pub method: String,
+    /// What they were found from: sessions, data sheet, certificate.
+    pub source: String,
+    /// The settings to which the values belong.
+    #[serde(default)]
+    pub settings: Settings,
+    /// What was found.
+    pub values: V,
+}
+
+/// Device settings to which a record's values belong; an absent one doesn't matter.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Settings {
+    /// Analogue gain, a factor.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub gain: Option<f64>,
+    /// Significant bits of a raw count.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub bit_depth: Option<u32>,
+    /// Width and height of a frame, pixels.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub resolution_px: Option<[u32; 2]>,
+}
+
+/// A measured number and its standard uncertainty (coverage factor 1).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Measured {
+    /// The estimate.
+    pub value: f64,
+    /// Its standard uncertainty, same unit; 0 for a definition.
+    pub std: f64,
+}
+
+/// A value that no bench can have.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BadValue {
+    /// Dotted path of the key.
+    pub key: String,
+    /// Its value.
+    pub value: String,
+    /// What may stand there.
+    pub allowed: String,
+}
+
+impl Measured {
+    fn check(self, key: &str, low: f64, high: f64) -> Result<(), BadValue> {
+        let bad = |key: String, value: f64, allowed: String| {
+            Err(BadValue {
+                key,
+                value: value.to_string(),
+                allowed,
+            })
+        };
+        if !(low..=high).contains(&self.value) {
+            let allowed = format!("a number from {low} to {high}");
+            return bad(format!("values.{key}.value"), self.value, allowed);
+        }
+        if !(self.std >= 0.0 && self.std.is_finite()) {
+            let allowed = "a number of at least 0".to_owned();
+            return bad(format!("values.{key}.std"), self.std, allowed);
+        }
+        Ok(())
+    }
+}
+
+/// What the values of a kind of record must provide.
+pub trait Values: Serialize + DeserializeOwned {
+    /// Their kind.
+    const KIND: Kind;
+    /// Whether a bench can have them.
+    fn check(&self) -> Result<(), BadValue>;
+    /// Files beside the record that belong to it.
+    fn maps(&self) -> Vec<&MapFile> {
+        Vec::new()
+    }
+}
+
+/// A file beside the record.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MapFile {
+    /// Its name, without folder.
+    pub file: String,
+    /// SHA-256 of its bytes, 64 hexadecimal digits.
+    pub sha256: String,
+}
+
+/// Noise, gain and limits of a sensor at one gain setting, after EMVA 1288.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SensorValues {
+    /// System gain K, DN per electron.
+    pub gain_dn_per_e: Measured,
+    /// Read noise, standard deviation, electrons.
+    pub read_noise_e: Measured,
+    /// Mean count without light at zero exposure, DN.
+    pub black_level_dn: Measured,
+    /// Standard deviation of the black level over the pixels, DN.
+    pub black_level_spread_dn: Measured,
+    /// Electrons at saturation.
+    pub full_well_e: Measured,
+    /// Mean dark current at the temperature of the measurement, electrons per second.
+    pub dark_current_e_s: Measured,
+    /// Standard deviation of the dark current over the pixels, electrons per second.
+    pub dark_current_spread_e_s: Measured,
+    /// Counts at or above this are clipped, DN.
+    pub saturation_dn: f64,
+    /// Counts above this are not proportional to light, DN.
+    pub linear_max_dn: f64,
+    /// Largest departure from proportionality below `linear_max_dn`, relative.
+    pub linearity_error: f64,
+    /// Significant bits of a count.
+    pub bit_depth: u32,
+    /// Pixels whose dark current makes them useless: column, row.
+    #[serde(default)]
+    pub hot_pixels: Vec<[u32; 2]>,
+}
+
+impl Values for SensorValues {
+    const KIND: Kind = Kind::Sensor;
+
+    fn check(&self) -> Result<(), BadValue> {
+        self.gain_dn_per_e.check("gain_dn_per_e", 1e-6, 1e6)?;
+        self.read_noise_e.check("read_noise_e", 0.0, 1e5)?;
+        self.black_level_dn.check("black_level_dn", 0.0, 65_535.0)?;
+        self.black_level_spread_dn
+            .check("black_level_spread_dn", 0.0, 65_535.0)?;
+        self.full_well_e.check("full_well_e", 1.0, 1e9)?;
+        self.dark_current_e_s.check("dark_current_e_s", 0.0, 1e9)?;
+        self.dark_current_spread_e_s
+            .check("dark_current_spread_e_s", 0.0, 1e9)?;
+        if !(1..=16).contains(&self.bit_depth) {
+            return Err(bad("bit_depth", self.bit_depth, "from 1 to 16".into()));
+        }
+        let full_scale_dn = f64::from((1u32 << self.bit_depth) - 1);
+        if !(0.0..=full_scale_dn).contains(&self.saturation_dn) {
+            let allowed = format!("from 0 to {full_scale_dn}");
+            return Err(bad("saturation_dn", self.saturation_dn, allowed));
+        }
+        if !(0.0..=self.saturation_dn).contains(&self.linear_max_dn) {
+            let allowed = format!("from 0 to saturation_dn ({})", self.saturation_dn);
+            return Err(bad("linear_max_dn", self.linear_max_dn, allowed));
+        }
+        if !(0.0..=1.0).contains(&self.linearity_error) {
+            let allowed = "from 0 to 1".to_owned();
+            return Err(bad("linearity_error", self.linearity_error, allowed));
+        }
+        Ok(())
+    }
+}
+
+/// Relative response by pixel (mean 1).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FlatValues {
+    /// One channel, 16-bit PNG or EXR.
+    pub map: MapFile,
+    /// Response of a PNG's count 1: `response = count * response_per_count`; 1 for EXR.
+    pub response_per_count: f64,
+    /// Standard uncertainty of each pixel's response.
+    pub std: f64,
+}
+
+impl Values for FlatValues {
+    const KIND: Kind = Kind::Flat;
+
+    fn check(&self) -> Result<(), BadValue> {
+        if !(self.response_per_count > 0.0 && self.response_per_count <= 1.0) {
+            let allowed = "above 0, at most 1".to_owned();
+            return Err(bad("response_per_count", self.response_per_count, allowed));
+        }
+        if !(0.0..=1.0).contains(&self.std) {
+            return Err(bad("std", self.std, "from 0 to 1".into()));
+        }
+        Ok(())
+    }
+
+    fn maps(&self) -> Vec<&MapFile> {
+        vec![&self.map]
+    }
+}
+
+/// The radiometric scale of lens and sensor.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ScaleValues {
+    /// Electrons per second for a radiance of 1 W/(m² sr) at a pixel of response 1.
+    pub responsivity_e_s: Measured,
+}
+
+impl Values for ScaleValues {
+    const KIND: Kind = Kind::Scale;
+
+    fn check(&self) -> Result<(), BadValue> {
+        self.responsivity_e_s.check("responsivity_e_s", 1e-9, 1e15)
+    }
+}
+
+/// The lamp, as the sample sees it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LightsValues {
+    /// Irradiance across the light at the sample's origin, for R, G and B, W/m².
+    pub irradiance_w_m2: [Measured; 3],
+}
+
+impl Values for LightsValues {
+    const KIND: Kind = Kind::Lights;
+
+    fn check(&self) -> Result<(), BadValue> {
+        let mut channels = self.irradiance_w_m2.iter();
+        channels.try_for_each(|channel| channel.check("irradiance_w_m2", 1e-9, 1e9))
+    }
+}
+
+fn bad(key: &str, value: impl ToString, allowed: String) -> BadValue {
+    BadValue {
+        key: format!("values.{key}"),
+        value: value.to_string(),
+        allowed,
+    }
+}

@@ -1,0 +1,382 @@
+//! `rig doctor`: everything that can be checked without moving or lighting
+//! anything, each with its remedy.
+//!
+//! It never opens a port: opening one resets many controllers.
+
+use std::io::Write;
+use std::path::Path;
+use std::time::Instant;
+
+use jiff::Timestamp;
+use rustix::fs::{Access, access, statvfs};
+use serde::Serialize;
+
+use super::output::{write_json, write_line};
+use super::rig_choice::{RigArg, connected_devices};
+use super::{CliError, Context, hints};
+use crate::calibration::record::{
+    FlatValues, Kind, LightsValues, ScaleValues, SensorValues, Values,
+};
+use crate::calibration::{Library, RecordError};
+use crate::config::stage::StageDriver;
+use crate::config::{CameraDriver, Origin, ResolvedRig};
+
+/// Checks configuration, devices, permissions, disk and calibration
+///
+/// Nothing moves and no port is opened. Exit code 1 if a check fails; warnings don't count.
+#[derive(clap::Args, Debug)]
+pub struct DoctorArgs {
+    #[command(flatten)]
+    rig: RigArg,
+    /// The checks as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// How a check ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "lowercase")]
+enum Verdict {
+    Ok,
+    Warning,
+    Failed,
+}
+
+/// One check.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+struct Check {
+    name: &'static str,
+    verdict: Verdict,
+    fact: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    remedy: Option<String>,
+}
+
+#[derive(Serialize)]
+struct Findings {
+    verdict: Verdict,
+    checks: Vec<Check>,
+}
+
+/// `rig doctor`.
+pub fn run(args: &DoctorArgs, context: &Context) -> Result<(), CliError> {
+    let rig = match args.rig.resolve(context) {
+        Ok(rig) => rig,
+        // Nothing else can be checked, so the command's own error says it all.
+        Err(error) => {
+            if args.json {
+                let remedy = error.advice().unwrap_or_default();
+                let check = Check::failed("configuration", error.fact(), remedy);
+                report(vec![check], true)?;
+            }
+            return Err(error);
+        }
+    };
+    let failed = report(all_checks(&rig), args.json)?;
+    match failed {
+        0 => Ok(()),
+        1 => Err(CliError::new("1 check failed").hint("its remedy stands below it")),
+        n => Err(CliError::new(format!("{n} checks failed")).hint("the remedies stand below them")),
+    }
+}
+
+/// Prints the checks and returns how many failed.
+fn report(checks: Vec<Check>, json: bool) -> Result<usize, CliError> {
+    let failed = |check: &&Check| check.verdict == Verdict::Failed;
+    let failed = checks.iter().filter(failed).count();
+    if json {
+        let verdict = checks.iter().map(|check| check.verdict).max();
+        let verdict = verdict.unwrap_or(Verdict::Ok);
+        write_json(&Findings { verdict, checks })?;
+    } else {
+        checks.iter().try_for_each(print)?;
+    }
+    Ok(failed)
+}
+
+fn print(check: &Check) -> Result<(), CliError> {
+    let verdict = match check.verdict {
+        Verdict::Ok => "ok     ",
+        Verdict::Warning => "warning",
+        Verdict::Failed => "FAILED ",
+    };
+    write_line(format_args!("{verdict}  {:<14} {}", check.name, check.fact))?;
+    if let Some(remedy) = &check.remedy {
+        write_line(format_args!("{:24} -> {remedy}", ""))?;
+    }
+    Ok(())
+}
+
+impl Check {
+    fn ok(name: &'static str, fact: impl Into<String>) -> Self {
+        Self {
+            name,
+            verdict: Verdict::Ok,
+            fact: fact.into(),
+            remedy: None,
+        }
+    }
+
+    fn warning(name: &'static str, fact: impl Into<String>, remedy: impl Into<String>) -> Self {
+        Self {
+            verdict: Verdict::Warning,
+            remedy: Some(remedy.into()),
+            ..Self::ok(name, fact)
+        }
+    }
+
+    fn failed(name: &'static str, fact: impl Into<String>, remedy: impl Into<String>) -> Self {
+        Self {
+            verdict: Verdict::Failed,
+            ..Self::warning(name, fact, remedy)
+        }
+    }
+}
+
+fn all_checks(rig: &ResolvedRig) -> Vec<Check> {
+    let mut checks = vec![configuration(rig), camera(rig), stage(rig)];
+    checks.extend(watchdog(rig));
+    checks.extend(folder(rig, Path::new(".")));
+    let library = Library::of_rig(rig);
+    let named = &rig.config.calibration;
+    checks.push(calibration::<SensorValues>(
+        rig,
+        &library,
+        named.sensor.as_deref(),
+    ));
+    checks.push(calibration::<FlatValues>(
+        rig,
+        &library,
+        named.flat.as_deref(),
+    ));
+    checks.push(calibration::<ScaleValues>(
+        rig,
+        &library,
+        named.scale.as_deref(),
+    ));
+    checks.push(calibration::<LightsValues>(
+        rig,
+        &library,
+        named.lights.as_deref(),
+    ));
+    checks
+}
+
+fn configuration(rig: &ResolvedRig) -> Check {
+    let why = match rig.origin {
+        Origin::Argument => "named by --rig",
+        Origin::Environment => "named by RIG_CONFIG",
+        Origin::WorkingFolder => "found in the working folder",
+        Origin::Fallback => "the simulated rig stands in, because none is configured",
+    };
+    let check = Check::ok("configuration", format!("{} is valid ({why})", rig.file));
+    let connected = connected_devices(Path::new("/sys/class"));
+    if rig.config.is_simulated() && !connected.is_empty() {
+        return Check::warning(
+            "configuration",
+            format!(
+                "{}; connected but unused: {}",
+                check.fact,
+                connected.join(", ")
+            ),
+            "to use them, write a rig file (rig-configs/grbl-arm-v4l2.toml is a start) and name it with --rig",
+        );
+    }
+    check
+}
+
+fn camera(rig: &ResolvedRig) -> Check {
+    match &rig.config.camera.driver {
+        CameraDriver::Simulated => Check::ok("camera", "simulated"),
+        CameraDriver::V4l { .. } if !cfg!(feature = "v4l") => Check::failed(
+            "camera",
+            "this program was built without Video4Linux",
+            "build it with the feature `v4l`",
+        ),
+        CameraDriver::V4l { device, .. } => device_file("camera", device, "/dev/v4l/by-id"),
+    }
+}
+
+fn stage(rig: &ResolvedRig) -> Check {
+    match rig.config.stage.driver {
+        StageDriver::Simulated => Check::ok("stage", "simulated"),
+        StageDriver::Grbl if !cfg!(feature = "serial") => Check::failed(
+            "stage",
+            "this program was built without serial ports",
+            "build it with the feature `serial`",
+        ),
+        StageDriver::Grbl => device_file("stage", &rig.config.stage.grbl.port, "/dev/serial/by-id"),
+    }
+}
+
+/// Whether a device file exists, may be opened, is free, and has a lasting name.
+fn device_file(name: &'static str, path: &str, lasting: &str) -> Check {
+    let file = Path::new(path);
+    if !file.exists() {
+        return Check::failed(
+            name,
+            format!("{path} does not exist"),
+            "check the cable and the rig file; `rig devices` lists what is connected",
+        );
+    }
+    if let Err(error) = access(file, Access::READ_OK | Access::WRITE_OK) {
+        return Check::failed(
+            name,
+            format!("{path}: {}", std::io::Error::from(error)),
+            "add yourself to the group that owns it (`sudo usermod -aG dialout,video $USER`) and log in again",
+        );
+    }
+    if let Some(process) = holder(file) {
+        return Check::failed(
+            name,
+            format!("{path} is in use by process {process}"),
+            "end that process first",
+        );
+    }
+    if !path.starts_with(lasting) {
+        return Check::warning(
+            name,
+            format!("{path} can be opened, but its name changes with the order of plugging in"),
+            format!("name it by its link in {lasting}"),
+        );
+    }
+    Check::ok(name, format!("{path} can be opened"))
+}
+
+/// A process that has the file open, as far as this user may see.
+fn holder(file: &Path) -> Option<u32> {
+    let file = std::fs::canonicalize(file).ok()?;
+    let processes = std::fs::read_dir("/proc").ok()?;
+    processes.flatten().find_map(|process| {
+        let id: u32 = process.file_name().to_str()?.parse().ok()?;
+        let mut open = std::fs::read_dir(process.path().join("fd")).ok()?.flatten();
+        open.any(|fd| std::fs::read_link(fd.path()).is_ok_and(|target| target == file))
+            .then_some(id)
+    })
+}
+
+fn watchdog(rig: &ResolvedRig) -> Option<Check> {
+    (!rig.config.is_simulated()).then(|| {
+        Check::warning(
+            "watchdog",
+            "stock GRBL has none: the lamp stays on if the computer or the cable fails",
+            "fit a hardware emergency stop, and don't leave a capture alone with a lamp that can do harm",
+        )
+    })
+}
+
+/// Free space and speed of the disk that will hold the sessions.
+fn folder(rig: &ResolvedRig, folder: &Path) -> Vec<Check> {
+    if let Err(error) = access(folder, Access::WRITE_OK) {
+        return vec![Check::failed(
+            "folder",
+            format!(
+                "the working folder cannot be written: {}",
+                std::io::Error::from(error)
+            ),
+            "run in another folder, or give `rig capture` one with --out",
+        )];
+    }
+    let reserve = rig.config.capture.disk_reserve_bytes;
+    let space = match statvfs(folder) {
+        Ok(disk) => {
+            let free = disk.f_bavail.saturating_mul(disk.f_frsize);
+            let fact = format!("{} MB free, {} MB stay reserved", free >> 20, reserve >> 20);
+            if free <= reserve {
+                let remedy = "free some space, or lower capture.disk_reserve_mb in the rig file";
+                Check::failed("disk space", fact, remedy)
+            } else {
+                Check::ok("disk space", fact)
+            }
+        }
+        Err(error) => Check::failed(
+            "disk space",
+            std::io::Error::from(error).to_string(),
+            "run in another folder",
+        ),
+    };
+    let speed = match write_rate_mb_s(folder) {
+        Ok(rate) => Check::ok("disk speed", format!("{rate:.0} MB/s written and synced")),
+        Err(error) => Check::failed("disk speed", error.to_string(), "run in another folder"),
+    };
+    vec![space, speed]
+}
+
+/// Writes and syncs a few megabytes as a capture would.
+fn write_rate_mb_s(folder: &Path) -> std::io::Result<f64> {
+    const MEGABYTES: usize = 8;
+    let block = vec![0x5a; 1 << 20];
+    let mut file = tempfile::tempfile_in(folder)?;
+    let start = Instant::now();
+    for _ in 0..MEGABYTES {
+        file.write_all(&block)?;
+    }
+    file.sync_all()?;
+    Ok(MEGABYTES as f64 / start.elapsed().as_secs_f64().max(1e-9))
+}
+
+fn calibration<V: Values>(rig: &ResolvedRig, library: &Library, id: Option<&str>) -> Check {
+    let (name, without) = match V::KIND {
+        Kind::Sensor => (
+            "sensor",
+            "`rig calibrate sensor` measures it; without it the noise is only estimated",
+        ),
+        Kind::Flat => ("flat", "without it every pixel counts as equally sensitive"),
+        Kind::Scale => (
+            "scale",
+            "without it radiances are relative, per unit irradiance",
+        ),
+        Kind::Lights => (
+            "lights",
+            "without it the rig file's irradiance_w_m2 is believed",
+        ),
+    };
+    let failed = |error: RecordError| {
+        let remedy = hints::for_error(&error).unwrap_or_else(|| "calibrate anew".to_owned());
+        Check::failed(name, error.to_string(), remedy)
+    };
+    let loaded = match library.load::<V>(id) {
+        Err(error) => return failed(error),
+        Ok(None) => {
+            let fact = format!("no record in {}", library.place());
+            return Check::warning(name, fact, without);
+        }
+        Ok(Some(loaded)) => loaded,
+    };
+    let serial = rig.config.camera.serial.as_deref().unwrap_or_default();
+    let of_the_camera = V::KIND != Kind::Lights;
+    if of_the_camera && let Err(error) = loaded.check_camera(serial, &rig.config.camera) {
+        return failed(error);
+    }
+    let record = &loaded.record;
+    if loaded.is_expired(Timestamp::now()) {
+        let until = record.valid_until.as_deref().unwrap_or_default();
+        let fact = format!("record {} was valid until {until}", record.id);
+        return Check::warning(name, fact, "calibrate anew");
+    }
+    Check::ok(name, format!("record {} of {}", record.id, record.date))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_device_file_is_missing_then_unlasting_then_in_use() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("ttyUSB0");
+        let name = path.display().to_string();
+        let verdict = |lasting: &str| device_file("stage", &name, lasting);
+        assert!(verdict("/dev").fact.contains("does not exist"));
+        std::fs::write(&path, "").unwrap();
+        assert_eq!(verdict("/dev/serial/by-id").verdict, Verdict::Warning);
+        assert_eq!(verdict("/").verdict, Verdict::Ok);
+        let open = std::fs::File::open(&path).unwrap();
+        let fact = verdict("/").fact;
+        assert!(
+            fact.ends_with(&format!("process {}", std::process::id())),
+            "{fact}"
+        );
+        drop(open);
+    }
+}

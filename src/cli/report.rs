@@ -1,0 +1,62 @@
+//! `rig report`: a session as one HTML file.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use super::{CliError, Context, HintExt};
+use crate::out;
+use crate::report::{self, load::LoadError};
+use crate::session::commit::SystemDisk;
+use crate::session::{SessionWriter, layout};
+
+/// Writes a session's report: one HTML file that needs no other.
+#[derive(clap::Args, Debug)]
+pub struct ReportArgs {
+    /// The session's folder
+    #[arg(value_name = "SESSION")]
+    session: PathBuf,
+    /// Which fit to show, by its number in `fits/`; the latest if not given
+    #[arg(long, value_name = "N")]
+    fit: Option<u32>,
+    /// Write here instead of report.html in the session
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+}
+
+/// `rig report`.
+pub fn run(args: &ReportArgs, context: &Context) -> Result<(), CliError> {
+    let input = report::load::load(&args.session, args.fit).map_err(advise)?;
+    if input.fit.is_none() {
+        context.note("the session has no fit yet; `rig fit SESSION` makes one");
+    }
+    let html = report::render(&input)?;
+    let path = match &args.out {
+        Some(path) => {
+            std::fs::write(path, html)
+                .map_err(|error| CliError::new(format!("{}: {error}", path.display())))
+                .hint("choose a file in a folder that exists and can be written")?;
+            path.clone()
+        }
+        None => {
+            let mut session = SessionWriter::open(Arc::new(SystemDisk), &args.session)?;
+            session.commit_file(layout::REPORT_FILE, html.as_bytes())?;
+            args.session.join(layout::REPORT_FILE)
+        }
+    };
+    out!("{}", path.display())
+}
+
+fn advise(error: LoadError) -> CliError {
+    let hint = match &error {
+        LoadError::Fit(_) => "`rig fit SESSION` makes a new fit; --fit N shows another one",
+        LoadError::NoSuchFit { .. } => {
+            "leave --fit out to show the latest, or run `rig fit SESSION`"
+        }
+        LoadError::Image(_) => "`rig merge` makes the merged images again from the raw frames",
+        LoadError::Sidecar { .. } | LoadError::Session(_) => {
+            "give the folder of a session; `rig session verify SESSION` checks every file of it"
+        }
+        LoadError::Brdf(_) => "`rig fit SESSION` makes a new fit",
+    };
+    CliError::from(error).hint(hint)
+}

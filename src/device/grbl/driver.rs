@@ -1,0 +1,580 @@
+//! The stage driver: homing, moves, lamp and status over a [`Link`].
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, Weak};
+use std::time::{Duration, Instant};
+
+use super::GrblConfig;
+use super::codes;
+use super::link::{Link, STATUS};
+use super::protocol::{Accessories, MachineState, Reply, StatusReport, effect_of};
+use crate::device::kinematics::{AxisMap, Kinematics, Pose};
+use crate::device::{
+    DeviceError, LampChannel, LampState, LightStage, StageActivity, StageInfo, StageStatus,
+    StopHandle,
+};
+use crate::units::StageAngles;
+
+/// A stage is lost after this many status requests without an answer.
+const STATUS_ATTEMPTS: u32 = 3;
+/// Status reports until one has the outputs: GRBL sends them in every tenth at
+/// the latest, one later if the offset's turn comes first.
+const REPORTS_WITH_OUTPUTS: u32 = 12;
+/// Longest pause between two looks at a move.
+const POLL_PAUSE: Duration = Duration::from_millis(50);
+/// Standing still elsewhere than at the target for this long ends a move: right
+/// after a command GRBL may report idle before it starts.
+const START_GRACE: Duration = Duration::from_millis(500);
+/// GRBL's line buffer holds 80 characters.
+const LONGEST_COMMAND: usize = 79;
+
+/// A light stage with a GRBL 1.1 controller.
+///
+/// Dropping it turns the lamp off and ends any motion.
+pub struct GrblStage {
+    config: GrblConfig,
+    link: Arc<Link>,
+    info: StageInfo,
+    settings: BTreeMap<u16, f64>,
+    /// The lamp by the firmware's last word on it; `None` if it said nothing.
+    lamp: Option<LampState>,
+    /// A command that moves the stage is under way.
+    in_motion: bool,
+}
+
+impl GrblStage {
+    /// Opens the port and asks the controller what it is. Nothing moves. The
+    /// position is unknown until [`home`](LightStage::home).
+    pub fn open(config: GrblConfig) -> Result<Self, DeviceError> {
+        let link = Arc::new(Link::open(&config.port, config.baud)?);
+        let info = StageInfo {
+            driver: "grbl".to_owned(),
+            firmware: String::new(),
+            port: config.port.clone(),
+            has_watchdog: false,
+        };
+        let mut stage = Self {
+            config,
+            link,
+            info,
+            settings: BTreeMap::new(),
+            lamp: None,
+            in_motion: false,
+        };
+        stage.check_config()?;
+        stage.wait_until_alive()?;
+        stage.identify()?;
+        stage.lamp = stage.read_lamp()?;
+        Ok(stage)
+    }
+
+    fn check_config(&self) -> Result<(), DeviceError> {
+        let kinematics = &self.config.kinematics;
+        for map in [&kinematics.azimuth, &kinematics.elevation] {
+            if map.index().is_none() {
+                return Err(self.refused(&map.axis.to_string(), "not one of the axes XYZABC"));
+            }
+        }
+        Ok(())
+    }
+
+    /// Asks until the firmware speaks. If it stays silent for half of the time it
+    /// may be locked up by a limit switch, which only a reset ends.
+    fn wait_until_alive(&self) -> Result<(), DeviceError> {
+        let timeout = self.config.connect_timeout.to_duration();
+        let start = Instant::now();
+        let mut last_words = None;
+        let mut was_reset = false;
+        while start.elapsed() < timeout {
+            if !was_reset && start.elapsed() > timeout / 2 {
+                was_reset = true;
+                self.link.send(&[super::link::RESET])?;
+            }
+            self.link.send(&[STATUS])?;
+            let next = Instant::now() + (timeout / 10).min(Duration::from_millis(250));
+            while let Some(reply) = self.link.receive(next)? {
+                match reply {
+                    Reply::Status(_) | Reply::Banner(_) => {
+                        self.link.drain()?;
+                        self.link.known().unhomed_since = Some("it was connected".to_owned());
+                        return Ok(());
+                    }
+                    Reply::Unknown(text) => last_words = Some(text),
+                    _ => {}
+                }
+            }
+        }
+        Err(match last_words {
+            Some(text) => self.link.garbled(&text, "a GRBL status report"),
+            None => self.link.no_reply(&[STATUS], timeout),
+        })
+    }
+
+    fn identify(&mut self) -> Result<(), DeviceError> {
+        for reply in self.command("$I", self.reply_timeout())? {
+            if let Reply::Info { key, text } = reply
+                && key == "VER"
+            {
+                // Stock GRBL has no watchdog; builds with one say so in their name.
+                self.info.has_watchdog = text.contains("host-watchdog=");
+                self.info.firmware = text.trim_end_matches(':').to_owned();
+            }
+        }
+        for reply in self.command("$$", self.reply_timeout())? {
+            if let Reply::Setting { number, value } = reply {
+                self.settings.insert(number, value);
+            }
+        }
+        if self.setting(32).is_some_and(|mode| mode != 0.0) {
+            let reason = "laser mode is on ($32=1), which switches the lamp with the motion";
+            return Err(self.refused("$32", reason));
+        }
+        if self.setting(13).is_some_and(|inches| inches != 0.0) {
+            return Err(self.refused("$13", "positions are reported in inches ($13=1)"));
+        }
+        Ok(())
+    }
+
+    fn setting(&self, number: u16) -> Option<f64> {
+        self.settings.get(&number).copied()
+    }
+
+    fn reply_timeout(&self) -> Duration {
+        self.config.reply_timeout.to_duration()
+    }
+
+    fn refused(&self, command: &str, reason: &str) -> DeviceError {
+        DeviceError::Refused {
+            device: self.link.device().to_owned(),
+            command: command.to_owned(),
+            reason: reason.to_owned(),
+        }
+    }
+
+    fn alarm(&self, reason: String) -> DeviceError {
+        DeviceError::Alarm {
+            device: self.link.device().to_owned(),
+            reason,
+        }
+    }
+
+    fn not_homed(&self, since: String) -> DeviceError {
+        DeviceError::NotHomed {
+            device: self.link.device().to_owned(),
+            since,
+        }
+    }
+
+    fn check_homed(&self) -> Result<(), DeviceError> {
+        match self.link.known().unhomed_since.clone() {
+            Some(since) => Err(self.not_homed(since)),
+            None => Ok(()),
+        }
+    }
+
+    /// Sends a line and returns what came before its `ok`.
+    pub(super) fn command(&self, line: &str, timeout: Duration) -> Result<Vec<Reply>, DeviceError> {
+        let printable = line.bytes().all(|byte| (b' '..=b'~').contains(&byte));
+        if line.len() > LONGEST_COMMAND || !printable {
+            return Err(self.refused(line, "not a line of at most 79 printable characters"));
+        }
+        tracing::trace!(device = self.link.device(), line, "sent");
+        let restarts = self.link.known().restarts;
+        // Late answers to something else would count as this line's.
+        while self.link.receive(Instant::now())?.is_some() {}
+        self.check_restart(restarts)?;
+        self.link.send(format!("{line}\n").as_bytes())?;
+        let deadline = Instant::now() + timeout;
+        let mut replies = Vec::new();
+        while let Some(reply) = self.link.receive(deadline)? {
+            match reply {
+                Reply::Ok => return Ok(replies),
+                // Locked out.
+                Reply::Error(9) => return Err(self.alarm(self.reason_of_lock())),
+                Reply::Error(code) => return Err(self.refused(line, &codes::error(code))),
+                Reply::Alarm(code) => return Err(self.alarm(codes::alarm(code))),
+                Reply::Unknown(text) => return Err(self.link.garbled(&text, "ok or error:N")),
+                Reply::Status(_) | Reply::Empty | Reply::StartupLine | Reply::Banner(_) => {}
+                Reply::Setting { .. } | Reply::Info { .. } => replies.push(reply),
+            }
+            self.check_restart(restarts)?;
+        }
+        // Another reader (a stop) may have taken the banner.
+        self.check_restart(restarts)?;
+        Err(self.link.no_reply(line.as_bytes(), timeout))
+    }
+
+    fn reason_of_lock(&self) -> String {
+        let alarm = self.link.known().alarm.clone();
+        alarm.unwrap_or_else(|| "locked until it is homed".to_owned())
+    }
+
+    /// An error if the firmware has restarted since it had restarted `before` times.
+    fn check_restart(&self, before: u64) -> Result<(), DeviceError> {
+        let known = self.link.known();
+        if known.restarts == before {
+            return Ok(());
+        }
+        let since = known.unhomed_since.clone();
+        drop(known);
+        Err(self.not_homed(since.unwrap_or_else(|| "the firmware restarted".to_owned())))
+    }
+
+    /// A fresh status report. It has no side effects, so it is asked for again
+    /// when the answer is lost or damaged.
+    fn report(&self) -> Result<StatusReport, DeviceError> {
+        let restarts = self.link.known().restarts;
+        let mut damaged = None;
+        let slice = self.reply_timeout() / STATUS_ATTEMPTS;
+        for _ in 0..STATUS_ATTEMPTS {
+            self.link.send(&[STATUS])?;
+            let deadline = Instant::now() + slice;
+            while let Some(reply) = self.link.receive(deadline)? {
+                match reply {
+                    Reply::Status(report) => return Ok(report),
+                    Reply::Alarm(code) => return Err(self.alarm(codes::alarm(code))),
+                    Reply::Unknown(text) => {
+                        damaged = Some(text);
+                        break;
+                    }
+                    _ => self.check_restart(restarts)?,
+                }
+            }
+            self.check_restart(restarts)?;
+        }
+        Err(match damaged {
+            Some(text) => self.link.garbled(&text, "a GRBL status report"),
+            None => self.link.no_reply(&[STATUS], self.reply_timeout()),
+        })
+    }
+
+    /// A report that says where the axes are: GRBL set to report work positions
+    /// sends the offset only now and then.
+    fn report_with_position(&self) -> Result<(StatusReport, Pose), DeviceError> {
+        for _ in 0..=30 {
+            let report = self.report()?;
+            let offset = self.link.known().work_offset.clone();
+            if let Some(axes) = report.machine_position(offset.as_deref()) {
+                let pose = self.pose_of(&axes)?;
+                return Ok((report, pose));
+            }
+        }
+        Err(self.link.garbled(
+            "reports without a position",
+            "a status report with MPos or WPos and WCO",
+        ))
+    }
+
+    fn pose_of(&self, axes: &[f64]) -> Result<Pose, DeviceError> {
+        let angle_deg = |map: &AxisMap| {
+            let position = map.index().and_then(|index| axes.get(index));
+            position
+                .map(|&position| map.angle_deg(position))
+                .ok_or_else(|| {
+                    let answer = format!("a position with {} axes", axes.len());
+                    self.link
+                        .garbled(&answer, &format!("one with axis {}", map.axis))
+                })
+        };
+        Ok(Pose {
+            azimuth_deg: angle_deg(&self.config.kinematics.azimuth)?,
+            elevation_deg: angle_deg(&self.config.kinematics.elevation)?,
+        })
+    }
+
+    /// Drives in a straight line and waits until the stage stands there.
+    fn drive(&mut self, from: Pose, to: Pose) -> Result<Pose, DeviceError> {
+        let Kinematics {
+            azimuth, elevation, ..
+        } = self.config.kinematics;
+        let line = format!(
+            "G21 G90 G94 G53 G1 {}{:.4} {}{:.4} F{:.1}",
+            azimuth.axis,
+            azimuth.position(to.azimuth_deg),
+            elevation.axis,
+            elevation.position(to.elevation_deg),
+            self.config.feed_per_min,
+        );
+        let expected = self.duration(from, to);
+        // Twice what it should take, and something for the firmware itself.
+        let timeout = 2 * expected + self.reply_timeout() + Duration::from_secs(1);
+        let restarts = self.link.known().restarts;
+        self.check_homed()?;
+        self.in_motion = true;
+        self.command(&line, self.reply_timeout())?;
+        let start = Instant::now();
+        let mut pause = Duration::from_millis(1);
+        let mut idle_elsewhere: Option<Instant> = None;
+        loop {
+            let (report, pose) = self.report_with_position()?;
+            // Whoever reads the banner, the move is over.
+            self.check_restart(restarts)?;
+            let arrived = pose.distance_deg(to) <= self.config.position_tolerance_deg;
+            match report.state {
+                MachineState::Idle if arrived => {
+                    self.in_motion = false;
+                    return Ok(pose);
+                }
+                MachineState::Idle => {
+                    let since = *idle_elsewhere.get_or_insert_with(Instant::now);
+                    if since.elapsed() > START_GRACE {
+                        self.in_motion = false;
+                        return Err(self.not_applied("position", pose, to));
+                    }
+                }
+                MachineState::Alarm => return Err(self.alarm(self.reason_of_lock())),
+                MachineState::Run | MachineState::Hold(1) => idle_elsewhere = None,
+                state => {
+                    return Err(
+                        self.refused(&line, &format!("the controller is in state {state:?}"))
+                    );
+                }
+            }
+            if start.elapsed() > timeout {
+                self.link.forget_position("a move did not end in time");
+                return Err(self.not_applied("position", pose, to));
+            }
+            std::thread::sleep(pause);
+            pause = (2 * pause).min(POLL_PAUSE);
+        }
+    }
+
+    fn not_applied(&self, what: &str, is: Pose, wanted: Pose) -> DeviceError {
+        let text = |pose: Pose| {
+            format!(
+                "azimuth {:.3}°, elevation {:.3}°",
+                pose.azimuth_deg, pose.elevation_deg
+            )
+        };
+        DeviceError::NotApplied {
+            device: self.link.device().to_owned(),
+            what: what.to_owned(),
+            is: text(is),
+            wanted: text(wanted),
+        }
+    }
+
+    /// How long a straight move takes: at the feed, but no axis faster than its
+    /// $110 (units/min), with ramps of $120 (units/s²).
+    fn duration(&self, from: Pose, to: Pose) -> Duration {
+        let Kinematics {
+            azimuth, elevation, ..
+        } = self.config.kinematics;
+        let ways = [
+            (azimuth, to.azimuth_deg - from.azimuth_deg),
+            (elevation, to.elevation_deg - from.elevation_deg),
+        ]
+        .map(|(map, way_deg)| (map.index().unwrap_or(0), (way_deg * map.scale).abs()));
+        let length = ways[0].1.hypot(ways[1].1);
+        if length == 0.0 {
+            return Duration::ZERO;
+        }
+        let limit = |first_setting: u16, unlimited: f64| {
+            ways.iter()
+                .filter(|(_, way)| *way > 0.0)
+                .filter_map(|(index, way)| {
+                    let of_axis = self.setting(first_setting + *index as u16)?;
+                    (of_axis > 0.0).then_some(of_axis * length / way)
+                })
+                .fold(unlimited, f64::min)
+        };
+        let speed = limit(110, self.config.feed_per_min) / 60.0;
+        let acceleration = limit(120, f64::INFINITY);
+        let seconds = length / speed + speed / acceleration;
+        Duration::try_from_secs_f64(seconds).unwrap_or(Duration::from_secs(600))
+    }
+
+    /// The lamp by the outputs that the firmware reports; `None` if it does not
+    /// report them or they are none of the configured states.
+    fn read_lamp(&self) -> Result<Option<LampState>, DeviceError> {
+        self.link.known().accessories = None;
+        for _ in 0..REPORTS_WITH_OUTPUTS {
+            self.report()?;
+            if self.link.known().accessories.is_some() {
+                break;
+            }
+        }
+        Ok(self.lamp_by_outputs())
+    }
+
+    fn lamp_by_outputs(&self) -> Option<LampState> {
+        let known = self.link.known();
+        let outputs = known.accessories?;
+        let states = std::iter::once(LampState::Off).chain(
+            (0..self.config.lamp_on.len()).map(|channel| LampState::On(LampChannel(channel as u8))),
+        );
+        states.into_iter().find(|&state| {
+            let (expected, speed) = self.outputs_of(state);
+            let same_speed = match (speed, known.speed) {
+                (Some(wanted), Some(is)) => (wanted - is).abs() <= 0.5,
+                _ => true,
+            };
+            expected == outputs && same_speed
+        })
+    }
+
+    fn commands_of(&self, lamp: LampState) -> Result<Vec<String>, DeviceError> {
+        let mut commands = self.config.lamp_off.clone();
+        if let LampState::On(LampChannel(channel)) = lamp {
+            let on = self
+                .config
+                .lamp_on
+                .get(usize::from(channel))
+                .ok_or_else(|| {
+                    let channels = self.config.lamp_on.len();
+                    self.refused(
+                        &format!("lamp channel {channel}"),
+                        &format!("the lamp has {channels} channels, counted from 0"),
+                    )
+                })?;
+            commands.extend(on.iter().cloned());
+        }
+        Ok(commands)
+    }
+
+    fn outputs_of(&self, lamp: LampState) -> (Accessories, Option<f64>) {
+        effect_of(&self.commands_of(lamp).unwrap_or_default())
+    }
+
+    fn position(&self, pose: Pose) -> StageAngles {
+        StageAngles {
+            azimuth_deg: pose.azimuth_deg,
+            elevation_deg: pose.elevation_deg,
+        }
+    }
+}
+
+fn activity(state: MachineState) -> StageActivity {
+    match state {
+        MachineState::Idle | MachineState::Check => StageActivity::Idle,
+        MachineState::Run | MachineState::Jog => StageActivity::Moving,
+        MachineState::Home => StageActivity::Homing,
+        MachineState::Hold(_) | MachineState::Door(_) => StageActivity::Held,
+        MachineState::Alarm | MachineState::Sleep => StageActivity::Alarm,
+    }
+}
+
+impl LightStage for GrblStage {
+    fn info(&self) -> &StageInfo {
+        &self.info
+    }
+
+    fn home(&mut self) -> Result<StageStatus, DeviceError> {
+        self.link.forget_position("homing began");
+        self.link.drain()?;
+        if self.link.known().needs_reset {
+            let timeout = self.config.connect_timeout.to_duration();
+            self.link
+                .restart(false, "it was reset before homing", timeout)?;
+            self.link.drain()?;
+        }
+        self.in_motion = true;
+        self.command("$H", self.config.homing_timeout.to_duration())?;
+        self.in_motion = false;
+        let mut known = self.link.known();
+        known.alarm = None;
+        known.unhomed_since = None;
+        drop(known);
+        self.status()
+    }
+
+    fn move_to(&mut self, target: StageAngles) -> Result<StageAngles, DeviceError> {
+        let kinematics = self.config.kinematics;
+        let device = self.link.device().to_owned();
+        let wanted = kinematics.solve(&device, target)?;
+        self.check_homed()?;
+        let (report, from) = self.report_with_position()?;
+        if report.state != MachineState::Idle {
+            let reason = format!("the controller is in state {:?}", report.state);
+            return Err(self.refused("move", &reason));
+        }
+        let mut at = from;
+        if let Some(start) = kinematics.approach(at, wanted) {
+            at = self.drive(at, start)?;
+        }
+        let reached = self.drive(at, wanted)?;
+        Ok(kinematics.angles_like(target, wanted, reached))
+    }
+
+    fn set_lamp(&mut self, lamp: LampState) -> Result<LampState, DeviceError> {
+        let commands = self.commands_of(lamp)?;
+        self.lamp = None;
+        for command in &commands {
+            self.command(command, self.reply_timeout())?;
+        }
+        let (expected, _) = self.outputs_of(lamp);
+        self.lamp = self.read_lamp()?;
+        let known = self.link.known().clone();
+        match (self.lamp, known.accessories) {
+            (Some(is), _) if is == lamp => Ok(lamp),
+            // This build never reports its outputs: `ok` is all there is.
+            (_, None) => {
+                self.lamp = Some(lamp);
+                Ok(lamp)
+            }
+            (_, Some(outputs)) => Err(DeviceError::NotApplied {
+                device: self.link.device().to_owned(),
+                what: "the lamp's outputs".to_owned(),
+                is: format!("{outputs:?} at S{}", known.speed.unwrap_or(0.0)),
+                wanted: format!("{expected:?} ({})", commands.join("; ")),
+            }),
+        }
+    }
+
+    fn status(&mut self) -> Result<StageStatus, DeviceError> {
+        let (report, pose) = self.report_with_position()?;
+        self.lamp = self.lamp_by_outputs().or(self.lamp);
+        let homed = self.link.known().unhomed_since.is_none();
+        Ok(StageStatus {
+            activity: activity(report.state),
+            position: homed.then(|| self.position(pose)),
+            lamp: self.lamp,
+        })
+    }
+
+    fn stop_handle(&self) -> Result<Box<dyn StopHandle>, DeviceError> {
+        Ok(Box::new(GrblStop {
+            link: Arc::downgrade(&self.link),
+            timeout: self.config.connect_timeout.to_duration(),
+        }))
+    }
+}
+
+impl Drop for GrblStage {
+    fn drop(&mut self) {
+        let known = self.link.known().clone();
+        let is_off = self.lamp == Some(LampState::Off) && !known.needs_reset;
+        if is_off && !self.in_motion {
+            return;
+        }
+        let turned_off = !self.in_motion && self.set_lamp(LampState::Off).is_ok();
+        if !turned_off {
+            // The firmware's restart ends motion and turns all outputs off.
+            let _ = self
+                .link
+                .restart(true, "its driver ended", self.reply_timeout());
+        }
+    }
+}
+
+/// Stops a [`GrblStage`] beside its driver.
+struct GrblStop {
+    link: Weak<Link>,
+    timeout: Duration,
+}
+
+impl StopHandle for GrblStop {
+    fn stop(&mut self) -> Result<(), DeviceError> {
+        // A driver that is gone has turned the lamp off and ended its motion.
+        let Some(link) = self.link.upgrade() else {
+            return Ok(());
+        };
+        link.restart(true, "it was stopped", self.timeout)
+    }
+}
+
+/// Stops whatever GRBL controller is on a port that no driver holds: brakes,
+/// resets it, which turns its outputs off, and waits for its banner.
+pub fn stop_port(path: &str, baud: u32, timeout: Duration) -> Result<(), DeviceError> {
+    Link::open(path, baud)?.restart(true, "it was stopped", timeout)
+}

@@ -1,0 +1,433 @@
+//! The simulated bench behind the production traits: a camera that looks at it,
+//! and its stage through the production GRBL driver on a pseudo-terminal.
+
+use std::sync::Arc;
+
+use mock_devices::RadianceSource;
+use mock_devices::bench::{
+    AngleAxis, Axis, Bench, BenchConfig, Kinematics, LampModel, StageErrors,
+};
+use mock_devices::camera::{CameraConfig, CameraFaults, MockCameraError};
+use mock_devices::clock::Clock;
+use mock_devices::grbl::{Faults, GrblSettings, GrblSimulator, LampPin};
+use mock_devices::sensor::{SensorConfig, SensorModel};
+
+use super::grbl::protocol::{Spindle, effect_of};
+use super::grbl::{GrblConfig, GrblStage};
+use super::kinematics::AxisMap;
+use super::{
+    Camera, CameraInfo, CameraSettings, DeviceError, FrameKey, FrameKind, Mosaic, RawFrame,
+};
+use crate::units::Seconds;
+
+/// What a simulated bench is: how its devices are used, and how the truth differs.
+#[derive(Clone, Debug)]
+pub struct SimulatedConfig {
+    /// The stage as its driver sees it. The firmware is made to match: axes,
+    /// travel, lamp outputs. `port` is ignored.
+    pub stage: GrblConfig,
+    /// How the true stage departs from that.
+    pub errors: StageErrors,
+    /// The lamp's power over time.
+    pub lamp: LampModel,
+    /// Which channel of the lamp lights R, G and B of the scene: entry c of
+    /// [`mock_devices::Illumination::channels`]; `None` stays dark.
+    pub channel_of_colour: [Option<u8>; 3],
+    /// The sensor.
+    pub sensor: SensorConfig,
+    /// The camera around it.
+    pub camera: CameraConfig,
+    /// Colour filters that the radiance source has accounted for.
+    pub mosaic: Mosaic,
+    /// Whether waiting moves a virtual clock instead of taking time.
+    pub instant: bool,
+    /// Key of everything random about the stage; the sensor has its own.
+    pub seed: u64,
+}
+
+/// A bench with its firmware running. Keep it while its devices are in use.
+pub struct SimulatedBench {
+    simulator: GrblSimulator,
+    config: SimulatedConfig,
+}
+
+impl SimulatedBench {
+    /// Builds the bench and powers its controller.
+    pub fn start(config: SimulatedConfig) -> Result<Self, DeviceError> {
+        let clock = if config.instant {
+            Clock::instant()
+        } else {
+            Clock::real_time()
+        };
+        Self::start_at(config, clock)
+    }
+
+    fn start_at(config: SimulatedConfig, clock: Clock) -> Result<Self, DeviceError> {
+        let stage = &config.stage;
+        let bench = Bench::new(
+            BenchConfig {
+                kinematics: Kinematics {
+                    azimuth: angle_axis(&stage.kinematics.azimuth)?,
+                    elevation: angle_axis(&stage.kinematics.elevation)?,
+                },
+                errors: config.errors,
+                lamp: config.lamp,
+                seed: config.seed,
+                ..BenchConfig::default()
+            },
+            clock,
+        );
+        let firmware = mock_devices::grbl::GrblConfig {
+            settings: settings(stage),
+            lamp_wiring: config.channel_of_colour.map(|channel| {
+                let commands = channel.and_then(|channel| stage.lamp_on.get(usize::from(channel)));
+                commands.map_or(LampPin::None, |commands| pin_of(commands))
+            }),
+            ..Default::default()
+        };
+        let simulator =
+            GrblSimulator::spawn(firmware, bench).map_err(|source| DeviceError::Io {
+                device: NAME.to_owned(),
+                source,
+            })?;
+        Ok(Self { simulator, config })
+    }
+
+    /// What it was built from.
+    pub fn config(&self) -> &SimulatedConfig {
+        &self.config
+    }
+
+    /// The true bench.
+    pub fn bench(&self) -> &Bench {
+        self.simulator.bench()
+    }
+
+    /// Handle by which the firmware is made to fail.
+    pub fn stage_faults(&self) -> Faults {
+        self.simulator.faults()
+    }
+
+    /// Pulls the cable of the controller.
+    pub fn unplug_stage(&self) {
+        self.simulator.unplug();
+    }
+
+    /// The stage's configuration with its port.
+    pub fn stage_config(&self) -> GrblConfig {
+        GrblConfig {
+            port: self.simulator.path().display().to_string(),
+            ..self.config.stage.clone()
+        }
+    }
+
+    /// The stage, by its production driver.
+    pub fn open_stage(&self) -> Result<GrblStage, DeviceError> {
+        GrblStage::open(self.stage_config())
+    }
+
+    /// A camera that looks at the bench and sees what `source` renders.
+    pub fn open_camera(&self, source: Arc<dyn RadianceSource>) -> SimulatedCamera {
+        let SimulatedConfig {
+            sensor,
+            camera,
+            mosaic,
+            ..
+        } = &self.config;
+        let sensor = SensorModel::new(sensor.clone());
+        SimulatedCamera::new(
+            mock_devices::camera::SimulatedCamera::new(
+                camera.clone(),
+                self.bench().clone(),
+                sensor,
+                source,
+            ),
+            *mosaic,
+        )
+    }
+}
+
+const NAME: &str = "the simulated bench";
+
+fn angle_axis(map: &AxisMap) -> Result<AngleAxis, DeviceError> {
+    let axis = match map.axis {
+        'X' => Axis::X,
+        'Y' => Axis::Y,
+        'Z' => Axis::Z,
+        other => {
+            return Err(DeviceError::Refused {
+                device: NAME.to_owned(),
+                command: format!("axis {other}"),
+                reason: "the simulated controller has the axes X, Y and Z".to_owned(),
+            });
+        }
+    };
+    Ok(AngleAxis {
+        axis,
+        deg_per_mm: 1.0 / map.scale,
+        offset_deg: map.offset_deg,
+    })
+}
+
+/// Settings of a firmware whose travel is that of the axes. Its machine space
+/// begins at the switch, at 0; a stage with negative positions gets none of the
+/// firmware's own soft limits.
+fn settings(stage: &GrblConfig) -> GrblSettings {
+    let mut settings = GrblSettings::default();
+    settings.homing_pull_off = 0.0;
+    for map in [&stage.kinematics.azimuth, &stage.kinematics.elevation] {
+        let ends = [map.position(map.min_deg), map.position(map.max_deg)];
+        settings.soft_limits &= ends.iter().all(|&end| end >= -1e-6);
+        if let Some(travel) = map
+            .index()
+            .and_then(|index| settings.max_travel.get_mut(index))
+        {
+            *travel = ends[0].max(ends[1]).max(1.0);
+        }
+    }
+    settings
+}
+
+fn pin_of(commands: &[String]) -> LampPin {
+    let (on, _) = effect_of(commands);
+    match (on.spindle, on.flood, on.mist) {
+        (Spindle::Clockwise | Spindle::Counterclockwise, _, _) => LampPin::Spindle,
+        (_, true, _) => LampPin::Flood,
+        (_, _, true) => LampPin::Mist,
+        _ => LampPin::None,
+    }
+}
+
+/// The simulated camera behind the [`Camera`] trait.
+pub struct SimulatedCamera {
+    camera: mock_devices::camera::SimulatedCamera,
+    info: CameraInfo,
+}
+
+impl SimulatedCamera {
+    /// Wraps a mock camera whose radiance source accounts for `mosaic`.
+    pub fn new(camera: mock_devices::camera::SimulatedCamera, mosaic: Mosaic) -> Self {
+        let sensor = camera.sensor().config();
+        let info = CameraInfo {
+            driver: "simulated".to_owned(),
+            model: format!("simulated {}-bit sensor", sensor.bit_depth),
+            serial: format!("simulated-{}", sensor.seed),
+            resolution_px: sensor.resolution_px,
+            bit_depth: sensor.bit_depth,
+            mosaic,
+            exposure_range: camera.config().exposure_range_s.map(Seconds),
+            exposure_step: Seconds(camera.config().exposure_step_s),
+        };
+        Self { camera, info }
+    }
+
+    /// Handle by which it is made to fail.
+    pub fn faults(&self) -> CameraFaults {
+        self.camera.faults()
+    }
+
+    /// The true sensor.
+    pub fn sensor(&self) -> &SensorModel {
+        self.camera.sensor()
+    }
+
+    fn error(&self, error: MockCameraError) -> DeviceError {
+        let device = self.info.serial.clone();
+        match error {
+            MockCameraError::Disconnected => DeviceError::Disconnected { device },
+            MockCameraError::NoFrame { timeout_s } => DeviceError::NoReply {
+                device,
+                timeout: Seconds(timeout_s),
+                sent: "a request for a frame".to_owned(),
+            },
+            MockCameraError::SizeMismatch { .. } => DeviceError::Refused {
+                device,
+                command: "a request for a frame".to_owned(),
+                reason: error.to_string(),
+            },
+        }
+    }
+}
+
+impl Camera for SimulatedCamera {
+    fn info(&self) -> &CameraInfo {
+        &self.info
+    }
+
+    fn configure(&mut self, requested: CameraSettings) -> Result<CameraSettings, DeviceError> {
+        match self.camera.configure(requested.exposure.0, requested.gain) {
+            Ok(applied) => Ok(CameraSettings {
+                exposure: Seconds(applied.exposure_s),
+                gain: applied.gain,
+            }),
+            Err(error) => Err(self.error(error)),
+        }
+    }
+
+    fn set_shutter(&mut self, open: bool) -> Result<bool, DeviceError> {
+        match self.camera.set_shutter(open) {
+            Ok(exists) => Ok(exists),
+            Err(error) => Err(self.error(error)),
+        }
+    }
+
+    fn grab(&mut self, key: FrameKey) -> Result<RawFrame, DeviceError> {
+        let key = mock_devices::sensor::FrameKey {
+            light: key.light,
+            exposure: key.exposure,
+            repeat: key.repeat,
+            kind: match key.kind {
+                FrameKind::Light => 0,
+                FrameKind::Ambient => 1,
+                FrameKind::Dark => 2,
+            },
+        };
+        match self.camera.grab(key) {
+            Ok(frame) => Ok(RawFrame {
+                width: frame.width,
+                height: frame.height,
+                counts: frame.counts,
+                sequence: Some(frame.sequence),
+                timestamp: Some(Seconds(frame.timestamp_s)),
+            }),
+            Err(error) => Err(self.error(error)),
+        }
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use crate::device::kinematics;
+    use crate::device::{LampChannel, LampState, LightStage};
+    use crate::units::StageAngles;
+    use mock_devices::Illumination;
+
+    /// A stage of 360° × 90° whose machine space begins at −180° and 0°, with
+    /// three channels on spindle, flood and mist.
+    pub(crate) fn stage_config() -> GrblConfig {
+        let map = |axis, min_deg, max_deg| AxisMap {
+            axis,
+            scale: 1.0,
+            offset_deg: min_deg,
+            min_deg,
+            max_deg,
+        };
+        let commands = |line: &str| vec![line.to_owned()];
+        GrblConfig {
+            kinematics: kinematics::Kinematics {
+                azimuth: map('X', -180.0, 180.0),
+                elevation: map('Y', 0.0, 90.0),
+                approach_deg: 2.0,
+            },
+            feed_per_min: 3000.0,
+            lamp_on: vec![commands("M3 S1000"), commands("M8"), commands("M7")],
+            ..GrblConfig::of_port("", 115_200)
+        }
+    }
+
+    pub(crate) fn simulated(clock: Clock, stage: GrblConfig) -> SimulatedBench {
+        let config = SimulatedConfig {
+            stage,
+            errors: StageErrors::default(),
+            lamp: LampModel::default(),
+            channel_of_colour: [Some(0), Some(1), Some(2)],
+            sensor: SensorConfig::typical([8, 4], 1),
+            camera: CameraConfig::default(),
+            mosaic: Mosaic::None,
+            instant: true,
+            seed: 1,
+        };
+        SimulatedBench::start_at(config, clock).unwrap()
+    }
+
+    /// As bright as the lamp's first channel times the sine of its elevation.
+    struct Flat;
+
+    impl RadianceSource for Flat {
+        fn resolution_px(&self) -> [u32; 2] {
+            [8, 4]
+        }
+        fn radiance(&self, light: &Illumination) -> Arc<Vec<f32>> {
+            let radiance = light.channels[0] * light.elevation_rad.sin();
+            Arc::new(vec![radiance as f32; 32])
+        }
+    }
+
+    fn key(kind: FrameKind) -> FrameKey {
+        FrameKey {
+            light: 0,
+            exposure: 0,
+            repeat: 0,
+            kind,
+        }
+    }
+
+    /// The camera sees what the production driver has done to the bench.
+    #[test]
+    fn the_camera_sees_the_stage_that_the_driver_moves() {
+        let bench = simulated(Clock::instant(), stage_config());
+        let mut stage = bench.open_stage().unwrap();
+        let mut camera = bench.open_camera(Arc::new(Flat));
+        let applied = camera
+            .configure(CameraSettings {
+                exposure: Seconds(0.002),
+                gain: 1.0,
+            })
+            .unwrap();
+        assert_eq!(applied.exposure, Seconds(0.002));
+        stage.home().unwrap();
+        let mut mean = |stage: &mut GrblStage, elevation_deg, lamp| {
+            let target = StageAngles {
+                azimuth_deg: 20.0,
+                elevation_deg,
+            };
+            stage.move_to(target).unwrap();
+            stage.set_lamp(lamp).unwrap();
+            for _ in 0..3 {
+                camera.grab(key(FrameKind::Light)).unwrap();
+            }
+            let frame = camera.grab(key(FrameKind::Light)).unwrap();
+            frame.counts.iter().map(|&c| f64::from(c)).sum::<f64>() / 32.0
+        };
+        // 1e6 e/s × 2 ms × 0.38 DN/e = 760 DN over 64; shot noise of the mean of
+        // 32 pixels is 3 DN.
+        let above = mean(&mut stage, 90.0, LampState::On(LampChannel(0)));
+        let oblique = mean(&mut stage, 30.0, LampState::On(LampChannel(0)));
+        let other = mean(&mut stage, 30.0, LampState::On(LampChannel(1)));
+        assert!((above - 824.0).abs() < 20.0, "{above}");
+        assert!((oblique - 444.0).abs() < 20.0, "{oblique}");
+        assert!((other - 64.0).abs() < 4.0, "{other}");
+    }
+
+    #[test]
+    fn camera_faults_are_device_errors() {
+        use mock_devices::camera::CameraFault;
+        let bench = simulated(Clock::instant(), stage_config());
+        let mut camera = bench.open_camera(Arc::new(Flat));
+        assert!(camera.set_shutter(false).unwrap());
+        camera.faults().inject(CameraFault::Stall(1));
+        assert!(matches!(
+            camera.grab(key(FrameKind::Dark)),
+            Err(DeviceError::NoReply { .. })
+        ));
+        assert!(camera.grab(key(FrameKind::Dark)).is_ok());
+        camera.faults().inject(CameraFault::Disconnect);
+        assert!(matches!(
+            camera.grab(key(FrameKind::Dark)),
+            Err(DeviceError::Disconnected { .. })
+        ));
+    }
+
+    #[test]
+    fn an_axis_that_the_simulator_lacks_is_refused() {
+        let mut stage = stage_config();
+        stage.kinematics.azimuth.axis = 'A';
+        let config = simulated(Clock::instant(), stage_config()).config;
+        let config = SimulatedConfig { stage, ..config };
+        assert!(matches!(
+            SimulatedBench::start(config),
+            Err(DeviceError::Refused { .. })
+        ));
+    }
+}

@@ -1,0 +1,71 @@
+//! The fit as one JSON document.
+
+use serde_json::{Value, json};
+
+use super::SIMULATED_NOTE;
+use crate::session::fit_record::FitRecord;
+
+/// Version of the document's layout.
+pub const FORMAT: u32 = 1;
+
+/// Dictionary, weights with their deviations, and the (θh, θd) table with its
+/// 95% interval. BRDF values are in 1/sr, cosine excluded; channels are R, G, B;
+/// table values are indexed [θh][θd][channel].
+pub fn to_json(record: &FitRecord) -> String {
+    let atoms: Vec<Value> = record
+        .atoms
+        .iter()
+        .map(|atom| {
+            let mut value = json!({ "type": atom.kind });
+            for (key, number) in [
+                ("alpha", atom.alpha),
+                ("eta", atom.eta),
+                ("albedo", atom.albedo),
+            ] {
+                if let Some(number) = number {
+                    value[key] = json!(number);
+                }
+            }
+            value
+        })
+        .collect();
+    let table = &record.table;
+    let rows = |of: fn(&crate::session::fit_record::AngleCell) -> Value| -> Vec<Vec<Value>> {
+        let row = |cells: &[_]| cells.iter().map(of).collect();
+        table
+            .cells
+            .chunks(table.theta_d_deg.len().max(1))
+            .map(row)
+            .collect()
+    };
+    let mut document = json!({
+        "format": "rig-brdf",
+        "version": FORMAT,
+        "simulated": record.simulated,
+        "program": concat!("rig ", env!("CARGO_PKG_VERSION")),
+        "brdf_unit": "1/sr, cosine excluded",
+        "channels": ["r", "g", "b"],
+        "dictionary": { "name": record.dictionary, "atoms": atoms },
+        "weights": record.weights,
+        "weight_standard_deviations": record.weight_deviations,
+        "weights_note": "weights alone are not identifiable: compare BRDF values, not weights",
+        "reduced_chi_square": record.reduced_chi_square,
+        "warnings": record.warnings,
+        "table": {
+            "theta_h_deg": table.theta_h_deg,
+            "theta_d_deg": table.theta_d_deg,
+            "phi_d_deg": 90.0,
+            "value": rows(|cell| json!(cell.value)),
+            "interval": 0.95,
+            "lower": rows(|cell| json!(cell.lower)),
+            "upper": rows(|cell| json!(cell.upper)),
+            "constrained": rows(|cell| json!(cell.constrained)),
+        },
+    });
+    if record.simulated {
+        document["note"] = json!(SIMULATED_NOTE);
+    }
+    let mut text = document.to_string();
+    text.push('\n');
+    text
+}

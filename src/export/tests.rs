@@ -1,0 +1,161 @@
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use glam::Vec3;
+use serde_json::Value;
+
+use super::*;
+use crate::brdf::{Brdf, Dictionary, Mixture};
+use crate::session::fit_record::{AngleCell, AngleTable, AtomRecord, FitSettings};
+
+fn record(simulated: bool) -> FitRecord {
+    let dictionary = Dictionary::grid42();
+    let channel = |gloss: usize, matte: f64| {
+        let mut weights = vec![0.0; 42];
+        (weights[gloss], weights[40]) = (0.3, matte);
+        weights[41] = 0.7 - matte;
+        weights
+    };
+    let cell = AngleCell {
+        value: [0.5, 0.25, 0.125],
+        lower: [0.4, 0.2, 0.1],
+        upper: [0.6, 0.3, 0.2],
+        constrained: true,
+    };
+    FitRecord {
+        simulated,
+        dictionary: dictionary.name().to_owned(),
+        atoms: (0..42)
+            .map(|n| AtomRecord::new(n, &dictionary.atoms()[n]))
+            .collect(),
+        weights: [channel(12, 0.6), channel(13, 0.2), channel(22, 0.1)],
+        weight_deviations: [const { Vec::new() }; 3].map(|_: Vec<f64>| vec![0.01; 42]),
+        settings: FitSettings {
+            optimizer: "gauss-newton".to_owned(),
+            samples_per_pixel: 64,
+            max_reflections: 16,
+            seed: 3,
+            kernel: "portable".to_owned(),
+        },
+        loss: 1.0,
+        reduced_chi_square: vec![[1.0; 3]],
+        termination: "converged".to_owned(),
+        trace: Vec::new(),
+        timings: Vec::new(),
+        versions: BTreeMap::new(),
+        score: None,
+        table: AngleTable {
+            theta_h_deg: vec![0.0, 30.0],
+            theta_d_deg: vec![0.0, 20.0, 40.0],
+            cells: vec![cell; 6],
+        },
+        warnings: Vec::new(),
+    }
+}
+
+#[test]
+fn json_holds_the_whole_brdf() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("brdf.json");
+    let record = record(true);
+    assert_eq!(export(&record, Format::Json, &out).unwrap(), [out.clone()]);
+    let document: Value = serde_json::from_slice(&std::fs::read(&out).unwrap()).unwrap();
+    assert_eq!(document["simulated"], true);
+    assert!(document["note"].as_str().unwrap().starts_with("SIMULATED"));
+    // The document's dictionary and weights make the same BRDF again.
+    let atoms = serde_json::from_value(document["dictionary"]["atoms"].clone()).unwrap();
+    let weights = serde_json::from_value(document["weights"].clone()).unwrap();
+    let back = Mixture::new(Arc::new(Dictionary::new("back", atoms).unwrap()), weights).unwrap();
+    let (to_light, to_viewer) = (Vec3::new(0.6, 0.0, 0.8), Vec3::new(-0.48, 0.36, 0.8));
+    let expected = record.mixture().unwrap().eval(to_light, to_viewer);
+    assert_eq!(back.eval(to_light, to_viewer), expected);
+    let table = &document["table"];
+    assert_eq!(table["upper"].as_array().unwrap().len(), 2);
+    assert_eq!(table["upper"][1][2], serde_json::json!([0.6, 0.3, 0.2]));
+    assert_eq!(table["constrained"][0][0], true);
+}
+
+/// The stored numbers are the fit's BRDF at the database's nodes (θh = i²/90°,
+/// θd = j°, φd = k°), and the reader gives every one of them back as it stands.
+#[test]
+fn a_merl_file_is_read_back_exactly() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("x.binary");
+    let record = record(true);
+    let files = export(&record, Format::Merl, &out).unwrap();
+    assert_eq!(files, [out.clone(), folder.path().join("x.binary.txt")]);
+    assert!(
+        std::fs::read_to_string(&files[1])
+            .unwrap()
+            .starts_with("SIMULATED")
+    );
+
+    let bytes = std::fs::read(&out).unwrap();
+    let cells = 90 * 90 * 180;
+    assert_eq!(bytes.len(), 12 + cells * 3 * 8);
+    let table = merl::read(&out).unwrap();
+    let mixture = record.mixture().unwrap();
+    let mut compared = 0;
+    for cell in (0..cells).step_by(101) {
+        let stored = [0, 1, 2].map(|c| {
+            let at = 12 + (c * cells + cell) * 8;
+            f64::from_le_bytes(bytes[at..at + 8].try_into().unwrap()) * merl::SCALE[c]
+        });
+        if stored[0] < 0.0 {
+            continue; // Below the horizon.
+        }
+        assert_eq!(
+            table.values()[cell],
+            stored.map(|x| x as f32),
+            "cell {cell}"
+        );
+        let (i, j, k) = (cell / (90 * 180), cell / 180 % 90, cell % 180);
+        let theta_h = ((i * i) as f64 / 90.0).to_radians();
+        let (sin_d, cos_d) = (j as f64).to_radians().sin_cos();
+        let (sin_phi, cos_phi) = (k as f64).to_radians().sin_cos();
+        let difference = glam::DVec3::new(sin_d * cos_phi, sin_d * sin_phi, cos_d);
+        let to_sample = glam::DQuat::from_rotation_y(theta_h);
+        let mirrored = glam::DVec3::new(-difference.x, -difference.y, difference.z);
+        let (light, viewer) = (
+            (to_sample * difference).as_vec3(),
+            (to_sample * mirrored).as_vec3(),
+        );
+        if light.z.min(viewer.z) < 0.02 {
+            continue; // Single precision decides the horizon.
+        }
+        for (got, want) in stored.into_iter().zip(mixture.eval(light, viewer)) {
+            let want = f64::from(want);
+            assert!(
+                (got - want).abs() < 1e-3 * want,
+                "cell {cell}: {got} for {want}"
+            );
+        }
+        compared += 1;
+    }
+    assert!(compared > 5000, "{compared} cells");
+}
+
+#[test]
+fn only_simulated_exports_are_marked() {
+    let folder = tempfile::tempdir().unwrap();
+    for (format, name) in [(Format::Json, "a.json"), (Format::Mitsuba, "a.xml")] {
+        for simulated in [true, false] {
+            let out = folder.path().join(name);
+            export(&record(simulated), format, &out).unwrap();
+            let text = std::fs::read_to_string(&out).unwrap();
+            assert_eq!(text.contains("SIMULATED"), simulated, "{name}");
+        }
+    }
+}
+
+#[test]
+fn an_unusable_fit_or_place_is_an_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut bad = record(false);
+    bad.atoms[0].alpha = None;
+    let error = export(&bad, Format::Mitsuba, &folder.path().join("a.xml")).unwrap_err();
+    assert!(error.to_string().contains("grid42"), "{error}");
+    let nowhere = folder.path().join("missing/a.json");
+    let error = export(&record(false), Format::Json, &nowhere).unwrap_err();
+    assert!(error.to_string().contains("missing/a.json"), "{error}");
+}

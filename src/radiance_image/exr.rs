@@ -1,0 +1,395 @@
+//! Radiance images as OpenEXR files: channels `R`, `G`, `B`, their variances
+//! `var.R`, `var.G`, `var.B`, and `mask` (1 where a pixel is valid), 32-bit
+//! floats, compressed without loss.
+
+use std::io::{Cursor, Write};
+use std::path::{Path, PathBuf};
+
+use exr::prelude::*;
+
+use super::RadianceImage;
+
+/// What a file says about radiance.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RadianceFile {
+    /// The image. Without variances in the file they are 0 here; without a mask
+    /// every finite pixel is valid. Pixels that are not finite are invalid and 0.
+    pub image: RadianceImage,
+    /// Whether the file has the three variance channels.
+    pub has_variance: bool,
+}
+
+/// A radiance image that cannot be read or written.
+#[derive(Debug, thiserror::Error)]
+pub enum ExrError {
+    /// The system refuses.
+    #[error("{file}: {source}")]
+    Io {
+        /// The file.
+        file: PathBuf,
+        /// The system's error.
+        source: std::io::Error,
+    },
+    /// Not an OpenEXR file, or a damaged one.
+    #[error("{file} is not a readable OpenEXR file: {problem}")]
+    Format {
+        /// The file.
+        file: PathBuf,
+        /// What the decoder says.
+        problem: String,
+    },
+    /// A size that the file's bytes cannot hold.
+    #[error(
+        "{file} declares {width} x {height} pixels in {channels} channels, which its {bytes} bytes cannot hold"
+    )]
+    Size {
+        /// The file.
+        file: PathBuf,
+        /// Declared pixels per row.
+        width: usize,
+        /// Declared rows.
+        height: usize,
+        /// Declared channels.
+        channels: usize,
+        /// Length of the file.
+        bytes: usize,
+    },
+    /// Channels from which no radiance can be had.
+    #[error("{file} has the channels {found}, but {wanted} are needed")]
+    Channels {
+        /// The file.
+        file: PathBuf,
+        /// Those in the file, joined by commas.
+        found: String,
+        /// What is needed.
+        wanted: &'static str,
+    },
+    /// An image whose parts differ in size.
+    #[error(
+        "{file}: {width} x {height} pixels, but {mean} means, {variance} variances and {valid} mask values"
+    )]
+    Inconsistent {
+        /// The file to be written.
+        file: PathBuf,
+        /// Pixels per row.
+        width: usize,
+        /// Rows.
+        height: usize,
+        /// Means.
+        mean: usize,
+        /// Variances.
+        variance: usize,
+        /// Mask values.
+        valid: usize,
+    },
+}
+
+const COLOURS: [&str; 3] = ["R", "G", "B"];
+const VARIANCES: [&str; 3] = ["var.R", "var.G", "var.B"];
+const MASK: &str = "mask";
+
+/// Deflate shrinks at most 1032-fold and the other methods less on anything
+/// that is not constant; a file that declares more is damaged or hostile.
+const MAX_COMPRESSION: usize = 2048;
+
+/// Reads a radiance image. A file with `Y` instead of `R`, `G`, `B` is grey;
+/// other channels are ignored.
+///
+/// # Errors
+/// The file cannot be read, is damaged, declares more than it can hold, or
+/// lacks channels.
+pub fn read(path: &Path) -> std::result::Result<RadianceFile, ExrError> {
+    let bytes = std::fs::read(path).map_err(|source| io_error(path, source))?;
+    decode(&bytes, path)
+}
+
+/// Reads a radiance image from a file's bytes; `path` is for messages.
+///
+/// # Errors
+/// As [`read`].
+pub fn decode(bytes: &[u8], path: &Path) -> std::result::Result<RadianceFile, ExrError> {
+    let format_error = |error: Error| ExrError::Format {
+        file: path.to_owned(),
+        problem: error.to_string(),
+    };
+    let meta = MetaData::read_from_buffered(Cursor::new(bytes), true).map_err(format_error)?;
+    for header in &meta.headers {
+        let Vec2(width, height) = header.layer_size;
+        let channels = header.channels.list.len();
+        let fits = width
+            .checked_mul(height)
+            .and_then(|pixels| pixels.checked_mul(channels.max(1)))
+            .is_some_and(|samples| samples / MAX_COMPRESSION <= bytes.len());
+        let tile_fits = match header.blocks {
+            exr::meta::BlockDescription::ScanLines => true,
+            exr::meta::BlockDescription::Tiles(tiles) => tiles
+                .tile_size
+                .0
+                .checked_mul(tiles.tile_size.1)
+                .is_some_and(|pixels| pixels / MAX_COMPRESSION <= bytes.len()),
+        };
+        if !fits || !tile_fits {
+            return Err(ExrError::Size {
+                file: path.to_owned(),
+                width,
+                height,
+                channels,
+                bytes: bytes.len(),
+            });
+        }
+    }
+    let image = exr::prelude::read()
+        .no_deep_data()
+        .largest_resolution_level()
+        .all_channels()
+        .first_valid_layer()
+        .all_attributes()
+        .non_parallel()
+        .pedantic()
+        .from_buffered(Cursor::new(bytes))
+        .map_err(format_error)?;
+    from_layer(image.layer_data, path)
+}
+
+fn from_layer(
+    layer: Layer<AnyChannels<FlatSamples>>,
+    path: &Path,
+) -> std::result::Result<RadianceFile, ExrError> {
+    let Vec2(width, height) = layer.size;
+    let list = &layer.channel_data.list;
+    let samples = |name: &str| -> Option<Vec<f32>> {
+        let channel = list.iter().find(|c| c.name == *name)?;
+        let values: Vec<f32> = channel.sample_data.values_as_f32().collect();
+        (channel.sampling == Vec2(1, 1) && values.len() == width * height).then_some(values)
+    };
+    let three = |names: [&str; 3]| -> Option<[Vec<f32>; 3]> {
+        let [a, b, c] = names.map(samples);
+        Some([a?, b?, c?])
+    };
+    let colours = three(COLOURS).or_else(|| samples("Y").map(|y| [y.clone(), y.clone(), y]));
+    let Some(colours) = colours else {
+        let names: Vec<String> = list.iter().map(|c| c.name.to_string()).collect();
+        return Err(ExrError::Channels {
+            file: path.to_owned(),
+            found: names.join(", "),
+            wanted: "R, G, B (or Y), at full resolution,",
+        });
+    };
+    let variances =
+        three(VARIANCES).or_else(|| samples("var.Y").map(|y| [y.clone(), y.clone(), y]));
+    let mask = samples(MASK);
+
+    let mut image = RadianceImage::new(width, height);
+    for pixel in 0..width * height {
+        let mean = [0, 1, 2].map(|c| colours[c][pixel]);
+        let variance = variances
+            .as_ref()
+            .map_or([0.0; 3], |v| [0, 1, 2].map(|c| v[c][pixel]));
+        let good = mean.iter().all(|x| x.is_finite())
+            && variance.iter().all(|x| x.is_finite() && *x >= 0.0);
+        if good {
+            image.mean[pixel] = mean;
+            image.variance[pixel] = variance;
+        }
+        image.valid[pixel] = good && mask.as_ref().is_none_or(|m| m[pixel] > 0.5);
+    }
+    Ok(RadianceFile {
+        image,
+        has_variance: variances.is_some(),
+    })
+}
+
+/// Writes a radiance image: to a temporary file in the same folder, which then
+/// takes the name, so that no reader ever sees half a file.
+///
+/// # Errors
+/// The image's parts differ in size, or the system refuses.
+pub fn write(path: &Path, image: &RadianceImage) -> std::result::Result<(), ExrError> {
+    let bytes = encode(image, path)?;
+    let folder = match path.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => folder,
+        _ => Path::new("."),
+    };
+    let mut file = tempfile::Builder::new()
+        .permissions(readable_by_all())
+        .tempfile_in(folder)
+        .map_err(|source| io_error(path, source))?;
+    file.write_all(&bytes)
+        .and_then(|()| file.as_file().sync_all())
+        .map_err(|source| io_error(path, source))?;
+    file.persist(path)
+        .map_err(|error| io_error(path, error.error))?;
+    Ok(())
+}
+
+/// Permissions as any new file has them, before the umask.
+fn readable_by_all() -> std::fs::Permissions {
+    use std::os::unix::fs::PermissionsExt;
+    std::fs::Permissions::from_mode(0o666)
+}
+
+/// The bytes of the file that [`write()`] makes; `path` is for messages.
+///
+/// # Errors
+/// The image is empty or its parts differ in size.
+pub fn encode(image: &RadianceImage, path: &Path) -> std::result::Result<Vec<u8>, ExrError> {
+    let pixels = image.width * image.height;
+    let same = [image.mean.len(), image.variance.len(), image.valid.len()]
+        .iter()
+        .all(|&n| n == pixels);
+    if !same || pixels == 0 {
+        return Err(ExrError::Inconsistent {
+            file: path.to_owned(),
+            width: image.width,
+            height: image.height,
+            mean: image.mean.len(),
+            variance: image.variance.len(),
+            valid: image.valid.len(),
+        });
+    }
+    let channel = |name: &str, values: Vec<f32>| AnyChannel::new(name, FlatSamples::F32(values));
+    let mut channels = SmallVec::new();
+    for c in 0..3 {
+        channels.push(channel(
+            COLOURS[c],
+            image.mean.iter().map(|m| m[c]).collect(),
+        ));
+        let variance = image.variance.iter().map(|v| v[c]).collect();
+        channels.push(channel(VARIANCES[c], variance));
+    }
+    let mask = image.valid.iter().map(|&v| f32::from(u8::from(v)));
+    channels.push(channel(MASK, mask.collect()));
+    let layer = Layer::new(
+        (image.width, image.height),
+        LayerAttributes::default(),
+        Encoding::SMALL_LOSSLESS,
+        AnyChannels::sort(channels),
+    );
+    let mut bytes = Cursor::new(Vec::new());
+    Image::from_layer(layer)
+        .write()
+        .to_buffered(&mut bytes)
+        .map_err(|error| ExrError::Format {
+            file: path.to_owned(),
+            problem: error.to_string(),
+        })?;
+    Ok(bytes.into_inner())
+}
+
+fn io_error(path: &Path, source: std::io::Error) -> ExrError {
+    ExrError::Io {
+        file: path.to_owned(),
+        source,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::{any, prop_assert, prop_assert_eq, proptest};
+
+    fn picture(width: usize, height: usize) -> RadianceImage {
+        let mut image = RadianceImage::new(width, height);
+        for p in 0..width * height {
+            let x = p as f32;
+            image.mean[p] = [x * 0.1 - 0.3, (x * 1.7).sin() * 1e-6, 1e5 / (x + 1.0)];
+            image.variance[p] = [1e-9 * x, 0.5, x * x];
+            image.valid[p] = p % 7 != 3;
+        }
+        image
+    }
+
+    #[test]
+    fn what_was_written_is_read_back_bit_for_bit() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("radiance_L000.exr");
+        let image = picture(37, 21);
+        write(&path, &image).unwrap();
+        write(&path, &image).unwrap();
+        let back = read(&path).unwrap();
+        assert_eq!(back.image, image);
+        assert!(back.has_variance);
+        let files = std::fs::read_dir(folder.path()).unwrap().count();
+        assert_eq!(files, 1, "no temporary file is left");
+    }
+
+    fn bytes_of(channels: &[(&str, Vec<f32>)], size: (usize, usize)) -> Vec<u8> {
+        let list = channels
+            .iter()
+            .map(|(name, values)| AnyChannel::new(*name, FlatSamples::F32(values.clone())))
+            .collect();
+        let mut bytes = Cursor::new(Vec::new());
+        Image::from_channels(size, AnyChannels::sort(list))
+            .write()
+            .to_buffered(&mut bytes)
+            .unwrap();
+        bytes.into_inner()
+    }
+
+    #[test]
+    fn a_single_channel_is_grey_of_unknown_variance() {
+        let bytes = bytes_of(&[("Y", vec![1.0, 2.0, f32::NAN, -4.0])], (2, 2));
+        let file = decode(&bytes, Path::new("y.exr")).unwrap();
+        assert!(!file.has_variance);
+        assert_eq!(file.image.mean[3], [-4.0; 3]);
+        assert_eq!(file.image.valid, [true, true, false, true]);
+        assert_eq!(file.image.mean[2], [0.0; 3]);
+    }
+
+    #[test]
+    fn missing_channels_are_named() {
+        let bytes = bytes_of(&[("R", vec![1.0]), ("B", vec![1.0])], (1, 1));
+        let message = decode(&bytes, Path::new("rb.exr")).unwrap_err().to_string();
+        assert!(
+            message.contains("rb.exr has the channels B, R, but"),
+            "{message}"
+        );
+    }
+
+    #[test]
+    fn missing_and_foreign_files_are_told_apart() {
+        let error = read(Path::new("/nonexistent/x.exr")).unwrap_err();
+        assert!(matches!(error, ExrError::Io { .. }), "{error}");
+        let error = decode(b"\x89PNG and so on", Path::new("x.exr")).unwrap_err();
+        assert!(matches!(error, ExrError::Format { .. }), "{error}");
+    }
+
+    /// Only the declared window of a small file is changed, to 2^30 x 2^30.
+    #[test]
+    fn a_declared_size_beyond_the_file_is_refused_before_memory_is_taken() {
+        let mut bytes = encode(&picture(8, 8), Path::new("x.exr")).unwrap();
+        let key = b"dataWindow\0box2i\0";
+        let at = bytes.windows(key.len()).position(|w| w == key).unwrap() + key.len() + 4;
+        bytes[at + 8..at + 12].copy_from_slice(&(1i32 << 30).to_le_bytes());
+        bytes[at + 12..at + 16].copy_from_slice(&(1i32 << 30).to_le_bytes());
+        let error = decode(&bytes, Path::new("x.exr")).unwrap_err();
+        assert!(
+            matches!(error, ExrError::Size { .. } | ExrError::Format { .. }),
+            "{error}"
+        );
+    }
+
+    proptest! {
+        /// Any bytes changed, any length cut: an image or an error, never a panic.
+        #[test]
+        fn damaged_files_never_panic(
+            changes in proptest::collection::vec((any::<proptest::sample::Index>(), any::<u8>()), 1..12),
+            keep in any::<proptest::sample::Index>(),
+            cut in any::<bool>(),
+        ) {
+            let mut bytes = encode(&picture(9, 20), Path::new("x.exr")).unwrap();
+            for (at, value) in changes {
+                let at = at.index(bytes.len());
+                bytes[at] = value;
+            }
+            if cut {
+                bytes.truncate(keep.index(bytes.len()));
+            }
+            if let Ok(file) = decode(&bytes, Path::new("x.exr")) {
+                let pixels = file.image.width * file.image.height;
+                prop_assert!(pixels / MAX_COMPRESSION <= bytes.len());
+                prop_assert_eq!(file.image.mean.len(), pixels);
+            }
+        }
+    }
+}

@@ -1,0 +1,422 @@
+//! From a fit to its figures: which curves, at which angles, on which scales.
+
+use glam::Vec3;
+
+use super::images::{self, Picture};
+use super::plots::{self, ACCENT, Axis, Band, BarRow, CHANNELS, HeatMap, Line, Lobe, PlotError};
+use crate::brdf::Brdf;
+use crate::session::fit_record::{AngleCell, AngleTable, FitRecord, TracePoint};
+
+/// Angles of incidence of the polar plots, degrees from the normal.
+pub const POLAR_THETA_I_DEG: [f64; 3] = [0.0, 30.0, 60.0];
+/// Difference angles of the slices, degrees; the nearest of the table are taken.
+const SLICE_THETA_D_DEG: [f64; 3] = [5.0, 45.0, 75.0];
+/// Values below this are drawn as this, 1/sr.
+const SMALLEST: f64 = 1e-6;
+/// Logarithmic scales show at most so many powers of ten below the largest value.
+const MOST_DECADES: f64 = 4.0;
+/// The same of the table's maps.
+const MAP_DECADES: f64 = 6.0;
+
+fn log(value: f64) -> f64 {
+    value.max(SMALLEST).log10()
+}
+
+/// Whole powers of ten around the values, at most [`MOST_DECADES`] of them.
+fn decades(log_values: impl Iterator<Item = f64>) -> std::ops::Range<f64> {
+    let (low, high) = log_values
+        .filter(|value| value.is_finite())
+        .fold((f64::MAX, f64::MIN), |(low, high), x| {
+            (low.min(x), high.max(x))
+        });
+    if low > high {
+        return -3.0..0.0;
+    }
+    let end = (high - 0.02).floor() + 1.0;
+    let start = low.floor().max(end - MOST_DECADES).min(end - 2.0);
+    start..end
+}
+
+/// Directions of light and viewer at (θh, θd) and φd = 90°, local frame.
+pub fn directions_at(theta_h_deg: f64, theta_d_deg: f64) -> (Vec3, Vec3) {
+    let (sin_h, cos_h) = theta_h_deg.to_radians().sin_cos();
+    let (sin_d, cos_d) = theta_d_deg.to_radians().sin_cos();
+    let along = |side: f64| {
+        Vec3::new(
+            (sin_h * cos_d) as f32,
+            (side * sin_d) as f32,
+            (cos_h * cos_d) as f32,
+        )
+    };
+    (along(1.0), along(-1.0))
+}
+
+/// The cell nearest to a pair of angles.
+fn nearest(table: &AngleTable, theta_h_deg: f64, theta_d_deg: f64) -> Option<&AngleCell> {
+    table.cell(
+        nearest_index(&table.theta_h_deg, theta_h_deg)?,
+        nearest_index(&table.theta_d_deg, theta_d_deg)?,
+    )
+}
+
+fn nearest_index(angles: &[f64], angle: f64) -> Option<usize> {
+    let right = angles.partition_point(|x| *x < angle);
+    let candidates = [
+        right.checked_sub(1),
+        (right < angles.len()).then_some(right),
+    ];
+    let distance = |index: &usize| (angles[*index] - angle).abs();
+    candidates
+        .into_iter()
+        .flatten()
+        .min_by(|a, b| distance(a).total_cmp(&distance(b)))
+}
+
+/// Position of `angle` between two grid angles: index of the left one and the part of the way.
+fn between(angles: &[f64], angle: f64) -> Option<(usize, f64)> {
+    let last = angles.len().checked_sub(2)?;
+    let left = angles
+        .partition_point(|x| *x <= angle)
+        .saturating_sub(1)
+        .min(last);
+    let part = (angle - angles[left]) / (angles[left + 1] - angles[left]);
+    Some((left, part.clamp(0.0, 1.0)))
+}
+
+/// log10 of lower/f and upper/f of one channel, interpolated in the table. Away
+/// from φd = 90° the interval is taken to be as wide, relatively, as there.
+fn relative_interval(
+    table: &AngleTable,
+    angles_deg: (f64, f64),
+    channel: usize,
+) -> Option<(f64, f64)> {
+    let (i, u) = between(&table.theta_h_deg, angles_deg.0)?;
+    let (j, v) = between(&table.theta_d_deg, angles_deg.1)?;
+    let mut sum = (0.0, 0.0);
+    for (di, wi) in [(0, 1.0 - u), (1, u)] {
+        for (dj, wj) in [(0, 1.0 - v), (1, v)] {
+            let cell = table.cell(i + di, j + dj)?;
+            let value = log(cell.value[channel]);
+            sum.0 += wi * wj * (log(cell.lower[channel]) - value);
+            sum.1 += wi * wj * (log(cell.upper[channel]) - value);
+        }
+    }
+    Some(sum)
+}
+
+/// One figure per angle of [`POLAR_THETA_I_DEG`], all on the same scale.
+pub fn polar_plots(
+    estimate: &dyn Brdf,
+    truth: Option<&dyn Brdf>,
+    table: &AngleTable,
+) -> Result<Vec<String>, PlotError> {
+    let sample = |brdf: &dyn Brdf, theta_i_deg: f64| -> Vec<(f64, [f64; 3])> {
+        let (sin, cos) = theta_i_deg.to_radians().sin_cos();
+        let to_light = Vec3::new(-sin as f32, 0.0, cos as f32);
+        let half_degrees = -179..=179;
+        half_degrees
+            .map(|n| {
+                let angle_deg = f64::from(n) / 2.0;
+                let (sin, cos) = angle_deg.to_radians().sin_cos();
+                let value = brdf.eval(to_light, Vec3::new(sin as f32, 0.0, cos as f32));
+                (angle_deg, value.map(|x| log(f64::from(x))))
+            })
+            .collect()
+    };
+    let estimates = POLAR_THETA_I_DEG.map(|angle| sample(estimate, angle));
+    let truths = truth.map(|brdf| POLAR_THETA_I_DEG.map(|angle| sample(brdf, angle)));
+    let all = estimates.iter().chain(truths.iter().flatten());
+    // The radius ends at the largest value; grazing darkness may fall off the scale.
+    let scale = decades(all.flatten().flat_map(|(_, values)| *values));
+    POLAR_THETA_I_DEG
+        .iter()
+        .enumerate()
+        .map(|(n, &theta_i_deg)| {
+            let lobes: Vec<Lobe> = (0..3)
+                .map(|c| {
+                    let pick = |(angle, values): &(f64, [f64; 3])| (*angle, values[c]);
+                    let band = estimates[n].iter().filter_map(|(angle, values)| {
+                        // In the plane of incidence both half and difference angle are simple.
+                        let theta_h_deg = (angle - theta_i_deg).abs() / 2.0;
+                        let theta_d_deg = (angle + theta_i_deg).abs() / 2.0;
+                        let (low, high) = relative_interval(table, (theta_h_deg, theta_d_deg), c)?;
+                        Some((*angle, values[c] + low, values[c] + high))
+                    });
+                    Lobe {
+                        color: CHANNELS[c],
+                        estimate: estimates[n].iter().map(pick).collect(),
+                        band: band.collect(),
+                        truth: truths.as_ref().map(|all| all[n].iter().map(pick).collect()),
+                    }
+                })
+                .collect();
+            let title = format!("BRDF in the plane of incidence, light at {theta_i_deg}°");
+            plots::polar(&title, theta_i_deg, scale.clone(), &lobes)
+        })
+        .collect()
+}
+
+/// f over θh at three difference angles, with interval and truth: (θd in degrees, figure).
+pub fn slices(
+    table: &AngleTable,
+    truth: Option<&dyn Brdf>,
+) -> Result<Vec<(f64, String)>, PlotError> {
+    let mut columns: Vec<usize> = SLICE_THETA_D_DEG
+        .iter()
+        .filter_map(|angle| nearest_index(&table.theta_d_deg, *angle))
+        .collect();
+    columns.dedup();
+    let rows = 0..table.theta_h_deg.len();
+    let values = columns.iter().flat_map(|&j| {
+        let cells = rows.clone().filter_map(move |i| table.cell(i, j));
+        cells.flat_map(|cell| cell.value.map(log))
+    });
+    let scale = decades(values);
+    columns
+        .iter()
+        .map(|&j| {
+            let theta_d_deg = table.theta_d_deg[j];
+            let x = |i: usize| Axis::half_angle(table.theta_h_deg[i]);
+            let curve = |value: &dyn Fn(usize) -> Option<f64>| -> Vec<(f64, f64)> {
+                rows.clone()
+                    .filter_map(|i| Some((x(i), value(i)?)))
+                    .collect()
+            };
+            let mut bands = unconstrained_bands(table, j, &scale);
+            let mut lines = Vec::new();
+            for c in 0..3 {
+                let interval = rows.clone().filter_map(|i| {
+                    let cell = table.cell(i, j)?;
+                    Some((x(i), log(cell.lower[c]), log(cell.upper[c])))
+                });
+                bands.push(Band {
+                    points: interval.collect(),
+                    color: CHANNELS[c],
+                });
+                lines.push(Line {
+                    points: curve(&|i| Some(log(table.cell(i, j)?.value[c]))),
+                    color: CHANNELS[c],
+                    dashed: false,
+                });
+                if let Some(truth) = truth {
+                    let fine = (0..=180).map(|n| f64::from(n).powi(2) / 360.0);
+                    let last = table.theta_h_deg.last().copied().unwrap_or(0.0);
+                    let points = fine.filter(|deg| *deg <= last).map(|deg| {
+                        let (to_light, to_viewer) = directions_at(deg, theta_d_deg);
+                        let value = truth.eval(to_light, to_viewer)[c];
+                        (Axis::half_angle(deg), log(f64::from(value)))
+                    });
+                    lines.push(Line {
+                        points: points.collect(),
+                        color: CHANNELS[c],
+                        dashed: true,
+                    });
+                }
+            }
+            let title =
+                format!("BRDF over the half angle at a difference angle of {theta_d_deg} degrees");
+            let (x, y) = (
+                Axis::half_angles("half angle θh"),
+                Axis::decades(scale.clone(), "f / sr⁻¹"),
+            );
+            Ok((
+                theta_d_deg,
+                plots::chart(&title, (360, 260), &x, &y, &bands, &lines)?,
+            ))
+        })
+        .collect()
+}
+
+/// Shades the half angles of column `j` about which the images say nothing.
+fn unconstrained_bands(table: &AngleTable, j: usize, scale: &std::ops::Range<f64>) -> Vec<Band> {
+    let count = table.theta_h_deg.len();
+    let edge = |i: usize| {
+        let here = Axis::half_angle(table.theta_h_deg[i.min(count - 1)]);
+        match i {
+            0 => 0.0,
+            i if i == count => 1.0,
+            i => (Axis::half_angle(table.theta_h_deg[i - 1]) + here) / 2.0,
+        }
+    };
+    let constrained = |i: usize| table.cell(i, j).is_none_or(|cell| cell.constrained);
+    let rows: Vec<usize> = (0..count).collect();
+    rows.chunk_by(|&a, &b| constrained(a) == constrained(b))
+        .filter(|run| !constrained(run[0]))
+        .map(|run| Band {
+            points: [edge(run[0]), edge(run[run.len() - 1] + 1)]
+                .map(|x| (x, scale.start, scale.end))
+                .into(),
+            color: plots::MUTED,
+        })
+        .collect()
+}
+
+/// The table as two maps: f, and the half-width of its interval relative to f;
+/// both the mean of the channels, hatched where the data say nothing. `None`
+/// without a table.
+pub fn table_maps(table: &AngleTable) -> Result<Option<[String; 2]>, PlotError> {
+    const SIDE_PX: usize = 270;
+    if table.theta_h_deg.len() < 2 || table.theta_d_deg.len() < 2 {
+        return Ok(None);
+    }
+    let value = |cell: &AngleCell| log(cell.value.iter().sum::<f64>() / 3.0);
+    let width = |cell: &AngleCell| {
+        let relative =
+            (0..3).map(|c| (cell.upper[c] - cell.lower[c]) / 2.0 / cell.value[c].max(SMALLEST));
+        (relative.sum::<f64>() / 3.0).max(1e-9).log10()
+    };
+    let picture = |scale: &std::ops::Range<f64>, of: &dyn Fn(&AngleCell) -> f64| {
+        Picture::from_fn(SIDE_PX, SIDE_PX, |x, y| {
+            let across = (x as f64 + 0.5) / SIDE_PX as f64;
+            let theta_d_deg = 90.0 * (1.0 - (y as f64 + 0.5) / SIDE_PX as f64);
+            match nearest(table, 90.0 * across * across, theta_d_deg) {
+                Some(cell) if cell.constrained => {
+                    let part = (of(cell) - scale.start) / (scale.end - scale.start);
+                    let [r, g, b] = images::sequential(part as f32);
+                    [r, g, b, 255]
+                }
+                _ if (x + y) % 8 < 2 => [140, 140, 140, 255],
+                _ => [196, 196, 196, 255],
+            }
+        })
+    };
+    let map = |title: &str,
+               bar_label: &str,
+               scale: std::ops::Range<f64>,
+               of: &dyn Fn(&AngleCell) -> f64| {
+        plots::heat_map(&HeatMap {
+            title,
+            picture: &picture(&scale, of),
+            x: Axis::half_angles("half angle θh"),
+            y: Axis::with_step(0.0..90.0, 15.0, "difference angle θd / °"),
+            bar_colors: &images::steps(images::sequential, 0.0, 1.0, 64),
+            bar: Axis::decades(scale, bar_label),
+        })
+    };
+    // The maps' scales end at the values themselves, to use all colours.
+    let exact = |of: &dyn Fn(&AngleCell) -> f64| {
+        let values = || table.cells.iter().filter(|cell| cell.constrained).map(of);
+        let high = values().fold(f64::MIN, f64::max);
+        let low = values().fold(f64::MAX, f64::min).max(high - MAP_DECADES);
+        if low > high {
+            -1.0..0.0
+        } else {
+            low.min(high - 0.3) - 0.05..high + 0.05
+        }
+    };
+    Ok(Some([
+        map(
+            "BRDF over half and difference angle",
+            "f / sr⁻¹",
+            exact(&value),
+            &value,
+        )?,
+        map(
+            "relative half-width of the 95% interval",
+            "half-width / f",
+            exact(&width),
+            &width,
+        )?,
+    ]))
+}
+
+/// Atoms whose weight reaches this in some channel are drawn, the others counted.
+pub const SHOWN_WEIGHT: f64 = 0.005;
+
+/// The weights' bars, heaviest first, and how many atoms are too light to show.
+pub fn weight_bars(record: &FitRecord) -> Result<(String, usize), PlotError> {
+    let mut rows: Vec<BarRow> = record
+        .atoms
+        .iter()
+        .enumerate()
+        .map(|(n, atom)| BarRow {
+            label: atom.label(),
+            value: [0, 1, 2].map(|c| record.weights[c][n]),
+            deviation: [0, 1, 2].map(|c| record.weight_deviations[c][n]),
+        })
+        .filter(|row| row.value.iter().any(|weight| *weight >= SHOWN_WEIGHT))
+        .collect();
+    let total = |row: &BarRow| row.value.iter().sum::<f64>();
+    rows.sort_by(|a, b| total(b).total_cmp(&total(a)));
+    let hidden = record.atoms.len() - rows.len();
+    Ok((plots::bars("mixture weights", &rows)?, hidden))
+}
+
+/// The loss over the steps; logarithmic if it falls by more than a factor of 20.
+/// `None` for fewer than two steps.
+pub fn trace_plot(trace: &[TracePoint]) -> Result<Option<String>, PlotError> {
+    let (Some(last), true) = (trace.last(), trace.len() > 1) else {
+        return Ok(None);
+    };
+    let (low, high) = trace
+        .iter()
+        .fold((f64::MAX, f64::MIN), |(low, high), point| {
+            (low.min(point.loss), high.max(point.loss))
+        });
+    let logarithmic = low > 0.0 && high / low > 20.0;
+    let y = if logarithmic {
+        Axis::decades(low.log10().floor()..high.log10().ceil(), "loss")
+    } else {
+        let margin = ((high - low) * 0.06).max(high.abs() * 1e-6).max(1e-12);
+        Axis::linear(low - margin..high + margin, "loss")
+    };
+    let height = |loss: f64| if logarithmic { loss.log10() } else { loss };
+    let first = trace.first().map_or(0, |point| point.step) as f64;
+    let x = Axis::linear(first..(last.step as f64).max(first + 1.0), "step");
+    let line = Line {
+        points: trace
+            .iter()
+            .map(|p| (p.step as f64, height(p.loss)))
+            .collect(),
+        color: ACCENT,
+        dashed: false,
+    };
+    plots::chart("loss after each step", (500, 280), &x, &y, &[], &[line]).map(Some)
+}
+
+/// The colour bar of the residual images.
+pub fn residual_bar() -> String {
+    images::data_uri(&Picture::from_fn(128, 1, |x, _| {
+        let [r, g, b] = images::diverging(x as f32 / 63.5 - 1.0);
+        [r, g, b, 255]
+    }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn directions_have_the_angles_they_are_asked_for() {
+        for (theta_h_deg, theta_d_deg) in [(0.0, 0.0), (20.0, 35.0), (80.0, 60.0)] {
+            let (light, viewer) = directions_at(theta_h_deg, theta_d_deg);
+            let half = (light + viewer).normalize();
+            let found = (
+                half.z.acos().to_degrees(),
+                light.dot(half).min(1.0).acos().to_degrees(),
+            );
+            assert!((f64::from(found.0) - theta_h_deg).abs() < 1e-2, "{found:?}");
+            assert!((f64::from(found.1) - theta_d_deg).abs() < 1e-2, "{found:?}");
+        }
+    }
+
+    #[test]
+    fn scales_hold_their_values() {
+        assert_eq!(decades([-2.3, 0.4].into_iter()), -3.0..1.0);
+        assert_eq!(decades([-9.0, 0.4].into_iter()), -3.0..1.0);
+        assert_eq!(decades([0.4].into_iter()), -1.0..1.0);
+        assert_eq!(decades(std::iter::empty()), -3.0..0.0);
+    }
+
+    #[test]
+    fn nearest_and_between() {
+        let angles = [0.0, 10.0, 30.0];
+        assert_eq!(
+            [-1.0, 4.0, 21.0, 99.0].map(|x| nearest_index(&angles, x)),
+            [0, 0, 2, 2].map(Some)
+        );
+        assert_eq!(between(&angles, 15.0), Some((1, 0.25)));
+        assert_eq!(between(&angles, 99.0), Some((1, 1.0)));
+        assert_eq!(between(&angles[..1], 0.0), None);
+    }
+}

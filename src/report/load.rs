@@ -1,0 +1,401 @@
+//! A session on disk, and one of its fits, as the input of a report.
+
+use std::path::{Path, PathBuf};
+
+use super::{
+    ExposureInput, FitInput, LightInput, ProvenanceGroup, ReportInput, SphereInput, Truth,
+};
+use crate::brdf::environment::EnvironmentMap;
+use crate::brdf::sphere::{self, SphereImage, sphere_image};
+use crate::brdf::{Brdf, BrdfError, source};
+use crate::device::{FrameKind, LampState};
+use crate::radiance_image::RadianceImage;
+use crate::radiance_image::exr::{self, ExrError};
+use crate::session::fit_record::{self, FitRecord, FitRecordError};
+use crate::session::{Event, Session, SessionError, SessionState, Sidecar, layout};
+use crate::units::StageAngles;
+
+/// Pixels a side of the spheres under environment maps.
+const SPHERE_PX: usize = 128;
+
+/// Why a session could not be loaded.
+#[derive(Debug, thiserror::Error)]
+pub enum LoadError {
+    /// The session.
+    #[error(transparent)]
+    Session(#[from] SessionError),
+    /// One of its fits.
+    #[error(transparent)]
+    Fit(#[from] FitRecordError),
+    /// The fitted or the true BRDF.
+    #[error(transparent)]
+    Brdf(#[from] BrdfError),
+    /// A merged image.
+    #[error(transparent)]
+    Image(#[from] ExrError),
+    /// A frame's sidecar.
+    #[error("{}: {fact}", path.display())]
+    Sidecar {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        fact: String,
+    },
+    /// A fit that the session doesn't have.
+    #[error("{} has no fit {number}; it has {existing}", session.display())]
+    NoSuchFit {
+        /// The session.
+        session: PathBuf,
+        /// What was asked for.
+        number: u32,
+        /// The fits that exist, in words.
+        existing: String,
+    },
+}
+
+/// Loads a session with its fit of the given number, or its latest one. A
+/// session without fits loads, too.
+///
+/// # Errors
+/// Anything on disk that is broken; a report is not made of half a fit.
+pub fn load(root: &Path, fit_number: Option<u32>) -> Result<ReportInput, LoadError> {
+    load_with(root, fit_number, SPHERE_PX)
+}
+
+fn load_with(
+    root: &Path,
+    fit_number: Option<u32>,
+    sphere_px: usize,
+) -> Result<ReportInput, LoadError> {
+    let session = Session::open(root)?;
+    let record = session.record();
+    let fit = chosen_fit(root, fit_number)?
+        .map(|(number, folder)| -> Result<FitInput, LoadError> {
+            let record = fit_record::read(&folder)?;
+            Ok(FitInput {
+                name: number.to_string(),
+                images: fit_record::read_images(&folder)?,
+                estimate: std::sync::Arc::new(record.mixture()?),
+                record,
+            })
+        })
+        .transpose()?;
+    // A material that this version cannot evaluate is named, and takes only the comparison away.
+    let material = record.true_material.as_deref();
+    let truth = material.map(|name| (name, source::load(name)));
+    let unknown = match &truth {
+        Some((_, Err(error))) => Some(error.to_string()),
+        _ => None,
+    };
+    let truth = truth.and_then(|(name, brdf)| {
+        Some(Truth {
+            name: name.to_owned(),
+            brdf: brdf.ok()?.into(),
+        })
+    });
+    let spheres = match &fit {
+        Some(fit) => spheres(
+            &*fit.estimate,
+            truth.as_ref().map(|truth| &*truth.brdf),
+            sphere_px,
+        ),
+        None => Vec::new(),
+    };
+    let lights = (0..record.plan.lights.len())
+        .map(|index| light(&session, index))
+        .collect::<Result<_, _>>()?;
+    Ok(ReportInput {
+        sample: record.sample.clone(),
+        session: folder_name(root),
+        captured: readable_time(&record.created_utc),
+        simulated: record.simulated,
+        incomplete: incomplete(&session),
+        provenance: provenance(&session, fit.as_ref(), unknown),
+        lights,
+        fit,
+        truth,
+        spheres,
+    })
+}
+
+fn chosen_fit(root: &Path, number: Option<u32>) -> Result<Option<(u32, PathBuf)>, LoadError> {
+    let mut fits = fit_record::list(root);
+    let Some(number) = number else {
+        return Ok(fits.pop());
+    };
+    let existing: Vec<String> = fits.iter().map(|(number, _)| number.to_string()).collect();
+    match fits.into_iter().find(|(existing, _)| *existing == number) {
+        Some(fit) => Ok(Some(fit)),
+        None => Err(LoadError::NoSuchFit {
+            session: root.to_owned(),
+            number,
+            existing: match existing.as_slice() {
+                [] => "none".to_owned(),
+                numbers => numbers.join(", "),
+            },
+        }),
+    }
+}
+
+fn folder_name(root: &Path) -> String {
+    let root = root.canonicalize().unwrap_or_else(|_| root.to_owned());
+    let name = root.file_name().unwrap_or_default();
+    name.to_string_lossy().into_owned()
+}
+
+/// `2026-11-21 02:34 UTC` from RFC 3339; anything else stays as it is.
+fn readable_time(utc: &str) -> String {
+    utc.parse::<jiff::Timestamp>()
+        .map_or(utc.to_owned(), |time| {
+            time.strftime("%Y-%m-%d %H:%M UTC").to_string()
+        })
+}
+
+fn incomplete(session: &Session) -> Option<String> {
+    let count = session.record().plan.lights.len();
+    let finished = (0..count)
+        .filter(|&n| session.light_is_finished(n as u32))
+        .count();
+    let reason = session
+        .journal()
+        .records
+        .iter()
+        .rev()
+        .find_map(|record| match &record.event {
+            Event::Interrupted { reason } => Some(format!(": {reason}")),
+            _ => None,
+        });
+    (session.state() == SessionState::Interrupted).then(|| {
+        format!(
+            "{finished} of {count} lights are finished{}.",
+            reason.unwrap_or_default()
+        )
+    })
+}
+
+fn light(session: &Session, index: usize) -> Result<LightInput, LoadError> {
+    let plan = &session.record().plan;
+    let number = index as u32;
+    let read_back = session
+        .journal()
+        .records
+        .iter()
+        .rev()
+        .find_map(|record| match record.event {
+            Event::LightStart {
+                light,
+                azimuth_deg,
+                elevation_deg,
+            } if light == number => Some(StageAngles {
+                azimuth_deg,
+                elevation_deg,
+            }),
+            _ => None,
+        });
+    let exposures = exposures(session, number)?;
+    let path = session.root().join(layout::radiance_file(number));
+    let captured = path.exists().then(|| exr::read(&path));
+    Ok(LightInput {
+        index: number,
+        place: read_back.or(plan.lights.get(index).copied()),
+        exposures,
+        captured: captured.transpose()?.map(|file| file.image),
+    })
+}
+
+/// The light frames of one direction, counted by lamp channel and exposure, as
+/// their sidecars give them.
+fn exposures(session: &Session, light: u32) -> Result<Vec<ExposureInput>, LoadError> {
+    let several = session.record().plan.channels.len() > 1;
+    let mut found: Vec<ExposureInput> = Vec::new();
+    for frame in session.frames() {
+        if frame.key.light != light || frame.key.kind != FrameKind::Light {
+            continue;
+        }
+        let bytes = session.read_file(&frame.sidecar.path)?;
+        let sidecar: Sidecar = toml::from_slice(&bytes).map_err(|error| LoadError::Sidecar {
+            path: session.root().join(&frame.sidecar.path),
+            fact: error.message().to_owned(),
+        })?;
+        if sidecar.pilot {
+            continue;
+        }
+        let lamp_channel = match sidecar.lamp {
+            LampState::On(channel) if several => Some(channel.0),
+            _ => None,
+        };
+        let exposure = sidecar.applied.exposure;
+        match found
+            .iter_mut()
+            .find(|e| e.exposure == exposure && e.lamp_channel == lamp_channel)
+        {
+            Some(known) => known.frames += 1,
+            None => found.push(ExposureInput {
+                lamp_channel,
+                exposure,
+                frames: 1,
+            }),
+        }
+    }
+    found.sort_by(|a, b| a.exposure.0.total_cmp(&b.exposure.0));
+    Ok(found)
+}
+
+fn spheres(estimate: &dyn Brdf, truth: Option<&dyn Brdf>, sphere_px: usize) -> Vec<SphereInput> {
+    EnvironmentMap::all()
+        .iter()
+        .map(|map| {
+            let picture = |brdf| as_radiance(&sphere_image(brdf, map, sphere_px));
+            SphereInput {
+                map: map.name().to_owned(),
+                estimate: picture(estimate),
+                truth: truth.map(picture),
+            }
+        })
+        .collect()
+}
+
+/// The sphere's pixels are valid, those around it are not.
+fn as_radiance(sphere: &SphereImage) -> RadianceImage {
+    let mut image = RadianceImage::new(sphere.size, sphere.size);
+    image.mean.clone_from(&sphere.radiance);
+    image.valid.fill(false);
+    for (pixel, _) in sphere::normals(sphere.size) {
+        image.valid[pixel] = true;
+    }
+    image
+}
+
+fn provenance(
+    session: &Session,
+    fit: Option<&FitInput>,
+    unknown_truth: Option<String>,
+) -> Vec<ProvenanceGroup> {
+    let record = session.record();
+    let group = |title: &str, entries: Vec<(&str, String)>| ProvenanceGroup {
+        title: title.to_owned(),
+        entries: entries
+            .into_iter()
+            .map(|(key, value)| (key.to_owned(), value))
+            .collect(),
+    };
+    let resumed = session.journal().records.iter();
+    let resumed = resumed
+        .filter(|r| matches!(r.event, Event::Resume { .. }))
+        .count();
+    let mut groups = vec![group(
+        "Session",
+        vec![
+            ("Folder", folder_name(session.root())),
+            ("Sample", record.sample.clone()),
+            ("Started", record.created_utc.clone()),
+            (
+                "Simulated",
+                if record.simulated { "yes" } else { "no" }.to_owned(),
+            ),
+            ("Rig", record.rig.clone()),
+            ("Seed", record.seed.to_string()),
+            ("Resumed", format!("{resumed} times")),
+            ("Captured with", format!("rig {}", record.versions.rig)),
+        ],
+    )];
+    if let Some(name) = &record.true_material {
+        let reason = unknown_truth.map(|reason| format!(" (cannot be evaluated: {reason})"));
+        let text = format!("{name}{}", reason.unwrap_or_default());
+        groups[0].entries.push(("True material".to_owned(), text));
+    }
+    let (camera, stage) = (&record.versions.camera, &record.versions.stage);
+    let [width, height] = camera.resolution_px;
+    groups.push(group(
+        "Devices",
+        vec![
+            (
+                "Camera",
+                format!(
+                    "{} ({}), serial {}",
+                    camera.model,
+                    camera.driver,
+                    or_none(&camera.serial)
+                ),
+            ),
+            (
+                "Sensor",
+                format!(
+                    "{width} × {height} pixels, {} bits, mosaic {:?}",
+                    camera.bit_depth, camera.mosaic
+                ),
+            ),
+            (
+                "Stage",
+                format!(
+                    "{} at {}, firmware {}",
+                    stage.driver,
+                    stage.port,
+                    or_none(&stage.firmware)
+                ),
+            ),
+            (
+                "Lamp watchdog",
+                if stage.has_watchdog { "yes" } else { "no" }.to_owned(),
+            ),
+        ],
+    ));
+    let copies = record.calibration.iter();
+    groups.push(ProvenanceGroup {
+        title: "Calibration".to_owned(),
+        entries: match record.calibration.as_slice() {
+            [] => vec![("Records".to_owned(), "none was used".to_owned())],
+            _ => copies
+                .map(|copy| {
+                    (
+                        copy.id.clone(),
+                        format!("{}, SHA-256 {}", copy.file, copy.sha256),
+                    )
+                })
+                .collect(),
+        },
+    });
+    groups.extend(fit.map(|fit| fit_group(&fit.record)));
+    groups.push(group(
+        "Configuration",
+        vec![("Resolved", record.config.trim_end().to_owned())],
+    ));
+    groups
+}
+
+fn or_none(text: &str) -> &str {
+    if text.is_empty() { "none" } else { text }
+}
+
+fn fit_group(record: &FitRecord) -> ProvenanceGroup {
+    let settings = &record.settings;
+    let mut entries: Vec<(String, String)> = [
+        (
+            "Dictionary",
+            format!("{}, {} atoms", record.dictionary, record.atoms.len()),
+        ),
+        ("Optimiser", settings.optimizer.clone()),
+        ("Paths per pixel", settings.samples_per_pixel.to_string()),
+        (
+            "Longest path",
+            format!("{} reflections", settings.max_reflections),
+        ),
+        ("Seed", settings.seed.to_string()),
+        ("Kernel", settings.kernel.clone()),
+    ]
+    .map(|(key, value)| (key.to_owned(), value))
+    .into();
+    entries.extend(
+        record
+            .versions
+            .iter()
+            .map(|(name, version)| (name.clone(), version.clone())),
+    );
+    ProvenanceGroup {
+        title: "Fit".to_owned(),
+        entries,
+    }
+}
+
+#[cfg(test)]
+mod tests;

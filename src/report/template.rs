@@ -1,0 +1,520 @@
+//! From the report's input to the values of its template.
+
+use serde::Serialize;
+
+use super::images::{self, Picture};
+use super::{
+    FitInput, LightInput, ReportError, ReportInput, SphereInput, Verdict, figures, verdict,
+};
+use crate::radiance_image::RadianceImage;
+use crate::session::fit_record::{ChannelScore, FitRecord, MetricScores, Warning};
+
+#[derive(Serialize)]
+struct Page<'a> {
+    sample: &'a str,
+    session: &'a str,
+    captured: &'a str,
+    simulated: bool,
+    incomplete: &'a Option<String>,
+    light_count: usize,
+    verdict: VerdictView,
+    tiles: Vec<Tile>,
+    warnings: &'a [Warning],
+    truth: Option<&'a str>,
+    spheres: Vec<SphereView>,
+    scores: Vec<ScoreRow>,
+    lights: Vec<LightView>,
+    residual_bar: String,
+    residual_range: u32,
+    fit: Option<FitView>,
+    provenance: Vec<GroupView<'a>>,
+}
+
+#[derive(Serialize)]
+struct VerdictView {
+    class: &'static str,
+    sign: &'static str,
+    title: String,
+    text: String,
+}
+
+#[derive(Serialize)]
+struct Tile {
+    label: &'static str,
+    value: String,
+    note: &'static str,
+}
+
+#[derive(Serialize)]
+struct SphereView {
+    map: String,
+    estimate: String,
+    truth: Option<String>,
+    difference: Option<String>,
+    difference_percent: u32,
+}
+
+#[derive(Serialize)]
+struct ScoreRow {
+    metric: &'static str,
+    who: &'static str,
+    values: Vec<String>,
+    first: bool,
+    own: bool,
+}
+
+#[derive(Serialize)]
+struct LightView {
+    name: String,
+    place: Option<String>,
+    captured: Option<String>,
+    rendered: Option<String>,
+    residuals: Vec<Named>,
+    white: String,
+    size: String,
+    exposures: Vec<Vec<String>>,
+    snr: Option<[String; 3]>,
+    snr_low: Option<[String; 3]>,
+    unusable: Option<String>,
+    chi_square: Option<Vec<Judged>>,
+}
+
+#[derive(Serialize)]
+struct Named {
+    name: &'static str,
+    uri: String,
+}
+
+#[derive(Serialize)]
+struct Judged {
+    text: String,
+    bad: bool,
+}
+
+#[derive(Serialize)]
+struct FitView {
+    name: String,
+    dictionary: String,
+    atoms: usize,
+    polar: Vec<Figure>,
+    slices: Vec<Figure>,
+    maps: Option<[String; 2]>,
+    constrained_percent: String,
+    bars: String,
+    hidden_atoms: usize,
+    hidden_below_percent: f64,
+    trace: Option<String>,
+    loss: String,
+    steps: u64,
+    termination: String,
+    timings: Vec<(String, String)>,
+}
+
+#[derive(Serialize)]
+struct Figure {
+    caption: String,
+    svg: String,
+}
+
+#[derive(Serialize)]
+struct GroupView<'a> {
+    title: &'a str,
+    entries: &'a [(String, String)],
+}
+
+pub(super) fn render(input: &ReportInput) -> Result<String, ReportError> {
+    let record = input.fit.as_ref().map(|fit| &fit.record);
+    let fit = input
+        .fit
+        .as_ref()
+        .map(|fit| fit_view(fit, input))
+        .transpose()?;
+    let page = Page {
+        sample: &input.sample,
+        session: &input.session,
+        captured: &input.captured,
+        simulated: input.simulated,
+        incomplete: &input.incomplete,
+        light_count: input.lights.len(),
+        verdict: verdict_view(record),
+        tiles: tiles(record),
+        warnings: record.map_or(&[], |record| &record.warnings),
+        truth: input.truth.as_ref().map(|truth| truth.name.as_str()),
+        spheres: input.spheres.iter().map(sphere_view).collect(),
+        scores: score_rows(record),
+        lights: (0..input.lights.len())
+            .map(|n| light_view(n, &input.lights[n], input.fit.as_ref()))
+            .collect(),
+        residual_bar: figures::residual_bar(),
+        residual_range: images::RESIDUAL_RANGE as u32,
+        fit,
+        provenance: input
+            .provenance
+            .iter()
+            .map(|group| GroupView {
+                title: &group.title,
+                entries: &group.entries,
+            })
+            .collect(),
+    };
+    let mut environment = minijinja::Environment::new();
+    environment.set_undefined_behavior(minijinja::UndefinedBehavior::Strict);
+    environment.add_template("report.html", include_str!("report.html.j2"))?;
+    Ok(environment
+        .get_template("report.html")?
+        .render(minijinja::value::Serde(&page))?)
+}
+
+/// Three significant digits.
+fn short(value: f64) -> String {
+    if value == 0.0 || !value.is_finite() {
+        return format!("{value}");
+    }
+    let magnitude = value.abs().log10().floor() as i32;
+    if (-4..6).contains(&magnitude) {
+        let digits = (2 - magnitude).max(0) as usize;
+        format!("{value:.digits$}")
+    } else {
+        format!("{value:.2e}")
+    }
+}
+
+fn percent(value: f64) -> String {
+    format!("{} %", short(value * 100.0))
+}
+
+fn verdict_view(record: Option<&FitRecord>) -> VerdictView {
+    let judged = verdict(record);
+    let worst = record.and_then(FitRecord::worst_reduced_chi_square);
+    let worst = worst.map_or("not known".to_owned(), |worst| format!("{worst:.2}"));
+    let (class, sign, mut title) = match judged {
+        Verdict::NoFit => (
+            "none",
+            "–",
+            "No fit yet: this session holds captured images only",
+        ),
+        Verdict::Explained => (
+            "good",
+            "✓",
+            "The fit explains the images within their uncertainty",
+        ),
+        Verdict::Doubtful => ("doubtful", "!", "The fit explains the images only in part"),
+        Verdict::Unexplained => (
+            "bad",
+            "✗",
+            "The fit does not explain the images: don’t use it as it is",
+        ),
+    };
+    let mut text = match judged {
+        Verdict::NoFit => {
+            "Nothing below says anything about the material before “rig fit” has run.".to_owned()
+        }
+        _ => format!("Worst reduced χ² over lights and channels: {worst} (1 is expected)."),
+    };
+    if let Some(FitRecord {
+        score: Some(score),
+        dictionary,
+        ..
+    }) = record
+    {
+        let (own, floor) = (
+            &score.environment_error.estimate,
+            &score.environment_error.floor,
+        );
+        let ratio = own.overall / floor.overall;
+        text = format!(
+            "Against the true material ({}), the environment error is {}, {} times the least that \
+             the dictionary {dictionary} can reach ({}). {text}",
+            score.truth,
+            percent(own.overall),
+            short(ratio),
+            percent(floor.overall),
+        );
+    } else if record.is_some() {
+        text += " No truth is known for this sample, so the error of the BRDF itself is not.";
+    }
+    if judged == Verdict::Doubtful && worst == "not known" {
+        title = "The fit cannot be judged: it has no χ²";
+    }
+    VerdictView {
+        class,
+        sign,
+        title: title.to_owned(),
+        text,
+    }
+}
+
+fn tiles(record: Option<&FitRecord>) -> Vec<Tile> {
+    let Some(record) = record else {
+        return Vec::new();
+    };
+    let mut tiles = Vec::new();
+    let mut tile = |label, value, note| tiles.push(Tile { label, value, note });
+    if let Some(score) = &record.score {
+        let errors = &score.environment_error;
+        tile(
+            "This fit",
+            percent(errors.estimate.overall),
+            "environment error",
+        );
+        tile(
+            "Dictionary floor",
+            percent(errors.floor.overall),
+            "least possible",
+        );
+        tile(
+            "Reference projection",
+            percent(errors.reference_projection.overall),
+            "truth, projected",
+        );
+        if let Some(start) = &errors.single_bounce_start {
+            tile(
+                "Single-bounce start",
+                percent(start.overall),
+                "without interreflections",
+            );
+        }
+    }
+    if let Some(worst) = record.worst_reduced_chi_square() {
+        tile("Worst reduced χ²", format!("{worst:.2}"), "1 is expected");
+    }
+    if !record.table.cells.is_empty() {
+        let share = percent(record.table.constrained_share());
+        tile("Constrained", share, "of the (θh, θd) table");
+    }
+    tiles
+}
+
+fn score_rows(record: Option<&FitRecord>) -> Vec<ScoreRow> {
+    let Some(score) = record.and_then(|record| record.score.as_ref()) else {
+        return Vec::new();
+    };
+    let mut rows = Vec::new();
+    let mut add = |metric, scores: &MetricScores| {
+        let mut row = |who, score: &ChannelScore, first, own| {
+            let [r, g, b] = score.channels;
+            rows.push(ScoreRow {
+                metric,
+                who,
+                values: [r, g, b, score.overall].map(percent).into(),
+                first,
+                own,
+            });
+        };
+        row("this fit", &scores.estimate, true, true);
+        row(
+            "reference projection",
+            &scores.reference_projection,
+            false,
+            false,
+        );
+        row("dictionary floor", &scores.floor, false, false);
+        if let Some(start) = &scores.single_bounce_start {
+            row("single-bounce start", start, false, false);
+        }
+    };
+    add("Environment error", &score.environment_error);
+    add("BRDF error", &score.brdf_error);
+    if let Some(scores) = &score.brdf_cube_root_error {
+        add("BRDF error, cube root", scores);
+    }
+    rows
+}
+
+/// Spheres are shown on the truth's exposure; the difference in per cent of white.
+fn sphere_view(sphere: &SphereInput) -> SphereView {
+    const DIFFERENCE_RANGE: f32 = 0.2;
+    let white = images::white_level(sphere.truth.as_ref().unwrap_or(&sphere.estimate));
+    let uri = |image: &RadianceImage| images::data_uri(&images::tone_mapped(image, white));
+    let difference = |truth: &RadianceImage| {
+        let estimate = &sphere.estimate;
+        images::data_uri(&Picture::from_fn(
+            estimate.width,
+            estimate.height,
+            |x, y| {
+                let at = y * estimate.width + x;
+                match (estimate.mean.get(at), truth.mean.get(at)) {
+                    (Some(a), Some(b)) if estimate.valid[at] => {
+                        let sum: f32 = (0..3).map(|c| a[c] - b[c]).sum();
+                        let [r, g, b] = images::diverging(sum / 3.0 / white / DIFFERENCE_RANGE);
+                        [r, g, b, 255]
+                    }
+                    _ => [0; 4],
+                }
+            },
+        ))
+    };
+    SphereView {
+        map: sphere.map.clone(),
+        estimate: uri(&sphere.estimate),
+        truth: sphere.truth.as_ref().map(uri),
+        difference: sphere.truth.as_ref().map(difference),
+        difference_percent: (DIFFERENCE_RANGE * 100.0) as u32,
+    }
+}
+
+fn light_view(position: usize, light: &LightInput, fit: Option<&FitInput>) -> LightView {
+    let rendered = fit.and_then(|fit| fit.images.rendered.get(position));
+    let residual = fit.and_then(|fit| fit.images.residual.get(position));
+    let white = light
+        .captured
+        .as_ref()
+        .or(rendered)
+        .map_or(1.0, images::white_level);
+    let uri = |image: &RadianceImage| images::data_uri(&images::tone_mapped(image, white));
+    let names = ["red", "green", "blue"];
+    let named = |channel: usize, image: &RadianceImage| Named {
+        name: names[channel],
+        uri: images::data_uri(&images::residual(image, channel)),
+    };
+    let quality = light
+        .captured
+        .as_ref()
+        .map(|image| SignalToNoise::of(image, white));
+    let chi_square = fit.and_then(|fit| fit.record.reduced_chi_square.get(position));
+    LightView {
+        name: format!("L{:03}", light.index),
+        place: light.place.map(|place| {
+            // Adding zero turns −0 into 0.
+            let (azimuth, elevation) = (place.azimuth_deg + 0.0, place.elevation_deg + 0.0);
+            format!("azimuth {azimuth:.1}°, elevation {elevation:.1}°").replace('-', "−")
+        }),
+        captured: light.captured.as_ref().map(uri),
+        rendered: rendered.map(uri),
+        residuals: residual.map_or(Vec::new(), |image| {
+            (0..3).map(|c| named(c, image)).collect()
+        }),
+        white: short(f64::from(white)),
+        size: light
+            .captured
+            .as_ref()
+            .or(rendered)
+            .map_or(String::new(), |image| {
+                format!("{} × {} pixels", image.width, image.height)
+            }),
+        exposures: exposures(light),
+        snr: quality
+            .as_ref()
+            .map(|quality| quality.median.map(|x| format!("{x:.0}"))),
+        snr_low: quality
+            .as_ref()
+            .map(|quality| quality.low.map(|x| format!("{x:.0}"))),
+        unusable: light.captured.as_ref().map(|image| {
+            let count = image.valid.iter().filter(|valid| !**valid).count();
+            let share = count as f64 / image.valid.len().max(1) as f64;
+            format!("{count} ({:.1} %)", share * 100.0)
+        }),
+        chi_square: chi_square.map(|values| {
+            let judge = |value: &f64| Judged {
+                text: format!("{value:.2}"),
+                bad: *value > super::EXPLAINED_CHI_SQUARE,
+            };
+            values.iter().map(judge).collect()
+        }),
+    }
+}
+
+/// One line per lamp channel: `0.50 ms × 8`, `4.00 ms × 2`.
+fn exposures(light: &LightInput) -> Vec<Vec<String>> {
+    let mut channels: Vec<Option<u8>> = light.exposures.iter().map(|e| e.lamp_channel).collect();
+    channels.sort();
+    channels.dedup();
+    let line = |channel: &Option<u8>| {
+        let name = channel.map(|channel| format!("lamp {channel}:"));
+        let entries = light
+            .exposures
+            .iter()
+            .filter(|e| e.lamp_channel == *channel);
+        let entries = entries.map(|e| format!("{} ms × {}", short(e.exposure.0 * 1e3), e.frames));
+        name.into_iter().chain(entries).collect()
+    };
+    channels.iter().map(line).collect()
+}
+
+/// Mean over standard deviation of the merged radiance, over the pixels
+/// brighter than 5% of white.
+struct SignalToNoise {
+    median: [f64; 3],
+    /// The 5th percentile.
+    low: [f64; 3],
+}
+
+impl SignalToNoise {
+    fn of(image: &RadianceImage, white: f32) -> Self {
+        let sorted: [Vec<f64>; 3] = [0, 1, 2].map(|c| {
+            let mut ratios: Vec<f64> = (0..image.mean.len())
+                .filter(|&n| image.valid[n] && image.variance[n][c] > 0.0)
+                .filter(|&n| image.mean[n][c] > 0.05 * white)
+                .map(|n| f64::from(image.mean[n][c]) / f64::from(image.variance[n][c]).sqrt())
+                .collect();
+            ratios.sort_by(f64::total_cmp);
+            ratios
+        });
+        let at = |percent: usize| {
+            sorted.each_ref().map(|ratios| match ratios.len() {
+                0 => 0.0,
+                count => ratios[(count - 1) * percent / 100],
+            })
+        };
+        Self {
+            median: at(50),
+            low: at(5),
+        }
+    }
+}
+
+fn fit_view(fit: &FitInput, input: &ReportInput) -> Result<FitView, ReportError> {
+    let record = &fit.record;
+    let truth = input.truth.as_ref().map(|truth| &*truth.brdf);
+    let polar = figures::polar_plots(&*fit.estimate, truth, &record.table)?;
+    let captions = figures::POLAR_THETA_I_DEG.map(|angle| format!("light at θi = {angle}°"));
+    let (bars, hidden_atoms) = figures::weight_bars(record)?;
+    Ok(FitView {
+        name: fit.name.clone(),
+        dictionary: record.dictionary.clone(),
+        atoms: record.atoms.len(),
+        polar: std::iter::zip(captions, polar)
+            .map(|(caption, svg)| Figure { caption, svg })
+            .collect(),
+        slices: figures::slices(&record.table, truth)?
+            .into_iter()
+            .map(|(angle, svg)| Figure {
+                caption: format!("θd = {angle}°"),
+                svg,
+            })
+            .collect(),
+        maps: figures::table_maps(&record.table)?,
+        constrained_percent: percent(record.table.constrained_share()),
+        bars,
+        hidden_atoms,
+        hidden_below_percent: figures::SHOWN_WEIGHT * 100.0,
+        trace: figures::trace_plot(&record.trace)?,
+        loss: short(record.loss),
+        steps: record.trace.last().map_or(0, |point| point.step),
+        termination: record.termination.clone(),
+        timings: record
+            .timings
+            .iter()
+            .map(|timing| (timing.stage.clone(), format!("{:.2} s", timing.seconds)))
+            .collect(),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn three_significant_digits() {
+        let cases = [
+            (0.0, "0"),
+            (0.012345, "0.0123"),
+            (1234.5, "1234"),
+            (9.9e-9, "9.90e-9"),
+            (-2.5, "-2.50"),
+        ];
+        for (value, text) in cases {
+            assert_eq!(short(value), text);
+        }
+    }
+}

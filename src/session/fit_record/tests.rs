@@ -1,0 +1,217 @@
+use proptest::prelude::*;
+
+use super::*;
+
+/// A small record with every optional part, for the tests of this module.
+fn sample() -> FitRecord {
+    let score = |estimate: f64| ChannelScore {
+        channels: [estimate, estimate * 1.5, estimate * 2.0],
+        overall: estimate * 1.4,
+    };
+    let metric = MetricScores {
+        estimate: score(0.05),
+        reference_projection: score(0.04),
+        floor: score(0.03),
+        single_bounce_start: Some(score(0.4)),
+    };
+    let atom = |index, kind: &str, alpha, eta, albedo| AtomRecord {
+        index,
+        kind: kind.to_owned(),
+        alpha,
+        eta,
+        albedo,
+    };
+    let cell = AngleCell {
+        value: [0.1, 0.2, 0.3],
+        lower: [0.05, 0.15, 0.25],
+        upper: [0.15, 0.25, 0.4],
+        constrained: true,
+    };
+    FitRecord {
+        simulated: true,
+        dictionary: "paper42".to_owned(),
+        atoms: vec![
+            atom(0, "ggx", Some(0.05), Some(1.5), None),
+            atom(1, "lambertian", None, None, Some(1.0)),
+            atom(2, "black", None, None, None),
+        ],
+        weights: [
+            vec![0.5, 0.25, 0.25],
+            vec![0.1, 0.2, 0.7],
+            vec![0.0, 0.0, 1.0],
+        ],
+        weight_deviations: [vec![0.01; 3], vec![0.02; 3], vec![0.0; 3]],
+        settings: FitSettings {
+            optimizer: "gauss-newton".to_owned(),
+            samples_per_pixel: 256,
+            max_reflections: 16,
+            seed: 7,
+            kernel: "portable".to_owned(),
+        },
+        loss: 1.25,
+        reduced_chi_square: vec![[1.0, 1.1, 0.9], [1.2, 1.0, 1.0]],
+        termination: "the step changed no weight by more than 1e-6".to_owned(),
+        trace: vec![TracePoint {
+            step: 0,
+            loss: 8.0,
+            seconds: 0.125,
+        }],
+        timings: vec![Timing {
+            stage: "trace".to_owned(),
+            seconds: 0.5,
+        }],
+        versions: BTreeMap::from([("rig".to_owned(), "0.1.0".to_owned())]),
+        score: Some(ScoreSheet {
+            truth: "paper white".to_owned(),
+            environment_error: metric,
+            brdf_error: metric,
+            brdf_cube_root_error: None,
+        }),
+        table: AngleTable {
+            theta_h_deg: vec![0.0, 45.0],
+            theta_d_deg: vec![0.0, 30.0, 60.0],
+            cells: vec![cell; 6],
+        },
+        warnings: vec![Warning {
+            what: "residuals follow the crease".to_owned(),
+            likely_cause: "pose error".to_owned(),
+        }],
+    }
+}
+
+fn written() -> (tempfile::TempDir, PathBuf) {
+    let home = tempfile::tempdir().unwrap();
+    let folder = home.path().join("fits/0");
+    write(&folder, &sample(), &FitImages::default()).unwrap();
+    (home, folder)
+}
+
+#[test]
+fn record_and_images_come_back_as_they_were() {
+    let home = tempfile::tempdir().unwrap();
+    let mut image = RadianceImage::new(3, 2);
+    image.mean[4] = [0.5, -0.25, 2.0];
+    image.variance[4] = [0.01, 0.02, 0.03];
+    let images = FitImages {
+        rendered: vec![image.clone(), image.clone()],
+        residual: vec![image.clone(), image],
+    };
+    let folder = next_folder(home.path());
+    assert_eq!(folder, home.path().join("fits/0"));
+    write(&folder, &sample(), &images).unwrap();
+    assert_eq!(read(&folder).unwrap(), sample());
+    assert_eq!(read_images(&folder).unwrap(), images);
+    assert_eq!(next_folder(home.path()), home.path().join("fits/1"));
+    let names: Vec<_> = std::fs::read_dir(home.path().join("fits"))
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name())
+        .collect();
+    assert_eq!(names, ["0"], "no temporary folder is left");
+}
+
+#[test]
+fn a_filled_folder_is_never_overwritten() {
+    let (_home, folder) = written();
+    let error = write(&folder, &sample(), &FitImages::default()).unwrap_err();
+    assert!(matches!(error, FitRecordError::Exists { .. }), "{error}");
+}
+
+#[test]
+fn what_is_not_a_fit_is_not_written() {
+    let home = tempfile::tempdir().unwrap();
+    let folder = home.path().join("fit");
+    let mut record = sample();
+    record.weights[1][2] = f64::NAN;
+    let error = write(&folder, &record, &FitImages::default()).unwrap_err();
+    assert!(error.to_string().contains("weight_g"), "{error}");
+    assert!(!folder.exists());
+}
+
+/// (file, text to replace, replacement, what the error must name)
+const CORRUPTIONS: &[(&str, &str, &str, &str)] = &[
+    ("fit.toml", "loss = 1.25", "loss = \"low\"", "loss"),
+    ("fit.toml", "loss = 1.25", "", "loss"),
+    ("fit.toml", "loss = 1.25", "loss = inf", "loss"),
+    ("fit.toml", "format = 1", "format = 9", "format"),
+    ("fit.toml", "seed = 7", "seed = -7", "seed"),
+    ("fit.toml", "[settings]", "[settings", "settings"),
+    ("weights.csv", "sd_b", "sd_x", "sd_b"),
+    ("weights.csv", "0.05", "rough", "alpha"),
+    ("weights.csv", "0.7", "0.9", "weight_g"),
+    ("weights.csv", "0.7", "-0.7", "weight_g"),
+    ("weights.csv", "black,", "black,,", "row"),
+    ("table.csv", "45.0,30.0", "45.0,31.0", "theta_d_deg"),
+    ("table.csv", "45.0,60.0,", "45.0,60.0,1e999,", "row"),
+    ("table.csv", "true", "perhaps", "constrained"),
+    ("table.csv", "45.0,", "95.0,", "theta_h_deg"),
+    ("trace.csv", "0.125", "soon", "seconds"),
+];
+
+#[test]
+fn a_corrupted_file_is_named_with_its_key() {
+    for (file, from, to, key) in CORRUPTIONS {
+        let (_home, folder) = written();
+        let path = folder.join(file);
+        let text = std::fs::read_to_string(&path).unwrap();
+        assert!(text.contains(from), "{file} has no {from:?}");
+        std::fs::write(&path, text.replace(from, to)).unwrap();
+        let error = read(&folder).expect_err(to).to_string();
+        assert!(
+            error.contains(file) && error.contains(key),
+            "{from} -> {to}: {error}"
+        );
+        assert!(!error.contains('\n'), "one line: {error}");
+    }
+    for file in ["fit.toml", "weights.csv", "table.csv", "trace.csv"] {
+        let (_home, folder) = written();
+        std::fs::remove_file(folder.join(file)).unwrap();
+        let error = read(&folder).expect_err(file).to_string();
+        assert!(error.contains(file), "{file} missing: {error}");
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    #[test]
+    fn any_valid_record_survives_the_disk(
+        raw in prop::collection::vec((1e-12f64..1.0, 0.0f64..1e3, 1e-4f64..1.0), 1..12),
+        loss in -1e300f64..1e300,
+        termination in "\\PC{0,40}",
+        chi2 in prop::collection::vec(prop::array::uniform3(0.0f64..1e9), 0..5),
+        values in prop::collection::vec(prop::array::uniform3(0.0f64..1e30), 6),
+        scored in any::<bool>(),
+        seed in 0u64..=i64::MAX as u64,
+    ) {
+        let mut record = sample();
+        let sum: f64 = raw.iter().map(|(weight, ..)| weight).sum();
+        record.atoms = raw.iter().enumerate().map(|(index, (_, _, alpha))| AtomRecord {
+            index, kind: "ggx".to_owned(), alpha: Some(*alpha), eta: Some(1.5), albedo: None,
+        }).collect();
+        for channel in 0..3 {
+            record.weights[channel] = raw.iter().map(|(weight, ..)| weight / sum).collect();
+            record.weight_deviations[channel] = raw.iter().map(|(_, sd, _)| *sd).collect();
+        }
+        record.loss = loss;
+        record.termination = termination;
+        record.reduced_chi_square = chi2;
+        record.settings.seed = seed;
+        for (cell, value) in record.table.cells.iter_mut().zip(values) {
+            cell.value = value;
+            cell.constrained = value[0] > 1.0;
+        }
+        if !scored { record.score = None; }
+        let home = tempfile::tempdir().unwrap();
+        let folder = home.path().join("fit");
+        write(&folder, &record, &FitImages::default()).unwrap();
+        prop_assert_eq!(read(&folder).unwrap(), record);
+    }
+
+    #[test]
+    fn arbitrary_text_never_panics(text in "\\PC{0,200}", file in 0usize..4) {
+        let (_home, folder) = written();
+        let file = ["fit.toml", "weights.csv", "table.csv", "trace.csv"][file];
+        std::fs::write(folder.join(file), text).unwrap();
+        let _ = read(&folder);
+    }
+}

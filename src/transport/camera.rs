@@ -1,0 +1,142 @@
+//! Cameras: from a position on the sensor to a ray into the scene.
+
+use glam::{DVec2, DVec3};
+
+use crate::frames::{self, Rigid, Sample};
+use crate::geometry::Ray;
+
+/// How the lens maps the scene onto the sensor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Projection {
+    /// Telecentric: parallel rays; the field of view in millimetres, width × height.
+    Orthographic {
+        /// Width and height of the field of view.
+        extent_mm: DVec2,
+    },
+    /// Pinhole; the full horizontal angle of view.
+    Perspective {
+        /// Full horizontal angle of view, radians, (0, π).
+        fov_rad: f64,
+    },
+}
+
+/// A camera in the sample frame. Row 0 of the image is the top.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Camera {
+    /// Pixels, width × height.
+    pub resolution_px: [usize; 2],
+    /// The lens.
+    pub projection: Projection,
+    /// Pose: the camera looks along its +z, x right, y down.
+    pub sample_from_camera: Rigid<Sample, frames::Camera>,
+    /// Distance at which the image is sharp, millimetres.
+    pub focus_mm: f64,
+    /// Sine of the half angle of the cone of rays that meet in a sharp point; 0 is a pinhole.
+    pub object_na: f64,
+}
+
+impl Camera {
+    /// A camera at `position_mm` that looks at `look_at_mm`, sharp there, with a
+    /// pinhole lens. `None` if position, target and `up` are degenerate.
+    pub fn looking_at(
+        resolution_px: [usize; 2],
+        projection: Projection,
+        position_mm: DVec3,
+        look_at_mm: DVec3,
+        up: DVec3,
+    ) -> Option<Self> {
+        Some(Self {
+            resolution_px,
+            projection,
+            sample_from_camera: frames::look_at(position_mm, look_at_mm, up)?,
+            focus_mm: position_mm.distance(look_at_mm),
+            object_na: 0.0,
+        })
+    }
+
+    /// Number of pixels.
+    pub fn pixels(&self) -> usize {
+        self.resolution_px[0] * self.resolution_px[1]
+    }
+
+    /// The ray of a sensor position in pixels from the top left corner (a pixel's
+    /// footprint is one unit square) through a point of the lens, both numbers of
+    /// `lens` uniform in [0, 1).
+    pub fn ray(&self, position_px: DVec2, lens: DVec2) -> Ray {
+        let [width, height] = self.resolution_px.map(|n| n as f64);
+        let (mut origin, mut direction) = match self.projection {
+            Projection::Orthographic { extent_mm } => {
+                let x = (position_px.x / width - 0.5) * extent_mm.x;
+                let y = (position_px.y / height - 0.5) * extent_mm.y;
+                (DVec3::new(x, y, 0.0), DVec3::Z)
+            }
+            Projection::Perspective { fov_rad } => {
+                let half = (0.5 * fov_rad).tan();
+                let x = (2.0 * position_px.x / width - 1.0) * half;
+                let y = (2.0 * position_px.y - height) / width * half;
+                (DVec3::ZERO, DVec3::new(x, y, 1.0).normalize())
+            }
+        };
+        if self.object_na > 0.0 {
+            let focus = origin + direction * (self.focus_mm / direction.z);
+            let radius =
+                self.object_na / (1.0 - self.object_na * self.object_na).sqrt() * self.focus_mm;
+            let (sin, cos) = (std::f64::consts::TAU * lens.x).sin_cos();
+            origin += DVec3::new(cos, sin, 0.0) * radius * lens.y.sqrt();
+            direction = (focus - origin).normalize();
+        }
+        Ray {
+            origin_mm: self.sample_from_camera.point(origin).as_vec3(),
+            direction: self.sample_from_camera.direction(direction).as_vec3(),
+            limit_mm: f32::INFINITY,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn camera(projection: Projection) -> Camera {
+        Camera::looking_at(
+            [64, 32],
+            projection,
+            DVec3::new(0.0, 0.0, 5.0),
+            DVec3::ZERO,
+            DVec3::Y,
+        )
+        .unwrap()
+    }
+
+    #[test]
+    fn top_left_pixel_is_left_and_up() {
+        let ray = camera(Projection::Orthographic {
+            extent_mm: DVec2::new(2.0, 1.0),
+        })
+        .ray(DVec2::ZERO, DVec2::ZERO);
+        assert!((ray.origin_mm.as_dvec3() - DVec3::new(-1.0, 0.5, 5.0)).length() < 1e-6);
+        assert!((ray.direction.as_dvec3() + DVec3::Z).length() < 1e-6);
+    }
+
+    #[test]
+    fn perspective_corner_spans_the_angle_of_view() {
+        let camera = camera(Projection::Perspective { fov_rad: 1.0 });
+        let left = camera.ray(DVec2::new(0.0, 16.0), DVec2::ZERO).direction;
+        let right = camera.ray(DVec2::new(64.0, 16.0), DVec2::ZERO).direction;
+        assert!((left.angle_between(right) - 1.0).abs() < 1e-5);
+    }
+
+    #[test]
+    fn rays_through_a_lens_meet_at_the_focus() {
+        let mut camera = camera(Projection::Orthographic {
+            extent_mm: DVec2::new(2.0, 1.0),
+        });
+        camera.object_na = 0.1;
+        for lens in [DVec2::new(0.1, 0.9), DVec2::new(0.7, 0.4)] {
+            let ray = camera.ray(DVec2::new(48.0, 16.0), lens);
+            let t = -ray.origin_mm.z / ray.direction.z;
+            let at = ray.origin_mm + ray.direction * t;
+            assert!((at.x - 0.5).abs() < 1e-5 && at.y.abs() < 1e-5, "{at}");
+        }
+    }
+}

@@ -1,0 +1,409 @@
+//! What the cache keeps of one reflection: the values of all atoms there, in half
+//! precision, and the factor that the geometry and the proposal contribute.
+//!
+//! Lane `b · 8 + i` of a record belongs to one GGX atom. On a grid dictionary the
+//! value is the product of D·G (of the width) and F (of the index), and a record
+//! takes 32 bytes; in general one half-precision number per atom is kept.
+//! A power of two common to the record keeps the numbers within the range of half
+//! precision; Lambertian atoms need no storage.
+
+use half::f16;
+
+use super::lanes::Lanes;
+use crate::brdf::dictionary::{Atom, Dictionary};
+use crate::brdf::ggx::{self, Cosines};
+
+/// A continuation: the path goes on to another surface.
+const CONTINUES: u8 = 0x80;
+/// The first record of a path.
+const FIRST: u8 = 0x40;
+/// The lamp of a connection.
+const LIGHT: u8 = 0x3f;
+/// Most lamps that a cache can hold.
+pub const MAX_LIGHTS: usize = LIGHT as usize + 1;
+
+/// The part that all records share.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Head {
+    /// Continuation: cos θ/pdf; connection: irradiance over the lamp's strength.
+    pub weight: f32,
+    /// Exponent of the power of two that multiplies the stored values.
+    pub exponent: i8,
+    tag: u8,
+}
+
+impl Head {
+    /// A continuation.
+    pub fn continuation(weight: f32) -> Self {
+        Self {
+            weight,
+            exponent: 0,
+            tag: CONTINUES,
+        }
+    }
+
+    /// A connection to lamp `light` < [`MAX_LIGHTS`].
+    pub fn connection(weight: f32, light: usize) -> Self {
+        Self {
+            weight,
+            exponent: 0,
+            tag: light as u8 & LIGHT,
+        }
+    }
+
+    /// Marks the record as the first of its path.
+    pub fn mark_first(&mut self) {
+        self.tag |= FIRST;
+    }
+
+    /// Whether a path begins here.
+    #[inline(always)]
+    pub fn is_first(&self) -> bool {
+        self.tag & FIRST != 0
+    }
+
+    /// The lamp of a connection; `None` for a continuation.
+    #[inline(always)]
+    pub fn light(&self) -> Option<usize> {
+        (self.tag & CONTINUES == 0).then_some((self.tag & LIGHT) as usize)
+    }
+
+    /// 2^exponent.
+    #[inline(always)]
+    pub fn scale(&self) -> f32 {
+        f32::from_bits(((i32::from(self.exponent) + 127) as u32) << 23)
+    }
+}
+
+/// A stored reflection with `B` blocks of eight lanes.
+pub trait Record<const B: usize>: Copy + Send + Sync {
+    /// Stores the atoms' values at `at`.
+    fn encode(head: Head, atoms: &LaneAtoms, at: &Cosines<f32>) -> Self;
+    /// The shared part.
+    fn head(&self) -> Head;
+    /// Marks the record as the first of its path.
+    fn mark_first(&mut self);
+    /// The atoms' values over 2^exponent.
+    fn decode<L: Lanes>(&self) -> [L; B];
+}
+
+/// Where the stored values are put: largest in [2^14, 2^15).
+const TOP_EXPONENT: i32 = 14;
+
+/// Exponent of the power of two that brings `largest` to the top of the range.
+fn exponent_for(largest: f32) -> i8 {
+    let exponent = ((largest.to_bits() >> 23) & 0xff) as i32 - 127;
+    (exponent - TOP_EXPONENT).clamp(-126, 127) as i8
+}
+
+/// Which atom each lane stands for.
+#[derive(Clone, Debug)]
+pub struct LaneAtoms {
+    alphas: Vec<f32>,
+    etas: Vec<f32>,
+    /// Per lane: index into `alphas`, into `etas`; the general layout's lanes.
+    pairs: Vec<(u16, u16)>,
+    /// Per lane: the dictionary's atom; `None` for a lane without one.
+    atom_of_lane: Vec<Option<usize>>,
+    lambertian: Vec<(usize, f64)>,
+    atoms: usize,
+    grid: bool,
+}
+
+impl LaneAtoms {
+    /// The layout of a dictionary: `grid` if its GGX atoms are a grid of at most
+    /// eight widths and five indices and `allow_grid` says so.
+    pub fn new(dictionary: &Dictionary, allow_grid: bool) -> Self {
+        let atoms = dictionary.atoms();
+        let lambertian = atoms
+            .iter()
+            .enumerate()
+            .filter_map(|(i, atom)| match atom {
+                Atom::Lambertian { albedo } => Some((i, *albedo)),
+                _ => None,
+            })
+            .collect();
+        let axes = dictionary.grid_axes().filter(|_| allow_grid);
+        if let Some(axes) = axes {
+            let mut atom_of_lane = vec![None; 8 * 5];
+            for e in 0..axes.etas.len() {
+                for a in 0..axes.alphas.len() {
+                    atom_of_lane[e * 8 + a] = Some(axes.atom[a * axes.etas.len() + e]);
+                }
+            }
+            return Self {
+                alphas: axes.alphas.iter().map(|&a| a as f32).collect(),
+                etas: axes.etas.iter().map(|&e| e as f32).collect(),
+                pairs: Vec::new(),
+                atom_of_lane,
+                lambertian,
+                atoms: atoms.len(),
+                grid: true,
+            };
+        }
+        let (mut alphas, mut etas) = (Vec::<f32>::new(), Vec::<f32>::new());
+        let (mut pairs, mut atom_of_lane) = (Vec::new(), Vec::new());
+        let index = |values: &mut Vec<f32>, value: f64| {
+            let value = value as f32;
+            values.iter().position(|&v| v == value).unwrap_or_else(|| {
+                values.push(value);
+                values.len() - 1
+            }) as u16
+        };
+        for (i, atom) in atoms.iter().enumerate() {
+            if let Atom::Ggx { alpha, eta } = *atom {
+                pairs.push((index(&mut alphas, alpha), index(&mut etas, eta)));
+                atom_of_lane.push(Some(i));
+            }
+        }
+        Self {
+            alphas,
+            etas,
+            pairs,
+            atom_of_lane,
+            lambertian,
+            atoms: atoms.len(),
+            grid: false,
+        }
+    }
+
+    /// Whether the separable layout is used.
+    pub fn is_grid(&self) -> bool {
+        self.grid
+    }
+
+    /// Blocks of eight lanes that are needed.
+    pub fn blocks(&self) -> usize {
+        self.atom_of_lane.len().div_ceil(8)
+    }
+
+    /// Number of atoms of the dictionary.
+    pub fn atoms(&self) -> usize {
+        self.atoms
+    }
+
+    /// The dictionary's weights in lane order (`B` blocks), and the Lambertian f_r, 1/sr.
+    pub fn lane_weights<const B: usize>(&self, weights: &[f64]) -> ([[f32; 8]; B], f32) {
+        let mut lanes = [[0.0; 8]; B];
+        for (lane, atom) in self.atom_of_lane.iter().enumerate() {
+            lanes[lane / 8][lane % 8] = atom.map_or(0.0, |a| weights[a] as f32);
+        }
+        let albedo: f64 = self
+            .lambertian
+            .iter()
+            .map(|&(i, albedo)| weights[i] * albedo)
+            .sum();
+        (lanes, (albedo * std::f64::consts::FRAC_1_PI) as f32)
+    }
+
+    /// Sums per lane and the Lambertian sum as a row over the dictionary's atoms, times `scale`.
+    pub fn atom_row(&self, lanes: &[[f32; 8]], lambertian: f32, scale: f32, row: &mut [f32]) {
+        row.fill(0.0);
+        for (lane, atom) in self.atom_of_lane.iter().enumerate() {
+            if let Some(atom) = atom {
+                row[*atom] = lanes[lane / 8][lane % 8] * scale;
+            }
+        }
+        for &(atom, albedo) in &self.lambertian {
+            row[atom] = lambertian * scale * albedo as f32 * std::f32::consts::FRAC_1_PI;
+        }
+    }
+
+    /// Adds `factor · f_r` of every atom at `at` to `row`.
+    pub fn add_values(&self, at: &Cosines<f32>, factor: f64, row: &mut [f64]) {
+        let (lobes, fresnel) = self.factors(at);
+        for (lane, atom) in self.atom_of_lane.iter().enumerate() {
+            let Some(atom) = *atom else { continue };
+            let (a, e) = if self.grid {
+                (lane % 8, lane / 8)
+            } else {
+                (self.pairs[lane].0 as usize, self.pairs[lane].1 as usize)
+            };
+            row[atom] += factor * f64::from(lobes[a]) * f64::from(fresnel[e]);
+        }
+        for &(atom, albedo) in &self.lambertian {
+            row[atom] += factor * albedo * std::f64::consts::FRAC_1_PI;
+        }
+    }
+
+    /// D·G per width and F per index.
+    #[inline]
+    fn factors(&self, at: &Cosines<f32>) -> ([f32; MAX_AXIS], [f32; MAX_AXIS]) {
+        let (mut lobes, mut fresnel) = ([0.0; MAX_AXIS], [0.0; MAX_AXIS]);
+        for (value, &alpha) in lobes.iter_mut().zip(&self.alphas) {
+            *value = ggx::d_g(alpha, at.cos_i, at.cos_o, at.sin2_h);
+        }
+        for (value, &eta) in fresnel.iter_mut().zip(&self.etas) {
+            *value = ggx::fresnel(eta, at.cos_d);
+        }
+        (lobes, fresnel)
+    }
+}
+
+/// Most distinct widths, or indices, of a dictionary in a cache.
+pub const MAX_AXIS: usize = 64;
+
+/// 32 bytes: eight D·G, five F.
+#[derive(Clone, Copy)]
+#[repr(C)]
+pub struct GridRecord {
+    lobes: [u16; 8],
+    fresnel: [u16; 5],
+    exponent: i8,
+    tag: u8,
+    weight: f32,
+}
+
+const _: () = assert!(size_of::<GridRecord>() == 32);
+
+/// One half-precision number per atom.
+#[derive(Clone, Copy)]
+#[repr(C)]
+pub struct GeneralRecord<const B: usize> {
+    values: [[u16; 8]; B],
+    head: Head,
+}
+
+/// Half precision of `value` · 2^−exponent.
+#[inline]
+fn store(value: f32, exponent: i8) -> u16 {
+    let scale = f32::from_bits(((127 - i32::from(exponent)).clamp(1, 254) as u32) << 23);
+    f16::from_f32(value * scale).to_bits()
+}
+
+impl Record<5> for GridRecord {
+    fn encode(head: Head, atoms: &LaneAtoms, at: &Cosines<f32>) -> Self {
+        let (lobes, fresnel) = atoms.factors(at);
+        let largest = lobes.iter().fold(0.0f32, |m, &v| m.max(v));
+        let exponent = exponent_for(largest);
+        Self {
+            lobes: std::array::from_fn(|i| store(lobes[i], exponent)),
+            fresnel: std::array::from_fn(|i| f16::from_f32(fresnel[i]).to_bits()),
+            exponent,
+            tag: head.tag,
+            weight: head.weight,
+        }
+    }
+
+    #[inline(always)]
+    fn head(&self) -> Head {
+        Head {
+            weight: self.weight,
+            exponent: self.exponent,
+            tag: self.tag,
+        }
+    }
+
+    fn mark_first(&mut self) {
+        self.tag |= FIRST;
+    }
+
+    #[inline(always)]
+    fn decode<L: Lanes>(&self) -> [L; 5] {
+        let lobes = L::from_f16(&self.lobes);
+        let mut fresnel = [0.0; 8];
+        let f = &self.fresnel;
+        L::from_f16(&[f[0], f[1], f[2], f[3], f[4], 0, 0, 0]).store(&mut fresnel);
+        let mut blocks = [lobes; 5];
+        for e in 0..5 {
+            blocks[e] = lobes.mul(L::splat(fresnel[e]));
+        }
+        blocks
+    }
+}
+
+impl<const B: usize> Record<B> for GeneralRecord<B> {
+    fn encode(mut head: Head, atoms: &LaneAtoms, at: &Cosines<f32>) -> Self {
+        let (lobes, fresnel) = atoms.factors(at);
+        let mut lanes = [[0.0f32; 8]; B];
+        for (lane, &(a, e)) in atoms.pairs.iter().enumerate() {
+            lanes[lane / 8][lane % 8] = lobes[a as usize] * fresnel[e as usize];
+        }
+        let largest = lanes.iter().flatten().fold(0.0f32, |m, &v| m.max(v));
+        head.exponent = exponent_for(largest);
+        Self {
+            values: lanes.map(|block| block.map(|v| store(v, head.exponent))),
+            head,
+        }
+    }
+
+    #[inline(always)]
+    fn head(&self) -> Head {
+        self.head
+    }
+
+    fn mark_first(&mut self) {
+        self.head.mark_first();
+    }
+
+    #[inline(always)]
+    fn decode<L: Lanes>(&self) -> [L; B] {
+        let mut blocks = [L::splat(0.0); B];
+        for b in 0..B {
+            blocks[b] = L::from_f16(&self.values[b]);
+        }
+        blocks
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::transport::lanes::Portable;
+    use glam::Vec3;
+
+    fn decoded<const B: usize, R: Record<B>>(record: &R) -> Vec<f32> {
+        let scale = record.head().scale();
+        record
+            .decode::<Portable>()
+            .iter()
+            .flat_map(|block| {
+                let mut out = [0.0; 8];
+                block.store(&mut out);
+                out.map(|v| v * scale)
+            })
+            .collect()
+    }
+
+    /// Stored values against the dictionary's own, over ordinary and extreme directions.
+    #[test]
+    fn records_hold_every_atom_within_half_precision() {
+        let directions = [
+            (0.0f32, 0.0f32),
+            (0.001, 0.0),
+            (0.6, 0.6),
+            (0.6, -0.6),
+            (1.55, 1.5),
+            (1.2, -1.2),
+        ];
+        for dictionary in [Dictionary::paper42(), Dictionary::grid42()] {
+            for grid in [true, false] {
+                let atoms = LaneAtoms::new(&dictionary, grid);
+                for (i, o) in directions {
+                    let to_light = Vec3::new(i.sin(), 0.0, i.cos());
+                    let to_viewer = Vec3::new(o.sin(), 0.02, o.cos()).normalize();
+                    let at = Cosines::new(to_light.to_array(), to_viewer.to_array()).unwrap();
+                    let head = Head::connection(1.0, 3);
+                    let values = if atoms.is_grid() {
+                        decoded(&GridRecord::encode(head, &atoms, &at))
+                    } else {
+                        decoded(&GeneralRecord::<5>::encode(head, &atoms, &at))
+                    };
+                    let largest = values.iter().fold(0.0f32, |m, &v| m.max(v));
+                    for (lane, atom) in atoms.atom_of_lane.iter().enumerate() {
+                        let Some(atom) = *atom else { continue };
+                        let expected = dictionary.atoms()[atom].eval_f32(&at);
+                        let error = (values[lane] - expected).abs();
+                        let bound = 1.1e-3 * expected + 4e-8 * largest;
+                        assert!(
+                            error <= bound,
+                            "{} atom {atom}: {} for {expected}",
+                            dictionary.name(),
+                            values[lane]
+                        );
+                    }
+                }
+            }
+        }
+    }
+}

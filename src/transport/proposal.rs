@@ -1,0 +1,159 @@
+//! The density from which path continuations are drawn: a defensive mixture of a
+//! cosine lobe and visible-normal GGX lobes. It does not depend on the unknown
+//! weights, so cached paths stay valid while the fit moves.
+
+use glam::Vec3;
+
+use crate::brdf::dictionary::Atom;
+use crate::brdf::ggx;
+use crate::brdf::mixture::Mixture;
+use crate::random::Stream;
+
+/// A mixture over directions.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Proposal {
+    /// Probability of the cosine lobe, (0, 1].
+    pub cosine: f32,
+    /// Width and probability of the GGX lobes; all probabilities sum to one.
+    pub lobes: Vec<(f32, f32)>,
+}
+
+impl Default for Proposal {
+    /// Fits every atom of the usual dictionaries tolerably.
+    fn default() -> Self {
+        Self {
+            cosine: 0.3,
+            lobes: vec![(0.02, 0.15), (0.05, 0.15), (0.12, 0.15), (0.3, 0.25)],
+        }
+    }
+}
+
+/// Most lobes of an adapted proposal: each costs an evaluation per continuation.
+const MAX_LOBES: usize = 6;
+
+impl Proposal {
+    /// Resembles a mixture (its three channels together), with at least `defensive`
+    /// of the probability, 0.0..=1.0, left to the default so that no direction starves.
+    pub fn resembling(mixture: &Mixture, defensive: f32) -> Self {
+        // Reflected power per atom, with the Fresnel factor at 45° for all angles.
+        let mut cosine = 0.0;
+        let mut lobes: Vec<(f32, f32)> = Vec::new();
+        for (n, atom) in mixture.dictionary().atoms().iter().enumerate() {
+            let weight: f64 = mixture.weights().iter().map(|w| w[n]).sum::<f64>() / 3.0;
+            match *atom {
+                Atom::Lambertian { albedo } => cosine += (weight * albedo) as f32,
+                Atom::Ggx { alpha, eta } => {
+                    let power = weight * ggx::fresnel(eta, std::f64::consts::FRAC_1_SQRT_2);
+                    lobes.push((alpha as f32, power as f32));
+                }
+                Atom::Black => {}
+            }
+        }
+        let total: f32 = cosine + lobes.iter().map(|l| l.1).sum::<f32>();
+        let default = Self::default();
+        if total <= 0.0 {
+            return default;
+        }
+        let share = (1.0 - defensive) / total;
+        cosine = cosine * share + default.cosine * defensive;
+        lobes.iter_mut().for_each(|l| l.1 *= share);
+        lobes.extend(
+            default
+                .lobes
+                .iter()
+                .map(|&(alpha, p)| (alpha, p * defensive)),
+        );
+        lobes.retain(|l| l.1 > 0.0);
+        lobes.sort_by(|a, b| a.0.total_cmp(&b.0));
+        // Merge the neighbours whose union costs least: probability times squared log ratio.
+        while lobes.len() > MAX_LOBES {
+            let cost = |k: usize| {
+                let ((a, p), (b, q)) = (lobes[k], lobes[k + 1]);
+                p.min(q) * (b / a).ln().powi(2)
+            };
+            let best = (0..lobes.len() - 1)
+                .min_by(|&i, &j| cost(i).total_cmp(&cost(j)))
+                .unwrap_or(0);
+            let ((a, p), (b, q)) = (lobes[best], lobes.remove(best + 1));
+            lobes[best] = (((p * a.ln() + q * b.ln()) / (p + q)).exp(), p + q);
+        }
+        Self { cosine, lobes }
+    }
+
+    /// Draws a direction for the local `to_viewer` with its density per solid angle
+    /// (1/sr, cosine excluded). `None` below the horizon.
+    #[inline]
+    pub fn sample(&self, to_viewer: Vec3, numbers: &mut Stream) -> Option<(Vec3, f32)> {
+        let mut choice = numbers.uniform_f32();
+        let u = [numbers.uniform_f32(), numbers.uniform_f32()];
+        let direction = if choice < self.cosine || self.lobes.is_empty() {
+            let radius = u[1].sqrt();
+            let (sin, cos) = (std::f32::consts::TAU * u[0]).sin_cos();
+            Vec3::new(radius * cos, radius * sin, (1.0 - u[1]).sqrt())
+        } else {
+            choice -= self.cosine;
+            let mut alpha = self.lobes[self.lobes.len() - 1].0;
+            for &(width, probability) in &self.lobes {
+                if choice < probability {
+                    alpha = width;
+                    break;
+                }
+                choice -= probability;
+            }
+            Vec3::from_array(ggx::sample_visible(alpha, to_viewer.to_array(), u))
+        };
+        if direction.z <= 0.0 {
+            return None;
+        }
+        Some((direction, self.pdf(to_viewer, direction)))
+    }
+
+    /// Density at `direction`, per solid angle (1/sr, cosine excluded).
+    #[inline]
+    pub fn pdf(&self, to_viewer: Vec3, direction: Vec3) -> f32 {
+        if direction.z <= 0.0 || to_viewer.z <= 0.0 {
+            return 0.0;
+        }
+        let half = direction + to_viewer;
+        let tangential2 = half.x * half.x + half.y * half.y;
+        let sin2_h = tangential2 / (tangential2 + half.z * half.z);
+        let mut pdf = self.cosine * direction.z * std::f32::consts::FRAC_1_PI;
+        for &(alpha, probability) in &self.lobes {
+            pdf += probability * ggx::pdf_visible(alpha, to_viewer.z, sin2_h);
+        }
+        pdf
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::{Purpose, stream};
+
+    /// The mean of cos θ / pdf over samples is the integral of cos θ over the
+    /// hemisphere, π, whatever the proposal.
+    #[test]
+    fn density_belongs_to_the_samples() {
+        let proposal = Proposal::default();
+        for theta in [0.05f32, 0.7, 1.4] {
+            let viewer = Vec3::new(theta.sin(), 0.0, theta.cos());
+            let mut numbers = stream(9, Purpose::Experiment, 0, 0, 0);
+            let n = 400_000;
+            let (mut sum, mut sum2) = (0.0f64, 0.0f64);
+            for _ in 0..n {
+                if let Some((direction, pdf)) = proposal.sample(viewer, &mut numbers) {
+                    let x = f64::from(direction.z / pdf);
+                    sum += x;
+                    sum2 += x * x;
+                }
+            }
+            let mean = sum / f64::from(n);
+            let error = ((sum2 / f64::from(n) - mean * mean) / f64::from(n)).sqrt();
+            assert!(
+                (mean - std::f64::consts::PI).abs() < 4.5 * error,
+                "{theta}: {mean} ± {error}"
+            );
+            assert!(error < 0.01);
+        }
+    }
+}

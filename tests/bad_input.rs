@@ -1,0 +1,296 @@
+//! What the program says to bad input: one line that states the fact, a blank
+//! line, a hint, exit code 1; never a panic.
+
+use std::path::Path;
+use std::process::Output;
+
+use assert_cmd::Command;
+
+/// One bad input and what must be said about it.
+struct Case {
+    name: &'static str,
+    /// The command line. `{rig}` is a rig file: the simulated one with `change` made.
+    args: &'static [&'static str],
+    /// A text of the simulated rig file and what it is replaced with.
+    change: Option<(&'static str, &'static str)>,
+    /// Must be part of the error's line.
+    fact: &'static str,
+    /// Must be part of the hint.
+    hint: &'static str,
+}
+
+const CASES: &[Case] = &[
+    Case {
+        name: "unknown command",
+        args: &["captrue"],
+        change: None,
+        fact: "unrecognized subcommand 'captrue'",
+        hint: "`rig --help`",
+    },
+    Case {
+        name: "unknown option",
+        args: &["doctor", "--colour"],
+        change: None,
+        fact: "unexpected argument '--colour'",
+        hint: "'--color'",
+    },
+    Case {
+        name: "bad value of an option",
+        args: &["doctor", "--color", "sometimes"],
+        change: None,
+        fact: "invalid value 'sometimes' for '--color <WHEN>'",
+        hint: "--help",
+    },
+    Case {
+        name: "missing argument",
+        args: &["man"],
+        change: None,
+        fact: "--out <DIR>",
+        hint: "`rig man --help`",
+    },
+    Case {
+        name: "contradicting options",
+        args: &["doctor", "-q", "-v"],
+        change: None,
+        fact: "cannot be used with",
+        hint: "`rig doctor --help`",
+    },
+    Case {
+        name: "folder that is a file",
+        args: &["man", "--out", "{rig}"],
+        change: None,
+        fact: "rig.toml: File exists",
+        hint: "another folder",
+    },
+    Case {
+        name: "missing rig file",
+        args: &["doctor", "--rig", "nowhere/rig.toml"],
+        change: None,
+        fact: "nowhere/rig.toml: No such file or directory",
+        hint: "check the path",
+    },
+    Case {
+        name: "rig file that is a folder",
+        args: &["doctor", "--rig", "./"],
+        change: None,
+        fact: "Is a directory",
+        hint: "check the path",
+    },
+    Case {
+        name: "unknown rig name",
+        args: &["doctor", "--rig", "simulate"],
+        change: None,
+        fact: "there is no rig named \"simulate\"; known: grbl-arm-v4l2, simulated",
+        hint: "did you mean `simulated`?",
+    },
+    Case {
+        name: "not TOML",
+        args: &["doctor", "--rig", "{rig}"],
+        change: Some(("[rig]", "[rig")),
+        fact: "not valid TOML",
+        hint: "toml.io",
+    },
+    Case {
+        name: "unknown key",
+        args: &["doctor", "--rig", "{rig}"],
+        change: Some(("bit_depth = 12", "bit_deth = 12")),
+        fact: "`camera.bit_depth` is missing; it must be an integer from 8 to 16",
+        hint: "is `bit_deth` meant to be it?",
+    },
+    Case {
+        name: "unknown key beside all that are needed",
+        args: &["doctor", "--rig", "{rig}"],
+        change: Some(("max_frames =", "max_frame =")),
+        fact: "unknown key `capture.max_frame`; known here: shortest_ms,",
+        hint: "did you mean `max_frames`?",
+    },
+    Case {
+        name: "unknown table",
+        args: &["doctor", "--rig", "{rig}"],
+        change: Some(("[fit]", "[fits]")),
+        fact: "unknown key `fits`",
+        hint: "did you mean `fit`?",
+    },
+    Case {
+        name: "wrong type",
+        args: &["doctor", "--rig", "{rig}"],
+        change: Some(("snr = 20.0", "snr = \"high\"")),
+        fact: "`capture.snr` is \"high\", but must be a number from 1 to 10000",
+        hint: "unit and range",
+    },
+    Case {
+        name: "value out of range",
+        args: &["doctor", "--rig", "{rig}"],
+        change: Some(("max_reflections = 16", "max_reflections = 65")),
+        fact: "`fit.max_reflections` is 65, but must be an integer from 1 to 64",
+        hint: "unit and range",
+    },
+    Case {
+        name: "integer beyond 64 bits",
+        args: &["doctor", "--rig", "{rig}"],
+        change: Some(("seed = 7", "seed = 99999999999999999999999")),
+        fact: "`simulation.seed` is 99999999999999999999999, but must be an integer",
+        hint: "unit and range",
+    },
+    Case {
+        name: "not a number",
+        args: &["doctor", "--rig", "{rig}"],
+        change: Some(("extent_mm = [22.0, 22.0]", "extent_mm = [22.0, nan]")),
+        fact: "`geometry.camera.extent_mm` is [22, NaN]",
+        hint: "unit and range",
+    },
+    Case {
+        name: "camera that looks along its up direction",
+        args: &["doctor", "--rig", "{rig}"],
+        change: Some(("up = [0.0, 1.0, 0.0]", "up = [0.0, 0.0, 1.0]")),
+        fact: "`geometry.camera.up`",
+        hint: "unit and range",
+    },
+    Case {
+        name: "exposures that the camera hasn't",
+        args: &["doctor", "--rig", "{rig}"],
+        change: Some(("longest_ms = 500.0", "longest_ms = 1e9")),
+        fact: "`capture.longest_ms` is 1000000000, but must be a number from 0.05 to 2000",
+        hint: "unit and range",
+    },
+    Case {
+        name: "lamp command that acts out of turn",
+        args: &["doctor", "--rig", "{rig}"],
+        change: Some(("on = \"M8\"", "on = \"!\"")),
+        fact: "`stage.lamp[2].on` is \"!\"",
+        hint: "unit and range",
+    },
+    Case {
+        name: "one simulated and one real device",
+        args: &["doctor", "--rig", "{rig}"],
+        change: Some((
+            "[stage]\n# \"grbl\" (GRBL 1.1 on a serial port) or \"simulated\" (the same protocol, spoken\n# by simulated firmware on a pseudo-terminal) (required).\ndriver = \"simulated\"",
+            "[stage]\ndriver = \"grbl\"\nport = \"/dev/ttyUSB9\"",
+        )),
+        fact: "`stage.driver` is \"grbl\", but must be simulated together with the camera",
+        hint: "unit and range",
+    },
+    Case {
+        name: "report of a folder that is no session",
+        args: &["report", "."],
+        change: None,
+        fact: "is not a session",
+        hint: "session.toml",
+    },
+    Case {
+        name: "report of nothing",
+        args: &["report", "sessions/gone"],
+        change: None,
+        fact: "sessions/gone",
+        hint: "session",
+    },
+    Case {
+        name: "export in an unknown format",
+        args: &["export", ".", "--format", "pdf"],
+        change: None,
+        fact: "invalid value 'pdf' for '--format <FORMAT>'",
+        hint: "`rig export --help`",
+    },
+    Case {
+        name: "export of a folder without a fit",
+        args: &["export", ".", "--format", "json"],
+        change: None,
+        fact: "fit",
+        hint: "fit",
+    },
+];
+
+fn run(folder: &Path, args: &[&str], environment: Option<&str>) -> Output {
+    let mut command = Command::cargo_bin("rig").unwrap();
+    command
+        .current_dir(folder)
+        .env_remove("RIG_CONFIG")
+        .env_remove("RUST_BACKTRACE")
+        .args(args);
+    if let Some(value) = environment {
+        command.env("RIG_CONFIG", value);
+    }
+    command.output().unwrap()
+}
+
+/// The contract of a failed command.
+fn assert_fails_well(name: &str, output: &Output, fact: &str, hint: &str) {
+    let stderr = String::from_utf8(output.stderr.clone()).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{name}: {stderr}");
+    let lines: Vec<_> = stderr.lines().collect();
+    assert_eq!(lines.len(), 3, "{name}: {stderr}");
+    assert!(lines[0].starts_with("error: "), "{name}: {stderr}");
+    assert!(lines[0].contains(fact), "{name}: {stderr}");
+    assert!(lines[1].is_empty(), "{name}: {stderr}");
+    assert!(lines[2].starts_with("hint: "), "{name}: {stderr}");
+    assert!(lines[2].contains(hint), "{name}: {stderr}");
+    assert!(output.stdout.is_empty(), "{name} wrote to stdout");
+}
+
+#[test]
+fn every_bad_input_gets_a_fact_a_hint_and_exit_code_1() {
+    let simulated = include_str!("../rig-configs/simulated.toml");
+    for case in CASES {
+        let folder = tempfile::tempdir().unwrap();
+        let mut text = simulated.to_owned();
+        if let Some((from, to)) = case.change {
+            assert!(text.contains(from), "{}: no {from:?}", case.name);
+            text = text.replacen(from, to, 1);
+        }
+        std::fs::write(folder.path().join("rig.toml"), text).unwrap();
+        let args: Vec<_> = case
+            .args
+            .iter()
+            .map(|arg| if *arg == "{rig}" { "rig.toml" } else { arg })
+            .collect();
+        let output = run(folder.path(), &args, None);
+        assert_fails_well(case.name, &output, case.fact, case.hint);
+    }
+}
+
+/// A rig that was named and fails is never replaced by another one.
+#[test]
+fn no_layer_of_the_configuration_is_skipped_because_it_fails() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = run(folder.path(), &["doctor"], Some("gone.toml"));
+    assert_fails_well("RIG_CONFIG", &output, "gone.toml: No such file", "path");
+    std::fs::write(folder.path().join("rig.toml"), "[rig]\n").unwrap();
+    let output = run(folder.path(), &["doctor"], None);
+    assert_fails_well(
+        "./rig.toml",
+        &output,
+        "rig.toml:1: `rig.name` is missing",
+        "unit",
+    );
+}
+
+/// Damaged calibration records fail the doctor's check, not the doctor.
+#[test]
+fn a_damaged_record_is_found() {
+    let folder = tempfile::tempdir().unwrap();
+    let simulated = include_str!("../rig-configs/simulated.toml");
+    std::fs::write(folder.path().join("rig.toml"), simulated).unwrap();
+    let sensor = folder.path().join("calibration/simulated/sensor");
+    std::fs::create_dir_all(&sensor).unwrap();
+    std::fs::write(sensor.join("x.toml"), "id = \"x\"\nkind = \"nonsense\"\n").unwrap();
+    let output = run(folder.path(), &["doctor", "--json"], None);
+    assert_eq!(output.status.code(), Some(1));
+    let found: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let checks = found["checks"].as_array().unwrap();
+    let check = checks
+        .iter()
+        .find(|check| check["name"] == "sensor")
+        .unwrap();
+    assert_eq!(check["verdict"], "failed");
+    assert!(
+        check["fact"]
+            .as_str()
+            .unwrap()
+            .contains("x.toml:2: unknown variant"),
+        "{check}"
+    );
+    assert!(
+        check["remedy"].as_str().unwrap().contains("backup"),
+        "{check}"
+    );
+}

@@ -1,0 +1,303 @@
+//! The floors of the house, read from the source: a module imports only from
+//! floors below its own, modules of one floor never in a circle, and some words
+//! stay out of some rooms.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+/// Floor by module, as the table in `src/lib.rs` has it.
+fn floors(lib: &str) -> BTreeMap<String, u32> {
+    let mut floors = BTreeMap::new();
+    for line in lib.lines().filter_map(|line| line.strip_prefix("//! | ")) {
+        let Some((floor, modules)) = line.split_once(" | ") else {
+            continue;
+        };
+        let Ok(floor) = floor.trim().parse() else {
+            continue;
+        };
+        for module in modules.split('`').skip(1).step_by(2) {
+            floors.insert(module.to_owned(), floor);
+        }
+    }
+    floors
+}
+
+/// The code alone: comments and strings blanked, so that prose may speak of
+/// what the code may not do.
+fn code(source: &str) -> String {
+    let mut kept = String::with_capacity(source.len());
+    let mut rest = source;
+    while let Some(c) = rest.chars().next() {
+        let length = if rest.starts_with("//") {
+            rest.find('\n').unwrap_or(rest.len())
+        } else if rest.starts_with("/*") {
+            rest.find("*/").map_or(rest.len(), |end| end + 2)
+        } else if let Some(length) = raw_string(rest) {
+            length
+        } else if c == '"' {
+            quoted(rest)
+        } else if rest.starts_with("'\"'") {
+            3
+        } else {
+            kept.push(c);
+            rest = &rest[c.len_utf8()..];
+            continue;
+        };
+        kept.push(' ');
+        rest = &rest[length..];
+    }
+    kept
+}
+
+/// Length of a raw string at the start of `text`.
+fn raw_string(text: &str) -> Option<usize> {
+    let after = text.strip_prefix('r')?;
+    let hashes = after.len() - after.trim_start_matches('#').len();
+    after[hashes..].strip_prefix('"')?;
+    let start = 1 + hashes + 1;
+    let close = format!("\"{}", "#".repeat(hashes));
+    let end = text[start..].find(&close);
+    Some(end.map_or(text.len(), |end| start + end + close.len()))
+}
+
+/// Length of the string that starts with the first quote.
+fn quoted(text: &str) -> usize {
+    let mut escaped = false;
+    for (i, b) in text.bytes().enumerate().skip(1) {
+        match b {
+            _ if escaped => escaped = false,
+            b'\\' => escaped = true,
+            b'"' => return i + 1,
+            _ => {}
+        }
+    }
+    text.len()
+}
+
+/// The crate's own modules that code names: `crate::x`, and every member of
+/// `crate::{x, y::z}`.
+fn imports(code: &str) -> BTreeSet<String> {
+    let mut found = BTreeSet::new();
+    for (at, path) in code.match_indices("crate::") {
+        let before = code[..at].chars().next_back();
+        if before.is_some_and(|c| c.is_alphanumeric() || c == '_' || c == '$') {
+            continue;
+        }
+        let after = code[at + path.len()..].trim_start();
+        match after.strip_prefix('{') {
+            Some(group) => found.extend(members(group).into_iter().map(identifier)),
+            None => {
+                found.insert(identifier(after));
+            }
+        }
+    }
+    found.remove("");
+    found
+}
+
+/// The members of a `{…}` group, given what follows its opening brace.
+fn members(group: &str) -> Vec<&str> {
+    let (mut depth, mut start, mut found) = (0, 0, Vec::new());
+    for (i, c) in group.char_indices() {
+        match c {
+            '{' => depth += 1,
+            '}' if depth == 0 => {
+                found.push(group[start..i].trim());
+                break;
+            }
+            '}' => depth -= 1,
+            ',' if depth == 0 => {
+                found.push(group[start..i].trim());
+                start = i + 1;
+            }
+            _ => {}
+        }
+    }
+    found
+}
+
+fn identifier(text: &str) -> String {
+    text.chars()
+        .take_while(|c| c.is_alphanumeric() || *c == '_')
+        .collect()
+}
+
+/// What is wrong with one file's imports, and its sideways ones.
+fn violations(
+    floors: &BTreeMap<String, u32>,
+    module: &str,
+    source: &str,
+) -> (Vec<String>, BTreeSet<String>) {
+    let own = floors[module];
+    let mut wrong = Vec::new();
+    let mut sideways = BTreeSet::new();
+    for import in imports(&code(source)) {
+        // A name that is no module is a macro of the crate's root.
+        let Some(&floor) = floors.get(&import) else {
+            continue;
+        };
+        if floor > own {
+            wrong.push(format!(
+                "{module} (floor {own}) imports {import} (floor {floor})"
+            ));
+        } else if floor == own && import != module {
+            sideways.insert(import);
+        }
+    }
+    (wrong, sideways)
+}
+
+/// A circle among sideways imports, as the modules along it.
+fn circle(edges: &BTreeMap<String, BTreeSet<String>>) -> Option<Vec<String>> {
+    fn follow(
+        edges: &BTreeMap<String, BTreeSet<String>>,
+        path: &mut Vec<String>,
+    ) -> Option<Vec<String>> {
+        let last = path.last()?.clone();
+        for next in edges.get(&last).into_iter().flatten() {
+            if let Some(start) = path.iter().position(|seen| seen == next) {
+                return Some(path[start..].to_vec());
+            }
+            path.push(next.clone());
+            if let Some(found) = follow(edges, path) {
+                return Some(found);
+            }
+            path.pop();
+        }
+        None
+    }
+    edges
+        .keys()
+        .find_map(|start| follow(edges, &mut vec![start.clone()]))
+}
+
+fn source_root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("src")
+}
+
+/// Every file below `src`: the module it belongs to, its path, its text.
+/// `lib.rs` and `main.rs` stand above all floors.
+fn files() -> Vec<(String, PathBuf, String)> {
+    let root = source_root();
+    let mut folders = vec![root.clone()];
+    let mut files = Vec::new();
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                folders.push(path);
+                continue;
+            }
+            let inside = path.strip_prefix(&root).unwrap().to_owned();
+            let first = inside.components().next().unwrap();
+            let module = Path::new(&first).file_stem().unwrap().to_str().unwrap();
+            let is_code = path.extension().is_some_and(|extension| extension == "rs");
+            if is_code && module != "lib" && module != "main" {
+                let source = std::fs::read_to_string(&path).unwrap();
+                files.push((module.to_owned(), inside, source));
+            }
+        }
+    }
+    files.sort();
+    files
+}
+
+fn house() -> BTreeMap<String, u32> {
+    floors(&std::fs::read_to_string(source_root().join("lib.rs")).unwrap())
+}
+
+#[test]
+fn every_module_has_a_floor_and_imports_only_from_below() {
+    let floors = house();
+    let mut wrong = Vec::new();
+    let mut edges: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
+    for (module, path, source) in files() {
+        assert!(
+            floors.contains_key(&module),
+            "{module} is missing in the table of src/lib.rs"
+        );
+        let (facts, sideways) = violations(&floors, &module, &source);
+        wrong.extend(
+            facts
+                .into_iter()
+                .map(|fact| format!("{}: {fact}", path.display())),
+        );
+        edges.entry(module).or_default().extend(sideways);
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    assert_eq!(circle(&edges), None, "imports in a circle on one floor");
+    let without_files: Vec<_> = floors.keys().filter(|m| !edges.contains_key(*m)).collect();
+    assert!(without_files.is_empty(), "no modules: {without_files:?}");
+}
+
+#[test]
+fn some_words_stay_out_of_some_rooms() {
+    /// A word of code, and the modules that may or may not know it.
+    const ONLY: &[(&str, &[&str])] = &[
+        ("tokio", &["capture"]),
+        ("mock_devices", &["device", "simulation", "config", "cli"]),
+    ];
+    const NEVER: &[(&str, &str)] = &[("transport", "device")];
+    for (module, path, source) in files() {
+        let code = code(&source);
+        let words: BTreeSet<_> = code
+            .split(|c: char| !c.is_alphanumeric() && c != '_')
+            .collect();
+        let path = path.display();
+        for (word, rooms) in ONLY {
+            let allowed = rooms.contains(&module.as_str()) || !words.contains(word);
+            assert!(allowed, "{path}: only {rooms:?} may know {word}");
+        }
+        for (word, room) in NEVER {
+            let allowed = module != *room || !words.contains(word);
+            assert!(allowed, "{path}: {room} may not know {word}");
+        }
+    }
+}
+
+/// The checks themselves see what they must.
+#[test]
+fn an_upward_import_or_a_circle_would_be_found() {
+    let floors = house();
+    let wrong = |module: &str, source: &str| violations(&floors, module, source).0;
+    const UPWARD: &[&str] = &[
+        "use crate::session::Session;",
+        "use crate::{units::Seconds, session::{Session, record}};",
+        "fn f() { crate::session::open() }",
+        "pub(crate) use crate::\n    session::Session;",
+        "const A: &str = \"//\"; use crate::session::Session;",
+        "const A: &str = r#\"\"#; const Q: char = '\"'; use crate::session::Session; // \"",
+    ];
+    for source in UPWARD {
+        assert_eq!(
+            wrong("transport", source),
+            ["transport (floor 2) imports session (floor 4)"],
+            "{source}"
+        );
+    }
+    const ALLOWED: &[&str] = &[
+        "use crate::{units::Seconds, brdf::{self, Brdf}};",
+        "// use crate::session::Session;",
+        "/// As [`crate::session::Session`] says.",
+        "const A: &str = \"use crate::session::Session;\";",
+        "use other_crate::session::X;",
+        "$crate::session::x()",
+    ];
+    for source in ALLOWED {
+        assert!(wrong("transport", source).is_empty(), "{source}");
+    }
+    let edges = |pairs: &[(&str, &str)]| {
+        let mut edges: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
+        for (from, to) in pairs {
+            edges
+                .entry((*from).into())
+                .or_default()
+                .insert((*to).into());
+        }
+        edges
+    };
+    let down = [("calibration", "config"), ("session", "config")];
+    assert_eq!(circle(&edges(&down)), None);
+    let round = circle(&edges(&[("a", "b"), ("b", "c"), ("c", "b")])).unwrap();
+    assert_eq!(round, ["b", "c"]);
+}
