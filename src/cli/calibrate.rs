@@ -381,7 +381,7 @@ fn open_camera(rig: &RigConfig, radiance: f64) -> Result<Box<dyn Camera>, CliErr
             let camera = crate::device::v4l::V4lCamera::open(crate::device::v4l::V4lConfig {
                 device: device.clone(),
                 serial: rig.camera.serial.clone(),
-                format: Some(*format),
+                format: *format,
                 resolution_px: Some(rig.camera.resolution_px),
                 frame_timeout: rig.camera.frame_timeout,
             })?;
@@ -398,23 +398,7 @@ fn open_camera(rig: &RigConfig, radiance: f64) -> Result<Box<dyn Camera>, CliErr
 /// capture must see the same sensor.
 pub(super) fn simulated_sensor(rig: &RigConfig) -> Option<SensorConfig> {
     let simulation = rig.simulation.as_ref()?;
-    let truth = &simulation.sensor;
-    Some(SensorConfig {
-        resolution_px: rig.camera.resolution_px,
-        responsivity: truth.responsivity,
-        dark_current_e_s: truth.dark_current_e_s,
-        dsnu_e_s: truth.dsnu_e_s,
-        offset_dsnu_e: truth.offset_dsnu_e,
-        prnu: truth.prnu,
-        read_noise_e: truth.read_noise_e,
-        full_well_e: truth.full_well_e,
-        gain_dn_per_e: truth.gain_dn_per_e,
-        black_level_dn: truth.black_level_dn,
-        bit_depth: rig.camera.bit_depth,
-        hot_fraction: truth.hot_fraction,
-        hot_current_e_s: truth.hot_current_e_s,
-        seed: simulation.seed,
-    })
+    Some(simulation.sensor.clone())
 }
 
 /// The simulated camera in front of an integrating sphere.
