@@ -118,7 +118,8 @@ impl RglBrdf {
     }
 
     /// f_r·cos θo as the format defines it for light from `i` leaving towards `o`
-    /// (unit, above the horizon): measured values, not exactly reciprocal.
+    /// (unit, above the horizon): measured values, not exactly reciprocal; colours
+    /// outside the RGB gamut are clipped at 0.
     pub fn eval_cosine(&self, i: DVec3, o: DVec3) -> [f64; 3] {
         let Some(h) = (i + o).try_normalize() else {
             return [0.0; 3];

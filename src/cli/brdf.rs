@@ -13,7 +13,7 @@ use crate::brdf::check::{ALBEDO_ANGLES_DEG, check};
 use crate::brdf::environment::EnvironmentMap;
 use crate::brdf::score::{self, BrdfErrors, EnvironmentError};
 use crate::brdf::sphere::sphere_image;
-use crate::brdf::{Brdf, Dictionary, Mixture, merl, nbrdf, source, weights};
+use crate::brdf::{Brdf, BrdfError, Dictionary, Mixture, merl, nbrdf, source, weights};
 use crate::inverse::projection::{CellMatrix, EnvironmentMatrix, FIT_AZIMUTHS};
 use crate::out;
 
@@ -145,7 +145,16 @@ fn load(spec: &str) -> Result<Box<dyn Brdf>, CliError> {
         return Err(CliError::new(format!("no embedded material \"{name}\""))
             .hint(format!("known are {}", nbrdf::NAMES.join(", "))));
     }
-    source::load(spec).hint("`rig brdf --help` lists what names a BRDF")
+    source::load(spec).map_err(|error| {
+        let advice = match &error {
+            BrdfError::Io { .. } => return error.into(),
+            BrdfError::File { .. } => {
+                "the file may be cut short, or of another kind than its name says"
+            }
+            _ => "`rig brdf --help` lists what names a BRDF",
+        };
+        CliError::from(error).hint(advice)
+    })
 }
 
 /// One line of an angles file, degrees.

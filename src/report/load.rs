@@ -6,7 +6,7 @@ use super::{
     ExposureInput, FitInput, LightInput, ProvenanceGroup, ReportInput, SphereInput, Truth,
 };
 use crate::brdf::environment::EnvironmentMap;
-use crate::brdf::sphere::{self, SphereImage, sphere_image};
+use crate::brdf::sphere::{self, SphereImage, sphere_images};
 use crate::brdf::{Brdf, BrdfError, source};
 use crate::device::{FrameKind, LampState};
 use crate::radiance_image::RadianceImage;
@@ -242,17 +242,15 @@ fn exposures(session: &Session, light: u32) -> Result<Vec<ExposureInput>, LoadEr
 }
 
 fn spheres(estimate: &dyn Brdf, truth: Option<&dyn Brdf>, sphere_px: usize) -> Vec<SphereInput> {
-    EnvironmentMap::all()
-        .iter()
-        .map(|map| {
-            let picture = |brdf| as_radiance(&sphere_image(brdf, map, sphere_px));
-            SphereInput {
-                map: map.name().to_owned(),
-                estimate: picture(estimate),
-                truth: truth.map(picture),
-            }
-        })
-        .collect()
+    let under = |map: &EnvironmentMap| {
+        let [fitted, other] = sphere_images([estimate, truth.unwrap_or(estimate)], map, sphere_px);
+        SphereInput {
+            map: map.name().to_owned(),
+            estimate: as_radiance(&fitted),
+            truth: truth.map(|_| as_radiance(&other)),
+        }
+    };
+    EnvironmentMap::all().iter().map(under).collect()
 }
 
 /// The sphere's pixels are valid, those around it are not.
@@ -295,7 +293,7 @@ fn provenance(
             ),
             ("Rig", record.rig.clone()),
             ("Seed", record.seed.to_string()),
-            ("Resumed", format!("{resumed} times")),
+            ("Interruptions resumed", resumed.to_string()),
             ("Captured with", format!("rig {}", record.versions.rig)),
         ],
     )];
