@@ -54,20 +54,19 @@ macro_rules! commands {
 }
 
 commands! {
-    Brdf(brdf::BrdfArgs) => brdf::run,
-    Fit(fit::FitCommandArgs) => fit::run,
-    Render(render::RenderArgs) => render::run,
-    Shape(shape::ShapeArgs) => shape::run,
-    Bench(bench::BenchArgs) => bench::run,
-    Doctor(doctor::DoctorArgs) => doctor::run,
-    Calibrate(calibrate::CalibrateArgs) => calibrate::run,
-    Merge(merge::MergeArgs) => merge::run,
     Devices(devices::DevicesArgs) => devices::run,
     Doctor(doctor::DoctorArgs) => doctor::run,
     Stage(stage::StageArgs) => stage::run,
     Camera(camera::CameraArgs) => camera::run,
+    Calibrate(calibrate::CalibrateArgs) => calibrate::run,
+    Merge(merge::MergeArgs) => merge::run,
+    Fit(fit::FitCommandArgs) => fit::run,
+    Render(render::RenderArgs) => render::run,
+    Brdf(brdf::BrdfArgs) => brdf::run,
+    Shape(shape::ShapeArgs) => shape::run,
     Report(report::ReportArgs) => report::run,
     Export(export::ExportArgs) => export::run,
+    Bench(bench::BenchArgs) => bench::run,
     Completions(completions::CompletionsArgs) => completions::run,
     Man(completions::ManArgs) => completions::run_man,
 }

@@ -145,7 +145,7 @@ pub fn open_real_camera(rig: &RigConfig) -> Result<Box<dyn Camera>, CliError> {
     let camera = V4lCamera::open(V4lConfig {
         device: device.clone(),
         serial: rig.camera.serial.clone(),
-        format: Some(*format),
+        format: *format,
         bit_depth: Some(rig.camera.bit_depth),
         resolution_px: Some(rig.camera.resolution_px),
         frame_timeout: rig.camera.frame_timeout,
