@@ -17,10 +17,13 @@ pub mod directions;
 mod disk;
 mod error;
 pub mod exposure_check;
+pub mod interest;
+mod merge_sink;
 pub mod plan;
 pub mod run;
 mod worker;
 
 pub use disk::BracketSink;
 pub use error::CaptureError;
+pub use merge_sink::RadianceSink;
 pub use run::{Capture, Observer, Outcome, Progress};

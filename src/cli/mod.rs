@@ -9,6 +9,8 @@ pub mod bench;
 pub mod brdf;
 pub mod calibrate;
 pub mod camera;
+pub mod capture;
+mod capture_progress;
 pub mod completions;
 pub mod devices;
 pub mod doctor;
@@ -26,6 +28,7 @@ pub mod progress;
 pub mod render;
 pub mod report;
 pub mod rig_choice;
+pub mod session;
 pub mod shape;
 pub mod stage;
 
@@ -54,6 +57,8 @@ macro_rules! commands {
 }
 
 commands! {
+    Capture(capture::CaptureArgs) => capture::run,
+    Session(session::SessionArgs) => session::run,
     Devices(devices::DevicesArgs) => devices::run,
     Doctor(doctor::DoctorArgs) => doctor::run,
     Stage(stage::StageArgs) => stage::run,

@@ -9,6 +9,8 @@
 //! would weight low counts more and bias the result. Nothing is normalised:
 //! radiance is electrons over (seconds × responsivity × flat field).
 
+use std::borrow::Borrow;
+
 use rayon::prelude::*;
 
 use super::mosaic::Mosaic;
@@ -62,8 +64,8 @@ const MAX_FRAMES: u32 = 1 << 16;
 
 /// The sums of a bracket while its frames come in.
 #[derive(Clone, Debug)]
-pub struct BracketMerge<'a> {
-    noise: &'a SensorNoise,
+pub struct BracketMerge<N> {
+    noise: N,
     mosaic: Mosaic,
     width: usize,
     height: usize,
@@ -115,16 +117,11 @@ pub struct ExposureAgreement {
     pub reduced_chi2: f64,
 }
 
-impl<'a> BracketMerge<'a> {
+impl<N: Borrow<SensorNoise>> BracketMerge<N> {
     /// An empty bracket of `width * height` pixels. With a mosaic, every pixel
     /// is merged by itself and only compared with neighbours of its own colour.
-    pub fn new(
-        noise: &'a SensorNoise,
-        mosaic: Mosaic,
-        width: usize,
-        height: usize,
-    ) -> Result<Self, MergeError> {
-        noise.check(width * height)?;
+    pub fn new(noise: N, mosaic: Mosaic, width: usize, height: usize) -> Result<Self, MergeError> {
+        noise.borrow().check(width * height)?;
         Ok(Self {
             noise,
             mosaic,
@@ -173,7 +170,8 @@ impl<'a> BracketMerge<'a> {
         if exposure.frames == MAX_FRAMES {
             return Err(MergeError::TooManyFrames);
         }
-        let ceiling_dn = self.noise.saturation_dn.min(self.noise.linear_max_dn);
+        let noise: &SensorNoise = self.noise.borrow();
+        let ceiling_dn = noise.saturation_dn.min(noise.linear_max_dn);
         exposure.frames += 1;
         for ((sum, clipped), &count) in exposure
             .sum_dn
@@ -195,7 +193,7 @@ impl<'a> BracketMerge<'a> {
         self.exposures
             .sort_by(|a, b| a.exposure_s.total_cmp(&b.exposure_s));
         let bracket = Bracket {
-            noise: self.noise,
+            noise: self.noise.borrow(),
             light: of_role(&self.exposures, FrameRole::Light),
             ambient: of_role(&self.exposures, FrameRole::Ambient),
             dark: of_role(&self.exposures, FrameRole::Dark),

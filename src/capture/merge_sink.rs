@@ -1,0 +1,178 @@
+//! The bracket sink of a real capture: HDR merge of each lamp channel, put
+//! together to one radiance image.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use super::BracketSink;
+use crate::device::{FrameKind, LampState, Mosaic, RawFrame};
+use crate::radiance_image::{RadianceImage, exr};
+use crate::radiometry::merge::{BracketMerge, FrameRole};
+use crate::radiometry::sensor::SensorNoise;
+use crate::session::{Sidecar, layout};
+
+/// Merges one bracket after the other.
+pub struct RadianceSink {
+    noise: Arc<SensorNoise>,
+    mosaic: Mosaic,
+    /// Which of R, G, B (0, 1, 2) the frames under each lamp channel measure.
+    colours: Vec<&'static [usize]>,
+    light: u32,
+    size: [u32; 2],
+    merges: Vec<BracketMerge<Arc<SensorNoise>>>,
+}
+
+impl RadianceSink {
+    /// For a camera with this noise and these colour filters; `colours` has an
+    /// entry per lamp channel: which of R, G, B (0, 1, 2) its frames measure.
+    pub fn new(noise: Arc<SensorNoise>, mosaic: Mosaic, colours: Vec<&'static [usize]>) -> Self {
+        Self {
+            noise,
+            mosaic,
+            colours,
+            light: 0,
+            size: [0, 0],
+            merges: Vec::new(),
+        }
+    }
+}
+
+impl BracketSink for RadianceSink {
+    fn begin(&mut self, light: u32) -> Result<(), String> {
+        self.light = light;
+        self.merges.clear();
+        Ok(())
+    }
+
+    fn add(&mut self, frame: &RawFrame, sidecar: &Sidecar) -> Result<(), String> {
+        if self.merges.is_empty() {
+            self.size = [frame.width, frame.height];
+            let [width, height] = self.size.map(|n| n as usize);
+            let new = |_| BracketMerge::new(Arc::clone(&self.noise), self.mosaic, width, height);
+            let merges: Result<_, _> = self.colours.iter().map(new).collect();
+            self.merges = merges.map_err(|e| e.to_string())?;
+        }
+        let exposure_s = sidecar.applied.exposure.0;
+        // Frames without the lamp belong to every channel.
+        let (role, only) = match (sidecar.key.kind, sidecar.lamp) {
+            (FrameKind::Light, LampState::On(channel)) => {
+                (FrameRole::Light, Some(usize::from(channel.0)))
+            }
+            (FrameKind::Light, LampState::Off) => {
+                return Err(format!("{} has no lamp", layout::frame_stem(sidecar.key)));
+            }
+            (FrameKind::Ambient, _) => (FrameRole::Ambient, None),
+            (FrameKind::Dark, _) => (FrameRole::Dark, None),
+        };
+        for (channel, merge) in self.merges.iter_mut().enumerate() {
+            if only.is_none_or(|only| only == channel) {
+                merge
+                    .add(role, exposure_s, &frame.counts)
+                    .map_err(|e| e.to_string())?;
+            }
+        }
+        Ok(())
+    }
+
+    fn finish(&mut self) -> Result<Vec<u8>, String> {
+        let mut merged: Option<RadianceImage> = None;
+        for (merge, colours) in std::mem::take(&mut self.merges)
+            .into_iter()
+            .zip(&self.colours)
+        {
+            let image = merge
+                .finish()
+                .map_err(|e| e.to_string())?
+                .binned(self.mosaic);
+            let all = merged.get_or_insert_with(|| RadianceImage::new(image.width, image.height));
+            for pixel in 0..image.mean.len() {
+                for &colour in *colours {
+                    all.mean[pixel][colour] = image.mean[pixel][colour];
+                    all.variance[pixel][colour] = image.variance[pixel][colour];
+                }
+                all.valid[pixel] &= image.valid[pixel];
+            }
+        }
+        let image = merged.ok_or("the bracket has no frame")?;
+        let path = PathBuf::from(layout::radiance_file(self.light));
+        exr::encode(&image, &path).map_err(|e| e.to_string())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::device::{CameraSettings, FrameKey, LampChannel};
+    use crate::session::FrameTimes;
+    use crate::units::{Seconds, StageAngles};
+
+    const ANGLES: StageAngles = StageAngles {
+        azimuth_deg: 0.0,
+        elevation_deg: 90.0,
+    };
+
+    fn sidecar(kind: FrameKind, lamp: LampState) -> Sidecar {
+        let settings = CameraSettings {
+            exposure: Seconds(0.5),
+            gain: 1.0,
+        };
+        Sidecar {
+            key: FrameKey {
+                light: 2,
+                exposure: 0,
+                repeat: 0,
+                kind,
+            },
+            pilot: false,
+            lamp,
+            requested: settings,
+            applied: settings,
+            black_level_dn: 64.0,
+            bit_depth: 12,
+            mosaic: Mosaic::None,
+            camera_serial: String::new(),
+            stage_target: ANGLES,
+            stage_position: ANGLES,
+            frames_discarded: 0,
+            exposure_ratio: None,
+            time: FrameTimes {
+                utc: String::new(),
+                monotonic_s: Seconds(0.0),
+                device_s: None,
+                device_sequence: None,
+            },
+        }
+    }
+
+    /// Each lamp channel lands in the colour that it measures, less the room's light.
+    #[test]
+    fn lamp_channels_become_their_colours() {
+        let noise = Arc::new(SensorNoise::ideal(0.5, 2.0, 64.0, 12));
+        let mut sink = RadianceSink::new(noise, Mosaic::None, vec![&[2], &[0, 1]]);
+        sink.begin(2).unwrap();
+        let mut add = |kind, lamp, dn: u16| {
+            let frame = RawFrame {
+                width: 3,
+                height: 2,
+                counts: vec![64 + dn; 6],
+                sequence: None,
+                timestamp: None,
+            };
+            sink.add(&frame, &sidecar(kind, lamp)).unwrap();
+        };
+        add(FrameKind::Light, LampState::On(LampChannel(0)), 1100);
+        add(FrameKind::Light, LampState::On(LampChannel(1)), 600);
+        add(FrameKind::Ambient, LampState::Off, 100);
+        let bytes = sink.finish().unwrap();
+        let read = exr::decode(&bytes, &PathBuf::from("x.exr")).unwrap().image;
+        assert_eq!((read.width, read.height), (3, 2));
+        // 1000 DN are 2000 electrons in half a second.
+        for (colour, rate_e_s) in [(0, 2000.0), (1, 2000.0), (2, 4000.0)] {
+            for pixel in 0..6 {
+                assert!(read.valid[pixel] && read.variance[pixel][colour] > 0.0);
+                let off = (read.mean[pixel][colour] - rate_e_s).abs();
+                assert!(off < 1.0, "colour {colour}: {:?}", read.mean[pixel]);
+            }
+        }
+    }
+}

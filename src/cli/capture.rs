@@ -1,0 +1,555 @@
+//! `rig capture`: from a plan to a session, its fit and its report.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Instant;
+
+use glam::DVec3;
+use serde_json::json;
+
+use super::capture_progress::Bar;
+use super::output::write_json;
+use super::rig_choice::RigArg;
+use super::{CliError, Context, HintExt, interrupt, open, pipeline};
+use crate::calibration::record::{FlatValues, LightsValues, ScaleValues, SensorValues, Values};
+use crate::calibration::{Library, Loaded, noise::sensor_noise};
+use crate::capture::directions::StageReach;
+use crate::capture::plan::{LightChoice, Pace, PlanRequest, check_reach, check_space, plan};
+use crate::capture::{Capture, Outcome, RadianceSink, interest};
+use crate::config::RigConfig;
+use crate::config::simulation::{MaterialSpec, Timing};
+use crate::device::{CameraInfo, LampChannel};
+use crate::interrupt::Signal;
+use crate::out;
+use crate::radiometry::sensor::SensorNoise;
+use crate::session::commit::SystemDisk;
+use crate::session::journal::sha256_hex;
+use crate::session::layout::CALIBRATION_FOLDER;
+use crate::session::{
+    CalibrationCopy, ExposureRules, NewSession, PlanRecord, Session, SessionRecord, SessionWriter,
+    Versions,
+};
+use crate::units::{Seconds, StageAngles};
+
+/// Captures a sample under several lights, then fits and reports it
+///
+/// stdout's last line is the session's folder.
+#[derive(clap::Args, Debug)]
+pub struct CaptureArgs {
+    #[command(flatten)]
+    rig: RigArg,
+    /// How many light directions (nearest coaxial first, then as far apart as possible),
+    /// or `all` that keep 15° between them
+    #[arg(long, value_name = "N|all", value_parser = parse_lights, required_unless_present_any = ["light", "resume"], conflicts_with_all = ["light", "resume"])]
+    lights: Option<Lights>,
+    /// One light direction, azimuth and elevation in degrees; may be repeated
+    #[arg(long, value_name = "AZ,EL", value_parser = parse_angles, allow_hyphen_values = true, conflicts_with = "resume")]
+    light: Vec<StageAngles>,
+    /// Folder that receives the session's folder
+    #[arg(
+        long,
+        value_name = "DIR",
+        default_value = "sessions",
+        conflicts_with = "resume"
+    )]
+    out: PathBuf,
+    /// Name of the sample: letters, digits, dots, hyphens, underscores
+    #[arg(long, value_name = "NAME", conflicts_with = "resume")]
+    sample: Option<String>,
+    /// Print the plan with its estimates; nothing is opened and nothing moves
+    #[arg(long, conflicts_with = "resume")]
+    dry_run: bool,
+    /// Go on with an interrupted session; plan and configuration are in it
+    #[arg(long, value_name = "SESSION", conflicts_with = "rig")]
+    resume: Option<PathBuf>,
+    /// Capture and merge only
+    #[arg(long)]
+    no_fit: bool,
+    /// The plan (with --dry-run) or the result as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// `--lights`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Lights {
+    Count(usize),
+    All,
+}
+
+/// Angle that `--lights all` keeps between two lights, degrees.
+const ALL_SPACING_DEG: f64 = 15.0;
+
+fn parse_lights(text: &str) -> Result<Lights, String> {
+    match text {
+        "all" => Ok(Lights::All),
+        _ => match text.parse() {
+            Ok(count @ 1..=100_000) => Ok(Lights::Count(count)),
+            _ => Err("a number from 1 to 100000, or all".into()),
+        },
+    }
+}
+
+fn parse_angles(text: &str) -> Result<StageAngles, String> {
+    let parsed = text.split_once(',').and_then(|(azimuth, elevation)| {
+        let number = |text: &str| text.trim().parse().ok().filter(|x: &f64| x.is_finite());
+        Some((number(azimuth)?, number(elevation)?))
+    });
+    let (azimuth_deg, elevation_deg) =
+        parsed.ok_or("two numbers in degrees with a comma between, e.g. 40,35")?;
+    Ok(StageAngles {
+        azimuth_deg,
+        elevation_deg,
+    })
+}
+
+/// `rig capture`.
+pub fn run(args: &CaptureArgs, context: &Context) -> Result<(), CliError> {
+    match &args.resume {
+        Some(root) => resume(args, root, context),
+        None => start(args, context),
+    }
+}
+
+fn start(args: &CaptureArgs, context: &Context) -> Result<(), CliError> {
+    let rig = args.rig.resolve(context)?;
+    let config = &rig.config;
+    let library = Library::of_rig(&rig);
+    let records = Records::load(&library, config)?;
+    let noise = records.noise(config)?;
+    let request = request(args, config, None);
+    let planned = plan(&request, &noise)?;
+    let reserve_bytes = config.capture.disk_reserve_bytes;
+    if args.dry_run {
+        print_plan(&planned, args.json)?;
+        return Ok(check_space(&planned, &args.out, reserve_bytes)?);
+    }
+    check_space(&planned, &args.out, reserve_bytes)?;
+    let sample = args.sample.clone().unwrap_or_else(|| sample_name(config));
+    let created = jiff::Timestamp::now();
+    let short_id = short_id(created);
+    // A name that cannot be is said before a device is touched.
+    crate::session::layout::session_name(created, &sample, &short_id)?;
+
+    let interrupt = interrupt::listen()?;
+    let devices = open::open_devices(config, || truth(config))?;
+    let camera_info = devices.camera.info().clone();
+    check_camera(&camera_info, config)?;
+    let request = self::request(args, config, Some(&camera_info));
+    let planned = plan(&request, &noise)?;
+    let copies = records.copies();
+    let record = SessionRecord {
+        sample,
+        created_utc: created.strftime("%Y-%m-%dT%H:%M:%SZ").to_string(),
+        simulated: config.is_simulated(),
+        true_material: true_material(config),
+        seed: config
+            .simulation
+            .as_ref()
+            .map_or(config.fit.seed, |s| s.seed),
+        rig: rig.file.clone(),
+        config: config.text.clone(),
+        versions: Versions {
+            rig: env!("CARGO_PKG_VERSION").to_owned(),
+            camera: camera_info,
+            stage: devices.stage.info().clone(),
+        },
+        plan: planned,
+        calibration: copies
+            .iter()
+            .filter(|(_, is_record, _)| *is_record)
+            .map(|(name, _, bytes)| CalibrationCopy {
+                id: name.trim_end_matches(".toml").to_owned(),
+                file: format!("{CALIBRATION_FOLDER}/{name}"),
+                sha256: sha256_hex(bytes),
+            })
+            .collect(),
+    };
+    let calibration: Vec<_> = copies
+        .into_iter()
+        .map(|(name, _, bytes)| (name, bytes))
+        .collect();
+    let writer = SessionWriter::create(
+        Arc::new(SystemDisk),
+        &NewSession {
+            parent: &args.out,
+            created,
+            short_id: &short_id,
+            record: &record,
+            calibration: &calibration,
+        },
+    )?;
+    carry_out(args, config, devices, writer, noise, interrupt, context)
+}
+
+fn resume(args: &CaptureArgs, root: &Path, context: &Context) -> Result<(), CliError> {
+    let session = Session::open(root)?;
+    let record = session.record().clone();
+    let folder = Path::new(&record.rig).parent().unwrap_or(Path::new(""));
+    let config = RigConfig::parse(&record.rig, folder, &record.config)?;
+    check_reach(&record.plan.lights, &reach(&config))?;
+    let interrupt = interrupt::listen()?;
+    let writer = SessionWriter::resume(Arc::new(SystemDisk), root)?;
+    let library = Library::Folder(root.join(CALIBRATION_FOLDER));
+    let noise = Records::load_copies(&library)?.noise(&config)?;
+    let devices = open::open_devices(&config, || truth(&config))?;
+    carry_out(args, &config, devices, writer, noise, interrupt, context)
+}
+
+/// Captures, then fits and reports; prints the session's folder.
+fn carry_out(
+    args: &CaptureArgs,
+    config: &RigConfig,
+    devices: open::Devices,
+    session: SessionWriter,
+    noise: SensorNoise,
+    interrupt: crate::interrupt::Interrupt,
+    context: &Context,
+) -> Result<(), CliError> {
+    let root = session.root().to_owned();
+    let began = Instant::now();
+    let noise = Arc::new(noise);
+    let scene = config.geometry.scene(&[])?;
+    let sample = interest::sample_pixels(&scene, &config.geometry.camera);
+    if !config.is_simulated() && !devices.stage.info().has_watchdog {
+        context.warn(
+            "the stage's firmware has no watchdog: if this program is killed, the lamp stays on",
+        );
+    }
+    let colours = config.stage.measures.iter().map(|m| m.colours()).collect();
+    let sink = RadianceSink::new(Arc::clone(&noise), config.camera.mosaic, colours);
+    let mut bar = Bar::new(context);
+    let captured = Capture {
+        camera: devices.camera,
+        stage: devices.stage,
+        session,
+        noise: &noise,
+        interest: Some(&sample),
+        sink: Box::new(sink),
+        observer: &mut bar,
+        interrupt: interrupt.clone(),
+    }
+    .run();
+    bar.finish();
+    let outcome = captured.hint_resume(&root)?;
+    let elapsed_s = began.elapsed().as_secs_f64();
+    if outcome == Outcome::Interrupted {
+        let signal = interrupt.signal().unwrap_or(Signal::Interrupt);
+        print_result(args, &root, outcome, elapsed_s)?;
+        return Err(
+            CliError::interrupted(signal, "the capture was interrupted; the lamp is off")
+                .hint(resume_hint(&root)),
+        );
+    }
+    context.note(format!("captured in {elapsed_s:.1} s"));
+    if !args.no_fit {
+        pipeline::fit_and_report(&root, context).hint(format!(
+            "the capture is complete; `rig fit {}` fits it",
+            root.display()
+        ))?;
+    }
+    print_result(args, &root, outcome, elapsed_s)
+}
+
+fn resume_hint(root: &Path) -> String {
+    format!("`rig capture --resume {}` continues it", root.display())
+}
+
+/// Failures of a capture leave a session that can be resumed; the hint says how.
+trait HintResume<T> {
+    fn hint_resume(self, root: &Path) -> Result<T, CliError>;
+}
+
+impl<T> HintResume<T> for Result<T, crate::capture::CaptureError> {
+    fn hint_resume(self, root: &Path) -> Result<T, CliError> {
+        self.map_err(|error| {
+            let error = CliError::from(error);
+            let advice = match error.advice() {
+                Some(advice) => format!("{advice}; then {}", resume_hint(root)),
+                None => resume_hint(root),
+            };
+            error.hint(advice)
+        })
+    }
+}
+
+fn print_result(
+    args: &CaptureArgs,
+    root: &Path,
+    outcome: Outcome,
+    elapsed_s: f64,
+) -> Result<(), CliError> {
+    if args.json {
+        let summary = Session::open(root)?.summary();
+        return write_json(&json!({
+            "session": root,
+            "complete": outcome == Outcome::Complete,
+            "elapsed_s": elapsed_s,
+            "summary": summary,
+        }));
+    }
+    out!("{}", root.display())
+}
+
+fn print_plan(plan: &PlanRecord, as_json: bool) -> Result<(), CliError> {
+    if as_json {
+        return write_json(plan);
+    }
+    let rules = &plan.exposure;
+    let channels = plan.channels.len();
+    out!("{} lights, {channels} lamp channels", plan.lights.len())?;
+    for (light, angles) in plan.lights.iter().enumerate() {
+        out!("  light {light}: {angles}")?;
+    }
+    out!(
+        "exposures {} to {}, neighbours at most {} times as long, up to {} frames averaged",
+        rules.shortest_s,
+        rules.longest_s,
+        rules.ratio,
+        rules.max_frames
+    )?;
+    out!(
+        "chosen from pilot frames so that no pixel of the sample is saturated and dark ones reach a signal-to-noise ratio of {}",
+        rules.dark_snr
+    )?;
+    out!(
+        "about {:.0} s on the bench and {:.1} MB for a scene of usual contrast",
+        plan.estimated_s.0,
+        plan.estimated_bytes as f64 / 1e6
+    )
+}
+
+/// What a capture is planned from. The camera's own limits count once it is known.
+fn request(args: &CaptureArgs, config: &RigConfig, camera: Option<&CameraInfo>) -> PlanRequest {
+    let capture = &config.capture;
+    let [mut shortest, mut longest] = capture.exposure_range;
+    let mut step = config.camera.exposure_step;
+    if let Some(camera) = camera {
+        shortest = Seconds(shortest.0.max(camera.exposure_range[0].0));
+        longest = Seconds(longest.0.min(camera.exposure_range[1].0).max(shortest.0));
+        step = Seconds(step.0.max(camera.exposure_step.0));
+    }
+    let lights = match args.lights {
+        Some(Lights::Count(count)) => LightChoice::Count(count),
+        Some(Lights::All) => LightChoice::Spacing(ALL_SPACING_DEG),
+        None => LightChoice::Listed(args.light.clone()),
+    };
+    // On a bench whose clock jumps, nothing needs to settle.
+    let is_instant = config
+        .simulation
+        .as_ref()
+        .is_some_and(|s| s.timing == Timing::Instant);
+    let wait = |time: Seconds| if is_instant { Seconds(0.0) } else { time };
+    let kinematics = &config.stage.grbl.kinematics;
+    let axes = [&kinematics.azimuth, &kinematics.elevation];
+    let speed_deg_s = |scale: f64| config.stage.grbl.feed_per_min / 60.0 / scale.abs();
+    let stage_deg_s = axes
+        .iter()
+        .map(|axis| speed_deg_s(axis.scale))
+        .fold(f64::INFINITY, f64::min);
+    let travel_deg = axes
+        .iter()
+        .map(|axis| axis.max_deg - axis.min_deg)
+        .fold(0.0, f64::max);
+    let frame_interval_s = config
+        .simulation
+        .as_ref()
+        .map_or(1.0 / 30.0, |s| s.camera.frame_interval_s);
+    PlanRequest {
+        lights,
+        reach: reach(config),
+        coaxial: coaxial(config),
+        channels: (0..config.stage.measures.len() as u8)
+            .map(LampChannel)
+            .collect(),
+        gain: config.camera.gain,
+        exposure: ExposureRules {
+            // In the middle of the range, as ratios go.
+            pilot_s: Seconds(on_step((shortest.0 * longest.0).sqrt(), step.0)),
+            shortest_s: shortest,
+            longest_s: longest,
+            step_s: step,
+            peak_fraction: capture.peak_fraction,
+            dark_snr: capture.snr,
+            ratio: capture.exposure_ratio,
+            max_frames: capture.max_frames,
+            ambient: capture.ambient,
+            dark_frames: capture.dark_frames,
+        },
+        settle: wait(capture.settle),
+        lamp_settle: wait(capture.lamp_settle),
+        lamp_warm_up: wait(capture.lamp_warm_up),
+        settings_latency_frames: config.camera.settings_latency_frames,
+        resolution_px: config.camera.resolution_px,
+        pace: Pace {
+            stage_deg_s,
+            homing: Seconds(travel_deg / stage_deg_s),
+            frame_interval: Seconds(frame_interval_s),
+        },
+    }
+}
+
+fn on_step(exposure_s: f64, step_s: f64) -> f64 {
+    (exposure_s / step_s).round().max(1.0) * step_s
+}
+
+fn reach(config: &RigConfig) -> StageReach {
+    let kinematics = &config.stage.grbl.kinematics;
+    StageReach {
+        azimuth_deg: [kinematics.azimuth.min_deg, kinematics.azimuth.max_deg],
+        elevation_deg: [kinematics.elevation.min_deg, kinematics.elevation.max_deg],
+    }
+}
+
+/// From the sample to the camera, in the stage's frame.
+fn coaxial(config: &RigConfig) -> DVec3 {
+    let geometry = &config.geometry;
+    let to_camera = geometry.camera.sample_from_camera.direction(-DVec3::Z);
+    geometry.sample_from_stage.inverse().direction(to_camera)
+}
+
+fn check_camera(info: &CameraInfo, config: &RigConfig) -> Result<(), CliError> {
+    let wanted = config.camera.resolution_px;
+    if info.resolution_px == wanted {
+        return Ok(());
+    }
+    let size = |[width, height]: [u32; 2]| format!("{width} x {height}");
+    Err(CliError::new(format!(
+        "the camera gives frames of {}, the rig file says {}",
+        size(info.resolution_px),
+        size(wanted)
+    ))
+    .hint("correct camera.resolution_px in the rig file; `rig camera info` shows what the camera offers"))
+}
+
+fn truth(config: &RigConfig) -> Result<Arc<dyn mock_devices::RadianceSource>, CliError> {
+    match config.truth()? {
+        Some(source) => Ok(source),
+        None => Err(CliError::new(
+            "the rig is not simulated, so it has no simulated scene",
+        )),
+    }
+}
+
+fn true_material(config: &RigConfig) -> Option<String> {
+    config
+        .simulation
+        .as_ref()
+        .map(|simulation| match &simulation.material {
+            MaterialSpec::Bundled { source, name } => format!("{source}:{name}"),
+            MaterialSpec::Brdf(_) => "the rig file's simulation.brdf".to_owned(),
+        })
+}
+
+/// The bundled material's name on a simulated rig, else `sample`.
+fn sample_name(config: &RigConfig) -> String {
+    match config.simulation.as_ref().map(|s| &s.material) {
+        Some(MaterialSpec::Bundled { name, .. }) => name.clone(),
+        _ => "sample".to_owned(),
+    }
+}
+
+/// Six hexadecimal digits that keep apart sessions begun in one second.
+fn short_id(created: jiff::Timestamp) -> String {
+    let key = format!("{} {}", created.as_nanosecond(), std::process::id());
+    sha256_hex(key.as_bytes())[..6].to_owned()
+}
+
+/// The calibration that a capture goes by.
+struct Records {
+    sensor: Loaded<SensorValues>,
+    flat: Option<Loaded<FlatValues>>,
+    scale: Option<Loaded<ScaleValues>>,
+    lights: Option<Loaded<LightsValues>>,
+}
+
+impl Records {
+    /// The records that the rig names, else the newest; each must be the camera's.
+    fn load(library: &Library, config: &RigConfig) -> Result<Self, CliError> {
+        let ids = &config.calibration;
+        let serial = config.camera.serial.as_deref().unwrap_or_default();
+        let records = Self {
+            sensor: sensor(library, ids.sensor.as_deref())?,
+            flat: library.load(ids.flat.as_deref())?,
+            scale: library.load(ids.scale.as_deref())?,
+            lights: library.load(ids.lights.as_deref())?,
+        };
+        records.sensor.check_camera(serial, &config.camera)?;
+        if let Some(flat) = &records.flat {
+            flat.check_camera(serial, &config.camera)?;
+        }
+        Ok(records)
+    }
+
+    /// The copies in a session.
+    fn load_copies(library: &Library) -> Result<Self, CliError> {
+        Ok(Self {
+            sensor: sensor(library, None)?,
+            flat: library.load(None)?,
+            scale: library.load(None)?,
+            lights: library.load(None)?,
+        })
+    }
+
+    fn noise(&self, config: &RigConfig) -> Result<SensorNoise, CliError> {
+        let scale = self.scale.as_ref().map(|loaded| &loaded.record.values);
+        let sensor = &self.sensor.record.values;
+        Ok(sensor_noise(
+            sensor,
+            self.flat.as_ref(),
+            scale,
+            config.camera.resolution_px,
+        )?)
+    }
+
+    /// `<kind>/<file>`, whether it is the record itself, and its bytes.
+    fn copies(&self) -> Vec<(String, bool, Vec<u8>)> {
+        let mut copies = Vec::new();
+        add_copies(&mut copies, Some(&self.sensor));
+        add_copies(&mut copies, self.flat.as_ref());
+        add_copies(&mut copies, self.scale.as_ref());
+        add_copies(&mut copies, self.lights.as_ref());
+        copies
+    }
+}
+
+fn sensor(library: &Library, id: Option<&str>) -> Result<Loaded<SensorValues>, CliError> {
+    let found = library.load::<SensorValues>(id)?;
+    found.ok_or_else(|| {
+        CliError::new(format!("there is no sensor record in {}", library.place()))
+            .hint("measure the sensor once with `rig calibrate sensor`")
+    })
+}
+
+fn add_copies<V: Values>(copies: &mut Vec<(String, bool, Vec<u8>)>, loaded: Option<&Loaded<V>>) {
+    let files = loaded.iter().flat_map(|loaded| &loaded.files);
+    for (index, (name, bytes)) in files.enumerate() {
+        let name = format!("{}/{name}", V::KIND.folder());
+        copies.push((name, index == 0, bytes.clone()));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::BUILT_IN;
+
+    #[test]
+    fn lights_are_a_number_or_all() {
+        assert_eq!(parse_lights("4"), Ok(Lights::Count(4)));
+        assert_eq!(parse_lights("all"), Ok(Lights::All));
+        for bad in ["0", "-1", "four", "1.5", "", "1000000"] {
+            assert!(parse_lights(bad).is_err(), "{bad}");
+        }
+        assert!(parse_angles("-40, 35.5").is_ok());
+        for bad in ["40", "a,b", "nan,1", "1,2,3", ""] {
+            assert!(parse_angles(bad).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn the_shipped_rig_sees_the_sample_along_the_zenith() {
+        let rig = RigConfig::parse("simulated", Path::new(""), BUILT_IN[0].1).unwrap();
+        assert!((coaxial(&rig) - DVec3::Z).length() < 1e-9);
+    }
+}

@@ -1,0 +1,77 @@
+//! What a person sees of a capture while it runs.
+
+use indicatif::{ProgressBar, ProgressStyle};
+
+use super::Context;
+use crate::capture::{Observer, Progress};
+use crate::device::{FrameKind, LampState};
+
+/// A bar on stderr, or nothing where nobody watches; warnings always.
+pub struct Bar<'a> {
+    context: &'a Context,
+    bar: ProgressBar,
+}
+
+/// Steps of the bar.
+const LENGTH: u64 = 1000;
+
+impl<'a> Bar<'a> {
+    /// Drawn if stderr is a terminal.
+    pub fn new(context: &'a Context) -> Self {
+        let bar = if context.shows_progress() {
+            let style = ProgressStyle::with_template("{bar:30} {percent:>3}%  {wide_msg}");
+            ProgressBar::new(LENGTH)
+                .with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
+        } else {
+            ProgressBar::hidden()
+        };
+        Self { context, bar }
+    }
+
+    /// Clears the line.
+    pub fn finish(&self) {
+        self.bar.finish_and_clear();
+    }
+}
+
+impl Observer for Bar<'_> {
+    fn observe(&mut self, progress: Progress<'_>) {
+        match progress {
+            Progress::Resumed { frames } => {
+                self.bar.suspend(|| {
+                    self.context
+                        .note(format!("{frames} frames are there already"));
+                });
+            }
+            Progress::Homing => self.bar.set_message("homing"),
+            Progress::Moving { light, target } => {
+                self.bar
+                    .set_message(format!("light {light}: moving to {target}"));
+            }
+            Progress::Planned { .. } | Progress::LightDone { .. } => {}
+            Progress::Frame {
+                key,
+                exposure,
+                lamp,
+                done,
+                left,
+            } => {
+                self.bar.set_position((done * LENGTH as f64) as u64);
+                let what = match (key.kind, lamp) {
+                    (FrameKind::Light, LampState::On(channel)) => format!("lamp {}", channel.0),
+                    (FrameKind::Dark, _) => "dark".to_owned(),
+                    _ => "lamp off".to_owned(),
+                };
+                self.bar.set_message(format!(
+                    "light {}, {what}, {exposure}; {:.0} s left",
+                    key.light, left.0
+                ));
+            }
+            Progress::Merging => {
+                self.bar.set_position(LENGTH);
+                self.bar.set_message("merging");
+            }
+            Progress::Warning(text) => self.bar.suspend(|| self.context.warn(text)),
+        }
+    }
+}

@@ -1,0 +1,203 @@
+//! `rig session`: is a session whole, and what does it hold?
+
+use std::path::{Path, PathBuf};
+
+use serde_json::json;
+
+use super::output::{write_json, write_line};
+use super::{CliError, Context, HintExt};
+use crate::out;
+use crate::session::layout::JOURNAL_FILE;
+use crate::session::verify::{Summary, verify};
+use crate::session::{Session, SessionError};
+use crate::units::StageAngles;
+
+/// Checks sessions and lists what they hold.
+#[derive(clap::Args, Debug)]
+pub struct SessionArgs {
+    #[command(subcommand)]
+    command: SessionCommand,
+}
+
+#[derive(clap::Subcommand, Debug)]
+enum SessionCommand {
+    /// Compares every byte with the journal's checksums
+    ///
+    /// Exit code 1 if a file is missing, changed or unknown. An interrupted
+    /// session can be intact.
+    Verify(VerifyArgs),
+    /// Lists the lights of a session, or the sessions of a folder
+    List(ListArgs),
+}
+
+#[derive(clap::Args, Debug)]
+struct VerifyArgs {
+    /// The session's folder
+    #[arg(value_name = "SESSION")]
+    session: PathBuf,
+    /// The findings as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(clap::Args, Debug)]
+struct ListArgs {
+    /// A session, or a folder of sessions
+    #[arg(value_name = "SESSION", default_value = "sessions")]
+    folder: PathBuf,
+    /// The list as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// `rig session`.
+pub fn run(args: &SessionArgs, context: &Context) -> Result<(), CliError> {
+    match &args.command {
+        SessionCommand::Verify(args) => run_verify(args),
+        SessionCommand::List(args) if args.folder.join(JOURNAL_FILE).exists() => {
+            list_lights(&args.folder, args.json)
+        }
+        SessionCommand::List(args) => list_sessions(&args.folder, args.json, context),
+    }
+}
+
+fn run_verify(args: &VerifyArgs) -> Result<(), CliError> {
+    let found = verify(&args.session)?;
+    // What the journal vouches for must also be readable.
+    let session = Session::open(&args.session);
+    let state = if found.complete {
+        "complete"
+    } else {
+        "interrupted"
+    };
+    if args.json {
+        let problems: Vec<String> = found.problems.iter().map(ToString::to_string).collect();
+        write_json(&json!({
+            "session": args.session,
+            "intact": found.is_intact(),
+            "complete": found.complete,
+            "files": found.good_files,
+            "bytes": found.good_bytes,
+            "problems": problems,
+            "strays": found.strays,
+            "torn_bytes": found.torn_bytes,
+        }))?;
+    } else {
+        for problem in &found.problems {
+            out!("damaged  {problem}")?;
+        }
+        for stray in &found.strays {
+            out!("stray    {} is in no journal record", stray.display())?;
+        }
+        if found.torn_bytes > 0 {
+            let bytes = found.torn_bytes;
+            out!("torn     the journal ends in {bytes} bytes of an unfinished line")?;
+        }
+        out!(
+            "{state}, {} files, {} bytes good",
+            found.good_files,
+            found.good_bytes
+        )?;
+    }
+    if let Some(problem) = found.problems.into_iter().next() {
+        return Err(problem.into());
+    }
+    session?;
+    if found.strays.is_empty() && found.torn_bytes == 0 {
+        return Ok(());
+    }
+    let session = args.session.display();
+    Err(
+        CliError::new(format!("{session} holds what its journal does not know")).hint(
+            "`rig capture --resume SESSION` sets such files aside and goes on; journalled files are whole",
+        ),
+    )
+}
+
+fn list_lights(root: &Path, as_json: bool) -> Result<(), CliError> {
+    let session = Session::open(root)?;
+    let lights: Vec<(u32, StageAngles, usize, bool)> = session
+        .record()
+        .plan
+        .lights
+        .iter()
+        .zip(0..)
+        .map(|(&angles, light)| {
+            let frames = session.frames().filter(|f| f.key.light == light).count();
+            (light, angles, frames, session.light_is_finished(light))
+        })
+        .collect();
+    let summary = session.summary();
+    if as_json {
+        let lights: Vec<_> = lights
+            .into_iter()
+            .map(|(light, angles, frames, finished)| {
+                json!({
+                    "light": light,
+                    "azimuth_deg": angles.azimuth_deg,
+                    "elevation_deg": angles.elevation_deg,
+                    "frames": frames,
+                    "finished": finished,
+                })
+            })
+            .collect();
+        return write_json(&json!({ "summary": summary, "lights": lights }));
+    }
+    print(&summary)?;
+    for (light, angles, frames, finished) in lights {
+        let state = if finished { "finished" } else { "open" };
+        out!("  light {light}: {angles}: {frames} frames, {state}")?;
+    }
+    Ok(())
+}
+
+fn list_sessions(folder: &Path, as_json: bool, context: &Context) -> Result<(), CliError> {
+    let entries = std::fs::read_dir(folder)
+        .map_err(|error| CliError::new(format!("{}: {error}", folder.display())))
+        .hint(
+            "name a session or the folder that holds them; captures go to ./sessions by default",
+        )?;
+    let mut paths: Vec<PathBuf> = entries
+        .flatten()
+        .map(|entry| entry.path())
+        .filter(|path| path.join(JOURNAL_FILE).exists())
+        .filter(|path| {
+            !path
+                .file_name()
+                .is_some_and(|n| n.to_string_lossy().starts_with('.'))
+        })
+        .collect();
+    paths.sort();
+    let mut summaries = Vec::new();
+    for path in paths {
+        match Session::open(&path) {
+            Ok(session) => summaries.push(session.summary()),
+            Err(error) => warn(context, &error),
+        }
+    }
+    if as_json {
+        return write_json(&summaries);
+    }
+    summaries.iter().try_for_each(print)
+}
+
+fn warn(context: &Context, error: &SessionError) {
+    context.warn(error);
+}
+
+fn print(summary: &Summary) -> Result<(), CliError> {
+    let state = if summary.complete {
+        "complete"
+    } else {
+        "interrupted"
+    };
+    let simulated = if summary.simulated { ", simulated" } else { "" };
+    write_line(format_args!(
+        "{}  {}, {} of {} lights, {} frames, {state}{simulated}",
+        summary.session.display(),
+        summary.sample,
+        summary.lights_finished,
+        summary.lights_planned,
+        summary.frames
+    ))
+}
