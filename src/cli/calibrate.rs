@@ -396,7 +396,7 @@ fn open_camera(rig: &RigConfig, radiance: f64) -> Result<Box<dyn Camera>, CliErr
 /// The true sensor of a simulated rig. Its fixed patterns (responses, dark
 /// currents, hot pixels) are those of the simulation's seed: calibration and
 /// capture must see the same sensor.
-pub(super) fn simulated_sensor(rig: &RigConfig) -> Option<SensorConfig> {
+pub fn simulated_sensor(rig: &RigConfig) -> Option<SensorConfig> {
     let simulation = rig.simulation.as_ref()?;
     let truth = &simulation.sensor;
     Some(SensorConfig {
