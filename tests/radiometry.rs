@@ -1,6 +1,7 @@
 //! The merge against a forward model of its own: Poisson electrons, normal read
 //! noise, rounding and clipping, written here from EMVA 1288 and sharing no
-//! code with the library's noise model.
+//! code with the library's noise model. `--nocapture` prints the figures.
+#![allow(clippy::print_stdout)]
 
 use nalgebra::{DMatrix, DVector};
 use rig::radiometry::merge::{BracketMerge, FrameRole, MergedPlane};
@@ -422,19 +423,19 @@ fn merge_is_unbiased_calibrated_and_efficient_from_black_to_saturation() {
 #[test]
 fn pulls_are_unit_normal_in_a_structured_image() {
     for case in CASES {
-        let mut bins = vec![(0.0f64, 0usize); 12];
+        let mut bins = [(0.0f64, 0usize); 12];
         for seed in 0..4 {
             let truth: Vec<f64> = (0..SIDE * SIDE)
                 .map(|p| {
                     let (x, y) = ((p % SIDE) as f64, (p / SIDE) as f64);
                     let decades = -3.0 * x / SIDE as f64;
                     let ripple = 1.0 + 0.3 * (0.9 * y).sin();
-                    let edge = if (y as usize / 16) % 2 == 0 {
+                    let edge = if (y as usize / 16).is_multiple_of(2) {
                         1.0
                     } else {
                         0.25
                     };
-                    let sparkle = if p % 97 == 0 { 2.0 } else { 1.0 };
+                    let sparkle = if p.is_multiple_of(97) { 2.0 } else { 1.0 };
                     case.radiance_at(0.3 * 10f64.powf(decades) * ripple * edge * sparkle)
                 })
                 .collect();
