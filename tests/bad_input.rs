@@ -170,6 +170,34 @@ const CASES: &[Case] = &[
         fact: "`stage.driver` is \"grbl\", but must be simulated together with the camera",
         hint: "unit and range",
     },
+    Case {
+        name: "report of a folder that is no session",
+        args: &["report", "."],
+        change: None,
+        fact: "is not a session",
+        hint: "folder of a session",
+    },
+    Case {
+        name: "report of nothing",
+        args: &["report", "sessions/gone"],
+        change: None,
+        fact: "sessions/gone",
+        hint: "session",
+    },
+    Case {
+        name: "export in an unknown format",
+        args: &["export", ".", "--format", "pdf"],
+        change: None,
+        fact: "invalid value 'pdf' for '--format <FORMAT>'",
+        hint: "`rig export --help`",
+    },
+    Case {
+        name: "export of a folder without a fit",
+        args: &["export", ".", "--format", "json"],
+        change: None,
+        fact: "fit",
+        hint: "fit",
+    },
 ];
 
 fn run(folder: &Path, args: &[&str], environment: Option<&str>) -> Output {

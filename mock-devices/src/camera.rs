@@ -394,6 +394,8 @@ mod tests {
     #[derive(Default)]
     struct Lamp {
         calls: AtomicUsize,
+        /// A bench whose lamp goes on at the next rendering.
+        lights: Mutex<Option<Bench>>,
     }
 
     impl RadianceSource for Lamp {
@@ -402,6 +404,9 @@ mod tests {
         }
         fn radiance(&self, illumination: &Illumination) -> Arc<Vec<f32>> {
             self.calls.fetch_add(1, Ordering::Relaxed);
+            if let Some(bench) = lock(&self.lights).take() {
+                bench.set_lamp(bench.clock().now_s(), [1.0; 3]);
+            }
             let sum: f64 = illumination.channels.iter().sum();
             Arc::new(vec![sum as f32; 16 * 8])
         }
@@ -508,10 +513,7 @@ mod tests {
         assert_eq!(after.sequence, before + 2 * ordinary + 2);
         faults.inject(CameraFault::Corrupt(1));
         let corrupt = camera.grab(KEY).unwrap();
-        assert_eq!(
-            corrupt.counts.iter().filter(|&&c| c > 200).count() > 16,
-            true
-        );
+        assert!(corrupt.counts.iter().filter(|&&c| c > 200).count() > 16);
         assert!(camera.grab(KEY).unwrap().counts.iter().all(|&c| c < 100));
         faults.inject(CameraFault::Stall(1));
         assert!(matches!(
@@ -531,6 +533,26 @@ mod tests {
         );
         faults.clear();
         assert!(camera.grab(KEY).is_ok());
+    }
+
+    /// From what the bench is going to do; only if it did something else is the
+    /// scene rendered a second time.
+    #[test]
+    fn in_real_time_the_scene_is_rendered_during_the_exposure() {
+        let (mut camera, lamp) = camera(Clock::real_time());
+        camera.configure(0.2, 1.0).unwrap();
+        for _ in 0..2 {
+            camera.grab(KEY).unwrap();
+        }
+        let calls = lamp.calls.load(Ordering::Relaxed);
+        let frame = camera.grab(KEY).unwrap();
+        assert_eq!(lamp.calls.load(Ordering::Relaxed), calls + 1);
+        assert!(camera.bench().clock().now_s() >= frame.timestamp_s + 0.2 + 0.01);
+        // The lamp goes on while the scene is rendered as dark.
+        *lock(&lamp.lights) = Some(camera.bench().clone());
+        let frame = camera.grab(KEY).unwrap();
+        assert_eq!(lamp.calls.load(Ordering::Relaxed), calls + 3);
+        assert!(frame.illumination.channels[0] > 0.0);
     }
 
     #[test]

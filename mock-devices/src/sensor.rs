@@ -31,6 +31,8 @@ pub struct SensorConfig {
     pub bit_depth: u32,
     /// Fraction of pixels that are hot.
     pub hot_fraction: f64,
+    /// Pixels that are hot besides, by index.
+    pub hot_pixels: Vec<u32>,
     /// Extra dark current of a hot pixel, e⁻/s (each between half and one and a
     /// half times this).
     pub hot_current_e_s: f64,
@@ -56,6 +58,7 @@ impl SensorConfig {
             black_level_dn: 64.0,
             bit_depth: 12,
             hot_fraction: 2e-4,
+            hot_pixels: Vec::new(),
             hot_current_e_s: 2_000.0,
             seed,
         }
@@ -111,7 +114,8 @@ impl SensorModel {
             let response = 1.0 + config.prnu * numbers.normal();
             let mut dark = (config.dark_current_e_s + config.dsnu_e_s * numbers.normal()).max(0.0);
             let offset = config.offset_dsnu_e * numbers.normal();
-            if numbers.uniform() < config.hot_fraction {
+            let listed = config.hot_pixels.contains(&(pixel as u32));
+            if numbers.uniform() < config.hot_fraction || listed {
                 dark += config.hot_current_e_s * (0.5 + numbers.uniform());
                 sensor.hot.push(pixel as u32);
             }
@@ -299,6 +303,7 @@ mod tests {
         let config = SensorConfig {
             prnu: 0.01,
             hot_fraction: 1e-3,
+            hot_pixels: vec![77],
             ..SensorConfig::typical([300, 200], 8)
         };
         let sensor = SensorModel::new(config.clone());
@@ -321,6 +326,7 @@ mod tests {
             (hot - 60.0).abs() < 5.0 * 60.0_f64.sqrt(),
             "{hot} hot pixels"
         );
+        assert!(sensor.hot_pixels().contains(&77));
         let dark = sensor.expose(&vec![0.0; 60_000], 1.0, 1.0, key(0));
         for &pixel in sensor.hot_pixels() {
             assert!(f64::from(dark[pixel as usize]) > 64.0 + 0.38 * 800.0);

@@ -2,9 +2,18 @@
 
 use std::error::Error;
 
+use crate::brdf::BrdfError;
 use crate::calibration::RecordError;
+use crate::capture::CaptureError;
 use crate::config::ConfigError;
 use crate::device::DeviceError;
+use crate::export::ExportError;
+use crate::geometry::MeshError;
+use crate::radiance_image::exr::ExrError;
+use crate::radiometry::exposure::PlanError;
+use crate::report::load::LoadError;
+use crate::session::SessionError;
+use crate::session::fit_record::FitRecordError;
 
 /// The advice for the first error in the chain that has some.
 pub fn for_error(error: &(dyn Error + 'static)) -> Option<String> {
@@ -18,15 +27,41 @@ pub fn for_error(error: &(dyn Error + 'static)) -> Option<String> {
     None
 }
 
+/// A wrapper that shows its inner error as its own hides it from the chain, so
+/// such wrappers are unwrapped here.
 fn for_one(error: &(dyn Error + 'static)) -> Option<String> {
-    if let Some(error) = error.downcast_ref::<DeviceError>() {
+    if let Some(error) = error.downcast_ref() {
         return Some(for_device(error));
     }
-    if let Some(error) = error.downcast_ref::<ConfigError>() {
+    if let Some(error) = error.downcast_ref() {
         return Some(for_config(error));
     }
-    if let Some(error) = error.downcast_ref::<RecordError>() {
+    if let Some(error) = error.downcast_ref() {
         return Some(for_record(error));
+    }
+    if let Some(error) = error.downcast_ref() {
+        return for_session(error);
+    }
+    if let Some(error) = error.downcast_ref() {
+        return for_capture(error);
+    }
+    if let Some(error) = error.downcast_ref() {
+        return for_loading(error);
+    }
+    if let Some(error) = error.downcast_ref() {
+        return for_fit_record(error);
+    }
+    if let Some(error) = error.downcast_ref() {
+        return for_brdf(error);
+    }
+    if let Some(ExportError::Brdf(error)) = error.downcast_ref() {
+        return for_brdf(error);
+    }
+    if let Some(error) = error.downcast_ref() {
+        return for_exr(error);
+    }
+    if let Some(error) = error.downcast_ref() {
+        return for_mesh(error);
     }
     if let Some(error) = error.downcast_ref::<std::io::Error>() {
         return for_io(error).map(str::to_owned);
@@ -100,6 +135,105 @@ fn for_record(error: &RecordError) -> String {
     }
 }
 
+fn for_session(error: &SessionError) -> Option<String> {
+    use SessionError::*;
+    Some(match error {
+        Exists { .. } => "nothing was overwritten; choose another folder or name".into(),
+        NotASession { .. } => "name the session's own folder, the one with session.toml in it".into(),
+        DiskFull { .. } => {
+            "what is journalled is safe: free some space, then `rig capture --resume` the session".into()
+        }
+        Io { source, .. } => return for_io(source).map(str::to_owned),
+        Checksum { .. } | Missing { .. } | Malformed { .. } | CorruptJournal { .. } => {
+            "the session was changed or damaged: `rig session verify` lists every such file; restore them from a backup".into()
+        }
+        Locked { .. } => "wait until the other capture has ended, or end it".into(),
+        SampleName { .. } => "choose a name such as `red-plastic_01`".into(),
+        FrameTaken { .. } => "start a new session, or `rig capture --resume` this one".into(),
+    })
+}
+
+fn for_capture(error: &CaptureError) -> Option<String> {
+    use CaptureError::*;
+    Some(match error {
+        Device(error) => for_device(error),
+        Session(error) => return for_session(error),
+        Exposure(PlanError::OutOfRange { .. }) => EXPLAINED.into(),
+        Exposure(PlanError::TooBright { .. }) => "dim the lamp or close the aperture, or lower capture.shortest_ms in the rig file if the camera can do less".into(),
+        LightOutOfReach { .. } => "choose fewer or other lights, or correct the limits in the rig file's [stage] table".into(),
+        TooManyLights { reachable, .. } => format!("ask for at most {reachable}, or `--lights all`"),
+        Empty { .. } => "ask for at least one light, e.g. `--lights 4`".into(),
+        NotEnoughSpace { .. } => "free some space, choose another disk with --out, or ask for fewer lights".into(),
+        OtherCamera { .. } => "connect the camera that the session was begun with, or start a new session".into(),
+        FrameSize { .. } => "check resolution_px in the rig file against `rig camera info`".into(),
+        ExposureNotApplied { .. } => "raise camera.settings_latency_frames in the rig file; check that the camera is in manual mode and the lamp doesn't flicker".into(),
+        NoLight { .. } => "check the lamp's power and cable, the lens cap, and that the stage points at the sample".into(),
+        OtherFrame { .. } => "the session was changed since it was captured; start a new one".into(),
+        Interrupted | StoppedNow => "`rig capture --resume SESSION` continues it".into(),
+        Merge { .. } | Thread(_) | WorkerGone { .. } => return None,
+    })
+}
+
+fn for_loading(error: &LoadError) -> Option<String> {
+    use LoadError::*;
+    match error {
+        Session(error) => for_session(error),
+        Fit(error) => for_fit_record(error),
+        Brdf(error) => for_brdf(error),
+        Image(error) => for_exr(error),
+        Sidecar { .. } => Some("`rig session verify` lists every damaged file".into()),
+        NoSuchFit { .. } => {
+            Some("`rig fit SESSION` makes one; without --fit the newest is taken".into())
+        }
+    }
+}
+
+fn for_fit_record(error: &FitRecordError) -> Option<String> {
+    use FitRecordError::*;
+    match error {
+        Io { source, .. } => for_io(source).map(str::to_owned),
+        Exists { .. } => Some("nothing was overwritten; choose another folder".into()),
+        Syntax { .. } | Value { .. } => {
+            Some("the fit was changed by hand or damaged; fit again".into())
+        }
+        Session(error) => for_session(error),
+        Image(error) => for_exr(error),
+    }
+}
+
+fn for_brdf(error: &BrdfError) -> Option<String> {
+    use BrdfError::*;
+    match error {
+        UnknownSource { .. } => Some("a file needs its path; names are listed above".into()),
+        Io { source, .. } => for_io(source).map(str::to_owned),
+        File { .. } | Table { .. } => {
+            Some("the file is not what its ending says, or it is damaged: get it again".into())
+        }
+        Dictionary { .. } | Weights { .. } => None,
+    }
+}
+
+fn for_exr(error: &ExrError) -> Option<String> {
+    use ExrError::*;
+    match error {
+        Io { source, .. } => for_io(source).map(str::to_owned),
+        Format { .. } | Size { .. } => {
+            Some("the image is damaged or no OpenEXR file: render or merge it again".into())
+        }
+        Channels { .. } => {
+            Some("images need the channels R, G, B, and where known var.R, var.G, var.B".into())
+        }
+        _ => None,
+    }
+}
+
+fn for_mesh(error: &MeshError) -> Option<String> {
+    match error {
+        MeshError::Io { source, .. } => for_io(source).map(str::to_owned),
+        _ => Some("repair the mesh where it was made: triangles with area, finite coordinates in millimetres".into()),
+    }
+}
+
 /// The known word that differs least, if it differs little.
 fn nearest<'a>(word: &str, known: &'a [String]) -> Option<&'a str> {
     known
@@ -152,6 +286,23 @@ mod tests {
             since: "a reset".into(),
         });
         assert!(for_error(&error).unwrap().contains("rig stage home"));
+    }
+
+    /// A wrapper that is transparent hides the inner error from the chain.
+    #[test]
+    fn the_hint_is_found_inside_a_transparent_wrapper() {
+        let alarm = DeviceError::Alarm {
+            device: "arm".into(),
+            reason: "hard limit".into(),
+        };
+        let hint = for_error(&CaptureError::Device(alarm)).unwrap();
+        assert!(hint.contains("rig stage home"), "{hint}");
+        let full = SessionError::DiskFull {
+            path: "raw".into(),
+            operation: "write",
+        };
+        let hint = for_error(&LoadError::Session(full)).unwrap();
+        assert!(hint.contains("--resume"), "{hint}");
     }
 
     #[test]

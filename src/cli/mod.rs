@@ -5,18 +5,29 @@
 //! `pub fn run(args: &XArgs, context: &Context) -> Result<(), CliError>`, a
 //! `pub mod` line and one line in [`commands!`] below.
 
+pub mod bench;
+pub mod brdf;
 pub mod calibrate;
+pub mod camera;
 pub mod completions;
+pub mod devices;
 pub mod doctor;
 pub mod error;
 pub mod exit;
 pub mod export;
+pub mod fit;
 pub mod hints;
 pub mod interrupt;
 pub mod merge;
+pub mod open;
 pub mod output;
+pub mod pipeline;
+pub mod progress;
+pub mod render;
 pub mod report;
 pub mod rig_choice;
+pub mod shape;
+pub mod stage;
 
 use std::ffi::OsString;
 use std::io::IsTerminal;
@@ -43,11 +54,19 @@ macro_rules! commands {
 }
 
 commands! {
+    Devices(devices::DevicesArgs) => devices::run,
     Doctor(doctor::DoctorArgs) => doctor::run,
+    Stage(stage::StageArgs) => stage::run,
+    Camera(camera::CameraArgs) => camera::run,
     Calibrate(calibrate::CalibrateArgs) => calibrate::run,
     Merge(merge::MergeArgs) => merge::run,
+    Fit(fit::FitCommandArgs) => fit::run,
+    Render(render::RenderArgs) => render::run,
+    Brdf(brdf::BrdfArgs) => brdf::run,
+    Shape(shape::ShapeArgs) => shape::run,
     Report(report::ReportArgs) => report::run,
     Export(export::ExportArgs) => export::run,
+    Bench(bench::BenchArgs) => bench::run,
     Completions(completions::CompletionsArgs) => completions::run,
     Man(completions::ManArgs) => completions::run_man,
 }
@@ -132,13 +151,14 @@ pub fn guarded(body: impl FnOnce() -> Exit + std::panic::UnwindSafe) -> Exit {
 fn run(arguments: Vec<OsString>) -> Exit {
     let choice = color_choice(&arguments);
     let color = use_color(choice);
+    let subcommand = subcommand(&arguments);
     let parsed = definition()
         .color(choice)
         .try_get_matches_from(arguments)
         .and_then(|matches| Cli::from_arg_matches(&matches));
     let cli = match parsed {
         Ok(cli) => cli,
-        Err(error) => return report_usage(&error, color),
+        Err(error) => return report_usage(&error, &subcommand, color),
     };
     start_tracing(&cli.global, color);
     let context = Context {
@@ -155,7 +175,7 @@ fn run(arguments: Vec<OsString>) -> Exit {
 }
 
 /// Help and version go to stdout with code 0; wrong usage is an error like any other.
-fn report_usage(error: &clap::Error, color: bool) -> Exit {
+fn report_usage(error: &clap::Error, subcommand: &str, color: bool) -> Exit {
     use clap::error::ErrorKind::*;
     match error.kind() {
         DisplayHelp | DisplayVersion => {
@@ -167,36 +187,33 @@ fn report_usage(error: &clap::Error, color: bool) -> Exit {
             Exit::Failed
         }
         _ => {
-            let error = usage_error(&error.render().to_string());
+            let error = usage_error(&error.render().to_string(), subcommand);
             write_stderr(&error.render(color));
             error.exit()
         }
     }
 }
 
+/// `rig`, or `rig` and the command that the arguments name.
+fn subcommand(arguments: &[OsString]) -> String {
+    let definition = definition();
+    let mut words = arguments.iter().skip(1).filter_map(|word| word.to_str());
+    match words.find_map(|word| definition.find_subcommand(word)) {
+        Some(found) => format!("rig {}", found.get_name()),
+        None => "rig".to_owned(),
+    }
+}
+
 /// clap's paragraphs as one fact and one hint.
-fn usage_error(rendered: &str) -> CliError {
+fn usage_error(rendered: &str, subcommand: &str) -> CliError {
     let mut paragraphs = rendered.split("\n\n");
     let fact = paragraphs.next().unwrap_or(rendered);
-    let mut tips = Vec::new();
-    let mut command = "rig".to_owned();
-    for paragraph in paragraphs {
-        let paragraph = paragraph.trim();
-        if let Some(usage) = paragraph.strip_prefix("Usage: ") {
-            let words = usage
-                .split_whitespace()
-                .take_while(|word| word.starts_with(|c: char| c.is_ascii_lowercase()));
-            command = words.collect::<Vec<_>>().join(" ");
-        } else if paragraph.contains("tip: ") {
-            tips.extend(
-                paragraph
-                    .lines()
-                    .map(|line| line.trim().trim_start_matches("tip: ").to_owned()),
-            );
-        }
-    }
-    tips.push(format!("`{command} --help` explains the arguments"));
-    CliError::new(fact.trim_start_matches("error: ")).hint(tips.join("; "))
+    let tips = paragraphs
+        .flat_map(str::lines)
+        .filter_map(|line| line.trim().strip_prefix("tip: "));
+    let help = format!("`{subcommand} --help` explains the arguments");
+    let hints: Vec<_> = tips.chain([help.as_str()]).collect();
+    CliError::new(fact.trim_start_matches("error: ")).hint(hints.join("; "))
 }
 
 /// `--color` as it is needed before anything is parsed.
@@ -280,12 +297,13 @@ mod tests {
     fn usage_errors_are_one_fact_and_one_hint() {
         let parse = |arguments: &[&str]| {
             let error = definition().try_get_matches_from(arguments).unwrap_err();
-            usage_error(&error.render().to_string()).render(false)
+            let arguments: Vec<_> = arguments.iter().map(OsString::from).collect();
+            usage_error(&error.render().to_string(), &subcommand(&arguments)).render(false)
         };
         assert_eq!(
             parse(&["rig", "completions", "bsh"]),
             "error: invalid value 'bsh' for '<SHELL>' [possible values: bash, elvish, fish, powershell, zsh]\n\n\
-             hint: a similar value exists: 'bash'; `rig --help` explains the arguments\n"
+             hint: a similar value exists: 'bash'; `rig completions --help` explains the arguments\n"
         );
         assert_eq!(
             parse(&["rig", "man"]),

@@ -147,6 +147,7 @@ fn read_sensor(
         prnu: table.number("prnu", 0.0..=0.2)?.or(0.006),
         hot_fraction: table.number("hot_fraction", 0.0..=0.1)?.or(2e-4),
         hot_current_e_s: table.number("hot_current_e_s", 0.0..=1e8)?.or(2000.0),
+        hot_pixels: Vec::new(),
         seed,
     };
     table.finish()?;
@@ -215,6 +216,7 @@ impl RigConfig {
             lamp: simulation.lamp,
             channel_of_colour: [0, 1, 2].map(channel_of),
             sensor: simulation.sensor.clone(),
+            camera_serial: self.camera.serial.clone().unwrap_or_default(),
             camera: simulation.camera.clone(),
             mosaic: self.camera.mosaic,
             instant: simulation.timing == Timing::Instant,

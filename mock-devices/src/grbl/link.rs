@@ -15,7 +15,7 @@ use std::os::fd::{AsFd, OwnedFd};
 use std::os::unix::ffi::OsStringExt;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -24,6 +24,13 @@ use std::time::Duration;
 const BUSY_POLL_MS: i64 = 1;
 const IDLE_POLL_MS: i64 = 5;
 
+/// What the thread lets others see.
+#[derive(Debug, Default)]
+struct Seen {
+    open: AtomicBool,
+    bytes: AtomicU64,
+}
+
 /// Handle to the thread; dropping it ends the thread and the port.
 #[derive(Debug)]
 pub(super) struct Link {
@@ -31,6 +38,7 @@ pub(super) struct Link {
     stop: Arc<AtomicBool>,
     unplugged: Arc<AtomicBool>,
     gone: Arc<AtomicBool>,
+    seen: Arc<Seen>,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -58,10 +66,17 @@ impl Link {
         let wake = Arc::new(eventfd(0, EventfdFlags::CLOEXEC | EventfdFlags::NONBLOCK)?);
         let stop = Arc::new(AtomicBool::new(false));
         let unplugged = Arc::new(AtomicBool::new(false));
+        let mut firmware = Firmware::new(config.clone(), bench.clone());
+        if !config.reset_on_open {
+            // It has long been running when the host comes.
+            firmware.finish_boot(bench.clock().now_s());
+        }
+        let seen = Arc::new(Seen::default());
         let mut board = Board {
+            seen: seen.clone(),
             boots_on_open: config.reset_on_open,
             watchdog_s: config.host_watchdog_s,
-            firmware: Firmware::new(config, bench.clone()),
+            firmware,
             bench,
             faults,
             port: Some(File::from(master)),
@@ -88,6 +103,7 @@ impl Link {
             stop,
             unplugged,
             gone,
+            seen,
             thread: Some(thread),
         };
         Ok((link, path))
@@ -100,6 +116,14 @@ impl Link {
         while !self.gone.load(Ordering::Acquire) {
             std::thread::sleep(Duration::from_millis(1));
         }
+    }
+
+    pub(super) fn is_open(&self) -> bool {
+        self.seen.open.load(Ordering::Acquire)
+    }
+
+    pub(super) fn bytes_taken(&self) -> u64 {
+        self.seen.bytes.load(Ordering::Acquire)
     }
 
     fn ring(&self) {
@@ -120,6 +144,7 @@ impl Drop for Link {
 
 /// The board with its side of the cable.
 struct Board {
+    seen: Arc<Seen>,
     firmware: Firmware,
     bench: Bench,
     faults: Faults,
@@ -141,8 +166,10 @@ impl Board {
             self.heard_s = now_s;
             self.firmware.receive(byte, now_s);
             self.settle();
+            self.seen.bytes.fetch_add(1, Ordering::Release);
         }
         self.settle();
+        self.seen.open.store(self.open, Ordering::Release);
     }
 
     fn busy(&self, now_s: f64) -> bool {
@@ -168,7 +195,7 @@ impl Board {
             drain(wake);
             return Vec::new();
         };
-        let (readable, hung_up) = {
+        let hung_up = {
             let mut fds = [
                 PollFd::from_borrowed_fd(port.as_fd(), PollFlags::IN),
                 PollFd::new(wake, PollFlags::IN),
@@ -176,16 +203,12 @@ impl Board {
             if poll(&mut fds, Some(&timeout)).is_err() {
                 return Vec::new();
             }
-            let events = fds[0].revents();
-            (
-                events.contains(PollFlags::IN),
-                events.contains(PollFlags::HUP),
-            )
+            fds[0].revents().contains(PollFlags::HUP)
         };
         drain(wake);
         let mut buffer = [0_u8; 256];
         let received = match port.read(&mut buffer) {
-            Ok(count) if readable || hung_up => buffer[..count].to_vec(),
+            Ok(count) => buffer[..count].to_vec(),
             _ => Vec::new(),
         };
         if hung_up && received.is_empty() {

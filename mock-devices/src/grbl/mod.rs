@@ -6,9 +6,12 @@
 //! probing, canned positions, tool offsets, overrides and the safety door are
 //! absent; homing takes its axes one after the other.
 
+mod commands;
 mod faults;
 mod firmware;
 mod gcode;
+mod homing;
+mod interpreter;
 mod link;
 mod planner;
 mod report;
@@ -112,6 +115,17 @@ impl GrblSimulator {
     /// The bench it moves and lights.
     pub fn bench(&self) -> &Bench {
         &self.bench
+    }
+
+    /// Whether a host has the port open.
+    pub fn is_open(&self) -> bool {
+        self.link.is_open()
+    }
+
+    /// How many bytes from the host the board has taken: a test on a manual
+    /// clock waits for them before it moves the time.
+    pub fn bytes_taken(&self) -> u64 {
+        self.link.bytes_taken()
     }
 
     /// Pulls the cable: the port is gone for good, the board keeps its power,
