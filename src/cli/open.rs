@@ -14,14 +14,14 @@ pub struct Devices {
     pub stage: Box<dyn LightStage>,
     /// The camera.
     pub camera: Box<dyn Camera>,
-    _bench: Option<Box<dyn std::any::Any>>,
+    _bench: Option<Box<dyn std::any::Any + Send>>,
 }
 
 /// A rig's stage alone.
 pub struct Stage {
     /// The stage. It ends before its simulated firmware does.
     pub stage: Box<dyn LightStage>,
-    _bench: Option<Box<dyn std::any::Any>>,
+    _bench: Option<Box<dyn std::any::Any + Send>>,
 }
 
 #[cfg(feature = "serial")]
@@ -145,7 +145,7 @@ pub fn open_real_camera(rig: &RigConfig) -> Result<Box<dyn Camera>, CliError> {
     let camera = V4lCamera::open(V4lConfig {
         device: device.clone(),
         serial: rig.camera.serial.clone(),
-        format: Some(*format),
+        format: *format,
         bit_depth: Some(rig.camera.bit_depth),
         resolution_px: Some(rig.camera.resolution_px),
         frame_timeout: rig.camera.frame_timeout,
