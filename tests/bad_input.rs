@@ -175,7 +175,7 @@ const CASES: &[Case] = &[
         args: &["report", "."],
         change: None,
         fact: "is not a session",
-        hint: "session.toml",
+        hint: "folder of a session",
     },
     Case {
         name: "report of nothing",

@@ -92,7 +92,9 @@ pub fn write(path: &Path, brdf: &dyn Brdf) -> Result<(), BrdfError> {
         source,
     };
     let folder = path.parent().filter(|p| !p.as_os_str().is_empty());
-    let mut file = tempfile::NamedTempFile::new_in(folder.unwrap_or(Path::new("."))).map_err(io)?;
+    // The kind alone: the message would name the temporary file.
+    let mut file = tempfile::NamedTempFile::new_in(folder.unwrap_or(Path::new(".")))
+        .map_err(|error| io(error.kind().into()))?;
     file.write_all(&to_bytes(brdf)).map_err(io)?;
     file.persist(path).map_err(|error| io(error.error))?;
     Ok(())

@@ -18,6 +18,7 @@ pub mod merl;
 pub mod mixture;
 pub mod nbrdf;
 pub mod quadrature;
+pub mod rgl;
 pub mod score;
 pub mod source;
 pub mod sphere;

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use super::dictionary::{Atom, Dictionary};
 use super::mixture::Mixture;
 use super::nbrdf::{NAMES, NeuralBrdf};
+use super::rgl::RglBrdf;
 use super::{Brdf, BrdfError, merl, weights};
 
 /// Loads a BRDF:
@@ -15,6 +16,7 @@ use super::{Brdf, BrdfError, merl, weights};
 /// | `nbrdf:NAME` | an embedded measured material, see [`NAMES`] (as a table, for speed) |
 /// | `lambertian:ALBEDO`, `ggx:ALPHA,ETA` | one atom |
 /// | `FILE.binary` | a MERL table |
+/// | `FILE.bsdf` | an isotropic RGL material in RGB |
 /// | `DICTIONARY:WEIGHTS.csv` | a mixture; the dictionary by name or file, the weights as a fit writes them |
 pub fn load(spec: &str) -> Result<Box<dyn Brdf>, BrdfError> {
     let unknown = |known: String| BrdfError::UnknownSource {
@@ -39,8 +41,9 @@ pub fn load(spec: &str) -> Result<Box<dyn Brdf>, BrdfError> {
     let path = Path::new(spec);
     match path.extension().and_then(|e| e.to_str()) {
         Some("binary") => Ok(Box::new(merl::read(path)?)),
+        Some("bsdf") => Ok(Box::new(RglBrdf::read(path)?)),
         _ => Err(unknown(
-            "nbrdf:NAME, lambertian:ALBEDO, ggx:ALPHA,ETA, FILE.binary, DICTIONARY:WEIGHTS.csv"
+            "nbrdf:NAME, lambertian:ALBEDO, ggx:ALPHA,ETA, FILE.binary, FILE.bsdf, DICTIONARY:WEIGHTS.csv"
                 .to_owned(),
         )),
     }

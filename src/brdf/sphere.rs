@@ -34,6 +34,17 @@ pub struct SphereImage {
 }
 
 impl SphereImage {
+    /// The exposure that leaves the brightest 3% of the values to clip.
+    pub fn natural_exposure(&self) -> f32 {
+        let mut values: Vec<f32> = normals(self.size)
+            .into_iter()
+            .flat_map(|(pixel, _)| self.radiance[pixel])
+            .collect();
+        values.sort_by(f32::total_cmp);
+        let bright = values.get(values.len() * 97 / 100).copied().unwrap_or(1.0);
+        if bright > 0.0 { 1.0 / bright } else { 1.0 }
+    }
+
     /// 8-bit sRGB for looking at, `exposure` × radiance 1 is white; outside the sphere white.
     pub fn to_srgb(&self, exposure: f32) -> Vec<[u8; 3]> {
         let encode = |x: f32| {

@@ -1,7 +1,7 @@
 //! Mixture weights as a table in a file: `weights.csv`.
 //!
-//! Columns by name: `atom` (index in the dictionary), `kind`, `alpha`, `eta` (for
-//! the reader), `weight_r`, `weight_g`, `weight_b`, and optionally the standard
+//! Columns by name: `atom` (index in the dictionary), `kind`, `alpha`, `eta` (where
+//! present, they must be the dictionary's), `weight_r`, `weight_g`, `weight_b`, and optionally the standard
 //! deviations `sd_r`, `sd_g`, `sd_b`. Weights alone are not identifiable: atoms
 //! resemble each other, so their deviations are large where the BRDF's are not.
 
@@ -80,6 +80,7 @@ fn parse(text: &str, dictionary: &Dictionary) -> Result<[Vec<f64>; 3], String> {
         column("weight_g")?,
         column("weight_b")?,
     ];
+    let shape_columns = (column("alpha").ok(), column("eta").ok());
     let mut weights = [0, 1, 2].map(|_| vec![f64::NAN; dictionary.len()]);
     for (number, line) in lines {
         let cells: Vec<&str> = line.split(',').map(str::trim).collect();
@@ -110,6 +111,18 @@ fn parse(text: &str, dictionary: &Dictionary) -> Result<[Vec<f64>; 3], String> {
                 cell(kind_column)?,
                 dictionary.name()
             ));
+        }
+        if let (Atom::Ggx { alpha, eta }, (Some(alpha_column), Some(eta_column))) =
+            (dictionary.atoms()[index], shape_columns)
+        {
+            let (a, e) = (cell(alpha_column)?, cell(eta_column)?);
+            if a.parse() != Ok(alpha) || e.parse() != Ok(eta) {
+                return Err(format!(
+                    "line {}: atom {index} has alpha {a} and eta {e}, in {} they are {alpha} and {eta}",
+                    number + 1,
+                    dictionary.name()
+                ));
+            }
         }
         for (channel, &column) in weights.iter_mut().zip(&weight_columns) {
             if !channel[index].is_nan() {
@@ -170,7 +183,8 @@ mod tests {
                 good.replace("\n41,", "\n40,"),
                 "black, in paper42 it is lambertian",
             ),
-            (good.replace("\n1,", "\n0,"), "twice"),
+            (good.replace("\n1,ggx,0.5,1.7", "\n0,ggx,0.01,10"), "twice"),
+            (good.replace("\n1,ggx,0.5,", "\n1,ggx,0.6,"), "alpha 0.6"),
             (good.replace("0.33", "zero"), "no number"),
             (good.rsplit_once("\n41").unwrap().0.to_owned(), "atom 41"),
         ] {

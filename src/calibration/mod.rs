@@ -3,7 +3,11 @@
 //! `calibration/<rig>/<kind>/<id>.toml`.
 
 mod built_in;
+pub mod flat;
 mod library;
+pub mod noise;
+pub mod procedure;
 pub mod record;
+pub mod sensor;
 
 pub use library::{Library, Loaded, RecordError};

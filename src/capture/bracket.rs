@@ -24,6 +24,8 @@ const AIMED_PEAK: f64 = 0.5;
 /// The brightest of a million pixels of pure noise stays below this many
 /// standard deviations.
 const NOISE_PEAK_SIGMAS: f64 = 6.0;
+/// A sum of noise over all pixels stays below this many standard deviations.
+const LIT_SIGMAS: f64 = 5.0;
 /// From full scale to nothing in steps of [`SHORTEN`] and back: enough for 16 bits.
 const MAX_ROUNDS: usize = 12;
 
@@ -64,6 +66,32 @@ impl PilotRound {
             PilotReading::Clipped { .. } => None,
         })
     }
+}
+
+/// Whether a frame with the lamp on is brighter than one without it at the same
+/// exposure, beyond five standard deviations of the sum over the pixels of
+/// `interest`.
+pub fn shows_light(
+    noise: &SensorNoise,
+    lit: &[u16],
+    unlit: &[u16],
+    interest: Option<&[bool]>,
+) -> bool {
+    let wanted = |pixel: usize| interest.is_none_or(|mask| mask.get(pixel) == Some(&true));
+    let (mut excess_dn, mut variance_dn2) = (0.0, 0.0);
+    for (_, (&lit, &unlit)) in lit
+        .iter()
+        .zip(unlit)
+        .enumerate()
+        .filter(|(p, _)| wanted(*p))
+    {
+        excess_dn += f64::from(lit) - f64::from(unlit);
+        let charge_dn = f64::from(lit) + f64::from(unlit) - 2.0 * noise.black_level_dn;
+        variance_dn2 += noise.gain_dn_per_e * charge_dn.max(0.0)
+            + 2.0 * (noise.gain_dn_per_e * noise.read_noise_e).powi(2)
+            + 2.0 / 12.0;
+    }
+    excess_dn > LIT_SIGMAS * f64::sqrt(variance_dn2)
 }
 
 /// What to do after some rounds of pilot frames.
@@ -318,6 +346,15 @@ mod tests {
             matches!(decision, Decision::Bracket { clips: false, .. }),
             "{decision:?}"
         );
+    }
+
+    #[test]
+    fn light_is_told_from_room_light_and_noise() {
+        let room = counts(&[500.0; 400], 0.1);
+        let lit = counts(&[520.0; 400], 0.1);
+        assert!(shows_light(&noise(), &lit, &room, None));
+        assert!(!shows_light(&noise(), &room, &room, None));
+        assert!(!shows_light(&noise(), &lit, &room, Some(&[false; 400])));
     }
 
     #[test]

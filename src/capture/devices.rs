@@ -162,9 +162,10 @@ impl Devices {
     ) -> Result<StageAngles, CaptureError> {
         self.known.position = None;
         let position = self.stage(move |stage| stage.move_to(target)).await?;
-        let off_deg = (position.azimuth_deg - target.azimuth_deg)
-            .abs()
-            .max((position.elevation_deg - target.elevation_deg).abs());
+        let off_deg = position
+            .to_light()
+            .angle_between(target.to_light())
+            .to_degrees();
         // A position that is not a number is not at the target either.
         if !(off_deg <= POSITION_TOLERANCE_DEG) {
             return Err(self.stage_differs("the position", position, target).into());

@@ -40,7 +40,8 @@ enum DiskJob {
 /// The disk's thread.
 pub(super) struct Disk {
     jobs: mpsc::Sender<DiskJob>,
-    end: oneshot::Receiver<Result<(), CaptureError>>,
+    /// How the thread ended, until somebody has asked.
+    end: Option<oneshot::Receiver<Result<(), CaptureError>>>,
 }
 
 impl Disk {
@@ -66,7 +67,10 @@ impl Disk {
             }
             Ok(())
         })?;
-        Ok(Self { jobs, end })
+        Ok(Self {
+            jobs,
+            end: Some(end),
+        })
     }
 
     pub(super) async fn record(&mut self, event: Event) -> Result<(), CaptureError> {
@@ -104,9 +108,11 @@ impl Disk {
     }
 
     async fn ended(&mut self) -> Result<(), CaptureError> {
-        (&mut self.end)
-            .await
-            .unwrap_or(Err(CaptureError::WorkerGone { name: "disk" }))
+        const GONE: Result<(), CaptureError> = Err(CaptureError::WorkerGone { name: "disk" });
+        match self.end.take() {
+            Some(end) => end.await.unwrap_or(GONE),
+            None => GONE,
+        }
     }
 }
 

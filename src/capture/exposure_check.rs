@@ -37,18 +37,30 @@ pub struct Exposed<'a> {
     pub exposure_s: f64,
 }
 
-/// A pixel says something about the exposure where its signal in the longer
-/// frame is at least this part of the usable range.
-const MIN_SIGNAL: f64 = 0.05;
+/// A pixel says something about the exposure where its signal in one of the
+/// frames is at least this part of the usable range; the second value where no
+/// pixel reaches the first.
+const MIN_SIGNAL: [f64; 2] = [0.05, 0.005];
 /// ... and at most this part, so that noise at the clipping level cannot bias.
 const MAX_SIGNAL: f64 = 0.9;
 /// Uncertainty of the black level common to all pixels, DN.
 const BLACK_LEVEL_STD_DN: f64 = 0.25;
 
-/// Compares two frames over the pixels that are well exposed in the longer one
-/// as it is and as it should be. `None` where no such pixel is.
+/// Compares two frames over the pixels that are well exposed in either and clipped
+/// in none. `None` where no such pixel is.
 pub fn signal_ratio(
     noise: &SensorNoise,
+    earlier: Exposed<'_>,
+    later: Exposed<'_>,
+) -> Option<SignalRatio> {
+    MIN_SIGNAL
+        .into_iter()
+        .find_map(|min_signal| ratio_above(noise, min_signal, earlier, later))
+}
+
+fn ratio_above(
+    noise: &SensorNoise,
+    min_signal: f64,
     earlier: Exposed<'_>,
     later: Exposed<'_>,
 ) -> Option<SignalRatio> {
@@ -58,23 +70,12 @@ pub fn signal_ratio(
             - noise.gain_dn_per_e * noise.dark_current_e_s * frame.exposure_s
     };
     let range_dn = noise.usable_range_dn();
-    let well = |frame: Exposed<'_>, pixel: usize| {
-        (MIN_SIGNAL * range_dn..=MAX_SIGNAL * range_dn).contains(&signal(frame, pixel))
-    };
-    let below = |frame: Exposed<'_>, pixel: usize| signal(frame, pixel) <= MAX_SIGNAL * range_dn;
-    let (longer, shorter) = if later.exposure_s >= earlier.exposure_s {
-        (later, earlier)
-    } else {
-        (earlier, later)
-    };
     let (mut sums_dn, mut variances_dn2, mut pixels) = ([0.0; 2], [0.0; 2], 0.0);
     for pixel in 0..earlier.counts.len().min(later.counts.len()) {
-        // Where the claimed longer frame was taken with the old short exposure it
-        // is dark; such pixels are judged by the other frame.
-        if !(well(longer, pixel) || well(shorter, pixel))
-            || !below(longer, pixel)
-            || !below(shorter, pixel)
-        {
+        // The brighter frame decides, whichever that is: where a new exposure was
+        // ignored it is not the one that claims to be the longer.
+        let brightest = signal(earlier, pixel).max(signal(later, pixel)) / range_dn;
+        if !(min_signal..=MAX_SIGNAL).contains(&brightest) {
             continue;
         }
         pixels += 1.0;

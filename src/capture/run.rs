@@ -277,26 +277,28 @@ impl Run<'_> {
         // The latest frame of each channel: what the next exposure is checked against.
         let mut latest: Vec<Option<Taken>> = vec![None; channels.len()];
         let mut rounds: Vec<PilotRound> = Vec::new();
+        let mut is_lit = true;
         let steps = loop {
             match bracket::decide(self.noise, &self.plan.exposure, &rounds)? {
                 Decision::Pilot { exposure_s } => {
                     let round = rounds.len() as u32;
-                    let pilot = self
+                    let (pilot, lit) = self
                         .pilot_round(light, round, exposure_s, &mut latest)
                         .await?;
                     rounds.push(pilot);
+                    is_lit = lit;
                 }
                 Decision::Bracket {
                     steps,
                     dark_snr,
                     reached,
                     clips,
-                } => {
+                } if is_lit => {
                     self.planned(light, &steps, dark_snr, reached, clips)
                         .await?;
                     break steps;
                 }
-                Decision::NoLight => {
+                Decision::Bracket { .. } | Decision::NoLight => {
                     return Err(CaptureError::NoLight {
                         light,
                         exposure_s: rounds.last().map_or(0.0, |round| round.exposure_s),
@@ -338,13 +340,15 @@ impl Run<'_> {
         self.merger.finish_bracket().await
     }
 
+    /// One frame per channel, and one without the lamp to tell its light from
+    /// the room's; whether any channel shows light.
     async fn pilot_round(
         &mut self,
         light: u32,
         round: u32,
         exposure_s: f64,
         latest: &mut [Option<Taken>],
-    ) -> Result<PilotRound, CaptureError> {
+    ) -> Result<(PilotRound, bool), CaptureError> {
         self.clock.within_light(light, self.lights, 0.0);
         for (channel, latest) in latest.iter_mut().enumerate() {
             let shot = Shot {
@@ -353,15 +357,26 @@ impl Run<'_> {
             };
             *latest = Some(self.take(shot, latest.as_ref()).await?);
         }
+        let unlit = if self.plan.exposure.ambient {
+            let shot = Shot {
+                pilot: true,
+                ..self.unlit_shot(light, round, 0, exposure_s, FrameKind::Ambient)
+            };
+            Some(self.take(shot, None).await?)
+        } else {
+            None
+        };
         let taken: Vec<&Taken> = latest.iter().flatten().collect();
         let frames: Vec<&[u16]> = taken.iter().map(|t| t.frame.counts.as_slice()).collect();
         let applied_s = taken.first().map_or(exposure_s, |t| t.exposure_s);
-        Ok(PilotRound::read(
-            self.noise,
-            applied_s,
-            &frames,
-            self.interest,
-        ))
+        let pilot = PilotRound::read(self.noise, applied_s, &frames, self.interest);
+        let is_lit = match &unlit {
+            None => true,
+            Some(unlit) => frames.iter().any(|lit| {
+                bracket::shows_light(self.noise, lit, &unlit.frame.counts, self.interest)
+            }),
+        };
+        Ok((pilot, is_lit))
     }
 
     async fn planned(

@@ -36,7 +36,8 @@ enum FormatArg {
 /// `rig export`.
 pub fn run(args: &ExportArgs, context: &Context) -> Result<(), CliError> {
     let folder = fit_folder(&args.dir)?;
-    let record = fit_record::read(&folder)?;
+    let record = fit_record::read(&folder)
+        .hint("`rig fit` makes the folder anew; its files are not meant to be edited")?;
     let (format, name) = match args.format {
         FormatArg::Json => (Format::Json, "brdf.json"),
         FormatArg::Merl => (Format::Merl, "brdf.binary"),

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use super::{CliError, Context, HintExt};
 use crate::out;
-use crate::report;
+use crate::report::{self, load::LoadError};
 use crate::session::commit::SystemDisk;
 use crate::session::{SessionWriter, layout};
 
@@ -25,7 +25,7 @@ pub struct ReportArgs {
 
 /// `rig report`.
 pub fn run(args: &ReportArgs, context: &Context) -> Result<(), CliError> {
-    let input = report::load::load(&args.session, args.fit)?;
+    let input = report::load::load(&args.session, args.fit).map_err(advise)?;
     if input.fit.is_none() {
         context.note("the session has no fit yet; `rig fit SESSION` makes one");
     }
@@ -44,4 +44,19 @@ pub fn run(args: &ReportArgs, context: &Context) -> Result<(), CliError> {
         }
     };
     out!("{}", path.display())
+}
+
+fn advise(error: LoadError) -> CliError {
+    let hint = match &error {
+        LoadError::Fit(_) => "`rig fit SESSION` makes a new fit; --fit N shows another one",
+        LoadError::NoSuchFit { .. } => {
+            "leave --fit out to show the latest, or run `rig fit SESSION`"
+        }
+        LoadError::Image(_) => "`rig merge` makes the merged images again from the raw frames",
+        LoadError::Sidecar { .. } | LoadError::Session(_) => {
+            "give the folder of a session; `rig session verify SESSION` checks every file of it"
+        }
+        LoadError::Brdf(_) => "`rig fit SESSION` makes a new fit",
+    };
+    CliError::from(error).hint(hint)
 }

@@ -3,6 +3,7 @@
 //! Unknown keys are refused, every value is checked where it is read, and every
 //! error says file, line, key, value and what may stand there.
 
+pub mod build;
 pub mod camera;
 mod document;
 mod error;

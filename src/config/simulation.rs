@@ -146,8 +146,8 @@ fn read_sensor(
         offset_dsnu_e: table.number("offset_dsnu_e", 0.0..=1000.0)?.or(0.5),
         prnu: table.number("prnu", 0.0..=0.2)?.or(0.006),
         hot_fraction: table.number("hot_fraction", 0.0..=0.1)?.or(2e-4),
-        hot_pixels: Vec::new(),
         hot_current_e_s: table.number("hot_current_e_s", 0.0..=1e8)?.or(2000.0),
+        hot_pixels: Vec::new(),
         seed,
     };
     table.finish()?;

@@ -167,7 +167,7 @@ impl Bvh {
             // SAFETY: `avx2` is set only where the processor has AVX2 and FMA.
             return unsafe { closest_avx2(self, ray) };
         }
-        closest_with(self, ray, boxes_portable, triangles_lanes)
+        closest_with::<PortableBoxes>(self, ray)
     }
 
     /// Whether anything lies on the ray before its limit.
@@ -177,7 +177,7 @@ impl Bvh {
             // SAFETY: as in `closest`.
             return unsafe { any_avx2(self, ray) };
         }
-        any_with(self, ray, boxes_portable, triangles_lanes)
+        any_with::<PortableBoxes>(self, ray)
     }
 }
 
@@ -232,57 +232,71 @@ impl Prepared {
 /// Grows the far distance by the rounding of its three operations (Ize 2013).
 const FAR_GROWTH: f32 = 1.000_000_5;
 
-/// Entry distances of the eight boxes and a bit for each that is met before `limit`.
-#[inline(always)]
-fn boxes_portable(node: &Node, ray: &Prepared, limit: f32) -> (u32, [f32; WIDTH]) {
-    let mut entry = [0.0f32; WIDTH];
-    let mut leave = [limit; WIDTH];
-    for axis in 0..3 {
-        let near = &node.bounds[axis][ray.near[axis]];
-        let far = &node.bounds[axis][1 - ray.near[axis]];
-        for lane in 0..WIDTH {
-            // A NaN (0 · ∞, a ray inside a slab's plane) keeps the other bound.
-            let t0 = (near[lane] - ray.origin[axis]) * ray.inverse[axis];
-            let t1 = (far[lane] - ray.origin[axis]) * ray.inverse[axis] * FAR_GROWTH;
-            entry[lane] = if t0 > entry[lane] { t0 } else { entry[lane] };
-            leave[lane] = if t1 < leave[lane] { t1 } else { leave[lane] };
+/// Tests a ray against the eight boxes of a node. A trait, not a closure: only what is
+/// inlined into a function compiled for AVX2 may use its instructions.
+trait BoxTest {
+    /// A bit for each box that is met before `limit`, and the distances of entry.
+    fn boxes(node: &Node, ray: &Prepared, limit: f32) -> (u32, [f32; WIDTH]);
+}
+
+struct PortableBoxes;
+
+impl BoxTest for PortableBoxes {
+    #[inline(always)]
+    fn boxes(node: &Node, ray: &Prepared, limit: f32) -> (u32, [f32; WIDTH]) {
+        let mut entry = [0.0f32; WIDTH];
+        let mut leave = [limit; WIDTH];
+        for axis in 0..3 {
+            let near = &node.bounds[axis][ray.near[axis]];
+            let far = &node.bounds[axis][1 - ray.near[axis]];
+            for lane in 0..WIDTH {
+                // A NaN (0 · ∞, a ray inside a slab's plane) keeps the other bound.
+                let t0 = (near[lane] - ray.origin[axis]) * ray.inverse[axis];
+                let t1 = (far[lane] - ray.origin[axis]) * ray.inverse[axis] * FAR_GROWTH;
+                entry[lane] = if t0 > entry[lane] { t0 } else { entry[lane] };
+                leave[lane] = if t1 < leave[lane] { t1 } else { leave[lane] };
+            }
         }
+        let mut met = 0;
+        for lane in 0..WIDTH {
+            met |= u32::from(entry[lane] <= leave[lane]) << lane;
+        }
+        (met, entry)
     }
-    let mut met = 0;
-    for lane in 0..WIDTH {
-        met |= u32::from(entry[lane] <= leave[lane]) << lane;
-    }
-    (met, entry)
 }
 
 #[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2,fma")]
-#[inline]
-fn boxes_avx2(node: &Node, ray: &Prepared, limit: f32) -> (u32, [f32; WIDTH]) {
-    use std::arch::x86_64::*;
-    let mut entry = _mm256_setzero_ps();
-    let mut leave = _mm256_set1_ps(limit);
-    let growth = _mm256_set1_ps(FAR_GROWTH);
-    for axis in 0..3 {
-        let origin = _mm256_set1_ps(ray.origin[axis]);
-        let inverse = _mm256_set1_ps(ray.inverse[axis]);
-        // SAFETY: both arrays hold eight f32.
-        let (near, far) = unsafe {
-            (
-                _mm256_loadu_ps(node.bounds[axis][ray.near[axis]].as_ptr()),
-                _mm256_loadu_ps(node.bounds[axis][1 - ray.near[axis]].as_ptr()),
-            )
-        };
-        let t0 = _mm256_mul_ps(_mm256_sub_ps(near, origin), inverse);
-        let t1 = _mm256_mul_ps(_mm256_mul_ps(_mm256_sub_ps(far, origin), inverse), growth);
-        entry = _mm256_max_ps(t0, entry);
-        leave = _mm256_min_ps(t1, leave);
+struct Avx2Boxes;
+
+#[cfg(target_arch = "x86_64")]
+impl BoxTest for Avx2Boxes {
+    #[inline(always)]
+    fn boxes(node: &Node, ray: &Prepared, limit: f32) -> (u32, [f32; WIDTH]) {
+        use std::arch::x86_64::*;
+        // SAFETY: instantiated only inside functions compiled for AVX2; every pointer
+        // is to an array of eight f32.
+        unsafe {
+            let mut entry = _mm256_setzero_ps();
+            let mut leave = _mm256_set1_ps(limit);
+            let growth = _mm256_set1_ps(FAR_GROWTH);
+            let mut axis = 0;
+            while axis < 3 {
+                let origin = _mm256_set1_ps(ray.origin[axis]);
+                let inverse = _mm256_set1_ps(ray.inverse[axis]);
+                let near = _mm256_loadu_ps(node.bounds[axis][ray.near[axis]].as_ptr());
+                let far = _mm256_loadu_ps(node.bounds[axis][1 - ray.near[axis]].as_ptr());
+                let t0 = _mm256_mul_ps(_mm256_sub_ps(near, origin), inverse);
+                let t1 = _mm256_mul_ps(_mm256_mul_ps(_mm256_sub_ps(far, origin), inverse), growth);
+                entry = _mm256_max_ps(t0, entry);
+                leave = _mm256_min_ps(t1, leave);
+                axis += 1;
+            }
+            let met = _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LE_OQ>(entry, leave)) as u32;
+            let mut distances = [0.0; WIDTH];
+            _mm256_storeu_ps(distances.as_mut_ptr(), entry);
+            (met, distances)
+        }
     }
-    let met = _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LE_OQ>(entry, leave)) as u32;
-    let mut distances = [0.0; WIDTH];
-    // SAFETY: the array holds eight f32.
-    unsafe { _mm256_storeu_ps(distances.as_mut_ptr(), entry) };
-    (met, distances)
 }
 
 /// Distances and barycentric weights of a leaf's triangles; infinite where missed.
@@ -333,12 +347,7 @@ fn triangles_lanes(leaf: &Leaf, ray: &Prepared, limit: f32) -> LeafHits {
 }
 
 #[inline(always)]
-fn closest_with(
-    bvh: &Bvh,
-    ray: &Ray,
-    boxes: impl Fn(&Node, &Prepared, f32) -> (u32, [f32; WIDTH]),
-    triangles: impl Fn(&Leaf, &Prepared, f32) -> LeafHits,
-) -> Option<Hit> {
+fn closest_with<T: BoxTest>(bvh: &Bvh, ray: &Ray) -> Option<Hit> {
     let prepared = Prepared::new(ray);
     let mut limit = ray.limit_mm;
     let mut best = None;
@@ -352,7 +361,7 @@ fn closest_with(
         }
         if reference & LEAF_BIT != 0 {
             let leaf = &bvh.leaves[(reference & !LEAF_BIT) as usize];
-            let hits = triangles(leaf, &prepared, limit);
+            let hits = triangles_lanes(leaf, &prepared, limit);
             for lane in 0..LEAF {
                 // Equal distances go to the smaller index, whatever the tree's order.
                 let t = hits.distance[lane];
@@ -368,7 +377,7 @@ fn closest_with(
             continue;
         }
         let node = &bvh.nodes[reference as usize];
-        let (mut met, entries) = boxes(node, &prepared, limit);
+        let (mut met, entries) = T::boxes(node, &prepared, limit);
         let base = height;
         while met != 0 {
             let lane = met.trailing_zeros() as usize;
@@ -388,12 +397,7 @@ fn closest_with(
 }
 
 #[inline(always)]
-fn any_with(
-    bvh: &Bvh,
-    ray: &Ray,
-    boxes: impl Fn(&Node, &Prepared, f32) -> (u32, [f32; WIDTH]),
-    triangles: impl Fn(&Leaf, &Prepared, f32) -> LeafHits,
-) -> bool {
+fn any_with<T: BoxTest>(bvh: &Bvh, ray: &Ray) -> bool {
     let prepared = Prepared::new(ray);
     let mut stack = [0u32; STACK];
     let mut height = 1;
@@ -402,14 +406,14 @@ fn any_with(
         let reference = stack[height];
         if reference & LEAF_BIT != 0 {
             let leaf = &bvh.leaves[(reference & !LEAF_BIT) as usize];
-            let hits = triangles(leaf, &prepared, ray.limit_mm);
+            let hits = triangles_lanes(leaf, &prepared, ray.limit_mm);
             if hits.distance.iter().any(|&t| t < ray.limit_mm) {
                 return true;
             }
             continue;
         }
         let node = &bvh.nodes[reference as usize];
-        let (mut met, _) = boxes(node, &prepared, ray.limit_mm);
+        let (mut met, _) = T::boxes(node, &prepared, ray.limit_mm);
         while met != 0 {
             let lane = met.trailing_zeros() as usize;
             met &= met - 1;
@@ -423,25 +427,13 @@ fn any_with(
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,fma")]
 fn closest_avx2(bvh: &Bvh, ray: &Ray) -> Option<Hit> {
-    // SAFETY: this function runs only where AVX2 and FMA exist.
-    closest_with(
-        bvh,
-        ray,
-        |n, r, l| unsafe { boxes_avx2(n, r, l) },
-        triangles_lanes,
-    )
+    closest_with::<Avx2Boxes>(bvh, ray)
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,fma")]
 fn any_avx2(bvh: &Bvh, ray: &Ray) -> bool {
-    // SAFETY: this function runs only where AVX2 and FMA exist.
-    any_with(
-        bvh,
-        ray,
-        |n, r, l| unsafe { boxes_avx2(n, r, l) },
-        triangles_lanes,
-    )
+    any_with::<Avx2Boxes>(bvh, ray)
 }
 
 /// A point just off the surface on the side of `normal`, from which a ray cannot hit

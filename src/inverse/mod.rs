@@ -1,5 +1,15 @@
 //! From images to weights: the objective, the simplex, the optimisers and what
 //! they can say about their own error.
 
+pub mod exponentiated_gradient;
+pub mod fit;
+pub mod gauss_newton;
+pub mod intervals;
+pub mod objective;
 pub mod projection;
 pub mod simplex;
+pub mod trace;
+pub mod uncertainty;
+
+pub use fit::{Fit, FitError, FitOptions, Optimizer, fit};
+pub use objective::Channels;

@@ -222,7 +222,12 @@ impl CellMatrix {
         };
         let mut x = start;
         let mut current = value(&x);
-        for _ in 0..60 {
+        // Reweighting creeps; its last 1e-5 is not worth its time.
+        let enough = match loss {
+            Loss::Squared => 1e-6,
+            Loss::Absolute => 1e-5,
+        };
+        for _ in 0..40 {
             let quadratic = self.accumulate(
                 |row, model| {
                     let a = model.max(smallest);
@@ -255,7 +260,7 @@ impl CellMatrix {
             };
             let gain = (current - reached) / current.max(f64::MIN_POSITIVE);
             (x, current) = (candidate, reached);
-            if gain < 1e-6 {
+            if gain < enough {
                 break;
             }
         }

@@ -126,8 +126,12 @@ pub fn polar_plots(
     let estimates = POLAR_THETA_I_DEG.map(|angle| sample(estimate, angle));
     let truths = truth.map(|brdf| POLAR_THETA_I_DEG.map(|angle| sample(brdf, angle)));
     let all = estimates.iter().chain(truths.iter().flatten());
-    // The radius ends at the largest value; grazing darkness may fall off the scale.
-    let scale = decades(all.flatten().flat_map(|(_, values)| *values));
+    let highest = all
+        .flatten()
+        .flat_map(|(_, values)| *values)
+        .fold(f64::MIN, f64::max);
+    // The radius ends a little above the largest value; what is much darker is at the centre.
+    let scale = highest + 0.1 - MOST_DECADES..highest + 0.1;
     POLAR_THETA_I_DEG
         .iter()
         .enumerate()

@@ -6,7 +6,7 @@ use super::{
     ExposureInput, FitInput, LightInput, ProvenanceGroup, ReportInput, SphereInput, Truth,
 };
 use crate::brdf::environment::EnvironmentMap;
-use crate::brdf::sphere::{self, SphereImage, sphere_image};
+use crate::brdf::sphere::{self, SphereImage, sphere_images};
 use crate::brdf::{Brdf, BrdfError, source};
 use crate::device::{FrameKind, LampState};
 use crate::radiance_image::RadianceImage;
@@ -59,6 +59,14 @@ pub enum LoadError {
 /// # Errors
 /// Anything on disk that is broken; a report is not made of half a fit.
 pub fn load(root: &Path, fit_number: Option<u32>) -> Result<ReportInput, LoadError> {
+    load_with(root, fit_number, SPHERE_PX)
+}
+
+fn load_with(
+    root: &Path,
+    fit_number: Option<u32>,
+    sphere_px: usize,
+) -> Result<ReportInput, LoadError> {
     let session = Session::open(root)?;
     let record = session.record();
     let fit = chosen_fit(root, fit_number)?
@@ -72,15 +80,25 @@ pub fn load(root: &Path, fit_number: Option<u32>) -> Result<ReportInput, LoadErr
             })
         })
         .transpose()?;
-    let truth = match &record.true_material {
-        Some(name) => Some(Truth {
-            brdf: source::load(name)?.into(),
-            name: name.clone(),
-        }),
-        None => None,
+    // A material that this version cannot evaluate is named, and takes only the comparison away.
+    let material = record.true_material.as_deref();
+    let truth = material.map(|name| (name, source::load(name)));
+    let unknown = match &truth {
+        Some((_, Err(error))) => Some(error.to_string()),
+        _ => None,
     };
+    let truth = truth.and_then(|(name, brdf)| {
+        Some(Truth {
+            name: name.to_owned(),
+            brdf: brdf.ok()?.into(),
+        })
+    });
     let spheres = match &fit {
-        Some(fit) => spheres(&*fit.estimate, truth.as_ref().map(|truth| &*truth.brdf)),
+        Some(fit) => spheres(
+            &*fit.estimate,
+            truth.as_ref().map(|truth| &*truth.brdf),
+            sphere_px,
+        ),
         None => Vec::new(),
     };
     let lights = (0..record.plan.lights.len())
@@ -92,7 +110,7 @@ pub fn load(root: &Path, fit_number: Option<u32>) -> Result<ReportInput, LoadErr
         captured: readable_time(&record.created_utc),
         simulated: record.simulated,
         incomplete: incomplete(&session),
-        provenance: provenance(&session, fit.as_ref()),
+        provenance: provenance(&session, fit.as_ref(), unknown),
         lights,
         fit,
         truth,
@@ -199,6 +217,9 @@ fn exposures(session: &Session, light: u32) -> Result<Vec<ExposureInput>, LoadEr
             path: session.root().join(&frame.sidecar.path),
             fact: error.message().to_owned(),
         })?;
+        if sidecar.pilot {
+            continue;
+        }
         let lamp_channel = match sidecar.lamp {
             LampState::On(channel) if several => Some(channel.0),
             _ => None,
@@ -220,18 +241,16 @@ fn exposures(session: &Session, light: u32) -> Result<Vec<ExposureInput>, LoadEr
     Ok(found)
 }
 
-fn spheres(estimate: &dyn Brdf, truth: Option<&dyn Brdf>) -> Vec<SphereInput> {
-    EnvironmentMap::all()
-        .iter()
-        .map(|map| {
-            let picture = |brdf| as_radiance(&sphere_image(brdf, map, SPHERE_PX));
-            SphereInput {
-                map: map.name().to_owned(),
-                estimate: picture(estimate),
-                truth: truth.map(picture),
-            }
-        })
-        .collect()
+fn spheres(estimate: &dyn Brdf, truth: Option<&dyn Brdf>, sphere_px: usize) -> Vec<SphereInput> {
+    let under = |map: &EnvironmentMap| {
+        let [fitted, other] = sphere_images([estimate, truth.unwrap_or(estimate)], map, sphere_px);
+        SphereInput {
+            map: map.name().to_owned(),
+            estimate: as_radiance(&fitted),
+            truth: truth.map(|_| as_radiance(&other)),
+        }
+    };
+    EnvironmentMap::all().iter().map(under).collect()
 }
 
 /// The sphere's pixels are valid, those around it are not.
@@ -245,7 +264,11 @@ fn as_radiance(sphere: &SphereImage) -> RadianceImage {
     image
 }
 
-fn provenance(session: &Session, fit: Option<&FitInput>) -> Vec<ProvenanceGroup> {
+fn provenance(
+    session: &Session,
+    fit: Option<&FitInput>,
+    unknown_truth: Option<String>,
+) -> Vec<ProvenanceGroup> {
     let record = session.record();
     let group = |title: &str, entries: Vec<(&str, String)>| ProvenanceGroup {
         title: title.to_owned(),
@@ -270,10 +293,15 @@ fn provenance(session: &Session, fit: Option<&FitInput>) -> Vec<ProvenanceGroup>
             ),
             ("Rig", record.rig.clone()),
             ("Seed", record.seed.to_string()),
-            ("Resumed", format!("{resumed} times")),
+            ("Interruptions resumed", resumed.to_string()),
             ("Captured with", format!("rig {}", record.versions.rig)),
         ],
     )];
+    if let Some(name) = &record.true_material {
+        let reason = unknown_truth.map(|reason| format!(" (cannot be evaluated: {reason})"));
+        let text = format!("{name}{}", reason.unwrap_or_default());
+        groups[0].entries.push(("True material".to_owned(), text));
+    }
     let (camera, stage) = (&record.versions.camera, &record.versions.stage);
     let [width, height] = camera.resolution_px;
     groups.push(group(
@@ -366,3 +394,6 @@ fn fit_group(record: &FitRecord) -> ProvenanceGroup {
         entries,
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -170,7 +170,7 @@ fn record(estimate: &Mixture) -> FitRecord {
 }
 
 /// A whole session of two lights, as [`load`] would give it.
-fn input() -> ReportInput {
+pub(super) fn synthetic() -> ReportInput {
     let (estimate, truth) = (mixture(0.0), mixture(0.03));
     let exposure = |ms: f64, frames| ExposureInput {
         lamp_channel: None,
@@ -270,7 +270,7 @@ fn page(input: &ReportInput) -> String {
 /// To look at the page: `RIG_SAMPLE_REPORT=page.html cargo test --lib report`.
 #[test]
 fn a_whole_session_has_every_section() {
-    let html = page(&input());
+    let html = page(&synthetic());
     if let Some(path) = std::env::var_os("RIG_SAMPLE_REPORT") {
         std::fs::write(path, &html).unwrap();
     }
@@ -313,7 +313,7 @@ fn a_whole_session_has_every_section() {
 
 #[test]
 fn without_truth_the_page_says_so() {
-    let mut input = input();
+    let mut input = synthetic();
     input.truth = None;
     input.simulated = false;
     for sphere in &mut input.spheres {
@@ -328,7 +328,7 @@ fn without_truth_the_page_says_so() {
 
 #[test]
 fn without_a_fit_the_page_says_so() {
-    let mut input = input();
+    let mut input = synthetic();
     input.fit = None;
     input.spheres.clear();
     input.incomplete = Some("2 of 4 lights are finished".to_owned());
@@ -345,14 +345,14 @@ fn without_a_fit_the_page_says_so() {
 
 #[test]
 fn a_bad_fit_never_looks_like_a_good_one() {
-    let mut bad = input();
+    let mut bad = synthetic();
     let record = &mut bad.fit.as_mut().unwrap().record;
     record.reduced_chi_square[1] = [7.5, 1.0, 1.0];
     let html = page(&bad);
     assert!(html.contains("does not explain the images") && html.contains("7.50 !"));
     assert!(!html.contains("The fit explains the images"));
 
-    let mut doubtful = input();
+    let mut doubtful = synthetic();
     doubtful
         .fit
         .as_mut()
@@ -369,7 +369,7 @@ fn a_bad_fit_never_looks_like_a_good_one() {
 
 #[test]
 fn an_empty_fit_still_makes_a_page() {
-    let mut input = input();
+    let mut input = synthetic();
     let fit = input.fit.as_mut().unwrap();
     fit.images = FitImages::default();
     fit.record.table = AngleTable::default();

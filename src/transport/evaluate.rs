@@ -216,6 +216,19 @@ impl<const B: usize, const C: usize> Sums<B, C> {
         self.lambertian.fill(0.0);
     }
 
+    /// Adds `coefficient` times the atoms' values of a record to a row.
+    #[inline(always)]
+    fn add<L: Lanes>(&mut self, row: usize, blocks: &[L; B], scale: f32, coefficient: f32) {
+        let lanes = L::splat(coefficient * scale);
+        let gradient = &mut self.gradient[row];
+        for b in 0..B {
+            blocks[b]
+                .mul_add(lanes, L::load(&gradient[b]))
+                .store(&mut gradient[b]);
+        }
+        self.lambertian[row] += coefficient;
+    }
+
     /// Means over the samples, in the dictionary's order.
     fn rows(&self, atoms: &LaneAtoms, samples: u32, values: &mut [f32], rows: &mut [f32]) {
         let scale = 1.0 / samples as f32;
@@ -257,8 +270,13 @@ fn pass<L: Lanes, const B: usize, const C: usize, R: Record<B>>(
     sums: &mut Sums<B, C>,
     scratch: &mut Vec<Step<C>>,
 ) {
-    let weights: [[L; B]; C] =
-        std::array::from_fn(|c| std::array::from_fn(|b| L::load(&mixture.lanes[c][b])));
+    // Loops, not closures: only what is inlined here may use the kernel's instructions.
+    let mut weights = [[L::splat(0.0); B]; C];
+    for c in 0..C {
+        for b in 0..B {
+            weights[c][b] = L::load(&mixture.lanes[c][b]);
+        }
+    }
     let lights = sums.value.len() / C;
     let mut gathered = [[0.0f32; C]; super::event::MAX_LIGHTS];
     let mut begin = 0;
@@ -272,13 +290,14 @@ fn pass<L: Lanes, const B: usize, const C: usize, R: Record<B>>(
             let head = record.head();
             let blocks = record.decode::<L>();
             let scale = head.scale();
-            let f: [f32; C] = std::array::from_fn(|c| {
+            let mut f = mixture.lambertian;
+            for c in 0..C {
                 let mut dot = blocks[0].mul(weights[c][0]);
                 for b in 1..B {
                     dot = blocks[b].mul_add(weights[c][b], dot);
                 }
-                dot.sum() * scale + mixture.lambertian[c]
-            });
+                f[c] += dot.sum() * scale;
+            }
             scratch.push(Step { f, before });
             if head.light().is_none() {
                 for c in 0..C {
@@ -297,27 +316,23 @@ fn pass<L: Lanes, const B: usize, const C: usize, R: Record<B>>(
             let scale = head.scale();
             let step = &scratch[i - begin];
             let blocks = record.decode::<L>();
-            let mut accumulate = |row: usize, coefficient: f32| {
-                let lanes = L::splat(coefficient * scale);
-                for (b, sum) in sums.gradient[row].iter_mut().enumerate() {
-                    blocks[b].mul_add(lanes, L::load(sum)).store(sum);
-                }
-                sums.lambertian[row] += coefficient;
-            };
             match head.light() {
                 Some(light) => {
                     for c in 0..C {
-                        accumulate(light * C + c, step.before[c] * head.weight);
+                        let coefficient = step.before[c] * head.weight;
+                        sums.add(light * C + c, &blocks, scale, coefficient);
                         gathered[light][c] += step.f[c] * head.weight;
                     }
                 }
                 None => {
-                    for (light, after) in gathered[..lights].iter_mut().enumerate() {
+                    for light in 0..lights {
+                        let after = &mut gathered[light];
                         if *after == [0.0; C] {
                             continue;
                         }
                         for c in 0..C {
-                            accumulate(light * C + c, step.before[c] * head.weight * after[c]);
+                            let coefficient = step.before[c] * head.weight * after[c];
+                            sums.add(light * C + c, &blocks, scale, coefficient);
                             after[c] *= step.f[c] * head.weight;
                         }
                     }
@@ -459,7 +474,7 @@ mod tests {
                             expected[light]
                         );
                     }
-                    let step = 1e-4;
+                    let step = 1e-5;
                     let mut worst: f64 = 0.0;
                     let largest = gradient
                         .iter()

@@ -304,7 +304,11 @@ impl Record<5> for GridRecord {
         let mut fresnel = [0.0; 8];
         let f = &self.fresnel;
         L::from_f16(&[f[0], f[1], f[2], f[3], f[4], 0, 0, 0]).store(&mut fresnel);
-        std::array::from_fn(|e| lobes.mul(L::splat(fresnel[e])))
+        let mut blocks = [lobes; 5];
+        for e in 0..5 {
+            blocks[e] = lobes.mul(L::splat(fresnel[e]));
+        }
+        blocks
     }
 }
 
@@ -334,7 +338,11 @@ impl<const B: usize> Record<B> for GeneralRecord<B> {
 
     #[inline(always)]
     fn decode<L: Lanes>(&self) -> [L; B] {
-        std::array::from_fn(|b| L::from_f16(&self.values[b]))
+        let mut blocks = [L::splat(0.0); B];
+        for b in 0..B {
+            blocks[b] = L::from_f16(&self.values[b]);
+        }
+        blocks
     }
 }
 

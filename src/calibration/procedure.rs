@@ -1,0 +1,271 @@
+//! Taking the frames of a sensor calibration with a camera that looks at a
+//! steady, uniform light, such as an integrating sphere or a lit diffuser.
+
+use super::flat::{FlatError, FlatFrames};
+use super::sensor::{Exposed, PhotonTransfer, SensorFitError};
+use crate::device::{Camera, CameraSettings, DeviceError, FrameKey, FrameKind};
+use crate::radiometry::sensor::{FlatField, SensorNoise};
+use crate::units::Seconds;
+
+/// How frames are taken.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ProcedureOptions {
+    /// Analogue gain, a factor; the calibration belongs to it.
+    pub gain: f64,
+    /// Frames per exposure, at least 2; default 16.
+    pub frames: u32,
+    /// Frames thrown away after a change of settings; default 3.
+    pub discard: u32,
+    /// Longest exposure, seconds: of dark frames, and of the search for
+    /// saturation; default 2.
+    pub longest_s: f64,
+    /// Part of saturation at which flats are taken, (0, 1); default 0.6.
+    pub flat_level: f64,
+}
+
+impl Default for ProcedureOptions {
+    fn default() -> Self {
+        Self {
+            gain: 1.0,
+            frames: 16,
+            discard: 3,
+            longest_s: 2.0,
+            flat_level: 0.6,
+        }
+    }
+}
+
+/// What stops a calibration.
+#[derive(Debug, thiserror::Error)]
+pub enum ProcedureError {
+    /// The camera failed.
+    #[error(transparent)]
+    Device(#[from] DeviceError),
+    /// The frames do not make a photon transfer.
+    #[error(transparent)]
+    Sensor(#[from] SensorFitError),
+    /// The frames do not make a flat field.
+    #[error(transparent)]
+    Flat(#[from] FlatError),
+    /// The light is too dim to saturate the sensor.
+    #[error("the light brings the sensor to {reached_dn} DN in {longest_s} s, not to saturation")]
+    TooDim {
+        /// Median count at the longest exposure, DN.
+        reached_dn: u16,
+        /// The longest exposure, seconds.
+        longest_s: f64,
+    },
+    /// The light saturates the sensor in the shortest exposure.
+    #[error("the light saturates the sensor in the shortest exposure of {shortest_s} s")]
+    TooBright {
+        /// The camera's shortest exposure, seconds.
+        shortest_s: f64,
+    },
+    /// No dark frames can be had.
+    #[error(
+        "the camera has no shutter, and the frames with the light covered are as bright as the others"
+    )]
+    NotDark,
+}
+
+/// Levels of the photon transfer curve, as parts of saturation; the last one is
+/// beyond it.
+const LEVELS: [f64; 15] = [
+    0.01, 0.03, 0.06, 0.10, 0.16, 0.23, 0.30, 0.38, 0.46, 0.54, 0.62, 0.69, 0.82, 0.94, 1.6,
+];
+/// Exposures of dark frames, as parts of the longest.
+const DARK_EXPOSURES: [f64; 4] = [0.0, 0.25, 0.5, 1.0];
+
+/// Light indices of calibration frames, apart from any session's.
+const KEY_OF_CALIBRATION: u32 = 1 << 31;
+
+/// A camera in front of the light, with what it takes to vary the exposure.
+pub struct Bench<'a> {
+    camera: &'a mut dyn Camera,
+    options: ProcedureOptions,
+    /// Covers and uncovers the light where the camera has no shutter; returns
+    /// whether it is covered now.
+    cover: &'a mut dyn FnMut(bool) -> bool,
+    /// Called with every frame taken.
+    progress: &'a mut dyn FnMut(),
+    taken: u32,
+}
+
+impl<'a> Bench<'a> {
+    /// `cover(true)` covers the light or the lens of a camera without shutter,
+    /// `cover(false)` uncovers it; it returns whether that was done.
+    pub fn new(
+        camera: &'a mut dyn Camera,
+        options: ProcedureOptions,
+        cover: &'a mut dyn FnMut(bool) -> bool,
+        progress: &'a mut dyn FnMut(),
+    ) -> Self {
+        Self {
+            camera,
+            options,
+            cover,
+            progress,
+            taken: 0,
+        }
+    }
+
+    /// Frames that [`Self::photon_transfer`] takes, without those of the search
+    /// for saturation.
+    pub fn photon_transfer_frames(options: &ProcedureOptions) -> u32 {
+        (LEVELS.len() + DARK_EXPOSURES.len()) as u32 * options.frames
+    }
+
+    /// Takes flats from darkness to beyond saturation, and dark frames.
+    ///
+    /// # Errors
+    /// The camera fails, the light does not fit the camera's exposures, or dark
+    /// frames are not dark.
+    pub fn photon_transfer(&mut self) -> Result<PhotonTransfer, ProcedureError> {
+        let mut transfer = PhotonTransfer::default();
+        let shortest_s = self.camera.info().exposure_range[0].0;
+        self.shut(true)?;
+        for part in DARK_EXPOSURES {
+            let exposure_s = (part * self.longest_s()).max(shortest_s);
+            self.take(exposure_s, Exposed::Dark, |applied_s, counts| {
+                Ok(transfer.add(Exposed::Dark, applied_s, counts)?)
+            })?;
+        }
+        let saturating_s = self.saturating_exposure_s()?;
+        for part in LEVELS {
+            let exposure_s = part * saturating_s;
+            self.take(exposure_s, Exposed::Flat, |applied_s, counts| {
+                Ok(transfer.add(Exposed::Flat, applied_s, counts)?)
+            })?;
+        }
+        Ok(transfer)
+    }
+
+    /// Takes flats and dark frames at one exposure and solves them. Also
+    /// returns the mean signal, electrons per second, to which a response of 1
+    /// corresponds.
+    ///
+    /// # Errors
+    /// As [`Self::photon_transfer`], and [`FlatError`].
+    pub fn flat_field(&mut self, noise: &SensorNoise) -> Result<(FlatField, f64), ProcedureError> {
+        let width = self.camera.info().resolution_px[0] as usize;
+        let pixels = width * self.camera.info().resolution_px[1] as usize;
+        let exposure_s = self.options.flat_level * self.saturating_exposure_s()?;
+        let applied_s = self.configure(exposure_s)?;
+        let mut frames = FlatFrames::new(noise, applied_s, pixels);
+        self.take(exposure_s, Exposed::Flat, |_, counts| {
+            Ok(frames.add_lit(counts)?)
+        })?;
+        self.shut(true)?;
+        self.take(exposure_s, Exposed::Dark, |_, counts| {
+            Ok(frames.add_dark(counts)?)
+        })?;
+        let flat = frames.solve(width)?;
+        Ok((flat, frames.mean_rate_e_s()))
+    }
+
+    /// The exposure at which counts stop growing, found by doubling. Leaves the
+    /// light uncovered.
+    fn saturating_exposure_s(&mut self) -> Result<f64, ProcedureError> {
+        let shortest_s = self.camera.info().exposure_range[0].0;
+        let full_scale_dn = ((1u32 << self.camera.info().bit_depth.clamp(1, 16)) - 1) as f64;
+        self.shut(true)?;
+        let (_, dark_dn) = self.median_dn(shortest_s, Exposed::Dark)?;
+        self.shut(false)?;
+        let (mut exposure_s, mut level_dn) = self.median_dn(shortest_s, Exposed::Flat)?;
+        if f64::from(level_dn) > 0.5 * full_scale_dn {
+            return Err(ProcedureError::TooBright { shortest_s });
+        }
+        loop {
+            let (next_s, next_dn) = self.median_dn(2.0 * exposure_s, Exposed::Flat)?;
+            let gained_dn = f64::from(next_dn) - f64::from(level_dn);
+            let signal_dn = f64::from(level_dn) - f64::from(dark_dn);
+            // Twice the exposure gives twice the signal, until something is full.
+            let bends = gained_dn < 0.8 * signal_dn;
+            if bends && f64::from(next_dn) > 0.2 * full_scale_dn {
+                let (_, plateau_dn) = self.median_dn(4.0 * exposure_s, Exposed::Flat)?;
+                let plateau = f64::from(plateau_dn) - f64::from(dark_dn);
+                return Ok(exposure_s * plateau / signal_dn);
+            }
+            if next_s >= self.longest_s() * 0.999 {
+                return Err(ProcedureError::TooDim {
+                    reached_dn: next_dn,
+                    longest_s: next_s,
+                });
+            }
+            (exposure_s, level_dn) = (next_s, next_dn);
+        }
+    }
+
+    fn longest_s(&self) -> f64 {
+        let camera_s = self.camera.info().exposure_range[1].0;
+        camera_s.min(self.options.longest_s)
+    }
+
+    fn shut(&mut self, dark: bool) -> Result<(), ProcedureError> {
+        let has_shutter = self.camera.set_shutter(!dark)?;
+        if !has_shutter && !(self.cover)(dark) {
+            return Err(ProcedureError::NotDark);
+        }
+        Ok(())
+    }
+
+    fn configure(&mut self, exposure_s: f64) -> Result<f64, ProcedureError> {
+        let [shortest, longest] = self.camera.info().exposure_range.map(|s| s.0);
+        let applied = self.camera.configure(CameraSettings {
+            exposure: Seconds(exposure_s.clamp(shortest, longest)),
+            gain: self.options.gain,
+        })?;
+        Ok(applied.exposure.0)
+    }
+
+    fn grab(&mut self, exposed: Exposed) -> Result<Vec<u16>, ProcedureError> {
+        self.taken += 1;
+        let key = FrameKey {
+            light: KEY_OF_CALIBRATION,
+            exposure: 0,
+            repeat: self.taken,
+            kind: match exposed {
+                Exposed::Flat => FrameKind::Light,
+                Exposed::Dark => FrameKind::Dark,
+            },
+        };
+        Ok(self.camera.grab(key)?.counts)
+    }
+
+    /// Sets an exposure, discards, takes the frames.
+    fn take(
+        &mut self,
+        exposure_s: f64,
+        exposed: Exposed,
+        mut add: impl FnMut(f64, &[u16]) -> Result<(), ProcedureError>,
+    ) -> Result<(), ProcedureError> {
+        let applied_s = self.configure(exposure_s)?;
+        for _ in 0..self.options.discard {
+            self.grab(exposed)?;
+        }
+        for _ in 0..self.options.frames {
+            let counts = self.grab(exposed)?;
+            add(applied_s, &counts)?;
+            (self.progress)();
+        }
+        Ok(())
+    }
+
+    fn median_dn(
+        &mut self,
+        exposure_s: f64,
+        exposed: Exposed,
+    ) -> Result<(f64, u16), ProcedureError> {
+        let applied_s = self.configure(exposure_s)?;
+        for _ in 0..self.options.discard {
+            self.grab(exposed)?;
+        }
+        let mut counts = self.grab(exposed)?;
+        counts.sort_unstable();
+        let median = counts.get(counts.len() / 2).copied().unwrap_or(0);
+        Ok((applied_s, median))
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,257 @@
+use super::*;
+use crate::calibration::flat::{from_map, to_map};
+use crate::calibration::sensor::SensorFit;
+use crate::device::{CameraInfo, Mosaic, RawFrame};
+use mock_devices::sensor::{self, NoiseKey, SensorConfig, SensorModel};
+
+/// The simulated sensor before a light of even radiance, without bench or clock.
+struct BenchCamera {
+    info: CameraInfo,
+    sensor: SensorModel,
+    radiance: f32,
+    settings: CameraSettings,
+    open: bool,
+    drift_per_frame: f64,
+    seed: u64,
+}
+
+impl Camera for BenchCamera {
+    fn info(&self) -> &CameraInfo {
+        &self.info
+    }
+    fn configure(&mut self, requested: CameraSettings) -> Result<CameraSettings, DeviceError> {
+        let steps = (requested.exposure.0 / self.info.exposure_step.0).round();
+        self.settings = CameraSettings {
+            exposure: Seconds(steps.max(1.0) * self.info.exposure_step.0),
+            ..requested
+        };
+        Ok(self.settings)
+    }
+    fn set_shutter(&mut self, open: bool) -> Result<bool, DeviceError> {
+        self.open = open;
+        Ok(true)
+    }
+    fn grab(&mut self, key: FrameKey) -> Result<RawFrame, DeviceError> {
+        let [width, height] = self.info.resolution_px;
+        let drift = 1.0 + self.drift_per_frame * f64::from(key.repeat % 8);
+        let radiance = if self.open {
+            f64::from(self.radiance) * drift
+        } else {
+            0.0
+        };
+        let frame = sensor::FrameKey {
+            light: key.light,
+            exposure: key.exposure,
+            repeat: key.repeat,
+            kind: key.kind as u32,
+        };
+        let counts = self.sensor.expose(
+            &vec![radiance as f32; (width * height) as usize],
+            self.settings.exposure.0,
+            self.settings.gain,
+            NoiseKey {
+                seed: self.seed,
+                frame,
+            },
+        );
+        Ok(RawFrame {
+            width,
+            height,
+            counts,
+            sequence: None,
+            timestamp: None,
+        })
+    }
+}
+
+fn truth(seed: u64) -> SensorConfig {
+    SensorConfig {
+        hot_fraction: 1e-3,
+        ..SensorConfig::typical([64, 64], seed)
+    }
+}
+
+fn camera(config: SensorConfig, seed: u64) -> BenchCamera {
+    BenchCamera {
+        info: CameraInfo {
+            driver: "test".into(),
+            model: "test".into(),
+            serial: "T-1".into(),
+            resolution_px: config.resolution_px,
+            bit_depth: config.bit_depth,
+            mosaic: Mosaic::None,
+            exposure_range: [Seconds(5e-5), Seconds(2.0)],
+            exposure_step: Seconds(1e-5),
+        },
+        settings: CameraSettings {
+            exposure: Seconds(0.01),
+            gain: 1.0,
+        },
+        sensor: SensorModel::new(config),
+        radiance: 0.4,
+        open: true,
+        drift_per_frame: 0.0,
+        seed,
+    }
+}
+
+fn calibrate(camera: &mut BenchCamera) -> Result<SensorFit, ProcedureError> {
+    let bit_depth = camera.info.bit_depth;
+    let width = camera.info.resolution_px[0] as usize;
+    let transfer = Bench::new(
+        camera,
+        ProcedureOptions::default(),
+        &mut |_| false,
+        &mut || {},
+    )
+    .photon_transfer()?;
+    Ok(transfer.solve(width, bit_depth)?)
+}
+
+/// Truth recovered on 12 sensors: K within 1%, read noise within 5%, black
+/// level within 0.2 DN; and each error in units of its stated uncertainty is a
+/// standard normal: χ² over 12 between the 1e-5 tails of χ²(12).
+#[test]
+fn photon_transfer_recovers_the_truth_within_its_uncertainty() {
+    let mut pulls = [("gain", 0.0), ("read noise", 0.0), ("dark current", 0.0)];
+    for seed in 0..12 {
+        let config = truth(100 + seed);
+        let mut camera = camera(config.clone(), seed);
+        let fit = calibrate(&mut camera).unwrap();
+        let v = &fit.values;
+        let case = format!("seed {seed}: {v:?}, chi2 {}", fit.reduced_chi2);
+        assert!(
+            (v.gain_dn_per_e.value / config.gain_dn_per_e - 1.0).abs() < 0.01,
+            "{case}"
+        );
+        assert!(
+            (v.read_noise_e.value / config.read_noise_e - 1.0).abs() < 0.05,
+            "{case}"
+        );
+        assert!(
+            (v.black_level_dn.value - config.black_level_dn).abs() < 0.2,
+            "{case}"
+        );
+        assert!(
+            (v.full_well_e.value / config.full_well_e - 1.0).abs() < 0.01,
+            "{case}"
+        );
+        let spread_dn = config.offset_dsnu_e * config.gain_dn_per_e;
+        assert!(
+            (v.black_level_spread_dn.value / spread_dn - 1.0).abs() < 0.15,
+            "{case}"
+        );
+        assert!(
+            (v.dark_current_spread_e_s.value / config.dsnu_e_s - 1.0).abs() < 0.2,
+            "{case}"
+        );
+        assert!(
+            v.saturation_dn > 4030.0 && v.saturation_dn < 4054.0,
+            "{case}"
+        );
+        assert_eq!(v.linear_max_dn, v.saturation_dn, "{case}");
+        assert!(v.linearity_error < 0.01, "{case}");
+        let hot: Vec<u32> = v.hot_pixels.iter().map(|&[x, y]| y * 64 + x).collect();
+        assert_eq!(hot, camera.sensor.hot_pixels(), "{case}");
+        let dark = camera.sensor.dark_current_e_s();
+        let cold = (0..dark.len()).filter(|&p| !fit.hot[p]);
+        let cold: Vec<f64> = cold.map(|p| f64::from(dark[p])).collect();
+        let dark_e_s = cold.iter().sum::<f64>() / cold.len() as f64;
+        let pull = |m: crate::calibration::record::Measured, truth: f64| {
+            ((m.value - truth) / m.std).powi(2)
+        };
+        pulls[0].1 += pull(v.gain_dn_per_e, config.gain_dn_per_e);
+        pulls[1].1 += pull(v.read_noise_e, config.read_noise_e);
+        pulls[2].1 += pull(v.dark_current_e_s, dark_e_s);
+    }
+    println!("chi2 over 12: {pulls:?}");
+    for (name, chi2) in &pulls[..2] {
+        assert!((1.1..46.0).contains(chi2), "{name}: {chi2}");
+    }
+    // Its uncertainty is that of the sensor's mean, the truth here is of these pixels.
+    assert!(pulls[2].1 < 46.0, "dark current: {}", pulls[2].1);
+}
+
+#[test]
+fn a_drifting_lamp_does_not_look_like_noise() {
+    let mut camera = camera(truth(5), 1);
+    camera.drift_per_frame = 0.002;
+    let fit = calibrate(&mut camera).unwrap();
+    assert!(
+        (fit.values.gain_dn_per_e.value / 0.38 - 1.0).abs() < 0.01,
+        "{:?}",
+        fit.values
+    );
+}
+
+#[test]
+fn flat_field_recovers_the_response_within_its_uncertainty() {
+    let mut camera = camera(truth(7), 3);
+    let fit = calibrate(&mut camera).unwrap();
+    let mut noise = SensorNoise::ideal(
+        fit.values.gain_dn_per_e.value,
+        fit.values.read_noise_e.value,
+        fit.values.black_level_dn.value,
+        12,
+    );
+    noise.hot_pixels = Some(fit.hot.clone());
+    let options = ProcedureOptions {
+        frames: 64,
+        ..ProcedureOptions::default()
+    };
+    let (flat, rate_e_s) = Bench::new(&mut camera, options, &mut |_| false, &mut || {})
+        .flat_field(&noise)
+        .unwrap();
+    let true_rate = 0.4 * camera.sensor.config().responsivity;
+    assert!((rate_e_s / true_rate - 1.0).abs() < 0.01, "{rate_e_s}");
+    let truth = camera.sensor.relative_response();
+    let good: Vec<usize> = (0..truth.len()).filter(|&p| !fit.hot[p]).collect();
+    let mean = good.iter().map(|&p| f64::from(truth[p])).sum::<f64>() / good.len() as f64;
+    let chi2: f64 = good
+        .iter()
+        .map(|&p| {
+            let error = f64::from(flat.response[p]) - f64::from(truth[p]) / mean;
+            (error / f64::from(flat.std_dev[p])).powi(2)
+        })
+        .sum();
+    let n = good.len() as f64;
+    assert!(
+        (chi2 / n - 1.0).abs() < 5.0 * (2.0 / n).sqrt(),
+        "chi2/n {}",
+        chi2 / n
+    );
+
+    let (values, png) = to_map(&flat, 64, "flat.png").unwrap();
+    let back = from_map(&values, &png, [64, 64]).unwrap();
+    for (a, b) in back.response.iter().zip(&flat.response) {
+        assert!((a - b).abs() < 2e-5);
+    }
+    assert!(from_map(&values, &png, [64, 32]).is_err());
+    assert!(from_map(&values, &png[..png.len() / 2], [64, 64]).is_err());
+}
+
+#[test]
+fn unsuitable_light_is_named() {
+    let mut dim = camera(truth(1), 1);
+    dim.radiance = 1e-4;
+    assert!(matches!(
+        calibrate(&mut dim),
+        Err(ProcedureError::TooDim { .. })
+    ));
+    let mut bright = camera(truth(1), 1);
+    bright.radiance = 1e4;
+    assert!(matches!(
+        calibrate(&mut bright),
+        Err(ProcedureError::TooBright { .. })
+    ));
+}
+
+#[test]
+fn frames_that_do_not_suffice_are_refused() {
+    let mut transfer = PhotonTransfer::default();
+    transfer.add(Exposed::Dark, 0.1, &[64, 65]).unwrap();
+    let error = transfer.add(Exposed::Dark, 0.1, &[64]).unwrap_err();
+    assert!(error.to_string().contains("1 pixels"), "{error}");
+    let error = transfer.solve(2, 12).unwrap_err();
+    assert!(error.to_string().contains("dark frames: 1"), "{error}");
+}

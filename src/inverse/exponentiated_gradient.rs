@@ -1,0 +1,87 @@
+//! The paper's optimiser: exponentiated gradient with Adam-style steps.
+//!
+//! wₙ ← wₙ exp(−η m̂ₙ/(√v̂ₙ + ε)), then normalised (Kivinen & Warmuth 1997; Kingma & Ba
+//! 2014). A weight of exactly zero never revives, so the start is mixed with the
+//! uniform weights (docs/adr/0002).
+
+use nalgebra::DVector;
+
+use super::objective::{Linearised, Objective, ResidualWeights};
+use super::trace::{Observer, Step, Termination};
+
+/// Step sizes and length of the run.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ExponentiatedGradient {
+    /// Most passes over the paths, 1..=100 000.
+    pub max_steps: usize,
+    /// Learning rate η, (0, 1].
+    pub rate: f64,
+    /// Decay of the first moment, [0, 1).
+    pub beta1: f64,
+    /// Decay of the second moment, [0, 1).
+    pub beta2: f64,
+    /// Share of the uniform weights in the start, (0, 1].
+    pub uniform_share: f64,
+}
+
+impl Default for ExponentiatedGradient {
+    fn default() -> Self {
+        Self {
+            max_steps: 300,
+            rate: 0.1,
+            beta1: 0.9,
+            beta2: 0.999,
+            uniform_share: 0.05,
+        }
+    }
+}
+
+impl ExponentiatedGradient {
+    /// Improves `mixture` in place for fixed residual weights and returns the pass at
+    /// the best point seen, which `mixture` then holds.
+    pub fn minimise(
+        &self,
+        objective: &Objective<'_>,
+        residual_weights: &ResidualWeights,
+        mixture: &mut [DVector<f64>],
+        observer: &mut dyn Observer,
+    ) -> (Linearised, Termination) {
+        let n = objective.atoms();
+        let sets = objective.sets();
+        for w in mixture.iter_mut() {
+            w.apply(|x| *x = *x * (1.0 - self.uniform_share) + self.uniform_share / n as f64);
+        }
+        let mut first = vec![DVector::<f64>::zeros(n); sets];
+        let mut second = vec![DVector::<f64>::zeros(n); sets];
+        let mut best: Vec<(f64, DVector<f64>)> =
+            mixture.iter().map(|w| (f64::INFINITY, w.clone())).collect();
+        for step in 1..=self.max_steps {
+            let pass = objective.linearise(mixture, residual_weights);
+            observer.step(&Step::of(&pass, "exponentiated-gradient"));
+            for set in 0..sets {
+                let q = &pass.quadratics[set];
+                if q.c < best[set].0 {
+                    best[set] = (q.c, mixture[set].clone());
+                }
+                let (m, v) = (&mut first[set], &mut second[set]);
+                let correction1 = 1.0 - self.beta1.powi(step as i32);
+                let correction2 = 1.0 - self.beta2.powi(step as i32);
+                for k in 0..n {
+                    let gradient = -q.g[k];
+                    m[k] = self.beta1 * m[k] + (1.0 - self.beta1) * gradient;
+                    v[k] = self.beta2 * v[k] + (1.0 - self.beta2) * gradient * gradient;
+                    let rate = (m[k] / correction1) / ((v[k] / correction2).sqrt() + 1e-300);
+                    mixture[set][k] *= (-self.rate * rate).exp();
+                }
+                let sum = mixture[set].sum();
+                mixture[set] /= sum;
+            }
+        }
+        for (w, (_, x)) in mixture.iter_mut().zip(best) {
+            *w = x;
+        }
+        let pass = objective.linearise(mixture, residual_weights);
+        observer.step(&Step::of(&pass, "exponentiated-gradient"));
+        (pass, Termination::StepLimit)
+    }
+}

@@ -1,0 +1,307 @@
+//! The whole fit: trace, start, optimise, debias, say how sure.
+
+use std::time::Instant;
+
+use nalgebra::DVector;
+
+use super::exponentiated_gradient::ExponentiatedGradient;
+use super::gauss_newton::GaussNewton;
+use super::objective::{Channels, Linearised, Objective};
+use super::simplex::SimplexError;
+use super::trace::{Observer, Step, Termination};
+use super::uncertainty::{self, Draws};
+use crate::brdf::dictionary::Dictionary;
+use crate::radiance_image::RadianceImage;
+use crate::transport::cache::CacheError;
+use crate::transport::{Cache, CacheOptions, DirectMatrix, Kernel, Scene};
+
+/// Which optimiser.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Optimizer {
+    /// Gauss–Newton on the simplex.
+    GaussNewton(GaussNewton),
+    /// The paper's exponentiated gradient with Adam steps.
+    ExponentiatedGradient(ExponentiatedGradient),
+}
+
+impl Optimizer {
+    /// Name as on the command line.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Optimizer::GaussNewton(_) => "gauss-newton",
+            Optimizer::ExponentiatedGradient(_) => "exponentiated-gradient",
+        }
+    }
+}
+
+/// Everything that a fit can be told.
+#[derive(Clone, Debug)]
+pub struct FitOptions {
+    /// Paths: samples per pixel, longest path, seed, memory.
+    pub cache: CacheOptions,
+    /// Direct reflection: square root of the samples per pixel, 1..=64.
+    pub direct_strata: u32,
+    /// How the weights are found.
+    pub optimizer: Optimizer,
+    /// Weights of their own per channel, or shared.
+    pub channels: Channels,
+    /// Relative error of the model that the weighting allows for, 0..=1.
+    pub model_error: f64,
+    /// Rounds of residual weights, 1..=10.
+    pub rounds: usize,
+    /// Draws from the posterior, 0..=10 000.
+    pub draws: usize,
+    /// Instructions to use.
+    pub kernel: Kernel,
+}
+
+impl Default for FitOptions {
+    fn default() -> Self {
+        Self {
+            cache: CacheOptions::default(),
+            direct_strata: 16,
+            optimizer: Optimizer::GaussNewton(GaussNewton::default()),
+            channels: Channels::Separate,
+            model_error: 0.02,
+            rounds: 3,
+            draws: 200,
+            kernel: Kernel::detect(),
+        }
+    }
+}
+
+/// What a fit leaves.
+pub struct Fit {
+    /// Weights per channel × atoms; equal vectors if shared.
+    pub weights: [Vec<f64>; 3],
+    /// The single-bounce start of Eq. (13), per channel.
+    pub start: [Vec<f64>; 3],
+    /// Posterior and prior draws per channel.
+    pub draws: Vec<Draws>,
+    /// Modelled radiance with the render's variance, one image per light.
+    pub rendered: Vec<RadianceImage>,
+    /// (captured − model)/σ of capture and render, 0 where not compared, one image per light.
+    pub residual: Vec<RadianceImage>,
+    /// Mean squared residual in standard deviations per light and channel.
+    pub reduced_chi2: Vec<[f64; 3]>,
+    /// Loss at every evaluated point, with the seconds since the start.
+    pub trace: Vec<(f64, Step)>,
+    /// Why the last round ended.
+    pub termination: Termination,
+    /// Seconds by stage.
+    pub timings: Vec<(&'static str, f64)>,
+    /// Paths per pixel that were traced, and asked for.
+    pub samples: [u32; 2],
+    /// Records and bytes of the cache.
+    pub cache_size: (usize, usize),
+    /// The kernel that evaluated.
+    pub kernel: Kernel,
+}
+
+/// Why a fit failed.
+#[derive(Debug, thiserror::Error)]
+pub enum FitError {
+    /// Numbers of images and lights differ.
+    #[error("{images} images for {lights} lights of the scene")]
+    ImageCount {
+        /// Images given.
+        images: usize,
+        /// Lights of the scene.
+        lights: usize,
+    },
+    /// An image does not have the camera's size.
+    #[error(
+        "image {image} is {width} × {height}; the scene's camera has {expected_width} × {expected_height}"
+    )]
+    ImageSize {
+        /// Index of the image.
+        image: usize,
+        /// Its width.
+        width: usize,
+        /// Its height.
+        height: usize,
+        /// The camera's width.
+        expected_width: usize,
+        /// The camera's height.
+        expected_height: usize,
+    },
+    /// Nothing to compare.
+    #[error("no pixel of image {image} is valid and wholly on the sample")]
+    NothingToCompare {
+        /// Index of the image.
+        image: usize,
+    },
+    /// The paths.
+    #[error(transparent)]
+    Cache(#[from] CacheError),
+    /// The quadratic programme.
+    #[error(transparent)]
+    Simplex(#[from] SimplexError),
+}
+
+/// Fits the weights of `dictionary` to one captured image per light of the scene.
+/// `stage` is told what begins.
+pub fn fit(
+    scene: &Scene,
+    captured: &[RadianceImage],
+    dictionary: &Dictionary,
+    options: &FitOptions,
+    stage: &mut dyn FnMut(&str),
+) -> Result<Fit, FitError> {
+    check(scene, captured)?;
+    let clock = Instant::now();
+    let mut timings = Vec::new();
+    let mut mark = clock;
+    let mut lap = |name: &'static str, timings: &mut Vec<(&'static str, f64)>| {
+        timings.push((name, mark.elapsed().as_secs_f64()));
+        mark = Instant::now();
+    };
+
+    stage("direct reflection");
+    let direct = DirectMatrix::new(scene, dictionary, options.direct_strata, options.cache.seed);
+    lap("direct", &mut timings);
+    stage("tracing paths");
+    let cache = Cache::trace(scene, dictionary, &options.cache)?;
+    lap("trace", &mut timings);
+
+    let objective = Objective::new(
+        &cache,
+        &direct,
+        captured,
+        None,
+        options.channels,
+        options.kernel,
+        options.model_error,
+    );
+    for image in 0..captured.len() {
+        if !(0..captured[image].mean.len()).any(|p| objective.is_compared(image, p)) {
+            return Err(FitError::NothingToCompare { image });
+        }
+    }
+    stage("optimising");
+    let mut residual_weights = objective.weights(None);
+    let mut mixture = Vec::new();
+    for quadratic in objective.single_bounce(&residual_weights) {
+        mixture.push(quadratic.minimise()?.x);
+    }
+    let start = mixture.clone();
+    lap("start", &mut timings);
+
+    let mut recorder = Recorder {
+        clock,
+        trace: Vec::new(),
+    };
+    let (mut pass, mut termination);
+    let mut round = 0;
+    loop {
+        (pass, termination) = match &options.optimizer {
+            Optimizer::GaussNewton(method) => {
+                method.minimise(&objective, &residual_weights, &mut mixture, &mut recorder)?
+            }
+            Optimizer::ExponentiatedGradient(method) => {
+                method.minimise(&objective, &residual_weights, &mut mixture, &mut recorder)
+            }
+        };
+        round += 1;
+        if round >= options.rounds {
+            break;
+        }
+        residual_weights = objective.weights(Some(&pass.model));
+    }
+    lap("optimise", &mut timings);
+    stage("uncertainty");
+    let draws = uncertainty::draw(&mixture, &pass, options.draws, options.cache.seed)?;
+    lap("uncertainty", &mut timings);
+
+    let per_channel = |sets: &[DVector<f64>]| -> [Vec<f64>; 3] {
+        std::array::from_fn(|c| sets[c.min(sets.len() - 1)].iter().copied().collect())
+    };
+    let (rendered, residual, reduced_chi2) = images(&objective, &pass, captured, &cache);
+    Ok(Fit {
+        weights: per_channel(&mixture),
+        start: per_channel(&start),
+        draws,
+        rendered,
+        residual,
+        reduced_chi2,
+        trace: recorder.trace,
+        termination,
+        timings,
+        samples: [2 * cache.samples_per_half, cache.samples_requested],
+        cache_size: cache.size(),
+        kernel: options.kernel,
+    })
+}
+
+fn check(scene: &Scene, captured: &[RadianceImage]) -> Result<(), FitError> {
+    if captured.len() != scene.lights.len() || captured.is_empty() {
+        return Err(FitError::ImageCount {
+            images: captured.len(),
+            lights: scene.lights.len(),
+        });
+    }
+    let [expected_width, expected_height] = scene.camera.resolution_px;
+    for (image, c) in captured.iter().enumerate() {
+        if [c.width, c.height] != scene.camera.resolution_px {
+            return Err(FitError::ImageSize {
+                image,
+                width: c.width,
+                height: c.height,
+                expected_width,
+                expected_height,
+            });
+        }
+    }
+    Ok(())
+}
+
+struct Recorder {
+    clock: Instant,
+    trace: Vec<(f64, Step)>,
+}
+
+impl Observer for Recorder {
+    fn step(&mut self, step: &Step) {
+        self.trace
+            .push((self.clock.elapsed().as_secs_f64(), step.clone()));
+    }
+}
+
+/// Re-rendered images, residuals in standard deviations, and their mean squares.
+fn images(
+    objective: &Objective<'_>,
+    pass: &Linearised,
+    captured: &[RadianceImage],
+    cache: &Cache,
+) -> (Vec<RadianceImage>, Vec<RadianceImage>, Vec<[f64; 3]>) {
+    let mut rendered = Vec::new();
+    let mut residual = Vec::new();
+    let mut reduced = Vec::new();
+    for (light, image) in captured.iter().enumerate() {
+        let mut model = RadianceImage::new(image.width, image.height);
+        let mut deviation = model.clone();
+        let (mut chi2, mut count) = ([0.0; 3], 0usize);
+        for p in 0..image.mean.len() {
+            let compared = objective.is_compared(light, p);
+            let [target, variance] = objective.captured(light, p);
+            deviation.valid[p] = compared;
+            count += usize::from(compared);
+            for c in 0..3 {
+                let strength = cache.strength[light][c];
+                let [value, noise] = pass.model[light][p][c];
+                model.mean[p][c] = (value * strength) as f32;
+                model.variance[p][c] = (noise * strength * strength) as f32;
+                let sigma = (noise + variance[c]).sqrt();
+                if compared && sigma > 0.0 {
+                    let z = (target[c] - value) / sigma;
+                    deviation.mean[p][c] = z as f32;
+                    chi2[c] += z * z;
+                }
+            }
+        }
+        rendered.push(model);
+        residual.push(deviation);
+        reduced.push(chi2.map(|c| c / count.max(1) as f64));
+    }
+    (rendered, residual, reduced)
+}

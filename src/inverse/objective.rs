@@ -1,0 +1,422 @@
+//! The squared residual between captured and modelled radiance, its gradient and
+//! Gauss–Newton matrix, from one pass over the cached paths.
+//!
+//! Residual and derivative come from independent halves of the paths, so that
+//! the render's own noise biases neither the loss nor its gradient. Each value is
+//! weighted by 1/(σ²_captured + σ²_rendered + (τ I)²), the last term standing for
+//! what no mixture of the dictionary can explain; I and σ_rendered of a pixel are
+//! taken from its neighbours, because a weight that follows a pixel's own noise
+//! pulls the fit low.
+
+use nalgebra::{DMatrix, DVector};
+
+use super::simplex::Quadratic;
+use crate::radiance_image::RadianceImage;
+use crate::transport::{Cache, DirectMatrix, Kernel};
+
+/// Which mixtures are fitted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Channels {
+    /// Weights of their own for R, G and B.
+    Separate,
+    /// One set of weights for all three.
+    Shared,
+}
+
+impl Channels {
+    /// Number of weight sets.
+    pub fn sets(self) -> usize {
+        match self {
+            Channels::Separate => 3,
+            Channels::Shared => 1,
+        }
+    }
+}
+
+/// Captured images, the paths that explain them, and what is compared.
+pub struct Objective<'a> {
+    cache: &'a Cache,
+    direct: &'a DirectMatrix,
+    /// Captured radiance over lamp strength: `[light][pixel][channel]`.
+    target: Vec<Vec<[f64; 3]>>,
+    /// Its variance.
+    variance: Vec<Vec<[f64; 3]>>,
+    /// Pixels of each light that are compared.
+    compared: Vec<Vec<bool>>,
+    resolution: [usize; 2],
+    channels: Channels,
+    kernel: Kernel,
+    /// Relative model error τ, 0..=1.
+    model_error: f64,
+}
+
+/// Weights of the residuals, `[light][pixel][channel]`; 0 where not compared.
+pub type ResidualWeights = Vec<Vec<[f64; 3]>>;
+
+/// One pass at given mixture weights.
+pub struct Linearised {
+    /// Per set: ½ rᵀWr as a quadratic in the step, unbiased by the render's noise;
+    /// `h` positive semidefinite, `g` minus the gradient, `c` the loss.
+    pub quadratics: Vec<Quadratic>,
+    /// Per set: sym(J_Aᵀ W J_B), the information without the noise that JᵀWJ of a
+    /// noisy J would add.
+    pub information: Vec<DMatrix<f64>>,
+    /// Modelled radiance over lamp strength and its variance, `[light][pixel][channel]`.
+    pub model: Vec<Vec<[[f64; 2]; 3]>>,
+    /// Per set and block of pixels of one light: Jᵀ W r.
+    pub block_scores: Vec<Vec<DVector<f64>>>,
+}
+
+impl<'a> Objective<'a> {
+    /// Compares `captured[light]` with the model of `cache` and `direct`. Pixels that
+    /// are invalid, not wholly on the sample, or outside `region` (if any) are left out.
+    pub fn new(
+        cache: &'a Cache,
+        direct: &'a DirectMatrix,
+        captured: &[RadianceImage],
+        region: Option<&[bool]>,
+        channels: Channels,
+        kernel: Kernel,
+        model_error: f64,
+    ) -> Self {
+        let resolution = [captured[0].width, captured[0].height];
+        let over_strength = |values: &[[f32; 3]], light: usize, power: i32| -> Vec<[f64; 3]> {
+            let strength = cache.strength[light];
+            values
+                .iter()
+                .map(|v| std::array::from_fn(|c| f64::from(v[c]) / strength[c].powi(power)))
+                .collect()
+        };
+        let compared = captured
+            .iter()
+            .map(|image| {
+                (0..image.mean.len())
+                    .map(|p| {
+                        image.valid[p]
+                            && direct.coverage[p] >= 1.0
+                            && region.is_none_or(|r| r[p])
+                            && image.mean[p]
+                                .iter()
+                                .chain(&image.variance[p])
+                                .all(|v| v.is_finite())
+                    })
+                    .collect()
+            })
+            .collect();
+        Self {
+            cache,
+            direct,
+            target: captured
+                .iter()
+                .enumerate()
+                .map(|(l, i)| over_strength(&i.mean, l, 1))
+                .collect(),
+            variance: captured
+                .iter()
+                .enumerate()
+                .map(|(l, i)| over_strength(&i.variance, l, 2))
+                .collect(),
+            compared,
+            resolution,
+            channels,
+            kernel,
+            model_error,
+        }
+    }
+
+    /// Number of atoms.
+    pub fn atoms(&self) -> usize {
+        self.cache.atoms.atoms()
+    }
+
+    /// Number of weight sets.
+    pub fn sets(&self) -> usize {
+        self.channels.sets()
+    }
+
+    /// Number of lamps.
+    pub fn lights(&self) -> usize {
+        self.target.len()
+    }
+
+    /// Whether a pixel is compared under a light.
+    pub fn is_compared(&self, light: usize, pixel: usize) -> bool {
+        self.compared[light][pixel]
+    }
+
+    /// Captured radiance over lamp strength, its variance.
+    pub fn captured(&self, light: usize, pixel: usize) -> [[f64; 3]; 2] {
+        [self.target[light][pixel], self.variance[light][pixel]]
+    }
+
+    fn set_of(&self, channel: usize) -> usize {
+        match self.channels {
+            Channels::Separate => channel,
+            Channels::Shared => 0,
+        }
+    }
+
+    /// Weights from a model (radiance and variance per value); the captured images
+    /// themselves stand in for the first one.
+    pub fn weights(&self, model: Option<&[Vec<[[f64; 2]; 3]>]>) -> ResidualWeights {
+        let [width, height] = self.resolution;
+        (0..self.lights())
+            .map(|light| {
+                let local = |p: usize, c: usize| match model {
+                    Some(model) => model[light][p][c],
+                    None => [self.target[light][p][c].max(0.0), 0.0],
+                };
+                let typical = self.typical_variance(light);
+                (0..width * height)
+                    .map(|p| {
+                        if !self.compared[light][p] {
+                            return [0.0; 3];
+                        }
+                        std::array::from_fn(|c| {
+                            let [intensity, rendered] = neighbour_mean(p, width, height, |q| {
+                                self.compared[light][q].then(|| local(q, c))
+                            })
+                            .unwrap_or_else(|| local(p, c));
+                            // No captured variance may claim more than a tenth of the usual noise.
+                            let captured = self.variance[light][p][c].max(0.01 * typical[c]);
+                            let model = (self.model_error * intensity).powi(2);
+                            let total = captured + rendered + model;
+                            if total > 0.0 { 1.0 / total } else { 0.0 }
+                        })
+                    })
+                    .collect()
+            })
+            .collect()
+    }
+
+    /// Median captured variance of the compared pixels.
+    fn typical_variance(&self, light: usize) -> [f64; 3] {
+        std::array::from_fn(|c| {
+            let mut values: Vec<f64> = (0..self.target[light].len())
+                .filter(|&p| self.compared[light][p])
+                .map(|p| self.variance[light][p][c])
+                .collect();
+            let middle = values.len() / 2;
+            if values.is_empty() {
+                0.0
+            } else {
+                *values.select_nth_unstable_by(middle, f64::total_cmp).1
+            }
+        })
+    }
+
+    /// The direct part alone, which is linear: its least-squares quadratic per set,
+    /// Eq. (13) of the paper with the rendering under light m (docs/adr/0002).
+    pub fn single_bounce(&self, residual_weights: &ResidualWeights) -> Vec<Quadratic> {
+        let n = self.atoms();
+        let mut quadratics = vec![Quadratic::zero(n); self.sets()];
+        for light in 0..self.lights() {
+            for pixel in 0..self.target[light].len() {
+                let row: Vec<f64> = self
+                    .direct
+                    .row(pixel, light)
+                    .iter()
+                    .map(|&v| f64::from(v))
+                    .collect();
+                for c in 0..3 {
+                    let w = residual_weights[light][pixel][c];
+                    if w > 0.0 {
+                        let target = self.target[light][pixel][c];
+                        let sum = &mut quadratics[self.set_of(c)];
+                        add_outer(&mut sum.h, &row, w);
+                        sum.g
+                            .iter_mut()
+                            .zip(&row)
+                            .for_each(|(g, &v)| *g += w * v * target);
+                        sum.c += 0.5 * w * target * target;
+                    }
+                }
+            }
+        }
+        quadratics
+            .iter_mut()
+            .for_each(|q| q.h.fill_upper_triangle_with_lower_triangle());
+        quadratics
+    }
+
+    /// Image, loss, gradient and Gauss–Newton matrix at `mixture` (one vector per set).
+    pub fn linearise(
+        &self,
+        mixture: &[DVector<f64>],
+        residual_weights: &ResidualWeights,
+    ) -> Linearised {
+        let (n, sets, lights) = (self.atoms(), self.sets(), self.lights());
+        let slices: Vec<&[f64]> = mixture.iter().map(|w| w.as_slice()).collect();
+        let parts = self.cache.evaluate(
+            self.kernel,
+            &slices,
+            || Part::new(n, sets),
+            |part, rows| {
+                let pixel = rows.pixel;
+                let mut model = vec![[[0.0; 2]; 3]; lights];
+                let mut rows_full = [vec![0.0; n], vec![0.0; n], vec![0.0; n]];
+                for light in 0..lights {
+                    let direct = self.direct.row(pixel, light);
+                    for c in 0..3 {
+                        let set = self.set_of(c);
+                        let r = light * sets + set;
+                        let direct_value: f64 = direct
+                            .iter()
+                            .zip(&mixture[set])
+                            .map(|(&d, &w)| f64::from(d) * w)
+                            .sum();
+                        let halves = [0, 1].map(|h| direct_value + f64::from(rows.value[h][r]));
+                        model[light][c] =
+                            [0.5 * (halves[0] + halves[1]), f64::from(rows.variance[r])];
+                        let w = residual_weights[light][pixel][c];
+                        if w <= 0.0 {
+                            continue;
+                        }
+                        let [row_a, row_b, row_mean] = &mut rows_full;
+                        for k in 0..n {
+                            let d = f64::from(direct[k]);
+                            row_a[k] = d + f64::from(rows.jacobian[0][r * n + k]);
+                            row_b[k] = d + f64::from(rows.jacobian[1][r * n + k]);
+                            row_mean[k] = 0.5 * (row_a[k] + row_b[k]);
+                        }
+                        let target = self.target[light][pixel][c];
+                        let residual = halves.map(|m| m - target);
+                        let q = &mut part.quadratics[set];
+                        add_outer(&mut q.h, row_mean, w);
+                        add_product(&mut part.information[set], row_a, row_b, w);
+                        let block = self.block(pixel, light);
+                        let score = part.scores[set]
+                            .entry(block)
+                            .or_insert_with(|| DVector::zeros(n));
+                        for k in 0..n {
+                            let descent =
+                                -0.5 * w * (row_a[k] * residual[1] + row_b[k] * residual[0]);
+                            q.g[k] += descent;
+                            score[k] += descent;
+                        }
+                        q.c += 0.5 * w * residual[0] * residual[1];
+                    }
+                }
+                part.model.push(model);
+            },
+        );
+        self.gather(parts)
+    }
+
+    /// Blocks of 8 × 8 pixels of one light, over which model error is taken as correlated.
+    fn block(&self, pixel: usize, light: usize) -> usize {
+        let [width, _] = self.resolution;
+        let (x, y) = (pixel % width / 8, pixel / width / 8);
+        (light * self.resolution[1].div_ceil(8) + y) * width.div_ceil(8) + x
+    }
+
+    fn gather(&self, parts: Vec<Part>) -> Linearised {
+        let (n, sets) = (self.atoms(), self.sets());
+        let mut total = Part::new(n, sets);
+        let mut model = vec![Vec::with_capacity(self.target[0].len()); self.lights()];
+        for part in parts {
+            for set in 0..sets {
+                total.quadratics[set].add_scaled(1.0, &part.quadratics[set]);
+                total.information[set] += &part.information[set];
+                for (block, score) in &part.scores[set] {
+                    *total.scores[set]
+                        .entry(*block)
+                        .or_insert_with(|| DVector::zeros(n)) += score;
+                }
+            }
+            for pixel in part.model {
+                for (light, value) in pixel.into_iter().enumerate() {
+                    model[light].push(value);
+                }
+            }
+        }
+        for set in 0..sets {
+            total.quadratics[set]
+                .h
+                .fill_upper_triangle_with_lower_triangle();
+            total.information[set].fill_upper_triangle_with_lower_triangle();
+        }
+        Linearised {
+            quadratics: total.quadratics,
+            information: total.information,
+            model,
+            block_scores: total
+                .scores
+                .into_iter()
+                .map(|s| s.into_values().collect())
+                .collect(),
+        }
+    }
+}
+
+/// Sums over a group of pixels.
+struct Part {
+    quadratics: Vec<Quadratic>,
+    information: Vec<DMatrix<f64>>,
+    scores: Vec<std::collections::BTreeMap<usize, DVector<f64>>>,
+    model: Vec<Vec<[[f64; 2]; 3]>>,
+}
+
+impl Part {
+    fn new(n: usize, sets: usize) -> Self {
+        Self {
+            quadratics: vec![Quadratic::zero(n); sets],
+            information: vec![DMatrix::zeros(n, n); sets],
+            scores: vec![Default::default(); sets],
+            model: Vec::new(),
+        }
+    }
+}
+
+/// Lower triangle of `h += w · v vᵀ`.
+fn add_outer(h: &mut DMatrix<f64>, v: &[f64], w: f64) {
+    let n = v.len();
+    let data = h.as_mut_slice();
+    for j in 0..n {
+        let scale = w * v[j];
+        if scale != 0.0 {
+            let column = &mut data[j * n + j..(j + 1) * n];
+            column
+                .iter_mut()
+                .zip(&v[j..])
+                .for_each(|(h, &x)| *h += scale * x);
+        }
+    }
+}
+
+/// Lower triangle of `h += w · ½ (a bᵀ + b aᵀ)`.
+fn add_product(h: &mut DMatrix<f64>, a: &[f64], b: &[f64], w: f64) {
+    let n = a.len();
+    let data = h.as_mut_slice();
+    for j in 0..n {
+        let (wa, wb) = (0.5 * w * a[j], 0.5 * w * b[j]);
+        if wa != 0.0 || wb != 0.0 {
+            let column = &mut data[j * n + j..(j + 1) * n];
+            for (h, (&x, &y)) in column.iter_mut().zip(a[j..].iter().zip(&b[j..])) {
+                *h += wa * y + wb * x;
+            }
+        }
+    }
+}
+
+/// Mean over the eight neighbours of a pixel for which `value` gives something.
+fn neighbour_mean(
+    pixel: usize,
+    width: usize,
+    height: usize,
+    value: impl Fn(usize) -> Option<[f64; 2]>,
+) -> Option<[f64; 2]> {
+    let (x, y) = (pixel % width, pixel / width);
+    let (mut sum, mut count) = ([0.0; 2], 0.0);
+    for j in y.saturating_sub(1)..=(y + 1).min(height - 1) {
+        for i in x.saturating_sub(1)..=(x + 1).min(width - 1) {
+            if (i, j) != (x, y)
+                && let Some(v) = value(j * width + i)
+            {
+                sum = [sum[0] + v[0], sum[1] + v[1]];
+                count += 1.0;
+            }
+        }
+    }
+    (count > 0.0).then(|| sum.map(|s| s / count))
+}

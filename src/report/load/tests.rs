@@ -1,0 +1,240 @@
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use super::*;
+use crate::device::*;
+use crate::report::{self, tests::synthetic};
+use crate::session::commit::SystemDisk;
+use crate::session::*;
+use crate::units::Seconds;
+
+fn plan() -> PlanRecord {
+    PlanRecord {
+        channels: vec![LampChannel(0)],
+        gain: 1.0,
+        exposure: ExposureRules {
+            pilot_s: Seconds(0.002),
+            shortest_s: Seconds(0.001),
+            longest_s: Seconds(1.0),
+            step_s: Seconds(0.0001),
+            peak_fraction: 0.7,
+            dark_snr: 20.0,
+            ratio: 4.0,
+            max_frames: 4,
+            ambient: true,
+            dark_frames: 2,
+        },
+        settle_s: Seconds(0.1),
+        lamp_warm_up_s: Seconds(0.0),
+        lamp_settle_s: Seconds(0.0),
+        settings_latency_frames: 2,
+        estimated_s: Seconds(12.0),
+        estimated_bytes: 1000,
+        lights: [80.0, 60.0]
+            .map(|elevation_deg| StageAngles {
+                azimuth_deg: 10.0,
+                elevation_deg,
+            })
+            .into(),
+    }
+}
+
+fn record(true_material: Option<&str>) -> SessionRecord {
+    SessionRecord {
+        sample: "red-plastic".into(),
+        created_utc: "2026-11-21T02:34:00Z".into(),
+        simulated: true,
+        true_material: true_material.map(str::to_owned),
+        seed: 7,
+        rig: "simulated".into(),
+        config: "[camera]\ndriver = \"simulated\"\n".into(),
+        versions: Versions {
+            rig: "0.1.0".into(),
+            camera: CameraInfo {
+                driver: "simulated".into(),
+                model: "bench".into(),
+                serial: String::new(),
+                resolution_px: [4, 3],
+                bit_depth: 12,
+                mosaic: Mosaic::None,
+                exposure_range: [Seconds(1e-4), Seconds(1.0)],
+                exposure_step: Seconds(1e-4),
+            },
+            stage: StageInfo {
+                driver: "grbl".into(),
+                firmware: "1.1h".into(),
+                port: "/dev/x".into(),
+                has_watchdog: false,
+            },
+        },
+        plan: plan(),
+        calibration: vec![CalibrationCopy {
+            id: "sensor".into(),
+            file: "calibration/sensor.toml".into(),
+            sha256: "ab12".into(),
+        }],
+    }
+}
+
+fn frame(repeat: u32, exposure: f64, pilot: bool) -> (RawFrame, Sidecar) {
+    let settings = CameraSettings {
+        exposure: Seconds(exposure),
+        gain: 1.0,
+    };
+    let raw = RawFrame {
+        width: 4,
+        height: 3,
+        counts: vec![100; 12],
+        sequence: None,
+        timestamp: None,
+    };
+    let place = plan().lights[0];
+    let sidecar = Sidecar {
+        key: FrameKey {
+            light: 0,
+            exposure: (exposure * 1e3) as u32,
+            repeat,
+            kind: FrameKind::Light,
+        },
+        pilot,
+        lamp: LampState::On(LampChannel(0)),
+        requested: settings,
+        applied: settings,
+        black_level_dn: 64.0,
+        bit_depth: 12,
+        mosaic: Mosaic::None,
+        camera_serial: String::new(),
+        stage_target: place,
+        stage_position: place,
+        frames_discarded: 2,
+        exposure_ratio: None,
+        time: FrameTimes {
+            utc: "2026-11-21T02:34:00Z".into(),
+            monotonic_s: Seconds(1.0),
+            device_s: None,
+            device_sequence: None,
+        },
+    };
+    (raw, sidecar)
+}
+
+/// A session of which one of two lights is captured, with a fit if wanted.
+fn session(parent: &Path, true_material: Option<&str>, fitted: bool) -> PathBuf {
+    let new = NewSession {
+        parent,
+        created: jiff::Timestamp::UNIX_EPOCH,
+        short_id: "0f3a9c",
+        record: &record(true_material),
+        calibration: &[],
+    };
+    let mut writer = SessionWriter::create(Arc::new(SystemDisk), &new).unwrap();
+    let start = Event::LightStart {
+        light: 0,
+        azimuth_deg: 10.25,
+        elevation_deg: 79.5,
+    };
+    writer.record(start).unwrap();
+    for (repeat, exposure, pilot) in [
+        (0, 0.002, true),
+        (0, 0.004, false),
+        (1, 0.004, false),
+        (0, 0.032, false),
+    ] {
+        let (raw, sidecar) = frame(repeat, exposure, pilot);
+        writer.commit_frame(&raw, &sidecar).unwrap();
+    }
+    let synthetic = synthetic();
+    let image = synthetic.lights[0].captured.as_ref().unwrap();
+    let bytes = exr::encode(image, Path::new("radiance")).unwrap();
+    writer
+        .commit_file(&layout::radiance_file(0), &bytes)
+        .unwrap();
+    writer.record(Event::LightStop { light: 0 }).unwrap();
+    if fitted {
+        let fit = synthetic.fit.unwrap();
+        let folder = fit_record::commit(&mut writer, &fit.record, &fit.images).unwrap();
+        assert!(folder.ends_with("fits/0"));
+    }
+    writer.root().to_owned()
+}
+
+#[test]
+fn an_unfinished_session_without_a_fit_loads_as_what_it_is() {
+    let home = tempfile::tempdir().unwrap();
+    let root = session(home.path(), None, false);
+    let input = load_with(&root, None, 8).unwrap();
+    assert!(input.fit.is_none() && input.truth.is_none() && input.spheres.is_empty());
+    assert_eq!(
+        input.incomplete.as_deref(),
+        Some("1 of 2 lights are finished.")
+    );
+    assert_eq!(input.captured, "2026-11-21 02:34 UTC");
+    assert_eq!(input.lights.len(), 2);
+    let [first, second] = &input.lights[..] else {
+        panic!()
+    };
+    assert_eq!(first.place.unwrap().azimuth_deg, 10.25, "read back");
+    assert_eq!(second.place.unwrap().elevation_deg, 60.0, "planned");
+    let counted: Vec<_> = first
+        .exposures
+        .iter()
+        .map(|e| (e.exposure.0, e.frames))
+        .collect();
+    assert_eq!(
+        counted,
+        [(0.004, 2), (0.032, 1)],
+        "pilot frames are no part of the bracket"
+    );
+    assert!(first.captured.is_some() && second.captured.is_none());
+    let html = report::render(&input).unwrap();
+    for text in [
+        "No fit yet",
+        "SHA-256 ab12",
+        "driver = &quot;simulated&quot;",
+        "bench",
+    ] {
+        assert!(html.contains(text), "{text}");
+    }
+}
+
+#[test]
+fn a_fitted_session_loads_with_its_fit_and_truth() {
+    let home = tempfile::tempdir().unwrap();
+    let root = session(home.path(), Some("lambertian:0.5"), true);
+    let input = load_with(&root, Some(0), 8).unwrap();
+    let synthetic = synthetic();
+    let fit = input.fit.as_ref().unwrap();
+    assert_eq!(fit.record, synthetic.fit.unwrap().record);
+    assert_eq!(
+        (fit.images.rendered.len(), fit.images.residual.len()),
+        (2, 2)
+    );
+    assert_eq!(input.spheres.len(), EnvironmentMap::all().len());
+    let sphere = input.spheres[0].truth.as_ref().unwrap();
+    assert!(!sphere.valid[0] && sphere.valid[sphere.valid.len() / 2]);
+    let check = crate::session::verify::verify(&root).unwrap();
+    assert!(
+        check.strays.is_empty(),
+        "the fit is journalled: {:?}",
+        check.strays
+    );
+
+    let error = load_with(&root, Some(3), 8).err().unwrap().to_string();
+    assert!(
+        error.contains("no fit 3") && error.contains("has 0"),
+        "{error}"
+    );
+    std::fs::write(root.join("fits/0/residual_L001.exr"), b"not an image").unwrap();
+    let error = load_with(&root, None, 8).err().unwrap().to_string();
+    assert!(error.contains("residual_L001.exr"), "{error}");
+}
+
+#[test]
+fn a_truth_that_cannot_be_evaluated_is_said_and_takes_only_the_comparison() {
+    let home = tempfile::tempdir().unwrap();
+    let root = session(home.path(), Some("unobtainium"), false);
+    let input = load_with(&root, None, 8).unwrap();
+    assert!(input.truth.is_none());
+    let html = report::render(&input).unwrap();
+    assert!(html.contains("unobtainium (cannot be evaluated: "));
+}

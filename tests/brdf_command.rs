@@ -1,0 +1,172 @@
+//! `rig brdf`, run as a user does.
+
+use std::path::Path;
+
+use assert_cmd::Command;
+
+/// Exit code, stdout, stderr.
+fn rig(folder: &Path, arguments: &[&str]) -> (i32, String, String) {
+    let output = Command::new(env!("CARGO_BIN_EXE_rig"))
+        .current_dir(folder)
+        .arg("brdf")
+        .args(arguments)
+        .output()
+        .unwrap();
+    let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
+    (
+        output.status.code().unwrap_or(-1),
+        text(output.stdout),
+        text(output.stderr),
+    )
+}
+
+#[test]
+fn values_at_angles() {
+    let folder = tempfile::tempdir().unwrap();
+    let angles = "theta_i_deg,theta_o_deg,phi_deg\n20,30,180\n0,0,0\n95,0,0\n";
+    std::fs::write(folder.path().join("bad.csv"), angles).unwrap();
+    let good = angles.trim_end_matches("95,0,0\n");
+    std::fs::write(folder.path().join("good.csv"), good).unwrap();
+
+    let arguments = ["eval", "--brdf", "ggx:0.1,1.5", "--angles", "good.csv"];
+    let (code, out, _) = rig(folder.path(), &arguments);
+    assert_eq!(code, 0);
+    let rows: Vec<&str> = out.lines().collect();
+    assert_eq!(rows[0], "theta_i_deg,theta_o_deg,phi_deg,f_r,f_g,f_b");
+    // F(0)·D(0)/4 = 0.04/(4π·0.01).
+    let coaxial: f64 = rows[2].split(',').nth(4).unwrap().parse().unwrap();
+    assert!((coaxial - 0.04 / (4.0 * std::f64::consts::PI * 0.01)).abs() < 1e-6);
+
+    let (code, out, err) = rig(
+        folder.path(),
+        &["eval", "--brdf", "ggx:0.1,1.5", "--angles", "bad.csv"],
+    );
+    assert_eq!((code, out.as_str()), (1, ""));
+    assert!(
+        err.contains("bad.csv: line 4: polar angle 95") && err.contains("hint:"),
+        "{err}"
+    );
+}
+
+#[test]
+fn a_converted_material_is_the_material() {
+    let folder = tempfile::tempdir().unwrap();
+    let (code, out, err) = rig(
+        folder.path(),
+        &["convert", "nbrdf:dark-red-paint", "--out", "paint.binary"],
+    );
+    assert_eq!((code, out.as_str()), (0, "paint.binary\n"), "{err}");
+    let (code, out, err) = rig(
+        folder.path(),
+        &[
+            "compare",
+            "paint.binary",
+            "nbrdf:dark-red-paint",
+            "--size",
+            "12",
+            "--json",
+        ],
+    );
+    assert_eq!(code, 0, "{err}");
+    let scores: serde_json::Value = serde_json::from_str(&out).unwrap();
+    let error = |path: &str| scores.pointer(path).unwrap().as_f64().unwrap();
+    assert!(error("/environment/mean/all") < 2e-3, "{out}");
+    assert!(error("/brdf/cube_root/all") < 2e-3, "{out}");
+
+    // A table cut short is refused with its sizes.
+    let path = folder.path().join("paint.binary");
+    let bytes = std::fs::read(&path).unwrap();
+    std::fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
+    let (code, _, err) = rig(folder.path(), &["check", "paint.binary"]);
+    assert_eq!(code, 1);
+    assert!(err.contains("90 x 90 x 180 cells need 34992000"), "{err}");
+}
+
+#[test]
+fn a_projection_shows_the_score_beside_its_floor() {
+    let folder = tempfile::tempdir().unwrap();
+    let (code, out, err) = rig(
+        folder.path(),
+        &[
+            "project",
+            "lambertian:0.5",
+            "--dictionary",
+            "grid42",
+            "--size",
+            "12",
+            "--json",
+            "--out",
+            "weights.csv",
+        ],
+    );
+    assert_eq!(code, 0, "{err}");
+    let answer: serde_json::Value = serde_json::from_str(&out).unwrap();
+    for part in ["reference_projection", "floor"] {
+        let error = answer[part]["environment"]["mean"]["all"].as_f64().unwrap();
+        assert!(error < 1e-3, "{part}: {error}");
+    }
+    let (code, out, err) = rig(folder.path(), &["check", "grid42:weights.csv"]);
+    assert_eq!(code, 0, "{err}");
+    assert!(
+        out.contains("largest albedo        0.50") || out.contains("largest albedo        0.49"),
+        "{out}"
+    );
+    // Another dictionary's weights are not taken for this one's.
+    let (code, _, err) = rig(folder.path(), &["check", "paper42:weights.csv"]);
+    assert_eq!(code, 1);
+    assert!(err.contains("in paper42 they are 0.01 and 10"), "{err}");
+}
+
+#[test]
+fn bad_input_is_one_line_and_a_hint() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("junk.binary"), b"junk").unwrap();
+    std::fs::write(folder.path().join("junk.bsdf"), b"junk").unwrap();
+    std::fs::write(folder.path().join("junk.json"), b"{\"atoms\": []}").unwrap();
+    for (arguments, said) in [
+        (
+            &["check", "nbrdf:gold"] as &[&str],
+            "no embedded material \"gold\"",
+        ),
+        (&["check", "gold"], "\"gold\" is no BRDF"),
+        (&["check", "ggx:2,1.5"], "alpha 2"),
+        (&["check", "missing.binary"], "missing.binary"),
+        (&["check", "junk.binary"], "at least 12"),
+        (&["check", "junk.bsdf"], "ends inside its header"),
+        (&["check", "paper42:missing.csv"], "missing.csv"),
+        (
+            &["project", "lambertian:0.5", "--dictionary", "junk.json"],
+            "0 atoms",
+        ),
+        (&["project", "lambertian:0.5", "--size", "4"], "8 to 512"),
+        (
+            &["convert", "lambertian:0.5", "--out", "x.merl"],
+            "not a .binary",
+        ),
+        (
+            &["convert", "lambertian:0.5", "--out", "no/folder/x.binary"],
+            "x.binary",
+        ),
+        (&["plot", "lambertian:0.5", "--out", "x.jpg"], "not a .png"),
+        (
+            &["eval", "--brdf", "lambertian:0.5", "--angles", "none.csv"],
+            "none.csv",
+        ),
+    ] {
+        let (code, out, err) = rig(folder.path(), arguments);
+        assert_eq!((code, out.as_str()), (1, ""), "{arguments:?}: {err}");
+        assert!(
+            err.starts_with("error: ") && err.contains(said),
+            "{arguments:?}: {err}"
+        );
+        let lines = err.lines().count();
+        assert!(
+            lines == 1 || (lines == 3 && err.contains("\nhint: ")),
+            "{err}"
+        );
+    }
+    assert!(
+        std::fs::read_dir(folder.path()).unwrap().count() == 3,
+        "nothing was left behind"
+    );
+}

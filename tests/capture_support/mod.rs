@@ -1,0 +1,481 @@
+//! A bench in memory for tests of the capture: a sphere under a lamp, a sensor
+//! with keyed noise and late settings, and a record of what was done to it.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, MutexGuard};
+use std::time::Duration;
+
+use rig::capture::{BracketSink, Capture, CaptureError, Observer, Outcome, Progress};
+use rig::device::*;
+use rig::interrupt::{Interrupt, Signal};
+use rig::radiometry::sensor::SensorNoise;
+use rig::random::{Purpose, stream};
+use rig::session::commit::Disk;
+use rig::session::*;
+use rig::units::{Seconds, StageAngles};
+
+pub const SIZE: u32 = 8;
+const LATENCY: u32 = 2;
+
+/// What the bench is, and what shall go wrong.
+#[derive(Clone, Debug)]
+pub struct World {
+    pub position: Option<StageAngles>,
+    pub lamp: LampState,
+    pub stops: u32,
+    pub moves: u32,
+    pub homings: u32,
+    pub grabs: u32,
+    /// Radiance of the sample in electrons per second.
+    pub brightness_e_s: f64,
+    /// Settings asked for, and how many frames still come with the old ones.
+    settings: CameraSettings,
+    old: CameraSettings,
+    late: u32,
+    shutter_open: bool,
+    /// Frames beyond the camera's stated latency, at other than the first exposure.
+    pub extra_latency: u32,
+    /// True exposure over the one claimed.
+    pub exposure_factor: f64,
+    pub lamp_is_dead: bool,
+    pub fail_at_move: Option<u32>,
+    pub fail_at_grab: Option<u32>,
+    /// `move_to` waits until the stage is stopped from another thread.
+    pub hang_in_move: bool,
+    /// Raised when this many frames have been grabbed.
+    pub interrupt_at_grab: Option<u32>,
+    pub interrupt: Interrupt,
+}
+
+#[derive(Clone)]
+pub struct Bench(pub Arc<Mutex<World>>);
+
+impl Bench {
+    pub fn new() -> Self {
+        let settings = CameraSettings {
+            exposure: Seconds(1.0),
+            gain: 1.0,
+        };
+        Self(Arc::new(Mutex::new(World {
+            position: None,
+            lamp: LampState::Off,
+            stops: 0,
+            moves: 0,
+            homings: 0,
+            grabs: 0,
+            brightness_e_s: 4e5,
+            settings,
+            old: settings,
+            late: 0,
+            shutter_open: true,
+            extra_latency: 0,
+            exposure_factor: 1.0,
+            lamp_is_dead: false,
+            fail_at_move: None,
+            fail_at_grab: None,
+            hang_in_move: false,
+            interrupt_at_grab: None,
+            interrupt: Interrupt::new(),
+        })))
+    }
+
+    pub fn with(change: impl FnOnce(&mut World)) -> Self {
+        let bench = Self::new();
+        change(&mut bench.world());
+        bench
+    }
+
+    pub fn world(&self) -> MutexGuard<'_, World> {
+        self.0.lock().unwrap()
+    }
+}
+
+impl Bench {
+    pub fn lamp_and_stops(&self) -> (LampState, u32) {
+        let world = self.world();
+        (world.lamp, world.stops)
+    }
+
+    pub fn homings_and_grabs(&self) -> (u32, u32) {
+        let world = self.world();
+        (world.homings, world.grabs)
+    }
+}
+
+pub struct Stage(Bench, StageInfo);
+pub struct Cam(Bench, CameraInfo);
+struct Stop(Bench);
+
+pub fn stage_info() -> StageInfo {
+    StageInfo {
+        driver: "memory".into(),
+        firmware: "1".into(),
+        port: "memory".into(),
+        has_watchdog: false,
+    }
+}
+
+pub fn camera_info() -> CameraInfo {
+    CameraInfo {
+        driver: "memory".into(),
+        model: "memory".into(),
+        serial: "M-1".into(),
+        resolution_px: [SIZE, SIZE],
+        bit_depth: 12,
+        mosaic: Mosaic::None,
+        exposure_range: [Seconds(1e-4), Seconds(1.0)],
+        exposure_step: Seconds(1e-4),
+    }
+}
+
+fn io(what: &str) -> DeviceError {
+    DeviceError::Io {
+        device: "memory".into(),
+        source: std::io::Error::other(what.to_owned()),
+    }
+}
+
+impl StopHandle for Stop {
+    fn stop(&mut self) -> Result<(), DeviceError> {
+        let mut world = self.0.world();
+        world.stops += 1;
+        world.position = None;
+        world.lamp = LampState::Off;
+        Ok(())
+    }
+}
+
+impl LightStage for Stage {
+    fn info(&self) -> &StageInfo {
+        &self.1
+    }
+
+    fn home(&mut self) -> Result<StageStatus, DeviceError> {
+        let mut world = self.0.world();
+        world.homings += 1;
+        world.position = Some(StageAngles {
+            azimuth_deg: 0.0,
+            elevation_deg: 0.0,
+        });
+        Ok(StageStatus {
+            activity: StageActivity::Idle,
+            position: world.position,
+            lamp: Some(world.lamp),
+        })
+    }
+
+    fn move_to(&mut self, target: StageAngles) -> Result<StageAngles, DeviceError> {
+        let mut world = self.0.world();
+        assert_eq!(world.lamp, LampState::Off, "moved with the lamp on");
+        if world.position.is_none() {
+            return Err(DeviceError::NotHomed {
+                device: "memory".into(),
+                since: "connection".into(),
+            });
+        }
+        world.moves += 1;
+        if world.fail_at_move == Some(world.moves) {
+            return Err(io("the move failed"));
+        }
+        if world.hang_in_move {
+            world.interrupt.raise(Signal::Interrupt);
+            world.interrupt.raise(Signal::Interrupt);
+            let stops = world.stops;
+            drop(world);
+            while self.0.world().stops == stops {
+                std::thread::sleep(Duration::from_millis(1));
+            }
+            return Err(io("stopped"));
+        }
+        world.position = Some(target);
+        Ok(target)
+    }
+
+    fn set_lamp(&mut self, lamp: LampState) -> Result<LampState, DeviceError> {
+        self.0.world().lamp = lamp;
+        Ok(lamp)
+    }
+
+    fn status(&mut self) -> Result<StageStatus, DeviceError> {
+        let world = self.0.world();
+        Ok(StageStatus {
+            activity: StageActivity::Idle,
+            position: world.position,
+            lamp: Some(world.lamp),
+        })
+    }
+
+    fn stop_handle(&self) -> Result<Box<dyn StopHandle>, DeviceError> {
+        Ok(Box::new(Stop(self.0.clone())))
+    }
+}
+
+impl Camera for Cam {
+    fn info(&self) -> &CameraInfo {
+        &self.1
+    }
+
+    fn configure(&mut self, requested: CameraSettings) -> Result<CameraSettings, DeviceError> {
+        let mut world = self.0.world();
+        world.old = world.settings;
+        world.settings = requested;
+        let on_time = requested.exposure == PILOT;
+        world.late = LATENCY + if on_time { 0 } else { world.extra_latency };
+        Ok(requested)
+    }
+
+    fn set_shutter(&mut self, open: bool) -> Result<bool, DeviceError> {
+        self.0.world().shutter_open = open;
+        Ok(true)
+    }
+
+    fn grab(&mut self, key: FrameKey) -> Result<RawFrame, DeviceError> {
+        let mut world = self.0.world();
+        world.grabs += 1;
+        if world.fail_at_grab == Some(world.grabs) {
+            return Err(io("no frame"));
+        }
+        if world.interrupt_at_grab == Some(world.grabs) {
+            world.interrupt.raise(Signal::Interrupt);
+        }
+        let settings = if world.late > 0 {
+            world.late -= 1;
+            world.old
+        } else {
+            world.settings
+        };
+        let exposure_s = settings.exposure.0 * world.exposure_factor_of(settings);
+        let light = world
+            .position
+            .map_or(glam::DVec3::Z, |angles| angles.to_light());
+        let counts = (0..SIZE * SIZE)
+            .map(|pixel| {
+                let rate_e_s = world.rate_e_s(pixel, light);
+                let seed =
+                    u64::from(key.exposure) * 64 + u64::from(key.repeat) * 4 + key.kind as u64;
+                let normal =
+                    stream(5, Purpose::Experiment, key.light.into(), pixel.into(), seed).normal();
+                let signal_e = (rate_e_s + 1.0) * exposure_s;
+                let noisy_e = signal_e + normal * (signal_e + 6.25).sqrt();
+                (64.0 + 0.4 * noisy_e).round().clamp(0.0, 4095.0) as u16
+            })
+            .collect();
+        Ok(RawFrame {
+            width: SIZE,
+            height: SIZE,
+            counts,
+            sequence: Some(world.grabs.into()),
+            timestamp: None,
+        })
+    }
+}
+
+impl World {
+    /// The fault shows only at other than the first exposure.
+    fn exposure_factor_of(&self, settings: CameraSettings) -> f64 {
+        if settings.exposure == PILOT {
+            1.0
+        } else {
+            self.exposure_factor
+        }
+    }
+
+    /// A shaded sphere of contrast 1 : 50 before a black background, and a
+    /// little light from the room.
+    fn rate_e_s(&self, pixel: u32, light: glam::DVec3) -> f64 {
+        if !self.shutter_open {
+            return 0.0;
+        }
+        let centred = |i: u32| (f64::from(i) + 0.5) / f64::from(SIZE) * 2.0 - 1.0;
+        let (x, y) = (centred(pixel % SIZE), -centred(pixel / SIZE));
+        let height_sq = 1.0 - x * x - y * y;
+        let room_e_s = 20.0;
+        let albedo = match self.lamp {
+            LampState::On(LampChannel(0)) if !self.lamp_is_dead => 1.0,
+            LampState::On(LampChannel(_)) if !self.lamp_is_dead => 0.3,
+            _ => return room_e_s,
+        };
+        if height_sq <= 0.0 {
+            return room_e_s;
+        }
+        let cosine = glam::DVec3::new(x, y, height_sq.sqrt())
+            .dot(light)
+            .max(0.02);
+        room_e_s + self.brightness_e_s * albedo * cosine
+    }
+}
+
+/// The merged image is the sum of what came in: enough to notice any difference.
+#[derive(Default)]
+struct SumSink {
+    light: u32,
+    sums: BTreeMap<(FrameKind, u64), Vec<u64>>,
+}
+
+impl BracketSink for SumSink {
+    fn begin(&mut self, light: u32) -> Result<(), String> {
+        self.light = light;
+        self.sums.clear();
+        Ok(())
+    }
+
+    fn add(&mut self, frame: &RawFrame, sidecar: &Sidecar) -> Result<(), String> {
+        assert!(sidecar.key.light == self.light && !sidecar.pilot);
+        let key = (sidecar.key.kind, sidecar.applied.exposure.0.to_bits());
+        let sums = self
+            .sums
+            .entry(key)
+            .or_insert_with(|| vec![0; frame.counts.len()]);
+        for (sum, &count) in sums.iter_mut().zip(&frame.counts) {
+            *sum += u64::from(count);
+        }
+        Ok(())
+    }
+
+    fn finish(&mut self) -> Result<Vec<u8>, String> {
+        Ok(format!("{:?}", self.sums).into_bytes())
+    }
+}
+
+/// Keeps what was said.
+#[derive(Default)]
+pub struct Heard {
+    pub warnings: Vec<String>,
+    pub done: Vec<f64>,
+    pub resumed: usize,
+}
+
+impl Observer for Heard {
+    fn observe(&mut self, progress: Progress<'_>) {
+        match progress {
+            Progress::Warning(text) => self.warnings.push(text.to_owned()),
+            Progress::Frame { done, .. } => self.done.push(done),
+            Progress::Resumed { frames } => self.resumed = frames,
+            _ => {}
+        }
+    }
+}
+
+pub fn noise() -> SensorNoise {
+    SensorNoise {
+        dark_current_e_s: 1.0,
+        ..SensorNoise::ideal(0.4, 2.5, 64.0, 12)
+    }
+}
+
+const PILOT: Seconds = Seconds(0.01);
+
+pub fn record() -> SessionRecord {
+    let at = |azimuth_deg, elevation_deg| StageAngles {
+        azimuth_deg,
+        elevation_deg,
+    };
+    SessionRecord {
+        sample: "sphere".into(),
+        created_utc: "2026-11-21T02:34:00Z".into(),
+        simulated: true,
+        true_material: None,
+        seed: 1,
+        rig: "memory".into(),
+        config: String::new(),
+        versions: Versions {
+            rig: "0".into(),
+            camera: camera_info(),
+            stage: stage_info(),
+        },
+        plan: PlanRecord {
+            channels: vec![LampChannel(0), LampChannel(1)],
+            gain: 1.0,
+            exposure: ExposureRules {
+                pilot_s: PILOT,
+                shortest_s: Seconds(1e-4),
+                longest_s: Seconds(1.0),
+                step_s: Seconds(1e-4),
+                peak_fraction: 0.7,
+                dark_snr: 20.0,
+                ratio: 4.0,
+                max_frames: 4,
+                ambient: true,
+                dark_frames: 1,
+            },
+            settle_s: Seconds(0.0),
+            lamp_settle_s: Seconds(0.0),
+            lamp_warm_up_s: Seconds(0.0),
+            settings_latency_frames: LATENCY,
+            estimated_s: Seconds(10.0),
+            estimated_bytes: 1000,
+            lights: vec![at(0.0, 90.0), at(40.0, 35.0)],
+        },
+        calibration: vec![],
+    }
+}
+
+pub fn create(disk: Arc<dyn Disk>, parent: &Path) -> Result<SessionWriter, SessionError> {
+    SessionWriter::create(
+        disk,
+        &NewSession {
+            parent,
+            created: jiff::Timestamp::UNIX_EPOCH,
+            short_id: "abc123",
+            record: &record(),
+            calibration: &[("sensor.toml".into(), b"gain".to_vec())],
+        },
+    )
+}
+
+pub fn capture(bench: &Bench, session: SessionWriter) -> (Result<Outcome, CaptureError>, Heard) {
+    let mut heard = Heard::default();
+    let interrupt = bench.world().interrupt.clone();
+    let result = Capture {
+        camera: Box::new(Cam(bench.clone(), camera_info())),
+        stage: Box::new(Stage(bench.clone(), stage_info())),
+        session,
+        noise: &noise(),
+        interest: None,
+        sink: Box::new(SumSink::default()),
+        observer: &mut heard,
+        interrupt,
+    }
+    .run();
+    (result, heard)
+}
+
+/// Goes on with the session on an undisturbed bench until it is complete.
+pub fn resume(disk: Arc<dyn Disk>, root: &Path) -> Heard {
+    let session = SessionWriter::resume(disk, root).unwrap();
+    let (result, heard) = capture(&Bench::new(), session);
+    assert_eq!(result.unwrap(), Outcome::Complete);
+    heard
+}
+
+/// Every file of a session but its history (journal, manifest, quarantine);
+/// sidecars without their times.
+pub fn content(root: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let found = verify::verify(root).unwrap();
+    assert!(found.is_intact() && found.complete, "{found:?}");
+    let journal = Journal::read(root).unwrap();
+    journal
+        .files()
+        .iter()
+        .filter(|file| file.path != layout::MANIFEST_FILE)
+        .map(|file| {
+            let path = PathBuf::from(&file.path);
+            let mut bytes = std::fs::read(root.join(&path)).unwrap();
+            if path.starts_with(layout::RAW_FOLDER) && path.extension().unwrap() == "toml" {
+                let text = String::from_utf8(bytes).unwrap();
+                let (before, times) = text.split_once("[time]").unwrap();
+                assert!(!times.contains("\n["), "{times}");
+                bytes = before.as_bytes().to_vec();
+            }
+            (path, bytes)
+        })
+        .collect()
+}
+
+pub fn session_in(parent: &Path) -> Option<PathBuf> {
+    std::fs::read_dir(parent)
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .find(|path| !path.file_name().unwrap().to_str().unwrap().starts_with('.'))
+}
