@@ -117,7 +117,7 @@ fn sphere_size(text: &str) -> Result<usize, String> {
 }
 
 /// Runs `rig brdf`.
-pub fn run(args: &BrdfArgs, context: &Context) -> Result<(), CliError> {
+pub fn run(args: &BrdfArgs, _context: &Context) -> Result<(), CliError> {
     match &args.command {
         BrdfCommand::Eval { brdf, angles, json } => eval(brdf, angles, *json),
         BrdfCommand::Check { brdf, json } => run_check(brdf, *json),
@@ -135,7 +135,7 @@ pub fn run(args: &BrdfArgs, context: &Context) -> Result<(), CliError> {
             json,
         } => compare(estimate, truth, *size, *json),
         BrdfCommand::Plot { brdf, out, size } => plot(brdf, out, *size),
-        BrdfCommand::Convert { brdf, out } => convert(brdf, out, context),
+        BrdfCommand::Convert { brdf, out } => convert(brdf, out),
     }
 }
 
@@ -446,7 +446,7 @@ fn plot(spec: &str, path: &Path, size: usize) -> Result<(), CliError> {
     out!("{}", path.display())
 }
 
-fn convert(spec: &str, path: &Path, context: &Context) -> Result<(), CliError> {
+fn convert(spec: &str, path: &Path) -> Result<(), CliError> {
     if path.extension().is_none_or(|e| e != "binary") {
         return Err(
             CliError::new(format!("{}: not a .binary name", path.display()))
@@ -454,7 +454,6 @@ fn convert(spec: &str, path: &Path, context: &Context) -> Result<(), CliError> {
         );
     }
     let brdf = load(spec)?;
-    context.note("sampling 90 x 90 x 180 cells");
     merl::write(path, brdf.as_ref())?;
     out!("{}", path.display())
 }
