@@ -129,10 +129,6 @@ fn visible_normal_sampling_has_its_density() {
             }
         }
     }
-    println!(
-        "largest of 164 chi-square deviates {:.2} (alpha {}, {} rad)",
-        worst.0, worst.1, worst.2
-    );
     assert!(
         worst.0 < CRITICAL,
         "deviate {} at alpha {}, {} rad",
