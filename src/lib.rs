@@ -13,7 +13,7 @@
 //! | 2 | [`transport`], [`radiometry`] |
 //! | 3 | [`inverse`], [`device`], [`simulation`] |
 //! | 4 | [`config`], [`session`], [`calibration`] |
-//! | 5 | [`capture`] |
+//! | 5 | [`capture`], [`evaluate`] |
 //! | 6 | [`report`], [`export`] |
 //! | 7 | [`cli`] |
 
@@ -38,6 +38,7 @@ pub mod config;
 pub mod session;
 
 pub mod capture;
+pub mod evaluate;
 
 pub mod export;
 pub mod report;

@@ -22,3 +22,30 @@ pub fn listen() -> Result<Interrupt, CliError> {
         })?;
     Ok(interrupt)
 }
+
+#[cfg(test)]
+mod tests {
+    use std::time::{Duration, Instant};
+
+    use super::*;
+    use crate::interrupt::StopLevel;
+
+    /// Every signal to the process makes the request more urgent.
+    #[test]
+    fn signals_become_requests() {
+        let interrupt = listen().unwrap();
+        let steps = [
+            (SIGTERM, StopLevel::AfterThisFrame, Signal::Terminate),
+            (SIGINT, StopLevel::Now, Signal::Interrupt),
+        ];
+        for (number, level, signal) in steps {
+            signal_hook::low_level::raise(number).unwrap();
+            let patience = Instant::now() + Duration::from_secs(20);
+            while interrupt.level() != level && Instant::now() < patience {
+                std::thread::yield_now();
+            }
+            assert_eq!(interrupt.level(), level);
+            assert_eq!(interrupt.signal(), Some(signal));
+        }
+    }
+}

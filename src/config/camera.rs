@@ -39,8 +39,9 @@ pub enum CameraDriver {
     V4l {
         /// Path, best below `/dev/v4l/by-id`.
         device: String,
-        /// Pixel format, four characters as the driver names it.
-        format: [u8; 4],
+        /// Pixel format, four characters as the driver names it; `None`: the
+        /// deepest raw one.
+        format: Option<[u8; 4]>,
     },
 }
 
@@ -57,7 +58,7 @@ impl CameraConfig {
                 device: table.text("device")?.required()?,
                 format: table
                     .parsed("format", "a four-character code such as \"Y12 \"", four_cc)?
-                    .required()?,
+                    .optional(),
             }
         };
         let shortest_ms = table.number("shortest_ms", 1e-3..=1e6)?.or(0.05);

@@ -3,7 +3,9 @@
 //! Unknown keys are refused, every value is checked where it is read, and every
 //! error says file, line, key, value and what may stand there.
 
+pub mod build;
 pub mod camera;
+mod document;
 mod error;
 pub mod geometry;
 pub mod process;
@@ -25,7 +27,7 @@ pub use resolve::{BUILT_IN, Origin, ResolvedRig, Surroundings, resolve_rig};
 pub use rig::RigConfig;
 
 /// Rig and scene files are small; anything larger is another file.
-const LARGEST_FILE_BYTES: u64 = 4 << 20;
+const LARGEST_FILE_BYTES: u64 = 256 << 10;
 
 fn read_text(path: &Path) -> Result<String, ConfigError> {
     let read = || {

@@ -10,13 +10,9 @@ use std::path::{Path, PathBuf};
 use std::rc::Rc;
 
 use glam::DVec3;
-use toml::Spanned;
-use toml::de::{DeTable, DeValue};
 
 use super::ConfigError;
-
-/// The longest piece of a value that an error quotes.
-const QUOTED_CHARS: usize = 48;
+use super::document::{self, Node, Value};
 
 /// The document that a value came from.
 #[derive(Debug)]
@@ -25,24 +21,6 @@ struct Source {
     folder: PathBuf,
     /// Dotted paths of all keys that were asked for, indices as `[]`.
     asked: RefCell<BTreeSet<String>>,
-}
-
-#[derive(Clone, Debug)]
-struct Node {
-    line: usize,
-    value: Value,
-}
-
-#[derive(Clone, Debug)]
-enum Value {
-    Text(String),
-    Integer(i64),
-    Number(f64),
-    Flag(bool),
-    List(Vec<Node>),
-    Table(BTreeMap<String, Node>),
-    /// Valid TOML that no key takes: dates, integers beyond 64 bits.
-    Other(String),
 }
 
 /// A table whose keys are taken one by one.
@@ -85,10 +63,10 @@ impl Section {
     /// Parses a document. `file` is what errors call it; relative paths in it
     /// start at `folder`.
     pub fn parse(file: &str, folder: &Path, text: &str) -> Result<Self, ConfigError> {
-        let table = DeTable::parse(text).map_err(|error| ConfigError::Syntax {
+        let entries = document::parse(text).map_err(|(line, problem)| ConfigError::Syntax {
             file: file.to_owned(),
-            line: line_at(text, error.span().map_or(0, |span| span.start)),
-            problem: error.message().to_owned(),
+            line,
+            problem,
         })?;
         Ok(Self {
             source: Rc::new(Source {
@@ -98,7 +76,7 @@ impl Section {
             }),
             path: String::new(),
             line: 1,
-            entries: entries(table.get_ref(), text),
+            entries,
             known: Vec::new(),
         })
     }
@@ -109,7 +87,7 @@ impl Section {
         key: &'static str,
         range: RangeInclusive<f64>,
     ) -> Result<Found<f64>, ConfigError> {
-        self.value(key, number_allowed(&range), |value| number(value, &range))
+        self.value(key, number_allowed(&range), |value| value.number(&range))
     }
 
     /// An integer in `range`.
@@ -184,7 +162,7 @@ impl Section {
         range: RangeInclusive<f64>,
     ) -> Result<Found<[f64; N]>, ConfigError> {
         let allowed = format!("a list of {N}, each {}", number_allowed(&range));
-        self.value(key, allowed, |value| list(value, &range))
+        self.value(key, allowed, |value| value.numbers(&range))
     }
 
     /// Three numbers, or one that stands for all three.
@@ -195,9 +173,10 @@ impl Section {
     ) -> Result<Found<[f64; 3]>, ConfigError> {
         let each = number_allowed(&range);
         self.value(key, format!("{each}, or a list of 3 such"), |value| {
-            number(value, &range)
+            value
+                .number(&range)
                 .map(|number| [number; 3])
-                .or_else(|| list(value, &range))
+                .or_else(|| value.numbers(&range))
         })
     }
 
@@ -205,7 +184,7 @@ impl Section {
     pub fn resolution(&mut self, key: &'static str) -> Result<Found<[u32; 2]>, ConfigError> {
         let allowed = "width and height, integers from 1 to 16384".to_owned();
         self.value(key, allowed, |value| {
-            let sides: [f64; 2] = list(value, &(1.0..=16384.0))?;
+            let sides: [f64; 2] = value.numbers(&(1.0..=16384.0))?;
             sides
                 .iter()
                 .all(|side| side.fract() == 0.0)
@@ -226,7 +205,7 @@ impl Section {
     pub fn direction(&mut self, key: &'static str) -> Result<Found<DVec3>, ConfigError> {
         let allowed = "a list of 3 numbers that are not all zero".to_owned();
         self.value(key, allowed, |value| {
-            DVec3::from_array(list(value, &(-1e6..=1e6))?).try_normalize()
+            DVec3::from_array(value.numbers(&(-1e6..=1e6))?).try_normalize()
         })
     }
 
@@ -376,7 +355,7 @@ impl Section {
                         file: self.source.file.clone(),
                         line: node.line,
                         key: path,
-                        value: quote(&node.value),
+                        value: node.value.to_string(),
                         allowed,
                     });
                 }
@@ -397,26 +376,6 @@ impl Section {
     }
 }
 
-fn number(value: &Value, range: &RangeInclusive<f64>) -> Option<f64> {
-    let number = match value {
-        Value::Integer(n) => *n as f64,
-        Value::Number(x) => *x,
-        _ => return None,
-    };
-    (number.is_finite() && range.contains(&number)).then_some(number)
-}
-
-fn list<const N: usize>(value: &Value, range: &RangeInclusive<f64>) -> Option<[f64; N]> {
-    let Value::List(nodes) = value else {
-        return None;
-    };
-    let numbers: Option<Vec<f64>> = nodes
-        .iter()
-        .map(|node| number(&node.value, range))
-        .collect();
-    numbers?.try_into().ok()
-}
-
 fn number_allowed(range: &RangeInclusive<f64>) -> String {
     match (range.start().is_finite(), range.end().is_finite()) {
         (true, true) => format!("a number from {} to {}", range.start(), range.end()),
@@ -424,64 +383,6 @@ fn number_allowed(range: &RangeInclusive<f64>) -> String {
         (false, true) => format!("a number of at most {}", range.end()),
         (false, false) => "a finite number".to_owned(),
     }
-}
-
-fn entries(table: &DeTable<'_>, text: &str) -> BTreeMap<String, Node> {
-    table
-        .iter()
-        .map(|(key, value)| (key.get_ref().to_string(), node(value, text)))
-        .collect()
-}
-
-fn node(value: &Spanned<DeValue<'_>>, text: &str) -> Node {
-    let quoted = || text[value.span()].to_owned();
-    let converted = match value.get_ref() {
-        DeValue::String(s) => Value::Text(s.to_string()),
-        DeValue::Integer(n) => i64::from_str_radix(n.as_str(), n.radix())
-            .map_or_else(|_| Value::Other(quoted()), Value::Integer),
-        DeValue::Float(x) => x
-            .as_str()
-            .parse()
-            .map_or_else(|_| Value::Other(quoted()), Value::Number),
-        DeValue::Boolean(flag) => Value::Flag(*flag),
-        DeValue::Datetime(date) => Value::Other(date.to_string()),
-        DeValue::Array(values) => {
-            Value::List(values.iter().map(|value| node(value, text)).collect())
-        }
-        DeValue::Table(table) => Value::Table(entries(table, text)),
-    };
-    Node {
-        line: line_at(text, value.span().start),
-        value: converted,
-    }
-}
-
-fn line_at(text: &str, byte: usize) -> usize {
-    1 + text.bytes().take(byte).filter(|&b| b == b'\n').count()
-}
-
-/// A value as an error shows it.
-fn quote(value: &Value) -> String {
-    let text = match value {
-        Value::Text(text) => format!("{text:?}"),
-        Value::Integer(n) => n.to_string(),
-        Value::Number(x) => x.to_string(),
-        Value::Flag(flag) => flag.to_string(),
-        Value::Other(text) => text.clone(),
-        Value::Table(_) => "a table".to_owned(),
-        Value::List(nodes) => {
-            let items: Vec<_> = nodes
-                .iter()
-                .take(8)
-                .map(|node| quote(&node.value))
-                .collect();
-            format!("[{}]", items.join(", "))
-        }
-    };
-    if text.chars().count() <= QUOTED_CHARS {
-        return text;
-    }
-    text.chars().take(QUOTED_CHARS).chain(['…']).collect()
 }
 
 fn without_indices(path: &str) -> String {

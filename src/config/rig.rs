@@ -108,6 +108,8 @@ fn valid_name(text: &str) -> Option<String> {
 mod tests {
     use std::collections::BTreeSet;
 
+    use proptest::prelude::*;
+
     use super::*;
     use crate::config::BUILT_IN;
 
@@ -263,6 +265,32 @@ mod tests {
                 .unwrap_err()
                 .to_string();
             assert!(error.contains(expected), "{bad}: {error}");
+        }
+    }
+
+    proptest! {
+        /// Whatever is typed over a piece of a rig file, it is read or refused,
+        /// and an error has a line of the file.
+        #[test]
+        fn a_mistyped_file_is_read_or_refused(
+            at in 0..simulated().len(),
+            length in 0usize..40,
+            typed in "[a-z0-9 .=\\[\\]{}\"'#\n-]{0,12}",
+        ) {
+            let at = simulated().floor_char_boundary(at);
+            let end = simulated().floor_char_boundary(at + length).max(at);
+            let text = format!("{}{typed}{}", &simulated()[..at], &simulated()[end..]);
+            let line = match parse(&text) {
+                Ok(_) => 1,
+                Err(
+                    ConfigError::Syntax { line, .. }
+                    | ConfigError::UnknownKey { line, .. }
+                    | ConfigError::Missing { line, .. }
+                    | ConfigError::Invalid { line, .. },
+                ) => line,
+                Err(other) => return Err(TestCaseError::fail(other.to_string())),
+            };
+            prop_assert!((1..=1 + text.matches('\n').count()).contains(&line), "line {line}");
         }
     }
 }

@@ -30,6 +30,9 @@ pub struct V4lConfig {
     pub serial: Option<String>,
     /// Pixel format by its four-character code; `None`: the deepest raw one.
     pub format: Option<[u8; 4]>,
+    /// Significant bits of a sample where they are fewer than the format has
+    /// room for, as of a 12-bit sensor in `Y16`; `None`: all.
+    pub bit_depth: Option<u32>,
     /// Width and height, pixels; `None`: as the camera is set.
     pub resolution_px: Option<[u32; 2]>,
     /// How long a frame may take beyond its exposure.
@@ -251,7 +254,7 @@ fn set_format(
         let text = |code: &[u8; 4]| String::from_utf8_lossy(code).trim_end().to_owned();
         codes.iter().map(text).collect::<Vec<_>>().join(", ")
     };
-    let wanted = match config.format {
+    let mut wanted = match config.format {
         Some(code) => of_fourcc(code).ok_or_else(|| {
             refused(
                 format!("format {}", names(&[code])),
@@ -268,6 +271,12 @@ fn set_format(
                 refused("a raw format".to_owned(), reason)
             })?,
     };
+    let bits = config.bit_depth.unwrap_or(wanted.bits);
+    if !(1..=wanted.bits).contains(&bits) {
+        let reason = format!("its samples have 1 to {} bits", wanted.bits);
+        return Err(refused(format!("{bits} bits of {}", wanted.name()), reason));
+    }
+    wanted.bits = bits;
     let mut format = device.format().map_err(failed)?;
     if let Some([width, height]) = config.resolution_px {
         (format.width, format.height) = (width, height);
@@ -558,6 +567,7 @@ mod tests {
                 device: device.to_owned(),
                 serial: None,
                 format: None,
+                bit_depth: None,
                 resolution_px: None,
                 frame_timeout: Seconds(1.0),
             })

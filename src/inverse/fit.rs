@@ -80,7 +80,7 @@ pub struct Fit {
     pub draws: Vec<Draws>,
     /// Modelled radiance with the render's variance, one image per light.
     pub rendered: Vec<RadianceImage>,
-    /// (model − captured)/σ of capture and render, 0 where not compared, one image per light.
+    /// (captured − model)/σ of capture and render, 0 where not compared, one image per light.
     pub residual: Vec<RadianceImage>,
     /// Mean squared residual in standard deviations per light and channel.
     pub reduced_chi2: Vec<[f64; 3]>,
@@ -293,7 +293,7 @@ fn images(
                 model.variance[p][c] = (noise * strength * strength) as f32;
                 let sigma = (noise + variance[c]).sqrt();
                 if compared && sigma > 0.0 {
-                    let z = (value - target[c]) / sigma;
+                    let z = (target[c] - value) / sigma;
                     deviation.mean[p][c] = z as f32;
                     chi2[c] += z * z;
                 }

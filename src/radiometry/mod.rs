@@ -1,7 +1,9 @@
 //! From raw counts to radiance: what a sensor's noise is, which exposures to
 //! take, and how a bracket becomes one radiance with its variance.
 
+pub mod bracket_table;
 pub mod exposure;
+pub mod frame_file;
 pub mod merge;
 pub mod mosaic;
 mod rate;

@@ -1,1 +1,213 @@
-//! To be written.
+//! The simulated bench's truth: the sample as it really is, under the lamp where it
+//! really is, rendered for `mock-devices`.
+//!
+//! It differs from what a fit believes as a real bench does: another pose, a finer
+//! mesh, other paths, a measured material outside the dictionary.
+
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex};
+
+use glam::DVec3;
+use mock_devices::{Illumination, RadianceSource};
+
+use crate::brdf::Brdf;
+use crate::frames::{Rigid, Sample};
+use crate::geometry::Mesh;
+use crate::random::{Purpose, stream};
+use crate::transport::{Camera, Light, Proposal, RenderOptions, Scene, Shading, render};
+use crate::units::StageAngles;
+
+/// What is true on the bench.
+pub struct Truth {
+    /// The sample's surface where the configuration puts it.
+    pub mesh: Mesh,
+    /// Which normals shade.
+    pub shading: Shading,
+    /// The camera.
+    pub camera: Camera,
+    /// The lamp with all channels lit, for the stage's true angles.
+    pub light: Box<dyn Fn(StageAngles) -> Light + Send + Sync>,
+    /// The sample's material.
+    pub brdf: Arc<dyn Brdf>,
+    /// Standard deviation of the true position against the configured one, mm.
+    pub pose_error_mm: f64,
+    /// Standard deviation of the true orientation, degrees.
+    pub pose_error_deg: f64,
+    /// Radiance of the room's light on the sensor, W/(m² sr).
+    pub ambient_w_m2_sr: f32,
+    /// Light paths per pixel.
+    pub samples_per_pixel: u32,
+    /// Longest path in surface reflections.
+    pub max_reflections: u32,
+    /// Key of the pose errors and of the paths.
+    pub seed: u64,
+}
+
+/// Renders the truth on demand and remembers it by lamp position.
+pub struct TruthSource {
+    truth: Truth,
+    /// Per channel, for unit power; by the bits of azimuth and elevation.
+    rendered: Mutex<HashMap<[u64; 2], Arc<Vec<[f32; 3]>>>>,
+}
+
+impl TruthSource {
+    /// Puts the sample where it truly is.
+    pub fn new(mut truth: Truth) -> Self {
+        truth.mesh = truth.mesh.transformed(&pose_error(&truth));
+        Self {
+            truth,
+            rendered: Mutex::default(),
+        }
+    }
+
+    fn render(&self, angles: StageAngles) -> Vec<[f32; 3]> {
+        let truth = &self.truth;
+        let light = (truth.light)(angles);
+        let scene = Scene::new(truth.mesh.clone(), truth.shading, truth.camera, vec![light]);
+        // Independent paths for every lamp position.
+        let position = stream(
+            truth.seed,
+            Purpose::BenchPerturbation,
+            angles.azimuth_deg.to_bits(),
+            angles.elevation_deg.to_bits(),
+            1,
+        )
+        .bits();
+        let options = RenderOptions {
+            samples_per_pixel: truth.samples_per_pixel.max(2),
+            max_reflections: truth.max_reflections,
+            seed: position,
+            proposal: Proposal::default(),
+        };
+        render(&scene, &*truth.brdf, &options, &|_| {})
+            .remove(0)
+            .mean
+    }
+}
+
+/// The true sample frame seen from the configured one.
+fn pose_error(truth: &Truth) -> Rigid<Sample, Sample> {
+    let mut numbers = stream(truth.seed, Purpose::BenchPerturbation, 0, 0, 0);
+    let mut vector =
+        |sigma: f64| DVec3::new(numbers.normal(), numbers.normal(), numbers.normal()) * sigma;
+    let rotation_rad = vector(truth.pose_error_deg.to_radians());
+    Rigid::from_rotation_vector(rotation_rad, vector(truth.pose_error_mm))
+}
+
+impl RadianceSource for TruthSource {
+    fn resolution_px(&self) -> [u32; 2] {
+        self.truth.camera.resolution_px.map(|n| n as u32)
+    }
+
+    fn radiance(&self, illumination: &Illumination) -> Arc<Vec<f32>> {
+        let ambient = self.truth.ambient_w_m2_sr;
+        let pixels = self.truth.camera.pixels();
+        if illumination.channels == [0.0; 3] {
+            return Arc::new(vec![ambient; pixels]);
+        }
+        let key = [
+            illumination.azimuth_rad.to_bits(),
+            illumination.elevation_rad.to_bits(),
+        ];
+        let known = self
+            .rendered
+            .lock()
+            .map(|map| map.get(&key).cloned())
+            .unwrap_or_default();
+        let image = known.unwrap_or_else(|| {
+            let image = Arc::new(self.render(StageAngles {
+                azimuth_deg: illumination.azimuth_rad.to_degrees(),
+                elevation_deg: illumination.elevation_rad.to_degrees(),
+            }));
+            if let Ok(mut map) = self.rendered.lock() {
+                map.insert(key, image.clone());
+            }
+            image
+        });
+        let power = illumination.channels.map(|p| p as f32);
+        Arc::new(
+            image
+                .iter()
+                .map(|v| ambient + v[0] * power[0] + v[1] * power[1] + v[2] * power[2])
+                .collect(),
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::brdf::{Atom, Dictionary, Mixture};
+    use crate::geometry::Shape;
+    use crate::transport::Projection;
+    use glam::DVec2;
+
+    fn source(pose_error_mm: f64) -> TruthSource {
+        let dictionary = Dictionary::new("white", vec![Atom::Lambertian { albedo: 0.8 }]).unwrap();
+        TruthSource::new(Truth {
+            mesh: Shape::Bowl {
+                radius_mm: 1.0,
+                segments: 32,
+            }
+            .mesh()
+            .unwrap(),
+            shading: Shading::Smooth,
+            camera: Camera::looking_at(
+                [8, 8],
+                Projection::Orthographic {
+                    extent_mm: DVec2::splat(2.2),
+                },
+                DVec3::new(0.0, 0.0, 5.0),
+                DVec3::ZERO,
+                DVec3::Y,
+            )
+            .unwrap(),
+            light: Box::new(|angles| Light::Directional {
+                to_light: angles.to_light(),
+                irradiance: [1.0, 2.0, 3.0],
+                angular_radius_rad: 0.0,
+            }),
+            brdf: Arc::new(Mixture::grey(Arc::new(dictionary), vec![1.0]).unwrap()),
+            pose_error_mm,
+            pose_error_deg: 0.0,
+            ambient_w_m2_sr: 0.5,
+            samples_per_pixel: 16,
+            max_reflections: 4,
+            seed: 3,
+        })
+    }
+
+    fn lit(elevation_deg: f64, channels: [f64; 3]) -> Illumination {
+        Illumination {
+            azimuth_rad: 0.3,
+            elevation_rad: f64::to_radians(elevation_deg),
+            channels,
+        }
+    }
+
+    #[test]
+    fn the_lamp_adds_to_the_room() {
+        let source = source(0.0);
+        assert!(
+            source
+                .radiance(&lit(90.0, [0.0; 3]))
+                .iter()
+                .all(|&v| v == 0.5)
+        );
+        let middle = 8 * 4 + 4;
+        let red = source.radiance(&lit(90.0, [1.0, 0.0, 0.0]))[middle] - 0.5;
+        let green = source.radiance(&lit(90.0, [0.0, 1.0, 0.0]))[middle] - 0.5;
+        assert!(red > 0.1);
+        assert!((green / red - 2.0).abs() < 1e-4, "{green} against {red}");
+        assert_ne!(
+            source.radiance(&lit(60.0, [1.0, 0.0, 0.0]))[middle] - 0.5,
+            red
+        );
+    }
+
+    #[test]
+    fn the_true_pose_differs() {
+        let at = lit(90.0, [1.0, 0.0, 0.0]);
+        assert_ne!(source(0.0).radiance(&at), source(0.2).radiance(&at));
+    }
+}

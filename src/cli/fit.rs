@@ -1,0 +1,99 @@
+//! `rig fit`: weights and error bars from images.
+
+use std::path::PathBuf;
+
+use super::pipeline::{FitArgs, FitPlan, fit_session};
+use super::{CliError, Context, HintExt, output};
+use crate::config::scene::SceneFile;
+use crate::out;
+use crate::radiance_image::exr;
+use crate::session::fit_record;
+
+/// Fits a BRDF to a session, or to images of a described scene.
+#[derive(clap::Args, Debug)]
+pub struct FitCommandArgs {
+    /// The session's folder
+    #[arg(value_name = "SESSION", required_unless_present = "scene", conflicts_with_all = ["scene", "image", "out"])]
+    session: Option<PathBuf>,
+    /// Scene file: camera, lights and the sample's shape
+    #[arg(long, value_name = "S", requires = "image", requires = "out")]
+    scene: Option<PathBuf>,
+    /// Image (EXR: R, G, B and, where known, var.R, var.G, var.B), one per light of the scene, in its order
+    #[arg(long, value_name = "EXR", num_args = 1..)]
+    image: Vec<PathBuf>,
+    /// Folder for the result; it must not exist or be empty
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Print the result as JSON
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    fit: FitArgs,
+}
+
+/// Relative noise that images without a stated variance are taken to have.
+const UNSTATED_NOISE: f32 = 0.005;
+
+/// `rig fit`.
+pub fn run(args: &FitCommandArgs, context: &Context) -> Result<(), CliError> {
+    let folder = match (&args.session, &args.scene, &args.out) {
+        (Some(session), _, _) => fit_session(session, &args.fit, context)?,
+        (None, Some(scene), Some(out)) => {
+            fit_scene(args, scene, out, context)?;
+            out.clone()
+        }
+        _ => {
+            return Err(CliError::new(
+                "neither a session nor a scene with --out is given",
+            ));
+        }
+    };
+    if args.json {
+        let record = fit_record::read(&folder)?;
+        return output::write_json(&serde_json::json!({
+            "fit": folder.display().to_string(),
+            "dictionary": record.dictionary,
+            "atoms": record.atoms,
+            "weights": record.weights,
+            "weight_deviations": record.weight_deviations,
+            "reduced_chi_square": record.reduced_chi_square,
+            "loss": record.loss,
+            "termination": record.termination,
+            "score": record.score,
+            "timings": record.timings,
+            "warnings": record.warnings,
+        }));
+    }
+    out!("{}", folder.display())
+}
+
+fn fit_scene(
+    args: &FitCommandArgs,
+    scene: &std::path::Path,
+    out: &std::path::Path,
+    context: &Context,
+) -> Result<(), CliError> {
+    let plan = FitPlan::new(&args.fit, None)?;
+    let file = SceneFile::load(scene)?;
+    let scene = file.scene()?;
+    let mut captured = Vec::new();
+    for path in &args.image {
+        let file = exr::read(path)
+            .map_err(CliError::from)
+            .hint("give one EXR image for each [[light]] of the scene, in its order")?;
+        let mut image = file.image;
+        if !file.has_variance {
+            context.note(format!(
+                "{}: no variance is stated; a relative noise of {UNSTATED_NOISE} is assumed",
+                path.display()
+            ));
+            for (variance, mean) in image.variance.iter_mut().zip(&image.mean) {
+                *variance = mean.map(|m| (UNSTATED_NOISE * m).powi(2));
+            }
+        }
+        captured.push(image);
+    }
+    let (record, images) = plan.run(&scene, &captured, false, None, context)?;
+    fit_record::write(out, &record, &images)?;
+    Ok(())
+}

@@ -1,0 +1,360 @@
+//! What `rig fit`, `rig capture` and `rig demo` share: from a session's merged images
+//! to a fit on disk and a report.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use super::{CliError, Context, HintExt};
+use crate::brdf::{Brdf, Dictionary, Mixture};
+use crate::config::{RigConfig, process};
+use crate::inverse::exponentiated_gradient::ExponentiatedGradient;
+use crate::inverse::gauss_newton::GaussNewton;
+use crate::inverse::{Channels, Fit, FitOptions, Optimizer, fit, intervals};
+use crate::radiance_image::{RadianceImage, exr};
+use crate::report;
+use crate::session::commit::SystemDisk;
+use crate::session::fit_record::{
+    self, AngleCell, AngleTable, AtomRecord, FitImages, FitRecord, FitSettings, Timing, TracePoint,
+    Warning,
+};
+use crate::session::{Session, SessionWriter, layout};
+use crate::transport::{Kernel, Scene};
+use crate::units::StageAngles;
+
+/// Choices of a fit that the command line may take over from the configuration.
+#[derive(clap::Args, Debug, Clone, Default)]
+pub struct FitArgs {
+    /// paper42, grid42, or a dictionary file
+    #[arg(long, value_name = "D")]
+    pub dictionary: Option<String>,
+    /// How the weights are found
+    #[arg(long, value_enum)]
+    pub optimizer: Option<OptimizerArg>,
+    /// Light paths per pixel, 2 to 65536
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=65_536))]
+    pub spp: Option<u32>,
+    /// Longest path in surface reflections, 2 to 64
+    #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(2..=64))]
+    pub max_reflections: Option<u32>,
+    /// Seed of the light paths
+    #[arg(long, value_name = "S", value_parser = clap::value_parser!(u64).range(0..=i64::MAX as u64))]
+    pub seed: Option<u64>,
+    /// One set of weights for all colour channels
+    #[arg(long)]
+    pub shared_weights: bool,
+    /// Relative error of the model that the weighting allows for, 0 to 1
+    #[arg(long, value_name = "T", default_value_t = 0.02, value_parser = fraction)]
+    pub model_error: f64,
+    /// Memory for cached paths, MiB; fewer paths are traced if it does not suffice
+    #[arg(long, value_name = "MIB", default_value_t = 512, value_parser = clap::value_parser!(u64).range(16..=1_048_576))]
+    pub memory: u64,
+    /// Which instructions evaluate the paths; portable gives the same numbers anywhere
+    #[arg(long, value_enum)]
+    pub kernel: Option<KernelArg>,
+}
+
+/// `--optimizer`.
+#[derive(clap::ValueEnum, Debug, Clone, Copy, PartialEq, Eq)]
+pub enum OptimizerArg {
+    /// Gauss-Newton steps on the simplex
+    GaussNewton,
+    /// Exponentiated gradient with Adam steps, as in the paper
+    ExponentiatedGradient,
+}
+
+/// `--kernel`.
+#[derive(clap::ValueEnum, Debug, Clone, Copy, PartialEq, Eq)]
+pub enum KernelArg {
+    /// Plain Rust
+    Portable,
+    /// The fastest this machine has
+    Auto,
+}
+
+fn fraction(text: &str) -> Result<f64, String> {
+    let value: f64 = text.parse().map_err(|_| "not a number".to_owned())?;
+    if (0.0..=1.0).contains(&value) {
+        Ok(value)
+    } else {
+        Err("not in 0 to 1".to_owned())
+    }
+}
+
+/// What is fitted and how, from configuration and command line together.
+pub struct FitPlan {
+    dictionary: Arc<Dictionary>,
+    options: FitOptions,
+}
+
+impl FitPlan {
+    /// The command line over `config`'s defaults.
+    pub fn new(args: &FitArgs, config: Option<&process::FitConfig>) -> Result<Self, CliError> {
+        let name = args
+            .dictionary
+            .as_deref()
+            .or(config.map(|c| c.dictionary.as_str()));
+        let dictionary = Dictionary::load(name.unwrap_or("paper42"))?;
+        let mut options = FitOptions {
+            model_error: args.model_error,
+            channels: if args.shared_weights {
+                Channels::Shared
+            } else {
+                Channels::Separate
+            },
+            ..FitOptions::default()
+        };
+        if let Some(config) = config {
+            options.cache.samples_per_pixel = config.samples_per_pixel;
+            options.cache.max_reflections = config.max_reflections.max(2);
+            options.cache.seed = config.seed;
+        }
+        let exponentiated = match args.optimizer {
+            Some(optimizer) => optimizer == OptimizerArg::ExponentiatedGradient,
+            None => {
+                config.is_some_and(|c| c.optimizer == process::Optimizer::ExponentiatedGradient)
+            }
+        };
+        options.optimizer = if exponentiated {
+            options.rounds = 1;
+            Optimizer::ExponentiatedGradient(ExponentiatedGradient::default())
+        } else {
+            Optimizer::GaussNewton(GaussNewton::default())
+        };
+        let cache = &mut options.cache;
+        cache.samples_per_pixel = args.spp.unwrap_or(cache.samples_per_pixel);
+        cache.max_reflections = args.max_reflections.unwrap_or(cache.max_reflections);
+        cache.seed = args.seed.unwrap_or(cache.seed);
+        cache.max_bytes = (args.memory as usize) << 20;
+        if args.kernel == Some(KernelArg::Portable) {
+            options.kernel = Kernel::Portable;
+        }
+        Ok(Self {
+            dictionary: Arc::new(dictionary),
+            options,
+        })
+    }
+
+    /// Fits and describes the result. `truth`: name and BRDF, where known.
+    pub fn run(
+        &self,
+        scene: &Scene,
+        captured: &[RadianceImage],
+        simulated: bool,
+        truth: Option<(&str, &dyn Brdf)>,
+        context: &Context,
+    ) -> Result<(FitRecord, FitImages), CliError> {
+        let bar = context.spinner();
+        let result = fit(
+            scene,
+            captured,
+            &self.dictionary,
+            &self.options,
+            &mut |stage| {
+                bar.set_message(stage.to_owned());
+            },
+        );
+        let fit = result?;
+        if fit.samples[0] < fit.samples[1] {
+            context.warn(format!(
+                "{} of {} paths per pixel were traced: more do not fit into the memory given",
+                fit.samples[0], fit.samples[1]
+            ));
+        }
+        bar.set_message("scoring".to_owned());
+        let record = self.describe(&fit, simulated, truth)?;
+        bar.finish_and_clear();
+        Ok((
+            record,
+            FitImages {
+                rendered: fit.rendered,
+                residual: fit.residual,
+            },
+        ))
+    }
+
+    fn describe(
+        &self,
+        fit: &Fit,
+        simulated: bool,
+        truth: Option<(&str, &dyn Brdf)>,
+    ) -> Result<FitRecord, CliError> {
+        let dictionary = &self.dictionary;
+        let mixture = |weights: &[Vec<f64>; 3]| Mixture::new(dictionary.clone(), weights.clone());
+        let mut timings = fit.timings.clone();
+        let clock = std::time::Instant::now();
+        let score = match truth {
+            Some((name, brdf)) => {
+                let (estimate, start) = (mixture(&fit.weights)?, mixture(&fit.start)?);
+                Some(crate::evaluate::score(
+                    name,
+                    brdf,
+                    dictionary,
+                    &estimate,
+                    &start,
+                    SCORE_SPHERE_PX,
+                )?)
+            }
+            None => None,
+        };
+        timings.push(("score", clock.elapsed().as_secs_f64()));
+        let theta_h_deg: Vec<f64> = (0..=45)
+            .map(|i| 90.0 * (f64::from(i) / 45.0).powi(2))
+            .collect();
+        let theta_d_deg: Vec<f64> = (0..=30).map(|j| 3.0 * f64::from(j)).collect();
+        let cells = intervals::table(
+            dictionary,
+            &fit.weights,
+            &fit.draws,
+            &theta_h_deg,
+            &theta_d_deg,
+        )
+        .into_iter()
+        .map(|i| AngleCell {
+            value: i.value,
+            lower: i.lower,
+            upper: i.upper,
+            constrained: i.constrained,
+        })
+        .collect();
+        let options = &self.options;
+        Ok(FitRecord {
+            simulated,
+            dictionary: dictionary.name().to_owned(),
+            atoms: dictionary
+                .atoms()
+                .iter()
+                .enumerate()
+                .map(|(i, a)| AtomRecord::new(i, a))
+                .collect(),
+            weights: fit.weights.clone(),
+            weight_deviations: intervals::weight_deviations(&fit.draws, dictionary.len()),
+            settings: FitSettings {
+                optimizer: options.optimizer.name().to_owned(),
+                samples_per_pixel: u64::from(fit.samples[0]),
+                max_reflections: options.cache.max_reflections,
+                seed: options.cache.seed,
+                kernel: fit.kernel.to_string(),
+            },
+            loss: fit
+                .trace
+                .last()
+                .map_or(0.0, |(_, step)| step.loss.iter().sum()),
+            reduced_chi_square: fit.reduced_chi2.clone(),
+            termination: fit.termination.to_string(),
+            trace: fit
+                .trace
+                .iter()
+                .enumerate()
+                .map(|(step, (seconds, point))| TracePoint {
+                    step: step as u64,
+                    loss: point.loss.iter().sum(),
+                    seconds: *seconds,
+                })
+                .collect(),
+            timings: timings
+                .iter()
+                .map(|(stage, seconds)| Timing {
+                    stage: (*stage).to_owned(),
+                    seconds: *seconds,
+                })
+                .collect(),
+            versions: BTreeMap::from([("rig".to_owned(), env!("CARGO_PKG_VERSION").to_owned())]),
+            score,
+            table: AngleTable {
+                theta_h_deg,
+                theta_d_deg,
+                cells,
+            },
+            warnings: warnings(fit),
+        })
+    }
+}
+
+/// Pixels per side of the spheres of the environment error, as the score is defined.
+const SCORE_SPHERE_PX: usize = crate::brdf::score::SPHERE_SIZE;
+
+/// A mean square residual of this many variances is more than noise and the model error
+/// that is usual for materials outside the dictionary.
+const POOR_CHI2: f64 = 25.0;
+
+fn warnings(fit: &Fit) -> Vec<Warning> {
+    let mut warnings = Vec::new();
+    for (light, chi2) in fit.reduced_chi2.iter().enumerate() {
+        let worst = chi2.iter().fold(0.0f64, |m, &v| m.max(v));
+        if worst > POOR_CHI2 {
+            warnings.push(Warning {
+                what: format!("the images under light {light} differ from the fit by {:.1} standard deviations (root mean square)", worst.sqrt()),
+                likely_cause: "a material outside the dictionary, a wrong shape or pose, or stray light".to_owned(),
+            });
+        }
+    }
+    warnings
+}
+
+/// Fits a session's merged images into its next `fits/<n>` and returns that folder.
+pub fn fit_session(root: &Path, args: &FitArgs, context: &Context) -> Result<PathBuf, CliError> {
+    let session = Session::open(root)?;
+    let record = session.record();
+    let config = RigConfig::parse(&record.rig, root, &record.config)?;
+    let plan = FitPlan::new(args, Some(&config.fit))?;
+    let places = places(&session)?;
+    let scene = config.geometry.scene(&places)?;
+    let mut captured = Vec::new();
+    for light in 0..places.len() {
+        let path = root.join(layout::radiance_file(light as u32));
+        let image = exr::read(&path)
+            .map_err(CliError::from)
+            .hint("the capture is incomplete: `rig capture --resume SESSION` finishes it")?;
+        captured.push(image.image);
+    }
+    let truth = match &config.simulation {
+        Some(simulation) => Some(simulation.material.load()?),
+        None => None,
+    };
+    let name = record
+        .true_material
+        .as_deref()
+        .unwrap_or("simulated material");
+    let truth = truth.as_ref().map(|brdf| (name, &**brdf));
+    let (fit, images) = plan.run(&scene, &captured, record.simulated, truth, context)?;
+    let mut writer = SessionWriter::open(Arc::new(SystemDisk), root)?;
+    Ok(fit_record::commit(&mut writer, &fit, &images)?)
+}
+
+/// Where the stage stood for each light, as read back; as planned where no frame tells.
+fn places(session: &Session) -> Result<Vec<StageAngles>, CliError> {
+    let mut places = session.record().plan.lights.clone();
+    let mut known = vec![false; places.len()];
+    for entry in session.frames() {
+        let light = entry.key.light as usize;
+        if light < places.len() && !known[light] {
+            let (_, sidecar) = session.read_frame(&entry)?;
+            places[light] = sidecar.stage_position;
+            known[light] = true;
+        }
+    }
+    Ok(places)
+}
+
+/// Writes the session's report and returns its path.
+pub fn report_session(root: &Path) -> Result<PathBuf, CliError> {
+    let html = report::render(&report::load::load(root, None)?)?;
+    let mut session = SessionWriter::open(Arc::new(SystemDisk), root)?;
+    session.commit_file(layout::REPORT_FILE, html.as_bytes())?;
+    Ok(root.join(layout::REPORT_FILE))
+}
+
+/// Fits a captured session and reports it.
+pub fn fit_and_report(root: &Path, context: &Context) -> Result<(), CliError> {
+    let args = FitArgs {
+        model_error: 0.02,
+        memory: 512,
+        ..FitArgs::default()
+    };
+    let folder = fit_session(root, &args, context)?;
+    context.note(format!("fit: {}", folder.display()));
+    let report = report_session(root)?;
+    context.note(format!("report: {}", report.display()));
+    Ok(())
+}

@@ -1,0 +1,156 @@
+//! From what files say to what is traced: meshes read, scenes assembled.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use super::RigConfig;
+use super::geometry::GeometryConfig;
+use super::reflectance::BrdfSpec;
+use super::scene::SceneFile;
+use super::simulation::MaterialSpec;
+use super::view::{SampleSpec, SurfaceSpec};
+use crate::brdf::{Brdf, BrdfError, Dictionary, Mixture, source, weights};
+use crate::geometry::{Mesh, MeshError, Shape, ply};
+use crate::simulation::{Truth, TruthSource};
+use crate::transport::{Light, Scene};
+use crate::units::StageAngles;
+
+/// Why a scene cannot be built from a valid description.
+#[derive(Debug, thiserror::Error)]
+pub enum BuildError {
+    /// The surface.
+    #[error(transparent)]
+    Mesh(#[from] MeshError),
+    /// The mesh file's kind.
+    #[error("{}: the file name does not end in .ply", path.display())]
+    MeshKind {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The material.
+    #[error(transparent)]
+    Brdf(#[from] BrdfError),
+    /// A body beside the sample, which transport does not trace yet.
+    #[error("[[body]]: {count} given, allowed are 0; only the sample is traced")]
+    Bodies {
+        /// How many.
+        count: usize,
+    },
+}
+
+impl SurfaceSpec {
+    /// The surface; a shape with `segments` facets around if given, else with its own.
+    pub fn mesh(&self, segments: Option<u32>) -> Result<Mesh, BuildError> {
+        match self {
+            SurfaceSpec::Shape(shape) => Ok(with_segments(shape, segments).mesh()?),
+            SurfaceSpec::Mesh(path) => match path.extension().and_then(|e| e.to_str()) {
+                Some("ply" | "PLY") => Ok(ply::read(path, 1.0)?),
+                _ => Err(BuildError::MeshKind { path: path.clone() }),
+            },
+        }
+    }
+}
+
+fn with_segments(shape: &Shape, wanted: Option<u32>) -> Shape {
+    let mut shape = shape.clone();
+    if let Some(wanted) = wanted {
+        match &mut shape {
+            Shape::Bowl { segments, .. }
+            | Shape::Sphere { segments, .. }
+            | Shape::Cap { segments, .. }
+            | Shape::Designed { segments, .. } => *segments = wanted.next_multiple_of(4),
+            Shape::Tetrahedron { .. } => {}
+        }
+    }
+    shape
+}
+
+impl SampleSpec {
+    /// The scene of this sample.
+    fn scene(
+        &self,
+        camera: crate::transport::Camera,
+        lights: Vec<Light>,
+    ) -> Result<Scene, BuildError> {
+        Ok(Scene::new(
+            self.surface.mesh(None)?,
+            self.shading,
+            camera,
+            lights,
+        ))
+    }
+}
+
+impl GeometryConfig {
+    /// The scene as the fit believes it, with the lamp at each of these angles.
+    pub fn scene(&self, angles: &[StageAngles]) -> Result<Scene, BuildError> {
+        self.sample
+            .scene(self.camera, angles.iter().map(|&a| self.light(a)).collect())
+    }
+}
+
+impl SceneFile {
+    /// The scene with its meshes read.
+    pub fn scene(&self) -> Result<Scene, BuildError> {
+        if !self.bodies.is_empty() {
+            return Err(BuildError::Bodies {
+                count: self.bodies.len(),
+            });
+        }
+        self.sample.scene(self.camera, self.lights.clone())
+    }
+}
+
+impl BrdfSpec {
+    /// The BRDF, its tables read.
+    pub fn load(&self) -> Result<Arc<dyn Brdf>, BrdfError> {
+        Ok(match self {
+            BrdfSpec::Mixture(parts) => {
+                let atoms = parts.iter().map(|p| p.atom).collect();
+                let dictionary = Dictionary::new("mixture", atoms)?;
+                let weights = std::array::from_fn(|c| parts.iter().map(|p| p.weight[c]).collect());
+                Arc::new(Mixture::new(Arc::new(dictionary), weights)?)
+            }
+            BrdfSpec::Dictionary {
+                name,
+                weights: file,
+            } => Arc::new(weights::read(file, Arc::new(Dictionary::load(name)?))?),
+            BrdfSpec::Table(path) => source::load(&path.display().to_string())?.into(),
+        })
+    }
+}
+
+impl MaterialSpec {
+    /// The material.
+    pub fn load(&self) -> Result<Arc<dyn Brdf>, BrdfError> {
+        match self {
+            MaterialSpec::Bundled { source: kind, name } => {
+                Ok(source::load(&format!("{kind}:{name}"))?.into())
+            }
+            MaterialSpec::Brdf(spec) => spec.load(),
+        }
+    }
+}
+
+impl RigConfig {
+    /// The true scene of a simulated rig; `None` for a real one.
+    pub fn truth(&self) -> Result<Option<Arc<TruthSource>>, BuildError> {
+        let Some(simulation) = &self.simulation else {
+            return Ok(None);
+        };
+        let geometry = self.geometry.clone();
+        Ok(Some(Arc::new(TruthSource::new(Truth {
+            mesh: geometry.sample.surface.mesh(Some(simulation.segments))?,
+            shading: geometry.sample.shading,
+            camera: geometry.camera,
+            light: Box::new(move |angles| geometry.light(angles)),
+            brdf: simulation.material.load()?,
+            pose_error_mm: simulation.pose_error_mm,
+            pose_error_deg: simulation.pose_error_deg,
+            ambient_w_m2_sr: simulation.ambient_w_m2_sr as f32,
+            samples_per_pixel: simulation.samples_per_pixel,
+            max_reflections: simulation.max_reflections,
+            seed: simulation.seed,
+        }))))
+    }
+}

@@ -1,0 +1,5 @@
+//! Estimates beside the truth, where the truth is known.
+
+pub mod score_sheet;
+
+pub use score_sheet::score;

@@ -1,0 +1,137 @@
+//! From draws of the weights to an interval for f at every (θh, θd).
+//!
+//! Weights alone are not identifiable (atoms overlap); the BRDF they add up to is.
+
+use super::uncertainty::Draws;
+use crate::brdf::dictionary::Dictionary;
+use crate::brdf::ggx::Cosines;
+use crate::brdf::half_difference::HalfDifference;
+
+/// f at one pair of angles, per channel, 1/sr.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Interval {
+    /// At the fitted weights.
+    pub value: [f64; 3],
+    /// 2.5% quantile of the posterior draws, never above `value`.
+    pub lower: [f64; 3],
+    /// 97.5% quantile, never below `value`.
+    pub upper: [f64; 3],
+    /// Whether the posterior's deviation is below half the prior's in every channel.
+    pub constrained: bool,
+}
+
+/// Intervals over the grid of half and difference angles (degrees), θd fastest, at φd = 90°.
+pub fn table(
+    dictionary: &Dictionary,
+    weights: &[Vec<f64>; 3],
+    draws: &[Draws],
+    theta_h_deg: &[f64],
+    theta_d_deg: &[f64],
+) -> Vec<Interval> {
+    let cell = |theta_h_deg: f64, theta_d_deg: f64| {
+        let angles = HalfDifference {
+            theta_h_rad: theta_h_deg.to_radians(),
+            theta_d_rad: theta_d_deg.to_radians(),
+            phi_d_rad: std::f64::consts::FRAC_PI_2,
+        };
+        let (to_light, to_viewer) = angles.to_directions();
+        let atoms: Vec<f64> = match Cosines::new(to_light.to_array(), to_viewer.to_array()) {
+            Some(at) => dictionary
+                .atoms()
+                .iter()
+                .map(|atom| atom.eval(&at))
+                .collect(),
+            None => vec![0.0; dictionary.len()],
+        };
+        let mut interval = Interval {
+            value: [0.0; 3],
+            lower: [0.0; 3],
+            upper: [0.0; 3],
+            constrained: true,
+        };
+        for c in 0..3 {
+            let f = |w: &[f64]| -> f64 { w.iter().zip(&atoms).map(|(w, f)| w * f).sum() };
+            let value = f(&weights[c]);
+            let Some(set) = draws.get(c.min(draws.len().saturating_sub(1))) else {
+                (interval.value[c], interval.lower[c], interval.upper[c]) = (value, value, value);
+                continue;
+            };
+            let mut posterior: Vec<f64> = set.posterior.iter().map(|x| f(x.as_slice())).collect();
+            let prior: Vec<f64> = set.prior.iter().map(|x| f(x.as_slice())).collect();
+            interval.constrained &= deviation(&posterior) < 0.5 * deviation(&prior);
+            posterior.sort_by(f64::total_cmp);
+            interval.value[c] = value;
+            interval.lower[c] = quantile(&posterior, 0.025).unwrap_or(value).min(value);
+            interval.upper[c] = quantile(&posterior, 0.975).unwrap_or(value).max(value);
+        }
+        interval
+    };
+    let mut cells = Vec::with_capacity(theta_h_deg.len() * theta_d_deg.len());
+    for &theta_h in theta_h_deg {
+        for &theta_d in theta_d_deg {
+            cells.push(cell(theta_h, theta_d));
+        }
+    }
+    cells
+}
+
+/// Standard deviation of each weight over the posterior draws, per channel.
+pub fn weight_deviations(draws: &[Draws], atoms: usize) -> [Vec<f64>; 3] {
+    std::array::from_fn(|c| match draws.get(c.min(draws.len().saturating_sub(1))) {
+        None => vec![0.0; atoms],
+        Some(set) => (0..atoms)
+            .map(|n| deviation(&set.posterior.iter().map(|x| x[n]).collect::<Vec<_>>()))
+            .collect(),
+    })
+}
+
+fn deviation(values: &[f64]) -> f64 {
+    let n = values.len().max(2) as f64;
+    let mean = values.iter().sum::<f64>() / n;
+    (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt()
+}
+
+/// Linear interpolation between order statistics; `None` of nothing.
+fn quantile(sorted: &[f64], q: f64) -> Option<f64> {
+    let position = q * (sorted.len().checked_sub(1)?) as f64;
+    let (below, fraction) = (position.floor() as usize, position.fract());
+    let above = sorted[(below + 1).min(sorted.len() - 1)];
+    Some(sorted[below] * (1.0 - fraction) + above * fraction)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::brdf::dictionary::Atom;
+    use nalgebra::DVector;
+
+    /// Two atoms, uniform weights between them: quantiles and deviations are known.
+    #[test]
+    fn intervals_follow_the_draws() {
+        let dictionary =
+            Dictionary::new("two", vec![Atom::Lambertian { albedo: 1.0 }, Atom::Black]).unwrap();
+        let draw = |w: f64| DVector::from_vec(vec![w, 1.0 - w]);
+        let set = || Draws {
+            posterior: (0..=100)
+                .map(|i| draw(0.4 + 0.002 * f64::from(i)))
+                .collect(),
+            prior: (0..=100).map(|i| draw(0.01 * f64::from(i))).collect(),
+        };
+        let weights = std::array::from_fn(|_| vec![0.5, 0.5]);
+        let draws = [set(), set(), set()];
+        let cells = table(&dictionary, &weights, &draws, &[0.0, 30.0], &[45.0]);
+        for cell in &cells {
+            let pi = std::f64::consts::PI;
+            assert!((cell.value[1] - 0.5 / pi).abs() < 1e-12);
+            assert!((cell.lower[1] - 0.405 / pi).abs() < 1e-9, "{cell:?}");
+            assert!((cell.upper[1] - 0.595 / pi).abs() < 1e-9, "{cell:?}");
+            assert!(cell.constrained);
+        }
+        let wide = [Draws {
+            posterior: set().prior,
+            prior: set().prior,
+        }];
+        assert!(!table(&dictionary, &weights, &wide, &[0.0], &[45.0])[0].constrained);
+        assert!((weight_deviations(&draws, 2)[0][0] - 0.0586).abs() < 1e-3);
+    }
+}

@@ -1,0 +1,126 @@
+//! Frames as 8- or 16-bit PNG files.
+
+use std::io::Cursor;
+
+use image::{DynamicImage, ImageFormat, ImageReader, Limits};
+
+/// Counts of a frame, DN.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FrameFile {
+    /// Pixels per row.
+    pub width: usize,
+    /// Rows; row 0 is the top.
+    pub height: usize,
+    /// Bits of a count in the file, 8 or 16.
+    pub bits: u32,
+    /// One plane (grey) or three (red, green, blue), row by row each.
+    pub planes: Vec<Vec<u16>>,
+}
+
+/// A frame that cannot be used; says what is wrong with it.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("{0}")]
+pub struct FrameFileError(String);
+
+/// Deflate shrinks at most 1032-fold; a larger declared size is a lie.
+const MAX_COMPRESSION: u64 = 1032;
+
+/// Decodes a PNG. Alpha channels are refused: they say that this is a picture
+/// and not a frame.
+///
+/// # Errors
+/// No PNG, damaged, larger than its bytes can hold, or with alpha or palette.
+pub fn decode_png(bytes: &[u8]) -> Result<FrameFile, FrameFileError> {
+    let error = |problem: image::ImageError| FrameFileError(problem.to_string());
+    let mut reader = ImageReader::with_format(Cursor::new(bytes), ImageFormat::Png);
+    let mut limits = Limits::default();
+    limits.max_alloc = Some((bytes.len() as u64) * MAX_COMPRESSION + (1 << 16));
+    reader.limits(limits);
+    let image = reader.decode().map_err(error)?;
+    let (width, height) = (image.width() as usize, image.height() as usize);
+    let deinterleave = |samples: Vec<u16>| -> Vec<Vec<u16>> {
+        (0..3)
+            .map(|c| samples.iter().skip(c).step_by(3).copied().collect())
+            .collect()
+    };
+    let widen = |samples: Vec<u8>| samples.into_iter().map(u16::from).collect::<Vec<u16>>();
+    let (bits, planes) = match image {
+        DynamicImage::ImageLuma8(grey) => (8, vec![widen(grey.into_raw())]),
+        DynamicImage::ImageLuma16(grey) => (16, vec![grey.into_raw()]),
+        DynamicImage::ImageRgb8(rgb) => (8, deinterleave(widen(rgb.into_raw()))),
+        DynamicImage::ImageRgb16(rgb) => (16, deinterleave(rgb.into_raw())),
+        other => {
+            return Err(FrameFileError(format!(
+                "its pixels are {:?}; grey or RGB of 8 or 16 bits are read",
+                other.color()
+            )));
+        }
+    };
+    Ok(FrameFile {
+        width,
+        height,
+        bits,
+        planes,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::{any, prop_assert_eq, proptest};
+
+    fn png(image: DynamicImage) -> Vec<u8> {
+        let mut bytes = Cursor::new(Vec::new());
+        image.write_to(&mut bytes, ImageFormat::Png).unwrap();
+        bytes.into_inner()
+    }
+
+    fn grey(width: u32, height: u32) -> Vec<u8> {
+        let counts = (0..width * height)
+            .map(|p| (p * 977 % 4096) as u16)
+            .collect();
+        png(DynamicImage::ImageLuma16(
+            image::ImageBuffer::from_raw(width, height, counts).unwrap(),
+        ))
+    }
+
+    #[test]
+    fn counts_come_back_as_they_were() {
+        let frame = decode_png(&grey(7, 5)).unwrap();
+        assert_eq!((frame.width, frame.height, frame.bits), (7, 5, 16));
+        assert_eq!(
+            frame.planes,
+            vec![(0..35).map(|p| p * 977 % 4096).collect::<Vec<u16>>()]
+        );
+        let rgb = image::RgbImage::from_raw(2, 1, vec![1, 2, 3, 4, 5, 6]).unwrap();
+        let frame = decode_png(&png(DynamicImage::ImageRgb8(rgb))).unwrap();
+        assert_eq!(frame.planes, [[1, 4], [2, 5], [3, 6]]);
+        assert_eq!(frame.bits, 8);
+        let alpha = image::RgbaImage::new(2, 2);
+        assert!(decode_png(&png(DynamicImage::ImageRgba8(alpha))).is_err());
+    }
+
+    proptest! {
+        /// Checksums make most damage an error; none may be a panic.
+        #[test]
+        fn damaged_files_never_panic(
+            changes in proptest::collection::vec((any::<proptest::sample::Index>(), any::<u8>()), 1..8),
+            keep in any::<proptest::sample::Index>(),
+            cut in any::<bool>(),
+        ) {
+            let mut bytes = grey(13, 9);
+            for (at, value) in changes {
+                let at = at.index(bytes.len());
+                bytes[at] = value;
+            }
+            if cut {
+                bytes.truncate(keep.index(bytes.len()));
+            }
+            if let Ok(frame) = decode_png(&bytes) {
+                for plane in &frame.planes {
+                    prop_assert_eq!(plane.len(), frame.width * frame.height);
+                }
+            }
+        }
+    }
+}
