@@ -224,12 +224,12 @@ fn late_settings_are_waited_for_and_ignored_ones_refused() {
         let session = create(Arc::new(UnsyncedDisk), parent.path()).unwrap();
         let root = session.root().to_owned();
         let (result, heard) = capture(bench, session);
-        let discarded: Vec<u32> = match Session::open(&root) {
+        let discarded: Vec<(f64, u32)> = match Session::open(&root) {
             Ok(session) => {
                 let sidecars = session.frames().map(|e| session.read_frame(&e).unwrap().1);
                 sidecars
                     .filter(|s| !s.pilot)
-                    .map(|s| s.frames_discarded)
+                    .map(|s| (s.applied.exposure.0, s.frames_discarded))
                     .collect()
             }
             Err(error) => panic!("{error}"),
@@ -238,7 +238,10 @@ fn late_settings_are_waited_for_and_ignored_ones_refused() {
     };
     let (result, _, discarded) = run(&Bench::with(|world| world.extra_latency = 3));
     assert_eq!(result.unwrap(), Outcome::Complete);
-    assert!(discarded.iter().all(|&frames| frames == 5), "{discarded:?}");
+    assert!(
+        discarded.iter().all(|&(_, frames)| frames == 5),
+        "{discarded:?}"
+    );
 
     let (result, _, _) = run(&Bench::with(|world| world.exposure_factor = 1.2));
     assert!(

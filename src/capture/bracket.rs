@@ -351,7 +351,7 @@ mod tests {
     #[test]
     fn light_is_told_from_room_light_and_noise() {
         let room = counts(&[500.0; 400], 0.1);
-        let lit = counts(&[520.0; 400], 0.1);
+        let lit = counts(&[540.0; 400], 0.1);
         assert!(shows_light(&noise(), &lit, &room, None));
         assert!(!shows_light(&noise(), &room, &room, None));
         assert!(!shows_light(&noise(), &lit, &room, Some(&[false; 400])));

@@ -37,25 +37,24 @@ pub struct Exposed<'a> {
     pub exposure_s: f64,
 }
 
-/// A pixel says something about the exposure where its signal in one of the
-/// frames is at least this part of the usable range; the second value where no
-/// pixel reaches the first.
-const MIN_SIGNAL: [f64; 2] = [0.05, 0.005];
+/// A pixel says most about the exposure where its signal in one of the frames is
+/// at least this part of the usable range. Where no pixel reaches it, all are
+/// taken: their sum is unbiased, and its uncertainty says what it is worth.
+const MIN_SIGNAL: f64 = 0.05;
 /// ... and at most this part, so that noise at the clipping level cannot bias.
 const MAX_SIGNAL: f64 = 0.9;
 /// Uncertainty of the black level common to all pixels, DN.
 const BLACK_LEVEL_STD_DN: f64 = 0.25;
 
-/// Compares two frames over the pixels that are well exposed in either and clipped
-/// in none. `None` where no such pixel is.
+/// Compares two frames over the pixels that are well exposed in either, or else all,
+/// that are clipped in none and not hot. `None` where they show no signal.
 pub fn signal_ratio(
     noise: &SensorNoise,
     earlier: Exposed<'_>,
     later: Exposed<'_>,
 ) -> Option<SignalRatio> {
-    MIN_SIGNAL
-        .into_iter()
-        .find_map(|min_signal| ratio_above(noise, min_signal, earlier, later))
+    ratio_above(noise, MIN_SIGNAL, earlier, later)
+        .or_else(|| ratio_above(noise, f64::NEG_INFINITY, earlier, later))
 }
 
 fn ratio_above(
@@ -75,7 +74,11 @@ fn ratio_above(
         // The brighter frame decides, whichever that is: where a new exposure was
         // ignored it is not the one that claims to be the longer.
         let brightest = signal(earlier, pixel).max(signal(later, pixel)) / range_dn;
-        if !(min_signal..=MAX_SIGNAL).contains(&brightest) {
+        let is_hot = noise
+            .hot_pixels
+            .as_ref()
+            .is_some_and(|hot| hot.get(pixel) == Some(&true));
+        if is_hot || !(min_signal..=MAX_SIGNAL).contains(&brightest) {
             continue;
         }
         pixels += 1.0;
@@ -101,6 +104,11 @@ fn ratio_above(
 }
 
 impl SignalRatio {
+    /// The ratio, where it is certain enough to tell what would be refused.
+    pub fn if_known(&self) -> Option<f64> {
+        (self.std_dev <= REFUSED).then_some(self.ratio)
+    }
+
     /// Judges; three standard deviations are granted to noise.
     pub fn verdict(&self) -> Verdict {
         let excess = (self.ratio - 1.0).abs() - 3.0 * self.std_dev;
@@ -163,6 +171,26 @@ mod tests {
         assert_eq!(judge(0.1, 0.1 * 1.06).1, Verdict::Refused);
         assert_eq!(judge(0.1, 0.1 * 1.024).1, Verdict::Doubtful);
         assert_eq!(judge(0.1, 0.1 * 1.005).1, Verdict::Good);
+    }
+
+    /// All pixels clip or show a few electrons: enough to notice a frame of the
+    /// old exposure, not enough to state a ratio.
+    #[test]
+    fn a_few_electrons_tell_a_stale_frame() {
+        let noise = SensorNoise::ideal(0.4, 2.5, 64.0, 12);
+        let frame = |dn: u16| [vec![4095; 32], vec![64 + dn; 32]].concat();
+        let (old, new) = (frame(2), frame(8));
+        let earlier = Exposed {
+            counts: &old,
+            exposure_s: 0.25,
+        };
+        let judge = |counts| {
+            let exposure_s = 1.0;
+            signal_ratio(&noise, earlier, Exposed { counts, exposure_s }).unwrap()
+        };
+        assert_eq!(judge(&new).verdict(), Verdict::Good);
+        assert_eq!(judge(&new).if_known(), None);
+        assert_eq!(judge(&old).verdict(), Verdict::Refused);
     }
 
     #[test]

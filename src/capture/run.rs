@@ -576,7 +576,7 @@ impl Run<'_> {
                 return Ok((frame, None));
             };
             match found.verdict() {
-                Verdict::Good => return Ok((frame, Some(found.ratio))),
+                Verdict::Good => return Ok((frame, found.if_known())),
                 Verdict::Doubtful => {
                     let text = format!(
                         "light {}: at {} the images show {:.4} of the expected signal, more than {} % off",
@@ -586,7 +586,7 @@ impl Run<'_> {
                         100.0 * exposure_check::GOOD
                     );
                     self.warn(shot.key.light, text).await?;
-                    return Ok((frame, Some(found.ratio)));
+                    return Ok((frame, found.if_known()));
                 }
                 Verdict::Refused
                     if self.discarded < self.plan.settings_latency_frames + PATIENCE_FRAMES =>
