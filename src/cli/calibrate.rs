@@ -26,7 +26,7 @@ use crate::calibration::record::{
 };
 use crate::calibration::sensor::TransferPoint;
 use crate::calibration::{Library, Loaded};
-use crate::config::{CameraConfig, CameraDriver, RigConfig};
+use crate::config::{CameraConfig, RigConfig};
 use crate::device::Camera;
 use crate::device::simulated::SimulatedCamera;
 use crate::out;
@@ -374,31 +374,15 @@ fn ask_to_cover(cover: bool) -> bool {
 
 /// The rig's camera; a simulated one sees an even light of this radiance.
 fn open_camera(rig: &RigConfig, radiance: f64) -> Result<Box<dyn Camera>, CliError> {
-    match (&rig.camera.driver, simulated_sensor(rig)) {
-        (CameraDriver::Simulated, Some(sensor)) => Ok(uniformly_lit(&rig.camera, sensor, radiance)),
-        #[cfg(feature = "v4l")]
-        (CameraDriver::V4l { device, format }, _) => {
-            let camera = crate::device::v4l::V4lCamera::open(crate::device::v4l::V4lConfig {
-                device: device.clone(),
-                serial: rig.camera.serial.clone(),
-                format: *format,
-                resolution_px: Some(rig.camera.resolution_px),
-                frame_timeout: rig.camera.frame_timeout,
-            })?;
-            Ok(Box::new(camera))
-        }
-        _ => Err(CliError::new(
-            "this program was built without the rig's camera driver",
-        )),
+    match simulated_sensor(rig) {
+        Some(sensor) => Ok(uniformly_lit(&rig.camera, sensor, radiance)),
+        None => super::open::open_real_camera(rig),
     }
 }
 
-/// The true sensor of a simulated rig. Its fixed patterns (responses, dark
-/// currents, hot pixels) are those of the simulation's seed: calibration and
-/// capture must see the same sensor.
+/// The true sensor of a simulated rig: calibration and capture must see the same one.
 pub(super) fn simulated_sensor(rig: &RigConfig) -> Option<SensorConfig> {
-    let simulation = rig.simulation.as_ref()?;
-    Some(simulation.sensor.clone())
+    Some(rig.simulation.as_ref()?.sensor.clone())
 }
 
 /// The simulated camera in front of an integrating sphere.
@@ -431,5 +415,6 @@ fn uniformly_lit(camera: &CameraConfig, sensor: SensorConfig, radiance: f64) -> 
     };
     let bench = SimulatedBench::new(BenchConfig::default(), Clock::instant());
     let mock = MockCamera::new(config, bench, SensorModel::new(sensor), Arc::new(sphere));
-    Box::new(SimulatedCamera::new(mock, camera.mosaic))
+    let serial = camera.serial.clone().unwrap_or_default();
+    Box::new(SimulatedCamera::new(mock, serial, camera.mosaic))
 }

@@ -8,7 +8,9 @@
 pub mod bench;
 pub mod brdf;
 pub mod calibrate;
+pub mod camera;
 pub mod completions;
+pub mod devices;
 pub mod doctor;
 pub mod error;
 pub mod exit;
@@ -17,6 +19,7 @@ pub mod fit;
 pub mod hints;
 pub mod interrupt;
 pub mod merge;
+pub mod open;
 pub mod output;
 pub mod pipeline;
 pub mod progress;
@@ -24,6 +27,7 @@ pub mod render;
 pub mod report;
 pub mod rig_choice;
 pub mod shape;
+pub mod stage;
 
 use std::ffi::OsString;
 use std::io::IsTerminal;
@@ -50,16 +54,19 @@ macro_rules! commands {
 }
 
 commands! {
-    Brdf(brdf::BrdfArgs) => brdf::run,
-    Fit(fit::FitCommandArgs) => fit::run,
-    Render(render::RenderArgs) => render::run,
-    Shape(shape::ShapeArgs) => shape::run,
-    Bench(bench::BenchArgs) => bench::run,
+    Devices(devices::DevicesArgs) => devices::run,
     Doctor(doctor::DoctorArgs) => doctor::run,
+    Stage(stage::StageArgs) => stage::run,
+    Camera(camera::CameraArgs) => camera::run,
     Calibrate(calibrate::CalibrateArgs) => calibrate::run,
     Merge(merge::MergeArgs) => merge::run,
+    Fit(fit::FitCommandArgs) => fit::run,
+    Render(render::RenderArgs) => render::run,
+    Brdf(brdf::BrdfArgs) => brdf::run,
+    Shape(shape::ShapeArgs) => shape::run,
     Report(report::ReportArgs) => report::run,
     Export(export::ExportArgs) => export::run,
+    Bench(bench::BenchArgs) => bench::run,
     Completions(completions::CompletionsArgs) => completions::run,
     Man(completions::ManArgs) => completions::run_man,
 }

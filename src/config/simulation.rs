@@ -216,6 +216,7 @@ impl RigConfig {
             lamp: simulation.lamp,
             channel_of_colour: [0, 1, 2].map(channel_of),
             sensor: simulation.sensor.clone(),
+            camera_serial: self.camera.serial.clone().unwrap_or_default(),
             camera: simulation.camera.clone(),
             mosaic: self.camera.mosaic,
             instant: simulation.timing == Timing::Instant,

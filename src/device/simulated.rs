@@ -37,6 +37,8 @@ pub struct SimulatedConfig {
     pub sensor: SensorConfig,
     /// The camera around it.
     pub camera: CameraConfig,
+    /// The serial number that the camera says it has.
+    pub camera_serial: String,
     /// Colour filters that the radiance source has accounted for.
     pub mosaic: Mosaic,
     /// Whether waiting moves a virtual clock instead of taking time.
@@ -131,6 +133,7 @@ impl SimulatedBench {
         let SimulatedConfig {
             sensor,
             camera,
+            camera_serial,
             mosaic,
             ..
         } = &self.config;
@@ -142,6 +145,7 @@ impl SimulatedBench {
                 sensor,
                 source,
             ),
+            camera_serial.clone(),
             *mosaic,
         )
     }
@@ -206,12 +210,16 @@ pub struct SimulatedCamera {
 
 impl SimulatedCamera {
     /// Wraps a mock camera whose radiance source accounts for `mosaic`.
-    pub fn new(camera: mock_devices::camera::SimulatedCamera, mosaic: Mosaic) -> Self {
+    pub fn new(
+        camera: mock_devices::camera::SimulatedCamera,
+        serial: String,
+        mosaic: Mosaic,
+    ) -> Self {
         let sensor = camera.sensor().config();
         let info = CameraInfo {
             driver: "simulated".to_owned(),
             model: format!("simulated {}-bit sensor", sensor.bit_depth),
-            serial: format!("simulated-{}", sensor.seed),
+            serial,
             resolution_px: sensor.resolution_px,
             bit_depth: sensor.bit_depth,
             mosaic,
@@ -232,7 +240,7 @@ impl SimulatedCamera {
     }
 
     fn error(&self, error: MockCameraError) -> DeviceError {
-        let device = self.info.serial.clone();
+        let device = format!("{} {}", self.info.model, self.info.serial);
         match error {
             MockCameraError::Disconnected => DeviceError::Disconnected { device },
             MockCameraError::NoFrame { timeout_s } => DeviceError::NoReply {
@@ -334,6 +342,7 @@ pub(crate) mod tests {
             channel_of_colour: [Some(0), Some(1), Some(2)],
             sensor: SensorConfig::typical([8, 4], 1),
             camera: CameraConfig::default(),
+            camera_serial: "SIM-1".to_owned(),
             mosaic: Mosaic::None,
             instant: true,
             seed: 1,

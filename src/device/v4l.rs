@@ -28,8 +28,12 @@ pub struct V4lConfig {
     pub device: String,
     /// The USB serial number that the device must have; `None`: any.
     pub serial: Option<String>,
-    /// Pixel format by its four-character code; `None`: the deepest raw one.
+    /// Pixel format by its four-character code; `None`: the deepest raw one, or
+    /// the one that fits `bit_depth` best.
     pub format: Option<[u8; 4]>,
+    /// Significant bits of a sample where they are fewer than the format has
+    /// room for, as of a 12-bit sensor in `Y16`; `None`: all.
+    pub bit_depth: Option<u32>,
     /// Width and height, pixels; `None`: as the camera is set.
     pub resolution_px: Option<[u32; 2]>,
     /// How long a frame may take beyond its exposure.
@@ -251,23 +255,34 @@ fn set_format(
         let text = |code: &[u8; 4]| String::from_utf8_lossy(code).trim_end().to_owned();
         codes.iter().map(text).collect::<Vec<_>>().join(", ")
     };
-    let wanted = match config.format {
+    let mut wanted = match config.format {
         Some(code) => of_fourcc(code).ok_or_else(|| {
             refused(
                 format!("format {}", names(&[code])),
                 "not a raw format that can be read".to_owned(),
             )
         })?,
+        // The smallest that holds the significant bits where they are known.
         None => FORMATS
             .iter()
             .filter(|format| offered.contains(&format.fourcc))
-            .max_by_key(|format| format.bits)
+            .max_by_key(|format| match config.bit_depth {
+                Some(bits) if format.bits >= bits => (true, 16 - format.bits),
+                Some(_) => (false, format.bits),
+                None => (true, format.bits),
+            })
             .copied()
             .ok_or_else(|| {
                 let reason = format!("none of the camera's formats is raw: {}", names(&offered));
                 refused("a raw format".to_owned(), reason)
             })?,
     };
+    let bits = config.bit_depth.unwrap_or(wanted.bits);
+    if !(1..=wanted.bits).contains(&bits) {
+        let reason = format!("its samples have 1 to {} bits", wanted.bits);
+        return Err(refused(format!("{bits} bits of {}", wanted.name()), reason));
+    }
+    wanted.bits = bits;
     let mut format = device.format().map_err(failed)?;
     if let Some([width, height]) = config.resolution_px {
         (format.width, format.height) = (width, height);
@@ -558,6 +573,7 @@ mod tests {
                 device: device.to_owned(),
                 serial: None,
                 format: None,
+                bit_depth: None,
                 resolution_px: None,
                 frame_timeout: Seconds(1.0),
             })

@@ -9,6 +9,7 @@ pub mod figures;
 pub mod images;
 pub mod load;
 pub mod plots;
+mod summary;
 mod template;
 
 use std::sync::Arc;

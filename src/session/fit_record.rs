@@ -14,11 +14,10 @@
 //! the files to a session, each journalled, `fit.toml` last: a folder without it
 //! is no fit.
 
+mod folder;
 mod tables;
 
 use std::collections::BTreeMap;
-use std::fs::File;
-use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -27,15 +26,16 @@ use serde::{Deserialize, Serialize};
 use crate::brdf::mixture::SUM_TOLERANCE;
 use crate::brdf::{Atom, BrdfError, Dictionary, Mixture};
 use crate::radiance_image::RadianceImage;
-use crate::radiance_image::exr::{self, ExrError};
-use crate::session::layout::FITS_FOLDER;
-use crate::session::{SessionError, SessionWriter};
+use crate::radiance_image::exr::ExrError;
+use crate::session::SessionError;
 
+pub use folder::{commit, encode, list, next_folder, read, read_images, write};
 pub use tables::{AngleCell, AngleTable};
+
+const FIT_FILE: &str = "fit.toml";
 
 /// Version of the folder's layout; a reader refuses any other.
 pub const FORMAT: u32 = 1;
-const FIT_FILE: &str = "fit.toml";
 
 /// One element of the dictionary.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -300,263 +300,6 @@ pub enum FitRecordError {
     /// An image that cannot be read or written.
     #[error(transparent)]
     Image(#[from] ExrError),
-}
-
-/// The part of the record that is `fit.toml`.
-#[derive(Serialize, Deserialize)]
-struct FitToml {
-    format: u32,
-    simulated: bool,
-    dictionary: String,
-    loss: f64,
-    termination: String,
-    reduced_chi_square: Vec<[f64; 3]>,
-    settings: FitSettings,
-    #[serde(default)]
-    versions: BTreeMap<String, String>,
-    #[serde(default)]
-    timing: Vec<Timing>,
-    #[serde(default)]
-    warning: Vec<Warning>,
-    score: Option<ScoreSheet>,
-}
-
-/// The fit's files by name, `fit.toml` last.
-///
-/// # Errors
-/// A value out of its range; `folder` is only named in the message.
-pub fn encode(
-    folder: &Path,
-    record: &FitRecord,
-    images: &FitImages,
-) -> Result<Vec<(String, Vec<u8>)>, FitRecordError> {
-    check(folder, record)?;
-    let mut files = Vec::new();
-    for (kind, series) in [
-        ("rendered", &images.rendered),
-        ("residual", &images.residual),
-    ] {
-        for (light, image) in series.iter().enumerate() {
-            let name = image_name(kind, light);
-            let bytes = exr::encode(image, &folder.join(&name))?;
-            files.push((name, bytes));
-        }
-    }
-    for (name, text) in [
-        ("weights.csv", tables::weights_to_csv(record)),
-        ("table.csv", tables::table_to_csv(&record.table)),
-        ("trace.csv", tables::trace_to_csv(&record.trace)),
-        (FIT_FILE, to_toml(record)),
-    ] {
-        files.push((name.to_owned(), text.into_bytes()));
-    }
-    Ok(files)
-}
-
-/// Adds a fit to a session under the next free number and returns its folder.
-/// Every file is journalled; `fit.toml`, the last one, makes the fit count.
-///
-/// # Errors
-/// A value out of its range (nothing is written then), or the session's error.
-pub fn commit(
-    session: &mut SessionWriter,
-    record: &FitRecord,
-    images: &FitImages,
-) -> Result<PathBuf, FitRecordError> {
-    let folder = next_folder(session.root());
-    let files = encode(&folder, record, images)?;
-    let number = folder.file_name().unwrap_or_default().to_string_lossy();
-    for (name, bytes) in files {
-        session.commit_file(&format!("{FITS_FOLDER}/{number}/{name}"), &bytes)?;
-    }
-    Ok(folder)
-}
-
-/// Writes a fit's folder outside a session. `folder` must not exist, or be
-/// empty. It appears whole or not at all.
-///
-/// # Errors
-/// [`FitRecordError::Exists`], a value out of its range (nothing is written
-/// then), or the system's error.
-pub fn write(folder: &Path, record: &FitRecord, images: &FitImages) -> Result<(), FitRecordError> {
-    let files = encode(folder, record, images)?;
-    let io = |path: &Path| {
-        let path = path.to_path_buf();
-        move |source| FitRecordError::Io { path, source }
-    };
-    let occupied = std::fs::read_dir(folder).is_ok_and(|mut inside| inside.next().is_some());
-    if occupied || folder.is_file() {
-        return Err(FitRecordError::Exists {
-            path: folder.to_path_buf(),
-        });
-    }
-    let parent = match folder.parent() {
-        Some(parent) if parent != Path::new("") => parent,
-        _ => Path::new("."),
-    };
-    std::fs::create_dir_all(parent).map_err(io(parent))?;
-    let partial = tempfile::Builder::new()
-        .prefix(".fit-partial-")
-        .tempdir_in(parent)
-        .map_err(io(parent))?;
-    for (name, bytes) in files {
-        let path = partial.path().join(name);
-        let written = File::create(&path).and_then(|mut file| {
-            file.write_all(&bytes)?;
-            file.sync_all()
-        });
-        written.map_err(io(&path))?;
-    }
-    sync_folder(partial.path()).map_err(io(partial.path()))?;
-    make_readable(partial.path()).map_err(io(partial.path()))?;
-    // An empty folder may be replaced by the rename; a filled one may not.
-    std::fs::rename(partial.path(), folder).map_err(io(folder))?;
-    let _ = partial.keep(); // Renamed: nothing is left to remove.
-    sync_folder(parent).map_err(io(parent))
-}
-
-/// A temporary folder is private to its owner; a result is not.
-fn make_readable(folder: &Path) -> std::io::Result<()> {
-    use std::os::unix::fs::PermissionsExt;
-    std::fs::set_permissions(folder, std::fs::Permissions::from_mode(0o755))
-}
-
-fn sync_folder(folder: &Path) -> std::io::Result<()> {
-    File::open(folder)?.sync_all()
-}
-
-fn image_name(kind: &str, light: usize) -> String {
-    format!("{kind}_L{light:03}.exr")
-}
-
-/// Reads a fit's folder, without its images.
-///
-/// # Errors
-/// Names the file and the key or column that is missing or wrong.
-pub fn read(folder: &Path) -> Result<FitRecord, FitRecordError> {
-    let text = |name: &str| {
-        let path = folder.join(name);
-        match std::fs::read_to_string(&path) {
-            Ok(text) => Ok((path, text)),
-            Err(source) => Err(FitRecordError::Io { path, source }),
-        }
-    };
-    let (toml_path, toml_text) = text(FIT_FILE)?;
-    let toml = from_toml(&toml_path, &toml_text)?;
-    let (path, csv) = text("weights.csv")?;
-    let (atoms, weights, weight_deviations) = tables::weights_from_csv(&path, &csv)?;
-    let (path, csv) = text("table.csv")?;
-    let table = tables::table_from_csv(&path, &csv)?;
-    let (path, csv) = text("trace.csv")?;
-    let trace = tables::trace_from_csv(&path, &csv)?;
-    let record = FitRecord {
-        simulated: toml.simulated,
-        dictionary: toml.dictionary,
-        atoms,
-        weights,
-        weight_deviations,
-        settings: toml.settings,
-        loss: toml.loss,
-        reduced_chi_square: toml.reduced_chi_square,
-        termination: toml.termination,
-        trace,
-        timings: toml.timing,
-        versions: toml.versions,
-        score: toml.score,
-        table,
-        warnings: toml.warning,
-    };
-    check(folder, &record)?;
-    Ok(record)
-}
-
-/// Reads the images of a fit, as many lights as there are files.
-///
-/// # Errors
-/// An image that is there but cannot be read.
-pub fn read_images(folder: &Path) -> Result<FitImages, FitRecordError> {
-    let series = |kind: &str| {
-        (0..)
-            .map(|light| folder.join(image_name(kind, light)))
-            .take_while(|path| path.exists())
-            .map(|path| exr::read(&path).map(|file| file.image))
-            .collect::<Result<Vec<_>, _>>()
-    };
-    Ok(FitImages {
-        rendered: series("rendered")?,
-        residual: series("residual")?,
-    })
-}
-
-/// The fits of a session by number, lowest first: its folders `fits/<n>`.
-pub fn list(session: &Path) -> Vec<(u32, PathBuf)> {
-    let mut found = numbered(session);
-    found.retain(|(_, path)| path.join(FIT_FILE).exists());
-    found
-}
-
-fn numbered(session: &Path) -> Vec<(u32, PathBuf)> {
-    let mut found: Vec<_> = std::fs::read_dir(session.join(FITS_FOLDER))
-        .into_iter()
-        .flatten()
-        .flatten()
-        .filter_map(|entry| Some((entry.file_name().to_str()?.parse().ok()?, entry.path())))
-        .collect();
-    found.sort();
-    found
-}
-
-/// The folder for the next fit of a session, one above the highest number in
-/// use, finished or not; not yet made.
-pub fn next_folder(session: &Path) -> PathBuf {
-    let number = numbered(session).last().map_or(0, |(number, _)| number + 1);
-    session.join(FITS_FOLDER).join(number.to_string())
-}
-
-fn to_toml(record: &FitRecord) -> String {
-    let toml = FitToml {
-        format: FORMAT,
-        simulated: record.simulated,
-        dictionary: record.dictionary.clone(),
-        loss: record.loss,
-        termination: record.termination.clone(),
-        reduced_chi_square: record.reduced_chi_square.clone(),
-        settings: record.settings.clone(),
-        versions: record.versions.clone(),
-        timing: record.timings.clone(),
-        warning: record.warnings.clone(),
-        score: record.score.clone(),
-    };
-    toml::to_string(&toml).expect("plain data with string keys is always TOML")
-}
-
-fn from_toml(path: &Path, text: &str) -> Result<FitToml, FitRecordError> {
-    let toml: FitToml = toml::from_str(text).map_err(|error| {
-        let at = error.span().map_or(0, |span| span.start.min(text.len()));
-        let before = text.get(..at).unwrap_or_default();
-        let line = before.matches('\n').count() + 1;
-        let content = text.lines().nth(line - 1).unwrap_or_default();
-        let key = match content.split_once('=') {
-            Some((key, _)) => key.trim(),
-            None => content.trim(),
-        };
-        FitRecordError::Syntax {
-            path: path.to_path_buf(),
-            line,
-            key: if key.is_empty() { "document" } else { key }.to_owned(),
-            fact: error.message().lines().collect::<Vec<_>>().join(" "),
-        }
-    })?;
-    if toml.format == FORMAT {
-        Ok(toml)
-    } else {
-        Err(out_of_range(
-            path,
-            "format",
-            toml.format,
-            &FORMAT.to_string(),
-        ))
-    }
 }
 
 fn out_of_range(

@@ -40,6 +40,8 @@ pub struct GrblStage {
     lamp: Option<LampState>,
     /// A command that moves the stage is under way.
     in_motion: bool,
+    /// The firmware has spoken: before, there is nothing to turn off.
+    is_alive: bool,
 }
 
 impl GrblStage {
@@ -60,9 +62,11 @@ impl GrblStage {
             settings: BTreeMap::new(),
             lamp: None,
             in_motion: false,
+            is_alive: false,
         };
         stage.check_config()?;
         stage.wait_until_alive()?;
+        stage.is_alive = true;
         stage.identify()?;
         stage.lamp = stage.read_lamp()?;
         Ok(stage)
@@ -323,7 +327,10 @@ impl GrblStage {
                     }
                 }
                 MachineState::Alarm => return Err(self.alarm(self.reason_of_lock())),
-                MachineState::Run | MachineState::Hold(1) => idle_elsewhere = None,
+                // Whoever holds it at the machine may let it go on, in time.
+                MachineState::Run | MachineState::Hold(_) | MachineState::Door(_) => {
+                    idle_elsewhere = None;
+                }
                 state => {
                     return Err(
                         self.refused(&line, &format!("the controller is in state {state:?}"))
@@ -413,6 +420,18 @@ impl GrblStage {
         })
     }
 
+    /// A controller that is locked takes no lamp command, and one that has just
+    /// restarted has its outputs off; if not, a restart turns them off.
+    fn lamp_off_while_locked(&mut self) -> Result<LampState, DeviceError> {
+        if !matches!(self.read_lamp(), Ok(Some(LampState::Off))) {
+            let timeout = self.config.connect_timeout.to_duration();
+            self.link
+                .restart(true, "it was restarted to turn the lamp off", timeout)?;
+        }
+        self.lamp = Some(LampState::Off);
+        Ok(LampState::Off)
+    }
+
     fn commands_of(&self, lamp: LampState) -> Result<Vec<String>, DeviceError> {
         let mut commands = self.config.lamp_off.clone();
         if let LampState::On(LampChannel(channel)) = lamp {
@@ -500,7 +519,15 @@ impl LightStage for GrblStage {
         let commands = self.commands_of(lamp)?;
         self.lamp = None;
         for command in &commands {
-            self.command(command, self.reply_timeout())?;
+            match self.command(command, self.reply_timeout()) {
+                Ok(_) => {}
+                Err(DeviceError::Alarm { .. } | DeviceError::NotHomed { .. })
+                    if lamp == LampState::Off =>
+                {
+                    return self.lamp_off_while_locked();
+                }
+                Err(error) => return Err(error),
+            }
         }
         let (expected, _) = self.outputs_of(lamp);
         self.lamp = self.read_lamp()?;
@@ -544,7 +571,7 @@ impl Drop for GrblStage {
     fn drop(&mut self) {
         let known = self.link.known().clone();
         let is_off = self.lamp == Some(LampState::Off) && !known.needs_reset;
-        if is_off && !self.in_motion {
+        if !self.is_alive || (is_off && !self.in_motion) {
             return;
         }
         let turned_off = !self.in_motion && self.set_lamp(LampState::Off).is_ok();

@@ -154,6 +154,23 @@ fn dropping_the_driver_turns_the_lamp_off() {
     assert_eq!(bench.bench().lamp_drive(), [0.0; 3]);
 }
 
+/// Alarm 4 (a probe) locks the controller with its outputs as they are.
+#[test]
+fn the_lamp_of_a_locked_controller_goes_off() {
+    let bench = simulated(Clock::instant(), stage_config());
+    let mut stage = bench.open_stage().unwrap();
+    assert_eq!(stage.set_lamp(LampState::Off).unwrap(), LampState::Off);
+    stage.home().unwrap();
+    stage.set_lamp(LampState::On(LampChannel(0))).unwrap();
+    bench
+        .stage_faults()
+        .inject(Trigger::Line("G4".to_owned()), Fault::Alarm(4));
+    let _ = stage.command("G4 P0", Duration::from_secs(1));
+    assert_eq!(stage.set_lamp(LampState::Off).unwrap(), LampState::Off);
+    assert_eq!(bench.bench().lamp_drive(), [0.0; 3]);
+    stage.home().unwrap();
+}
+
 #[test]
 fn a_target_outside_the_limits_moves_nothing() {
     let (bench, mut stage) = homed();

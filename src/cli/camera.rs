@@ -1,0 +1,252 @@
+//! `rig camera`: the camera by hand.
+
+use std::fs::File;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use mock_devices::{Illumination, RadianceSource};
+
+use super::output::write_json;
+use super::rig_choice::RigArg;
+use super::{CliError, Context, HintExt, open};
+use crate::config::RigConfig;
+use crate::device::{Camera, CameraInfo, CameraSettings, FrameKey, FrameKind, RawFrame};
+use crate::out;
+use crate::session::frame::encode_png;
+use crate::units::Seconds;
+
+/// Controls the camera directly
+#[derive(clap::Args, Debug)]
+pub struct CameraArgs {
+    #[command(subcommand)]
+    action: Action,
+}
+
+#[derive(clap::Subcommand, Debug)]
+enum Action {
+    /// Says what it is and can do
+    Info(Which),
+    /// Takes one raw frame
+    Grab {
+        #[command(flatten)]
+        which: Which,
+        /// The 16-bit PNG to write: raw counts, row 0 at the top
+        #[arg(long, value_name = "FILE")]
+        out: Option<PathBuf>,
+        /// Exposure (ms)
+        #[arg(long, value_name = "MS", default_value_t = 10.0, value_parser = positive)]
+        exposure_ms: f64,
+        /// Analogue gain, a factor; 1 is the camera's lowest
+        #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = positive)]
+        gain: f64,
+        /// Frames to let pass after the change of settings
+        #[arg(long, value_name = "FRAMES", default_value_t = 3)]
+        discard: u32,
+    },
+}
+
+/// Which camera.
+#[derive(clap::Args, Debug)]
+struct Which {
+    #[command(flatten)]
+    rig: RigArg,
+    /// A Video4Linux device without a rig file
+    #[arg(long, value_name = "PATH", conflicts_with = "rig")]
+    device: Option<String>,
+    /// Pixel format on --device, four characters; the deepest raw one if not given
+    #[arg(long, value_name = "CODE", requires = "device", value_parser = four_characters)]
+    format: Option<[u8; 4]>,
+    /// The answer as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+fn positive(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(value) if (1e-6..=1e9).contains(&value) => Ok(value),
+        _ => Err("a number above 0".to_owned()),
+    }
+}
+
+/// `Y12` is `Y12 `: trailing blanks belong to the code and are easily forgotten.
+fn four_characters(text: &str) -> Result<[u8; 4], String> {
+    let padded = format!("{text:<4}");
+    padded
+        .as_bytes()
+        .try_into()
+        .map_err(|_| "a code of four characters such as Y12 or RG16".to_owned())
+}
+
+/// `rig camera`.
+pub fn run(args: &CameraArgs, context: &Context) -> Result<(), CliError> {
+    match &args.action {
+        Action::Info(which) => {
+            let camera = which.open(context)?;
+            let info = camera.info();
+            if which.json {
+                return write_json(info);
+            }
+            print_info(info)
+        }
+        Action::Grab {
+            which,
+            out,
+            exposure_ms,
+            gain,
+            discard,
+        } => {
+            let mut camera = which.open(context)?;
+            let settings = camera.configure(CameraSettings {
+                exposure: Seconds(exposure_ms * 1e-3),
+                gain: *gain,
+            })?;
+            let frame = grab(&mut *camera, *discard)?;
+            if let Some(path) = out {
+                write_png(path, &frame)?;
+            }
+            report(which, out.as_deref(), settings, camera.info(), &frame)
+        }
+    }
+}
+
+fn grab(camera: &mut dyn Camera, discard: u32) -> Result<RawFrame, CliError> {
+    let key = |repeat| FrameKey {
+        light: 0,
+        exposure: 0,
+        repeat,
+        kind: FrameKind::Ambient,
+    };
+    for repeat in 0..discard {
+        camera.grab(key(repeat))?;
+    }
+    Ok(camera.grab(key(discard))?)
+}
+
+fn write_png(path: &Path, frame: &RawFrame) -> Result<(), CliError> {
+    let png = encode_png(frame).map_err(CliError::new)?;
+    File::create_new(path)
+        .and_then(|mut file| file.write_all(&png))
+        .map_err(|error| CliError::new(format!("{}: {error}", path.display())))
+        .hint("name a file that does not exist yet, in a folder that can be written")
+}
+
+fn print_info(info: &CameraInfo) -> Result<(), CliError> {
+    let [width, height] = info.resolution_px;
+    let [shortest, longest] = info.exposure_range;
+    out!("camera    {} ({})", info.model, info.driver)?;
+    out!("serial    {}", info.serial)?;
+    out!(
+        "frame     {width} x {height} pixels, {} bits, colour filters {:?}",
+        info.bit_depth,
+        info.mosaic
+    )?;
+    out!(
+        "exposure  {shortest} to {longest} in steps of {}",
+        info.exposure_step
+    )
+}
+
+fn report(
+    which: &Which,
+    file: Option<&Path>,
+    settings: CameraSettings,
+    info: &CameraInfo,
+    frame: &RawFrame,
+) -> Result<(), CliError> {
+    let saturation = ((1_u32 << info.bit_depth.min(16)) - 1) as u16;
+    let saturated = frame.counts.iter().filter(|&&c| c >= saturation).count();
+    let least = frame.counts.iter().min().copied().unwrap_or(0);
+    let most = frame.counts.iter().max().copied().unwrap_or(0);
+    let sum: f64 = frame.counts.iter().map(|&count| f64::from(count)).sum();
+    let mean = sum / frame.counts.len().max(1) as f64;
+    if which.json {
+        return write_json(&serde_json::json!({
+            "file": file,
+            "settings": settings,
+            "width": frame.width,
+            "height": frame.height,
+            "sequence": frame.sequence,
+            "minimum_dn": least,
+            "mean_dn": mean,
+            "maximum_dn": most,
+            "saturated_pixels": saturated,
+        }));
+    }
+    out!("settings  {}, gain {}", settings.exposure, settings.gain)?;
+    out!("counts    {least} to {most}, mean {mean:.1} DN, {saturated} pixels saturated")?;
+    match file {
+        Some(path) => out!("{}", path.display()),
+        None => Ok(()),
+    }
+}
+
+impl Which {
+    fn open(&self, context: &Context) -> Result<Box<dyn Camera>, CliError> {
+        if let Some(device) = &self.device {
+            return open_device(device, self.format);
+        }
+        let rig = self.rig.resolve(context)?.config;
+        match &rig.simulation {
+            None => open::open_real_camera(&rig),
+            Some(_) => open_simulated(&rig),
+        }
+    }
+}
+
+#[cfg(feature = "v4l")]
+fn open_device(device: &str, format: Option<[u8; 4]>) -> Result<Box<dyn Camera>, CliError> {
+    use crate::device::v4l::{V4lCamera, V4lConfig};
+    let camera = V4lCamera::open(V4lConfig {
+        device: device.to_owned(),
+        serial: None,
+        format,
+        bit_depth: None,
+        resolution_px: None,
+        frame_timeout: Seconds(5.0),
+    })?;
+    Ok(Box::new(camera))
+}
+
+#[cfg(not(feature = "v4l"))]
+fn open_device(_: &str, _: Option<[u8; 4]>) -> Result<Box<dyn Camera>, CliError> {
+    Err(
+        CliError::new("this program was built without Video4Linux, on which all cameras are")
+            .hint("build it with the feature `v4l`"),
+    )
+}
+
+/// The simulated camera on a bench whose lamp is off, as it is while nobody
+/// uses its stage: the room's light alone.
+fn open_simulated(rig: &RigConfig) -> Result<Box<dyn Camera>, CliError> {
+    let source = || -> Result<Arc<dyn RadianceSource>, CliError> {
+        Ok(Arc::new(Room {
+            resolution_px: rig.camera.resolution_px,
+            radiance_w_m2_sr: rig
+                .simulation
+                .as_ref()
+                .map_or(0.0, |simulation| simulation.ambient_w_m2_sr)
+                as f32,
+        }))
+    };
+    let devices = open::open_devices(rig, source)?;
+    Ok(devices.camera)
+}
+
+/// What a simulated camera sees while the lamp is off.
+struct Room {
+    resolution_px: [u32; 2],
+    radiance_w_m2_sr: f32,
+}
+
+impl RadianceSource for Room {
+    fn resolution_px(&self) -> [u32; 2] {
+        self.resolution_px
+    }
+
+    fn radiance(&self, _: &Illumination) -> Arc<Vec<f32>> {
+        let [width, height] = self.resolution_px;
+        let pixels = width as usize * height as usize;
+        Arc::new(vec![self.radiance_w_m2_sr; pixels])
+    }
+}

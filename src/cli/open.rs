@@ -1,0 +1,171 @@
+//! The devices of a rig, real or simulated, behind the traits.
+
+use std::sync::Arc;
+
+use mock_devices::RadianceSource;
+
+use super::CliError;
+use crate::config::RigConfig;
+use crate::device::{Camera, LightStage};
+
+/// The stage and the camera of a rig.
+pub struct Devices {
+    /// The stage. It ends before its simulated firmware does.
+    pub stage: Box<dyn LightStage>,
+    /// The camera.
+    pub camera: Box<dyn Camera>,
+    _bench: Option<Box<dyn std::any::Any + Send>>,
+}
+
+/// A rig's stage alone.
+pub struct Stage {
+    /// The stage. It ends before its simulated firmware does.
+    pub stage: Box<dyn LightStage>,
+    _bench: Option<Box<dyn std::any::Any + Send>>,
+}
+
+#[cfg(feature = "serial")]
+pub use with_serial::{open_devices, open_port, open_stage, stop_port};
+#[cfg(not(feature = "serial"))]
+pub use without_serial::{open_devices, open_port, open_stage, stop_port};
+
+#[cfg(feature = "serial")]
+mod with_serial {
+    use super::*;
+    use crate::device::DeviceError;
+    use crate::device::grbl::{self, GrblConfig, GrblStage};
+    use crate::device::simulated::SimulatedBench;
+
+    /// Opens both devices. `source` is asked only for a simulated rig: what its
+    /// camera sees.
+    pub fn open_devices(
+        rig: &RigConfig,
+        source: impl FnOnce() -> Result<Arc<dyn RadianceSource>, CliError>,
+    ) -> Result<Devices, CliError> {
+        match rig.simulated_bench() {
+            Some(config) => {
+                let bench = SimulatedBench::start(config)?;
+                Ok(Devices {
+                    stage: Box::new(bench.open_stage()?),
+                    camera: Box::new(bench.open_camera(source()?)),
+                    _bench: Some(Box::new(bench)),
+                })
+            }
+            None => Ok(Devices {
+                stage: Box::new(GrblStage::open(rig.stage.grbl.clone())?),
+                camera: super::open_real_camera(rig)?,
+                _bench: None,
+            }),
+        }
+    }
+
+    /// Opens the stage alone.
+    pub fn open_stage(rig: &RigConfig) -> Result<Stage, CliError> {
+        match rig.simulated_bench() {
+            Some(config) => {
+                let bench = SimulatedBench::start(config)?;
+                Ok(Stage {
+                    stage: Box::new(bench.open_stage()?),
+                    _bench: Some(Box::new(bench)),
+                })
+            }
+            None => open_grbl(rig.stage.grbl.clone()),
+        }
+    }
+
+    /// Opens whatever GRBL controller is on a port.
+    pub fn open_port(port: &str, baud: u32) -> Result<Stage, CliError> {
+        open_grbl(GrblConfig::of_port(port, baud))
+    }
+
+    fn open_grbl(config: GrblConfig) -> Result<Stage, CliError> {
+        Ok(Stage {
+            stage: Box::new(GrblStage::open(config)?),
+            _bench: None,
+        })
+    }
+
+    /// Stops the controller on a port, without asking it anything first.
+    pub fn stop_port(port: &str, baud: u32) -> Result<(), CliError> {
+        let timeout = GrblConfig::of_port(port, baud).connect_timeout;
+        match grbl::stop_port(port, baud, timeout.to_duration()) {
+            Err(error @ DeviceError::Busy { .. }) => Err(CliError::from(error).hint(
+                "stop the program that uses it with Ctrl-C, twice; or use the emergency stop",
+            )),
+            Err(error @ DeviceError::NoReply { .. }) => {
+                Err(CliError::from(error).hint("use the emergency stop"))
+            }
+            outcome => Ok(outcome?),
+        }
+    }
+}
+
+#[cfg(not(feature = "serial"))]
+mod without_serial {
+    use super::*;
+
+    fn without() -> CliError {
+        CliError::new("this program was built without serial ports, on which all stages are")
+            .hint("build it with the feature `serial`")
+    }
+
+    /// Fails: there are no stages.
+    pub fn open_devices(
+        _: &RigConfig,
+        _: impl FnOnce() -> Result<Arc<dyn RadianceSource>, CliError>,
+    ) -> Result<Devices, CliError> {
+        Err(without())
+    }
+
+    /// Fails: there are no stages.
+    pub fn open_stage(_: &RigConfig) -> Result<Stage, CliError> {
+        Err(without())
+    }
+
+    /// Fails: there are no stages.
+    pub fn open_port(_: &str, _: u32) -> Result<Stage, CliError> {
+        Err(without())
+    }
+
+    /// Fails: there are no stages.
+    pub fn stop_port(_: &str, _: u32) -> Result<(), CliError> {
+        Err(without())
+    }
+}
+
+/// The camera of a rig whose devices are real.
+#[cfg(feature = "v4l")]
+pub fn open_real_camera(rig: &RigConfig) -> Result<Box<dyn Camera>, CliError> {
+    use crate::config::CameraDriver;
+    use crate::device::v4l::{V4lCamera, V4lConfig};
+
+    let CameraDriver::V4l { device, format } = &rig.camera.driver else {
+        return Err(CliError::new("the rig's camera is simulated"));
+    };
+    let camera = V4lCamera::open(V4lConfig {
+        device: device.clone(),
+        serial: rig.camera.serial.clone(),
+        format: *format,
+        bit_depth: Some(rig.camera.bit_depth),
+        resolution_px: Some(rig.camera.resolution_px),
+        frame_timeout: rig.camera.frame_timeout,
+    })?;
+    let is = camera.info().mosaic;
+    if is != rig.camera.mosaic {
+        let wanted = rig.camera.mosaic;
+        return Err(CliError::new(format!(
+            "{device}: the format's colour filters are {is:?}, the rig file's {wanted:?}"
+        ))
+        .hint("correct camera.mosaic or camera.format in the rig file"));
+    }
+    Ok(Box::new(camera))
+}
+
+/// Fails: there are no cameras.
+#[cfg(not(feature = "v4l"))]
+pub fn open_real_camera(_: &RigConfig) -> Result<Box<dyn Camera>, CliError> {
+    Err(
+        CliError::new("this program was built without Video4Linux, on which all cameras are")
+            .hint("build it with the feature `v4l`"),
+    )
+}

@@ -1,0 +1,277 @@
+//! `rig stage`: the light stage by hand.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use super::open::{self, Stage};
+use super::output::write_json;
+use super::rig_choice::RigArg;
+use super::{CliError, Context, interrupt};
+use crate::device::{
+    DeviceError, LampChannel, LampState, LightStage, StageActivity, StageInfo, StageStatus,
+};
+use crate::interrupt::StopLevel;
+use crate::out;
+use crate::units::StageAngles;
+
+/// Controls the light stage directly
+///
+/// Every command opens the port anew, and a stage whose port was opened doesn't
+/// know where it is until it is homed. Ctrl-C stops motion and lamp at once.
+#[derive(clap::Args, Debug)]
+pub struct StageArgs {
+    #[command(subcommand)]
+    action: Action,
+}
+
+#[derive(clap::Subcommand, Debug)]
+enum Action {
+    /// Finds the reference switches
+    Home(Which),
+    /// Homes, then moves to these angles
+    Move {
+        #[command(flatten)]
+        which: Which,
+        /// Rotation about the stage's +z (degrees)
+        #[arg(long, value_name = "DEGREES", allow_negative_numbers = true)]
+        azimuth: f64,
+        /// Height above the stage's plane; 90 is straight above the sample (degrees)
+        #[arg(long, value_name = "DEGREES", allow_negative_numbers = true)]
+        elevation: f64,
+    },
+    /// Lights one channel of the lamp until Ctrl-C, or turns the lamp off
+    Lamp {
+        #[command(flatten)]
+        which: Which,
+        /// Channel, counted from 0 in the order of the rig file, or `off`
+        #[arg(value_name = "CHANNEL", value_parser = lamp_state)]
+        lamp: LampState,
+        /// Off after this long (s)
+        #[arg(long, value_name = "SECONDS", value_parser = seconds)]
+        seconds: Option<f64>,
+        /// Homes first: a controller that is locked until it is homed switches no lamp
+        #[arg(long)]
+        home: bool,
+    },
+    /// Asks what it is doing
+    Status(Which),
+    /// Stops motion and lamp now
+    Stop(Which),
+}
+
+/// Which stage.
+#[derive(clap::Args, Debug)]
+struct Which {
+    #[command(flatten)]
+    rig: RigArg,
+    /// Serial port of a stage without a rig file
+    #[arg(long, value_name = "PATH", conflicts_with = "rig")]
+    port: Option<String>,
+    /// What speaks on --port
+    #[arg(long, value_enum, default_value_t = Driver::Grbl, requires = "port")]
+    driver: Driver,
+    /// Bits per second on --port
+    #[arg(long, default_value_t = 115_200, requires = "port")]
+    baud: u32,
+    /// The answer as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum Driver {
+    /// GRBL 1.1
+    Grbl,
+}
+
+fn lamp_state(text: &str) -> Result<LampState, String> {
+    match text {
+        "off" => Ok(LampState::Off),
+        channel => match channel.parse() {
+            Ok(channel) => Ok(LampState::On(LampChannel(channel))),
+            Err(_) => Err("a channel's number, from 0, or `off`".to_owned()),
+        },
+    }
+}
+
+fn seconds(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(seconds) if (0.0..=86_400.0).contains(&seconds) => Ok(seconds),
+        _ => Err("a number of seconds, 0 to 86400".to_owned()),
+    }
+}
+
+/// `rig stage`.
+pub fn run(args: &StageArgs, context: &Context) -> Result<(), CliError> {
+    match &args.action {
+        Action::Home(which) => {
+            let mut open = which.open(context)?;
+            let status = stoppable(&mut *open.stage, |stage, _| stage.home())?;
+            which.report(open.stage.info(), &status)
+        }
+        Action::Move {
+            which,
+            azimuth,
+            elevation,
+        } => {
+            if which.port.is_some() {
+                return Err(CliError::new(
+                    "--port does not say how the stage's axes map to angles",
+                )
+                .hint("describe the stage in a rig file and name it with --rig"));
+            }
+            let target = StageAngles {
+                azimuth_deg: *azimuth,
+                elevation_deg: *elevation,
+            };
+            let rig = which.rig.resolve(context)?;
+            // Before anything moves.
+            let kinematics = rig.config.stage.grbl.kinematics;
+            kinematics.reach(&rig.config.name, target)?;
+            let mut open = open::open_stage(&rig.config)?;
+            context.note("homing first: a stage that was just connected doesn't know where it is");
+            let status = stoppable(&mut *open.stage, |stage, _| {
+                stage.home()?;
+                stage.move_to(target)?;
+                stage.status()
+            })?;
+            which.report(open.stage.info(), &status)
+        }
+        Action::Lamp {
+            which,
+            lamp,
+            seconds,
+            home,
+        } => {
+            let mut open = which.open(context)?;
+            let status = stoppable(&mut *open.stage, |stage, stopped| {
+                if *home {
+                    stage.home()?;
+                }
+                stage.set_lamp(*lamp)?;
+                if *lamp != LampState::Off {
+                    context.note(match seconds {
+                        Some(seconds) => format!("lit for {seconds} s or until Ctrl-C"),
+                        None => "lit until Ctrl-C".to_owned(),
+                    });
+                    wait(*seconds, stopped);
+                    stage.set_lamp(LampState::Off)?;
+                }
+                stage.status()
+            });
+            match status {
+                Err(error) if error.fact().contains("locked") => {
+                    Err(error.hint("make sure that the stage is free to move, then add --home"))
+                }
+                status => which.report(open.stage.info(), &status?),
+            }
+        }
+        Action::Status(which) => {
+            let mut open = which.open(context)?;
+            let status = open.stage.status()?;
+            which.report(open.stage.info(), &status)
+        }
+        Action::Stop(which) => stop(which, context),
+    }
+}
+
+fn stop(which: &Which, context: &Context) -> Result<(), CliError> {
+    match &which.port {
+        Some(port) => open::stop_port(port, which.baud)?,
+        None => {
+            let rig = which.rig.resolve(context)?.config;
+            if rig.is_simulated() {
+                context.note("a simulated stage runs only as long as the command that uses it");
+                return Ok(());
+            }
+            open::stop_port(&rig.stage.grbl.port, rig.stage.grbl.baud)?;
+        }
+    }
+    out!("stopped; the controller has restarted with its outputs off")
+}
+
+impl Which {
+    fn open(&self, context: &Context) -> Result<Stage, CliError> {
+        match &self.port {
+            Some(port) => open::open_port(port, self.baud),
+            None => open::open_stage(&self.rig.resolve(context)?.config),
+        }
+    }
+
+    fn report(&self, info: &StageInfo, status: &StageStatus) -> Result<(), CliError> {
+        if self.json {
+            return write_json(&serde_json::json!({ "stage": info, "status": status }));
+        }
+        let activity = match status.activity {
+            StageActivity::Idle => "idle",
+            StageActivity::Moving => "moving",
+            StageActivity::Homing => "homing",
+            StageActivity::Held => "held",
+            StageActivity::Alarm => "locked until it is homed",
+        };
+        out!(
+            "stage     {} {} on {}",
+            info.driver,
+            info.firmware,
+            info.port
+        )?;
+        out!("state     {activity}")?;
+        match status.position {
+            Some(angles) => out!("position  {angles}")?,
+            None => out!("position  unknown until it is homed")?,
+        }
+        match status.lamp {
+            Some(LampState::Off) => out!("lamp      off"),
+            Some(LampState::On(LampChannel(channel))) => out!("lamp      channel {channel}"),
+            None => out!("lamp      not reported"),
+        }
+    }
+}
+
+/// How often signals are looked at.
+const LOOK: Duration = Duration::from_millis(20);
+
+/// Runs `act` while another thread waits for a signal, to stop the stage then.
+fn stoppable<T>(
+    stage: &mut dyn LightStage,
+    act: impl FnOnce(&mut dyn LightStage, &AtomicBool) -> Result<T, DeviceError>,
+) -> Result<T, CliError> {
+    let interrupt = interrupt::listen()?;
+    let mut handle = stage.stop_handle()?;
+    let done = AtomicBool::new(false);
+    let stopped = AtomicBool::new(false);
+    let (outcome, stop) = std::thread::scope(|scope| {
+        let watcher = scope.spawn(|| {
+            while !done.load(Ordering::Acquire) {
+                if interrupt.level() != StopLevel::Continue {
+                    let outcome = handle.stop();
+                    stopped.store(true, Ordering::Release);
+                    return Some(outcome);
+                }
+                std::thread::sleep(LOOK);
+            }
+            None
+        });
+        let outcome = act(stage, &stopped);
+        done.store(true, Ordering::Release);
+        (outcome, watcher.join().unwrap_or(None))
+    });
+    match (stop, interrupt.signal()) {
+        (Some(Ok(())), Some(signal)) => Err(CliError::interrupted(
+            signal,
+            "stopped: motion ended, lamp off, position unknown",
+        )),
+        (Some(Err(error)), _) => Err(CliError::from(error)
+            .hint("use the emergency stop: the stage did not confirm that it stopped")),
+        _ => Ok(outcome?),
+    }
+}
+
+/// Waits until the time is over or a signal has stopped the stage.
+fn wait(seconds: Option<f64>, stopped: &AtomicBool) {
+    let start = Instant::now();
+    let over = || seconds.is_some_and(|seconds| start.elapsed().as_secs_f64() >= seconds);
+    while !stopped.load(Ordering::Acquire) && !over() {
+        std::thread::sleep(LOOK);
+    }
+}

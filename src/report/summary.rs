@@ -1,0 +1,205 @@
+//! The head of the page: verdict, figures that sum the fit up, scores.
+
+use serde::Serialize;
+
+use super::{Verdict, verdict};
+use crate::session::fit_record::{ChannelScore, FitRecord, MetricScores};
+
+#[derive(Serialize)]
+pub(super) struct VerdictView {
+    class: &'static str,
+    sign: &'static str,
+    title: String,
+    text: String,
+}
+
+#[derive(Serialize)]
+pub(super) struct Tile {
+    label: &'static str,
+    value: String,
+    note: &'static str,
+}
+
+#[derive(Serialize)]
+pub(super) struct ScoreRow {
+    metric: &'static str,
+    who: &'static str,
+    values: Vec<String>,
+    first: bool,
+    own: bool,
+}
+
+/// Three significant digits.
+pub(super) fn short(value: f64) -> String {
+    if value == 0.0 || !value.is_finite() {
+        return format!("{value}");
+    }
+    let magnitude = value.abs().log10().floor() as i32;
+    if (-4..6).contains(&magnitude) {
+        let digits = (2 - magnitude).max(0) as usize;
+        format!("{value:.digits$}")
+    } else {
+        format!("{value:.2e}")
+    }
+}
+
+pub(super) fn percent(value: f64) -> String {
+    format!("{} %", short(value * 100.0))
+}
+
+pub(super) fn verdict_view(record: Option<&FitRecord>) -> VerdictView {
+    let judged = verdict(record);
+    let worst = record.and_then(FitRecord::worst_reduced_chi_square);
+    let worst = worst.map_or("not known".to_owned(), |worst| format!("{worst:.2}"));
+    let (class, sign, mut title) = match judged {
+        Verdict::NoFit => (
+            "none",
+            "–",
+            "No fit yet: this session holds captured images only",
+        ),
+        Verdict::Explained => (
+            "good",
+            "✓",
+            "The fit explains the images within their uncertainty",
+        ),
+        Verdict::Doubtful => ("doubtful", "!", "The fit explains the images only in part"),
+        Verdict::Unexplained => (
+            "bad",
+            "✗",
+            "The fit does not explain the images: don’t use it as it is",
+        ),
+    };
+    let mut text = match judged {
+        Verdict::NoFit => {
+            "Nothing below says anything about the material before “rig fit” has run.".to_owned()
+        }
+        _ => format!("Worst reduced χ² over lights and channels: {worst} (1 is expected)."),
+    };
+    if let Some(FitRecord {
+        score: Some(score),
+        dictionary,
+        ..
+    }) = record
+    {
+        let (own, floor) = (
+            &score.environment_error.estimate,
+            &score.environment_error.floor,
+        );
+        let ratio = own.overall / floor.overall;
+        text = format!(
+            "Against the true material ({}), the environment error is {}, {} times the least that \
+             the dictionary {dictionary} can reach ({}). {text}",
+            score.truth,
+            percent(own.overall),
+            short(ratio),
+            percent(floor.overall),
+        );
+    } else if record.is_some() {
+        text += " No truth is known for this sample, so the error of the BRDF itself is not.";
+    }
+    if judged == Verdict::Doubtful && worst == "not known" {
+        title = "The fit cannot be judged: it has no χ²";
+    }
+    VerdictView {
+        class,
+        sign,
+        title: title.to_owned(),
+        text,
+    }
+}
+
+pub(super) fn tiles(record: Option<&FitRecord>) -> Vec<Tile> {
+    let Some(record) = record else {
+        return Vec::new();
+    };
+    let mut tiles = Vec::new();
+    let mut tile = |label, value, note| tiles.push(Tile { label, value, note });
+    if let Some(score) = &record.score {
+        let errors = &score.environment_error;
+        tile(
+            "This fit",
+            percent(errors.estimate.overall),
+            "environment error",
+        );
+        tile(
+            "Dictionary floor",
+            percent(errors.floor.overall),
+            "least possible",
+        );
+        tile(
+            "Reference projection",
+            percent(errors.reference_projection.overall),
+            "truth, projected",
+        );
+        if let Some(start) = &errors.single_bounce_start {
+            tile(
+                "Single-bounce start",
+                percent(start.overall),
+                "without interreflections",
+            );
+        }
+    }
+    if let Some(worst) = record.worst_reduced_chi_square() {
+        tile("Worst reduced χ²", format!("{worst:.2}"), "1 is expected");
+    }
+    if !record.table.cells.is_empty() {
+        let share = percent(record.table.constrained_share());
+        tile("Constrained", share, "of the (θh, θd) table");
+    }
+    tiles
+}
+
+pub(super) fn score_rows(record: Option<&FitRecord>) -> Vec<ScoreRow> {
+    let Some(score) = record.and_then(|record| record.score.as_ref()) else {
+        return Vec::new();
+    };
+    let mut rows = Vec::new();
+    let mut add = |metric, scores: &MetricScores| {
+        let mut row = |who, score: &ChannelScore, first, own| {
+            let [r, g, b] = score.channels;
+            rows.push(ScoreRow {
+                metric,
+                who,
+                values: [r, g, b, score.overall].map(percent).into(),
+                first,
+                own,
+            });
+        };
+        row("this fit", &scores.estimate, true, true);
+        row(
+            "reference projection",
+            &scores.reference_projection,
+            false,
+            false,
+        );
+        row("dictionary floor", &scores.floor, false, false);
+        if let Some(start) = &scores.single_bounce_start {
+            row("single-bounce start", start, false, false);
+        }
+    };
+    add("Environment error", &score.environment_error);
+    add("BRDF error", &score.brdf_error);
+    if let Some(scores) = &score.brdf_cube_root_error {
+        add("BRDF error, cube root", scores);
+    }
+    rows
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn three_significant_digits() {
+        let cases = [
+            (0.0, "0"),
+            (0.012345, "0.0123"),
+            (1234.5, "1234"),
+            (9.9e-9, "9.90e-9"),
+            (-2.5, "-2.50"),
+        ];
+        for (value, text) in cases {
+            assert_eq!(short(value), text);
+        }
+    }
+}

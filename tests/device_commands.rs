@@ -1,0 +1,202 @@
+//! `rig devices`, `rig stage` and `rig camera` as a person runs them, on
+//! simulated firmware behind a port of its own.
+#![cfg(all(feature = "serial", feature = "v4l"))]
+
+use std::io::{BufRead, BufReader};
+use std::os::unix::fs::PermissionsExt;
+use std::os::unix::process::CommandExt;
+use std::process::{Command, Output, Stdio};
+
+use mock_devices::bench::{Bench, BenchConfig};
+use mock_devices::clock::Clock;
+use mock_devices::grbl::{Fault, GrblConfig, GrblSimulator, Trigger};
+
+fn rig(args: &[&str]) -> Command {
+    let mut command = Command::new(assert_cmd::cargo::cargo_bin("rig"));
+    command.args(args).env_remove("RIG_CONFIG");
+    command
+}
+
+fn run(args: &[&str]) -> Output {
+    rig(args).output().unwrap()
+}
+
+fn firmware() -> (GrblSimulator, String) {
+    let bench = Bench::new(BenchConfig::default(), Clock::instant());
+    let simulator = GrblSimulator::spawn(GrblConfig::default(), bench).unwrap();
+    let port = simulator.path().display().to_string();
+    (simulator, port)
+}
+
+/// A rig file for a stage on this port.
+fn rig_file(port: &str) -> (tempfile::TempDir, String) {
+    let built_in = include_str!("../rig-configs/grbl-arm-v4l2.toml");
+    let with_port: String = built_in
+        .lines()
+        .map(|line| match line.strip_prefix("port = ") {
+            Some(_) => format!("port = {port:?}\nconnect_timeout_s = 0.6\n"),
+            None => format!("{line}\n"),
+        })
+        .collect();
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("arm.toml");
+    std::fs::write(&file, with_port).unwrap();
+    let name = file.display().to_string();
+    (folder, name)
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+/// Code 1, nothing on stdout, one line of fact, a blank line, a hint.
+#[track_caller]
+fn assert_fails(output: &Output, fact: &str) {
+    let stderr = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{stderr}");
+    assert_eq!(text(&output.stdout), "");
+    let lines: Vec<&str> = stderr.lines().collect();
+    let [error, "", hint] = lines[..] else {
+        panic!("not one fact and one hint:\n{stderr}");
+    };
+    assert!(
+        error.starts_with("error: ") && error.contains(fact),
+        "{error}"
+    );
+    assert!(hint.starts_with("hint: "), "{hint}");
+}
+
+#[test]
+fn a_stage_on_a_port_is_asked_homed_and_stopped() {
+    let (simulator, port) = firmware();
+    let status = run(&["stage", "status", "--port", &port]);
+    assert_eq!(status.status.code(), Some(0), "{}", text(&status.stderr));
+    assert!(text(&status.stdout).contains("locked until it is homed"));
+    let home = run(&["stage", "home", "--port", &port, "--json"]);
+    let answer: serde_json::Value = serde_json::from_slice(&home.stdout).unwrap();
+    assert_eq!(answer["status"]["activity"], "idle");
+    assert!(simulator.bench().is_homed());
+    let stop = run(&["stage", "stop", "--port", &port]);
+    assert_eq!(stop.status.code(), Some(0), "{}", text(&stop.stderr));
+    assert!(text(&stop.stdout).starts_with("stopped"));
+}
+
+#[test]
+fn a_move_needs_a_rig_and_stays_within_its_limits() {
+    let (simulator, port) = firmware();
+    let angles = ["--azimuth", "-30", "--elevation", "50"];
+    let without = run(&[&["stage", "move", "--port", &port][..], &angles].concat());
+    assert_fails(&without, "--port");
+    assert!(!simulator.bench().is_homed());
+    let simulated = ["stage", "move", "--rig", "simulated", "--quiet"];
+    let there = run(&[&simulated[..], &angles].concat());
+    assert_eq!(there.status.code(), Some(0), "{}", text(&there.stderr));
+    assert!(text(&there.stdout).contains("azimuth -30.000°, elevation 50.000°"));
+    let outside = run(&[&simulated[..], &["--azimuth", "0", "--elevation", "-5"]].concat());
+    assert_fails(&outside, "outside the limits");
+}
+
+#[test]
+fn ports_that_cannot_be_used() {
+    let (simulator, port) = firmware();
+    let status = |port: &str| run(&["stage", "status", "--port", port]);
+    assert_fails(&status("/dev/no-such-port"), "does not exist");
+    assert_fails(&status("/dev/null"), "not a serial port");
+    let held =
+        rig::device::grbl::GrblStage::open(rig::device::grbl::GrblConfig::of_port(&port, 115_200))
+            .unwrap();
+    assert_fails(&status(&port), "in use");
+    assert_fails(&run(&["stage", "stop", "--port", &port]), "in use");
+    drop(held);
+    let (_folder, file) = rig_file(&port);
+    let status = || run(&["stage", "status", "--rig", &file]);
+    simulator.faults().inject(Trigger::Always, Fault::Garbled);
+    assert_fails(&status(), "is not a GRBL status report");
+    simulator.faults().clear();
+    simulator.faults().inject(Trigger::Always, Fault::NoReply);
+    assert_fails(&status(), "did not answer");
+}
+
+/// As the superuser may open everything, the test gives that up where it has it.
+#[test]
+fn a_port_or_camera_without_permission() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::set_permissions(folder.path(), PermissionsExt::from_mode(0o755)).unwrap();
+    let program = folder.path().join("rig");
+    std::fs::copy(assert_cmd::cargo::cargo_bin("rig"), &program).unwrap();
+    let file = folder.path().join("ttyUSB0");
+    std::fs::write(&file, "").unwrap();
+    std::fs::set_permissions(&file, PermissionsExt::from_mode(0o000)).unwrap();
+    let name = file.display().to_string();
+    for args in [
+        ["stage", "status", "--port", &name],
+        ["camera", "info", "--device", &name],
+    ] {
+        let mut command = Command::new(&program);
+        command.args(args).current_dir(folder.path());
+        if rustix::process::geteuid().is_root() {
+            command.uid(65_534).gid(65_534);
+        }
+        assert_fails(&command.output().unwrap(), "permission denied");
+    }
+}
+
+#[test]
+fn a_lamp_burns_until_it_is_interrupted() {
+    let (simulator, port) = firmware();
+    let (_folder, file) = rig_file(&port);
+    let locked = run(&["stage", "lamp", "0", "--rig", &file]);
+    assert_fails(&locked, "locked");
+    let mut child = rig(&["stage", "lamp", "0", "--home", "--rig", &file])
+        .stderr(Stdio::piped())
+        .stdout(Stdio::null())
+        .spawn()
+        .unwrap();
+    let mut stderr = BufReader::new(child.stderr.take().unwrap()).lines();
+    let first = stderr.next().unwrap().unwrap();
+    assert!(first.starts_with("lit until"), "{first}");
+    assert!(
+        simulator
+            .bench()
+            .lamp_drive()
+            .iter()
+            .any(|&drive| drive > 0.0)
+    );
+    let id = rustix::process::Pid::from_child(&child);
+    rustix::process::kill_process(id, rustix::process::Signal::INT).unwrap();
+    assert_eq!(child.wait().unwrap().code(), Some(130));
+    assert_eq!(simulator.bench().lamp_drive(), [0.0; 3]);
+    let last = stderr.next().unwrap().unwrap();
+    assert!(last.contains("lamp off"), "{last}");
+}
+
+#[test]
+fn a_camera_is_described_and_a_frame_is_written_once() {
+    let info = run(&["camera", "info", "--rig", "simulated", "--json"]);
+    let answer: serde_json::Value = serde_json::from_slice(&info.stdout).unwrap();
+    assert_eq!(answer["bit_depth"], 12);
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("frame.png").display().to_string();
+    let grab = ["camera", "grab", "--rig", "simulated", "--out", &file];
+    let taken = run(&grab);
+    assert_eq!(taken.status.code(), Some(0), "{}", text(&taken.stderr));
+    assert_eq!(text(&taken.stdout).lines().last(), Some(file.as_str()));
+    let png = std::fs::read(&file).unwrap();
+    let frame = rig::session::frame::decode_png(&png).unwrap();
+    assert_eq!([frame.width, frame.height], [64, 64]);
+    assert_fails(&run(&grab), "exists");
+    let missing = run(&["camera", "info", "--device", "/dev/video-none"]);
+    assert_fails(&missing, "does not exist");
+    let other = run(&["camera", "info", "--device", "/dev/null"]);
+    assert_fails(&other, "/dev/null");
+}
+
+#[test]
+fn devices_are_listed_as_json_with_or_without_any() {
+    let output = run(&["devices", "--json"]);
+    assert_eq!(output.status.code(), Some(0));
+    let list: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    for device in list.as_array().unwrap() {
+        assert!(device["path"].is_string() && device["accessible"].is_boolean());
+    }
+}
