@@ -383,6 +383,20 @@ const SCENE_CASES: &[Case] = &[
         hint: "check the path",
     },
     Case {
+        name: "no such port",
+        args: &[
+            "stage",
+            "status",
+            "--driver",
+            "grbl",
+            "--port",
+            "gone/ttyUSB9",
+        ],
+        change: None,
+        fact: "gone/ttyUSB9 does not exist",
+        hint: "`rig devices`",
+    },
+    Case {
         name: "unknown option of a nested command",
         args: &["brdf", "eval", "--angels", "a.csv"],
         change: None,
