@@ -242,7 +242,7 @@ mod tests {
         let bench = SimulatedBench::start(rig.simulated_bench().unwrap()).unwrap();
         let mut stage = bench.open_stage().unwrap();
         stage.home().unwrap();
-        for (azimuth_deg, elevation_deg) in [(-180.0, 20.0), (180.0, 90.0), (0.0, 90.0)] {
+        for (azimuth_deg, elevation_deg) in [(-180.0, 45.0), (180.0, 90.0), (0.0, 90.0)] {
             let target = StageAngles {
                 azimuth_deg,
                 elevation_deg,

@@ -80,7 +80,7 @@ pub struct Fit {
     pub draws: Vec<Draws>,
     /// Modelled radiance with the render's variance, one image per light.
     pub rendered: Vec<RadianceImage>,
-    /// (captured − model)/σ of capture and render, 0 where not compared, one image per light.
+    /// (captured − model)/σ of capture, render and model error, 0 where not compared, one image per light.
     pub residual: Vec<RadianceImage>,
     /// Mean squared residual in standard deviations per light and channel.
     pub reduced_chi2: Vec<[f64; 3]>,
@@ -291,7 +291,8 @@ fn images(
                 let [value, noise] = pass.model[light][p][c];
                 model.mean[p][c] = (value * strength) as f32;
                 model.variance[p][c] = (noise * strength * strength) as f32;
-                let sigma = (noise + variance[c]).sqrt();
+                let sigma =
+                    (noise + variance[c] + (objective.model_error() * value).powi(2)).sqrt();
                 if compared && sigma > 0.0 {
                     let z = (target[c] - value) / sigma;
                     deviation.mean[p][c] = z as f32;

@@ -25,8 +25,8 @@ const SETTLED: f64 = 0.5;
 impl Default for GaussNewton {
     fn default() -> Self {
         Self {
-            max_steps: 12,
-            tolerance: 1e-2,
+            max_steps: 20,
+            tolerance: 1e-3,
             damping: 1e-3,
         }
     }
@@ -60,6 +60,7 @@ impl GaussNewton {
                 candidate[set] = simplex::solve(&h, &g, Some(&mixture[set]))?.x;
             }
             let next = objective.linearise(&candidate, residual_weights);
+            tracing::trace!(?damping, ?settled, "candidate");
             let mut accepted = false;
             let (before, after) = (current, next);
             // A pass holds all sets at one mixture each; a rejected set keeps its old

@@ -139,6 +139,11 @@ impl<'a> Objective<'a> {
         self.target.len()
     }
 
+    /// Relative error that the model is allowed.
+    pub fn model_error(&self) -> f64 {
+        self.model_error
+    }
+
     /// Whether a pixel is compared under a light.
     pub fn is_compared(&self, light: usize, pixel: usize) -> bool {
         self.compared[light][pixel]
