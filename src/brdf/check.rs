@@ -42,10 +42,11 @@ impl PhysicalCheck {
     }
 }
 
-/// Reflected over incident power for light from `to_light` (unit, z > 0), R, G, B.
-pub fn directional_albedo(brdf: &dyn Brdf, to_light: DVec3) -> [f64; 3] {
+/// Reflected over incident power for light from `to_light` (unit, z > 0), R, G, B,
+/// by `per_technique` directions of each technique of [`quadrature`].
+pub fn directional_albedo(brdf: &dyn Brdf, to_light: DVec3, per_technique: u32) -> [f64; 3] {
     let mut sum = [0.0; 3];
-    for (to_viewer, weight) in quadrature::nodes(to_light, PER_TECHNIQUE, [0.37, 0.61]) {
+    for (to_viewer, weight) in quadrature::nodes(to_light, per_technique, [0.37, 0.61]) {
         let f = brdf.eval(to_light.as_vec3(), to_viewer.as_vec3());
         for c in 0..3 {
             sum[c] += weight * to_viewer.z * f64::from(f[c]);
@@ -56,14 +57,19 @@ pub fn directional_albedo(brdf: &dyn Brdf, to_light: DVec3) -> [f64; 3] {
 
 /// Runs all checks; deterministic.
 pub fn check(brdf: &dyn Brdf) -> PhysicalCheck {
+    check_with(brdf, PER_TECHNIQUE, PAIRS)
+}
+
+/// [`check`] with a choice of the effort: directions per technique of each albedo, and pairs.
+pub fn check_with(brdf: &dyn Brdf, per_technique: u32, pairs: u64) -> PhysicalCheck {
     let albedo: Vec<[f64; 3]> = ALBEDO_ANGLES_DEG
         .par_iter()
         .map(|theta_deg| {
             let (sin, cos) = theta_deg.to_radians().sin_cos();
-            directional_albedo(brdf, DVec3::new(sin, 0.0, cos))
+            directional_albedo(brdf, DVec3::new(sin, 0.0, cos), per_technique)
         })
         .collect();
-    let (reciprocity, invalid) = (0..PAIRS)
+    let (reciprocity, invalid) = (0..pairs)
         .into_par_iter()
         .map(|pair| {
             let (i, o) = random_pair(pair);
@@ -86,7 +92,7 @@ pub fn check(brdf: &dyn Brdf) -> PhysicalCheck {
         largest_albedo: albedo.iter().flatten().copied().fold(0.0, f64::max),
         albedo,
         invalid,
-        pairs: PAIRS,
+        pairs,
     }
 }
 

@@ -30,6 +30,8 @@ pub struct EnvironmentMap {
     radiance: Vec<[f32; 3]>,
     /// Cumulated luminance × solid angle up to and including each texel, ending at 1.
     cumulated: Vec<f64>,
+    /// The last of `cumulated` of each row.
+    rows: Vec<f64>,
     /// Of one texel, per row, sr.
     solid_angles: Vec<f64>,
 }
@@ -73,6 +75,10 @@ impl EnvironmentMap {
             width,
             height,
             radiance,
+            rows: cumulated
+                .chunks_exact(width)
+                .map(|row| row[width - 1])
+                .collect(),
             cumulated,
             solid_angles,
         })
@@ -182,21 +188,27 @@ impl EnvironmentMap {
         sum
     }
 
-    /// A direction drawn by texel luminance from `u` in [0, 1)².
+    /// A direction drawn by texel luminance from `u` in [0, 1)²: the column in its row by the
+    /// first, the row by the second, so that evenly spread `u` spread over both.
     pub fn sample(&self, u: [f64; 2]) -> DVec3 {
-        let texel = self
-            .cumulated
-            .partition_point(|&c| c <= u[0])
-            .min(self.cumulated.len() - 1);
-        let below = if texel == 0 {
-            0.0
+        let row = self
+            .rows
+            .partition_point(|&end| end <= u[1])
+            .min(self.height - 1);
+        let above = if row == 0 { 0.0 } else { self.rows[row - 1] };
+        let in_row = self.rows[row] - above;
+        let down = within(u[1], above, self.rows[row]);
+        let wanted = above + u[0] * in_row;
+        let texels = &self.cumulated[row * self.width..(row + 1) * self.width];
+        let column = texels.partition_point(|&c| c <= wanted).min(self.width - 1);
+        let left = if column == 0 {
+            above
         } else {
-            self.cumulated[texel - 1]
+            texels[column - 1]
         };
-        let across = ((u[0] - below) / (self.cumulated[texel] - below)).clamp(0.0, 1.0);
-        let (row, column) = (texel / self.width, texel % self.width);
+        let across = within(wanted, left, texels[column]);
         let (top, bottom) = row_cosines(self.height, row);
-        let cos_v = top + (bottom - top) * u[1];
+        let cos_v = top + (bottom - top) * down;
         direction((column as f64 + across) / self.width as f64, cos_v)
     }
 
@@ -210,6 +222,15 @@ impl EnvironmentMap {
             self.cumulated[texel - 1]
         };
         (self.cumulated[texel] - below) / self.solid_angles[row]
+    }
+}
+
+/// Where `value` lies between two cumulated sums, [0, 1].
+fn within(value: f64, low: f64, high: f64) -> f64 {
+    if high > low {
+        ((value - low) / (high - low)).clamp(0.0, 1.0)
+    } else {
+        0.5
     }
 }
 

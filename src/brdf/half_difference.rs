@@ -71,7 +71,7 @@ mod tests {
     proptest! {
         #[test]
         fn angles_and_directions_are_inverse(
-            theta_h_rad in 1e-3..1.5f64, theta_d_rad in 1e-3..1.5f64, phi_d_rad in 0.0..6.28f64
+            theta_h_rad in 1e-3..1.5f64, theta_d_rad in 1e-3..1.5f64, phi_d_rad in 0.0..std::f64::consts::TAU
         ) {
             let there = HalfDifference { theta_h_rad, theta_d_rad, phi_d_rad };
             let (i, o) = there.to_directions();

@@ -98,9 +98,7 @@ fn incident(map: &EnvironmentMap, pixel: usize, normal: DVec3) -> Vec<Incident> 
     let viewer = to_local(DVec3::Z);
     let lobes = quadrature::directions(viewer, PER_TECHNIQUE, shift).map(|d| (d, to_world(d)));
     let map_directions = (0..FROM_MAP).map(|k| {
-        // The evenly spaced coordinate walks through the map.
-        let [within, along] = quadrature::point(k, FROM_MAP, shift);
-        let d = map.sample([along, within]);
+        let d = map.sample(quadrature::point(k, FROM_MAP, shift));
         (to_local(d), d)
     });
     lobes

@@ -39,14 +39,10 @@ impl TabulatedBrdf {
         let [_, n_d, n_phi] = shape;
         for slab in values.chunks_exact_mut(n_d * n_phi) {
             for at in 0..slab.len() {
-                for channel in 0..3 {
-                    let value = slab[at][channel];
-                    if !(value >= 0.0 && value.is_finite()) {
-                        slab[at][channel] = if at >= n_phi {
-                            slab[at - n_phi][channel]
-                        } else {
-                            0.0
-                        };
+                let nearer = at.checked_sub(n_phi).map_or([0.0; 3], |at| slab[at]);
+                for (value, nearer) in slab[at].iter_mut().zip(nearer) {
+                    if !(*value >= 0.0 && value.is_finite()) {
+                        *value = nearer;
                     }
                 }
             }

@@ -227,7 +227,8 @@ impl PhotonTransfer {
             .filter(|p| p.fitted && p.exposed == Exposed::Flat);
         at_least("flats below 70% of saturation", fitted_flats.count(), 4)?;
         let line = VarianceLine::fit(&mut curve, &dark, &flats, &cold);
-        if !(line.slope > 5.0 * line.slope_std) {
+        let grows = line.slope > 5.0 * line.slope_std; // false for NaN
+        if !grows {
             return Err(SensorFitError::NoPhotonNoise { slope: line.slope });
         }
         let gain = Measured {
@@ -441,7 +442,7 @@ impl Saturation {
         let largest = variances.iter().copied().fold(0.0, f64::max);
         let top = flats.len() - 1;
         let plateau_dn = flats[top].mean_over(cold);
-        if variances[top] > 0.5 * largest || !(largest > 0.0) {
+        if variances[top] > 0.5 * largest || largest <= 0.0 {
             return Err(SensorFitError::NeverSaturates {
                 brightest_dn: plateau_dn,
             });

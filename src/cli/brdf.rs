@@ -9,8 +9,9 @@ use serde::Serialize;
 
 use super::output::write_json;
 use super::{CliError, Context, HintExt};
-use crate::brdf::check::{ALBEDO_ANGLES_DEG, check};
+use crate::brdf::check::{ALBEDO_ANGLES_DEG, PhysicalCheck, check};
 use crate::brdf::environment::EnvironmentMap;
+use crate::brdf::rgl::{AsMeasured, RglBrdf};
 use crate::brdf::score::{self, BrdfErrors, EnvironmentError};
 use crate::brdf::sphere::sphere_image;
 use crate::brdf::{Brdf, BrdfError, Dictionary, Mixture, merl, nbrdf, source, weights};
@@ -116,7 +117,7 @@ fn sphere_size(text: &str) -> Result<usize, String> {
 }
 
 /// Runs `rig brdf`.
-pub fn run(args: &BrdfArgs, context: &Context) -> Result<(), CliError> {
+pub fn run(args: &BrdfArgs, _context: &Context) -> Result<(), CliError> {
     match &args.command {
         BrdfCommand::Eval { brdf, angles, json } => eval(brdf, angles, *json),
         BrdfCommand::Check { brdf, json } => run_check(brdf, *json),
@@ -134,7 +135,7 @@ pub fn run(args: &BrdfArgs, context: &Context) -> Result<(), CliError> {
             json,
         } => compare(estimate, truth, *size, *json),
         BrdfCommand::Plot { brdf, out, size } => plot(brdf, out, *size),
-        BrdfCommand::Convert { brdf, out } => convert(brdf, out, context),
+        BrdfCommand::Convert { brdf, out } => convert(brdf, out),
     }
 }
 
@@ -274,10 +275,28 @@ fn eval(spec: &str, angles: &Path, json: bool) -> Result<(), CliError> {
 }
 
 fn run_check(spec: &str, json: bool) -> Result<(), CliError> {
+    #[derive(Serialize)]
+    struct Answer {
+        #[serde(flatten)]
+        found: PhysicalCheck,
+        /// Of a measured file, before both orders of the directions are averaged.
+        reciprocity_as_measured: Option<f64>,
+    }
     let brdf = load(spec)?;
     let found = check(brdf.as_ref());
+    let path = Path::new(spec);
+    let reciprocity_as_measured = if path.extension().is_some_and(|e| e == "bsdf") {
+        Some(check(&AsMeasured(&RglBrdf::read(path)?)).reciprocity)
+    } else {
+        None
+    };
+    let answer = Answer {
+        found,
+        reciprocity_as_measured,
+    };
+    let found = &answer.found;
     if json {
-        write_json(&found)?;
+        write_json(&answer)?;
     } else {
         out!("directional albedo (1 is all light reflected)")?;
         out!("  theta_i      R      G      B")?;
@@ -286,6 +305,9 @@ fn run_check(spec: &str, json: bool) -> Result<(), CliError> {
         }
         out!("largest albedo        {:.4}", found.largest_albedo)?;
         out!("reciprocity, worst    {:.2e} relative", found.reciprocity)?;
+        if let Some(raw) = answer.reciprocity_as_measured {
+            out!("  as measured         {raw:.2e} relative, before both orders are averaged")?;
+        }
         out!(
             "invalid values        {} of {} pairs",
             found.invalid,
@@ -424,7 +446,7 @@ fn plot(spec: &str, path: &Path, size: usize) -> Result<(), CliError> {
     out!("{}", path.display())
 }
 
-fn convert(spec: &str, path: &Path, context: &Context) -> Result<(), CliError> {
+fn convert(spec: &str, path: &Path) -> Result<(), CliError> {
     if path.extension().is_none_or(|e| e != "binary") {
         return Err(
             CliError::new(format!("{}: not a .binary name", path.display()))
@@ -432,7 +454,6 @@ fn convert(spec: &str, path: &Path, context: &Context) -> Result<(), CliError> {
         );
     }
     let brdf = load(spec)?;
-    context.note("sampling 90 x 90 x 180 cells");
     merl::write(path, brdf.as_ref())?;
     out!("{}", path.display())
 }

@@ -381,7 +381,7 @@ fn open_camera(rig: &RigConfig, radiance: f64) -> Result<Box<dyn Camera>, CliErr
 }
 
 /// The true sensor of a simulated rig: calibration and capture must see the same one.
-pub(super) fn simulated_sensor(rig: &RigConfig) -> Option<SensorConfig> {
+pub fn simulated_sensor(rig: &RigConfig) -> Option<SensorConfig> {
     Some(rig.simulation.as_ref()?.sensor.clone())
 }
 

@@ -90,7 +90,7 @@ impl CliError {
 impl<E: Error + Send + Sync + 'static> From<E> for CliError {
     fn from(error: E) -> Self {
         Self {
-            hint: hints::for_error(&error),
+            hint: hints::for_error(&error).or_else(|| Some(hints::FALLBACK.to_owned())),
             ..Self::new(facts(&error))
         }
     }

@@ -4,16 +4,22 @@ use std::error::Error;
 
 use crate::brdf::BrdfError;
 use crate::calibration::RecordError;
+use crate::calibration::procedure::ProcedureError;
 use crate::capture::CaptureError;
 use crate::config::ConfigError;
+use crate::config::build::BuildError;
 use crate::device::DeviceError;
 use crate::export::ExportError;
 use crate::geometry::MeshError;
+use crate::inverse::fit::FitError;
 use crate::radiance_image::exr::ExrError;
 use crate::radiometry::exposure::PlanError;
 use crate::report::load::LoadError;
 use crate::session::SessionError;
 use crate::session::fit_record::FitRecordError;
+
+/// What remains when nothing better is known.
+pub const FALLBACK: &str = "run it again with --verbose to see what led to it";
 
 /// The advice for the first error in the chain that has some.
 pub fn for_error(error: &(dyn Error + 'static)) -> Option<String> {
@@ -54,8 +60,20 @@ fn for_one(error: &(dyn Error + 'static)) -> Option<String> {
     if let Some(error) = error.downcast_ref() {
         return for_brdf(error);
     }
-    if let Some(ExportError::Brdf(error)) = error.downcast_ref() {
-        return for_brdf(error);
+    if let Some(error) = error.downcast_ref() {
+        return for_build(error);
+    }
+    if let Some(error) = error.downcast_ref() {
+        return for_fit(error);
+    }
+    if let Some(error) = error.downcast_ref() {
+        return match error {
+            ExportError::Brdf(error) => for_brdf(error),
+            ExportError::Io { source, .. } => for_io(source).map(str::to_owned),
+        };
+    }
+    if let Some(ProcedureError::Device(error)) = error.downcast_ref() {
+        return Some(for_device(error));
     }
     if let Some(error) = error.downcast_ref() {
         return for_exr(error);
@@ -224,6 +242,33 @@ fn for_exr(error: &ExrError) -> Option<String> {
             Some("images need the channels R, G, B, and where known var.R, var.G, var.B".into())
         }
         _ => None,
+    }
+}
+
+fn for_build(error: &BuildError) -> Option<String> {
+    match error {
+        BuildError::Mesh(error) => for_mesh(error),
+        BuildError::MeshKind { .. } => {
+            Some("convert the mesh to PLY; `rig shape` writes such files".into())
+        }
+        BuildError::Brdf(error) => for_brdf(error),
+        BuildError::Bodies { .. } => Some("remove the [[body]] tables from the scene".into()),
+    }
+}
+
+fn for_fit(error: &FitError) -> Option<String> {
+    use FitError::*;
+    match error {
+        ImageCount { .. } => {
+            Some("give one image for each light of the scene, in its order".into())
+        }
+        ImageSize { .. } => {
+            Some("the scene's resolution_px must be the images' width and height".into())
+        }
+        NothingToCompare { .. } => {
+            Some("check that the scene's camera and sample are those of the images".into())
+        }
+        Cache(_) | Simplex(_) => None,
     }
 }
 

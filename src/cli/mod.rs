@@ -199,14 +199,17 @@ fn report_usage(error: &clap::Error, subcommand: &str, color: bool) -> Exit {
     }
 }
 
-/// `rig`, or `rig` and the command that the arguments name.
+/// `rig` and the commands that the arguments name, as far as they do.
 fn subcommand(arguments: &[OsString]) -> String {
-    let definition = definition();
-    let mut words = arguments.iter().skip(1).filter_map(|word| word.to_str());
-    match words.find_map(|word| definition.find_subcommand(word)) {
-        Some(found) => format!("rig {}", found.get_name()),
-        None => "rig".to_owned(),
+    let mut command = definition();
+    let mut path = "rig".to_owned();
+    for word in arguments.iter().skip(1).filter_map(|word| word.to_str()) {
+        if let Some(found) = command.find_subcommand(word).cloned() {
+            path = format!("{path} {word}");
+            command = found;
+        }
     }
+    path
 }
 
 /// clap's paragraphs as one fact and one hint.

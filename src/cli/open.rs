@@ -14,14 +14,14 @@ pub struct Devices {
     pub stage: Box<dyn LightStage>,
     /// The camera.
     pub camera: Box<dyn Camera>,
-    _bench: Option<Box<dyn std::any::Any>>,
+    _bench: Option<Box<dyn std::any::Any + Send>>,
 }
 
 /// A rig's stage alone.
 pub struct Stage {
     /// The stage. It ends before its simulated firmware does.
     pub stage: Box<dyn LightStage>,
-    _bench: Option<Box<dyn std::any::Any>>,
+    _bench: Option<Box<dyn std::any::Any + Send>>,
 }
 
 #[cfg(feature = "serial")]

@@ -28,7 +28,8 @@ pub struct V4lConfig {
     pub device: String,
     /// The USB serial number that the device must have; `None`: any.
     pub serial: Option<String>,
-    /// Pixel format by its four-character code; `None`: the deepest raw one.
+    /// Pixel format by its four-character code; `None`: the deepest raw one, or
+    /// the one that fits `bit_depth` best.
     pub format: Option<[u8; 4]>,
     /// Significant bits of a sample where they are fewer than the format has
     /// room for, as of a 12-bit sensor in `Y16`; `None`: all.
@@ -261,10 +262,15 @@ fn set_format(
                 "not a raw format that can be read".to_owned(),
             )
         })?,
+        // The smallest that holds the significant bits where they are known.
         None => FORMATS
             .iter()
             .filter(|format| offered.contains(&format.fourcc))
-            .max_by_key(|format| format.bits)
+            .max_by_key(|format| match config.bit_depth {
+                Some(bits) if format.bits >= bits => (true, 16 - format.bits),
+                Some(_) => (false, format.bits),
+                None => (true, format.bits),
+            })
             .copied()
             .ok_or_else(|| {
                 let reason = format!("none of the camera's formats is raw: {}", names(&offered));

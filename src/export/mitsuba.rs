@@ -151,14 +151,10 @@ mod tests {
                 else {
                     panic!("unknown atom");
                 };
-                for c in 0..3 {
-                    let product = part.share * part.reflectance[c];
-                    let expected = if part.atom == Atom::Black {
-                        0.0
-                    } else {
-                        weights[c][k]
-                    };
-                    assert!((product - expected).abs() < 1e-12);
+                let black = part.atom == Atom::Black;
+                for (reflectance, weights) in part.reflectance.iter().zip(&weights) {
+                    let expected = if black { 0.0 } else { weights[k] };
+                    assert!((part.share * reflectance - expected).abs() < 1e-12);
                 }
             }
             let xml = to_xml(&mixture, true);

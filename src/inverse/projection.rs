@@ -206,26 +206,31 @@ impl CellMatrix {
         // |r| is smoothed below a thousandth of a typical root.
         let corner = 1e-3 * mean.cbrt();
         let value = |x: &DVector<f64>| -> f64 {
-            self.model(x)
-                .iter()
-                .zip(&roots)
-                .zip(&self.cells)
-                .map(|((a, root), cell)| {
-                    let r = a.max(0.0).cbrt() - root;
+            let model = self.model(x);
+            let part = |chunk: usize| -> f64 {
+                let rows = chunk * CHUNK..(chunk * CHUNK + CHUNK).min(model.len());
+                rows.map(|row| {
+                    let r = model[row].max(0.0).cbrt() - roots[row];
                     let magnitude = match loss {
                         Loss::Squared => r * r,
                         Loss::Absolute => (r * r + corner * corner).sqrt(),
                     };
-                    f64::from(cell.solid_angle) * magnitude
+                    f64::from(self.cells[row].solid_angle) * magnitude
                 })
                 .sum()
+            };
+            let parts: Vec<f64> = (0..model.len().div_ceil(CHUNK))
+                .into_par_iter()
+                .map(part)
+                .collect();
+            parts.iter().sum()
         };
         let mut x = start;
         let mut current = value(&x);
-        // Reweighting creeps; its last 1e-5 is not worth its time.
+        // Reweighting creeps; its last 1e-4 is not worth its time.
         let enough = match loss {
             Loss::Squared => 1e-6,
-            Loss::Absolute => 1e-5,
+            Loss::Absolute => 1e-4,
         };
         for _ in 0..40 {
             let quadratic = self.accumulate(

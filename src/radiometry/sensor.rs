@@ -274,7 +274,8 @@ mod tests {
     fn impossible_sensors_are_named() {
         let good = SensorNoise::ideal(0.5, 2.0, 64.0, 12);
         assert_eq!(good.check(4), Ok(()));
-        let cases: [(&str, fn(&mut SensorNoise)); 8] = [
+        type Spoil = fn(&mut SensorNoise);
+        let cases: [(&str, Spoil); 8] = [
             ("gain_dn_per_e", |s| s.gain_dn_per_e = 0.0),
             ("gain_dn_per_e", |s| s.gain_dn_per_e = f64::NAN),
             ("read_noise_e", |s| s.read_noise_e = -1.0),

@@ -188,18 +188,18 @@ pub fn slices(
             };
             let mut bands = unconstrained_bands(table, j, &scale);
             let mut lines = Vec::new();
-            for c in 0..3 {
+            for (c, color) in CHANNELS.into_iter().enumerate() {
                 let interval = rows.clone().filter_map(|i| {
                     let cell = table.cell(i, j)?;
                     Some((x(i), log(cell.lower[c]), log(cell.upper[c])))
                 });
                 bands.push(Band {
                     points: interval.collect(),
-                    color: CHANNELS[c],
+                    color,
                 });
                 lines.push(Line {
                     points: curve(&|i| Some(log(table.cell(i, j)?.value[c]))),
-                    color: CHANNELS[c],
+                    color,
                     dashed: false,
                 });
                 if let Some(truth) = truth {
@@ -212,7 +212,7 @@ pub fn slices(
                     });
                     lines.push(Line {
                         points: points.collect(),
-                        color: CHANNELS[c],
+                        color,
                         dashed: true,
                     });
                 }

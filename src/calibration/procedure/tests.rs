@@ -164,7 +164,6 @@ fn photon_transfer_recovers_the_truth_within_its_uncertainty() {
         pulls[1].1 += pull(v.read_noise_e, config.read_noise_e);
         pulls[2].1 += pull(v.dark_current_e_s, dark_e_s);
     }
-    println!("chi2 over 12: {pulls:?}");
     for (name, chi2) in &pulls[..2] {
         assert!((1.1..46.0).contains(chi2), "{name}: {chi2}");
     }

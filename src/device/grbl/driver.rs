@@ -327,7 +327,10 @@ impl GrblStage {
                     }
                 }
                 MachineState::Alarm => return Err(self.alarm(self.reason_of_lock())),
-                MachineState::Run | MachineState::Hold(1) => idle_elsewhere = None,
+                // Whoever holds it at the machine may let it go on, in time.
+                MachineState::Run | MachineState::Hold(_) | MachineState::Door(_) => {
+                    idle_elsewhere = None;
+                }
                 state => {
                     return Err(
                         self.refused(&line, &format!("the controller is in state {state:?}"))

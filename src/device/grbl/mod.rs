@@ -1,6 +1,7 @@
 //! Light stages with a GRBL 1.1 controller: two axes turn the lamp, the spindle
 //! and coolant outputs switch it.
 
+#[cfg(feature = "serial")]
 mod codes;
 #[cfg(feature = "serial")]
 mod driver;

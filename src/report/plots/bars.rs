@@ -36,12 +36,12 @@ pub fn bars(title: &str, rows: &[BarRow]) -> Result<String, PlotError> {
             .build_cartesian_2d(x.clone(), y.clone())?;
         draw_axes(&mut chart, &x, &y, true)?;
         for (index, row) in rows.iter().enumerate() {
-            for channel in 0..3 {
+            for (channel, color) in CHANNELS.into_iter().enumerate() {
                 let top = index as f64 + 0.14 + 0.24 * channel as f64;
                 let middle = top + 0.12;
                 let value = row.value[channel];
                 let bar = [(0.0, top + 0.02), (value, top + 0.22)];
-                chart.draw_series([Rectangle::new(bar, CHANNELS[channel].mix(0.75).filled())])?;
+                chart.draw_series([Rectangle::new(bar, color.mix(0.75).filled())])?;
                 let low = (value - row.deviation[channel]).max(0.0);
                 let high = (value + row.deviation[channel]).min(x.range.end);
                 let whisker = [(low, middle), (high, middle)];
