@@ -167,7 +167,7 @@ impl Devices {
             .angle_between(target.to_light())
             .to_degrees();
         // A position that is not a number is not at the target either.
-        if !(off_deg <= POSITION_TOLERANCE_DEG) {
+        if off_deg.is_nan() || off_deg > POSITION_TOLERANCE_DEG {
             return Err(self.stage_differs("the position", position, target).into());
         }
         self.known.position = Some(position);

@@ -91,15 +91,34 @@ pub fn farthest_point_order(
         return Vec::new();
     };
     let mut nearest_sq = vec![f64::INFINITY; directions.len()];
+    // Many candidates are equally far from their nearest light; of those the one
+    // with the least Coulomb energy is also far from the others.
+    let mut energy = vec![0.0; directions.len()];
     let mut chosen = Vec::new();
     while chosen.len() < count {
         chosen.push(candidates[next]);
-        for (nearest, direction) in nearest_sq.iter_mut().zip(&directions) {
-            *nearest = nearest.min(direction.distance_squared(directions[next]));
+        for (candidate, direction) in directions.iter().enumerate() {
+            let distance_sq = direction.distance_squared(directions[next]);
+            nearest_sq[candidate] = nearest_sq[candidate].min(distance_sq);
+            energy[candidate] += distance_sq.max(1e-12).sqrt().recip();
         }
-        match first_best(nearest_sq.iter().copied()) {
-            Some(best) if nearest_sq[best] > smallest_distance_sq.max(1e-12) => next = best,
-            _ => break,
+        let farthest_sq = nearest_sq.iter().copied().fold(0.0, f64::max);
+        if farthest_sq <= smallest_distance_sq.max(1e-12) {
+            break;
+        }
+        let relaxed = energy
+            .iter()
+            .zip(&nearest_sq)
+            .map(|(&energy, &nearest_sq)| {
+                if nearest_sq < farthest_sq - 1e-9 {
+                    f64::NEG_INFINITY
+                } else {
+                    -energy
+                }
+            });
+        match first_best(relaxed) {
+            Some(best) => next = best,
+            None => break,
         }
     }
     chosen
@@ -150,6 +169,19 @@ mod tests {
             let best = REACH.candidates().into_iter().map(gap).fold(0.0, f64::max);
             assert!(gap(chosen[n]) > best - 1e-6, "light {n}");
         }
+    }
+
+    /// All directions on the lower limit are equally far from the zenith; the
+    /// lights still go all around.
+    #[test]
+    fn equally_far_lights_go_around() {
+        let reach = StageReach {
+            azimuth_deg: [-180.0, 180.0],
+            elevation_deg: [20.0, 90.0],
+        };
+        let four = farthest_point_order(&reach, DVec3::Z, 4, 0.0);
+        let azimuths: Vec<f64> = four.iter().map(|angles| angles.azimuth_deg).collect();
+        assert_eq!(azimuths, [0.0, 0.0, 180.0, 90.0]);
     }
 
     #[test]

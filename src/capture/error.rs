@@ -43,14 +43,17 @@ pub enum CaptureError {
     },
     /// The disk cannot hold the session.
     #[error(
-        "the session needs about {needed_bytes} bytes and {folder} has {free_bytes} free",
+        "the session takes about {estimated_bytes} bytes and {reserve_bytes} shall remain, \
+         but {folder} has only {free_bytes} bytes free",
         folder = folder.display()
     )]
     NotEnoughSpace {
         /// Where the session would go.
         folder: std::path::PathBuf,
         /// Estimate, bytes.
-        needed_bytes: u64,
+        estimated_bytes: u64,
+        /// Must remain free, bytes.
+        reserve_bytes: u64,
         /// Free, bytes.
         free_bytes: u64,
     },

@@ -20,10 +20,12 @@ pub mod exposure_check;
 pub mod interest;
 mod merge_sink;
 pub mod plan;
+mod progress;
 pub mod run;
 mod worker;
 
 pub use disk::BracketSink;
 pub use error::CaptureError;
 pub use merge_sink::RadianceSink;
-pub use run::{Capture, Observer, Outcome, Progress};
+pub use progress::{Observer, Outcome, Progress};
+pub use run::Capture;

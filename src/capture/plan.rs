@@ -202,13 +202,14 @@ pub fn check_space(
     reserve_bytes: u64,
 ) -> Result<(), CaptureError> {
     let free_bytes = free_bytes(folder)?;
-    let needed_bytes = plan.estimated_bytes.saturating_add(reserve_bytes);
-    if free_bytes >= needed_bytes {
+    let estimated_bytes = plan.estimated_bytes;
+    if free_bytes >= estimated_bytes.saturating_add(reserve_bytes) {
         return Ok(());
     }
     Err(CaptureError::NotEnoughSpace {
         folder: folder.to_owned(),
-        needed_bytes,
+        estimated_bytes,
+        reserve_bytes,
         free_bytes,
     })
 }

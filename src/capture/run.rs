@@ -1,14 +1,13 @@
 //! The execution of a plan on a camera and a stage.
 
 use std::collections::HashMap;
-use std::path::Path;
 use std::sync::Arc;
-use std::time::Instant;
 
 use super::bracket::{self, Decision, PilotRound};
 use super::devices::Devices;
 use super::disk::{BracketSink, Disk, Merger};
 use super::exposure_check::{Exposed, Verdict, signal_ratio};
+use super::progress::{Clock, Observer, Outcome, Progress};
 use super::{CaptureError, exposure_check};
 use crate::device::{
     Camera, CameraInfo, CameraSettings, FrameKey, FrameKind, LampChannel, LampState, LightStage,
@@ -45,71 +44,6 @@ pub struct Capture<'a> {
     pub observer: &'a mut dyn Observer,
     /// Asked between frames, and while waiting.
     pub interrupt: Interrupt,
-}
-
-/// How a capture ended without an error.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Outcome {
-    /// Every planned frame is journalled, every bracket merged.
-    Complete,
-    /// Stopped as asked; the session can be resumed.
-    Interrupted,
-}
-
-/// Hears what a capture is doing.
-pub trait Observer {
-    /// Called between frames; should return soon.
-    fn observe(&mut self, progress: Progress<'_>);
-}
-
-/// What a capture is doing.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Progress<'a> {
-    /// Frames of the session that need not be taken again.
-    Resumed {
-        /// How many.
-        frames: usize,
-    },
-    /// The stage seeks its reference switches.
-    Homing,
-    /// The stage moves.
-    Moving {
-        /// Index in the plan.
-        light: u32,
-        /// Target.
-        target: StageAngles,
-    },
-    /// The exposures of a light are decided.
-    Planned {
-        /// Index in the plan.
-        light: u32,
-        /// Shortest first.
-        steps: &'a [BracketStep],
-        /// Expected SNR of the sample's dark pixels.
-        dark_snr: f64,
-    },
-    /// A frame is about to be taken.
-    Frame {
-        /// Its place.
-        key: FrameKey,
-        /// Exposure.
-        exposure: Seconds,
-        /// Lamp.
-        lamp: LampState,
-        /// Part of the whole capture that is done, 0 to 1.
-        done: f64,
-        /// Estimated time left.
-        left: Seconds,
-    },
-    /// All frames of a light are taken.
-    LightDone {
-        /// Index in the plan.
-        light: u32,
-    },
-    /// All frames are taken and the lamp is off; the last brackets are being merged.
-    Merging,
-    /// Something that the operator should know; it is journalled too.
-    Warning(&'a str),
 }
 
 impl Capture<'_> {
@@ -714,43 +648,4 @@ fn check_same(shot: &Shot, sidecar: &Sidecar) -> Result<(), CaptureError> {
         found: words(sidecar.requested.exposure, sidecar.lamp, sidecar.pilot),
         expected: words(shot.exposure, shot.lamp, shot.pilot),
     })
-}
-
-/// How far the capture is, and how long the rest may take.
-struct Clock {
-    start: Instant,
-    done: f64,
-    done_at_start: Option<f64>,
-}
-
-impl Clock {
-    fn start() -> Self {
-        Self {
-            start: Instant::now(),
-            done: 0.0,
-            done_at_start: None,
-        }
-    }
-
-    fn within_light(&mut self, light: u32, lights: usize, part: f64) {
-        self.done = (f64::from(light) + part) / lights as f64;
-        self.done_at_start.get_or_insert(self.done);
-    }
-
-    /// From the pace so far; from the plan's estimate where there is none yet.
-    fn left(&self, estimated: Seconds) -> Seconds {
-        let gained = self.done - self.done_at_start.unwrap_or(0.0);
-        let rest = 1.0 - self.done;
-        if gained > 0.02 {
-            Seconds(self.start.elapsed().as_secs_f64() / gained * rest)
-        } else {
-            Seconds(estimated.0 * rest)
-        }
-    }
-}
-
-/// What a resume needs to know of a session before devices are connected.
-pub fn is_complete(root: &Path) -> Result<bool, CaptureError> {
-    let session = Session::open(root)?;
-    Ok(session.journal().is_complete() && missing_radiance(&session).is_empty())
 }

@@ -8,11 +8,11 @@ use glam::DVec3;
 use serde_json::json;
 
 use super::capture_progress::Bar;
+use super::capture_records::Records;
 use super::output::write_json;
 use super::rig_choice::RigArg;
 use super::{CliError, Context, HintExt, interrupt, open, pipeline};
-use crate::calibration::record::{FlatValues, LightsValues, ScaleValues, SensorValues, Values};
-use crate::calibration::{Library, Loaded, noise::sensor_noise};
+use crate::calibration::Library;
 use crate::capture::directions::StageReach;
 use crate::capture::plan::{LightChoice, Pace, PlanRequest, check_reach, check_space, plan};
 use crate::capture::{Capture, Outcome, RadianceSink, interest};
@@ -247,6 +247,8 @@ fn carry_out(
             "the capture is complete; `rig fit {}` fits it",
             root.display()
         ))?;
+        // The fit and the report belong to what `sha256sum -c` checks.
+        SessionWriter::open(Arc::new(SystemDisk), &root)?.write_manifest()?;
     }
     print_result(args, &root, outcome, elapsed_s)
 }
@@ -453,80 +455,6 @@ fn sample_name(config: &RigConfig) -> String {
 fn short_id(created: jiff::Timestamp) -> String {
     let key = format!("{} {}", created.as_nanosecond(), std::process::id());
     sha256_hex(key.as_bytes())[..6].to_owned()
-}
-
-/// The calibration that a capture goes by.
-struct Records {
-    sensor: Loaded<SensorValues>,
-    flat: Option<Loaded<FlatValues>>,
-    scale: Option<Loaded<ScaleValues>>,
-    lights: Option<Loaded<LightsValues>>,
-}
-
-impl Records {
-    /// The records that the rig names, else the newest; each must be the camera's.
-    fn load(library: &Library, config: &RigConfig) -> Result<Self, CliError> {
-        let ids = &config.calibration;
-        let serial = config.camera.serial.as_deref().unwrap_or_default();
-        let records = Self {
-            sensor: sensor(library, ids.sensor.as_deref())?,
-            flat: library.load(ids.flat.as_deref())?,
-            scale: library.load(ids.scale.as_deref())?,
-            lights: library.load(ids.lights.as_deref())?,
-        };
-        records.sensor.check_camera(serial, &config.camera)?;
-        if let Some(flat) = &records.flat {
-            flat.check_camera(serial, &config.camera)?;
-        }
-        Ok(records)
-    }
-
-    /// The copies in a session.
-    fn load_copies(library: &Library) -> Result<Self, CliError> {
-        Ok(Self {
-            sensor: sensor(library, None)?,
-            flat: library.load(None)?,
-            scale: library.load(None)?,
-            lights: library.load(None)?,
-        })
-    }
-
-    fn noise(&self, config: &RigConfig) -> Result<SensorNoise, CliError> {
-        let scale = self.scale.as_ref().map(|loaded| &loaded.record.values);
-        let sensor = &self.sensor.record.values;
-        Ok(sensor_noise(
-            sensor,
-            self.flat.as_ref(),
-            scale,
-            config.camera.resolution_px,
-        )?)
-    }
-
-    /// `<kind>/<file>`, whether it is the record itself, and its bytes.
-    fn copies(&self) -> Vec<(String, bool, Vec<u8>)> {
-        let mut copies = Vec::new();
-        add_copies(&mut copies, Some(&self.sensor));
-        add_copies(&mut copies, self.flat.as_ref());
-        add_copies(&mut copies, self.scale.as_ref());
-        add_copies(&mut copies, self.lights.as_ref());
-        copies
-    }
-}
-
-fn sensor(library: &Library, id: Option<&str>) -> Result<Loaded<SensorValues>, CliError> {
-    let found = library.load::<SensorValues>(id)?;
-    found.ok_or_else(|| {
-        CliError::new(format!("there is no sensor record in {}", library.place()))
-            .hint("measure the sensor once with `rig calibrate sensor`")
-    })
-}
-
-fn add_copies<V: Values>(copies: &mut Vec<(String, bool, Vec<u8>)>, loaded: Option<&Loaded<V>>) {
-    let files = loaded.iter().flat_map(|loaded| &loaded.files);
-    for (index, (name, bytes)) in files.enumerate() {
-        let name = format!("{}/{name}", V::KIND.folder());
-        copies.push((name, index == 0, bytes.clone()));
-    }
 }
 
 #[cfg(test)]

@@ -11,6 +11,7 @@ pub mod calibrate;
 pub mod camera;
 pub mod capture;
 mod capture_progress;
+mod capture_records;
 pub mod completions;
 pub mod devices;
 pub mod doctor;

@@ -1,0 +1,286 @@
+//! `rig capture` and `rig session` as a user runs them, on the simulated rig.
+
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use rig::session::{Event, Journal, Session, SessionState, layout, verify};
+use rustix::process::{Pid, Signal, kill_process};
+use tempfile::TempDir;
+
+/// The shipped material, whose table takes its time, and one that does not.
+const BUNDLED: &str = "material = \"nbrdf:red-plastic\"";
+const QUICK: &str = "brdf = { mixture = [ { weight = 1.0, lambertian = { albedo = 0.8 } } ] }";
+
+/// A folder to work in, with a rig file of the simulated bench whose truth is
+/// rendered quickly; `change` is applied to its text.
+fn workplace(change: impl FnOnce(String) -> String) -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let text = include_str!("../rig-configs/simulated.toml");
+    let (before, simulation) = text.split_once("[simulation]").unwrap();
+    let simulation = simulation
+        .replace("samples_per_pixel = 1024", "samples_per_pixel = 2")
+        .replace("max_reflections = 32", "max_reflections = 2")
+        .replace("segments = 256", "segments = 32")
+        .replace(BUNDLED, QUICK);
+    let text = format!("{before}[simulation]{simulation}");
+    std::fs::write(folder.path().join("rig.toml"), change(text)).unwrap();
+    folder
+}
+
+fn rig(folder: &TempDir, arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_rig"));
+    command
+        .args(arguments)
+        .current_dir(folder.path())
+        .env_remove("RIG_CONFIG")
+        .env_remove("RUST_BACKTRACE");
+    command
+}
+
+fn run(folder: &TempDir, arguments: &[&str]) -> Output {
+    rig(folder, arguments).output().unwrap()
+}
+
+fn text(bytes: &[u8]) -> &str {
+    str::from_utf8(bytes).unwrap()
+}
+
+/// One line that states the fact, a hint, exit code 1, nothing else.
+fn assert_refused(output: &Output, fact: &str) {
+    let stderr = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{stderr}");
+    let lines: Vec<&str> = stderr.trim_end().lines().collect();
+    let error = lines
+        .iter()
+        .find(|line| line.starts_with("error: "))
+        .unwrap_or(&"");
+    assert!(error.contains(fact), "{stderr}");
+    assert!(lines.last().unwrap().starts_with("hint: "), "{stderr}");
+    assert!(
+        !stderr.contains("panicked") && !stderr.contains("internal error"),
+        "{stderr}"
+    );
+}
+
+fn no_session(folder: &TempDir) {
+    let sessions = folder.path().join("sessions");
+    let any = std::fs::read_dir(sessions).map_or(0, |entries| entries.count());
+    assert_eq!(any, 0);
+}
+
+/// The path that stdout ends with.
+fn session_of(folder: &TempDir, output: &Output) -> PathBuf {
+    folder
+        .path()
+        .join(text(&output.stdout).lines().last().unwrap())
+}
+
+#[test]
+fn a_capture_is_complete_verified_and_listed() {
+    let folder = workplace(|text| text.replace(QUICK, BUNDLED));
+    let output = run(
+        &folder,
+        &["capture", "--lights", "2", "--no-fit", "--sample", "cup"],
+    );
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    let root = session_of(&folder, &output);
+    let session = Session::open(&root).unwrap();
+    assert_eq!(session.state(), SessionState::Complete);
+    let record = session.record();
+    assert!(record.simulated);
+    assert_eq!(record.sample, "cup");
+    assert_eq!(record.true_material.as_deref(), Some("nbrdf:red-plastic"));
+    assert!(
+        record
+            .calibration
+            .iter()
+            .any(|copy| copy.id.starts_with("sensor/"))
+    );
+    for light in 0..2 {
+        let bytes = session.read_file(&layout::radiance_file(light)).unwrap();
+        let path = Path::new("radiance.exr");
+        let image = rig::radiance_image::exr::decode(&bytes, path)
+            .unwrap()
+            .image;
+        assert_eq!((image.width, image.height), (64, 64));
+        let lit = image.mean.iter().filter(|mean| mean[0] > 0.01).count();
+        assert!(lit > 300, "light {light}: {lit} pixels are lit");
+    }
+    let root = root.to_str().unwrap();
+    assert_eq!(
+        run(&folder, &["session", "verify", root]).status.code(),
+        Some(0)
+    );
+    let list = run(&folder, &["session", "list", "--json"]);
+    let list: serde_json::Value = serde_json::from_slice(&list.stdout).unwrap();
+    assert_eq!(list[0]["lights_finished"], 2);
+    assert_eq!(list[0]["complete"], true);
+    // A complete session resumes to itself.
+    let again = run(&folder, &["capture", "--resume", root, "--no-fit"]);
+    assert_eq!(again.status.code(), Some(0), "{}", text(&again.stderr));
+
+    // One flipped bit is found, named, and a resume refuses to go on.
+    let frame = Path::new(root).join("raw/L000_E00_R00_light.png");
+    let mut bytes = std::fs::read(&frame).unwrap();
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 4;
+    std::fs::write(&frame, bytes).unwrap();
+    assert_refused(
+        &run(&folder, &["session", "verify", root]),
+        "L000_E00_R00_light.png",
+    );
+    assert_refused(&run(&folder, &["capture", "--resume", root]), "SHA-256");
+    let journal = Path::new(root).join(layout::JOURNAL_FILE);
+    let mut bytes = std::fs::read(&journal).unwrap();
+    bytes[200] ^= 1;
+    std::fs::write(&journal, bytes).unwrap();
+    assert_refused(&run(&folder, &["session", "verify", root]), "line 1");
+}
+
+#[test]
+fn a_dry_run_prints_the_plan_and_touches_nothing() {
+    let folder = workplace(|text| text);
+    let output = run(&folder, &["capture", "--lights", "4", "--dry-run"]);
+    assert_eq!(output.status.code(), Some(0));
+    assert!(text(&output.stdout).contains("elevation 90.000°"));
+    let output = run(
+        &folder,
+        &["capture", "--lights", "4", "--dry-run", "--json"],
+    );
+    let plan: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(plan["lights"].as_array().unwrap().len(), 4);
+    assert!(plan["estimated_s"].as_f64().unwrap() > 1.0);
+    assert!(plan["estimated_bytes"].as_f64().unwrap() > 4.0 * 64.0 * 64.0 * 2.0);
+    no_session(&folder);
+}
+
+#[test]
+fn bad_input_is_refused_before_anything_moves() {
+    let folder = workplace(|text| text);
+    std::fs::write(folder.path().join("file"), "").unwrap();
+    for (arguments, fact) in [
+        (&["capture"][..], "--lights"),
+        (&["capture", "--lights", "none"], "--lights"),
+        (&["capture", "--lights", "99999"], "the stage reaches"),
+        (
+            &["capture", "--light", "0,10"],
+            "outside the stage's limits",
+        ),
+        (&["capture", "--light", "0"], "--light"),
+        (
+            &["capture", "--lights", "1", "--sample", "../x"],
+            "sample name",
+        ),
+        (&["capture", "--lights", "1", "--out", "file/x"], "file"),
+        (
+            &["capture", "--lights", "1", "--rig", "none.toml"],
+            "none.toml",
+        ),
+        (&["capture", "--resume", "nowhere"], "nowhere"),
+        (&["capture", "--resume", "."], "is not a session"),
+        (&["session", "verify", "nowhere"], "nowhere"),
+        (&["session", "list", "nowhere"], "nowhere"),
+    ] {
+        let output = run(&folder, arguments);
+        assert_refused(&output, fact);
+        assert_eq!(text(&output.stdout), "", "{arguments:?}");
+        no_session(&folder);
+    }
+    let crowded =
+        workplace(|text| text.replace("disk_reserve_mb = 200", "disk_reserve_mb = 1000000"));
+    let free = rig::session::commit::free_bytes(crowded.path()).unwrap();
+    if free < 1_000_000 << 20 {
+        assert_refused(&run(&crowded, &["capture", "--lights", "1"]), "bytes free");
+    }
+}
+
+/// Starts a capture and waits until `frames` frames are journalled.
+fn begin(folder: &TempDir, frames: usize) -> (Child, PathBuf) {
+    let mut child = rig(folder, &["capture", "--lights", "2", "--no-fit"])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let began = Instant::now();
+    loop {
+        let entries = std::fs::read_dir(folder.path().join("sessions"));
+        let root = entries
+            .into_iter()
+            .flatten()
+            .flatten()
+            .map(|entry| entry.path())
+            .find(|path| !path.file_name().unwrap().to_str().unwrap().starts_with('.'));
+        if let Some(root) = root
+            && let Ok(journal) = Journal::read(&root)
+        {
+            let is_frame = |event: &Event| matches!(event, Event::Frame { .. });
+            let taken = journal
+                .records
+                .iter()
+                .filter(|r| is_frame(&r.event))
+                .count();
+            if taken >= frames {
+                return (child, root);
+            }
+        }
+        assert!(
+            child.try_wait().unwrap().is_none(),
+            "the capture ended by itself"
+        );
+        assert!(
+            began.elapsed() < Duration::from_secs(60),
+            "no frames within 60 s"
+        );
+        std::thread::sleep(Duration::from_millis(2));
+    }
+}
+
+fn finish(folder: &TempDir, root: &Path) {
+    let before: Vec<_> = Session::open(root).unwrap().frames().collect();
+    let output = run(
+        folder,
+        &["capture", "--no-fit", "--resume", root.to_str().unwrap()],
+    );
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    assert_eq!(Path::new(text(&output.stdout).trim_end()), root);
+    let found = verify::verify(root).unwrap();
+    assert!(found.is_intact() && found.complete, "{found:?}");
+    let after: Vec<_> = Session::open(root).unwrap().frames().collect();
+    assert_eq!(after[..before.len()], before, "finished frames stay");
+    let output = run(folder, &["session", "verify", root.to_str().unwrap()]);
+    assert_eq!(output.status.code(), Some(0));
+}
+
+#[test]
+fn a_signal_ends_a_capture_in_good_order_and_it_resumes() {
+    for (signal, code) in [(Signal::INT, 130), (Signal::TERM, 143), (Signal::HUP, 129)] {
+        let folder = workplace(|text| text);
+        let (child, root) = begin(&folder, 6);
+        kill_process(Pid::from_child(&child), signal).unwrap();
+        let output = child.wait_with_output().unwrap();
+        let stderr = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(code), "{stderr}");
+        assert!(stderr.contains("hint: `rig capture --resume"), "{stderr}");
+        assert_eq!(session_of(&folder, &output), root);
+        assert_eq!(
+            Session::open(&root).unwrap().state(),
+            SessionState::Interrupted
+        );
+        assert!(verify::verify(&root).unwrap().is_intact());
+        if signal == Signal::INT {
+            finish(&folder, &root);
+        }
+    }
+}
+
+#[test]
+fn a_killed_capture_resumes() {
+    for frames in [1, 23] {
+        let folder = workplace(|text| text);
+        let (mut child, root) = begin(&folder, frames);
+        kill_process(Pid::from_child(&child), Signal::KILL).unwrap();
+        child.wait().unwrap();
+        finish(&folder, &root);
+    }
+}
