@@ -215,16 +215,15 @@ impl<'a> Objective<'a> {
     pub fn single_bounce(&self, residual_weights: &ResidualWeights) -> Vec<Quadratic> {
         let n = self.atoms();
         let mut quadratics = vec![Quadratic::zero(n); self.sets()];
-        for light in 0..self.lights() {
-            for pixel in 0..self.target[light].len() {
+        for (light, weights) in residual_weights.iter().enumerate() {
+            for (pixel, weights) in weights.iter().enumerate() {
                 let row: Vec<f64> = self
                     .direct
                     .row(pixel, light)
                     .iter()
                     .map(|&v| f64::from(v))
                     .collect();
-                for c in 0..3 {
-                    let w = residual_weights[light][pixel][c];
+                for (c, &w) in weights.iter().enumerate() {
                     if w > 0.0 {
                         let target = self.target[light][pixel][c];
                         let sum = &mut quadratics[self.set_of(c)];

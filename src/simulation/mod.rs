@@ -45,11 +45,14 @@ pub struct Truth {
     pub seed: u64,
 }
 
+/// The image under one lamp position, for unit power of each channel.
+type Rendered = Arc<Vec<[f32; 3]>>;
+
 /// Renders the truth on demand and remembers it by lamp position.
 pub struct TruthSource {
     truth: Truth,
-    /// Per channel, for unit power; by the bits of azimuth and elevation.
-    rendered: Mutex<HashMap<[u64; 2], Arc<Vec<[f32; 3]>>>>,
+    /// By the bits of azimuth and elevation.
+    rendered: Mutex<HashMap<[u64; 2], Rendered>>,
 }
 
 impl TruthSource {

@@ -59,9 +59,8 @@ pub fn render(
         .map(|light| {
             let mut image = RadianceImage::new(width, height);
             for (pixel, sums) in rows.iter().flatten().enumerate() {
-                for channel in 0..3 {
+                for (channel, &[sum, sum2]) in sums[light].iter().enumerate() {
                     let strength = scene.lights[light].strength()[channel];
-                    let [sum, sum2] = sums[light][channel];
                     let mean = sum / n;
                     let variance = ((sum2 / n - mean * mean) / (n - 1.0)).max(0.0);
                     image.mean[pixel][channel] = (mean * strength) as f32;
