@@ -56,7 +56,7 @@ pub struct CaptureArgs {
     /// Name of the sample: letters, digits, dots, hyphens, underscores
     #[arg(long, value_name = "NAME", conflicts_with = "resume")]
     sample: Option<String>,
-    /// Print the plan with its estimates; nothing is opened and nothing moves
+    /// Prints the plan with its estimates; nothing is opened and nothing moves
     #[arg(long, conflicts_with = "resume")]
     dry_run: bool,
     /// Go on with an interrupted session; plan and configuration are in it
@@ -68,6 +68,25 @@ pub struct CaptureArgs {
     /// The plan (with --dry-run) or the result as JSON
     #[arg(long)]
     json: bool,
+}
+
+impl CaptureArgs {
+    /// Four lights on the simulated rig.
+    pub(super) fn of_demo(out: PathBuf, json: bool) -> Self {
+        Self {
+            rig: RigArg {
+                rig: Some("simulated".to_owned()),
+            },
+            lights: Some(Lights::Count(4)),
+            light: Vec::new(),
+            out,
+            sample: None,
+            dry_run: false,
+            resume: None,
+            no_fit: false,
+            json,
+        }
+    }
 }
 
 /// `--lights`.
