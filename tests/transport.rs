@@ -17,7 +17,7 @@ use rig::brdf::Brdf;
 use rig::brdf::dictionary::{Atom, Dictionary};
 use rig::brdf::ggx::{self, Cosines};
 use rig::brdf::mixture::Mixture;
-use rig::geometry::{Mesh, ply};
+use rig::geometry::{Mesh, files};
 use rig::radiance_image::RadianceImage;
 use rig::transport::{
     Cache, CacheOptions, Camera, DirectMatrix, Kernel, Light, Projection, Proposal, RenderOptions,
@@ -76,7 +76,7 @@ fn scene(mesh: Mesh, oblique: bool) -> Scene {
 }
 
 fn reference_mesh(name: &str) -> Mesh {
-    ply::read(&data(name), 1.0).unwrap()
+    files::read(&data(name), 1.0).unwrap()
 }
 
 fn mixture(atoms: &[(f64, Atom)]) -> Mixture {

@@ -70,30 +70,30 @@ pub struct CaptureArgs {
     json: bool,
 }
 
+/// `--lights`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Lights {
+    Count(usize),
+    All,
+}
+
 impl CaptureArgs {
-    /// Four lights on the simulated rig.
-    pub(super) fn of_demo(out: PathBuf, json: bool) -> Self {
+    /// `--rig simulated --lights COUNT --out OUT`.
+    pub fn on_simulated_rig(count: usize, out: PathBuf) -> Self {
         Self {
             rig: RigArg {
                 rig: Some("simulated".to_owned()),
             },
-            lights: Some(Lights::Count(4)),
+            lights: Some(Lights::Count(count)),
             light: Vec::new(),
             out,
             sample: None,
             dry_run: false,
             resume: None,
             no_fit: false,
-            json,
+            json: false,
         }
     }
-}
-
-/// `--lights`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Lights {
-    Count(usize),
-    All,
 }
 
 /// Angle that `--lights all` keeps between two lights, degrees.

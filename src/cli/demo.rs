@@ -1,4 +1,4 @@
-//! `rig demo`: the whole pipeline on the simulated rig.
+//! `rig demo`: the main job on the simulated rig.
 
 use std::path::PathBuf;
 
@@ -7,19 +7,15 @@ use super::{CliError, Context};
 
 /// Captures four lights on the simulated rig, then merges, fits and reports
 ///
-/// stdout's last line is the session's folder; `report.html` in it is the result.
+/// stdout's last line is the session's folder; its report.html shows the result.
 #[derive(clap::Args, Debug)]
 pub struct DemoArgs {
     /// Folder that receives the session's folder
     #[arg(long, value_name = "DIR", default_value = "sessions")]
     out: PathBuf,
-    /// The result as JSON
-    #[arg(long)]
-    json: bool,
 }
 
 /// `rig demo`.
 pub fn run(args: &DemoArgs, context: &Context) -> Result<(), CliError> {
-    let capture = CaptureArgs::of_demo(args.out.clone(), args.json);
-    capture::run(&capture, context)
+    capture::run(&CaptureArgs::on_simulated_rig(4, args.out.clone()), context)
 }
