@@ -113,6 +113,12 @@ const EXPLAINED: &str =
 fn for_config(error: &ConfigError) -> String {
     use ConfigError::*;
     match error {
+        Read { source, .. } if source.kind() == std::io::ErrorKind::InvalidData => {
+            "the file is no text: rig files and scenes are TOML (https://toml.io)".into()
+        }
+        Read { source, .. } if source.kind() == std::io::ErrorKind::PermissionDenied => {
+            for_io(source).unwrap_or(FALLBACK).into()
+        }
         Read { .. } => "check the path; a bare name is looked for in rig-configs/ and among the built-in rigs".into(),
         Syntax { .. } => "the file is TOML (https://toml.io): `key = value`, texts in double quotes, `[table]`".into(),
         UnknownKey { key, known, .. } => {

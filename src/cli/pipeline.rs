@@ -302,10 +302,16 @@ pub fn fit_session(root: &Path, args: &FitArgs, context: &Context) -> Result<Pat
     let scene = config.geometry.scene(&places)?;
     let mut captured = Vec::new();
     for light in 0..places.len() {
-        let path = root.join(layout::radiance_file(light as u32));
-        let image = exr::read(&path)
+        let name = layout::radiance_file(light as u32);
+        // Only what the journal vouches for is fitted.
+        let image = session
+            .read_file(&name)
             .map_err(CliError::from)
-            .hint("the capture is incomplete: `rig capture --resume SESSION` finishes it")?;
+            .and_then(|bytes| Ok(exr::decode(&bytes, &root.join(&name))?))
+            .hint(format!(
+                "`rig capture --resume {}` takes what is missing and merges the raw frames again",
+                root.display()
+            ))?;
         captured.push(image.image);
     }
     let truth = match &config.simulation {

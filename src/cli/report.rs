@@ -7,7 +7,7 @@ use super::{CliError, Context, HintExt};
 use crate::out;
 use crate::report::{self, load::LoadError};
 use crate::session::commit::SystemDisk;
-use crate::session::{SessionWriter, layout};
+use crate::session::{SessionError, SessionWriter, layout};
 
 /// Writes a session's report: one HTML file that needs no other.
 #[derive(clap::Args, Debug)]
@@ -52,7 +52,12 @@ fn advise(error: LoadError) -> CliError {
         LoadError::NoSuchFit { .. } => {
             "leave --fit out to show the latest, or run `rig fit SESSION`"
         }
-        LoadError::Image(_) => "`rig merge` makes the merged images again from the raw frames",
+        LoadError::Image(_) => {
+            "`rig capture --resume SESSION` makes the merged images again from the raw frames"
+        }
+        LoadError::Session(SessionError::Checksum { .. } | SessionError::Missing { .. }) => {
+            "`rig session verify SESSION` lists every damaged file; `rig capture --resume SESSION` makes merged images again"
+        }
         LoadError::Sidecar { .. } | LoadError::Session(_) => {
             "give the folder of a session; `rig session verify SESSION` checks every file of it"
         }
