@@ -103,7 +103,7 @@ pub fn commit_files(
     files: &[(&str, &[u8])],
     replace: Replace,
 ) -> Result<(), SessionError> {
-    for (name, bytes) in files {
+    for (name, _) in files {
         let path = folder.join(name);
         if replace == Replace::Never && path.symlink_metadata().is_ok() {
             return Err(SessionError::Exists { path });
