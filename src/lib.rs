@@ -8,7 +8,7 @@
 //!
 //! | floor | modules |
 //! |---|---|
-//! | 0 | [`units`], [`frames`], [`random`], [`radiance_image`], [`interrupt`] |
+//! | 0 | [`units`], [`frames`], [`random`], [`radiance_image`], [`interrupt`], [`whole_file`] |
 //! | 1 | [`brdf`], [`geometry`] |
 //! | 2 | [`transport`], [`radiometry`] |
 //! | 3 | [`inverse`], [`device`], [`simulation`] |
@@ -22,6 +22,7 @@ pub mod interrupt;
 pub mod radiance_image;
 pub mod random;
 pub mod units;
+pub mod whole_file;
 
 pub mod brdf;
 pub mod geometry;

@@ -4,11 +4,11 @@
 //! little-endian f64 in order θh, θd, φd (fastest), scaled by 1500, 1500/1.15 and
 //! 1500/1.66; negative values mark directions below the horizon.
 
-use std::io::Write;
 use std::path::Path;
 
 use super::table::{MERL_SHAPE, TabulatedBrdf, node};
 use super::{Brdf, BrdfError};
+use crate::whole_file;
 
 /// 1/sr per stored unit, R, G, B.
 pub const SCALE: [f64; 3] = [1.0 / 1500.0, 1.15 / 1500.0, 1.66 / 1500.0];
@@ -87,17 +87,11 @@ pub fn to_bytes(brdf: &dyn Brdf) -> Vec<u8> {
 
 /// Writes a `.binary` file, 35 MB, in place of any file of that name.
 pub fn write(path: &Path, brdf: &dyn Brdf) -> Result<(), BrdfError> {
-    let io = |source| BrdfError::Io {
+    let bytes = to_bytes(brdf);
+    whole_file::replace(path, |out| out.write_all(&bytes)).map_err(|source| BrdfError::Io {
         path: path.into(),
         source,
-    };
-    let folder = path.parent().filter(|p| !p.as_os_str().is_empty());
-    // The kind alone: the message would name the temporary file.
-    let mut file = tempfile::NamedTempFile::new_in(folder.unwrap_or(Path::new(".")))
-        .map_err(|error| io(error.kind().into()))?;
-    file.write_all(&to_bytes(brdf)).map_err(io)?;
-    file.persist(path).map_err(|error| io(error.error))?;
-    Ok(())
+    })
 }
 
 #[cfg(test)]

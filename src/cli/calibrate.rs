@@ -28,7 +28,7 @@ use crate::calibration::sensor::TransferPoint;
 use crate::calibration::{Library, Loaded};
 use crate::config::{CameraConfig, RigConfig};
 use crate::device::Camera;
-use crate::device::simulated::SimulatedCamera;
+use crate::device::simulated_camera::SimulatedCamera;
 use crate::out;
 use crate::random::{Purpose, stream};
 

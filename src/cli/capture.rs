@@ -77,6 +77,25 @@ enum Lights {
     All,
 }
 
+impl CaptureArgs {
+    /// `--rig simulated --lights COUNT --out OUT`.
+    pub fn on_simulated_rig(count: usize, out: PathBuf) -> Self {
+        Self {
+            rig: RigArg {
+                rig: Some("simulated".to_owned()),
+            },
+            lights: Some(Lights::Count(count)),
+            light: Vec::new(),
+            out,
+            sample: None,
+            dry_run: false,
+            resume: None,
+            no_fit: false,
+            json: false,
+        }
+    }
+}
+
 /// Angle that `--lights all` keeps between two lights, degrees.
 const ALL_SPACING_DEG: f64 = 15.0;
 

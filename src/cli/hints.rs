@@ -254,9 +254,6 @@ fn for_exr(error: &ExrError) -> Option<String> {
 fn for_build(error: &BuildError) -> Option<String> {
     match error {
         BuildError::Mesh(error) => for_mesh(error),
-        BuildError::MeshKind { .. } => {
-            Some("convert the mesh to PLY; `rig shape` writes such files".into())
-        }
         BuildError::Brdf(error) => for_brdf(error),
         BuildError::Bodies { .. } => Some("remove the [[body]] tables from the scene".into()),
     }
@@ -281,6 +278,7 @@ fn for_fit(error: &FitError) -> Option<String> {
 fn for_mesh(error: &MeshError) -> Option<String> {
     match error {
         MeshError::Io { source, .. } => for_io(source).map(str::to_owned),
+        MeshError::Kind { .. } => Some("give PLY, OBJ or STL; `rig shape` writes all three".into()),
         _ => Some("repair the mesh where it was made: triangles with area, finite coordinates in millimetres".into()),
     }
 }

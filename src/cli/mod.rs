@@ -13,6 +13,7 @@ pub mod capture;
 mod capture_progress;
 mod capture_records;
 pub mod completions;
+pub mod demo;
 pub mod devices;
 pub mod doctor;
 pub mod error;
@@ -58,13 +59,14 @@ macro_rules! commands {
 }
 
 commands! {
-    Capture(capture::CaptureArgs) => capture::run,
-    Session(session::SessionArgs) => session::run,
+    Demo(demo::DemoArgs) => demo::run,
     Devices(devices::DevicesArgs) => devices::run,
     Doctor(doctor::DoctorArgs) => doctor::run,
     Stage(stage::StageArgs) => stage::run,
     Camera(camera::CameraArgs) => camera::run,
     Calibrate(calibrate::CalibrateArgs) => calibrate::run,
+    Capture(capture::CaptureArgs) => capture::run,
+    Session(session::SessionArgs) => session::run,
     Merge(merge::MergeArgs) => merge::run,
     Fit(fit::FitCommandArgs) => fit::run,
     Render(render::RenderArgs) => render::run,

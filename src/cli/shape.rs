@@ -1,11 +1,10 @@
 //! `rig shape`: sample shapes as meshes.
 
-use std::io::BufWriter;
 use std::path::PathBuf;
 
 use super::{CliError, Context, HintExt, output};
 use crate::geometry::shapes::Form;
-use crate::geometry::{Shape, ply};
+use crate::geometry::{Shape, files};
 
 /// Writes the mesh of a sample shape, with its figures.
 #[derive(clap::Args, Debug)]
@@ -39,8 +38,8 @@ pub struct ShapeArgs {
     /// Facets around, 8 to 4096
     #[arg(long, value_name = "N", default_value_t = 128, value_parser = clap::value_parser!(u32).range(8..=4096))]
     segments: u32,
-    /// Mesh to write (.ply, millimetres)
-    #[arg(long, value_name = "PLY")]
+    /// Mesh to write, millimetres: .ply, .obj or .stl
+    #[arg(long, value_name = "FILE")]
     out: PathBuf,
 }
 
@@ -106,19 +105,9 @@ pub fn run(args: &ShapeArgs, _: &Context) -> Result<(), CliError> {
         }
     };
     let mesh = shape.mesh()?;
-    let fail = |error: std::io::Error| CliError::new(format!("{}: {error}", args.out.display()));
-    let file = tempfile::NamedTempFile::new_in(
-        args.out
-            .parent()
-            .filter(|p| !p.as_os_str().is_empty())
-            .unwrap_or(std::path::Path::new(".")),
-    )
-    .map_err(fail)
-    .hint("choose an --out in a folder that exists and can be written")?;
-    let mut writer = BufWriter::new(file);
-    ply::write(&mesh, &mut writer).map_err(fail)?;
-    let file = writer.into_inner().map_err(|e| fail(e.into_error()))?;
-    file.persist(&args.out).map_err(|e| fail(e.error))?;
+    files::write(&args.out, &mesh)
+        .map_err(CliError::from)
+        .hint("choose an --out in a folder that exists and can be written")?;
     let [low, high] = mesh.bounds_mm();
     output::write_json(&serde_json::json!({
         "mesh": args.out.display().to_string(),

@@ -1,6 +1,5 @@
 //! From what files say to what is traced: meshes read, scenes assembled.
 
-use std::path::PathBuf;
 use std::sync::Arc;
 
 use super::RigConfig;
@@ -10,7 +9,7 @@ use super::scene::SceneFile;
 use super::simulation::MaterialSpec;
 use super::view::{SampleSpec, SurfaceSpec};
 use crate::brdf::{Brdf, BrdfError, Dictionary, Mixture, source, weights};
-use crate::geometry::{Mesh, MeshError, Shape, ply};
+use crate::geometry::{Mesh, MeshError, Shape, files};
 use crate::simulation::{Truth, TruthSource};
 use crate::transport::{Light, Scene};
 use crate::units::StageAngles;
@@ -21,12 +20,6 @@ pub enum BuildError {
     /// The surface.
     #[error(transparent)]
     Mesh(#[from] MeshError),
-    /// The mesh file's kind.
-    #[error("{}: the file name does not end in .ply", path.display())]
-    MeshKind {
-        /// The file.
-        path: PathBuf,
-    },
     /// The material.
     #[error(transparent)]
     Brdf(#[from] BrdfError),
@@ -43,10 +36,7 @@ impl SurfaceSpec {
     pub fn mesh(&self, segments: Option<u32>) -> Result<Mesh, BuildError> {
         match self {
             SurfaceSpec::Shape(shape) => Ok(with_segments(shape, segments).mesh()?),
-            SurfaceSpec::Mesh(path) => match path.extension().and_then(|e| e.to_str()) {
-                Some("ply" | "PLY") => Ok(ply::read(path, 1.0)?),
-                _ => Err(BuildError::MeshKind { path: path.clone() }),
-            },
+            SurfaceSpec::Mesh(path) => Ok(files::read(path, 1.0)?),
         }
     }
 }

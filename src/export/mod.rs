@@ -17,11 +17,11 @@
 pub mod json;
 pub mod mitsuba;
 
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use crate::brdf::{BrdfError, merl};
 use crate::session::fit_record::FitRecord;
+use crate::whole_file;
 
 /// A file format of [`export`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -100,19 +100,10 @@ fn merl_note(record: &FitRecord) -> String {
 }
 
 fn replace(path: &Path, bytes: &[u8]) -> Result<(), ExportError> {
-    let io = |source| ExportError::Io {
+    whole_file::replace(path, |out| out.write_all(bytes)).map_err(|source| ExportError::Io {
         path: path.to_owned(),
         source,
-    };
-    let folder = path.parent().filter(|parent| *parent != Path::new(""));
-    let mut file = tempfile::Builder::new()
-        .permissions(std::os::unix::fs::PermissionsExt::from_mode(0o644))
-        .tempfile_in(folder.unwrap_or(Path::new(".")))
-        .map_err(io)?;
-    file.write_all(bytes).map_err(io)?;
-    file.as_file().sync_all().map_err(io)?;
-    file.persist(path).map_err(|error| io(error.error))?;
-    Ok(())
+    })
 }
 
 #[cfg(test)]

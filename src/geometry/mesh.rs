@@ -34,6 +34,12 @@ pub enum MeshError {
         /// What was found and where.
         what: String,
     },
+    /// The file's name does not tell its format.
+    #[error("{path}: the file name does not end in .ply, .obj or .stl")]
+    Kind {
+        /// The file.
+        path: String,
+    },
     /// No triangle.
     #[error("the mesh has no triangle")]
     Empty,
@@ -48,6 +54,12 @@ pub enum MeshError {
     /// A coordinate is NaN or infinite.
     #[error("vertex {vertex} has a coordinate that is not finite")]
     NotFinite {
+        /// Index from 0.
+        vertex: usize,
+    },
+    /// A normal is NaN, infinite, without length, or missing.
+    #[error("vertex {vertex} has no usable normal")]
+    Normal {
         /// Index from 0.
         vertex: usize,
     },
@@ -124,12 +136,12 @@ impl Mesh {
     /// With unit normals at the corners, used for smooth shading; lengths are normalised.
     pub fn with_normals(mut self, normals: Vec<Vec3>) -> Result<Self, MeshError> {
         if normals.len() != self.positions_mm.len() {
-            return Err(MeshError::NotFinite {
+            return Err(MeshError::Normal {
                 vertex: normals.len().min(self.positions_mm.len()),
             });
         }
         if let Some(vertex) = normals.iter().position(|n| n.try_normalize().is_none()) {
-            return Err(MeshError::NotFinite { vertex });
+            return Err(MeshError::Normal { vertex });
         }
         self.normals = Some(normals.into_iter().map(Vec3::normalize).collect());
         Ok(self)

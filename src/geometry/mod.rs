@@ -2,9 +2,12 @@
 //! watertight ray queries over them. Lengths are millimetres.
 
 pub mod bvh;
+pub mod files;
 pub mod mesh;
+pub mod obj;
 pub mod ply;
 pub mod shapes;
+pub mod stl;
 
 pub use bvh::{Bvh, Hit, Ray};
 pub use mesh::{Mesh, MeshError};

@@ -2,12 +2,13 @@
 //! `var.R`, `var.G`, `var.B`, and `mask` (1 where a pixel is valid), 32-bit
 //! floats, compressed without loss.
 
-use std::io::{Cursor, Write};
+use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
 use exr::prelude::*;
 
 use super::RadianceImage;
+use crate::whole_file;
 
 /// What a file says about radiance.
 #[derive(Clone, Debug, PartialEq)]
@@ -206,26 +207,7 @@ fn from_layer(
 /// The image's parts differ in size, or the system refuses.
 pub fn write(path: &Path, image: &RadianceImage) -> std::result::Result<(), ExrError> {
     let bytes = encode(image, path)?;
-    let folder = match path.parent() {
-        Some(folder) if !folder.as_os_str().is_empty() => folder,
-        _ => Path::new("."),
-    };
-    let mut file = tempfile::Builder::new()
-        .permissions(readable_by_all())
-        .tempfile_in(folder)
-        .map_err(|source| io_error(path, source))?;
-    file.write_all(&bytes)
-        .and_then(|()| file.as_file().sync_all())
-        .map_err(|source| io_error(path, source))?;
-    file.persist(path)
-        .map_err(|error| io_error(path, error.error))?;
-    Ok(())
-}
-
-/// Permissions as any new file has them, before the umask.
-fn readable_by_all() -> std::fs::Permissions {
-    use std::os::unix::fs::PermissionsExt;
-    std::fs::Permissions::from_mode(0o666)
+    whole_file::replace(path, |out| out.write_all(&bytes)).map_err(|source| io_error(path, source))
 }
 
 /// The bytes of the file that [`write()`] makes; `path` is for messages.

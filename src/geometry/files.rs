@@ -1,0 +1,224 @@
+//! Mesh files of all kinds, told apart by the end of their names.
+//!
+//! The files carry no unit; `mm_per_unit` says what theirs is. Whatever the format,
+//! a mesh that comes out has passed [`Mesh::new`]; errors name the file and what is
+//! wrong where. No line or count of a file is trusted to allocate more than the file
+//! can hold.
+
+use std::io::Write;
+use std::path::Path;
+
+use super::mesh::{Mesh, MeshError};
+use super::{obj, ply, stl};
+use crate::whole_file;
+
+/// Largest file that is read, bytes: more than the most triangles take in any format.
+const MAX_BYTES: u64 = 4 << 30;
+
+/// A kind of mesh file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MeshFormat {
+    /// Stanford polygons.
+    Ply,
+    /// Wavefront objects.
+    Obj,
+    /// Stereolithography.
+    Stl,
+}
+
+impl MeshFormat {
+    /// By the end of the file's name, in capitals or not.
+    pub fn of(path: &Path) -> Result<Self, MeshError> {
+        let end = path.extension().and_then(|e| e.to_str()).unwrap_or("");
+        match end.to_ascii_lowercase().as_str() {
+            "ply" => Ok(Self::Ply),
+            "obj" => Ok(Self::Obj),
+            "stl" => Ok(Self::Stl),
+            _ => Err(MeshError::Kind {
+                path: path.display().to_string(),
+            }),
+        }
+    }
+
+    /// The mesh of a file's bytes.
+    pub fn parse(self, bytes: &[u8], mm_per_unit: f32) -> Result<Mesh, MeshError> {
+        match self {
+            Self::Ply => ply::parse(bytes, mm_per_unit),
+            Self::Obj => obj::parse(bytes, mm_per_unit),
+            Self::Stl => stl::parse(bytes, mm_per_unit),
+        }
+    }
+
+    /// Writes a mesh, millimetres.
+    pub fn write(self, mesh: &Mesh, out: &mut dyn Write) -> std::io::Result<()> {
+        match self {
+            Self::Ply => ply::write(mesh, out),
+            Self::Obj => obj::write(mesh, out),
+            Self::Stl => stl::write(mesh, out),
+        }
+    }
+}
+
+/// Reads a mesh file; one unit of its coordinates is `mm_per_unit` millimetres.
+pub fn read(path: &Path, mm_per_unit: f32) -> Result<Mesh, MeshError> {
+    let format = MeshFormat::of(path)?;
+    let name = path.display().to_string();
+    let io = |source| MeshError::Io {
+        path: name.clone(),
+        source,
+    };
+    let wrong = |what: String| MeshError::Format {
+        path: name.clone(),
+        what,
+    };
+    // A named pipe would never end, or never begin.
+    let there = std::fs::metadata(path).map_err(io)?;
+    if !there.is_file() {
+        return Err(wrong("it is not a regular file".to_owned()));
+    }
+    if there.len() > MAX_BYTES {
+        return Err(wrong(format!(
+            "it has {} bytes; at most {MAX_BYTES} are read",
+            there.len()
+        )));
+    }
+    let bytes = std::fs::read(path).map_err(io)?;
+    format
+        .parse(&bytes, mm_per_unit)
+        .map_err(|error| match error {
+            MeshError::Format { what, .. } => wrong(what),
+            other => wrong(other.to_string()),
+        })
+}
+
+/// Writes a mesh in millimetres, whole or not at all, in place of any file of that name.
+pub fn write(path: &Path, mesh: &Mesh) -> Result<(), MeshError> {
+    let format = MeshFormat::of(path)?;
+    whole_file::replace(path, |out| format.write(mesh, out)).map_err(|source| MeshError::Io {
+        path: path.display().to_string(),
+        source,
+    })
+}
+
+/// An error of the format; [`read`] puts the file's name in.
+pub(super) fn bad(what: impl Into<String>) -> MeshError {
+    MeshError::Format {
+        path: String::new(),
+        what: what.into(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Shape;
+    use glam::Vec3;
+    use proptest::prelude::*;
+
+    const ALL: [MeshFormat; 3] = [MeshFormat::Ply, MeshFormat::Obj, MeshFormat::Stl];
+
+    fn bytes(format: MeshFormat, mesh: &Mesh) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        format.write(mesh, &mut bytes).unwrap();
+        bytes
+    }
+
+    fn bowl() -> Mesh {
+        Shape::Bowl {
+            radius_mm: 1.7,
+            segments: 12,
+        }
+        .mesh()
+        .unwrap()
+    }
+
+    /// Corners of every triangle, in order.
+    fn corners(mesh: &Mesh) -> Vec<[Vec3; 3]> {
+        (0..mesh.triangles.len()).map(|i| mesh.corners(i)).collect()
+    }
+
+    #[test]
+    fn every_format_keeps_the_mesh() {
+        let folder = tempfile::tempdir().unwrap();
+        let mesh = bowl();
+        for name in ["a.ply", "a.OBJ", "a.Stl"] {
+            let path = folder.path().join(name);
+            write(&path, &mesh).unwrap();
+            let back = read(&path, 1.0).unwrap();
+            assert_eq!(corners(&back), corners(&mesh), "{name}");
+            assert_eq!(
+                back.positions_mm.len(),
+                mesh.positions_mm.len(),
+                "{name}: shared corners stay shared"
+            );
+            if !name.ends_with("Stl") {
+                assert_eq!(back.triangles, mesh.triangles, "{name}");
+                let (was, is) = (mesh.normals.as_ref().unwrap(), back.normals.unwrap());
+                let worst = was.iter().zip(&is).map(|(a, b)| (*a - *b).length());
+                assert!(worst.fold(0.0, f32::max) < 1e-6, "{name}");
+            }
+            let inches = read(&path, 25.4).unwrap();
+            let ratio = inches.bounds_mm()[0].z / mesh.bounds_mm()[0].z;
+            assert!((ratio - 25.4).abs() < 1e-4, "{name}: {ratio}");
+        }
+    }
+
+    #[test]
+    fn what_is_no_mesh_file_is_refused_with_its_name() {
+        let folder = tempfile::tempdir().unwrap();
+        let error = |name: &str| {
+            read(&folder.path().join(name), 1.0)
+                .unwrap_err()
+                .to_string()
+        };
+        assert!(error("a.step").contains("a.step: the file name does not end in .ply"));
+        assert!(error("missing.stl").contains("missing.stl: No such file"));
+        std::fs::create_dir(folder.path().join("folder.obj")).unwrap();
+        assert!(error("folder.obj").contains("folder.obj: it is not a regular file"));
+        std::fs::write(folder.path().join("empty.obj"), "# nothing\n").unwrap();
+        assert!(error("empty.obj").contains("empty.obj: the mesh has no triangle"));
+    }
+
+    proptest! {
+        #[test]
+        fn broken_files_never_panic(
+            flips in proptest::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..4),
+            cut in proptest::option::of(any::<prop::sample::Index>()),
+        ) {
+            for format in ALL {
+                let mut bytes = bytes(format, &bowl());
+                for (at, value) in &flips {
+                    let at = at.index(bytes.len());
+                    bytes[at] = *value;
+                }
+                if let Some(cut) = &cut {
+                    bytes.truncate(cut.index(bytes.len()));
+                }
+                if let Ok(mesh) = format.parse(&bytes, 1.0) {
+                    prop_assert!(mesh.positions_mm.iter().all(|p| p.is_finite()));
+                }
+            }
+        }
+
+        #[test]
+        fn any_bytes_never_panic(bytes in proptest::collection::vec(any::<u8>(), 0..400)) {
+            for format in ALL {
+                prop_assert!(format.parse(&bytes, 1.0).is_err());
+            }
+        }
+
+        /// Any finite coordinates survive, in every format, to the last bit.
+        #[test]
+        fn coordinates_survive(
+            values in proptest::array::uniform9(-1e6f32..1e6),
+        ) {
+            let p: Vec<Vec3> = values.chunks(3).map(Vec3::from_slice).collect();
+            if let Ok(mesh) = Mesh::new(p, vec![[0, 1, 2]]) {
+                for format in ALL {
+                    let back = format.parse(&bytes(format, &mesh), 1.0).unwrap();
+                    prop_assert_eq!(back.corners(0), mesh.corners(0));
+                }
+            }
+        }
+    }
+}
