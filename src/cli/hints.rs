@@ -165,7 +165,7 @@ fn for_session(error: &SessionError) -> Option<String> {
         Exists { .. } => "nothing was overwritten; choose another folder or name".into(),
         NotASession { .. } => "name the session's own folder, the one with session.toml in it".into(),
         DiskFull { .. } => {
-            "what is journalled is safe: free some space, then `rig capture --resume` the session".into()
+            "nothing that was journalled is lost; free some space and try again".into()
         }
         Io { source, .. } => return for_io(source).map(str::to_owned),
         Checksum { .. } | Missing { .. } | Malformed { .. } | CorruptJournal { .. } => {
@@ -351,7 +351,7 @@ mod tests {
             operation: "write",
         };
         let hint = for_error(&LoadError::Session(full)).unwrap();
-        assert!(hint.contains("--resume"), "{hint}");
+        assert!(hint.contains("free some space"), "{hint}");
     }
 
     #[test]

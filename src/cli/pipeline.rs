@@ -325,7 +325,9 @@ pub fn fit_session(root: &Path, args: &FitArgs, context: &Context) -> Result<Pat
     let truth = truth.as_ref().map(|brdf| (name, &**brdf));
     let (fit, images) = plan.run(&scene, &captured, record.simulated, truth, context)?;
     let mut writer = SessionWriter::open(Arc::new(SystemDisk), root)?;
-    Ok(fit_record::commit(&mut writer, &fit, &images)?)
+    let folder = fit_record::commit(&mut writer, &fit, &images)?;
+    writer.refresh_manifest()?;
+    Ok(folder)
 }
 
 /// Where the stage stood for each light, as read back; as planned where no frame tells.
@@ -348,6 +350,7 @@ pub fn report_session(root: &Path) -> Result<PathBuf, CliError> {
     let html = report::render(&report::load::load(root, None)?)?;
     let mut session = SessionWriter::open(Arc::new(SystemDisk), root)?;
     session.commit_file(layout::REPORT_FILE, html.as_bytes())?;
+    session.refresh_manifest()?;
     Ok(root.join(layout::REPORT_FILE))
 }
 

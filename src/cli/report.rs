@@ -8,6 +8,7 @@ use crate::out;
 use crate::report::{self, load::LoadError};
 use crate::session::commit::SystemDisk;
 use crate::session::{SessionError, SessionWriter, layout};
+use crate::whole_file;
 
 /// Writes a session's report: one HTML file that needs no other.
 #[derive(clap::Args, Debug)]
@@ -32,7 +33,7 @@ pub fn run(args: &ReportArgs, context: &Context) -> Result<(), CliError> {
     let html = report::render(&input)?;
     let path = match &args.out {
         Some(path) => {
-            std::fs::write(path, html)
+            whole_file::replace(path, |file| file.write_all(html.as_bytes()))
                 .map_err(|error| CliError::new(format!("{}: {error}", path.display())))
                 .hint("choose a file in a folder that exists and can be written")?;
             path.clone()
@@ -40,6 +41,7 @@ pub fn run(args: &ReportArgs, context: &Context) -> Result<(), CliError> {
         None => {
             let mut session = SessionWriter::open(Arc::new(SystemDisk), &args.session)?;
             session.commit_file(layout::REPORT_FILE, html.as_bytes())?;
+            session.refresh_manifest()?;
             args.session.join(layout::REPORT_FILE)
         }
     };
