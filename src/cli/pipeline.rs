@@ -313,10 +313,16 @@ pub fn fit_session(root: &Path, args: &FitArgs, context: &Context) -> Result<Pat
     let scene = config.geometry.scene(&places)?;
     let mut captured = Vec::new();
     for light in 0..places.len() {
-        let path = root.join(layout::radiance_file(light as u32));
-        let image = exr::read(&path)
+        let name = layout::radiance_file(light as u32);
+        // Only what the journal vouches for is fitted.
+        let image = session
+            .read_file(&name)
             .map_err(CliError::from)
-            .hint("the capture is incomplete: `rig capture --resume SESSION` finishes it")?;
+            .and_then(|bytes| Ok(exr::decode(&bytes, &root.join(&name))?))
+            .hint(format!(
+                "`rig capture --resume {}` takes what is missing and merges the raw frames again",
+                root.display()
+            ))?;
         captured.push(image.image);
     }
     let truth = match &config.simulation {
@@ -330,7 +336,9 @@ pub fn fit_session(root: &Path, args: &FitArgs, context: &Context) -> Result<Pat
     let truth = truth.as_ref().map(|brdf| (name, &**brdf));
     let (fit, images) = plan.run(&scene, &captured, record.simulated, truth, context)?;
     let mut writer = SessionWriter::open(Arc::new(SystemDisk), root)?;
-    Ok(fit_record::commit(&mut writer, &fit, &images)?)
+    let folder = fit_record::commit(&mut writer, &fit, &images)?;
+    writer.refresh_manifest()?;
+    Ok(folder)
 }
 
 /// Where the stage stood for each light, as read back; as planned where no frame tells.
@@ -353,6 +361,7 @@ pub fn report_session(root: &Path) -> Result<PathBuf, CliError> {
     let html = report::render(&report::load::load(root, None)?)?;
     let mut session = SessionWriter::open(Arc::new(SystemDisk), root)?;
     session.commit_file(layout::REPORT_FILE, html.as_bytes())?;
+    session.refresh_manifest()?;
     Ok(root.join(layout::REPORT_FILE))
 }
 
