@@ -17,6 +17,7 @@ use crate::brdf::sphere::sphere_image;
 use crate::brdf::{Brdf, BrdfError, Dictionary, Mixture, merl, nbrdf, source, weights};
 use crate::inverse::projection::{CellMatrix, EnvironmentMatrix, FIT_AZIMUTHS};
 use crate::out;
+use crate::whole_file;
 
 const SPEC_HELP: &str = "A BRDF is one of: FILE.binary (MERL), FILE.bsdf (RGL), nbrdf:NAME (embedded measured material), \
 DICTIONARY:WEIGHTS.csv (a fit's mixture; DICTIONARY is paper42, grid42, reference-grid42 or a .json or .toml file), \
@@ -394,8 +395,10 @@ fn project(
         weights: reference.weights(),
     };
     if let Some(path) = weights_out {
-        std::fs::write(path, weights::to_csv(&reference, None))
-            .map_err(|error| CliError::new(format!("{}: {error}", path.display())))?;
+        let csv = weights::to_csv(&reference, None);
+        whole_file::replace(path, |file| file.write_all(csv.as_bytes()))
+            .map_err(|error| CliError::new(format!("{}: {error}", path.display())))
+            .hint("choose a file in a folder that exists and can be written")?;
     }
     if json {
         return write_json(&answer);

@@ -24,10 +24,10 @@ use crate::out;
 use crate::radiometry::sensor::SensorNoise;
 use crate::session::commit::SystemDisk;
 use crate::session::journal::sha256_hex;
-use crate::session::layout::CALIBRATION_FOLDER;
+use crate::session::layout::{CALIBRATION_FOLDER, QUARANTINE_FOLDER};
 use crate::session::{
-    CalibrationCopy, ExposureRules, NewSession, PlanRecord, Session, SessionRecord, SessionWriter,
-    Versions,
+    CalibrationCopy, Event, ExposureRules, NewSession, PlanRecord, Session, SessionRecord,
+    SessionWriter, Versions,
 };
 use crate::units::{Seconds, StageAngles};
 
@@ -209,6 +209,15 @@ fn resume(args: &CaptureArgs, root: &Path, context: &Context) -> Result<(), CliE
     check_reach(&record.plan.lights, &reach(&config))?;
     let interrupt = interrupt::listen()?;
     let writer = SessionWriter::resume(Arc::new(SystemDisk), root)?;
+    if let Some(Event::Resume { quarantined: 1.. }) =
+        writer.journal().records.last().map(|r| &r.event)
+    {
+        let quarantine = root.join(QUARANTINE_FOLDER);
+        context.warn(format!(
+            "files that no journal record vouches for were moved to {}",
+            quarantine.display()
+        ));
+    }
     let library = Library::Folder(root.join(CALIBRATION_FOLDER));
     let noise = Records::load_copies(&library)?.noise(&config)?;
     let devices = open::open_devices(&config, || truth(&config))?;
@@ -262,14 +271,35 @@ fn carry_out(
     }
     context.note(format!("captured in {elapsed_s:.1} s"));
     if !args.no_fit {
+        let unfitted = unfitted(args, &root);
+        interrupt::end_on_signal(context, unfitted.clone())?;
+        if let Some(signal) = interrupt.signal() {
+            return Err(unfitted(signal));
+        }
         pipeline::fit_and_report(&root, context).hint(format!(
             "the capture is complete; `rig fit {}` fits it",
             root.display()
         ))?;
-        // The fit and the report belong to what `sha256sum -c` checks.
-        SessionWriter::open(Arc::new(SystemDisk), &root)?.write_manifest()?;
     }
     print_result(args, &root, outcome, elapsed_s)
+}
+
+/// What a signal during the fit says: the capture itself is done.
+fn unfitted(
+    args: &CaptureArgs,
+    root: &Path,
+) -> impl Fn(Signal) -> CliError + Clone + Send + 'static {
+    let (root, prints_path) = (root.to_owned(), !args.json);
+    move |signal| {
+        if prints_path {
+            // Whoever reads stdout may be gone; the signal is what counts.
+            drop(out!("{}", root.display()));
+        }
+        let root = root.display();
+        CliError::interrupted(signal, "the fit was interrupted; the capture is complete").hint(
+            format!("`rig fit {root}` and `rig report {root}` do the rest"),
+        )
+    }
 }
 
 fn resume_hint(root: &Path) -> String {

@@ -17,6 +17,7 @@ use crate::radiometry::exposure::PlanError;
 use crate::report::load::LoadError;
 use crate::session::SessionError;
 use crate::session::fit_record::FitRecordError;
+use crate::transport::cache::CacheError;
 
 /// What remains when nothing better is known.
 pub const FALLBACK: &str = "run it again with --verbose to see what led to it";
@@ -113,6 +114,12 @@ const EXPLAINED: &str =
 fn for_config(error: &ConfigError) -> String {
     use ConfigError::*;
     match error {
+        Read { source, .. } if source.kind() == std::io::ErrorKind::InvalidData => {
+            "the file is no text: rig files and scenes are TOML (https://toml.io)".into()
+        }
+        Read { source, .. } if source.kind() == std::io::ErrorKind::PermissionDenied => {
+            for_io(source).unwrap_or(FALLBACK).into()
+        }
         Read { .. } => "check the path; a bare name is looked for in rig-configs/ and among the built-in rigs".into(),
         Syntax { .. } => "the file is TOML (https://toml.io): `key = value`, texts in double quotes, `[table]`".into(),
         UnknownKey { key, known, .. } => {
@@ -159,7 +166,7 @@ fn for_session(error: &SessionError) -> Option<String> {
         Exists { .. } => "nothing was overwritten; choose another folder or name".into(),
         NotASession { .. } => "name the session's own folder, the one with session.toml in it".into(),
         DiskFull { .. } => {
-            "what is journalled is safe: free some space, then `rig capture --resume` the session".into()
+            "nothing that was journalled is lost; free some space and try again".into()
         }
         Io { source, .. } => return for_io(source).map(str::to_owned),
         Checksum { .. } | Missing { .. } | Malformed { .. } | CorruptJournal { .. } => {
@@ -249,7 +256,6 @@ fn for_build(error: &BuildError) -> Option<String> {
     match error {
         BuildError::Mesh(error) => for_mesh(error),
         BuildError::Brdf(error) => for_brdf(error),
-        BuildError::Bodies { .. } => Some("remove the [[body]] tables from the scene".into()),
     }
 }
 
@@ -265,6 +271,9 @@ fn for_fit(error: &FitError) -> Option<String> {
         NothingToCompare { .. } => {
             Some("check that the scene's camera and sample are those of the images".into())
         }
+        Cache(CacheError::ColouredBody { .. }) => Some(
+            "give the [[body]] equal values for all channels, or leave it out of the scene".into(),
+        ),
         Cache(_) | Simplex(_) => None,
     }
 }
@@ -345,7 +354,7 @@ mod tests {
             operation: "write",
         };
         let hint = for_error(&LoadError::Session(full)).unwrap();
-        assert!(hint.contains("--resume"), "{hint}");
+        assert!(hint.contains("free some space"), "{hint}");
     }
 
     #[test]
