@@ -18,6 +18,7 @@ pub mod doctor;
 pub mod error;
 pub mod exit;
 pub mod export;
+mod facets;
 pub mod fit;
 pub mod hints;
 pub mod interrupt;
