@@ -4,6 +4,8 @@ use std::io::{self, BufWriter, Write};
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 
+use tempfile::NamedTempFile;
+
 /// Writes a file in place of any of that name, so that no reader ever sees half
 /// of it: to a temporary file in the same folder, synchronised, then renamed.
 /// Permissions are those of any new file.
@@ -22,18 +24,39 @@ pub fn replace(
             "it exists and is not a regular file",
         ));
     }
+    let file = written(path, write)?;
+    file.persist(path).map_err(|error| error.error)?;
+    Ok(())
+}
+
+/// As [`replace`], where nothing has the name yet.
+///
+/// # Errors
+/// [`io::ErrorKind::AlreadyExists`], or the system refuses.
+pub fn create(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    let file = written(path, |out| out.write_all(bytes))?;
+    file.persist_noclobber(path).map_err(|error| error.error)?;
+    Ok(())
+}
+
+/// A temporary file beside `path`, synchronised; dropping it removes it.
+fn written(
+    path: &Path,
+    write: impl FnOnce(&mut dyn Write) -> io::Result<()>,
+) -> io::Result<NamedTempFile> {
     let folder = path.parent().filter(|p| !p.as_os_str().is_empty());
     // The kind alone: the message would name the temporary file.
     let file = tempfile::Builder::new()
         .permissions(std::fs::Permissions::from_mode(0o666))
         .tempfile_in(folder.unwrap_or(Path::new(".")))
         .map_err(|error| io::Error::from(error.kind()))?;
-    let mut writer = BufWriter::new(file);
+    // Not the temporary file itself, whose errors would name it.
+    let mut writer = BufWriter::new(file.as_file());
     write(&mut writer)?;
-    let file = writer.into_inner().map_err(|error| error.into_error())?;
+    writer.flush()?;
+    drop(writer);
     file.as_file().sync_all()?;
-    file.persist(path).map_err(|error| error.error)?;
-    Ok(())
+    Ok(file)
 }
 
 #[cfg(test)]
@@ -55,6 +78,17 @@ mod tests {
             assert!(error.contains("not a regular file"), "{there:?}: {error}");
         }
         assert!(link.is_symlink());
+    }
+
+    #[test]
+    fn what_exists_is_not_created() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("a");
+        create(&file, b"one").unwrap();
+        let error = create(&file, b"two").unwrap_err();
+        assert_eq!(error.kind(), io::ErrorKind::AlreadyExists);
+        assert_eq!(std::fs::read(&file).unwrap(), b"one");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
     }
 
     #[test]

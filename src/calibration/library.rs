@@ -1,6 +1,5 @@
 //! A rig's records: finding, checking, adding.
 
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use jiff::Timestamp;
@@ -9,6 +8,7 @@ use sha2::{Digest, Sha256};
 use super::built_in;
 use super::record::{BadValue, Kind, Record, Values};
 use crate::config::{CameraConfig, ResolvedRig};
+use crate::whole_file;
 
 /// Records and their maps are small; anything larger is another file.
 const LARGEST_FILE_BYTES: u64 = 256 << 20;
@@ -380,23 +380,12 @@ fn check<V: Values>(record: &Record<V>, id: &str, file: &str) -> Result<(), Reco
 }
 
 fn write_new(path: &Path, bytes: &[u8]) -> Result<(), RecordError> {
-    let folder = path.parent().unwrap_or(Path::new("."));
-    let write = || -> std::io::Result<tempfile::NamedTempFile> {
-        let mut file = tempfile::NamedTempFile::new_in(folder)?;
-        file.write_all(bytes)?;
-        file.as_file().sync_all()?;
-        Ok(file)
-    };
-    let file = write().map_err(|source| io_error(path, source))?;
-    match file.persist_noclobber(path) {
-        Ok(_) => Ok(()),
-        Err(error) if error.error.kind() == std::io::ErrorKind::AlreadyExists => {
-            Err(RecordError::Exists {
-                file: path.display().to_string(),
-            })
-        }
-        Err(error) => Err(io_error(path, error.error)),
-    }
+    whole_file::create(path, bytes).map_err(|error| match error.kind() {
+        std::io::ErrorKind::AlreadyExists => RecordError::Exists {
+            file: path.display().to_string(),
+        },
+        _ => io_error(path, error),
+    })
 }
 
 fn io_error(path: &Path, source: std::io::Error) -> RecordError {

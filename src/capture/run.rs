@@ -49,10 +49,13 @@ pub struct Capture<'a> {
 impl Capture<'_> {
     /// Carries out the plan. On every way out the lamp is off; where the session
     /// was not finished, it can be resumed.
-    pub fn run(self) -> Result<Outcome, CaptureError> {
+    pub fn run(mut self) -> Result<Outcome, CaptureError> {
         let session = Session::open(self.session.root())?;
         check_camera(self.camera.info(), &session.record().versions.camera)?;
         if session.journal().is_complete() && missing_radiance(&session).is_empty() {
+            if !session.root().join(layout::MANIFEST_FILE).exists() {
+                self.session.write_manifest()?;
+            }
             return Ok(Outcome::Complete);
         }
         tokio::runtime::Builder::new_current_thread()

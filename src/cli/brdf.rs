@@ -17,12 +17,13 @@ use crate::brdf::sphere::sphere_image;
 use crate::brdf::{Brdf, BrdfError, Dictionary, Mixture, merl, nbrdf, source, weights};
 use crate::inverse::projection::{CellMatrix, EnvironmentMatrix, FIT_AZIMUTHS};
 use crate::out;
+use crate::whole_file;
 
 const SPEC_HELP: &str = "A BRDF is one of: FILE.binary (MERL), FILE.bsdf (RGL), nbrdf:NAME (embedded measured material), \
 DICTIONARY:WEIGHTS.csv (a fit's mixture; DICTIONARY is paper42, grid42, reference-grid42 or a .json or .toml file), \
 ggx:ALPHA,ETA, lambertian:ALBEDO.";
 
-/// Look at, check, compare and convert BRDFs
+/// Evaluates, checks, compares, draws and converts BRDFs
 #[derive(Args, Debug)]
 #[command(after_help = SPEC_HELP)]
 pub struct BrdfArgs {
@@ -32,7 +33,7 @@ pub struct BrdfArgs {
 
 #[derive(Subcommand, Debug)]
 enum BrdfCommand {
-    /// Print f in 1/sr (cosine excluded) at given angles, as CSV
+    /// Prints f in 1/sr (cosine excluded) at given angles, as CSV
     #[command(after_help = SPEC_HELP)]
     Eval {
         /// The BRDF
@@ -41,20 +42,20 @@ enum BrdfCommand {
         /// CSV with columns theta_i_deg, theta_o_deg (0 to 90) and phi_deg (between the two azimuths)
         #[arg(long, value_name = "FILE.csv")]
         angles: PathBuf,
-        /// Print JSON instead
+        /// JSON instead of a table
         #[arg(long)]
         json: bool,
     },
-    /// Report reciprocity and energy conservation; fails if either is violated
+    /// Reports reciprocity and energy conservation; fails if either is violated
     #[command(after_help = SPEC_HELP)]
     Check {
         /// The BRDF
         brdf: String,
-        /// Print JSON instead
+        /// JSON instead of a table
         #[arg(long)]
         json: bool,
     },
-    /// Project onto a dictionary: the reference projection's errors beside the floor of each score
+    /// Projects onto a dictionary: the reference projection's errors beside the floor of each score
     #[command(after_help = SPEC_HELP)]
     Project {
         /// The BRDF
@@ -65,14 +66,14 @@ enum BrdfCommand {
         /// Pixels per side of the spheres, 8 to 512; published figures use 128
         #[arg(long, default_value_t = score::SPHERE_SIZE, value_parser = sphere_size)]
         size: usize,
-        /// Write the reference projection's weights here
+        /// Writes the reference projection's weights here
         #[arg(long, value_name = "WEIGHTS.csv")]
         out: Option<PathBuf>,
-        /// Print JSON instead
+        /// JSON instead of a table
         #[arg(long)]
         json: bool,
     },
-    /// Errors of an estimate against a truth
+    /// Prints the errors of an estimate against a truth
     #[command(after_help = SPEC_HELP)]
     Compare {
         /// The BRDF that is judged
@@ -82,11 +83,11 @@ enum BrdfCommand {
         /// Pixels per side of the spheres, 8 to 512; published figures use 128
         #[arg(long, default_value_t = score::SPHERE_SIZE, value_parser = sphere_size)]
         size: usize,
-        /// Print JSON instead
+        /// JSON instead of a table
         #[arg(long)]
         json: bool,
     },
-    /// Spheres of the material under the four environment maps, as a PNG
+    /// Draws spheres of the material under the four environment maps, as a PNG
     #[command(after_help = SPEC_HELP)]
     Plot {
         /// The BRDF
@@ -98,7 +99,7 @@ enum BrdfCommand {
         #[arg(long, default_value_t = 256, value_parser = sphere_size)]
         size: usize,
     },
-    /// Write as a MERL table of 90 x 90 x 180 cells
+    /// Writes a MERL table of 90 x 90 x 180 cells
     #[command(after_help = SPEC_HELP)]
     Convert {
         /// The BRDF
@@ -394,8 +395,10 @@ fn project(
         weights: reference.weights(),
     };
     if let Some(path) = weights_out {
-        std::fs::write(path, weights::to_csv(&reference, None))
-            .map_err(|error| CliError::new(format!("{}: {error}", path.display())))?;
+        let csv = weights::to_csv(&reference, None);
+        whole_file::replace(path, |file| file.write_all(csv.as_bytes()))
+            .map_err(|error| CliError::new(format!("{}: {error}", path.display())))
+            .hint("choose a file in a folder that exists and can be written")?;
     }
     if json {
         return write_json(&answer);

@@ -1,7 +1,5 @@
 //! `rig camera`: the camera by hand.
 
-use std::fs::File;
-use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -15,6 +13,7 @@ use crate::device::{Camera, CameraInfo, CameraSettings, FrameKey, FrameKind, Raw
 use crate::out;
 use crate::session::frame::encode_png;
 use crate::units::Seconds;
+use crate::whole_file;
 
 /// Controls the camera directly
 #[derive(clap::Args, Debug)]
@@ -125,8 +124,7 @@ fn grab(camera: &mut dyn Camera, discard: u32) -> Result<RawFrame, CliError> {
 
 fn write_png(path: &Path, frame: &RawFrame) -> Result<(), CliError> {
     let png = encode_png(frame).map_err(CliError::new)?;
-    File::create_new(path)
-        .and_then(|mut file| file.write_all(&png))
+    whole_file::create(path, &png)
         .map_err(|error| CliError::new(format!("{}: {error}", path.display())))
         .hint("name a file that does not exist yet, in a folder that can be written")
 }

@@ -24,10 +24,10 @@ use crate::out;
 use crate::radiometry::sensor::SensorNoise;
 use crate::session::commit::SystemDisk;
 use crate::session::journal::sha256_hex;
-use crate::session::layout::CALIBRATION_FOLDER;
+use crate::session::layout::{CALIBRATION_FOLDER, QUARANTINE_FOLDER};
 use crate::session::{
-    CalibrationCopy, ExposureRules, NewSession, PlanRecord, Session, SessionRecord, SessionWriter,
-    Versions,
+    CalibrationCopy, Event, ExposureRules, NewSession, PlanRecord, Session, SessionRecord,
+    SessionWriter, Versions,
 };
 use crate::units::{Seconds, StageAngles};
 
@@ -56,7 +56,7 @@ pub struct CaptureArgs {
     /// Name of the sample: letters, digits, dots, hyphens, underscores
     #[arg(long, value_name = "NAME", conflicts_with = "resume")]
     sample: Option<String>,
-    /// Print the plan with its estimates; nothing is opened and nothing moves
+    /// Prints the plan with its estimates; nothing is opened and nothing moves
     #[arg(long, conflicts_with = "resume")]
     dry_run: bool,
     /// Go on with an interrupted session; plan and configuration are in it
@@ -75,6 +75,25 @@ pub struct CaptureArgs {
 enum Lights {
     Count(usize),
     All,
+}
+
+impl CaptureArgs {
+    /// `--rig simulated --lights COUNT --out OUT`.
+    pub fn on_simulated_rig(count: usize, out: PathBuf) -> Self {
+        Self {
+            rig: RigArg {
+                rig: Some("simulated".to_owned()),
+            },
+            lights: Some(Lights::Count(count)),
+            light: Vec::new(),
+            out,
+            sample: None,
+            dry_run: false,
+            resume: None,
+            no_fit: false,
+            json: false,
+        }
+    }
 }
 
 /// Angle that `--lights all` keeps between two lights, degrees.
@@ -190,6 +209,15 @@ fn resume(args: &CaptureArgs, root: &Path, context: &Context) -> Result<(), CliE
     check_reach(&record.plan.lights, &reach(&config))?;
     let interrupt = interrupt::listen()?;
     let writer = SessionWriter::resume(Arc::new(SystemDisk), root)?;
+    if let Some(Event::Resume { quarantined: 1.. }) =
+        writer.journal().records.last().map(|r| &r.event)
+    {
+        let quarantine = root.join(QUARANTINE_FOLDER);
+        context.warn(format!(
+            "files that no journal record vouches for were moved to {}",
+            quarantine.display()
+        ));
+    }
     let library = Library::Folder(root.join(CALIBRATION_FOLDER));
     let noise = Records::load_copies(&library)?.noise(&config)?;
     let devices = open::open_devices(&config, || truth(&config))?;
@@ -243,14 +271,35 @@ fn carry_out(
     }
     context.note(format!("captured in {elapsed_s:.1} s"));
     if !args.no_fit {
+        let unfitted = unfitted(args, &root);
+        interrupt::end_on_signal(context, unfitted.clone())?;
+        if let Some(signal) = interrupt.signal() {
+            return Err(unfitted(signal));
+        }
         pipeline::fit_and_report(&root, context).hint(format!(
             "the capture is complete; `rig fit {}` fits it",
             root.display()
         ))?;
-        // The fit and the report belong to what `sha256sum -c` checks.
-        SessionWriter::open(Arc::new(SystemDisk), &root)?.write_manifest()?;
     }
     print_result(args, &root, outcome, elapsed_s)
+}
+
+/// What a signal during the fit says: the capture itself is done.
+fn unfitted(
+    args: &CaptureArgs,
+    root: &Path,
+) -> impl Fn(Signal) -> CliError + Clone + Send + 'static {
+    let (root, prints_path) = (root.to_owned(), !args.json);
+    move |signal| {
+        if prints_path {
+            // Whoever reads stdout may be gone; the signal is what counts.
+            drop(out!("{}", root.display()));
+        }
+        let root = root.display();
+        CliError::interrupted(signal, "the fit was interrupted; the capture is complete").hint(
+            format!("`rig fit {root}` and `rig report {root}` do the rest"),
+        )
+    }
 }
 
 fn resume_hint(root: &Path) -> String {

@@ -39,8 +39,7 @@ impl Observer for Bar<'_> {
         match progress {
             Progress::Resumed { frames } => {
                 self.bar.suspend(|| {
-                    self.context
-                        .note(format!("{frames} frames are there already"));
+                    self.context.note(format!("frames there already: {frames}"));
                 });
             }
             Progress::Homing => self.bar.set_message("homing"),

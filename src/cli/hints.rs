@@ -114,6 +114,12 @@ const EXPLAINED: &str =
 fn for_config(error: &ConfigError) -> String {
     use ConfigError::*;
     match error {
+        Read { source, .. } if source.kind() == std::io::ErrorKind::InvalidData => {
+            "the file is no text: rig files and scenes are TOML (https://toml.io)".into()
+        }
+        Read { source, .. } if source.kind() == std::io::ErrorKind::PermissionDenied => {
+            for_io(source).unwrap_or(FALLBACK).into()
+        }
         Read { .. } => "check the path; a bare name is looked for in rig-configs/ and among the built-in rigs".into(),
         Syntax { .. } => "the file is TOML (https://toml.io): `key = value`, texts in double quotes, `[table]`".into(),
         UnknownKey { key, known, .. } => {
@@ -160,7 +166,7 @@ fn for_session(error: &SessionError) -> Option<String> {
         Exists { .. } => "nothing was overwritten; choose another folder or name".into(),
         NotASession { .. } => "name the session's own folder, the one with session.toml in it".into(),
         DiskFull { .. } => {
-            "what is journalled is safe: free some space, then `rig capture --resume` the session".into()
+            "nothing that was journalled is lost; free some space and try again".into()
         }
         Io { source, .. } => return for_io(source).map(str::to_owned),
         Checksum { .. } | Missing { .. } | Malformed { .. } | CorruptJournal { .. } => {
@@ -348,7 +354,7 @@ mod tests {
             operation: "write",
         };
         let hint = for_error(&LoadError::Session(full)).unwrap();
-        assert!(hint.contains("--resume"), "{hint}");
+        assert!(hint.contains("free some space"), "{hint}");
     }
 
     #[test]

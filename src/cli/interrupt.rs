@@ -5,7 +5,8 @@
 
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
-use super::CliError;
+use super::output::write_stderr;
+use super::{CliError, Context};
 use crate::interrupt::{Interrupt, Signal};
 
 /// Starts to listen; from now on the command must poll what this returns.
@@ -21,6 +22,26 @@ pub fn listen() -> Result<Interrupt, CliError> {
             }
         })?;
     Ok(interrupt)
+}
+
+/// For a command that has listened and now holds nothing that must be ended in
+/// good order: the next signal ends the program at once, with this error.
+pub fn end_on_signal(
+    context: &Context,
+    error: impl Fn(Signal) -> CliError + Send + 'static,
+) -> Result<(), CliError> {
+    let mut signals = signal_hook::iterator::Signals::new([SIGINT, SIGTERM, SIGHUP])?;
+    let color = context.color;
+    std::thread::Builder::new()
+        .name("end on signal".into())
+        .spawn(move || {
+            if let Some(signal) = signals.forever().find_map(Signal::from_number) {
+                let error = error(signal);
+                write_stderr(&error.render(color));
+                std::process::exit(error.exit().code().into());
+            }
+        })?;
+    Ok(())
 }
 
 #[cfg(test)]

@@ -13,6 +13,7 @@ pub mod capture;
 mod capture_progress;
 mod capture_records;
 pub mod completions;
+pub mod demo;
 pub mod devices;
 pub mod doctor;
 pub mod error;
@@ -59,6 +60,7 @@ macro_rules! commands {
 }
 
 commands! {
+    Demo(demo::DemoArgs) => demo::run,
     Capture(capture::CaptureArgs) => capture::run,
     Session(session::SessionArgs) => session::run,
     Devices(devices::DevicesArgs) => devices::run,
@@ -95,6 +97,7 @@ struct Cli {
 }
 
 #[derive(Args, Debug)]
+#[command(next_help_heading = "Global options")]
 struct GlobalArgs {
     /// Only errors on stderr: no progress, no notes
     #[arg(long, short, global = true, conflicts_with = "verbose")]

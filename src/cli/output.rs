@@ -50,5 +50,6 @@ fn stdout_error(error: std::io::Error) -> CliError {
         CliError::stdout_closed()
     } else {
         CliError::new(format!("stdout: {error}"))
+            .hint("send the output elsewhere; what the command did is done")
     }
 }

@@ -275,18 +275,29 @@ impl FitPlan {
 /// Pixels per side of the spheres of the environment error, as the score is defined.
 const SCORE_SPHERE_PX: usize = crate::brdf::score::SPHERE_SIZE;
 
-/// A mean square residual of this many variances is more than noise and the model error
-/// that is usual for materials outside the dictionary.
-const POOR_CHI2: f64 = 25.0;
+/// Mean square residual, in variances of noise and model error together, above which a
+/// channel is named.
+const NOTABLE_CHI2: f64 = 2.0;
 
 fn warnings(fit: &Fit) -> Vec<Warning> {
     let mut warnings = Vec::new();
-    for (light, chi2) in fit.reduced_chi2.iter().enumerate() {
-        let worst = chi2.iter().fold(0.0f64, |m, &v| m.max(v));
-        if worst > POOR_CHI2 {
+    for (channel, name) in ["red", "green", "blue"].into_iter().enumerate() {
+        let of_light = fit
+            .reduced_chi2
+            .iter()
+            .map(|chi2| chi2[channel])
+            .enumerate();
+        let Some((light, worst)) = of_light.max_by(|a, b| a.1.total_cmp(&b.1)) else {
+            continue;
+        };
+        if worst > NOTABLE_CHI2 {
+            let deviations = worst.sqrt();
             warnings.push(Warning {
-                what: format!("the images under light {light} differ from the fit by {:.1} standard deviations (root mean square)", worst.sqrt()),
-                likely_cause: "a material outside the dictionary, a wrong shape or pose, or stray light".to_owned(),
+                what: format!(
+                    "{name} differs from the fit by {deviations:.1} times what noise and model error allow (light {light}, root mean square)"
+                ),
+                likely_cause: "a material that the dictionary does not hold, an error of shape or pose, or stray light"
+                    .to_owned(),
             });
         }
     }
@@ -303,10 +314,16 @@ pub fn fit_session(root: &Path, args: &FitArgs, context: &Context) -> Result<Pat
     let scene = config.geometry.scene(&places)?;
     let mut captured = Vec::new();
     for light in 0..places.len() {
-        let path = root.join(layout::radiance_file(light as u32));
-        let image = exr::read(&path)
+        let name = layout::radiance_file(light as u32);
+        // Only what the journal vouches for is fitted.
+        let image = session
+            .read_file(&name)
             .map_err(CliError::from)
-            .hint("the capture is incomplete: `rig capture --resume SESSION` finishes it")?;
+            .and_then(|bytes| Ok(exr::decode(&bytes, &root.join(&name))?))
+            .hint(format!(
+                "`rig capture --resume {}` takes what is missing and merges the raw frames again",
+                root.display()
+            ))?;
         captured.push(image.image);
     }
     let truth = match &config.simulation {
@@ -320,7 +337,9 @@ pub fn fit_session(root: &Path, args: &FitArgs, context: &Context) -> Result<Pat
     let truth = truth.as_ref().map(|brdf| (name, &**brdf));
     let (fit, images) = plan.run(&scene, &captured, record.simulated, truth, context)?;
     let mut writer = SessionWriter::open(Arc::new(SystemDisk), root)?;
-    Ok(fit_record::commit(&mut writer, &fit, &images)?)
+    let folder = fit_record::commit(&mut writer, &fit, &images)?;
+    writer.refresh_manifest()?;
+    Ok(folder)
 }
 
 /// Where the stage stood for each light, as read back; as planned where no frame tells.
@@ -343,6 +362,7 @@ pub fn report_session(root: &Path) -> Result<PathBuf, CliError> {
     let html = report::render(&report::load::load(root, None)?)?;
     let mut session = SessionWriter::open(Arc::new(SystemDisk), root)?;
     session.commit_file(layout::REPORT_FILE, html.as_bytes())?;
+    session.refresh_manifest()?;
     Ok(root.join(layout::REPORT_FILE))
 }
 

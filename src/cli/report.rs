@@ -7,7 +7,8 @@ use super::{CliError, Context, HintExt};
 use crate::out;
 use crate::report::{self, load::LoadError};
 use crate::session::commit::SystemDisk;
-use crate::session::{SessionWriter, layout};
+use crate::session::{SessionError, SessionWriter, layout};
+use crate::whole_file;
 
 /// Writes a session's report: one HTML file that needs no other.
 #[derive(clap::Args, Debug)]
@@ -18,7 +19,7 @@ pub struct ReportArgs {
     /// Which fit to show, by its number in `fits/`; the latest if not given
     #[arg(long, value_name = "N")]
     fit: Option<u32>,
-    /// Write here instead of report.html in the session
+    /// Writes here instead of report.html in the session
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
 }
@@ -32,7 +33,7 @@ pub fn run(args: &ReportArgs, context: &Context) -> Result<(), CliError> {
     let html = report::render(&input)?;
     let path = match &args.out {
         Some(path) => {
-            std::fs::write(path, html)
+            whole_file::replace(path, |file| file.write_all(html.as_bytes()))
                 .map_err(|error| CliError::new(format!("{}: {error}", path.display())))
                 .hint("choose a file in a folder that exists and can be written")?;
             path.clone()
@@ -40,6 +41,7 @@ pub fn run(args: &ReportArgs, context: &Context) -> Result<(), CliError> {
         None => {
             let mut session = SessionWriter::open(Arc::new(SystemDisk), &args.session)?;
             session.commit_file(layout::REPORT_FILE, html.as_bytes())?;
+            session.refresh_manifest()?;
             args.session.join(layout::REPORT_FILE)
         }
     };
@@ -52,7 +54,12 @@ fn advise(error: LoadError) -> CliError {
         LoadError::NoSuchFit { .. } => {
             "leave --fit out to show the latest, or run `rig fit SESSION`"
         }
-        LoadError::Image(_) => "`rig merge` makes the merged images again from the raw frames",
+        LoadError::Image(_) => {
+            "`rig capture --resume SESSION` makes the merged images again from the raw frames"
+        }
+        LoadError::Session(SessionError::Checksum { .. } | SessionError::Missing { .. }) => {
+            "`rig session verify SESSION` lists every damaged file; `rig capture --resume SESSION` makes merged images again"
+        }
         LoadError::Sidecar { .. } | LoadError::Session(_) => {
             "give the folder of a session; `rig session verify SESSION` checks every file of it"
         }

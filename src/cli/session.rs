@@ -7,7 +7,7 @@ use serde_json::json;
 use super::output::{write_json, write_line};
 use super::{CliError, Context, HintExt};
 use crate::out;
-use crate::session::layout::JOURNAL_FILE;
+use crate::session::layout::{self, JOURNAL_FILE, SESSION_FILE};
 use crate::session::verify::{Summary, verify};
 use crate::session::{Session, SessionError};
 use crate::units::StageAngles;
@@ -54,11 +54,18 @@ struct ListArgs {
 pub fn run(args: &SessionArgs, context: &Context) -> Result<(), CliError> {
     match &args.command {
         SessionCommand::Verify(args) => run_verify(args),
-        SessionCommand::List(args) if args.folder.join(JOURNAL_FILE).exists() => {
+        SessionCommand::List(args) if is_session(&args.folder) => {
             list_lights(&args.folder, args.json)
         }
         SessionCommand::List(args) => list_sessions(&args.folder, args.json, context),
     }
+}
+
+/// Also one that has lost half of what makes it a session, which is then said.
+fn is_session(folder: &Path) -> bool {
+    [JOURNAL_FILE, SESSION_FILE]
+        .iter()
+        .any(|name| folder.join(name).exists())
 }
 
 fn run_verify(args: &VerifyArgs) -> Result<(), CliError> {
@@ -99,8 +106,14 @@ fn run_verify(args: &VerifyArgs) -> Result<(), CliError> {
             found.good_bytes
         )?;
     }
+    let can_be_made_again = found.problems.iter().all(|p| is_derived(p, &args.session));
     if let Some(problem) = found.problems.into_iter().next() {
-        return Err(problem.into());
+        let error = CliError::from(problem);
+        return Err(if can_be_made_again {
+            error.hint("the raw frames are whole: `rig capture --resume SESSION` makes merged images and the manifest again, `rig fit` fits, `rig report` the report")
+        } else {
+            error
+        });
     }
     session?;
     if found.strays.is_empty() && found.torn_bytes == 0 {
@@ -112,6 +125,15 @@ fn run_verify(args: &VerifyArgs) -> Result<(), CliError> {
             "`rig capture --resume SESSION` sets such files aside and goes on; journalled files are whole",
         ),
     )
+}
+
+/// Whether what is damaged or gone can be made from the raw frames.
+fn is_derived(problem: &SessionError, root: &Path) -> bool {
+    let (SessionError::Checksum { path, .. } | SessionError::Missing { path }) = problem else {
+        return false;
+    };
+    path.strip_prefix(root)
+        .is_ok_and(|relative| layout::is_derived(&relative.to_string_lossy()))
 }
 
 fn list_lights(root: &Path, as_json: bool) -> Result<(), CliError> {
@@ -160,7 +182,7 @@ fn list_sessions(folder: &Path, as_json: bool, context: &Context) -> Result<(), 
     let mut paths: Vec<PathBuf> = entries
         .flatten()
         .map(|entry| entry.path())
-        .filter(|path| path.join(JOURNAL_FILE).exists())
+        .filter(|path| is_session(path))
         .filter(|path| {
             !path
                 .file_name()

@@ -252,8 +252,10 @@ fn stoppable<T>(
             }
             None
         });
+        // Also where a panic ends it: the scope waits for the watcher.
+        let watching = SetOnDrop(&done);
         let outcome = act(stage, &stopped);
-        done.store(true, Ordering::Release);
+        drop(watching);
         (outcome, watcher.join().unwrap_or(None))
     });
     match (stop, interrupt.signal()) {
@@ -264,6 +266,14 @@ fn stoppable<T>(
         (Some(Err(error)), _) => Err(CliError::from(error)
             .hint("use the emergency stop: the stage did not confirm that it stopped")),
         _ => Ok(outcome?),
+    }
+}
+
+struct SetOnDrop<'a>(&'a AtomicBool);
+
+impl Drop for SetOnDrop<'_> {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Release);
     }
 }
 

@@ -10,6 +10,7 @@ pub mod kinematics;
 pub mod pixel_format;
 #[cfg(feature = "serial")]
 pub mod simulated;
+pub mod simulated_camera;
 #[cfg(feature = "v4l")]
 pub mod v4l;
 

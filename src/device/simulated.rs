@@ -7,7 +7,7 @@ use mock_devices::RadianceSource;
 use mock_devices::bench::{
     AngleAxis, Axis, Bench, BenchConfig, Kinematics, LampModel, StageErrors,
 };
-use mock_devices::camera::{CameraConfig, CameraFaults, MockCameraError};
+use mock_devices::camera::{CameraConfig, SimulatedCamera as MockCamera};
 use mock_devices::clock::Clock;
 use mock_devices::grbl::{Faults, GrblSettings, GrblSimulator, LampPin};
 use mock_devices::sensor::{SensorConfig, SensorModel};
@@ -15,10 +15,8 @@ use mock_devices::sensor::{SensorConfig, SensorModel};
 use super::grbl::protocol::{Spindle, effect_of};
 use super::grbl::{GrblConfig, GrblStage};
 use super::kinematics::AxisMap;
-use super::{
-    Camera, CameraInfo, CameraSettings, DeviceError, FrameKey, FrameKind, Mosaic, RawFrame,
-};
-use crate::units::Seconds;
+use super::simulated_camera::SimulatedCamera;
+use super::{DeviceError, Mosaic};
 
 /// What a simulated bench is: how its devices are used, and how the truth differs.
 #[derive(Clone, Debug)]
@@ -139,12 +137,7 @@ impl SimulatedBench {
         } = &self.config;
         let sensor = SensorModel::new(sensor.clone());
         SimulatedCamera::new(
-            mock_devices::camera::SimulatedCamera::new(
-                camera.clone(),
-                self.bench().clone(),
-                sensor,
-                source,
-            ),
+            MockCamera::new(camera.clone(), self.bench().clone(), sensor, source),
             camera_serial.clone(),
             *mosaic,
         )
@@ -202,113 +195,14 @@ fn pin_of(commands: &[String]) -> LampPin {
     }
 }
 
-/// The simulated camera behind the [`Camera`] trait.
-pub struct SimulatedCamera {
-    camera: mock_devices::camera::SimulatedCamera,
-    info: CameraInfo,
-}
-
-impl SimulatedCamera {
-    /// Wraps a mock camera whose radiance source accounts for `mosaic`.
-    pub fn new(
-        camera: mock_devices::camera::SimulatedCamera,
-        serial: String,
-        mosaic: Mosaic,
-    ) -> Self {
-        let sensor = camera.sensor().config();
-        let info = CameraInfo {
-            driver: "simulated".to_owned(),
-            model: format!("simulated {}-bit sensor", sensor.bit_depth),
-            serial,
-            resolution_px: sensor.resolution_px,
-            bit_depth: sensor.bit_depth,
-            mosaic,
-            exposure_range: camera.config().exposure_range_s.map(Seconds),
-            exposure_step: Seconds(camera.config().exposure_step_s),
-        };
-        Self { camera, info }
-    }
-
-    /// Handle by which it is made to fail.
-    pub fn faults(&self) -> CameraFaults {
-        self.camera.faults()
-    }
-
-    /// The true sensor.
-    pub fn sensor(&self) -> &SensorModel {
-        self.camera.sensor()
-    }
-
-    fn error(&self, error: MockCameraError) -> DeviceError {
-        let device = format!("{} {}", self.info.model, self.info.serial);
-        match error {
-            MockCameraError::Disconnected => DeviceError::Disconnected { device },
-            MockCameraError::NoFrame { timeout_s } => DeviceError::NoReply {
-                device,
-                timeout: Seconds(timeout_s),
-                sent: "a request for a frame".to_owned(),
-            },
-            MockCameraError::SizeMismatch { .. } => DeviceError::Refused {
-                device,
-                command: "a request for a frame".to_owned(),
-                reason: error.to_string(),
-            },
-        }
-    }
-}
-
-impl Camera for SimulatedCamera {
-    fn info(&self) -> &CameraInfo {
-        &self.info
-    }
-
-    fn configure(&mut self, requested: CameraSettings) -> Result<CameraSettings, DeviceError> {
-        match self.camera.configure(requested.exposure.0, requested.gain) {
-            Ok(applied) => Ok(CameraSettings {
-                exposure: Seconds(applied.exposure_s),
-                gain: applied.gain,
-            }),
-            Err(error) => Err(self.error(error)),
-        }
-    }
-
-    fn set_shutter(&mut self, open: bool) -> Result<bool, DeviceError> {
-        match self.camera.set_shutter(open) {
-            Ok(exists) => Ok(exists),
-            Err(error) => Err(self.error(error)),
-        }
-    }
-
-    fn grab(&mut self, key: FrameKey) -> Result<RawFrame, DeviceError> {
-        let key = mock_devices::sensor::FrameKey {
-            light: key.light,
-            exposure: key.exposure,
-            repeat: key.repeat,
-            kind: match key.kind {
-                FrameKind::Light => 0,
-                FrameKind::Ambient => 1,
-                FrameKind::Dark => 2,
-            },
-        };
-        match self.camera.grab(key) {
-            Ok(frame) => Ok(RawFrame {
-                width: frame.width,
-                height: frame.height,
-                counts: frame.counts,
-                sequence: Some(frame.sequence),
-                timestamp: Some(Seconds(frame.timestamp_s)),
-            }),
-            Err(error) => Err(self.error(error)),
-        }
-    }
-}
-
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
     use crate::device::kinematics;
-    use crate::device::{LampChannel, LampState, LightStage};
-    use crate::units::StageAngles;
+    use crate::device::{
+        Camera, CameraSettings, FrameKey, FrameKind, LampChannel, LampState, LightStage,
+    };
+    use crate::units::{Seconds, StageAngles};
     use mock_devices::Illumination;
 
     /// A stage of 360° × 90° whose machine space begins at −180° and 0°, with

@@ -5,8 +5,12 @@ use std::sync::Arc;
 use crate::brdf::environment::EnvironmentMap;
 use crate::brdf::score::{self, BrdfErrors, PerChannel};
 use crate::brdf::{Brdf, Dictionary, Mixture};
-use crate::inverse::projection::{CellMatrix, EnvironmentMatrix, FIT_AZIMUTHS, ProjectionError};
+use crate::inverse::projection::{CellMatrix, EnvironmentMatrix, ProjectionError};
 use crate::session::fit_record::{ChannelScore, MetricScores, ScoreSheet};
+
+/// Azimuths φd of the BRDF errors' cells: isotropic materials change little with φd, and
+/// all of MERL's 180 would take minutes.
+const AZIMUTHS: usize = 9;
 
 /// Scores `estimate` and its single-bounce `start` (mixtures of one dictionary) against
 /// `truth`: environment error with spheres of `sphere_px` pixels, BRDF error and its
@@ -19,22 +23,23 @@ pub fn score(
     start: &Mixture,
     sphere_px: usize,
 ) -> Result<ScoreSheet, ProjectionError> {
-    let cells = CellMatrix::new(dictionary.clone(), FIT_AZIMUTHS);
+    let cells = CellMatrix::new(dictionary.clone(), AZIMUTHS);
     let reference = cells.reference_projection(truth)?;
     let relative_floor = cells.relative_floor(truth)?;
-    let cube_root_floor = cells.cube_root_floor(truth)?;
+    let cube_root_floor = cells.cube_root_floor_from(&reference, truth)?;
 
     let maps = EnvironmentMap::all();
     let spheres = EnvironmentMatrix::new(dictionary.clone(), &maps, sphere_px);
-    let environment = |mixture: &Mixture| channels(&spheres.error(mixture, truth).mean);
+    let spheres = spheres.of(truth);
+    let environment = |mixture: &Mixture| channels(&spheres.error(mixture).mean);
     let environment_error = MetricScores {
         estimate: environment(estimate),
         reference_projection: environment(&reference),
-        floor: channels(&spheres.floor(truth)?.0.mean),
+        floor: channels(&spheres.floor()?.0.mean),
         single_bounce_start: Some(environment(start)),
     };
 
-    let scored = score::cells(FIT_AZIMUTHS);
+    let scored = score::cells(AZIMUTHS);
     let errors = |mixture: &Mixture| score::brdf_errors(mixture, truth, &scored);
     let [estimate, reference, start] = [estimate, &reference, start].map(errors);
     let metric = |of: fn(&BrdfErrors) -> &PerChannel, floor: &Mixture| MetricScores {

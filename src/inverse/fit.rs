@@ -173,8 +173,8 @@ pub fn fit(
         options.kernel,
         options.model_error,
     );
-    for image in 0..captured.len() {
-        if !(0..captured[image].mean.len()).any(|p| objective.is_compared(image, p)) {
+    for (image, frame) in captured.iter().enumerate() {
+        if !(0..frame.mean.len()).any(|p| objective.is_compared(image, p)) {
             return Err(FitError::NothingToCompare { image });
         }
     }

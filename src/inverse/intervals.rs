@@ -49,9 +49,9 @@ pub fn table(
             upper: [0.0; 3],
             constrained: true,
         };
-        for c in 0..3 {
+        for (c, weights) in weights.iter().enumerate() {
             let f = |w: &[f64]| -> f64 { w.iter().zip(&atoms).map(|(w, f)| w * f).sum() };
-            let value = f(&weights[c]);
+            let value = f(weights);
             let Some(set) = draws.get(c.min(draws.len().saturating_sub(1))) else {
                 (interval.value[c], interval.lower[c], interval.upper[c]) = (value, value, value);
                 continue;

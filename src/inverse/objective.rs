@@ -69,7 +69,8 @@ pub struct Linearised {
 
 impl<'a> Objective<'a> {
     /// Compares `captured[light]` with the model of `cache` and `direct`. Pixels that
-    /// are invalid, not wholly on the sample, or outside `region` (if any) are left out.
+    /// are invalid, at a silhouette or the edge of a shadow, or outside `region` (if any)
+    /// are left out.
     pub fn new(
         cache: &'a Cache,
         direct: &'a DirectMatrix,
@@ -89,16 +90,15 @@ impl<'a> Objective<'a> {
         };
         let compared = captured
             .iter()
-            .map(|image| {
+            .enumerate()
+            .map(|(light, image)| {
                 (0..image.mean.len())
                     .map(|p| {
+                        let values = image.mean[p].iter().chain(&image.variance[p]);
                         image.valid[p]
-                            && direct.coverage[p] >= 1.0
                             && region.is_none_or(|r| r[p])
-                            && image.mean[p]
-                                .iter()
-                                .chain(&image.variance[p])
-                                .all(|v| v.is_finite())
+                            && values.copied().all(f32::is_finite)
+                            && is_smooth(direct, p, light, resolution)
                     })
                     .collect()
             })
@@ -215,16 +215,15 @@ impl<'a> Objective<'a> {
     pub fn single_bounce(&self, residual_weights: &ResidualWeights) -> Vec<Quadratic> {
         let n = self.atoms();
         let mut quadratics = vec![Quadratic::zero(n); self.sets()];
-        for light in 0..self.lights() {
-            for pixel in 0..self.target[light].len() {
+        for (light, weights) in residual_weights.iter().enumerate() {
+            for (pixel, weights) in weights.iter().enumerate() {
                 let row: Vec<f64> = self
                     .direct
                     .row(pixel, light)
                     .iter()
                     .map(|&v| f64::from(v))
                     .collect();
-                for c in 0..3 {
-                    let w = residual_weights[light][pixel][c];
+                for (c, &w) in weights.iter().enumerate() {
                     if w > 0.0 {
                         let target = self.target[light][pixel][c];
                         let sum = &mut quadratics[self.set_of(c)];
@@ -352,6 +351,25 @@ impl<'a> Objective<'a> {
                 .collect(),
         }
     }
+}
+
+/// Whether a pixel and its neighbours show nothing but the sample, all lit or all in
+/// shadow: along silhouettes and edges of shadows an error of the pose or of the light's
+/// direction that is far below a pixel changes the radiance by any amount.
+fn is_smooth(
+    direct: &DirectMatrix,
+    pixel: usize,
+    light: usize,
+    [width, height]: [usize; 2],
+) -> bool {
+    let (x, y) = (pixel % width, pixel / width);
+    let lit = direct.lit(pixel, light);
+    (y.saturating_sub(1)..=(y + 1).min(height - 1)).all(|j| {
+        (x.saturating_sub(1)..=(x + 1).min(width - 1)).all(|i| {
+            let q = j * width + i;
+            direct.coverage[q] >= 1.0 && direct.lit(q, light) == lit
+        })
+    }) && (lit == 0.0 || lit == 1.0)
 }
 
 /// Sums over a group of pixels.

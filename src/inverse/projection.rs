@@ -88,7 +88,7 @@ impl CellMatrix {
 
     /// The reference projection of `truth`.
     pub fn reference_projection(&self, truth: &dyn Brdf) -> Result<Mixture, ProjectionError> {
-        self.per_channel(truth, |b| {
+        self.per_channel(truth, |_, b| {
             let uniform = DVector::from_element(self.n(), 1.0 / self.n() as f64);
             self.fit_cube_root(b, uniform, Loss::Squared)
         })
@@ -96,7 +96,7 @@ impl CellMatrix {
 
     /// The mixture of least relative BRDF error.
     pub fn relative_floor(&self, truth: &dyn Brdf) -> Result<Mixture, ProjectionError> {
-        self.per_channel(truth, |b| {
+        self.per_channel(truth, |_, b| {
             let quadratic = self.accumulate(
                 |row, _| (f64::from(self.cells[row].solid_angle), 1.0, b[row]),
                 None,
@@ -108,9 +108,17 @@ impl CellMatrix {
     /// The mixture of least cube-root error that reweighting finds, starting at the
     /// reference projection (the problem is not convex).
     pub fn cube_root_floor(&self, truth: &dyn Brdf) -> Result<Mixture, ProjectionError> {
-        self.per_channel(truth, |b| {
-            let uniform = DVector::from_element(self.n(), 1.0 / self.n() as f64);
-            let start = self.fit_cube_root(b, uniform, Loss::Squared)?;
+        self.cube_root_floor_from(&self.reference_projection(truth)?, truth)
+    }
+
+    /// [`Self::cube_root_floor`] where the reference projection is known already.
+    pub fn cube_root_floor_from(
+        &self,
+        reference: &Mixture,
+        truth: &dyn Brdf,
+    ) -> Result<Mixture, ProjectionError> {
+        self.per_channel(truth, |c, b| {
+            let start = DVector::from_column_slice(&reference.weights()[c]);
             // Leave the boundary, where reweighting cannot see.
             let start = 0.999 * start + DVector::from_element(self.n(), 1e-3 / self.n() as f64);
             self.fit_cube_root(b, start, Loss::Absolute)
@@ -124,7 +132,7 @@ impl CellMatrix {
     fn per_channel(
         &self,
         truth: &dyn Brdf,
-        fit: impl Fn(&[f64]) -> Result<DVector<f64>, ProjectionError>,
+        fit: impl Fn(usize, &[f64]) -> Result<DVector<f64>, ProjectionError>,
     ) -> Result<Mixture, ProjectionError> {
         let target = score::cosine_weighted(truth, &self.cells);
         let mut weights: [Vec<f64>; 3] = Default::default();
@@ -136,7 +144,7 @@ impl CellMatrix {
                     channel: CHANNELS[c],
                 });
             }
-            *weights = fit(&b)?.as_slice().to_vec();
+            *weights = fit(c, &b)?.as_slice().to_vec();
         }
         Ok(Mixture::new(self.dictionary.clone(), weights)?)
     }
@@ -309,47 +317,23 @@ impl<'a> EnvironmentMatrix<'a> {
         }
     }
 
-    /// The least environment error of any mixture, and that mixture: the mean of
-    /// norms, by reweighted least squares.
+    /// The least environment error of any mixture, and that mixture.
     pub fn floor(&self, truth: &dyn Brdf) -> Result<(EnvironmentError, Mixture), ProjectionError> {
-        let targets = self.targets(truth);
-        let mut pull = vec![1.0; self.maps.len()];
-        let mut best: Option<(f64, [DVector<f64>; 3])> = None;
-        for _ in 0..40 {
-            let mut weights: [DVector<f64>; 3] = Default::default();
-            for (c, weights) in weights.iter_mut().enumerate() {
-                let mut sum = Quadratic::zero(self.dictionary.len());
-                for (map, pull) in targets.iter().zip(&pull) {
-                    sum.add_scaled(pull / map.reference2, &map.quadratics[c]);
-                }
-                *weights = sum.minimise()?.x;
-            }
-            let errors: Vec<f64> = targets.iter().map(|map| map.error(&weights)).collect();
-            let mean = errors.iter().sum::<f64>() / errors.len() as f64;
-            let gain = best.as_ref().map_or(f64::INFINITY, |(b, _)| b - mean);
-            if gain > 0.0 {
-                best = Some((mean, weights));
-            }
-            if gain < 1e-7 * mean {
-                break;
-            }
-            // ∇‖r‖ = ∇½‖r‖²/‖r‖.
-            for (pull, error) in pull.iter_mut().zip(&errors) {
-                *pull = 1.0 / error.max(1e-9);
-            }
-        }
-        let (_, weights) = best.ok_or(SimplexError::NotConvex)?;
-        let mixture = Mixture::new(
-            self.dictionary.clone(),
-            weights.map(|w| w.as_slice().to_vec()),
-        )?;
-        Ok((self.error_of(&targets, &mixture), mixture))
+        self.of(truth).floor()
     }
 
     /// The environment error of a mixture of this dictionary against `truth`, without
     /// rendering the mixture.
     pub fn error(&self, mixture: &Mixture, truth: &dyn Brdf) -> EnvironmentError {
-        self.error_of(&self.targets(truth), mixture)
+        self.of(truth).error(mixture)
+    }
+
+    /// Renders `truth` once for any number of comparisons.
+    pub fn of(&self, truth: &dyn Brdf) -> EnvironmentTruth<'_, 'a> {
+        EnvironmentTruth {
+            targets: self.targets(truth),
+            matrix: self,
+        }
     }
 
     fn targets(&self, truth: &dyn Brdf) -> Vec<Target> {
@@ -374,13 +358,59 @@ impl<'a> EnvironmentMatrix<'a> {
             })
             .collect()
     }
+}
 
-    fn error_of(&self, targets: &[Target], mixture: &Mixture) -> EnvironmentError {
+/// A truth under all maps, beside a dictionary's spheres.
+pub struct EnvironmentTruth<'m, 'a> {
+    matrix: &'m EnvironmentMatrix<'a>,
+    targets: Vec<Target>,
+}
+
+impl EnvironmentTruth<'_, '_> {
+    /// The least environment error of any mixture, and that mixture: the mean of
+    /// norms, by reweighted least squares.
+    pub fn floor(&self) -> Result<(EnvironmentError, Mixture), ProjectionError> {
+        let mut pull = vec![1.0; self.matrix.maps.len()];
+        let mut best: Option<(f64, [DVector<f64>; 3])> = None;
+        for _ in 0..40 {
+            let mut weights: [DVector<f64>; 3] = Default::default();
+            for (c, weights) in weights.iter_mut().enumerate() {
+                let mut sum = Quadratic::zero(self.matrix.dictionary.len());
+                for (map, pull) in self.targets.iter().zip(&pull) {
+                    sum.add_scaled(pull / map.reference2, &map.quadratics[c]);
+                }
+                *weights = sum.minimise()?.x;
+            }
+            let errors: Vec<f64> = self.targets.iter().map(|map| map.error(&weights)).collect();
+            let mean = errors.iter().sum::<f64>() / errors.len() as f64;
+            let gain = best.as_ref().map_or(f64::INFINITY, |(b, _)| b - mean);
+            if gain > 0.0 {
+                best = Some((mean, weights));
+            }
+            if gain < 1e-7 * mean {
+                break;
+            }
+            // ∇‖r‖ = ∇½‖r‖²/‖r‖.
+            for (pull, error) in pull.iter_mut().zip(&errors) {
+                *pull = 1.0 / error.max(1e-9);
+            }
+        }
+        let (_, weights) = best.ok_or(SimplexError::NotConvex)?;
+        let mixture = Mixture::new(
+            self.matrix.dictionary.clone(),
+            weights.map(|w| w.as_slice().to_vec()),
+        )?;
+        Ok((self.error(&mixture), mixture))
+    }
+
+    /// The environment error of a mixture of the dictionary.
+    pub fn error(&self, mixture: &Mixture) -> EnvironmentError {
         let weights = mixture
             .weights()
             .each_ref()
             .map(|w| DVector::from_column_slice(w));
-        let errors: Vec<PerChannel> = targets
+        let errors: Vec<PerChannel> = self
+            .targets
             .iter()
             .map(|map| PerChannel {
                 all: map.error(&weights),
@@ -390,7 +420,7 @@ impl<'a> EnvironmentMatrix<'a> {
                 }),
             })
             .collect();
-        score::summarise(self.maps, &errors)
+        score::summarise(self.matrix.maps, &errors)
     }
 }
 

@@ -72,7 +72,7 @@ fn draw_set(
             .sum();
         total / n as f64
     };
-    let draws: Result<Vec<(DVector<f64>, DVector<f64>)>, SimplexError> = (0..count)
+    let (posterior, prior) = (0..count)
         .into_par_iter()
         .map(|index| {
             let mut numbers = stream(seed, Purpose::Posterior, set as u64, 0, index as u64);
@@ -91,8 +91,9 @@ fn draw_set(
             let g = &information * mixture + score + &centre * prior_precision;
             Ok((simplex::solve(&h, &g, Some(mixture))?.x, centre))
         })
-        .collect();
-    let (posterior, prior) = draws?.into_iter().unzip();
+        .collect::<Result<Vec<_>, SimplexError>>()?
+        .into_iter()
+        .unzip();
     Ok(Draws { posterior, prior })
 }
 

@@ -193,8 +193,11 @@ fn light(session: &Session, index: usize) -> Result<LightInput, LoadError> {
             _ => None,
         });
     let exposures = exposures(session, number)?;
-    let path = session.root().join(layout::radiance_file(number));
-    let captured = path.exists().then(|| exr::read(&path));
+    let name = layout::radiance_file(number);
+    let path = session.root().join(&name);
+    let captured = path
+        .exists()
+        .then(|| -> Result<_, LoadError> { Ok(exr::decode(&session.read_file(&name)?, &path)?) });
     Ok(LightInput {
         index: number,
         place: read_back.or(plan.lights.get(index).copied()),

@@ -13,12 +13,15 @@ use std::path::{Path, PathBuf};
 use super::SessionError;
 
 /// The operations that change a disk. Each either happened or returns an error;
-/// [`Disk::append`] and [`Disk::write_new`] may have happened in part.
+/// [`Disk::append`] and [`Disk::write_temporary`] may have happened in part.
 pub trait Disk: Send + Sync {
     /// Makes one folder; its parent exists. An existing one is an error.
     fn create_dir(&self, path: &Path) -> io::Result<()>;
-    /// Makes a file that does not exist yet and writes all bytes.
-    fn write_new(&self, path: &Path, bytes: &[u8]) -> io::Result<()>;
+    /// Makes a file and writes all bytes; what a crash left under this temporary
+    /// name is lost.
+    fn write_temporary(&self, path: &Path, bytes: &[u8]) -> io::Result<()>;
+    /// Removes a file.
+    fn remove_file(&self, path: &Path) -> io::Result<()>;
     /// Writes all bytes at the end of an existing file.
     fn append(&self, path: &Path, bytes: &[u8]) -> io::Result<()>;
     /// Cuts a file to this length.
@@ -40,12 +43,12 @@ impl Disk for SystemDisk {
         fs::create_dir(path)
     }
 
-    fn write_new(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
-        OpenOptions::new()
-            .write(true)
-            .create_new(true)
-            .open(path)?
-            .write_all(bytes)
+    fn write_temporary(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
+        File::create(path)?.write_all(bytes)
+    }
+
+    fn remove_file(&self, path: &Path) -> io::Result<()> {
+        fs::remove_file(path)
     }
 
     fn append(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
@@ -92,30 +95,48 @@ pub fn temporary_name(path: &Path) -> PathBuf {
 ///
 /// # Errors
 /// [`SessionError::Exists`] with [`Replace::Never`] where a file has its name
-/// already; otherwise what the file system says.
+/// already; otherwise what the file system says. What was written under
+/// temporary names is removed then, as far as the disk lets it.
 pub fn commit_files(
     disk: &dyn Disk,
     folder: &Path,
     files: &[(&str, &[u8])],
     replace: Replace,
 ) -> Result<(), SessionError> {
-    for (name, bytes) in files {
+    for (name, _) in files {
         let path = folder.join(name);
         if replace == Replace::Never && path.symlink_metadata().is_ok() {
             return Err(SessionError::Exists { path });
         }
-        let temporary = temporary_name(&path);
-        disk.write_new(&temporary, bytes)
-            .map_err(|e| SessionError::io("write", &temporary, e))?;
-        disk.sync_file(&temporary)
-            .map_err(|e| SessionError::io("fsync", &temporary, e))?;
     }
+    let written = write_temporaries(disk, folder, files);
+    if written.is_err() {
+        for (name, _) in files {
+            drop(disk.remove_file(&temporary_name(&folder.join(name))));
+        }
+    }
+    written?;
     for (name, _) in files {
         let path = folder.join(name);
         disk.rename(&temporary_name(&path), &path)
             .map_err(|e| SessionError::io("rename to", &path, e))?;
     }
     sync_dir(disk, folder)
+}
+
+fn write_temporaries(
+    disk: &dyn Disk,
+    folder: &Path,
+    files: &[(&str, &[u8])],
+) -> Result<(), SessionError> {
+    for (name, bytes) in files {
+        let temporary = temporary_name(&folder.join(name));
+        disk.write_temporary(&temporary, bytes)
+            .map_err(|e| SessionError::io("write", &temporary, e))?;
+        disk.sync_file(&temporary)
+            .map_err(|e| SessionError::io("fsync", &temporary, e))?;
+    }
+    Ok(())
 }
 
 /// Appends one journal line and waits until it is on the medium.
@@ -190,6 +211,24 @@ mod tests {
                 }
             }
         }
+    }
+
+    /// A full disk gets the space of an unfinished file back; what only a crash
+    /// can leave is in nobody's way.
+    #[test]
+    fn an_unfinished_file_does_not_stay_or_stand_in_the_way() {
+        let folder = tempfile::tempdir().unwrap();
+        let temporary = temporary_name(&folder.path().join("x"));
+        let commit =
+            |disk: &dyn Disk| commit_files(disk, folder.path(), &[("x", b"bytes")], Replace::Never);
+        assert!(matches!(
+            commit(&FaultyDisk::new(0, Fault::DiskFull)),
+            Err(SessionError::DiskFull { .. })
+        ));
+        assert!(!temporary.exists());
+        fs::write(&temporary, b"longer than what comes").unwrap();
+        commit(&SystemDisk).unwrap();
+        assert_eq!(fs::read(folder.path().join("x")).unwrap(), b"bytes");
     }
 
     #[test]

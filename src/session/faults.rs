@@ -17,8 +17,12 @@ impl Disk for UnsyncedDisk {
         SystemDisk.create_dir(path)
     }
 
-    fn write_new(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
-        SystemDisk.write_new(path, bytes)
+    fn write_temporary(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
+        SystemDisk.write_temporary(path, bytes)
+    }
+
+    fn remove_file(&self, path: &Path) -> io::Result<()> {
+        SystemDisk.remove_file(path)
     }
 
     fn append(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
@@ -125,12 +129,16 @@ impl Disk for FaultyDisk {
         self.step(|| self.under.create_dir(path), || (), true)
     }
 
-    fn write_new(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
+    fn write_temporary(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
         self.step(
-            || self.under.write_new(path, bytes),
-            || drop(self.under.write_new(path, &bytes[..bytes.len() / 2])),
+            || self.under.write_temporary(path, bytes),
+            || drop(self.under.write_temporary(path, &bytes[..bytes.len() / 2])),
             true,
         )
+    }
+
+    fn remove_file(&self, path: &Path) -> io::Result<()> {
+        self.step(|| self.under.remove_file(path), || (), false)
     }
 
     fn append(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {

@@ -460,6 +460,14 @@ impl SessionWriter {
         self.commit_file(MANIFEST_FILE, lines.concat().as_bytes())
     }
 
+    /// Writes the manifest anew where the capture is complete and so has one.
+    pub fn refresh_manifest(&mut self) -> Result<(), SessionError> {
+        if self.journal.is_complete() {
+            self.write_manifest()?;
+        }
+        Ok(())
+    }
+
     /// Ends the capture: manifest, then the stop record.
     pub fn finish(&mut self) -> Result<(), SessionError> {
         self.write_manifest()?;

@@ -14,7 +14,9 @@ use crate::brdf::Brdf;
 use crate::frames::{Rigid, Sample};
 use crate::geometry::Mesh;
 use crate::random::{Purpose, stream};
-use crate::transport::{Camera, Light, Proposal, RenderOptions, Scene, Shading, render};
+use crate::transport::{
+    Camera, Light, Proposal, RenderOptions, Scene, Shading, render, render::quietest_proposal,
+};
 use crate::units::StageAngles;
 
 /// What is true on the bench.
@@ -43,11 +45,14 @@ pub struct Truth {
     pub seed: u64,
 }
 
+/// The image under one lamp position, for unit power of each channel.
+type Rendered = Arc<Vec<[f32; 3]>>;
+
 /// Renders the truth on demand and remembers it by lamp position.
 pub struct TruthSource {
     truth: Truth,
-    /// Per channel, for unit power; by the bits of azimuth and elevation.
-    rendered: Mutex<HashMap<[u64; 2], Arc<Vec<[f32; 3]>>>>,
+    /// By the bits of azimuth and elevation.
+    rendered: Mutex<HashMap<[u64; 2], Rendered>>,
 }
 
 impl TruthSource {
@@ -73,12 +78,25 @@ impl TruthSource {
             1,
         )
         .bits();
-        let options = RenderOptions {
+        let mut options = RenderOptions {
             samples_per_pixel: truth.samples_per_pixel.max(2),
             max_reflections: truth.max_reflections,
             seed: position,
             proposal: Proposal::default(),
         };
+        let mix = |cosine, lobes: &[(f32, f32)]| Proposal {
+            cosine,
+            lobes: lobes.to_vec(),
+        };
+        let candidates = vec![
+            Proposal::default(),
+            mix(0.9, &[(0.3, 0.1)]),
+            mix(0.6, &[(0.1, 0.2), (0.3, 0.2)]),
+            mix(0.5, &[(0.05, 0.25), (0.15, 0.25)]),
+            mix(0.3, &[(0.2, 0.5), (0.4, 0.2)]),
+            mix(0.3, &[(0.1, 0.5), (0.25, 0.2)]),
+        ];
+        options.proposal = quietest_proposal(&scene, &*truth.brdf, &options, candidates);
         render(&scene, &*truth.brdf, &options, &|_| {})
             .remove(0)
             .mean

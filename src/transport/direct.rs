@@ -16,6 +16,8 @@ pub struct DirectMatrix {
     values: Vec<f32>,
     /// Fraction of each pixel's footprint that shows the front of the sample, 0..=1.
     pub coverage: Vec<f32>,
+    /// Fraction of the seen footprint that the lamp reaches, `[pixel · lights + light]`.
+    lit: Vec<f32>,
     lights: usize,
     atoms: usize,
 }
@@ -26,12 +28,13 @@ impl DirectMatrix {
         let atoms = LaneAtoms::new(dictionary, true);
         let (n, lights) = (atoms.atoms(), scene.lights.len());
         let width = scene.camera.resolution_px[0];
-        let rows: Vec<(Vec<f32>, f32)> = (0..scene.camera.pixels())
+        let rows: Vec<(Vec<f32>, f32, Vec<f32>)> = (0..scene.camera.pixels())
             .into_par_iter()
             .map(|pixel| {
                 let mut sums = vec![0.0f64; lights * n];
                 let corner = DVec2::new((pixel % width) as f64, (pixel / width) as f64);
                 let mut seen = 0u32;
+                let mut lit = vec![0u32; lights];
                 for sample in 0..strata * strata {
                     let key =
                         |purpose| stream(seed, purpose, u64::MAX, pixel as u64, u64::from(sample));
@@ -54,6 +57,7 @@ impl DirectMatrix {
                         let Some(connection) = scene.connect(&surface, light, u) else {
                             continue;
                         };
+                        lit[light] += 1;
                         let (i, o) = (connection.to_light.to_array(), to_viewer.to_array());
                         if let Some(cosines) = Cosines::new(i, o) {
                             let row = &mut sums[light * n..(light + 1) * n];
@@ -63,15 +67,23 @@ impl DirectMatrix {
                 }
                 let samples = f64::from(strata * strata);
                 let row = sums.iter().map(|&v| (v / samples) as f32).collect();
-                (row, (f64::from(seen) / samples) as f32)
+                let lit = lit.iter().map(|&n| n as f32 / seen.max(1) as f32).collect();
+                (row, (f64::from(seen) / samples) as f32, lit)
             })
             .collect();
         Self {
-            values: rows.iter().flat_map(|(row, _)| row).copied().collect(),
-            coverage: rows.iter().map(|(_, coverage)| *coverage).collect(),
+            values: rows.iter().flat_map(|(row, ..)| row).copied().collect(),
+            coverage: rows.iter().map(|(_, coverage, _)| *coverage).collect(),
+            lit: rows.iter().flat_map(|(_, _, lit)| lit).copied().collect(),
             lights,
             atoms: n,
         }
+    }
+
+    /// Fraction of a pixel's seen footprint that a lamp reaches, 0..=1: between the two
+    /// lies the edge of a shadow.
+    pub fn lit(&self, pixel: usize, light: usize) -> f32 {
+        self.lit[pixel * self.lights + light]
     }
 
     /// The row of one pixel under one lamp, one value per atom.

@@ -183,8 +183,8 @@ impl<const B: usize, const C: usize> Mixture<B, C> {
             lanes: [[[0.0; 8]; B]; C],
             lambertian: [0.0; C],
         };
-        for c in 0..C {
-            (mixture.lanes[c], mixture.lambertian[c]) = atoms.lane_weights::<B>(weights[c]);
+        for (c, weights) in weights.iter().enumerate().take(C) {
+            (mixture.lanes[c], mixture.lambertian[c]) = atoms.lane_weights::<B>(weights);
         }
         mixture
     }
@@ -263,6 +263,10 @@ fn pass_avx2<const B: usize, const C: usize, R: Record<B>>(
     pass::<super::lanes::Avx2, B, C, R>(records, mixture, sums, scratch);
 }
 
+#[expect(
+    clippy::needless_range_loop,
+    reason = "only what is inlined here may use the kernel's instructions: loops, not closures"
+)]
 #[inline(always)]
 fn pass<L: Lanes, const B: usize, const C: usize, R: Record<B>>(
     records: &[R],
@@ -270,7 +274,6 @@ fn pass<L: Lanes, const B: usize, const C: usize, R: Record<B>>(
     sums: &mut Sums<B, C>,
     scratch: &mut Vec<Step<C>>,
 ) {
-    // Loops, not closures: only what is inlined here may use the kernel's instructions.
     let mut weights = [[L::splat(0.0); B]; C];
     for c in 0..C {
         for b in 0..B {
@@ -514,9 +517,9 @@ mod tests {
                 for half in 0..2 {
                     for light in 0..2 {
                         values[light] += samples * f64::from(rows.value[half][light]);
-                        for atom in 0..n {
-                            gradient[light][atom] +=
-                                samples * f64::from(rows.jacobian[half][light * n + atom]);
+                        let jacobian = &rows.jacobian[half][light * n..][..n];
+                        for (sum, &row) in gradient[light].iter_mut().zip(jacobian) {
+                            *sum += samples * f64::from(row);
                         }
                     }
                 }
@@ -526,8 +529,8 @@ mod tests {
         for (values, gradient) in parts {
             for light in 0..2 {
                 sum.0[light] += values[light];
-                for atom in 0..n {
-                    sum.1[light][atom] += gradient[light][atom];
+                for (sum, part) in sum.1[light].iter_mut().zip(&gradient[light]) {
+                    *sum += part;
                 }
             }
         }

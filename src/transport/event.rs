@@ -336,6 +336,10 @@ impl<const B: usize> Record<B> for GeneralRecord<B> {
         self.head.mark_first();
     }
 
+    #[expect(
+        clippy::needless_range_loop,
+        reason = "only what is inlined may use the kernel's instructions: a loop, not a closure"
+    )]
     #[inline(always)]
     fn decode<L: Lanes>(&self) -> [L; B] {
         let mut blocks = [L::splat(0.0); B];

@@ -121,7 +121,7 @@ mod tests {
             && is_x86_feature_detected!("fma")
             && is_x86_feature_detected!("f16c"))
         {
-            println!("this processor has no AVX2: only the portable form exists here");
+            // Without AVX2 only the portable form exists.
             return;
         }
         let halves = [

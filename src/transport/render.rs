@@ -59,9 +59,8 @@ pub fn render(
         .map(|light| {
             let mut image = RadianceImage::new(width, height);
             for (pixel, sums) in rows.iter().flatten().enumerate() {
-                for channel in 0..3 {
+                for (channel, &[sum, sum2]) in sums[light].iter().enumerate() {
                     let strength = scene.lights[light].strength()[channel];
-                    let [sum, sum2] = sums[light][channel];
                     let mean = sum / n;
                     let variance = ((sum2 / n - mean * mean) / (n - 1.0)).max(0.0);
                     image.mean[pixel][channel] = (mean * strength) as f32;
@@ -71,6 +70,44 @@ pub fn render(
             image
         })
         .collect()
+}
+
+/// The proposal with the least noise at equal numbers of paths, measured on a spread of
+/// pixels: mean of the relative variance over lamps and channels.
+pub fn quietest_proposal(
+    scene: &Scene,
+    brdf: &dyn Brdf,
+    options: &RenderOptions,
+    candidates: Vec<Proposal>,
+) -> Proposal {
+    let step = (scene.camera.pixels() / 192).max(1);
+    let pixels: Vec<usize> = (0..scene.camera.pixels()).step_by(step).collect();
+    let noise = |proposal: &Proposal| -> f64 {
+        let options = RenderOptions {
+            samples_per_pixel: 64,
+            proposal: proposal.clone(),
+            ..options.clone()
+        };
+        let sums: Vec<f64> = pixels
+            .par_iter()
+            .map(|&pixel| {
+                let sums = render_pixel(scene, brdf, &options, pixel);
+                let relative = |&[sum, sum2]: &[f64; 2]| {
+                    if sum > 0.0 {
+                        64.0 * sum2 / (sum * sum) - 1.0
+                    } else {
+                        0.0
+                    }
+                };
+                sums.iter().flatten().map(relative).sum()
+            })
+            .collect();
+        sums.iter().sum()
+    };
+    let noises: Vec<f64> = candidates.iter().map(noise).collect();
+    let best = (0..candidates.len()).min_by(|&a, &b| noises[a].total_cmp(&noises[b]));
+    best.and_then(|i| candidates.into_iter().nth(i))
+        .unwrap_or_default()
 }
 
 /// Per lamp and channel: sum of path values, sum of their squares.

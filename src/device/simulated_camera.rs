@@ -1,0 +1,106 @@
+//! The simulated camera behind the production trait; it needs no serial port.
+
+use mock_devices::camera::{CameraFaults, MockCameraError, SimulatedCamera as MockCamera};
+use mock_devices::sensor::{FrameKey as MockFrameKey, SensorModel};
+
+use super::{
+    Camera, CameraInfo, CameraSettings, DeviceError, FrameKey, FrameKind, Mosaic, RawFrame,
+};
+use crate::units::Seconds;
+
+/// The simulated camera behind the [`Camera`] trait.
+pub struct SimulatedCamera {
+    camera: MockCamera,
+    info: CameraInfo,
+}
+
+impl SimulatedCamera {
+    /// Wraps a mock camera whose radiance source accounts for `mosaic`.
+    pub fn new(camera: MockCamera, serial: String, mosaic: Mosaic) -> Self {
+        let sensor = camera.sensor().config();
+        let info = CameraInfo {
+            driver: "simulated".to_owned(),
+            model: format!("simulated {}-bit sensor", sensor.bit_depth),
+            serial,
+            resolution_px: sensor.resolution_px,
+            bit_depth: sensor.bit_depth,
+            mosaic,
+            exposure_range: camera.config().exposure_range_s.map(Seconds),
+            exposure_step: Seconds(camera.config().exposure_step_s),
+        };
+        Self { camera, info }
+    }
+
+    /// Handle by which it is made to fail.
+    pub fn faults(&self) -> CameraFaults {
+        self.camera.faults()
+    }
+
+    /// The true sensor.
+    pub fn sensor(&self) -> &SensorModel {
+        self.camera.sensor()
+    }
+
+    fn error(&self, error: MockCameraError) -> DeviceError {
+        let device = format!("{} {}", self.info.model, self.info.serial);
+        match error {
+            MockCameraError::Disconnected => DeviceError::Disconnected { device },
+            MockCameraError::NoFrame { timeout_s } => DeviceError::NoReply {
+                device,
+                timeout: Seconds(timeout_s),
+                sent: "a request for a frame".to_owned(),
+            },
+            MockCameraError::SizeMismatch { .. } => DeviceError::Refused {
+                device,
+                command: "a request for a frame".to_owned(),
+                reason: error.to_string(),
+            },
+        }
+    }
+}
+
+impl Camera for SimulatedCamera {
+    fn info(&self) -> &CameraInfo {
+        &self.info
+    }
+
+    fn configure(&mut self, requested: CameraSettings) -> Result<CameraSettings, DeviceError> {
+        match self.camera.configure(requested.exposure.0, requested.gain) {
+            Ok(applied) => Ok(CameraSettings {
+                exposure: Seconds(applied.exposure_s),
+                gain: applied.gain,
+            }),
+            Err(error) => Err(self.error(error)),
+        }
+    }
+
+    fn set_shutter(&mut self, open: bool) -> Result<bool, DeviceError> {
+        match self.camera.set_shutter(open) {
+            Ok(exists) => Ok(exists),
+            Err(error) => Err(self.error(error)),
+        }
+    }
+
+    fn grab(&mut self, key: FrameKey) -> Result<RawFrame, DeviceError> {
+        let key = MockFrameKey {
+            light: key.light,
+            exposure: key.exposure,
+            repeat: key.repeat,
+            kind: match key.kind {
+                FrameKind::Light => 0,
+                FrameKind::Ambient => 1,
+                FrameKind::Dark => 2,
+            },
+        };
+        match self.camera.grab(key) {
+            Ok(frame) => Ok(RawFrame {
+                width: frame.width,
+                height: frame.height,
+                counts: frame.counts,
+                sequence: Some(frame.sequence),
+                timestamp: Some(Seconds(frame.timestamp_s)),
+            }),
+            Err(error) => Err(self.error(error)),
+        }
+    }
+}
