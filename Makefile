@@ -10,10 +10,10 @@ demo: build
 	target/release/rig demo
 
 build: deps
-	$(CARGO) build --release
+	$(CARGO) build --locked --release
 
 test: deps
-	$(CARGO) test --release --workspace
+	$(CARGO) test --locked --release --workspace
 
 # What the build needs from the system: a C compiler to link, libclang for the
 # Video4Linux bindings. Nothing happens if it is there.
@@ -29,6 +29,7 @@ deps:
 	  dpkg-query -W -f='$${Status}' libclang-dev 2>/dev/null | grep -q 'ok installed' \
 	    || missing="$$missing libclang-dev"; \
 	  if [ -n "$$missing" ]; then \
-	    $(SUDO) apt-get update && $(SUDO) apt-get install -y --no-install-recommends $$missing; \
+	    $(SUDO) apt-get update && \
+	    $(SUDO) env DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends $$missing; \
 	  fi; \
 	fi

@@ -14,14 +14,14 @@ const POSITIONS: [[f64; 2]; 5] = [
     [0.98, 0.98],
 ];
 
-/// Pixels, row by row, through which `camera` sees the scene's surface.
+/// Pixels, row by row, through which `camera` sees the sample.
 pub fn sample_pixels(scene: &Scene, camera: &Camera) -> Vec<bool> {
     let [width, height] = camera.resolution_px;
     let sees = |x: usize, y: usize| {
         POSITIONS.iter().any(|[dx, dy]| {
             let position_px = DVec2::new(x as f64 + dx, y as f64 + dy);
             let ray = camera.ray(position_px, DVec2::splat(0.5));
-            scene.intersect(&ray).is_some()
+            scene.intersect(&ray).is_some_and(|hit| hit.is_sample())
         })
     };
     (0..width * height)

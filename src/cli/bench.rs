@@ -15,7 +15,7 @@ use crate::transport::{Cache, CacheOptions, Camera, Kernel, Light, Projection, S
 /// Measures tracing, evaluating and ray queries.
 #[derive(clap::Args, Debug)]
 pub struct BenchArgs {
-    /// Print as JSON
+    /// The figures as JSON
     #[arg(long)]
     json: bool,
     /// Threads, 1 to 256

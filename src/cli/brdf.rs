@@ -23,7 +23,7 @@ const SPEC_HELP: &str = "A BRDF is one of: FILE.binary (MERL), FILE.bsdf (RGL), 
 DICTIONARY:WEIGHTS.csv (a fit's mixture; DICTIONARY is paper42, grid42, reference-grid42 or a .json or .toml file), \
 ggx:ALPHA,ETA, lambertian:ALBEDO.";
 
-/// Look at, check, compare and convert BRDFs
+/// Evaluates, checks, compares, draws and converts BRDFs
 #[derive(Args, Debug)]
 #[command(after_help = SPEC_HELP)]
 pub struct BrdfArgs {
@@ -33,7 +33,7 @@ pub struct BrdfArgs {
 
 #[derive(Subcommand, Debug)]
 enum BrdfCommand {
-    /// Print f in 1/sr (cosine excluded) at given angles, as CSV
+    /// Prints f in 1/sr (cosine excluded) at given angles, as CSV
     #[command(after_help = SPEC_HELP)]
     Eval {
         /// The BRDF
@@ -42,20 +42,20 @@ enum BrdfCommand {
         /// CSV with columns theta_i_deg, theta_o_deg (0 to 90) and phi_deg (between the two azimuths)
         #[arg(long, value_name = "FILE.csv")]
         angles: PathBuf,
-        /// Print JSON instead
+        /// JSON instead of a table
         #[arg(long)]
         json: bool,
     },
-    /// Report reciprocity and energy conservation; fails if either is violated
+    /// Reports reciprocity and energy conservation; fails if either is violated
     #[command(after_help = SPEC_HELP)]
     Check {
         /// The BRDF
         brdf: String,
-        /// Print JSON instead
+        /// JSON instead of a table
         #[arg(long)]
         json: bool,
     },
-    /// Project onto a dictionary: the reference projection's errors beside the floor of each score
+    /// Projects onto a dictionary: the reference projection's errors beside the floor of each score
     #[command(after_help = SPEC_HELP)]
     Project {
         /// The BRDF
@@ -66,14 +66,14 @@ enum BrdfCommand {
         /// Pixels per side of the spheres, 8 to 512; published figures use 128
         #[arg(long, default_value_t = score::SPHERE_SIZE, value_parser = sphere_size)]
         size: usize,
-        /// Write the reference projection's weights here
+        /// Writes the reference projection's weights here
         #[arg(long, value_name = "WEIGHTS.csv")]
         out: Option<PathBuf>,
-        /// Print JSON instead
+        /// JSON instead of a table
         #[arg(long)]
         json: bool,
     },
-    /// Errors of an estimate against a truth
+    /// Prints the errors of an estimate against a truth
     #[command(after_help = SPEC_HELP)]
     Compare {
         /// The BRDF that is judged
@@ -83,11 +83,11 @@ enum BrdfCommand {
         /// Pixels per side of the spheres, 8 to 512; published figures use 128
         #[arg(long, default_value_t = score::SPHERE_SIZE, value_parser = sphere_size)]
         size: usize,
-        /// Print JSON instead
+        /// JSON instead of a table
         #[arg(long)]
         json: bool,
     },
-    /// Spheres of the material under the four environment maps, as a PNG
+    /// Draws spheres of the material under the four environment maps, as a PNG
     #[command(after_help = SPEC_HELP)]
     Plot {
         /// The BRDF
@@ -99,7 +99,7 @@ enum BrdfCommand {
         #[arg(long, default_value_t = 256, value_parser = sphere_size)]
         size: usize,
     },
-    /// Write as a MERL table of 90 x 90 x 180 cells
+    /// Writes a MERL table of 90 x 90 x 180 cells
     #[command(after_help = SPEC_HELP)]
     Convert {
         /// The BRDF

@@ -32,7 +32,7 @@ use crate::device::simulated_camera::SimulatedCamera;
 use crate::out;
 use crate::random::{Purpose, stream};
 
-/// Measures the bench and keeps what it finds as records.
+/// Measures the bench and keeps what it finds as records
 #[derive(clap::Args, Debug)]
 pub struct CalibrateArgs {
     #[command(subcommand)]
@@ -41,13 +41,13 @@ pub struct CalibrateArgs {
 
 #[derive(Subcommand, Debug)]
 enum What {
-    /// Gain, read noise, black level, dark current, full well and hot pixels, by
+    /// Measures gain, read noise, black level, dark current, full well and hot pixels, by
     /// photon transfer
     ///
     /// The camera looks at a steady, uniform light (an integrating sphere, or a lit
     /// diffuser in front of the lens).
     Sensor(SensorArgs),
-    /// Relative response of each pixel; with a light of known radiance also the scale
+    /// Measures the relative response of each pixel; with a light of known radiance also the scale
     ///
     /// Needs a sensor record. The camera looks at a steady, uniform light.
     Flat(FlatArgs),

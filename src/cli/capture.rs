@@ -56,7 +56,7 @@ pub struct CaptureArgs {
     /// Name of the sample: letters, digits, dots, hyphens, underscores
     #[arg(long, value_name = "NAME", conflicts_with = "resume")]
     sample: Option<String>,
-    /// Print the plan with its estimates; nothing is opened and nothing moves
+    /// Prints the plan with its estimates; nothing is opened and nothing moves
     #[arg(long, conflicts_with = "resume")]
     dry_run: bool,
     /// Go on with an interrupted session; plan and configuration are in it

@@ -7,7 +7,7 @@ use super::output::write_bytes;
 use super::{CliError, Context, definition};
 use crate::out;
 
-/// Prints a shell's completion script.
+/// Prints a shell's completion script
 ///
 /// For bash: `rig completions bash > ~/.local/share/bash-completion/completions/rig`.
 #[derive(clap::Args, Debug)]
@@ -16,7 +16,7 @@ pub struct CompletionsArgs {
     shell: clap_complete::Shell,
 }
 
-/// Writes the manual pages.
+/// Writes the manual pages
 #[derive(clap::Args, Debug)]
 pub struct ManArgs {
     /// Folder that receives rig.1, rig-doctor.1, …; made if it is missing

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use super::capture::{self, CaptureArgs};
 use super::{CliError, Context};
 
-/// The whole pipeline on the simulated rig: capture four lights, merge, fit, report
+/// Captures four lights on the simulated rig, then merges, fits and reports
 ///
 /// stdout's last line is the session's folder; its report.html shows the result.
 #[derive(clap::Args, Debug)]

@@ -24,7 +24,7 @@ pub struct FitCommandArgs {
     /// Folder for the result; it must not exist or be empty
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Print the result as JSON
+    /// The result as JSON
     #[arg(long)]
     json: bool,
     #[command(flatten)]

@@ -17,6 +17,7 @@ use crate::radiometry::exposure::PlanError;
 use crate::report::load::LoadError;
 use crate::session::SessionError;
 use crate::session::fit_record::FitRecordError;
+use crate::transport::cache::CacheError;
 
 /// What remains when nothing better is known.
 pub const FALLBACK: &str = "run it again with --verbose to see what led to it";
@@ -255,7 +256,6 @@ fn for_build(error: &BuildError) -> Option<String> {
     match error {
         BuildError::Mesh(error) => for_mesh(error),
         BuildError::Brdf(error) => for_brdf(error),
-        BuildError::Bodies { .. } => Some("remove the [[body]] tables from the scene".into()),
     }
 }
 
@@ -271,6 +271,9 @@ fn for_fit(error: &FitError) -> Option<String> {
         NothingToCompare { .. } => {
             Some("check that the scene's camera and sample are those of the images".into())
         }
+        Cache(CacheError::ColouredBody { .. }) => Some(
+            "give the [[body]] equal values for all channels, or leave it out of the scene".into(),
+        ),
         Cache(_) | Simplex(_) => None,
     }
 }

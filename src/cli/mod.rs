@@ -60,13 +60,13 @@ macro_rules! commands {
 
 commands! {
     Demo(demo::DemoArgs) => demo::run,
+    Capture(capture::CaptureArgs) => capture::run,
+    Session(session::SessionArgs) => session::run,
     Devices(devices::DevicesArgs) => devices::run,
     Doctor(doctor::DoctorArgs) => doctor::run,
     Stage(stage::StageArgs) => stage::run,
     Camera(camera::CameraArgs) => camera::run,
     Calibrate(calibrate::CalibrateArgs) => calibrate::run,
-    Capture(capture::CaptureArgs) => capture::run,
-    Session(session::SessionArgs) => session::run,
     Merge(merge::MergeArgs) => merge::run,
     Fit(fit::FitCommandArgs) => fit::run,
     Render(render::RenderArgs) => render::run,
@@ -96,6 +96,7 @@ struct Cli {
 }
 
 #[derive(Args, Debug)]
+#[command(next_help_heading = "Global options")]
 struct GlobalArgs {
     /// Only errors on stderr: no progress, no notes
     #[arg(long, short, global = true, conflicts_with = "verbose")]

@@ -274,18 +274,29 @@ impl FitPlan {
 /// Pixels per side of the spheres of the environment error, as the score is defined.
 const SCORE_SPHERE_PX: usize = crate::brdf::score::SPHERE_SIZE;
 
-/// A mean square residual of this many variances is more than noise and the model error
-/// that is usual for materials outside the dictionary.
-const POOR_CHI2: f64 = 25.0;
+/// Mean square residual, in variances of noise and model error together, above which a
+/// channel is named.
+const NOTABLE_CHI2: f64 = 2.0;
 
 fn warnings(fit: &Fit) -> Vec<Warning> {
     let mut warnings = Vec::new();
-    for (light, chi2) in fit.reduced_chi2.iter().enumerate() {
-        let worst = chi2.iter().fold(0.0f64, |m, &v| m.max(v));
-        if worst > POOR_CHI2 {
+    for (channel, name) in ["red", "green", "blue"].into_iter().enumerate() {
+        let of_light = fit
+            .reduced_chi2
+            .iter()
+            .map(|chi2| chi2[channel])
+            .enumerate();
+        let Some((light, worst)) = of_light.max_by(|a, b| a.1.total_cmp(&b.1)) else {
+            continue;
+        };
+        if worst > NOTABLE_CHI2 {
+            let deviations = worst.sqrt();
             warnings.push(Warning {
-                what: format!("the images under light {light} differ from the fit by {:.1} standard deviations (root mean square)", worst.sqrt()),
-                likely_cause: "a material outside the dictionary, a wrong shape or pose, or stray light".to_owned(),
+                what: format!(
+                    "{name} differs from the fit by {deviations:.1} times what noise and model error allow (light {light}, root mean square)"
+                ),
+                likely_cause: "a material that the dictionary does not hold, an error of shape or pose, or stray light"
+                    .to_owned(),
             });
         }
     }

@@ -19,7 +19,7 @@ pub struct ReportArgs {
     /// Which fit to show, by its number in `fits/`; the latest if not given
     #[arg(long, value_name = "N")]
     fit: Option<u32>,
-    /// Write here instead of report.html in the session
+    /// Writes here instead of report.html in the session
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
 }

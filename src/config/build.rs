@@ -5,13 +5,13 @@ use std::sync::Arc;
 use super::RigConfig;
 use super::geometry::GeometryConfig;
 use super::reflectance::BrdfSpec;
-use super::scene::SceneFile;
+use super::scene::{BodySpec, SceneFile};
 use super::simulation::MaterialSpec;
 use super::view::{SampleSpec, SurfaceSpec};
 use crate::brdf::{Brdf, BrdfError, Dictionary, Mixture, source, weights};
 use crate::geometry::{Mesh, MeshError, Shape, files};
 use crate::simulation::{Truth, TruthSource};
-use crate::transport::{Light, Scene};
+use crate::transport::{Body, Camera, Light, Scene};
 use crate::units::StageAngles;
 
 /// Why a scene cannot be built from a valid description.
@@ -23,12 +23,6 @@ pub enum BuildError {
     /// The material.
     #[error(transparent)]
     Brdf(#[from] BrdfError),
-    /// A body beside the sample, which transport does not trace yet.
-    #[error("[[body]]: {count} given, allowed are 0; only the sample is traced")]
-    Bodies {
-        /// How many.
-        count: usize,
-    },
 }
 
 impl SurfaceSpec {
@@ -59,35 +53,45 @@ impl SampleSpec {
     /// The scene of this sample.
     fn scene(
         &self,
-        camera: crate::transport::Camera,
+        bodies: Vec<Body>,
+        camera: Camera,
         lights: Vec<Light>,
     ) -> Result<Scene, BuildError> {
-        Ok(Scene::new(
+        Ok(Scene::with_bodies(
             self.surface.mesh(None)?,
             self.shading,
+            bodies,
             camera,
             lights,
         ))
     }
 }
 
+impl BodySpec {
+    /// The body, its mesh and tables read.
+    fn load(&self) -> Result<Body, BuildError> {
+        Ok(Body {
+            mesh: self.surface.mesh(None)?,
+            shading: self.shading,
+            brdf: self.brdf.load()?,
+        })
+    }
+}
+
 impl GeometryConfig {
     /// The scene as the fit believes it, with the lamp at each of these angles.
     pub fn scene(&self, angles: &[StageAngles]) -> Result<Scene, BuildError> {
-        self.sample
-            .scene(self.camera, angles.iter().map(|&a| self.light(a)).collect())
+        let lights = angles.iter().map(|&a| self.light(a)).collect();
+        self.sample.scene(Vec::new(), self.camera, lights)
     }
 }
 
 impl SceneFile {
     /// The scene with its meshes read.
     pub fn scene(&self) -> Result<Scene, BuildError> {
-        if !self.bodies.is_empty() {
-            return Err(BuildError::Bodies {
-                count: self.bodies.len(),
-            });
-        }
-        self.sample.scene(self.camera, self.lights.clone())
+        let bodies = self.bodies.iter().map(BodySpec::load);
+        let bodies = bodies.collect::<Result<_, _>>()?;
+        self.sample.scene(bodies, self.camera, self.lights.clone())
     }
 }
 

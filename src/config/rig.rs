@@ -229,7 +229,7 @@ mod tests {
             (
                 "max_deg = 90.0",
                 "max_deg = 10.0",
-                "`stage.elevation.max_deg` is 10, but must be at least min_deg (20)",
+                "`stage.elevation.max_deg` is 10, but must be at least min_deg (45)",
             ),
             (
                 "measures = \"G\"",

@@ -147,6 +147,22 @@ impl Mesh {
         Ok(self)
     }
 
+    /// All of them as one mesh, triangles in order, without normals.
+    pub fn joined<'a>(meshes: impl Iterator<Item = &'a Mesh>) -> Self {
+        let mut all = Self {
+            positions_mm: Vec::new(),
+            triangles: Vec::new(),
+            normals: None,
+        };
+        for mesh in meshes {
+            let first = all.positions_mm.len() as u32;
+            all.positions_mm.extend(&mesh.positions_mm);
+            let moved = mesh.triangles.iter().map(|t| t.map(|v| v + first));
+            all.triangles.extend(moved);
+        }
+        all
+    }
+
     /// Corners of a triangle.
     pub fn corners(&self, triangle: usize) -> [Vec3; 3] {
         self.triangles[triangle].map(|v| self.positions_mm[v as usize])

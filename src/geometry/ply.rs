@@ -189,14 +189,14 @@ fn header(bytes: &[u8]) -> Result<(Vec<Element>, Body<'_>), MeshError> {
             ["format", "ascii", "1.0"] => binary = Some(false),
             ["format", "binary_little_endian", "1.0"] => binary = Some(true),
             ["format", other, ..] => {
-                return Err(bad(&format!(
+                return Err(bad(format!(
                     "format {other} is not ascii or binary_little_endian"
                 )));
             }
             ["element", name, count] => {
                 let count = count
                     .parse()
-                    .map_err(|_| bad(&format!("element {name} has count {count:?}")))?;
+                    .map_err(|_| bad(format!("element {name} has count {count:?}")))?;
                 elements.push(Element {
                     name: (*name).to_owned(),
                     count,
@@ -205,7 +205,7 @@ fn header(bytes: &[u8]) -> Result<(Vec<Element>, Body<'_>), MeshError> {
             }
             ["property", "list", count, kind, name] => {
                 let (Some(count), Some(kind)) = (Kind::parse(count), Kind::parse(kind)) else {
-                    return Err(bad(&format!("property {name} has an unknown type")));
+                    return Err(bad(format!("property {name} has an unknown type")));
                 };
                 let element = elements
                     .last_mut()
@@ -216,7 +216,7 @@ fn header(bytes: &[u8]) -> Result<(Vec<Element>, Body<'_>), MeshError> {
             }
             ["property", kind, name] => {
                 let kind = Kind::parse(kind)
-                    .ok_or_else(|| bad(&format!("property {name} has the unknown type {kind}")))?;
+                    .ok_or_else(|| bad(format!("property {name} has the unknown type {kind}")))?;
                 let element = elements
                     .last_mut()
                     .ok_or_else(|| bad("a property before any element"))?;

@@ -1,14 +1,20 @@
 //! Paths of two and more reflections, traced once and kept as records.
+//!
+//! Only reflections at the sample get a record. What happens at known bodies on the
+//! way is a constant: it is folded into the weight of the record before, so that
+//! light which comes to the sample by way of a holder is a connection like any other.
 
-use glam::DVec2;
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use glam::{DVec2, Vec3};
 use rayon::prelude::*;
 
 use super::event::{GeneralRecord, GridRecord, Head, LaneAtoms, MAX_LIGHTS, Record};
 use super::proposal::Proposal;
-use super::scene::Scene;
+use super::scene::{Scene, Surface};
 use crate::brdf::dictionary::Dictionary;
 use crate::brdf::ggx::Cosines;
-use crate::random::{Purpose, stream};
+use crate::random::{Purpose, Stream, stream};
 
 /// How paths are traced and kept.
 #[derive(Clone, Debug)]
@@ -58,6 +64,12 @@ pub enum CacheError {
         atoms: usize,
         /// The limit.
         limit: usize,
+    },
+    /// A known body whose channels differ; the records' weights have one for all.
+    #[error("body {body} is coloured; only grey bodies can stand beside a sample that is fitted")]
+    ColouredBody {
+        /// Index from 0.
+        body: u32,
     },
 }
 
@@ -111,7 +123,8 @@ pub struct Cache {
 }
 
 impl Cache {
-    /// Traces the scene's paths of 2 to `max_reflections` reflections.
+    /// Traces the scene's paths of 2 to `max_reflections` reflections whose first is at
+    /// the sample.
     pub fn trace(
         scene: &Scene,
         dictionary: &Dictionary,
@@ -122,13 +135,19 @@ impl Cache {
             return Err(CacheError::TooManyLights { lights });
         }
         let atoms = LaneAtoms::new(dictionary, options.allow_grid);
+        let tracer = Tracer {
+            scene,
+            atoms: &atoms,
+            options,
+            coloured: AtomicU32::new(0),
+        };
         let (samples_per_half, records) = if atoms.is_grid() {
-            let (n, chunks) = trace_chunks::<5, GridRecord>(scene, &atoms, options);
+            let (n, chunks) = tracer.chunks::<5, GridRecord>();
             (n, Records::Grid(chunks))
         } else {
             macro_rules! general {
                 ($b:literal, $variant:path) => {{
-                    let (n, chunks) = trace_chunks::<$b, GeneralRecord<$b>>(scene, &atoms, options);
+                    let (n, chunks) = tracer.chunks::<$b, GeneralRecord<$b>>();
                     (n, $variant(chunks))
                 }};
             }
@@ -147,6 +166,9 @@ impl Cache {
                 }
             }
         };
+        if let Some(body) = tracer.coloured.into_inner().checked_sub(1) {
+            return Err(CacheError::ColouredBody { body });
+        }
         Ok(Self {
             records,
             atoms,
@@ -175,112 +197,213 @@ impl Cache {
     }
 }
 
-/// Traces all chunks with as many samples as fit into memory; returns the samples per half.
-fn trace_chunks<const B: usize, R: Record<B>>(
-    scene: &Scene,
-    atoms: &LaneAtoms,
-    options: &CacheOptions,
-) -> (u32, Vec<Chunk<R>>) {
-    let pixels = scene.camera.pixels();
-    let starts: Vec<usize> = (0..pixels).step_by(CHUNK_PIXELS).collect();
-    let mut per_half = (options.samples_per_pixel / 2).max(1);
-    // A spread of pixels at a few samples tells what the whole will take.
-    let probe = per_half.min(16);
-    let probed: usize = (0..pixels)
-        .step_by((pixels / 256).max(1))
-        .collect::<Vec<_>>()
-        .par_iter()
-        .map(|&pixel| {
-            let mut records: Vec<R> = Vec::new();
-            trace_pixel(scene, atoms, options, pixel, 0..probe, &mut records);
-            records.len()
-        })
-        .sum();
-    let probed_pixels = pixels.div_ceil((pixels / 256).max(1));
-    let per_sample =
-        probed as f64 * size_of::<R>() as f64 / f64::from(probe) / probed_pixels as f64;
-    let wanted = per_sample * pixels as f64 * 2.0 * f64::from(per_half);
-    if wanted > options.max_bytes as f64 {
-        per_half = ((f64::from(per_half) * options.max_bytes as f64 / wanted) as u32).max(1);
-    }
-    let chunks = starts
-        .into_par_iter()
-        .map(|first_pixel| {
-            let mut chunk = Chunk {
-                first_pixel,
-                start: vec![0],
-                records: Vec::new(),
-            };
-            for pixel in first_pixel..(first_pixel + CHUNK_PIXELS).min(pixels) {
-                for half in 0..2 {
-                    let samples = half * per_half..(half + 1) * per_half;
-                    trace_pixel(scene, atoms, options, pixel, samples, &mut chunk.records);
-                    chunk.start.push(chunk.records.len() as u32);
-                }
-            }
-            chunk.records.shrink_to_fit();
-            chunk
-        })
-        .collect();
-    (per_half, chunks)
+/// What tracing a pixel needs.
+struct Tracer<'a> {
+    scene: &'a Scene,
+    atoms: &'a LaneAtoms,
+    options: &'a CacheOptions,
+    /// 1 + the last coloured body met; 0 for none.
+    coloured: AtomicU32,
 }
 
-fn trace_pixel<const B: usize, R: Record<B>>(
-    scene: &Scene,
-    atoms: &LaneAtoms,
-    options: &CacheOptions,
-    pixel: usize,
-    samples: std::ops::Range<u32>,
-    records: &mut Vec<R>,
-) {
-    let width = scene.camera.resolution_px[0];
-    let corner = DVec2::new((pixel % width) as f64, (pixel / width) as f64);
-    for sample in samples {
-        let key = |purpose| stream(options.seed, purpose, 0, pixel as u64, u64::from(sample));
-        let mut position = key(Purpose::PixelPosition);
-        let mut directions = key(Purpose::PathDirection);
-        let mut lamps = key(Purpose::LightAndLens);
-        let ray = scene.camera.ray(
-            corner + DVec2::new(position.uniform(), position.uniform()),
-            DVec2::new(lamps.uniform(), lamps.uniform()),
-        );
-        let begin = records.len();
-        // Up to here the path has contributed; records after it lead nowhere.
-        let mut useful = begin;
-        let Some((mut surface, mut to_viewer)) = scene.first(&ray) else {
-            continue;
-        };
-        for _ in 1..options.max_reflections {
-            let Some((direction, pdf)) = options.proposal.sample(to_viewer, &mut directions) else {
-                break;
-            };
-            let Some(at) = Cosines::new(direction.to_array(), to_viewer.to_array()) else {
-                break;
-            };
-            let Some(next) = scene.next(&surface, direction) else {
-                break;
-            };
-            records.push(R::encode(Head::continuation(direction.z / pdf), atoms, &at));
-            (surface, to_viewer) = next;
-            for light in 0..scene.lights.len() {
-                let u = [lamps.uniform_f32(), lamps.uniform_f32()];
-                let Some(connection) = scene.connect(&surface, light, u) else {
-                    continue;
-                };
-                let to_light = connection.to_light.to_array();
-                if let Some(at) = Cosines::new(to_light, to_viewer.to_array()) {
-                    records.push(R::encode(
-                        Head::connection(connection.irradiance, light),
-                        atoms,
-                        &at,
-                    ));
-                    useful = records.len();
-                }
-            }
-        }
-        records.truncate(useful);
-        if let Some(first) = records.get_mut(begin) {
-            first.mark_first();
-        }
+/// The end of a path that is being traced, and its random numbers.
+struct Walk {
+    surface: Surface,
+    to_viewer: Vec3,
+    reflections: u32,
+    directions: Stream,
+    lamps: Stream,
+}
+
+impl Walk {
+    fn lamp_numbers(&mut self) -> [f32; 2] {
+        [self.lamps.uniform_f32(), self.lamps.uniform_f32()]
     }
 }
+
+impl Tracer<'_> {
+    /// Traces all chunks with as many samples as fit into memory; returns the samples per half.
+    fn chunks<const B: usize, R: Record<B>>(&self) -> (u32, Vec<Chunk<R>>) {
+        let (scene, options) = (self.scene, self.options);
+        let pixels = scene.camera.pixels();
+        let starts: Vec<usize> = (0..pixels).step_by(CHUNK_PIXELS).collect();
+        let mut per_half = (options.samples_per_pixel / 2).max(1);
+        // A spread of pixels at a few samples tells what the whole will take.
+        let probe = per_half.min(16);
+        let probed: usize = (0..pixels)
+            .step_by((pixels / 256).max(1))
+            .collect::<Vec<_>>()
+            .par_iter()
+            .map(|&pixel| {
+                let mut records: Vec<R> = Vec::new();
+                self.pixel(pixel, 0..probe, &mut records);
+                records.len()
+            })
+            .sum();
+        let probed_pixels = pixels.div_ceil((pixels / 256).max(1));
+        let per_sample =
+            probed as f64 * size_of::<R>() as f64 / f64::from(probe) / probed_pixels as f64;
+        let wanted = per_sample * pixels as f64 * 2.0 * f64::from(per_half);
+        if wanted > options.max_bytes as f64 {
+            per_half = ((f64::from(per_half) * options.max_bytes as f64 / wanted) as u32).max(1);
+        }
+        let chunks = starts
+            .into_par_iter()
+            .map(|first_pixel| {
+                let mut chunk = Chunk {
+                    first_pixel,
+                    start: vec![0],
+                    records: Vec::new(),
+                };
+                for pixel in first_pixel..(first_pixel + CHUNK_PIXELS).min(pixels) {
+                    for half in 0..2 {
+                        let samples = half * per_half..(half + 1) * per_half;
+                        self.pixel(pixel, samples, &mut chunk.records);
+                        chunk.start.push(chunk.records.len() as u32);
+                    }
+                }
+                chunk.records.shrink_to_fit();
+                chunk
+            })
+            .collect();
+        (per_half, chunks)
+    }
+
+    fn pixel<const B: usize, R: Record<B>>(
+        &self,
+        pixel: usize,
+        samples: std::ops::Range<u32>,
+        records: &mut Vec<R>,
+    ) {
+        let (scene, atoms, options) = (self.scene, self.atoms, self.options);
+        let width = scene.camera.resolution_px[0];
+        let corner = DVec2::new((pixel % width) as f64, (pixel / width) as f64);
+        for sample in samples {
+            let key = |purpose| stream(options.seed, purpose, 0, pixel as u64, u64::from(sample));
+            let mut position = key(Purpose::PixelPosition);
+            let mut lamps = key(Purpose::LightAndLens);
+            let ray = scene.camera.ray(
+                corner + DVec2::new(position.uniform(), position.uniform()),
+                DVec2::new(lamps.uniform(), lamps.uniform()),
+            );
+            let begin = records.len();
+            // Up to here the path has contributed; records after it lead nowhere.
+            let mut useful = begin;
+            let Some((surface, to_viewer)) = scene.first(&ray).filter(|(hit, _)| hit.is_sample())
+            else {
+                continue;
+            };
+            let mut walk = Walk {
+                surface,
+                to_viewer,
+                reflections: 1,
+                directions: key(Purpose::PathDirection),
+                lamps,
+            };
+            while walk.reflections < options.max_reflections {
+                let Some((direction, pdf)) = options
+                    .proposal
+                    .sample(walk.to_viewer, &mut walk.directions)
+                else {
+                    break;
+                };
+                let Some(at) = Cosines::new(direction.to_array(), walk.to_viewer.to_array()) else {
+                    break;
+                };
+                let Some(next) = scene.next(&walk.surface, direction) else {
+                    break;
+                };
+                (walk.surface, walk.to_viewer) = next;
+                walk.reflections += 1;
+                let mut weight = direction.z / pdf;
+                if !walk.surface.is_sample() {
+                    let before = records.len();
+                    let back = self.detour(&at, weight, &mut walk, records);
+                    if records.len() > before {
+                        useful = records.len();
+                    }
+                    let Some(weight_back) = back else { break };
+                    weight = weight_back;
+                }
+                records.push(R::encode(Head::continuation(weight), atoms, &at));
+                for light in 0..scene.lights.len() {
+                    let u = walk.lamp_numbers();
+                    let Some(connection) = scene.connect(&walk.surface, light, u) else {
+                        continue;
+                    };
+                    let to_light = connection.to_light.to_array();
+                    if let Some(at) = Cosines::new(to_light, walk.to_viewer.to_array()) {
+                        let head = Head::connection(connection.irradiance, light);
+                        records.push(R::encode(head, atoms, &at));
+                        useful = records.len();
+                    }
+                }
+            }
+            records.truncate(useful);
+            if let Some(first) = records.get_mut(begin) {
+                first.mark_first();
+            }
+        }
+    }
+
+    /// Follows a walk that has come to a known body until it is back at the sample.
+    /// Lamps that the bodies see on the way become connections of the reflection `at`
+    /// that led there with `weight`; returns the weight of its continuation to where the
+    /// walk is back at the sample, `None` if it ends before.
+    #[cold]
+    fn detour<const B: usize, R: Record<B>>(
+        &self,
+        at: &Cosines<f32>,
+        mut weight: f32,
+        walk: &mut Walk,
+        records: &mut Vec<R>,
+    ) -> Option<f32> {
+        let mut arriving = vec![0.0f32; self.scene.lights.len()];
+        let mut follow = || {
+            while let Some(brdf) = self.scene.known(&walk.surface) {
+                let body = walk.surface.body();
+                for (light, arriving) in arriving.iter_mut().enumerate() {
+                    let u = walk.lamp_numbers();
+                    if let Some(to) = self.scene.connect(&walk.surface, light, u) {
+                        let f = self.grey(body, brdf.eval(to.to_light, walk.to_viewer));
+                        *arriving += weight * f * to.irradiance;
+                    }
+                }
+                if walk.reflections >= self.options.max_reflections {
+                    return None;
+                }
+                let proposal = &self.options.proposal;
+                let (direction, pdf) = proposal.sample(walk.to_viewer, &mut walk.directions)?;
+                let f = self.grey(body, brdf.eval(direction, walk.to_viewer));
+                weight *= f * direction.z / pdf;
+                if weight == 0.0 {
+                    return None;
+                }
+                (walk.surface, walk.to_viewer) = self.scene.next(&walk.surface, direction)?;
+                walk.reflections += 1;
+            }
+            Some(weight)
+        };
+        let back = follow();
+        for (light, &arrived) in arriving.iter().enumerate() {
+            if arrived > 0.0 {
+                let head = Head::connection(arrived, light);
+                records.push(R::encode(head, self.atoms, at));
+            }
+        }
+        back
+    }
+
+    /// The value that all channels share; remembers the body if they don't.
+    fn grey(&self, body: u32, f: [f32; 3]) -> f32 {
+        let [r, g, b] = f;
+        let spread = r.max(g).max(b) - r.min(g).min(b);
+        if spread > GREY_TOLERANCE * g {
+            self.coloured.store(body, Ordering::Relaxed);
+        }
+        g
+    }
+}
+
+/// Channels of a grey body differ by no more than rounding.
+const GREY_TOLERANCE: f32 = 1e-5;

@@ -46,7 +46,9 @@ impl DirectMatrix {
                     let ray = scene
                         .camera
                         .ray(at, DVec2::new(lamps.uniform(), lamps.uniform()));
-                    let Some((surface, to_viewer)) = scene.first(&ray) else {
+                    let Some((surface, to_viewer)) =
+                        scene.first(&ray).filter(|(hit, _)| hit.is_sample())
+                    else {
                         continue;
                     };
                     seen += 1;

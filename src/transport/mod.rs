@@ -23,4 +23,4 @@ pub use evaluate::{Kernel, PixelRows};
 pub use light::Light;
 pub use proposal::Proposal;
 pub use render::{RenderOptions, render};
-pub use scene::{Scene, Shading};
+pub use scene::{Body, Scene, Shading};

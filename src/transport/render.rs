@@ -1,4 +1,4 @@
-//! Plain forward rendering of any BRDF: mean and variance of the mean per pixel.
+//! Plain forward rendering of any BRDF, known bodies included: mean and variance of the mean per pixel.
 
 use glam::DVec2;
 use rayon::prelude::*;
@@ -139,6 +139,7 @@ fn render_pixel(
         let mut reflections = 0;
         while let Some((surface, to_viewer)) = next {
             reflections += 1;
+            let brdf = scene.known(&surface).unwrap_or(brdf);
             for (light, value) in path.iter_mut().enumerate() {
                 let u = [lamps.uniform_f32(), lamps.uniform_f32()];
                 if let Some(connection) = scene.connect(&surface, light, u) {

@@ -1,9 +1,12 @@
-//! What is traced: the sample, the camera and the lamps.
+//! What is traced: the sample, known bodies around it, the camera and the lamps.
+
+use std::sync::Arc;
 
 use glam::Vec3;
 
 use super::camera::Camera;
 use super::light::Light;
+use crate::brdf::Brdf;
 use crate::geometry::bvh::offset_origin;
 use crate::geometry::{Bvh, Mesh, Ray};
 
@@ -18,20 +21,42 @@ pub enum Shading {
     Smooth,
 }
 
-/// A sample of one uniform material, a camera and lamps.
+/// A thing in view whose reflectance is known: a holder, an occluder, a reference.
+#[derive(Clone)]
+pub struct Body {
+    /// Its surface, in the sample's frame; seen from behind it is black.
+    pub mesh: Mesh,
+    /// Which normals shade.
+    pub shading: Shading,
+    /// What it is made of.
+    pub brdf: Arc<dyn Brdf>,
+}
+
+/// A sample of one uniform material, known bodies, a camera and lamps.
 pub struct Scene {
-    mesh: Mesh,
+    sample: Mesh,
     bvh: Bvh,
-    shading: Shading,
-    /// Face normals, one per triangle.
-    normals: Vec<Vec3>,
+    /// Per triangle: the sample's first, then the bodies'.
+    facets: Vec<Facet>,
+    /// Corners' normals of the triangles that are shaded smoothly.
+    corner_normals: Vec<[Vec3; 3]>,
+    bodies: Vec<Arc<dyn Brdf>>,
     /// The camera.
     pub camera: Camera,
     /// The lamps; images are rendered one per lamp.
     pub lights: Vec<Light>,
 }
 
-/// A point of the sample's front side.
+/// What a hit needs to know of a triangle.
+struct Facet {
+    corners: [Vec3; 3],
+    normal: Vec3,
+    body: u32,
+    /// Index into the corners' normals.
+    smooth: Option<u32>,
+}
+
+/// A point on the front side of the sample or of a known body.
 #[derive(Clone, Copy, Debug)]
 pub struct Surface {
     /// Start of rays that leave, just off the surface, millimetres.
@@ -40,9 +65,22 @@ pub struct Surface {
     face_normal: Vec3,
     /// Tangent, bitangent and shading normal.
     frame: [Vec3; 3],
+    /// 0 for the sample, k for the k-th known body.
+    body: u32,
 }
 
 impl Surface {
+    /// Whether this is the sample, not a known body.
+    #[inline]
+    pub fn is_sample(&self) -> bool {
+        self.body == 0
+    }
+
+    /// 0 for the sample, k for the k-th known body.
+    pub fn body(&self) -> u32 {
+        self.body
+    }
+
     /// Sample-frame direction in the local frame (+z is the normal).
     #[inline]
     pub fn local(&self, direction: Vec3) -> Vec3 {
@@ -76,53 +114,100 @@ pub struct Connection {
 }
 
 impl Scene {
-    /// Builds the ray queries over `mesh`.
+    /// The sample alone under the camera.
     pub fn new(mesh: Mesh, shading: Shading, camera: Camera, lights: Vec<Light>) -> Self {
-        let bvh = Bvh::new(&mesh);
-        let normals = (0..mesh.triangles.len())
-            .map(|i| mesh.face_normal(i))
-            .collect();
+        Self::with_bodies(mesh, shading, Vec::new(), camera, lights)
+    }
+
+    /// The sample with known bodies around it: they shadow it and light it, and where
+    /// one is seen first, that is no pixel of the sample.
+    pub fn with_bodies(
+        sample: Mesh,
+        shading: Shading,
+        bodies: Vec<Body>,
+        camera: Camera,
+        lights: Vec<Light>,
+    ) -> Self {
+        let parts = || {
+            let bodies = bodies.iter().map(|b| (&b.mesh, b.shading));
+            std::iter::once((&sample, shading)).chain(bodies)
+        };
+        let mut facets = Vec::with_capacity(parts().map(|(mesh, _)| mesh.triangles.len()).sum());
+        let mut corner_normals = Vec::new();
+        for (body, (mesh, shading)) in (0..).zip(parts()) {
+            let normals = mesh.normals.as_ref().filter(|_| shading == Shading::Smooth);
+            for (triangle, corners) in mesh.triangles.iter().enumerate() {
+                facets.push(Facet {
+                    corners: mesh.corners(triangle),
+                    normal: mesh.face_normal(triangle),
+                    body,
+                    smooth: normals.map(|normals| {
+                        corner_normals.push(corners.map(|v| normals[v as usize]));
+                        (corner_normals.len() - 1) as u32
+                    }),
+                });
+            }
+        }
+        let bvh = if bodies.is_empty() {
+            Bvh::new(&sample)
+        } else {
+            Bvh::new(&Mesh::joined(parts().map(|(mesh, _)| mesh)))
+        };
         Self {
-            mesh,
             bvh,
-            shading,
-            normals,
+            facets,
+            corner_normals,
+            bodies: bodies.into_iter().map(|body| body.brdf).collect(),
+            sample,
             camera,
             lights,
         }
     }
 
     /// The sample's surface.
-    pub fn mesh(&self) -> &Mesh {
-        &self.mesh
+    pub fn sample(&self) -> &Mesh {
+        &self.sample
     }
 
-    /// Where a ray meets the front of the sample first; `None` if it leaves the
-    /// scene or meets a back, which is black.
+    /// Whether the sample's facets shade with their own normals.
+    pub fn is_flat(&self) -> bool {
+        self.facets.first().is_none_or(|f| f.smooth.is_none())
+    }
+
+    /// The reflectance of the known body that `surface` is part of; `None` for the sample.
+    #[inline]
+    pub fn known(&self, surface: &Surface) -> Option<&dyn Brdf> {
+        if surface.is_sample() {
+            return None;
+        }
+        self.bodies.get(surface.body as usize - 1).map(|b| &**b)
+    }
+
+    /// Where a ray meets a front first; `None` if it leaves the scene or meets a back,
+    /// which is black.
     #[inline]
     pub fn intersect(&self, ray: &Ray) -> Option<Surface> {
         let hit = self.bvh.closest(ray)?;
-        let index = hit.triangle as usize;
-        let face_normal = self.normals[index];
-        if face_normal.dot(ray.direction) >= 0.0 {
+        let facet = &self.facets[hit.triangle as usize];
+        if facet.normal.dot(ray.direction) >= 0.0 {
             return None;
         }
-        let corners = self.mesh.triangles[index];
         let [u, v] = hit.barycentric;
-        let [a, b, c] = corners.map(|k| self.mesh.positions_mm[k as usize]);
+        let [a, b, c] = facet.corners;
         let position = a + (b - a) * u + (c - a) * v;
-        let normal = match (self.shading, &self.mesh.normals) {
-            (Shading::Smooth, Some(normals)) => {
-                let [a, b, c] = corners.map(|k| normals[k as usize]);
+        let normal = match facet.smooth {
+            Some(index) => {
+                let [a, b, c] = self.corner_normals[index as usize];
                 (a * (1.0 - u - v) + b * u + c * v).normalize()
             }
-            _ => face_normal,
+            None => facet.normal,
         };
         let (tangent, bitangent) = normal.any_orthonormal_pair();
         Some(Surface {
-            origin_mm: offset_origin(position, face_normal),
-            face_normal,
+            origin_mm: offset_origin(position, facet.normal),
+            face_normal: facet.normal,
             frame: [tangent, bitangent, normal],
+            body: facet.body,
         })
     }
 
