@@ -88,7 +88,9 @@ fn trace(mesh: &Mesh, x_mm: &[f32]) -> MirrorCheck {
         }
         if reflections == 2 {
             check.returned_after_two += 1;
-            let deviation_deg = ray.direction.angle_between(Vec3::Z).to_degrees();
+            // An arc cosine would not tell a hundredth of a degree from none.
+            let across = ray.direction.truncate().length();
+            let deviation_deg = across.atan2(ray.direction.z).to_degrees();
             check.worst_deviation_deg = check.worst_deviation_deg.max(deviation_deg);
         }
     }
