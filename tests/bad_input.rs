@@ -77,6 +77,20 @@ const CASES: &[Case] = &[
         hint: "check the path",
     },
     Case {
+        name: "rig file that is no text",
+        args: &["doctor", "--rig", "noise.toml"],
+        change: None,
+        fact: "noise.toml: stream did not contain valid UTF-8",
+        hint: "TOML",
+    },
+    Case {
+        name: "rig file that is empty",
+        args: &["doctor", "--rig", "/dev/null"],
+        change: None,
+        fact: "`rig` is missing",
+        hint: "unit and range",
+    },
+    Case {
         name: "unknown rig name",
         args: &["doctor", "--rig", "simulate"],
         change: None,
@@ -453,7 +467,8 @@ fn run_cases(cases: &[Case], file: &str, text: &str, others: &[(&str, &[u8])]) {
 #[test]
 fn every_bad_rig_or_command_line_gets_a_fact_a_hint_and_exit_code_1() {
     let simulated = include_str!("../rig-configs/simulated.toml");
-    run_cases(CASES, "rig.toml", simulated, &[]);
+    let noise: &[u8] = &[0xff, 0xfe, 0x00, 0x80];
+    run_cases(CASES, "rig.toml", simulated, &[("noise.toml", noise)]);
 }
 
 #[test]

@@ -203,6 +203,31 @@ fn a_device_that_fails_leaves_the_lamp_off_the_stage_stopped_and_a_session_to_re
     }
 }
 
+/// A panic in a driver's thread or in the capture's own.
+#[test]
+fn a_defect_leaves_the_lamp_off_and_the_stage_stopped() {
+    let parent = tempfile::tempdir().unwrap();
+    let bench = Bench::with(|world| world.panic_at_grab = Some(40));
+    let session = create(Arc::new(UnsyncedDisk), parent.path()).unwrap();
+    let root = session.root().to_owned();
+    let result = capture(&bench, session).0;
+    assert!(
+        matches!(result, Err(CaptureError::WorkerGone { name: "camera" })),
+        "{result:?}"
+    );
+    assert_eq!(bench.lamp_and_stops(), (LampState::Off, 1));
+    resume(Arc::new(UnsyncedDisk), &root);
+
+    let parent = tempfile::tempdir().unwrap();
+    let bench = Bench::with(|world| world.panic_at_frame = Some(3));
+    let session = create(Arc::new(UnsyncedDisk), parent.path()).unwrap();
+    let unwound = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
+        capture(&bench, session).0.map(|_| ())
+    }));
+    assert!(unwound.is_err());
+    assert_eq!(bench.lamp_and_stops(), (LampState::Off, 1));
+}
+
 #[test]
 fn asked_twice_it_stops_at_once_while_the_driver_waits() {
     let parent = tempfile::tempdir().unwrap();

@@ -30,6 +30,27 @@ fn a_closed_stdout_ends_quietly() {
     assert_eq!(stderr, "");
 }
 
+/// Data that cannot be delivered is a failure, unlike a reader that has enough.
+#[test]
+fn a_full_stdout_is_an_error_with_a_hint() {
+    let full = std::fs::File::options().write(true).open("/dev/full");
+    let output = rig()
+        .args(["completions", "bash"])
+        .stdout(full.unwrap())
+        .stderr(Stdio::piped())
+        .output()
+        .unwrap();
+    let stderr = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{stderr}");
+    let lines: Vec<_> = stderr.lines().collect();
+    assert!(lines[0].starts_with("error: stdout: No space left on device"));
+    assert!(
+        lines[1].is_empty() && lines[2].starts_with("hint: "),
+        "{stderr}"
+    );
+    assert_eq!(lines.len(), 3, "{stderr}");
+}
+
 #[test]
 fn help_version_completions_and_man_pages() {
     for args in [&["--help"][..], &["--version"], &["doctor", "--help"]] {

@@ -9,6 +9,8 @@ use std::process::{Command, Output, Stdio};
 
 use mock_devices::bench::{Bench, BenchConfig};
 use mock_devices::clock::Clock;
+use rustix::process::Signal;
+
 use mock_devices::grbl::{Fault, GrblConfig, GrblSimulator, Trigger};
 
 fn rig(args: &[&str]) -> Command {
@@ -147,7 +149,13 @@ fn a_lamp_burns_until_it_is_interrupted() {
     let (_folder, file) = rig_file(&port);
     let locked = run(&["stage", "lamp", "0", "--rig", &file]);
     assert_fails(&locked, "locked");
-    let mut child = rig(&["stage", "lamp", "0", "--home", "--rig", &file])
+    for (signal, code) in [(Signal::INT, 130), (Signal::TERM, 143), (Signal::HUP, 129)] {
+        burn_until(signal, code, &simulator, &file);
+    }
+}
+
+fn burn_until(signal: Signal, code: i32, simulator: &GrblSimulator, file: &str) {
+    let mut child = rig(&["stage", "lamp", "0", "--home", "--rig", file])
         .stderr(Stdio::piped())
         .stdout(Stdio::null())
         .spawn()
@@ -163,8 +171,8 @@ fn a_lamp_burns_until_it_is_interrupted() {
             .any(|&drive| drive > 0.0)
     );
     let id = rustix::process::Pid::from_child(&child);
-    rustix::process::kill_process(id, rustix::process::Signal::INT).unwrap();
-    assert_eq!(child.wait().unwrap().code(), Some(130));
+    rustix::process::kill_process(id, signal).unwrap();
+    assert_eq!(child.wait().unwrap().code(), Some(code));
     assert_eq!(simulator.bench().lamp_drive(), [0.0; 3]);
     let last = stderr.next().unwrap().unwrap();
     assert!(last.contains("lamp off"), "{last}");

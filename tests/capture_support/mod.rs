@@ -41,6 +41,10 @@ pub struct World {
     pub lamp_is_dead: bool,
     pub fail_at_move: Option<u32>,
     pub fail_at_grab: Option<u32>,
+    /// A defect of the camera's driver.
+    pub panic_at_grab: Option<u32>,
+    /// A defect of who watches, at this many frames.
+    pub panic_at_frame: Option<usize>,
     /// `move_to` waits until the stage is stopped from another thread.
     pub hang_in_move: bool,
     /// Raised when this many frames have been grabbed.
@@ -74,6 +78,8 @@ impl Bench {
             lamp_is_dead: false,
             fail_at_move: None,
             fail_at_grab: None,
+            panic_at_grab: None,
+            panic_at_frame: None,
             hang_in_move: false,
             interrupt_at_grab: None,
             interrupt: Interrupt::new(),
@@ -236,6 +242,10 @@ impl Camera for Cam {
         if world.fail_at_grab == Some(world.grabs) {
             return Err(io("no frame"));
         }
+        if world.panic_at_grab == Some(world.grabs) {
+            drop(world);
+            panic!("a defect of the driver");
+        }
         if world.interrupt_at_grab == Some(world.grabs) {
             world.interrupt.raise(Signal::Interrupt);
         }
@@ -344,13 +354,17 @@ pub struct Heard {
     pub warnings: Vec<String>,
     pub done: Vec<f64>,
     pub resumed: usize,
+    panic_at_frame: Option<usize>,
 }
 
 impl Observer for Heard {
     fn observe(&mut self, progress: Progress<'_>) {
         match progress {
             Progress::Warning(text) => self.warnings.push(text.to_owned()),
-            Progress::Frame { done, .. } => self.done.push(done),
+            Progress::Frame { done, .. } => {
+                self.done.push(done);
+                assert!(self.panic_at_frame != Some(self.done.len()), "a defect");
+            }
             Progress::Resumed { frames } => self.resumed = frames,
             _ => {}
         }
@@ -425,7 +439,10 @@ pub fn create(disk: Arc<dyn Disk>, parent: &Path) -> Result<SessionWriter, Sessi
 }
 
 pub fn capture(bench: &Bench, session: SessionWriter) -> (Result<Outcome, CaptureError>, Heard) {
-    let mut heard = Heard::default();
+    let mut heard = Heard {
+        panic_at_frame: bench.world().panic_at_frame,
+        ..Heard::default()
+    };
     let interrupt = bench.world().interrupt.clone();
     let result = Capture {
         camera: Box::new(Cam(bench.clone(), camera_info())),
