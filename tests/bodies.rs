@@ -1,6 +1,8 @@
 //! Known bodies beside the sample: a holder lights it, an occluder shadows it, and
 //! the cached paths explain both as the plain renderer does.
 
+#![allow(clippy::print_stdout)]
+
 use std::sync::Arc;
 
 use glam::Vec3;

@@ -1,5 +1,7 @@
 //! `rig shape`, and the remark on its facets by `rig render`.
 
+#![allow(clippy::print_stdout)]
+
 use std::path::Path;
 
 use assert_cmd::Command;

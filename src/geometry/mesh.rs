@@ -190,7 +190,7 @@ impl Mesh {
                 let (a, b) = (corners[i], corners[(i + 1) % 3]);
                 match edges.remove(&(b, a)) {
                     Some(other) => {
-                        let angle = normal.angle_between(other);
+                        let angle = normal.cross(other).length().atan2(normal.dot(other));
                         if angle < crease_rad {
                             step = step.max(angle);
                         }
