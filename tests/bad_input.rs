@@ -265,9 +265,16 @@ const SCENE_CASES: &[Case] = &[
     Case {
         name: "mesh of another kind",
         args: &["render", "--scene", "scene.toml", "--out", "x.exr"],
+        change: Some((SHAPE, "mesh = \"bad.step\"")),
+        fact: "bad.step: the file name does not end in .ply",
+        hint: "",
+    },
+    Case {
+        name: "STL mesh that declares more than it holds",
+        args: &["render", "--scene", "scene.toml", "--out", "x.exr"],
         change: Some((SHAPE, "mesh = \"bad.stl\"")),
-        fact: "bad.stl: the file name does not end in .ply",
-        hint: "PLY",
+        fact: "bad.stl: the file declares 2668988151 triangles",
+        hint: "repair the mesh",
     },
     Case {
         name: "mesh that is none",
