@@ -4,11 +4,6 @@
 //! family significance of 1e-4 (Šidák). On failure the images are left in the
 //! temporary folder.
 
-#![expect(
-    clippy::print_stdout,
-    reason = "the figures behind a verdict, for `--nocapture`"
-)]
-
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 

@@ -24,7 +24,7 @@ pub struct CameraArgs {
 
 #[derive(clap::Subcommand, Debug)]
 enum Action {
-    /// Says what it is and can do
+    /// Says what the camera is and can do
     Info(Which),
     /// Takes one raw frame
     Grab {

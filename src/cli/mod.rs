@@ -19,6 +19,7 @@ pub mod doctor;
 pub mod error;
 pub mod exit;
 pub mod export;
+mod facets;
 pub mod fit;
 pub mod hints;
 pub mod interrupt;

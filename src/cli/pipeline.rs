@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use super::{CliError, Context, HintExt};
+use super::{CliError, Context, HintExt, facets};
 use crate::brdf::{Brdf, Dictionary, Mixture};
 use crate::config::{RigConfig, process};
 use crate::inverse::exponentiated_gradient::ExponentiatedGradient;
@@ -144,6 +144,7 @@ impl FitPlan {
         truth: Option<(&str, &dyn Brdf)>,
         context: &Context,
     ) -> Result<(FitRecord, FitImages), CliError> {
+        facets::warn_if_coarse(scene, self.dictionary.atoms(), context);
         let bar = context.spinner();
         let result = fit(
             scene,

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::{CliError, Context, HintExt};
+use super::{CliError, Context, HintExt, facets};
 use crate::config::scene::SceneFile;
 use crate::out;
 use crate::radiance_image::exr;
@@ -35,8 +35,9 @@ pub fn run(args: &RenderArgs, context: &Context) -> Result<(), CliError> {
         return Err(CliError::new(format!("{}: [brdf] is missing", args.scene.display()))
             .hint("a scene that is rendered needs a [brdf] table: mixture, dictionary with weights, or table"));
     };
-    let brdf = brdf.load()?;
     let scene = file.scene()?;
+    facets::warn_if_coarse(&scene, &brdf.atoms()?, context);
+    let brdf = brdf.load()?;
     let folder = args
         .out
         .parent()

@@ -3,40 +3,41 @@
 use std::path::PathBuf;
 
 use super::{CliError, Context, HintExt, output};
-use crate::geometry::shapes::Form;
-use crate::geometry::{Shape, files};
+use crate::geometry::shapes::{Form, Profile};
+use crate::geometry::{Mesh, Shape, files};
 
-/// Writes the mesh of a sample shape, with its figures.
+/// Writes the mesh of a sample shape and prints its figures as JSON.
 #[derive(clap::Args, Debug)]
 pub struct ShapeArgs {
     /// Which shape
     #[arg(value_enum)]
     kind: Kind,
-    /// Radius, mm: of the sphere, of the base's corners, of the convex arc
-    #[arg(long, value_name = "MM", default_value_t = 10.0, value_parser = positive)]
+    /// Radius, mm, 0.001 to 10000: of the sphere, of the base's corners, of the convex arc, of the groove's middle
+    #[arg(long, value_name = "MM", default_value_t = 10.0, value_parser = length)]
     radius: f32,
-    /// Depth of a corner below its rim, mm; negative for a convex one (tetrahedron)
-    #[arg(
-        long,
-        value_name = "MM",
-        default_value_t = 7.071,
-        allow_negative_numbers = true
-    )]
-    depth: f32,
-    /// The profile's constant in radii (designed)
-    #[arg(long, value_name = "C", default_value_t = 0.5)]
+    /// Depth, mm: of a corner below its rim, -10000 to 10000, negative for a convex one (tetrahedron; default 7.071); of a V groove, 0.001 to 10000 (default: half the width, which makes it right-angled)
+    #[arg(long, value_name = "MM", allow_negative_numbers = true, value_parser = |text: &str| within(text, -1e4, 1e4))]
+    depth: Option<f32>,
+    /// The profile's constant in radii, 0 to 2 (designed)
+    #[arg(long, value_name = "C", default_value_t = 0.5, value_parser = |text: &str| within(text, 0.0, 2.0))]
     offset: f32,
-    /// Where the designed arc's partner on the wall ends, degrees (designed)
-    #[arg(long, value_name = "DEG", default_value_t = 45.0)]
+    /// Where the designed arc's partner on the wall ends, degrees, 30 to 60 (designed)
+    #[arg(long, value_name = "DEG", default_value_t = 45.0, value_parser = |text: &str| within(text, 30.0, 60.0))]
     phi_min: f32,
     /// Revolved about z instead of extruded along y (designed)
     #[arg(long)]
     revolved: bool,
-    /// Length along y, mm (designed, extruded)
-    #[arg(long, value_name = "MM", default_value_t = 30.0, value_parser = positive)]
+    /// Length along y, mm, 0.001 to 10000 (designed, extruded)
+    #[arg(long, value_name = "MM", default_value_t = 30.0, value_parser = length)]
     length: f32,
-    /// Facets around, 8 to 4096
-    #[arg(long, value_name = "N", default_value_t = 128, value_parser = clap::value_parser!(u32).range(8..=4096))]
+    /// Width between the rims, mm, 0.001 to less than twice the radius (groove)
+    #[arg(long, value_name = "MM", default_value_t = 6.0, value_parser = length)]
+    width: f32,
+    /// Section of the groove
+    #[arg(long, value_enum, default_value_t = ProfileArg::Round)]
+    profile: ProfileArg,
+    /// Facets around, 8 to 4096, a multiple of 4
+    #[arg(long, value_name = "N", default_value_t = 128, value_parser = segments)]
     segments: u32,
     /// Mesh to write, millimetres: .ply, .obj or .stl
     #[arg(long, value_name = "FILE")]
@@ -45,77 +46,133 @@ pub struct ShapeArgs {
 
 #[derive(clap::ValueEnum, Debug, Clone, Copy)]
 enum Kind {
+    /// The inside of a hemisphere
     Bowl,
+    /// A whole sphere
     Sphere,
+    /// The upper half of a sphere
     Cap,
+    /// Three facets that meet in a point: the corner of a room, or a pyramid
     Tetrahedron,
+    /// An arc and a wall that send coaxial light back after two mirror reflections
     Designed,
+    /// A groove around the axis, as a lathe cuts it
+    Groove,
 }
 
-fn positive(text: &str) -> Result<f32, String> {
+#[derive(clap::ValueEnum, Debug, Clone, Copy)]
+enum ProfileArg {
+    /// A half circle
+    Round,
+    /// Two straight flanks
+    Vee,
+}
+
+fn within(text: &str, low: f32, high: f32) -> Result<f32, String> {
     match text.parse() {
-        Ok(value) if (1e-3..=1e4).contains(&value) => Ok(value),
-        _ => Err("not a number in 0.001 to 10000".to_owned()),
+        Ok(value) if (low..=high).contains(&value) => Ok(value),
+        _ => Err(format!("not a number in {low} to {high}")),
+    }
+}
+
+fn length(text: &str) -> Result<f32, String> {
+    within(text, 1e-3, 1e4)
+}
+
+fn segments(text: &str) -> Result<u32, String> {
+    match text.parse() {
+        Ok(number @ 8u32..=4096) if number.is_multiple_of(4) => Ok(number),
+        _ => Err("not a multiple of 4 in 8 to 4096".to_owned()),
+    }
+}
+
+impl ShapeArgs {
+    fn shape(&self) -> Result<Shape, CliError> {
+        let (radius_mm, segments) = (self.radius, self.segments);
+        Ok(match self.kind {
+            Kind::Bowl => Shape::Bowl {
+                radius_mm,
+                segments,
+            },
+            Kind::Sphere => Shape::Sphere {
+                radius_mm,
+                segments,
+            },
+            Kind::Cap => Shape::Cap {
+                radius_mm,
+                segments,
+            },
+            Kind::Tetrahedron => Shape::Tetrahedron {
+                radius_mm,
+                depth_mm: self.depth.unwrap_or(7.071),
+            },
+            Kind::Designed => Shape::Designed {
+                radius_mm,
+                offset: self.offset,
+                phi_min_deg: self.phi_min,
+                form: if self.revolved {
+                    Form::Revolved
+                } else {
+                    Form::Extruded
+                },
+                length_mm: self.length,
+                segments,
+            },
+            Kind::Groove => Shape::Groove {
+                radius_mm,
+                width_mm: self.groove_width()?,
+                profile: match self.profile {
+                    ProfileArg::Round => Profile::Round,
+                    ProfileArg::Vee => Profile::Vee {
+                        depth_mm: self.groove_depth()?,
+                    },
+                },
+                segments,
+            },
+        })
+    }
+
+    fn groove_width(&self) -> Result<f32, CliError> {
+        if self.width < 2.0 * self.radius {
+            return Ok(self.width);
+        }
+        Err(CliError::new(format!(
+            "--width is {}, allowed is less than twice --radius, {}",
+            self.width,
+            2.0 * self.radius
+        )))
+    }
+
+    fn groove_depth(&self) -> Result<f32, CliError> {
+        match self.depth {
+            None => Ok(0.5 * self.width),
+            Some(depth) if depth >= 1e-3 => Ok(depth),
+            Some(depth) => Err(CliError::new(format!(
+                "--depth is {depth}, allowed for a groove are 0.001 to 10000"
+            ))),
+        }
     }
 }
 
 /// `rig shape`.
 pub fn run(args: &ShapeArgs, _: &Context) -> Result<(), CliError> {
-    let (radius_mm, segments) = (args.radius, args.segments.next_multiple_of(4));
-    let shape = match args.kind {
-        Kind::Bowl => Shape::Bowl {
-            radius_mm,
-            segments,
-        },
-        Kind::Sphere => Shape::Sphere {
-            radius_mm,
-            segments,
-        },
-        Kind::Cap => Shape::Cap {
-            radius_mm,
-            segments,
-        },
-        Kind::Tetrahedron => Shape::Tetrahedron {
-            radius_mm,
-            depth_mm: args.depth,
-        },
-        Kind::Designed => {
-            for (name, value, low, high) in [
-                ("offset", args.offset, 0.0, 2.0),
-                ("phi-min", args.phi_min, 30.0, 60.0),
-            ] {
-                if !(low..=high).contains(&value) {
-                    return Err(CliError::new(format!(
-                        "--{name} is {value}, allowed are {low} to {high}"
-                    )));
-                }
-            }
-            Shape::Designed {
-                radius_mm,
-                offset: args.offset,
-                phi_min_deg: args.phi_min,
-                form: if args.revolved {
-                    Form::Revolved
-                } else {
-                    Form::Extruded
-                },
-                length_mm: args.length,
-                segments,
-            }
-        }
-    };
+    let shape = args.shape()?;
     let mesh = shape.mesh()?;
     files::write(&args.out, &mesh)
         .map_err(CliError::from)
         .hint("choose an --out in a folder that exists and can be written")?;
     let [low, high] = mesh.bounds_mm();
-    output::write_json(&serde_json::json!({
+    let mut figures = serde_json::json!({
         "mesh": args.out.display().to_string(),
         "shape": shape,
         "vertices": mesh.positions_mm.len(),
         "triangles": mesh.triangles.len(),
         "low_mm": low.to_array(),
         "high_mm": high.to_array(),
-        "facet_step_deg": mesh.facet_step_rad(0.5).to_degrees(),
-    }))
+        "facet_step_deg": mesh.facet_step_rad(Mesh::CREASE_RAD).to_degrees(),
+    });
+    if let Some(check) = shape.mirror_check(&mesh) {
+        figures["mirror_check"] = serde_json::json!(check);
+    }
+    output::write_json(&figures)
 }

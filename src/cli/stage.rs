@@ -53,7 +53,7 @@ enum Action {
         #[arg(long)]
         home: bool,
     },
-    /// Asks what it is doing
+    /// Asks what the stage is doing
     Status(Which),
     /// Stops motion and lamp now
     Stop(Which),

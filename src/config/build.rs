@@ -8,7 +8,7 @@ use super::reflectance::BrdfSpec;
 use super::scene::{BodySpec, SceneFile};
 use super::simulation::MaterialSpec;
 use super::view::{SampleSpec, SurfaceSpec};
-use crate::brdf::{Brdf, BrdfError, Dictionary, Mixture, source, weights};
+use crate::brdf::{Atom, Brdf, BrdfError, Dictionary, Mixture, source, weights};
 use crate::geometry::{Mesh, MeshError, Shape, files};
 use crate::simulation::{Truth, TruthSource};
 use crate::transport::{Body, Camera, Light, Scene};
@@ -42,6 +42,7 @@ fn with_segments(shape: &Shape, wanted: Option<u32>) -> Shape {
             Shape::Bowl { segments, .. }
             | Shape::Sphere { segments, .. }
             | Shape::Cap { segments, .. }
+            | Shape::Groove { segments, .. }
             | Shape::Designed { segments, .. } => *segments = wanted.next_multiple_of(4),
             Shape::Tetrahedron { .. } => {}
         }
@@ -96,6 +97,15 @@ impl SceneFile {
 }
 
 impl BrdfSpec {
+    /// The atoms that have weight, or could have; none of a table.
+    pub fn atoms(&self) -> Result<Vec<Atom>, BrdfError> {
+        Ok(match self {
+            BrdfSpec::Mixture(parts) => parts.iter().map(|p| p.atom).collect(),
+            BrdfSpec::Dictionary { name, .. } => Dictionary::load(name)?.atoms().to_vec(),
+            BrdfSpec::Table(_) => Vec::new(),
+        })
+    }
+
     /// The BRDF, its tables read.
     pub fn load(&self) -> Result<Arc<dyn Brdf>, BrdfError> {
         Ok(match self {

@@ -158,6 +158,7 @@ mod tests {
             "kind = \"cap\"",
             "kind = \"designed\"\nlength_mm = 3",
             "kind = \"tetrahedron\"\ndepth_mm = 3",
+            "kind = \"groove\"\nwidth_mm = 3",
         ] {
             texts.push(simulated().replace(shape, other));
         }

@@ -5,7 +5,7 @@ use std::ops::RangeInclusive;
 use super::ConfigError;
 use super::reader::Section;
 use crate::geometry::Shape;
-use crate::geometry::shapes::Form;
+use crate::geometry::shapes::{Form, Profile};
 
 /// Lengths of samples, mm.
 const LENGTH_MM: RangeInclusive<f64> = 1e-3..=1e4;
@@ -21,6 +21,7 @@ pub fn read_shape(mut table: Section) -> Result<Shape, ConfigError> {
                 ("cap", 2),
                 ("tetrahedron", 3),
                 ("designed", 4),
+                ("groove", 5),
             ],
         )?
         .required()?;
@@ -42,7 +43,7 @@ pub fn read_shape(mut table: Section) -> Result<Shape, ConfigError> {
             radius_mm,
             depth_mm: table.number("depth_mm", -1e4..=1e4)?.required()? as f32,
         },
-        _ => {
+        4 => {
             let form = [("extruded", Form::Extruded), ("revolved", Form::Revolved)];
             let form = table.choice("form", &form)?.or(Form::Extruded);
             let length_mm = table.number("length_mm", LENGTH_MM)?;
@@ -58,9 +59,38 @@ pub fn read_shape(mut table: Section) -> Result<Shape, ConfigError> {
                 segments: segments(&mut table)?,
             }
         }
+        _ => groove(&mut table, radius_mm)?,
     };
     table.finish()?;
     Ok(shape)
+}
+
+fn groove(table: &mut Section, radius_mm: f32) -> Result<Shape, ConfigError> {
+    let width_mm = table.number("width_mm", LENGTH_MM)?.required()? as f32;
+    if width_mm >= 2.0 * radius_mm {
+        let allowed = "less than twice radius_mm";
+        return Err(table.conflict("width_mm", width_mm, allowed));
+    }
+    let kinds = [("round", true), ("vee", false)];
+    let round = table.choice("profile", &kinds)?.or(true);
+    let depth_mm = table.number("depth_mm", LENGTH_MM)?;
+    let profile = if round {
+        if let Some(depth_mm) = depth_mm.optional() {
+            let allowed = "absent where profile is \"round\"";
+            return Err(table.conflict("depth_mm", depth_mm, allowed));
+        }
+        Profile::Round
+    } else {
+        Profile::Vee {
+            depth_mm: depth_mm.or(f64::from(0.5 * width_mm)) as f32,
+        }
+    };
+    Ok(Shape::Groove {
+        radius_mm,
+        width_mm,
+        profile,
+        segments: segments(table)?,
+    })
 }
 
 fn segments(table: &mut Section) -> Result<u32, ConfigError> {

@@ -174,6 +174,10 @@ impl Mesh {
         (b - a).cross(c - a).normalize().as_vec3()
     }
 
+    /// Neighbouring facets at a larger angle are meant to be a crease, radians: eight
+    /// facets around stay below it.
+    pub const CREASE_RAD: f32 = 0.8;
+
     /// Largest angle between the normals of two triangles that share an edge,
     /// among angles below `crease_rad` (larger ones are meant to be creases), radians.
     /// A lobe narrower than eight times this angle sees the facets.

@@ -4,6 +4,7 @@
 pub mod bvh;
 pub mod files;
 pub mod mesh;
+pub mod mirror;
 pub mod obj;
 pub mod ply;
 pub mod shapes;

@@ -1,0 +1,118 @@
+//! `rig shape`, and the remark on its facets by `rig render`.
+
+use std::path::Path;
+
+use assert_cmd::Command;
+use rig::geometry::files;
+use serde_json::Value;
+
+fn rig(folder: &Path, args: &[&str]) -> (bool, String, String) {
+    let output = Command::cargo_bin("rig")
+        .unwrap()
+        .current_dir(folder)
+        .args(args)
+        .output()
+        .unwrap();
+    let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
+    (
+        output.status.success(),
+        text(output.stdout),
+        text(output.stderr),
+    )
+}
+
+#[test]
+fn every_kind_is_written_with_its_figures() {
+    let folder = tempfile::tempdir().unwrap();
+    for (args, file, mirrors) in [
+        ("bowl", "a.obj", false),
+        ("sphere --segments 32", "a.ply", false),
+        ("cap", "a.stl", false),
+        ("tetrahedron --depth -3", "a.stl", false),
+        ("designed --segments 512", "b.PLY", true),
+        ("groove --width 4", "b.obj", false),
+        ("groove --profile vee", "b.stl", true),
+    ] {
+        let mut words = vec!["shape"];
+        words.extend(args.split(' '));
+        words.extend(["--out", file]);
+        let (success, stdout, stderr) = rig(folder.path(), &words);
+        assert!(success, "{args}: {stderr}");
+        let figures: Value = serde_json::from_str(&stdout).unwrap();
+        let mesh = files::read(&folder.path().join(file), 1.0).unwrap();
+        assert_eq!(figures["triangles"], mesh.triangles.len(), "{args}");
+        let check = &figures["mirror_check"];
+        assert_eq!(check.is_object(), mirrors, "{args}: {figures}");
+        if mirrors {
+            assert_eq!(check["returned_after_two"], check["rays"], "{args}");
+            let worst = check["worst_deviation_deg"].as_f64().unwrap();
+            println!("{args}: worst deviation {worst:.3}°");
+            assert!(worst < 0.5, "{args}: {worst}");
+        }
+    }
+}
+
+#[test]
+fn values_out_of_range_and_unusable_places_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::create_dir(folder.path().join("there.ply")).unwrap();
+    std::os::unix::fs::symlink("/dev/null", folder.path().join("null.ply")).unwrap();
+    for (args, expected) in [
+        (
+            "bowl --segments 10 --out a.ply",
+            "not a multiple of 4 in 8 to 4096",
+        ),
+        (
+            "bowl --radius nan --out a.ply",
+            "not a number in 0.001 to 10000",
+        ),
+        ("designed --offset 3 --out a.ply", "not a number in 0 to 2"),
+        (
+            "groove --width 20 --out a.ply",
+            "--width is 20, allowed is less than twice",
+        ),
+        (
+            "groove --profile vee --depth -1 --out a.ply",
+            "--depth is -1",
+        ),
+        ("bowl --out a.step", "does not end in .ply, .obj or .stl"),
+        (
+            "bowl --out there.ply",
+            "there.ply: it exists and is not a regular file",
+        ),
+        (
+            "bowl --out null.ply",
+            "null.ply: it exists and is not a regular file",
+        ),
+        ("bowl --out no/a.ply", "no/a.ply"),
+    ] {
+        let mut words = vec!["shape"];
+        words.extend(args.split(' '));
+        let (success, stdout, stderr) = rig(folder.path(), &words);
+        assert!(!success && stdout.is_empty(), "{args}: {stdout}");
+        assert!(stderr.contains(expected), "{args}: {stderr}");
+    }
+    assert!(!folder.path().join("a.ply").exists());
+}
+
+#[test]
+fn coarse_facets_under_a_narrow_lobe_are_remarked_on() {
+    let folder = tempfile::tempdir().unwrap();
+    for (shading, alpha, remarked) in [
+        ("flat", 0.05, true),
+        ("flat", 0.9, false),
+        ("smooth", 0.05, false),
+    ] {
+        let scene = format!(
+            "[camera]\nmodel = \"orthographic\"\nresolution_px = [4, 4]\nextent_mm = [2.2, 2.2]\nposition_mm = [0, 0, 5]\n[[light]]\nkind = \"directional\"\nto_light = [0, 0, 1]\n[sample]\nshading = \"{shading}\"\nshape = {{ kind = \"bowl\", radius_mm = 1.0, segments = 64 }}\n[brdf]\nmixture = [ {{ weight = 1.0, ggx = {{ alpha = {alpha}, eta = 1.5 }} }} ]\n"
+        );
+        std::fs::write(folder.path().join("s.toml"), scene).unwrap();
+        let args = [
+            "render", "--scene", "s.toml", "--out", "a.exr", "--spp", "2",
+        ];
+        let (success, _, stderr) = rig(folder.path(), &args);
+        assert!(success, "{stderr}");
+        let found = stderr.contains("facets turn by 5.6");
+        assert_eq!(found, remarked, "{shading} {alpha}: {stderr}");
+    }
+}
