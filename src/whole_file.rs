@@ -45,6 +45,8 @@ fn written(
     write: impl FnOnce(&mut dyn Write) -> io::Result<()>,
 ) -> io::Result<NamedTempFile> {
     let folder = path.parent().filter(|p| !p.as_os_str().is_empty());
+    // In the system's words where there is no such folder.
+    std::fs::metadata(folder.unwrap_or(Path::new(".")))?;
     // The kind alone: the message would name the temporary file.
     let file = tempfile::Builder::new()
         .permissions(std::fs::Permissions::from_mode(0o666))

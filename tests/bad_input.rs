@@ -265,9 +265,16 @@ const SCENE_CASES: &[Case] = &[
     Case {
         name: "mesh of another kind",
         args: &["render", "--scene", "scene.toml", "--out", "x.exr"],
+        change: Some((SHAPE, "mesh = \"bad.step\"")),
+        fact: "bad.step: the file name does not end in .ply",
+        hint: "",
+    },
+    Case {
+        name: "STL mesh that declares more than it holds",
+        args: &["render", "--scene", "scene.toml", "--out", "x.exr"],
         change: Some((SHAPE, "mesh = \"bad.stl\"")),
-        fact: "bad.stl: the file name does not end in .ply",
-        hint: "PLY",
+        fact: "bad.stl: the file declares 2668988151 triangles",
+        hint: "repair the mesh",
     },
     Case {
         name: "mesh that is none",
@@ -390,6 +397,27 @@ const SCENE_CASES: &[Case] = &[
         hint: "",
     },
     Case {
+        name: "offset of a shape out of its range",
+        args: &["shape", "designed", "--offset", "5", "--out", "s.ply"],
+        change: None,
+        fact: "--offset is 5, allowed are 0 to 2",
+        hint: "`rig shape --help`",
+    },
+    Case {
+        name: "mesh into a folder that doesn't exist",
+        args: &["shape", "bowl", "--out", "gone/s.ply"],
+        change: None,
+        fact: "gone/s.ply: No such file or directory",
+        hint: "folder that exists",
+    },
+    Case {
+        name: "mesh in place of a folder",
+        args: &["shape", "bowl", "--out", "f.ply"],
+        change: None,
+        fact: "f.ply: it exists and is not a regular file",
+        hint: "",
+    },
+    Case {
         name: "calibration of no rig",
         args: &["calibrate", "sensor", "--rig", "gone.toml"],
         change: None,
@@ -459,6 +487,7 @@ fn run_cases(cases: &[Case], file: &str, text: &str, others: &[(&str, &[u8])]) {
         for (name, bytes) in others {
             std::fs::write(folder.path().join(name), bytes).unwrap();
         }
+        std::fs::create_dir(folder.path().join("f.ply")).unwrap();
         let output = run(folder.path(), case.args, None);
         assert_fails_well(case.name, &output, case.fact, case.hint);
     }

@@ -178,6 +178,10 @@ fn run(arguments: Vec<OsString>) -> Exit {
     match cli.command.run(&context) {
         Ok(()) => Exit::Done,
         Err(error) => {
+            let error = match error.advice() {
+                Some(_) => error,
+                None => error.hint(format!("`{subcommand} --help` explains the command")),
+            };
             write_stderr(&error.render(color));
             error.exit()
         }

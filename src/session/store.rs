@@ -315,7 +315,7 @@ impl SessionWriter {
                 Err(problem) => return Err(problem),
             }
         }
-        if writer.journal.is_complete() && unwanted.is_empty() {
+        if writer.journal.is_complete() && unwanted.is_empty() && !writer.torn {
             return Ok(writer);
         }
         writer.quarantine(&unwanted)?;
