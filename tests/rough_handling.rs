@@ -27,6 +27,7 @@ fn workplace(change: impl FnOnce(String) -> String) -> TempDir {
             Some(("samples_per_pixel", _)) => "samples_per_pixel = 2\n".into(),
             Some(("max_reflections", _)) => "max_reflections = 2\n".into(),
             Some(("segments", _)) => "segments = 32\n".into(),
+            Some(("timing", _)) => "timing = \"instant\"\n".into(),
             Some(("material", _)) => {
                 "brdf = { mixture = [ { weight = 1.0, lambertian = { albedo = 0.8 } } ] }\n".into()
             }
