@@ -22,6 +22,7 @@ fn workplace(change: impl FnOnce(String) -> String) -> TempDir {
         ("samples_per_pixel = ", "samples_per_pixel = 2"),
         ("max_reflections = ", "max_reflections = 2"),
         ("segments = ", "segments = 32"),
+        ("timing = ", "timing = \"instant\""),
         ("material = ", QUICK),
         ("timing = ", "timing = \"instant\""),
     ];
