@@ -400,7 +400,7 @@ const SCENE_CASES: &[Case] = &[
         name: "offset of a shape out of its range",
         args: &["shape", "designed", "--offset", "5", "--out", "s.ply"],
         change: None,
-        fact: "--offset is 5, allowed are 0 to 2",
+        fact: "not a number in 0 to 2",
         hint: "`rig shape --help`",
     },
     Case {

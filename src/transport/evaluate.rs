@@ -122,7 +122,7 @@ impl Cache {
                         sums[half].clear();
                         match kernel {
                             Kernel::Portable => {
-                                pass::<Portable, B, C, R>(
+                                pass_portable::<B, C, R>(
                                     &records.records[range],
                                     &mixture,
                                     &mut sums[half],
@@ -250,6 +250,17 @@ impl<const B: usize, const C: usize> Sums<B, C> {
 struct Step<const C: usize> {
     f: [f32; C],
     before: [f32; C],
+}
+
+/// A function of its own: inlined into every caller it would be compiled many times over.
+#[inline(never)]
+fn pass_portable<const B: usize, const C: usize, R: Record<B>>(
+    records: &[R],
+    mixture: &Mixture<B, C>,
+    sums: &mut Sums<B, C>,
+    scratch: &mut Vec<Step<C>>,
+) {
+    pass::<Portable, B, C, R>(records, mixture, sums, scratch);
 }
 
 #[cfg(target_arch = "x86_64")]
