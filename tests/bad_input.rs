@@ -400,7 +400,7 @@ const SCENE_CASES: &[Case] = &[
         name: "offset of a shape out of its range",
         args: &["shape", "designed", "--offset", "5", "--out", "s.ply"],
         change: None,
-        fact: "not a number in 0 to 2",
+        fact: "invalid value '5' for '--offset <C>'",
         hint: "`rig shape --help`",
     },
     Case {
