@@ -1,0 +1,217 @@
+//! Fits of rendered images whose material the dictionary holds: the truth must come
+//! back, better than the single-bounce start, by either optimiser.
+//!
+//! The images are rendered with other paths and a finer mesh than the fit uses.
+
+use std::sync::Arc;
+
+use glam::{DVec2, DVec3};
+use rig::brdf::score::{brdf_errors, cells};
+use rig::brdf::{Dictionary, Mixture};
+use rig::geometry::Shape;
+use rig::geometry::shapes::Form;
+use rig::inverse::exponentiated_gradient::ExponentiatedGradient;
+use rig::inverse::{Channels, Fit, FitError, FitOptions, Optimizer, fit, intervals};
+use rig::radiance_image::RadianceImage;
+use rig::transport::{Camera, Light, Projection, Proposal, RenderOptions, Scene, Shading, render};
+
+fn scene(shape: Shape, directions: &[DVec3]) -> Scene {
+    let camera = Camera::looking_at(
+        [24, 24],
+        Projection::Orthographic {
+            extent_mm: DVec2::splat(2.2),
+        },
+        DVec3::new(0.0, 0.0, 5.0),
+        DVec3::ZERO,
+        DVec3::Y,
+    )
+    .unwrap();
+    let lights = directions
+        .iter()
+        .map(|d| Light::Directional {
+            to_light: d.normalize(),
+            irradiance: [1.0, 2.0, 0.5],
+            angular_radius_rad: 0.0,
+        })
+        .collect();
+    Scene::new(shape.mesh().unwrap(), Shading::Smooth, camera, lights)
+}
+
+fn bowl(segments: u32) -> Shape {
+    Shape::Bowl {
+        radius_mm: 1.0,
+        segments,
+    }
+}
+
+fn designed(segments: u32) -> Shape {
+    Shape::Designed {
+        radius_mm: 0.32,
+        offset: 0.5,
+        phi_min_deg: 45.0,
+        form: Form::Extruded,
+        length_mm: 2.0,
+        segments,
+    }
+}
+
+/// Bright, so that interreflection matters; three different channels.
+fn truth(dictionary: &Arc<Dictionary>) -> Mixture {
+    let channel = |parts: &[(usize, f64)]| {
+        let mut weights = vec![0.0; dictionary.len()];
+        parts.iter().for_each(|&(atom, w)| weights[atom] = w);
+        weights
+    };
+    let weights = [
+        channel(&[(26, 0.35), (40, 0.5), (41, 0.15)]),
+        channel(&[(21, 0.2), (33, 0.2), (40, 0.5), (41, 0.1)]),
+        channel(&[(28, 0.25), (40, 0.65), (41, 0.1)]),
+    ];
+    Mixture::new(dictionary.clone(), weights).unwrap()
+}
+
+fn images(scene: &Scene, material: &Mixture) -> Vec<RadianceImage> {
+    let options = RenderOptions {
+        samples_per_pixel: 1024,
+        max_reflections: 12,
+        seed: 71,
+        proposal: Proposal::resembling(material, 0.1),
+    };
+    render(scene, material, &options, &|_| {})
+}
+
+fn options() -> FitOptions {
+    let mut options = FitOptions::default();
+    options.cache.samples_per_pixel = 256;
+    options.cache.max_reflections = 12;
+    options.model_error = 0.005;
+    options
+}
+
+/// Cube-root BRDF error over all channels: of the fit, of its start.
+fn errors(fit: &Fit, dictionary: &Arc<Dictionary>, truth: &Mixture) -> [f64; 2] {
+    let cells = cells(6);
+    [&fit.weights, &fit.start].map(|weights| {
+        let mixture = Mixture::new(dictionary.clone(), weights.clone()).unwrap();
+        brdf_errors(&mixture, truth, &cells).cube_root.all
+    })
+}
+
+#[test]
+fn the_truth_comes_back_through_interreflections() {
+    let dictionary = Arc::new(Dictionary::grid42());
+    let truth = truth(&dictionary);
+    let oblique = DVec3::new(0.5, 0.2, 1.0);
+    for (name, shape, fine, lights, limit) in [
+        ("bowl", bowl(96), bowl(192), vec![DVec3::Z, oblique], 0.02),
+        (
+            "designed",
+            designed(64),
+            designed(128),
+            vec![DVec3::Z],
+            0.02,
+        ),
+    ] {
+        let captured = images(&scene(fine, &lights), &truth);
+        let fit = fit(
+            &scene(shape, &lights),
+            &captured,
+            &dictionary,
+            &options(),
+            &mut |_| {},
+        )
+        .unwrap();
+        let [error, start] = errors(&fit, &dictionary, &truth);
+        let theta: Vec<f64> = (0..9).map(|i| 10.0 * f64::from(i)).collect();
+        let cells = intervals::table(&dictionary, &fit.weights, &fit.draws, &theta, &theta);
+        let constrained = cells.iter().filter(|c| c.constrained).count();
+        println!(
+            "{name}: cube-root error {error:.4}, start {start:.4}, constrained {constrained} of {}, chi2 {:?}",
+            cells.len(),
+            fit.reduced_chi2
+        );
+        assert!(error < limit, "{name}: {error}");
+        assert!(
+            error < 0.5 * start,
+            "{name}: {error} against the start's {start}"
+        );
+        assert!(constrained * 2 > cells.len(), "{name}: {constrained} cells");
+        for weights in fit.weights.iter().chain(&fit.start) {
+            assert!((weights.iter().sum::<f64>() - 1.0).abs() < 1e-9);
+            assert!(weights.iter().all(|&w| w >= 0.0));
+        }
+    }
+}
+
+#[test]
+fn both_optimisers_lower_the_same_loss() {
+    let dictionary = Arc::new(Dictionary::grid42());
+    let truth = truth(&dictionary);
+    let lights = [DVec3::Z];
+    let captured = images(&scene(bowl(192), &lights), &truth);
+    let scene = scene(bowl(96), &lights);
+    let run = |optimizer: Optimizer, channels| {
+        let options = FitOptions {
+            optimizer,
+            channels,
+            rounds: 1,
+            draws: 20,
+            ..options()
+        };
+        let fit = fit(&scene, &captured, &dictionary, &options, &mut |_| {}).unwrap();
+        let total = |i: usize| -> f64 { fit.trace[i].1.loss.iter().sum() };
+        (total(0), total(fit.trace.len() - 1), fit)
+    };
+    let gauss_newton = options().optimizer;
+    let (first, last, _) = run(gauss_newton.clone(), Channels::Separate);
+    assert!(last < 0.1 * first, "Gauss-Newton: {first} to {last}");
+    let gradient = ExponentiatedGradient {
+        max_steps: 60,
+        ..ExponentiatedGradient::default()
+    };
+    let (first, slower, _) = run(
+        Optimizer::ExponentiatedGradient(gradient),
+        Channels::Separate,
+    );
+    assert!(
+        slower < 0.5 * first,
+        "exponentiated gradient: {first} to {slower}"
+    );
+    assert!(
+        last <= slower,
+        "Gauss-Newton {last}, exponentiated gradient {slower}"
+    );
+    // One set for three different channels cannot do as well.
+    let (_, shared, fit) = run(gauss_newton, Channels::Shared);
+    assert_eq!(fit.weights[0], fit.weights[2]);
+    assert!(shared > last, "shared {shared}, separate {last}");
+}
+
+#[test]
+fn images_that_do_not_belong_to_the_scene_are_refused() {
+    let dictionary = Dictionary::grid42();
+    let scene = scene(bowl(32), &[DVec3::Z]);
+    let run = |images: &[RadianceImage]| fit(&scene, images, &dictionary, &options(), &mut |_| {});
+    assert!(matches!(
+        run(&[]),
+        Err(FitError::ImageCount {
+            images: 0,
+            lights: 1
+        })
+    ));
+    let small = RadianceImage::new(8, 24);
+    assert!(matches!(
+        run(&[small]),
+        Err(FitError::ImageSize {
+            image: 0,
+            width: 8,
+            ..
+        })
+    ));
+    let mut blind = RadianceImage::new(24, 24);
+    blind.valid.fill(false);
+    assert!(matches!(
+        run(&[blind]),
+        Err(FitError::NothingToCompare { image: 0 })
+    ));
+}
