@@ -131,9 +131,9 @@ pub enum Verdict {
 /// of pixels its own scatter is a few hundredths; the rest is room for model
 /// errors that the weights of the objective only approximate.
 pub const EXPLAINED_CHI_SQUARE: f64 = 1.3;
-/// Reduced χ² above which a fit counts as not explaining its images: residuals three
-/// times what noise and model error allow.
-pub const UNEXPLAINED_CHI_SQUARE: f64 = 9.0;
+/// Reduced χ² above which a fit counts as not explaining its images: residuals two and
+/// a half times what noise and model error allow.
+pub const UNEXPLAINED_CHI_SQUARE: f64 = 6.25;
 
 /// Judges a fit by its worst reduced χ² and its warnings. A fit without χ² is
 /// at best doubtful.
