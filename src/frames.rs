@@ -81,10 +81,11 @@ impl<A, B, C> Mul<Rigid<B, C>> for Rigid<A, B> {
 /// degenerate (target at the camera, or `up` along the view).
 pub fn look_at(position_mm: DVec3, target_mm: DVec3, up: DVec3) -> Option<Rigid<Sample, Camera>> {
     let forward = (target_mm - position_mm).try_normalize()?;
-    let right = forward.cross(up).try_normalize()?;
-    if right.length_squared() < 0.5 || forward.cross(up).length() < 1e-9 {
+    let across = forward.cross(up);
+    if across.length() < 1e-9 {
         return None;
     }
+    let right = across.try_normalize()?;
     let down = forward.cross(right);
     Some(Rigid::new(
         DQuat::from_mat3(&DMat3::from_cols(right, down, forward)),

@@ -404,23 +404,17 @@ mod tests {
         weights: &[f64],
         lights: usize,
     ) -> Vec<f64> {
-        let (lanes, _) = atoms.lane_weights::<B>(weights);
-        // Weights in f64: the lanes' own are rounded to f32.
+        // Weights in f64: the kernels' own are rounded to f32.
         let mut exact = vec![0.0f64; B * 8];
-        for n in 0..atoms.atoms() {
+        let mut lambertian = 0.0;
+        for (n, &weight) in weights.iter().enumerate() {
             let mut unit = vec![0.0; atoms.atoms()];
             unit[n] = 1.0;
-            let (one, _) = atoms.lane_weights::<B>(&unit);
-            for lane in 0..B * 8 {
-                exact[lane] += f64::from(one[lane / 8][lane % 8]) * weights[n];
+            let (one, constant) = atoms.lane_weights::<B>(&unit);
+            for (sum, value) in exact.iter_mut().zip(one.iter().flatten()) {
+                *sum += f64::from(*value) * weight;
             }
-        }
-        assert_eq!(lanes.len(), B);
-        let mut unit_lambertian = 0.0;
-        for n in 0..atoms.atoms() {
-            let mut unit = vec![0.0; atoms.atoms()];
-            unit[n] = 1.0;
-            unit_lambertian += f64::from(atoms.lane_weights::<B>(&unit).1) * weights[n];
+            lambertian += f64::from(constant) * weight;
         }
         let mut total = vec![0.0; lights];
         for record_list in chunks.iter().map(|c| &c.records) {
@@ -430,7 +424,7 @@ mod tests {
                 if head.is_first() {
                     throughput = 1.0;
                 }
-                let mut f = unit_lambertian;
+                let mut f = lambertian;
                 for (b, block) in record.decode::<Portable>().into_iter().enumerate() {
                     let mut values = [0.0; 8];
                     block.store(&mut values);
