@@ -5,14 +5,24 @@ pub mod experiment;
 pub mod lab;
 pub mod score_sheet;
 
+mod dictionary_size;
+mod light_count;
+mod rank;
 mod shapes;
+mod table_visits;
 
 use experiment::{EvaluateError, Experiment};
 
 pub use score_sheet::score;
 
 /// All experiments, in the order of `rig evaluate --list`.
-pub static EXPERIMENTS: &[&Experiment] = &[&shapes::SHAPES];
+pub static EXPERIMENTS: &[&Experiment] = &[
+    &shapes::SHAPES,
+    &dictionary_size::DICTIONARY_SIZE,
+    &light_count::LIGHT_COUNT,
+    &table_visits::TABLE_VISITS,
+    &rank::RANK,
+];
 
 /// The experiment of a name.
 pub fn find(name: &str) -> Result<&'static Experiment, EvaluateError> {

@@ -6,7 +6,7 @@
 use std::sync::Arc;
 
 use super::{Lab, Sample};
-use crate::brdf::{Brdf, Mixture};
+use crate::brdf::{Brdf, Dictionary, Mixture};
 use crate::evaluate::experiment::EvaluateError;
 use crate::inverse::{Fit, FitOptions, fit};
 use crate::radiance_image::RadianceImage;
@@ -75,16 +75,21 @@ impl Lab {
         scene: &Scene,
         captured: &[RadianceImage],
     ) -> Result<Estimate, EvaluateError> {
-        let options = self.fit_options();
-        let fit = fit(scene, captured, &self.dictionary, &options, &mut |_| {})?;
-        self.estimate(fit)
+        self.fit_with(scene, captured, &self.dictionary, &self.fit_options())
     }
 
-    /// A fit's mixtures.
-    pub fn estimate(&self, fit: Fit) -> Result<Estimate, EvaluateError> {
+    /// Fits any dictionary to images of any scene.
+    pub fn fit_with(
+        &self,
+        scene: &Scene,
+        captured: &[RadianceImage],
+        dictionary: &Arc<Dictionary>,
+        options: &FitOptions,
+    ) -> Result<Estimate, EvaluateError> {
+        let fit = fit(scene, captured, dictionary, options, &mut |_| {})?;
         Ok(Estimate {
-            mixture: Mixture::new(self.dictionary.clone(), fit.weights.clone())?,
-            start: Mixture::new(self.dictionary.clone(), fit.start.clone())?,
+            mixture: Mixture::new(dictionary.clone(), fit.weights.clone())?,
+            start: Mixture::new(dictionary.clone(), fit.start.clone())?,
             fit,
         })
     }
