@@ -10,10 +10,7 @@ use crate::brdf::{Brdf, Dictionary, Mixture};
 use crate::evaluate::experiment::EvaluateError;
 use crate::inverse::{Fit, FitOptions, fit};
 use crate::radiance_image::RadianceImage;
-use crate::simulation::candidate_proposals;
-use crate::transport::{
-    CacheOptions, Light, RenderOptions, Scene, render, render::quietest_proposal,
-};
+use crate::transport::{CacheOptions, Light, RenderOptions, Scene, render, suited_proposal};
 
 /// Seeds of the truth lie far from those of fits.
 const TRUTH: u64 = 0x7275_7468;
@@ -38,7 +35,7 @@ impl Lab {
             seed: self.settings.seed.wrapping_add(TRUTH),
             ..RenderOptions::default()
         };
-        options.proposal = quietest_proposal(scene, brdf, &options, candidate_proposals());
+        options.proposal = suited_proposal(scene, brdf, &options);
         render(scene, brdf, &options, &|_| {})
     }
 
