@@ -37,8 +37,8 @@ impl Photographer {
             .map(|channel| self.plane(image, light, channel))
             .collect::<Result<_, _>>()?;
         let planes = [&planes[0], &planes[1], &planes[2]];
-        let mut taken = crate::radiometry::merge::MergedPlane::to_rgb(planes)
-            .unwrap_or_else(|| image.clone());
+        let mut taken =
+            crate::radiometry::merge::MergedPlane::to_rgb(planes).unwrap_or_else(|| image.clone());
         for (variance, rendered) in taken.variance.iter_mut().zip(&image.variance) {
             for (v, r) in variance.iter_mut().zip(rendered) {
                 *v += r;

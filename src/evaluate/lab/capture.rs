@@ -29,6 +29,11 @@ impl Lab {
 
     /// Images of a scene with the truth's seed and number of paths.
     pub fn render_truth(&self, scene: &Scene, brdf: &dyn Brdf) -> Vec<RadianceImage> {
+        render(scene, brdf, &self.truth_options(scene, brdf), &|_| {})
+    }
+
+    /// Options of a render of the truth.
+    pub fn truth_options(&self, scene: &Scene, brdf: &dyn Brdf) -> RenderOptions {
         let mut options = RenderOptions {
             samples_per_pixel: self.settings.truth_samples_per_pixel.max(2),
             max_reflections: self.settings.max_reflections,
@@ -36,7 +41,7 @@ impl Lab {
             ..RenderOptions::default()
         };
         options.proposal = suited_proposal(scene, brdf, &options);
-        render(scene, brdf, &options, &|_| {})
+        options
     }
 
     /// Options of a fit: the settings' paths, seed and kernel; no draws, for scores need
