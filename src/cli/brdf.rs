@@ -10,6 +10,7 @@ use serde::Serialize;
 use super::output::write_json;
 use super::{CliError, Context, HintExt};
 use crate::brdf::check::{ALBEDO_ANGLES_DEG, PhysicalCheck, check};
+use crate::brdf::chi_square::{ChiSquare, check_lobes};
 use crate::brdf::environment::EnvironmentMap;
 use crate::brdf::rgl::{AsMeasured, RglBrdf};
 use crate::brdf::score::{self, BrdfErrors, EnvironmentError};
@@ -276,6 +277,9 @@ fn eval(spec: &str, angles: &Path, json: bool) -> Result<(), CliError> {
     Ok(())
 }
 
+/// Angles of the viewer at which the importance sampler is tested, degrees.
+const SAMPLER_ANGLES_DEG: [f64; 4] = [0.0, 45.0, 80.0, 88.0];
+
 fn run_check(spec: &str, json: bool) -> Result<(), CliError> {
     #[derive(Serialize)]
     struct Answer {
@@ -283,9 +287,12 @@ fn run_check(spec: &str, json: bool) -> Result<(), CliError> {
         found: PhysicalCheck,
         /// Of a measured file, before both orders of the directions are averaged.
         reciprocity_as_measured: Option<f64>,
+        /// The importance sampler made from it, at [`SAMPLER_ANGLES_DEG`].
+        sampler: Vec<ChiSquare>,
     }
     let brdf = load(spec)?;
     let found = check(brdf.as_ref());
+    let sampler = check_lobes(brdf.as_ref(), &SAMPLER_ANGLES_DEG, 20_000);
     let path = Path::new(spec);
     let reciprocity_as_measured = if path.extension().is_some_and(|e| e == "bsdf") {
         Some(check(&AsMeasured(&RglBrdf::read(path)?)).reciprocity)
@@ -295,6 +302,7 @@ fn run_check(spec: &str, json: bool) -> Result<(), CliError> {
     let answer = Answer {
         found,
         reciprocity_as_measured,
+        sampler,
     };
     let found = &answer.found;
     if json {
@@ -314,6 +322,11 @@ fn run_check(spec: &str, json: bool) -> Result<(), CliError> {
             "invalid values        {} of {} pairs",
             found.invalid,
             found.pairs
+        )?;
+        let worst = answer.sampler.iter().map(|s| s.deviate);
+        out!(
+            "sampler, worst χ²     {:+.1} standard deviations at 0, 45, 80 and 88°",
+            worst.fold(f64::NEG_INFINITY, f64::max)
         )?;
     }
     if found.passes() {
