@@ -8,6 +8,7 @@ pub mod score_sheet;
 mod atoms;
 mod dictionary_size;
 mod light_count;
+mod next_light;
 mod noise;
 mod optimisers;
 mod rank;
@@ -27,6 +28,7 @@ pub static EXPERIMENTS: &[&Experiment] = &[
     &shapes::SHAPES,
     &dictionary_size::DICTIONARY_SIZE,
     &light_count::LIGHT_COUNT,
+    &next_light::NEXT_LIGHT,
     &shape_construction::SHAPE_CONSTRUCTION,
     &tables::TABLES,
     &table_visits::TABLE_VISITS,
