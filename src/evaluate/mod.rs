@@ -7,6 +7,7 @@ pub mod score_sheet;
 
 mod atoms;
 mod dictionary_size;
+mod gallery;
 mod light_count;
 mod noise;
 mod optimisers;
@@ -28,6 +29,7 @@ pub static EXPERIMENTS: &[&Experiment] = &[
     &dictionary_size::DICTIONARY_SIZE,
     &light_count::LIGHT_COUNT,
     &shape_construction::SHAPE_CONSTRUCTION,
+    &gallery::GALLERY,
     &tables::TABLES,
     &table_visits::TABLE_VISITS,
     &rank::RANK,
