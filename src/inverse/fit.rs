@@ -4,6 +4,8 @@ use std::time::Instant;
 
 use nalgebra::DVector;
 
+use super::bench::spectrum::Spectrum;
+use super::bench::system::{BenchLinearisation, Model};
 use super::exponentiated_gradient::ExponentiatedGradient;
 use super::gauss_newton::GaussNewton;
 use super::objective::{Channels, Linearised, Objective};
@@ -96,6 +98,8 @@ pub struct Fit {
     pub cache_size: (usize, usize),
     /// The kernel that evaluated.
     pub kernel: Kernel,
+    /// What is known about the bench; `None` where it was taken as exactly known.
+    pub bench: Option<Spectrum>,
 }
 
 /// Why a fit failed.
@@ -146,6 +150,18 @@ pub fn fit(
     captured: &[RadianceImage],
     dictionary: &Dictionary,
     options: &FitOptions,
+    stage: &mut dyn FnMut(&str),
+) -> Result<Fit, FitError> {
+    fit_on_bench(scene, captured, dictionary, options, None, stage)
+}
+
+/// [`fit`] on a bench that is known within what `bench` says, which widens the draws.
+pub(super) fn fit_on_bench(
+    scene: &Scene,
+    captured: &[RadianceImage],
+    dictionary: &Dictionary,
+    options: &FitOptions,
+    bench: Option<&BenchLinearisation>,
     stage: &mut dyn FnMut(&str),
 ) -> Result<Fit, FitError> {
     check(scene, captured)?;
@@ -210,7 +226,20 @@ pub fn fit(
     }
     lap("optimise", &mut timings);
     stage("uncertainty");
-    let draws = uncertainty::draw(&mixture, &pass, options.draws, options.cache.seed)?;
+    let model = Model {
+        objective: &objective,
+        cache: &cache,
+        direct: &direct,
+        kernel: options.kernel,
+    };
+    let coupling = bench.map(|b| b.coupling(&model, &residual_weights, &mixture, &pass));
+    let draws = uncertainty::draw(
+        &mixture,
+        &pass,
+        coupling.as_ref(),
+        options.draws,
+        options.cache.seed,
+    )?;
     lap("uncertainty", &mut timings);
 
     let per_channel = |sets: &[DVector<f64>]| -> [Vec<f64>; 3] {
@@ -230,10 +259,11 @@ pub fn fit(
         samples: [2 * cache.samples_per_half, cache.samples_requested],
         cache_size: cache.size(),
         kernel: options.kernel,
+        bench: coupling.map(|c| c.spectrum),
     })
 }
 
-fn check(scene: &Scene, captured: &[RadianceImage]) -> Result<(), FitError> {
+pub(super) fn check(scene: &Scene, captured: &[RadianceImage]) -> Result<(), FitError> {
     if captured.len() != scene.lights.len() || captured.is_empty() {
         return Err(FitError::ImageCount {
             images: captured.len(),
