@@ -4,7 +4,6 @@ use std::time::Instant;
 
 use nalgebra::DVector;
 
-use super::bench::spectrum::Spectrum;
 use super::bench::system::{BenchLinearisation, Model};
 use super::exponentiated_gradient::ExponentiatedGradient;
 use super::gauss_newton::GaussNewton;
@@ -98,8 +97,6 @@ pub struct Fit {
     pub cache_size: (usize, usize),
     /// The kernel that evaluated.
     pub kernel: Kernel,
-    /// What is known about the bench; `None` where it was taken as exactly known.
-    pub bench: Option<Spectrum>,
 }
 
 /// Why a fit failed.
@@ -232,7 +229,7 @@ pub(super) fn fit_on_bench(
         direct: &direct,
         kernel: options.kernel,
     };
-    let coupling = bench.map(|b| b.coupling(&model, &residual_weights, &mixture, &pass));
+    let coupling = bench.map(|b| b.coupling(&model, &residual_weights, &mixture));
     let draws = uncertainty::draw(
         &mixture,
         &pass,
@@ -259,7 +256,6 @@ pub(super) fn fit_on_bench(
         samples: [2 * cache.samples_per_half, cache.samples_requested],
         cache_size: cache.size(),
         kernel: options.kernel,
-        bench: coupling.map(|c| c.spectrum),
     })
 }
 

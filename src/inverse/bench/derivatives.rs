@@ -5,6 +5,10 @@
 //! The two halves of the samples step in opposite directions: each half is an
 //! independent estimate, and their mean is a central difference. A light that moves
 //! leaves the camera's paths as they are, so all lights' steps share one set of them.
+//!
+//! Whatever multiplies the residual, it vanishes on average at the true bench: a
+//! derivative that is off costs certainty, not truth. So what comes by way of other
+//! surfaces, which is noisy and varies slowly, is averaged over neighbouring pixels.
 
 use glam::{DVec2, Vec3};
 use nalgebra::DVector;
@@ -66,16 +70,16 @@ impl DerivativeImages {
         let lights = base.lights.len();
         let halves = [1.0, -1.0].map(|sign| views(bench, &base, values, sign));
         let columns: Vec<(usize, usize)> = halves[0].1.iter().map(|(c, _)| *c).collect();
-        let values = (0..base.camera.pixels())
+        let rows: Vec<Vec<[Parts; 2]>> = (0..base.camera.pixels())
             .into_par_iter()
             .map(|pixel| {
-                let mut row = vec![[[0.0; 3]; 2]; columns.len()];
+                let mut row = vec![[Parts::default(); 2]; columns.len()];
                 if !wanted[pixel] {
                     return row;
                 }
                 for (half, (views, places)) in halves.iter().enumerate() {
                     let n = options.samples_per_half;
-                    let sums: Vec<Vec<[f64; 3]>> = views
+                    let sums: Vec<Vec<[[f64; 3]; 2]>> = views
                         .iter()
                         .map(|view| {
                             let mut walk = Walk::new(view, lights);
@@ -88,15 +92,18 @@ impl DerivativeImages {
                     for (value, (_, place)) in row.iter_mut().zip(places) {
                         let moved = sums[place.view][place.slot];
                         let still = sums[0][place.light];
-                        value[half] = std::array::from_fn(|c| {
-                            ((moved[c] - still[c]) / (f64::from(n) * place.step)) as f32
+                        value[half] = [0, 1].map(|part| {
+                            std::array::from_fn(|c| {
+                                let change = moved[part][c] - still[part][c];
+                                (change / (f64::from(n) * place.step)) as f32
+                            })
                         });
                     }
                 }
                 row
             })
-            .collect::<Vec<_>>()
-            .concat();
+            .collect();
+        let values = smoothed(&rows, wanted, base.camera.resolution_px);
         Self { columns, values }
     }
 
@@ -109,6 +116,50 @@ impl DerivativeImages {
             .zip(values)
             .map(|(&(parameter, light), value)| (parameter, light, value))
     }
+}
+
+/// Direct reflection, and all others, per channel.
+type Parts = [[f32; 3]; 2];
+
+/// The direct part of each pixel, and the mean of the other over the wanted pixels around.
+fn smoothed(
+    rows: &[Vec<[Parts; 2]>],
+    wanted: &[bool],
+    [width, height]: [usize; 2],
+) -> Vec<[[f32; 3]; 2]> {
+    let reach = (width.max(height) + 12) / 24;
+    (0..rows.len())
+        .into_par_iter()
+        .map(|pixel| {
+            let mut out: Vec<[[f32; 3]; 2]> = rows[pixel]
+                .iter()
+                .map(|halves| halves.map(|[direct, _]| direct))
+                .collect();
+            if !wanted[pixel] {
+                return out;
+            }
+            let (x, y) = (pixel % width, pixel / width);
+            let near: Vec<usize> = (y.saturating_sub(reach)..=(y + reach).min(height - 1))
+                .flat_map(|j| {
+                    (x.saturating_sub(reach)..=(x + reach).min(width - 1))
+                        .map(move |i| j * width + i)
+                })
+                .filter(|&q| wanted[q])
+                .collect();
+            let share = 1.0 / near.len() as f32;
+            for q in near {
+                for (out, halves) in out.iter_mut().zip(&rows[q]) {
+                    for (out, [_, others]) in out.iter_mut().zip(halves) {
+                        for (out, other) in out.iter_mut().zip(others) {
+                            *out += share * other;
+                        }
+                    }
+                }
+            }
+            out
+        })
+        .collect::<Vec<_>>()
+        .concat()
 }
 
 /// The views of one half, and where each column's value stands in them.
@@ -184,7 +235,8 @@ fn step(bench: &Bench, parameter: usize) -> f64 {
 struct Walk<'a> {
     view: &'a View,
     lamp_numbers: Vec<[f32; 2]>,
-    sums: Vec<[f64; 3]>,
+    /// Direct reflection, and all others.
+    sums: Vec<[[f64; 3]; 2]>,
 }
 
 impl<'a> Walk<'a> {
@@ -192,7 +244,7 @@ impl<'a> Walk<'a> {
         Self {
             view,
             lamp_numbers: vec![[0.0; 2]; lights],
-            sums: vec![[0.0; 3]; view.light_of_slot.len()],
+            sums: vec![[[0.0; 3]; 2]; view.light_of_slot.len()],
         }
     }
 
@@ -223,7 +275,8 @@ impl<'a> Walk<'a> {
                 if let Some(connection) = scene.connect(&surface, slot, numbers) {
                     let f = Vec3::from(brdf.eval(connection.to_light, to_viewer));
                     let value = throughput * f * connection.irradiance;
-                    for (sum, value) in sum.iter_mut().zip(value.to_array()) {
+                    let part = usize::from(reflections > 1);
+                    for (sum, value) in sum[part].iter_mut().zip(value.to_array()) {
                         *sum += f64::from(value);
                     }
                 }

@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use nalgebra::DVector;
+use nalgebra::{DMatrix, DVector};
 
 use super::derivatives::{DerivativeImages, DerivativeOptions};
 use super::parameters::{Bench, BenchPriors, Parameter};
@@ -121,16 +121,17 @@ pub fn refine_bench(
         }
         // The prior counts once, against as many residuals as there are.
         let loss = round.chi2 + 2.0 * round.spectrum.prior_loss(&values) / round.count;
-        tracing::debug!(taken, loss, chi2 = round.chi2, ?values, "bench round");
+        let lengths = round.spectrum.values.as_slice();
+        tracing::debug!(taken, loss, chi2 = round.chi2, values = ?values.as_slice(), ?lengths, "bench round");
         match best {
-            Some(ref mut best) if loss > best.loss * (1.0 + WORSE) => {
+            Some(ref mut best) if loss > best.loss + WORSE * best.loss.abs() + round.scatter() => {
                 // Too far: a quarter of the way from where it was better.
                 best.step *= 0.25;
                 values = &best.values + &best.step;
                 settled = best.spectrum.length(&best.step) < refine.settled;
             }
             _ => {
-                let step = round.spectrum.step(&values, &round.score);
+                let step = round.spectrum.step(&values, &round.score, &round.noise);
                 settled = round.spectrum.length(&step) < refine.settled;
                 let next = &values + &step;
                 best = Some(Best {
@@ -138,6 +139,7 @@ pub fn refine_bench(
                     step,
                     loss,
                     chi2: round.chi2,
+                    posterior: round.spectrum.clone().widened(&round.block_scores),
                     spectrum: round.spectrum,
                     derivatives: round.derivatives,
                 });
@@ -147,12 +149,11 @@ pub fn refine_bench(
     let refining = clock.elapsed().as_secs_f64();
     let refined = bench.scene(&values);
     let without_stray_light = bench.without_stray_light(captured, &values);
-    let last = best.map(|best| (best.derivatives, best.chi2));
-    let last_chi2 = last.as_ref().map_or(f64::NAN, |(_, chi2)| *chi2);
-    let linearisation = last.map(|(derivatives, _)| BenchLinearisation {
+    let last_chi2 = best.as_ref().map_or(f64::NAN, |best| best.chi2);
+    let linearisation = best.map(|best| BenchLinearisation {
         bench,
-        values: values.clone(),
-        derivatives,
+        derivatives: best.derivatives,
+        spectrum: best.posterior,
     });
     let mut fit = fit_on_bench(
         &refined,
@@ -170,8 +171,10 @@ pub fn refine_bench(
         settled,
         reduced_chi2: [first_chi2, last_chi2],
     };
-    if let (Some(linearisation), Some(spectrum)) = (&linearisation, &fit.bench) {
-        let bench = &linearisation.bench;
+    if let Some(BenchLinearisation {
+        bench, spectrum, ..
+    }) = &linearisation
+    {
         let deviations = spectrum.deviations();
         estimate.held = spectrum.held(bench);
         estimate.parameters = (0..bench.parameters().len())
@@ -190,7 +193,7 @@ pub fn refine_bench(
     })
 }
 
-/// A loss that grew by less is within what masks and noise change from round to round.
+/// A loss that grew by a smaller fraction is within what masks change from round to round.
 const WORSE: f64 = 0.01;
 
 /// Where the loss was least.
@@ -200,6 +203,7 @@ struct Best {
     loss: f64,
     chi2: f64,
     spectrum: Spectrum,
+    posterior: Spectrum,
     derivatives: DerivativeImages,
 }
 
@@ -218,10 +222,20 @@ struct Rounds<'a> {
 struct Round {
     spectrum: Spectrum,
     score: DVector<f64>,
+    noise: DMatrix<f64>,
+    block_scores: Vec<DVector<f64>>,
     derivatives: DerivativeImages,
     /// Mean squared residual, and of how many.
     chi2: f64,
     count: f64,
+}
+
+impl Round {
+    /// Three deviations of a mean of products of independent residuals, whose halves
+    /// each have twice the variance of their mean.
+    fn scatter(&self) -> f64 {
+        6.0 / self.count.sqrt()
+    }
 }
 
 impl Rounds<'_> {
@@ -294,6 +308,8 @@ impl Rounds<'_> {
         Ok(Round {
             spectrum: Spectrum::new(self.bench, &reduced.information),
             score: reduced.score,
+            noise: reduced.noise,
+            block_scores: reduced.block_scores,
             derivatives,
             chi2: 2.0 * loss / count as f64,
             count: count as f64,

@@ -57,19 +57,33 @@ impl Spectrum {
         self
     }
 
-    /// The Gauss–Newton step from `values` by the score g, with the prior; held
+    /// The Gauss–Newton step from `values` by the score g, with the prior; `noise` is
+    /// what noisy derivatives add to the scatter of the score, and damps. Held
     /// directions go back to the prior's centre.
-    pub fn step(&self, values: &DVector<f64>, score: &DVector<f64>) -> DVector<f64> {
+    pub fn step(
+        &self,
+        values: &DVector<f64>,
+        score: &DVector<f64>,
+        noise: &DMatrix<f64>,
+    ) -> DVector<f64> {
         let at = self.whitened(values);
-        let push = self.vectors.tr_mul(&self.root.tr_mul(score));
-        let step = DVector::from_fn(at.len(), |i, _| {
-            if self.values[i] < HELD_BELOW {
-                -at[i]
-            } else {
-                let step: f64 = (push[i] - at[i]) / (1.0 + self.values[i]);
-                step.clamp(-LONGEST_STEP, LONGEST_STEP)
-            }
+        let push = self.vectors.tr_mul(&self.root.tr_mul(score)) - &at;
+        let basis = &self.root * &self.vectors;
+        let noise = basis.transpose() * noise * &basis;
+        let told: Vec<usize> = (0..at.len())
+            .filter(|&i| self.values[i] >= HELD_BELOW)
+            .collect();
+        let h = DMatrix::from_fn(told.len(), told.len(), |i, j| {
+            let own = if i == j { 1.0 + self.values[told[i]] } else { 0.0 };
+            own + noise[(told[i], told[j])]
         });
+        let push = DVector::from_iterator(told.len(), told.iter().map(|&i| push[i]));
+        // Positive definite: a positive diagonal and a sum of squares.
+        let solved = h.cholesky().map(|h| h.solve(&push)).unwrap_or(push * 0.0);
+        let mut step = -at;
+        for (&i, solved) in told.iter().zip(solved.iter()) {
+            step[i] = solved.clamp(-LONGEST_STEP, LONGEST_STEP);
+        }
         &self.root * (&self.vectors * step)
     }
 
@@ -103,6 +117,9 @@ impl Spectrum {
         let parameters = bench.parameters();
         let n = parameters.len();
         let held: Vec<usize> = (0..n).filter(|&i| self.values[i] < HELD_BELOW).collect();
+        if held.is_empty() {
+            return Vec::new();
+        }
         // Coordinates in the basis of the held directions.
         let basis = DMatrix::from_fn(n, held.len(), |i, j| self.vectors[(i, held[j])]);
         let mut rest = DMatrix::identity(held.len(), held.len());

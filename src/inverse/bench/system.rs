@@ -15,7 +15,7 @@ use nalgebra::{DMatrix, DVector};
 use super::derivatives::DerivativeImages;
 use super::parameters::{Bench, Parameter};
 use super::spectrum::Spectrum;
-use crate::inverse::objective::{Linearised, Objective, ResidualWeights};
+use crate::inverse::objective::{Objective, ResidualWeights};
 use crate::random::{Purpose, stream};
 use crate::transport::{Cache, DirectMatrix, Kernel};
 
@@ -39,6 +39,8 @@ pub struct Model<'a> {
 pub struct Normal {
     /// F_pp, P × P.
     information: DMatrix<f64>,
+    /// What the noise of the derivatives adds to J_pᵀJ_p, P × P.
+    noise: DMatrix<f64>,
     /// F_pw per weight set, P × N.
     coupling: Vec<DMatrix<f64>>,
     /// Scores per block of pixels of one light.
@@ -56,6 +58,8 @@ struct Scores {
 pub struct Reduced {
     /// P × P.
     pub information: DMatrix<f64>,
+    /// What the noise of the derivatives adds to the scatter of the score, P × P.
+    pub noise: DMatrix<f64>,
     /// P.
     pub score: DVector<f64>,
     /// The score's parts by block of pixels.
@@ -130,6 +134,8 @@ impl Normal {
                             .blocks
                             .entry(objective.block(pixel, light))
                             .or_insert_with(|| Scores::zero(parameters.len(), n, sets));
+                        let difference = &by_bench[0] - &by_bench[1];
+                        sum.noise.ger(0.25 * w, &difference, &difference, 1.0);
                         for h in 0..2 {
                             let (a, b) = (h, 1 - h);
                             sum.information.ger(0.5 * w, &by_bench[a], &by_bench[b], 1.0);
@@ -144,6 +150,7 @@ impl Normal {
         let mut total = Self::zero(parameters.len(), n, sets);
         for part in parts {
             total.information += part.information;
+            total.noise += part.noise;
             for (sum, part) in total.coupling.iter_mut().zip(part.coupling) {
                 *sum += part;
             }
@@ -161,6 +168,7 @@ impl Normal {
     fn zero(parameters: usize, atoms: usize, sets: usize) -> Self {
         Self {
             information: DMatrix::zeros(parameters, parameters),
+            noise: DMatrix::zeros(parameters, parameters),
             coupling: vec![DMatrix::zeros(parameters, atoms); sets],
             blocks: BTreeMap::new(),
         }
@@ -194,6 +202,7 @@ impl Normal {
             .collect();
         Reduced {
             information: 0.5 * (&own + own.transpose()),
+            noise: self.noise.clone(),
             score: block_scores
                 .iter()
                 .fold(DVector::zeros(own.nrows()), |sum, s| sum + s),
@@ -249,10 +258,10 @@ fn inverse_on_face(information: &DMatrix<f64>, mixture: &DVector<f64>) -> DMatri
 pub struct BenchLinearisation {
     /// The bench.
     pub bench: Bench,
-    /// The parameters' refined values.
-    pub values: DVector<f64>,
-    /// Derivatives of the images there.
+    /// Derivatives of the images.
     pub derivatives: DerivativeImages,
+    /// What is known about the bench.
+    pub spectrum: Spectrum,
 }
 
 impl BenchLinearisation {
@@ -262,7 +271,6 @@ impl BenchLinearisation {
         model: &Model<'_>,
         residual_weights: &ResidualWeights,
         mixture: &[DVector<f64>],
-        pass: &Linearised,
     ) -> BenchCoupling {
         let normal = Normal::new(
             model,
@@ -271,17 +279,13 @@ impl BenchLinearisation {
             residual_weights,
             mixture,
         );
-        let reduced = normal.reduced(&pass.information, mixture);
-        let spectrum =
-            Spectrum::new(&self.bench, &reduced.information).widened(&reduced.block_scores);
-        let root = spectrum.posterior_root();
+        let root = self.spectrum.posterior_root();
         BenchCoupling {
             shifts: normal
                 .coupling
                 .iter()
                 .map(|coupling| coupling.transpose() * &root)
                 .collect(),
-            spectrum,
         }
     }
 }
@@ -292,8 +296,6 @@ impl BenchLinearisation {
 pub struct BenchCoupling {
     /// F_wp times a root of the bench's posterior covariance, per set, N × P.
     shifts: Vec<DMatrix<f64>>,
-    /// What is known about the bench.
-    pub spectrum: Spectrum,
 }
 
 impl BenchCoupling {
