@@ -14,6 +14,7 @@ pub mod dictionary;
 pub mod environment;
 pub mod ggx;
 pub mod half_difference;
+pub mod in_span;
 pub mod merl;
 pub mod mixture;
 pub mod nbrdf;

@@ -17,6 +17,7 @@ pub mod demo;
 pub mod devices;
 pub mod doctor;
 pub mod error;
+pub mod evaluate;
 pub mod exit;
 pub mod export;
 mod facets;
@@ -73,6 +74,7 @@ commands! {
     Render(render::RenderArgs) => render::run,
     Brdf(brdf::BrdfArgs) => brdf::run,
     Shape(shape::ShapeArgs) => shape::run,
+    Evaluate(evaluate::EvaluateArgs) => evaluate::run,
     Report(report::ReportArgs) => report::run,
     Export(export::ExportArgs) => export::run,
     Bench(bench::BenchArgs) => bench::run,

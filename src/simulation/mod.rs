@@ -84,23 +84,27 @@ impl TruthSource {
             seed: position,
             proposal: Proposal::default(),
         };
-        let mix = |cosine, lobes: &[(f32, f32)]| Proposal {
-            cosine,
-            lobes: lobes.to_vec(),
-        };
-        let candidates = vec![
-            Proposal::default(),
-            mix(0.9, &[(0.3, 0.1)]),
-            mix(0.6, &[(0.1, 0.2), (0.3, 0.2)]),
-            mix(0.5, &[(0.05, 0.25), (0.15, 0.25)]),
-            mix(0.3, &[(0.2, 0.5), (0.4, 0.2)]),
-            mix(0.3, &[(0.1, 0.5), (0.25, 0.2)]),
-        ];
-        options.proposal = quietest_proposal(&scene, &*truth.brdf, &options, candidates);
+        options.proposal = quietest_proposal(&scene, &*truth.brdf, &options, candidate_proposals());
         render(&scene, &*truth.brdf, &options, &|_| {})
             .remove(0)
             .mean
     }
+}
+
+/// Proposals from matte to glossy, of which a render of the truth takes the quietest.
+pub fn candidate_proposals() -> Vec<Proposal> {
+    let mix = |cosine, lobes: &[(f32, f32)]| Proposal {
+        cosine,
+        lobes: lobes.to_vec(),
+    };
+    vec![
+        Proposal::default(),
+        mix(0.9, &[(0.3, 0.1)]),
+        mix(0.6, &[(0.1, 0.2), (0.3, 0.2)]),
+        mix(0.5, &[(0.05, 0.25), (0.15, 0.25)]),
+        mix(0.3, &[(0.2, 0.5), (0.4, 0.2)]),
+        mix(0.3, &[(0.1, 0.5), (0.25, 0.2)]),
+    ]
 }
 
 /// The true sample frame seen from the configured one.
