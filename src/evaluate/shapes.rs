@@ -56,6 +56,7 @@ fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
         .into_iter()
         .map(|class| {
             let mut series = Vec::new();
+            let mut medians = Vec::new();
             for (color, (column, label)) in columns.into_iter().enumerate() {
                 let offset = 0.24 * (color as f64 - 1.0);
                 let mut dots = Vec::new();
@@ -67,14 +68,15 @@ fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
                     dots.extend(errors.iter().map(|e| [at, e.max(1e-4).log10()]));
                     let median = quantile(&errors, 0.5).max(1e-4).log10();
                     let line = vec![[at - 0.1, median], [at + 0.1, median]];
-                    series.push(Series::new("", 7, Mark::Line, line));
+                    medians.push(Series::new("", 7, Mark::Line, line));
                 }
-                series.insert(0, Series::new(label, color, Mark::Dots, dots));
+                series.push(Series::new(label, color, Mark::Dots, dots));
             }
+            series.extend(medians);
             Chart {
                 title: format!("{class} materials"),
                 x: x.clone(),
-                y: Axis::decades(-3.0..0.5, "environment error (relative)"),
+                y: Axis::decades(-3.0..1.0, "environment error (relative)"),
                 series,
             }
         })

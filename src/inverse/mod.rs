@@ -6,6 +6,7 @@ pub mod exponentiated_gradient;
 pub mod fit;
 pub mod gauss_newton;
 pub mod intervals;
+pub mod light_selection;
 pub mod objective;
 pub mod projection;
 pub mod simplex;

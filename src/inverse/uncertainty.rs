@@ -25,7 +25,7 @@ pub struct Draws {
 }
 
 /// Concentration of the Dirichlet prior: sparse mixtures, about six atoms of 42.
-const CONCENTRATION: f64 = 0.15;
+pub(super) const CONCENTRATION: f64 = 0.15;
 
 /// Draws `count` weights for each set around `mixture`; `bench` is what an uncertain
 /// bench adds to their spread.
@@ -113,7 +113,7 @@ fn positive_part(matrix: &DMatrix<f64>) -> (DMatrix<f64>, DMatrix<f64>) {
 }
 
 /// One draw of a symmetric Dirichlet distribution.
-fn dirichlet(n: usize, numbers: &mut Stream) -> DVector<f64> {
+pub(super) fn dirichlet(n: usize, numbers: &mut Stream) -> DVector<f64> {
     // Γ(a) for a < 1 is Γ(a + 1) · U^(1/a); in logarithms, so that tiny ones survive.
     let logs: Vec<f64> = (0..n)
         .map(|_| {

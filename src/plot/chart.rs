@@ -15,6 +15,8 @@ pub enum Mark {
     Dashed,
     /// Discs alone.
     Dots,
+    /// Nothing: an entry of the legend without a sample.
+    None,
 }
 
 /// One curve of a chart.
@@ -94,7 +96,12 @@ pub fn charts(name: &str, columns: usize, panels: &[Chart]) -> Figure {
         let mut x = 0.5 * (width - total);
         for series in line {
             sample(&mut svg, [x, y - 4.0], series);
-            svg.text([x + 30.0, y], Anchor::Start, TEXT, &series.label);
+            svg.text(
+                [x + sample_width(series), y],
+                Anchor::Start,
+                TEXT,
+                &series.label,
+            );
             x += entry_width(series);
         }
     }
@@ -115,7 +122,15 @@ fn legend(panels: &[Chart]) -> Vec<&Series> {
 }
 
 fn entry_width(series: &Series) -> f64 {
-    30.0 + text_width(&series.label, TEXT) + 16.0
+    sample_width(series) + text_width(&series.label, TEXT) + 16.0
+}
+
+fn sample_width(series: &Series) -> f64 {
+    match series.mark {
+        Mark::None => 0.0,
+        Mark::Dots => 22.0,
+        _ => 30.0,
+    }
 }
 
 fn wrap<'a>(entries: &[&'a Series], width: f64) -> Vec<Vec<&'a Series>> {
@@ -140,7 +155,7 @@ fn sample(svg: &mut Svg, [x, y]: [f64; 2], series: &Series) {
     match series.mark {
         Mark::Points | Mark::Line => svg.path(&ends, color, 1.6, None),
         Mark::Dashed => svg.path(&ends, color, 1.6, Some("5 4")),
-        Mark::Dots => {}
+        Mark::Dots | Mark::None => {}
     }
     if matches!(series.mark, Mark::Points | Mark::Dots) {
         svg.disc([x + 12.0, y], 3.0, color, "none");
@@ -189,7 +204,7 @@ fn draw(svg: &mut Svg, at: [f64; 2], panel: &Chart) {
         match series.mark {
             Mark::Points | Mark::Line => svg.path(&points, color, 1.6, None),
             Mark::Dashed => svg.path(&points, color, 1.6, Some("5 4")),
-            Mark::Dots => {}
+            Mark::Dots | Mark::None => {}
         }
         if matches!(series.mark, Mark::Points | Mark::Dots) {
             for point in points {

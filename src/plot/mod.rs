@@ -15,7 +15,7 @@ use resvg::{tiny_skia, usvg};
 
 pub use axis::Axis;
 pub use chart::{Chart, Mark, Series, charts};
-pub use pictures::{HeatMap, Picture, Scale, color, heat_maps, pictures};
+pub use pictures::{HeatMap, HeatScale, Picture, color, heat_maps, pictures};
 
 /// Why a figure could not be drawn.
 #[derive(Debug, thiserror::Error)]

@@ -71,8 +71,8 @@ pub struct HeatMap {
     pub values: Vec<f64>,
 }
 
-/// Heat maps of one scale with the scale at the right.
-pub struct Scale {
+/// The common scale of heat maps, at their right.
+pub struct HeatScale {
     /// Value of the darkest and the brightest colour.
     pub range: [f64; 2],
     /// Along the scale.
@@ -88,7 +88,7 @@ pub fn heat_maps(
     columns: usize,
     [x_label, y_label]: [&str; 2],
     [x_ticks, y_ticks]: [&[(f64, String)]; 2],
-    scale: &Scale,
+    scale: &HeatScale,
     maps: &[HeatMap],
 ) -> Figure {
     let columns = columns.clamp(1, maps.len().max(1));

@@ -185,6 +185,11 @@ impl Scene {
         self.bodies.get(surface.body as usize - 1).map(|b| &**b)
     }
 
+    /// What the known bodies are made of.
+    pub fn bodies(&self) -> &[Arc<dyn Brdf>] {
+        &self.bodies
+    }
+
     /// Where a ray meets a front first; `None` if it leaves the scene or meets a back,
     /// which is black.
     #[inline]

@@ -165,6 +165,9 @@ pub enum EvaluateError {
     /// Paths.
     #[error(transparent)]
     Cache(#[from] crate::transport::cache::CacheError),
+    /// A merge of exposures.
+    #[error(transparent)]
+    Merge(#[from] crate::radiometry::merge::MergeError),
     /// A shape.
     #[error(transparent)]
     Mesh(#[from] crate::geometry::MeshError),

@@ -6,14 +6,11 @@
 use std::sync::Arc;
 
 use super::{Lab, Sample};
-use crate::brdf::{Brdf, Mixture};
+use crate::brdf::{Brdf, Dictionary, Mixture};
 use crate::evaluate::experiment::EvaluateError;
 use crate::inverse::{Fit, FitOptions, fit};
 use crate::radiance_image::RadianceImage;
-use crate::simulation::candidate_proposals;
-use crate::transport::{
-    CacheOptions, Light, RenderOptions, Scene, render, render::quietest_proposal,
-};
+use crate::transport::{CacheOptions, Light, RenderOptions, Scene, render, suited_proposal};
 
 /// Seeds of the truth lie far from those of fits.
 const TRUTH: u64 = 0x7275_7468;
@@ -32,14 +29,19 @@ impl Lab {
 
     /// Images of a scene with the truth's seed and number of paths.
     pub fn render_truth(&self, scene: &Scene, brdf: &dyn Brdf) -> Vec<RadianceImage> {
+        render(scene, brdf, &self.truth_options(scene, brdf), &|_| {})
+    }
+
+    /// Options of a render of the truth.
+    pub fn truth_options(&self, scene: &Scene, brdf: &dyn Brdf) -> RenderOptions {
         let mut options = RenderOptions {
             samples_per_pixel: self.settings.truth_samples_per_pixel.max(2),
             max_reflections: self.settings.max_reflections,
             seed: self.settings.seed.wrapping_add(TRUTH),
             ..RenderOptions::default()
         };
-        options.proposal = quietest_proposal(scene, brdf, &options, candidate_proposals());
-        render(scene, brdf, &options, &|_| {})
+        options.proposal = suited_proposal(scene, brdf, &options);
+        options
     }
 
     /// Options of a fit: the settings' paths, seed and kernel; no draws, for scores need
@@ -75,16 +77,21 @@ impl Lab {
         scene: &Scene,
         captured: &[RadianceImage],
     ) -> Result<Estimate, EvaluateError> {
-        let options = self.fit_options();
-        let fit = fit(scene, captured, &self.dictionary, &options, &mut |_| {})?;
-        self.estimate(fit)
+        self.fit_with(scene, captured, &self.dictionary, &self.fit_options())
     }
 
-    /// A fit's mixtures.
-    pub fn estimate(&self, fit: Fit) -> Result<Estimate, EvaluateError> {
+    /// Fits any dictionary to images of any scene.
+    pub fn fit_with(
+        &self,
+        scene: &Scene,
+        captured: &[RadianceImage],
+        dictionary: &Arc<Dictionary>,
+        options: &FitOptions,
+    ) -> Result<Estimate, EvaluateError> {
+        let fit = fit(scene, captured, dictionary, options, &mut |_| {})?;
         Ok(Estimate {
-            mixture: Mixture::new(self.dictionary.clone(), fit.weights.clone())?,
-            start: Mixture::new(self.dictionary.clone(), fit.start.clone())?,
+            mixture: Mixture::new(dictionary.clone(), fit.weights.clone())?,
+            start: Mixture::new(dictionary.clone(), fit.start.clone())?,
             fit,
         })
     }
