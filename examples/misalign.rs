@@ -48,7 +48,7 @@ fn main() {
     if let Ok(r) = std::env::var("ROUNDS") { refine.rounds = r.parse().unwrap(); }
     if let Ok(r) = std::env::var("RSPP") { refine.samples_per_pixel = r.parse().unwrap(); }
     if let Ok(r) = std::env::var("DSPP") { refine.derivative_samples = r.parse().unwrap(); }
-    let settings = Settings { dictionary, fit, refine, true_samples: 1024, sphere_px: 48 };
+    let settings = Settings { dictionary, fit, refine, true_samples: std::env::var("TSPP").map_or(1024, |v| v.parse().unwrap()), sphere_px: 48 };
     let (d, f) = (scene(128), scene(256));
     let mut zs = vec![];
     for seed in seeds {
