@@ -66,10 +66,31 @@ pub enum OptimizerArg {
 /// `--kernel`.
 #[derive(clap::ValueEnum, Debug, Clone, Copy, PartialEq, Eq)]
 pub enum KernelArg {
-    /// Plain Rust
+    /// Plain Rust, the same numbers on every machine
     Portable,
+    /// AVX2
+    Avx2,
+    /// AVX-512
+    Avx512,
     /// The fastest this machine has
     Auto,
+}
+
+impl KernelArg {
+    /// The kernel; an error if this machine lacks it.
+    fn kernel(self) -> Result<Kernel, CliError> {
+        let kernel = match self {
+            KernelArg::Portable => Kernel::Portable,
+            KernelArg::Avx2 => Kernel::Avx2,
+            KernelArg::Avx512 => Kernel::Avx512,
+            KernelArg::Auto => Kernel::detect(),
+        };
+        if Kernel::available().contains(&kernel) {
+            return Ok(kernel);
+        }
+        let fact = format!("this processor lacks what kernel {kernel} needs");
+        Err(CliError::new(fact).hint("`--kernel auto` takes the fastest that it has"))
+    }
 }
 
 fn fraction(text: &str) -> Result<f64, String> {
@@ -126,8 +147,8 @@ impl FitPlan {
         cache.max_reflections = args.max_reflections.unwrap_or(cache.max_reflections);
         cache.seed = args.seed.unwrap_or(cache.seed);
         cache.max_bytes = (args.memory as usize) << 20;
-        if args.kernel == Some(KernelArg::Portable) {
-            options.kernel = Kernel::Portable;
+        if let Some(kernel) = args.kernel {
+            options.kernel = kernel.kernel()?;
         }
         Ok(Self {
             dictionary: Arc::new(dictionary),

@@ -3,10 +3,12 @@
 
 pub mod experiment;
 pub mod lab;
+pub mod misalignment;
 pub mod score_sheet;
 
 mod atoms;
 mod dictionary_size;
+mod gallery;
 mod light_count;
 mod next_light;
 mod noise;
@@ -30,6 +32,7 @@ pub static EXPERIMENTS: &[&Experiment] = &[
     &light_count::LIGHT_COUNT,
     &next_light::NEXT_LIGHT,
     &shape_construction::SHAPE_CONSTRUCTION,
+    &gallery::GALLERY,
     &tables::TABLES,
     &table_visits::TABLE_VISITS,
     &rank::RANK,

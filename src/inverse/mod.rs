@@ -1,6 +1,7 @@
 //! From images to weights: the objective, the simplex, the optimisers and what
 //! they can say about their own error.
 
+pub mod bench;
 pub mod exponentiated_gradient;
 pub mod fit;
 pub mod gauss_newton;
@@ -12,5 +13,6 @@ pub mod simplex;
 pub mod trace;
 pub mod uncertainty;
 
+pub use bench::{BenchPriors, RefineOptions, refine_bench};
 pub use fit::{Fit, FitError, FitOptions, Optimizer, fit};
 pub use objective::Channels;
