@@ -7,9 +7,11 @@ pub mod gauss_newton;
 pub mod intervals;
 pub mod objective;
 pub mod projection;
+pub mod refine;
 pub mod simplex;
 pub mod trace;
 pub mod uncertainty;
 
 pub use fit::{Fit, FitError, FitOptions, Optimizer, fit};
 pub use objective::Channels;
+pub use refine::Refine;
