@@ -116,7 +116,7 @@ fn main() {
         dictionary,
         fit,
         refine,
-        true_samples: 1024,
+        true_samples: std::env::var("TSPP").map_or(1024, |v| v.parse().unwrap()),
         sphere_px: 48,
     };
     let (d, f) = (scene(128), scene(256));

@@ -194,6 +194,7 @@ fn capture(truth: &Scene, described: &Scene, case: &Case<'_>, samples: u32) -> V
     let mix = |cosine, lobes: &[(f32, f32)]| Proposal {
         cosine,
         lobes: lobes.to_vec(),
+        table: None,
     };
     let candidates = vec![
         Proposal::default(),
@@ -208,11 +209,13 @@ fn capture(truth: &Scene, described: &Scene, case: &Case<'_>, samples: u32) -> V
     debug_assert_eq!(images.len(), described.lights.len());
     let mut numbers = stream(case.seed, Purpose::BenchPerturbation, 0, 0, 2);
     for image in &mut images {
-        spread_variance(image);
-        let brightest = image.mean.iter().flatten().fold(0.0f32, |m, &v| m.max(v));
-        for (mean, variance) in image.mean.iter_mut().zip(&mut image.variance) {
-            for (mean, variance) in mean.iter_mut().zip(variance) {
-                let sigma = f64::from(*mean) * relative_noise(f64::from(*mean / brightest));
+        let (typical, spread) = (spread(image, &image.mean), spread(image, &image.variance));
+        image.variance = spread;
+        let brightest = typical.iter().flatten().fold(0.0f32, |m, &v| m.max(v));
+        for (pixel, typical) in typical.iter().enumerate() {
+            for (c, &typical) in typical.iter().enumerate() {
+                let (mean, variance) = (&mut image.mean[pixel][c], &mut image.variance[pixel][c]);
+                let sigma = f64::from(typical) * relative_noise(f64::from(typical / brightest));
                 // The render's own noise is there, and so stated.
                 *variance += (sigma * sigma) as f32;
                 *mean += (sigma * numbers.normal()) as f32;
@@ -222,24 +225,24 @@ fn capture(truth: &Scene, described: &Scene, case: &Case<'_>, samples: u32) -> V
     images
 }
 
-/// Replaces each pixel's variance by the mean over 5 × 5 pixels: where few paths of a pixel
-/// were bright, both its value and its own variance are low, and a weight that follows
-/// it would pull a fit low.
-fn spread_variance(image: &mut RadianceImage) {
+/// Means over 5 × 5 pixels: where few paths of a pixel were bright, its value and its own
+/// variance are both low, and a weight that follows them would pull a fit low.
+fn spread(image: &RadianceImage, own: &[[f32; 3]]) -> Vec<[f32; 3]> {
     let (width, height) = (image.width, image.height);
-    let own = image.variance.clone();
-    for (pixel, variance) in image.variance.iter_mut().enumerate() {
-        let (x, y) = (pixel % width, pixel / width);
-        let (mut sum, mut count) = ([0.0; 3], 0.0f32);
-        for j in y.saturating_sub(2)..=(y + 2).min(height - 1) {
-            for i in x.saturating_sub(2)..=(x + 2).min(width - 1) {
-                let near = own[j * width + i];
-                sum = [0, 1, 2].map(|c| sum[c] + near[c]);
-                count += 1.0;
+    (0..own.len())
+        .map(|pixel| {
+            let (x, y) = (pixel % width, pixel / width);
+            let (mut sum, mut count) = ([0.0; 3], 0.0f32);
+            for j in y.saturating_sub(2)..=(y + 2).min(height - 1) {
+                for i in x.saturating_sub(2)..=(x + 2).min(width - 1) {
+                    let near = own[j * width + i];
+                    sum = [0, 1, 2].map(|c| sum[c] + near[c]);
+                    count += 1.0;
+                }
             }
-        }
-        *variance = sum.map(|s| s / count);
-    }
+            sum.map(|s| s / count)
+        })
+        .collect()
 }
 
 /// Relative noise of a value after the merge of a bracket: 6000 electrons at best, fewer

@@ -43,7 +43,8 @@ pub struct Normal {
     noise: DMatrix<f64>,
     /// F_pw per weight set, P × N.
     coupling: Vec<DMatrix<f64>>,
-    /// Scores per block of pixels of one light.
+    /// Scores per block of pixels, all lights together: they share the paths, and so
+    /// their noise.
     blocks: BTreeMap<usize, Scores>,
 }
 
@@ -132,7 +133,7 @@ impl Normal {
                         });
                         let block = sum
                             .blocks
-                            .entry(objective.block(pixel, light))
+                            .entry(objective.block(pixel, 0))
                             .or_insert_with(|| Scores::zero(parameters.len(), n, sets));
                         let difference = &by_bench[0] - &by_bench[1];
                         sum.noise.ger(0.25 * w, &difference, &difference, 1.0);
