@@ -10,7 +10,7 @@ use rig_benches::clock::thread_cpu_s;
 use rig_benches::scenes;
 use rig_benches::strategies::{Setting, Strategy};
 
-const RESOLUTION_PX: usize = 24;
+const RESOLUTION_PX: usize = 20;
 const PATHS: u32 = 32;
 const IMAGES: u64 = 8;
 const LONGEST: u32 = 8;
@@ -34,46 +34,66 @@ fn main() -> Result<(), Box<dyn Error>> {
         let head: Vec<&str> = materials.iter().map(|m| m.0.as_str()).collect();
         println!("\n| {name} | {} |", head.join(" | "));
         println!("|---|{}", "---:|".repeat(head.len()));
-        let mut first: Vec<f64> = Vec::new();
-        for (label, strategy, adapted) in [
+        let strategies = [
             ("camera paths", Strategy::Camera, false),
             ("light paths", Strategy::Light, false),
             ("both, balance heuristic", Strategy::Both, false),
             ("camera paths, adapted", Strategy::Camera, true),
-            ("light paths, adapted", Strategy::Light, true),
             ("both, adapted", Strategy::Both, true),
-        ] {
-            let mut cells = Vec::new();
-            for (k, (_, material)) in materials.iter().enumerate() {
-                let proposal = if adapted {
-                    Proposal::resembling(material, DEFENSIVE)
-                } else {
-                    Proposal::default()
-                };
-                let cost = cost(&setting, strategy, material, &proposal);
-                if first.len() == k {
-                    first.push(cost);
-                    cells.push(format!("{cost:.2e}"));
-                } else {
-                    cells.push(format!("{:.2}", first[k] / cost));
-                }
+        ];
+        // cells[strategy][material]
+        let mut cells = vec![Vec::new(); strategies.len()];
+        for (_, material) in &materials {
+            let found: Vec<Found> = strategies
+                .iter()
+                .map(|&(_, strategy, adapted)| {
+                    let proposal = if adapted {
+                        Proposal::resembling(material, DEFENSIVE)
+                    } else {
+                        Proposal::default()
+                    };
+                    measure(&setting, strategy, material, &proposal)
+                })
+                .collect();
+            // The quietest strategy's square for all: a noisy one's is mostly noise.
+            let square = found[found.len() - 1].square;
+            let first = found[0].variance * found[0].seconds;
+            cells[0].push(format!("{:.1e}", first / square));
+            for (cells, found) in cells[1..].iter_mut().zip(&found[1..]) {
+                cells.push(format!("{:.2}", first / (found.variance * found.seconds)));
             }
+        }
+        for ((label, ..), cells) in strategies.iter().zip(&cells) {
             println!("| {label} | {} |", cells.join(" | "));
         }
     }
     Ok(())
 }
 
-/// Mean over pixels of the variance, over the mean square of the image, times the CPU
-/// seconds of one image: what one image would have after a second.
-fn cost(setting: &Setting, strategy: Strategy, material: &Mixture, proposal: &Proposal) -> f64 {
+/// What images of one strategy show: the sum over pixels of the variance of one image
+/// and of the squared mean, and the CPU seconds of one image.
+struct Found {
+    variance: f64,
+    square: f64,
+    seconds: f64,
+}
+
+fn measure(
+    setting: &Setting,
+    strategy: Strategy,
+    material: &Mixture,
+    proposal: &Proposal,
+) -> Found {
     let start = thread_cpu_s();
     let images: Vec<Vec<f64>> = (0..IMAGES)
         .map(|seed| setting.image(strategy, material, proposal, PATHS, seed))
         .collect();
-    let seconds = (thread_cpu_s() - start) / IMAGES as f64;
     let n = IMAGES as f64;
-    let (mut variance, mut square) = (0.0, 0.0);
+    let mut found = Found {
+        variance: 0.0,
+        square: 0.0,
+        seconds: (thread_cpu_s() - start) / n,
+    };
     for pixel in 0..setting.pixels() {
         let mean = images.iter().map(|i| i[pixel]).sum::<f64>() / n;
         let spread = images
@@ -81,11 +101,11 @@ fn cost(setting: &Setting, strategy: Strategy, material: &Mixture, proposal: &Pr
             .map(|i| (i[pixel] - mean).powi(2))
             .sum::<f64>()
             / (n - 1.0);
-        variance += spread;
+        found.variance += spread;
         // Without the variance of the mean itself.
-        square += mean * mean - spread / n;
+        found.square += mean * mean - spread / n;
     }
-    variance / square * seconds
+    found
 }
 
 fn materials() -> Result<Vec<(String, Mixture)>, Box<dyn Error>> {
