@@ -24,6 +24,7 @@ mod facets;
 pub mod fit;
 pub mod hints;
 pub mod interrupt;
+pub mod light_choice;
 pub mod merge;
 pub mod open;
 pub mod output;

@@ -3,6 +3,7 @@
 
 pub mod experiment;
 pub mod lab;
+pub mod misalignment;
 pub mod score_sheet;
 
 mod atoms;
