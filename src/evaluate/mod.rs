@@ -10,6 +10,7 @@ mod atoms;
 mod dictionary_size;
 mod gallery;
 mod light_count;
+mod misaligned;
 mod noise;
 mod optimisers;
 mod rank;
@@ -37,6 +38,7 @@ pub static EXPERIMENTS: &[&Experiment] = &[
     &optimisers::OPTIMISERS,
     &noise::NOISE,
     &realism::REALISM,
+    &misaligned::MISALIGNMENT,
 ];
 
 /// The experiment of a name.
