@@ -147,8 +147,7 @@ impl Stratified {
                 rest >>= 1;
                 k += 1;
             }
-            let scrambled =
-                scramble_upwards(bits.reverse_bits(), self.scrambles[d]).reverse_bits();
+            let scrambled = scramble_upwards(bits.reverse_bits(), self.scrambles[d]).reverse_bits();
             (scrambled >> 8) as f32 * (1.0 / (1u32 << 24) as f32)
         })
     }
@@ -167,7 +166,9 @@ mod tests {
             let points: Vec<_> = (0..256).map(|i| points.point(i)).collect();
             for d in 0..STRATIFIED_DIMENSIONS {
                 let mut seen = [false; 256];
-                points.iter().for_each(|p| seen[(p[d] * 256.0) as usize] = true);
+                points
+                    .iter()
+                    .for_each(|p| seen[(p[d] * 256.0) as usize] = true);
                 assert!(seen.iter().all(|&s| s), "key {key}, dimension {d}");
             }
             for across in [2usize, 4, 16, 64, 128] {
@@ -193,11 +194,16 @@ mod tests {
             for key in 0..n {
                 let key = stream(6, Purpose::Experiment, 0, key, 0);
                 let point = Stratified::new(key).point(index);
-                sums.iter_mut().zip(point).for_each(|(s, x)| *s += f64::from(x));
+                sums.iter_mut()
+                    .zip(point)
+                    .for_each(|(s, x)| *s += f64::from(x));
             }
             for (d, sum) in sums.iter().enumerate() {
                 let off = (sum / n as f64 - 0.5) * (12.0 * n as f64).sqrt();
-                assert!(off.abs() < 5.0, "point {index}, dimension {d}: {off} errors");
+                assert!(
+                    off.abs() < 5.0,
+                    "point {index}, dimension {d}: {off} errors"
+                );
             }
         }
     }
