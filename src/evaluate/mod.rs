@@ -3,13 +3,13 @@
 
 pub mod experiment;
 pub mod lab;
-pub mod misalignment;
 pub mod score_sheet;
 
 mod atoms;
 mod dictionary_size;
 mod gallery;
 mod light_count;
+mod misalignment;
 mod next_light;
 mod noise;
 mod optimisers;
@@ -39,6 +39,7 @@ pub static EXPERIMENTS: &[&Experiment] = &[
     &optimisers::OPTIMISERS,
     &noise::NOISE,
     &realism::REALISM,
+    &misalignment::MISALIGNMENT,
 ];
 
 /// The experiment of a name.

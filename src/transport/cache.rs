@@ -14,7 +14,7 @@ use super::proposal::Proposal;
 use super::scene::{Scene, Surface};
 use crate::brdf::dictionary::Dictionary;
 use crate::brdf::ggx::Cosines;
-use crate::random::{Purpose, Stream, stream};
+use crate::random::{Purpose, Stratified, Stream, stream};
 
 /// How paths are traced and kept.
 #[derive(Clone, Debug)]
@@ -312,12 +312,22 @@ impl Tracer<'_> {
         let (scene, atoms, options) = (self.scene, self.atoms, self.options);
         let width = scene.camera.resolution_px[0];
         let corner = DVec2::new((pixel % width) as f64, (pixel / width) as f64);
+        // Where in the pixel and the first continuation: stratified within the half.
+        let first = samples.start;
+        let half = stream(
+            options.seed,
+            Purpose::PixelPosition,
+            0,
+            pixel as u64,
+            u64::from(first),
+        );
+        let stratified = Stratified::new(half);
         for sample in samples {
             let key = |purpose| stream(options.seed, purpose, 0, pixel as u64, u64::from(sample));
-            let mut position = key(Purpose::PixelPosition);
+            let [x, y, choice, u, v] = stratified.point(sample - first);
             let mut lamps = key(Purpose::LightAndLens);
             let ray = scene.camera.ray(
-                corner + DVec2::new(position.uniform(), position.uniform()),
+                corner + DVec2::new(f64::from(x), f64::from(y)),
                 DVec2::new(lamps.uniform(), lamps.uniform()),
             );
             let begin = records.len();
@@ -335,10 +345,16 @@ impl Tracer<'_> {
                 lamps,
             };
             while walk.reflections < options.max_reflections {
-                let Some((direction, pdf)) = options
-                    .proposal
-                    .sample(walk.to_viewer, &mut walk.directions)
-                else {
+                let continuation = if walk.reflections == 1 {
+                    options
+                        .proposal
+                        .place(walk.to_viewer, choice, [u, v], &mut walk.directions)
+                } else {
+                    options
+                        .proposal
+                        .sample(walk.to_viewer, &mut walk.directions)
+                };
+                let Some((direction, pdf)) = continuation else {
                     break;
                 };
                 let Some(at) = Cosines::new(direction.to_array(), walk.to_viewer.to_array()) else {
@@ -441,3 +457,53 @@ impl Tracer<'_> {
 
 /// Channels of a grey body differ by no more than rounding.
 const GREY_TOLERANCE: f32 = 1e-5;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Shape;
+    use crate::transport::{Camera, Light, Projection, Shading};
+    use glam::DVec3;
+
+    /// Also where the image's width is what a regular pattern of probes would step by, and
+    /// the first column shows nothing.
+    #[test]
+    fn memory_is_bounded() {
+        let mesh = Shape::Bowl {
+            radius_mm: 1.0,
+            segments: 16,
+        };
+        for resolution in [[64, 64], [256, 32], [16, 100]] {
+            let camera = Camera::looking_at(
+                resolution,
+                Projection::Orthographic {
+                    extent_mm: DVec2::splat(2.4),
+                },
+                DVec3::new(0.0, 0.0, 5.0),
+                DVec3::ZERO,
+                DVec3::Y,
+            );
+            let sun = Light::Directional {
+                to_light: DVec3::Z,
+                irradiance: [1.0; 3],
+                angular_radius_rad: 0.0,
+            };
+            let (mesh, camera) = (mesh.mesh().unwrap(), camera.unwrap());
+            let scene = Scene::new(mesh, Shading::Smooth, camera, vec![sun]);
+            let options = CacheOptions {
+                samples_per_pixel: 1024,
+                max_reflections: 4,
+                max_bytes: 4 << 20,
+                ..CacheOptions::default()
+            };
+            let cache = Cache::trace(&scene, &Dictionary::grid42(), &options).unwrap();
+            let (_, bytes) = cache.size();
+            assert!(cache.samples_per_half < 512, "{resolution:?}");
+            assert!(bytes <= options.max_bytes, "{resolution:?}: {bytes}");
+            assert!(
+                5 * bytes >= 4 * options.max_bytes,
+                "{resolution:?}: {bytes}"
+            );
+        }
+    }
+}
