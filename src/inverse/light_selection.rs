@@ -17,6 +17,7 @@
 use nalgebra::{Cholesky, DMatrix, DVector, SymmetricEigen};
 use rayon::prelude::*;
 
+use super::objective::neighbour_mean;
 use super::uncertainty::{CONCENTRATION, dirichlet};
 use crate::brdf::Dictionary;
 use crate::brdf::ggx::Cosines;
@@ -135,6 +136,7 @@ impl Prospects {
         options: &SelectionOptions,
     ) -> Result<Self, CacheError> {
         let lights = std::mem::take(&mut scene.lights);
+        let resolution = scene.camera.resolution_px;
         // Per material and candidate.
         let mut roots = vec![Vec::with_capacity(lights.len()); materials.len()];
         for batch in lights.chunks(BATCH) {
@@ -154,7 +156,7 @@ impl Prospects {
                 let images = images_of(&cache, &direct, weights, options.kernel);
                 let new: Vec<_> = images
                     .par_iter()
-                    .map(|image| root(&information(image, options)))
+                    .map(|image| root(&information(image, resolution, options)))
                     .collect();
                 roots.extend(new);
             }
@@ -345,7 +347,8 @@ fn metric(dictionary: &Dictionary, weights: &DVector<f64>) -> DMatrix<f64> {
 struct Pixel {
     /// Whether a fit would compare it: wholly on the sample, and no edge of a shadow.
     compared: bool,
-    value: f64,
+    /// Radiance and the variance that the render adds to it.
+    value: [f64; 2],
     rows: [DVector<f64>; 2],
 }
 
@@ -378,7 +381,10 @@ fn images_of(
                 Pixel {
                     compared: direct_matrix.coverage[pixel.pixel] >= 1.0
                         && (lit == 0.0 || lit == 1.0),
-                    value: direct + f64::from(indirect),
+                    value: [
+                        direct + f64::from(indirect),
+                        f64::from(pixel.variance[light]),
+                    ],
                     rows,
                 }
             };
@@ -395,10 +401,15 @@ fn images_of(
 }
 
 /// Of one image: sym(J_Aᵀ W J_B) of independent halves, scaled to the number of
-/// independent values.
-fn information(image: &[Pixel], options: &SelectionOptions) -> DMatrix<f64> {
-    let lit = image.iter().filter(|pixel| pixel.value > 0.0).count();
-    let mean = image.iter().map(|pixel| pixel.value).sum::<f64>() / lit.max(1) as f64;
+/// independent values. Like the fit's, a residual's weight comes from the pixel's
+/// neighbours: a pixel whose paths missed the light would otherwise count as certain.
+fn information(
+    image: &[Pixel],
+    [width, height]: [usize; 2],
+    options: &SelectionOptions,
+) -> DMatrix<f64> {
+    let lit = image.iter().filter(|pixel| pixel.value[0] > 0.0).count();
+    let mean = image.iter().map(|pixel| pixel.value[0]).sum::<f64>() / lit.max(1) as f64;
     let n = image.first().map_or(0, |pixel| pixel.rows[0].len());
     let mut sum = DMatrix::zeros(n, n);
     if mean <= 0.0 {
@@ -406,12 +417,14 @@ fn information(image: &[Pixel], options: &SelectionOptions) -> DMatrix<f64> {
     }
     let floor = (options.noise * mean).powi(2);
     let scale = options.independent_values / image.len() as f64;
-    for pixel in image.iter().filter(|pixel| pixel.compared) {
-        let weight = scale / ((options.model_error * pixel.value).powi(2) + floor);
+    for (at, pixel) in image.iter().enumerate().filter(|(_, p)| p.compared) {
+        let beside = |q: usize| image[q].compared.then_some(image[q].value);
+        let [value, rendered] = neighbour_mean(at, width, height, beside).unwrap_or(pixel.value);
+        let variance = (options.model_error * value).powi(2) + rendered + floor;
         let [a, b] = &pixel.rows;
         // The lower triangle of (a bᵀ + b aᵀ)/2.
-        sum.syger(0.5 * weight, a, b, 1.0);
-        sum.syger(0.5 * weight, b, a, 1.0);
+        sum.syger(0.5 * scale / variance, a, b, 1.0);
+        sum.syger(0.5 * scale / variance, b, a, 1.0);
     }
     sum.fill_upper_triangle_with_lower_triangle();
     sum

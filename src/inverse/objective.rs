@@ -423,7 +423,7 @@ fn add_product(h: &mut DMatrix<f64>, a: &[f64], b: &[f64], w: f64) {
 }
 
 /// Mean over the eight neighbours of a pixel for which `value` gives something.
-fn neighbour_mean(
+pub(super) fn neighbour_mean(
     pixel: usize,
     width: usize,
     height: usize,
