@@ -84,16 +84,8 @@ impl Proposal {
     /// (1/sr, cosine excluded). `None` below the horizon.
     #[inline]
     pub fn sample(&self, to_viewer: Vec3, numbers: &mut Stream) -> Option<(Vec3, f32)> {
-        self.place(
-            to_viewer,
-            numbers.uniform_f32(),
-            [numbers.uniform_f32(), numbers.uniform_f32()],
-        )
-    }
-
-    /// [`Self::sample`] from given numbers, each uniform in [0, 1): which lobe, where in it.
-    #[inline]
-    pub fn place(&self, to_viewer: Vec3, mut choice: f32, u: [f32; 2]) -> Option<(Vec3, f32)> {
+        let mut choice = numbers.uniform_f32();
+        let u = [numbers.uniform_f32(), numbers.uniform_f32()];
         let direction = if choice < self.cosine || self.lobes.is_empty() {
             let radius = u[1].sqrt();
             let (sin, cos) = (std::f32::consts::TAU * u[0]).sin_cos();
