@@ -3,14 +3,13 @@
 
 pub mod experiment;
 pub mod lab;
-pub mod misalignment;
 pub mod score_sheet;
 
 mod atoms;
 mod dictionary_size;
 mod gallery;
 mod light_count;
-mod misaligned;
+mod misalignment;
 mod noise;
 mod optimisers;
 mod rank;
@@ -38,7 +37,7 @@ pub static EXPERIMENTS: &[&Experiment] = &[
     &optimisers::OPTIMISERS,
     &noise::NOISE,
     &realism::REALISM,
-    &misaligned::MISALIGNMENT,
+    &misalignment::MISALIGNMENT,
 ];
 
 /// The experiment of a name.

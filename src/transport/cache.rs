@@ -457,3 +457,53 @@ impl Tracer<'_> {
 
 /// Channels of a grey body differ by no more than rounding.
 const GREY_TOLERANCE: f32 = 1e-5;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Shape;
+    use crate::transport::{Camera, Light, Projection, Shading};
+    use glam::DVec3;
+
+    /// Also where the image's width is what a regular pattern of probes would step by, and
+    /// the first column shows nothing.
+    #[test]
+    fn memory_is_bounded() {
+        let mesh = Shape::Bowl {
+            radius_mm: 1.0,
+            segments: 16,
+        };
+        for resolution in [[64, 64], [256, 32], [16, 100]] {
+            let camera = Camera::looking_at(
+                resolution,
+                Projection::Orthographic {
+                    extent_mm: DVec2::splat(2.4),
+                },
+                DVec3::new(0.0, 0.0, 5.0),
+                DVec3::ZERO,
+                DVec3::Y,
+            );
+            let sun = Light::Directional {
+                to_light: DVec3::Z,
+                irradiance: [1.0; 3],
+                angular_radius_rad: 0.0,
+            };
+            let (mesh, camera) = (mesh.mesh().unwrap(), camera.unwrap());
+            let scene = Scene::new(mesh, Shading::Smooth, camera, vec![sun]);
+            let options = CacheOptions {
+                samples_per_pixel: 1024,
+                max_reflections: 4,
+                max_bytes: 4 << 20,
+                ..CacheOptions::default()
+            };
+            let cache = Cache::trace(&scene, &Dictionary::grid42(), &options).unwrap();
+            let (_, bytes) = cache.size();
+            assert!(cache.samples_per_half < 512, "{resolution:?}");
+            assert!(bytes <= options.max_bytes, "{resolution:?}: {bytes}");
+            assert!(
+                5 * bytes >= 4 * options.max_bytes,
+                "{resolution:?}: {bytes}"
+            );
+        }
+    }
+}

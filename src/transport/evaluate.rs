@@ -611,11 +611,35 @@ mod tests {
         sum
     }
 
+    /// The same paths in either layout: what differs is the rounding to half precision.
+    #[test]
+    fn the_general_layout_agrees_with_the_grid() {
+        let (scene, dictionary) = (scene(), Dictionary::grid42());
+        let weights: Vec<f64> = (0..42).map(|n| f64::from(n + 1) / (21.0 * 43.0)).collect();
+        let [grid, general] = [true, false].map(|allow_grid| {
+            let options = CacheOptions {
+                samples_per_pixel: 32,
+                allow_grid,
+                ..CacheOptions::default()
+            };
+            let cache = Cache::trace(&scene, &dictionary, &options).unwrap();
+            assert_eq!(cache.atoms.is_grid(), allow_grid);
+            totals(&cache, Kernel::detect(), &weights)
+        });
+        for light in 0..2 {
+            let near = |a: f64, b: f64| (a - b).abs() <= 1e-3 * a.abs().max(b.abs());
+            assert!(near(grid.0[light], general.0[light]));
+            for (atom, (&a, &b)) in grid.1[light].iter().zip(&general.1[light]).enumerate() {
+                assert!(near(a, b), "light {light}, atom {atom}: {a} and {b}");
+            }
+        }
+    }
+
     #[test]
     fn results_do_not_depend_on_the_number_of_threads() {
         let scene = scene();
         let dictionary = Dictionary::grid42();
-        let run = |threads: usize| {
+        let run = |threads: usize, kernel: Kernel| {
             let pool = rayon::ThreadPoolBuilder::new()
                 .num_threads(threads)
                 .build()
@@ -626,9 +650,11 @@ mod tests {
                     ..CacheOptions::default()
                 };
                 let cache = Cache::trace(&scene, &dictionary, &options).unwrap();
-                totals(&cache, Kernel::detect(), &vec![1.0 / 42.0; 42])
+                totals(&cache, kernel, &vec![1.0 / 42.0; 42])
             })
         };
-        assert_eq!(run(1), run(3));
+        for &kernel in Kernel::available() {
+            assert_eq!(run(1, kernel), run(3, kernel), "{kernel}");
+        }
     }
 }

@@ -8,6 +8,7 @@
 //! precision; Lambertian atoms need no storage.
 
 use half::f16;
+use half::slice::HalfFloatSliceExt;
 
 use super::lanes::Lanes;
 use crate::brdf::dictionary::{Atom, Dictionary};
@@ -325,11 +326,19 @@ pub struct GeneralRecord<const B: usize> {
     head: Head,
 }
 
-/// Half precision of `value` · 2^−exponent.
+/// Those that a grid record holds.
 #[inline]
-fn store(value: f32, exponent: i8) -> u16 {
+fn first_eight(values: &[f32; MAX_AXIS]) -> [f32; 8] {
+    std::array::from_fn(|i| values[i])
+}
+
+/// Half precision of `values` · 2^−exponent.
+#[inline]
+fn store(values: &[f32; 8], exponent: i8) -> [u16; 8] {
     let scale = f32::from_bits(((127 - i32::from(exponent)).clamp(1, 254) as u32) << 23);
-    f16::from_f32(value * scale).to_bits()
+    let mut halves = [f16::ZERO; 8];
+    halves.convert_from_f32_slice(&values.map(|v| v * scale));
+    halves.map(f16::to_bits)
 }
 
 #[expect(
@@ -339,19 +348,20 @@ fn store(value: f32, exponent: i8) -> u16 {
 impl Record<5> for GridRecord {
     fn encode(head: Head, atoms: &LaneAtoms, at: &Cosines<f32>) -> Self {
         let (lobes, fresnel) = atoms.factors(at);
+        let (lobes, fresnel) = (first_eight(&lobes), first_eight(&fresnel));
         let largest = lobes.iter().fold(0.0f32, |m, &v| m.max(v));
         let exponent = exponent_for(largest);
-        let f = |i: usize| f16::from_f32(fresnel[i]).to_bits();
+        let [f0, f1, f2, f3, f4, ..] = store(&fresnel, 0);
         let marks = u16::from_le_bytes([exponent.cast_unsigned(), head.tag]);
         let weight = head.weight.to_bits();
         Self {
-            lobes: std::array::from_fn(|i| store(lobes[i], exponent)),
+            lobes: store(&lobes, exponent),
             rest: [
-                f(0),
-                f(1),
-                f(2),
-                f(3),
-                f(4),
+                f0,
+                f1,
+                f2,
+                f3,
+                f4,
                 marks,
                 weight as u16,
                 (weight >> 16) as u16,
@@ -421,7 +431,7 @@ impl<const B: usize> Record<B> for GeneralRecord<B> {
         let largest = lanes.iter().flatten().fold(0.0f32, |m, &v| m.max(v));
         head.exponent = exponent_for(largest);
         Self {
-            values: lanes.map(|block| block.map(|v| store(v, head.exponent))),
+            values: lanes.map(|block| store(&block, head.exponent)),
             head,
         }
     }
