@@ -9,9 +9,9 @@ use super::{CliError, Context, HintExt, facets};
 use crate::brdf::{Brdf, Dictionary, Mixture};
 use crate::config::uncertainty::Deviation;
 use crate::config::{RigConfig, process};
+use crate::inverse::bench::BenchEstimate;
 use crate::inverse::exponentiated_gradient::ExponentiatedGradient;
 use crate::inverse::gauss_newton::GaussNewton;
-use crate::inverse::bench::BenchEstimate;
 use crate::inverse::{
     BenchPriors, Channels, Fit, FitOptions, Optimizer, RefineOptions, fit, intervals, refine_bench,
 };
@@ -19,8 +19,8 @@ use crate::radiance_image::{RadianceImage, exr};
 use crate::report;
 use crate::session::commit::SystemDisk;
 use crate::session::fit_record::{
-    self, AngleCell, AngleTable, AtomRecord, BenchParameter, BenchRecord, FitImages, FitRecord, FitSettings, Timing, TracePoint,
-    Warning,
+    self, AngleCell, AngleTable, AtomRecord, BenchParameter, BenchRecord, FitImages, FitRecord,
+    FitSettings, Timing, TracePoint, Warning,
 };
 use crate::session::{Session, SessionWriter, layout};
 use crate::transport::{Kernel, Scene};

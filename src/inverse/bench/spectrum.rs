@@ -81,7 +81,11 @@ impl Spectrum {
             .filter(|&i| self.values[i] >= HELD_BELOW)
             .collect();
         let h = DMatrix::from_fn(told.len(), told.len(), |i, j| {
-            let own = if i == j { 1.0 + self.values[told[i]] } else { 0.0 };
+            let own = if i == j {
+                1.0 + self.values[told[i]]
+            } else {
+                0.0
+            };
             own + noise[(told[i], told[j])]
         });
         let push = DVector::from_iterator(told.len(), told.iter().map(|&i| push[i]));

@@ -139,7 +139,8 @@ impl Normal {
                         sum.noise.ger(0.25 * w, &difference, &difference, 1.0);
                         for h in 0..2 {
                             let (a, b) = (h, 1 - h);
-                            sum.information.ger(0.5 * w, &by_bench[a], &by_bench[b], 1.0);
+                            sum.information
+                                .ger(0.5 * w, &by_bench[a], &by_bench[b], 1.0);
                             sum.coupling[set].ger(0.5 * w, &by_bench[a], &by_weight[b], 1.0);
                             block.bench.axpy(0.5 * w * residual[b], &by_bench[a], 1.0);
                             block.weights[set].axpy(0.5 * w * residual[b], &by_weight[a], 1.0);

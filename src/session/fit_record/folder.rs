@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use super::{
-    BenchRecord, FIT_FILE, FORMAT, FitImages, FitRecord, FitRecordError, FitSettings, ScoreSheet, Timing,
-    Warning, check, out_of_range, tables,
+    BenchRecord, FIT_FILE, FORMAT, FitImages, FitRecord, FitRecordError, FitSettings, ScoreSheet,
+    Timing, Warning, check, out_of_range, tables,
 };
 use crate::radiance_image::exr;
 use crate::session::layout::FITS_FOLDER;
