@@ -13,7 +13,8 @@ use crate::inverse::bench::BenchEstimate;
 use crate::inverse::exponentiated_gradient::ExponentiatedGradient;
 use crate::inverse::gauss_newton::GaussNewton;
 use crate::inverse::{
-    BenchPriors, Channels, Fit, FitOptions, Optimizer, RefineOptions, fit, intervals, refine_bench,
+    BenchPriors, Channels, Fit, FitOptions, Optimizer, Refine, RefineOptions, fit, intervals,
+    refine_bench,
 };
 use crate::radiance_image::{RadianceImage, exr};
 use crate::report;
@@ -29,9 +30,15 @@ use crate::units::StageAngles;
 /// Choices of a fit that the command line may take over from the configuration.
 #[derive(clap::Args, Debug, Clone, Default)]
 pub struct FitArgs {
-    /// paper42, grid42, or a dictionary file
+    /// paper42, grid42, rig42, or a dictionary file
     #[arg(long, value_name = "D")]
     pub dictionary: Option<String>,
+    /// Rounds of new atoms beside the active ones, in finer and finer steps of alpha and eta, 0 to 8
+    #[arg(long, value_name = "ROUNDS", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=8))]
+    pub refine_atoms: u32,
+    /// Trace the paths again where the fitted material sends light
+    #[arg(long)]
+    pub adapt_paths: bool,
     /// How the weights are found
     #[arg(long, value_enum)]
     pub optimizer: Option<OptimizerArg>,
@@ -77,10 +84,31 @@ pub enum OptimizerArg {
 /// `--kernel`.
 #[derive(clap::ValueEnum, Debug, Clone, Copy, PartialEq, Eq)]
 pub enum KernelArg {
-    /// Plain Rust
+    /// Plain Rust, the same numbers on every machine
     Portable,
+    /// AVX2
+    Avx2,
+    /// AVX-512
+    Avx512,
     /// The fastest this machine has
     Auto,
+}
+
+impl KernelArg {
+    /// The kernel; an error if this machine lacks it.
+    fn kernel(self) -> Result<Kernel, CliError> {
+        let kernel = match self {
+            KernelArg::Portable => Kernel::Portable,
+            KernelArg::Avx2 => Kernel::Avx2,
+            KernelArg::Avx512 => Kernel::Avx512,
+            KernelArg::Auto => Kernel::detect(),
+        };
+        if Kernel::available().contains(&kernel) {
+            return Ok(kernel);
+        }
+        let fact = format!("this processor lacks what kernel {kernel} needs");
+        Err(CliError::new(fact).hint("`--kernel auto` takes the fastest that it has"))
+    }
 }
 
 fn fraction(text: &str) -> Result<f64, String> {
@@ -120,6 +148,10 @@ impl FitPlan {
             } else {
                 Channels::Separate
             },
+            refine: Refine {
+                adapt_paths: args.adapt_paths,
+                rounds: args.refine_atoms,
+            },
             ..FitOptions::default()
         };
         if let Some(config) = config {
@@ -144,8 +176,8 @@ impl FitPlan {
         cache.max_reflections = args.max_reflections.unwrap_or(cache.max_reflections);
         cache.seed = args.seed.unwrap_or(cache.seed);
         cache.max_bytes = (args.memory as usize) << 20;
-        if args.kernel == Some(KernelArg::Portable) {
-            options.kernel = Kernel::Portable;
+        if let Some(kernel) = args.kernel {
+            options.kernel = kernel.kernel()?;
         }
         let refine = args
             .refine_bench
@@ -207,17 +239,17 @@ impl FitPlan {
         simulated: bool,
         truth: Option<(&str, &dyn Brdf)>,
     ) -> Result<FitRecord, CliError> {
-        let dictionary = &self.dictionary;
-        let mixture = |weights: &[Vec<f64>; 3]| Mixture::new(dictionary.clone(), weights.clone());
+        let dictionary = &fit.dictionary;
         let mut timings = fit.timings.clone();
         let clock = std::time::Instant::now();
         let score = match truth {
             Some((name, brdf)) => {
-                let (estimate, start) = (mixture(&fit.weights)?, mixture(&fit.start)?);
+                let estimate = Mixture::new(dictionary.clone(), fit.weights.clone())?;
+                let start = Mixture::new(self.dictionary.clone(), fit.start.clone())?;
                 Some(crate::evaluate::score(
                     name,
                     brdf,
-                    dictionary,
+                    &self.dictionary,
                     &estimate,
                     &start,
                     SCORE_SPHERE_PX,
