@@ -7,15 +7,20 @@ use std::sync::Arc;
 
 use super::{CliError, Context, HintExt, facets};
 use crate::brdf::{Brdf, Dictionary, Mixture};
+use crate::config::uncertainty::Deviation;
 use crate::config::{RigConfig, process};
 use crate::inverse::exponentiated_gradient::ExponentiatedGradient;
 use crate::inverse::gauss_newton::GaussNewton;
-use crate::inverse::{Channels, Fit, FitOptions, Optimizer, Refine, fit, intervals};
+use crate::inverse::bench::BenchEstimate;
+use crate::inverse::{
+    BenchPriors, Channels, Fit, FitOptions, Optimizer, Refine, RefineOptions, fit, intervals,
+    refine_bench,
+};
 use crate::radiance_image::{RadianceImage, exr};
 use crate::report;
 use crate::session::commit::SystemDisk;
 use crate::session::fit_record::{
-    self, AngleCell, AngleTable, AtomRecord, FitImages, FitRecord, FitSettings, Timing, TracePoint,
+    self, AngleCell, AngleTable, AtomRecord, BenchParameter, BenchRecord, FitImages, FitRecord, FitSettings, Timing, TracePoint,
     Warning,
 };
 use crate::session::{Session, SessionWriter, layout};
@@ -58,6 +63,13 @@ pub struct FitArgs {
     /// Which instructions evaluate the paths; portable gives the same numbers anywhere
     #[arg(long, value_enum)]
     pub kernel: Option<KernelArg>,
+    /// Refine light directions, intensities and the sample's pose with the weights,
+    /// within the uncertainty that the rig or scene file states
+    #[arg(long, value_name = "BOOL", num_args = 0..=1, require_equals = true, default_missing_value = "true")]
+    pub refine_bench: Option<bool>,
+    /// A deviation of the [uncertainty] table, such as light_deg=0.5; more than one may be given
+    #[arg(long, value_name = "KEY=VALUE")]
+    pub uncertainty: Vec<Deviation>,
 }
 
 /// `--optimizer`.
@@ -112,11 +124,18 @@ fn fraction(text: &str) -> Result<f64, String> {
 pub struct FitPlan {
     dictionary: Arc<Dictionary>,
     options: FitOptions,
+    /// How well the bench is known; `None`: exactly.
+    priors: Option<BenchPriors>,
 }
 
 impl FitPlan {
-    /// The command line over `config`'s defaults.
-    pub fn new(args: &FitArgs, config: Option<&process::FitConfig>) -> Result<Self, CliError> {
+    /// The command line over `config`'s defaults, on a bench that is known within
+    /// `uncertainty`.
+    pub fn new(
+        args: &FitArgs,
+        config: Option<&process::FitConfig>,
+        uncertainty: &BenchPriors,
+    ) -> Result<Self, CliError> {
         let name = args
             .dictionary
             .as_deref()
@@ -160,9 +179,15 @@ impl FitPlan {
         if let Some(kernel) = args.kernel {
             options.kernel = kernel.kernel()?;
         }
+        let refine = args
+            .refine_bench
+            .unwrap_or(config.is_some_and(|c| c.refine_bench));
+        let mut priors = uncertainty.clone();
+        args.uncertainty.iter().for_each(|d| d.apply(&mut priors));
         Ok(Self {
             dictionary: Arc::new(dictionary),
             options,
+            priors: refine.then_some(priors),
         })
     }
 
@@ -177,16 +202,18 @@ impl FitPlan {
     ) -> Result<(FitRecord, FitImages), CliError> {
         facets::warn_if_coarse(scene, self.dictionary.atoms(), context);
         let bar = context.spinner();
-        let result = fit(
-            scene,
-            captured,
-            &self.dictionary,
-            &self.options,
-            &mut |stage| {
-                bar.set_message(stage.to_owned());
-            },
-        );
-        let fit = result?;
+        let mut stage = |stage: &str| bar.set_message(stage.to_owned());
+        let (dictionary, options) = (&self.dictionary, &self.options);
+        let (fit, bench) = match &self.priors {
+            None => (fit(scene, captured, dictionary, options, &mut stage)?, None),
+            Some(priors) => {
+                let how = RefineOptions::default();
+                let refined = refine_bench(
+                    scene, captured, dictionary, options, priors, &how, &mut stage,
+                )?;
+                (refined.fit, Some(refined.estimate))
+            }
+        };
         if fit.samples[0] < fit.samples[1] {
             context.warn(format!(
                 "{} of {} paths per pixel were traced: more do not fit into the memory given",
@@ -194,7 +221,8 @@ impl FitPlan {
             ));
         }
         bar.set_message("scoring".to_owned());
-        let record = self.describe(&fit, simulated, truth)?;
+        let mut record = self.describe(&fit, simulated, truth)?;
+        record.bench = bench.as_ref().map(bench_record);
         bar.finish_and_clear();
         Ok((
             record,
@@ -299,7 +327,34 @@ impl FitPlan {
                 cells,
             },
             warnings: warnings(fit),
+            bench: None,
         })
+    }
+}
+
+/// The refined bench in the units in which it is shown.
+fn bench_record(bench: &BenchEstimate) -> BenchRecord {
+    let [residual_described, residual_refined] = bench.reduced_chi2;
+    BenchRecord {
+        rounds: bench.rounds as u32,
+        settled: bench.settled,
+        residual_described,
+        residual_refined,
+        held: bench.held.clone(),
+        parameter: bench
+            .parameters
+            .iter()
+            .map(|estimated| {
+                let (unit, scale) = estimated.parameter.shown_in();
+                BenchParameter {
+                    name: estimated.parameter.to_string(),
+                    unit: unit.to_owned(),
+                    value: estimated.value * scale,
+                    deviation: estimated.deviation * scale,
+                    prior_deviation: estimated.prior_deviation * scale,
+                }
+            })
+            .collect(),
     }
 }
 
@@ -340,7 +395,7 @@ pub fn fit_session(root: &Path, args: &FitArgs, context: &Context) -> Result<Pat
     let session = Session::open(root)?;
     let record = session.record();
     let config = RigConfig::parse(&record.rig, root, &record.config)?;
-    let plan = FitPlan::new(args, Some(&config.fit))?;
+    let plan = FitPlan::new(args, Some(&config.fit), &config.uncertainty)?;
     let places = places(&session)?;
     let scene = config.geometry.scene(&places)?;
     let mut captured = Vec::new();

@@ -3,13 +3,14 @@
 
 pub mod experiment;
 pub mod lab;
-pub mod misalignment;
 pub mod score_sheet;
 
 mod atoms;
 mod dictionary_size;
 mod gallery;
 mod light_count;
+mod misalignment;
+mod next_light;
 mod noise;
 mod optimisers;
 mod rank;
@@ -29,6 +30,7 @@ pub static EXPERIMENTS: &[&Experiment] = &[
     &shapes::SHAPES,
     &dictionary_size::DICTIONARY_SIZE,
     &light_count::LIGHT_COUNT,
+    &next_light::NEXT_LIGHT,
     &shape_construction::SHAPE_CONSTRUCTION,
     &gallery::GALLERY,
     &tables::TABLES,
@@ -37,6 +39,7 @@ pub static EXPERIMENTS: &[&Experiment] = &[
     &optimisers::OPTIMISERS,
     &noise::NOISE,
     &realism::REALISM,
+    &misalignment::MISALIGNMENT,
 ];
 
 /// The experiment of a name.

@@ -50,6 +50,7 @@ fn record(simulated: bool) -> FitRecord {
             cells: vec![cell; 6],
         },
         warnings: Vec::new(),
+        bench: None,
     }
 }
 

@@ -9,6 +9,8 @@
 mod collapse;
 mod lanes;
 
+use std::mem::MaybeUninit;
+
 use glam::{Vec3, Vec3A};
 use obvhs::BvhBuildParams;
 use obvhs::aabb::Aabb;
@@ -138,7 +140,7 @@ fn avx2_available() -> bool {
 /// References and the distances at which their boxes are entered, as numbers that sort
 /// by distance. Not initialised: a query uses a few of them.
 struct Stack {
-    entries: [std::mem::MaybeUninit<u64>; STACK],
+    entries: [MaybeUninit<u64>; STACK],
     height: usize,
 }
 
@@ -146,7 +148,7 @@ impl Stack {
     #[inline(always)]
     fn new() -> Self {
         Self {
-            entries: [const { std::mem::MaybeUninit::uninit() }; STACK],
+            entries: [const { MaybeUninit::uninit() }; STACK],
             height: 0,
         }
     }
@@ -262,23 +264,20 @@ fn closest_with<I: Instructions>(bvh: &Bvh, ray: &Ray) -> Option<Hit> {
 #[inline(always)]
 fn any_with<I: Instructions>(bvh: &Bvh, ray: &Ray) -> bool {
     let prepared = Prepared::new(ray);
-    let mut stack = Stack::new();
+    // A node writes eight references, of which those that are met stay.
+    let mut stack = [const { MaybeUninit::<u32>::uninit() }; STACK + WIDTH];
+    let mut height = 0;
     let mut entries = [0.0; WIDTH];
     let mut hits = LeafHits::NONE;
     let mut reference = 0u32;
     loop {
         if reference & LEAF_BIT == 0 {
             let node = &bvh.nodes[reference as usize];
-            let mut met = I::boxes(node, &prepared, ray.limit_mm, &mut entries);
-            if met != 0 {
-                reference = node.child[met.trailing_zeros() as usize];
-                met &= met - 1;
-                while met != 0 {
-                    stack.push(u64::from(node.child[met.trailing_zeros() as usize]));
-                    met &= met - 1;
-                }
-                continue;
+            let met = I::boxes(node, &prepared, ray.limit_mm, &mut entries);
+            if let Some(top) = stack[height..].first_chunk_mut() {
+                I::children(node, met, top);
             }
+            height += met.count_ones() as usize;
         } else {
             let leaf = &bvh.leaves[(reference & !LEAF_BIT) as usize];
             let (mut inside, edge) = I::triangles(leaf, &prepared, &mut hits);
@@ -293,10 +292,12 @@ fn any_with<I: Instructions>(bvh: &Bvh, ray: &Ray) -> bool {
                 }
             }
         }
-        let Some(next) = stack.pop() else {
+        if height == 0 {
             return false;
-        };
-        reference = next as u32;
+        }
+        height -= 1;
+        // SAFETY: everything below `height` has been written.
+        reference = unsafe { stack[height].assume_init() };
     }
 }
 

@@ -102,8 +102,8 @@ impl<'a> Collapse<'a> {
             }
             None => members.push(root),
         }
-        // Leaves first: any-hit queries look there before they go deeper.
-        members.sort_by_key(|&member| !self.is_leaf(member));
+        // Leaves last: any-hit queries take the last first.
+        members.sort_by_key(|&member| self.is_leaf(member));
         let index = bvh.nodes.len();
         bvh.nodes.push(Node {
             bounds: std::array::from_fn(|side| {

@@ -1,5 +1,7 @@
 //! A ray against eight boxes or four triangles at once: portable, and with AVX2.
 
+use std::mem::MaybeUninit;
+
 use super::{LEAF, Leaf, Node, Ray, WIDTH};
 
 /// What the tests need of a ray, computed once.
@@ -76,9 +78,29 @@ impl Prepared {
 pub(super) trait Instructions {
     /// A bit for each box that is met before `limit`, and the distances of entry.
     fn boxes(node: &Node, ray: &Prepared, limit: f32, entries: &mut [f32; WIDTH]) -> u32;
+    /// Writes the met children to the front of `out`; what follows them is arbitrary.
+    fn children(node: &Node, met: u32, out: &mut [MaybeUninit<u32>; WIDTH]);
     /// Woop's test in f32: fills `hits` and returns (lanes inside, lanes on an edge).
     fn triangles(leaf: &Leaf, ray: &Prepared, hits: &mut LeafHits) -> (u32, u32);
 }
+
+/// For each set of lanes their numbers in order, a byte each.
+static LANES_OF: [u64; 256] = {
+    let mut table = [0; 256];
+    let mut set = 0;
+    while set < 256 {
+        let (mut lane, mut shift) = (0, 0);
+        while lane < WIDTH as u64 {
+            if set >> lane & 1 != 0 {
+                table[set] |= lane << shift;
+                shift += 8;
+            }
+            lane += 1;
+        }
+        set += 1;
+    }
+    table
+};
 
 /// Distances and barycentric weights of a leaf's triangles, where they are met.
 pub(super) struct LeafHits {
@@ -113,6 +135,14 @@ impl Instructions for Portable {
             met |= u32::from(entry <= leave) << lane;
         }
         met
+    }
+
+    #[inline(always)]
+    fn children(node: &Node, met: u32, out: &mut [MaybeUninit<u32>; WIDTH]) {
+        let lanes = LANES_OF[met as usize].to_le_bytes();
+        for (out, lane) in out.iter_mut().zip(lanes) {
+            out.write(node.child[usize::from(lane)]);
+        }
     }
 
     #[inline(always)]
@@ -204,6 +234,19 @@ impl Instructions for Avx2 {
             }
             _mm256_storeu_ps(entries.as_mut_ptr(), entry);
             _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LE_OQ>(entry, leave)) as u32
+        }
+    }
+
+    #[inline(always)]
+    fn children(node: &Node, met: u32, out: &mut [MaybeUninit<u32>; WIDTH]) {
+        use std::arch::x86_64::*;
+        let lanes = LANES_OF[(met & 0xff) as usize];
+        // SAFETY: as above; both arrays are eight u32.
+        unsafe {
+            let lanes = _mm256_cvtepu8_epi32(_mm_cvtsi64_si128(lanes as i64));
+            let child = _mm256_loadu_si256(node.child.as_ptr().cast());
+            let met = _mm256_permutevar8x32_epi32(child, lanes);
+            _mm256_storeu_si256(out.as_mut_ptr().cast(), met);
         }
     }
 
