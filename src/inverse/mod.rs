@@ -1,6 +1,7 @@
 //! From images to weights: the objective, the simplex, the optimisers and what
 //! they can say about their own error.
 
+pub mod diagnosis;
 pub mod exponentiated_gradient;
 pub mod fit;
 pub mod gauss_newton;
