@@ -1,4 +1,4 @@
-//! `rig shape`, and the remark on its facets by `rig render`.
+//! `rig shape` and `rig render`.
 
 #![allow(clippy::print_stdout)]
 
@@ -117,4 +117,71 @@ fn coarse_facets_under_a_narrow_lobe_are_remarked_on() {
         let found = stderr.contains("facets turn by 5.6");
         assert_eq!(found, remarked, "{shading} {alpha}: {stderr}");
     }
+}
+
+/// A bowl under coaxial light.
+fn bowl_scene(extra: &str, brdf: &str) -> String {
+    format!(
+        "[camera]\nmodel = \"orthographic\"\nresolution_px = [12, 12]\nextent_mm = [1.6, 1.6]\nposition_mm = [0, 0, 5]\n[[light]]\nkind = \"directional\"\nto_light = [0, 0, 1]\n[sample]\nshape = {{ kind = \"bowl\", radius_mm = 1.0, segments = 64 }}\n{extra}[brdf]\n{brdf}\n"
+    )
+}
+
+#[test]
+fn a_render_says_what_its_longest_path_cuts_off() {
+    let folder = tempfile::tempdir().unwrap();
+    let white = "mixture = [ { weight = 1.0, lambertian = { albedo = 1.0 } } ]";
+    std::fs::write(folder.path().join("s.toml"), bowl_scene("", white)).unwrap();
+    let args = "render --scene s.toml --out a.exr --spp 64 --max-reflections 2 --json";
+    let args: Vec<&str> = args.split(' ').collect();
+    let (success, stdout, stderr) = rig(folder.path(), &args);
+    assert!(success, "{stderr}");
+    let answer: Value = serde_json::from_str(&stdout).unwrap();
+    assert_eq!(answer["images"][0], "a.exr");
+    // Order k ≥ 2 is (1/4)(1/2)^(k−2)/π everywhere; the field shows all of the direct light.
+    let share = answer["truncation"][0]["share"].as_f64().unwrap();
+    let error = answer["truncation"][0]["standard_error"].as_f64().unwrap();
+    let direct = 0.805;
+    let exact = 0.25 / (direct + 0.5);
+    assert!(
+        (share - exact).abs() < 4.0 * error + 0.01,
+        "{share} ± {error}"
+    );
+    assert!(
+        stderr.contains("paths of more than 2 reflections, not followed, would add"),
+        "{stderr}"
+    );
+}
+
+#[test]
+fn polarised_light_is_asked_for_in_either_way_and_refused_where_unknown() {
+    let folder = tempfile::tempdir().unwrap();
+    let glass = "mixture = [ { weight = 1.0, ggx = { alpha = 0.4, eta = 1.5 } } ]";
+    let polarised = "[render]\npolarised = true\n";
+    let measured = "table = \"paper.bsdf\"";
+    let paper = concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/tests/data/brdf/paper_white_rgb.bsdf"
+    );
+    std::fs::copy(paper, folder.path().join("paper.bsdf")).unwrap();
+    let render = |scene: String, more: &str| {
+        std::fs::write(folder.path().join("s.toml"), scene).unwrap();
+        let args = format!("render --scene s.toml --out a.exr --spp 16 --json{more}");
+        let args: Vec<&str> = args.split(' ').collect();
+        let (success, stdout, stderr) = rig(folder.path(), &args);
+        let image = std::fs::read(folder.path().join("a.exr")).unwrap_or_default();
+        (success, stdout, stderr, image)
+    };
+    let (_, plain, _, scalar) = render(bowl_scene("", glass), "");
+    assert!(plain.contains("\"polarised\": false"), "{plain}");
+    let (_, told, _, by_option) = render(bowl_scene("", glass), " --polarised");
+    assert!(told.contains("\"polarised\": true"), "{told}");
+    let (_, _, _, by_file) = render(bowl_scene(polarised, glass), "");
+    assert!(by_option == by_file && by_file != scalar && !scalar.is_empty());
+    let (success, _, stderr, _) = render(bowl_scene(polarised, measured), "");
+    assert!(!success);
+    assert!(
+        stderr.contains("the sample's BRDF is no mixture of GGX, Lambertian and black")
+            && stderr.contains("hint: "),
+        "{stderr}"
+    );
 }

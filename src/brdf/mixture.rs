@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::Vec3;
 
 use super::dictionary::{Atom, Dictionary};
-use super::ggx::Cosines;
+use super::ggx::{self, Cosines, Mueller};
 use super::{Brdf, BrdfError};
 
 /// Dictionary atoms with weights per channel; each channel's weights are
@@ -77,6 +77,39 @@ impl Mixture {
     pub fn weights(&self) -> &[Vec<f64>; 3] {
         &self.weights
     }
+
+    /// f_r for polarised light, 1/sr: GGX facets are smooth dielectrics, diffuse reflection
+    /// depolarises. `ii` is [`Brdf::eval`].
+    pub fn mueller(&self, to_light: Vec3, to_viewer: Vec3) -> [Mueller; 3] {
+        let mut sum = [Mueller::default(); 3];
+        let Some(at) = Cosines::new(to_light.to_array(), to_viewer.to_array()) else {
+            return sum;
+        };
+        for (atom, weights) in &self.used {
+            let (scale, facet) = match *atom {
+                Atom::Ggx { alpha, eta } => (
+                    ggx::d_g(alpha as f32, at.cos_i, at.cos_o, at.sin2_h),
+                    ggx::fresnel_mueller(eta as f32, at.cos_d),
+                ),
+                Atom::Lambertian { .. } | Atom::Black => {
+                    let ii = atom.eval_f32(&at);
+                    let depolarised = Mueller {
+                        ii,
+                        ..Mueller::default()
+                    };
+                    (1.0, depolarised)
+                }
+            };
+            for (sum, weight) in sum.iter_mut().zip(weights) {
+                let weight = weight * scale;
+                sum.ii += weight * facet.ii;
+                sum.iq += weight * facet.iq;
+                sum.qq += weight * facet.qq;
+                sum.uu += weight * facet.uu;
+            }
+        }
+        sum
+    }
 }
 
 impl Brdf for Mixture {
@@ -91,6 +124,10 @@ impl Brdf for Mixture {
             }
         }
         sum
+    }
+
+    fn as_mixture(&self) -> Option<&Mixture> {
+        Some(self)
     }
 }
 

@@ -10,10 +10,13 @@ use glam::Vec3;
 
 pub mod bivariate;
 pub mod check;
+pub mod chi_square;
 pub mod dictionary;
 pub mod environment;
 pub mod ggx;
 pub mod half_difference;
+pub mod in_span;
+pub mod lobe_table;
 pub mod merl;
 pub mod mixture;
 pub mod nbrdf;
@@ -27,6 +30,7 @@ pub mod weights;
 
 pub use dictionary::{Atom, Dictionary, GridAxes};
 pub use half_difference::HalfDifference;
+pub use lobe_table::LobeTable;
 pub use mixture::Mixture;
 pub use table::TabulatedBrdf;
 
@@ -34,6 +38,11 @@ pub use table::TabulatedBrdf;
 pub trait Brdf: Send + Sync {
     /// f_r at `to_light` and `to_viewer` (unit, local frame), 1/sr, cosine excluded.
     fn eval(&self, to_light: Vec3, to_viewer: Vec3) -> [f32; 3];
+
+    /// The closed forms it is made of, if it is.
+    fn as_mixture(&self) -> Option<&Mixture> {
+        None
+    }
 }
 
 /// What is wrong with a BRDF or with the file that should hold one.

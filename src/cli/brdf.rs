@@ -10,11 +10,13 @@ use serde::Serialize;
 use super::output::write_json;
 use super::{CliError, Context, HintExt};
 use crate::brdf::check::{ALBEDO_ANGLES_DEG, PhysicalCheck, check};
+use crate::brdf::chi_square::{ChiSquare, check_lobes};
 use crate::brdf::environment::EnvironmentMap;
 use crate::brdf::rgl::{AsMeasured, RglBrdf};
 use crate::brdf::score::{self, BrdfErrors, EnvironmentError};
 use crate::brdf::sphere::sphere_image;
 use crate::brdf::{Brdf, BrdfError, Dictionary, Mixture, merl, nbrdf, source, weights};
+use crate::export::rgl;
 use crate::inverse::projection::{CellMatrix, EnvironmentMatrix, FIT_AZIMUTHS};
 use crate::out;
 use crate::whole_file;
@@ -99,13 +101,13 @@ enum BrdfCommand {
         #[arg(long, default_value_t = 256, value_parser = sphere_size)]
         size: usize,
     },
-    /// Writes a MERL table of 90 x 90 x 180 cells
+    /// Writes a MERL table of 90 x 90 x 180 cells, or an RGL file
     #[command(after_help = SPEC_HELP)]
     Convert {
         /// The BRDF
         brdf: String,
-        /// The table
-        #[arg(long, value_name = "FILE.binary")]
+        /// The file; its ending says which
+        #[arg(long, value_name = "FILE.binary|FILE.bsdf")]
         out: PathBuf,
     },
 }
@@ -275,6 +277,9 @@ fn eval(spec: &str, angles: &Path, json: bool) -> Result<(), CliError> {
     Ok(())
 }
 
+/// Angles of the viewer at which the importance sampler is tested, degrees.
+const SAMPLER_ANGLES_DEG: [f64; 4] = [0.0, 45.0, 80.0, 88.0];
+
 fn run_check(spec: &str, json: bool) -> Result<(), CliError> {
     #[derive(Serialize)]
     struct Answer {
@@ -282,9 +287,12 @@ fn run_check(spec: &str, json: bool) -> Result<(), CliError> {
         found: PhysicalCheck,
         /// Of a measured file, before both orders of the directions are averaged.
         reciprocity_as_measured: Option<f64>,
+        /// The importance sampler made from it, at [`SAMPLER_ANGLES_DEG`].
+        sampler: Vec<ChiSquare>,
     }
     let brdf = load(spec)?;
     let found = check(brdf.as_ref());
+    let sampler = check_lobes(brdf.as_ref(), &SAMPLER_ANGLES_DEG, 20_000);
     let path = Path::new(spec);
     let reciprocity_as_measured = if path.extension().is_some_and(|e| e == "bsdf") {
         Some(check(&AsMeasured(&RglBrdf::read(path)?)).reciprocity)
@@ -294,6 +302,7 @@ fn run_check(spec: &str, json: bool) -> Result<(), CliError> {
     let answer = Answer {
         found,
         reciprocity_as_measured,
+        sampler,
     };
     let found = &answer.found;
     if json {
@@ -313,6 +322,11 @@ fn run_check(spec: &str, json: bool) -> Result<(), CliError> {
             "invalid values        {} of {} pairs",
             found.invalid,
             found.pairs
+        )?;
+        let worst = answer.sampler.iter().map(|s| s.deviate);
+        out!(
+            "sampler, worst χ²     {:+.1} standard deviations at 0, 45, 80 and 88°",
+            worst.fold(f64::NEG_INFINITY, f64::max)
         )?;
     }
     if found.passes() {
@@ -450,14 +464,24 @@ fn plot(spec: &str, path: &Path, size: usize) -> Result<(), CliError> {
 }
 
 fn convert(spec: &str, path: &Path) -> Result<(), CliError> {
-    if path.extension().is_none_or(|e| e != "binary") {
-        return Err(
-            CliError::new(format!("{}: not a .binary name", path.display()))
-                .hint("MERL tables end in .binary; `rig export` writes other formats of a fit"),
-        );
+    match path.extension().and_then(|e| e.to_str()) {
+        Some("binary") => merl::write(path, load(spec)?.as_ref())?,
+        Some("bsdf") => {
+            let brdf = load(spec)?;
+            let description = format!("{spec}, by rig {}", env!("CARGO_PKG_VERSION"));
+            let bytes = rgl::to_bytes(brdf.as_ref(), rgl::Channels::Rgb, &description);
+            whole_file::replace(path, |file| file.write_all(&bytes))
+                .map_err(|error| CliError::new(format!("{}: {error}", path.display())))
+                .hint("choose a file in a folder that exists and can be written")?;
+        }
+        _ => {
+            return Err(CliError::new(format!(
+                "{}: neither a .binary nor a .bsdf name",
+                path.display()
+            ))
+            .hint("MERL tables end in .binary, RGL files in .bsdf; `rig export` writes other formats of a fit"));
+        }
     }
-    let brdf = load(spec)?;
-    merl::write(path, brdf.as_ref())?;
     out!("{}", path.display())
 }
 

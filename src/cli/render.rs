@@ -2,11 +2,14 @@
 
 use std::path::{Path, PathBuf};
 
+use super::output::write_json;
 use super::{CliError, Context, HintExt, facets};
 use crate::config::scene::SceneFile;
 use crate::out;
 use crate::radiance_image::exr;
-use crate::transport::{RenderOptions, render};
+use crate::transport::{
+    Remainder, RenderOptions, render, render_polarised, suited_proposal, truncation_remainder,
+};
 
 /// Renders a scene file, one image per light.
 #[derive(clap::Args, Debug)]
@@ -26,7 +29,30 @@ pub struct RenderArgs {
     /// Seed of the light paths
     #[arg(long, value_name = "S", default_value_t = 0)]
     seed: u64,
+    /// Follow polarisation: lamps are unpolarised, the camera measures intensity (also
+    /// `polarised = true` under [render] in the scene file)
+    #[arg(long)]
+    polarised: bool,
+    /// JSON instead of the images' names: also what the longest path cuts off, per light
+    #[arg(long)]
+    json: bool,
 }
+
+/// What `--json` prints.
+#[derive(serde::Serialize)]
+struct Answer {
+    images: Vec<String>,
+    polarised: bool,
+    max_reflections: u32,
+    /// Light that longer paths would bring, per lamp.
+    truncation: Vec<Remainder>,
+}
+
+/// Paths per pixel that estimate what the longest path cuts off.
+const TRUNCATION_SAMPLES: u32 = 32;
+
+/// The least share of the light that is worth a remark if it is cut off.
+const TRUNCATION_REMARK: f64 = 1e-4;
 
 /// `rig render`.
 pub fn run(args: &RenderArgs, context: &Context) -> Result<(), CliError> {
@@ -49,17 +75,37 @@ pub fn run(args: &RenderArgs, context: &Context) -> Result<(), CliError> {
                 .hint("create it first, or choose another --out"),
         );
     }
+    let polarised = args.polarised || file.polarised;
     let bar = context.bar(scene.camera.resolution_px[1] as u64, "rows");
-    let options = RenderOptions {
+    let mut options = RenderOptions {
         samples_per_pixel: args.spp,
         max_reflections: args.max_reflections,
         seed: args.seed,
         ..RenderOptions::default()
     };
-    let images = render(&scene, &*brdf, &options, &|rows| {
-        bar.set_position(rows as u64)
-    });
+    options.proposal = suited_proposal(&scene, &*brdf, &options);
+    let progress = |rows| bar.set_position(rows as u64);
+    let images = if polarised {
+        render_polarised(&scene, &*brdf, &options, &progress)
+            .map_err(|error| CliError::new(error.to_string()))
+            .hint("polarised light needs a [brdf] of GGX, Lambertian and black atoms, for known bodies too")?
+    } else {
+        render(&scene, &*brdf, &options, &progress)
+    };
     bar.finish_and_clear();
+    let truncation =
+        truncation_remainder(&scene, &*brdf, &options, TRUNCATION_SAMPLES.min(args.spp));
+    for (light, cut) in truncation.iter().enumerate() {
+        if cut.share > TRUNCATION_REMARK {
+            context.note(format!(
+                "light {light}: paths of more than {} reflections, not followed, would add {:.2}% ± {:.2}% of the light",
+                args.max_reflections,
+                100.0 * cut.share,
+                100.0 * cut.standard_error
+            ));
+        }
+    }
+    let mut written = Vec::new();
     for (light, image) in images.iter().enumerate() {
         let path = if images.len() == 1 {
             args.out.clone()
@@ -69,7 +115,18 @@ pub fn run(args: &RenderArgs, context: &Context) -> Result<(), CliError> {
         exr::write(&path, image)
             .map_err(CliError::from)
             .hint("choose an --out in a folder that can be written")?;
-        out!("{}", path.display())?;
+        if !args.json {
+            out!("{}", path.display())?;
+        }
+        written.push(path.display().to_string());
+    }
+    if args.json {
+        write_json(&Answer {
+            images: written,
+            polarised,
+            max_reflections: args.max_reflections,
+            truncation,
+        })?;
     }
     Ok(())
 }

@@ -21,6 +21,8 @@ pub struct SceneFile {
     pub brdf: Option<BrdfSpec>,
     /// Other things in view: holder, occluder, reference.
     pub bodies: Vec<BodySpec>,
+    /// Whether it is rendered with polarised light.
+    pub polarised: bool,
 }
 
 /// A thing in view that is not fitted.
@@ -52,8 +54,12 @@ impl SceneFile {
         let lights = root.sections("light")?.required()?;
         let brdf = root.section("brdf")?.optional();
         let bodies = root.sections("body")?.optional().unwrap_or_default();
+        let mut render = root.section_or_empty("render")?;
+        let polarised = render.flag("polarised")?.or(false);
+        render.finish()?;
         let scene = Self {
             camera: view,
+            polarised,
             lights: lights
                 .into_iter()
                 .map(read_light)
@@ -133,6 +139,9 @@ intensity = 9e4
 [sample]
 mesh = "meshes/bowl.ply"
 
+[render]
+polarised = true
+
 [brdf]
 mixture = [
   { weight = 0.6, lambertian = { albedo = 0.9 } },
@@ -154,6 +163,7 @@ brdf = { table = "holder.binary" }
     fn everything_is_read() {
         let scene = parse(BOWL).unwrap();
         assert_eq!(scene.camera.resolution_px, [64, 48]);
+        assert!(scene.polarised);
         let extent_mm = DVec2::new(2.2, 1.65);
         assert_eq!(
             scene.camera.projection,
@@ -214,7 +224,7 @@ brdf = { table = "holder.binary" }
             (
                 "weight = 0.6",
                 "weight = 0.5",
-                "scene.toml:22: `brdf.mixture` is a mixture whose weights sum to 0.900000",
+                "scene.toml:25: `brdf.mixture` is a mixture whose weights sum to 0.900000",
             ),
             (
                 "albedo = 0.9",
@@ -245,6 +255,11 @@ brdf = { table = "holder.binary" }
                 "table = \"holder.binary\"",
                 "",
                 "`body[0].brdf.mixture` is missing",
+            ),
+            (
+                "polarised = true",
+                "polarised = 1",
+                "`render.polarised` is 1",
             ),
             (
                 "irradiance =",

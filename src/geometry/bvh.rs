@@ -52,7 +52,7 @@ struct Node {
     child: [u32; WIDTH],
 }
 
-/// Four triangles; corner[k][axis][lane]. Unused lanes hold a triangle without area.
+/// Four triangles; corner[k][axis][lane]. Unused lanes hold NaN, which meets nothing.
 #[repr(C, align(16))]
 #[derive(Clone)]
 struct Leaf {
@@ -144,7 +144,7 @@ impl Bvh {
     fn push_leaf(&mut self, tree: &Bvh2, member: usize, mesh: &Mesh) -> u32 {
         let node = &tree.nodes[member];
         let mut leaf = Leaf {
-            corner: [[[0.0; LEAF]; 3]; 3],
+            corner: [[[f32::NAN; LEAF]; 3]; 3],
             triangle: [EMPTY; LEAF],
         };
         for lane in 0..node.prim_count as usize {
@@ -167,7 +167,7 @@ impl Bvh {
             // SAFETY: `avx2` is set only where the processor has AVX2 and FMA.
             return unsafe { closest_avx2(self, ray) };
         }
-        closest_with::<PortableBoxes>(self, ray)
+        closest_with::<Portable>(self, ray)
     }
 
     /// Whether anything lies on the ray before its limit.
@@ -177,7 +177,7 @@ impl Bvh {
             // SAFETY: as in `closest`.
             return unsafe { any_avx2(self, ray) };
         }
-        any_with::<PortableBoxes>(self, ray)
+        any_with::<Portable>(self, ray)
     }
 }
 
@@ -195,7 +195,10 @@ fn avx2_available() -> bool {
 /// What the tests need of a ray, computed once.
 struct Prepared {
     origin: [f32; 3],
-    inverse: [f32; 3],
+    /// Distances to planes are `plane · inverse − offset`, [0 = entering, 1 = leaving]
+    /// per axis, rounded outwards.
+    inverse: [[f32; 2]; 3],
+    offset: [[f32; 2]; 3],
     /// 1 where the direction's component is negative: the high bound is the near one.
     near: [usize; 3],
     /// Axes permuted so that the direction's largest component comes last.
@@ -203,237 +206,407 @@ struct Prepared {
     shear: [f32; 3],
 }
 
+/// Relative rounding of a distance to a plane and of its comparison (Ize 2013).
+const DISTANCE_ERROR: f32 = 8.0 * f32::EPSILON;
+/// Relative rounding of the ray's origin in the box and triangle tests.
+const ORIGIN_ERROR: f32 = 4.0 * f32::EPSILON;
+/// Components of the direction below this count as this: no 0 · ∞ in the box test.
+const LEAST_COMPONENT: f32 = 1e-18;
+
 impl Prepared {
     #[inline(always)]
     fn new(ray: &Ray) -> Self {
+        let origin = ray.origin_mm.to_array();
         let d = ray.direction.to_array();
-        let magnitude = d.map(f32::abs);
-        let z = if magnitude[0] > magnitude[1] {
-            if magnitude[0] > magnitude[2] { 0 } else { 2 }
-        } else if magnitude[1] > magnitude[2] {
+        let [dx, dy, dz] = d.map(f32::abs);
+        let z = if dx > dy {
+            if dx > dz { 0 } else { 2 }
+        } else if dy > dz {
             1
         } else {
             2
         };
-        let (mut x, mut y) = ((z + 1) % 3, (z + 2) % 3);
+        const NEXT: [usize; 4] = [1, 2, 0, 1];
+        let (mut x, mut y) = (NEXT[z], NEXT[z + 1]);
         if d[z] < 0.0 {
             std::mem::swap(&mut x, &mut y);
         }
-        Self {
-            origin: ray.origin_mm.to_array(),
-            inverse: d.map(|c| 1.0 / c),
-            near: d.map(|c| usize::from(c.is_sign_negative())),
+        let mut prepared = Self {
+            origin,
+            inverse: [[0.0; 2]; 3],
+            offset: [[0.0; 2]; 3],
+            near: [0; 3],
             axes: [x, y, z],
-            shear: [d[x] / d[z], d[y] / d[z], 1.0 / d[z]],
-        }
-    }
-}
-
-/// Grows the far distance by the rounding of its three operations (Ize 2013).
-const FAR_GROWTH: f32 = 1.000_000_5;
-
-/// Tests a ray against the eight boxes of a node. A trait, not a closure: only what is
-/// inlined into a function compiled for AVX2 may use its instructions.
-trait BoxTest {
-    /// A bit for each box that is met before `limit`, and the distances of entry.
-    fn boxes(node: &Node, ray: &Prepared, limit: f32) -> (u32, [f32; WIDTH]);
-}
-
-struct PortableBoxes;
-
-impl BoxTest for PortableBoxes {
-    #[inline(always)]
-    fn boxes(node: &Node, ray: &Prepared, limit: f32) -> (u32, [f32; WIDTH]) {
-        let mut entry = [0.0f32; WIDTH];
-        let mut leave = [limit; WIDTH];
+            shear: [0.0; 3],
+        };
         for axis in 0..3 {
-            let near = &node.bounds[axis][ray.near[axis]];
-            let far = &node.bounds[axis][1 - ray.near[axis]];
-            for lane in 0..WIDTH {
-                // A NaN (0 · ∞, a ray inside a slab's plane) keeps the other bound.
-                let t0 = (near[lane] - ray.origin[axis]) * ray.inverse[axis];
-                let t1 = (far[lane] - ray.origin[axis]) * ray.inverse[axis] * FAR_GROWTH;
-                entry[lane] = if t0 > entry[lane] { t0 } else { entry[lane] };
-                leave[lane] = if t1 < leave[lane] { t1 } else { leave[lane] };
-            }
+            let component = d[axis].abs().max(LEAST_COMPONENT).copysign(d[axis]);
+            let inverse = 1.0 / component;
+            let farther = inverse * (1.0 + DISTANCE_ERROR);
+            let error = (origin[axis] * farther).abs() * ORIGIN_ERROR;
+            prepared.inverse[axis] = [inverse, farther];
+            prepared.offset[axis] = [
+                origin[axis] * inverse + error,
+                origin[axis] * farther - error,
+            ];
+            prepared.near[axis] = usize::from(d[axis].is_sign_negative());
         }
-        let mut met = 0;
-        for lane in 0..WIDTH {
-            met |= u32::from(entry[lane] <= leave[lane]) << lane;
-        }
-        (met, entry)
+        let along = prepared.inverse[z][0];
+        prepared.shear = [d[x] * along, d[y] * along, along];
+        prepared
     }
 }
 
-#[cfg(target_arch = "x86_64")]
-struct Avx2Boxes;
-
-#[cfg(target_arch = "x86_64")]
-impl BoxTest for Avx2Boxes {
-    #[inline(always)]
-    fn boxes(node: &Node, ray: &Prepared, limit: f32) -> (u32, [f32; WIDTH]) {
-        use std::arch::x86_64::*;
-        // SAFETY: instantiated only inside functions compiled for AVX2; every pointer
-        // is to an array of eight f32.
-        unsafe {
-            let mut entry = _mm256_setzero_ps();
-            let mut leave = _mm256_set1_ps(limit);
-            let growth = _mm256_set1_ps(FAR_GROWTH);
-            let mut axis = 0;
-            while axis < 3 {
-                let origin = _mm256_set1_ps(ray.origin[axis]);
-                let inverse = _mm256_set1_ps(ray.inverse[axis]);
-                let near = _mm256_loadu_ps(node.bounds[axis][ray.near[axis]].as_ptr());
-                let far = _mm256_loadu_ps(node.bounds[axis][1 - ray.near[axis]].as_ptr());
-                let t0 = _mm256_mul_ps(_mm256_sub_ps(near, origin), inverse);
-                let t1 = _mm256_mul_ps(_mm256_mul_ps(_mm256_sub_ps(far, origin), inverse), growth);
-                entry = _mm256_max_ps(t0, entry);
-                leave = _mm256_min_ps(t1, leave);
-                axis += 1;
-            }
-            let met = _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LE_OQ>(entry, leave)) as u32;
-            let mut distances = [0.0; WIDTH];
-            _mm256_storeu_ps(distances.as_mut_ptr(), entry);
-            (met, distances)
-        }
-    }
+/// What the processor does on whole registers. A trait, not closures: only what is
+/// inlined into a function compiled for AVX2 may use its instructions.
+trait Instructions {
+    /// A bit for each box that is met before `limit`, and the distances of entry.
+    fn boxes(node: &Node, ray: &Prepared, limit: f32, entries: &mut [f32; WIDTH]) -> u32;
+    /// Woop's test in f32: fills `hits` and returns (lanes inside, lanes on an edge).
+    fn triangles(leaf: &Leaf, ray: &Prepared, hits: &mut LeafHits) -> (u32, u32);
 }
 
-/// Distances and barycentric weights of a leaf's triangles; infinite where missed.
+/// Distances and barycentric weights of a leaf's triangles, where they are met.
 struct LeafHits {
     distance: [f32; LEAF],
     second: [f32; LEAF],
     third: [f32; LEAF],
 }
 
-/// Woop's test on four lanes. The sheared coordinates are f32, the same for every
-/// triangle that shares the vertex; their products are exact in f64, hence the sign
-/// of an edge function is the exact sign and antisymmetric across a shared edge.
-#[inline(always)]
-fn triangles_lanes(leaf: &Leaf, ray: &Prepared, limit: f32) -> LeafHits {
-    let [x, y, z] = ray.axes;
-    let mut sheared = [[[0.0f64; LEAF]; 2]; 3];
-    let mut depth = [[0.0f64; LEAF]; 3];
-    for corner in 0..3 {
-        let c = &leaf.corner[corner];
-        for lane in 0..LEAF {
-            let pz = c[z][lane] - ray.origin[z];
-            sheared[corner][0][lane] = f64::from((c[x][lane] - ray.origin[x]) - ray.shear[0] * pz);
-            sheared[corner][1][lane] = f64::from((c[y][lane] - ray.origin[y]) - ray.shear[1] * pz);
-            depth[corner][lane] = f64::from(ray.shear[2] * pz);
-        }
-    }
-    let [[ax, ay], [bx, by], [cx, cy]] = sheared;
-    let mut hits = LeafHits {
-        distance: [f32::INFINITY; LEAF],
+impl LeafHits {
+    const NONE: Self = Self {
+        distance: [0.0; LEAF],
         second: [0.0; LEAF],
         third: [0.0; LEAF],
     };
-    for lane in 0..LEAF {
-        let u = cx[lane] * by[lane] - cy[lane] * bx[lane];
-        let v = ax[lane] * cy[lane] - ay[lane] * cx[lane];
-        let w = bx[lane] * ay[lane] - by[lane] * ax[lane];
-        let determinant = u + v + w;
-        let inside = (u >= 0.0) & (v >= 0.0) & (w >= 0.0) | (u <= 0.0) & (v <= 0.0) & (w <= 0.0);
-        let reciprocal = 1.0 / determinant;
-        let t = (u * depth[0][lane] + v * depth[1][lane] + w * depth[2][lane]) * reciprocal;
-        let t = t as f32;
-        let hit = inside & (determinant != 0.0) & (t > 0.0) & (t < limit);
-        hits.distance[lane] = if hit { t } else { f32::INFINITY };
-        hits.second[lane] = (v * reciprocal) as f32;
-        hits.third[lane] = (w * reciprocal) as f32;
+}
+
+struct Portable;
+
+impl Instructions for Portable {
+    #[inline(always)]
+    fn boxes(node: &Node, ray: &Prepared, limit: f32, entries: &mut [f32; WIDTH]) -> u32 {
+        let mut met = 0;
+        for lane in 0..WIDTH {
+            let (mut entry, mut leave) = (0.0f32, limit);
+            for axis in 0..3 {
+                let near = node.bounds[axis][ray.near[axis]][lane];
+                let far = node.bounds[axis][1 - ray.near[axis]][lane];
+                entry = entry.max(near * ray.inverse[axis][0] - ray.offset[axis][0]);
+                leave = leave.min(far * ray.inverse[axis][1] - ray.offset[axis][1]);
+            }
+            entries[lane] = entry;
+            met |= u32::from(entry <= leave) << lane;
+        }
+        met
     }
-    hits
+
+    #[inline(always)]
+    fn triangles(leaf: &Leaf, ray: &Prepared, hits: &mut LeafHits) -> (u32, u32) {
+        let (mut inside, mut edge) = (0, 0);
+        for lane in 0..LEAF {
+            let [[ax, ay, az], [bx, by, bz], [cx, cy, cz]] = sheared(leaf, ray, lane);
+            // Rounding is monotonous: a difference of two rounded products has the
+            // exact difference's sign, or is zero.
+            let u = cx * by - cy * bx;
+            let v = ax * cy - ay * cx;
+            let w = bx * ay - by * ax;
+            let (low, high) = (u.min(v).min(w), u.max(v).max(w));
+            inside |= u32::from(low >= 0.0 || high <= 0.0) << lane;
+            edge |= u32::from(u == 0.0 || v == 0.0 || w == 0.0) << lane;
+            let determinant = u + v + w;
+            hits.distance[lane] = (u * az + v * bz + w * cz) / determinant;
+            hits.second[lane] = v / determinant;
+            hits.third[lane] = w / determinant;
+        }
+        (inside, edge)
+    }
+}
+
+/// A triangle's corners seen along the ray: two coordinates across, the distance along.
+#[inline(always)]
+fn sheared(leaf: &Leaf, ray: &Prepared, lane: usize) -> [[f32; 3]; 3] {
+    let [x, y, z] = ray.axes;
+    let mut out = [[0.0; 3]; 3];
+    for (corner, out) in leaf.corner.iter().zip(&mut out) {
+        let along = corner[z][lane] - ray.origin[z];
+        *out = [
+            (corner[x][lane] - ray.origin[x]) - ray.shear[0] * along,
+            (corner[y][lane] - ray.origin[y]) - ray.shear[1] * along,
+            ray.shear[2] * along,
+        ];
+    }
+    out
+}
+
+/// The same test where f32 sees a ray on an edge: products of f32 are exact in f64,
+/// hence so are the signs, and antisymmetric across a shared edge. Updates the lane of
+/// `hits` and says whether the triangle is met.
+#[cold]
+#[inline(never)]
+fn on_an_edge(leaf: &Leaf, ray: &Prepared, lane: usize, hits: &mut LeafHits) -> bool {
+    let corners = sheared(leaf, ray, lane).map(|p| p.map(f64::from));
+    let [[ax, ay, az], [bx, by, bz], [cx, cy, cz]] = corners;
+    let u = cx * by - cy * bx;
+    let v = ax * cy - ay * cx;
+    let w = bx * ay - by * ax;
+    let determinant = u + v + w;
+    if determinant == 0.0 || u.min(v).min(w) < 0.0 && u.max(v).max(w) > 0.0 {
+        return false;
+    }
+    hits.distance[lane] = ((u * az + v * bz + w * cz) / determinant) as f32;
+    hits.second[lane] = (v / determinant) as f32;
+    hits.third[lane] = (w / determinant) as f32;
+    true
+}
+
+#[cfg(target_arch = "x86_64")]
+struct Avx2;
+
+#[cfg(target_arch = "x86_64")]
+impl Instructions for Avx2 {
+    #[inline(always)]
+    fn boxes(node: &Node, ray: &Prepared, limit: f32, entries: &mut [f32; WIDTH]) -> u32 {
+        use std::arch::x86_64::*;
+        // SAFETY: instantiated only inside functions compiled for AVX2 and FMA; every
+        // pointer is to an array of eight f32.
+        unsafe {
+            let mut entry = _mm256_setzero_ps();
+            let mut leave = _mm256_set1_ps(limit);
+            let mut axis = 0;
+            while axis < 3 {
+                let near = _mm256_loadu_ps(node.bounds[axis][ray.near[axis]].as_ptr());
+                let far = _mm256_loadu_ps(node.bounds[axis][1 - ray.near[axis]].as_ptr());
+                let [enter_inverse, leave_inverse] = ray.inverse[axis];
+                let [enter_offset, leave_offset] = ray.offset[axis];
+                let (inverse, offset) =
+                    (_mm256_set1_ps(enter_inverse), _mm256_set1_ps(enter_offset));
+                entry = _mm256_max_ps(_mm256_fmsub_ps(near, inverse, offset), entry);
+                let (inverse, offset) =
+                    (_mm256_set1_ps(leave_inverse), _mm256_set1_ps(leave_offset));
+                leave = _mm256_min_ps(_mm256_fmsub_ps(far, inverse, offset), leave);
+                axis += 1;
+            }
+            _mm256_storeu_ps(entries.as_mut_ptr(), entry);
+            _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LE_OQ>(entry, leave)) as u32
+        }
+    }
+
+    #[inline(always)]
+    fn triangles(leaf: &Leaf, ray: &Prepared, hits: &mut LeafHits) -> (u32, u32) {
+        use std::arch::x86_64::*;
+        // SAFETY: as above; every pointer is to an array of four f32. Multiplications
+        // and additions are not fused, so that the portable form gives the same numbers.
+        unsafe {
+            let [x, y, z] = ray.axes;
+            let origin = [x, y, z].map(|axis| _mm_set1_ps(ray.origin[axis]));
+            let shear = ray.shear.map(|s| _mm_set1_ps(s));
+            let zero = _mm_setzero_ps();
+            let mut across = [[zero; 2]; 3];
+            let mut along = [zero; 3];
+            let mut k = 0;
+            while k < 3 {
+                let corner = &leaf.corner[k];
+                along[k] = _mm_sub_ps(_mm_loadu_ps(corner[z].as_ptr()), origin[2]);
+                let px = _mm_sub_ps(_mm_loadu_ps(corner[x].as_ptr()), origin[0]);
+                let py = _mm_sub_ps(_mm_loadu_ps(corner[y].as_ptr()), origin[1]);
+                across[k][0] = _mm_sub_ps(px, _mm_mul_ps(shear[0], along[k]));
+                across[k][1] = _mm_sub_ps(py, _mm_mul_ps(shear[1], along[k]));
+                k += 1;
+            }
+            let [[ax, ay], [bx, by], [cx, cy]] = across;
+            let u = _mm_sub_ps(_mm_mul_ps(cx, by), _mm_mul_ps(cy, bx));
+            let v = _mm_sub_ps(_mm_mul_ps(ax, cy), _mm_mul_ps(ay, cx));
+            let w = _mm_sub_ps(_mm_mul_ps(bx, ay), _mm_mul_ps(by, ax));
+            let low = _mm_min_ps(_mm_min_ps(u, v), w);
+            let high = _mm_max_ps(_mm_max_ps(u, v), w);
+            let inside = _mm_or_ps(_mm_cmpge_ps(low, zero), _mm_cmple_ps(high, zero));
+            let inside = _mm_movemask_ps(inside) as u32;
+            if inside == 0 {
+                return (0, 0);
+            }
+            let edge = _mm_or_ps(
+                _mm_or_ps(_mm_cmpeq_ps(u, zero), _mm_cmpeq_ps(v, zero)),
+                _mm_cmpeq_ps(w, zero),
+            );
+            let determinant = _mm_add_ps(_mm_add_ps(u, v), w);
+            let sum = _mm_add_ps(
+                _mm_add_ps(
+                    _mm_mul_ps(u, _mm_mul_ps(shear[2], along[0])),
+                    _mm_mul_ps(v, _mm_mul_ps(shear[2], along[1])),
+                ),
+                _mm_mul_ps(w, _mm_mul_ps(shear[2], along[2])),
+            );
+            _mm_storeu_ps(hits.distance.as_mut_ptr(), _mm_div_ps(sum, determinant));
+            _mm_storeu_ps(hits.second.as_mut_ptr(), _mm_div_ps(v, determinant));
+            _mm_storeu_ps(hits.third.as_mut_ptr(), _mm_div_ps(w, determinant));
+            (inside, _mm_movemask_ps(edge) as u32)
+        }
+    }
+}
+
+/// References and the distances at which their boxes are entered, as numbers that sort
+/// by distance. Not initialised: a query uses a few of them.
+struct Stack {
+    entries: [std::mem::MaybeUninit<u64>; STACK],
+    height: usize,
+}
+
+impl Stack {
+    #[inline(always)]
+    fn new() -> Self {
+        Self {
+            entries: [const { std::mem::MaybeUninit::uninit() }; STACK],
+            height: 0,
+        }
+    }
+
+    #[inline(always)]
+    fn push(&mut self, entry: u64) {
+        self.entries[self.height].write(entry);
+        self.height += 1;
+    }
+
+    /// Pushes below all entries above `base` that are nearer.
+    #[inline(always)]
+    fn push_sorted(&mut self, base: usize, entry: u64) {
+        let mut slot = self.height;
+        while slot > base {
+            // SAFETY: everything below `height` has been written.
+            let below = unsafe { self.entries[slot - 1].assume_init() };
+            if below >= entry {
+                break;
+            }
+            self.entries[slot].write(below);
+            slot -= 1;
+        }
+        self.entries[slot].write(entry);
+        self.height += 1;
+    }
+
+    #[inline(always)]
+    fn pop(&mut self) -> Option<u64> {
+        self.height = self.height.checked_sub(1)?;
+        // SAFETY: everything below `height` has been written.
+        Some(unsafe { self.entries[self.height].assume_init() })
+    }
 }
 
 #[inline(always)]
-fn closest_with<T: BoxTest>(bvh: &Bvh, ray: &Ray) -> Option<Hit> {
+fn entry(distance: f32, reference: u32) -> u64 {
+    // Distances are not negative: their bits are in their order.
+    u64::from(distance.to_bits()) << 32 | u64::from(reference)
+}
+
+#[inline(always)]
+fn closest_with<I: Instructions>(bvh: &Bvh, ray: &Ray) -> Option<Hit> {
     let prepared = Prepared::new(ray);
     let mut limit = ray.limit_mm;
-    let mut best = None;
-    let mut stack = [(0u32, 0.0f32); STACK];
-    let mut height = 1;
-    while height > 0 {
-        height -= 1;
-        let (reference, entry) = stack[height];
-        if entry > limit {
-            continue;
-        }
-        if reference & LEAF_BIT != 0 {
+    let mut best: Option<Hit> = None;
+    let mut stack = Stack::new();
+    let mut entries = [0.0; WIDTH];
+    let mut hits = LeafHits::NONE;
+    let mut reference = 0u32;
+    loop {
+        if reference & LEAF_BIT == 0 {
+            let node = &bvh.nodes[reference as usize];
+            let mut met = I::boxes(node, &prepared, limit, &mut entries);
+            if met != 0 {
+                let lane = met.trailing_zeros() as usize;
+                met &= met - 1;
+                let mut nearest = entry(entries[lane], node.child[lane]);
+                let base = stack.height;
+                while met != 0 {
+                    let lane = met.trailing_zeros() as usize;
+                    met &= met - 1;
+                    let other = entry(entries[lane], node.child[lane]);
+                    stack.push_sorted(base, nearest.max(other));
+                    nearest = nearest.min(other);
+                }
+                reference = nearest as u32;
+                continue;
+            }
+        } else {
             let leaf = &bvh.leaves[(reference & !LEAF_BIT) as usize];
-            let hits = triangles_lanes(leaf, &prepared, limit);
-            for lane in 0..LEAF {
-                // Equal distances go to the smaller index, whatever the tree's order.
+            let (mut inside, edge) = I::triangles(leaf, &prepared, &mut hits);
+            while inside != 0 {
+                let lane = inside.trailing_zeros() as usize;
+                inside &= inside - 1;
+                if edge >> lane & 1 != 0 && !on_an_edge(leaf, &prepared, lane, &mut hits) {
+                    continue;
+                }
                 let t = hits.distance[lane];
-                if t < limit {
+                let triangle = leaf.triangle[lane];
+                // Equal distances go to the smaller index, whatever the tree's order.
+                if t > 0.0
+                    && (t < limit || t == limit && best.is_some_and(|b| triangle < b.triangle))
+                {
                     limit = t;
                     best = Some(Hit {
                         distance_mm: t,
-                        triangle: leaf.triangle[lane],
+                        triangle,
                         barycentric: [hits.second[lane], hits.third[lane]],
                     });
                 }
             }
-            continue;
         }
-        let node = &bvh.nodes[reference as usize];
-        let (mut met, entries) = T::boxes(node, &prepared, limit);
-        let base = height;
-        while met != 0 {
-            let lane = met.trailing_zeros() as usize;
-            met &= met - 1;
-            // Keep the pushed children sorted, the nearest on top.
-            let entry = entries[lane];
-            let mut slot = height;
-            while slot > base && stack[slot - 1].1 < entry {
-                stack[slot] = stack[slot - 1];
-                slot -= 1;
+        loop {
+            let Some(next) = stack.pop() else { return best };
+            if f32::from_bits((next >> 32) as u32) <= limit {
+                reference = next as u32;
+                break;
             }
-            stack[slot] = (node.child[lane], entry);
-            height += 1;
         }
     }
-    best
 }
 
 #[inline(always)]
-fn any_with<T: BoxTest>(bvh: &Bvh, ray: &Ray) -> bool {
+fn any_with<I: Instructions>(bvh: &Bvh, ray: &Ray) -> bool {
     let prepared = Prepared::new(ray);
-    let mut stack = [0u32; STACK];
-    let mut height = 1;
-    while height > 0 {
-        height -= 1;
-        let reference = stack[height];
-        if reference & LEAF_BIT != 0 {
-            let leaf = &bvh.leaves[(reference & !LEAF_BIT) as usize];
-            let hits = triangles_lanes(leaf, &prepared, ray.limit_mm);
-            if hits.distance.iter().any(|&t| t < ray.limit_mm) {
-                return true;
+    let mut stack = Stack::new();
+    let mut entries = [0.0; WIDTH];
+    let mut hits = LeafHits::NONE;
+    let mut reference = 0u32;
+    loop {
+        if reference & LEAF_BIT == 0 {
+            let node = &bvh.nodes[reference as usize];
+            let mut met = I::boxes(node, &prepared, ray.limit_mm, &mut entries);
+            while met != 0 {
+                let lane = met.trailing_zeros() as usize;
+                met &= met - 1;
+                stack.push(u64::from(node.child[lane]));
             }
-            continue;
+        } else {
+            let leaf = &bvh.leaves[(reference & !LEAF_BIT) as usize];
+            let (mut inside, edge) = I::triangles(leaf, &prepared, &mut hits);
+            while inside != 0 {
+                let lane = inside.trailing_zeros() as usize;
+                inside &= inside - 1;
+                if (edge >> lane & 1 == 0 || on_an_edge(leaf, &prepared, lane, &mut hits))
+                    && hits.distance[lane] > 0.0
+                    && hits.distance[lane] < ray.limit_mm
+                {
+                    return true;
+                }
+            }
         }
-        let node = &bvh.nodes[reference as usize];
-        let (mut met, _) = T::boxes(node, &prepared, ray.limit_mm);
-        while met != 0 {
-            let lane = met.trailing_zeros() as usize;
-            met &= met - 1;
-            stack[height] = node.child[lane];
-            height += 1;
-        }
+        let Some(next) = stack.pop() else {
+            return false;
+        };
+        reference = next as u32;
     }
-    false
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,fma")]
 fn closest_avx2(bvh: &Bvh, ray: &Ray) -> Option<Hit> {
-    closest_with::<Avx2Boxes>(bvh, ray)
+    closest_with::<Avx2>(bvh, ray)
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,fma")]
 fn any_avx2(bvh: &Bvh, ray: &Ray) -> bool {
-    any_with::<Avx2Boxes>(bvh, ray)
+    any_with::<Avx2>(bvh, ray)
 }
 
 /// A point just off the surface on the side of `normal`, from which a ray cannot hit

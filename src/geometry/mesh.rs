@@ -57,6 +57,16 @@ pub enum MeshError {
         /// Index from 0.
         vertex: usize,
     },
+    /// A coordinate is so large that rays lose their precision.
+    #[error(
+        "vertex {vertex} lies {distance_mm} mm from the origin; at most {MAX_DISTANCE_MM} mm are supported"
+    )]
+    TooFar {
+        /// Index from 0.
+        vertex: usize,
+        /// Its largest coordinate, absolute.
+        distance_mm: f32,
+    },
     /// A normal is NaN, infinite, without length, or missing.
     #[error("vertex {vertex} has no usable normal")]
     Normal {
@@ -96,6 +106,9 @@ pub enum MeshError {
 /// Most triangles that a mesh may have.
 pub const MAX_TRIANGLES: usize = 20_000_000;
 
+/// Largest coordinate that a mesh may have, millimetres.
+pub const MAX_DISTANCE_MM: f32 = 1e7;
+
 impl Mesh {
     /// Checks indices, coordinates, areas and edges. Triangles that repeat a
     /// corner are refused.
@@ -111,6 +124,15 @@ impl Mesh {
         }
         if let Some(vertex) = positions_mm.iter().position(|p| !p.is_finite()) {
             return Err(MeshError::NotFinite { vertex });
+        }
+        let distances = positions_mm.iter().map(|p| p.abs().max_element());
+        if let Some((vertex, distance_mm)) =
+            distances.enumerate().find(|(_, d)| *d > MAX_DISTANCE_MM)
+        {
+            return Err(MeshError::TooFar {
+                vertex,
+                distance_mm,
+            });
         }
         for (triangle, corners) in triangles.iter().enumerate() {
             if let Some(&vertex) = corners.iter().find(|&&v| v as usize >= positions_mm.len()) {
@@ -286,6 +308,10 @@ mod tests {
                 count: 2
             })
         ));
+        let mut far = positions.clone();
+        far[1].x = 3e8;
+        let error = Mesh::new(far, triangles.clone()).unwrap_err().to_string();
+        assert!(error.contains("vertex 1 lies 300000000 mm"), "{error}");
         let mut broken = positions;
         broken[2].y = f32::NAN;
         assert!(matches!(

@@ -1,4 +1,4 @@
-//! PLY meshes, ascii and binary little-endian (the two that programs write).
+//! PLY meshes, ascii and binary of either byte order; binary little-endian is written.
 
 use std::io::Write;
 
@@ -50,33 +50,38 @@ struct Element {
 /// The body's numbers in order, whatever the encoding.
 enum Body<'a> {
     Ascii(std::str::SplitAsciiWhitespace<'a>),
-    Binary(&'a [u8]),
+    LittleEndian(&'a [u8]),
+    BigEndian(&'a [u8]),
 }
 
 impl Body<'_> {
     fn next(&mut self, kind: Kind) -> Option<f64> {
-        match self {
-            Body::Ascii(words) => words.next()?.parse().ok(),
-            Body::Binary(bytes) => {
-                macro_rules! take {
-                    ($t:ty) => {{
-                        let (head, rest) = bytes.split_first_chunk()?;
-                        *bytes = rest;
-                        <$t>::from_le_bytes(*head) as f64
-                    }};
+        let (bytes, little) = match self {
+            Body::Ascii(words) => return words.next()?.parse().ok(),
+            Body::LittleEndian(bytes) => (bytes, true),
+            Body::BigEndian(bytes) => (bytes, false),
+        };
+        macro_rules! take {
+            ($t:ty) => {{
+                let (head, rest) = bytes.split_first_chunk()?;
+                *bytes = rest;
+                if little {
+                    <$t>::from_le_bytes(*head) as f64
+                } else {
+                    <$t>::from_be_bytes(*head) as f64
                 }
-                Some(match kind {
-                    Kind::I8 => take!(i8),
-                    Kind::U8 => take!(u8),
-                    Kind::I16 => take!(i16),
-                    Kind::U16 => take!(u16),
-                    Kind::I32 => take!(i32),
-                    Kind::U32 => take!(u32),
-                    Kind::F32 => take!(f32),
-                    Kind::F64 => take!(f64),
-                })
-            }
+            }};
         }
+        Some(match kind {
+            Kind::I8 => take!(i8),
+            Kind::U8 => take!(u8),
+            Kind::I16 => take!(i16),
+            Kind::U16 => take!(u16),
+            Kind::I32 => take!(i32),
+            Kind::U32 => take!(u32),
+            Kind::F32 => take!(f32),
+            Kind::F64 => take!(f64),
+        })
     }
 }
 
@@ -167,7 +172,7 @@ pub fn parse(bytes: &[u8], mm_per_unit: f32) -> Result<Mesh, MeshError> {
 
 fn header(bytes: &[u8]) -> Result<(Vec<Element>, Body<'_>), MeshError> {
     let mut elements: Vec<Element> = Vec::new();
-    let mut binary = None;
+    let mut format = None;
     let mut rest = bytes;
     let mut first = true;
     loop {
@@ -186,11 +191,16 @@ fn header(bytes: &[u8]) -> Result<(Vec<Element>, Body<'_>), MeshError> {
         }
         first = false;
         match words.as_slice() {
-            ["format", "ascii", "1.0"] => binary = Some(false),
-            ["format", "binary_little_endian", "1.0"] => binary = Some(true),
+            [
+                "format",
+                name @ ("ascii" | "binary_little_endian" | "binary_big_endian"),
+                "1.0",
+            ] => {
+                format = Some(*name);
+            }
             ["format", other, ..] => {
                 return Err(bad(format!(
-                    "format {other} is not ascii or binary_little_endian"
+                    "format {other} is not ascii 1.0, binary_little_endian 1.0 or binary_big_endian 1.0"
                 )));
             }
             ["element", name, count] => {
@@ -234,9 +244,18 @@ fn header(bytes: &[u8]) -> Result<(Vec<Element>, Body<'_>), MeshError> {
     {
         return Err(bad("an element without properties"));
     }
-    let body = match binary {
-        Some(true) => Body::Binary(rest),
-        Some(false) => Body::Ascii(
+    for axis in ["x", "y", "z"] {
+        let given = |p: &Property| matches!(p, Property::Scalar(name, _) if name == axis);
+        if let Some(vertex) = elements.iter().find(|e| e.name == "vertex")
+            && !vertex.properties.iter().any(given)
+        {
+            return Err(bad(format!("the vertices have no {axis}")));
+        }
+    }
+    let body = match format {
+        Some("binary_little_endian") => Body::LittleEndian(rest),
+        Some("binary_big_endian") => Body::BigEndian(rest),
+        Some(_) => Body::Ascii(
             std::str::from_utf8(rest)
                 .map_err(|_| bad("the body is not text"))?
                 .split_ascii_whitespace(),
@@ -297,5 +316,29 @@ mod tests {
         let mesh = parse(text.as_bytes(), 10.0).unwrap();
         assert_eq!(mesh.triangles, [[0, 1, 2], [0, 2, 3]]);
         assert_eq!(mesh.positions_mm[2], Vec3::new(10.0, 10.0, 0.0));
+    }
+
+    #[test]
+    fn both_byte_orders_are_read() {
+        let file = |order: &str, number: fn(f32) -> [u8; 4], index: fn(i32) -> [u8; 4]| {
+            let mut bytes = format!("ply\nformat binary_{order}_endian 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n").into_bytes();
+            for value in [0.0, 0.0, 1.5, 2.0, 0.0, 1.5, 0.0, 3.0, 1.5] {
+                bytes.extend(number(value));
+            }
+            bytes.push(3);
+            (0..3).for_each(|i| bytes.extend(index(i)));
+            bytes
+        };
+        let little = parse(&file("little", f32::to_le_bytes, i32::to_le_bytes), 1.0).unwrap();
+        let big = parse(&file("big", f32::to_be_bytes, i32::to_be_bytes), 1.0).unwrap();
+        assert_eq!(little, big);
+        assert_eq!(big.positions_mm[2], Vec3::new(0.0, 3.0, 1.5));
+    }
+
+    #[test]
+    fn vertices_without_a_coordinate_are_refused() {
+        let text = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nend_header\n0 0\n";
+        let error = parse(text.as_bytes(), 1.0).unwrap_err().to_string();
+        assert!(error.contains("the vertices have no z"), "{error}");
     }
 }

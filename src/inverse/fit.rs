@@ -4,6 +4,7 @@ use std::time::Instant;
 
 use nalgebra::DVector;
 
+use super::bench::system::{BenchLinearisation, Model};
 use super::exponentiated_gradient::ExponentiatedGradient;
 use super::gauss_newton::GaussNewton;
 use super::objective::{Channels, Linearised, Objective};
@@ -148,6 +149,18 @@ pub fn fit(
     options: &FitOptions,
     stage: &mut dyn FnMut(&str),
 ) -> Result<Fit, FitError> {
+    fit_on_bench(scene, captured, dictionary, options, None, stage)
+}
+
+/// [`fit`] on a bench that is known within what `bench` says, which widens the draws.
+pub(super) fn fit_on_bench(
+    scene: &Scene,
+    captured: &[RadianceImage],
+    dictionary: &Dictionary,
+    options: &FitOptions,
+    bench: Option<&BenchLinearisation>,
+    stage: &mut dyn FnMut(&str),
+) -> Result<Fit, FitError> {
     check(scene, captured)?;
     let clock = Instant::now();
     let mut timings = Vec::new();
@@ -210,7 +223,20 @@ pub fn fit(
     }
     lap("optimise", &mut timings);
     stage("uncertainty");
-    let draws = uncertainty::draw(&mixture, &pass, options.draws, options.cache.seed)?;
+    let model = Model {
+        objective: &objective,
+        cache: &cache,
+        direct: &direct,
+        kernel: options.kernel,
+    };
+    let coupling = bench.map(|b| b.coupling(&model, &residual_weights, &mixture));
+    let draws = uncertainty::draw(
+        &mixture,
+        &pass,
+        coupling.as_ref(),
+        options.draws,
+        options.cache.seed,
+    )?;
     lap("uncertainty", &mut timings);
 
     let per_channel = |sets: &[DVector<f64>]| -> [Vec<f64>; 3] {
@@ -233,7 +259,7 @@ pub fn fit(
     })
 }
 
-fn check(scene: &Scene, captured: &[RadianceImage]) -> Result<(), FitError> {
+pub(super) fn check(scene: &Scene, captured: &[RadianceImage]) -> Result<(), FitError> {
     if captured.len() != scene.lights.len() || captured.is_empty() {
         return Err(FitError::ImageCount {
             images: captured.len(),

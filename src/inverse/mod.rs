@@ -2,15 +2,18 @@
 //! they can say about their own error.
 
 pub mod diagnosis;
+pub mod bench;
 pub mod exponentiated_gradient;
 pub mod fit;
 pub mod gauss_newton;
 pub mod intervals;
+pub mod light_selection;
 pub mod objective;
 pub mod projection;
 pub mod simplex;
 pub mod trace;
 pub mod uncertainty;
 
+pub use bench::{BenchPriors, RefineOptions, refine_bench};
 pub use fit::{Fit, FitError, FitOptions, Optimizer, fit};
 pub use objective::Channels;

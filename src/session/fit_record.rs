@@ -29,7 +29,9 @@ use crate::radiance_image::RadianceImage;
 use crate::radiance_image::exr::ExrError;
 use crate::session::SessionError;
 
-pub use folder::{commit, encode, list, next_folder, read, read_images, write};
+pub use folder::{
+    commit, encode, next_folder, numbers_in, read, read_images, read_images_in, read_in, write,
+};
 pub use tables::{AngleCell, AngleTable};
 
 const FIT_FILE: &str = "fit.toml";

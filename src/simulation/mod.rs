@@ -4,8 +4,10 @@
 //! It differs from what a fit believes as a real bench does: another pose, a finer
 //! mesh, other paths, a measured material outside the dictionary.
 
+pub mod photograph;
+
 use std::collections::HashMap;
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, OnceLock};
 
 use glam::DVec3;
 use mock_devices::{Illumination, RadianceSource};
@@ -51,6 +53,8 @@ type Rendered = Arc<Vec<[f32; 3]>>;
 /// Renders the truth on demand and remembers it by lamp position.
 pub struct TruthSource {
     truth: Truth,
+    /// The material's own lobes.
+    lobes: OnceLock<Proposal>,
     /// By the bits of azimuth and elevation.
     rendered: Mutex<HashMap<[u64; 2], Rendered>>,
 }
@@ -61,6 +65,7 @@ impl TruthSource {
         truth.mesh = truth.mesh.transformed(&pose_error(&truth));
         Self {
             truth,
+            lobes: OnceLock::new(),
             rendered: Mutex::default(),
         }
     }
@@ -87,6 +92,7 @@ impl TruthSource {
         let mix = |cosine, lobes: &[(f32, f32)]| Proposal {
             cosine,
             lobes: lobes.to_vec(),
+            table: None,
         };
         let candidates = vec![
             Proposal::default(),
@@ -95,6 +101,9 @@ impl TruthSource {
             mix(0.5, &[(0.05, 0.25), (0.15, 0.25)]),
             mix(0.3, &[(0.2, 0.5), (0.4, 0.2)]),
             mix(0.3, &[(0.1, 0.5), (0.25, 0.2)]),
+            self.lobes
+                .get_or_init(|| Proposal::tabulating(&*truth.brdf, 0.3))
+                .clone(),
         ];
         options.proposal = quietest_proposal(&scene, &*truth.brdf, &options, candidates);
         render(&scene, &*truth.brdf, &options, &|_| {})

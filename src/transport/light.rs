@@ -58,10 +58,12 @@ impl Light {
                 } else {
                     centre
                 };
+                // Over an even cone of half angle a the mean cosine to the axis is (1 + cos a)/2.
+                let mean_cosine = 0.5 * (1.0 + angular_radius_rad.cos());
                 LightSample {
                     direction,
                     distance_mm: f32::INFINITY,
-                    relative_irradiance: 1.0,
+                    relative_irradiance: (1.0 / mean_cosine) as f32,
                 }
             }
             Light::Point { position_mm, .. } => {
@@ -115,6 +117,14 @@ mod tests {
     fn cone_is_uniform() {
         let axis = Vec3::new(0.6, 0.0, 0.8);
         let half = 0.3f32;
+        // What the lamp promises, the irradiance across its axis, it brings.
+        let lamp = Light::Directional {
+            to_light: axis.as_dvec3(),
+            irradiance: [1.0; 3],
+            angular_radius_rad: f64::from(half),
+        };
+        let brought = lamp.sample(Vec3::ZERO, [0.1; 2]).relative_irradiance;
+        assert!((brought * 0.5 * (1.0 + half.cos()) - 1.0).abs() < 1e-6);
         let mut numbers = stream(5, Purpose::Experiment, 0, 0, 0);
         let n = 100_000;
         let mut mean = 0.0;

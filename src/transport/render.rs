@@ -1,10 +1,10 @@
 //! Plain forward rendering of any BRDF, known bodies included: mean and variance of the mean per pixel.
 
-use glam::DVec2;
+use glam::{DVec2, Vec3};
 use rayon::prelude::*;
 
 use super::proposal::Proposal;
-use super::scene::Scene;
+use super::scene::{Scene, Surface};
 use crate::brdf::Brdf;
 use crate::radiance_image::RadianceImage;
 use crate::random::{Purpose, stream};
@@ -41,6 +41,58 @@ pub fn render(
     options: &RenderOptions,
     progress: &(dyn Fn(usize) + Sync),
 ) -> Vec<RadianceImage> {
+    render_carrying::<[f64; 3]>(scene, brdf, options, progress)
+}
+
+/// What a camera path gathers on its way towards the lamps: the factors between the
+/// camera's reading and light that arrives at the end of the path.
+pub(super) trait Carrier {
+    /// At the camera, looking along `direction`.
+    fn start(direction: Vec3) -> Self;
+    /// The reading, R, G, B, for unpolarised light of unit power that arrives from
+    /// `event.to_light`.
+    fn reading(&self, event: &Event<'_>, irradiance: f32) -> [f64; 3];
+    /// Continues by a reflection times `weight`; false if nothing is left.
+    fn reflect(&mut self, event: &Event<'_>, weight: [f32; 2]) -> bool;
+}
+
+/// One reflection on a path.
+pub(super) struct Event<'a> {
+    pub(super) brdf: &'a dyn Brdf,
+    pub(super) surface: &'a Surface,
+    /// Unit, local frame.
+    pub(super) to_light: Vec3,
+    /// Unit, local frame.
+    pub(super) to_viewer: Vec3,
+}
+
+impl Carrier for [f64; 3] {
+    fn start(_: Vec3) -> Self {
+        [1.0; 3]
+    }
+
+    #[inline]
+    fn reading(&self, event: &Event<'_>, irradiance: f32) -> [f64; 3] {
+        let f = event.brdf.eval(event.to_light, event.to_viewer);
+        [0, 1, 2].map(|c| self[c] * f64::from(f[c] * irradiance))
+    }
+
+    #[inline]
+    fn reflect(&mut self, event: &Event<'_>, [cosine, pdf]: [f32; 2]) -> bool {
+        let f = event.brdf.eval(event.to_light, event.to_viewer);
+        for (value, f) in self.iter_mut().zip(f) {
+            *value *= f64::from(f * cosine / pdf);
+        }
+        *self != [0.0; 3]
+    }
+}
+
+pub(super) fn render_carrying<C: Carrier>(
+    scene: &Scene,
+    brdf: &dyn Brdf,
+    options: &RenderOptions,
+    progress: &(dyn Fn(usize) + Sync),
+) -> Vec<RadianceImage> {
     let [width, height] = scene.camera.resolution_px;
     let lights = scene.lights.len();
     let done = std::sync::atomic::AtomicUsize::new(0);
@@ -48,7 +100,7 @@ pub fn render(
         .into_par_iter()
         .map(|row| {
             let pixels = (0..width)
-                .map(|column| render_pixel(scene, brdf, options, row * width + column))
+                .map(|column| render_pixel::<C>(scene, brdf, options, row * width + column))
                 .collect();
             progress(done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1);
             pixels
@@ -72,6 +124,15 @@ pub fn render(
         .collect()
 }
 
+/// The default proposal or one made for the sample's BRDF, whichever is quieter.
+pub fn suited_proposal(scene: &Scene, brdf: &dyn Brdf, options: &RenderOptions) -> Proposal {
+    let own = match brdf.as_mixture() {
+        Some(mixture) => Proposal::resembling(mixture, 0.3),
+        None => Proposal::tabulating(brdf, 0.3),
+    };
+    quietest_proposal(scene, brdf, options, vec![Proposal::default(), own])
+}
+
 /// The proposal with the least noise at equal numbers of paths, measured on a spread of
 /// pixels: mean of the relative variance over lamps and channels.
 pub fn quietest_proposal(
@@ -91,7 +152,7 @@ pub fn quietest_proposal(
         let sums: Vec<f64> = pixels
             .par_iter()
             .map(|&pixel| {
-                let sums = render_pixel(scene, brdf, &options, pixel);
+                let sums = render_pixel::<[f64; 3]>(scene, brdf, &options, pixel);
                 let relative = |&[sum, sum2]: &[f64; 2]| {
                     if sum > 0.0 {
                         64.0 * sum2 / (sum * sum) - 1.0
@@ -113,58 +174,28 @@ pub fn quietest_proposal(
 /// Per lamp and channel: sum of path values, sum of their squares.
 type PixelSums = Vec<[[f64; 2]; 3]>;
 
-fn render_pixel(
+fn render_pixel<C: Carrier>(
     scene: &Scene,
     brdf: &dyn Brdf,
     options: &RenderOptions,
     pixel: usize,
 ) -> PixelSums {
     let lights = scene.lights.len();
-    let width = scene.camera.resolution_px[0];
-    let corner = DVec2::new((pixel % width) as f64, (pixel / width) as f64);
     let mut sums = vec![[[0.0; 2]; 3]; lights];
     let mut path = vec![[0.0f64; 3]; lights];
     for sample in 0..options.samples_per_pixel {
-        let key = |purpose| stream(options.seed, purpose, 0, pixel as u64, u64::from(sample));
-        let mut position = key(Purpose::PixelPosition);
-        let mut directions = key(Purpose::PathDirection);
-        let mut lamps = key(Purpose::LightAndLens);
-        let ray = scene.camera.ray(
-            corner + DVec2::new(position.uniform(), position.uniform()),
-            DVec2::new(lamps.uniform(), lamps.uniform()),
-        );
         path.fill([0.0; 3]);
-        let mut throughput = [1.0f64; 3];
-        let mut next = scene.first(&ray);
-        let mut reflections = 0;
-        while let Some((surface, to_viewer)) = next {
-            reflections += 1;
-            let brdf = scene.known(&surface).unwrap_or(brdf);
-            for (light, value) in path.iter_mut().enumerate() {
-                let u = [lamps.uniform_f32(), lamps.uniform_f32()];
-                if let Some(connection) = scene.connect(&surface, light, u) {
-                    let f = brdf.eval(connection.to_light, to_viewer);
-                    for channel in 0..3 {
-                        value[channel] +=
-                            throughput[channel] * f64::from(f[channel] * connection.irradiance);
-                    }
+        follow::<C>(
+            scene,
+            brdf,
+            options,
+            [pixel as u64, u64::from(sample)],
+            |_, light, reading| {
+                for (sum, value) in path[light].iter_mut().zip(reading) {
+                    *sum += value;
                 }
-            }
-            if reflections >= options.max_reflections {
-                break;
-            }
-            let Some((direction, pdf)) = options.proposal.sample(to_viewer, &mut directions) else {
-                break;
-            };
-            let f = brdf.eval(direction, to_viewer);
-            for channel in 0..3 {
-                throughput[channel] *= f64::from(f[channel] * direction.z / pdf);
-            }
-            if throughput == [0.0; 3] {
-                break;
-            }
-            next = scene.next(&surface, direction);
-        }
+            },
+        );
         for (sum, value) in sums.iter_mut().zip(&path) {
             for channel in 0..3 {
                 sum[channel][0] += value[channel];
@@ -173,4 +204,62 @@ fn render_pixel(
         }
     }
     sums
+}
+
+/// Follows the path of (pixel, sample) and tells `visit` the reflections up to a lamp, the
+/// lamp and what the camera reads of it per unit of the lamp's strength.
+#[inline]
+pub(super) fn follow<C: Carrier>(
+    scene: &Scene,
+    brdf: &dyn Brdf,
+    options: &RenderOptions,
+    [pixel, sample]: [u64; 2],
+    mut visit: impl FnMut(u32, usize, [f64; 3]),
+) {
+    let width = scene.camera.resolution_px[0] as u64;
+    let corner = DVec2::new((pixel % width) as f64, (pixel / width) as f64);
+    let key = |purpose| stream(options.seed, purpose, 0, pixel, sample);
+    let mut position = key(Purpose::PixelPosition);
+    let mut directions = key(Purpose::PathDirection);
+    let mut lamps = key(Purpose::LightAndLens);
+    let ray = scene.camera.ray(
+        corner + DVec2::new(position.uniform(), position.uniform()),
+        DVec2::new(lamps.uniform(), lamps.uniform()),
+    );
+    let mut carried = C::start(ray.direction);
+    let mut next = scene.first(&ray);
+    let mut reflections = 0;
+    while let Some((surface, to_viewer)) = next {
+        reflections += 1;
+        let brdf = scene.known(&surface).unwrap_or(brdf);
+        for light in 0..scene.lights.len() {
+            let u = [lamps.uniform_f32(), lamps.uniform_f32()];
+            if let Some(connection) = scene.connect(&surface, light, u) {
+                let event = Event {
+                    brdf,
+                    surface: &surface,
+                    to_light: connection.to_light,
+                    to_viewer,
+                };
+                let reading = carried.reading(&event, connection.irradiance);
+                visit(reflections, light, reading);
+            }
+        }
+        if reflections >= options.max_reflections {
+            break;
+        }
+        let Some((direction, pdf)) = options.proposal.sample(to_viewer, &mut directions) else {
+            break;
+        };
+        let event = Event {
+            brdf,
+            surface: &surface,
+            to_light: direction,
+            to_viewer,
+        };
+        if !carried.reflect(&event, [direction.z, pdf]) {
+            break;
+        }
+        next = scene.next(&surface, direction);
+    }
 }

@@ -1,0 +1,146 @@
+//! Loss against work: Gauss–Newton, the paper's exponentiated gradient, and the
+//! single-bounce start.
+
+use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table, quantile};
+use super::lab::{Lab, Material, Sample};
+use crate::inverse::exponentiated_gradient::ExponentiatedGradient;
+use crate::inverse::gauss_newton::GaussNewton;
+use crate::inverse::{FitOptions, Optimizer};
+use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
+
+/// One objective, one start, three ways on.
+pub static OPTIMISERS: Experiment = Experiment {
+    name: "optimisers",
+    shows: "Loss over the final loss of Gauss–Newton against passes over the paths and seconds, one objective for all: Gauss–Newton, exponentiated gradient at three rates; the start is the single-bounce solution",
+    full: Scale {
+        resolution_px: 48,
+        materials: &["bundled", "synthetic", "in-span"],
+        ..Scale::SINGLE_IMAGE
+    },
+    quick: Scale {
+        samples_per_pixel: 128,
+        materials: &["nbrdf:pvc", "synthetic:cream-satin"],
+        ..Scale::QUICK_IMAGE
+    },
+    cases,
+    figures,
+};
+
+const SHAPES: [Sample; 3] = [Sample::ConcaveCorner, Sample::Bowl, Sample::Designed];
+
+/// Passes of the exponentiated gradient.
+const PASSES: usize = 300;
+
+fn methods() -> Vec<(String, Optimizer)> {
+    let mut methods = vec![(
+        "Gauss–Newton".to_owned(),
+        Optimizer::GaussNewton(GaussNewton::default()),
+    )];
+    for rate in [0.03, 0.1, 0.3] {
+        let method = ExponentiatedGradient {
+            rate,
+            max_steps: PASSES,
+            ..ExponentiatedGradient::default()
+        };
+        methods.push((
+            format!("exponentiated gradient, rate {rate}"),
+            Optimizer::ExponentiatedGradient(method),
+        ));
+    }
+    methods
+}
+
+fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
+    let mut cases = Vec::new();
+    for material in &lab.materials {
+        for sample in SHAPES {
+            let material = material.clone();
+            let key = format!("{}/{}", material.name, sample.name());
+            cases.push(Case::new(key, move |lab: &Lab| {
+                compare(lab, sample, &material)
+            }));
+        }
+    }
+    Ok(cases)
+}
+
+/// All methods on one image, one after the other, so that their times compare.
+fn compare(lab: &Lab, sample: Sample, material: &Material) -> Result<Vec<Row>, EvaluateError> {
+    let lights = sample.lights(1);
+    let captured = lab.capture(sample, &lights, &*material.brdf)?;
+    let scene = sample.scene(lab.settings.resolution_px, lights)?;
+    let mut rows = Vec::new();
+    for (name, optimizer) in methods() {
+        let options = FitOptions {
+            optimizer,
+            rounds: 1,
+            ..lab.fit_options()
+        };
+        let estimate = lab.fit_with(&scene, &captured, &lab.dictionary, &options)?;
+        let error = lab.score(&estimate.mixture, &*material.brdf).environment;
+        let start = lab.score(&estimate.start, &*material.brdf).environment;
+        let trace = &estimate.fit.trace;
+        let begin = trace.first().map_or(0.0, |(seconds, _)| *seconds);
+        let mut best = f64::INFINITY;
+        for (pass, (seconds, step)) in trace.iter().enumerate() {
+            best = best.min(step.loss.iter().sum());
+            rows.push(
+                Row::new()
+                    .with("material", material.name.as_str())
+                    .with("shape", sample.name())
+                    .with("optimiser", name.as_str())
+                    .with("pass", pass + 1)
+                    .with("seconds", seconds - begin)
+                    .with("best_loss", best)
+                    .with("final_environment_error", error)
+                    .with("start_environment_error", start),
+            );
+        }
+    }
+    Ok(rows)
+}
+
+fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
+    let reference = methods()[0].0.clone();
+    let mut panels = Vec::new();
+    for sample in SHAPES {
+        let mut series = Vec::new();
+        for (color, (name, _)) in methods().iter().enumerate() {
+            // Losses at powers of 2^(1/2) passes, each over the final one of Gauss–Newton.
+            let mut points = Vec::new();
+            for step in 0..=17 {
+                let pass = 2f64.powf(0.5 * f64::from(step)).round();
+                let ratios: Vec<f64> = table
+                    .texts("material")
+                    .iter()
+                    .filter_map(|material| {
+                        let of = |optimiser: &str, pass: f64| {
+                            table
+                                .figures("best_loss", |row| {
+                                    row.text("shape") == sample.name()
+                                        && row.text("material") == *material
+                                        && row.text("optimiser") == optimiser
+                                        && row.number("pass").is_some_and(|p| p <= pass)
+                                })
+                                .last()
+                                .copied()
+                        };
+                        Some(of(name, pass)? / of(&reference, f64::INFINITY)?)
+                    })
+                    .collect();
+                let median = quantile(&ratios, 0.5);
+                if median.is_finite() {
+                    points.push([pass.log10(), median.max(1e-1).log10()]);
+                }
+            }
+            series.push(Series::new(name, color, Mark::Line, points));
+        }
+        panels.push(Chart {
+            title: format!("{}, median over materials", sample.name()),
+            x: Axis::decades(0.0..2.5, "passes over the paths"),
+            y: Axis::decades(-0.5..3.5, "loss / final loss of Gauss–Newton"),
+            series,
+        });
+    }
+    Ok(vec![charts("optimisers", 3, &panels)])
+}
