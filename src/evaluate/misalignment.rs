@@ -194,6 +194,7 @@ fn capture(truth: &Scene, described: &Scene, case: &Case<'_>, samples: u32) -> V
     let mix = |cosine, lobes: &[(f32, f32)]| Proposal {
         cosine,
         lobes: lobes.to_vec(),
+        table: None,
     };
     let candidates = vec![
         Proposal::default(),
