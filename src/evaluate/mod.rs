@@ -1,12 +1,14 @@
 //! Estimates beside the truth, where the truth is known: the score of one fit, and the
 //! experiments of `rig evaluate`.
 
-pub mod intervals;
+mod defects;
+mod diagnosis;
+mod intervals;
 pub mod experiment;
 pub mod lab;
 pub mod misalignment;
 pub mod score_sheet;
-pub mod small_bench;
+
 
 mod atoms;
 mod dictionary_size;
@@ -39,6 +41,8 @@ pub static EXPERIMENTS: &[&Experiment] = &[
     &optimisers::OPTIMISERS,
     &noise::NOISE,
     &realism::REALISM,
+    &intervals::INTERVALS,
+    &diagnosis::DIAGNOSIS,
 ];
 
 /// The experiment of a name.

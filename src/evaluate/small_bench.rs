@@ -60,7 +60,7 @@ impl Default for SmallBench {
 }
 
 /// What is wrong with a bench.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub enum Defect {
     /// One half of the sample is made of something else.
     SecondMaterial(Arc<dyn Brdf>),
@@ -72,12 +72,6 @@ pub enum Defect {
     StrayLight(f32),
     /// Light leaves beside where it entered: the fraction of the radiance that is spread, and how far in pixels.
     Translucent(f32, f32),
-}
-
-impl std::fmt::Debug for dyn Brdf {
-    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        out.write_str("a BRDF")
-    }
 }
 
 impl SmallBench {
