@@ -73,13 +73,13 @@ fn defect(lab: &Lab, kind: usize, index: u64) -> Result<Option<Defect>, Evaluate
             let other: Arc<dyn Brdf> = material(lab, Class::InSpan, index + 3)?;
             Some(Defect::SecondMaterial(other))
         }
-        "wrong depth" => Some(Defect::Depth(1.0 + 0.06 * sign as f32)),
+        "wrong depth" => Some(Defect::Depth(1.0 + 0.12 * sign as f32)),
         "wrong pose" => Some(Defect::Pose(
             DVec3::new(0.02 * sign, 0.015, 0.0),
             DVec3::new(0.02, -0.02 * sign, 0.0),
         )),
-        "stray light" => Some(Defect::StrayLight(0.08)),
-        "translucent" => Some(Defect::Translucent(0.5, 1.2)),
+        "stray light" => Some(Defect::StrayLight(0.25)),
+        "translucent" => Some(Defect::Translucent(0.6, 1.5)),
         _ => None,
     })
 }

@@ -52,10 +52,15 @@ impl Cause {
     }
 }
 
+/// Standard deviations beyond which a value counts as this much: a few pixels on the peak
+/// of a narrow lobe, or dust, are not what the images look like.
+const WILD: f64 = 4.0;
+
 /// How well the images are explained.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Diagnosis {
-    /// Mean square residual in variances of noise and model error.
+    /// Mean square residual in variances of noise and model error, no value counted as more
+    /// than four deviations.
     pub mean_square: f64,
     /// The part of `mean_square` that each cause accounts for, beyond what as many
     /// random images would; in the order of [`Cause::ALL`], can be slightly negative.
@@ -65,21 +70,28 @@ pub struct Diagnosis {
     pub correlation: f64,
 }
 
-/// Mean square residual above which a fit explains the images badly, whatever the cause.
-pub const NOTABLE_MEAN_SQUARE: f64 = 2.0;
+/// Part of the mean square residual from which its cause is named. Sound captures stay
+/// below it (docs/adr/0010).
+pub const NOTABLE_PART: f64 = 0.5;
 
-/// Part of the mean square residual above which its cause is named. The largest over
-/// 100 sound captures stays below it (docs/adr/0010).
-pub const NOTABLE_PART: f64 = 0.15;
+/// How much more the dictionary must account for than any other cause to be named: it has
+/// the most images, and on a round sample almost everything depends on the angles.
+const DICTIONARY_LEAD: f64 = 1.25;
 
 impl Diagnosis {
     /// The most likely cause of a misfit, if there is one.
     pub fn finding(&self) -> Option<Cause> {
-        let (best, part) = Cause::ALL
-            .into_iter()
+        let [.., dictionary] = self.explained;
+        let (other, part) = Cause::ALL[..4]
+            .iter()
             .zip(self.explained)
             .max_by(|a, b| a.1.total_cmp(&b.1))?;
-        (part > NOTABLE_PART || self.mean_square > NOTABLE_MEAN_SQUARE).then_some(best)
+        let (cause, part) = if dictionary > DICTIONARY_LEAD * part {
+            (Cause::Dictionary, dictionary)
+        } else {
+            (*other, part)
+        };
+        (part > NOTABLE_PART).then_some(cause)
     }
 }
 
@@ -150,11 +162,11 @@ pub fn examine(
                     row.extend((0..SHAPES).map(|s| displaced[s][(light * 3 + c) * width * height + pixel]));
                     row.extend(fields(at).map(|f| f * value));
                     row.extend(BLURS.map(|radius| {
-                        blurred(model, objective, light, c, pixel, [width, height], radius) - value
+                        blurred(&model[light], c, pixel, [width, height], radius) - value
                     }));
                     row.extend(angles[light * width * height + pixel].map(|f| f * value));
                     row.iter_mut().for_each(|v| *v /= sigma);
-                    row.push(z);
+                    row.push(z.clamp(-WILD, WILD));
                     for j in 0..row.len() {
                         for i in j..row.len() {
                             gram[(i, j)] += row[i] * row[j];
@@ -193,7 +205,10 @@ pub fn examine(
                 continue;
             }
             for c in 0..3 {
-                let z = |p| objective.deviation(model, light, p, c).map_or(0.0, |d| d.0);
+                let z = |p| {
+                    let z = objective.deviation(model, light, p, c).map_or(0.0, |d| d.0);
+                    z.clamp(-WILD, WILD)
+                };
                 neighbours += z(pixel) * z(right);
                 pairs += 1;
             }
@@ -335,11 +350,9 @@ fn displaced_images(
 /// Displacement over the sample's size; angle in radians; relative scale.
 const STEP: f64 = 2e-3;
 
-/// The model's pixel after a Gaussian blur over the compared pixels around.
+/// The model's pixel after a Gaussian blur.
 fn blurred(
-    model: &[Vec<[[f64; 2]; 3]>],
-    objective: &Objective<'_>,
-    light: usize,
+    model: &[[[f64; 2]; 3]],
     channel: usize,
     pixel: usize,
     [width, height]: [usize; 2],
@@ -350,13 +363,10 @@ fn blurred(
     let (mut sum, mut total) = (0.0, 0.0);
     for j in y.saturating_sub(reach)..=(y + reach).min(height - 1) {
         for i in x.saturating_sub(reach)..=(x + reach).min(width - 1) {
-            let q = j * width + i;
-            if objective.is_compared(light, q) {
-                let d2 = (i.abs_diff(x).pow(2) + j.abs_diff(y).pow(2)) as f64;
-                let weight = (-0.5 * d2 / (radius_px * radius_px)).exp();
-                sum += weight * model[light][q][channel][0];
-                total += weight;
-            }
+            let d2 = (i.abs_diff(x).pow(2) + j.abs_diff(y).pow(2)) as f64;
+            let weight = (-0.5 * d2 / (radius_px * radius_px)).exp();
+            sum += weight * model[j * width + i][channel][0];
+            total += weight;
         }
     }
     sum / total

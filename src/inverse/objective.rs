@@ -190,7 +190,7 @@ impl<'a> Objective<'a> {
     /// Relative error that a model leaves beyond what the noise of capture and render
     /// explains, per set: root of the mean over the values, weighted as the fit weighs them.
     pub fn misfit(&self, model: &[Vec<[[f64; 2]; 3]>]) -> Vec<f64> {
-        let mut sums = vec![[0.0; 2]; self.sets()];
+        let mut sums = vec![[0.0; 3]; self.sets()];
         for light in 0..self.lights() {
             for pixel in (0..model[light].len()).filter(|&p| self.compared[light][p]) {
                 for c in 0..3 {
@@ -204,11 +204,16 @@ impl<'a> Objective<'a> {
                     let sum = &mut sums[self.set_of(c)];
                     sum[0] += excess;
                     sum[1] += (value / sigma).powi(2);
+                    sum[2] += excess * excess;
                 }
             }
         }
         sums.into_iter()
-            .map(|[excess, scale]| if scale > 0.0 { (excess / scale).max(0.0).sqrt() } else { 0.0 })
+            .map(|[excess, scale, square]| {
+                // Only what stands out of the scatter of the excess itself.
+                let sure = (excess - square.sqrt()).max(0.0);
+                if scale > 0.0 { (sure / scale).sqrt() } else { 0.0 }
+            })
             .collect()
     }
 
