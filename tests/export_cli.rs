@@ -53,6 +53,7 @@ fn write_fit(folder: &Path) {
         score: None,
         table: AngleTable::default(),
         warnings: Vec::new(),
+        bench: None,
     };
     fit_record::write(folder, &record, &FitImages::default()).unwrap();
 }

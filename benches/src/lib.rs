@@ -4,3 +4,4 @@ pub mod clock;
 pub mod embree;
 pub mod rays;
 pub mod scenes;
+pub mod strategies;

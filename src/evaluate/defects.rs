@@ -30,7 +30,11 @@ impl Defect {
     pub fn scene(&self, sound: &Scene) -> Result<Scene, MeshError> {
         let mut mesh = sound.sample().clone();
         let mut bodies = Vec::new();
-        let shading = if sound.is_flat() { Shading::Flat } else { Shading::Smooth };
+        let shading = if sound.is_flat() {
+            Shading::Flat
+        } else {
+            Shading::Smooth
+        };
         match self {
             Defect::SecondMaterial(brdf) => {
                 let other = part(&mesh, |x| x > 0.0)?;
@@ -56,7 +60,13 @@ impl Defect {
             Defect::StrayLight(_) | Defect::Translucent(..) => {}
         }
         let lights = sound.lights.clone();
-        Ok(Scene::with_bodies(mesh, shading, bodies, sound.camera, lights))
+        Ok(Scene::with_bodies(
+            mesh,
+            shading,
+            bodies,
+            sound.camera,
+            lights,
+        ))
     }
 
     /// What happens to an image of that scene before the sensor sees it.
@@ -64,9 +74,10 @@ impl Defect {
         match *self {
             Defect::StrayLight(share) => {
                 let n = image.mean.len() as f32;
-                let sum = image.mean.iter().fold([0.0f32; 3], |sum, v| {
-                    std::array::from_fn(|c| sum[c] + v[c])
-                });
+                let sum = image
+                    .mean
+                    .iter()
+                    .fold([0.0f32; 3], |sum, v| std::array::from_fn(|c| sum[c] + v[c]));
                 for v in &mut image.mean {
                     (0..3).for_each(|c| v[c] += share * sum[c] / n);
                 }

@@ -55,12 +55,18 @@ const KINDS: [(&str, Option<Cause>); 7] = [
 ];
 
 fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
-    let captures = if lab.settings.quick { QUICK_CAPTURES } else { CAPTURES };
+    let captures = if lab.settings.quick {
+        QUICK_CAPTURES
+    } else {
+        CAPTURES
+    };
     let mut cases = Vec::new();
     for kind in 0..KINDS.len() {
         for index in 0..captures {
             let key = format!("{}/{index}", KINDS[kind].0);
-            cases.push(Case::new(key, move |lab: &Lab| Ok(vec![one(lab, kind, index)?])));
+            cases.push(Case::new(key, move |lab: &Lab| {
+                Ok(vec![one(lab, kind, index)?])
+            }));
         }
     }
     Ok(cases)
@@ -95,7 +101,10 @@ fn one(lab: &Lab, kind: usize, index: u64) -> Result<Row, EvaluateError> {
     let brdf = material(lab, class, index)?;
     let defect = defect(lab, kind, index)?;
     let images = capture(lab, sample, &*brdf, defect.as_ref(), index)?;
-    let scene = sample.scene(lab.settings.resolution_px, sample.lights(lab.settings.lights))?;
+    let scene = sample.scene(
+        lab.settings.resolution_px,
+        sample.lights(lab.settings.lights),
+    )?;
     let options = FitOptions {
         draws: 0,
         ..options(lab, index)

@@ -142,15 +142,23 @@ fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
     let mut cases = Vec::new();
     for class in [Class::InSpan, Class::Measured] {
         let in_span = class == Class::InSpan;
-        if lab.materials.iter().any(|m| (m.class == Class::InSpan) == in_span) {
-            cases.push(Case::new(class.name(), move |lab: &Lab| coverage(lab, class)));
+        if lab
+            .materials
+            .iter()
+            .any(|m| (m.class == Class::InSpan) == in_span)
+        {
+            cases.push(Case::new(class.name(), move |lab: &Lab| {
+                coverage(lab, class)
+            }));
         }
     }
     Ok(cases)
 }
 
 fn theta_h_deg() -> Vec<f64> {
-    (0..12).map(|i| 85.0 * (f64::from(i) / 11.0).powi(2)).collect()
+    (0..12)
+        .map(|i| 85.0 * (f64::from(i) / 11.0).powi(2))
+        .collect()
 }
 
 fn theta_d_deg() -> Vec<f64> {
@@ -177,22 +185,45 @@ fn values(brdf: &dyn Brdf) -> Vec<[f64; 3]> {
 /// One row per cell and channel.
 fn coverage(lab: &Lab, class: Class) -> Result<Vec<Row>, EvaluateError> {
     use rayon::prelude::*;
-    let captures = if lab.settings.quick { QUICK_CAPTURES } else { CAPTURES };
+    let captures = if lab.settings.quick {
+        QUICK_CAPTURES
+    } else {
+        CAPTURES
+    };
     let (theta_h, theta_d) = (theta_h_deg(), theta_d_deg());
     let sample = Sample::Bowl;
-    let scene = sample.scene(lab.settings.resolution_px, sample.lights(lab.settings.lights))?;
+    let scene = sample.scene(
+        lab.settings.resolution_px,
+        sample.lights(lab.settings.lights),
+    )?;
     let trials = (0..captures)
         .into_par_iter()
         .map(|index| {
             let brdf = material(lab, class, index)?;
             let images = capture(lab, sample, &*brdf, None, index)?;
-            let fit = fit(&scene, &images, &lab.dictionary, &options(lab, index), &mut |_| {})?;
-            let cells = intervals::table(&lab.dictionary, &fit.weights, &fit.draws, &theta_h, &theta_d);
+            let fit = fit(
+                &scene,
+                &images,
+                &lab.dictionary,
+                &options(lab, index),
+                &mut |_| {},
+            )?;
+            let cells = intervals::table(
+                &lab.dictionary,
+                &fit.weights,
+                &fit.draws,
+                &theta_h,
+                &theta_d,
+            );
             Ok((values(&*brdf), cells))
         })
         .collect::<Result<Vec<(Vec<[f64; 3]>, Vec<Interval>)>, EvaluateError>>()?;
     let mut rows = Vec::new();
-    for (cell, (h, d)) in theta_h.iter().flat_map(|h| theta_d.iter().map(move |d| (h, d))).enumerate() {
+    for (cell, (h, d)) in theta_h
+        .iter()
+        .flat_map(|h| theta_d.iter().map(move |d| (h, d)))
+        .enumerate()
+    {
         for (c, channel) in ["R", "G", "B"].into_iter().enumerate() {
             let inside = |(truth, cells): &&(Vec<[f64; 3]>, Vec<Interval>)| {
                 (cells[cell].lower[c]..=cells[cell].upper[c]).contains(&truth[cell][c])
@@ -209,7 +240,10 @@ fn coverage(lab: &Lab, class: Class) -> Result<Vec<Row>, EvaluateError> {
                 .with("theta_d_deg", *d)
                 .with("channel", channel)
                 .with("captures", captures as f64)
-                .with("coverage", trials.iter().filter(inside).count() as f64 / captures as f64)
+                .with(
+                    "coverage",
+                    trials.iter().filter(inside).count() as f64 / captures as f64,
+                )
                 .with("constrained", n as f64 / captures as f64)
                 .with(
                     "coverage_where_constrained",
@@ -227,17 +261,21 @@ fn coverage(lab: &Lab, class: Class) -> Result<Vec<Row>, EvaluateError> {
 
 fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
     let panel = |class: Class| {
-        let series = theta_d_deg().into_iter().step_by(2).enumerate().map(|(color, d)| {
-            let points = theta_h_deg().into_iter().filter_map(|h| {
-                let here = table.figures("coverage", |row| {
-                    row.text("class") == class.name()
-                        && row.number("theta_h_deg") == Some(h)
-                        && row.number("theta_d_deg") == Some(d)
+        let series = theta_d_deg()
+            .into_iter()
+            .step_by(2)
+            .enumerate()
+            .map(|(color, d)| {
+                let points = theta_h_deg().into_iter().filter_map(|h| {
+                    let here = table.figures("coverage", |row| {
+                        row.text("class") == class.name()
+                            && row.number("theta_h_deg") == Some(h)
+                            && row.number("theta_d_deg") == Some(d)
+                    });
+                    (!here.is_empty()).then(|| [h, here.iter().sum::<f64>() / here.len() as f64])
                 });
-                (!here.is_empty()).then(|| [h, here.iter().sum::<f64>() / here.len() as f64])
+                Series::new(&format!("θd = {d}°"), color, Mark::Points, points.collect())
             });
-            Series::new(&format!("θd = {d}°"), color, Mark::Points, points.collect())
-        });
         Chart {
             title: format!("{} materials", class.name()),
             x: Axis::linear(0.0..90.0, "θh, degrees"),
@@ -245,5 +283,9 @@ fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
             series: series.collect(),
         }
     };
-    Ok(vec![charts("coverage", 2, &[Class::InSpan, Class::Measured].map(panel))])
+    Ok(vec![charts(
+        "coverage",
+        2,
+        &[Class::InSpan, Class::Measured].map(panel),
+    )])
 }

@@ -1,251 +1,259 @@
 //! What an inexactly known bench costs, and what refining it gives back.
-//!
-//! A sample is captured on a bench that differs from its description; the images are
-//! fitted three times: on the true bench (*known*), on the described one
-//! (*unrefined*), and with the bench refined. The truth has a finer mesh, other paths
-//! and the noise of a bracketed 12-bit capture.
-
-use std::sync::Arc;
 
 use nalgebra::DVector;
 
-use crate::brdf::environment::EnvironmentMap;
-use crate::brdf::score::environment_error;
-use crate::brdf::{Brdf, Dictionary, Mixture};
-use crate::inverse::bench::{Bench, BenchEstimate, Parameter};
-use crate::inverse::{BenchPriors, FitError, FitOptions, RefineOptions, fit, refine_bench};
-use crate::radiance_image::RadianceImage;
+use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table, quantile};
+use super::lab::{Lab, Material, Sample};
+use crate::brdf::Mixture;
+use crate::inverse::bench::{Bench, Parameter};
+use crate::inverse::{BenchPriors, RefineOptions, fit, refine_bench};
+use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
 use crate::random::{Purpose, Stream, stream};
-use crate::transport::render::quietest_proposal;
-use crate::transport::{Proposal, RenderOptions, Scene, render};
+use crate::simulation::photograph::Photographer;
+use crate::transport::{RenderOptions, Scene, render};
 
-/// How far a bench is from its description: exact lengths in random directions.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Misalignment {
-    /// Every light's direction, degrees.
-    pub light_deg: f64,
-    /// Standard deviation of every light's intensity, relative.
-    pub intensity: f64,
-    /// Rotation of the sample, degrees.
-    pub rotation_deg: f64,
-    /// Displacement of the sample, millimetres.
-    pub translation_mm: f64,
+/// Captures on benches that differ from their description, fitted on the true bench, on
+/// the described one, and with the bench refined.
+pub static MISALIGNMENT: Experiment = Experiment {
+    name: "misalignment",
+    shows: "Error on a bench whose lights are off by 0.5°, intensities by 2%, pose by 0.6% of the sample's width and 0.3°: with the bench known, as described, and refined",
+    full: Scale {
+        lights: 4,
+        materials: &[
+            "in-span:01",
+            "in-span:06",
+            "in-span:11",
+            "in-span:16",
+            "nbrdf:blue-acrylic",
+            "nbrdf:red-plastic",
+            "nbrdf:pvc",
+            "synthetic:cream-satin",
+        ],
+        ..Scale::SINGLE_IMAGE
+    },
+    quick: Scale {
+        lights: 2,
+        materials: &["nbrdf:blue-acrylic"],
+        ..Scale::QUICK_IMAGE
+    },
+    cases,
+    figures,
+};
+
+const SHAPES: [Sample; 3] = [Sample::Bowl, Sample::ConcaveCorner, Sample::Designed];
+/// Benches per shape and material.
+const BENCHES: u64 = 3;
+
+/// Every light is off by this much, in a random direction.
+const LIGHT_DEG: f64 = 0.5;
+/// Standard deviation of each light's intensity, relative.
+const INTENSITY: f64 = 0.02;
+/// The sample is turned by this much about a random axis.
+const ROTATION_DEG: f64 = 0.3;
+/// The sample is moved by this much in a random direction: 0.3 mm for one of 50 mm.
+const TRANSLATION_MM: f64 = 0.012;
+
+/// The prior that states these errors: the same mean square along each axis.
+fn priors() -> BenchPriors {
+    BenchPriors {
+        light_rad: LIGHT_DEG.to_radians() / 2f64.sqrt(),
+        stage_rad: 0.0,
+        intensity: INTENSITY,
+        common_intensity: 0.0,
+        rotation_rad: ROTATION_DEG.to_radians() / 3f64.sqrt(),
+        translation_mm: TRANSLATION_MM / 3f64.sqrt(),
+        stray_light: 0.0,
+    }
 }
 
-impl Misalignment {
-    /// The prior that states it: the same mean square along each axis.
-    pub fn priors(&self) -> BenchPriors {
-        BenchPriors {
-            light_rad: self.light_deg.to_radians() / 2f64.sqrt(),
-            stage_rad: 0.0,
-            intensity: self.intensity,
-            common_intensity: 0.0,
-            rotation_rad: self.rotation_deg.to_radians() / 3f64.sqrt(),
-            translation_mm: self.translation_mm / 3f64.sqrt(),
-            stray_light: 0.0,
+/// A bench with these errors.
+fn draw(bench: &Bench, numbers: &mut Stream) -> DVector<f64> {
+    let parameters = bench.parameters();
+    let mut values = DVector::from_fn(parameters.len(), |_, _| numbers.normal());
+    // What is scaled together to an exact length.
+    let group = |parameter: &Parameter| match *parameter {
+        Parameter::LightAzimuth(light) | Parameter::LightElevation(light) => {
+            Some((2 + light, LIGHT_DEG.to_radians()))
         }
-    }
-
-    /// A bench with these errors.
-    fn draw(&self, bench: &Bench, numbers: &mut Stream) -> DVector<f64> {
-        let mut values = DVector::from_fn(bench.parameters().len(), |_, _| numbers.normal());
-        let groups: [(f64, fn(&Parameter) -> bool); 2] = [
-            (self.rotation_deg.to_radians(), |p| {
-                matches!(p, Parameter::Rotation(_))
-            }),
-            (self.translation_mm, |p| {
-                matches!(p, Parameter::Translation(_))
-            }),
-        ];
-        let mut set_length = |length: f64, member: &dyn Fn(&Parameter) -> bool| {
-            let members: Vec<usize> = (0..values.len())
-                .filter(|&k| member(&bench.parameters()[k]))
-                .collect();
-            let norm = members.iter().map(|&k| values[k] * values[k]).sum::<f64>();
-            for k in members {
-                values[k] *= length / norm.sqrt().max(1e-30);
+        Parameter::Rotation(_) => Some((0, ROTATION_DEG.to_radians())),
+        Parameter::Translation(_) => Some((1, TRANSLATION_MM)),
+        Parameter::Intensity(_) | Parameter::StrayLight(_) => None,
+    };
+    let drawn = values.clone();
+    for (value, parameter) in values.iter_mut().zip(parameters) {
+        *value *= match group(parameter) {
+            Some((number, length)) => {
+                let members = parameters.iter().zip(drawn.iter());
+                let square: f64 = members
+                    .filter(|(p, _)| group(p).is_some_and(|(n, _)| n == number))
+                    .map(|(_, v)| v * v)
+                    .sum();
+                length / square.sqrt()
             }
+            None => INTENSITY,
         };
-        for (length, member) in groups {
-            set_length(length, &member);
-        }
-        for light in 0..bench.scene(&DVector::zeros(0)).lights.len() {
-            set_length(self.light_deg.to_radians(), &|p| {
-                *p == Parameter::LightAzimuth(light) || *p == Parameter::LightElevation(light)
-            });
-        }
-        for (value, parameter) in values.iter_mut().zip(bench.parameters()) {
-            if matches!(parameter, Parameter::Intensity(_)) {
-                *value *= self.intensity;
+    }
+    values
+}
+
+fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
+    let mut cases = Vec::new();
+    for material in &lab.materials {
+        for sample in SHAPES {
+            for bench in 0..BENCHES {
+                let material = material.clone();
+                let key = format!("{}/{}/{bench}", material.name, sample.name());
+                cases.push(Case::new(key, move |lab: &Lab| {
+                    one(lab, sample, &material, bench)
+                }));
             }
         }
-        values
     }
+    Ok(cases)
 }
 
-/// One capture to be judged.
-pub struct Case<'a> {
-    /// The bench as described, with the mesh that the fit uses.
-    pub described: &'a Scene,
-    /// The same with the mesh of the truth.
-    pub fine: &'a Scene,
-    /// The true material.
-    pub material: &'a dyn Brdf,
-    /// How wrong the description is.
-    pub misalignment: Misalignment,
-    /// What the refinement is told about that.
-    pub priors: BenchPriors,
-    /// Key of bench, noise and true paths.
-    pub seed: u64,
-}
+fn one(
+    lab: &Lab,
+    sample: Sample,
+    material: &Material,
+    number: u64,
+) -> Result<Vec<Row>, EvaluateError> {
+    let settings = &lab.settings;
+    let (resolution_px, lights) = (settings.resolution_px, sample.lights(settings.lights));
+    let described = sample.scene(resolution_px, lights.clone())?;
+    let fine = sample.true_scene(resolution_px, lights)?;
+    let priors = priors();
+    let bench = Bench::new(&described, &priors);
+    let key = |what| stream(settings.seed, Purpose::BenchPerturbation, number, 0, what);
+    let truth = draw(&bench, &mut key(0));
 
-/// How cases are captured and fitted.
-#[derive(Clone)]
-pub struct Settings {
-    /// What is fitted.
-    pub dictionary: Arc<Dictionary>,
-    /// How.
-    pub fit: FitOptions,
-    /// How the bench is refined.
-    pub refine: RefineOptions,
-    /// Paths per pixel of the true images.
-    pub true_samples: u32,
-    /// Pixels per side of the scored spheres.
-    pub sphere_px: usize,
-}
-
-/// Environment errors of one case and what became of its bench.
-pub struct Outcome {
-    /// On the true bench.
-    pub known: f64,
-    /// On the described bench.
-    pub unrefined: f64,
-    /// On the refined bench.
-    pub refined: f64,
-    /// The bench as refined.
-    pub estimate: BenchEstimate,
-    /// True values of its parameters, in their order.
-    pub truth: Vec<f64>,
-    /// Wall seconds that the refinement added.
-    pub refine_s: f64,
-}
-
-/// Captures and fits one case.
-///
-/// # Errors
-/// Those of the fit.
-pub fn judge(case: &Case<'_>, settings: &Settings) -> Result<Outcome, FitError> {
-    let priors = &case.priors;
-    let bench = Bench::new(case.described, priors);
-    let mut numbers = stream(case.seed, Purpose::BenchPerturbation, 0, 0, 0);
-    let truth = case.misalignment.draw(&bench, &mut numbers);
-    let captured = capture(
-        &Bench::new(case.fine, priors).scene(&truth),
-        case.described,
-        case,
-        settings.true_samples,
-    );
-    let error = |weights: &[Vec<f64>; 3]| -> f64 {
-        Mixture::new(settings.dictionary.clone(), weights.clone()).map_or(f64::NAN, |estimate| {
-            let maps = EnvironmentMap::all();
-            environment_error(&estimate, case.material, &maps, settings.sphere_px)
-                .mean
-                .all
-        })
+    // Truth, photographed: another mesh, other paths, the noise of a 12-bit bracket.
+    let true_scene = Bench::new(&fine, &priors).scene(&truth);
+    let render_options = RenderOptions {
+        seed: key(1).bits(),
+        ..lab.truth_options(&true_scene, &*material.brdf)
     };
-    let plain = |scene: &Scene| -> Result<f64, FitError> {
-        let fit = fit(
-            scene,
-            &captured,
-            &settings.dictionary,
-            &settings.fit,
-            &mut |_| {},
-        )?;
-        Ok(error(&fit.weights))
+    let photographer = Photographer {
+        bit_depth: 12,
+        full_well_e: 10_000.0,
+        read_noise_e: 2.4,
+        exposures: 4,
+        frames: 1,
+        seed: key(2).bits(),
     };
+    let rendered = render(&true_scene, &*material.brdf, &render_options, &|_| {});
+    let captured = (0..)
+        .zip(&rendered)
+        .map(|(light, image)| photographer.take(image, light))
+        .collect::<Result<Vec<_>, _>>()?;
+
+    let options = lab.fit_options();
+    let error = |weights: [Vec<f64>; 3]| -> Result<f64, EvaluateError> {
+        let mixture = Mixture::new(lab.dictionary.clone(), weights)?;
+        Ok(lab.score(&mixture, &*material.brdf).environment)
+    };
+    let plain = |scene: &Scene| -> Result<f64, EvaluateError> {
+        error(fit(scene, &captured, &lab.dictionary, &options, &mut |_| {})?.weights)
+    };
+    let known = plain(&bench.scene(&truth))?;
+    let unrefined = plain(&described)?;
     let refined = refine_bench(
-        case.described,
+        &described,
         &captured,
-        &settings.dictionary,
-        &settings.fit,
-        priors,
-        &settings.refine,
+        &lab.dictionary,
+        &options,
+        &priors,
+        &RefineOptions::default(),
         &mut |_| {},
     )?;
-    Ok(Outcome {
-        known: plain(&bench.scene(&truth))?,
-        unrefined: plain(case.described)?,
-        refined: error(&refined.fit.weights),
-        estimate: refined.estimate,
-        truth: truth.iter().copied().collect(),
-        refine_s: refined.fit.timings.first().map_or(0.0, |(_, s)| *s),
-    })
-}
-
-/// Images of the true bench with the noise of a bracketed 12-bit capture, in units that
-/// the described lamps' strengths explain.
-fn capture(truth: &Scene, described: &Scene, case: &Case<'_>, samples: u32) -> Vec<RadianceImage> {
-    let mut options = RenderOptions {
-        samples_per_pixel: samples,
-        max_reflections: 24,
-        seed: stream(case.seed, Purpose::BenchPerturbation, 0, 0, 1).bits(),
-        proposal: Proposal::default(),
-    };
-    let mix = |cosine, lobes: &[(f32, f32)]| Proposal {
-        cosine,
-        lobes: lobes.to_vec(),
-        table: None,
-    };
-    let candidates = vec![
-        Proposal::default(),
-        mix(0.9, &[(0.3, 0.1)]),
-        mix(0.6, &[(0.1, 0.2), (0.3, 0.2)]),
-        mix(0.5, &[(0.05, 0.25), (0.15, 0.25)]),
-        mix(0.3, &[(0.2, 0.5), (0.4, 0.2)]),
-        mix(0.3, &[(0.1, 0.5), (0.25, 0.2)]),
+    let estimate = refined.estimate;
+    let mut row = Row::new()
+        .with("material", material.name.as_str())
+        .with("class", material.class.name())
+        .with("shape", sample.name())
+        .with("bench", number)
+        .with("known", known)
+        .with("unrefined", unrefined);
+    let refined = error(refined.fit.weights)?;
+    row = row
+        .with("refined", refined)
+        .with("unrefined_over_known", unrefined / known)
+        .with("refined_over_known", refined / known)
+        .with("rounds", estimate.rounds)
+        .with("held", estimate.held.join("; "));
+    // Root mean squares by kind: errors before and after in prior deviations, and after in
+    // stated deviations.
+    let kinds: [(&str, fn(&Parameter) -> bool); 4] = [
+        ("lights", |p| {
+            matches!(p, Parameter::LightAzimuth(_) | Parameter::LightElevation(_))
+        }),
+        ("intensities", |p| matches!(p, Parameter::Intensity(_))),
+        ("rotation", |p| matches!(p, Parameter::Rotation(_))),
+        ("translation", |p| matches!(p, Parameter::Translation(_))),
     ];
-    options.proposal = quietest_proposal(truth, case.material, &options, candidates);
-    let mut images = render(truth, case.material, &options, &|_| {});
-    debug_assert_eq!(images.len(), described.lights.len());
-    let mut numbers = stream(case.seed, Purpose::BenchPerturbation, 0, 0, 2);
-    for image in &mut images {
-        spread_variance(image);
-        let brightest = image.mean.iter().flatten().fold(0.0f32, |m, &v| m.max(v));
-        for (mean, variance) in image.mean.iter_mut().zip(&mut image.variance) {
-            for (mean, variance) in mean.iter_mut().zip(variance) {
-                let sigma = f64::from(*mean) * relative_noise(f64::from(*mean / brightest));
-                // The render's own noise is there, and so stated.
-                *variance += (sigma * sigma) as f32;
-                *mean += (sigma * numbers.normal()) as f32;
-            }
-        }
+    for (kind, is_member) in kinds {
+        let members: Vec<_> = estimate
+            .parameters
+            .iter()
+            .zip(truth.iter())
+            .filter(|(p, _)| is_member(&p.parameter))
+            .collect();
+        let rms = |of: &dyn Fn(f64, f64, f64, f64) -> f64| {
+            let squares = members
+                .iter()
+                .map(|(p, truth)| of(p.value, **truth, p.deviation, p.prior_deviation).powi(2));
+            (squares.sum::<f64>() / members.len().max(1) as f64).sqrt()
+        };
+        row = row
+            .with(
+                format!("{kind}_before"),
+                rms(&|_, truth, _, prior| truth / prior),
+            )
+            .with(
+                format!("{kind}_after"),
+                rms(&|value, truth, _, prior| (value - truth) / prior),
+            )
+            .with(
+                format!("{kind}_z"),
+                rms(&|value, truth, sigma, _| (value - truth) / sigma),
+            );
     }
-    images
+    Ok(vec![row])
 }
 
-/// Replaces each pixel's variance by the mean over 5 × 5 pixels: where few paths of a pixel
-/// were bright, both its value and its own variance are low, and a weight that follows
-/// it would pull a fit low.
-fn spread_variance(image: &mut RadianceImage) {
-    let (width, height) = (image.width, image.height);
-    let own = image.variance.clone();
-    for (pixel, variance) in image.variance.iter_mut().enumerate() {
-        let (x, y) = (pixel % width, pixel / width);
-        let (mut sum, mut count) = ([0.0; 3], 0.0f32);
-        for j in y.saturating_sub(2)..=(y + 2).min(height - 1) {
-            for i in x.saturating_sub(2)..=(x + 2).min(width - 1) {
-                let near = own[j * width + i];
-                sum = [0, 1, 2].map(|c| sum[c] + near[c]);
-                count += 1.0;
-            }
+/// Known against refined and unrefined, one panel per shape; the line is equality.
+fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
+    let panel = |sample: Sample| {
+        let points = |column: &str| -> Vec<[f64; 2]> {
+            let rows = table
+                .rows
+                .iter()
+                .filter(|r| r.text("shape") == sample.name());
+            rows.filter_map(|r| Some([r.number("known")?, r.number(column)?]))
+                .map(|point| point.map(|e| e.max(1e-4).log10()))
+                .collect()
+        };
+        let median = |column: &str| {
+            quantile(
+                &table.figures(column, |r| r.text("shape") == sample.name()),
+                0.5,
+            )
+        };
+        Chart {
+            title: format!(
+                "{}: medians {:.2} and {:.2} times the known bench's",
+                sample.name(),
+                median("unrefined_over_known"),
+                median("refined_over_known")
+            ),
+            x: Axis::decades(-3.0..0.0, "environment error, bench known"),
+            y: Axis::decades(-3.0..0.0, "environment error"),
+            series: vec![
+                Series::new("", 7, Mark::Line, vec![[-3.0, -3.0], [0.0, 0.0]]),
+                Series::new("as described", 1, Mark::Dots, points("unrefined")),
+                Series::new("refined", 0, Mark::Dots, points("refined")),
+            ],
         }
-        *variance = sum.map(|s| s / count);
-    }
-}
-
-/// Relative noise of a value after the merge of a bracket: 6000 electrons at best, fewer
-/// below 1/256 of the brightest; 2.4 electrons of read noise, steps of 2.6 electrons.
-fn relative_noise(value: f64) -> f64 {
-    let electrons = 6000.0 * (256.0 * value).clamp(1e-3, 1.0);
-    (electrons + 2.4f64.powi(2) + 2.6f64.powi(2) / 12.0).sqrt() / electrons
+    };
+    Ok(vec![charts("misalignment", 3, &SHAPES.map(panel))])
 }

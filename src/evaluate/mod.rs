@@ -3,17 +3,17 @@
 
 mod defects;
 mod diagnosis;
-mod intervals;
 pub mod experiment;
+mod intervals;
 pub mod lab;
-pub mod misalignment;
 pub mod score_sheet;
-
 
 mod atoms;
 mod dictionary_size;
 mod gallery;
 mod light_count;
+mod misalignment;
+mod next_light;
 mod noise;
 mod optimisers;
 mod rank;
@@ -33,6 +33,7 @@ pub static EXPERIMENTS: &[&Experiment] = &[
     &shapes::SHAPES,
     &dictionary_size::DICTIONARY_SIZE,
     &light_count::LIGHT_COUNT,
+    &next_light::NEXT_LIGHT,
     &shape_construction::SHAPE_CONSTRUCTION,
     &gallery::GALLERY,
     &tables::TABLES,
@@ -43,6 +44,7 @@ pub static EXPERIMENTS: &[&Experiment] = &[
     &realism::REALISM,
     &intervals::INTERVALS,
     &diagnosis::DIAGNOSIS,
+    &misalignment::MISALIGNMENT,
 ];
 
 /// The experiment of a name.

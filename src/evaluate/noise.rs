@@ -87,7 +87,7 @@ fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
     let ticks = EXPOSURES
         .map(|n| (f64::from(n).log2(), format!("{n}")))
         .into();
-    let x = Axis::with_ticks(-0.2..2.2, ticks, "exposures, each 8 times the one before");
+    let x = Axis::with_ticks(-0.2..2.2, ticks, "exposures, each 4 times the one before");
     let panel = |sample: Sample| {
         let series = SENSORS.iter().enumerate().map(|(color, (sensor, ..))| {
             let found: Vec<_> = EXPOSURES

@@ -11,7 +11,7 @@ use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
 /// One objective, one start, three ways on.
 pub static OPTIMISERS: Experiment = Experiment {
     name: "optimisers",
-    shows: "Loss over the final loss of Gauss–Newton against passes over the paths and seconds, one objective for all: Gauss–Newton, exponentiated gradient at three rates; the start is the single-bounce solution",
+    shows: "Loss against passes over the paths and seconds, one objective and one start (the single-bounce solution) for all: Gauss–Newton, and exponentiated gradient at three rates",
     full: Scale {
         resolution_px: 48,
         materials: &["bundled", "synthetic", "in-span"],
@@ -100,37 +100,38 @@ fn compare(lab: &Lab, sample: Sample, material: &Material) -> Result<Vec<Row>, E
     Ok(rows)
 }
 
+/// Per shape: how far the loss still is above the lowest one that any method found, over
+/// what it was at the common start; and the errors where the methods end.
 fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
-    let reference = methods()[0].0.clone();
+    let materials = table.texts("material");
     let mut panels = Vec::new();
     for sample in SHAPES {
+        let losses = |material: &str, optimiser: &str| {
+            table.figures("best_loss", |row| {
+                row.text("shape") == sample.name()
+                    && row.text("material") == material
+                    && (optimiser.is_empty() || row.text("optimiser") == optimiser)
+            })
+        };
         let mut series = Vec::new();
         for (color, (name, _)) in methods().iter().enumerate() {
-            // Losses at powers of 2^(1/2) passes, each over the final one of Gauss–Newton.
             let mut points = Vec::new();
             for step in 0..=17 {
                 let pass = 2f64.powf(0.5 * f64::from(step)).round();
-                let ratios: Vec<f64> = table
-                    .texts("material")
+                let gaps: Vec<f64> = materials
                     .iter()
                     .filter_map(|material| {
-                        let of = |optimiser: &str, pass: f64| {
-                            table
-                                .figures("best_loss", |row| {
-                                    row.text("shape") == sample.name()
-                                        && row.text("material") == *material
-                                        && row.text("optimiser") == optimiser
-                                        && row.number("pass").is_some_and(|p| p <= pass)
-                                })
-                                .last()
-                                .copied()
-                        };
-                        Some(of(name, pass)? / of(&reference, f64::INFINITY)?)
+                        let all = losses(material, "");
+                        let lowest = all.iter().copied().fold(f64::INFINITY, f64::min);
+                        let highest = all.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+                        let own = losses(material, name);
+                        let at = own.get((pass as usize).min(own.len()).checked_sub(1)?)?;
+                        Some((at - lowest) / (highest - lowest))
                     })
                     .collect();
-                let median = quantile(&ratios, 0.5);
-                if median.is_finite() {
-                    points.push([pass.log10(), median.max(1e-1).log10()]);
+                let gap = quantile(&gaps, 0.5);
+                if gap.is_finite() {
+                    points.push([pass.log10(), gap.max(1e-5).log10()]);
                 }
             }
             series.push(Series::new(name, color, Mark::Line, points));
@@ -138,9 +139,30 @@ fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
         panels.push(Chart {
             title: format!("{}, median over materials", sample.name()),
             x: Axis::decades(0.0..2.5, "passes over the paths"),
-            y: Axis::decades(-0.5..3.5, "loss / final loss of Gauss–Newton"),
+            y: Axis::decades(-5.0..0.1, "excess loss / excess of the start"),
             series,
         });
     }
-    Ok(vec![charts("optimisers", 3, &panels)])
+    let ticks = (0..SHAPES.len()).map(|i| (i as f64, SHAPES[i].name().to_owned()));
+    let mut series = Vec::new();
+    for (color, (name, _)) in methods().iter().enumerate() {
+        let mut points = Vec::new();
+        for (i, sample) in SHAPES.iter().enumerate() {
+            let errors = table.figures("final_environment_error", |row| {
+                row.text("shape") == sample.name()
+                    && row.text("optimiser") == name
+                    && row.number("pass") == Some(1.0)
+            });
+            let x = i as f64 + 0.15 * (color as f64 - 1.5);
+            points.extend(errors.iter().map(|e| [x, e.max(1e-4).log10()]));
+        }
+        series.push(Series::new(name, color, Mark::Dots, points));
+    }
+    panels.push(Chart {
+        title: "where they end, every material".to_owned(),
+        x: Axis::with_ticks(-0.5..2.5, ticks.collect(), "shape of the sample"),
+        y: Axis::decades(-2.5..1.0, "environment error (relative)"),
+        series,
+    });
+    Ok(vec![charts("optimisers", 2, &panels)])
 }

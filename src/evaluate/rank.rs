@@ -18,7 +18,10 @@ pub static RANK: Experiment = Experiment {
         azimuths: 9,
         ..Scale::SINGLE_IMAGE
     },
-    quick: Scale::QUICK_IMAGE,
+    quick: Scale {
+        samples_per_pixel: 1024,
+        ..Scale::QUICK_IMAGE
+    },
     cases,
     figures,
 };
@@ -133,12 +136,12 @@ fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
             })
             .filter(|[_, y]| *y < 6.0)
             .collect();
-        let label = format!("{} ({median})", sample.name());
+        let label = format!("{}: {median} determined", sample.name());
         series.push(Series::new(&label, color, Mark::Points, points));
     }
     let limit = DETERMINED.log10();
     series.push(Series::new(
-        "determined below",
+        "limit",
         7,
         Mark::Dashed,
         vec![[0.0, limit], [43.0, limit]],
@@ -147,7 +150,7 @@ fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
         "rank",
         1,
         &[Chart {
-            title: "median over materials; determined directions in brackets".to_owned(),
+            title: "median over materials".to_owned(),
             x: Axis::linear(0.0..43.0, "direction, best determined first"),
             y: Axis::decades(-4.0..6.0, "standard deviation of the weights"),
             series,

@@ -204,8 +204,8 @@ impl Brdf for Scaled {
 fn mean(a: &RadianceImage, b: &RadianceImage) -> RadianceImage {
     let mut mean = a.clone();
     for (p, rgb) in mean.mean.iter_mut().enumerate() {
-        for c in 0..3 {
-            rgb[c] = 0.5 * (a.mean[p][c] + b.mean[p][c]);
+        for (c, value) in rgb.iter_mut().enumerate() {
+            *value = 0.5 * (a.mean[p][c] + b.mean[p][c]);
             mean.variance[p][c] = 0.25 * (a.variance[p][c] + b.variance[p][c]);
         }
     }
@@ -266,9 +266,8 @@ fn blurred(image: &RadianceImage, part: f64, sigma_px: f64) -> RadianceImage {
                     }
                 }
             }
-            for c in 0..3 {
-                let sharp = f64::from(image.mean[p][c]);
-                out.mean[p][c] = ((1.0 - part) * sharp + part * sum[c] / weight) as f32;
+            for (value, sum) in out.mean[p].iter_mut().zip(sum) {
+                *value = ((1.0 - part) * f64::from(*value) + part * sum / weight) as f32;
             }
         }
     }

@@ -129,9 +129,9 @@ fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
             }
             let seen = values.iter().filter(|v| !v.is_nan()).count();
             let paths = if reflections == 1.0 {
-                "1 reflection"
+                "K = 1"
             } else {
-                "1 and 2"
+                "K ≤ 2"
             };
             maps.push(HeatMap {
                 title: format!("{}, {paths}: {seen} cells", sample.name()),

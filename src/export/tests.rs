@@ -52,6 +52,7 @@ fn record(simulated: bool) -> FitRecord {
             cells: vec![cell; 6],
         },
         warnings: Vec::new(),
+        bench: None,
     }
 }
 

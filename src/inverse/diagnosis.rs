@@ -159,7 +159,9 @@ pub fn examine(
                         row.push(f64::from(direct[k]) + 0.5 * f64::from(indirect));
                     }
                     row.extend((0..lights).map(|l| f64::from(u8::from(l == light))));
-                    row.extend((0..SHAPES).map(|s| displaced[s][(light * 3 + c) * width * height + pixel]));
+                    row.extend(
+                        (0..SHAPES).map(|s| displaced[s][(light * 3 + c) * width * height + pixel]),
+                    );
                     row.extend(fields(at).map(|f| f * value));
                     row.extend(BLURS.map(|radius| {
                         blurred(&model[light], c, pixel, [width, height], radius) - value
@@ -247,10 +249,12 @@ fn accounted_for(gram: &DMatrix<f64>, known: usize, template: &[usize], z: usize
         DMatrix::from_fn(n, rhs.ncols(), |i, j| x[(i, j)] * scale[i])
     };
     let atoms: Vec<usize> = (0..known).collect();
-    let pick = |a: &[usize], b: &[usize]| DMatrix::from_fn(a.len(), b.len(), |i, j| gram[(a[i], b[j])]);
+    let pick =
+        |a: &[usize], b: &[usize]| DMatrix::from_fn(a.len(), b.len(), |i, j| gram[(a[i], b[j])]);
     let both: Vec<usize> = template.iter().copied().chain([z]).collect();
     let cross = pick(&atoms, &both);
-    let freed = pick(&both, &both) - cross.transpose() * solve(&atoms, &cross, &pick(&atoms, &atoms));
+    let freed =
+        pick(&both, &both) - cross.transpose() * solve(&atoms, &cross, &pick(&atoms, &atoms));
     let k = template.len();
     // A template that other weights can make says nothing.
     let own: Vec<usize> = (0..k)
@@ -265,7 +269,17 @@ fn accounted_for(gram: &DMatrix<f64>, known: usize, template: &[usize], z: usize
 /// Low-order fields over the image.
 fn fields(at: DVec2) -> [f64; FIELDS] {
     let (x, y) = (at.x, at.y);
-    [x, y, x * y, x * x - y * y, x * x + y * y, x * x * x, y * y * y, x * x * y, x * y * y]
+    [
+        x,
+        y,
+        x * y,
+        x * x - y * y,
+        x * x + y * y,
+        x * x * x,
+        y * y * y,
+        x * x * y,
+        x * y * y,
+    ]
 }
 
 /// Powers of the angles of the first reflection per light and pixel; zero in shadow.
@@ -288,7 +302,18 @@ fn first_angles(scene: &Scene) -> Vec<[f64; ANGLES]> {
                 let [h, d] = [a.theta_h_rad, a.theta_d_rad];
                 // Even in θh, and fine near the peak.
                 let near = |width: f64| (-(h / width).powi(2)).exp();
-                [1.0, near(0.1), near(0.2), near(0.4), near(0.8), d * d, d * d * near(0.4), d.powi(4), h * h, (h * d).powi(2)]
+                [
+                    1.0,
+                    near(0.1),
+                    near(0.2),
+                    near(0.4),
+                    near(0.8),
+                    d * d,
+                    d * d * near(0.4),
+                    d.powi(4),
+                    h * h,
+                    (h * d).powi(2),
+                ]
             }));
         }
     }
@@ -305,7 +330,11 @@ fn displaced_images(
     let mesh = scene.sample();
     let [low, high] = mesh.bounds_mm().map(|v| v.as_dvec3());
     let (centre, size) = (0.5 * (low + high), (high - low).max_element());
-    let shading = if scene.is_flat() { Shading::Flat } else { Shading::Smooth };
+    let shading = if scene.is_flat() {
+        Shading::Flat
+    } else {
+        Shading::Smooth
+    };
     let image = |mesh| -> Vec<f64> {
         let scene = Scene::new(mesh, shading, scene.camera, scene.lights.clone());
         let direct = DirectMatrix::new(&scene, dictionary, 2, 1);
@@ -315,7 +344,10 @@ fn displaced_images(
                 let weights = &mixture[c.min(mixture.len() - 1)];
                 values.extend((0..scene.camera.pixels()).map(|p| -> f64 {
                     let row = direct.row(p, light);
-                    row.iter().zip(weights).map(|(&d, &w)| f64::from(d) * w).sum()
+                    row.iter()
+                        .zip(weights)
+                        .map(|(&d, &w)| f64::from(d) * w)
+                        .sum()
                 }));
             }
         }

@@ -1,5 +1,6 @@
 //! The whole fit: trace, start, optimise, debias, say how sure.
 
+use std::sync::Arc;
 use std::time::Instant;
 
 use nalgebra::DVector;
@@ -9,6 +10,7 @@ use super::diagnosis::{self, Diagnosis};
 use super::exponentiated_gradient::ExponentiatedGradient;
 use super::gauss_newton::GaussNewton;
 use super::objective::{Channels, Linearised, Objective};
+use super::refine::{Refine, refine};
 use super::simplex::SimplexError;
 use super::trace::{Observer, Step, Termination};
 use super::uncertainty::{self, Draws};
@@ -57,6 +59,8 @@ pub struct FitOptions {
     pub rounds: usize,
     /// Draws from the posterior, 0..=10 000.
     pub draws: usize,
+    /// Paths and atoms beyond the first fit.
+    pub refine: Refine,
     /// Instructions to use.
     pub kernel: Kernel,
 }
@@ -71,6 +75,7 @@ impl Default for FitOptions {
             model_error: 0.02,
             rounds: 3,
             draws: 200,
+            refine: Refine::default(),
             kernel: Kernel::detect(),
         }
     }
@@ -78,9 +83,11 @@ impl Default for FitOptions {
 
 /// What a fit leaves.
 pub struct Fit {
+    /// The dictionary that the weights belong to: the one given, or with more atoms.
+    pub dictionary: Arc<Dictionary>,
     /// Weights per channel × atoms; equal vectors if shared.
     pub weights: [Vec<f64>; 3],
-    /// The single-bounce start of Eq. (13), per channel.
+    /// The single-bounce start of Eq. (13) in the dictionary given, per channel.
     pub start: [Vec<f64>; 3],
     /// Posterior and prior draws per channel.
     pub draws: Vec<Draws>,
@@ -171,6 +178,28 @@ pub(super) fn fit_on_bench(
     stage: &mut dyn FnMut(&str),
 ) -> Result<Fit, FitError> {
     check(scene, captured)?;
+    let dictionary = Arc::new(dictionary.clone());
+    if options.refine == Refine::default() {
+        return fit_from(scene, captured, &dictionary, None, options, bench, stage);
+    }
+    let quick = FitOptions {
+        draws: 0,
+        ..options.clone()
+    };
+    let first = fit_from(scene, captured, &dictionary, None, &quick, bench, stage)?;
+    refine(scene, captured, first, options, bench, stage)
+}
+
+/// [`fit`] without refinement, from given weights per channel or the single-bounce start.
+pub(super) fn fit_from(
+    scene: &Scene,
+    captured: &[RadianceImage],
+    dictionary: &Arc<Dictionary>,
+    from: Option<[Vec<f64>; 3]>,
+    options: &FitOptions,
+    bench: Option<&BenchLinearisation>,
+    stage: &mut dyn FnMut(&str),
+) -> Result<Fit, FitError> {
     let clock = Instant::now();
     let mut timings = Vec::new();
     let mut mark = clock;
@@ -207,6 +236,13 @@ pub(super) fn fit_on_bench(
         mixture.push(quadratic.minimise()?.x);
     }
     let start = mixture.clone();
+    if let Some(from) = from {
+        for (mixture, from) in mixture.iter_mut().zip(from) {
+            *mixture = DVector::from_vec(from);
+        }
+        let pass = objective.linearise(&mixture, &residual_weights);
+        residual_weights = objective.weights(Some(&pass.model));
+    }
     lap("start", &mut timings);
 
     let mut recorder = Recorder {
@@ -273,6 +309,7 @@ pub(super) fn fit_on_bench(
     };
     let (rendered, residual, reduced_chi2) = images(&objective, &pass, captured, &cache);
     Ok(Fit {
+        dictionary: dictionary.clone(),
         weights: per_channel(&mixture),
         start: per_channel(&start),
         draws,

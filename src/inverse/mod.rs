@@ -1,8 +1,8 @@
 //! From images to weights: the objective, the simplex, the optimisers and what
 //! they can say about their own error.
 
-pub mod diagnosis;
 pub mod bench;
+pub mod diagnosis;
 pub mod exponentiated_gradient;
 pub mod fit;
 pub mod gauss_newton;
@@ -10,6 +10,7 @@ pub mod intervals;
 pub mod light_selection;
 pub mod objective;
 pub mod projection;
+pub mod refine;
 pub mod simplex;
 pub mod sparse;
 pub mod trace;
@@ -18,3 +19,4 @@ pub mod uncertainty;
 pub use bench::{BenchPriors, RefineOptions, refine_bench};
 pub use fit::{Fit, FitError, FitOptions, Optimizer, fit};
 pub use objective::Channels;
+pub use refine::Refine;

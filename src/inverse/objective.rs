@@ -212,7 +212,11 @@ impl<'a> Objective<'a> {
             .map(|[excess, scale, square]| {
                 // Only what stands out of the scatter of the excess itself.
                 let sure = (excess - square.sqrt()).max(0.0);
-                if scale > 0.0 { (sure / scale).sqrt() } else { 0.0 }
+                if scale > 0.0 {
+                    (sure / scale).sqrt()
+                } else {
+                    0.0
+                }
             })
             .collect()
     }

@@ -82,7 +82,11 @@ impl SparsePosterior {
             }
             if step >= burn && (step - burn) * count >= draws.len() * (steps - burn) {
                 let mut x = DVector::zeros(n);
-                state.used.iter().zip(&state.x).for_each(|(&k, &v)| x[k] = v);
+                state
+                    .used
+                    .iter()
+                    .zip(&state.x)
+                    .for_each(|(&k, &v)| x[k] = v);
                 draws.push(x);
             }
         }
@@ -113,7 +117,11 @@ impl SparsePosterior {
     fn log_likelihood(&self, used: &[usize], x: &[f64]) -> f64 {
         let mut sum = 0.0;
         for (&i, &xi) in used.iter().zip(x) {
-            let row: f64 = used.iter().zip(x).map(|(&j, &xj)| self.h[(i, j)] * xj).sum();
+            let row: f64 = used
+                .iter()
+                .zip(x)
+                .map(|(&j, &xj)| self.h[(i, j)] * xj)
+                .sum();
             sum += xi * (self.b[i] - 0.5 * row);
         }
         sum
@@ -152,7 +160,8 @@ impl SparsePosterior {
                     v / factor[t][t]
                 };
             }
-            let mut v = self.b[i] - self.b[last] - h(i, last) + h(last, last)
+            let mut v = self.b[i] - self.b[last] - h(i, last)
+                + h(last, last)
                 + PROPOSAL_PRECISION / k as f64;
             for q in 0..s {
                 v -= factor[s][q] * y[q];
@@ -181,9 +190,13 @@ impl SparsePosterior {
         x[m] = left;
         // A uniform density on the simplex of k weights is (k − 1)!.
         let log_uniform: f64 = (1..k).map(|i| (i as f64).ln()).sum();
-        let log_weight = k as f64 * self.log_odds + log_uniform + self.log_likelihood(&used, &x)
-            - log_density;
-        Some(State { used, x, log_weight })
+        let log_weight =
+            k as f64 * self.log_odds + log_uniform + self.log_likelihood(&used, &x) - log_density;
+        Some(State {
+            used,
+            x,
+            log_weight,
+        })
     }
 }
 
@@ -213,7 +226,10 @@ mod tests {
             let terms = [1.0, x[0], x[0] * x[0], f64::from(u8::from(idle))];
             sums.iter_mut().zip(terms).for_each(|(s, t)| *s += p * t);
         };
-        for (k, x) in [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]].into_iter().enumerate() {
+        for (k, x) in [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+            .into_iter()
+            .enumerate()
+        {
             add(x, odds, k != 2);
         }
         for i in 0..steps as usize {

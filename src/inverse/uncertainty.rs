@@ -94,7 +94,10 @@ fn adjusted_likelihood(
         .filter(|&k| eigen.eigenvalues[k] > (1e-7 * largest).max(1.0))
         .collect();
     let vectors = eigen.eigenvectors.select_columns(&kept);
-    let scales = DVector::from_iterator(kept.len(), kept.iter().map(|&k| eigen.eigenvalues[k].sqrt()));
+    let scales = DVector::from_iterator(
+        kept.len(),
+        kept.iter().map(|&k| eigen.eigenvalues[k].sqrt()),
+    );
     let root = &vectors * DMatrix::from_diagonal(&scales);
     let inverse = &vectors * DMatrix::from_diagonal(&scales.map(|s| 1.0 / s));
 
@@ -129,7 +132,9 @@ fn without_noise(information: &DMatrix<f64>, full: &DMatrix<f64>) -> DMatrix<f64
     let noise = full - information;
     let eigen = SymmetricEigen::new(0.5 * (&noise + noise.transpose()));
     let largest = eigen.eigenvalues.max().max(1e-9);
-    let scales = eigen.eigenvalues.map(|v| (v.max(0.0) + 1e-12 * largest + 1e-6).sqrt());
+    let scales = eigen
+        .eigenvalues
+        .map(|v| (v.max(0.0) + 1e-12 * largest + 1e-6).sqrt());
     let root = &eigen.eigenvectors * DMatrix::from_diagonal(&scales);
     let inverse = &eigen.eigenvectors * DMatrix::from_diagonal(&scales.map(|s| 1.0 / s));
     let relative = inverse.tr_mul(information) * &inverse;

@@ -213,10 +213,12 @@ fn draw(svg: &mut Svg, at: [f64; 2], panel: &Chart) {
         }
     }
     svg.rectangle(at, PANEL, "none", INK);
+    let wide = text_width(&panel.title, TEXT + 1.0) / PANEL[0];
+    let title_size = (TEXT + 1.0) / wide.max(1.0);
     svg.text(
         [left + 0.5 * PANEL[0], top - 8.0],
         Anchor::Middle,
-        TEXT + 1.0,
+        title_size,
         &panel.title,
     );
     let middle = [left + 0.5 * PANEL[0], top + PANEL[1] + 32.0];

@@ -147,7 +147,7 @@ impl Svg {
 
 /// About how wide a text is, units.
 pub fn text_width(text: &str, size: f64) -> f64 {
-    0.6 * size * text.chars().count() as f64
+    0.55 * size * text.chars().count() as f64
 }
 
 fn round(value: f64) -> f64 {

@@ -17,7 +17,7 @@ pub struct Photographer {
     pub full_well_e: f64,
     /// Read noise, electrons.
     pub read_noise_e: f64,
-    /// Exposures, each 8 times as long as the one before, 1..=8. With one, the brightest
+    /// Exposures, each 4 times as long as the one before, 1..=8. With one, the brightest
     /// 2% of the sample clip; with more, the shortest clips nothing.
     pub exposures: u32,
     /// Frames averaged per exposure, at least 1.
@@ -27,7 +27,7 @@ pub struct Photographer {
 }
 
 /// Ratio of neighbouring exposures.
-const RATIO: f64 = 8.0;
+const RATIO: f64 = 4.0;
 
 impl Photographer {
     /// The image of light number `light` as this sensor gives it, with the merge's own

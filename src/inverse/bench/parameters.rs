@@ -171,8 +171,7 @@ impl Bench {
             &mut Axis::ALL.map(Parameter::Translation).into_iter(),
         );
         add(priors.stray_light, &mut lights.map(Parameter::StrayLight));
-        let mut covariance =
-            DMatrix::from_diagonal(&DVector::from_vec(deviations).map(|d| d * d));
+        let mut covariance = DMatrix::from_diagonal(&DVector::from_vec(deviations).map(|d| d * d));
         // What the lights share: a turn ω of the stage moves a light at d along e by
         // e·(ω × d) = ω·(d × e); a common scale is the same for all.
         let shared: Vec<([f64; 3], f64)> = parameters
@@ -198,13 +197,10 @@ impl Bench {
             }
         }
         // Positive definite: every parameter has a deviation of its own above 0.
-        let root = covariance
-            .clone()
-            .cholesky()
-            .map_or_else(
-                || DMatrix::from_diagonal(&covariance.diagonal().map(f64::sqrt)),
-                |c| c.l(),
-            );
+        let root = covariance.clone().cholesky().map_or_else(
+            || DMatrix::from_diagonal(&covariance.diagonal().map(f64::sqrt)),
+            |c| c.l(),
+        );
         Self {
             described: described.clone(),
             parameters,

@@ -139,7 +139,6 @@ pub fn refine_bench(
                     step,
                     loss,
                     chi2: round.chi2,
-                    posterior: round.spectrum.clone().widened(&round.block_scores),
                     spectrum: round.spectrum,
                     derivatives: round.derivatives,
                 });
@@ -153,7 +152,7 @@ pub fn refine_bench(
     let linearisation = best.map(|best| BenchLinearisation {
         bench,
         derivatives: best.derivatives,
-        spectrum: best.posterior,
+        spectrum: best.spectrum,
     });
     let mut fit = fit_on_bench(
         &refined,
@@ -203,7 +202,6 @@ struct Best {
     loss: f64,
     chi2: f64,
     spectrum: Spectrum,
-    posterior: Spectrum,
     derivatives: DerivativeImages,
 }
 
@@ -223,7 +221,6 @@ struct Round {
     spectrum: Spectrum,
     score: DVector<f64>,
     noise: DMatrix<f64>,
-    block_scores: Vec<DVector<f64>>,
     derivatives: DerivativeImages,
     /// Mean squared residual, and of how many.
     chi2: f64,
@@ -306,10 +303,10 @@ impl Rounds<'_> {
         let loss: f64 = pass.quadratics.iter().map(|q| q.c).sum();
         self.mixture = Some(mixture);
         Ok(Round {
-            spectrum: Spectrum::new(self.bench, &reduced.information),
+            spectrum: Spectrum::new(self.bench, &reduced.information)
+                .widened(&reduced.block_scores),
             score: reduced.score,
             noise: reduced.noise,
-            block_scores: reduced.block_scores,
             derivatives,
             chi2: 2.0 * loss / count as f64,
             count: count as f64,

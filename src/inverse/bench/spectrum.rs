@@ -23,6 +23,8 @@ const LONGEST_STEP: f64 = 2.0;
 pub struct Spectrum {
     /// λ ≥ 0 of each direction.
     pub values: DVector<f64>,
+    /// Fraction of the images' word that counts along each direction.
+    trust: DVector<f64>,
     /// Directions as columns, in units of the prior.
     vectors: DMatrix<f64>,
     /// L.
@@ -35,6 +37,7 @@ impl Spectrum {
         let root = bench.prior_root().clone();
         let eigen = SymmetricEigen::new(root.transpose() * information * &root);
         Self {
+            trust: DVector::repeat(eigen.eigenvalues.len(), 1.0),
             values: eigen.eigenvalues.map(|v| v.max(0.0)),
             vectors: eigen.eigenvectors,
             root,
@@ -42,16 +45,18 @@ impl Spectrum {
     }
 
     /// Less sure along directions where the scores of blocks of pixels scatter by more
-    /// than noise would: errors of the model are correlated between pixels.
+    /// than independent noise would: errors of the model are correlated between pixels,
+    /// and the paths' noise between lights and channels.
     pub fn widened(mut self, block_scores: &[DVector<f64>]) -> Self {
         let mut scatter = DVector::<f64>::zeros(self.values.len());
         for score in block_scores {
             let along = self.vectors.tr_mul(&self.root.tr_mul(score));
             scatter += along.component_mul(&along);
         }
-        for (value, scatter) in self.values.iter_mut().zip(scatter.iter()) {
-            if *scatter > *value {
-                *value *= *value / scatter;
+        for (i, &scatter) in scatter.iter().enumerate() {
+            if scatter > self.values[i] {
+                self.trust[i] = self.values[i] / scatter;
+                self.values[i] *= self.trust[i];
             }
         }
         self
@@ -67,14 +72,20 @@ impl Spectrum {
         noise: &DMatrix<f64>,
     ) -> DVector<f64> {
         let at = self.whitened(values);
-        let push = self.vectors.tr_mul(&self.root.tr_mul(score)) - &at;
-        let basis = &self.root * &self.vectors;
+        let push = self.vectors.tr_mul(&self.root.tr_mul(score));
+        let push = push.component_mul(&self.trust) - &at;
+        let trust = DMatrix::from_diagonal(&self.trust.map(f64::sqrt));
+        let basis = &self.root * &self.vectors * trust;
         let noise = basis.transpose() * noise * &basis;
         let told: Vec<usize> = (0..at.len())
             .filter(|&i| self.values[i] >= HELD_BELOW)
             .collect();
         let h = DMatrix::from_fn(told.len(), told.len(), |i, j| {
-            let own = if i == j { 1.0 + self.values[told[i]] } else { 0.0 };
+            let own = if i == j {
+                1.0 + self.values[told[i]]
+            } else {
+                0.0
+            };
             own + noise[(told[i], told[j])]
         });
         let push = DVector::from_iterator(told.len(), told.iter().map(|&i| push[i]));

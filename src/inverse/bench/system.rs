@@ -42,7 +42,8 @@ pub struct Normal {
     noise: DMatrix<f64>,
     /// F_pw per weight set, P × N.
     coupling: Vec<DMatrix<f64>>,
-    /// Scores per block of pixels of one light.
+    /// Scores per block of pixels, all lights together: they share the paths, and so
+    /// their noise.
     blocks: BTreeMap<usize, Scores>,
 }
 
@@ -131,13 +132,14 @@ impl Normal {
                         });
                         let block = sum
                             .blocks
-                            .entry(objective.block(pixel, light))
+                            .entry(objective.block(pixel, 0))
                             .or_insert_with(|| Scores::zero(parameters.len(), n, sets));
                         let difference = &by_bench[0] - &by_bench[1];
                         sum.noise.ger(0.25 * w, &difference, &difference, 1.0);
                         for h in 0..2 {
                             let (a, b) = (h, 1 - h);
-                            sum.information.ger(0.5 * w, &by_bench[a], &by_bench[b], 1.0);
+                            sum.information
+                                .ger(0.5 * w, &by_bench[a], &by_bench[b], 1.0);
                             sum.coupling[set].ger(0.5 * w, &by_bench[a], &by_weight[b], 1.0);
                             block.bench.axpy(0.5 * w * residual[b], &by_bench[a], 1.0);
                             block.weights[set].axpy(0.5 * w * residual[b], &by_weight[a], 1.0);

@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use super::{
-    FIT_FILE, FORMAT, FitImages, FitRecord, FitRecordError, FitSettings, ScoreSheet, Timing,
-    Warning, check, out_of_range, tables,
+    BenchRecord, FIT_FILE, FORMAT, FitImages, FitRecord, FitRecordError, FitSettings, ScoreSheet,
+    Timing, Warning, check, out_of_range, tables,
 };
 use crate::radiance_image::exr;
 use crate::session::layout::FITS_FOLDER;
@@ -36,6 +36,7 @@ struct FitToml {
     #[serde(default)]
     warning: Vec<Warning>,
     score: Option<ScoreSheet>,
+    bench: Option<BenchRecord>,
 }
 
 /// The fit's files by name, `fit.toml` last.
@@ -213,6 +214,7 @@ fn parse(
         score: toml.score,
         table,
         warnings: toml.warning,
+        bench: toml.bench,
     };
     check(folder, &record)?;
     Ok(record)
@@ -311,6 +313,7 @@ fn to_toml(record: &FitRecord) -> String {
         timing: record.timings.clone(),
         warning: record.warnings.clone(),
         score: record.score.clone(),
+        bench: record.bench.clone(),
     };
     toml::to_string(&toml).expect("plain data with string keys is always TOML")
 }
