@@ -16,7 +16,6 @@ use super::derivatives::DerivativeImages;
 use super::parameters::{Bench, Parameter};
 use super::spectrum::Spectrum;
 use crate::inverse::objective::{Objective, ResidualWeights};
-use crate::random::{Purpose, stream};
 use crate::transport::{Cache, DirectMatrix, Kernel};
 
 /// Deviation of a weight before any image, which keeps F_ww invertible where atoms
@@ -301,11 +300,8 @@ pub struct BenchCoupling {
 }
 
 impl BenchCoupling {
-    /// What draw `index` adds to the score of a set's weights; all sets see one bench.
-    pub fn score(&self, set: usize, seed: u64, index: u64) -> DVector<f64> {
-        let shift = &self.shifts[set];
-        let mut numbers = stream(seed, Purpose::Posterior, u64::MAX, 0, index);
-        let normal = DVector::from_fn(shift.ncols(), |_, _| numbers.normal());
-        -(shift * normal)
+    /// Covariance that it adds to the score of a set's weights, N × N.
+    pub fn covariance(&self, set: usize) -> DMatrix<f64> {
+        &self.shifts[set] * self.shifts[set].transpose()
     }
 }
