@@ -76,7 +76,7 @@ impl Normal {
         mixture: &[DVector<f64>],
     ) -> Self {
         let (objective, cache, direct) = (model.objective, model.cache, model.direct);
-        let (n, sets, lights) = (objective.atoms(), objective.sets(), objective.lights());
+        let (n, sets) = (objective.atoms(), objective.sets());
         let parameters = bench.parameters();
         let slices: Vec<&[f64]> = mixture.iter().map(|w| w.as_slice()).collect();
         let parts = cache.evaluate(
@@ -85,10 +85,10 @@ impl Normal {
             || Self::zero(parameters.len(), n, sets),
             |sum, rows| {
                 let pixel = rows.pixel;
-                for light in 0..lights {
+                for (light, residual_weights) in residual_weights.iter().enumerate() {
                     let direct = direct.row(pixel, light);
                     for c in 0..3 {
-                        let w = residual_weights[light][pixel][c];
+                        let w = residual_weights[pixel][c];
                         if w <= 0.0 {
                             continue;
                         }
