@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use super::interrupt::end_on_signal;
-use super::{CliError, Context, output};
+use super::{CliError, Context, light_choice, output};
 use crate::evaluate::experiment::{EvaluateError, Overrides, Run, run as run_experiment};
 use crate::evaluate::lab::Lab;
 use crate::evaluate::{EXPERIMENTS, find};
@@ -26,10 +26,13 @@ pub struct EvaluateArgs {
     #[arg(
         long,
         value_name = "DIR",
-        required_unless_present = "list",
-        conflicts_with = "list"
+        required_unless_present_any = ["list", "session"],
+        conflicts_with_all = ["list", "session"]
     )]
     out: Option<PathBuf>,
+    /// With next-light: a fitted session, to say which lights would add most to it
+    #[arg(long, value_name = "SESSION", conflicts_with = "list")]
+    session: Option<PathBuf>,
     /// Materials: bundled, mirrors, synthetic, in-span, nbrdf:NAME, synthetic:NAME, or files (.binary, .bsdf, …)
     #[arg(long, value_name = "M", num_args = 1.., value_delimiter = ',')]
     materials: Option<Vec<String>>,
@@ -64,6 +67,13 @@ pub struct EvaluateArgs {
 
 /// `rig evaluate`.
 pub fn run(args: &EvaluateArgs, context: &Context) -> Result<(), CliError> {
+    if let Some(session) = &args.session {
+        return match args.name.as_deref() {
+            Some("next-light") => light_choice::next(session, args.json, context),
+            _ => Err(CliError::new("--session belongs to next-light alone")
+                .hint("`rig evaluate next-light --session SESSION`")),
+        };
+    }
     let (Some(name), Some(folder)) = (&args.name, &args.out) else {
         return list(args.json);
     };

@@ -10,6 +10,7 @@ mod dictionary_size;
 mod gallery;
 mod light_count;
 mod misalignment;
+mod next_light;
 mod noise;
 mod optimisers;
 mod rank;
@@ -29,6 +30,7 @@ pub static EXPERIMENTS: &[&Experiment] = &[
     &shapes::SHAPES,
     &dictionary_size::DICTIONARY_SIZE,
     &light_count::LIGHT_COUNT,
+    &next_light::NEXT_LIGHT,
     &shape_construction::SHAPE_CONSTRUCTION,
     &gallery::GALLERY,
     &tables::TABLES,

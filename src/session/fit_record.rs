@@ -300,6 +300,12 @@ pub enum FitRecordError {
         /// What may stand there.
         allowed: String,
     },
+    /// A file in a session that no journal record names.
+    #[error("{} is not in the session's journal", path.display())]
+    NotVouchedFor {
+        /// The file.
+        path: PathBuf,
+    },
     /// The session refused.
     #[error(transparent)]
     Session(#[from] SessionError),

@@ -30,6 +30,8 @@ pub struct DerivativeOptions {
     pub seed: u64,
     /// Where continuations go.
     pub proposal: Proposal,
+    /// What comes by way of other surfaces is averaged over pixels up to this far away.
+    pub average_px: usize,
 }
 
 /// Derivatives of radiance over lamp strength with respect to the geometric parameters.
@@ -103,7 +105,7 @@ impl DerivativeImages {
                 row
             })
             .collect();
-        let values = smoothed(&rows, wanted, base.camera.resolution_px);
+        let values = smoothed(&rows, wanted, base.camera.resolution_px, options.average_px);
         Self { columns, values }
     }
 
@@ -126,8 +128,8 @@ fn smoothed(
     rows: &[Vec<[Parts; 2]>],
     wanted: &[bool],
     [width, height]: [usize; 2],
+    reach: usize,
 ) -> Vec<[[f32; 3]; 2]> {
-    let reach = (width.max(height) + 12) / 24;
     (0..rows.len())
         .into_par_iter()
         .map(|pixel| {
