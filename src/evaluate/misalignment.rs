@@ -183,7 +183,8 @@ fn one(
         .with("held", estimate.held.join("; "));
     // Root mean squares by kind: errors before and after in prior deviations, and after in
     // stated deviations.
-    let kinds: [(&str, fn(&Parameter) -> bool); 4] = [
+    type Belongs = fn(&Parameter) -> bool;
+    let kinds: [(&str, Belongs); 4] = [
         ("lights", |p| {
             matches!(p, Parameter::LightAzimuth(_) | Parameter::LightElevation(_))
         }),
