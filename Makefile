@@ -1,10 +1,11 @@
 # `make demo`: build, then the whole pipeline on the simulated rig.
 # `make test`: all tests.
+# `make test-external`: exports loaded in the programs they are for (tests/external/README.md).
 
 CARGO ?= cargo
 SUDO := $(if $(filter 0,$(shell id -u)),,sudo)
 
-.PHONY: demo test build deps
+.PHONY: demo test test-external build deps
 
 demo: build
 	target/release/rig demo
@@ -14,6 +15,9 @@ build: deps
 
 test: deps
 	$(CARGO) test --locked --release --workspace
+
+test-external: build
+	tests/external/run.sh target/release/rig
 
 # What the build needs from the system: a C compiler to link, libclang for the
 # Video4Linux bindings. Nothing happens if it is there.

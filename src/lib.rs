@@ -8,7 +8,7 @@
 //!
 //! | floor | modules |
 //! |---|---|
-//! | 0 | [`units`], [`frames`], [`random`], [`radiance_image`], [`interrupt`], [`whole_file`] |
+//! | 0 | [`units`], [`frames`], [`random`], [`radiance_image`], [`interrupt`], [`whole_file`], [`plot`] |
 //! | 1 | [`brdf`], [`geometry`] |
 //! | 2 | [`transport`], [`radiometry`] |
 //! | 3 | [`inverse`], [`device`], [`simulation`] |
@@ -19,6 +19,7 @@
 
 pub mod frames;
 pub mod interrupt;
+pub mod plot;
 pub mod radiance_image;
 pub mod random;
 pub mod units;

@@ -18,6 +18,8 @@ pub enum Purpose {
     Experiment = 5,
     /// Bootstrap or posterior draws.
     Posterior = 6,
+    /// Seeds of the paths that tell how images change with the bench.
+    BenchDerivative = 16,
 }
 
 /// A small counter-based stream of random numbers.

@@ -141,7 +141,7 @@ fn bad_input_is_one_line_and_a_hint() {
         (&["project", "lambertian:0.5", "--size", "4"], "8 to 512"),
         (
             &["convert", "lambertian:0.5", "--out", "x.merl"],
-            "not a .binary",
+            "neither a .binary nor a .bsdf",
         ),
         (
             &["convert", "lambertian:0.5", "--out", "no/folder/x.binary"],

@@ -51,6 +51,7 @@ fn write_fit(folder: &Path) {
         score: None,
         table: AngleTable::default(),
         warnings: Vec::new(),
+        bench: None,
     };
     fit_record::write(folder, &record, &FitImages::default()).unwrap();
 }
@@ -70,6 +71,12 @@ fn a_fit_is_exported_and_its_files_are_named() {
     assert!(xml.contains("SIMULATED") && xml.contains("blendbsdf"));
     let done = rig(&["export", "fit", "--format", "json"], home.path());
     assert_eq!(done.stdout, b"brdf.json\n");
+    let done = rig(&["export", "fit", "--format", "pbrt"], home.path());
+    assert_eq!(done.stdout, b"brdf.pbrt\nbrdf.spectral.bsdf\n");
+    let text = std::fs::read_to_string(home.path().join("brdf.pbrt")).unwrap();
+    assert!(text.contains("\"brdf.spectral.bsdf\""), "{text}");
+    let done = rig(&["export", "fit", "--format", "rgl"], home.path());
+    assert_eq!(done.stdout, b"brdf.bsdf\n");
 }
 
 /// (what is done to the fit, arguments, what the error says)
@@ -93,8 +100,8 @@ fn failures_are_one_line_and_a_hint() {
             "empty holds no fit",
         ),
         (
-            &["export", "broken", "--format", "pbrt"],
-            "possible values: json, merl, mitsuba",
+            &["export", "broken", "--format", "pdf"],
+            "possible values: json, merl, rgl, rgl-spectral, mitsuba, pbrt",
         ),
         (&["report", "empty"], "empty is not a session"),
     ];

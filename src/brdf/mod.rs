@@ -15,6 +15,7 @@ pub mod dictionary;
 pub mod environment;
 pub mod ggx;
 pub mod half_difference;
+pub mod in_span;
 pub mod lobe_table;
 pub mod merl;
 pub mod mixture;

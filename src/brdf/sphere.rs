@@ -47,21 +47,23 @@ impl SphereImage {
 
     /// 8-bit sRGB for looking at, `exposure` × radiance 1 is white; outside the sphere white.
     pub fn to_srgb(&self, exposure: f32) -> Vec<[u8; 3]> {
-        let encode = |x: f32| {
-            let x = (exposure * x).clamp(0.0, 1.0);
-            let encoded = if x <= 0.003_130_8 {
-                12.92 * x
-            } else {
-                1.055 * x.powf(1.0 / 2.4) - 0.055
-            };
-            (255.0 * encoded + 0.5) as u8
-        };
         let mut pixels = vec![[255; 3]; self.radiance.len()];
         for (pixel, _) in normals(self.size) {
-            pixels[pixel] = self.radiance[pixel].map(encode);
+            pixels[pixel] = self.radiance[pixel].map(|x| srgb8(exposure * x));
         }
         pixels
     }
+}
+
+/// 8-bit sRGB of a linear value; 1 is white.
+pub fn srgb8(x: f32) -> u8 {
+    let x = x.clamp(0.0, 1.0);
+    let encoded = if x <= 0.003_130_8 {
+        12.92 * x
+    } else {
+        1.055 * x.powf(1.0 / 2.4) - 0.055
+    };
+    (255.0 * encoded + 0.5) as u8
 }
 
 /// Pixels whose centre lies on the sphere, with the normal there.
@@ -133,9 +135,26 @@ pub fn sphere_images<const N: usize>(
     map: &EnvironmentMap,
     size: usize,
 ) -> [SphereImage; N] {
-    let shaded: Vec<(usize, [[f32; 3]; N])> = normals(size)
-        .into_par_iter()
-        .map(|(pixel, normal)| {
+    let shaded = shade(brdfs, map, &normals(size));
+    std::array::from_fn(|k| {
+        let mut radiance = vec![[0.0; 3]; size * size];
+        for (pixel, rgb) in &shaded {
+            radiance[*pixel] = rgb[k];
+        }
+        SphereImage { size, radiance }
+    })
+}
+
+/// Radiance towards the viewer at +z of surface points, given by a pixel (which keys the
+/// quadrature) and a unit normal, under `map` without shadows: per BRDF R, G, B.
+pub fn shade<const N: usize>(
+    brdfs: [&dyn Brdf; N],
+    map: &EnvironmentMap,
+    points: &[(usize, DVec3)],
+) -> Vec<(usize, [[f32; 3]; N])> {
+    points
+        .par_iter()
+        .map(|&(pixel, normal)| {
             let mut sums = [[0.0f64; 3]; N];
             for light in incident(map, pixel, normal) {
                 for (sum, brdf) in sums.iter_mut().zip(brdfs) {
@@ -147,14 +166,7 @@ pub fn sphere_images<const N: usize>(
             }
             (pixel, sums.map(|sum| sum.map(|s| s as f32)))
         })
-        .collect();
-    std::array::from_fn(|k| {
-        let mut radiance = vec![[0.0; 3]; size * size];
-        for (pixel, rgb) in &shaded {
-            radiance[*pixel] = rgb[k];
-        }
-        SphereImage { size, radiance }
-    })
+        .collect()
 }
 
 /// The sphere images of all atoms of a dictionary under one map: the image of a mixture is

@@ -1,138 +1,349 @@
 //! `rig bench`: the inner loops on this machine.
 
+use std::sync::Arc;
 use std::time::Instant;
 
 use glam::{DVec2, DVec3, Vec3};
+use rayon::{ThreadPool, ThreadPoolBuilder};
 use serde::Serialize;
+use serde_json::{Value, json};
 
 use super::{CliError, Context, output};
-use crate::brdf::Dictionary;
+use crate::brdf::{Dictionary, Mixture};
+use crate::geometry::bvh::offset_origin;
 use crate::geometry::{Bvh, Mesh, Ray, Shape};
+use crate::inverse::{FitOptions, fit};
 use crate::out;
 use crate::random::{Purpose, stream};
-use crate::transport::{Cache, CacheOptions, Camera, Kernel, Light, Projection, Scene, Shading};
+use crate::transport::{
+    Cache, CacheOptions, Camera, DirectMatrix, Kernel, Light, Projection, Proposal, RenderOptions,
+    Scene, Shading, render,
+};
 
-/// Measures tracing, evaluating and ray queries.
+/// Measures ray queries, tracing, evaluating and a whole fit.
 #[derive(clap::Args, Debug)]
 pub struct BenchArgs {
     /// The figures as JSON
     #[arg(long)]
     json: bool,
-    /// Threads, 1 to 256
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=256))]
-    threads: u64,
-    /// Repetitions of each case, 1 to 1000; medians are printed
+    /// Threads, 1 to 256; several numbers take turns and show how the work scales
+    #[arg(long, value_name = "N,…", default_value = "1", value_delimiter = ',', value_parser = clap::value_parser!(u64).range(1..=256))]
+    threads: Vec<u64>,
+    /// Repetitions of each case, 1 to 1000 (short cases take ten times as many)
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u64).range(1..=1000))]
     repeat: u64,
+    /// Only cases whose name contains this
+    #[arg(long, value_name = "TEXT", default_value = "")]
+    only: String,
 }
 
+/// A case at one number of threads.
 #[derive(Serialize)]
-struct Case {
+struct Row {
     name: String,
+    threads: usize,
+    cpu_ms_min: f64,
     cpu_ms_median: f64,
+    wall_ms_min: f64,
     wall_ms_median: f64,
+    /// Median wall time with the first number of threads over this one's.
+    speedup: f64,
     #[serde(flatten)]
-    facts: serde_json::Value,
+    facts: Value,
 }
 
 /// `rig bench`.
 pub fn run(args: &BenchArgs, context: &Context) -> Result<(), CliError> {
-    let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(args.threads as usize)
-        .build()
-        .map_err(|error| CliError::new(format!("{} threads: {error}", args.threads)))?;
-    let cases = pool.install(|| measure(args, context))?;
+    let pools = args
+        .threads
+        .iter()
+        .map(|&threads| {
+            ThreadPoolBuilder::new()
+                .num_threads(threads as usize)
+                .build()
+                .map_err(|error| CliError::new(format!("{threads} threads: {error}")))
+        })
+        .collect::<Result<Vec<_>, _>>()?;
+    let mut bench = Bench {
+        pools,
+        args,
+        context,
+        rows: Vec::new(),
+    };
+    bench.rays()?;
+    bench.paths()?;
+    bench.fit()?;
+    let rows = bench.rows;
     if args.json {
-        return output::write_json(&serde_json::json!({ "cases": cases }));
+        return output::write_json(&json!({ "cases": rows }));
     }
-    out!("{:16} {:>12} {:>12}", "case", "CPU ms", "wall ms")?;
-    for case in cases {
+    out!(
+        "{:16} {:>7} {:>10} {:>10} {:>10} {:>10} {:>8}",
+        "case",
+        "threads",
+        "CPU ms",
+        "least",
+        "wall ms",
+        "least",
+        "speed-up"
+    )?;
+    for row in rows {
         out!(
-            "{:16} {:12.2} {:12.2}",
-            case.name,
-            case.cpu_ms_median,
-            case.wall_ms_median
+            "{:16} {:7} {:10.2} {:10.2} {:10.2} {:10.2} {:8.2}",
+            row.name,
+            row.threads,
+            row.cpu_ms_median,
+            row.cpu_ms_min,
+            row.wall_ms_median,
+            row.wall_ms_min,
+            row.speedup
         )?;
     }
     Ok(())
 }
 
-fn measure(args: &BenchArgs, context: &Context) -> Result<Vec<Case>, CliError> {
-    let mut cases = Vec::new();
-    let bowl = Shape::Bowl {
-        radius_mm: 1.0,
-        segments: 200,
-    };
-    let corner = Shape::Tetrahedron {
-        radius_mm: 1.0,
-        depth_mm: std::f32::consts::FRAC_1_SQRT_2,
-    };
-    for (name, shape, light_deg) in [("bowl", bowl, 0.0f64), ("corner", corner, 25.0)] {
-        let mesh = shape.mesh()?;
-        let triangles = mesh.triangles.len();
-        let scene = scene(mesh, light_deg);
-        let dictionary = Dictionary::grid42();
-        let options = CacheOptions {
-            samples_per_pixel: 256,
-            max_reflections: 8,
-            ..CacheOptions::default()
-        };
-        context.note(format!("trace/{name}"));
-        let mut cache = None;
-        let traced = timed(args.repeat.min(3), || {
-            cache = Some(Cache::trace(&scene, &dictionary, &options))
-        });
-        let Some(cache) = cache else { continue };
-        let cache = cache?;
-        let (records, bytes) = cache.size();
-        let facts = serde_json::json!({
-            "triangles": triangles, "dictionary": dictionary.name(), "light_deg": light_deg,
-            "resolution_px": [64, 64], "samples_per_pixel": 2 * cache.samples_per_half,
-            "max_reflections": 8, "records": records, "bytes": bytes,
-            "threads": rayon::current_num_threads(), "kernel": Kernel::detect().to_string(),
-        });
-        cases.push(case(format!("trace/{name}"), traced, facts.clone()));
-        context.note(format!("evaluate/{name}"));
-        let n = dictionary.len();
-        let weights = vec![1.0 / n as f64; n];
-        let mut mean = 0.0;
-        let evaluated = timed(args.repeat, || {
-            let sums = cache.evaluate(
-                Kernel::detect(),
-                &[&weights],
-                || (0.0f64, vec![0.0f64; n]),
-                |(value, gradient), rows| {
-                    *value += 0.5 * f64::from(rows.value[0][0] + rows.value[1][0]);
-                    for (sum, (a, b)) in gradient
-                        .iter_mut()
-                        .zip(rows.jacobian[0].iter().zip(rows.jacobian[1]))
-                    {
-                        *sum += f64::from(a + b);
-                    }
-                },
-            );
-            mean = sums.iter().map(|s| s.0).sum::<f64>() / cache.pixels as f64;
-        });
-        let mut facts = facts;
-        facts["mean_radiance"] = mean.into();
-        cases.push(case(format!("evaluate/{name}"), evaluated, facts));
-    }
-    cases.extend(rays(args)?);
-    cases.sort_by(|a, b| a.name.cmp(&b.name));
-    Ok(cases)
+struct Bench<'a> {
+    pools: Vec<ThreadPool>,
+    args: &'a BenchArgs,
+    context: &'a Context,
+    rows: Vec<Row>,
 }
 
-/// Incoherent bounces inside a bowl: closest hits, and any-hits towards a lamp.
-fn rays(args: &BenchArgs) -> Result<Vec<Case>, CliError> {
-    let mesh = Shape::Bowl {
+impl Bench<'_> {
+    fn wanted(&self, name: &str) -> bool {
+        name.contains(&self.args.only)
+    }
+
+    /// Measures `work` with every number of threads, in turns so that a change of the
+    /// machine's load meets all of them; `facts` gets the median CPU milliseconds.
+    fn case(
+        &mut self,
+        name: &str,
+        repeat: u64,
+        mut work: impl FnMut() + Send,
+        facts: impl Fn(f64) -> Value,
+    ) {
+        if !self.wanted(name) {
+            return;
+        }
+        self.context.note(name);
+        let mut times = vec![[Vec::new(), Vec::new()]; self.pools.len()];
+        for _ in 0..repeat {
+            for (pool, [cpu, wall]) in self.pools.iter().zip(&mut times) {
+                pool.install(|| {
+                    let (cpu0, wall0) = (cpu_seconds(), Instant::now());
+                    work();
+                    wall.push(1e3 * wall0.elapsed().as_secs_f64());
+                    cpu.push(1e3 * (cpu_seconds() - cpu0));
+                });
+            }
+        }
+        let mut one = None;
+        for (pool, mut of_pool) in self.pools.iter().zip(times) {
+            of_pool.iter_mut().for_each(|t| t.sort_by(f64::total_cmp));
+            let [cpu, wall] = of_pool;
+            let middle = cpu.len() / 2;
+            let one = *one.get_or_insert(wall[middle]);
+            self.rows.push(Row {
+                name: name.to_owned(),
+                threads: pool.current_num_threads(),
+                cpu_ms_min: cpu[0],
+                cpu_ms_median: cpu[middle],
+                wall_ms_min: wall[0],
+                wall_ms_median: wall[middle],
+                speedup: one / wall[middle],
+                facts: facts(cpu[middle]),
+            });
+        }
+    }
+
+    /// Tracing the cache and one pass over it: image, gradient and Jacobian.
+    fn paths(&mut self) -> Result<(), CliError> {
+        let corner = Shape::Tetrahedron {
+            radius_mm: 1.0,
+            depth_mm: std::f32::consts::FRAC_1_SQRT_2,
+        };
+        for (name, shape, light_deg) in [("bowl", bowl(), 0.0f64), ("corner", corner, 25.0)] {
+            let (trace, direct, evaluate) = (
+                format!("trace/{name}"),
+                format!("direct/{name}"),
+                format!("evaluate/{name}"),
+            );
+            if ![&trace, &direct, &evaluate].iter().any(|n| self.wanted(n)) {
+                continue;
+            }
+            let mesh = shape.mesh()?;
+            let triangles = mesh.triangles.len();
+            let scene = scene(mesh, &[[light_deg, 0.0]]);
+            let dictionary = Dictionary::grid42();
+            let options = CacheOptions {
+                samples_per_pixel: 256,
+                max_reflections: 8,
+                ..CacheOptions::default()
+            };
+            let cache = Cache::trace(&scene, &dictionary, &options)?;
+            let (records, bytes) = cache.size();
+            let facts = json!({
+                "mesh": name, "triangles": triangles, "dictionary": dictionary.name(),
+                "light_deg": light_deg, "resolution_px": scene.camera.resolution_px,
+                "samples_per_pixel": 2 * cache.samples_per_half,
+                "paths": 2 * cache.samples_per_half as usize * cache.pixels,
+                "max_reflections": options.max_reflections, "records": records, "bytes": bytes,
+            });
+            let repeat = self.args.repeat;
+            self.case(
+                &trace,
+                repeat.min(3),
+                || {
+                    std::hint::black_box(Cache::trace(&scene, &dictionary, &options).is_ok());
+                },
+                |_| facts.clone(),
+            );
+            self.case(
+                &direct,
+                repeat.min(3),
+                || {
+                    std::hint::black_box(DirectMatrix::new(&scene, &dictionary, 16, 1));
+                },
+                |_| facts.clone(),
+            );
+            let mut mean = 0.0;
+            let kernel = Kernel::detect();
+            let weights = vec![1.0 / dictionary.len() as f64; dictionary.len()];
+            let pass = || pass(&cache, kernel, &weights);
+            let facts = |ms: f64| {
+                let mut facts = facts.clone();
+                facts["kernel"] = kernel.to_string().into();
+                facts["mean_radiance"] = pass().into();
+                facts["ns_per_record"] = (1e6 * ms / records as f64).into();
+                facts
+            };
+            self.case(&evaluate, 10 * repeat, || mean = pass(), facts);
+            std::hint::black_box(mean);
+        }
+        Ok(())
+    }
+
+    /// A fit of three channels to four images, tracing included.
+    fn fit(&mut self) -> Result<(), CliError> {
+        const NAME: &str = "fit/four-lights";
+        if !self.wanted(NAME) {
+            return Ok(());
+        }
+        let mesh = bowl().mesh()?;
+        let triangles = mesh.triangles.len();
+        let lights = [[0.0, 0.0], [30.0, 0.0], [30.0, 120.0], [30.0, 240.0]];
+        let scene = scene(mesh, &lights);
+        let dictionary = Arc::new(Dictionary::grid42());
+        let n = dictionary.len();
+        // Half Lambertian (the last but one atom), the rest spread over the GGX atoms.
+        let truth = [3usize, 5, 7].map(|step| {
+            let mut weights = vec![0.0; n];
+            let chosen: Vec<usize> = (0..n - 2).step_by(2 * step).collect();
+            chosen
+                .iter()
+                .for_each(|&k| weights[k] = 0.4 / chosen.len() as f64);
+            (weights[n - 2], weights[n - 1]) = (0.5, 0.1);
+            weights
+        });
+        let truth = Mixture::new(dictionary.clone(), truth)?;
+        let options = RenderOptions {
+            samples_per_pixel: 64,
+            max_reflections: 16,
+            seed: 9,
+            proposal: Proposal::resembling(&truth, 0.2),
+        };
+        let captured = render(&scene, &truth, &options, &|_| {});
+        let options = FitOptions::default();
+        let mut failed = None;
+        let mut records = 0;
+        self.case(
+            NAME,
+            self.args.repeat.min(3),
+            || match fit(&scene, &captured, &dictionary, &options, &mut |_| ()) {
+                Ok(fit) => records = fit.cache_size.0,
+                Err(error) => failed = Some(error),
+            },
+            |_| {
+                json!({
+                    "mesh": "bowl", "triangles": triangles, "dictionary": dictionary.name(),
+                    "light_deg": lights, "resolution_px": scene.camera.resolution_px,
+                    "samples_per_pixel": options.cache.samples_per_pixel,
+                    "max_reflections": options.cache.max_reflections,
+                    "kernel": options.kernel.to_string(),
+                })
+            },
+        );
+        for row in self.rows.iter_mut().filter(|row| row.name == NAME) {
+            row.facts["records"] = records.into();
+        }
+        failed.map_or(Ok(()), |error| Err(error.into()))
+    }
+
+    /// Incoherent bounces inside a bowl: closest hits and any hits, on one thread.
+    fn rays(&mut self) -> Result<(), CliError> {
+        if !self.wanted("rays/closest") && !self.wanted("rays/any") {
+            return Ok(());
+        }
+        let mesh = bowl().mesh()?;
+        let bvh = Bvh::new(&mesh);
+        let rays = bounces(&mesh, 500_000);
+        let mut hits = [0usize; 2];
+        let triangles = mesh.triangles.len();
+        let facts = |ms: f64| {
+            json!({
+                "mesh": "bowl", "triangles": triangles, "rays": rays.len(),
+                "mrays_per_s": rays.len() as f64 / ms / 1e3,
+            })
+        };
+        let repeat = self.args.repeat;
+        self.case(
+            "rays/closest",
+            repeat,
+            || hits[0] = rays.iter().filter(|r| bvh.closest(r).is_some()).count(),
+            facts,
+        );
+        self.case(
+            "rays/any",
+            repeat,
+            || hits[1] = rays.iter().filter(|r| bvh.any(r)).count(),
+            facts,
+        );
+        std::hint::black_box(hits);
+        Ok(())
+    }
+}
+
+/// Image, gradient of its sum and every pixel's Jacobian; returns the mean radiance.
+fn pass(cache: &Cache, kernel: Kernel, weights: &[f64]) -> f64 {
+    let sums = cache.evaluate(
+        kernel,
+        &[weights],
+        || (0.0f64, vec![0.0f64; weights.len()]),
+        |(value, gradient), rows| {
+            *value += 0.5 * f64::from(rows.value[0][0] + rows.value[1][0]);
+            for (sum, (a, b)) in gradient
+                .iter_mut()
+                .zip(rows.jacobian[0].iter().zip(rows.jacobian[1]))
+            {
+                *sum += f64::from(a + b);
+            }
+        },
+    );
+    sums.iter().map(|s| s.0).sum::<f64>() / cache.pixels as f64
+}
+
+fn bowl() -> Shape {
+    Shape::Bowl {
         radius_mm: 1.0,
         segments: 200,
     }
-    .mesh()?;
-    let bvh = Bvh::new(&mesh);
-    let count = 1_000_000u64;
+}
+
+/// Rays that leave the middles of random facets, cosine-distributed.
+fn bounces(mesh: &Mesh, count: usize) -> Vec<Ray> {
     let mut numbers = stream(1, Purpose::Experiment, 0, 0, 0);
-    let rays: Vec<Ray> = (0..count)
+    (0..count)
         .map(|_| {
             let triangle = (numbers.bits() % mesh.triangles.len() as u64) as usize;
             let [a, b, c] = mesh.corners(triangle);
@@ -143,49 +354,16 @@ fn rays(args: &BenchArgs) -> Result<Vec<Case>, CliError> {
             let direction =
                 x * (r * phi.cos()) + y * (r * phi.sin()) + normal * (1.0 - r * r).sqrt();
             Ray {
-                origin_mm: crate::geometry::bvh::offset_origin((a + b + c) / 3.0, normal),
+                origin_mm: offset_origin((a + b + c) / 3.0, normal),
                 direction: Vec3::normalize(direction),
                 limit_mm: f32::INFINITY,
             }
         })
-        .collect();
-    let mut hits = [0usize; 2];
-    let closest = timed(args.repeat, || {
-        hits[0] = rays.iter().filter(|r| bvh.closest(r).is_some()).count()
-    });
-    let any = timed(args.repeat, || {
-        hits[1] = rays.iter().filter(|r| bvh.any(r)).count()
-    });
-    let facts = |hits: usize, ms: f64| {
-        serde_json::json!({
-            "triangles": mesh.triangles.len(), "rays": count, "hits": hits,
-            "mrays_per_s": count as f64 / ms / 1e3, "threads": 1,
-        })
-    };
-    Ok(vec![
-        case(
-            "rays/closest".to_owned(),
-            closest,
-            facts(hits[0], closest.0),
-        ),
-        case("rays/any".to_owned(), any, facts(hits[1], any.0)),
-    ])
+        .collect()
 }
 
-fn case(
-    name: String,
-    (cpu_ms_median, wall_ms_median): (f64, f64),
-    facts: serde_json::Value,
-) -> Case {
-    Case {
-        name,
-        cpu_ms_median,
-        wall_ms_median,
-        facts,
-    }
-}
-
-fn scene(mesh: Mesh, light_deg: f64) -> Scene {
+/// 64 × 64 pixels of 2.2 mm along −z, and lamps at (angle from the axis, azimuth) in degrees.
+fn scene(mesh: Mesh, lights_deg: &[[f64; 2]]) -> Scene {
     let camera = Camera {
         resolution_px: [64, 64],
         projection: Projection::Orthographic {
@@ -198,29 +376,19 @@ fn scene(mesh: Mesh, light_deg: f64) -> Scene {
         focus_mm: 5.0,
         object_na: 0.0,
     };
-    let (sin, cos) = light_deg.to_radians().sin_cos();
-    let light = Light::Directional {
-        to_light: DVec3::new(sin, 0.0, cos),
-        irradiance: [1.0; 3],
-        angular_radius_rad: 0.0,
-    };
-    Scene::new(mesh, Shading::Flat, camera, vec![light])
-}
-
-/// Median CPU and wall milliseconds of `repeat` runs.
-fn timed(repeat: u64, mut work: impl FnMut()) -> (f64, f64) {
-    let (mut cpu, mut wall) = (Vec::new(), Vec::new());
-    for _ in 0..repeat {
-        let (cpu0, wall0) = (cpu_seconds(), Instant::now());
-        work();
-        cpu.push(cpu_seconds() - cpu0);
-        wall.push(wall0.elapsed().as_secs_f64());
-    }
-    let median = |values: &mut Vec<f64>| {
-        values.sort_by(f64::total_cmp);
-        1e3 * values[values.len() / 2]
-    };
-    (median(&mut cpu), median(&mut wall))
+    let lights = lights_deg
+        .iter()
+        .map(|[from_axis, azimuth]| {
+            let (sin, cos) = from_axis.to_radians().sin_cos();
+            let (sin_azimuth, cos_azimuth) = azimuth.to_radians().sin_cos();
+            Light::Directional {
+                to_light: DVec3::new(sin * cos_azimuth, sin * sin_azimuth, cos),
+                irradiance: [1.0; 3],
+                angular_radius_rad: 0.0,
+            }
+        })
+        .collect();
+    Scene::new(mesh, Shading::Flat, camera, lights)
 }
 
 /// CPU time of the whole process.

@@ -16,6 +16,7 @@ use crate::brdf::rgl::{AsMeasured, RglBrdf};
 use crate::brdf::score::{self, BrdfErrors, EnvironmentError};
 use crate::brdf::sphere::sphere_image;
 use crate::brdf::{Brdf, BrdfError, Dictionary, Mixture, merl, nbrdf, source, weights};
+use crate::export::rgl;
 use crate::inverse::projection::{CellMatrix, EnvironmentMatrix, FIT_AZIMUTHS};
 use crate::out;
 use crate::whole_file;
@@ -100,13 +101,13 @@ enum BrdfCommand {
         #[arg(long, default_value_t = 256, value_parser = sphere_size)]
         size: usize,
     },
-    /// Writes a MERL table of 90 x 90 x 180 cells
+    /// Writes a MERL table of 90 x 90 x 180 cells, or an RGL file
     #[command(after_help = SPEC_HELP)]
     Convert {
         /// The BRDF
         brdf: String,
-        /// The table
-        #[arg(long, value_name = "FILE.binary")]
+        /// The file; its ending says which
+        #[arg(long, value_name = "FILE.binary|FILE.bsdf")]
         out: PathBuf,
     },
 }
@@ -463,14 +464,24 @@ fn plot(spec: &str, path: &Path, size: usize) -> Result<(), CliError> {
 }
 
 fn convert(spec: &str, path: &Path) -> Result<(), CliError> {
-    if path.extension().is_none_or(|e| e != "binary") {
-        return Err(
-            CliError::new(format!("{}: not a .binary name", path.display()))
-                .hint("MERL tables end in .binary; `rig export` writes other formats of a fit"),
-        );
+    match path.extension().and_then(|e| e.to_str()) {
+        Some("binary") => merl::write(path, load(spec)?.as_ref())?,
+        Some("bsdf") => {
+            let brdf = load(spec)?;
+            let description = format!("{spec}, by rig {}", env!("CARGO_PKG_VERSION"));
+            let bytes = rgl::to_bytes(brdf.as_ref(), rgl::Channels::Rgb, &description);
+            whole_file::replace(path, |file| file.write_all(&bytes))
+                .map_err(|error| CliError::new(format!("{}: {error}", path.display())))
+                .hint("choose a file in a folder that exists and can be written")?;
+        }
+        _ => {
+            return Err(CliError::new(format!(
+                "{}: neither a .binary nor a .bsdf name",
+                path.display()
+            ))
+            .hint("MERL tables end in .binary, RGL files in .bsdf; `rig export` writes other formats of a fit"));
+        }
     }
-    let brdf = load(spec)?;
-    merl::write(path, brdf.as_ref())?;
     out!("{}", path.display())
 }
 

@@ -11,7 +11,7 @@ use super::capture_progress::Bar;
 use super::capture_records::Records;
 use super::output::write_json;
 use super::rig_choice::RigArg;
-use super::{CliError, Context, HintExt, interrupt, open, pipeline};
+use super::{CliError, Context, HintExt, interrupt, light_choice, open, pipeline};
 use crate::calibration::Library;
 use crate::capture::directions::StageReach;
 use crate::capture::plan::{LightChoice, Pace, PlanRequest, check_reach, check_space, plan};
@@ -38,9 +38,9 @@ use crate::units::{Seconds, StageAngles};
 pub struct CaptureArgs {
     #[command(flatten)]
     rig: RigArg,
-    /// How many light directions (nearest coaxial first, then as far apart as possible),
-    /// or `all` that keep 15° between them
-    #[arg(long, value_name = "N|all", value_parser = parse_lights, required_unless_present_any = ["light", "resume"], conflicts_with_all = ["light", "resume"])]
+    /// How many light directions (nearest coaxial first, then as far apart as possible);
+    /// `all` that keep 15° between them; or `best:N`, those that tell most about an unknown material
+    #[arg(long, value_name = "N|all|best:N", value_parser = parse_lights, required_unless_present_any = ["light", "resume"], conflicts_with_all = ["light", "resume"])]
     lights: Option<Lights>,
     /// One light direction, azimuth and elevation in degrees; may be repeated
     #[arg(long, value_name = "AZ,EL", value_parser = parse_angles, allow_hyphen_values = true, conflicts_with = "resume")]
@@ -75,6 +75,7 @@ pub struct CaptureArgs {
 enum Lights {
     Count(usize),
     All,
+    Best(usize),
 }
 
 impl CaptureArgs {
@@ -100,12 +101,24 @@ impl CaptureArgs {
 const ALL_SPACING_DEG: f64 = 15.0;
 
 fn parse_lights(text: &str) -> Result<Lights, String> {
-    match text {
-        "all" => Ok(Lights::All),
-        _ => match text.parse() {
-            Ok(count @ 1..=100_000) => Ok(Lights::Count(count)),
-            _ => Err("a number from 1 to 100000, or all".into()),
-        },
+    if text == "all" {
+        return Ok(Lights::All);
+    }
+    if let Some(count) = text.strip_prefix("best:") {
+        return match count.parse() {
+            Ok(count) if (1..=light_choice::CANDIDATES).contains(&count) => Ok(Lights::Best(count)),
+            _ => Err(format!(
+                "best:N takes a number N from 1 to {}",
+                light_choice::CANDIDATES
+            )),
+        };
+    }
+    match text.parse() {
+        Ok(count @ 1..=100_000) => Ok(Lights::Count(count)),
+        _ => Err(format!(
+            "a number from 1 to 100000, all, or best:N with N from 1 to {}",
+            light_choice::CANDIDATES
+        )),
     }
 }
 
@@ -136,7 +149,8 @@ fn start(args: &CaptureArgs, context: &Context) -> Result<(), CliError> {
     let library = Library::of_rig(&rig);
     let records = Records::load(&library, config)?;
     let noise = records.noise(config)?;
-    let request = request(args, config, None);
+    let lights = light_choice(args, config, context)?;
+    let request = request(&lights, config, None);
     let planned = plan(&request, &noise)?;
     let reserve_bytes = config.capture.disk_reserve_bytes;
     if args.dry_run {
@@ -154,7 +168,7 @@ fn start(args: &CaptureArgs, context: &Context) -> Result<(), CliError> {
     let devices = open::open_devices(config, || truth(config))?;
     let camera_info = devices.camera.info().clone();
     check_camera(&camera_info, config)?;
-    let request = self::request(args, config, Some(&camera_info));
+    let request = self::request(&lights, config, Some(&camera_info));
     let planned = plan(&request, &noise)?;
     let copies = records.copies();
     let record = SessionRecord {
@@ -370,8 +384,31 @@ fn print_plan(plan: &PlanRecord, as_json: bool) -> Result<(), CliError> {
     )
 }
 
+/// The directions that the command line asks for.
+fn light_choice(
+    args: &CaptureArgs,
+    config: &RigConfig,
+    context: &Context,
+) -> Result<LightChoice, CliError> {
+    Ok(match args.lights {
+        Some(Lights::Count(count)) => LightChoice::Count(count),
+        Some(Lights::All) => LightChoice::Spacing(ALL_SPACING_DEG),
+        Some(Lights::Best(count)) => {
+            let reach = reach(config);
+            LightChoice::Listed(light_choice::best(
+                config,
+                &reach,
+                coaxial(config),
+                count,
+                context,
+            )?)
+        }
+        None => LightChoice::Listed(args.light.clone()),
+    })
+}
+
 /// What a capture is planned from. The camera's own limits count once it is known.
-fn request(args: &CaptureArgs, config: &RigConfig, camera: Option<&CameraInfo>) -> PlanRequest {
+fn request(lights: &LightChoice, config: &RigConfig, camera: Option<&CameraInfo>) -> PlanRequest {
     let capture = &config.capture;
     let [mut shortest, mut longest] = capture.exposure_range;
     let mut step = config.camera.exposure_step;
@@ -380,11 +417,6 @@ fn request(args: &CaptureArgs, config: &RigConfig, camera: Option<&CameraInfo>) 
         longest = Seconds(longest.0.min(camera.exposure_range[1].0).max(shortest.0));
         step = Seconds(step.0.max(camera.exposure_step.0));
     }
-    let lights = match args.lights {
-        Some(Lights::Count(count)) => LightChoice::Count(count),
-        Some(Lights::All) => LightChoice::Spacing(ALL_SPACING_DEG),
-        None => LightChoice::Listed(args.light.clone()),
-    };
     // On a bench whose clock jumps, nothing needs to settle.
     let is_instant = config
         .simulation
@@ -407,7 +439,7 @@ fn request(args: &CaptureArgs, config: &RigConfig, camera: Option<&CameraInfo>) 
         .as_ref()
         .map_or(1.0 / 30.0, |s| s.camera.frame_interval_s);
     PlanRequest {
-        lights,
+        lights: lights.clone(),
         reach: reach(config),
         coaxial: coaxial(config),
         channels: (0..config.stage.measures.len() as u8)
@@ -444,7 +476,7 @@ fn on_step(exposure_s: f64, step_s: f64) -> f64 {
     (exposure_s / step_s).round().max(1.0) * step_s
 }
 
-fn reach(config: &RigConfig) -> StageReach {
+pub(super) fn reach(config: &RigConfig) -> StageReach {
     let kinematics = &config.stage.grbl.kinematics;
     StageReach {
         azimuth_deg: [kinematics.azimuth.min_deg, kinematics.azimuth.max_deg],
@@ -453,7 +485,7 @@ fn reach(config: &RigConfig) -> StageReach {
 }
 
 /// From the sample to the camera, in the stage's frame.
-fn coaxial(config: &RigConfig) -> DVec3 {
+pub(super) fn coaxial(config: &RigConfig) -> DVec3 {
     let geometry = &config.geometry;
     let to_camera = geometry.camera.sample_from_camera.direction(-DVec3::Z);
     geometry.sample_from_stage.inverse().direction(to_camera)
@@ -512,11 +544,23 @@ mod tests {
     use crate::config::BUILT_IN;
 
     #[test]
-    fn lights_are_a_number_or_all() {
+    fn lights_are_a_number_or_all_or_the_best() {
         assert_eq!(parse_lights("4"), Ok(Lights::Count(4)));
         assert_eq!(parse_lights("all"), Ok(Lights::All));
-        for bad in ["0", "-1", "four", "1.5", "", "1000000"] {
+        assert_eq!(parse_lights("best:6"), Ok(Lights::Best(6)));
+        for bad in ["0", "-1", "four", "1.5", "", "1000000", "best", "Best:3"] {
             assert!(parse_lights(bad).is_err(), "{bad}");
+        }
+        for bad in [
+            "best:0",
+            "best:x",
+            "best:1000",
+            "best:",
+            "best:-1",
+            "best:2.5",
+        ] {
+            let error = parse_lights(bad).unwrap_err();
+            assert!(error.contains("from 1 to 60"), "{bad}: {error}");
         }
         assert!(parse_angles("-40, 35.5").is_ok());
         for bad in ["40", "a,b", "nan,1", "1,2,3", ""] {

@@ -7,7 +7,9 @@ use clap::ValueEnum;
 use super::{CliError, Context, HintExt};
 use crate::export::{self, Format};
 use crate::out;
-use crate::session::fit_record;
+use crate::session::Session;
+use crate::session::fit_record::{self, FitRecord};
+use crate::session::layout::{FITS_FOLDER, JOURNAL_FILE};
 
 /// Writes a fitted BRDF for other programs.
 #[derive(clap::Args, Debug)]
@@ -18,7 +20,7 @@ pub struct ExportArgs {
     /// What to write
     #[arg(long, value_enum)]
     format: FormatArg,
-    /// The file to write; brdf.json, brdf.binary or brdf.xml if not given
+    /// The file to write; `brdf` with the format's usual ending if not given
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
 }
@@ -29,19 +31,26 @@ enum FormatArg {
     Json,
     /// MERL .binary, 90 x 90 x 180 cells
     Merl,
-    /// Scene fragment for the RGB variants of Mitsuba 3
+    /// RGL .bsdf in RGB, for Mitsuba 3's `measured`
+    Rgl,
+    /// RGL .bsdf with spectra, for pbrt-v4's `measured` and spectral Mitsuba 3
+    RglSpectral,
+    /// Scene fragment for the RGB variants of Mitsuba 3, exact
     Mitsuba,
+    /// Material for pbrt-v4, with the .bsdf it refers to
+    Pbrt,
 }
 
 /// `rig export`.
 pub fn run(args: &ExportArgs, context: &Context) -> Result<(), CliError> {
-    let folder = fit_folder(&args.dir)?;
-    let record = fit_record::read(&folder)
-        .hint("`rig fit` makes the folder anew; its files are not meant to be edited")?;
+    let record = read_fit(&args.dir)?;
     let (format, name) = match args.format {
         FormatArg::Json => (Format::Json, "brdf.json"),
         FormatArg::Merl => (Format::Merl, "brdf.binary"),
+        FormatArg::Rgl => (Format::Rgl, "brdf.bsdf"),
+        FormatArg::RglSpectral => (Format::RglSpectral, "brdf.bsdf"),
         FormatArg::Mitsuba => (Format::Mitsuba, "brdf.xml"),
+        FormatArg::Pbrt => (Format::Pbrt, "brdf.pbrt"),
     };
     let path = args.out.clone().unwrap_or_else(|| PathBuf::from(name));
     if record.simulated {
@@ -53,18 +62,40 @@ pub fn run(args: &ExportArgs, context: &Context) -> Result<(), CliError> {
     Ok(())
 }
 
-/// The folder itself if it is a fit, else the session's latest.
-fn fit_folder(dir: &Path) -> Result<PathBuf, CliError> {
-    if dir.join("fit.toml").exists() {
-        return Ok(dir.to_owned());
+/// The fit in a folder of its own, or of a session: there its files must be those
+/// that the journal vouches for.
+fn read_fit(dir: &Path) -> Result<FitRecord, CliError> {
+    let damaged =
+        "`rig session verify SESSION` lists every damaged file; `rig fit SESSION` makes a new fit";
+    if let Some((root, number)) = fit_of_session(dir) {
+        let session = Session::open(&root)?;
+        return fit_record::read_in(&session, number).hint(damaged);
     }
-    let latest = fit_record::list(dir).pop().map(|(_, folder)| folder);
-    latest
-        .ok_or_else(|| {
-            CliError::new(format!(
-                "{} holds no fit (no fit.toml, no fits/)",
-                dir.display()
-            ))
-        })
+    if dir.join("fit.toml").exists() {
+        return fit_record::read(dir)
+            .hint("`rig fit` makes the folder anew; its files are not meant to be edited");
+    }
+    let nothing = || {
+        CliError::new(format!(
+            "{} holds no fit (no fit.toml, no fits/)",
+            dir.display()
+        ))
         .hint("give the folder that `rig fit --out` wrote, or a session that `rig fit` has fitted")
+    };
+    if !dir.join(JOURNAL_FILE).exists() {
+        return Err(nothing());
+    }
+    let session = Session::open(dir)?;
+    let latest = fit_record::numbers_in(&session).pop().ok_or_else(nothing)?;
+    fit_record::read_in(&session, latest).hint(damaged)
+}
+
+/// Session and number where `dir` is `SESSION/fits/NUMBER`.
+fn fit_of_session(dir: &Path) -> Option<(PathBuf, u32)> {
+    let dir = dir.canonicalize().ok()?;
+    let number = dir.file_name()?.to_str()?.parse().ok()?;
+    let fits = dir.parent()?;
+    let root = fits.parent()?;
+    let is_session = fits.file_name()? == FITS_FOLDER && root.join(JOURNAL_FILE).exists();
+    is_session.then(|| (root.to_owned(), number))
 }

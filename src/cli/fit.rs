@@ -62,6 +62,7 @@ pub fn run(args: &FitCommandArgs, context: &Context) -> Result<(), CliError> {
             "score": record.score,
             "timings": record.timings,
             "warnings": record.warnings,
+            "bench": record.bench,
         }));
     }
     out!("{}", folder.display())
@@ -73,8 +74,8 @@ fn fit_scene(
     out: &std::path::Path,
     context: &Context,
 ) -> Result<(), CliError> {
-    let plan = FitPlan::new(&args.fit, None)?;
     let file = SceneFile::load(scene)?;
+    let plan = FitPlan::new(&args.fit, None, &file.uncertainty)?;
     let scene = file.scene()?;
     let mut captured = Vec::new();
     for path in &args.image {

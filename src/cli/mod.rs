@@ -17,12 +17,14 @@ pub mod demo;
 pub mod devices;
 pub mod doctor;
 pub mod error;
+pub mod evaluate;
 pub mod exit;
 pub mod export;
 mod facets;
 pub mod fit;
 pub mod hints;
 pub mod interrupt;
+pub mod light_choice;
 pub mod merge;
 pub mod open;
 pub mod output;
@@ -73,6 +75,7 @@ commands! {
     Render(render::RenderArgs) => render::run,
     Brdf(brdf::BrdfArgs) => brdf::run,
     Shape(shape::ShapeArgs) => shape::run,
+    Evaluate(evaluate::EvaluateArgs) => evaluate::run,
     Report(report::ReportArgs) => report::run,
     Export(export::ExportArgs) => export::run,
     Bench(bench::BenchArgs) => bench::run,

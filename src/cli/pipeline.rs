@@ -7,16 +7,21 @@ use std::sync::Arc;
 
 use super::{CliError, Context, HintExt, facets};
 use crate::brdf::{Brdf, Dictionary, Mixture};
+use crate::config::uncertainty::Deviation;
 use crate::config::{RigConfig, process};
+use crate::inverse::bench::BenchEstimate;
 use crate::inverse::exponentiated_gradient::ExponentiatedGradient;
 use crate::inverse::gauss_newton::GaussNewton;
-use crate::inverse::{Channels, Fit, FitOptions, Optimizer, fit, intervals};
+use crate::inverse::{
+    BenchPriors, Channels, Fit, FitOptions, Optimizer, Refine, RefineOptions, fit, intervals,
+    refine_bench,
+};
 use crate::radiance_image::{RadianceImage, exr};
 use crate::report;
 use crate::session::commit::SystemDisk;
 use crate::session::fit_record::{
-    self, AngleCell, AngleTable, AtomRecord, FitImages, FitRecord, FitSettings, Timing, TracePoint,
-    Warning,
+    self, AngleCell, AngleTable, AtomRecord, BenchParameter, BenchRecord, FitImages, FitRecord,
+    FitSettings, Timing, TracePoint, Warning,
 };
 use crate::session::{Session, SessionWriter, layout};
 use crate::transport::{Kernel, Scene};
@@ -25,9 +30,15 @@ use crate::units::StageAngles;
 /// Choices of a fit that the command line may take over from the configuration.
 #[derive(clap::Args, Debug, Clone, Default)]
 pub struct FitArgs {
-    /// paper42, grid42, or a dictionary file
+    /// paper42, grid42, rig42, or a dictionary file
     #[arg(long, value_name = "D")]
     pub dictionary: Option<String>,
+    /// Rounds of new atoms beside the active ones, in finer and finer steps of alpha and eta, 0 to 8
+    #[arg(long, value_name = "ROUNDS", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=8))]
+    pub refine_atoms: u32,
+    /// Trace the paths again where the fitted material sends light
+    #[arg(long)]
+    pub adapt_paths: bool,
     /// How the weights are found
     #[arg(long, value_enum)]
     pub optimizer: Option<OptimizerArg>,
@@ -52,6 +63,13 @@ pub struct FitArgs {
     /// Which instructions evaluate the paths; portable gives the same numbers anywhere
     #[arg(long, value_enum)]
     pub kernel: Option<KernelArg>,
+    /// Refine light directions, intensities and the sample's pose with the weights,
+    /// within the uncertainty that the rig or scene file states
+    #[arg(long, value_name = "BOOL", num_args = 0..=1, require_equals = true, default_missing_value = "true")]
+    pub refine_bench: Option<bool>,
+    /// A deviation of the [uncertainty] table, such as light_deg=0.5; more than one may be given
+    #[arg(long, value_name = "KEY=VALUE")]
+    pub uncertainty: Vec<Deviation>,
 }
 
 /// `--optimizer`.
@@ -66,10 +84,31 @@ pub enum OptimizerArg {
 /// `--kernel`.
 #[derive(clap::ValueEnum, Debug, Clone, Copy, PartialEq, Eq)]
 pub enum KernelArg {
-    /// Plain Rust
+    /// Plain Rust, the same numbers on every machine
     Portable,
+    /// AVX2
+    Avx2,
+    /// AVX-512
+    Avx512,
     /// The fastest this machine has
     Auto,
+}
+
+impl KernelArg {
+    /// The kernel; an error if this machine lacks it.
+    fn kernel(self) -> Result<Kernel, CliError> {
+        let kernel = match self {
+            KernelArg::Portable => Kernel::Portable,
+            KernelArg::Avx2 => Kernel::Avx2,
+            KernelArg::Avx512 => Kernel::Avx512,
+            KernelArg::Auto => Kernel::detect(),
+        };
+        if Kernel::available().contains(&kernel) {
+            return Ok(kernel);
+        }
+        let fact = format!("this processor lacks what kernel {kernel} needs");
+        Err(CliError::new(fact).hint("`--kernel auto` takes the fastest that it has"))
+    }
 }
 
 fn fraction(text: &str) -> Result<f64, String> {
@@ -85,11 +124,18 @@ fn fraction(text: &str) -> Result<f64, String> {
 pub struct FitPlan {
     dictionary: Arc<Dictionary>,
     options: FitOptions,
+    /// How well the bench is known; `None`: exactly.
+    priors: Option<BenchPriors>,
 }
 
 impl FitPlan {
-    /// The command line over `config`'s defaults.
-    pub fn new(args: &FitArgs, config: Option<&process::FitConfig>) -> Result<Self, CliError> {
+    /// The command line over `config`'s defaults, on a bench that is known within
+    /// `uncertainty`.
+    pub fn new(
+        args: &FitArgs,
+        config: Option<&process::FitConfig>,
+        uncertainty: &BenchPriors,
+    ) -> Result<Self, CliError> {
         let name = args
             .dictionary
             .as_deref()
@@ -101,6 +147,10 @@ impl FitPlan {
                 Channels::Shared
             } else {
                 Channels::Separate
+            },
+            refine: Refine {
+                adapt_paths: args.adapt_paths,
+                rounds: args.refine_atoms,
             },
             ..FitOptions::default()
         };
@@ -126,12 +176,18 @@ impl FitPlan {
         cache.max_reflections = args.max_reflections.unwrap_or(cache.max_reflections);
         cache.seed = args.seed.unwrap_or(cache.seed);
         cache.max_bytes = (args.memory as usize) << 20;
-        if args.kernel == Some(KernelArg::Portable) {
-            options.kernel = Kernel::Portable;
+        if let Some(kernel) = args.kernel {
+            options.kernel = kernel.kernel()?;
         }
+        let refine = args
+            .refine_bench
+            .unwrap_or(config.is_some_and(|c| c.refine_bench));
+        let mut priors = uncertainty.clone();
+        args.uncertainty.iter().for_each(|d| d.apply(&mut priors));
         Ok(Self {
             dictionary: Arc::new(dictionary),
             options,
+            priors: refine.then_some(priors),
         })
     }
 
@@ -146,16 +202,18 @@ impl FitPlan {
     ) -> Result<(FitRecord, FitImages), CliError> {
         facets::warn_if_coarse(scene, self.dictionary.atoms(), context);
         let bar = context.spinner();
-        let result = fit(
-            scene,
-            captured,
-            &self.dictionary,
-            &self.options,
-            &mut |stage| {
-                bar.set_message(stage.to_owned());
-            },
-        );
-        let fit = result?;
+        let mut stage = |stage: &str| bar.set_message(stage.to_owned());
+        let (dictionary, options) = (&self.dictionary, &self.options);
+        let (fit, bench) = match &self.priors {
+            None => (fit(scene, captured, dictionary, options, &mut stage)?, None),
+            Some(priors) => {
+                let how = RefineOptions::default();
+                let refined = refine_bench(
+                    scene, captured, dictionary, options, priors, &how, &mut stage,
+                )?;
+                (refined.fit, Some(refined.estimate))
+            }
+        };
         if fit.samples[0] < fit.samples[1] {
             context.warn(format!(
                 "{} of {} paths per pixel were traced: more do not fit into the memory given",
@@ -163,7 +221,8 @@ impl FitPlan {
             ));
         }
         bar.set_message("scoring".to_owned());
-        let record = self.describe(&fit, simulated, truth)?;
+        let mut record = self.describe(&fit, simulated, truth)?;
+        record.bench = bench.as_ref().map(bench_record);
         bar.finish_and_clear();
         Ok((
             record,
@@ -180,17 +239,17 @@ impl FitPlan {
         simulated: bool,
         truth: Option<(&str, &dyn Brdf)>,
     ) -> Result<FitRecord, CliError> {
-        let dictionary = &self.dictionary;
-        let mixture = |weights: &[Vec<f64>; 3]| Mixture::new(dictionary.clone(), weights.clone());
+        let dictionary = &fit.dictionary;
         let mut timings = fit.timings.clone();
         let clock = std::time::Instant::now();
         let score = match truth {
             Some((name, brdf)) => {
-                let (estimate, start) = (mixture(&fit.weights)?, mixture(&fit.start)?);
+                let estimate = Mixture::new(dictionary.clone(), fit.weights.clone())?;
+                let start = Mixture::new(self.dictionary.clone(), fit.start.clone())?;
                 Some(crate::evaluate::score(
                     name,
                     brdf,
-                    dictionary,
+                    &self.dictionary,
                     &estimate,
                     &start,
                     SCORE_SPHERE_PX,
@@ -268,7 +327,34 @@ impl FitPlan {
                 cells,
             },
             warnings: warnings(fit),
+            bench: None,
         })
+    }
+}
+
+/// The refined bench in the units in which it is shown.
+fn bench_record(bench: &BenchEstimate) -> BenchRecord {
+    let [residual_described, residual_refined] = bench.reduced_chi2;
+    BenchRecord {
+        rounds: bench.rounds as u32,
+        settled: bench.settled,
+        residual_described,
+        residual_refined,
+        held: bench.held.clone(),
+        parameter: bench
+            .parameters
+            .iter()
+            .map(|estimated| {
+                let (unit, scale) = estimated.parameter.shown_in();
+                BenchParameter {
+                    name: estimated.parameter.to_string(),
+                    unit: unit.to_owned(),
+                    value: estimated.value * scale,
+                    deviation: estimated.deviation * scale,
+                    prior_deviation: estimated.prior_deviation * scale,
+                }
+            })
+            .collect(),
     }
 }
 
@@ -309,7 +395,7 @@ pub fn fit_session(root: &Path, args: &FitArgs, context: &Context) -> Result<Pat
     let session = Session::open(root)?;
     let record = session.record();
     let config = RigConfig::parse(&record.rig, root, &record.config)?;
-    let plan = FitPlan::new(args, Some(&config.fit))?;
+    let plan = FitPlan::new(args, Some(&config.fit), &config.uncertainty)?;
     let places = places(&session)?;
     let scene = config.geometry.scene(&places)?;
     let mut captured = Vec::new();

@@ -17,6 +17,7 @@ pub mod scene;
 pub mod shape;
 pub mod simulation;
 pub mod stage;
+pub mod uncertainty;
 pub mod view;
 
 use std::path::Path;

@@ -78,6 +78,8 @@ pub struct FitConfig {
     pub max_reflections: u32,
     /// Seed of the paths.
     pub seed: u64,
+    /// Whether the bench is refined with the weights, within its uncertainty.
+    pub refine_bench: bool,
 }
 
 /// Which optimiser fits the weights.
@@ -106,6 +108,7 @@ impl FitConfig {
             samples_per_pixel: table.integer("samples_per_pixel", 2..=65_536)?.or(256) as u32,
             max_reflections: table.integer("max_reflections", 1..=64)?.or(16) as u32,
             seed: table.integer("seed", 0..=i64::MAX as u64)?.or(1),
+            refine_bench: table.flag("refine_bench")?.or(false),
         };
         table.finish()?;
         Ok(fit)

@@ -9,6 +9,7 @@ use super::process::{CalibrationConfig, CaptureConfig, FitConfig};
 use super::reader::Section;
 use super::simulation::SimulationConfig;
 use super::stage::{StageConfig, StageDriver};
+use crate::inverse::BenchPriors;
 
 /// A rig file, parsed and valid.
 #[derive(Clone, Debug, PartialEq)]
@@ -25,6 +26,8 @@ pub struct RigConfig {
     pub capture: CaptureConfig,
     /// How a session is fitted by default.
     pub fit: FitConfig,
+    /// How well the bench is known.
+    pub uncertainty: BenchPriors,
     /// Which calibration records belong to it.
     pub calibration: CalibrationConfig,
     /// The simulated bench; there if and only if the devices are simulated.
@@ -88,6 +91,7 @@ impl RigConfig {
             stage,
             geometry,
             fit: FitConfig::read(root.section_or_empty("fit")?)?,
+            uncertainty: super::uncertainty::read(root.section_or_empty("uncertainty")?)?,
             calibration: CalibrationConfig::read(root.section_or_empty("calibration")?)?,
             simulation,
             text: text.to_owned(),

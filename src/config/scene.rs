@@ -6,6 +6,7 @@ use super::ConfigError;
 use super::reader::Section;
 use super::reflectance::BrdfSpec;
 use super::view::{SampleSpec, SurfaceSpec, take_camera};
+use crate::inverse::BenchPriors;
 use crate::transport::{Camera, Light, Shading};
 
 /// A scene file, valid but with its meshes and tables still unread.
@@ -23,6 +24,8 @@ pub struct SceneFile {
     pub bodies: Vec<BodySpec>,
     /// Whether it is rendered with polarised light.
     pub polarised: bool,
+    /// How well all this is known.
+    pub uncertainty: BenchPriors,
 }
 
 /// A thing in view that is not fitted.
@@ -70,6 +73,7 @@ impl SceneFile {
                 .into_iter()
                 .map(BodySpec::read)
                 .collect::<Result<_, _>>()?,
+            uncertainty: super::uncertainty::read(root.section_or_empty("uncertainty")?)?,
         };
         root.finish()?;
         Ok(scene)

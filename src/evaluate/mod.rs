@@ -1,5 +1,58 @@
-//! Estimates beside the truth, where the truth is known.
+//! Estimates beside the truth, where the truth is known: the score of one fit, and the
+//! experiments of `rig evaluate`.
 
+pub mod experiment;
+pub mod lab;
 pub mod score_sheet;
 
+mod atoms;
+mod dictionary_size;
+mod gallery;
+mod light_count;
+mod misalignment;
+mod next_light;
+mod noise;
+mod optimisers;
+mod rank;
+mod realism;
+mod shape_construction;
+mod shapes;
+mod table_visits;
+mod tables;
+
+use experiment::{EvaluateError, Experiment};
+
 pub use score_sheet::score;
+
+/// All experiments, in the order of `rig evaluate --list`.
+pub static EXPERIMENTS: &[&Experiment] = &[
+    &atoms::ATOMS,
+    &shapes::SHAPES,
+    &dictionary_size::DICTIONARY_SIZE,
+    &light_count::LIGHT_COUNT,
+    &next_light::NEXT_LIGHT,
+    &shape_construction::SHAPE_CONSTRUCTION,
+    &gallery::GALLERY,
+    &tables::TABLES,
+    &table_visits::TABLE_VISITS,
+    &rank::RANK,
+    &optimisers::OPTIMISERS,
+    &noise::NOISE,
+    &realism::REALISM,
+    &misalignment::MISALIGNMENT,
+];
+
+/// The experiment of a name.
+pub fn find(name: &str) -> Result<&'static Experiment, EvaluateError> {
+    let found = EXPERIMENTS.iter().find(|e| e.name == name);
+    found
+        .copied()
+        .ok_or_else(|| EvaluateError::UnknownExperiment {
+            name: name.to_owned(),
+            known: EXPERIMENTS
+                .iter()
+                .map(|e| e.name)
+                .collect::<Vec<_>>()
+                .join(", "),
+        })
+}

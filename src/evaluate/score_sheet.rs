@@ -12,7 +12,7 @@ use crate::session::fit_record::{ChannelScore, MetricScores, ScoreSheet};
 /// all of MERL's 180 would take minutes.
 const AZIMUTHS: usize = 9;
 
-/// Scores `estimate` and its single-bounce `start` (mixtures of one dictionary) against
+/// Scores `estimate` (of `dictionary`, or refined from it) and its single-bounce `start` against
 /// `truth`: environment error with spheres of `sphere_px` pixels, BRDF error and its
 /// cube-root version, each beside the reference projection and the metric's floor.
 pub fn score(
@@ -31,7 +31,14 @@ pub fn score(
     let maps = EnvironmentMap::all();
     let spheres = EnvironmentMatrix::new(dictionary.clone(), &maps, sphere_px);
     let spheres = spheres.of(truth);
-    let environment = |mixture: &Mixture| channels(&spheres.error(mixture).mean);
+    let environment = |mixture: &Mixture| {
+        // A refined estimate has atoms that the dictionary's spheres lack.
+        channels(&if mixture.dictionary() == dictionary {
+            spheres.error(mixture).mean
+        } else {
+            score::environment_error(mixture, truth, &maps, sphere_px).mean
+        })
+    };
     let environment_error = MetricScores {
         estimate: environment(estimate),
         reference_projection: environment(&reference),

@@ -4,18 +4,22 @@
 //! |---|---|---|
 //! | `json` | dictionary, weights, (θh, θd) table with intervals | exact |
 //! | `merl` | MERL `.binary`, 90 × 90 × 180 cells, with a note beside it | the BRDF at the cells' nodes |
+//! | `rgl` | RGL `.bsdf` in RGB, for Mitsuba 3's `measured` | at its nodes; see [`rgl`] |
+//! | `rgl-spectral` | the same with spectra, for pbrt-v4 and spectral Mitsuba | likewise; the spectra are an assumption |
 //! | `mitsuba` | scene fragment for Mitsuba 3 in an RGB variant | exact |
-//!
-//! There is no pbrt-v4 format: its `mix` material takes one amount for all
-//! channels, its `conductor` has no factor per channel, and its `measured`
-//! reads spectral files, so that nothing would be exact; load the MERL table
-//! with a converter instead.
+//! | `pbrt` | material for pbrt-v4 and the `rgl-spectral` file it refers to | as that file |
 //!
 //! Exports of simulated sessions say so inside the file, or in the note beside
 //! it where the format has no room.
 
+mod facets;
 pub mod json;
 pub mod mitsuba;
+pub mod pbrt;
+pub mod rgl;
+mod spectrum;
+mod tensor_file;
+mod warp;
 
 use std::path::{Path, PathBuf};
 
@@ -30,8 +34,14 @@ pub enum Format {
     Json,
     /// The MERL database's `.binary`.
     Merl,
+    /// RGL's `.bsdf` in RGB.
+    Rgl,
+    /// RGL's `.bsdf` with spectra.
+    RglSpectral,
     /// A scene fragment for Mitsuba 3.
     Mitsuba,
+    /// A material for pbrt-v4, with its `.bsdf`.
+    Pbrt,
 }
 
 /// Why nothing was exported.
@@ -79,23 +89,51 @@ pub fn export(record: &FitRecord, format: Format, out: &Path) -> Result<Vec<Path
             replace(&note, merl_note(record).as_bytes())?;
             Ok(vec![out.to_owned(), note])
         }
+        Format::Rgl | Format::RglSpectral => {
+            replace(out, &rgl_bytes(record, format == Format::RglSpectral)?)?;
+            Ok(vec![out.to_owned()])
+        }
+        Format::Pbrt => {
+            let bsdf = out.with_extension("spectral.bsdf");
+            replace(&bsdf, &rgl_bytes(record, true)?)?;
+            let name = bsdf.file_name().unwrap_or_default().to_string_lossy();
+            replace(out, pbrt::to_text(&name, record.simulated).as_bytes())?;
+            Ok(vec![out.to_owned(), bsdf])
+        }
     }
+}
+
+fn rgl_bytes(record: &FitRecord, spectral: bool) -> Result<Vec<u8>, ExportError> {
+    let mut text = summary(record);
+    let channels = if spectral {
+        text += " Spectra are an assumption: smooth ones whose colour under D65 is the RGB value.";
+        rgl::Channels::Spectral
+    } else {
+        rgl::Channels::Rgb
+    };
+    Ok(rgl::to_bytes(&record.mixture()?, channels, &text))
+}
+
+/// Where the values come from, in two sentences; formats that hold text hold this.
+fn summary(record: &FitRecord) -> String {
+    let share = record.table.constrained_share() * 100.0;
+    let note = if record.simulated {
+        format!("{SIMULATED_NOTE}. ")
+    } else {
+        String::new()
+    };
+    note + &format!(
+        "Mixture of the dictionary {}, rig {}: the images constrain {share:.0}% of the (half angle, difference angle) cells, and the other values are the dictionary's.",
+        record.dictionary,
+        env!("CARGO_PKG_VERSION"),
+    )
 }
 
 /// A MERL file has no room for text, so this stands beside it.
 fn merl_note(record: &FitRecord) -> String {
-    let share = record.table.constrained_share() * 100.0;
-    let mut note = String::new();
-    if record.simulated {
-        note = format!("{SIMULATED_NOTE}.\n");
-    }
-    note + &format!(
-        "BRDF in 1/sr (cosine excluded), R, G, B, in the layout and with the scale factors of the MERL database.\n\
-         A mixture of the dictionary {}; the images constrain {share:.0}% of the (half angle, difference angle) cells,\n\
-         and the other values are the dictionary's. Intervals are in the fit's table.csv.\n\
-         rig {}\n",
-        record.dictionary,
-        env!("CARGO_PKG_VERSION"),
+    format!(
+        "{}\nBRDF in 1/sr (cosine excluded), R, G, B, in the layout and with the scale factors of the MERL database.\nIntervals are in the fit's table.csv.\n",
+        summary(record)
     )
 }
 

@@ -50,6 +50,7 @@ fn record(simulated: bool) -> FitRecord {
             cells: vec![cell; 6],
         },
         warnings: Vec::new(),
+        bench: None,
     }
 }
 
@@ -139,12 +140,19 @@ fn a_merl_file_is_read_back_exactly() {
 #[test]
 fn only_simulated_exports_are_marked() {
     let folder = tempfile::tempdir().unwrap();
-    for (format, name) in [(Format::Json, "a.json"), (Format::Mitsuba, "a.xml")] {
+    for (format, name) in [
+        (Format::Json, "a.json"),
+        (Format::Mitsuba, "a.xml"),
+        (Format::Rgl, "a.bsdf"),
+        (Format::Pbrt, "a.pbrt"),
+    ] {
         for simulated in [true, false] {
             let out = folder.path().join(name);
-            export(&record(simulated), format, &out).unwrap();
-            let text = std::fs::read_to_string(&out).unwrap();
-            assert_eq!(text.contains("SIMULATED"), simulated, "{name}");
+            for file in export(&record(simulated), format, &out).unwrap() {
+                let bytes = std::fs::read(&file).unwrap();
+                let marked = bytes.windows(9).any(|window| window == b"SIMULATED");
+                assert_eq!(marked, simulated, "{}", file.display());
+            }
         }
     }
 }

@@ -1,12 +1,15 @@
 //! The whole fit: trace, start, optimise, debias, say how sure.
 
+use std::sync::Arc;
 use std::time::Instant;
 
 use nalgebra::DVector;
 
+use super::bench::system::{BenchLinearisation, Model};
 use super::exponentiated_gradient::ExponentiatedGradient;
 use super::gauss_newton::GaussNewton;
 use super::objective::{Channels, Linearised, Objective};
+use super::refine::{Refine, refine};
 use super::simplex::SimplexError;
 use super::trace::{Observer, Step, Termination};
 use super::uncertainty::{self, Draws};
@@ -51,6 +54,8 @@ pub struct FitOptions {
     pub rounds: usize,
     /// Draws from the posterior, 0..=10 000.
     pub draws: usize,
+    /// Paths and atoms beyond the first fit.
+    pub refine: Refine,
     /// Instructions to use.
     pub kernel: Kernel,
 }
@@ -65,6 +70,7 @@ impl Default for FitOptions {
             model_error: 0.02,
             rounds: 3,
             draws: 200,
+            refine: Refine::default(),
             kernel: Kernel::detect(),
         }
     }
@@ -72,9 +78,11 @@ impl Default for FitOptions {
 
 /// What a fit leaves.
 pub struct Fit {
+    /// The dictionary that the weights belong to: the one given, or with more atoms.
+    pub dictionary: Arc<Dictionary>,
     /// Weights per channel × atoms; equal vectors if shared.
     pub weights: [Vec<f64>; 3],
-    /// The single-bounce start of Eq. (13), per channel.
+    /// The single-bounce start of Eq. (13) in the dictionary given, per channel.
     pub start: [Vec<f64>; 3],
     /// Posterior and prior draws per channel.
     pub draws: Vec<Draws>,
@@ -148,7 +156,41 @@ pub fn fit(
     options: &FitOptions,
     stage: &mut dyn FnMut(&str),
 ) -> Result<Fit, FitError> {
+    fit_on_bench(scene, captured, dictionary, options, None, stage)
+}
+
+/// [`fit`] on a bench that is known within what `bench` says, which widens the draws.
+pub(super) fn fit_on_bench(
+    scene: &Scene,
+    captured: &[RadianceImage],
+    dictionary: &Dictionary,
+    options: &FitOptions,
+    bench: Option<&BenchLinearisation>,
+    stage: &mut dyn FnMut(&str),
+) -> Result<Fit, FitError> {
     check(scene, captured)?;
+    let dictionary = Arc::new(dictionary.clone());
+    if options.refine == Refine::default() {
+        return fit_from(scene, captured, &dictionary, None, options, bench, stage);
+    }
+    let quick = FitOptions {
+        draws: 0,
+        ..options.clone()
+    };
+    let first = fit_from(scene, captured, &dictionary, None, &quick, bench, stage)?;
+    refine(scene, captured, first, options, bench, stage)
+}
+
+/// [`fit`] without refinement, from given weights per channel or the single-bounce start.
+pub(super) fn fit_from(
+    scene: &Scene,
+    captured: &[RadianceImage],
+    dictionary: &Arc<Dictionary>,
+    from: Option<[Vec<f64>; 3]>,
+    options: &FitOptions,
+    bench: Option<&BenchLinearisation>,
+    stage: &mut dyn FnMut(&str),
+) -> Result<Fit, FitError> {
     let clock = Instant::now();
     let mut timings = Vec::new();
     let mut mark = clock;
@@ -185,6 +227,13 @@ pub fn fit(
         mixture.push(quadratic.minimise()?.x);
     }
     let start = mixture.clone();
+    if let Some(from) = from {
+        for (mixture, from) in mixture.iter_mut().zip(from) {
+            *mixture = DVector::from_vec(from);
+        }
+        let pass = objective.linearise(&mixture, &residual_weights);
+        residual_weights = objective.weights(Some(&pass.model));
+    }
     lap("start", &mut timings);
 
     let mut recorder = Recorder {
@@ -210,7 +259,20 @@ pub fn fit(
     }
     lap("optimise", &mut timings);
     stage("uncertainty");
-    let draws = uncertainty::draw(&mixture, &pass, options.draws, options.cache.seed)?;
+    let model = Model {
+        objective: &objective,
+        cache: &cache,
+        direct: &direct,
+        kernel: options.kernel,
+    };
+    let coupling = bench.map(|b| b.coupling(&model, &residual_weights, &mixture));
+    let draws = uncertainty::draw(
+        &mixture,
+        &pass,
+        coupling.as_ref(),
+        options.draws,
+        options.cache.seed,
+    )?;
     lap("uncertainty", &mut timings);
 
     let per_channel = |sets: &[DVector<f64>]| -> [Vec<f64>; 3] {
@@ -218,6 +280,7 @@ pub fn fit(
     };
     let (rendered, residual, reduced_chi2) = images(&objective, &pass, captured, &cache);
     Ok(Fit {
+        dictionary: dictionary.clone(),
         weights: per_channel(&mixture),
         start: per_channel(&start),
         draws,
@@ -233,7 +296,7 @@ pub fn fit(
     })
 }
 
-fn check(scene: &Scene, captured: &[RadianceImage]) -> Result<(), FitError> {
+pub(super) fn check(scene: &Scene, captured: &[RadianceImage]) -> Result<(), FitError> {
     if captured.len() != scene.lights.len() || captured.is_empty() {
         return Err(FitError::ImageCount {
             images: captured.len(),

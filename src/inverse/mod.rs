@@ -1,15 +1,20 @@
 //! From images to weights: the objective, the simplex, the optimisers and what
 //! they can say about their own error.
 
+pub mod bench;
 pub mod exponentiated_gradient;
 pub mod fit;
 pub mod gauss_newton;
 pub mod intervals;
+pub mod light_selection;
 pub mod objective;
 pub mod projection;
+pub mod refine;
 pub mod simplex;
 pub mod trace;
 pub mod uncertainty;
 
+pub use bench::{BenchPriors, RefineOptions, refine_bench};
 pub use fit::{Fit, FitError, FitOptions, Optimizer, fit};
 pub use objective::Channels;
+pub use refine::Refine;

@@ -308,7 +308,7 @@ impl<'a> Objective<'a> {
     }
 
     /// Blocks of 8 × 8 pixels of one light, over which model error is taken as correlated.
-    fn block(&self, pixel: usize, light: usize) -> usize {
+    pub fn block(&self, pixel: usize, light: usize) -> usize {
         let [width, _] = self.resolution;
         let (x, y) = (pixel % width / 8, pixel / width / 8);
         (light * self.resolution[1].div_ceil(8) + y) * width.div_ceil(8) + x

@@ -11,6 +11,7 @@
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use rayon::prelude::*;
 
+use super::bench::BenchCoupling;
 use super::objective::Linearised;
 use super::simplex::{self, SimplexError};
 use crate::random::{Purpose, Stream, stream};
@@ -24,23 +25,26 @@ pub struct Draws {
 }
 
 /// Concentration of the Dirichlet prior: sparse mixtures, about six atoms of 42.
-const CONCENTRATION: f64 = 0.15;
+pub(super) const CONCENTRATION: f64 = 0.15;
 
-/// Draws `count` weights for each set around `mixture`.
+/// Draws `count` weights for each set around `mixture`; `bench` is what an uncertain
+/// bench adds to their spread.
 pub fn draw(
     mixture: &[DVector<f64>],
     pass: &Linearised,
+    bench: Option<&BenchCoupling>,
     count: usize,
     seed: u64,
 ) -> Result<Vec<Draws>, SimplexError> {
     (0..mixture.len())
-        .map(|set| draw_set(&mixture[set], pass, set, count, seed))
+        .map(|set| draw_set(&mixture[set], pass, bench, set, count, seed))
         .collect()
 }
 
 fn draw_set(
     mixture: &DVector<f64>,
     pass: &Linearised,
+    bench: Option<&BenchCoupling>,
     set: usize,
     count: usize,
     seed: u64,
@@ -77,7 +81,7 @@ fn draw_set(
         .map(|index| {
             let mut numbers = stream(seed, Purpose::Posterior, set as u64, 0, index as u64);
             let centre = dirichlet(n, &mut numbers);
-            let score = if ratio > 1.0 {
+            let mut score = if ratio > 1.0 {
                 let mut z = DVector::<f64>::zeros(n);
                 for score in scores {
                     z.axpy(numbers.normal(), score, 1.0);
@@ -87,6 +91,9 @@ fn draw_set(
                 let normal = DVector::from_fn(n, |_, _| numbers.normal());
                 &root * normal
             };
+            if let Some(bench) = bench {
+                score += bench.score(set, seed, index as u64);
+            }
             // ½ (x−ŵ)ᵀF(x−ŵ) − zᵀx + ½ p ‖x−x₀‖²
             let g = &information * mixture + score + &centre * prior_precision;
             Ok((simplex::solve(&h, &g, Some(mixture))?.x, centre))
@@ -106,7 +113,7 @@ fn positive_part(matrix: &DMatrix<f64>) -> (DMatrix<f64>, DMatrix<f64>) {
 }
 
 /// One draw of a symmetric Dirichlet distribution.
-fn dirichlet(n: usize, numbers: &mut Stream) -> DVector<f64> {
+pub(super) fn dirichlet(n: usize, numbers: &mut Stream) -> DVector<f64> {
     // Γ(a) for a < 1 is Γ(a + 1) · U^(1/a); in logarithms, so that tiny ones survive.
     let logs: Vec<f64> = (0..n)
         .map(|_| {

@@ -69,12 +69,12 @@ fn load_with(
 ) -> Result<ReportInput, LoadError> {
     let session = Session::open(root)?;
     let record = session.record();
-    let fit = chosen_fit(root, fit_number)?
-        .map(|(number, folder)| -> Result<FitInput, LoadError> {
-            let record = fit_record::read(&folder)?;
+    let fit = chosen_fit(&session, fit_number)?
+        .map(|number| -> Result<FitInput, LoadError> {
+            let record = fit_record::read_in(&session, number)?;
             Ok(FitInput {
                 name: number.to_string(),
-                images: fit_record::read_images(&folder)?,
+                images: fit_record::read_images_in(&session, number)?,
                 estimate: std::sync::Arc::new(record.mixture()?),
                 record,
             })
@@ -118,23 +118,23 @@ fn load_with(
     })
 }
 
-fn chosen_fit(root: &Path, number: Option<u32>) -> Result<Option<(u32, PathBuf)>, LoadError> {
-    let mut fits = fit_record::list(root);
+fn chosen_fit(session: &Session, number: Option<u32>) -> Result<Option<u32>, LoadError> {
+    let mut fits = fit_record::numbers_in(session);
     let Some(number) = number else {
         return Ok(fits.pop());
     };
-    let existing: Vec<String> = fits.iter().map(|(number, _)| number.to_string()).collect();
-    match fits.into_iter().find(|(existing, _)| *existing == number) {
-        Some(fit) => Ok(Some(fit)),
-        None => Err(LoadError::NoSuchFit {
-            session: root.to_owned(),
-            number,
-            existing: match existing.as_slice() {
-                [] => "none".to_owned(),
-                numbers => numbers.join(", "),
-            },
-        }),
+    if fits.contains(&number) {
+        return Ok(Some(number));
     }
+    let existing: Vec<String> = fits.iter().map(u32::to_string).collect();
+    Err(LoadError::NoSuchFit {
+        session: session.root().to_owned(),
+        number,
+        existing: match existing.as_slice() {
+            [] => "none".to_owned(),
+            numbers => numbers.join(", "),
+        },
+    })
 }
 
 fn folder_name(root: &Path) -> String {

@@ -4,7 +4,6 @@
 //! variables, so that one figure serves light, dark and print. Coordinates are
 //! in quarters of a CSS pixel, because the SVG backend rounds to whole numbers.
 
-mod axis;
 mod bars;
 mod heat_map;
 mod polar;
@@ -13,7 +12,7 @@ use plotters::coord::Shift;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
-pub use axis::{Axis, power_of_ten};
+pub use crate::plot::axis::{Axis, power_of_ten};
 pub use bars::{BarRow, bars};
 pub use heat_map::{HeatMap, heat_map};
 pub use polar::{Lobe, polar};

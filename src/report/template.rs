@@ -8,7 +8,7 @@ use super::summary::{
 };
 use super::{FitInput, LightInput, ReportError, ReportInput, SphereInput, figures};
 use crate::radiance_image::RadianceImage;
-use crate::session::fit_record::Warning;
+use crate::session::fit_record::{BenchRecord, Warning};
 
 #[derive(Serialize)]
 struct Page<'a> {
@@ -85,6 +85,39 @@ struct FitView {
     steps: u64,
     termination: String,
     timings: Vec<(String, String)>,
+    bench: Option<BenchView>,
+}
+
+/// The bench as refined.
+#[derive(Serialize)]
+struct BenchView {
+    /// Name, difference with its deviation, deviation before, unit.
+    rows: Vec<[String; 4]>,
+    held: Vec<String>,
+    rounds: u32,
+    settled: bool,
+}
+
+impl BenchView {
+    fn of(bench: &BenchRecord) -> Self {
+        Self {
+            rounds: bench.rounds,
+            settled: bench.settled,
+            held: bench.held.clone(),
+            rows: bench
+                .parameter
+                .iter()
+                .map(|p| {
+                    [
+                        p.name.clone(),
+                        format!("{:.4} ± {:.4}", p.value + 0.0, p.deviation).replace('-', "−"),
+                        short(p.prior_deviation),
+                        p.unit.clone(),
+                    ]
+                })
+                .collect(),
+        }
+    }
 }
 
 #[derive(Serialize)]
@@ -318,5 +351,6 @@ fn fit_view(fit: &FitInput, input: &ReportInput) -> Result<FitView, ReportError>
             .iter()
             .map(|timing| (timing.stage.clone(), format!("{:.2} s", timing.seconds)))
             .collect(),
+        bench: record.bench.as_ref().map(BenchView::of),
     })
 }

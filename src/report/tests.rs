@@ -166,6 +166,7 @@ fn record(estimate: &Mixture) -> FitRecord {
         }),
         table: table(estimate),
         warnings: Vec::new(),
+        bench: None,
     }
 }
 

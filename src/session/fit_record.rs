@@ -3,7 +3,7 @@
 //!
 //! | file | content |
 //! |---|---|
-//! | `fit.toml` | dictionary, settings, loss, χ², termination, timings, versions, scores, warnings |
+//! | `fit.toml` | dictionary, settings, loss, χ², termination, timings, versions, scores, warnings, the bench as refined |
 //! | `weights.csv` | one row per atom: what it is, weight and standard deviation per channel |
 //! | `table.csv` | f over (θh, θd) with its 95% interval, and which cells the data constrain |
 //! | `trace.csv` | the loss after each step |
@@ -14,6 +14,7 @@
 //! the files to a session, each journalled, `fit.toml` last: a folder without it
 //! is no fit.
 
+mod bench;
 mod folder;
 mod tables;
 
@@ -29,7 +30,10 @@ use crate::radiance_image::RadianceImage;
 use crate::radiance_image::exr::ExrError;
 use crate::session::SessionError;
 
-pub use folder::{commit, encode, list, next_folder, read, read_images, write};
+pub use bench::{BenchParameter, BenchRecord};
+pub use folder::{
+    commit, encode, next_folder, numbers_in, read, read_images, read_images_in, read_in, write,
+};
 pub use tables::{AngleCell, AngleTable};
 
 const FIT_FILE: &str = "fit.toml";
@@ -217,6 +221,8 @@ pub struct FitRecord {
     pub table: AngleTable,
     /// Reasons not to trust the fit; empty if none were found.
     pub warnings: Vec<Warning>,
+    /// The bench as refined; `None` where it was taken as exactly known.
+    pub bench: Option<BenchRecord>,
 }
 
 impl FitRecord {
@@ -294,6 +300,12 @@ pub enum FitRecordError {
         /// What may stand there.
         allowed: String,
     },
+    /// A file in a session that no journal record names.
+    #[error("{} is not in the session's journal", path.display())]
+    NotVouchedFor {
+        /// The file.
+        path: PathBuf,
+    },
     /// The session refused.
     #[error(transparent)]
     Session(#[from] SessionError),
@@ -332,6 +344,10 @@ fn check(folder: &Path, record: &FitRecord) -> Result<(), FitRecordError> {
             let key = format!("reduced_chi_square[{light}]");
             return Err(out_of_range(&toml, key, bad, "0 or more, finite"));
         }
+    }
+    if let Some((key, value)) = record.bench.as_ref().and_then(BenchRecord::bad_value) {
+        let allowed = "a finite number, of deviations 0 or more";
+        return Err(out_of_range(&toml, key, value, allowed));
     }
     let atoms = record.atoms.len();
     for (row, atom) in record.atoms.iter().enumerate() {

@@ -151,6 +151,11 @@ impl Session {
         }
     }
 
+    /// Whether the journal names a file of this path.
+    pub fn vouches_for(&self, relative: &str) -> bool {
+        self.journal.files().iter().any(|f| f.path == relative)
+    }
+
     /// One line for a list.
     pub fn summary(&self) -> Summary {
         let lights = self.record.plan.lights.len();

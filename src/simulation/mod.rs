@@ -4,6 +4,8 @@
 //! It differs from what a fit believes as a real bench does: another pose, a finer
 //! mesh, other paths, a measured material outside the dictionary.
 
+pub mod photograph;
+
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, OnceLock};
 

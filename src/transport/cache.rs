@@ -4,7 +4,7 @@
 //! way is a constant: it is folded into the weight of the record before, so that
 //! light which comes to the sample by way of a holder is a connection like any other.
 
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
 
 use glam::{DVec2, Vec3};
 use rayon::prelude::*;
@@ -224,31 +224,64 @@ impl Walk {
 impl Tracer<'_> {
     /// Traces all chunks with as many samples as fit into memory; returns the samples per half.
     fn chunks<const B: usize, R: Record<B>>(&self) -> (u32, Vec<Chunk<R>>) {
-        let (scene, options) = (self.scene, self.options);
-        let pixels = scene.camera.pixels();
-        let starts: Vec<usize> = (0..pixels).step_by(CHUNK_PIXELS).collect();
+        let options = self.options;
         let mut per_half = (options.samples_per_pixel / 2).max(1);
-        // A spread of pixels at a few samples tells what the whole will take.
-        let probe = per_half.min(16);
-        let probed: usize = (0..pixels)
-            .step_by((pixels / 256).max(1))
-            .collect::<Vec<_>>()
-            .par_iter()
-            .map(|&pixel| {
+        let wanted = self.probe::<B, R>() * f64::from(per_half);
+        // Aims a little below, as the estimate has an error.
+        let room = 0.97 * options.max_bytes as f64;
+        if wanted > room {
+            per_half = ((f64::from(per_half) * room / wanted) as u32).max(1);
+        }
+        loop {
+            match self.trace_all::<B, R>(per_half) {
+                Some(chunks) => return (per_half, chunks),
+                None => per_half -= per_half.div_ceil(16),
+            }
+        }
+    }
+
+    /// Bytes of records that one sample per half of every pixel takes, from a few samples of
+    /// pixels spread over the image.
+    fn probe<const B: usize, R: Record<B>>(&self) -> f64 {
+        const CELLS: usize = 24;
+        let [width, height] = self.scene.camera.resolution_px;
+        let [columns, rows] = [width.min(CELLS), height.min(CELLS)];
+        let samples = (self.options.samples_per_pixel / 2).clamp(1, 8);
+        let records: usize = (0..columns * rows)
+            .into_par_iter()
+            .map(|cell| {
+                // A pixel anywhere in the cell, so that no pattern of the image is met in step.
+                let mut numbers = stream(self.options.seed, Purpose::Experiment, 0, cell as u64, 0);
+                let mut within = |index: usize, cells: usize, pixels: usize| {
+                    let at = (index as f64 + numbers.uniform()) / cells as f64;
+                    ((at * pixels as f64) as usize).min(pixels - 1)
+                };
+                let x = within(cell % columns, columns, width);
+                let y = within(cell / columns, rows, height);
                 let mut records: Vec<R> = Vec::new();
-                self.pixel(pixel, 0..probe, &mut records);
+                self.pixel(y * width + x, 0..samples, &mut records);
                 records.len()
             })
             .sum();
-        let probed_pixels = pixels.div_ceil((pixels / 256).max(1));
-        let per_sample =
-            probed as f64 * size_of::<R>() as f64 / f64::from(probe) / probed_pixels as f64;
-        let wanted = per_sample * pixels as f64 * 2.0 * f64::from(per_half);
-        if wanted > options.max_bytes as f64 {
-            per_half = ((f64::from(per_half) * options.max_bytes as f64 / wanted) as u32).max(1);
-        }
-        let chunks = starts
+        let probed = (columns * rows) as f64 * f64::from(samples);
+        let pixels = (width * height) as f64;
+        2.0 * (records * size_of::<R>()) as f64 * pixels / probed
+    }
+
+    /// Traces all chunks; `None` as soon as they take more memory than allowed (unless
+    /// fewer samples are impossible).
+    fn trace_all<const B: usize, R: Record<B>>(&self, per_half: u32) -> Option<Vec<Chunk<R>>> {
+        let pixels = self.scene.camera.pixels();
+        let limit = match per_half {
+            1 => usize::MAX,
+            _ => self.options.max_bytes,
+        };
+        let bytes = AtomicUsize::new(0);
+        let starts: Vec<usize> = (0..pixels).step_by(CHUNK_PIXELS).collect();
+        starts
             .into_par_iter()
+            // Chunks differ in cost: whoever is done takes the next.
+            .with_max_len(1)
             .map(|first_pixel| {
                 let mut chunk = Chunk {
                     first_pixel,
@@ -263,10 +296,11 @@ impl Tracer<'_> {
                     }
                 }
                 chunk.records.shrink_to_fit();
-                chunk
+                let own = chunk.records.len() * size_of::<R>();
+                // The sum passes the limit or not whatever the order: so do all threads agree.
+                (bytes.fetch_add(own, Ordering::Relaxed) + own <= limit).then_some(chunk)
             })
-            .collect();
-        (per_half, chunks)
+            .collect()
     }
 
     fn pixel<const B: usize, R: Record<B>>(
@@ -407,3 +441,53 @@ impl Tracer<'_> {
 
 /// Channels of a grey body differ by no more than rounding.
 const GREY_TOLERANCE: f32 = 1e-5;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Shape;
+    use crate::transport::{Camera, Light, Projection, Shading};
+    use glam::DVec3;
+
+    /// Also where the image's width is what a regular pattern of probes would step by, and
+    /// the first column shows nothing.
+    #[test]
+    fn memory_is_bounded() {
+        let mesh = Shape::Bowl {
+            radius_mm: 1.0,
+            segments: 16,
+        };
+        for resolution in [[64, 64], [256, 32], [16, 100]] {
+            let camera = Camera::looking_at(
+                resolution,
+                Projection::Orthographic {
+                    extent_mm: DVec2::splat(2.4),
+                },
+                DVec3::new(0.0, 0.0, 5.0),
+                DVec3::ZERO,
+                DVec3::Y,
+            );
+            let sun = Light::Directional {
+                to_light: DVec3::Z,
+                irradiance: [1.0; 3],
+                angular_radius_rad: 0.0,
+            };
+            let (mesh, camera) = (mesh.mesh().unwrap(), camera.unwrap());
+            let scene = Scene::new(mesh, Shading::Smooth, camera, vec![sun]);
+            let options = CacheOptions {
+                samples_per_pixel: 1024,
+                max_reflections: 4,
+                max_bytes: 4 << 20,
+                ..CacheOptions::default()
+            };
+            let cache = Cache::trace(&scene, &Dictionary::grid42(), &options).unwrap();
+            let (_, bytes) = cache.size();
+            assert!(cache.samples_per_half < 512, "{resolution:?}");
+            assert!(bytes <= options.max_bytes, "{resolution:?}: {bytes}");
+            assert!(
+                5 * bytes >= 4 * options.max_bytes,
+                "{resolution:?}: {bytes}"
+            );
+        }
+    }
+}

@@ -9,7 +9,7 @@
 use rayon::prelude::*;
 
 use super::cache::{Cache, Chunk, Records};
-use super::event::{LaneAtoms, Record};
+use super::event::{LaneAtoms, MAX_LIGHTS, Record};
 use super::lanes::{Lanes, Portable};
 
 /// Which instructions evaluate the cache.
@@ -19,19 +19,30 @@ pub enum Kernel {
     Portable,
     /// AVX2 with FMA and F16C.
     Avx2,
+    /// AVX-512 (F, VL, DQ, BW) besides.
+    Avx512,
 }
 
 impl Kernel {
     /// The fastest that this processor has.
     pub fn detect() -> Self {
+        *Self::available().last().unwrap_or(&Kernel::Portable)
+    }
+
+    /// Those that this processor has, the fastest last.
+    pub fn available() -> &'static [Self] {
+        const ALL: [Kernel; 3] = [Kernel::Portable, Kernel::Avx2, Kernel::Avx512];
         #[cfg(target_arch = "x86_64")]
-        if is_x86_feature_detected!("avx2")
-            && is_x86_feature_detected!("fma")
-            && is_x86_feature_detected!("f16c")
-        {
-            return Kernel::Avx2;
-        }
-        Kernel::Portable
+        let count = {
+            use std::arch::is_x86_feature_detected as has;
+            let avx2 = has!("avx2") && has!("fma") && has!("f16c");
+            let avx512 =
+                has!("avx512f") && has!("avx512vl") && has!("avx512dq") && has!("avx512bw");
+            1 + usize::from(avx2) + usize::from(avx2 && avx512)
+        };
+        #[cfg(not(target_arch = "x86_64"))]
+        let count = 1;
+        &ALL[..count]
     }
 }
 
@@ -40,6 +51,7 @@ impl std::fmt::Display for Kernel {
         out.write_str(match self {
             Kernel::Portable => "portable",
             Kernel::Avx2 => "avx2",
+            Kernel::Avx512 => "avx512",
         })
     }
 }
@@ -57,25 +69,36 @@ pub struct PixelRows<'a> {
     pub jacobian: [&'a [f32]; 2],
 }
 
+/// Most accumulators of one evaluation: enough to keep many threads busy, few enough to be
+/// kept until all are there.
+const MAX_GROUPS: usize = 256;
+
 /// Weights of one mixture per channel; all channels may share one.
 pub type ChannelWeights<'a> = &'a [&'a [f64]];
 
 impl Cache {
-    /// Evaluates every pixel for `weights` (1 or 3 channels × atoms). `chunk` makes
+    /// Evaluates every pixel for `weights` (1 or 3 channels × atoms). `group` makes
     /// an accumulator for each group of pixels, `visit` adds a pixel to it; the
     /// accumulators come back in the order of the pixels, whatever the threads did.
+    ///
+    /// # Panics
+    /// For a kernel that is not among [`Kernel::available`].
     pub fn evaluate<T: Send>(
         &self,
         kernel: Kernel,
         weights: ChannelWeights<'_>,
-        chunk: impl Fn() -> T + Sync,
+        group: impl Fn() -> T + Sync,
         visit: impl Fn(&mut T, &PixelRows<'_>) + Sync,
     ) -> Vec<T> {
+        assert!(
+            Kernel::available().contains(&kernel),
+            "this processor lacks kernel {kernel}"
+        );
         macro_rules! by_channels {
             ($chunks:expr, $b:literal) => {
                 match weights.len() {
-                    1 => self.run::<$b, 1, _, _>(kernel, $chunks, weights, &chunk, &visit),
-                    3 => self.run::<$b, 3, _, _>(kernel, $chunks, weights, &chunk, &visit),
+                    1 => self.run::<$b, 1, _, _>(kernel, $chunks, weights, &group, &visit),
+                    3 => self.run::<$b, 3, _, _>(kernel, $chunks, weights, &group, &visit),
                     n => panic!("{n} channels of weights; 1 or 3 are possible"),
                 }
             };
@@ -95,75 +118,58 @@ impl Cache {
         kernel: Kernel,
         chunks: &[Chunk<R>],
         weights: ChannelWeights<'_>,
-        chunk: &(impl Fn() -> T + Sync),
+        new: &(impl Fn() -> T + Sync),
         visit: &(impl Fn(&mut T, &PixelRows<'_>) + Sync),
     ) -> Vec<T> {
         let mixture = Mixture::<B, C>::new(&self.atoms, weights);
         let atoms = self.atoms.atoms();
+        let rows = self.lights * C;
         chunks
-            .par_iter()
-            .map(|records| {
-                let mut accumulator = chunk();
-                let mut sums = [
-                    Sums::<B, C>::new(self.lights),
-                    Sums::<B, C>::new(self.lights),
-                ];
-                let mut rows = [
-                    vec![0.0; self.lights * C * atoms],
-                    vec![0.0; self.lights * C * atoms],
-                ];
-                let mut values = [vec![0.0; self.lights * C], vec![0.0; self.lights * C]];
-                let mut variance = vec![0.0; self.lights * C];
-                let mut scratch = Vec::new();
-                for p in 0..records.start.len() / 2 {
-                    for half in 0..2 {
-                        let range = records.start[2 * p + half] as usize
-                            ..records.start[2 * p + half + 1] as usize;
-                        sums[half].clear();
-                        match kernel {
-                            Kernel::Portable => {
-                                pass_portable::<B, C, R>(
-                                    &records.records[range],
-                                    &mixture,
-                                    &mut sums[half],
-                                    &mut scratch,
-                                );
-                            }
-                            #[cfg(target_arch = "x86_64")]
-                            // SAFETY: the kernel is chosen by `Kernel::detect`.
-                            Kernel::Avx2 => unsafe {
-                                pass_avx2::<B, C, R>(
-                                    &records.records[range],
-                                    &mixture,
-                                    &mut sums[half],
-                                    &mut scratch,
-                                );
-                            },
-                            #[cfg(not(target_arch = "x86_64"))]
-                            Kernel::Avx2 => unreachable!("not detected on this architecture"),
+            .par_chunks(chunks.len().div_ceil(MAX_GROUPS).max(1))
+            // Groups differ in size: whoever is done takes the next.
+            .with_max_len(1)
+            .map(|group| {
+                let mut accumulator = new();
+                let mut scratch = Scratch::new();
+                let mut sums = [(); 2].map(|()| Sums::<B, C>::new(self.lights));
+                let mut jacobian = [(); 2].map(|()| vec![0.0; rows * atoms]);
+                let mut values = [(); 2].map(|()| vec![0.0; rows]);
+                let mut variance = vec![0.0; rows];
+                for records in group {
+                    for p in 0..records.start.len() / 2 {
+                        for half in 0..2 {
+                            let range = records.start[2 * p + half] as usize
+                                ..records.start[2 * p + half + 1] as usize;
+                            pass(
+                                kernel,
+                                &records.records[range],
+                                &mixture,
+                                &mut scratch,
+                                &mut sums[half],
+                            );
+                            sums[half].rows(
+                                &self.atoms,
+                                self.samples_per_half,
+                                &mut values[half],
+                                &mut jacobian[half],
+                            );
                         }
-                        sums[half].rows(
-                            &self.atoms,
-                            self.samples_per_half,
-                            &mut values[half],
-                            &mut rows[half],
+                        let n = 2.0 * self.samples_per_half as f32;
+                        for (r, out) in variance.iter_mut().enumerate() {
+                            let mean = 0.5 * (values[0][r] + values[1][r]);
+                            let square = (sums[0].square(r) + sums[1].square(r)) / n;
+                            *out = ((square - mean * mean) / (n - 1.0)).max(0.0);
+                        }
+                        visit(
+                            &mut accumulator,
+                            &PixelRows {
+                                pixel: records.first_pixel + p,
+                                value: [&values[0], &values[1]],
+                                variance: &variance,
+                                jacobian: [&jacobian[0], &jacobian[1]],
+                            },
                         );
                     }
-                    let n = 2.0 * self.samples_per_half as f32;
-                    for (r, out) in variance.iter_mut().enumerate() {
-                        let mean = 0.5 * (values[0][r] + values[1][r]);
-                        let square = (sums[0].square[r] + sums[1].square[r]) / n;
-                        *out = ((square - mean * mean) / (n - 1.0)).max(0.0);
-                    }
-                    visit(
-                        &mut accumulator,
-                        &PixelRows {
-                            pixel: records.first_pixel + p,
-                            value: [&values[0], &values[1]],
-                            variance: &variance,
-                            jacobian: [&rows[0], &rows[1]],
-                        },
-                    );
                 }
                 accumulator
             })
@@ -190,77 +196,121 @@ impl<const B: usize, const C: usize> Mixture<B, C> {
     }
 }
 
-/// Sums over the paths of one half of a pixel; row r = light · C + channel.
-struct Sums<const B: usize, const C: usize> {
-    value: Vec<f32>,
-    square: Vec<f32>,
-    gradient: Vec<[[f32; 8]; B]>,
-    lambertian: Vec<f32>,
+/// Sums over the paths of one half of a pixel, per light.
+struct Sums<const B: usize, const C: usize>(Vec<LightSums<B, C>>);
+
+/// Sums under one light, per channel.
+#[derive(Clone, Copy)]
+struct LightSums<const B: usize, const C: usize> {
+    value: [f32; C],
+    square: [f32; C],
+    lambertian: [f32; C],
+    gradient: [[[f32; 8]; B]; C],
 }
 
 impl<const B: usize, const C: usize> Sums<B, C> {
     fn new(lights: usize) -> Self {
-        let rows = lights * C;
-        Self {
-            value: vec![0.0; rows],
-            square: vec![0.0; rows],
-            gradient: vec![[[0.0; 8]; B]; rows],
-            lambertian: vec![0.0; rows],
-        }
+        Self(vec![
+            LightSums {
+                value: [0.0; C],
+                square: [0.0; C],
+                lambertian: [0.0; C],
+                gradient: [[[0.0; 8]; B]; C],
+            };
+            lights
+        ])
     }
 
-    fn clear(&mut self) {
-        self.value.fill(0.0);
-        self.square.fill(0.0);
-        self.gradient.fill([[0.0; 8]; B]);
-        self.lambertian.fill(0.0);
-    }
-
-    /// Adds `coefficient` times the atoms' values of a record to a row.
-    #[inline(always)]
-    fn add<L: Lanes>(&mut self, row: usize, blocks: &[L; B], scale: f32, coefficient: f32) {
-        let lanes = L::splat(coefficient * scale);
-        let gradient = &mut self.gradient[row];
-        for b in 0..B {
-            blocks[b]
-                .mul_add(lanes, L::load(&gradient[b]))
-                .store(&mut gradient[b]);
-        }
-        self.lambertian[row] += coefficient;
+    fn square(&self, row: usize) -> f32 {
+        self.0[row / C].square[row % C]
     }
 
     /// Means over the samples, in the dictionary's order.
     fn rows(&self, atoms: &LaneAtoms, samples: u32, values: &mut [f32], rows: &mut [f32]) {
         let scale = 1.0 / samples as f32;
         let n = atoms.atoms();
-        for r in 0..self.value.len() {
-            values[r] = self.value[r] * scale;
-            atoms.atom_row(
-                &self.gradient[r],
-                self.lambertian[r],
-                scale,
-                &mut rows[r * n..(r + 1) * n],
-            );
+        for (light, sums) in self.0.iter().enumerate() {
+            for c in 0..C {
+                let r = light * C + c;
+                values[r] = sums.value[c] * scale;
+                let row = &mut rows[r * n..(r + 1) * n];
+                atoms.atom_row(&sums.gradient[c], sums.lambertian[c], scale, row);
+            }
         }
     }
 }
 
-/// What the forward sweep leaves for the backward one.
+/// What the sweeps over a pixel's records leave for each other.
+struct Scratch<U, const C: usize> {
+    /// Per record.
+    steps: Vec<Step<U, C>>,
+    /// Records that have a share in the light's derivative, and the factor of their
+    /// values there.
+    share: Vec<(u32, [f32; C])>,
+}
+
+/// What the forward sweep leaves of a record.
 #[derive(Clone, Copy)]
-struct Step<const C: usize> {
-    f: [f32; C],
+struct Step<U, const C: usize> {
+    unpacked: U,
+    /// f · weight, by which a continuation multiplies what comes after it.
+    gain: [f32; C],
+    /// Weight times the product of all gains before it on its path.
     before: [f32; C],
 }
 
-/// A function of its own: inlined into every caller it would be compiled many times over.
+impl<U: Copy + Default, const C: usize> Scratch<U, C> {
+    fn new() -> Self {
+        Self {
+            steps: Vec::new(),
+            share: Vec::new(),
+        }
+    }
+
+    /// Room for `n` records.
+    fn slices(&mut self, n: usize) -> (&mut [Step<U, C>], &mut [(u32, [f32; C])]) {
+        if self.steps.len() < n {
+            let step = Step {
+                unpacked: U::default(),
+                gain: [0.0; C],
+                before: [0.0; C],
+            };
+            self.steps.resize(n, step);
+            self.share.resize(n, (0, [0.0; C]));
+        }
+        (&mut self.steps[..n], &mut self.share[..n])
+    }
+}
+
+/// Functions of their own: inlined into every caller they would be compiled many times over.
+fn pass<const B: usize, const C: usize, R: Record<B>>(
+    kernel: Kernel,
+    records: &[R],
+    mixture: &Mixture<B, C>,
+    scratch: &mut Scratch<R::Unpacked, C>,
+    sums: &mut Sums<B, C>,
+) {
+    match kernel {
+        Kernel::Portable => pass_portable::<B, C, R>(records, mixture, scratch, sums),
+        #[cfg(target_arch = "x86_64")]
+        // SAFETY: `Cache::evaluate` let only an available kernel pass.
+        Kernel::Avx2 => unsafe { pass_avx2::<B, C, R>(records, mixture, scratch, sums) },
+        #[cfg(target_arch = "x86_64")]
+        // SAFETY: as above.
+        Kernel::Avx512 => unsafe { pass_avx512::<B, C, R>(records, mixture, scratch, sums) },
+        #[cfg(not(target_arch = "x86_64"))]
+        _ => unreachable!("not available on this architecture"),
+    }
+}
+
 #[inline(never)]
 fn pass_portable<const B: usize, const C: usize, R: Record<B>>(
     records: &[R],
     mixture: &Mixture<B, C>,
+    scratch: &mut Scratch<R::Unpacked, C>,
     sums: &mut Sums<B, C>,
-    scratch: &mut Vec<Step<C>>,
 ) {
-    pass::<Portable, B, C, R>(records, mixture, sums, scratch);
+    sweep::<Portable, B, C, R>(records, mixture, scratch, sums);
 }
 
 #[cfg(target_arch = "x86_64")]
@@ -268,98 +318,115 @@ fn pass_portable<const B: usize, const C: usize, R: Record<B>>(
 fn pass_avx2<const B: usize, const C: usize, R: Record<B>>(
     records: &[R],
     mixture: &Mixture<B, C>,
+    scratch: &mut Scratch<R::Unpacked, C>,
     sums: &mut Sums<B, C>,
-    scratch: &mut Vec<Step<C>>,
 ) {
-    pass::<super::lanes::Avx2, B, C, R>(records, mixture, sums, scratch);
+    sweep::<super::lanes::Avx2, B, C, R>(records, mixture, scratch, sums);
 }
 
+/// The same eight lanes, with the twice as many registers and the masks of AVX-512.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,fma,f16c,avx512f,avx512vl,avx512dq,avx512bw")]
+fn pass_avx512<const B: usize, const C: usize, R: Record<B>>(
+    records: &[R],
+    mixture: &Mixture<B, C>,
+    scratch: &mut Scratch<R::Unpacked, C>,
+    sums: &mut Sums<B, C>,
+) {
+    sweep::<super::lanes::Avx2, B, C, R>(records, mixture, scratch, sums);
+}
+
+/// Three sweeps without a branch on what a record is, as no processor predicts that:
+/// forward for f and the products before each record, backward per light for what is
+/// gathered after it, and over the records that have a share for the derivatives.
+/// What a record is enters as factors of 0 and 1.
 #[expect(
     clippy::needless_range_loop,
     reason = "only what is inlined here may use the kernel's instructions: loops, not closures"
 )]
 #[inline(always)]
-fn pass<L: Lanes, const B: usize, const C: usize, R: Record<B>>(
+fn sweep<L: Lanes, const B: usize, const C: usize, R: Record<B>>(
     records: &[R],
     mixture: &Mixture<B, C>,
+    scratch: &mut Scratch<R::Unpacked, C>,
     sums: &mut Sums<B, C>,
-    scratch: &mut Vec<Step<C>>,
 ) {
+    let n = records.len();
+    let (steps, shares) = scratch.slices(n);
+    for i in 0..n {
+        steps[i].unpacked = records[i].unpack::<L>();
+    }
+
     let mut weights = [[L::splat(0.0); B]; C];
     for c in 0..C {
         for b in 0..B {
             weights[c][b] = L::load(&mixture.lanes[c][b]);
         }
     }
-    let lights = sums.value.len() / C;
-    let mut gathered = [[0.0f32; C]; super::event::MAX_LIGHTS];
-    let mut begin = 0;
-    while begin < records.len() {
-        // Forward: f of every record, and the product of all factors before it.
-        scratch.clear();
-        let mut before = [1.0f32; C];
-        let mut end = begin;
-        while end < records.len() && (end == begin || !records[end].head().is_first()) {
-            let record = &records[end];
-            let head = record.head();
-            let blocks = record.decode::<L>();
+    let mut before = [0.0f32; C];
+    // By what the record before multiplies the product.
+    let mut factor = [0.0f32; C];
+    for i in 0..n {
+        let step = &mut steps[i];
+        let head = records[i].head();
+        let kind = head.kind();
+        let scale = head.scale();
+        let dot = records[i].dot::<L, C>(&step.unpacked, &weights);
+        // About as many records come next: the pixel's other half, or the next pixel.
+        L::prefetch(&records[i], n);
+        for c in 0..C {
+            let gain = L::fused(dot[c], scale, mixture.lambertian[c]) * head.weight;
+            before[c] = L::fused(before[c], factor[c] * kind.later, kind.first);
+            step.before[c] = before[c] * head.weight;
+            step.gain[c] = gain;
+            factor[c] = L::fused(gain, kind.goes_on, kind.connects);
+        }
+    }
+
+    let mut is_lamp = [0.0f32; MAX_LIGHTS];
+    for (light, sums) in sums.0.iter_mut().enumerate() {
+        is_lamp[light] = 1.0;
+        let mut count = 0;
+        let (mut value, mut square, mut lambertian) = ([0.0f32; C], [0.0f32; C], [0.0f32; C]);
+        let mut after = [0.0f32; C];
+        // 0 where the record before is the last of its path.
+        let mut same_path = 0.0;
+        for i in (0..n).rev() {
+            let step = &steps[i];
+            let head = records[i].head();
+            let kind = head.kind();
             let scale = head.scale();
-            let mut f = mixture.lambertian;
+            let connects = kind.connects * is_lamp[head.lamp()];
+            let mut share = [0.0f32; C];
             for c in 0..C {
-                let mut dot = blocks[0].mul(weights[c][0]);
-                for b in 1..B {
-                    dot = blocks[b].mul_add(weights[c][b], dot);
-                }
-                f[c] += dot.sum() * scale;
+                // A path never ends with a continuation: what is after it is its own.
+                let coefficient = step.before[c] * L::fused(after[c], kind.goes_on, connects);
+                let factor = L::fused(step.gain[c], kind.goes_on, kind.connects) * same_path;
+                after[c] = L::fused(after[c], factor, step.gain[c] * connects);
+                let total = after[c] * kind.first;
+                value[c] += total;
+                square[c] = L::fused(total, total, square[c]);
+                lambertian[c] += coefficient;
+                share[c] = coefficient * scale;
             }
-            scratch.push(Step { f, before });
-            if head.light().is_none() {
-                for c in 0..C {
-                    before[c] *= f[c] * head.weight;
-                }
-            }
-            end += 1;
+            same_path = kind.later;
+            shares[count] = (i as u32, share);
+            count += usize::from(share != [0.0; C]);
         }
-        // Backward: what is gathered after each record.
-        for after in &mut gathered[..lights] {
-            *after = [0.0; C];
-        }
-        for i in (begin..end).rev() {
-            let record = &records[i];
-            let head = record.head();
-            let scale = head.scale();
-            let step = &scratch[i - begin];
-            let blocks = record.decode::<L>();
-            match head.light() {
-                Some(light) => {
-                    for c in 0..C {
-                        let coefficient = step.before[c] * head.weight;
-                        sums.add(light * C + c, &blocks, scale, coefficient);
-                        gathered[light][c] += step.f[c] * head.weight;
-                    }
-                }
-                None => {
-                    for light in 0..lights {
-                        let after = &mut gathered[light];
-                        if *after == [0.0; C] {
-                            continue;
-                        }
-                        for c in 0..C {
-                            let coefficient = step.before[c] * head.weight * after[c];
-                            sums.add(light * C + c, &blocks, scale, coefficient);
-                            after[c] *= step.f[c] * head.weight;
-                        }
-                    }
-                }
-            }
-        }
-        for (light, total) in gathered[..lights].iter().enumerate() {
+        is_lamp[light] = 0.0;
+        let mut gradient = [[L::splat(0.0); B]; C];
+        for &(i, share) in &shares[..count] {
             for c in 0..C {
-                sums.value[light * C + c] += total[c];
-                sums.square[light * C + c] += total[c] * total[c];
+                let i = i as usize;
+                records[i].accumulate(&steps[i].unpacked, share[c], &mut gradient[c]);
             }
         }
-        begin = end;
+        for c in 0..C {
+            for b in 0..B {
+                gradient[c][b].store(&mut sums.gradient[c][b]);
+            }
+        }
+        (sums.value, sums.square, sums.lambertian) = (value, square, lambertian);
     }
 }
 
@@ -425,7 +492,9 @@ mod tests {
                     throughput = 1.0;
                 }
                 let mut f = lambertian;
-                for (b, block) in record.decode::<Portable>().into_iter().enumerate() {
+                let mut blocks = [Portable::splat(0.0); B];
+                record.accumulate(&record.unpack::<Portable>(), 1.0, &mut blocks);
+                for (b, block) in blocks.into_iter().enumerate() {
                     let mut values = [0.0; 8];
                     block.store(&mut values);
                     for i in 0..8 {
@@ -469,7 +538,7 @@ mod tests {
                     Records::General5(c) => radiance(c, &cache.atoms, w, 2),
                     _ => panic!("unexpected layout"),
                 };
-                for kernel in [Kernel::Portable, Kernel::detect()] {
+                for &kernel in Kernel::available() {
                     let (values, gradient) = totals(&cache, kernel, &weights);
                     let expected = walk(&weights);
                     for light in 0..2 {
@@ -542,11 +611,35 @@ mod tests {
         sum
     }
 
+    /// The same paths in either layout: what differs is the rounding to half precision.
+    #[test]
+    fn the_general_layout_agrees_with_the_grid() {
+        let (scene, dictionary) = (scene(), Dictionary::grid42());
+        let weights: Vec<f64> = (0..42).map(|n| f64::from(n + 1) / (21.0 * 43.0)).collect();
+        let [grid, general] = [true, false].map(|allow_grid| {
+            let options = CacheOptions {
+                samples_per_pixel: 32,
+                allow_grid,
+                ..CacheOptions::default()
+            };
+            let cache = Cache::trace(&scene, &dictionary, &options).unwrap();
+            assert_eq!(cache.atoms.is_grid(), allow_grid);
+            totals(&cache, Kernel::detect(), &weights)
+        });
+        for light in 0..2 {
+            let near = |a: f64, b: f64| (a - b).abs() <= 1e-3 * a.abs().max(b.abs());
+            assert!(near(grid.0[light], general.0[light]));
+            for (atom, (&a, &b)) in grid.1[light].iter().zip(&general.1[light]).enumerate() {
+                assert!(near(a, b), "light {light}, atom {atom}: {a} and {b}");
+            }
+        }
+    }
+
     #[test]
     fn results_do_not_depend_on_the_number_of_threads() {
         let scene = scene();
         let dictionary = Dictionary::grid42();
-        let run = |threads: usize| {
+        let run = |threads: usize, kernel: Kernel| {
             let pool = rayon::ThreadPoolBuilder::new()
                 .num_threads(threads)
                 .build()
@@ -557,9 +650,11 @@ mod tests {
                     ..CacheOptions::default()
                 };
                 let cache = Cache::trace(&scene, &dictionary, &options).unwrap();
-                totals(&cache, Kernel::detect(), &vec![1.0 / 42.0; 42])
+                totals(&cache, kernel, &vec![1.0 / 42.0; 42])
             })
         };
-        assert_eq!(run(1), run(3));
+        for &kernel in Kernel::available() {
+            assert_eq!(run(1, kernel), run(3, kernel), "{kernel}");
+        }
     }
 }

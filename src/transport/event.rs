@@ -8,6 +8,7 @@
 //! precision; Lambertian atoms need no storage.
 
 use half::f16;
+use half::slice::HalfFloatSliceExt;
 
 use super::lanes::Lanes;
 use crate::brdf::dictionary::{Atom, Dictionary};
@@ -68,12 +69,64 @@ impl Head {
         (self.tag & CONTINUES == 0).then_some((self.tag & LIGHT) as usize)
     }
 
+    /// What the record is, as factors of 0 and 1.
+    #[inline(always)]
+    pub fn kind(&self) -> &'static Kind {
+        &KINDS[usize::from(self.tag >> 6)]
+    }
+
+    /// The lamp of a connection; anything for a continuation.
+    #[inline(always)]
+    pub fn lamp(&self) -> usize {
+        usize::from(self.tag & LIGHT)
+    }
+
     /// 2^exponent.
     #[inline(always)]
     pub fn scale(&self) -> f32 {
-        f32::from_bits(((i32::from(self.exponent) + 127) as u32) << 23)
+        SCALES[usize::from(self.exponent.cast_unsigned())]
     }
 }
+
+/// Kind of a record, in numbers, because a branch on it could not be predicted.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Kind {
+    /// 1 for the first record of a path, else 0.
+    pub first: f32,
+    /// The opposite of `first`.
+    pub later: f32,
+    /// 1 for a continuation, else 0.
+    pub goes_on: f32,
+    /// 1 for a connection, else 0.
+    pub connects: f32,
+}
+
+/// Kinds by the two highest bits of the tag.
+static KINDS: [Kind; 4] = {
+    let mut kinds = [Kind {
+        first: 0.0,
+        later: 1.0,
+        goes_on: 0.0,
+        connects: 1.0,
+    }; 4];
+    (kinds[1].first, kinds[1].later) = (1.0, 0.0);
+    (kinds[3].first, kinds[3].later) = (1.0, 0.0);
+    (kinds[2].goes_on, kinds[2].connects) = (1.0, 0.0);
+    (kinds[3].goes_on, kinds[3].connects) = (1.0, 0.0);
+    kinds
+};
+
+/// Powers of two by the exponent's byte.
+static SCALES: [f32; 256] = {
+    let mut scales = [0.0; 256];
+    let mut byte = 0;
+    while byte < 256 {
+        let exponent = (byte as u8).cast_signed() as i32;
+        scales[byte] = f32::from_bits(((exponent + 127) as u32) << 23);
+        byte += 1;
+    }
+    scales
+};
 
 /// A stored reflection with `B` blocks of eight lanes.
 pub trait Record<const B: usize>: Copy + Send + Sync {
@@ -83,8 +136,18 @@ pub trait Record<const B: usize>: Copy + Send + Sync {
     fn head(&self) -> Head;
     /// Marks the record as the first of its path.
     fn mark_first(&mut self);
-    /// The atoms' values over 2^exponent.
-    fn decode<L: Lanes>(&self) -> [L; B];
+    /// What is worked out once for both of the following.
+    type Unpacked: Copy + Default;
+    /// Works it out.
+    fn unpack<L: Lanes>(&self) -> Self::Unpacked;
+    /// Per channel the sum of the atoms' values times `weights`, over 2^exponent.
+    fn dot<L: Lanes, const C: usize>(
+        &self,
+        unpacked: &Self::Unpacked,
+        weights: &[[L; B]; C],
+    ) -> [f32; C];
+    /// `sums += factor ·` the atoms' values over 2^exponent.
+    fn accumulate<L: Lanes>(&self, unpacked: &Self::Unpacked, factor: f32, sums: &mut [L; B]);
 }
 
 /// Where the stored values are put: largest in [2^14, 2^15).
@@ -243,15 +306,14 @@ impl LaneAtoms {
 /// Most distinct widths, or indices, of a dictionary in a cache.
 pub const MAX_AXIS: usize = 64;
 
-/// 32 bytes: eight D·G, five F.
+/// 32 bytes: eight D·G, five F, exponent and tag, weight.
 #[derive(Clone, Copy)]
-#[repr(C)]
+#[repr(C, align(32))]
 pub struct GridRecord {
     lobes: [u16; 8],
-    fresnel: [u16; 5],
-    exponent: i8,
-    tag: u8,
-    weight: f32,
+    /// F in the first five; the exponent's byte and the tag's; the weight's two halves.
+    /// One array, so that a register takes it in one load.
+    rest: [u16; 8],
 }
 
 const _: () = assert!(size_of::<GridRecord>() == 32);
@@ -264,54 +326,101 @@ pub struct GeneralRecord<const B: usize> {
     head: Head,
 }
 
-/// Half precision of `value` · 2^−exponent.
+/// Those that a grid record holds.
 #[inline]
-fn store(value: f32, exponent: i8) -> u16 {
-    let scale = f32::from_bits(((127 - i32::from(exponent)).clamp(1, 254) as u32) << 23);
-    f16::from_f32(value * scale).to_bits()
+fn first_eight(values: &[f32; MAX_AXIS]) -> [f32; 8] {
+    std::array::from_fn(|i| values[i])
 }
 
+/// Half precision of `values` · 2^−exponent.
+#[inline]
+fn store(values: &[f32; 8], exponent: i8) -> [u16; 8] {
+    let scale = f32::from_bits(((127 - i32::from(exponent)).clamp(1, 254) as u32) << 23);
+    let mut halves = [f16::ZERO; 8];
+    halves.convert_from_f32_slice(&values.map(|v| v * scale));
+    halves.map(f16::to_bits)
+}
+
+#[expect(
+    clippy::needless_range_loop,
+    reason = "only what is inlined may use the kernel's instructions: a loop, not a closure"
+)]
 impl Record<5> for GridRecord {
     fn encode(head: Head, atoms: &LaneAtoms, at: &Cosines<f32>) -> Self {
         let (lobes, fresnel) = atoms.factors(at);
+        let (lobes, fresnel) = (first_eight(&lobes), first_eight(&fresnel));
         let largest = lobes.iter().fold(0.0f32, |m, &v| m.max(v));
         let exponent = exponent_for(largest);
+        let [f0, f1, f2, f3, f4, ..] = store(&fresnel, 0);
+        let marks = u16::from_le_bytes([exponent.cast_unsigned(), head.tag]);
+        let weight = head.weight.to_bits();
         Self {
-            lobes: std::array::from_fn(|i| store(lobes[i], exponent)),
-            fresnel: std::array::from_fn(|i| f16::from_f32(fresnel[i]).to_bits()),
-            exponent,
-            tag: head.tag,
-            weight: head.weight,
+            lobes: store(&lobes, exponent),
+            rest: [
+                f0,
+                f1,
+                f2,
+                f3,
+                f4,
+                marks,
+                weight as u16,
+                (weight >> 16) as u16,
+            ],
         }
     }
 
     #[inline(always)]
     fn head(&self) -> Head {
+        let [.., marks, low, high] = self.rest;
+        let [exponent, tag] = marks.to_le_bytes();
         Head {
-            weight: self.weight,
-            exponent: self.exponent,
-            tag: self.tag,
+            weight: f32::from_bits(u32::from(low) | u32::from(high) << 16),
+            exponent: exponent.cast_signed(),
+            tag,
         }
     }
 
     fn mark_first(&mut self) {
-        self.tag |= FIRST;
+        self.rest[5] |= u16::from(FIRST) << 8;
+    }
+
+    /// F in the first five; in memory, from where it is spread over a register for free.
+    type Unpacked = [f32; 8];
+
+    #[inline(always)]
+    fn unpack<L: Lanes>(&self) -> [f32; 8] {
+        let mut fresnel = [0.0; 8];
+        L::from_f16(&self.rest).store(&mut fresnel);
+        fresnel
     }
 
     #[inline(always)]
-    fn decode<L: Lanes>(&self) -> [L; 5] {
+    fn dot<L: Lanes, const C: usize>(&self, fresnel: &[f32; 8], weights: &[[L; 5]; C]) -> [f32; C] {
         let lobes = L::from_f16(&self.lobes);
-        let mut fresnel = [0.0; 8];
-        let f = &self.fresnel;
-        L::from_f16(&[f[0], f[1], f[2], f[3], f[4], 0, 0, 0]).store(&mut fresnel);
-        let mut blocks = [lobes; 5];
-        for e in 0..5 {
-            blocks[e] = lobes.mul(L::splat(fresnel[e]));
+        let mut f = [0.0; C];
+        for c in 0..C {
+            let mut by_width = weights[c][0].mul(L::splat(fresnel[0]));
+            for e in 1..5 {
+                by_width = weights[c][e].mul_add(L::splat(fresnel[e]), by_width);
+            }
+            f[c] = by_width.mul(lobes).sum();
         }
-        blocks
+        f
+    }
+
+    #[inline(always)]
+    fn accumulate<L: Lanes>(&self, fresnel: &[f32; 8], factor: f32, sums: &mut [L; 5]) {
+        let lobes = L::from_f16(&self.lobes).mul(L::splat(factor));
+        for e in 0..5 {
+            sums[e] = lobes.mul_add(L::splat(fresnel[e]), sums[e]);
+        }
     }
 }
 
+#[expect(
+    clippy::needless_range_loop,
+    reason = "only what is inlined may use the kernel's instructions: a loop, not a closure"
+)]
 impl<const B: usize> Record<B> for GeneralRecord<B> {
     fn encode(mut head: Head, atoms: &LaneAtoms, at: &Cosines<f32>) -> Self {
         let (lobes, fresnel) = atoms.factors(at);
@@ -322,7 +431,7 @@ impl<const B: usize> Record<B> for GeneralRecord<B> {
         let largest = lanes.iter().flatten().fold(0.0f32, |m, &v| m.max(v));
         head.exponent = exponent_for(largest);
         Self {
-            values: lanes.map(|block| block.map(|v| store(v, head.exponent))),
+            values: lanes.map(|block| store(&block, head.exponent)),
             head,
         }
     }
@@ -336,17 +445,30 @@ impl<const B: usize> Record<B> for GeneralRecord<B> {
         self.head.mark_first();
     }
 
-    #[expect(
-        clippy::needless_range_loop,
-        reason = "only what is inlined may use the kernel's instructions: a loop, not a closure"
-    )]
+    type Unpacked = ();
+
     #[inline(always)]
-    fn decode<L: Lanes>(&self) -> [L; B] {
-        let mut blocks = [L::splat(0.0); B];
-        for b in 0..B {
-            blocks[b] = L::from_f16(&self.values[b]);
+    fn unpack<L: Lanes>(&self) {}
+
+    #[inline(always)]
+    fn dot<L: Lanes, const C: usize>(&self, (): &(), weights: &[[L; B]; C]) -> [f32; C] {
+        let mut f = [0.0; C];
+        for c in 0..C {
+            let mut sum = L::from_f16(&self.values[0]).mul(weights[c][0]);
+            for b in 1..B {
+                sum = L::from_f16(&self.values[b]).mul_add(weights[c][b], sum);
+            }
+            f[c] = sum.sum();
         }
-        blocks
+        f
+    }
+
+    #[inline(always)]
+    fn accumulate<L: Lanes>(&self, (): &(), factor: f32, sums: &mut [L; B]) {
+        let factor = L::splat(factor);
+        for b in 0..B {
+            sums[b] = L::from_f16(&self.values[b]).mul_add(factor, sums[b]);
+        }
     }
 }
 
@@ -358,8 +480,9 @@ mod tests {
 
     fn decoded<const B: usize, R: Record<B>>(record: &R) -> Vec<f32> {
         let scale = record.head().scale();
-        record
-            .decode::<Portable>()
+        let mut values = [Portable::splat(0.0); B];
+        record.accumulate(&record.unpack::<Portable>(), 1.0, &mut values);
+        values
             .iter()
             .flat_map(|block| {
                 let mut out = [0.0; 8];

@@ -20,6 +20,11 @@ pub trait Lanes: Copy {
     fn mul_add(self, b: Self, c: Self) -> Self;
     /// Sum of the lanes, ((0+4)+(2+6)) + ((1+5)+(3+7)).
     fn sum(self) -> f32;
+    /// `a · b + c` of single numbers, as [`Lanes::mul_add`] rounds it.
+    fn fused(a: f32, b: f32, c: f32) -> f32;
+    /// Asks for what lies `distance` values after `value` to be brought near; it need not exist.
+    #[inline(always)]
+    fn prefetch<T>(_value: &T, _distance: usize) {}
 }
 
 /// Plain arrays.
@@ -41,7 +46,7 @@ impl Lanes for Portable {
     }
     #[inline(always)]
     fn from_f16(bits: &[u16; 8]) -> Self {
-        Self(bits.map(|b| half::f16::from_bits(b).to_f32_const()))
+        Self(bits.map(widened))
     }
     #[inline(always)]
     fn mul(self, other: Self) -> Self {
@@ -56,6 +61,25 @@ impl Lanes for Portable {
         let v = self.0;
         ((v[0] + v[4]) + (v[2] + v[6])) + ((v[1] + v[5]) + (v[3] + v[7]))
     }
+    #[inline(always)]
+    fn fused(a: f32, b: f32, c: f32) -> f32 {
+        a * b + c
+    }
+}
+
+/// A finite number in half precision, without a branch, so that compilers vectorise it.
+#[inline(always)]
+fn widened(half: u16) -> f32 {
+    const SMALLEST_NORMAL: u32 = (127 - 14) << 23;
+    let magnitude = u32::from(half & 0x7fff) << 13;
+    let normal = f32::from_bits(magnitude + ((127 - 15) << 23));
+    let subnormal = f32::from_bits(magnitude | SMALLEST_NORMAL) - f32::from_bits(SMALLEST_NORMAL);
+    let value = if half & 0x7c00 == 0 {
+        subnormal
+    } else {
+        normal
+    };
+    f32::from_bits(value.to_bits() | u32::from(half & 0x8000) << 16)
 }
 
 /// One AVX register.
@@ -106,6 +130,16 @@ mod avx2 {
                 let two = _mm_add_ps(four, _mm_movehl_ps(four, four));
                 _mm_cvtss_f32(_mm_add_ss(two, _mm_shuffle_ps::<1>(two, two)))
             }
+        }
+        #[inline(always)]
+        fn fused(a: f32, b: f32, c: f32) -> f32 {
+            unsafe { _mm_cvtss_f32(_mm_fmadd_ss(_mm_set_ss(a), _mm_set_ss(b), _mm_set_ss(c))) }
+        }
+        #[inline(always)]
+        fn prefetch<T>(value: &T, distance: usize) {
+            let address = std::ptr::from_ref(value).wrapping_add(distance);
+            // Never read through: any address will do.
+            unsafe { _mm_prefetch::<_MM_HINT_T0>(address.cast()) }
         }
     }
 }

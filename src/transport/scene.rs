@@ -32,14 +32,16 @@ pub struct Body {
     pub brdf: Arc<dyn Brdf>,
 }
 
-/// A sample of one uniform material, known bodies, a camera and lamps.
+/// A sample of one uniform material, known bodies, a camera and lamps. Clones share
+/// the surfaces, so that one sample can be seen from many places.
+#[derive(Clone)]
 pub struct Scene {
-    sample: Mesh,
-    bvh: Bvh,
+    sample: Arc<Mesh>,
+    bvh: Arc<Bvh>,
     /// Per triangle: the sample's first, then the bodies'.
-    facets: Vec<Facet>,
+    facets: Arc<[Facet]>,
     /// Corners' normals of the triangles that are shaded smoothly.
-    corner_normals: Vec<[Vec3; 3]>,
+    corner_normals: Arc<[[Vec3; 3]]>,
     bodies: Vec<Arc<dyn Brdf>>,
     /// The camera.
     pub camera: Camera,
@@ -154,11 +156,11 @@ impl Scene {
             Bvh::new(&Mesh::joined(parts().map(|(mesh, _)| mesh)))
         };
         Self {
-            bvh,
-            facets,
-            corner_normals,
+            bvh: Arc::new(bvh),
+            facets: facets.into(),
+            corner_normals: corner_normals.into(),
             bodies: bodies.into_iter().map(|body| body.brdf).collect(),
-            sample,
+            sample: Arc::new(sample),
             camera,
             lights,
         }

@@ -8,10 +8,15 @@
 
 use std::sync::Arc;
 
+use glam::{DVec2, DVec3};
+use nalgebra::DVector;
 use rig::brdf::{Atom, Dictionary, Mixture};
+use rig::geometry::Shape;
+use rig::inverse::{Channels, objective::Objective};
+use rig::radiance_image::RadianceImage;
 use rig::transport::{
-    Cache, CacheOptions, Camera, DirectMatrix, Kernel, Proposal, RenderOptions, Scene, Shading,
-    render,
+    Cache, CacheOptions, Camera, DirectMatrix, Kernel, Projection, Proposal, RenderOptions, Scene,
+    Shading, render,
 };
 
 use super::references::{above, mesh, sun};
@@ -96,37 +101,49 @@ fn without_last(groups: &[[Vec<f64>; 2]], weight: f64) -> Vec<Vec<f64>> {
     groups.iter().map(one).collect()
 }
 
-/// A hemisphere under coaxial light: order k ≥ 2 is (ρ/π)(ρ/4)(ρ/2)^(k−2) everywhere.
-#[test]
-fn the_lambertian_bowl_has_its_closed_derivative() {
-    let camera = Camera {
-        resolution_px: [16, 16],
-        ..Camera::looking_at(
-            [16, 16],
-            rig::transport::Projection::Orthographic {
-                extent_mm: glam::DVec2::splat(1.3),
-            },
-            glam::DVec3::new(0.0, 0.0, 5.0),
-            glam::DVec3::ZERO,
-            glam::DVec3::Y,
-        )
-        .unwrap()
-    };
-    let bowl = rig::geometry::Shape::Bowl {
+/// A hemisphere seen from above within its rim, under coaxial light, and the dictionary of
+/// one grey atom beside black.
+fn grey_bowl(pixels: usize) -> (Scene, Arc<Dictionary>) {
+    let camera = Camera::looking_at(
+        [pixels, pixels],
+        Projection::Orthographic {
+            extent_mm: DVec2::splat(1.3),
+        },
+        DVec3::new(0.0, 0.0, 5.0),
+        DVec3::ZERO,
+        DVec3::Y,
+    );
+    let bowl = Shape::Bowl {
         radius_mm: 1.0,
         segments: 256,
     };
+    let lights = vec![sun(0.0, 0.0)];
     let scene = Scene::new(
         bowl.mesh().unwrap(),
         Shading::Smooth,
-        camera,
-        vec![sun(0.0, 0.0)],
+        camera.unwrap(),
+        lights,
     );
-    let grey = vec![Atom::Lambertian { albedo: 1.0 }, Atom::Black];
-    let dictionary = Arc::new(Dictionary::new("grey", grey).unwrap());
-    let rho = 0.9f64;
+    let atoms = vec![Atom::Lambertian { albedo: 1.0 }, Atom::Black];
+    let dictionary = Dictionary::new("grey", atoms).unwrap();
+    (scene, Arc::new(dictionary))
+}
+
+/// Radiance of 2 to `longest` reflections in the grey bowl under unit irradiance, and its
+/// derivative: order k is (ρ/π)(ρ/4)(ρ/2)^(k−2) everywhere.
+fn grey_bowl_radiance(rho: f64, longest: i32) -> [f64; 2] {
     let order = |k: i32| rho / std::f64::consts::PI * rho / 4.0 * (rho / 2.0).powi(k - 2);
-    let exact: f64 = (2..=12).map(|k| f64::from(k) * order(k) / rho).sum();
+    [
+        (2..=longest).map(order).sum(),
+        (2..=longest).map(|k| f64::from(k) * order(k) / rho).sum(),
+    ]
+}
+
+#[test]
+fn the_lambertian_bowl_has_its_closed_derivative() {
+    let (scene, dictionary) = grey_bowl(16);
+    let rho = 0.9f64;
+    let [_, exact] = grey_bowl_radiance(rho, 12);
     let exact = vec![vec![exact; 256]];
     let groups: Vec<_> = (0..GROUPS)
         .map(|seed| cached(&scene, &dictionary, rho, 100 + seed))
@@ -137,6 +154,78 @@ fn the_lambertian_bowl_has_its_closed_derivative() {
     assert!(agrees(p), "{p:?}");
     let mutant = compare(&without_last(&groups, rho), &exact, 2e-4);
     assert!(!agrees(mutant) && mutant[0] < 1e-6, "{mutant:?}");
+}
+
+/// With few paths per pixel the gradient of the squared loss has the expectation that the
+/// noiseless image gives, (model − target)·derivative: zero where the target is the truth.
+/// Residual and derivative from the same paths would miss it by their covariance.
+#[test]
+fn the_gradient_of_the_loss_is_unbiased() {
+    const SEEDS: u64 = 64;
+    const PIXELS: usize = 8;
+    let (scene, dictionary) = grey_bowl(PIXELS);
+    let rho = 0.8f64;
+    let mixture = [DVector::from_vec(vec![rho, 1.0 - rho])];
+    let [multiple, derivative] = grey_bowl_radiance(rho, 12);
+    let direct = DirectMatrix::new(&scene, &dictionary, 16, 3);
+    for brightness in [1.0, 0.8] {
+        let mut target = RadianceImage::new(PIXELS, PIXELS);
+        let mut expected = 0.0;
+        for (pixel, target) in target.mean.iter_mut().enumerate() {
+            let first = f64::from(direct.row(pixel, 0)[0]);
+            let truth = first * rho + multiple;
+            *target = [(brightness * truth) as f32; 3];
+            // Minus the gradient, as the quadratic holds it; three channels share the weights.
+            let residual = truth - f64::from(target[0]);
+            expected -= 3.0 * residual * (first + derivative);
+        }
+        let weights = vec![vec![[1.0; 3]; PIXELS * PIXELS]];
+        let [mut unbiased, mut same_paths] = [Vec::new(), Vec::new()];
+        for seed in 0..SEEDS {
+            let options = CacheOptions {
+                samples_per_pixel: 8,
+                max_reflections: 12,
+                seed: 500 + seed,
+                ..CacheOptions::default()
+            };
+            let cache = Cache::trace(&scene, &dictionary, &options).unwrap();
+            let objective = Objective::new(
+                &cache,
+                &direct,
+                std::slice::from_ref(&target),
+                None,
+                Channels::Shared,
+                Kernel::detect(),
+                0.0,
+            );
+            unbiased.push(objective.linearise(&mixture, &weights).quadratics[0].g[0]);
+            let parts = cache.evaluate(
+                Kernel::detect(),
+                &[mixture[0].as_slice()],
+                || 0.0,
+                |sum, rows| {
+                    let mean = |pair: [f32; 2]| 0.5 * f64::from(pair[0] + pair[1]);
+                    let first = f64::from(direct.row(rows.pixel, 0)[0]);
+                    let model = first * rho + mean(rows.value.map(|v| v[0]));
+                    let residual = model - f64::from(target.mean[rows.pixel][0]);
+                    *sum -= 3.0 * residual * (first + mean(rows.jacobian.map(|j| j[0])));
+                },
+            );
+            same_paths.push(parts.iter().sum::<f64>());
+        }
+        let deviates = [&unbiased, &same_paths].map(|gradients| {
+            let n = SEEDS as f64;
+            let mean = gradients.iter().sum::<f64>() / n;
+            let variance = gradients.iter().map(|g| (g - mean).powi(2)).sum::<f64>();
+            let error = (variance / (n * (n - 1.0))).sqrt();
+            normal_score((mean - expected) / error, n - 1.0)
+        });
+        println!("target {brightness} x truth: deviates {deviates:.2?}");
+        // Two targets at a family significance of 1%.
+        let p = deviates.map(two_sided);
+        assert!(p[0] > sidak(0.01, 2), "{deviates:?}");
+        assert!(p[1] < 1e-6, "the covariance was not noticed: {deviates:?}");
+    }
 }
 
 /// A GGX lobe in a corner: central differences of the plain renderer's images in the

@@ -229,6 +229,34 @@ fn a_fitted_session_loads_with_its_fit_and_truth() {
     assert!(error.contains("residual_L001.exr"), "{error}");
 }
 
+/// What the journal does not vouch for is no fit, and no part of one.
+#[test]
+fn a_stray_fit_is_not_seen_and_an_edited_one_is_refused() {
+    let home = tempfile::tempdir().unwrap();
+    let root = session(home.path(), None, true);
+    let stray = root.join("fits/7");
+    std::fs::create_dir(&stray).unwrap();
+    for file in std::fs::read_dir(root.join("fits/0")).unwrap() {
+        let file = file.unwrap();
+        std::fs::copy(file.path(), stray.join(file.file_name())).unwrap();
+    }
+    assert_eq!(load_with(&root, None, 8).unwrap().fit.unwrap().name, "0");
+    let read = fit_record::read_in(&Session::open(&root).unwrap(), 7);
+    let error = read.err().unwrap().to_string();
+    assert!(
+        error.ends_with("is not in the session's journal"),
+        "{error}"
+    );
+    let weights = root.join("fits/0/weights.csv");
+    let text = std::fs::read_to_string(&weights).unwrap();
+    std::fs::write(&weights, text.replace("0.5", "0.50")).unwrap();
+    let error = load_with(&root, None, 8).err().unwrap().to_string();
+    assert!(
+        error.contains("weights.csv") && error.contains("SHA-256"),
+        "{error}"
+    );
+}
+
 #[test]
 fn a_truth_that_cannot_be_evaluated_is_said_and_takes_only_the_comparison() {
     let home = tempfile::tempdir().unwrap();

@@ -3,7 +3,7 @@
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, VPos};
 
-use super::axis::Axis;
+use super::Axis;
 use super::{CHANNELS, PlotError, TEXT, UNITS, draw, draw_axes, stroke, text_style};
 
 /// One row of [`bars`].

@@ -2,7 +2,7 @@
 
 use plotters::prelude::*;
 
-use super::axis::Axis;
+use super::Axis;
 use super::{PlotError, UNITS, draw, draw_axes};
 use crate::report::images::{self, Picture};
 

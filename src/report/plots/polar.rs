@@ -5,7 +5,7 @@ use std::ops::Range;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, VPos};
 
-use super::axis::power_of_ten;
+use super::power_of_ten;
 use super::{GRID, MUTED, PlotError, TEXT, UNITS, dashes, draw, stroke, text_style};
 
 /// One channel of a polar plot: angle from the normal in degrees (negative on

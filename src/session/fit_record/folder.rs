@@ -8,12 +8,12 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use super::{
-    FIT_FILE, FORMAT, FitImages, FitRecord, FitRecordError, FitSettings, ScoreSheet, Timing,
-    Warning, check, out_of_range, tables,
+    BenchRecord, FIT_FILE, FORMAT, FitImages, FitRecord, FitRecordError, FitSettings, ScoreSheet,
+    Timing, Warning, check, out_of_range, tables,
 };
 use crate::radiance_image::exr;
-use crate::session::SessionWriter;
 use crate::session::layout::FITS_FOLDER;
+use crate::session::{Session, SessionWriter};
 
 /// The part of the record that is `fit.toml`.
 #[derive(Serialize, Deserialize)]
@@ -32,6 +32,7 @@ struct FitToml {
     #[serde(default)]
     warning: Vec<Warning>,
     score: Option<ScoreSheet>,
+    bench: Option<BenchRecord>,
 }
 
 /// The fit's files by name, `fit.toml` last.
@@ -142,16 +143,45 @@ fn image_name(kind: &str, light: usize) -> String {
     format!("{kind}_L{light:03}.exr")
 }
 
-/// Reads a fit's folder, without its images.
+/// Reads a fit's folder outside a session, without its images.
 ///
 /// # Errors
 /// Names the file and the key or column that is missing or wrong.
 pub fn read(folder: &Path) -> Result<FitRecord, FitRecordError> {
+    parse(folder, |path, _| {
+        std::fs::read(path).map_err(|source| FitRecordError::Io {
+            path: path.to_path_buf(),
+            source,
+        })
+    })
+}
+
+/// Reads a fit of a session, without its images; every file must be the one that
+/// the journal vouches for.
+///
+/// # Errors
+/// A file without a journal record or with other bytes, or one that does not parse.
+pub fn read_in(session: &Session, number: u32) -> Result<FitRecord, FitRecordError> {
+    let folder = session.root().join(FITS_FOLDER).join(number.to_string());
+    parse(&folder, |_, name| {
+        Ok(session.read_file(&inside(number, name))?)
+    })
+}
+
+/// `load` gives the bytes of a path and name.
+fn parse(
+    folder: &Path,
+    load: impl Fn(&Path, &str) -> Result<Vec<u8>, FitRecordError>,
+) -> Result<FitRecord, FitRecordError> {
     let text = |name: &str| {
         let path = folder.join(name);
-        match std::fs::read_to_string(&path) {
+        let bytes = load(&path, name)?;
+        match String::from_utf8(bytes) {
             Ok(text) => Ok((path, text)),
-            Err(source) => Err(FitRecordError::Io { path, source }),
+            Err(error) => Err(FitRecordError::Io {
+                path,
+                source: std::io::Error::new(std::io::ErrorKind::InvalidData, error.utf8_error()),
+            }),
         }
     };
     let (toml_path, toml_text) = text(FIT_FILE)?;
@@ -178,12 +208,13 @@ pub fn read(folder: &Path) -> Result<FitRecord, FitRecordError> {
         score: toml.score,
         table,
         warnings: toml.warning,
+        bench: toml.bench,
     };
     check(folder, &record)?;
     Ok(record)
 }
 
-/// Reads the images of a fit, as many lights as there are files.
+/// Reads the images of a fit outside a session, as many lights as there are files.
 ///
 /// # Errors
 /// An image that is there but cannot be read.
@@ -201,11 +232,46 @@ pub fn read_images(folder: &Path) -> Result<FitImages, FitRecordError> {
     })
 }
 
-/// The fits of a session by number, lowest first: its folders `fits/<n>`.
-pub fn list(session: &Path) -> Vec<(u32, PathBuf)> {
-    let mut found = numbered(session);
-    found.retain(|(_, path)| path.join(FIT_FILE).exists());
-    found
+/// Reads the images of a session's fit, as many lights as the journal knows.
+///
+/// # Errors
+/// An image whose bytes are not the journalled ones, or that cannot be read.
+pub fn read_images_in(session: &Session, number: u32) -> Result<FitImages, FitRecordError> {
+    let series = |kind: &str| {
+        (0..)
+            .map(|light| inside(number, &image_name(kind, light)))
+            .take_while(|path| session.vouches_for(path))
+            .map(|path| {
+                let bytes = session.read_file(&path)?;
+                Ok(exr::decode(&bytes, &session.root().join(&path))?.image)
+            })
+            .collect::<Result<Vec<_>, FitRecordError>>()
+    };
+    Ok(FitImages {
+        rendered: series("rendered")?,
+        residual: series("residual")?,
+    })
+}
+
+fn inside(number: u32, name: &str) -> String {
+    format!("{FITS_FOLDER}/{number}/{name}")
+}
+
+/// The numbers of a session's fits, lowest first: those whose `fit.toml`, the last
+/// file to be written, is journalled.
+pub fn numbers_in(session: &Session) -> Vec<u32> {
+    let mut numbers: Vec<u32> = session
+        .journal()
+        .files()
+        .iter()
+        .filter_map(|file| {
+            let inside = file.path.strip_prefix(FITS_FOLDER)?.strip_prefix('/')?;
+            let number = inside.strip_suffix(FIT_FILE)?.strip_suffix('/')?;
+            number.parse().ok()
+        })
+        .collect();
+    numbers.sort_unstable();
+    numbers
 }
 
 fn numbered(session: &Path) -> Vec<(u32, PathBuf)> {
@@ -239,6 +305,7 @@ fn to_toml(record: &FitRecord) -> String {
         timing: record.timings.clone(),
         warning: record.warnings.clone(),
         score: record.score.clone(),
+        bench: record.bench.clone(),
     };
     toml::to_string(&toml).expect("plain data with string keys is always TOML")
 }

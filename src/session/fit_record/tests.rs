@@ -76,6 +76,20 @@ fn sample() -> FitRecord {
             what: "residuals follow the crease".to_owned(),
             likely_cause: "pose error".to_owned(),
         }],
+        bench: Some(BenchRecord {
+            rounds: 3,
+            settled: true,
+            residual_described: 0.4,
+            residual_refined: -0.01,
+            held: vec!["rotation about z".to_owned()],
+            parameter: vec![BenchParameter {
+                name: "azimuth of light 0".to_owned(),
+                unit: "deg".to_owned(),
+                value: -0.12,
+                deviation: 0.03,
+                prior_deviation: 0.3,
+            }],
+        }),
     }
 }
 

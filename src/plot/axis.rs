@@ -7,9 +7,9 @@ use plotters::coord::ranged1d::{KeyPointHint, NoDefaultFormatting, Ranged, Value
 /// One axis: its range, where its ticks stand and what they say.
 #[derive(Clone, Debug)]
 pub struct Axis {
-    pub(super) range: Range<f64>,
+    pub(crate) range: Range<f64>,
     ticks: Vec<(f64, String)>,
-    pub(super) label: String,
+    pub(crate) label: String,
 }
 
 impl Axis {
@@ -81,8 +81,22 @@ impl Axis {
         (theta_h_deg.max(0.0) / 90.0).sqrt()
     }
 
+    /// Positions and what stands there.
+    pub fn ticks(&self) -> &[(f64, String)] {
+        &self.ticks
+    }
+
+    /// With ticks of one's own.
+    pub fn with_ticks(range: Range<f64>, ticks: Vec<(f64, String)>, label: &str) -> Self {
+        Self {
+            range,
+            ticks,
+            label: label.to_owned(),
+        }
+    }
+
     /// No ticks, no label.
-    pub(super) fn bare(range: Range<f64>) -> Self {
+    pub(crate) fn bare(range: Range<f64>) -> Self {
         Self {
             range,
             ticks: Vec::new(),

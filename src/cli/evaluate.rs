@@ -1,0 +1,157 @@
+//! `rig evaluate`: the paper's experiments and ours.
+
+use std::path::PathBuf;
+
+use super::interrupt::end_on_signal;
+use super::{CliError, Context, light_choice, output};
+use crate::evaluate::experiment::{EvaluateError, Overrides, Run, run as run_experiment};
+use crate::evaluate::lab::Lab;
+use crate::evaluate::{EXPERIMENTS, find};
+use crate::out;
+
+/// Runs an experiment against a known truth: a table (CSV, JSON) and figures (SVG, PNG).
+#[derive(clap::Args, Debug)]
+pub struct EvaluateArgs {
+    /// Which one, see --list
+    #[arg(
+        value_name = "NAME",
+        required_unless_present = "list",
+        conflicts_with = "list"
+    )]
+    name: Option<String>,
+    /// All experiments and what they show
+    #[arg(long)]
+    list: bool,
+    /// Folder for the results; a further run with the same settings completes what it holds
+    #[arg(
+        long,
+        value_name = "DIR",
+        required_unless_present_any = ["list", "session"],
+        conflicts_with_all = ["list", "session"]
+    )]
+    out: Option<PathBuf>,
+    /// With next-light: a fitted session, to say which lights would add most to it
+    #[arg(long, value_name = "SESSION", conflicts_with = "list")]
+    session: Option<PathBuf>,
+    /// Materials: bundled, mirrors, synthetic, in-span, nbrdf:NAME, synthetic:NAME, or files (.binary, .bsdf, …)
+    #[arg(long, value_name = "M", num_args = 1.., value_delimiter = ',')]
+    materials: Option<Vec<String>>,
+    /// paper42, grid42, or a dictionary file
+    #[arg(long, value_name = "D")]
+    dictionary: Option<String>,
+    /// Pixels per side of the captured images, 4 to 4096
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(4..=4096))]
+    resolution: Option<u64>,
+    /// Light paths per pixel of the fit, 2 to 65536; the true images get four times as many
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=65_536))]
+    spp: Option<u32>,
+    /// Most lights, 1 to 64
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=64))]
+    lights: Option<u64>,
+    /// Seed of all random numbers
+    #[arg(long, value_name = "S", value_parser = clap::value_parser!(u64).range(0..=i64::MAX as u64))]
+    seed: Option<u64>,
+    /// A small version that shows the experiment works
+    #[arg(long)]
+    quick: bool,
+    /// Forget what the folder holds of an earlier run
+    #[arg(long)]
+    restart: bool,
+    /// Only instructions that every machine has: the same numbers anywhere
+    #[arg(long)]
+    portable: bool,
+    /// The table as JSON on stdout
+    #[arg(long)]
+    json: bool,
+}
+
+/// `rig evaluate`.
+pub fn run(args: &EvaluateArgs, context: &Context) -> Result<(), CliError> {
+    if let Some(session) = &args.session {
+        return match args.name.as_deref() {
+            Some("next-light") => light_choice::next(session, args.json, context),
+            _ => Err(CliError::new("--session belongs to next-light alone")
+                .hint("`rig evaluate next-light --session SESSION`")),
+        };
+    }
+    let (Some(name), Some(folder)) = (&args.name, &args.out) else {
+        return list(args.json);
+    };
+    let experiment = find(name)?;
+    let overrides = Overrides {
+        materials: args.materials.clone(),
+        resolution_px: args.resolution.map(|n| n as usize),
+        samples_per_pixel: args.spp,
+        lights: args.lights.map(|n| n as usize),
+        seed: args.seed,
+        dictionary: args.dictionary.clone(),
+        quick: args.quick,
+        portable: args.portable,
+    };
+    let lab = Lab::new(experiment, &overrides)?;
+    // Finished cases are on disk already: the run may end at any moment.
+    let shown = folder.display().to_string();
+    end_on_signal(context, move |signal| {
+        CliError::interrupted(signal, format!("stopped; {shown} keeps what is finished"))
+            .hint("the same command completes it")
+    })?;
+    let bar = context.bar(0, "cases");
+    let outcome = run_experiment(
+        &Run {
+            experiment,
+            lab: &lab,
+            folder,
+            restart: args.restart,
+        },
+        &|done| {
+            bar.set_length(done.total as u64);
+            bar.set_position(done.finished as u64);
+            if let Some(case) = done.case {
+                bar.set_message(case.to_owned());
+            }
+        },
+    );
+    bar.finish_and_clear();
+    let outcome = outcome.map_err(|error| {
+        let advice = match &error {
+            EvaluateError::SettingsChanged { .. } => {
+                Some("give the earlier settings or another --out, or start anew with --restart")
+            }
+            EvaluateError::ForeignFolder { .. } => {
+                Some("give a folder that is empty or does not exist")
+            }
+            EvaluateError::Locked { .. } => Some("wait for it, or give another --out"),
+            EvaluateError::Journal { .. } => Some("start anew with --restart"),
+            _ => None,
+        };
+        let error = CliError::from(error);
+        match advice {
+            Some(advice) => error.hint(advice),
+            None => error,
+        }
+    })?;
+    if outcome.resumed > 0 {
+        context.note(format!("{} cases were finished before", outcome.resumed));
+    }
+    for file in &outcome.files {
+        context.note(file.display());
+    }
+    if args.json {
+        return output::write_json(&outcome.json);
+    }
+    out!("{}", folder.display())
+}
+
+fn list(json: bool) -> Result<(), CliError> {
+    if json {
+        let all: Vec<_> = EXPERIMENTS
+            .iter()
+            .map(|e| serde_json::json!({ "name": e.name, "shows": e.shows }))
+            .collect();
+        return output::write_json(&serde_json::json!({ "experiments": all }));
+    }
+    for experiment in EXPERIMENTS {
+        out!("{:20} {}", experiment.name, experiment.shows)?;
+    }
+    Ok(())
+}

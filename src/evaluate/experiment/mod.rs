@@ -1,0 +1,185 @@
+//! What every experiment is made of.
+//!
+//! An [`Experiment`] lists independent *cases*, each with a key; running a case gives
+//! rows of a table; figures are drawn from the table alone. [`run`] does the cases on
+//! all cores, keeps every finished one in a journal and skips it the next time.
+//!
+//! A new experiment is one file with a `pub static NAME: Experiment`, and one line in
+//! [`super::EXPERIMENTS`].
+
+mod journal;
+mod run;
+mod settings;
+mod statistics;
+mod table;
+
+pub use run::{Done, Outcome, Run, run};
+pub use settings::{Overrides, Scale, Settings};
+pub use statistics::{Spread, quantile, spread};
+pub use table::{Row, Table, Value};
+
+use std::path::PathBuf;
+
+use super::lab::Lab;
+use crate::plot::Figure;
+
+/// One experiment: what it shows, at which scale, its cases and its figures.
+pub struct Experiment {
+    /// As on the command line.
+    pub name: &'static str,
+    /// What the table and the figures show, one sentence.
+    pub shows: &'static str,
+    /// Settings without options.
+    pub full: Scale,
+    /// Settings with `--quick`: minutes at most on one core.
+    pub quick: Scale,
+    /// The cases of a laboratory's settings; cheap, for nothing is computed yet.
+    pub cases: fn(&Lab) -> Result<Vec<Case>, EvaluateError>,
+    /// The figures of a finished table.
+    pub figures: fn(&Lab, &Table) -> Result<Vec<Figure>, EvaluateError>,
+}
+
+/// What a case does: the same rows for the same laboratory, on any thread.
+type Work = Box<dyn Fn(&Lab) -> Result<Vec<Row>, EvaluateError> + Send + Sync>;
+
+/// One independent part of an experiment.
+pub struct Case {
+    /// Names it in the journal; unique within the experiment, it says all that
+    /// distinguishes the case.
+    pub key: String,
+    work: Work,
+}
+
+impl Case {
+    /// A case whose rows `work` computes.
+    pub fn new(
+        key: impl Into<String>,
+        work: impl Fn(&Lab) -> Result<Vec<Row>, EvaluateError> + Send + Sync + 'static,
+    ) -> Self {
+        Self {
+            key: key.into(),
+            work: Box::new(work),
+        }
+    }
+
+    /// Computes the rows.
+    pub fn run(&self, lab: &Lab) -> Result<Vec<Row>, EvaluateError> {
+        (self.work)(lab)
+    }
+}
+
+/// Why an experiment stopped.
+#[derive(Debug, thiserror::Error)]
+pub enum EvaluateError {
+    /// No experiment of that name.
+    #[error("\"{name}\" is no experiment (known: {known})")]
+    UnknownExperiment {
+        /// As given.
+        name: String,
+        /// What would have been understood.
+        known: String,
+    },
+    /// A setting that the experiment does not have.
+    #[error("experiment {experiment} has no setting {setting}")]
+    Unused {
+        /// The experiment.
+        experiment: &'static str,
+        /// The setting.
+        setting: &'static str,
+    },
+    /// A material that no reader knows.
+    #[error("material \"{spec}\" is unknown (known: {known})")]
+    UnknownMaterial {
+        /// As given.
+        spec: String,
+        /// What would have been understood.
+        known: String,
+    },
+    /// Two materials of one name.
+    #[error("two materials are called \"{name}\"")]
+    SameName {
+        /// The name.
+        name: String,
+    },
+    /// The output folder holds something else.
+    #[error("{}: not empty, and no experiment's folder", path.display())]
+    ForeignFolder {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// The output folder holds cases that were run with other settings.
+    #[error("{}: begun with other settings: {differences}", path.display())]
+    SettingsChanged {
+        /// The folder.
+        path: PathBuf,
+        /// Each setting that differs, then and now.
+        differences: String,
+    },
+    /// Another process writes into the folder.
+    #[error("{}: another process is at work in this folder", path.display())]
+    Locked {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// The journal is damaged before its last line.
+    #[error("{}, line {line}: {fact}", path.display())]
+    Journal {
+        /// The journal.
+        path: PathBuf,
+        /// From 1.
+        line: usize,
+        /// What is wrong.
+        fact: String,
+    },
+    /// The operating system refused.
+    #[error("{}: {source}", path.display())]
+    Io {
+        /// The file or folder.
+        path: PathBuf,
+        /// Its reason.
+        source: std::io::Error,
+    },
+    /// A case failed.
+    #[error("case {key}")]
+    Case {
+        /// The case.
+        key: String,
+        /// Why.
+        source: Box<EvaluateError>,
+    },
+    /// A case has no result where there should be one.
+    #[error("{0}")]
+    Fact(String),
+    /// A BRDF.
+    #[error(transparent)]
+    Brdf(#[from] crate::brdf::BrdfError),
+    /// A projection.
+    #[error(transparent)]
+    Projection(#[from] crate::inverse::projection::ProjectionError),
+    /// A quadratic programme.
+    #[error(transparent)]
+    Simplex(#[from] crate::inverse::simplex::SimplexError),
+    /// A fit.
+    #[error(transparent)]
+    Fit(#[from] crate::inverse::fit::FitError),
+    /// Paths.
+    #[error(transparent)]
+    Cache(#[from] crate::transport::cache::CacheError),
+    /// A merge of exposures.
+    #[error(transparent)]
+    Merge(#[from] crate::radiometry::merge::MergeError),
+    /// A shape.
+    #[error(transparent)]
+    Mesh(#[from] crate::geometry::MeshError),
+    /// A figure.
+    #[error(transparent)]
+    Plot(#[from] crate::plot::PlotError),
+}
+
+impl EvaluateError {
+    /// For `map_err` beside a path.
+    pub(crate) fn io(path: impl Into<PathBuf>) -> impl FnOnce(std::io::Error) -> Self {
+        let path = path.into();
+        move |source| Self::Io { path, source }
+    }
+}

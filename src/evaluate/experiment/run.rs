@@ -1,0 +1,153 @@
+//! Runs an experiment's cases and writes what comes out.
+
+use std::collections::HashSet;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+
+use super::journal::Journal;
+use super::{EvaluateError, Experiment, Row, Table};
+use crate::evaluate::lab::Lab;
+use crate::whole_file;
+
+/// What to run, and where the results go.
+pub struct Run<'a> {
+    /// The experiment.
+    pub experiment: &'static Experiment,
+    /// Its settings and materials.
+    pub lab: &'a Lab,
+    /// Folder for journal, tables and figures; made if it is not there.
+    pub folder: &'a Path,
+    /// Forget the cases that the folder holds.
+    pub restart: bool,
+}
+
+/// How far a run is.
+#[derive(Clone, Debug)]
+pub struct Done<'a> {
+    /// Cases finished, in this run or before.
+    pub finished: usize,
+    /// All cases.
+    pub total: usize,
+    /// The one that has just finished; `None` at the start.
+    pub case: Option<&'a str>,
+}
+
+/// What a run leaves.
+#[derive(Debug)]
+pub struct Outcome {
+    /// All rows.
+    pub table: Table,
+    /// The table's JSON, as written.
+    pub json: serde_json::Value,
+    /// Files written, tables first.
+    pub files: Vec<PathBuf>,
+    /// Cases that earlier runs had finished.
+    pub resumed: usize,
+}
+
+/// Does all cases that the folder does not hold yet, on as many threads as the pool
+/// has, then writes `table.csv`, `table.json` and the figures. `progress` is told of
+/// every finished case. Whatever ends the process leaves a folder that a further run
+/// completes.
+///
+/// # Errors
+/// The first case that fails ends the run; those in progress are kept.
+pub fn run(run: &Run<'_>, progress: &(dyn Fn(&Done) + Sync)) -> Result<Outcome, EvaluateError> {
+    let (experiment, lab) = (run.experiment, run.lab);
+    let cases = (experiment.cases)(lab)?;
+    let mut keys = HashSet::new();
+    if let Some(twice) = cases.iter().find(|case| !keys.insert(&case.key)) {
+        return Err(EvaluateError::Fact(format!(
+            "experiment {} has two cases \"{}\"",
+            experiment.name, twice.key
+        )));
+    }
+    let journal = Journal::open(run.folder, &lab.settings, run.restart)?;
+    let open: Vec<_> = cases
+        .iter()
+        .filter(|case| journal.rows(&case.key).is_none())
+        .collect();
+    let resumed = cases.len() - open.len();
+    progress(&Done {
+        finished: resumed,
+        total: cases.len(),
+        case: None,
+    });
+
+    let journal = Mutex::new(journal);
+    let failure = Mutex::new(None);
+    let (next, finished) = (AtomicUsize::new(0), AtomicUsize::new(resumed));
+    let failed = AtomicBool::new(false);
+    // Threads of their own take cases, so that never more are in progress than there
+    // are cores; what is parallel inside a case runs on the common pool.
+    let worker = || {
+        while !failed.load(Ordering::Relaxed) {
+            let Some(case) = open.get(next.fetch_add(1, Ordering::Relaxed)) else {
+                break;
+            };
+            let kept = case.run(lab).and_then(|rows| {
+                let mut journal = journal.lock().unwrap_or_else(|e| e.into_inner());
+                journal.finish(&case.key, rows)
+            });
+            match kept {
+                Ok(()) => progress(&Done {
+                    finished: finished.fetch_add(1, Ordering::Relaxed) + 1,
+                    total: cases.len(),
+                    case: Some(&case.key),
+                }),
+                Err(error) => {
+                    failed.store(true, Ordering::Relaxed);
+                    let mut failure = failure.lock().unwrap_or_else(|e| e.into_inner());
+                    failure.get_or_insert(EvaluateError::Case {
+                        key: case.key.clone(),
+                        source: Box::new(error),
+                    });
+                }
+            }
+        }
+    };
+    std::thread::scope(|scope| {
+        for _ in 0..rayon::current_num_threads().min(open.len()) {
+            scope.spawn(worker);
+        }
+    });
+    if let Some(error) = failure.into_inner().unwrap_or_else(|e| e.into_inner()) {
+        return Err(error);
+    }
+
+    let journal = journal.into_inner().unwrap_or_else(|e| e.into_inner());
+    let rows: Vec<Row> = cases
+        .iter()
+        .filter_map(|case| journal.rows(&case.key))
+        .flatten()
+        .cloned()
+        .collect();
+    let table = Table { rows };
+    let json = serde_json::json!({
+        "experiment": experiment.name,
+        "shows": experiment.shows,
+        "settings": lab.settings,
+        "columns": table.columns(),
+        "rows": table.rows,
+    });
+    let mut files = Vec::new();
+    let mut keep = |name: String, bytes: &[u8]| {
+        let path = run.folder.join(name);
+        whole_file::replace(&path, |out| out.write_all(bytes)).map_err(EvaluateError::io(&path))?;
+        files.push(path);
+        Ok::<_, EvaluateError>(())
+    };
+    keep("table.csv".into(), table.to_csv().as_bytes())?;
+    keep("table.json".into(), format!("{json:#}\n").as_bytes())?;
+    for figure in (experiment.figures)(lab, &table)? {
+        keep(format!("{}.svg", figure.name), figure.svg.as_bytes())?;
+        keep(format!("{}.png", figure.name), &figure.png()?)?;
+    }
+    Ok(Outcome {
+        table,
+        json,
+        files,
+        resumed,
+    })
+}

@@ -1,0 +1,128 @@
+//! Images of the truth, and the fit to them.
+//!
+//! Truth and fit never share what would make the problem too easy: the true images have
+//! another seed, a finer mesh, another renderer and more paths.
+
+use std::sync::Arc;
+
+use super::{Lab, Sample};
+use crate::brdf::{Brdf, Dictionary, Mixture};
+use crate::evaluate::experiment::EvaluateError;
+use crate::inverse::{Fit, FitOptions, fit};
+use crate::radiance_image::RadianceImage;
+use crate::transport::{CacheOptions, Light, RenderOptions, Scene, render, suited_proposal};
+
+/// Seeds of the truth lie far from those of fits.
+const TRUTH: u64 = 0x7275_7468;
+
+impl Lab {
+    /// Images of `brdf` on the true shape, one per light, with the render's variance.
+    pub fn capture(
+        &self,
+        sample: Sample,
+        lights: &[Light],
+        brdf: &dyn Brdf,
+    ) -> Result<Vec<RadianceImage>, EvaluateError> {
+        let scene = sample.true_scene(self.settings.resolution_px, lights.to_vec())?;
+        Ok(self.render_truth(&scene, brdf))
+    }
+
+    /// Images of a scene with the truth's seed and number of paths.
+    pub fn render_truth(&self, scene: &Scene, brdf: &dyn Brdf) -> Vec<RadianceImage> {
+        render(scene, brdf, &self.truth_options(scene, brdf), &|_| {})
+    }
+
+    /// Options of a render of the truth.
+    pub fn truth_options(&self, scene: &Scene, brdf: &dyn Brdf) -> RenderOptions {
+        let mut options = RenderOptions {
+            samples_per_pixel: self.settings.truth_samples_per_pixel.max(2),
+            max_reflections: self.settings.max_reflections,
+            seed: self.settings.seed.wrapping_add(TRUTH),
+            ..RenderOptions::default()
+        };
+        options.proposal = suited_proposal(scene, brdf, &options);
+        options
+    }
+
+    /// Options of a fit: the settings' paths, seed and kernel; no draws, for scores need
+    /// none.
+    pub fn fit_options(&self) -> FitOptions {
+        FitOptions {
+            cache: CacheOptions {
+                samples_per_pixel: self.settings.samples_per_pixel,
+                max_reflections: self.settings.max_reflections,
+                seed: self.settings.seed,
+                ..CacheOptions::default()
+            },
+            draws: 0,
+            kernel: self.kernel,
+            ..FitOptions::default()
+        }
+    }
+
+    /// Fits the laboratory's dictionary to images of `sample` under `lights`.
+    pub fn fit(
+        &self,
+        sample: Sample,
+        lights: &[Light],
+        captured: &[RadianceImage],
+    ) -> Result<Estimate, EvaluateError> {
+        let scene = sample.scene(self.settings.resolution_px, lights.to_vec())?;
+        self.fit_scene(&scene, captured)
+    }
+
+    /// Fits the laboratory's dictionary to images of any scene.
+    pub fn fit_scene(
+        &self,
+        scene: &Scene,
+        captured: &[RadianceImage],
+    ) -> Result<Estimate, EvaluateError> {
+        self.fit_with(scene, captured, &self.dictionary, &self.fit_options())
+    }
+
+    /// Fits any dictionary to images of any scene.
+    pub fn fit_with(
+        &self,
+        scene: &Scene,
+        captured: &[RadianceImage],
+        dictionary: &Arc<Dictionary>,
+        options: &FitOptions,
+    ) -> Result<Estimate, EvaluateError> {
+        let fit = fit(scene, captured, dictionary, options, &mut |_| {})?;
+        Ok(Estimate {
+            mixture: Mixture::new(dictionary.clone(), fit.weights.clone())?,
+            start: Mixture::new(dictionary.clone(), fit.start.clone())?,
+            fit,
+        })
+    }
+
+    /// Captures a material on a sample under its first `lights` and fits.
+    pub fn measure(
+        &self,
+        sample: Sample,
+        lights: usize,
+        brdf: &Arc<dyn Brdf>,
+    ) -> Result<Estimate, EvaluateError> {
+        let lights = sample.lights(lights);
+        let captured = self.capture(sample, &lights, &**brdf)?;
+        self.fit(sample, &lights, &captured)
+    }
+}
+
+/// What a fit found.
+pub struct Estimate {
+    /// The estimate.
+    pub mixture: Mixture,
+    /// The single-bounce start.
+    pub start: Mixture,
+    /// The fit itself.
+    pub fit: Fit,
+}
+
+impl Estimate {
+    /// Mean squared residual in standard deviations, over lights and channels.
+    pub fn mean_reduced_chi2(&self) -> f64 {
+        let all = self.fit.reduced_chi2.as_flattened();
+        all.iter().sum::<f64>() / all.len().max(1) as f64
+    }
+}

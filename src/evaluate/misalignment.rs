@@ -1,0 +1,259 @@
+//! What an inexactly known bench costs, and what refining it gives back.
+
+use nalgebra::DVector;
+
+use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table, quantile};
+use super::lab::{Lab, Material, Sample};
+use crate::brdf::Mixture;
+use crate::inverse::bench::{Bench, Parameter};
+use crate::inverse::{BenchPriors, RefineOptions, fit, refine_bench};
+use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
+use crate::random::{Purpose, Stream, stream};
+use crate::simulation::photograph::Photographer;
+use crate::transport::{RenderOptions, Scene, render};
+
+/// Captures on benches that differ from their description, fitted on the true bench, on
+/// the described one, and with the bench refined.
+pub static MISALIGNMENT: Experiment = Experiment {
+    name: "misalignment",
+    shows: "Error on a bench whose lights are off by 0.5°, intensities by 2%, pose by 0.6% of the sample's width and 0.3°: with the bench known, as described, and refined",
+    full: Scale {
+        lights: 4,
+        materials: &[
+            "in-span:01",
+            "in-span:06",
+            "in-span:11",
+            "in-span:16",
+            "nbrdf:blue-acrylic",
+            "nbrdf:red-plastic",
+            "nbrdf:pvc",
+            "synthetic:cream-satin",
+        ],
+        ..Scale::SINGLE_IMAGE
+    },
+    quick: Scale {
+        lights: 2,
+        materials: &["nbrdf:blue-acrylic"],
+        ..Scale::QUICK_IMAGE
+    },
+    cases,
+    figures,
+};
+
+const SHAPES: [Sample; 3] = [Sample::Bowl, Sample::ConcaveCorner, Sample::Designed];
+/// Benches per shape and material.
+const BENCHES: u64 = 3;
+
+/// Every light is off by this much, in a random direction.
+const LIGHT_DEG: f64 = 0.5;
+/// Standard deviation of each light's intensity, relative.
+const INTENSITY: f64 = 0.02;
+/// The sample is turned by this much about a random axis.
+const ROTATION_DEG: f64 = 0.3;
+/// The sample is moved by this much in a random direction: 0.3 mm for one of 50 mm.
+const TRANSLATION_MM: f64 = 0.012;
+
+/// The prior that states these errors: the same mean square along each axis.
+fn priors() -> BenchPriors {
+    BenchPriors {
+        light_rad: LIGHT_DEG.to_radians() / 2f64.sqrt(),
+        stage_rad: 0.0,
+        intensity: INTENSITY,
+        common_intensity: 0.0,
+        rotation_rad: ROTATION_DEG.to_radians() / 3f64.sqrt(),
+        translation_mm: TRANSLATION_MM / 3f64.sqrt(),
+        stray_light: 0.0,
+    }
+}
+
+/// A bench with these errors.
+fn draw(bench: &Bench, numbers: &mut Stream) -> DVector<f64> {
+    let parameters = bench.parameters();
+    let mut values = DVector::from_fn(parameters.len(), |_, _| numbers.normal());
+    // What is scaled together to an exact length.
+    let group = |parameter: &Parameter| match *parameter {
+        Parameter::LightAzimuth(light) | Parameter::LightElevation(light) => {
+            Some((2 + light, LIGHT_DEG.to_radians()))
+        }
+        Parameter::Rotation(_) => Some((0, ROTATION_DEG.to_radians())),
+        Parameter::Translation(_) => Some((1, TRANSLATION_MM)),
+        Parameter::Intensity(_) | Parameter::StrayLight(_) => None,
+    };
+    let drawn = values.clone();
+    for (value, parameter) in values.iter_mut().zip(parameters) {
+        *value *= match group(parameter) {
+            Some((number, length)) => {
+                let members = parameters.iter().zip(drawn.iter());
+                let square: f64 = members
+                    .filter(|(p, _)| group(p).is_some_and(|(n, _)| n == number))
+                    .map(|(_, v)| v * v)
+                    .sum();
+                length / square.sqrt()
+            }
+            None => INTENSITY,
+        };
+    }
+    values
+}
+
+fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
+    let mut cases = Vec::new();
+    for material in &lab.materials {
+        for sample in SHAPES {
+            for bench in 0..BENCHES {
+                let material = material.clone();
+                let key = format!("{}/{}/{bench}", material.name, sample.name());
+                cases.push(Case::new(key, move |lab: &Lab| {
+                    one(lab, sample, &material, bench)
+                }));
+            }
+        }
+    }
+    Ok(cases)
+}
+
+fn one(
+    lab: &Lab,
+    sample: Sample,
+    material: &Material,
+    number: u64,
+) -> Result<Vec<Row>, EvaluateError> {
+    let settings = &lab.settings;
+    let (resolution_px, lights) = (settings.resolution_px, sample.lights(settings.lights));
+    let described = sample.scene(resolution_px, lights.clone())?;
+    let fine = sample.true_scene(resolution_px, lights)?;
+    let priors = priors();
+    let bench = Bench::new(&described, &priors);
+    let key = |what| stream(settings.seed, Purpose::BenchPerturbation, number, 0, what);
+    let truth = draw(&bench, &mut key(0));
+
+    // Truth, photographed: another mesh, other paths, the noise of a 12-bit bracket.
+    let true_scene = Bench::new(&fine, &priors).scene(&truth);
+    let render_options = RenderOptions {
+        seed: key(1).bits(),
+        ..lab.truth_options(&true_scene, &*material.brdf)
+    };
+    let photographer = Photographer {
+        bit_depth: 12,
+        full_well_e: 10_000.0,
+        read_noise_e: 2.4,
+        exposures: 4,
+        frames: 1,
+        seed: key(2).bits(),
+    };
+    let rendered = render(&true_scene, &*material.brdf, &render_options, &|_| {});
+    let captured = (0..)
+        .zip(&rendered)
+        .map(|(light, image)| photographer.take(image, light))
+        .collect::<Result<Vec<_>, _>>()?;
+
+    let options = lab.fit_options();
+    let error = |weights: [Vec<f64>; 3]| -> Result<f64, EvaluateError> {
+        let mixture = Mixture::new(lab.dictionary.clone(), weights)?;
+        Ok(lab.score(&mixture, &*material.brdf).environment)
+    };
+    let plain = |scene: &Scene| -> Result<f64, EvaluateError> {
+        error(fit(scene, &captured, &lab.dictionary, &options, &mut |_| {})?.weights)
+    };
+    let known = plain(&bench.scene(&truth))?;
+    let unrefined = plain(&described)?;
+    let refined = refine_bench(
+        &described,
+        &captured,
+        &lab.dictionary,
+        &options,
+        &priors,
+        &RefineOptions::default(),
+        &mut |_| {},
+    )?;
+    let estimate = refined.estimate;
+    let mut row = Row::new()
+        .with("material", material.name.as_str())
+        .with("class", material.class.name())
+        .with("shape", sample.name())
+        .with("bench", number)
+        .with("known", known)
+        .with("unrefined", unrefined);
+    let refined = error(refined.fit.weights)?;
+    row = row
+        .with("refined", refined)
+        .with("unrefined_over_known", unrefined / known)
+        .with("refined_over_known", refined / known)
+        .with("rounds", estimate.rounds)
+        .with("held", estimate.held.join("; "));
+    // Root mean squares by kind: errors before and after in prior deviations, and after in
+    // stated deviations.
+    let kinds: [(&str, fn(&Parameter) -> bool); 4] = [
+        ("lights", |p| {
+            matches!(p, Parameter::LightAzimuth(_) | Parameter::LightElevation(_))
+        }),
+        ("intensities", |p| matches!(p, Parameter::Intensity(_))),
+        ("rotation", |p| matches!(p, Parameter::Rotation(_))),
+        ("translation", |p| matches!(p, Parameter::Translation(_))),
+    ];
+    for (kind, is_member) in kinds {
+        let members: Vec<_> = estimate
+            .parameters
+            .iter()
+            .zip(truth.iter())
+            .filter(|(p, _)| is_member(&p.parameter))
+            .collect();
+        let rms = |of: &dyn Fn(f64, f64, f64, f64) -> f64| {
+            let squares = members
+                .iter()
+                .map(|(p, truth)| of(p.value, **truth, p.deviation, p.prior_deviation).powi(2));
+            (squares.sum::<f64>() / members.len().max(1) as f64).sqrt()
+        };
+        row = row
+            .with(
+                format!("{kind}_before"),
+                rms(&|_, truth, _, prior| truth / prior),
+            )
+            .with(
+                format!("{kind}_after"),
+                rms(&|value, truth, _, prior| (value - truth) / prior),
+            )
+            .with(
+                format!("{kind}_z"),
+                rms(&|value, truth, sigma, _| (value - truth) / sigma),
+            );
+    }
+    Ok(vec![row])
+}
+
+/// Known against refined and unrefined, one panel per shape; the line is equality.
+fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
+    let panel = |sample: Sample| {
+        let points = |column: &str| -> Vec<[f64; 2]> {
+            let rows = table
+                .rows
+                .iter()
+                .filter(|r| r.text("shape") == sample.name());
+            rows.filter_map(|r| Some([r.number("known")?, r.number(column)?]))
+                .map(|point| point.map(|e| e.max(1e-4).log10()))
+                .collect()
+        };
+        let median = |column: &str| {
+            quantile(
+                &table.figures(column, |r| r.text("shape") == sample.name()),
+                0.5,
+            )
+        };
+        Chart {
+            title: format!(
+                "{}: medians {:.2} and {:.2} times the known bench's",
+                sample.name(),
+                median("unrefined_over_known"),
+                median("refined_over_known")
+            ),
+            x: Axis::decades(-3.0..0.0, "environment error, bench known"),
+            y: Axis::decades(-3.0..0.0, "environment error"),
+            series: vec![
+                Series::new("", 7, Mark::Line, vec![[-3.0, -3.0], [0.0, 0.0]]),
+                Series::new("as described", 1, Mark::Dots, points("unrefined")),
+                Series::new("refined", 0, Mark::Dots, points("refined")),
+            ],
+        }
+    };
+    Ok(vec![charts("misalignment", 3, &SHAPES.map(panel))])
+}

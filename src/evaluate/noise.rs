@@ -1,0 +1,119 @@
+//! What the sensor costs: bit depth, full well, number of exposures.
+
+use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table, spread};
+use super::lab::{Lab, Material, Sample};
+use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
+use crate::simulation::photograph::Photographer;
+
+/// One image through sensors from poor to good.
+pub static NOISE: Experiment = Experiment {
+    name: "noise",
+    shows: "Error from one image taken by sensors of several bit depths and full wells, with one exposure (the brightest 2% clip) or a bracket, over the error from the noise-free image",
+    full: Scale::SINGLE_IMAGE,
+    quick: Scale {
+        materials: &["nbrdf:pvc", "synthetic:cream-satin"],
+        ..Scale::QUICK_IMAGE
+    },
+    cases,
+    figures,
+};
+
+const SHAPES: [Sample; 3] = [Sample::Sphere, Sample::Bowl, Sample::Designed];
+
+/// Name, bits, full well e⁻, read noise e⁻.
+const SENSORS: [(&str, u32, f64, f64); 4] = [
+    ("8 bit, 10 000 e⁻", 8, 10_000.0, 8.0),
+    ("10 bit, 10 000 e⁻", 10, 10_000.0, 8.0),
+    ("12 bit, 10 000 e⁻", 12, 10_000.0, 2.4),
+    ("12 bit, 30 000 e⁻", 12, 30_000.0, 5.0),
+];
+const EXPOSURES: [u32; 3] = [1, 2, 4];
+
+fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
+    let mut cases = Vec::new();
+    for material in &lab.materials {
+        for sample in SHAPES {
+            let material = material.clone();
+            let key = format!("{}/{}", material.name, sample.name());
+            cases.push(Case::new(key, move |lab: &Lab| one(lab, sample, &material)));
+        }
+    }
+    Ok(cases)
+}
+
+/// One truth through every sensor.
+fn one(lab: &Lab, sample: Sample, material: &Material) -> Result<Vec<Row>, EvaluateError> {
+    let lights = sample.lights(1);
+    let captured = lab.capture(sample, &lights, &*material.brdf)?;
+    let scene = sample.scene(lab.settings.resolution_px, lights)?;
+    let row = |sensor: &str, exposures: u32| {
+        Row::new()
+            .with("material", material.name.as_str())
+            .with("shape", sample.name())
+            .with("sensor", sensor)
+            .with("exposures", exposures)
+    };
+    let clean = lab.fit_scene(&scene, &captured)?;
+    let noise_free = lab.score(&clean.mixture, &*material.brdf).environment;
+    let mut rows = vec![row("noise-free", 0).and(lab.score_row(&clean.mixture, material)?)];
+    for (name, bit_depth, full_well_e, read_noise_e) in SENSORS {
+        for exposures in EXPOSURES {
+            let photographer = Photographer {
+                bit_depth,
+                full_well_e,
+                read_noise_e,
+                exposures,
+                frames: 1,
+                seed: lab.settings.seed,
+            };
+            let taken = (0..)
+                .zip(&captured)
+                .map(|(light, image)| photographer.take(image, light))
+                .collect::<Result<Vec<_>, _>>()?;
+            let estimate = lab.fit_scene(&scene, &taken)?;
+            let scores = lab.score_row(&estimate.mixture, material)?;
+            let ratio = scores.number("environment_error").map(|e| e / noise_free);
+            rows.push(
+                row(name, exposures)
+                    .and(scores)
+                    .with("over_noise_free", ratio),
+            );
+        }
+    }
+    Ok(rows)
+}
+
+fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
+    let ticks = EXPOSURES
+        .map(|n| (f64::from(n).log2(), format!("{n}")))
+        .into();
+    let x = Axis::with_ticks(-0.2..2.2, ticks, "exposures, each 4 times the one before");
+    let panel = |sample: Sample| {
+        let series = SENSORS.iter().enumerate().map(|(color, (sensor, ..))| {
+            let found: Vec<_> = EXPOSURES
+                .iter()
+                .filter_map(|&n| {
+                    let ratios = table.figures("over_noise_free", |row| {
+                        row.text("shape") == sample.name()
+                            && row.text("sensor") == *sensor
+                            && row.number("exposures") == Some(f64::from(n))
+                    });
+                    Some((f64::from(n).log2(), spread(&ratios)?))
+                })
+                .collect();
+            let points = found.iter().map(|(n, s)| [*n, s.median.log10()]).collect();
+            let band = found.iter().map(|(n, s)| {
+                let [low, high] = s.median_95;
+                [*n, low.log10(), high.log10()]
+            });
+            Series::new(sensor, color, Mark::Points, points).within(band.collect())
+        });
+        Chart {
+            title: format!("{}, median over materials", sample.name()),
+            x: x.clone(),
+            y: Axis::decades(-0.5..1.0, "error / error without noise"),
+            series: series.collect(),
+        }
+    };
+    Ok(vec![charts("noise", 3, &SHAPES.map(panel))])
+}

@@ -1,0 +1,130 @@
+use super::*;
+use crate::geometry::Shape;
+use crate::random::{Purpose, Stream, stream};
+
+fn direction(numbers: &mut Stream) -> Vec3 {
+    let z = 2.0 * numbers.uniform_f32() - 1.0;
+    let phi = std::f32::consts::TAU * numbers.uniform_f32();
+    let r = (1.0 - z * z).max(0.0).sqrt();
+    Vec3::new(r * phi.cos(), r * phi.sin(), z)
+}
+
+fn sphere() -> Mesh {
+    Shape::Sphere {
+        radius_mm: 1.0,
+        segments: 64,
+    }
+    .mesh()
+    .unwrap()
+}
+
+/// Rays from inside a closed sphere at its vertices and edge points must all hit.
+#[test]
+fn no_ray_escapes_a_closed_sphere() {
+    let mesh = sphere();
+    for bvh in [Bvh::new(&mesh), Bvh::new(&mesh).without_simd()] {
+        let mut numbers = stream(11, Purpose::Experiment, 0, 0, 0);
+        let mut escaped = 0;
+        for sample in 0..400_000 {
+            let triangle = (numbers.bits() % mesh.triangles.len() as u64) as usize;
+            let [a, b, _] = mesh.corners(triangle);
+            let target = if sample % 2 == 0 {
+                a
+            } else {
+                a.lerp(b, numbers.uniform_f32())
+            };
+            let origin = direction(&mut numbers) * 0.7 * numbers.uniform_f32();
+            let ray = Ray {
+                origin_mm: origin,
+                direction: (target - origin).normalize(),
+                limit_mm: f32::INFINITY,
+            };
+            if bvh.closest(&ray).is_none() || !bvh.any(&ray) {
+                escaped += 1;
+            }
+        }
+        assert_eq!(escaped, 0, "of 400000 rays");
+    }
+}
+
+/// Rays that leave the surface never meet it at once: on a sphere the nearest other
+/// point along a direction with cosine c to the normal is 2 c R away.
+#[test]
+fn no_ray_hits_the_surface_it_leaves() {
+    let mesh = sphere();
+    let bvh = Bvh::new(&mesh);
+    let mut numbers = stream(12, Purpose::Experiment, 0, 0, 0);
+    for _ in 0..200_000 {
+        let triangle = (numbers.bits() % mesh.triangles.len() as u64) as usize;
+        let [a, b, c] = mesh.corners(triangle);
+        let (mut u, mut v) = (numbers.uniform_f32(), numbers.uniform_f32());
+        if u + v > 1.0 {
+            (u, v) = (1.0 - u, 1.0 - v);
+        }
+        let outward = mesh.face_normal(triangle);
+        let mut away = direction(&mut numbers);
+        if away.dot(outward) < 0.0 {
+            away = -away;
+        }
+        let ray = Ray {
+            origin_mm: offset_origin(a + (b - a) * u + (c - a) * v, outward),
+            direction: away,
+            limit_mm: f32::INFINITY,
+        };
+        assert!(!bvh.any(&ray), "triangle {triangle}, direction {away}");
+    }
+}
+
+/// Against testing every triangle with the plain double-precision formula.
+#[test]
+fn closest_agrees_with_brute_force() {
+    let mesh = Shape::Bowl {
+        radius_mm: 1.0,
+        segments: 12,
+    }
+    .mesh()
+    .unwrap();
+    let bvh = Bvh::new(&mesh);
+    let portable = Bvh::new(&mesh).without_simd();
+    let mut numbers = stream(13, Purpose::Experiment, 0, 0, 0);
+    let mut hits = 0;
+    for _ in 0..4000 {
+        let ray = Ray {
+            origin_mm: direction(&mut numbers) * 2.0,
+            direction: direction(&mut numbers),
+            limit_mm: f32::INFINITY,
+        };
+        let brute = (0..mesh.triangles.len())
+            .filter_map(|i| {
+                let [a, b, c] = mesh.corners(i).map(Vec3::as_dvec3);
+                let (o, d) = (ray.origin_mm.as_dvec3(), ray.direction.as_dvec3());
+                let (e1, e2) = (b - a, c - a);
+                let p = d.cross(e2);
+                let det = e1.dot(p);
+                let s = o - a;
+                let u = s.dot(p) / det;
+                let q = s.cross(e1);
+                let v = d.dot(q) / det;
+                let t = e2.dot(q) / det;
+                (u >= 0.0 && v >= 0.0 && u + v <= 1.0 && t > 0.0).then_some(t)
+            })
+            .fold(f64::INFINITY, f64::min);
+        let found = bvh.closest(&ray);
+        assert_eq!(
+            found.map(|h| h.triangle),
+            portable.closest(&ray).map(|h| h.triangle)
+        );
+        match found {
+            Some(hit) => {
+                hits += 1;
+                assert!(
+                    (f64::from(hit.distance_mm) - brute).abs() < 1e-5,
+                    "{hit:?} {brute}"
+                );
+            }
+            None => assert!(brute.is_infinite(), "missed a hit at {brute}"),
+        }
+        assert_eq!(bvh.any(&ray), found.is_some());
+    }
+    assert!(hits > 100, "only {hits} rays hit");
+}

@@ -1,0 +1,299 @@
+//! How the images change with the bench: every path is traced again on a bench that
+//! differs a little, with the same random numbers, so that the noise of the two
+//! values cancels in their difference.
+//!
+//! The two halves of the samples step in opposite directions: each half is an
+//! independent estimate, and their mean is a central difference. A light that moves
+//! leaves the camera's paths as they are, so all lights' steps share one set of them.
+//!
+//! Whatever multiplies the residual, it vanishes on average at the true bench: a
+//! derivative that is off costs certainty, not truth. So what comes by way of other
+//! surfaces, which is noisy and varies slowly, is averaged over neighbouring pixels.
+
+use glam::{DVec2, Vec3};
+use nalgebra::DVector;
+use rayon::prelude::*;
+
+use super::parameters::{Bench, Parameter};
+use crate::brdf::Brdf;
+use crate::random::{Purpose, stream};
+use crate::transport::{Proposal, Scene};
+
+/// How derivative images are traced.
+#[derive(Clone, Debug)]
+pub struct DerivativeOptions {
+    /// Paths per pixel in each half and on each differing bench, at least 1.
+    pub samples_per_half: u32,
+    /// Longest path in surface reflections, 1..=64.
+    pub max_reflections: u32,
+    /// Same seed, same paths.
+    pub seed: u64,
+    /// Where continuations go.
+    pub proposal: Proposal,
+    /// What comes by way of other surfaces is averaged over pixels up to this far away.
+    pub average_px: usize,
+}
+
+/// Derivatives of radiance over lamp strength with respect to the geometric parameters.
+pub struct DerivativeImages {
+    /// Parameter and light of each column: a light's direction changes its own image
+    /// alone, the pose changes all.
+    columns: Vec<(usize, usize)>,
+    /// `[pixel · columns + column][half][channel]`.
+    values: Vec<[[f32; 3]; 2]>,
+}
+
+/// A bench that differs from the base, as one half of the samples sees it.
+struct View {
+    /// Its lights are slots; the base view has more of them than the bench has lights.
+    scene: Scene,
+    /// The light that a slot stands for: slots of one light share random numbers.
+    light_of_slot: Vec<usize>,
+}
+
+/// Where a column's value stands: view and slot.
+struct Place {
+    view: usize,
+    slot: usize,
+    light: usize,
+    step: f64,
+}
+
+impl DerivativeImages {
+    /// Derivatives at `values` for the material `brdf`, at the pixels that are `wanted`; zero elsewhere.
+    pub fn trace(
+        bench: &Bench,
+        values: &DVector<f64>,
+        brdf: &dyn Brdf,
+        wanted: &[bool],
+        options: &DerivativeOptions,
+    ) -> Self {
+        let base = bench.scene(values);
+        let lights = base.lights.len();
+        let halves = [1.0, -1.0].map(|sign| views(bench, &base, values, sign));
+        let columns: Vec<(usize, usize)> = halves[0].1.iter().map(|(c, _)| *c).collect();
+        let rows: Vec<Vec<[Parts; 2]>> = (0..base.camera.pixels())
+            .into_par_iter()
+            .map(|pixel| {
+                let mut row = vec![[Parts::default(); 2]; columns.len()];
+                if !wanted[pixel] {
+                    return row;
+                }
+                for (half, (views, places)) in halves.iter().enumerate() {
+                    let n = options.samples_per_half;
+                    let sums: Vec<Vec<[[f64; 3]; 2]>> = views
+                        .iter()
+                        .map(|view| {
+                            let mut walk = Walk::new(view, lights);
+                            for sample in half as u32 * n..(half as u32 + 1) * n {
+                                walk.follow(brdf, options, pixel, sample);
+                            }
+                            walk.sums
+                        })
+                        .collect();
+                    for (value, (_, place)) in row.iter_mut().zip(places) {
+                        let moved = sums[place.view][place.slot];
+                        let still = sums[0][place.light];
+                        value[half] = [0, 1].map(|part| {
+                            std::array::from_fn(|c| {
+                                let change = moved[part][c] - still[part][c];
+                                (change / (f64::from(n) * place.step)) as f32
+                            })
+                        });
+                    }
+                }
+                row
+            })
+            .collect();
+        let values = smoothed(&rows, wanted, base.camera.resolution_px, options.average_px);
+        Self { columns, values }
+    }
+
+    /// Parameter, light, and per half the derivative per channel, of one pixel.
+    pub fn at(&self, pixel: usize) -> impl Iterator<Item = (usize, usize, &[[f32; 3]; 2])> {
+        let n = self.columns.len();
+        let values = &self.values[pixel * n..(pixel + 1) * n];
+        self.columns
+            .iter()
+            .zip(values)
+            .map(|(&(parameter, light), value)| (parameter, light, value))
+    }
+}
+
+/// Direct reflection, and all others, per channel.
+type Parts = [[f32; 3]; 2];
+
+/// The direct part of each pixel, and the mean of the other over the wanted pixels around.
+fn smoothed(
+    rows: &[Vec<[Parts; 2]>],
+    wanted: &[bool],
+    [width, height]: [usize; 2],
+    reach: usize,
+) -> Vec<[[f32; 3]; 2]> {
+    (0..rows.len())
+        .into_par_iter()
+        .map(|pixel| {
+            let mut out: Vec<[[f32; 3]; 2]> = rows[pixel]
+                .iter()
+                .map(|halves| halves.map(|[direct, _]| direct))
+                .collect();
+            if !wanted[pixel] {
+                return out;
+            }
+            let (x, y) = (pixel % width, pixel / width);
+            let near: Vec<usize> = (y.saturating_sub(reach)..=(y + reach).min(height - 1))
+                .flat_map(|j| {
+                    (x.saturating_sub(reach)..=(x + reach).min(width - 1))
+                        .map(move |i| j * width + i)
+                })
+                .filter(|&q| wanted[q])
+                .collect();
+            let share = 1.0 / near.len() as f32;
+            for q in near {
+                for (out, halves) in out.iter_mut().zip(&rows[q]) {
+                    for (out, [_, others]) in out.iter_mut().zip(halves) {
+                        for (out, other) in out.iter_mut().zip(others) {
+                            *out += share * other;
+                        }
+                    }
+                }
+            }
+            out
+        })
+        .collect::<Vec<_>>()
+        .concat()
+}
+
+/// The views of one half, and where each column's value stands in them.
+fn views(
+    bench: &Bench,
+    base: &Scene,
+    values: &DVector<f64>,
+    sign: f64,
+) -> (Vec<View>, Vec<((usize, usize), Place)>) {
+    let lights = base.lights.len();
+    let mut views = vec![View {
+        scene: base.clone(),
+        light_of_slot: (0..lights).collect(),
+    }];
+    let mut places = Vec::new();
+    for (k, &parameter) in bench.parameters().iter().enumerate() {
+        if !parameter.is_geometric() {
+            continue;
+        }
+        let step = sign * step(bench, k);
+        let mut moved = values.clone();
+        moved[k] += step;
+        let mut scene = bench.scene(&moved);
+        if let Some(light) = parameter.light() {
+            views[0].scene.lights.push(scene.lights.swap_remove(light));
+            views[0].light_of_slot.push(light);
+            let slot = views[0].light_of_slot.len() - 1;
+            places.push((
+                (k, light),
+                Place {
+                    view: 0,
+                    slot,
+                    light,
+                    step,
+                },
+            ));
+        } else {
+            views.push(View {
+                scene,
+                light_of_slot: (0..lights).collect(),
+            });
+            let view = views.len() - 1;
+            places.extend((0..lights).map(|light| {
+                (
+                    (k, light),
+                    Place {
+                        view,
+                        slot: light,
+                        light,
+                        step,
+                    },
+                )
+            }));
+        }
+    }
+    (views, places)
+}
+
+/// Half the prior deviation, where that is small enough to be linear (0.2°, a two
+/// hundredth of the sample) and large enough against rounding and the jumps at edges.
+fn step(bench: &Bench, parameter: usize) -> f64 {
+    let half = 0.5 * bench.prior_deviation(parameter);
+    match bench.parameters()[parameter] {
+        Parameter::Translation(_) => {
+            let size = bench.sample_radius_mm();
+            half.clamp(1e-3 * size, 5e-3 * size)
+        }
+        _ => half.clamp(5e-4, 3.5e-3),
+    }
+}
+
+/// Follows paths through one view and sums their values per slot.
+struct Walk<'a> {
+    view: &'a View,
+    lamp_numbers: Vec<[f32; 2]>,
+    /// Direct reflection, and all others.
+    sums: Vec<[[f64; 3]; 2]>,
+}
+
+impl<'a> Walk<'a> {
+    fn new(view: &'a View, lights: usize) -> Self {
+        Self {
+            view,
+            lamp_numbers: vec![[0.0; 2]; lights],
+            sums: vec![[[0.0; 3]; 2]; view.light_of_slot.len()],
+        }
+    }
+
+    /// Adds the path of one sample.
+    fn follow(&mut self, brdf: &dyn Brdf, options: &DerivativeOptions, pixel: usize, sample: u32) {
+        let scene = &self.view.scene;
+        let width = scene.camera.resolution_px[0];
+        let corner = DVec2::new((pixel % width) as f64, (pixel / width) as f64);
+        let key = |purpose| stream(options.seed, purpose, 0, pixel as u64, u64::from(sample));
+        let mut position = key(Purpose::PixelPosition);
+        let mut directions = key(Purpose::PathDirection);
+        let mut lamps = key(Purpose::LightAndLens);
+        let ray = scene.camera.ray(
+            corner + DVec2::new(position.uniform(), position.uniform()),
+            DVec2::new(lamps.uniform(), lamps.uniform()),
+        );
+        let mut throughput = Vec3::ONE;
+        let mut next = scene.first(&ray).filter(|(hit, _)| hit.is_sample());
+        let mut reflections = 0;
+        while let Some((surface, to_viewer)) = next {
+            reflections += 1;
+            let brdf = scene.known(&surface).unwrap_or(brdf);
+            for numbers in &mut self.lamp_numbers {
+                *numbers = [lamps.uniform_f32(), lamps.uniform_f32()];
+            }
+            for (slot, sum) in self.sums.iter_mut().enumerate() {
+                let numbers = self.lamp_numbers[self.view.light_of_slot[slot]];
+                if let Some(connection) = scene.connect(&surface, slot, numbers) {
+                    let f = Vec3::from(brdf.eval(connection.to_light, to_viewer));
+                    let value = throughput * f * connection.irradiance;
+                    let part = usize::from(reflections > 1);
+                    for (sum, value) in sum[part].iter_mut().zip(value.to_array()) {
+                        *sum += f64::from(value);
+                    }
+                }
+            }
+            if reflections >= options.max_reflections {
+                break;
+            }
+            let Some((direction, pdf)) = options.proposal.sample(to_viewer, &mut directions) else {
+                break;
+            };
+            throughput *= Vec3::from(brdf.eval(direction, to_viewer)) * (direction.z / pdf);
+            if throughput == Vec3::ZERO {
+                break;
+            }
+            next = scene.next(&surface, direction);
+        }
+    }
+}

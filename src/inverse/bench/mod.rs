@@ -1,0 +1,24 @@
+//! A bench that is not exactly known: directions and intensities of the lights, the
+//! sample's pose and stray light are refined together with the weights, within stated
+//! priors (docs/adr/0009).
+//!
+//! | file | what it does |
+//! |---|---|
+//! | `parameters` | what may differ, how well it is known, the scene with the differences |
+//! | `derivatives` | how the images change with each, by tracing shared random numbers again |
+//! | `system` | normal equations of weights and bench together, the weights eliminated |
+//! | `spectrum` | what the images say against the prior; what they cannot say, by name |
+//! | `refine` | the rounds, and the fit at the refined bench |
+
+pub mod derivatives;
+pub mod parameters;
+pub mod refine;
+pub mod spectrum;
+pub mod system;
+
+#[cfg(test)]
+mod tests;
+
+pub use parameters::{Bench, BenchPriors, Parameter};
+pub use refine::{BenchEstimate, Estimated, RefineOptions, RefinedFit, refine_bench};
+pub use system::{BenchCoupling, BenchLinearisation};

@@ -1,0 +1,200 @@
+//! What the images say about a bench against what its description says.
+//!
+//! In units of the prior (p = L q, prior covariance L Lᵀ) the information is A = LᵀSL;
+//! along an eigenvector with value λ the posterior variance is 1/(1 + λ) of the
+//! prior's. Directions with small λ are held at the prior: depth under a telecentric
+//! camera, a bowl's rotation about its axis, translation along an extrusion, intensity
+//! against albedo. They are found, not listed, and named after the fact.
+
+use nalgebra::{DMatrix, DVector, SymmetricEigen};
+
+use super::parameters::{Bench, Parameter};
+
+/// λ below which a direction is held: the posterior's deviation would be above 87% of
+/// the prior's.
+pub const HELD_BELOW: f64 = 1.0 / 3.0;
+
+/// Longest step along one direction, in prior deviations: the images are not linear
+/// in the bench beyond.
+const LONGEST_STEP: f64 = 2.0;
+
+/// Eigenvalues and directions of the information in units of the prior.
+#[derive(Clone, Debug)]
+pub struct Spectrum {
+    /// λ ≥ 0 of each direction.
+    pub values: DVector<f64>,
+    /// Fraction of the images' word that counts along each direction.
+    trust: DVector<f64>,
+    /// Directions as columns, in units of the prior.
+    vectors: DMatrix<f64>,
+    /// L.
+    root: DMatrix<f64>,
+}
+
+impl Spectrum {
+    /// Of the information S with the weights eliminated, P × P.
+    pub fn new(bench: &Bench, information: &DMatrix<f64>) -> Self {
+        let root = bench.prior_root().clone();
+        let eigen = SymmetricEigen::new(root.transpose() * information * &root);
+        Self {
+            trust: DVector::repeat(eigen.eigenvalues.len(), 1.0),
+            values: eigen.eigenvalues.map(|v| v.max(0.0)),
+            vectors: eigen.eigenvectors,
+            root,
+        }
+    }
+
+    /// Less sure along directions where the scores of blocks of pixels scatter by more
+    /// than independent noise would: errors of the model are correlated between pixels,
+    /// and the paths' noise between lights and channels.
+    pub fn widened(mut self, block_scores: &[DVector<f64>]) -> Self {
+        let mut scatter = DVector::<f64>::zeros(self.values.len());
+        for score in block_scores {
+            let along = self.vectors.tr_mul(&self.root.tr_mul(score));
+            scatter += along.component_mul(&along);
+        }
+        for (i, &scatter) in scatter.iter().enumerate() {
+            if scatter > self.values[i] {
+                self.trust[i] = self.values[i] / scatter;
+                self.values[i] *= self.trust[i];
+            }
+        }
+        self
+    }
+
+    /// The Gauss–Newton step from `values` by the score g, with the prior; `noise` is
+    /// what noisy derivatives add to the scatter of the score, and damps. Held
+    /// directions go back to the prior's centre.
+    pub fn step(
+        &self,
+        values: &DVector<f64>,
+        score: &DVector<f64>,
+        noise: &DMatrix<f64>,
+    ) -> DVector<f64> {
+        let at = self.whitened(values);
+        let push = self.vectors.tr_mul(&self.root.tr_mul(score));
+        let push = push.component_mul(&self.trust) - &at;
+        let trust = DMatrix::from_diagonal(&self.trust.map(f64::sqrt));
+        let basis = &self.root * &self.vectors * trust;
+        let noise = basis.transpose() * noise * &basis;
+        let told: Vec<usize> = (0..at.len())
+            .filter(|&i| self.values[i] >= HELD_BELOW)
+            .collect();
+        let h = DMatrix::from_fn(told.len(), told.len(), |i, j| {
+            let own = if i == j {
+                1.0 + self.values[told[i]]
+            } else {
+                0.0
+            };
+            own + noise[(told[i], told[j])]
+        });
+        let push = DVector::from_iterator(told.len(), told.iter().map(|&i| push[i]));
+        // Positive definite: a positive diagonal and a sum of squares.
+        let solved = h.cholesky().map(|h| h.solve(&push)).unwrap_or(push * 0.0);
+        let mut step = -at;
+        for (&i, solved) in told.iter().zip(solved.iter()) {
+            step[i] = solved.clamp(-LONGEST_STEP, LONGEST_STEP);
+        }
+        &self.root * (&self.vectors * step)
+    }
+
+    /// Length of a step in posterior deviations, the largest over the directions.
+    pub fn length(&self, step: &DVector<f64>) -> f64 {
+        let along = self.whitened(step);
+        (0..along.len())
+            .map(|i| along[i].abs() * (1.0 + self.values[i]).sqrt())
+            .fold(0.0, f64::max)
+    }
+
+    /// ½ pᵀ C⁻¹ p, the prior's part of the loss.
+    pub fn prior_loss(&self, values: &DVector<f64>) -> f64 {
+        0.5 * self.whitened(values).norm_squared()
+    }
+
+    /// R with R Rᵀ the posterior covariance.
+    pub fn posterior_root(&self) -> DMatrix<f64> {
+        let scale = self.values.map(|v| 1.0 / (1.0 + v).sqrt());
+        &self.root * &self.vectors * DMatrix::from_diagonal(&scale)
+    }
+
+    /// Posterior standard deviation of each parameter.
+    pub fn deviations(&self) -> Vec<f64> {
+        let root = self.posterior_root();
+        root.row_iter().map(|row| row.norm()).collect()
+    }
+
+    /// Names of the directions that are held at the prior.
+    pub fn held(&self, bench: &Bench) -> Vec<String> {
+        let parameters = bench.parameters();
+        let n = parameters.len();
+        let held: Vec<usize> = (0..n).filter(|&i| self.values[i] < HELD_BELOW).collect();
+        if held.is_empty() {
+            return Vec::new();
+        }
+        // Coordinates in the basis of the held directions.
+        let basis = DMatrix::from_fn(n, held.len(), |i, j| self.vectors[(i, held[j])]);
+        let mut rest = DMatrix::identity(held.len(), held.len());
+        let mut names = Vec::new();
+        let mut name = |direction: &DVector<f64>, rest: &mut DMatrix<f64>, text: &str| {
+            let q = self.to_prior_units(direction);
+            let within = &*rest * basis.tr_mul(&(&q / q.norm()));
+            let share = within.norm_squared();
+            if share >= 0.8 {
+                *rest -= &within * within.transpose() / share;
+                names.push(text.to_owned());
+            }
+        };
+        let intensities = DVector::from_fn(n, |i, _| {
+            f64::from(u8::from(matches!(parameters[i], Parameter::Intensity(_))))
+        });
+        let lights = intensities.sum() as usize;
+        for (i, parameter) in parameters.iter().enumerate() {
+            let mut unit = DVector::zeros(n);
+            unit[i] = 1.0;
+            name(&unit, &mut rest, &parameter.to_string());
+        }
+        if lights > 1 {
+            name(
+                &intensities,
+                &mut rest,
+                "intensity of all lights against the sample's albedo",
+            );
+        }
+        // What is left are combinations; each is named by its larger parts.
+        let left = SymmetricEigen::new(rest);
+        for (j, &value) in left.eigenvalues.iter().enumerate() {
+            if value > 0.5 {
+                let q = &basis * left.eigenvectors.column(j);
+                names.push(combination(&q, parameters));
+            }
+        }
+        names
+    }
+
+    fn to_prior_units(&self, values: &DVector<f64>) -> DVector<f64> {
+        self.root
+            .solve_lower_triangular(values)
+            .unwrap_or_else(|| DVector::zeros(values.len()))
+    }
+
+    /// Coordinates along the directions, in prior deviations.
+    fn whitened(&self, values: &DVector<f64>) -> DVector<f64> {
+        self.vectors.tr_mul(&self.to_prior_units(values))
+    }
+}
+
+/// "a with b with c": the parts whose squares are above a tenth, the largest first.
+fn combination(direction: &DVector<f64>, parameters: &[Parameter]) -> String {
+    let mut parts: Vec<(f64, String)> = direction
+        .iter()
+        .zip(parameters)
+        .map(|(v, parameter)| (v * v, parameter.to_string()))
+        .filter(|(share, _)| *share > 0.1)
+        .collect();
+    parts.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let names: Vec<String> = parts.into_iter().take(4).map(|(_, name)| name).collect();
+    if names.is_empty() {
+        return "a combination of many".to_owned();
+    }
+    names.join(" with ")
+}

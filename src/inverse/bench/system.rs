@@ -1,0 +1,311 @@
+//! Normal equations of weights and bench together, and their reduction to the bench.
+//!
+//! With r the residual over σ, J_w its derivative in the weights and J_p in the bench,
+//! the information is F_ww = J_wᵀJ_w, F_pw = J_pᵀJ_w, F_pp = J_pᵀJ_p. What the
+//! weights can absorb is no evidence about the bench: on the face of the simplex
+//! where the mixture lies, the bench's own information is the Schur complement
+//! F_pp − F_pw F_ww⁻¹ F_wp, and its score g_p − F_pw F_ww⁻¹ g_w. All products take
+//! their two factors from independent halves of the samples, so that noise in
+//! neither of them counts as information.
+
+use std::collections::BTreeMap;
+
+use nalgebra::{DMatrix, DVector};
+
+use super::derivatives::DerivativeImages;
+use super::parameters::{Bench, Parameter};
+use super::spectrum::Spectrum;
+use crate::inverse::objective::{Objective, ResidualWeights};
+use crate::random::{Purpose, stream};
+use crate::transport::{Cache, DirectMatrix, Kernel};
+
+/// Deviation of a weight before any image, which keeps F_ww invertible where atoms
+/// are alike; that of the posterior's prior.
+const WEIGHT_DEVIATION: f64 = 0.06;
+
+/// What the objective is made of.
+pub struct Model<'a> {
+    /// The comparison.
+    pub objective: &'a Objective<'a>,
+    /// Its paths.
+    pub cache: &'a Cache,
+    /// Its direct part.
+    pub direct: &'a DirectMatrix,
+    /// Instructions to use.
+    pub kernel: Kernel,
+}
+
+/// The bench's part of the normal equations; P parameters, N atoms.
+pub struct Normal {
+    /// F_pp, P × P.
+    information: DMatrix<f64>,
+    /// What the noise of the derivatives adds to J_pᵀJ_p, P × P.
+    noise: DMatrix<f64>,
+    /// F_pw per weight set, P × N.
+    coupling: Vec<DMatrix<f64>>,
+    /// Scores per block of pixels, all lights together: they share the paths, and so
+    /// their noise.
+    blocks: BTreeMap<usize, Scores>,
+}
+
+/// Jᵀ W r of the bench and of each weight set.
+#[derive(Clone)]
+struct Scores {
+    bench: DVector<f64>,
+    weights: Vec<DVector<f64>>,
+}
+
+/// The bench's information and score with the weights eliminated.
+pub struct Reduced {
+    /// P × P.
+    pub information: DMatrix<f64>,
+    /// What the noise of the derivatives adds to the scatter of the score, P × P.
+    pub noise: DMatrix<f64>,
+    /// P.
+    pub score: DVector<f64>,
+    /// The score's parts by block of pixels.
+    pub block_scores: Vec<DVector<f64>>,
+}
+
+impl Normal {
+    /// Sums over all compared pixels at `mixture`.
+    pub fn new(
+        model: &Model<'_>,
+        bench: &Bench,
+        derivatives: &DerivativeImages,
+        residual_weights: &ResidualWeights,
+        mixture: &[DVector<f64>],
+    ) -> Self {
+        let (objective, cache, direct) = (model.objective, model.cache, model.direct);
+        let (n, sets, lights) = (objective.atoms(), objective.sets(), objective.lights());
+        let parameters = bench.parameters();
+        let slices: Vec<&[f64]> = mixture.iter().map(|w| w.as_slice()).collect();
+        let parts = cache.evaluate(
+            model.kernel,
+            &slices,
+            || Self::zero(parameters.len(), n, sets),
+            |sum, rows| {
+                let pixel = rows.pixel;
+                for light in 0..lights {
+                    let direct = direct.row(pixel, light);
+                    for c in 0..3 {
+                        let w = residual_weights[light][pixel][c];
+                        if w <= 0.0 {
+                            continue;
+                        }
+                        let set = c.min(sets - 1);
+                        let r = light * sets + set;
+                        let first: f64 = direct
+                            .iter()
+                            .zip(&mixture[set])
+                            .map(|(&d, &w)| f64::from(d) * w)
+                            .sum();
+                        let [target, _] = objective.captured(light, pixel);
+                        let value = [0, 1].map(|h| first + f64::from(rows.value[h][r]));
+                        let residual = value.map(|v| target[c] - v);
+                        let by_weight = [0, 1].map(|h| {
+                            let jacobian = &rows.jacobian[h][r * n..(r + 1) * n];
+                            DVector::from_iterator(
+                                n,
+                                direct
+                                    .iter()
+                                    .zip(jacobian)
+                                    .map(|(&d, &j)| f64::from(d) + f64::from(j)),
+                            )
+                        });
+                        let by_bench = [0, 1].map(|h| {
+                            let mut row = DVector::zeros(parameters.len());
+                            for (k, l, value) in derivatives.at(pixel) {
+                                if l == light {
+                                    row[k] = f64::from(value[h][c]);
+                                }
+                            }
+                            for (k, parameter) in parameters.iter().enumerate() {
+                                match *parameter {
+                                    Parameter::Intensity(l) if l == light => row[k] = value[h],
+                                    Parameter::StrayLight(l) if l == light => {
+                                        row[k] = 1.0 / cache.strength[light][c];
+                                    }
+                                    _ => {}
+                                }
+                            }
+                            row
+                        });
+                        let block = sum
+                            .blocks
+                            .entry(objective.block(pixel, 0))
+                            .or_insert_with(|| Scores::zero(parameters.len(), n, sets));
+                        let difference = &by_bench[0] - &by_bench[1];
+                        sum.noise.ger(0.25 * w, &difference, &difference, 1.0);
+                        for h in 0..2 {
+                            let (a, b) = (h, 1 - h);
+                            sum.information
+                                .ger(0.5 * w, &by_bench[a], &by_bench[b], 1.0);
+                            sum.coupling[set].ger(0.5 * w, &by_bench[a], &by_weight[b], 1.0);
+                            block.bench.axpy(0.5 * w * residual[b], &by_bench[a], 1.0);
+                            block.weights[set].axpy(0.5 * w * residual[b], &by_weight[a], 1.0);
+                        }
+                    }
+                }
+            },
+        );
+        let mut total = Self::zero(parameters.len(), n, sets);
+        for part in parts {
+            total.information += part.information;
+            total.noise += part.noise;
+            for (sum, part) in total.coupling.iter_mut().zip(part.coupling) {
+                *sum += part;
+            }
+            for (block, scores) in part.blocks {
+                total
+                    .blocks
+                    .entry(block)
+                    .or_insert_with(|| Scores::zero(parameters.len(), n, sets))
+                    .add(&scores);
+            }
+        }
+        total
+    }
+
+    fn zero(parameters: usize, atoms: usize, sets: usize) -> Self {
+        Self {
+            information: DMatrix::zeros(parameters, parameters),
+            noise: DMatrix::zeros(parameters, parameters),
+            coupling: vec![DMatrix::zeros(parameters, atoms); sets],
+            blocks: BTreeMap::new(),
+        }
+    }
+
+    /// Eliminates the weights that are above zero in `mixture`; `information` is F_ww per set.
+    pub fn reduced(&self, information: &[DMatrix<f64>], mixture: &[DVector<f64>]) -> Reduced {
+        // G = F_pw F_ww⁻¹ per set, so that S = F_pp − G F_wp and g = g_p − G g_w.
+        let gains: Vec<DMatrix<f64>> = mixture
+            .iter()
+            .zip(information)
+            .zip(&self.coupling)
+            .map(|((mixture, information), coupling)| {
+                coupling * inverse_on_face(information, mixture)
+            })
+            .collect();
+        let mut own = self.information.clone();
+        for (gain, coupling) in gains.iter().zip(&self.coupling) {
+            own -= gain * coupling.transpose();
+        }
+        let block_scores: Vec<DVector<f64>> = self
+            .blocks
+            .values()
+            .map(|scores| {
+                let mut own = scores.bench.clone();
+                for (gain, weights) in gains.iter().zip(&scores.weights) {
+                    own -= gain * weights;
+                }
+                own
+            })
+            .collect();
+        Reduced {
+            information: 0.5 * (&own + own.transpose()),
+            noise: self.noise.clone(),
+            score: block_scores
+                .iter()
+                .fold(DVector::zeros(own.nrows()), |sum, s| sum + s),
+            block_scores,
+        }
+    }
+}
+
+impl Scores {
+    fn zero(parameters: usize, atoms: usize, sets: usize) -> Self {
+        Self {
+            bench: DVector::zeros(parameters),
+            weights: vec![DVector::zeros(atoms); sets],
+        }
+    }
+
+    fn add(&mut self, other: &Self) {
+        self.bench += &other.bench;
+        for (sum, other) in self.weights.iter_mut().zip(&other.weights) {
+            *sum += other;
+        }
+    }
+}
+
+/// Inverse of the information among steps that keep the sum and leave zero weights
+/// at zero, with the weights' prior; N × N, zero outside the face.
+fn inverse_on_face(information: &DMatrix<f64>, mixture: &DVector<f64>) -> DMatrix<f64> {
+    let n = mixture.len();
+    let free: Vec<usize> = (0..n).filter(|&k| mixture[k] > 1e-9).collect();
+    let m = free.len();
+    let eigen = DMatrix::from_fn(m, m, |i, j| information[(free[i], free[j])]).symmetric_eigen();
+    let precision = WEIGHT_DEVIATION.powi(-2);
+    let inverse = eigen.eigenvalues.map(|v| 1.0 / (v.max(0.0) + precision));
+    let vectors = &eigen.eigenvectors;
+    let mut face = vectors * DMatrix::from_diagonal(&inverse) * vectors.transpose();
+    // The sum is fixed: project its direction out.
+    let row = face.column_sum();
+    let total = row.sum();
+    if total > 0.0 {
+        face -= &row * row.transpose() / total;
+    }
+    let mut all = DMatrix::zeros(n, n);
+    for (i, &k) in free.iter().enumerate() {
+        for (j, &l) in free.iter().enumerate() {
+            all[(k, l)] = face[(i, j)];
+        }
+    }
+    all
+}
+
+/// How images change with a refined bench, for a fit that shall know how much the
+/// bench's remaining uncertainty adds to its own.
+pub struct BenchLinearisation {
+    /// The bench.
+    pub bench: Bench,
+    /// Derivatives of the images.
+    pub derivatives: DerivativeImages,
+    /// What is known about the bench.
+    pub spectrum: Spectrum,
+}
+
+impl BenchLinearisation {
+    /// What the bench adds at a fit's final point.
+    pub fn coupling(
+        &self,
+        model: &Model<'_>,
+        residual_weights: &ResidualWeights,
+        mixture: &[DVector<f64>],
+    ) -> BenchCoupling {
+        let normal = Normal::new(
+            model,
+            &self.bench,
+            &self.derivatives,
+            residual_weights,
+            mixture,
+        );
+        let root = self.spectrum.posterior_root();
+        BenchCoupling {
+            shifts: normal
+                .coupling
+                .iter()
+                .map(|coupling| coupling.transpose() * &root)
+                .collect(),
+        }
+    }
+}
+
+/// What an uncertain bench adds to the spread of the weights. Given the bench at p from
+/// its estimate, the weights' score changes by −F_wp p; p is drawn from its posterior,
+/// which has the weights eliminated, so that both together are drawn from the joint one.
+pub struct BenchCoupling {
+    /// F_wp times a root of the bench's posterior covariance, per set, N × P.
+    shifts: Vec<DMatrix<f64>>,
+}
+
+impl BenchCoupling {
+    /// What draw `index` adds to the score of a set's weights; all sets see one bench.
+    pub fn score(&self, set: usize, seed: u64, index: u64) -> DVector<f64> {
+        let shift = &self.shifts[set];
+        let mut numbers = stream(seed, Purpose::Posterior, u64::MAX, 0, index);
+        let normal = DVector::from_fn(shift.ncols(), |_, _| numbers.normal());
+        -(shift * normal)
+    }
+}

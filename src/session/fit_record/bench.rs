@@ -1,0 +1,61 @@
+//! The bench as a fit refined it, in `fit.toml`.
+
+use serde::{Deserialize, Serialize};
+
+/// What became of a bench that was not exactly known.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct BenchRecord {
+    /// Rounds of refinement.
+    pub rounds: u32,
+    /// Whether the last step was within the remaining uncertainty.
+    pub settled: bool,
+    /// Mean squared residual, in variances, on the bench as described. It is estimated
+    /// without bias and can be slightly negative.
+    pub residual_described: f64,
+    /// The same where the refinement ended.
+    pub residual_refined: f64,
+    /// Directions that the images do not tell, by name: held at the description.
+    pub held: Vec<String>,
+    /// What was refined.
+    pub parameter: Vec<BenchParameter>,
+}
+
+/// One difference of the bench from its description.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct BenchParameter {
+    /// Such as `azimuth of light 0` or `rotation about x`.
+    pub name: String,
+    /// Unit of the figures.
+    pub unit: String,
+    /// The difference.
+    pub value: f64,
+    /// Its standard deviation after the fit.
+    pub deviation: f64,
+    /// Its standard deviation as described.
+    pub prior_deviation: f64,
+}
+
+impl BenchRecord {
+    /// The first figure that is not finite, or a deviation below 0, with its key.
+    pub(super) fn bad_value(&self) -> Option<(String, f64)> {
+        let residuals = [
+            ("bench.residual_described", self.residual_described),
+            ("bench.residual_refined", self.residual_refined),
+        ];
+        let bad = residuals.into_iter().find(|(_, value)| !value.is_finite());
+        if let Some((key, value)) = bad {
+            return Some((key.to_owned(), value));
+        }
+        self.parameter.iter().enumerate().find_map(|(k, p)| {
+            let deviations = [
+                ("deviation", p.deviation),
+                ("prior_deviation", p.prior_deviation),
+            ];
+            let bad = deviations
+                .into_iter()
+                .find(|(_, value)| !(value.is_finite() && *value >= 0.0))
+                .or((!p.value.is_finite()).then_some(("value", p.value)));
+            bad.map(|(key, value)| (format!("bench.parameter[{k}].{key}"), value))
+        })
+    }
+}

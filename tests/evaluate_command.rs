@@ -1,0 +1,166 @@
+//! `rig evaluate`: tables, figures, and runs that are taken up again.
+
+use std::path::Path;
+
+use assert_cmd::Command;
+use serde_json::Value;
+
+fn rig(folder: &Path, words: &str) -> (Option<i32>, String, String) {
+    let output = Command::cargo_bin("rig")
+        .unwrap()
+        .current_dir(folder)
+        .args(words.split(' '))
+        .output()
+        .unwrap();
+    let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
+    (
+        output.status.code(),
+        text(output.stdout),
+        text(output.stderr),
+    )
+}
+
+fn read(path: &Path) -> String {
+    std::fs::read_to_string(path).unwrap()
+}
+
+const SHAPES: &str = "evaluate shapes --quick --resolution 12 --spp 16 --materials synthetic:cream-satin --portable --out out";
+
+#[test]
+fn a_table_its_figures_and_a_run_taken_up_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
+    let (code, stdout, stderr) = rig(folder.path(), SHAPES);
+    assert_eq!(code, Some(0), "{stderr}");
+    assert_eq!(stdout, "out\n");
+    let csv = read(&out.join("table.csv"));
+    let json: Value = serde_json::from_str(&read(&out.join("table.json"))).unwrap();
+
+    // One row per shape, and the same figures in both files.
+    let rows = json["rows"].as_array().unwrap();
+    assert_eq!(rows.len(), 5);
+    let header: Vec<&str> = csv.lines().next().unwrap().split(',').collect();
+    assert_eq!(json["columns"], serde_json::json!(header));
+    for (line, row) in csv.lines().skip(1).zip(rows) {
+        for (column, field) in header.iter().zip(line.split(',')) {
+            match &row[column] {
+                Value::String(text) => assert_eq!(field, text),
+                number => assert_eq!(&field.parse::<Value>().unwrap(), number),
+            }
+        }
+    }
+    for row in rows {
+        let of = |column: &str| row[column].as_f64().unwrap();
+        assert!(of("floor") > 0.0 && of("floor") <= of("reference_projection"));
+        assert!(of("floor") <= of("environment_error") * (1.0 + 1e-9));
+    }
+    let settings = &json["settings"];
+    assert_eq!(settings["resolution_px"], 12);
+    assert_eq!(settings["kernel"], "portable");
+    assert_eq!(settings["materials"][0], "synthetic:cream-satin");
+
+    // The figure, twice.
+    let svg = read(&out.join("shapes.svg"));
+    assert!(svg.starts_with("<svg") && svg.contains("concave c."));
+    let png = std::fs::read(out.join("shapes.png")).unwrap();
+    let image = image::load_from_memory(&png).unwrap().to_luma8();
+    let dark = image.pixels().filter(|p| p.0[0] < 128).count();
+    assert!(dark > image.pixels().len() / 200, "{dark} dark pixels");
+
+    // Without its last case and with a torn line, the run is completed to the same table.
+    let journal = read(&out.join("journal.jsonl"));
+    let lines: Vec<&str> = journal.lines().collect();
+    assert_eq!(lines.len(), 6);
+    let torn = &lines[5][..lines[5].len() / 2];
+    std::fs::write(
+        out.join("journal.jsonl"),
+        format!("{}\n{torn}", lines[..5].join("\n")),
+    )
+    .unwrap();
+    let (code, _, stderr) = rig(folder.path(), SHAPES);
+    assert_eq!(code, Some(0), "{stderr}");
+    assert!(stderr.contains("4 cases were finished before"), "{stderr}");
+    assert_eq!(read(&out.join("table.csv")), csv);
+
+    // Other settings are refused by name; --restart begins anew.
+    let other = SHAPES.replace("--spp 16", "--spp 8");
+    let (code, _, stderr) = rig(folder.path(), &other);
+    assert_eq!(code, Some(1));
+    assert!(
+        stderr.contains("samples_per_pixel was 16, is 8") && stderr.contains("--restart"),
+        "{stderr}"
+    );
+    assert_eq!(read(&out.join("table.csv")), csv);
+    let (code, _, stderr) = rig(folder.path(), &format!("{other} --restart"));
+    assert_eq!(code, Some(0), "{stderr}");
+    assert_ne!(read(&out.join("table.csv")), csv);
+}
+
+#[test]
+fn visits_of_the_table_are_as_the_paper_says() {
+    let folder = tempfile::tempdir().unwrap();
+    let words = "evaluate table-visits --quick --resolution 16 --spp 32 --json --out v";
+    let (code, stdout, stderr) = rig(folder.path(), words);
+    assert_eq!(code, Some(0), "{stderr}");
+    let json: Value = serde_json::from_str(&stdout).unwrap();
+    let cells = |shape: &str, reflections: u64| -> Vec<(f64, f64)> {
+        let rows = json["rows"].as_array().unwrap();
+        rows.iter()
+            .filter(|row| row["shape"] == shape && row["reflections_up_to"] == reflections)
+            .map(|row| ["theta_h_deg", "theta_d_deg"].map(|a| row[a].as_f64().unwrap()))
+            .map(|[h, d]| (h, d))
+            .collect()
+    };
+    // Three facets, three entries; one light, one column; and no second reflections.
+    assert!(cells("convex corner", 2).len() <= 3);
+    let sphere = cells("sphere", 2);
+    assert!(sphere.iter().all(|(_, d)| *d == 0.0) && sphere.len() > 20);
+    // Interreflections fill the table;
+    for shape in ["concave corner", "bowl", "designed"] {
+        assert!(cells(shape, 2).len() > 5 * cells(shape, 1).len(), "{shape}");
+    }
+    // only the designed shape shows mirror directions at small difference angles.
+    let mirror = |shape| {
+        let all = cells(shape, 2);
+        all.iter()
+            .filter(|(h, d)| *h == 0.0 && (6.0..24.0).contains(d))
+            .count()
+    };
+    assert_eq!((mirror("designed"), mirror("bowl")), (6, 0));
+}
+
+#[test]
+fn what_is_wrong_is_said_before_anything_is_written() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("mine.txt"), "kept").unwrap();
+    for (words, said) in [
+        (
+            "evaluate nothing --out a",
+            "\"nothing\" is no experiment (known: atoms, shapes",
+        ),
+        (
+            "evaluate atoms --lights 3 --out a",
+            "atoms has no setting lights",
+        ),
+        (
+            "evaluate shapes --materials gold --out a",
+            "\"gold\" is no BRDF",
+        ),
+        (
+            "evaluate shapes --out .",
+            "not empty, and no experiment's folder",
+        ),
+        ("evaluate shapes", "--out <DIR>"),
+    ] {
+        let (code, _, stderr) = rig(folder.path(), words);
+        assert_eq!(code, Some(1), "{words}");
+        assert!(
+            stderr.contains(said) && stderr.contains("hint: "),
+            "{stderr}"
+        );
+        assert!(!folder.path().join("a").exists(), "{words}");
+    }
+    let (code, stdout, _) = rig(folder.path(), "evaluate --list");
+    assert_eq!(code, Some(0));
+    assert!(stdout.lines().count() > 10 && stdout.contains("light-count"));
+}

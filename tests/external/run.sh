@@ -1,0 +1,17 @@
+#!/bin/sh
+# Exports loaded in the programs they are for: run.sh RIG_BINARY
+# Fails where Mitsuba cannot be had, unless ALLOW_SKIP=1.
+set -eu
+here=$(dirname "$0")
+venv=target/external-venv
+
+skip() {
+    echo "test-external SKIPPED: $1; nothing was compared" >&2
+    [ "${ALLOW_SKIP:-0}" = 1 ] && exit 0
+    exit 1
+}
+
+[ -x "$venv/bin/python" ] || python3 -m venv "$venv" || skip "there is no Python with venv"
+"$venv/bin/pip" install --quiet -r "$here/requirements.txt" || skip "Mitsuba 3 could not be installed"
+"$venv/bin/python" -c 'import mitsuba' || skip "Mitsuba 3 cannot be imported"
+"$venv/bin/python" "$here/mitsuba_export.py" "$1"
