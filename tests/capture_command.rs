@@ -151,6 +151,25 @@ fn a_capture_is_complete_verified_and_listed() {
     assert_refused(&run(&folder, &["session", "verify", root]), "line 1");
 }
 
+/// Chosen among the reachable ones, and said with what they are expected to leave.
+#[test]
+fn the_best_lights_are_planned_within_the_limits() {
+    let folder = tempfile::tempdir().unwrap();
+    let words = ["capture", "--lights", "best:3", "--dry-run", "--json"];
+    let output = run(&folder, &words);
+    assert!(output.status.success());
+    let plan: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let lights = plan["lights"].as_array().unwrap();
+    assert_eq!(lights.len(), 3);
+    for (index, light) in lights.iter().enumerate() {
+        let elevation_deg = light["elevation_deg"].as_f64().unwrap();
+        assert!((45.0..=90.0).contains(&elevation_deg), "{light}");
+        assert!(!lights[..index].contains(light), "{light} twice");
+    }
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(said.contains("best of 60 directions"), "{said}");
+}
+
 #[test]
 fn a_dry_run_prints_the_plan_and_touches_nothing() {
     let folder = workplace(|text| text);

@@ -44,6 +44,8 @@ fn write_fit(folder: &Path) {
         },
         loss: 1.0,
         reduced_chi_square: vec![[1.0; 3]],
+        truncation_remainder: Vec::new(),
+        doubted: Vec::new(),
         termination: "converged".to_owned(),
         trace: Vec::new(),
         timings: Vec::new(),

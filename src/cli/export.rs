@@ -69,11 +69,11 @@ fn read_fit(dir: &Path) -> Result<FitRecord, CliError> {
         "`rig session verify SESSION` lists every damaged file; `rig fit SESSION` makes a new fit";
     if let Some((root, number)) = fit_of_session(dir) {
         let session = Session::open(&root)?;
-        return Ok(fit_record::read_in(&session, number).hint(damaged)?);
+        return fit_record::read_in(&session, number).hint(damaged);
     }
     if dir.join("fit.toml").exists() {
-        return Ok(fit_record::read(dir)
-            .hint("`rig fit` makes the folder anew; its files are not meant to be edited")?);
+        return fit_record::read(dir)
+            .hint("`rig fit` makes the folder anew; its files are not meant to be edited");
     }
     let nothing = || {
         CliError::new(format!(
@@ -87,7 +87,7 @@ fn read_fit(dir: &Path) -> Result<FitRecord, CliError> {
     }
     let session = Session::open(dir)?;
     let latest = fit_record::numbers_in(&session).pop().ok_or_else(nothing)?;
-    Ok(fit_record::read_in(&session, latest).hint(damaged)?)
+    fit_record::read_in(&session, latest).hint(damaged)
 }
 
 /// Session and number where `dir` is `SESSION/fits/NUMBER`.

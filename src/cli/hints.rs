@@ -221,6 +221,7 @@ fn for_fit_record(error: &FitRecordError) -> Option<String> {
         Syntax { .. } | Value { .. } => {
             Some("the fit was changed by hand or damaged; fit again".into())
         }
+        NotVouchedFor { .. } => Some("`rig fit SESSION` makes a fit that is journalled".into()),
         Session(error) => for_session(error),
         Image(error) => for_exr(error),
     }

@@ -9,9 +9,10 @@ use super::{CliError, Context, HintExt, facets};
 use crate::brdf::{Brdf, Dictionary, Mixture};
 use crate::config::uncertainty::Deviation;
 use crate::config::{RigConfig, process};
+use crate::inverse::bench::BenchEstimate;
+use crate::inverse::diagnosis::Cause;
 use crate::inverse::exponentiated_gradient::ExponentiatedGradient;
 use crate::inverse::gauss_newton::GaussNewton;
-use crate::inverse::bench::BenchEstimate;
 use crate::inverse::{
     BenchPriors, Channels, Fit, FitOptions, Optimizer, Refine, RefineOptions, fit, intervals,
     refine_bench,
@@ -20,11 +21,11 @@ use crate::radiance_image::{RadianceImage, exr};
 use crate::report;
 use crate::session::commit::SystemDisk;
 use crate::session::fit_record::{
-    self, AngleCell, AngleTable, AtomRecord, BenchParameter, BenchRecord, FitImages, FitRecord, FitSettings, Timing, TracePoint,
-    Warning,
+    self, AngleCell, AngleTable, AtomRecord, BenchParameter, BenchRecord, FitImages, FitRecord,
+    FitSettings, Timing, TracePoint, Warning,
 };
 use crate::session::{Session, SessionWriter, layout};
-use crate::transport::{Kernel, Scene};
+use crate::transport::{Kernel, RenderOptions, Scene, truncation_remainder};
 use crate::units::StageAngles;
 
 /// Choices of a fit that the command line may take over from the configuration.
@@ -57,6 +58,9 @@ pub struct FitArgs {
     /// Relative error of the model that the weighting allows for, 0 to 1
     #[arg(long, value_name = "T", default_value_t = 0.02, value_parser = fraction)]
     pub model_error: f64,
+    /// PNG of the images' size: only pixels that are white in it are compared
+    #[arg(long, value_name = "PNG")]
+    pub mask: Option<PathBuf>,
     /// Memory for cached paths, MiB; fewer paths are traced if it does not suffice
     #[arg(long, value_name = "MIB", default_value_t = 512, value_parser = clap::value_parser!(u64).range(16..=1_048_576))]
     pub memory: u64,
@@ -79,6 +83,8 @@ pub enum OptimizerArg {
     GaussNewton,
     /// Exponentiated gradient with Adam steps, as in the paper
     ExponentiatedGradient,
+    /// The convex least squares that takes all light as reflected once; a baseline
+    SingleBounce,
 }
 
 /// `--kernel`.
@@ -124,6 +130,7 @@ fn fraction(text: &str) -> Result<f64, String> {
 pub struct FitPlan {
     dictionary: Arc<Dictionary>,
     options: FitOptions,
+    mask: Option<PathBuf>,
     /// How well the bench is known; `None`: exactly.
     priors: Option<BenchPriors>,
 }
@@ -165,7 +172,9 @@ impl FitPlan {
                 config.is_some_and(|c| c.optimizer == process::Optimizer::ExponentiatedGradient)
             }
         };
-        options.optimizer = if exponentiated {
+        options.optimizer = if args.optimizer == Some(OptimizerArg::SingleBounce) {
+            Optimizer::SingleBounce
+        } else if exponentiated {
             options.rounds = 1;
             Optimizer::ExponentiatedGradient(ExponentiatedGradient::default())
         } else {
@@ -187,6 +196,7 @@ impl FitPlan {
         Ok(Self {
             dictionary: Arc::new(dictionary),
             options,
+            mask: args.mask.clone(),
             priors: refine.then_some(priors),
         })
     }
@@ -200,6 +210,15 @@ impl FitPlan {
         truth: Option<(&str, &dyn Brdf)>,
         context: &Context,
     ) -> Result<(FitRecord, FitImages), CliError> {
+        let mut masked = Vec::new();
+        let captured = match &self.mask {
+            Some(path) => {
+                masked.extend_from_slice(captured);
+                apply_mask(path, &mut masked)?;
+                &masked
+            }
+            None => captured,
+        };
         facets::warn_if_coarse(scene, self.dictionary.atoms(), context);
         let bar = context.spinner();
         let mut stage = |stage: &str| bar.set_message(stage.to_owned());
@@ -222,6 +241,15 @@ impl FitPlan {
         }
         bar.set_message("scoring".to_owned());
         let mut record = self.describe(&fit, simulated, truth)?;
+        bar.set_message("longer paths".to_owned());
+        let paths = RenderOptions {
+            max_reflections: self.options.cache.max_reflections,
+            seed: self.options.cache.seed,
+            ..RenderOptions::default()
+        };
+        let remainder = truncation_remainder(scene, &record.mixture()?, &paths, TRUNCATION_SAMPLES);
+        record.truncation_remainder = remainder.iter().map(|r| r.share).collect();
+        record.warnings = warnings(&fit, &record);
         record.bench = bench.as_ref().map(bench_record);
         bar.finish_and_clear();
         Ok((
@@ -301,6 +329,8 @@ impl FitPlan {
                 .last()
                 .map_or(0.0, |(_, step)| step.loss.iter().sum()),
             reduced_chi_square: fit.reduced_chi2.clone(),
+            truncation_remainder: Vec::new(),
+            doubted: fit.doubted.clone(),
             termination: fit.termination.to_string(),
             trace: fit
                 .trace
@@ -326,7 +356,7 @@ impl FitPlan {
                 theta_d_deg,
                 cells,
             },
-            warnings: warnings(fit),
+            warnings: Vec::new(),
             bench: None,
         })
     }
@@ -361,33 +391,120 @@ fn bench_record(bench: &BenchEstimate) -> BenchRecord {
 /// Pixels per side of the spheres of the environment error, as the score is defined.
 const SCORE_SPHERE_PX: usize = crate::brdf::score::SPHERE_SIZE;
 
-/// Mean square residual, in variances of noise and model error together, above which a
-/// channel is named.
-const NOTABLE_CHI2: f64 = 2.0;
-
-fn warnings(fit: &Fit) -> Vec<Warning> {
+/// Reasons not to trust a fit, with what most likely made them.
+fn warnings(fit: &Fit, record: &FitRecord) -> Vec<Warning> {
     let mut warnings = Vec::new();
-    for (channel, name) in ["red", "green", "blue"].into_iter().enumerate() {
-        let of_light = fit
-            .reduced_chi2
-            .iter()
-            .map(|chi2| chi2[channel])
-            .enumerate();
-        let Some((light, worst)) = of_light.max_by(|a, b| a.1.total_cmp(&b.1)) else {
-            continue;
-        };
-        if worst > NOTABLE_CHI2 {
-            let deviations = worst.sqrt();
-            warnings.push(Warning {
-                what: format!(
-                    "{name} differs from the fit by {deviations:.1} times what noise and model error allow (light {light}, root mean square)"
-                ),
-                likely_cause: "a material that the dictionary does not hold, an error of shape or pose, or stray light"
-                    .to_owned(),
+    let mut warn = |what: String, likely_cause: &str| {
+        warnings.push(Warning {
+            what,
+            likely_cause: likely_cause.to_owned(),
+        });
+    };
+    let diagnosis = &fit.diagnosis;
+    if let Some(cause) = diagnosis.finding() {
+        let deviations = diagnosis.mean_square.sqrt();
+        let part = Cause::ALL
+            .into_iter()
+            .zip(diagnosis.explained)
+            .find(|(c, _)| *c == cause)
+            .map_or(0.0, |(_, part)| {
+                100.0 * (part / diagnosis.mean_square).clamp(0.0, 1.0)
             });
+        warn(
+            format!(
+                "the images differ from the fit by {deviations:.1} times what noise and model error allow (root mean square), {part:.0}% of it as {} would",
+                cause.name()
+            ),
+            advice(cause),
+        );
+    }
+    for (light, &share) in record.truncation_remainder.iter().enumerate() {
+        if share > NOTABLE_REMAINDER {
+            warn(
+                format!(
+                    "paths of more than {} reflections, which were not followed, hold {:.2}% of the light (light {light})",
+                    record.settings.max_reflections,
+                    100.0 * share
+                ),
+                "--max-reflections is too small for so bright a material in so deep a shape",
+            );
         }
     }
+    for (light, &part) in fit.doubted.iter().enumerate() {
+        if part > NOTABLE_DOUBT {
+            warn(
+                format!(
+                    "{:.1}% of the values of light {light} are isolated outliers and counted for less",
+                    100.0 * part
+                ),
+                "dust or scratches on the sample, or hot pixels",
+            );
+        }
+    }
+    if fit.samples[0] < FEW_PATHS {
+        warn(
+            format!(
+                "{} paths per pixel were followed; below {FEW_PATHS} the paths' noise can steer the fit",
+                fit.samples[0]
+            ),
+            "--spp or --memory is small",
+        );
+    }
     warnings
+}
+
+/// Light beyond the longest path that a fit should not leave out.
+const NOTABLE_REMAINDER: f64 = 1e-3;
+/// Part of the values that dust may cover unmentioned.
+const NOTABLE_DOUBT: f64 = 0.02;
+/// Paths per pixel from which independent halves work well.
+const FEW_PATHS: u32 = 128;
+/// Paths per looked-at pixel that the truncation's estimate takes.
+const TRUNCATION_SAMPLES: u32 = 32;
+
+/// What to look at, by cause.
+fn advice(cause: Cause) -> &'static str {
+    match cause {
+        Cause::StrayLight => {
+            "stray light from the room or the holder; darken it, or subtract frames taken with the lamp off"
+        }
+        Cause::ShapeOrPose => {
+            "the sample is not where, or not of the shape that, the scene file says; measure its pose again"
+        }
+        Cause::NonUniform => {
+            "the material differs between places; fit a uniform region alone with --mask"
+        }
+        Cause::Translucency => {
+            "light spreads below the surface, or the image is not sharp; neither is part of the model"
+        }
+        Cause::Dictionary => {
+            "a material that the dictionary does not hold; try another with --dictionary"
+        }
+    }
+}
+
+/// Leaves out what is dark in a mask of the images' size.
+fn apply_mask(path: &Path, images: &mut [RadianceImage]) -> Result<(), CliError> {
+    let mask = image::open(path)
+        .map_err(|e| CliError::new(format!("{}: {e}", path.display())))
+        .hint("a mask is a PNG of the images' size, white where pixels are used")?
+        .to_luma8();
+    for (light, image) in images.iter_mut().enumerate() {
+        let (width, height) = (mask.width() as usize, mask.height() as usize);
+        if [width, height] != [image.width, image.height] {
+            return Err(CliError::new(format!(
+                "{} is {width} × {height}; image {light} is {} × {}",
+                path.display(),
+                image.width,
+                image.height
+            ))
+            .hint("a mask has one pixel for each of the images'"));
+        }
+        for (valid, used) in image.valid.iter_mut().zip(mask.as_raw()) {
+            *valid &= *used >= 128;
+        }
+    }
+    Ok(())
 }
 
 /// Fits a session's merged images into its next `fits/<n>` and returns that folder.

@@ -98,12 +98,19 @@ impl std::str::FromStr for Deviation {
         let key = KEYS
             .iter()
             .position(|key| key.name == name)
-            .ok_or_else(|| format!("unknown key {name} (known: {})", KEYS.map(|k| k.name).join(", ")))?;
+            .ok_or_else(|| {
+                format!(
+                    "unknown key {name} (known: {})",
+                    KEYS.map(|k| k.name).join(", ")
+                )
+            })?;
         let range = &KEYS[key].range;
         let value: f64 = value.parse().map_err(|_| format!("{value} is no number"))?;
         if !range.contains(&value) {
             let (low, high) = (range.start(), range.end());
-            return Err(format!("{name} is {value}, but must be from {low} to {high}"));
+            return Err(format!(
+                "{name} is {value}, but must be from {low} to {high}"
+            ));
         }
         Ok(Self { key, value })
     }
@@ -138,7 +145,10 @@ mod tests {
     #[test]
     fn bad_deviations_are_refused_with_the_place() {
         for (bad, said) in [
-            ("light_deg = 6", "rig.toml:1: `light_deg` is 6, but must be a number from 0 to 5"),
+            (
+                "light_deg = 6",
+                "rig.toml:1: `light_deg` is 6, but must be a number from 0 to 5",
+            ),
             ("light_dgs = 1", "rig.toml:1: unknown key `light_dgs`"),
         ] {
             let error = parse(bad).unwrap_err().to_string();
@@ -148,13 +158,19 @@ mod tests {
             ("intensity", "not KEY=VALUE"),
             ("weight=1", "unknown key weight (known: light_deg,"),
             ("intensity=x", "x is no number"),
-            ("intensity=0.9", "intensity is 0.9, but must be from 0 to 0.5"),
+            (
+                "intensity=0.9",
+                "intensity is 0.9, but must be from 0 to 0.5",
+            ),
         ] {
             let error = bad.parse::<Deviation>().unwrap_err();
             assert!(error.contains(said), "{error}");
         }
         let mut priors = BenchPriors::default();
-        "translation_mm=0.5".parse::<Deviation>().unwrap().apply(&mut priors);
+        "translation_mm=0.5"
+            .parse::<Deviation>()
+            .unwrap()
+            .apply(&mut priors);
         assert_eq!(priors.translation_mm, 0.5);
     }
 }

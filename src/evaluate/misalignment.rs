@@ -183,12 +183,10 @@ fn one(
         .with("held", estimate.held.join("; "));
     // Root mean squares by kind: errors before and after in prior deviations, and after in
     // stated deviations.
-    let kinds: [(&str, fn(&Parameter) -> bool); 4] = [
+    type Belongs = fn(&Parameter) -> bool;
+    let kinds: [(&str, Belongs); 4] = [
         ("lights", |p| {
-            matches!(
-                p,
-                Parameter::LightAzimuth(_) | Parameter::LightElevation(_)
-            )
+            matches!(p, Parameter::LightAzimuth(_) | Parameter::LightElevation(_))
         }),
         ("intensities", |p| matches!(p, Parameter::Intensity(_))),
         ("rotation", |p| matches!(p, Parameter::Rotation(_))),
@@ -202,18 +200,24 @@ fn one(
             .filter(|(p, _)| is_member(&p.parameter))
             .collect();
         let rms = |of: &dyn Fn(f64, f64, f64, f64) -> f64| {
-            let squares = members.iter().map(|(p, truth)| {
-                of(p.value, **truth, p.deviation, p.prior_deviation).powi(2)
-            });
+            let squares = members
+                .iter()
+                .map(|(p, truth)| of(p.value, **truth, p.deviation, p.prior_deviation).powi(2));
             (squares.sum::<f64>() / members.len().max(1) as f64).sqrt()
         };
         row = row
-            .with(format!("{kind}_before"), rms(&|_, truth, _, prior| truth / prior))
+            .with(
+                format!("{kind}_before"),
+                rms(&|_, truth, _, prior| truth / prior),
+            )
             .with(
                 format!("{kind}_after"),
                 rms(&|value, truth, _, prior| (value - truth) / prior),
             )
-            .with(format!("{kind}_z"), rms(&|value, truth, sigma, _| (value - truth) / sigma));
+            .with(
+                format!("{kind}_z"),
+                rms(&|value, truth, sigma, _| (value - truth) / sigma),
+            );
     }
     Ok(vec![row])
 }
@@ -222,7 +226,10 @@ fn one(
 fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
     let panel = |sample: Sample| {
         let points = |column: &str| -> Vec<[f64; 2]> {
-            let rows = table.rows.iter().filter(|r| r.text("shape") == sample.name());
+            let rows = table
+                .rows
+                .iter()
+                .filter(|r| r.text("shape") == sample.name());
             rows.filter_map(|r| Some([r.number("known")?, r.number(column)?]))
                 .map(|point| point.map(|e| e.max(1e-4).log10()))
                 .collect()

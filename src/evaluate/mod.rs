@@ -1,7 +1,10 @@
 //! Estimates beside the truth, where the truth is known: the score of one fit, and the
 //! experiments of `rig evaluate`.
 
+mod defects;
+mod diagnosis;
 pub mod experiment;
+mod intervals;
 pub mod lab;
 pub mod score_sheet;
 
@@ -39,6 +42,8 @@ pub static EXPERIMENTS: &[&Experiment] = &[
     &optimisers::OPTIMISERS,
     &noise::NOISE,
     &realism::REALISM,
+    &intervals::INTERVALS,
+    &diagnosis::DIAGNOSIS,
     &misalignment::MISALIGNMENT,
 ];
 

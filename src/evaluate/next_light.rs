@@ -27,7 +27,9 @@ pub static NEXT_LIGHT: Experiment = Experiment {
         materials: &["in-span", "bundled"],
         ..Scale::SINGLE_IMAGE
     },
+    // Smaller images of a corner are all edges.
     quick: Scale {
+        resolution_px: 24,
         lights: 2,
         materials: &["in-span:03", "nbrdf:pvc"],
         ..Scale::QUICK_IMAGE

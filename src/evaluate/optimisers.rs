@@ -116,7 +116,7 @@ fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
         let mut series = Vec::new();
         for (color, (name, _)) in methods().iter().enumerate() {
             let mut points = Vec::new();
-            for step in 0..=17 {
+            for step in 0..=16 {
                 let pass = 2f64.powf(0.5 * f64::from(step)).round();
                 let gaps: Vec<f64> = materials
                     .iter()

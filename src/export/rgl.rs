@@ -65,9 +65,8 @@ pub fn to_bytes(brdf: &dyn Brdf, channels: Channels, description: &str) -> Vec<u
         .par_iter()
         .map(|&theta| Slice::new(brdf, &facets, &following, f64::from(theta), channels))
         .collect();
-    let join = |of: fn(&Slice) -> &Vec<f32>| -> Vec<f32> {
-        slices.iter().flat_map(|slice| of(slice)).copied().collect()
-    };
+    let join =
+        |of: fn(&Slice) -> &Vec<f32>| -> Vec<f32> { slices.iter().flat_map(of).copied().collect() };
     let twice = |values: &[f32]| [values, values].concat();
     let table = join(|slice| &slice.table);
     let mut fields = vec![

@@ -39,6 +39,8 @@ fn record(simulated: bool) -> FitRecord {
         },
         loss: 1.0,
         reduced_chi_square: vec![[1.0; 3]],
+        truncation_remainder: Vec::new(),
+        doubted: Vec::new(),
         termination: "converged".to_owned(),
         trace: Vec::new(),
         timings: Vec::new(),

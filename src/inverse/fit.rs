@@ -6,6 +6,7 @@ use std::time::Instant;
 use nalgebra::DVector;
 
 use super::bench::system::{BenchLinearisation, Model};
+use super::diagnosis::{self, Diagnosis};
 use super::exponentiated_gradient::ExponentiatedGradient;
 use super::gauss_newton::GaussNewton;
 use super::objective::{Channels, Linearised, Objective};
@@ -25,6 +26,9 @@ pub enum Optimizer {
     GaussNewton(GaussNewton),
     /// The paper's exponentiated gradient with Adam steps.
     ExponentiatedGradient(ExponentiatedGradient),
+    /// The convex baseline of Eq. 13: the least squares that takes all light as reflected
+    /// once.
+    SingleBounce,
 }
 
 impl Optimizer {
@@ -33,6 +37,7 @@ impl Optimizer {
         match self {
             Optimizer::GaussNewton(_) => "gauss-newton",
             Optimizer::ExponentiatedGradient(_) => "exponentiated-gradient",
+            Optimizer::SingleBounce => "single-bounce",
         }
     }
 }
@@ -92,6 +97,10 @@ pub struct Fit {
     pub residual: Vec<RadianceImage>,
     /// Mean squared residual in standard deviations per light and channel.
     pub reduced_chi2: Vec<[f64; 3]>,
+    /// What the residual looks like.
+    pub diagnosis: Diagnosis,
+    /// Part of each light's values that were believed less, as isolated outliers.
+    pub doubted: Vec<f64>,
     /// Loss at every evaluated point, with the seconds since the start.
     pub trace: Vec<(f64, Step)>,
     /// Why the last round ended.
@@ -250,6 +259,17 @@ pub(super) fn fit_from(
             Optimizer::ExponentiatedGradient(method) => {
                 method.minimise(&objective, &residual_weights, &mut mixture, &mut recorder)
             }
+            Optimizer::SingleBounce => {
+                for (w, quadratic) in mixture
+                    .iter_mut()
+                    .zip(objective.single_bounce(&residual_weights))
+                {
+                    *w = quadratic.minimise()?.x;
+                }
+                let pass = objective.linearise(&mixture, &residual_weights);
+                recorder.step(&Step::of(&pass, "single-bounce"));
+                (pass, Termination::Converged)
+            }
         };
         round += 1;
         if round >= options.rounds {
@@ -266,14 +286,23 @@ pub(super) fn fit_from(
         kernel: options.kernel,
     };
     let coupling = bench.map(|b| b.coupling(&model, &residual_weights, &mixture));
-    let draws = uncertainty::draw(
+    let mut draws = uncertainty::draw(
         &mixture,
         &pass,
         coupling.as_ref(),
         options.draws,
         options.cache.seed,
     )?;
+    for (draws, misfit) in draws.iter_mut().zip(objective.misfit(&pass.model)) {
+        draws.misfit = misfit;
+    }
     lap("uncertainty", &mut timings);
+    stage("diagnosis");
+    let diagnosis = diagnosis::examine(scene, dictionary, &objective, &cache, &mixture, &pass);
+    let doubted = (0..captured.len())
+        .map(|light| objective.doubted(&pass.model, light))
+        .collect();
+    lap("diagnosis", &mut timings);
 
     let per_channel = |sets: &[DVector<f64>]| -> [Vec<f64>; 3] {
         std::array::from_fn(|c| sets[c.min(sets.len() - 1)].iter().copied().collect())
@@ -287,6 +316,8 @@ pub(super) fn fit_from(
         rendered,
         residual,
         reduced_chi2,
+        diagnosis,
+        doubted,
         trace: recorder.trace,
         termination,
         timings,

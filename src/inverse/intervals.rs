@@ -6,6 +6,7 @@ use super::uncertainty::Draws;
 use crate::brdf::dictionary::Dictionary;
 use crate::brdf::ggx::Cosines;
 use crate::brdf::half_difference::HalfDifference;
+use crate::random::{Purpose, stream};
 
 /// f at one pair of angles, per channel, 1/sr.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -56,7 +57,19 @@ pub fn table(
                 (interval.value[c], interval.lower[c], interval.upper[c]) = (value, value, value);
                 continue;
             };
-            let mut posterior: Vec<f64> = set.posterior.iter().map(|x| f(x.as_slice())).collect();
+            let spread = inadequacy(set.misfit, theta_h_deg, theta_d_deg);
+            let mut numbers = stream(
+                0,
+                Purpose::Posterior,
+                theta_h_deg.to_bits(),
+                theta_d_deg.to_bits(),
+                c as u64,
+            );
+            let mut posterior: Vec<f64> = set
+                .posterior
+                .iter()
+                .map(|x| f(x.as_slice()) * (spread * numbers.normal()).exp())
+                .collect();
             let prior: Vec<f64> = set.prior.iter().map(|x| f(x.as_slice())).collect();
             interval.constrained &= deviation(&posterior) < 0.5 * deviation(&prior);
             posterior.sort_by(f64::total_cmp);
@@ -74,6 +87,21 @@ pub fn table(
     }
     cells
 }
+
+/// Standard deviation of ln f that no mixture of a dictionary explains, for a relative
+/// misfit of the images. Images show the material's departures from the dictionary only
+/// where they look; towards grazing angles they look least and dictionaries of
+/// microfacet lobes fail most. Calibrated on measured materials (docs/adr/0006).
+pub fn inadequacy(misfit: f64, theta_h_deg: f64, theta_d_deg: f64) -> f64 {
+    let grazing = 0.03 * (theta_d_deg / 25.0).exp() + 0.35 * (theta_h_deg / 85.0).powi(6);
+    let peak = 0.04 * (-theta_h_deg / 3.0).exp();
+    INADEQUACY * (misfit / TYPICAL_MISFIT).min(1.0) * (grazing + peak)
+}
+
+/// Deviations of ln f over the median error that the angles' part describes.
+const INADEQUACY: f64 = 2.0;
+/// Relative misfit of the images of measured materials.
+const TYPICAL_MISFIT: f64 = 0.01;
 
 /// Standard deviation of each weight over the posterior draws, per channel.
 pub fn weight_deviations(draws: &[Draws], atoms: usize) -> [Vec<f64>; 3] {
@@ -116,6 +144,7 @@ mod tests {
                 .map(|i| draw(0.4 + 0.002 * f64::from(i)))
                 .collect(),
             prior: (0..=100).map(|i| draw(0.01 * f64::from(i))).collect(),
+            misfit: 0.0,
         };
         let weights = std::array::from_fn(|_| vec![0.5, 0.5]);
         let draws = [set(), set(), set()];
@@ -130,6 +159,7 @@ mod tests {
         let wide = [Draws {
             posterior: set().prior,
             prior: set().prior,
+            misfit: 0.0,
         }];
         assert!(!table(&dictionary, &weights, &wide, &[0.0], &[45.0])[0].constrained);
         assert!((weight_deviations(&draws, 2)[0][0] - 0.0586).abs() < 1e-3);

@@ -343,6 +343,8 @@ fn metric(dictionary: &Dictionary, weights: &DVector<f64>) -> DMatrix<f64> {
 
 /// One pixel's mean value and derivatives of both halves.
 struct Pixel {
+    /// Whether a fit would compare it: wholly on the sample, and no edge of a shadow.
+    compared: bool,
     value: f64,
     rows: [DVector<f64>; 2],
 }
@@ -350,7 +352,7 @@ struct Pixel {
 /// All pixels under each light of the cache.
 fn images_of(
     cache: &Cache,
-    direct: &DirectMatrix,
+    direct_matrix: &DirectMatrix,
     weights: &DVector<f64>,
     kernel: Kernel,
 ) -> Vec<Vec<Pixel>> {
@@ -361,7 +363,7 @@ fn images_of(
         Vec::new,
         |part: &mut Vec<Vec<Pixel>>, pixel| {
             let of = |light: usize| {
-                let row = direct.row(pixel.pixel, light);
+                let row = direct_matrix.row(pixel.pixel, light);
                 let rows = [0, 1].map(|half: usize| {
                     let indirect = &pixel.jacobian[half][light * n..(light + 1) * n];
                     DVector::from_fn(n, |k, _| f64::from(row[k]) + f64::from(indirect[k]))
@@ -372,7 +374,10 @@ fn images_of(
                     .zip(weights)
                     .map(|(&d, w)| f64::from(d) * w)
                     .sum();
+                let lit = direct_matrix.lit(pixel.pixel, light);
                 Pixel {
+                    compared: direct_matrix.coverage[pixel.pixel] >= 1.0
+                        && (lit == 0.0 || lit == 1.0),
                     value: direct + f64::from(indirect),
                     rows,
                 }
@@ -401,7 +406,7 @@ fn information(image: &[Pixel], options: &SelectionOptions) -> DMatrix<f64> {
     }
     let floor = (options.noise * mean).powi(2);
     let scale = options.independent_values / image.len() as f64;
-    for pixel in image {
+    for pixel in image.iter().filter(|pixel| pixel.compared) {
         let weight = scale / ((options.model_error * pixel.value).powi(2) + floor);
         let [a, b] = &pixel.rows;
         // The lower triangle of (a bᵀ + b aᵀ)/2.

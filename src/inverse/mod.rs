@@ -2,6 +2,7 @@
 //! they can say about their own error.
 
 pub mod bench;
+pub mod diagnosis;
 pub mod exponentiated_gradient;
 pub mod fit;
 pub mod gauss_newton;
@@ -11,6 +12,7 @@ pub mod objective;
 pub mod projection;
 pub mod refine;
 pub mod simplex;
+pub mod sparse;
 pub mod trace;
 pub mod uncertainty;
 

@@ -48,7 +48,20 @@ pub struct Objective<'a> {
     kernel: Kernel,
     /// Relative model error τ, 0..=1.
     model_error: f64,
+    /// Whether the residuals of the loss's product come from independent halves.
+    debiased: bool,
 }
+
+/// Deviation, in standard deviations and in typical deviations of the neighbours, from
+/// which a value counts for less.
+const DOUBTFUL: f64 = 4.0;
+
+/// Paths per pixel from which the product of two halves' residuals is quiet enough to be
+/// minimised; with fewer, the mean residual is squared, whose bias is the lesser evil.
+const DEBIASED_FROM: u32 = 128;
+
+/// Part of the values that may count for less.
+const MOST_DOUBTED: f64 = 0.05;
 
 /// Weights of the residuals, `[light][pixel][channel]`; 0 where not compared.
 pub type ResidualWeights = Vec<Vec<[f64; 3]>>;
@@ -121,6 +134,7 @@ impl<'a> Objective<'a> {
             channels,
             kernel,
             model_error,
+            debiased: 2 * cache.samples_per_half >= DEBIASED_FROM,
         }
     }
 
@@ -149,6 +163,64 @@ impl<'a> Objective<'a> {
         self.compared[light][pixel]
     }
 
+    /// The linear part of the model.
+    pub fn direct(&self) -> &DirectMatrix {
+        self.direct
+    }
+
+    /// The instructions that evaluate the paths.
+    pub fn kernel(&self) -> Kernel {
+        self.kernel
+    }
+
+    /// (captured − model)/σ and σ of a compared value; `None` where σ is 0.
+    pub fn deviation(
+        &self,
+        model: &[Vec<[[f64; 2]; 3]>],
+        light: usize,
+        pixel: usize,
+        channel: usize,
+    ) -> Option<(f64, f64)> {
+        let [value, rendered] = model[light][pixel][channel];
+        let allowed = (self.model_error * value).powi(2);
+        let sigma = (self.variance[light][pixel][channel] + rendered + allowed).sqrt();
+        (sigma > 0.0).then(|| ((self.target[light][pixel][channel] - value) / sigma, sigma))
+    }
+
+    /// Relative error that a model leaves beyond what the noise of capture and render
+    /// explains, per set: root of the mean over the values, weighted as the fit weighs them.
+    pub fn misfit(&self, model: &[Vec<[[f64; 2]; 3]>]) -> Vec<f64> {
+        let mut sums = vec![[0.0; 3]; self.sets()];
+        for light in 0..self.lights() {
+            for pixel in (0..model[light].len()).filter(|&p| self.compared[light][p]) {
+                for c in 0..3 {
+                    let Some((z, sigma)) = self.deviation(model, light, pixel, c) else {
+                        continue;
+                    };
+                    let [value, rendered] = model[light][pixel][c];
+                    let noise = (self.variance[light][pixel][c] + rendered) / (sigma * sigma);
+                    // A few wild values are dust, not the material.
+                    let excess = z.powi(2).min(25.0) - noise;
+                    let sum = &mut sums[self.set_of(c)];
+                    sum[0] += excess;
+                    sum[1] += (value / sigma).powi(2);
+                    sum[2] += excess * excess;
+                }
+            }
+        }
+        sums.into_iter()
+            .map(|[excess, scale, square]| {
+                // Only what stands out of the scatter of the excess itself.
+                let sure = (excess - square.sqrt()).max(0.0);
+                if scale > 0.0 {
+                    (sure / scale).sqrt()
+                } else {
+                    0.0
+                }
+            })
+            .collect()
+    }
+
     /// Captured radiance over lamp strength, its variance.
     pub fn captured(&self, light: usize, pixel: usize) -> [[f64; 3]; 2] {
         [self.target[light][pixel], self.variance[light][pixel]]
@@ -172,6 +244,7 @@ impl<'a> Objective<'a> {
                     None => [self.target[light][p][c].max(0.0), 0.0],
                 };
                 let typical = self.typical_variance(light);
+                let trust = model.map(|m| self.trust(m, light));
                 (0..width * height)
                     .map(|p| {
                         if !self.compared[light][p] {
@@ -186,12 +259,67 @@ impl<'a> Objective<'a> {
                             let captured = self.variance[light][p][c].max(0.01 * typical[c]);
                             let model = (self.model_error * intensity).powi(2);
                             let total = captured + rendered + model;
-                            if total > 0.0 { 1.0 / total } else { 0.0 }
+                            let trust = trust.as_ref().map_or(1.0, |t| t[p][c]);
+                            if total > 0.0 { trust / total } else { 0.0 }
                         })
                     })
                     .collect()
             })
             .collect()
+    }
+
+    /// How far each value of a light is believed, 0..=1: less than 1 only for isolated
+    /// values, which dust makes, and for at most [`MOST_DOUBTED`] of them. Where the
+    /// neighbours deviate as well, the model is wrong and must not look right.
+    pub fn trust(&self, model: &[Vec<[[f64; 2]; 3]>], light: usize) -> Vec<[f64; 3]> {
+        let [width, height] = self.resolution;
+        let deviation = |p: usize, c: usize| {
+            self.compared[light][p]
+                .then(|| self.deviation(model, light, p, c))
+                .flatten()
+                .map(|d| d.0.abs())
+        };
+        let mut trust = vec![[1.0; 3]; width * height];
+        let mut doubted = Vec::new();
+        let mut compared = 0;
+        for (p, c) in (0..width * height).flat_map(|p| [(p, 0), (p, 1), (p, 2)]) {
+            let Some(z) = deviation(p, c) else { continue };
+            compared += 1;
+            if z <= DOUBTFUL {
+                continue;
+            }
+            let (x, y) = (p % width, p / width);
+            let mut around: Vec<f64> = (y.saturating_sub(2)..=(y + 2).min(height - 1))
+                .flat_map(|j| {
+                    (x.saturating_sub(2)..=(x + 2).min(width - 1)).map(move |i| j * width + i)
+                })
+                .filter(|&q| q != p)
+                .filter_map(|q| deviation(q, c))
+                .collect();
+            let middle = around.len() / 2;
+            let typical = if around.is_empty() {
+                1.0
+            } else {
+                *around.select_nth_unstable_by(middle, f64::total_cmp).1
+            };
+            let limit = DOUBTFUL * typical.max(1.0);
+            if z > limit {
+                doubted.push((z / limit, p, c));
+            }
+        }
+        doubted.sort_by(|a, b| b.0.total_cmp(&a.0));
+        doubted.truncate((MOST_DOUBTED * f64::from(compared)) as usize);
+        for (excess, p, c) in doubted {
+            trust[p][c] = excess.powi(-2);
+        }
+        trust
+    }
+
+    /// Part of a light's compared values that are believed less than the others.
+    pub fn doubted(&self, model: &[Vec<[[f64; 2]; 3]>], light: usize) -> f64 {
+        let doubted = self.trust(model, light).into_iter().flatten();
+        let compared = self.compared[light].iter().filter(|&&c| c).count();
+        doubted.filter(|&t| t < 1.0).count() as f64 / (3 * compared.max(1)) as f64
     }
 
     /// Median captured variance of the compared pixels.
@@ -284,7 +412,11 @@ impl<'a> Objective<'a> {
                             row_mean[k] = 0.5 * (row_a[k] + row_b[k]);
                         }
                         let target = self.target[light][pixel][c];
-                        let residual = halves.map(|m| m - target);
+                        let residual = if self.debiased {
+                            halves.map(|m| m - target)
+                        } else {
+                            [0.5 * (halves[0] + halves[1]) - target; 2]
+                        };
                         let q = &mut part.quadratics[set];
                         add_outer(&mut q.h, row_mean, w);
                         add_product(&mut part.information[set], row_a, row_b, w);

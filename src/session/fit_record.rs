@@ -207,6 +207,11 @@ pub struct FitRecord {
     pub loss: f64,
     /// χ² per degree of freedom, per light and channel.
     pub reduced_chi_square: Vec<[f64; 3]>,
+    /// Light that paths longer than the longest followed would bring, over all light, per
+    /// light; empty where it was not estimated.
+    pub truncation_remainder: Vec<f64>,
+    /// Part of the compared values that counted for less, as isolated outliers, per light.
+    pub doubted: Vec<f64>,
     /// Why the optimiser stopped, in words.
     pub termination: String,
     /// The way there.
@@ -299,6 +304,12 @@ pub enum FitRecordError {
         value: String,
         /// What may stand there.
         allowed: String,
+    },
+    /// A file in a session that no journal record names.
+    #[error("{} is not in the session's journal", path.display())]
+    NotVouchedFor {
+        /// The file.
+        path: PathBuf,
     },
     /// The session refused.
     #[error(transparent)]

@@ -14,7 +14,7 @@ use super::proposal::Proposal;
 use super::scene::{Scene, Surface};
 use crate::brdf::dictionary::Dictionary;
 use crate::brdf::ggx::Cosines;
-use crate::random::{Purpose, Stratified, Stream, stream};
+use crate::random::{Purpose, Stream, stream};
 
 /// How paths are traced and kept.
 #[derive(Clone, Debug)]
@@ -312,22 +312,12 @@ impl Tracer<'_> {
         let (scene, atoms, options) = (self.scene, self.atoms, self.options);
         let width = scene.camera.resolution_px[0];
         let corner = DVec2::new((pixel % width) as f64, (pixel / width) as f64);
-        // Where in the pixel and the first continuation: stratified within the half.
-        let first = samples.start;
-        let half = stream(
-            options.seed,
-            Purpose::PixelPosition,
-            0,
-            pixel as u64,
-            u64::from(first),
-        );
-        let stratified = Stratified::new(half);
         for sample in samples {
             let key = |purpose| stream(options.seed, purpose, 0, pixel as u64, u64::from(sample));
-            let [x, y, choice, u, v] = stratified.point(sample - first);
+            let mut position = key(Purpose::PixelPosition);
             let mut lamps = key(Purpose::LightAndLens);
             let ray = scene.camera.ray(
-                corner + DVec2::new(f64::from(x), f64::from(y)),
+                corner + DVec2::new(position.uniform(), position.uniform()),
                 DVec2::new(lamps.uniform(), lamps.uniform()),
             );
             let begin = records.len();
@@ -345,16 +335,10 @@ impl Tracer<'_> {
                 lamps,
             };
             while walk.reflections < options.max_reflections {
-                let continuation = if walk.reflections == 1 {
-                    options
-                        .proposal
-                        .place(walk.to_viewer, choice, [u, v], &mut walk.directions)
-                } else {
-                    options
-                        .proposal
-                        .sample(walk.to_viewer, &mut walk.directions)
-                };
-                let Some((direction, pdf)) = continuation else {
+                let Some((direction, pdf)) = options
+                    .proposal
+                    .sample(walk.to_viewer, &mut walk.directions)
+                else {
                     break;
                 };
                 let Some(at) = Cosines::new(direction.to_array(), walk.to_viewer.to_array()) else {

@@ -103,21 +103,8 @@ impl Proposal {
     /// (1/sr, cosine excluded). `None` below the horizon.
     #[inline]
     pub fn sample(&self, to_viewer: Vec3, numbers: &mut Stream) -> Option<(Vec3, f32)> {
-        let choice = numbers.uniform_f32();
+        let mut choice = numbers.uniform_f32();
         let u = [numbers.uniform_f32(), numbers.uniform_f32()];
-        self.place(to_viewer, choice, u, numbers)
-    }
-
-    /// [`Self::sample`] from given numbers, each uniform in [0, 1): which lobe, where in it.
-    /// A table takes its place from `numbers`.
-    #[inline]
-    pub fn place(
-        &self,
-        to_viewer: Vec3,
-        mut choice: f32,
-        u: [f32; 2],
-        numbers: &mut Stream,
-    ) -> Option<(Vec3, f32)> {
         let direction = match &self.table {
             Some((table, share)) if choice >= 1.0 - share => {
                 let u = [0; 4].map(|_| numbers.uniform());

@@ -217,7 +217,7 @@ mod tests {
         let row = Row::new()
             .with("z", "a, \"b\"")
             .with("error", 0.1 + 0.2)
-            .with("small", 1.0e-17 / 3.0)
+            .with("small", 3.5e-18)
             .with("whole", 2.0)
             .with("lights", 4usize)
             .with("none", f64::NAN);
@@ -231,7 +231,7 @@ mod tests {
         assert_eq!(
             table.to_csv(),
             "z,error,small,whole,lights,none\n\
-             \"a, \"\"b\"\"\",0.30000000000000004,3.3333333333333333e-18,2.0,4,\n,,,,1,\n"
+             \"a, \"\"b\"\"\",0.30000000000000004,3.5e-18,2.0,4,\n,,,,1,\n"
         );
         assert_eq!(table.numbers("lights"), [1.0, 4.0]);
     }

@@ -30,6 +30,8 @@ pub struct DerivativeOptions {
     pub seed: u64,
     /// Where continuations go.
     pub proposal: Proposal,
+    /// What comes by way of other surfaces is averaged over pixels up to this far away.
+    pub average_px: usize,
 }
 
 /// Derivatives of radiance over lamp strength with respect to the geometric parameters.
@@ -49,8 +51,9 @@ struct View {
     light_of_slot: Vec<usize>,
 }
 
-/// Where a column's value stands: view and slot.
+/// A column, and where its value stands: view and slot.
 struct Place {
+    parameter: usize,
     view: usize,
     slot: usize,
     light: usize,
@@ -69,7 +72,8 @@ impl DerivativeImages {
         let base = bench.scene(values);
         let lights = base.lights.len();
         let halves = [1.0, -1.0].map(|sign| views(bench, &base, values, sign));
-        let columns: Vec<(usize, usize)> = halves[0].1.iter().map(|(c, _)| *c).collect();
+        let places = &halves[0].1;
+        let columns: Vec<_> = places.iter().map(|p| (p.parameter, p.light)).collect();
         let rows: Vec<Vec<[Parts; 2]>> = (0..base.camera.pixels())
             .into_par_iter()
             .map(|pixel| {
@@ -89,7 +93,7 @@ impl DerivativeImages {
                             walk.sums
                         })
                         .collect();
-                    for (value, (_, place)) in row.iter_mut().zip(places) {
+                    for (value, place) in row.iter_mut().zip(places) {
                         let moved = sums[place.view][place.slot];
                         let still = sums[0][place.light];
                         value[half] = [0, 1].map(|part| {
@@ -103,7 +107,7 @@ impl DerivativeImages {
                 row
             })
             .collect();
-        let values = smoothed(&rows, wanted, base.camera.resolution_px);
+        let values = smoothed(&rows, wanted, base.camera.resolution_px, options.average_px);
         Self { columns, values }
     }
 
@@ -126,8 +130,8 @@ fn smoothed(
     rows: &[Vec<[Parts; 2]>],
     wanted: &[bool],
     [width, height]: [usize; 2],
+    reach: usize,
 ) -> Vec<[[f32; 3]; 2]> {
-    let reach = (width.max(height) + 12) / 24;
     (0..rows.len())
         .into_par_iter()
         .map(|pixel| {
@@ -163,12 +167,7 @@ fn smoothed(
 }
 
 /// The views of one half, and where each column's value stands in them.
-fn views(
-    bench: &Bench,
-    base: &Scene,
-    values: &DVector<f64>,
-    sign: f64,
-) -> (Vec<View>, Vec<((usize, usize), Place)>) {
+fn views(bench: &Bench, base: &Scene, values: &DVector<f64>, sign: f64) -> (Vec<View>, Vec<Place>) {
     let lights = base.lights.len();
     let mut views = vec![View {
         scene: base.clone(),
@@ -186,32 +185,24 @@ fn views(
         if let Some(light) = parameter.light() {
             views[0].scene.lights.push(scene.lights.swap_remove(light));
             views[0].light_of_slot.push(light);
-            let slot = views[0].light_of_slot.len() - 1;
-            places.push((
-                (k, light),
-                Place {
-                    view: 0,
-                    slot,
-                    light,
-                    step,
-                },
-            ));
+            places.push(Place {
+                parameter: k,
+                view: 0,
+                slot: views[0].light_of_slot.len() - 1,
+                light,
+                step,
+            });
         } else {
             views.push(View {
                 scene,
                 light_of_slot: (0..lights).collect(),
             });
-            let view = views.len() - 1;
-            places.extend((0..lights).map(|light| {
-                (
-                    (k, light),
-                    Place {
-                        view,
-                        slot: light,
-                        light,
-                        step,
-                    },
-                )
+            places.extend((0..lights).map(|light| Place {
+                parameter: k,
+                view: views.len() - 1,
+                slot: light,
+                light,
+                step,
             }));
         }
     }

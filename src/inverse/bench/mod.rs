@@ -16,6 +16,9 @@ pub mod refine;
 pub mod spectrum;
 pub mod system;
 
+#[cfg(test)]
+mod tests;
+
 pub use parameters::{Bench, BenchPriors, Parameter};
 pub use refine::{BenchEstimate, Estimated, RefineOptions, RefinedFit, refine_bench};
 pub use system::{BenchCoupling, BenchLinearisation};

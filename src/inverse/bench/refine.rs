@@ -21,7 +21,7 @@ use crate::transport::{Cache, DirectMatrix, Proposal, Scene};
 /// How a bench is refined.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RefineOptions {
-    /// Most rounds, 1..=20.
+    /// Most rounds, 2..=20; the first does not know how far the scores can be trusted.
     pub rounds: usize,
     /// Paths per pixel of a round's fit, at least 2; never more than the final fit's.
     pub samples_per_pixel: u32,
@@ -132,7 +132,7 @@ pub fn refine_bench(
             }
             _ => {
                 let step = round.spectrum.step(&values, &round.score, &round.noise);
-                settled = round.spectrum.length(&step) < refine.settled;
+                settled = taken > 1 && round.spectrum.length(&step) < refine.settled;
                 let next = &values + &step;
                 best = Some(Best {
                     values: std::mem::replace(&mut values, next),
@@ -284,6 +284,7 @@ impl Rounds<'_> {
                 max_reflections: paths.max_reflections.min(refine.derivative_reflections),
                 seed: stream(paths.seed, Purpose::BenchDerivative, round as u64, 0, 0).bits(),
                 proposal: Proposal::resembling(&material, 0.3),
+                average_px: (scene.camera.resolution_px[0] + 12) / 24,
             },
         );
         let model = Model {
@@ -301,10 +302,15 @@ impl Rounds<'_> {
         );
         let reduced = normal.reduced(&pass.information, &mixture);
         let loss: f64 = pass.quadratics.iter().map(|q| q.c).sum();
+        let spectrum = Spectrum::new(self.bench, &reduced.information);
         self.mixture = Some(mixture);
         Ok(Round {
-            spectrum: Spectrum::new(self.bench, &reduced.information)
-                .widened(&reduced.block_scores),
+            // At first the scores scatter because the bench is off, not by noise.
+            spectrum: if round == 1 {
+                spectrum
+            } else {
+                spectrum.widened(&reduced.block_scores)
+            },
             score: reduced.score,
             noise: reduced.noise,
             derivatives,

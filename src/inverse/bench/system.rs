@@ -16,7 +16,6 @@ use super::derivatives::DerivativeImages;
 use super::parameters::{Bench, Parameter};
 use super::spectrum::Spectrum;
 use crate::inverse::objective::{Objective, ResidualWeights};
-use crate::random::{Purpose, stream};
 use crate::transport::{Cache, DirectMatrix, Kernel};
 
 /// Deviation of a weight before any image, which keeps F_ww invertible where atoms
@@ -77,7 +76,7 @@ impl Normal {
         mixture: &[DVector<f64>],
     ) -> Self {
         let (objective, cache, direct) = (model.objective, model.cache, model.direct);
-        let (n, sets, lights) = (objective.atoms(), objective.sets(), objective.lights());
+        let (n, sets) = (objective.atoms(), objective.sets());
         let parameters = bench.parameters();
         let slices: Vec<&[f64]> = mixture.iter().map(|w| w.as_slice()).collect();
         let parts = cache.evaluate(
@@ -86,10 +85,10 @@ impl Normal {
             || Self::zero(parameters.len(), n, sets),
             |sum, rows| {
                 let pixel = rows.pixel;
-                for light in 0..lights {
+                for (light, residual_weights) in residual_weights.iter().enumerate() {
                     let direct = direct.row(pixel, light);
                     for c in 0..3 {
-                        let w = residual_weights[light][pixel][c];
+                        let w = residual_weights[pixel][c];
                         if w <= 0.0 {
                             continue;
                         }
@@ -301,11 +300,8 @@ pub struct BenchCoupling {
 }
 
 impl BenchCoupling {
-    /// What draw `index` adds to the score of a set's weights; all sets see one bench.
-    pub fn score(&self, set: usize, seed: u64, index: u64) -> DVector<f64> {
-        let shift = &self.shifts[set];
-        let mut numbers = stream(seed, Purpose::Posterior, u64::MAX, 0, index);
-        let normal = DVector::from_fn(shift.ncols(), |_, _| numbers.normal());
-        -(shift * normal)
+    /// Covariance that it adds to the score of a set's weights, N × N.
+    pub fn covariance(&self, set: usize) -> DMatrix<f64> {
+        &self.shifts[set] * self.shifts[set].transpose()
     }
 }

@@ -241,6 +241,12 @@ fn a_stray_fit_is_not_seen_and_an_edited_one_is_refused() {
         std::fs::copy(file.path(), stray.join(file.file_name())).unwrap();
     }
     assert_eq!(load_with(&root, None, 8).unwrap().fit.unwrap().name, "0");
+    let read = fit_record::read_in(&Session::open(&root).unwrap(), 7);
+    let error = read.err().unwrap().to_string();
+    assert!(
+        error.ends_with("is not in the session's journal"),
+        "{error}"
+    );
     let weights = root.join("fits/0/weights.csv");
     let text = std::fs::read_to_string(&weights).unwrap();
     std::fs::write(&weights, text.replace("0.5", "0.50")).unwrap();

@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use super::{
-    BenchRecord, FIT_FILE, FORMAT, FitImages, FitRecord, FitRecordError, FitSettings, ScoreSheet, Timing,
-    Warning, check, out_of_range, tables,
+    BenchRecord, FIT_FILE, FORMAT, FitImages, FitRecord, FitRecordError, FitSettings, ScoreSheet,
+    Timing, Warning, check, out_of_range, tables,
 };
 use crate::radiance_image::exr;
 use crate::session::layout::FITS_FOLDER;
@@ -24,6 +24,10 @@ struct FitToml {
     loss: f64,
     termination: String,
     reduced_chi_square: Vec<[f64; 3]>,
+    #[serde(default)]
+    truncation_remainder: Vec<f64>,
+    #[serde(default)]
+    doubted: Vec<f64>,
     settings: FitSettings,
     #[serde(default)]
     versions: BTreeMap<String, String>,
@@ -201,6 +205,8 @@ fn parse(
         settings: toml.settings,
         loss: toml.loss,
         reduced_chi_square: toml.reduced_chi_square,
+        truncation_remainder: toml.truncation_remainder,
+        doubted: toml.doubted,
         termination: toml.termination,
         trace,
         timings: toml.timing,
@@ -300,6 +306,8 @@ fn to_toml(record: &FitRecord) -> String {
         loss: record.loss,
         termination: record.termination.clone(),
         reduced_chi_square: record.reduced_chi_square.clone(),
+        truncation_remainder: record.truncation_remainder.clone(),
+        doubted: record.doubted.clone(),
         settings: record.settings.clone(),
         versions: record.versions.clone(),
         timing: record.timings.clone(),

@@ -1,0 +1,125 @@
+//! Does a fit notice that something is wrong, and does it name what?
+
+use std::sync::Arc;
+
+use glam::DVec3;
+
+use super::defects::Defect;
+use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table};
+use super::intervals::{capture, material, options};
+use super::lab::materials::Class;
+use super::lab::{Lab, Sample};
+use crate::brdf::Brdf;
+use crate::inverse::diagnosis::Cause;
+use crate::inverse::{FitOptions, fit};
+use crate::plot::Figure;
+
+/// Rates of warnings and of the named causes.
+pub static DIAGNOSIS: Experiment = Experiment {
+    name: "diagnosis",
+    shows: "How often a fit warns, and which cause it names, on sound captures and on captures with a defect that the fit is not told",
+    full: Scale {
+        resolution_px: 16,
+        samples_per_pixel: 256,
+        truth_samples_per_pixel: 512,
+        lights: 2,
+        materials: &["in-span", "bundled"],
+        ..Scale::NONE
+    },
+    quick: Scale {
+        resolution_px: 16,
+        samples_per_pixel: 128,
+        truth_samples_per_pixel: 256,
+        lights: 2,
+        materials: &["in-span", "bundled"],
+        ..Scale::NONE
+    },
+    cases,
+    figures: |_, _: &Table| -> Result<Vec<Figure>, EvaluateError> { Ok(Vec::new()) },
+};
+
+/// Captures per defect.
+const CAPTURES: u64 = 100;
+/// The same in the small version.
+const QUICK_CAPTURES: u64 = 4;
+
+/// Kinds of captures, with the cause that should be named.
+const KINDS: [(&str, Option<Cause>); 7] = [
+    ("sound, in span", None),
+    ("sound, measured", None),
+    ("second material", Some(Cause::NonUniform)),
+    ("wrong depth", Some(Cause::ShapeOrPose)),
+    ("wrong pose", Some(Cause::ShapeOrPose)),
+    ("stray light", Some(Cause::StrayLight)),
+    ("translucent", Some(Cause::Translucency)),
+];
+
+fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
+    let captures = if lab.settings.quick {
+        QUICK_CAPTURES
+    } else {
+        CAPTURES
+    };
+    let mut cases = Vec::new();
+    for kind in 0..KINDS.len() {
+        for index in 0..captures {
+            let key = format!("{}/{index}", KINDS[kind].0);
+            cases.push(Case::new(key, move |lab: &Lab| {
+                Ok(vec![one(lab, kind, index)?])
+            }));
+        }
+    }
+    Ok(cases)
+}
+
+fn defect(lab: &Lab, kind: usize, index: u64) -> Result<Option<Defect>, EvaluateError> {
+    let sign = if index.is_multiple_of(2) { 1.0 } else { -1.0 };
+    Ok(match KINDS[kind].0 {
+        "second material" => {
+            let other: Arc<dyn Brdf> = material(lab, Class::InSpan, index + 3)?;
+            Some(Defect::SecondMaterial(other))
+        }
+        "wrong depth" => Some(Defect::Depth(1.0 + 0.12 * sign as f32)),
+        "wrong pose" => Some(Defect::Pose(
+            DVec3::new(0.02 * sign, 0.015, 0.0),
+            DVec3::new(0.02, -0.02 * sign, 0.0),
+        )),
+        "stray light" => Some(Defect::StrayLight(0.25)),
+        "translucent" => Some(Defect::Translucent(0.6, 1.5)),
+        _ => None,
+    })
+}
+
+fn one(lab: &Lab, kind: usize, index: u64) -> Result<Row, EvaluateError> {
+    let (name, expected) = KINDS[kind];
+    let class = if name == "sound, measured" {
+        Class::Measured
+    } else {
+        Class::InSpan
+    };
+    let sample = Sample::Bowl;
+    let brdf = material(lab, class, index)?;
+    let defect = defect(lab, kind, index)?;
+    let images = capture(lab, sample, &*brdf, defect.as_ref(), index)?;
+    let scene = sample.scene(
+        lab.settings.resolution_px,
+        sample.lights(lab.settings.lights),
+    )?;
+    let options = FitOptions {
+        draws: 0,
+        ..options(lab, index)
+    };
+    let fit = fit(&scene, &images, &lab.dictionary, &options, &mut |_| {})?;
+    let finding = fit.diagnosis.finding();
+    let mut row = Row::new()
+        .with("capture", name)
+        .with("expected", expected.map_or("none", Cause::name))
+        .with("named", finding.map_or("none", Cause::name))
+        .with("right", if finding == expected { 1.0 } else { 0.0 })
+        .with("mean_square", fit.diagnosis.mean_square)
+        .with("correlation", fit.diagnosis.correlation);
+    for (cause, part) in Cause::ALL.into_iter().zip(fit.diagnosis.explained) {
+        row = row.with(cause.name().replace(' ', "_"), part);
+    }
+    Ok(row)
+}

@@ -1,0 +1,291 @@
+//! Do the intervals hold what they promise? Coverage, cell by cell, over many captures.
+
+use std::sync::Arc;
+
+use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table, quantile};
+use super::lab::materials::Class;
+use super::lab::{Lab, Sample};
+use crate::brdf::{Brdf, HalfDifference, Mixture};
+use crate::inverse::intervals::{self, Interval};
+use crate::inverse::{FitOptions, fit};
+use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
+use crate::radiance_image::RadianceImage;
+use crate::simulation::photograph::Photographer;
+
+/// Pointwise coverage of the 95% intervals.
+pub static INTERVALS: Experiment = Experiment {
+    name: "intervals",
+    shows: "Coverage of the 95% intervals of f at every (θh, θd) and channel over captures with noise, paths and finer mesh of their own; beside it the median relative width and the fraction of cells that count as constrained",
+    full: Scale {
+        resolution_px: 16,
+        samples_per_pixel: 256,
+        truth_samples_per_pixel: 1024,
+        lights: 2,
+        materials: &["in-span", "bundled"],
+        ..Scale::NONE
+    },
+    quick: Scale {
+        resolution_px: 16,
+        samples_per_pixel: 128,
+        truth_samples_per_pixel: 512,
+        lights: 2,
+        materials: &["in-span", "bundled"],
+        ..Scale::NONE
+    },
+    cases,
+    figures,
+};
+
+/// Captures per class of materials.
+const CAPTURES: u64 = 200;
+/// The same in the small version.
+const QUICK_CAPTURES: u64 = 8;
+
+/// A noisy capture of `material` from `sample` under the settings' lights, after what
+/// `defect` does to it, and the seed of its fit.
+pub(super) fn capture(
+    lab: &Lab,
+    sample: Sample,
+    brdf: &dyn Brdf,
+    defect: Option<&super::defects::Defect>,
+    index: u64,
+) -> Result<Vec<RadianceImage>, EvaluateError> {
+    let lights = sample.lights(lab.settings.lights);
+    let sound = sample.true_scene(lab.settings.resolution_px, lights)?;
+    let truth = match defect {
+        Some(defect) => &defect.scene(&sound)?,
+        None => &sound,
+    };
+    let mut options = lab.truth_options(truth, brdf);
+    options.seed = options.seed.wrapping_add(index << 20);
+    let mut images = crate::transport::render(truth, brdf, &options, &|_| {});
+    let photographer = Photographer {
+        bit_depth: 12,
+        full_well_e: 10_000.0,
+        read_noise_e: 2.4,
+        exposures: 3,
+        frames: 1,
+        seed: lab.settings.seed.wrapping_add(index),
+    };
+    (0..)
+        .zip(&mut images)
+        .map(|(light, image)| {
+            if let Some(defect) = defect {
+                defect.image(image);
+            }
+            let mut taken = photographer.take(image, light)?;
+            // The truth's own paths are part of the capture's noise.
+            for (p, variance) in taken.variance.iter_mut().enumerate() {
+                let around = around(p, image.width, image.height);
+                for (c, v) in variance.iter_mut().enumerate() {
+                    let sum: f32 = around.iter().map(|&q| image.variance[q][c]).sum();
+                    *v += sum / around.len() as f32;
+                }
+            }
+            Ok(taken)
+        })
+        .collect()
+}
+
+fn around(p: usize, width: usize, height: usize) -> Vec<usize> {
+    let (x, y) = (p % width, p / width);
+    (y.saturating_sub(1)..=(y + 1).min(height - 1))
+        .flat_map(|j| (x.saturating_sub(1)..=(x + 1).min(width - 1)).map(move |i| j * width + i))
+        .collect()
+}
+
+/// Options of the fit of one capture: other paths for each.
+pub(super) fn options(lab: &Lab, index: u64) -> FitOptions {
+    let mut options = FitOptions {
+        draws: FitOptions::default().draws,
+        ..lab.fit_options()
+    };
+    options.cache.seed = lab.settings.seed.wrapping_add(index);
+    options
+}
+
+/// The material of a capture: measured ones in turn; of mixtures, three different ones in
+/// the three channels, another three each round.
+pub(super) fn material(
+    lab: &Lab,
+    class: Class,
+    index: u64,
+) -> Result<Arc<dyn Brdf>, EvaluateError> {
+    let all: Vec<_> = lab
+        .materials
+        .iter()
+        .filter(|m| (m.class == Class::InSpan) == (class == Class::InSpan))
+        .collect();
+    let n = all.len() as u64;
+    let at = |k: u64| &all[(k % n) as usize];
+    if class != Class::InSpan {
+        return Ok(at(index).brdf.clone());
+    }
+    let round = index / n;
+    let set = crate::brdf::in_span::set();
+    let weights = [index, index + 7 + round, index + 13 + 2 * round].map(|k| {
+        let name = &at(k).name;
+        set.iter()
+            .find(|m| name.ends_with(&m.name))
+            .map(|m| m.mixture())
+    });
+    match weights {
+        [Some(a), Some(b), Some(c)] => {
+            let weights = [&a, &b, &c].map(|m| m.weights()[1].clone());
+            Ok(Arc::new(Mixture::new(a.dictionary().clone(), weights)?))
+        }
+        _ => Ok(at(index).brdf.clone()),
+    }
+}
+
+fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
+    let mut cases = Vec::new();
+    for class in [Class::InSpan, Class::Measured] {
+        let in_span = class == Class::InSpan;
+        if lab
+            .materials
+            .iter()
+            .any(|m| (m.class == Class::InSpan) == in_span)
+        {
+            cases.push(Case::new(class.name(), move |lab: &Lab| {
+                coverage(lab, class)
+            }));
+        }
+    }
+    Ok(cases)
+}
+
+fn theta_h_deg() -> Vec<f64> {
+    (0..12)
+        .map(|i| 85.0 * (f64::from(i) / 11.0).powi(2))
+        .collect()
+}
+
+fn theta_d_deg() -> Vec<f64> {
+    (0..9).map(|j| 10.0 * f64::from(j)).collect()
+}
+
+/// f of a BRDF at the cells of [`intervals::table`].
+fn values(brdf: &dyn Brdf) -> Vec<[f64; 3]> {
+    let mut cells = Vec::new();
+    for theta_h in theta_h_deg() {
+        for theta_d in theta_d_deg() {
+            let (i, o) = HalfDifference {
+                theta_h_rad: theta_h.to_radians(),
+                theta_d_rad: theta_d.to_radians(),
+                phi_d_rad: std::f64::consts::FRAC_PI_2,
+            }
+            .to_directions();
+            cells.push(brdf.eval(i.as_vec3(), o.as_vec3()).map(f64::from));
+        }
+    }
+    cells
+}
+
+/// One row per cell and channel.
+fn coverage(lab: &Lab, class: Class) -> Result<Vec<Row>, EvaluateError> {
+    use rayon::prelude::*;
+    let captures = if lab.settings.quick {
+        QUICK_CAPTURES
+    } else {
+        CAPTURES
+    };
+    let (theta_h, theta_d) = (theta_h_deg(), theta_d_deg());
+    let sample = Sample::Bowl;
+    let scene = sample.scene(
+        lab.settings.resolution_px,
+        sample.lights(lab.settings.lights),
+    )?;
+    let trials = (0..captures)
+        .into_par_iter()
+        .map(|index| {
+            let brdf = material(lab, class, index)?;
+            let images = capture(lab, sample, &*brdf, None, index)?;
+            let fit = fit(
+                &scene,
+                &images,
+                &lab.dictionary,
+                &options(lab, index),
+                &mut |_| {},
+            )?;
+            let cells = intervals::table(
+                &lab.dictionary,
+                &fit.weights,
+                &fit.draws,
+                &theta_h,
+                &theta_d,
+            );
+            Ok((values(&*brdf), cells))
+        })
+        .collect::<Result<Vec<(Vec<[f64; 3]>, Vec<Interval>)>, EvaluateError>>()?;
+    let mut rows = Vec::new();
+    for (cell, (h, d)) in theta_h
+        .iter()
+        .flat_map(|h| theta_d.iter().map(move |d| (h, d)))
+        .enumerate()
+    {
+        for (c, channel) in ["R", "G", "B"].into_iter().enumerate() {
+            let inside = |(truth, cells): &&(Vec<[f64; 3]>, Vec<Interval>)| {
+                (cells[cell].lower[c]..=cells[cell].upper[c]).contains(&truth[cell][c])
+            };
+            let constrained = || trials.iter().filter(|t| t.1[cell].constrained);
+            let widths: Vec<f64> = constrained()
+                .filter(|t| t.0[cell][c] > 0.0)
+                .map(|t| (t.1[cell].upper[c] - t.1[cell].lower[c]) / t.0[cell][c])
+                .collect();
+            let n = constrained().count();
+            let row = Row::new()
+                .with("class", class.name())
+                .with("theta_h_deg", *h)
+                .with("theta_d_deg", *d)
+                .with("channel", channel)
+                .with("captures", captures as f64)
+                .with(
+                    "coverage",
+                    trials.iter().filter(inside).count() as f64 / captures as f64,
+                )
+                .with("constrained", n as f64 / captures as f64)
+                .with(
+                    "coverage_where_constrained",
+                    (n > 0).then(|| constrained().filter(inside).count() as f64 / n as f64),
+                )
+                .with(
+                    "median_relative_width",
+                    (!widths.is_empty()).then(|| quantile(&widths, 0.5)),
+                );
+            rows.push(row);
+        }
+    }
+    Ok(rows)
+}
+
+fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
+    let panel = |class: Class| {
+        let series = theta_d_deg()
+            .into_iter()
+            .step_by(2)
+            .enumerate()
+            .map(|(color, d)| {
+                let points = theta_h_deg().into_iter().filter_map(|h| {
+                    let here = table.figures("coverage", |row| {
+                        row.text("class") == class.name()
+                            && row.number("theta_h_deg") == Some(h)
+                            && row.number("theta_d_deg") == Some(d)
+                    });
+                    (!here.is_empty()).then(|| [h, here.iter().sum::<f64>() / here.len() as f64])
+                });
+                Series::new(&format!("θd = {d}°"), color, Mark::Points, points.collect())
+            });
+        Chart {
+            title: format!("{} materials", class.name()),
+            x: Axis::linear(0.0..90.0, "θh, degrees"),
+            y: Axis::linear(0.0..1.0, "captures whose 95% interval holds the truth"),
+            series: series.collect(),
+        }
+    };
+    Ok(vec![charts(
+        "coverage",
+        2,
+        &[Class::InSpan, Class::Measured].map(panel),
+    )])
+}

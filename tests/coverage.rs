@@ -1,0 +1,36 @@
+//! Small versions of the coverage and diagnosis studies: 8 captures of 16 × 16 pixels.
+//! `make test-long` runs the full ones.
+
+use rig::evaluate::experiment::{Overrides, Table};
+use rig::evaluate::lab::Lab;
+
+fn table(name: &str) -> Table {
+    let experiment = rig::evaluate::find(name).unwrap();
+    let overrides = Overrides {
+        quick: true,
+        ..Overrides::default()
+    };
+    let lab = Lab::new(experiment, &overrides).unwrap();
+    let mut rows = Vec::new();
+    for case in (experiment.cases)(&lab).unwrap() {
+        rows.extend(case.run(&lab).unwrap());
+    }
+    Table { rows }
+}
+
+/// 2592 intervals of 8 captures per class. Cells of one capture err together, so the bound
+/// is far below 95%: intervals as narrow as half of what they should be fail it.
+#[test]
+fn intervals_hold_the_truth() {
+    let table = table("intervals");
+    for class in ["in-span", "measured"] {
+        let covered = table.figures("coverage", |row| row.text("class") == class);
+        assert_eq!(covered.len(), 324);
+        let mean = covered.iter().sum::<f64>() / covered.len() as f64;
+        let constrained = table.figures("constrained", |row| row.text("class") == class);
+        let constrained = constrained.iter().sum::<f64>() / constrained.len() as f64;
+        println!("{class}: coverage {mean:.3}, constrained {constrained:.3}");
+        assert!(mean > 0.85, "{class}: {mean}");
+        assert!(constrained > 0.25, "{class}: {constrained}");
+    }
+}
