@@ -99,7 +99,7 @@ impl Bvh {
         bvh
     }
 
-    /// The portable kernel, which gives the same hits on every machine.
+    /// The portable kernel, which finds the same hits on every machine.
     pub fn without_simd(mut self) -> Self {
         self.avx2 = false;
         self
