@@ -123,7 +123,7 @@ impl Instructions for Portable {
     #[inline(always)]
     fn boxes(node: &Node, ray: &Prepared, limit: f32, entries: &mut [f32; WIDTH]) -> u32 {
         let mut met = 0;
-        for lane in 0..WIDTH {
+        for (lane, out) in entries.iter_mut().enumerate() {
             let (mut entry, mut leave) = (0.0f32, limit);
             for axis in 0..3 {
                 let near = node.bounds[ray.near[axis]][lane];
@@ -131,7 +131,7 @@ impl Instructions for Portable {
                 entry = entry.max(near * ray.inverse[axis][0] - ray.offset[axis][0]);
                 leave = leave.min(far * ray.inverse[axis][1] - ray.offset[axis][1]);
             }
-            entries[lane] = entry;
+            *out = entry;
             met |= u32::from(entry <= leave) << lane;
         }
         met
