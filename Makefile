@@ -1,11 +1,12 @@
 # `make demo`: build, then the whole pipeline on the simulated rig.
 # `make test`: all tests.
+# `make test-long`: coverage of the intervals and rates of warnings, in full.
 # `make test-external`: exports loaded in the programs they are for (tests/external/README.md).
 
 CARGO ?= cargo
 SUDO := $(if $(filter 0,$(shell id -u)),,sudo)
 
-.PHONY: demo test test-external build deps
+.PHONY: demo test test-long test-external build deps
 
 demo: build
 	target/release/rig demo
@@ -18,6 +19,11 @@ test: deps
 
 test-external: build
 	tests/external/run.sh target/release/rig
+
+# Hours of one core at full size; an interrupted run goes on where it stopped.
+test-long: build
+	target/release/rig evaluate intervals --out target/long/intervals
+	target/release/rig evaluate diagnosis --out target/long/diagnosis
 
 # What the build needs from the system: a C compiler to link, libclang for the
 # Video4Linux bindings. Nothing happens if it is there.

@@ -106,6 +106,7 @@ def mitsuba(mesh, light_deg, atoms, repeats):
         gradient = [dr.grad(params[key]) for key in weights]
         dr.eval(loss, image, *gradient)
         dr.sync_thread()
+        assert all(g[0] != 0.0 for g in gradient), "a weight without a derivative"
         times.append((time.process_time() - cpu, time.perf_counter() - wall))
     # The first one compiles.
     middle = [sorted(t[k] for t in times[1:])[repeats // 2] for k in range(2)]
@@ -122,10 +123,11 @@ def main():
     arguments = parser.parse_args()
     mi.set_variant(arguments.variant)
 
-    bench = subprocess.run(
-        [arguments.rig, "bench", "--json", "--threads", "1"], check=True, capture_output=True
-    )
-    rig = {case["name"]: case for case in json.loads(bench.stdout)["cases"]}
+    rig = {}
+    for cases in ("evaluate", "trace"):
+        command = [arguments.rig, "-q", "bench", "--json", "--threads", "1", "--only", cases]
+        bench = subprocess.run(command, check=True, capture_output=True)
+        rig.update({case["name"]: case for case in json.loads(bench.stdout)["cases"]})
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         for name, (shape, light_deg) in SHAPES.items():

@@ -4,6 +4,7 @@
 //! `cargo run --release --example dictionary_floors -- [--merl FILE.binary …] [--bsdf FILE.bsdf …]
 //! [--bivariate FILE.f32 …]` adds materials to the embedded ones; a bivariate file holds one
 //! or more tables of 90 × 90 little-endian f32 over (θh, θd) in MERL's spacing, one channel.
+#![expect(clippy::print_stdout, reason = "an example prints its table")]
 
 use std::sync::Arc;
 

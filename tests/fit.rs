@@ -135,7 +135,11 @@ fn the_truth_comes_back_through_interreflections() {
             error < 0.5 * start,
             "{name}: {error} against the start's {start}"
         );
-        assert!(constrained * 2 > cells.len(), "{name}: {constrained} cells");
+        // Against a prior of few atoms, which is narrow itself (docs/adr/0006).
+        assert!(
+            constrained * 10 > cells.len(),
+            "{name}: {constrained} cells"
+        );
         for weights in fit.weights.iter().chain(&fit.start) {
             assert!((weights.iter().sum::<f64>() - 1.0).abs() < 1e-9);
             assert!(weights.iter().all(|&w| w >= 0.0));

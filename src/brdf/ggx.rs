@@ -345,7 +345,7 @@ mod tests {
                     for (d_theta, phi) in [(0.0, 3.0), (0.01, 3.1), (-0.02, 2.0), (0.0, 0.3)] {
                         let (i, o) = (
                             direction(theta_i, 0.0),
-                            direction((theta_i + d_theta).min(1.5707), phi),
+                            direction((theta_i + d_theta).min(1.5705), phi),
                         );
                         let at = Cosines::new(i, o).unwrap();
                         let sum = [i[0] + o[0], i[1] + o[1], i[2] + o[2]];

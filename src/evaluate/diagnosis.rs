@@ -61,9 +61,9 @@ fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
         CAPTURES
     };
     let mut cases = Vec::new();
-    for kind in 0..KINDS.len() {
+    for (kind, (name, _)) in KINDS.iter().enumerate() {
         for index in 0..captures {
-            let key = format!("{}/{index}", KINDS[kind].0);
+            let key = format!("{name}/{index}");
             cases.push(Case::new(key, move |lab: &Lab| {
                 Ok(vec![one(lab, kind, index)?])
             }));

@@ -99,7 +99,7 @@ impl Bvh {
         bvh
     }
 
-    /// The portable kernel, which gives the same hits on every machine.
+    /// The portable kernel, which finds the same hits on every machine.
     pub fn without_simd(mut self) -> Self {
         self.avx2 = false;
         self
@@ -159,23 +159,6 @@ impl Stack {
         self.height += 1;
     }
 
-    /// Pushes below all entries above `base` that are nearer.
-    #[inline(always)]
-    fn push_sorted(&mut self, base: usize, entry: u64) {
-        let mut slot = self.height;
-        while slot > base {
-            // SAFETY: everything below `height` has been written.
-            let below = unsafe { self.entries[slot - 1].assume_init() };
-            if below >= entry {
-                break;
-            }
-            self.entries[slot].write(below);
-            slot -= 1;
-        }
-        self.entries[slot].write(entry);
-        self.height += 1;
-    }
-
     #[inline(always)]
     fn pop(&mut self) -> Option<u64> {
         self.height = self.height.checked_sub(1)?;
@@ -207,21 +190,12 @@ fn closest_with<I: Instructions>(bvh: &Bvh, ray: &Ray) -> Option<Hit> {
                 let lane = met.trailing_zeros() as usize;
                 met &= met - 1;
                 let mut nearest = entry(entries[lane], node.child[lane]);
-                if met == 0 {
-                    reference = nearest as u32;
-                    continue;
-                }
-                let lane = met.trailing_zeros() as usize;
-                met &= met - 1;
-                let second = entry(entries[lane], node.child[lane]);
-                let base = stack.height;
-                stack.push(nearest.max(second));
-                nearest = nearest.min(second);
+                // The nearest first; putting the others in order costs more than it saves.
                 while met != 0 {
                     let lane = met.trailing_zeros() as usize;
                     met &= met - 1;
                     let other = entry(entries[lane], node.child[lane]);
-                    stack.push_sorted(base, nearest.max(other));
+                    stack.push(nearest.max(other));
                     nearest = nearest.min(other);
                 }
                 reference = nearest as u32;

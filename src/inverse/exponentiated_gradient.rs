@@ -55,8 +55,13 @@ impl ExponentiatedGradient {
         let mut second = vec![DVector::<f64>::zeros(n); sets];
         let mut best: Vec<(f64, DVector<f64>)> =
             mixture.iter().map(|w| (f64::INFINITY, w.clone())).collect();
+        let mut shares = Vec::new();
         for step in 1..=self.max_steps {
-            let pass = objective.linearise(mixture, residual_weights);
+            let mut pass = objective.linearise(mixture, residual_weights);
+            if step == 1 {
+                shares = pass.convex_share();
+            }
+            pass.add_noise(&shares);
             observer.step(&Step::of(&pass, "exponentiated-gradient"));
             for set in 0..sets {
                 let q = &pass.quadratics[set];
@@ -80,7 +85,8 @@ impl ExponentiatedGradient {
         for (w, (_, x)) in mixture.iter_mut().zip(best) {
             *w = x;
         }
-        let pass = objective.linearise(mixture, residual_weights);
+        let mut pass = objective.linearise(mixture, residual_weights);
+        pass.add_noise(&shares);
         observer.step(&Step::of(&pass, "exponentiated-gradient"));
         (pass, Termination::StepLimit)
     }

@@ -44,6 +44,9 @@ impl GaussNewton {
     ) -> Result<(Linearised, Termination), SimplexError> {
         let sets = objective.sets();
         let mut current = objective.linearise(mixture, residual_weights);
+        let shares = current.convex_share();
+        tracing::debug!(?shares, "noise in the loss");
+        current.add_noise(&shares);
         let mut damping = vec![self.damping; sets];
         let mut settled = vec![false; sets];
         observer.step(&Step::of(&current, "gauss-newton"));
@@ -59,7 +62,8 @@ impl GaussNewton {
                 let g = &q.g + &h * &mixture[set];
                 candidate[set] = simplex::solve(&h, &g, Some(&mixture[set]))?.x;
             }
-            let next = objective.linearise(&candidate, residual_weights);
+            let mut next = objective.linearise(&candidate, residual_weights);
+            next.add_noise(&shares);
             tracing::trace!(?damping, ?settled, "candidate");
             let mut accepted = false;
             let (before, after) = (current, next);
@@ -108,6 +112,7 @@ fn merge(before: Linearised, mut after: Linearised, keep_after: &[bool]) -> Line
     for (set, _) in keep_after.iter().enumerate().filter(|&(_, &keep)| !keep) {
         after.quadratics[set] = before.quadratics[set].clone();
         after.information[set] = before.information[set].clone();
+        after.noise[set] = before.noise[set].clone();
         after.block_scores[set] = before.block_scores[set].clone();
         for (new, old) in after.model.iter_mut().zip(&before.model) {
             new.iter_mut().zip(old).for_each(|(n, o)| n[set] = o[set]);

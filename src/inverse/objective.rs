@@ -48,23 +48,78 @@ pub struct Objective<'a> {
     kernel: Kernel,
     /// Relative model error τ, 0..=1.
     model_error: f64,
-    /// Whether the residuals of the loss's product come from independent halves.
-    debiased: bool,
 }
 
 /// Deviation, in standard deviations and in typical deviations of the neighbours, from
 /// which a value counts for less.
 const DOUBTFUL: f64 = 4.0;
 
-/// Paths per pixel from which the product of two halves' residuals is quiet enough to be
-/// minimised; with fewer, the mean residual is squared, whose bias is the lesser evil.
-const DEBIASED_FROM: u32 = 128;
-
 /// Part of the values that may count for less.
 const MOST_DOUBTED: f64 = 0.05;
 
 /// Weights of the residuals, `[light][pixel][channel]`; 0 where not compared.
 pub type ResidualWeights = Vec<Vec<[f64; 3]>>;
+
+/// The energy of the render's noise, ⅛ (r_A − r_B)ᵀW(r_A − r_B), and minus its gradient.
+#[derive(Clone, Debug)]
+pub(super) struct Noise {
+    g: DVector<f64>,
+    c: f64,
+}
+
+impl Noise {
+    fn zero(n: usize) -> Self {
+        Self {
+            g: DVector::zeros(n),
+            c: 0.0,
+        }
+    }
+}
+
+impl Linearised {
+    /// The least share of the noise's energy, per set, that makes the loss convex around
+    /// this point. Without it ½ r_AᵀWr_B has directions of negative curvature where paths
+    /// are few, and its minimum is whatever the noise makes of them; with all of it the loss
+    /// is ½ rᵀWr of the mean residual, which the noise biases (docs/adr/0003).
+    pub fn convex_share(&self) -> Vec<f64> {
+        self.quadratics
+            .iter()
+            .zip(&self.information)
+            .map(|(q, information)| convex_share(&q.h, information))
+            .collect()
+    }
+
+    /// Adds a share of the noise's energy, per set, to loss and gradient.
+    pub fn add_noise(&mut self, shares: &[f64]) {
+        for ((q, noise), share) in self.quadratics.iter_mut().zip(&self.noise).zip(shares) {
+            q.g.axpy(*share, &noise.g, 1.0);
+            q.c += share * noise.c;
+        }
+    }
+}
+
+/// The least of 0, 1/64, 1/32, … 1 with `information` + share · (`full` − `information`)
+/// positive semidefinite, atoms scaled alike.
+fn convex_share(full: &DMatrix<f64>, information: &DMatrix<f64>) -> f64 {
+    let scale = full
+        .diagonal()
+        .map(|d| if d > 0.0 { 1.0 / d.sqrt() } else { 0.0 });
+    let scaled = |m: &DMatrix<f64>| {
+        DMatrix::from_fn(m.nrows(), m.ncols(), |i, j| scale[i] * m[(i, j)] * scale[j])
+    };
+    let (full, information) = (scaled(full), scaled(information));
+    let mut shares = std::iter::once(0.0).chain((0..6).map(|k| 1.0 / f64::from(64 >> k)));
+    shares
+        .find(|share| {
+            let blend = &information * (1.0 - share) + &full * *share;
+            let least = blend.symmetric_eigenvalues().min();
+            least >= -CONVEX
+        })
+        .unwrap_or(1.0)
+}
+
+/// Least eigenvalue, atoms scaled to unit curvature, that rounding may leave.
+const CONVEX: f64 = 1e-9;
 
 /// One pass at given mixture weights.
 pub struct Linearised {
@@ -74,6 +129,8 @@ pub struct Linearised {
     /// Per set: sym(J_Aᵀ W J_B), the information without the noise that JᵀWJ of a
     /// noisy J would add.
     pub information: Vec<DMatrix<f64>>,
+    /// Per set: what the render's noise adds to the loss if the mean residual is squared.
+    pub(super) noise: Vec<Noise>,
     /// Modelled radiance over lamp strength and its variance, `[light][pixel][channel]`.
     pub model: Vec<Vec<[[f64; 2]; 3]>>,
     /// Per set and block of pixels of one light: Jᵀ W r.
@@ -134,7 +191,6 @@ impl<'a> Objective<'a> {
             channels,
             kernel,
             model_error,
-            debiased: 2 * cache.samples_per_half >= DEBIASED_FROM,
         }
     }
 
@@ -412,11 +468,7 @@ impl<'a> Objective<'a> {
                             row_mean[k] = 0.5 * (row_a[k] + row_b[k]);
                         }
                         let target = self.target[light][pixel][c];
-                        let residual = if self.debiased {
-                            halves.map(|m| m - target)
-                        } else {
-                            [0.5 * (halves[0] + halves[1]) - target; 2]
-                        };
+                        let residual = halves.map(|m| m - target);
                         let q = &mut part.quadratics[set];
                         add_outer(&mut q.h, row_mean, w);
                         add_product(&mut part.information[set], row_a, row_b, w);
@@ -431,6 +483,12 @@ impl<'a> Objective<'a> {
                             score[k] += descent;
                         }
                         q.c += 0.5 * w * residual[0] * residual[1];
+                        let difference = residual[0] - residual[1];
+                        let noise = &mut part.noise[set];
+                        for k in 0..n {
+                            noise.g[k] -= 0.25 * w * (row_a[k] - row_b[k]) * difference;
+                        }
+                        noise.c += 0.125 * w * difference * difference;
                     }
                 }
                 part.model.push(model);
@@ -454,6 +512,8 @@ impl<'a> Objective<'a> {
             for set in 0..sets {
                 total.quadratics[set].add_scaled(1.0, &part.quadratics[set]);
                 total.information[set] += &part.information[set];
+                total.noise[set].g += &part.noise[set].g;
+                total.noise[set].c += part.noise[set].c;
                 for (block, score) in &part.scores[set] {
                     *total.scores[set]
                         .entry(*block)
@@ -473,6 +533,7 @@ impl<'a> Objective<'a> {
             total.information[set].fill_upper_triangle_with_lower_triangle();
         }
         Linearised {
+            noise: total.noise,
             quadratics: total.quadratics,
             information: total.information,
             model,
@@ -508,6 +569,7 @@ fn is_smooth(
 struct Part {
     quadratics: Vec<Quadratic>,
     information: Vec<DMatrix<f64>>,
+    noise: Vec<Noise>,
     scores: Vec<std::collections::BTreeMap<usize, DVector<f64>>>,
     model: Vec<Vec<[[f64; 2]; 3]>>,
 }
@@ -517,6 +579,7 @@ impl Part {
         Self {
             quadratics: vec![Quadratic::zero(n); sets],
             information: vec![DMatrix::zeros(n, n); sets],
+            noise: vec![Noise::zero(n); sets],
             scores: vec![Default::default(); sets],
             model: Vec::new(),
         }

@@ -148,8 +148,8 @@ impl SparsePosterior {
                 if s == t {
                     v += PROPOSAL_PRECISION;
                 }
-                for q in 0..t {
-                    v -= factor[s][q] * factor[t][q];
+                for (a, b) in factor[s][..t].iter().zip(&factor[t][..t]) {
+                    v -= a * b;
                 }
                 factor[s][t] = if s == t {
                     if v <= 0.0 {

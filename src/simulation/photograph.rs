@@ -142,8 +142,8 @@ mod tests {
         let mut sum = 0.0;
         for (p, rgb) in taken.mean.iter().enumerate() {
             assert!(taken.valid[p]);
-            for c in 0..3 {
-                let deviation = f64::from(rgb[c] - image.mean[p][c]);
+            for (c, value) in rgb.iter().enumerate() {
+                let deviation = f64::from(value - image.mean[p][c]);
                 sum += deviation * deviation / f64::from(taken.variance[p][c]);
             }
         }

@@ -268,6 +268,7 @@ impl<U: Copy + Default, const C: usize> Scratch<U, C> {
     }
 
     /// Room for `n` records.
+    #[expect(clippy::type_complexity, reason = "two slices of one scratch space")]
     fn slices(&mut self, n: usize) -> (&mut [Step<U, C>], &mut [(u32, [f32; C])]) {
         if self.steps.len() < n {
             let step = Step {

@@ -341,10 +341,6 @@ fn store(values: &[f32; 8], exponent: i8) -> [u16; 8] {
     halves.map(f16::to_bits)
 }
 
-#[expect(
-    clippy::needless_range_loop,
-    reason = "only what is inlined may use the kernel's instructions: a loop, not a closure"
-)]
 impl Record<5> for GridRecord {
     fn encode(head: Head, atoms: &LaneAtoms, at: &Cosines<f32>) -> Self {
         let (lobes, fresnel) = atoms.factors(at);

@@ -179,21 +179,19 @@ mod tests {
     #[test]
     fn two_coplanar_reflections_have_the_closed_form() {
         for (degrees, published) in [(45.0f64, 1.69), (56.0, 1.50)] {
-            // The beam from the camera side: down −z, then `out`, then the same turn again.
+            // The beam from the camera: down, then `out`, then back up to the lamp, which
+            // leaves 90° less the first angle for the second.
             let theta = degrees.to_radians();
-            let turn = std::f64::consts::PI - 2.0 * theta;
-            let heading = |angle: f64| Vec3::new(angle.sin() as f32, 0.0, -angle.cos() as f32);
-            let (down, out, on) = (heading(0.0), heading(turn), heading(2.0 * turn));
-            let scene = two_mirrors(
-                half(-down, out),
-                out * 6.0,
-                half(-out, on),
-                on.as_dvec3().normalize(),
-            );
+            let turn = (std::f64::consts::PI - 2.0 * theta) as f32;
+            let (down, out) = (-Vec3::Z, Vec3::new(turn.sin(), 0.0, -turn.cos()));
+            let scene = two_mirrors(half(-down, out), out * 6.0, half(-out, Vec3::Z), DVec3::Z);
             for eta in [1.5, 20.0] {
-                let (r_s, r_p) = fresnel_amplitudes(eta, theta.cos());
-                let (s, p) = (r_s * r_s, r_p * r_p);
-                let exact = 0.5 * (s * s + p * p) / (0.5 * (s + p)).powi(2);
+                let reflectances = |cos: f64| {
+                    let (r_s, r_p) = fresnel_amplitudes(eta, cos);
+                    (r_s * r_s, r_p * r_p)
+                };
+                let ((s1, p1), (s2, p2)) = (reflectances(theta.cos()), reflectances(theta.sin()));
+                let exact = 2.0 * (s1 * s2 + p1 * p2) / ((s1 + p1) * (s2 + p2));
                 let found = ratio(&scene, eta);
                 assert!(
                     (found / exact - 1.0).abs() < 0.01,

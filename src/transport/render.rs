@@ -126,11 +126,12 @@ pub(super) fn render_carrying<C: Carrier>(
 
 /// The default proposal or one made for the sample's BRDF, whichever is quieter.
 pub fn suited_proposal(scene: &Scene, brdf: &dyn Brdf, options: &RenderOptions) -> Proposal {
-    let own = match brdf.as_mixture() {
-        Some(mixture) => Proposal::resembling(mixture, 0.3),
-        None => Proposal::tabulating(brdf, 0.3),
-    };
-    quietest_proposal(scene, brdf, options, vec![Proposal::default(), own])
+    let mut candidates = vec![Proposal::default()];
+    match brdf.as_mixture() {
+        Some(mixture) => candidates.extend([0.3, 0.05].map(|d| Proposal::resembling(mixture, d))),
+        None => candidates.push(Proposal::tabulating(brdf, 0.3)),
+    }
+    quietest_proposal(scene, brdf, options, candidates)
 }
 
 /// The proposal with the least noise at equal numbers of paths, measured on a spread of

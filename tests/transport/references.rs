@@ -8,8 +8,9 @@
 //! plus 2e-4. Family significance 1% over all cases and both tests of z (Šidák).
 //!
 //! The normal approximation needs enough paths: a pixel takes part if a pilot render of
-//! other paths promises a relative standard error below 3%. That choice knows nothing of
-//! the comparison's outcome.
+//! other paths promises a relative standard error below 8%. That choice knows nothing of
+//! the comparison's outcome. Nor does it take a pixel of which a crease or a silhouette
+//! cuts off less than about a seventh: the few paths in so small a part are no normal sum.
 
 use std::path::{Path, PathBuf};
 
@@ -93,6 +94,14 @@ pub fn above(resolution_px: [usize; 2]) -> Camera {
     Camera::looking_at(resolution_px, projection, from, DVec3::ZERO, DVec3::Y).unwrap()
 }
 
+/// The upper left quarter of [`above`] at 64 × 64.
+fn upper_left() -> Camera {
+    let extent_mm = DVec2::splat(1.1);
+    let at = |z: f64| DVec3::new(-0.55, 0.55, z);
+    let projection = Projection::Orthographic { extent_mm };
+    Camera::looking_at([32, 32], projection, at(5.0), at(0.0), DVec3::Y).unwrap()
+}
+
 fn perspective() -> Camera {
     Camera::looking_at(
         [32, 24],
@@ -119,6 +128,8 @@ struct Case {
     groups: f64,
     /// Paths per pixel of ours.
     samples: u32,
+    /// Whether only the upper left quarter is compared, with more paths.
+    quarter: bool,
 }
 
 const fn case(mesh: &'static str, name: &'static str) -> Case {
@@ -132,6 +143,7 @@ const fn case(mesh: &'static str, name: &'static str) -> Case {
         max_reflections: 32,
         groups: 16.0,
         samples: 512,
+        quarter: false,
     }
 }
 
@@ -147,7 +159,7 @@ const fn direct(mesh: &'static str, name: &'static str) -> Case {
     Case {
         max_reflections: 1,
         groups: 8.0,
-        samples: 64,
+        samples: 256,
         ..case(mesh, name)
     }
 }
@@ -171,20 +183,21 @@ const CASES: &[Case] = &[
     },
     Case {
         max_reflections: 2,
-        samples: 256,
+        samples: 1024,
         ..case("tet_concave", "L25_blend_k2")
     },
     Case {
-        samples: 256,
+        samples: 1024,
         ..case("tet_concave", "L25_blend_kfull")
     },
     Case {
         material: || lambertian(1.0),
-        samples: 256,
+        samples: 1024,
         ..case("tet_concave", "L25_lambert1_kfull")
     },
     Case {
         material: || ggx(0.15, 1.5),
+        samples: 2048,
         ..case("tet_concave", "L25_ggx015_kfull")
     },
     direct("tet_convex", "L25_blend_k1"),
@@ -195,21 +208,27 @@ const CASES: &[Case] = &[
     }),
     coaxial(direct("bowl_concave", "L0_blend_k1")),
     coaxial(Case {
+        camera: upper_left,
+        quarter: true,
         max_reflections: 2,
-        samples: 256,
+        samples: 2048,
         ..case("bowl_concave", "L0_blend_k2")
     }),
     coaxial(Case {
-        samples: 256,
+        camera: upper_left,
+        quarter: true,
+        samples: 2048,
         ..case("bowl_concave", "L0_blend_kfull")
     }),
     Case {
         camera: perspective,
         light: || lamp([-0.6, 0.5, 1.5], 3.0),
+        samples: 1024,
         ..small("bowl64", "perspective_point_blend_kfull")
     },
     Case {
         light: || lamp([0.3, 0.4, 0.9], 1.0),
+        samples: 1024,
         ..small("tet_concave", "point_blend_kfull")
     },
     Case {
@@ -233,7 +252,7 @@ const CASES: &[Case] = &[
     Case {
         light: || sun(80.0, 10.0),
         material: || lambertian(0.95),
-        samples: 2048,
+        samples: 4096,
         ..small("bowl64", "L80_lambert_kfull")
     },
     Case {
@@ -249,6 +268,7 @@ const CASES: &[Case] = &[
     Case {
         shading: Shading::Smooth,
         light: || sun(15.0, 160.0),
+        samples: 1024,
         ..small("bowl64", "smooth_L15_blend_kfull")
     },
 ];
@@ -260,7 +280,14 @@ impl Case {
     }
 
     fn reference(&self) -> [Vec<f64>; 2] {
-        ["mean", "se"].map(|kind| npy(&format!("{}_{}_{kind}.npy", self.mesh, self.name)))
+        ["mean", "se"].map(|kind| {
+            let values = npy(&format!("{}_{}_{kind}.npy", self.mesh, self.name));
+            if !self.quarter {
+                return values;
+            }
+            let rows = values.chunks(64).take(32);
+            rows.flat_map(|row| &row[..32]).copied().collect()
+        })
     }
 
     fn options(&self, scene: &Scene) -> RenderOptions {
@@ -287,27 +314,34 @@ impl Case {
         let [width, _] = scene.camera.resolution_px;
         let reliable = |i: usize| {
             let promised = (f64::from(pilot.variance[i][0]) * scale).sqrt();
-            pilot.mean[i][0] > 0.0 && promised < 0.03 * f64::from(pilot.mean[i][0])
+            pilot.mean[i][0] > 0.0 && promised < 0.08 * f64::from(pilot.mean[i][0])
         };
+        // Share of the footprint's points, corners included, that do not look like the first:
+        // 0 where neither crease nor silhouette crosses the pixel.
         let crossed = |i: usize| {
             let corner = DVec2::new((i % width) as f64, (i / width) as f64);
-            let normals: Vec<Option<Vec3>> = (0..25)
+            let normals: Vec<Option<Vec3>> = (0..49)
                 .map(|k| {
-                    let at = corner + DVec2::new(f64::from(k % 5), f64::from(k / 5)) * 0.25;
+                    let at = corner + DVec2::new(f64::from(k % 7), f64::from(k / 7)) / 6.0;
                     let hit = scene.first(&scene.camera.ray(at, DVec2::ZERO));
                     hit.map(|(surface, _)| surface.world(Vec3::Z))
                 })
                 .collect();
-            !normals.iter().all(|n| match (n, normals[0]) {
-                (Some(n), Some(first)) => n.dot(first) > 0.9,
-                (None, None) => true,
-                _ => false,
-            })
+            let other = normals.iter().filter(|n| match (n, normals[0]) {
+                (Some(n), Some(first)) => n.dot(first) < 0.9,
+                (None, None) => false,
+                _ => true,
+            });
+            other.count() as f64 / 49.0
         };
         let pixels = scene.camera.pixels();
+        let crossed: Vec<f64> = (0..pixels).map(crossed).collect();
+        let barely = |share: f64| share > 0.0 && !(0.15..=0.85).contains(&share);
         Chosen {
-            reliable: (0..pixels).map(reliable).collect(),
-            crossed: (0..pixels).map(crossed).collect(),
+            reliable: (0..pixels)
+                .map(|i| reliable(i) && !barely(crossed[i]))
+                .collect(),
+            crossed: crossed.iter().map(|&share| share > 0.0).collect(),
         }
     }
 }
@@ -420,7 +454,7 @@ impl Brdf for Altered {
     }
 }
 
-/// A wrong lobe, or a variance that is stated 20% too small, fails the comparison.
+/// A wrong lobe, or a variance that is stated 40% too small, fails the comparison.
 #[test]
 fn the_comparison_has_power() {
     let case = CASES
@@ -466,9 +500,10 @@ fn the_comparison_has_power() {
         );
         assert_eq!(z_passes, passes, "the z alone tell {name}: {a:?}");
         if passes {
-            image.variance.iter_mut().flatten().for_each(|v| *v *= 0.8);
+            image.variance.iter_mut().flatten().for_each(|v| *v *= 0.6);
             let a = Agreement::new(&image, &reference, case.groups, &chosen);
-            println!("variance 20% low: {a:?}");
+            println!("variance 40% low: {a:?}");
+            assert!(!a.passes(significance()), "{a:?}");
         }
     }
 }

@@ -123,7 +123,7 @@ impl Instructions for Portable {
     #[inline(always)]
     fn boxes(node: &Node, ray: &Prepared, limit: f32, entries: &mut [f32; WIDTH]) -> u32 {
         let mut met = 0;
-        for lane in 0..WIDTH {
+        for (lane, out) in entries.iter_mut().enumerate() {
             let (mut entry, mut leave) = (0.0f32, limit);
             for axis in 0..3 {
                 let near = node.bounds[ray.near[axis]][lane];
@@ -131,7 +131,7 @@ impl Instructions for Portable {
                 entry = entry.max(near * ray.inverse[axis][0] - ray.offset[axis][0]);
                 leave = leave.min(far * ray.inverse[axis][1] - ray.offset[axis][1]);
             }
-            entries[lane] = entry;
+            *out = entry;
             met |= u32::from(entry <= leave) << lane;
         }
         met
@@ -158,10 +158,10 @@ impl Instructions for Portable {
             let (low, high) = (u.min(v).min(w), u.max(v).max(w));
             inside |= u32::from(low >= 0.0 || high <= 0.0) << lane;
             edge |= u32::from(u == 0.0 || v == 0.0 || w == 0.0) << lane;
-            let determinant = u + v + w;
-            hits.distance[lane] = (u * az + v * bz + w * cz) / determinant;
-            hits.second[lane] = v / determinant;
-            hits.third[lane] = w / determinant;
+            let over = 1.0 / (u + v + w);
+            hits.distance[lane] = (u * az + v * bz + w * cz) * over;
+            hits.second[lane] = v * over;
+            hits.third[lane] = w * over;
         }
         (inside, edge)
     }
@@ -287,7 +287,7 @@ impl Instructions for Avx2 {
                 _mm_or_ps(_mm_cmpeq_ps(u, zero), _mm_cmpeq_ps(v, zero)),
                 _mm_cmpeq_ps(w, zero),
             );
-            let determinant = _mm_add_ps(_mm_add_ps(u, v), w);
+            let over = _mm_div_ps(_mm_set1_ps(1.0), _mm_add_ps(_mm_add_ps(u, v), w));
             let sum = _mm_add_ps(
                 _mm_add_ps(
                     _mm_mul_ps(u, _mm_mul_ps(shear[2], along[0])),
@@ -295,9 +295,9 @@ impl Instructions for Avx2 {
                 ),
                 _mm_mul_ps(w, _mm_mul_ps(shear[2], along[2])),
             );
-            _mm_storeu_ps(hits.distance.as_mut_ptr(), _mm_div_ps(sum, determinant));
-            _mm_storeu_ps(hits.second.as_mut_ptr(), _mm_div_ps(v, determinant));
-            _mm_storeu_ps(hits.third.as_mut_ptr(), _mm_div_ps(w, determinant));
+            _mm_storeu_ps(hits.distance.as_mut_ptr(), _mm_mul_ps(sum, over));
+            _mm_storeu_ps(hits.second.as_mut_ptr(), _mm_mul_ps(v, over));
+            _mm_storeu_ps(hits.third.as_mut_ptr(), _mm_mul_ps(w, over));
             (inside, _mm_movemask_ps(edge) as u32)
         }
     }

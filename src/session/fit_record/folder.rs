@@ -167,8 +167,14 @@ pub fn read(folder: &Path) -> Result<FitRecord, FitRecordError> {
 /// A file without a journal record or with other bytes, or one that does not parse.
 pub fn read_in(session: &Session, number: u32) -> Result<FitRecord, FitRecordError> {
     let folder = session.root().join(FITS_FOLDER).join(number.to_string());
-    parse(&folder, |_, name| {
-        Ok(session.read_file(&inside(number, name))?)
+    parse(&folder, |path, name| {
+        let relative = inside(number, name);
+        if !session.vouches_for(&relative) {
+            return Err(FitRecordError::NotVouchedFor {
+                path: path.to_owned(),
+            });
+        }
+        Ok(session.read_file(&relative)?)
     })
 }
 
