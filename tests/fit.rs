@@ -11,7 +11,7 @@ use rig::brdf::{Dictionary, Mixture};
 use rig::geometry::Shape;
 use rig::geometry::shapes::Form;
 use rig::inverse::exponentiated_gradient::ExponentiatedGradient;
-use rig::inverse::{Channels, Fit, FitError, FitOptions, Optimizer, fit, intervals};
+use rig::inverse::{Channels, Fit, FitError, FitOptions, Optimizer, Refine, fit, intervals};
 use rig::radiance_image::RadianceImage;
 use rig::transport::{Camera, Light, Projection, Proposal, RenderOptions, Scene, Shading, render};
 
@@ -135,11 +135,19 @@ fn the_truth_comes_back_through_interreflections() {
             error < 0.5 * start,
             "{name}: {error} against the start's {start}"
         );
-        // Against a prior of few atoms, which is narrow itself (docs/adr/0006).
+        // Cells of one fit err together, so fewer than 95% may hold the truth; and hardly
+        // any is told much better than by the prior of few atoms (docs/adr/0006).
+        let true_cells = intervals::table(&dictionary, truth.weights(), &[], &theta, &theta);
+        let held = cells.iter().zip(&true_cells).flat_map(|(cell, truth)| {
+            (0..3).map(move |c| (cell.lower[c]..=cell.upper[c]).contains(&truth.value[c]))
+        });
+        let missed = held.filter(|held| !held).count();
+        println!("{name}: {missed} of {} intervals miss", 3 * cells.len());
         assert!(
-            constrained * 10 > cells.len(),
-            "{name}: {constrained} cells"
+            missed * 4 < 3 * cells.len(),
+            "{name}: {missed} intervals miss"
         );
+        assert!(constrained > 0, "{name}: no cell is constrained");
         for weights in fit.weights.iter().chain(&fit.start) {
             assert!((weights.iter().sum::<f64>() - 1.0).abs() < 1e-9);
             assert!(weights.iter().all(|&w| w >= 0.0));
@@ -159,6 +167,7 @@ fn both_optimisers_lower_the_same_loss() {
             optimizer,
             channels,
             rounds: 1,
+            refine: Refine::NONE,
             draws: 20,
             ..options()
         };

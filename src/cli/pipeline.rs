@@ -37,9 +37,10 @@ pub struct FitArgs {
     /// Rounds of new atoms beside the active ones, in finer and finer steps of alpha and eta, 0 to 8
     #[arg(long, value_name = "ROUNDS", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=8))]
     pub refine_atoms: u32,
-    /// Trace the paths again where the fitted material sends light
+    /// Trace the paths once, in directions that suit any material, not again where the fitted
+    /// material sends light
     #[arg(long)]
-    pub adapt_paths: bool,
+    pub fixed_paths: bool,
     /// How the weights are found
     #[arg(long, value_enum)]
     pub optimizer: Option<OptimizerArg>,
@@ -156,7 +157,7 @@ impl FitPlan {
                 Channels::Separate
             },
             refine: Refine {
-                adapt_paths: args.adapt_paths,
+                adapt_paths: !args.fixed_paths,
                 rounds: args.refine_atoms,
             },
             ..FitOptions::default()

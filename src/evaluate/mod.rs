@@ -8,6 +8,7 @@ mod intervals;
 pub mod lab;
 pub mod score_sheet;
 
+mod accuracy;
 mod atoms;
 mod dictionary_size;
 mod gallery;
@@ -30,6 +31,7 @@ pub use score_sheet::score;
 /// All experiments, in the order of `rig evaluate --list`.
 pub static EXPERIMENTS: &[&Experiment] = &[
     &atoms::ATOMS,
+    &accuracy::ACCURACY,
     &shapes::SHAPES,
     &dictionary_size::DICTIONARY_SIZE,
     &light_count::LIGHT_COUNT,

@@ -5,7 +5,7 @@ use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table, quan
 use super::lab::{Lab, Material, Sample};
 use crate::inverse::exponentiated_gradient::ExponentiatedGradient;
 use crate::inverse::gauss_newton::GaussNewton;
-use crate::inverse::{FitOptions, Optimizer};
+use crate::inverse::{FitOptions, Optimizer, Refine};
 use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
 
 /// One objective, one start, three ways on.
@@ -74,6 +74,8 @@ fn compare(lab: &Lab, sample: Sample, material: &Material) -> Result<Vec<Row>, E
         let options = FitOptions {
             optimizer,
             rounds: 1,
+            // One loss for all, on the same paths.
+            refine: Refine::NONE,
             ..lab.fit_options()
         };
         let estimate = lab.fit_with(&scene, &captured, &lab.dictionary, &options)?;

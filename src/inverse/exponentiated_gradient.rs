@@ -7,6 +7,7 @@
 use nalgebra::DVector;
 
 use super::objective::{Linearised, Objective, ResidualWeights};
+use super::ridge::Ridge;
 use super::trace::{Observer, Step, Termination};
 
 /// Step sizes and length of the run.
@@ -37,12 +38,13 @@ impl Default for ExponentiatedGradient {
 }
 
 impl ExponentiatedGradient {
-    /// Improves `mixture` in place for fixed residual weights and returns the pass at
+    /// Improves `mixture` in place for fixed residual weights and prior and returns the pass at
     /// the best point seen, which `mixture` then holds.
     pub fn minimise(
         &self,
         objective: &Objective<'_>,
         residual_weights: &ResidualWeights,
+        ridge: &Ridge,
         mixture: &mut [DVector<f64>],
         observer: &mut dyn Observer,
     ) -> (Linearised, Termination) {
@@ -62,17 +64,21 @@ impl ExponentiatedGradient {
                 shares = pass.convex_share();
             }
             pass.add_noise(&shares);
-            observer.step(&Step::of(&pass, "exponentiated-gradient"));
+            let penalised = ridge.add_to(&pass, mixture);
+            observer.step(&Step::of(&penalised, "exponentiated-gradient"));
             for set in 0..sets {
-                let q = &pass.quadratics[set];
+                let q = &penalised[set];
                 if q.c < best[set].0 {
                     best[set] = (q.c, mixture[set].clone());
                 }
                 let (m, v) = (&mut first[set], &mut second[set]);
                 let correction1 = 1.0 - self.beta1.powi(step as i32);
                 let correction2 = 1.0 - self.beta2.powi(step as i32);
+                // Adam's steps all have one length; what is common to all atoms, which the
+                // sum to one takes back, would leave nothing else of them.
+                let common = q.g.dot(&mixture[set]);
                 for k in 0..n {
-                    let gradient = -q.g[k];
+                    let gradient = common - q.g[k];
                     m[k] = self.beta1 * m[k] + (1.0 - self.beta1) * gradient;
                     v[k] = self.beta2 * v[k] + (1.0 - self.beta2) * gradient * gradient;
                     let rate = (m[k] / correction1) / ((v[k] / correction2).sqrt() + 1e-300);
@@ -87,7 +93,8 @@ impl ExponentiatedGradient {
         }
         let mut pass = objective.linearise(mixture, residual_weights);
         pass.add_noise(&shares);
-        observer.step(&Step::of(&pass, "exponentiated-gradient"));
+        let penalised = ridge.add_to(&pass, mixture);
+        observer.step(&Step::of(&penalised, "exponentiated-gradient"));
         (pass, Termination::StepLimit)
     }
 }

@@ -11,6 +11,7 @@ use super::exponentiated_gradient::ExponentiatedGradient;
 use super::gauss_newton::GaussNewton;
 use super::objective::{Channels, Linearised, Objective};
 use super::refine::{Refine, refine};
+use super::ridge::Ridge;
 use super::simplex::SimplexError;
 use super::trace::{Observer, Step, Termination};
 use super::uncertainty::{self, Draws};
@@ -168,6 +169,9 @@ pub fn fit(
     fit_on_bench(scene, captured, dictionary, options, None, stage)
 }
 
+/// A first fit that only tells later paths where to go has this many times fewer.
+const QUICKER: u32 = 4;
+
 /// [`fit`] on a bench that is known within what `bench` says, which widens the draws.
 pub(super) fn fit_on_bench(
     scene: &Scene,
@@ -179,13 +183,14 @@ pub(super) fn fit_on_bench(
 ) -> Result<Fit, FitError> {
     check(scene, captured)?;
     let dictionary = Arc::new(dictionary.clone());
-    if options.refine == Refine::default() {
+    if options.refine == Refine::NONE || options.optimizer == Optimizer::SingleBounce {
         return fit_from(scene, captured, &dictionary, None, options, bench, stage);
     }
-    let quick = FitOptions {
+    let mut quick = FitOptions {
         draws: 0,
         ..options.clone()
     };
+    quick.cache.samples_per_pixel = (options.cache.samples_per_pixel / QUICKER).max(2);
     let first = fit_from(scene, captured, &dictionary, None, &quick, bench, stage)?;
     refine(scene, captured, first, options, bench, stage)
 }
@@ -250,15 +255,24 @@ pub(super) fn fit_from(
         trace: Vec::new(),
     };
     let (mut pass, mut termination);
+    let mut ridge = Ridge::first(&objective);
     let mut round = 0;
     loop {
         (pass, termination) = match &options.optimizer {
-            Optimizer::GaussNewton(method) => {
-                method.minimise(&objective, &residual_weights, &mut mixture, &mut recorder)?
-            }
-            Optimizer::ExponentiatedGradient(method) => {
-                method.minimise(&objective, &residual_weights, &mut mixture, &mut recorder)
-            }
+            Optimizer::GaussNewton(method) => method.minimise(
+                &objective,
+                &residual_weights,
+                &ridge,
+                &mut mixture,
+                &mut recorder,
+            )?,
+            Optimizer::ExponentiatedGradient(method) => method.minimise(
+                &objective,
+                &residual_weights,
+                &ridge,
+                &mut mixture,
+                &mut recorder,
+            ),
             Optimizer::SingleBounce => {
                 for (w, quadratic) in mixture
                     .iter_mut()
@@ -267,7 +281,7 @@ pub(super) fn fit_from(
                     *w = quadratic.minimise()?.x;
                 }
                 let pass = objective.linearise(&mixture, &residual_weights);
-                recorder.step(&Step::of(&pass, "single-bounce"));
+                recorder.step(&Step::of(&pass.quadratics, "single-bounce"));
                 (pass, Termination::Converged)
             }
         };
@@ -276,6 +290,8 @@ pub(super) fn fit_from(
             break;
         }
         residual_weights = objective.weights(Some(&pass.model));
+        tracing::debug!(unexplained = ?pass.unexplained, "round");
+        ridge = Ridge::after(&pass);
     }
     lap("optimise", &mut timings);
     stage("uncertainty");

@@ -5,6 +5,7 @@
 use nalgebra::DVector;
 
 use super::objective::{Linearised, Objective, ResidualWeights};
+use super::ridge::Ridge;
 use super::simplex::{self, SimplexError};
 use super::trace::{Observer, Step, Termination};
 
@@ -33,12 +34,13 @@ impl Default for GaussNewton {
 }
 
 impl GaussNewton {
-    /// Improves `mixture` in place for fixed residual weights; each set on its own.
+    /// Improves `mixture` in place for fixed residual weights and prior; each set on its own.
     /// Returns the pass at the final mixture and why it ended.
     pub fn minimise(
         &self,
         objective: &Objective<'_>,
         residual_weights: &ResidualWeights,
+        ridge: &Ridge,
         mixture: &mut [DVector<f64>],
         observer: &mut dyn Observer,
     ) -> Result<(Linearised, Termination), SimplexError> {
@@ -47,13 +49,14 @@ impl GaussNewton {
         let shares = current.convex_share();
         tracing::debug!(?shares, "noise in the loss");
         current.add_noise(&shares);
+        let mut penalised = ridge.add_to(&current, mixture);
         let mut damping = vec![self.damping; sets];
         let mut settled = vec![false; sets];
-        observer.step(&Step::of(&current, "gauss-newton"));
+        observer.step(&Step::of(&penalised, "gauss-newton"));
         for _ in 0..self.max_steps {
             let mut candidate = mixture.to_vec();
             for set in (0..sets).filter(|&s| !settled[s]) {
-                let q = &current.quadratics[set];
+                let q = &penalised[set];
                 let mut h = q.h.clone();
                 for k in 0..h.nrows() {
                     h[(k, k)] += damping[set] * q.h[(k, k)];
@@ -64,6 +67,7 @@ impl GaussNewton {
             }
             let mut next = objective.linearise(&candidate, residual_weights);
             next.add_noise(&shares);
+            let next_penalised = ridge.add_to(&next, &candidate);
             tracing::trace!(?damping, ?settled, "candidate");
             let mut accepted = false;
             let (before, after) = (current, next);
@@ -74,7 +78,7 @@ impl GaussNewton {
                 if settled[set] {
                     continue;
                 }
-                let (old, new) = (before.quadratics[set].c, after.quadratics[set].c);
+                let (old, new) = (penalised[set].c, next_penalised[set].c);
                 let scale = old.abs().max(f64::MIN_POSITIVE);
                 if new <= old {
                     accepted = true;
@@ -90,6 +94,7 @@ impl GaussNewton {
             for set in 0..sets {
                 if verdicts[set] {
                     mixture[set].copy_from(&candidate[set]);
+                    penalised[set] = next_penalised[set].clone();
                 }
             }
             current = match (accepted, verdicts.iter().all(|&v| v)) {
@@ -97,7 +102,7 @@ impl GaussNewton {
                 (false, false) => before,
                 (true, false) => merge(before, after, &verdicts),
             };
-            observer.step(&Step::of(&current, "gauss-newton"));
+            observer.step(&Step::of(&penalised, "gauss-newton"));
             if settled.iter().all(|&s| s) {
                 return Ok((current, Termination::Converged));
             }
@@ -113,6 +118,7 @@ fn merge(before: Linearised, mut after: Linearised, keep_after: &[bool]) -> Line
         after.quadratics[set] = before.quadratics[set].clone();
         after.information[set] = before.information[set].clone();
         after.noise[set] = before.noise[set].clone();
+        after.unexplained[set] = before.unexplained[set];
         after.block_scores[set] = before.block_scores[set].clone();
         for (new, old) in after.model.iter_mut().zip(&before.model) {
             new.iter_mut().zip(old).for_each(|(n, o)| n[set] = o[set]);

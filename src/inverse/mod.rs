@@ -11,6 +11,7 @@ pub mod light_selection;
 pub mod objective;
 pub mod projection;
 pub mod refine;
+pub mod ridge;
 pub mod simplex;
 pub mod sparse;
 pub mod trace;

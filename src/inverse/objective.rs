@@ -1,5 +1,6 @@
-//! The squared residual between captured and modelled radiance, its gradient and
-//! Gauss–Newton matrix, from one pass over the cached paths.
+//! The squared residual between captured and modelled radiance: which values are
+//! compared, and what each weighs. One pass over the cached paths gives its gradient and
+//! Gauss–Newton matrix ([`Linearised`]).
 //!
 //! Residual and derivative come from independent halves of the paths, so that
 //! the render's own noise biases neither the loss nor its gradient. Each value is
@@ -8,11 +9,15 @@
 //! taken from its neighbours, because a weight that follows a pixel's own noise
 //! pulls the fit low.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DMatrix;
 
 use super::simplex::Quadratic;
 use crate::radiance_image::RadianceImage;
 use crate::transport::{Cache, DirectMatrix, Kernel};
+
+mod pass;
+
+pub use pass::Linearised;
 
 /// Which mixtures are fitted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -59,83 +64,6 @@ const MOST_DOUBTED: f64 = 0.05;
 
 /// Weights of the residuals, `[light][pixel][channel]`; 0 where not compared.
 pub type ResidualWeights = Vec<Vec<[f64; 3]>>;
-
-/// The energy of the render's noise, ⅛ (r_A − r_B)ᵀW(r_A − r_B), and minus its gradient.
-#[derive(Clone, Debug)]
-pub(super) struct Noise {
-    g: DVector<f64>,
-    c: f64,
-}
-
-impl Noise {
-    fn zero(n: usize) -> Self {
-        Self {
-            g: DVector::zeros(n),
-            c: 0.0,
-        }
-    }
-}
-
-impl Linearised {
-    /// The least share of the noise's energy, per set, that makes the loss convex around
-    /// this point. Without it ½ r_AᵀWr_B has directions of negative curvature where paths
-    /// are few, and its minimum is whatever the noise makes of them; with all of it the loss
-    /// is ½ rᵀWr of the mean residual, which the noise biases (docs/adr/0003).
-    pub fn convex_share(&self) -> Vec<f64> {
-        self.quadratics
-            .iter()
-            .zip(&self.information)
-            .map(|(q, information)| convex_share(&q.h, information))
-            .collect()
-    }
-
-    /// Adds a share of the noise's energy, per set, to loss and gradient.
-    pub fn add_noise(&mut self, shares: &[f64]) {
-        for ((q, noise), share) in self.quadratics.iter_mut().zip(&self.noise).zip(shares) {
-            q.g.axpy(*share, &noise.g, 1.0);
-            q.c += share * noise.c;
-        }
-    }
-}
-
-/// The least of 0, 1/64, 1/32, … 1 with `information` + share · (`full` − `information`)
-/// positive semidefinite, atoms scaled alike.
-fn convex_share(full: &DMatrix<f64>, information: &DMatrix<f64>) -> f64 {
-    let scale = full
-        .diagonal()
-        .map(|d| if d > 0.0 { 1.0 / d.sqrt() } else { 0.0 });
-    let scaled = |m: &DMatrix<f64>| {
-        DMatrix::from_fn(m.nrows(), m.ncols(), |i, j| scale[i] * m[(i, j)] * scale[j])
-    };
-    let (full, information) = (scaled(full), scaled(information));
-    let mut shares = std::iter::once(0.0).chain((0..6).map(|k| 1.0 / f64::from(64 >> k)));
-    shares
-        .find(|share| {
-            let blend = &information * (1.0 - share) + &full * *share;
-            let least = blend.symmetric_eigenvalues().min();
-            least >= -CONVEX
-        })
-        .unwrap_or(1.0)
-}
-
-/// Least eigenvalue, atoms scaled to unit curvature, that rounding may leave.
-const CONVEX: f64 = 1e-9;
-
-/// One pass at given mixture weights.
-pub struct Linearised {
-    /// Per set: ½ rᵀWr as a quadratic in the step, unbiased by the render's noise;
-    /// `h` positive semidefinite, `g` minus the gradient, `c` the loss.
-    pub quadratics: Vec<Quadratic>,
-    /// Per set: sym(J_Aᵀ W J_B), the information without the noise that JᵀWJ of a
-    /// noisy J would add.
-    pub information: Vec<DMatrix<f64>>,
-    /// Per set: what the render's noise adds to the loss if the mean residual is squared.
-    pub(super) noise: Vec<Noise>,
-    /// Modelled radiance over lamp strength and its variance, `[light][pixel][channel]`.
-    pub model: Vec<Vec<[[f64; 2]; 3]>>,
-    /// Per set and block of pixels of one light: Jᵀ W r.
-    pub block_scores: Vec<Vec<DVector<f64>>>,
-}
 
 impl<'a> Objective<'a> {
     /// Compares `captured[light]` with the model of `cache` and `direct`. Pixels that
@@ -427,122 +355,11 @@ impl<'a> Objective<'a> {
         quadratics
     }
 
-    /// Image, loss, gradient and Gauss–Newton matrix at `mixture` (one vector per set).
-    pub fn linearise(
-        &self,
-        mixture: &[DVector<f64>],
-        residual_weights: &ResidualWeights,
-    ) -> Linearised {
-        let (n, sets, lights) = (self.atoms(), self.sets(), self.lights());
-        let slices: Vec<&[f64]> = mixture.iter().map(|w| w.as_slice()).collect();
-        let parts = self.cache.evaluate(
-            self.kernel,
-            &slices,
-            || Part::new(n, sets),
-            |part, rows| {
-                let pixel = rows.pixel;
-                let mut model = vec![[[0.0; 2]; 3]; lights];
-                let mut rows_full = [vec![0.0; n], vec![0.0; n], vec![0.0; n]];
-                for light in 0..lights {
-                    let direct = self.direct.row(pixel, light);
-                    for c in 0..3 {
-                        let set = self.set_of(c);
-                        let r = light * sets + set;
-                        let direct_value: f64 = direct
-                            .iter()
-                            .zip(&mixture[set])
-                            .map(|(&d, &w)| f64::from(d) * w)
-                            .sum();
-                        let halves = [0, 1].map(|h| direct_value + f64::from(rows.value[h][r]));
-                        model[light][c] =
-                            [0.5 * (halves[0] + halves[1]), f64::from(rows.variance[r])];
-                        let w = residual_weights[light][pixel][c];
-                        if w <= 0.0 {
-                            continue;
-                        }
-                        let [row_a, row_b, row_mean] = &mut rows_full;
-                        for k in 0..n {
-                            let d = f64::from(direct[k]);
-                            row_a[k] = d + f64::from(rows.jacobian[0][r * n + k]);
-                            row_b[k] = d + f64::from(rows.jacobian[1][r * n + k]);
-                            row_mean[k] = 0.5 * (row_a[k] + row_b[k]);
-                        }
-                        let target = self.target[light][pixel][c];
-                        let residual = halves.map(|m| m - target);
-                        let q = &mut part.quadratics[set];
-                        add_outer(&mut q.h, row_mean, w);
-                        add_product(&mut part.information[set], row_a, row_b, w);
-                        let block = self.block(pixel, light);
-                        let score = part.scores[set]
-                            .entry(block)
-                            .or_insert_with(|| DVector::zeros(n));
-                        for k in 0..n {
-                            let descent =
-                                -0.5 * w * (row_a[k] * residual[1] + row_b[k] * residual[0]);
-                            q.g[k] += descent;
-                            score[k] += descent;
-                        }
-                        q.c += 0.5 * w * residual[0] * residual[1];
-                        let difference = residual[0] - residual[1];
-                        let noise = &mut part.noise[set];
-                        for k in 0..n {
-                            noise.g[k] -= 0.25 * w * (row_a[k] - row_b[k]) * difference;
-                        }
-                        noise.c += 0.125 * w * difference * difference;
-                    }
-                }
-                part.model.push(model);
-            },
-        );
-        self.gather(parts)
-    }
-
     /// Blocks of 8 × 8 pixels of one light, over which model error is taken as correlated.
     pub fn block(&self, pixel: usize, light: usize) -> usize {
         let [width, _] = self.resolution;
         let (x, y) = (pixel % width / 8, pixel / width / 8);
         (light * self.resolution[1].div_ceil(8) + y) * width.div_ceil(8) + x
-    }
-
-    fn gather(&self, parts: Vec<Part>) -> Linearised {
-        let (n, sets) = (self.atoms(), self.sets());
-        let mut total = Part::new(n, sets);
-        let mut model = vec![Vec::with_capacity(self.target[0].len()); self.lights()];
-        for part in parts {
-            for set in 0..sets {
-                total.quadratics[set].add_scaled(1.0, &part.quadratics[set]);
-                total.information[set] += &part.information[set];
-                total.noise[set].g += &part.noise[set].g;
-                total.noise[set].c += part.noise[set].c;
-                for (block, score) in &part.scores[set] {
-                    *total.scores[set]
-                        .entry(*block)
-                        .or_insert_with(|| DVector::zeros(n)) += score;
-                }
-            }
-            for pixel in part.model {
-                for (light, value) in pixel.into_iter().enumerate() {
-                    model[light].push(value);
-                }
-            }
-        }
-        for set in 0..sets {
-            total.quadratics[set]
-                .h
-                .fill_upper_triangle_with_lower_triangle();
-            total.information[set].fill_upper_triangle_with_lower_triangle();
-        }
-        Linearised {
-            noise: total.noise,
-            quadratics: total.quadratics,
-            information: total.information,
-            model,
-            block_scores: total
-                .scores
-                .into_iter()
-                .map(|s| s.into_values().collect())
-                .collect(),
-        }
     }
 }
 
@@ -565,27 +382,6 @@ fn is_smooth(
     }) && (lit == 0.0 || lit == 1.0)
 }
 
-/// Sums over a group of pixels.
-struct Part {
-    quadratics: Vec<Quadratic>,
-    information: Vec<DMatrix<f64>>,
-    noise: Vec<Noise>,
-    scores: Vec<std::collections::BTreeMap<usize, DVector<f64>>>,
-    model: Vec<Vec<[[f64; 2]; 3]>>,
-}
-
-impl Part {
-    fn new(n: usize, sets: usize) -> Self {
-        Self {
-            quadratics: vec![Quadratic::zero(n); sets],
-            information: vec![DMatrix::zeros(n, n); sets],
-            noise: vec![Noise::zero(n); sets],
-            scores: vec![Default::default(); sets],
-            model: Vec::new(),
-        }
-    }
-}
-
 /// Lower triangle of `h += w · v vᵀ`.
 fn add_outer(h: &mut DMatrix<f64>, v: &[f64], w: f64) {
     let n = v.len();
@@ -598,21 +394,6 @@ fn add_outer(h: &mut DMatrix<f64>, v: &[f64], w: f64) {
                 .iter_mut()
                 .zip(&v[j..])
                 .for_each(|(h, &x)| *h += scale * x);
-        }
-    }
-}
-
-/// Lower triangle of `h += w · ½ (a bᵀ + b aᵀ)`.
-fn add_product(h: &mut DMatrix<f64>, a: &[f64], b: &[f64], w: f64) {
-    let n = a.len();
-    let data = h.as_mut_slice();
-    for j in 0..n {
-        let (wa, wb) = (0.5 * w * a[j], 0.5 * w * b[j]);
-        if wa != 0.0 || wb != 0.0 {
-            let column = &mut data[j * n + j..(j + 1) * n];
-            for (h, (&x, &y)) in column.iter_mut().zip(a[j..].iter().zip(&b[j..])) {
-                *h += wa * y + wb * x;
-            }
         }
     }
 }

@@ -15,14 +15,31 @@ use crate::radiance_image::RadianceImage;
 use crate::transport::{Proposal, Scene};
 
 /// What follows a first fit.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Refine {
     /// Trace again with directions proposed by the fitted material: less noise where it is
-    /// glossy, for the time of a second fit.
+    /// glossy. The first fit then takes a quarter of the paths.
     pub adapt_paths: bool,
     /// Rounds of new atoms, 0..=8, on paths traced again; each costs a fit with up to
     /// [`MAX_LOBES`] lobes.
     pub rounds: u32,
+}
+
+impl Refine {
+    /// One fit on paths that suit any material.
+    pub const NONE: Self = Self {
+        adapt_paths: false,
+        rounds: 0,
+    };
+}
+
+impl Default for Refine {
+    fn default() -> Self {
+        Self {
+            adapt_paths: true,
+            ..Self::NONE
+        }
+    }
 }
 
 /// GGX atoms of a refined dictionary.

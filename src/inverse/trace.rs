@@ -1,22 +1,23 @@
 //! What an optimiser tells while it works.
 
-use super::objective::Linearised;
+use super::simplex::Quadratic;
 
 /// One evaluated point.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Step {
     /// The optimiser's name.
     pub optimizer: &'static str,
-    /// Loss ½ rᵀWr per set. Estimated without bias, so it can be slightly negative.
+    /// Loss ½ rᵀWr per set, with the prior where there is one. Estimated without bias, so
+    /// it can be slightly negative.
     pub loss: Vec<f64>,
 }
 
 impl Step {
-    /// From a pass.
-    pub fn of(pass: &Linearised, optimizer: &'static str) -> Self {
+    /// From the local quadratics, whose constants are the loss.
+    pub fn of(quadratics: &[Quadratic], optimizer: &'static str) -> Self {
         Self {
             optimizer,
-            loss: pass.quadratics.iter().map(|q| q.c).collect(),
+            loss: quadratics.iter().map(|q| q.c).collect(),
         }
     }
 }

@@ -37,7 +37,7 @@ const STEPS: usize = 20_000;
 
 /// Least variance of the score over what F says. Above one, because what is common to all
 /// pixels, such as the facets of the mesh, scatters no block; calibrated by coverage.
-const LEAST_SPREAD: f64 = 1.5;
+const LEAST_SPREAD: f64 = 3.0;
 
 /// Draws `count` weights for each set around `mixture`; `bench` is what an uncertain
 /// bench adds to their spread.
@@ -120,7 +120,9 @@ fn adjusted_likelihood(
         * DMatrix::from_diagonal(&precision)
         * scatter.eigenvectors.transpose();
     let h = &root * &weight * root.transpose();
-    let b = &h * mixture + &root * (&weight * inverse.tr_mul(&quadratic.g));
+    // The likelihood's own score, which the fit's prior and share of noise leave nonzero.
+    let score: DVector<f64> = scores.iter().sum();
+    let b = &h * mixture + &root * (&weight * inverse.tr_mul(&score));
     (h, b)
 }
 

@@ -14,6 +14,7 @@ use crate::brdf::mixture::Mixture;
 use crate::inverse::fit::{Fit, FitError, FitOptions, fit_on_bench};
 use crate::inverse::gauss_newton::GaussNewton;
 use crate::inverse::objective::{Linearised, Objective};
+use crate::inverse::ridge::Ridge;
 use crate::radiance_image::RadianceImage;
 use crate::random::{Purpose, stream};
 use crate::transport::{Cache, DirectMatrix, Proposal, Scene};
@@ -335,9 +336,13 @@ impl Rounds<'_> {
                 .collect::<Result<_, FitError>>()?,
         };
         let method = GaussNewton::default();
-        let (pass, _) = method.minimise(objective, &residual_weights, &mut mixture, &mut ())?;
+        let ridge = Ridge::first(objective);
+        let (pass, _) =
+            method.minimise(objective, &residual_weights, &ridge, &mut mixture, &mut ())?;
+        let ridge = Ridge::after(&pass);
         residual_weights = objective.weights(Some(&pass.model));
-        let (pass, _) = method.minimise(objective, &residual_weights, &mut mixture, &mut ())?;
+        let (pass, _) =
+            method.minimise(objective, &residual_weights, &ridge, &mut mixture, &mut ())?;
         Ok((mixture, residual_weights, pass))
     }
 }

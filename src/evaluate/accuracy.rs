@@ -1,0 +1,120 @@
+//! What one image is worth: every material on every concave shape under one light, and on
+//! the bowl under four, beside what the dictionary can reach.
+
+use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table, quantile};
+use super::lab::{Lab, Sample};
+use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
+
+/// The concave shapes and numbers of lights.
+const BENCHES: [(Sample, usize); 4] = [
+    (Sample::ConcaveCorner, 1),
+    (Sample::Bowl, 1),
+    (Sample::Designed, 1),
+    (Sample::Bowl, 4),
+];
+
+/// Errors of all materials, sorted, and their ratios to the reference projection.
+pub static ACCURACY: Experiment = Experiment {
+    name: "accuracy",
+    shows: "environment error of every material from one image of the concave shapes and from four of the bowl, beside the reference projection and the floor of the same dictionary",
+    full: Scale {
+        materials: &["bundled", "in-span"],
+        samples_per_pixel: 256,
+        truth_samples_per_pixel: 1024,
+        ..Scale::SINGLE_IMAGE
+    },
+    quick: Scale {
+        materials: &["nbrdf:pvc", "in-span:01"],
+        ..Scale::QUICK_IMAGE
+    },
+    cases,
+    figures,
+};
+
+fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
+    let mut cases = Vec::new();
+    for material in &lab.materials {
+        for (sample, lights) in BENCHES {
+            let material = material.clone();
+            let key = format!("{}/{}/{lights}", material.name, sample.name());
+            cases.push(Case::new(key, move |lab: &Lab| {
+                let estimate = lab.measure(sample, lights, &material.brdf)?;
+                let row = Row::new()
+                    .with("material", material.name.as_str())
+                    .with("class", material.class.name())
+                    .with("shape", sample.name())
+                    .with("lights", lights)
+                    .with("paths_per_pixel", estimate.fit.samples[0])
+                    .with("reduced_chi2", estimate.mean_reduced_chi2())
+                    .with(
+                        "start_error",
+                        lab.score(&estimate.start, &*material.brdf).environment,
+                    );
+                Ok(vec![row.and(lab.score_row(&estimate.mixture, &material)?)])
+            }));
+        }
+    }
+    Ok(cases)
+}
+
+fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
+    // In the dictionary's span the projection is exact, so the error itself is shown.
+    let in_span = panel(
+        table,
+        "in the dictionary's span",
+        "environment_error",
+        "environment error (relative)",
+        true,
+    );
+    let outside = panel(
+        table,
+        "outside the span",
+        "ratio_to_reference",
+        "environment error / reference projection's",
+        false,
+    );
+    Ok(vec![charts("accuracy", 2, &[in_span, outside])])
+}
+
+/// A figure of all materials of a class per bench, in ascending order.
+fn panel(table: &Table, title: &str, column: &str, label: &str, in_span: bool) -> Chart {
+    let of = |sample: Sample, lights: usize| {
+        let mut values = table.figures(column, |row| {
+            (row.text("class") == "in-span") == in_span
+                && row.text("shape") == sample.name()
+                && row.number("lights") == Some(lights as f64)
+        });
+        values.sort_by(f64::total_cmp);
+        values
+    };
+    let mut all = Vec::new();
+    let series = BENCHES
+        .iter()
+        .enumerate()
+        .map(|(color, &(sample, lights))| {
+            let values = of(sample, lights);
+            all.extend_from_slice(&values);
+            let last = (values.len().max(2) - 1) as f64;
+            let points = values
+                .iter()
+                .enumerate()
+                .map(|(i, v)| [100.0 * i as f64 / last, v.max(1e-4).log10()]);
+            let name = match lights {
+                1 => sample.name().to_owned(),
+                n => format!("{}, {n} lights", sample.name()),
+            };
+            Series::new(&name, color, Mark::Points, points.collect())
+        })
+        .collect();
+    let (low, high) = if all.is_empty() {
+        (0.01, 1.0)
+    } else {
+        (quantile(&all, 0.0).max(1e-4), quantile(&all, 1.0).max(2e-4))
+    };
+    Chart {
+        title: title.to_owned(),
+        x: Axis::linear(-3.0..103.0, "materials, in ascending order (%)"),
+        y: Axis::decades(low.log10() - 0.1..high.log10() + 0.1, label),
+        series,
+    }
+}
