@@ -1,10 +1,15 @@
 //! Files that appear whole: written beside their place, then renamed into it.
 
-use std::io::{self, BufWriter, Write};
+use std::io::{self, BufWriter, Seek, Write};
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 
 use tempfile::NamedTempFile;
+
+/// A file that is being written.
+pub trait Out: Write + Seek {}
+
+impl<T: Write + Seek> Out for T {}
 
 /// Writes a file in place of any of that name, so that no reader ever sees half
 /// of it: to a temporary file in the same folder, synchronised, then renamed.
@@ -14,10 +19,7 @@ use tempfile::NamedTempFile;
 /// What stands there is no regular file (renaming would replace a device, a
 /// link or a named pipe by a file), or the system refuses. Messages don't name
 /// the path.
-pub fn replace(
-    path: &Path,
-    write: impl FnOnce(&mut dyn Write) -> io::Result<()>,
-) -> io::Result<()> {
+pub fn replace(path: &Path, write: impl FnOnce(&mut dyn Out) -> io::Result<()>) -> io::Result<()> {
     if std::fs::symlink_metadata(path).is_ok_and(|there| !there.is_file()) {
         return Err(io::Error::new(
             io::ErrorKind::InvalidInput,
@@ -42,7 +44,7 @@ pub fn create(path: &Path, bytes: &[u8]) -> io::Result<()> {
 /// A temporary file beside `path`, synchronised; dropping it removes it.
 fn written(
     path: &Path,
-    write: impl FnOnce(&mut dyn Write) -> io::Result<()>,
+    write: impl FnOnce(&mut dyn Out) -> io::Result<()>,
 ) -> io::Result<NamedTempFile> {
     let folder = path.parent().filter(|p| !p.as_os_str().is_empty());
     // In the system's words where there is no such folder.

@@ -4,8 +4,9 @@
 #![allow(clippy::print_stdout)]
 
 use nalgebra::{DMatrix, DVector};
-use rig::radiometry::merge::{BracketMerge, FrameRole, MergedPlane};
+use rig::radiometry::merge::{BracketMerge, FrameRole};
 use rig::radiometry::mosaic::Mosaic;
+use rig::radiometry::plane::MergedPlane;
 use rig::radiometry::sensor::{FlatField, SensorNoise};
 use rig::random::{Purpose, Stream, stream};
 

@@ -220,18 +220,7 @@ impl Library {
             id: id.to_owned(),
             library: self.place(),
         })?;
-        let syntax = |problem: String, line| RecordError::Syntax {
-            file: file.clone(),
-            line,
-            problem,
-        };
-        let text = std::str::from_utf8(&bytes).map_err(|error| syntax(error.to_string(), 1))?;
-        let record: Record<V> = toml::from_str(text).map_err(|error| {
-            let start = error.span().map_or(0, |span| span.start);
-            let line = 1 + text.bytes().take(start).filter(|&b| b == b'\n').count();
-            syntax(error.message().to_owned(), line)
-        })?;
-        check(&record, id, &file)?;
+        let record: Record<V> = parse(&bytes, id, &file)?;
         let sha256 = hex_sha256(&bytes);
         let mut files = vec![(name, bytes)];
         for map in record.values.maps() {
@@ -286,6 +275,32 @@ impl Library {
             }
         }
     }
+}
+
+/// A record without maps, wherever its file lies.
+///
+/// # Errors
+/// The file cannot be read or is no valid record of this kind.
+pub fn record_in<V: Values>(path: &Path) -> Result<Record<V>, RecordError> {
+    let bytes = std::fs::read(path).map_err(|source| io_error(path, source))?;
+    let id = path.file_stem().unwrap_or_default().to_string_lossy();
+    parse(&bytes, &id, &path.display().to_string())
+}
+
+fn parse<V: Values>(bytes: &[u8], id: &str, file: &str) -> Result<Record<V>, RecordError> {
+    let syntax = |problem: String, line| RecordError::Syntax {
+        file: file.to_owned(),
+        line,
+        problem,
+    };
+    let text = std::str::from_utf8(bytes).map_err(|error| syntax(error.to_string(), 1))?;
+    let record: Record<V> = toml::from_str(text).map_err(|error| {
+        let start = error.span().map_or(0, |span| span.start);
+        let line = 1 + text.bytes().take(start).filter(|&b| b == b'\n').count();
+        syntax(error.message().to_owned(), line)
+    })?;
+    check(&record, id, file)?;
+    Ok(record)
 }
 
 impl<V> Loaded<V> {

@@ -10,4 +10,4 @@ pub mod procedure;
 pub mod record;
 pub mod sensor;
 
-pub use library::{Library, Loaded, RecordError};
+pub use library::{Library, Loaded, RecordError, record_in};

@@ -15,11 +15,19 @@ pub enum Kind {
     Scale,
     /// Irradiance of the lamp's channels at the sample.
     Lights,
+    /// Exposure by count of a camera that is not linear.
+    Response,
 }
 
 impl Kind {
     /// All kinds.
-    pub const ALL: [Kind; 4] = [Kind::Sensor, Kind::Flat, Kind::Scale, Kind::Lights];
+    pub const ALL: [Kind; 5] = [
+        Kind::Sensor,
+        Kind::Flat,
+        Kind::Scale,
+        Kind::Lights,
+        Kind::Response,
+    ];
 
     /// The folder's name.
     pub fn folder(self) -> &'static str {
@@ -28,6 +36,7 @@ impl Kind {
             Kind::Flat => "flat",
             Kind::Scale => "scale",
             Kind::Lights => "lights",
+            Kind::Response => "response",
         }
     }
 }
@@ -264,6 +273,48 @@ impl Values for LightsValues {
     fn check(&self) -> Result<(), BadValue> {
         let mut channels = self.irradiance_w_m2.iter();
         channels.try_for_each(|channel| channel.check("irradiance_w_m2", 1e-9, 1e9))
+    }
+}
+
+/// Which exposure each 8-bit count of a camera that is not linear stands for.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ResponseValues {
+    /// One curve (grey) or three (red, green, blue).
+    pub channels: Vec<ResponseCurve>,
+}
+
+/// The curve of one channel.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ResponseCurve {
+    /// Natural logarithm of the relative exposure for each of the 256 counts; grows.
+    pub ln_exposure: Vec<f64>,
+    /// Standard uncertainty of each.
+    pub ln_std: Vec<f64>,
+}
+
+impl Values for ResponseValues {
+    const KIND: Kind = Kind::Response;
+
+    fn check(&self) -> Result<(), BadValue> {
+        let channels = self.channels.len();
+        if channels != 1 && channels != 3 {
+            return Err(bad("channels", channels, "1 or 3 curves".into()));
+        }
+        for curve in &self.channels {
+            let finite = curve.ln_exposure.iter().chain(&curve.ln_std);
+            let counts = [curve.ln_exposure.len(), curve.ln_std.len()];
+            if counts != [256; 2] || !finite.clone().all(|x| x.is_finite()) {
+                let allowed = "256 finite numbers each".to_owned();
+                return Err(bad("channels", format!("{counts:?} numbers"), allowed));
+            }
+            if let Some(z) = (1..256).find(|&z| curve.ln_exposure[z] <= curve.ln_exposure[z - 1]) {
+                let allowed = "above the one of the count before".to_owned();
+                return Err(bad("channels.ln_exposure", curve.ln_exposure[z], allowed));
+            }
+        }
+        Ok(())
     }
 }
 

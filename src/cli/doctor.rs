@@ -330,6 +330,10 @@ fn calibration<V: Values>(rig: &ResolvedRig, library: &Library, id: Option<&str>
             "lights",
             "without it the rig file's irradiance_w_m2 is believed",
         ),
+        Kind::Response => (
+            "response",
+            "without it counts are taken as proportional to light",
+        ),
     };
     let failed = |error: RecordError| {
         let remedy = hints::for_error(&error).unwrap_or_else(|| "calibrate anew".to_owned());

@@ -2,38 +2,60 @@
 
 use std::path::{Path, PathBuf};
 
+use serde::Serialize;
+
+use super::bracket_files::{self, BracketFile, read_frame, same_kind};
+use super::output::write_json;
 use super::rig_choice::RigArg;
 use super::{CliError, Context, HintExt};
-use crate::calibration::Library;
 use crate::calibration::noise::sensor_noise;
-use crate::calibration::record::{FlatValues, ScaleValues, SensorValues};
+use crate::calibration::record::{
+    FlatValues, ResponseCurve, ResponseValues, ScaleValues, SensorValues,
+};
+use crate::calibration::{Library, record_in};
 use crate::out;
 use crate::radiance_image::RadianceImage;
 use crate::radiance_image::exr;
-use crate::radiometry::bracket_table::{BracketRow, parse_bracket_table};
-use crate::radiometry::frame_file::{FrameFile, decode_png};
-use crate::radiometry::merge::{BracketMerge, MergedPlane};
+use crate::radiometry::agreement::ExposureAgreement;
+use crate::radiometry::frame_file::FrameFile;
 use crate::radiometry::mosaic::Mosaic;
+use crate::radiometry::plane::MergedPlane;
+use crate::radiometry::response::Response;
 use crate::radiometry::sensor::SensorNoise;
+use crate::radiometry::stack::{Band, Stack};
 
-/// Merges a bracket of linear PNG frames into a radiance image with variance and mask
+/// Merges an exposure bracket into a radiance image with variance and mask
 ///
-/// Counts must be proportional to light (raw frames). The sensor is described by the records of
-/// a rig (--rig) or by options, which take precedence.
+/// Raw frames, whose counts are proportional to light, need the sensor's description: the records
+/// of a rig (--rig) or options, which take precedence. Other frames (8 bits) need the camera's
+/// response (--response).
 #[derive(clap::Args, Debug)]
 pub struct MergeArgs {
-    /// Frames: PNG, grey (mono or Bayer) or RGB, 8 or 16 bits, all of one size
+    /// Frames, or folders of them: PNG, TIFF or JPEG, grey (mono or Bayer) or RGB, 8 or 16 bits,
+    /// all of one size
     #[arg(value_name = "FRAMES", required = true)]
     frames: Vec<PathBuf>,
     /// Table of exposures: CSV lines `file,exposure_s[,light|ambient|dark]`, files by path or name
+    /// (default: each frame's EXIF data, or its name, such as scene_20ms.png or scene_1-250s.jpg)
     #[arg(long, value_name = "CSV")]
-    exposures: PathBuf,
+    exposures: Option<PathBuf>,
     /// The radiance image to write (OpenEXR)
     #[arg(long, value_name = "EXR", default_value = "radiance.exr")]
     out: PathBuf,
     /// Colour filters over the sensor: none, rggb, grbg, gbrg or bggr; cells become RGB pixels
     #[arg(long, value_name = "ORDER", default_value = "none", value_parser = parse_mosaic)]
     mosaic: Mosaic,
+    /// Keep the resolution of a mosaic: a colour that a pixel did not measure is the mean of its
+    /// nearest neighbours (default: a cell of 2 x 2 becomes one pixel, nothing is interpolated)
+    #[arg(long)]
+    full_resolution: bool,
+    /// How the exposures agree, as JSON: ratios from the images, drift, pixels that moved
+    #[arg(long)]
+    json: bool,
+    /// Frames of a camera that is not linear: its record by `rig calibrate response` (the image is
+    /// then in relative units)
+    #[arg(long, value_name = "TOML", conflicts_with_all = ["gain", "read_noise", "mosaic"])]
+    response: Option<PathBuf>,
     /// Take the sensor from this rig's records
     #[command(flatten)]
     rig: RigArg,
@@ -60,6 +82,11 @@ pub struct MergeArgs {
     responsivity: Option<f64>,
 }
 
+fn is_jpeg(path: &Path) -> bool {
+    let ending = path.extension().and_then(|e| e.to_str()).unwrap_or("");
+    ["jpg", "jpeg"].contains(&ending.to_ascii_lowercase().as_str())
+}
+
 fn parse_mosaic(text: &str) -> Result<Mosaic, String> {
     match text {
         "none" => Ok(Mosaic::None),
@@ -73,15 +100,9 @@ fn parse_mosaic(text: &str) -> Result<Mosaic, String> {
 
 /// `rig merge`.
 pub fn run(args: &MergeArgs, context: &Context) -> Result<(), CliError> {
-    let rows = read_table(&args.exposures)?;
-    let frames = args
-        .frames
-        .iter()
-        .map(|path| Ok((path.as_path(), row_of(&rows, path, &args.exposures)?)))
-        .collect::<Result<Vec<_>, CliError>>()?;
-    let (first_path, _) = frames[0];
+    let frames = bracket_files::find(&args.frames, args.exposures.as_deref())?;
+    let first_path = frames[0].path.as_path();
     let first = read_frame(first_path)?;
-    let (width, height) = (first.width, first.height);
     if args.mosaic != Mosaic::None && first.planes.len() != 1 {
         return Err(CliError::new(format!(
             "{} has {} channels, but a mosaic is one grey channel",
@@ -90,139 +111,248 @@ pub fn run(args: &MergeArgs, context: &Context) -> Result<(), CliError> {
         ))
         .hint("leave --mosaic out for frames that are RGB already"));
     }
-    let noise = args.noise(context, &first)?;
-    noise.check(width * height).hint(
-        "--gain, --read-noise, --black-level, --saturation and --bit-depth describe the sensor",
-    )?;
-    let mut merges = (0..first.planes.len())
-        .map(|_| BracketMerge::new(&noise, args.mosaic, width, height))
-        .collect::<Result<Vec<_>, _>>()?;
+    let model = match &args.response {
+        Some(path) => Model::Response(responses(path, first_path, &first)?),
+        None => Model::Linear(Box::new(args.noise(context, first_path, &first)?)),
+    };
+    if let Model::Linear(noise) = &model {
+        noise.check(first.width * first.height).hint(
+            "--gain, --read-noise, --black-level, --saturation and --bit-depth describe the sensor",
+        )?;
+    }
+    let stack = gather(args, &model, &frames, &first)?;
+    match &model {
+        Model::Linear(noise) => merge_linear(args, context, &stack, noise, &first),
+        Model::Response(responses) => merge_response(args, context, &stack, responses, &first),
+    }
+}
 
-    let full_scale_dn = ((1u32 << noise.bit_depth) - 1) as u16;
-    for &(path, row) in &frames {
+/// What turns counts into radiance.
+enum Model {
+    /// Raw counts of a sensor with this noise.
+    Linear(Box<SensorNoise>),
+    /// 8-bit counts through a response per channel.
+    Response(Vec<Response>),
+}
+
+/// All frames, checked, on disk.
+fn gather(
+    args: &MergeArgs,
+    model: &Model,
+    frames: &[BracketFile],
+    first: &FrameFile,
+) -> Result<Stack, CliError> {
+    let folder = args.out.parent().filter(|p| !p.as_os_str().is_empty());
+    let folder = folder.unwrap_or(Path::new("."));
+    let mut stack =
+        Stack::new(folder, first.width, first.height, first.planes.len()).hint(DISK_HINT)?;
+    let bits = match model {
+        Model::Linear(noise) => noise.bit_depth,
+        Model::Response(_) => first.bits,
+    };
+    let full_scale_dn = ((1u32 << bits) - 1) as u16;
+    for BracketFile {
+        path,
+        role,
+        exposure_s,
+    } in frames
+    {
         let frame = read_frame(path)?;
-        let same = (frame.width, frame.height, frame.planes.len(), frame.bits)
-            == (width, height, first.planes.len(), first.bits);
-        if !same {
+        same_kind((&frames[0].path, first), (path, &frame))?;
+        let largest = frame.planes.iter().flatten().max().copied().unwrap_or(0);
+        if largest > full_scale_dn {
             return Err(CliError::new(format!(
-                "{} is {}, but {} is {}",
+                "{} has a count of {largest}, but {bits} bits end at {full_scale_dn}",
                 path.display(),
-                describe(&frame),
-                first_path.display(),
-                describe(&first)
             ))
-            .hint("a bracket is taken by one camera with one setting; leave the odd frame out"));
+            .hint("set --bit-depth to the significant bits of a count"));
         }
-        for (merge, counts) in merges.iter_mut().zip(&frame.planes) {
-            if let Some(&count) = counts.iter().find(|&&count| count > full_scale_dn) {
-                return Err(CliError::new(format!(
-                    "{} has a count of {count}, but {} bits end at {full_scale_dn}",
-                    path.display(),
-                    noise.bit_depth
-                ))
-                .hint("set --bit-depth to the significant bits of a count"));
-            }
-            merge.add(row.role, row.exposure_s, counts)?;
-        }
+        stack
+            .add(*role, *exposure_s, &frame.planes)
+            .hint(DISK_HINT)?;
     }
-    let planes = merges
-        .into_iter()
-        .map(BracketMerge::finish)
-        .collect::<Result<Vec<_>, _>>()
-        .hint("mark at least one frame as light in the table (the default)")?;
-    for plane in &planes {
-        report(plane, context);
+    Ok(stack)
+}
+
+fn merge_linear(
+    args: &MergeArgs,
+    context: &Context,
+    stack: &Stack,
+    noise: &SensorNoise,
+    first: &FrameFile,
+) -> Result<(), CliError> {
+    let size = match args.mosaic {
+        Mosaic::None => [first.width, first.height],
+        _ if args.full_resolution => [first.width, first.height],
+        _ => [first.width / 2, first.height / 2],
+    };
+    let margin = usize::from(args.full_resolution);
+    let mut bands = stack.bands(noise, args.mosaic, margin);
+    let mut masked = 0;
+    exr::write_rows(&args.out, size[0], size[1], || {
+        let band = bands.next_band().hint(BRACKET_HINT)?;
+        let band = band.ok_or_else(|| CliError::new("the frames have no more rows"))?;
+        let image = args.image(&band)?;
+        masked += image.valid.iter().filter(|&&valid| !valid).count();
+        Ok::<_, CliError>(image)
+    })?;
+    let agreement = bands.agreement();
+    for steps in &agreement {
+        warn(steps, context);
     }
-    let image = match planes.as_slice() {
+    args.finish(context, size, masked, agreement)
+}
+
+fn merge_response(
+    args: &MergeArgs,
+    context: &Context,
+    stack: &Stack,
+    responses: &[Response],
+    first: &FrameFile,
+) -> Result<(), CliError> {
+    let (mut at, mut masked) = (0, 0);
+    exr::write_rows(&args.out, first.width, first.height, || {
+        let rows = at..(at + stack.band_rows()).min(first.height);
+        at = rows.end;
+        let image = to_image(&stack.through_response(responses, rows).hint(BRACKET_HINT)?)?;
+        masked += image.valid.iter().filter(|&&valid| !valid).count();
+        Ok::<_, CliError>(image)
+    })?;
+    args.finish(context, [first.width, first.height], masked, Vec::new())
+}
+
+fn responses(path: &Path, frame: &Path, first: &FrameFile) -> Result<Vec<Response>, CliError> {
+    let record = record_in::<ResponseValues>(path)?;
+    if first.bits != 8 || record.values.channels.len() != first.planes.len() {
+        return Err(CliError::new(format!(
+            "{} has {} channels of 8 bits, but {} has {} of {} bits",
+            path.display(),
+            record.values.channels.len(),
+            frame.display(),
+            first.planes.len(),
+            first.bits
+        ))
+        .hint("a response belongs to frames of the camera that it was found with"));
+    }
+    let curve = |curve: ResponseCurve| Response {
+        ln_exposure: curve.ln_exposure,
+        ln_std: curve.ln_std,
+    };
+    Ok(record.values.channels.into_iter().map(curve).collect())
+}
+
+fn to_image(planes: &[MergedPlane]) -> Result<RadianceImage, CliError> {
+    let image = match planes {
         [red, green, blue] => MergedPlane::to_rgb([red, green, blue]),
-        [grey] => Some(grey.binned(args.mosaic)),
+        [grey] => Some(grey.to_grey()),
         _ => None,
     };
-    let image: RadianceImage =
-        image.ok_or_else(|| CliError::new("the frames have neither one channel nor three"))?;
-    exr::write(&args.out, &image)?;
-    out!("{}", args.out.display())
+    image.ok_or_else(|| CliError::new("the frames have neither one channel nor three"))
 }
 
-fn read_table(path: &Path) -> Result<Vec<BracketRow>, CliError> {
-    let text = std::fs::read_to_string(path)
-        .map_err(|error| CliError::new(format!("{}: {error}", path.display())))
-        .hint("--exposures names a CSV file with lines `file,exposure_s`")?;
-    parse_bracket_table(&text)
-        .map_err(|error| CliError::new(format!("{}, {error}", path.display())))
-        .hint("each line is `file,exposure_s` or `file,exposure_s,light|ambient|dark`")
-}
+const DISK_HINT: &str = "frames wait in the folder of --out while they are merged: make room \
+    there, or choose another folder";
+const BRACKET_HINT: &str = "mark at least one frame as light in the table (the default)";
 
-/// The table's line for a frame: by its path as given, else by its file name.
-fn row_of<'a>(
-    rows: &'a [BracketRow],
-    path: &Path,
-    table: &Path,
-) -> Result<&'a BracketRow, CliError> {
-    let by_path = rows.iter().find(|row| Path::new(&row.file) == path);
-    let by_name = || {
-        rows.iter()
-            .find(|row| Path::new(&row.file).file_name() == path.file_name())
-    };
-    by_path.or_else(by_name).ok_or_else(|| {
-        CliError::new(format!(
-            "{} has no exposure for {}",
-            table.display(),
-            path.display()
-        ))
-        .hint("add a line `file,exposure_s` for it, or leave the frame out")
-    })
-}
-
-fn read_frame(path: &Path) -> Result<FrameFile, CliError> {
-    let bytes = std::fs::read(path)
-        .map_err(|error| CliError::new(format!("{}: {error}", path.display())))
-        .hint("check the path's spelling and the file's permissions")?;
-    decode_png(&bytes)
-        .map_err(|error| CliError::new(format!("{}: {error}", path.display())))
-        .hint("frames are PNG files of 8 or 16 bits, grey or RGB")
-}
-
-fn describe(frame: &FrameFile) -> String {
-    let channels = if frame.planes.len() == 1 {
-        "grey"
-    } else {
-        "RGB"
-    };
-    format!(
-        "{} x {}, {}-bit {channels}",
-        frame.width, frame.height, frame.bits
-    )
+#[derive(Serialize)]
+struct MergeReport {
+    image: String,
+    width: usize,
+    height: usize,
+    masked_pixels: usize,
+    /// How the exposures agree, per channel of the frames, shortest first.
+    channels: Vec<Vec<ExposureAgreement>>,
 }
 
 /// A frame whose signal departs from the others' prediction by more than this
 /// part is reported: a wrong exposure, or counts that are not linear.
 const RATIO_WARNING: f64 = 0.01;
+/// A change of the light over the frames of one exposure beyond this is reported.
+const DRIFT_WARNING: f64 = 0.005;
 
-fn report(plane: &MergedPlane, context: &Context) {
-    for step in &plane.agreement {
-        let departs = (step.signal_ratio - 1.0).abs() > RATIO_WARNING;
-        let significant = step.reduced_chi2 > 1.5 && step.pixels > 100;
-        if departs && significant {
+fn warn(steps: &[ExposureAgreement], context: &Context) {
+    for step in steps {
+        let off = (step.signal_ratio - 1.0).abs();
+        if off > RATIO_WARNING.max(5.0 * step.signal_ratio_std) {
             context.warn(format_args!(
-                "the exposure of {} s collected {:.3} times what the shorter ones predict: \
-                 a wrong exposure time, or counts that are not proportional to light",
-                step.exposure_s, step.signal_ratio
+                "the exposure of {} s collected {:.3} ± {:.3} times what the shorter ones \
+                 predict: a wrong exposure time, a lamp that drifts, or counts that are not \
+                 proportional to light",
+                step.exposure_s, step.signal_ratio, step.signal_ratio_std
             ));
         }
-    }
-    let lost = plane.valid.iter().filter(|&&valid| !valid).count();
-    if lost > 0 {
-        context.note(format_args!(
-            "{lost} of {} pixels are masked: clipped in every exposure, or hot",
-            plane.valid.len()
-        ));
+        if step.drift.abs() > DRIFT_WARNING.max(5.0 * step.drift_std) {
+            context.warn(format_args!(
+                "the light changed by {:.1}% over the {} frames of {} s: let the lamp warm up, \
+                 or see `rig calibrate lamp`",
+                100.0 * step.drift,
+                step.frames,
+                step.exposure_s
+            ));
+        }
+        if step.moved_pixels > 0 {
+            context.warn(format_args!(
+                "{} pixels of the exposure of {} s differ from the other frames: something \
+                 moved; they are masked",
+                step.moved_pixels, step.exposure_s
+            ));
+        }
     }
 }
 
 impl MergeArgs {
+    fn finish(
+        &self,
+        context: &Context,
+        [width, height]: [usize; 2],
+        masked_pixels: usize,
+        channels: Vec<Vec<ExposureAgreement>>,
+    ) -> Result<(), CliError> {
+        if masked_pixels > 0 {
+            context.note(format_args!(
+                "{masked_pixels} of {} pixels are masked: clipped in every exposure, hot, or moving",
+                width * height
+            ));
+        }
+        if !self.json {
+            return out!("{}", self.out.display());
+        }
+        write_json(&MergeReport {
+            image: self.out.display().to_string(),
+            width,
+            height,
+            masked_pixels,
+            channels,
+        })
+    }
+
+    /// The image of a band without its margins.
+    fn image(&self, band: &Band) -> Result<RadianceImage, CliError> {
+        let image = match band.planes.as_slice() {
+            [grey] if self.full_resolution => grey.demosaiced(self.mosaic),
+            [grey] => grey.binned(self.mosaic),
+            planes => to_image(planes)?,
+        };
+        if !self.full_resolution {
+            return Ok(image);
+        }
+        Ok(image.rows(band.above..band.above + band.rows))
+    }
+
     /// The sensor from the rig's records where --rig is given, and the options.
-    fn noise(&self, context: &Context, frame: &FrameFile) -> Result<SensorNoise, CliError> {
+    fn noise(
+        &self,
+        context: &Context,
+        path: &Path,
+        frame: &FrameFile,
+    ) -> Result<SensorNoise, CliError> {
+        if is_jpeg(path) {
+            return Err(CliError::new(format!(
+                "{} is a JPEG, whose counts are not proportional to light",
+                path.display()
+            ))
+            .hint("find the camera's response with `rig calibrate response`, then give the record with --response"));
+        }
         let mut noise = if self.rig.rig.is_some() {
             self.recorded_noise(context, frame)?
         } else {

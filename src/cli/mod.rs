@@ -6,6 +6,7 @@
 //! `pub mod` line and one line in [`commands!`] below.
 
 pub mod bench;
+mod bracket_files;
 pub mod brdf;
 pub mod calibrate;
 pub mod camera;

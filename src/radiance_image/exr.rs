@@ -3,6 +3,7 @@
 //! floats, compressed without loss.
 
 use std::io::Cursor;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use exr::prelude::*;
@@ -258,6 +259,119 @@ pub fn encode(image: &RadianceImage, path: &Path) -> std::result::Result<Vec<u8>
     Ok(bytes.into_inner())
 }
 
+/// Writes a radiance image that is made from the top, some rows at a time, so
+/// that only those are in memory; as [`write()`], the file appears whole.
+/// `next_rows` gives images of this width, `height` rows in all.
+///
+/// # Errors
+/// What `next_rows` returns; rows of another width or too few; the system refuses.
+pub fn write_rows<E: From<ExrError>>(
+    path: &Path,
+    width: usize,
+    height: usize,
+    next_rows: impl FnMut() -> std::result::Result<RadianceImage, E>,
+) -> std::result::Result<(), E> {
+    let mut names: Vec<&'static str> = [&COLOURS[..], &VARIANCES, &[MASK]].concat();
+    names.sort_unstable(); // as the format has it
+    let channels = names
+        .iter()
+        .map(|name| ChannelDescription::named(*name, SampleType::F32));
+    let encoding = Encoding::SMALL_LOSSLESS;
+    let header =
+        exr::meta::header::Header::new(Text::from("radiance"), (width, height), channels.collect())
+            .with_encoding(
+                encoding.compression,
+                exr::meta::BlockDescription::ScanLines,
+                LineOrder::Increasing,
+            );
+    let mut rows = RowQueue {
+        next_rows,
+        first: 0,
+        held: RadianceImage::new(width, 0),
+    };
+    let mut failed = None;
+    let written = whole_file::replace(path, |out| {
+        let blocks = |meta: MetaData, chunks: &mut exr::block::writer::ChunkWriter<_>| {
+            let list = &meta.headers[0].channels;
+            let mut compressor = exr::block::writer::SequentialBlocksCompressor::new(&meta, chunks);
+            for (index, block) in exr::block::enumerate_ordered_header_block_indices(&meta.headers)
+            {
+                let end = block.pixel_position.1 + block.pixel_size.1;
+                rows.advance(block.pixel_position.1..end).map_err(|error| {
+                    failed = Some(error);
+                    Error::Aborted
+                })?;
+                let block = exr::block::UncompressedBlock::from_lines(list, block, |line| {
+                    let at = (line.location.position.1 - rows.first) * width;
+                    let name = names[line.location.channel];
+                    let samples = line.write_samples(|x| sample(&rows.held, at + x, name));
+                    debug_assert!(samples.is_ok(), "a line of the block's own length");
+                });
+                compressor.compress_block(index, block)?;
+            }
+            Ok(())
+        };
+        exr::block::write(out, SmallVec::from_iter([header]), true, blocks)
+            .map_err(std::io::Error::other)
+    });
+    match (failed, written) {
+        (Some(error), _) => Err(error),
+        (None, Err(source)) => Err(io_error(path, source).into()),
+        (None, Ok(())) => Ok(()),
+    }
+}
+
+/// One channel of one pixel.
+fn sample(image: &RadianceImage, pixel: usize, name: &str) -> f32 {
+    let colour = |names: &[&str; 3]| names.iter().position(|n| *n == name);
+    if let Some(c) = colour(&COLOURS) {
+        image.mean[pixel][c]
+    } else if let Some(c) = colour(&VARIANCES) {
+        image.variance[pixel][c]
+    } else {
+        f32::from(u8::from(image.valid[pixel]))
+    }
+}
+
+/// The rows that the next block needs.
+struct RowQueue<F> {
+    next_rows: F,
+    first: usize,
+    held: RadianceImage,
+}
+
+impl<F> RowQueue<F> {
+    /// Forgets the rows above these and asks for more until these are held.
+    fn advance<E: From<ExrError>>(&mut self, rows: Range<usize>) -> std::result::Result<(), E>
+    where
+        F: FnMut() -> std::result::Result<RadianceImage, E>,
+    {
+        while self.first + self.held.height < rows.end {
+            let more = (self.next_rows)()?;
+            if more.width != self.held.width || more.height == 0 {
+                return Err(ExrError::Inconsistent {
+                    file: PathBuf::new(),
+                    width: self.held.width,
+                    height: rows.end,
+                    mean: more.mean.len(),
+                    variance: more.variance.len(),
+                    valid: more.valid.len(),
+                }
+                .into());
+            }
+            let above = (rows.start - self.first).min(self.held.height);
+            let mut held = self.held.rows(above..self.held.height);
+            self.first += above;
+            held.height += more.height;
+            held.mean.extend(more.mean);
+            held.variance.extend(more.variance);
+            held.valid.extend(more.valid);
+            self.held = held;
+        }
+        Ok(())
+    }
+}
+
 fn io_error(path: &Path, source: std::io::Error) -> ExrError {
     ExrError::Io {
         file: path.to_owned(),
@@ -293,6 +407,27 @@ mod tests {
         assert!(back.has_variance);
         let files = std::fs::read_dir(folder.path()).unwrap().count();
         assert_eq!(files, 1, "no temporary file is left");
+    }
+
+    #[test]
+    fn rows_written_one_after_the_other_make_the_same_image() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("rows.exr");
+        let image = picture(19, 83);
+        for step in [1, 7, 40, 83] {
+            let mut at = 0;
+            write_rows(&path, 19, 83, || {
+                let rows = at..(at + step).min(83);
+                at = rows.end;
+                Ok::<_, ExrError>(image.rows(rows))
+            })
+            .unwrap();
+            assert_eq!(read(&path).unwrap().image, image, "{step} rows at a time");
+        }
+        let before = std::fs::read(&path).unwrap();
+        let error = write_rows(&path, 19, 83, || Ok::<_, ExrError>(picture(18, 2))).unwrap_err();
+        assert!(matches!(error, ExrError::Inconsistent { .. }), "{error}");
+        assert_eq!(std::fs::read(&path).unwrap(), before, "the old file stays");
     }
 
     fn bytes_of(channels: &[(&str, Vec<f32>)], size: (usize, usize)) -> Vec<u8> {

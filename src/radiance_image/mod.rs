@@ -3,6 +3,8 @@
 
 pub mod exr;
 
+use std::ops::Range;
+
 /// Three channels of radiance with the variance of each value, and which
 /// pixels are trustworthy. Row 0 is the top.
 #[derive(Clone, Debug, PartialEq)]
@@ -29,6 +31,19 @@ impl RadianceImage {
             mean: vec![[0.0; 3]; pixels],
             variance: vec![[0.0; 3]; pixels],
             valid: vec![true; pixels],
+        }
+    }
+
+    /// Only these rows.
+    #[must_use]
+    pub fn rows(&self, rows: Range<usize>) -> Self {
+        let pixels = rows.start * self.width..rows.end * self.width;
+        Self {
+            width: self.width,
+            height: rows.len(),
+            mean: self.mean[pixels.clone()].to_vec(),
+            variance: self.variance[pixels.clone()].to_vec(),
+            valid: self.valid[pixels].to_vec(),
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Frames as 8- or 16-bit PNG files.
+//! Frames as files of 8 or 16 bits: PNG, TIFF, JPEG.
 
 use std::io::Cursor;
 
@@ -25,14 +25,30 @@ pub struct FrameFileError(String);
 /// Deflate shrinks at most 1032-fold; a larger declared size is a lie.
 const MAX_COMPRESSION: u64 = 1032;
 
+/// Decodes a PNG, TIFF or JPEG, whichever its first bytes say it is; as [`decode_png`].
+///
+/// # Errors
+/// Another format, damaged, larger than its bytes can hold, or with alpha or palette.
+pub fn decode(bytes: &[u8]) -> Result<FrameFile, FrameFileError> {
+    let known = [ImageFormat::Png, ImageFormat::Tiff, ImageFormat::Jpeg];
+    match image::guess_format(bytes) {
+        Ok(format) if known.contains(&format) => decode_as(bytes, format),
+        _ => Err(FrameFileError("it is neither PNG nor TIFF nor JPEG".into())),
+    }
+}
+
 /// Decodes a PNG. Alpha channels are refused: they say that this is a picture
 /// and not a frame.
 ///
 /// # Errors
 /// No PNG, damaged, larger than its bytes can hold, or with alpha or palette.
 pub fn decode_png(bytes: &[u8]) -> Result<FrameFile, FrameFileError> {
+    decode_as(bytes, ImageFormat::Png)
+}
+
+fn decode_as(bytes: &[u8], format: ImageFormat) -> Result<FrameFile, FrameFileError> {
     let error = |problem: image::ImageError| FrameFileError(problem.to_string());
-    let mut reader = ImageReader::with_format(Cursor::new(bytes), ImageFormat::Png);
+    let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
     let mut limits = Limits::default();
     limits.max_alloc = Some((bytes.len() as u64) * MAX_COMPRESSION + (1 << 16));
     reader.limits(limits);
@@ -98,6 +114,28 @@ mod tests {
         assert_eq!(frame.bits, 8);
         let alpha = image::RgbaImage::new(2, 2);
         assert!(decode_png(&png(DynamicImage::ImageRgba8(alpha))).is_err());
+    }
+
+    #[test]
+    fn other_formats_are_told_by_their_first_bytes() {
+        let image = DynamicImage::ImageRgb8(
+            image::RgbImage::from_raw(8, 8, [[90u8, 120, 200]; 64].concat()).unwrap(),
+        );
+        for format in [ImageFormat::Png, ImageFormat::Tiff, ImageFormat::Jpeg] {
+            let mut bytes = Cursor::new(Vec::new());
+            image.write_to(&mut bytes, format).unwrap();
+            let frame = decode(&bytes.into_inner()).unwrap();
+            assert_eq!((frame.width, frame.height, frame.bits), (8, 8, 8));
+            for (plane, value) in frame.planes.iter().zip([90, 120, 200]) {
+                // JPEG keeps an even colour to a count or two.
+                assert!(
+                    plane.iter().all(|&z: &u16| z.abs_diff(value) <= 2),
+                    "{format:?}"
+                );
+            }
+        }
+        assert!(decode(b"GIF89a and so on").is_err());
+        assert!(decode(&[]).is_err());
     }
 
     proptest! {

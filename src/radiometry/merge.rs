@@ -10,13 +10,16 @@
 //! radiance is electrons over (seconds × responsivity × flat field).
 
 use std::borrow::Borrow;
+use std::ops::Range;
 
 use rayon::prelude::*;
 
+use super::agreement::{ExposureTally, RepeatSum, bit, departs, moved};
 use super::mosaic::Mosaic;
-use super::rate::{Expectation, Level, RateEstimate, difference, follow};
+use super::neighbourhood::{AMBIENT, DARK, LIT, Neighbourhood, POOL_RADIUS, PixelRates};
+use super::plane::MergedPlane;
+use super::rate::{Agreement, Expectation, Level, RateEstimate, difference, follow};
 use super::sensor::{SensorError, SensorNoise};
-use crate::radiance_image::RadianceImage;
 
 /// What light a frame of a bracket has seen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -69,6 +72,10 @@ pub struct BracketMerge<N> {
     mosaic: Mosaic,
     width: usize,
     height: usize,
+    /// Rows that are merged; the others only serve as neighbours.
+    rows: Range<usize>,
+    /// Those of them that the agreement is about.
+    counted: Range<usize>,
     exposures: Vec<ExposureSum>,
 }
 
@@ -80,41 +87,16 @@ struct ExposureSum {
     sum_dn: Vec<u32>,
     /// Whether any frame clips.
     clipped: Vec<bool>,
+    /// Light frames after the first against the earlier ones.
+    repeats: Vec<RepeatSum>,
+    /// Whether a pixel departs in any of them; empty where there are none.
+    unsteady: Vec<bool>,
 }
 
-/// Radiance at every sensor pixel. Row 0 is the top.
-#[derive(Clone, Debug, PartialEq)]
-pub struct MergedPlane {
-    /// Pixels per row.
-    pub width: usize,
-    /// Rows.
-    pub height: usize,
-    /// Radiance in the unit of the sensor's responsivity; negative values are kept.
-    pub mean: Vec<f32>,
-    /// Variance of each mean.
-    pub variance: Vec<f32>,
-    /// `false` where the pixel is hot or clips in every exposure.
-    pub valid: Vec<bool>,
-    /// How the light exposures agree, shortest first.
-    pub agreement: Vec<ExposureAgreement>,
-}
-
-/// How one light exposure agrees with the shorter ones.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ExposureAgreement {
-    /// Exposure, seconds.
-    pub exposure_s: f64,
-    /// Frames averaged.
-    pub frames: u32,
-    /// Pixels that took it in with full weight.
-    pub pixels: usize,
-    /// Signal over the signal that the shorter exposures predict, summed over
-    /// those pixels: 1 if exposures and linearity are as stated. 1 for the
-    /// shortest.
-    pub signal_ratio: f64,
-    /// Mean squared deviation from that prediction over its variance; about 1
-    /// if the noise model holds. 0 for the shortest.
-    pub reduced_chi2: f64,
+/// Rows on each side of a band that its pixels are compared with.
+pub(super) fn halo_rows(mosaic: Mosaic) -> usize {
+    // A moved pixel asks its neighbours, and those ask theirs.
+    (1 + POOL_RADIUS as usize) * mosaic.period()
 }
 
 impl<N: Borrow<SensorNoise>> BracketMerge<N> {
@@ -127,8 +109,20 @@ impl<N: Borrow<SensorNoise>> BracketMerge<N> {
             mosaic,
             width,
             height,
+            rows: 0..height,
+            counted: 0..height,
             exposures: Vec::new(),
         })
+    }
+
+    /// Of a band of a larger image, merges only `rows` and counts only the
+    /// `counted` of them. With [`halo_rows`] more on each side where the image
+    /// has them, they are bit for bit those of the image merged whole. A
+    /// mosaic's band begins where a cell begins.
+    pub(super) fn only(mut self, rows: Range<usize>, counted: Range<usize>) -> Self {
+        self.rows = rows.start.min(self.height)..rows.end.min(self.height);
+        self.counted = counted;
+        self
     }
 
     /// Adds a frame of raw counts, DN, row by row. Frames of one role and one
@@ -162,6 +156,8 @@ impl<N: Borrow<SensorNoise>> BracketMerge<N> {
                     frames: 0,
                     sum_dn: vec![0; pixels],
                     clipped: vec![false; pixels],
+                    repeats: Vec::new(),
+                    unsteady: Vec::new(),
                 });
                 self.exposures.len() - 1
             }
@@ -172,6 +168,10 @@ impl<N: Borrow<SensorNoise>> BracketMerge<N> {
         }
         let noise: &SensorNoise = self.noise.borrow();
         let ceiling_dn = noise.saturation_dn.min(noise.linear_max_dn);
+        if role == FrameRole::Light && exposure.frames > 0 {
+            let counted = self.counted.start * self.width..self.counted.end * self.width;
+            exposure.compare(noise, counts, &counted);
+        }
         exposure.frames += 1;
         for ((sum, clipped), &count) in exposure
             .sum_dn
@@ -189,7 +189,14 @@ impl<N: Borrow<SensorNoise>> BracketMerge<N> {
     ///
     /// # Errors
     /// No light frame.
-    pub fn finish(mut self) -> Result<MergedPlane, MergeError> {
+    pub fn finish(self) -> Result<MergedPlane, MergeError> {
+        let (mut plane, tallies) = self.finish_band()?;
+        plane.agreement = tallies.iter().map(ExposureTally::agreement).collect();
+        Ok(plane)
+    }
+
+    /// Merges the band, and says how its light exposures agree, shortest first.
+    pub(super) fn finish_band(mut self) -> Result<(MergedPlane, Vec<ExposureTally>), MergeError> {
         self.exposures
             .sort_by(|a, b| a.exposure_s.total_cmp(&b.exposure_s));
         let bracket = Bracket {
@@ -201,50 +208,112 @@ impl<N: Borrow<SensorNoise>> BracketMerge<N> {
         if bracket.light.is_empty() {
             return Err(MergeError::NoLightFrame);
         }
-        let pixels = self.width * self.height;
-        let mut first = vec![PixelRates::default(); pixels];
+        let mut first = vec![PixelRates::default(); self.width * self.height];
         first
             .par_iter_mut()
             .enumerate()
             .for_each(|(pixel, rates)| *rates = bracket.first_pass(pixel));
 
-        let mut merged = MergedPlane {
-            width: self.width,
-            height: self.height,
-            mean: vec![0.0; pixels],
-            variance: vec![0.0; pixels],
-            valid: vec![false; pixels],
-            agreement: Vec::new(),
-        };
         let neighbourhood = Neighbourhood {
             rates: &first,
             width: self.width,
             height: self.height,
             step: self.mosaic.period(),
         };
-        let width = self.width.max(1);
         // One tally per row, added in order: the same sum for any thread count.
-        let tallies: Vec<Vec<Tally>> = merged
-            .mean
-            .par_chunks_mut(width)
-            .zip(merged.variance.par_chunks_mut(width))
-            .zip(merged.valid.par_chunks_mut(width))
-            .enumerate()
-            .map(|(y, ((mean, variance), valid))| {
-                let mut tallies = vec![Tally::default(); bracket.light.len()];
-                for x in 0..mean.len() {
+        let width = self.width;
+        let lines: Vec<Line> = (0..self.height)
+            .into_par_iter()
+            .map(|y| {
+                let mut line = Line::new(&bracket, width);
+                let counts = self.counted.contains(&y);
+                for x in 0..width {
                     let expected = neighbourhood.expectations(x, y);
                     let pixel = y * width + x;
-                    let result = bracket.second_pass(pixel, &expected, &mut tallies);
-                    mean[x] = result.0 as f32;
-                    variance[x] = result.1 as f32;
-                    valid[x] = first[pixel].usable && bracket.fits_shortest(expected[LIT].rate_e_s);
+                    let usable =
+                        first[pixel].usable && bracket.fits_shortest(expected[LIT].rate_e_s);
+                    bracket.second_pass(pixel, &expected, usable, counts, &mut line);
                 }
-                tallies
+                line
             })
             .collect();
-        merged.agreement = bracket.agreement(&tallies);
-        Ok(merged)
+
+        let mut tallies = bracket.tallies();
+        for (tally, exposure) in tallies.iter_mut().zip(&bracket.light) {
+            tally.repeats.clone_from(&exposure.repeats);
+        }
+        for line in &lines {
+            for (tally, more) in tallies.iter_mut().zip(&line.tallies) {
+                tally.add(more);
+            }
+        }
+        let trusted = (0..tallies.len())
+            .filter(|&e| !tallies[e].departs_everywhere())
+            .fold(0, |set, e| set | bit(e));
+        let departing: Vec<u16> = lines.iter().flat_map(|l| l.departing.clone()).collect();
+        let mut plane = MergedPlane {
+            width,
+            height: self.rows.len(),
+            mean: Vec::with_capacity(width * self.rows.len()),
+            variance: Vec::with_capacity(width * self.rows.len()),
+            valid: Vec::with_capacity(width * self.rows.len()),
+            agreement: Vec::new(),
+        };
+        for (y, line) in (0..).zip(lines).filter(|(y, _)| self.rows.contains(y)) {
+            plane.mean.extend(line.mean);
+            plane.variance.extend(line.variance);
+            for (x, valid) in line.valid.into_iter().enumerate() {
+                let step = self.mosaic.period();
+                let moved = moved(&departing, width, [x, y], step, trusted);
+                for (exposure, tally) in tallies.iter_mut().enumerate() {
+                    let counts = valid && self.counted.contains(&y);
+                    tally.moved_pixels += usize::from(counts && moved & bit(exposure) != 0);
+                }
+                plane.valid.push(valid && moved == 0);
+            }
+        }
+        Ok((plane, tallies))
+    }
+}
+
+impl ExposureSum {
+    /// Compares a further frame with the mean of the earlier ones.
+    fn compare(&mut self, noise: &SensorNoise, counts: &[u16], counted: &Range<usize>) {
+        self.unsteady.resize(counts.len(), false);
+        let mut repeat = RepeatSum::default();
+        for (pixel, &count) in counts.iter().enumerate() {
+            let sum_dn = f64::from(self.sum_dn[pixel]);
+            let counts = counted.contains(&pixel);
+            let count_dn = f64::from(count);
+            self.unsteady[pixel] |= repeat.add(noise, count_dn, sum_dn, self.frames, counts);
+        }
+        self.repeats.push(repeat);
+    }
+
+    fn is_unsteady(&self, pixel: usize) -> bool {
+        self.unsteady.get(pixel) == Some(&true)
+    }
+}
+
+/// A merged row.
+struct Line {
+    mean: Vec<f32>,
+    variance: Vec<f32>,
+    valid: Vec<bool>,
+    /// Per pixel the exposures that depart from the shorter ones.
+    departing: Vec<u16>,
+    tallies: Vec<ExposureTally>,
+}
+
+impl Line {
+    fn new(bracket: &Bracket<'_>, width: usize) -> Self {
+        Self {
+            mean: Vec::with_capacity(width),
+            variance: Vec::with_capacity(width),
+            valid: Vec::with_capacity(width),
+            departing: Vec::with_capacity(width),
+            tallies: bracket.tallies(),
+        }
     }
 }
 
@@ -252,33 +321,11 @@ fn of_role(exposures: &[ExposureSum], role: FrameRole) -> Vec<&ExposureSum> {
     exposures.iter().filter(|e| e.role == role).collect()
 }
 
-/// Indices into the rates of [`PixelRates`].
-const LIT: usize = 0;
-const AMBIENT: usize = 1;
-const DARK: usize = 2;
-
-/// First-pass rates of one pixel with their variances, e⁻/s.
-#[derive(Clone, Copy, Debug, Default)]
-struct PixelRates {
-    rate_e_s: [f32; 3],
-    variance: [f32; 3],
-    /// Neither hot nor clipped in the shortest exposures.
-    usable: bool,
-}
-
 struct Bracket<'a> {
     noise: &'a SensorNoise,
     light: Vec<&'a ExposureSum>,
     ambient: Vec<&'a ExposureSum>,
     dark: Vec<&'a ExposureSum>,
-}
-
-#[derive(Clone, Copy, Debug, Default)]
-struct Tally {
-    pixels: usize,
-    signal_dn: f64,
-    predicted_dn: f64,
-    chi2: f64,
 }
 
 impl Bracket<'_> {
@@ -321,37 +368,59 @@ impl Bracket<'_> {
         electrons * self.noise.gain_dn_per_e + 4.0 * noise_dn <= self.noise.usable_range_dn()
     }
 
-    /// Radiance and variance of one pixel, with variances from `expected` rates.
+    /// No pixel seen yet.
+    fn tallies(&self) -> Vec<ExposureTally> {
+        let empty = |e: &&ExposureSum| ExposureTally::of(e.exposure_s, e.frames);
+        self.light.iter().map(empty).collect()
+    }
+
+    /// Appends one pixel to its row, with variances from `expected` rates.
     fn second_pass(
         &self,
         pixel: usize,
         expected: &[Expectation; 3],
-        tallies: &mut [Tally],
-    ) -> (f64, f64) {
-        let quiet = |_: usize, _: &Level, _| {};
-        let from = |exposures: &[&ExposureSum], expected: Expectation| {
-            follow(
-                self.levels(exposures, pixel),
-                self.noise,
-                Some(expected),
-                quiet,
-            )
+        usable: bool,
+        counts: bool,
+        line: &mut Line,
+    ) {
+        let mut departing = 0;
+        let mut watch = |index: usize, departs: bool, step: Option<(&Level, &Agreement)>| {
+            if departs {
+                departing |= bit(index);
+            }
+            if counts && usable {
+                line.tallies[index].take_in(departs, step);
+            }
         };
+        watch(0, self.light[0].is_unsteady(pixel), None);
         let lit = follow(
             self.levels(&self.light, pixel),
             self.noise,
             Some(expected[LIT]),
             |index, level, agreement| {
-                if agreement.share == 1.0 {
-                    let tally = &mut tallies[index];
-                    tally.pixels += 1;
-                    tally.signal_dn += level.signal_dn;
-                    tally.predicted_dn += agreement.predicted_dn;
-                    tally.chi2 += agreement.chi2;
-                }
+                let departs =
+                    self.light[index].is_unsteady(pixel) || departs(self.noise, level, &agreement);
+                watch(index, departs, Some((level, &agreement)));
             },
         );
-        let Some(lit) = lit else { return (0.0, 0.0) };
+        let (mean, variance) = lit.map_or((0.0, 0.0), |lit| self.radiance(pixel, &lit, expected));
+        line.mean.push(mean as f32);
+        line.variance.push(variance as f32);
+        line.valid.push(usable);
+        line.departing.push(departing);
+    }
+
+    /// Radiance and variance of one pixel from its lit rate.
+    fn radiance(
+        &self,
+        pixel: usize,
+        lit: &RateEstimate,
+        expected: &[Expectation; 3],
+    ) -> (f64, f64) {
+        let from = |exposures: &[&ExposureSum], expected: Expectation| {
+            let levels = self.levels(exposures, pixel);
+            follow(levels, self.noise, Some(expected), |_, _, _| {})
+        };
         let dark = from(&self.dark, expected[DARK]);
         let ambient = from(&self.ambient, expected[AMBIENT]);
         let by_record = RateEstimate {
@@ -364,7 +433,7 @@ impl Bracket<'_> {
         let unlit = ambient.or(dark).unwrap_or(by_record);
         let only_for_offset = ambient.and(dark.as_ref());
         let (rate_e_s, variance) = difference(
-            &lit,
+            lit,
             &unlit,
             only_for_offset,
             self.noise.black_level_spread_dn,
@@ -380,160 +449,5 @@ impl Bracket<'_> {
         let radiance = rate_e_s / per_radiance;
         let flat_variance = (radiance * response_std / response).powi(2);
         (radiance, variance / per_radiance.powi(2) + flat_variance)
-    }
-
-    fn agreement(&self, rows: &[Vec<Tally>]) -> Vec<ExposureAgreement> {
-        self.light
-            .iter()
-            .enumerate()
-            .map(|(index, exposure)| {
-                let mut total = Tally::default();
-                for row in rows {
-                    total.pixels += row[index].pixels;
-                    total.signal_dn += row[index].signal_dn;
-                    total.predicted_dn += row[index].predicted_dn;
-                    total.chi2 += row[index].chi2;
-                }
-                let known = total.pixels > 0 && total.predicted_dn > 0.0;
-                ExposureAgreement {
-                    exposure_s: exposure.exposure_s,
-                    frames: exposure.frames,
-                    pixels: total.pixels,
-                    signal_ratio: if known {
-                        total.signal_dn / total.predicted_dn
-                    } else {
-                        1.0
-                    },
-                    reduced_chi2: total.chi2 / total.pixels.max(1) as f64,
-                }
-            })
-            .collect()
-    }
-}
-
-/// The first pass's rates around a pixel.
-struct Neighbourhood<'a> {
-    rates: &'a [PixelRates],
-    width: usize,
-    height: usize,
-    step: usize,
-}
-
-/// Neighbours this many places away on each side are pooled ...
-const POOL_RADIUS: isize = 2;
-/// ... if they lie within this many standard deviations of the pixel.
-const POOL_AGREEMENT: f32 = 4.0;
-
-/// ... and speak for it if at least this many do.
-const POOL_QUORUM: f64 = 6.0;
-
-impl Neighbourhood<'_> {
-    /// What the neighbours that agree with a pixel let expect of its rates, so
-    /// that its own noise hardly enters its weights.
-    fn expectations(&self, x: usize, y: usize) -> [Expectation; 3] {
-        let centre = &self.rates[y * self.width + x];
-        let (mut rates, mut variances, mut counts) = ([0.0; 3], [0.0; 3], [0.0; 3]);
-        for dy in -POOL_RADIUS..=POOL_RADIUS {
-            for dx in -POOL_RADIUS..=POOL_RADIUS {
-                if dx == 0 && dy == 0 {
-                    continue;
-                }
-                let (Some(x), Some(y)) = (
-                    x.checked_add_signed(dx * self.step as isize),
-                    y.checked_add_signed(dy * self.step as isize),
-                ) else {
-                    continue;
-                };
-                if x >= self.width || y >= self.height {
-                    continue;
-                }
-                let neighbour = &self.rates[y * self.width + x];
-                if !neighbour.usable {
-                    continue;
-                }
-                for i in 0..3 {
-                    let apart = neighbour.rate_e_s[i] - centre.rate_e_s[i];
-                    let variance = neighbour.variance[i] + centre.variance[i];
-                    if apart * apart <= POOL_AGREEMENT * POOL_AGREEMENT * variance {
-                        rates[i] += f64::from(neighbour.rate_e_s[i]);
-                        variances[i] += f64::from(neighbour.variance[i]);
-                        counts[i] += 1.0;
-                    }
-                }
-            }
-        }
-        std::array::from_fn(|i| Expectation {
-            rate_e_s: (rates[i] + f64::from(centre.rate_e_s[i])) / (counts[i] + 1.0),
-            around: (counts[i] >= POOL_QUORUM)
-                .then(|| (rates[i] / counts[i], variances[i] / (counts[i] * counts[i]))),
-        })
-    }
-}
-
-impl MergedPlane {
-    /// The same radiance in all three channels.
-    pub fn to_grey(&self) -> RadianceImage {
-        RadianceImage {
-            width: self.width,
-            height: self.height,
-            mean: self.mean.iter().map(|&x| [x; 3]).collect(),
-            variance: self.variance.iter().map(|&x| [x; 3]).collect(),
-            valid: self.valid.clone(),
-        }
-    }
-
-    /// Red, green and blue from three planes of equal size (one per lamp
-    /// channel); a pixel is valid where all three are. `None` if the sizes differ.
-    pub fn to_rgb(planes: [&Self; 3]) -> Option<RadianceImage> {
-        let [red, green, blue] = planes;
-        let size = |plane: &Self| (plane.width, plane.height);
-        if size(red) != size(green) || size(red) != size(blue) {
-            return None;
-        }
-        let pixels = 0..red.mean.len();
-        Some(RadianceImage {
-            width: red.width,
-            height: red.height,
-            mean: pixels.clone().map(|p| planes.map(|c| c.mean[p])).collect(),
-            variance: pixels
-                .clone()
-                .map(|p| planes.map(|c| c.variance[p]))
-                .collect(),
-            valid: pixels.map(|p| planes.iter().all(|c| c.valid[p])).collect(),
-        })
-    }
-
-    /// A mosaic sensor at half resolution: every cell of 2 × 2 becomes one
-    /// pixel, the two greens averaged; an odd last row or column is left out.
-    /// Nothing is interpolated. A mono sensor keeps its resolution, in grey.
-    pub fn binned(&self, mosaic: Mosaic) -> RadianceImage {
-        if mosaic == Mosaic::None {
-            return self.to_grey();
-        }
-        let (width, height) = (self.width / 2, self.height / 2);
-        let mut image = RadianceImage::new(width, height);
-        for y in 0..height {
-            for x in 0..width {
-                let (mut mean, mut variance, mut count) = ([0.0; 3], [0.0; 3], [0.0f32; 3]);
-                for (dx, dy) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
-                    let pixel = (2 * y + dy) * self.width + 2 * x + dx;
-                    if let Some(channel) = mosaic.channel(dx, dy)
-                        && self.valid[pixel]
-                    {
-                        mean[channel] += self.mean[pixel];
-                        variance[channel] += self.variance[pixel];
-                        count[channel] += 1.0;
-                    }
-                }
-                let cell = y * width + x;
-                image.valid[cell] = count.iter().all(|&n| n > 0.0);
-                for c in 0..3 {
-                    let n = count[c].max(1.0);
-                    image.mean[cell][c] = mean[c] / n;
-                    image.variance[cell][c] = variance[c] / (n * n);
-                }
-            }
-        }
-        image
     }
 }

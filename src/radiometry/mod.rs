@@ -1,10 +1,16 @@
 //! From raw counts to radiance: what a sensor's noise is, which exposures to
 //! take, and how a bracket becomes one radiance with its variance.
 
+pub mod agreement;
 pub mod bracket_table;
 pub mod exposure;
+pub mod frame_exposure;
 pub mod frame_file;
 pub mod merge;
 pub mod mosaic;
+mod neighbourhood;
+pub mod plane;
 mod rate;
+pub mod response;
 pub mod sensor;
+pub mod stack;

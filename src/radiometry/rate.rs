@@ -63,6 +63,8 @@ pub(super) struct Agreement {
     pub share: f64,
     /// Count that the shorter exposures predict, DN above black.
     pub predicted_dn: f64,
+    /// Variance of the mean count less the prediction, DN².
+    pub innovation_dn2: f64,
     /// Squared deviation from it over its variance.
     pub chi2: f64,
 }
@@ -131,6 +133,7 @@ impl RateEstimate {
         Agreement {
             share,
             predicted_dn,
+            innovation_dn2,
             chi2: innovation_dn * innovation_dn / innovation_dn2,
         }
     }

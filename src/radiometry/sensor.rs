@@ -6,6 +6,7 @@
 //! counts are rounded.
 
 use std::f64::consts::PI;
+use std::ops::Range;
 
 /// What one sensor, at one gain setting, does to light.
 #[derive(Clone, Debug, PartialEq)]
@@ -182,6 +183,19 @@ impl SensorNoise {
             }
         }
         Ok(())
+    }
+
+    /// The same sensor of which only these rows of `width` pixels are read.
+    pub fn rows(&self, width: usize, rows: Range<usize>) -> Self {
+        let pixels = rows.start * width..rows.end * width;
+        Self {
+            flat_field: self.flat_field.as_ref().map(|flat| FlatField {
+                response: flat.response[pixels.clone()].to_vec(),
+                std_dev: flat.std_dev[pixels.clone()].to_vec(),
+            }),
+            hot_pixels: self.hot_pixels.as_ref().map(|hot| hot[pixels].to_vec()),
+            ..*self
+        }
     }
 
     /// Highest count that may be used, above the black level, DN.

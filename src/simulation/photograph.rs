@@ -38,7 +38,7 @@ impl Photographer {
             .collect::<Result<_, _>>()?;
         let planes = [&planes[0], &planes[1], &planes[2]];
         let mut taken =
-            crate::radiometry::merge::MergedPlane::to_rgb(planes).unwrap_or_else(|| image.clone());
+            crate::radiometry::plane::MergedPlane::to_rgb(planes).unwrap_or_else(|| image.clone());
         for (variance, rendered) in taken.variance.iter_mut().zip(&image.variance) {
             for (v, r) in variance.iter_mut().zip(rendered) {
                 *v += r;
@@ -52,7 +52,7 @@ impl Photographer {
         image: &RadianceImage,
         light: u32,
         channel: usize,
-    ) -> Result<crate::radiometry::merge::MergedPlane, MergeError> {
+    ) -> Result<crate::radiometry::plane::MergedPlane, MergeError> {
         let radiance: Vec<f32> = image.mean.iter().map(|rgb| rgb[channel]).collect();
         let mut lit: Vec<f32> = radiance.iter().copied().filter(|&r| r > 0.0).collect();
         lit.sort_by(f32::total_cmp);

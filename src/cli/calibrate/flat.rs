@@ -1,0 +1,115 @@
+//! `rig calibrate flat`: the relative response of each pixel, and the scale.
+
+use serde::Serialize;
+
+use super::light::{LIGHT_HINT, UNIFORM_RADIANCE, ask_to_cover, open_camera};
+use super::target::{CommonArgs, Target};
+use super::{procedure_options, progress};
+use crate::calibration::flat::to_map;
+use crate::calibration::noise::sensor_noise;
+use crate::calibration::procedure::Bench;
+use crate::calibration::record::{FlatValues, Kind, Measured, ScaleValues, SensorValues};
+use crate::calibration::{Library, Loaded};
+use crate::cli::output::write_json;
+use crate::cli::{CliError, Context, HintExt};
+use crate::out;
+use crate::random::{Purpose, stream};
+
+#[derive(clap::Args, Debug)]
+pub(super) struct FlatArgs {
+    #[command(flatten)]
+    common: CommonArgs,
+    /// Flats and dark frames, each (1 to 65536); the map's noise falls with their root
+    #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=65_536))]
+    frames: u32,
+    /// Radiance of the light by its certificate, W/(m² sr): makes a scale record too
+    #[arg(long, value_name = "L", requires = "radiance_std")]
+    radiance: Option<f64>,
+    /// Standard uncertainty of that radiance, W/(m² sr)
+    #[arg(long, value_name = "U", requires = "radiance")]
+    radiance_std: Option<f64>,
+}
+
+#[derive(Serialize)]
+struct FlatReport {
+    flat: String,
+    scale: Option<String>,
+    std: f64,
+    nonuniformity: f64,
+    responsivity_e_s: Option<Measured>,
+}
+
+pub(super) fn run(args: &FlatArgs, context: &Context) -> Result<(), CliError> {
+    let rig = args.common.rig.resolve(context)?;
+    let library = Library::of_rig(&rig);
+    let target = Target::new(&rig.config, library.clone(), &args.common, context);
+    let pinned = rig.config.calibration.sensor.as_deref();
+    // A record measured just before into --out counts.
+    let measured = target.library.load::<SensorValues>(None)?;
+    let sensor: Loaded<SensorValues> = match measured {
+        Some(sensor) => sensor,
+        None => library
+            .load(pinned)?
+            .ok_or_else(|| {
+                CliError::new(format!("there is no sensor record in {}", library.place()))
+            })
+            .hint("run `rig calibrate sensor` first")?,
+    };
+    let resolution_px = rig.config.camera.resolution_px;
+    let noise = sensor_noise(&sensor.record.values, None, None, resolution_px)?;
+    let options = procedure_options(&rig.config.camera, args.frames);
+    let certified = args.radiance.zip(args.radiance_std);
+    let true_radiance = certified.map_or(UNIFORM_RADIANCE, |(radiance, std)| {
+        // A simulated light differs from its certificate as a real one does.
+        let seed = rig.config.simulation.as_ref().map_or(0, |s| s.seed);
+        radiance + std * stream(seed, Purpose::BenchPerturbation, u64::MAX, 0, 0).normal()
+    });
+    let mut camera = open_camera(&rig.config, true_radiance)?;
+    let bar = progress(context, 2 * args.frames);
+    let (flat, rate_e_s) = Bench::new(camera.as_mut(), options, &mut ask_to_cover, &mut || {
+        bar.inc(1);
+    })
+    .flat_field(&noise)
+    .hint(LIGHT_HINT)?;
+    bar.finish_and_clear();
+
+    let map_file = format!("{}.png", target.id(Kind::Flat));
+    let (values, png) = to_map(&flat, resolution_px[0] as usize, &map_file)?;
+    let std = values.std;
+    let method = format!("mean of {0} flats less {0} dark frames", args.frames);
+    let path = target.add::<FlatValues>(values, &method, &[(&map_file, &png)])?;
+
+    let gain = sensor.record.values.gain_dn_per_e;
+    let responsivity_e_s = certified.map(|(radiance, radiance_std)| Measured {
+        value: rate_e_s / radiance,
+        std: rate_e_s / radiance * (radiance_std / radiance).hypot(gain.std / gain.value),
+    });
+    let scale = match responsivity_e_s {
+        None => None,
+        Some(responsivity_e_s) => {
+            let method = "mean rate under a light of certified radiance";
+            Some(target.add(ScaleValues { responsivity_e_s }, method, &[])?)
+        }
+    };
+    let variance = flat.response.iter().map(|&r| f64::from(r - 1.0).powi(2));
+    let nonuniformity = (variance.sum::<f64>() / flat.response.len().max(1) as f64).sqrt();
+    context.note(format_args!(
+        "response varies by {:.2}% between pixels, known to {:.3}%",
+        100.0 * nonuniformity,
+        100.0 * std
+    ));
+    if args.common.json {
+        return write_json(&FlatReport {
+            flat: path.display().to_string(),
+            scale: scale.map(|path| path.display().to_string()),
+            std,
+            nonuniformity,
+            responsivity_e_s,
+        });
+    }
+    out!("{}", path.display())?;
+    match scale {
+        Some(path) => out!("{}", path.display()),
+        None => Ok(()),
+    }
+}

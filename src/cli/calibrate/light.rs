@@ -1,0 +1,84 @@
+//! The even light that a calibration looks at: asked of the operator, or simulated.
+
+use std::io::{BufRead, IsTerminal};
+use std::sync::Arc;
+
+use mock_devices::bench::{Bench as SimulatedBench, BenchConfig};
+use mock_devices::camera::{CameraConfig as MockCameraConfig, SimulatedCamera as MockCamera};
+use mock_devices::clock::Clock;
+use mock_devices::sensor::{SensorConfig, SensorModel};
+use mock_devices::{Illumination, RadianceSource};
+
+use crate::cli::CliError;
+use crate::cli::output::write_stderr;
+use crate::config::{CameraConfig, RigConfig};
+use crate::device::Camera;
+use crate::device::simulated_camera::SimulatedCamera;
+
+/// Radiance of the simulated uniform light, W/(m² sr), where none is stated.
+pub(super) const UNIFORM_RADIANCE: f64 = 0.4;
+
+pub(super) const LIGHT_HINT: &str = "point the camera at a steady, uniform light that saturates it within two \
+    seconds but not in its shortest exposure; nothing was kept";
+
+/// Asks the operator where the camera has no shutter; without a terminal there
+/// is nobody to ask.
+pub(super) fn ask_to_cover(cover: bool) -> bool {
+    if !std::io::stdin().is_terminal() {
+        return false;
+    }
+    let what = if cover { "Cover" } else { "Uncover" };
+    write_stderr(&format!("{what} the lens, then press Enter: "));
+    std::io::stdin()
+        .lock()
+        .lines()
+        .next()
+        .is_some_and(|line| line.is_ok())
+}
+
+/// The rig's camera; a simulated one sees an even light of this radiance.
+pub(super) fn open_camera(rig: &RigConfig, radiance: f64) -> Result<Box<dyn Camera>, CliError> {
+    match simulated_sensor(rig) {
+        Some(sensor) => Ok(uniformly_lit(&rig.camera, sensor, radiance)),
+        None => crate::cli::open::open_real_camera(rig),
+    }
+}
+
+/// The true sensor of a simulated rig: calibration and capture must see the same one.
+pub fn simulated_sensor(rig: &RigConfig) -> Option<SensorConfig> {
+    Some(rig.simulation.as_ref()?.sensor.clone())
+}
+
+/// The simulated camera in front of an integrating sphere.
+fn uniformly_lit(camera: &CameraConfig, sensor: SensorConfig, radiance: f64) -> Box<dyn Camera> {
+    struct Sphere {
+        resolution_px: [u32; 2],
+        radiance: Arc<Vec<f32>>,
+    }
+    impl RadianceSource for Sphere {
+        fn resolution_px(&self) -> [u32; 2] {
+            self.resolution_px
+        }
+        fn radiance(&self, _: &Illumination) -> Arc<Vec<f32>> {
+            self.radiance.clone()
+        }
+    }
+    let [width, height] = camera.resolution_px.map(|n| n as usize);
+    let sphere = Sphere {
+        resolution_px: camera.resolution_px,
+        radiance: Arc::new(vec![radiance as f32; width * height]),
+    };
+    let config = MockCameraConfig {
+        exposure_range_s: camera.exposure_range.map(|s| s.0),
+        exposure_step_s: camera.exposure_step.0,
+        settings_latency_frames: camera.settings_latency_frames,
+        has_shutter: true,
+        // Frames of a calibration and of a capture must not share their noise.
+        noise_seed: sensor.seed ^ 0x6361_6c69_6272_6174,
+        ..MockCameraConfig::default()
+    };
+    let bench = SimulatedBench::new(BenchConfig::default(), Clock::instant());
+    let mock = MockCamera::new(config, bench, SensorModel::new(sensor), Arc::new(sphere));
+    let serial = camera.serial.clone().unwrap_or_default();
+    Box::new(SimulatedCamera::new(mock, serial, camera.mosaic))
+}

@@ -1,0 +1,67 @@
+//! `rig calibrate`: one file per kind of calibration.
+
+mod flat;
+mod light;
+mod response;
+mod sensor;
+mod target;
+
+use clap::Subcommand;
+use indicatif::ProgressBar;
+
+use super::{CliError, Context};
+use crate::calibration::procedure::ProcedureOptions;
+use crate::config::CameraConfig;
+
+pub use light::simulated_sensor;
+
+/// Measures the bench and keeps what it finds as records
+#[derive(clap::Args, Debug)]
+pub struct CalibrateArgs {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Subcommand, Debug)]
+enum What {
+    /// Measures gain, read noise, black level, dark current, full well and hot pixels, by
+    /// photon transfer
+    ///
+    /// The camera looks at a steady, uniform light (an integrating sphere, or a lit
+    /// diffuser in front of the lens).
+    Sensor(sensor::SensorArgs),
+    /// Measures the relative response of each pixel; with a light of known radiance also the scale
+    ///
+    /// Needs a sensor record. The camera looks at a steady, uniform light.
+    Flat(flat::FlatArgs),
+    /// Finds the response of a camera that is not linear (8-bit JPEG, PNG or TIFF), from a bracket
+    ///
+    /// Photograph a still scene with at least three exposures, with everything manual.
+    Response(response::ResponseArgs),
+}
+
+/// `rig calibrate`.
+pub fn run(args: &CalibrateArgs, context: &Context) -> Result<(), CliError> {
+    match &args.what {
+        What::Sensor(args) => sensor::run(args, context),
+        What::Flat(args) => flat::run(args, context),
+        What::Response(args) => response::run(args, context),
+    }
+}
+
+fn procedure_options(camera: &CameraConfig, frames: u32) -> ProcedureOptions {
+    ProcedureOptions {
+        gain: camera.gain,
+        frames,
+        discard: camera.settings_latency_frames + 1,
+        ..ProcedureOptions::default()
+    }
+}
+
+fn progress(context: &Context, frames: u32) -> ProgressBar {
+    if context.shows_progress() {
+        ProgressBar::new(u64::from(frames))
+    } else {
+        ProgressBar::hidden()
+    }
+}

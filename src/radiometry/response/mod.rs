@@ -1,0 +1,266 @@
+//! The response of a camera whose counts are not proportional to light: which
+//! exposure (radiance times time) each 8-bit count stands for, up to a factor.
+//!
+//! Two estimators from a bracket of one still scene: [`debevec`] (Debevec and
+//! Malik, 1997) and [`robertson`] (Robertson, Borman and Stevenson, 1999, 2003).
+//! Both end in the same penalised least squares, which keeps the curve smooth and
+//! lets it grow with every count.
+
+mod debevec;
+mod merge;
+mod robertson;
+
+pub use debevec::debevec;
+pub use merge::ResponseMerge;
+pub use robertson::robertson;
+
+use nalgebra::{DMatrix, DVector};
+
+/// Counts of 8 bits.
+pub const COUNTS: usize = 256;
+/// The count at which the relative exposure is 1.
+pub const MIDDLE: usize = 128;
+
+/// Pixels of a still scene in all exposures of a bracket.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct BracketSamples {
+    /// Exposure of each frame, seconds; > 0.
+    pub exposures_s: Vec<f64>,
+    /// Of each pixel its count in each frame.
+    pub counts: Vec<Vec<u8>>,
+}
+
+/// The response of one channel.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Response {
+    /// Natural logarithm of the relative exposure for each of the 256 counts;
+    /// grows from count to count, 0 at [`MIDDLE`].
+    pub ln_exposure: Vec<f64>,
+    /// Standard uncertainty of each logarithm from the scatter of the samples.
+    pub ln_std: Vec<f64>,
+}
+
+/// Why samples do not make a response.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum ResponseError {
+    /// One exposure says nothing of a curve.
+    #[error("{found} different exposures, and at least {MIN_EXPOSURES} are needed")]
+    TooFewExposures {
+        /// How many there are.
+        found: usize,
+    },
+    /// Too few pixels are neither black nor white in two frames.
+    #[error(
+        "{found} pixels are well exposed in two frames or more, and at least {MIN_SAMPLES} are needed"
+    )]
+    TooFewSamples {
+        /// How many there are.
+        found: usize,
+    },
+    /// Counts that hardly reach over the range.
+    #[error(
+        "the well exposed counts reach from {low} to {high} only, which leaves the rest of the curve unknown"
+    )]
+    NarrowRange {
+        /// Lowest count seen.
+        low: usize,
+        /// Highest count seen.
+        high: usize,
+    },
+    /// Longer exposures that are not brighter.
+    #[error(
+        "counts do not grow with the exposure: longer frames are brighter in {percent:.0}% of the cases only"
+    )]
+    NotBrighter {
+        /// Part of the compared pairs that grow.
+        percent: f64,
+    },
+}
+
+/// Exposures that it takes.
+pub const MIN_EXPOSURES: usize = 3;
+/// Pixels that it takes.
+pub const MIN_SAMPLES: usize = 50;
+/// Counts that are neither black nor white for certain: what clips scatters a
+/// little around both ends.
+const WELL_EXPOSED: std::ops::RangeInclusive<u8> = 2..=250;
+/// A curve must be seen over this part of its range.
+const MIN_RANGE: usize = 128;
+/// Least growth of the logarithm from one count to the next.
+const LEAST_STEP: f64 = 1e-4;
+
+impl BracketSamples {
+    /// Pixels on an even grid, at most `most`, of frames of equal size.
+    pub fn on_grid(exposures_s: Vec<f64>, frames: &[&[u16]], most: usize) -> Self {
+        let pixels = frames.first().map_or(0, |frame| frame.len());
+        // A stride that shares no factor with usual widths wanders over the image.
+        let stride = (pixels / most.max(1)).max(1) | 1;
+        let counts = (0..pixels)
+            .step_by(stride)
+            .map(|p| frames.iter().map(|f| f[p].min(255) as u8).collect());
+        Self {
+            exposures_s,
+            counts: counts.collect(),
+        }
+    }
+
+    /// Checks that a curve can be had, and drops the pixels that say nothing of it.
+    ///
+    /// # Errors
+    /// See [`ResponseError`].
+    pub fn checked(mut self) -> Result<Self, ResponseError> {
+        let mut exposures = self.exposures_s.clone();
+        exposures.sort_by(f64::total_cmp);
+        exposures.dedup_by(|a, b| (*a / *b - 1.0).abs() < 1e-6);
+        if exposures.len() < MIN_EXPOSURES {
+            let found = exposures.len();
+            return Err(ResponseError::TooFewExposures { found });
+        }
+        let well = |count: &&u8| WELL_EXPOSED.contains(*count);
+        self.counts
+            .retain(|counts| counts.iter().filter(well).count() >= 2);
+        if self.counts.len() < MIN_SAMPLES {
+            let found = self.counts.len();
+            return Err(ResponseError::TooFewSamples { found });
+        }
+        let seen: Vec<usize> = self
+            .counts
+            .iter()
+            .flatten()
+            .filter(well)
+            .map(|&c| usize::from(c))
+            .collect();
+        let low = seen.iter().copied().min().unwrap_or(0);
+        let high = seen.iter().copied().max().unwrap_or(0);
+        if high - low < MIN_RANGE {
+            return Err(ResponseError::NarrowRange { low, high });
+        }
+        self.check_growth()?;
+        Ok(self)
+    }
+
+    fn check_growth(&self) -> Result<(), ResponseError> {
+        let (mut grows, mut pairs) = (0.0, 0.0);
+        for counts in &self.counts {
+            for (a, &t) in self.exposures_s.iter().enumerate() {
+                for (b, &u) in self.exposures_s.iter().enumerate() {
+                    let both =
+                        WELL_EXPOSED.contains(&counts[a]) && WELL_EXPOSED.contains(&counts[b]);
+                    if both && u > 1.5 * t {
+                        pairs += 1.0;
+                        grows += f64::from(u8::from(counts[b] > counts[a]));
+                    }
+                }
+            }
+        }
+        let percent = 100.0 * grows / f64::max(pairs, 1.0);
+        if pairs > 0.0 && percent < 90.0 {
+            return Err(ResponseError::NotBrighter { percent });
+        }
+        Ok(())
+    }
+}
+
+impl Response {
+    /// Relative exposure that a count stands for; 1 at [`MIDDLE`].
+    pub fn exposure(&self, count: usize) -> f64 {
+        self.ln_exposure[count.min(COUNTS - 1)].exp()
+    }
+
+    /// The count, not rounded, that a relative exposure would give, from 0 to 255.
+    pub fn count(&self, exposure: f64) -> f64 {
+        let ln = exposure.max(1e-300).ln();
+        let above = self.ln_exposure.partition_point(|&g| g < ln);
+        if above == 0 {
+            return 0.0;
+        }
+        if above == COUNTS {
+            return (COUNTS - 1) as f64;
+        }
+        let (low, high) = (self.ln_exposure[above - 1], self.ln_exposure[above]);
+        (above - 1) as f64 + (ln - low) / (high - low)
+    }
+
+    /// Derivative of the relative exposure by the count, at a count that need not
+    /// be whole.
+    pub fn slope(&self, count: f64) -> f64 {
+        let middle = count.clamp(1.0, (COUNTS - 2) as f64).round() as usize;
+        0.5 * (self.exposure(middle + 1) - self.exposure(middle - 1))
+    }
+}
+
+/// A quadratic form of the curve's 256 logarithms, `gᵀAg − 2bᵀg`.
+struct Curve {
+    matrix: DMatrix<f64>,
+    right: DVector<f64>,
+}
+
+impl Curve {
+    fn new() -> Self {
+        Self {
+            matrix: DMatrix::zeros(COUNTS, COUNTS),
+            right: DVector::zeros(COUNTS),
+        }
+    }
+
+    /// Adds `Σ weight(z) g″(z)²`.
+    fn smooth(&mut self, weight: impl Fn(usize) -> f64) {
+        for z in 1..COUNTS - 1 {
+            let stencil = [(z - 1, 1.0), (z, -2.0), (z + 1, 1.0)];
+            for (row, a) in stencil {
+                for (column, b) in stencil {
+                    self.matrix[(row, column)] += weight(z) * a * b;
+                }
+            }
+        }
+    }
+
+    /// The curve that minimises the form, is 0 in the middle and grows by at
+    /// least [`LEAST_STEP`]; and the diagonal of the inverse matrix. Where the
+    /// minimum would fall, the least step is demanded with a weight beyond all
+    /// data's (active set).
+    fn solve(mut self) -> Option<(Vec<f64>, Vec<f64>)> {
+        let scale = self.matrix.diagonal().max();
+        self.matrix[(MIDDLE, MIDDLE)] += scale;
+        let heavy = 1e4 * scale;
+        let mut demanded = [false; COUNTS];
+        let mut solved = None;
+        for _ in 0..COUNTS {
+            let cholesky = self.matrix.clone().cholesky()?;
+            let curve = cholesky.solve(&self.right);
+            let falls: Vec<usize> = (0..COUNTS - 1)
+                .filter(|&z| !demanded[z] && curve[z + 1] - curve[z] < 0.5 * LEAST_STEP)
+                .collect();
+            let settled = falls.is_empty();
+            solved = Some((curve, cholesky));
+            if settled {
+                break;
+            }
+            for z in falls {
+                demanded[z] = true;
+                for (row, a) in [(z, -1.0), (z + 1, 1.0)] {
+                    self.right[row] += heavy * a * LEAST_STEP;
+                    for (column, b) in [(z, -1.0), (z + 1, 1.0)] {
+                        self.matrix[(row, column)] += heavy * a * b;
+                    }
+                }
+            }
+        }
+        let (curve, cholesky) = solved?;
+        let variance = cholesky.inverse().diagonal();
+        let middle = curve[MIDDLE];
+        let mut curve: Vec<f64> = curve.iter().map(|g| g - middle).collect();
+        for z in 1..COUNTS {
+            // The penalty holds the step up to rounding.
+            curve[z] = curve[z].max(curve[z - 1] + 0.1 * LEAST_STEP);
+        }
+        let middle = curve[MIDDLE];
+        Some((
+            curve.iter().map(|g| g - middle).collect(),
+            variance.iter().copied().collect(),
+        ))
+    }
+}
+
+#[cfg(test)]
+mod tests;
