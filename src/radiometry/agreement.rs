@@ -62,9 +62,10 @@ pub(super) fn departs(noise: &SensorNoise, level: &Level, agreement: &Agreement)
     } else {
         level.signal_dn - agreement.predicted_dn
     };
+    let offset_dn = agreement.per_offset * noise.black_level_spread_dn;
     beyond(
         difference_dn,
-        agreement.innovation_dn2,
+        agreement.innovation_dn2 + offset_dn * offset_dn,
         agreement.predicted_dn,
         noise.gain_dn_per_e,
     )

@@ -63,8 +63,10 @@ pub(super) struct Agreement {
     pub share: f64,
     /// Count that the shorter exposures predict, DN above black.
     pub predicted_dn: f64,
-    /// Variance of the mean count less the prediction, DN².
+    /// Variance of the mean count less the prediction at a known offset, DN².
     pub innovation_dn2: f64,
+    /// Change of that difference per DN of the pixel's offset.
+    pub per_offset: f64,
     /// Squared deviation from it over its variance.
     pub chi2: f64,
 }
@@ -134,6 +136,7 @@ impl RateEstimate {
             share,
             predicted_dn,
             innovation_dn2,
+            per_offset: lever,
             chi2: innovation_dn * innovation_dn / innovation_dn2,
         }
     }
