@@ -17,7 +17,7 @@ use v4l::v4l_sys::{v4l2_queryctrl, v4l2_queryctrl as QueryControl};
 use v4l::video::Capture;
 use v4l::{Device, FourCC};
 
-use super::pixel_format::{FORMATS, PixelFormat, of_fourcc};
+use super::pixel_format::{PixelFormat, best_of, of_fourcc};
 use super::{Camera, CameraInfo, CameraSettings, DeviceError, FrameKey, RawFrame, discovery};
 use crate::units::Seconds;
 
@@ -259,23 +259,16 @@ fn set_format(
         Some(code) => of_fourcc(code).ok_or_else(|| {
             refused(
                 format!("format {}", names(&[code])),
-                "not a raw format that can be read".to_owned(),
+                "not a format that can be read".to_owned(),
             )
         })?,
-        // The smallest that holds the significant bits where they are known.
-        None => FORMATS
-            .iter()
-            .filter(|format| offered.contains(&format.fourcc))
-            .max_by_key(|format| match config.bit_depth {
-                Some(bits) if format.bits >= bits => (true, 16 - format.bits),
-                Some(_) => (false, format.bits),
-                None => (true, format.bits),
-            })
-            .copied()
-            .ok_or_else(|| {
-                let reason = format!("none of the camera's formats is raw: {}", names(&offered));
-                refused("a raw format".to_owned(), reason)
-            })?,
+        None => best_of(&offered, config.bit_depth, false).ok_or_else(|| {
+            let reason = format!(
+                "none of the camera's formats is uncompressed: {}",
+                names(&offered)
+            );
+            refused("an uncompressed format".to_owned(), reason)
+        })?,
     };
     let bits = config.bit_depth.unwrap_or(wanted.bits);
     if !(1..=wanted.bits).contains(&bits) {
