@@ -74,6 +74,10 @@ pub struct MockFrame {
     pub illumination: Illumination,
     /// Whether the stage turned during the exposure (by more than 1e-6 degrees).
     pub moved: bool,
+    /// Frames that are missing before it, counted from the moment it was asked for.
+    pub lost: u64,
+    /// Whether the transfer says of itself that it went wrong.
+    pub damaged: bool,
 }
 
 /// Why there is no frame.
@@ -103,8 +107,14 @@ pub enum MockCameraError {
 pub enum CameraFault {
     /// This many frames are lost; their numbers are missing.
     Drop(u32),
-    /// This many frames come with a band of random counts.
+    /// This many frames come with a band of random counts, marked as damaged.
     Corrupt(u32),
+    /// This many frames end early: a quarter of their counts is missing.
+    Truncate(u32),
+    /// This many frames have half the height.
+    Resize(u32),
+    /// This many grabs give the frame before, which nobody had fetched.
+    Late(u32),
     /// This many grabs end without a frame.
     Stall(u32),
     /// This many changes of settings are confirmed but not applied.
@@ -117,6 +127,9 @@ pub enum CameraFault {
 struct Pending {
     drop: u32,
     corrupt: u32,
+    truncate: u32,
+    resize: u32,
+    late: u32,
     stall: u32,
     ignore_settings: u32,
     disconnected: bool,
@@ -133,6 +146,9 @@ impl CameraFaults {
         match fault {
             CameraFault::Drop(n) => pending.drop = n,
             CameraFault::Corrupt(n) => pending.corrupt = n,
+            CameraFault::Truncate(n) => pending.truncate = n,
+            CameraFault::Resize(n) => pending.resize = n,
+            CameraFault::Late(n) => pending.late = n,
             CameraFault::Stall(n) => pending.stall = n,
             CameraFault::IgnoreSettings(n) => pending.ignore_settings = n,
             CameraFault::Disconnect => pending.disconnected = true,
@@ -144,7 +160,8 @@ impl CameraFaults {
         *lock(&self.0) = Pending::default();
     }
 
-    fn disconnected(&self) -> bool {
+    /// Whether it is unplugged now.
+    pub fn is_disconnected(&self) -> bool {
         lock(&self.0).disconnected
     }
 
@@ -173,6 +190,8 @@ pub struct SimulatedCamera {
     shutter_open: bool,
     next_sequence: u64,
     next_start_s: f64,
+    /// Number, start and settings of the frame that was given last.
+    last: Option<(u64, f64, MockSettings)>,
 }
 
 impl SimulatedCamera {
@@ -200,6 +219,7 @@ impl SimulatedCamera {
             shutter_open: true,
             next_sequence: 0,
             next_start_s,
+            last: None,
         }
     }
 
@@ -272,10 +292,15 @@ impl SimulatedCamera {
             });
         }
         self.run_until(clock.now_s());
+        let first = self.next_sequence;
         while self.faults.take(|p| &mut p.drop) {
             self.next_frame();
         }
-        let (sequence, start_s, settings) = self.next_frame();
+        let (sequence, start_s, settings) = match &self.last {
+            Some(last) if self.faults.take(|p| &mut p.late) => *last,
+            _ => self.next_frame(),
+        };
+        self.last = Some((sequence, start_s, settings));
         let end_s = start_s + settings.exposure_s;
         // In real time the scene is rendered during the exposure, from what the
         // bench is going to do, and once more only if something else happened.
@@ -287,7 +312,7 @@ impl SimulatedCamera {
         clock.wait_until(end_s + self.config.readout_s);
         self.check()?;
         let illumination = self.bench.illumination_over(start_s, end_s);
-        let [width, height] = self.sensor.resolution_px();
+        let [width, mut height] = self.sensor.resolution_px();
         let pixels = width as usize * height as usize;
         let radiance = match rendered {
             _ if !self.shutter_open => Arc::new(vec![0.0; pixels]),
@@ -307,8 +332,16 @@ impl SimulatedCamera {
         let mut counts = self
             .sensor
             .expose(&radiance, settings.exposure_s, settings.gain, noise);
-        if self.faults.take(|p| &mut p.corrupt) {
+        let damaged = self.faults.take(|p| &mut p.corrupt);
+        if damaged {
             self.corrupt(&mut counts, sequence);
+        }
+        if self.faults.take(|p| &mut p.truncate) {
+            counts.truncate(pixels * 3 / 4);
+        }
+        if self.faults.take(|p| &mut p.resize) {
+            height /= 2;
+            counts.truncate(width as usize * height as usize);
         }
         Ok(MockFrame {
             width,
@@ -319,11 +352,13 @@ impl SimulatedCamera {
             settings,
             illumination,
             moved: self.bench.turned_deg(start_s, end_s) > 1e-6,
+            lost: sequence.saturating_sub(first),
+            damaged,
         })
     }
 
     fn check(&self) -> Result<(), MockCameraError> {
-        if self.faults.disconnected() {
+        if self.faults.is_disconnected() {
             return Err(MockCameraError::Disconnected);
         }
         Ok(())
@@ -511,10 +546,23 @@ mod tests {
         faults.inject(CameraFault::Drop(2));
         let after = camera.grab(KEY).unwrap();
         assert_eq!(after.sequence, before + 2 * ordinary + 2);
+        assert_eq!(after.lost, 2);
         faults.inject(CameraFault::Corrupt(1));
         let corrupt = camera.grab(KEY).unwrap();
+        assert!(corrupt.damaged);
         assert!(corrupt.counts.iter().filter(|&&c| c > 200).count() > 16);
         assert!(camera.grab(KEY).unwrap().counts.iter().all(|&c| c < 100));
+        faults.inject(CameraFault::Truncate(1));
+        let short = camera.grab(KEY).unwrap();
+        assert_eq!((short.height, short.counts.len()), (8, 96));
+        faults.inject(CameraFault::Resize(1));
+        let small = camera.grab(KEY).unwrap();
+        assert_eq!((small.width, small.height, small.counts.len()), (16, 4, 64));
+        faults.inject(CameraFault::Late(1));
+        let asked_s = camera.bench().clock().now_s();
+        let late = camera.grab(KEY).unwrap();
+        assert!(late.timestamp_s < asked_s && late.sequence == small.sequence);
+        assert!(camera.grab(KEY).unwrap().timestamp_s >= asked_s);
         faults.inject(CameraFault::Stall(1));
         assert!(matches!(
             camera.grab(KEY),

@@ -1,10 +1,12 @@
 //! The camera and the stage as a capture sees them: what state they are known
 //! to be in, and the promise that the lamp is off when the capture ends.
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use super::CaptureError;
+use super::spent::{Spent, Stopwatch};
 use super::worker::Worker;
+use crate::device::retake::{Retakes, grab_right};
 use crate::device::{
     Camera, CameraInfo, CameraSettings, DeviceError, FrameKey, LampState, LightStage, RawFrame,
     StageInfo, StageStatus, StopHandle,
@@ -14,6 +16,8 @@ use crate::units::{Seconds, StageAngles};
 
 /// How often a waiting capture looks whether it shall stop at once.
 const POLL: Duration = Duration::from_millis(20);
+/// How often a lost camera is looked for.
+const RETURN_POLL: Seconds = Seconds(0.5);
 /// A stage that stands further than this from its target did not get there.
 const POSITION_TOLERANCE_DEG: f64 = 0.25;
 
@@ -28,6 +32,9 @@ pub(super) struct Devices {
     pub(super) camera_info: CameraInfo,
     stage_info: StageInfo,
     known: Known,
+    retakes: Retakes,
+    spent: Spent,
+    camera_is_lost: bool,
 }
 
 /// What the devices said last; `None` where they have not been told yet.
@@ -82,6 +89,9 @@ impl Devices {
             guard,
             interrupt,
             known: Known::default(),
+            retakes: Retakes::default(),
+            spent: Spent::default(),
+            camera_is_lost: false,
         })
     }
 
@@ -117,8 +127,11 @@ impl Devices {
     ) -> Result<T, CaptureError> {
         // From the first command on, every way out must stop the stage.
         self.guard.armed = true;
+        let watch = Stopwatch::start();
         let answer = self.stage.call(move |stage| job(stage.as_mut()));
-        Ok(self.answer(answer).await??)
+        let result = self.answer(answer).await;
+        watch.add_to(&mut self.spent.stage_s);
+        Ok(result??)
     }
 
     async fn camera<T: Send + 'static>(
@@ -126,18 +139,72 @@ impl Devices {
         job: impl FnOnce(&mut dyn Camera) -> Result<T, DeviceError> + Send + 'static,
     ) -> Result<T, CaptureError> {
         let answer = self.camera.call(move |camera| job(camera.as_mut()));
-        Ok(self.answer(answer).await??)
+        self.camera_is_lost = false;
+        let watch = Stopwatch::start();
+        let result = self.answer(answer).await;
+        watch.add_to(&mut self.spent.camera_s);
+        let result = result?;
+        self.camera_is_lost = matches!(result, Err(DeviceError::Disconnected { .. }));
+        Ok(result?)
+    }
+
+    /// Whether the camera was gone when it was last used.
+    pub(super) fn camera_is_lost(&self) -> bool {
+        self.camera_is_lost
+    }
+
+    /// How long a lost camera is worth waiting for.
+    pub(super) async fn may_return_within(&mut self) -> Result<Seconds, CaptureError> {
+        self.camera(|camera| Ok(camera.may_return_within())).await
+    }
+
+    /// Waits for a lost camera with the lamp off; whether it came back. Its
+    /// settings are unknown then.
+    pub(super) async fn camera_returned(&mut self, within: Seconds) -> Result<bool, CaptureError> {
+        self.lamp(LampState::Off, Seconds(0.0)).await?;
+        self.known.settings = None;
+        self.known.shutter_open = None;
+        let deadline = Instant::now() + within.to_duration();
+        loop {
+            let back = self.camera(|camera| camera.reconnect()).await;
+            match back {
+                Ok(()) => {
+                    self.retakes.reconnected += 1;
+                    return Ok(true);
+                }
+                Err(error) if !self.camera_is_lost => return Err(error),
+                Err(_) if Instant::now() >= deadline => return Ok(false),
+                Err(_) if self.interrupt.level() >= StopLevel::AfterThisFrame => {
+                    return Err(CaptureError::Interrupted);
+                }
+                Err(_) => self.pause(RETURN_POLL).await?,
+            }
+        }
+    }
+
+    /// Where the time went so far, without the whole.
+    pub(super) fn spent(&self) -> Spent {
+        self.spent
+    }
+
+    /// What went wrong since the last call.
+    pub(super) fn take_retakes(&mut self) -> Retakes {
+        std::mem::take(&mut self.retakes)
     }
 
     /// Waits; a request to stop at once ends the wait.
     pub(super) async fn pause(&mut self, time: Seconds) -> Result<(), CaptureError> {
         if time.0 > 0.0 {
+            let watch = Stopwatch::start();
             let wait = tokio::time::sleep(time.to_duration());
-            self.answer(async {
-                wait.await;
-                Ok(())
-            })
-            .await?;
+            let waited = self
+                .answer(async {
+                    wait.await;
+                    Ok(())
+                })
+                .await;
+            watch.add_to(&mut self.spent.settling_s);
+            waited?;
         }
         Ok(())
     }
@@ -242,18 +309,30 @@ impl Devices {
         Ok(has_shutter)
     }
 
-    /// The next frame, of the size that the camera states.
+    /// Sends the settings once more, after the images contradicted them.
+    pub(super) async fn configure_again(&mut self) -> Result<Option<CameraSettings>, CaptureError> {
+        let Some((requested, _)) = self.known.settings.take() else {
+            return Ok(None);
+        };
+        self.retakes.exposure_ignored += 1;
+        let (applied, _) = self.configure(requested).await?;
+        Ok(Some(applied))
+    }
+
+    /// The next frame that is right; wrong ones are taken again.
     pub(super) async fn grab(&mut self, key: FrameKey) -> Result<RawFrame, CaptureError> {
-        let frame = self.camera(move |camera| camera.grab(key)).await?;
-        let [width, height] = self.camera_info.resolution_px;
-        let expected = width as usize * height as usize;
-        if frame.counts.len() != expected || [frame.width, frame.height] != [width, height] {
-            return Err(CaptureError::FrameSize {
-                found: frame.counts.len(),
-                expected,
-            });
+        let grab = move |camera: &mut dyn Camera| {
+            let mut retakes = Retakes::default();
+            let frame = grab_right(camera, key, &mut retakes);
+            Ok((frame, retakes))
+        };
+        let (frame, retakes) = self.camera(grab).await?;
+        self.retakes.add(retakes);
+        if let Some((_, applied)) = self.known.settings {
+            self.spent.exposures_s += applied.exposure.0;
         }
-        Ok(frame)
+        self.camera_is_lost = matches!(frame, Err(DeviceError::Disconnected { .. }));
+        Ok(frame?)
     }
 
     /// Ends in good order: lamp off, read back. The stage keeps its position.

@@ -67,14 +67,6 @@ pub enum CaptureError {
         /// Of the plan.
         expected: String,
     },
-    /// A frame has another size than the camera states.
-    #[error("a frame has {found} counts instead of {expected}")]
-    FrameSize {
-        /// Counts in the frame.
-        found: usize,
-        /// Width times height.
-        expected: usize,
-    },
     /// The images contradict the exposure that the camera reports.
     #[error(
         "light {light}: the exposure is {exposure_s} s by the camera, but the images show \

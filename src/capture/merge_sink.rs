@@ -140,6 +140,7 @@ mod tests {
                 monotonic_s: Seconds(0.0),
                 device_s: None,
                 device_sequence: None,
+                retakes: Default::default(),
             },
         }
     }

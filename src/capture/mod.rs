@@ -22,6 +22,7 @@ mod merge_sink;
 pub mod plan;
 mod progress;
 pub mod run;
+mod spent;
 mod worker;
 
 pub use disk::BracketSink;
@@ -29,3 +30,4 @@ pub use error::CaptureError;
 pub use merge_sink::RadianceSink;
 pub use progress::{Observer, Outcome, Progress};
 pub use run::Capture;
+pub use spent::Spent;

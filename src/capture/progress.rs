@@ -2,6 +2,7 @@
 
 use std::time::Instant;
 
+use super::Spent;
 use crate::device::{FrameKey, LampState};
 use crate::radiometry::exposure::BracketStep;
 use crate::units::{Seconds, StageAngles};
@@ -67,6 +68,8 @@ pub enum Progress<'a> {
     },
     /// All frames are taken and the lamp is off; the last brackets are being merged.
     Merging,
+    /// The capture is over, as far as it went.
+    Ended(Spent),
     /// Something that the operator should know; it is journalled too.
     Warning(&'a str),
 }

@@ -1,14 +1,16 @@
 //! The execution of a plan on a camera and a stage.
 
+mod as_claimed;
+
 use std::collections::HashMap;
 use std::sync::Arc;
 
+use super::CaptureError;
 use super::bracket::{self, Decision, PilotRound};
 use super::devices::Devices;
 use super::disk::{BracketSink, Disk, Merger};
-use super::exposure_check::{Exposed, Verdict, signal_ratio};
+use super::exposure_check::Exposed;
 use super::progress::{Clock, Observer, Outcome, Progress};
-use super::{CaptureError, exposure_check};
 use crate::device::{
     Camera, CameraInfo, CameraSettings, FrameKey, FrameKind, LampChannel, LampState, LightStage,
     RawFrame,
@@ -419,7 +421,7 @@ impl Run<'_> {
                 if self.interrupt.level() >= StopLevel::AfterThisFrame {
                     return Err(CaptureError::Interrupted);
                 }
-                let (frame, sidecar) = self.expose(shot, before).await?;
+                let (frame, sidecar) = self.expose_again_if_lost(shot, before).await?;
                 (Arc::new(frame), sidecar, true)
             }
         };
@@ -469,6 +471,12 @@ impl Run<'_> {
             shot.key.repeat == 0 && (taken.exposure_s - applied.exposure.0).abs() > 1e-9
         });
         let (frame, exposure_ratio) = self.grab_as_claimed(shot, applied, before).await?;
+        let retakes = self.devices.take_retakes();
+        if !retakes.is_none() {
+            let name = layout::frame_stem(shot.key);
+            let text = format!("frame {name} was taken again: {retakes}");
+            self.warn(shot.key.light, text).await?;
+        }
         let sidecar = Sidecar {
             key: shot.key,
             pilot: shot.pilot,
@@ -488,58 +496,10 @@ impl Run<'_> {
                 monotonic_s: Seconds(self.clock.start.elapsed().as_secs_f64()),
                 device_s: frame.timestamp,
                 device_sequence: frame.sequence,
+                retakes,
             },
         };
         Ok((frame, sidecar))
-    }
-
-    /// A frame whose signal agrees with its exposure; others are thrown away for
-    /// a while, because a change of settings can take its time.
-    async fn grab_as_claimed(
-        &mut self,
-        shot: Shot,
-        applied: CameraSettings,
-        before: Option<&Taken>,
-    ) -> Result<(RawFrame, Option<f64>), CaptureError> {
-        loop {
-            let frame = self.devices.grab(shot.key).await?;
-            let claimed = Exposed {
-                counts: &frame.counts,
-                exposure_s: applied.exposure.0,
-            };
-            let Some(found) =
-                before.and_then(|before| signal_ratio(self.noise, before.exposed(), claimed))
-            else {
-                return Ok((frame, None));
-            };
-            match found.verdict() {
-                Verdict::Good => return Ok((frame, found.if_known())),
-                Verdict::Doubtful => {
-                    let text = format!(
-                        "light {}: at {} the images show {:.4} of the expected signal, more than {} % off",
-                        shot.key.light,
-                        applied.exposure,
-                        found.ratio,
-                        100.0 * exposure_check::GOOD
-                    );
-                    self.warn(shot.key.light, text).await?;
-                    return Ok((frame, found.if_known()));
-                }
-                Verdict::Refused
-                    if self.discarded < self.plan.settings_latency_frames + PATIENCE_FRAMES =>
-                {
-                    self.discarded += 1;
-                }
-                Verdict::Refused => {
-                    return Err(CaptureError::ExposureNotApplied {
-                        light: shot.key.light,
-                        exposure_s: applied.exposure.0,
-                        ratio: found.ratio,
-                        discarded: self.discarded,
-                    });
-                }
-            }
-        }
     }
 
     /// The stage stands at the light, homed before its first move.
@@ -586,8 +546,10 @@ impl Run<'_> {
             merger,
             observer,
             interrupt,
+            clock,
             ..
         } = self;
+        let mut spent = devices.spent();
         let result = match result {
             Ok(()) | Err(CaptureError::Interrupted) => devices.shut_down().await.and(result),
             Err(error) => {
@@ -603,6 +565,8 @@ impl Run<'_> {
             }
             stopped => stopped,
         };
+        spent.wall_s = clock.start.elapsed().as_secs_f64();
+        observer.observe(Progress::Ended(spent));
         match result {
             Ok(()) => disk.finish().await.map(|()| Outcome::Complete),
             Err(stop @ (CaptureError::Interrupted | CaptureError::StoppedNow)) => disk

@@ -7,8 +7,10 @@ use mock_devices::{Illumination, RadianceSource};
 
 use super::output::write_json;
 use super::rig_choice::RigArg;
-use super::{CliError, Context, HintExt, open};
-use crate::config::RigConfig;
+use super::{CliError, Context, HintExt, camera_preview, open};
+use crate::config::{CameraDriver, RigConfig};
+use crate::device::controls::{ControlInfo, name_of};
+use crate::device::retake::{Retakes, grab_right};
 use crate::device::{Camera, CameraInfo, CameraSettings, FrameKey, FrameKind, RawFrame};
 use crate::out;
 use crate::session::frame::encode_png;
@@ -40,6 +42,27 @@ enum Action {
         #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = positive)]
         gain: f64,
         /// Frames to let pass after the change of settings
+        #[arg(long, value_name = "FRAMES", default_value_t = 3)]
+        discard: u32,
+    },
+    /// Lists every control with its range and value
+    Controls(Which),
+    /// Shows live pictures on a page for this machine alone, to focus and frame
+    ///
+    /// stdout's line is the page's address. With --json one frame's figures instead.
+    Preview {
+        #[command(flatten)]
+        which: Which,
+        /// Exposure (ms)
+        #[arg(long, value_name = "MS", default_value_t = 10.0, value_parser = positive)]
+        exposure_ms: f64,
+        /// Analogue gain, a factor; 1 is the camera's lowest
+        #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = positive)]
+        gain: f64,
+        /// Port of the page on 127.0.0.1; 0 takes a free one
+        #[arg(long, value_name = "PORT", default_value_t = 0)]
+        port: u16,
+        /// Frames to let pass before the one that --json measures
         #[arg(long, value_name = "FRAMES", default_value_t = 3)]
         discard: u32,
     },
@@ -81,7 +104,7 @@ fn four_characters(text: &str) -> Result<[u8; 4], String> {
 pub fn run(args: &CameraArgs, context: &Context) -> Result<(), CliError> {
     match &args.action {
         Action::Info(which) => {
-            let camera = which.open(context)?;
+            let camera = which.open(context, false)?;
             let info = camera.info();
             if which.json {
                 return write_json(info);
@@ -95,7 +118,7 @@ pub fn run(args: &CameraArgs, context: &Context) -> Result<(), CliError> {
             gain,
             discard,
         } => {
-            let mut camera = which.open(context)?;
+            let mut camera = which.open(context, false)?;
             let settings = camera.configure(CameraSettings {
                 exposure: Seconds(exposure_ms * 1e-3),
                 gain: *gain,
@@ -106,7 +129,62 @@ pub fn run(args: &CameraArgs, context: &Context) -> Result<(), CliError> {
             }
             report(which, out.as_deref(), settings, camera.info(), &frame)
         }
+        Action::Controls(which) => controls(which, context),
+        Action::Preview {
+            which,
+            exposure_ms,
+            gain,
+            port,
+            discard,
+        } => {
+            let mut camera = which.open(context, true)?;
+            let settings = camera.configure(CameraSettings {
+                exposure: Seconds(exposure_ms * 1e-3),
+                gain: *gain,
+            })?;
+            if which.json {
+                return camera_preview::measure(&mut *camera, settings, *discard);
+            }
+            camera_preview::serve(camera, settings, *port, context)
+        }
     }
+}
+
+fn controls(which: &Which, context: &Context) -> Result<(), CliError> {
+    let device = match &which.device {
+        Some(device) => device.clone(),
+        None => match which.rig.resolve(context)?.config.camera.driver {
+            CameraDriver::V4l { device, .. } => device,
+            _ => {
+                return Err(CliError::new("only Video4Linux cameras have controls")
+                    .hint("name one with --device, or a rig file whose camera.driver is \"v4l\""));
+            }
+        },
+    };
+    let controls = controls_of(&device)?;
+    if which.json {
+        return write_json(&controls);
+    }
+    for control in &controls {
+        let value = control
+            .value
+            .map_or("-".to_owned(), |value| value.to_string());
+        let state = match (control.read_only, control.inactive) {
+            (true, _) => "  read-only",
+            (_, true) => "  inactive",
+            _ => "",
+        };
+        out!(
+            "{:<27} {:<34} {value:>7}  of {} to {} in steps of {}, default {}{state}",
+            name_of(control.id),
+            control.label,
+            control.minimum,
+            control.maximum,
+            control.step,
+            control.default
+        )?;
+    }
+    Ok(())
 }
 
 fn grab(camera: &mut dyn Camera, discard: u32) -> Result<RawFrame, CliError> {
@@ -117,9 +195,9 @@ fn grab(camera: &mut dyn Camera, discard: u32) -> Result<RawFrame, CliError> {
         kind: FrameKind::Ambient,
     };
     for repeat in 0..discard {
-        camera.grab(key(repeat))?;
+        grab_right(camera, key(repeat), &mut Retakes::default())?;
     }
-    Ok(camera.grab(key(discard))?)
+    Ok(grab_right(camera, key(discard), &mut Retakes::default())?)
 }
 
 fn write_png(path: &Path, frame: &RawFrame) -> Result<(), CliError> {
@@ -180,9 +258,10 @@ fn report(
 }
 
 impl Which {
-    fn open(&self, context: &Context) -> Result<Box<dyn Camera>, CliError> {
+    /// With `preview` also in a format that is good for nothing else.
+    fn open(&self, context: &Context, preview: bool) -> Result<Box<dyn Camera>, CliError> {
         if let Some(device) = &self.device {
-            return open_device(device, self.format);
+            return open_device(device, self.format, preview);
         }
         let rig = self.rig.resolve(context)?.config;
         match &rig.simulation {
@@ -193,25 +272,39 @@ impl Which {
 }
 
 #[cfg(feature = "v4l")]
-fn open_device(device: &str, format: Option<[u8; 4]>) -> Result<Box<dyn Camera>, CliError> {
+fn controls_of(device: &str) -> Result<Vec<ControlInfo>, CliError> {
+    Ok(crate::device::v4l::controls_of(device)?)
+}
+
+#[cfg(not(feature = "v4l"))]
+fn controls_of(_: &str) -> Result<Vec<ControlInfo>, CliError> {
+    Err(without_v4l())
+}
+
+#[cfg(feature = "v4l")]
+fn open_device(
+    device: &str,
+    format: Option<[u8; 4]>,
+    preview: bool,
+) -> Result<Box<dyn Camera>, CliError> {
     use crate::device::v4l::{V4lCamera, V4lConfig};
     let camera = V4lCamera::open(V4lConfig {
-        device: device.to_owned(),
-        serial: None,
         format,
-        bit_depth: None,
-        resolution_px: None,
-        frame_timeout: Seconds(5.0),
+        preview,
+        ..V4lConfig::of_device(device)
     })?;
     Ok(Box::new(camera))
 }
 
 #[cfg(not(feature = "v4l"))]
-fn open_device(_: &str, _: Option<[u8; 4]>) -> Result<Box<dyn Camera>, CliError> {
-    Err(
-        CliError::new("this program was built without Video4Linux, on which all cameras are")
-            .hint("build it with the feature `v4l`"),
-    )
+fn open_device(_: &str, _: Option<[u8; 4]>, _: bool) -> Result<Box<dyn Camera>, CliError> {
+    Err(without_v4l())
+}
+
+#[cfg(not(feature = "v4l"))]
+fn without_v4l() -> CliError {
+    CliError::new("this program was built without Video4Linux")
+        .hint("build it with the feature `v4l`")
 }
 
 /// The simulated camera on a bench whose lamp is off, as it is while nobody

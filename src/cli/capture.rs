@@ -15,7 +15,7 @@ use super::{CliError, Context, HintExt, interrupt, light_choice, open, pipeline}
 use crate::calibration::Library;
 use crate::capture::directions::StageReach;
 use crate::capture::plan::{LightChoice, Pace, PlanRequest, check_reach, check_space, plan};
-use crate::capture::{Capture, Outcome, RadianceSink, interest};
+use crate::capture::{Capture, Outcome, RadianceSink, Spent, interest};
 use crate::config::RigConfig;
 use crate::config::simulation::{MaterialSpec, Timing};
 use crate::device::{CameraInfo, LampChannel};
@@ -277,13 +277,16 @@ fn carry_out(
     let elapsed_s = began.elapsed().as_secs_f64();
     if outcome == Outcome::Interrupted {
         let signal = interrupt.signal().unwrap_or(Signal::Interrupt);
-        print_result(args, &root, outcome, elapsed_s)?;
+        print_result(args, &root, outcome, elapsed_s, bar.spent())?;
         return Err(
             CliError::interrupted(signal, "the capture was interrupted; the lamp is off")
                 .hint(resume_hint(&root)),
         );
     }
     context.note(format!("captured in {elapsed_s:.1} s"));
+    if let Some(spent) = bar.spent().filter(|_| !is_instant(config)) {
+        context.note(spent.to_string());
+    }
     if !args.no_fit {
         let unfitted = unfitted(args, &root);
         interrupt::end_on_signal(context, unfitted.clone())?;
@@ -295,7 +298,13 @@ fn carry_out(
             root.display()
         ))?;
     }
-    print_result(args, &root, outcome, elapsed_s)
+    print_result(args, &root, outcome, elapsed_s, bar.spent())
+}
+
+/// Whether its clock jumps instead of waiting.
+fn is_instant(config: &RigConfig) -> bool {
+    let simulation = config.simulation.as_ref();
+    simulation.is_some_and(|simulation| simulation.timing == Timing::Instant)
 }
 
 /// What a signal during the fit says: the capture itself is done.
@@ -343,6 +352,7 @@ fn print_result(
     root: &Path,
     outcome: Outcome,
     elapsed_s: f64,
+    spent: Option<Spent>,
 ) -> Result<(), CliError> {
     if args.json {
         let summary = Session::open(root)?.summary();
@@ -350,6 +360,9 @@ fn print_result(
             "session": root,
             "complete": outcome == Outcome::Complete,
             "elapsed_s": elapsed_s,
+            "spent": spent,
+            "wall_over_devices": spent.and_then(|spent| spent.over_devices()),
+            "wall_over_plan": spent.and_then(|spent| spent.over_plan()),
             "summary": summary,
         }));
     }
@@ -418,10 +431,7 @@ fn request(lights: &LightChoice, config: &RigConfig, camera: Option<&CameraInfo>
         step = Seconds(step.0.max(camera.exposure_step.0));
     }
     // On a bench whose clock jumps, nothing needs to settle.
-    let is_instant = config
-        .simulation
-        .as_ref()
-        .is_some_and(|s| s.timing == Timing::Instant);
+    let is_instant = is_instant(config);
     let wait = |time: Seconds| if is_instant { Seconds(0.0) } else { time };
     let kinematics = &config.stage.grbl.kinematics;
     let axes = [&kinematics.azimuth, &kinematics.elevation];

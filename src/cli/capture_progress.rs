@@ -3,13 +3,14 @@
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::Context;
-use crate::capture::{Observer, Progress};
+use crate::capture::{Observer, Progress, Spent};
 use crate::device::{FrameKind, LampState};
 
 /// A bar on stderr, or nothing where nobody watches; warnings always.
 pub struct Bar<'a> {
     context: &'a Context,
     bar: ProgressBar,
+    spent: Option<Spent>,
 }
 
 /// Steps of the bar.
@@ -25,7 +26,16 @@ impl<'a> Bar<'a> {
         } else {
             ProgressBar::hidden()
         };
-        Self { context, bar }
+        Self {
+            context,
+            bar,
+            spent: None,
+        }
+    }
+
+    /// Where the time went, once the capture has ended.
+    pub fn spent(&self) -> Option<Spent> {
+        self.spent
     }
 
     /// Clears the line.
@@ -70,6 +80,7 @@ impl Observer for Bar<'_> {
                 self.bar.set_position(LENGTH);
                 self.bar.set_message("merging");
             }
+            Progress::Ended(spent) => self.spent = Some(spent),
             Progress::Warning(text) => self.bar.suspend(|| self.context.warn(text)),
         }
     }

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use super::output::write_json;
 use super::{CliError, Context};
-use crate::device::discovery::{DeviceKind, FoundDevice, find_devices};
+use crate::device::discovery::{DeviceKind, FoundDevice, ReservedFor, find_devices};
 use crate::out;
 
 /// Lists cameras and serial ports, also those without permission, and why
@@ -19,7 +19,13 @@ pub struct DevicesArgs {
 
 /// `rig devices`.
 pub fn run(args: &DevicesArgs, context: &Context) -> Result<(), CliError> {
-    let found = find_devices(Path::new("/"));
+    let found: Vec<Listed> = find_devices(Path::new("/"))
+        .into_iter()
+        .map(|device| Listed {
+            remedy: remedy(&device),
+            device,
+        })
+        .collect();
     if args.json {
         return write_json(&found);
     }
@@ -29,7 +35,39 @@ pub fn run(args: &DevicesArgs, context: &Context) -> Result<(), CliError> {
     found.iter().try_for_each(print)
 }
 
-fn print(device: &FoundDevice) -> Result<(), CliError> {
+/// A device, and what to do where it cannot be used.
+#[derive(serde::Serialize)]
+struct Listed {
+    #[serde(flatten)]
+    device: FoundDevice,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    remedy: Option<String>,
+}
+
+fn remedy(device: &FoundDevice) -> Option<String> {
+    if let Some(holder) = &device.in_use_by {
+        return Some(format!("end process {} first", holder.pid));
+    }
+    device.problem.as_ref()?;
+    Some(match &device.reserved_for {
+        Some(ReservedFor::Group(group)) => {
+            format!("`sudo usermod -aG {group} $USER`, then log in again")
+        }
+        Some(ReservedFor::Owner) => {
+            let (subsystem, group) = match device.kind {
+                DeviceKind::Camera => ("video4linux", "video"),
+                DeviceKind::Serial => ("tty", "dialout"),
+            };
+            format!(
+                "a udev rule such as SUBSYSTEM==\"{subsystem}\", GROUP=\"{group}\", MODE=\"0660\" (docs/cameras.md)"
+            )
+        }
+        None => "unplug it and plug it in again, then look at `dmesg`".to_owned(),
+    })
+}
+
+fn print(listed: &Listed) -> Result<(), CliError> {
+    let device = &listed.device;
     let kind = match device.kind {
         DeviceKind::Camera => "camera",
         DeviceKind::Serial => "serial",
@@ -45,8 +83,56 @@ fn print(device: &FoundDevice) -> Result<(), CliError> {
         line += &format!("  serial number {}", device.serial);
     }
     out!("{line}")?;
-    match &device.problem {
-        Some(problem) => out!("        cannot be opened: {problem}"),
+    if let Some(problem) = &device.problem {
+        out!("        cannot be opened: {problem}")?;
+    }
+    if let Some(holder) = &device.in_use_by {
+        out!("        in use by {holder}")?;
+    }
+    match &listed.remedy {
+        Some(remedy) => out!("        -> {remedy}"),
         None => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::device::discovery::Holder;
+
+    #[test]
+    fn each_reason_has_its_remedy() {
+        let device = |problem: Option<&str>, reserved_for, in_use_by| FoundDevice {
+            kind: DeviceKind::Camera,
+            path: "/dev/video0".into(),
+            node: "/dev/video0".into(),
+            model: String::new(),
+            serial: String::new(),
+            usb: true,
+            accessible: problem.is_none(),
+            problem: problem.map(str::to_owned),
+            reserved_for,
+            in_use_by,
+        };
+        let denied = Some("permission denied");
+        let group = ReservedFor::Group("video".to_owned());
+        let said = |device| remedy(&device).unwrap_or_default();
+        assert_eq!(said(device(None, None, None)), "");
+        assert!(said(device(denied, Some(group), None)).contains("usermod -aG video"));
+        assert!(said(device(denied, Some(ReservedFor::Owner), None)).contains("video4linux"));
+        assert!(said(device(denied, None, None)).contains("dmesg"));
+        let holder = Holder {
+            pid: 77,
+            name: "cheese".to_owned(),
+        };
+        let busy = device(None, None, Some(holder));
+        assert!(said(busy.clone()).contains("process 77"));
+        let listed = Listed {
+            remedy: remedy(&busy),
+            device: busy,
+        };
+        let json = serde_json::to_value(listed).unwrap();
+        assert_eq!(json["in_use_by"]["name"], "cheese");
+        assert_eq!(json["remedy"], "end process 77 first");
     }
 }

@@ -12,7 +12,7 @@ use rustix::fs::{Access, access, statvfs};
 use serde::Serialize;
 
 use super::output::{write_json, write_line};
-use super::rig_choice::{RigArg, connected_devices};
+use super::rig_choice::RigArg;
 use super::{CliError, Context, hints};
 use crate::calibration::record::{
     FlatValues, Kind, LightsValues, ScaleValues, SensorValues, Values,
@@ -20,6 +20,7 @@ use crate::calibration::record::{
 use crate::calibration::{Library, RecordError};
 use crate::config::stage::StageDriver;
 use crate::config::{CameraDriver, Origin, ResolvedRig};
+use crate::device::discovery;
 
 /// Checks configuration, devices, permissions, disk and calibration
 ///
@@ -170,7 +171,7 @@ fn configuration(rig: &ResolvedRig) -> Check {
         Origin::Fallback => "the simulated rig stands in, because none is configured",
     };
     let check = Check::ok("configuration", format!("{} is valid ({why})", rig.file));
-    let connected = connected_devices(Path::new("/sys/class"));
+    let connected = discovery::usb_devices(Path::new("/"));
     if rig.config.is_simulated() && !connected.is_empty() {
         return Check::warning(
             "configuration",
@@ -194,7 +195,37 @@ fn camera(rig: &ResolvedRig) -> Check {
             "build it with the feature `v4l`",
         ),
         CameraDriver::V4l { device, .. } => device_file("camera", device, "/dev/v4l/by-id"),
+        CameraDriver::Command(command) => program(command.first().map_or("", String::as_str)),
+        CameraDriver::Folder(folder) => match access(folder, Access::READ_OK | Access::WRITE_OK) {
+            Ok(()) => Check::ok(
+                "camera",
+                format!("files are awaited in {}", folder.display()),
+            ),
+            Err(error) => Check::failed(
+                "camera",
+                format!("{}: {}", folder.display(), std::io::Error::from(error)),
+                "make the folder, readable and writable, or correct camera.folder in the rig file",
+            ),
+        },
     }
+}
+
+/// Whether a program can be run, by its path or found as a shell finds it.
+fn program(name: &str) -> Check {
+    let paths = std::env::var_os("PATH").unwrap_or_default();
+    let found = if name.contains('/') {
+        access(name, Access::EXEC_OK).is_ok()
+    } else {
+        std::env::split_paths(&paths).any(|path| access(path.join(name), Access::EXEC_OK).is_ok())
+    };
+    if found {
+        return Check::ok("camera", format!("frames come from the program {name}"));
+    }
+    Check::failed(
+        "camera",
+        format!("the program {name} is not there or may not be run"),
+        "install it, `chmod +x` it, or correct camera.command in the rig file",
+    )
 }
 
 fn stage(rig: &ResolvedRig) -> Check {
@@ -226,10 +257,10 @@ fn device_file(name: &'static str, path: &str, lasting: &str) -> Check {
             "add yourself to the group that owns it (`sudo usermod -aG dialout,video $USER`) and log in again",
         );
     }
-    if let Some(process) = holder(file) {
+    if let Some(holder) = discovery::holder(file) {
         return Check::failed(
             name,
-            format!("{path} is in use by process {process}"),
+            format!("{path} is in use by {holder}"),
             "end that process first",
         );
     }
@@ -241,18 +272,6 @@ fn device_file(name: &'static str, path: &str, lasting: &str) -> Check {
         );
     }
     Check::ok(name, format!("{path} can be opened"))
-}
-
-/// A process that has the file open, as far as this user may see.
-fn holder(file: &Path) -> Option<u32> {
-    let file = std::fs::canonicalize(file).ok()?;
-    let processes = std::fs::read_dir("/proc").ok()?;
-    processes.flatten().find_map(|process| {
-        let id: u32 = process.file_name().to_str()?.parse().ok()?;
-        let mut open = std::fs::read_dir(process.path().join("fd")).ok()?.flatten();
-        open.any(|fd| std::fs::read_link(fd.path()).is_ok_and(|target| target == file))
-            .then_some(id)
-    })
 }
 
 fn watchdog(rig: &ResolvedRig) -> Option<Check> {
@@ -378,7 +397,7 @@ mod tests {
         let open = std::fs::File::open(&path).unwrap();
         let fact = verdict("/").fact;
         assert!(
-            fact.ends_with(&format!("process {}", std::process::id())),
+            fact.contains(&format!("in use by process {}", std::process::id())),
             "{fact}"
         );
         drop(open);

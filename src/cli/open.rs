@@ -5,8 +5,11 @@ use std::sync::Arc;
 use mock_devices::RadianceSource;
 
 use super::CliError;
-use crate::config::RigConfig;
-use crate::device::{Camera, LightStage};
+use crate::config::{CameraDriver, RigConfig};
+use crate::device::command_camera::{CommandCamera, CommandConfig};
+use crate::device::folder_camera::{FolderCamera, FolderConfig};
+use crate::device::{Camera, CameraInfo, LightStage};
+use crate::units::Seconds;
 
 /// The stage and the camera of a rig.
 pub struct Devices {
@@ -134,21 +137,60 @@ mod without_serial {
 }
 
 /// The camera of a rig whose devices are real.
-#[cfg(feature = "v4l")]
 pub fn open_real_camera(rig: &RigConfig) -> Result<Box<dyn Camera>, CliError> {
-    use crate::config::CameraDriver;
+    let timeout = rig.camera.frame_timeout;
+    match &rig.camera.driver {
+        CameraDriver::Simulated => Err(CliError::new("the rig's camera is simulated")),
+        CameraDriver::V4l { device, format } => open_v4l(rig, device, *format),
+        CameraDriver::Command(command) => Ok(Box::new(CommandCamera::new(CommandConfig {
+            info: described(rig, "command", command.first().map_or("", String::as_str)),
+            command: command.clone(),
+            timeout,
+        }))),
+        CameraDriver::Folder(folder) => Ok(Box::new(FolderCamera::new(FolderConfig {
+            info: described(rig, "folder", &folder.display().to_string()),
+            folder: folder.clone(),
+            timeout,
+            stable: FILE_IS_STABLE,
+        })?)),
+    }
+}
+
+/// A file that has not changed for so long is read.
+const FILE_IS_STABLE: Seconds = Seconds(0.5);
+
+/// A camera that cannot be asked, as the rig file describes it.
+fn described(rig: &RigConfig, driver: &str, model: &str) -> CameraInfo {
+    let camera = &rig.camera;
+    CameraInfo {
+        driver: driver.to_owned(),
+        model: model.to_owned(),
+        serial: camera.serial.clone().unwrap_or_default(),
+        resolution_px: camera.resolution_px,
+        bit_depth: camera.bit_depth,
+        mosaic: camera.mosaic,
+        exposure_range: camera.exposure_range,
+        exposure_step: camera.exposure_step,
+    }
+}
+
+#[cfg(feature = "v4l")]
+fn open_v4l(
+    rig: &RigConfig,
+    device: &str,
+    format: Option<[u8; 4]>,
+) -> Result<Box<dyn Camera>, CliError> {
     use crate::device::v4l::{V4lCamera, V4lConfig};
 
-    let CameraDriver::V4l { device, format } = &rig.camera.driver else {
-        return Err(CliError::new("the rig's camera is simulated"));
-    };
     let camera = V4lCamera::open(V4lConfig {
-        device: device.clone(),
         serial: rig.camera.serial.clone(),
-        format: *format,
+        format,
         bit_depth: Some(rig.camera.bit_depth),
         resolution_px: Some(rig.camera.resolution_px),
         frame_timeout: rig.camera.frame_timeout,
+        return_timeout: rig.camera.return_timeout,
+        controls: rig.camera.controls.clone(),
+        ..V4lConfig::of_device(device)
     })?;
     let is = camera.info().mosaic;
     if is != rig.camera.mosaic {
@@ -161,11 +203,9 @@ pub fn open_real_camera(rig: &RigConfig) -> Result<Box<dyn Camera>, CliError> {
     Ok(Box::new(camera))
 }
 
-/// Fails: there are no cameras.
+/// Fails: there is no Video4Linux.
 #[cfg(not(feature = "v4l"))]
-pub fn open_real_camera(_: &RigConfig) -> Result<Box<dyn Camera>, CliError> {
-    Err(
-        CliError::new("this program was built without Video4Linux, on which all cameras are")
-            .hint("build it with the feature `v4l`"),
-    )
+fn open_v4l(_: &RigConfig, _: &str, _: Option<[u8; 4]>) -> Result<Box<dyn Camera>, CliError> {
+    Err(CliError::new("this program was built without Video4Linux")
+        .hint("build it with the feature `v4l`"))
 }

@@ -1,8 +1,10 @@
 //! The `[camera]` table of a rig file: the device, not where it stands.
 
+use std::path::PathBuf;
+
 use super::ConfigError;
 use super::reader::Section;
-use crate::device::Mosaic;
+use crate::device::{Mosaic, controls};
 use crate::units::Seconds;
 
 /// A camera as the rig file describes it.
@@ -28,6 +30,10 @@ pub struct CameraConfig {
     pub settings_latency_frames: u32,
     /// How long a frame may take beyond its exposure.
     pub frame_timeout: Seconds,
+    /// How long an unplugged camera is waited for during a capture; 0: not at all.
+    pub return_timeout: Seconds,
+    /// Further Video4Linux controls, by id, and their values.
+    pub controls: Vec<(u32, i64)>,
 }
 
 /// Which driver a camera needs.
@@ -43,23 +49,62 @@ pub enum CameraDriver {
         /// deepest raw one.
         format: Option<[u8; 4]>,
     },
+    /// A program that is run for each frame.
+    Command(
+        /// Program and arguments, see [`crate::device::command_camera`].
+        Vec<String>,
+    ),
+    /// A folder in which files appear.
+    Folder(PathBuf),
+}
+
+#[derive(Clone, Copy)]
+enum Kind {
+    Simulated,
+    V4l,
+    Command,
+    Folder,
 }
 
 impl CameraConfig {
     /// Reads the `[camera]` table.
     pub fn read(mut table: Section) -> Result<Self, ConfigError> {
-        let simulated = table
-            .choice("driver", &[("v4l", false), ("simulated", true)])?
+        let kind = table
+            .choice(
+                "driver",
+                &[
+                    ("v4l", Kind::V4l),
+                    ("command", Kind::Command),
+                    ("folder", Kind::Folder),
+                    ("simulated", Kind::Simulated),
+                ],
+            )?
             .required()?;
-        let driver = if simulated {
-            CameraDriver::Simulated
-        } else {
-            CameraDriver::V4l {
-                device: table.text("device")?.required()?,
-                format: table
-                    .parsed("format", "a four-character code such as \"Y12 \"", four_cc)?
-                    .optional(),
+        let mut wanted_controls = Vec::new();
+        let mut return_timeout = Seconds(0.0);
+        let driver = match kind {
+            Kind::Simulated => CameraDriver::Simulated,
+            Kind::V4l => {
+                wanted_controls = table
+                    .parsed("controls", CONTROLS, parse_controls)?
+                    .or(Vec::new());
+                return_timeout = Seconds(table.number("return_timeout_s", 0.0..=3600.0)?.or(30.0));
+                CameraDriver::V4l {
+                    device: table.text("device")?.required()?,
+                    format: table
+                        .parsed("format", "a four-character code such as \"Y12 \"", four_cc)?
+                        .optional(),
+                }
             }
+            Kind::Command => {
+                CameraDriver::Command(table.parsed("command", COMMAND, command)?.required()?)
+            }
+            Kind::Folder => CameraDriver::Folder(table.path("folder")?.required()?),
+        };
+        // A frame that is asked for with its settings has no older ones.
+        let latency_frames = match kind {
+            Kind::Command | Kind::Folder => 0,
+            Kind::V4l | Kind::Simulated => 3,
         };
         let shortest_ms = table.number("shortest_ms", 1e-3..=1e6)?.or(0.05);
         let longest_ms = table.number("longest_ms", 1e-3..=1e6)?.or(2000.0);
@@ -88,8 +133,12 @@ impl CameraConfig {
             gain: table.number("gain", 1.0..=1000.0)?.or(1.0),
             exposure_range: [ms(shortest_ms), ms(longest_ms)],
             exposure_step: ms(table.number("step_ms", 1e-6..=1000.0)?.or(0.1)),
-            settings_latency_frames: table.integer("settings_latency_frames", 0..=32)?.or(3) as u32,
+            settings_latency_frames: table
+                .integer("settings_latency_frames", 0..=32)?
+                .or(latency_frames) as u32,
             frame_timeout: Seconds(table.number("frame_timeout_s", 0.1..=600.0)?.or(5.0)),
+            return_timeout,
+            controls: wanted_controls,
         };
         table.finish()?;
         Ok(camera)
@@ -101,4 +150,24 @@ fn four_cc(text: &str) -> Option<[u8; 4]> {
     code.iter()
         .all(|b| (b' '..=b'~').contains(b))
         .then_some(code)
+}
+
+const CONTROLS: &str = "`name = value` with names that rig-configs/simulated.toml lists or numbers such as 0x009a090a, `;` between them";
+
+fn parse_controls(text: &str) -> Option<Vec<(u32, i64)>> {
+    text.split(';')
+        .filter(|part| !part.trim().is_empty())
+        .map(|part| {
+            let (name, value) = part.split_once('=')?;
+            Some((controls::id_of(name.trim())?, value.trim().parse().ok()?))
+        })
+        .collect()
+}
+
+const COMMAND: &str = "a program with its arguments, among them {exposure_s} and {output}";
+
+fn command(text: &str) -> Option<Vec<String>> {
+    let words: Vec<String> = text.split_whitespace().map(str::to_owned).collect();
+    let has = |key: &str| words.iter().skip(1).any(|word| word.contains(key));
+    (has("{exposure_s}") && has("{output}")).then_some(words)
 }

@@ -166,6 +166,12 @@ mod tests {
         ] {
             texts.push(simulated().replace(shape, other));
         }
+        for other in [
+            "driver = \"command\"\ncommand = \"photo {exposure_s} {output}\"",
+            "driver = \"folder\"\nfolder = \"in\"",
+        ] {
+            texts.push(simulated().replacen("driver = \"simulated\"", other, 1));
+        }
         for text in texts {
             let mut root = Section::parse("rig.toml", Path::new(""), &text).unwrap();
             // The tetrahedron refuses `segments`; what it asked for is recorded all the same.
@@ -224,7 +230,7 @@ mod tests {
             (
                 "driver = \"simulated\"",
                 "driver = \"nikon\"",
-                "`camera.driver` is \"nikon\", but must be \"v4l\" or \"simulated\"",
+                "`camera.driver` is \"nikon\", but must be \"v4l\" or \"command\" or \"folder\" or \"simulated\"",
             ),
             (
                 "axis = \"Y\"",
@@ -250,6 +256,16 @@ mod tests {
                 "longest_ms = 500.0",
                 "longest_ms = 5000.0",
                 "`capture.longest_ms` is 5000, but must be a number from 0.05 to 2000",
+            ),
+            (
+                "driver = \"simulated\"",
+                "driver = \"command\"\ncommand = \"photo {output}\"",
+                "`camera.command` is \"photo {output}\", but must be a program with",
+            ),
+            (
+                "driver = \"simulated\"",
+                "driver = \"v4l\"\ndevice = \"/dev/video0\"\ncontrols = \"exposure = 3\"",
+                "`camera.controls` is \"exposure = 3\", but must be",
             ),
             ("material = ", "# ", "`simulation.material` is missing"),
             (

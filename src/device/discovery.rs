@@ -33,11 +33,69 @@ pub struct FoundDevice {
     pub model: String,
     /// The device's own serial number; empty if it has none.
     pub serial: String,
+    /// Whether it hangs on USB, as what belongs to a bench does.
+    pub usb: bool,
     /// Whether this user may open it.
     pub accessible: bool,
     /// Why not.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub problem: Option<String>,
+    /// Who may open it, where this user may not.
+    #[serde(skip)]
+    pub reserved_for: Option<ReservedFor>,
+    /// A process that has it open, as far as this user may see.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub in_use_by: Option<Holder>,
+}
+
+/// Who may open a device file.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum ReservedFor {
+    /// Members of this group.
+    Group(String),
+    /// The owner alone.
+    Owner,
+}
+
+/// A process that has a file open.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Holder {
+    /// Its number.
+    pub pid: u32,
+    /// Its program's name; empty if that cannot be read.
+    pub name: String,
+}
+
+impl std::fmt::Display for Holder {
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self.name.as_str() {
+            "" => write!(out, "process {}", self.pid),
+            name => write!(out, "process {} ({name})", self.pid),
+        }
+    }
+}
+
+/// The process that has `file`, or what it links to, open.
+pub fn holder(file: &Path) -> Option<Holder> {
+    let file = std::fs::canonicalize(file).ok()?;
+    let processes = std::fs::read_dir("/proc").ok()?;
+    processes.flatten().find_map(|process| {
+        let pid: u32 = process.file_name().to_str()?.parse().ok()?;
+        let mut open = std::fs::read_dir(process.path().join("fd")).ok()?.flatten();
+        open.any(|fd| std::fs::read_link(fd.path()).is_ok_and(|target| target == file))
+            .then(|| Holder {
+                pid,
+                name: read_text(&process.path().join("comm")).unwrap_or_default(),
+            })
+    })
+}
+
+/// Nodes of the cameras and serial ports that hang on USB.
+pub fn usb_devices(root: &Path) -> Vec<String> {
+    let found = find_devices(root).into_iter().filter(|device| device.usb);
+    found
+        .map(|device| device.node.display().to_string())
+        .collect()
 }
 
 /// The devices below `root` (`/`, or a copy of its `dev`, `sys` and `etc`):
@@ -73,12 +131,19 @@ fn find_with(root: &Path, access: &dyn Fn(&Path) -> std::io::Result<()>) -> Vec<
         for node in nodes(&dev, prefixes) {
             let file_name = node.file_name().unwrap_or_default();
             let system = root.join("sys/class").join(class).join(file_name);
-            let problem = access(&node).err().map(|error| {
-                let owner = std::fs::metadata(&node).map(|meta| owner_of(&meta, &groups));
-                match owner {
-                    Ok(owner) => format!("{error}: {owner}"),
-                    Err(_) => error.to_string(),
+            let denied = access(&node).err();
+            let reserved = denied.as_ref().and_then(|_| {
+                let meta = std::fs::metadata(&node).ok()?;
+                Some((reserved_for(&meta, &groups), meta.mode() & 0o777))
+            });
+            let problem = denied.map(|error| match &reserved {
+                Some((ReservedFor::Group(group), mode)) => {
+                    format!("{error}: it is for the group {group} (mode {mode:04o})")
                 }
+                Some((ReservedFor::Owner, mode)) => {
+                    format!("{error}: it is for its owner alone (mode {mode:04o})")
+                }
+                None => error.to_string(),
             });
             let usb = |attribute| attribute_above(&system, attribute);
             let model = usb("product").or_else(|| read_text(&system.join("name")));
@@ -87,8 +152,11 @@ fn find_with(root: &Path, access: &dyn Fn(&Path) -> std::io::Result<()>) -> Vec<
                 path: names.get(&node).cloned().unwrap_or_else(|| node.clone()),
                 model: model.unwrap_or_default(),
                 serial: usb("serial").unwrap_or_default(),
+                usb: usb_device(&system).is_some(),
                 accessible: problem.is_none(),
                 problem,
+                reserved_for: reserved.map(|(reserved_for, _)| reserved_for),
+                in_use_by: holder(&node),
                 node,
             });
         }
@@ -147,15 +215,17 @@ fn lasting_names(folder: &Path) -> BTreeMap<PathBuf, PathBuf> {
     names
 }
 
-/// A file of this name beside the device or beside one of the few it hangs on:
+/// The folder of the USB device that a node belongs to, a few levels above it:
 /// a USB interface, its device, its hub.
-fn attribute_above(system: &Path, attribute: &str) -> Option<String> {
+fn usb_device(system: &Path) -> Option<PathBuf> {
     let device = std::fs::canonicalize(system.join("device")).ok()?;
-    device
-        .ancestors()
-        .take(4)
-        .find(|folder| folder.join("idVendor").exists())
-        .and_then(|usb_device| read_text(&usb_device.join(attribute)))
+    let mut above = device.ancestors().take(4);
+    let found = above.find(|folder| folder.join("idVendor").exists());
+    found.map(Path::to_owned)
+}
+
+fn attribute_above(system: &Path, attribute: &str) -> Option<String> {
+    read_text(&usb_device(system)?.join(attribute))
 }
 
 fn read_text(file: &Path) -> Option<String> {
@@ -175,18 +245,12 @@ fn group_names(root: &Path) -> BTreeMap<u32, String> {
         .collect()
 }
 
-/// Who may open it, as text.
-fn owner_of(meta: &Metadata, groups: &BTreeMap<u32, String>) -> String {
-    let group = groups
-        .get(&meta.gid())
-        .cloned()
-        .unwrap_or_else(|| meta.gid().to_string());
-    let mode = meta.mode() & 0o777;
-    if mode & 0o060 == 0o060 {
-        format!("it is for the group {group} (mode {mode:04o})")
-    } else {
-        format!("it is for its owner alone (mode {mode:04o})")
+fn reserved_for(meta: &Metadata, groups: &BTreeMap<u32, String>) -> ReservedFor {
+    if meta.mode() & 0o060 != 0o060 {
+        return ReservedFor::Owner;
     }
+    let name = groups.get(&meta.gid()).cloned();
+    ReservedFor::Group(name.unwrap_or_else(|| meta.gid().to_string()))
 }
 
 #[cfg(test)]
@@ -282,6 +346,19 @@ mod tests {
             ("USB Serial", "")
         );
         assert!(found.iter().all(|device| device.accessible));
+        // The last port has no device behind it in the tree.
+        assert!(
+            found[..3]
+                .iter()
+                .all(|device| device.usb && device.in_use_by.is_none())
+        );
+        let usb = usb_devices(folder.path());
+        assert!(usb[0].ends_with("/dev/video0"), "{usb:?}");
+        let open = std::fs::File::open(&found[0].node).unwrap();
+        let again = find_devices(folder.path());
+        let holder = again[0].in_use_by.as_ref().map(|holder| holder.pid);
+        assert_eq!(holder, Some(std::process::id()));
+        drop(open);
         let by_link = serial_of_camera(folder.path(), &found[1].path);
         assert_eq!(by_link.as_deref(), Some("C4711"));
     }
@@ -303,6 +380,10 @@ mod tests {
         assert_eq!(
             device.problem.as_deref(),
             Some("permission denied: it is for the group dialout (mode 0660)")
+        );
+        assert_eq!(
+            device.reserved_for,
+            Some(ReservedFor::Group("dialout".to_owned()))
         );
         let json = serde_json::to_value(device).unwrap();
         assert_eq!(json["kind"], "serial");

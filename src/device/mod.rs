@@ -4,10 +4,15 @@
 //! Drivers block; each is owned by one thread. A driver returns what happened
 //! (read back from the device), never what was asked.
 
+pub mod command_camera;
+pub mod controls;
 pub mod discovery;
+pub mod folder_camera;
 pub mod grbl;
+pub mod image_file;
 pub mod kinematics;
 pub mod pixel_format;
+pub mod retake;
 #[cfg(feature = "serial")]
 pub mod simulated;
 pub mod simulated_camera;
@@ -183,8 +188,39 @@ pub trait Camera: Send {
     /// none, and somebody must cover the lens or dark frames are taken with the
     /// lamp off.
     fn set_shutter(&mut self, open: bool) -> Result<bool, DeviceError>;
-    /// The next frame that begins after this call.
+    /// The next frame that begins after this call. A frame that is not right is
+    /// [`DeviceError::BadFrame`]; [`retake::grab_right`] takes it again.
     fn grab(&mut self, key: FrameKey) -> Result<RawFrame, DeviceError>;
+    /// Frames that the device's running numbers have shown to be lost so far,
+    /// each while one was waited for.
+    fn frames_lost(&self) -> u64 {
+        0
+    }
+    /// How long a camera that went away is worth waiting for; 0: it cannot come back.
+    fn may_return_within(&self) -> Seconds {
+        Seconds(0.0)
+    }
+    /// Finds the same device again, by its serial number, after
+    /// [`DeviceError::Disconnected`]. Afterwards it is to be configured anew.
+    ///
+    /// # Errors
+    /// [`DeviceError::Disconnected`] while it is not there.
+    fn reconnect(&mut self) -> Result<(), DeviceError> {
+        Err(DeviceError::Disconnected {
+            device: self.info().model.clone(),
+        })
+    }
+}
+
+/// The exposure of the camera's range and step that is nearest to the one asked for.
+fn nearest_exposure(info: &CameraInfo, wanted: Seconds) -> Seconds {
+    let [shortest, longest] = info.exposure_range;
+    let steps = (wanted.0 / info.exposure_step.0).round();
+    Seconds(
+        (steps * info.exposure_step.0)
+            .max(shortest.0)
+            .min(longest.0),
+    )
 }
 
 /// What went wrong at a device; facts only.
@@ -227,6 +263,14 @@ pub enum DeviceError {
         answer: String,
         /// What the protocol allows here.
         expected: String,
+    },
+    /// A frame that cannot be used.
+    #[error("{device}: a frame cannot be used: {fault}")]
+    BadFrame {
+        /// Path or name.
+        device: String,
+        /// What is wrong with it.
+        fault: retake::FrameFault,
     },
     /// The device refused a command.
     #[error("{device} refused {command:?}: {reason}")]

@@ -3,6 +3,7 @@
 use mock_devices::camera::{CameraFaults, MockCameraError, SimulatedCamera as MockCamera};
 use mock_devices::sensor::{FrameKey as MockFrameKey, SensorModel};
 
+use super::retake::FrameFault;
 use super::{
     Camera, CameraInfo, CameraSettings, DeviceError, FrameKey, FrameKind, Mosaic, RawFrame,
 };
@@ -12,6 +13,8 @@ use crate::units::Seconds;
 pub struct SimulatedCamera {
     camera: MockCamera,
     info: CameraInfo,
+    frames_lost: u64,
+    may_return_within: Seconds,
 }
 
 impl SimulatedCamera {
@@ -28,7 +31,28 @@ impl SimulatedCamera {
             exposure_range: camera.config().exposure_range_s.map(Seconds),
             exposure_step: Seconds(camera.config().exposure_step_s),
         };
-        Self { camera, info }
+        Self {
+            camera,
+            info,
+            frames_lost: 0,
+            may_return_within: Seconds(0.0),
+        }
+    }
+
+    /// How long it is waited for after it was unplugged; 0, as it begins: not at all.
+    pub fn wait_for_return(&mut self, within: Seconds) {
+        self.may_return_within = within;
+    }
+
+    fn bad_frame(&self, fault: FrameFault) -> DeviceError {
+        DeviceError::BadFrame {
+            device: self.name(),
+            fault,
+        }
+    }
+
+    fn name(&self) -> String {
+        format!("{} {}", self.info.model, self.info.serial)
     }
 
     /// Handle by which it is made to fail.
@@ -42,7 +66,7 @@ impl SimulatedCamera {
     }
 
     fn error(&self, error: MockCameraError) -> DeviceError {
-        let device = format!("{} {}", self.info.model, self.info.serial);
+        let device = self.name();
         match error {
             MockCameraError::Disconnected => DeviceError::Disconnected { device },
             MockCameraError::NoFrame { timeout_s } => DeviceError::NoReply {
@@ -92,14 +116,39 @@ impl Camera for SimulatedCamera {
                 FrameKind::Dark => 2,
             },
         };
-        match self.camera.grab(key) {
-            Ok(frame) => Ok(RawFrame {
-                width: frame.width,
-                height: frame.height,
-                counts: frame.counts,
-                sequence: Some(frame.sequence),
-                timestamp: Some(Seconds(frame.timestamp_s)),
-            }),
+        let asked_s = self.camera.bench().clock().now_s();
+        let frame = match self.camera.grab(key) {
+            Ok(frame) => frame,
+            Err(error) => return Err(self.error(error)),
+        };
+        if frame.timestamp_s < asked_s {
+            return Err(self.bad_frame(FrameFault::Late));
+        }
+        self.frames_lost += frame.lost;
+        if frame.damaged {
+            return Err(self.bad_frame(FrameFault::Damaged));
+        }
+        Ok(RawFrame {
+            width: frame.width,
+            height: frame.height,
+            counts: frame.counts,
+            sequence: Some(frame.sequence),
+            timestamp: Some(Seconds(frame.timestamp_s)),
+        })
+    }
+
+    fn frames_lost(&self) -> u64 {
+        self.frames_lost
+    }
+
+    fn may_return_within(&self) -> Seconds {
+        self.may_return_within
+    }
+
+    fn reconnect(&mut self) -> Result<(), DeviceError> {
+        // Any command would do: it fails while the camera is gone.
+        match self.camera.set_shutter(true) {
+            Ok(_) => Ok(()),
             Err(error) => Err(self.error(error)),
         }
     }

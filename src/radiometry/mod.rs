@@ -6,6 +6,7 @@ pub mod bracket_table;
 pub mod exposure;
 pub mod frame_exposure;
 pub mod frame_file;
+pub mod framing;
 pub mod merge;
 pub mod mosaic;
 mod neighbourhood;

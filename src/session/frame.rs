@@ -7,6 +7,7 @@ use image::codecs::png::{CompressionType, FilterType, PngDecoder, PngEncoder};
 use image::{ColorType, ExtendedColorType, ImageDecoder, ImageEncoder, ImageError};
 use serde::{Deserialize, Serialize};
 
+use crate::device::retake::Retakes;
 use crate::device::{CameraSettings, FrameKey, LampState, Mosaic, RawFrame};
 use crate::units::{Seconds, StageAngles};
 
@@ -46,7 +47,7 @@ pub struct Sidecar {
     pub time: FrameTimes,
 }
 
-/// When a frame was taken, and the device's running number.
+/// When a frame was taken, the device's running number, and what disturbed it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FrameTimes {
@@ -60,6 +61,9 @@ pub struct FrameTimes {
     /// The device's running number, where it has one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub device_sequence: Option<u64>,
+    /// What went wrong before the frame was right.
+    #[serde(default, skip_serializing_if = "Retakes::is_none")]
+    pub retakes: Retakes,
 }
 
 /// The counts as a greyscale PNG of 16 bits, quickly compressed.

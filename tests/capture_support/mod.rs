@@ -439,13 +439,23 @@ pub fn create(disk: Arc<dyn Disk>, parent: &Path) -> Result<SessionWriter, Sessi
 }
 
 pub fn capture(bench: &Bench, session: SessionWriter) -> (Result<Outcome, CaptureError>, Heard) {
+    let camera = Box::new(Cam(bench.clone(), camera_info()));
+    capture_with(bench, camera, session)
+}
+
+/// A capture with another camera that looks at the bench.
+pub fn capture_with(
+    bench: &Bench,
+    camera: Box<dyn Camera>,
+    session: SessionWriter,
+) -> (Result<Outcome, CaptureError>, Heard) {
     let mut heard = Heard {
         panic_at_frame: bench.world().panic_at_frame,
         ..Heard::default()
     };
     let interrupt = bench.world().interrupt.clone();
     let result = Capture {
-        camera: Box::new(Cam(bench.clone(), camera_info())),
+        camera,
         stage: Box::new(Stage(bench.clone(), stage_info())),
         session,
         noise: &noise(),

@@ -113,6 +113,7 @@ fn frame(repeat: u32, exposure: f64, pilot: bool) -> (RawFrame, Sidecar) {
             monotonic_s: Seconds(1.0),
             device_s: None,
             device_sequence: None,
+            retakes: Default::default(),
         },
     };
     (raw, sidecar)

@@ -121,6 +121,7 @@ fn frame(repeat: u32) -> (RawFrame, Sidecar) {
             monotonic_s: Seconds(1.0),
             device_s: None,
             device_sequence: Some(4),
+            retakes: Default::default(),
         },
     };
     (raw, sidecar)

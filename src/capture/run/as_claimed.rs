@@ -1,0 +1,94 @@
+//! A frame as it was asked for, from a camera that may go away or ignore its
+//! settings.
+
+use super::{PATIENCE_FRAMES, Run, Shot, Taken};
+use crate::capture::CaptureError;
+use crate::capture::exposure_check::{self, Exposed, Verdict, signal_ratio};
+use crate::device::{CameraSettings, RawFrame};
+use crate::session::Sidecar;
+
+impl Run<'_> {
+    /// The frame of this shot, also from a camera that goes away and comes back.
+    pub(super) async fn expose_again_if_lost(
+        &mut self,
+        shot: Shot,
+        before: Option<&Taken>,
+    ) -> Result<(RawFrame, Sidecar), CaptureError> {
+        loop {
+            let lost = match self.expose(shot, before).await {
+                Err(error) if self.devices.camera_is_lost() => error,
+                done => return done,
+            };
+            let light = shot.key.light;
+            let within = self.devices.may_return_within().await?;
+            if within.0 <= 0.0 {
+                return Err(lost);
+            }
+            let text = format!(
+                "light {light}: {lost}; the lamp is off and the camera is waited for, {within} at most"
+            );
+            self.warn(light, text).await?;
+            if !self.devices.camera_returned(within).await? {
+                return Err(lost);
+            }
+        }
+    }
+
+    /// A frame whose signal agrees with its exposure. Others are thrown away for
+    /// a while, because a change of settings can take its time; then the settings
+    /// are sent once more, because a camera can have missed them.
+    pub(super) async fn grab_as_claimed(
+        &mut self,
+        shot: Shot,
+        applied: CameraSettings,
+        before: Option<&Taken>,
+    ) -> Result<(RawFrame, Option<f64>), CaptureError> {
+        let mut sent_again = false;
+        let mut patience = self.plan.settings_latency_frames + PATIENCE_FRAMES;
+        loop {
+            let frame = self.devices.grab(shot.key).await?;
+            let claimed = Exposed {
+                counts: &frame.counts,
+                exposure_s: applied.exposure.0,
+            };
+            let Some(found) =
+                before.and_then(|before| signal_ratio(self.noise, before.exposed(), claimed))
+            else {
+                return Ok((frame, None));
+            };
+            match found.verdict() {
+                Verdict::Good => return Ok((frame, found.if_known())),
+                Verdict::Doubtful => {
+                    let text = format!(
+                        "light {}: at {} the images show {:.4} of the expected signal, more than {} % off",
+                        shot.key.light,
+                        applied.exposure,
+                        found.ratio,
+                        100.0 * exposure_check::GOOD
+                    );
+                    self.warn(shot.key.light, text).await?;
+                    return Ok((frame, found.if_known()));
+                }
+                Verdict::Refused if self.discarded < patience => self.discarded += 1,
+                Verdict::Refused if !sent_again => {
+                    sent_again = true;
+                    self.discarded += 1;
+                    patience = self.discarded + self.plan.settings_latency_frames;
+                    if self.devices.configure_again().await? != Some(applied) {
+                        return Err(self.not_applied(shot, applied, found.ratio));
+                    }
+                }
+                Verdict::Refused => return Err(self.not_applied(shot, applied, found.ratio)),
+            }
+        }
+    }
+
+    fn not_applied(&self, shot: Shot, applied: CameraSettings, ratio: f64) -> CaptureError {
+        CaptureError::ExposureNotApplied {
+            light: shot.key.light,
+            exposure_s: applied.exposure.0,
+            ratio,
+            discarded: self.discarded,
+        }
+    }
+}

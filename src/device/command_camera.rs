@@ -1,0 +1,329 @@
+//! A camera behind a program: it is run once per frame, told the exposure and
+//! where to put the file, and must have written it when it ends.
+
+use std::fs::File;
+use std::io::{Read, Seek, SeekFrom};
+use std::os::unix::process::{CommandExt, ExitStatusExt};
+use std::path::Path;
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::time::{Duration, Instant};
+
+use rustix::process::{Pid, Signal, kill_process_group};
+
+use super::retake::FrameFault;
+use super::{Camera, CameraInfo, CameraSettings, DeviceError, FrameKey, RawFrame, image_file};
+use crate::units::Seconds;
+
+/// What the program is and what its files hold.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CommandConfig {
+    /// Program and arguments. In arguments `{exposure_s}`, `{gain}` and
+    /// `{output}` stand for the exposure in seconds, the gain as a factor and
+    /// the path to write, which ends in `.tif`.
+    pub command: Vec<String>,
+    /// The camera as the rig file describes it: nobody can be asked.
+    pub info: CameraInfo,
+    /// How long the program may take beyond the exposure.
+    pub timeout: Seconds,
+}
+
+/// A camera that is a program.
+#[derive(Debug)]
+pub struct CommandCamera {
+    config: CommandConfig,
+    settings: Option<CameraSettings>,
+}
+
+/// How often is looked whether the program has ended.
+const POLL: Duration = Duration::from_millis(5);
+/// So much of what it wrote to stderr is told: its end says most.
+const TOLD_BYTES: u64 = 600;
+
+impl CommandCamera {
+    /// A camera of this configuration. Nothing is run.
+    pub fn new(config: CommandConfig) -> Self {
+        Self {
+            config,
+            settings: None,
+        }
+    }
+
+    fn program(&self) -> String {
+        self.config.command.first().cloned().unwrap_or_default()
+    }
+
+    /// Arguments with their values, program first.
+    fn filled_in(&self, settings: CameraSettings, output: &Path) -> Vec<String> {
+        let fill = |word: &String| {
+            word.replace("{exposure_s}", &settings.exposure.0.to_string())
+                .replace("{gain}", &settings.gain.to_string())
+                .replace("{output}", &output.display().to_string())
+        };
+        self.config.command.iter().map(fill).collect()
+    }
+
+    fn io_error(&self, source: std::io::Error) -> DeviceError {
+        let device = self.program();
+        match source.kind() {
+            std::io::ErrorKind::NotFound => DeviceError::NotFound { device },
+            std::io::ErrorKind::PermissionDenied => DeviceError::PermissionDenied { device },
+            _ => DeviceError::Io { device, source },
+        }
+    }
+
+    /// Runs the program to its end, or ends it and all that it started.
+    fn run(&self, words: &[String], timeout: Duration) -> std::io::Result<Ended> {
+        let mut errors = tempfile::tempfile()?;
+        let (program, arguments) = words.split_first().ok_or(std::io::ErrorKind::NotFound)?;
+        let child = Command::new(program)
+            .args(arguments)
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(errors.try_clone()?)
+            // Apart from the terminal's signals, and to be ended as a whole.
+            .process_group(0)
+            .spawn()?;
+        let mut running = Running(child);
+        let deadline = Instant::now() + timeout;
+        let status = loop {
+            if let Some(status) = running.0.try_wait()? {
+                break Some(status);
+            }
+            if Instant::now() >= deadline {
+                break None;
+            }
+            std::thread::sleep(POLL);
+        };
+        drop(running);
+        Ok(Ended {
+            status,
+            said: end_of(&mut errors)?,
+        })
+    }
+}
+
+/// How the program ended (`None`: it had to be), and the end of its stderr.
+struct Ended {
+    status: Option<ExitStatus>,
+    said: String,
+}
+
+/// Ends the program's whole process group when dropped.
+struct Running(Child);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        // Fails where the program and all its children have ended already.
+        let _ = kill_process_group(Pid::from_child(&self.0), Signal::KILL);
+        let _ = self.0.wait();
+    }
+}
+
+fn end_of(errors: &mut File) -> std::io::Result<String> {
+    let length = errors.seek(SeekFrom::End(0))?;
+    errors.seek(SeekFrom::Start(length.saturating_sub(TOLD_BYTES)))?;
+    let mut bytes = Vec::new();
+    errors.take(TOLD_BYTES).read_to_end(&mut bytes)?;
+    let text = String::from_utf8_lossy(&bytes);
+    let lines: Vec<&str> = text
+        .lines()
+        .map(str::trim)
+        .filter(|l| !l.is_empty())
+        .collect();
+    Ok(lines.join("; "))
+}
+
+/// What the program said, to be put after something else.
+fn and_said(said: &str) -> String {
+    if said.is_empty() {
+        String::new()
+    } else {
+        format!(", and it wrote: {said}")
+    }
+}
+
+impl Camera for CommandCamera {
+    fn info(&self) -> &CameraInfo {
+        &self.config.info
+    }
+
+    /// The program is told the values with each frame; nothing can be read back,
+    /// so that only the images show whether they were applied.
+    fn configure(&mut self, requested: CameraSettings) -> Result<CameraSettings, DeviceError> {
+        let applied = CameraSettings {
+            exposure: super::nearest_exposure(&self.config.info, requested.exposure),
+            gain: requested.gain,
+        };
+        self.settings = Some(applied);
+        Ok(applied)
+    }
+
+    fn set_shutter(&mut self, _open: bool) -> Result<bool, DeviceError> {
+        Ok(false)
+    }
+
+    fn grab(&mut self, _key: FrameKey) -> Result<RawFrame, DeviceError> {
+        let settings = self.settings.ok_or_else(|| DeviceError::Refused {
+            device: self.program(),
+            command: "a frame".to_owned(),
+            reason: "it is not configured".to_owned(),
+        })?;
+        let folder = tempfile::tempdir().map_err(|error| self.io_error(error))?;
+        let output = folder.path().join("frame.tif");
+        let words = self.filled_in(settings, &output);
+        let timeout = Seconds(settings.exposure.0 + self.config.timeout.0);
+        let ended = self
+            .run(&words, timeout.to_duration())
+            .map_err(|error| self.io_error(error))?;
+        let device = self.program();
+        let refused = |reason: String| DeviceError::Refused {
+            device: device.clone(),
+            command: words[1..].join(" "),
+            reason: reason + &and_said(&ended.said),
+        };
+        match ended.status {
+            None => Err(DeviceError::NoReply {
+                device,
+                timeout,
+                sent: words[1..].join(" ") + &and_said(&ended.said),
+            }),
+            Some(status) if !status.success() => Err(refused(match status.code() {
+                Some(code) => format!("it ended with exit code {code}"),
+                None => format!("signal {} ended it", status.signal().unwrap_or_default()),
+            })),
+            Some(_) if !output.exists() => Err(refused("it wrote no file".to_owned())),
+            Some(_) => {
+                let info = &self.config.info;
+                image_file::read(&output, info.resolution_px, info.bit_depth).map_err(|fault| {
+                    let fault = match fault {
+                        FrameFault::Undecodable(what) => {
+                            FrameFault::Undecodable(what + &and_said(&ended.said))
+                        }
+                        other => other,
+                    };
+                    DeviceError::BadFrame { device, fault }
+                })
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::device::{FrameKind, Mosaic};
+    use image::{ImageBuffer, Luma};
+
+    const KEY: FrameKey = FrameKey {
+        light: 0,
+        exposure: 0,
+        repeat: 0,
+        kind: FrameKind::Light,
+    };
+
+    /// A camera whose program is this shell script; `$1` is the exposure, `$2`
+    /// the gain, `$3` the output, `$4` a folder with the image `good.tif`.
+    fn camera(folder: &Path, script: &str, timeout_s: f64) -> CommandCamera {
+        let path = folder.join("camera.sh");
+        std::fs::write(&path, script).unwrap();
+        let image = ImageBuffer::from_fn(4, 2, |x, y| Luma([(100 * y + x) as u16]));
+        image.save(folder.join("good.tif")).unwrap();
+        let words = [
+            "sh",
+            path.to_str().unwrap(),
+            "{exposure_s}",
+            "{gain}",
+            "{output}",
+        ];
+        let mut command = words.map(str::to_owned).to_vec();
+        command.push(folder.display().to_string());
+        let mut camera = CommandCamera::new(CommandConfig {
+            command,
+            info: CameraInfo {
+                driver: "command".to_owned(),
+                model: "sh".to_owned(),
+                serial: String::new(),
+                resolution_px: [4, 2],
+                bit_depth: 12,
+                mosaic: Mosaic::None,
+                exposure_range: [Seconds(0.001), Seconds(30.0)],
+                exposure_step: Seconds(0.001),
+            },
+            timeout: Seconds(timeout_s),
+        });
+        camera
+            .configure(CameraSettings {
+                exposure: Seconds(0.0251),
+                gain: 2.0,
+            })
+            .unwrap();
+        camera
+    }
+
+    #[test]
+    fn the_program_is_told_the_settings_and_its_file_is_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let script = "echo $1 $2 > $4/told; cp $4/good.tif $3";
+        let mut camera = camera(folder.path(), script, 20.0);
+        let frame = camera.grab(KEY).unwrap();
+        assert_eq!(frame.counts, [0, 1, 2, 3, 100, 101, 102, 103]);
+        let told = std::fs::read_to_string(folder.path().join("told")).unwrap();
+        assert_eq!(told, "0.025 2\n");
+    }
+
+    #[test]
+    fn failures_come_with_what_the_program_said() {
+        let folder = tempfile::tempdir().unwrap();
+        let error = |script: &str| {
+            camera(folder.path(), script, 20.0)
+                .grab(KEY)
+                .unwrap_err()
+                .to_string()
+        };
+        let said = error("echo 'no camera found' >&2; exit 3");
+        assert!(
+            said.contains("exit code 3, and it wrote: no camera found"),
+            "{said}"
+        );
+        let said = error("kill -9 $$");
+        assert!(said.ends_with("signal 9 ended it"), "{said}");
+        assert!(error("exit 0").ends_with("it wrote no file"));
+        let said = error("head -c 60 $4/good.tif > $3; echo half >&2");
+        assert!(
+            said.contains("frame.tif: ") && said.ends_with("it wrote: half"),
+            "{said}"
+        );
+        let mut missing = camera(folder.path(), "", 20.0);
+        missing.config.command = vec!["/no/such/program".to_owned()];
+        assert!(matches!(
+            missing.grab(KEY),
+            Err(DeviceError::NotFound { .. })
+        ));
+        missing.config.command = vec![folder.path().join("good.tif").display().to_string()];
+        assert!(matches!(
+            missing.grab(KEY),
+            Err(DeviceError::PermissionDenied { .. })
+        ));
+    }
+
+    #[test]
+    fn a_program_that_hangs_is_ended_with_all_it_started() {
+        let folder = tempfile::tempdir().unwrap();
+        let script = "echo waiting >&2; sleep 600 & echo $! > $4/pid; wait";
+        let mut camera = camera(folder.path(), script, 1.0);
+        let began = Instant::now();
+        let error = camera.grab(KEY).unwrap_err();
+        assert!(matches!(error, DeviceError::NoReply { .. }), "{error}");
+        assert!(error.to_string().contains("waiting"), "{error}");
+        assert!(began.elapsed() < Duration::from_secs(60));
+        let pid = std::fs::read_to_string(folder.path().join("pid")).unwrap();
+        let state = format!("/proc/{}/stat", pid.trim());
+        // Whoever inherits the dead process may take a moment to bury it.
+        let is_dead = || std::fs::read_to_string(&state).map_or(true, |text| text.contains(") Z "));
+        let deadline = Instant::now() + Duration::from_secs(30);
+        while !is_dead() && Instant::now() < deadline {
+            std::thread::sleep(POLL);
+        }
+        assert!(is_dead(), "{:?}", std::fs::read_to_string(&state));
+    }
+}

@@ -1,0 +1,126 @@
+//! A raw frame in an image file that some other program wrote.
+
+use std::fs::File;
+use std::io::BufReader;
+use std::path::Path;
+
+use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat, ImageReader};
+
+use super::RawFrame;
+use super::retake::FrameFault;
+
+/// Whether a file's name is that of a format which can hold raw counts.
+pub fn has_raw_ending(path: &Path) -> bool {
+    let ending = path.extension().and_then(|ending| ending.to_str());
+    ending.is_some_and(|ending| {
+        ["png", "tif", "tiff"].contains(&ending.to_ascii_lowercase().as_str())
+    })
+}
+
+/// The counts of a greyscale PNG or TIFF of 8 or 16 bits, one sample per pixel
+/// (a colour sensor's mosaic as it is, not interpolated). Nothing is allocated
+/// for a declared size other than `expected`.
+///
+/// # Errors
+/// What is wrong with the file, as a fault of the frame.
+pub fn read(path: &Path, expected: [u32; 2], bit_depth: u32) -> Result<RawFrame, FrameFault> {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let unreadable =
+        |what: &dyn std::fmt::Display| FrameFault::Undecodable(format!("{name}: {what}"));
+    let file = File::open(path).map_err(|error| unreadable(&error))?;
+    let reader = ImageReader::new(BufReader::new(file))
+        .with_guessed_format()
+        .map_err(|error| unreadable(&error))?;
+    if !matches!(reader.format(), Some(ImageFormat::Png | ImageFormat::Tiff)) {
+        return Err(unreadable(&"it is neither PNG nor TIFF"));
+    }
+    let decoder = reader.into_decoder().map_err(|error| unreadable(&error))?;
+    let (width, height) = decoder.dimensions();
+    if [width, height] != expected {
+        return Err(FrameFault::Size {
+            found: [width, height],
+            counts: width as usize * height as usize,
+            expected,
+        });
+    }
+    if !matches!(decoder.color_type(), ColorType::L8 | ColorType::L16) {
+        let kind = decoder.color_type();
+        return Err(unreadable(&format!("{kind:?} pixels instead of L16 or L8")));
+    }
+    let counts: Vec<u16> = match DynamicImage::from_decoder(decoder).map_err(|e| unreadable(&e))? {
+        DynamicImage::ImageLuma16(image) => image.into_raw(),
+        other => other.to_luma8().iter().map(|&count| count.into()).collect(),
+    };
+    let largest = ((1_u32 << bit_depth.min(16)) - 1) as u16;
+    if let Some(place) = counts.iter().position(|&count| count > largest) {
+        let (x, y) = (place as u32 % width, place as u32 / width);
+        let count = counts[place];
+        return Err(unreadable(&format!(
+            "pixel ({x}, {y}) is {count}, more than {bit_depth} bits"
+        )));
+    }
+    Ok(RawFrame {
+        width,
+        height,
+        counts,
+        sequence: None,
+        timestamp: None,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use image::{ImageBuffer, Luma, Rgb};
+
+    #[test]
+    fn counts_of_8_and_16_bits_are_read_as_they_are() {
+        let folder = tempfile::tempdir().unwrap();
+        let deep = ImageBuffer::from_fn(5, 3, |x, y| Luma([(1000 * y + 7 * x) as u16]));
+        let flat = ImageBuffer::from_fn(5, 3, |x, y| Luma([(10 * y + x) as u8]));
+        for ending in ["png", "tif", "TIFF"] {
+            let path = folder.path().join(format!("a.{ending}"));
+            assert!(has_raw_ending(&path));
+            deep.save_with_format(&path, ImageFormat::from_path(&path).unwrap())
+                .unwrap();
+            let frame = read(&path, [5, 3], 12).unwrap();
+            assert_eq!((frame.width, frame.height), (5, 3));
+            assert_eq!(frame.counts, *deep.as_raw(), "{ending}");
+            let path = folder.path().join(format!("b.{ending}"));
+            flat.save_with_format(&path, ImageFormat::from_path(&path).unwrap())
+                .unwrap();
+            let counts: Vec<u16> = flat.as_raw().iter().map(|&c| c.into()).collect();
+            assert_eq!(read(&path, [5, 3], 8).unwrap().counts, counts, "{ending}");
+        }
+        assert!(!has_raw_ending(Path::new("a.jpg")) && !has_raw_ending(Path::new("png")));
+    }
+
+    #[test]
+    fn what_is_no_raw_frame_is_told() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.png");
+        let fault = |bits| read(&path, [5, 3], bits).unwrap_err().to_string();
+        assert!(fault(12).contains("a.png: No such file"));
+        std::fs::write(&path, "no image").unwrap();
+        assert_eq!(fault(12), "a.png: it is neither PNG nor TIFF");
+        ImageBuffer::from_pixel(5, 3, Rgb([1_u8, 2, 3]))
+            .save(&path)
+            .unwrap();
+        assert_eq!(fault(12), "a.png: Rgb8 pixels instead of L16 or L8");
+        ImageBuffer::from_pixel(3, 5, Luma([1_u16]))
+            .save(&path)
+            .unwrap();
+        assert_eq!(
+            fault(12),
+            "it has 15 counts in 3 × 5 pixels instead of 5 × 3"
+        );
+        ImageBuffer::from_pixel(5, 3, Luma([1024_u16]))
+            .save(&path)
+            .unwrap();
+        assert_eq!(fault(10), "a.png: pixel (0, 0) is 1024, more than 10 bits");
+        assert!(read(&path, [5, 3], 11).is_ok());
+        let whole = std::fs::read(&path).unwrap();
+        std::fs::write(&path, &whole[..whole.len() - 20]).unwrap();
+        assert!(fault(11).starts_with("a.png: "), "{}", fault(11));
+    }
+}
