@@ -24,7 +24,7 @@ mod progress;
 pub mod run;
 mod worker;
 
-pub use disk::BracketSink;
+pub use disk::{BracketSink, WRITE_QUEUE};
 pub use error::CaptureError;
 pub use merge_sink::RadianceSink;
 pub use progress::{Observer, Outcome, Progress};

@@ -6,6 +6,7 @@
 
 pub mod discovery;
 pub mod grbl;
+pub mod guardian;
 pub mod kinematics;
 pub mod pixel_format;
 #[cfg(feature = "serial")]
@@ -93,11 +94,17 @@ pub trait LightStage: Send {
     /// A handle that stops motion and lamp from another thread, also while this
     /// one waits for a reply.
     fn stop_handle(&self) -> Result<Box<dyn StopHandle>, DeviceError>;
+    /// How another process stops this stage over its open port when this process
+    /// is gone; `None` where there is no such way.
+    fn port_stop(&self) -> Result<Option<guardian::PortStop>, DeviceError> {
+        Ok(None)
+    }
 }
 
 /// Stops a stage without its driver's thread.
 pub trait StopHandle: Send {
-    /// Motion halted at once and lamp off. Afterwards the position is unknown.
+    /// Motion halted at once and lamp off, both as the device then says itself.
+    /// Afterwards the position is unknown.
     fn stop(&mut self) -> Result<(), DeviceError>;
 }
 
