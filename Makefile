@@ -1,6 +1,7 @@
 # `make demo`: build, then the whole pipeline on the simulated rig.
 # `make test`: all tests.
-# `make test-long`: coverage of the intervals and rates of warnings, in full.
+# `make test-long`: coverage of the intervals and rates of warnings, in full; 200
+#   captures killed at random moments.
 # `make test-external`: exports loaded in the programs they are for (tests/external/README.md).
 
 CARGO ?= cargo
@@ -22,6 +23,7 @@ test-external: build
 
 # Hours of one core at full size; an interrupted run goes on where it stopped.
 test-long: build
+	RIG_KILLS=200 $(CARGO) test --locked --release --test capture_command killed -- --nocapture
 	target/release/rig evaluate intervals --out target/long/intervals
 	target/release/rig evaluate diagnosis --out target/long/diagnosis
 

@@ -1,8 +1,8 @@
-//! A request to stop, shared between whoever hears it (a signal handler, a
+//! A request to stop or to pause, shared between whoever hears it (a signal handler, a
 //! button) and whoever must obey it at a safe moment.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicI32, AtomicU32, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicI32, AtomicU32, Ordering};
 
 /// What asked the program to stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -44,9 +44,10 @@ pub enum StopLevel {
     Now,
 }
 
-/// A shared counter of stop requests; clones see the same requests.
+/// A shared counter of stop requests, and a wish to pause; clones see the same.
 #[derive(Clone, Debug, Default)]
 pub struct Interrupt {
+    pause: Arc<AtomicBool>,
     requests: Arc<AtomicU32>,
     latest: Arc<AtomicI32>,
 }
@@ -61,6 +62,16 @@ impl Interrupt {
     pub fn raise(&self, signal: Signal) {
         self.latest.store(signal.number(), Ordering::SeqCst);
         self.requests.fetch_add(1, Ordering::SeqCst);
+    }
+
+    /// Asks for a pause.
+    pub fn ask_for_pause(&self) {
+        self.pause.store(true, Ordering::SeqCst);
+    }
+
+    /// Whether a pause is wanted; whoever hears it must obey.
+    pub fn take_pause(&self) -> bool {
+        self.pause.swap(false, Ordering::SeqCst)
     }
 
     /// What is wanted now; cheap enough to ask in every loop.
@@ -94,5 +105,17 @@ mod tests {
         heard.raise(Signal::Interrupt);
         assert_eq!(obeyed.level(), StopLevel::Now);
         assert_eq!(obeyed.signal(), Some(Signal::Interrupt));
+    }
+
+    #[test]
+    fn a_pause_is_heard_once() {
+        let heard = Interrupt::new();
+        let obeyed = heard.clone();
+        assert!(!obeyed.take_pause());
+        heard.ask_for_pause();
+        heard.ask_for_pause();
+        assert!(obeyed.take_pause());
+        assert!(!obeyed.take_pause());
+        assert_eq!(obeyed.level(), StopLevel::Continue);
     }
 }

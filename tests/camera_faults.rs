@@ -123,7 +123,7 @@ fn undisturbed() -> Frames {
     let bench = Bench::new();
     let session = create(Arc::new(UnsyncedDisk), parent.path()).unwrap();
     let root = session.root().to_owned();
-    let (result, heard) = capture_with(&bench, Box::new(camera(&bench, None)), session);
+    let (result, heard) = capture_with_camera(&bench, Box::new(camera(&bench, None)), session);
     assert_eq!(result.unwrap(), Outcome::Complete);
     assert_eq!(heard.warnings, [""; 0]);
     let frames = frames(&root);
@@ -225,7 +225,7 @@ fn what_passes_is_taken_again_counted_and_told() {
                 lamp
             })
         });
-        let (result, heard) = capture_with(&bench, Box::new(camera), session);
+        let (result, heard) = capture_with_camera(&bench, Box::new(camera), session);
         done.store(1, Ordering::Relaxed);
         assert_eq!(result.unwrap(), Outcome::Complete, "{name}");
         if let Some(thread) = replugged {
@@ -280,7 +280,7 @@ fn what_stays_ends_with_the_lamp_off_and_a_session_that_resumes() {
         let root = session.root().to_owned();
         let mut broken = camera(&bench, Some((AT, fault)));
         broken.wait_for_return(Seconds(0.1));
-        let (result, _) = capture_with(&bench, Box::new(broken), session);
+        let (result, _) = capture_with_camera(&bench, Box::new(broken), session);
         let error = result.unwrap_err();
         assert!(is_expected(&error), "{name}: {error}");
         assert_eq!(bench.lamp_and_stops(), (LampState::Off, 1), "{name}");
@@ -291,7 +291,7 @@ fn what_stays_ends_with_the_lamp_off_and_a_session_that_resumes() {
         }
         let session = SessionWriter::resume(Arc::new(UnsyncedDisk), &root).unwrap();
         let bench = Bench::new();
-        let (result, _) = capture_with(&bench, Box::new(camera(&bench, None)), session);
+        let (result, _) = capture_with_camera(&bench, Box::new(camera(&bench, None)), session);
         assert_eq!(result.unwrap(), Outcome::Complete, "{name}");
         assert_same_frames(name, &frames(&root), &expected);
     }

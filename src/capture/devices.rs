@@ -18,6 +18,10 @@ use crate::units::{Seconds, StageAngles};
 const POLL: Duration = Duration::from_millis(20);
 /// How often a lost camera is looked for.
 const RETURN_POLL: Seconds = Seconds(0.5);
+/// What a driver's reply may still take once a stop was asked for.
+const REPLY_GRACE: Duration = Duration::from_secs(1);
+/// How long a stage's driver may take to notice that it was stopped.
+const LET_GO: Duration = Duration::from_secs(2);
 /// A stage that stands further than this from its target did not get there.
 const POSITION_TOLERANCE_DEG: f64 = 0.25;
 
@@ -54,18 +58,20 @@ struct LampGuard {
 }
 
 impl LampGuard {
-    fn stop(&mut self) {
+    fn stop(&mut self) -> Result<(), DeviceError> {
         self.armed = false;
-        if let Err(error) = self.handle.stop() {
-            tracing::error!("the stage could not be stopped: {error}");
-        }
+        self.handle.stop()
     }
 }
 
+/// While a panic unwinds; every other way out stops the stage and says whether
+/// it did.
 impl Drop for LampGuard {
     fn drop(&mut self) {
-        if self.armed {
-            self.stop();
+        if self.armed
+            && let Err(error) = self.stop()
+        {
+            tracing::error!("the stage did not confirm that it stopped: {error}");
         }
     }
 }
@@ -95,11 +101,15 @@ impl Devices {
         })
     }
 
-    /// Waits for an answer, and stops everything at once when that is asked for.
+    /// Waits for an answer. Asked to stop meanwhile, it waits so much longer
+    /// (without end for `None`), asked twice not at all: then stage and lamp are
+    /// stopped, whatever their driver is doing.
     async fn answer<T>(
         &mut self,
+        grace: Option<Duration>,
         answer: impl Future<Output = Result<T, CaptureError>>,
     ) -> Result<T, CaptureError> {
+        let mut asked: Option<Instant> = None;
         tokio::pin!(answer);
         loop {
             tokio::select! {
@@ -107,29 +117,58 @@ impl Devices {
                 result = &mut answer => return result,
                 () = tokio::time::sleep(POLL) => {}
             }
-            self.stop_if_asked()?;
+            let level = self.interrupt.level();
+            if level == StopLevel::Continue {
+                continue;
+            }
+            let asked = asked.get_or_insert_with(Instant::now);
+            if level == StopLevel::Now || grace.is_some_and(|grace| asked.elapsed() >= grace) {
+                return Err(self.stop_after(CaptureError::StoppedNow));
+            }
         }
     }
 
-    fn stop_if_asked(&mut self) -> Result<(), CaptureError> {
-        if self.interrupt.level() < StopLevel::Now {
-            return Ok(());
+    /// Stops motion and lamp at once, unless they are stopped already, and
+    /// returns why; where the stage does not confirm it, that is the error.
+    pub(super) fn stop_after(&mut self, why: CaptureError) -> CaptureError {
+        let stopped = if self.guard.armed {
+            self.guard.stop()
+        } else {
+            Ok(())
+        };
+        if matches!(why, CaptureError::StoppedNow) {
+            // Nobody waits for a frame, or for a driver that hangs.
+            self.stage.abandon(LET_GO);
+            self.camera.abandon(Duration::ZERO);
         }
-        self.guard.stop();
-        self.stage.abandon();
-        self.camera.abandon();
-        Err(CaptureError::StoppedNow)
+        match stopped {
+            Ok(()) => why,
+            Err(source) => CaptureError::NotStopped {
+                cause: why.to_string(),
+                source,
+            },
+        }
     }
 
+    /// A short command to the stage.
     async fn stage<T: Send + 'static>(
         &mut self,
+        job: impl FnOnce(&mut dyn LightStage) -> Result<T, DeviceError> + Send + 'static,
+    ) -> Result<T, CaptureError> {
+        self.stage_within(REPLY_GRACE, job).await
+    }
+
+    /// A command to the stage that may take this long after a stop was asked for.
+    async fn stage_within<T: Send + 'static>(
+        &mut self,
+        grace: Duration,
         job: impl FnOnce(&mut dyn LightStage) -> Result<T, DeviceError> + Send + 'static,
     ) -> Result<T, CaptureError> {
         // From the first command on, every way out must stop the stage.
         self.guard.armed = true;
         let watch = Stopwatch::start();
         let answer = self.stage.call(move |stage| job(stage.as_mut()));
-        let result = self.answer(answer).await;
+        let result = self.answer(Some(grace), answer).await;
         watch.add_to(&mut self.spent.stage_s);
         Ok(result??)
     }
@@ -141,7 +180,7 @@ impl Devices {
         let answer = self.camera.call(move |camera| job(camera.as_mut()));
         self.camera_is_lost = false;
         let watch = Stopwatch::start();
-        let result = self.answer(answer).await;
+        let result = self.answer(None, answer).await;
         watch.add_to(&mut self.spent.camera_s);
         let result = result?;
         self.camera_is_lost = matches!(result, Err(DeviceError::Disconnected { .. }));
@@ -192,13 +231,13 @@ impl Devices {
         std::mem::take(&mut self.retakes)
     }
 
-    /// Waits; a request to stop at once ends the wait.
+    /// Waits; a request to stop ends the wait.
     pub(super) async fn pause(&mut self, time: Seconds) -> Result<(), CaptureError> {
         if time.0 > 0.0 {
             let watch = Stopwatch::start();
             let wait = tokio::time::sleep(time.to_duration());
             let waited = self
-                .answer(async {
+                .answer(Some(Duration::ZERO), async {
                     wait.await;
                     Ok(())
                 })
@@ -217,7 +256,9 @@ impl Devices {
     /// Lamp off, then the reference switches are sought.
     pub(super) async fn home(&mut self) -> Result<StageStatus, CaptureError> {
         self.lamp(LampState::Off, Seconds(0.0)).await?;
-        let status = self.stage(|stage| stage.home()).await?;
+        let status = self
+            .stage_within(Duration::ZERO, |stage| stage.home())
+            .await?;
         self.known.homed = true;
         Ok(status)
     }
@@ -228,7 +269,9 @@ impl Devices {
         target: StageAngles,
     ) -> Result<StageAngles, CaptureError> {
         self.known.position = None;
-        let position = self.stage(move |stage| stage.move_to(target)).await?;
+        let position = self
+            .stage_within(Duration::ZERO, move |stage| stage.move_to(target))
+            .await?;
         let off_deg = position
             .to_light()
             .angle_between(target.to_light())
@@ -335,8 +378,19 @@ impl Devices {
         Ok(frame?)
     }
 
+    /// Lamp off, read back; nothing is taken for granted afterwards, because
+    /// hands may move what stands without current.
+    pub(super) async fn rest(&mut self) -> Result<(), CaptureError> {
+        if self.guard.armed {
+            self.known.lamp = None;
+            self.lamp(LampState::Off, Seconds(0.0)).await?;
+        }
+        self.known = Known::default();
+        Ok(())
+    }
+
     /// Ends in good order: lamp off, read back. The stage keeps its position.
-    pub(super) async fn shut_down(mut self) -> Result<(), CaptureError> {
+    pub(super) async fn shut_down(&mut self) -> Result<(), CaptureError> {
         if self.guard.armed {
             self.known.lamp = None;
             self.lamp(LampState::Off, Seconds(0.0)).await?;

@@ -21,8 +21,8 @@ pub trait BracketSink: Send {
     fn finish(&mut self) -> Result<Vec<u8>, String>;
 }
 
-/// Frames that wait for the disk at most. With the one being written, these are
-/// what a crash can cost.
+/// Frames that wait for the disk at most, the one being taken among them. With
+/// the one being written, these are what a crash can cost.
 pub const WRITE_QUEUE: usize = 4;
 /// Frames that wait for the merge at most.
 const MERGE_QUEUE: usize = 8;
@@ -31,6 +31,8 @@ enum DiskJob {
     Event(Event),
     Frame(Arc<RawFrame>, Box<Sidecar>),
     Radiance(u32, Vec<u8>),
+    /// Everything before this is on the disk when it is answered.
+    Settle(oneshot::Sender<()>),
     /// Ends the capture's session.
     Finish,
     /// Ends the thread; the session stays resumable.
@@ -55,6 +57,7 @@ impl Disk {
                     DiskJob::Radiance(light, bytes) => {
                         session.commit_file(&layout::radiance_file(light), &bytes)?;
                     }
+                    DiskJob::Settle(settled) => drop(settled.send(())),
                     DiskJob::Finish => {
                         session.finish()?;
                         break;
@@ -77,12 +80,23 @@ impl Disk {
         self.send(DiskJob::Event(event)).await
     }
 
-    pub(super) async fn frame(
-        &mut self,
-        frame: Arc<RawFrame>,
-        sidecar: Sidecar,
-    ) -> Result<(), CaptureError> {
-        self.send(DiskJob::Frame(frame, Box::new(sidecar))).await
+    /// Waits until the queue is empty.
+    pub(super) async fn settle(&mut self) -> Result<(), CaptureError> {
+        let (settled, wait) = oneshot::channel();
+        self.send(DiskJob::Settle(settled)).await?;
+        match wait.await {
+            Ok(()) => Ok(()),
+            Err(_) => Err(self.why_gone().await),
+        }
+    }
+
+    /// Waits for a place in the queue. It is taken before the frame is, so that
+    /// no frame is exposed for a disk that is behind or gone.
+    pub(super) async fn place(&mut self) -> Result<Place, CaptureError> {
+        match self.jobs.clone().reserve_owned().await {
+            Ok(permit) => Ok(Place(permit)),
+            Err(_) => Err(self.why_gone().await),
+        }
     }
 
     pub(super) async fn finish(mut self) -> Result<(), CaptureError> {
@@ -99,11 +113,15 @@ impl Disk {
     async fn send(&mut self, job: DiskJob) -> Result<(), CaptureError> {
         match self.jobs.send(job).await {
             Ok(()) => Ok(()),
-            // The thread has ended, and why is the error.
-            Err(_) => match self.ended().await {
-                Ok(()) => Err(CaptureError::WorkerGone { name: "disk" }),
-                Err(error) => Err(error),
-            },
+            Err(_) => Err(self.why_gone().await),
+        }
+    }
+
+    /// The thread has ended before its time, and why is the error.
+    async fn why_gone(&mut self) -> CaptureError {
+        match self.ended().await {
+            Ok(()) => CaptureError::WorkerGone { name: "disk" },
+            Err(error) => error,
         }
     }
 
@@ -113,6 +131,16 @@ impl Disk {
             Some(end) => end.await.unwrap_or(GONE),
             None => GONE,
         }
+    }
+}
+
+/// A place in the disk's queue.
+pub(super) struct Place(mpsc::OwnedPermit<DiskJob>);
+
+impl Place {
+    /// Hands the frame over. Whether it got to the disk, the next call will tell.
+    pub(super) fn frame(self, frame: Arc<RawFrame>, sidecar: Sidecar) {
+        self.0.send(DiskJob::Frame(frame, Box::new(sidecar)));
     }
 }
 

@@ -57,6 +57,32 @@ pub enum CaptureError {
         /// Free, bytes.
         free_bytes: u64,
     },
+    /// The disk is nearly full in mid-capture.
+    #[error(
+        "the disk of {folder} has only {free_bytes} bytes free, and {reserve_bytes} shall remain",
+        folder = folder.display()
+    )]
+    LowDisk {
+        /// The session.
+        folder: std::path::PathBuf,
+        /// Free, bytes.
+        free_bytes: u64,
+        /// Must remain free, bytes.
+        reserve_bytes: u64,
+    },
+    /// The lamp is no longer what it was when the light began.
+    #[error(
+        "light {light}, lamp channel {channel}: the lamp has become {ratio:.3} times as bright \
+         since the light's first frame"
+    )]
+    LampDrift {
+        /// Index in the plan.
+        light: u32,
+        /// Which channel.
+        channel: u8,
+        /// Signal over that of the first frame at the same exposure.
+        ratio: f64,
+    },
     /// The camera is not the one of the plan.
     #[error("the camera's {what} is {found}, the plan was made for {expected}")]
     OtherCamera {
@@ -119,10 +145,19 @@ pub enum CaptureError {
         /// Which one.
         name: &'static str,
     },
+    /// The lamp may still be on, and the stage may still move.
+    #[error("the stage did not confirm that it stopped ({source}), after: {cause}")]
+    NotStopped {
+        /// Why it was stopped.
+        cause: String,
+        /// What the stop met.
+        source: DeviceError,
+    },
     /// The operator asked once.
     #[error("stopped after a frame as asked")]
     Interrupted,
-    /// The operator asked twice: motion and lamp were stopped at once.
+    /// The operator asked twice, or once while the stage was moving or settling:
+    /// motion and lamp were stopped at once.
     #[error("stopped at once")]
     StoppedNow,
 }

@@ -191,6 +191,12 @@ fn usual_light(request: &PlanRequest, noise: &SensorNoise) -> Result<(f64, u64),
             + states as f64 * request.lamp_settle.0;
         frames += taken;
     }
+    // The first exposure once more, against drift of the lamp.
+    if let Some(first) = bracket.steps.first() {
+        seconds +=
+            (latency + channels) * frame_s(first.exposure_s) + channels * request.lamp_settle.0;
+        frames += request.channels.len() as u64;
+    }
     Ok((seconds, frames))
 }
 

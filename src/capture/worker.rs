@@ -2,6 +2,7 @@
 
 use std::sync::mpsc;
 use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
 
 use tokio::sync::oneshot;
 
@@ -10,7 +11,7 @@ use super::CaptureError;
 type Job<D> = Box<dyn FnOnce(&mut D) + Send>;
 
 /// Owns the thread that owns the device. Dropping it waits for the job in
-/// progress and closes the device, unless it was [abandoned](Worker::abandon).
+/// progress and closes the device, unless it was [abandoned](Self::abandon).
 pub(super) struct Worker<D> {
     name: &'static str,
     jobs: Option<mpsc::Sender<Job<D>>>,
@@ -52,10 +53,15 @@ impl<D: Send + 'static> Worker<D> {
         async move { result.await.map_err(|_| CaptureError::WorkerGone { name }) }
     }
 
-    /// Drops the device whenever its job ends, without waiting for that.
-    pub(super) fn abandon(&mut self) {
+    /// Drops the device whenever its job ends, and waits for that this long at most.
+    pub(super) fn abandon(&mut self, patience: Duration) {
         self.jobs = None;
-        self.thread = None;
+        if let Some(thread) = self.thread.take() {
+            let end = Instant::now() + patience;
+            while !thread.is_finished() && Instant::now() < end {
+                std::thread::sleep(Duration::from_millis(1));
+            }
+        }
     }
 }
 

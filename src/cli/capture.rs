@@ -255,7 +255,7 @@ fn carry_out(
     let sample = interest::sample_pixels(&scene, &config.geometry.camera);
     if !config.is_simulated() && !devices.stage.info().has_watchdog {
         context.warn(
-            "the stage's firmware has no watchdog: if this program is killed, the lamp stays on",
+            "the stage's firmware has no watchdog: if the computer or the cable fails, the lamp stays on",
         );
     }
     let colours = config.stage.measures.iter().map(|m| m.colours()).collect();
@@ -265,6 +265,7 @@ fn carry_out(
         camera: devices.camera,
         stage: devices.stage,
         session,
+        reserve_bytes: config.capture.disk_reserve_bytes,
         noise: &noise,
         interest: Some(&sample),
         sink: Box::new(sink),
@@ -273,8 +274,14 @@ fn carry_out(
     }
     .run();
     bar.finish();
-    let outcome = captured.hint_resume(&root)?;
     let elapsed_s = began.elapsed().as_secs_f64();
+    let outcome = match captured {
+        Ok(outcome) => outcome,
+        Err(error) => {
+            print_result(args, &root, Outcome::Interrupted, elapsed_s, bar.spent())?;
+            return Err(suspended(error, &root));
+        }
+    };
     if outcome == Outcome::Interrupted {
         let signal = interrupt.signal().unwrap_or(Signal::Interrupt);
         print_result(args, &root, outcome, elapsed_s, bar.spent())?;
@@ -329,22 +336,14 @@ fn resume_hint(root: &Path) -> String {
     format!("`rig capture --resume {}` continues it", root.display())
 }
 
-/// Failures of a capture leave a session that can be resumed; the hint says how.
-trait HintResume<T> {
-    fn hint_resume(self, root: &Path) -> Result<T, CliError>;
-}
-
-impl<T> HintResume<T> for Result<T, crate::capture::CaptureError> {
-    fn hint_resume(self, root: &Path) -> Result<T, CliError> {
-        self.map_err(|error| {
-            let error = CliError::from(error);
-            let advice = match error.advice() {
-                Some(advice) => format!("{advice}; then {}", resume_hint(root)),
-                None => resume_hint(root),
-            };
-            error.hint(advice)
-        })
-    }
+/// What a capture met that cannot go on now; its session can be resumed.
+fn suspended(error: crate::capture::CaptureError, root: &Path) -> CliError {
+    let error = CliError::from(error);
+    let advice = match error.advice() {
+        Some(advice) => format!("{advice}; then {}", resume_hint(root)),
+        None => resume_hint(root),
+    };
+    CliError::new(format!("the capture is suspended: {}", error.fact())).hint(advice)
 }
 
 fn print_result(

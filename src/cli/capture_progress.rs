@@ -2,7 +2,7 @@
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-use super::Context;
+use super::{Context, interrupt};
 use crate::capture::{Observer, Progress, Spent};
 use crate::device::{FrameKind, LampState};
 
@@ -83,5 +83,16 @@ impl Observer for Bar<'_> {
             Progress::Ended(spent) => self.spent = Some(spent),
             Progress::Warning(text) => self.bar.suspend(|| self.context.warn(text)),
         }
+    }
+
+    fn pause(&mut self) {
+        self.bar.suspend(|| {
+            let id = std::process::id();
+            self.context.note(format!(
+                "paused: the lamp is off, all frames are on the disk; `fg` or `kill -CONT {id}` goes on"
+            ));
+            interrupt::suspend();
+            self.context.note("going on: homing first");
+        });
     }
 }

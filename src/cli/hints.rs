@@ -190,10 +190,13 @@ fn for_capture(error: &CaptureError) -> Option<String> {
         TooManyLights { reachable, .. } => format!("ask for at most {reachable}, or `--lights all`"),
         Empty { .. } => "ask for at least one light, e.g. `--lights 4`".into(),
         NotEnoughSpace { .. } => "free some space, choose another disk with --out, or ask for fewer lights".into(),
+        LowDisk { .. } => "nothing that was journalled is lost; free some space".into(),
+        LampDrift { .. } => "let the lamp warm up (capture.lamp_warm_up_s in the rig file) and check its supply; if it doesn't come back to what it was, start a new session".into(),
         OtherCamera { .. } => "connect the camera that the session was begun with, or start a new session".into(),
         ExposureNotApplied { .. } => "raise camera.settings_latency_frames in the rig file; check that the camera is in manual mode and the lamp doesn't flicker".into(),
         NoLight { .. } => "check the lamp's power and cable, the lens cap, and that the stage points at the sample".into(),
         OtherFrame { .. } => "the session was changed since it was captured; start a new one".into(),
+        NotStopped { .. } => "use the emergency stop and look whether the lamp is on; check the stage's cable and power".into(),
         Interrupted | StoppedNow => "`rig capture --resume SESSION` continues it".into(),
         Merge { .. } | Thread(_) | WorkerGone { .. } => return None,
     })

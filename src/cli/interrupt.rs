@@ -1,9 +1,12 @@
-//! Ctrl-C, SIGTERM and SIGHUP become requests on an [`Interrupt`].
+//! Ctrl-C, SIGTERM and SIGHUP become requests to stop on an [`Interrupt`], Ctrl-Z
+//! (SIGTSTP) one to pause: a program that the shell suspends on its own would
+//! leave the lamp on.
 //!
 //! Only commands that hold hardware or a session listen; every other command
 //! keeps the system's default and ends at once.
 
-use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGTSTP};
+use signal_hook::low_level::emulate_default_handler;
 
 use super::output::write_stderr;
 use super::{CliError, Context};
@@ -11,17 +14,27 @@ use crate::interrupt::{Interrupt, Signal};
 
 /// Starts to listen; from now on the command must poll what this returns.
 pub fn listen() -> Result<Interrupt, CliError> {
-    let mut signals = signal_hook::iterator::Signals::new([SIGINT, SIGTERM, SIGHUP])?;
+    let mut signals = signal_hook::iterator::Signals::new([SIGINT, SIGTERM, SIGHUP, SIGTSTP])?;
     let interrupt = Interrupt::new();
     let raised = interrupt.clone();
     std::thread::Builder::new()
         .name("signals".into())
         .spawn(move || {
-            for signal in signals.forever().filter_map(Signal::from_number) {
-                raised.raise(signal);
+            for number in signals.forever() {
+                match Signal::from_number(number) {
+                    Some(signal) => raised.raise(signal),
+                    None => raised.ask_for_pause(),
+                }
             }
         })?;
     Ok(interrupt)
+}
+
+/// Suspends this process as Ctrl-Z does where nobody listens; returns when it is
+/// continued (`fg`, SIGCONT).
+pub fn suspend() {
+    // It can only fail for a signal that does not exist.
+    drop(emulate_default_handler(SIGTSTP));
 }
 
 /// For a command that has listened and now holds nothing that must be ended in
@@ -30,12 +43,16 @@ pub fn end_on_signal(
     context: &Context,
     error: impl Fn(Signal) -> CliError + Send + 'static,
 ) -> Result<(), CliError> {
-    let mut signals = signal_hook::iterator::Signals::new([SIGINT, SIGTERM, SIGHUP])?;
+    let mut signals = signal_hook::iterator::Signals::new([SIGINT, SIGTERM, SIGHUP, SIGTSTP])?;
     let color = context.color;
     std::thread::Builder::new()
         .name("end on signal".into())
         .spawn(move || {
-            if let Some(signal) = signals.forever().find_map(Signal::from_number) {
+            for number in signals.forever() {
+                let Some(signal) = Signal::from_number(number) else {
+                    suspend();
+                    continue;
+                };
                 let error = error(signal);
                 write_stderr(&error.render(color));
                 std::process::exit(error.exit().code().into());

@@ -24,6 +24,7 @@ pub mod exit;
 pub mod export;
 mod facets;
 pub mod fit;
+pub mod guardian;
 pub mod hints;
 pub mod interrupt;
 pub mod light_choice;
@@ -84,6 +85,7 @@ commands! {
     Bench(bench::BenchArgs) => bench::run,
     Completions(completions::CompletionsArgs) => completions::run,
     Man(completions::ManArgs) => completions::run_man,
+    Guardian(guardian::GuardianArgs) => guardian::run,
 }
 
 /// Measures how a material reflects light, from the interreflections of a concave sample

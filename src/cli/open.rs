@@ -24,7 +24,21 @@ pub struct Devices {
 pub struct Stage {
     /// The stage. It ends before its simulated firmware does.
     pub stage: Box<dyn LightStage>,
-    _bench: Option<Box<dyn std::any::Any + Send>>,
+    bench: Option<Box<dyn std::any::Any + Send>>,
+}
+
+impl Stage {
+    /// The same with a guardian, before it is moved or lit; a simulated stage
+    /// ends with this process and has none.
+    pub fn guarded(self) -> Result<Self, CliError> {
+        if self.bench.is_some() {
+            return Ok(self);
+        }
+        Ok(Self {
+            stage: super::guardian::guarded(self.stage)?,
+            bench: None,
+        })
+    }
 }
 
 #[cfg(feature = "serial")]
@@ -35,6 +49,7 @@ pub use without_serial::{open_devices, open_port, open_stage, stop_port};
 #[cfg(feature = "serial")]
 mod with_serial {
     use super::*;
+    use crate::cli::guardian::guarded;
     use crate::device::DeviceError;
     use crate::device::grbl::{self, GrblConfig, GrblStage};
     use crate::device::simulated::SimulatedBench;
@@ -55,7 +70,7 @@ mod with_serial {
                 })
             }
             None => Ok(Devices {
-                stage: Box::new(GrblStage::open(rig.stage.grbl.clone())?),
+                stage: guarded(Box::new(GrblStage::open(rig.stage.grbl.clone())?))?,
                 camera: super::open_real_camera(rig)?,
                 _bench: None,
             }),
@@ -69,7 +84,7 @@ mod with_serial {
                 let bench = SimulatedBench::start(config)?;
                 Ok(Stage {
                     stage: Box::new(bench.open_stage()?),
-                    _bench: Some(Box::new(bench)),
+                    bench: Some(Box::new(bench)),
                 })
             }
             None => open_grbl(rig.stage.grbl.clone()),
@@ -84,7 +99,7 @@ mod with_serial {
     fn open_grbl(config: GrblConfig) -> Result<Stage, CliError> {
         Ok(Stage {
             stage: Box::new(GrblStage::open(config)?),
-            _bench: None,
+            bench: None,
         })
     }
 

@@ -105,7 +105,7 @@ fn seconds(text: &str) -> Result<f64, String> {
 pub fn run(args: &StageArgs, context: &Context) -> Result<(), CliError> {
     match &args.action {
         Action::Home(which) => {
-            let mut open = which.open(context)?;
+            let mut open = which.open(context)?.guarded()?;
             let status = stoppable(&mut *open.stage, |stage, _| stage.home())?;
             which.report(open.stage.info(), &status)
         }
@@ -128,7 +128,7 @@ pub fn run(args: &StageArgs, context: &Context) -> Result<(), CliError> {
             // Before anything moves.
             let kinematics = rig.config.stage.grbl.kinematics;
             kinematics.reach(&rig.config.name, target)?;
-            let mut open = open::open_stage(&rig.config)?;
+            let mut open = open::open_stage(&rig.config)?.guarded()?;
             context.note("homing first: a stage that was just connected doesn't know where it is");
             let status = stoppable(&mut *open.stage, |stage, _| {
                 stage.home()?;
@@ -143,7 +143,7 @@ pub fn run(args: &StageArgs, context: &Context) -> Result<(), CliError> {
             seconds,
             home,
         } => {
-            let mut open = which.open(context)?;
+            let mut open = which.open(context)?.guarded()?;
             let status = stoppable(&mut *open.stage, |stage, stopped| {
                 if *home {
                     stage.home()?;

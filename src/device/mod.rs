@@ -9,6 +9,7 @@ pub mod controls;
 pub mod discovery;
 pub mod folder_camera;
 pub mod grbl;
+pub mod guardian;
 pub mod image_file;
 pub mod kinematics;
 pub mod pixel_format;
@@ -98,11 +99,17 @@ pub trait LightStage: Send {
     /// A handle that stops motion and lamp from another thread, also while this
     /// one waits for a reply.
     fn stop_handle(&self) -> Result<Box<dyn StopHandle>, DeviceError>;
+    /// How another process stops this stage over its open port when this process
+    /// is gone; `None` where there is no such way.
+    fn port_stop(&self) -> Result<Option<guardian::PortStop>, DeviceError> {
+        Ok(None)
+    }
 }
 
 /// Stops a stage without its driver's thread.
 pub trait StopHandle: Send {
-    /// Motion halted at once and lamp off. Afterwards the position is unknown.
+    /// Motion halted at once and lamp off, both as the device then says itself.
+    /// Afterwards the position is unknown.
     fn stop(&mut self) -> Result<(), DeviceError>;
 }
 

@@ -32,6 +32,11 @@ pub trait Disk: Send + Sync {
     fn rename(&self, from: &Path, to: &Path) -> io::Result<()>;
     /// Waits until a folder's names are on the medium.
     fn sync_dir(&self, path: &Path) -> io::Result<()>;
+    /// Bytes that this process may still write where this folder is.
+    fn free_bytes(&self, folder: &Path) -> io::Result<u64> {
+        let disk = rustix::fs::statvfs(folder)?;
+        Ok(disk.f_bavail.saturating_mul(disk.f_frsize))
+    }
 }
 
 /// The system's file system.
@@ -177,9 +182,9 @@ pub fn free_bytes(path: &Path) -> Result<u64, SessionError> {
         .ancestors()
         .find(|p| p.exists())
         .unwrap_or(Path::new("/"));
-    let disk = rustix::fs::statvfs(existing)
-        .map_err(|e| SessionError::io("ask for the free space of", existing, e.into()))?;
-    Ok(disk.f_bavail.saturating_mul(disk.f_frsize))
+    SystemDisk
+        .free_bytes(existing)
+        .map_err(|e| SessionError::io("ask for the free space of", existing, e))
 }
 
 #[cfg(test)]

@@ -1,4 +1,5 @@
-//! Disks for tests: one that fails where the test says, one that does not wait.
+//! Disks for tests: one that fails where the test says, one that is small, one
+//! that does not wait.
 
 use std::io;
 use std::path::Path;
@@ -163,5 +164,72 @@ impl Disk for FaultyDisk {
 
     fn sync_dir(&self, path: &Path) -> io::Result<()> {
         self.step(|| self.under.sync_dir(path), || (), false)
+    }
+}
+
+/// A disk that has room for so many bytes, of which it gives none back.
+pub struct SmallDisk {
+    under: Arc<dyn Disk>,
+    free: AtomicU64,
+}
+
+impl SmallDisk {
+    /// With this room left, over another disk.
+    pub fn over(under: Arc<dyn Disk>, free_bytes: u64) -> Self {
+        Self {
+            under,
+            free: AtomicU64::new(free_bytes),
+        }
+    }
+
+    fn take(&self, bytes: &[u8]) -> io::Result<()> {
+        let left = |free: u64| free.checked_sub(bytes.len() as u64);
+        match self
+            .free
+            .fetch_update(Ordering::SeqCst, Ordering::SeqCst, left)
+        {
+            Ok(_) => Ok(()),
+            Err(_) => Err(io::ErrorKind::StorageFull.into()),
+        }
+    }
+}
+
+impl Disk for SmallDisk {
+    fn create_dir(&self, path: &Path) -> io::Result<()> {
+        self.under.create_dir(path)
+    }
+
+    fn write_temporary(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
+        self.take(bytes)?;
+        self.under.write_temporary(path, bytes)
+    }
+
+    fn remove_file(&self, path: &Path) -> io::Result<()> {
+        self.under.remove_file(path)
+    }
+
+    fn append(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
+        self.take(bytes)?;
+        self.under.append(path, bytes)
+    }
+
+    fn truncate(&self, path: &Path, bytes: u64) -> io::Result<()> {
+        self.under.truncate(path, bytes)
+    }
+
+    fn sync_file(&self, path: &Path) -> io::Result<()> {
+        self.under.sync_file(path)
+    }
+
+    fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
+        self.under.rename(from, to)
+    }
+
+    fn sync_dir(&self, path: &Path) -> io::Result<()> {
+        self.under.sync_dir(path)
+    }
+
+    fn free_bytes(&self, _: &Path) -> io::Result<u64> {
+        Ok(self.free.load(Ordering::SeqCst))
     }
 }

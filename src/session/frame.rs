@@ -39,8 +39,9 @@ pub struct Sidecar {
     pub stage_position: StageAngles,
     /// Frames thrown away after the last change of settings, before this one.
     pub frames_discarded: u32,
-    /// Signal per exposure time over that of the frame before at other settings,
-    /// where both say enough; 1 if the exposures are what they claim.
+    /// Signal per exposure time over that of the frame before at other settings
+    /// (of a light's last frames: over its first at the same), where both say
+    /// enough; 1 if the exposures are what they claim and the lamp is steady.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub exposure_ratio: Option<f64>,
     /// What a repetition of the same capture does not share.

@@ -110,6 +110,10 @@ pub enum Event {
         #[serde(flatten)]
         file: FileDigest,
     },
+    /// The operator has paused the capture; the lamp is off.
+    Paused,
+    /// The capture goes on after a pause.
+    Continued,
     /// The operator or an error ended the work before its end.
     Interrupted {
         /// Why.
@@ -312,6 +316,8 @@ mod tests {
                 reason: "\"quoted\"\nand broken".into(),
             },
             Event::Resume { quarantined: 2 },
+            Event::Paused,
+            Event::Continued,
             Event::Stop,
         ];
         events
@@ -331,7 +337,7 @@ mod tests {
     fn what_is_written_is_read() {
         let bytes = example();
         let journal = Journal::parse(&bytes).unwrap();
-        assert_eq!(journal.records.len(), 9);
+        assert_eq!(journal.records.len(), 11);
         assert_eq!(journal.torn_bytes, 0);
         assert!(journal.is_complete());
         assert_eq!(journal.files().len(), 4);

@@ -363,6 +363,11 @@ impl SessionWriter {
         &self.journal
     }
 
+    /// The disk that it writes on.
+    pub fn disk(&self) -> Arc<dyn Disk> {
+        Arc::clone(&self.disk)
+    }
+
     /// Journals an event. After a failed append the journal is first cut back
     /// to its last whole line.
     pub fn record(&mut self, event: Event) -> Result<(), SessionError> {

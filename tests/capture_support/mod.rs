@@ -1,6 +1,9 @@
 //! A bench in memory for tests of the capture: a sphere under a lamp, a sensor
 //! with keyed noise and late settings, and a record of what was done to it.
 
+// Each test file uses a part of it.
+#![allow(dead_code)]
+
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard};
@@ -45,8 +48,19 @@ pub struct World {
     pub panic_at_grab: Option<u32>,
     /// A defect of who watches, at this many frames.
     pub panic_at_frame: Option<usize>,
-    /// `move_to` waits until the stage is stopped from another thread.
-    pub hang_in_move: bool,
+    /// `move_to` raises the interrupt this often, then waits until the stage is
+    /// stopped from another thread.
+    pub hang_in_move: u32,
+    /// Stops are carried out but not confirmed.
+    pub stop_fails: bool,
+    /// What must remain free on the disk.
+    pub reserve_bytes: u64,
+    /// Brightness of the lamp is multiplied by this at every frame.
+    pub drift_per_frame: f64,
+    /// Asked for when this many frames have been grabbed.
+    pub pause_at_grab: Option<u32>,
+    /// How long a frame takes.
+    pub frame_time: Duration,
     /// Raised when this many frames have been grabbed.
     pub interrupt_at_grab: Option<u32>,
     pub interrupt: Interrupt,
@@ -80,7 +94,12 @@ impl Bench {
             fail_at_grab: None,
             panic_at_grab: None,
             panic_at_frame: None,
-            hang_in_move: false,
+            hang_in_move: 0,
+            stop_fails: false,
+            reserve_bytes: 0,
+            drift_per_frame: 1.0,
+            pause_at_grab: None,
+            frame_time: Duration::ZERO,
             interrupt_at_grab: None,
             interrupt: Interrupt::new(),
         })))
@@ -148,6 +167,9 @@ impl StopHandle for Stop {
         world.stops += 1;
         world.position = None;
         world.lamp = LampState::Off;
+        if world.stop_fails {
+            return Err(io("no confirmation"));
+        }
         Ok(())
     }
 }
@@ -184,9 +206,10 @@ impl LightStage for Stage {
         if world.fail_at_move == Some(world.moves) {
             return Err(io("the move failed"));
         }
-        if world.hang_in_move {
-            world.interrupt.raise(Signal::Interrupt);
-            world.interrupt.raise(Signal::Interrupt);
+        if world.hang_in_move > 0 {
+            for _ in 0..world.hang_in_move {
+                world.interrupt.raise(Signal::Interrupt);
+            }
             let stops = world.stops;
             drop(world);
             while self.0.world().stops == stops {
@@ -237,6 +260,8 @@ impl Camera for Cam {
     }
 
     fn grab(&mut self, key: FrameKey) -> Result<RawFrame, DeviceError> {
+        let frame_time = self.0.world().frame_time;
+        std::thread::sleep(frame_time);
         let mut world = self.0.world();
         world.grabs += 1;
         if world.fail_at_grab == Some(world.grabs) {
@@ -245,6 +270,10 @@ impl Camera for Cam {
         if world.panic_at_grab == Some(world.grabs) {
             drop(world);
             panic!("a defect of the driver");
+        }
+        world.brightness_e_s *= world.drift_per_frame;
+        if world.pause_at_grab == Some(world.grabs) {
+            world.interrupt.ask_for_pause();
         }
         if world.interrupt_at_grab == Some(world.grabs) {
             world.interrupt.raise(Signal::Interrupt);
@@ -354,6 +383,9 @@ pub struct Heard {
     pub warnings: Vec<String>,
     pub done: Vec<f64>,
     pub resumed: usize,
+    /// The lamp in every pause, and the frames that were on the disk.
+    pub pauses: Vec<(LampState, usize)>,
+    watched: Option<(Bench, PathBuf)>,
     panic_at_frame: Option<usize>,
 }
 
@@ -368,6 +400,12 @@ impl Observer for Heard {
             Progress::Resumed { frames } => self.resumed = frames,
             _ => {}
         }
+    }
+
+    fn pause(&mut self) {
+        let (bench, root) = self.watched.as_ref().unwrap();
+        let frames = Session::open(root).unwrap().frames().count();
+        self.pauses.push((bench.world().lamp, frames));
     }
 }
 
@@ -425,14 +463,33 @@ pub fn record() -> SessionRecord {
     }
 }
 
+/// One light, one lamp channel, no averaging: as few frames as a capture has.
+pub fn small_record() -> SessionRecord {
+    let mut record = record();
+    let plan = &mut record.plan;
+    plan.channels.truncate(1);
+    plan.lights.truncate(1);
+    plan.exposure.max_frames = 1;
+    plan.exposure.ratio = 64.0;
+    record
+}
+
 pub fn create(disk: Arc<dyn Disk>, parent: &Path) -> Result<SessionWriter, SessionError> {
+    create_from(disk, parent, &record())
+}
+
+pub fn create_from(
+    disk: Arc<dyn Disk>,
+    parent: &Path,
+    record: &SessionRecord,
+) -> Result<SessionWriter, SessionError> {
     SessionWriter::create(
         disk,
         &NewSession {
             parent,
             created: jiff::Timestamp::UNIX_EPOCH,
             short_id: "abc123",
-            record: &record(),
+            record,
             calibration: &[("sensor.toml".into(), b"gain".to_vec())],
         },
     )
@@ -440,24 +497,48 @@ pub fn create(disk: Arc<dyn Disk>, parent: &Path) -> Result<SessionWriter, Sessi
 
 pub fn capture(bench: &Bench, session: SessionWriter) -> (Result<Outcome, CaptureError>, Heard) {
     let camera = Box::new(Cam(bench.clone(), camera_info()));
-    capture_with(bench, camera, session)
+    let stage = Box::new(Stage(bench.clone(), stage_info()));
+    run(bench, camera, stage, session)
 }
 
-/// A capture with another camera that looks at the bench.
-pub fn capture_with(
+/// Likewise with another camera that looks at the bench.
+pub fn capture_with_camera(
     bench: &Bench,
     camera: Box<dyn Camera>,
     session: SessionWriter,
 ) -> (Result<Outcome, CaptureError>, Heard) {
+    let stage = Box::new(Stage(bench.clone(), stage_info()));
+    run(bench, camera, stage, session)
+}
+
+/// Likewise with another stage, which keeps the bench's state true.
+pub fn capture_with_stage(
+    bench: &Bench,
+    stage: Box<dyn LightStage>,
+    session: SessionWriter,
+) -> (Result<Outcome, CaptureError>, Heard) {
+    let camera = Box::new(Cam(bench.clone(), camera_info()));
+    run(bench, camera, stage, session)
+}
+
+fn run(
+    bench: &Bench,
+    camera: Box<dyn Camera>,
+    stage: Box<dyn LightStage>,
+    session: SessionWriter,
+) -> (Result<Outcome, CaptureError>, Heard) {
     let mut heard = Heard {
         panic_at_frame: bench.world().panic_at_frame,
+        watched: Some((bench.clone(), session.root().to_owned())),
         ..Heard::default()
     };
     let interrupt = bench.world().interrupt.clone();
+    let reserve_bytes = bench.world().reserve_bytes;
     let result = Capture {
         camera,
-        stage: Box::new(Stage(bench.clone(), stage_info())),
+        stage,
         session,
+        reserve_bytes,
         noise: &noise(),
         interest: None,
         sink: Box::new(SumSink::default()),

@@ -1,21 +1,26 @@
 //! A frame as it was asked for, from a camera that may go away or ignore its
 //! settings.
 
-use super::{PATIENCE_FRAMES, Run, Shot, Taken};
+use super::Run;
+use super::frame::{Reference, Shot, Taken};
 use crate::capture::CaptureError;
 use crate::capture::exposure_check::{self, Exposed, Verdict, signal_ratio};
-use crate::device::{CameraSettings, RawFrame};
+use crate::device::{CameraSettings, LampChannel, LampState, RawFrame};
 use crate::session::Sidecar;
+
+/// Frames beyond the camera's own latency that may be thrown away until a
+/// change of settings shows.
+const PATIENCE_FRAMES: u32 = 8;
 
 impl Run<'_> {
     /// The frame of this shot, also from a camera that goes away and comes back.
     pub(super) async fn expose_again_if_lost(
         &mut self,
         shot: Shot,
-        before: Option<&Taken>,
+        reference: Reference<'_>,
     ) -> Result<(RawFrame, Sidecar), CaptureError> {
         loop {
-            let lost = match self.expose(shot, before).await {
+            let lost = match self.expose(shot, reference).await {
                 Err(error) if self.devices.camera_is_lost() => error,
                 done => return done,
             };
@@ -34,15 +39,21 @@ impl Run<'_> {
         }
     }
 
-    /// A frame whose signal agrees with its exposure. Others are thrown away for
+    /// A frame whose signal agrees with its reference. Others are thrown away for
     /// a while, because a change of settings can take its time; then the settings
     /// are sent once more, because a camera can have missed them.
     pub(super) async fn grab_as_claimed(
         &mut self,
         shot: Shot,
         applied: CameraSettings,
-        before: Option<&Taken>,
+        reference: Reference<'_>,
     ) -> Result<(RawFrame, Option<f64>), CaptureError> {
+        let same_exposure = |taken: &Taken| (taken.exposure_s - applied.exposure.0).abs() <= 1e-9;
+        let before = match reference {
+            Reference::Exposure(taken) if shot.key.repeat > 0 || same_exposure(taken) => None,
+            Reference::None => None,
+            Reference::Exposure(taken) | Reference::Lamp(taken) => Some(taken),
+        };
         let mut sent_again = false;
         let mut patience = self.plan.settings_latency_frames + PATIENCE_FRAMES;
         loop {
@@ -59,8 +70,12 @@ impl Run<'_> {
             match found.verdict() {
                 Verdict::Good => return Ok((frame, found.if_known())),
                 Verdict::Doubtful => {
+                    let expected = match reference {
+                        Reference::Lamp(_) => "the light's first frame",
+                        _ => "the expected signal",
+                    };
                     let text = format!(
-                        "light {}: at {} the images show {:.4} of the expected signal, more than {} % off",
+                        "light {}: at {} the images show {:.4} of {expected}, more than {} % off",
                         shot.key.light,
                         applied.exposure,
                         found.ratio,
@@ -75,20 +90,36 @@ impl Run<'_> {
                     self.discarded += 1;
                     patience = self.discarded + self.plan.settings_latency_frames;
                     if self.devices.configure_again().await? != Some(applied) {
-                        return Err(self.not_applied(shot, applied, found.ratio));
+                        return Err(self.contradicted(shot, applied, reference, found.ratio));
                     }
                 }
-                Verdict::Refused => return Err(self.not_applied(shot, applied, found.ratio)),
+                Verdict::Refused => {
+                    return Err(self.contradicted(shot, applied, reference, found.ratio));
+                }
             }
         }
     }
 
-    fn not_applied(&self, shot: Shot, applied: CameraSettings, ratio: f64) -> CaptureError {
-        CaptureError::ExposureNotApplied {
-            light: shot.key.light,
-            exposure_s: applied.exposure.0,
-            ratio,
-            discarded: self.discarded,
+    fn contradicted(
+        &self,
+        shot: Shot,
+        applied: CameraSettings,
+        reference: Reference<'_>,
+        ratio: f64,
+    ) -> CaptureError {
+        let light = shot.key.light;
+        match (reference, shot.lamp) {
+            (Reference::Lamp(_), LampState::On(LampChannel(channel))) => CaptureError::LampDrift {
+                light,
+                channel,
+                ratio,
+            },
+            _ => CaptureError::ExposureNotApplied {
+                light,
+                exposure_s: applied.exposure.0,
+                ratio,
+                discarded: self.discarded,
+            },
         }
     }
 }

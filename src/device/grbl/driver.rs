@@ -6,8 +6,9 @@ use std::time::{Duration, Instant};
 
 use super::GrblConfig;
 use super::codes;
-use super::link::{Link, STATUS};
+use super::link::{HOLD, Link, RESET, STATUS};
 use super::protocol::{Accessories, MachineState, Reply, StatusReport, effect_of};
+use crate::device::guardian::{Exchange, PortStop};
 use crate::device::kinematics::{AxisMap, Kinematics, Pose};
 use crate::device::{
     DeviceError, LampChannel, LampState, LightStage, StageActivity, StageInfo, StageStatus,
@@ -25,6 +26,8 @@ const POLL_PAUSE: Duration = Duration::from_millis(50);
 /// Standing still elsewhere than at the target for this long ends a move: right
 /// after a command GRBL may report idle before it starts.
 const START_GRACE: Duration = Duration::from_millis(500);
+/// How long a report may take while a stop is confirmed.
+const STOP_PATIENCE: Duration = Duration::from_millis(500);
 /// GRBL's line buffer holds 80 characters.
 const LONGEST_COMMAND: usize = 79;
 
@@ -92,7 +95,7 @@ impl GrblStage {
         while start.elapsed() < timeout {
             if !was_reset && start.elapsed() > timeout / 2 {
                 was_reset = true;
-                self.link.send(&[super::link::RESET])?;
+                self.link.send(&[RESET])?;
             }
             self.link.send(&[STATUS])?;
             let next = Instant::now() + (timeout / 10).min(Duration::from_millis(250));
@@ -565,6 +568,18 @@ impl LightStage for GrblStage {
             timeout: self.config.connect_timeout.to_duration(),
         }))
     }
+
+    fn port_stop(&self) -> Result<Option<PortStop>, DeviceError> {
+        Ok(Some(PortStop {
+            port: self.link.duplicate()?,
+            name: self.config.port.clone(),
+            exchanges: vec![
+                Exchange::new(&[HOLD], &[]),
+                Exchange::new(&[RESET], &[b"Grbl"]),
+                Exchange::new(&[STATUS], &[b"<Idle", b"<Alarm"]),
+            ],
+        }))
+    }
 }
 
 impl Drop for GrblStage {
@@ -596,12 +611,50 @@ impl StopHandle for GrblStop {
         let Some(link) = self.link.upgrade() else {
             return Ok(());
         };
-        link.restart(true, "it was stopped", self.timeout)
+        link.restart(true, "it was stopped", self.timeout)?;
+        confirm_stopped(&link)
     }
+}
+
+/// Asks after a restart what the machine does and which outputs are on. It may
+/// be the driver that reads the answers. A build that never reports its outputs
+/// has said with its banner that it began anew.
+fn confirm_stopped(link: &Link) -> Result<(), DeviceError> {
+    for _ in 0..REPORTS_WITH_OUTPUTS {
+        link.send(&[STATUS])?;
+        let deadline = Instant::now() + STOP_PATIENCE;
+        let before = link.known().reports;
+        while link.known().reports == before && Instant::now() < deadline {
+            link.try_receive(deadline.min(Instant::now() + Duration::from_millis(20)))?;
+        }
+        if link.known().accessories.is_some() {
+            break;
+        }
+    }
+    let known = link.known().clone();
+    let stands = matches!(
+        known.state,
+        Some(MachineState::Idle | MachineState::Alarm | MachineState::Sleep)
+    );
+    let outputs = known.accessories.unwrap_or_default();
+    if stands && outputs == Accessories::default() {
+        return Ok(());
+    }
+    Err(DeviceError::NotApplied {
+        device: link.device().to_owned(),
+        what: "its state".to_owned(),
+        is: match known.state {
+            Some(state) => format!("{state:?} with {outputs:?}"),
+            None => "not reported".to_owned(),
+        },
+        wanted: "a stop".to_owned(),
+    })
 }
 
 /// Stops whatever GRBL controller is on a port that no driver holds: brakes,
 /// resets it, which turns its outputs off, and waits for its banner.
 pub fn stop_port(path: &str, baud: u32, timeout: Duration) -> Result<(), DeviceError> {
-    Link::open(path, baud)?.restart(true, "it was stopped", timeout)
+    let link = Link::open(path, baud)?;
+    link.restart(true, "it was stopped", timeout)?;
+    confirm_stopped(&link)
 }

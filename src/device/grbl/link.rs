@@ -3,7 +3,7 @@
 
 use std::fs::File;
 use std::io::{Read, Write};
-use std::os::fd::{AsRawFd, BorrowedFd};
+use std::os::fd::{AsRawFd, BorrowedFd, OwnedFd};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError, TryLockError};
 use std::time::{Duration, Instant};
 
@@ -48,12 +48,16 @@ pub struct Known {
     pub needs_reset: bool,
     /// Banners seen.
     pub restarts: u64,
+    /// Status reports seen.
+    pub reports: u64,
     /// Work coordinate offset of the last report that had one.
     pub work_offset: Option<Vec<f64>>,
     /// Outputs by the last report that had them.
     pub accessories: Option<Accessories>,
     /// Spindle speed by the last report that had it.
     pub speed: Option<f64>,
+    /// What the machine is doing by the last report since the last restart.
+    pub state: Option<MachineState>,
     /// A restart that is wanted, so that its banner is told as what caused it.
     pub restart_cause: Option<String>,
 }
@@ -81,9 +85,11 @@ impl Link {
                 alarm: None,
                 needs_reset: false,
                 restarts: 0,
+                reports: 0,
                 work_offset: None,
                 accessories: None,
                 speed: None,
+                state: None,
                 restart_cause: None,
             }),
             heard: Condvar::new(),
@@ -93,6 +99,12 @@ impl Link {
     /// The port's path.
     pub fn device(&self) -> &str {
         &self.device
+    }
+
+    /// The open port once more, for another process.
+    pub fn duplicate(&self) -> Result<OwnedFd, DeviceError> {
+        let file = self.file.try_clone();
+        Ok(file.map_err(|error| io_error(&self.device, error))?.into())
     }
 
     /// What is known now.
@@ -128,7 +140,7 @@ impl Link {
     }
 
     /// Like [`receive`](Self::receive), but gives way at once to another reader.
-    fn try_receive(&self, deadline: Instant) -> Result<(), DeviceError> {
+    pub fn try_receive(&self, deadline: Instant) -> Result<(), DeviceError> {
         let mut input = match self.input.try_lock() {
             Ok(input) => input,
             Err(TryLockError::Poisoned(error)) => error.into_inner(),
@@ -182,6 +194,7 @@ impl Link {
                 known.unhomed_since = Some(cause);
                 known.needs_reset = false;
                 known.accessories = None;
+                known.state = None;
                 known.work_offset = None;
             }
             Reply::Alarm(code) => {
@@ -319,6 +332,8 @@ impl Link {
 
 impl Known {
     fn note_report(&mut self, report: &StatusReport) {
+        self.reports += 1;
+        self.state = Some(report.state);
         if report.work_offset.is_some() {
             self.work_offset.clone_from(&report.work_offset);
         }

@@ -1,0 +1,213 @@
+//! What is fuzzed: every parser that reads bytes from a device or a file. Used by
+//! the fuzzing programs in `fuzz_targets/` and by `tests/fuzz_corpus.rs`, which
+//! replays the corpus.
+//!
+//! A target fails where the parser panics, or where it allocates more than its
+//! input can account for: a size that is only declared must not be believed.
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::path::Path;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
+
+/// One parser.
+pub struct Target {
+    /// Of the program and of the folder in `corpus/`.
+    pub name: &'static str,
+    parse: fn(&[u8]),
+    /// Bytes of memory that a byte of the input may cost: what a byte of a text
+    /// becomes, or what the format's compression makes of it.
+    memory_per_byte: usize,
+}
+
+/// Deflate makes up to 1032 bytes of one; 16-bit counts come to a frame of u16,
+/// halves of an image to several f32 planes and their sum.
+const DEFLATE: usize = 1032;
+
+const fn target(name: &'static str, parse: fn(&[u8]), memory_per_byte: usize) -> Target {
+    Target {
+        name,
+        parse,
+        memory_per_byte,
+    }
+}
+
+/// All of them.
+pub const TARGETS: &[Target] = &[
+    target(
+        "grbl",
+        |bytes| drop(rig::device::grbl::protocol::parse(bytes)),
+        64,
+    ),
+    target(
+        "rig_file",
+        |bytes| {
+            text(bytes, |text| {
+                drop(rig::config::RigConfig::parse(
+                    "rig.toml",
+                    Path::new(""),
+                    text,
+                ))
+            });
+        },
+        4096,
+    ),
+    target(
+        "scene_file",
+        |bytes| {
+            text(bytes, |text| {
+                drop(rig::config::scene::SceneFile::parse(
+                    "scene.toml",
+                    Path::new(""),
+                    text,
+                ))
+            });
+        },
+        4096,
+    ),
+    target(
+        "session_record",
+        |bytes| {
+            text(bytes, |text| {
+                drop(toml::from_str::<rig::session::SessionRecord>(text))
+            });
+        },
+        4096,
+    ),
+    target(
+        "sidecar",
+        |bytes| {
+            text(bytes, |text| {
+                drop(toml::from_str::<rig::session::Sidecar>(text))
+            });
+        },
+        4096,
+    ),
+    target(
+        "bracket_table",
+        |bytes| {
+            text(bytes, |text| {
+                drop(rig::radiometry::bracket_table::parse_bracket_table(text))
+            });
+        },
+        256,
+    ),
+    target(
+        "journal",
+        |bytes| drop(rig::session::Journal::parse(bytes)),
+        256,
+    ),
+    target(
+        "exr",
+        |bytes| {
+            drop(rig::radiance_image::exr::decode(
+                bytes,
+                Path::new("image.exr"),
+            ))
+        },
+        64 * DEFLATE,
+    ),
+    target(
+        "png",
+        |bytes| drop(rig::radiometry::frame_file::decode_png(bytes)),
+        8 * DEFLATE,
+    ),
+    target(
+        "frame_png",
+        |bytes| drop(rig::session::frame::decode_png(bytes)),
+        8 * DEFLATE,
+    ),
+    target(
+        "ply",
+        |bytes| drop(rig::geometry::ply::parse(bytes, 1.0)),
+        512,
+    ),
+    target(
+        "obj",
+        |bytes| drop(rig::geometry::obj::parse(bytes, 1.0)),
+        512,
+    ),
+    target(
+        "stl",
+        |bytes| drop(rig::geometry::stl::parse(bytes, 1.0)),
+        512,
+    ),
+    target("merl", |bytes| drop(rig::brdf::merl::parse(bytes)), 64),
+    target(
+        "rgl",
+        |bytes| drop(rig::brdf::rgl::RglBrdf::parse(bytes)),
+        256,
+    ),
+];
+
+fn text(bytes: &[u8], parse: impl FnOnce(&str)) {
+    if let Ok(text) = str::from_utf8(bytes) {
+        parse(text);
+    }
+}
+
+/// What any parser may need: tables, buffers, messages.
+const ANY: usize = 4 << 20;
+
+/// Parses; panics where the parser does, or where it needed more memory than
+/// the input can account for.
+pub fn run(name: &str, bytes: &[u8]) {
+    let target = TARGETS.iter().find(|target| target.name == name);
+    let target = target.unwrap_or_else(|| panic!("no target {name}"));
+    check(name, target.memory_per_byte, bytes, target.parse);
+}
+
+/// Parses and counts.
+pub fn check(name: &str, memory_per_byte: usize, bytes: &[u8], parse: impl FnOnce(&[u8])) {
+    // One at a time: the meter counts for the whole process.
+    static TURN: Mutex<()> = Mutex::new(());
+    let _turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
+    let before = LIVE.load(Ordering::Relaxed);
+    PEAK.store(before, Ordering::Relaxed);
+    parse(bytes);
+    let used = PEAK.load(Ordering::Relaxed).saturating_sub(before);
+    let allowed = ANY + memory_per_byte * bytes.len();
+    assert!(
+        used <= allowed,
+        "{name}: {used} bytes of memory for an input of {}",
+        bytes.len()
+    );
+}
+
+/// Counts what is allocated.
+struct Meter;
+
+static LIVE: AtomicUsize = AtomicUsize::new(0);
+static PEAK: AtomicUsize = AtomicUsize::new(0);
+
+#[global_allocator]
+static METER: Meter = Meter;
+
+fn grown(bytes: usize) {
+    let live = LIVE.fetch_add(bytes, Ordering::Relaxed) + bytes;
+    PEAK.fetch_max(live, Ordering::Relaxed);
+}
+
+// SAFETY: every call is the system allocator's own.
+unsafe impl GlobalAlloc for Meter {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        grown(layout.size());
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
+        grown(layout.size());
+        unsafe { System.alloc_zeroed(layout) }
+    }
+
+    unsafe fn dealloc(&self, at: *mut u8, layout: Layout) {
+        LIVE.fetch_sub(layout.size(), Ordering::Relaxed);
+        unsafe { System.dealloc(at, layout) }
+    }
+
+    unsafe fn realloc(&self, at: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        LIVE.fetch_sub(layout.size(), Ordering::Relaxed);
+        grown(size);
+        unsafe { System.realloc(at, layout, size) }
+    }
+}

@@ -1,0 +1,74 @@
+//! What comes between the frames: a pause, a stop that was asked for, a disk that
+//! fills, a lamp that drifts.
+
+use super::Run;
+use super::frame::{Reference, Shot, Taken};
+use crate::capture::{CaptureError, WRITE_QUEUE};
+use crate::interrupt::StopLevel;
+use crate::session::Event;
+
+/// Bytes of a sidecar and of the journal's line, generously.
+const SIDECAR_BYTES: u64 = 4096;
+
+impl Run<'_> {
+    /// Whether and when the next frame may be taken.
+    pub(super) async fn before_frame(&mut self) -> Result<(), CaptureError> {
+        if self.interrupt.take_pause() {
+            self.pause().await?;
+        }
+        if self.interrupt.level() >= StopLevel::AfterThisFrame {
+            return Err(CaptureError::Interrupted);
+        }
+        self.check_room()
+    }
+
+    async fn pause(&mut self) -> Result<(), CaptureError> {
+        self.devices.rest().await?;
+        // The stage is homed and the lamp warmed up before the next frame.
+        self.position = None;
+        self.disk.record(Event::Paused).await?;
+        self.disk.settle().await?;
+        self.observer.pause();
+        self.disk.record(Event::Continued).await
+    }
+
+    /// Room for what is under way, and the reserve beyond.
+    fn check_room(&self) -> Result<(), CaptureError> {
+        let folder = self.session.root();
+        let free = self.room.free_bytes(folder);
+        let free_bytes = free.map_err(|e| {
+            crate::session::SessionError::io("ask for the free space of", folder, e)
+        })?;
+        let [width, height] = self.devices.camera_info.resolution_px.map(u64::from);
+        let frame_bytes = 2 * width * height + SIDECAR_BYTES;
+        let wanted_bytes = self.reserve_bytes + (WRITE_QUEUE as u64 + 1) * frame_bytes;
+        if free_bytes >= wanted_bytes {
+            return Ok(());
+        }
+        Err(CaptureError::LowDisk {
+            folder: folder.to_owned(),
+            free_bytes,
+            reserve_bytes: self.reserve_bytes,
+        })
+    }
+
+    /// The first exposure of the bracket once more under each channel: whether
+    /// the lamp is still what it was. `round` numbers these frames.
+    pub(super) async fn check_drift(
+        &mut self,
+        light: u32,
+        round: u32,
+        first: &[Option<Taken>],
+    ) -> Result<(), CaptureError> {
+        for (channel, before) in first.iter().enumerate() {
+            let Some(before) = before else { continue };
+            let shot = Shot {
+                // No part of the bracket.
+                pilot: true,
+                ..self.light_shot(light, round, channel, 0, before.requested_s)
+            };
+            self.take(shot, Reference::Lamp(before)).await?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,256 @@
+//! One frame: stage, lamp and camera brought into its state, the frame taken and
+//! handed on.
+
+use std::sync::Arc;
+
+use super::Run;
+use crate::capture::CaptureError;
+use crate::capture::exposure_check::Exposed;
+use crate::capture::progress::Progress;
+use crate::device::{CameraSettings, FrameKey, FrameKind, LampChannel, LampState, RawFrame};
+use crate::session::{Event, FrameTimes, Sidecar, layout, utc_now};
+use crate::units::{Seconds, StageAngles};
+
+/// One frame to take.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Shot {
+    pub(super) key: FrameKey,
+    pub(super) exposure: Seconds,
+    pub(super) lamp: LampState,
+    pub(super) pilot: bool,
+}
+
+/// A frame that is there, and the exposure that the camera applied.
+#[derive(Clone)]
+pub(super) struct Taken {
+    pub(super) frame: Arc<RawFrame>,
+    /// Asked for.
+    pub(super) requested_s: f64,
+    /// Read back.
+    pub(super) exposure_s: f64,
+}
+
+/// What a frame's signal is compared with.
+#[derive(Clone, Copy)]
+pub(super) enum Reference<'a> {
+    /// Nothing.
+    None,
+    /// The channel's frame at another exposure: is the exposure what it claims?
+    Exposure(&'a Taken),
+    /// The channel's frame at the same exposure: is the lamp what it was?
+    Lamp(&'a Taken),
+}
+
+impl<'a> From<Option<&'a Taken>> for Reference<'a> {
+    fn from(before: Option<&'a Taken>) -> Self {
+        before.map_or(Self::None, Self::Exposure)
+    }
+}
+
+impl Taken {
+    pub(super) fn exposed(&self) -> Exposed<'_> {
+        Exposed {
+            counts: &self.frame.counts,
+            exposure_s: self.exposure_s,
+        }
+    }
+}
+
+impl Run<'_> {
+    /// Exposures of a light are numbered by round, then by lamp state: the
+    /// channels in order, then the lamp off.
+    pub(super) fn light_shot(
+        &self,
+        light: u32,
+        round: u32,
+        channel: usize,
+        repeat: u32,
+        exposure_s: f64,
+    ) -> Shot {
+        let states = self.plan.channels.len() as u32 + 1;
+        Shot {
+            key: FrameKey {
+                light,
+                exposure: round * states + channel as u32,
+                repeat,
+                kind: FrameKind::Light,
+            },
+            exposure: Seconds(exposure_s),
+            lamp: LampState::On(
+                self.plan
+                    .channels
+                    .get(channel)
+                    .copied()
+                    .unwrap_or(LampChannel(0)),
+            ),
+            pilot: false,
+        }
+    }
+
+    pub(super) fn unlit_shot(
+        &self,
+        light: u32,
+        round: u32,
+        repeat: u32,
+        exposure_s: f64,
+        kind: FrameKind,
+    ) -> Shot {
+        let off = self.plan.channels.len();
+        let mut shot = self.light_shot(light, round, off, repeat, exposure_s);
+        shot.key.kind = kind;
+        shot.lamp = LampState::Off;
+        shot
+    }
+
+    /// The frame of this shot: from the session if it is there, else from the
+    /// camera.
+    pub(super) async fn take(
+        &mut self,
+        shot: Shot,
+        reference: Reference<'_>,
+    ) -> Result<Taken, CaptureError> {
+        let (frame, sidecar) = match self.held.get(&shot.key) {
+            Some(entry) => {
+                let (frame, sidecar) = self.session.read_frame(entry)?;
+                check_same(&shot, &sidecar)?;
+                (Arc::new(frame), sidecar)
+            }
+            None => {
+                self.before_frame().await?;
+                let place = self.disk.place().await?;
+                let (frame, sidecar) = self.expose_again_if_lost(shot, reference).await?;
+                let frame = Arc::new(frame);
+                place.frame(Arc::clone(&frame), sidecar.clone());
+                (frame, sidecar)
+            }
+        };
+        let exposure_s = sidecar.applied.exposure.0;
+        if !sidecar.pilot {
+            self.merger.add(Arc::clone(&frame), sidecar).await?;
+        }
+        Ok(Taken {
+            frame,
+            requested_s: shot.exposure.0,
+            exposure_s,
+        })
+    }
+
+    /// Brings stage, lamp and camera into the shot's state and takes the frame.
+    pub(super) async fn expose(
+        &mut self,
+        shot: Shot,
+        reference: Reference<'_>,
+    ) -> Result<(RawFrame, Sidecar), CaptureError> {
+        let stage_position = self.go_to(shot.key.light).await?;
+        self.observer.observe(Progress::Frame {
+            key: shot.key,
+            exposure: shot.exposure,
+            lamp: shot.lamp,
+            done: self.clock.done,
+            left: self.clock.left(self.plan.estimated_s),
+        });
+        let requested = CameraSettings {
+            exposure: shot.exposure,
+            gain: self.plan.gain,
+        };
+        let (applied, changed) = self.devices.configure(requested).await?;
+        self.devices
+            .lamp(shot.lamp, self.plan.lamp_settle_s)
+            .await?;
+        self.devices
+            .shutter(shot.key.kind != FrameKind::Dark)
+            .await?;
+        if changed {
+            self.discarded = 0;
+            for _ in 0..self.plan.settings_latency_frames {
+                self.devices.grab(shot.key).await?;
+                self.discarded += 1;
+            }
+        }
+        let (frame, exposure_ratio) = self.grab_as_claimed(shot, applied, reference).await?;
+        let retakes = self.devices.take_retakes();
+        if !retakes.is_none() {
+            let name = layout::frame_stem(shot.key);
+            let text = format!("frame {name} was taken again: {retakes}");
+            self.warn(shot.key.light, text).await?;
+        }
+        let sidecar = Sidecar {
+            key: shot.key,
+            pilot: shot.pilot,
+            lamp: shot.lamp,
+            requested,
+            applied,
+            black_level_dn: self.noise.black_level_dn,
+            bit_depth: self.devices.camera_info.bit_depth,
+            mosaic: self.devices.camera_info.mosaic,
+            camera_serial: self.devices.camera_info.serial.clone(),
+            stage_target: self.plan.lights[shot.key.light as usize],
+            stage_position,
+            frames_discarded: self.discarded,
+            exposure_ratio,
+            time: FrameTimes {
+                utc: utc_now(),
+                monotonic_s: Seconds(self.clock.start.elapsed().as_secs_f64()),
+                device_s: frame.timestamp,
+                device_sequence: frame.sequence,
+                retakes,
+            },
+        };
+        Ok((frame, sidecar))
+    }
+
+    /// The stage stands at the light, homed before its first move.
+    async fn go_to(&mut self, light: u32) -> Result<StageAngles, CaptureError> {
+        if let Some((at, position)) = self.position
+            && at == light
+        {
+            return Ok(position);
+        }
+        let target = self.plan.lights[light as usize];
+        self.devices.lamp(LampState::Off, Seconds(0.0)).await?;
+        if !self.devices.is_homed() {
+            self.observer.observe(Progress::Homing);
+            self.devices.home().await?;
+            self.disk.record(Event::Homed).await?;
+        }
+        self.observer.observe(Progress::Moving { light, target });
+        let position = self.devices.move_to(target).await?;
+        self.devices.pause(self.plan.settle_s).await?;
+        if self.position.is_none()
+            && self.plan.lamp_warm_up_s.0 > 0.0
+            && let Some(&channel) = self.plan.channels.first()
+        {
+            self.devices
+                .lamp(LampState::On(channel), self.plan.lamp_warm_up_s)
+                .await?;
+        }
+        self.position = Some((light, position));
+        self.disk
+            .record(Event::LightStart {
+                light,
+                azimuth_deg: position.azimuth_deg,
+                elevation_deg: position.elevation_deg,
+            })
+            .await?;
+        Ok(position)
+    }
+}
+
+/// A frame of the session must be the one that the plan leads to.
+fn check_same(shot: &Shot, sidecar: &Sidecar) -> Result<(), CaptureError> {
+    let same = sidecar.requested.exposure == shot.exposure
+        && sidecar.lamp == shot.lamp
+        && sidecar.pilot == shot.pilot;
+    if same {
+        return Ok(());
+    }
+    let words = |exposure: Seconds, lamp: LampState, pilot: bool| {
+        let role = if pilot { "pilot" } else { "bracket" };
+        format!("{exposure}, lamp {lamp:?}, as {role}")
+    };
+    Err(CaptureError::OtherFrame {
+        frame: layout::frame_stem(shot.key),
+        found: words(sidecar.requested.exposure, sidecar.lamp, sidecar.pilot),
+        expected: words(shot.exposure, shot.lamp, shot.pilot),
+    })
+}

@@ -1,0 +1,62 @@
+//! `rig guardian`, hidden: the process that [`guardian`](crate::device::guardian)
+//! speaks of. Its standard input is the pipe, its standard output the port.
+
+use std::os::fd::AsFd;
+use std::process::Command;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use signal_hook::consts::{SIGHUP, SIGINT, SIGQUIT, SIGTERM, SIGTSTP};
+
+use super::{CliError, Context};
+use crate::device::guardian::{Exchange, GuardedStage, Watch, stand_guard};
+use crate::device::{DeviceError, LightStage};
+
+/// Stops a stage when the process that started this one is gone
+#[derive(clap::Args, Debug)]
+#[command(hide = true)]
+pub struct GuardianArgs {
+    /// What the port is called
+    #[arg(long, value_name = "NAME")]
+    port: String,
+    /// What is sent and expected, in hexadecimal; may be repeated
+    #[arg(long, value_name = "BYTES=ANSWER,…")]
+    exchange: Vec<Exchange>,
+}
+
+/// `rig guardian`.
+pub fn run(args: &GuardianArgs, context: &Context) -> Result<(), CliError> {
+    // It ends when the other process does, not when the terminal or an init
+    // system asks both to end.
+    for signal in [SIGINT, SIGTERM, SIGHUP, SIGQUIT, SIGTSTP] {
+        signal_hook::flag::register(signal, Arc::new(AtomicBool::new(false)))?;
+    }
+    let port = std::io::stdout().as_fd().try_clone_to_owned()?;
+    let name = &args.port;
+    match stand_guard(std::io::stdin().lock(), port, &args.exchange) {
+        Watch::Dismissed => Ok(()),
+        Watch::Acted(Ok(())) => {
+            context.warn(format!(
+                "{name}: rig ended without turning the lamp off; its guardian has turned it off and ended all motion"
+            ));
+            Ok(())
+        }
+        Watch::Acted(Err(error)) => Err(CliError::new(format!(
+            "{name}: rig ended without turning the lamp off, and the stage did not confirm that it stopped: {error}"
+        ))
+        .hint("use the emergency stop")),
+    }
+}
+
+/// The stage with a guardian beside it, this program once more.
+pub fn guarded(stage: Box<dyn LightStage>) -> Result<Box<dyn LightStage>, DeviceError> {
+    let program = std::env::current_exe().map_err(|source| DeviceError::Io {
+        device: "this program's file".to_owned(),
+        source,
+    })?;
+    GuardedStage::guard(stage, |port| {
+        let mut command = Command::new(program);
+        command.args(["guardian", "--port", port]);
+        command
+    })
+}

@@ -1,0 +1,289 @@
+//! Every way out of a capture, each in a process of its own, on simulated
+//! firmware behind a pseudo-terminal: what the bench itself says about lamp and
+//! motion afterwards.
+#![cfg(feature = "serial")]
+
+#[path = "capture_support/mod.rs"]
+mod support;
+
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use mock_devices::bench::{LampModel, StageErrors};
+use mock_devices::camera::CameraConfig;
+use mock_devices::grbl::{Fault, Trigger};
+use mock_devices::sensor::SensorConfig;
+use rig::capture::Outcome;
+use rig::cli::exit::Exit;
+use rig::cli::output::write_stderr;
+use rig::device::grbl::{GrblConfig, GrblStage};
+use rig::device::guardian::GuardedStage;
+use rig::device::kinematics::{AxisMap, Kinematics};
+use rig::device::simulated::{SimulatedBench, SimulatedConfig};
+use rig::device::*;
+use rig::session::faults::UnsyncedDisk;
+use rig::units::{Seconds, StageAngles};
+use rustix::process::{Pid, Signal, kill_process};
+
+const PORT: &str = "WAYS_OUT_PORT";
+const DEFECT: &str = "WAYS_OUT_DEFECT";
+/// In which the guardian has promised to act.
+const PROMISE: Duration = Duration::from_secs(3);
+/// What nothing here should ever take.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// Nine axis units from end to end, at two units per second.
+fn stage_config(port: &str) -> GrblConfig {
+    let map = |axis, min_deg, max_deg| AxisMap {
+        axis,
+        scale: 0.1,
+        offset_deg: min_deg,
+        min_deg,
+        max_deg,
+    };
+    GrblConfig {
+        kinematics: Kinematics {
+            azimuth: map('X', -45.0, 45.0),
+            elevation: map('Y', 0.0, 90.0),
+            approach_deg: 2.0,
+        },
+        feed_per_min: 120.0,
+        lamp_on: vec![vec!["M3 S1000".to_owned()], vec!["M8".to_owned()]],
+        reply_timeout: Seconds(30.0),
+        ..GrblConfig::of_port(port, 115_200)
+    }
+}
+
+fn start_bench() -> SimulatedBench {
+    SimulatedBench::start(SimulatedConfig {
+        stage: stage_config(""),
+        errors: StageErrors::default(),
+        lamp: LampModel::default(),
+        channel_of_colour: [Some(0), Some(1), None],
+        sensor: SensorConfig::typical([8, 4], 1),
+        camera: CameraConfig::default(),
+        camera_serial: String::new(),
+        mosaic: Mosaic::None,
+        instant: false,
+        seed: 1,
+    })
+    .unwrap()
+}
+
+/// The stage on the port, whose lamp and position the camera in memory sees.
+struct Seen(Box<dyn LightStage>, support::Bench);
+
+impl LightStage for Seen {
+    fn info(&self) -> &StageInfo {
+        self.0.info()
+    }
+    fn home(&mut self) -> Result<StageStatus, DeviceError> {
+        self.0.home()
+    }
+    fn move_to(&mut self, target: StageAngles) -> Result<StageAngles, DeviceError> {
+        let reached = self.0.move_to(target)?;
+        self.1.world().position = Some(target);
+        Ok(reached)
+    }
+    fn set_lamp(&mut self, lamp: LampState) -> Result<LampState, DeviceError> {
+        let applied = self.0.set_lamp(lamp)?;
+        self.1.world().lamp = applied;
+        Ok(applied)
+    }
+    fn status(&mut self) -> Result<StageStatus, DeviceError> {
+        self.0.status()
+    }
+    fn stop_handle(&self) -> Result<Box<dyn StopHandle>, DeviceError> {
+        self.0.stop_handle()
+    }
+}
+
+/// Not a test of its own but the process that the tests below start: a capture
+/// as the program does it, with a camera in memory.
+#[test]
+fn the_process_that_is_ended() {
+    if let Ok(port) = std::env::var(PORT) {
+        std::process::exit(rig::cli::guarded(|| capture(&port)).code().into());
+    }
+}
+
+fn capture(port: &str) -> Exit {
+    let interrupt = rig::cli::interrupt::listen().unwrap();
+    let bench = support::Bench::with(|world| {
+        world.interrupt = interrupt.clone();
+        world.frame_time = Duration::from_millis(10);
+        match std::env::var(DEFECT).as_deref() {
+            Ok("panic") => world.panic_at_frame = Some(3),
+            Ok("camera panic") => world.panic_at_grab = Some(5),
+            Ok("camera") => world.fail_at_grab = Some(5),
+            _ => {}
+        }
+    });
+    let stage = GrblStage::open(stage_config(port)).unwrap();
+    let guarded = GuardedStage::guard(Box::new(stage), |port| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_rig"));
+        command.args(["guardian", "--port", port]);
+        command
+    });
+    let session = support::create(Arc::new(UnsyncedDisk), Path::new(".")).unwrap();
+    let stage = Box::new(Seen(guarded.unwrap(), bench.clone()));
+    match support::capture_with_stage(&bench, stage, session).0 {
+        Ok(Outcome::Complete) => Exit::Done,
+        Ok(Outcome::Interrupted) => Exit::Signal(interrupt.signal().unwrap()),
+        Err(error) => {
+            write_stderr(&format!("{error}\n"));
+            Exit::Failed
+        }
+    }
+}
+
+fn start(bench: &SimulatedBench, folder: &Path, defect: &str) -> Child {
+    Command::new(std::env::current_exe().unwrap())
+        .args(["--exact", "the_process_that_is_ended", "--nocapture"])
+        .env(PORT, bench.stage_config().port)
+        .env(DEFECT, defect)
+        .current_dir(folder)
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap()
+}
+
+/// When it is ended.
+#[derive(Clone, Copy, Debug)]
+enum Moment {
+    /// While the stage moves to its first light.
+    Moving,
+    /// While frames are taken under the lamp.
+    Lit,
+    /// While the driver waits for the answer to the command that lit the lamp.
+    Waiting,
+}
+
+fn is_lit(bench: &SimulatedBench) -> bool {
+    bench.bench().lamp_drive().iter().any(|&drive| drive > 0.0)
+}
+
+/// Degrees that the stage turned in the last so many seconds.
+fn turned_deg(bench: &SimulatedBench, seconds: f64) -> f64 {
+    let now_s = bench.bench().clock().now_s();
+    bench.bench().turned_deg(now_s - seconds, now_s)
+}
+
+#[track_caller]
+fn wait_until(what: &str, is: impl Fn() -> bool) -> Duration {
+    let began = Instant::now();
+    while !is() {
+        assert!(began.elapsed() < PATIENCE, "{what}");
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    began.elapsed()
+}
+
+/// Ends one capture and returns its exit code (none where a signal killed it)
+/// and what it said.
+fn end_one(moment: Moment, signals: &[Signal], defect: &str) -> (Option<i32>, String) {
+    let case = format!("{moment:?} {signals:?} {defect}");
+    let bench = start_bench();
+    if matches!(moment, Moment::Waiting) {
+        let line = Trigger::Line("M3".to_owned());
+        bench.stage_faults().inject(line, Fault::NoReply);
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let child = start(&bench, folder.path(), defect);
+    match moment {
+        Moment::Moving => {
+            let moves = || bench.bench().is_homed() && turned_deg(&bench, 0.1) > 0.0;
+            wait_until(&case, moves);
+        }
+        Moment::Lit | Moment::Waiting => {
+            wait_until(&case, || is_lit(&bench));
+        }
+    }
+    for &signal in signals {
+        kill_process(Pid::from_child(&child), signal).unwrap();
+    }
+    let mut ended = child;
+    let asked = Instant::now();
+    if signals.contains(&Signal::KILL) {
+        ended.wait().unwrap();
+        let safe = || !is_lit(&bench) && turned_deg(&bench, 0.05) == 0.0;
+        let took = wait_until(&case, safe);
+        write_stderr(&format!("{case}: lamp off and standing after {took:?}\n"));
+        assert!(took < PROMISE, "{case}: {took:?}");
+    }
+    // Standard error closes when the guardian has ended, too.
+    let output = ended.wait_with_output().unwrap();
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(asked.elapsed() < PATIENCE, "{case}: {said}");
+    assert!(!is_lit(&bench), "{case}: {said}");
+    std::thread::sleep(Duration::from_millis(300));
+    assert_eq!(turned_deg(&bench, 0.3), 0.0, "{case}: {said}");
+    // The port is free for the next command, which finds a stage to be homed.
+    let mut next = GrblStage::open(bench.stage_config()).unwrap();
+    let status = next.status().unwrap();
+    assert_eq!(status.lamp, Some(LampState::Off), "{case}: {said}");
+    (output.status.code(), said)
+}
+
+/// All cases side by side: most of their time they wait for the bench.
+fn end_all(moment: Moment, cases: &[(&[Signal], &str, Option<i32>, &str)]) {
+    std::thread::scope(|scope| {
+        for &(signals, defect, code, fact) in cases {
+            scope.spawn(move || {
+                let (found, said) = end_one(moment, signals, defect);
+                assert_eq!(found, code, "{moment:?} {signals:?} {defect}: {said}");
+                assert!(said.contains(fact), "{moment:?} {signals:?}: {said}");
+            });
+        }
+    });
+}
+
+const GUARDIAN: &str = "its guardian has turned it off";
+
+#[test]
+fn the_lamp_is_lit() {
+    end_all(
+        Moment::Lit,
+        &[
+            (&[Signal::INT], "", Some(130), ""),
+            (&[Signal::TERM], "", Some(143), ""),
+            (&[Signal::HUP], "", Some(129), ""),
+            (&[Signal::INT, Signal::INT], "", Some(130), ""),
+            (&[], "panic", Some(2), "a defect"),
+            (&[], "camera panic", Some(1), "camera thread ended"),
+            (&[], "camera", Some(1), "no frame"),
+            (&[Signal::QUIT], "", None, GUARDIAN),
+            (&[Signal::KILL], "", None, GUARDIAN),
+        ],
+    );
+}
+
+#[test]
+fn the_stage_moves() {
+    end_all(
+        Moment::Moving,
+        &[
+            (&[Signal::INT], "", Some(130), ""),
+            (&[Signal::TERM], "", Some(143), ""),
+            (&[Signal::HUP], "", Some(129), ""),
+            (&[Signal::KILL], "", None, GUARDIAN),
+        ],
+    );
+}
+
+#[test]
+fn the_driver_waits_for_a_reply() {
+    end_all(
+        Moment::Waiting,
+        &[
+            (&[Signal::INT], "", Some(130), ""),
+            (&[Signal::HUP], "", Some(129), ""),
+            (&[Signal::TERM, Signal::TERM], "", Some(143), ""),
+            (&[Signal::KILL], "", None, GUARDIAN),
+        ],
+    );
+}
