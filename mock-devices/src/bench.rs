@@ -92,6 +92,10 @@ pub struct LampModel {
     pub warm_up_s: f64,
     /// Relative change of power per hour on the bench's clock; default 0.
     pub drift_per_hour: f64,
+    /// Amplitude of a sine on the power, relative; default 0.
+    pub flicker_depth: f64,
+    /// Its frequency, Hz; default 100.
+    pub flicker_hz: f64,
 }
 
 impl Default for LampModel {
@@ -101,7 +105,23 @@ impl Default for LampModel {
             warm_up_fraction: 0.0,
             warm_up_s: 60.0,
             drift_per_hour: 0.0,
+            flicker_depth: 0.0,
+            flicker_hz: 100.0,
         }
+    }
+}
+
+impl LampModel {
+    /// Mean of the flicker over a time, relative to the power.
+    fn flicker(&self, start_s: f64, end_s: f64) -> f64 {
+        let omega = std::f64::consts::TAU * self.flicker_hz;
+        let phase = 0.5 * omega * (end_s - start_s);
+        let damped = if phase.abs() < 1e-9 {
+            1.0
+        } else {
+            phase.sin() / phase
+        };
+        1.0 + self.flicker_depth * damped * (0.5 * omega * (start_s + end_s)).sin()
     }
 }
 
@@ -291,7 +311,8 @@ impl Bench {
     fn mean_power(&self, state: &State, start_s: f64, end_s: f64) -> [f64; 3] {
         let span_s = end_s - start_s;
         if span_s <= 0.0 {
-            return self.power_at(state, start_s);
+            let flicker = self.config.lamp.flicker(start_s, start_s);
+            return self.power_at(state, start_s).map(|power| power * flicker);
         }
         let mut edges = vec![start_s];
         edges.extend(
@@ -305,8 +326,9 @@ impl Bench {
         let mut mean = [0.0; 3];
         for pair in edges.windows(2) {
             let power = self.power_at(state, 0.5 * (pair[0] + pair[1]));
+            let flicker = self.config.lamp.flicker(pair[0], pair[1]);
             for (sum, power) in mean.iter_mut().zip(power) {
-                *sum += power * (pair[1] - pair[0]) / span_s;
+                *sum += power * flicker * (pair[1] - pair[0]) / span_s;
             }
         }
         mean
@@ -417,7 +439,8 @@ impl Bench {
         lock(&self.state).homed = false;
     }
 
-    pub(crate) fn set_lamp(&self, now_s: f64, drive: [f64; 3]) {
+    /// Drives the lamp's channels (0 to 1) from a time on, as the wiring has it.
+    pub fn set_lamp(&self, now_s: f64, drive: [f64; 3]) {
         let mut state = lock(&self.state);
         let last = state.lamp.back().copied();
         if last.is_some_and(|event| event.drive == drive) {
@@ -535,6 +558,7 @@ mod tests {
             warm_up_fraction: 0.1,
             warm_up_s: 60.0,
             drift_per_hour: 0.02,
+            ..LampModel::default()
         });
         bench.clock().advance(1800.0);
         bench.set_lamp(1800.0, [1.0, 0.5, 0.0]);
@@ -551,6 +575,29 @@ mod tests {
         bench.set_lamp(1860.0, [1.0, 0.0, 0.0]);
         let cold = 0.9 * (1.0 + 0.02 * 1860.0 / 3600.0);
         assert!((bench.illumination().channels[0] - cold).abs() < 1e-12);
+    }
+
+    /// Against a sum of many short exposures.
+    #[test]
+    fn flicker_averages_over_an_exposure() {
+        let bench = lamp(LampModel {
+            flicker_depth: 0.3,
+            flicker_hz: 120.0,
+            ..LampModel::default()
+        });
+        bench.set_lamp(0.0, [1.0, 0.0, 0.0]);
+        let (start_s, end_s, n) = (1.234, 1.2371, 1000);
+        let at = |i: f64| start_s + (end_s - start_s) * i / f64::from(n);
+        let sum: f64 = (0..n)
+            .map(|i| {
+                bench
+                    .illumination_over(at(f64::from(i)), at(f64::from(i) + 1.0))
+                    .channels[0]
+            })
+            .sum();
+        let whole = bench.illumination_over(start_s, end_s).channels[0];
+        assert!((whole - sum / f64::from(n)).abs() < 1e-9, "{whole}");
+        assert!((whole - 1.0).abs() > 0.01, "{whole}");
     }
 
     #[test]

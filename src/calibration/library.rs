@@ -89,6 +89,8 @@ pub enum RecordError {
     /// The record belongs to another device or setting.
     #[error("{file} belongs to {what} {has}, the rig has {wanted}")]
     Mismatch {
+        /// What it is about.
+        kind: Kind,
         /// Path or name.
         file: String,
         /// Serial number, gain, …
@@ -171,15 +173,43 @@ impl Library {
     /// The record with this id; without one the newest of its kind, or `None`
     /// if there is none.
     pub fn load<V: Values>(&self, id: Option<&str>) -> Result<Option<Loaded<V>>, RecordError> {
-        if let Some(id) = id {
-            return self.load_id(id).map(Some);
+        match id {
+            Some(id) => self.load_id(id).map(Some),
+            None => self.newest(|_| true),
         }
+    }
+
+    /// As [`Self::load`], but among several the newest that belongs to this gain,
+    /// if one does.
+    pub fn load_for<V: Values>(
+        &self,
+        id: Option<&str>,
+        gain: f64,
+    ) -> Result<Option<Loaded<V>>, RecordError> {
+        if id.is_some() {
+            return self.load(id);
+        }
+        let fits = |record: &Record<V>| {
+            let own = record.settings.gain;
+            own.is_none_or(|own| (own - gain).abs() <= 1e-6 * own)
+        };
+        match self.newest(fits)? {
+            Some(found) => Ok(Some(found)),
+            None => self.newest(|_| true),
+        }
+    }
+
+    fn newest<V: Values>(
+        &self,
+        fits: impl Fn(&Record<V>) -> bool,
+    ) -> Result<Option<Loaded<V>>, RecordError> {
         let mut newest: Option<(Timestamp, Loaded<V>)> = None;
         for id in self.ids(V::KIND)? {
             let loaded: Loaded<V> = self.load_id(&id)?;
             // The date was checked on loading.
             let date = loaded.record.date.parse().unwrap_or(Timestamp::MIN);
-            if newest.as_ref().is_none_or(|(latest, _)| date >= *latest) {
+            let later = newest.as_ref().is_none_or(|(latest, _)| date >= *latest);
+            if later && fits(&loaded.record) {
                 newest = Some((date, loaded));
             }
         }
@@ -310,6 +340,7 @@ impl<V> Loaded<V> {
         let settings = &self.record.settings;
         let mismatch = |what, has: String, wanted: String| {
             Err(RecordError::Mismatch {
+                kind: self.record.kind,
                 file: self.record.id.clone(),
                 what,
                 has,

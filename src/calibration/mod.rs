@@ -3,11 +3,16 @@
 //! `calibration/<rig>/<kind>/<id>.toml`.
 
 mod built_in;
+pub mod figures;
+pub mod fitness;
 pub mod flat;
+pub mod lamp;
+pub mod lamp_watch;
 mod library;
 pub mod noise;
 pub mod procedure;
 pub mod record;
 pub mod sensor;
+pub mod white;
 
 pub use library::{Library, Loaded, RecordError, record_in};

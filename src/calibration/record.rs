@@ -17,16 +17,19 @@ pub enum Kind {
     Lights,
     /// Exposure by count of a camera that is not linear.
     Response,
+    /// How the lamp warms up, drifts and flickers.
+    Lamp,
 }
 
 impl Kind {
     /// All kinds.
-    pub const ALL: [Kind; 5] = [
+    pub const ALL: [Kind; 6] = [
         Kind::Sensor,
         Kind::Flat,
         Kind::Scale,
         Kind::Lights,
         Kind::Response,
+        Kind::Lamp,
     ];
 
     /// The folder's name.
@@ -37,6 +40,7 @@ impl Kind {
             Kind::Scale => "scale",
             Kind::Lights => "lights",
             Kind::Response => "response",
+            Kind::Lamp => "lamp",
         }
     }
 }
@@ -313,6 +317,55 @@ impl Values for ResponseValues {
                 let allowed = "above the one of the count before".to_owned();
                 return Err(bad("channels.ln_exposure", curve.ln_exposure[z], allowed));
             }
+        }
+        Ok(())
+    }
+}
+
+/// The lamp over time.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LampValues {
+    /// Part of the warm lamp's light that is missing at switching on.
+    pub warm_up_fraction: Measured,
+    /// Time constant with which it appears, seconds; 0 where none is missing.
+    pub warm_up_constant_s: Measured,
+    /// Time after which less than a thousandth is missing, seconds.
+    pub warm_up_time_s: f64,
+    /// Relative change of the warm lamp per hour.
+    pub drift_per_hour: Measured,
+    /// Shortest measured exposure from which on flicker stays below 0.2%; absent: none.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub steady_from_s: Option<f64>,
+    /// Flicker by exposure.
+    pub flicker: Vec<Flicker>,
+}
+
+/// How much frames of one exposure differ.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Flicker {
+    /// Exposure, seconds.
+    pub exposure_s: f64,
+    /// Standard deviation between frames over their mean, noise taken out.
+    pub relative: Measured,
+}
+
+impl Values for LampValues {
+    const KIND: Kind = Kind::Lamp;
+
+    fn check(&self) -> Result<(), BadValue> {
+        self.warm_up_fraction
+            .check("warm_up_fraction", -10.0, 1.0)?;
+        self.warm_up_constant_s
+            .check("warm_up_constant_s", 0.0, 1e6)?;
+        self.drift_per_hour.check("drift_per_hour", -100.0, 100.0)?;
+        if !(0.0..=1e7).contains(&self.warm_up_time_s) {
+            let allowed = "from 0 to 1e7".to_owned();
+            return Err(bad("warm_up_time_s", self.warm_up_time_s, allowed));
+        }
+        for flicker in &self.flicker {
+            flicker.relative.check("flicker.relative", 0.0, 10.0)?;
         }
         Ok(())
     }

@@ -148,6 +148,9 @@ fn start(args: &CaptureArgs, context: &Context) -> Result<(), CliError> {
     let config = &rig.config;
     let library = Library::of_rig(&rig);
     let records = Records::load(&library, config)?;
+    for concern in records.concerns(config, jiff::Timestamp::now()) {
+        context.warn(format_args!("{concern}"));
+    }
     let noise = records.noise(config)?;
     let lights = light_choice(args, config, context)?;
     let request = request(&lights, config, None);

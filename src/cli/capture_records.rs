@@ -1,7 +1,11 @@
 //! The calibration records that a capture goes by, and their copies in the session.
 
+use jiff::Timestamp;
+
 use super::CliError;
-use crate::calibration::record::{FlatValues, LightsValues, ScaleValues, SensorValues, Values};
+use crate::calibration::record::{
+    FlatValues, LampValues, LightsValues, ScaleValues, SensorValues, Values,
+};
 use crate::calibration::{Library, Loaded, noise::sensor_noise};
 use crate::config::RigConfig;
 use crate::radiometry::sensor::SensorNoise;
@@ -12,6 +16,7 @@ pub(super) struct Records {
     flat: Option<Loaded<FlatValues>>,
     scale: Option<Loaded<ScaleValues>>,
     lights: Option<Loaded<LightsValues>>,
+    lamp: Option<Loaded<LampValues>>,
 }
 
 impl Records {
@@ -19,11 +24,14 @@ impl Records {
     pub(super) fn load(library: &Library, config: &RigConfig) -> Result<Self, CliError> {
         let ids = &config.calibration;
         let serial = config.camera.serial.as_deref().unwrap_or_default();
+        let gain = config.camera.gain;
+        let sensor = library.load_for(ids.sensor.as_deref(), gain)?;
         let records = Self {
-            sensor: sensor(library, ids.sensor.as_deref())?,
-            flat: library.load(ids.flat.as_deref())?,
-            scale: library.load(ids.scale.as_deref())?,
+            sensor: sensor.ok_or_else(|| no_sensor(library))?,
+            flat: library.load_for(ids.flat.as_deref(), gain)?,
+            scale: library.load_for(ids.scale.as_deref(), gain)?,
             lights: library.load(ids.lights.as_deref())?,
+            lamp: library.load(None)?,
         };
         records.sensor.check_camera(serial, &config.camera)?;
         if let Some(flat) = &records.flat {
@@ -34,11 +42,13 @@ impl Records {
 
     /// The copies in a session.
     pub(super) fn load_copies(library: &Library) -> Result<Self, CliError> {
+        let sensor = library.load(None)?;
         Ok(Self {
-            sensor: sensor(library, None)?,
+            sensor: sensor.ok_or_else(|| no_sensor(library))?,
             flat: library.load(None)?,
             scale: library.load(None)?,
             lights: library.load(None)?,
+            lamp: library.load(None)?,
         })
     }
 
@@ -53,6 +63,28 @@ impl Records {
         )?)
     }
 
+    /// What speaks against these records now, with what to run.
+    pub(super) fn concerns(&self, config: &RigConfig, now: Timestamp) -> Vec<String> {
+        let mut concerns = Vec::new();
+        add_concerns(&mut concerns, Some(&self.sensor), config, now);
+        add_concerns(&mut concerns, self.flat.as_ref(), config, now);
+        add_concerns(&mut concerns, self.scale.as_ref(), config, now);
+        add_concerns(&mut concerns, self.lights.as_ref(), config, now);
+        add_concerns(&mut concerns, self.lamp.as_ref(), config, now);
+        if let Some(lamp) = &self.lamp {
+            let needed_s = lamp.record.values.warm_up_time_s;
+            let waited_s = config.capture.lamp_warm_up.0;
+            if waited_s < needed_s {
+                concerns.push(format!(
+                    "lamp: it takes {needed_s:.0} s to warm up and capture.lamp_warm_up_s is \
+                     {waited_s:.0}; set it to {:.0}",
+                    needed_s.ceil()
+                ));
+            }
+        }
+        concerns
+    }
+
     /// `<kind>/<file>`, whether it is the record itself, and its bytes.
     pub(super) fn copies(&self) -> Vec<(String, bool, Vec<u8>)> {
         let mut copies = Vec::new();
@@ -60,16 +92,29 @@ impl Records {
         add_copies(&mut copies, self.flat.as_ref());
         add_copies(&mut copies, self.scale.as_ref());
         add_copies(&mut copies, self.lights.as_ref());
+        add_copies(&mut copies, self.lamp.as_ref());
         copies
     }
 }
 
-fn sensor(library: &Library, id: Option<&str>) -> Result<Loaded<SensorValues>, CliError> {
-    let found = library.load::<SensorValues>(id)?;
-    found.ok_or_else(|| {
-        CliError::new(format!("there is no sensor record in {}", library.place()))
-            .hint("measure the sensor once with `rig calibrate sensor`")
-    })
+fn no_sensor(library: &Library) -> CliError {
+    CliError::new(format!("there is no sensor record in {}", library.place()))
+        .hint("measure the sensor once with `rig calibrate sensor`")
+}
+
+fn add_concerns<V: Values>(
+    concerns: &mut Vec<String>,
+    loaded: Option<&Loaded<V>>,
+    config: &RigConfig,
+    now: Timestamp,
+) {
+    let serial = config.camera.serial.as_deref().unwrap_or_default();
+    if let Some(loaded) = loaded {
+        for concern in loaded.concerns_on(config.is_simulated(), serial, &config.camera, now) {
+            let (kind, command) = (V::KIND.folder(), V::KIND.command());
+            concerns.push(format!("{kind}: {concern}; run `rig calibrate {command}`"));
+        }
+    }
 }
 
 fn add_copies<V: Values>(copies: &mut Vec<(String, bool, Vec<u8>)>, loaded: Option<&Loaded<V>>) {

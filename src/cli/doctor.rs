@@ -353,6 +353,10 @@ fn calibration<V: Values>(rig: &ResolvedRig, library: &Library, id: Option<&str>
             "response",
             "without it counts are taken as proportional to light",
         ),
+        Kind::Lamp => (
+            "lamp",
+            "`rig calibrate lamp` finds how long it must warm up; without it nobody knows",
+        ),
     };
     let failed = |error: RecordError| {
         let remedy = hints::for_error(&error).unwrap_or_else(|| "calibrate anew".to_owned());
@@ -367,7 +371,7 @@ fn calibration<V: Values>(rig: &ResolvedRig, library: &Library, id: Option<&str>
         Ok(Some(loaded)) => loaded,
     };
     let serial = rig.config.camera.serial.as_deref().unwrap_or_default();
-    let of_the_camera = V::KIND != Kind::Lights;
+    let of_the_camera = V::KIND.is_of_the_camera();
     if of_the_camera && let Err(error) = loaded.check_camera(serial, &rig.config.camera) {
         return failed(error);
     }

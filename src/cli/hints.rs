@@ -156,7 +156,10 @@ fn for_record(error: &RecordError) -> String {
         Syntax { .. } | Invalid { .. } | Checksum { .. } => {
             "the record was changed or damaged: restore it from a backup, or calibrate anew and remove it".into()
         }
-        Mismatch { .. } => "calibrate this device at these settings, or name a record that belongs to them in the rig file's [calibration] table".into(),
+        Mismatch { kind, .. } => format!(
+            "run `rig calibrate {}` with this device at these settings, or name a record that belongs to them in the rig file's [calibration] table",
+            kind.command()
+        ),
         Exists { .. } => "give the new record another id".into(),
     }
 }

@@ -396,14 +396,15 @@ impl MergeArgs {
         let rig = self.rig.resolve(context)?;
         let library = Library::of_rig(&rig);
         let pins = &rig.config.calibration;
+        let gain = rig.config.camera.gain;
         let sensor = library
-            .load::<SensorValues>(pins.sensor.as_deref())?
+            .load_for::<SensorValues>(pins.sensor.as_deref(), gain)?
             .ok_or_else(|| {
                 CliError::new(format!("there is no sensor record in {}", library.place()))
             })
             .hint("run `rig calibrate sensor`, or describe the sensor by options")?;
-        let flat = library.load::<FlatValues>(pins.flat.as_deref())?;
-        let scale = library.load::<ScaleValues>(pins.scale.as_deref())?;
+        let flat = library.load_for::<FlatValues>(pins.flat.as_deref(), gain)?;
+        let scale = library.load_for::<ScaleValues>(pins.scale.as_deref(), gain)?;
         let resolution_px = [frame.width as u32, frame.height as u32];
         if resolution_px != rig.config.camera.resolution_px {
             let [width, height] = rig.config.camera.resolution_px;

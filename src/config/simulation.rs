@@ -194,6 +194,8 @@ fn read_lamp(mut table: Section) -> Result<LampModel, ConfigError> {
         warm_up_fraction: table.number("warm_up_fraction", 0.0..=1.0)?.or(0.0),
         warm_up_s: table.number("warm_up_s", 0.1..=1e5)?.or(60.0),
         drift_per_hour: table.number("drift_per_hour", -1.0..=1.0)?.or(0.0),
+        flicker_depth: table.number("flicker_depth", 0.0..=1.0)?.or(0.0),
+        flicker_hz: table.number("flicker_hz", 0.1..=1e6)?.or(100.0),
     };
     table.finish()?;
     Ok(lamp)

@@ -54,14 +54,15 @@ fn beyond(difference_dn: f64, variance_dn2: f64, signal_dn: f64, gain_dn_per_e: 
     difference_dn * difference_dn > DEPARTURE_SIGMA.powi(2) * (variance_dn2 + tolerated_dn2)
 }
 
-/// Whether an exposure departs from what the shorter ones predict. Of a clipped
-/// one it is known that it is at least at the clipping level.
+/// Whether an exposure departs from what the shorter ones predict. Beyond the
+/// usable range, counts and predictions are only known to be there.
 pub(super) fn departs(noise: &SensorNoise, level: &Level, agreement: &Agreement) -> bool {
-    let difference_dn = if level.clipped {
-        (noise.usable_range_dn() - agreement.predicted_dn).max(0.0)
-    } else {
-        level.signal_dn - agreement.predicted_dn
+    let usable_dn = noise.usable_range_dn();
+    let signal_dn = match level.clipped {
+        true => usable_dn,
+        false => level.signal_dn,
     };
+    let difference_dn = signal_dn - agreement.predicted_dn.min(usable_dn);
     let offset_dn = agreement.per_offset * noise.black_level_spread_dn;
     beyond(
         difference_dn,

@@ -45,16 +45,19 @@ pub(super) fn run(args: &FlatArgs, context: &Context) -> Result<(), CliError> {
     let target = Target::new(&rig.config, library.clone(), &args.common, context);
     let pinned = rig.config.calibration.sensor.as_deref();
     // A record measured just before into --out counts.
-    let measured = target.library.load::<SensorValues>(None)?;
+    let gain = rig.config.camera.gain;
+    let measured = target.library.load_for::<SensorValues>(None, gain)?;
     let sensor: Loaded<SensorValues> = match measured {
         Some(sensor) => sensor,
         None => library
-            .load(pinned)?
+            .load_for(pinned, gain)?
             .ok_or_else(|| {
                 CliError::new(format!("there is no sensor record in {}", library.place()))
             })
             .hint("run `rig calibrate sensor` first")?,
     };
+    let serial = rig.config.camera.serial.as_deref().unwrap_or_default();
+    sensor.check_camera(serial, &rig.config.camera)?;
     let resolution_px = rig.config.camera.resolution_px;
     let noise = sensor_noise(&sensor.record.values, None, None, resolution_px)?;
     let options = procedure_options(&rig.config.camera, args.frames);

@@ -12,8 +12,8 @@ use mock_devices::{Illumination, RadianceSource};
 use crate::cli::CliError;
 use crate::cli::output::write_stderr;
 use crate::config::{CameraConfig, RigConfig};
-use crate::device::Camera;
 use crate::device::simulated_camera::SimulatedCamera;
+use crate::device::{Camera, DeviceError};
 
 /// Radiance of the simulated uniform light, W/(m² sr), where none is stated.
 pub(super) const UNIFORM_RADIANCE: f64 = 0.4;
@@ -68,6 +68,16 @@ fn uniformly_lit(camera: &CameraConfig, sensor: SensorConfig, radiance: f64) -> 
         resolution_px: camera.resolution_px,
         radiance: Arc::new(vec![radiance as f32; width * height]),
     };
+    let bench = SimulatedBench::new(BenchConfig::default(), Clock::instant());
+    simulated_camera(camera, sensor, bench, Arc::new(sphere))
+}
+
+fn simulated_camera(
+    camera: &CameraConfig,
+    sensor: SensorConfig,
+    bench: SimulatedBench,
+    source: Arc<dyn RadianceSource>,
+) -> Box<dyn Camera> {
     let config = MockCameraConfig {
         exposure_range_s: camera.exposure_range.map(|s| s.0),
         exposure_step_s: camera.exposure_step.0,
@@ -77,8 +87,59 @@ fn uniformly_lit(camera: &CameraConfig, sensor: SensorConfig, radiance: f64) -> 
         noise_seed: sensor.seed ^ 0x6361_6c69_6272_6174,
         ..MockCameraConfig::default()
     };
-    let bench = SimulatedBench::new(BenchConfig::default(), Clock::instant());
-    let mock = MockCamera::new(config, bench, SensorModel::new(sensor), Arc::new(sphere));
+    let mock = MockCamera::new(config, bench, SensorModel::new(sensor), source);
     let serial = camera.serial.clone().unwrap_or_default();
     Box::new(SimulatedCamera::new(mock, serial, camera.mosaic))
+}
+
+/// A simulated lamp on a white card, and the camera that looks at it.
+pub(super) struct LampBench {
+    pub camera: Box<dyn Camera>,
+    pub switch: Box<dyn FnMut(bool) -> Result<(), DeviceError>>,
+    pub clock: Clock,
+}
+
+/// The simulated rig's lamp, cold, with one channel wired to the switch; `None`
+/// for a real rig.
+pub(super) fn lamp_bench(rig: &RigConfig, channel: u8) -> Option<LampBench> {
+    struct Card {
+        resolution_px: [u32; 2],
+    }
+    impl RadianceSource for Card {
+        fn resolution_px(&self) -> [u32; 2] {
+            self.resolution_px
+        }
+        fn radiance(&self, light: &Illumination) -> Arc<Vec<f32>> {
+            let pixels = self.resolution_px.iter().product::<u32>() as usize;
+            let relative: f64 = light.channels.iter().sum();
+            Arc::new(vec![(UNIFORM_RADIANCE * relative) as f32; pixels])
+        }
+    }
+    let simulation = rig.simulation.as_ref()?;
+    let config = BenchConfig {
+        lamp: simulation.lamp,
+        ..BenchConfig::default()
+    };
+    let clock = Clock::instant();
+    let bench = SimulatedBench::new(config, clock.clone());
+    let resolution_px = rig.camera.resolution_px;
+    let camera = simulated_camera(
+        &rig.camera,
+        simulation.sensor.clone(),
+        bench.clone(),
+        Arc::new(Card { resolution_px }),
+    );
+    let switch = move |on: bool| {
+        let mut drive = [0.0; 3];
+        if on && let Some(drive) = drive.get_mut(usize::from(channel)) {
+            *drive = 1.0;
+        }
+        bench.set_lamp(bench.clock().now_s(), drive);
+        Ok(())
+    };
+    Some(LampBench {
+        camera,
+        switch: Box::new(switch),
+        clock,
+    })
 }

@@ -1,10 +1,13 @@
 //! `rig calibrate`: one file per kind of calibration.
 
 mod flat;
+mod lamp;
 mod light;
 mod response;
 mod sensor;
+mod status;
 mod target;
+mod white;
 
 use clap::Subcommand;
 use indicatif::ProgressBar;
@@ -38,6 +41,16 @@ enum What {
     ///
     /// Photograph a still scene with at least three exposures, with everything manual.
     Response(response::ResponseArgs),
+    /// Measures how the lamp warms up, drifts and flickers, and says how long to wait for it
+    ///
+    /// The camera looks at a white card that the lamp lights, without other light. The lamp must
+    /// be cold.
+    Lamp(lamp::LampArgs),
+    /// Finds the lamp's irradiance, and with it the absolute scale, from a diffuse standard of
+    /// certified reflectance
+    White(white::WhiteArgs),
+    /// Shows every record in force, with its age, what speaks against it and what to run
+    Status(status::StatusArgs),
 }
 
 /// `rig calibrate`.
@@ -46,6 +59,9 @@ pub fn run(args: &CalibrateArgs, context: &Context) -> Result<(), CliError> {
         What::Sensor(args) => sensor::run(args, context),
         What::Flat(args) => flat::run(args, context),
         What::Response(args) => response::run(args, context),
+        What::Lamp(args) => lamp::run(args, context),
+        What::White(args) => white::run(args, context),
+        What::Status(args) => status::run(args, context),
     }
 }
 

@@ -6,6 +6,7 @@ use super::light::{LIGHT_HINT, UNIFORM_RADIANCE, ask_to_cover, open_camera};
 use super::target::{CommonArgs, Target};
 use super::{procedure_options, progress};
 use crate::calibration::Library;
+use crate::calibration::figures;
 use crate::calibration::procedure::Bench;
 use crate::calibration::record::SensorValues;
 use crate::calibration::sensor::TransferPoint;
@@ -72,6 +73,7 @@ pub(super) fn run(args: &SensorArgs, context: &Context) -> Result<(), CliError> 
         args.frames, fit.reduced_chi2
     );
     let path = target.add(fit.values.clone(), &method, &[])?;
+    target.draw(&figures::photon_transfer(&fit), &path, context)?;
     let v = &fit.values;
     context.note(format_args!(
         "gain {:.4} ± {:.4} DN/e⁻, read noise {:.3} ± {:.3} e⁻, black level {:.2} DN, \

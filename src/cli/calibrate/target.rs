@@ -1,6 +1,6 @@
 //! Where the records of a calibration go.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use jiff::Timestamp;
 
@@ -9,6 +9,8 @@ use crate::calibration::record::{Kind, Record, Settings, Values};
 use crate::cli::rig_choice::RigArg;
 use crate::cli::{CliError, Context};
 use crate::config::RigConfig;
+use crate::plot::Figure;
+use crate::whole_file;
 
 #[derive(clap::Args, Debug)]
 pub(super) struct CommonArgs {
@@ -23,6 +25,9 @@ pub(super) struct CommonArgs {
     /// Time of the measurement (UTC, RFC 3339); now if not given
     #[arg(long, value_name = "TIME", hide = true)]
     pub date: Option<Timestamp>,
+    /// How long the record may be used (days; default: no end, and a warning when it is old)
+    #[arg(long, value_name = "DAYS", value_parser = clap::value_parser!(u32).range(1..=36_500))]
+    valid_days: Option<u32>,
     /// What was found, as JSON
     #[arg(long)]
     pub json: bool,
@@ -34,6 +39,7 @@ pub(super) struct Target<'a> {
     pub library: Library,
     id: Option<&'a str>,
     date: Timestamp,
+    valid_days: Option<u32>,
     device_serial: String,
     /// What the values are found from.
     pub source: String,
@@ -65,6 +71,7 @@ impl<'a> Target<'a> {
             library,
             id: args.id.as_deref(),
             date: args.date.unwrap_or_else(Timestamp::now),
+            valid_days: args.valid_days,
             device_serial: rig.camera.serial.clone().unwrap_or_default(),
             source: match rig.is_simulated() {
                 true => "rig calibrate, on the simulated bench".to_owned(),
@@ -85,6 +92,11 @@ impl<'a> Target<'a> {
         }
     }
 
+    fn after(&self, days: u32) -> String {
+        let until = self.date + jiff::SignedDuration::from_hours(24 * i64::from(days));
+        until.strftime("%Y-%m-%dT%H:%M:%SZ").to_string()
+    }
+
     pub fn add<V: Values>(
         &self,
         values: V,
@@ -97,7 +109,7 @@ impl<'a> Target<'a> {
             rig: self.rig.name.clone(),
             device_serial: self.device_serial.clone(),
             date: self.date.strftime("%Y-%m-%dT%H:%M:%SZ").to_string(),
-            valid_until: None,
+            valid_until: self.valid_days.map(|days| self.after(days)),
             method: method.to_owned(),
             source: self.source.clone(),
             settings: self.settings,
@@ -106,5 +118,26 @@ impl<'a> Target<'a> {
         self.library
             .add(&record, maps)?
             .ok_or_else(|| CliError::new("the built-in records cannot be added to"))
+    }
+
+    /// Draws a figure into the folder `plots` beside the records, named as the
+    /// record: SVG and PNG.
+    pub fn draw(&self, figure: &Figure, record: &Path, context: &Context) -> Result<(), CliError> {
+        let Library::Folder(folder) = &self.library else {
+            return Ok(());
+        };
+        let folder = folder.join("plots");
+        std::fs::create_dir_all(&folder)
+            .map_err(|error| CliError::new(format!("{}: {error}", folder.display())))?;
+        let stem = record.file_stem().unwrap_or_default().to_string_lossy();
+        let png = figure.png()?;
+        for (ending, bytes) in [("svg", figure.svg.as_bytes()), ("png", &png)] {
+            let path = folder.join(format!("{stem}.{ending}"));
+            whole_file::replace(&path, |out| out.write_all(bytes))
+                .map_err(|error| CliError::new(format!("{}: {error}", path.display())))?;
+        }
+        let shown = folder.join(format!("{stem}.png"));
+        context.note(format_args!("figure: {}", shown.display()));
+        Ok(())
     }
 }

@@ -1,0 +1,147 @@
+//! Calibrations as figures.
+
+use super::lamp::LampFit;
+use super::sensor::{Exposed, SensorFit, TransferPoint};
+use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
+
+/// The photon transfer curve with its fit, and how far counts depart from
+/// proportionality.
+pub fn photon_transfer(fit: &SensorFit) -> Figure {
+    let values = &fit.values;
+    let point = |p: &&TransferPoint| [p.signal_dn, p.variance_dn2];
+    let error_bar = |p: &&TransferPoint| {
+        let (v, s) = (p.variance_dn2, p.variance_std_dn2);
+        [p.signal_dn, v - s, v + s]
+    };
+    let top_dn = fit.curve.iter().map(|p| p.signal_dn).fold(1.0, f64::max);
+    let top_dn2 = fit.curve.iter().map(|p| p.variance_dn2).fold(1.0, f64::max);
+    // An error bar shorter than a hair cannot be drawn.
+    let seen = |p: &&TransferPoint| p.variance_std_dn2 > 1e-3 * top_dn2;
+    let of = |fitted: bool| fit.curve.iter().filter(move |p| p.fitted == fitted);
+    let dots = |label: &str, color: usize, fitted: bool| {
+        Series::new(
+            label,
+            color,
+            Mark::Dots,
+            of(fitted).map(|p| point(&p)).collect(),
+        )
+        .within(of(fitted).filter(seen).map(|p| error_bar(&p)).collect())
+    };
+    let line = |x: f64| [x, fit.variance_at_zero_dn2 + values.gain_dn_per_e.value * x];
+    let label = format!(
+        "K = {:.4} ± {:.4} DN/e⁻",
+        values.gain_dn_per_e.value, values.gain_dn_per_e.std
+    );
+    let end = ((1.1 * top_dn2 - fit.variance_at_zero_dn2) / values.gain_dn_per_e.value).min(top_dn);
+    let transfer = Chart {
+        title: "Photon transfer".to_owned(),
+        x: Axis::linear(0.0..1.05 * top_dn, "signal above black (DN)"),
+        y: Axis::linear(0.0..1.15 * top_dn2, "temporal variance (DN²)"),
+        series: vec![
+            Series::new(&label, 0, Mark::Line, vec![line(0.0), line(end)]),
+            dots("in the fit", 1, true),
+            dots("not in the fit", 2, false),
+        ],
+    };
+    let departures = departures(fit);
+    let widest = departures.iter().map(|p| p[1].abs()).fold(0.5, f64::max);
+    let linearity = Chart {
+        title: "Linearity".to_owned(),
+        x: Axis::linear(0.0..1.05 * top_dn, "signal above black (DN)"),
+        y: Axis::linear(-1.2 * widest..1.2 * widest, "departure (%)"),
+        series: vec![
+            Series::new("", 0, Mark::Line, vec![[0.0, 0.0], [1.05 * top_dn, 0.0]]),
+            Series::new(
+                "signal over exposure, less its mean",
+                3,
+                Mark::Points,
+                departures,
+            ),
+        ],
+    };
+    charts("photon-transfer", 2, &[transfer, linearity])
+}
+
+/// Signal over exposure less its mean over the fitted flats, percent, up to
+/// saturation; from a twentieth of it, below which black level and noise rule.
+fn departures(fit: &SensorFit) -> Vec<[f64; 2]> {
+    let values = &fit.values;
+    let usable_dn = values.saturation_dn - values.black_level_dn.value;
+    let dark_dn_s = values.dark_current_e_s.value * values.gain_dn_per_e.value;
+    let flats: Vec<(&TransferPoint, f64)> = fit
+        .curve
+        .iter()
+        .filter(|p| p.exposed == Exposed::Flat)
+        .filter(|p| (0.05..1.0).contains(&(p.signal_dn / usable_dn)))
+        .map(|p| (p, p.signal_dn / p.exposure_s - dark_dn_s))
+        .collect();
+    let fitted: Vec<f64> = flats
+        .iter()
+        .filter(|(p, _)| p.fitted)
+        .map(|f| f.1)
+        .collect();
+    let mean = fitted.iter().sum::<f64>() / fitted.len().max(1) as f64;
+    flats
+        .iter()
+        .map(|(p, rate)| [p.signal_dn, 100.0 * (rate / mean - 1.0)])
+        .collect()
+}
+
+/// The lamp's level over time with its fit, and its flicker by exposure.
+pub fn lamp(fit: &LampFit) -> Figure {
+    let minutes = |s: f64| s / 60.0;
+    let measured = fit
+        .levels
+        .iter()
+        .map(|l| [minutes(l.time_s), 100.0 * l.level]);
+    let fitted = fit
+        .levels
+        .iter()
+        .map(|l| [minutes(l.time_s), 100.0 * fit.level(l.time_s)]);
+    let (measured, fitted): (Vec<_>, Vec<_>) = (measured.collect(), fitted.collect());
+    let range = |index: usize, points: &[[f64; 2]]| {
+        let low = points
+            .iter()
+            .map(|p| p[index])
+            .fold(f64::INFINITY, f64::min);
+        let high = points
+            .iter()
+            .map(|p| p[index])
+            .fold(f64::NEG_INFINITY, f64::max);
+        let margin = 0.05 * (high - low).max(1e-3);
+        low - margin..high + margin
+    };
+    let warm_up = fit.values.warm_up_time_s / 60.0;
+    let y = range(1, &measured);
+    let series = vec![
+        Series::new("measured", 1, Mark::Dots, measured.clone()),
+        Series::new("fit", 0, Mark::Line, fitted),
+        Series::new(
+            &format!("warm after {warm_up:.1} min"),
+            3,
+            Mark::Dashed,
+            vec![[warm_up, y.start], [warm_up, y.end]],
+        ),
+    ];
+    let level = Chart {
+        title: "Level after switching on".to_owned(),
+        x: Axis::linear(range(0, &measured), "time (min)"),
+        y: Axis::linear(y, "level, warm = 100 (%)"),
+        series,
+    };
+    let flicker: Vec<[f64; 2]> = fit
+        .values
+        .flicker
+        .iter()
+        .map(|f| [(1e3 * f.exposure_s).log10(), 100.0 * f.relative.value])
+        .collect();
+    let highest = flicker.iter().map(|p| p[1]).fold(0.1, f64::max);
+    let x = range(0, &flicker);
+    let flicker = Chart {
+        title: "Flicker".to_owned(),
+        x: Axis::decades(x.start - 0.1..x.end + 0.1, "exposure (ms)"),
+        y: Axis::linear(0.0..1.2 * highest, "between frames, less noise (%)"),
+        series: vec![Series::new("flicker", 2, Mark::Points, flicker)],
+    };
+    charts("lamp", 2, &[level, flicker])
+}

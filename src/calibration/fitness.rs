@@ -1,0 +1,164 @@
+//! Whether a record may be gone by today, on this camera, at this gain.
+
+use jiff::Timestamp;
+
+use super::record::Kind;
+use super::{Loaded, RecordError};
+use crate::config::CameraConfig;
+
+/// What speaks against a record.
+#[derive(Debug, thiserror::Error)]
+pub enum Concern {
+    /// It belongs to another camera or setting: a capture refuses it.
+    #[error(transparent)]
+    Other(#[from] RecordError),
+    /// It says itself that its time is over.
+    #[error("record {id} was valid until {until}")]
+    Expired {
+        /// The record.
+        id: String,
+        /// UTC, RFC 3339.
+        until: String,
+    },
+    /// It is older than such records usually hold.
+    #[error("record {id} is {days:.0} days old; such records usually hold for {usual_days:.0}")]
+    Old {
+        /// The record.
+        id: String,
+        /// Its age, days.
+        days: f64,
+        /// How long the kind holds, days.
+        usual_days: f64,
+    },
+    /// It was made in the future: a clock is wrong.
+    #[error("record {id} is dated {date}, which is in the future")]
+    Future {
+        /// The record.
+        id: String,
+        /// UTC, RFC 3339.
+        date: String,
+    },
+}
+
+impl Kind {
+    /// How long such a measurement usually holds on an untouched bench, days: a
+    /// sensor ages slowly, dust and lamps do not wait.
+    pub fn usual_days(self) -> f64 {
+        match self {
+            Kind::Sensor | Kind::Response => 365.0,
+            Kind::Scale => 180.0,
+            Kind::Flat => 90.0,
+            Kind::Lights | Kind::Lamp => 30.0,
+        }
+    }
+
+    /// The part of `rig calibrate` that measures it.
+    pub fn command(self) -> &'static str {
+        match self {
+            Kind::Scale => "flat --radiance L --radiance-std U",
+            Kind::Lights => "white",
+            other => other.folder(),
+        }
+    }
+
+    /// Whether it belongs to one camera at its settings.
+    pub fn is_of_the_camera(self) -> bool {
+        matches!(self, Kind::Sensor | Kind::Flat | Kind::Scale)
+    }
+}
+
+impl<V> Loaded<V> {
+    /// What speaks against going by this record now; nothing if it fits. An
+    /// empty `serial` (the camera has none) matches every record.
+    fn concerns(&self, serial: &str, camera: &CameraConfig, now: Timestamp) -> Vec<Concern> {
+        let record = &self.record;
+        let mut concerns = Vec::new();
+        if record.kind.is_of_the_camera()
+            && let Err(error) = self.check_camera(serial, camera)
+        {
+            concerns.push(error.into());
+        }
+        let id = || record.id.clone();
+        if self.is_expired(now) {
+            let until = record.valid_until.clone().unwrap_or_default();
+            concerns.push(Concern::Expired { id: id(), until });
+        }
+        let days = self.age_days(now);
+        let usual_days = record.kind.usual_days();
+        // A clock may be a day off, as time zones are.
+        if days < -1.0 {
+            let date = record.date.clone();
+            concerns.push(Concern::Future { id: id(), date });
+        } else if record.valid_until.is_none() && days > usual_days {
+            concerns.push(Concern::Old {
+                id: id(),
+                days,
+                usual_days,
+            });
+        }
+        concerns
+    }
+
+    /// As [`Self::concerns`]; a simulated bench does not age.
+    pub fn concerns_on(
+        &self,
+        is_simulated: bool,
+        serial: &str,
+        camera: &CameraConfig,
+        now: Timestamp,
+    ) -> Vec<Concern> {
+        let ages = |c: &Concern| matches!(c, Concern::Old { .. } | Concern::Future { .. });
+        let mut concerns = self.concerns(serial, camera, now);
+        concerns.retain(|concern| !(is_simulated && ages(concern)));
+        concerns
+    }
+
+    /// Days since it was measured.
+    pub fn age_days(&self, now: Timestamp) -> f64 {
+        let date = self.record.date.parse::<Timestamp>().unwrap_or(now);
+        (now.as_second() - date.as_second()) as f64 / 86_400.0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::calibration::Library;
+    use crate::calibration::record::SensorValues;
+
+    #[test]
+    fn age_end_and_other_devices_speak_against_a_record() {
+        let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
+        let rig = crate::config::RigConfig::load(&root.join("rig-configs/simulated.toml")).unwrap();
+        let library = Library::Folder(root.join("calibration/simulated"));
+        let mut loaded: Loaded<SensorValues> = library.load(None).unwrap().unwrap();
+        let date: Timestamp = loaded.record.date.parse().unwrap();
+        let later = |days: i64| date + jiff::SignedDuration::from_hours(24 * days);
+        let facts = |loaded: &Loaded<SensorValues>, serial: &str, now| {
+            let concerns = loaded.concerns_on(false, serial, &rig.camera, now);
+            concerns.iter().map(Concern::to_string).collect::<Vec<_>>()
+        };
+        assert!(facts(&loaded, "SIM-0001", later(10)).is_empty());
+        let other = facts(&loaded, "SIM-0002", later(10));
+        assert!(
+            other.len() == 1 && other[0].contains("SIM-0002"),
+            "{other:?}"
+        );
+        let old = facts(&loaded, "SIM-0001", later(400));
+        assert!(old.len() == 1 && old[0].contains("400 days old"), "{old:?}");
+        assert!(
+            loaded
+                .concerns_on(true, "", &rig.camera, later(400))
+                .is_empty()
+        );
+        let early = facts(&loaded, "SIM-0001", later(-3));
+        assert!(early.len() == 1 && early[0].contains("future"), "{early:?}");
+        loaded.record.valid_until = Some(later(30).to_string());
+        assert!(facts(&loaded, "SIM-0001", later(29)).is_empty());
+        let expired = facts(&loaded, "SIM-0001", later(400));
+        assert!(
+            expired.len() == 1 && expired[0].contains("valid until"),
+            "{expired:?}"
+        );
+    }
+}

@@ -1,0 +1,185 @@
+//! `rig calibrate` as the operator meets it: records, figures, status, and that a
+//! failure leaves what was there.
+
+use std::path::Path;
+
+use serde_json::Value;
+
+fn rig(folder: &Path) -> assert_cmd::Command {
+    let mut command = assert_cmd::Command::cargo_bin("rig").unwrap();
+    command.current_dir(folder);
+    command
+}
+
+/// A simulated rig of which some lines are changed.
+fn rig_file(folder: &Path, changes: &[(&str, &str)]) {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let mut text = std::fs::read_to_string(root.join("rig-configs/simulated.toml")).unwrap();
+    for (old, new) in changes {
+        assert!(text.contains(old), "{old}");
+        text = text.replace(old, new);
+    }
+    std::fs::write(folder.join("rig.toml"), text).unwrap();
+}
+
+fn json(output: &std::process::Output) -> Value {
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+fn state<'a>(status: &'a Value, kind: &str) -> &'a Value {
+    let records = status["records"].as_array().unwrap();
+    records.iter().find(|line| line["kind"] == kind).unwrap()
+}
+
+#[test]
+fn records_figures_and_status() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    rig_file(at, &[]);
+    std::fs::create_dir_all(at.join("calibration/simulated")).unwrap();
+    let status = || {
+        json(
+            &rig(at)
+                .args(["calibrate", "status", "--json"])
+                .output()
+                .unwrap(),
+        )
+    };
+    let before = status();
+    assert_eq!(state(&before, "sensor")["state"], "missing");
+    assert_eq!(state(&before, "sensor")["run"], "rig calibrate sensor");
+
+    rig(at)
+        .args(["calibrate", "sensor", "--id", "one", "--valid-days", "30"])
+        .assert()
+        .success();
+    let after = status();
+    let sensor = state(&after, "sensor");
+    assert_eq!(
+        (&sensor["state"], &sensor["id"]),
+        (&"good".into(), &"one".into())
+    );
+    for ending in ["svg", "png"] {
+        let figure = at.join(format!("calibration/simulated/plots/one.{ending}"));
+        assert!(
+            std::fs::metadata(&figure).unwrap().len() > 1000,
+            "{figure:?}"
+        );
+    }
+    let shown = rig(at).args(["calibrate", "status"]).output().unwrap();
+    let shown = String::from_utf8(shown.stdout).unwrap();
+    assert!(shown.contains("sensor    ok"), "{shown}");
+
+    // A record of the same name is never replaced.
+    let record = at.join("calibration/simulated/sensor/one.toml");
+    let bytes = std::fs::read(&record).unwrap();
+    rig(at)
+        .args(["calibrate", "sensor", "--id", "one", "--frames", "8"])
+        .assert()
+        .code(1);
+    assert_eq!(std::fs::read(&record).unwrap(), bytes);
+
+    // Its time is over, or it is another camera's.
+    let text = String::from_utf8(bytes).unwrap();
+    let expired = text
+        .lines()
+        .map(|line| match line.starts_with("valid_until") {
+            true => "valid_until = \"2026-01-01T00:00:00Z\"",
+            false => line,
+        });
+    std::fs::write(&record, expired.collect::<Vec<_>>().join("\n")).unwrap();
+    assert_eq!(state(&status(), "sensor")["state"], "doubtful");
+    std::fs::write(&record, text.replace("SIM-0001", "SIM-0002")).unwrap();
+    let other = status();
+    let sensor = state(&other, "sensor");
+    assert_eq!(sensor["state"], "refused");
+    assert!(sensor["concerns"][0].as_str().unwrap().contains("SIM-0002"));
+}
+
+/// A record per gain: the one of the rig's gain is taken though another is newer.
+#[test]
+fn the_record_of_the_gain_in_use_is_taken() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    std::fs::create_dir_all(at.join("calibration/simulated")).unwrap();
+    for (gain, id, date) in [
+        ("gain = 1.0", "low", "2026-11-01T00:00:00Z"),
+        ("gain = 2.0", "high", "2026-11-02T00:00:00Z"),
+    ] {
+        rig_file(at, &[("\ngain = 1.0", &format!("\n{gain}"))]);
+        rig(at)
+            .args([
+                "calibrate",
+                "sensor",
+                "--frames",
+                "8",
+                "--id",
+                id,
+                "--date",
+                date,
+            ])
+            .assert()
+            .success();
+    }
+    for (gain, id) in [("gain = 1.0", "low"), ("gain = 2.0", "high")] {
+        rig_file(at, &[("\ngain = 1.0", &format!("\n{gain}"))]);
+        let status = json(
+            &rig(at)
+                .args(["calibrate", "status", "--json"])
+                .output()
+                .unwrap(),
+        );
+        let sensor = state(&status, "sensor");
+        assert_eq!(
+            (&sensor["id"], &sensor["state"]),
+            (&id.into(), &"good".into())
+        );
+    }
+}
+
+#[test]
+fn the_lamp_is_watched_and_a_failure_keeps_the_old_record() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    std::fs::create_dir_all(at.join("calibration/simulated")).unwrap();
+    let warming = |seconds: &str| {
+        rig_file(
+            at,
+            &[
+                ("warm_up_fraction = 0.0", "warm_up_fraction = 0.08"),
+                ("warm_up_s = 60.0", &format!("warm_up_s = {seconds}")),
+            ],
+        );
+    };
+    warming("60.0");
+    let lamp = ["calibrate", "lamp", "--minutes", "12"];
+    let output = rig(at)
+        .args(lamp)
+        .args(["--json", "--id", "one"])
+        .output()
+        .unwrap();
+    let report = json(&output);
+    let warm_s = report["values"]["warm_up_time_s"].as_f64().unwrap();
+    let expected_s = 60.0 * (0.08f64 / 1e-3).ln();
+    assert!((warm_s / expected_s - 1.0).abs() < 0.1, "{warm_s}");
+    assert!(at.join("calibration/simulated/plots/one.png").exists());
+
+    // Too slow to be watched in twelve minutes: refused, and nothing was written.
+    warming("900.0");
+    let output = rig(at).args(lamp).args(["--id", "two"]).output().unwrap();
+    let stderr = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{stderr}");
+    assert!(stderr.contains("still warming up"), "{stderr}");
+    let records = std::fs::read_dir(at.join("calibration/simulated/lamp")).unwrap();
+    assert_eq!(records.count(), 1);
+    let wrong = rig(at)
+        .args(["calibrate", "lamp", "--minutes", "1"])
+        .output()
+        .unwrap();
+    assert_eq!(wrong.status.code(), Some(1));
+}
