@@ -363,7 +363,8 @@ impl LightStage for ZaberStage {
         };
         self.in_motion = true;
         for address in self.config.axes {
-            self.command(address.device, address.axis, "warnings clear")?;
+            // Asked again where what is left of a damaged answer spoils the first.
+            self.question(address.device, address.axis, "warnings clear")?;
             self.link.known().fault = None;
             self.command(address.device, address.axis, "home")?;
         }
