@@ -220,3 +220,75 @@ fn devices_are_listed_as_json_with_or_without_any() {
         assert!(device["path"].is_string() && device["accessible"].is_boolean());
     }
 }
+
+/// The gantry of the rig file on simulated devices, whose homing scatters by
+/// 0.05 mm: what is measured is the difference of finding and homing.
+#[test]
+fn repeated_homing_measures_what_the_switches_scatter() {
+    use mock_devices::bench::StageErrors;
+    use mock_devices::zaber::{ZaberConfig, ZaberSimulator};
+    let bench = BenchConfig {
+        errors: StageErrors {
+            homing_mm: 0.05,
+            ..StageErrors::default()
+        },
+        ..BenchConfig::default()
+    };
+    let config = ZaberConfig {
+        microsteps_per_unit: [2016.0; 2],
+        limit_max: [2_016_000; 2],
+        ..ZaberConfig::default()
+    };
+    let bench = Bench::new(bench, Clock::instant());
+    let simulator = ZaberSimulator::spawn(config, bench).unwrap();
+    let port = simulator.path().display().to_string();
+    let built_in = include_str!("../rig-configs/zaber-gantry-v4l2.toml");
+    let with_port: String = built_in
+        .lines()
+        .map(|line| match line.strip_prefix("port = ") {
+            Some(_) => format!("port = {port:?}\n"),
+            None => format!("{line}\n"),
+        })
+        .collect();
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("gantry.toml").display().to_string();
+    std::fs::write(&file, with_port).unwrap();
+    let output = run(&[
+        "stage",
+        "repeatability",
+        "--rig",
+        &file,
+        "--cycles",
+        "12",
+        "--json",
+    ]);
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    let answer: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(answer["unit"], "mm");
+    assert_eq!(answer["off"].as_array().unwrap().len(), 12);
+    for axis in 0..2 {
+        // 12 draws of one scatter: within 0.4 and 1.8 of it, far beyond 99.9%.
+        let rms = answer["standard_deviation"][axis].as_f64().unwrap() * 2f64.sqrt();
+        assert!((0.02..0.09).contains(&rms), "axis {axis}: {rms}");
+    }
+    let grbl = run(&["stage", "repeatability", "--rig", "simulated", "--quiet"]);
+    assert_fails(&grbl, "cannot tell where it finds its switches");
+}
+
+#[test]
+fn a_manual_stage_needs_a_terminal() {
+    let built_in = include_str!("../rig-configs/dmx-dome-v4l2.toml");
+    let manual: String = built_in
+        .lines()
+        .filter(|line| {
+            ["port = ", "level = ", "dmx_address = "]
+                .iter()
+                .all(|key| !line.starts_with(key))
+        })
+        .map(|line| line.replace("driver = \"dmx\"", "driver = \"manual\"") + "\n")
+        .collect();
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("manual.toml").display().to_string();
+    std::fs::write(&file, manual).unwrap();
+    assert_fails(&run(&["stage", "home", "--rig", &file]), "no terminal");
+}

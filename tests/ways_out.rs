@@ -20,7 +20,7 @@ use rig::cli::exit::Exit;
 use rig::cli::output::write_stderr;
 use rig::device::grbl::{GrblConfig, GrblStage};
 use rig::device::guardian::GuardedStage;
-use rig::device::kinematics::{AxisMap, Kinematics};
+use rig::device::kinematics::{AxisMap, Mechanism, TwoAxes};
 use rig::device::simulated::{SimulatedBench, SimulatedConfig};
 use rig::device::*;
 use rig::session::faults::UnsyncedDisk;
@@ -36,18 +36,18 @@ const PATIENCE: Duration = Duration::from_secs(60);
 
 /// Nine axis units from end to end, at two units per second.
 fn stage_config(port: &str) -> GrblConfig {
-    let map = |axis, min_deg, max_deg| AxisMap {
-        axis,
+    let map = |min, max| AxisMap {
         scale: 0.1,
-        offset_deg: min_deg,
-        min_deg,
-        max_deg,
+        offset: min,
+        min,
+        max,
     };
     GrblConfig {
-        kinematics: Kinematics {
-            azimuth: map('X', -45.0, 45.0),
-            elevation: map('Y', 0.0, 90.0),
-            approach_deg: 2.0,
+        kinematics: TwoAxes {
+            mechanism: Mechanism::Rotary,
+            first: map(-45.0, 45.0),
+            second: map(0.0, 90.0),
+            approach: 2.0,
         },
         feed_per_min: 120.0,
         lamp_on: vec![vec!["M3 S1000".to_owned()], vec!["M8".to_owned()]],

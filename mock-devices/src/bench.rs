@@ -431,6 +431,11 @@ impl Bench {
         state.homed = true;
     }
 
+    /// What the firmware does not know: the motors' position minus its own.
+    pub(crate) fn slip(&self) -> Position {
+        lock(&self.state).slip
+    }
+
     pub(crate) fn set_alarm(&self, alarm: Option<u8>) {
         lock(&self.state).alarm = alarm;
     }

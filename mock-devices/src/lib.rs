@@ -8,10 +8,15 @@
 pub mod bench;
 pub mod camera;
 pub mod clock;
+pub mod dmx;
+pub mod dome;
 pub mod grbl;
 pub mod motion;
+pub mod proxy;
 pub mod sensor;
+pub mod zaber;
 
+mod pty;
 mod random;
 
 use std::sync::Arc;

@@ -6,39 +6,58 @@
 
 use glam::DVec3;
 
+use crate::device::kinematics::{AxisMap, Kinematics, Mechanism, TwoAxes};
 use crate::units::StageAngles;
 
 /// Candidates stand on whole multiples of this, degrees, so that a person can
 /// read and repeat them.
 const GRID_DEG: f64 = 2.5;
 
-/// What a stage can reach, in its own angles.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct StageReach {
-    /// Smallest and largest azimuth, degrees, soft limits.
-    pub azimuth_deg: [f64; 2],
-    /// Smallest and largest elevation, degrees, soft limits.
-    pub elevation_deg: [f64; 2],
-}
+/// What a stage can reach.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StageReach(pub Kinematics);
 
 impl StageReach {
-    /// Whether the soft limits allow it.
-    pub fn contains(&self, angles: StageAngles) -> bool {
-        let inside = |value: f64, [low, high]: [f64; 2]| (low..=high).contains(&value);
-        inside(angles.azimuth_deg, self.azimuth_deg)
-            && inside(angles.elevation_deg, self.elevation_deg)
+    /// Two rotary axes with these soft limits, degrees.
+    pub fn of_angles(azimuth_deg: [f64; 2], elevation_deg: [f64; 2]) -> Self {
+        let axis = |[min, max]: [f64; 2]| AxisMap {
+            scale: 1.0,
+            offset: 0.0,
+            min,
+            max,
+        };
+        Self(Kinematics::TwoAxes(TwoAxes {
+            mechanism: Mechanism::Rotary,
+            first: axis(azimuth_deg),
+            second: axis(elevation_deg),
+            approach: 0.0,
+        }))
     }
 
-    /// The grid's points inside the limits and the limits themselves; each
-    /// direction once, in a fixed order.
+    /// Whether the soft limits allow it.
+    pub fn contains(&self, angles: StageAngles) -> bool {
+        self.0.reaches(angles)
+    }
+
+    /// Directions to choose from, each once, in a fixed order: of axes the
+    /// grid's points inside the limits and rotary limits themselves, of fixed
+    /// lights all of them.
     pub fn candidates(&self) -> Vec<StageAngles> {
+        let axes = match &self.0 {
+            Kinematics::FixedLights(lights) => return lights.directions.clone(),
+            Kinematics::TwoAxes(axes) => axes,
+        };
+        let [azimuth_deg, elevation_deg] = axes.angle_ranges_deg();
         let mut all: Vec<(StageAngles, DVec3)> = Vec::new();
-        for elevation_deg in ticks(self.elevation_deg) {
-            for azimuth_deg in near_zero_first(ticks(self.azimuth_deg)) {
+        for elevation_deg in ticks(elevation_deg) {
+            for azimuth_deg in near_zero_first(ticks(azimuth_deg)) {
                 let angles = StageAngles {
                     azimuth_deg,
                     elevation_deg,
                 };
+                if !self.contains(angles) {
+                    continue;
+                }
                 let direction = angles.to_light();
                 // Azimuths that are the same direction: at the zenith, or a full turn apart.
                 let row = all
@@ -138,26 +157,26 @@ fn first_best(values: impl Iterator<Item = f64>) -> Option<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::device::kinematics::FixedLights;
 
-    const REACH: StageReach = StageReach {
-        azimuth_deg: [-170.0, 170.0],
-        elevation_deg: [12.0, 88.0],
-    };
+    fn reach() -> StageReach {
+        StageReach::of_angles([-170.0, 170.0], [12.0, 88.0])
+    }
 
     #[test]
     fn coaxial_comes_first_and_n_lights_begin_n_plus_one() {
-        let ten = farthest_point_order(&REACH, DVec3::Z, 10, 0.0);
+        let ten = farthest_point_order(&reach(), DVec3::Z, 10, 0.0);
         assert_eq!(ten.len(), 10);
         assert_eq!(ten[0].elevation_deg, 88.0);
         for n in 1..10 {
-            assert_eq!(farthest_point_order(&REACH, DVec3::Z, n, 0.0), ten[..n]);
+            assert_eq!(farthest_point_order(&reach(), DVec3::Z, n, 0.0), ten[..n]);
         }
-        assert!(ten.iter().all(|&angles| REACH.contains(angles)));
+        assert!(ten.iter().all(|&angles| reach().contains(angles)));
     }
 
     #[test]
     fn each_light_is_as_far_from_the_others_as_any_candidate_could_be() {
-        let chosen = farthest_point_order(&REACH, DVec3::Z, 8, 0.0);
+        let chosen = farthest_point_order(&reach(), DVec3::Z, 8, 0.0);
         let distance = |a: StageAngles, b: StageAngles| a.to_light().distance(b.to_light());
         for n in 1..chosen.len() {
             let gap = |candidate: StageAngles| {
@@ -166,7 +185,11 @@ mod tests {
                     .map(|&c| distance(c, candidate))
                     .fold(9.0, f64::min)
             };
-            let best = REACH.candidates().into_iter().map(gap).fold(0.0, f64::max);
+            let best = reach()
+                .candidates()
+                .into_iter()
+                .map(gap)
+                .fold(0.0, f64::max);
             assert!(gap(chosen[n]) > best - 1e-6, "light {n}");
         }
     }
@@ -175,10 +198,7 @@ mod tests {
     /// lights still go all around.
     #[test]
     fn equally_far_lights_go_around() {
-        let reach = StageReach {
-            azimuth_deg: [-180.0, 180.0],
-            elevation_deg: [20.0, 90.0],
-        };
+        let reach = StageReach::of_angles([-180.0, 180.0], [20.0, 90.0]);
         let four = farthest_point_order(&reach, DVec3::Z, 4, 0.0);
         let azimuths: Vec<f64> = four.iter().map(|angles| angles.azimuth_deg).collect();
         assert_eq!(azimuths, [0.0, 0.0, 180.0, 90.0]);
@@ -186,7 +206,7 @@ mod tests {
 
     #[test]
     fn the_spacing_bounds_the_number() {
-        let all = farthest_point_order(&REACH, DVec3::Z, usize::MAX, 20.0);
+        let all = farthest_point_order(&reach(), DVec3::Z, usize::MAX, 20.0);
         assert!((20..80).contains(&all.len()), "{}", all.len());
         for (i, a) in all.iter().enumerate() {
             for b in &all[..i] {
@@ -198,15 +218,55 @@ mod tests {
 
     #[test]
     fn the_zenith_and_a_full_turn_are_counted_once() {
-        let reach = StageReach {
-            azimuth_deg: [-180.0, 180.0],
-            elevation_deg: [90.0, 90.0],
-        };
+        let reach = StageReach::of_angles([-180.0, 180.0], [90.0, 90.0]);
         assert_eq!(reach.candidates().len(), 1);
-        let reach = StageReach {
-            elevation_deg: [0.0, 0.0],
-            ..reach
-        };
+        let reach = StageReach::of_angles([-180.0, 180.0], [0.0, 0.0]);
         assert_eq!(reach.candidates().len(), 144);
+    }
+
+    /// 200 mm aside at a height of 300 mm is 56.3° of elevation, along the
+    /// diagonal 46.7°: what is lower is no candidate, what is higher is one
+    /// wherever it points.
+    #[test]
+    fn a_gantry_reaches_farther_along_its_diagonals() {
+        let axis = AxisMap {
+            scale: 1.0,
+            offset: 0.0,
+            min: -200.0,
+            max: 200.0,
+        };
+        let gantry = StageReach(Kinematics::TwoAxes(TwoAxes {
+            mechanism: Mechanism::Gantry { height_mm: 300.0 },
+            first: axis,
+            second: axis,
+            approach: 0.0,
+        }));
+        let candidates = gantry.candidates();
+        let at = |elevation_deg| {
+            let row = candidates.iter();
+            row.filter(|angles| angles.elevation_deg == elevation_deg)
+                .count()
+        };
+        assert_eq!([at(45.0), at(57.5), at(90.0)], [0, 144, 1]);
+        assert!((1..144).contains(&at(50.0)), "{}", at(50.0));
+        assert!(candidates.iter().all(|&angles| gantry.contains(angles)));
+    }
+
+    #[test]
+    fn fixed_lights_are_the_only_candidates() {
+        let directions: Vec<_> = (0..12)
+            .map(|i| StageAngles {
+                azimuth_deg: f64::from(i) * 30.0,
+                elevation_deg: 40.0 + f64::from(i),
+            })
+            .collect();
+        let dome = StageReach(Kinematics::FixedLights(FixedLights {
+            directions: directions.clone(),
+            tolerance_deg: 0.5,
+        }));
+        let chosen = farthest_point_order(&dome, DVec3::Z, usize::MAX, 0.0);
+        assert_eq!(chosen.len(), 12);
+        assert_eq!(chosen[0], directions[11]);
+        assert!(chosen.iter().all(|light| directions.contains(light)));
     }
 }

@@ -143,13 +143,7 @@ pub fn check_reach(lights: &[StageAngles], reach: &StageReach) -> Result<(), Cap
         Some(light) => Err(CaptureError::LightOutOfReach {
             light,
             angles: lights[light],
-            limits: format!(
-                "azimuth {}° to {}°, elevation {}° to {}°",
-                reach.azimuth_deg[0],
-                reach.azimuth_deg[1],
-                reach.elevation_deg[0],
-                reach.elevation_deg[1]
-            ),
+            limits: reach.0.limits(),
         }),
     }
 }
@@ -227,10 +221,7 @@ mod tests {
     fn request(lights: LightChoice) -> PlanRequest {
         PlanRequest {
             lights,
-            reach: StageReach {
-                azimuth_deg: [-170.0, 170.0],
-                elevation_deg: [10.0, 85.0],
-            },
+            reach: StageReach::of_angles([-170.0, 170.0], [10.0, 85.0]),
             coaxial: DVec3::Z,
             channels: (0..3).map(LampChannel).collect(),
             gain: 1.0,

@@ -435,17 +435,7 @@ fn request(lights: &LightChoice, config: &RigConfig, camera: Option<&CameraInfo>
     // On a bench whose clock jumps, nothing needs to settle.
     let is_instant = is_instant(config);
     let wait = |time: Seconds| if is_instant { Seconds(0.0) } else { time };
-    let kinematics = &config.stage.grbl.kinematics;
-    let axes = [&kinematics.azimuth, &kinematics.elevation];
-    let speed_deg_s = |scale: f64| config.stage.grbl.feed_per_min / 60.0 / scale.abs();
-    let stage_deg_s = axes
-        .iter()
-        .map(|axis| speed_deg_s(axis.scale))
-        .fold(f64::INFINITY, f64::min);
-    let travel_deg = axes
-        .iter()
-        .map(|axis| axis.max_deg - axis.min_deg)
-        .fold(0.0, f64::max);
+    let (stage_deg_s, homing) = config.stage.pace();
     let frame_interval_s = config
         .simulation
         .as_ref()
@@ -478,7 +468,7 @@ fn request(lights: &LightChoice, config: &RigConfig, camera: Option<&CameraInfo>
         resolution_px: config.camera.resolution_px,
         pace: Pace {
             stage_deg_s,
-            homing: Seconds(travel_deg / stage_deg_s),
+            homing,
             frame_interval: Seconds(frame_interval_s),
         },
     }
@@ -489,11 +479,7 @@ fn on_step(exposure_s: f64, step_s: f64) -> f64 {
 }
 
 pub(super) fn reach(config: &RigConfig) -> StageReach {
-    let kinematics = &config.stage.grbl.kinematics;
-    StageReach {
-        azimuth_deg: [kinematics.azimuth.min_deg, kinematics.azimuth.max_deg],
-        elevation_deg: [kinematics.elevation.min_deg, kinematics.elevation.max_deg],
-    }
+    StageReach(config.stage.kinematics())
 }
 
 /// From the sample to the camera, in the stage's frame.

@@ -18,7 +18,6 @@ use crate::calibration::record::{
     FlatValues, Kind, LightsValues, ScaleValues, SensorValues, Values,
 };
 use crate::calibration::{Library, RecordError};
-use crate::config::stage::StageDriver;
 use crate::config::{CameraDriver, Origin, ResolvedRig};
 use crate::device::discovery;
 
@@ -229,14 +228,15 @@ fn program(name: &str) -> Check {
 }
 
 fn stage(rig: &ResolvedRig) -> Check {
-    match rig.config.stage.driver {
-        StageDriver::Simulated => Check::ok("stage", "simulated"),
-        StageDriver::Grbl if !cfg!(feature = "serial") => Check::failed(
+    let stage = &rig.config.stage;
+    match stage.port() {
+        None => Check::ok("stage", stage.driver_name()),
+        Some(_) if !cfg!(feature = "serial") => Check::failed(
             "stage",
             "this program was built without serial ports",
             "build it with the feature `serial`",
         ),
-        StageDriver::Grbl => device_file("stage", &rig.config.stage.grbl.port, "/dev/serial/by-id"),
+        Some(port) => device_file("stage", port, "/dev/serial/by-id"),
     }
 }
 

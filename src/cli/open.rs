@@ -41,18 +41,32 @@ impl Stage {
     }
 }
 
+/// What speaks on a port of which no rig file is given.
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+pub enum PortDriver {
+    /// GRBL 1.1 or grblHAL
+    Grbl,
+    /// Zaber ASCII; axes 1 and 2 of device 1
+    Zaber,
+}
+
 #[cfg(feature = "serial")]
-pub use with_serial::{open_devices, open_port, open_stage, stop_port};
+pub use with_serial::{open_devices, open_port, open_stage, stop_port, stop_stage};
 #[cfg(not(feature = "serial"))]
-pub use without_serial::{open_devices, open_port, open_stage, stop_port};
+pub use without_serial::{open_devices, open_port, open_stage, stop_port, stop_stage};
 
 #[cfg(feature = "serial")]
 mod with_serial {
     use super::*;
     use crate::cli::guardian::guarded;
+    use crate::cli::operator::Terminal;
+    use crate::config::stage::StageDriver;
     use crate::device::DeviceError;
+    use crate::device::dome::{self, DomeStage, DomeWiring};
     use crate::device::grbl::{self, GrblConfig, GrblStage};
+    use crate::device::manual::ManualStage;
     use crate::device::simulated::SimulatedBench;
+    use crate::device::zaber::{self, ZaberConfig, ZaberStage};
 
     /// Opens both devices. `source` is asked only for a simulated rig: what its
     /// camera sees.
@@ -70,7 +84,7 @@ mod with_serial {
                 })
             }
             None => Ok(Devices {
-                stage: guarded(Box::new(GrblStage::open(rig.stage.grbl.clone())?))?,
+                stage: guarded(open_real_stage(rig)?)?,
                 camera: super::open_real_camera(rig)?,
                 _bench: None,
             }),
@@ -87,26 +101,74 @@ mod with_serial {
                     bench: Some(Box::new(bench)),
                 })
             }
-            None => open_grbl(rig.stage.grbl.clone()),
+            None => Ok(Stage {
+                stage: open_real_stage(rig)?,
+                bench: None,
+            }),
         }
     }
 
-    /// Opens whatever GRBL controller is on a port.
-    pub fn open_port(port: &str, baud: u32) -> Result<Stage, CliError> {
-        open_grbl(GrblConfig::of_port(port, baud))
+    fn open_real_stage(rig: &RigConfig) -> Result<Box<dyn LightStage>, CliError> {
+        match &rig.stage.driver {
+            StageDriver::Simulated(_) => Err(CliError::new("the rig's stage is simulated")),
+            StageDriver::Grbl(config) => Ok(Box::new(GrblStage::open(config.clone())?)),
+            StageDriver::Zaber(config) => Ok(Box::new(ZaberStage::open(config.clone())?)),
+            StageDriver::Dome(config) => Ok(Box::new(DomeStage::open(config.clone())?)),
+            StageDriver::Manual(config) => {
+                let operator = Arc::new(Terminal::new()?);
+                Ok(Box::new(ManualStage::new(config.clone(), operator)))
+            }
+        }
     }
 
-    fn open_grbl(config: GrblConfig) -> Result<Stage, CliError> {
-        Ok(Stage {
-            stage: Box::new(GrblStage::open(config)?),
-            bench: None,
-        })
+    /// Opens whatever controller of this kind is on a port.
+    pub fn open_port(driver: PortDriver, port: &str, baud: u32) -> Result<Stage, CliError> {
+        let stage: Box<dyn LightStage> = match driver {
+            PortDriver::Grbl => Box::new(GrblStage::open(GrblConfig::of_port(port, baud))?),
+            PortDriver::Zaber => Box::new(ZaberStage::open(ZaberConfig::of_port(port, baud))?),
+        };
+        Ok(Stage { stage, bench: None })
+    }
+
+    /// Stops the stage of a rig, without asking it anything first; what that means.
+    pub fn stop_stage(rig: &RigConfig) -> Result<&'static str, CliError> {
+        match &rig.stage.driver {
+            StageDriver::Simulated(_) => Err(CliError::new("the rig's stage is simulated")),
+            StageDriver::Grbl(config) => stop_port(PortDriver::Grbl, &config.port, config.baud),
+            StageDriver::Manual(_) => Ok("nothing: a manual stage is stopped by hand"),
+            StageDriver::Dome(config) => {
+                stopped(dome::stop_port(config))?;
+                Ok(match config.wiring {
+                    DomeWiring::Line => "all lights are off",
+                    DomeWiring::Dmx { .. } => {
+                        "all lights were told to go off; DMX does not say whether they did"
+                    }
+                })
+            }
+            StageDriver::Zaber(config) => {
+                stopped(zaber::stop_port(config))?;
+                Ok("the axes stand and the lamp is off")
+            }
+        }
     }
 
     /// Stops the controller on a port, without asking it anything first.
-    pub fn stop_port(port: &str, baud: u32) -> Result<(), CliError> {
-        let timeout = GrblConfig::of_port(port, baud).connect_timeout;
-        match grbl::stop_port(port, baud, timeout.to_duration()) {
+    pub fn stop_port(driver: PortDriver, port: &str, baud: u32) -> Result<&'static str, CliError> {
+        match driver {
+            PortDriver::Grbl => {
+                let timeout = GrblConfig::of_port(port, baud).connect_timeout;
+                stopped(grbl::stop_port(port, baud, timeout.to_duration()))?;
+                Ok("the controller has restarted with its outputs off")
+            }
+            PortDriver::Zaber => {
+                stopped(zaber::stop_port(&ZaberConfig::of_port(port, baud)))?;
+                Ok("the axes stand; which outputs are a lamp is only known with --rig")
+            }
+        }
+    }
+
+    fn stopped(outcome: Result<(), DeviceError>) -> Result<(), CliError> {
+        match outcome {
             Err(error @ DeviceError::Busy { .. }) => Err(CliError::from(error).hint(
                 "stop the program that uses it with Ctrl-C, twice; or use the emergency stop",
             )),
@@ -141,12 +203,17 @@ mod without_serial {
     }
 
     /// Fails: there are no stages.
-    pub fn open_port(_: &str, _: u32) -> Result<Stage, CliError> {
+    pub fn open_port(_: PortDriver, _: &str, _: u32) -> Result<Stage, CliError> {
         Err(without())
     }
 
     /// Fails: there are no stages.
-    pub fn stop_port(_: &str, _: u32) -> Result<(), CliError> {
+    pub fn stop_stage(_: &RigConfig) -> Result<&'static str, CliError> {
+        Err(without())
+    }
+
+    /// Fails: there are no stages.
+    pub fn stop_port(_: PortDriver, _: &str, _: u32) -> Result<&'static str, CliError> {
         Err(without())
     }
 }

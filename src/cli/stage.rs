@@ -3,10 +3,10 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use super::open::{self, Stage};
+use super::open::{self, PortDriver, Stage};
 use super::output::write_json;
 use super::rig_choice::RigArg;
-use super::{CliError, Context, interrupt};
+use super::{CliError, Context, interrupt, repeatability};
 use crate::device::{
     DeviceError, LampChannel, LampState, LightStage, StageActivity, StageInfo, StageStatus,
 };
@@ -53,6 +53,18 @@ enum Action {
         #[arg(long)]
         home: bool,
     },
+    /// Homes again and again, and says how well the switches are found
+    ///
+    /// After each homing the stage drives away and back to its switches with the
+    /// steps counted; where they are found differs by the errors of two homings,
+    /// and by steps lost in between.
+    Repeatability {
+        #[command(flatten)]
+        which: Which,
+        /// How often
+        #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(2..=1000))]
+        cycles: u32,
+    },
     /// Asks what the stage is doing
     Status(Which),
     /// Stops motion and lamp now
@@ -68,20 +80,14 @@ struct Which {
     #[arg(long, value_name = "PATH", conflicts_with = "rig")]
     port: Option<String>,
     /// What speaks on --port
-    #[arg(long, value_enum, default_value_t = Driver::Grbl, requires = "port")]
-    driver: Driver,
+    #[arg(long, value_enum, default_value_t = PortDriver::Grbl, requires = "port")]
+    driver: PortDriver,
     /// Bits per second on --port
     #[arg(long, default_value_t = 115_200, requires = "port")]
     baud: u32,
     /// The answer as JSON
     #[arg(long)]
     json: bool,
-}
-
-#[derive(Clone, Copy, Debug, clap::ValueEnum)]
-enum Driver {
-    /// GRBL 1.1
-    Grbl,
 }
 
 fn lamp_state(text: &str) -> Result<LampState, String> {
@@ -126,7 +132,7 @@ pub fn run(args: &StageArgs, context: &Context) -> Result<(), CliError> {
             };
             let rig = which.rig.resolve(context)?;
             // Before anything moves.
-            let kinematics = rig.config.stage.grbl.kinematics;
+            let kinematics = rig.config.stage.kinematics();
             kinematics.reach(&rig.config.name, target)?;
             let mut open = open::open_stage(&rig.config)?.guarded()?;
             context.note("homing first: a stage that was just connected doesn't know where it is");
@@ -166,6 +172,30 @@ pub fn run(args: &StageArgs, context: &Context) -> Result<(), CliError> {
                 status => which.report(open.stage.info(), &status?),
             }
         }
+        Action::Repeatability { which, cycles } => {
+            if which.port.is_some() {
+                return Err(
+                    CliError::new("--port does not say how far the stage may move")
+                        .hint("describe the stage in a rig file and name it with --rig"),
+                );
+            }
+            let rig = which.rig.resolve(context)?.config;
+            let kinematics = rig.stage.kinematics();
+            let mut open = open::open_stage(&rig)?;
+            let found = stoppable(&mut *open.stage, |stage, stopped| {
+                repeatability::measure(stage, &kinematics, *cycles, stopped, context)
+            })?;
+            let found = found.ok_or_else(|| {
+                let driver = &open.stage.info().driver;
+                CliError::new(format!("a {driver} stage cannot tell where it finds its switches"))
+                    .hint("Zaber stages can; for others, compare images of a mark after each `rig stage home`")
+            })?;
+            found.report(
+                open.stage.info(),
+                repeatability::unit(&kinematics),
+                which.json,
+            )
+        }
         Action::Status(which) => {
             let mut open = which.open(context)?;
             let status = open.stage.status()?;
@@ -176,24 +206,24 @@ pub fn run(args: &StageArgs, context: &Context) -> Result<(), CliError> {
 }
 
 fn stop(which: &Which, context: &Context) -> Result<(), CliError> {
-    match &which.port {
-        Some(port) => open::stop_port(port, which.baud)?,
+    let outcome = match &which.port {
+        Some(port) => open::stop_port(which.driver, port, which.baud)?,
         None => {
             let rig = which.rig.resolve(context)?.config;
             if rig.is_simulated() {
                 context.note("a simulated stage runs only as long as the command that uses it");
                 return Ok(());
             }
-            open::stop_port(&rig.stage.grbl.port, rig.stage.grbl.baud)?;
+            open::stop_stage(&rig)?
         }
-    }
-    out!("stopped; the controller has restarted with its outputs off")
+    };
+    out!("stopped; {outcome}")
 }
 
 impl Which {
     fn open(&self, context: &Context) -> Result<Stage, CliError> {
         match &self.port {
-            Some(port) => open::open_port(port, self.baud),
+            Some(port) => open::open_port(self.driver, port, self.baud),
             None => open::open_stage(&self.rig.resolve(context)?.config),
         }
     }

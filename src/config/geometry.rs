@@ -5,6 +5,7 @@ use glam::DVec3;
 use super::ConfigError;
 use super::reader::Section;
 use super::view::{SampleSpec, take_camera};
+use crate::device::kinematics::{Kinematics, Mechanism};
 use crate::frames::{Rigid, Sample, Stage};
 use crate::transport::{Camera, Light};
 use crate::units::StageAngles;
@@ -23,10 +24,14 @@ pub struct GeometryConfig {
 }
 
 /// The lamp as the sample sees it.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct LightConfig {
     /// Distance of the lamp from the stage's centre, mm; `None`: parallel light.
+    /// Where the stage's mechanism changes the distance, the one at which the
+    /// irradiance holds: a gantry's height, an arc's radius.
     pub distance_mm: Option<f64>,
+    /// The stage, where it changes the lamp's distance.
+    pub mechanism: Option<Kinematics>,
     /// Half the angle under which the sample sees the lamp, degrees; 0 for a
     /// lamp at a finite distance, which counts as a point.
     pub angular_radius_deg: f64,
@@ -35,8 +40,13 @@ pub struct LightConfig {
 }
 
 impl GeometryConfig {
-    /// Reads the `[geometry]` table for a camera of this resolution.
-    pub fn read(mut table: Section, resolution_px: [u32; 2]) -> Result<Self, ConfigError> {
+    /// Reads the `[geometry]` table for a camera of this resolution and a stage
+    /// with these kinematics.
+    pub fn read(
+        mut table: Section,
+        resolution_px: [u32; 2],
+        stage_kinematics: &Kinematics,
+    ) -> Result<Self, ConfigError> {
         let mut camera = table.section("camera")?.required()?;
         let view = take_camera(&mut camera, resolution_px)?;
         camera.finish()?;
@@ -51,13 +61,27 @@ impl GeometryConfig {
         );
         stage.finish()?;
         let mut light = table.section_or_empty("light")?;
+        let given_mm = light.number("distance_mm", 1.0..=1e5)?.optional();
+        let stage_mm = match stage_kinematics {
+            Kinematics::TwoAxes(axes) => match axes.mechanism {
+                Mechanism::Rotary => None,
+                Mechanism::Arc { radius_mm, .. } => Some(radius_mm),
+                Mechanism::Gantry { height_mm } => Some(height_mm),
+            },
+            Kinematics::FixedLights(_) => None,
+        };
+        if let (Some(given_mm), Some(_)) = (given_mm, stage_mm) {
+            let allowed = "absent where the stage's mechanism says how far the lamp is";
+            return Err(light.conflict("distance_mm", given_mm, allowed));
+        }
         let light_config = LightConfig {
-            distance_mm: light.number("distance_mm", 1.0..=1e5)?.optional(),
+            distance_mm: given_mm.or(stage_mm),
+            mechanism: stage_mm.map(|_| stage_kinematics.clone()),
             angular_radius_deg: light.number("angular_radius_deg", 0.0..=45.0)?.or(0.0),
             irradiance_w_m2: light.channels("irradiance_w_m2", 1e-9..=1e9)?.or([1.0; 3]),
         };
         if light_config.distance_mm.is_some() && light_config.angular_radius_deg > 0.0 {
-            let allowed = "0 where distance_mm is given";
+            let allowed = "0 where the lamp is at a finite distance";
             let radius_deg = light_config.angular_radius_deg;
             return Err(light.conflict("angular_radius_deg", radius_deg, allowed));
         }
@@ -73,7 +97,8 @@ impl GeometryConfig {
 
     /// The lamp with all channels lit while the stage is at these angles,
     /// sample frame. A lamp at a finite distance turns about the stage's centre
-    /// and gives its irradiance there.
+    /// and gives its irradiance there; one whose distance changes has the same
+    /// intensity wherever it is.
     pub fn light(&self, angles: StageAngles) -> Light {
         let to_light = self.sample_from_stage.direction(angles.to_light());
         match self.light.distance_mm {
@@ -82,10 +107,16 @@ impl GeometryConfig {
                 irradiance: self.light.irradiance_w_m2,
                 angular_radius_rad: self.light.angular_radius_deg.to_radians(),
             },
-            Some(distance_mm) => Light::Point {
-                position_mm: self.sample_from_stage.translation_mm + to_light * distance_mm,
-                intensity_mm2: self.light.irradiance_w_m2.map(|e| e * distance_mm.powi(2)),
-            },
+            Some(stated_mm) => {
+                let mechanism = self.light.mechanism.as_ref();
+                let distance_mm = mechanism
+                    .and_then(|mechanism| mechanism.lamp_distance_mm(angles))
+                    .unwrap_or(stated_mm);
+                Light::Point {
+                    position_mm: self.sample_from_stage.translation_mm + to_light * distance_mm,
+                    intensity_mm2: self.light.irradiance_w_m2.map(|e| e * stated_mm.powi(2)),
+                }
+            }
         }
     }
 }

@@ -15,6 +15,14 @@ pub const BUILT_IN: &[(&str, &str)] = &[
         "grbl-arm-v4l2",
         include_str!("../../rig-configs/grbl-arm-v4l2.toml"),
     ),
+    (
+        "dmx-dome-v4l2",
+        include_str!("../../rig-configs/dmx-dome-v4l2.toml"),
+    ),
+    (
+        "zaber-gantry-v4l2",
+        include_str!("../../rig-configs/zaber-gantry-v4l2.toml"),
+    ),
 ];
 
 /// The folder that is searched for rigs by name.
@@ -211,7 +219,7 @@ mod tests {
         assert_eq!(name(Some("arm"), Some("elsewhere.toml")), "arm");
         assert!(matches!(
             resolve(Some("amr"), None, &[]),
-            Err(ConfigError::UnknownRig { known, .. }) if known == ["arm", "grbl-arm-v4l2", "simulated"]
+            Err(ConfigError::UnknownRig { known, .. }) if known == ["arm", "dmx-dome-v4l2", "grbl-arm-v4l2", "simulated", "zaber-gantry-v4l2"]
         ));
         std::fs::write(folder.path().join("rig.toml"), "broken").unwrap();
         assert!(matches!(

@@ -8,7 +8,7 @@ use super::geometry::GeometryConfig;
 use super::process::{CalibrationConfig, CaptureConfig, FitConfig};
 use super::reader::Section;
 use super::simulation::SimulationConfig;
-use super::stage::{StageConfig, StageDriver};
+use super::stage::StageConfig;
 use crate::inverse::BenchPriors;
 
 /// A rig file, parsed and valid.
@@ -61,9 +61,9 @@ impl RigConfig {
         let camera = CameraConfig::read(root.section("camera")?.required()?)?;
         let stage = StageConfig::read(root.section("stage")?.required()?)?;
         let simulated_camera = camera.driver == CameraDriver::Simulated;
-        let simulated_stage = stage.driver == StageDriver::Simulated;
+        let simulated_stage = stage.is_simulated();
         if simulated_camera != simulated_stage {
-            let driver = if simulated_stage { "simulated" } else { "grbl" };
+            let driver = stage.driver_name();
             let allowed = "simulated together with the camera or not at all";
             return Err(root.conflict("stage.driver", format!("{driver:?}"), allowed));
         }
@@ -81,8 +81,11 @@ impl RigConfig {
                 return Err(root.conflict("simulation", "given", allowed));
             }
         };
-        let geometry =
-            GeometryConfig::read(root.section("geometry")?.required()?, camera.resolution_px)?;
+        let geometry = GeometryConfig::read(
+            root.section("geometry")?.required()?,
+            camera.resolution_px,
+            &stage.kinematics(),
+        )?;
         let capture = root.section_or_empty("capture")?;
         let config = Self {
             name,
@@ -116,6 +119,7 @@ mod tests {
 
     use super::*;
     use crate::config::BUILT_IN;
+    use crate::config::stage::StageDriver;
 
     fn simulated() -> &'static str {
         BUILT_IN[0].1
@@ -144,20 +148,26 @@ mod tests {
         keys
     }
 
-    /// Every key that the readers ask for, in every variant, stands in the
+    /// Every key that the readers ask for, in every variant, stands in a
     /// commented file; what a scene file also has (`brdf`) is explained there.
     #[test]
-    fn the_commented_file_names_every_key() {
+    fn the_commented_files_name_every_key() {
         let mut asked = BTreeSet::new();
         let shape = "kind = \"bowl\"";
         let perspective = simulated()
             .replace("model = \"orthographic\"", "model = \"perspective\"")
             .replace("extent_mm = [22.0, 22.0]", "fov_deg = 12.0");
-        let mut texts = vec![
-            simulated().to_owned(),
-            BUILT_IN[1].1.to_owned(),
-            perspective,
-        ];
+        let mut texts: Vec<_> = BUILT_IN
+            .iter()
+            .map(|(_, text)| (*text).to_owned())
+            .collect();
+        texts.push(perspective);
+        let arc = "mechanism = \"arc\"\nradius_mm = 400.0";
+        texts.push(
+            BUILT_IN[1]
+                .1
+                .replace("driver = \"grbl\"", &format!("driver = \"grbl\"\n{arc}")),
+        );
         for other in [
             "kind = \"cap\"",
             "kind = \"designed\"\nlength_mm = 3",
@@ -178,7 +188,10 @@ mod tests {
             let _ = RigConfig::read(&mut root, &text);
             asked.extend(root.vocabulary());
         }
-        let mut written = written(simulated());
+        let mut written: BTreeSet<_> = BUILT_IN
+            .iter()
+            .flat_map(|(_, text)| written(text))
+            .collect();
         let tables: BTreeSet<_> = asked
             .iter()
             .filter(|key| {
@@ -193,7 +206,7 @@ mod tests {
             .difference(&tables)
             .filter(|key| !written.contains(*key))
             .collect();
-        assert!(missing.is_empty(), "not in simulated.toml: {missing:?}");
+        assert!(missing.is_empty(), "in no commented file: {missing:?}");
         written.retain(|key| !asked.contains(key));
         assert!(written.is_empty(), "no such keys: {written:?}");
         assert!(
@@ -208,9 +221,12 @@ mod tests {
         let rig = parse(simulated()).unwrap();
         assert!(rig.is_simulated());
         assert_eq!(rig.camera.resolution_px, [64, 64]);
-        assert_eq!(rig.stage.grbl.lamp_on, [["M3 S1000"], ["M7"], ["M8"]]);
-        assert_eq!(rig.stage.grbl.lamp_off, ["M5", "M9"]);
-        assert_eq!(rig.stage.grbl.kinematics.azimuth.position(-180.0), 0.0);
+        let StageDriver::Simulated(grbl) = &rig.stage.driver else {
+            panic!("not simulated");
+        };
+        assert_eq!(grbl.lamp_on, [["M3 S1000"], ["M7"], ["M8"]]);
+        assert_eq!(grbl.lamp_off, ["M5", "M9"]);
+        assert_eq!(grbl.kinematics.first.position(-180.0), 0.0);
         assert_eq!(rig.text, simulated());
     }
 

@@ -9,6 +9,8 @@ use mock_devices::sensor::SensorConfig;
 use super::RigConfig;
 use super::reader::Section;
 use super::reflectance::BrdfSpec;
+#[cfg(feature = "serial")]
+use super::stage::StageDriver;
 use super::{CameraConfig, ConfigError};
 #[cfg(feature = "serial")]
 use crate::device::simulated::SimulatedConfig;
@@ -206,6 +208,9 @@ impl RigConfig {
     /// The simulated bench that this rig describes; `None` for a real one.
     pub fn simulated_bench(&self) -> Option<SimulatedConfig> {
         let simulation = self.simulation.as_ref()?;
+        let StageDriver::Simulated(stage) = &self.stage.driver else {
+            return None;
+        };
         let channel_of = |colour: usize| {
             let mut channels = self.stage.measures.iter();
             channels
@@ -213,7 +218,7 @@ impl RigConfig {
                 .map(|channel| channel as u8)
         };
         Some(SimulatedConfig {
-            stage: self.stage.grbl.clone(),
+            stage: stage.clone(),
             errors: simulation.stage_errors,
             lamp: simulation.lamp,
             channel_of_colour: [0, 1, 2].map(channel_of),

@@ -7,18 +7,23 @@
 pub mod command_camera;
 pub mod controls;
 pub mod discovery;
+pub mod dome;
 pub mod folder_camera;
 pub mod grbl;
 pub mod guardian;
 pub mod image_file;
 pub mod kinematics;
+pub mod manual;
 pub mod pixel_format;
 pub mod retake;
+#[cfg(feature = "serial")]
+pub mod serial_line;
 #[cfg(feature = "serial")]
 pub mod simulated;
 pub mod simulated_camera;
 #[cfg(feature = "v4l")]
 pub mod v4l;
+pub mod zaber;
 
 use crate::units::{Seconds, StageAngles};
 use serde::{Deserialize, Serialize};
@@ -80,6 +85,13 @@ pub struct StageInfo {
     pub has_watchdog: bool,
 }
 
+/// Where the reference switches were found against where they should have been.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ReferenceCheck {
+    /// Found minus expected of each axis, degrees or mm as the axis has it.
+    pub off: [f64; 2],
+}
+
 /// A lamp on a movable (or switchable) mount.
 ///
 /// After an alarm, reset, timeout or reconnect the position is unknown and
@@ -96,6 +108,12 @@ pub trait LightStage: Send {
     fn set_lamp(&mut self, lamp: LampState) -> Result<LampState, DeviceError>;
     /// Asks the device.
     fn status(&mut self) -> Result<StageStatus, DeviceError>;
+    /// Seeks the reference switches anew, keeping the count of steps, and says
+    /// how far off that was: steps lost since the last homing. The stage stands
+    /// at its switches afterwards. `None` where the device cannot tell.
+    fn check_reference(&mut self) -> Result<Option<ReferenceCheck>, DeviceError> {
+        Ok(None)
+    }
     /// A handle that stops motion and lamp from another thread, also while this
     /// one waits for a reply.
     fn stop_handle(&self) -> Result<Box<dyn StopHandle>, DeviceError>;

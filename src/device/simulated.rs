@@ -13,7 +13,7 @@ use mock_devices::grbl::{Faults, GrblSettings, GrblSimulator, LampPin};
 use mock_devices::sensor::{SensorConfig, SensorModel};
 
 use super::grbl::protocol::{Spindle, effect_of};
-use super::grbl::{GrblConfig, GrblStage};
+use super::grbl::{GrblConfig, GrblStage, axis_index};
 use super::kinematics::AxisMap;
 use super::simulated_camera::SimulatedCamera;
 use super::{DeviceError, Mosaic};
@@ -67,8 +67,8 @@ impl SimulatedBench {
         let bench = Bench::new(
             BenchConfig {
                 kinematics: Kinematics {
-                    azimuth: angle_axis(&stage.kinematics.azimuth)?,
-                    elevation: angle_axis(&stage.kinematics.elevation)?,
+                    azimuth: angle_axis(stage.axes[0], &stage.kinematics.first)?,
+                    elevation: angle_axis(stage.axes[1], &stage.kinematics.second)?,
                 },
                 errors: config.errors,
                 lamp: config.lamp,
@@ -146,8 +146,8 @@ impl SimulatedBench {
 
 const NAME: &str = "the simulated bench";
 
-fn angle_axis(map: &AxisMap) -> Result<AngleAxis, DeviceError> {
-    let axis = match map.axis {
+fn angle_axis(letter: char, map: &AxisMap) -> Result<AngleAxis, DeviceError> {
+    let axis = match letter {
         'X' => Axis::X,
         'Y' => Axis::Y,
         'Z' => Axis::Z,
@@ -162,7 +162,7 @@ fn angle_axis(map: &AxisMap) -> Result<AngleAxis, DeviceError> {
     Ok(AngleAxis {
         axis,
         deg_per_mm: 1.0 / map.scale,
-        offset_deg: map.offset_deg,
+        offset_deg: map.offset,
     })
 }
 
@@ -172,12 +172,11 @@ fn angle_axis(map: &AxisMap) -> Result<AngleAxis, DeviceError> {
 fn settings(stage: &GrblConfig) -> GrblSettings {
     let mut settings = GrblSettings::default();
     settings.homing_pull_off = 0.0;
-    for map in [&stage.kinematics.azimuth, &stage.kinematics.elevation] {
-        let ends = [map.position(map.min_deg), map.position(map.max_deg)];
+    for (map, letter) in stage.kinematics.axes().into_iter().zip(stage.axes) {
+        let ends = [map.position(map.min), map.position(map.max)];
         settings.soft_limits &= ends.iter().all(|&end| end >= -1e-6);
-        if let Some(travel) = map
-            .index()
-            .and_then(|index| settings.max_travel.get_mut(index))
+        if let Some(travel) =
+            axis_index(letter).and_then(|index| settings.max_travel.get_mut(index))
         {
             *travel = ends[0].max(ends[1]).max(1.0);
         }
@@ -198,7 +197,7 @@ fn pin_of(commands: &[String]) -> LampPin {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
-    use crate::device::kinematics;
+    use crate::device::kinematics::{Mechanism, TwoAxes};
     use crate::device::{
         Camera, CameraSettings, FrameKey, FrameKind, LampChannel, LampState, LightStage,
     };
@@ -208,19 +207,19 @@ pub(crate) mod tests {
     /// A stage of 360° × 90° whose machine space begins at −180° and 0°, with
     /// three channels on spindle, flood and mist.
     pub(crate) fn stage_config() -> GrblConfig {
-        let map = |axis, min_deg, max_deg| AxisMap {
-            axis,
+        let map = |min, max| AxisMap {
             scale: 1.0,
-            offset_deg: min_deg,
-            min_deg,
-            max_deg,
+            offset: min,
+            min,
+            max,
         };
         let commands = |line: &str| vec![line.to_owned()];
         GrblConfig {
-            kinematics: kinematics::Kinematics {
-                azimuth: map('X', -180.0, 180.0),
-                elevation: map('Y', 0.0, 90.0),
-                approach_deg: 2.0,
+            kinematics: TwoAxes {
+                mechanism: Mechanism::Rotary,
+                first: map(-180.0, 180.0),
+                second: map(0.0, 90.0),
+                approach: 2.0,
             },
             feed_per_min: 3000.0,
             lamp_on: vec![commands("M3 S1000"), commands("M8"), commands("M7")],
@@ -325,7 +324,7 @@ pub(crate) mod tests {
     #[test]
     fn an_axis_that_the_simulator_lacks_is_refused() {
         let mut stage = stage_config();
-        stage.kinematics.azimuth.axis = 'A';
+        stage.axes[0] = 'A';
         let config = simulated(Clock::instant(), stage_config()).config;
         let config = SimulatedConfig { stage, ..config };
         assert!(matches!(

@@ -33,7 +33,11 @@ impl Firmware {
                 if self.mode == Mode::Normal && !self.idle() && !self.planner.is_jogging() {
                     return Err(8);
                 }
-                self.say(cause(), self.config.settings.listing());
+                let mut listing = self.config.settings.listing();
+                if self.config.hal {
+                    listing += "$70=15\r\n$73=\r\n$300=grblHAL\r\n$302=192.168.5.1\r\n$341=0\r\n";
+                }
+                self.say(cause(), listing);
             }
             b"G" => self.say(cause(), self.modes()),
             b"X" => {

@@ -18,6 +18,7 @@ const LINE_LENGTH: usize = 79;
 const ALARM_PAUSE_S: f64 = 0.5;
 
 const BANNER: &str = "\r\nGrbl 1.1h ['$' for help]\r\n";
+const HAL_BANNER: &str = "\r\nGrblHAL 1.1f ['$' or '$HELP' for help]\r\n";
 const UNLOCK: &str = "[MSG:'$H'|'$X' to unlock]\r\n";
 
 #[derive(Clone, Debug, PartialEq)]
@@ -313,7 +314,8 @@ impl Firmware {
         // What came during the start is lost.
         self.rx.clear();
         self.status_asked = false;
-        self.say(Cause::Banner, BANNER);
+        let banner = if self.config.hal { HAL_BANNER } else { BANNER };
+        self.say(Cause::Banner, banner);
         if matches!(self.mode, Mode::Alarm | Mode::Sleep) {
             self.mode = Mode::Alarm;
             self.say(Cause::Push, UNLOCK);

@@ -4,15 +4,12 @@ use super::GrblConfig;
 use super::faults::{Cause, Faults, Mishap};
 use super::firmware::Firmware;
 use crate::bench::Bench;
+use crate::pty::open_pty;
 use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec, eventfd, poll};
-use rustix::fs::{Mode, OFlags, fcntl_getfl, fcntl_setfl, open};
-use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
-use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
 use std::collections::VecDeque;
 use std::fs::File;
 use std::io::{self, Read, Write};
 use std::os::fd::{AsFd, OwnedFd};
-use std::os::unix::ffi::OsStringExt;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -48,21 +45,7 @@ impl Link {
         bench: Bench,
         faults: Faults,
     ) -> io::Result<(Self, PathBuf)> {
-        let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC)?;
-        grantpt(&master)?;
-        unlockpt(&master)?;
-        let name = ptsname(&master, Vec::new())?;
-        let path = PathBuf::from(std::ffi::OsString::from_vec(name.into_bytes()));
-        {
-            // Raw bytes from the first on. Opened and closed once, the terminal
-            // tells from then on whether a host has it open.
-            let flags = OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC;
-            let host_side = open(&path, flags, Mode::empty())?;
-            let mut raw = tcgetattr(&host_side)?;
-            raw.make_raw();
-            tcsetattr(&host_side, OptionalActions::Now, &raw)?;
-        }
-        fcntl_setfl(&master, fcntl_getfl(&master)? | OFlags::NONBLOCK)?;
+        let (master, path) = open_pty()?;
         let wake = Arc::new(eventfd(0, EventfdFlags::CLOEXEC | EventfdFlags::NONBLOCK)?);
         let stop = Arc::new(AtomicBool::new(false));
         let unplugged = Arc::new(AtomicBool::new(false));
@@ -79,7 +62,7 @@ impl Link {
             firmware,
             bench,
             faults,
-            port: Some(File::from(master)),
+            port: Some(master),
             open: false,
             heard_s: 0.0,
             outgoing: VecDeque::new(),

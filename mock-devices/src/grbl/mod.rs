@@ -55,6 +55,10 @@ pub struct GrblConfig {
     pub reset_on_open: bool,
     /// From a restart until the welcome message, seconds. Default 0.2.
     pub boot_s: f64,
+    /// Whether it is grblHAL, after its core's documentation: another banner, more
+    /// fields in status reports, alarm states with their code, settings that are
+    /// no numbers, more lines of `$I`. Default false.
+    pub hal: bool,
     /// Not in stock GRBL: resets (lamp off, motion stopped) when the host has
     /// sent nothing for this long, seconds; `$I` then says
     /// `host-watchdog=<seconds>`. Default none.
@@ -70,6 +74,7 @@ impl Default for GrblConfig {
             zero_at_home: true,
             reset_on_open: true,
             boot_s: 0.2,
+            hal: false,
             host_watchdog_s: None,
         }
     }

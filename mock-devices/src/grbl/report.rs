@@ -83,7 +83,12 @@ impl Firmware {
             let work = std::array::from_fn(|axis| machine[axis] - wco[axis]);
             format!("WPos:{}", self.axes(work))
         };
-        let mut text = format!("<{}|{shown}", self.state_name(now_s));
+        let mut state = self.state_name(now_s).to_owned();
+        if self.config.hal && state == "Alarm" {
+            // Without an alarm the lock is alarm 11, homing required.
+            state += &format!(":{}", self.bench.alarm().unwrap_or(11));
+        }
+        let mut text = format!("<{state}|{shown}");
         if settings.status_mask & 2 == 2 {
             let blocks = self.planner.free();
             text += &format!("|Bf:{blocks},{}", RX_BYTES - self.rx.len().min(RX_BYTES));
@@ -129,6 +134,10 @@ impl Firmware {
             }
             if !accessories.is_empty() {
                 text += &format!("|A:{accessories}");
+            }
+            if self.config.hal {
+                let homed = u8::from(self.bench.is_homed());
+                text += &format!("|SD:Pending|H:{homed},3|TLR:0|FW:grblHAL");
             }
         }
         text + ">\r\n"
@@ -188,6 +197,12 @@ impl Firmware {
             _ => self.build_name.clone(),
         };
         let zero = if self.config.zero_at_home { "Z" } else { "" };
+        if self.config.hal {
+            return format!(
+                "[VER:1.1f.20250110:{name}]\r\n[OPT:VNM{zero}SL,{CAPACITY},{RX_BYTES},3,0]\r\n\
+                 [AXS:3:XYZ]\r\n[NEWOPT:ENUMS,RT-,HOME]\r\n[FIRMWARE:grblHAL]\r\n[NVS STORAGE:*EEPROM 2K]\r\n"
+            );
+        }
         format!("[VER:1.1h.20190830:{name}]\r\n[OPT:VM{zero},{CAPACITY},{RX_BYTES}]\r\n")
     }
 

@@ -1,5 +1,6 @@
-//! What GRBL 1.1's alarm and error numbers mean (`alarm_codes_en_US.csv` and
-//! `error_codes_en_US.csv` of its documentation), in our words.
+//! What the alarm and error numbers of GRBL 1.1 (`alarm_codes_en_US.csv` and
+//! `error_codes_en_US.csv` of its documentation) and of grblHAL (`alarms.h` and
+//! `errors.h` of its core) mean, in our words.
 
 /// An alarm with its meaning.
 pub fn alarm(code: u16) -> String {
@@ -13,8 +14,19 @@ pub fn alarm(code: u16) -> String {
         7 => "the safety door opened while homing",
         8 => "homing could not get off the limit switch",
         9 => "homing did not find the limit switch",
-        10 => "homing did not find the second limit switch of a dual axis",
-        _ => "not in GRBL 1.1's list",
+        10 => {
+            "homing did not find the second limit switch of a dual axis, or, of grblHAL, \
+             the emergency stop is active"
+        }
+        11 => "homing is required",
+        12 => "a limit switch is closed",
+        13 => "the probe's protection was triggered",
+        14 => "the spindle did not reach its speed",
+        15 => "homing did not find the second limit switch of an auto-squared axis",
+        16 => "the self-test at power-on failed",
+        17 => "a motor driver reports a fault",
+        18 => "homing failed",
+        _ => "not in GRBL's list",
     };
     format!("alarm {code}: {meaning}")
 }
@@ -58,7 +70,14 @@ pub fn error(code: u16) -> String {
         36 => "words that no command uses",
         37 => "the tool length offset is not for this axis",
         38 => "the tool number is too large",
-        _ => "not in GRBL 1.1's list",
+        39 => "a value is out of range",
+        45 => "a limit switch is closed, so only homing is possible",
+        46 => "homing is required",
+        49 => "the self-test at power-on failed",
+        50 => "the emergency stop is active",
+        51 => "a motor driver reports a fault",
+        79 => "not possible while a critical event is active",
+        _ => "not in GRBL's list",
     };
     format!("error {code}: {meaning}")
 }

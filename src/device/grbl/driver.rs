@@ -4,12 +4,12 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Weak};
 use std::time::{Duration, Instant};
 
-use super::GrblConfig;
 use super::codes;
 use super::link::{HOLD, Link, RESET, STATUS};
 use super::protocol::{Accessories, MachineState, Reply, StatusReport, effect_of};
+use super::{GrblConfig, axis_index};
 use crate::device::guardian::{Exchange, PortStop};
-use crate::device::kinematics::{AxisMap, Kinematics, Pose};
+use crate::device::kinematics::Pose;
 use crate::device::{
     DeviceError, LampChannel, LampState, LightStage, StageActivity, StageInfo, StageStatus,
     StopHandle,
@@ -76,10 +76,9 @@ impl GrblStage {
     }
 
     fn check_config(&self) -> Result<(), DeviceError> {
-        let kinematics = &self.config.kinematics;
-        for map in [&kinematics.azimuth, &kinematics.elevation] {
-            if map.index().is_none() {
-                return Err(self.refused(&map.axis.to_string(), "not one of the axes XYZABC"));
+        for letter in self.config.axes {
+            if axis_index(letter).is_none() {
+                return Err(self.refused(&letter.to_string(), "not one of the axes XYZABC"));
             }
         }
         Ok(())
@@ -151,11 +150,7 @@ impl GrblStage {
     }
 
     fn refused(&self, command: &str, reason: &str) -> DeviceError {
-        DeviceError::Refused {
-            device: self.link.device().to_owned(),
-            command: command.to_owned(),
-            reason: reason.to_owned(),
-        }
+        self.link.refused(command, reason)
     }
 
     fn alarm(&self, reason: String) -> DeviceError {
@@ -273,33 +268,29 @@ impl GrblStage {
     }
 
     fn pose_of(&self, axes: &[f64]) -> Result<Pose, DeviceError> {
-        let angle_deg = |map: &AxisMap| {
-            let position = map.index().and_then(|index| axes.get(index));
-            position
-                .map(|&position| map.angle_deg(position))
-                .ok_or_else(|| {
-                    let answer = format!("a position with {} axes", axes.len());
-                    self.link
-                        .garbled(&answer, &format!("one with axis {}", map.axis))
-                })
-        };
-        Ok(Pose {
-            azimuth_deg: angle_deg(&self.config.kinematics.azimuth)?,
-            elevation_deg: angle_deg(&self.config.kinematics.elevation)?,
-        })
+        let mut pose = Pose([0.0; 2]);
+        let maps = self.config.kinematics.axes();
+        for ((value, map), letter) in pose.0.iter_mut().zip(maps).zip(self.config.axes) {
+            let position = axis_index(letter).and_then(|index| axes.get(index));
+            let Some(&position) = position else {
+                let answer = format!("a position with {} axes", axes.len());
+                let expected = format!("one with axis {letter}");
+                return Err(self.link.garbled(&answer, &expected));
+            };
+            *value = map.coordinate(position);
+        }
+        Ok(pose)
     }
 
     /// Drives in a straight line and waits until the stage stands there.
     fn drive(&mut self, from: Pose, to: Pose) -> Result<Pose, DeviceError> {
-        let Kinematics {
-            azimuth, elevation, ..
-        } = self.config.kinematics;
+        let [first, second] = self.config.kinematics.axes();
         let line = format!(
             "G21 G90 G94 G53 G1 {}{:.4} {}{:.4} F{:.1}",
-            azimuth.axis,
-            azimuth.position(to.azimuth_deg),
-            elevation.axis,
-            elevation.position(to.elevation_deg),
+            self.config.axes[0],
+            first.position(to.0[0]),
+            self.config.axes[1],
+            second.position(to.0[1]),
             self.config.feed_per_min,
         );
         let expected = self.duration(from, to);
@@ -316,7 +307,8 @@ impl GrblStage {
             let (report, pose) = self.report_with_position()?;
             // Whoever reads the banner, the move is over.
             self.check_restart(restarts)?;
-            let arrived = pose.distance_deg(to) <= self.config.position_tolerance_deg;
+            let off_deg = self.config.kinematics.distance_deg(pose, to);
+            let arrived = off_deg <= self.config.position_tolerance_deg;
             match report.state {
                 MachineState::Idle if arrived => {
                     self.in_motion = false;
@@ -350,12 +342,7 @@ impl GrblStage {
     }
 
     fn not_applied(&self, what: &str, is: Pose, wanted: Pose) -> DeviceError {
-        let text = |pose: Pose| {
-            format!(
-                "azimuth {:.3}°, elevation {:.3}°",
-                pose.azimuth_deg, pose.elevation_deg
-            )
-        };
+        let text = |pose| self.config.kinematics.angles(pose).to_string();
         DeviceError::NotApplied {
             device: self.link.device().to_owned(),
             what: what.to_owned(),
@@ -367,14 +354,11 @@ impl GrblStage {
     /// How long a straight move takes: at the feed, but no axis faster than its
     /// $110 (units/min), with ramps of $120 (units/s²).
     fn duration(&self, from: Pose, to: Pose) -> Duration {
-        let Kinematics {
-            azimuth, elevation, ..
-        } = self.config.kinematics;
-        let ways = [
-            (azimuth, to.azimuth_deg - from.azimuth_deg),
-            (elevation, to.elevation_deg - from.elevation_deg),
-        ]
-        .map(|(map, way_deg)| (map.index().unwrap_or(0), (way_deg * map.scale).abs()));
+        let maps = self.config.kinematics.axes();
+        let ways = [0, 1].map(|i| {
+            let way = (to.0[i] - from.0[i]) * maps[i].scale;
+            (axis_index(self.config.axes[i]).unwrap_or(0), way.abs())
+        });
         let length = ways[0].1.hypot(ways[1].1);
         if length == 0.0 {
             return Duration::ZERO;
@@ -457,13 +441,6 @@ impl GrblStage {
     fn outputs_of(&self, lamp: LampState) -> (Accessories, Option<f64>) {
         effect_of(&self.commands_of(lamp).unwrap_or_default())
     }
-
-    fn position(&self, pose: Pose) -> StageAngles {
-        StageAngles {
-            azimuth_deg: pose.azimuth_deg,
-            elevation_deg: pose.elevation_deg,
-        }
-    }
 }
 
 fn activity(state: MachineState) -> StageActivity {
@@ -503,7 +480,13 @@ impl LightStage for GrblStage {
     fn move_to(&mut self, target: StageAngles) -> Result<StageAngles, DeviceError> {
         let kinematics = self.config.kinematics;
         let device = self.link.device().to_owned();
-        let wanted = kinematics.solve(&device, target)?;
+        let wanted = kinematics
+            .solve(target)
+            .ok_or_else(|| DeviceError::OutOfReach {
+                device,
+                target,
+                limits: kinematics.limits(),
+            })?;
         self.check_homed()?;
         let (report, from) = self.report_with_position()?;
         if report.state != MachineState::Idle {
@@ -557,7 +540,7 @@ impl LightStage for GrblStage {
         let homed = self.link.known().unhomed_since.is_none();
         Ok(StageStatus {
             activity: activity(report.state),
-            position: homed.then(|| self.position(pose)),
+            position: homed.then(|| self.config.kinematics.angles(pose)),
             lamp: self.lamp,
         })
     }

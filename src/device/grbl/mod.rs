@@ -14,7 +14,7 @@ mod tests;
 #[cfg(feature = "serial")]
 pub use driver::{GrblStage, stop_port};
 
-use super::kinematics::{AxisMap, Kinematics};
+use super::kinematics::{AxisMap, Mechanism, TwoAxes};
 use crate::units::Seconds;
 
 /// A GRBL stage as its driver needs it.
@@ -24,8 +24,10 @@ pub struct GrblConfig {
     pub port: String,
     /// Bits per second; GRBL's default is 115200.
     pub baud: u32,
-    /// The two axes and the way they approach a target.
-    pub kinematics: Kinematics,
+    /// Letters of the two axes, of XYZABC.
+    pub axes: [char; 2],
+    /// What the two axes do with the lamp.
+    pub kinematics: TwoAxes,
     /// Speed of a move, axis units per minute; the firmware limits it to its own maximum.
     pub feed_per_min: f64,
     /// Commands that turn every lamp channel off, e.g. `M5`, `M9`.
@@ -48,20 +50,21 @@ impl GrblConfig {
     /// stopped. X and Y count as azimuth and elevation in degrees, without limits;
     /// there is no lamp but `M5` and `M9` turn it off.
     pub fn of_port(port: &str, baud: u32) -> Self {
-        let unlimited = |axis| AxisMap {
-            axis,
+        let unlimited = AxisMap {
             scale: 1.0,
-            offset_deg: 0.0,
-            min_deg: f64::NEG_INFINITY,
-            max_deg: f64::INFINITY,
+            offset: 0.0,
+            min: f64::NEG_INFINITY,
+            max: f64::INFINITY,
         };
         Self {
             port: port.to_owned(),
             baud,
-            kinematics: Kinematics {
-                azimuth: unlimited('X'),
-                elevation: unlimited('Y'),
-                approach_deg: 0.0,
+            axes: ['X', 'Y'],
+            kinematics: TwoAxes {
+                mechanism: Mechanism::Rotary,
+                first: unlimited,
+                second: unlimited,
+                approach: 0.0,
             },
             feed_per_min: 1000.0,
             lamp_off: vec!["M5".to_owned(), "M9".to_owned()],
@@ -72,4 +75,9 @@ impl GrblConfig {
             position_tolerance_deg: 0.05,
         }
     }
+}
+
+/// Place of an axis in GRBL's position reports, X first.
+pub(super) fn axis_index(letter: char) -> Option<usize> {
+    "XYZABC".find(letter)
 }

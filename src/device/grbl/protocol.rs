@@ -130,20 +130,32 @@ fn known(text: &str) -> Option<Reply> {
             text: text.to_owned(),
         });
     }
-    if let Some(rest) = text.strip_prefix("Grbl ") {
+    let banner = text.strip_prefix("Grbl ").or(text.strip_prefix("GrblHAL "));
+    if let Some(rest) = banner {
         let version = rest.split_whitespace().next()?;
         return Some(Reply::Banner(version.to_owned()));
     }
     if let Some(setting) = text.strip_prefix('$') {
         let (number, value) = setting.split_once('=')?;
+        let number: u16 = number.parse().ok()?;
         // Older builds add a description in parentheses.
-        let value = value.split_whitespace().next()?;
-        return Some(Reply::Setting {
-            number: number.parse().ok()?,
-            value: number_in(value)?,
-        });
+        let first = value.split_whitespace().next().unwrap_or("");
+        return match number_in(first) {
+            Some(value) => Some(Reply::Setting { number, value }),
+            // GRBL 1.1's are all numbers; grblHAL has names and addresses beside them.
+            None if is_hal_setting(number) => Some(Reply::Info {
+                key: format!("${number}"),
+                text: value.to_owned(),
+            }),
+            None => None,
+        };
     }
     (text.starts_with('>') && text.ends_with(":ok")).then_some(Reply::StartupLine)
+}
+
+/// Whether a `$` setting is one that GRBL 1.1 lacks.
+fn is_hal_setting(number: u16) -> bool {
+    !matches!(number, 0..=32 | 100..=132)
 }
 
 fn enclosed(text: &str, open: char, close: char) -> Option<&str> {
@@ -187,7 +199,8 @@ fn machine_state(text: &str) -> Option<MachineState> {
     Some(match name {
         "Idle" => MachineState::Idle,
         "Run" => MachineState::Run,
-        "Hold" => MachineState::Hold(sub),
+        // grblHAL waits for a tool like a hold.
+        "Hold" | "Tool" => MachineState::Hold(sub),
         "Jog" => MachineState::Jog,
         "Alarm" => MachineState::Alarm,
         "Door" => MachineState::Door(sub),
@@ -206,6 +219,8 @@ fn accessories(text: &str) -> Option<Accessories> {
             'C' => on.spindle = Spindle::Counterclockwise,
             'F' => on.flood = true,
             'M' => on.mist = true,
+            // grblHAL: a tool change is pending, the spindle is encoded.
+            'T' | 'E' => {}
             _ => return None,
         }
     }
@@ -362,6 +377,36 @@ mod tests {
                         mist: true,
                     }),
                     ..report(MachineState::Hold(1))
+                }),
+            ),
+            (
+                "GrblHAL 1.1f ['$' or '$HELP' for help]",
+                Reply::Banner("1.1f".to_owned()),
+            ),
+            (
+                "$302=192.168.5.1",
+                Reply::Info {
+                    key: "$302".to_owned(),
+                    text: "192.168.5.1".to_owned(),
+                },
+            ),
+            (
+                "$73=",
+                Reply::Info {
+                    key: "$73".to_owned(),
+                    text: String::new(),
+                },
+            ),
+            (
+                "<Alarm:11|MPos:1.0,2.0,3.0|Bf:35,1023|FS:0,0,0|Ov:100,100,100|A:FT|H:0,3|FW:grblHAL>",
+                Reply::Status(StatusReport {
+                    machine: Some(vec![1.0, 2.0, 3.0]),
+                    speed: Some(0.0),
+                    accessories: Some(Accessories {
+                        flood: true,
+                        ..Accessories::default()
+                    }),
+                    ..report(MachineState::Alarm)
                 }),
             ),
             (

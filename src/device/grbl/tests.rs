@@ -97,7 +97,7 @@ fn the_approach_takes_up_the_play() {
     let play_deg = 1.5;
     let spread = |approach_deg: f64| {
         let mut config = stage_config();
-        config.kinematics.approach_deg = approach_deg;
+        config.kinematics.approach = approach_deg;
         let mut bench = simulated(Clock::instant(), config).config().clone();
         bench.errors.backlash_mm = [play_deg; 3];
         let bench = SimulatedBench::start(bench).unwrap();
@@ -187,7 +187,7 @@ fn a_target_outside_the_limits_moves_nothing() {
 fn the_firmwares_soft_limit_is_an_alarm_and_homing_recovers() {
     let bench = simulated(Clock::instant(), stage_config());
     let mut config = bench.stage_config();
-    config.kinematics.elevation.max_deg = 120.0;
+    config.kinematics.second.max = 120.0;
     let mut stage = GrblStage::open(config).unwrap();
     stage.home().unwrap();
     stage.set_lamp(LampState::On(LampChannel(0))).unwrap();
@@ -339,6 +339,40 @@ fn laser_mode_is_refused() {
         panic!("laser mode was accepted");
     };
     assert!(error.to_string().contains("$32=1"), "{error}");
+}
+
+/// Another banner, settings that are no numbers, alarm states with codes, more
+/// fields in reports: everything that matters goes as with GRBL 1.1.
+#[test]
+fn grblhal_is_driven_alike() {
+    let bench = simulated(Clock::instant(), stage_config());
+    let mut firmware = mock_devices::grbl::GrblConfig::default();
+    firmware.hal = true;
+    let simulator = GrblSimulator::spawn(firmware, bench.bench().clone()).unwrap();
+    let config = GrblConfig {
+        port: simulator.path().display().to_string(),
+        ..stage_config()
+    };
+    let mut stage = GrblStage::open(config).unwrap();
+    assert!(
+        stage.info().firmware.starts_with("1.1f"),
+        "{:?}",
+        stage.info()
+    );
+    assert_eq!(stage.status().unwrap().activity, StageActivity::Alarm);
+    stage.home().unwrap();
+    stage.move_to(angles(33.0, 44.0)).unwrap();
+    assert_there(&bench, [33.0, 44.0]);
+    let lit = LampState::On(LampChannel(1));
+    assert_eq!(stage.set_lamp(lit).unwrap(), lit);
+    assert_eq!(simulator.bench().lamp_drive(), [0.0, 1.0, 0.0]);
+    let mut handle = stage.stop_handle().unwrap();
+    handle.stop().unwrap();
+    assert_eq!(simulator.bench().lamp_drive(), [0.0; 3]);
+    assert!(matches!(
+        stage.move_to(angles(0.0, 45.0)),
+        Err(DeviceError::NotHomed { .. })
+    ));
 }
 
 /// Work positions ($10=0), with an offset left behind by another program.

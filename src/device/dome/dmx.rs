@@ -1,0 +1,109 @@
+//! A dome on DMX512. DMX carries no answers: what the lights do is not known.
+
+use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use super::Lit;
+use super::stage::{Found, LightPort, ReadBack};
+use super::widget::{Label, SLOTS, message, packet, serial_number, take_message, version};
+use crate::device::DeviceError;
+use crate::device::serial_line::SerialLine;
+
+/// An open interface with the addresses of its lights.
+pub struct DmxPort {
+    line: SerialLine,
+    addresses: Vec<u16>,
+    received: Mutex<Vec<u8>>,
+}
+
+impl DmxPort {
+    /// Opens the port. Nothing is sent.
+    pub fn open(path: &str, baud: u32, addresses: Vec<u16>) -> Result<Self, DeviceError> {
+        Ok(Self {
+            line: SerialLine::open(path, baud)?,
+            addresses,
+            received: Mutex::default(),
+        })
+    }
+
+    /// The data of the interface's answer.
+    fn ask(&self, label: Label, timeout: Duration) -> Result<Vec<u8>, DeviceError> {
+        let mut received = self.received.lock().unwrap_or_else(PoisonError::into_inner);
+        received.clear();
+        let deadline = Instant::now() + timeout;
+        self.line.send(&message(label, &[]))?;
+        let mut reader = self.line.reader();
+        let mut heard = 0;
+        while let Some(bytes) = reader.bytes(deadline)? {
+            heard += bytes.len();
+            received.extend(bytes);
+            while let Some((answered, data)) = take_message(&mut received) {
+                if answered == label as u8 {
+                    return Ok(data);
+                }
+            }
+        }
+        let asked = format!("message {label:?}");
+        if heard == 0 {
+            return Err(self.line.no_reply(&asked, timeout));
+        }
+        let answer = format!("{heard} bytes");
+        Err(self.line.garbled(&answer, "a message of a DMX USB Pro"))
+    }
+
+    fn levels(&self, lit: Option<Lit>) -> Result<[u8; SLOTS], DeviceError> {
+        let mut levels = [0; SLOTS];
+        if let Some(lit) = lit {
+            let first = self.addresses.get(lit.light);
+            let slot = first.map(|&first| usize::from(first) + usize::from(lit.channel));
+            let level = slot
+                .and_then(|slot| levels.get_mut(slot.checked_sub(1)?))
+                .ok_or_else(|| {
+                    let light = format!("light {}, channel {}", lit.light, lit.channel);
+                    self.line.refused(&light, "it has no address from 1 to 512")
+                })?;
+            *level = lit.level;
+        }
+        Ok(levels)
+    }
+}
+
+impl LightPort for DmxPort {
+    fn line(&self) -> &SerialLine {
+        &self.line
+    }
+
+    fn identify(&self, timeout: Duration) -> Result<Found, DeviceError> {
+        let garbled = |data: &[u8], expected: &str| {
+            let answer = format!("{} bytes of data", data.len());
+            self.line.garbled(&answer, expected)
+        };
+        let parameters = self.ask(Label::Parameters, timeout)?;
+        let version = version(&parameters)
+            .ok_or_else(|| garbled(&parameters, "the parameters of a DMX USB Pro"))?;
+        let number = self.ask(Label::SerialNumber, timeout)?;
+        let number = serial_number(&number)
+            .ok_or_else(|| garbled(&number, "the serial number of a DMX USB Pro"))?;
+        Ok(Found {
+            firmware: format!("{version} (DMX interface {number}; lights unverified)"),
+            lights: None,
+            watchdog: None,
+        })
+    }
+
+    fn show(&self, lit: Option<Lit>) -> Result<(), DeviceError> {
+        self.line.send(&packet(&self.levels(lit)?))
+    }
+
+    fn read_back(&self) -> Result<ReadBack, DeviceError> {
+        Ok(ReadBack::Unverified)
+    }
+
+    fn restarts(&self) -> u64 {
+        0
+    }
+
+    fn off_now(&self) -> Result<(), DeviceError> {
+        self.show(None)
+    }
+}
