@@ -96,10 +96,10 @@ fn for_device(error: &DeviceError) -> String {
             "add yourself to the group that owns {device} (`sudo usermod -aG dialout,video $USER`), then log in again; `rig doctor` checks it"
         ),
         Busy { device } => format!("`fuser -v {device}` names the process that holds it; end that one first"),
-        NoReply { .. } => "check power, cable and baud rate; `rig devices` shows whether the port is still there".into(),
+        NoReply { .. } => "check power, cable and baud rate; `rig devices` shows whether it is still there; a slow camera needs a longer camera.frame_timeout_s".into(),
         Garbled { .. } => "check the baud rate and that the port belongs to this device (`rig devices`)".into(),
         BadFrame { .. } => "check the cable and that nothing else shares its USB bus; resolution_px and bit_depth in the rig file must be the camera's (`rig camera info`)".into(),
-        Refused { .. } => "check the firmware's settings against the rig file; `rig stage status` asks the device".into(),
+        Refused { .. } => "check the rig file against what the device accepts: `rig stage status`, `rig camera info` and `rig camera controls` ask it".into(),
         Alarm { .. } => "find out what the stage hit or lost, then `rig stage home`".into(),
         NotHomed { .. } => "run `rig stage home` first".into(),
         OutOfReach { .. } => "choose fewer or other lights, or correct the limits in the rig file's [stage] table".into(),
