@@ -181,7 +181,7 @@ pub fn run(args: &StageArgs, context: &Context) -> Result<(), CliError> {
             }
             let rig = which.rig.resolve(context)?.config;
             let kinematics = rig.stage.kinematics();
-            let mut open = open::open_stage(&rig)?;
+            let mut open = open::open_stage(&rig)?.guarded()?;
             let found = stoppable(&mut *open.stage, |stage, stopped| {
                 repeatability::measure(stage, &kinematics, *cycles, stopped, context)
             })?;

@@ -19,7 +19,8 @@ use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::termios::{QueueSelector, tcflush};
 
 use super::{
-    DeviceError, LampState, LightStage, StageActivity, StageInfo, StageStatus, StopHandle,
+    DeviceError, LampState, LightStage, ReferenceCheck, StageActivity, StageInfo, StageStatus,
+    StopHandle,
 };
 use crate::units::StageAngles;
 
@@ -297,6 +298,10 @@ impl LightStage for GuardedStage {
 
     fn status(&mut self) -> Result<StageStatus, DeviceError> {
         self.stage().status()
+    }
+
+    fn check_reference(&mut self) -> Result<Option<ReferenceCheck>, DeviceError> {
+        self.stage().check_reference()
     }
 
     fn stop_handle(&self) -> Result<Box<dyn StopHandle>, DeviceError> {
