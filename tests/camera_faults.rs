@@ -2,7 +2,6 @@
 //! simulated camera in the middle of a capture.
 
 #[path = "capture_support/mod.rs"]
-#[allow(dead_code)]
 mod support;
 
 use std::collections::{BTreeMap, BTreeSet};

@@ -136,7 +136,7 @@ fn what_is_wrong_is_said_before_anything_is_written() {
     for (words, said) in [
         (
             "evaluate nothing --out a",
-            "\"nothing\" is no experiment (known: atoms, shapes",
+            "\"nothing\" is no experiment (known: atoms, accuracy",
         ),
         (
             "evaluate atoms --lights 3 --out a",

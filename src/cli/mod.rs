@@ -30,6 +30,7 @@ pub mod interrupt;
 pub mod light_choice;
 pub mod merge;
 pub mod open;
+#[cfg(feature = "serial")]
 mod operator;
 pub mod output;
 pub mod pipeline;

@@ -111,19 +111,24 @@ fn adjusted_likelihood(
     // The fit has made the residuals smaller than the errors.
     let blocks = scores.len() as f64;
     scatter *= blocks / (blocks - 0.5 * kept.len() as f64).max(1.0);
+    let mut scatter = mapped(scatter, |v| v.max(LEAST_SPREAD));
     if let Some(bench) = bench {
         scatter += inverse.tr_mul(&bench.covariance(set)) * &inverse;
     }
-    let scatter = SymmetricEigen::new(scatter);
-    let precision = scatter.eigenvalues.map(|v| 1.0 / v.max(LEAST_SPREAD));
-    let weight = &scatter.eigenvectors
-        * DMatrix::from_diagonal(&precision)
-        * scatter.eigenvectors.transpose();
+    let weight = mapped(scatter, |v| 1.0 / v);
     let h = &root * &weight * root.transpose();
     // The likelihood's own score, which the fit's prior and share of noise leave nonzero.
     let score: DVector<f64> = scores.iter().sum();
     let b = &h * mixture + &root * (&weight * inverse.tr_mul(&score));
     (h, b)
+}
+
+/// A symmetric matrix with its eigenvalues changed.
+fn mapped(matrix: DMatrix<f64>, change: impl Fn(f64) -> f64) -> DMatrix<f64> {
+    let eigen = SymmetricEigen::new(matrix);
+    &eigen.eigenvectors
+        * DMatrix::from_diagonal(&eigen.eigenvalues.map(change))
+        * eigen.eigenvectors.transpose()
 }
 
 /// `information` of independent halves without the directions that the paths' noise

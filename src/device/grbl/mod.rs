@@ -78,6 +78,7 @@ impl GrblConfig {
 }
 
 /// Place of an axis in GRBL's position reports, X first.
+#[cfg(feature = "serial")]
 pub(super) fn axis_index(letter: char) -> Option<usize> {
     "XYZABC".find(letter)
 }

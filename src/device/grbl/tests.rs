@@ -346,8 +346,10 @@ fn laser_mode_is_refused() {
 #[test]
 fn grblhal_is_driven_alike() {
     let bench = simulated(Clock::instant(), stage_config());
-    let mut firmware = mock_devices::grbl::GrblConfig::default();
-    firmware.hal = true;
+    let firmware = mock_devices::grbl::GrblConfig {
+        hal: true,
+        ..Default::default()
+    };
     let simulator = GrblSimulator::spawn(firmware, bench.bench().clone()).unwrap();
     let config = GrblConfig {
         port: simulator.path().display().to_string(),

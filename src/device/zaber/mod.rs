@@ -46,6 +46,7 @@ pub enum LampSwitch {
     Illuminator(AxisAddress),
 }
 
+#[cfg(feature = "serial")]
 impl LampSwitch {
     /// Device, axis and words that turn it on or off.
     fn command(self, on: bool) -> (u8, u8, String) {
