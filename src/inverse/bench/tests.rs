@@ -9,6 +9,8 @@ use super::derivatives::{DerivativeImages, DerivativeOptions};
 use super::parameters::{Axis, Bench, BenchPriors, Parameter};
 use super::spectrum::Spectrum;
 use super::{RefineOptions, RefinedFit, refine_bench};
+use crate::brdf::ggx::Cosines;
+use crate::brdf::half_difference::HalfDifference;
 use crate::brdf::{Dictionary, Mixture};
 use crate::frames::{Rigid, Sample};
 use crate::geometry::Shape;
@@ -362,7 +364,7 @@ fn misplaced_lights_come_back() {
     assert!(rms(&error, 0..6) < 0.75 * off, "{estimate:?}");
     let z = |k: usize| error(k) / estimate.parameters[k].deviation;
     assert!(rms(&z, 0..15) < 2.0, "{estimate:?}");
-    // The spread of the albedo, over draws with the bench's share and without.
+    // The spread of the reflectance, over draws with the bench's share and without.
     let plain = fit(
         &refined.scene,
         &images,
@@ -371,11 +373,36 @@ fn misplaced_lights_come_back() {
         &mut |_| {},
     )
     .unwrap();
+    let angles = [10.0f64, 30.0, 50.0].map(f64::to_radians);
+    let cells: Vec<Vec<f64>> = angles
+        .iter()
+        .flat_map(|&theta_h_rad| {
+            angles.map(|theta_d_rad| HalfDifference {
+                theta_h_rad,
+                theta_d_rad,
+                phi_d_rad: std::f64::consts::FRAC_PI_2,
+            })
+        })
+        .filter_map(|cell| {
+            let (to_light, to_viewer) = cell.to_directions();
+            let at = Cosines::new(to_light.to_array(), to_viewer.to_array())?;
+            let atoms = brdf.dictionary().atoms();
+            Some(atoms.iter().map(|atom| atom.eval(&at)).collect())
+        })
+        .collect();
     let spread = |draws: &[crate::inverse::uncertainty::Draws]| {
-        let albedo = |x: &DVector<f64>| 1.0 - x[x.len() - 1];
-        let values: Vec<f64> = draws[0].posterior.iter().map(albedo).collect();
-        let mean = values.iter().sum::<f64>() / values.len() as f64;
-        (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / values.len() as f64).sqrt()
+        let relative = |atoms: &Vec<f64>| {
+            let f = |x: &DVector<f64>| -> f64 { x.iter().zip(atoms).map(|(w, f)| w * f).sum() };
+            let values: Vec<f64> = draws[0].posterior.iter().map(f).collect();
+            let mean = values.iter().sum::<f64>() / values.len() as f64;
+            let square = values.iter().map(|v| (v / mean - 1.0).powi(2));
+            square.sum::<f64>() / values.len() as f64
+        };
+        (cells.iter().map(relative).sum::<f64>() / cells.len() as f64).sqrt()
     };
-    assert!(spread(&refined.fit.draws) > spread(&plain.draws));
+    let [with, without] = [&refined.fit.draws, &plain.draws].map(|draws| spread(draws));
+    assert!(
+        with > without,
+        "{with} with the bench's share, {without} without"
+    );
 }
