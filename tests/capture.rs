@@ -346,7 +346,7 @@ fn a_lamp_that_drifts_suspends() {
     assert!(
         drifts
             .clone()
-            .any(|w| w.contains("the light's first frame")),
+            .any(|w| w.contains("the light's earlier frame")),
         "{:?}",
         heard.warnings
     );

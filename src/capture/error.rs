@@ -73,7 +73,7 @@ pub enum CaptureError {
     /// The lamp is no longer what it was when the light began.
     #[error(
         "light {light}, lamp channel {channel}: the lamp has become {ratio:.3} times as bright \
-         since the light's first frame"
+         since the light's earlier frame"
     )]
     LampDrift {
         /// Index in the plan.

@@ -7,6 +7,10 @@ pub const GOOD: f64 = 0.01;
 /// A ratio of exposures further than this from 1 is refused.
 pub const REFUSED: f64 = 0.03;
 
+/// Standard deviations granted to noise: a capture makes hundreds of comparisons, and
+/// chance must stop none of a thousand captures.
+const DEVIATIONS: f64 = 5.0;
+
 /// Signal per exposure time of one frame over that of another, both of the same
 /// scene: 1 if the exposures are what they claim.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -109,9 +113,14 @@ impl SignalRatio {
         (self.std_dev <= REFUSED).then_some(self.ratio)
     }
 
-    /// Judges; three standard deviations are granted to noise.
+    /// Whether a change of 1% would show.
+    pub fn tells_good(&self) -> bool {
+        DEVIATIONS * self.std_dev <= GOOD
+    }
+
+    /// Judges; noise is granted five standard deviations.
     pub fn verdict(&self) -> Verdict {
-        let excess = (self.ratio - 1.0).abs() - 3.0 * self.std_dev;
+        let excess = (self.ratio - 1.0).abs() - DEVIATIONS * self.std_dev;
         if excess > REFUSED {
             Verdict::Refused
         } else if excess > GOOD {
@@ -191,6 +200,25 @@ mod tests {
         assert_eq!(judge(&new).verdict(), Verdict::Good);
         assert_eq!(judge(&new).if_known(), None);
         assert_eq!(judge(&old).verdict(), Verdict::Refused);
+    }
+
+    /// Two thousand comparisons of weak frames.
+    #[test]
+    fn noise_alone_is_no_finding() {
+        let noise = SensorNoise::ideal(0.4, 2.5, 64.0, 12);
+        let mut largest = 0.0f64;
+        for seed in 0..2000 {
+            let frames = [0, 1].map(|i| frame(&noise, 1e-3, 2 * seed + i + 10));
+            let part = 64 * (seed as usize % 64);
+            let [first, second] = frames.each_ref().map(|counts| Exposed {
+                counts: &counts[part..part + 64],
+                exposure_s: 1e-3,
+            });
+            let found = signal_ratio(&noise, first, second).unwrap();
+            assert_eq!(found.verdict(), Verdict::Good, "{seed}: {found:?}");
+            largest = largest.max((found.ratio - 1.0).abs() / found.std_dev);
+        }
+        assert!(largest > 2.5, "these frames have no noise: {largest}");
     }
 
     #[test]

@@ -231,7 +231,7 @@ impl Run<'_> {
         };
         let first = rounds.len() as u32;
         // What the lamp is compared with when the light is done.
-        let mut at_first = vec![None; channels.len()];
+        let mut before: Vec<_> = channels.iter().map(|_| None).collect();
         for (step, index) in steps.iter().zip(first..) {
             let part = f64::from(index - first) / steps.len() as f64;
             self.clock.within_light(light, self.lights, part);
@@ -239,8 +239,8 @@ impl Run<'_> {
                 for repeat in 0..step.frames {
                     let shot = self.light_shot(light, index, channel, repeat, step.exposure_s);
                     let taken = self.take(shot, latest.as_ref().into()).await?;
-                    if index == first && repeat == 0 {
-                        at_first[channel] = Some(taken.clone());
+                    if repeat == 0 {
+                        self.keep_for_drift(&mut before[channel], &taken);
                     }
                     if repeat + 1 == step.frames {
                         *latest = Some(taken);
@@ -259,7 +259,7 @@ impl Run<'_> {
             }
         }
         let last = first + steps.len() as u32;
-        self.check_drift(light, last, &at_first).await?;
+        self.check_drift(light, last, &before).await?;
         self.disk.record(Event::LightStop { light }).await?;
         self.merger.finish_bracket().await
     }

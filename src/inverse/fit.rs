@@ -86,6 +86,8 @@ impl Default for FitOptions {
 pub struct Fit {
     /// The dictionary that the weights belong to: the one given, or with more atoms.
     pub dictionary: Arc<Dictionary>,
+    /// Light that the sample reflects once, per atom of the dictionary.
+    pub(super) direct: Arc<DirectMatrix>,
     /// Weights per channel × atoms; equal vectors if shared.
     pub weights: [Vec<f64>; 3],
     /// The single-bounce start of Eq. (13) in the dictionary given, per channel.
@@ -195,12 +197,13 @@ pub(super) fn fit_on_bench(
     refine(scene, captured, first, options, bench, stage)
 }
 
-/// [`fit`] without refinement, from given weights per channel or the single-bounce start.
+/// [`fit`] without refinement, from the weights of an earlier fit of the same images or
+/// from the single-bounce start.
 pub(super) fn fit_from(
     scene: &Scene,
     captured: &[RadianceImage],
     dictionary: &Arc<Dictionary>,
-    from: Option<[Vec<f64>; 3]>,
+    earlier: Option<&Fit>,
     options: &FitOptions,
     bench: Option<&BenchLinearisation>,
     stage: &mut dyn FnMut(&str),
@@ -214,7 +217,13 @@ pub(super) fn fit_from(
     };
 
     stage("direct reflection");
-    let direct = DirectMatrix::new(scene, dictionary, options.direct_strata, options.cache.seed);
+    let direct = match earlier {
+        Some(fit) if Arc::ptr_eq(&fit.dictionary, dictionary) => fit.direct.clone(),
+        _ => {
+            let (strata, seed) = (options.direct_strata, options.cache.seed);
+            Arc::new(DirectMatrix::new(scene, dictionary, strata, seed))
+        }
+    };
     lap("direct", &mut timings);
     stage("tracing paths");
     let cache = Cache::trace(scene, dictionary, &options.cache)?;
@@ -241,8 +250,8 @@ pub(super) fn fit_from(
         mixture.push(quadratic.minimise()?.x);
     }
     let start = mixture.clone();
-    if let Some(from) = from {
-        for (mixture, from) in mixture.iter_mut().zip(from) {
+    if let Some(fit) = earlier {
+        for (mixture, from) in mixture.iter_mut().zip(fit.weights_in(dictionary)) {
             *mixture = DVector::from_vec(from);
         }
         let pass = objective.linearise(&mixture, &residual_weights);
@@ -326,6 +335,7 @@ pub(super) fn fit_from(
     let (rendered, residual, reduced_chi2) = images(&objective, &pass, captured, &cache);
     Ok(Fit {
         dictionary: dictionary.clone(),
+        direct: direct.clone(),
         weights: per_channel(&mixture),
         start: per_channel(&start),
         draws,
@@ -341,6 +351,23 @@ pub(super) fn fit_from(
         cache_size: cache.size(),
         kernel: options.kernel,
     })
+}
+
+impl Fit {
+    /// The weights in a dictionary that holds the active atoms.
+    fn weights_in(&self, dictionary: &Dictionary) -> [Vec<f64>; 3] {
+        self.weights.each_ref().map(|weights| {
+            let mut embedded = vec![0.0; dictionary.len()];
+            for (atom, weight) in self.dictionary.atoms().iter().zip(weights) {
+                if let Some(place) = dictionary.atoms().iter().position(|a| a == atom) {
+                    embedded[place] += weight;
+                }
+            }
+            let sum: f64 = embedded.iter().sum();
+            embedded.iter_mut().for_each(|w| *w /= sum);
+            embedded
+        })
+    }
 }
 
 pub(super) fn check(scene: &Scene, captured: &[RadianceImage]) -> Result<(), FitError> {

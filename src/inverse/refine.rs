@@ -75,12 +75,11 @@ pub(super) fn refine(
                      before: &Fit,
                      options: &FitOptions|
      -> Result<Fit, FitError> {
-        let start = embed(before, dictionary);
         let fit = fit_from(
             scene,
             captured,
             dictionary,
-            Some(start),
+            Some(before),
             options,
             bench,
             stage,
@@ -121,21 +120,6 @@ fn after(before: &Fit, mut fit: Fit) -> Fit {
         start: before.start.clone(),
         ..fit
     }
-}
-
-/// The weights of a fit in a dictionary that holds its active atoms.
-fn embed(fit: &Fit, dictionary: &Dictionary) -> [Vec<f64>; 3] {
-    fit.weights.each_ref().map(|weights| {
-        let mut embedded = vec![0.0; dictionary.len()];
-        for (atom, weight) in fit.dictionary.atoms().iter().zip(weights) {
-            if let Some(place) = dictionary.atoms().iter().position(|a| a == atom) {
-                embedded[place] += weight;
-            }
-        }
-        let sum: f64 = embedded.iter().sum();
-        embedded.iter_mut().for_each(|w| *w /= sum);
-        embedded
-    })
 }
 
 /// `base`, the active atoms of `fit`, and neighbours of those at `ratio`, the parents that

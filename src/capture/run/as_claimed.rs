@@ -71,7 +71,7 @@ impl Run<'_> {
                 Verdict::Good => return Ok((frame, found.if_known())),
                 Verdict::Doubtful => {
                     let expected = match reference {
-                        Reference::Lamp(_) => "the light's first frame",
+                        Reference::Lamp(_) => "the light's earlier frame",
                         _ => "the expected signal",
                     };
                     let text = format!(

@@ -3,12 +3,19 @@
 
 use super::Run;
 use super::frame::{Reference, Shot, Taken};
+use crate::capture::exposure_check::{SignalRatio, signal_ratio};
 use crate::capture::{CaptureError, WRITE_QUEUE};
 use crate::interrupt::StopLevel;
 use crate::session::Event;
 
 /// Bytes of a sidecar and of the journal's line, generously.
 const SIDECAR_BYTES: u64 = 4096;
+
+/// A frame, and how well one more of its kind compares with it.
+pub(super) struct Known {
+    taken: Taken,
+    known: SignalRatio,
+}
 
 impl Run<'_> {
     /// Whether and when the next frame may be taken.
@@ -52,16 +59,36 @@ impl Run<'_> {
         })
     }
 
-    /// The first exposure of the bracket once more under each channel: whether
-    /// the lamp is still what it was. `round` numbers these frames.
+    /// Keeps the frame that [`Self::check_drift`] repeats: the first that would show a
+    /// drift of 1%, or else the one that shows most.
+    pub(super) fn keep_for_drift(&self, kept: &mut Option<Known>, taken: &Taken) {
+        if kept.as_ref().is_some_and(|kept| kept.known.tells_good()) {
+            return;
+        }
+        let Some(known) = signal_ratio(self.noise, taken.exposed(), taken.exposed()) else {
+            return;
+        };
+        if kept
+            .as_ref()
+            .is_none_or(|kept| known.std_dev < kept.known.std_dev)
+        {
+            let taken = taken.clone();
+            *kept = Some(Known { taken, known });
+        }
+    }
+
+    /// One exposure of the bracket once more under each channel: whether the lamp is
+    /// still what it was. `round` numbers these frames.
     pub(super) async fn check_drift(
         &mut self,
         light: u32,
         round: u32,
-        first: &[Option<Taken>],
+        before: &[Option<Known>],
     ) -> Result<(), CaptureError> {
-        for (channel, before) in first.iter().enumerate() {
-            let Some(before) = before else { continue };
+        for (channel, before) in before.iter().enumerate() {
+            let Some(Known { taken: before, .. }) = before else {
+                continue;
+            };
             let shot = Shot {
                 // No part of the bracket.
                 pilot: true,
