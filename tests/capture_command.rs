@@ -153,6 +153,37 @@ fn a_capture_is_complete_verified_and_listed() {
     assert_refused(&run(&folder, &["session", "verify", root]), "line 1");
 }
 
+/// A colour camera under a white lamp: a cell of its filters becomes one pixel of the
+/// images, and the fit's camera has as many.
+#[test]
+fn a_colour_camera_is_captured_and_fitted() {
+    let white = "\n[[stage.lamp]]\nmeasures = \"RGB\"\non = \"M3 S1000; M7; M8\"\n\n";
+    let folder = workplace(|text| {
+        let (before, lamps) = text.split_once("\n[[stage.lamp]]").unwrap();
+        let (_, geometry) = lamps
+            .split_once("[[stage.lamp]]\nmeasures = \"B\"")
+            .unwrap();
+        let (_, geometry) = geometry.split_once("\n\n").unwrap();
+        let text = format!("{before}{white}{geometry}");
+        text.replace("\nmosaic = \"none\"", "\nmosaic = \"grbg\"")
+            .replace("\nsamples_per_pixel = 256", "\nsamples_per_pixel = 32")
+            .replace("\nsamples_per_pixel = 2\n", "\nsamples_per_pixel = 64\n")
+            .replace("\nmax_reflections = 2\n", "\nmax_reflections = 16\n")
+    });
+    let output = run(&folder, &["capture", "--lights", "2"]);
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    let session = Session::open(&session_of(&folder, &output)).unwrap();
+    let bytes = session.read_file(&layout::radiance_file(0)).unwrap();
+    let image = rig::radiance_image::exr::decode(&bytes, Path::new("radiance.exr"))
+        .unwrap()
+        .image;
+    assert_eq!((image.width, image.height), (32, 32));
+    let fit = session.read_file("fits/0/fit.toml").unwrap();
+    let fit: toml::Table = toml::from_str(text(&fit)).unwrap();
+    let error = fit["score"]["environment_error"]["estimate"]["overall"].as_float();
+    assert!(error.unwrap() < 0.08, "{error:?}");
+}
+
 /// Chosen among the reachable ones, and said with what they are expected to leave.
 #[test]
 fn the_best_lights_are_planned_within_the_limits() {

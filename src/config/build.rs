@@ -83,7 +83,7 @@ impl GeometryConfig {
     /// The scene as the fit believes it, with the lamp at each of these angles.
     pub fn scene(&self, angles: &[StageAngles]) -> Result<Scene, BuildError> {
         let lights = angles.iter().map(|&a| self.light(a)).collect();
-        self.sample.scene(Vec::new(), self.camera, lights)
+        self.sample.scene(Vec::new(), self.image_camera(), lights)
     }
 }
 
@@ -147,6 +147,7 @@ impl RigConfig {
             mesh: geometry.sample.surface.mesh(Some(simulation.segments))?,
             shading: geometry.sample.shading,
             camera: geometry.camera,
+            mosaic: self.camera.mosaic,
             light: Box::new(move |angles| geometry.light(angles)),
             brdf: simulation.material.load()?,
             pose_error_mm: simulation.pose_error_mm,

@@ -140,6 +140,11 @@ impl CameraConfig {
             return_timeout,
             controls: wanted_controls,
         };
+        let [width, height] = camera.resolution_px;
+        if camera.mosaic != Mosaic::None && (width % 2 == 1 || height % 2 == 1) {
+            let allowed = "even numbers, because of the colour filters";
+            return Err(table.conflict("resolution_px", format!("[{width}, {height}]"), allowed));
+        }
         table.finish()?;
         Ok(camera)
     }

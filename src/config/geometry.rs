@@ -3,6 +3,7 @@
 use glam::DVec3;
 
 use super::ConfigError;
+use super::camera::CameraConfig;
 use super::reader::Section;
 use super::view::{SampleSpec, take_camera};
 use crate::device::kinematics::{Kinematics, Mechanism};
@@ -15,6 +16,8 @@ use crate::units::StageAngles;
 pub struct GeometryConfig {
     /// Where the camera stands, with the device's pixel grid.
     pub camera: Camera,
+    /// Sensor pixels on each side of a merged image's pixel: 2 under colour filters.
+    pub cell_px: usize,
     /// The sample's known shape.
     pub sample: SampleSpec,
     /// The stage's axes as seen from the sample.
@@ -40,15 +43,14 @@ pub struct LightConfig {
 }
 
 impl GeometryConfig {
-    /// Reads the `[geometry]` table for a camera of this resolution and a stage
-    /// with these kinematics.
+    /// Reads the `[geometry]` table for this camera and a stage with these kinematics.
     pub fn read(
         mut table: Section,
-        resolution_px: [u32; 2],
+        device: &CameraConfig,
         stage_kinematics: &Kinematics,
     ) -> Result<Self, ConfigError> {
         let mut camera = table.section("camera")?.required()?;
-        let view = take_camera(&mut camera, resolution_px)?;
+        let view = take_camera(&mut camera, device.resolution_px)?;
         camera.finish()?;
         let sample = SampleSpec::read(table.section("sample")?.required()?)?;
         let mut stage = table.section_or_empty("sample_from_stage")?;
@@ -89,10 +91,19 @@ impl GeometryConfig {
         table.finish()?;
         Ok(Self {
             camera: view,
+            cell_px: device.mosaic.period(),
             sample,
             sample_from_stage,
             light: light_config,
         })
+    }
+
+    /// The camera of merged images.
+    pub fn image_camera(&self) -> Camera {
+        Camera {
+            resolution_px: self.camera.resolution_px.map(|side| side / self.cell_px),
+            ..self.camera
+        }
     }
 
     /// The lamp with all channels lit while the stage is at these angles,

@@ -83,7 +83,7 @@ impl RigConfig {
         };
         let geometry = GeometryConfig::read(
             root.section("geometry")?.required()?,
-            camera.resolution_px,
+            &camera,
             &stage.kinematics(),
         )?;
         let capture = root.section_or_empty("capture")?;

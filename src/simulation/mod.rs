@@ -15,6 +15,7 @@ use mock_devices::{Illumination, RadianceSource};
 use crate::brdf::Brdf;
 use crate::frames::{Rigid, Sample};
 use crate::geometry::Mesh;
+use crate::radiometry::mosaic::Mosaic;
 use crate::random::{Purpose, stream};
 use crate::transport::{
     Camera, Light, Proposal, RenderOptions, Scene, Shading, render, render::quietest_proposal,
@@ -29,6 +30,8 @@ pub struct Truth {
     pub shading: Shading,
     /// The camera.
     pub camera: Camera,
+    /// Its colour filters, each of which passes its channel's light alone.
+    pub mosaic: Mosaic,
     /// The lamp with all channels lit, for the stage's true angles.
     pub light: Box<dyn Fn(StageAngles) -> Light + Send + Sync>,
     /// The sample's material.
@@ -152,12 +155,14 @@ impl RadianceSource for TruthSource {
             image
         });
         let power = illumination.channels.map(|p| p as f32);
-        Arc::new(
-            image
-                .iter()
-                .map(|v| ambient + v[0] * power[0] + v[1] * power[1] + v[2] * power[2])
-                .collect(),
-        )
+        let width = self.truth.camera.resolution_px[0];
+        let seen = |(pixel, radiance): (usize, &[f32; 3])| {
+            let filter = self.truth.mosaic.channel(pixel % width, pixel / width);
+            let passes = |channel: &usize| filter.is_none_or(|only| only == *channel);
+            let channels = (0..3).filter(passes);
+            ambient + channels.map(|c| radiance[c] * power[c]).sum::<f32>()
+        };
+        Arc::new(image.iter().enumerate().map(seen).collect())
     }
 }
 
@@ -194,6 +199,7 @@ mod tests {
                 irradiance: [1.0, 2.0, 3.0],
                 angular_radius_rad: 0.0,
             }),
+            mosaic: Mosaic::None,
             brdf: Arc::new(Mixture::grey(Arc::new(dictionary), vec![1.0]).unwrap()),
             pose_error_mm,
             pose_error_deg: 0.0,
