@@ -2,7 +2,8 @@
 """One pass of rig beside Mitsuba 3 in one run: image and gradient at 64 x 64, 256
 samples per pixel, 8 reflections, on the bowl and the corner of `rig bench`.
 
-    python3 -m venv v && v/bin/pip install mitsuba==3.9.1      # llvm_ad_rgb needs libLLVM 19 (14 to 16 cannot compile its AVX-512 code); DRJIT_LIBLLVM_PATH names it
+    python3 -m venv v && v/bin/pip install mitsuba==3.9.1
+    export DRJIT_LIBLLVM_PATH=…      # libLLVM 19; 14 to 16 cannot compile its AVX-512 code
     v/bin/python benches/against_mitsuba.py [--rig target/release/rig] [--atoms 2] [--json]
 
 Mitsuba renders with `prb` and propagates the gradient of a squared loss back to the
