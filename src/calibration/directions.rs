@@ -96,7 +96,7 @@ impl Values for DirectionsValues {
         }
         for light in &self.lights {
             let length = DVec3::from_array(light.to_light).length();
-            if !((length - 1.0).abs() < 1e-6) {
+            if !(0.999_999..=1.000_001).contains(&length) {
                 return bad(
                     "lights.to_light",
                     format!("of length {length}"),

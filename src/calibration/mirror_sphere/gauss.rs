@@ -1,6 +1,11 @@
 //! The edge of a sphere behind a blur: a step, and the fall of its shading towards the
 //! limb.
 
+/// The normal distribution's density.
+pub fn normal_density(z: f64) -> f64 {
+    (-0.5 * z * z).exp() / (2.0 * std::f64::consts::PI).sqrt()
+}
+
 /// The normal distribution's integral up to `z`, within 1.5e-7 (Abramowitz and Stegun
 /// 7.1.26 for the error function).
 pub fn normal_integral(z: f64) -> f64 {

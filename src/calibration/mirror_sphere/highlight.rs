@@ -3,7 +3,7 @@
 
 use glam::{DMat2, DVec2};
 
-use super::{Grey, Sphere, SphereError};
+use super::{Circle, Grey, Sphere, SphereError};
 
 /// Where a highlight is in the image.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -35,9 +35,7 @@ const ROUNDS: usize = 100;
 /// There is none, it is saturated, or there are two.
 pub fn find(image: &Grey, sphere: &Sphere, index: usize) -> Result<Highlight, SphereError> {
     let circle = sphere.circle;
-    let disc: Vec<usize> = (0..image.value.len())
-        .filter(|&p| position(image, p).distance(circle.centre_px) < OUTERMOST * circle.radius_px)
-        .collect();
+    let disc = disc(image, &circle);
     let missing = |contrast: f64, deviations: f64| SphereError::NoHighlight {
         image: index,
         x: circle.centre_px.x,
@@ -95,11 +93,23 @@ pub fn find(image: &Grey, sphere: &Sphere, index: usize) -> Result<Highlight, Sp
     Ok(spot.highlight(sphere))
 }
 
-fn position(image: &Grey, pixel: usize) -> DVec2 {
+pub(super) fn position(image: &Grey, pixel: usize) -> DVec2 {
     DVec2::new(
         (pixel % image.width) as f64 + 0.5,
         (pixel / image.width) as f64 + 0.5,
     )
+}
+
+/// Roughly where a sphere is brightest.
+pub(super) fn brightest_on(image: &Grey, circle: &Circle) -> Option<DVec2> {
+    let brightest = brightest(image, &disc(image, circle), |_| true)?;
+    Some(position(image, brightest))
+}
+
+fn disc(image: &Grey, circle: &Circle) -> Vec<usize> {
+    let inside =
+        |&p: &usize| position(image, p).distance(circle.centre_px) < OUTERMOST * circle.radius_px;
+    (0..image.value.len()).filter(inside).collect()
 }
 
 /// The valid pixel with the brightest mean over itself and its valid neighbours.

@@ -66,7 +66,7 @@ fn mirrored(camera: &Camera, centre: DVec3, radius: f64, at_px: DVec2) -> Option
     let offset = origin - centre;
     let along = offset.dot(direction);
     let inside = along * along - (offset.length_squared() - radius * radius);
-    if !(inside > 0.0) {
+    if inside.is_nan() || inside <= 0.0 {
         return None;
     }
     let point = origin + direction * (-along - inside.sqrt());
@@ -187,8 +187,8 @@ pub fn locate(
             ];
             for (a, across) in across.iter().enumerate() {
                 residual[2 * k + a] = across.dot(pull);
-                for unknown in 0..unknowns {
-                    jacobian[(2 * k + a, unknown)] = across.dot(changed[unknown] - here) / STEP;
+                for (unknown, changed) in changed.iter().enumerate().take(unknowns) {
+                    jacobian[(2 * k + a, unknown)] = across.dot(*changed - here) / STEP;
                 }
             }
             let covariance = highlight_covariance(ray, highlight, across)

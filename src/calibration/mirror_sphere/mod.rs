@@ -257,12 +257,15 @@ fn project(camera: &Camera, point_mm: DVec3) -> DVec2 {
     }
 }
 
-/// The spheres in an image: near the given circles, else searched for.
+/// The spheres in images of one scene under several lights: near the given circles, else
+/// searched for. Their outlines are fitted in `outline` where it is given, else in the
+/// images themselves, each around the side that its light shines on.
 ///
 /// # Errors
 /// See [`SphereError`].
 pub fn spheres_in(
-    image: &Grey,
+    images: &[Grey],
+    outline: Option<&Grey>,
     camera: &Camera,
     stated: &Stated,
     near: &[Circle],
@@ -277,13 +280,13 @@ pub fn spheres_in(
         let allowed = "from 0.001 to 10000 mm";
         return Err(impossible("the sphere's radius", stated.radius_mm, allowed));
     }
-    let found = [image.width, image.height];
-    if found != camera.resolution_px {
-        return Err(SphereError::Size {
-            found,
-            camera: camera.resolution_px,
-        });
+    for image in images.iter().chain(outline) {
+        of_camera(image, camera)?;
     }
+    let mean = Grey::mean(images);
+    let Some(image) = outline.or(mean.as_ref()) else {
+        return Err(impossible("the number of images", 0.0, "at least 1"));
+    };
     let expected_px = outline::expected_radius_px(camera, stated);
     if expected_px < LEAST_RADIUS_PX {
         let allowed = "at least 10 pixels in the image";
@@ -307,9 +310,68 @@ pub fn spheres_in(
             ));
         }
     };
-    let fit = |circle| outline::fit(image, camera, stated, circle);
+    let fit = |circle: &Circle| {
+        let rough = outline::fit(image, camera, stated, circle)?;
+        match outline {
+            Some(_) => Ok(rough),
+            None => {
+                let lit = lit_limb(images, &rough.circle);
+                outline::fit(&lit, camera, stated, &rough.circle)
+            }
+        }
+    };
     circles.iter().map(fit).collect()
 }
+
+fn of_camera(image: &Grey, camera: &Camera) -> Result<(), SphereError> {
+    let found = [image.width, image.height];
+    if found == camera.resolution_px {
+        return Ok(());
+    }
+    Err(SphereError::Size {
+        found,
+        camera: camera.resolution_px,
+    })
+}
+
+/// The sum of the images, each weighted around the sphere by the squared cosine of the
+/// azimuth from its highlight, 0 on the far side: so that no edge of a light's own shadow
+/// is near the limb. Lights from nearly straight above have no such side and are left out;
+/// where fewer than three others remain, the sum is plain.
+fn lit_limb(images: &[Grey], circle: &Circle) -> Grey {
+    let mut sum = images[0].clone();
+    sum.value.fill(0.0);
+    sum.variance.fill(0.0);
+    sum.valid.fill(true);
+    let sides: Vec<Option<DVec2>> = images
+        .iter()
+        .map(|image| {
+            let offset = highlight::brightest_on(image, circle)? - circle.centre_px;
+            (offset.length() > LEAST_OFFSET * circle.radius_px).then(|| offset.normalize())
+        })
+        .collect();
+    let plain = sides.iter().flatten().count() < 3;
+    for (image, side) in images.iter().zip(&sides) {
+        for pixel in 0..sum.value.len() {
+            let place = highlight::position(image, pixel) - circle.centre_px;
+            let weight = match side {
+                _ if plain => 1.0,
+                None => continue,
+                Some(side) => place.normalize_or_zero().dot(*side).max(0.0).powi(2),
+            };
+            if weight > 0.0 {
+                sum.value[pixel] += weight * image.value[pixel];
+                sum.variance[pixel] += weight * weight * image.variance[pixel];
+                sum.valid[pixel] &= image.valid[pixel];
+            }
+        }
+    }
+    sum
+}
+
+/// Highlights nearer to the sphere's middle than this part of its radius say little about
+/// the side from which the light comes.
+const LEAST_OFFSET: f64 = 0.03;
 
 /// Smaller spheres do not give a tenth of a degree.
 const LEAST_RADIUS_PX: f64 = 10.0;
@@ -330,13 +392,7 @@ pub fn locate_all(
 ) -> Result<(Vec<FoundLight>, Option<Measured>), SphereError> {
     let mut highlights = Vec::new();
     for (index, image) in images.iter().enumerate() {
-        let found = [image.width, image.height];
-        if found != camera.resolution_px {
-            return Err(SphereError::Size {
-                found,
-                camera: camera.resolution_px,
-            });
-        }
+        of_camera(image, camera)?;
         let of_image: Result<Vec<_>, _> = spheres
             .iter()
             .map(|sphere| highlight::find(image, sphere, index))

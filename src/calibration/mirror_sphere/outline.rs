@@ -4,7 +4,7 @@
 use glam::DVec3;
 use nalgebra::{DMatrix, DVector, Vector3};
 
-use super::gauss::{Limb, normal_integral};
+use super::gauss::{Limb, normal_density, normal_integral};
 use super::search::inside;
 use super::{Circle, Grey, Sphere, SphereError, mm_per_px, project};
 use crate::frames::{Rigid, Sample};
@@ -27,6 +27,8 @@ const LINEAR: usize = 3 * HARMONICS;
 /// Middle, radius or distance, and blur.
 const SHAPE: usize = 4;
 const ROUNDS: usize = 60;
+/// Parts of the ring whose misfits count as independent.
+const SECTORS: usize = 36;
 /// Half the width of the ring that is compared, over the radius, and at least and at most
 /// these pixels.
 const RING: (f64, [f64; 2]) = (0.15, [4.0, 12.0]);
@@ -67,7 +69,7 @@ pub fn fit(
     for widening in [1.5, 1.0] {
         fit.solve(widening)?;
     }
-    let (sphere, _) = fit.finish()?;
+    let sphere = fit.finish()?;
     inside(&sphere.circle, image)?;
     let off_mm = sphere.radius_mm - stated.radius_mm;
     let std_mm = sphere.covariance[(2, 2)].sqrt();
@@ -211,7 +213,11 @@ impl Fit<'_> {
         for (row, pixel) in ring.iter().enumerate() {
             let (distance, angle) = self.place(centre, radius, pixel);
             // A blurred disc's edge lies inside of the disc's, by its curvature.
-            let step = normal_integral(distance / blur_px - 0.5 * blur_px / radius_px);
+            let z = distance / blur_px - 0.5 * blur_px / radius_px;
+            let step = normal_integral(z);
+            // The distance from the axis over the radius, which light from the side follows.
+            let side =
+                (1.0 - distance / radius_px) * step - blur_px / radius_px * normal_density(z);
             let height = limb.at(distance);
             for harmonic in 0..HARMONICS {
                 let turn = harmonic.div_ceil(2) as f64 * angle;
@@ -221,7 +227,7 @@ impl Fit<'_> {
                     turn.sin()
                 };
                 basis[(row, harmonic)] = wave * (1.0 - step);
-                basis[(row, HARMONICS + harmonic)] = wave * step;
+                basis[(row, HARMONICS + harmonic)] = wave * side;
                 basis[(row, 2 * HARMONICS + harmonic)] = wave * height;
             }
         }
@@ -232,8 +238,9 @@ impl Fit<'_> {
     /// each time.
     fn solve(&mut self, widening: f64) -> Result<(), SphereError> {
         for round in 0..ROUNDS {
-            let (normal, right, _) = self.system(widening, round)?;
-            let Some(step) = normal.cholesky().map(|c| c.solve(&right)) else {
+            let system = self.system(widening)?;
+            let solver = system.normal.cholesky();
+            let Some(step) = solver.map(|c| c.solve(&system.right)) else {
                 return self.unfitted("it has no contrast");
             };
             let scale = mm_per_px(self.camera, self.sphere.centre_mm);
@@ -245,7 +252,9 @@ impl Fit<'_> {
                 step[3],
             ];
             let longest = shape.iter().fold(0.0f64, |a, b| a.max(b.abs()));
-            let shrink = (1.0 / longest).min(1.0);
+            // Robust weights may make it swing: shorter steps end that.
+            let most = if round < 10 { 1.0 } else { 0.5 };
+            let shrink = (1.0 / longest).min(most);
             shape = shape.map(|s| s * shrink);
             let delta = Vector3::new(shape[0] * scale, shape[1] * scale, shape[2] * depth_scale);
             self.blur_px = (self.blur_px + shape[3]).clamp(0.2, 0.5 * self.reach_px(1.0));
@@ -258,16 +267,15 @@ impl Fit<'_> {
                 radius_px,
             };
             let size = self.image.width.max(self.image.height) as f64;
-            if !(radius_px > 4.0 && radius_px < size) {
+            if !(4.0..size).contains(&radius_px) {
                 return self.unfitted("its size ran away");
             }
             inside(&self.sphere.circle, self.image)?;
-            if longest < 1e-4 {
+            if longest < 1e-4 || (round + 1 == ROUNDS && longest < 1e-2) {
                 return Ok(());
             }
         }
-        // A last step of a hundredth of a pixel is far below what matters.
-        Ok(())
+        self.unfitted("the fit does not settle")
     }
 
     /// Millimetres of the third number that move the limb by one pixel.
@@ -282,14 +290,8 @@ impl Fit<'_> {
         }
     }
 
-    /// Normal matrix and right side of shape and linear part (in that order), and the
-    /// reduced χ² before the variance floor.
-    #[allow(clippy::type_complexity)]
-    fn system(
-        &mut self,
-        widening: f64,
-        round: usize,
-    ) -> Result<(DMatrix<f64>, DVector<f64>, f64), SphereError> {
+    /// The problem linearised at the present shape.
+    fn system(&mut self, widening: f64) -> Result<System, SphereError> {
         let reach_px = self.reach_px(widening);
         let mut ring = self.ring(reach_px);
         let invisible =
@@ -328,7 +330,7 @@ impl Fit<'_> {
             let noise2 = noise[noise.len() / 2];
             self.floor2 = (scatter2 - noise2).max(1e-4 * scatter2).max(1e-24);
         }
-        let jacobian = self.jacobian(&basis, &linear, &ring, reach_px, round);
+        let jacobian = self.jacobian(&basis, &linear, &ring, reach_px);
         let weights = DVector::from_iterator(ring.len(), ring.iter().map(|p| p.weight));
         let mut all = jacobian.insert_columns(SHAPE, LINEAR, 0.0);
         all.columns_mut(SHAPE, LINEAR).copy_from(&basis);
@@ -339,13 +341,18 @@ impl Fit<'_> {
         for i in SHAPE..SHAPE + LINEAR {
             normal[(i, i)] += 1e-9 * trace;
         }
-        let chi2 = ring
-            .iter()
-            .zip(residual.iter())
-            .map(|(p, r)| p.weight * r * r)
-            .sum::<f64>();
-        let freedom = (ring.len() - SHAPE - LINEAR) as f64;
-        Ok((normal, right, chi2 / freedom))
+        let sectors = ring.iter().map(|p| {
+            let offset = p.position_px - self.sphere.circle.centre_px;
+            let turn = offset.y.atan2(offset.x) / std::f64::consts::TAU + 0.5;
+            ((turn * SECTORS as f64) as usize).min(SECTORS - 1)
+        });
+        Ok(System {
+            normal,
+            right,
+            sectors: sectors.collect(),
+            weighted,
+            residual,
+        })
     }
 
     /// Derivatives of the model by shape (x, y, third in millimetres; blur in pixels).
@@ -355,7 +362,6 @@ impl Fit<'_> {
         linear: &DVector<f64>,
         ring: &[Pixel],
         reach_px: f64,
-        _round: usize,
     ) -> DMatrix<f64> {
         let here = basis * linear;
         let scale = mm_per_px(self.camera, self.sphere.centre_mm);
@@ -384,23 +390,54 @@ impl Fit<'_> {
         jacobian
     }
 
-    /// The sphere with its covariance, scaled by what the model leaves unexplained.
-    fn finish(mut self) -> Result<(Sphere, f64), SphereError> {
-        let (normal, _, chi2) = self.system(1.0, ROUNDS)?;
-        let Some(inverse) = normal.try_inverse() else {
+    /// The sphere with its covariance.
+    fn finish(mut self) -> Result<Sphere, SphereError> {
+        let Some(covariance) = self.system(1.0)?.covariance() else {
             return self.unfitted("it has no contrast");
         };
-        let covariance = inverse.fixed_view::<3, 3>(0, 0) * chi2.max(1.0);
         let scale = mm_per_px(self.camera, self.sphere.centre_mm);
         let std_px = covariance[(0, 0)].max(covariance[(1, 1)]).sqrt() / scale;
-        // NaN fails, too.
-        if !(std_px < 0.5) {
+        if std_px.is_nan() || std_px > 0.5 {
             return self.unfitted("it is known to no better than half a pixel");
         }
         let mut sphere = self.sphere;
         sphere.covariance = covariance;
         sphere.blur_px = self.blur_px;
-        Ok((sphere, chi2))
+        Ok(sphere)
+    }
+}
+
+/// The problem linearised: shape first, then the linear part.
+struct System {
+    normal: DMatrix<f64>,
+    right: DVector<f64>,
+    /// Jacobian times weights, and residuals, a row per pixel.
+    weighted: DMatrix<f64>,
+    residual: DVector<f64>,
+    /// In which part of the ring each pixel is.
+    sectors: Vec<usize>,
+}
+
+impl System {
+    /// Covariance of the shape's first three numbers: from independent pixels, or from the
+    /// scatter of whole sectors of the ring (sandwich) where that is larger, because what
+    /// the smooth shading does not describe is alike in neighbouring pixels.
+    fn covariance(self) -> Option<nalgebra::Matrix3<f64>> {
+        let inverse = self.normal.try_inverse()?;
+        let mut scores = DMatrix::<f64>::zeros(SHAPE + LINEAR, SECTORS);
+        for (row, &sector) in self.sectors.iter().enumerate() {
+            for column in 0..SHAPE + LINEAR {
+                scores[(column, sector)] += self.weighted[(row, column)] * self.residual[row];
+            }
+        }
+        let moved = &inverse * scores;
+        // The linear part takes three numbers of each harmonic from the sectors.
+        let freedom = SECTORS as f64 / (SECTORS - HARMONICS) as f64;
+        let sandwich = &moved * moved.transpose() * freedom;
+        let independent = inverse.fixed_view::<3, 3>(0, 0).into_owned();
+        let correlated = sandwich.fixed_view::<3, 3>(0, 0).into_owned();
+        let more = (independent.try_inverse()? * correlated).trace() / 3.0;
+        Some(independent * more.max(1.0))
     }
 }
 

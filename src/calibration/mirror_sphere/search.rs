@@ -106,11 +106,7 @@ fn reduced(image: &Grey, scale: usize) -> Small {
                     }
                 }
             }
-            value.push(if n > 0.0 {
-                (sum / n as f64).cbrt()
-            } else {
-                0.0
-            });
+            value.push(if n > 0.0 { (sum / n).cbrt() } else { 0.0 });
         }
     }
     Small {

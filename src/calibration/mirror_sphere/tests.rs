@@ -3,10 +3,10 @@
 
 use std::f64::consts::PI;
 
-use super::highlight::find;
-use super::light::{Distance, FoundLight, locate, tangents};
-use super::outline::{Stated, expected_radius_px, fit};
-use super::search::circles;
+use nalgebra::{DMatrix, DVector};
+
+use super::light::tangents;
+use super::outline::Stated;
 use super::*;
 use crate::random::{Purpose, Stream, stream};
 
@@ -133,36 +133,19 @@ impl Bench {
     }
 
     fn spheres(&self, images: &[Grey]) -> Result<Vec<Sphere>, SphereError> {
-        let mean = Grey::mean(images).unwrap();
-        let stated = self.stated();
-        let expected = expected_radius_px(&self.camera, &stated);
-        let range = match self.camera.projection {
-            Projection::Orthographic { .. } => [0.95, 1.05],
-            Projection::Perspective { .. } => [0.8, 1.25],
-        };
-        let found = circles(&mean, expected, range, stated.radius_mm, self.centres.len())?;
-        found
-            .iter()
-            .map(|c| fit(&mean, &self.camera, &stated, c))
-            .collect()
+        let count = self.centres.len();
+        spheres_in(images, None, &self.camera, &self.stated(), &[], count)
     }
 
-    fn lights(&self, seed: u64, distance: Distance) -> Result<Vec<FoundLight>, SphereError> {
+    fn lights(
+        &self,
+        seed: u64,
+        stated_mm: Option<f64>,
+    ) -> Result<(Vec<FoundLight>, Option<Measured>), SphereError> {
         let images = self.photographs(seed);
         let spheres = self.spheres(&images)?;
-        let lights = images.iter().enumerate().map(|(index, image)| {
-            let highlights: Result<Vec<_>, _> =
-                spheres.iter().map(|s| find(image, s, index)).collect();
-            locate(
-                &self.camera,
-                &spheres,
-                &highlights?,
-                DVec3::ZERO,
-                distance,
-                index,
-            )
-        });
-        lights.collect()
+        let stated_mm = vec![stated_mm; images.len()];
+        locate_all(&self.camera, &spheres, &images, DVec3::ZERO, &stated_mm)
     }
 }
 
@@ -211,70 +194,140 @@ fn bench(seed: u64) -> Bench {
     }
 }
 
-/// Errors over stated uncertainties along both tangents, in whitened numbers.
-fn pulls(found: &FoundLight, truth: DVec3) -> [f64; 2] {
-    let error = truth - found.to_light;
-    let [a, e] = tangents(found.to_light).map(|t| t.dot(error));
-    let root = found.covariance().cholesky().unwrap().l();
-    let white = root
-        .solve_lower_triangular(&nalgebra::Vector2::new(a, e))
-        .unwrap();
-    [white[0], white[1]]
-}
-
 fn angle_deg(found: &FoundLight, truth: DVec3) -> f64 {
     found.to_light.angle_between(truth.normalize()).to_degrees()
 }
 
+/// 12 benches of six lights each: every direction within 0.1°, and the errors over their
+/// stated uncertainty, the spheres' share included, a unit normal: the mean square of 144
+/// numbers within 5 standard deviations of 1.
 #[test]
-fn look() {
-    let mut all = Vec::new();
-    let mut sphere_pulls = Vec::new();
-    for seed in 0..24 {
-        let b = bench(seed);
-        let images = b.photographs(seed);
-        let t = std::time::Instant::now();
-        let spheres = b.spheres(&images).unwrap();
-        let took = t.elapsed();
-        let s = &spheres[0];
-        let truth = b.camera.sample_from_camera.inverse().point(b.centres[0]);
-        let e = [
-            s.centre_mm.x - truth.x,
-            s.centre_mm.y - truth.y,
-            s.radius_mm - b.radius_mm,
-        ];
-        let std: Vec<f64> = (0..3).map(|i| s.covariance[(i, i)].sqrt()).collect();
-        eprintln!(
-            "{seed} {took:?} err px {:?} std px {:?} blur {}",
-            e.map(|v| v * 4.0),
-            std.iter().map(|v| v * 4.0).collect::<Vec<_>>(),
-            s.blur_px
-        );
-        for i in 0..3 {
-            sphere_pulls.push(e[i] / std[i]);
+fn directions_are_recovered_within_their_uncertainty() {
+    let (mut sum, mut count) = (0.0, 0.0);
+    for seed in 0..12 {
+        let bench = bench(seed);
+        let lights = bench.lights(seed, None).unwrap().0;
+        let errors = lights.iter().zip(&bench.lamps).flat_map(|(found, lamp)| {
+            let off = angle_deg(found, *lamp);
+            assert!(off < 0.1, "seed {seed}: {off}");
+            let error = lamp.normalize() - found.to_light;
+            tangents(found.to_light).map(|t| t.dot(error))
+        });
+        let errors = DVector::from_vec(errors.collect());
+        // The covariance of all lights together: the sphere's share is common.
+        let shared = DMatrix::from_fn(errors.len(), 3, |row, k| {
+            lights[row / 2].shared[(row % 2, k)]
+        });
+        let mut covariance = &shared * shared.transpose();
+        for (k, light) in lights.iter().enumerate() {
+            let mut own = covariance.fixed_view_mut::<2, 2>(2 * k, 2 * k);
+            own += light.own;
         }
-        let lights = b.lights(seed, Distance::Infinite).unwrap();
-        for (l, truth) in lights.iter().zip(&b.lamps) {
-            let p = pulls(l, truth.normalize());
-            all.extend(p);
-            if seed < 6 {
-                eprintln!(
-                    "   {:.4} deg, pulls {p:?} own {:?} shared {:?}",
-                    angle_deg(l, *truth),
-                    l.own.diagonal().map(|v| v.sqrt().to_degrees()),
-                    (l.covariance() - l.own)
-                        .diagonal()
-                        .map(|v| v.sqrt().to_degrees())
-                );
-            }
+        let root = covariance.cholesky().unwrap().l();
+        sum += root.solve_lower_triangular(&errors).unwrap().norm_squared();
+        count += errors.len() as f64;
+    }
+    let (mean, std) = (sum / count, (2.0f64 / count).sqrt());
+    assert!((mean - 1.0).abs() < 5.0 * std, "{mean} ± {std}");
+}
+
+/// Two spheres under a lamp 300 mm away, seen in perspective: its distance and, from the
+/// middle of the stage, its direction, though neither sphere is there.
+#[test]
+fn two_spheres_tell_how_far_the_lamp_is() {
+    for seed in 0..3 {
+        let mut near = bench(seed);
+        near.camera = camera(
+            Projection::Perspective { fov_rad: 0.2 },
+            DVec3::new(0.0, 0.0, 200.0),
+        );
+        near.radius_mm = 9.0;
+        near.centres = vec![DVec3::new(-9.9, 1.0, 0.0), DVec3::new(9.7, -1.0, 1.0)];
+        near.lamps = vec![
+            lamp(300.0, 20.0, 55.0),
+            lamp(300.0, 140.0, 70.0),
+            lamp(300.0, 260.0, 60.0),
+        ];
+        let (lights, distance) = near.lights(seed, None).unwrap();
+        let distance = distance.unwrap();
+        let off = (distance.value - 300.0) / distance.std;
+        assert!(
+            off.abs() < 4.0 && distance.std < 15.0,
+            "seed {seed}: {distance:?}"
+        );
+        for (found, lamp) in lights.iter().zip(&near.lamps) {
+            let off = angle_deg(found, *lamp);
+            assert!(off < 0.1, "seed {seed}: {off}");
         }
     }
-    eprintln!(
-        "sphere chi2/n {}",
-        sphere_pulls.iter().map(|p| p * p).sum::<f64>() / sphere_pulls.len() as f64
+}
+
+/// One sphere under a near lamp: right with the distance, wrong by degrees without.
+#[test]
+fn a_near_lamp_is_not_far() {
+    let mut near = bench(3);
+    near.centres = vec![DVec3::new(1.0, -0.5, 4.0)];
+    near.lamps = (0..4)
+        .map(|k| lamp(300.0, 90.0 * f64::from(k), 60.0))
+        .collect();
+    let known = near.lights(1, Some(300.0)).unwrap().0;
+    let parallel = near.lights(1, None).unwrap().0;
+    for ((known, parallel), lamp) in known.iter().zip(&parallel).zip(&near.lamps) {
+        assert!(angle_deg(known, *lamp) < 0.1);
+        assert!(angle_deg(parallel, *lamp) > 0.3);
+    }
+}
+
+#[test]
+fn pictures_that_tell_nothing_are_refused_by_name() {
+    let good = bench(1);
+    let refused = |change: &dyn Fn(&mut Bench)| {
+        let mut bench = good.clone();
+        change(&mut bench);
+        bench.lights(1, None).unwrap_err()
+    };
+    let outside = refused(&|b| b.centres[0].x = 7.0);
+    assert!(
+        matches!(outside, SphereError::OutsideView { .. }),
+        "{outside}"
     );
-    eprintln!(
-        "chi2/n {}",
-        all.iter().map(|p| p * p).sum::<f64>() / all.len() as f64
+    let dull = refused(&|b| b.roughness = 0.8);
+    assert!(matches!(dull, SphereError::NoHighlight { .. }), "{dull}");
+    let gone = refused(&|b| b.centres[0].x = 1e4);
+    assert!(matches!(gone, SphereError::NoOutline { .. }), "{gone}");
+    let tiny = refused(&|b| b.radius_mm = 1.0);
+    assert!(matches!(tiny, SphereError::Impossible { .. }), "{tiny}");
+
+    let images = good.photographs(1);
+    let sphere = &good.spheres(&images).unwrap()[0];
+    let highlight = highlight::find(&images[0], sphere, 0).unwrap();
+    let at = highlight.position_px.floor();
+    let mut saturated = images[0].clone();
+    saturated.valid[at.y as usize * WIDTH + at.x as usize] = false;
+    let error = highlight::find(&saturated, sphere, 0).unwrap_err();
+    assert!(matches!(error, SphereError::Saturated { .. }), "{error}");
+
+    let mut two = images[0].clone();
+    for (sum, other) in two.value.iter_mut().zip(&images[2].value) {
+        *sum += 0.5 * other;
+    }
+    let error = highlight::find(&two, sphere, 0).unwrap_err();
+    assert!(
+        matches!(error, SphereError::TwoHighlights { .. }),
+        "{error}"
     );
+
+    let mut small = images.clone();
+    small[1].width = WIDTH / 2;
+    let stated = good.stated();
+    let error = spheres_in(&small, None, &good.camera, &stated, &[], 1).unwrap_err();
+    assert!(matches!(error, SphereError::Size { .. }), "{error}");
+    // A sphere a tenth larger than stated, pointed at by hand.
+    let stated = Stated {
+        radius_mm: 0.9 * good.radius_mm,
+        ..good.stated()
+    };
+    let near = [sphere.circle];
+    let error = spheres_in(&images, None, &good.camera, &stated, &near, 1).unwrap_err();
+    assert!(matches!(error, SphereError::Radius { .. }), "{error}");
 }

@@ -49,7 +49,8 @@ pub(super) struct LightsArgs {
     /// given
     #[arg(long, value_name = "X,Y,R", value_parser = parse_circle)]
     near: Vec<Circle>,
-    /// Merged image in which the outline is found (default: the mean of all lights')
+    /// Merged image in which the outline is found (default: all lights' images, each
+    /// on the side that its light shines on)
     #[arg(long, value_name = "EXR")]
     outline: Option<PathBuf>,
 }
@@ -99,12 +100,18 @@ pub(super) fn run(args: &LightsArgs, context: &Context) -> Result<(), CliError> 
     let images: Vec<Grey> = pictures.images.iter().map(Grey::of).collect();
     let outline = match &args.outline {
         Some(path) => Some(Grey::of(&exr::read(path)?.image)),
-        None => Grey::mean(&images),
+        None => None,
     };
-    let outline = outline.ok_or_else(|| CliError::new("the images have different sizes"))?;
     let camera = &geometry.camera;
-    let spheres = spheres_in(&outline, camera, &stated, &args.near, args.spheres as usize)
-        .map_err(advised)?;
+    let spheres = spheres_in(
+        &images,
+        outline.as_ref(),
+        camera,
+        &stated,
+        &args.near,
+        args.spheres as usize,
+    )
+    .map_err(advised)?;
     for sphere in &spheres {
         let circle = sphere.circle;
         context.note(format_args!(
