@@ -1,8 +1,14 @@
 //! Calibrations as figures.
 
+use glam::DVec3;
+
 use super::lamp::LampFit;
+use super::mirror_sphere::light::{FoundLight, tangents};
 use super::sensor::{Exposed, SensorFit, TransferPoint};
+use super::stage_directions::StageFit;
+use crate::config::geometry::GeometryConfig;
 use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
+use crate::units::StageAngles;
 
 /// The photon transfer curve with its fit, and how far counts depart from
 /// proportionality.
@@ -144,4 +150,42 @@ pub fn lamp(fit: &LampFit) -> Figure {
         series: vec![Series::new("flicker", 2, Mark::Points, flicker)],
     };
     charts("lamp", 2, &[level, flicker])
+}
+
+/// How far lights are from where the rig file has them, and from the fitted stage.
+pub fn light_directions(
+    geometry: &GeometryConfig,
+    angles: &[StageAngles],
+    found: &[FoundLight],
+    stage: Option<&StageFit>,
+) -> Figure {
+    let configured = |angles: StageAngles| geometry.sample_from_stage.direction(angles.to_light());
+    let panel = |title: &str, expected: &dyn Fn(StageAngles) -> DVec3| {
+        let series = ["azimuth, along the arc", "elevation"].map(|label| label.to_owned());
+        let mut widest: f64 = 0.02;
+        let series = [0, 1].map(|axis| {
+            let mut points = Vec::new();
+            let mut bars = Vec::new();
+            for (light, (&angles, found)) in angles.iter().zip(found).enumerate() {
+                let off = found.to_light - expected(angles);
+                let degrees = tangents(found.to_light)[axis].dot(off).to_degrees();
+                let std = found.covariance()[(axis, axis)].sqrt().to_degrees();
+                widest = widest.max(degrees.abs() + std);
+                points.push([light as f64, degrees]);
+                bars.push([light as f64, degrees - std, degrees + std]);
+            }
+            Series::new(&series[axis], axis, Mark::Dots, points).within(bars)
+        });
+        Chart {
+            title: title.to_owned(),
+            x: Axis::linear(-0.5..found.len() as f64 - 0.5, "light"),
+            y: Axis::linear(-1.1 * widest..1.1 * widest, "measured less expected (deg)"),
+            series: series.to_vec(),
+        }
+    };
+    let mut panels = vec![panel("Against the rig file", &configured)];
+    if let Some(stage) = stage {
+        panels.push(panel("Against the fitted stage", &|a| stage.to_light(a)));
+    }
+    charts("light-directions", 2, &panels)
 }

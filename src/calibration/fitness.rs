@@ -47,7 +47,7 @@ impl Kind {
         match self {
             Kind::Sensor | Kind::Response => 365.0,
             Kind::Scale => 180.0,
-            Kind::Flat => 90.0,
+            Kind::Flat | Kind::Directions => 90.0,
             Kind::Lights | Kind::Lamp => 30.0,
         }
     }
@@ -57,6 +57,7 @@ impl Kind {
         match self {
             Kind::Scale => "flat --radiance L --radiance-std U",
             Kind::Lights => "white",
+            Kind::Directions => "lights",
             other => other.folder(),
         }
     }

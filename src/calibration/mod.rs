@@ -3,16 +3,19 @@
 //! `calibration/<rig>/<kind>/<id>.toml`.
 
 mod built_in;
+pub mod directions;
 pub mod figures;
 pub mod fitness;
 pub mod flat;
 pub mod lamp;
 pub mod lamp_watch;
 mod library;
+pub mod mirror_sphere;
 pub mod noise;
 pub mod procedure;
 pub mod record;
 pub mod sensor;
+pub mod stage_directions;
 pub mod white;
 
 pub use library::{Library, Loaded, RecordError, record_in};

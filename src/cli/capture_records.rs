@@ -3,6 +3,7 @@
 use jiff::Timestamp;
 
 use super::CliError;
+use crate::calibration::directions::DirectionsValues;
 use crate::calibration::record::{
     FlatValues, LampValues, LightsValues, ScaleValues, SensorValues, Values,
 };
@@ -17,6 +18,7 @@ pub(super) struct Records {
     scale: Option<Loaded<ScaleValues>>,
     lights: Option<Loaded<LightsValues>>,
     lamp: Option<Loaded<LampValues>>,
+    directions: Option<Loaded<DirectionsValues>>,
 }
 
 impl Records {
@@ -32,6 +34,7 @@ impl Records {
             scale: library.load_for(ids.scale.as_deref(), gain)?,
             lights: library.load(ids.lights.as_deref())?,
             lamp: library.load(None)?,
+            directions: library.load(ids.directions.as_deref())?,
         };
         records.sensor.check_camera(serial, &config.camera)?;
         if let Some(flat) = &records.flat {
@@ -49,6 +52,7 @@ impl Records {
             scale: library.load(None)?,
             lights: library.load(None)?,
             lamp: library.load(None)?,
+            directions: library.load(None)?,
         })
     }
 
@@ -71,6 +75,7 @@ impl Records {
         add_concerns(&mut concerns, self.scale.as_ref(), config, now);
         add_concerns(&mut concerns, self.lights.as_ref(), config, now);
         add_concerns(&mut concerns, self.lamp.as_ref(), config, now);
+        add_concerns(&mut concerns, self.directions.as_ref(), config, now);
         if let Some(lamp) = &self.lamp {
             let needed_s = lamp.record.values.warm_up_time_s;
             let waited_s = config.capture.lamp_warm_up.0;
@@ -93,6 +98,7 @@ impl Records {
         add_copies(&mut copies, self.scale.as_ref());
         add_copies(&mut copies, self.lights.as_ref());
         add_copies(&mut copies, self.lamp.as_ref());
+        add_copies(&mut copies, self.directions.as_ref());
         copies
     }
 }

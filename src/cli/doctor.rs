@@ -14,6 +14,7 @@ use serde::Serialize;
 use super::output::{write_json, write_line};
 use super::rig_choice::RigArg;
 use super::{CliError, Context, hints};
+use crate::calibration::directions::DirectionsValues;
 use crate::calibration::record::{
     FlatValues, Kind, LightsValues, ScaleValues, SensorValues, Values,
 };
@@ -158,6 +159,11 @@ fn all_checks(rig: &ResolvedRig) -> Vec<Check> {
         rig,
         &library,
         named.lights.as_deref(),
+    ));
+    checks.push(calibration::<DirectionsValues>(
+        rig,
+        &library,
+        named.directions.as_deref(),
     ));
     checks
 }
@@ -348,6 +354,10 @@ fn calibration<V: Values>(rig: &ResolvedRig, library: &Library, id: Option<&str>
         Kind::Lights => (
             "lights",
             "without it the rig file's irradiance_w_m2 is believed",
+        ),
+        Kind::Directions => (
+            "directions",
+            "without it the rig file's light directions are believed",
         ),
         Kind::Response => (
             "response",

@@ -6,6 +6,7 @@
 //! `pub mod` line and one line in [`commands!`] below.
 
 pub mod bench;
+mod bench_records;
 mod bracket_files;
 pub mod brdf;
 pub mod calibrate;
@@ -41,6 +42,7 @@ mod repeatability;
 pub mod report;
 pub mod rig_choice;
 pub mod session;
+mod session_images;
 pub mod shape;
 pub mod stage;
 

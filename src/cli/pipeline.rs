@@ -5,6 +5,8 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use super::bench_records::BenchRecords;
+use super::session_images::{places, radiances};
 use super::{CliError, Context, HintExt, facets};
 use crate::brdf::{Brdf, Dictionary, Mixture};
 use crate::config::uncertainty::Deviation;
@@ -17,7 +19,7 @@ use crate::inverse::{
     BenchPriors, Channels, Fit, FitOptions, Optimizer, Refine, RefineOptions, fit, intervals,
     refine_bench,
 };
-use crate::radiance_image::{RadianceImage, exr};
+use crate::radiance_image::RadianceImage;
 use crate::report;
 use crate::session::commit::SystemDisk;
 use crate::session::fit_record::{
@@ -26,7 +28,6 @@ use crate::session::fit_record::{
 };
 use crate::session::{Session, SessionWriter, layout};
 use crate::transport::{Kernel, RenderOptions, Scene, truncation_remainder};
-use crate::units::StageAngles;
 
 /// Choices of a fit that the command line may take over from the configuration.
 #[derive(clap::Args, Debug, Clone, Default)]
@@ -513,23 +514,11 @@ pub fn fit_session(root: &Path, args: &FitArgs, context: &Context) -> Result<Pat
     let session = Session::open(root)?;
     let record = session.record();
     let config = RigConfig::parse(&record.rig, root, &record.config)?;
-    let plan = FitPlan::new(args, Some(&config.fit), &config.uncertainty)?;
-    let places = places(&session)?;
-    let scene = config.geometry.scene(&places)?;
-    let mut captured = Vec::new();
-    for light in 0..places.len() {
-        let name = layout::radiance_file(light as u32);
-        // Only what the journal vouches for is fitted.
-        let image = session
-            .read_file(&name)
-            .map_err(CliError::from)
-            .and_then(|bytes| Ok(exr::decode(&bytes, &root.join(&name))?))
-            .hint(format!(
-                "`rig capture --resume {}` takes what is missing and merges the raw frames again",
-                root.display()
-            ))?;
-        captured.push(image.image);
-    }
+    let mut places = places(&session)?;
+    let captured = radiances(&session, places.len())?;
+    let bench = BenchRecords::load(root)?.apply(&config, &mut places, context);
+    let plan = FitPlan::new(args, Some(&config.fit), &bench.priors)?;
+    let scene = bench.geometry.scene(&places)?;
     let truth = match &config.simulation {
         Some(simulation) => Some(simulation.material.load()?),
         None => None,
@@ -544,21 +533,6 @@ pub fn fit_session(root: &Path, args: &FitArgs, context: &Context) -> Result<Pat
     let folder = fit_record::commit(&mut writer, &fit, &images)?;
     writer.refresh_manifest()?;
     Ok(folder)
-}
-
-/// Where the stage stood for each light, as read back; as planned where no frame tells.
-fn places(session: &Session) -> Result<Vec<StageAngles>, CliError> {
-    let mut places = session.record().plan.lights.clone();
-    let mut known = vec![false; places.len()];
-    for entry in session.frames() {
-        let light = entry.key.light as usize;
-        if light < places.len() && !known[light] {
-            let (_, sidecar) = session.read_frame(&entry)?;
-            places[light] = sidecar.stage_position;
-            known[light] = true;
-        }
-    }
-    Ok(places)
 }
 
 /// Writes the session's report and returns its path.

@@ -130,6 +130,8 @@ pub struct CalibrationConfig {
     pub scale: Option<String>,
     /// Id of the record of the lamp's irradiance.
     pub lights: Option<String>,
+    /// Id of the record of the lights' directions.
+    pub directions: Option<String>,
 }
 
 impl CalibrationConfig {
@@ -146,6 +148,7 @@ impl CalibrationConfig {
         };
         let (sensor, flat, scale, lights) =
             (id("sensor")?, id("flat")?, id("scale")?, id("lights")?);
+        let directions = id("directions")?;
         let folder = table.path("folder")?.optional();
         table.finish()?;
         Ok(Self {
@@ -154,6 +157,7 @@ impl CalibrationConfig {
             flat,
             scale,
             lights,
+            directions,
         })
     }
 }

@@ -59,12 +59,11 @@ impl Camera {
         self.resolution_px[0] * self.resolution_px[1]
     }
 
-    /// The ray of a sensor position in pixels from the top left corner (a pixel's
-    /// footprint is one unit square) through a point of the lens, both numbers of
-    /// `lens` uniform in [0, 1).
-    pub fn ray(&self, position_px: DVec2, lens: DVec2) -> Ray {
+    /// The ray of a sensor position (pixels from the top left corner) through the middle
+    /// of the lens, in the camera's own frame: origin, millimetres, and unit direction.
+    pub fn chief_ray(&self, position_px: DVec2) -> (DVec3, DVec3) {
         let [width, height] = self.resolution_px.map(|n| n as f64);
-        let (mut origin, mut direction) = match self.projection {
+        match self.projection {
             Projection::Orthographic { extent_mm } => {
                 let x = (position_px.x / width - 0.5) * extent_mm.x;
                 let y = (position_px.y / height - 0.5) * extent_mm.y;
@@ -76,7 +75,14 @@ impl Camera {
                 let y = (2.0 * position_px.y - height) / width * half;
                 (DVec3::ZERO, DVec3::new(x, y, 1.0).normalize())
             }
-        };
+        }
+    }
+
+    /// The ray of a sensor position in pixels from the top left corner (a pixel's
+    /// footprint is one unit square) through a point of the lens, both numbers of
+    /// `lens` uniform in [0, 1).
+    pub fn ray(&self, position_px: DVec2, lens: DVec2) -> Ray {
+        let (mut origin, mut direction) = self.chief_ray(position_px);
         if self.object_na > 0.0 {
             let focus = origin + direction * (self.focus_mm / direction.z);
             let radius =

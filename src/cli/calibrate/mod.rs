@@ -3,6 +3,7 @@
 mod flat;
 mod lamp;
 mod light;
+mod lights;
 mod response;
 mod sensor;
 mod status;
@@ -46,6 +47,12 @@ enum What {
     /// The camera looks at a white card that the lamp lights, without other light. The lamp must
     /// be cold.
     Lamp(lamp::LampArgs),
+    /// Finds the direction of each light, and how the stage stands, from highlights on one or
+    /// two mirror spheres
+    ///
+    /// Put a glossy sphere of known radius where the sample will be, before a background that
+    /// is clearly darker or brighter than its rim, and capture it as a sample.
+    Lights(lights::LightsArgs),
     /// Finds the lamp's irradiance, and with it the absolute scale, from a diffuse standard of
     /// certified reflectance
     White(white::WhiteArgs),
@@ -60,6 +67,7 @@ pub fn run(args: &CalibrateArgs, context: &Context) -> Result<(), CliError> {
         What::Flat(args) => flat::run(args, context),
         What::Response(args) => response::run(args, context),
         What::Lamp(args) => lamp::run(args, context),
+        What::Lights(args) => lights::run(args, context),
         What::White(args) => white::run(args, context),
         What::Status(args) => status::run(args, context),
     }

@@ -3,6 +3,7 @@
 use jiff::Timestamp;
 use serde::Serialize;
 
+use crate::calibration::directions::DirectionsValues;
 use crate::calibration::fitness::Concern;
 use crate::calibration::record::{
     FlatValues, Kind, LampValues, LightsValues, Measured, ResponseValues, ScaleValues,
@@ -73,6 +74,12 @@ pub(super) fn run(args: &StatusArgs, context: &Context) -> Result<(), CliError> 
         line(&rig.config, &library, pinned(&pins.flat), of_flat),
         line(&rig.config, &library, pinned(&pins.scale), of_scale),
         line(&rig.config, &library, pinned(&pins.lights), of_lights),
+        line(
+            &rig.config,
+            &library,
+            pinned(&pins.directions),
+            of_directions,
+        ),
         line(&rig.config, &library, None, of_lamp),
         line(&rig.config, &library, None, of_response),
     ];
@@ -132,7 +139,7 @@ fn line<V: Values>(
         Ok(Some(loaded)) => loaded,
         Ok(None) => {
             // A linear camera has no response, and lights can stand in the rig file.
-            line.run = (!matches!(kind, Kind::Response | Kind::Lights))
+            line.run = (!matches!(kind, Kind::Response | Kind::Lights | Kind::Directions))
                 .then(run)
                 .flatten();
             return line;
@@ -173,6 +180,7 @@ fn without(kind: Kind) -> &'static str {
         Kind::Flat => "every pixel counts as equally sensitive",
         Kind::Scale => "radiances are relative",
         Kind::Lights => "the rig file's irradiance is believed",
+        Kind::Directions => "the rig file's light directions are believed",
         Kind::Lamp => "nobody knows how long the lamp warms up",
         Kind::Response => "counts are taken as proportional to light",
     }
@@ -213,6 +221,19 @@ fn of_scale(v: &ScaleValues) -> String {
 fn of_lights(v: &LightsValues) -> String {
     let [red, green, blue] = v.irradiance_w_m2.map(pair);
     format!("{red}, {green}, {blue} W/m²")
+}
+
+fn of_directions(v: &DirectionsValues) -> String {
+    let distance = match v.distance_mm {
+        Some(distance) => format!(", {} mm away", pair(distance)),
+        None => String::new(),
+    };
+    format!(
+        "{} lights, each within {:.3}°, all together within {:.3}°{distance}",
+        v.lights.len(),
+        v.light_std_deg,
+        v.common_std_deg
+    )
 }
 
 fn of_lamp(v: &LampValues) -> String {

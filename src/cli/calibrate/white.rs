@@ -96,8 +96,8 @@ pub(super) fn run(args: &WhiteArgs, context: &Context) -> Result<(), CliError> {
     let path = target.add(values, &method, &[])?;
     let [red, green, blue] = found.map(|m| m.value);
     context.note(format_args!(
-        "set irradiance_w_m2 = [{red:.6}, {green:.6}, {blue:.6}] in the rig file's \
-         [geometry.light] table, known to {:.2}%",
+        "fits of later captures go by an irradiance of {red:.6}, {green:.6}, {blue:.6} W/m², known \
+         to {:.2}%",
         100.0 * found[0].std / found[0].value
     ));
     if args.common.json {

@@ -1,0 +1,302 @@
+//! `rig calibrate lights`: directions of lights from mirror spheres.
+
+use std::path::{Path, PathBuf};
+
+use glam::DVec2;
+use serde::Serialize;
+
+use super::target::{CommonArgs, Target};
+use crate::calibration::directions::DirectionsValues;
+use crate::calibration::mirror_sphere::outline::Stated;
+use crate::calibration::mirror_sphere::{Circle, Sphere, SphereError, spheres_in};
+use crate::calibration::mirror_sphere::{Grey, locate_all};
+use crate::calibration::stage_directions::{self, StageFitError};
+use crate::calibration::{Library, figures};
+use crate::cli::output::write_json;
+use crate::cli::session_images::{places, radiances};
+use crate::cli::{CliError, Context};
+use crate::config::RigConfig;
+use crate::device::kinematics::{Kinematics, Mechanism};
+use crate::out;
+use crate::radiance_image::{RadianceImage, exr};
+use crate::session::Session;
+use crate::units::StageAngles;
+
+#[derive(clap::Args, Debug)]
+pub(super) struct LightsArgs {
+    #[command(flatten)]
+    common: CommonArgs,
+    /// Session captured with the sphere in place of the sample; or, of a bench with fixed
+    /// lights, one merged image (OpenEXR) per light, in the rig file's order
+    #[arg(value_name = "SESSION|EXR", required = true)]
+    input: Vec<PathBuf>,
+    /// Radius of the sphere, by its certificate or a calliper (mm)
+    #[arg(long, value_name = "MM")]
+    radius: f64,
+    /// How many equal spheres are in the image; two also give the lamp's distance
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=2))]
+    spheres: u32,
+    /// Height of the spheres' middles above the sample's datum (mm), which a telecentric
+    /// camera does not see
+    #[arg(
+        long,
+        value_name = "MM",
+        default_value_t = 0.0,
+        allow_negative_numbers = true
+    )]
+    height: f64,
+    /// Roughly where a sphere is in the image: middle and radius (pixels); searched if not
+    /// given
+    #[arg(long, value_name = "X,Y,R", value_parser = parse_circle)]
+    near: Vec<Circle>,
+    /// Merged image in which the outline is found (default: all lights' images, each
+    /// on the side that its light shines on)
+    #[arg(long, value_name = "EXR")]
+    outline: Option<PathBuf>,
+}
+
+fn parse_circle(text: &str) -> Result<Circle, String> {
+    let numbers: Option<Vec<f64>> = text.split(',').map(|n| n.trim().parse().ok()).collect();
+    match numbers.as_deref() {
+        Some(&[x, y, radius_px]) if radius_px > 0.0 => Ok(Circle {
+            centre_px: DVec2::new(x, y),
+            radius_px,
+        }),
+        _ => Err("three numbers: column and row of the middle, radius above 0".into()),
+    }
+}
+
+#[derive(Serialize)]
+struct SphereReport {
+    middle_px: [f64; 2],
+    radius_px: f64,
+    radius_mm: f64,
+    blur_px: f64,
+}
+
+#[derive(Serialize)]
+struct LightsReport<'a> {
+    record: String,
+    spheres: Vec<SphereReport>,
+    values: &'a DirectionsValues,
+}
+
+/// The bench and the pictures of the sphere on it.
+struct Pictures {
+    config: RigConfig,
+    angles: Vec<StageAngles>,
+    images: Vec<RadianceImage>,
+    source: String,
+}
+
+pub(super) fn run(args: &LightsArgs, context: &Context) -> Result<(), CliError> {
+    let rig = args.common.rig.resolve(context)?;
+    let pictures = read(&args.input, &rig.config)?;
+    let geometry = &pictures.config.geometry;
+    let stated = Stated {
+        radius_mm: args.radius,
+        height_mm: args.height,
+    };
+    let images: Vec<Grey> = pictures.images.iter().map(Grey::of).collect();
+    let outline = match &args.outline {
+        Some(path) => Some(Grey::of(&exr::read(path)?.image)),
+        None => None,
+    };
+    let camera = &geometry.camera;
+    let spheres = spheres_in(
+        &images,
+        outline.as_ref(),
+        camera,
+        &stated,
+        &args.near,
+        args.spheres as usize,
+    )
+    .map_err(advised)?;
+    for sphere in &spheres {
+        let circle = sphere.circle;
+        context.note(format_args!(
+            "sphere at ({:.2}, {:.2}), radius {:.2} pixels, {:.4} mm; blur {:.2} pixels",
+            circle.centre_px.x,
+            circle.centre_px.y,
+            circle.radius_px,
+            sphere.radius_mm,
+            sphere.blur_px
+        ));
+    }
+    let stage_centre = geometry.sample_from_stage.translation_mm;
+    let stated_mm: Vec<Option<f64>> = pictures
+        .angles
+        .iter()
+        .map(|&a| distance_mm(&pictures.config, a))
+        .collect();
+    let (found, distance) =
+        locate_all(camera, &spheres, &images, stage_centre, &stated_mm).map_err(advised)?;
+    let stage = match pictures.config.stage.kinematics() {
+        Kinematics::FixedLights(_) => None,
+        Kinematics::TwoAxes(axes) => Some(
+            stage_directions::fit(
+                geometry.sample_from_stage.rotation,
+                &pictures.angles,
+                &found,
+                axes.mechanism == Mechanism::Rotary,
+            )
+            .map_err(stage_advised)?,
+        ),
+    };
+    let values = DirectionsValues::new(&pictures.angles, &found, stage.as_ref(), distance);
+    let mut target = Target::new(&rig.config, Library::of_rig(&rig), &args.common, context);
+    target.source = pictures.source;
+    let method = format!(
+        "highlights of {} lights on {} mirror sphere(s) of radius {} mm",
+        found.len(),
+        spheres.len(),
+        args.radius
+    );
+    let path = target.add(values.clone(), &method, &[])?;
+    let off = figures::light_directions(geometry, &pictures.angles, &found, stage.as_ref());
+    target.draw(&off, &path, context)?;
+    if let Some(stage) = &values.stage {
+        let [x, y, z] = stage.rotation_deg;
+        context.note(format_args!(
+            "the stage is turned by ({x:.3}, {y:.3}, {z:.3})° against the sample, its elevations \
+             count {:+.3}°; lights scatter by {:.3}° about that",
+            stage.elevation_offset_deg, stage.scatter_deg
+        ));
+    }
+    if let Some(distance) = distance {
+        context.note(format_args!(
+            "the lamp is {:.1} ± {:.1} mm away",
+            distance.value, distance.std
+        ));
+    }
+    if args.common.json {
+        return write_json(&LightsReport {
+            record: path.display().to_string(),
+            spheres: spheres.iter().map(sphere_report).collect(),
+            values: &values,
+        });
+    }
+    out!("{}", path.display())
+}
+
+fn sphere_report(sphere: &Sphere) -> SphereReport {
+    SphereReport {
+        middle_px: sphere.circle.centre_px.to_array(),
+        radius_px: sphere.circle.radius_px,
+        radius_mm: sphere.radius_mm,
+        blur_px: sphere.blur_px,
+    }
+}
+
+/// The lamp's distance that the rig file states for these angles; `None`: parallel light.
+fn distance_mm(config: &RigConfig, angles: StageAngles) -> Option<f64> {
+    let light = &config.geometry.light;
+    let by_stage = light
+        .mechanism
+        .as_ref()
+        .and_then(|m| m.lamp_distance_mm(angles));
+    by_stage.or(light.distance_mm)
+}
+
+fn read(input: &[PathBuf], rig: &RigConfig) -> Result<Pictures, CliError> {
+    match input {
+        [root] if root.is_dir() => of_session(root, rig),
+        files => of_files(files, rig),
+    }
+}
+
+fn of_session(root: &Path, rig: &RigConfig) -> Result<Pictures, CliError> {
+    let session = Session::open(root)?;
+    let record = session.record();
+    let config = RigConfig::parse(&record.rig, root, &record.config)?;
+    if config.name != rig.name {
+        return Err(CliError::new(format!(
+            "the session is of rig {}, the record would be of rig {}",
+            config.name, rig.name
+        ))
+        .hint(format!("name the session's rig: `--rig {}`", record.rig)));
+    }
+    let angles = places(&session)?;
+    let images = radiances(&session, angles.len())?;
+    let name = root.file_name().unwrap_or_default().to_string_lossy();
+    Ok(Pictures {
+        config,
+        angles,
+        images,
+        source: format!("session {name}"),
+    })
+}
+
+fn of_files(files: &[PathBuf], rig: &RigConfig) -> Result<Pictures, CliError> {
+    let Kinematics::FixedLights(lights) = rig.stage.kinematics() else {
+        return Err(
+            CliError::new("images alone do not say where a stage with axes stood")
+                .hint("capture the sphere with `rig capture` and name the session"),
+        );
+    };
+    if files.len() != lights.directions.len() {
+        return Err(CliError::new(format!(
+            "{} images were named, the rig has {} lights",
+            files.len(),
+            lights.directions.len()
+        ))
+        .hint("name one image per light, in the order of the rig file's [[stage.light]] tables"));
+    }
+    let mut images = Vec::new();
+    for file in files {
+        images.push(exr::read(file)?.image);
+    }
+    let names: Vec<_> = files.iter().map(|f| f.display().to_string()).collect();
+    Ok(Pictures {
+        config: rig.clone(),
+        angles: lights.directions.clone(),
+        images,
+        source: names.join(", "),
+    })
+}
+
+/// What to do about a sphere that cannot be used.
+fn advised(error: SphereError) -> CliError {
+    use SphereError::*;
+    let hint = match &error {
+        Impossible { .. } => "correct the value",
+        Size { .. } => "the images must be of the rig file's camera, without cropping",
+        NoOutline { .. } => {
+            "put a background behind the sphere that is clearly darker or brighter than its rim, check --radius and the camera's scale, or say with --near X,Y,R where the sphere is"
+        }
+        OutsideView { .. } => {
+            "move the sphere or the camera until the whole sphere is in the image"
+        }
+        Unfitted { .. } => {
+            "give the rim more contrast, or a better start with --near X,Y,R; an image of the unlit sphere before a bright card can be named with --outline"
+        }
+        Radius { .. } => {
+            "check --radius (not the diameter), and the camera's extent_mm in the rig file"
+        }
+        NoHighlight { .. } => {
+            "the sphere must be glossy, and no light may be hidden from it by the camera or its own height; leave such lights out of the capture"
+        }
+        Saturated { .. } => {
+            "capture with shorter exposures: a lower capture.shortest_ms or a weaker lamp; a rougher sphere also has dimmer highlights"
+        }
+        TwoHighlights { .. } => {
+            "only one lamp may light the sphere: cover windows, screens and mirrored parts of the bench"
+        }
+        NotOneLamp { .. } => {
+            "check that both spheres have the stated radius, stand still, and are lit by the same lamp"
+        }
+    };
+    CliError::new(&error).hint(format!("{hint}; nothing was kept"))
+}
+
+fn stage_advised(error: StageFitError) -> CliError {
+    let hint = match &error {
+        StageFitError::TooFew { .. } => {
+            "capture the sphere under more lights: `rig capture --lights 12`"
+        }
+        StageFitError::OtherStage { .. } => {
+            "check the sense of the stage's axes and geometry.sample_from_stage in the rig file, and that the sphere did not move"
+        }
+    };
+    CliError::new(&error).hint(format!("{hint}; nothing was kept"))
+}

@@ -1,0 +1,187 @@
+//! `rig calibrate lights` from capture to fit on the simulated rig, whose stage stands
+//! elsewhere than its rig file says.
+
+use std::path::{Path, PathBuf};
+
+use serde_json::Value;
+
+fn rig(folder: &Path, arguments: &[&str]) -> std::process::Output {
+    let mut command = assert_cmd::Command::cargo_bin("rig").unwrap();
+    let command = command.current_dir(folder).env_remove("RIG_CONFIG");
+    command.args(arguments).output().unwrap()
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+fn good(output: std::process::Output) -> std::process::Output {
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    output
+}
+
+/// The simulated rig with a glossy sphere on it, and a stage that is turned by 0.8° and
+/// counts elevations from -0.6°.
+fn workplace() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let mut text = include_str!("../rig-configs/simulated.toml").to_owned();
+    for (key, new) in [
+        ("kind = \"bowl\"", "kind = \"sphere\""),
+        ("extent_mm = [22.0, 22.0]", "extent_mm = [24.0, 24.0]"),
+        ("segments = 256", "segments = 1024"),
+        (
+            "material = \"nbrdf:dark-red-paint\"",
+            "brdf = { mixture = [ { weight = 0.2, lambertian = { albedo = 0.5 } }, { weight = 0.8, ggx = { alpha = 0.02, eta = 1.5 } } ] }",
+        ),
+        ("timing = \"realistic\"", "timing = \"instant\""),
+        ("max_reflections = 32", "max_reflections = 1"),
+        ("azimuth_offset_deg = 0.05", "azimuth_offset_deg = 0.8"),
+        (
+            "elevation_offset_deg = -0.05",
+            "elevation_offset_deg = -0.6",
+        ),
+        ("positioning = 0.05", "positioning = 0.02"),
+    ] {
+        assert!(text.contains(key), "{key}");
+        text = text.replace(key, new);
+    }
+    std::fs::write(folder.path().join("rig.toml"), text).unwrap();
+    // Records of its own, so that the built-in ones are copied first.
+    let records = Path::new(env!("CARGO_MANIFEST_DIR")).join("calibration/simulated");
+    for kind in ["sensor", "flat", "scale"] {
+        let to = folder.path().join("calibration/simulated").join(kind);
+        std::fs::create_dir_all(&to).unwrap();
+        for file in std::fs::read_dir(records.join(kind)).unwrap() {
+            let file = file.unwrap();
+            std::fs::copy(file.path(), to.join(file.file_name())).unwrap();
+        }
+    }
+    folder
+}
+
+fn capture(at: &Path, lights: &str) -> PathBuf {
+    let output = good(rig(
+        at,
+        &[
+            "capture", "--lights", lights, "--sample", "sphere", "--no-fit",
+        ],
+    ));
+    at.join(text(&output.stdout).lines().last().unwrap())
+}
+
+#[test]
+fn a_stage_is_found_where_it_truly_stands_and_a_fit_goes_by_it() {
+    let folder = workplace();
+    let at = folder.path();
+    let session = capture(at, "12");
+    let session = session.to_str().unwrap();
+    let records = at.join("calibration/simulated/directions");
+
+    // A radius that is not the sphere's: refused with advice, nothing kept.
+    for (arguments, fact, advice) in [
+        (vec!["--radius", "9"], "radius", "--radius"),
+        (vec!["--radius", "0.01"], "must be", "correct"),
+        (
+            vec!["--radius", "10", "--near", "60,32,27"],
+            "outside the view",
+            "move the sphere",
+        ),
+    ] {
+        let mut all = vec!["calibrate", "lights", session];
+        all.extend(arguments);
+        let refused = rig(at, &all);
+        let said = text(&refused.stderr);
+        assert_eq!(refused.status.code(), Some(1), "{said}");
+        assert!(
+            said.contains(fact) && said.contains("hint:") && said.contains(advice),
+            "{said}"
+        );
+        assert!(!records.exists(), "{said}");
+    }
+
+    let output = good(rig(
+        at,
+        &[
+            "calibrate",
+            "lights",
+            session,
+            "--radius",
+            "10",
+            "--id",
+            "one",
+            "--json",
+        ],
+    ));
+    let found: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let stage = &found["values"]["stage"];
+    let number = |v: &Value| v.as_f64().unwrap();
+    let covariance = |i: usize| number(&stage["covariance_deg2"][i][i]);
+    // The stage's errors, of which homing has 0.02° and each light 0.02°.
+    let turned = [0, 1, 2].map(|i| number(&stage["rotation_deg"][i]));
+    let truth = [0.0, 0.0, 0.8];
+    for axis in 0..3 {
+        let off = turned[axis] - truth[axis];
+        let std = covariance(axis).sqrt().hypot(0.03);
+        assert!(
+            off.abs() < 0.1 && off.abs() < 4.0 * std,
+            "axis {axis}: {off} ± {std}: {found}"
+        );
+    }
+    let off = number(&stage["elevation_offset_deg"]) + 0.6;
+    let std = covariance(3).sqrt().hypot(0.03);
+    assert!(
+        off.abs() < 0.1 && off.abs() < 4.0 * std,
+        "offset: {off} ± {std}: {found}"
+    );
+    for ending in ["svg", "png"] {
+        let figure = at.join(format!("calibration/simulated/plots/one.{ending}"));
+        assert!(
+            std::fs::metadata(&figure).unwrap().len() > 1000,
+            "{figure:?}"
+        );
+    }
+    let status = text(&good(rig(at, &["calibrate", "status"])).stdout);
+    assert!(status.contains("12 lights, each within"), "{status}");
+
+    // A second record of the name is refused; the first stays.
+    let record = records.join("one.toml");
+    let bytes = std::fs::read(&record).unwrap();
+    let again = rig(
+        at,
+        &[
+            "calibrate",
+            "lights",
+            session,
+            "--radius",
+            "10",
+            "--id",
+            "one",
+        ],
+    );
+    assert_eq!(again.status.code(), Some(1));
+    assert_eq!(std::fs::read(&record).unwrap(), bytes);
+
+    // The irradiance of a white standard, and the directions, reach a fit.
+    let lights = at.join("calibration/simulated/lights");
+    std::fs::create_dir_all(&lights).unwrap();
+    let white = "id = \"white\"\nkind = \"lights\"\nrig = \"simulated\"\ndevice_serial = \"\"\n\
+        date = \"2026-11-21T00:00:00Z\"\nmethod = \"m\"\nsource = \"s\"\n[values]\nirradiance_w_m2 = [\
+        { value = 64.0, std = 0.5 }, { value = 80.0, std = 0.5 }, { value = 48.0, std = 0.5 }]\n";
+    std::fs::write(lights.join("white.toml"), white).unwrap();
+    let next = capture(at, "2");
+    assert!(next.join("calibration/directions/one.toml").is_file());
+    let fitted = good(rig(
+        at,
+        &[
+            "fit",
+            next.to_str().unwrap(),
+            "--spp",
+            "2",
+            "--max-reflections",
+            "2",
+        ],
+    ));
+    let said = text(&fitted.stderr);
+    assert!(said.contains("light directions by record one"), "{said}");
+    assert!(said.contains("irradiance by record white"), "{said}");
+}
