@@ -102,7 +102,7 @@ pub(super) fn run(args: &LightsArgs, context: &Context) -> Result<(), CliError> 
         Some(path) => Some(Grey::of(&exr::read(path)?.image)),
         None => None,
     };
-    let camera = &geometry.camera;
+    let camera = &geometry.image_camera();
     let spheres = spheres_in(
         &images,
         outline.as_ref(),
