@@ -15,7 +15,8 @@ run camera info --device $camera --json
 check "its exposures" "$(json '.exposure_range | tostring')" \
     eval '[ "$(json ".exposure_range == [0.0001, 1.0]")" = true ]'
 run camera controls --device $camera --json
-check "its controls" "$(json 'map(.label) | tostring')" [ "$(json length)" = 6 ]
+check "its controls" "$(json 'map(.label) | tostring')" \
+    eval '[ "$(json "map(select(.kind != \"other\")) | length")" = 6 ]'
 
 # signal MS GAIN: mean count of a frame above black, which is 64 DN.
 signal() {
@@ -45,13 +46,14 @@ usb camera obey
 run camera grab --device $camera --format Y16
 exits "and after it" 0
 
-# The driver throws damaged and cut frames away: gaps in its numbers.
+# The driver throws damaged and cut frames away by itself.
 for fault in damage cut; do
+    later camera grab --device $camera --format Y16 --discard 60 --json
+    sleep 1.5
     usb camera $fault 1
-    run camera grab --device $camera --format Y16 --discard 12 --json
+    finish
     exits "a frame with the fault: $fault" 0
-    check "is none of those kept" "$(json '.retakes | tostring')" \
-        eval '[ "$(json "(.retakes.dropped // 0) + (.retakes.damaged // 0) >= 1")" = true ]'
+    check "is never handed over" "$(json '.retakes | tostring')" [ "$(json '.retakes.damaged // 0')" = 0 ]
 done
 
 usb camera silent
@@ -81,14 +83,16 @@ run camera grab --device $camera --format Y16
 exits "plugged in again" 0
 
 usb camera out
-modprobe -r uvcvideo
+until_true 10 eval "[ ! -e $camera ]"
 # Now the driver hands damaged frames over, flagged.
-modprobe uvcvideo nodrop=1
+echo 1 >/sys/module/uvcvideo/parameters/nodrop
 usb camera in
 until_true 10 test -e $camera
 for fault in damage cut; do
+    later camera grab --device $camera --format Y16 --discard 60 --json
+    sleep 1.5
     usb camera $fault 1
-    run camera grab --device $camera --format Y16 --discard 12 --json
+    finish
     exits "handed over with the fault: $fault" 0
     check "is taken again" "$(json '.retakes | tostring')" [ "$(json .retakes.damaged)" = 1 ]
 done
