@@ -2,12 +2,13 @@
 # `make test`: all tests.
 # `make test-long`: coverage of the intervals and rates of warnings, in full; 200
 #   captures killed at random moments.
+# `make test-vm`: the program against the kernel's own drivers in a virtual machine.
 # `make test-external`: exports loaded in the programs they are for (tests/external/README.md).
 
 CARGO ?= cargo
 SUDO := $(if $(filter 0,$(shell id -u)),,sudo)
 
-.PHONY: demo test test-long test-external build deps
+.PHONY: demo test test-long test-vm test-external build deps
 
 demo: build
 	target/release/rig demo
@@ -20,6 +21,11 @@ test: deps
 
 test-external: build
 	tests/external/run.sh target/release/rig
+
+# Cameras and serial ports as the kernel shows them; needs root or sudo once, for apt.
+test-vm: build
+	$(CARGO) build --locked --release --package mock-devices --example usb_devices
+	tests/vm/run.sh target/release/rig target/release/examples/usb_devices
 
 # Hours of one core at full size; an interrupted run goes on where it stopped.
 test-long: build

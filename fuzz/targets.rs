@@ -40,6 +40,37 @@ pub const TARGETS: &[Target] = &[
         64,
     ),
     target(
+        "zaber",
+        |bytes| drop(rig::device::zaber::protocol::parse(bytes)),
+        64,
+    ),
+    target(
+        "dome",
+        |bytes| {
+            use rig::device::dome::protocol::{Line, info, parse, state};
+            if let Line::Answer {
+                outcome: Ok(data), ..
+            } = parse(bytes)
+            {
+                drop((info(&data), state(&data)));
+            }
+            // The same data without a checksum, which hardly any change survives.
+            text(bytes, |text| drop((info(text), state(text))));
+        },
+        64,
+    ),
+    target(
+        "dmx_widget",
+        |bytes| {
+            use rig::device::dome::widget::{serial_number, take_message, version};
+            let mut received = bytes.to_vec();
+            while let Some((_, data)) = take_message(&mut received) {
+                drop((version(&data), serial_number(&data)));
+            }
+        },
+        64,
+    ),
+    target(
         "rig_file",
         |bytes| {
             text(bytes, |text| {

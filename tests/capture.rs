@@ -6,7 +6,7 @@ mod support;
 use std::sync::Arc;
 
 use rig::capture::{CaptureError, Outcome};
-use rig::device::{FrameKind, LampState};
+use rig::device::{FrameKind, LampState, ReferenceCheck};
 use rig::session::commit::SystemDisk;
 use rig::session::faults::{Fault, FaultyDisk, SmallDisk, UnsyncedDisk};
 use rig::session::{Event, Journal, Session, SessionWriter, layout, verify};
@@ -443,5 +443,43 @@ fn resuming_a_complete_session_takes_no_frame() {
         assert_eq!(capture(&bench, session).0.unwrap(), Outcome::Complete);
         assert_eq!(bench.homings_and_grabs(), (0, 0), "lose {lose}");
         assert_eq!(content(&root), before, "lose {lose}");
+    }
+}
+
+/// After the last light the stage seeks its switches; where steps were lost, the
+/// session says so for good.
+#[test]
+fn lost_steps_make_a_session_suspect() {
+    for (off, suspect) in [([0.01, -0.04], false), ([0.01, -0.06], true)] {
+        let parent = tempfile::tempdir().unwrap();
+        let bench = Bench::with(|world| {
+            world.reference = Some(ReferenceCheck { off, allowed: 0.05 });
+        });
+        let session = create(Arc::new(UnsyncedDisk), parent.path()).unwrap();
+        let root = session.root().to_owned();
+        let (result, heard) = capture(&bench, session);
+        assert_eq!(result.unwrap(), Outcome::Complete);
+        let events = Journal::read(&root).unwrap().records;
+        let checks = events
+            .iter()
+            .filter(|record| record.event == Event::Reference { off, suspect });
+        assert_eq!(checks.count(), 1);
+        let found = verify::verify(&root).unwrap();
+        assert!(found.is_intact() && found.complete);
+        assert_eq!(found.suspicion.is_some(), suspect);
+        assert_eq!(Session::open(&root).unwrap().summary().suspect, suspect);
+        assert_eq!(heard.warnings.len(), usize::from(suspect));
+        if suspect {
+            assert!(
+                heard.warnings[0].contains("-0.0600"),
+                "{:?}",
+                heard.warnings
+            );
+        }
+        // What is complete is not moved again.
+        let homings = bench.world().homings;
+        let again = SessionWriter::resume(Arc::new(UnsyncedDisk), &root).unwrap();
+        assert_eq!(capture(&bench, again).0.unwrap(), Outcome::Complete);
+        assert_eq!(bench.world().homings, homings);
     }
 }

@@ -58,7 +58,9 @@ impl Outcome {
             Self::Disconnected => "error: disconnected; a new connection moves nothing",
             Self::NotApplied => "error: the lamp read back as dark",
             Self::NotSeen => "not seen by the stage; the images stay dark, which ends the capture",
-            Self::Measured => "found and measured when the reference is checked",
+            Self::Measured => {
+                "found and measured when the reference is checked: after its last light a capture is marked as suspect"
+            }
             Self::CannotTell => "not seen: the check of the reference says that it cannot tell",
             Self::None => "–",
         }

@@ -9,7 +9,7 @@ use super::worker::Worker;
 use crate::device::retake::{Retakes, grab_right};
 use crate::device::{
     Camera, CameraInfo, CameraSettings, DeviceError, FrameKey, LampState, LightStage, RawFrame,
-    StageInfo, StageStatus, StopHandle,
+    ReferenceCheck, StageInfo, StageStatus, StopHandle,
 };
 use crate::interrupt::{Interrupt, StopLevel};
 use crate::units::{Seconds, StageAngles};
@@ -261,6 +261,18 @@ impl Devices {
             .await?;
         self.known.homed = true;
         Ok(status)
+    }
+
+    /// Lamp off, then the reference switches are sought with the steps counted;
+    /// `None` where the stage cannot tell, or was not moved in this run.
+    pub(super) async fn check_reference(&mut self) -> Result<Option<ReferenceCheck>, CaptureError> {
+        if !self.known.homed {
+            return Ok(None);
+        }
+        self.lamp(LampState::Off, Seconds(0.0)).await?;
+        self.known.position = None;
+        self.stage_within(Duration::ZERO, |stage| stage.check_reference())
+            .await
     }
 
     /// Moves and returns the position read back.

@@ -166,7 +166,7 @@ impl Run<'_> {
             }
             self.observer.observe(Progress::LightDone { light });
         }
-        Ok(())
+        self.check_reference().await
     }
 
     /// Feeds the merge from the disk.

@@ -123,11 +123,17 @@ pub fn run(args: &CameraArgs, context: &Context) -> Result<(), CliError> {
                 exposure: Seconds(exposure_ms * 1e-3),
                 gain: *gain,
             })?;
-            let frame = grab(&mut *camera, *discard)?;
+            let mut retakes = Retakes::default();
+            let frame = grab(&mut *camera, *discard, &mut retakes)?;
             if let Some(path) = out {
                 write_png(path, &frame)?;
             }
-            report(which, out.as_deref(), settings, camera.info(), &frame)
+            let taken = Taken {
+                settings,
+                frame: &frame,
+                retakes,
+            };
+            report(which, out.as_deref(), camera.info(), &taken)
         }
         Action::Controls(which) => controls(which, context),
         Action::Preview {
@@ -187,7 +193,18 @@ fn controls(which: &Which, context: &Context) -> Result<(), CliError> {
     Ok(())
 }
 
-fn grab(camera: &mut dyn Camera, discard: u32) -> Result<RawFrame, CliError> {
+/// A frame and how it came about.
+struct Taken<'a> {
+    settings: CameraSettings,
+    frame: &'a RawFrame,
+    retakes: Retakes,
+}
+
+fn grab(
+    camera: &mut dyn Camera,
+    discard: u32,
+    retakes: &mut Retakes,
+) -> Result<RawFrame, CliError> {
     let key = |repeat| FrameKey {
         light: 0,
         exposure: 0,
@@ -195,9 +212,9 @@ fn grab(camera: &mut dyn Camera, discard: u32) -> Result<RawFrame, CliError> {
         kind: FrameKind::Ambient,
     };
     for repeat in 0..discard {
-        grab_right(camera, key(repeat), &mut Retakes::default())?;
+        grab_right(camera, key(repeat), retakes)?;
     }
-    Ok(grab_right(camera, key(discard), &mut Retakes::default())?)
+    Ok(grab_right(camera, key(discard), retakes)?)
 }
 
 fn write_png(path: &Path, frame: &RawFrame) -> Result<(), CliError> {
@@ -217,6 +234,9 @@ fn print_info(info: &CameraInfo) -> Result<(), CliError> {
         info.bit_depth,
         info.mosaic
     )?;
+    if shortest.0.is_nan() {
+        return out!("exposure  cannot be set");
+    }
     out!(
         "exposure  {shortest} to {longest} in steps of {}",
         info.exposure_step
@@ -226,10 +246,14 @@ fn print_info(info: &CameraInfo) -> Result<(), CliError> {
 fn report(
     which: &Which,
     file: Option<&Path>,
-    settings: CameraSettings,
     info: &CameraInfo,
-    frame: &RawFrame,
+    taken: &Taken<'_>,
 ) -> Result<(), CliError> {
+    let Taken {
+        settings,
+        frame,
+        retakes,
+    } = taken;
     let saturation = ((1_u32 << info.bit_depth.min(16)) - 1) as u16;
     let saturated = frame.counts.iter().filter(|&&c| c >= saturation).count();
     let least = frame.counts.iter().min().copied().unwrap_or(0);
@@ -247,10 +271,18 @@ fn report(
             "mean_dn": mean,
             "maximum_dn": most,
             "saturated_pixels": saturated,
+            "retakes": retakes,
         }));
     }
-    out!("settings  {}, gain {}", settings.exposure, settings.gain)?;
+    let exposure = match settings.exposure {
+        unknown if unknown.0.is_nan() => "the exposure cannot be set".to_owned(),
+        exposure => exposure.to_string(),
+    };
+    out!("settings  {exposure}, gain {}", settings.gain)?;
     out!("counts    {least} to {most}, mean {mean:.1} DN, {saturated} pixels saturated")?;
+    if !retakes.is_none() {
+        out!("retaken   frames {retakes}")?;
+    }
     match file {
         Some(path) => out!("{}", path.display()),
         None => Ok(()),
@@ -291,6 +323,7 @@ fn open_device(
     let camera = V4lCamera::open(V4lConfig {
         format,
         preview,
+        any_exposure: true,
         ..V4lConfig::of_device(device)
     })?;
     Ok(Box::new(camera))

@@ -19,8 +19,10 @@ use crate::calibration::record::{
     FlatValues, Kind, LightsValues, ScaleValues, SensorValues, Values,
 };
 use crate::calibration::{Library, RecordError};
+use crate::config::stage::StageDriver;
 use crate::config::{CameraDriver, Origin, ResolvedRig};
 use crate::device::discovery;
+use crate::device::dome::DomeWiring;
 
 /// Checks configuration, devices, permissions, disk and calibration
 ///
@@ -280,14 +282,28 @@ fn device_file(name: &'static str, path: &str, lasting: &str) -> Check {
     Check::ok(name, format!("{path} can be opened"))
 }
 
+/// What turns the lamp off when the computer or the cable fails: the firmware
+/// alone can. Which one it is shows when the stage is opened, not before.
 fn watchdog(rig: &ResolvedRig) -> Option<Check> {
-    (!rig.config.is_simulated()).then(|| {
-        Check::warning(
-            "watchdog",
-            "stock GRBL has none: the lamp stays on if the computer or the cable fails",
-            "fit a hardware emergency stop, and don't leave a capture alone with a lamp that can do harm",
-        )
-    })
+    let fact = match &rig.config.stage.driver {
+        StageDriver::Simulated(_) | StageDriver::Manual(_) => return None,
+        StageDriver::Grbl(_) => "stock GRBL has none",
+        StageDriver::Zaber(_) => "Zaber's protocol has none",
+        StageDriver::Dome(dome) => match dome.wiring {
+            DomeWiring::Dmx { .. } => "a DMX interface has none and repeats its last packet",
+            DomeWiring::Line => {
+                return Some(Check::ok(
+                    "watchdog",
+                    "the dome says at connection whether it has one; `rig capture` warns where it has not",
+                ));
+            }
+        },
+    };
+    Some(Check::warning(
+        "watchdog",
+        format!("{fact}: the lamp stays on if the computer or the cable fails"),
+        "fit a hardware emergency stop, and don't leave a capture alone with a lamp that can do harm",
+    ))
 }
 
 /// Free space and speed of the disk that will hold the sessions.
@@ -397,6 +413,46 @@ fn calibration<V: Values>(rig: &ResolvedRig, library: &Library, id: Option<&str>
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::RigConfig;
+
+    #[test]
+    fn the_watchdog_is_that_of_the_protocol() {
+        let check = |text: &str| {
+            let config = RigConfig::parse("rig.toml", Path::new(""), text).unwrap();
+            watchdog(&ResolvedRig {
+                config,
+                origin: Origin::Argument,
+                file: "rig.toml".to_owned(),
+                folder: None,
+            })
+        };
+        let dmx = include_str!("../../rig-configs/dmx-dome-v4l2.toml");
+        let is_for_dmx =
+            |line: &&str| line.starts_with("dmx_address") || line.starts_with("level =");
+        let lines: Vec<&str> = dmx.lines().filter(|line| !is_for_dmx(line)).collect();
+        let dome = lines
+            .join("\n")
+            .replace("driver = \"dmx\"", "driver = \"dome\"");
+        for (text, verdict, fact) in [
+            (
+                include_str!("../../rig-configs/grbl-arm-v4l2.toml"),
+                Verdict::Warning,
+                "stock GRBL has none",
+            ),
+            (
+                include_str!("../../rig-configs/zaber-gantry-v4l2.toml"),
+                Verdict::Warning,
+                "Zaber's protocol has none",
+            ),
+            (dmx, Verdict::Warning, "a DMX interface has none"),
+            (&dome, Verdict::Ok, "the dome says at connection"),
+        ] {
+            let check = check(text).unwrap();
+            assert_eq!(check.verdict, verdict, "{fact}");
+            assert!(check.fact.starts_with(fact), "{}", check.fact);
+        }
+        assert!(check(crate::config::BUILT_IN[0].1).is_none());
+    }
 
     #[test]
     fn a_device_file_is_missing_then_unlasting_then_in_use() {

@@ -528,7 +528,12 @@ pub fn fit_session(root: &Path, args: &FitArgs, context: &Context) -> Result<Pat
         .as_deref()
         .unwrap_or("simulated material");
     let truth = truth.as_ref().map(|brdf| (name, &**brdf));
-    let (fit, images) = plan.run(&scene, &captured, record.simulated, truth, context)?;
+    let (mut fit, images) = plan.run(&scene, &captured, record.simulated, truth, context)?;
+    fit.warnings
+        .extend(session.journal().suspicion().map(|what| Warning {
+            what,
+            likely_cause: "an axis that slipped or was blocked: the fit takes the lights to be where they were asked for; capture anew".to_owned(),
+        }));
     let mut writer = SessionWriter::open(Arc::new(SystemDisk), root)?;
     let folder = fit_record::commit(&mut writer, &fit, &images)?;
     writer.refresh_manifest()?;

@@ -88,6 +88,7 @@ fn run_verify(args: &VerifyArgs) -> Result<(), CliError> {
             "problems": problems,
             "strays": found.strays,
             "torn_bytes": found.torn_bytes,
+            "suspect": found.suspicion,
         }))?;
     } else {
         for problem in &found.problems {
@@ -99,6 +100,9 @@ fn run_verify(args: &VerifyArgs) -> Result<(), CliError> {
         if found.torn_bytes > 0 {
             let bytes = found.torn_bytes;
             out!("torn     the journal ends in {bytes} bytes of an unfinished line")?;
+        }
+        if let Some(suspicion) = &found.suspicion {
+            out!("suspect  {suspicion}")?;
         }
         out!(
             "{state}, {} files, {} bytes good",
@@ -214,8 +218,9 @@ fn print(summary: &Summary) -> Result<(), CliError> {
         "interrupted"
     };
     let simulated = if summary.simulated { ", simulated" } else { "" };
+    let suspect = if summary.suspect { ", suspect" } else { "" };
     write_line(format_args!(
-        "{}  {}, {} of {} lights, {} frames, {state}{simulated}",
+        "{}  {}, {} of {} lights, {} frames, {state}{simulated}{suspect}",
         summary.session.display(),
         summary.sample,
         summary.lights_finished,

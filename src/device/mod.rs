@@ -90,6 +90,18 @@ pub struct StageInfo {
 pub struct ReferenceCheck {
     /// Found minus expected of each axis, degrees or mm as the axis has it.
     pub off: [f64; 2],
+    /// What the stage's position tolerance allows, in the same units.
+    pub allowed: f64,
+}
+
+impl ReferenceCheck {
+    /// Whether an axis has lost steps: a distance that is no number counts too.
+    pub fn is_off(&self) -> bool {
+        self.off.iter().any(|off| {
+            let distance = off.abs();
+            distance.is_nan() || distance > self.allowed
+        })
+    }
 }
 
 /// A lamp on a movable (or switchable) mount.

@@ -297,6 +297,7 @@ fn provenance(
             ("Rig", record.rig.clone()),
             ("Seed", record.seed.to_string()),
             ("Interruptions resumed", resumed.to_string()),
+            ("Stage's reference after the last light", reference(session)),
             ("Captured with", format!("rig {}", record.versions.rig)),
         ],
     )];
@@ -395,6 +396,20 @@ fn fit_group(record: &FitRecord) -> ProvenanceGroup {
     ProvenanceGroup {
         title: "Fit".to_owned(),
         entries,
+    }
+}
+
+/// What the check of the stage's reference switches found.
+fn reference(session: &Session) -> String {
+    let records = session.journal().records.iter().rev();
+    let mut checks = records.filter_map(|record| match record.event {
+        Event::Reference { off, .. } => Some(off),
+        _ => None,
+    });
+    match (session.journal().suspicion(), checks.next()) {
+        (Some(suspicion), _) => format!("SUSPECT: {suspicion}"),
+        (None, Some([first, second])) => format!("found, off by {first:.4} and {second:.4}"),
+        (None, None) => "not checked".to_owned(),
     }
 }
 

@@ -74,6 +74,14 @@ pub enum Event {
     },
     /// The stage was homed, so that its position is known.
     Homed,
+    /// After the last light: where the stage found its reference switches.
+    Reference {
+        /// Found minus expected of each axis, degrees or mm as the axis has it.
+        off: [f64; 2],
+        /// More than the stage's tolerance allows: steps were lost, and the
+        /// directions of lights before are not what they claim to be.
+        suspect: bool,
+    },
     /// Frames of a light direction follow.
     LightStart {
         /// Index in the plan.
@@ -266,6 +274,25 @@ impl Journal {
     pub fn is_complete(&self) -> bool {
         self.records.iter().any(|r| r.event == Event::Stop)
     }
+
+    /// How far off each axis was where the stage was found to have lost steps,
+    /// degrees or mm as the axis has it; `None` where it was not. Such a session
+    /// is suspect: nobody knows when they were lost.
+    pub fn steps_lost(&self) -> Option<[f64; 2]> {
+        self.records.iter().find_map(|record| match record.event {
+            Event::Reference { off, suspect: true } => Some(off),
+            _ => None,
+        })
+    }
+
+    /// What a person is told of it.
+    pub fn suspicion(&self) -> Option<String> {
+        self.steps_lost().map(|[first, second]| {
+            format!(
+                "the stage had lost steps when its reference was checked after the last light (its axes were off by {first:.4} and {second:.4}): the directions of the lights are suspect"
+            )
+        })
+    }
 }
 
 impl Record {
@@ -309,6 +336,10 @@ mod tests {
                 sidecar: FileDigest::of("raw/a.toml", b"sidecar"),
             },
             Event::LightStop { light: 0 },
+            Event::Reference {
+                off: [0.0125, -1.5],
+                suspect: true,
+            },
             Event::File {
                 file: FileDigest::of("derived/radiance_L000.exr", b"radiance"),
             },

@@ -170,6 +170,7 @@ impl Session {
                 .filter(|&l| self.light_is_finished(l as u32))
                 .count(),
             frames: self.frames().count(),
+            suspect: self.journal().steps_lost().is_some(),
         }
     }
 }

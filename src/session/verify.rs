@@ -28,6 +28,9 @@ pub struct Verification {
     pub strays: Vec<PathBuf>,
     /// Bytes after the journal's last whole line.
     pub torn_bytes: u64,
+    /// Why the frames may not be what they claim to be although every byte is
+    /// the one that was written.
+    pub suspicion: Option<String>,
 }
 
 impl Verification {
@@ -52,6 +55,7 @@ pub fn verify(root: &Path) -> Result<Verification, SessionError> {
         problems: Vec::new(),
         strays: strays(root, &journal)?,
         torn_bytes: journal.torn_bytes,
+        suspicion: journal.suspicion(),
     };
     for file in journal.files() {
         match check(root, file) {
@@ -147,4 +151,6 @@ pub struct Summary {
     pub lights_finished: usize,
     /// Frames journalled.
     pub frames: usize,
+    /// Whether the stage was found to have lost steps.
+    pub suspect: bool,
 }

@@ -42,6 +42,8 @@ pub struct World {
     /// True exposure over the one claimed.
     pub exposure_factor: f64,
     pub lamp_is_dead: bool,
+    /// What a check of the stage's reference finds; `None`: it cannot tell.
+    pub reference: Option<ReferenceCheck>,
     pub fail_at_move: Option<u32>,
     pub fail_at_grab: Option<u32>,
     /// A defect of the camera's driver.
@@ -90,6 +92,7 @@ impl Bench {
             extra_latency: 0,
             exposure_factor: 1.0,
             lamp_is_dead: false,
+            reference: None,
             fail_at_move: None,
             fail_at_grab: None,
             panic_at_grab: None,
@@ -233,6 +236,13 @@ impl LightStage for Stage {
             position: world.position,
             lamp: Some(world.lamp),
         })
+    }
+
+    fn check_reference(&mut self) -> Result<Option<ReferenceCheck>, DeviceError> {
+        let world = self.0.world();
+        assert_eq!(world.lamp, LampState::Off, "moved with the lamp on");
+        assert!(world.position.is_some(), "checked without being homed");
+        Ok(world.reference)
     }
 
     fn stop_handle(&self) -> Result<Box<dyn StopHandle>, DeviceError> {

@@ -5,6 +5,7 @@ use super::Run;
 use super::frame::{Reference, Shot, Taken};
 use crate::capture::exposure_check::{SignalRatio, signal_ratio};
 use crate::capture::{CaptureError, WRITE_QUEUE};
+use crate::device::ReferenceCheck;
 use crate::interrupt::StopLevel;
 use crate::session::Event;
 
@@ -57,6 +58,29 @@ impl Run<'_> {
             free_bytes,
             reserve_bytes: self.reserve_bytes,
         })
+    }
+
+    /// After the last light: whether the stage finds its switches where they
+    /// should be. Where it does not, steps were lost since it was homed.
+    pub(super) async fn check_reference(&mut self) -> Result<(), CaptureError> {
+        let Some(check) = self.devices.check_reference().await? else {
+            return Ok(());
+        };
+        self.position = None;
+        let suspect = check.is_off();
+        let ReferenceCheck {
+            off: off @ [first, second],
+            allowed,
+        } = check;
+        self.disk.record(Event::Reference { off, suspect }).await?;
+        if suspect {
+            let text = format!(
+                "the stage has lost steps: its reference is off by {first:.4} and {second:.4}, where {allowed} is allowed; this session's light directions are suspect"
+            );
+            let last = self.lights.saturating_sub(1) as u32;
+            self.warn(last, text).await?;
+        }
+        Ok(())
     }
 
     /// Keeps the frame that [`Self::check_drift`] repeats: the first that would show a

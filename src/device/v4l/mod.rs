@@ -46,6 +46,9 @@ pub struct V4lConfig {
     pub frame_timeout: Seconds,
     /// How long it is waited for after it was unplugged.
     pub return_timeout: Seconds,
+    /// Whether a camera may be opened whose exposure cannot be set, for a look
+    /// at it: its exposures are then NaN.
+    pub any_exposure: bool,
 }
 
 impl V4lConfig {
@@ -61,6 +64,7 @@ impl V4lConfig {
             controls: Vec::new(),
             frame_timeout: Seconds(5.0),
             return_timeout: Seconds(0.0),
+            any_exposure: false,
         }
     }
 }
@@ -69,6 +73,11 @@ impl V4lConfig {
 const EXPOSURE_UNIT_S: f64 = 100e-6;
 /// A USB cable pulled shows as this error number (ENODEV).
 const NO_SUCH_DEVICE: i32 = 19;
+/// A request that a USB device stalls shows as this one (EPIPE).
+const STALLED: i32 = 32;
+/// Between two frames that follow each other so closely no lamp is switched and
+/// nothing moves.
+const BACK_TO_BACK: Seconds = Seconds(0.005);
 
 /// A camera that streams frames.
 pub struct V4lCamera {
@@ -79,10 +88,34 @@ pub struct V4lCamera {
     device: Device,
     format: PixelFormat,
     stride: u32,
-    exposure: Range,
+    /// Absent where it cannot be set.
+    exposure: Option<Range>,
     gain: Option<Gain>,
     settings: Option<CameraSettings>,
+    previous: Option<Previous>,
     frames_lost: u64,
+}
+
+/// The frame before.
+#[derive(Clone, Copy, Debug)]
+struct Previous {
+    key: FrameKey,
+    /// Since when nothing has changed.
+    since: Seconds,
+    returned: Seconds,
+}
+
+impl Previous {
+    /// Since when nothing has changed, for a frame that is asked for `now`. A
+    /// camera that exposes all the time has begun the next of a row of equal
+    /// frames when the last one is taken: to wait for one more would halve its rate.
+    fn unchanged_since(self, key: FrameKey, now: Seconds) -> Option<Seconds> {
+        let repeats = FrameKey {
+            repeat: key.repeat,
+            ..self.key
+        };
+        (repeats == key && now.0 - self.returned.0 < BACK_TO_BACK.0).then_some(self.since)
+    }
 }
 
 /// An integer control's range.
@@ -124,13 +157,17 @@ impl V4lCamera {
             });
         }
         let (format, resolution_px, stride) = negotiation::set_format(&device, &config)?;
-        let exposure = range_of(&device, id::EXPOSURE_ABSOLUTE)
-            .map_err(failed)?
-            .ok_or_else(|| DeviceError::Refused {
+        let exposure = range_of(&device, id::EXPOSURE_ABSOLUTE).map_err(failed)?;
+        if exposure.is_none() && !config.any_exposure {
+            return Err(DeviceError::Refused {
                 device: config.device.clone(),
                 command: "EXPOSURE_ABSOLUTE".to_owned(),
                 reason: "the camera has no such control, so exposures cannot be set".to_owned(),
-            })?;
+            });
+        }
+        let seconds = |steps: Option<i64>| {
+            Seconds(steps.map_or(f64::NAN, |steps| steps as f64 * EXPOSURE_UNIT_S))
+        };
         let mut gain = None;
         for id in [id::ANALOGUE_GAIN, id::GAIN] {
             if gain.is_none() {
@@ -145,20 +182,23 @@ impl V4lCamera {
             resolution_px,
             bit_depth: format.bits,
             mosaic: format.mosaic,
-            exposure_range: [exposure.minimum.max(1), exposure.maximum]
-                .map(|steps| Seconds(steps as f64 * EXPOSURE_UNIT_S)),
-            exposure_step: Seconds(exposure.step as f64 * EXPOSURE_UNIT_S),
+            exposure_range: [
+                seconds(exposure.map(|range| range.minimum.max(1))),
+                seconds(exposure.map(|range| range.maximum)),
+            ],
+            exposure_step: seconds(exposure.map(|range| range.step)),
         };
         Ok(Self {
             config,
             info,
-            ring: Ring::default(),
+            ring: Ring::of_driver(&capabilities.driver),
             device,
             format,
             stride,
             exposure,
             gain,
             settings: None,
+            previous: None,
             frames_lost: 0,
         })
     }
@@ -180,8 +220,11 @@ impl V4lCamera {
         }
     }
 
-    fn set(&self, id: u32, value: i64) -> Result<i64, DeviceError> {
-        controls::set(&self.device, id, value).map_err(|error| self.error(error))
+    fn set(&self, id: u32, value: i64, what: &str) -> Result<i64, DeviceError> {
+        controls::set(&self.device, id, value).map_err(|error| match error.raw_os_error() {
+            Some(STALLED) => self.refused(what, "it stalls this request".to_owned()),
+            _ => self.error(error),
+        })
     }
 
     /// The same camera, wherever it is plugged in now.
@@ -289,6 +332,7 @@ impl Camera for V4lCamera {
 
     fn configure(&mut self, requested: CameraSettings) -> Result<CameraSettings, DeviceError> {
         self.settings = None;
+        self.previous = None;
         let name = &self.config.device;
         let failed = |error| device_error(name, error);
         controls::set_manual(&self.device, name, &failed)?;
@@ -306,16 +350,21 @@ impl Camera for V4lCamera {
                     self.refused(&command, reason.to_owned())
                 };
                 let raw = control.raw(requested.gain).ok_or_else(unknown)?;
-                let applied = self.set(control.id, raw)?;
+                let applied = self.set(control.id, raw, &command)?;
                 control.factor(applied).ok_or_else(unknown)?
             }
         };
-        let steps = self
-            .exposure
-            .nearest(requested.exposure.0 / EXPOSURE_UNIT_S);
-        let applied = self.set(id::EXPOSURE_ABSOLUTE, steps)?;
+        let exposure_s = match self.exposure {
+            None => f64::NAN,
+            Some(range) => {
+                let steps = range.nearest(requested.exposure.0 / EXPOSURE_UNIT_S);
+                let what = format!("exposure {}", requested.exposure);
+                let applied = self.set(id::EXPOSURE_ABSOLUTE, steps, &what)?;
+                applied as f64 * EXPOSURE_UNIT_S
+            }
+        };
         let settings = CameraSettings {
-            exposure: Seconds(applied as f64 * EXPOSURE_UNIT_S),
+            exposure: Seconds(exposure_s),
             gain,
         };
         self.settings = Some(settings);
@@ -327,12 +376,18 @@ impl Camera for V4lCamera {
         Ok(false)
     }
 
-    fn grab(&mut self, _key: FrameKey) -> Result<RawFrame, DeviceError> {
+    fn grab(&mut self, key: FrameKey) -> Result<RawFrame, DeviceError> {
         let Some(CameraSettings { exposure, .. }) = self.settings else {
             let reason = "its settings are automatic or unknown until it is configured";
             return Err(self.refused("a frame", reason.to_owned()));
         };
+        // NaN where nobody knows it: 0 then.
+        let exposure = Seconds(exposure.0.max(0.0));
         let asked = monotonic_now();
+        let previous = self.previous.take();
+        let since = previous
+            .and_then(|previous| previous.unchanged_since(key, asked))
+            .unwrap_or(asked);
         // A frame may be under way, and then the next takes its time.
         let timeout = Seconds(2.0 * exposure.0 + self.config.frame_timeout.0);
         let deadline = Instant::now() + timeout.to_duration();
@@ -350,7 +405,7 @@ impl Camera for V4lCamera {
                 continue;
             };
             losses.note(&meta);
-            let fresh = began_after(&meta, exposure, asked).unwrap_or_else(|| {
+            let fresh = began_after(&meta, exposure, since).unwrap_or_else(|| {
                 // All buffers of the ring and the frame under way may be older.
                 untimed += 1;
                 untimed > BUFFERS + 1
@@ -371,6 +426,11 @@ impl Camera for V4lCamera {
                 .format
                 .decode(bytes, width, height, self.stride)
                 .map_err(|error| bad_frame(FrameFault::Undecodable(error.to_string())))?;
+            self.previous = Some(Previous {
+                key,
+                since,
+                returned: monotonic_now(),
+            });
             return Ok(RawFrame {
                 width,
                 height,
@@ -442,6 +502,26 @@ mod tests {
         assert_eq!(gain(0).raw(1.0), Some(0));
         assert_eq!(gain(0).raw(2.0), None);
         assert_eq!(gain(0).factor(5), None);
+    }
+
+    #[test]
+    fn only_a_row_of_equal_frames_may_have_begun_before_it_was_asked_for() {
+        use crate::device::FrameKind;
+        let key = |exposure, repeat| FrameKey {
+            light: 0,
+            exposure,
+            repeat,
+            kind: FrameKind::Light,
+        };
+        let previous = Previous {
+            key: key(2, 0),
+            since: Seconds(1.0),
+            returned: Seconds(1.5),
+        };
+        let since = |key, now| previous.unchanged_since(key, Seconds(now));
+        assert_eq!(since(key(2, 1), 1.501), Some(Seconds(1.0)));
+        assert_eq!(since(key(2, 1), 1.6), None);
+        assert_eq!(since(key(3, 0), 1.501), None);
     }
 
     #[test]

@@ -21,9 +21,20 @@ pub(super) struct Ring {
     /// again a buffer that the kernel still has.
     stream: Option<Stream<'static>>,
     is_stale: bool,
+    /// Whether its times are those of a frame's arrival whatever its flags say.
+    stamps_arrival: bool,
 }
 
 impl Ring {
+    /// Not started yet. `uvcvideo` flags the start of the exposure and gives the
+    /// time at which the frame's first bytes came, which is after its end.
+    pub(super) fn of_driver(driver: &str) -> Self {
+        Self {
+            stamps_arrival: driver == "uvcvideo",
+            ..Self::default()
+        }
+    }
+
     /// The next buffer's used bytes, of a fresh frame or not; `None` when
     /// nothing came in time.
     pub(super) fn next(
@@ -45,7 +56,10 @@ impl Ring {
         match stream.next() {
             Ok((bytes, meta)) => {
                 let used = (meta.bytesused as usize).min(bytes.len());
-                Ok(Some((&bytes[..used], *meta)))
+                Ok(Some((
+                    &bytes[..used],
+                    truly_stamped(*meta, self.stamps_arrival),
+                )))
             }
             Err(error) => {
                 self.is_stale = true;
@@ -63,6 +77,14 @@ impl Ring {
         self.stream = None;
         self.is_stale = false;
     }
+}
+
+/// The record, without a claim on the exposure's start that is not true.
+fn truly_stamped(mut meta: Metadata, stamps_arrival: bool) -> Metadata {
+    if stamps_arrival {
+        meta.flags.remove(Flags::TSTAMP_SRC_SOE);
+    }
+    meta
 }
 
 /// Whether a frame began after `since` (CLOCK_MONOTONIC). `None` if the buffer
@@ -164,6 +186,20 @@ mod tests {
         assert_eq!(fresh(at_end, 29_000), Some(false));
         assert_eq!(fresh(at_end, 31_000), Some(true));
         assert_eq!(fresh(Flags::empty(), 31_000), None);
+    }
+
+    #[test]
+    fn uvcvideo_gives_the_arrival_for_the_start() {
+        let at_start = Flags::TIMESTAMP_MONOTONIC | Flags::TSTAMP_SRC_SOE;
+        let fresh = |driver| {
+            let stamped = truly_stamped(
+                meta(at_start, 29_000, 0),
+                Ring::of_driver(driver).stamps_arrival,
+            );
+            began_after(&stamped, Seconds(0.02), Seconds(100.01))
+        };
+        assert_eq!(fresh("uvcvideo"), Some(false));
+        assert_eq!(fresh("another"), Some(true));
     }
 
     #[test]

@@ -477,7 +477,10 @@ impl LightStage for ZaberStage {
             let scale = self.config.kinematics.axes()[index].scale;
             off[index] = (get("pos")? - get("limit.home.pos")?) / scale;
         }
-        Ok(Some(ReferenceCheck { off }))
+        Ok(Some(ReferenceCheck {
+            off,
+            allowed: self.config.position_tolerance_deg,
+        }))
     }
 
     fn port_stop(&self) -> Result<Option<PortStop>, DeviceError> {
