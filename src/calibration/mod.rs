@@ -10,6 +10,7 @@ pub mod lamp;
 pub mod lamp_watch;
 mod library;
 pub mod noise;
+pub mod pose;
 pub mod procedure;
 pub mod record;
 pub mod sensor;

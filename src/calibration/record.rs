@@ -19,17 +19,20 @@ pub enum Kind {
     Response,
     /// How the lamp warms up, drifts and flickers.
     Lamp,
+    /// Where the sample lies.
+    Pose,
 }
 
 impl Kind {
     /// All kinds.
-    pub const ALL: [Kind; 6] = [
+    pub const ALL: [Kind; 7] = [
         Kind::Sensor,
         Kind::Flat,
         Kind::Scale,
         Kind::Lights,
         Kind::Response,
         Kind::Lamp,
+        Kind::Pose,
     ];
 
     /// The folder's name.
@@ -41,6 +44,7 @@ impl Kind {
             Kind::Lights => "lights",
             Kind::Response => "response",
             Kind::Lamp => "lamp",
+            Kind::Pose => "pose",
         }
     }
 }

@@ -3,6 +3,7 @@
 use jiff::Timestamp;
 
 use super::CliError;
+use crate::calibration::pose::PoseValues;
 use crate::calibration::record::{
     FlatValues, LampValues, LightsValues, ScaleValues, SensorValues, Values,
 };
@@ -17,6 +18,8 @@ pub(super) struct Records {
     scale: Option<Loaded<ScaleValues>>,
     lights: Option<Loaded<LightsValues>>,
     lamp: Option<Loaded<LampValues>>,
+    /// Only where the rig names it: it holds until somebody touches the sample.
+    pose: Option<Loaded<PoseValues>>,
 }
 
 impl Records {
@@ -32,6 +35,10 @@ impl Records {
             scale: library.load_for(ids.scale.as_deref(), gain)?,
             lights: library.load(ids.lights.as_deref())?,
             lamp: library.load(None)?,
+            pose: match &ids.pose {
+                Some(id) => library.load(Some(id))?,
+                None => None,
+            },
         };
         records.sensor.check_camera(serial, &config.camera)?;
         if let Some(flat) = &records.flat {
@@ -49,6 +56,7 @@ impl Records {
             scale: library.load(None)?,
             lights: library.load(None)?,
             lamp: library.load(None)?,
+            pose: library.load(None)?,
         })
     }
 
@@ -71,6 +79,7 @@ impl Records {
         add_concerns(&mut concerns, self.scale.as_ref(), config, now);
         add_concerns(&mut concerns, self.lights.as_ref(), config, now);
         add_concerns(&mut concerns, self.lamp.as_ref(), config, now);
+        add_concerns(&mut concerns, self.pose.as_ref(), config, now);
         if let Some(lamp) = &self.lamp {
             let needed_s = lamp.record.values.warm_up_time_s;
             let waited_s = config.capture.lamp_warm_up.0;
@@ -93,6 +102,7 @@ impl Records {
         add_copies(&mut copies, self.scale.as_ref());
         add_copies(&mut copies, self.lights.as_ref());
         add_copies(&mut copies, self.lamp.as_ref());
+        add_copies(&mut copies, self.pose.as_ref());
         copies
     }
 }

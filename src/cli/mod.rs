@@ -41,6 +41,7 @@ mod repeatability;
 pub mod report;
 pub mod rig_choice;
 pub mod session;
+mod session_images;
 pub mod shape;
 pub mod stage;
 

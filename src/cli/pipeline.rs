@@ -5,11 +5,12 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use super::session_images::{SessionImages, measured_pose, session_images};
 use super::{CliError, Context, HintExt, facets};
 use crate::brdf::{Brdf, Dictionary, Mixture};
+use crate::config::process;
 use crate::config::uncertainty::Deviation;
-use crate::config::{RigConfig, process};
-use crate::inverse::bench::BenchEstimate;
+use crate::inverse::bench::{BenchEstimate, with_sample_at};
 use crate::inverse::diagnosis::Cause;
 use crate::inverse::exponentiated_gradient::ExponentiatedGradient;
 use crate::inverse::gauss_newton::GaussNewton;
@@ -17,16 +18,15 @@ use crate::inverse::{
     BenchPriors, Channels, Fit, FitOptions, Optimizer, Refine, RefineOptions, fit, intervals,
     refine_bench,
 };
-use crate::radiance_image::{RadianceImage, exr};
+use crate::radiance_image::RadianceImage;
 use crate::report;
 use crate::session::commit::SystemDisk;
 use crate::session::fit_record::{
     self, AngleCell, AngleTable, AtomRecord, BenchParameter, BenchRecord, FitImages, FitRecord,
     FitSettings, Timing, TracePoint, Warning,
 };
-use crate::session::{Session, SessionWriter, layout};
+use crate::session::{SessionWriter, layout};
 use crate::transport::{Kernel, RenderOptions, Scene, truncation_remainder};
-use crate::units::StageAngles;
 
 /// Choices of a fit that the command line may take over from the configuration.
 #[derive(clap::Args, Debug, Clone, Default)]
@@ -508,28 +508,29 @@ fn apply_mask(path: &Path, images: &mut [RadianceImage]) -> Result<(), CliError>
     Ok(())
 }
 
-/// Fits a session's merged images into its next `fits/<n>` and returns that folder.
-pub fn fit_session(root: &Path, args: &FitArgs, context: &Context) -> Result<PathBuf, CliError> {
-    let session = Session::open(root)?;
+/// Fits a session's merged images into its next `fits/<n>` and returns that folder;
+/// `pose` is a record of where the sample lies.
+pub fn fit_session(
+    root: &Path,
+    args: &FitArgs,
+    pose: Option<&Path>,
+    context: &Context,
+) -> Result<PathBuf, CliError> {
+    let SessionImages {
+        session,
+        config,
+        places,
+        captured,
+    } = session_images(root)?;
     let record = session.record();
-    let config = RigConfig::parse(&record.rig, root, &record.config)?;
-    let plan = FitPlan::new(args, Some(&config.fit), &config.uncertainty)?;
-    let places = places(&session)?;
-    let scene = config.geometry.scene(&places)?;
-    let mut captured = Vec::new();
-    for light in 0..places.len() {
-        let name = layout::radiance_file(light as u32);
-        // Only what the journal vouches for is fitted.
-        let image = session
-            .read_file(&name)
-            .map_err(CliError::from)
-            .and_then(|bytes| Ok(exr::decode(&bytes, &root.join(&name))?))
-            .hint(format!(
-                "`rig capture --resume {}` takes what is missing and merges the raw frames again",
-                root.display()
-            ))?;
-        captured.push(image.image);
+    let mut uncertainty = config.uncertainty.clone();
+    let mut scene = config.geometry.scene(&places)?;
+    if let Some(pose) = measured_pose(root, pose)? {
+        let [rotation_rad, translation_mm] = pose.pose();
+        scene = with_sample_at(scene, rotation_rad, translation_mm);
+        uncertainty.pose_covariance = Some(pose.covariance_rad_mm());
     }
+    let plan = FitPlan::new(args, Some(&config.fit), &uncertainty)?;
     let truth = match &config.simulation {
         Some(simulation) => Some(simulation.material.load()?),
         None => None,
@@ -544,21 +545,6 @@ pub fn fit_session(root: &Path, args: &FitArgs, context: &Context) -> Result<Pat
     let folder = fit_record::commit(&mut writer, &fit, &images)?;
     writer.refresh_manifest()?;
     Ok(folder)
-}
-
-/// Where the stage stood for each light, as read back; as planned where no frame tells.
-fn places(session: &Session) -> Result<Vec<StageAngles>, CliError> {
-    let mut places = session.record().plan.lights.clone();
-    let mut known = vec![false; places.len()];
-    for entry in session.frames() {
-        let light = entry.key.light as usize;
-        if light < places.len() && !known[light] {
-            let (_, sidecar) = session.read_frame(&entry)?;
-            places[light] = sidecar.stage_position;
-            known[light] = true;
-        }
-    }
-    Ok(places)
 }
 
 /// Writes the session's report and returns its path.
@@ -577,7 +563,7 @@ pub fn fit_and_report(root: &Path, context: &Context) -> Result<(), CliError> {
         memory: 512,
         ..FitArgs::default()
     };
-    let folder = fit_session(root, &args, context)?;
+    let folder = fit_session(root, &args, None, context)?;
     context.note(format!("fit: {}", folder.display()));
     let report = report_session(root)?;
     context.note(format!("report: {}", report.display()));

@@ -130,6 +130,9 @@ pub struct CalibrationConfig {
     pub scale: Option<String>,
     /// Id of the record of the lamp's irradiance.
     pub lights: Option<String>,
+    /// Id of the record of the sample's pose; `None`: none is used, since a pose holds
+    /// only until somebody touches the sample.
+    pub pose: Option<String>,
 }
 
 impl CalibrationConfig {
@@ -144,8 +147,13 @@ impl CalibrationConfig {
                 )?
                 .optional())
         };
-        let (sensor, flat, scale, lights) =
-            (id("sensor")?, id("flat")?, id("scale")?, id("lights")?);
+        let (sensor, flat, scale, lights, pose) = (
+            id("sensor")?,
+            id("flat")?,
+            id("scale")?,
+            id("lights")?,
+            id("pose")?,
+        );
         let folder = table.path("folder")?.optional();
         table.finish()?;
         Ok(Self {
@@ -154,6 +162,7 @@ impl CalibrationConfig {
             flat,
             scale,
             lights,
+            pose,
         })
     }
 }

@@ -4,6 +4,7 @@ use jiff::Timestamp;
 use serde::Serialize;
 
 use crate::calibration::fitness::Concern;
+use crate::calibration::pose::PoseValues;
 use crate::calibration::record::{
     FlatValues, Kind, LampValues, LightsValues, Measured, ResponseValues, ScaleValues,
     SensorValues, Values,
@@ -74,6 +75,7 @@ pub(super) fn run(args: &StatusArgs, context: &Context) -> Result<(), CliError> 
         line(&rig.config, &library, pinned(&pins.scale), of_scale),
         line(&rig.config, &library, pinned(&pins.lights), of_lights),
         line(&rig.config, &library, None, of_lamp),
+        line(&rig.config, &library, pinned(&pins.pose), of_pose),
         line(&rig.config, &library, None, of_response),
     ];
     if args.json {
@@ -131,8 +133,8 @@ fn line<V: Values>(
     let loaded: Loaded<V> = match library.load_for(pinned.as_deref(), rig.camera.gain) {
         Ok(Some(loaded)) => loaded,
         Ok(None) => {
-            // A linear camera has no response, and lights can stand in the rig file.
-            line.run = (!matches!(kind, Kind::Response | Kind::Lights))
+            // A linear camera has no response; lights and pose can stand in the rig file.
+            line.run = (!matches!(kind, Kind::Response | Kind::Lights | Kind::Pose))
                 .then(run)
                 .flatten();
             return line;
@@ -174,6 +176,7 @@ fn without(kind: Kind) -> &'static str {
         Kind::Scale => "radiances are relative",
         Kind::Lights => "the rig file's irradiance is believed",
         Kind::Lamp => "nobody knows how long the lamp warms up",
+        Kind::Pose => "the sample lies as the rig file says",
         Kind::Response => "counts are taken as proportional to light",
     }
 }
@@ -225,6 +228,26 @@ fn of_lamp(v: &LampValues) -> String {
         }),
         v.steady_from_s
             .map_or("no measured exposure on".to_owned(), |s| format!("{s} s"))
+    )
+}
+
+fn of_pose(v: &PoseValues) -> String {
+    let std = v.deviations();
+    let three = |values: [f64; 3], from: usize| {
+        let pairs = (0..3).map(|i| {
+            let std = std[from + i];
+            pair(Measured {
+                value: values[i],
+                std,
+            })
+        });
+        pairs.collect::<Vec<_>>().join(", ")
+    };
+    format!(
+        "turned by {} deg, moved by {} mm, edges within {:.2} px",
+        three(v.rotation_deg, 0),
+        three(v.translation_mm, 3),
+        v.residual_px
     )
 }
 
