@@ -26,6 +26,8 @@ const NEAR_PX: f64 = 0.3;
 const SETTLED: f64 = 0.1;
 /// A pose this many prior deviations off contradicts the rig file.
 const TOO_FAR: f64 = 4.0;
+/// Squared contrast of the patches over noise below which there is none.
+const LEAST_CONTRAST: f64 = 2.0;
 /// Part of the patches' contrast that predicted regions must explain.
 const LEAST_EXPLAINED: f64 = 0.5;
 
@@ -372,7 +374,7 @@ impl Aligner<'_> {
         let [chi2, freedom] = [0, 1].map(|i| level.words.iter().map(|w| w.chi2[i]).sum::<f64>());
         let plain: f64 = level.words.iter().map(|w| w.chi2_plain).sum();
         let explained = 1.0 - (chi2 - freedom).max(0.0) / (plain - freedom).max(1e-9);
-        if !told {
+        if !told || plain < LEAST_CONTRAST * freedom {
             return Err(PoseError::NoEdges);
         }
         if explained < LEAST_EXPLAINED {

@@ -89,12 +89,12 @@ impl Values for PoseValues {
             })
         };
         let turned = Vector3::from(self.rotation_deg);
-        if !(turned.norm() <= 45.0) {
+        if !(0.0..=45.0).contains(&turned.norm()) {
             let allowed = "a vector of at most 45 degrees";
             return bad("rotation_deg", format!("{:?}", self.rotation_deg), allowed);
         }
         let moved = Vector3::from(self.translation_mm);
-        if !(moved.norm() <= 1e4) {
+        if !(0.0..=1e4).contains(&moved.norm()) {
             let allowed = "a vector of at most 1e4 mm";
             return bad(
                 "translation_mm",
