@@ -49,6 +49,8 @@ impl Kind {
             Kind::Scale => 180.0,
             Kind::Flat | Kind::Directions => 90.0,
             Kind::Lights | Kind::Lamp => 30.0,
+            // Until somebody touches the sample.
+            Kind::Pose => 7.0,
         }
     }
 
@@ -58,13 +60,14 @@ impl Kind {
             Kind::Scale => "flat --radiance L --radiance-std U",
             Kind::Lights => "white",
             Kind::Directions => "lights",
+            Kind::Pose => "pose SESSION",
             other => other.folder(),
         }
     }
 
     /// Whether it belongs to one camera at its settings.
     pub fn is_of_the_camera(self) -> bool {
-        matches!(self, Kind::Sensor | Kind::Flat | Kind::Scale)
+        matches!(self, Kind::Sensor | Kind::Flat | Kind::Scale | Kind::Pose)
     }
 }
 

@@ -21,11 +21,13 @@ pub enum Kind {
     Lamp,
     /// Directions of the lights.
     Directions,
+    /// Where the sample lies.
+    Pose,
 }
 
 impl Kind {
     /// All kinds.
-    pub const ALL: [Kind; 7] = [
+    pub const ALL: [Kind; 8] = [
         Kind::Sensor,
         Kind::Flat,
         Kind::Scale,
@@ -33,6 +35,7 @@ impl Kind {
         Kind::Response,
         Kind::Lamp,
         Kind::Directions,
+        Kind::Pose,
     ];
 
     /// The folder's name.
@@ -45,6 +48,7 @@ impl Kind {
             Kind::Response => "response",
             Kind::Lamp => "lamp",
             Kind::Directions => "directions",
+            Kind::Pose => "pose",
         }
     }
 }

@@ -4,6 +4,7 @@ use jiff::Timestamp;
 
 use super::CliError;
 use crate::calibration::directions::DirectionsValues;
+use crate::calibration::pose::PoseValues;
 use crate::calibration::record::{
     FlatValues, LampValues, LightsValues, ScaleValues, SensorValues, Values,
 };
@@ -19,6 +20,8 @@ pub(super) struct Records {
     lights: Option<Loaded<LightsValues>>,
     lamp: Option<Loaded<LampValues>>,
     directions: Option<Loaded<DirectionsValues>>,
+    /// Only where the rig names it: it holds until somebody touches the sample.
+    pose: Option<Loaded<PoseValues>>,
 }
 
 impl Records {
@@ -35,6 +38,10 @@ impl Records {
             lights: library.load(ids.lights.as_deref())?,
             lamp: library.load(None)?,
             directions: library.load(ids.directions.as_deref())?,
+            pose: match &ids.pose {
+                Some(id) => library.load(Some(id))?,
+                None => None,
+            },
         };
         records.sensor.check_camera(serial, &config.camera)?;
         if let Some(flat) = &records.flat {
@@ -53,6 +60,7 @@ impl Records {
             lights: library.load(None)?,
             lamp: library.load(None)?,
             directions: library.load(None)?,
+            pose: library.load(None)?,
         })
     }
 
@@ -76,6 +84,7 @@ impl Records {
         add_concerns(&mut concerns, self.lights.as_ref(), config, now);
         add_concerns(&mut concerns, self.lamp.as_ref(), config, now);
         add_concerns(&mut concerns, self.directions.as_ref(), config, now);
+        add_concerns(&mut concerns, self.pose.as_ref(), config, now);
         if let Some(lamp) = &self.lamp {
             let needed_s = lamp.record.values.warm_up_time_s;
             let waited_s = config.capture.lamp_warm_up.0;
@@ -99,6 +108,7 @@ impl Records {
         add_copies(&mut copies, self.lights.as_ref());
         add_copies(&mut copies, self.lamp.as_ref());
         add_copies(&mut copies, self.directions.as_ref());
+        add_copies(&mut copies, self.pose.as_ref());
         copies
     }
 }

@@ -379,6 +379,7 @@ fn calibration<V: Values>(rig: &ResolvedRig, library: &Library, id: Option<&str>
             "response",
             "without it counts are taken as proportional to light",
         ),
+        Kind::Pose => ("pose", "without it the sample lies as the rig file says"),
         Kind::Lamp => (
             "lamp",
             "`rig calibrate lamp` finds how long it must warm up; without it nobody knows",

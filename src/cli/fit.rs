@@ -24,6 +24,11 @@ pub struct FitCommandArgs {
     /// Folder for the result; it must not exist or be empty
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
+    /// Record of the sample's pose, by `rig calibrate pose` (default: the session's copy, if
+    /// its rig file named one); its covariance takes the place of rotation_deg and
+    /// translation_mm
+    #[arg(long, value_name = "RECORD", conflicts_with = "scene")]
+    pose: Option<PathBuf>,
     /// The result as JSON
     #[arg(long)]
     json: bool,
@@ -37,7 +42,7 @@ const UNSTATED_NOISE: f32 = 0.005;
 /// `rig fit`.
 pub fn run(args: &FitCommandArgs, context: &Context) -> Result<(), CliError> {
     let folder = match (&args.session, &args.scene, &args.out) {
-        (Some(session), _, _) => fit_session(session, &args.fit, context)?,
+        (Some(session), _, _) => fit_session(session, &args.fit, args.pose.as_deref(), context)?,
         (None, Some(scene), Some(out)) => {
             fit_scene(args, scene, out, context)?;
             out.clone()

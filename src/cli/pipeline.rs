@@ -6,12 +6,12 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::bench_records::BenchRecords;
-use super::session_images::{places, radiances};
+use super::session_images::{SessionImages, measured_pose, session_images};
 use super::{CliError, Context, HintExt, facets};
 use crate::brdf::{Brdf, Dictionary, Mixture};
+use crate::config::process;
 use crate::config::uncertainty::Deviation;
-use crate::config::{RigConfig, process};
-use crate::inverse::bench::BenchEstimate;
+use crate::inverse::bench::{BenchEstimate, with_sample_at};
 use crate::inverse::diagnosis::Cause;
 use crate::inverse::exponentiated_gradient::ExponentiatedGradient;
 use crate::inverse::gauss_newton::GaussNewton;
@@ -26,7 +26,7 @@ use crate::session::fit_record::{
     self, AngleCell, AngleTable, AtomRecord, BenchParameter, BenchRecord, FitImages, FitRecord,
     FitSettings, Timing, TracePoint, Warning,
 };
-use crate::session::{Session, SessionWriter, layout};
+use crate::session::{SessionWriter, layout};
 use crate::transport::{Kernel, RenderOptions, Scene, truncation_remainder};
 
 /// Choices of a fit that the command line may take over from the configuration.
@@ -509,16 +509,30 @@ fn apply_mask(path: &Path, images: &mut [RadianceImage]) -> Result<(), CliError>
     Ok(())
 }
 
-/// Fits a session's merged images into its next `fits/<n>` and returns that folder.
-pub fn fit_session(root: &Path, args: &FitArgs, context: &Context) -> Result<PathBuf, CliError> {
-    let session = Session::open(root)?;
+/// Fits a session's merged images into its next `fits/<n>` and returns that folder;
+/// `pose` is a record of where the sample lies.
+pub fn fit_session(
+    root: &Path,
+    args: &FitArgs,
+    pose: Option<&Path>,
+    context: &Context,
+) -> Result<PathBuf, CliError> {
+    let SessionImages {
+        session,
+        config,
+        mut places,
+        captured,
+    } = session_images(root)?;
     let record = session.record();
-    let config = RigConfig::parse(&record.rig, root, &record.config)?;
-    let mut places = places(&session)?;
-    let captured = radiances(&session, places.len())?;
     let bench = BenchRecords::load(root)?.apply(&config, &mut places, context);
-    let plan = FitPlan::new(args, Some(&config.fit), &bench.priors)?;
-    let scene = bench.geometry.scene(&places)?;
+    let mut uncertainty = bench.priors;
+    let mut scene = bench.geometry.scene(&places)?;
+    if let Some(pose) = measured_pose(root, pose)? {
+        let [rotation_rad, translation_mm] = pose.pose();
+        scene = with_sample_at(scene, rotation_rad, translation_mm);
+        uncertainty.pose_covariance = Some(pose.covariance_rad_mm());
+    }
+    let plan = FitPlan::new(args, Some(&config.fit), &uncertainty)?;
     let truth = match &config.simulation {
         Some(simulation) => Some(simulation.material.load()?),
         None => None,
@@ -556,7 +570,7 @@ pub fn fit_and_report(root: &Path, context: &Context) -> Result<(), CliError> {
         memory: 512,
         ..FitArgs::default()
     };
-    let folder = fit_session(root, &args, context)?;
+    let folder = fit_session(root, &args, None, context)?;
     context.note(format!("fit: {}", folder.display()));
     let report = report_session(root)?;
     context.note(format!("report: {}", report.display()));

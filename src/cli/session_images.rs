@@ -1,15 +1,38 @@
-//! What a session has of each light: its merged image, and where the stage stood.
+//! A captured session as fits and calibrations start from it: images, where the lamp
+//! stood, where the sample lies.
+
+use std::path::Path;
 
 use super::{CliError, HintExt};
+use crate::calibration::pose::PoseValues;
+use crate::calibration::{Library, Loaded, record_in};
+use crate::config::RigConfig;
 use crate::radiance_image::{RadianceImage, exr};
 use crate::session::{Session, layout};
 use crate::units::StageAngles;
 
-/// The merged images of the first `lights` lights; only what the journal vouches for.
-pub(super) fn radiances(session: &Session, lights: usize) -> Result<Vec<RadianceImage>, CliError> {
-    let root = session.root();
-    let read = |light| {
+/// What a fit of a session, or a calibration by it, starts from.
+pub(super) struct SessionImages {
+    /// The session.
+    pub session: Session,
+    /// The rig as it was.
+    pub config: RigConfig,
+    /// Where the stage stood for each light.
+    pub places: Vec<StageAngles>,
+    /// The merged image of each light.
+    pub captured: Vec<RadianceImage>,
+}
+
+/// The merged images of a session with what is known about them.
+pub(super) fn session_images(root: &Path) -> Result<SessionImages, CliError> {
+    let session = Session::open(root)?;
+    let record = session.record();
+    let config = RigConfig::parse(&record.rig, root, &record.config)?;
+    let places = places(&session)?;
+    let mut captured = Vec::new();
+    for light in 0..places.len() {
         let name = layout::radiance_file(light as u32);
+        // Only what the journal vouches for is fitted.
         let image = session
             .read_file(&name)
             .map_err(CliError::from)
@@ -18,13 +41,34 @@ pub(super) fn radiances(session: &Session, lights: usize) -> Result<Vec<Radiance
                 "`rig capture --resume {}` takes what is missing and merges the raw frames again",
                 root.display()
             ))?;
-        Ok(image.image)
+        captured.push(image.image);
+    }
+    Ok(SessionImages {
+        session,
+        config,
+        places,
+        captured,
+    })
+}
+
+/// The pose to go by: of the record that is named, else of the session's copy.
+pub(super) fn measured_pose(
+    root: &Path,
+    named: Option<&Path>,
+) -> Result<Option<PoseValues>, CliError> {
+    let values = match named {
+        Some(path) => Some(record_in(path)?.values),
+        None => {
+            let copies = Library::Folder(root.join(layout::CALIBRATION_FOLDER));
+            let copy: Option<Loaded<PoseValues>> = copies.load(None)?;
+            copy.map(|copy| copy.record.values)
+        }
     };
-    (0..lights).map(read).collect()
+    Ok(values)
 }
 
 /// Where the stage stood for each light, as read back; as planned where no frame tells.
-pub(super) fn places(session: &Session) -> Result<Vec<StageAngles>, CliError> {
+fn places(session: &Session) -> Result<Vec<StageAngles>, CliError> {
     let mut places = session.record().plan.lights.clone();
     let mut known = vec![false; places.len()];
     for entry in session.frames() {

@@ -132,6 +132,9 @@ pub struct CalibrationConfig {
     pub lights: Option<String>,
     /// Id of the record of the lights' directions.
     pub directions: Option<String>,
+    /// Id of the record of the sample's pose; `None`: none is used, since a pose holds
+    /// only until somebody touches the sample.
+    pub pose: Option<String>,
 }
 
 impl CalibrationConfig {
@@ -148,7 +151,7 @@ impl CalibrationConfig {
         };
         let (sensor, flat, scale, lights) =
             (id("sensor")?, id("flat")?, id("scale")?, id("lights")?);
-        let directions = id("directions")?;
+        let (directions, pose) = (id("directions")?, id("pose")?);
         let folder = table.path("folder")?.optional();
         table.finish()?;
         Ok(Self {
@@ -158,6 +161,7 @@ impl CalibrationConfig {
             scale,
             lights,
             directions,
+            pose,
         })
     }
 }

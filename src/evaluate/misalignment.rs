@@ -63,6 +63,7 @@ fn priors() -> BenchPriors {
         rotation_rad: ROTATION_DEG.to_radians() / 3f64.sqrt(),
         translation_mm: TRANSLATION_MM / 3f64.sqrt(),
         stray_light: 0.0,
+        pose_covariance: None,
     }
 }
 

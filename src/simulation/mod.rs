@@ -65,7 +65,10 @@ pub struct TruthSource {
 impl TruthSource {
     /// Puts the sample where it truly is.
     pub fn new(mut truth: Truth) -> Self {
-        truth.mesh = truth.mesh.transformed(&pose_error(&truth));
+        let [rotation_rad, translation_mm] =
+            pose_error(truth.seed, truth.pose_error_mm, truth.pose_error_deg);
+        let pose: Rigid<Sample, Sample> = Rigid::from_rotation_vector(rotation_rad, translation_mm);
+        truth.mesh = truth.mesh.transformed(&pose);
         Self {
             truth,
             lobes: OnceLock::new(),
@@ -115,13 +118,13 @@ impl TruthSource {
     }
 }
 
-/// The true sample frame seen from the configured one.
-fn pose_error(truth: &Truth) -> Rigid<Sample, Sample> {
-    let mut numbers = stream(truth.seed, Purpose::BenchPerturbation, 0, 0, 0);
+/// Where the sample truly lies against the configuration: turned by a vector (radians)
+/// about its datum, then moved (mm), by errors of these standard deviations along each axis.
+pub fn pose_error(seed: u64, error_mm: f64, error_deg: f64) -> [DVec3; 2] {
+    let mut numbers = stream(seed, Purpose::BenchPerturbation, 0, 0, 0);
     let mut vector =
         |sigma: f64| DVec3::new(numbers.normal(), numbers.normal(), numbers.normal()) * sigma;
-    let rotation_rad = vector(truth.pose_error_deg.to_radians());
-    Rigid::from_rotation_vector(rotation_rad, vector(truth.pose_error_mm))
+    [vector(error_deg.to_radians()), vector(error_mm)]
 }
 
 impl RadianceSource for TruthSource {

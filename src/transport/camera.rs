@@ -59,6 +59,29 @@ impl Camera {
         self.resolution_px[0] * self.resolution_px[1]
     }
 
+    /// Sensor position, pixels from the top left corner, at which a point of the
+    /// sample's frame appears through the middle of the lens; `None` behind a
+    /// perspective camera. May lie outside the image.
+    pub fn position_px(&self, point_mm: DVec3) -> Option<DVec2> {
+        let [width, height] = self.resolution_px.map(|n| n as f64);
+        let p = self.sample_from_camera.inverse().point(point_mm);
+        match self.projection {
+            Projection::Orthographic { extent_mm } => Some(DVec2::new(
+                (p.x / extent_mm.x + 0.5) * width,
+                (p.y / extent_mm.y + 0.5) * height,
+            )),
+            Projection::Perspective { fov_rad } => {
+                let focal_px = 0.5 * width / (0.5 * fov_rad).tan();
+                (p.z > 0.0).then(|| {
+                    DVec2::new(
+                        0.5 * width + focal_px * p.x / p.z,
+                        0.5 * height + focal_px * p.y / p.z,
+                    )
+                })
+            }
+        }
+    }
+
     /// The ray of a sensor position (pixels from the top left corner) through the middle
     /// of the lens, in the camera's own frame: origin, millimetres, and unit direction.
     pub fn chief_ray(&self, position_px: DVec2) -> (DVec3, DVec3) {
@@ -130,6 +153,24 @@ mod tests {
         let left = camera.ray(DVec2::new(0.0, 16.0), DVec2::ZERO).direction;
         let right = camera.ray(DVec2::new(64.0, 16.0), DVec2::ZERO).direction;
         assert!((left.angle_between(right) - 1.0).abs() < 1e-5);
+    }
+
+    #[test]
+    fn points_of_a_ray_appear_where_it_left() {
+        let extent_mm = DVec2::new(2.0, 1.5);
+        for projection in [
+            Projection::Orthographic { extent_mm },
+            Projection::Perspective { fov_rad: 0.7 },
+        ] {
+            let camera = camera(projection);
+            let at = DVec2::new(11.5, 27.25);
+            let ray = camera.ray(at, DVec2::ZERO);
+            let point = ray.origin_mm.as_dvec3() + ray.direction.as_dvec3() * 4.0;
+            let back = camera.position_px(point).unwrap();
+            assert!((back - at).length() < 1e-3, "{projection:?}: {back}");
+        }
+        let behind = camera(Projection::Perspective { fov_rad: 0.7 });
+        assert!(behind.position_px(DVec3::new(0.0, 0.0, 6.0)).is_none());
     }
 
     #[test]

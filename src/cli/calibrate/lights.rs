@@ -13,7 +13,7 @@ use crate::calibration::mirror_sphere::{Grey, locate_all};
 use crate::calibration::stage_directions::{self, StageFitError};
 use crate::calibration::{Library, figures};
 use crate::cli::output::write_json;
-use crate::cli::session_images::{places, radiances};
+use crate::cli::session_images::{SessionImages, session_images};
 use crate::cli::{CliError, Context};
 use crate::config::RigConfig;
 use crate::device::kinematics::{Kinematics, Mechanism};
@@ -206,9 +206,13 @@ fn read(input: &[PathBuf], rig: &RigConfig) -> Result<Pictures, CliError> {
 }
 
 fn of_session(root: &Path, rig: &RigConfig) -> Result<Pictures, CliError> {
-    let session = Session::open(root)?;
+    let SessionImages {
+        session,
+        config,
+        places,
+        captured,
+    } = session_images(root)?;
     let record = session.record();
-    let config = RigConfig::parse(&record.rig, root, &record.config)?;
     if config.name != rig.name {
         return Err(CliError::new(format!(
             "the session is of rig {}, the record would be of rig {}",
@@ -216,13 +220,11 @@ fn of_session(root: &Path, rig: &RigConfig) -> Result<Pictures, CliError> {
         ))
         .hint(format!("name the session's rig: `--rig {}`", record.rig)));
     }
-    let angles = places(&session)?;
-    let images = radiances(&session, angles.len())?;
     let name = root.file_name().unwrap_or_default().to_string_lossy();
     Ok(Pictures {
         config,
-        angles,
-        images,
+        angles: places,
+        images: captured,
         source: format!("session {name}"),
     })
 }

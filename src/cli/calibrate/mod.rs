@@ -4,6 +4,7 @@ mod flat;
 mod lamp;
 mod light;
 mod lights;
+mod pose;
 mod response;
 mod sensor;
 mod status;
@@ -56,6 +57,10 @@ enum What {
     /// Finds the lamp's irradiance, and with it the absolute scale, from a diffuse standard of
     /// certified reflectance
     White(white::WhiteArgs),
+    /// Finds where the sample truly lies, by aligning its mesh to the images of a session
+    ///
+    /// Nothing is assumed of its material. The fit goes by the pose with `rig fit --pose`.
+    Pose(pose::PoseArgs),
     /// Shows every record in force, with its age, what speaks against it and what to run
     Status(status::StatusArgs),
 }
@@ -69,6 +74,7 @@ pub fn run(args: &CalibrateArgs, context: &Context) -> Result<(), CliError> {
         What::Lamp(args) => lamp::run(args, context),
         What::Lights(args) => lights::run(args, context),
         What::White(args) => white::run(args, context),
+        What::Pose(args) => pose::run(args, context),
         What::Status(args) => status::run(args, context),
     }
 }

@@ -5,6 +5,7 @@ use serde::Serialize;
 
 use crate::calibration::directions::DirectionsValues;
 use crate::calibration::fitness::Concern;
+use crate::calibration::pose::PoseValues;
 use crate::calibration::record::{
     FlatValues, Kind, LampValues, LightsValues, Measured, ResponseValues, ScaleValues,
     SensorValues, Values,
@@ -81,6 +82,7 @@ pub(super) fn run(args: &StatusArgs, context: &Context) -> Result<(), CliError> 
             of_directions,
         ),
         line(&rig.config, &library, None, of_lamp),
+        line(&rig.config, &library, pinned(&pins.pose), of_pose),
         line(&rig.config, &library, None, of_response),
     ];
     if args.json {
@@ -138,8 +140,10 @@ fn line<V: Values>(
     let loaded: Loaded<V> = match library.load_for(pinned.as_deref(), rig.camera.gain) {
         Ok(Some(loaded)) => loaded,
         Ok(None) => {
-            // A linear camera has no response, and lights can stand in the rig file.
-            line.run = (!matches!(kind, Kind::Response | Kind::Lights | Kind::Directions))
+            // A linear camera has no response; lights and pose can stand in the rig file.
+            let can_stand_in_the_rig_file =
+                matches!(kind, Kind::Lights | Kind::Directions | Kind::Pose);
+            line.run = (kind != Kind::Response && !can_stand_in_the_rig_file)
                 .then(run)
                 .flatten();
             return line;
@@ -182,6 +186,7 @@ fn without(kind: Kind) -> &'static str {
         Kind::Lights => "the rig file's irradiance is believed",
         Kind::Directions => "the rig file's light directions are believed",
         Kind::Lamp => "nobody knows how long the lamp warms up",
+        Kind::Pose => "the sample lies as the rig file says",
         Kind::Response => "counts are taken as proportional to light",
     }
 }
@@ -246,6 +251,26 @@ fn of_lamp(v: &LampValues) -> String {
         }),
         v.steady_from_s
             .map_or("no measured exposure on".to_owned(), |s| format!("{s} s"))
+    )
+}
+
+fn of_pose(v: &PoseValues) -> String {
+    let std = v.deviations();
+    let three = |values: [f64; 3], from: usize| {
+        let pairs = (0..3).map(|i| {
+            let std = std[from + i];
+            pair(Measured {
+                value: values[i],
+                std,
+            })
+        });
+        pairs.collect::<Vec<_>>().join(", ")
+    };
+    format!(
+        "turned by {} deg, moved by {} mm, edges within {:.2} px",
+        three(v.rotation_deg, 0),
+        three(v.translation_mm, 3),
+        v.residual_px
     )
 }
 

@@ -19,6 +19,6 @@ pub mod system;
 #[cfg(test)]
 mod tests;
 
-pub use parameters::{Bench, BenchPriors, Parameter};
+pub use parameters::{Axis, Bench, BenchPriors, Parameter, with_sample_at};
 pub use refine::{BenchEstimate, Estimated, RefineOptions, RefinedFit, refine_bench};
 pub use system::{BenchCoupling, BenchLinearisation};

@@ -27,6 +27,10 @@ pub struct BenchPriors {
     pub translation_mm: f64,
     /// Radiance of stray light, one constant per image, unit of the images.
     pub stray_light: f64,
+    /// Covariance of a measured pose, rotation about x, y and z (radians), then
+    /// translation along them (millimetres); takes the place of the two
+    /// deviations above. Must be positive definite.
+    pub pose_covariance: Option<[[f64; 6]; 6]>,
 }
 
 impl Default for BenchPriors {
@@ -41,6 +45,7 @@ impl Default for BenchPriors {
             rotation_rad: 0.2f64.to_radians(),
             translation_mm: 0.2,
             stray_light: 0.0,
+            pose_covariance: None,
         }
     }
 }
@@ -162,12 +167,14 @@ impl Bench {
             priors.intensity,
             &mut lights.clone().map(Parameter::Intensity),
         );
+        // A measured pose brings its own deviations.
+        let pose = |described: f64| priors.pose_covariance.map_or(described, |_| 1.0);
         add(
-            priors.rotation_rad,
+            pose(priors.rotation_rad),
             &mut Axis::ALL.map(Parameter::Rotation).into_iter(),
         );
         add(
-            priors.translation_mm,
+            pose(priors.translation_mm),
             &mut Axis::ALL.map(Parameter::Translation).into_iter(),
         );
         add(priors.stray_light, &mut lights.map(Parameter::StrayLight));
@@ -194,6 +201,20 @@ impl Bench {
             for (j, b) in shared.iter().enumerate() {
                 let turn: f64 = a.0.iter().zip(&b.0).map(|(a, b)| a * b).sum();
                 covariance[(i, j)] += turn + a.1 * b.1;
+            }
+        }
+        if let Some(measured) = &priors.pose_covariance {
+            let place = |parameter: &Parameter| match *parameter {
+                Parameter::Rotation(axis) => Some(axis as usize),
+                Parameter::Translation(axis) => Some(3 + axis as usize),
+                _ => None,
+            };
+            for (i, a) in parameters.iter().enumerate() {
+                for (j, b) in parameters.iter().enumerate() {
+                    if let (Some(a), Some(b)) = (place(a), place(b)) {
+                        covariance[(i, j)] = measured[a][b];
+                    }
+                }
             }
         }
         // Positive definite: every parameter has a deviation of its own above 0.
@@ -246,15 +267,10 @@ impl Bench {
                 Parameter::StrayLight(_) => {}
             }
         }
-        let described_from_true: Rigid<Sample, Sample> =
-            Rigid::from_rotation_vector(rotation_rad, translation_mm);
-        let true_from_described = described_from_true.inverse();
         for (light, arcs) in scene.lights.iter_mut().zip(arcs) {
             turn(light, arcs);
-            carry(light, &true_from_described);
         }
-        scene.camera.sample_from_camera = true_from_described * scene.camera.sample_from_camera;
-        scene
+        with_sample_at(scene, rotation_rad, translation_mm)
     }
 
     /// Captured images without the stray light.
@@ -273,6 +289,20 @@ impl Bench {
         }
         captured
     }
+}
+
+/// The scene whose sample is turned about its datum (axis times angle) and then moved
+/// against the description, in the frame of the sample where it truly is: camera and
+/// lights move instead.
+pub fn with_sample_at(mut scene: Scene, rotation_rad: DVec3, translation_mm: DVec3) -> Scene {
+    let described_from_true: Rigid<Sample, Sample> =
+        Rigid::from_rotation_vector(rotation_rad, translation_mm);
+    let true_from_described = described_from_true.inverse();
+    for light in &mut scene.lights {
+        carry(light, &true_from_described);
+    }
+    scene.camera.sample_from_camera = true_from_described * scene.camera.sample_from_camera;
+    scene
 }
 
 /// Unit vector from the sample's datum towards a light.

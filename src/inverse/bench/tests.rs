@@ -141,6 +141,37 @@ fn shared_errors_correlate_the_prior() {
     assert!((bench.prior_deviation(a).powi(2) - (9e-6 + 1e-4)).abs() < 1e-12);
 }
 
+/// A measured pose brings its covariance in place of the described deviations, whatever
+/// those are; the rest stays.
+#[test]
+fn a_measured_pose_is_the_prior() {
+    let described = bowl(16, 8, &[[0.0, 45.0]]);
+    let mut measured = [[0.0; 6]; 6];
+    for (k, row) in measured.iter_mut().enumerate() {
+        row[k] = 1e-4 * (k + 1) as f64;
+    }
+    (measured[0][4], measured[4][0]) = (5e-5, 5e-5);
+    let priors = BenchPriors {
+        translation_mm: 0.0,
+        pose_covariance: Some(measured),
+        ..priors()
+    };
+    let bench = Bench::new(&described, &priors);
+    let at = |parameter: Parameter| {
+        let found = bench.parameters().iter().position(|p| *p == parameter);
+        found.unwrap()
+    };
+    let covariance = bench.prior_root() * bench.prior_root().transpose();
+    let (turn, way) = (
+        at(Parameter::Rotation(Axis::X)),
+        at(Parameter::Translation(Axis::Y)),
+    );
+    assert!((covariance[(turn, turn)] - 1e-4).abs() < 1e-15);
+    assert!((covariance[(turn, way)] - 5e-5).abs() < 1e-15);
+    assert!((bench.prior_deviation(way).powi(2) - 5e-4).abs() < 1e-15);
+    assert!((bench.prior_deviation(at(Parameter::LightAzimuth(0))) - 0.01).abs() < 1e-15);
+}
+
 /// Derivative images against central differences of the plain renderer with other paths
 /// and another step, as sums over the image with three patterns. The noise of a sum is
 /// taken from the difference of the halves in every pixel, that of the renders from

@@ -1,0 +1,483 @@
+//! The sample's pose from the images of a session, by Gauss–Newton from coarse pixels
+//! to fine ones within what the rig file says about the bench.
+
+use nalgebra::{DMatrix, DVector};
+
+use super::patches::{LARGEST_BLUR_PX2, Pair, PatchWord, SIDE, Target, listen, needed, with_edges};
+use super::regions::{Grid, Sight};
+use super::{PoseError, PoseEstimate, PoseOptions, ResidualShift};
+use crate::calibration::record::Measured;
+use crate::inverse::bench::spectrum::{HELD_BELOW, Spectrum};
+use crate::inverse::bench::{Bench, BenchPriors, Parameter};
+use crate::radiance_image::RadianceImage;
+use crate::transport::Scene;
+
+/// Variance of the blur before the images, and its deviation, square pixels.
+const BLUR_PX2: [f64; 2] = [0.2, 0.5];
+/// Relative error of a region's smooth radiance that counts as noise.
+const ROUGHNESS: f64 = 0.005;
+/// How much of an image's bright end counts as noise everywhere.
+const DARK: f64 = 1e-3;
+/// Pixels by which a step of the derivatives moves the sample.
+const STEP_PX: f64 = 0.5;
+/// Derivatives hold while the sample has moved by less, pixels.
+const NEAR_PX: f64 = 0.3;
+/// Done when a step is shorter, in posterior deviations.
+const SETTLED: f64 = 0.1;
+/// A pose this many prior deviations off contradicts the rig file.
+const TOO_FAR: f64 = 4.0;
+/// Squared contrast of the patches over noise below which there is none.
+const LEAST_CONTRAST: f64 = 2.0;
+/// Part of the patches' contrast that predicted regions must explain.
+const LEAST_EXPLAINED: f64 = 0.5;
+
+/// Finds the pose of `scene`'s sample in one image per light; see [`super`].
+///
+/// # Errors
+/// See [`PoseError`].
+pub fn align(
+    scene: &Scene,
+    images: &[RadianceImage],
+    priors: &BenchPriors,
+    options: &PoseOptions,
+) -> Result<PoseEstimate, PoseError> {
+    check(scene, images, priors)?;
+    let priors = BenchPriors {
+        intensity: 0.0,
+        stray_light: 0.0,
+        pose_covariance: None,
+        ..priors.clone()
+    };
+    let mut aligner = Aligner {
+        bench: Bench::new(scene, &priors),
+        sight: Sight::new(scene.sample(), options.subsamples),
+        images,
+        options,
+        values: DVector::zeros(0),
+        blur_px2: 0.0,
+    };
+    aligner.values = DVector::zeros(aligner.bench.parameters().len());
+    let mut last = None;
+    let mut rounds = 0;
+    for factor in factors(scene, &priors, options) {
+        // A blur seen on coarse pixels is wider on finer ones.
+        aligner.blur_px2 = match &last {
+            Some(_) => (4.0 * aligner.blur_px2).clamp(BLUR_PX2[0], LARGEST_BLUR_PX2),
+            None => BLUR_PX2[0],
+        };
+        let (level, taken) = aligner.level(factor)?;
+        rounds += taken;
+        last = Some((level, factor));
+    }
+    let (level, factor) = last.ok_or(PoseError::TooSmall)?;
+    aligner.estimate(&level, factor, rounds)
+}
+
+fn check(scene: &Scene, images: &[RadianceImage], priors: &BenchPriors) -> Result<(), PoseError> {
+    if images.len() != scene.lights.len() || images.is_empty() {
+        return Err(PoseError::ImageCount {
+            images: images.len(),
+            lights: scene.lights.len(),
+        });
+    }
+    if priors.rotation_rad <= 0.0 || priors.translation_mm <= 0.0 {
+        return Err(PoseError::Exact);
+    }
+    let [width, height] = scene.camera.resolution_px;
+    if let Some(light) = images
+        .iter()
+        .position(|i| [i.width, i.height] != [width, height])
+    {
+        return Err(PoseError::ImageSize {
+            light,
+            width,
+            height,
+        });
+    }
+    let size = [width, height].map(|n| n as f64);
+    let corners = &scene.sample().positions_mm;
+    let inside = corners.iter().filter(|p| {
+        let at = scene.camera.position_px(p.as_dvec3());
+        at.is_some_and(|at| (0.0..size[0]).contains(&at.x) && (0.0..size[1]).contains(&at.y))
+    });
+    let percent = 100.0 * inside.count() as f64 / corners.len().max(1) as f64;
+    if percent < LEAST_IN_VIEW_PERCENT {
+        return Err(PoseError::OutsideView { percent });
+    }
+    Ok(())
+}
+
+/// Part of the mesh's corners that must appear in the image.
+const LEAST_IN_VIEW_PERCENT: f64 = 10.0;
+
+/// Sizes of the pixels on which poses are compared, coarse first: on the coarsest the
+/// sample is at most about a pixel away, the finest have at most the options' number.
+fn factors(scene: &Scene, priors: &BenchPriors, options: &PoseOptions) -> Vec<usize> {
+    let [width, height] = scene.camera.resolution_px;
+    let bench = Bench::new(scene, priors);
+    let off_px = (0..bench.parameters().len())
+        .filter(|&k| bench.parameters()[k].light().is_none())
+        .map(|k| {
+            let mut values = DVector::zeros(bench.parameters().len());
+            values[k] = bench.prior_deviation(k);
+            moved_px(&bench, &values).powi(2)
+        })
+        .sum::<f64>()
+        .sqrt();
+    let finest = width.max(height).div_ceil(options.widest_px.max(1));
+    let coarsest = (width.min(height) / (4 * SIDE)).max(1);
+    let mut factors = vec![finest];
+    while let Some(&factor) = factors.last() {
+        let next = 2 * factor;
+        if off_px / factor as f64 <= 1.0 || next > coarsest {
+            break;
+        }
+        factors.push(next);
+    }
+    factors.reverse();
+    factors
+}
+
+/// Root mean square way of the mesh's corners in the image against the description, in
+/// the camera's pixels.
+fn moved_px(bench: &Bench, values: &DVector<f64>) -> f64 {
+    let described = bench.scene(&DVector::zeros(values.len()));
+    let moved = bench.scene(values);
+    let corners = &described.sample().positions_mm;
+    let every = (corners.len() / 500).max(1);
+    let ways: Vec<f64> = corners
+        .iter()
+        .step_by(every)
+        .filter_map(|p| {
+            let [a, b] = [&described, &moved].map(|s| s.camera.position_px(p.as_dvec3()));
+            Some(a?.distance_squared(b?))
+        })
+        .collect();
+    (ways.iter().sum::<f64>() / ways.len().max(1) as f64).sqrt()
+}
+
+struct Aligner<'a> {
+    bench: Bench,
+    sight: Sight<'a>,
+    images: &'a [RadianceImage],
+    options: &'a PoseOptions,
+    values: DVector<f64>,
+    blur_px2: f64,
+}
+
+/// Where the rounds on one size of pixels ended.
+struct Level {
+    grid: Grid,
+    words: Vec<PatchWord>,
+    sum: Sum,
+    settled: bool,
+}
+
+/// What is compared around one pose.
+struct Views {
+    patches: Vec<[usize; 2]>,
+    wanted: Vec<bool>,
+    pairs: Vec<Pair>,
+}
+
+/// All patches together with the blur eliminated.
+struct Sum {
+    spectrum: Spectrum,
+    score: DVector<f64>,
+    /// Information of blur and bench together, and of the blur, with its prior.
+    to_blur: DVector<f64>,
+    blur_information: f64,
+    blur_score: f64,
+}
+
+impl Aligner<'_> {
+    fn level(&mut self, factor: usize) -> Result<(Level, usize), PoseError> {
+        let grid = Grid::new(self.images_size(), factor);
+        let targets: Vec<Target> = self.images.iter().map(|i| target(i, grid)).collect();
+        let mut views = self.views(grid)?;
+        let mut away_px = 0.0;
+        let mut round = 0;
+        loop {
+            round += 1;
+            let scene = self.bench.scene(&self.values);
+            if away_px > NEAR_PX * factor as f64 {
+                views = self.views(grid)?;
+                away_px = 0.0;
+            }
+            let base = self.sight.parts(&scene, grid, &views.wanted, factor as u64);
+            let words = listen(
+                grid,
+                &targets,
+                &views.patches,
+                &base,
+                &views.pairs,
+                self.bench.parameters(),
+                self.blur_px2,
+            );
+            let sum = self.sum(&words);
+            let step = sum.spectrum.step(
+                &self.values,
+                &sum.score,
+                &DMatrix::zeros(self.values.len(), self.values.len()),
+            );
+            let settled = sum.spectrum.length(&step) < SETTLED;
+            tracing::debug!(factor, round, values = ?self.values.as_slice(), step = ?step.as_slice(), blur = self.blur_px2, "pose round");
+            if settled || round >= self.options.rounds {
+                let level = Level {
+                    grid,
+                    words,
+                    sum,
+                    settled,
+                };
+                return Ok((level, round));
+            }
+            let blur = (sum.blur_score - sum.to_blur.dot(&step)) / sum.blur_information;
+            self.blur_px2 = (self.blur_px2 + blur).clamp(0.0, LARGEST_BLUR_PX2);
+            away_px += moved_px(&self.bench, &step);
+            self.values += step;
+        }
+    }
+
+    fn images_size(&self) -> [usize; 2] {
+        [self.images[0].width, self.images[0].height]
+    }
+
+    /// The patches with edges, and how the regions in them change with the bench.
+    fn views(&self, grid: Grid) -> Result<Views, PoseError> {
+        let seed = grid.factor as u64;
+        let scene = self.bench.scene(&self.values);
+        let everywhere = vec![true; grid.pixels()];
+        let base = self.sight.parts(&scene, grid, &everywhere, seed);
+        let patches = with_edges(grid, &base);
+        if patches.is_empty() {
+            return Err(PoseError::NoEdges);
+        }
+        let wanted = needed(grid, &patches);
+        let parameters = self.bench.parameters();
+        // A light's direction changes its own image alone: all lights step together.
+        let mut groups: Vec<Vec<usize>> = Vec::new();
+        let kinds = [
+            |p: &Parameter| matches!(p, Parameter::LightAzimuth(_)),
+            |p: &Parameter| matches!(p, Parameter::LightElevation(_)),
+        ];
+        for kind in kinds {
+            groups.push(
+                (0..parameters.len())
+                    .filter(|&k| kind(&parameters[k]))
+                    .collect(),
+            );
+        }
+        let pose = (0..parameters.len()).filter(|&k| parameters[k].light().is_none());
+        groups.extend(pose.map(|k| vec![k]));
+        groups.retain(|group| !group.is_empty());
+        let pairs: Vec<Pair> = groups
+            .into_iter()
+            .map(|group| {
+                let step = self.step_of(group[0], grid.factor);
+                let parts = [1.0, -1.0].map(|sign| {
+                    let mut values = self.values.clone();
+                    for &k in &group {
+                        values[k] += sign * step;
+                    }
+                    self.sight
+                        .parts(&self.bench.scene(&values), grid, &wanted, seed)
+                });
+                Pair {
+                    parameters: group,
+                    parts,
+                    across: 2.0 * step,
+                }
+            })
+            .collect();
+        Ok(Views {
+            patches,
+            wanted,
+            pairs,
+        })
+    }
+
+    /// A step of parameter `k` that moves the image by half a pixel of the grid, at most
+    /// three prior deviations; a light's is one that moves shadows about as far.
+    fn step_of(&self, k: usize, factor: usize) -> f64 {
+        let mut values = DVector::zeros(self.values.len());
+        let step_px = STEP_PX * factor as f64;
+        let like = |k: usize| match self.bench.parameters()[k] {
+            Parameter::LightAzimuth(_) | Parameter::LightElevation(_) => {
+                // The arc over the sample that a pixel is.
+                let rotation = self
+                    .bench
+                    .parameters()
+                    .iter()
+                    .position(|p| matches!(p, Parameter::Rotation(_)));
+                rotation.unwrap_or(k)
+            }
+            _ => k,
+        };
+        let largest = 3.0 * self.bench.prior_deviation(k);
+        let unit = self.bench.prior_deviation(like(k));
+        values[like(k)] = unit;
+        let moved = moved_px(&self.bench, &values);
+        (unit * step_px / moved.max(1e-9)).min(largest)
+    }
+
+    fn sum(&self, words: &[PatchWord]) -> Sum {
+        let n = self.values.len();
+        let mut information = DMatrix::zeros(n + 1, n + 1);
+        for word in words {
+            information += &word.information;
+        }
+        let to_blur = information.view((0, n), (n, 1)).column(0).into_owned();
+        let blur_information = information[(n, n)] + BLUR_PX2[1].powi(-2);
+        let own =
+            information.view((0, 0), (n, n)) - &to_blur * to_blur.transpose() / blur_information;
+        let mut block_scores: Vec<DVector<f64>> = words
+            .iter()
+            .map(|word| word.score.rows(0, n) - &to_blur * (word.score[n] / blur_information))
+            .collect();
+        // The estimate has made the patches' scores smaller than their errors.
+        let spectrum = Spectrum::new(&self.bench, &(0.5 * (&own + own.transpose())));
+        let told = spectrum.values.iter().filter(|v| **v >= HELD_BELOW).count();
+        let count = words.len() as f64;
+        let grow = (count / (count - told as f64).max(1.0)).sqrt();
+        let prior_pull = (BLUR_PX2[0] - self.blur_px2) * BLUR_PX2[1].powi(-2);
+        let score = block_scores
+            .iter()
+            .fold(DVector::zeros(n), |sum, s| sum + s)
+            - &to_blur * (prior_pull / blur_information);
+        for score in &mut block_scores {
+            *score *= grow;
+        }
+        Sum {
+            spectrum: spectrum.widened(&block_scores),
+            score,
+            blur_score: words.iter().map(|w| w.score[n]).sum::<f64>() + prior_pull,
+            to_blur,
+            blur_information,
+        }
+    }
+
+    fn estimate(
+        &self,
+        level: &Level,
+        factor: usize,
+        rounds: usize,
+    ) -> Result<PoseEstimate, PoseError> {
+        let parameters = self.bench.parameters();
+        let pose: Vec<usize> = (0..parameters.len())
+            .filter(|&k| parameters[k].light().is_none())
+            .collect();
+        let spectrum = &level.sum.spectrum;
+        let deviations = spectrum.deviations();
+        let told = pose
+            .iter()
+            .any(|&k| deviations[k] < 0.5 * self.bench.prior_deviation(k));
+        let [chi2, freedom] = [0, 1].map(|i| level.words.iter().map(|w| w.chi2[i]).sum::<f64>());
+        let plain: f64 = level.words.iter().map(|w| w.chi2_plain).sum();
+        let explained = 1.0 - (chi2 - freedom).max(0.0) / (plain - freedom).max(1e-9);
+        if !told || plain < LEAST_CONTRAST * freedom {
+            return Err(PoseError::NoEdges);
+        }
+        if explained < LEAST_EXPLAINED {
+            return Err(PoseError::NotThere {
+                percent: 100.0 * explained.max(0.0),
+            });
+        }
+        for &k in &pose {
+            let deviations = self.values[k].abs() / self.bench.prior_deviation(k);
+            if deviations > TOO_FAR {
+                let (unit, scale) = parameters[k].shown_in();
+                return Err(PoseError::TooFar {
+                    what: parameters[k].to_string(),
+                    value: self.values[k] * scale,
+                    unit,
+                    deviations,
+                });
+            }
+        }
+        let root = spectrum.posterior_root();
+        let all = &root * root.transpose();
+        let pixel = |v: f64| v * (factor * factor) as f64;
+        let blur_std = level.sum.blur_information.recip().sqrt();
+        Ok(PoseEstimate {
+            values: std::array::from_fn(|i| self.values[pose[i]]),
+            covariance: std::array::from_fn(|i| std::array::from_fn(|j| all[(pose[i], pose[j])])),
+            prior: std::array::from_fn(|i| self.bench.prior_deviation(pose[i])),
+            held: spectrum
+                .held(&self.bench)
+                .into_iter()
+                .filter(|name| !name.contains("light"))
+                .collect(),
+            blur_px2: Measured {
+                value: pixel(self.blur_px2),
+                std: pixel(blur_std),
+            },
+            reduced_chi2: chi2 / freedom.max(1.0),
+            explained,
+            shifts: self.shifts(level),
+            pixel_px: factor,
+            rounds,
+            settled: level.settled,
+        })
+    }
+
+    /// What each patch would still move, along the direction that it sees best.
+    fn shifts(&self, level: &Level) -> Vec<ResidualShift> {
+        let places: Vec<usize> = (0..self.values.len())
+            .filter(|&k| matches!(self.bench.parameters()[k], Parameter::Translation(_)))
+            .collect();
+        let mut unit = DVector::zeros(self.values.len());
+        let shift = |word: &PatchWord| -> Option<ResidualShift> {
+            let own = DMatrix::from_fn(3, 3, |i, j| word.information[(places[i], places[j])]);
+            let eigen = own.symmetric_eigen();
+            let best = eigen.eigenvalues.imax();
+            let information = eigen.eigenvalues[best];
+            let direction = eigen.eigenvectors.column(best);
+            let score: f64 = (0..3).map(|i| direction[i] * word.score[places[i]]).sum();
+            for i in 0..3 {
+                unit[places[i]] = direction[i];
+            }
+            let px_per_mm = moved_px(&self.bench, &unit);
+            let [x, y] = word
+                .at
+                .map(|i| (i + SIDE / 2) as f64 * level.grid.factor as f64);
+            (information > 0.0).then(|| ResidualShift {
+                at_px: [x, y],
+                shift_px: score / information * px_per_mm,
+                std_px: px_per_mm / information.sqrt(),
+            })
+        };
+        level.words.iter().filter_map(shift).collect()
+    }
+}
+
+/// The image on the grid, its channels together.
+fn target(image: &RadianceImage, grid: Grid) -> Target {
+    let n = 3.0 * (grid.factor * grid.factor) as f64;
+    let mut mean = vec![0.0; grid.pixels()];
+    let mut variance = mean.clone();
+    let mut valid = vec![true; grid.pixels()];
+    for pixel in 0..grid.pixels() {
+        let [x, y] = [pixel % grid.width, pixel / grid.width].map(|i| i * grid.factor);
+        for row in y..y + grid.factor {
+            for column in x..x + grid.factor {
+                let from = row * image.width + column;
+                mean[pixel] += image.mean[from].iter().map(|&v| f64::from(v)).sum::<f64>() / n;
+                let sum: f64 = image.variance[from].iter().map(|&v| f64::from(v)).sum();
+                variance[pixel] += sum / (n * n);
+                valid[pixel] &= image.valid[from];
+            }
+        }
+    }
+    let mut sorted = mean.clone();
+    sorted.sort_by(f64::total_cmp);
+    let bright = sorted[(sorted.len() - 1) * 99 / 100].max(0.0);
+    let weight = (0..grid.pixels())
+        .map(|p| {
+            let model = (ROUGHNESS * mean[p]).powi(2) + (DARK * bright).powi(2);
+            let all = variance[p] + model;
+            let usable = valid[p] && mean[p].is_finite() && all.is_finite() && all > 0.0;
+            if usable { 1.0 / all } else { 0.0 }
+        })
+        .collect();
+    Target { mean, weight }
+}

@@ -1,0 +1,275 @@
+//! Poses of simulated samples: rendered with all interreflections, a material that the
+//! alignment does not know, another tessellation, blur and noise.
+
+use std::sync::Arc;
+
+use glam::{DVec2, DVec3};
+use nalgebra::{Matrix6, Vector6};
+
+use super::*;
+use crate::brdf::{Dictionary, Mixture};
+use crate::calibration::record::Values;
+use crate::geometry::Shape;
+use crate::inverse::BenchPriors;
+use crate::inverse::bench::with_sample_at;
+use crate::radiance_image::RadianceImage;
+use crate::random::{Purpose, stream};
+use crate::transport::{
+    Camera, Light, Projection, Proposal, RenderOptions, Scene, Shading, render,
+};
+use crate::units::StageAngles;
+
+fn scene(shape: &Shape, size: usize, projection: Projection, lights: &[[f64; 2]]) -> Scene {
+    let camera = Camera::looking_at(
+        [size, size],
+        projection,
+        DVec3::new(0.0, 0.0, 200.0),
+        DVec3::ZERO,
+        DVec3::Y,
+    );
+    let light = |&[azimuth_deg, elevation_deg]: &[f64; 2]| Light::Directional {
+        to_light: StageAngles {
+            azimuth_deg,
+            elevation_deg,
+        }
+        .to_light(),
+        irradiance: [1.0, 2.0, 0.5],
+        angular_radius_rad: 0.0,
+    };
+    let lights = lights.iter().map(light).collect();
+    Scene::new(
+        shape.mesh().unwrap(),
+        Shading::Smooth,
+        camera.unwrap(),
+        lights,
+    )
+}
+
+fn telecentric() -> Projection {
+    Projection::Orthographic {
+        extent_mm: DVec2::splat(26.0),
+    }
+}
+
+/// A glossy mixture of which the alignment knows nothing.
+fn material() -> Mixture {
+    let dictionary = Arc::new(Dictionary::grid42());
+    let mut weights = vec![0.0; dictionary.len()];
+    (weights[12], weights[31], weights[40], weights[41]) = (0.2, 0.2, 0.4, 0.2);
+    Mixture::grey(dictionary, weights).unwrap()
+}
+
+/// Photographs of `truth`: blurred by [1 2 1]/4 along both axes (variance ½ px²), with
+/// noise of 1% of the signal and 0.2% of the brightest.
+fn photographs(truth: &Scene, seed: u64) -> Vec<RadianceImage> {
+    let options = RenderOptions {
+        samples_per_pixel: 32,
+        max_reflections: 4,
+        seed,
+        proposal: Proposal::default(),
+    };
+    let mut images = render(truth, &material(), &options, &|_| {});
+    let mut numbers = stream(seed, Purpose::Experiment, 0, 0, 0);
+    for image in &mut images {
+        let (width, height) = (image.width, image.height);
+        for stride in [1, width] {
+            let mean = image.mean.clone();
+            for (p, value) in image.mean.iter_mut().enumerate() {
+                let at = if stride == 1 { p % width } else { p / width };
+                let last = if stride == 1 { width } else { height } - 1;
+                let [a, b] = [
+                    p - stride * usize::from(at > 0),
+                    p + stride * usize::from(at < last),
+                ];
+                *value =
+                    [0, 1, 2].map(|c| 0.25 * mean[a][c] + 0.5 * mean[p][c] + 0.25 * mean[b][c]);
+            }
+        }
+        let brightest = image.mean.iter().map(|m| m[1]).fold(0.0, f32::max);
+        for (mean, variance) in image.mean.iter_mut().zip(&mut image.variance) {
+            for (m, v) in mean.iter_mut().zip(variance) {
+                *v = (0.01 * *m).powi(2) + (0.002 * brightest).powi(2);
+                *m += v.sqrt() * numbers.normal() as f32;
+            }
+        }
+    }
+    images
+}
+
+fn priors() -> BenchPriors {
+    BenchPriors {
+        light_rad: 0.1f64.to_radians(),
+        rotation_rad: 0.4f64.to_radians(),
+        translation_mm: 0.3,
+        ..BenchPriors::default()
+    }
+}
+
+fn bowl(segments: u32) -> Shape {
+    Shape::Bowl {
+        radius_mm: 10.0,
+        segments,
+    }
+}
+
+fn corner(_: u32) -> Shape {
+    Shape::Tetrahedron {
+        radius_mm: 10.0,
+        depth_mm: 7.0,
+    }
+}
+
+const SIZE: usize = 40;
+const LIGHTS: [[f64; 2]; 2] = [[20.0, 50.0], [200.0, 60.0]];
+
+fn quick() -> PoseOptions {
+    PoseOptions {
+        subsamples: 4,
+        ..PoseOptions::default()
+    }
+}
+
+/// Truth and estimate of one bench, and the error across the view in pixels.
+fn one_bench(
+    shape: fn(u32) -> Shape,
+    projection: Projection,
+    seed: u64,
+) -> (Vector6<f64>, PoseEstimate, f64) {
+    let described = scene(&shape(64), SIZE, projection, &LIGHTS);
+    let true_scene = scene(&shape(180), SIZE, projection, &LIGHTS);
+    let mut numbers = stream(seed, Purpose::Experiment, 1, 0, 0);
+    let mut vector = |s: f64| DVec3::new(numbers.normal(), numbers.normal(), numbers.normal()) * s;
+    let rotation = vector(priors().rotation_rad);
+    let translation = vector(priors().translation_mm);
+    let moved = with_sample_at(true_scene, rotation, translation);
+    let found = align(&described, &photographs(&moved, seed), &priors(), &quick()).unwrap();
+    let truth = Vector6::from_vec([rotation.to_array(), translation.to_array()].concat());
+    let across_mm = DVec2::new(found.values[3] - truth[3], found.values[4] - truth[4]);
+    let across_px = across_mm.length() * SIZE as f64 / 26.0;
+    (truth, found, across_px)
+}
+
+/// Squared lengths of the errors in units of their covariance, summed over independent
+/// benches, against χ² with six degrees of freedom each; across the view the error is a
+/// fraction of a pixel.
+#[test]
+fn poses_are_found_within_their_uncertainty() {
+    const SEEDS: u64 = 4;
+    // Quantiles of χ² with 24 degrees of freedom at 2.5e-4 and 1 − 2.5e-4.
+    const CHI2: [f64; 2] = [7.3, 55.0];
+    let (mut chi2, mut across_px2) = (0.0, 0.0);
+    for seed in 0..SEEDS {
+        let (truth, found, across_px) = one_bench(bowl, telecentric(), seed);
+        let error = Vector6::from(found.values) - truth;
+        let covariance = Matrix6::from_fn(|i, j| found.covariance[i][j]);
+        chi2 += error.dot(&covariance.cholesky().unwrap().solve(&error));
+        across_px2 += across_px.powi(2) / (2 * SEEDS) as f64;
+        assert!(found.explained > 0.9, "{seed}: {}", found.explained);
+        assert!(
+            found.held.iter().any(|h| h.contains("translation along z")),
+            "{seed}: {:?}",
+            found.held
+        );
+    }
+    let across_px = across_px2.sqrt();
+    eprintln!(
+        "χ² {chi2:.1} of {}, along x or y {across_px:.3} px",
+        6 * SEEDS
+    );
+    assert!((CHI2[0]..CHI2[1]).contains(&chi2), "χ² {chi2}");
+    assert!(across_px < 0.1, "{across_px} px");
+}
+
+/// Three facets that meet in creases, under a perspective camera.
+#[test]
+fn a_corner_is_found_by_its_creases() {
+    let projection = Projection::Perspective { fov_rad: 0.13 };
+    let (_, found, across_px) = one_bench(corner, projection, 0);
+    eprintln!("{across_px:.3} px");
+    assert!(found.explained > 0.9, "{}", found.explained);
+    assert!(across_px < 0.25, "{across_px} px");
+}
+
+/// Each refusal names its reason.
+#[test]
+fn images_without_a_pose_are_refused() {
+    let described = scene(&bowl(32), SIZE, telecentric(), &LIGHTS);
+    let flat = |seed: u64| {
+        let mut image = RadianceImage::new(SIZE, SIZE);
+        let mut numbers = stream(seed, Purpose::Experiment, 2, 0, 0);
+        for (mean, variance) in image.mean.iter_mut().zip(&mut image.variance) {
+            *mean = [(); 3].map(|()| 1.0 + 0.01 * numbers.normal() as f32);
+            *variance = [1e-4; 3];
+        }
+        image
+    };
+    let blank = [flat(1), flat(2)];
+    let refused = |scene: &Scene, images: &[RadianceImage], priors: &BenchPriors| {
+        align(scene, images, priors, &quick()).unwrap_err()
+    };
+    let error = refused(&described, &blank, &priors());
+    assert!(
+        matches!(error, PoseError::NoEdges | PoseError::NotThere { .. }),
+        "{error}"
+    );
+    let error = refused(&described, &blank[..1], &priors());
+    assert_eq!(
+        error,
+        PoseError::ImageCount {
+            images: 1,
+            lights: 2
+        }
+    );
+    let away = with_sample_at(described.clone(), DVec3::ZERO, DVec3::new(40.0, 0.0, 0.0));
+    let error = refused(&away, &blank, &priors());
+    assert!(matches!(error, PoseError::OutsideView { .. }), "{error}");
+    let exact = BenchPriors {
+        rotation_rad: 0.0,
+        ..priors()
+    };
+    assert_eq!(refused(&described, &blank, &exact), PoseError::Exact);
+    // Far beyond what the priors allow.
+    let moved = with_sample_at(described.clone(), DVec3::ZERO, DVec3::new(4.0, -3.0, 0.0));
+    let error = refused(&described, &photographs(&moved, 1), &priors());
+    assert!(
+        matches!(error, PoseError::TooFar { .. } | PoseError::NotThere { .. }),
+        "{error}"
+    );
+}
+
+#[test]
+fn a_record_holds_the_estimate_in_degrees() {
+    let found = PoseEstimate {
+        values: [0.01, 0.0, -0.02, 0.1, 0.2, 0.3],
+        covariance: std::array::from_fn(|i| {
+            std::array::from_fn(|j| if i == j { 1e-6 } else { 2e-7 })
+        }),
+        prior: [0.01; 6],
+        held: Vec::new(),
+        blur_px2: Measured {
+            value: 0.25,
+            std: 0.01,
+        },
+        reduced_chi2: 1.0,
+        explained: 0.99,
+        shifts: Vec::new(),
+        pixel_px: 1,
+        rounds: 3,
+        settled: true,
+    };
+    let values = PoseValues::new(&found);
+    assert!((values.rotation_deg[0] - 0.572_958).abs() < 1e-6);
+    assert!(
+        (values.blur_px.value - 0.5).abs() < 1e-12 && (values.blur_px.std - 0.01).abs() < 1e-12
+    );
+    let back = values.covariance_rad_mm();
+    assert!((back[0][3] - 2e-7).abs() < 1e-18 && (back[1][1] - 1e-6).abs() < 1e-18);
+    assert!((values.pose()[0].z + 0.02).abs() < 1e-12);
+    assert!(values.check().is_ok());
+    let mut broken = values.clone();
+    broken.covariance[0][1] = 1.0;
+    assert_eq!(broken.check().unwrap_err().key, "values.covariance");
+    let mut broken = values;
+    broken.rotation_deg[1] = f64::NAN;
+    assert_eq!(broken.check().unwrap_err().key, "values.rotation_deg");
+}

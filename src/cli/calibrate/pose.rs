@@ -1,0 +1,133 @@
+//! `rig calibrate pose`: where the sample truly is, from the images of a session.
+
+use std::path::PathBuf;
+
+use serde::Serialize;
+
+use super::target::{CommonArgs, Target};
+use crate::calibration::Library;
+use crate::calibration::pose::{PoseError, PoseOptions, PoseValues, align, figure};
+use crate::calibration::record::Settings;
+use crate::cli::output::write_json;
+use crate::cli::session_images::session_images;
+use crate::cli::{CliError, Context};
+use crate::out;
+
+#[derive(clap::Args, Debug)]
+pub(super) struct PoseArgs {
+    #[command(flatten)]
+    common: CommonArgs,
+    /// The session's folder; the sample must still lie as it did there
+    #[arg(value_name = "SESSION")]
+    session: PathBuf,
+    /// Wider images are binned to at most this many pixels across (32 to 4096); more takes longer
+    #[arg(long, value_name = "PX", default_value_t = 512, value_parser = clap::value_parser!(u32).range(32..=4096))]
+    widest: u32,
+}
+
+#[derive(Serialize)]
+struct PoseReport {
+    record: String,
+    #[serde(flatten)]
+    values: PoseValues,
+    /// Rounds that were taken, and whether the last step was short.
+    rounds: usize,
+    settled: bool,
+}
+
+/// What to do about it.
+fn hint(error: &PoseError) -> &'static str {
+    match error {
+        PoseError::OutsideView { .. } => {
+            "the camera's view or the sample's place in [geometry] is wrong; correct position_mm, \
+             look_at_mm, extent_mm or the mesh"
+        }
+        PoseError::NoEdges | PoseError::TooSmall => {
+            "the sample must stand out from what is behind it: use a dark, matt holder, lights from \
+             the side that cast shadows, and more pixels"
+        }
+        PoseError::NotThere { .. } => {
+            "the sample is elsewhere, or of another shape: look at the radiance images, correct \
+             [geometry.sample] and [geometry.camera], or state larger rotation_deg and translation_mm \
+             in [uncertainty]"
+        }
+        PoseError::TooFar { .. } => {
+            "seat the sample again, correct [geometry], or state how far it may be off in \
+             [uncertainty] (rotation_deg, translation_mm)"
+        }
+        PoseError::Exact => "state how well the pose is known in [uncertainty]",
+        PoseError::ImageCount { .. } | PoseError::ImageSize { .. } => {
+            "`rig session verify` says whether the session is whole"
+        }
+    }
+}
+
+pub(super) fn run(args: &PoseArgs, context: &Context) -> Result<(), CliError> {
+    let rig = args.common.rig.resolve(context)?;
+    let session = session_images(&args.session)?;
+    if session.config.name != rig.config.name {
+        return Err(CliError::new(format!(
+            "the session was captured on rig {}, not on {}",
+            session.config.name, rig.config.name
+        ))
+        .hint("name the session's rig with --rig"));
+    }
+    let scene = session.config.geometry.scene(&session.places)?;
+    let options = PoseOptions {
+        widest_px: args.widest as usize,
+        ..PoseOptions::default()
+    };
+    let bar = context.spinner();
+    bar.set_message("aligning");
+    let found = align(
+        &scene,
+        &session.captured,
+        &session.config.uncertainty,
+        &options,
+    );
+    bar.finish_and_clear();
+    let found = found.map_err(|error| {
+        let hint = hint(&error);
+        CliError::new(error.to_string()).hint(format!("{hint}; nothing was kept"))
+    })?;
+    let values = PoseValues::new(&found);
+    let mut target = Target::new(&rig.config, Library::of_rig(&rig), &args.common, context);
+    target.source = format!("session {}", args.session.display());
+    target.settings = Settings {
+        resolution_px: Some(session.config.camera.resolution_px),
+        ..Settings::default()
+    };
+    let method = format!(
+        "edges of {} patches in {} images, {} rounds",
+        values.patches,
+        session.captured.len(),
+        found.rounds
+    );
+    let path = target.add(values.clone(), &method, &[])?;
+    target.draw(&figure(&found, scene.camera.resolution_px), &path, context)?;
+    if !found.settled {
+        context.warn("the last step was not short: the uncertainty may be too small".to_owned());
+    }
+    if !values.held.is_empty() {
+        context.note(format_args!(
+            "not told by the images and left as the rig file has it: {}",
+            values.held.join(", ")
+        ));
+    }
+    context.note(format_args!(
+        "use it with `rig fit {} --pose {}`; for further captures with the sample untouched set \
+         pose = \"{}\" in the rig file's [calibration]",
+        args.session.display(),
+        path.display(),
+        target.id(crate::calibration::record::Kind::Pose)
+    ));
+    if args.common.json {
+        return write_json(&PoseReport {
+            record: path.display().to_string(),
+            values,
+            rounds: found.rounds,
+            settled: found.settled,
+        });
+    }
+    out!("{}", path.display())
+}
