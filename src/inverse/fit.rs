@@ -255,7 +255,7 @@ pub(super) fn fit_from(
             *mixture = DVector::from_vec(from);
         }
         let pass = objective.linearise(&mixture, &residual_weights);
-        residual_weights = objective.weights(Some(&pass.model));
+        residual_weights = objective.weights_after(&pass);
     }
     lap("start", &mut timings);
 
@@ -298,7 +298,7 @@ pub(super) fn fit_from(
         if round >= options.rounds {
             break;
         }
-        residual_weights = objective.weights(Some(&pass.model));
+        residual_weights = objective.weights_after(&pass);
         tracing::debug!(unexplained = ?pass.unexplained, "round");
         ridge = Ridge::after(&pass);
     }

@@ -217,9 +217,27 @@ impl<'a> Objective<'a> {
         }
     }
 
-    /// Weights from a model (radiance and variance per value); the captured images
-    /// themselves stand in for the first one.
+    /// Weights from a model (radiance and variance per value), with the stated model error;
+    /// the captured images themselves stand in for the first one.
     pub fn weights(&self, model: Option<&[Vec<[[f64; 2]; 3]>]>) -> ResidualWeights {
+        self.weights_allowing(model, &vec![self.model_error; self.sets()])
+    }
+
+    /// Weights after a fit that ended with `pass`: the model is allowed the error that it
+    /// was found to have, if that is more than the stated one (docs/adr/0027).
+    pub fn weights_after(&self, pass: &Linearised) -> ResidualWeights {
+        let found: Vec<f64> = (0..self.sets())
+            .map(|set| pass.relative_error(set).max(self.model_error))
+            .collect();
+        tracing::debug!(?found, "model error");
+        self.weights_allowing(Some(&pass.model), &found)
+    }
+
+    fn weights_allowing(
+        &self,
+        model: Option<&[Vec<[[f64; 2]; 3]>]>,
+        model_error: &[f64],
+    ) -> ResidualWeights {
         let [width, height] = self.resolution;
         (0..self.lights())
             .map(|light| {
@@ -241,7 +259,7 @@ impl<'a> Objective<'a> {
                             .unwrap_or_else(|| local(p, c));
                             // No captured variance may claim more than a tenth of the usual noise.
                             let captured = self.variance[light][p][c].max(0.01 * typical[c]);
-                            let model = (self.model_error * intensity).powi(2);
+                            let model = (model_error[self.set_of(c)] * intensity).powi(2);
                             let total = captured + rendered + model;
                             let trust = trust.as_ref().map_or(1.0, |t| t[p][c]);
                             if total > 0.0 { trust / total } else { 0.0 }

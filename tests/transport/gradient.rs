@@ -14,6 +14,7 @@ use rig::brdf::{Atom, Dictionary, Mixture};
 use rig::geometry::Shape;
 use rig::inverse::{Channels, objective::Objective};
 use rig::radiance_image::RadianceImage;
+use rig::random::{Purpose, stream};
 use rig::transport::{
     Cache, CacheOptions, Camera, DirectMatrix, Kernel, Projection, Proposal, RenderOptions, Scene,
     Shading, render,
@@ -230,6 +231,66 @@ fn the_gradient_of_the_loss_is_unbiased() {
         let p = deviates.map(two_sided);
         assert!(p[0] > sidak(0.01, 2), "{deviates:?}");
         assert!(p[1] < 1e-6, "the covariance was not noticed: {deviates:?}");
+    }
+}
+
+/// What the model leaves unexplained is found as the relative error that it is, free of
+/// the noise of few paths and of the capture, and weights the values from then on.
+#[test]
+fn the_error_of_the_model_is_found_below_the_noise() {
+    const PIXELS: usize = 16;
+    let (scene, dictionary) = grey_bowl(PIXELS);
+    let rho = 0.8f64;
+    let mixture = [DVector::from_vec(vec![rho, 1.0 - rho])];
+    let [multiple, _] = grey_bowl_radiance(rho, 12);
+    let direct = DirectMatrix::new(&scene, &dictionary, 16, 3);
+    let options = CacheOptions {
+        samples_per_pixel: 16,
+        max_reflections: 12,
+        seed: 77,
+        ..CacheOptions::default()
+    };
+    let cache = Cache::trace(&scene, &dictionary, &options).unwrap();
+    let (noise, stated) = (0.03, 0.02);
+    for (error, allowed) in [(0.0, stated), (0.25, 0.25)] {
+        let mut target = RadianceImage::new(PIXELS, PIXELS);
+        for pixel in 0..PIXELS * PIXELS {
+            let truth = f64::from(direct.row(pixel, 0)[0]) * rho + multiple;
+            let sign = if pixel % 3 == 0 { -2.0 } else { 1.0 };
+            for channel in 0..3 {
+                let key = 3 * pixel as u64 + channel as u64;
+                let normal = stream(5, Purpose::Experiment, 0, key, 0).normal();
+                let captured = truth * (1.0 + error * sign / 2f64.sqrt() + noise * normal);
+                target.mean[pixel][channel] = captured as f32;
+                target.variance[pixel][channel] = (noise * truth).powi(2) as f32;
+            }
+            target.valid[pixel] = true;
+        }
+        let objective = Objective::new(
+            &cache,
+            &direct,
+            std::slice::from_ref(&target),
+            None,
+            Channels::Shared,
+            Kernel::detect(),
+            stated,
+        );
+        let pass = objective.linearise(&mixture, &objective.weights(None));
+        let found = pass.relative_error(0);
+        assert!(
+            (found - error).abs() < 0.2 * error + 0.04,
+            "{error}: {found}"
+        );
+        let weights = objective.weights_after(&pass);
+        let middle = PIXELS * PIXELS / 2 + PIXELS / 2;
+        let [value, _] = pass.model[0][middle][0];
+        let share = weights[0][middle][0] * value.powi(2);
+        let expected = 1.0 / (noise.powi(2) + f64::max(found, allowed.min(stated)).powi(2));
+        println!("{error}: found {found:.4}, weight {share:.1} of {expected:.1}");
+        assert!(
+            share < 1.3 * expected && share > 0.3 * expected,
+            "{share} {expected}"
+        );
     }
 }
 

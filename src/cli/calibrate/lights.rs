@@ -19,7 +19,6 @@ use crate::config::RigConfig;
 use crate::device::kinematics::{Kinematics, Mechanism};
 use crate::out;
 use crate::radiance_image::{RadianceImage, exr};
-use crate::session::Session;
 use crate::units::StageAngles;
 
 #[derive(clap::Args, Debug)]

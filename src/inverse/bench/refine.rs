@@ -340,7 +340,7 @@ impl Rounds<'_> {
         let (pass, _) =
             method.minimise(objective, &residual_weights, &ridge, &mut mixture, &mut ())?;
         let ridge = Ridge::after(&pass);
-        residual_weights = objective.weights(Some(&pass.model));
+        residual_weights = objective.weights_after(&pass);
         let (pass, _) =
             method.minimise(objective, &residual_weights, &ridge, &mut mixture, &mut ())?;
         Ok((mixture, residual_weights, pass))

@@ -22,6 +22,8 @@ pub struct Linearised {
     /// Per set: Σ w (r_A r_B − σ²_captured), which the noise of neither capture nor render
     /// makes: what the model leaves unexplained, as a part of χ².
     pub unexplained: Vec<f64>,
+    /// Σ w I² per set, by which a relative error of the model counts as a part of χ².
+    pub power: Vec<f64>,
     /// Per set and block of pixels of one light: Jᵀ W r.
     pub block_scores: Vec<Vec<DVector<f64>>>,
 }
@@ -43,6 +45,16 @@ impl Noise {
 }
 
 impl Linearised {
+    /// Relative error of the model, root mean square, that leaves as much unexplained.
+    pub fn relative_error(&self, set: usize) -> f64 {
+        let power = self.power[set];
+        if power > 0.0 {
+            (self.unexplained[set] / power).max(0.0).sqrt()
+        } else {
+            0.0
+        }
+    }
+
     /// The least share of the noise's energy, per set, that makes the loss convex around
     /// this point. Without it ½ r_AᵀWr_B has directions of negative curvature where paths
     /// are few, and its minimum is whatever the noise makes of them; with all of it the loss
@@ -146,6 +158,7 @@ impl Objective<'_> {
                         q.c += 0.5 * w * residual[0] * residual[1];
                         part.unexplained[set] +=
                             w * (residual[0] * residual[1] - self.variance[light][pixel][c]);
+                        part.power[set] += w * halves[0] * halves[1];
                         let difference = residual[0] - residual[1];
                         let noise = &mut part.noise[set];
                         for k in 0..n {
@@ -171,6 +184,7 @@ impl Objective<'_> {
                 total.noise[set].g += &part.noise[set].g;
                 total.noise[set].c += part.noise[set].c;
                 total.unexplained[set] += part.unexplained[set];
+                total.power[set] += part.power[set];
                 for (block, score) in &part.scores[set] {
                     *total.scores[set]
                         .entry(*block)
@@ -192,6 +206,7 @@ impl Objective<'_> {
         Linearised {
             noise: total.noise,
             unexplained: total.unexplained,
+            power: total.power,
             quadratics: total.quadratics,
             information: total.information,
             model,
@@ -210,6 +225,7 @@ struct Part {
     information: Vec<DMatrix<f64>>,
     noise: Vec<Noise>,
     unexplained: Vec<f64>,
+    power: Vec<f64>,
     scores: Vec<BTreeMap<usize, DVector<f64>>>,
     model: Vec<Vec<[[f64; 2]; 3]>>,
 }
@@ -221,6 +237,7 @@ impl Part {
             information: vec![DMatrix::zeros(n, n); sets],
             noise: vec![Noise::zero(n); sets],
             unexplained: vec![0.0; sets],
+            power: vec![0.0; sets],
             scores: vec![Default::default(); sets],
             model: Vec::new(),
         }
