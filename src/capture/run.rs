@@ -231,22 +231,24 @@ impl Run<'_> {
         };
         let first = rounds.len() as u32;
         // What the lamp is compared with when the light is done.
-        let mut before: Vec<_> = channels.iter().map(|_| None).collect();
+        let mut before = None;
         for (step, index) in steps.iter().zip(first..) {
             let part = f64::from(index - first) / steps.len() as f64;
             self.clock.within_light(light, self.lights, part);
+            let mut firsts = Vec::new();
             for (channel, latest) in latest.iter_mut().enumerate() {
                 for repeat in 0..step.frames {
                     let shot = self.light_shot(light, index, channel, repeat, step.exposure_s);
                     let taken = self.take(shot, latest.as_ref().into()).await?;
                     if repeat == 0 {
-                        self.keep_for_drift(&mut before[channel], &taken);
+                        firsts.push(taken.clone());
                     }
                     if repeat + 1 == step.frames {
                         *latest = Some(taken);
                     }
                 }
             }
+            self.keep_for_drift(&mut before, firsts);
             let ambient = if rules.ambient { step.frames } else { 0 };
             for (kind, frames) in [
                 (FrameKind::Ambient, ambient),
@@ -259,7 +261,7 @@ impl Run<'_> {
             }
         }
         let last = first + steps.len() as u32;
-        self.check_drift(light, last, &before).await?;
+        self.check_drift(light, last, before).await?;
         self.disk.record(Event::LightStop { light }).await?;
         self.merger.finish_bracket().await
     }

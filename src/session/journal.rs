@@ -368,7 +368,7 @@ mod tests {
     fn what_is_written_is_read() {
         let bytes = example();
         let journal = Journal::parse(&bytes).unwrap();
-        assert_eq!(journal.records.len(), 11);
+        assert_eq!(journal.records.len(), 12);
         assert_eq!(journal.torn_bytes, 0);
         assert!(journal.is_complete());
         assert_eq!(journal.files().len(), 4);

@@ -245,7 +245,7 @@ fn the_error_of_the_model_is_found_below_the_noise() {
     let [multiple, _] = grey_bowl_radiance(rho, 12);
     let direct = DirectMatrix::new(&scene, &dictionary, 16, 3);
     let options = CacheOptions {
-        samples_per_pixel: 16,
+        samples_per_pixel: 64,
         max_reflections: 12,
         seed: 77,
         ..CacheOptions::default()

@@ -232,7 +232,10 @@ fn images_without_a_pose_are_refused() {
     let moved = with_sample_at(described.clone(), DVec3::ZERO, DVec3::new(4.0, -3.0, 0.0));
     let error = refused(&described, &photographs(&moved, 1), &priors());
     assert!(
-        matches!(error, PoseError::TooFar { .. } | PoseError::NotThere { .. }),
+        matches!(
+            error,
+            PoseError::TooFar { .. } | PoseError::NotThere { .. } | PoseError::NoEdges
+        ),
         "{error}"
     );
 }

@@ -12,10 +12,11 @@ use crate::session::Event;
 /// Bytes of a sidecar and of the journal's line, generously.
 const SIDECAR_BYTES: u64 = 4096;
 
-/// A frame, and how well one more of its kind compares with it.
-pub(super) struct Known {
-    taken: Taken,
-    known: SignalRatio,
+/// Frames of one exposure, and how well more of their kind would compare with them where
+/// they tell least.
+pub(super) struct Kept {
+    frames: Vec<Taken>,
+    worst: SignalRatio,
 }
 
 impl Run<'_> {
@@ -83,21 +84,22 @@ impl Run<'_> {
         Ok(())
     }
 
-    /// Keeps the frame that [`Self::check_drift`] repeats: the first that would show a
-    /// drift of 1%, or else the one that shows most.
-    pub(super) fn keep_for_drift(&self, kept: &mut Option<Known>, taken: &Taken) {
-        if kept.as_ref().is_some_and(|kept| kept.known.tells_good()) {
+    /// Keeps the frames, one per channel, that [`Self::check_drift`] repeats: those of the
+    /// first exposure in which a drift of 1% would show, or else where most shows.
+    pub(super) fn keep_for_drift(&self, kept: &mut Option<Kept>, frames: Vec<Taken>) {
+        if kept.as_ref().is_some_and(|kept| kept.worst.tells_good()) {
             return;
         }
-        let Some(known) = signal_ratio(self.noise, taken.exposed(), taken.exposed()) else {
-            return;
-        };
-        if kept
-            .as_ref()
-            .is_none_or(|kept| known.std_dev < kept.known.std_dev)
+        let worst = frames
+            .iter()
+            .filter_map(|taken| signal_ratio(self.noise, taken.exposed(), taken.exposed()))
+            .max_by(|a, b| a.std_dev.total_cmp(&b.std_dev));
+        if let Some(worst) = worst
+            && kept
+                .as_ref()
+                .is_none_or(|kept| worst.std_dev < kept.worst.std_dev)
         {
-            let taken = taken.clone();
-            *kept = Some(Known { taken, known });
+            *kept = Some(Kept { frames, worst });
         }
     }
 
@@ -107,12 +109,10 @@ impl Run<'_> {
         &mut self,
         light: u32,
         round: u32,
-        before: &[Option<Known>],
+        before: Option<Kept>,
     ) -> Result<(), CaptureError> {
-        for (channel, before) in before.iter().enumerate() {
-            let Some(Known { taken: before, .. }) = before else {
-                continue;
-            };
+        let frames = before.map_or(Vec::new(), |kept| kept.frames);
+        for (channel, before) in frames.iter().enumerate() {
             let shot = Shot {
                 // No part of the bracket.
                 pilot: true,
