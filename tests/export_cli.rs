@@ -54,6 +54,7 @@ fn write_fit(folder: &Path) {
         table: AngleTable::default(),
         warnings: Vec::new(),
         bench: None,
+        budget: None,
     };
     fit_record::write(folder, &record, &FitImages::default()).unwrap();
 }

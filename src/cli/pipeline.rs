@@ -16,15 +16,15 @@ use crate::inverse::diagnosis::Cause;
 use crate::inverse::exponentiated_gradient::ExponentiatedGradient;
 use crate::inverse::gauss_newton::GaussNewton;
 use crate::inverse::{
-    BenchPriors, Channels, Fit, FitOptions, Optimizer, Refine, RefineOptions, fit, intervals,
-    refine_bench,
+    BenchPriors, Channels, Fit, FitOptions, Optimizer, Refine, RefineOptions, budget, fit,
+    intervals, refine_bench,
 };
 use crate::radiance_image::RadianceImage;
 use crate::report;
 use crate::session::commit::SystemDisk;
 use crate::session::fit_record::{
-    self, AngleCell, AngleTable, AtomRecord, BenchParameter, BenchRecord, FitImages, FitRecord,
-    FitSettings, Timing, TracePoint, Warning,
+    self, AngleCell, AngleTable, AtomRecord, BenchParameter, BenchRecord, BudgetRecord, BudgetRow,
+    FitImages, FitRecord, FitSettings, Timing, TracePoint, Warning,
 };
 use crate::session::{SessionWriter, layout};
 use crate::transport::{Kernel, RenderOptions, Scene, truncation_remainder};
@@ -360,8 +360,50 @@ impl FitPlan {
             },
             warnings: Vec::new(),
             bench: None,
+            budget: budget_record(fit),
         })
     }
+}
+
+/// Half and difference angles of the error budget, degrees.
+const BUDGET_AT_DEG: [[f64; 2]; 8] = [
+    [0.0, 10.0],
+    [5.0, 10.0],
+    [15.0, 10.0],
+    [40.0, 10.0],
+    [0.0, 50.0],
+    [5.0, 50.0],
+    [15.0, 50.0],
+    [40.0, 50.0],
+];
+
+/// Where the interval comes from, at a few angles; `None` without draws.
+fn budget_record(fit: &Fit) -> Option<BudgetRecord> {
+    let row = |[theta_h_deg, theta_d_deg]: [f64; 2]| {
+        let cell = budget::at(
+            &fit.dictionary,
+            &fit.weights,
+            &fit.draws,
+            theta_h_deg,
+            theta_d_deg,
+        )?;
+        let total: f64 = cell.relative_variance.iter().sum();
+        let share = cell.relative_variance.iter();
+        Some(BudgetRow {
+            theta_h_deg,
+            theta_d_deg,
+            value: cell.value,
+            relative_std: total.sqrt(),
+            share: share
+                .map(|v| if total > 0.0 { v / total } else { 0.0 })
+                .collect(),
+        })
+    };
+    let row: Vec<BudgetRow> = BUDGET_AT_DEG.into_iter().filter_map(row).collect();
+    (!row.is_empty()).then(|| BudgetRecord {
+        sources: budget::Source::ALL.map(|s| s.name().to_owned()).to_vec(),
+        row,
+    })
 }
 
 /// The refined bench in the units in which it is shown.

@@ -53,6 +53,7 @@ fn record(simulated: bool) -> FitRecord {
         },
         warnings: Vec::new(),
         bench: None,
+        budget: None,
     }
 }
 

@@ -311,10 +311,15 @@ pub(super) fn fit_from(
         kernel: options.kernel,
     };
     let coupling = bench.map(|b| b.coupling(&model, &residual_weights, &mixture));
+    let noise = match options.draws {
+        0 => Vec::new(),
+        _ => objective.score_noise(&mixture, &residual_weights, &pass.model),
+    };
     let mut draws = uncertainty::draw(
         &mixture,
         &pass,
         coupling.as_ref(),
+        &noise,
         options.draws,
         options.cache.seed,
     )?;

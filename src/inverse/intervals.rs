@@ -30,20 +30,7 @@ pub fn table(
     theta_d_deg: &[f64],
 ) -> Vec<Interval> {
     let cell = |theta_h_deg: f64, theta_d_deg: f64| {
-        let angles = HalfDifference {
-            theta_h_rad: theta_h_deg.to_radians(),
-            theta_d_rad: theta_d_deg.to_radians(),
-            phi_d_rad: std::f64::consts::FRAC_PI_2,
-        };
-        let (to_light, to_viewer) = angles.to_directions();
-        let atoms: Vec<f64> = match Cosines::new(to_light.to_array(), to_viewer.to_array()) {
-            Some(at) => dictionary
-                .atoms()
-                .iter()
-                .map(|atom| atom.eval(&at))
-                .collect(),
-            None => vec![0.0; dictionary.len()],
-        };
+        let atoms = atom_values(dictionary, theta_h_deg, theta_d_deg);
         let mut interval = Interval {
             value: [0.0; 3],
             lower: [0.0; 3],
@@ -86,6 +73,21 @@ pub fn table(
         }
     }
     cells
+}
+
+/// Every atom's f at half and difference angles (degrees) and φd = 90°, 1/sr.
+pub fn atom_values(dictionary: &Dictionary, theta_h_deg: f64, theta_d_deg: f64) -> Vec<f64> {
+    let angles = HalfDifference {
+        theta_h_rad: theta_h_deg.to_radians(),
+        theta_d_rad: theta_d_deg.to_radians(),
+        phi_d_rad: std::f64::consts::FRAC_PI_2,
+    };
+    let (to_light, to_viewer) = angles.to_directions();
+    let atoms = dictionary.atoms().iter();
+    match Cosines::new(to_light.to_array(), to_viewer.to_array()) {
+        Some(at) => atoms.map(|atom| atom.eval(&at)).collect(),
+        None => vec![0.0; dictionary.len()],
+    }
 }
 
 /// Standard deviation of ln f that no mixture of a dictionary explains, for a relative
@@ -145,6 +147,7 @@ mod tests {
                 .collect(),
             prior: (0..=100).map(|i| draw(0.01 * f64::from(i))).collect(),
             misfit: 0.0,
+            budget: None,
         };
         let weights = std::array::from_fn(|_| vec![0.5, 0.5]);
         let draws = [set(), set(), set()];
@@ -160,6 +163,7 @@ mod tests {
             posterior: set().prior,
             prior: set().prior,
             misfit: 0.0,
+            budget: None,
         }];
         assert!(!table(&dictionary, &weights, &wide, &[0.0], &[45.0])[0].constrained);
         assert!((weight_deviations(&draws, 2)[0][0] - 0.0586).abs() < 1e-3);

@@ -2,6 +2,7 @@
 //! they can say about their own error.
 
 pub mod bench;
+pub mod budget;
 pub mod diagnosis;
 pub mod exponentiated_gradient;
 pub mod fit;

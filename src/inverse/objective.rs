@@ -15,8 +15,10 @@ use super::simplex::Quadratic;
 use crate::radiance_image::RadianceImage;
 use crate::transport::{Cache, DirectMatrix, Kernel};
 
+mod noise;
 mod pass;
 
+pub use noise::ScoreNoise;
 pub use pass::Linearised;
 
 /// Which mixtures are fitted.

@@ -10,8 +10,9 @@
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use rayon::prelude::*;
 
-use super::bench::BenchCoupling;
-use super::objective::Linearised;
+use super::bench::{BenchCoupling, Parameter};
+use super::budget::{Budget, Source};
+use super::objective::{Linearised, ScoreNoise};
 use super::simplex::SimplexError;
 use super::sparse::SparsePosterior;
 use crate::random::{Purpose, Stream, stream};
@@ -24,6 +25,8 @@ pub struct Draws {
     pub prior: Vec<DVector<f64>>,
     /// Relative error of the images that the mixture leaves beyond noise, 0 or more.
     pub misfit: f64,
+    /// Where the posterior's spread comes from, where that is known.
+    pub budget: Option<Budget>,
 }
 
 /// Concentration of a Dirichlet prior that a quadratic can see through its variance.
@@ -40,17 +43,18 @@ const STEPS: usize = 20_000;
 const LEAST_SPREAD: f64 = 3.0;
 
 /// Draws `count` weights for each set around `mixture`; `bench` is what an uncertain
-/// bench adds to their spread.
+/// bench adds to their spread, `noise` what capture and render make of it.
 pub fn draw(
     mixture: &[DVector<f64>],
     pass: &Linearised,
     bench: Option<&BenchCoupling>,
+    noise: &[ScoreNoise],
     count: usize,
     seed: u64,
 ) -> Result<Vec<Draws>, SimplexError> {
     Ok((0..mixture.len())
         .into_par_iter()
-        .map(|set| draw_set(&mixture[set], pass, bench, set, count, seed))
+        .map(|set| draw_set(&mixture[set], pass, bench, noise.get(set), set, count, seed))
         .collect())
 }
 
@@ -58,6 +62,7 @@ fn draw_set(
     mixture: &DVector<f64>,
     pass: &Linearised,
     bench: Option<&BenchCoupling>,
+    noise: Option<&ScoreNoise>,
     set: usize,
     count: usize,
     seed: u64,
@@ -71,21 +76,24 @@ fn draw_set(
         let expected = EXPECTED_ATOMS.min(0.5 * n as f64);
         SparsePosterior::new(h, b, expected).draw(mixture, count, STEPS, &mut numbers)
     };
-    let (h, b) = adjusted_likelihood(mixture, pass, bench, set);
+    let (h, b, budget) = adjusted_likelihood(mixture, pass, bench, noise, set);
     Draws {
         posterior: chain(h, b, 0),
         prior: chain(DMatrix::zeros(n, n), DVector::zeros(n), 1),
         misfit: 0.0,
+        budget,
     }
 }
 
-/// Quadratic log-likelihood −½ xᵀHx + bᵀx whose score scatters as the blocks' does.
+/// Quadratic log-likelihood −½ xᵀHx + bᵀx whose score scatters as the blocks' does, and,
+/// where the `noise` is known, what makes it scatter.
 fn adjusted_likelihood(
     mixture: &DVector<f64>,
     pass: &Linearised,
     bench: Option<&BenchCoupling>,
+    noise: Option<&ScoreNoise>,
     set: usize,
-) -> (DMatrix<f64>, DVector<f64>) {
+) -> (DMatrix<f64>, DVector<f64>, Option<Budget>) {
     let quadratic = &pass.quadratics[set];
     let information = without_noise(&pass.information[set], &quadratic.h);
     let eigen = SymmetricEigen::new(information);
@@ -115,12 +123,34 @@ fn adjusted_likelihood(
     if let Some(bench) = bench {
         scatter += inverse.tr_mul(&bench.covariance(set)) * &inverse;
     }
+    let budget = noise.map(|noise| {
+        let whitened = |m: &DMatrix<f64>| inverse.tr_mul(m) * &inverse;
+        let mut known = vec![
+            (Source::CaptureNoise, whitened(&noise.captured)),
+            (Source::RenderNoise, whitened(&noise.rendered)),
+        ];
+        let of = |source: Source| {
+            move |parameter: Parameter| match parameter {
+                Parameter::Rotation(_) | Parameter::Translation(_) => source == Source::Pose,
+                Parameter::LightAzimuth(_) | Parameter::LightElevation(_) => {
+                    source == Source::LightDirections
+                }
+                Parameter::Intensity(_) | Parameter::StrayLight(_) => source == Source::Intensities,
+            }
+        };
+        for source in [Source::Pose, Source::LightDirections, Source::Intensities] {
+            if let Some(bench) = bench {
+                known.push((source, whitened(&bench.part(set, of(source)))));
+            }
+        }
+        Budget::new(&root, &scatter, &known)
+    });
     let weight = mapped(scatter, |v| 1.0 / v);
     let h = &root * &weight * root.transpose();
     // The likelihood's own score, which the fit's prior and share of noise leave nonzero.
     let score: DVector<f64> = scores.iter().sum();
     let b = &h * mixture + &root * (&weight * inverse.tr_mul(&score));
-    (h, b)
+    (h, b, budget)
 }
 
 /// A symmetric matrix with its eigenvalues changed.

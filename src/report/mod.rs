@@ -5,6 +5,7 @@
 //! test; [`render`] turns it into the page. Parts that a session does not have
 //! (no fit yet, no known truth) are said to be missing, never left out silently.
 
+mod budget;
 pub mod figures;
 pub mod images;
 pub mod load;

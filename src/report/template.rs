@@ -2,6 +2,7 @@
 
 use serde::Serialize;
 
+use super::budget::BudgetView;
 use super::images::{self, Picture};
 use super::summary::{
     ScoreRow, Tile, VerdictView, percent, score_rows, short, tiles, verdict_view,
@@ -86,6 +87,7 @@ struct FitView {
     termination: String,
     timings: Vec<(String, String)>,
     bench: Option<BenchView>,
+    budget: Option<BudgetView>,
 }
 
 /// The bench as refined.
@@ -352,5 +354,6 @@ fn fit_view(fit: &FitInput, input: &ReportInput) -> Result<FitView, ReportError>
             .map(|timing| (timing.stage.clone(), format!("{:.2} s", timing.seconds)))
             .collect(),
         bench: record.bench.as_ref().map(BenchView::of),
+        budget: record.budget.as_ref().map(BudgetView::of),
     })
 }

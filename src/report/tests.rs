@@ -169,6 +169,7 @@ fn record(estimate: &Mixture) -> FitRecord {
         table: table(estimate),
         warnings: Vec::new(),
         bench: None,
+        budget: None,
     }
 }
 

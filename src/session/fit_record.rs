@@ -15,6 +15,7 @@
 //! is no fit.
 
 mod bench;
+mod budget;
 mod folder;
 mod tables;
 
@@ -31,6 +32,7 @@ use crate::radiance_image::exr::ExrError;
 use crate::session::SessionError;
 
 pub use bench::{BenchParameter, BenchRecord};
+pub use budget::{BudgetRecord, BudgetRow};
 pub use folder::{
     commit, encode, next_folder, numbers_in, read, read_images, read_images_in, read_in, write,
 };
@@ -228,6 +230,8 @@ pub struct FitRecord {
     pub warnings: Vec<Warning>,
     /// The bench as refined; `None` where it was taken as exactly known.
     pub bench: Option<BenchRecord>,
+    /// Where the interval comes from; `None` without draws.
+    pub budget: Option<BudgetRecord>,
 }
 
 impl FitRecord {
@@ -352,6 +356,10 @@ fn check(folder: &Path, record: &FitRecord) -> Result<(), FitRecordError> {
     }
     if let Some((key, value)) = record.bench.as_ref().and_then(BenchRecord::bad_value) {
         let allowed = "a finite number, of deviations 0 or more";
+        return Err(out_of_range(&toml, key, value, allowed));
+    }
+    if let Some((key, value)) = record.budget.as_ref().and_then(BudgetRecord::bad_value) {
+        let allowed = "a share per source that sum to 1, and a deviation of 0 or more";
         return Err(out_of_range(&toml, key, value, allowed));
     }
     let atoms = record.atoms.len();

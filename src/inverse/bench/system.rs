@@ -282,11 +282,9 @@ impl BenchLinearisation {
         );
         let root = self.spectrum.posterior_root();
         BenchCoupling {
-            shifts: normal
-                .coupling
-                .iter()
-                .map(|coupling| coupling.transpose() * &root)
-                .collect(),
+            to_weights: normal.coupling.iter().map(|c| c.transpose()).collect(),
+            covariance: &root * root.transpose(),
+            parameters: self.bench.parameters().to_vec(),
         }
     }
 }
@@ -295,13 +293,30 @@ impl BenchLinearisation {
 /// its estimate, the weights' score changes by −F_wp p; p is drawn from its posterior,
 /// which has the weights eliminated, so that both together are drawn from the joint one.
 pub struct BenchCoupling {
-    /// F_wp times a root of the bench's posterior covariance, per set, N × P.
-    shifts: Vec<DMatrix<f64>>,
+    /// F_wp per set, N × P.
+    to_weights: Vec<DMatrix<f64>>,
+    /// The bench's posterior covariance, P × P.
+    covariance: DMatrix<f64>,
+    parameters: Vec<Parameter>,
 }
 
 impl BenchCoupling {
     /// Covariance that it adds to the score of a set's weights, N × N.
     pub fn covariance(&self, set: usize) -> DMatrix<f64> {
-        &self.shifts[set] * self.shifts[set].transpose()
+        self.part(set, |_| true)
+    }
+
+    /// The part of some parameters in it; what they share with others counts half. Parts
+    /// of all parameters sum to the whole.
+    pub fn part(&self, set: usize, of: impl Fn(Parameter) -> bool) -> DMatrix<f64> {
+        let to_weights = &self.to_weights[set];
+        let mut own = to_weights.clone();
+        for (k, parameter) in self.parameters.iter().enumerate() {
+            if !of(*parameter) {
+                own.column_mut(k).fill(0.0);
+            }
+        }
+        let part = own * &self.covariance * to_weights.transpose();
+        0.5 * (&part + part.transpose())
     }
 }

@@ -245,7 +245,7 @@ impl Part {
 }
 
 /// Lower triangle of `h += w · ½ (a bᵀ + b aᵀ)`.
-fn add_product(h: &mut DMatrix<f64>, a: &[f64], b: &[f64], w: f64) {
+pub(super) fn add_product(h: &mut DMatrix<f64>, a: &[f64], b: &[f64], w: f64) {
     let n = a.len();
     let data = h.as_mut_slice();
     for j in 0..n {

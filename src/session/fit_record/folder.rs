@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use super::{
-    BenchRecord, FIT_FILE, FORMAT, FitImages, FitRecord, FitRecordError, FitSettings, ScoreSheet,
-    Timing, Warning, check, out_of_range, tables,
+    BenchRecord, BudgetRecord, FIT_FILE, FORMAT, FitImages, FitRecord, FitRecordError, FitSettings,
+    ScoreSheet, Timing, Warning, check, out_of_range, tables,
 };
 use crate::radiance_image::exr;
 use crate::session::layout::FITS_FOLDER;
@@ -37,6 +37,7 @@ struct FitToml {
     warning: Vec<Warning>,
     score: Option<ScoreSheet>,
     bench: Option<BenchRecord>,
+    budget: Option<BudgetRecord>,
 }
 
 /// The fit's files by name, `fit.toml` last.
@@ -221,6 +222,7 @@ fn parse(
         table,
         warnings: toml.warning,
         bench: toml.bench,
+        budget: toml.budget,
     };
     check(folder, &record)?;
     Ok(record)
@@ -320,6 +322,7 @@ fn to_toml(record: &FitRecord) -> String {
         warning: record.warnings.clone(),
         score: record.score.clone(),
         bench: record.bench.clone(),
+        budget: record.budget.clone(),
     };
     toml::to_string(&toml).expect("plain data with string keys is always TOML")
 }

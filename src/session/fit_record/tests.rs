@@ -92,6 +92,16 @@ fn sample() -> FitRecord {
                 prior_deviation: 0.3,
             }],
         }),
+        budget: Some(BudgetRecord {
+            sources: vec!["capture noise".to_owned(), "model".to_owned()],
+            row: vec![BudgetRow {
+                theta_h_deg: 10.0,
+                theta_d_deg: 45.0,
+                value: 0.2,
+                relative_std: 0.05,
+                share: vec![0.25, 0.75],
+            }],
+        }),
     }
 }
 

@@ -1,0 +1,74 @@
+//! How much of the score's scatter the noise of the images makes, and how much that of
+//! the render.
+
+use nalgebra::{DMatrix, DVector};
+
+use super::pass::add_product;
+use super::{Objective, ResidualWeights};
+
+/// Covariance of the score Jᵀ W r per set by what makes the residual scatter, N × N each.
+#[derive(Clone, Debug)]
+pub struct ScoreNoise {
+    /// Noise of the captured images.
+    pub captured: DMatrix<f64>,
+    /// Noise of the rendered paths.
+    pub rendered: DMatrix<f64>,
+}
+
+impl Objective<'_> {
+    /// sym(J_Aᵀ W² σ² J_B) at `mixture` with the variances of capture and of `model`.
+    pub fn score_noise(
+        &self,
+        mixture: &[DVector<f64>],
+        residual_weights: &ResidualWeights,
+        model: &[Vec<[[f64; 2]; 3]>],
+    ) -> Vec<ScoreNoise> {
+        let (n, sets, lights) = (self.atoms(), self.sets(), self.lights());
+        let slices: Vec<&[f64]> = mixture.iter().map(|w| w.as_slice()).collect();
+        let none = || ScoreNoise {
+            captured: DMatrix::zeros(n, n),
+            rendered: DMatrix::zeros(n, n),
+        };
+        let parts = self.cache.evaluate(
+            self.kernel,
+            &slices,
+            || vec![none(); sets],
+            |sums, rows| {
+                let pixel = rows.pixel;
+                for light in 0..lights {
+                    let direct = self.direct.row(pixel, light);
+                    for c in 0..3 {
+                        let set = self.set_of(c);
+                        let w = residual_weights[light][pixel][c];
+                        if w <= 0.0 {
+                            continue;
+                        }
+                        let r = light * sets + set;
+                        let [a, b] = [0, 1].map(|h| {
+                            let jacobian = &rows.jacobian[h][r * n..(r + 1) * n];
+                            let sum = direct.iter().zip(jacobian);
+                            sum.map(|(&d, &j)| f64::from(d) + f64::from(j))
+                                .collect::<Vec<f64>>()
+                        });
+                        let captured = w * w * self.variance[light][pixel][c];
+                        let rendered = w * w * model[light][pixel][c][1];
+                        add_product(&mut sums[set].captured, &a, &b, captured);
+                        add_product(&mut sums[set].rendered, &a, &b, rendered);
+                    }
+                }
+            },
+        );
+        let mut total = vec![none(); sets];
+        for part in parts {
+            for (sum, part) in total.iter_mut().zip(part) {
+                sum.captured += part.captured;
+                sum.rendered += part.rendered;
+            }
+        }
+        for sum in &mut total {
+            sum.captured.fill_upper_triangle_with_lower_triangle();
+            sum.rendered.fill_upper_triangle_with_lower_triangle();
+        }
+        total
+    }
+}
