@@ -5,7 +5,7 @@ use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
 use super::mirror_sphere::light::FoundLight;
-use super::record::{BadValue, Kind, LightsValues, Measured, Values};
+use super::record::{self, BadValue, Kind, LightsValues, Measured, Values};
 use super::stage_directions::{StageFit, offset};
 use crate::config::geometry::GeometryConfig;
 use crate::inverse::BenchPriors;
@@ -64,11 +64,7 @@ impl Values for DirectionsValues {
 
     fn check(&self) -> Result<(), BadValue> {
         let bad = |key: &str, value: String, allowed: &str| {
-            Err(BadValue {
-                key: format!("values.{key}"),
-                value,
-                allowed: allowed.to_owned(),
-            })
+            Err(record::bad(key, value, allowed.to_owned()))
         };
         for (key, value) in [
             ("light_std_deg", self.light_std_deg),

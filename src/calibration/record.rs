@@ -379,7 +379,8 @@ impl Values for LampValues {
     }
 }
 
-fn bad(key: &str, value: impl ToString, allowed: String) -> BadValue {
+/// A bad value of the table `[values]`.
+pub(super) fn bad(key: &str, value: impl ToString, allowed: String) -> BadValue {
     BadValue {
         key: format!("values.{key}"),
         value: value.to_string(),

@@ -4,7 +4,7 @@ use nalgebra::{Matrix6, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::PoseEstimate;
-use crate::calibration::record::{BadValue, Kind, Measured, Values};
+use crate::calibration::record::{self, BadValue, Kind, Measured, Values};
 
 /// The sample's pose against the rig file's description: turned about its datum, then moved.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -82,11 +82,7 @@ impl Values for PoseValues {
 
     fn check(&self) -> Result<(), BadValue> {
         let bad = |key: &str, value: String, allowed: &str| {
-            Err(BadValue {
-                key: format!("values.{key}"),
-                value,
-                allowed: allowed.to_owned(),
-            })
+            Err(record::bad(key, value, allowed.to_owned()))
         };
         let turned = Vector3::from(self.rotation_deg);
         if !(0.0..=45.0).contains(&turned.norm()) {
