@@ -59,6 +59,26 @@ struct Node {
     child: [u32; WIDTH],
 }
 
+impl Node {
+    fn set_bounds(&mut self, slot: usize, low: Vec3, high: Vec3) {
+        for axis in 0..3 {
+            self.bounds[axis][slot] = low[axis];
+            self.bounds[axis + 3][slot] = high[axis];
+        }
+    }
+
+    /// The box around all children; empty slots are infinitely small.
+    fn bounds(&self) -> (Vec3, Vec3) {
+        let side = |k: usize, pick: fn(f32, f32) -> f32| {
+            self.bounds[k].into_iter().reduce(pick).unwrap_or(f32::NAN)
+        };
+        (
+            Vec3::from_array([0, 1, 2].map(|k| side(k, f32::min))),
+            Vec3::from_array([3, 4, 5].map(|k| side(k, f32::max))),
+        )
+    }
+}
+
 /// Four triangles; corner[k][axis][lane]. Unused lanes hold NaN, which meets nothing.
 #[repr(C, align(16))]
 #[derive(Clone)]
@@ -67,10 +87,34 @@ struct Leaf {
     triangle: [u32; LEAF],
 }
 
+impl Leaf {
+    fn place(&mut self, lane: usize, corners: [Vec3; 3]) {
+        for (corner, p) in self.corner.iter_mut().zip(corners) {
+            for axis in 0..3 {
+                corner[axis][lane] = p[axis];
+            }
+        }
+    }
+
+    /// The box around its triangles; unused lanes are NaN, which min and max pass over.
+    fn bounds(&self) -> (Vec3, Vec3) {
+        let over = |axis: usize, pick: fn(f32, f32) -> f32, start: f32| {
+            let corners = self.corner.iter().flat_map(|corner| corner[axis]);
+            corners.fold(start, pick)
+        };
+        (
+            Vec3::from_array([0, 1, 2].map(|axis| over(axis, f32::min, f32::INFINITY))),
+            Vec3::from_array([0, 1, 2].map(|axis| over(axis, f32::max, f32::NEG_INFINITY))),
+        )
+    }
+}
+
 /// The tree over one mesh.
 pub struct Bvh {
     nodes: Vec<Node>,
     leaves: Vec<Leaf>,
+    /// Added to all boxes, millimetres.
+    grow: f32,
     avx2: bool,
 }
 
@@ -88,15 +132,50 @@ impl Bvh {
         // A thorough search for a better tree, as far as it takes no minutes.
         params.reinsertion_batch_ratio = (2e5 / boxes.len() as f32).clamp(0.05, 1.0);
         let tree = build_bvh2(&boxes, params, &mut std::time::Duration::default());
-        let [low, high] = mesh.bounds_mm();
         let mut bvh = Self {
             nodes: Vec::new(),
             leaves: Vec::new(),
+            grow: growth(mesh),
             avx2: avx2_available(),
         };
-        let grow = 4e-7 * low.abs().max(high.abs()).max_element();
-        Collapse::new(&tree, mesh, grow).node(0, &mut bvh);
+        Collapse::new(&tree, mesh, bvh.grow).node(0, &mut bvh);
         bvh
+    }
+
+    /// The tree with the triangles of `mesh` in place of as many of its first ones: as good
+    /// as a new one where they have moved little, and much sooner made.
+    pub fn refitted(&self, mesh: &Mesh) -> Self {
+        let grow = self.grow.max(growth(mesh));
+        let mut leaves = self.leaves.clone();
+        for leaf in &mut leaves {
+            for lane in 0..LEAF {
+                let triangle = leaf.triangle[lane] as usize;
+                if triangle < mesh.triangles.len() {
+                    leaf.place(lane, mesh.corners(triangle));
+                }
+            }
+        }
+        let mut nodes = self.nodes.clone();
+        // Children stand behind their parents.
+        for index in (0..nodes.len()).rev() {
+            for slot in 0..WIDTH {
+                let (low, high) = match nodes[index].child[slot] {
+                    EMPTY => continue,
+                    leaf if leaf & LEAF_BIT != 0 => {
+                        let (low, high) = leaves[(leaf & !LEAF_BIT) as usize].bounds();
+                        (low - grow, high + grow)
+                    }
+                    child => nodes[child as usize].bounds(),
+                };
+                nodes[index].set_bounds(slot, low, high);
+            }
+        }
+        Self {
+            nodes,
+            leaves,
+            grow,
+            avx2: self.avx2,
+        }
     }
 
     /// The portable kernel, which finds the same hits on every machine.
@@ -124,6 +203,12 @@ impl Bvh {
         }
         any_with::<Portable>(self, ray)
     }
+}
+
+/// The rounding of a mesh's coordinates in a query, millimetres.
+fn growth(mesh: &Mesh) -> f32 {
+    let [low, high] = mesh.bounds_mm();
+    4e-7 * low.abs().max(high.abs()).max_element()
 }
 
 fn avx2_available() -> bool {

@@ -13,7 +13,7 @@ use super::objective::{Linearised, Objective};
 use crate::brdf::Dictionary;
 use crate::brdf::half_difference::HalfDifference;
 use crate::frames::{Rigid, Sample};
-use crate::transport::{Cache, DirectMatrix, Scene, Shading};
+use crate::transport::{Cache, DirectMatrix, Scene};
 
 /// What can be wrong with a sample or a bench.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -330,14 +330,8 @@ fn displaced_images(
     let mesh = scene.sample();
     let [low, high] = mesh.bounds_mm().map(|v| v.as_dvec3());
     let (centre, size) = (0.5 * (low + high), (high - low).max_element());
-    let shading = if scene.is_flat() {
-        Shading::Flat
-    } else {
-        Shading::Smooth
-    };
-    let image = |mesh| -> Vec<f64> {
-        let scene = Scene::new(mesh, shading, scene.camera, scene.lights.clone());
-        let direct = DirectMatrix::new(&scene, dictionary, 2, 1);
+    let image = |scene: &Scene| -> Vec<f64> {
+        let direct = DirectMatrix::new(scene, dictionary, 2, 1);
         let mut values = Vec::new();
         for light in 0..scene.lights.len() {
             for c in 0..3 {
@@ -353,7 +347,8 @@ fn displaced_images(
         }
         values
     };
-    let still = image(mesh.clone());
+    let still = image(scene);
+    let displaced_by = |mesh| image(&scene.deformed(mesh));
     let mut displaced: Vec<Vec<f64>> = Vec::with_capacity(SHAPES);
     for axis in [DVec3::X, DVec3::Y, DVec3::Z] {
         let shift = Rigid::<Sample, Sample>::from_rotation_vector(DVec3::ZERO, STEP * size * axis);
@@ -369,9 +364,9 @@ fn displaced_images(
         for n in scaled.normals.iter_mut().flatten() {
             *n = (n.as_dvec3() / factor).normalize().as_vec3();
         }
-        displaced.push(image(mesh.transformed(&shift)));
-        displaced.push(image(mesh.transformed(&turn)));
-        displaced.push(image(scaled));
+        displaced.push(displaced_by(mesh.transformed(&shift)));
+        displaced.push(displaced_by(mesh.transformed(&turn)));
+        displaced.push(displaced_by(scaled));
     }
     for image in &mut displaced {
         image.iter_mut().zip(&still).for_each(|(v, s)| *v -= s);

@@ -1,9 +1,6 @@
 //! The whole fit: trace, start, optimise, debias, say how sure.
 
 use std::sync::Arc;
-use std::time::Instant;
-
-use nalgebra::DVector;
 
 use super::bench::system::{BenchLinearisation, Model};
 use super::diagnosis::{self, Diagnosis};
@@ -11,14 +8,14 @@ use super::exponentiated_gradient::ExponentiatedGradient;
 use super::gauss_newton::GaussNewton;
 use super::objective::{Channels, Linearised, Objective};
 use super::refine::{Refine, refine};
-use super::ridge::Ridge;
 use super::simplex::SimplexError;
-use super::trace::{Observer, Step, Termination};
+use super::solve::{Paths, Solution, Solved, solve};
+use super::trace::{Step, Termination};
 use super::uncertainty::{self, Draws};
 use crate::brdf::dictionary::Dictionary;
 use crate::radiance_image::RadianceImage;
 use crate::transport::cache::CacheError;
-use crate::transport::{Cache, CacheOptions, DirectMatrix, Kernel, Scene};
+use crate::transport::{Cache, CacheOptions, Kernel, Scene};
 
 /// Which optimiser.
 #[derive(Clone, Debug, PartialEq)]
@@ -86,8 +83,6 @@ impl Default for FitOptions {
 pub struct Fit {
     /// The dictionary that the weights belong to: the one given, or with more atoms.
     pub dictionary: Arc<Dictionary>,
-    /// Light that the sample reflects once, per atom of the dictionary.
-    pub(super) direct: Arc<DirectMatrix>,
     /// Weights per channel × atoms; equal vectors if shared.
     pub weights: [Vec<f64>; 3],
     /// The single-bounce start of Eq. (13) in the dictionary given, per channel.
@@ -171,7 +166,7 @@ pub fn fit(
     fit_on_bench(scene, captured, dictionary, options, None, stage)
 }
 
-/// A first fit that only tells later paths where to go has this many times fewer.
+/// A first solution that only tells later paths where to go has this many times fewer.
 const QUICKER: u32 = 4;
 
 /// [`fit`] on a bench that is known within what `bench` says, which widens the draws.
@@ -186,193 +181,84 @@ pub(super) fn fit_on_bench(
     check(scene, captured)?;
     let dictionary = Arc::new(dictionary.clone());
     if options.refine == Refine::NONE || options.optimizer == Optimizer::SingleBounce {
-        return fit_from(scene, captured, &dictionary, None, options, bench, stage);
+        let (fit, _) = fit_from(scene, captured, &dictionary, None, options, bench, stage)?;
+        return Ok(fit);
     }
-    let mut quick = FitOptions {
-        draws: 0,
-        ..options.clone()
-    };
+    let mut quick = options.clone();
     quick.cache.samples_per_pixel = (options.cache.samples_per_pixel / QUICKER).max(2);
-    let first = fit_from(scene, captured, &dictionary, None, &quick, bench, stage)?;
+    let paths = Paths::trace(scene, &dictionary, None, &quick, stage)?;
+    let objective = paths.objective(captured, &quick);
+    let first = solve(&paths, &objective, None, &quick, stage)?.solution;
     refine(scene, captured, first, options, bench, stage)
 }
 
-/// [`fit`] without refinement, from the weights of an earlier fit of the same images or
-/// from the single-bounce start.
+/// [`fit`] without refinement, from an earlier solution for the same images or from the
+/// single-bounce start.
 pub(super) fn fit_from(
     scene: &Scene,
     captured: &[RadianceImage],
     dictionary: &Arc<Dictionary>,
-    earlier: Option<&Fit>,
+    earlier: Option<&Solution>,
     options: &FitOptions,
     bench: Option<&BenchLinearisation>,
     stage: &mut dyn FnMut(&str),
-) -> Result<Fit, FitError> {
-    let clock = Instant::now();
-    let mut timings = Vec::new();
-    let mut mark = clock;
-    let mut lap = |name: &'static str, timings: &mut Vec<(&'static str, f64)>| {
-        timings.push((name, mark.elapsed().as_secs_f64()));
-        mark = Instant::now();
-    };
-
-    stage("direct reflection");
-    let direct = match earlier {
-        Some(fit) if Arc::ptr_eq(&fit.dictionary, dictionary) => fit.direct.clone(),
-        _ => {
-            let (strata, seed) = (options.direct_strata, options.cache.seed);
-            Arc::new(DirectMatrix::new(scene, dictionary, strata, seed))
-        }
-    };
-    lap("direct", &mut timings);
-    stage("tracing paths");
-    let cache = Cache::trace(scene, dictionary, &options.cache)?;
-    lap("trace", &mut timings);
-
-    let objective = Objective::new(
-        &cache,
-        &direct,
-        captured,
-        None,
-        options.channels,
-        options.kernel,
-        options.model_error,
-    );
-    for (image, frame) in captured.iter().enumerate() {
-        if !(0..frame.mean.len()).any(|p| objective.is_compared(image, p)) {
-            return Err(FitError::NothingToCompare { image });
-        }
-    }
-    stage("optimising");
-    let mut residual_weights = objective.weights(None);
-    let mut mixture = Vec::new();
-    for quadratic in objective.single_bounce(&residual_weights) {
-        mixture.push(quadratic.minimise()?.x);
-    }
-    let start = mixture.clone();
-    if let Some(fit) = earlier {
-        for (mixture, from) in mixture.iter_mut().zip(fit.weights_in(dictionary)) {
-            *mixture = DVector::from_vec(from);
-        }
-        let pass = objective.linearise(&mixture, &residual_weights);
-        residual_weights = objective.weights_after(&pass);
-    }
-    lap("start", &mut timings);
-
-    let mut recorder = Recorder {
-        clock,
-        trace: Vec::new(),
-    };
-    let (mut pass, mut termination);
-    let mut ridge = Ridge::first(&objective);
-    let mut round = 0;
-    loop {
-        (pass, termination) = match &options.optimizer {
-            Optimizer::GaussNewton(method) => method.minimise(
-                &objective,
-                &residual_weights,
-                &ridge,
-                &mut mixture,
-                &mut recorder,
-            )?,
-            Optimizer::ExponentiatedGradient(method) => method.minimise(
-                &objective,
-                &residual_weights,
-                &ridge,
-                &mut mixture,
-                &mut recorder,
-            ),
-            Optimizer::SingleBounce => {
-                for (w, quadratic) in mixture
-                    .iter_mut()
-                    .zip(objective.single_bounce(&residual_weights))
-                {
-                    *w = quadratic.minimise()?.x;
-                }
-                let pass = objective.linearise(&mixture, &residual_weights);
-                recorder.step(&Step::of(&pass.quadratics, "single-bounce"));
-                (pass, Termination::Converged)
-            }
-        };
-        round += 1;
-        if round >= options.rounds {
-            break;
-        }
-        residual_weights = objective.weights_after(&pass);
-        tracing::debug!(unexplained = ?pass.unexplained, "round");
-        ridge = Ridge::after(&pass);
-    }
-    lap("optimise", &mut timings);
+) -> Result<(Fit, Solution), FitError> {
+    let paths = Paths::trace(scene, dictionary, earlier, options, stage)?;
+    let objective = paths.objective(captured, options);
+    let Solved {
+        mut solution,
+        mixture,
+        pass,
+        residual_weights,
+        termination,
+    } = solve(&paths, &objective, earlier, options, stage)?;
+    let (cache, timings) = (&paths.cache, &mut solution.timings);
     stage("uncertainty");
-    let model = Model {
-        objective: &objective,
-        cache: &cache,
-        direct: &direct,
-        kernel: options.kernel,
-    };
-    let coupling = bench.map(|b| b.coupling(&model, &residual_weights, &mixture));
-    let noise = match options.draws {
-        0 => Vec::new(),
-        _ => objective.score_noise(&mixture, &residual_weights, &pass.model),
-    };
-    let mut draws = uncertainty::draw(
-        &mixture,
-        &pass,
-        coupling.as_ref(),
-        &noise,
-        options.draws,
-        options.cache.seed,
-    )?;
-    for (draws, misfit) in draws.iter_mut().zip(objective.misfit(&pass.model)) {
-        draws.misfit = misfit;
-    }
-    lap("uncertainty", &mut timings);
+    let draws = timings.time("uncertainty", || -> Result<_, SimplexError> {
+        let model = Model {
+            objective: &objective,
+            cache,
+            direct: &paths.direct,
+            kernel: options.kernel,
+        };
+        let coupling = bench.map(|b| b.coupling(&model, &residual_weights, &mixture));
+        let noise = match options.draws {
+            0 => Vec::new(),
+            _ => objective.score_noise(&mixture, &residual_weights, &pass.model),
+        };
+        let (count, seed) = (options.draws, options.cache.seed);
+        let mut draws = uncertainty::draw(&mixture, &pass, coupling.as_ref(), &noise, count, seed)?;
+        for (draws, misfit) in draws.iter_mut().zip(objective.misfit(&pass.model)) {
+            draws.misfit = misfit;
+        }
+        Ok(draws)
+    })?;
     stage("diagnosis");
-    let diagnosis = diagnosis::examine(scene, dictionary, &objective, &cache, &mixture, &pass);
+    let diagnosis = timings.time("diagnosis", || {
+        diagnosis::examine(scene, dictionary, &objective, cache, &mixture, &pass)
+    });
     let doubted = (0..captured.len())
         .map(|light| objective.doubted(&pass.model, light))
         .collect();
-    lap("diagnosis", &mut timings);
-
-    let per_channel = |sets: &[DVector<f64>]| -> [Vec<f64>; 3] {
-        std::array::from_fn(|c| sets[c.min(sets.len() - 1)].iter().copied().collect())
-    };
-    let (rendered, residual, reduced_chi2) = images(&objective, &pass, captured, &cache);
-    Ok(Fit {
+    let (rendered, residual, reduced_chi2) = images(&objective, &pass, captured, cache);
+    let fit = Fit {
         dictionary: dictionary.clone(),
-        direct: direct.clone(),
-        weights: per_channel(&mixture),
-        start: per_channel(&start),
+        weights: solution.weights.clone(),
+        start: solution.start.clone(),
         draws,
         rendered,
         residual,
         reduced_chi2,
         diagnosis,
         doubted,
-        trace: recorder.trace,
+        trace: solution.trace.clone(),
         termination,
-        timings,
+        timings: solution.timings.0.clone(),
         samples: [2 * cache.samples_per_half, cache.samples_requested],
         cache_size: cache.size(),
         kernel: options.kernel,
-    })
-}
-
-impl Fit {
-    /// The weights in a dictionary that holds the active atoms.
-    fn weights_in(&self, dictionary: &Dictionary) -> [Vec<f64>; 3] {
-        self.weights.each_ref().map(|weights| {
-            let mut embedded = vec![0.0; dictionary.len()];
-            for (atom, weight) in self.dictionary.atoms().iter().zip(weights) {
-                if let Some(place) = dictionary.atoms().iter().position(|a| a == atom) {
-                    embedded[place] += weight;
-                }
-            }
-            let sum: f64 = embedded.iter().sum();
-            embedded.iter_mut().for_each(|w| *w /= sum);
-            embedded
-        })
-    }
+    };
+    Ok((fit, solution))
 }
 
 pub(super) fn check(scene: &Scene, captured: &[RadianceImage]) -> Result<(), FitError> {
@@ -395,18 +281,6 @@ pub(super) fn check(scene: &Scene, captured: &[RadianceImage]) -> Result<(), Fit
         }
     }
     Ok(())
-}
-
-struct Recorder {
-    clock: Instant,
-    trace: Vec<(f64, Step)>,
-}
-
-impl Observer for Recorder {
-    fn step(&mut self, step: &Step) {
-        self.trace
-            .push((self.clock.elapsed().as_secs_f64(), step.clone()));
-    }
 }
 
 /// Re-rendered images, residuals in standard deviations, and their mean squares.

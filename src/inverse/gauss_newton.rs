@@ -119,6 +119,7 @@ fn merge(before: Linearised, mut after: Linearised, keep_after: &[bool]) -> Line
         after.information[set] = before.information[set].clone();
         after.noise[set] = before.noise[set].clone();
         after.unexplained[set] = before.unexplained[set];
+        after.power[set] = before.power[set];
         after.block_scores[set] = before.block_scores[set].clone();
         for (new, old) in after.model.iter_mut().zip(&before.model) {
             new.iter_mut().zip(old).for_each(|(n, o)| n[set] = o[set]);

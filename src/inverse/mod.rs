@@ -14,6 +14,7 @@ pub mod projection;
 pub mod refine;
 pub mod ridge;
 pub mod simplex;
+mod solve;
 pub mod sparse;
 pub mod trace;
 pub mod uncertainty;

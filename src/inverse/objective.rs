@@ -149,6 +149,11 @@ impl<'a> Objective<'a> {
         self.compared[light][pixel]
     }
 
+    /// Whether any pixel is compared under a light.
+    pub fn compares_any(&self, light: usize) -> bool {
+        self.compared[light].contains(&true)
+    }
+
     /// The linear part of the model.
     pub fn direct(&self) -> &DirectMatrix {
         self.direct

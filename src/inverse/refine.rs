@@ -9,6 +9,7 @@ use std::sync::Arc;
 
 use super::bench::system::BenchLinearisation;
 use super::fit::{Fit, FitError, FitOptions, fit_from};
+use super::solve::Solution;
 use crate::brdf::dictionary::{Atom, Dictionary};
 use crate::brdf::{Mixture, ggx};
 use crate::radiance_image::RadianceImage;
@@ -57,11 +58,11 @@ const ACTIVE: f64 = 1e-4;
 /// New atoms stay where ½χ² falls by more than this many of its own deviations.
 const SIGNIFICANT: f64 = 2.0;
 
-/// Improves `first`, a fit of `dictionary`.
+/// A fit that goes on from `first`, a solution for the atoms to begin with.
 pub(super) fn refine(
     scene: &Scene,
     captured: &[RadianceImage],
-    first: Fit,
+    first: Solution,
     options: &FitOptions,
     bench: Option<&BenchLinearisation>,
     stage: &mut dyn FnMut(&str),
@@ -71,55 +72,26 @@ pub(super) fn refine(
     if let Ok(mixture) = Mixture::new(base.clone(), first.weights.clone()) {
         options.cache.proposal = Proposal::resembling(&mixture, DEFENSIVE);
     }
-    let mut again = |dictionary: &Arc<Dictionary>,
-                     before: &Fit,
-                     options: &FitOptions|
-     -> Result<Fit, FitError> {
-        let fit = fit_from(
-            scene,
-            captured,
-            dictionary,
-            Some(before),
-            options,
-            bench,
-            stage,
-        )?;
-        Ok(after(before, fit))
+    let mut again = |dictionary: &Arc<Dictionary>, before: &Solution| {
+        let earlier = Some(before);
+        fit_from(scene, captured, dictionary, earlier, &options, bench, stage)
     };
     // Old and new atoms must be compared on the same paths.
-    let mut best = again(&base, &first, &options)?;
+    let (mut best, mut solution) = again(&base, &first)?;
     let mut ratio = FIRST_RATIO;
     for _ in 0..options.refine.rounds {
         let Some(larger) = enlarge(&base, &best, ratio) else {
             break;
         };
-        let next = again(&Arc::new(larger), &best, &options)?;
+        let (next, solved) = again(&Arc::new(larger), &solution)?;
         let (gain, deviation) = gain(&best, &next);
         tracing::debug!(gain, deviation, "refined");
         if gain > SIGNIFICANT * deviation {
-            best = next;
+            (best, solution) = (next, solved);
         }
         ratio = ratio.map(f64::sqrt);
     }
     Ok(best)
-}
-
-/// `fit` with the history of the one before.
-fn after(before: &Fit, mut fit: Fit) -> Fit {
-    let elapsed: f64 = before.timings.iter().map(|t| t.1).sum();
-    let later = fit.trace.drain(..).map(|(s, step)| (s + elapsed, step));
-    let trace = before.trace.iter().cloned().chain(later).collect();
-    for (name, seconds) in &before.timings {
-        match fit.timings.iter_mut().find(|t| t.0 == *name) {
-            Some(t) => t.1 += seconds,
-            None => fit.timings.push((name, *seconds)),
-        }
-    }
-    Fit {
-        trace,
-        start: before.start.clone(),
-        ..fit
-    }
 }
 
 /// `base`, the active atoms of `fit`, and neighbours of those at `ratio`, the parents that

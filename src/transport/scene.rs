@@ -50,6 +50,7 @@ pub struct Scene {
 }
 
 /// What a hit needs to know of a triangle.
+#[derive(Clone)]
 struct Facet {
     corners: [Vec3; 3],
     normal: Vec3,
@@ -163,6 +164,31 @@ impl Scene {
             sample: Arc::new(sample),
             camera,
             lights,
+        }
+    }
+
+    /// The scene with its sample in another shape: the same triangles, their corners and
+    /// normals a little elsewhere.
+    pub fn deformed(&self, sample: Mesh) -> Self {
+        let mut corner_normals = self.corner_normals.to_vec();
+        let facets = self.facets.iter().enumerate().map(|(triangle, facet)| {
+            let mut facet = facet.clone();
+            if facet.body == 0 {
+                facet.corners = sample.corners(triangle);
+                facet.normal = sample.face_normal(triangle);
+                if let (Some(index), Some(normals)) = (facet.smooth, &sample.normals) {
+                    let corners = sample.triangles[triangle];
+                    corner_normals[index as usize] = corners.map(|v| normals[v as usize]);
+                }
+            }
+            facet
+        });
+        Self {
+            facets: facets.collect(),
+            bvh: Arc::new(self.bvh.refitted(&sample)),
+            corner_normals: corner_normals.into(),
+            sample: Arc::new(sample),
+            ..self.clone()
         }
     }
 

@@ -1,5 +1,6 @@
 //! From the binary tree to the wide one.
 
+use glam::Vec3;
 use obvhs::bvh2::Bvh2;
 
 use super::{Bvh, EMPTY, LEAF, LEAF_BIT, Leaf, Node, WIDTH};
@@ -123,10 +124,8 @@ impl<'a> Collapse<'a> {
             };
             let aabb = self.tree.nodes[member].aabb();
             let wide = &mut bvh.nodes[index];
-            for axis in 0..3 {
-                wide.bounds[axis][slot] = aabb.min[axis] - self.grow;
-                wide.bounds[axis + 3][slot] = aabb.max[axis] + self.grow;
-            }
+            let [low, high] = [aabb.min, aabb.max].map(Vec3::from);
+            wide.set_bounds(slot, low - self.grow, high + self.grow);
             wide.child[slot] = child;
         }
         index as u32
@@ -149,11 +148,7 @@ impl<'a> Collapse<'a> {
             let below = &self.tree.primitive_indices[first..first + node.prim_count as usize];
             for &triangle in below {
                 leaf.triangle[lane] = triangle;
-                for (corner, p) in self.mesh.corners(triangle as usize).iter().enumerate() {
-                    for axis in 0..3 {
-                        leaf.corner[corner][axis][lane] = p[axis];
-                    }
-                }
+                leaf.place(lane, self.mesh.corners(triangle as usize));
                 lane += 1;
             }
         }

@@ -128,3 +128,38 @@ fn closest_agrees_with_brute_force() {
     }
     assert!(hits > 100, "only {hits} rays hit");
 }
+
+/// A tree that follows its mesh finds what a new one finds.
+#[test]
+fn a_refitted_tree_finds_what_a_new_one_does() {
+    let mesh = sphere();
+    let mut moved = mesh.clone();
+    for p in &mut moved.positions_mm {
+        *p = Vec3::new(1.02 * p.x + 0.1 * p.z, p.y - 0.03, 0.97 * p.z);
+    }
+    let (new, refitted) = (Bvh::new(&moved), Bvh::new(&mesh).refitted(&moved));
+    let mut numbers = stream(13, Purpose::Experiment, 0, 0, 0);
+    let mut hits = 0;
+    for _ in 0..20_000 {
+        let ray = Ray {
+            origin_mm: 0.5 * direction(&mut numbers),
+            direction: direction(&mut numbers),
+            limit_mm: 0.9,
+        };
+        assert_eq!(refitted.closest(&ray), new.closest(&ray), "{ray:?}");
+        assert_eq!(refitted.any(&ray), new.any(&ray), "{ray:?}");
+        hits += usize::from(new.any(&ray));
+    }
+    assert!((5_000..15_000).contains(&hits), "{hits} hits");
+}
+
+/// Boxes of an unmoved mesh come out as they were built.
+#[test]
+fn refitting_without_a_change_changes_nothing() {
+    let mesh = sphere();
+    let built = Bvh::new(&mesh);
+    let refitted = built.refitted(&mesh);
+    for (a, b) in built.nodes.iter().zip(&refitted.nodes) {
+        assert_eq!((a.bounds, a.child), (b.bounds, b.child));
+    }
+}

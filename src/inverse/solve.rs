@@ -1,0 +1,256 @@
+//! From images to weights: trace the paths, start, optimise in rounds.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use nalgebra::DVector;
+
+use super::fit::{FitError, FitOptions, Optimizer};
+use super::objective::{Linearised, Objective, ResidualWeights};
+use super::ridge::Ridge;
+use super::trace::{Observer, Step, Termination};
+use crate::brdf::dictionary::Dictionary;
+use crate::radiance_image::RadianceImage;
+use crate::transport::{Cache, DirectMatrix, Scene};
+
+/// Weights, what they were found with, and how; a later solution of the same images can
+/// go on from it.
+#[derive(Clone)]
+pub(super) struct Solution {
+    pub dictionary: Arc<Dictionary>,
+    /// Light that the sample reflects once, per atom of the dictionary.
+    pub direct: Arc<DirectMatrix>,
+    /// Weights per channel × atoms; equal vectors if shared.
+    pub weights: [Vec<f64>; 3],
+    /// The first single-bounce start, per channel.
+    pub start: [Vec<f64>; 3],
+    /// Loss at every evaluated point, with the seconds since the start.
+    pub trace: Vec<(f64, Step)>,
+    /// Seconds by stage.
+    pub timings: Timings,
+}
+
+/// A solution with what says how sure it is.
+pub(super) struct Solved {
+    pub solution: Solution,
+    /// The weights per set.
+    pub mixture: Vec<DVector<f64>>,
+    /// The pass at them.
+    pub pass: Linearised,
+    pub residual_weights: ResidualWeights,
+    /// Why the last round ended.
+    pub termination: Termination,
+}
+
+/// Seconds by stage, in the order in which the stages first ended.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Timings(pub Vec<(&'static str, f64)>);
+
+impl Timings {
+    /// Runs a stage and adds its time.
+    pub fn time<T>(&mut self, name: &'static str, stage: impl FnOnce() -> T) -> T {
+        let clock = Instant::now();
+        let result = stage();
+        let seconds = clock.elapsed().as_secs_f64();
+        match self.0.iter_mut().find(|(known, _)| *known == name) {
+            Some((_, total)) => *total += seconds,
+            None => self.0.push((name, seconds)),
+        }
+        result
+    }
+
+    fn total(&self) -> f64 {
+        self.0.iter().map(|(_, seconds)| seconds).sum()
+    }
+}
+
+/// What light does in the scene: the linear part and the paths.
+pub(super) struct Paths {
+    pub dictionary: Arc<Dictionary>,
+    pub direct: Arc<DirectMatrix>,
+    pub cache: Cache,
+    timings: Timings,
+}
+
+impl Paths {
+    /// Traces the scene; direct reflection is taken from an earlier solution with the same
+    /// dictionary.
+    pub fn trace(
+        scene: &Scene,
+        dictionary: &Arc<Dictionary>,
+        earlier: Option<&Solution>,
+        options: &FitOptions,
+        stage: &mut dyn FnMut(&str),
+    ) -> Result<Self, FitError> {
+        let mut timings = earlier.map_or_else(Timings::default, |e| e.timings.clone());
+        stage("direct reflection");
+        let direct = timings.time("direct", || match earlier {
+            Some(earlier) if Arc::ptr_eq(&earlier.dictionary, dictionary) => earlier.direct.clone(),
+            _ => {
+                let (strata, seed) = (options.direct_strata, options.cache.seed);
+                Arc::new(DirectMatrix::new(scene, dictionary, strata, seed))
+            }
+        });
+        stage("tracing paths");
+        let cache = timings.time("trace", || Cache::trace(scene, dictionary, &options.cache))?;
+        Ok(Self {
+            dictionary: dictionary.clone(),
+            direct,
+            cache,
+            timings,
+        })
+    }
+
+    /// Compares the images with the light that these paths carry.
+    pub fn objective(&self, captured: &[RadianceImage], options: &FitOptions) -> Objective<'_> {
+        Objective::new(
+            &self.cache,
+            &self.direct,
+            captured,
+            None,
+            options.channels,
+            options.kernel,
+            options.model_error,
+        )
+    }
+}
+
+/// Finds the weights, from those of an earlier solution or from the single-bounce start.
+pub(super) fn solve(
+    paths: &Paths,
+    objective: &Objective<'_>,
+    earlier: Option<&Solution>,
+    options: &FitOptions,
+    stage: &mut dyn FnMut(&str),
+) -> Result<Solved, FitError> {
+    for image in 0..objective.lights() {
+        if !objective.compares_any(image) {
+            return Err(FitError::NothingToCompare { image });
+        }
+    }
+    stage("optimising");
+    let mut timings = paths.timings.clone();
+    let mut recorder = Recorder {
+        clock: Instant::now(),
+        before_s: timings.total(),
+        trace: earlier.map_or_else(Vec::new, |e| e.trace.clone()),
+    };
+    let (mut mixture, start, mut residual_weights) =
+        timings.time("start", || begin(paths, objective, earlier))?;
+    let mut ridge = Ridge::first(objective);
+    let mut round = 0;
+    let (pass, termination) = timings.time("optimise", || {
+        loop {
+            let ended = match &options.optimizer {
+                Optimizer::GaussNewton(method) => method.minimise(
+                    objective,
+                    &residual_weights,
+                    &ridge,
+                    &mut mixture,
+                    &mut recorder,
+                )?,
+                Optimizer::ExponentiatedGradient(method) => method.minimise(
+                    objective,
+                    &residual_weights,
+                    &ridge,
+                    &mut mixture,
+                    &mut recorder,
+                ),
+                Optimizer::SingleBounce => {
+                    let quadratics = objective.single_bounce(&residual_weights);
+                    for (w, quadratic) in mixture.iter_mut().zip(quadratics) {
+                        *w = quadratic.minimise()?.x;
+                    }
+                    let pass = objective.linearise(&mixture, &residual_weights);
+                    recorder.step(&Step::of(&pass.quadratics, "single-bounce"));
+                    (pass, Termination::Converged)
+                }
+            };
+            round += 1;
+            if round >= options.rounds {
+                return Ok::<_, FitError>(ended);
+            }
+            let (pass, _) = ended;
+            residual_weights = objective.weights_after(&pass);
+            tracing::debug!(unexplained = ?pass.unexplained, "round");
+            ridge = Ridge::after(&pass);
+        }
+    })?;
+    let solution = Solution {
+        dictionary: paths.dictionary.clone(),
+        direct: paths.direct.clone(),
+        weights: per_channel(&mixture),
+        start,
+        trace: recorder.trace,
+        timings,
+    };
+    Ok(Solved {
+        solution,
+        mixture,
+        pass,
+        residual_weights,
+        termination,
+    })
+}
+
+/// First weights, the single-bounce start that they or their predecessors came from, and
+/// what each residual weighs.
+#[expect(clippy::type_complexity, reason = "three parts of one start")]
+fn begin(
+    paths: &Paths,
+    objective: &Objective<'_>,
+    earlier: Option<&Solution>,
+) -> Result<(Vec<DVector<f64>>, [Vec<f64>; 3], ResidualWeights), FitError> {
+    let residual_weights = objective.weights(None);
+    let Some(earlier) = earlier else {
+        let quadratics = objective.single_bounce(&residual_weights);
+        let mixture = quadratics.iter().map(|q| Ok(q.minimise()?.x));
+        let mixture = mixture.collect::<Result<Vec<_>, FitError>>()?;
+        let start = per_channel(&mixture);
+        return Ok((mixture, start, residual_weights));
+    };
+    let embedded = earlier.weights_in(&paths.dictionary).map(DVector::from_vec);
+    let mixture: Vec<_> = embedded.into_iter().take(objective.sets()).collect();
+    let pass = objective.linearise(&mixture, &residual_weights);
+    Ok((
+        mixture,
+        earlier.start.clone(),
+        objective.weights_after(&pass),
+    ))
+}
+
+impl Solution {
+    /// The weights in a dictionary that holds the active atoms.
+    fn weights_in(&self, dictionary: &Dictionary) -> [Vec<f64>; 3] {
+        self.weights.each_ref().map(|weights| {
+            let mut embedded = vec![0.0; dictionary.len()];
+            for (atom, weight) in self.dictionary.atoms().iter().zip(weights) {
+                if let Some(place) = dictionary.atoms().iter().position(|a| a == atom) {
+                    embedded[place] += weight;
+                }
+            }
+            let sum: f64 = embedded.iter().sum();
+            embedded.iter_mut().for_each(|w| *w /= sum);
+            embedded
+        })
+    }
+}
+
+/// Weights of the sets as those of R, G and B.
+fn per_channel(sets: &[DVector<f64>]) -> [Vec<f64>; 3] {
+    std::array::from_fn(|c| sets[c.min(sets.len() - 1)].iter().copied().collect())
+}
+
+struct Recorder {
+    clock: Instant,
+    /// Seconds that went by before.
+    before_s: f64,
+    trace: Vec<(f64, Step)>,
+}
+
+impl Observer for Recorder {
+    fn step(&mut self, step: &Step) {
+        let elapsed_s = self.before_s + self.clock.elapsed().as_secs_f64();
+        self.trace.push((elapsed_s, step.clone()));
+    }
+}
