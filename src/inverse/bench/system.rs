@@ -102,16 +102,9 @@ impl Normal {
                         let [target, _] = objective.captured(light, pixel);
                         let value = [0, 1].map(|h| first + f64::from(rows.value[h][r]));
                         let residual = value.map(|v| target[c] - v);
-                        let by_weight = [0, 1].map(|h| {
-                            let jacobian = &rows.jacobian[h][r * n..(r + 1) * n];
-                            DVector::from_iterator(
-                                n,
-                                direct
-                                    .iter()
-                                    .zip(jacobian)
-                                    .map(|(&d, &j)| f64::from(d) + f64::from(j)),
-                            )
-                        });
+                        let mut by_weight = [DVector::zeros(n), DVector::zeros(n)];
+                        let halves = by_weight.each_mut().map(|half| half.as_mut_slice());
+                        objective.derivatives(rows, light, set, halves);
                         let by_bench = [0, 1].map(|h| {
                             let mut row = DVector::zeros(parameters.len());
                             for (k, l, value) in derivatives.at(pixel) {

@@ -35,25 +35,20 @@ impl Objective<'_> {
             || vec![none(); sets],
             |sums, rows| {
                 let pixel = rows.pixel;
+                let mut derivatives = [vec![0.0; n], vec![0.0; n]];
                 for light in 0..lights {
-                    let direct = self.direct.row(pixel, light);
                     for c in 0..3 {
                         let set = self.set_of(c);
                         let w = residual_weights[light][pixel][c];
                         if w <= 0.0 {
                             continue;
                         }
-                        let r = light * sets + set;
-                        let [a, b] = [0, 1].map(|h| {
-                            let jacobian = &rows.jacobian[h][r * n..(r + 1) * n];
-                            let sum = direct.iter().zip(jacobian);
-                            sum.map(|(&d, &j)| f64::from(d) + f64::from(j))
-                                .collect::<Vec<f64>>()
-                        });
+                        let [a, b] = &mut derivatives;
+                        self.derivatives(rows, light, set, [a, b]);
                         let captured = w * w * self.variance[light][pixel][c];
                         let rendered = w * w * model[light][pixel][c][1];
-                        add_product(&mut sums[set].captured, &a, &b, captured);
-                        add_product(&mut sums[set].rendered, &a, &b, rendered);
+                        add_product(&mut sums[set].captured, a, b, captured);
+                        add_product(&mut sums[set].rendered, a, b, rendered);
                     }
                 }
             },

@@ -6,6 +6,7 @@ use nalgebra::{DMatrix, DVector};
 
 use super::{Objective, ResidualWeights, add_outer};
 use crate::inverse::simplex::Quadratic;
+use crate::transport::PixelRows;
 
 /// One pass at given mixture weights.
 pub struct Linearised {
@@ -115,7 +116,8 @@ impl Objective<'_> {
             |part, rows| {
                 let pixel = rows.pixel;
                 let mut model = vec![[[0.0; 2]; 3]; lights];
-                let mut rows_full = [vec![0.0; n], vec![0.0; n], vec![0.0; n]];
+                let mut derivatives = [vec![0.0; n], vec![0.0; n]];
+                let mut row_mean = vec![0.0; n];
                 for light in 0..lights {
                     let direct = self.direct.row(pixel, light);
                     for c in 0..3 {
@@ -133,17 +135,15 @@ impl Objective<'_> {
                         if w <= 0.0 {
                             continue;
                         }
-                        let [row_a, row_b, row_mean] = &mut rows_full;
-                        for k in 0..n {
-                            let d = f64::from(direct[k]);
-                            row_a[k] = d + f64::from(rows.jacobian[0][r * n + k]);
-                            row_b[k] = d + f64::from(rows.jacobian[1][r * n + k]);
-                            row_mean[k] = 0.5 * (row_a[k] + row_b[k]);
+                        let [row_a, row_b] = &mut derivatives;
+                        self.derivatives(rows, light, set, [row_a, row_b]);
+                        for (mean, (a, b)) in row_mean.iter_mut().zip(row_a.iter().zip(&*row_b)) {
+                            *mean = 0.5 * (a + b);
                         }
                         let target = self.target[light][pixel][c];
                         let residual = halves.map(|m| m - target);
                         let q = &mut part.quadratics[set];
-                        add_outer(&mut q.h, row_mean, w);
+                        add_outer(&mut q.h, &row_mean, w);
                         add_product(&mut part.information[set], row_a, row_b, w);
                         let block = self.block(pixel, light);
                         let score = part.scores[set]
@@ -171,6 +171,24 @@ impl Objective<'_> {
             },
         );
         self.gather(parts)
+    }
+
+    /// Derivatives of one value by the weights of its set, with the paths of each half.
+    pub(in crate::inverse) fn derivatives(
+        &self,
+        rows: &PixelRows<'_>,
+        light: usize,
+        set: usize,
+        halves: [&mut [f64]; 2],
+    ) {
+        let (n, row) = (self.atoms(), light * self.sets() + set);
+        let direct = self.direct.row(rows.pixel, light);
+        for (half, jacobian) in halves.into_iter().zip(rows.jacobian) {
+            let indirect = &jacobian[row * n..(row + 1) * n];
+            for (sum, (&d, &i)) in half.iter_mut().zip(direct.iter().zip(indirect)) {
+                *sum = f64::from(d) + f64::from(i);
+            }
+        }
     }
 
     fn gather(&self, parts: Vec<Part>) -> Linearised {
