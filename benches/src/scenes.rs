@@ -3,7 +3,7 @@
 use glam::{DVec2, DVec3};
 use rig::geometry::shapes::Form;
 use rig::geometry::{Mesh, MeshError, Shape};
-use rig::transport::{Camera, Light, Projection, Scene, Shading};
+use rig::transport::{Camera, Lens, Light, Projection, Scene, Shading};
 
 /// A hemisphere of radius 1 mm and 19 800 triangles.
 pub fn bowl() -> Result<Mesh, MeshError> {
@@ -48,6 +48,7 @@ pub fn scene(mesh: Mesh, resolution_px: usize, lamps_deg: &[f64]) -> Scene {
         projection: Projection::Orthographic {
             extent_mm: DVec2::splat(extent_mm),
         },
+        lens: Lens::IDEAL,
         sample_from_camera: rig::frames::Rigid::new(
             glam::DQuat::from_rotation_x(std::f64::consts::PI),
             DVec3::new(middle.x, middle.y, high.z + 5.0),

@@ -16,8 +16,8 @@ use crate::inverse::{FitOptions, fit};
 use crate::out;
 use crate::random::{Purpose, stream};
 use crate::transport::{
-    Cache, CacheOptions, Camera, DirectMatrix, Kernel, Light, Projection, Proposal, RenderOptions,
-    Scene, Shading, render,
+    Cache, CacheOptions, Camera, DirectMatrix, Kernel, Lens, Light, Projection, Proposal,
+    RenderOptions, Scene, Shading, render,
 };
 
 /// Measures ray queries, tracing, evaluating and a whole fit.
@@ -369,6 +369,7 @@ fn scene(mesh: Mesh, lights_deg: &[[f64; 2]]) -> Scene {
         projection: Projection::Orthographic {
             extent_mm: DVec2::splat(2.2),
         },
+        lens: Lens::IDEAL,
         sample_from_camera: crate::frames::Rigid::new(
             glam::DQuat::from_rotation_x(std::f64::consts::PI),
             DVec3::new(0.0, 0.0, 5.0),

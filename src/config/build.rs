@@ -143,10 +143,15 @@ impl RigConfig {
             return Ok(None);
         };
         let geometry = self.geometry.clone();
+        let camera = match simulation.lens {
+            // It was found to be possible when the file was read.
+            Some(lens) => geometry.camera.with_lens(lens).unwrap_or(geometry.camera),
+            None => geometry.camera,
+        };
         Ok(Some(Arc::new(TruthSource::new(Truth {
             mesh: geometry.sample.surface.mesh(Some(simulation.segments))?,
             shading: geometry.sample.shading,
-            camera: geometry.camera,
+            camera,
             mosaic: self.camera.mosaic,
             light: Box::new(move |angles| geometry.light(angles)),
             brdf: simulation.material.load()?,

@@ -9,6 +9,7 @@ use super::process::{CalibrationConfig, CaptureConfig, FitConfig};
 use super::reader::Section;
 use super::simulation::SimulationConfig;
 use super::stage::StageConfig;
+use super::view::with_lens;
 use crate::inverse::BenchPriors;
 
 /// A rig file, parsed and valid.
@@ -86,6 +87,9 @@ impl RigConfig {
             &camera,
             &stage.kinematics(),
         )?;
+        if let Some(lens) = simulation.as_ref().and_then(|simulation| simulation.lens) {
+            with_lens(geometry.camera, lens, root, "simulation.lens.radial")?;
+        }
         let capture = root.section_or_empty("capture")?;
         let config = Self {
             name,
@@ -157,6 +161,7 @@ mod tests {
         let perspective = simulated()
             .replace("model = \"orthographic\"", "model = \"perspective\"")
             .replace("extent_mm = [22.0, 22.0]", "fov_deg = 12.0");
+        let perspective = format!("{perspective}\n[simulation.lens]\n");
         let mut texts: Vec<_> = BUILT_IN
             .iter()
             .map(|(_, text)| (*text).to_owned())
@@ -237,6 +242,21 @@ mod tests {
                 "name = \"simulated\"",
                 "name = \"../x\"",
                 "`rig.name` is \"../x\"",
+            ),
+            (
+                "object_na = 0.0",
+                "radial = [-0.5, 0, 0]",
+                "`geometry.camera.radial` is [-0.5, 0.0, 0.0], but must be another distortion",
+            ),
+            (
+                "object_na = 0.0",
+                "principal_point_px = [65.0, 2.0]",
+                "`geometry.camera.principal_point_px` is [65, 2], but must be within the image",
+            ),
+            (
+                "[simulation.sensor]",
+                "[simulation.lens]\nradial = [-1.0, 0.0, 0.0]\n[simulation.sensor]",
+                "`simulation.lens.radial` is [-1.0, 0.0, 0.0], but must be another distortion",
             ),
             (
                 "bit_depth = 12",

@@ -11,9 +11,11 @@ use super::reader::Section;
 use super::reflectance::BrdfSpec;
 #[cfg(feature = "serial")]
 use super::stage::StageDriver;
+use super::view::take_lens;
 use super::{CameraConfig, ConfigError};
 #[cfg(feature = "serial")]
 use crate::device::simulated::SimulatedConfig;
+use crate::transport::LensSpec;
 
 /// What is true on a simulated bench.
 #[derive(Clone, Debug, PartialEq)]
@@ -26,6 +28,8 @@ pub struct SimulationConfig {
     pub pose_error_mm: f64,
     /// Standard deviation of its true orientation, degrees.
     pub pose_error_deg: f64,
+    /// The true lens; `None`: as [geometry.camera] says.
+    pub lens: Option<LensSpec>,
     /// Facets around the true sample's rim: finer than the fit's, so that the
     /// fit doesn't share its mesh.
     pub segments: u32,
@@ -93,8 +97,17 @@ impl SimulationConfig {
         };
         let seed = table.integer("seed", 0..=i64::MAX as u64)?.or(1);
         let sensor = read_sensor(table.section_or_empty("sensor")?, camera, seed)?;
+        let lens = match table.section("lens")?.optional() {
+            Some(mut lens) => {
+                let spec = take_lens(&mut lens, camera.resolution_px)?;
+                lens.finish()?;
+                Some(spec)
+            }
+            None => None,
+        };
         let simulation = Self {
             material,
+            lens,
             seed,
             sensor,
             camera: read_camera(table.section_or_empty("camera")?, camera, seed)?,

@@ -9,7 +9,7 @@ use super::ConfigError;
 use super::reader::Section;
 use super::shape::read_shape;
 use crate::geometry::Shape;
-use crate::transport::{Camera, Projection, Shading};
+use crate::transport::{Camera, Coefficients, LensSpec, Projection, Shading};
 
 /// Takes the camera's place and lens out of a table that may have other keys;
 /// the pixel grid is the caller's. A lens with an aperture is sharp at the
@@ -33,6 +33,7 @@ pub fn take_camera(table: &mut Section, resolution_px: [u32; 2]) -> Result<Camer
     let look_at_mm = table.position("look_at_mm")?.or(DVec3::ZERO);
     let up = table.direction("up")?.or(DVec3::Y);
     let object_na = table.number("object_na", 0.0..=0.95)?.or(0.0);
+    let lens = take_lens(table, resolution_px)?;
     let resolution_px = resolution_px.map(|side| side as usize);
     let camera = Camera::looking_at(resolution_px, projection, position_mm, look_at_mm, up);
     let mut camera = camera.ok_or_else(|| {
@@ -40,7 +41,42 @@ pub fn take_camera(table: &mut Section, resolution_px: [u32; 2]) -> Result<Camer
         table.conflict("up", up, allowed)
     })?;
     camera.object_na = object_na;
-    Ok(camera)
+    with_lens(camera, lens, table, "radial")
+}
+
+/// Takes how the lens departs from an ideal one in front of the middle of an image of this
+/// many pixels.
+pub fn take_lens(table: &mut Section, resolution_px: [u32; 2]) -> Result<LensSpec, ConfigError> {
+    let [width, height] = resolution_px.map(f64::from);
+    let principal_offset = match table.numbers("principal_point_px", 0.0..=1e5)?.optional() {
+        Some([x, y]) if x <= width && y <= height => DVec2::new(x / width - 0.5, y / height - 0.5),
+        Some([x, y]) => {
+            let allowed = "within the image";
+            return Err(table.conflict("principal_point_px", format!("[{x}, {y}]"), allowed));
+        }
+        None => DVec2::ZERO,
+    };
+    Ok(LensSpec {
+        principal_offset,
+        aspect: table.number("pixel_aspect", 0.5..=2.0)?.or(1.0),
+        distortion: Coefficients {
+            radial: table.numbers("radial", -1e6..=1e6)?.or([0.0; 3]),
+            tangential: table.numbers("tangential", -1e3..=1e3)?.or([0.0; 2]),
+        },
+    })
+}
+
+/// The camera with this lens, stated under `key`.
+pub fn with_lens(
+    camera: Camera,
+    lens: LensSpec,
+    table: &Section,
+    key: &str,
+) -> Result<Camera, ConfigError> {
+    camera.with_lens(lens).map_err(|folded| {
+        let value = format!("{:?}", lens.distortion.radial);
+        table.conflict(key, value, &format!("another distortion: {folded}"))
+    })
 }
 
 /// A surface, from a file or by its parameters.

@@ -2,6 +2,8 @@
 
 use glam::{DVec2, DVec3};
 
+use super::distortion::Folded;
+use super::lens::{Lens, LensSpec};
 use crate::frames::{self, Rigid, Sample};
 use crate::geometry::Ray;
 
@@ -15,7 +17,8 @@ pub enum Projection {
     },
     /// Pinhole; the full horizontal angle of view.
     Perspective {
-        /// Full horizontal angle of view, radians, (0, π).
+        /// Full horizontal angle of view of the ideal lens in front of the image's middle,
+        /// radians, (0, π): states the focal length.
         fov_rad: f64,
     },
 }
@@ -27,6 +30,8 @@ pub struct Camera {
     pub resolution_px: [usize; 2],
     /// The lens.
     pub projection: Projection,
+    /// How it departs from an ideal one in front of the image's middle.
+    pub lens: Lens,
     /// Pose: the camera looks along its +z, x right, y down.
     pub sample_from_camera: Rigid<Sample, frames::Camera>,
     /// Distance at which the image is sharp, millimetres.
@@ -48,10 +53,34 @@ impl Camera {
         Some(Self {
             resolution_px,
             projection,
+            lens: Lens::IDEAL,
             sample_from_camera: frames::look_at(position_mm, look_at_mm, up)?,
             focus_mm: position_mm.distance(look_at_mm),
             object_na: 0.0,
         })
+    }
+
+    /// The camera with a lens that is not ideal.
+    ///
+    /// # Errors
+    /// [`Folded`] where two rays would meet in one point of the image.
+    pub fn with_lens(self, spec: LensSpec) -> Result<Self, Folded> {
+        let lens = Lens::new(spec, self.resolution_px, self.scale_px())?;
+        Ok(Self { lens, ..self })
+    }
+
+    /// Pixels across and down that a slope of one spans (perspective), or half the width of
+    /// the field (telecentric), for an ideal lens.
+    pub fn scale_px(&self) -> DVec2 {
+        let [width, height] = self.resolution_px.map(|n| n as f64);
+        match self.projection {
+            Projection::Orthographic { extent_mm } => {
+                DVec2::new(0.5 * width, 0.5 * extent_mm.x * height / extent_mm.y)
+            }
+            Projection::Perspective { fov_rad } => {
+                DVec2::splat(0.5 * width / (0.5 * fov_rad).tan())
+            }
+        }
     }
 
     /// Number of pixels.
@@ -63,8 +92,21 @@ impl Camera {
     /// sample's frame appears through the middle of the lens; `None` behind a
     /// perspective camera. May lie outside the image.
     pub fn position_px(&self, point_mm: DVec3) -> Option<DVec2> {
+        self.position_of_px(self.sample_from_camera.inverse().point(point_mm))
+    }
+
+    /// As [`Self::position_px`], of a point of the camera's own frame.
+    pub fn position_of_px(&self, p: DVec3) -> Option<DVec2> {
         let [width, height] = self.resolution_px.map(|n| n as f64);
-        let p = self.sample_from_camera.inverse().point(point_mm);
+        if !self.lens.is_ideal() {
+            let ideal = match self.projection {
+                Projection::Orthographic { extent_mm } => 2.0 * p.truncate() / extent_mm.x,
+                Projection::Perspective { .. } if p.z > 0.0 => p.truncate() / p.z,
+                Projection::Perspective { .. } => return None,
+            };
+            let scale_px = self.scale_px();
+            return Some(self.lens.position_px(ideal, self.resolution_px, scale_px));
+        }
         match self.projection {
             Projection::Orthographic { extent_mm } => Some(DVec2::new(
                 (p.x / extent_mm.x + 0.5) * width,
@@ -86,6 +128,16 @@ impl Camera {
     /// of the lens, in the camera's own frame: origin, millimetres, and unit direction.
     pub fn chief_ray(&self, position_px: DVec2) -> (DVec3, DVec3) {
         let [width, height] = self.resolution_px.map(|n| n as f64);
+        if !self.lens.is_ideal() {
+            let scale_px = self.scale_px();
+            let ideal = self.lens.ideal(position_px, self.resolution_px, scale_px);
+            return match self.projection {
+                Projection::Orthographic { extent_mm } => {
+                    ((0.5 * extent_mm.x * ideal).extend(0.0), DVec3::Z)
+                }
+                Projection::Perspective { .. } => (DVec3::ZERO, ideal.extend(1.0).normalize()),
+            };
+        }
         match self.projection {
             Projection::Orthographic { extent_mm } => {
                 let x = (position_px.x / width - 0.5) * extent_mm.x;
@@ -124,6 +176,9 @@ impl Camera {
 
 #[cfg(test)]
 mod tests {
+    use proptest::prelude::*;
+
+    use super::super::distortion::Coefficients;
     use super::*;
 
     fn camera(projection: Projection) -> Camera {
@@ -184,6 +239,83 @@ mod tests {
             let t = -ray.origin_mm.z / ray.direction.z;
             let at = ray.origin_mm + ray.direction * t;
             assert!((at.x - 0.5).abs() < 1e-5 && at.y.abs() < 1e-5, "{at}");
+        }
+    }
+
+    proptest! {
+        /// Pixel to ray to pixel, anywhere in the image, for any lens that is accepted.
+        #[test]
+        fn rays_and_positions_are_inverse(
+            telecentric in any::<bool>(),
+            x in 0.0..640.0,
+            y in 0.0..480.0,
+            depth_mm in 1.0..500.0,
+            offset in [-0.1..0.1, -0.1..0.1f64],
+            aspect in 0.9..1.1,
+            radial in [-0.3..0.3, -0.3..0.3, -0.3..0.3f64],
+            tangential in [-0.02..0.02, -0.02..0.02f64],
+        ) {
+            let projection = match telecentric {
+                true => Projection::Orthographic { extent_mm: DVec2::new(40.0, 31.0) },
+                false => Projection::Perspective { fov_rad: 0.9 },
+            };
+            let mut ideal = camera(projection);
+            ideal.resolution_px = [640, 480];
+            let lensed = ideal.with_lens(LensSpec {
+                principal_offset: DVec2::from_array(offset),
+                aspect,
+                distortion: Coefficients { radial, tangential },
+            });
+            if let Ok(camera) = lensed {
+                let at = DVec2::new(x, y);
+                let (origin, direction) = camera.chief_ray(at);
+                let back = camera.position_of_px(origin + direction * depth_mm).unwrap();
+                prop_assert!((back - at).length() < 1e-9, "{at} {back}");
+            }
+        }
+    }
+
+    /// Principal point, aspect and distortion where they are expected, against numbers
+    /// worked out by hand.
+    #[test]
+    fn a_lens_moves_points_as_it_says() {
+        let ideal = camera(Projection::Orthographic {
+            extent_mm: DVec2::new(2.0, 1.0),
+        });
+        let spec = LensSpec {
+            principal_offset: DVec2::new(0.25, -0.125),
+            aspect: 1.5,
+            distortion: Coefficients {
+                radial: [0.1, 0.0, 0.0],
+                ..Coefficients::default()
+            },
+        };
+        let camera = ideal.with_lens(spec).unwrap();
+        // Half the field's width is 1 mm or 32 pixels; the point is 0.5 units off each way.
+        let seen = camera.position_of_px(DVec3::new(0.5, 0.5, 3.0)).unwrap();
+        let expected = DVec2::new(48.0 + 16.0 * 1.05, 12.0 + 24.0 * 1.05);
+        assert!((seen - expected).length() < 1e-12, "{seen}");
+        let folded = LensSpec {
+            distortion: Coefficients {
+                radial: [-1.0, 0.0, 0.0],
+                ..Coefficients::default()
+            },
+            ..LensSpec::IDEAL
+        };
+        assert!(ideal.with_lens(folded).is_err());
+    }
+
+    /// An ideal lens gives the very same numbers as before there were others.
+    #[test]
+    fn an_ideal_lens_changes_nothing() {
+        for projection in [
+            Projection::Orthographic {
+                extent_mm: DVec2::new(2.0, 1.5),
+            },
+            Projection::Perspective { fov_rad: 0.7 },
+        ] {
+            let plain = camera(projection);
+            assert_eq!(plain.with_lens(LensSpec::IDEAL).unwrap(), plain);
         }
     }
 }

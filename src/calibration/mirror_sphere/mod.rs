@@ -2,7 +2,7 @@
 //! each highlight are found in the image, and a ray mirrored at the sphere points to the
 //! light. With two spheres two such rays meet at the lamp.
 
-mod gauss;
+pub(super) mod gauss;
 pub mod highlight;
 pub mod light;
 pub mod outline;
@@ -242,19 +242,10 @@ fn mm_per_px(camera: &Camera, point_mm: DVec3) -> f64 {
     }
 }
 
-/// Where a point of the camera's frame is in the image, pixels from the top left corner.
+/// Where a point of the camera's frame is in the image, pixels from the top left corner;
+/// not a number behind the camera.
 fn project(camera: &Camera, point_mm: DVec3) -> DVec2 {
-    let [width, height] = camera.resolution_px.map(|n| n as f64);
-    match camera.projection {
-        Projection::Orthographic { extent_mm } => DVec2::new(
-            (point_mm.x / extent_mm.x + 0.5) * width,
-            (point_mm.y / extent_mm.y + 0.5) * height,
-        ),
-        Projection::Perspective { .. } => {
-            let scale = mm_per_px(camera, point_mm);
-            DVec2::new(point_mm.x, point_mm.y) / scale + 0.5 * DVec2::new(width, height)
-        }
-    }
+    camera.position_of_px(point_mm).unwrap_or(DVec2::NAN)
 }
 
 /// The spheres in images of one scene under several lights: near the given circles, else

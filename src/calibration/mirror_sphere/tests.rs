@@ -9,6 +9,7 @@ use super::light::tangents;
 use super::outline::Stated;
 use super::*;
 use crate::random::{Purpose, Stream, stream};
+use crate::transport::{Coefficients, LensSpec};
 
 /// What is photographed.
 #[derive(Clone)]
@@ -275,6 +276,27 @@ fn a_near_lamp_is_not_far() {
     for ((known, parallel), lamp) in known.iter().zip(&parallel).zip(&near.lamps) {
         assert!(angle_deg(known, *lamp) < 0.1);
         assert!(angle_deg(parallel, *lamp) > 0.3);
+    }
+}
+
+/// A lens that bends the sphere's outline by pixels, stated as it is.
+#[test]
+fn a_distorting_lens_is_undone() {
+    let mut bent = bench(2);
+    let spec = LensSpec {
+        principal_offset: DVec2::new(0.05, -0.04),
+        aspect: 1.0,
+        distortion: Coefficients {
+            radial: [-0.03, 0.01, 0.0],
+            tangential: [0.003, 0.0],
+        },
+    };
+    bent.camera = bent.camera.with_lens(spec).unwrap();
+    bent.lamps.truncate(1);
+    let found = bent.lights(1, None).unwrap().0;
+    for (found, lamp) in found.iter().zip(&bent.lamps) {
+        let off = angle_deg(found, *lamp);
+        assert!(off < 0.15, "{off}");
     }
 }
 
