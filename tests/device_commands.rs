@@ -6,6 +6,7 @@ use std::io::{BufRead, BufReader};
 use std::os::unix::fs::PermissionsExt;
 use std::os::unix::process::CommandExt;
 use std::process::{Command, Output, Stdio};
+use std::time::{Duration, Instant};
 
 use mock_devices::bench::{Bench, BenchConfig};
 use mock_devices::clock::Clock;
@@ -32,7 +33,10 @@ fn firmware() -> (GrblSimulator, String) {
 
 /// A rig file for a stage on this port.
 fn rig_file(port: &str) -> (tempfile::TempDir, String) {
-    let built_in = include_str!("../rig-configs/grbl-arm-v4l2.toml");
+    rig_file_from(include_str!("../rig-configs/grbl-arm-v4l2.toml"), port)
+}
+
+fn rig_file_from(built_in: &str, port: &str) -> (tempfile::TempDir, String) {
     let with_port: String = built_in
         .lines()
         .map(|line| match line.strip_prefix("port = ") {
@@ -188,6 +192,78 @@ fn burn_until(signal: Signal, code: Option<i32>, simulator: &GrblSimulator, file
     };
     assert!(last.contains(expected), "{last}");
     assert_eq!(simulator.bench().lamp_drive(), [0.0; 3]);
+}
+
+/// Azimuth, elevation and DMX address of the lights of the rig file.
+fn lights() -> impl Iterator<Item = ([f64; 2], usize)> {
+    let arc = |azimuth: [f64; 6], elevation| azimuth.map(|azimuth| [azimuth, elevation]);
+    let low = arc([0.0, 60.0, 120.0, 180.0, -120.0, -60.0], 30.0);
+    let high = [[30.0, 60.0], [120.0, 60.0], [-150.0, 60.0], [-60.0, 60.0]];
+    let all: Vec<_> = low.into_iter().chain(high).collect();
+    all.into_iter()
+        .enumerate()
+        .map(|(light, at)| (at, 3 * light + 1))
+}
+
+/// Neither dome has a watchdog; the lights on DMX confirm nothing.
+#[test]
+fn a_killed_program_leaves_no_light_of_a_dome_lit() {
+    use mock_devices::dmx::{DmxConfig, DmxSimulator};
+    use mock_devices::dome::{DomeConfig, DomeSimulator};
+    let bench = || Bench::new(BenchConfig::default(), Clock::real_time());
+    let built_in = include_str!("../rig-configs/dmx-dome-v4l2.toml");
+    let lines = built_in
+        .lines()
+        .filter(|line| !line.starts_with("dmx_address"));
+    let of_line: String = lines.map(|line| format!("{line}\n")).collect();
+    let of_line = of_line.replace("driver = \"dmx\"", "driver = \"dome\"");
+    let line = DomeSimulator::spawn(
+        DomeConfig {
+            watchdog_s: 0.0,
+            ..DomeConfig::of_lights(lights().map(|(at, _)| at).collect())
+        },
+        bench(),
+    )
+    .unwrap();
+    let lights = lights().collect();
+    let packets = DmxSimulator::spawn(DmxConfig { lights }, bench()).unwrap();
+    for (built_in, port, bench, done) in [
+        (&of_line[..], line.path(), line.bench(), "turned it off"),
+        (
+            built_in,
+            packets.path(),
+            packets.bench(),
+            "told it to turn off",
+        ),
+    ] {
+        let (_folder, file) = rig_file_from(built_in, &port.display().to_string());
+        let at = ["--azimuth", "60", "--elevation", "30", "--rig", &file];
+        let lamp = |more: &[&str]| rig(&[&["stage", "lamp", "0"][..], more, &at].concat());
+        let is_lit = || bench.lamp_drive() != [0.0; 3];
+        let until = |what: &str, is: &dyn Fn() -> bool| {
+            let began = Instant::now();
+            while !is() {
+                assert!(began.elapsed() < Duration::from_secs(30), "{what}");
+                std::thread::sleep(Duration::from_millis(5));
+            }
+            began.elapsed()
+        };
+        let ended = lamp(&["--seconds", "0.1"]).output().unwrap();
+        assert_eq!(ended.status.code(), Some(0), "{}", text(&ended.stderr));
+        assert!(
+            !text(&ended.stderr).contains("guardian"),
+            "{}",
+            text(&ended.stderr)
+        );
+        until("the end of the first", &|| !is_lit());
+        let mut child = lamp(&[]).stderr(Stdio::piped()).spawn().unwrap();
+        until("the lamp", &is_lit);
+        child.kill().unwrap();
+        let took = until("the guardian", &|| !is_lit());
+        assert!(took < Duration::from_secs(3), "{took:?}");
+        let said = text(&child.wait_with_output().unwrap().stderr);
+        assert!(said.contains(done), "{said}");
+    }
 }
 
 #[test]

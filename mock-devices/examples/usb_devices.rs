@@ -3,7 +3,7 @@
 //! each on its output, and runs until its input ends. Needs root and `vhci-hcd`.
 //!
 //! `camera in|out|stall|obey|ignore|silent|send`, `camera damage|cut FRAMES`,
-//! `stage in|out|lamp|angles`.
+//! `stage in|ftdi|out|lamp|angles`: behind `cdc_acm`, or behind `ftdi_sio`.
 
 use std::io::{self, BufRead, Write};
 use std::sync::Arc;
@@ -14,6 +14,7 @@ use mock_devices::grbl::{GrblConfig, GrblSimulator};
 use mock_devices::sensor::{SensorConfig, SensorModel};
 use mock_devices::usb::Plugged;
 use mock_devices::usb::camera::{CameraFaults, UsbCamera};
+use mock_devices::usb::ftdi::UsbFtdi;
 use mock_devices::usb::serial::UsbSerial;
 use mock_devices::{Illumination, RadianceSource};
 
@@ -80,6 +81,10 @@ impl Devices {
             }
             ["stage", "in"] => {
                 let serial = UsbSerial::new("STAGE0001", self.firmware.path().to_owned());
+                self.stage = Some(Plugged::into_free_port(serial)?);
+            }
+            ["stage", "ftdi"] => {
+                let serial = UsbFtdi::new("STAGE0002", self.firmware.path().to_owned());
                 self.stage = Some(Plugged::into_free_port(serial)?);
             }
             ["stage", "out"] => self.stage = None,

@@ -22,6 +22,9 @@ pub struct GuardianArgs {
     /// What is sent and expected, in hexadecimal; may be repeated
     #[arg(long, value_name = "BYTES=ANSWER,…")]
     exchange: Vec<Exchange>,
+    /// The stage does not say whether its lamp is lit
+    #[arg(long)]
+    unverified: bool,
 }
 
 /// `rig guardian`.
@@ -36,8 +39,13 @@ pub fn run(args: &GuardianArgs, context: &Context) -> Result<(), CliError> {
     match stand_guard(std::io::stdin().lock(), port, &args.exchange) {
         Watch::Dismissed => Ok(()),
         Watch::Acted(Ok(())) => {
+            let done = if args.unverified {
+                "has told it to turn off, which this stage does not confirm"
+            } else {
+                "has turned it off and ended all motion"
+            };
             context.warn(format!(
-                "{name}: rig ended without turning the lamp off; its guardian has turned it off and ended all motion"
+                "{name}: rig ended without turning the lamp off; its guardian {done}"
             ));
             Ok(())
         }

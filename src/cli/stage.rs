@@ -52,6 +52,22 @@ enum Action {
         /// Homes first: a controller that is locked until it is homed switches no lamp
         #[arg(long)]
         home: bool,
+        /// Homes and moves there first: a dome lights the light of a direction (degrees)
+        #[arg(
+            long,
+            value_name = "DEGREES",
+            allow_negative_numbers = true,
+            requires = "elevation"
+        )]
+        azimuth: Option<f64>,
+        /// As --azimuth (degrees)
+        #[arg(
+            long,
+            value_name = "DEGREES",
+            allow_negative_numbers = true,
+            requires = "azimuth"
+        )]
+        elevation: Option<f64>,
     },
     /// Homes again and again, and says how well the switches are found
     ///
@@ -120,21 +136,11 @@ pub fn run(args: &StageArgs, context: &Context) -> Result<(), CliError> {
             azimuth,
             elevation,
         } => {
-            if which.port.is_some() {
-                return Err(CliError::new(
-                    "--port does not say how the stage's axes map to angles",
-                )
-                .hint("describe the stage in a rig file and name it with --rig"));
-            }
             let target = StageAngles {
                 azimuth_deg: *azimuth,
                 elevation_deg: *elevation,
             };
-            let rig = which.rig.resolve(context)?;
-            // Before anything moves.
-            let kinematics = rig.config.stage.kinematics();
-            kinematics.reach(&rig.config.name, target)?;
-            let mut open = open::open_stage(&rig.config)?.guarded()?;
+            let mut open = which.open_to_reach(target, context)?.guarded()?;
             context.note("homing first: a stage that was just connected doesn't know where it is");
             let status = stoppable(&mut *open.stage, |stage, _| {
                 stage.home()?;
@@ -148,11 +154,25 @@ pub fn run(args: &StageArgs, context: &Context) -> Result<(), CliError> {
             lamp,
             seconds,
             home,
+            azimuth,
+            elevation,
         } => {
-            let mut open = which.open(context)?.guarded()?;
+            let target = azimuth.zip(*elevation);
+            let target = target.map(|(azimuth_deg, elevation_deg)| StageAngles {
+                azimuth_deg,
+                elevation_deg,
+            });
+            let mut open = match target {
+                Some(target) => which.open_to_reach(target, context)?,
+                None => which.open(context)?,
+            }
+            .guarded()?;
             let status = stoppable(&mut *open.stage, |stage, stopped| {
-                if *home {
+                if *home || target.is_some() {
                     stage.home()?;
+                }
+                if let Some(target) = target {
+                    stage.move_to(target)?;
                 }
                 stage.set_lamp(*lamp)?;
                 if *lamp != LampState::Off {
@@ -226,6 +246,20 @@ impl Which {
             Some(port) => open::open_port(self.driver, port, self.baud),
             None => open::open_stage(&self.rig.resolve(context)?.config),
         }
+    }
+
+    /// The same, where it can move to this direction: refused before anything moves.
+    fn open_to_reach(&self, target: StageAngles, context: &Context) -> Result<Stage, CliError> {
+        if self.port.is_some() {
+            return Err(
+                CliError::new("--port does not say how the stage's axes map to angles")
+                    .hint("describe the stage in a rig file and name it with --rig"),
+            );
+        }
+        let rig = self.rig.resolve(context)?;
+        let kinematics = rig.config.stage.kinematics();
+        kinematics.reach(&rig.config.name, target)?;
+        open::open_stage(&rig.config)
     }
 
     fn report(&self, info: &StageInfo, status: &StageStatus) -> Result<(), CliError> {

@@ -93,6 +93,9 @@ pub struct PortStop {
     pub name: String,
     /// In this order.
     pub exchanges: Vec<Exchange>,
+    /// Whether the stage says if its lamp is lit. Otherwise what it confirms is
+    /// that it was told.
+    pub reports_lamp: bool,
 }
 
 /// The child process. Unless [dismissed](Self::dismiss) it stops the stage when
@@ -227,12 +230,16 @@ pub struct GuardedStage {
     stage: Option<Box<dyn LightStage>>,
     info: StageInfo,
     guardian: Option<Guardian>,
+    reports_lamp: bool,
+    /// Whether the last command about the lamp turned it off.
+    told_off: bool,
 }
 
 impl GuardedStage {
     /// Starts a guardian for the stage, where it has a port to stop it by.
     /// `command` gives the program and all its arguments but the exchanges,
-    /// which are added, each after `--exchange`.
+    /// which are added, each after `--exchange`, and `--unverified` where the
+    /// lamp is not reported.
     pub fn guard(
         stage: Box<dyn LightStage>,
         command: impl FnOnce(&str) -> Command,
@@ -244,13 +251,19 @@ impl GuardedStage {
         for exchange in &stop.exchanges {
             command.arg("--exchange").arg(exchange.to_string());
         }
+        if !stop.reports_lamp {
+            command.arg("--unverified");
+        }
         let device = format!("the guardian of {}", stop.name);
+        let reports_lamp = stop.reports_lamp;
         let guardian =
             Guardian::spawn(command, stop).map_err(|source| DeviceError::Io { device, source })?;
         Ok(Box::new(Self {
             info: stage.info().clone(),
             stage: Some(stage),
             guardian: Some(guardian),
+            reports_lamp,
+            told_off: false,
         }))
     }
 
@@ -259,17 +272,21 @@ impl GuardedStage {
             .as_deref_mut()
             .expect("it is there until the drop")
     }
-}
 
-fn is_safe(status: &StageStatus) -> bool {
-    let stands = matches!(status.activity, StageActivity::Idle | StageActivity::Alarm);
-    stands && status.lamp == Some(LampState::Off)
+    fn is_safe(&self, status: &StageStatus) -> bool {
+        let is_off = match status.lamp {
+            Some(lamp) => lamp == LampState::Off,
+            None => !self.reports_lamp && self.told_off,
+        };
+        let stands = matches!(status.activity, StageActivity::Idle | StageActivity::Alarm);
+        stands && is_off
+    }
 }
 
 impl Drop for GuardedStage {
     fn drop(&mut self) {
-        let is_safe =
-            !std::thread::panicking() && self.stage().status().is_ok_and(|status| is_safe(&status));
+        let status = self.stage().status();
+        let is_safe = !std::thread::panicking() && status.is_ok_and(|status| self.is_safe(&status));
         self.stage = None;
         if let Some(guardian) = self.guardian.take()
             && is_safe
@@ -285,7 +302,10 @@ impl LightStage for GuardedStage {
     }
 
     fn home(&mut self) -> Result<StageStatus, DeviceError> {
-        self.stage().home()
+        self.told_off = false;
+        let status = self.stage().home()?;
+        self.told_off = true;
+        Ok(status)
     }
 
     fn move_to(&mut self, target: StageAngles) -> Result<StageAngles, DeviceError> {
@@ -293,7 +313,10 @@ impl LightStage for GuardedStage {
     }
 
     fn set_lamp(&mut self, lamp: LampState) -> Result<LampState, DeviceError> {
-        self.stage().set_lamp(lamp)
+        self.told_off = false;
+        let applied = self.stage().set_lamp(lamp)?;
+        self.told_off = applied == LampState::Off;
+        Ok(applied)
     }
 
     fn status(&mut self) -> Result<StageStatus, DeviceError> {

@@ -68,8 +68,10 @@ until_true() {
 start_usb() {
     modprobe vhci-hcd
     modprobe cdc-acm
+    modprobe ftdi_sio
     modprobe uvcvideo "$@"
     mkfifo to_usb
+    : >usb_said
     usb_devices <to_usb >usb_said 2>usb_errors &
     exec 3>to_usb
 }

@@ -6,6 +6,7 @@
 
 use std::sync::{Arc, Mutex};
 
+use super::descriptors::Identity;
 use super::{Descriptors, Setup, Stall, UsbDevice};
 use crate::RadianceSource;
 use crate::bench::Bench;
@@ -172,7 +173,7 @@ impl UsbCamera {
         let [width, height] = sensor.resolution_px();
         let interfaces = [control_interface(), streaming_interface(width, height)];
         Self {
-            descriptors: Descriptors::new(0x0e01, strings, &interfaces),
+            descriptors: Descriptors::new(Identity::gadget(0x0e01), strings, &interfaces),
             sensor,
             scene,
             bench,

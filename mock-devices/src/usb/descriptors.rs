@@ -7,18 +7,38 @@ const GET_DESCRIPTOR: u8 = 6;
 const GET_CONFIGURATION: u8 = 8;
 const GET_INTERFACE: u8 = 10;
 
-/// Class, subclass and protocol of a device whose interfaces say what they are.
-const BY_INTERFACES: [u8; 3] = [0xef, 2, 1];
+/// What a device's driver is chosen by.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Identity {
+    /// Class, subclass and protocol.
+    pub class: [u8; 3],
+    pub vendor: u16,
+    pub product: u16,
+    /// The device's release, in binary-coded decimals.
+    pub release: u16,
+}
+
+impl Identity {
+    /// A device whose interfaces say what they are, under the kernel's own vendor
+    /// number, for test gadgets.
+    pub(super) fn gadget(product: u16) -> Self {
+        Self {
+            class: [0xef, 2, 1],
+            vendor: 0x1d6b,
+            product,
+            release: 0x0100,
+        }
+    }
+}
 
 impl Descriptors {
     /// From the interfaces' descriptors; strings are maker, product and serial
     /// number.
-    pub(super) fn new(product_id: u16, strings: [&str; 3], interfaces: &[Vec<u8>]) -> Self {
+    pub(super) fn new(identity: Identity, strings: [&str; 3], interfaces: &[Vec<u8>]) -> Self {
         let mut device = vec![18, 1, 0, 2];
-        device.extend(BY_INTERFACES);
+        device.extend(identity.class);
         device.push(64);
-        // The kernel's own vendor number, for test gadgets.
-        for word in [0x1d6b, product_id, 0x0100] {
+        for word in [identity.vendor, identity.product, identity.release] {
             device.extend(u16::to_le_bytes(word));
         }
         device.extend([1, 2, 3, 1]);
@@ -70,7 +90,11 @@ mod tests {
 
     #[test]
     fn descriptors_state_their_own_lengths() {
-        let descriptors = Descriptors::new(1, ["maker", "product", "S1"], &[vec![3, 0x24, 0]]);
+        let descriptors = Descriptors::new(
+            Identity::gadget(1),
+            ["maker", "product", "S1"],
+            &[vec![3, 0x24, 0]],
+        );
         let ask = |value| {
             descriptors.answer(Setup {
                 request_type: 0x80,

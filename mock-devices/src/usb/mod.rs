@@ -1,14 +1,16 @@
-//! Simulated USB devices for the kernel's own drivers: a camera for `uvcvideo`
-//! and a serial port for `cdc_acm`.
+//! Simulated USB devices for the kernel's own drivers: a camera for `uvcvideo`,
+//! serial ports for `cdc_acm` and `ftdi_sio`.
 //!
 //! They are plugged into the kernel's virtual host controller (`vhci-hcd`),
 //! which takes one end of a socket pair and speaks the USB/IP protocol over it
 //! (kernel documentation, `usb/usbip_protocol`). Needs that module and root.
 
 pub mod camera;
+pub mod ftdi;
 pub mod serial;
 
 mod descriptors;
+mod firmware_port;
 mod vhci;
 
 pub use vhci::Plugged;

@@ -1,16 +1,11 @@
 //! A serial port of the Communications Device Class (CDC 1.2, PSTN subclass,
 //! abstract control model), which leads to simulated firmware on a
 //! pseudo-terminal.
-//!
-//! The firmware's port is open while the host raises DTR, so that a board that
-//! resets when its port is opened does so as on a real cable.
 
-use std::fs::File;
-use std::io::{Read, Write};
 use std::path::PathBuf;
 
-use rustix::fs::{Mode, OFlags, open};
-
+use super::descriptors::Identity;
+use super::firmware_port::FirmwarePort;
 use super::{Descriptors, Setup, Stall, UsbDevice};
 
 const SET_LINE_CODING: u8 = 0x20;
@@ -25,8 +20,7 @@ const NOTIFY_IN: u8 = 0x82;
 #[derive(Debug)]
 pub struct UsbSerial {
     descriptors: Descriptors,
-    firmware: PathBuf,
-    port: Option<File>,
+    firmware: FirmwarePort,
     /// Rate (bit/s, little-endian), stop bits, parity, data bits.
     line_coding: [u8; 7],
 }
@@ -50,9 +44,8 @@ impl UsbSerial {
         ];
         let strings = ["mock-devices", "Simulated serial port", serial];
         Self {
-            descriptors: Descriptors::new(0x0e02, strings, &[control, data]),
-            firmware,
-            port: None,
+            descriptors: Descriptors::new(Identity::gadget(0x0e02), strings, &[control, data]),
+            firmware: FirmwarePort::new(firmware),
             line_coding: [0, 0xc2, 1, 0, 0, 0, 8],
         }
     }
@@ -71,13 +64,7 @@ impl UsbDevice for UsbSerial {
             }
             GET_LINE_CODING => Ok(self.line_coding.to_vec()),
             SET_CONTROL_LINE_STATE => {
-                if setup.value & DTR == 0 {
-                    self.port = None;
-                } else if self.port.is_none() {
-                    let flags = OFlags::RDWR | OFlags::NOCTTY | OFlags::NONBLOCK | OFlags::CLOEXEC;
-                    let port = open(&self.firmware, flags, Mode::empty());
-                    self.port = port.ok().map(File::from);
-                }
+                self.firmware.set_dtr(setup.value & DTR != 0);
                 Ok(Vec::new())
             }
             _ => Err(Stall),
@@ -85,23 +72,14 @@ impl UsbDevice for UsbSerial {
     }
 
     fn take(&mut self, _: u8, data: &[u8]) {
-        if let Some(port) = &mut self.port {
-            let _ = port.write_all(data);
-        }
+        self.firmware.write(data);
     }
 
     fn give(&mut self, endpoint: u8, most: usize) -> Option<Vec<u8>> {
         if endpoint | 0x80 != DATA_IN {
             return None;
         }
-        let mut bytes = vec![0; most.min(512)];
-        match self.port.as_mut()?.read(&mut bytes) {
-            Ok(count) if count > 0 => {
-                bytes.truncate(count);
-                Some(bytes)
-            }
-            _ => None,
-        }
+        self.firmware.read(most.min(512))
     }
 }
 

@@ -230,6 +230,7 @@ impl<D: UsbDevice> Cable<D> {
 #[cfg(test)]
 mod tests {
     use super::super::Descriptors;
+    use super::super::descriptors::Identity;
     use super::*;
 
     /// Gives back what it was given.
@@ -274,7 +275,10 @@ mod tests {
     #[test]
     fn transfers_wait_and_are_cancelled_and_requests_stall() {
         let (mut host, device) = UnixStream::pair().unwrap();
-        let echo = Echo(Descriptors::new(1, ["", "", ""], &[]), Vec::new());
+        let echo = Echo(
+            Descriptors::new(Identity::gadget(1), ["", "", ""], &[]),
+            Vec::new(),
+        );
         let served = std::thread::spawn(|| Cable::new(device, echo).serve().is_err());
         let submit = |number, to_host, endpoint, length| {
             [SUBMIT, number, 0, to_host, endpoint, 0, length, 0, 0, 0]

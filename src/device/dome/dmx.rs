@@ -5,8 +5,9 @@ use std::time::{Duration, Instant};
 
 use super::Lit;
 use super::stage::{Found, LightPort, ReadBack};
-use super::widget::{Label, SLOTS, message, packet, serial_number, take_message, version};
+use super::widget::{Label, SLOTS, START, message, packet, serial_number, take_message, version};
 use crate::device::DeviceError;
+use crate::device::guardian::Exchange;
 use crate::device::serial_line::SerialLine;
 
 /// An open interface with the addresses of its lights.
@@ -105,5 +106,21 @@ impl LightPort for DmxPort {
 
     fn off_now(&self) -> Result<(), DeviceError> {
         self.show(None)
+    }
+
+    fn off_exchanges(&self) -> Vec<Exchange> {
+        // Zeros fill a packet that was begun, which then has no end and is
+        // dropped. The interface answers once it has taken what came before.
+        let dark = packet(&[0; SLOTS]);
+        let padding = vec![0; dark.len()];
+        let question = message(Label::Parameters, &[]);
+        vec![Exchange::new(
+            &[padding, dark, question].concat(),
+            &[&[START, Label::Parameters as u8]],
+        )]
+    }
+
+    fn reports_lights(&self) -> bool {
+        false
     }
 }

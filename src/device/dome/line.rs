@@ -7,6 +7,7 @@ use super::Lit;
 use super::protocol::{Info, LONGEST_LINE, Line, State, info, parse, request, state};
 use super::stage::{Found, LightPort, ReadBack};
 use crate::device::DeviceError;
+use crate::device::guardian::Exchange;
 use crate::device::serial_line::SerialLine;
 
 /// A request is sent this often before the dome counts as lost. All of them may
@@ -115,6 +116,20 @@ impl LightPort for DomeLine {
     fn off_now(&self) -> Result<(), DeviceError> {
         // Beside a request that is under way; its number answers nothing.
         self.line.send(request(0, "off").as_bytes())
+    }
+
+    fn off_exchanges(&self) -> Vec<Exchange> {
+        // A line that was begun is ended first, and so is damaged.
+        let off = format!("\n{}", request(998, "off"));
+        let state = request(999, "state");
+        vec![
+            Exchange::new(off.as_bytes(), &[b"998 ok*"]),
+            Exchange::new(state.as_bytes(), &[b"999 ok off*"]),
+        ]
+    }
+
+    fn reports_lights(&self) -> bool {
+        true
     }
 }
 

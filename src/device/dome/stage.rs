@@ -7,6 +7,7 @@ use std::time::Duration;
 use super::dmx::DmxPort;
 use super::line::{DomeLine, KeepAlive};
 use super::{DomeConfig, DomeWiring, Lit};
+use crate::device::guardian::{Exchange, PortStop};
 use crate::device::serial_line::SerialLine;
 use crate::device::{
     DeviceError, LampChannel, LampState, LightStage, StageActivity, StageInfo, StageStatus,
@@ -28,6 +29,11 @@ pub trait LightPort: Send + Sync {
     fn restarts(&self) -> u64;
     /// All off, sent at once, also beside a request that is under way.
     fn off_now(&self) -> Result<(), DeviceError>;
+    /// What another process sends to turn all off, whatever was under way, and
+    /// what confirms it.
+    fn off_exchanges(&self) -> Vec<Exchange>;
+    /// Whether the dome says which lights are lit.
+    fn reports_lights(&self) -> bool;
 }
 
 /// What answers on a port.
@@ -58,7 +64,7 @@ pub enum ReadBack {
 /// Dropping it turns the lights off.
 pub struct DomeStage {
     config: DomeConfig,
-    port: Arc<dyn LightPort>,
+    pub(super) port: Arc<dyn LightPort>,
     info: StageInfo,
     /// The light that the last target chose.
     chosen: Option<usize>,
@@ -287,6 +293,15 @@ impl LightStage for DomeStage {
                 ReadBack::Dark(_) | ReadBack::Unverified => None,
             },
         })
+    }
+
+    fn port_stop(&self) -> Result<Option<PortStop>, DeviceError> {
+        Ok(Some(PortStop {
+            port: self.port.line().duplicate()?,
+            name: self.config.port.clone(),
+            exchanges: self.port.off_exchanges(),
+            reports_lamp: self.port.reports_lights(),
+        }))
     }
 
     fn stop_handle(&self) -> Result<Box<dyn StopHandle>, DeviceError> {

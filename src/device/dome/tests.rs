@@ -6,7 +6,7 @@ use mock_devices::dmx::{DmxConfig, DmxSimulator};
 use mock_devices::dome::DomeSimulator;
 
 use super::*;
-use crate::device::{DeviceError, LampChannel, LampState, LightStage};
+use crate::device::{DeviceError, LampChannel, LampState, LightStage, guardian};
 use crate::units::StageAngles;
 
 const LIGHTS: [[f64; 2]; 4] = [[0.0, 90.0], [0.0, 45.0], [120.0, 45.0], [-120.0, 30.0]];
@@ -168,6 +168,35 @@ fn dmx_says_that_it_verifies_nothing() {
         panic!("a mute interface was accepted");
     };
     assert!(matches!(silent, DeviceError::NoReply { .. }), "{silent}");
+}
+
+/// The driver's process is gone in the middle of a request, and its port is all
+/// that is left.
+#[test]
+fn a_guardian_turns_the_lights_off_over_the_open_port() {
+    let config_of_dome = mock_devices::dome::DomeConfig {
+        watchdog_s: 0.0,
+        ..mock_devices::dome::DomeConfig::of_lights(LIGHTS.to_vec())
+    };
+    let line = DomeSimulator::spawn(config_of_dome, bench()).unwrap();
+    let line_stage = DomeStage::open(config(line.path(), DomeWiring::Line)).unwrap();
+    let (packets, dmx_stage) = dmx();
+    let half_packet = &super::widget::packet(&[255; super::widget::SLOTS])[..200];
+    for (bench, mut stage, begun) in [
+        (line.bench().clone(), line_stage, &b"7 light 2 0 25"[..]),
+        (packets.bench().clone(), dmx_stage, half_packet),
+    ] {
+        stage.home().unwrap();
+        stage.move_to(angles(LIGHTS[1])).unwrap();
+        stage.set_lamp(LampState::On(LampChannel(0))).unwrap();
+        assert!(settled(&bench, |bench| bench.lamp_drive() != [0.0; 3]));
+        let stop = stage.port_stop().unwrap().unwrap();
+        assert_eq!(stop.reports_lamp, stage.info().driver == "dome");
+        stage.port.line().send(begun).unwrap();
+        let watch = guardian::stand_guard(std::io::empty(), stop.port, &stop.exchanges);
+        assert!(matches!(watch, guardian::Watch::Acted(Ok(()))), "{watch:?}");
+        assert_eq!(bench.lamp_drive(), [0.0; 3], "{}", stage.info().driver);
+    }
 }
 
 #[test]

@@ -3,7 +3,7 @@
 //! data, 0xe7. Pure functions.
 
 /// Starts a message.
-const START: u8 = 0x7e;
+pub(super) const START: u8 = 0x7e;
 /// Ends a message.
 const END: u8 = 0xe7;
 /// Longest data of a message: 512 slots, the start code and some.

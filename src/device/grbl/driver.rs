@@ -561,6 +561,7 @@ impl LightStage for GrblStage {
                 Exchange::new(&[RESET], &[b"Grbl"]),
                 Exchange::new(&[STATUS], &[b"<Idle", b"<Alarm"]),
             ],
+            reports_lamp: true,
         }))
     }
 }

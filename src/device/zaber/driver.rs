@@ -501,6 +501,7 @@ impl LightStage for ZaberStage {
             port: self.link.line().duplicate()?,
             name: self.config.port.clone(),
             exchanges,
+            reports_lamp: true,
         }))
     }
 
