@@ -21,6 +21,9 @@ pub struct SensorConfig {
     pub prnu: f64,
     /// Standard deviation of the read noise, e⁻.
     pub read_noise_e: f64,
+    /// Relative departure of the signal from proportionality at the full well,
+    /// above -0.5: `n` electrons of `N` read as `n (1 + nonlinearity n / N)`.
+    pub nonlinearity: f64,
     /// Most electrons a pixel holds.
     pub full_well_e: f64,
     /// System gain K at gain 1, DN/e⁻.
@@ -53,6 +56,7 @@ impl SensorConfig {
             offset_dsnu_e: 0.5,
             prnu: 0.006,
             read_noise_e: 2.4,
+            nonlinearity: 0.0,
             full_well_e: 10_500.0,
             gain_dn_per_e: 0.38,
             black_level_dn: 64.0,
@@ -220,7 +224,8 @@ impl SensorModel {
             numbers.poisson(mean).min(full_well)
         };
         let read = f64::from(self.offset_e[pixel]) + self.config.read_noise_e * numbers.normal();
-        let dn = self.config.black_level_dn + self.config.gain_dn_per_e * gain * (electrons + read);
+        let read_as = electrons * (1.0 + self.config.nonlinearity * electrons / full_well);
+        let dn = self.config.black_level_dn + self.config.gain_dn_per_e * gain * (read_as + read);
         dn.round().clamp(0.0, f64::from(self.saturation_dn())) as u16
     }
 }

@@ -49,20 +49,18 @@ pub fn photon_transfer(fit: &SensorFit) -> Figure {
             dots("not in the fit", 2, false),
         ],
     };
-    let departures = departures(fit);
-    let widest = departures.iter().map(|p| p[1].abs()).fold(0.5, f64::max);
+    let counted = departures(fit, |p| p.counted_dn);
+    let corrected = departures(fit, |p| p.signal_dn);
+    let all = counted.iter().chain(&corrected);
+    let widest = all.map(|p| p[1].abs()).fold(0.5, f64::max);
     let linearity = Chart {
         title: "Linearity".to_owned(),
         x: Axis::linear(0.0..1.05 * top_dn, "signal above black (DN)"),
-        y: Axis::linear(-1.2 * widest..1.2 * widest, "departure (%)"),
+        y: Axis::linear(-1.2 * widest..1.2 * widest, "departure from its mean (%)"),
         series: vec![
             Series::new("", 0, Mark::Line, vec![[0.0, 0.0], [1.05 * top_dn, 0.0]]),
-            Series::new(
-                "signal over exposure, less its mean",
-                3,
-                Mark::Points,
-                departures,
-            ),
+            Series::new("counts over exposure", 3, Mark::Points, counted),
+            Series::new("corrected", 1, Mark::Dots, corrected),
         ],
     };
     charts("photon-transfer", 2, &[transfer, linearity])
@@ -70,7 +68,7 @@ pub fn photon_transfer(fit: &SensorFit) -> Figure {
 
 /// Signal over exposure less its mean over the fitted flats, percent, up to
 /// saturation; from a twentieth of it, below which black level and noise rule.
-fn departures(fit: &SensorFit) -> Vec<[f64; 2]> {
+fn departures(fit: &SensorFit, signal_dn: fn(&TransferPoint) -> f64) -> Vec<[f64; 2]> {
     let values = &fit.values;
     let usable_dn = values.saturation_dn - values.black_level_dn.value;
     let dark_dn_s = values.dark_current_e_s.value * values.gain_dn_per_e.value;
@@ -78,8 +76,8 @@ fn departures(fit: &SensorFit) -> Vec<[f64; 2]> {
         .curve
         .iter()
         .filter(|p| p.exposed == Exposed::Flat)
-        .filter(|p| (0.05..1.0).contains(&(p.signal_dn / usable_dn)))
-        .map(|p| (p, p.signal_dn / p.exposure_s - dark_dn_s))
+        .filter(|p| (0.05..1.0).contains(&(p.counted_dn / usable_dn)))
+        .map(|p| (p, signal_dn(p) / p.exposure_s - dark_dn_s))
         .collect();
     let fitted: Vec<f64> = flats
         .iter()
@@ -89,7 +87,7 @@ fn departures(fit: &SensorFit) -> Vec<[f64; 2]> {
     let mean = fitted.iter().sum::<f64>() / fitted.len().max(1) as f64;
     flats
         .iter()
-        .map(|(p, rate)| [p.signal_dn, 100.0 * (rate / mean - 1.0)])
+        .map(|(p, rate)| [p.counted_dn, 100.0 * (rate / mean - 1.0)])
         .collect()
 }
 

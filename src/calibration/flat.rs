@@ -156,7 +156,10 @@ impl<'a> FlatFrames<'a> {
     fn signal_dn(&self) -> (Vec<f64>, Vec<usize>) {
         let hot = |p: usize| self.noise.hot_pixels.as_ref().is_some_and(|hot| hot[p]);
         let pixels = 0..self.lit.counts.len();
-        let signal_dn = pixels.clone().map(|p| self.lit.mean(p) - self.dark.mean(p));
+        let signal = |sum: &Sum, p: usize| self.noise.signal_dn(sum.mean(p));
+        let signal_dn = pixels
+            .clone()
+            .map(|p| signal(&self.lit, p) - signal(&self.dark, p));
         (signal_dn.collect(), pixels.filter(|&p| !hot(p)).collect())
     }
 }

@@ -3,6 +3,7 @@
 use super::Loaded;
 use super::flat::{FlatError, from_map};
 use super::record::{FlatValues, ScaleValues, SensorValues};
+use crate::radiometry::linearity::Linearity;
 use crate::radiometry::sensor::SensorNoise;
 
 /// What merge and exposure planning believe of a sensor, from its records.
@@ -41,6 +42,7 @@ pub fn sensor_noise(
         black_level_spread_dn: sensor.black_level_spread_dn.value,
         saturation_dn: sensor.saturation_dn,
         linear_max_dn: sensor.linear_max_dn,
+        linearity: sensor.linearity.unwrap_or(Linearity::NONE),
         dark_current_e_s: sensor.dark_current_e_s.value,
         dark_current_spread_e_s: sensor.dark_current_spread_e_s.value,
         bit_depth: sensor.bit_depth,

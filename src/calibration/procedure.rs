@@ -131,9 +131,14 @@ impl<'a> Bench<'a> {
             })?;
         }
         let saturating_s = self.saturating_exposure_s()?;
-        for part in LEVELS {
+        // Half of the frames up and half down, so that a light that drifts does
+        // not look like a sensor that bends.
+        let up = self.options.frames.div_ceil(2);
+        let down = self.options.frames - up;
+        let visits = LEVELS.iter().map(|level| (level, up));
+        for (part, frames) in visits.chain(LEVELS.iter().rev().map(|level| (level, down))) {
             let exposure_s = part * saturating_s;
-            self.take(exposure_s, Exposed::Flat, |applied_s, counts| {
+            self.take_frames(exposure_s, Exposed::Flat, frames, |applied_s, counts| {
                 Ok(transfer.add(Exposed::Flat, applied_s, counts)?)
             })?;
         }
@@ -237,13 +242,23 @@ impl<'a> Bench<'a> {
         &mut self,
         exposure_s: f64,
         exposed: Exposed,
+        add: impl FnMut(f64, &[u16]) -> Result<(), ProcedureError>,
+    ) -> Result<(), ProcedureError> {
+        self.take_frames(exposure_s, exposed, self.options.frames, add)
+    }
+
+    fn take_frames(
+        &mut self,
+        exposure_s: f64,
+        exposed: Exposed,
+        frames: u32,
         mut add: impl FnMut(f64, &[u16]) -> Result<(), ProcedureError>,
     ) -> Result<(), ProcedureError> {
         let applied_s = self.configure(exposure_s)?;
         for _ in 0..self.options.discard {
             self.grab(exposed)?;
         }
-        for _ in 0..self.options.frames {
+        for _ in 0..frames {
             let counts = self.grab(exposed)?;
             add(applied_s, &counts)?;
             (self.progress)();

@@ -3,6 +3,8 @@
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
+use crate::radiometry::linearity::Linearity;
+
 /// What a record is about; also the name of its folder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -182,13 +184,20 @@ pub struct SensorValues {
     pub saturation_dn: f64,
     /// Counts above this are not proportional to light, DN.
     pub linear_max_dn: f64,
-    /// Largest departure from proportionality below `linear_max_dn`, relative.
+    /// Largest departure from proportionality below `linear_max_dn`, relative,
+    /// before any correction.
     pub linearity_error: f64,
+    /// ... and after the correction; absent where there is none.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub linearity_residual: Option<f64>,
     /// Significant bits of a count.
     pub bit_depth: u32,
     /// Pixels whose dark current makes them useless: column, row.
     #[serde(default)]
     pub hot_pixels: Vec<[u32; 2]>,
+    /// How counts become proportional to light; absent: they are.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub linearity: Option<Linearity>,
 }
 
 impl Values for SensorValues {
@@ -219,6 +228,19 @@ impl Values for SensorValues {
         if !(0.0..=1.0).contains(&self.linearity_error) {
             let allowed = "from 0 to 1".to_owned();
             return Err(bad("linearity_error", self.linearity_error, allowed));
+        }
+        if let Some(linearity) = &self.linearity {
+            let range_dn = self.linear_max_dn - self.black_level_dn.value;
+            if !linearity.grows_up_to(range_dn) {
+                let allowed = format!("such that the signal grows up to {range_dn} DN");
+                let value = format!("{:?}", linearity.coefficients);
+                return Err(bad("linearity.coefficients", value, allowed));
+            }
+            if !linearity.has_covariance() {
+                let allowed = "symmetric and positive semidefinite".to_owned();
+                let value = format!("{:?}", linearity.covariance);
+                return Err(bad("linearity.covariance", value, allowed));
+            }
         }
         Ok(())
     }

@@ -6,7 +6,13 @@
 //! its own mean, each frame's mean level taken out, so that a slowly drifting
 //! lamp does no harm); what differs between pixels stays out of them.
 
+mod darkness;
+mod linearity;
+
+use self::darkness::Darkness;
+use self::linearity::{LinearLevel, LinearityFit};
 use super::record::{Measured, SensorValues};
+use crate::radiometry::linearity::Linearity;
 
 /// Which light a calibration frame has seen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -48,9 +54,19 @@ pub enum SensorFitError {
     },
     /// The counts do not follow the light.
     #[error(
-        "counts depart by {error:.1}% from proportionality below 70% of saturation; at most {allowed:.0}% can be accepted"
+        "counts depart by {error:.1}% from proportionality to light; at most {allowed:.0}% can be corrected"
     )]
     NotLinear {
+        /// Largest departure, percent.
+        error: f64,
+        /// Limit, percent.
+        allowed: f64,
+    },
+    /// The counts follow the light by no smooth curve.
+    #[error(
+        "counts depart by up to {error:.1}% from any smooth curve below 70% of saturation; at most {allowed:.0}% can be accepted"
+    )]
+    NotSmooth {
         /// Largest departure, percent.
         error: f64,
         /// Limit, percent.
@@ -64,14 +80,8 @@ pub enum SensorFitError {
     },
 }
 
-/// Largest departure from proportionality that a correction-free model may have.
-const MAX_LINEARITY_ERROR: f64 = 0.03;
-/// A level departs from proportionality beyond this.
-const LINEAR_WITHIN: f64 = 0.01;
 /// The curve is fitted up to this part of saturation (EMVA 1288, 6.6).
 const FIT_UP_TO: f64 = 0.7;
-/// Dark current this many standard deviations above the median makes a pixel hot.
-const HOT_SIGMA: f64 = 8.0;
 
 /// The frames of a photon transfer measurement, summed.
 #[derive(Clone, Debug, Default)]
@@ -90,16 +100,18 @@ struct Level {
     frame_means: Vec<f64>,
 }
 
-/// One point of the curve.
+/// One point of the curve, its linearity corrected.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TransferPoint {
     /// Exposure, seconds.
     pub exposure_s: f64,
     /// Which light.
     pub exposed: Exposed,
-    /// Mean count above the black level, DN.
+    /// Mean count above the black level, as counted, DN.
+    pub counted_dn: f64,
+    /// The same in proportion to light, DN.
     pub signal_dn: f64,
-    /// Temporal variance, DN².
+    /// Temporal variance of that, DN².
     pub variance_dn2: f64,
     /// Standard uncertainty of the variance, DN².
     pub variance_std_dn2: f64,
@@ -120,6 +132,16 @@ pub struct SensorFit {
     pub variance_at_zero_dn2: f64,
     /// χ² of the fitted points over their degrees of freedom.
     pub reduced_chi2: f64,
+}
+
+impl TransferPoint {
+    fn corrected(&self, linearity: &Linearity) -> Self {
+        Self {
+            signal_dn: linearity.proportional_dn(self.counted_dn),
+            variance_dn2: self.variance_dn2 * linearity.slope(self.counted_dn).powi(2),
+            ..*self
+        }
+    }
 }
 
 impl PhotonTransfer {
@@ -206,37 +228,67 @@ impl PhotonTransfer {
 
         let saturation = Saturation::find(&flats, &cold, bit_depth)?;
         let usable_dn = saturation.count_dn - black_dn;
-        let mut curve: Vec<TransferPoint> = dark
+        let levels: Vec<&Level> = dark.iter().chain(&flats).copied().collect();
+        let counted: Vec<TransferPoint> = levels
             .iter()
-            .chain(&flats)
             .map(|level| {
-                let signal_dn = level.mean_over(&cold) - black_dn;
+                let counted_dn = level.mean_over(&cold) - black_dn;
                 let variance_dn2 = level.temporal_variance(&cold);
                 TransferPoint {
                     exposure_s: level.exposure_s,
                     exposed: level.exposed,
-                    signal_dn,
+                    counted_dn,
+                    signal_dn: counted_dn,
                     variance_dn2,
                     variance_std_dn2: variance_dn2 * (2.0 / level.freedom(&cold)).sqrt(),
-                    fitted: signal_dn <= FIT_UP_TO * usable_dn,
+                    fitted: counted_dn <= FIT_UP_TO * usable_dn,
                 }
             })
             .collect();
-        let fitted_flats = curve
+        let fitted_flats = counted
             .iter()
             .filter(|p| p.fitted && p.exposed == Exposed::Flat);
         at_least("flats below 70% of saturation", fitted_flats.count(), 4)?;
-        let line = VarianceLine::fit(&mut curve, &dark, &flats, &cold);
+        let lit: Vec<LinearLevel> = levels
+            .iter()
+            .zip(&counted)
+            .filter(|(level, _)| level.exposed == Exposed::Flat)
+            .map(|(level, point)| level.linear_level(point, &cold, slope.value))
+            .collect();
+        let bend = LinearityFit::find(&lit, black.std, usable_dn)?;
+        let freedom: Vec<f64> = levels.iter().map(|level| level.freedom(&cold)).collect();
+        let line_by = |linearity: &Linearity| {
+            let mut curve: Vec<TransferPoint> =
+                counted.iter().map(|p| p.corrected(linearity)).collect();
+            let line = VarianceLine::fit(&mut curve, &freedom);
+            (curve, line)
+        };
+        let (curve, line) = line_by(&bend.linearity);
         let grows = line.slope > 5.0 * line.slope_std; // false for NaN
         if !grows {
             return Err(SensorFitError::NoPhotonNoise { slope: line.slope });
         }
+        // What the curve of the counts leaves open, gain and read noise do too.
+        let by_bend = |of: fn(&VarianceLine) -> f64| {
+            let per_coefficient = [0, 1].map(|i| {
+                let step = bend.linearity.covariance[i][i].sqrt().max(1e-9);
+                let [up, down] = [step, -step].map(|step| {
+                    let mut other = bend.linearity;
+                    other.coefficients[i] += step;
+                    of(&line_by(&other).1)
+                });
+                (up - down) / (2.0 * step)
+            });
+            bend.linearity.variance(per_coefficient).sqrt()
+        };
         let gain = Measured {
             value: line.slope,
-            std: line.slope_std,
+            std: line.slope_std.hypot(by_bend(|line| line.slope)),
         };
-        let (linear_max_dn, linearity_error) =
-            linearity(&curve, slope.value, black_dn, saturation.count_dn)?;
+        let mut read_noise_e = line.read_noise_e();
+        read_noise_e.std = read_noise_e
+            .std
+            .hypot(by_bend(|line| line.read_noise_e().value));
         let per_gain = |x: Measured| Measured {
             value: (x.value / gain.value).max(0.0),
             std: (x.std / gain.value).hypot(x.value * gain.std / gain.value.powi(2)),
@@ -244,18 +296,25 @@ impl PhotonTransfer {
         Ok(SensorFit {
             values: SensorValues {
                 gain_dn_per_e: gain,
-                read_noise_e: line.read_noise_e(),
+                read_noise_e,
                 black_level_dn: black,
                 black_level_spread_dn: black_spread,
                 full_well_e: per_gain(Measured {
-                    value: saturation.plateau_dn - black_dn,
+                    value: bend
+                        .linearity
+                        .proportional_dn(saturation.plateau_dn - black_dn),
                     std: saturation.plateau_std_dn,
                 }),
                 dark_current_e_s: per_gain(slope),
                 dark_current_spread_e_s: per_gain(slope_spread),
                 saturation_dn: saturation.count_dn,
-                linear_max_dn,
-                linearity_error,
+                linear_max_dn: match bend.is_whole {
+                    true => saturation.count_dn,
+                    false => (black_dn + bend.highest_dn).min(saturation.count_dn),
+                },
+                linearity_error: bend.error,
+                linearity: Some(bend.linearity),
+                linearity_residual: Some(bend.residual),
                 bit_depth,
                 hot_pixels: (0..hot.len())
                     .filter(|&p| hot[p])
@@ -300,6 +359,27 @@ impl Level {
         pixels.iter().map(|&p| self.pixel_mean(p)).sum::<f64>() / pixels.len() as f64
     }
 
+    /// What this level of flats says of linearity: `point` is its mean.
+    fn linear_level(&self, point: &TransferPoint, pixels: &[usize], dark_dn_s: f64) -> LinearLevel {
+        let frames = f64::from(self.frames);
+        let noise_dn2 = point.variance_dn2 / pixels.len() as f64;
+        let mean_of_means = self.frame_means.iter().sum::<f64>() / frames;
+        let scatter: f64 = self
+            .frame_means
+            .iter()
+            .map(|mean| (mean - mean_of_means).powi(2))
+            .sum();
+        LinearLevel {
+            exposure_s: self.exposure_s,
+            signal_dn: point.counted_dn,
+            dark_dn: dark_dn_s * self.exposure_s,
+            variance_dn2: point.variance_dn2,
+            frames,
+            mean_variance_dn2: noise_dn2 / frames,
+            light_variance_dn2: scatter / (frames - 1.0) - noise_dn2,
+        }
+    }
+
     fn freedom(&self, pixels: &[usize]) -> f64 {
         f64::from(self.frames - 1) * (pixels.len() as f64 - 1.0)
     }
@@ -320,109 +400,6 @@ impl Level {
             .sum();
         let shared = between_frames * pixels.len() as f64;
         (about_pixel_means - shared).max(0.0) / self.freedom(pixels)
-    }
-}
-
-/// Each pixel's dark counts as offset plus slope times exposure.
-struct Darkness {
-    offset_dn: Vec<f64>,
-    slope_dn_s: Vec<f64>,
-    /// Covariance of (offset, slope) of one pixel from the temporal noise.
-    covariance: [[f64; 2]; 2],
-}
-
-impl Darkness {
-    fn fit(dark: &[&Level]) -> Self {
-        let pixels: Vec<usize> = (0..dark[0].sum.len()).collect();
-        // Typical pixels: the noise of hot ones is far larger.
-        let mut means: Vec<(f64, usize)> = pixels
-            .iter()
-            .map(|&p| (dark[dark.len() - 1].pixel_mean(p), p))
-            .collect();
-        means.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let typical: Vec<usize> = means[..means.len().div_ceil(2).max(2).min(means.len())]
-            .iter()
-            .map(|&(_, p)| p)
-            .collect();
-        let weights: Vec<f64> = dark
-            .iter()
-            .map(|level| {
-                let variance = level.temporal_variance(&typical).max(1.0 / 12.0);
-                f64::from(level.frames) / variance
-            })
-            .collect();
-        let sum = |power: i32| -> f64 {
-            dark.iter()
-                .zip(&weights)
-                .map(|(level, w)| w * level.exposure_s.powi(power))
-                .sum()
-        };
-        let (s0, s1, s2) = (sum(0), sum(1), sum(2));
-        let determinant = s0 * s2 - s1 * s1;
-        let covariance = [
-            [s2 / determinant, -s1 / determinant],
-            [-s1 / determinant, s0 / determinant],
-        ];
-        let (offset_dn, slope_dn_s) = pixels
-            .iter()
-            .map(|&p| {
-                let (mut r0, mut r1) = (0.0, 0.0);
-                for (level, w) in dark.iter().zip(&weights) {
-                    let y = level.pixel_mean(p);
-                    r0 += w * y;
-                    r1 += w * y * level.exposure_s;
-                }
-                (
-                    covariance[0][0] * r0 + covariance[0][1] * r1,
-                    covariance[1][0] * r0 + covariance[1][1] * r1,
-                )
-            })
-            .unzip();
-        Self {
-            offset_dn,
-            slope_dn_s,
-            covariance,
-        }
-    }
-
-    fn hot_pixels(&self) -> Vec<bool> {
-        let middle = median(&self.slope_dn_s);
-        let deviations: Vec<f64> = self.slope_dn_s.iter().map(|s| (s - middle).abs()).collect();
-        // 1.4826 times the median deviation is the standard deviation of a normal.
-        let sigma = 1.4826 * median(&deviations);
-        let floor = self.covariance[1][1].sqrt();
-        let limit = middle + HOT_SIGMA * sigma.max(floor);
-        self.slope_dn_s.iter().map(|&s| s > limit).collect()
-    }
-
-    /// Mean over the pixels and the spread that is not measurement noise;
-    /// `which` is 0 for offsets and 1 for slopes.
-    fn statistics(&self, values: &[f64], pixels: &[usize], which: usize) -> (Measured, Measured) {
-        let n = pixels.len() as f64;
-        let mean = pixels.iter().map(|&p| values[p]).sum::<f64>() / n;
-        let variance = pixels
-            .iter()
-            .map(|&p| (values[p] - mean).powi(2))
-            .sum::<f64>()
-            / (n - 1.0);
-        let own = (variance - self.covariance[which][which]).max(0.0);
-        // The variance of a sample variance, carried to its root.
-        let variance_std = variance * (2.0 / (n - 1.0)).sqrt();
-        let spread_std = if own > variance_std {
-            0.5 * variance_std / own.sqrt()
-        } else {
-            variance_std.sqrt()
-        };
-        (
-            Measured {
-                value: mean,
-                std: (variance / n).sqrt(),
-            },
-            Measured {
-                value: own.sqrt(),
-                std: spread_std,
-            },
-        )
     }
 }
 
@@ -475,17 +452,12 @@ struct VarianceLine {
 impl VarianceLine {
     /// Weighted least squares; the weights come from the line of the round
     /// before, since measured variances would favour low ones.
-    fn fit(curve: &mut [TransferPoint], dark: &[&Level], flats: &[&Level], cold: &[usize]) -> Self {
-        let freedom: Vec<f64> = dark
-            .iter()
-            .chain(flats)
-            .map(|level| level.freedom(cold))
-            .collect();
+    fn fit(curve: &mut [TransferPoint], freedom: &[f64]) -> Self {
         let mut expected: Vec<f64> = curve.iter().map(|p| p.variance_dn2.max(1e-3)).collect();
         let mut line = None;
         for _ in 0..4 {
             let (mut s0, mut s1, mut s2, mut r0, mut r1) = (0.0, 0.0, 0.0, 0.0, 0.0);
-            for ((point, &f), &e) in curve.iter().zip(&freedom).zip(&expected) {
+            for ((point, &f), &e) in curve.iter().zip(freedom).zip(&expected) {
                 if !point.fitted {
                     continue;
                 }
@@ -501,7 +473,7 @@ impl VarianceLine {
             let slope = (s0 * r1 - s1 * r0) / determinant;
             let mut chi2 = 0.0;
             let mut points = 0.0;
-            for ((point, &f), e) in curve.iter_mut().zip(&freedom).zip(&mut expected) {
+            for ((point, &f), e) in curve.iter_mut().zip(freedom).zip(&mut expected) {
                 *e = (at_zero + slope * point.signal_dn).max(1e-3);
                 point.variance_std_dn2 = *e * (2.0 / f).sqrt();
                 if point.fitted {
@@ -543,59 +515,4 @@ impl VarianceLine {
             std: variance.max(0.0).sqrt(),
         }
     }
-}
-
-/// Highest count that is proportional to light within 1%, and the largest
-/// departure up to it: signal (less dark) over exposure against the mean ratio
-/// of the fitted flats, from 5% of saturation up.
-fn linearity(
-    curve: &[TransferPoint],
-    dark_dn_s: f64,
-    black_dn: f64,
-    saturation_dn: f64,
-) -> Result<(f64, f64), SensorFitError> {
-    let usable_dn = saturation_dn - black_dn;
-    let flats: Vec<(f64, f64)> = curve
-        .iter()
-        .filter(|p| p.exposed == Exposed::Flat && p.signal_dn > 0.05 * usable_dn)
-        .map(|p| (p.signal_dn, p.signal_dn / p.exposure_s - dark_dn_s))
-        .collect();
-    let fitted: Vec<f64> = flats
-        .iter()
-        .filter(|(signal, _)| *signal <= FIT_UP_TO * usable_dn)
-        .map(|&(_, ratio)| ratio)
-        .collect();
-    at_least("flats from 5% to 70% of saturation", fitted.len(), 2)?;
-    let reference = fitted.iter().sum::<f64>() / fitted.len() as f64;
-    let mut highest_dn = 0.0f64;
-    let mut error = 0.0f64;
-    for &(signal_dn, ratio) in &flats {
-        let departure = (ratio / reference - 1.0).abs();
-        let in_fit = signal_dn <= FIT_UP_TO * usable_dn;
-        if in_fit || departure <= LINEAR_WITHIN {
-            error = error.max(departure);
-            highest_dn = highest_dn.max(signal_dn);
-        } else {
-            break;
-        }
-    }
-    if error > MAX_LINEARITY_ERROR {
-        return Err(SensorFitError::NotLinear {
-            error: 100.0 * error,
-            allowed: 100.0 * MAX_LINEARITY_ERROR,
-        });
-    }
-    // Levels are a few percent apart: one within 10% of saturation speaks for all of it.
-    let linear_max_dn = if highest_dn >= 0.9 * usable_dn {
-        saturation_dn
-    } else {
-        black_dn + highest_dn
-    };
-    Ok((linear_max_dn.min(saturation_dn), error))
-}
-
-fn median(values: &[f64]) -> f64 {
-    let mut sorted = values.to_vec();
-    sorted.sort_unstable_by(f64::total_cmp);
-    sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)
 }

@@ -70,8 +70,7 @@ fn ratio_above(
     later: Exposed<'_>,
 ) -> Option<SignalRatio> {
     let signal = |frame: Exposed<'_>, pixel: usize| {
-        f64::from(frame.counts[pixel])
-            - noise.black_level_dn
+        noise.signal_dn(f64::from(frame.counts[pixel]))
             - noise.gain_dn_per_e * noise.dark_current_e_s * frame.exposure_s
     };
     let range_dn = noise.usable_range_dn();

@@ -154,6 +154,7 @@ fn read_sensor(
         responsivity: table.number("responsivity", 1.0..=1e12)?.or(1e6),
         gain_dn_per_e: table.number("gain_dn_per_e", 1e-4..=100.0)?.or(0.38),
         read_noise_e: table.number("read_noise_e", 0.0..=1000.0)?.or(2.4),
+        nonlinearity: table.number("nonlinearity", -0.2..=0.2)?.or(0.0),
         full_well_e: table.number("full_well_e", 100.0..=1e7)?.or(10_500.0),
         black_level_dn: table.number("black_level_dn", 0.0..=16_384.0)?.or(64.0),
         dark_current_e_s: table.number("dark_current_e_s", 0.0..=1e6)?.or(3.0),

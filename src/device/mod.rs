@@ -8,6 +8,7 @@ pub mod command_camera;
 pub mod controls;
 pub mod discovery;
 pub mod dome;
+pub mod even_light;
 pub mod folder_camera;
 pub mod grbl;
 pub mod guardian;

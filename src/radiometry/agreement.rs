@@ -94,8 +94,8 @@ impl RepeatSum {
         counts: bool,
     ) -> bool {
         let earlier = f64::from(earlier);
-        let before_dn = sum_dn / earlier - noise.black_level_dn;
-        let signal_dn = count_dn - noise.black_level_dn;
+        let before_dn = noise.signal_dn(sum_dn / earlier);
+        let signal_dn = noise.signal_dn(count_dn);
         let pooled_dn = (earlier * before_dn + signal_dn) / (earlier + 1.0);
         let variance_dn2 = noise.count_variance_dn2(pooled_dn / noise.gain_dn_per_e);
         if counts && pooled_dn < REPEAT_BELOW * noise.usable_range_dn() {

@@ -148,7 +148,7 @@ pub fn read_pilot(
                 .as_ref()
                 .is_some_and(|hot| hot.get(p).copied().unwrap_or(false))
     };
-    let ceiling_dn = noise.black_level_dn + noise.usable_range_dn();
+    let ceiling_dn = noise.ceiling_dn();
     let mut rates_e_s = Vec::with_capacity(pixels);
     let mut clipped = 0usize;
     for p in (0..pixels).filter(|&p| wanted(p)) {
@@ -157,8 +157,7 @@ pub fn read_pilot(
         }
         let mean_dn = frames.iter().map(|f| f64::from(f[p])).sum::<f64>() / frames.len() as f64;
         rates_e_s.push(
-            (mean_dn - noise.black_level_dn) / (noise.gain_dn_per_e * exposure_s)
-                - noise.dark_current_e_s,
+            noise.signal_dn(mean_dn) / (noise.gain_dn_per_e * exposure_s) - noise.dark_current_e_s,
         );
     }
     if rates_e_s.is_empty() {

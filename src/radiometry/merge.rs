@@ -167,7 +167,7 @@ impl<N: Borrow<SensorNoise>> BracketMerge<N> {
             return Err(MergeError::TooManyFrames);
         }
         let noise: &SensorNoise = self.noise.borrow();
-        let ceiling_dn = noise.saturation_dn.min(noise.linear_max_dn);
+        let ceiling_dn = noise.ceiling_dn();
         if role == FrameRole::Light && exposure.frames > 0 {
             let counted = self.counted.start * self.width..self.counted.end * self.width;
             exposure.compare(noise, counts, &counted);
@@ -330,12 +330,15 @@ struct Bracket<'a> {
 
 impl Bracket<'_> {
     fn levels(&self, exposures: &[&ExposureSum], pixel: usize) -> impl Iterator<Item = Level> {
-        let black_dn = self.noise.black_level_dn;
-        exposures.iter().map(move |e| Level {
-            exposure_s: e.exposure_s,
-            frames: e.frames,
-            signal_dn: f64::from(e.sum_dn[pixel]) / f64::from(e.frames) - black_dn,
-            clipped: e.clipped[pixel],
+        exposures.iter().map(move |e| {
+            let mean_dn = f64::from(e.sum_dn[pixel]) / f64::from(e.frames);
+            Level {
+                exposure_s: e.exposure_s,
+                frames: e.frames,
+                signal_dn: self.noise.signal_dn(mean_dn),
+                per_linearity: self.noise.per_linearity(mean_dn),
+                clipped: e.clipped[pixel],
+            }
         })
     }
 
@@ -427,17 +430,13 @@ impl Bracket<'_> {
             rate_e_s: self.noise.dark_current_e_s,
             variance: self.noise.dark_current_spread_e_s.powi(2),
             per_offset: 0.0,
+            per_linearity: [0.0; 2],
             offset_information: 0.0,
             offset_score: 0.0,
         };
         let unlit = ambient.or(dark).unwrap_or(by_record);
         let only_for_offset = ambient.and(dark.as_ref());
-        let (rate_e_s, variance) = difference(
-            lit,
-            &unlit,
-            only_for_offset,
-            self.noise.black_level_spread_dn,
-        );
+        let (rate_e_s, variance) = difference(lit, &unlit, only_for_offset, self.noise);
         let (response, response_std) = match &self.noise.flat_field {
             Some(flat) => (
                 f64::from(flat.response[pixel]),

@@ -7,6 +7,7 @@ pub mod exposure;
 pub mod frame_exposure;
 pub mod frame_file;
 pub mod framing;
+pub mod linearity;
 pub mod merge;
 pub mod mosaic;
 mod neighbourhood;

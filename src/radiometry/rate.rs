@@ -17,8 +17,10 @@ pub(super) struct Level {
     pub exposure_s: f64,
     /// Frames averaged.
     pub frames: u32,
-    /// Mean count less the nominal black level, DN.
+    /// Mean count less the nominal black level, in proportion to light, DN.
     pub signal_dn: f64,
+    /// Its derivatives by the coefficients of the linearity correction, DN.
+    pub per_linearity: [f64; 2],
     /// Whether any of the frames clips.
     pub clipped: bool,
 }
@@ -50,6 +52,8 @@ pub(super) struct RateEstimate {
     pub variance: f64,
     /// Decrease of the rate per DN of offset, e⁻/s/DN.
     pub per_offset: f64,
+    /// Derivatives of the rate by the coefficients of the linearity correction, e⁻/s.
+    pub per_linearity: [f64; 2],
     /// Information on the offset, 1/DN².
     pub offset_information: f64,
     /// Information times the best offset, 1/DN.
@@ -79,6 +83,7 @@ impl RateEstimate {
             rate_e_s: level.signal_dn / slope,
             variance: variance_dn2 / (slope * slope),
             per_offset: 1.0 / slope,
+            per_linearity: level.per_linearity.map(|dn| dn / slope),
             offset_information: 0.0,
             offset_score: 0.0,
         }
@@ -132,6 +137,9 @@ impl RateEstimate {
         self.rate_e_s += weight * innovation_dn / slope + added * share_per_rate / (total * total);
         self.variance = (1.0 - weight).powi(2) * self.variance + weight * weight / added;
         self.per_offset += weight * (1.0 / slope - self.per_offset);
+        for (mine, dn) in self.per_linearity.iter_mut().zip(level.per_linearity) {
+            *mine += weight * (dn / slope - *mine);
+        }
         Agreement {
             share,
             predicted_dn,
@@ -181,10 +189,12 @@ pub(super) fn difference(
     lit: &RateEstimate,
     unlit: &RateEstimate,
     dark: Option<&RateEstimate>,
-    offset_spread_dn: f64,
+    noise: &SensorNoise,
 ) -> (f64, f64) {
     let rate = lit.rate_e_s - unlit.rate_e_s;
-    let variance = lit.variance + unlit.variance;
+    let per_linearity = [0, 1].map(|i| lit.per_linearity[i] - unlit.per_linearity[i]);
+    let variance = lit.variance + unlit.variance + noise.linearity.variance(per_linearity);
+    let offset_spread_dn = noise.black_level_spread_dn;
     if offset_spread_dn <= 0.0 {
         return (rate, variance);
     }
@@ -225,6 +235,7 @@ mod tests {
             exposure_s,
             frames,
             signal_dn,
+            per_linearity: [0.0; 2],
             clipped: false,
         };
         let lit = [
@@ -262,7 +273,7 @@ mod tests {
         };
         let lit = follow(lit.into_iter(), &noise, expect(lit_e_s), ignore).unwrap();
         let unlit = follow(unlit.into_iter(), &noise, expect(unlit_e_s), ignore).unwrap();
-        let (rate, variance) = difference(&lit, &unlit, None, noise.black_level_spread_dn);
+        let (rate, variance) = difference(&lit, &unlit, None, &noise);
         assert!((rate / expected - 1.0).abs() < 1e-9, "{rate} {expected}");
         assert!(
             (variance / expected_variance - 1.0).abs() < 1e-9,
@@ -277,6 +288,7 @@ mod tests {
             exposure_s,
             frames: 1,
             signal_dn,
+            per_linearity: [0.0; 2],
             clipped: false,
         };
         let ignore = |_: usize, _: &Level, _: Agreement| {};

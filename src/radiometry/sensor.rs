@@ -8,6 +8,8 @@
 use std::f64::consts::PI;
 use std::ops::Range;
 
+use super::linearity::Linearity;
+
 /// What one sensor, at one gain setting, does to light.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SensorNoise {
@@ -23,8 +25,11 @@ pub struct SensorNoise {
     pub black_level_spread_dn: f64,
     /// Counts at or above this are clipped, DN.
     pub saturation_dn: f64,
-    /// Counts above this are not proportional to light, DN; at most `saturation_dn`.
+    /// Counts above this are not proportional to light, corrected or not, DN; at
+    /// most `saturation_dn`.
     pub linear_max_dn: f64,
+    /// How counts become proportional to light.
+    pub linearity: Linearity,
     /// Mean dark current, electrons per second; used where no dark or ambient
     /// frames are given.
     pub dark_current_e_s: f64,
@@ -92,6 +97,7 @@ impl SensorNoise {
             black_level_spread_dn: 0.0,
             saturation_dn: full_scale_dn,
             linear_max_dn: full_scale_dn,
+            linearity: Linearity::NONE,
             dark_current_e_s: 0.0,
             dark_current_spread_e_s: 0.0,
             bit_depth,
@@ -163,6 +169,14 @@ impl SensorNoise {
             f64::MAX,
             true,
         )?;
+        let range_dn = self.ceiling_dn() - self.black_level_dn;
+        if !(self.linearity.grows_up_to(range_dn) && self.linearity.has_covariance()) {
+            return Err(SensorError::OutOfRange {
+                name: "linearity",
+                value: self.linearity.coefficients[0],
+                allowed: "those whose signal grows with every count".to_owned(),
+            });
+        }
         if let Some(hot) = &self.hot_pixels {
             map_size("hot-pixel map", hot.len(), pixels)?;
         }
@@ -198,12 +212,33 @@ impl SensorNoise {
         }
     }
 
-    /// Highest count that may be used, above the black level, DN.
-    pub fn usable_range_dn(&self) -> f64 {
-        self.linear_max_dn.min(self.saturation_dn) - self.black_level_dn
+    /// Highest count that may be used, DN.
+    pub fn ceiling_dn(&self) -> f64 {
+        self.linear_max_dn.min(self.saturation_dn)
     }
 
-    /// Variance of one count with a mean of `electrons` (signal and dark), DN².
+    /// Signal of the highest count that may be used, DN.
+    pub fn usable_range_dn(&self) -> f64 {
+        self.signal_dn(self.ceiling_dn())
+    }
+
+    /// What is proportional to light of a count, or of a mean of counts of one
+    /// pixel: less the black level, and corrected, DN.
+    pub fn signal_dn(&self, count_dn: f64) -> f64 {
+        self.linearity
+            .proportional_dn(count_dn - self.black_level_dn)
+    }
+
+    /// Derivatives of [`Self::signal_dn`] by the coefficients of the linearity
+    /// correction, DN.
+    pub fn per_linearity(&self, count_dn: f64) -> [f64; 2] {
+        self.linearity
+            .per_coefficient(count_dn - self.black_level_dn)
+    }
+
+    /// Variance of one count with a mean of `electrons` (signal and dark), DN²,
+    /// after the correction of its linearity (which photon noise makes an exact
+    /// statement; that read noise grows with the correction's slope is neglected).
     /// Negative means, which noisy estimates have, count as zero.
     pub fn count_variance_dn2(&self, electrons: f64) -> f64 {
         self.analogue_variance_dn2(electrons) + 1.0 / 12.0
@@ -289,7 +324,8 @@ mod tests {
         let good = SensorNoise::ideal(0.5, 2.0, 64.0, 12);
         assert_eq!(good.check(4), Ok(()));
         type Spoil = fn(&mut SensorNoise);
-        let cases: [(&str, Spoil); 8] = [
+        let cases: [(&str, Spoil); 9] = [
+            ("linearity", |s| s.linearity.coefficients = [-5000.0, 0.0]),
             ("gain_dn_per_e", |s| s.gain_dn_per_e = 0.0),
             ("gain_dn_per_e", |s| s.gain_dn_per_e = f64::NAN),
             ("read_noise_e", |s| s.read_noise_e = -1.0),

@@ -1,68 +1,11 @@
 use super::*;
 use crate::calibration::flat::{from_map, to_map};
 use crate::calibration::sensor::SensorFit;
-use crate::device::{CameraInfo, Mosaic, RawFrame};
-use mock_devices::sensor::{self, NoiseKey, SensorConfig, SensorModel};
-
-/// The simulated sensor before a light of even radiance, without bench or clock.
-struct BenchCamera {
-    info: CameraInfo,
-    sensor: SensorModel,
-    radiance: f32,
-    settings: CameraSettings,
-    open: bool,
-    drift_per_frame: f64,
-    seed: u64,
-}
-
-impl Camera for BenchCamera {
-    fn info(&self) -> &CameraInfo {
-        &self.info
-    }
-    fn configure(&mut self, requested: CameraSettings) -> Result<CameraSettings, DeviceError> {
-        let steps = (requested.exposure.0 / self.info.exposure_step.0).round();
-        self.settings = CameraSettings {
-            exposure: Seconds(steps.max(1.0) * self.info.exposure_step.0),
-            ..requested
-        };
-        Ok(self.settings)
-    }
-    fn set_shutter(&mut self, open: bool) -> Result<bool, DeviceError> {
-        self.open = open;
-        Ok(true)
-    }
-    fn grab(&mut self, key: FrameKey) -> Result<RawFrame, DeviceError> {
-        let [width, height] = self.info.resolution_px;
-        let drift = 1.0 + self.drift_per_frame * f64::from(key.repeat % 8);
-        let radiance = if self.open {
-            f64::from(self.radiance) * drift
-        } else {
-            0.0
-        };
-        let frame = sensor::FrameKey {
-            light: key.light,
-            exposure: key.exposure,
-            repeat: key.repeat,
-            kind: key.kind as u32,
-        };
-        let counts = self.sensor.expose(
-            &vec![radiance as f32; (width * height) as usize],
-            self.settings.exposure.0,
-            self.settings.gain,
-            NoiseKey {
-                seed: self.seed,
-                frame,
-            },
-        );
-        Ok(RawFrame {
-            width,
-            height,
-            counts,
-            sequence: None,
-            timestamp: None,
-        })
-    }
-}
+use crate::device::even_light::EvenLight;
+use crate::radiometry::linearity::Linearity;
+use crate::radiometry::merge::{BracketMerge, FrameRole};
+use crate::radiometry::mosaic::Mosaic;
+use mock_devices::sensor::{FrameKey as MockFrameKey, NoiseKey, SensorConfig};
 
 fn truth(seed: u64) -> SensorConfig {
     SensorConfig {
@@ -71,33 +14,13 @@ fn truth(seed: u64) -> SensorConfig {
     }
 }
 
-fn camera(config: SensorConfig, seed: u64) -> BenchCamera {
-    BenchCamera {
-        info: CameraInfo {
-            driver: "test".into(),
-            model: "test".into(),
-            serial: "T-1".into(),
-            resolution_px: config.resolution_px,
-            bit_depth: config.bit_depth,
-            mosaic: Mosaic::None,
-            exposure_range: [Seconds(5e-5), Seconds(2.0)],
-            exposure_step: Seconds(1e-5),
-        },
-        settings: CameraSettings {
-            exposure: Seconds(0.01),
-            gain: 1.0,
-        },
-        sensor: SensorModel::new(config),
-        radiance: 0.4,
-        open: true,
-        drift_per_frame: 0.0,
-        seed,
-    }
+fn camera(config: SensorConfig, seed: u64) -> EvenLight {
+    EvenLight::new(config, 0.4, seed)
 }
 
-fn calibrate(camera: &mut BenchCamera) -> Result<SensorFit, ProcedureError> {
-    let bit_depth = camera.info.bit_depth;
-    let width = camera.info.resolution_px[0] as usize;
+fn calibrate(camera: &mut EvenLight) -> Result<SensorFit, ProcedureError> {
+    let bit_depth = camera.info().bit_depth;
+    let width = camera.info().resolution_px[0] as usize;
     let transfer = Bench::new(
         camera,
         ProcedureOptions::default(),
@@ -152,8 +75,8 @@ fn photon_transfer_recovers_the_truth_within_its_uncertainty() {
         assert_eq!(v.linear_max_dn, v.saturation_dn, "{case}");
         assert!(v.linearity_error < 0.01, "{case}");
         let hot: Vec<u32> = v.hot_pixels.iter().map(|&[x, y]| y * 64 + x).collect();
-        assert_eq!(hot, camera.sensor.hot_pixels(), "{case}");
-        let dark = camera.sensor.dark_current_e_s();
+        assert_eq!(hot, camera.sensor().hot_pixels(), "{case}");
+        let dark = camera.sensor().dark_current_e_s();
         let cold = (0..dark.len()).filter(|&p| !fit.hot[p]);
         let cold: Vec<f64> = cold.map(|p| f64::from(dark[p])).collect();
         let dark_e_s = cold.iter().sum::<f64>() / cold.len() as f64;
@@ -174,7 +97,7 @@ fn photon_transfer_recovers_the_truth_within_its_uncertainty() {
 #[test]
 fn a_drifting_lamp_does_not_look_like_noise() {
     let mut camera = camera(truth(5), 1);
-    camera.drift_per_frame = 0.002;
+    camera.drift_per_frame = 5e-5;
     let fit = calibrate(&mut camera).unwrap();
     assert!(
         (fit.values.gain_dn_per_e.value / 0.38 - 1.0).abs() < 0.01,
@@ -201,9 +124,9 @@ fn flat_field_recovers_the_response_within_its_uncertainty() {
     let (flat, rate_e_s) = Bench::new(&mut camera, options, &mut |_| false, &mut || {})
         .flat_field(&noise)
         .unwrap();
-    let true_rate = 0.4 * camera.sensor.config().responsivity;
+    let true_rate = 0.4 * camera.sensor().config().responsivity;
     assert!((rate_e_s / true_rate - 1.0).abs() < 0.01, "{rate_e_s}");
-    let truth = camera.sensor.relative_response();
+    let truth = camera.sensor().relative_response();
     let good: Vec<usize> = (0..truth.len()).filter(|&p| !fit.hot[p]).collect();
     let mean = good.iter().map(|&p| f64::from(truth[p])).sum::<f64>() / good.len() as f64;
     let chi2: f64 = good
@@ -253,4 +176,125 @@ fn frames_that_do_not_suffice_are_refused() {
     assert!(error.to_string().contains("1 pixels"), "{error}");
     let error = transfer.solve(2, 12).unwrap_err();
     assert!(error.to_string().contains("dark frames: 1"), "{error}");
+}
+
+/// Sensors that bend downwards and upwards: the gain stays within 1%, and what is
+/// merged of a bracket between 2% and 95% of saturation is right to 0.1% or a
+/// twentieth of its standard deviation where, uncorrected, it is not.
+#[test]
+fn a_sensor_that_bends_is_corrected_within_its_uncertainty() {
+    let mut pulls = Vec::new();
+    for (seed, nonlinearity) in [(1, -0.015), (2, -0.015), (3, -0.03), (4, 0.02)] {
+        let config = SensorConfig {
+            nonlinearity,
+            // The well is full before the converter is.
+            gain_dn_per_e: 0.36,
+            hot_fraction: 0.0,
+            ..truth(300 + seed)
+        };
+        let mut camera = camera(config.clone(), seed);
+        let fit = calibrate(&mut camera).unwrap();
+        let v = &fit.values;
+        let linearity = v.linearity.unwrap();
+        let case = format!("{nonlinearity}: {v:?}");
+        assert!(
+            (v.gain_dn_per_e.value / config.gain_dn_per_e - 1.0).abs() < 0.01,
+            "{case}"
+        );
+        assert!(
+            (v.full_well_e.value / config.full_well_e - 1.0).abs() < 0.01,
+            "{case}"
+        );
+        assert!(v.linearity_residual.unwrap() < 1e-3, "{case}");
+        assert_eq!(v.linear_max_dn, v.saturation_dn, "{case}");
+        // The truth at three levels: electrons that read as n (1 + q n / N).
+        for part in [0.2, 0.5, 0.9] {
+            let electrons = part * config.full_well_e;
+            let read_dn = config.gain_dn_per_e * electrons * (1.0 + nonlinearity * part);
+            let corrected = linearity.proportional_dn(read_dn);
+            let std = linearity
+                .variance(linearity.per_coefficient(read_dn))
+                .sqrt();
+            pulls.push((corrected - config.gain_dn_per_e * electrons) / std);
+        }
+
+        let mut noise = crate::calibration::noise::sensor_noise(v, None, None, [64, 64]).unwrap();
+        noise.flat_field = Some(FlatField {
+            response: camera.sensor().relative_response().to_vec(),
+            std_dev: vec![0.0; 64 * 64],
+        });
+        // The scale is measured with the same gain, whose error cancels.
+        noise.responsivity_e_s = config.responsivity * config.gain_dn_per_e / v.gain_dn_per_e.value;
+        let uncorrected = SensorNoise {
+            linearity: Linearity::NONE,
+            ..noise.clone()
+        };
+        for part in [0.02, 0.6, 0.9] {
+            let radiance = part * config.full_well_e / 0.016 / config.responsivity;
+            let corrected = merged_error(&camera, &noise, radiance, seed);
+            let (error, std) = corrected;
+            assert!(
+                error.abs() < f64::max(0.001 * radiance, 0.05 * std),
+                "{part} of saturation: {error} of {radiance}, {case}"
+            );
+            let (error, std) = merged_error(&camera, &uncorrected, radiance, seed);
+            if part > 0.5 {
+                assert!(
+                    error.abs() > f64::max(0.001 * radiance, 0.05 * std),
+                    "{part} of saturation without correction: {error}, {case}"
+                );
+            }
+        }
+    }
+    // Those of one sensor are correlated, so the tails are wide: 4 sensors count.
+    let chi2 = pulls.iter().map(|p| p * p).sum::<f64>() / pulls.len() as f64;
+    assert!((0.05..4.2).contains(&chi2), "{pulls:?}");
+}
+
+/// Mean error and mean standard deviation of an even radiance merged from three
+/// exposures, the longest of 16 ms.
+fn merged_error(camera: &EvenLight, noise: &SensorNoise, radiance: f64, seed: u64) -> (f64, f64) {
+    let mut merge = BracketMerge::new(noise, Mosaic::None, 64, 64).unwrap();
+    for (exposure, exposure_s) in (0..).zip([0.001, 0.004, 0.016]) {
+        for (kind, role) in [(0, FrameRole::Light), (2, FrameRole::Dark)] {
+            for repeat in 0..4 {
+                let frame = MockFrameKey {
+                    light: (radiance * 1e6) as u32,
+                    exposure,
+                    repeat,
+                    kind,
+                };
+                let lit = if kind == 0 { radiance } else { 0.0 };
+                let key = NoiseKey { seed, frame };
+                let counts =
+                    camera
+                        .sensor()
+                        .expose(&vec![lit as f32; 64 * 64], exposure_s, 1.0, key);
+                merge.add(role, exposure_s, &counts).unwrap();
+            }
+        }
+    }
+    let merged = merge.finish().unwrap();
+    let n = merged.mean.len() as f64;
+    let error = merged.mean.iter().map(|&m| f64::from(m) - radiance);
+    let std = merged.variance.iter().map(|&v| f64::from(v).sqrt());
+    (error.sum::<f64>() / n, std.sum::<f64>() / n)
+}
+
+#[test]
+fn a_sensor_that_bends_too_far_is_refused() {
+    let config = SensorConfig {
+        nonlinearity: -0.15,
+        ..truth(4)
+    };
+    let error = calibrate(&mut camera(config, 1)).unwrap_err();
+    let fact = error.to_string();
+    assert!(
+        matches!(
+            error,
+            ProcedureError::Sensor(SensorFitError::NotLinear { .. })
+        ),
+        "{fact}"
+    );
+    assert!(fact.contains("at most 3%"), "{fact}");
 }

@@ -34,6 +34,7 @@ struct SensorReport<'a> {
 #[derive(Serialize)]
 struct CurvePoint {
     exposure_s: f64,
+    counted_dn: f64,
     signal_dn: f64,
     variance_dn2: f64,
     variance_std_dn2: f64,
@@ -44,6 +45,7 @@ impl From<&TransferPoint> for CurvePoint {
     fn from(point: &TransferPoint) -> Self {
         Self {
             exposure_s: point.exposure_s,
+            counted_dn: point.counted_dn,
             signal_dn: point.signal_dn,
             variance_dn2: point.variance_dn2,
             variance_std_dn2: point.variance_std_dn2,
@@ -77,7 +79,8 @@ pub(super) fn run(args: &SensorArgs, context: &Context) -> Result<(), CliError> 
     let v = &fit.values;
     context.note(format_args!(
         "gain {:.4} ± {:.4} DN/e⁻, read noise {:.3} ± {:.3} e⁻, black level {:.2} DN, \
-         dark current {:.2} e⁻/s, full well {:.0} e⁻, linear within {:.2}%, {} hot pixels",
+         dark current {:.2} e⁻/s, full well {:.0} e⁻, \
+         linear within {:.2}%, corrected within {:.2}%, {} hot pixels",
         v.gain_dn_per_e.value,
         v.gain_dn_per_e.std,
         v.read_noise_e.value,
@@ -86,6 +89,7 @@ pub(super) fn run(args: &SensorArgs, context: &Context) -> Result<(), CliError> 
         v.dark_current_e_s.value,
         v.full_well_e.value,
         100.0 * v.linearity_error,
+        100.0 * v.linearity_residual.unwrap_or(v.linearity_error),
         v.hot_pixels.len(),
     ));
     if !args.common.json {

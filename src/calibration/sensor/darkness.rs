@@ -1,0 +1,121 @@
+//! What each pixel counts without light.
+
+use super::Level;
+use crate::calibration::record::Measured;
+
+/// Dark current this many standard deviations above the median makes a pixel hot.
+const HOT_SIGMA: f64 = 8.0;
+
+/// Each pixel's dark counts as offset plus slope times exposure.
+pub(super) struct Darkness {
+    pub offset_dn: Vec<f64>,
+    pub slope_dn_s: Vec<f64>,
+    /// Covariance of (offset, slope) of one pixel from the temporal noise.
+    pub covariance: [[f64; 2]; 2],
+}
+
+impl Darkness {
+    pub fn fit(dark: &[&Level]) -> Self {
+        let pixels: Vec<usize> = (0..dark[0].sum.len()).collect();
+        // Typical pixels: the noise of hot ones is far larger.
+        let mut means: Vec<(f64, usize)> = pixels
+            .iter()
+            .map(|&p| (dark[dark.len() - 1].pixel_mean(p), p))
+            .collect();
+        means.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let typical: Vec<usize> = means[..means.len().div_ceil(2).max(2).min(means.len())]
+            .iter()
+            .map(|&(_, p)| p)
+            .collect();
+        let weights: Vec<f64> = dark
+            .iter()
+            .map(|level| {
+                let variance = level.temporal_variance(&typical).max(1.0 / 12.0);
+                f64::from(level.frames) / variance
+            })
+            .collect();
+        let sum = |power: i32| -> f64 {
+            dark.iter()
+                .zip(&weights)
+                .map(|(level, w)| w * level.exposure_s.powi(power))
+                .sum()
+        };
+        let (s0, s1, s2) = (sum(0), sum(1), sum(2));
+        let determinant = s0 * s2 - s1 * s1;
+        let covariance = [
+            [s2 / determinant, -s1 / determinant],
+            [-s1 / determinant, s0 / determinant],
+        ];
+        let (offset_dn, slope_dn_s) = pixels
+            .iter()
+            .map(|&p| {
+                let (mut r0, mut r1) = (0.0, 0.0);
+                for (level, w) in dark.iter().zip(&weights) {
+                    let y = level.pixel_mean(p);
+                    r0 += w * y;
+                    r1 += w * y * level.exposure_s;
+                }
+                (
+                    covariance[0][0] * r0 + covariance[0][1] * r1,
+                    covariance[1][0] * r0 + covariance[1][1] * r1,
+                )
+            })
+            .unzip();
+        Self {
+            offset_dn,
+            slope_dn_s,
+            covariance,
+        }
+    }
+
+    pub fn hot_pixels(&self) -> Vec<bool> {
+        let middle = median(&self.slope_dn_s);
+        let deviations: Vec<f64> = self.slope_dn_s.iter().map(|s| (s - middle).abs()).collect();
+        // 1.4826 times the median deviation is the standard deviation of a normal.
+        let sigma = 1.4826 * median(&deviations);
+        let floor = self.covariance[1][1].sqrt();
+        let limit = middle + HOT_SIGMA * sigma.max(floor);
+        self.slope_dn_s.iter().map(|&s| s > limit).collect()
+    }
+
+    /// Mean over the pixels and the spread that is not measurement noise;
+    /// `which` is 0 for offsets and 1 for slopes.
+    pub fn statistics(
+        &self,
+        values: &[f64],
+        pixels: &[usize],
+        which: usize,
+    ) -> (Measured, Measured) {
+        let n = pixels.len() as f64;
+        let mean = pixels.iter().map(|&p| values[p]).sum::<f64>() / n;
+        let variance = pixels
+            .iter()
+            .map(|&p| (values[p] - mean).powi(2))
+            .sum::<f64>()
+            / (n - 1.0);
+        let own = (variance - self.covariance[which][which]).max(0.0);
+        // The variance of a sample variance, carried to its root.
+        let variance_std = variance * (2.0 / (n - 1.0)).sqrt();
+        let spread_std = if own > variance_std {
+            0.5 * variance_std / own.sqrt()
+        } else {
+            variance_std.sqrt()
+        };
+        (
+            Measured {
+                value: mean,
+                std: (variance / n).sqrt(),
+            },
+            Measured {
+                value: own.sqrt(),
+                std: spread_std,
+            },
+        )
+    }
+}
+
+fn median(values: &[f64]) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_unstable_by(f64::total_cmp);
+    sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)
+}
