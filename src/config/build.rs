@@ -146,7 +146,7 @@ impl RigConfig {
         Ok(Some(Arc::new(TruthSource::new(Truth {
             mesh: geometry.sample.surface.mesh(Some(simulation.segments))?,
             shading: geometry.sample.shading,
-            camera: geometry.camera,
+            camera: simulation.lens.of(&geometry.camera),
             mosaic: self.camera.mosaic,
             light: Box::new(move |angles| geometry.light(angles)),
             brdf: simulation.material.load()?,

@@ -14,6 +14,7 @@ use super::stage::StageDriver;
 use super::{CameraConfig, ConfigError};
 #[cfg(feature = "serial")]
 use crate::device::simulated::SimulatedConfig;
+use crate::transport::Camera;
 
 /// What is true on a simulated bench.
 #[derive(Clone, Debug, PartialEq)]
@@ -45,6 +46,31 @@ pub struct SimulationConfig {
     pub sensor: SensorConfig,
     /// The camera around the sensor.
     pub camera: MockCamera,
+    /// How sharp its lens truly is.
+    pub lens: TrueLens,
+}
+
+/// How sharp the true lens is, where it differs from `[geometry.camera]`.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct TrueLens {
+    /// Standard deviation of the point spread in focus, sensor pixels.
+    pub point_spread_px: Option<f64>,
+    /// Numerical aperture on the sample's side.
+    pub object_na: Option<f64>,
+    /// Distance from the camera at which it is sharp, mm.
+    pub focus_mm: Option<f64>,
+}
+
+impl TrueLens {
+    /// The camera as it truly is.
+    pub fn of(&self, stated: &Camera) -> Camera {
+        Camera {
+            point_spread_px: self.point_spread_px.unwrap_or(stated.point_spread_px),
+            object_na: self.object_na.unwrap_or(stated.object_na),
+            focus_mm: self.focus_mm.unwrap_or(stated.focus_mm),
+            ..*stated
+        }
+    }
 }
 
 /// What the simulated sample is made of.
@@ -98,6 +124,7 @@ impl SimulationConfig {
             seed,
             sensor,
             camera: read_camera(table.section_or_empty("camera")?, camera, seed)?,
+            lens: read_lens(table.section_or_empty("lens")?)?,
             stage_errors: read_stage_errors(table.section_or_empty("stage")?)?,
             lamp: read_lamp(table.section_or_empty("lamp")?)?,
             pose_error_mm: table.number("pose_error_mm", 0.0..=10.0)?.or(0.0),
@@ -174,6 +201,16 @@ fn read_camera(
     };
     table.finish()?;
     Ok(mock)
+}
+
+fn read_lens(mut table: Section) -> Result<TrueLens, ConfigError> {
+    let lens = TrueLens {
+        point_spread_px: table.number("point_spread_px", 0.0..=20.0)?.optional(),
+        object_na: table.number("object_na", 0.0..=0.95)?.optional(),
+        focus_mm: table.number("focus_mm", 1e-3..=1e5)?.optional(),
+    };
+    table.finish()?;
+    Ok(lens)
 }
 
 fn read_stage_errors(mut table: Section) -> Result<StageErrors, ConfigError> {

@@ -13,7 +13,7 @@ use crate::transport::{Camera, Projection, Shading};
 
 /// Takes the camera's place and lens out of a table that may have other keys;
 /// the pixel grid is the caller's. A lens with an aperture is sharp at the
-/// point it looks at.
+/// point it looks at unless `focus_mm` says otherwise.
 pub fn take_camera(table: &mut Section, resolution_px: [u32; 2]) -> Result<Camera, ConfigError> {
     let orthographic = table
         .choice("model", &[("orthographic", true), ("perspective", false)])?
@@ -33,6 +33,8 @@ pub fn take_camera(table: &mut Section, resolution_px: [u32; 2]) -> Result<Camer
     let look_at_mm = table.position("look_at_mm")?.or(DVec3::ZERO);
     let up = table.direction("up")?.or(DVec3::Y);
     let object_na = table.number("object_na", 0.0..=0.95)?.or(0.0);
+    let focus_mm = table.number("focus_mm", 1e-3..=1e5)?.optional();
+    let point_spread_px = table.number("point_spread_px", 0.0..=20.0)?.or(0.0);
     let resolution_px = resolution_px.map(|side| side as usize);
     let camera = Camera::looking_at(resolution_px, projection, position_mm, look_at_mm, up);
     let mut camera = camera.ok_or_else(|| {
@@ -40,6 +42,8 @@ pub fn take_camera(table: &mut Section, resolution_px: [u32; 2]) -> Result<Camer
         table.conflict("up", up, allowed)
     })?;
     camera.object_na = object_na;
+    camera.focus_mm = focus_mm.unwrap_or(camera.focus_mm);
+    camera.point_spread_px = point_spread_px;
     Ok(camera)
 }
 
