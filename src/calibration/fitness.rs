@@ -47,7 +47,7 @@ impl Kind {
         match self {
             Kind::Sensor | Kind::Response => 365.0,
             Kind::Scale => 180.0,
-            Kind::Flat | Kind::Directions => 90.0,
+            Kind::Flat | Kind::Directions | Kind::Focus => 90.0,
             Kind::Lights | Kind::Lamp => 30.0,
             // Until somebody touches the sample.
             Kind::Pose => 7.0,
@@ -61,13 +61,17 @@ impl Kind {
             Kind::Lights => "white",
             Kind::Directions => "lights",
             Kind::Pose => "pose SESSION",
+            Kind::Focus => "focus EXR… --heights MM,…",
             other => other.folder(),
         }
     }
 
     /// Whether it belongs to one camera at its settings.
     pub fn is_of_the_camera(self) -> bool {
-        matches!(self, Kind::Sensor | Kind::Flat | Kind::Scale | Kind::Pose)
+        matches!(
+            self,
+            Kind::Sensor | Kind::Flat | Kind::Scale | Kind::Pose | Kind::Focus
+        )
     }
 }
 

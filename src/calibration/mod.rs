@@ -3,6 +3,7 @@
 //! `calibration/<rig>/<kind>/<id>.toml`.
 
 mod built_in;
+pub mod depth_of_field;
 pub mod directions;
 pub mod figures;
 pub mod fitness;
@@ -16,6 +17,7 @@ pub mod pose;
 pub mod procedure;
 pub mod record;
 pub mod sensor;
+pub mod slanted_edge;
 pub mod stage_directions;
 pub mod white;
 

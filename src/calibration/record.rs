@@ -25,11 +25,13 @@ pub enum Kind {
     Directions,
     /// Where the sample lies.
     Pose,
+    /// Point spread, focus and aperture of the camera.
+    Focus,
 }
 
 impl Kind {
     /// All kinds.
-    pub const ALL: [Kind; 8] = [
+    pub const ALL: [Kind; 9] = [
         Kind::Sensor,
         Kind::Flat,
         Kind::Scale,
@@ -38,6 +40,7 @@ impl Kind {
         Kind::Lamp,
         Kind::Directions,
         Kind::Pose,
+        Kind::Focus,
     ];
 
     /// The folder's name.
@@ -51,6 +54,7 @@ impl Kind {
             Kind::Lamp => "lamp",
             Kind::Directions => "directions",
             Kind::Pose => "pose",
+            Kind::Focus => "focus",
         }
     }
 }

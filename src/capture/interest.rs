@@ -20,7 +20,7 @@ pub fn sample_pixels(scene: &Scene, camera: &Camera) -> Vec<bool> {
     let sees = |x: usize, y: usize| {
         POSITIONS.iter().any(|[dx, dy]| {
             let position_px = DVec2::new(x as f64 + dx, y as f64 + dy);
-            let ray = camera.ray(position_px, DVec2::splat(0.5));
+            let ray = camera.ray(position_px, DVec2::ZERO);
             scene.intersect(&ray).is_some_and(|hit| hit.is_sample())
         })
     };

@@ -376,6 +376,7 @@ fn scene(mesh: Mesh, lights_deg: &[[f64; 2]]) -> Scene {
         ),
         focus_mm: 5.0,
         object_na: 0.0,
+        point_spread_px: 0.0,
     };
     let lights = lights_deg
         .iter()

@@ -1,4 +1,5 @@
-//! What records say about the bench itself: where its lights are and how bright. A fit
+//! What records say about the bench itself: where its lights are and how bright, how sharp
+//! its camera is. A fit
 //! goes by them rather than by the rig file.
 
 use std::path::Path;
@@ -6,6 +7,7 @@ use std::path::Path;
 use super::{CliError, Context};
 use crate::calibration::directions::DirectionsValues;
 use crate::calibration::record::LightsValues;
+use crate::calibration::slanted_edge::FocusValues;
 use crate::calibration::{Library, Loaded};
 use crate::config::RigConfig;
 use crate::config::geometry::GeometryConfig;
@@ -13,10 +15,11 @@ use crate::inverse::BenchPriors;
 use crate::session::layout::CALIBRATION_FOLDER;
 use crate::units::StageAngles;
 
-/// A session's records of its lights.
+/// A session's records of its lights and its lens.
 pub(super) struct BenchRecords {
     irradiance: Option<Loaded<LightsValues>>,
     directions: Option<Loaded<DirectionsValues>>,
+    focus: Option<Loaded<FocusValues>>,
 }
 
 /// A bench as the rig file and the records together have it.
@@ -32,6 +35,7 @@ impl BenchRecords {
         Ok(Self {
             irradiance: library.load(None)?,
             directions: library.load(None)?,
+            focus: library.load(None)?,
         })
     }
 
@@ -68,6 +72,10 @@ impl BenchRecords {
                     angles.len()
                 )),
             }
+        }
+        if let Some(loaded) = &self.focus {
+            loaded.record.values.apply(&mut geometry);
+            context.note(format_args!("sharpness by record {}", loaded.record.id));
         }
         KnownBench { geometry, priors }
     }

@@ -11,7 +11,7 @@ use super::capture_progress::Bar;
 use super::capture_records::Records;
 use super::output::write_json;
 use super::rig_choice::RigArg;
-use super::{CliError, Context, HintExt, interrupt, light_choice, open, pipeline};
+use super::{CliError, Context, HintExt, interrupt, light_choice, open, pipeline, sharpness};
 use crate::calibration::Library;
 use crate::capture::directions::StageReach;
 use crate::capture::plan::{LightChoice, Pace, PlanRequest, check_reach, check_space, plan};
@@ -150,6 +150,12 @@ fn start(args: &CaptureArgs, context: &Context) -> Result<(), CliError> {
     let records = Records::load(&library, config)?;
     for concern in records.concerns(config, jiff::Timestamp::now()) {
         context.warn(format_args!("{concern}"));
+    }
+    let limit_px = config.capture.blur_limit_px;
+    if let Some(found) = sharpness::of_rig(config, records.focus())?
+        && let Some(concern) = sharpness::concern(&found, limit_px)
+    {
+        context.warn(format_args!("{concern}; {}", sharpness::REMEDY));
     }
     let noise = records.noise(config)?;
     let lights = light_choice(args, config, context)?;

@@ -8,6 +8,7 @@ use crate::calibration::pose::PoseValues;
 use crate::calibration::record::{
     FlatValues, LampValues, LightsValues, ScaleValues, SensorValues, Values,
 };
+use crate::calibration::slanted_edge::FocusValues;
 use crate::calibration::{Library, Loaded, noise::sensor_noise};
 use crate::config::RigConfig;
 use crate::radiometry::sensor::SensorNoise;
@@ -20,6 +21,7 @@ pub(super) struct Records {
     lights: Option<Loaded<LightsValues>>,
     lamp: Option<Loaded<LampValues>>,
     directions: Option<Loaded<DirectionsValues>>,
+    focus: Option<Loaded<FocusValues>>,
     /// Only where the rig names it: it holds until somebody touches the sample.
     pose: Option<Loaded<PoseValues>>,
 }
@@ -38,6 +40,7 @@ impl Records {
             lights: library.load(ids.lights.as_deref())?,
             lamp: library.load(None)?,
             directions: library.load(ids.directions.as_deref())?,
+            focus: library.load(ids.focus.as_deref())?,
             pose: match &ids.pose {
                 Some(id) => library.load(Some(id))?,
                 None => None,
@@ -60,6 +63,7 @@ impl Records {
             lights: library.load(None)?,
             lamp: library.load(None)?,
             directions: library.load(None)?,
+            focus: library.load(None)?,
             pose: library.load(None)?,
         })
     }
@@ -75,6 +79,11 @@ impl Records {
         )?)
     }
 
+    /// What is known of the camera's sharpness.
+    pub(super) fn focus(&self) -> Option<&FocusValues> {
+        self.focus.as_ref().map(|loaded| &loaded.record.values)
+    }
+
     /// What speaks against these records now, with what to run.
     pub(super) fn concerns(&self, config: &RigConfig, now: Timestamp) -> Vec<String> {
         let mut concerns = Vec::new();
@@ -84,6 +93,7 @@ impl Records {
         add_concerns(&mut concerns, self.lights.as_ref(), config, now);
         add_concerns(&mut concerns, self.lamp.as_ref(), config, now);
         add_concerns(&mut concerns, self.directions.as_ref(), config, now);
+        add_concerns(&mut concerns, self.focus.as_ref(), config, now);
         add_concerns(&mut concerns, self.pose.as_ref(), config, now);
         if let Some(lamp) = &self.lamp {
             let needed_s = lamp.record.values.warm_up_time_s;
@@ -108,6 +118,7 @@ impl Records {
         add_copies(&mut copies, self.lights.as_ref());
         add_copies(&mut copies, self.lamp.as_ref());
         add_copies(&mut copies, self.directions.as_ref());
+        add_copies(&mut copies, self.focus.as_ref());
         add_copies(&mut copies, self.pose.as_ref());
         copies
     }

@@ -13,11 +13,12 @@ use serde::Serialize;
 
 use super::output::{write_json, write_line};
 use super::rig_choice::RigArg;
-use super::{CliError, Context, hints};
+use super::{CliError, Context, hints, sharpness};
 use crate::calibration::directions::DirectionsValues;
 use crate::calibration::record::{
     FlatValues, Kind, LightsValues, ScaleValues, SensorValues, Values,
 };
+use crate::calibration::slanted_edge::FocusValues;
 use crate::calibration::{Library, RecordError};
 use crate::config::stage::StageDriver;
 use crate::config::{CameraDriver, Origin, ResolvedRig};
@@ -167,7 +168,37 @@ fn all_checks(rig: &ResolvedRig) -> Vec<Check> {
         &library,
         named.directions.as_deref(),
     ));
+    checks.push(calibration::<FocusValues>(
+        rig,
+        &library,
+        named.focus.as_deref(),
+    ));
+    checks.push(depth_of_field(rig, &library));
     checks
+}
+
+fn depth_of_field(rig: &ResolvedRig, library: &Library) -> Check {
+    let name = "depth of field";
+    let named = rig.config.calibration.focus.as_deref();
+    // A record that cannot be read has its own line.
+    let focus = library.load::<FocusValues>(named).unwrap_or_default();
+    let focus = focus.as_ref().map(|loaded| &loaded.record.values);
+    let limit_px = rig.config.capture.blur_limit_px;
+    match sharpness::of_rig(&rig.config, focus) {
+        Err(error) => Check::warning(
+            name,
+            error.fact(),
+            error.advice().unwrap_or("correct [geometry.sample]"),
+        ),
+        Ok(None) => Check::ok(name, "no aperture is stated, or the sample is not in view"),
+        Ok(Some(found)) => match sharpness::concern(&found, limit_px) {
+            Some(concern) => {
+                let fact = concern.strip_prefix("depth of field: ").unwrap_or(&concern);
+                Check::warning(name, fact, sharpness::REMEDY)
+            }
+            None => Check::ok(name, sharpness::ends(&found)),
+        },
+    }
 }
 
 fn configuration(rig: &ResolvedRig) -> Check {
@@ -378,6 +409,10 @@ fn calibration<V: Values>(rig: &ResolvedRig, library: &Library, id: Option<&str>
         Kind::Response => (
             "response",
             "without it counts are taken as proportional to light",
+        ),
+        Kind::Focus => (
+            "focus",
+            "without it the rig file's point spread, focus and aperture are believed",
         ),
         Kind::Pose => ("pose", "without it the sample lies as the rig file says"),
         Kind::Lamp => (

@@ -156,6 +156,7 @@ const NEAR_COSINE: f64 = 0.999_848;
 pub fn coarse(mut scene: Scene) -> Scene {
     let longer = scene.camera.resolution_px.into_iter().max().unwrap_or(1);
     let scale = (RESOLUTION_PX as f64 / longer as f64).min(1.0);
+    scene.camera.point_spread_px *= scale;
     scene.camera.resolution_px = scene
         .camera
         .resolution_px

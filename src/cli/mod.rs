@@ -44,6 +44,7 @@ pub mod rig_choice;
 pub mod session;
 mod session_images;
 pub mod shape;
+mod sharpness;
 pub mod stage;
 
 use std::ffi::OsString;

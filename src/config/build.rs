@@ -143,11 +143,9 @@ impl RigConfig {
             return Ok(None);
         };
         let geometry = self.geometry.clone();
-        let camera = match simulation.lens {
-            // It was found to be possible when the file was read.
-            Some(lens) => geometry.camera.with_lens(lens).unwrap_or(geometry.camera),
-            None => geometry.camera,
-        };
+        // The lens was found to be possible when the file was read.
+        let camera = simulation.lens.of(&geometry.camera);
+        let camera = camera.unwrap_or(geometry.camera);
         Ok(Some(Arc::new(TruthSource::new(Truth {
             mesh: geometry.sample.surface.mesh(Some(simulation.segments))?,
             shading: geometry.sample.shading,

@@ -102,6 +102,7 @@ impl GeometryConfig {
     pub fn image_camera(&self) -> Camera {
         Camera {
             resolution_px: self.camera.resolution_px.map(|side| side / self.cell_px),
+            point_spread_px: self.camera.point_spread_px / self.cell_px as f64,
             ..self.camera
         }
     }

@@ -33,6 +33,9 @@ pub struct CaptureConfig {
     pub lamp_warm_up: Seconds,
     /// Free space that must remain on the disk, bytes.
     pub disk_reserve_bytes: u64,
+    /// Diameter of the disc of a point out of focus above which a capture warns, pixels
+    /// of the merged image.
+    pub blur_limit_px: f64,
 }
 
 impl CaptureConfig {
@@ -58,6 +61,7 @@ impl CaptureConfig {
             settle: Seconds(table.number("settle_s", 0.0..=60.0)?.or(0.3)),
             lamp_settle: Seconds(table.number("lamp_settle_s", 0.0..=60.0)?.or(0.1)),
             lamp_warm_up: Seconds(table.number("lamp_warm_up_s", 0.0..=7200.0)?.or(0.0)),
+            blur_limit_px: table.number("blur_limit_px", 0.01..=1000.0)?.or(1.0),
             disk_reserve_bytes: table.integer("disk_reserve_mb", 0..=1_000_000)?.or(500) << 20,
         };
         table.finish()?;
@@ -132,6 +136,8 @@ pub struct CalibrationConfig {
     pub lights: Option<String>,
     /// Id of the record of the lights' directions.
     pub directions: Option<String>,
+    /// Id of the record of the camera's point spread, focus and aperture.
+    pub focus: Option<String>,
     /// Id of the record of the sample's pose; `None`: none is used, since a pose holds
     /// only until somebody touches the sample.
     pub pose: Option<String>,
@@ -152,6 +158,7 @@ impl CalibrationConfig {
         let (sensor, flat, scale, lights) =
             (id("sensor")?, id("flat")?, id("scale")?, id("lights")?);
         let (directions, pose) = (id("directions")?, id("pose")?);
+        let focus = id("focus")?;
         let folder = table.path("folder")?.optional();
         table.finish()?;
         Ok(Self {
@@ -161,6 +168,7 @@ impl CalibrationConfig {
             scale,
             lights,
             directions,
+            focus,
             pose,
         })
     }

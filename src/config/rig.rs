@@ -87,7 +87,10 @@ impl RigConfig {
             &camera,
             &stage.kinematics(),
         )?;
-        if let Some(lens) = simulation.as_ref().and_then(|simulation| simulation.lens) {
+        if let Some(lens) = simulation
+            .as_ref()
+            .and_then(|simulation| simulation.lens.mapping)
+        {
             with_lens(geometry.camera, lens, root, "simulation.lens.radial")?;
         }
         let capture = root.section_or_empty("capture")?;
@@ -161,7 +164,6 @@ mod tests {
         let perspective = simulated()
             .replace("model = \"orthographic\"", "model = \"perspective\"")
             .replace("extent_mm = [22.0, 22.0]", "fov_deg = 12.0");
-        let perspective = format!("{perspective}\n[simulation.lens]\n");
         let mut texts: Vec<_> = BUILT_IN
             .iter()
             .map(|(_, text)| (*text).to_owned())
@@ -254,8 +256,8 @@ mod tests {
                 "`geometry.camera.principal_point_px` is [65, 2], but must be within the image",
             ),
             (
-                "[simulation.sensor]",
-                "[simulation.lens]\nradial = [-1.0, 0.0, 0.0]\n[simulation.sensor]",
+                "[simulation.lens]",
+                "[simulation.lens]\nradial = [-1.0, 0.0, 0.0]",
                 "`simulation.lens.radial` is [-1.0, 0.0, 0.0], but must be another distortion",
             ),
             (

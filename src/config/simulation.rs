@@ -15,7 +15,7 @@ use super::view::take_lens;
 use super::{CameraConfig, ConfigError};
 #[cfg(feature = "serial")]
 use crate::device::simulated::SimulatedConfig;
-use crate::transport::LensSpec;
+use crate::transport::{Camera, Folded, LensSpec};
 
 /// What is true on a simulated bench.
 #[derive(Clone, Debug, PartialEq)]
@@ -28,8 +28,6 @@ pub struct SimulationConfig {
     pub pose_error_mm: f64,
     /// Standard deviation of its true orientation, degrees.
     pub pose_error_deg: f64,
-    /// The true lens; `None`: as [geometry.camera] says.
-    pub lens: Option<LensSpec>,
     /// Facets around the true sample's rim: finer than the fit's, so that the
     /// fit doesn't share its mesh.
     pub segments: u32,
@@ -49,6 +47,40 @@ pub struct SimulationConfig {
     pub sensor: SensorConfig,
     /// The camera around the sensor.
     pub camera: MockCamera,
+    /// The lens.
+    pub lens: TrueLens,
+}
+
+/// The true lens, where it differs from that of `[geometry.camera]`.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct TrueLens {
+    /// Principal point, aspect and distortion.
+    pub mapping: Option<LensSpec>,
+    /// Standard deviation of the point spread in focus, sensor pixels.
+    pub point_spread_px: Option<f64>,
+    /// Numerical aperture on the sample's side.
+    pub object_na: Option<f64>,
+    /// Distance from the camera at which it is sharp, mm.
+    pub focus_mm: Option<f64>,
+}
+
+impl TrueLens {
+    /// The camera as it truly is.
+    ///
+    /// # Errors
+    /// [`Folded`] where the lens distorts the camera's image too much.
+    pub fn of(&self, stated: &Camera) -> Result<Camera, Folded> {
+        let camera = match self.mapping {
+            Some(mapping) => stated.with_lens(mapping)?,
+            None => *stated,
+        };
+        Ok(Camera {
+            point_spread_px: self.point_spread_px.unwrap_or(stated.point_spread_px),
+            object_na: self.object_na.unwrap_or(stated.object_na),
+            focus_mm: self.focus_mm.unwrap_or(stated.focus_mm),
+            ..camera
+        })
+    }
 }
 
 /// What the simulated sample is made of.
@@ -97,20 +129,12 @@ impl SimulationConfig {
         };
         let seed = table.integer("seed", 0..=i64::MAX as u64)?.or(1);
         let sensor = read_sensor(table.section_or_empty("sensor")?, camera, seed)?;
-        let lens = match table.section("lens")?.optional() {
-            Some(mut lens) => {
-                let spec = take_lens(&mut lens, camera.resolution_px)?;
-                lens.finish()?;
-                Some(spec)
-            }
-            None => None,
-        };
         let simulation = Self {
             material,
-            lens,
             seed,
             sensor,
             camera: read_camera(table.section_or_empty("camera")?, camera, seed)?,
+            lens: read_lens(table.section_or_empty("lens")?, camera)?,
             stage_errors: read_stage_errors(table.section_or_empty("stage")?)?,
             lamp: read_lamp(table.section_or_empty("lamp")?)?,
             pose_error_mm: table.number("pose_error_mm", 0.0..=10.0)?.or(0.0),
@@ -188,6 +212,17 @@ fn read_camera(
     };
     table.finish()?;
     Ok(mock)
+}
+
+fn read_lens(mut table: Section, camera: &CameraConfig) -> Result<TrueLens, ConfigError> {
+    let lens = TrueLens {
+        mapping: take_lens(&mut table, camera.resolution_px)?,
+        point_spread_px: table.number("point_spread_px", 0.0..=20.0)?.optional(),
+        object_na: table.number("object_na", 0.0..=0.95)?.optional(),
+        focus_mm: table.number("focus_mm", 1e-3..=1e5)?.optional(),
+    };
+    table.finish()?;
+    Ok(lens)
 }
 
 fn read_stage_errors(mut table: Section) -> Result<StageErrors, ConfigError> {

@@ -13,7 +13,7 @@ use crate::transport::{Camera, Coefficients, LensSpec, Projection, Shading};
 
 /// Takes the camera's place and lens out of a table that may have other keys;
 /// the pixel grid is the caller's. A lens with an aperture is sharp at the
-/// point it looks at.
+/// point it looks at unless `focus_mm` says otherwise.
 pub fn take_camera(table: &mut Section, resolution_px: [u32; 2]) -> Result<Camera, ConfigError> {
     let orthographic = table
         .choice("model", &[("orthographic", true), ("perspective", false)])?
@@ -34,6 +34,8 @@ pub fn take_camera(table: &mut Section, resolution_px: [u32; 2]) -> Result<Camer
     let up = table.direction("up")?.or(DVec3::Y);
     let object_na = table.number("object_na", 0.0..=0.95)?.or(0.0);
     let lens = take_lens(table, resolution_px)?;
+    let focus_mm = table.number("focus_mm", 1e-3..=1e5)?.optional();
+    let point_spread_px = table.number("point_spread_px", 0.0..=20.0)?.or(0.0);
     let resolution_px = resolution_px.map(|side| side as usize);
     let camera = Camera::looking_at(resolution_px, projection, position_mm, look_at_mm, up);
     let mut camera = camera.ok_or_else(|| {
@@ -41,14 +43,29 @@ pub fn take_camera(table: &mut Section, resolution_px: [u32; 2]) -> Result<Camer
         table.conflict("up", up, allowed)
     })?;
     camera.object_na = object_na;
-    with_lens(camera, lens, table, "radial")
+    camera.focus_mm = focus_mm.unwrap_or(camera.focus_mm);
+    camera.point_spread_px = point_spread_px;
+    match lens {
+        Some(lens) => with_lens(camera, lens, table, "radial"),
+        None => Ok(camera),
+    }
 }
 
 /// Takes how the lens departs from an ideal one in front of the middle of an image of this
-/// many pixels.
-pub fn take_lens(table: &mut Section, resolution_px: [u32; 2]) -> Result<LensSpec, ConfigError> {
+/// many pixels; `None` where nothing is said of that.
+pub fn take_lens(
+    table: &mut Section,
+    resolution_px: [u32; 2],
+) -> Result<Option<LensSpec>, ConfigError> {
     let [width, height] = resolution_px.map(f64::from);
-    let principal_offset = match table.numbers("principal_point_px", 0.0..=1e5)?.optional() {
+    let principal_point_px = table.numbers("principal_point_px", 0.0..=1e5)?.optional();
+    let aspect = table.number("pixel_aspect", 0.5..=2.0)?.optional();
+    let radial = table.numbers("radial", -1e6..=1e6)?.optional();
+    let tangential = table.numbers("tangential", -1e3..=1e3)?.optional();
+    if (principal_point_px, aspect, radial, tangential) == (None, None, None, None) {
+        return Ok(None);
+    }
+    let principal_offset = match principal_point_px {
         Some([x, y]) if x <= width && y <= height => DVec2::new(x / width - 0.5, y / height - 0.5),
         Some([x, y]) => {
             let allowed = "within the image";
@@ -56,14 +73,14 @@ pub fn take_lens(table: &mut Section, resolution_px: [u32; 2]) -> Result<LensSpe
         }
         None => DVec2::ZERO,
     };
-    Ok(LensSpec {
+    Ok(Some(LensSpec {
         principal_offset,
-        aspect: table.number("pixel_aspect", 0.5..=2.0)?.or(1.0),
+        aspect: aspect.unwrap_or(1.0),
         distortion: Coefficients {
-            radial: table.numbers("radial", -1e6..=1e6)?.or([0.0; 3]),
-            tangential: table.numbers("tangential", -1e3..=1e3)?.or([0.0; 2]),
+            radial: radial.unwrap_or_default(),
+            tangential: tangential.unwrap_or_default(),
         },
-    })
+    }))
 }
 
 /// The camera with this lens, stated under `key`.

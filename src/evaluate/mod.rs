@@ -21,6 +21,7 @@ mod rank;
 mod realism;
 mod shape_construction;
 mod shapes;
+mod sharpness;
 mod table_visits;
 mod tables;
 
@@ -47,6 +48,7 @@ pub static EXPERIMENTS: &[&Experiment] = &[
     &intervals::INTERVALS,
     &diagnosis::DIAGNOSIS,
     &misalignment::MISALIGNMENT,
+    &sharpness::SHARPNESS,
 ];
 
 /// The experiment of a name.

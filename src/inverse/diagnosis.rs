@@ -290,7 +290,7 @@ fn first_angles(scene: &Scene) -> Vec<[f64; ANGLES]> {
         for pixel in 0..width * height {
             let centre = DVec2::new((pixel % width) as f64 + 0.5, (pixel / width) as f64 + 0.5);
             let angles = scene
-                .first(&scene.camera.ray(centre, DVec2::splat(0.5)))
+                .first(&scene.camera.ray(centre, DVec2::ZERO))
                 .and_then(|(surface, viewer)| {
                     let lamp = scene.connect(&surface, light, [0.5; 2])?;
                     Some(HalfDifference::from_directions(

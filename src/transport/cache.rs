@@ -317,7 +317,9 @@ impl Tracer<'_> {
             let mut position = key(Purpose::PixelPosition);
             let mut lamps = key(Purpose::LightAndLens);
             let ray = scene.camera.ray(
-                corner + DVec2::new(position.uniform(), position.uniform()),
+                scene
+                    .camera
+                    .in_footprint(corner, DVec2::new(position.uniform(), position.uniform())),
                 DVec2::new(lamps.uniform(), lamps.uniform()),
             );
             let begin = records.len();

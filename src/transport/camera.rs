@@ -3,6 +3,7 @@
 use glam::{DVec2, DVec3};
 
 use super::distortion::Folded;
+use super::footprint;
 use super::lens::{Lens, LensSpec};
 use crate::frames::{self, Rigid, Sample};
 use crate::geometry::Ray;
@@ -38,6 +39,9 @@ pub struct Camera {
     pub focus_mm: f64,
     /// Sine of the half angle of the cone of rays that meet in a sharp point; 0 is a pinhole.
     pub object_na: f64,
+    /// Standard deviation of the Gaussian into which lens and sensor spread a point in
+    /// focus, along either axis of the image, pixels; 0 is perfectly sharp.
+    pub point_spread_px: f64,
 }
 
 impl Camera {
@@ -57,6 +61,7 @@ impl Camera {
             sample_from_camera: frames::look_at(position_mm, look_at_mm, up)?,
             focus_mm: position_mm.distance(look_at_mm),
             object_na: 0.0,
+            point_spread_px: 0.0,
         })
     }
 
@@ -81,6 +86,24 @@ impl Camera {
                 DVec2::splat(0.5 * width / (0.5 * fov_rad).tan())
             }
         }
+    }
+
+    /// Sensor position that the uniform numbers `u` in [0, 1)² choose in the footprint of
+    /// the pixel with this top left corner: its unit square convolved with the point
+    /// spread. May lie outside the pixel, and outside the image.
+    pub fn in_footprint(&self, corner_px: DVec2, u: DVec2) -> DVec2 {
+        corner_px
+            + DVec2::new(
+                footprint::place(u.x, self.point_spread_px),
+                footprint::place(u.y, self.point_spread_px),
+            )
+    }
+
+    /// Radius of the disc into which a point at this distance along the camera's axis is
+    /// blurred by the lens, millimetres in the plane of the point.
+    pub fn defocus_mm(&self, depth_mm: f64) -> f64 {
+        let tangent = self.object_na / (1.0 - self.object_na * self.object_na).sqrt();
+        tangent * (depth_mm - self.focus_mm).abs()
     }
 
     /// Number of pixels.
@@ -153,8 +176,7 @@ impl Camera {
         }
     }
 
-    /// The ray of a sensor position in pixels from the top left corner (a pixel's
-    /// footprint is one unit square) through a point of the lens, both numbers of
+    /// The ray of a sensor position in pixels from the top left corner through a point of the lens, both numbers of
     /// `lens` uniform in [0, 1).
     pub fn ray(&self, position_px: DVec2, lens: DVec2) -> Ray {
         let (mut origin, mut direction) = self.chief_ray(position_px);

@@ -42,7 +42,9 @@ impl DirectMatrix {
                         (key(Purpose::PixelPosition), key(Purpose::LightAndLens));
                     let cell = DVec2::new(f64::from(sample % strata), f64::from(sample / strata));
                     let jitter = DVec2::new(position.uniform(), position.uniform());
-                    let at = corner + (cell + jitter) / f64::from(strata);
+                    let at = scene
+                        .camera
+                        .in_footprint(corner, (cell + jitter) / f64::from(strata));
                     let ray = scene
                         .camera
                         .ray(at, DVec2::new(lamps.uniform(), lamps.uniform()));

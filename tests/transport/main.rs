@@ -2,5 +2,6 @@
 
 mod gradient;
 mod materials;
+mod point_spread;
 mod references;
 mod statistics;

@@ -8,7 +8,7 @@ use super::pieces::smooth_pieces;
 use crate::geometry::bvh::offset_origin;
 use crate::geometry::{Bvh, Mesh, Ray};
 use crate::random::{Purpose, stream};
-use crate::transport::Scene;
+use crate::transport::{Scene, footprint};
 
 /// Beside the sample.
 pub const BACKGROUND: u32 = 0;
@@ -116,9 +116,11 @@ impl<'a> Sight<'a> {
             let at = corner + DVec2::new(x, y) * grid.factor as f64;
             self.at(scene, at, seen);
         };
+        let spread = scene.camera.point_spread_px / grid.factor as f64;
+        let (near, far) = (-FOOTPRINT_REACH * spread, 1.0 + FOOTPRINT_REACH * spread);
         look(0.5, 0.5, &mut seen);
         let middle = seen.clone();
-        let same = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]
+        let same = [[near, near], [far, near], [near, far], [far, far]]
             .iter()
             .all(|&[x, y]| {
                 look(x, y, &mut seen);
@@ -137,7 +139,11 @@ impl<'a> Sight<'a> {
             for column in 0..n {
                 let x = (f64::from(column) + numbers.uniform()) / f64::from(n);
                 let y = (f64::from(row) + numbers.uniform()) / f64::from(n);
-                look(x, y, &mut seen);
+                look(
+                    footprint::place(x, spread),
+                    footprint::place(y, spread),
+                    &mut seen,
+                );
                 for (parts, seen) in parts.iter_mut().zip(&seen) {
                     add(parts, seen, share);
                 }
@@ -189,6 +195,9 @@ impl<'a> Sight<'a> {
         }
     }
 }
+
+/// Standard deviations of the point spread beyond a pixel that are searched for edges.
+const FOOTPRINT_REACH: f64 = 3.0;
 
 const BLACK: Seen = Seen {
     label: BACKGROUND,

@@ -1,6 +1,7 @@
 //! `rig calibrate`: one file per kind of calibration.
 
 mod flat;
+mod focus;
 mod lamp;
 mod light;
 mod lights;
@@ -61,6 +62,13 @@ enum What {
     ///
     /// Nothing is assumed of its material. The fit goes by the pose with `rig fit --pose`.
     Pose(pose::PoseArgs),
+    /// Finds the camera's point spread, focus and aperture, from images of a straight, slightly
+    /// tilted edge at known heights
+    ///
+    /// Put a target with a sharp edge (a printed or cut one, dark beside bright) across the
+    /// camera's axis, at three heights or more over the depth of the sample. Fits of later
+    /// captures go by what is found.
+    Focus(focus::FocusArgs),
     /// Shows every record in force, with its age, what speaks against it and what to run
     Status(status::StatusArgs),
 }
@@ -75,6 +83,7 @@ pub fn run(args: &CalibrateArgs, context: &Context) -> Result<(), CliError> {
         What::Lights(args) => lights::run(args, context),
         What::White(args) => white::run(args, context),
         What::Pose(args) => pose::run(args, context),
+        What::Focus(args) => focus::run(args, context),
         What::Status(args) => status::run(args, context),
     }
 }

@@ -10,6 +10,7 @@ use crate::calibration::record::{
     FlatValues, Kind, LampValues, LightsValues, Measured, ResponseValues, ScaleValues,
     SensorValues, Values,
 };
+use crate::calibration::slanted_edge::FocusValues;
 use crate::calibration::{Library, Loaded};
 use crate::cli::output::write_json;
 use crate::cli::rig_choice::RigArg;
@@ -82,6 +83,7 @@ pub(super) fn run(args: &StatusArgs, context: &Context) -> Result<(), CliError> 
             of_directions,
         ),
         line(&rig.config, &library, None, of_lamp),
+        line(&rig.config, &library, pinned(&pins.focus), of_focus),
         line(&rig.config, &library, pinned(&pins.pose), of_pose),
         line(&rig.config, &library, None, of_response),
     ];
@@ -141,8 +143,10 @@ fn line<V: Values>(
         Ok(Some(loaded)) => loaded,
         Ok(None) => {
             // A linear camera has no response; lights and pose can stand in the rig file.
-            let can_stand_in_the_rig_file =
-                matches!(kind, Kind::Lights | Kind::Directions | Kind::Pose);
+            let can_stand_in_the_rig_file = matches!(
+                kind,
+                Kind::Lights | Kind::Directions | Kind::Pose | Kind::Focus
+            );
             line.run = (kind != Kind::Response && !can_stand_in_the_rig_file)
                 .then(run)
                 .flatten();
@@ -187,6 +191,7 @@ fn without(kind: Kind) -> &'static str {
         Kind::Directions => "the rig file's light directions are believed",
         Kind::Lamp => "nobody knows how long the lamp warms up",
         Kind::Pose => "the sample lies as the rig file says",
+        Kind::Focus => "the rig file's point spread, focus and aperture are believed",
         Kind::Response => "counts are taken as proportional to light",
     }
 }
@@ -252,6 +257,14 @@ fn of_lamp(v: &LampValues) -> String {
         v.steady_from_s
             .map_or("no measured exposure on".to_owned(), |s| format!("{s} s"))
     )
+}
+
+fn of_focus(v: &FocusValues) -> String {
+    let lens = v.lens.map_or(String::new(), |lens| {
+        let (focus, aperture) = (pair(lens.focus_mm), pair(lens.object_na));
+        format!(", sharp at {focus} mm, aperture {aperture}")
+    });
+    format!("point spread {} px{lens}", pair(v.point_spread_px))
 }
 
 fn of_pose(v: &PoseValues) -> String {

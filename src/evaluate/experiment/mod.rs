@@ -168,6 +168,9 @@ pub enum EvaluateError {
     /// A merge of exposures.
     #[error(transparent)]
     Merge(#[from] crate::radiometry::merge::MergeError),
+    /// An edge.
+    #[error(transparent)]
+    Edge(#[from] crate::calibration::slanted_edge::EdgeError),
     /// A shape.
     #[error(transparent)]
     Mesh(#[from] crate::geometry::MeshError),

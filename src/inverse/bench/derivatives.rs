@@ -249,7 +249,9 @@ impl<'a> Walk<'a> {
         let mut directions = key(Purpose::PathDirection);
         let mut lamps = key(Purpose::LightAndLens);
         let ray = scene.camera.ray(
-            corner + DVec2::new(position.uniform(), position.uniform()),
+            scene
+                .camera
+                .in_footprint(corner, DVec2::new(position.uniform(), position.uniform())),
             DVec2::new(lamps.uniform(), lamps.uniform()),
         );
         let mut throughput = Vec3::ONE;

@@ -1,0 +1,434 @@
+//! One lens for all edges: Gauss–Newton over point spread, focus and aperture, with each
+//! edge's place, turn, levels and shading beside them.
+
+use glam::DVec2;
+use nalgebra::{DMatrix, DVector, Matrix3};
+
+use super::EdgeError;
+use super::locate::{Edge, EdgePixel};
+use super::profile::{Blur, Profile};
+
+/// What makes edges blurred.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Lens {
+    /// Variance of the point spread in focus, square pixels.
+    pub spread_px2: f64,
+    /// Distance along the camera's axis at which the image is sharp, millimetres.
+    pub focus_mm: f64,
+    /// Squared tangent of the half angle of the lens's cone on the sample's side.
+    pub tangent2: f64,
+}
+
+impl Lens {
+    fn blur(&self, edge: &Edge) -> Blur {
+        let off_mm = (edge.depth_mm - self.focus_mm).abs();
+        Blur {
+            spread_px2: self.spread_px2,
+            disc_px: self.tangent2.max(0.0).sqrt() * off_mm * edge.px_per_mm,
+            tilt_rad: edge.tilt_rad(),
+        }
+    }
+}
+
+/// An edge by itself, and in the common fit.
+#[derive(Clone, Debug)]
+pub struct EdgeFit {
+    /// Standard deviation of a Gaussian that blurs as this edge is blurred, without the
+    /// pixel, pixels, and its standard uncertainty.
+    pub width_px: [f64; 2],
+    /// Distance from the edge, and radiance scaled to 0 and 1, of its pixels.
+    pub measured: Vec<[f64; 2]>,
+    /// The same of the fitted profile.
+    pub fitted: Vec<[f64; 2]>,
+}
+
+/// What the edges say.
+#[derive(Clone, Debug)]
+pub struct Fitted {
+    /// The lens.
+    pub lens: Lens,
+    /// Covariance of spread (px²), focus (mm) and squared tangent; zero where held.
+    pub covariance: Matrix3<f64>,
+    /// Sum of squared residuals over their variance, per degree of freedom.
+    pub reduced_chi2: f64,
+    /// Whether focus and aperture were fitted, not held.
+    pub defocus: bool,
+    /// By edge.
+    pub edges: Vec<EdgeFit>,
+}
+
+/// Different heights from which focus and aperture are fitted.
+pub const HEIGHTS_FOR_DEFOCUS: usize = 3;
+/// Least gain in χ² by which two more parameters count as seen.
+const SEEN: f64 = 16.0;
+const MOST_ROUNDS: usize = 40;
+const LENS: usize = 3;
+const OWN: usize = 8;
+const LEAST_SPREAD_PX2: f64 = 0.01;
+/// A model this far from the images, in noise and in contrast, is not the bench's.
+const MOST_DEVIATIONS: f64 = 5.0;
+const MOST_OFF: f64 = 0.03;
+
+/// Fits the lens. Focus and aperture are fitted from edges at three or more heights, else
+/// held at `stated`. The covariance is scaled up where residuals exceed the noise.
+///
+/// # Errors
+/// [`EdgeError::Unfitted`] where nothing settles, [`EdgeError::NotTheModel`] where edges
+/// look otherwise.
+pub fn fit_edges(edges: &[Edge], stated: Lens) -> Result<Fitted, EdgeError> {
+    let mut own = Vec::new();
+    let mut ways = Vec::new();
+    for edge in edges {
+        let mut start = Way::new(std::slice::from_ref(edge), stated);
+        start.lens = Lens {
+            spread_px2: 0.5,
+            focus_mm: edge.depth_mm,
+            tangent2: 0.0,
+        };
+        let settled = start.settle([true, false, false])?;
+        own.push([start.lens.spread_px2, settled[(0, 0)].max(0.0).sqrt()]);
+        ways.push(start);
+    }
+    let mut heights: Vec<f64> = edges.iter().map(|e| e.depth_mm).collect();
+    heights.sort_by(f64::total_cmp);
+    heights.dedup_by(|a, b| (*a - *b).abs() < 1e-6);
+    let defocus = heights.len() >= HEIGHTS_FOR_DEFOCUS;
+    let mut all = Way::new(edges, stated);
+    all.own = ways.iter().flat_map(|way| way.own.clone()).collect();
+    if defocus {
+        all.lens = parabola(edges, &own).unwrap_or(stated);
+    } else {
+        all.lens.spread_px2 = own.iter().map(|o| o[0]).fold(0.5, f64::min).max(0.05);
+    }
+    let mut covariance = match defocus {
+        false => all.settle([true, false, false])?,
+        true => {
+            let mut sharp = Way::new(
+                edges,
+                Lens {
+                    tangent2: 0.0,
+                    ..stated
+                },
+            );
+            sharp.own.clone_from(&all.own);
+            sharp.lens.spread_px2 = own.iter().map(|o| o[0]).sum::<f64>() / own.len() as f64;
+            sharp.settle([true, false, false])?;
+            let flat = EdgeError::NoDefocus {
+                nearest_mm: heights[0],
+                farthest_mm: heights[heights.len() - 1],
+            };
+            let found = all.settle([true; LENS]).map_err(|_| flat.clone())?;
+            if sharp.chi2() - all.chi2() < SEEN * (all.chi2() / all.values() as f64).max(1.0) {
+                return Err(flat);
+            }
+            found
+        }
+    };
+    let freedom = all.values() - all.own.len() * OWN - if defocus { LENS } else { 1 };
+    let reduced_chi2 = all.chi2() / freedom.max(1) as f64;
+    covariance *= reduced_chi2.max(1.0);
+    let percent = 100.0 * all.off();
+    if reduced_chi2.sqrt() > MOST_DEVIATIONS && percent > 100.0 * MOST_OFF {
+        let deviations = reduced_chi2.sqrt();
+        return Err(EdgeError::NotTheModel {
+            deviations,
+            percent,
+        });
+    }
+    let described = edges.iter().zip(&all.own).zip(&own);
+    Ok(Fitted {
+        lens: all.lens,
+        covariance,
+        reduced_chi2,
+        defocus,
+        edges: described
+            .map(|((edge, place), own)| all.describe(edge, place, *own))
+            .collect(),
+    })
+}
+
+/// The lens whose blur grows with the depths as the edges' own widths do.
+fn parabola(edges: &[Edge], own: &[[f64; 2]]) -> Option<Lens> {
+    let middle = edges.iter().map(|e| e.depth_mm).sum::<f64>() / edges.len() as f64;
+    let scale = edges.iter().map(|e| e.px_per_mm).sum::<f64>() / edges.len() as f64;
+    let rows = |i: usize| {
+        let x = edges[i].depth_mm - middle;
+        [1.0, x, x * x]
+    };
+    let weight = |i: usize| 1.0 / (own[i][1] + 0.02 * own[i][0] + 1e-3);
+    let a = DMatrix::from_fn(edges.len(), 3, |i, j| weight(i) * rows(i)[j]);
+    let b = DVector::from_fn(edges.len(), |i, _| weight(i) * own[i][0]);
+    let c = a.svd(true, true).solve(&b, 1e-12).ok()?;
+    // A disc of radius r has the variance r²/4 along an axis.
+    let least = own.iter().map(|o| o[0]).fold(f64::INFINITY, f64::min);
+    let bend = c[2].max(1e-9 * least.max(1e-3));
+    let off = -0.5 * c[1] / bend;
+    let depths = edges.iter().map(|e| e.depth_mm - middle);
+    let reach = depths.fold(0.0f64, |m, d| m.max(d.abs()));
+    let off = off.clamp(-2.0 * reach, 2.0 * reach);
+    Some(Lens {
+        spread_px2: (c[0] - bend * off * off).max(0.3 * least.max(0.05)),
+        focus_mm: middle + off,
+        tangent2: 4.0 * bend / (scale * scale),
+    })
+}
+
+/// An edge's own parameters.
+#[derive(Clone, Copy, Debug)]
+struct Own {
+    /// Shift across and turn against where the edge was found.
+    offset_px: f64,
+    turn: f64,
+    /// Plane of the darker side; plane of what the brighter adds: at the edge's point, per
+    /// pixel along x and y.
+    planes: [f64; 6],
+}
+
+/// The state of an iteration.
+struct Way<'a> {
+    edges: &'a [Edge],
+    lens: Lens,
+    own: Vec<Own>,
+}
+
+impl<'a> Way<'a> {
+    fn new(edges: &'a [Edge], lens: Lens) -> Self {
+        let own = edges.iter().map(|edge| {
+            let [dark, bright] = edge.levels;
+            Own {
+                offset_px: 0.0,
+                turn: 0.0,
+                planes: [dark, 0.0, 0.0, bright - dark, 0.0, 0.0],
+            }
+        });
+        let own = own.collect();
+        Self { edges, lens, own }
+    }
+
+    fn values(&self) -> usize {
+        self.edges.iter().map(|e| e.pixels.len()).sum()
+    }
+
+    fn profile(&self, edge: &Edge, lens: &Lens) -> Profile {
+        Profile::new(&lens.blur(edge), edge.reach_px + 3.0)
+    }
+
+    /// Sum of squared residuals over the pixels' variances.
+    fn chi2(&self) -> f64 {
+        let parts = self.edges.iter().zip(&self.own).map(|(edge, own)| {
+            let profile = self.profile(edge, &self.lens);
+            let pixels = edge.pixels.iter();
+            pixels
+                .map(|p| own.residual(edge, &profile, p).powi(2) / p.variance)
+                .sum::<f64>()
+        });
+        parts.sum()
+    }
+
+    /// Root mean square residual over the contrast.
+    fn off(&self) -> f64 {
+        let parts = self.edges.iter().zip(&self.own).map(|(edge, own)| {
+            let profile = self.profile(edge, &self.lens);
+            let contrast = edge.levels[1] - edge.levels[0];
+            let pixels = edge.pixels.iter();
+            pixels
+                .map(|p| (own.residual(edge, &profile, p) / contrast).powi(2))
+                .sum::<f64>()
+        });
+        (parts.sum::<f64>() / self.values().max(1) as f64).sqrt()
+    }
+
+    /// Steps until nothing moves; returns the lens's covariance by the noise.
+    fn settle(&mut self, free: [bool; LENS]) -> Result<Matrix3<f64>, EdgeError> {
+        let mut chi2 = self.chi2();
+        for _ in 0..MOST_ROUNDS {
+            let (matrix, gradient) = self.normal_equations(free);
+            let factor = matrix
+                .cholesky()
+                .ok_or(EdgeError::Unfitted("the images do not determine the lens"))?;
+            let step = factor.solve(&gradient);
+            let mut part = 1.0;
+            let (lens, own) = (self.lens, self.own.clone());
+            let expected = step.dot(&gradient);
+            loop {
+                self.move_by(&(&step * part), lens, &own);
+                let next = self.chi2();
+                if next <= chi2 + 1e-9 * chi2.abs() {
+                    chi2 = next;
+                    break;
+                }
+                part *= 0.5;
+                if part < 1e-6 {
+                    (self.lens, self.own) = (lens, own.clone());
+                    break;
+                }
+            }
+            if expected < 1e-4 || part < 1e-6 {
+                let (matrix, _) = self.normal_equations(free);
+                let inverse = matrix
+                    .cholesky()
+                    .ok_or(EdgeError::Unfitted("the images do not determine the lens"))?
+                    .inverse();
+                let held = |i: usize| !free[i];
+                return Ok(Matrix3::from_fn(|i, j| match held(i) || held(j) {
+                    true => 0.0,
+                    false => inverse[(i, j)],
+                }));
+            }
+        }
+        Err(EdgeError::Unfitted("the iteration does not settle"))
+    }
+
+    fn move_by(&mut self, step: &DVector<f64>, lens: Lens, own: &[Own]) {
+        self.lens = Lens {
+            spread_px2: (lens.spread_px2 + step[0])
+                .clamp(0.2 * lens.spread_px2, 5.0 * lens.spread_px2)
+                .max(LEAST_SPREAD_PX2),
+            focus_mm: lens.focus_mm + step[1],
+            tangent2: (lens.tangent2 + step[2]).max(0.1 * lens.tangent2),
+        };
+        for (k, (to, from)) in self.own.iter_mut().zip(own).enumerate() {
+            let at = LENS + OWN * k;
+            to.offset_px = from.offset_px + step[at].clamp(-1.0, 1.0);
+            to.turn = from.turn + step[at + 1].clamp(-0.05, 0.05);
+            for (i, plane) in to.planes.iter_mut().enumerate() {
+                *plane = from.planes[i] + step[at + 2 + i];
+            }
+        }
+    }
+
+    /// Matrix and right side of the linear equations of a step.
+    fn normal_equations(&self, free: [bool; LENS]) -> (DMatrix<f64>, DVector<f64>) {
+        let size = LENS + OWN * self.edges.len();
+        let mut matrix = DMatrix::zeros(size, size);
+        let mut right = DVector::zeros(size);
+        let lens = self.lens;
+        let steps = [
+            0.02 * lens.spread_px2.max(0.05),
+            1e-3 * depth_span(self.edges).max(0.1),
+            (0.02 * lens.tangent2).max(1e-9),
+        ];
+        let moved = |k: usize, by: f64| {
+            let mut other = lens;
+            match k {
+                0 => other.spread_px2 += by,
+                1 => other.focus_mm += by,
+                _ => other.tangent2 = (other.tangent2 + by).max(0.0),
+            }
+            other
+        };
+        for (k, (edge, own)) in self.edges.iter().zip(&self.own).enumerate() {
+            let profile = self.profile(edge, &lens);
+            let others: Vec<Option<[Profile; 2]>> = (0..LENS)
+                .map(|i| {
+                    free[i].then(|| [steps[i], -steps[i]].map(|h| self.profile(edge, &moved(i, h))))
+                })
+                .collect();
+            let at = |i: usize| {
+                if i < LENS {
+                    i
+                } else {
+                    LENS + OWN * k + i - LENS
+                }
+            };
+            for pixel in &edge.pixels {
+                let place = own.place(edge, pixel);
+                let [value, slope] = profile.at(place.across);
+                let [_, bright] = own.levels(place.off);
+                let mut row = [0.0; LENS + OWN];
+                for (i, other) in others.iter().enumerate() {
+                    if let Some([more, less]) = other {
+                        let h = match i {
+                            2 => moved(2, steps[2]).tangent2 - moved(2, -steps[2]).tangent2,
+                            _ => 2.0 * steps[i],
+                        };
+                        let difference = more.at(place.across)[0] - less.at(place.across)[0];
+                        row[i] = bright * difference / h;
+                    }
+                }
+                row[LENS] = -bright * slope;
+                row[LENS + 1] = bright * slope * place.along;
+                let plane = [1.0, place.off.x, place.off.y];
+                for i in 0..3 {
+                    row[LENS + 2 + i] = plane[i];
+                    row[LENS + 5 + i] = plane[i] * value;
+                }
+                let residual = own.residual(edge, &profile, pixel);
+                let weight = 1.0 / pixel.variance;
+                for i in 0..LENS + OWN {
+                    right[at(i)] += weight * row[i] * residual;
+                    for j in 0..=i {
+                        matrix[(at(i), at(j))] += weight * row[i] * row[j];
+                    }
+                }
+            }
+        }
+        for (i, free) in free.into_iter().enumerate() {
+            if !free {
+                matrix[(i, i)] = 1.0;
+            }
+        }
+        matrix.fill_upper_triangle_with_lower_triangle();
+        (matrix, right)
+    }
+
+    fn describe(&self, edge: &Edge, own: &Own, width: [f64; 2]) -> EdgeFit {
+        let profile = self.profile(edge, &self.lens);
+        let measured = edge.pixels.iter().map(|pixel| {
+            let place = own.place(edge, pixel);
+            let [dark, bright] = own.levels(place.off);
+            [place.across, (pixel.value - dark) / bright]
+        });
+        let steps = (2.0 * edge.reach_px * 4.0) as i32;
+        let fitted = (0..=steps).map(|i| {
+            let t = f64::from(i) / 4.0 - edge.reach_px;
+            [t, profile.at(t)[0]]
+        });
+        let sigma_px = width[0].sqrt();
+        EdgeFit {
+            width_px: [sigma_px, width[1] / (2.0 * sigma_px)],
+            measured: measured.collect(),
+            fitted: fitted.collect(),
+        }
+    }
+}
+
+fn depth_span(edges: &[Edge]) -> f64 {
+    let depths = || edges.iter().map(|e| e.depth_mm);
+    depths().fold(f64::MIN, f64::max) - depths().fold(f64::MAX, f64::min)
+}
+
+/// Where a pixel is, seen from the edge.
+struct Place {
+    across: f64,
+    along: f64,
+    /// From the edge's point, over the reach, so that all parameters are alike in size.
+    off: DVec2,
+}
+
+impl Own {
+    fn place(&self, edge: &Edge, pixel: &EdgePixel) -> Place {
+        let off = pixel.at_px - edge.point_px;
+        let normal = DVec2::from_angle(self.turn).rotate(edge.normal);
+        Place {
+            across: off.dot(normal) - self.offset_px,
+            along: off.dot(normal.perp()),
+            off: off / edge.reach_px,
+        }
+    }
+
+    /// Radiance of the darker side, and what the brighter adds.
+    fn levels(&self, off: DVec2) -> [f64; 2] {
+        let p = &self.planes;
+        [
+            p[0] + p[1] * off.x + p[2] * off.y,
+            p[3] + p[4] * off.x + p[5] * off.y,
+        ]
+    }
+
+    fn residual(&self, edge: &Edge, profile: &Profile, pixel: &EdgePixel) -> f64 {
+        let place = self.place(edge, pixel);
+        let [dark, bright] = self.levels(place.off);
+        pixel.value - dark - bright * profile.at(place.across)[0]
+    }
+}

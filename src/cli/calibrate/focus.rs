@@ -1,0 +1,216 @@
+//! `rig calibrate focus`: how sharp the camera is over the sample's depth.
+
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+
+use super::target::{CommonArgs, Target};
+use super::white::parse_region;
+use crate::calibration::mirror_sphere::Grey;
+use crate::calibration::record::Settings;
+use crate::calibration::slanted_edge::{
+    Edge, EdgeError, FocusValues, Lens, figure, fit_edges, locate,
+};
+use crate::calibration::white::Region;
+use crate::calibration::{Library, depth_of_field};
+use crate::cli::output::write_json;
+use crate::cli::session_images::session_images;
+use crate::cli::{CliError, Context};
+use crate::out;
+use crate::radiance_image::{RadianceImage, exr};
+
+#[derive(clap::Args, Debug)]
+pub(super) struct FocusArgs {
+    #[command(flatten)]
+    common: CommonArgs,
+    /// Radiance images of the edge (OpenEXR, by `rig merge`) or sessions captured with the
+    /// target in place of the sample: one for each height, or one in which all edges are
+    #[arg(value_name = "EXR|SESSION", required = true)]
+    input: Vec<PathBuf>,
+    /// Heights of the edges above the sample's datum, in the order of the images (mm)
+    #[arg(long, value_name = "MM,...", value_delimiter = ',', required = true, allow_hyphen_values = true, value_parser = height)]
+    heights: Vec<f64>,
+    /// Standard uncertainty that all heights share (mm)
+    #[arg(long, value_name = "MM", default_value_t = 0.0, value_parser = height_std)]
+    height_std: f64,
+    /// Where the edge is in the image (pixels; default: all of it); once for all images, or
+    /// once for each height
+    #[arg(long, value_name = "X,Y,WIDTH,HEIGHT", value_parser = parse_region)]
+    region: Vec<Region>,
+    /// Which light's image of a session is looked at
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    light: usize,
+}
+
+fn height(text: &str) -> Result<f64, String> {
+    within(text, -1e4..=1e4)
+}
+
+fn height_std(text: &str) -> Result<f64, String> {
+    within(text, 0.0..=100.0)
+}
+
+fn within(text: &str, range: std::ops::RangeInclusive<f64>) -> Result<f64, String> {
+    let value: f64 = text.trim().parse().map_err(|_| "not a number".to_owned())?;
+    if range.contains(&value) {
+        Ok(value)
+    } else {
+        Err(format!("not in {} to {}", range.start(), range.end()))
+    }
+}
+
+#[derive(Serialize)]
+struct FocusReport<'a> {
+    record: String,
+    #[serde(flatten)]
+    values: &'a FocusValues,
+}
+
+pub(super) fn run(args: &FocusArgs, context: &Context) -> Result<(), CliError> {
+    let counts = [args.input.len(), args.region.len()];
+    let wanted = args.heights.len();
+    let [images_fit, regions_fit] = counts.map(|n| n == 1 || n == wanted);
+    if !images_fit || !(regions_fit || args.region.is_empty()) {
+        return Err(CliError::new(format!(
+            "{} images and {} regions were named for {wanted} heights",
+            counts[0], counts[1]
+        ))
+        .hint("name one image, and with --region one part of it, per height; one image or one region may serve for all"));
+    }
+    if counts[0] == 1 && wanted > 1 && counts[1] != wanted {
+        return Err(CliError::new(format!(
+            "one image cannot show {wanted} heights at the same place"
+        ))
+        .hint("name with --region where each edge is, in the order of the heights"));
+    }
+    let rig = args.common.rig.resolve(context)?;
+    let camera = rig.config.geometry.image_camera();
+    let mut images = Vec::new();
+    for path in &args.input {
+        images.push(Grey::of(&read(path, args.light, &rig.config.name)?));
+    }
+    let mut edges: Vec<Edge> = Vec::new();
+    for (i, &height_mm) in args.heights.iter().enumerate() {
+        let image = i.min(images.len() - 1);
+        let region = args.region.get(i).or(args.region.first()).copied();
+        edges.push(locate(image, &images[image], region, &camera, height_mm).map_err(advised)?);
+    }
+    let tangent = camera.object_na / (1.0 - camera.object_na.powi(2)).sqrt();
+    let stated = Lens {
+        spread_px2: 0.25,
+        focus_mm: camera.focus_mm,
+        tangent2: tangent * tangent,
+    };
+    let found = fit_edges(&edges, stated).map_err(advised)?;
+    let cell_px = rig.config.geometry.cell_px;
+    let values = FocusValues::new(&edges, &found, cell_px, args.height_std);
+    let mut target = Target::new(&rig.config, Library::of_rig(&rig), &args.common, context);
+    let names: Vec<_> = args.input.iter().map(|p| p.display().to_string()).collect();
+    target.source = names.join(", ");
+    target.settings = Settings {
+        resolution_px: Some(rig.config.camera.resolution_px),
+        ..Settings::default()
+    };
+    let method = format!(
+        "profiles of {wanted} slanted edge(s) at heights from {} to {} mm",
+        args.heights.iter().copied().fold(f64::INFINITY, f64::min),
+        args.heights
+            .iter()
+            .copied()
+            .fold(f64::NEG_INFINITY, f64::max)
+    );
+    let path = target.add(values.clone(), &method, &[])?;
+    target.draw(&figure(&edges, &found), &path, context)?;
+    let spread = values.point_spread_px;
+    context.note(format_args!(
+        "point spread {:.3} ± {:.3} px",
+        spread.value, spread.std
+    ));
+    match &values.lens {
+        Some(lens) => {
+            let mut geometry = rig.config.geometry.clone();
+            values.apply(&mut geometry);
+            let sharp = depth_of_field::heights_mm(&geometry.camera, 1.0).map_or(
+                String::new(),
+                |[low, high]| {
+                    format!("; blurred by less than 1 px at heights from {low:.2} to {high:.2} mm")
+                },
+            );
+            context.note(format_args!(
+                "sharp at {:.3} ± {:.3} mm from the camera, numerical aperture {:.5} ± {:.5}{sharp}",
+                lens.focus_mm.value, lens.focus_mm.std, lens.object_na.value, lens.object_na.std
+            ));
+        }
+        None => context.note(
+            "focus and aperture stay as the rig file has them: edges at three heights tell them",
+        ),
+    }
+    if args.common.json {
+        return write_json(&FocusReport {
+            record: path.display().to_string(),
+            values: &values,
+        });
+    }
+    out!("{}", path.display())
+}
+
+fn read(path: &Path, light: usize, rig: &str) -> Result<RadianceImage, CliError> {
+    if !path.is_dir() {
+        return Ok(exr::read(path)?.image);
+    }
+    let session = session_images(path)?;
+    if session.config.name != rig {
+        return Err(CliError::new(format!(
+            "{} is of rig {}, the record would be of rig {rig}",
+            path.display(),
+            session.config.name
+        ))
+        .hint(format!(
+            "name the session's rig: `--rig {}`",
+            session.config.name
+        )));
+    }
+    let lights = session.captured.len();
+    session.captured.into_iter().nth(light).ok_or_else(|| {
+        CliError::new(format!(
+            "{} has {lights} lights, not light {light}",
+            path.display()
+        ))
+        .hint(format!(
+            "--light counts from 0 to {}",
+            lights.saturating_sub(1)
+        ))
+    })
+}
+
+/// What to do about edges that cannot be used.
+fn advised(error: EdgeError) -> CliError {
+    let hint = match &error {
+        EdgeError::Size { .. } => "the images must be of the rig file's camera, without cropping",
+        EdgeError::Region { .. } => "name with --region a part of the image around the edge",
+        EdgeError::Contrast { .. } => {
+            "the target must have a dark and a bright side, lit evenly, in a capture with little noise; --region says where it is"
+        }
+        EdgeError::NotStraight { .. } => {
+            "name with --region a part of the image in which there is one straight edge and nothing else"
+        }
+        EdgeError::Tilt { .. } => {
+            "turn the target until its edge runs 5 to 15 degrees off the pixels' rows or columns"
+        }
+        EdgeError::TooFew { .. } => {
+            "let more of the edge be in the region, with ten pixels and more on either side of it"
+        }
+        EdgeError::Masked { .. } => "capture with shorter exposures, or clean the target",
+        EdgeError::Height { .. } => {
+            "check --heights, and position_mm in the rig file's [geometry.camera]"
+        }
+        EdgeError::NoDefocus { .. } => {
+            "spread the heights further, beyond the sample's depth; or give one height alone, which tells the point spread"
+        }
+        EdgeError::Unfitted(_) => "give more light, more of the edge, or heights further apart",
+        EdgeError::NotTheModel { .. } => {
+            "the edge must be straight and sharp itself, the target flat and across the camera's axis; check the order of --heights"
+        }
+    };
+    CliError::new(&error).hint(format!("{hint}; nothing was kept"))
+}

@@ -1,0 +1,193 @@
+//! What an image that is not sharp costs, and what knowing its point spread gives back.
+
+use glam::Vec3;
+
+use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table, quantile};
+use super::lab::{Lab, Material, Sample};
+use crate::brdf::{Atom, Dictionary, Mixture};
+use crate::calibration::mirror_sphere::Grey;
+use crate::calibration::slanted_edge::{Lens, fit_edges, locate};
+use crate::geometry::Mesh;
+use crate::inverse::fit;
+use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
+use crate::random::{Purpose, stream};
+use crate::simulation::photograph::Photographer;
+use crate::transport::{Camera, Light, RenderOptions, Scene, Shading, render};
+
+/// Captures through a lens that spreads points over pixels, fitted without, with the true
+/// and with the measured point spread in the model; and sharp captures.
+pub static SHARPNESS: Experiment = Experiment {
+    name: "sharpness",
+    shows: "Error where the lens spreads a point over 1.5 pixels (standard deviation): with no, the true and the measured point spread in the model, and of a sharp image",
+    full: Scale {
+        materials: &[
+            "in-span:01",
+            "in-span:06",
+            "in-span:11",
+            "in-span:16",
+            "nbrdf:blue-acrylic",
+            "nbrdf:red-plastic",
+            "nbrdf:pvc",
+            "synthetic:cream-satin",
+        ],
+        ..Scale::SINGLE_IMAGE
+    },
+    quick: Scale {
+        materials: &["nbrdf:blue-acrylic"],
+        ..Scale::QUICK_IMAGE
+    },
+    cases,
+    figures,
+};
+
+const SHAPES: [Sample; 2] = [Sample::Bowl, Sample::ConcaveCorner];
+/// Standard deviation of the true point spread.
+const SPREAD_PX: f64 = 1.5;
+
+fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
+    let mut cases = Vec::new();
+    for material in &lab.materials {
+        for sample in SHAPES {
+            let material = material.clone();
+            let key = format!("{}/{}", material.name, sample.name());
+            cases.push(Case::new(key, move |lab: &Lab| one(lab, sample, &material)));
+        }
+    }
+    Ok(cases)
+}
+
+fn photographer(seed: u64) -> Photographer {
+    Photographer {
+        bit_depth: 12,
+        full_well_e: 10_000.0,
+        read_noise_e: 2.4,
+        exposures: 4,
+        frames: 1,
+        seed,
+    }
+}
+
+fn one(lab: &Lab, sample: Sample, material: &Material) -> Result<Vec<Row>, EvaluateError> {
+    let settings = &lab.settings;
+    let (resolution_px, lights) = (settings.resolution_px, sample.lights(settings.lights));
+    let believed = sample.scene(resolution_px, lights.clone())?;
+    let truth = sample.true_scene(resolution_px, lights)?;
+    let key = |what| stream(settings.seed, Purpose::BenchPerturbation, 0, 0, what).bits();
+    let spread = |scene: &Scene, point_spread_px: f64| {
+        let mut scene = scene.clone();
+        scene.camera.point_spread_px = point_spread_px;
+        scene
+    };
+    let error = |true_px: f64, believed_px: f64| -> Result<f64, EvaluateError> {
+        let scene = spread(&truth, true_px);
+        let options = RenderOptions {
+            seed: key(1),
+            ..lab.truth_options(&scene, &*material.brdf)
+        };
+        let rendered = render(&scene, &*material.brdf, &options, &|_| {});
+        let photographer = photographer(key(2));
+        let captured = (0..)
+            .zip(&rendered)
+            .map(|(light, image)| photographer.take(image, light))
+            .collect::<Result<Vec<_>, _>>()?;
+        let (scene, options) = (spread(&believed, believed_px), lab.fit_options());
+        let fitted = fit(&scene, &captured, &lab.dictionary, &options, &mut |_| {})?;
+        let mixture = Mixture::new(lab.dictionary.clone(), fitted.weights)?;
+        Ok(lab.score(&mixture, &*material.brdf).environment)
+    };
+    let [measured_px, measured_std_px] = measured(&truth.camera, key(3))?;
+    let sharp = error(0.0, 0.0)?;
+    let ignored = error(SPREAD_PX, 0.0)?;
+    let stated = error(SPREAD_PX, SPREAD_PX)?;
+    let measured = error(SPREAD_PX, measured_px)?;
+    Ok(vec![
+        Row::new()
+            .with("material", material.name.as_str())
+            .with("class", material.class.name())
+            .with("shape", sample.name())
+            .with("spread_px", SPREAD_PX)
+            .with("measured_px", measured_px)
+            .with("measured_std_px", measured_std_px)
+            .with("sharp", sharp)
+            .with("ignored", ignored)
+            .with("stated", stated)
+            .with("measured", measured)
+            .with("ignored_over_sharp", ignored / sharp)
+            .with("stated_over_sharp", stated / sharp)
+            .with("measured_over_sharp", measured / sharp),
+    ])
+}
+
+/// Point spread and its uncertainty from a photograph of a white target's tilted edge, taken
+/// with the same lens at 64 pixels.
+fn measured(camera: &Camera, seed: u64) -> Result<[f64; 2], EvaluateError> {
+    let mut camera = *camera;
+    camera.resolution_px = [EDGE_PX; 2];
+    camera.point_spread_px = SPREAD_PX;
+    let (sin, cos) = 0.15f32.sin_cos();
+    let corner = |u: f32, v: f32| Vec3::new(u * cos - v * sin, u * sin + v * cos, 0.0);
+    let corners = [(0.0, -4.0), (4.0, -4.0), (4.0, 4.0), (0.0, 4.0)].map(|(u, v)| corner(u, v));
+    let target = Mesh::new(corners.to_vec(), vec![[0, 1, 2], [0, 2, 3]])?;
+    let light = Light::Directional {
+        to_light: glam::DVec3::Z,
+        irradiance: [1.0; 3],
+        angular_radius_rad: 0.0,
+    };
+    let scene = Scene::new(target, Shading::Flat, camera, vec![light]);
+    let white = Dictionary::new("white", vec![Atom::Lambertian { albedo: 0.9 }])?;
+    let white = Mixture::grey(white.into(), vec![1.0])?;
+    let options = RenderOptions {
+        samples_per_pixel: 4096,
+        max_reflections: 1,
+        seed,
+        ..RenderOptions::default()
+    };
+    let rendered = render(&scene, &white, &options, &|_| {}).remove(0);
+    let image = photographer(seed).take(&rendered, 0)?;
+    let edge = locate(0, &Grey::of(&image), None, &camera, 0.0)?;
+    let start = Lens {
+        spread_px2: 0.5,
+        focus_mm: camera.focus_mm,
+        tangent2: 0.0,
+    };
+    let found = fit_edges(&[edge], start)?;
+    let sigma_px = found.lens.spread_px2.sqrt();
+    Ok([sigma_px, found.covariance[(0, 0)].sqrt() / (2.0 * sigma_px)])
+}
+
+const EDGE_PX: usize = 64;
+
+/// The sharp image's error against that of the blurred one, one panel per shape; the line
+/// is equality.
+fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
+    let panel = |sample: Sample| {
+        let points = |column: &str| -> Vec<[f64; 2]> {
+            let rows = table.rows.iter();
+            rows.filter(|r| r.text("shape") == sample.name())
+                .filter_map(|r| Some([r.number("sharp")?, r.number(column)?]))
+                .map(|point| point.map(|e| e.max(1e-4).log10()))
+                .collect()
+        };
+        let median = |column: &str| {
+            let here = table.figures(column, |r| r.text("shape") == sample.name());
+            quantile(&here, 0.5)
+        };
+        Chart {
+            title: format!(
+                "{}: medians {:.2} and {:.2} times the sharp image's",
+                sample.name(),
+                median("ignored_over_sharp"),
+                median("measured_over_sharp")
+            ),
+            x: Axis::decades(-3.0..1.0, "environment error, sharp image"),
+            y: Axis::decades(-3.0..1.0, "environment error"),
+            series: vec![
+                Series::new("", 7, Mark::Line, vec![[-3.0, -3.0], [1.0, 1.0]]),
+                Series::new("blur ignored", 1, Mark::Dots, points("ignored")),
+                Series::new("blur stated", 2, Mark::Dots, points("stated")),
+                Series::new("blur measured", 0, Mark::Dots, points("measured")),
+            ],
+        }
+    };
+    Ok(vec![charts("sharpness", 2, &SHAPES.map(panel))])
+}
