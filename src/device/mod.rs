@@ -9,6 +9,7 @@ pub mod controls;
 pub mod discovery;
 pub mod dome;
 pub mod folder_camera;
+pub mod frame_row;
 pub mod grbl;
 pub mod guardian;
 pub mod image_file;
