@@ -20,7 +20,7 @@ use mock_devices::{Illumination, RadianceSource};
 use rig::capture::{CaptureError, Outcome};
 use rig::device::retake::Retakes;
 use rig::device::simulated_camera::SimulatedCamera;
-use rig::device::{DeviceError, FrameKey, LampChannel, LampState, Mosaic};
+use rig::device::{Camera, CameraSettings, DeviceError, FrameKey, LampChannel, LampState, Mosaic};
 use rig::session::faults::UnsyncedDisk;
 use rig::session::{Session, SessionWriter, Sidecar};
 use rig::units::Seconds;
@@ -296,6 +296,67 @@ fn what_stays_ends_with_the_lamp_off_and_a_session_that_resumes() {
     }
 }
 
+const FROM_THE_START: &str = "exposure ignored from the start";
+
+/// A capture that needs one exposure alone, so that no two frames of a light
+/// differ in theirs: a camera that stays at `stuck_s` whatever it confirms.
+fn one_exposure(stuck_s: Option<f64>) -> (Result<Outcome, CaptureError>, Vec<String>, Frames) {
+    let parent = tempfile::tempdir().unwrap();
+    let bench = Bench::new();
+    let mut record = record();
+    let exposure = &mut record.plan.exposure;
+    exposure.longest_s = exposure.pilot_s;
+    exposure.dark_snr = 1.0;
+    let session = create_from(Arc::new(UnsyncedDisk), parent.path(), &record).unwrap();
+    let root = session.root().to_owned();
+    let mut camera = camera(&bench, None);
+    if let Some(stuck_s) = stuck_s {
+        let settings = CameraSettings {
+            exposure: Seconds(stuck_s),
+            gain: 1.0,
+        };
+        camera.configure(settings).unwrap();
+        let faults = camera.faults();
+        faults.inject(CameraFault::IgnoreSettings(u32::MAX));
+    }
+    let (result, heard) = capture_with_camera(&bench, Box::new(camera), session);
+    assert_eq!(bench.world().lamp, LampState::Off);
+    (result, heard.warnings, frames(&root))
+}
+
+#[test]
+fn a_camera_that_never_obeys_is_found_where_one_exposure_is_enough() {
+    let (result, warnings, frames) = one_exposure(None);
+    assert_eq!(result.unwrap(), Outcome::Complete);
+    assert_eq!(warnings, [""; 0]);
+    let of_bracket = frames.values().filter(|(_, sidecar)| !sidecar.pilot);
+    let exposures: BTreeSet<u64> = of_bracket
+        .map(|(_, sidecar)| sidecar.applied.exposure.0.to_bits())
+        .collect();
+    assert_eq!(exposures.len(), 1, "this test is of one exposure");
+    // One frame per light at another exposure.
+    let others = frames.values().filter(|(_, sidecar)| {
+        sidecar.pilot && !exposures.contains(&sidecar.applied.exposure.0.to_bits())
+    });
+    assert_eq!(others.count(), record().plan.lights.len());
+    for stuck_s in [0.005, 0.01, 0.014] {
+        let (result, ..) = one_exposure(Some(stuck_s));
+        assert!(
+            matches!(result, Err(CaptureError::ExposureNotApplied { .. })),
+            "{FROM_THE_START}, {stuck_s} s: {result:?}"
+        );
+    }
+    // Far too long: nothing but saturation.
+    let (result, ..) = one_exposure(Some(1.0));
+    assert!(
+        matches!(
+            result,
+            Err(CaptureError::AllSaturated { .. } | CaptureError::ExposureNotApplied { .. })
+        ),
+        "{result:?}"
+    );
+}
+
 #[test]
 fn the_table_in_the_docs_has_these_rows() {
     let text = include_str!("../docs/faults.md");
@@ -309,6 +370,7 @@ fn the_table_in_the_docs_has_these_rows() {
     let passing = PASSING.iter().map(|(name, ..)| *name);
     let cases: BTreeSet<&str> = passing
         .chain(LASTING.iter().map(|(name, ..)| *name))
+        .chain([FROM_THE_START])
         .collect();
     assert_eq!(rows, cases);
 }

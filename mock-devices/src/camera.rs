@@ -282,6 +282,18 @@ impl SimulatedCamera {
     /// exposure and readout are over, or, in real time, when it has been
     /// computed, if that takes longer.
     pub fn grab(&mut self, key: FrameKey) -> Result<MockFrame, MockCameraError> {
+        let now_s = self.bench.clock().now_s();
+        self.grab_since(key, now_s)
+    }
+
+    /// The next frame that nobody got yet and that begins at this moment or later,
+    /// which may be over: the camera runs by itself, and holds what nobody asked
+    /// for until the settings change.
+    pub fn grab_since(
+        &mut self,
+        key: FrameKey,
+        since_s: f64,
+    ) -> Result<MockFrame, MockCameraError> {
         self.check()?;
         let clock = self.bench.clock().clone();
         if self.faults.take(|p| &mut p.stall) {
@@ -291,7 +303,7 @@ impl SimulatedCamera {
                 timeout_s: STALL_TIMEOUT_S,
             });
         }
-        self.run_until(clock.now_s());
+        self.run_until(since_s.min(clock.now_s()));
         let first = self.next_sequence;
         while self.faults.take(|p| &mut p.drop) {
             self.next_frame();

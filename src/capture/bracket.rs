@@ -60,6 +60,13 @@ impl PilotRound {
             .any(|reading| matches!(reading, PilotReading::Clipped { .. }))
     }
 
+    /// Whether every pixel of every channel is clipped: these frames say nothing.
+    pub fn is_saturated(&self) -> bool {
+        self.readings.iter().all(
+            |reading| matches!(reading, PilotReading::Clipped { fraction } if *fraction >= 1.0),
+        )
+    }
+
     fn usable(&self) -> impl Iterator<Item = PilotStatistics> + '_ {
         self.readings.iter().filter_map(|reading| match reading {
             PilotReading::Usable(statistics) => Some(*statistics),

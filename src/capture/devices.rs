@@ -1,6 +1,7 @@
 //! The camera and the stage as a capture sees them: what state they are known
 //! to be in, and the promise that the lamp is off when the capture ends.
 
+use std::pin::Pin;
 use std::time::{Duration, Instant};
 
 use super::CaptureError;
@@ -49,6 +50,31 @@ struct Known {
     lamp: Option<LampState>,
     settings: Option<(CameraSettings, CameraSettings)>,
     shutter_open: Option<bool>,
+}
+
+/// A change of the camera's settings.
+pub(super) enum SettingsChange {
+    /// It has them.
+    None {
+        /// Read back.
+        applied: CameraSettings,
+    },
+    /// Sent, and the first frames after it are being thrown away.
+    UnderWay {
+        requested: CameraSettings,
+        answer: Pin<Box<dyn Future<Output = Result<Applied, CaptureError>>>>,
+    },
+}
+
+/// Settings read back, and the frames thrown away since.
+type Applied = Result<(CameraSettings, Thrown), DeviceError>;
+
+/// Frames that were thrown away.
+#[derive(Default)]
+pub(super) struct Thrown {
+    frames: u32,
+    retakes: Retakes,
+    error: Option<DeviceError>,
 }
 
 /// Stops motion and lamp when dropped, on every way out except an orderly one.
@@ -334,22 +360,69 @@ impl Devices {
         }
     }
 
-    /// Settings read back after these were applied; `true` if they were others before.
-    pub(super) async fn configure(
+    /// Sends settings, unless the camera has them, and throws away so many frames
+    /// that may still have the old ones, as `discards`. Nothing is waited for:
+    /// stage and lamp do their part meanwhile.
+    pub(super) fn begin_settings(
         &mut self,
         requested: CameraSettings,
-    ) -> Result<(CameraSettings, bool), CaptureError> {
+        frames: u32,
+        discards: FrameKey,
+    ) -> SettingsChange {
         if let Some((before, applied)) = self.known.settings
             && before == requested
         {
-            return Ok((applied, false));
+            return SettingsChange::None { applied };
         }
         self.known.settings = None;
-        let applied = self
-            .camera(move |camera| camera.configure(requested))
-            .await?;
-        self.known.settings = Some((requested, applied));
-        Ok((applied, true))
+        self.camera_is_lost = false;
+        let answer = self.camera.call(move |camera| {
+            let camera = camera.as_mut();
+            let applied = camera.configure(requested)?;
+            let mut thrown = Thrown::default();
+            while thrown.frames < frames && thrown.error.is_none() {
+                thrown.error = grab_right(camera, discards, &mut thrown.retakes).err();
+                thrown.frames += 1;
+            }
+            Ok((applied, thrown))
+        });
+        SettingsChange::UnderWay {
+            requested,
+            answer: Box::pin(answer),
+        }
+    }
+
+    /// Settings read back once they are applied; `true` if they were others before.
+    pub(super) async fn settings_applied(
+        &mut self,
+        change: SettingsChange,
+    ) -> Result<(CameraSettings, bool), CaptureError> {
+        let (requested, answer) = match change {
+            SettingsChange::None { applied } => return Ok((applied, false)),
+            SettingsChange::UnderWay { requested, answer } => (requested, answer),
+        };
+        let watch = Stopwatch::start();
+        let result = self.answer(None, answer).await;
+        watch.add_to(&mut self.spent.camera_s);
+        let failed = match result? {
+            Ok((applied, thrown)) => {
+                self.retakes.add(thrown.retakes);
+                self.spent.exposures_s += f64::from(thrown.frames) * applied.exposure.0;
+                if thrown.error.is_none() {
+                    self.known.settings = Some((requested, applied));
+                    return Ok((applied, true));
+                }
+                thrown.error
+            }
+            Err(error) => Some(error),
+        };
+        self.camera_is_lost = matches!(failed, Some(DeviceError::Disconnected { .. }));
+        Err(failed.map_or(CaptureError::WorkerGone { name: "camera" }, Into::into))
+    }
+
+    /// Whether lamp and shutter are in this state already.
+    pub(super) fn is_set(&self, lamp: LampState, shutter_open: bool) -> bool {
+        self.known.lamp == Some(lamp) && self.known.shutter_open == Some(shutter_open)
     }
 
     /// Opens or closes the shutter; `false` if the camera has none.
@@ -370,7 +443,10 @@ impl Devices {
             return Ok(None);
         };
         self.retakes.exposure_ignored += 1;
-        let (applied, _) = self.configure(requested).await?;
+        let applied = self
+            .camera(move |camera| camera.configure(requested))
+            .await?;
+        self.known.settings = Some((requested, applied));
         Ok(Some(applied))
     }
 

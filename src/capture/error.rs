@@ -118,6 +118,16 @@ pub enum CaptureError {
         /// Longest exposure tried, seconds.
         exposure_s: f64,
     },
+    /// Every pixel is clipped in the shortest exposure.
+    #[error(
+        "light {light}: every pixel of the sample is saturated in the shortest exposure of {exposure_s} s"
+    )]
+    AllSaturated {
+        /// Index in the plan.
+        light: u32,
+        /// Shortest exposure, seconds.
+        exposure_s: f64,
+    },
     /// Merging a bracket failed.
     #[error("light {light} could not be merged: {reason}")]
     Merge {

@@ -119,6 +119,14 @@ impl SignalRatio {
         TO_WARN * self.std_dev <= GOOD
     }
 
+    /// Whether another ratio would be refused: the one that a frame shows whose
+    /// exposure was ignored.
+    pub fn would_tell(&self, ignored_ratio: f64) -> bool {
+        // Signal and noise of that frame would not be this one's.
+        let std_dev = 2.0 * self.std_dev * ignored_ratio.max(1.0);
+        (ignored_ratio - 1.0).abs() > REFUSED + TO_REFUSE * std_dev
+    }
+
     /// Judges; noise is granted three standard deviations before a frame is refused, five
     /// before it is doubted.
     pub fn verdict(&self) -> Verdict {
@@ -179,6 +187,14 @@ mod tests {
             let (ratio, verdict) = judge(claimed_s, 0.05);
             assert_eq!(verdict, Verdict::Refused, "stale at {claimed_s}: {ratio:?}");
         }
+        let (ratio, _) = judge(0.1, 0.1);
+        assert!(ratio.would_tell(0.5) && ratio.would_tell(2.0));
+        assert!(!ratio.would_tell(1.0) && !ratio.would_tell(1.02));
+        let weak = SignalRatio {
+            ratio: 1.0,
+            std_dev: 0.1,
+        };
+        assert!(!weak.would_tell(0.5) && !weak.would_tell(2.0));
         assert_eq!(judge(0.1, 0.1 * 1.06).1, Verdict::Refused);
         assert_eq!(judge(0.1, 0.1 * 1.024).1, Verdict::Doubtful);
         assert_eq!(judge(0.1, 0.1 * 1.005).1, Verdict::Good);

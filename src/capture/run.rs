@@ -3,6 +3,7 @@
 mod as_claimed;
 mod between;
 mod ending;
+mod exposure_proof;
 mod frame;
 
 use std::collections::HashMap;
@@ -86,6 +87,7 @@ impl Capture<'_> {
             session,
             position: None,
             discarded: 0,
+            unproven_told: false,
             clock: Clock::start(),
         };
         let result = run.all_lights().await;
@@ -148,6 +150,8 @@ struct Run<'a> {
     position: Option<(u32, StageAngles)>,
     /// Frames thrown away since the settings changed.
     discarded: u32,
+    /// Whether it was said that the images cannot show the exposure.
+    unproven_told: bool,
     clock: Clock,
 }
 
@@ -195,13 +199,17 @@ impl Run<'_> {
         let mut latest: Vec<Option<Taken>> = vec![None; channels.len()];
         let mut rounds: Vec<PilotRound> = Vec::new();
         let mut is_lit = true;
+        // Whether the images have shown that the camera obeys its exposure.
+        let mut is_shown = false;
         let steps = loop {
             match bracket::decide(self.noise, &self.plan.exposure, &rounds)? {
                 Decision::Pilot { exposure_s } => {
                     let round = rounds.len() as u32;
+                    let before = latest.clone();
                     let (pilot, lit) = self
                         .pilot_round(light, round, exposure_s, &mut latest)
                         .await?;
+                    is_shown |= self.any_is_shown(&before, &latest);
                     rounds.push(pilot);
                     is_lit = lit;
                 }
@@ -211,6 +219,10 @@ impl Run<'_> {
                     reached,
                     clips,
                 } if is_lit => {
+                    if clips && rounds.last().is_some_and(PilotRound::is_saturated) {
+                        let exposure_s = self.plan.exposure.shortest_s.0;
+                        return Err(CaptureError::AllSaturated { light, exposure_s });
+                    }
                     self.planned(light, &steps, dark_snr, reached, clips)
                         .await?;
                     break steps;
@@ -236,6 +248,7 @@ impl Run<'_> {
             let part = f64::from(index - first) / steps.len() as f64;
             self.clock.within_light(light, self.lights, part);
             let mut firsts = Vec::new();
+            let before_step = latest.clone();
             for (channel, latest) in latest.iter_mut().enumerate() {
                 for repeat in 0..step.frames {
                     let shot = self.light_shot(light, index, channel, repeat, step.exposure_s);
@@ -248,6 +261,7 @@ impl Run<'_> {
                     }
                 }
             }
+            is_shown |= self.any_is_shown(&before_step, &latest);
             self.keep_for_drift(&mut before, firsts);
             let ambient = if rules.ambient { step.frames } else { 0 };
             for (kind, frames) in [
@@ -261,6 +275,9 @@ impl Run<'_> {
             }
         }
         let last = first + steps.len() as u32;
+        if !is_shown {
+            self.prove_exposure(light, last + 1, &latest).await?;
+        }
         self.check_drift(light, last, before).await?;
         self.disk.record(Event::LightStop { light }).await?;
         self.merger.finish_bracket().await

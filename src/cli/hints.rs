@@ -198,6 +198,7 @@ fn for_capture(error: &CaptureError) -> Option<String> {
         OtherCamera { .. } => "connect the camera that the session was begun with, or start a new session".into(),
         ExposureNotApplied { .. } => "raise camera.settings_latency_frames in the rig file; check that the camera is in manual mode and the lamp doesn't flicker".into(),
         NoLight { .. } => "check the lamp's power and cable, the lens cap, and that the stage points at the sample".into(),
+        AllSaturated { .. } => "dim the lamp or close the aperture; a camera that ignores its exposure does the same: compare `rig camera grab` at two exposures".into(),
         OtherFrame { .. } => "the session was changed since it was captured; start a new one".into(),
         NotStopped { .. } => "use the emergency stop and look whether the lamp is on; check the stage's cable and power".into(),
         Interrupted | StoppedNow => "`rig capture --resume SESSION` continues it".into(),

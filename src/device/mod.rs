@@ -10,6 +10,7 @@ pub mod discovery;
 pub mod dome;
 pub mod even_light;
 pub mod folder_camera;
+pub mod frame_row;
 pub mod grbl;
 pub mod guardian;
 pub mod image_file;

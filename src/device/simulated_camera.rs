@@ -3,6 +3,7 @@
 use mock_devices::camera::{CameraFaults, MockCameraError, SimulatedCamera as MockCamera};
 use mock_devices::sensor::{FrameKey as MockFrameKey, SensorModel};
 
+use super::frame_row::PreviousFrame;
 use super::retake::FrameFault;
 use super::{
     Camera, CameraInfo, CameraSettings, DeviceError, FrameKey, FrameKind, Mosaic, RawFrame,
@@ -15,6 +16,9 @@ pub struct SimulatedCamera {
     info: CameraInfo,
     frames_lost: u64,
     may_return_within: Seconds,
+    previous: Option<PreviousFrame>,
+    /// When the last frame began, on the bench's clock.
+    last_start_s: f64,
 }
 
 impl SimulatedCamera {
@@ -36,6 +40,8 @@ impl SimulatedCamera {
             info,
             frames_lost: 0,
             may_return_within: Seconds(0.0),
+            previous: None,
+            last_start_s: f64::NEG_INFINITY,
         }
     }
 
@@ -89,6 +95,7 @@ impl Camera for SimulatedCamera {
     }
 
     fn configure(&mut self, requested: CameraSettings) -> Result<CameraSettings, DeviceError> {
+        self.previous = None;
         match self.camera.configure(requested.exposure.0, requested.gain) {
             Ok(applied) => Ok(CameraSettings {
                 exposure: Seconds(applied.exposure_s),
@@ -99,6 +106,7 @@ impl Camera for SimulatedCamera {
     }
 
     fn set_shutter(&mut self, open: bool) -> Result<bool, DeviceError> {
+        self.previous = None;
         match self.camera.set_shutter(open) {
             Ok(exists) => Ok(exists),
             Err(error) => Err(self.error(error)),
@@ -106,6 +114,7 @@ impl Camera for SimulatedCamera {
     }
 
     fn grab(&mut self, key: FrameKey) -> Result<RawFrame, DeviceError> {
+        let asked_for = key;
         let key = MockFrameKey {
             light: key.light,
             exposure: key.exposure,
@@ -116,18 +125,30 @@ impl Camera for SimulatedCamera {
                 FrameKind::Dark => 2,
             },
         };
-        let asked_s = self.camera.bench().clock().now_s();
-        let frame = match self.camera.grab(key) {
+        let asked = Seconds(self.camera.bench().clock().now_s());
+        let since = self
+            .previous
+            .take()
+            .and_then(|previous| previous.unchanged_since(asked_for, asked))
+            .unwrap_or(asked);
+        let frame = match self.camera.grab_since(key, since.0) {
             Ok(frame) => frame,
             Err(error) => return Err(self.error(error)),
         };
-        if frame.timestamp_s < asked_s {
+        let is_old = frame.timestamp_s <= self.last_start_s;
+        self.last_start_s = frame.timestamp_s;
+        if frame.timestamp_s < since.0 || is_old {
             return Err(self.bad_frame(FrameFault::Late));
         }
         self.frames_lost += frame.lost;
         if frame.damaged {
             return Err(self.bad_frame(FrameFault::Damaged));
         }
+        self.previous = Some(PreviousFrame {
+            key: asked_for,
+            since,
+            returned: Seconds(self.camera.bench().clock().now_s()),
+        });
         Ok(RawFrame {
             width: frame.width,
             height: frame.height,

@@ -7,7 +7,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use rig::capture::{BracketSink, Capture, CaptureError, Observer, Outcome, Progress};
 use rig::device::*;
@@ -20,6 +20,8 @@ use rig::units::{Seconds, StageAngles};
 
 pub const SIZE: u32 = 8;
 const LATENCY: u32 = 2;
+/// What a capture calls the frames that nobody keeps.
+const THROWN_AWAY: u32 = u32::MAX;
 
 /// What the bench is, and what shall go wrong.
 #[derive(Clone, Debug)]
@@ -55,6 +57,11 @@ pub struct World {
     pub hang_in_move: u32,
     /// Stops are carried out but not confirmed.
     pub stop_fails: bool,
+    /// Every move takes until the camera has its new settings.
+    pub moves_wait_for_settings: bool,
+    /// What the last frame was for, and what shone then; unknown after a change of
+    /// settings.
+    last: Option<(FrameKey, LampState, Option<StageAngles>, bool)>,
     /// What must remain free on the disk.
     pub reserve_bytes: u64,
     /// Brightness of the lamp is multiplied by this at every frame.
@@ -99,6 +106,8 @@ impl Bench {
             panic_at_frame: None,
             hang_in_move: 0,
             stop_fails: false,
+            moves_wait_for_settings: false,
+            last: None,
             reserve_bytes: 0,
             drift_per_frame: 1.0,
             pause_at_grab: None,
@@ -220,6 +229,13 @@ impl LightStage for Stage {
             }
             return Err(io("stopped"));
         }
+        let until = Instant::now() + Duration::from_secs(20);
+        while world.moves_wait_for_settings && world.late > 0 {
+            assert!(Instant::now() < until, "the settings wait for the move");
+            drop(world);
+            std::thread::sleep(Duration::from_millis(1));
+            world = self.0.world();
+        }
         world.position = Some(target);
         Ok(target)
     }
@@ -257,6 +273,7 @@ impl Camera for Cam {
 
     fn configure(&mut self, requested: CameraSettings) -> Result<CameraSettings, DeviceError> {
         let mut world = self.0.world();
+        world.last = None;
         world.old = world.settings;
         world.settings = requested;
         let on_time = requested.exposure == PILOT;
@@ -281,6 +298,20 @@ impl Camera for Cam {
             drop(world);
             panic!("a defect of the driver");
         }
+        let now = (world.lamp, world.position, world.shutter_open);
+        if let Some((last, lamp, position, open)) = world.last
+            && last.kind == key.kind
+            && key.exposure != THROWN_AWAY
+            && (last.light, last.exposure) == (key.light, key.exposure)
+        {
+            // A camera may hand over one that it began before it was asked.
+            assert_eq!(
+                (lamp, position, open),
+                now,
+                "a row of equal frames: {key:?}"
+            );
+        }
+        world.last = Some((key, now.0, now.1, now.2));
         world.brightness_e_s *= world.drift_per_frame;
         if world.pause_at_grab == Some(world.grabs) {
             world.interrupt.ask_for_pause();

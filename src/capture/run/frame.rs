@@ -141,6 +141,23 @@ impl Run<'_> {
         shot: Shot,
         reference: Reference<'_>,
     ) -> Result<(RawFrame, Sidecar), CaptureError> {
+        let requested = CameraSettings {
+            exposure: shot.exposure,
+            gain: self.plan.gain,
+        };
+        let shutter_open = shot.key.kind != FrameKind::Dark;
+        let stands = self.position.is_some_and(|(at, _)| at == shot.key.light);
+        let discards = if stands && self.devices.is_set(shot.lamp, shutter_open) {
+            shot.key
+        } else {
+            // No row with the frame itself, which must begin after stage and lamp are ready.
+            FrameKey {
+                exposure: u32::MAX,
+                ..shot.key
+            }
+        };
+        let latency = self.plan.settings_latency_frames;
+        let change = self.devices.begin_settings(requested, latency, discards);
         let stage_position = self.go_to(shot.key.light).await?;
         self.observer.observe(Progress::Frame {
             key: shot.key,
@@ -149,23 +166,13 @@ impl Run<'_> {
             done: self.clock.done,
             left: self.clock.left(self.plan.estimated_s),
         });
-        let requested = CameraSettings {
-            exposure: shot.exposure,
-            gain: self.plan.gain,
-        };
-        let (applied, changed) = self.devices.configure(requested).await?;
         self.devices
             .lamp(shot.lamp, self.plan.lamp_settle_s)
             .await?;
-        self.devices
-            .shutter(shot.key.kind != FrameKind::Dark)
-            .await?;
+        let (applied, changed) = self.devices.settings_applied(change).await?;
+        self.devices.shutter(shutter_open).await?;
         if changed {
-            self.discarded = 0;
-            for _ in 0..self.plan.settings_latency_frames {
-                self.devices.grab(shot.key).await?;
-                self.discarded += 1;
-            }
+            self.discarded = latency;
         }
         let (frame, exposure_ratio) = self.grab_as_claimed(shot, applied, reference).await?;
         let retakes = self.devices.take_retakes();

@@ -17,6 +17,7 @@ use v4l::buffer::Flags;
 
 use super::controls::{self, ControlInfo, ControlPort, id};
 use super::discovery::{self, DeviceKind};
+use super::frame_row::PreviousFrame;
 use super::pixel_format::PixelFormat;
 use super::retake::FrameFault;
 use super::{Camera, CameraInfo, CameraSettings, DeviceError, FrameKey, RawFrame};
@@ -75,9 +76,6 @@ const EXPOSURE_UNIT_S: f64 = 100e-6;
 const NO_SUCH_DEVICE: i32 = 19;
 /// A request that a USB device stalls shows as this one (EPIPE).
 const STALLED: i32 = 32;
-/// Between two frames that follow each other so closely no lamp is switched and
-/// nothing moves.
-const BACK_TO_BACK: Seconds = Seconds(0.005);
 
 /// A camera that streams frames.
 pub struct V4lCamera {
@@ -92,30 +90,8 @@ pub struct V4lCamera {
     exposure: Option<Range>,
     gain: Option<Gain>,
     settings: Option<CameraSettings>,
-    previous: Option<Previous>,
+    previous: Option<PreviousFrame>,
     frames_lost: u64,
-}
-
-/// The frame before.
-#[derive(Clone, Copy, Debug)]
-struct Previous {
-    key: FrameKey,
-    /// Since when nothing has changed.
-    since: Seconds,
-    returned: Seconds,
-}
-
-impl Previous {
-    /// Since when nothing has changed, for a frame that is asked for `now`. A
-    /// camera that exposes all the time has begun the next of a row of equal
-    /// frames when the last one is taken: to wait for one more would halve its rate.
-    fn unchanged_since(self, key: FrameKey, now: Seconds) -> Option<Seconds> {
-        let repeats = FrameKey {
-            repeat: key.repeat,
-            ..self.key
-        };
-        (repeats == key && now.0 - self.returned.0 < BACK_TO_BACK.0).then_some(self.since)
-    }
 }
 
 /// An integer control's range.
@@ -426,7 +402,7 @@ impl Camera for V4lCamera {
                 .format
                 .decode(bytes, width, height, self.stride)
                 .map_err(|error| bad_frame(FrameFault::Undecodable(error.to_string())))?;
-            self.previous = Some(Previous {
+            self.previous = Some(PreviousFrame {
                 key,
                 since,
                 returned: monotonic_now(),
@@ -502,26 +478,6 @@ mod tests {
         assert_eq!(gain(0).raw(1.0), Some(0));
         assert_eq!(gain(0).raw(2.0), None);
         assert_eq!(gain(0).factor(5), None);
-    }
-
-    #[test]
-    fn only_a_row_of_equal_frames_may_have_begun_before_it_was_asked_for() {
-        use crate::device::FrameKind;
-        let key = |exposure, repeat| FrameKey {
-            light: 0,
-            exposure,
-            repeat,
-            kind: FrameKind::Light,
-        };
-        let previous = Previous {
-            key: key(2, 0),
-            since: Seconds(1.0),
-            returned: Seconds(1.5),
-        };
-        let since = |key, now| previous.unchanged_since(key, Seconds(now));
-        assert_eq!(since(key(2, 1), 1.501), Some(Seconds(1.0)));
-        assert_eq!(since(key(2, 1), 1.6), None);
-        assert_eq!(since(key(3, 0), 1.501), None);
     }
 
     #[test]
