@@ -14,6 +14,8 @@ macro_rules! shipped {
 /// simulated rig; `tests/radiometry.rs` makes them again and compares.
 pub(super) const SIMULATED: &[(&str, &[u8])] = &[
     shipped!("sensor/20261121T020000Z-sensor.toml"),
+    shipped!("sensor/20261121T020000Z-sensor-dark.png"),
+    shipped!("sensor/20261121T020000Z-sensor-offset.png"),
     shipped!("flat/20261121T020000Z-flat.toml"),
     shipped!("flat/20261121T020000Z-flat.png"),
     shipped!("scale/20261121T020000Z-scale.toml"),

@@ -1,6 +1,7 @@
 //! The flat field: relative response of each pixel, from many frames of a
 //! steady uniform light and as many dark frames at the same exposure.
 
+use super::pixel_map::{grey_counts, grey_png, sha256};
 use super::record::{FlatValues, MapFile};
 use crate::radiometry::sensor::{FlatField, SensorNoise};
 
@@ -194,7 +195,6 @@ pub fn to_map(
     width: usize,
     file: &str,
 ) -> Result<(FlatValues, Vec<u8>), FlatError> {
-    use sha2::Digest;
     let counts: Vec<u16> = flat
         .response
         .iter()
@@ -204,29 +204,16 @@ pub fn to_map(
                 .clamp(0.0, 65_535.0) as u16
         })
         .collect();
-    let problem = |problem: String| FlatError::Map {
+    let png = grey_png(counts, width).map_err(|problem| FlatError::Map {
         file: file.to_owned(),
         problem,
-    };
-    let height = counts.len() / width.max(1);
-    let image =
-        image::ImageBuffer::<image::Luma<u16>, _>::from_raw(width as u32, height as u32, counts)
-            .ok_or_else(|| problem(format!("the pixels do not fill {width} x {height}")))?;
-    let mut png = std::io::Cursor::new(Vec::new());
-    image
-        .write_to(&mut png, image::ImageFormat::Png)
-        .map_err(|error| problem(error.to_string()))?;
-    let png = png.into_inner();
+    })?;
     let square: f64 = flat.std_dev.iter().map(|&s| f64::from(s).powi(2)).sum();
     let rounding = RESPONSE_PER_COUNT * RESPONSE_PER_COUNT / 12.0;
-    let sha256: String = sha2::Sha256::digest(&png)
-        .iter()
-        .map(|byte| format!("{byte:02x}"))
-        .collect();
     let values = FlatValues {
         map: MapFile {
             file: file.to_owned(),
-            sha256,
+            sha256: sha256(&png),
         },
         response_per_count: RESPONSE_PER_COUNT,
         std: (square / flat.std_dev.len().max(1) as f64 + rounding).sqrt(),
@@ -243,27 +230,11 @@ pub fn from_map(
     png: &[u8],
     resolution_px: [u32; 2],
 ) -> Result<FlatField, FlatError> {
-    let problem = |problem: String| FlatError::Map {
+    let counts = grey_counts(png, resolution_px).map_err(|problem| FlatError::Map {
         file: values.map.file.clone(),
         problem,
-    };
-    let reader =
-        image::ImageReader::with_format(std::io::Cursor::new(png), image::ImageFormat::Png);
-    let size = reader
-        .into_dimensions()
-        .map_err(|e| problem(e.to_string()))?;
-    if [size.0, size.1] != resolution_px {
-        let [width, height] = resolution_px;
-        return Err(problem(format!(
-            "{} x {} pixels, the sensor has {width} x {height}",
-            size.0, size.1
-        )));
-    }
-    let image = image::load_from_memory_with_format(png, image::ImageFormat::Png)
-        .map_err(|error| problem(error.to_string()))?;
-    let response: Vec<f32> = image
-        .into_luma16()
-        .into_raw()
+    })?;
+    let response: Vec<f32> = counts
         .into_iter()
         .map(|count| (f64::from(count) * values.response_per_count) as f32)
         .collect();

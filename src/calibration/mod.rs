@@ -13,6 +13,7 @@ pub mod lamp_watch;
 mod library;
 pub mod mirror_sphere;
 pub mod noise;
+pub mod pixel_map;
 pub mod pose;
 pub mod procedure;
 pub mod record;

@@ -2,32 +2,60 @@
 
 use super::Loaded;
 use super::flat::{FlatError, from_map};
-use super::record::{FlatValues, ScaleValues, SensorValues};
+use super::pixel_map::{MapError, PixelMap};
+use super::record::{FlatValues, MapFile, ScaleValues, SensorValues};
 use crate::radiometry::linearity::Linearity;
-use crate::radiometry::sensor::SensorNoise;
+use crate::radiometry::sensor::{DarkPattern, SensorNoise};
+
+/// A record's map that cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum NoiseError {
+    /// The flat field.
+    #[error(transparent)]
+    Flat(#[from] FlatError),
+    /// A map of the dark pattern.
+    #[error(transparent)]
+    Dark(#[from] MapError),
+}
 
 /// What merge and exposure planning believe of a sensor, from its records.
 /// Without a scale, radiances are in electrons per second.
 ///
 /// # Errors
-/// A flat field whose map is unreadable or of another size than
-/// `resolution_px`.
+/// A map that is unreadable or of another size than `resolution_px`.
 pub fn sensor_noise(
-    sensor: &SensorValues,
+    sensor: &Loaded<SensorValues>,
     flat: Option<&Loaded<FlatValues>>,
     scale: Option<&ScaleValues>,
     resolution_px: [u32; 2],
-) -> Result<SensorNoise, FlatError> {
+) -> Result<SensorNoise, NoiseError> {
+    let mut noise = noise_without_maps(&sensor.record.values, scale, resolution_px);
+    if let Some(loaded) = flat {
+        let values = &loaded.record.values;
+        let bytes = bytes_of(&loaded.files, &values.map);
+        noise.flat_field = Some(from_map(values, bytes, resolution_px)?);
+    }
+    if let Some(dark) = &sensor.record.values.dark_pattern {
+        let read = |map: &PixelMap| map.read(bytes_of(&sensor.files, &map.map), resolution_px);
+        let [[offset_dn2, remaining_covariance], [_, dark_e2_s2]] = dark.covariance;
+        noise.dark_pattern = Some(DarkPattern {
+            offset_dn: read(&dark.offset_dn)?,
+            dark_current_e_s: read(&dark.dark_current_e_s)?,
+            remaining_covariance,
+        });
+        noise.black_level_spread_dn = offset_dn2.sqrt();
+        noise.dark_current_spread_e_s = dark_e2_s2.sqrt();
+    }
+    Ok(noise)
+}
+
+/// The same without what single pixels do, apart from hot ones.
+pub fn noise_without_maps(
+    sensor: &SensorValues,
+    scale: Option<&ScaleValues>,
+    resolution_px: [u32; 2],
+) -> SensorNoise {
     let [width, height] = resolution_px.map(|n| n as usize);
-    let flat_field = match flat {
-        None => None,
-        Some(loaded) => {
-            let name = &loaded.record.values.map.file;
-            let bytes = loaded.files.iter().find(|(file, _)| file == name);
-            let bytes = bytes.map_or(&[][..], |(_, bytes)| bytes);
-            Some(from_map(&loaded.record.values, bytes, resolution_px)?)
-        }
-    };
     let mut hot = vec![false; width * height];
     for &[column, row] in &sensor.hot_pixels {
         let (column, row) = (column as usize, row as usize);
@@ -35,7 +63,7 @@ pub fn sensor_noise(
             hot[row * width + column] = true;
         }
     }
-    Ok(SensorNoise {
+    SensorNoise {
         gain_dn_per_e: sensor.gain_dn_per_e.value,
         read_noise_e: sensor.read_noise_e.value,
         black_level_dn: sensor.black_level_dn.value,
@@ -47,7 +75,14 @@ pub fn sensor_noise(
         dark_current_spread_e_s: sensor.dark_current_spread_e_s.value,
         bit_depth: sensor.bit_depth,
         responsivity_e_s: scale.map_or(1.0, |scale| scale.responsivity_e_s.value),
-        flat_field,
+        flat_field: None,
+        dark_pattern: None,
         hot_pixels: Some(hot),
-    })
+    }
+}
+
+/// A record's file; empty where it has none of that name.
+fn bytes_of<'a>(files: &'a [(String, Vec<u8>)], map: &MapFile) -> &'a [u8] {
+    let found = files.iter().find(|(file, _)| *file == map.file);
+    found.map_or(&[], |(_, bytes)| bytes)
 }

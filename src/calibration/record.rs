@@ -3,6 +3,7 @@
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
+use super::pixel_map::PixelMap;
 use crate::radiometry::linearity::Linearity;
 
 /// What a record is about; also the name of its folder.
@@ -202,6 +203,23 @@ pub struct SensorValues {
     /// How counts become proportional to light; absent: they are.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub linearity: Option<Linearity>,
+    /// What single pixels count without light; absent: only the means are known.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub dark_pattern: Option<DarkPatternValues>,
+}
+
+/// Each pixel's departure from the sensor's mean darkness (DSNU), as far as the
+/// dark frames tell it from noise.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DarkPatternValues {
+    /// Offset of a pixel from the black level, DN; 0 at hot pixels.
+    pub offset_dn: PixelMap,
+    /// Dark current of a pixel less the mean, electrons per second; 0 at hot pixels.
+    pub dark_current_e_s: PixelMap,
+    /// Covariance of what remains unknown of a pixel's offset (DN) and dark
+    /// current (electrons per second).
+    pub covariance: [[f64; 2]; 2],
 }
 
 impl Values for SensorValues {
@@ -233,6 +251,18 @@ impl Values for SensorValues {
             let allowed = "from 0 to 1".to_owned();
             return Err(bad("linearity_error", self.linearity_error, allowed));
         }
+        if let Some(dark) = &self.dark_pattern {
+            dark.offset_dn.check("dark_pattern.offset_dn")?;
+            dark.dark_current_e_s
+                .check("dark_pattern.dark_current_e_s")?;
+            let [[a, b], [c, d]] = dark.covariance;
+            let possible = a >= 0.0 && d >= 0.0 && b == c && b * b <= a * d * (1.0 + 1e-9);
+            if !(possible && a.is_finite() && d.is_finite()) {
+                let allowed = "symmetric and positive semidefinite".to_owned();
+                let value = format!("{:?}", dark.covariance);
+                return Err(bad("dark_pattern.covariance", value, allowed));
+            }
+        }
         if let Some(linearity) = &self.linearity {
             let range_dn = self.linear_max_dn - self.black_level_dn.value;
             if !linearity.grows_up_to(range_dn) {
@@ -247,6 +277,13 @@ impl Values for SensorValues {
             }
         }
         Ok(())
+    }
+
+    fn maps(&self) -> Vec<&MapFile> {
+        let patterns = self.dark_pattern.iter();
+        patterns
+            .flat_map(|dark| [&dark.offset_dn.map, &dark.dark_current_e_s.map])
+            .collect()
     }
 }
 

@@ -11,7 +11,8 @@ mod linearity;
 
 use self::darkness::Darkness;
 use self::linearity::{LinearLevel, LinearityFit};
-use super::record::{Measured, SensorValues};
+use super::pixel_map::{MapError, NamedBytes, PixelMap};
+use super::record::{DarkPatternValues, Measured, SensorValues};
 use crate::radiometry::linearity::Linearity;
 
 /// Which light a calibration frame has seen.
@@ -119,6 +120,41 @@ pub struct TransferPoint {
     pub fitted: bool,
 }
 
+/// Each pixel's departure from the mean darkness.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DarkFit {
+    /// Offset from the black level, DN.
+    pub offset_dn: Vec<f64>,
+    /// Dark current less the mean, electrons per second.
+    pub dark_current_e_s: Vec<f64>,
+    /// Covariance of what remains unknown of both.
+    pub covariance: [[f64; 2]; 2],
+}
+
+impl DarkFit {
+    /// As the record has it, with the bytes of its two maps: `<id>-offset.png` and
+    /// `<id>-dark.png` of rows of `width` pixels.
+    ///
+    /// # Errors
+    /// A size that is not `width` times rows.
+    pub fn to_values(
+        &self,
+        width: usize,
+        id: &str,
+    ) -> Result<(DarkPatternValues, [NamedBytes; 2]), MapError> {
+        let files = ["offset", "dark"].map(|what| format!("{id}-{what}.png"));
+        let (offset_dn, offset_png) = PixelMap::new(&self.offset_dn, width, &files[0])?;
+        let (dark_current_e_s, dark_png) = PixelMap::new(&self.dark_current_e_s, width, &files[1])?;
+        let values = DarkPatternValues {
+            offset_dn,
+            dark_current_e_s,
+            covariance: self.covariance,
+        };
+        let [offset_file, dark_file] = files;
+        Ok((values, [(offset_file, offset_png), (dark_file, dark_png)]))
+    }
+}
+
 /// A sensor's calibration.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SensorFit {
@@ -126,6 +162,8 @@ pub struct SensorFit {
     pub values: SensorValues,
     /// Hot pixels, row by row.
     pub hot: Vec<bool>,
+    /// What single pixels count without light.
+    pub dark: DarkFit,
     /// The curve, dark levels first, by exposure.
     pub curve: Vec<TransferPoint>,
     /// Variance at zero signal: read noise and quantisation, DN².
@@ -293,7 +331,14 @@ impl PhotonTransfer {
             value: (x.value / gain.value).max(0.0),
             std: (x.std / gain.value).hypot(x.value * gain.std / gain.value.powi(2)),
         };
+        let dark = darkness.pattern(
+            [black.value, slope.value],
+            [black_spread.value, slope_spread.value],
+            &hot,
+            gain.value,
+        );
         Ok(SensorFit {
+            dark,
             values: SensorValues {
                 gain_dn_per_e: gain,
                 read_noise_e,
@@ -314,6 +359,7 @@ impl PhotonTransfer {
                 },
                 linearity_error: bend.error,
                 linearity: Some(bend.linearity),
+                dark_pattern: None,
                 linearity_residual: Some(bend.residual),
                 bit_depth,
                 hot_pixels: (0..hot.len())

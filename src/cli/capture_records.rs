@@ -70,9 +70,8 @@ impl Records {
 
     pub(super) fn noise(&self, config: &RigConfig) -> Result<SensorNoise, CliError> {
         let scale = self.scale.as_ref().map(|loaded| &loaded.record.values);
-        let sensor = &self.sensor.record.values;
         Ok(sensor_noise(
-            sensor,
+            &self.sensor,
             self.flat.as_ref(),
             scale,
             config.camera.resolution_px,

@@ -415,11 +415,6 @@ impl MergeArgs {
             .hint("choose the rig that took the frames, or describe the sensor by options"));
         }
         let scale = scale.as_ref().map(|loaded| &loaded.record.values);
-        Ok(sensor_noise(
-            &sensor.record.values,
-            flat.as_ref(),
-            scale,
-            resolution_px,
-        )?)
+        Ok(sensor_noise(&sensor, flat.as_ref(), scale, resolution_px)?)
     }
 }

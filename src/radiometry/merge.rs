@@ -330,8 +330,9 @@ struct Bracket<'a> {
 
 impl Bracket<'_> {
     fn levels(&self, exposures: &[&ExposureSum], pixel: usize) -> impl Iterator<Item = Level> {
+        let offset_dn = self.noise.offset_dn(pixel);
         exposures.iter().map(move |e| {
-            let mean_dn = f64::from(e.sum_dn[pixel]) / f64::from(e.frames);
+            let mean_dn = f64::from(e.sum_dn[pixel]) / f64::from(e.frames) - offset_dn;
             Level {
                 exposure_s: e.exposure_s,
                 frames: e.frames,
@@ -426,15 +427,8 @@ impl Bracket<'_> {
         };
         let dark = from(&self.dark, expected[DARK]);
         let ambient = from(&self.ambient, expected[AMBIENT]);
-        let by_record = RateEstimate {
-            rate_e_s: self.noise.dark_current_e_s,
-            variance: self.noise.dark_current_spread_e_s.powi(2),
-            per_offset: 0.0,
-            per_linearity: [0.0; 2],
-            offset_information: 0.0,
-            offset_score: 0.0,
-        };
-        let unlit = ambient.or(dark).unwrap_or(by_record);
+        let by_record = || RateEstimate::by_record(self.noise, pixel);
+        let unlit = ambient.or(dark).unwrap_or_else(by_record);
         let only_for_offset = ambient.and(dark.as_ref());
         let (rate_e_s, variance) = difference(lit, &unlit, only_for_offset, self.noise);
         let (response, response_std) = match &self.noise.flat_field {

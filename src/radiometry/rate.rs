@@ -76,6 +76,26 @@ pub(super) struct Agreement {
 }
 
 impl RateEstimate {
+    /// A pixel's dark current as the noise model has it: where the same dark frames
+    /// gave offset and dark current, an offset that is higher than thought means a
+    /// dark current that is lower.
+    pub fn by_record(noise: &SensorNoise, pixel: usize) -> Self {
+        let offset_variance = noise.black_level_spread_dn.powi(2);
+        let covariance = match &noise.dark_pattern {
+            Some(dark) if offset_variance > 0.0 => dark.remaining_covariance,
+            _ => 0.0,
+        };
+        let explained = covariance / offset_variance.max(f64::MIN_POSITIVE);
+        Self {
+            rate_e_s: noise.dark_current_of(pixel),
+            variance: (noise.dark_current_spread_e_s.powi(2) - explained * covariance).max(0.0),
+            per_offset: -explained,
+            per_linearity: [0.0; 2],
+            offset_information: 0.0,
+            offset_score: 0.0,
+        }
+    }
+
     /// The rate from the shortest exposure alone.
     fn first(level: &Level, gain_dn_per_e: f64, variance_dn2: f64) -> Self {
         let slope = gain_dn_per_e * level.exposure_s;

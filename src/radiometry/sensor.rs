@@ -41,8 +41,23 @@ pub struct SensorNoise {
     pub responsivity_e_s: f64,
     /// Relative response of each pixel; `None`: all 1.
     pub flat_field: Option<FlatField>,
+    /// What single pixels count without light; `None`: only the means are known.
+    pub dark_pattern: Option<DarkPattern>,
     /// Pixels whose dark current makes them useless; `None`: none known.
     pub hot_pixels: Option<Vec<bool>>,
+}
+
+/// Each pixel's departure from the mean darkness, row by row. The spreads of the
+/// noise model are then those of what remains unknown.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DarkPattern {
+    /// Offset from the black level, DN.
+    pub offset_dn: Vec<f32>,
+    /// Dark current less the mean, electrons per second.
+    pub dark_current_e_s: Vec<f32>,
+    /// Covariance of what remains unknown of a pixel's offset and its dark
+    /// current, DN e⁻/s.
+    pub remaining_covariance: f64,
 }
 
 /// Relative response of each pixel (mean 1), row by row, with its standard
@@ -103,6 +118,7 @@ impl SensorNoise {
             bit_depth,
             responsivity_e_s: 1.0,
             flat_field: None,
+            dark_pattern: None,
             hot_pixels: None,
         }
     }
@@ -180,6 +196,13 @@ impl SensorNoise {
         if let Some(hot) = &self.hot_pixels {
             map_size("hot-pixel map", hot.len(), pixels)?;
         }
+        if let Some(dark) = &self.dark_pattern {
+            map_size("offset map", dark.offset_dn.len(), pixels)?;
+            map_size("dark-current map", dark.dark_current_e_s.len(), pixels)?;
+            for &value in dark.offset_dn.iter().chain(&dark.dark_current_e_s) {
+                range("dark pattern", f64::from(value), -1e12, 1e12, false)?;
+            }
+        }
         if let Some(flat) = &self.flat_field {
             map_size("flat field", flat.response.len(), pixels)?;
             map_size("flat field's uncertainty", flat.std_dev.len(), pixels)?;
@@ -207,6 +230,11 @@ impl SensorNoise {
                 response: flat.response[pixels.clone()].to_vec(),
                 std_dev: flat.std_dev[pixels.clone()].to_vec(),
             }),
+            dark_pattern: self.dark_pattern.as_ref().map(|dark| DarkPattern {
+                offset_dn: dark.offset_dn[pixels.clone()].to_vec(),
+                dark_current_e_s: dark.dark_current_e_s[pixels.clone()].to_vec(),
+                ..*dark
+            }),
             hot_pixels: self.hot_pixels.as_ref().map(|hot| hot[pixels].to_vec()),
             ..*self
         }
@@ -227,6 +255,18 @@ impl SensorNoise {
     pub fn signal_dn(&self, count_dn: f64) -> f64 {
         self.linearity
             .proportional_dn(count_dn - self.black_level_dn)
+    }
+
+    /// What of a pixel's counts its own offset makes, DN.
+    pub fn offset_dn(&self, pixel: usize) -> f64 {
+        let dark = self.dark_pattern.as_ref();
+        dark.map_or(0.0, |dark| f64::from(dark.offset_dn[pixel]))
+    }
+
+    /// A pixel's dark current, electrons per second.
+    pub fn dark_current_of(&self, pixel: usize) -> f64 {
+        let dark = self.dark_pattern.as_ref();
+        self.dark_current_e_s + dark.map_or(0.0, |dark| f64::from(dark.dark_current_e_s[pixel]))
     }
 
     /// Derivatives of [`Self::signal_dn`] by the coefficients of the linearity

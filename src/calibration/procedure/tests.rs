@@ -1,10 +1,13 @@
 use super::*;
 use crate::calibration::flat::{from_map, to_map};
+use crate::calibration::noise::noise_without_maps;
+use crate::calibration::pixel_map::PixelMap;
 use crate::calibration::sensor::SensorFit;
 use crate::device::even_light::EvenLight;
 use crate::radiometry::linearity::Linearity;
 use crate::radiometry::merge::{BracketMerge, FrameRole};
 use crate::radiometry::mosaic::Mosaic;
+use crate::radiometry::sensor::DarkPattern;
 use mock_devices::sensor::{FrameKey as MockFrameKey, NoiseKey, SensorConfig};
 
 fn truth(seed: u64) -> SensorConfig {
@@ -36,7 +39,8 @@ fn calibrate(camera: &mut EvenLight) -> Result<SensorFit, ProcedureError> {
 /// standard normal: χ² over 12 between the 1e-5 tails of χ²(12).
 #[test]
 fn photon_transfer_recovers_the_truth_within_its_uncertainty() {
-    let mut pulls = [("gain", 0.0), ("read noise", 0.0), ("dark current", 0.0)];
+    let names = ["gain", "read noise", "dark current", "black level"];
+    let mut pulls = names.map(|name| (name, 0.0));
     for seed in 0..12 {
         let config = truth(100 + seed);
         let mut camera = camera(config.clone(), seed);
@@ -86,12 +90,16 @@ fn photon_transfer_recovers_the_truth_within_its_uncertainty() {
         pulls[0].1 += pull(v.gain_dn_per_e, config.gain_dn_per_e);
         pulls[1].1 += pull(v.read_noise_e, config.read_noise_e);
         pulls[2].1 += pull(v.dark_current_e_s, dark_e_s);
+        let offset = camera.sensor().offset_e();
+        let cold = (0..offset.len()).filter(|&p| !fit.hot[p]);
+        let cold: Vec<f64> = cold.map(|p| f64::from(offset[p])).collect();
+        let offset_e = cold.iter().sum::<f64>() / cold.len() as f64;
+        let black_dn = config.black_level_dn + config.gain_dn_per_e * offset_e;
+        pulls[3].1 += pull(v.black_level_dn, black_dn);
     }
-    for (name, chi2) in &pulls[..2] {
+    for (name, chi2) in &pulls {
         assert!((1.1..46.0).contains(chi2), "{name}: {chi2}");
     }
-    // Its uncertainty is that of the sensor's mean, the truth here is of these pixels.
-    assert!(pulls[2].1 < 46.0, "dark current: {}", pulls[2].1);
 }
 
 #[test]
@@ -218,7 +226,7 @@ fn a_sensor_that_bends_is_corrected_within_its_uncertainty() {
             pulls.push((corrected - config.gain_dn_per_e * electrons) / std);
         }
 
-        let mut noise = crate::calibration::noise::sensor_noise(v, None, None, [64, 64]).unwrap();
+        let mut noise = noise_without_maps(v, None, [64, 64]);
         noise.flat_field = Some(FlatField {
             response: camera.sensor().relative_response().to_vec(),
             std_dev: vec![0.0; 64 * 64],
@@ -297,4 +305,89 @@ fn a_sensor_that_bends_too_far_is_refused() {
         "{fact}"
     );
     assert!(fact.contains("at most 3%"), "{fact}");
+}
+
+/// Offset and dark current of every pixel of four sensors with a strong pattern:
+/// errors over stated uncertainties have variance 1; with the maps, faint light
+/// merged without any dark frame has a fraction of the error, and unit pulls too.
+#[test]
+fn the_dark_pattern_is_recovered_within_its_uncertainty() {
+    let mut chi2 = [0.0; 3];
+    let mut n = 0.0;
+    for seed in 0..4 {
+        let config = SensorConfig {
+            offset_dsnu_e: 3.0,
+            dsnu_e_s: 8.0,
+            dark_current_e_s: 40.0,
+            ..truth(400 + seed)
+        };
+        let mut camera = camera(config.clone(), seed);
+        let fit = calibrate(&mut camera).unwrap();
+        let v = &fit.values;
+        let (dark_values, maps) = fit.dark.to_values(64, "one").unwrap();
+        let read = |map: &PixelMap, at: usize| map.read(&maps[at].1, [64, 64]).unwrap();
+        let (offset_dn, dark_e_s) = (
+            read(&dark_values.offset_dn, 0),
+            read(&dark_values.dark_current_e_s, 1),
+        );
+        let [[offset_dn2, covariance], [_, dark_e2_s2]] = dark_values.covariance;
+        let good: Vec<usize> = (0..64 * 64).filter(|&p| !fit.hot[p]).collect();
+        let sensor = camera.sensor();
+        for &p in &good {
+            let true_dn =
+                config.black_level_dn + config.gain_dn_per_e * f64::from(sensor.offset_e()[p]);
+            let error_dn = v.black_level_dn.value + f64::from(offset_dn[p]) - true_dn;
+            let error_e_s = v.dark_current_e_s.value + f64::from(dark_e_s[p])
+                - f64::from(sensor.dark_current_e_s()[p]);
+            chi2[0] += error_dn.powi(2) / offset_dn2;
+            chi2[1] += error_e_s.powi(2) / dark_e2_s2;
+        }
+        // What is left of the pattern is far less than the pattern.
+        assert!(offset_dn2.sqrt() < 0.25 * v.black_level_spread_dn.value);
+        assert!(dark_e2_s2.sqrt() < 0.25 * v.dark_current_spread_e_s.value);
+
+        let without = noise_without_maps(v, None, [64, 64]);
+        let with = SensorNoise {
+            dark_pattern: Some(DarkPattern {
+                offset_dn,
+                dark_current_e_s: dark_e_s,
+                remaining_covariance: covariance,
+            }),
+            black_level_spread_dn: offset_dn2.sqrt(),
+            dark_current_spread_e_s: dark_e2_s2.sqrt(),
+            ..without.clone()
+        };
+        let rate_e_s = 60.0;
+        let merged = |noise: &SensorNoise| {
+            let mut merge = BracketMerge::new(noise, Mosaic::None, 64, 64).unwrap();
+            for repeat in 0..16 {
+                let frame = MockFrameKey {
+                    light: 7,
+                    exposure: 0,
+                    repeat,
+                    kind: 0,
+                };
+                let lit = vec![(rate_e_s / config.responsivity) as f32; 64 * 64];
+                let counts = sensor.expose(&lit, 0.25, 1.0, NoiseKey { seed, frame });
+                merge.add(FrameRole::Light, 0.25, &counts).unwrap();
+            }
+            merge.finish().unwrap()
+        };
+        let error = |p: usize, mean: f32| {
+            f64::from(mean) - rate_e_s * f64::from(sensor.relative_response()[p])
+        };
+        let (plain, better) = (merged(&without), merged(&with));
+        let sum = |plane: &crate::radiometry::plane::MergedPlane| -> f64 {
+            good.iter().map(|&p| error(p, plane.mean[p]).powi(2)).sum()
+        };
+        assert!(sum(&better) < 0.3 * sum(&plain), "seed {seed}");
+        for &p in &good {
+            chi2[2] += error(p, better.mean[p]).powi(2) / f64::from(better.variance[p]);
+        }
+        n += good.len() as f64;
+    }
+    // The variances rest on spreads that each sensor's pixels tell to 1 or 2%.
+    for (name, chi2) in ["offset", "dark current", "merged"].iter().zip(chi2) {
+        assert!((chi2 / n - 1.0).abs() < 0.06, "{name}: {}", chi2 / n);
+    }
 }

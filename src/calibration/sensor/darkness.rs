@@ -1,6 +1,8 @@
 //! What each pixel counts without light.
 
-use super::Level;
+use nalgebra::{Matrix2, Vector2};
+
+use super::{DarkFit, Level};
 use crate::calibration::record::Measured;
 
 /// Dark current this many standard deviations above the median makes a pixel hot.
@@ -17,13 +19,15 @@ pub(super) struct Darkness {
 impl Darkness {
     pub fn fit(dark: &[&Level]) -> Self {
         let pixels: Vec<usize> = (0..dark[0].sum.len()).collect();
-        // Typical pixels: the noise of hot ones is far larger.
+        // The middle half: the noise of hot pixels is far larger, and that of the
+        // darkest ones smaller.
         let mut means: Vec<(f64, usize)> = pixels
             .iter()
             .map(|&p| (dark[dark.len() - 1].pixel_mean(p), p))
             .collect();
         means.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let typical: Vec<usize> = means[..means.len().div_ceil(2).max(2).min(means.len())]
+        let quarter = if means.len() < 8 { 0 } else { means.len() / 4 };
+        let typical: Vec<usize> = means[quarter..means.len() - quarter]
             .iter()
             .map(|&(_, p)| p)
             .collect();
@@ -78,6 +82,45 @@ impl Darkness {
         self.slope_dn_s.iter().map(|&s| s > limit).collect()
     }
 
+    /// Each pixel's departure from the means, `means` and `spreads` being those of
+    /// offset (DN) and slope (DN/s): the likeliest where pixels are spread normally
+    /// and their measurements have noise. In electrons by `gain_dn_per_e`; 0 at hot
+    /// pixels. Also the covariance of what remains unknown.
+    pub fn pattern(
+        &self,
+        means: [f64; 2],
+        spreads: [f64; 2],
+        hot: &[bool],
+        gain_dn_per_e: f64,
+    ) -> DarkFit {
+        let [[a, b], [_, d]] = self.covariance;
+        let noise = Matrix2::new(a, b, b, d);
+        let prior = Matrix2::from_diagonal(&Vector2::from(spreads.map(|s| s * s)));
+        let kept = (prior + noise)
+            .try_inverse()
+            .map_or_else(Matrix2::zeros, |inverse| prior * inverse);
+        let remaining = prior - kept * prior;
+        let departure = |p: usize| {
+            let measured =
+                Vector2::new(self.offset_dn[p] - means[0], self.slope_dn_s[p] - means[1]);
+            if hot[p] {
+                Vector2::zeros()
+            } else {
+                kept * measured
+            }
+        };
+        let departures: Vec<Vector2<f64>> = (0..hot.len()).map(departure).collect();
+        let cross = remaining[(0, 1)] / gain_dn_per_e;
+        DarkFit {
+            offset_dn: departures.iter().map(|d| d[0]).collect(),
+            dark_current_e_s: departures.iter().map(|d| d[1] / gain_dn_per_e).collect(),
+            covariance: [
+                [remaining[(0, 0)], cross],
+                [cross, remaining[(1, 1)] / gain_dn_per_e.powi(2)],
+            ],
+        }
+    }
+
     /// Mean over the pixels and the spread that is not measurement noise;
     /// `which` is 0 for offsets and 1 for slopes.
     pub fn statistics(
@@ -104,7 +147,8 @@ impl Darkness {
         (
             Measured {
                 value: mean,
-                std: (variance / n).sqrt(),
+                // Of these pixels, not of those that another sensor might have.
+                std: (self.covariance[which][which] / n).sqrt(),
             },
             Measured {
                 value: own.sqrt(),

@@ -59,7 +59,7 @@ pub(super) fn run(args: &FlatArgs, context: &Context) -> Result<(), CliError> {
     let serial = rig.config.camera.serial.as_deref().unwrap_or_default();
     sensor.check_camera(serial, &rig.config.camera)?;
     let resolution_px = rig.config.camera.resolution_px;
-    let noise = sensor_noise(&sensor.record.values, None, None, resolution_px)?;
+    let noise = sensor_noise(&sensor, None, None, resolution_px)?;
     let options = procedure_options(&rig.config.camera, args.frames);
     let certified = args.radiance.zip(args.radiance_std);
     let true_radiance = certified.map_or(UNIFORM_RADIANCE, |(radiance, std)| {

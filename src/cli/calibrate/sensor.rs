@@ -8,7 +8,7 @@ use super::{procedure_options, progress};
 use crate::calibration::Library;
 use crate::calibration::figures;
 use crate::calibration::procedure::Bench;
-use crate::calibration::record::SensorValues;
+use crate::calibration::record::{Kind, SensorValues};
 use crate::calibration::sensor::TransferPoint;
 use crate::cli::output::write_json;
 use crate::cli::{CliError, Context, HintExt};
@@ -74,7 +74,16 @@ pub(super) fn run(args: &SensorArgs, context: &Context) -> Result<(), CliError> 
         "photon transfer (EMVA 1288), {levels} exposures of {} frames, reduced chi-square {:.3}",
         args.frames, fit.reduced_chi2
     );
-    let path = target.add(fit.values.clone(), &method, &[])?;
+    let id = target.id(Kind::Sensor);
+    let (dark, maps) = fit.dark.to_values(width, &id)?;
+    let values = SensorValues {
+        dark_pattern: Some(dark),
+        ..fit.values.clone()
+    };
+    let maps = maps
+        .each_ref()
+        .map(|(file, bytes)| (file.as_str(), bytes.as_slice()));
+    let path = target.add(values, &method, &maps)?;
     target.draw(&figures::photon_transfer(&fit), &path, context)?;
     let v = &fit.values;
     context.note(format_args!(
