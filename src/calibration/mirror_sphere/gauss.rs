@@ -6,17 +6,9 @@ pub fn normal_density(z: f64) -> f64 {
     (-0.5 * z * z).exp() / (2.0 * std::f64::consts::PI).sqrt()
 }
 
-/// The normal distribution's integral up to `z`, within 1.5e-7 (Abramowitz and Stegun
-/// 7.1.26 for the error function).
+/// The normal distribution's integral up to `z`.
 pub fn normal_integral(z: f64) -> f64 {
-    let x = z.abs() / std::f64::consts::SQRT_2;
-    let t = 1.0 / (1.0 + 0.327_591_1 * x);
-    let poly = t
-        * (0.254_829_592
-            + t * (-0.284_496_736
-                + t * (1.421_413_741 + t * (-1.453_152_027 + t * 1.061_405_429))));
-    let tail = 0.5 * poly * (-x * x).exp();
-    if z > 0.0 { 1.0 - tail } else { tail }
+    0.5 * libm::erfc(-z / std::f64::consts::SQRT_2)
 }
 
 /// √(1 − (1 − d/R)²) for a distance d inside the limb, 0 outside, blurred: the height of a
@@ -94,18 +86,6 @@ mod tests {
                 "{d}: {} {expected}",
                 limb.at(d)
             );
-        }
-    }
-
-    #[test]
-    fn the_normal_integral_has_its_known_values() {
-        for (z, value) in [
-            (0.0, 0.5),
-            (1.0, 0.841_344_7),
-            (-1.959_964, 0.025),
-            (3.0, 0.998_650_1),
-        ] {
-            assert!((normal_integral(z) - value).abs() < 1e-6, "{z}");
         }
     }
 }
