@@ -10,6 +10,7 @@ pub mod score_sheet;
 
 mod accuracy;
 mod atoms;
+mod calibration;
 mod dictionary_size;
 mod gallery;
 mod light_count;
@@ -47,6 +48,7 @@ pub static EXPERIMENTS: &[&Experiment] = &[
     &intervals::INTERVALS,
     &diagnosis::DIAGNOSIS,
     &misalignment::MISALIGNMENT,
+    &calibration::CALIBRATION,
 ];
 
 /// The experiment of a name.
