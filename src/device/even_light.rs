@@ -1,7 +1,9 @@
 //! The simulated sensor before an even light, without bench or clock: for
 //! calibrations whose result can be compared with the truth.
 
-use mock_devices::sensor::{FrameKey as MockFrameKey, NoiseKey, SensorConfig, SensorModel};
+use mock_devices::sensor::{FrameKey as MockFrameKey, NoiseKey, SensorModel};
+
+pub use mock_devices::sensor::SensorConfig;
 
 use super::{Camera, CameraInfo, CameraSettings, DeviceError, FrameKey, Mosaic, RawFrame};
 use crate::units::Seconds;

@@ -15,6 +15,7 @@ pub mod grbl;
 pub mod guardian;
 pub mod image_file;
 pub mod kinematics;
+pub mod lit_card;
 pub mod manual;
 pub mod pixel_format;
 pub mod retake;

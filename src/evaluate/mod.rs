@@ -10,6 +10,7 @@ pub mod score_sheet;
 
 mod accuracy;
 mod atoms;
+mod calibration;
 mod dictionary_size;
 mod gallery;
 mod light_count;
@@ -49,6 +50,7 @@ pub static EXPERIMENTS: &[&Experiment] = &[
     &diagnosis::DIAGNOSIS,
     &misalignment::MISALIGNMENT,
     &sharpness::SHARPNESS,
+    &calibration::CALIBRATION,
 ];
 
 /// The experiment of a name.

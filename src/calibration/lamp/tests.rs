@@ -1,54 +1,16 @@
 //! On the simulated bench, whose lamp warms up, drifts and flickers as stated.
 
-use std::sync::Arc;
-
-use mock_devices::bench::{Bench, BenchConfig, LampModel};
-use mock_devices::camera::{CameraConfig, SimulatedCamera as MockCamera};
-use mock_devices::clock::Clock;
-use mock_devices::sensor::{SensorConfig, SensorModel};
-use mock_devices::{Illumination, RadianceSource};
-
 use super::*;
 use crate::calibration::lamp_watch::{Watch, WatchError, WatchOptions};
-use crate::device::Mosaic;
-use crate::device::simulated_camera::SimulatedCamera;
-
-const SIZE: [u32; 2] = [48, 32];
-
-/// A white card of this radiance under the full lamp.
-struct Card(f64);
-
-impl RadianceSource for Card {
-    fn resolution_px(&self) -> [u32; 2] {
-        SIZE
-    }
-    fn radiance(&self, light: &Illumination) -> Arc<Vec<f32>> {
-        Arc::new(vec![
-            (self.0 * light.channels[0]) as f32;
-            (SIZE[0] * SIZE[1]) as usize
-        ])
-    }
-}
+use crate::device::lit_card::{LampModel, LitCard};
 
 fn watch(lamp: LampModel, radiance: f64, watch_s: f64, seed: u64) -> Result<LampFit, WatchError> {
-    let config = BenchConfig {
-        lamp,
-        ..BenchConfig::default()
-    };
-    let bench = Bench::new(config, Clock::instant());
-    let sensor = SensorModel::new(SensorConfig::typical(SIZE, seed));
-    let camera = CameraConfig {
-        noise_seed: seed,
-        ..CameraConfig::default()
-    };
-    let mock = MockCamera::new(camera, bench.clone(), sensor, Arc::new(Card(radiance)));
-    let mut camera = SimulatedCamera::new(mock, "T-1".into(), Mosaic::None);
+    let (card, mut camera) = LitCard::new(lamp, radiance, seed);
     let mut switch = |on: bool| {
-        let drive = if on { [1.0, 0.0, 0.0] } else { [0.0; 3] };
-        bench.set_lamp(bench.clock().now_s(), drive);
+        card.switch(on);
         Ok(())
     };
-    let mut wait = |seconds| bench.clock().advance(seconds);
+    let mut wait = |seconds| card.wait(seconds);
     let mut progress = |_| {};
     let outcome =
         Watch::new(&mut camera, &mut switch, &mut wait, &mut progress).run(&WatchOptions {
@@ -58,7 +20,7 @@ fn watch(lamp: LampModel, radiance: f64, watch_s: f64, seed: u64) -> Result<Lamp
             burst: 64,
             discard: 3,
         });
-    assert_eq!(bench.lamp_drive(), [0.0; 3], "the lamp is off afterwards");
+    assert!(card.is_dark(), "the lamp is off afterwards");
     outcome
 }
 
