@@ -10,6 +10,7 @@ pub mod camera;
 pub mod direct;
 pub mod evaluate;
 pub mod event;
+pub mod falloff;
 pub mod footprint;
 pub mod lanes;
 pub mod light;
