@@ -333,15 +333,17 @@ fn a_lamp_that_drifts_suspends() {
         let root = session.root().to_owned();
         let (result, heard) = capture(&bench, session);
         assert_eq!(bench.lamp_and_stops(), (LampState::Off, 0));
-        (result, heard, verify::verify(&root).unwrap())
+        let drift = Session::open(&root).unwrap().lamp_drift().unwrap();
+        (result, heard, verify::verify(&root).unwrap(), drift)
     };
-    let (result, _, found) = run(0.998);
+    let (result, _, found, drift) = run(0.998);
     assert!(
         matches!(result, Err(CaptureError::LampDrift { light: 0, ratio, .. }) if ratio < 0.96),
         "{result:?}"
     );
     assert!(found.is_intact() && !found.complete);
-    let (result, heard, _) = run(0.9991);
+    assert_eq!(drift.worst(), None);
+    let (result, heard, _, drift) = run(0.9991);
     assert_eq!(result.unwrap(), Outcome::Complete);
     let drifts = heard.warnings.iter();
     assert!(
@@ -351,9 +353,19 @@ fn a_lamp_that_drifts_suspends() {
         "{:?}",
         heard.warnings
     );
-    let (result, heard, _) = run(1.0);
+    // Every light's last frames are some thirty frames after its first.
+    assert!(
+        drift
+            .lights
+            .iter()
+            .all(|d| d.is_some_and(|d| (-0.04..-0.01).contains(&d))),
+        "{drift:?}"
+    );
+    assert!((0.01..0.04).contains(&drift.rms()) && drift.worst().is_some());
+    let (result, heard, _, drift) = run(1.0);
     assert_eq!(result.unwrap(), Outcome::Complete);
     assert_eq!(heard.warnings, [""; 0]);
+    assert!(drift.rms() < 0.01 && drift.lights.len() == 2, "{drift:?}");
 }
 
 /// Settings that come later than the camera says are waited for; the frames so

@@ -9,6 +9,8 @@ use super::record::{self, BadValue, Kind, LightsValues, Measured, Values};
 use super::stage_directions::{StageFit, offset};
 use crate::config::geometry::GeometryConfig;
 use crate::inverse::BenchPriors;
+use crate::transport::falloff::Falloff;
+use crate::transport::{Light, Scene};
 use crate::units::StageAngles;
 
 /// Directions of lights, measured with mirror spheres. Directions are in the sample's
@@ -215,6 +217,45 @@ impl LightsValues {
         let relative = self.irradiance_w_m2.map(|m| m.std / m.value);
         priors.common_intensity = relative.into_iter().fold(0.0, f64::max);
     }
+
+    /// Makes the lights of a scene, which stand at `angles`, as bright against each other
+    /// and as uneven as they were measured, and a fit's priors as uncertain. Lights that
+    /// were not measured stay; their number is returned.
+    pub fn shape(
+        &self,
+        scene: &mut Scene,
+        angles: &[StageAngles],
+        priors: &mut BenchPriors,
+    ) -> usize {
+        if self.lights.is_empty() {
+            return 0;
+        }
+        let mut unmeasured = 0;
+        let mut std: f64 = 0.0;
+        scene.falloffs = vec![Falloff::default(); scene.lights.len()];
+        for (k, angles) in angles.iter().enumerate().take(scene.lights.len()) {
+            let Some(found) = self.lights.iter().find(|light| light.is_at(*angles)) else {
+                unmeasured += 1;
+                continue;
+            };
+            let strength = match &mut scene.lights[k] {
+                Light::Directional { irradiance, .. } => irradiance,
+                Light::Point { intensity_mm2, .. } => intensity_mm2,
+            };
+            for (strength, relative) in strength.iter_mut().zip(found.relative) {
+                *strength *= relative.value;
+                std = std.max(relative.std / relative.value);
+            }
+            std = std.max(found.uneven);
+            scene.falloffs[k] = found.falloff();
+        }
+        // What was not measured differs as the measured ones do, or as the rig file says.
+        priors.intensity = match unmeasured {
+            0 => std.max(1e-4),
+            _ => priors.intensity.max(std),
+        };
+        unmeasured
+    }
 }
 
 #[cfg(test)]
@@ -222,9 +263,9 @@ mod tests {
     use std::path::Path;
 
     use super::super::stage_directions;
+    use super::super::white_lights::LightIntensity;
     use super::*;
     use crate::config::{BUILT_IN, RigConfig};
-    use crate::transport::Light;
 
     fn direction(geometry: &GeometryConfig, angles: StageAngles) -> DVec3 {
         match geometry.light(angles) {
@@ -282,11 +323,53 @@ mod tests {
         let rig = RigConfig::parse("rig", Path::new(""), BUILT_IN[0].1).unwrap();
         let values = LightsValues {
             irradiance_w_m2: [1.0, 2.0, 4.0].map(|value| Measured { value, std: 0.04 }),
+            lights: Vec::new(),
         };
         let (mut geometry, mut priors) = (rig.geometry.clone(), rig.uncertainty.clone());
         values.apply(&mut geometry);
         values.inform(&mut priors);
         assert_eq!(geometry.light.irradiance_w_m2, [1.0, 2.0, 4.0]);
         assert_eq!(priors.common_intensity, 0.04);
+    }
+
+    /// Lights at measured angles get their own strength and falloff, and the prior what is
+    /// known of them; others stay.
+    #[test]
+    fn measured_lights_differ_as_they_were_measured() {
+        let rig = RigConfig::parse("rig", Path::new(""), BUILT_IN[0].1).unwrap();
+        let at = |azimuth_deg: f64| StageAngles {
+            azimuth_deg,
+            elevation_deg: 60.0,
+        };
+        let measured = |azimuth_deg: f64, value: f64| LightIntensity {
+            stage_deg: [azimuth_deg, 60.0],
+            relative: [Measured { value, std: 0.004 }; 3],
+            slope_per_mm: [0.01, 0.0],
+            curve_per_mm2: [0.0; 3],
+            uneven: 0.002,
+        };
+        let values = LightsValues {
+            irradiance_w_m2: [1.0; 3].map(|value| Measured { value, std: 0.01 }),
+            lights: vec![measured(20.0, 0.9), measured(80.0, 1.1)],
+        };
+        values.check().unwrap();
+        let shaped = |angles: &[StageAngles]| {
+            let mut scene = rig.geometry.scene(angles).unwrap();
+            let mut priors = rig.uncertainty.clone();
+            let left = values.shape(&mut scene, angles, &mut priors);
+            (scene, priors, left)
+        };
+        let (scene, priors, left) = shaped(&[at(80.1), at(20.0)]);
+        assert_eq!(left, 0);
+        let stated = rig.geometry.light.irradiance_w_m2[1];
+        for (light, relative) in scene.lights.iter().zip([1.1, 0.9]) {
+            assert!((light.strength()[1] / stated - relative).abs() < 1e-12);
+        }
+        assert!((priors.intensity - 0.004 / 0.9).abs() < 1e-12);
+        assert_eq!(scene.falloffs, [values.lights[0].falloff(); 2]);
+        let (scene, priors, left) = shaped(&[at(81.0), at(20.0)]);
+        assert_eq!((left, scene.lights[0].strength()[1]), (1, stated));
+        assert_eq!(scene.falloffs[0], Falloff::default());
+        assert_eq!(priors.intensity, rig.uncertainty.intensity);
     }
 }

@@ -21,5 +21,6 @@ pub mod sensor;
 pub mod slanted_edge;
 pub mod stage_directions;
 pub mod white;
+pub mod white_lights;
 
 pub use library::{Library, Loaded, RecordError, record_in};

@@ -1,5 +1,6 @@
 //! The record's format. Every number has its standard uncertainty.
 
+use super::white_lights::LightIntensity;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
@@ -335,11 +336,15 @@ impl Values for ScaleValues {
 }
 
 /// The lamp, as the sample sees it.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LightsValues {
-    /// Irradiance across the light at the sample's origin, for R, G and B, W/m².
+    /// Irradiance across the light at the sample's origin, for R, G and B, W/m²; the mean
+    /// of several lights.
     pub irradiance_w_m2: [Measured; 3],
+    /// Each light against their mean, where a session of several was measured.
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    pub lights: Vec<LightIntensity>,
 }
 
 impl Values for LightsValues {
@@ -347,7 +352,17 @@ impl Values for LightsValues {
 
     fn check(&self) -> Result<(), BadValue> {
         let mut channels = self.irradiance_w_m2.iter();
-        channels.try_for_each(|channel| channel.check("irradiance_w_m2", 1e-9, 1e9))
+        channels.try_for_each(|channel| channel.check("irradiance_w_m2", 1e-9, 1e9))?;
+        for light in &self.lights {
+            for relative in light.relative {
+                relative.check("lights.relative", 1e-3, 1e3)?;
+            }
+            let shape = light.slope_per_mm.iter().chain(&light.curve_per_mm2);
+            if let Some(term) = shape.chain([&light.uneven]).find(|v| !v.is_finite()) {
+                return Err(bad("lights.slope_per_mm", term, "finite numbers".into()));
+            }
+        }
+        Ok(())
     }
 }
 

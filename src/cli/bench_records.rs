@@ -13,6 +13,7 @@ use crate::config::RigConfig;
 use crate::config::geometry::GeometryConfig;
 use crate::inverse::BenchPriors;
 use crate::session::layout::CALIBRATION_FOLDER;
+use crate::transport::Scene;
 use crate::units::StageAngles;
 
 /// A session's records of its lights and its lens.
@@ -26,6 +27,28 @@ pub(super) struct BenchRecords {
 pub(super) struct KnownBench {
     pub geometry: GeometryConfig,
     pub priors: BenchPriors,
+    /// The stage's angles as they were read back.
+    places: Vec<StageAngles>,
+    /// How bright the lights are against each other, and over the sample.
+    intensities: Option<LightsValues>,
+}
+
+impl KnownBench {
+    /// The scene with the lamp at each of these angles, in the captured lights' order.
+    pub fn scene(&mut self, angles: &[StageAngles], context: &Context) -> Result<Scene, CliError> {
+        let mut scene = self.geometry.scene(angles)?;
+        if let Some(intensities) = &self.intensities {
+            let left = intensities.shape(&mut scene, &self.places, &mut self.priors);
+            if left > 0 {
+                context.warn(format_args!(
+                    "intensities of {left} of {} lights were not measured: they count as the mean \
+                     of the others; run `rig calibrate white SESSION` with all of them",
+                    angles.len()
+                ));
+            }
+        }
+        Ok(scene)
+    }
 }
 
 impl BenchRecords {
@@ -39,6 +62,14 @@ impl BenchRecords {
         })
     }
 
+    /// The copy of what a session's lights' directions were known by, alone.
+    pub fn directions_of(session: &Path) -> Result<Self, CliError> {
+        Ok(Self {
+            irradiance: None,
+            ..Self::load(session)?
+        })
+    }
+
     /// The bench by these records, and the stage's angles as they truly were. Says which
     /// records it went by.
     pub fn apply(
@@ -47,6 +78,7 @@ impl BenchRecords {
         angles: &mut [StageAngles],
         context: &Context,
     ) -> KnownBench {
+        let as_captured = angles.to_vec();
         let mut geometry = config.geometry.clone();
         let mut priors = config.uncertainty.clone();
         if let Some(loaded) = &self.irradiance {
@@ -77,6 +109,14 @@ impl BenchRecords {
             loaded.record.values.apply(&mut geometry);
             context.note(format_args!("sharpness by record {}", loaded.record.id));
         }
-        KnownBench { geometry, priors }
+        KnownBench {
+            geometry,
+            priors,
+            places: as_captured,
+            intensities: self
+                .irradiance
+                .as_ref()
+                .map(|loaded| loaded.record.values.clone()),
+        }
     }
 }

@@ -435,6 +435,9 @@ fn bench_record(bench: &BenchEstimate) -> BenchRecord {
 /// Pixels per side of the spheres of the environment error, as the score is defined.
 const SCORE_SPHERE_PX: usize = crate::brdf::score::SPHERE_SIZE;
 
+/// Change of the lamp within a light that a fit mentions.
+const NOTABLE_DRIFT: f64 = 0.005;
+
 /// Reasons not to trust a fit, with what most likely made them.
 fn warnings(fit: &Fit, record: &FitRecord) -> Vec<Warning> {
     let mut warnings = Vec::new();
@@ -566,14 +569,19 @@ pub fn fit_session(
         captured,
     } = session_images(root)?;
     let record = session.record();
-    let bench = BenchRecords::load(root)?.apply(&config, &mut places, context);
+    let mut bench = BenchRecords::load(root)?.apply(&config, &mut places, context);
+    let mut scene = bench.scene(&places, context)?;
     let mut uncertainty = bench.priors;
-    let mut scene = bench.geometry.scene(&places)?;
     if let Some(pose) = measured_pose(root, pose)? {
         let [rotation_rad, translation_mm] = pose.pose();
         scene = with_sample_at(scene, rotation_rad, translation_mm);
         uncertainty.pose_covariance = Some(pose.covariance_rad_mm());
     }
+    let drift = session.lamp_drift()?;
+    uncertainty.intensity = match uncertainty.intensity {
+        known if known > 0.0 => known.hypot(drift.rms()),
+        exact => exact,
+    };
     let plan = FitPlan::new(args, Some(&config.fit), &uncertainty)?;
     let truth = match &config.simulation {
         Some(simulation) => Some(simulation.material.load()?),
@@ -590,6 +598,16 @@ pub fn fit_session(
             what,
             likely_cause: "an axis that slipped or was blocked: the fit takes the lights to be where they were asked for; capture anew".to_owned(),
         }));
+    if let Some((light, change)) = drift.worst().filter(|(_, c)| c.abs() > NOTABLE_DRIFT) {
+        fit.warnings.push(Warning {
+            what: format!(
+                "the lamp changed by {:+.2}% while light {light} was captured, by {:.2}% root mean square over all lights",
+                100.0 * change,
+                100.0 * drift.rms()
+            ),
+            likely_cause: "a lamp that was still warming up, or its supply; raise capture.lamp_warm_up_s by `rig calibrate lamp`, or let --refine-bench allow for it".to_owned(),
+        });
+    }
     let mut writer = SessionWriter::open(Arc::new(SystemDisk), root)?;
     let folder = fit_record::commit(&mut writer, &fit, &images)?;
     writer.refresh_manifest()?;

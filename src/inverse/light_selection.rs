@@ -136,6 +136,7 @@ impl Prospects {
         options: &SelectionOptions,
     ) -> Result<Self, CacheError> {
         let lights = std::mem::take(&mut scene.lights);
+        scene.falloffs.clear();
         let resolution = scene.camera.resolution_px;
         // Per material and candidate.
         let mut roots = vec![Vec::with_capacity(lights.len()); materials.len()];

@@ -298,6 +298,10 @@ fn provenance(
             ("Seed", record.seed.to_string()),
             ("Interruptions resumed", resumed.to_string()),
             ("Stage's reference after the last light", reference(session)),
+            (
+                "Lamp from a light's first to its last frames",
+                drift(session),
+            ),
             ("Captured with", format!("rig {}", record.versions.rig)),
         ],
     )];
@@ -396,6 +400,19 @@ fn fit_group(record: &FitRecord) -> ProvenanceGroup {
     ProvenanceGroup {
         title: "Fit".to_owned(),
         entries,
+    }
+}
+
+/// How far the lamp drifted while a light was captured.
+fn drift(session: &Session) -> String {
+    let found = session.lamp_drift().unwrap_or_default();
+    match found.worst() {
+        None => "not known".to_owned(),
+        Some((light, change)) => format!(
+            "changed by {:+.2}% in light {light}, where most; root mean square {:.2}%",
+            100.0 * change,
+            100.0 * found.rms()
+        ),
     }
 }
 

@@ -23,6 +23,7 @@
 //! can fail each operation ([`faults`]).
 
 pub mod commit;
+mod drift;
 mod error;
 pub mod faults;
 pub mod fit_record;
@@ -33,6 +34,7 @@ pub mod record;
 mod store;
 pub mod verify;
 
+pub use drift::LampDrift;
 pub use error::SessionError;
 pub use frame::{FrameTimes, Sidecar};
 pub use journal::{Event, FileDigest, Journal, Record};

@@ -11,6 +11,7 @@ pub mod direct;
 pub mod distortion;
 pub mod evaluate;
 pub mod event;
+pub mod falloff;
 pub mod footprint;
 pub mod lanes;
 pub mod lens;

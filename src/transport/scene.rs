@@ -5,6 +5,7 @@ use std::sync::Arc;
 use glam::Vec3;
 
 use super::camera::Camera;
+use super::falloff::Falloff;
 use super::light::Light;
 use crate::brdf::Brdf;
 use crate::geometry::bvh::offset_origin;
@@ -47,6 +48,9 @@ pub struct Scene {
     pub camera: Camera,
     /// The lamps; images are rendered one per lamp.
     pub lights: Vec<Light>,
+    /// How their irradiance differs over the sample beyond what their places say; lamps
+    /// beyond its length are even.
+    pub falloffs: Vec<Falloff>,
 }
 
 /// What a hit needs to know of a triangle.
@@ -164,6 +168,7 @@ impl Scene {
             sample: Arc::new(sample),
             camera,
             lights,
+            falloffs: Vec::new(),
         }
     }
 
@@ -258,9 +263,14 @@ impl Scene {
             direction: sample.direction,
             limit_mm: sample.distance_mm,
         });
-        (!hidden).then_some(Connection {
+        if hidden {
+            return None;
+        }
+        let falloff = self.falloffs.get(light);
+        let factor = falloff.map_or(1.0, |falloff| falloff.at(surface.origin_mm));
+        Some(Connection {
             to_light,
-            irradiance: sample.relative_irradiance * to_light.z,
+            irradiance: sample.relative_irradiance * to_light.z * factor,
         })
     }
 

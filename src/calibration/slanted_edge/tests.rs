@@ -56,7 +56,7 @@ fn photograph(camera: &Camera, height_mm: f64, tilt_rad: f64) -> Vec<f64> {
             let corner = DVec2::new((pixel % SIDE) as f64, (pixel / SIDE) as f64);
             // No ray of a pixel this far from the edge crosses it.
             let (distance_mm, _) = seen(corner + 0.5, DVec2::ZERO);
-            let rays = if distance_mm.abs() > 1.0 { 16 } else { 600 };
+            let rays = if distance_mm.abs() > 1.0 { 16 } else { 500 };
             let mut shift = stream(9, Purpose::Experiment, 0, pixel as u64, height_mm.to_bits());
             let start = [0; 4].map(|_| shift.uniform());
             let ray = |i: i32| {
@@ -96,7 +96,7 @@ fn stated(camera: &Camera) -> Lens {
     }
 }
 
-/// Point spread, focus and aperture from edges at five heights, 8 times with a telecentric
+/// Point spread, focus and aperture from edges at four heights, 8 times with a telecentric
 /// and 8 times with a perspective lens: errors over stated uncertainties are a unit normal
 /// (their sums of squares between the 1e-4 tails of χ² of 16 degrees of freedom).
 #[test]
@@ -105,7 +105,7 @@ fn a_lens_is_recovered_within_its_uncertainty() {
     let (mut chi2, mut mean) = ([0.0; 3], [0.0; 3]);
     let perspective = camera(Projection::Perspective { fov_rad: 0.055 });
     for camera in [telecentric(), perspective] {
-        let heights = [-6.0, -3.0, 0.0, 2.0, 4.0];
+        let heights = [-6.0, -2.0, 1.0, 4.0];
         let truths = heights.map(|h| photograph(&camera, h, 0.12 + 0.01 * h));
         for seed in 0..seeds {
             let edges: Vec<Edge> = truths

@@ -9,7 +9,10 @@ use super::target::{CommonArgs, Target};
 use crate::calibration::Library;
 use crate::calibration::record::{LightsValues, Measured};
 use crate::calibration::white::{Region, WhiteStandard, irradiance};
+use crate::calibration::white_lights::{LightIntensity, WhiteLights};
+use crate::cli::bench_records::BenchRecords;
 use crate::cli::output::write_json;
+use crate::cli::session_images::session_images;
 use crate::cli::{CliError, Context, HintExt};
 use crate::out;
 use crate::radiance_image::exr;
@@ -18,8 +21,9 @@ use crate::radiance_image::exr;
 pub(super) struct WhiteArgs {
     #[command(flatten)]
     common: CommonArgs,
-    /// Radiance image of the standard (OpenEXR, by `rig merge` or from a session's derived/)
-    #[arg(value_name = "EXR")]
+    /// Radiance image of the standard (OpenEXR, by `rig merge`), or a session captured with
+    /// the standard in place of the sample, which gives each light's intensity as well
+    #[arg(value_name = "EXR|SESSION")]
     image: PathBuf,
     /// Radiance factor by the certificate, for these angles (0.02 to 1.2; not percent)
     #[arg(long, value_name = "R")]
@@ -27,7 +31,8 @@ pub(super) struct WhiteArgs {
     /// Its standard uncertainty (a certificate's expanded uncertainty is usually twice that)
     #[arg(long, value_name = "U")]
     reflectance_std: f64,
-    /// Angle between the standard's normal and the lamp (degrees; 0 to 85)
+    /// Angle between the standard's normal and the lamp (degrees; 0 to 85); of a session each
+    /// light's own is taken
     #[arg(long, value_name = "DEG", default_value_t = 45.0)]
     incidence: f64,
     /// Standard uncertainty of that angle (degrees)
@@ -36,6 +41,18 @@ pub(super) struct WhiteArgs {
     /// Where the standard is in the image (pixels; default: all of it)
     #[arg(long, value_name = "X,Y,WIDTH,HEIGHT", value_parser = parse_region)]
     region: Option<Region>,
+    /// Height of the standard's surface above the sample's datum (mm; sessions only)
+    #[arg(
+        long,
+        value_name = "MM",
+        default_value_t = 0.0,
+        allow_negative_numbers = true
+    )]
+    height: f64,
+    /// How much the radiance factor differs between the lights' directions (standard deviation,
+    /// relative; sessions only)
+    #[arg(long, value_name = "S", default_value_t = 0.01)]
+    direction_std: f64,
 }
 
 pub(super) fn parse_region(text: &str) -> Result<Region, String> {
@@ -52,9 +69,11 @@ pub(super) fn parse_region(text: &str) -> Result<Region, String> {
 }
 
 #[derive(Serialize)]
-struct WhiteReport {
+struct WhiteReport<'a> {
     record: String,
     irradiance_w_m2: [Measured; 3],
+    #[serde(skip_serializing_if = "<[_]>::is_empty")]
+    lights: &'a [LightIntensity],
 }
 
 const HINT: &str = "put the standard where the sample will be, evenly lit, give the certificate's \
@@ -66,6 +85,9 @@ pub(super) fn run(args: &WhiteArgs, context: &Context) -> Result<(), CliError> {
             CliError::new(format!("--incidence-std is {}", args.incidence_std))
                 .hint("it must be a number of degrees from 0 to 10"),
         );
+    }
+    if args.image.is_dir() {
+        return of_session(args, context);
     }
     let rig = args.common.rig.resolve(context)?;
     let image = exr::read(&args.image)?.image;
@@ -92,6 +114,7 @@ pub(super) fn run(args: &WhiteArgs, context: &Context) -> Result<(), CliError> {
     );
     let values = LightsValues {
         irradiance_w_m2: found,
+        lights: Vec::new(),
     };
     let path = target.add(values, &method, &[])?;
     let [red, green, blue] = found.map(|m| m.value);
@@ -104,6 +127,102 @@ pub(super) fn run(args: &WhiteArgs, context: &Context) -> Result<(), CliError> {
         return write_json(&WhiteReport {
             record: path.display().to_string(),
             irradiance_w_m2: found,
+            lights: &[],
+        });
+    }
+    out!("{}", path.display())
+}
+
+/// Intensity and evenness of every light of a session, with the mean irradiance.
+fn of_session(args: &WhiteArgs, context: &Context) -> Result<(), CliError> {
+    let ranges = [
+        ("--height", args.height, -1e4..=1e4),
+        ("--direction-std", args.direction_std, 0.0..=0.2),
+    ];
+    for (name, value, range) in ranges {
+        if !range.contains(&value) {
+            return Err(CliError::new(format!("{name} is {value}")).hint(format!(
+                "it must be from {} to {}",
+                range.start(),
+                range.end()
+            )));
+        }
+    }
+    let rig = args.common.rig.resolve(context)?;
+    let mut session = session_images(&args.image)?;
+    if session.config.name != rig.config.name {
+        return Err(CliError::new(format!(
+            "the session is of rig {}, the record would be of rig {}",
+            session.config.name, rig.config.name
+        ))
+        .hint(format!(
+            "name the session's rig: `--rig {}`",
+            session.config.name
+        )));
+    }
+    let read_back = session.places.clone();
+    let records = BenchRecords::directions_of(&args.image)?;
+    let geometry = records
+        .apply(&session.config, &mut session.places, context)
+        .geometry;
+    let places = session.places.iter().zip(read_back);
+    let lights: Vec<_> = places
+        .map(|(&there, at)| (geometry.light(there), at))
+        .collect();
+    let camera = geometry.image_camera();
+    let [width, height] = camera.resolution_px;
+    let white = WhiteLights {
+        camera: &camera,
+        region: args.region.unwrap_or(Region {
+            x: 0,
+            y: 0,
+            width,
+            height,
+        }),
+        height_mm: args.height,
+        standard: WhiteStandard {
+            reflectance: Measured {
+                value: args.reflectance,
+                std: args.reflectance_std,
+            },
+            incidence_rad: 0.0,
+            incidence_std_rad: args.incidence_std.to_radians(),
+        },
+        direction_std: args.direction_std,
+        lights: &lights,
+    };
+    let found = white.measure(&session.captured).hint(HINT)?;
+    let stated = geometry.light.irradiance_w_m2;
+    let values = LightsValues {
+        irradiance_w_m2: std::array::from_fn(|c| Measured {
+            value: found.strength[c].value * stated[c],
+            std: found.strength[c].std * stated[c],
+        }),
+        lights: found.lights,
+    };
+    let mut target = Target::new(&rig.config, Library::of_rig(&rig), &args.common, context);
+    target.source = format!("session {}", args.image.display());
+    let method = format!(
+        "diffuse standard of reflectance {} ± {} under {} lights",
+        args.reflectance,
+        args.reflectance_std,
+        values.lights.len()
+    );
+    let path = target.add(values.clone(), &method, &[])?;
+    let green = || values.lights.iter().map(|light| light.relative[1]);
+    let (low, high) = green().fold((f64::INFINITY, 0.0f64), |(low, high), m| {
+        (low.min(m.value), high.max(m.value))
+    });
+    context.note(format_args!(
+        "fits of later captures go by the lights' intensities, from {low:.4} to {high:.4} of \
+         their mean, known to {:.2}%, and by how unevenly each lights the sample",
+        100.0 * green().map(|m| m.std / m.value).fold(0.0, f64::max)
+    ));
+    if args.common.json {
+        return write_json(&WhiteReport {
+            record: path.display().to_string(),
+            irradiance_w_m2: values.irradiance_w_m2,
+            lights: &values.lights,
         });
     }
     out!("{}", path.display())

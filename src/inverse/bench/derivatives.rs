@@ -17,6 +17,7 @@ use rayon::prelude::*;
 use super::parameters::{Bench, Parameter};
 use crate::brdf::Brdf;
 use crate::random::{Purpose, stream};
+use crate::transport::falloff::Falloff;
 use crate::transport::{Proposal, Scene};
 
 /// How derivative images are traced.
@@ -173,6 +174,11 @@ fn views(bench: &Bench, base: &Scene, values: &DVector<f64>, sign: f64) -> (Vec<
         scene: base.clone(),
         light_of_slot: (0..lights).collect(),
     }];
+    // Moved lights follow those that stay, each with its own falloff.
+    if !base.falloffs.is_empty() {
+        let falloffs = &mut views[0].scene.falloffs;
+        falloffs.resize(lights, Falloff::default());
+    }
     let mut places = Vec::new();
     for (k, &parameter) in bench.parameters().iter().enumerate() {
         if !parameter.is_geometric() {
@@ -184,6 +190,10 @@ fn views(bench: &Bench, base: &Scene, values: &DVector<f64>, sign: f64) -> (Vec<
         let mut scene = bench.scene(&moved);
         if let Some(light) = parameter.light() {
             views[0].scene.lights.push(scene.lights.swap_remove(light));
+            if !base.falloffs.is_empty() {
+                let own = views[0].scene.falloffs[light];
+                views[0].scene.falloffs.push(own);
+            }
             views[0].light_of_slot.push(light);
             places.push(Place {
                 parameter: k,
