@@ -45,7 +45,7 @@ impl Kind {
     /// sensor ages slowly, dust and lamps do not wait.
     pub fn usual_days(self) -> f64 {
         match self {
-            Kind::Sensor | Kind::Response => 365.0,
+            Kind::Sensor | Kind::Response | Kind::Camera => 365.0,
             Kind::Scale => 180.0,
             Kind::Flat | Kind::Directions => 90.0,
             Kind::Lights | Kind::Lamp => 30.0,
@@ -61,13 +61,17 @@ impl Kind {
             Kind::Lights => "white",
             Kind::Directions => "lights",
             Kind::Pose => "pose SESSION",
+            Kind::Camera => "camera VIEWS --squares N,M --square MM",
             other => other.folder(),
         }
     }
 
     /// Whether it belongs to one camera at its settings.
     pub fn is_of_the_camera(self) -> bool {
-        matches!(self, Kind::Sensor | Kind::Flat | Kind::Scale | Kind::Pose)
+        matches!(
+            self,
+            Kind::Sensor | Kind::Flat | Kind::Scale | Kind::Pose | Kind::Camera
+        )
     }
 }
 

@@ -3,6 +3,7 @@
 //! `calibration/<rig>/<kind>/<id>.toml`.
 
 mod built_in;
+pub mod camera;
 pub mod directions;
 pub mod figures;
 pub mod fitness;
@@ -15,6 +16,7 @@ pub mod noise;
 pub mod pose;
 pub mod procedure;
 pub mod record;
+pub mod rotation;
 pub mod sensor;
 pub mod stage_directions;
 pub mod white;

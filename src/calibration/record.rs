@@ -23,11 +23,13 @@ pub enum Kind {
     Directions,
     /// Where the sample lies.
     Pose,
+    /// The lens, and where the camera stands.
+    Camera,
 }
 
 impl Kind {
     /// All kinds.
-    pub const ALL: [Kind; 8] = [
+    pub const ALL: [Kind; 9] = [
         Kind::Sensor,
         Kind::Flat,
         Kind::Scale,
@@ -36,6 +38,7 @@ impl Kind {
         Kind::Lamp,
         Kind::Directions,
         Kind::Pose,
+        Kind::Camera,
     ];
 
     /// The folder's name.
@@ -49,6 +52,7 @@ impl Kind {
             Kind::Lamp => "lamp",
             Kind::Directions => "directions",
             Kind::Pose => "pose",
+            Kind::Camera => "camera",
         }
     }
 }

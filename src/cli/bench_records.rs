@@ -1,9 +1,10 @@
-//! What records say about the bench itself: where its lights are and how bright. A fit
-//! goes by them rather than by the rig file.
+//! What records say about the bench itself: its lens, where its lights are and how bright. A
+//! fit goes by them rather than by the rig file.
 
 use std::path::Path;
 
 use super::{CliError, Context};
+use crate::calibration::camera::CameraValues;
 use crate::calibration::directions::DirectionsValues;
 use crate::calibration::record::LightsValues;
 use crate::calibration::{Library, Loaded};
@@ -13,10 +14,11 @@ use crate::inverse::BenchPriors;
 use crate::session::layout::CALIBRATION_FOLDER;
 use crate::units::StageAngles;
 
-/// A session's records of its lights.
+/// A session's records of its lens and lights.
 pub(super) struct BenchRecords {
     irradiance: Option<Loaded<LightsValues>>,
     directions: Option<Loaded<DirectionsValues>>,
+    camera: Option<Loaded<CameraValues>>,
 }
 
 /// A bench as the rig file and the records together have it.
@@ -32,6 +34,7 @@ impl BenchRecords {
         Ok(Self {
             irradiance: library.load(None)?,
             directions: library.load(None)?,
+            camera: library.load(None)?,
         })
     }
 
@@ -45,6 +48,9 @@ impl BenchRecords {
     ) -> KnownBench {
         let mut geometry = config.geometry.clone();
         let mut priors = config.uncertainty.clone();
+        if let Some(loaded) = &self.camera {
+            go_by_lens(loaded, &mut geometry, context);
+        }
         if let Some(loaded) = &self.irradiance {
             loaded.record.values.apply(&mut geometry);
             loaded.record.values.inform(&mut priors);
@@ -70,5 +76,18 @@ impl BenchRecords {
             }
         }
         KnownBench { geometry, priors }
+    }
+}
+
+/// Gives the geometry the lens of a record, and the camera's place if that was measured.
+pub(super) fn go_by_lens(
+    loaded: &Loaded<CameraValues>,
+    geometry: &mut GeometryConfig,
+    context: &Context,
+) {
+    match loaded.record.values.apply(geometry) {
+        Ok(()) => context.note(format_args!("lens by record {}", loaded.record.id)),
+        // A record that was checked when it was read folds nothing.
+        Err(folded) => context.warn(format!("record {}: {folded}", loaded.record.id)),
     }
 }

@@ -135,6 +135,8 @@ pub struct CalibrationConfig {
     /// Id of the record of the sample's pose; `None`: none is used, since a pose holds
     /// only until somebody touches the sample.
     pub pose: Option<String>,
+    /// Id of the record of the lens.
+    pub camera: Option<String>,
 }
 
 impl CalibrationConfig {
@@ -151,7 +153,7 @@ impl CalibrationConfig {
         };
         let (sensor, flat, scale, lights) =
             (id("sensor")?, id("flat")?, id("scale")?, id("lights")?);
-        let (directions, pose) = (id("directions")?, id("pose")?);
+        let (directions, pose, camera) = (id("directions")?, id("pose")?, id("camera")?);
         let folder = table.path("folder")?.optional();
         table.finish()?;
         Ok(Self {
@@ -162,6 +164,7 @@ impl CalibrationConfig {
             lights,
             directions,
             pose,
+            camera,
         })
     }
 }

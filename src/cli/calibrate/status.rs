@@ -3,6 +3,7 @@
 use jiff::Timestamp;
 use serde::Serialize;
 
+use crate::calibration::camera::{CameraValues, LensModel};
 use crate::calibration::directions::DirectionsValues;
 use crate::calibration::fitness::Concern;
 use crate::calibration::pose::PoseValues;
@@ -84,6 +85,7 @@ pub(super) fn run(args: &StatusArgs, context: &Context) -> Result<(), CliError> 
         line(&rig.config, &library, None, of_lamp),
         line(&rig.config, &library, pinned(&pins.pose), of_pose),
         line(&rig.config, &library, None, of_response),
+        line(&rig.config, &library, pinned(&pins.camera), of_camera),
     ];
     if args.json {
         return write_json(&Report {
@@ -141,8 +143,10 @@ fn line<V: Values>(
         Ok(Some(loaded)) => loaded,
         Ok(None) => {
             // A linear camera has no response; lights and pose can stand in the rig file.
-            let can_stand_in_the_rig_file =
-                matches!(kind, Kind::Lights | Kind::Directions | Kind::Pose);
+            let can_stand_in_the_rig_file = matches!(
+                kind,
+                Kind::Lights | Kind::Directions | Kind::Pose | Kind::Camera
+            );
             line.run = (kind != Kind::Response && !can_stand_in_the_rig_file)
                 .then(run)
                 .flatten();
@@ -187,6 +191,7 @@ fn without(kind: Kind) -> &'static str {
         Kind::Directions => "the rig file's light directions are believed",
         Kind::Lamp => "nobody knows how long the lamp warms up",
         Kind::Pose => "the sample lies as the rig file says",
+        Kind::Camera => "the lens is as the rig file says",
         Kind::Response => "counts are taken as proportional to light",
     }
 }
@@ -251,6 +256,29 @@ fn of_lamp(v: &LampValues) -> String {
         }),
         v.steady_from_s
             .map_or("no measured exposure on".to_owned(), |s| format!("{s} s"))
+    )
+}
+
+fn of_camera(v: &CameraValues) -> String {
+    let unit = match v.model {
+        LensModel::Perspective => "focal length",
+        LensModel::Orthographic => "pixels per mm",
+    };
+    let number = |value: f64, names: [&str; 2]| match names.iter().find_map(|n| v.std(n)) {
+        Some(std) => pair(Measured { value, std }),
+        None => format!("{value:.3}"),
+    };
+    format!(
+        "{unit} {}, {}, {} views, corners within {:.3} px{}",
+        number(v.scale[0], ["fx", "mx"]),
+        number(v.scale[1], ["fy", "my"]),
+        v.views,
+        v.residual_px,
+        if v.pose.is_some() {
+            ", with its pose"
+        } else {
+            ""
+        }
     )
 }
 
