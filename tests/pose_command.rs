@@ -21,18 +21,17 @@ fn json(command: &mut assert_cmd::Command) -> Value {
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
-/// The simulated bench's sample lies within what the record says of where it truly is.
-#[test]
-fn a_pose_is_measured_and_kept() {
+/// A folder with the simulated rig, changed so, and records of its sensor.
+fn workplace(changes: &[(&str, &str)]) -> tempfile::TempDir {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let folder = tempfile::tempdir().unwrap();
-    let at = folder.path();
-    let text = std::fs::read_to_string(root.join("rig-configs/simulated.toml")).unwrap();
-    let text = text
-        .replace("\"realistic\"", "\"instant\"")
-        .replace("samples_per_pixel = 512", "samples_per_pixel = 48");
-    std::fs::write(at.join("rig.toml"), text).unwrap();
-    let library = at.join("calibration/simulated");
+    let mut text = std::fs::read_to_string(root.join("rig-configs/simulated.toml")).unwrap();
+    for (key, new) in changes {
+        assert!(text.contains(key), "{key}");
+        text = text.replace(key, new);
+    }
+    std::fs::write(folder.path().join("rig.toml"), text).unwrap();
+    let library = folder.path().join("calibration/simulated");
     for kind in ["sensor", "flat", "scale"] {
         std::fs::create_dir_all(library.join(kind)).unwrap();
         let from = root.join("calibration/simulated").join(kind);
@@ -40,8 +39,13 @@ fn a_pose_is_measured_and_kept() {
             std::fs::copy(entry.path(), library.join(kind).join(entry.file_name())).unwrap();
         }
     }
+    folder
+}
+
+/// Captures and returns the session's folder.
+fn capture(at: &Path, lights: &str) -> String {
     let captured = rig(at)
-        .args(["capture", "--lights", "3", "--no-fit"])
+        .args(["capture", "--lights", lights, "--no-fit"])
         .output()
         .unwrap();
     assert!(
@@ -50,13 +54,28 @@ fn a_pose_is_measured_and_kept() {
         String::from_utf8_lossy(&captured.stderr)
     );
     let session = String::from_utf8(captured.stdout).unwrap();
-    let session = session.lines().last().unwrap();
+    session.lines().last().unwrap().to_owned()
+}
+
+fn number(value: &Value) -> f64 {
+    value.as_f64().unwrap()
+}
+
+/// The simulated bench's sample lies within what the record says of where it truly is.
+#[test]
+fn a_pose_is_measured_and_kept() {
+    let folder = workplace(&[
+        ("\"realistic\"", "\"instant\""),
+        ("samples_per_pixel = 512", "samples_per_pixel = 48"),
+    ]);
+    let at = folder.path();
+    let library = at.join("calibration/simulated");
+    let session = &capture(at, "3");
     let found = json(rig(at).args(["calibrate", "pose", session, "--id", "p", "--json"]));
     assert!(library.join("pose/p.toml").is_file());
     assert!(library.join("plots/p.svg").is_file());
     // Seed, position and orientation errors stand in the rig file.
     let [rotation_rad, translation_mm] = rig::simulation::pose_error(7, 0.02, 0.1);
-    let number = |value: &Value| value.as_f64().unwrap();
     for axis in 0..3 {
         for (key, offset, truth) in [
             ("rotation_deg", 0, rotation_rad[axis].to_degrees()),
@@ -87,4 +106,93 @@ fn a_pose_is_measured_and_kept() {
         .assert()
         .code(1);
     assert_eq!(std::fs::read(library.join("pose/p.toml")).unwrap(), before);
+
+    // The bench's material has no grain, so that a second capture is one of a turned sample.
+    let other = capture(at, "3");
+    let turned = format!("{other}=90");
+    let arguments = ["calibrate", "pose", session, "--rotate", &turned];
+    let tested = rig(at).args(arguments).output().unwrap();
+    let said = String::from_utf8_lossy(&tested.stdout).into_owned();
+    assert!(tested.status.success(), "{said}");
+    for what in ["uniformity: passed", "isotropy: passed"] {
+        assert!(said.contains(what), "{said}");
+    }
+    rig(at)
+        .args(["calibrate", "pose", session, "--rotate", "nowhere"])
+        .assert()
+        .code(1);
+}
+
+/// A bench whose sample, lens and stage all stand otherwise than its rig file says: with
+/// records of lens and directions the pose is found.
+#[test]
+fn a_pose_goes_by_the_records_of_lens_and_lights() {
+    let lens = "principal_point_px = [34.5, 30.5]\nradial = [0.02, 0.0, 0.0]\n";
+    let folder = workplace(&[
+        ("\"realistic\"", "\"instant\""),
+        ("samples_per_pixel = 512", "samples_per_pixel = 48"),
+        ("pose_error_mm = 0.02", "pose_error_mm = 0.25"),
+        ("pose_error_deg = 0.1", "pose_error_deg = 0.8"),
+        ("translation_mm = 0.2", "translation_mm = 0.3"),
+        ("rotation_deg = 0.2", "rotation_deg = 1.0"),
+        ("azimuth_offset_deg = 0.05", "azimuth_offset_deg = 1.2"),
+        (
+            "elevation_offset_deg = -0.05",
+            "elevation_offset_deg = -0.9",
+        ),
+        (
+            "[simulation.sensor]",
+            &format!("[simulation.lens]\n{lens}[simulation.sensor]"),
+        ),
+    ]);
+    let at = folder.path();
+    let library = at.join("calibration/simulated");
+    let head = |id: &str, kind: &str| {
+        format!(
+            "id = \"{id}\"\nkind = \"{kind}\"\nrig = \"simulated\"\ndevice_serial = \"SIM-0001\"\n\
+             date = \"2026-11-21T00:00:00Z\"\nmethod = \"m\"\nsource = \"s\"\n[values]\n"
+        )
+    };
+    // What `rig calibrate lights` and `camera` would find of this truth.
+    let directions = head("d", "directions")
+        + "light_std_deg = 0.06\ncommon_std_deg = 0.03\n\
+        [values.stage]\nrotation_deg = [0.0, 0.0, 1.2]\nelevation_offset_deg = -0.9\n\
+        covariance_deg2 = [[1e-3, 0.0, 0.0, 0.0], [0.0, 1e-3, 0.0, 0.0], [0.0, 0.0, 1e-3, 0.0], [0.0, 0.0, 0.0, 1e-3]]\n\
+        scatter_deg = 0.06\n[[values.lights]]\nstage_deg = [0.0, 90.0]\nto_light = [0.0, 0.0, 1.0]\n\
+        covariance_deg2 = [[1e-3, 0.0], [0.0, 1e-3]]\n";
+    let camera = head("c", "camera")
+        + "model = \"orthographic\"\nresolution_px = [64, 64]\nscale = [2.909090909090909, 2.909090909090909]\n\
+        principal_point_px = [34.5, 30.5]\nradial = [0.02, 0.0, 0.0]\ntangential = [0.0, 0.0]\n\
+        found = [\"mx\"]\ncovariance = [[1e-6]]\nviews = 1\ncorners = [48, 0]\nresidual_px = 0.02\n\
+        reduced_chi2 = 1.0\n";
+    for (kind, name, text) in [("directions", "d", directions), ("camera", "c", camera)] {
+        std::fs::create_dir_all(library.join(kind)).unwrap();
+        std::fs::write(library.join(kind).join(format!("{name}.toml")), text).unwrap();
+    }
+    let session = &capture(at, "3");
+    assert!(
+        at.join(session).join("calibration/camera/c.toml").is_file(),
+        "no copy"
+    );
+    let measured = rig(at)
+        .args(["calibrate", "pose", session, "--id", "p", "--json"])
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&measured.stderr).into_owned();
+    assert!(measured.status.success(), "{said}");
+    assert!(said.contains("light directions by record d"), "{said}");
+    assert!(said.contains("lens by record c"), "{said}");
+    let found: Value = serde_json::from_slice(&measured.stdout).unwrap();
+    let [rotation_rad, translation_mm] = rig::simulation::pose_error(7, 0.25, 0.8);
+    for axis in 0..3 {
+        for (key, k, truth) in [
+            ("rotation_deg", axis, rotation_rad[axis].to_degrees()),
+            ("translation_mm", 3 + axis, translation_mm[axis]),
+        ] {
+            let std = number(&found["covariance"][k][k]).sqrt();
+            let error = number(&found[key][axis]) - truth;
+            eprintln!("{key}[{axis}]: {error:.4} ± {std:.4} of {truth:.4}");
+            assert!(error.abs() < 4.0 * std, "{key}[{axis}]: {error} ± {std}");
+        }
+    }
 }

@@ -45,7 +45,7 @@ impl Kind {
     /// sensor ages slowly, dust and lamps do not wait.
     pub fn usual_days(self) -> f64 {
         match self {
-            Kind::Sensor | Kind::Response => 365.0,
+            Kind::Sensor | Kind::Response | Kind::Camera => 365.0,
             Kind::Scale => 180.0,
             Kind::Flat | Kind::Directions | Kind::Focus => 90.0,
             Kind::Lights | Kind::Lamp => 30.0,
@@ -62,6 +62,7 @@ impl Kind {
             Kind::Directions => "lights",
             Kind::Pose => "pose SESSION",
             Kind::Focus => "focus EXR… --heights MM,…",
+            Kind::Camera => "camera VIEWS --squares N,M --square MM",
             other => other.folder(),
         }
     }
@@ -70,7 +71,7 @@ impl Kind {
     pub fn is_of_the_camera(self) -> bool {
         matches!(
             self,
-            Kind::Sensor | Kind::Flat | Kind::Scale | Kind::Pose | Kind::Focus
+            Kind::Sensor | Kind::Flat | Kind::Scale | Kind::Pose | Kind::Focus | Kind::Camera
         )
     }
 }

@@ -3,6 +3,7 @@
 //! `calibration/<rig>/<kind>/<id>.toml`.
 
 mod built_in;
+pub mod camera;
 pub mod depth_of_field;
 pub mod directions;
 pub mod figures;
@@ -17,6 +18,7 @@ pub mod pixel_map;
 pub mod pose;
 pub mod procedure;
 pub mod record;
+pub mod rotation;
 pub mod sensor;
 pub mod slanted_edge;
 pub mod stage_directions;

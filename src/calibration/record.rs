@@ -29,11 +29,13 @@ pub enum Kind {
     Pose,
     /// Point spread, focus and aperture of the camera.
     Focus,
+    /// The lens, and where the camera stands.
+    Camera,
 }
 
 impl Kind {
     /// All kinds.
-    pub const ALL: [Kind; 9] = [
+    pub const ALL: [Kind; 10] = [
         Kind::Sensor,
         Kind::Flat,
         Kind::Scale,
@@ -43,6 +45,7 @@ impl Kind {
         Kind::Directions,
         Kind::Pose,
         Kind::Focus,
+        Kind::Camera,
     ];
 
     /// The folder's name.
@@ -57,6 +60,7 @@ impl Kind {
             Kind::Directions => "directions",
             Kind::Pose => "pose",
             Kind::Focus => "focus",
+            Kind::Camera => "camera",
         }
     }
 }

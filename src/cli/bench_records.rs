@@ -1,10 +1,10 @@
-//! What records say about the bench itself: where its lights are and how bright, how sharp
-//! its camera is. A fit
-//! goes by them rather than by the rig file.
+//! What records say about the bench itself: its lens and how sharp it is, where its lights
+//! are and how bright. A fit goes by them rather than by the rig file.
 
 use std::path::Path;
 
 use super::{CliError, Context};
+use crate::calibration::camera::CameraValues;
 use crate::calibration::directions::DirectionsValues;
 use crate::calibration::record::LightsValues;
 use crate::calibration::slanted_edge::FocusValues;
@@ -16,11 +16,12 @@ use crate::session::layout::CALIBRATION_FOLDER;
 use crate::transport::Scene;
 use crate::units::StageAngles;
 
-/// A session's records of its lights and its lens.
+/// A session's records of its lens and lights.
 pub(super) struct BenchRecords {
     irradiance: Option<Loaded<LightsValues>>,
     directions: Option<Loaded<DirectionsValues>>,
     focus: Option<Loaded<FocusValues>>,
+    camera: Option<Loaded<CameraValues>>,
 }
 
 /// A bench as the rig file and the records together have it.
@@ -59,11 +60,12 @@ impl BenchRecords {
             irradiance: library.load(None)?,
             directions: library.load(None)?,
             focus: library.load(None)?,
+            camera: library.load(None)?,
         })
     }
 
-    /// The copy of what a session's lights' directions were known by, alone.
-    pub fn directions_of(session: &Path) -> Result<Self, CliError> {
+    /// The same without the irradiance, for who is about to measure it.
+    pub fn without_irradiance(session: &Path) -> Result<Self, CliError> {
         Ok(Self {
             irradiance: None,
             ..Self::load(session)?
@@ -81,6 +83,9 @@ impl BenchRecords {
         let as_captured = angles.to_vec();
         let mut geometry = config.geometry.clone();
         let mut priors = config.uncertainty.clone();
+        if let Some(loaded) = &self.camera {
+            go_by_lens(loaded, &mut geometry, context);
+        }
         if let Some(loaded) = &self.irradiance {
             loaded.record.values.apply(&mut geometry);
             loaded.record.values.inform(&mut priors);
@@ -118,5 +123,18 @@ impl BenchRecords {
                 .as_ref()
                 .map(|loaded| loaded.record.values.clone()),
         }
+    }
+}
+
+/// Gives the geometry the lens of a record, and the camera's place if that was measured.
+pub(super) fn go_by_lens(
+    loaded: &Loaded<CameraValues>,
+    geometry: &mut GeometryConfig,
+    context: &Context,
+) {
+    match loaded.record.values.apply(geometry) {
+        Ok(()) => context.note(format_args!("lens by record {}", loaded.record.id)),
+        // A record that was checked when it was read folds nothing.
+        Err(folded) => context.warn(format!("record {}: {folded}", loaded.record.id)),
     }
 }

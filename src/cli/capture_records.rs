@@ -3,6 +3,7 @@
 use jiff::Timestamp;
 
 use super::CliError;
+use crate::calibration::camera::CameraValues;
 use crate::calibration::directions::DirectionsValues;
 use crate::calibration::pose::PoseValues;
 use crate::calibration::record::{
@@ -24,6 +25,7 @@ pub(super) struct Records {
     focus: Option<Loaded<FocusValues>>,
     /// Only where the rig names it: it holds until somebody touches the sample.
     pose: Option<Loaded<PoseValues>>,
+    camera: Option<Loaded<CameraValues>>,
 }
 
 impl Records {
@@ -45,10 +47,14 @@ impl Records {
                 Some(id) => library.load(Some(id))?,
                 None => None,
             },
+            camera: library.load(ids.camera.as_deref())?,
         };
         records.sensor.check_camera(serial, &config.camera)?;
         if let Some(flat) = &records.flat {
             flat.check_camera(serial, &config.camera)?;
+        }
+        if let Some(camera) = &records.camera {
+            camera.check_camera(serial, &config.camera)?;
         }
         Ok(records)
     }
@@ -65,6 +71,7 @@ impl Records {
             directions: library.load(None)?,
             focus: library.load(None)?,
             pose: library.load(None)?,
+            camera: library.load(None)?,
         })
     }
 
@@ -94,6 +101,7 @@ impl Records {
         add_concerns(&mut concerns, self.directions.as_ref(), config, now);
         add_concerns(&mut concerns, self.focus.as_ref(), config, now);
         add_concerns(&mut concerns, self.pose.as_ref(), config, now);
+        add_concerns(&mut concerns, self.camera.as_ref(), config, now);
         if let Some(lamp) = &self.lamp {
             let needed_s = lamp.record.values.warm_up_time_s;
             let waited_s = config.capture.lamp_warm_up.0;
@@ -119,6 +127,7 @@ impl Records {
         add_copies(&mut copies, self.directions.as_ref());
         add_copies(&mut copies, self.focus.as_ref());
         add_copies(&mut copies, self.pose.as_ref());
+        add_copies(&mut copies, self.camera.as_ref());
         copies
     }
 }

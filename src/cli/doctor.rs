@@ -14,6 +14,7 @@ use serde::Serialize;
 use super::output::{write_json, write_line};
 use super::rig_choice::RigArg;
 use super::{CliError, Context, hints, sharpness};
+use crate::calibration::camera::CameraValues;
 use crate::calibration::directions::DirectionsValues;
 use crate::calibration::record::{
     FlatValues, Kind, LightsValues, ScaleValues, SensorValues, Values,
@@ -167,6 +168,11 @@ fn all_checks(rig: &ResolvedRig) -> Vec<Check> {
         rig,
         &library,
         named.directions.as_deref(),
+    ));
+    checks.push(calibration::<CameraValues>(
+        rig,
+        &library,
+        named.camera.as_deref(),
     ));
     checks.push(calibration::<FocusValues>(
         rig,
@@ -415,6 +421,7 @@ fn calibration<V: Values>(rig: &ResolvedRig, library: &Library, id: Option<&str>
             "without it the rig file's point spread, focus and aperture are believed",
         ),
         Kind::Pose => ("pose", "without it the sample lies as the rig file says"),
+        Kind::Camera => ("camera", "without it the lens is as the rig file says"),
         Kind::Lamp => (
             "lamp",
             "`rig calibrate lamp` finds how long it must warm up; without it nobody knows",

@@ -141,6 +141,8 @@ pub struct CalibrationConfig {
     /// Id of the record of the sample's pose; `None`: none is used, since a pose holds
     /// only until somebody touches the sample.
     pub pose: Option<String>,
+    /// Id of the record of the lens.
+    pub camera: Option<String>,
 }
 
 impl CalibrationConfig {
@@ -157,7 +159,7 @@ impl CalibrationConfig {
         };
         let (sensor, flat, scale, lights) =
             (id("sensor")?, id("flat")?, id("scale")?, id("lights")?);
-        let (directions, pose) = (id("directions")?, id("pose")?);
+        let (directions, pose, camera) = (id("directions")?, id("pose")?, id("camera")?);
         let focus = id("focus")?;
         let folder = table.path("folder")?.optional();
         table.finish()?;
@@ -170,6 +172,7 @@ impl CalibrationConfig {
             directions,
             focus,
             pose,
+            camera,
         })
     }
 }

@@ -12,6 +12,7 @@ use crate::calibration::mirror_sphere::{Circle, Sphere, SphereError, spheres_in}
 use crate::calibration::mirror_sphere::{Grey, locate_all};
 use crate::calibration::stage_directions::{self, StageFitError};
 use crate::calibration::{Library, figures};
+use crate::cli::bench_records::go_by_lens;
 use crate::cli::output::write_json;
 use crate::cli::session_images::{SessionImages, session_images};
 use crate::cli::{CliError, Context};
@@ -19,6 +20,7 @@ use crate::config::RigConfig;
 use crate::device::kinematics::{Kinematics, Mechanism};
 use crate::out;
 use crate::radiance_image::{RadianceImage, exr};
+use crate::session::layout::CALIBRATION_FOLDER;
 use crate::units::StageAngles;
 
 #[derive(clap::Args, Debug)]
@@ -90,7 +92,14 @@ struct Pictures {
 
 pub(super) fn run(args: &LightsArgs, context: &Context) -> Result<(), CliError> {
     let rig = args.common.rig.resolve(context)?;
-    let pictures = read(&args.input, &rig.config)?;
+    let mut pictures = read(&args.input, &rig.config)?;
+    let lens = match args.input.as_slice() {
+        [root] if root.is_dir() => Library::Folder(root.join(CALIBRATION_FOLDER)).load(None)?,
+        _ => Library::of_rig(&rig).load(rig.config.calibration.camera.as_deref())?,
+    };
+    if let Some(lens) = &lens {
+        go_by_lens(lens, &mut pictures.config.geometry, context);
+    }
     let geometry = &pictures.config.geometry;
     let stated = Stated {
         radius_mm: args.radius,

@@ -1,5 +1,6 @@
 //! `rig calibrate`: one file per kind of calibration.
 
+mod camera;
 mod flat;
 mod focus;
 mod lamp;
@@ -7,6 +8,7 @@ mod light;
 mod lights;
 mod pose;
 mod response;
+mod rotation;
 mod sensor;
 mod status;
 mod target;
@@ -58,6 +60,12 @@ enum What {
     /// Finds the lamp's irradiance, and with it the absolute scale, from a diffuse standard of
     /// certified reflectance
     White(white::WhiteArgs),
+    /// Finds the lens' focal length or magnification, principal point and distortion from views
+    /// of a checkerboard
+    ///
+    /// Show the board in several places and, unless the lens is telecentric, tilted by 20 to 40
+    /// degrees in several directions.
+    Camera(camera::CameraArgs),
     /// Finds where the sample truly lies, by aligning its mesh to the images of a session
     ///
     /// Nothing is assumed of its material. The fit goes by the pose with `rig fit --pose`.
@@ -82,6 +90,7 @@ pub fn run(args: &CalibrateArgs, context: &Context) -> Result<(), CliError> {
         What::Lamp(args) => lamp::run(args, context),
         What::Lights(args) => lights::run(args, context),
         What::White(args) => white::run(args, context),
+        What::Camera(args) => camera::run(args, context),
         What::Pose(args) => pose::run(args, context),
         What::Focus(args) => focus::run(args, context),
         What::Status(args) => status::run(args, context),

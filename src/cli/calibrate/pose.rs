@@ -4,10 +4,12 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 
+use super::rotation;
 use super::target::{CommonArgs, Target};
 use crate::calibration::Library;
 use crate::calibration::pose::{PoseError, PoseOptions, PoseValues, align, figure};
 use crate::calibration::record::Settings;
+use crate::cli::bench_records::BenchRecords;
 use crate::cli::output::write_json;
 use crate::cli::session_images::session_images;
 use crate::cli::{CliError, Context};
@@ -23,6 +25,23 @@ pub(super) struct PoseArgs {
     /// Wider images are binned to at most this many pixels across (32 to 4096); more takes longer
     #[arg(long, value_name = "PX", default_value_t = 512, value_parser = clap::value_parser!(u32).range(32..=4096))]
     widest: u32,
+    /// Tests instead whether the sample is uniform and isotropic: further sessions with the same
+    /// lights, for which it was turned counterclockwise about its axis by so many degrees
+    #[arg(long, value_name = "SESSION=DEG", value_parser = rotation::parse)]
+    rotate: Vec<rotation::TurnedSession>,
+    /// Relative standard deviation of a region's radiance when the sample is seated again, for
+    /// --rotate (1e-4 to 0.5)
+    #[arg(long, value_name = "R", default_value_t = 0.01, value_parser = fraction)]
+    repeatability: f64,
+    /// Chance that a good sample fails, for --rotate (1e-4 to 0.5)
+    #[arg(long, value_name = "ALPHA", default_value_t = 0.01, value_parser = fraction)]
+    significance: f64,
+}
+
+fn fraction(text: &str) -> Result<f64, String> {
+    let number = text.trim().parse::<f64>().ok();
+    let within = number.filter(|number| (1e-4..=0.5).contains(number));
+    within.ok_or_else(|| "must be a number from 1e-4 to 0.5".into())
 }
 
 #[derive(Serialize)]
@@ -63,8 +82,18 @@ fn hint(error: &PoseError) -> &'static str {
 }
 
 pub(super) fn run(args: &PoseArgs, context: &Context) -> Result<(), CliError> {
+    if !args.rotate.is_empty() {
+        return rotation::run(
+            &args.session,
+            &args.rotate,
+            args.repeatability,
+            args.significance,
+            args.common.json,
+            context,
+        );
+    }
     let rig = args.common.rig.resolve(context)?;
-    let session = session_images(&args.session)?;
+    let mut session = session_images(&args.session)?;
     if session.config.name != rig.config.name {
         return Err(CliError::new(format!(
             "the session was captured on rig {}, not on {}",
@@ -72,19 +101,18 @@ pub(super) fn run(args: &PoseArgs, context: &Context) -> Result<(), CliError> {
         ))
         .hint("name the session's rig with --rig"));
     }
-    let scene = session.config.geometry.scene(&session.places)?;
+    // The lens and the lights as they were measured: shadows tell the tilt only as well as
+    // the lights are known.
+    let bench =
+        BenchRecords::load(&args.session)?.apply(&session.config, &mut session.places, context);
+    let scene = bench.geometry.scene(&session.places)?;
     let options = PoseOptions {
         widest_px: args.widest as usize,
         ..PoseOptions::default()
     };
     let bar = context.spinner();
     bar.set_message("aligning");
-    let found = align(
-        &scene,
-        &session.captured,
-        &session.config.uncertainty,
-        &options,
-    );
+    let found = align(&scene, &session.captured, &bench.priors, &options);
     bar.finish_and_clear();
     let found = found.map_err(|error| {
         let hint = hint(&error);

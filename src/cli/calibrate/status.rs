@@ -3,6 +3,7 @@
 use jiff::Timestamp;
 use serde::Serialize;
 
+use crate::calibration::camera::{CameraValues, LensModel};
 use crate::calibration::directions::DirectionsValues;
 use crate::calibration::fitness::Concern;
 use crate::calibration::pose::PoseValues;
@@ -86,6 +87,7 @@ pub(super) fn run(args: &StatusArgs, context: &Context) -> Result<(), CliError> 
         line(&rig.config, &library, pinned(&pins.focus), of_focus),
         line(&rig.config, &library, pinned(&pins.pose), of_pose),
         line(&rig.config, &library, None, of_response),
+        line(&rig.config, &library, pinned(&pins.camera), of_camera),
     ];
     if args.json {
         return write_json(&Report {
@@ -145,7 +147,7 @@ fn line<V: Values>(
             // A linear camera has no response; lights and pose can stand in the rig file.
             let can_stand_in_the_rig_file = matches!(
                 kind,
-                Kind::Lights | Kind::Directions | Kind::Pose | Kind::Focus
+                Kind::Lights | Kind::Directions | Kind::Pose | Kind::Focus | Kind::Camera
             );
             line.run = (kind != Kind::Response && !can_stand_in_the_rig_file)
                 .then(run)
@@ -192,6 +194,7 @@ fn without(kind: Kind) -> &'static str {
         Kind::Lamp => "nobody knows how long the lamp warms up",
         Kind::Pose => "the sample lies as the rig file says",
         Kind::Focus => "the rig file's point spread, focus and aperture are believed",
+        Kind::Camera => "the lens is as the rig file says",
         Kind::Response => "counts are taken as proportional to light",
     }
 }
@@ -265,6 +268,29 @@ fn of_focus(v: &FocusValues) -> String {
         format!(", sharp at {focus} mm, aperture {aperture}")
     });
     format!("point spread {} px{lens}", pair(v.point_spread_px))
+}
+
+fn of_camera(v: &CameraValues) -> String {
+    let unit = match v.model {
+        LensModel::Perspective => "focal length",
+        LensModel::Orthographic => "pixels per mm",
+    };
+    let number = |value: f64, names: [&str; 2]| match names.iter().find_map(|n| v.std(n)) {
+        Some(std) => pair(Measured { value, std }),
+        None => format!("{value:.3}"),
+    };
+    format!(
+        "{unit} {}, {}, {} views, corners within {:.3} px{}",
+        number(v.scale[0], ["fx", "mx"]),
+        number(v.scale[1], ["fy", "my"]),
+        v.views,
+        v.residual_px,
+        if v.pose.is_some() {
+            ", with its pose"
+        } else {
+            ""
+        }
+    )
 }
 
 fn of_pose(v: &PoseValues) -> String {

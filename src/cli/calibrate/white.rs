@@ -161,7 +161,7 @@ fn of_session(args: &WhiteArgs, context: &Context) -> Result<(), CliError> {
         )));
     }
     let read_back = session.places.clone();
-    let records = BenchRecords::directions_of(&args.image)?;
+    let records = BenchRecords::without_irradiance(&args.image)?;
     let geometry = records
         .apply(&session.config, &mut session.places, context)
         .geometry;

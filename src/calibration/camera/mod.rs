@@ -1,0 +1,193 @@
+//! The lens from views of a checkerboard: focal length or magnification, principal point
+//! and distortion, with their covariance.
+//!
+//! Corners are found by the ChESS detector, placed to hundredths of a pixel by a fit of two
+//! crossing edges each, and explained together: camera and the board's place in each view
+//! by Levenberg–Marquardt from Zhang's start, wrong corners losing their weight.
+
+mod bundle;
+mod corner;
+mod figure;
+mod grid;
+mod model;
+mod start;
+mod values;
+mod views;
+
+use glam::DVec2;
+use nalgebra::DMatrix;
+
+pub use self::bundle::{CameraOptions, calibrate};
+pub use self::figure::figure;
+pub use self::model::Terms;
+pub use self::values::{CameraPose, CameraValues, LensModel};
+use crate::frames::{self, Rigid, Sample};
+use crate::transport::{Camera, LensSpec, Projection};
+
+/// A flat checkerboard.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Board {
+    /// Squares along its two sides, from 4 on.
+    pub squares: [u32; 2],
+    /// Side of a square, millimetres.
+    pub square_mm: f64,
+    /// Standard uncertainty of that, common to all squares, millimetres.
+    pub square_std_mm: f64,
+    /// Standard uncertainty of its tilt where it is said to lie flat, degrees.
+    pub tilt_std_deg: f64,
+}
+
+impl Board {
+    /// Inner corners along its two sides.
+    pub fn corners(&self) -> [i32; 2] {
+        self.squares.map(|n| n as i32 - 1)
+    }
+
+    /// Place of a corner on the board, from its middle, millimetres: x along its columns, y
+    /// along its rows, z out of its front.
+    pub fn place_mm(&self, place: [i32; 2]) -> DVec2 {
+        let [columns, rows] = self.corners();
+        let at = |i: i32, n: i32| (f64::from(i) - 0.5 * f64::from(n - 1)) * self.square_mm;
+        DVec2::new(at(place[0], columns), at(place[1], rows))
+    }
+}
+
+/// Why views of a board say nothing about the lens.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum CameraError {
+    /// A board or image for which nothing can be found.
+    #[error("{what} is {value}, but must be {allowed}")]
+    Impossible {
+        /// Which input.
+        what: &'static str,
+        /// Its value.
+        value: String,
+        /// What it may be.
+        allowed: &'static str,
+    },
+    /// No board in an image.
+    #[error("no board in view {}: {found} of its corners found", index + 1)]
+    NotFound {
+        /// The image, from 0.
+        index: usize,
+        /// Connected corners.
+        found: usize,
+    },
+    /// More corners in a row than the board has.
+    #[error(
+        "view {} shows a board of {} × {} corners, the stated one has {} × {}",
+        index + 1, found[0], found[1], stated[0], stated[1]
+    )]
+    OtherBoard {
+        /// The image, from 0.
+        index: usize,
+        /// Corners along the sides, found.
+        found: [i32; 2],
+        /// The same, stated.
+        stated: [i32; 2],
+    },
+    /// The view that gives the pose does not show the whole board.
+    #[error("view {} does not show the board along both of its sides", index + 1)]
+    NotWhole {
+        /// The image, from 0.
+        index: usize,
+    },
+    /// Too few views.
+    #[error("{found} views show the board, {needed} are needed")]
+    TooFewViews {
+        /// With the board.
+        found: usize,
+        /// Needed.
+        needed: usize,
+    },
+    /// Corners only in a part of the image.
+    #[error("the board's corners cover {percent:.0}% of the image, {needed:.0}% are needed")]
+    Uncovered {
+        /// Part of the image.
+        percent: f64,
+        /// Needed.
+        needed: f64,
+    },
+    /// Focal length and distance cannot be told apart.
+    #[error("the board's tilts differ by at most {found_deg:.1}°, {needed_deg:.0}° are needed")]
+    SameTilt {
+        /// Largest angle between the board's normals in two views.
+        found_deg: f64,
+        /// Needed.
+        needed_deg: f64,
+    },
+    /// No camera of this kind explains the corners.
+    #[error(
+        "the corners are {rms_px:.2} pixels (root mean square) from where a board of this kind would show them, {rejected} of {corners} are left out"
+    )]
+    Unexplained {
+        /// Root mean square distance, pixels.
+        rms_px: f64,
+        /// Corners without weight.
+        rejected: usize,
+        /// All corners.
+        corners: usize,
+    },
+    /// The distortion that was found is none of a lens.
+    #[error("the corners are explained by a distortion that no lens has: {0}")]
+    Folded(#[from] crate::transport::distortion::Folded),
+}
+
+/// A corner and how far off it was seen.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Residual {
+    /// Number of the image.
+    pub view: usize,
+    /// Where it was seen, pixels.
+    pub at_px: DVec2,
+    /// Seen against explained, pixels.
+    pub off_px: DVec2,
+    /// Whether it counted.
+    pub used: bool,
+}
+
+/// What views of a board say.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CameraFit {
+    /// The lens.
+    pub projection: Projection,
+    /// How it departs from an ideal one.
+    pub lens: LensSpec,
+    /// Names of the numbers that were found, in the order of the covariance.
+    pub names: Vec<&'static str>,
+    /// The numbers: pixels of the image, or millimetres per pixel; the rest as in
+    /// [`crate::transport::Coefficients`].
+    pub numbers: Vec<f64>,
+    /// Their covariance.
+    pub covariance: DMatrix<f64>,
+    /// Pose by the view whose board lies at the sample's datum, and its covariance: rotation
+    /// (radians, about the sample's axes) and translation (millimetres).
+    pub pose: Option<(Rigid<Sample, frames::Camera>, DMatrix<f64>)>,
+    /// Corners.
+    pub residuals: Vec<Residual>,
+    /// Root mean square distance of the corners that counted, pixels.
+    pub rms_px: f64,
+    /// χ² over its degrees of freedom, by the corners' own uncertainty.
+    pub reduced_chi2: f64,
+    /// Part of the image that corners cover.
+    pub coverage: f64,
+    /// Views that show the board.
+    pub views: usize,
+}
+
+impl CameraFit {
+    /// The camera, where `described` stands and with its pixels.
+    pub fn camera(&self, described: &Camera) -> Result<Camera, CameraError> {
+        let mut camera = Camera {
+            projection: self.projection,
+            ..*described
+        };
+        if let Some((pose, _)) = &self.pose {
+            camera.sample_from_camera = *pose;
+        }
+        Ok(camera.with_lens(self.lens)?)
+    }
+}
+
+#[cfg(test)]
+mod tests;
