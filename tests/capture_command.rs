@@ -395,6 +395,65 @@ fn content(root: &Path) -> BTreeMap<String, String> {
         .collect()
 }
 
+/// The simulated bench's stage with other mechanics.
+fn with_mechanism(text: &str, mechanism: &str) -> String {
+    let (before, rest) = text.split_once("[stage.azimuth]").unwrap();
+    let (_, after) = rest.split_once("[[stage.lamp]]").unwrap();
+    let before = before.replace("approach_deg = 2.0\n", "");
+    let (keys, axes) = mechanism.split_once("[stage").unwrap();
+    let before = before.replace("lamp_off = ", &format!("{keys}\nlamp_off = "));
+    format!("{before}[stage{axes}\n[[stage.lamp]]{after}")
+}
+
+const ARC: &str = r#"mechanism = "arc"
+radius_mm = 300.0
+centre_height_mm = -40.0
+[stage.azimuth]
+axis = "X"
+offset_deg = -180.0
+min_deg = -180.0
+max_deg = 180.0
+[stage.elevation]
+axis = "Y"
+min_deg = 40.0
+max_deg = 90.0"#;
+
+const GANTRY: &str = r#"mechanism = "gantry"
+height_mm = 350.0
+approach_mm = 2.0
+[stage.x]
+axis = "X"
+offset_mm = -300.0
+min_mm = -300.0
+max_mm = 300.0
+[stage.y]
+axis = "Y"
+offset_mm = -300.0
+min_mm = -300.0
+max_mm = 300.0"#;
+
+#[test]
+fn a_capture_on_an_arc_with_turntable_and_on_a_gantry() {
+    for mechanism in [ARC, GANTRY] {
+        let folder = workplace(|text| with_mechanism(&text, mechanism));
+        let lights = [
+            "capture", "--light", "20,80", "--light", "-130,60", "--no-fit",
+        ];
+        let output = run(&folder, &lights);
+        assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+        let session = Session::open(&session_of(&folder, &output)).unwrap();
+        assert_eq!(session.state(), SessionState::Complete);
+        for entry in session.frames() {
+            let (_, sidecar) = session.read_frame(&entry).unwrap();
+            let (is, target) = (sidecar.stage_position, sidecar.stage_target);
+            let off = is.to_light().angle_between(target.to_light());
+            assert!(off.to_degrees() < 0.05, "{is} for {target}");
+        }
+        let beyond = run(&folder, &["capture", "--light", "0,20", "--no-fit"]);
+        assert_refused(&beyond, "outside the stage's limits");
+    }
+}
+
 /// `kill -9` at random moments over the length of a capture, `RIG_KILLS` times.
 #[test]
 fn a_capture_killed_at_any_moment_resumes_to_the_same_session() {

@@ -85,6 +85,9 @@ fn a_stage_on_a_port_is_asked_homed_and_stopped() {
     let stop = run(&["stage", "stop", "--port", &port]);
     assert_eq!(stop.status.code(), Some(0), "{}", text(&stop.stderr));
     assert!(text(&stop.stdout).starts_with("stopped"));
+    let stop = run(&["stage", "stop", "--port", &port, "--json"]);
+    let answer: serde_json::Value = serde_json::from_slice(&stop.stdout).unwrap();
+    assert_eq!(answer["stopped"], true);
 }
 
 #[test]
@@ -284,7 +287,12 @@ fn a_camera_is_described_and_a_frame_is_written_once() {
     let missing = run(&["camera", "info", "--device", "/dev/video-none"]);
     assert_fails(&missing, "does not exist");
     let other = run(&["camera", "info", "--device", "/dev/null"]);
-    assert_fails(&other, "/dev/null");
+    assert_fails(&other, "/dev/null: not a camera");
+    let asked = ["--exposure-ms", "99999", "--json"];
+    let longest = run(&[&["camera", "grab", "--rig", "simulated"][..], &asked].concat());
+    assert_eq!(longest.status.code(), Some(0));
+    let told = text(&longest.stderr);
+    assert!(told.contains("were asked for"), "{told}");
 }
 
 #[test]

@@ -18,6 +18,7 @@ pub enum Axis {
 }
 
 /// How a motor axis turns one stage angle: angle = `offset_deg` + `deg_per_mm` × position.
+/// On a gantry it shifts the lamp instead, and degrees are millimetres.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AngleAxis {
     /// The motor.
@@ -41,6 +42,52 @@ pub struct Kinematics {
     pub azimuth: AngleAxis,
     /// The elevation's motor; by default Y, one degree per unit, machine zero at 0°.
     pub elevation: AngleAxis,
+    /// What the two do with the lamp; by default its azimuth and elevation.
+    pub mount: Mount,
+}
+
+/// What the two motors do with the lamp.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Mount {
+    /// They are its azimuth and its elevation.
+    #[default]
+    Angles,
+    /// A turntable, and a carriage's angle on an arc whose centre is above the
+    /// stage's.
+    Arc {
+        /// Radius of the lamp's way, mm.
+        radius_mm: f64,
+        /// Height of the arc's centre, mm.
+        centre_height_mm: f64,
+    },
+    /// The lamp's x and y, mm.
+    Gantry {
+        /// Its height, mm.
+        height_mm: f64,
+    },
+}
+
+impl Kinematics {
+    /// The lamp's azimuth and elevation, degrees.
+    fn angles_deg(&self, position: Position) -> [f64; 2] {
+        let first = self.azimuth.angle_deg(position);
+        let second = self.elevation.angle_deg(position);
+        match self.mount {
+            Mount::Angles => [first, second],
+            Mount::Arc {
+                radius_mm,
+                centre_height_mm,
+            } => {
+                let out_mm = radius_mm * second.to_radians().cos();
+                let up_mm = centre_height_mm + radius_mm * second.to_radians().sin();
+                [first, up_mm.atan2(out_mm).to_degrees()]
+            }
+            Mount::Gantry { height_mm } => {
+                let out_mm = first.hypot(second);
+                [second.atan2(first), height_mm.atan2(out_mm)].map(f64::to_degrees)
+            }
+        }
+    }
 }
 
 impl Default for Kinematics {
@@ -56,6 +103,7 @@ impl Default for Kinematics {
                 deg_per_mm: 1.0,
                 offset_deg: 0.0,
             },
+            mount: Mount::Angles,
         }
     }
 }
@@ -301,10 +349,10 @@ impl Bench {
 
     fn angles_deg(&self, state: &State, time_s: f64) -> [f64; 2] {
         let position = state.output(time_s, self.config.errors.backlash_mm);
-        let Kinematics { azimuth, elevation } = self.config.kinematics;
+        let [azimuth_deg, elevation_deg] = self.config.kinematics.angles_deg(position);
         [
-            azimuth.angle_deg(position) + self.config.errors.azimuth_offset_deg,
-            elevation.angle_deg(position) + self.config.errors.elevation_offset_deg,
+            azimuth_deg + self.config.errors.azimuth_offset_deg,
+            elevation_deg + self.config.errors.elevation_offset_deg,
         ]
     }
 

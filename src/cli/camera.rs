@@ -10,6 +10,7 @@ use super::rig_choice::RigArg;
 use super::{CliError, Context, HintExt, camera_preview, open};
 use crate::config::{CameraDriver, RigConfig};
 use crate::device::controls::{ControlInfo, name_of};
+use crate::device::pixel_format::{FORMAT_NAME, fourcc_of_name};
 use crate::device::retake::{Retakes, grab_right};
 use crate::device::{Camera, CameraInfo, CameraSettings, FrameKey, FrameKind, RawFrame};
 use crate::out;
@@ -76,8 +77,8 @@ struct Which {
     /// A Video4Linux device without a rig file
     #[arg(long, value_name = "PATH", conflicts_with = "rig")]
     device: Option<String>,
-    /// Pixel format on --device, four characters; the deepest raw one if not given
-    #[arg(long, value_name = "CODE", requires = "device", value_parser = four_characters)]
+    /// Pixel format on --device, such as Y12, RG16 or Y16-BE; the deepest raw one if not given
+    #[arg(long, value_name = "CODE", requires = "device", value_parser = format_code)]
     format: Option<[u8; 4]>,
     /// The answer as JSON
     #[arg(long)]
@@ -91,13 +92,8 @@ fn positive(text: &str) -> Result<f64, String> {
     }
 }
 
-/// `Y12` is `Y12 `: trailing blanks belong to the code and are easily forgotten.
-fn four_characters(text: &str) -> Result<[u8; 4], String> {
-    let padded = format!("{text:<4}");
-    padded
-        .as_bytes()
-        .try_into()
-        .map_err(|_| "a code of four characters such as Y12 or RG16".to_owned())
+fn format_code(name: &str) -> Result<[u8; 4], String> {
+    fourcc_of_name(name).ok_or_else(|| FORMAT_NAME.to_owned())
 }
 
 /// `rig camera`.
@@ -123,6 +119,7 @@ pub fn run(args: &CameraArgs, context: &Context) -> Result<(), CliError> {
                 exposure: Seconds(exposure_ms * 1e-3),
                 gain: *gain,
             })?;
+            warn_of_other(*exposure_ms, *gain, settings, context);
             let mut retakes = Retakes::default();
             let frame = grab(&mut *camera, *discard, &mut retakes)?;
             if let Some(path) = out {
@@ -148,11 +145,24 @@ pub fn run(args: &CameraArgs, context: &Context) -> Result<(), CliError> {
                 exposure: Seconds(exposure_ms * 1e-3),
                 gain: *gain,
             })?;
+            warn_of_other(*exposure_ms, *gain, settings, context);
             if which.json {
                 return camera_preview::measure(&mut *camera, settings, *discard);
             }
             camera_preview::serve(camera, settings, *port, context)
         }
+    }
+}
+
+/// Says where the camera applies other settings than were asked for, beyond its steps.
+fn warn_of_other(exposure_ms: f64, gain: f64, applied: CameraSettings, context: &Context) {
+    let differs = |asked: f64, is: f64| (is / asked - 1.0).abs() > 0.01;
+    let asked = Seconds(exposure_ms * 1e-3);
+    if differs(asked.0, applied.exposure.0) || differs(gain, applied.gain) {
+        context.warn(format!(
+            "the camera applies {} and gain {} where {asked} and gain {gain} were asked for",
+            applied.exposure, applied.gain
+        ));
     }
 }
 

@@ -231,12 +231,15 @@ fn stop(which: &Which, context: &Context) -> Result<(), CliError> {
         None => {
             let rig = which.rig.resolve(context)?.config;
             if rig.is_simulated() {
-                context.note("a simulated stage runs only as long as the command that uses it");
-                return Ok(());
+                "nothing: a simulated stage runs only as long as the command that uses it"
+            } else {
+                open::stop_stage(&rig)?
             }
-            open::stop_stage(&rig)?
         }
     };
+    if which.json {
+        return write_json(&serde_json::json!({ "stopped": true, "outcome": outcome }));
+    }
     out!("stopped; {outcome}")
 }
 

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use super::ConfigError;
 use super::reader::Section;
+use crate::device::pixel_format::{FORMAT_NAME, fourcc_of_name};
 use crate::device::{Mosaic, controls};
 use crate::units::Seconds;
 
@@ -92,7 +93,7 @@ impl CameraConfig {
                 CameraDriver::V4l {
                     device: table.text("device")?.required()?,
                     format: table
-                        .parsed("format", "a four-character code such as \"Y12 \"", four_cc)?
+                        .parsed("format", FORMAT_NAME, fourcc_of_name)?
                         .optional(),
                 }
             }
@@ -148,13 +149,6 @@ impl CameraConfig {
         table.finish()?;
         Ok(camera)
     }
-}
-
-fn four_cc(text: &str) -> Option<[u8; 4]> {
-    let code: [u8; 4] = text.as_bytes().try_into().ok()?;
-    code.iter()
-        .all(|b| (b' '..=b'~').contains(b))
-        .then_some(code)
 }
 
 const CONTROLS: &str = "`name = value` with names that rig-configs/simulated.toml lists or numbers such as 0x009a090a, `;` between them";

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use mock_devices::RadianceSource;
 use mock_devices::bench::{
-    AngleAxis, Axis, Bench, BenchConfig, Kinematics, LampModel, StageErrors,
+    AngleAxis, Axis, Bench, BenchConfig, Kinematics, LampModel, Mount, StageErrors,
 };
 use mock_devices::camera::{CameraConfig, SimulatedCamera as MockCamera};
 use mock_devices::clock::Clock;
@@ -14,7 +14,7 @@ use mock_devices::sensor::{SensorConfig, SensorModel};
 
 use super::grbl::protocol::{Spindle, effect_of};
 use super::grbl::{GrblConfig, GrblStage, axis_index};
-use super::kinematics::AxisMap;
+use super::kinematics::{AxisMap, Mechanism};
 use super::simulated_camera::SimulatedCamera;
 use super::{DeviceError, Mosaic};
 
@@ -69,6 +69,7 @@ impl SimulatedBench {
                 kinematics: Kinematics {
                     azimuth: angle_axis(stage.axes[0], &stage.kinematics.first)?,
                     elevation: angle_axis(stage.axes[1], &stage.kinematics.second)?,
+                    mount: mount(stage.kinematics.mechanism),
                 },
                 errors: config.errors,
                 lamp: config.lamp,
@@ -145,6 +146,20 @@ impl SimulatedBench {
 }
 
 const NAME: &str = "the simulated bench";
+
+fn mount(mechanism: Mechanism) -> Mount {
+    match mechanism {
+        Mechanism::Rotary => Mount::Angles,
+        Mechanism::Arc {
+            radius_mm,
+            centre_height_mm,
+        } => Mount::Arc {
+            radius_mm,
+            centre_height_mm,
+        },
+        Mechanism::Gantry { height_mm } => Mount::Gantry { height_mm },
+    }
+}
 
 fn angle_axis(letter: char, map: &AxisMap) -> Result<AngleAxis, DeviceError> {
     let axis = match letter {
@@ -300,6 +315,53 @@ pub(crate) mod tests {
         assert!((above - 824.0).abs() < 20.0, "{above}");
         assert!((oblique - 444.0).abs() < 20.0, "{oblique}");
         assert!((other - 64.0).abs() < 4.0, "{other}");
+    }
+
+    /// What the driver makes of a direction, and what the bench, which was written
+    /// by itself, makes of the motors' positions.
+    #[test]
+    fn every_mechanism_brings_the_lamp_to_its_direction() {
+        let map = |min, max| AxisMap {
+            scale: 2.0,
+            offset: min,
+            min,
+            max,
+        };
+        let arc = Mechanism::Arc {
+            radius_mm: 300.0,
+            centre_height_mm: -40.0,
+        };
+        let gantry = Mechanism::Gantry { height_mm: 350.0 };
+        for (mechanism, first, second) in [
+            (Mechanism::Rotary, map(-180.0, 180.0), map(0.0, 90.0)),
+            (arc, map(-180.0, 180.0), map(0.0, 90.0)),
+            (gantry, map(-400.0, 400.0), map(-400.0, 400.0)),
+        ] {
+            let mut stage = stage_config();
+            stage.kinematics = TwoAxes {
+                mechanism,
+                first,
+                second,
+                approach: 2.0,
+            };
+            let bench = simulated(Clock::instant(), stage);
+            let mut stage = bench.open_stage().unwrap();
+            stage.home().unwrap();
+            for [azimuth_deg, elevation_deg] in [[30.0, 60.0], [-120.0, 45.0], [100.0, 85.0]] {
+                let target = StageAngles {
+                    azimuth_deg,
+                    elevation_deg,
+                };
+                stage.move_to(target).unwrap();
+                let [azimuth, elevation] = bench.bench().stage_angles_deg();
+                let is = StageAngles {
+                    azimuth_deg: azimuth,
+                    elevation_deg: elevation,
+                };
+                let off = is.to_light().angle_between(target.to_light());
+                assert!(off.to_degrees() < 0.01, "{mechanism:?}: {is} for {target}");
+            }
+        }
     }
 
     #[test]

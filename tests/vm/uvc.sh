@@ -67,7 +67,7 @@ later camera grab --device $camera --format Y16 --exposure-ms 200 --discard 19 -
 begun=$(cut -d' ' -f1 /proc/uptime)
 finish
 took=$(cut -d' ' -f1 /proc/uptime | awk -v begun="$begun" '{ print $1 - begun }')
-check "20 frames of 200 ms" "$took s" eval "awk 'BEGIN { exit !($took < 7.5) }'"
+check "20 frames of 200 ms" "$took s" eval "awk 'BEGIN { exit !($took < 6.5) }'"
 
 # Sure to be in mid-stream.
 later camera grab --device $camera --format Y16 --discard 1000

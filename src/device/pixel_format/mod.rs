@@ -26,6 +26,23 @@ pub struct PixelFormat {
     layout: Layout,
 }
 
+/// What [`fourcc_of_name`] takes, in words.
+pub const FORMAT_NAME: &str = "a code of four characters such as \"Y12\" or \"RG16\", with \"-BE\" behind for big-endian words";
+
+/// The kernel's code of a format by the name that its tools print: four characters,
+/// shorter ones filled with blanks, and `-BE` behind for big-endian words.
+pub fn fourcc_of_name(name: &str) -> Option<[u8; 4]> {
+    let (name, is_big) = match name.strip_suffix("-BE") {
+        Some(name) => (name, true),
+        None => (name, false),
+    };
+    let mut code: [u8; 4] = format!("{name:<4}").as_bytes().try_into().ok()?;
+    if is_big {
+        code[3] |= 0x80;
+    }
+    (name.is_ascii() && !name.is_empty()).then_some(code)
+}
+
 /// What a format's counts are worth, worst first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Fidelity {

@@ -14,6 +14,13 @@ fn codes_are_unique_and_named() {
     assert_eq!(of(b"Y16 ").name(), "Y16");
     assert_eq!(of(&[b'Y', b'1', b'6', 0xa0]).name(), "Y16-BE");
     assert_eq!(of_fourcc(*b"H264"), None);
+    for format in FORMATS {
+        assert_eq!(fourcc_of_name(&format.name()), Some(format.fourcc));
+    }
+    assert_eq!(fourcc_of_name("Y16 "), Some(*b"Y16 "));
+    for bad in ["", "-BE", "Y1234", "é16", "Y16-LE"] {
+        assert_eq!(fourcc_of_name(bad), None, "{bad}");
+    }
 }
 
 /// Codes, depths and filters as the kernel's `videodev2.h` names them.

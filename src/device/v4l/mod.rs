@@ -76,6 +76,8 @@ const EXPOSURE_UNIT_S: f64 = 100e-6;
 const NO_SUCH_DEVICE: i32 = 19;
 /// A request that a USB device stalls shows as this one (EPIPE).
 const STALLED: i32 = 32;
+/// ENOTTY: what answers is no Video4Linux device.
+const NOT_THIS_KIND: i32 = 25;
 
 /// A camera that streams frames.
 pub struct V4lCamera {
@@ -120,7 +122,12 @@ impl V4lCamera {
             return Err(failed(io::ErrorKind::NotFound.into()));
         }
         let device = Device::with_path(&config.device).map_err(failed)?;
-        let capabilities = device.query_caps().map_err(failed)?;
+        let capabilities = device.query_caps().map_err(|error| {
+            if error.raw_os_error() == Some(NOT_THIS_KIND) {
+                return failed(io::Error::other("not a camera"));
+            }
+            failed(error)
+        })?;
         let serial = discovery::serial_of_camera(Path::new("/"), Path::new(&config.device));
         if let Some(wanted) = &config.serial
             && serial.as_ref() != Some(wanted)

@@ -28,6 +28,7 @@ fn simulator(clock: Clock, lamp: LampWiring) -> ZaberSimulator {
         kinematics: Kinematics {
             azimuth: axis(Axis::X, -180.0),
             elevation: axis(Axis::Y, 0.0),
+            ..Kinematics::default()
         },
         start_mm: [31.0, 17.0, 0.0],
         ..BenchConfig::default()
