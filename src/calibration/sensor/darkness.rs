@@ -137,8 +137,10 @@ impl Darkness {
             .sum::<f64>()
             / (n - 1.0);
         let own = (variance - self.covariance[which][which]).max(0.0);
-        // The variance of a sample variance, carried to its root.
-        let variance_std = variance * (2.0 / (n - 1.0)).sqrt();
+        // What noise does to the sum of squares of these pixels' values, carried to
+        // its root.
+        let noise = self.covariance[which][which];
+        let variance_std = ((4.0 * own * noise + 2.0 * noise * noise) / (n - 1.0)).sqrt();
         let spread_std = if own > variance_std {
             0.5 * variance_std / own.sqrt()
         } else {

@@ -24,7 +24,7 @@ pub static CALIBRATION: Experiment = Experiment {
 };
 
 /// Benches with and without `--quick`.
-const BENCHES: [u64; 2] = [4, 20];
+const BENCHES: [u64; 2] = [4, 60];
 
 /// Calibrates the bench of a seed.
 type Calibrate = fn(u64) -> Result<Vec<Recovered>, EvaluateError>;
