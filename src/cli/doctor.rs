@@ -421,7 +421,7 @@ fn calibration<V: Values>(rig: &ResolvedRig, library: &Library, id: Option<&str>
             "without it the rig file's point spread, focus and aperture are believed",
         ),
         Kind::Pose => ("pose", "without it the sample lies as the rig file says"),
-        Kind::Camera => ("camera", "without it the lens is as the rig file says"),
+        Kind::Camera => ("lens", "without it the lens is as the rig file says"),
         Kind::Lamp => (
             "lamp",
             "`rig calibrate lamp` finds how long it must warm up; without it nobody knows",
