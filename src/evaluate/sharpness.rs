@@ -30,10 +30,13 @@ pub static SHARPNESS: Experiment = Experiment {
             "nbrdf:pvc",
             "synthetic:cream-satin",
         ],
+        lights: 2,
         ..Scale::SINGLE_IMAGE
     },
     quick: Scale {
         materials: &["nbrdf:blue-acrylic"],
+        lights: 1,
+        resolution_px: 24,
         ..Scale::QUICK_IMAGE
     },
     cases,
