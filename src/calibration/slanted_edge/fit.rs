@@ -70,7 +70,8 @@ const MOST_DEVIATIONS: f64 = 5.0;
 const MOST_OFF: f64 = 0.03;
 
 /// Fits the lens. Focus and aperture are fitted from edges at three or more heights, else
-/// held at `stated`. The covariance is scaled up where residuals exceed the noise.
+/// held at `stated`. The covariance is scaled up, parameter by parameter, where residuals
+/// exceed the noise.
 ///
 /// # Errors
 /// [`EdgeError::Unfitted`] where nothing settles, [`EdgeError::NotTheModel`] where edges
@@ -85,8 +86,9 @@ pub fn fit_edges(edges: &[Edge], stated: Lens) -> Result<Fitted, EdgeError> {
             focus_mm: edge.depth_mm,
             tangent2: 0.0,
         };
-        let settled = start.settle([true, false, false])?;
-        own.push([start.lens.spread_px2, settled[(0, 0)].max(0.0).sqrt()]);
+        let [noise, observed] = start.settle([true, false, false])?;
+        let variance = noise[(0, 0)].max(observed[(0, 0)]);
+        own.push([start.lens.spread_px2, variance.max(0.0).sqrt()]);
         ways.push(start);
     }
     let mut heights: Vec<f64> = edges.iter().map(|e| e.depth_mm).collect();
@@ -100,7 +102,7 @@ pub fn fit_edges(edges: &[Edge], stated: Lens) -> Result<Fitted, EdgeError> {
     } else {
         all.lens.spread_px2 = own.iter().map(|o| o[0]).fold(0.5, f64::min).max(0.05);
     }
-    let mut covariance = match defocus {
+    let [mut covariance, observed] = match defocus {
         false => all.settle([true, false, false])?,
         true => {
             let mut sharp = Way::new(
@@ -126,7 +128,12 @@ pub fn fit_edges(edges: &[Edge], stated: Lens) -> Result<Fitted, EdgeError> {
     };
     let freedom = all.values() - all.own.len() * OWN - if defocus { LENS } else { 1 };
     let reduced_chi2 = all.chi2() / freedom.max(1) as f64;
-    covariance *= reduced_chi2.max(1.0);
+    // Residuals beyond noise lie where the edge is, which is where the lens is told.
+    let wider = [0, 1, 2].map(|i| {
+        let ratio = observed[(i, i)] / covariance[(i, i)].max(f64::MIN_POSITIVE);
+        ratio.max(reduced_chi2).max(1.0).sqrt()
+    });
+    covariance = Matrix3::from_fn(|i, j| wider[i] * wider[j] * covariance[(i, j)]);
     let percent = 100.0 * all.off();
     if reduced_chi2.sqrt() > MOST_DEVIATIONS && percent > 100.0 * MOST_OFF {
         let deviations = reduced_chi2.sqrt();
@@ -238,11 +245,14 @@ impl<'a> Way<'a> {
         (parts.sum::<f64>() / self.values().max(1) as f64).sqrt()
     }
 
-    /// Steps until nothing moves; returns the lens's covariance by the noise.
-    fn settle(&mut self, free: [bool; LENS]) -> Result<Matrix3<f64>, EdgeError> {
+    /// Steps until nothing moves; returns the lens's covariance by the pixels' noise, and by
+    /// the residuals where they are.
+    fn settle(&mut self, free: [bool; LENS]) -> Result<[Matrix3<f64>; 2], EdgeError> {
         let mut chi2 = self.chi2();
         for _ in 0..MOST_ROUNDS {
-            let (matrix, gradient) = self.normal_equations(free);
+            let Equations {
+                matrix, gradient, ..
+            } = self.normal_equations(free);
             let factor = matrix
                 .cholesky()
                 .ok_or(EdgeError::Unfitted("the images do not determine the lens"))?;
@@ -264,15 +274,22 @@ impl<'a> Way<'a> {
                 }
             }
             if expected < 1e-4 || part < 1e-6 {
-                let (matrix, _) = self.normal_equations(free);
+                let Equations {
+                    matrix, scatter, ..
+                } = self.normal_equations(free);
                 let inverse = matrix
                     .cholesky()
                     .ok_or(EdgeError::Unfitted("the images do not determine the lens"))?
                     .inverse();
-                let held = |i: usize| !free[i];
-                return Ok(Matrix3::from_fn(|i, j| match held(i) || held(j) {
-                    true => 0.0,
-                    false => inverse[(i, j)],
+                let observed = &inverse * scatter * &inverse;
+                return Ok([inverse, observed].map(|full| {
+                    Matrix3::from_fn(|i, j| {
+                        if free[i] && free[j] {
+                            full[(i, j)]
+                        } else {
+                            0.0
+                        }
+                    })
                 }));
             }
         }
@@ -297,10 +314,11 @@ impl<'a> Way<'a> {
         }
     }
 
-    /// Matrix and right side of the linear equations of a step.
-    fn normal_equations(&self, free: [bool; LENS]) -> (DMatrix<f64>, DVector<f64>) {
+    /// The linear equations of a step.
+    fn normal_equations(&self, free: [bool; LENS]) -> Equations {
         let size = LENS + OWN * self.edges.len();
         let mut matrix = DMatrix::zeros(size, size);
+        let mut scatter = DMatrix::zeros(size, size);
         let mut right = DVector::zeros(size);
         let lens = self.lens;
         let steps = [
@@ -358,7 +376,9 @@ impl<'a> Way<'a> {
                 for i in 0..LENS + OWN {
                     right[at(i)] += weight * row[i] * residual;
                     for j in 0..=i {
-                        matrix[(at(i), at(j))] += weight * row[i] * row[j];
+                        let product = weight * row[i] * row[j];
+                        matrix[(at(i), at(j))] += product;
+                        scatter[(at(i), at(j))] += product * weight * residual * residual;
                     }
                 }
             }
@@ -369,7 +389,12 @@ impl<'a> Way<'a> {
             }
         }
         matrix.fill_upper_triangle_with_lower_triangle();
-        (matrix, right)
+        scatter.fill_upper_triangle_with_lower_triangle();
+        Equations {
+            matrix,
+            gradient: right,
+            scatter,
+        }
     }
 
     fn describe(&self, edge: &Edge, own: &Own, width: [f64; 2]) -> EdgeFit {
@@ -391,6 +416,15 @@ impl<'a> Way<'a> {
             fitted: fitted.collect(),
         }
     }
+}
+
+/// Of one step.
+struct Equations {
+    matrix: DMatrix<f64>,
+    /// The right side.
+    gradient: DVector<f64>,
+    /// Of the right side, by the residuals themselves.
+    scatter: DMatrix<f64>,
 }
 
 fn depth_span(edges: &[Edge]) -> f64 {

@@ -1,0 +1,169 @@
+//! `rig calibrate focus` from capture to record on the simulated rig, whose lens is less sharp
+//! than its rig file says.
+
+use std::path::{Path, PathBuf};
+
+use serde_json::Value;
+
+fn rig(folder: &Path, arguments: &[&str]) -> std::process::Output {
+    let mut command = assert_cmd::Command::cargo_bin("rig").unwrap();
+    let command = command.current_dir(folder).env_remove("RIG_CONFIG");
+    command.args(arguments).output().unwrap()
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+fn good(output: std::process::Output) -> std::process::Output {
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    output
+}
+
+const POINT_SPREAD_PX: f64 = 0.8;
+const OBJECT_NA: f64 = 0.06;
+const FOCUS_MM: f64 = 201.0;
+
+/// A white half plane at a height, its edge turned by 7°.
+fn target(height_mm: f64) -> String {
+    let (sin, cos) = 7f64.to_radians().sin_cos();
+    let corners = [(0.3, -30.0), (30.0, -30.0), (30.0, 30.0), (0.3, 30.0)];
+    let corners = corners.map(|(u, v)| {
+        let (x, y) = (u * cos - v * sin, u * sin + v * cos);
+        format!("{x} {y} {height_mm}\n")
+    });
+    format!(
+        "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\nelement face 2\nproperty list uchar int vertex_indices\nend_header\n{}3 0 1 2\n3 0 2 3\n",
+        corners.concat()
+    )
+}
+
+/// The simulated rig with such a target as its sample, and a rig file for each height.
+fn workplace(heights_mm: &[f64]) -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let shape = include_str!("../rig-configs/simulated.toml");
+    let lens = format!(
+        "[simulation.lens]\npoint_spread_px = {POINT_SPREAD_PX}\nobject_na = {OBJECT_NA}\nfocus_mm = {FOCUS_MM}\n"
+    );
+    let mut common = shape.to_owned();
+    for (key, new) in [
+        ("[simulation.lens]\n", lens.as_str()),
+        ("timing = \"realistic\"", "timing = \"instant\""),
+        (
+            "material = \"nbrdf:dark-red-paint\"",
+            "brdf = { mixture = [ { weight = 1.0, lambertian = { albedo = 0.8 } } ] }",
+        ),
+        ("samples_per_pixel = 512", "samples_per_pixel = 600"),
+        // What is beside the target is black: nothing is gained by waiting for its light.
+        ("snr = 20.0", "snr = 1.0"),
+        ("max_frames = 16", "max_frames = 2"),
+        ("max_reflections = 32", "max_reflections = 1"),
+        ("pose_error_mm = 0.02", "pose_error_mm = 0.0"),
+        ("pose_error_deg = 0.1", "pose_error_deg = 0.0"),
+    ] {
+        assert!(common.contains(key), "{key}");
+        common = common.replacen(key, new, 1);
+    }
+    std::fs::write(at.join("rig.toml"), &common).unwrap();
+    let (before, after) = common.split_once("[geometry.sample]").unwrap();
+    let (_, after) = after.split_once("# Where the stage's axes are").unwrap();
+    for (i, height_mm) in heights_mm.iter().enumerate() {
+        std::fs::write(at.join(format!("target{i}.ply")), target(*height_mm)).unwrap();
+        let mesh = at.join(format!("target{i}.ply"));
+        let sample = format!("[geometry.sample]\nmesh = {mesh:?}\n\n#");
+        std::fs::write(
+            at.join(format!("target{i}.toml")),
+            format!("{before}{sample}{after}"),
+        )
+        .unwrap();
+    }
+    let records = Path::new(env!("CARGO_MANIFEST_DIR")).join("calibration/simulated");
+    for kind in ["sensor", "flat", "scale"] {
+        let to = at.join("calibration/simulated").join(kind);
+        std::fs::create_dir_all(&to).unwrap();
+        for file in std::fs::read_dir(records.join(kind)).unwrap() {
+            let file = file.unwrap();
+            std::fs::copy(file.path(), to.join(file.file_name())).unwrap();
+        }
+    }
+    folder
+}
+
+fn session(output: &std::process::Output) -> PathBuf {
+    PathBuf::from(text(&output.stdout).lines().last().unwrap())
+}
+
+#[test]
+fn a_lens_is_measured_and_captures_go_by_it() {
+    let heights_mm = [-9.0, -1.0, 6.0];
+    let folder = workplace(&heights_mm);
+    let at = folder.path();
+    let sessions: Vec<String> = (0..3)
+        .map(|i| {
+            let rig_file = format!("target{i}.toml");
+            let arguments = ["capture", "--rig", &rig_file, "--light", "0,90", "--no-fit"];
+            let session = session(&good(rig(at, &arguments)));
+            session.display().to_string()
+        })
+        .collect();
+    let focus = |more: &[&str]| {
+        let mut arguments = vec!["calibrate", "focus", "--json"];
+        arguments.extend(sessions.iter().map(String::as_str));
+        arguments.extend(more);
+        rig(at, &arguments)
+    };
+    // Heights that are not those of the edges' images.
+    let few = focus(&["--heights=-9,-1"]);
+    assert_eq!(few.status.code(), Some(1));
+    assert!(
+        text(&few.stderr).contains("3 images and 0 regions"),
+        "{}",
+        text(&few.stderr)
+    );
+    let beside = focus(&["--heights=-9,-1,6", "--region", "40,4,20,20"]);
+    assert_eq!(beside.status.code(), Some(1));
+    assert!(
+        text(&beside.stderr).contains("hint:"),
+        "{}",
+        text(&beside.stderr)
+    );
+    assert!(!at.join("calibration/simulated/focus").exists());
+
+    let found = good(focus(&["--heights=-9,-1,6", "--id", "lens"]));
+    let found: Value = serde_json::from_slice(&found.stdout).unwrap();
+    let check = |measured: &Value, truth: f64, most_std: f64| {
+        let [value, std] = ["value", "std"].map(|key| measured[key].as_f64().unwrap());
+        assert!(
+            (value - truth).abs() < 4.0 * std && std < most_std,
+            "{value} ± {std} for {truth}"
+        );
+    };
+    check(&found["point_spread_px"], POINT_SPREAD_PX, 0.05);
+    check(&found["lens"]["focus_mm"], FOCUS_MM, 1.0);
+    check(&found["lens"]["object_na"], OBJECT_NA, 0.01);
+    assert!(at.join("calibration/simulated/plots/lens.svg").exists());
+    let status = text(&good(rig(at, &["calibrate", "status"])).stdout);
+    assert!(status.contains("focus     ok"), "{status}");
+
+    // The bowl is deeper than the depth of field, which is said; a session gets its copy.
+    let planned = good(rig(at, &["capture", "--lights", "2", "--dry-run"]));
+    let warning = text(&planned.stderr);
+    assert!(
+        warning.contains("depth of field") && warning.contains("heights from"),
+        "{warning}"
+    );
+    let doctor = text(&rig(at, &["doctor"]).stdout);
+    assert!(doctor.contains("warning  depth of field"), "{doctor}");
+    let arguments = [
+        "capture",
+        "--rig",
+        "target1.toml",
+        "--light",
+        "0,90",
+        "--no-fit",
+    ];
+    let captured = good(rig(at, &arguments));
+    let copy = session(&captured).join("calibration/focus/lens.toml");
+    assert!(at.join(copy).exists());
+}
