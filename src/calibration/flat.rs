@@ -2,7 +2,8 @@
 //! steady uniform light and as many dark frames at the same exposure.
 
 use super::pixel_map::{grey_counts, grey_png, sha256};
-use super::record::{FlatValues, MapFile};
+use super::record::{FlatValues, MapFile, Measured};
+use super::sensor::Exposed;
 use crate::radiometry::sensor::{FlatField, SensorNoise};
 
 /// Frames of one exposure, summed.
@@ -11,7 +12,23 @@ pub struct FlatFrames<'a> {
     noise: &'a SensorNoise,
     exposure_s: f64,
     lit: Sum,
+    /// Frames without the light.
     dark: Sum,
+    /// Whether those saw all other light.
+    is_ambient: bool,
+}
+
+/// A flat field.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FlatFit {
+    /// Response of each pixel.
+    pub flat: FlatField,
+    /// Mean signal of the light, electrons per second, to which a response of 1
+    /// corresponds.
+    pub rate_e_s: f64,
+    /// Other light over the light itself, where it was measured. Its uncertainty
+    /// is that of the black level common to all pixels.
+    pub ambient: Option<Measured>,
 }
 
 #[derive(Clone, Debug)]
@@ -71,6 +88,9 @@ pub enum FlatError {
 /// pixel clips.
 const EXPOSURE_PERCENT: [u32; 2] = [20, 85];
 
+/// Uncertainty of the black level common to all pixels, DN.
+const BLACK_LEVEL_STD_DN: f64 = 0.25;
+
 /// A PNG's counts are this fraction of a response: 65535 is twice the mean.
 const RESPONSE_PER_COUNT: f64 = 2.0 / 65_535.0;
 
@@ -86,6 +106,7 @@ impl<'a> FlatFrames<'a> {
             exposure_s,
             lit: empty.clone(),
             dark: empty,
+            is_ambient: false,
         }
     }
 
@@ -97,11 +118,12 @@ impl<'a> FlatFrames<'a> {
         self.lit.add(counts)
     }
 
-    /// Adds a dark frame.
+    /// Adds a frame without the light, dark or ambient.
     ///
     /// # Errors
     /// A frame of another size.
-    pub fn add_dark(&mut self, counts: &[u16]) -> Result<(), FlatError> {
+    pub fn add_unlit(&mut self, exposed: Exposed, counts: &[u16]) -> Result<(), FlatError> {
+        self.is_ambient |= exposed == Exposed::Ambient;
         self.dark.add(counts)
     }
 
@@ -110,7 +132,7 @@ impl<'a> FlatFrames<'a> {
     ///
     /// # Errors
     /// Too few frames, the wrong exposure, or a pixel without response.
-    pub fn solve(&self, width: usize) -> Result<FlatField, FlatError> {
+    pub fn solve(&self, width: usize) -> Result<FlatFit, FlatError> {
         let (lit, dark) = (&self.lit, &self.dark);
         if lit.frames == 0 || dark.frames == 0 {
             return Err(FlatError::TooFew {
@@ -126,6 +148,11 @@ impl<'a> FlatFrames<'a> {
             return Err(FlatError::Exposure { percent, low, high });
         }
         let dark_e = self.noise.dark_current_e_s * self.exposure_s;
+        let unlit = |p: usize| self.noise.signal_dn(dark.mean(p)) / self.noise.gain_dn_per_e;
+        let unlit_e = match self.is_ambient {
+            true => good.iter().map(|&p| unlit(p)).sum::<f64>() / good.len().max(1) as f64,
+            false => dark_e,
+        };
         let mut flat = FlatField {
             response: vec![1.0; signal_dn.len()],
             std_dev: vec![0.0; signal_dn.len()],
@@ -137,20 +164,21 @@ impl<'a> FlatFrames<'a> {
                     row: p / width,
                 });
             }
-            let electrons = signal_dn[p] / self.noise.gain_dn_per_e + dark_e;
+            let electrons = signal_dn[p] / self.noise.gain_dn_per_e + unlit_e;
             let variance_dn2 = self.noise.mean_count_variance_dn2(electrons, lit.frames)
-                + self.noise.mean_count_variance_dn2(dark_e, dark.frames);
+                + self.noise.mean_count_variance_dn2(unlit_e, dark.frames);
             flat.response[p] = (signal_dn[p] / mean_dn) as f32;
             flat.std_dev[p] = (variance_dn2.sqrt() / mean_dn) as f32;
         }
-        Ok(flat)
-    }
-
-    /// Mean electrons per second of the light over the pixels that are not hot.
-    pub fn mean_rate_e_s(&self) -> f64 {
-        let (signal_dn, good) = self.signal_dn();
-        let mean_dn = good.iter().map(|&p| signal_dn[p]).sum::<f64>() / good.len().max(1) as f64;
-        mean_dn / (self.noise.gain_dn_per_e * self.exposure_s)
+        let signal_e = mean_dn / self.noise.gain_dn_per_e;
+        Ok(FlatFit {
+            flat,
+            rate_e_s: mean_dn / (self.noise.gain_dn_per_e * self.exposure_s),
+            ambient: self.is_ambient.then(|| Measured {
+                value: (unlit_e - dark_e) / signal_e,
+                std: BLACK_LEVEL_STD_DN / mean_dn,
+            }),
+        })
     }
 
     /// Flats less dark frames, and the pixels that are not hot.
@@ -217,6 +245,7 @@ pub fn to_map(
         },
         response_per_count: RESPONSE_PER_COUNT,
         std: (square / flat.std_dev.len().max(1) as f64 + rounding).sqrt(),
+        ambient: None,
     };
     Ok((values, png))
 }
@@ -249,4 +278,43 @@ pub fn from_map(
         std_dev: vec![values.std as f32; response.len()],
         response,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Flats of these counts less dark frames at the black level, four pixels wide.
+    fn solve(lit: &[u16]) -> Result<FlatFit, FlatError> {
+        let noise = SensorNoise::ideal(0.4, 2.5, 64.0, 12);
+        let mut frames = FlatFrames::new(&noise, 0.01, lit.len());
+        frames.add_lit(lit)?;
+        frames.add_unlit(Exposed::Dark, &vec![64; lit.len()])?;
+        frames.solve(4)
+    }
+
+    #[test]
+    fn flats_that_are_too_dark_or_too_bright_are_refused() {
+        assert!(solve(&[2000; 8]).is_ok());
+        for (count, percent) in [(300, "6%"), (4000, "98%")] {
+            let fact = solve(&[count; 8]).unwrap_err().to_string();
+            assert!(fact.contains(percent), "{fact}");
+            assert!(fact.contains("from 20% to 85%"), "{fact}");
+        }
+        let mut dead = [2000; 8];
+        dead[6] = 64;
+        let fact = solve(&dead).unwrap_err().to_string();
+        assert_eq!(fact, "pixel (2, 1) has no response");
+    }
+
+    #[test]
+    fn frames_of_another_size_and_missing_ones_are_refused() {
+        let noise = SensorNoise::ideal(0.4, 2.5, 64.0, 12);
+        let mut frames = FlatFrames::new(&noise, 0.01, 8);
+        let fact = frames.add_lit(&[2000; 7]).unwrap_err().to_string();
+        assert_eq!(fact, "the frame has 7 pixels, the flat field 8");
+        frames.add_lit(&[2000; 8]).unwrap();
+        let fact = frames.solve(4).unwrap_err().to_string();
+        assert!(fact.contains("1 flats and 0 dark frames"), "{fact}");
+    }
 }

@@ -1,10 +1,10 @@
 //! Taking the frames of a sensor calibration with a camera that looks at a
 //! steady, uniform light, such as an integrating sphere or a lit diffuser.
 
-use super::flat::{FlatError, FlatFrames};
+use super::flat::{FlatError, FlatFit, FlatFrames};
 use super::sensor::{Exposed, PhotonTransfer, SensorFitError};
 use crate::device::{Camera, CameraSettings, DeviceError, FrameKey, FrameKind};
-use crate::radiometry::sensor::{FlatField, SensorNoise};
+use crate::radiometry::sensor::SensorNoise;
 use crate::units::Seconds;
 
 /// How frames are taken.
@@ -61,6 +61,9 @@ pub enum ProcedureError {
         /// The camera's shortest exposure, seconds.
         shortest_s: f64,
     },
+    /// No frames without the light, but with all other, can be had.
+    #[error("the light was not switched off")]
+    NotOff,
     /// No dark frames can be had.
     #[error(
         "the camera has no shutter, and the frames with the light covered are as bright as the others"
@@ -88,6 +91,9 @@ pub struct Bench<'a> {
     cover: &'a mut dyn FnMut(bool) -> bool,
     /// Called with every frame taken.
     progress: &'a mut dyn FnMut(),
+    /// Switches the light on and off and leaves all other light; returns whether
+    /// that was done.
+    switch: Option<&'a mut dyn FnMut(bool) -> bool>,
     taken: u32,
 }
 
@@ -105,8 +111,17 @@ impl<'a> Bench<'a> {
             options,
             cover,
             progress,
+            switch: None,
             taken: 0,
         }
+    }
+
+    /// With a light that can be switched (`switch(true)`: on): a flat field is then
+    /// that of the light alone, whatever else lights the camera.
+    #[must_use]
+    pub fn with_switch(mut self, switch: &'a mut dyn FnMut(bool) -> bool) -> Self {
+        self.switch = Some(switch);
+        self
     }
 
     /// Frames that [`Self::photon_transfer`] takes, without those of the search
@@ -145,13 +160,12 @@ impl<'a> Bench<'a> {
         Ok(transfer)
     }
 
-    /// Takes flats and dark frames at one exposure and solves them. Also
-    /// returns the mean signal, electrons per second, to which a response of 1
-    /// corresponds.
+    /// Takes flats and as many frames without the light at one exposure and solves
+    /// them. Those are ambient frames where the light can be switched, else dark ones.
     ///
     /// # Errors
     /// As [`Self::photon_transfer`], and [`FlatError`].
-    pub fn flat_field(&mut self, noise: &SensorNoise) -> Result<(FlatField, f64), ProcedureError> {
+    pub fn flat_field(&mut self, noise: &SensorNoise) -> Result<FlatFit, ProcedureError> {
         let width = self.camera.info().resolution_px[0] as usize;
         let pixels = width * self.camera.info().resolution_px[1] as usize;
         let exposure_s = self.options.flat_level * self.saturating_exposure_s()?;
@@ -160,12 +174,25 @@ impl<'a> Bench<'a> {
         self.take(exposure_s, Exposed::Flat, |_, counts| {
             Ok(frames.add_lit(counts)?)
         })?;
-        self.shut(true)?;
-        self.take(exposure_s, Exposed::Dark, |_, counts| {
-            Ok(frames.add_dark(counts)?)
+        let unlit = match &mut self.switch {
+            None => {
+                self.shut(true)?;
+                Exposed::Dark
+            }
+            Some(switch) => {
+                if !switch(false) {
+                    return Err(ProcedureError::NotOff);
+                }
+                Exposed::Ambient
+            }
+        };
+        self.take(exposure_s, unlit, |_, counts| {
+            Ok(frames.add_unlit(unlit, counts)?)
         })?;
-        let flat = frames.solve(width)?;
-        Ok((flat, frames.mean_rate_e_s()))
+        if let Some(switch) = &mut self.switch {
+            switch(true);
+        }
+        Ok(frames.solve(width)?)
     }
 
     /// The exposure at which counts stop growing, found by doubling. Leaves the
@@ -232,6 +259,7 @@ impl<'a> Bench<'a> {
             kind: match exposed {
                 Exposed::Flat => FrameKind::Light,
                 Exposed::Dark => FrameKind::Dark,
+                Exposed::Ambient => FrameKind::Ambient,
             },
         };
         Ok(self.camera.grab(key)?.counts)

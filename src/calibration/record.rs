@@ -302,6 +302,10 @@ pub struct FlatValues {
     pub response_per_count: f64,
     /// Standard uncertainty of each pixel's response.
     pub std: f64,
+    /// Other light over the light itself, which was subtracted; absent where only
+    /// dark frames were.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub ambient: Option<Measured>,
 }
 
 impl Values for FlatValues {
@@ -314,6 +318,9 @@ impl Values for FlatValues {
         }
         if !(0.0..=1.0).contains(&self.std) {
             return Err(bad("std", self.std, "from 0 to 1".into()));
+        }
+        if let Some(ambient) = self.ambient {
+            ambient.check("ambient", -1.0, 10.0)?;
         }
         Ok(())
     }

@@ -22,6 +22,8 @@ pub enum Exposed {
     Flat,
     /// No light.
     Dark,
+    /// What else lights the camera, the light itself off.
+    Ambient,
 }
 
 /// Why frames do not make a calibration.

@@ -1,6 +1,9 @@
 //! The simulated sensor before an even light, without bench or clock: for
 //! calibrations whose result can be compared with the truth.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
 use mock_devices::sensor::{FrameKey as MockFrameKey, NoiseKey, SensorModel};
 
 pub use mock_devices::sensor::SensorConfig;
@@ -16,6 +19,10 @@ pub struct EvenLight {
     open: bool,
     /// Radiance, W/(m² sr).
     pub radiance: f64,
+    /// Other light, W/(m² sr): none in the first column, about this in the last.
+    pub ambient: f64,
+    /// Whether the light is on.
+    pub is_on: Arc<AtomicBool>,
     /// Relative growth of the light from one frame to the next.
     pub drift_per_frame: f64,
     frames: u32,
@@ -44,6 +51,8 @@ impl EvenLight {
             },
             open: true,
             radiance,
+            ambient: 0.0,
+            is_on: Arc::new(AtomicBool::new(true)),
             drift_per_frame: 0.0,
             frames: 0,
             noise_seed,
@@ -79,12 +88,20 @@ impl Camera for EvenLight {
     fn grab(&mut self, key: FrameKey) -> Result<RawFrame, DeviceError> {
         let drift = 1.0 + self.drift_per_frame * f64::from(self.frames);
         self.frames += 1;
-        let radiance = if self.open {
-            self.radiance * drift
-        } else {
-            0.0
-        };
         let [width, height] = self.info.resolution_px;
+        let light = match self.is_on.load(Ordering::Relaxed) {
+            true => self.radiance * drift,
+            false => 0.0,
+        };
+        let radiance = |pixel: u32| {
+            let other = self.ambient * f64::from(pixel % width) / f64::from(width);
+            if self.open {
+                (light + other) as f32
+            } else {
+                0.0
+            }
+        };
+        let radiances: Vec<f32> = (0..width * height).map(radiance).collect();
         let noise = NoiseKey {
             seed: self.noise_seed,
             frame: MockFrameKey {
@@ -95,7 +112,7 @@ impl Camera for EvenLight {
             },
         };
         let counts = self.sensor.expose(
-            &vec![radiance as f32; (width * height) as usize],
+            &radiances,
             self.settings.exposure.0,
             self.settings.gain,
             noise,

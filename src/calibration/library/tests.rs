@@ -65,6 +65,7 @@ fn maps_are_checked_against_their_sha256() {
         map,
         response_per_count: 1.0 / 32768.0,
         std: 0.001,
+        ambient: None,
     };
     let record = header("f", "2026-11-21T00:00:00Z", flat);
     library.add(&record, &[("f.png", b"pixels")]).unwrap();

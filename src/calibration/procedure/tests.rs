@@ -1,5 +1,5 @@
 use super::*;
-use crate::calibration::flat::{from_map, to_map};
+use crate::calibration::flat::{FlatFit, from_map, to_map};
 use crate::calibration::noise::noise_without_maps;
 use crate::calibration::pixel_map::PixelMap;
 use crate::calibration::sensor::SensorFit;
@@ -7,7 +7,7 @@ use crate::device::even_light::EvenLight;
 use crate::radiometry::linearity::Linearity;
 use crate::radiometry::merge::{BracketMerge, FrameRole};
 use crate::radiometry::mosaic::Mosaic;
-use crate::radiometry::sensor::DarkPattern;
+use crate::radiometry::sensor::{DarkPattern, FlatField};
 use mock_devices::sensor::{FrameKey as MockFrameKey, NoiseKey, SensorConfig};
 
 fn truth(seed: u64) -> SensorConfig {
@@ -129,9 +129,10 @@ fn flat_field_recovers_the_response_within_its_uncertainty() {
         frames: 64,
         ..ProcedureOptions::default()
     };
-    let (flat, rate_e_s) = Bench::new(&mut camera, options, &mut |_| false, &mut || {})
-        .flat_field(&noise)
-        .unwrap();
+    let FlatFit { flat, rate_e_s, .. } =
+        Bench::new(&mut camera, options, &mut |_| false, &mut || {})
+            .flat_field(&noise)
+            .unwrap();
     let true_rate = 0.4 * camera.sensor().config().responsivity;
     assert!((rate_e_s / true_rate - 1.0).abs() < 0.01, "{rate_e_s}");
     let truth = camera.sensor().relative_response();
@@ -390,4 +391,71 @@ fn the_dark_pattern_is_recovered_within_its_uncertainty() {
     for (name, chi2) in ["offset", "dark current", "merged"].iter().zip(chi2) {
         assert!((chi2 / n - 1.0).abs() < 0.06, "{name}: {}", chi2 / n);
     }
+}
+
+/// A room that lights one side of the sensor by a tenth of the light: in dark
+/// frames it is not, so the response tilts; ambient frames take it out.
+#[test]
+fn light_of_the_room_is_taken_out_of_a_flat_field() {
+    let config = SensorConfig {
+        hot_fraction: 0.0,
+        ..truth(9)
+    };
+    let noise = SensorNoise {
+        dark_current_e_s: config.dark_current_e_s,
+        ..SensorNoise::ideal(config.gain_dn_per_e, config.read_noise_e, 64.0, 12)
+    };
+    let options = ProcedureOptions {
+        frames: 64,
+        ..ProcedureOptions::default()
+    };
+    let measure = |can_switch: bool| {
+        let mut camera = camera(config.clone(), 6);
+        camera.ambient = 0.04;
+        let is_on = camera.is_on.clone();
+        let response = camera.sensor().relative_response().to_vec();
+        let mut switch = |on: bool| {
+            is_on.store(on, std::sync::atomic::Ordering::Relaxed);
+            true
+        };
+        let (mut cover, mut progress) = (|_| false, || {});
+        let bench = Bench::new(&mut camera, options, &mut cover, &mut progress);
+        let mut bench = match can_switch {
+            true => bench.with_switch(&mut switch),
+            false => bench,
+        };
+        let fit = bench.flat_field(&noise).unwrap();
+        let mean = response.iter().map(|&r| f64::from(r)).sum::<f64>() / response.len() as f64;
+        let chi2 = response.iter().enumerate().map(|(p, &r)| {
+            let error = f64::from(fit.flat.response[p]) - f64::from(r) / mean;
+            (error / f64::from(fit.flat.std_dev[p])).powi(2)
+        });
+        (chi2.sum::<f64>() / response.len() as f64, fit.ambient)
+    };
+    let (with, ambient) = measure(true);
+    assert!(
+        (with - 1.0).abs() < 5.0 * (2.0f64 / 4096.0).sqrt(),
+        "{with}"
+    );
+    let ambient = ambient.unwrap();
+    let truth = 0.1 * 63.0 / 128.0;
+    assert!(
+        (ambient.value - truth).abs() < 4.0 * ambient.std,
+        "{ambient:?}"
+    );
+    let (without, none) = measure(false);
+    assert!(without > 100.0 && none.is_none(), "{without}");
+}
+
+#[test]
+fn a_light_that_stays_on_is_an_error() {
+    let mut camera = camera(truth(9), 6);
+    let noise = SensorNoise::ideal(0.38, 2.4, 64.0, 12);
+    let (mut cover, mut progress, mut switch) = (|_| false, || {}, |_| false);
+    let options = ProcedureOptions::default();
+    let error = Bench::new(&mut camera, options, &mut cover, &mut progress)
+        .with_switch(&mut switch)
+        .flat_field(&noise)
+        .unwrap_err();
+    assert!(matches!(error, ProcedureError::NotOff), "{error}");
 }

@@ -1,11 +1,15 @@
 //! `rig calibrate flat`: the relative response of each pixel, and the scale.
 
+use std::sync::atomic::Ordering;
+
 use serde::Serialize;
 
-use super::light::{LIGHT_HINT, UNIFORM_RADIANCE, ask_to_cover, open_camera};
+use super::light::{
+    LIGHT_HINT, UNIFORM_RADIANCE, ask_to_cover, ask_to_switch, open_switched_camera,
+};
 use super::target::{CommonArgs, Target};
 use super::{procedure_options, progress};
-use crate::calibration::flat::to_map;
+use crate::calibration::flat::{FlatFit, to_map};
 use crate::calibration::noise::sensor_noise;
 use crate::calibration::procedure::Bench;
 use crate::calibration::record::{FlatValues, Kind, Measured, ScaleValues, SensorValues};
@@ -22,6 +26,9 @@ pub(super) struct FlatArgs {
     /// Flats and dark frames, each (1 to 65536); the map's noise falls with their root
     #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=65_536))]
     frames: u32,
+    /// Subtract frames with the light switched off and the room as it is, instead of dark ones
+    #[arg(long)]
+    ambient: bool,
     /// Radiance of the light by its certificate, W/(m² sr): makes a scale record too
     #[arg(long, value_name = "L", requires = "radiance_std")]
     radiance: Option<f64>,
@@ -37,6 +44,7 @@ struct FlatReport {
     std: f64,
     nonuniformity: f64,
     responsivity_e_s: Option<Measured>,
+    ambient: Option<Measured>,
 }
 
 pub(super) fn run(args: &FlatArgs, context: &Context) -> Result<(), CliError> {
@@ -67,19 +75,37 @@ pub(super) fn run(args: &FlatArgs, context: &Context) -> Result<(), CliError> {
         let seed = rig.config.simulation.as_ref().map_or(0, |s| s.seed);
         radiance + std * stream(seed, Purpose::BenchPerturbation, u64::MAX, 0, 0).normal()
     });
-    let mut camera = open_camera(&rig.config, true_radiance)?;
+    let room = rig.config.simulation.as_ref().map(|s| s.ambient_w_m2_sr);
+    let other = room.filter(|_| args.ambient).unwrap_or(0.0);
+    let (mut camera, simulated_switch) = open_switched_camera(&rig.config, true_radiance, other)?;
+    let mut switch = |on: bool| match &simulated_switch {
+        Some(light) => {
+            light.store(on, Ordering::Relaxed);
+            true
+        }
+        None => ask_to_switch(on),
+    };
     let bar = progress(context, 2 * args.frames);
-    let (flat, rate_e_s) = Bench::new(camera.as_mut(), options, &mut ask_to_cover, &mut || {
-        bar.inc(1);
-    })
-    .flat_field(&noise)
-    .hint(LIGHT_HINT)?;
+    let mut step = || bar.inc(1);
+    let mut cover = ask_to_cover;
+    let bench = Bench::new(camera.as_mut(), options, &mut cover, &mut step);
+    let mut bench = match args.ambient {
+        true => bench.with_switch(&mut switch),
+        false => bench,
+    };
+    let FlatFit {
+        flat,
+        rate_e_s,
+        ambient,
+    } = bench.flat_field(&noise).hint(LIGHT_HINT)?;
     bar.finish_and_clear();
 
     let map_file = format!("{}.png", target.id(Kind::Flat));
     let (values, png) = to_map(&flat, resolution_px[0] as usize, &map_file)?;
+    let values = FlatValues { ambient, ..values };
     let std = values.std;
-    let method = format!("mean of {0} flats less {0} dark frames", args.frames);
+    let unlit = if args.ambient { "ambient" } else { "dark" };
+    let method = format!("mean of {0} flats less {0} {unlit} frames", args.frames);
     let path = target.add::<FlatValues>(values, &method, &[(&map_file, &png)])?;
 
     let gain = sensor.record.values.gain_dn_per_e;
@@ -101,8 +127,15 @@ pub(super) fn run(args: &FlatArgs, context: &Context) -> Result<(), CliError> {
         100.0 * nonuniformity,
         100.0 * std
     ));
+    if let Some(ambient) = ambient {
+        context.note(format_args!(
+            "the room adds {:.2}% of the light, which was subtracted",
+            100.0 * ambient.value
+        ));
+    }
     if args.common.json {
         return write_json(&FlatReport {
+            ambient,
             flat: path.display().to_string(),
             scale: scale.map(|path| path.display().to_string()),
             std,

@@ -2,6 +2,7 @@
 
 use std::io::{BufRead, IsTerminal};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use mock_devices::bench::{Bench as SimulatedBench, BenchConfig};
 use mock_devices::camera::{CameraConfig as MockCameraConfig, SimulatedCamera as MockCamera};
@@ -24,11 +25,23 @@ pub(super) const LIGHT_HINT: &str = "point the camera at a steady, uniform light
 /// Asks the operator where the camera has no shutter; without a terminal there
 /// is nobody to ask.
 pub(super) fn ask_to_cover(cover: bool) -> bool {
+    let what = if cover { "Cover" } else { "Uncover" };
+    ask(&format!("{what} the lens"))
+}
+
+/// Asks the operator to switch the even light.
+pub(super) fn ask_to_switch(on: bool) -> bool {
+    let what = if on { "on" } else { "off" };
+    ask(&format!(
+        "Switch the light {what} and leave the room as it is"
+    ))
+}
+
+fn ask(what: &str) -> bool {
     if !std::io::stdin().is_terminal() {
         return false;
     }
-    let what = if cover { "Cover" } else { "Uncover" };
-    write_stderr(&format!("{what} the lens, then press Enter: "));
+    write_stderr(&format!("{what}, then press Enter: "));
     std::io::stdin()
         .lock()
         .lines()
@@ -38,10 +51,25 @@ pub(super) fn ask_to_cover(cover: bool) -> bool {
 
 /// The rig's camera; a simulated one sees an even light of this radiance.
 pub(super) fn open_camera(rig: &RigConfig, radiance: f64) -> Result<Box<dyn Camera>, CliError> {
-    match simulated_sensor(rig) {
-        Some(sensor) => Ok(uniformly_lit(&rig.camera, sensor, radiance)),
-        None => crate::cli::open::open_real_camera(rig),
-    }
+    Ok(open_switched_camera(rig, radiance, 0.0)?.0)
+}
+
+/// A camera, and the switch of its light where both are simulated.
+type Switched = (Box<dyn Camera>, Option<Arc<AtomicBool>>);
+
+/// The rig's camera; a simulated one sees an even light of this radiance while the
+/// switch is on, and `other` radiance always.
+pub(super) fn open_switched_camera(
+    rig: &RigConfig,
+    radiance: f64,
+    other: f64,
+) -> Result<Switched, CliError> {
+    let Some(sensor) = simulated_sensor(rig) else {
+        return Ok((crate::cli::open::open_real_camera(rig)?, None));
+    };
+    let is_on = Arc::new(AtomicBool::new(true));
+    let camera = uniformly_lit(&rig.camera, sensor, [radiance, other], is_on.clone());
+    Ok((camera, Some(is_on)))
 }
 
 /// The true sensor of a simulated rig: calibration and capture must see the same one.
@@ -50,23 +78,32 @@ pub fn simulated_sensor(rig: &RigConfig) -> Option<SensorConfig> {
 }
 
 /// The simulated camera in front of an integrating sphere.
-fn uniformly_lit(camera: &CameraConfig, sensor: SensorConfig, radiance: f64) -> Box<dyn Camera> {
+fn uniformly_lit(
+    camera: &CameraConfig,
+    sensor: SensorConfig,
+    [radiance, other]: [f64; 2],
+    is_on: Arc<AtomicBool>,
+) -> Box<dyn Camera> {
     struct Sphere {
         resolution_px: [u32; 2],
-        radiance: Arc<Vec<f32>>,
+        /// With the light off and on.
+        radiance: [Arc<Vec<f32>>; 2],
+        is_on: Arc<AtomicBool>,
     }
     impl RadianceSource for Sphere {
         fn resolution_px(&self) -> [u32; 2] {
             self.resolution_px
         }
         fn radiance(&self, _: &Illumination) -> Arc<Vec<f32>> {
-            self.radiance.clone()
+            self.radiance[usize::from(self.is_on.load(Ordering::Relaxed))].clone()
         }
     }
     let [width, height] = camera.resolution_px.map(|n| n as usize);
     let sphere = Sphere {
         resolution_px: camera.resolution_px,
-        radiance: Arc::new(vec![radiance as f32; width * height]),
+        radiance: [other, other + radiance]
+            .map(|radiance| Arc::new(vec![radiance as f32; width * height])),
+        is_on,
     };
     let bench = SimulatedBench::new(BenchConfig::default(), Clock::instant());
     simulated_camera(camera, sensor, bench, Arc::new(sphere))

@@ -1,6 +1,7 @@
 //! Photon transfer and flat field of a simulated sensor before an even light.
 
 use super::{EvaluateError, Recovered};
+use crate::calibration::flat::FlatFit;
 use crate::calibration::noise::noise_without_maps;
 use crate::calibration::procedure::{Bench, ProcedureError, ProcedureOptions};
 use crate::calibration::record::Measured;
@@ -156,9 +157,10 @@ pub(super) fn flat(seed: u64) -> Result<Vec<Recovered>, EvaluateError> {
         ..ProcedureOptions::default()
     };
     let mut ignore = || {};
-    let (flat, rate_e_s) = Bench::new(&mut camera, options, &mut covered, &mut ignore)
-        .flat_field(&noise)
-        .map_err(|error: ProcedureError| failed(error))?;
+    let FlatFit { flat, rate_e_s, .. } =
+        Bench::new(&mut camera, options, &mut covered, &mut ignore)
+            .flat_field(&noise)
+            .map_err(|error: ProcedureError| failed(error))?;
     let response = camera.sensor().relative_response();
     let good: Vec<usize> = (0..fit.hot.len()).filter(|&p| !fit.hot[p]).collect();
     let mean = good.iter().map(|&p| f64::from(response[p])).sum::<f64>() / good.len() as f64;
