@@ -185,6 +185,48 @@ fn a_colour_camera_is_captured_and_fitted() {
 }
 
 /// Chosen among the reachable ones, and said with what they are expected to leave.
+/// The rig file's mesh goes into the session, so that the session can be moved, and the
+/// mesh be changed, before the fit.
+#[test]
+fn a_session_is_fitted_with_the_mesh_it_was_captured_with() {
+    let folder = workplace(|text| {
+        let (before, shape) = text.split_once("[geometry.sample.shape]").unwrap();
+        let (_, after) = shape.split_once("\n[").unwrap();
+        let table = "[geometry.sample]\n";
+        let with_mesh = before.replace(table, &format!("{table}mesh = \"meshes/bowl.ply\"\n"));
+        format!("{with_mesh}[{after}")
+    });
+    let at = folder.path();
+    let meshes = at.join("meshes");
+    std::fs::create_dir(&meshes).unwrap();
+    let mesh = meshes.join("bowl.ply");
+    let made = run(
+        &folder,
+        &[
+            "shape",
+            "bowl",
+            "--radius",
+            "10",
+            "--segments",
+            "24",
+            "--out",
+            "meshes/bowl.ply",
+        ],
+    );
+    assert!(made.status.success(), "{}", text(&made.stderr));
+    let captured = run(&folder, &["capture", "--lights", "1", "--no-fit"]);
+    assert!(captured.status.success(), "{}", text(&captured.stderr));
+    let moved = at.join("moved");
+    std::fs::rename(session_of(&folder, &captured), &moved).unwrap();
+    std::fs::remove_file(mesh).unwrap();
+    let fitted = run(
+        &folder,
+        &["fit", "moved", "--spp", "4", "--max-reflections", "2"],
+    );
+    assert!(fitted.status.success(), "{}", text(&fitted.stderr));
+    assert!(verify::verify(&moved).unwrap().is_intact());
+}
+
 #[test]
 fn the_best_lights_are_planned_within_the_limits() {
     let folder = tempfile::tempdir().unwrap();

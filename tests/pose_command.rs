@@ -140,10 +140,7 @@ fn a_pose_goes_by_the_records_of_lens_and_lights() {
             "elevation_offset_deg = -0.05",
             "elevation_offset_deg = -0.9",
         ),
-        (
-            "[simulation.sensor]",
-            &format!("[simulation.lens]\n{lens}[simulation.sensor]"),
-        ),
+        ("[simulation.lens]", &format!("[simulation.lens]\n{lens}")),
     ]);
     let at = folder.path();
     let library = at.join("calibration/simulated");

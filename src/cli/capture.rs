@@ -11,6 +11,7 @@ use super::capture_progress::Bar;
 use super::capture_records::Records;
 use super::output::write_json;
 use super::rig_choice::RigArg;
+use super::session_rig::{mesh_copy, session_rig};
 use super::{CliError, Context, HintExt, interrupt, light_choice, open, pipeline, sharpness};
 use crate::calibration::Library;
 use crate::capture::directions::StageReach;
@@ -210,6 +211,7 @@ fn start(args: &CaptureArgs, context: &Context) -> Result<(), CliError> {
     let calibration: Vec<_> = copies
         .into_iter()
         .map(|(name, _, bytes)| (name, bytes))
+        .chain(mesh_copy(config)?)
         .collect();
     let writer = SessionWriter::create(
         Arc::new(SystemDisk),
@@ -227,8 +229,7 @@ fn start(args: &CaptureArgs, context: &Context) -> Result<(), CliError> {
 fn resume(args: &CaptureArgs, root: &Path, context: &Context) -> Result<(), CliError> {
     let session = Session::open(root)?;
     let record = session.record().clone();
-    let folder = Path::new(&record.rig).parent().unwrap_or(Path::new(""));
-    let config = RigConfig::parse(&record.rig, folder, &record.config)?;
+    let config = session_rig(root, &record)?;
     check_reach(&record.plan.lights, &reach(&config))?;
     let interrupt = interrupt::listen()?;
     let writer = SessionWriter::resume(Arc::new(SystemDisk), root)?;

@@ -7,6 +7,7 @@ use glam::DVec3;
 use nalgebra::DVector;
 
 use super::output::write_json;
+use super::session_rig::session_rig;
 use super::{CliError, Context, HintExt, capture};
 use crate::brdf::Dictionary;
 use crate::capture::CaptureError;
@@ -81,8 +82,7 @@ pub fn next(root: &Path, json: bool, context: &Context) -> Result<(), CliError> 
     })?;
     let fit = fit_record::read_in(&session, number)?;
     let mixture = fit.mixture()?;
-    let folder = Path::new(&record.rig).parent().unwrap_or(Path::new(""));
-    let config = RigConfig::parse(&record.rig, folder, &record.config)?;
+    let config = session_rig(root, record)?;
 
     let planned = record.plan.lights.iter().enumerate();
     let mut candidates: Vec<StageAngles> = planned

@@ -43,6 +43,7 @@ pub mod report;
 pub mod rig_choice;
 pub mod session;
 mod session_images;
+mod session_rig;
 pub mod shape;
 mod sharpness;
 pub mod stage;

@@ -3,6 +3,7 @@
 
 use std::path::Path;
 
+use super::session_rig::session_rig;
 use super::{CliError, HintExt};
 use crate::calibration::pose::PoseValues;
 use crate::calibration::{Library, Loaded, record_in};
@@ -27,7 +28,7 @@ pub(super) struct SessionImages {
 pub(super) fn session_images(root: &Path) -> Result<SessionImages, CliError> {
     let session = Session::open(root)?;
     let record = session.record();
-    let config = RigConfig::parse(&record.rig, root, &record.config)?;
+    let config = session_rig(root, record)?;
     let places = places(&session)?;
     let mut captured = Vec::new();
     for light in 0..places.len() {
