@@ -64,30 +64,23 @@ fn assert_refused(name: &str, folder: &Path, arguments: &[&str], fact: &str) {
 
 #[test]
 fn a_light_or_a_sensor_that_does_not_suit_is_named() {
-    let responsivity = "responsivity = 1.0e6";
+    let (light, bend) = ("responsivity = 1.0e6", "nonlinearity = 0.0");
+    let (dim, bright) = ("responsivity = 100.0", "responsivity = 1.0e10");
+    let (too_dim, too_bright) = ("not to saturation", "in the shortest exposure of");
+    let bent = "nonlinearity = -0.15";
     for (name, change, command, fact) in [
-        ("dim", "responsivity = 100.0", "sensor", "not to saturation"),
-        (
-            "bright",
-            "responsivity = 1.0e10",
-            "sensor",
-            "in the shortest exposure of",
-        ),
+        ("dim", (light, dim), "sensor", too_dim),
+        ("bright", (light, bright), "sensor", too_bright),
         (
             "bent",
-            "responsivity = 1.0e6\nnonlinearity = -0.15",
+            (bend, bent),
             "sensor",
             "at most 3% can be corrected",
         ),
-        ("dim", "responsivity = 100.0", "flat", "not to saturation"),
-        (
-            "bright",
-            "responsivity = 1.0e10",
-            "flat",
-            "in the shortest exposure of",
-        ),
+        ("dim", (light, dim), "flat", too_dim),
+        ("bright", (light, bright), "flat", too_bright),
     ] {
-        let folder = workplace(&[(responsivity, change)]);
+        let folder = workplace(&[change]);
         let name = format!("{command}, {name}");
         let arguments = ["calibrate", command, "--rig", "rig.toml", "--frames", "4"];
         assert_refused(&name, folder.path(), &arguments, fact);
