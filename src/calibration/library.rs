@@ -19,8 +19,12 @@ pub enum Library {
     /// A folder with one folder per kind.
     Folder(PathBuf),
     /// Built into the program: `<kind>/<file>` and bytes.
-    BuiltIn(&'static [(&'static str, &'static [u8])]),
+    BuiltIn(BuiltInFiles),
+    /// A folder, and for kinds of which it has no record those built into the program.
+    Before(PathBuf, BuiltInFiles),
 }
+
+type BuiltInFiles = &'static [(&'static str, &'static [u8])];
 
 /// A record that is valid and whose files are what it says.
 #[derive(Clone, Debug, PartialEq)]
@@ -110,30 +114,43 @@ pub enum RecordError {
 
 impl Library {
     /// The rig's library: the folder its file names; else `calibration/<rig>`
-    /// beside the rig file, above it, or in the working folder; else what is
-    /// built in. A built-in rig has the built-in records.
+    /// beside the rig file, above it, or in the working folder. The simulated rig has
+    /// what is built in besides.
     pub fn of_rig(rig: &ResolvedRig) -> Self {
         if let Some(folder) = &rig.config.calibration.folder {
             return Self::Folder(folder.clone());
         }
         let name = &rig.config.name;
-        if let Some(folder) = &rig.folder {
+        let found = rig.folder.as_ref().and_then(|folder| {
             let places = [folder.clone(), folder.join(".."), PathBuf::new()];
             let mut places = places.map(|place| place.join("calibration").join(name));
-            if let Some(found) = places.iter_mut().find(|place| place.is_dir()) {
-                return Self::Folder(std::mem::take(found));
-            }
+            let found = places.iter_mut().find(|place| place.is_dir())?;
+            Some(std::mem::take(found))
+        });
+        match (found, name.as_str()) {
+            (Some(folder), "simulated") => Self::Before(folder, built_in::SIMULATED),
+            (None, "simulated") => Self::BuiltIn(built_in::SIMULATED),
+            (Some(folder), _) => Self::Folder(folder),
+            (None, _) => Self::Folder(Path::new("calibration").join(name)),
         }
-        match name.as_str() {
-            "simulated" => Self::BuiltIn(built_in::SIMULATED),
-            _ => Self::Folder(Path::new("calibration").join(name)),
-        }
+    }
+
+    /// The part that has the records of a kind.
+    fn part(&self, kind: Kind) -> Result<Self, RecordError> {
+        let Self::Before(folder, built_in) = self else {
+            return Ok(self.clone());
+        };
+        let own = Self::Folder(folder.clone());
+        Ok(match own.ids(kind)?.is_empty() {
+            true => Self::BuiltIn(built_in),
+            false => own,
+        })
     }
 
     /// Where it is, in words.
     pub fn place(&self) -> String {
         match self {
-            Self::Folder(folder) => folder.display().to_string(),
+            Self::Folder(folder) | Self::Before(folder, _) => folder.display().to_string(),
             Self::BuiltIn(_) => "the built-in records".to_owned(),
         }
     }
@@ -141,6 +158,7 @@ impl Library {
     /// Ids of the records of a kind, in order.
     pub fn ids(&self, kind: Kind) -> Result<Vec<String>, RecordError> {
         let mut ids: Vec<String> = match self {
+            Self::Before(..) => self.part(kind)?.ids(kind)?,
             Self::BuiltIn(files) => files
                 .iter()
                 .filter_map(|(path, _)| {
@@ -223,7 +241,7 @@ impl Library {
         record: &Record<V>,
         maps: &[(&str, &[u8])],
     ) -> Result<Option<PathBuf>, RecordError> {
-        let Self::Folder(folder) = self else {
+        let (Self::Folder(folder) | Self::Before(folder, _)) = self else {
             return Ok(None);
         };
         let folder = folder.join(V::KIND.folder());
@@ -244,8 +262,9 @@ impl Library {
 
     fn load_id<V: Values>(&self, id: &str) -> Result<Loaded<V>, RecordError> {
         let name = format!("{id}.toml");
-        let file = self.file_name(V::KIND, &name);
-        let bytes = self.read(V::KIND, &name)?.ok_or(RecordError::NotFound {
+        let part = self.part(V::KIND)?;
+        let file = part.file_name(V::KIND, &name);
+        let bytes = part.read(V::KIND, &name)?.ok_or(RecordError::NotFound {
             kind: V::KIND,
             id: id.to_owned(),
             library: self.place(),
@@ -254,8 +273,8 @@ impl Library {
         let sha256 = hex_sha256(&bytes);
         let mut files = vec![(name, bytes)];
         for map in record.values.maps() {
-            let file = self.file_name(V::KIND, &map.file);
-            let bytes = self
+            let file = part.file_name(V::KIND, &map.file);
+            let bytes = part
                 .read(V::KIND, &map.file)?
                 .ok_or_else(|| io_error(Path::new(&file), std::io::ErrorKind::NotFound.into()))?;
             let actual = hex_sha256(&bytes);
@@ -282,6 +301,7 @@ impl Library {
     /// The file's bytes; `None` if there is none.
     fn read(&self, kind: Kind, name: &str) -> Result<Option<Vec<u8>>, RecordError> {
         match self {
+            Self::Before(..) => self.part(kind)?.read(kind, name),
             Self::BuiltIn(files) => {
                 let path = format!("{}/{name}", kind.folder());
                 let found = files.iter().find(|(known, _)| *known == path);

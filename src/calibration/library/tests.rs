@@ -141,6 +141,24 @@ fn a_record_of_another_camera_or_gain_is_refused() {
     assert_eq!(error, "s belongs to gain 2, the rig has 1");
 }
 
+/// The simulated rig with a record of one kind beside its file still has the others.
+#[test]
+fn built_in_records_stand_in_for_kinds_that_a_folder_lacks() {
+    let folder = tempfile::tempdir().unwrap();
+    let library = Library::Before(folder.path().to_owned(), built_in::SIMULATED);
+    let built_in = Library::BuiltIn(built_in::SIMULATED);
+    let ids = |library: &Library, kind| library.ids(kind).unwrap();
+    assert_eq!(ids(&library, Kind::Scale), ids(&built_in, Kind::Scale));
+    library
+        .add(&scale("own", "2020-01-01T00:00:00Z", 1e6), &[])
+        .unwrap();
+    assert_eq!(ids(&library, Kind::Scale), ["own"]);
+    let newest = library.load::<ScaleValues>(None).unwrap().unwrap();
+    assert_eq!(newest.record.id, "own");
+    assert_eq!(ids(&library, Kind::Flat), ids(&built_in, Kind::Flat));
+    assert!(library.load::<FlatValues>(None).unwrap().is_some());
+}
+
 /// Every built-in record is valid.
 #[test]
 fn built_in_records_load() {

@@ -64,6 +64,7 @@ impl<'a> Target<'a> {
                 ));
                 Library::Folder(folder)
             }
+            (None, Library::Before(folder, _)) => Library::Folder(folder),
             (None, folder) => folder,
         };
         Self {
