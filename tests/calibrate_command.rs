@@ -40,7 +40,9 @@ fn state<'a>(status: &'a Value, kind: &str) -> &'a Value {
 fn records_figures_and_status() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
-    rig_file(at, &[]);
+    // A folder that is named has nothing built in behind it.
+    let own = "[calibration]\nfolder = \"calibration/simulated\"";
+    rig_file(at, &[("[calibration]", own)]);
     std::fs::create_dir_all(at.join("calibration/simulated")).unwrap();
     let status = || {
         json(
