@@ -61,6 +61,11 @@ static COUNT: AtomicU64 = AtomicU64::new(0);
 impl Proxy {
     /// Opens the device's port and makes another for the host.
     pub fn to(device: &Path) -> io::Result<Self> {
+        Self::to_packets(device, b'\n')
+    }
+
+    /// The same for a device whose packets end with another byte than lines.
+    pub fn to_packets(device: &Path, end: u8) -> io::Result<Self> {
         let flags = OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC | OFlags::NONBLOCK;
         let mut device = File::from(open(device, flags, Mode::empty())?);
         let name = format!(
@@ -79,7 +84,7 @@ impl Proxy {
                 let mut partial = Vec::new();
                 let mut outgoing = VecDeque::new();
                 while !its_stop.load(Ordering::Acquire) {
-                    carry(&its_state, &mut device, &mut partial, &mut outgoing);
+                    carry(&its_state, &mut device, end, &mut partial, &mut outgoing);
                 }
             })?;
         let proxy = Self {
@@ -148,7 +153,13 @@ impl Drop for Proxy {
 /// Lines with the time at which they leave.
 type Outgoing = VecDeque<(Instant, Vec<u8>)>;
 
-fn carry(state: &Mutex<State>, device: &mut File, partial: &mut Vec<u8>, outgoing: &mut Outgoing) {
+fn carry(
+    state: &Mutex<State>,
+    device: &mut File,
+    end: u8,
+    partial: &mut Vec<u8>,
+    outgoing: &mut Outgoing,
+) {
     let moment = Timespec {
         tv_sec: 0,
         tv_nsec: 1_000_000,
@@ -159,8 +170,8 @@ fn carry(state: &Mutex<State>, device: &mut File, partial: &mut Vec<u8>, outgoin
         partial.extend(&buffer[..count]);
     }
     let mut state = lock(state);
-    while let Some(end) = partial.iter().position(|&byte| byte == b'\n') {
-        let line: Vec<u8> = partial.drain(..=end).collect();
+    while let Some(last) = partial.iter().position(|&byte| byte == end) {
+        let line: Vec<u8> = partial.drain(..=last).collect();
         let (bytes, delay) = state.shape(line);
         let due = Instant::now() + delay;
         let earliest = outgoing

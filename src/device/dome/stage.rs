@@ -78,7 +78,9 @@ pub struct DomeStage {
 }
 
 impl DomeStage {
-    /// Opens the port and asks the dome what it is. Nothing is switched.
+    /// Opens the port and asks the dome what it is. Nothing is switched on; a dome
+    /// that cannot say whether it is lit is turned off, as its port may have been
+    /// lost with a light on.
     pub fn open(config: DomeConfig) -> Result<Self, DeviceError> {
         let port = open_port(&config)?;
         let found = port.identify(config.connect_timeout.to_duration())?;
@@ -91,6 +93,9 @@ impl DomeStage {
                 wanted.0, wanted.1
             );
             return Err(port.line().refused("info", &reason));
+        }
+        if !port.reports_lights() {
+            port.show(None)?;
         }
         let keep_alive = found.watchdog.map(|watchdog| {
             let port: Weak<dyn LightPort> = Arc::downgrade(&port);

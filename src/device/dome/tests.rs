@@ -4,6 +4,7 @@ use mock_devices::bench::{Bench, BenchConfig};
 use mock_devices::clock::Clock;
 use mock_devices::dmx::{DmxConfig, DmxSimulator};
 use mock_devices::dome::DomeSimulator;
+use mock_devices::proxy::Proxy;
 
 use super::*;
 use crate::device::{DeviceError, LampChannel, LampState, LightStage, guardian};
@@ -168,6 +169,44 @@ fn dmx_says_that_it_verifies_nothing() {
         panic!("a mute interface was accepted");
     };
     assert!(matches!(silent, DeviceError::NoReply { .. }), "{silent}");
+}
+
+/// The interface is unplugged with a light on, which goes on shining: what is sent
+/// fails, and the next connection lights nothing and turns it off.
+#[test]
+fn a_dmx_interface_that_was_unplugged_comes_back_dark() {
+    let lights = LIGHTS.into_iter().zip(ADDRESSES.map(usize::from)).collect();
+    let simulator = DmxSimulator::spawn(DmxConfig { lights }, bench()).unwrap();
+    let proxy = Proxy::to_packets(simulator.path(), super::widget::END).unwrap();
+    let wiring = DomeWiring::Dmx {
+        addresses: ADDRESSES.to_vec(),
+    };
+    let config = config(proxy.path(), wiring);
+    let mut stage = DomeStage::open(config.clone()).unwrap();
+    stage.home().unwrap();
+    stage.move_to(angles(LIGHTS[2])).unwrap();
+    stage.set_lamp(LampState::On(LampChannel(0))).unwrap();
+    let lit = |bench: &Bench| bench.lamp_drive() != [0.0; 3];
+    assert!(settled(simulator.bench(), lit));
+    proxy.unplug();
+    let gone = stage.set_lamp(LampState::Off).unwrap_err();
+    assert!(matches!(gone, DeviceError::Disconnected { .. }), "{gone}");
+    let still_gone = stage.home().unwrap_err();
+    assert!(
+        matches!(still_gone, DeviceError::Disconnected { .. }),
+        "{still_gone}"
+    );
+    drop(stage);
+    assert!(DomeStage::open(config.clone()).is_err());
+    proxy.plug_in().unwrap();
+    let mut stage = DomeStage::open(config).unwrap();
+    assert!(settled(simulator.bench(), |bench| !lit(bench)));
+    let refused = stage.move_to(angles(LIGHTS[2])).unwrap_err();
+    assert!(matches!(refused, DeviceError::NotHomed { .. }), "{refused}");
+    stage.home().unwrap();
+    stage.move_to(angles(LIGHTS[2])).unwrap();
+    stage.set_lamp(LampState::On(LampChannel(0))).unwrap();
+    assert!(settled(simulator.bench(), lit));
 }
 
 /// The driver's process is gone in the middle of a request, and its port is all

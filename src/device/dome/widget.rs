@@ -5,7 +5,8 @@
 /// Starts a message.
 pub(super) const START: u8 = 0x7e;
 /// Ends a message.
-const END: u8 = 0xe7;
+/// The last byte of every message.
+pub const END: u8 = 0xe7;
 /// Longest data of a message: 512 slots, the start code and some.
 const LONGEST_DATA: usize = 600;
 /// Slots of a DMX512 universe.
