@@ -4,7 +4,6 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
-use glam::DVec3;
 use serde_json::json;
 
 use super::capture_progress::Bar;
@@ -230,7 +229,7 @@ fn resume(args: &CaptureArgs, root: &Path, context: &Context) -> Result<(), CliE
     let session = Session::open(root)?;
     let record = session.record().clone();
     let config = session_rig(root, &record)?;
-    check_reach(&record.plan.lights, &reach(&config))?;
+    check_reach(&record.plan.lights, &StageReach(config.stage.kinematics()))?;
     let interrupt = interrupt::listen()?;
     let writer = SessionWriter::resume(Arc::new(SystemDisk), root)?;
     if let Some(Event::Resume { quarantined: 1.. }) =
@@ -416,11 +415,11 @@ fn light_choice(
         Some(Lights::Count(count)) => LightChoice::Count(count),
         Some(Lights::All) => LightChoice::Spacing(ALL_SPACING_DEG),
         Some(Lights::Best(count)) => {
-            let reach = reach(config);
+            let reach = StageReach(config.stage.kinematics());
             LightChoice::Listed(light_choice::best(
                 config,
                 &reach,
-                coaxial(config),
+                config.geometry.coaxial(),
                 count,
                 context,
             )?)
@@ -449,8 +448,8 @@ fn request(lights: &LightChoice, config: &RigConfig, camera: Option<&CameraInfo>
         .map_or(1.0 / 30.0, |s| s.camera.frame_interval_s);
     PlanRequest {
         lights: lights.clone(),
-        reach: reach(config),
-        coaxial: coaxial(config),
+        reach: StageReach(config.stage.kinematics()),
+        coaxial: config.geometry.coaxial(),
         channels: (0..config.stage.measures.len() as u8)
             .map(LampChannel)
             .collect(),
@@ -483,17 +482,6 @@ fn request(lights: &LightChoice, config: &RigConfig, camera: Option<&CameraInfo>
 
 fn on_step(exposure_s: f64, step_s: f64) -> f64 {
     (exposure_s / step_s).round().max(1.0) * step_s
-}
-
-pub(super) fn reach(config: &RigConfig) -> StageReach {
-    StageReach(config.stage.kinematics())
-}
-
-/// From the sample to the camera, in the stage's frame.
-pub(super) fn coaxial(config: &RigConfig) -> DVec3 {
-    let geometry = &config.geometry;
-    let to_camera = geometry.camera.sample_from_camera.direction(-DVec3::Z);
-    geometry.sample_from_stage.inverse().direction(to_camera)
 }
 
 fn check_camera(info: &CameraInfo, config: &RigConfig) -> Result<(), CliError> {
@@ -547,6 +535,7 @@ fn short_id(created: jiff::Timestamp) -> String {
 mod tests {
     use super::*;
     use crate::config::BUILT_IN;
+    use glam::DVec3;
 
     #[test]
     fn lights_are_a_number_or_all_or_the_best() {
@@ -576,6 +565,6 @@ mod tests {
     #[test]
     fn the_shipped_rig_sees_the_sample_along_the_zenith() {
         let rig = RigConfig::parse("simulated", Path::new(""), BUILT_IN[0].1).unwrap();
-        assert!((coaxial(&rig) - DVec3::Z).length() < 1e-9);
+        assert!((rig.geometry.coaxial() - DVec3::Z).length() < 1e-9);
     }
 }

@@ -8,7 +8,7 @@ use nalgebra::DVector;
 
 use super::output::write_json;
 use super::session_rig::session_rig;
-use super::{CliError, Context, HintExt, capture};
+use super::{CliError, Context, HintExt};
 use crate::brdf::Dictionary;
 use crate::capture::CaptureError;
 use crate::capture::directions::{StageReach, farthest_point_order};
@@ -91,8 +91,8 @@ pub fn next(root: &Path, json: bool, context: &Context) -> Result<(), CliError> 
         .collect();
     let taken: Vec<usize> = (0..candidates.len()).collect();
     let spread = farthest_point_order(
-        &capture::reach(&config),
-        capture::coaxial(&config),
+        &StageReach(config.stage.kinematics()),
+        config.geometry.coaxial(),
         CANDIDATES,
         0.0,
     );

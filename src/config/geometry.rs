@@ -43,6 +43,12 @@ pub struct LightConfig {
 }
 
 impl GeometryConfig {
+    /// From the sample to the camera, in the stage's frame.
+    pub fn coaxial(&self) -> DVec3 {
+        let to_camera = self.camera.sample_from_camera.direction(-DVec3::Z);
+        self.sample_from_stage.inverse().direction(to_camera)
+    }
+
     /// Reads the `[geometry]` table for this camera and a stage with these kinematics.
     pub fn read(
         mut table: Section,

@@ -100,14 +100,6 @@ pub fn write(path: &Path, mesh: &Mesh) -> Result<(), MeshError> {
     })
 }
 
-/// An error of the format; [`read`] puts the file's name in.
-pub(super) fn bad(what: impl Into<String>) -> MeshError {
-    MeshError::Format {
-        path: String::new(),
-        what: what.into(),
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;

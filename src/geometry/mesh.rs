@@ -103,6 +103,16 @@ pub enum MeshError {
     },
 }
 
+impl MeshError {
+    /// An error of the format, without the file's name, which a parser does not know.
+    pub(super) fn format(what: impl Into<String>) -> Self {
+        Self::Format {
+            path: String::new(),
+            what: what.into(),
+        }
+    }
+}
+
 /// Most triangles that a mesh may have.
 pub const MAX_TRIANGLES: usize = 20_000_000;
 

@@ -6,7 +6,6 @@ use std::io::Write;
 
 use glam::Vec3;
 
-use super::files::bad;
 use super::mesh::{MAX_TRIANGLES, Mesh, MeshError};
 
 /// The mesh of a file's bytes; polygons are cut into fans. Normals are kept where
@@ -25,7 +24,7 @@ pub fn parse(bytes: &[u8], mm_per_unit: f32) -> Result<Mesh, MeshError> {
         }
         begun += text;
         file.line(&begun)
-            .map_err(|what| bad(format!("line {}: {what}", index + 1)))?;
+            .map_err(|what| MeshError::format(format!("line {}: {what}", index + 1)))?;
         begun.clear();
         if file.triangles.len() > MAX_TRIANGLES {
             return Err(MeshError::TooLarge {

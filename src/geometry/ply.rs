@@ -4,7 +4,6 @@ use std::io::Write;
 
 use glam::Vec3;
 
-use super::files::bad;
 use super::mesh::{MAX_TRIANGLES, Mesh, MeshError};
 
 /// How one element's property is stored.
@@ -96,7 +95,7 @@ pub fn parse(bytes: &[u8], mm_per_unit: f32) -> Result<Mesh, MeshError> {
     for element in &elements {
         for row in 0..element.count {
             let ended = || {
-                bad(format!(
+                MeshError::format(format!(
                     "{} {row} of {}: the file ends early or holds no number",
                     element.name, element.count
                 ))
@@ -121,7 +120,7 @@ pub fn parse(bytes: &[u8], mm_per_unit: f32) -> Result<Mesh, MeshError> {
                         let count = body.next(*count_kind).ok_or_else(ended)?;
                         let is_face = element.name == "face" && name.starts_with("vertex_ind");
                         if is_face && !(3.0..=255.0).contains(&count) {
-                            return Err(bad(format!(
+                            return Err(MeshError::format(format!(
                                 "face {row} has {count} corners; 3 to 255 are allowed"
                             )));
                         }
@@ -132,7 +131,9 @@ pub fn parse(bytes: &[u8], mm_per_unit: f32) -> Result<Mesh, MeshError> {
                                 continue;
                             }
                             if value < 0.0 || value > f64::from(u32::MAX) {
-                                return Err(bad(format!("face {row} refers to vertex {value}")));
+                                return Err(MeshError::format(format!(
+                                    "face {row} refers to vertex {value}"
+                                )));
                             }
                             let index = value as u32;
                             match k {
@@ -180,14 +181,14 @@ fn header(bytes: &[u8]) -> Result<(Vec<Element>, Body<'_>), MeshError> {
             .iter()
             .take(1024)
             .position(|&b| b == b'\n')
-            .ok_or_else(|| bad("the header has no end_header line"))?;
+            .ok_or_else(|| MeshError::format("the header has no end_header line"))?;
         let line = std::str::from_utf8(&rest[..end])
-            .map_err(|_| bad("the header is not text"))?
+            .map_err(|_| MeshError::format("the header is not text"))?
             .trim();
         rest = &rest[end + 1..];
         let words: Vec<&str> = line.split_ascii_whitespace().collect();
         if first && words != ["ply"] {
-            return Err(bad("the file does not begin with \"ply\""));
+            return Err(MeshError::format("the file does not begin with \"ply\""));
         }
         first = false;
         match words.as_slice() {
@@ -199,14 +200,14 @@ fn header(bytes: &[u8]) -> Result<(Vec<Element>, Body<'_>), MeshError> {
                 format = Some(*name);
             }
             ["format", other, ..] => {
-                return Err(bad(format!(
+                return Err(MeshError::format(format!(
                     "format {other} is not ascii 1.0, binary_little_endian 1.0 or binary_big_endian 1.0"
                 )));
             }
             ["element", name, count] => {
-                let count = count
-                    .parse()
-                    .map_err(|_| bad(format!("element {name} has count {count:?}")))?;
+                let count = count.parse().map_err(|_| {
+                    MeshError::format(format!("element {name} has count {count:?}"))
+                })?;
                 elements.push(Element {
                     name: (*name).to_owned(),
                     count,
@@ -215,21 +216,24 @@ fn header(bytes: &[u8]) -> Result<(Vec<Element>, Body<'_>), MeshError> {
             }
             ["property", "list", count, kind, name] => {
                 let (Some(count), Some(kind)) = (Kind::parse(count), Kind::parse(kind)) else {
-                    return Err(bad(format!("property {name} has an unknown type")));
+                    return Err(MeshError::format(format!(
+                        "property {name} has an unknown type"
+                    )));
                 };
                 let element = elements
                     .last_mut()
-                    .ok_or_else(|| bad("a property before any element"))?;
+                    .ok_or_else(|| MeshError::format("a property before any element"))?;
                 element
                     .properties
                     .push(Property::List((*name).to_owned(), count, kind));
             }
             ["property", kind, name] => {
-                let kind = Kind::parse(kind)
-                    .ok_or_else(|| bad(format!("property {name} has the unknown type {kind}")))?;
+                let kind = Kind::parse(kind).ok_or_else(|| {
+                    MeshError::format(format!("property {name} has the unknown type {kind}"))
+                })?;
                 let element = elements
                     .last_mut()
-                    .ok_or_else(|| bad("a property before any element"))?;
+                    .ok_or_else(|| MeshError::format("a property before any element"))?;
                 element
                     .properties
                     .push(Property::Scalar((*name).to_owned(), kind));
@@ -242,14 +246,14 @@ fn header(bytes: &[u8]) -> Result<(Vec<Element>, Body<'_>), MeshError> {
         .iter()
         .any(|e| e.properties.is_empty() && e.count > 0)
     {
-        return Err(bad("an element without properties"));
+        return Err(MeshError::format("an element without properties"));
     }
     for axis in ["x", "y", "z"] {
         let given = |p: &Property| matches!(p, Property::Scalar(name, _) if name == axis);
         if let Some(vertex) = elements.iter().find(|e| e.name == "vertex")
             && !vertex.properties.iter().any(given)
         {
-            return Err(bad(format!("the vertices have no {axis}")));
+            return Err(MeshError::format(format!("the vertices have no {axis}")));
         }
     }
     let body = match format {
@@ -257,10 +261,10 @@ fn header(bytes: &[u8]) -> Result<(Vec<Element>, Body<'_>), MeshError> {
         Some("binary_big_endian") => Body::BigEndian(rest),
         Some(_) => Body::Ascii(
             std::str::from_utf8(rest)
-                .map_err(|_| bad("the body is not text"))?
+                .map_err(|_| MeshError::format("the body is not text"))?
                 .split_ascii_whitespace(),
         ),
-        None => return Err(bad("the header has no format line")),
+        None => return Err(MeshError::format("the header has no format line")),
     };
     Ok((elements, body))
 }

@@ -9,7 +9,6 @@ use std::io::Write;
 
 use glam::Vec3;
 
-use super::files::bad;
 use super::mesh::{MAX_TRIANGLES, Mesh, MeshError};
 
 const HEADER: usize = 84;
@@ -30,11 +29,11 @@ pub fn parse(bytes: &[u8], mm_per_unit: f32) -> Result<Mesh, MeshError> {
         ascii(bytes, mm_per_unit, &mut weld)?;
     } else {
         return Err(match (count, declared) {
-            (Some(count), Some(declared)) => bad(format!(
+            (Some(count), Some(declared)) => MeshError::format(format!(
                 "the file declares {count} triangles, which take {declared} bytes, but has {}",
                 bytes.len()
             )),
-            _ => bad(format!(
+            _ => MeshError::format(format!(
                 "the file has {} bytes: neither \"solid\" nor a binary header of {HEADER}",
                 bytes.len()
             )),
@@ -51,7 +50,7 @@ fn binary(body: &[u8], mm_per_unit: f32, weld: &mut Weld) -> Result<(), MeshErro
         };
         let corners = [12, 24, 36].map(|at| Vec3::new(number(at), number(at + 4), number(at + 8)));
         if !corners.iter().all(|p| p.is_finite()) {
-            return Err(bad(format!(
+            return Err(MeshError::format(format!(
                 "triangle {index}, byte {}: a coordinate is not finite",
                 HEADER + index * TRIANGLE
             )));
@@ -66,7 +65,7 @@ fn ascii(bytes: &[u8], mm_per_unit: f32, weld: &mut Weld) -> Result<(), MeshErro
     let mut in_loop = false;
     let mut ended = false;
     for (index, raw) in bytes.split(|&b| b == b'\n').enumerate() {
-        let wrong = |what: String| bad(format!("line {}: {what}", index + 1));
+        let wrong = |what: String| MeshError::format(format!("line {}: {what}", index + 1));
         // Names of solids may be in any encoding.
         let line = String::from_utf8_lossy(raw);
         let mut words = line.split_ascii_whitespace();
@@ -109,7 +108,7 @@ fn ascii(bytes: &[u8], mm_per_unit: f32, weld: &mut Weld) -> Result<(), MeshErro
     if ended {
         Ok(())
     } else {
-        Err(bad("the file ends before \"endsolid\""))
+        Err(MeshError::format("the file ends before \"endsolid\""))
     }
 }
 
