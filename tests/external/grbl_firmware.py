@@ -97,8 +97,9 @@ class Firmware:
         self.port = os.ttyname(slave)
         # Kept open, so that the terminal outlives each command's use of it.
         self.slave = slave
-        self.heard = bytearray()
         self.said = bytearray()
+        # Its existence is the light that the camera sees.
+        self.light = os.path.join(folder, "light")
         self.console, console_slave = os.openpty()
         tty.setraw(console_slave)
         self.process = subprocess.Popen(
@@ -108,8 +109,14 @@ class Firmware:
         threading.Thread(target=self.back, daemon=True).start()
 
     def towards(self):
+        line = b""
         while data := os.read(self.master, 4096):
-            self.heard += data
+            *lines, line = (line + data).split(b"\n")
+            for command in lines:
+                if command.startswith((b"M3", b"M8")):
+                    open(self.light, "w").close()
+                elif command.startswith((b"M5", b"M9")) and os.path.exists(self.light):
+                    os.remove(self.light)
             os.write(self.console, data)
 
     def back(self):
@@ -229,12 +236,13 @@ def termios_flush(firmware):
 
 # A grey sample on an 12-bit camera without noise: counts go with the exposure.
 PHOTO = '''
-import sys, struct, zlib
+import os, sys, struct, zlib
 exposure_s, path = float(sys.argv[1]), sys.argv[2]
+light = os.path.exists(os.path.join(os.path.dirname(os.path.abspath(__file__)), "light"))
 width, height = 16, 12
 rows = b""
 for y in range(height):
-    values = [min(4095, int(64 + 4000 * min(1.0, exposure_s / 0.02) * (0.2 + 0.8 * x / width))) for x in range(width)]
+    values = [min(4050, int(64 + light * 2e5 * exposure_s * (0.2 + 0.8 * x / width))) for x in range(width)]
     rows += b"\\0" + struct.pack(f">{width}H", *values)
 def chunk(kind, data):
     return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
