@@ -70,28 +70,37 @@ pub struct Diagnosis {
     pub correlation: f64,
 }
 
-/// Part of the mean square residual from which its cause is named. Sound captures stay
-/// below it (docs/adr/0010).
-pub const NOTABLE_PART: f64 = 0.5;
+/// Below this mean square residual nothing is named: the noise and the model explain the
+/// images. Sound captures of materials in the dictionary's span stay below 1.
+const NOTABLE_MEAN_SQUARE: f64 = 1.1;
 
-/// How much more the dictionary must account for than any other cause to be named: it has
-/// the most images, and on a round sample almost everything depends on the angles.
+/// Part of the mean square residual from which a fault of bench or sample is named.
+const NOTABLE_PART: f64 = 0.25;
+
+/// Part from which the dictionary is named, which has the most images and explains a
+/// little of anything.
+const NOTABLE_DICTIONARY_PART: f64 = 0.5;
+
+/// How much more the dictionary must account for than any other cause to be the most
+/// likely one: on a round sample almost everything depends on the angles.
 const DICTIONARY_LEAD: f64 = 1.25;
 
 impl Diagnosis {
-    /// The most likely cause of a misfit, if there is one.
+    /// The most likely cause of a misfit, if there is one (docs/adr/0010 has the rates).
     pub fn finding(&self) -> Option<Cause> {
+        if self.mean_square < NOTABLE_MEAN_SQUARE {
+            return None;
+        }
         let [.., dictionary] = self.explained;
         let (other, part) = Cause::ALL[..4]
             .iter()
             .zip(self.explained)
             .max_by(|a, b| a.1.total_cmp(&b.1))?;
-        let (cause, part) = if dictionary > DICTIONARY_LEAD * part {
-            (Cause::Dictionary, dictionary)
+        if dictionary > DICTIONARY_LEAD * part {
+            (dictionary > NOTABLE_DICTIONARY_PART).then_some(Cause::Dictionary)
         } else {
-            (*other, part)
-        };
-        (part > NOTABLE_PART).then_some(cause)
+            (part > NOTABLE_PART).then_some(*other)
+        }
     }
 }
 

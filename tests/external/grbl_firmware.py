@@ -128,11 +128,14 @@ class Firmware:
         """Over the cable itself, while no program has the port open."""
         start = len(self.said)
         os.write(self.console, line)
+        return self.hear(start, until, line)
+
+    def hear(self, start, until, asked="nothing"):
         for _ in range(600):
             time.sleep(0.05)
             if until in self.said[start:]:
                 return bytes(self.said[start:]).decode(errors="replace")
-        sys.exit(f"FAILED: the simulator did not answer {line!r}: {self.said[start:]!r}")
+        sys.exit(f"FAILED: the simulator did not answer {asked!r}: {self.said[start:]!r}")
 
     def outputs(self):
         """The outputs by GRBL's own reports: those after `A:`, which not all have."""
@@ -147,7 +150,8 @@ class Firmware:
 def main(rig, simulator):
     folder = tempfile.mkdtemp(prefix="rig-firmware-")
     firmware = Firmware(simulator, folder)
-    firmware.ask(b"\n", b"ok")
+    firmware.hear(0, b"help]")
+    time.sleep(2.0)
     for setting in SETTINGS:
         firmware.ask(setting.encode() + b"\n")
     firmware.ask(b"\x18", b"Grbl")
