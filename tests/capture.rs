@@ -6,6 +6,7 @@ mod support;
 use std::sync::Arc;
 
 use rig::capture::{CaptureError, Outcome};
+use rig::device::temperature::{Part, TemperatureLimits};
 use rig::device::{FrameKind, LampState, ReferenceCheck};
 use rig::session::commit::SystemDisk;
 use rig::session::faults::{Fault, FaultyDisk, SmallDisk, UnsyncedDisk};
@@ -366,6 +367,61 @@ fn a_lamp_that_drifts_suspends() {
     assert_eq!(result.unwrap(), Outcome::Complete);
     assert_eq!(heard.warnings, [""; 0]);
     assert!(drift.rms() < 0.01 && drift.lights.len() == 2, "{drift:?}");
+}
+
+/// Temperatures stand in the sidecars; near its limit a part is warned of once, above it
+/// the capture is suspended with the lamp off, and goes on when all is cool.
+#[test]
+fn a_hot_device_suspends() {
+    let (expected, _) = whole();
+    for (part, temperatures_c) in [
+        (Part::Sensor, [Some(50.0), None]),
+        (Part::Lamp, [Some(20.0), Some(50.0)]),
+    ] {
+        let parent = tempfile::tempdir().unwrap();
+        let bench = Bench::with(|world| {
+            world.temperatures_c = temperatures_c;
+            world.warming_c = 0.5;
+        });
+        let mut record = record();
+        record.plan.limits = TemperatureLimits {
+            sensor_c: Some(60.0),
+            lamp_c: Some(60.0),
+            margin_c: 5.0,
+        };
+        let session = create_from(Arc::new(UnsyncedDisk), parent.path(), &record).unwrap();
+        let root = session.root().to_owned();
+        let (result, heard) = capture(&bench, session);
+        assert!(
+            matches!(result, Err(CaptureError::TooHot { part: hot, temperature_c, limit_c: 60.0, .. })
+                if hot == part && temperature_c > 60.0),
+            "{result:?}"
+        );
+        assert_eq!(bench.lamp_and_stops(), (LampState::Off, 0));
+        let warned = heard.warnings.iter().filter(|w| w.contains("suspended"));
+        assert_eq!(warned.count(), 1, "{:?}", heard.warnings);
+        let session = Session::open(&root).unwrap();
+        let said: Vec<_> = session
+            .frames()
+            .map(|entry| session.read_frame(&entry).unwrap().1.time)
+            .collect();
+        assert!(said.len() > 5);
+        for time in said {
+            assert!(time.sensor_c.is_some_and(|c| c <= 60.0), "{time:?}");
+            assert_eq!(time.lamp_c.is_some(), part == Part::Lamp, "{time:?}");
+        }
+        let cool = Bench::with(|world| world.temperatures_c = [Some(25.0); 2]);
+        let session = SessionWriter::resume(Arc::new(UnsyncedDisk), &root).unwrap();
+        let (result, _) = capture(&cool, session);
+        assert_eq!(result.unwrap(), Outcome::Complete);
+        let mut found = content(&root);
+        // The plan differs by its limits.
+        let name = std::path::Path::new("session.toml");
+        assert!(found.remove(name).is_some());
+        let mut expected = expected.clone();
+        expected.remove(name);
+        assert_eq!(found, expected);
+    }
 }
 
 /// Settings that come later than the camera says are waited for; the frames so

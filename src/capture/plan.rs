@@ -9,6 +9,7 @@ use super::CaptureError;
 use super::bracket;
 use super::directions::{StageReach, farthest_point_order};
 use crate::device::LampChannel;
+use crate::device::temperature::TemperatureLimits;
 use crate::radiometry::exposure::{PilotStatistics, plan_bracket};
 use crate::radiometry::sensor::SensorNoise;
 use crate::session::commit::free_bytes;
@@ -49,6 +50,8 @@ pub struct PlanRequest {
     pub lamp_warm_up: Seconds,
     /// Frames thrown away after a change of the camera's settings.
     pub settings_latency_frames: u32,
+    /// Temperatures above which the capture is suspended.
+    pub limits: TemperatureLimits,
     /// Width and height of a frame, pixels.
     pub resolution_px: [u32; 2],
     /// How fast things go, for the estimate.
@@ -101,6 +104,7 @@ pub fn plan(request: &PlanRequest, noise: &SensorNoise) -> Result<PlanRecord, Ca
         lamp_settle_s: request.lamp_settle,
         lamp_warm_up_s: request.lamp_warm_up,
         settings_latency_frames: request.settings_latency_frames,
+        limits: request.limits,
         estimated_s: Seconds(
             request.pace.homing.0 + request.lamp_warm_up.0 + moving_s + count as f64 * per_light_s,
         ),
@@ -241,6 +245,7 @@ mod tests {
             lamp_settle: Seconds(0.05),
             lamp_warm_up: Seconds(0.0),
             settings_latency_frames: 2,
+            limits: TemperatureLimits::default(),
             resolution_px: [64, 48],
             pace: Pace {
                 stage_deg_s: 20.0,

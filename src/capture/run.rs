@@ -15,6 +15,7 @@ use super::bracket::{self, Decision, PilotRound};
 use super::devices::Devices;
 use super::disk::{BracketSink, Disk, Merger};
 use super::progress::{Clock, Observer, Outcome, Progress};
+use crate::device::temperature::Part;
 use crate::device::{Camera, CameraInfo, FrameKey, FrameKind, LightStage};
 use crate::interrupt::Interrupt;
 use crate::radiometry::exposure::BracketStep;
@@ -88,6 +89,7 @@ impl Capture<'_> {
             position: None,
             discarded: 0,
             unproven_told: false,
+            warm_told: Vec::new(),
             clock: Clock::start(),
         };
         let result = run.all_lights().await;
@@ -152,6 +154,8 @@ struct Run<'a> {
     discarded: u32,
     /// Whether it was said that the images cannot show the exposure.
     unproven_told: bool,
+    /// Parts of which it was said that they are nearly too hot.
+    warm_told: Vec<Part>,
     clock: Clock,
 }
 

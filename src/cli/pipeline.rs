@@ -11,6 +11,7 @@ use super::{CliError, Context, HintExt, facets};
 use crate::brdf::{Brdf, Dictionary, Mixture};
 use crate::config::process;
 use crate::config::uncertainty::Deviation;
+use crate::geometry::FormError;
 use crate::inverse::bench::{BenchEstimate, with_sample_at};
 use crate::inverse::diagnosis::Cause;
 use crate::inverse::exponentiated_gradient::ExponentiatedGradient;
@@ -139,11 +140,12 @@ pub struct FitPlan {
 
 impl FitPlan {
     /// The command line over `config`'s defaults, on a bench that is known within
-    /// `uncertainty`.
+    /// `uncertainty` and with a sample whose surface is known within `form_error`.
     pub fn new(
         args: &FitArgs,
         config: Option<&process::FitConfig>,
         uncertainty: &BenchPriors,
+        form_error: Option<FormError>,
     ) -> Result<Self, CliError> {
         let name = args
             .dictionary
@@ -161,6 +163,7 @@ impl FitPlan {
                 adapt_paths: !args.fixed_paths,
                 rounds: args.refine_atoms,
             },
+            form_error,
             ..FitOptions::default()
         };
         if let Some(config) = config {
@@ -582,7 +585,8 @@ pub fn fit_session(
         known if known > 0.0 => known.hypot(drift.rms()),
         exact => exact,
     };
-    let plan = FitPlan::new(args, Some(&config.fit), &uncertainty)?;
+    let form_error = config.geometry.sample.form_error;
+    let plan = FitPlan::new(args, Some(&config.fit), &uncertainty, form_error)?;
     let truth = match &config.simulation {
         Some(simulation) => Some(simulation.material.load()?),
         None => None,
