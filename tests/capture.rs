@@ -369,6 +369,63 @@ fn a_lamp_that_drifts_suspends() {
     assert!(drift.rms() < 0.01 && drift.lights.len() == 2, "{drift:?}");
 }
 
+/// After its last light a capture visits the first again: what the lamp did meanwhile is
+/// known, and noted where it is more than a percent, also in a run that was interrupted.
+#[test]
+fn the_first_light_is_visited_again() {
+    let run = |drift_per_frame: f64, interrupt_at_grab: Option<u32>| {
+        let parent = tempfile::tempdir().unwrap();
+        let bench = Bench::with(|world| {
+            world.drift_per_frame = drift_per_frame;
+            world.interrupt_at_grab = interrupt_at_grab;
+        });
+        let mut record = record();
+        record.plan.revisit_first = true;
+        let session = create_from(Arc::new(UnsyncedDisk), parent.path(), &record).unwrap();
+        let root = session.root().to_owned();
+        let (result, mut heard) = capture(&bench, session);
+        if result.unwrap() == Outcome::Interrupted {
+            heard = resume(Arc::new(UnsyncedDisk), &root);
+        }
+        let session = Session::open(&root).unwrap();
+        assert!(verify::verify(&root).unwrap().is_intact());
+        assert_eq!(bench.lamp_and_stops(), (LampState::Off, 0));
+        let world = bench.world();
+        let told = heard
+            .warnings
+            .iter()
+            .filter(|w| w.contains("since light 0"));
+        let drift = session.lamp_drift().unwrap();
+        (
+            drift,
+            told.count(),
+            world.moves,
+            world.grabs,
+            content(&root),
+        )
+    };
+    let (steady, told, moves, grabs, expected) = run(1.0, None);
+    assert_eq!((told, moves), (0, 3));
+    // These few pixels tell the lamp within 1%.
+    assert!(
+        steady.over_session.is_some_and(|c| c.abs() < 0.03),
+        "{steady:?}"
+    );
+    // Some 3% within each light, which does not suspend, and more than twice that between
+    // the first light and its second visit, which does not either.
+    let (drifting, told, _, all, _) = run(0.9988, None);
+    let change = drifting.over_session.unwrap();
+    let lost = 0.9988f64.powi(all as i32) - 1.0;
+    assert!((change - lost).abs() < 0.03, "{change} for {lost}");
+    assert!((1..=2).contains(&told), "{told} channels");
+    assert!(drifting.of_intensities() > drifting.rms());
+    // In the middle, and during the visit.
+    for at in [grabs / 2, grabs - 1] {
+        let (_, _, _, _, found) = run(1.0, Some(at));
+        assert_eq!(found, expected, "interrupted at frame {at} of {grabs}");
+    }
+}
+
 /// Temperatures stand in the sidecars; near its limit a part is warned of once, above it
 /// the capture is suspended with the lamp off, and goes on when all is cool.
 #[test]

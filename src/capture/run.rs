@@ -5,6 +5,7 @@ mod between;
 mod ending;
 mod exposure_proof;
 mod frame;
+mod revisit;
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -174,6 +175,7 @@ impl Run<'_> {
             }
             self.observer.observe(Progress::LightDone { light });
         }
+        self.revisit_first_light().await?;
         self.check_reference().await
     }
 

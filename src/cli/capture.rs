@@ -476,6 +476,9 @@ fn request(lights: &LightChoice, config: &RigConfig, camera: Option<&CameraInfo>
         lamp_settle: wait(capture.lamp_settle),
         lamp_warm_up: wait(capture.lamp_warm_up),
         settings_latency_frames: config.camera.settings_latency_frames,
+        revisit_first: capture
+            .revisit_first
+            .unwrap_or(config.stage.driver_name() != "manual"),
         limits: config.limits.temperature,
         resolution_px: config.camera.resolution_px,
         pace: Pace {

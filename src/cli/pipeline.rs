@@ -582,7 +582,7 @@ pub fn fit_session(
     }
     let drift = session.lamp_drift()?;
     uncertainty.intensity = match uncertainty.intensity {
-        known if known > 0.0 => known.hypot(drift.rms()),
+        known if known > 0.0 => known.hypot(drift.of_intensities()),
         exact => exact,
     };
     let form_error = config.geometry.sample.form_error;
@@ -608,6 +608,15 @@ pub fn fit_session(
                 "the lamp changed by {:+.2}% while light {light} was captured, by {:.2}% root mean square over all lights",
                 100.0 * change,
                 100.0 * drift.rms()
+            ),
+            likely_cause: "a lamp that was still warming up, or its supply; raise capture.lamp_warm_up_s by `rig calibrate lamp`, or let --refine-bench allow for it".to_owned(),
+        });
+    }
+    if let Some(change) = drift.over_session.filter(|c| c.abs() > NOTABLE_DRIFT) {
+        fit.warnings.push(Warning {
+            what: format!(
+                "the lamp changed by {:+.2}% from the first light to when it was visited again after the last one",
+                100.0 * change
             ),
             likely_cause: "a lamp that was still warming up, or its supply; raise capture.lamp_warm_up_s by `rig calibrate lamp`, or let --refine-bench allow for it".to_owned(),
         });

@@ -517,6 +517,7 @@ pub fn record() -> SessionRecord {
             lamp_settle_s: Seconds(0.0),
             lamp_warm_up_s: Seconds(0.0),
             settings_latency_frames: LATENCY,
+            revisit_first: false,
             limits: Default::default(),
             estimated_s: Seconds(10.0),
             estimated_bytes: 1000,

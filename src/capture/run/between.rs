@@ -20,6 +20,13 @@ pub(super) struct Kept {
     worst: SignalRatio,
 }
 
+impl Kept {
+    /// One per channel.
+    pub(super) fn frames(self) -> Vec<Taken> {
+        self.frames
+    }
+}
+
 impl Run<'_> {
     /// Whether and when the next frame may be taken.
     pub(super) async fn before_frame(&mut self) -> Result<(), CaptureError> {

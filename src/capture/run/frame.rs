@@ -40,6 +40,8 @@ pub(super) enum Reference<'a> {
     Exposure(&'a Taken),
     /// The channel's frame at the same exposure: is the lamp what it was?
     Lamp(&'a Taken),
+    /// Likewise after all lights: it is told and nothing is refused.
+    Revisit(&'a Taken),
 }
 
 impl<'a> From<Option<&'a Taken>> for Reference<'a> {

@@ -28,6 +28,7 @@ fn plan() -> PlanRecord {
         lamp_warm_up_s: Seconds(0.0),
         lamp_settle_s: Seconds(0.0),
         settings_latency_frames: 2,
+        revisit_first: false,
         limits: Default::default(),
         estimated_s: Seconds(12.0),
         estimated_bytes: 1000,
