@@ -20,6 +20,8 @@ pub enum Purpose {
     Posterior = 6,
     /// Seeds of the paths that tell how images change with the bench.
     BenchDerivative = 16,
+    /// Departures of a surface from its mesh, and the paths that tell what they change.
+    FormError = 17,
 }
 
 /// A small counter-based stream of random numbers.

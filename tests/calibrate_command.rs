@@ -103,6 +103,44 @@ fn records_figures_and_status() {
     assert!(sensor["concerns"][0].as_str().unwrap().contains("SIM-0002"));
 }
 
+/// A record notes how warm the sensor was; a capture that begins with a colder one warns,
+/// and one that becomes too warm is suspended with what to do.
+#[test]
+fn heat_is_noted_compared_and_limited() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let changes = [
+        ("sensor_c = 60.0", "sensor_c = 24.05"),
+        ("margin_c = 5.0", "margin_c = 0.0"),
+        ("record_differs_c = 10.0", "record_differs_c = 0.1"),
+        ("timing = \"realistic\"", "timing = \"instant\""),
+        ("samples_per_pixel = 512", "samples_per_pixel = 8"),
+    ];
+    rig_file(at, &changes);
+    rig(at)
+        .args(["calibrate", "sensor", "--id", "one", "--frames", "4"])
+        .assert()
+        .success();
+    let record = at.join("calibration/simulated/sensor/one.toml");
+    let record: toml::Table = std::fs::read_to_string(record).unwrap().parse().unwrap();
+    let sensor_c = record["settings"]["sensor_c"].as_float().unwrap();
+    assert!((24.2..36.0).contains(&sensor_c), "{sensor_c}");
+
+    let capture = rig(at)
+        .args(["capture", "--lights", "1", "--no-fit"])
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&capture.stderr);
+    assert_eq!(capture.status.code(), Some(1), "{said}");
+    for part in [
+        format!("record one was measured with the sensor at {sensor_c:.1} °C"),
+        "more than the limit of 24.05 °C".to_owned(),
+        "--resume".to_owned(),
+    ] {
+        assert!(said.contains(&part), "{part:?} is not in {said}");
+    }
+}
+
 /// A record per gain: the one of the rig's gain is taken though another is newer.
 #[test]
 fn the_record_of_the_gain_in_use_is_taken() {

@@ -6,6 +6,7 @@ mod support;
 use std::sync::Arc;
 
 use rig::capture::{CaptureError, Outcome};
+use rig::device::temperature::{Part, TemperatureLimits};
 use rig::device::{FrameKind, LampState, ReferenceCheck};
 use rig::session::commit::SystemDisk;
 use rig::session::faults::{Fault, FaultyDisk, SmallDisk, UnsyncedDisk};
@@ -366,6 +367,118 @@ fn a_lamp_that_drifts_suspends() {
     assert_eq!(result.unwrap(), Outcome::Complete);
     assert_eq!(heard.warnings, [""; 0]);
     assert!(drift.rms() < 0.01 && drift.lights.len() == 2, "{drift:?}");
+}
+
+/// After its last light a capture visits the first again: what the lamp did meanwhile is
+/// known, and noted where it is more than a percent, also in a run that was interrupted.
+#[test]
+fn the_first_light_is_visited_again() {
+    let run = |drift_per_frame: f64, interrupt_at_grab: Option<u32>| {
+        let parent = tempfile::tempdir().unwrap();
+        let bench = Bench::with(|world| {
+            world.drift_per_frame = drift_per_frame;
+            world.interrupt_at_grab = interrupt_at_grab;
+        });
+        let mut record = record();
+        record.plan.revisit_first = true;
+        let session = create_from(Arc::new(UnsyncedDisk), parent.path(), &record).unwrap();
+        let root = session.root().to_owned();
+        let (result, mut heard) = capture(&bench, session);
+        if result.unwrap() == Outcome::Interrupted {
+            heard = resume(Arc::new(UnsyncedDisk), &root);
+        }
+        let session = Session::open(&root).unwrap();
+        assert!(verify::verify(&root).unwrap().is_intact());
+        assert_eq!(bench.lamp_and_stops(), (LampState::Off, 0));
+        let world = bench.world();
+        let told = heard
+            .warnings
+            .iter()
+            .filter(|w| w.contains("since light 0"));
+        let drift = session.lamp_drift().unwrap();
+        (
+            drift,
+            told.count(),
+            world.moves,
+            world.grabs,
+            content(&root),
+        )
+    };
+    let (steady, told, moves, grabs, expected) = run(1.0, None);
+    assert_eq!((told, moves), (0, 3));
+    // These few pixels tell the lamp within 1%.
+    assert!(
+        steady.over_session.is_some_and(|c| c.abs() < 0.03),
+        "{steady:?}"
+    );
+    // Some 3% within each light, which does not suspend, and more than twice that between
+    // the first light and its second visit, which does not either.
+    let (drifting, told, _, all, _) = run(0.9988, None);
+    let change = drifting.over_session.unwrap();
+    let lost = 0.9988f64.powi(all as i32) - 1.0;
+    assert!((change - lost).abs() < 0.03, "{change} for {lost}");
+    assert!((1..=2).contains(&told), "{told} channels");
+    assert!(drifting.of_intensities() > drifting.rms());
+    // In the middle, and during the visit.
+    for at in [grabs / 2, grabs - 1] {
+        let (_, _, _, _, found) = run(1.0, Some(at));
+        assert_eq!(found, expected, "interrupted at frame {at} of {grabs}");
+    }
+}
+
+/// Temperatures stand in the sidecars; near its limit a part is warned of once, above it
+/// the capture is suspended with the lamp off, and goes on when all is cool.
+#[test]
+fn a_hot_device_suspends() {
+    let (expected, _) = whole();
+    for (part, temperatures_c) in [
+        (Part::Sensor, [Some(50.0), None]),
+        (Part::Lamp, [Some(20.0), Some(50.0)]),
+    ] {
+        let parent = tempfile::tempdir().unwrap();
+        let bench = Bench::with(|world| {
+            world.temperatures_c = temperatures_c;
+            world.warming_c = 0.5;
+        });
+        let mut record = record();
+        record.plan.limits = TemperatureLimits {
+            sensor_c: Some(60.0),
+            lamp_c: Some(60.0),
+            margin_c: 5.0,
+        };
+        let session = create_from(Arc::new(UnsyncedDisk), parent.path(), &record).unwrap();
+        let root = session.root().to_owned();
+        let (result, heard) = capture(&bench, session);
+        assert!(
+            matches!(result, Err(CaptureError::TooHot { part: hot, temperature_c, limit_c: 60.0, .. })
+                if hot == part && temperature_c > 60.0),
+            "{result:?}"
+        );
+        assert_eq!(bench.lamp_and_stops(), (LampState::Off, 0));
+        let warned = heard.warnings.iter().filter(|w| w.contains("suspended"));
+        assert_eq!(warned.count(), 1, "{:?}", heard.warnings);
+        let session = Session::open(&root).unwrap();
+        let said: Vec<_> = session
+            .frames()
+            .map(|entry| session.read_frame(&entry).unwrap().1.time)
+            .collect();
+        assert!(said.len() > 5);
+        for time in said {
+            assert!(time.sensor_c.is_some_and(|c| c <= 60.0), "{time:?}");
+            assert_eq!(time.lamp_c.is_some(), part == Part::Lamp, "{time:?}");
+        }
+        let cool = Bench::with(|world| world.temperatures_c = [Some(25.0); 2]);
+        let session = SessionWriter::resume(Arc::new(UnsyncedDisk), &root).unwrap();
+        let (result, _) = capture(&cool, session);
+        assert_eq!(result.unwrap(), Outcome::Complete);
+        let mut found = content(&root);
+        // The plan differs by its limits.
+        let name = std::path::Path::new("session.toml");
+        assert!(found.remove(name).is_some());
+        let mut expected = expected.clone();
+        expected.remove(name);
+        assert_eq!(found, expected);
+    }
 }
 
 /// Settings that come later than the camera says are waited for; the frames so

@@ -7,17 +7,23 @@ use std::sync::Arc;
 
 use glam::{DVec2, DVec3};
 use rig::brdf::score::{brdf_errors, cells};
-use rig::brdf::{Dictionary, Mixture};
-use rig::geometry::Shape;
+use rig::brdf::{Atom, Dictionary, Mixture};
 use rig::geometry::shapes::Form;
+use rig::geometry::{FormError, Shape};
+use rig::inverse::budget::{self, Source};
 use rig::inverse::exponentiated_gradient::ExponentiatedGradient;
 use rig::inverse::{Channels, Fit, FitError, FitOptions, Optimizer, Refine, fit, intervals};
 use rig::radiance_image::RadianceImage;
 use rig::transport::{Camera, Light, Projection, Proposal, RenderOptions, Scene, Shading, render};
 
 fn scene(shape: Shape, directions: &[DVec3]) -> Scene {
+    scene_of(24, shape, directions)
+}
+
+/// With so many pixels per side.
+fn scene_of(size: usize, shape: Shape, directions: &[DVec3]) -> Scene {
     let camera = Camera::looking_at(
-        [24, 24],
+        [size; 2],
         Projection::Orthographic {
             extent_mm: DVec2::splat(2.2),
         },
@@ -227,4 +233,57 @@ fn images_that_do_not_belong_to_the_scene_are_refused() {
         run(&[blind]),
         Err(FitError::NothingToCompare { image: 0 })
     ));
+}
+
+/// A departure from the mesh that is stated is a part of the budget of its own and leaves
+/// the estimate; none that is not. (How large that part is: `inverse::form`.)
+#[test]
+fn a_stated_form_error_is_a_part_of_the_budget() {
+    let atoms = vec![
+        Atom::Lambertian { albedo: 1.0 },
+        Atom::Ggx {
+            alpha: 0.3,
+            eta: 1.5,
+        },
+        Atom::Black,
+    ];
+    let dictionary = Arc::new(Dictionary::new("three", atoms).unwrap());
+    let weights = std::array::from_fn(|_| vec![0.4, 0.4, 0.2]);
+    let truth = Mixture::new(dictionary.clone(), weights).unwrap();
+    let scene = scene_of(12, bowl(48), &[DVec3::new(0.3, 0.1, 1.0)]);
+    let rendering = RenderOptions {
+        samples_per_pixel: 96,
+        max_reflections: 3,
+        seed: 71,
+        proposal: Proposal::resembling(&truth, 0.1),
+    };
+    let captured = render(&scene, &truth, &rendering, &|_| {});
+    let run = |form_error| {
+        let mut options = FitOptions {
+            form_error,
+            refine: Refine::NONE,
+            ..options()
+        };
+        options.cache.samples_per_pixel = 32;
+        options.cache.max_reflections = 3;
+        fit(&scene, &captured, &dictionary, &options, &mut |_| {}).unwrap()
+    };
+    let mesh = |fit: &Fit| {
+        let cell = budget::at(&dictionary, &fit.weights, &fit.draws, 10.0, 20.0).unwrap();
+        cell.relative_variance[Source::Mesh as usize]
+    };
+    let exact = run(None);
+    let [slight, notable] = [0.02f64, 1.0].map(|slope_deg| {
+        let slope_rad = slope_deg.to_radians();
+        run(FormError::new(0.3 * slope_rad, slope_rad))
+    });
+    assert_eq!(mesh(&exact), 0.0);
+    assert_eq!(exact.weights, notable.weights);
+    assert!(mesh(&slight) > 0.0);
+    assert!(
+        mesh(&notable) > 100.0 * mesh(&slight),
+        "{} and {}",
+        mesh(&notable),
+        mesh(&slight)
+    );
 }

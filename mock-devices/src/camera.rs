@@ -28,6 +28,11 @@ pub struct CameraConfig {
     pub has_shutter: bool,
     /// Seed of the noise of every frame.
     pub noise_seed: u64,
+    /// Temperature of the sensor when it is switched on, and when it has run for long,
+    /// degrees Celsius.
+    pub temperature_c: [f64; 2],
+    /// Time constant between them, seconds.
+    pub warming_s: f64,
 }
 
 impl Default for CameraConfig {
@@ -42,6 +47,8 @@ impl Default for CameraConfig {
             settings_latency_frames: 2,
             has_shutter: true,
             noise_seed: 0,
+            temperature_c: [24.0, 36.0],
+            warming_s: 900.0,
         }
     }
 }
@@ -190,6 +197,8 @@ pub struct SimulatedCamera {
     shutter_open: bool,
     next_sequence: u64,
     next_start_s: f64,
+    /// When it was switched on, on the bench's clock.
+    on_since_s: f64,
     /// Number, start and settings of the frame that was given last.
     last: Option<(u64, f64, MockSettings)>,
 }
@@ -219,6 +228,7 @@ impl SimulatedCamera {
             shutter_open: true,
             next_sequence: 0,
             next_start_s,
+            on_since_s: next_start_s,
             last: None,
         }
     }
@@ -241,6 +251,13 @@ impl SimulatedCamera {
     /// Handle for making it fail.
     pub fn faults(&self) -> CameraFaults {
         self.faults.clone()
+    }
+
+    /// Of the sensor, degrees Celsius: it warms up from when it was switched on.
+    pub fn temperature_c(&self) -> f64 {
+        let [cold, warm] = self.config.temperature_c;
+        let on_s = self.bench.clock().now_s() - self.on_since_s;
+        warm + (cold - warm) * (-on_s / self.config.warming_s).exp()
     }
 
     /// Sets exposure and gain, rounded to the camera's steps and clamped to its

@@ -14,6 +14,9 @@ pub struct DomeConfig {
     pub channels: u8,
     /// Silence of the host after which all lights go off, seconds; 0: never. Default 2.
     pub watchdog_s: f64,
+    /// What it says of its temperature, degrees Celsius; `None`: older firmware, which does
+    /// not know the request. Default 31.5.
+    pub temperature_c: Option<f64>,
 }
 
 impl DomeConfig {
@@ -23,6 +26,7 @@ impl DomeConfig {
             lights,
             channels: 3,
             watchdog_s: 2.0,
+            temperature_c: Some(31.5),
         }
     }
 }
@@ -44,6 +48,7 @@ impl DomeSimulator {
             bench: bench.clone(),
             lit: None,
             heard_s: clock.now_s(),
+            heard: Vec::new(),
             line: Vec::new(),
             out: Vec::new(),
         };
@@ -71,6 +76,17 @@ impl DomeSimulator {
         firmware.say("0 restarted");
     }
 
+    /// It becomes this warm, degrees Celsius.
+    pub fn warm_to(&self, temperature_c: f64) {
+        self.port.board().config.temperature_c = Some(temperature_c);
+    }
+
+    /// How many requests of this kind it has heard.
+    pub fn requests(&self, kind: &str) -> usize {
+        let firmware = self.port.board();
+        firmware.heard.iter().filter(|heard| *heard == kind).count()
+    }
+
     /// A light's wire breaks: driven, it stays dark.
     pub fn break_light(&self, light: usize) {
         if let Some(broken) = self.port.board().broken.get_mut(light) {
@@ -93,6 +109,8 @@ struct Firmware {
     lit: Option<Lit>,
     broken: Vec<bool>,
     heard_s: f64,
+    /// The first word of every request.
+    heard: Vec<String>,
     line: Vec<u8>,
     out: Vec<u8>,
 }
@@ -127,6 +145,8 @@ impl Firmware {
             return; // what is damaged is not answered
         };
         let words: Vec<&str> = words.split(' ').collect();
+        self.heard
+            .extend(words.first().map(|&kind| kind.to_owned()));
         let answer = match words[..] {
             ["info"] => format!(
                 "ok lights={} channels={} watchdog={} firmware=1.0",
@@ -134,6 +154,10 @@ impl Firmware {
                 self.config.channels,
                 self.config.watchdog_s
             ),
+            ["temperature"] => match self.config.temperature_c {
+                Some(temperature_c) => format!("ok {temperature_c:.1}"),
+                None => "error no such request".to_owned(),
+            },
             ["off"] => {
                 self.show(None);
                 "ok".to_owned()
@@ -244,6 +268,7 @@ mod tests {
             lit: None,
             broken: vec![false; 2],
             heard_s: 0.0,
+            heard: Vec::new(),
             line: Vec::new(),
             out: Vec::new(),
         };
@@ -271,6 +296,9 @@ mod tests {
         assert!(ask(&mut firmware, "8 light 2 0 51").starts_with("8 error no such light*"));
         assert!(ask(&mut firmware, "9 light 0 3 51").starts_with("9 error no such channel*"));
         assert!(ask(&mut firmware, "10 dance").starts_with("10 error"));
+        assert!(ask(&mut firmware, "10 temperature").starts_with("10 ok 31.5*"));
+        firmware.config.temperature_c = None;
+        assert!(ask(&mut firmware, "10 temperature").starts_with("10 error"));
         assert_eq!(ask(&mut firmware, "0 off"), "", "number 0 is not answered");
         assert!(ask(&mut firmware, "11 state").starts_with("11 ok off*"));
         assert!(firmware.receive(b"12 state*00\n", 0.0).is_empty());

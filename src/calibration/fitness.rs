@@ -30,6 +30,16 @@ pub enum Concern {
         /// How long the kind holds, days.
         usual_days: f64,
     },
+    /// It was measured with a warmer or colder sensor.
+    #[error("record {id} was measured with the sensor at {then_c:.1} °C; it has {now_c:.1} °C now")]
+    Temperature {
+        /// The record.
+        id: String,
+        /// Then, °C.
+        then_c: f64,
+        /// Now, °C.
+        now_c: f64,
+    },
     /// It was made in the future: a clock is wrong.
     #[error("record {id} is dated {date}, which is in the future")]
     Future {
@@ -122,6 +132,18 @@ impl<V> Loaded<V> {
         concerns
     }
 
+    /// Whether the sensor's temperature, `now_c`, differs from that of the measurement by
+    /// more than `allowed_c`, as far as both are known. A lamp is cold before every
+    /// capture, so its temperature is not compared.
+    pub fn temperature_concern(&self, now_c: Option<f64>, allowed_c: f64) -> Option<Concern> {
+        let (then_c, now_c) = (self.record.settings.sensor_c?, now_c?);
+        ((then_c - now_c).abs() > allowed_c).then(|| Concern::Temperature {
+            id: self.record.id.clone(),
+            then_c,
+            now_c,
+        })
+    }
+
     /// Days since it was measured.
     pub fn age_days(&self, now: Timestamp) -> f64 {
         let date = self.record.date.parse::<Timestamp>().unwrap_or(now);
@@ -162,6 +184,19 @@ mod tests {
         );
         let early = facts(&loaded, "SIM-0001", later(-3));
         assert!(early.len() == 1 && early[0].contains("future"), "{early:?}");
+        let warmer = |loaded: &Loaded<SensorValues>, now_c| {
+            let concern = loaded.temperature_concern(now_c, 10.0);
+            concern.map(|concern| concern.to_string())
+        };
+        assert_eq!(warmer(&loaded, Some(80.0)), None);
+        loaded.record.settings.sensor_c = Some(31.0);
+        assert_eq!(warmer(&loaded, None), None);
+        assert_eq!(warmer(&loaded, Some(40.9)), None);
+        assert_eq!(warmer(&loaded, Some(21.1)), None);
+        for now_c in [41.1, 20.9] {
+            let said = warmer(&loaded, Some(now_c)).unwrap();
+            assert!(said.contains("31.0 °C"), "{said}");
+        }
         loaded.record.valid_until = Some(later(30).to_string());
         assert!(facts(&loaded, "SIM-0001", later(29)).is_empty());
         let expired = facts(&loaded, "SIM-0001", later(400));

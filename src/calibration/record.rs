@@ -106,6 +106,12 @@ pub struct Settings {
     /// Width and height of a frame, pixels.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub resolution_px: Option<[u32; 2]>,
+    /// Temperature of the sensor at the end of the measurement, °C.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub sensor_c: Option<f64>,
+    /// Temperature of the lamp then, °C.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub lamp_c: Option<f64>,
 }
 
 /// A measured number and its standard uncertainty (coverage factor 1).

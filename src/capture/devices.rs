@@ -23,6 +23,8 @@ const RETURN_POLL: Seconds = Seconds(0.5);
 const REPLY_GRACE: Duration = Duration::from_secs(1);
 /// How long a stage's driver may take to notice that it was stopped.
 const LET_GO: Duration = Duration::from_secs(2);
+/// A lamp's temperature changes little within so long.
+const READING_HOLDS: Duration = Duration::from_secs(10);
 /// A stage that stands further than this from its target did not get there.
 const POSITION_TOLERANCE_DEG: f64 = 0.25;
 
@@ -40,6 +42,9 @@ pub(super) struct Devices {
     retakes: Retakes,
     spent: Spent,
     camera_is_lost: bool,
+    sensor_c: Option<f64>,
+    /// The lamp's temperature, °C, and when it was read.
+    lamp_c: Option<(f64, Instant)>,
 }
 
 /// What the devices said last; `None` where they have not been told yet.
@@ -124,6 +129,8 @@ impl Devices {
             retakes: Retakes::default(),
             spent: Spent::default(),
             camera_is_lost: false,
+            sensor_c: None,
+            lamp_c: None,
         })
     }
 
@@ -332,7 +339,12 @@ impl Devices {
             return Ok(());
         }
         self.known.lamp = None;
-        let applied = self.stage(move |stage| stage.set_lamp(wanted)).await?;
+        let switch = move |stage: &mut dyn LightStage| {
+            let applied = stage.set_lamp(wanted)?;
+            Ok((applied, stage.temperature_c()))
+        };
+        let (applied, lamp_c) = self.stage(switch).await?;
+        self.lamp_c = lamp_c.map(|lamp_c| (lamp_c, Instant::now()));
         if applied != wanted {
             let words = |lamp| match lamp {
                 LampState::Off => "off".to_owned(),
@@ -344,6 +356,23 @@ impl Devices {
         }
         self.known.lamp = Some(applied);
         self.pause(settle).await
+    }
+
+    /// The lamp's temperature, °C, read again where the last reading is old; `None` where
+    /// the stage does not say.
+    pub(super) async fn lamp_c(&mut self) -> Result<Option<f64>, CaptureError> {
+        if let Some((_, read)) = self.lamp_c
+            && read.elapsed() >= READING_HOLDS
+        {
+            let lamp_c = self.stage(|stage| Ok(stage.temperature_c())).await?;
+            self.lamp_c = lamp_c.map(|lamp_c| (lamp_c, Instant::now()));
+        }
+        Ok(self.lamp_c.map(|(lamp_c, _)| lamp_c))
+    }
+
+    /// The sensor's temperature at the last frame, °C; `None` where the camera does not say.
+    pub(super) fn sensor_c(&self) -> Option<f64> {
+        self.sensor_c
     }
 
     fn stage_differs(
@@ -455,9 +484,10 @@ impl Devices {
         let grab = move |camera: &mut dyn Camera| {
             let mut retakes = Retakes::default();
             let frame = grab_right(camera, key, &mut retakes);
-            Ok((frame, retakes))
+            Ok((frame, retakes, camera.temperature_c()))
         };
-        let (frame, retakes) = self.camera(grab).await?;
+        let (frame, retakes, sensor_c) = self.camera(grab).await?;
+        self.sensor_c = sensor_c;
         self.retakes.add(retakes);
         if let Some((_, applied)) = self.known.settings {
             self.spent.exposures_s += applied.exposure.0;

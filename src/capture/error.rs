@@ -83,6 +83,20 @@ pub enum CaptureError {
         /// Signal over that of the first frame at the same exposure.
         ratio: f64,
     },
+    /// The sensor or the lamp has become too hot.
+    #[error(
+        "light {light}: the {part} has {temperature_c:.1} °C, more than the limit of {limit_c} °C"
+    )]
+    TooHot {
+        /// Index in the plan.
+        light: u32,
+        /// Which.
+        part: crate::device::temperature::Part,
+        /// As the device says.
+        temperature_c: f64,
+        /// Of the rig file.
+        limit_c: f64,
+    },
     /// The camera is not the one of the plan.
     #[error("the camera's {what} is {found}, the plan was made for {expected}")]
     OtherCamera {

@@ -140,6 +140,8 @@ mod tests {
                 monotonic_s: Seconds(0.0),
                 device_s: None,
                 device_sequence: None,
+                sensor_c: None,
+                lamp_c: None,
                 retakes: Default::default(),
             },
         }

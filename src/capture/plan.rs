@@ -9,6 +9,7 @@ use super::CaptureError;
 use super::bracket;
 use super::directions::{StageReach, farthest_point_order};
 use crate::device::LampChannel;
+use crate::device::temperature::TemperatureLimits;
 use crate::radiometry::exposure::{PilotStatistics, plan_bracket};
 use crate::radiometry::sensor::SensorNoise;
 use crate::session::commit::free_bytes;
@@ -49,6 +50,10 @@ pub struct PlanRequest {
     pub lamp_warm_up: Seconds,
     /// Frames thrown away after a change of the camera's settings.
     pub settings_latency_frames: u32,
+    /// Whether the first light is visited again after the last one.
+    pub revisit_first: bool,
+    /// Temperatures above which the capture is suspended.
+    pub limits: TemperatureLimits,
     /// Width and height of a frame, pixels.
     pub resolution_px: [u32; 2],
     /// How fast things go, for the estimate.
@@ -87,12 +92,15 @@ pub fn plan(request: &PlanRequest, noise: &SensorNoise) -> Result<PlanRecord, Ca
     }
     let (per_light_s, frames_per_light) = usual_light(request, noise)?;
     let count = lights.len() as u64;
-    let moving_s: f64 = lights
+    let [width, height] = request.resolution_px.map(u64::from);
+    let pixels = width * height;
+    let revisit_first = request.revisit_first && lights.len() > 1;
+    let again: &[StageAngles] = if revisit_first { &lights[..1] } else { &[] };
+    let way: Vec<StageAngles> = lights.iter().chain(again).copied().collect();
+    let moving_s: f64 = way
         .windows(2)
         .map(|pair| move_deg(pair[0], pair[1]) / request.pace.stage_deg_s)
         .sum();
-    let [width, height] = request.resolution_px.map(u64::from);
-    let pixels = width * height;
     Ok(PlanRecord {
         channels: request.channels.clone(),
         gain: request.gain,
@@ -101,6 +109,8 @@ pub fn plan(request: &PlanRequest, noise: &SensorNoise) -> Result<PlanRecord, Ca
         lamp_settle_s: request.lamp_settle,
         lamp_warm_up_s: request.lamp_warm_up,
         settings_latency_frames: request.settings_latency_frames,
+        revisit_first,
+        limits: request.limits,
         estimated_s: Seconds(
             request.pace.homing.0 + request.lamp_warm_up.0 + moving_s + count as f64 * per_light_s,
         ),
@@ -241,6 +251,8 @@ mod tests {
             lamp_settle: Seconds(0.05),
             lamp_warm_up: Seconds(0.0),
             settings_latency_frames: 2,
+            revisit_first: false,
+            limits: TemperatureLimits::default(),
             resolution_px: [64, 48],
             pace: Pace {
                 stage_deg_s: 20.0,
@@ -261,6 +273,17 @@ mod tests {
         assert_eq!(four.lights[..2], two.lights);
         assert_eq!(four.estimated_bytes, 2 * two.estimated_bytes);
         assert!(two.estimated_s.0 > 10.0 + 2.0 * 0.5 && four.estimated_s.0 > two.estimated_s.0);
+        let again = PlanRequest {
+            revisit_first: true,
+            ..request(LightChoice::Count(2))
+        };
+        let again = plan(&again, &noise()).unwrap();
+        assert!(again.revisit_first && again.estimated_s.0 > two.estimated_s.0);
+        let alone = PlanRequest {
+            revisit_first: true,
+            ..request(LightChoice::Count(1))
+        };
+        assert!(!plan(&alone, &noise()).unwrap().revisit_first);
         // At least a pilot and one exposure of each channel, and one without lamp.
         assert!(two.estimated_bytes > 2 * (7 * 2 + 28) * 64 * 48);
     }

@@ -5,6 +5,7 @@ mod between;
 mod ending;
 mod exposure_proof;
 mod frame;
+mod revisit;
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -15,6 +16,7 @@ use super::bracket::{self, Decision, PilotRound};
 use super::devices::Devices;
 use super::disk::{BracketSink, Disk, Merger};
 use super::progress::{Clock, Observer, Outcome, Progress};
+use crate::device::temperature::Part;
 use crate::device::{Camera, CameraInfo, FrameKey, FrameKind, LightStage};
 use crate::interrupt::Interrupt;
 use crate::radiometry::exposure::BracketStep;
@@ -88,6 +90,7 @@ impl Capture<'_> {
             position: None,
             discarded: 0,
             unproven_told: false,
+            warm_told: Vec::new(),
             clock: Clock::start(),
         };
         let result = run.all_lights().await;
@@ -152,6 +155,8 @@ struct Run<'a> {
     discarded: u32,
     /// Whether it was said that the images cannot show the exposure.
     unproven_told: bool,
+    /// Parts of which it was said that they are nearly too hot.
+    warm_told: Vec<Part>,
     clock: Clock,
 }
 
@@ -170,6 +175,7 @@ impl Run<'_> {
             }
             self.observer.observe(Progress::LightDone { light });
         }
+        self.revisit_first_light().await?;
         self.check_reference().await
     }
 

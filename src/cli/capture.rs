@@ -174,9 +174,13 @@ fn start(args: &CaptureArgs, context: &Context) -> Result<(), CliError> {
     crate::session::layout::session_name(created, &sample, &short_id)?;
 
     let interrupt = interrupt::listen()?;
-    let devices = open::open_devices(config, || truth(config))?;
+    let mut devices = open::open_devices(config, || truth(config))?;
     let camera_info = devices.camera.info().clone();
     check_camera(&camera_info, config)?;
+    let sensor_c = devices.camera.temperature_c();
+    for concern in records.temperature_concerns(config, sensor_c) {
+        context.warn(format_args!("{concern}"));
+    }
     let request = self::request(&lights, config, Some(&camera_info));
     let planned = plan(&request, &noise)?;
     let copies = records.copies();
@@ -471,6 +475,10 @@ fn request(lights: &LightChoice, config: &RigConfig, camera: Option<&CameraInfo>
         lamp_settle: wait(capture.lamp_settle),
         lamp_warm_up: wait(capture.lamp_warm_up),
         settings_latency_frames: config.camera.settings_latency_frames,
+        revisit_first: capture
+            .revisit_first
+            .unwrap_or(config.stage.driver_name() != "manual"),
+        limits: config.limits.temperature,
         resolution_px: config.camera.resolution_px,
         pace: Pace {
             stage_deg_s,

@@ -5,6 +5,7 @@ use jiff::Timestamp;
 use super::CliError;
 use crate::calibration::camera::CameraValues;
 use crate::calibration::directions::DirectionsValues;
+use crate::calibration::fitness::Concern;
 use crate::calibration::pose::PoseValues;
 use crate::calibration::record::{
     FlatValues, LampValues, LightsValues, ScaleValues, SensorValues, Values,
@@ -116,6 +117,28 @@ impl Records {
         concerns
     }
 
+    /// The records of the camera that were measured with a warmer or colder sensor than
+    /// `sensor_c`.
+    pub(super) fn temperature_concerns(
+        &self,
+        config: &RigConfig,
+        sensor_c: Option<f64>,
+    ) -> Vec<String> {
+        let allowed_c = config.limits.record_differs_c;
+        let concerns = [
+            self.sensor.temperature_concern(sensor_c, allowed_c),
+            doubt(&self.flat, sensor_c, allowed_c),
+            doubt(&self.scale, sensor_c, allowed_c),
+            doubt(&self.lamp, sensor_c, allowed_c),
+        ];
+        let known = concerns.into_iter().flatten();
+        known
+            .map(|concern| {
+                format!("{concern}; let the camera warm up as it had then, or calibrate anew")
+            })
+            .collect()
+    }
+
     /// `<kind>/<file>`, whether it is the record itself, and its bytes.
     pub(super) fn copies(&self) -> Vec<(String, bool, Vec<u8>)> {
         let mut copies = Vec::new();
@@ -150,6 +173,10 @@ fn add_concerns<V: Values>(
             concerns.push(format!("{kind}: {concern}; run `rig calibrate {command}`"));
         }
     }
+}
+
+fn doubt<V>(loaded: &Option<Loaded<V>>, sensor_c: Option<f64>, allowed_c: f64) -> Option<Concern> {
+    loaded.as_ref()?.temperature_concern(sensor_c, allowed_c)
 }
 
 fn add_copies<V: Values>(copies: &mut Vec<(String, bool, Vec<u8>)>, loaded: Option<&Loaded<V>>) {

@@ -80,7 +80,7 @@ fn fit_scene(
     context: &Context,
 ) -> Result<(), CliError> {
     let file = SceneFile::load(scene)?;
-    let plan = FitPlan::new(&args.fit, None, &file.uncertainty)?;
+    let plan = FitPlan::new(&args.fit, None, &file.uncertainty, file.sample.form_error)?;
     let scene = file.scene()?;
     let mut captured = Vec::new();
     for path in &args.image {

@@ -272,6 +272,7 @@ fn open_v4l(
         frame_timeout: rig.camera.frame_timeout,
         return_timeout: rig.camera.return_timeout,
         controls: rig.camera.controls.clone(),
+        temperature: rig.camera.temperature.clone(),
         ..V4lConfig::of_device(device)
     })?;
     let is = camera.info().mosaic;

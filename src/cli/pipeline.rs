@@ -11,6 +11,7 @@ use super::{CliError, Context, HintExt, facets};
 use crate::brdf::{Brdf, Dictionary, Mixture};
 use crate::config::process;
 use crate::config::uncertainty::Deviation;
+use crate::geometry::FormError;
 use crate::inverse::bench::{BenchEstimate, with_sample_at};
 use crate::inverse::diagnosis::Cause;
 use crate::inverse::exponentiated_gradient::ExponentiatedGradient;
@@ -139,11 +140,12 @@ pub struct FitPlan {
 
 impl FitPlan {
     /// The command line over `config`'s defaults, on a bench that is known within
-    /// `uncertainty`.
+    /// `uncertainty` and with a sample whose surface is known within `form_error`.
     pub fn new(
         args: &FitArgs,
         config: Option<&process::FitConfig>,
         uncertainty: &BenchPriors,
+        form_error: Option<FormError>,
     ) -> Result<Self, CliError> {
         let name = args
             .dictionary
@@ -161,6 +163,7 @@ impl FitPlan {
                 adapt_paths: !args.fixed_paths,
                 rounds: args.refine_atoms,
             },
+            form_error,
             ..FitOptions::default()
         };
         if let Some(config) = config {
@@ -579,10 +582,11 @@ pub fn fit_session(
     }
     let drift = session.lamp_drift()?;
     uncertainty.intensity = match uncertainty.intensity {
-        known if known > 0.0 => known.hypot(drift.rms()),
+        known if known > 0.0 => known.hypot(drift.of_intensities()),
         exact => exact,
     };
-    let plan = FitPlan::new(args, Some(&config.fit), &uncertainty)?;
+    let form_error = config.geometry.sample.form_error;
+    let plan = FitPlan::new(args, Some(&config.fit), &uncertainty, form_error)?;
     let truth = match &config.simulation {
         Some(simulation) => Some(simulation.material.load()?),
         None => None,
@@ -604,6 +608,15 @@ pub fn fit_session(
                 "the lamp changed by {:+.2}% while light {light} was captured, by {:.2}% root mean square over all lights",
                 100.0 * change,
                 100.0 * drift.rms()
+            ),
+            likely_cause: "a lamp that was still warming up, or its supply; raise capture.lamp_warm_up_s by `rig calibrate lamp`, or let --refine-bench allow for it".to_owned(),
+        });
+    }
+    if let Some(change) = drift.over_session.filter(|c| c.abs() > NOTABLE_DRIFT) {
+        fit.warnings.push(Warning {
+            what: format!(
+                "the lamp changed by {:+.2}% from the first light to when it was visited again after the last one",
+                100.0 * change
             ),
             likely_cause: "a lamp that was still warming up, or its supply; raise capture.lamp_warm_up_s by `rig calibrate lamp`, or let --refine-bench allow for it".to_owned(),
         });

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use super::ConfigError;
 use super::reader::Section;
+use crate::device::controls::TemperatureControl;
 use crate::device::pixel_format::{FORMAT_NAME, fourcc_of_name};
 use crate::device::{Mosaic, controls};
 use crate::units::Seconds;
@@ -35,6 +36,8 @@ pub struct CameraConfig {
     pub return_timeout: Seconds,
     /// Further Video4Linux controls, by id, and their values.
     pub controls: Vec<(u32, i64)>,
+    /// The Video4Linux control that says the sensor's temperature.
+    pub temperature: Option<TemperatureControl>,
 }
 
 /// Which driver a camera needs.
@@ -83,6 +86,7 @@ impl CameraConfig {
             .required()?;
         let mut wanted_controls = Vec::new();
         let mut return_timeout = Seconds(0.0);
+        let mut temperature = None;
         let driver = match kind {
             Kind::Simulated => CameraDriver::Simulated,
             Kind::V4l => {
@@ -90,6 +94,9 @@ impl CameraConfig {
                     .parsed("controls", CONTROLS, parse_controls)?
                     .or(Vec::new());
                 return_timeout = Seconds(table.number("return_timeout_s", 0.0..=3600.0)?.or(30.0));
+                let unit_c = table.number("temperature_unit_c", 1e-6..=1e3)?.or(1.0);
+                let name = table.text("temperature_control")?.optional();
+                temperature = name.map(|name| TemperatureControl { name, unit_c });
                 CameraDriver::V4l {
                     device: table.text("device")?.required()?,
                     format: table
@@ -140,6 +147,7 @@ impl CameraConfig {
             frame_timeout: Seconds(table.number("frame_timeout_s", 0.1..=600.0)?.or(5.0)),
             return_timeout,
             controls: wanted_controls,
+            temperature,
         };
         let [width, height] = camera.resolution_px;
         if camera.mosaic != Mosaic::None && (width % 2 == 1 || height % 2 == 1) {

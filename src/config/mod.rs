@@ -8,6 +8,7 @@ pub mod camera;
 mod document;
 mod error;
 pub mod geometry;
+pub mod limits;
 pub mod process;
 pub mod reader;
 pub mod reflectance;

@@ -31,6 +31,9 @@ pub struct CaptureConfig {
     pub lamp_settle: Seconds,
     /// Wait with the lamp on before the first light.
     pub lamp_warm_up: Seconds,
+    /// Whether the first light is visited again after the last one; `None`: unless somebody
+    /// must do it by hand.
+    pub revisit_first: Option<bool>,
     /// Free space that must remain on the disk, bytes.
     pub disk_reserve_bytes: u64,
     /// Diameter of the disc of a point out of focus above which a capture warns, pixels
@@ -61,6 +64,7 @@ impl CaptureConfig {
             settle: Seconds(table.number("settle_s", 0.0..=60.0)?.or(0.3)),
             lamp_settle: Seconds(table.number("lamp_settle_s", 0.0..=60.0)?.or(0.1)),
             lamp_warm_up: Seconds(table.number("lamp_warm_up_s", 0.0..=7200.0)?.or(0.0)),
+            revisit_first: table.flag("revisit_first")?.optional(),
             blur_limit_px: table.number("blur_limit_px", 0.01..=1000.0)?.or(1.0),
             disk_reserve_bytes: table.integer("disk_reserve_mb", 0..=1_000_000)?.or(500) << 20,
         };

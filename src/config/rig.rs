@@ -5,6 +5,7 @@ use std::path::Path;
 use super::ConfigError;
 use super::camera::{CameraConfig, CameraDriver};
 use super::geometry::GeometryConfig;
+use super::limits::LimitsConfig;
 use super::process::{CalibrationConfig, CaptureConfig, FitConfig};
 use super::reader::Section;
 use super::simulation::SimulationConfig;
@@ -25,6 +26,8 @@ pub struct RigConfig {
     pub geometry: GeometryConfig,
     /// How a capture is done.
     pub capture: CaptureConfig,
+    /// How warm the devices may become.
+    pub limits: LimitsConfig,
     /// How a session is fitted by default.
     pub fit: FitConfig,
     /// How well the bench is known.
@@ -100,6 +103,7 @@ impl RigConfig {
             camera,
             stage,
             geometry,
+            limits: LimitsConfig::read(root.section_or_empty("limits")?)?,
             fit: FitConfig::read(root.section_or_empty("fit")?)?,
             uncertainty: super::uncertainty::read(root.section_or_empty("uncertainty")?)?,
             calibration: CalibrationConfig::read(root.section_or_empty("calibration")?)?,

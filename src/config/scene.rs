@@ -5,7 +5,7 @@ use std::path::Path;
 use super::ConfigError;
 use super::reader::Section;
 use super::reflectance::BrdfSpec;
-use super::view::{SampleSpec, SurfaceSpec, take_camera};
+use super::view::{SampleSpec, SurfaceSpec, take_camera, take_shading};
 use crate::inverse::BenchPriors;
 use crate::transport::{Camera, Light, Shading};
 
@@ -103,13 +103,13 @@ fn read_light(mut table: Section) -> Result<Light, ConfigError> {
 
 impl BodySpec {
     fn read(mut table: Section) -> Result<Self, ConfigError> {
-        let brdf = BrdfSpec::read(table.section("brdf")?.required()?)?;
-        let SampleSpec { surface, shading } = SampleSpec::read(table)?;
-        Ok(Self {
-            surface,
-            shading,
-            brdf,
-        })
+        let body = Self {
+            brdf: BrdfSpec::read(table.section("brdf")?.required()?)?,
+            surface: SurfaceSpec::take(&mut table)?,
+            shading: take_shading(&mut table)?,
+        };
+        table.finish()?;
+        Ok(body)
     }
 }
 

@@ -8,7 +8,7 @@ use glam::{DVec2, DVec3};
 use super::ConfigError;
 use super::reader::Section;
 use super::shape::read_shape;
-use crate::geometry::Shape;
+use crate::geometry::{FormError, Shape};
 use crate::transport::{Camera, Coefficients, LensSpec, Projection, Shading};
 
 /// Takes the camera's place and lens out of a table that may have other keys;
@@ -128,6 +128,8 @@ pub struct SampleSpec {
     pub surface: SurfaceSpec,
     /// Which normals shade.
     pub shading: Shading,
+    /// How far the sample as made departs from that surface; `None`: not stated.
+    pub form_error: Option<FormError>,
 }
 
 impl SampleSpec {
@@ -135,14 +137,68 @@ impl SampleSpec {
     pub fn read(mut table: Section) -> Result<Self, ConfigError> {
         let sample = Self {
             surface: SurfaceSpec::take(&mut table)?,
-            shading: table
-                .choice(
-                    "shading",
-                    &[("flat", Shading::Flat), ("smooth", Shading::Smooth)],
-                )?
-                .or(Shading::Flat),
+            shading: take_shading(&mut table)?,
+            form_error: take_form_error(&mut table)?,
         };
         table.finish()?;
         Ok(sample)
+    }
+}
+
+/// Takes `shading`, flat if absent.
+pub fn take_shading(table: &mut Section) -> Result<Shading, ConfigError> {
+    let known = [("flat", Shading::Flat), ("smooth", Shading::Smooth)];
+    Ok(table.choice("shading", &known)?.or(Shading::Flat))
+}
+
+/// Takes `form_error_mm` and `slope_error_deg`, which determine each other's scale: one
+/// alone says too little.
+fn take_form_error(table: &mut Section) -> Result<Option<FormError>, ConfigError> {
+    let height_mm = table.number("form_error_mm", 0.0..=10.0)?.optional();
+    let slope_deg = table.number("slope_error_deg", 0.0..=20.0)?.optional();
+    let (height_mm, slope_deg) = (height_mm.unwrap_or(0.0), slope_deg.unwrap_or(0.0));
+    if (height_mm > 0.0) == (slope_deg > 0.0) {
+        return Ok(FormError::new(height_mm, slope_deg.to_radians()));
+    }
+    let allowed = "above 0 exactly where `slope_error_deg` is";
+    Err(table.conflict("form_error_mm", height_mm, allowed))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+
+    fn sample(keys: &str) -> Result<SampleSpec, ConfigError> {
+        let text = format!("mesh = \"scan.ply\"\n{keys}");
+        SampleSpec::read(Section::parse("rig.toml", Path::new(""), &text)?)
+    }
+
+    #[test]
+    fn a_form_error_has_height_and_slope() {
+        let stated = sample("form_error_mm = 0.02\nslope_error_deg = 0.5").unwrap();
+        let error = stated.form_error.unwrap();
+        assert_eq!(error.height_mm(), 0.02);
+        assert!((error.slope_rad() - 0.5f64.to_radians()).abs() < 1e-15);
+        for none in [
+            "",
+            "form_error_mm = 0",
+            "form_error_mm = 0.0\nslope_error_deg = 0.0",
+        ] {
+            assert_eq!(sample(none).unwrap().form_error, None, "{none}");
+        }
+        for half in ["form_error_mm = 0.02", "slope_error_deg = 0.5"] {
+            let error = sample(half).unwrap_err().to_string();
+            assert!(
+                error.contains("exactly where `slope_error_deg` is"),
+                "{error}"
+            );
+        }
+        let error = sample("form_error_mm = -1.0").unwrap_err().to_string();
+        assert!(
+            error.contains("rig.toml:2: `form_error_mm` is -1"),
+            "{error}"
+        );
     }
 }

@@ -171,6 +171,28 @@ pub fn list(port: &dyn ControlPort) -> io::Result<Vec<ControlInfo>> {
     Ok(all)
 }
 
+/// The control that says a temperature. There is no standard one: drivers call it by names
+/// and count in units of their own.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TemperatureControl {
+    /// As the driver calls it, or its number such as `0x00980a01`.
+    pub name: String,
+    /// °C per count.
+    pub unit_c: f64,
+}
+
+/// The control that the driver calls so, whatever the case of the letters, or that has
+/// this number; only one that has a value.
+pub fn find(port: &dyn ControlPort, name: &str) -> io::Result<Option<ControlInfo>> {
+    let number = id_of(name);
+    let is_meant = |control: &ControlInfo| {
+        number == Some(control.id) || control.label.trim().eq_ignore_ascii_case(name.trim())
+    };
+    let has_value = |control: &ControlInfo| control.kind != ControlKind::Other;
+    let all = list(port)?.into_iter();
+    Ok(all.filter(has_value).find(is_meant))
+}
+
 /// Sets a control and returns what is read back.
 pub fn set(port: &dyn ControlPort, id: u32, value: i64) -> io::Result<i64> {
     port.set(id, value)?;
@@ -384,6 +406,27 @@ mod tests {
         };
         assert!(fixed(0).is_ok());
         assert!(matches!(fixed(1), Err(DeviceError::NotApplied { .. })));
+    }
+
+    #[test]
+    fn a_control_is_found_by_its_label_or_number() {
+        let labelled = |id: u32, label: &str| ControlInfo {
+            label: label.to_owned(),
+            read_only: true,
+            ..control(id, [-400, 1250], 415)
+        };
+        let mut button = labelled(0x0098_0f01, "Device Temperature");
+        button.kind = ControlKind::Other;
+        let port = fake(&[
+            labelled(0x0098_091a, "White Balance Temperature"),
+            button,
+            labelled(0x0098_0f02, "Device Temperature"),
+        ]);
+        let found = |name| find(&port, name).unwrap().map(|control| control.id);
+        assert_eq!(found("device temperature "), Some(0x0098_0f02));
+        assert_eq!(found("0x00980f02"), Some(0x0098_0f02));
+        assert_eq!(found("Temperature"), None);
+        assert_eq!(found("0x00980f03"), None);
     }
 
     #[test]

@@ -323,6 +323,10 @@ impl LightStage for GuardedStage {
         self.stage().status()
     }
 
+    fn temperature_c(&mut self) -> Option<f64> {
+        self.stage().temperature_c()
+    }
+
     fn check_reference(&mut self) -> Result<Option<ReferenceCheck>, DeviceError> {
         self.stage().check_reference()
     }

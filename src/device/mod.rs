@@ -24,6 +24,7 @@ pub mod serial_line;
 #[cfg(feature = "serial")]
 pub mod simulated;
 pub mod simulated_camera;
+pub mod temperature;
 #[cfg(feature = "v4l")]
 pub mod v4l;
 pub mod zaber;
@@ -123,6 +124,11 @@ pub trait LightStage: Send {
     fn set_lamp(&mut self, lamp: LampState) -> Result<LampState, DeviceError>;
     /// Asks the device.
     fn status(&mut self) -> Result<StageStatus, DeviceError>;
+    /// The lamp's temperature now, °C; `None` where the device does not say. A reading
+    /// that fails is none: nothing depends on it but a limit.
+    fn temperature_c(&mut self) -> Option<f64> {
+        None
+    }
     /// Seeks the reference switches anew, keeping the count of steps, and says
     /// how far off that was: steps lost since the last homing. The stage stands
     /// at its switches afterwards. `None` where the device cannot tell.
@@ -231,6 +237,11 @@ pub trait Camera: Send {
     /// The next frame that begins after this call. A frame that is not right is
     /// [`DeviceError::BadFrame`]; [`retake::grab_right`] takes it again.
     fn grab(&mut self, key: FrameKey) -> Result<RawFrame, DeviceError>;
+    /// The sensor's temperature now, °C; `None` where the device does not say. A reading
+    /// that fails is none.
+    fn temperature_c(&mut self) -> Option<f64> {
+        None
+    }
     /// Frames that the device's running numbers have shown to be lost so far,
     /// each while one was waited for.
     fn frames_lost(&self) -> u64 {

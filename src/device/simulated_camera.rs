@@ -158,6 +158,11 @@ impl Camera for SimulatedCamera {
         })
     }
 
+    fn temperature_c(&mut self) -> Option<f64> {
+        let is_there = !self.camera.faults().is_disconnected();
+        is_there.then(|| self.camera.temperature_c())
+    }
+
     fn frames_lost(&self) -> u64 {
         self.frames_lost
     }

@@ -6,8 +6,9 @@ use glam::{DVec3, Vec3};
 
 use crate::brdf::Brdf;
 use crate::frames::{self, Rigid};
-use crate::geometry::{Mesh, MeshError};
+use crate::geometry::{FormError, Mesh, MeshError};
 use crate::radiance_image::RadianceImage;
+use crate::random::{Purpose, stream};
 use crate::transport::{Body, Scene, Shading};
 
 /// What is wrong.
@@ -19,6 +20,8 @@ pub enum Defect {
     Depth(f32),
     /// The sample is displaced (mm) and turned (rotation vector, radians).
     Pose(DVec3, DVec3),
+    /// The sample departs from its mesh by a field of this seed.
+    Form(FormError, u64),
     /// Light from elsewhere in every pixel, over the image's mean radiance.
     StrayLight(f32),
     /// This share of the radiance spreads around with a Gaussian of this many pixels.
@@ -56,6 +59,11 @@ impl Defect {
                     *turn_rad, *shift_mm,
                 );
                 mesh = mesh.transformed(&pose);
+            }
+            Defect::Form(error, seed) => {
+                let mut numbers = stream(*seed, Purpose::Experiment, 0, 0, 0);
+                let field = error.field(mesh.mean_edge_mm(), &mut numbers);
+                mesh = field.deform(&mesh, 1.0);
             }
             Defect::StrayLight(_) | Defect::Translucent(..) => {}
         }

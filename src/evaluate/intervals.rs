@@ -155,18 +155,18 @@ fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
     Ok(cases)
 }
 
-fn theta_h_deg() -> Vec<f64> {
+pub(super) fn theta_h_deg() -> Vec<f64> {
     (0..12)
         .map(|i| 85.0 * (f64::from(i) / 11.0).powi(2))
         .collect()
 }
 
-fn theta_d_deg() -> Vec<f64> {
+pub(super) fn theta_d_deg() -> Vec<f64> {
     (0..9).map(|j| 10.0 * f64::from(j)).collect()
 }
 
 /// f of a BRDF at the cells of [`intervals::table`].
-fn values(brdf: &dyn Brdf) -> Vec<[f64; 3]> {
+pub(super) fn values(brdf: &dyn Brdf) -> Vec<[f64; 3]> {
     let mut cells = Vec::new();
     for theta_h in theta_h_deg() {
         for theta_d in theta_d_deg() {

@@ -12,6 +12,7 @@ mod accuracy;
 mod atoms;
 mod calibration;
 mod dictionary_size;
+mod form;
 mod gallery;
 mod light_count;
 mod misalignment;
@@ -49,6 +50,7 @@ pub static EXPERIMENTS: &[&Experiment] = &[
     &intervals::INTERVALS,
     &diagnosis::DIAGNOSIS,
     &misalignment::MISALIGNMENT,
+    &form::FORM,
     &sharpness::SHARPNESS,
     &calibration::CALIBRATION,
 ];

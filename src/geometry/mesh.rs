@@ -236,6 +236,15 @@ impl Mesh {
         step
     }
 
+    /// Mean length of the triangles' edges, millimetres.
+    pub fn mean_edge_mm(&self) -> f64 {
+        let around = (0..self.triangles.len()).map(|t| {
+            let [a, b, c] = self.corners(t);
+            f64::from(a.distance(b) + b.distance(c) + c.distance(a))
+        });
+        around.sum::<f64>() / (3 * self.triangles.len()) as f64
+    }
+
     /// Smallest and largest coordinates, millimetres.
     pub fn bounds_mm(&self) -> [Vec3; 2] {
         self.positions_mm

@@ -3,6 +3,7 @@
 
 pub mod bvh;
 pub mod files;
+pub mod form_error;
 pub mod mesh;
 pub mod mirror;
 pub mod obj;
@@ -11,5 +12,6 @@ pub mod shapes;
 pub mod stl;
 
 pub use bvh::{Bvh, Hit, Ray};
+pub use form_error::FormError;
 pub use mesh::{Mesh, MeshError};
 pub use shapes::Shape;

@@ -22,6 +22,8 @@ pub enum Source {
     RenderNoise,
     /// Where the sample lies.
     Pose,
+    /// How far the as-made sample departs from its mesh.
+    Mesh,
     /// Directions of the lights.
     LightDirections,
     /// Intensities of the lights with their common scale, and stray light.
@@ -35,10 +37,11 @@ pub enum Source {
 
 impl Source {
     /// All of them.
-    pub const ALL: [Source; 7] = [
+    pub const ALL: [Source; 8] = [
         Source::CaptureNoise,
         Source::RenderNoise,
         Source::Pose,
+        Source::Mesh,
         Source::LightDirections,
         Source::Intensities,
         Source::Model,
@@ -51,6 +54,7 @@ impl Source {
             Source::CaptureNoise => "capture noise",
             Source::RenderNoise => "render noise",
             Source::Pose => "pose",
+            Source::Mesh => "mesh",
             Source::LightDirections => "light directions",
             Source::Intensities => "intensities",
             Source::Model => "model",

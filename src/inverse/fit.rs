@@ -5,14 +5,17 @@ use std::sync::Arc;
 use super::bench::system::{BenchLinearisation, Model};
 use super::diagnosis::{self, Diagnosis};
 use super::exponentiated_gradient::ExponentiatedGradient;
+use super::form;
 use super::gauss_newton::GaussNewton;
 use super::objective::{Channels, Linearised, Objective};
 use super::refine::{Refine, refine};
 use super::simplex::SimplexError;
 use super::solve::{Paths, Solution, Solved, solve};
 use super::trace::{Step, Termination};
-use super::uncertainty::{self, Draws};
+use super::uncertainty::{self, Adds, Draws};
+use crate::brdf::Mixture;
 use crate::brdf::dictionary::Dictionary;
+use crate::geometry::FormError;
 use crate::radiance_image::RadianceImage;
 use crate::transport::cache::CacheError;
 use crate::transport::{Cache, CacheOptions, Kernel, Scene};
@@ -59,6 +62,8 @@ pub struct FitOptions {
     pub draws: usize,
     /// Paths and atoms beyond the first fit.
     pub refine: Refine,
+    /// How far the as-made sample departs from the scene's mesh; `None`: not at all.
+    pub form_error: Option<FormError>,
     /// Instructions to use.
     pub kernel: Kernel,
 }
@@ -74,6 +79,7 @@ impl Default for FitOptions {
             rounds: 3,
             draws: 200,
             refine: Refine::default(),
+            form_error: None,
             kernel: Kernel::detect(),
         }
     }
@@ -213,8 +219,9 @@ pub(super) fn fit_from(
         termination,
     } = solve(&paths, &objective, earlier, options, stage)?;
     let (cache, timings) = (&paths.cache, &mut solution.timings);
+    let weights = solution.weights.clone();
     stage("uncertainty");
-    let draws = timings.time("uncertainty", || -> Result<_, SimplexError> {
+    let draws = timings.time("uncertainty", || {
         let model = Model {
             objective: &objective,
             cache,
@@ -227,12 +234,30 @@ pub(super) fn fit_from(
             _ => objective.score_noise(&mixture, &residual_weights, &pass.model),
         };
         let (count, seed) = (options.draws, options.cache.seed);
-        let mut draws = uncertainty::draw(&mixture, &pass, coupling.as_ref(), &noise, count, seed)?;
+        let material = Mixture::new(dictionary.clone(), weights);
+        let form = match (&options.form_error, material) {
+            (Some(error), Ok(material)) if count > 0 => form::score_covariance(
+                &model,
+                scene,
+                error,
+                &residual_weights,
+                &mixture,
+                &material,
+                seed,
+            ),
+            _ => Vec::new(),
+        };
+        let adds = Adds {
+            bench: coupling.as_ref(),
+            form: &form,
+            noise: &noise,
+        };
+        let mut draws = uncertainty::draw(&mixture, &pass, &adds, count, seed);
         for (draws, misfit) in draws.iter_mut().zip(objective.misfit(&pass.model)) {
             draws.misfit = misfit;
         }
-        Ok(draws)
-    })?;
+        draws
+    });
     stage("diagnosis");
     let diagnosis = timings.time("diagnosis", || {
         diagnosis::examine(scene, dictionary, &objective, cache, &mixture, &pass)

@@ -6,6 +6,7 @@ pub mod budget;
 pub mod diagnosis;
 pub mod exponentiated_gradient;
 pub mod fit;
+mod form;
 pub mod gauss_newton;
 pub mod intervals;
 pub mod light_selection;

@@ -13,7 +13,6 @@ use rayon::prelude::*;
 use super::bench::{BenchCoupling, Parameter};
 use super::budget::{Budget, Source};
 use super::objective::{Linearised, ScoreNoise};
-use super::simplex::SimplexError;
 use super::sparse::SparsePosterior;
 use crate::random::{Purpose, Stream, stream};
 
@@ -42,27 +41,34 @@ const STEPS: usize = 20_000;
 /// pixels, such as the facets of the mesh, scatters no block; calibrated by coverage.
 const LEAST_SPREAD: f64 = 3.0;
 
-/// Draws `count` weights for each set around `mixture`; `bench` is what an uncertain
-/// bench adds to their spread, `noise` what capture and render make of it.
+/// What makes the score scatter beside the residual, per set of weights.
+pub struct Adds<'a> {
+    /// What an uncertain bench adds.
+    pub bench: Option<&'a BenchCoupling>,
+    /// Covariance that a surface adds which departs from its mesh; empty where none is stated.
+    pub form: &'a [DMatrix<f64>],
+    /// What capture and render make of the residual's own scatter; empty where unknown.
+    pub noise: &'a [ScoreNoise],
+}
+
+/// Draws `count` weights for each set around `mixture`.
 pub fn draw(
     mixture: &[DVector<f64>],
     pass: &Linearised,
-    bench: Option<&BenchCoupling>,
-    noise: &[ScoreNoise],
+    adds: &Adds<'_>,
     count: usize,
     seed: u64,
-) -> Result<Vec<Draws>, SimplexError> {
-    Ok((0..mixture.len())
+) -> Vec<Draws> {
+    (0..mixture.len())
         .into_par_iter()
-        .map(|set| draw_set(&mixture[set], pass, bench, noise.get(set), set, count, seed))
-        .collect())
+        .map(|set| draw_set(&mixture[set], pass, adds, set, count, seed))
+        .collect()
 }
 
 fn draw_set(
     mixture: &DVector<f64>,
     pass: &Linearised,
-    bench: Option<&BenchCoupling>,
-    noise: Option<&ScoreNoise>,
+    adds: &Adds<'_>,
     set: usize,
     count: usize,
     seed: u64,
@@ -76,7 +82,7 @@ fn draw_set(
         let expected = EXPECTED_ATOMS.min(0.5 * n as f64);
         SparsePosterior::new(h, b, expected).draw(mixture, count, STEPS, &mut numbers)
     };
-    let (h, b, budget) = adjusted_likelihood(mixture, pass, bench, noise, set);
+    let (h, b, budget) = adjusted_likelihood(mixture, pass, adds, set);
     Draws {
         posterior: chain(h, b, 0),
         prior: chain(DMatrix::zeros(n, n), DVector::zeros(n), 1),
@@ -90,8 +96,7 @@ fn draw_set(
 fn adjusted_likelihood(
     mixture: &DVector<f64>,
     pass: &Linearised,
-    bench: Option<&BenchCoupling>,
-    noise: Option<&ScoreNoise>,
+    adds: &Adds<'_>,
     set: usize,
 ) -> (DMatrix<f64>, DVector<f64>, Option<Budget>) {
     let quadratic = &pass.quadratics[set];
@@ -120,15 +125,20 @@ fn adjusted_likelihood(
     let blocks = scores.len() as f64;
     scatter *= blocks / (blocks - 0.5 * kept.len() as f64).max(1.0);
     let mut scatter = mapped(scatter, |v| v.max(LEAST_SPREAD));
-    if let Some(bench) = bench {
-        scatter += inverse.tr_mul(&bench.covariance(set)) * &inverse;
+    let whitened = |m: &DMatrix<f64>| inverse.tr_mul(m) * &inverse;
+    if let Some(bench) = adds.bench {
+        scatter += whitened(&bench.covariance(set));
     }
-    let budget = noise.map(|noise| {
-        let whitened = |m: &DMatrix<f64>| inverse.tr_mul(m) * &inverse;
+    let form = adds.form.get(set).map(whitened);
+    if let Some(form) = &form {
+        scatter += form;
+    }
+    let budget = adds.noise.get(set).map(|noise| {
         let mut known = vec![
             (Source::CaptureNoise, whitened(&noise.captured)),
             (Source::RenderNoise, whitened(&noise.rendered)),
         ];
+        known.extend(form.map(|form| (Source::Mesh, form)));
         let of = |source: Source| {
             move |parameter: Parameter| match parameter {
                 Parameter::Rotation(_) | Parameter::Translation(_) => source == Source::Pose,
@@ -139,7 +149,7 @@ fn adjusted_likelihood(
             }
         };
         for source in [Source::Pose, Source::LightDirections, Source::Intensities] {
-            if let Some(bench) = bench {
+            if let Some(bench) = adds.bench {
                 known.push((source, whitened(&bench.part(set, of(source)))));
             }
         }

@@ -298,6 +298,12 @@ fn provenance(
             ("Seed", record.seed.to_string()),
             ("Interruptions resumed", resumed.to_string()),
             ("Stage's reference after the last light", reference(session)),
+            ("Lamp from the first light to its second visit", {
+                let found = session.lamp_drift().unwrap_or_default().over_session;
+                found.map_or("not known".to_owned(), |c| {
+                    format!("changed by {:+.2}%", 100.0 * c)
+                })
+            }),
             (
                 "Lamp from a light's first to its last frames",
                 drift(session),

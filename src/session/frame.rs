@@ -62,6 +62,12 @@ pub struct FrameTimes {
     /// The device's running number, where it has one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub device_sequence: Option<u64>,
+    /// Temperature of the sensor when it arrived, °C, where the camera says.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sensor_c: Option<f64>,
+    /// Temperature of the lamp, °C, where the stage says; at most some seconds old.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lamp_c: Option<f64>,
     /// What went wrong before the frame was right.
     #[serde(default, skip_serializing_if = "Retakes::is_none")]
     pub retakes: Retakes,

@@ -34,7 +34,7 @@ pub mod record;
 mod store;
 pub mod verify;
 
-pub use drift::LampDrift;
+pub use drift::{LampDrift, REVISIT_ROUND};
 pub use error::SessionError;
 pub use frame::{FrameTimes, Sidecar};
 pub use journal::{Event, FileDigest, Journal, Record};

@@ -3,6 +3,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::device::temperature::TemperatureLimits;
 use crate::device::{CameraInfo, LampChannel, StageInfo};
 use crate::units::{Seconds, StageAngles};
 
@@ -77,6 +78,12 @@ pub struct PlanRecord {
     pub lamp_warm_up_s: Seconds,
     /// Frames thrown away after a change of the camera's settings, at least.
     pub settings_latency_frames: u32,
+    /// Whether the first light is visited again after the last one, against drift of the lamp.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub revisit_first: bool,
+    /// Temperatures above which the capture is suspended.
+    #[serde(default, skip_serializing_if = "TemperatureLimits::is_none")]
+    pub limits: TemperatureLimits,
     /// Estimated time of the whole capture for a scene of usual contrast, seconds.
     pub estimated_s: Seconds,
     /// Estimated size of the session for a scene of usual contrast, bytes.

@@ -66,6 +66,10 @@ pub struct World {
     pub reserve_bytes: u64,
     /// Brightness of the lamp is multiplied by this at every frame.
     pub drift_per_frame: f64,
+    /// What sensor and lamp say of their temperature, °C, before the first frame.
+    pub temperatures_c: [Option<f64>; 2],
+    /// By how much both become warmer with every frame, °C.
+    pub warming_c: f64,
     /// Asked for when this many frames have been grabbed.
     pub pause_at_grab: Option<u32>,
     /// How long a frame takes.
@@ -110,6 +114,8 @@ impl Bench {
             last: None,
             reserve_bytes: 0,
             drift_per_frame: 1.0,
+            temperatures_c: [None; 2],
+            warming_c: 0.0,
             pause_at_grab: None,
             frame_time: Duration::ZERO,
             interrupt_at_grab: None,
@@ -125,6 +131,13 @@ impl Bench {
 
     pub fn world(&self) -> MutexGuard<'_, World> {
         self.0.lock().unwrap()
+    }
+}
+
+impl World {
+    fn temperature_c(&self, part: usize) -> Option<f64> {
+        let warmer_c = self.warming_c * f64::from(self.grabs);
+        self.temperatures_c[part].map(|temperature_c| temperature_c + warmer_c)
     }
 }
 
@@ -254,6 +267,10 @@ impl LightStage for Stage {
         })
     }
 
+    fn temperature_c(&mut self) -> Option<f64> {
+        self.0.world().temperature_c(1)
+    }
+
     fn check_reference(&mut self) -> Result<Option<ReferenceCheck>, DeviceError> {
         let world = self.0.world();
         assert_eq!(world.lamp, LampState::Off, "moved with the lamp on");
@@ -279,6 +296,10 @@ impl Camera for Cam {
         let on_time = requested.exposure == PILOT;
         world.late = LATENCY + if on_time { 0 } else { world.extra_latency };
         Ok(requested)
+    }
+
+    fn temperature_c(&mut self) -> Option<f64> {
+        self.0.world().temperature_c(0)
     }
 
     fn set_shutter(&mut self, open: bool) -> Result<bool, DeviceError> {
@@ -496,6 +517,8 @@ pub fn record() -> SessionRecord {
             lamp_settle_s: Seconds(0.0),
             lamp_warm_up_s: Seconds(0.0),
             settings_latency_frames: LATENCY,
+            revisit_first: false,
+            limits: Default::default(),
             estimated_s: Seconds(10.0),
             estimated_bytes: 1000,
             lights: vec![at(0.0, 90.0), at(40.0, 35.0)],

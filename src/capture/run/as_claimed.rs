@@ -52,7 +52,9 @@ impl Run<'_> {
         let before = match reference {
             Reference::Exposure(taken) if shot.key.repeat > 0 || same_exposure(taken) => None,
             Reference::None => None,
-            Reference::Exposure(taken) | Reference::Lamp(taken) => Some(taken),
+            Reference::Exposure(taken) | Reference::Lamp(taken) | Reference::Revisit(taken) => {
+                Some(taken)
+            }
         };
         let mut sent_again = false;
         let mut patience = self.plan.settings_latency_frames + PATIENCE_FRAMES;
@@ -69,6 +71,18 @@ impl Run<'_> {
             };
             match found.verdict() {
                 Verdict::Good => return Ok((frame, found.if_known())),
+                Verdict::Doubtful | Verdict::Refused if let Reference::Revisit(_) = reference => {
+                    if found.verdict() == Verdict::Refused && self.discarded < patience {
+                        self.discarded += 1;
+                        continue;
+                    }
+                    let text = format!(
+                        "the lamp has become {:.4} times as bright since light {} was captured",
+                        found.ratio, shot.key.light
+                    );
+                    self.warn(shot.key.light, text).await?;
+                    return Ok((frame, found.if_known()));
+                }
                 Verdict::Doubtful => {
                     let expected = match reference {
                         Reference::Lamp(_) => "the light's earlier frame",

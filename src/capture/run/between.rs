@@ -1,11 +1,12 @@
 //! What comes between the frames: a pause, a stop that was asked for, a disk that
-//! fills, a lamp that drifts.
+//! fills, a device that becomes hot, a lamp that drifts.
 
 use super::Run;
 use super::frame::{Reference, Shot, Taken};
 use crate::capture::exposure_check::{SignalRatio, signal_ratio};
 use crate::capture::{CaptureError, WRITE_QUEUE};
 use crate::device::ReferenceCheck;
+use crate::device::temperature::{Part, Warmth};
 use crate::interrupt::StopLevel;
 use crate::session::Event;
 
@@ -17,6 +18,13 @@ const SIDECAR_BYTES: u64 = 4096;
 pub(super) struct Kept {
     frames: Vec<Taken>,
     worst: SignalRatio,
+}
+
+impl Kept {
+    /// One per channel.
+    pub(super) fn frames(self) -> Vec<Taken> {
+        self.frames
+    }
 }
 
 impl Run<'_> {
@@ -82,6 +90,35 @@ impl Run<'_> {
             self.warn(last, text).await?;
         }
         Ok(())
+    }
+
+    /// Whether a part is cool enough to go on; said once where it nearly is not.
+    pub(super) async fn check_temperature(
+        &mut self,
+        light: u32,
+        part: Part,
+        temperature_c: Option<f64>,
+    ) -> Result<(), CaptureError> {
+        let Some(temperature_c) = temperature_c else {
+            return Ok(());
+        };
+        match self.plan.limits.judge(part, temperature_c) {
+            Warmth::Fine => Ok(()),
+            Warmth::Near(_) if self.warm_told.contains(&part) => Ok(()),
+            Warmth::Near(limit_c) => {
+                self.warm_told.push(part);
+                let text = format!(
+                    "light {light}: the {part} has {temperature_c:.1} °C; above {limit_c} °C the capture is suspended"
+                );
+                self.warn(light, text).await
+            }
+            Warmth::Above(limit_c) => Err(CaptureError::TooHot {
+                light,
+                part,
+                temperature_c,
+                limit_c,
+            }),
+        }
     }
 
     /// Keeps the frames, one per channel, that [`Self::check_drift`] repeats: those of the

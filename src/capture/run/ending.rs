@@ -28,7 +28,8 @@ impl Run<'_> {
             | Err(
                 CaptureError::Interrupted
                 | CaptureError::LowDisk { .. }
-                | CaptureError::LampDrift { .. },
+                | CaptureError::LampDrift { .. }
+                | CaptureError::TooHot { .. },
             ) => match devices.shut_down().await {
                 Ok(()) => result,
                 Err(error) => Err(devices.stop_after(error)),

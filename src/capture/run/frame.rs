@@ -7,6 +7,7 @@ use super::Run;
 use crate::capture::CaptureError;
 use crate::capture::exposure_check::Exposed;
 use crate::capture::progress::Progress;
+use crate::device::temperature::Part;
 use crate::device::{CameraSettings, FrameKey, FrameKind, LampChannel, LampState, RawFrame};
 use crate::session::{Event, FrameTimes, Sidecar, layout, utc_now};
 use crate::units::{Seconds, StageAngles};
@@ -39,6 +40,8 @@ pub(super) enum Reference<'a> {
     Exposure(&'a Taken),
     /// The channel's frame at the same exposure: is the lamp what it was?
     Lamp(&'a Taken),
+    /// Likewise after all lights: it is told and nothing is refused.
+    Revisit(&'a Taken),
 }
 
 impl<'a> From<Option<&'a Taken>> for Reference<'a> {
@@ -169,12 +172,18 @@ impl Run<'_> {
         self.devices
             .lamp(shot.lamp, self.plan.lamp_settle_s)
             .await?;
+        let lamp_c = self.devices.lamp_c().await?;
+        self.check_temperature(shot.key.light, Part::Lamp, lamp_c)
+            .await?;
         let (applied, changed) = self.devices.settings_applied(change).await?;
         self.devices.shutter(shutter_open).await?;
         if changed {
             self.discarded = latency;
         }
         let (frame, exposure_ratio) = self.grab_as_claimed(shot, applied, reference).await?;
+        let sensor_c = self.devices.sensor_c();
+        self.check_temperature(shot.key.light, Part::Sensor, sensor_c)
+            .await?;
         let retakes = self.devices.take_retakes();
         if !retakes.is_none() {
             let name = layout::frame_stem(shot.key);
@@ -200,6 +209,8 @@ impl Run<'_> {
                 monotonic_s: Seconds(self.clock.start.elapsed().as_secs_f64()),
                 device_s: frame.timestamp,
                 device_sequence: frame.sequence,
+                sensor_c,
+                lamp_c,
                 retakes,
             },
         };

@@ -50,7 +50,7 @@ struct FlatReport {
 pub(super) fn run(args: &FlatArgs, context: &Context) -> Result<(), CliError> {
     let rig = args.common.rig.resolve(context)?;
     let library = Library::of_rig(&rig);
-    let target = Target::new(&rig.config, library.clone(), &args.common, context);
+    let mut target = Target::new(&rig.config, library.clone(), &args.common, context);
     let pinned = rig.config.calibration.sensor.as_deref();
     // A record measured just before into --out counts.
     let gain = rig.config.camera.gain;
@@ -99,6 +99,7 @@ pub(super) fn run(args: &FlatArgs, context: &Context) -> Result<(), CliError> {
         ambient,
     } = bench.flat_field(&noise).hint(LIGHT_HINT)?;
     bar.finish_and_clear();
+    target.settings.sensor_c = camera.temperature_c();
 
     let map_file = format!("{}.png", target.id(Kind::Flat));
     let (values, png) = to_map(&flat, resolution_px[0] as usize, &map_file)?;

@@ -65,7 +65,7 @@ pub(super) fn run(args: &LampArgs, context: &Context) -> Result<(), CliError> {
             )),
         );
     }
-    let target = Target::new(config, Library::of_rig(&rig), &args.common, context);
+    let mut target = Target::new(config, Library::of_rig(&rig), &args.common, context);
     let options = WatchOptions {
         gain: config.camera.gain,
         watch_s: 60.0 * args.minutes,
@@ -84,7 +84,9 @@ pub(super) fn run(args: &LampArgs, context: &Context) -> Result<(), CliError> {
                 &mut wait,
                 &mut progress,
             );
-            watch.run(&options).hint(SCENE_HINT)?
+            let fit = watch.run(&options).hint(SCENE_HINT)?;
+            target.settings.sensor_c = bench.camera.temperature_c();
+            fit
         }
         None => {
             context.note(
@@ -104,7 +106,10 @@ pub(super) fn run(args: &LampArgs, context: &Context) -> Result<(), CliError> {
                 std::thread::sleep(Duration::try_from_secs_f64(seconds).unwrap_or_default());
             };
             let mut watch = Watch::new(camera.as_mut(), &mut switch, &mut wait, &mut progress);
-            watch.run(&options).hint(SCENE_HINT)?
+            let fit = watch.run(&options).hint(SCENE_HINT)?;
+            target.settings.sensor_c = camera.temperature_c();
+            target.settings.lamp_c = stage.temperature_c();
+            fit
         }
     };
     bar.finish_and_clear();

@@ -122,7 +122,7 @@ pub(super) fn run(args: &ResponseArgs, context: &Context) -> Result<(), CliError
     target.settings = Settings {
         bit_depth: Some(8),
         resolution_px: Some([first.width as u32, first.height as u32]),
-        gain: None,
+        ..Settings::default()
     };
     let method = format!(
         "{}, {} exposures of {} to {} s",

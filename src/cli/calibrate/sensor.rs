@@ -56,7 +56,7 @@ impl From<&TransferPoint> for CurvePoint {
 
 pub(super) fn run(args: &SensorArgs, context: &Context) -> Result<(), CliError> {
     let rig = args.common.rig.resolve(context)?;
-    let target = Target::new(&rig.config, Library::of_rig(&rig), &args.common, context);
+    let mut target = Target::new(&rig.config, Library::of_rig(&rig), &args.common, context);
     let options = procedure_options(&rig.config.camera, args.frames);
     let mut camera = open_camera(&rig.config, UNIFORM_RADIANCE)?;
     let bit_depth = camera.info().bit_depth;
@@ -68,6 +68,7 @@ pub(super) fn run(args: &SensorArgs, context: &Context) -> Result<(), CliError> 
     .photon_transfer()
     .hint(LIGHT_HINT)?;
     bar.finish_and_clear();
+    target.settings.sensor_c = camera.temperature_c();
     let fit = transfer.solve(width, bit_depth).hint(LIGHT_HINT)?;
     let levels = fit.curve.len();
     let method = format!(

@@ -82,6 +82,7 @@ impl<'a> Target<'a> {
                 gain: Some(rig.camera.gain),
                 bit_depth: Some(rig.camera.bit_depth),
                 resolution_px: Some(rig.camera.resolution_px),
+                ..Settings::default()
             },
         }
     }

@@ -4,7 +4,7 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::{Duration, Instant};
 
 use super::Lit;
-use super::protocol::{Info, LONGEST_LINE, Line, State, info, parse, request, state};
+use super::protocol::{self, Info, LONGEST_LINE, Line, State, info, parse, request, state};
 use super::stage::{Found, LightPort, ReadBack};
 use crate::device::DeviceError;
 use crate::device::guardian::Exchange;
@@ -107,6 +107,11 @@ impl LightPort for DomeLine {
             Some(State::Driven { lit, shines: false }) => Ok(ReadBack::Dark(lit)),
             None => Err(self.line.garbled(&data, "what a dome says of its lights")),
         }
+    }
+
+    fn temperature_c(&self) -> Result<Option<f64>, DeviceError> {
+        let data = self.ask("temperature", self.reply_timeout)?;
+        Ok(protocol::temperature_c(&data))
     }
 
     fn restarts(&self) -> u64 {

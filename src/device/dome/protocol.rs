@@ -140,6 +140,12 @@ pub fn state(data: &str) -> Option<State> {
     }
 }
 
+/// The data of `temperature`: `41.5`, degrees Celsius of the lights' driver or heat sink.
+pub fn temperature_c(data: &str) -> Option<f64> {
+    let value: f64 = data.parse().ok()?;
+    (-100.0..=500.0).contains(&value).then_some(value)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -191,6 +197,11 @@ mod tests {
         assert_eq!(state("light 7 1 255 shines"), driven(true));
         assert_eq!(state("light 7 1 255 dark"), driven(false));
         assert_eq!(state("light 7 1 256 dark"), None);
+        assert_eq!(temperature_c("41.5"), Some(41.5));
+        assert_eq!(temperature_c("-3"), Some(-3.0));
+        for bad in ["", "warm", "nan", "inf", "41.5 C", "1e9"] {
+            assert_eq!(temperature_c(bad), None, "{bad}");
+        }
     }
 
     proptest! {
@@ -200,6 +211,7 @@ mod tests {
             let text = String::from_utf8_lossy(&line);
             info(&text);
             state(&text);
+            temperature_c(&text);
         }
 
         /// A line with one changed byte never counts as another line.

@@ -25,6 +25,10 @@ pub trait LightPort: Send + Sync {
     fn show(&self, lit: Option<Lit>) -> Result<(), DeviceError>;
     /// What the dome says of its lights.
     fn read_back(&self) -> Result<ReadBack, DeviceError>;
+    /// How warm the lights are, °C, where the dome says.
+    fn temperature_c(&self) -> Result<Option<f64>, DeviceError> {
+        Ok(None)
+    }
     /// How often the dome has said that it has restarted.
     fn restarts(&self) -> u64;
     /// All off, sent at once, also beside a request that is under way.
@@ -74,6 +78,8 @@ pub struct DomeStage {
     stops: Arc<AtomicU64>,
     stops_seen: u64,
     restarts_seen: u64,
+    /// Whether the firmware knows its temperature, as far as is known.
+    has_temperature: bool,
     _keep_alive: Option<KeepAlive>,
 }
 
@@ -122,6 +128,7 @@ impl DomeStage {
             stops: Arc::default(),
             stops_seen: 0,
             restarts_seen: port.restarts(),
+            has_temperature: true,
             _keep_alive: keep_alive,
             port,
             config,
@@ -298,6 +305,20 @@ impl LightStage for DomeStage {
                 ReadBack::Dark(_) | ReadBack::Unverified => None,
             },
         })
+    }
+
+    fn temperature_c(&mut self) -> Option<f64> {
+        if !self.has_temperature {
+            return None;
+        }
+        match self.port.temperature_c() {
+            Ok(reading) => reading,
+            Err(error) => {
+                // Firmware of before answers that there is no such request.
+                self.has_temperature = !matches!(error, DeviceError::Refused { .. });
+                None
+            }
+        }
     }
 
     fn port_stop(&self) -> Result<Option<PortStop>, DeviceError> {

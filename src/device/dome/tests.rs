@@ -58,6 +58,37 @@ fn dmx() -> (DmxSimulator, DomeStage) {
     (simulator, stage)
 }
 
+/// A dome that knows its temperature says it; firmware of before is asked once.
+#[test]
+fn a_temperature_is_read_where_there_is_one() {
+    let (simulator, mut stage) = dome();
+    stage.home().unwrap();
+    assert_eq!(stage.temperature_c(), Some(31.5));
+    simulator.warm_to(68.25);
+    assert!(
+        stage
+            .temperature_c()
+            .is_some_and(|c| (c - 68.25).abs() < 0.06)
+    );
+
+    let of_before = mock_devices::dome::DomeConfig {
+        temperature_c: None,
+        ..mock_devices::dome::DomeConfig::of_lights(LIGHTS.to_vec())
+    };
+    let simulator = DomeSimulator::spawn(of_before, bench()).unwrap();
+    let mut stage = DomeStage::open(config(simulator.path(), DomeWiring::Line)).unwrap();
+    stage.home().unwrap();
+    for _ in 0..3 {
+        assert_eq!(stage.temperature_c(), None);
+    }
+    assert_eq!(simulator.requests("temperature"), 1);
+    stage.move_to(angles(LIGHTS[1])).unwrap();
+    stage.set_lamp(LampState::On(LampChannel(0))).unwrap();
+
+    let (_packets, mut stage) = dmx();
+    assert_eq!(stage.temperature_c(), None);
+}
+
 /// A DMX packet isn't answered, so the test waits until it has arrived.
 fn settled(bench: &Bench, wanted: impl Fn(&Bench) -> bool) -> bool {
     (0..2000).any(|_| {

@@ -15,7 +15,7 @@ use std::time::{Duration, Instant};
 use v4l::Device;
 use v4l::buffer::Flags;
 
-use super::controls::{self, ControlInfo, ControlPort, id};
+use super::controls::{self, ControlInfo, ControlPort, TemperatureControl, id};
 use super::discovery::{self, DeviceKind};
 use super::frame_row::PreviousFrame;
 use super::pixel_format::PixelFormat;
@@ -43,6 +43,8 @@ pub struct V4lConfig {
     pub resolution_px: Option<[u32; 2]>,
     /// Further controls, by id, and their values.
     pub controls: Vec<(u32, i64)>,
+    /// The control that says the sensor's temperature, and how many °C a count of it is.
+    pub temperature: Option<TemperatureControl>,
     /// How long a frame may take beyond its exposure.
     pub frame_timeout: Seconds,
     /// How long it is waited for after it was unplugged.
@@ -63,6 +65,7 @@ impl V4lConfig {
             bit_depth: None,
             resolution_px: None,
             controls: Vec::new(),
+            temperature: None,
             frame_timeout: Seconds(5.0),
             return_timeout: Seconds(0.0),
             any_exposure: false,
@@ -91,6 +94,8 @@ pub struct V4lCamera {
     /// Absent where it cannot be set.
     exposure: Option<Range>,
     gain: Option<Gain>,
+    /// Id, and °C per count.
+    temperature: Option<(u32, f64)>,
     settings: Option<CameraSettings>,
     previous: Option<PreviousFrame>,
     frames_lost: u64,
@@ -158,6 +163,18 @@ impl V4lCamera {
                 gain = range.map(|range| Gain { id, range });
             }
         }
+        let temperature = match &config.temperature {
+            None => None,
+            Some(wanted) => {
+                let found = controls::find(&device, &wanted.name).map_err(failed)?;
+                let found = found.ok_or_else(|| DeviceError::Refused {
+                    device: config.device.clone(),
+                    command: format!("control {:?}", wanted.name),
+                    reason: "the camera has no such control".to_owned(),
+                })?;
+                Some((found.id, wanted.unit_c))
+            }
+        };
         let info = CameraInfo {
             driver: "v4l".to_owned(),
             model: capabilities.card,
@@ -180,6 +197,7 @@ impl V4lCamera {
             stride,
             exposure,
             gain,
+            temperature,
             settings: None,
             previous: None,
             frames_lost: 0,
@@ -427,6 +445,12 @@ impl Camera for V4lCamera {
             timeout,
             sent: "a request for a frame".to_owned(),
         })
+    }
+
+    fn temperature_c(&mut self) -> Option<f64> {
+        let (id, unit_c) = self.temperature?;
+        let counts = ControlPort::get(&self.device, id).ok()?;
+        Some(counts as f64 * unit_c)
     }
 
     fn frames_lost(&self) -> u64 {

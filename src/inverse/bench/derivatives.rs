@@ -16,6 +16,7 @@ use rayon::prelude::*;
 
 use super::parameters::{Bench, Parameter};
 use crate::brdf::Brdf;
+use crate::geometry::Mesh;
 use crate::random::{Purpose, stream};
 use crate::transport::falloff::Falloff;
 use crate::transport::{Proposal, Scene};
@@ -71,8 +72,56 @@ impl DerivativeImages {
         options: &DerivativeOptions,
     ) -> Self {
         let base = bench.scene(values);
-        let lights = base.lights.len();
         let halves = [1.0, -1.0].map(|sign| views(bench, &base, values, sign));
+        Self::between(&base, &halves, brdf, wanted, options)
+    }
+
+    /// By how much the images change when the sample takes these shapes: the mean of what a
+    /// deformation adds and what its opposite takes away. `deformed` has a mesh for each, as
+    /// the first half of the samples sees it and as the second does; its index stands for
+    /// the parameter.
+    pub fn of_shapes(
+        base: &Scene,
+        deformed: Vec<[Mesh; 2]>,
+        brdf: &dyn Brdf,
+        wanted: &[bool],
+        options: &DerivativeOptions,
+    ) -> Self {
+        let lights = base.lights.len();
+        let still = || View {
+            scene: base.clone(),
+            light_of_slot: (0..lights).collect(),
+        };
+        let mut halves = [1.0, -1.0].map(|_| (vec![still()], Vec::new()));
+        for (parameter, meshes) in deformed.into_iter().enumerate() {
+            for ((views, places), (mesh, step)) in
+                halves.iter_mut().zip(meshes.into_iter().zip([1.0, -1.0]))
+            {
+                places.extend((0..lights).map(|light| Place {
+                    parameter,
+                    view: views.len(),
+                    slot: light,
+                    light,
+                    step,
+                }));
+                views.push(View {
+                    scene: base.deformed(mesh),
+                    ..still()
+                });
+            }
+        }
+        Self::between(base, &halves, brdf, wanted, options)
+    }
+
+    /// Differences between the first view and the others, over their steps.
+    fn between(
+        base: &Scene,
+        halves: &[(Vec<View>, Vec<Place>); 2],
+        brdf: &dyn Brdf,
+        wanted: &[bool],
+        options: &DerivativeOptions,
+    ) -> Self {
+        let lights = base.lights.len();
         let places = &halves[0].1;
         let columns: Vec<_> = places.iter().map(|p| (p.parameter, p.light)).collect();
         let rows: Vec<Vec<[Parts; 2]>> = (0..base.camera.pixels())

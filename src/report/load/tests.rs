@@ -28,6 +28,8 @@ fn plan() -> PlanRecord {
         lamp_warm_up_s: Seconds(0.0),
         lamp_settle_s: Seconds(0.0),
         settings_latency_frames: 2,
+        revisit_first: false,
+        limits: Default::default(),
         estimated_s: Seconds(12.0),
         estimated_bytes: 1000,
         lights: [80.0, 60.0]
@@ -113,6 +115,8 @@ fn frame(repeat: u32, exposure: f64, pilot: bool) -> (RawFrame, Sidecar) {
             monotonic_s: Seconds(1.0),
             device_s: None,
             device_sequence: None,
+            sensor_c: None,
+            lamp_c: None,
             retakes: Default::default(),
         },
     };

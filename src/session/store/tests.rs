@@ -64,6 +64,8 @@ fn record() -> SessionRecord {
             lamp_settle_s: Seconds(0.0),
             lamp_warm_up_s: Seconds(0.0),
             settings_latency_frames: 2,
+            revisit_first: false,
+            limits: Default::default(),
             estimated_s: Seconds(12.0),
             estimated_bytes: 1000,
             lights: vec![ANGLES; 2],
@@ -121,6 +123,8 @@ fn frame(repeat: u32) -> (RawFrame, Sidecar) {
             monotonic_s: Seconds(1.0),
             device_s: None,
             device_sequence: Some(4),
+            sensor_c: None,
+            lamp_c: None,
             retakes: Default::default(),
         },
     };

@@ -1,0 +1,177 @@
+//! A sample that was not made as its mesh has it: what the intervals hold when the fit is
+//! told by how much, and when it is not.
+
+use super::defects::Defect;
+use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table, quantile};
+use super::intervals::{capture, material, options, theta_d_deg, theta_h_deg, values};
+use super::lab::materials::Class;
+use super::lab::{Lab, Sample};
+use crate::brdf::Brdf;
+use crate::geometry::FormError;
+use crate::inverse::budget::{self, Source};
+use crate::inverse::intervals::Interval;
+use crate::inverse::{FitOptions, fit, intervals};
+use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
+
+/// Coverage against the slope error of the sample.
+pub static FORM: Experiment = Experiment {
+    name: "form",
+    shows: "Coverage of the 95% intervals where the sample departs from its mesh by a form and a slope error (correlated over 0.4 mm of 2 mm), which the fit is not told or is told, and the mesh's part of the variance",
+    full: Scale {
+        resolution_px: 16,
+        samples_per_pixel: 256,
+        truth_samples_per_pixel: 1024,
+        lights: 2,
+        materials: &["in-span"],
+        ..Scale::NONE
+    },
+    quick: Scale {
+        resolution_px: 16,
+        samples_per_pixel: 64,
+        truth_samples_per_pixel: 256,
+        lights: 2,
+        materials: &["in-span"],
+        ..Scale::NONE
+    },
+    cases,
+    figures,
+};
+
+/// Captures per slope error, and in the small version.
+const CAPTURES: [u64; 2] = [40, 6];
+/// Rms slope errors, degrees.
+const SLOPES_DEG: [f64; 4] = [0.0, 0.5, 1.0, 2.0];
+/// The one of the small version.
+const QUICK_DEG: f64 = 2.0;
+/// Length over which the departure stays alike, mm.
+const CORRELATION_MM: f64 = 0.4;
+/// Half and difference angle at which the mesh's part is given, degrees.
+const SHARE_AT_DEG: [f64; 2] = [5.0, 10.0];
+
+const TOLD: [&str; 2] = ["not told", "told"];
+
+fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
+    let slopes = SLOPES_DEG.into_iter();
+    Ok(slopes
+        .filter(|&slope| !lab.settings.quick || slope == QUICK_DEG)
+        .map(|slope_deg| {
+            Case::new(format!("{slope_deg} deg"), move |lab: &Lab| {
+                coverage(lab, slope_deg)
+            })
+        })
+        .collect())
+}
+
+/// One capture fitted in one way.
+struct Trial {
+    truth: Vec<[f64; 3]>,
+    cells: Vec<Interval>,
+    share: f64,
+}
+
+impl Trial {
+    /// Truth, bounds and whether the cell is constrained, of all cells and channels.
+    fn each(&self) -> impl Iterator<Item = (f64, [f64; 2], bool)> {
+        self.truth
+            .iter()
+            .zip(&self.cells)
+            .flat_map(|(truth, cell)| {
+                (0..3).map(|c| (truth[c], [cell.lower[c], cell.upper[c]], cell.constrained))
+            })
+    }
+}
+
+/// A row for the fits that were not told, and one for those that were.
+fn coverage(lab: &Lab, slope_deg: f64) -> Result<Vec<Row>, EvaluateError> {
+    use rayon::prelude::*;
+    let height_mm = slope_deg.to_radians() * CORRELATION_MM / std::f64::consts::SQRT_2;
+    let error = FormError::new(height_mm, slope_deg.to_radians());
+    let captures = CAPTURES[usize::from(lab.settings.quick)];
+    let trials = (0..captures)
+        .into_par_iter()
+        .map(|index| trials(lab, error, index))
+        .collect::<Result<Vec<_>, EvaluateError>>()?;
+    Ok((0..2)
+        .map(|told| {
+            let all = || trials.iter().flat_map(|t| t[told].each());
+            let held = |(truth, [lower, upper], _): &(f64, [f64; 2], bool)| {
+                (*lower..=*upper).contains(truth)
+            };
+            let widths: Vec<f64> = all()
+                .filter(|(truth, _, constrained)| *constrained && *truth > 0.0)
+                .map(|(truth, [lower, upper], _)| (upper - lower) / truth)
+                .collect();
+            let (count, constrained) = (all().count() as f64, all().filter(|t| t.2).count());
+            let held_there = all().filter(|t| t.2).filter(held).count() as f64;
+            let share: f64 = trials.iter().map(|t| t[told].share).sum();
+            Row::new()
+                .with("slope_error_deg", slope_deg)
+                .with("form_error_mm", height_mm)
+                .with("fit", TOLD[told])
+                .with("captures", captures as f64)
+                .with("coverage", all().filter(held).count() as f64 / count)
+                .with("constrained", constrained as f64 / count)
+                .with(
+                    "coverage_where_constrained",
+                    (constrained > 0).then(|| held_there / constrained as f64),
+                )
+                .with(
+                    "median_relative_width",
+                    (!widths.is_empty()).then(|| quantile(&widths, 0.5)),
+                )
+                .with("mesh_share", share / captures as f64)
+        })
+        .collect())
+}
+
+/// One capture, fitted without and with the error stated.
+fn trials(lab: &Lab, error: Option<FormError>, index: u64) -> Result<[Trial; 2], EvaluateError> {
+    let sample = Sample::Bowl;
+    let brdf = material(lab, Class::InSpan, index)?;
+    let seed = lab.settings.seed.wrapping_add(index);
+    let defect = error.map(|error| Defect::Form(error, seed));
+    let images = capture(lab, sample, &*brdf, defect.as_ref(), index)?;
+    let lights = sample.lights(lab.settings.lights);
+    let scene = sample.scene(lab.settings.resolution_px, lights)?;
+    let one = |form_error| -> Result<Trial, EvaluateError> {
+        let options = FitOptions {
+            form_error,
+            ..options(lab, index)
+        };
+        let fit = fit(&scene, &images, &lab.dictionary, &options, &mut |_| {})?;
+        let (theta_h, theta_d) = (theta_h_deg(), theta_d_deg());
+        let (dictionary, weights, draws) = (&lab.dictionary, &fit.weights, &fit.draws);
+        let cells = intervals::table(dictionary, weights, draws, &theta_h, &theta_d);
+        let [theta_h, theta_d] = SHARE_AT_DEG;
+        let budget = budget::at(dictionary, weights, draws, theta_h, theta_d);
+        let share = budget.map_or(0.0, |cell| {
+            let total: f64 = cell.relative_variance.iter().sum();
+            cell.relative_variance[Source::Mesh as usize] / total.max(f64::MIN_POSITIVE)
+        });
+        Ok(Trial {
+            truth: values(&*brdf as &dyn Brdf),
+            cells,
+            share,
+        })
+    };
+    Ok([one(None)?, one(error)?])
+}
+
+fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
+    let series = TOLD.iter().enumerate().map(|(color, told)| {
+        let points = SLOPES_DEG.into_iter().filter_map(|slope| {
+            let here = table.figures("coverage", |row| {
+                row.text("fit") == *told && row.number("slope_error_deg") == Some(slope)
+            });
+            Some([slope, *here.first()?])
+        });
+        Series::new(told, color, Mark::Points, points.collect())
+    });
+    let chart = Chart {
+        title: "bowl".to_owned(),
+        x: Axis::linear(-0.1..2.1, "slope error of the sample, degrees"),
+        y: Axis::linear(0.0..1.0, "cells whose 95% interval holds the truth"),
+        series: series.collect(),
+    };
+    Ok(vec![charts("form", 1, &[chart])])
+}
