@@ -1,6 +1,6 @@
 //! Debevec and Malik's estimator: least squares in the logarithm.
 
-use super::{BracketSamples, COUNTS, Curve, Response, ResponseError, WELL_EXPOSED};
+use super::{BracketSamples, COUNTS, Curve, Response, ResponseError};
 
 /// The curve g = ln(exposure) that minimises
 /// `Σ w(z)² (g(z) − ln E − ln t)² + smoothness² Σ w(z)² g″(z)²`
@@ -11,9 +11,9 @@ use super::{BracketSamples, COUNTS, Curve, Response, ResponseError, WELL_EXPOSED
 /// # Errors
 /// Samples that do not make a curve, see [`ResponseError`].
 pub fn debevec(samples: &BracketSamples, smoothness: f64) -> Result<Response, ResponseError> {
-    let samples = samples.clone().checked()?;
+    let (samples, well_exposed) = samples.clone().checked()?;
     let triangle2 = |z: usize| (1 + z.min(COUNTS - 1 - z)).pow(2) as f64;
-    let weight2 = |z: usize| match WELL_EXPOSED.contains(&(z as u8)) {
+    let weight2 = |z: usize| match well_exposed.contains(&(z as u8)) {
         true => triangle2(z),
         false => 0.0,
     };
@@ -61,6 +61,7 @@ pub fn debevec(samples: &BracketSamples, smoothness: f64) -> Result<Response, Re
             .iter()
             .map(|v| (v.max(0.0) * variance_of_weight_1).sqrt())
             .collect(),
+        darkest: *well_exposed.start(),
     })
 }
 
