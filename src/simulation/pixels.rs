@@ -24,22 +24,26 @@ pub fn means(size: [usize; 2], blur_px: f64, radiance: impl Fn(DVec2) -> f64) ->
     means
 }
 
-/// Blurs along one axis: lines of `length` values, `stride` apart.
+/// Blurs along one axis: lines of `length` values, `stride` apart; beyond its ends a line
+/// goes on as it ends.
 fn blurred(values: &[f64], stride: usize, length: usize, sigma: f64) -> Vec<f64> {
-    let reach = (4.0 * sigma).ceil() as i64;
-    let kernel: Vec<f64> = (-reach..=reach)
-        .map(|d| (-0.5 * (d as f64 / sigma.max(1e-9)).powi(2)).exp())
+    let reach = (4.0 * sigma).ceil() as usize;
+    let kernel: Vec<f64> = (0..=2 * reach)
+        .map(|k| (-0.5 * ((k as f64 - reach as f64) / sigma.max(1e-9)).powi(2)).exp())
         .collect();
     let sum: f64 = kernel.iter().sum();
-    let value = |i: usize| {
-        let at = (i / stride % length) as i64;
-        let terms = kernel.iter().zip(-reach..=reach).map(|(k, d)| {
-            let beside = (at + d).clamp(0, length as i64 - 1) - at;
-            k * values[(i as i64 + beside * stride as i64) as usize]
-        });
-        terms.sum::<f64>() / sum
-    };
-    (0..values.len()).map(value).collect()
+    let mut blurred = vec![0.0; values.len()];
+    for line in 0..values.len() / length {
+        let start = if stride == 1 { line * length } else { line };
+        let padded: Vec<f64> = (0..length + 2 * reach)
+            .map(|i| values[start + i.saturating_sub(reach).min(length - 1) * stride])
+            .collect();
+        for (i, window) in padded.windows(kernel.len()).enumerate() {
+            let weighted = window.iter().zip(&kernel).map(|(v, k)| v * k);
+            blurred[start + i * stride] = weighted.sum::<f64>() / sum;
+        }
+    }
+    blurred
 }
 
 #[cfg(test)]

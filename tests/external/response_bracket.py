@@ -91,7 +91,7 @@ def main():
     parser.add_argument("rig")
     parser.add_argument("folder", type=pathlib.Path)
     parser.add_argument("--region", default=None, help="X,Y,W,H without margins")
-    parser.add_argument("--samples", type=int, default=200, help="OpenCV's samples")
+    parser.add_argument("--samples", type=int, default=400, help="OpenCV's samples")
     args = parser.parse_args()
     table = args.folder / "exposures.csv"
     with open(table) as lines:

@@ -80,7 +80,7 @@ fn one(
     for (i, error) in errors.into_iter().enumerate() {
         let std = covariance[(i, i)].sqrt();
         // What a telecentric lens does not see is held.
-        if std > 0.0 {
+        if std > 1e-9 {
             all.push(Recovered {
                 quantity: POSE[i],
                 unit: if i < 3 { "°" } else { "mm" },

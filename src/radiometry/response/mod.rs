@@ -241,10 +241,10 @@ impl Curve {
     }
 
     /// The curve that minimises the form, is 0 in the middle and grows by at
-    /// least [`LEAST_STEP`]; and the diagonal of the inverse matrix. Where the
+    /// least [`LEAST_STEP`]; and the inverse matrix. Where the
     /// minimum would fall, the least step is demanded with a weight beyond all
     /// data's (active set).
-    fn solve(mut self) -> Option<(Vec<f64>, Vec<f64>)> {
+    fn solve(mut self) -> Option<(Vec<f64>, DMatrix<f64>)> {
         let scale = self.matrix.diagonal().max();
         self.matrix[(MIDDLE, MIDDLE)] += scale;
         let heavy = 1e4 * scale;
@@ -272,7 +272,6 @@ impl Curve {
             }
         }
         let (curve, cholesky) = solved?;
-        let variance = cholesky.inverse().diagonal();
         let middle = curve[MIDDLE];
         let mut curve: Vec<f64> = curve.iter().map(|g| g - middle).collect();
         for z in 1..COUNTS {
@@ -282,7 +281,7 @@ impl Curve {
         let middle = curve[MIDDLE];
         Some((
             curve.iter().map(|g| g - middle).collect(),
-            variance.iter().copied().collect(),
+            cholesky.inverse(),
         ))
     }
 }
