@@ -4,6 +4,7 @@ use glam::DVec3;
 
 use super::lamp::LampFit;
 use super::mirror_sphere::light::{FoundLight, tangents};
+use super::record::ResponseValues;
 use super::sensor::{Exposed, SensorFit, TransferPoint};
 use super::stage_directions::StageFit;
 use crate::config::geometry::GeometryConfig;
@@ -148,6 +149,49 @@ pub fn lamp(fit: &LampFit) -> Figure {
         series: vec![Series::new("flicker", 2, Mark::Points, flicker)],
     };
     charts("lamp", 2, &[level, flicker])
+}
+
+/// Counts over the exposures that they stand for, and how well these are known.
+pub fn response(values: &ResponseValues) -> Figure {
+    let labels: &[(&str, usize)] = match values.channels.len() {
+        1 => &[("grey", 0)],
+        _ => &[("red", 1), ("green", 2), ("blue", 0)],
+    };
+    let curves = || values.channels.iter().zip(labels);
+    let decades = |ln: f64| ln / std::f64::consts::LN_10;
+    // Black and white counts stand for all exposures beyond.
+    let seen = 1..255;
+    let ends = values.channels.iter().flat_map(|c| {
+        let ends = [c.ln_exposure[seen.start], c.ln_exposure[seen.end - 1]];
+        ends.map(decades)
+    });
+    let low = ends.clone().fold(0.0, f64::min);
+    let high = ends.fold(0.0, f64::max);
+    let counts = curves().map(|(curve, (label, color))| {
+        let at = |z: usize| [decades(curve.ln_exposure[z]), z as f64];
+        Series::new(label, *color, Mark::Line, seen.clone().map(at).collect())
+    });
+    let stated = curves().map(|(curve, (label, color))| {
+        let at = |z: usize| [z as f64, 100.0 * curve.ln_std[z]];
+        Series::new(label, *color, Mark::Line, seen.clone().map(at).collect())
+    });
+    let all = values.channels.iter().flat_map(|c| &c.ln_std[seen.clone()]);
+    let widest = 100.0 * all.copied().fold(1e-4, f64::max);
+    let panels = [
+        Chart {
+            title: "Response".to_owned(),
+            x: Axis::decades(low - 0.1..high + 0.1, "exposure, count 128 = 1"),
+            y: Axis::with_step(0.0..256.0, 64.0, "count (DN)"),
+            series: counts.collect(),
+        },
+        Chart {
+            title: "Uncertainty".to_owned(),
+            x: Axis::with_step(0.0..256.0, 64.0, "count (DN)"),
+            y: Axis::linear(0.0..1.1 * widest, "of the exposure (%)"),
+            series: stated.collect(),
+        },
+    ];
+    charts("response", 2, &panels)
 }
 
 /// How far lights are from where the rig file has them, and from the fitted stage.

@@ -399,6 +399,9 @@ pub struct ResponseCurve {
     pub ln_exposure: Vec<f64>,
     /// Standard uncertainty of each.
     pub ln_std: Vec<f64>,
+    /// Lowest count that speaks of light; 0 in records that do not state it.
+    #[serde(default)]
+    pub darkest: u8,
 }
 
 impl Values for ResponseValues {

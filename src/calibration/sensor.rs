@@ -300,7 +300,7 @@ impl PhotonTransfer {
         let line_by = |linearity: &Linearity| {
             let mut curve: Vec<TransferPoint> =
                 counted.iter().map(|p| p.corrected(linearity)).collect();
-            let line = VarianceLine::fit(&mut curve, &freedom);
+            let line = VarianceLine::fit(&mut curve, &freedom, black.std);
             (curve, line)
         };
         let (curve, line) = line_by(&bend.linearity);
@@ -499,8 +499,9 @@ struct VarianceLine {
 
 impl VarianceLine {
     /// Weighted least squares; the weights come from the line of the round
-    /// before, since measured variances would favour low ones.
-    fn fit(curve: &mut [TransferPoint], freedom: &[f64]) -> Self {
+    /// before, since measured variances would favour low ones. A black level that is off
+    /// by `black_std_dn` moves the line along the signal.
+    fn fit(curve: &mut [TransferPoint], freedom: &[f64], black_std_dn: f64) -> Self {
         let mut expected: Vec<f64> = curve.iter().map(|p| p.variance_dn2.max(1e-3)).collect();
         let mut line = None;
         for _ in 0..4 {
@@ -531,7 +532,7 @@ impl VarianceLine {
             }
             line = Some(Self {
                 at_zero,
-                at_zero_std: (s2 / determinant).sqrt(),
+                at_zero_std: (s2 / determinant).sqrt().hypot(slope * black_std_dn),
                 slope,
                 slope_std: (s0 / determinant).sqrt(),
                 covariance: -s1 / determinant,

@@ -325,81 +325,12 @@ struct One {
 
 #[cfg(test)]
 mod tests {
-    use std::f64::consts::PI;
-
     use super::*;
     use crate::random::{Purpose, stream};
-    use crate::transport::Projection;
+    use crate::simulation::white_standard::{
+        FACTORS, HEIGHT_MM, SIDE, at, camera, lights, photograph, shape,
+    };
 
-    const SIDE: usize = 60;
-    const HEIGHT_MM: f64 = 2.0;
-    const STATED: [f64; 3] = [3.0, 2.5, 1.2];
-
-    fn camera() -> Camera {
-        let projection = Projection::Orthographic {
-            extent_mm: DVec2::splat(24.0),
-        };
-        let from = DVec3::new(0.0, 0.0, 200.0);
-        Camera::looking_at([SIDE; 2], projection, from, DVec3::ZERO, DVec3::Y).unwrap()
-    }
-
-    fn at(azimuth_deg: f64, elevation_deg: f64) -> StageAngles {
-        StageAngles {
-            azimuth_deg,
-            elevation_deg,
-        }
-    }
-
-    /// A far lamp and two near ones.
-    fn lights() -> Vec<(Light, StageAngles)> {
-        let near = |angles: StageAngles| Light::Point {
-            position_mm: angles.to_light() * 250.0,
-            intensity_mm2: STATED.map(|e| e * 250.0 * 250.0),
-        };
-        let far = at(0.0, 60.0);
-        let sun = Light::Directional {
-            to_light: far.to_light(),
-            irradiance: STATED,
-            angular_radius_rad: 0.0,
-        };
-        let near = [at(120.0, 50.0), at(240.0, 70.0)].map(|angles| (near(angles), angles));
-        [(sun, far), near[0], near[1]].to_vec()
-    }
-
-    /// By hand: the lamp's inverse square and cosine at each pixel's middle, times the
-    /// light's own factor and falloff, on a standard of this reflectance.
-    fn photograph(light: usize, factor: f64, reflectance: f64, seed: u64) -> RadianceImage {
-        let mut image = RadianceImage::new(SIDE, SIDE);
-        let pixel_mm = 24.0 / SIDE as f64;
-        for pixel in 0..SIDE * SIDE {
-            let x = ((pixel % SIDE) as f64 + 0.5) * pixel_mm - 12.0;
-            let y = 12.0 - ((pixel / SIDE) as f64 + 0.5) * pixel_mm;
-            let lit = match lights()[light].0 {
-                Light::Directional { to_light, .. } => to_light.z,
-                Light::Point { position_mm, .. } => {
-                    let way = position_mm - DVec3::new(x, y, HEIGHT_MM);
-                    250.0 * 250.0 * way.z / way.length().powi(3)
-                }
-            };
-            let uneven = 1.0 + shape(light)[0] * x + shape(light)[1] * x * y;
-            for (channel, stated) in STATED.into_iter().enumerate() {
-                let truth = reflectance / PI * stated * lit * factor * uneven;
-                let std = 0.02 * truth;
-                let key = (light * 3 + channel) as u64;
-                let mut random = stream(seed, Purpose::Experiment, key, pixel as u64, 0);
-                image.mean[pixel][channel] = (truth + std * random.normal()) as f32;
-                image.variance[pixel][channel] = (std * std) as f32;
-            }
-        }
-        image
-    }
-
-    /// Slope along x and curvature of xy.
-    fn shape(light: usize) -> [f64; 2] {
-        [[0.004, 0.0], [-0.002, 2e-4], [0.0, -1e-4]][light]
-    }
-
-    const FACTORS: [f64; 3] = [1.06, 0.97, 1.01];
     const REGION: Region = Region {
         x: 6,
         y: 6,

@@ -237,6 +237,7 @@ fn responses(path: &Path, frame: &Path, first: &FrameFile) -> Result<Vec<Respons
     let curve = |curve: ResponseCurve| Response {
         ln_exposure: curve.ln_exposure,
         ln_std: curve.ln_std,
+        darkest: curve.darkest,
     };
     Ok(record.values.channels.into_iter().map(curve).collect())
 }

@@ -24,7 +24,7 @@ pub struct TableError {
     pub problem: String,
 }
 
-/// Parses `file,exposure_s[,role]` lines. Empty lines and lines that begin with
+/// Parses `file,exposure_s[,role]` lines; an exposure may be a fraction, `1/250`. Empty lines and lines that begin with
 /// `#` are skipped, as is a first line whose second column is `exposure_s`. A
 /// file in double quotes may hold commas; `""` inside is one quote.
 ///
@@ -48,15 +48,11 @@ pub fn parse_bracket_table(text: &str) -> Result<Vec<BracketRow>, TableError> {
         if exposure == "exposure_s" && rows.is_empty() {
             continue;
         }
-        let exposure_s = exposure
-            .parse::<f64>()
-            .ok()
-            .filter(|s| s.is_finite() && *s > 0.0)
-            .ok_or_else(|| {
-                error(format!(
-                    "the exposure is {exposure:?}, and must be a number of seconds above 0"
-                ))
-            })?;
+        let exposure_s = seconds(exposure).ok_or_else(|| {
+            error(format!(
+                "the exposure is {exposure:?}, and must be a number of seconds above 0"
+            ))
+        })?;
         let role = match fields.next() {
             None | Some("" | "light") => FrameRole::Light,
             Some("ambient") => FrameRole::Ambient,
@@ -83,6 +79,16 @@ pub fn parse_bracket_table(text: &str) -> Result<Vec<BracketRow>, TableError> {
         });
     }
     Ok(rows)
+}
+
+/// A number or a fraction of two, finite and > 0.
+fn seconds(text: &str) -> Option<f64> {
+    let number = |text: &str| text.trim().parse::<f64>().ok();
+    let seconds = match text.split_once('/') {
+        Some((above, below)) => number(above)? / number(below)?,
+        None => number(text)?,
+    };
+    (seconds.is_finite() && seconds > 0.0).then_some(seconds)
 }
 
 /// The first field and what follows its comma.
@@ -117,7 +123,7 @@ mod tests {
     #[test]
     fn a_table_with_header_comments_quotes_and_roles() {
         let rows = parse_bracket_table(
-            "file,exposure_s,role\n# the lamp at 45 degrees\na.png, 0.01\n\n\"b, 2.png\",0.04,dark\r\nc.png,1e-3,ambient\n",
+            "file,exposure_s,role\n# the lamp at 45 degrees\na.png, 0.01\n\n\"b, 2.png\",0.04,dark\r\nc.png,1e-3,ambient\nd.png, 1/250\n",
         )
         .unwrap();
         let files: Vec<_> = rows
@@ -130,6 +136,7 @@ mod tests {
                 ("a.png", 0.01, FrameRole::Light),
                 ("b, 2.png", 0.04, FrameRole::Dark),
                 ("c.png", 1e-3, FrameRole::Ambient),
+                ("d.png", 0.004, FrameRole::Light),
             ]
         );
     }
@@ -141,6 +148,8 @@ mod tests {
             ("a.png,1\nb.png\n", 2, "\"\""),
             ("a.png,1\na.png,2\n", 2, "a.png appears twice"),
             ("a.png,inf\n", 1, "\"inf\""),
+            ("a.png,1/0\n", 1, "\"1/0\""),
+            ("a.png,1/2/4\n", 1, "\"1/2/4\""),
             ("a.png,1,bright\n", 1, "\"bright\""),
             ("a.png,1,dark,x\n", 1, "fourth"),
             ("\"a.png,1\n", 1, "quotes"),

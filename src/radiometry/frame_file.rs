@@ -1,6 +1,7 @@
 //! Frames as files of 8 or 16 bits: PNG, TIFF, JPEG.
 
 use std::io::Cursor;
+use std::ops::Range;
 
 use image::{DynamicImage, ImageFormat, ImageReader, Limits};
 
@@ -15,6 +16,29 @@ pub struct FrameFile {
     pub bits: u32,
     /// One plane (grey) or three (red, green, blue), row by row each.
     pub planes: Vec<Vec<u16>>,
+}
+
+impl FrameFile {
+    /// The part within these columns and rows; `None` where it is empty or leaves the frame.
+    pub fn part(&self, columns: Range<usize>, rows: Range<usize>) -> Option<Self> {
+        let inside = columns.end <= self.width && rows.end <= self.height;
+        if !inside || columns.is_empty() || rows.is_empty() {
+            return None;
+        }
+        let cut = |plane: &Vec<u16>| {
+            let lines = rows.clone().map(|y| y * self.width);
+            lines
+                .flat_map(|at| &plane[at + columns.start..at + columns.end])
+                .copied()
+                .collect()
+        };
+        Some(Self {
+            width: columns.len(),
+            height: rows.len(),
+            bits: self.bits,
+            planes: self.planes.iter().map(cut).collect(),
+        })
+    }
 }
 
 /// A frame that cannot be used; says what is wrong with it.
@@ -114,6 +138,19 @@ mod tests {
         assert_eq!(frame.bits, 8);
         let alpha = image::RgbaImage::new(2, 2);
         assert!(decode_png(&png(DynamicImage::ImageRgba8(alpha))).is_err());
+    }
+
+    #[test]
+    fn a_part_holds_its_own_pixels() {
+        let frame = decode_png(&grey(7, 5)).unwrap();
+        let part = frame.part(2..4, 1..5).unwrap();
+        assert_eq!((part.width, part.height), (2, 4));
+        let expected = [9, 10, 16, 17, 23, 24, 30, 31].map(|p| p * 977 % 4096);
+        assert_eq!(part.planes, [expected]);
+        assert_eq!(frame.part(0..7, 0..5).unwrap(), frame);
+        for (columns, rows) in [(5..8, 0..5), (0..7, 3..6), (2..2, 0..5)] {
+            assert_eq!(frame.part(columns, rows), None);
+        }
     }
 
     #[test]

@@ -4,7 +4,13 @@
 //! It differs from what a fit believes as a real bench does: another pose, a finer
 //! mesh, other paths, a measured material outside the dictionary.
 
+pub mod checkerboard;
+pub mod edge;
+pub mod glossy_spheres;
 pub mod photograph;
+pub mod pixels;
+pub mod posed_sample;
+pub mod white_standard;
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, OnceLock};

@@ -9,7 +9,7 @@ mod bundle;
 mod corner;
 mod figure;
 mod grid;
-mod model;
+pub mod model;
 mod start;
 mod values;
 mod views;

@@ -1,7 +1,6 @@
-//! Boards seen by simulated lenses: every pixel the mean of many rays, blurred, noisy, with
-//! a distortion that the start does not have.
+//! Boards seen by simulated lenses with a distortion that the start does not have.
 
-use glam::{DQuat, DVec3};
+use glam::DVec3;
 use nalgebra::{DVector, Matrix3, Vector3};
 
 use super::*;
@@ -9,162 +8,27 @@ use crate::calibration::mirror_sphere::Grey;
 use crate::calibration::record::Values;
 use crate::config::{BUILT_IN, RigConfig};
 use crate::random::{Purpose, Stream, stream};
-use crate::transport::Coefficients;
-
-const SIZE: [usize; 2] = [160, 120];
-const SUB: usize = 3;
-/// What a subsample sees of the board, millimetres.
-const FOOTPRINT_MM: f64 = 0.28;
+use crate::simulation::checkerboard::{
+    Checkerboard, SIZE, described, displaced, perspective, poses, telecentric,
+};
 
 fn board() -> Board {
     Board {
-        squares: [10, 8],
-        square_mm: 12.0,
+        squares: Checkerboard::TYPICAL.squares,
+        square_mm: Checkerboard::TYPICAL.square_mm,
         square_std_mm: 0.0,
         tilt_std_deg: 0.0,
     }
 }
 
-fn described(projection: Projection) -> Camera {
-    let from = DVec3::new(0.0, 0.0, 250.0);
-    Camera::looking_at(SIZE, projection, from, DVec3::ZERO, DVec3::Y).unwrap()
-}
-
-fn perspective() -> Camera {
-    let lens = LensSpec {
-        principal_offset: DVec2::new(0.02, -0.015),
-        aspect: 1.01,
-        distortion: Coefficients {
-            radial: [-0.15, 0.1, 0.0],
-            tangential: [0.002, -0.001],
-        },
-    };
-    let camera = described(Projection::Perspective { fov_rad: 0.55 });
-    camera.with_lens(lens).unwrap()
-}
-
-fn telecentric() -> Camera {
-    let lens = LensSpec {
-        distortion: Coefficients {
-            radial: [0.02, -0.005, 0.0],
-            tangential: [0.001, 0.002],
-        },
-        ..LensSpec::IDEAL
-    };
-    let extent_mm = DVec2::new(132.0, 100.0);
-    let camera = described(Projection::Orthographic { extent_mm });
-    camera.with_lens(lens).unwrap()
-}
-
-/// Rays of the subsamples, camera frame.
-fn rays(camera: &Camera) -> Vec<(DVec3, DVec3)> {
-    let width = SIZE[0] * SUB;
-    let place =
-        |i: usize| DVec2::new((i % width) as f64 + 0.5, (i / width) as f64 + 0.5) / SUB as f64;
-    let count = width * SIZE[1] * SUB;
-    (0..count).map(|i| camera.chief_ray(place(i))).collect()
-}
-
-/// Blurs by a Gaussian of this deviation along one axis.
-fn blurred(image: &[f64], stride: usize, line: usize, sigma: f64) -> Vec<f64> {
-    let reach = (3.0 * sigma).ceil() as i64;
-    let kernel: Vec<f64> = (-reach..=reach)
-        .map(|d| (-0.5 * (d as f64 / sigma).powi(2)).exp())
-        .collect();
-    let sum: f64 = kernel.iter().sum();
-    let value = |p: usize| {
-        let at = (p / stride % line) as i64;
-        let terms = kernel.iter().zip(-reach..=reach).map(|(k, d)| {
-            let d = (at + d).clamp(0, line as i64 - 1) - at;
-            k * image[(p as i64 + d * stride as i64) as usize]
-        });
-        terms.sum::<f64>() / sum
-    };
-    (0..image.len()).map(value).collect()
-}
-
 /// A photograph of the board, whose pose is camera from board.
 fn photograph(
-    rays: &[(DVec3, DVec3)],
+    camera: &Camera,
     pose: &Rigid<frames::Camera, frames::Sample>,
     numbers: &mut Stream,
 ) -> Grey {
-    let board = board();
-    let half = 0.5 * DVec2::from_array(board.squares.map(f64::from)) * board.square_mm;
-    let to_board = pose.inverse();
-    let radiance = |(origin, direction): &(DVec3, DVec3)| {
-        let (from, along) = (to_board.point(*origin), to_board.direction(*direction));
-        let at = (from - along * (from.z / along.z)).truncate();
-        // Light that falls off across the board.
-        let light = 1.0 + 0.003 * at.x - 0.002 * at.y;
-        let inside = (at.abs() - half).max_element();
-        if inside > board.square_mm {
-            return 0.2;
-        }
-        if inside > 0.0 {
-            return light * 0.9;
-        }
-        // Edges as wide as a subsample, so that their places are not rounded to it.
-        let wave = |x: f64| {
-            let nearest = (x / board.square_mm).round();
-            let beyond = (x - nearest * board.square_mm) / FOOTPRINT_MM;
-            let sign = if nearest.rem_euclid(2.0) < 0.5 {
-                1.0
-            } else {
-                -1.0
-            };
-            sign * (2.0 * beyond).clamp(-1.0, 1.0)
-        };
-        let place = at + half;
-        light * (0.49 - 0.41 * wave(place.x) * wave(place.y))
-    };
-    let fine: Vec<f64> = rays.iter().map(radiance).collect();
-    let width = SIZE[0] * SUB;
-    let mut value = vec![0.0; SIZE[0] * SIZE[1]];
-    for (i, v) in fine.iter().enumerate() {
-        value[i / width / SUB * SIZE[0] + i % width / SUB] += v / (SUB * SUB) as f64;
-    }
-    let value = blurred(&value, 1, SIZE[0], 0.7);
-    let mut value = blurred(&value, SIZE[0], SIZE[1], 0.7);
-    for v in &mut value {
-        *v += 0.008 * numbers.normal();
-    }
-    let pixels = value.len();
-    Grey {
-        width: SIZE[0],
-        height: SIZE[1],
-        value,
-        variance: vec![0.008f64.powi(2); pixels],
-        valid: vec![true; pixels],
-    }
-}
-
-/// Where the board is in each view: at the datum first, then tilted and moved about.
-fn poses(
-    camera: &Camera,
-    numbers: &mut Stream,
-    views: usize,
-    tilted: bool,
-) -> Vec<Rigid<frames::Camera, frames::Sample>> {
-    let datum = camera.sample_from_camera.inverse();
-    let mut poses = vec![datum];
-    for k in 1..views {
-        let mut near = |size: f64| size * (2.0 * numbers.uniform() - 1.0);
-        let angle = std::f64::consts::TAU * k as f64 / (views - 1) as f64;
-        let tilt = match tilted {
-            true => 0.4 + near(0.1),
-            false => 0.0,
-        };
-        let axis = DVec3::new(angle.cos(), angle.sin(), 0.0);
-        let turn = DQuat::from_rotation_z(near(0.15)) * DQuat::from_axis_angle(axis, tilt);
-        let shift = DVec3::new(
-            12.0 * angle.cos() + near(3.0),
-            9.0 * angle.sin() + near(3.0),
-            near(10.0),
-        );
-        poses.push(datum * Rigid::new(turn, shift));
-    }
-    poses
+    let board = Checkerboard::TYPICAL;
+    Grey::of(&board.photograph(camera, pose, numbers))
 }
 
 fn options(least_views: usize) -> CameraOptions {
@@ -218,15 +82,15 @@ fn ray_error_px(found: &Camera, truth: &Camera) -> f64 {
 #[test]
 fn a_perspective_lens_is_recovered_within_its_uncertainty() {
     const SEEDS: u64 = 3;
-    let truth = perspective();
-    let rays = rays(&truth);
+    let ideal = perspective();
     let start = described(Projection::Perspective { fov_rad: 0.5 });
     let (mut chi2, mut chi2_pose, mut worst_px) = (0.0, 0.0, 0.0f64);
     for seed in 0..SEEDS {
         let mut numbers = stream(seed, Purpose::Experiment, 20, 0, 0);
+        let truth = displaced(ideal, &mut numbers);
         let images: Vec<Grey> = poses(&truth, &mut numbers, 8, true)
             .iter()
-            .map(|pose| photograph(&rays, pose, &mut numbers))
+            .map(|pose| photograph(&truth, pose, &mut numbers))
             .collect();
         let (fit, missed) = calibrate(&images, &start, &board(), &options(3)).unwrap();
         assert!(missed.is_empty(), "{missed:?}");
@@ -272,16 +136,16 @@ fn a_perspective_lens_is_recovered_within_its_uncertainty() {
 #[test]
 fn a_telecentric_lens_is_recovered_within_its_uncertainty() {
     const SEEDS: u64 = 6;
-    let truth = telecentric();
-    let rays = rays(&truth);
+    let ideal = telecentric();
     let extent_mm = DVec2::new(128.0, 96.0);
     let start = described(Projection::Orthographic { extent_mm });
     let mut chi2 = 0.0;
     for seed in 0..SEEDS {
         let mut numbers = stream(seed, Purpose::Experiment, 21, 0, 0);
+        let truth = displaced(ideal, &mut numbers);
         let images: Vec<Grey> = poses(&truth, &mut numbers, 3, false)
             .iter()
-            .map(|pose| photograph(&rays, pose, &mut numbers))
+            .map(|pose| photograph(&truth, pose, &mut numbers))
             .collect();
         let (fit, _) = calibrate(&images, &start, &board(), &options(1)).unwrap();
         let expected = model::Model::of(&truth);
@@ -310,13 +174,12 @@ fn a_telecentric_lens_is_recovered_within_its_uncertainty() {
 #[test]
 fn views_that_say_nothing_are_refused_by_name() {
     let truth = perspective();
-    let rays = rays(&truth);
     let start = described(Projection::Perspective { fov_rad: 0.5 });
     let mut numbers = stream(1, Purpose::Experiment, 22, 0, 0);
     let places = poses(&truth, &mut numbers, 4, true);
     let mut images: Vec<Grey> = places
         .iter()
-        .map(|pose| photograph(&rays, pose, &mut numbers))
+        .map(|pose| photograph(&truth, pose, &mut numbers))
         .collect();
     // A fleck of dust beside a corner.
     let middle = truth.position_px(DVec3::new(6.0, 6.0, 0.0));

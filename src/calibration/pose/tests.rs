@@ -1,100 +1,17 @@
-//! Poses of simulated samples: rendered with all interreflections, a material that the
-//! alignment does not know, another tessellation, blur and noise.
-
-use std::sync::Arc;
+//! Poses of simulated samples against those that they truly have.
 
 use glam::{DVec2, DVec3};
 use nalgebra::{Matrix6, Vector6};
 
 use super::*;
-use crate::brdf::{Dictionary, Mixture};
 use crate::calibration::record::Values;
 use crate::geometry::Shape;
 use crate::inverse::BenchPriors;
 use crate::inverse::bench::with_sample_at;
 use crate::radiance_image::RadianceImage;
 use crate::random::{Purpose, stream};
-use crate::transport::{
-    Camera, Light, Projection, Proposal, RenderOptions, Scene, Shading, render,
-};
-use crate::units::StageAngles;
-
-fn scene(shape: &Shape, size: usize, projection: Projection, lights: &[[f64; 2]]) -> Scene {
-    let camera = Camera::looking_at(
-        [size, size],
-        projection,
-        DVec3::new(0.0, 0.0, 200.0),
-        DVec3::ZERO,
-        DVec3::Y,
-    );
-    let light = |&[azimuth_deg, elevation_deg]: &[f64; 2]| Light::Directional {
-        to_light: StageAngles {
-            azimuth_deg,
-            elevation_deg,
-        }
-        .to_light(),
-        irradiance: [1.0, 2.0, 0.5],
-        angular_radius_rad: 0.0,
-    };
-    let lights = lights.iter().map(light).collect();
-    Scene::new(
-        shape.mesh().unwrap(),
-        Shading::Smooth,
-        camera.unwrap(),
-        lights,
-    )
-}
-
-fn telecentric() -> Projection {
-    Projection::Orthographic {
-        extent_mm: DVec2::splat(26.0),
-    }
-}
-
-/// A glossy mixture of which the alignment knows nothing.
-fn material() -> Mixture {
-    let dictionary = Arc::new(Dictionary::grid42());
-    let mut weights = vec![0.0; dictionary.len()];
-    (weights[12], weights[31], weights[40], weights[41]) = (0.2, 0.2, 0.4, 0.2);
-    Mixture::grey(dictionary, weights).unwrap()
-}
-
-/// Photographs of `truth`: blurred by [1 2 1]/4 along both axes (variance ½ px²), with
-/// noise of 1% of the signal and 0.2% of the brightest.
-fn photographs(truth: &Scene, seed: u64) -> Vec<RadianceImage> {
-    let options = RenderOptions {
-        samples_per_pixel: 32,
-        max_reflections: 4,
-        seed,
-        proposal: Proposal::default(),
-    };
-    let mut images = render(truth, &material(), &options, &|_| {});
-    let mut numbers = stream(seed, Purpose::Experiment, 0, 0, 0);
-    for image in &mut images {
-        let (width, height) = (image.width, image.height);
-        for stride in [1, width] {
-            let mean = image.mean.clone();
-            for (p, value) in image.mean.iter_mut().enumerate() {
-                let at = if stride == 1 { p % width } else { p / width };
-                let last = if stride == 1 { width } else { height } - 1;
-                let [a, b] = [
-                    p - stride * usize::from(at > 0),
-                    p + stride * usize::from(at < last),
-                ];
-                *value =
-                    [0, 1, 2].map(|c| 0.25 * mean[a][c] + 0.5 * mean[p][c] + 0.25 * mean[b][c]);
-            }
-        }
-        let brightest = image.mean.iter().map(|m| m[1]).fold(0.0, f32::max);
-        for (mean, variance) in image.mean.iter_mut().zip(&mut image.variance) {
-            for (m, v) in mean.iter_mut().zip(variance) {
-                *v = (0.01 * *m).powi(2) + (0.002 * brightest).powi(2);
-                *m += v.sqrt() * numbers.normal() as f32;
-            }
-        }
-    }
-    images
-}
+use crate::simulation::posed_sample::{SIZE, bowl, corner, photographs, scene, telecentric};
+use crate::transport::{Projection, Scene};
 
 fn priors() -> BenchPriors {
     BenchPriors {
@@ -104,23 +21,6 @@ fn priors() -> BenchPriors {
         ..BenchPriors::default()
     }
 }
-
-fn bowl(segments: u32) -> Shape {
-    Shape::Bowl {
-        radius_mm: 10.0,
-        segments,
-    }
-}
-
-fn corner(_: u32) -> Shape {
-    Shape::Tetrahedron {
-        radius_mm: 10.0,
-        depth_mm: 7.0,
-    }
-}
-
-const SIZE: usize = 40;
-const LIGHTS: [[f64; 2]; 2] = [[20.0, 50.0], [200.0, 60.0]];
 
 fn quick() -> PoseOptions {
     PoseOptions {
@@ -135,9 +35,10 @@ fn one_bench(
     projection: Projection,
     seed: u64,
 ) -> (Vector6<f64>, PoseEstimate, f64) {
-    let described = scene(&shape(64), SIZE, projection, &LIGHTS);
-    let true_scene = scene(&shape(180), SIZE, projection, &LIGHTS);
     let mut numbers = stream(seed, Purpose::Experiment, 1, 0, 0);
+    let turned_rad = [[0; 2]; 2].map(|light| light.map(|_| priors().light_rad * numbers.normal()));
+    let described = scene(shape(64).mesh().unwrap(), projection, [[0.0; 2]; 2]);
+    let true_scene = scene(shape(180).mesh().unwrap(), projection, turned_rad);
     let mut vector = |s: f64| DVec3::new(numbers.normal(), numbers.normal(), numbers.normal()) * s;
     let rotation = vector(priors().rotation_rad);
     let translation = vector(priors().translation_mm);
@@ -220,7 +121,7 @@ fn poses_are_found_within_their_uncertainty() {
 /// Each refusal names its reason.
 #[test]
 fn images_without_a_pose_are_refused() {
-    let described = scene(&bowl(32), SIZE, telecentric(), &LIGHTS);
+    let described = scene(bowl(32).mesh().unwrap(), telecentric(), [[0.0; 2]; 2]);
     let flat = |seed: u64| {
         let mut image = RadianceImage::new(SIZE, SIZE);
         let mut numbers = stream(seed, Purpose::Experiment, 2, 0, 0);

@@ -259,7 +259,7 @@ impl<'a> Way<'a> {
             let step = factor.solve(&gradient);
             let mut part = 1.0;
             let (lens, own) = (self.lens, self.own.clone());
-            let expected = step.dot(&gradient);
+            let (expected, before) = (step.dot(&gradient), chi2);
             loop {
                 self.move_by(&(&step * part), lens, &own);
                 let next = self.chi2();
@@ -273,7 +273,8 @@ impl<'a> Way<'a> {
                     break;
                 }
             }
-            if expected < 1e-4 || part < 1e-6 {
+            // Where the profile is rough, a step may promise more than there is to gain.
+            if expected < 1e-4 || before - chi2 < 1e-4 * part {
                 let Equations {
                     matrix, scatter, ..
                 } = self.normal_equations(free);

@@ -1,88 +1,18 @@
-//! Photographs of edges, ray by ray through the camera's footprint and lens, with noise.
-
-use glam::{DVec2, DVec3};
+//! Photographs of edges: what is found in them against what was drawn.
 
 use super::*;
 use crate::calibration::mirror_sphere::Grey;
 use crate::calibration::record::Values;
-use crate::random::{Purpose, stream};
+use crate::simulation::edge::{self, BRIGHT, DARK, SIDE, camera, photograph, telecentric};
 use crate::transport::{Camera, Projection};
 
-const SIDE: usize = 44;
-const DARK: f64 = 0.05;
-const BRIGHT: f64 = 0.8;
-
-fn camera(projection: Projection) -> Camera {
-    let mut camera = Camera::looking_at(
-        [SIDE; 2],
-        projection,
-        DVec3::new(0.0, 0.0, 120.0),
-        DVec3::ZERO,
-        DVec3::Y,
-    )
-    .unwrap();
-    camera.point_spread_px = 0.6;
-    camera.object_na = 0.05;
-    camera.focus_mm = 121.5;
-    camera
-}
-
-fn telecentric() -> Camera {
-    camera(Projection::Orthographic {
-        extent_mm: DVec2::splat(6.6),
-    })
-}
-
-/// A target across the axis at a height: bright right of a line through its middle, tilted
-/// by `tilt_rad`, under light that falls off over the field.
-fn photograph(camera: &Camera, height_mm: f64, tilt_rad: f64) -> Vec<f64> {
-    let (sin, cos) = tilt_rad.sin_cos();
-    // Four numbers of a lattice that fills the unit cube evenly.
-    let steps = [
-        0.856_674_883_854_503,
-        0.733_891_856_627_126,
-        0.628_706_721_079_425,
-        0.538_596_893_671_371,
-    ];
-    let seen = |at: DVec2, lens: DVec2| {
-        let ray = camera.ray(at, lens);
-        let (from, along) = (ray.origin_mm.as_dvec3(), ray.direction.as_dvec3());
-        let place = from + along * ((height_mm - from.z) / along.z);
-        let light = 1.0 + 0.03 * place.x - 0.02 * place.y;
-        (place.x * cos + place.y * sin - 0.05, light)
-    };
-    (0..SIDE * SIDE)
-        .map(|pixel| {
-            let corner = DVec2::new((pixel % SIDE) as f64, (pixel / SIDE) as f64);
-            // No ray of a pixel this far from the edge crosses it.
-            let (distance_mm, _) = seen(corner + 0.5, DVec2::ZERO);
-            let rays = if distance_mm.abs() > 1.0 { 16 } else { 500 };
-            let mut shift = stream(9, Purpose::Experiment, 0, pixel as u64, height_mm.to_bits());
-            let start = [0; 4].map(|_| shift.uniform());
-            let ray = |i: i32| {
-                let u: [f64; 4] =
-                    std::array::from_fn(|k| (start[k] + f64::from(i) * steps[k]).fract());
-                let at = camera.in_footprint(corner, DVec2::new(u[0], u[1]));
-                let (distance_mm, light) = seen(at, DVec2::new(u[2], u[3]));
-                light * if distance_mm > 0.0 { BRIGHT } else { DARK }
-            };
-            (0..rays).map(ray).sum::<f64>() / f64::from(rays)
-        })
-        .collect()
-}
-
-/// Noise of the light itself beside a constant one.
+/// An image of these values with noise.
 fn noisy(truth: &[f64], seed: u64) -> Grey {
-    let variance = |v: f64| 1e-5 + 8e-4 * v;
-    let mut value = Vec::new();
-    for (pixel, &v) in truth.iter().enumerate() {
-        let mut random = stream(seed, Purpose::Experiment, 1, pixel as u64, 0);
-        value.push(v + variance(v).sqrt() * random.normal());
-    }
+    let (value, variance) = edge::noisy(truth, seed);
     Grey {
         width: SIDE,
         height: SIDE,
-        variance: truth.iter().map(|&v| variance(v)).collect(),
+        variance,
         valid: vec![true; value.len()],
         value,
     }

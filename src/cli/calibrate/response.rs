@@ -7,12 +7,15 @@ use clap::ValueEnum;
 use serde::Serialize;
 
 use super::target::{CommonArgs, Target};
-use crate::calibration::Library;
+use super::white::parse_region;
 use crate::calibration::record::{ResponseCurve, ResponseValues, Settings};
+use crate::calibration::white::Region;
+use crate::calibration::{Library, figures};
 use crate::cli::bracket_files::{self, BracketFile, read_frame, same_kind};
 use crate::cli::output::write_json;
 use crate::cli::{CliError, Context, HintExt};
 use crate::out;
+use crate::radiometry::frame_file::FrameFile;
 use crate::radiometry::response::{BracketSamples, Response, debevec, robertson};
 
 #[derive(clap::Args, Debug)]
@@ -22,7 +25,8 @@ pub(super) struct ResponseArgs {
     /// Frames of a still scene, or folders of them: 8 bits, at least three exposures
     #[arg(value_name = "FRAMES", required = true)]
     frames: Vec<PathBuf>,
-    /// Table of exposures: CSV lines `file,exposure_s` (default: EXIF data or file names)
+    /// Table of exposures: CSV lines `file,exposure_s`, seconds or fractions such as 1/250
+    /// (default: EXIF data or file names)
     #[arg(long, value_name = "CSV")]
     exposures: Option<PathBuf>,
     /// Estimator
@@ -31,6 +35,9 @@ pub(super) struct ResponseArgs {
     /// Weight of the curve's smoothness (default 10 for debevec, 30 for robertson)
     #[arg(long, value_name = "L")]
     smoothness: Option<f64>,
+    /// The part of the frames that is gone by, without margins and captions (pixels; default: all)
+    #[arg(long, value_name = "X,Y,WIDTH,HEIGHT", value_parser = parse_region)]
+    region: Option<Region>,
     /// Largest number of pixels that are looked at
     #[arg(long, value_name = "N", default_value_t = 4096, value_parser = clap::value_parser!(u32).range(100..=1_000_000))]
     samples: u32,
@@ -74,6 +81,23 @@ struct ResponseReport<'a> {
 const SCENE_HINT: &str = "photograph a still scene of many brightnesses with manual exposure, at \
     least three exposures a factor of two to four apart, from nearly black to nearly white";
 
+fn inside(region: Region, frame: &FrameFile) -> Result<FrameFile, CliError> {
+    let Region {
+        x,
+        y,
+        width,
+        height,
+    } = region;
+    let part = frame.part(x..x.saturating_add(width), y..y.saturating_add(height));
+    part.ok_or_else(|| {
+        CliError::new(format!(
+            "the region of {width} x {height} pixels at ({x}, {y}) is empty or not inside the {} x {} frames",
+            frame.width, frame.height
+        ))
+        .hint("--region takes first column, first row, columns and rows; both count from 0")
+    })
+}
+
 pub(super) fn run(args: &ResponseArgs, context: &Context) -> Result<(), CliError> {
     if let Some(smoothness) = args.smoothness
         && !(smoothness.is_finite() && smoothness > 0.0)
@@ -97,7 +121,10 @@ pub(super) fn run(args: &ResponseArgs, context: &Context) -> Result<(), CliError
     for BracketFile { path, .. } in &files {
         let frame = read_frame(path)?;
         same_kind((first_path, &first), (path, &frame))?;
-        frames.push(frame);
+        frames.push(match args.region {
+            Some(region) => inside(region, &frame)?,
+            None => frame,
+        });
     }
     let exposures_s: Vec<f64> = files.iter().map(|file| file.exposure_s).collect();
     let channels = (0..first.planes.len())
@@ -112,6 +139,7 @@ pub(super) fn run(args: &ResponseArgs, context: &Context) -> Result<(), CliError
             Ok(ResponseCurve {
                 ln_exposure: curve.ln_exposure,
                 ln_std: curve.ln_std,
+                darkest: curve.darkest,
             })
         })
         .collect::<Result<Vec<_>, CliError>>()
@@ -132,6 +160,7 @@ pub(super) fn run(args: &ResponseArgs, context: &Context) -> Result<(), CliError
         exposures_s.iter().copied().fold(0.0, f64::max),
     );
     let path = target.add(values.clone(), &method, &[])?;
+    target.draw(&figures::response(&values), &path, context)?;
     if args.common.json {
         return write_json(&ResponseReport {
             record: path.display().to_string(),

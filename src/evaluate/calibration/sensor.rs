@@ -1,6 +1,6 @@
 //! Photon transfer and flat field of a simulated sensor before an even light.
 
-use super::{EvaluateError, Recovered};
+use super::{EvaluateError, Recovered, failed};
 use crate::calibration::flat::FlatFit;
 use crate::calibration::noise::noise_without_maps;
 use crate::calibration::procedure::{Bench, ProcedureError, ProcedureOptions};
@@ -30,10 +30,6 @@ fn config(seed: u64, nonlinearity: f64) -> SensorConfig {
         hot_fraction: 1e-3,
         ..SensorConfig::typical(SIZE, seed)
     }
-}
-
-fn failed(error: impl std::fmt::Display) -> EvaluateError {
-    EvaluateError::Fact(error.to_string())
 }
 
 fn calibrate(camera: &mut EvenLight) -> Result<SensorFit, EvaluateError> {

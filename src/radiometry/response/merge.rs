@@ -63,6 +63,11 @@ impl<'a> ResponseMerge<'a> {
         }
     }
 
+    /// Whether a predicted count tells light.
+    fn usable(&self, predicted: f64) -> bool {
+        USABLE.contains(&predicted) && predicted >= f64::from(self.response.darkest)
+    }
+
     /// Radiance, variance and whether any frame is of use. Without a pooled
     /// radiance the frames' own counts decide.
     fn estimate(&self, pixel: usize, pooled: Option<f64>, noise_dn: f64) -> (f64, f64, bool) {
@@ -72,7 +77,7 @@ impl<'a> ResponseMerge<'a> {
             let predicted = pooled.map_or(f64::from(count), |radiance| {
                 self.response.count(radiance * exposure_s)
             });
-            if count >= WHITE || !USABLE.contains(&predicted) {
+            if count >= WHITE || !self.usable(predicted) {
                 continue;
             }
             let std = noise_dn * self.response.slope(predicted) / exposure_s;
@@ -99,7 +104,8 @@ impl<'a> ResponseMerge<'a> {
         let count = counts[pixel];
         let std = noise_dn * self.response.slope(f64::from(count)) / exposure_s;
         let radiance = self.response.exposure(usize::from(count)) / exposure_s;
-        let dark = f64::from(count) < *USABLE.start();
+        let darkest = f64::from(self.response.darkest).max(*USABLE.start());
+        let dark = f64::from(count) < darkest;
         (radiance, std * std, dark)
     }
 
@@ -130,7 +136,7 @@ impl<'a> ResponseMerge<'a> {
             .flat_map(|pixel| {
                 self.frames.iter().filter_map(move |&(exposure_s, counts)| {
                     let predicted = self.response.count(first[pixel] * exposure_s);
-                    let usable = USABLE.contains(&predicted) && counts[pixel] < WHITE;
+                    let usable = self.usable(predicted) && counts[pixel] < WHITE;
                     usable.then(|| (f64::from(counts[pixel]) - predicted).abs())
                 })
             })

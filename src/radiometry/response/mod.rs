@@ -14,6 +14,8 @@ pub use debevec::debevec;
 pub use merge::ResponseMerge;
 pub use robertson::robertson;
 
+use std::ops::RangeInclusive;
+
 use nalgebra::{DMatrix, DVector};
 
 /// Counts of 8 bits.
@@ -38,6 +40,9 @@ pub struct Response {
     pub ln_exposure: Vec<f64>,
     /// Standard uncertainty of each logarithm from the scatter of the samples.
     pub ln_std: Vec<f64>,
+    /// Lowest count that speaks of light: those below, where the curve is a guess, are the
+    /// camera's or scanner's black.
+    pub darkest: u8,
 }
 
 /// Why samples do not make a response.
@@ -82,8 +87,14 @@ pub const MIN_EXPOSURES: usize = 3;
 /// Pixels that it takes.
 pub const MIN_SAMPLES: usize = 50;
 /// Counts that are neither black nor white for certain: what clips scatters a
-/// little around both ends.
-const WELL_EXPOSED: std::ops::RangeInclusive<u8> = 2..=250;
+/// little around both ends. Where black is brighter than that, the samples show it.
+const WELL_EXPOSED: RangeInclusive<u8> = 2..=250;
+/// A count below which ...
+const HIGHEST_BLACK: u8 = 64;
+/// ... longer exposures are brighter in less than this part of the samples is black.
+const BRIGHTER: f64 = 0.9;
+/// Pairs of samples that it takes to call a count black.
+const LEAST_PAIRS: f64 = 20.0;
 /// A curve must be seen over this part of its range.
 const MIN_RANGE: usize = 128;
 /// Least growth of the logarithm from one count to the next.
@@ -104,11 +115,12 @@ impl BracketSamples {
         }
     }
 
-    /// Checks that a curve can be had, and drops the pixels that say nothing of it.
+    /// Checks that a curve can be had, drops the pixels that say nothing of it, and tells
+    /// which counts do.
     ///
     /// # Errors
     /// See [`ResponseError`].
-    pub fn checked(mut self) -> Result<Self, ResponseError> {
+    pub fn checked(mut self) -> Result<(Self, RangeInclusive<u8>), ResponseError> {
         let mut exposures = self.exposures_s.clone();
         exposures.sort_by(f64::total_cmp);
         exposures.dedup_by(|a, b| (*a / *b - 1.0).abs() < 1e-6);
@@ -116,7 +128,8 @@ impl BracketSamples {
             let found = exposures.len();
             return Err(ResponseError::TooFewExposures { found });
         }
-        let well = |count: &&u8| WELL_EXPOSED.contains(*count);
+        let well_exposed = self.without_black()?;
+        let well = |count: &&u8| well_exposed.contains(*count);
         self.counts
             .retain(|counts| counts.iter().filter(well).count() >= 2);
         if self.counts.len() < MIN_SAMPLES {
@@ -135,29 +148,41 @@ impl BracketSamples {
         if high - low < MIN_RANGE {
             return Err(ResponseError::NarrowRange { low, high });
         }
-        self.check_growth()?;
-        Ok(self)
+        Ok((self, well_exposed))
     }
 
-    fn check_growth(&self) -> Result<(), ResponseError> {
-        let (mut grows, mut pairs) = (0.0, 0.0);
+    /// The well exposed counts: from above the highest one at which the next longer
+    /// exposure is not brighter. Film and scanners give black a count of 10 to 30.
+    fn without_black(&self) -> Result<RangeInclusive<u8>, ResponseError> {
+        let mut order: Vec<usize> = (0..self.exposures_s.len()).collect();
+        order.sort_by(|&a, &b| self.exposures_s[a].total_cmp(&self.exposures_s[b]));
+        let next = |&short: &usize| {
+            let longer = |&&long: &&usize| self.exposures_s[long] > 1.5 * self.exposures_s[short];
+            order.iter().find(longer).map(|&long| (short, long))
+        };
+        let steps: Vec<(usize, usize)> = order.iter().filter_map(next).collect();
+        let (mut grows, mut pairs) = ([0.0; COUNTS], [0.0; COUNTS]);
         for counts in &self.counts {
-            for (a, &t) in self.exposures_s.iter().enumerate() {
-                for (b, &u) in self.exposures_s.iter().enumerate() {
-                    let both =
-                        WELL_EXPOSED.contains(&counts[a]) && WELL_EXPOSED.contains(&counts[b]);
-                    if both && u > 1.5 * t {
-                        pairs += 1.0;
-                        grows += f64::from(u8::from(counts[b] > counts[a]));
-                    }
+            for &(short, long) in &steps {
+                let (dark, bright) = (counts[short], counts[long]);
+                if WELL_EXPOSED.contains(&dark) && WELL_EXPOSED.contains(&bright) {
+                    pairs[usize::from(dark)] += 1.0;
+                    grows[usize::from(dark)] += f64::from(u8::from(bright > dark));
                 }
             }
         }
-        let percent = 100.0 * grows / f64::max(pairs, 1.0);
-        if pairs > 0.0 && percent < 90.0 {
+        let is_black = |&z: &u8| {
+            let z = usize::from(z);
+            pairs[z] >= LEAST_PAIRS && grows[z] < BRIGHTER * pairs[z]
+        };
+        let highest = (*WELL_EXPOSED.start()..HIGHEST_BLACK).rev().find(is_black);
+        let darkest = highest.map_or(*WELL_EXPOSED.start(), |z| z + 1);
+        let above = |by: &[f64; COUNTS]| by[usize::from(darkest)..].iter().sum::<f64>();
+        let percent = 100.0 * above(&grows) / above(&pairs).max(1.0);
+        if above(&pairs) > 0.0 && percent < 100.0 * BRIGHTER {
             return Err(ResponseError::NotBrighter { percent });
         }
-        Ok(())
+        Ok(darkest..=*WELL_EXPOSED.end())
     }
 }
 
@@ -216,10 +241,10 @@ impl Curve {
     }
 
     /// The curve that minimises the form, is 0 in the middle and grows by at
-    /// least [`LEAST_STEP`]; and the diagonal of the inverse matrix. Where the
+    /// least [`LEAST_STEP`]; and the inverse matrix. Where the
     /// minimum would fall, the least step is demanded with a weight beyond all
     /// data's (active set).
-    fn solve(mut self) -> Option<(Vec<f64>, Vec<f64>)> {
+    fn solve(mut self) -> Option<(Vec<f64>, DMatrix<f64>)> {
         let scale = self.matrix.diagonal().max();
         self.matrix[(MIDDLE, MIDDLE)] += scale;
         let heavy = 1e4 * scale;
@@ -247,7 +272,6 @@ impl Curve {
             }
         }
         let (curve, cholesky) = solved?;
-        let variance = cholesky.inverse().diagonal();
         let middle = curve[MIDDLE];
         let mut curve: Vec<f64> = curve.iter().map(|g| g - middle).collect();
         for z in 1..COUNTS {
@@ -257,7 +281,7 @@ impl Curve {
         let middle = curve[MIDDLE];
         Some((
             curve.iter().map(|g| g - middle).collect(),
-            variance.iter().copied().collect(),
+            cholesky.inverse(),
         ))
     }
 }

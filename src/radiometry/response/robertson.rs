@@ -1,9 +1,7 @@
 //! Robertson, Borman and Stevenson's estimator: the likeliest radiances and
 //! curve in turn.
 
-use super::{
-    BracketSamples, COUNTS, Curve, MIDDLE, Response, ResponseError, WELL_EXPOSED, debevec,
-};
+use super::{BracketSamples, COUNTS, Curve, MIDDLE, Response, ResponseError, debevec};
 
 /// At most so many rounds ...
 const ROUNDS: usize = 300;
@@ -20,8 +18,13 @@ const START_SMOOTHNESS: f64 = 10.0;
 /// # Errors
 /// Samples that do not make a curve, see [`ResponseError`].
 pub fn robertson(samples: &BracketSamples, smoothness: f64) -> Result<Response, ResponseError> {
-    let samples = samples.clone().checked()?;
-    let weights: Vec<f64> = (0..COUNTS).map(bell).collect();
+    let (samples, well_exposed) = samples.clone().checked()?;
+    let weights: Vec<f64> = (0..COUNTS)
+        .map(|z| match well_exposed.contains(&(z as u8)) {
+            true => bell(z),
+            false => 0.0,
+        })
+        .collect();
     // The rounds converge slowly over a wide bracket, so they begin near the end.
     let start = debevec(&samples, START_SMOOTHNESS)?;
     let mut exposure: Vec<f64> = (0..COUNTS).map(|z| start.exposure(z)).collect();
@@ -71,12 +74,14 @@ pub fn robertson(samples: &BracketSamples, smoothness: f64) -> Result<Response, 
         let radiance = radiance(counts, &exposure);
         for (&z, t) in counts.iter().zip(&samples.exposures_s) {
             let z = usize::from(z);
-            scatter2[z] += (t * radiance / exposure[z].max(1e-12) - 1.0).powi(2);
+            // Black and white counts stand for all exposures beyond.
+            if well_exposed.contains(&(z as u8)) {
+                scatter2[z] += (t * radiance / exposure[z].max(1e-12) - 1.0).powi(2);
+            }
         }
     }
     let mut curve = Curve::new();
     for z in 0..COUNTS {
-        // Black and white counts stand for all exposures beyond.
         let certain = occurrences[z] * weights[z];
         if exposure[z] > 0.0 {
             curve.matrix[(z, z)] += certain;
@@ -87,7 +92,8 @@ pub fn robertson(samples: &BracketSamples, smoothness: f64) -> Result<Response, 
     let found = samples.counts.len();
     let solved = curve.solve();
     let (ln_exposure, _) = solved.ok_or(ResponseError::TooFewSamples { found })?;
-    let whole = scatter2.iter().sum::<f64>() / occurrences.iter().sum::<f64>();
+    let well = usize::from(*well_exposed.start())..=usize::from(*well_exposed.end());
+    let whole = scatter2.iter().sum::<f64>() / occurrences[well].iter().sum::<f64>();
     let ln_std = (0..COUNTS)
         .map(|z| {
             let n = occurrences[z];
@@ -98,14 +104,12 @@ pub fn robertson(samples: &BracketSamples, smoothness: f64) -> Result<Response, 
     Ok(Response {
         ln_exposure,
         ln_std,
+        darkest: *well_exposed.start(),
     })
 }
 
 /// A bell over the counts, 1 in the middle and 0 at both ends.
 fn bell(z: usize) -> f64 {
-    if !WELL_EXPOSED.contains(&(z as u8)) {
-        return 0.0;
-    }
     let quarter = (COUNTS - 1) as f64 / 4.0;
     let x = z as f64 / quarter - 2.0;
     let edge = (-4.0f64).exp();

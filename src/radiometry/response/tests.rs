@@ -43,7 +43,7 @@ fn samples(channel: usize, every_second: bool) -> BracketSamples {
 }
 
 /// OpenCV solves the same equations by singular values, without elimination and
-/// without demanding growth, and in single precision.
+/// without demanding growth, in single precision, and with every count's own weight.
 #[test]
 fn debevec_agrees_with_opencv() {
     let reference = table("opencv_debevec.csv");
@@ -54,7 +54,7 @@ fn debevec_agrees_with_opencv() {
             let expected = (reference[z] / reference[MIDDLE]).ln();
             worst = worst.max((curve.ln_exposure[z] - expected).abs());
         }
-        assert!(worst < 2e-3, "channel {channel}: {worst}");
+        assert!(worst < 5e-3, "channel {channel}: {worst}");
     }
 }
 
