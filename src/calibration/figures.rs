@@ -4,7 +4,7 @@ use glam::DVec3;
 
 use super::lamp::LampFit;
 use super::mirror_sphere::light::{FoundLight, tangents};
-use super::record::ResponseValues;
+use super::record::{ResponseCurve, ResponseValues};
 use super::sensor::{Exposed, SensorFit, TransferPoint};
 use super::stage_directions::StageFit;
 use crate::config::geometry::GeometryConfig;
@@ -160,22 +160,22 @@ pub fn response(values: &ResponseValues) -> Figure {
     let curves = || values.channels.iter().zip(labels);
     let decades = |ln: f64| ln / std::f64::consts::LN_10;
     // Black and white counts stand for all exposures beyond.
-    let seen = 1..255;
+    let seen = |curve: &ResponseCurve| usize::from(curve.darkest).clamp(2, 128)..251;
     let ends = values.channels.iter().flat_map(|c| {
-        let ends = [c.ln_exposure[seen.start], c.ln_exposure[seen.end - 1]];
+        let ends = [c.ln_exposure[seen(c).start], c.ln_exposure[seen(c).end - 1]];
         ends.map(decades)
     });
     let low = ends.clone().fold(0.0, f64::min);
     let high = ends.fold(0.0, f64::max);
     let counts = curves().map(|(curve, (label, color))| {
         let at = |z: usize| [decades(curve.ln_exposure[z]), z as f64];
-        Series::new(label, *color, Mark::Line, seen.clone().map(at).collect())
+        Series::new(label, *color, Mark::Line, seen(curve).map(at).collect())
     });
     let stated = curves().map(|(curve, (label, color))| {
         let at = |z: usize| [z as f64, 100.0 * curve.ln_std[z]];
-        Series::new(label, *color, Mark::Line, seen.clone().map(at).collect())
+        Series::new(label, *color, Mark::Line, seen(curve).map(at).collect())
     });
-    let all = values.channels.iter().flat_map(|c| &c.ln_std[seen.clone()]);
+    let all = values.channels.iter().flat_map(|c| &c.ln_std[seen(c)]);
     let widest = 100.0 * all.copied().fold(1e-4, f64::max);
     let panels = [
         Chart {

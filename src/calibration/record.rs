@@ -413,6 +413,9 @@ impl Values for ResponseValues {
             return Err(bad("channels", channels, "1 or 3 curves".into()));
         }
         for curve in &self.channels {
+            if curve.darkest > 128 {
+                return Err(bad("channels.darkest", curve.darkest, "at most 128".into()));
+            }
             let finite = curve.ln_exposure.iter().chain(&curve.ln_std);
             let counts = [curve.ln_exposure.len(), curve.ln_std.len()];
             if counts != [256; 2] || !finite.clone().all(|x| x.is_finite()) {
