@@ -136,7 +136,7 @@ const CASES: &[Case] = &[
         name: "value out of range",
         args: &["doctor", "--rig", "rig.toml"],
         change: Some(("max_reflections = 16", "max_reflections = 65")),
-        fact: "`fit.max_reflections` is 65, but must be an integer from 1 to 64",
+        fact: "`fit.max_reflections` is 65, but must be an integer from 2 to 64",
         hint: "unit and range",
     },
     Case {
