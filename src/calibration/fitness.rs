@@ -188,6 +188,7 @@ mod tests {
             let concern = loaded.temperature_concern(now_c, 10.0);
             concern.map(|concern| concern.to_string())
         };
+        loaded.record.settings.sensor_c = None;
         assert_eq!(warmer(&loaded, Some(80.0)), None);
         loaded.record.settings.sensor_c = Some(31.0);
         assert_eq!(warmer(&loaded, None), None);
