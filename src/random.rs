@@ -22,6 +22,8 @@ pub enum Purpose {
     BenchDerivative = 16,
     /// Departures of a surface from its mesh, and the paths that tell what they change.
     FormError = 17,
+    /// Mirror paths that tell where light comes from.
+    Guide = 18,
 }
 
 /// A small counter-based stream of random numbers.

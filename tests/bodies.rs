@@ -85,6 +85,7 @@ fn agreement(cached: &Scene, rendered: &Scene) -> (f64, f64) {
         max_reflections: 6,
         seed: 5,
         proposal: Proposal::resembling(&mixture, 0.3),
+        ..RenderOptions::default()
     };
     let image = render(rendered, &mixture, &options, &|_| {}).remove(0);
     let options = CacheOptions {

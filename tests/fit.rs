@@ -82,6 +82,7 @@ fn images(scene: &Scene, material: &Mixture) -> Vec<RadianceImage> {
         max_reflections: 12,
         seed: 71,
         proposal: Proposal::resembling(material, 0.1),
+        ..RenderOptions::default()
     };
     render(scene, material, &options, &|_| {})
 }
@@ -256,6 +257,7 @@ fn a_stated_form_error_is_a_part_of_the_budget() {
         max_reflections: 3,
         seed: 71,
         proposal: Proposal::resembling(&truth, 0.1),
+        ..RenderOptions::default()
     };
     let captured = render(&scene, &truth, &rendering, &|_| {});
     let run = |form_error| {

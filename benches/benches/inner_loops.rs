@@ -134,6 +134,7 @@ fn linearise(bencher: Bencher, shape: &str) {
             max_reflections: 8,
             seed: 3,
             proposal: Proposal::default(),
+            ..RenderOptions::default()
         },
         &|_| {},
     );

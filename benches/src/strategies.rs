@@ -323,6 +323,7 @@ mod tests {
                         max_reflections,
                         seed: 100 + seed,
                         proposal: proposal.clone(),
+                        ..RenderOptions::default()
                     };
                     render(&scene, &brdf, &options, &|_| {}).remove(0)
                 };

@@ -252,6 +252,7 @@ impl Bench<'_> {
             max_reflections: 16,
             seed: 9,
             proposal: Proposal::resembling(&truth, 0.2),
+            ..RenderOptions::default()
         };
         let captured = render(&scene, &truth, &options, &|_| {});
         let options = FitOptions::default();

@@ -8,7 +8,8 @@ use crate::config::scene::SceneFile;
 use crate::out;
 use crate::radiance_image::exr;
 use crate::transport::{
-    Remainder, RenderOptions, render, render_polarised, suited_proposal, truncation_remainder,
+    Remainder, RenderOptions, Steering, render, render_polarised, suited_proposal,
+    truncation_remainder,
 };
 
 /// Renders a scene file, one image per light.
@@ -81,6 +82,7 @@ pub fn run(args: &RenderArgs, context: &Context) -> Result<(), CliError> {
         samples_per_pixel: args.spp,
         max_reflections: args.max_reflections,
         seed: args.seed,
+        steering: Steering::default(),
         ..RenderOptions::default()
     };
     options.proposal = suited_proposal(&scene, &*brdf, &options);

@@ -188,6 +188,7 @@ mod tests {
                 max_reflections: 3,
                 seed: 71,
                 proposal: Proposal::resembling(&truth, 0.1),
+                ..RenderOptions::default()
             };
             render(scene, &truth, &options, &|_| {})
         };

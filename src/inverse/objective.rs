@@ -64,6 +64,9 @@ const DOUBTFUL: f64 = 4.0;
 /// Part of the values that may count for less.
 const MOST_DOUBTED: f64 = 0.05;
 
+/// Modelled radiance over lamp strength and its variance, `[pixel][channel]`.
+pub type ModelImage = Vec<[[f64; 2]; 3]>;
+
 /// Weights of the residuals, `[light][pixel][channel]`; 0 where not compared.
 pub type ResidualWeights = Vec<Vec<[f64; 3]>>;
 
@@ -167,7 +170,7 @@ impl<'a> Objective<'a> {
     /// (captured − model)/σ and σ of a compared value; `None` where σ is 0.
     pub fn deviation(
         &self,
-        model: &[Vec<[[f64; 2]; 3]>],
+        model: &[ModelImage],
         light: usize,
         pixel: usize,
         channel: usize,
@@ -180,7 +183,7 @@ impl<'a> Objective<'a> {
 
     /// Relative error that a model leaves beyond what the noise of capture and render
     /// explains, per set: root of the mean over the values, weighted as the fit weighs them.
-    pub fn misfit(&self, model: &[Vec<[[f64; 2]; 3]>]) -> Vec<f64> {
+    pub fn misfit(&self, model: &[ModelImage]) -> Vec<f64> {
         let mut sums = vec![[0.0; 3]; self.sets()];
         for light in 0..self.lights() {
             for pixel in (0..model[light].len()).filter(|&p| self.compared[light][p]) {
@@ -224,36 +227,75 @@ impl<'a> Objective<'a> {
         }
     }
 
-    /// Weights from a model (radiance and variance per value), with the stated model error;
-    /// the captured images themselves stand in for the first one.
-    pub fn weights(&self, model: Option<&[Vec<[[f64; 2]; 3]>]>) -> ResidualWeights {
-        self.weights_allowing(model, &vec![self.model_error; self.sets()])
+    /// Weights from a model, with the stated model error; the captured images themselves,
+    /// without noise, stand in for the first one.
+    pub fn weights(&self, model: Option<&[ModelImage]>) -> ResidualWeights {
+        let model_error = vec![self.model_error; self.sets()];
+        match model {
+            Some(model) => self.weights_allowing(model, true, &model_error),
+            None => self.weights_allowing(&self.as_model(), false, &model_error),
+        }
+    }
+
+    /// Weights for a first round on new paths, from `earlier` weights' pass over them if there
+    /// are any: render noise is taken to be, relative to the radiance, at least what the pass
+    /// `even` has, as that of the solution is not known (docs/adr/0030).
+    pub fn first_weights(
+        &self,
+        earlier: Option<&Linearised>,
+        even: &Linearised,
+    ) -> ResidualWeights {
+        let mut model = earlier.map_or_else(|| self.as_model(), |pass| pass.model.clone());
+        let values = model.iter_mut().flatten().flatten();
+        for ([value, variance], [even, noise]) in values.zip(even.model.iter().flatten().flatten())
+        {
+            if *even > 0.0 {
+                *variance = variance.max(noise * (*value / even).powi(2));
+            }
+        }
+        let found = match earlier {
+            Some(pass) => self.found_error(pass),
+            None => vec![self.model_error; self.sets()],
+        };
+        self.weights_allowing(&model, earlier.is_some(), &found)
     }
 
     /// Weights after a fit that ended with `pass`: the model is allowed the error that it
     /// was found to have, if that is more than the stated one (docs/adr/0027).
     pub fn weights_after(&self, pass: &Linearised) -> ResidualWeights {
-        let found: Vec<f64> = (0..self.sets())
-            .map(|set| pass.relative_error(set).max(self.model_error))
-            .collect();
+        let found = self.found_error(pass);
         tracing::debug!(?found, "model error");
-        self.weights_allowing(Some(&pass.model), &found)
+        self.weights_allowing(&pass.model, true, &found)
+    }
+
+    /// The stated model error or the one found, per set.
+    fn found_error(&self, pass: &Linearised) -> Vec<f64> {
+        (0..self.sets())
+            .map(|set| pass.relative_error(set).max(self.model_error))
+            .collect()
+    }
+
+    /// The captured images as if they were a model without noise.
+    fn as_model(&self) -> Vec<ModelImage> {
+        let exact = |value: &[f64; 3]| value.map(|v| [v.max(0.0), 0.0]);
+        self.target
+            .iter()
+            .map(|image| image.iter().map(exact).collect())
+            .collect()
     }
 
     fn weights_allowing(
         &self,
-        model: Option<&[Vec<[[f64; 2]; 3]>]>,
+        model: &[ModelImage],
+        doubting: bool,
         model_error: &[f64],
     ) -> ResidualWeights {
         let [width, height] = self.resolution;
         (0..self.lights())
             .map(|light| {
-                let local = |p: usize, c: usize| match model {
-                    Some(model) => model[light][p][c],
-                    None => [self.target[light][p][c].max(0.0), 0.0],
-                };
+                let local = |p: usize, c: usize| model[light][p][c];
                 let typical = self.typical_variance(light);
-                let trust = model.map(|m| self.trust(m, light));
+                let trust = doubting.then(|| self.trust(model, light));
                 (0..width * height)
                     .map(|p| {
                         if !self.compared[light][p] {
@@ -280,7 +322,7 @@ impl<'a> Objective<'a> {
     /// How far each value of a light is believed, 0..=1: less than 1 only for isolated
     /// values, which dust makes, and for at most [`MOST_DOUBTED`] of them. Where the
     /// neighbours deviate as well, the model is wrong and must not look right.
-    pub fn trust(&self, model: &[Vec<[[f64; 2]; 3]>], light: usize) -> Vec<[f64; 3]> {
+    pub fn trust(&self, model: &[ModelImage], light: usize) -> Vec<[f64; 3]> {
         let [width, height] = self.resolution;
         let deviation = |p: usize, c: usize| {
             self.compared[light][p]
@@ -325,7 +367,7 @@ impl<'a> Objective<'a> {
     }
 
     /// Part of a light's compared values that are believed less than the others.
-    pub fn doubted(&self, model: &[Vec<[[f64; 2]; 3]>], light: usize) -> f64 {
+    pub fn doubted(&self, model: &[ModelImage], light: usize) -> f64 {
         let doubted = self.trust(model, light).into_iter().flatten();
         let compared = self.compared[light].iter().filter(|&&c| c).count();
         doubted.filter(|&t| t < 1.0).count() as f64 / (3 * compared.max(1)) as f64

@@ -202,12 +202,15 @@ fn begin(
     earlier: Option<&Solution>,
 ) -> Result<(Vec<DVector<f64>>, [Vec<f64>; 3], ResidualWeights), FitError> {
     let residual_weights = objective.weights(None);
+    let n = objective.atoms();
+    let even = vec![DVector::from_element(n, 1.0 / n as f64); objective.sets()];
+    let even = objective.linearise(&even, &residual_weights);
     let Some(earlier) = earlier else {
         let quadratics = objective.single_bounce(&residual_weights);
         let mixture = quadratics.iter().map(|q| Ok(q.minimise()?.x));
         let mixture = mixture.collect::<Result<Vec<_>, FitError>>()?;
         let start = per_channel(&mixture);
-        return Ok((mixture, start, residual_weights));
+        return Ok((mixture, start, objective.first_weights(None, &even)));
     };
     let embedded = earlier.weights_in(&paths.dictionary).map(DVector::from_vec);
     let mixture: Vec<_> = embedded.into_iter().take(objective.sets()).collect();
@@ -215,7 +218,7 @@ fn begin(
     Ok((
         mixture,
         earlier.start.clone(),
-        objective.weights_after(&pass),
+        objective.first_weights(Some(&pass), &even),
     ))
 }
 

@@ -99,20 +99,15 @@ impl TruthSource {
             samples_per_pixel: truth.samples_per_pixel.max(2),
             max_reflections: truth.max_reflections,
             seed: position,
-            proposal: Proposal::default(),
-        };
-        let mix = |cosine, lobes: &[(f32, f32)]| Proposal {
-            cosine,
-            lobes: lobes.to_vec(),
-            table: None,
+            ..RenderOptions::default()
         };
         let candidates = vec![
             Proposal::default(),
-            mix(0.9, &[(0.3, 0.1)]),
-            mix(0.6, &[(0.1, 0.2), (0.3, 0.2)]),
-            mix(0.5, &[(0.05, 0.25), (0.15, 0.25)]),
-            mix(0.3, &[(0.2, 0.5), (0.4, 0.2)]),
-            mix(0.3, &[(0.1, 0.5), (0.25, 0.2)]),
+            Proposal::of_lobes([(0.3, 0.1)]),
+            Proposal::of_lobes([(0.1, 0.2), (0.3, 0.2)]),
+            Proposal::of_lobes([(0.05, 0.25), (0.15, 0.25)]),
+            Proposal::of_lobes([(0.2, 0.5), (0.4, 0.2)]),
+            Proposal::of_lobes([(0.1, 0.5), (0.25, 0.2)]),
             self.lobes
                 .get_or_init(|| Proposal::tabulating(&*truth.brdf, 0.3))
                 .clone(),

@@ -69,6 +69,7 @@ pub fn photographs(truth: &Scene, seed: u64) -> Vec<RadianceImage> {
         max_reflections: 4,
         seed,
         proposal: Proposal::default(),
+        ..RenderOptions::default()
     };
     let mut images = render(truth, &material(), &options, &|_| {});
     let mut numbers = stream(seed, Purpose::Experiment, 0, 0, 0);

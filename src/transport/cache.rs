@@ -9,6 +9,7 @@ use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
 use glam::{DVec2, Vec3};
 use rayon::prelude::*;
 
+use super::continuation::{Continuations, Kind, Steering};
 use super::event::{GeneralRecord, GridRecord, Head, LaneAtoms, MAX_LIGHTS, Record};
 use super::proposal::Proposal;
 use super::scene::{Scene, Surface};
@@ -27,6 +28,8 @@ pub struct CacheOptions {
     pub seed: u64,
     /// Where continuations go.
     pub proposal: Proposal,
+    /// What leads them to light.
+    pub steering: Steering,
     /// Fewer samples are traced if the records would take more than this.
     pub max_bytes: usize,
     /// Use the separable records where the dictionary is a grid.
@@ -40,6 +43,7 @@ impl Default for CacheOptions {
             max_reflections: 16,
             seed: 1,
             proposal: Proposal::default(),
+            steering: Steering::default(),
             max_bytes: 512 << 20,
             allow_grid: true,
         }
@@ -137,6 +141,12 @@ impl Cache {
         let atoms = LaneAtoms::new(dictionary, options.allow_grid);
         let tracer = Tracer {
             scene,
+            continuations: Continuations::new(
+                scene,
+                &options.proposal,
+                options.steering,
+                options.seed,
+            ),
             atoms: &atoms,
             options,
             coloured: AtomicU32::new(0),
@@ -200,6 +210,7 @@ impl Cache {
 /// What tracing a pixel needs.
 struct Tracer<'a> {
     scene: &'a Scene,
+    continuations: Continuations<'a>,
     atoms: &'a LaneAtoms,
     options: &'a CacheOptions,
     /// 1 + the last coloured body met; 0 for none.
@@ -211,6 +222,7 @@ struct Walk {
     surface: Surface,
     to_viewer: Vec3,
     reflections: u32,
+    kind: Kind,
     directions: Stream,
     lamps: Stream,
 }
@@ -333,14 +345,17 @@ impl Tracer<'_> {
                 surface,
                 to_viewer,
                 reflections: 1,
+                kind: self.continuations.begin(),
                 directions: key(Purpose::PathDirection),
                 lamps,
             };
             while walk.reflections < options.max_reflections {
-                let Some((direction, pdf)) = options
-                    .proposal
-                    .sample(walk.to_viewer, &mut walk.directions)
-                else {
+                let Some((direction, pdf)) = self.continuations.draw(
+                    &mut walk.kind,
+                    &walk.surface,
+                    walk.to_viewer,
+                    &mut walk.directions,
+                ) else {
                     break;
                 };
                 let Some(at) = Cosines::new(direction.to_array(), walk.to_viewer.to_array()) else {

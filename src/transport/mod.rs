@@ -7,12 +7,14 @@
 
 pub mod cache;
 pub mod camera;
+mod continuation;
 pub mod direct;
 pub mod distortion;
 pub mod evaluate;
 pub mod event;
 pub mod falloff;
 pub mod footprint;
+mod guide;
 pub mod lanes;
 pub mod lens;
 pub mod light;
@@ -24,6 +26,7 @@ pub mod truncation;
 
 pub use cache::{Cache, CacheOptions};
 pub use camera::{Camera, Projection};
+pub use continuation::Steering;
 pub use direct::DirectMatrix;
 pub use distortion::Coefficients;
 pub use distortion::Folded;

@@ -163,6 +163,7 @@ mod tests {
             max_reflections: 2,
             seed: 1,
             proposal: Proposal::resembling(&brdf, 0.1),
+            ..RenderOptions::default()
         };
         let sum = |images: Vec<RadianceImage>| -> f64 {
             images[0].mean.iter().map(|p| f64::from(p[0])).sum()

@@ -14,29 +14,38 @@ use crate::random::Stream;
 /// A mixture over directions.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Proposal {
-    /// Probability of the cosine lobe, (0, 1].
-    pub cosine: f32,
-    /// Width and probability of the GGX lobes; all probabilities sum to one.
-    pub lobes: Vec<(f32, f32)>,
+    /// Probability of the cosine lobe; all probabilities sum to one.
+    cosine: f32,
+    /// Width and probability of the GGX lobes, at most [`MAX_LOBES`].
+    lobes: Vec<(f32, f32)>,
     /// A material's own lobes and their probability.
-    pub table: Option<(Arc<LobeTable>, f32)>,
+    table: Option<(Arc<LobeTable>, f32)>,
 }
 
 impl Default for Proposal {
     /// Fits every atom of the usual dictionaries tolerably.
     fn default() -> Self {
-        Self {
-            cosine: 0.3,
-            lobes: vec![(0.02, 0.15), (0.05, 0.15), (0.12, 0.15), (0.3, 0.25)],
-            table: None,
-        }
+        Self::of_lobes([(0.01, 0.15), (0.03, 0.15), (0.1, 0.15), (0.3, 0.25)])
     }
 }
 
 /// Most lobes of an adapted proposal: each costs an evaluation per continuation.
 const MAX_LOBES: usize = 6;
+/// Parts of a proposal: the cosine, the lobes, the table.
+pub(super) const PARTS: usize = MAX_LOBES + 2;
+const TABLE: usize = PARTS - 1;
 
 impl Proposal {
+    /// GGX lobes of given width and probability, at most six; the rest is left to the cosine.
+    pub fn of_lobes<const N: usize>(lobes: [(f32, f32); N]) -> Self {
+        const { assert!(N <= MAX_LOBES) };
+        Self {
+            cosine: 1.0 - lobes.iter().map(|lobe| lobe.1).sum::<f32>(),
+            lobes: lobes.to_vec(),
+            table: None,
+        }
+    }
+
     /// Resembles any BRDF, by tabulating it, with `defensive` of the probability, 0.0..=1.0,
     /// left to the cosine.
     pub fn tabulating(brdf: &dyn Brdf, defensive: f32) -> Self {
@@ -103,54 +112,92 @@ impl Proposal {
     /// (1/sr, cosine excluded). `None` below the horizon.
     #[inline]
     pub fn sample(&self, to_viewer: Vec3, numbers: &mut Stream) -> Option<(Vec3, f32)> {
-        let mut choice = numbers.uniform_f32();
-        let u = [numbers.uniform_f32(), numbers.uniform_f32()];
-        let direction = match &self.table {
-            Some((table, share)) if choice >= 1.0 - share => {
-                let u = [0; 4].map(|_| numbers.uniform());
-                table.sample(to_viewer, u)?
-            }
-            _ if choice < self.cosine || self.lobes.is_empty() => {
-                let radius = u[1].sqrt();
-                let (sin, cos) = (std::f32::consts::TAU * u[0]).sin_cos();
-                Vec3::new(radius * cos, radius * sin, (1.0 - u[1]).sqrt())
-            }
-            _ => {
-                choice -= self.cosine;
-                let mut alpha = self.lobes[self.lobes.len() - 1].0;
-                for &(width, probability) in &self.lobes {
-                    if choice < probability {
-                        alpha = width;
-                        break;
-                    }
-                    choice -= probability;
-                }
-                Vec3::from_array(ggx::sample_visible(alpha, to_viewer.to_array(), u))
-            }
-        };
-        if direction.z <= 0.0 {
-            return None;
-        }
+        let direction = self.draw(&self.probabilities(), to_viewer, numbers)?;
         Some((direction, self.pdf(to_viewer, direction)))
     }
 
     /// Density at `direction`, per solid angle (1/sr, cosine excluded).
     #[inline]
     pub fn pdf(&self, to_viewer: Vec3, direction: Vec3) -> f32 {
+        let densities = self.densities(to_viewer, direction);
+        let parts = self.probabilities().into_iter().zip(densities);
+        parts
+            .map(|(probability, density)| probability * density)
+            .sum()
+    }
+
+    /// Probability of each part.
+    #[inline]
+    pub(super) fn probabilities(&self) -> [f32; PARTS] {
+        let mut parts = [0.0; PARTS];
+        parts[0] = self.cosine;
+        for (part, lobe) in parts[1..].iter_mut().zip(&self.lobes) {
+            *part = lobe.1;
+        }
+        parts[TABLE] = self
+            .table
+            .as_ref()
+            .map_or(0.0, |(_, probability)| *probability);
+        parts
+    }
+
+    /// Draws a direction from parts with these probabilities; `None` below the horizon.
+    #[inline]
+    pub(super) fn draw(
+        &self,
+        probabilities: &[f32; PARTS],
+        to_viewer: Vec3,
+        numbers: &mut Stream,
+    ) -> Option<Vec3> {
+        let mut choice = numbers.uniform_f32();
+        let u = [numbers.uniform_f32(), numbers.uniform_f32()];
+        // What rounding leaves over goes to the last part that can be drawn.
+        let mut drawn = 0;
+        for (part, &probability) in probabilities.iter().enumerate() {
+            if probability > 0.0 {
+                drawn = part;
+                if choice < probability {
+                    break;
+                }
+                choice -= probability;
+            }
+        }
+        let direction = match (drawn, &self.table) {
+            (0, _) => {
+                let radius = u[1].sqrt();
+                let (sin, cos) = (std::f32::consts::TAU * u[0]).sin_cos();
+                Vec3::new(radius * cos, radius * sin, (1.0 - u[1]).sqrt())
+            }
+            (TABLE, Some((table, _))) => {
+                let u = [0; 4].map(|_| numbers.uniform());
+                table.sample(to_viewer, u)?
+            }
+            (part, _) => {
+                let alpha = self.lobes[part - 1].0;
+                Vec3::from_array(ggx::sample_visible(alpha, to_viewer.to_array(), u))
+            }
+        };
+        (direction.z > 0.0).then_some(direction)
+    }
+
+    /// Density of each part at `direction`, 1/sr.
+    #[inline]
+    pub(super) fn densities(&self, to_viewer: Vec3, direction: Vec3) -> [f32; PARTS] {
+        let mut densities = [0.0; PARTS];
         if direction.z <= 0.0 || to_viewer.z <= 0.0 {
-            return 0.0;
+            return densities;
         }
         let half = direction + to_viewer;
         let tangential2 = half.x * half.x + half.y * half.y;
         let sin2_h = tangential2 / (tangential2 + half.z * half.z);
-        let mut pdf = self.cosine * direction.z * std::f32::consts::FRAC_1_PI;
-        for &(alpha, probability) in &self.lobes {
-            pdf += probability * ggx::pdf_visible(alpha, to_viewer.z, sin2_h);
+        densities[0] = direction.z * std::f32::consts::FRAC_1_PI;
+        for (density, &(alpha, _)) in densities[1..].iter_mut().zip(&self.lobes) {
+            *density = ggx::pdf_visible(alpha, to_viewer.z, sin2_h);
         }
-        if let Some((table, probability)) = &self.table {
-            pdf += probability * table.pdf(to_viewer, direction);
+        if let Some((table, _)) = &self.table {
+            densities[TABLE] = table.pdf(to_viewer, direction);
         }
-        pdf
+        densities
     }
 }
 

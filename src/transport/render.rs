@@ -3,6 +3,7 @@
 use glam::{DVec2, Vec3};
 use rayon::prelude::*;
 
+use super::continuation::{Continuations, Steering};
 use super::proposal::Proposal;
 use super::scene::{Scene, Surface};
 use crate::brdf::Brdf;
@@ -20,6 +21,9 @@ pub struct RenderOptions {
     pub seed: u64,
     /// Where continuations go; one that resembles the BRDF gives less noise.
     pub proposal: Proposal,
+    /// What leads them to light. The images of two scenes that differ a little differ
+    /// smoothly, for equal seeds, only without.
+    pub steering: Steering,
 }
 
 impl Default for RenderOptions {
@@ -29,7 +33,14 @@ impl Default for RenderOptions {
             max_reflections: 32,
             seed: 0,
             proposal: Proposal::default(),
+            steering: Steering::NONE,
         }
+    }
+}
+
+impl RenderOptions {
+    pub(super) fn continuations(&self, scene: &Scene) -> Continuations<'_> {
+        Continuations::new(scene, &self.proposal, self.steering, self.seed)
     }
 }
 
@@ -96,11 +107,14 @@ pub(super) fn render_carrying<C: Carrier>(
     let [width, height] = scene.camera.resolution_px;
     let lights = scene.lights.len();
     let done = std::sync::atomic::AtomicUsize::new(0);
+    let continuations = options.continuations(scene);
     let rows: Vec<Vec<PixelSums>> = (0..height)
         .into_par_iter()
         .map(|row| {
             let pixels = (0..width)
-                .map(|column| render_pixel::<C>(scene, brdf, options, row * width + column))
+                .map(|column| {
+                    render_pixel::<C>(scene, brdf, options, &continuations, row * width + column)
+                })
                 .collect();
             progress(done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1);
             pixels
@@ -150,10 +164,11 @@ pub fn quietest_proposal(
             proposal: proposal.clone(),
             ..options.clone()
         };
+        let continuations = options.continuations(scene);
         let sums: Vec<f64> = pixels
             .par_iter()
             .map(|&pixel| {
-                let sums = render_pixel::<[f64; 3]>(scene, brdf, &options, pixel);
+                let sums = render_pixel::<[f64; 3]>(scene, brdf, &options, &continuations, pixel);
                 let relative = |&[sum, sum2]: &[f64; 2]| {
                     if sum > 0.0 {
                         64.0 * sum2 / (sum * sum) - 1.0
@@ -179,6 +194,7 @@ fn render_pixel<C: Carrier>(
     scene: &Scene,
     brdf: &dyn Brdf,
     options: &RenderOptions,
+    continuations: &Continuations<'_>,
     pixel: usize,
 ) -> PixelSums {
     let lights = scene.lights.len();
@@ -190,6 +206,7 @@ fn render_pixel<C: Carrier>(
             scene,
             brdf,
             options,
+            continuations,
             [pixel as u64, u64::from(sample)],
             |_, light, reading| {
                 for (sum, value) in path[light].iter_mut().zip(reading) {
@@ -214,6 +231,7 @@ pub(super) fn follow<C: Carrier>(
     scene: &Scene,
     brdf: &dyn Brdf,
     options: &RenderOptions,
+    continuations: &Continuations<'_>,
     [pixel, sample]: [u64; 2],
     mut visit: impl FnMut(u32, usize, [f64; 3]),
 ) {
@@ -230,6 +248,7 @@ pub(super) fn follow<C: Carrier>(
         DVec2::new(lamps.uniform(), lamps.uniform()),
     );
     let mut carried = C::start(ray.direction);
+    let mut kind = continuations.begin();
     let mut next = scene.first(&ray);
     let mut reflections = 0;
     while let Some((surface, to_viewer)) = next {
@@ -251,7 +270,8 @@ pub(super) fn follow<C: Carrier>(
         if reflections >= options.max_reflections {
             break;
         }
-        let Some((direction, pdf)) = options.proposal.sample(to_viewer, &mut directions) else {
+        let drawn = continuations.draw(&mut kind, &surface, to_viewer, &mut directions);
+        let Some((direction, pdf)) = drawn else {
             break;
         };
         let event = Event {

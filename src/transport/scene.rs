@@ -226,11 +226,16 @@ impl Scene {
     #[inline]
     pub fn intersect(&self, ray: &Ray) -> Option<Surface> {
         let hit = self.bvh.closest(ray)?;
-        let facet = &self.facets[hit.triangle as usize];
-        if facet.normal.dot(ray.direction) >= 0.0 {
+        if self.facets[hit.triangle as usize].normal.dot(ray.direction) >= 0.0 {
             return None;
         }
-        let [u, v] = hit.barycentric;
+        Some(self.surface(hit.triangle, hit.barycentric))
+    }
+
+    /// The point of a triangle at given barycentric coordinates.
+    #[inline]
+    pub fn surface(&self, triangle: u32, [u, v]: [f32; 2]) -> Surface {
+        let facet = &self.facets[triangle as usize];
         let [a, b, c] = facet.corners;
         let position = a + (b - a) * u + (c - a) * v;
         let normal = match facet.smooth {
@@ -241,12 +246,12 @@ impl Scene {
             None => facet.normal,
         };
         let (tangent, bitangent) = normal.any_orthonormal_pair();
-        Some(Surface {
+        Surface {
             origin_mm: offset_origin(position, facet.normal),
             face_normal: facet.normal,
             frame: [tangent, bitangent, normal],
             body: facet.body,
-        })
+        }
     }
 
     /// Connects a surface point with lamp `light`; `u` uniform in [0, 1)² for

@@ -44,6 +44,7 @@ pub fn truncation_remainder(
         seed: options.seed ^ 0x5eed_0f7e_7a11,
         ..options.clone()
     };
+    let continuations = longer.continuations(scene);
     let pixels: Vec<usize> = (0..scene.camera.pixels())
         .step_by(scene.camera.pixels().div_ceil(PIXELS))
         .collect();
@@ -58,11 +59,19 @@ pub fn truncation_remainder(
             for &pixel in &pixels {
                 for sample in first..first + u64::from(per_group) {
                     let key = [pixel as u64, sample];
-                    follow::<[f64; 3]>(scene, brdf, &longer, key, |order, light, reading| {
-                        let strength = scene.lights[light].strength();
-                        let part = order.saturating_sub(cut).div_ceil(WINDOW) as usize;
-                        sums[light][part] += (0..3).map(|c| reading[c] * strength[c]).sum::<f64>();
-                    });
+                    follow::<[f64; 3]>(
+                        scene,
+                        brdf,
+                        &longer,
+                        &continuations,
+                        key,
+                        |order, light, reading| {
+                            let strength = scene.lights[light].strength();
+                            let part = order.saturating_sub(cut).div_ceil(WINDOW) as usize;
+                            sums[light][part] +=
+                                (0..3).map(|c| reading[c] * strength[c]).sum::<f64>();
+                        },
+                    );
                 }
             }
             sums

@@ -327,6 +327,7 @@ fn derivatives_are_differences_of_rendered_images() {
                     max_reflections,
                     seed,
                     proposal: Proposal::default(),
+                    ..RenderOptions::default()
                 };
                 render(&scene, &brdf, &options, &|_| {}).remove(0).mean
             };
@@ -380,6 +381,7 @@ fn cached_paths_give_the_rendered_image() {
             max_reflections: 8,
             seed: 5,
             proposal: Proposal::resembling(&truth, 0.1),
+            ..RenderOptions::default()
         };
         let image = render(&scene, &truth, &options, &|_| {}).remove(0);
         let options = CacheOptions {

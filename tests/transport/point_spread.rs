@@ -96,6 +96,7 @@ fn a_slanted_edge_has_the_analytic_spread() {
             max_reflections: 1,
             seed,
             proposal: Proposal::default(),
+            ..RenderOptions::default()
         };
         let image = render(&scene, &white(), &options, &|_| {}).remove(0);
         let brdf = white();
@@ -140,7 +141,7 @@ fn options(samples_per_pixel: u32, seed: u64) -> RenderOptions {
         samples_per_pixel,
         max_reflections: 3,
         seed,
-        proposal: Proposal::default(),
+        ..RenderOptions::default()
     }
 }
 

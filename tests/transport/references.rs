@@ -295,7 +295,7 @@ impl Case {
             samples_per_pixel: self.samples,
             max_reflections: self.max_reflections,
             seed: 17,
-            proposal: Proposal::default(),
+            ..RenderOptions::default()
         };
         options.proposal = suited_proposal(scene, &(self.material)(), &options);
         options
@@ -527,6 +527,7 @@ fn lambertian_bowl_agrees_with_the_closed_form() {
             max_reflections,
             seed: 23,
             proposal: Proposal::resembling(&brdf, 0.0),
+            ..RenderOptions::default()
         };
         let image = render(&scene, &brdf, &options, &|_| {}).remove(0);
         let (mut total, mut expected, mut variance) = (0.0, 0.0, 0.0);

@@ -10,7 +10,9 @@ use crate::brdf::{Brdf, Dictionary, Mixture};
 use crate::evaluate::experiment::EvaluateError;
 use crate::inverse::{Fit, FitOptions, fit};
 use crate::radiance_image::RadianceImage;
-use crate::transport::{CacheOptions, Light, RenderOptions, Scene, render, suited_proposal};
+use crate::transport::{
+    CacheOptions, Light, RenderOptions, Scene, Steering, render, suited_proposal,
+};
 
 /// Seeds of the truth lie far from those of fits.
 const TRUTH: u64 = 0x7275_7468;
@@ -38,6 +40,7 @@ impl Lab {
             samples_per_pixel: self.settings.truth_samples_per_pixel.max(2),
             max_reflections: self.settings.max_reflections,
             seed: self.settings.seed.wrapping_add(TRUTH),
+            steering: Steering::default(),
             ..RenderOptions::default()
         };
         options.proposal = suited_proposal(scene, brdf, &options);

@@ -212,6 +212,7 @@ fn derivatives_are_those_of_independent_renders() {
             max_reflections: 4,
             seed,
             proposal: options.proposal.clone(),
+            ..RenderOptions::default()
         };
         render(&bench.scene(values), &brdf, &options, &|_| {})
     };
@@ -303,6 +304,7 @@ fn captured(fine: &Scene, values: &DVector<f64>, brdf: &Mixture) -> Vec<Radiance
         max_reflections: 8,
         seed: 77,
         proposal: Proposal::resembling(brdf, 0.2),
+        ..RenderOptions::default()
     };
     let scene = Bench::new(fine, &priors()).scene(values);
     let mut images = render(&scene, brdf, &options, &|_| {});

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use nalgebra::{DMatrix, DVector};
 
-use super::{Objective, ResidualWeights, add_outer};
+use super::{ModelImage, Objective, ResidualWeights, add_outer};
 use crate::inverse::simplex::Quadratic;
 use crate::transport::PixelRows;
 
@@ -19,7 +19,7 @@ pub struct Linearised {
     /// Per set: what the render's noise adds to the loss if the mean residual is squared.
     pub(in crate::inverse) noise: Vec<Noise>,
     /// Modelled radiance over lamp strength and its variance, `[light][pixel][channel]`.
-    pub model: Vec<Vec<[[f64; 2]; 3]>>,
+    pub model: Vec<ModelImage>,
     /// Per set: Σ w (r_A r_B − σ²_captured), which the noise of neither capture nor render
     /// makes: what the model leaves unexplained, as a part of χ².
     pub unexplained: Vec<f64>,
@@ -57,7 +57,7 @@ impl Linearised {
     }
 
     /// The least share of the noise's energy, per set, that makes the loss convex around
-    /// this point. Without it ½ r_AᵀWr_B has directions of negative curvature where paths
+    /// this point, a tenth of the prior's least curvature included (docs/adr/0026). Without it ½ r_AᵀWr_B has directions of negative curvature where paths
     /// are few, and its minimum is whatever the noise makes of them; with all of it the loss
     /// is ½ rᵀWr of the mean residual, which the noise biases (docs/adr/0003).
     pub fn convex_share(&self) -> Vec<f64> {
@@ -78,13 +78,14 @@ impl Linearised {
 }
 
 /// The least of 0, 1/64, 1/32, … 1 with `information` + share · (`full` − `information`)
-/// positive semidefinite, atoms scaled alike.
+/// + [`PRIOR`] positive semidefinite, atoms scaled alike.
 fn convex_share(full: &DMatrix<f64>, information: &DMatrix<f64>) -> f64 {
-    let scale = full
-        .diagonal()
-        .map(|d| if d > 0.0 { 1.0 / d.sqrt() } else { 0.0 });
+    let scale = full.diagonal().map(|d| 1.0 / (d + PRIOR).sqrt());
     let scaled = |m: &DMatrix<f64>| {
-        DMatrix::from_fn(m.nrows(), m.ncols(), |i, j| scale[i] * m[(i, j)] * scale[j])
+        DMatrix::from_fn(m.nrows(), m.ncols(), |i, j| {
+            let prior = if i == j { PRIOR } else { 0.0 };
+            scale[i] * (m[(i, j)] + prior) * scale[j]
+        })
     };
     let (full, information) = (scaled(full), scaled(information));
     let mut shares = std::iter::once(0.0).chain((0..6).map(|k| 1.0 / f64::from(64 >> k)));
@@ -96,6 +97,9 @@ fn convex_share(full: &DMatrix<f64>, information: &DMatrix<f64>) -> f64 {
         })
         .unwrap_or(1.0)
 }
+
+/// Curvature that the ridge adds in any fit, in every direction: a tenth of its least.
+const PRIOR: f64 = 30.0;
 
 /// Least eigenvalue, atoms scaled to unit curvature, that rounding may leave.
 const CONVEX: f64 = 1e-9;
@@ -245,7 +249,7 @@ struct Part {
     unexplained: Vec<f64>,
     power: Vec<f64>,
     scores: Vec<BTreeMap<usize, DVector<f64>>>,
-    model: Vec<Vec<[[f64; 2]; 3]>>,
+    model: Vec<ModelImage>,
 }
 
 impl Part {

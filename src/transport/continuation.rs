@@ -1,0 +1,130 @@
+//! Where a camera path goes on: a proposal, in which a path may keep to one part, mixed with
+//! a guide towards the lamps.
+//!
+//! A chain of n narrow reflections, each drawn from a mixture that gives the narrow lobe
+//! the probability p, comes with p⁻ⁿ times the weight that it deserves. A part of the paths
+//! therefore draws from one part all the way. Which kind a path is stays open: its density is
+//! that of the prefix over all kinds, so that a chain weighs at most 1/p over that part (docs/adr/0030).
+
+use glam::Vec3;
+
+use super::guide::Guide;
+use super::proposal::{PARTS, Proposal};
+use super::scene::{Scene, Surface};
+use crate::random::Stream;
+
+/// What leads paths to light that their proposal alone would seldom find.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Steering {
+    /// Part of the continuations that go to where mirrors send the lamps' light, as far as
+    /// any is known to arrive, 0.0..1.0.
+    pub guided: f32,
+    /// Part of the paths that keep to one part of the proposal, 0.0..=1.0.
+    pub constant: f32,
+}
+
+impl Steering {
+    /// The proposal alone.
+    pub const NONE: Self = Self {
+        guided: 0.0,
+        constant: 0.0,
+    };
+}
+
+impl Default for Steering {
+    fn default() -> Self {
+        Self {
+            guided: 0.25,
+            constant: 0.5,
+        }
+    }
+}
+
+/// Draws the continuations of camera paths.
+pub struct Continuations<'a> {
+    proposal: &'a Proposal,
+    probabilities: [f32; PARTS],
+    steering: Steering,
+    guide: Option<Guide>,
+}
+
+/// How probable it is, after what was drawn, that a path draws anew from all parts each
+/// time, and that it keeps to each of them.
+#[derive(Clone, Copy, Debug)]
+pub struct Kind {
+    anew: f32,
+    keeps: [f32; PARTS],
+}
+
+impl<'a> Continuations<'a> {
+    /// Continuations of paths in `scene`.
+    pub fn new(scene: &Scene, proposal: &'a Proposal, steering: Steering, seed: u64) -> Self {
+        Self {
+            proposal,
+            probabilities: proposal.probabilities(),
+            steering,
+            guide: (steering.guided > 0.0).then(|| Guide::new(scene, seed)),
+        }
+    }
+
+    /// A path at its beginning.
+    #[inline]
+    pub fn begin(&self) -> Kind {
+        let constant = self.steering.constant;
+        Kind {
+            anew: 1.0 - constant,
+            keeps: self.probabilities.map(|probability| constant * probability),
+        }
+    }
+
+    /// A local direction in which a path goes on, and its density given all directions
+    /// before, 1/sr. `None` below the horizon.
+    #[inline]
+    pub fn draw(
+        &self,
+        kind: &mut Kind,
+        surface: &Surface,
+        to_viewer: Vec3,
+        numbers: &mut Stream,
+    ) -> Option<(Vec3, f32)> {
+        let guide = self.guide.as_ref().filter(|_| surface.is_sample());
+        let arrivals = guide.and_then(|guide| guide.around(surface));
+        let guided = arrivals.map_or(0.0, |_| self.steering.guided);
+        let (local, arriving) = match arrivals {
+            Some(arrivals) if numbers.uniform_f32() < guided => {
+                let direction = arrivals.sample(numbers);
+                let local = surface.local(direction);
+                (local, guided * arrivals.pdf(direction))
+            }
+            _ => {
+                let mut parts = kind.keeps;
+                for (part, probability) in parts.iter_mut().zip(self.probabilities) {
+                    *part += kind.anew * probability;
+                }
+                let local = self.proposal.draw(&parts, to_viewer, numbers)?;
+                let arriving = arrivals.map_or(0.0, |a| guided * a.pdf(surface.world(local)));
+                (local, arriving)
+            }
+        };
+        if local.z <= 0.0 {
+            return None;
+        }
+        let densities = self.proposal.densities(to_viewer, local);
+        let anew: f32 = self
+            .probabilities
+            .iter()
+            .zip(densities)
+            .map(|(p, q)| p * q)
+            .sum();
+        let density = |proposed: f32| arriving + (1.0 - guided) * proposed;
+        kind.anew *= density(anew);
+        let mut pdf = kind.anew;
+        for (keeps, proposed) in kind.keeps.iter_mut().zip(densities) {
+            *keeps *= density(proposed);
+            pdf += *keeps;
+        }
+        kind.anew /= pdf;
+        kind.keeps.iter_mut().for_each(|keeps| *keeps /= pdf);
+        Some((local, pdf))
+    }
+}
