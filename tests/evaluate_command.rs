@@ -147,6 +147,10 @@ fn what_is_wrong_is_said_before_anything_is_written() {
             "\"gold\" is no BRDF",
         ),
         (
+            "evaluate form --materials nbrdf:pvc --out a",
+            "no material of class in-span",
+        ),
+        (
             "evaluate shapes --out .",
             "not empty, and no experiment's folder",
         ),

@@ -122,6 +122,7 @@ pub fn run(args: &EvaluateArgs, context: &Context) -> Result<(), CliError> {
             }
             EvaluateError::Locked { .. } => Some("wait for it, or give another --out"),
             EvaluateError::Journal { .. } => Some("start anew with --restart"),
+            EvaluateError::NoMaterial { .. } => Some("name one with --materials"),
             _ => None,
         };
         let error = CliError::from(error);

@@ -6,7 +6,7 @@ use glam::DVec3;
 
 use super::defects::Defect;
 use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table};
-use super::intervals::{capture, material, options};
+use super::intervals::{capture, has_material, material, options};
 use super::lab::materials::Class;
 use super::lab::{Lab, Sample};
 use crate::brdf::Brdf;
@@ -62,6 +62,9 @@ fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
     };
     let mut cases = Vec::new();
     for (kind, (name, _)) in KINDS.iter().enumerate() {
+        if !has_material(lab, class_of(kind)) {
+            continue;
+        }
         for index in 0..captures {
             let key = format!("{name}/{index}");
             cases.push(Case::new(key, move |lab: &Lab| {
@@ -70,6 +73,14 @@ fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
         }
     }
     Ok(cases)
+}
+
+/// What the samples of a kind are made of.
+fn class_of(kind: usize) -> Class {
+    match KINDS[kind].0 {
+        "sound, measured" => Class::Measured,
+        _ => Class::InSpan,
+    }
 }
 
 fn defect(lab: &Lab, kind: usize, index: u64) -> Result<Option<Defect>, EvaluateError> {
@@ -92,13 +103,8 @@ fn defect(lab: &Lab, kind: usize, index: u64) -> Result<Option<Defect>, Evaluate
 
 fn one(lab: &Lab, kind: usize, index: u64) -> Result<Row, EvaluateError> {
     let (name, expected) = KINDS[kind];
-    let class = if name == "sound, measured" {
-        Class::Measured
-    } else {
-        Class::InSpan
-    };
     let sample = Sample::Bowl;
-    let brdf = material(lab, class, index)?;
+    let brdf = material(lab, class_of(kind), index)?;
     let defect = defect(lab, kind, index)?;
     let images = capture(lab, sample, &*brdf, defect.as_ref(), index)?;
     let scene = sample.scene(

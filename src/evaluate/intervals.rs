@@ -104,6 +104,13 @@ pub(super) fn options(lab: &Lab, index: u64) -> FitOptions {
     options
 }
 
+/// Whether there is a mixture of the dictionary's atoms, or any other material.
+pub(super) fn has_material(lab: &Lab, class: Class) -> bool {
+    let in_span = class == Class::InSpan;
+    let mut classes = lab.materials.iter().map(|m| m.class == Class::InSpan);
+    classes.any(|is_in_span| is_in_span == in_span)
+}
+
 /// The material of a capture: measured ones in turn; of mixtures, three different ones in
 /// the three channels, another three each round.
 pub(super) fn material(
@@ -116,6 +123,11 @@ pub(super) fn material(
         .iter()
         .filter(|m| (m.class == Class::InSpan) == (class == Class::InSpan))
         .collect();
+    if all.is_empty() {
+        return Err(EvaluateError::NoMaterial {
+            class: class.name(),
+        });
+    }
     let n = all.len() as u64;
     let at = |k: u64| &all[(k % n) as usize];
     if class != Class::InSpan {
@@ -141,12 +153,7 @@ pub(super) fn material(
 fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
     let mut cases = Vec::new();
     for class in [Class::InSpan, Class::Measured] {
-        let in_span = class == Class::InSpan;
-        if lab
-            .materials
-            .iter()
-            .any(|m| (m.class == Class::InSpan) == in_span)
-        {
+        if has_material(lab, class) {
             cases.push(Case::new(class.name(), move |lab: &Lab| {
                 coverage(lab, class)
             }));

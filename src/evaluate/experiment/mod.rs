@@ -95,6 +95,12 @@ pub enum EvaluateError {
         /// What would have been understood.
         known: String,
     },
+    /// None of the materials is of a class that the experiment needs.
+    #[error("no material of class {class} among those given")]
+    NoMaterial {
+        /// The class.
+        class: &'static str,
+    },
     /// Two materials of one name.
     #[error("two materials are called \"{name}\"")]
     SameName {
