@@ -133,7 +133,6 @@ fn linearise(bencher: Bencher, shape: &str) {
             samples_per_pixel: 16,
             max_reflections: 8,
             seed: 3,
-            proposal: Proposal::default(),
             ..RenderOptions::default()
         },
         &|_| {},

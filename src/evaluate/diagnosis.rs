@@ -6,7 +6,7 @@ use glam::DVec3;
 
 use super::defects::Defect;
 use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table};
-use super::intervals::{capture, has_material, material, options};
+use super::intervals::{capture, material, of_class, options};
 use super::lab::materials::Class;
 use super::lab::{Lab, Sample};
 use crate::brdf::Brdf;
@@ -62,7 +62,7 @@ fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
     };
     let mut cases = Vec::new();
     for (kind, (name, _)) in KINDS.iter().enumerate() {
-        if !has_material(lab, class_of(kind)) {
+        if of_class(lab, class_of(kind)).is_err() {
             continue;
         }
         for index in 0..captures {

@@ -3,9 +3,7 @@
 
 use super::defects::Defect;
 use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table, quantile};
-use super::intervals::{
-    capture, has_material, material, options, theta_d_deg, theta_h_deg, values,
-};
+use super::intervals::{capture, material, of_class, options, theta_d_deg, theta_h_deg, values};
 use super::lab::materials::Class;
 use super::lab::{Lab, Sample};
 use crate::brdf::Brdf;
@@ -53,11 +51,7 @@ const SHARE_AT_DEG: [f64; 2] = [5.0, 10.0];
 const TOLD: [&str; 2] = ["not told", "told"];
 
 fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
-    if !has_material(lab, Class::InSpan) {
-        return Err(EvaluateError::NoMaterial {
-            class: Class::InSpan.name(),
-        });
-    }
+    of_class(lab, Class::InSpan)?;
     let slopes = SLOPES_DEG.into_iter();
     Ok(slopes
         .filter(|&slope| !lab.settings.quick || slope == QUICK_DEG)

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table, quantile};
-use super::lab::materials::Class;
+use super::lab::materials::{Class, Material};
 use super::lab::{Lab, Sample};
 use crate::brdf::{Brdf, HalfDifference, Mixture};
 use crate::inverse::intervals::{self, Interval};
@@ -104,11 +104,23 @@ pub(super) fn options(lab: &Lab, index: u64) -> FitOptions {
     options
 }
 
-/// Whether there is a mixture of the dictionary's atoms, or any other material.
-pub(super) fn has_material(lab: &Lab, class: Class) -> bool {
+/// The mixtures of the dictionary's atoms, or all other materials.
+///
+/// # Errors
+///
+/// There is none.
+pub(super) fn of_class(lab: &Lab, class: Class) -> Result<Vec<&Arc<Material>>, EvaluateError> {
     let in_span = class == Class::InSpan;
-    let mut classes = lab.materials.iter().map(|m| m.class == Class::InSpan);
-    classes.any(|is_in_span| is_in_span == in_span)
+    let materials = lab.materials.iter();
+    let all: Vec<_> = materials
+        .filter(|m| (m.class == Class::InSpan) == in_span)
+        .collect();
+    match all.is_empty() {
+        true => Err(EvaluateError::NoMaterial {
+            class: class.name(),
+        }),
+        false => Ok(all),
+    }
 }
 
 /// The material of a capture: measured ones in turn; of mixtures, three different ones in
@@ -118,16 +130,7 @@ pub(super) fn material(
     class: Class,
     index: u64,
 ) -> Result<Arc<dyn Brdf>, EvaluateError> {
-    let all: Vec<_> = lab
-        .materials
-        .iter()
-        .filter(|m| (m.class == Class::InSpan) == (class == Class::InSpan))
-        .collect();
-    if all.is_empty() {
-        return Err(EvaluateError::NoMaterial {
-            class: class.name(),
-        });
-    }
+    let all = of_class(lab, class)?;
     let n = all.len() as u64;
     let at = |k: u64| &all[(k % n) as usize];
     if class != Class::InSpan {
@@ -153,7 +156,7 @@ pub(super) fn material(
 fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
     let mut cases = Vec::new();
     for class in [Class::InSpan, Class::Measured] {
-        if has_material(lab, class) {
+        if of_class(lab, class).is_ok() {
             cases.push(Case::new(class.name(), move |lab: &Lab| {
                 coverage(lab, class)
             }));

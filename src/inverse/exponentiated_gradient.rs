@@ -7,7 +7,7 @@
 use nalgebra::DVector;
 
 use super::objective::{Linearised, Objective, ResidualWeights};
-use super::ridge::Ridge;
+use super::ridge::{self, Ridge};
 use super::trace::{Observer, Step, Termination};
 
 /// Step sizes and length of the run.
@@ -61,7 +61,7 @@ impl ExponentiatedGradient {
         for step in 1..=self.max_steps {
             let mut pass = objective.linearise(mixture, residual_weights);
             if step == 1 {
-                shares = pass.convex_share();
+                shares = pass.convex_share(ridge::TOWARDS_CONVEXITY);
             }
             pass.add_noise(&shares);
             let penalised = ridge.add_to(&pass, mixture);

@@ -5,7 +5,7 @@
 use nalgebra::DVector;
 
 use super::objective::{Linearised, Objective, ResidualWeights};
-use super::ridge::Ridge;
+use super::ridge::{self, Ridge};
 use super::simplex::{self, SimplexError};
 use super::trace::{Observer, Step, Termination};
 
@@ -46,7 +46,7 @@ impl GaussNewton {
     ) -> Result<(Linearised, Termination), SimplexError> {
         let sets = objective.sets();
         let mut current = objective.linearise(mixture, residual_weights);
-        let shares = current.convex_share();
+        let shares = current.convex_share(ridge::TOWARDS_CONVEXITY);
         tracing::debug!(?shares, "noise in the loss");
         current.add_noise(&shares);
         let mut penalised = ridge.add_to(&current, mixture);

@@ -13,6 +13,10 @@ use super::simplex::Quadratic;
 /// ρ where the model explains the images, in units of χ².
 const LEAST: f64 = 300.0;
 
+/// Curvature in every direction that the prior has in any fit and that counts towards the
+/// convexity of the loss (docs/adr/0003).
+pub const TOWARDS_CONVEXITY: f64 = LEAST / 10.0;
+
 /// What ρ gains with each unit of χ² that the model leaves unexplained: what no mixture
 /// explains pulls on all weights, and its covariance is that of the pulls.
 const PER_UNEXPLAINED: f64 = 1.0;

@@ -204,7 +204,9 @@ fn begin(
     let residual_weights = objective.weights(None);
     let n = objective.atoms();
     let even = vec![DVector::from_element(n, 1.0 / n as f64); objective.sets()];
-    let even = objective.linearise(&even, &residual_weights);
+    // Only its image is wanted; values without weight cost no matrices.
+    let weightless = residual_weights.iter().map(|w| vec![[0.0; 3]; w.len()]);
+    let even = objective.linearise(&even, &weightless.collect());
     let Some(earlier) = earlier else {
         let quadratics = objective.single_bounce(&residual_weights);
         let mixture = quadratics.iter().map(|q| Ok(q.minimise()?.x));

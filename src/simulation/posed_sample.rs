@@ -9,9 +9,7 @@ use crate::brdf::{Dictionary, Mixture};
 use crate::geometry::{Mesh, Shape};
 use crate::radiance_image::RadianceImage;
 use crate::random::{Purpose, stream};
-use crate::transport::{
-    Camera, Light, Projection, Proposal, RenderOptions, Scene, Shading, render,
-};
+use crate::transport::{Camera, Light, Projection, RenderOptions, Scene, Shading, render};
 use crate::units::StageAngles;
 
 /// Pixels along each side of the photographs.
@@ -68,7 +66,6 @@ pub fn photographs(truth: &Scene, seed: u64) -> Vec<RadianceImage> {
         samples_per_pixel: 32,
         max_reflections: 4,
         seed,
-        proposal: Proposal::default(),
         ..RenderOptions::default()
     };
     let mut images = render(truth, &material(), &options, &|_| {});

@@ -462,35 +462,13 @@ const GREY_TOLERANCE: f32 = 1e-5;
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::Shape;
-    use crate::transport::{Camera, Light, Projection, Shading};
-    use glam::DVec3;
 
     /// Also where the image's width is what a regular pattern of probes would step by, and
     /// the first column shows nothing.
     #[test]
     fn memory_is_bounded() {
-        let mesh = Shape::Bowl {
-            radius_mm: 1.0,
-            segments: 16,
-        };
         for resolution in [[64, 64], [256, 32], [16, 100]] {
-            let camera = Camera::looking_at(
-                resolution,
-                Projection::Orthographic {
-                    extent_mm: DVec2::splat(2.4),
-                },
-                DVec3::new(0.0, 0.0, 5.0),
-                DVec3::ZERO,
-                DVec3::Y,
-            );
-            let sun = Light::Directional {
-                to_light: DVec3::Z,
-                irradiance: [1.0; 3],
-                angular_radius_rad: 0.0,
-            };
-            let (mesh, camera) = (mesh.mesh().unwrap(), camera.unwrap());
-            let scene = Scene::new(mesh, Shading::Smooth, camera, vec![sun]);
+            let scene = Scene::bowl(16, resolution, 2.4);
             let options = CacheOptions {
                 samples_per_pixel: 1024,
                 max_reflections: 4,

@@ -4,12 +4,15 @@
 //! A chain of n narrow reflections, each drawn from a mixture that gives the narrow lobe
 //! the probability p, comes with p⁻ⁿ times the weight that it deserves. A part of the paths
 //! therefore draws from one part all the way. Which kind a path is stays open: its density is
-//! that of the prefix over all kinds, so that a chain weighs at most 1/p over that part (docs/adr/0030).
+//! that of the prefix over all kinds, so that a chain weighs at most 1/p over that part
+//! (docs/adr/0030).
+
+use std::sync::Arc;
 
 use glam::Vec3;
 
 use super::guide::Guide;
-use super::proposal::{PARTS, Proposal};
+use super::proposal::{PARTS, Proposal, mixed};
 use super::scene::{Scene, Surface};
 use crate::random::Stream;
 
@@ -45,7 +48,7 @@ pub struct Continuations<'a> {
     proposal: &'a Proposal,
     probabilities: [f32; PARTS],
     steering: Steering,
-    guide: Option<Guide>,
+    guide: Option<Arc<Guide>>,
 }
 
 /// How probable it is, after what was drawn, that a path draws anew from all parts each
@@ -63,7 +66,17 @@ impl<'a> Continuations<'a> {
             proposal,
             probabilities: proposal.probabilities(),
             steering,
-            guide: (steering.guided > 0.0).then(|| Guide::new(scene, seed)),
+            guide: (steering.guided > 0.0).then(|| Arc::new(Guide::new(scene, seed))),
+        }
+    }
+
+    /// The same by another proposal.
+    pub fn by<'b>(&self, proposal: &'b Proposal) -> Continuations<'b> {
+        Continuations {
+            proposal,
+            probabilities: proposal.probabilities(),
+            steering: self.steering,
+            guide: self.guide.clone(),
         }
     }
 
@@ -87,7 +100,7 @@ impl<'a> Continuations<'a> {
         to_viewer: Vec3,
         numbers: &mut Stream,
     ) -> Option<(Vec3, f32)> {
-        let guide = self.guide.as_ref().filter(|_| surface.is_sample());
+        let guide = self.guide.as_deref().filter(|_| surface.is_sample());
         let arrivals = guide.and_then(|guide| guide.around(surface));
         let guided = arrivals.map_or(0.0, |_| self.steering.guided);
         let (local, arriving) = match arrivals {
@@ -110,12 +123,7 @@ impl<'a> Continuations<'a> {
             return None;
         }
         let densities = self.proposal.densities(to_viewer, local);
-        let anew: f32 = self
-            .probabilities
-            .iter()
-            .zip(densities)
-            .map(|(p, q)| p * q)
-            .sum();
+        let anew = mixed(&self.probabilities, &densities);
         let density = |proposed: f32| arriving + (1.0 - guided) * proposed;
         kind.anew *= density(anew);
         let mut pdf = kind.anew;

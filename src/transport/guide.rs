@@ -198,34 +198,8 @@ impl Arrivals<'_> {
 mod tests {
     use super::*;
     use crate::brdf::chi_square::chi_square;
-    use crate::geometry::Shape;
-    use crate::transport::{Camera, Light, Projection, Shading};
-    use glam::{DVec2, DVec3};
+    use glam::DVec3;
     use std::f32::consts::PI;
-
-    /// A hemisphere under a coaxial lamp; more pixels make a finer guide.
-    fn bowl(resolution_px: usize) -> Scene {
-        let mesh = Shape::Bowl {
-            radius_mm: 1.0,
-            segments: 64,
-        };
-        let camera = Camera::looking_at(
-            [resolution_px; 2],
-            Projection::Orthographic {
-                extent_mm: DVec2::splat(2.0),
-            },
-            DVec3::new(0.0, 0.0, 5.0),
-            DVec3::ZERO,
-            DVec3::Y,
-        );
-        let sun = Light::Directional {
-            to_light: DVec3::Z,
-            irradiance: [1.0; 3],
-            angular_radius_rad: 0.0,
-        };
-        let (mesh, camera) = (mesh.mesh().unwrap(), camera.unwrap());
-        Scene::new(mesh, Shading::Smooth, camera, vec![sun])
-    }
 
     /// The first surface below a place of the bowl's opening.
     fn below(scene: &Scene, x_mm: f32, y_mm: f32) -> Surface {
@@ -241,7 +215,7 @@ mod tests {
     #[test]
     fn the_density_belongs_to_the_samples() {
         const CRITICAL: f64 = 2.81;
-        let scene = bowl(16);
+        let scene = Scene::bowl(64, [16; 2], 2.0);
         let guide = Guide::new(&scene, 1);
         for (k, (x, y)) in [(0.1, 0.0), (0.6, 0.2), (-0.4, 0.7), (0.0, -0.9)]
             .into_iter()
@@ -265,7 +239,7 @@ mod tests {
     /// an angle b if t = (nπ ∓ b)/(2n + 1), from the other side or the same.
     #[test]
     fn light_is_sought_where_a_sphere_mirrors_it() {
-        let scene = bowl(64);
+        let scene = Scene::bowl(64, [64; 2], 2.0); // more pixels make a finer guide
         let guide = Guide::new(&scene, 1);
         let mut numbers = stream(3, Purpose::Experiment, 0, 0, 0);
         let (mut drawn, mut near, mut near_others) = (0, 0, 0);

@@ -119,11 +119,7 @@ impl Proposal {
     /// Density at `direction`, per solid angle (1/sr, cosine excluded).
     #[inline]
     pub fn pdf(&self, to_viewer: Vec3, direction: Vec3) -> f32 {
-        let densities = self.densities(to_viewer, direction);
-        let parts = self.probabilities().into_iter().zip(densities);
-        parts
-            .map(|(probability, density)| probability * density)
-            .sum()
+        mixed(&self.probabilities(), &self.densities(to_viewer, direction))
     }
 
     /// Probability of each part.
@@ -199,6 +195,15 @@ impl Proposal {
         }
         densities
     }
+}
+
+/// Density of parts drawn with these probabilities.
+#[inline]
+pub(super) fn mixed(probabilities: &[f32; PARTS], densities: &[f32; PARTS]) -> f32 {
+    let parts = probabilities.iter().zip(densities);
+    parts
+        .map(|(probability, density)| probability * density)
+        .sum()
 }
 
 #[cfg(test)]

@@ -158,13 +158,13 @@ pub fn quietest_proposal(
 ) -> Proposal {
     let step = (scene.camera.pixels() / 192).max(1);
     let pixels: Vec<usize> = (0..scene.camera.pixels()).step_by(step).collect();
+    let steered = options.continuations(scene);
+    let options = RenderOptions {
+        samples_per_pixel: 64,
+        ..options.clone()
+    };
     let noise = |proposal: &Proposal| -> f64 {
-        let options = RenderOptions {
-            samples_per_pixel: 64,
-            proposal: proposal.clone(),
-            ..options.clone()
-        };
-        let continuations = options.continuations(scene);
+        let continuations = steered.by(proposal);
         let sums: Vec<f64> = pixels
             .par_iter()
             .map(|&pixel| {

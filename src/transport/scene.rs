@@ -304,3 +304,32 @@ impl Scene {
         (to_viewer.z > 0.0).then_some((surface, to_viewer))
     }
 }
+
+#[cfg(test)]
+impl Scene {
+    /// A smooth hemisphere of radius 1 mm under a coaxial camera and lamp.
+    pub(super) fn bowl(segments: u32, resolution_px: [usize; 2], width_mm: f64) -> Self {
+        use super::camera::Projection;
+        use glam::{DVec2, DVec3};
+        let bowl = crate::geometry::Shape::Bowl {
+            radius_mm: 1.0,
+            segments,
+        };
+        let camera = Camera::looking_at(
+            resolution_px,
+            Projection::Orthographic {
+                extent_mm: DVec2::splat(width_mm),
+            },
+            DVec3::new(0.0, 0.0, 5.0),
+            DVec3::ZERO,
+            DVec3::Y,
+        );
+        let sun = Light::Directional {
+            to_light: DVec3::Z,
+            irradiance: [1.0; 3],
+            angular_radius_rad: 0.0,
+        };
+        let (mesh, camera) = (bowl.mesh().unwrap(), camera.unwrap());
+        Self::new(mesh, Shading::Smooth, camera, vec![sun])
+    }
+}

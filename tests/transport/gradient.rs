@@ -326,7 +326,6 @@ fn derivatives_are_differences_of_rendered_images() {
                     samples_per_pixel: 96,
                     max_reflections,
                     seed,
-                    proposal: Proposal::default(),
                     ..RenderOptions::default()
                 };
                 render(&scene, &brdf, &options, &|_| {}).remove(0).mean

@@ -9,8 +9,8 @@ use glam::{DVec2, Vec3};
 use rig::brdf::{Atom, Dictionary, Mixture};
 use rig::geometry::{Mesh, Shape};
 use rig::transport::{
-    Cache, CacheOptions, Camera, DirectMatrix, Kernel, Projection, Proposal, RenderOptions, Scene,
-    Shading, render,
+    Cache, CacheOptions, Camera, DirectMatrix, Kernel, Projection, RenderOptions, Scene, Shading,
+    render,
 };
 
 use super::references::{above, sun};
@@ -95,7 +95,6 @@ fn a_slanted_edge_has_the_analytic_spread() {
             samples_per_pixel: 256,
             max_reflections: 1,
             seed,
-            proposal: Proposal::default(),
             ..RenderOptions::default()
         };
         let image = render(&scene, &white(), &options, &|_| {}).remove(0);

@@ -57,14 +57,15 @@ impl Linearised {
     }
 
     /// The least share of the noise's energy, per set, that makes the loss convex around
-    /// this point, a tenth of the prior's least curvature included (docs/adr/0026). Without it ½ r_AᵀWr_B has directions of negative curvature where paths
-    /// are few, and its minimum is whatever the noise makes of them; with all of it the loss
-    /// is ½ rᵀWr of the mean residual, which the noise biases (docs/adr/0003).
-    pub fn convex_share(&self) -> Vec<f64> {
+    /// this point together with a prior of curvature `prior` in every direction. Without it
+    /// ½ r_AᵀWr_B has directions of negative curvature where paths are few, and its minimum
+    /// is whatever the noise makes of them; with all of it the loss is ½ rᵀWr of the mean
+    /// residual, which the noise biases (docs/adr/0003).
+    pub fn convex_share(&self, prior: f64) -> Vec<f64> {
         self.quadratics
             .iter()
             .zip(&self.information)
-            .map(|(q, information)| convex_share(&q.h, information))
+            .map(|(q, information)| convex_share(&q.h, information, prior))
             .collect()
     }
 
@@ -77,13 +78,13 @@ impl Linearised {
     }
 }
 
-/// The least of 0, 1/64, 1/32, … 1 with `information` + share · (`full` − `information`)
-/// + [`PRIOR`] positive semidefinite, atoms scaled alike.
-fn convex_share(full: &DMatrix<f64>, information: &DMatrix<f64>) -> f64 {
-    let scale = full.diagonal().map(|d| 1.0 / (d + PRIOR).sqrt());
+/// The least of 0, 1/64, 1/32, … 1 that makes `information` + share · (`full` −
+/// `information`) with `prior` on its diagonal positive semidefinite, atoms scaled alike.
+fn convex_share(full: &DMatrix<f64>, information: &DMatrix<f64>, prior: f64) -> f64 {
+    let scale = full.diagonal().map(|d| 1.0 / (d + prior).sqrt());
     let scaled = |m: &DMatrix<f64>| {
         DMatrix::from_fn(m.nrows(), m.ncols(), |i, j| {
-            let prior = if i == j { PRIOR } else { 0.0 };
+            let prior = if i == j { prior } else { 0.0 };
             scale[i] * (m[(i, j)] + prior) * scale[j]
         })
     };
@@ -97,9 +98,6 @@ fn convex_share(full: &DMatrix<f64>, information: &DMatrix<f64>) -> f64 {
         })
         .unwrap_or(1.0)
 }
-
-/// Curvature that the ridge adds in any fit, in every direction: a tenth of its least.
-const PRIOR: f64 = 30.0;
 
 /// Least eigenvalue, atoms scaled to unit curvature, that rounding may leave.
 const CONVEX: f64 = 1e-9;
