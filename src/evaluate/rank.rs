@@ -76,11 +76,9 @@ fn information(
     let mixture = [DVector::from_column_slice(weights)];
     let dark = objective.linearise(&mixture, &objective.weights(None));
     // The weights that the render's own variance would shrink: noise alone.
-    let model: Vec<Vec<[[f64; 2]; 3]>> = dark
-        .model
-        .iter()
-        .map(|light| light.iter().map(|p| p.map(|[v, _]| [v, 0.0])).collect())
-        .collect();
+    let mut model = dark.model;
+    let values = model.iter_mut().flatten().flatten();
+    values.for_each(|modelled| modelled.variance = 0.0);
     let pass = objective.linearise(&mixture, &objective.weights(Some(&model)));
     let n = weights.len();
     let centring =

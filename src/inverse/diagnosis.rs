@@ -9,7 +9,7 @@
 use glam::{DVec2, DVec3};
 use nalgebra::{Cholesky, DMatrix, DVector};
 
-use super::objective::{Linearised, Objective};
+use super::objective::{Linearised, Modelled, Objective};
 use crate::brdf::Dictionary;
 use crate::brdf::half_difference::HalfDifference;
 use crate::frames::{Rigid, Sample};
@@ -158,7 +158,7 @@ pub fn examine(
                         continue;
                     };
                     let set = c.min(sets - 1);
-                    let value = model[light][pixel][c][0];
+                    let value = model[light][pixel][c].value();
                     let r = light * sets + set;
                     let direct = objective.direct().row(pixel, light);
                     let mut row = Vec::with_capacity(columns[set]);
@@ -388,7 +388,7 @@ const STEP: f64 = 2e-3;
 
 /// The model's pixel after a Gaussian blur.
 fn blurred(
-    model: &[[[f64; 2]; 3]],
+    model: &[[Modelled; 3]],
     channel: usize,
     pixel: usize,
     [width, height]: [usize; 2],
@@ -401,7 +401,7 @@ fn blurred(
         for i in x.saturating_sub(reach)..=(x + reach).min(width - 1) {
             let d2 = (i.abs_diff(x).pow(2) + j.abs_diff(y).pow(2)) as f64;
             let weight = (-0.5 * d2 / (radius_px * radius_px)).exp();
-            sum += weight * model[j * width + i][channel][0];
+            sum += weight * model[j * width + i][channel].value();
             total += weight;
         }
     }

@@ -329,7 +329,8 @@ fn images(
             count += usize::from(compared);
             for c in 0..3 {
                 let strength = cache.strength[light][c];
-                let [value, noise] = pass.model[light][p][c];
+                let modelled = pass.model[light][p][c];
+                let (value, noise) = (modelled.value(), modelled.variance);
                 model.mean[p][c] = (value * strength) as f32;
                 model.variance[p][c] = (noise * strength * strength) as f32;
                 let sigma =

@@ -17,7 +17,7 @@
 use nalgebra::{Cholesky, DMatrix, DVector, SymmetricEigen};
 use rayon::prelude::*;
 
-use super::objective::neighbour_mean;
+use super::objective::Modelled;
 use super::uncertainty::{CONCENTRATION, dirichlet};
 use crate::brdf::Dictionary;
 use crate::brdf::ggx::Cosines;
@@ -348,8 +348,7 @@ fn metric(dictionary: &Dictionary, weights: &DVector<f64>) -> DMatrix<f64> {
 struct Pixel {
     /// Whether a fit would compare it: wholly on the sample, and no edge of a shadow.
     compared: bool,
-    /// Radiance and the variance that the render adds to it.
-    value: [f64; 2],
+    modelled: Modelled,
     rows: [DVector<f64>; 2],
 }
 
@@ -372,8 +371,8 @@ fn images_of(
                     let indirect = &pixel.jacobian[half][light * n..(light + 1) * n];
                     DVector::from_fn(n, |k, _| f64::from(row[k]) + f64::from(indirect[k]))
                 });
-                let indirect = 0.5 * (pixel.value[0][light] + pixel.value[1][light]);
-                let direct: f64 = row
+                let again = 0.5 * (pixel.value[0][light] + pixel.value[1][light]);
+                let once: f64 = row
                     .iter()
                     .zip(weights)
                     .map(|(&d, w)| f64::from(d) * w)
@@ -382,10 +381,11 @@ fn images_of(
                 Pixel {
                     compared: direct_matrix.coverage[pixel.pixel] >= 1.0
                         && (lit == 0.0 || lit == 1.0),
-                    value: [
-                        direct + f64::from(indirect),
-                        f64::from(pixel.variance[light]),
-                    ],
+                    modelled: Modelled {
+                        once,
+                        again: f64::from(again),
+                        variance: f64::from(pixel.variance[light]),
+                    },
                     rows,
                 }
             };
@@ -406,11 +406,12 @@ fn images_of(
 /// neighbours: a pixel whose paths missed the light would otherwise count as certain.
 fn information(
     image: &[Pixel],
-    [width, height]: [usize; 2],
+    resolution: [usize; 2],
     options: &SelectionOptions,
 ) -> DMatrix<f64> {
-    let lit = image.iter().filter(|pixel| pixel.value[0] > 0.0).count();
-    let mean = image.iter().map(|pixel| pixel.value[0]).sum::<f64>() / lit.max(1) as f64;
+    let values = || image.iter().map(|pixel| pixel.modelled.value());
+    let lit = values().filter(|&value| value > 0.0).count();
+    let mean = values().sum::<f64>() / lit.max(1) as f64;
     let n = image.first().map_or(0, |pixel| pixel.rows[0].len());
     let mut sum = DMatrix::zeros(n, n);
     if mean <= 0.0 {
@@ -419,8 +420,8 @@ fn information(
     let floor = (options.noise * mean).powi(2);
     let scale = options.independent_values / image.len() as f64;
     for (at, pixel) in image.iter().enumerate().filter(|(_, p)| p.compared) {
-        let beside = |q: usize| image[q].compared.then_some(image[q].value);
-        let [value, rendered] = neighbour_mean(at, width, height, beside).unwrap_or(pixel.value);
+        let beside = |q: usize| image[q].compared.then_some(image[q].modelled);
+        let [value, rendered] = pixel.modelled.expected(at, resolution, beside);
         let variance = (options.model_error * value).powi(2) + rendered + floor;
         let [a, b] = &pixel.rows;
         // The lower triangle of (a bᵀ + b aᵀ)/2.

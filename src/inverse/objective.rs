@@ -5,19 +5,22 @@
 //! Residual and derivative come from independent halves of the paths, so that
 //! the render's own noise biases neither the loss nor its gradient. Each value is
 //! weighted by 1/(σ²_captured + σ²_rendered + (τ I)²), the last term standing for
-//! what no mixture of the dictionary can explain; I and σ_rendered of a pixel are
-//! taken from its neighbours, because a weight that follows a pixel's own noise
-//! pulls the fit low.
+//! what no mixture of the dictionary can explain; what paths say of I and σ_rendered is
+//! taken from the pixel's neighbours, because a weight that follows a pixel's own noise
+//! pulls the fit low ([`Modelled`]).
 
 use nalgebra::DMatrix;
 
+use self::modelled::around;
 use super::simplex::Quadratic;
 use crate::radiance_image::RadianceImage;
 use crate::transport::{Cache, DirectMatrix, Kernel};
 
+mod modelled;
 mod noise;
 mod pass;
 
+pub use modelled::Modelled;
 pub use noise::ScoreNoise;
 pub use pass::Linearised;
 
@@ -61,11 +64,14 @@ pub struct Objective<'a> {
 /// which a value counts for less.
 const DOUBTFUL: f64 = 4.0;
 
+/// No captured variance counts as less than this part of the usual one around it.
+const LEAST_OF_NEAR: f64 = 0.01;
+
 /// Part of the values that may count for less.
 const MOST_DOUBTED: f64 = 0.05;
 
-/// Modelled radiance over lamp strength and its variance, `[pixel][channel]`.
-pub type ModelImage = Vec<[[f64; 2]; 3]>;
+/// Modelled radiance, `[pixel][channel]`.
+pub type ModelImage = Vec<[Modelled; 3]>;
 
 /// Weights of the residuals, `[light][pixel][channel]`; 0 where not compared.
 pub type ResidualWeights = Vec<Vec<[f64; 3]>>;
@@ -175,9 +181,10 @@ impl<'a> Objective<'a> {
         pixel: usize,
         channel: usize,
     ) -> Option<(f64, f64)> {
-        let [value, rendered] = model[light][pixel][channel];
+        let modelled = model[light][pixel][channel];
+        let value = modelled.value();
         let allowed = (self.model_error * value).powi(2);
-        let sigma = (self.variance[light][pixel][channel] + rendered + allowed).sqrt();
+        let sigma = (self.variance[light][pixel][channel] + modelled.variance + allowed).sqrt();
         (sigma > 0.0).then(|| ((self.target[light][pixel][channel] - value) / sigma, sigma))
     }
 
@@ -191,13 +198,14 @@ impl<'a> Objective<'a> {
                     let Some((z, sigma)) = self.deviation(model, light, pixel, c) else {
                         continue;
                     };
-                    let [value, rendered] = model[light][pixel][c];
-                    let noise = (self.variance[light][pixel][c] + rendered) / (sigma * sigma);
+                    let modelled = model[light][pixel][c];
+                    let noise = self.variance[light][pixel][c] + modelled.variance;
+                    let noise = noise / (sigma * sigma);
                     // A few wild values are dust, not the material.
                     let excess = z.powi(2).min(25.0) - noise;
                     let sum = &mut sums[self.set_of(c)];
                     sum[0] += excess;
-                    sum[1] += (value / sigma).powi(2);
+                    sum[1] += (modelled.value() / sigma).powi(2);
                     sum[2] += excess * excess;
                 }
             }
@@ -247,10 +255,10 @@ impl<'a> Objective<'a> {
     ) -> ResidualWeights {
         let mut model = earlier.map_or_else(|| self.as_model(), |pass| pass.model.clone());
         let values = model.iter_mut().flatten().flatten();
-        for ([value, variance], [even, noise]) in values.zip(even.model.iter().flatten().flatten())
-        {
-            if *even > 0.0 {
-                *variance = variance.max(noise * (*value / even).powi(2));
+        for (modelled, even) in values.zip(even.model.iter().flatten().flatten()) {
+            if even.value() > 0.0 {
+                let noise = even.variance * (modelled.value() / even.value()).powi(2);
+                modelled.variance = modelled.variance.max(noise);
             }
         }
         let found = match earlier {
@@ -275,9 +283,15 @@ impl<'a> Objective<'a> {
             .collect()
     }
 
-    /// The captured images as if they were a model without noise.
+    /// The captured images as if they were a model without noise. As they have noise of
+    /// their own, none of their light counts as known.
     fn as_model(&self) -> Vec<ModelImage> {
-        let exact = |value: &[f64; 3]| value.map(|v| [v.max(0.0), 0.0]);
+        let exact = |value: &[f64; 3]| {
+            value.map(|v| Modelled {
+                again: v.max(0.0),
+                ..Modelled::default()
+            })
+        };
         self.target
             .iter()
             .map(|image| image.iter().map(exact).collect())
@@ -293,8 +307,6 @@ impl<'a> Objective<'a> {
         let [width, height] = self.resolution;
         (0..self.lights())
             .map(|light| {
-                let local = |p: usize, c: usize| model[light][p][c];
-                let typical = self.typical_variance(light);
                 let trust = doubting.then(|| self.trust(model, light));
                 (0..width * height)
                     .map(|p| {
@@ -302,12 +314,12 @@ impl<'a> Objective<'a> {
                             return [0.0; 3];
                         }
                         std::array::from_fn(|c| {
-                            let [intensity, rendered] = neighbour_mean(p, width, height, |q| {
-                                self.compared[light][q].then(|| local(q, c))
-                            })
-                            .unwrap_or_else(|| local(p, c));
-                            // No captured variance may claim more than a tenth of the usual noise.
-                            let captured = self.variance[light][p][c].max(0.01 * typical[c]);
+                            let beside =
+                                |q: usize| self.compared[light][q].then_some(model[light][q][c]);
+                            let [intensity, rendered] =
+                                model[light][p][c].expected(p, self.resolution, beside);
+                            let captured = self.variance[light][p][c]
+                                .max(LEAST_OF_NEAR * self.near_variance(light, p, c));
                             let model = (model_error[self.set_of(c)] * intensity).powi(2);
                             let total = captured + rendered + model;
                             let trust = trust.as_ref().map_or(1.0, |t| t[p][c]);
@@ -373,20 +385,15 @@ impl<'a> Objective<'a> {
         doubted.filter(|&t| t < 1.0).count() as f64 / (3 * compared.max(1)) as f64
     }
 
-    /// Median captured variance of the compared pixels.
-    fn typical_variance(&self, light: usize) -> [f64; 3] {
-        std::array::from_fn(|c| {
-            let mut values: Vec<f64> = (0..self.target[light].len())
-                .filter(|&p| self.compared[light][p])
-                .map(|p| self.variance[light][p][c])
-                .collect();
-            let middle = values.len() / 2;
-            if values.is_empty() {
-                0.0
-            } else {
-                *values.select_nth_unstable_by(middle, f64::total_cmp).1
-            }
-        })
+    /// Median captured variance of a compared pixel and its neighbours. Of the whole image
+    /// it would hide the dark parts of a scene with bright ones.
+    fn near_variance(&self, light: usize, pixel: usize, channel: usize) -> f64 {
+        let mut values: Vec<f64> = around(pixel, self.resolution)
+            .filter(|&q| self.compared[light][q])
+            .map(|q| self.variance[light][q][channel])
+            .collect();
+        let middle = values.len() / 2;
+        *values.select_nth_unstable_by(middle, f64::total_cmp).1
     }
 
     /// The direct part alone, which is linear: its least-squares quadratic per set,
@@ -433,20 +440,11 @@ impl<'a> Objective<'a> {
 /// Whether a pixel and its neighbours show nothing but the sample, all lit or all in
 /// shadow: along silhouettes and edges of shadows an error of the pose or of the light's
 /// direction that is far below a pixel changes the radiance by any amount.
-fn is_smooth(
-    direct: &DirectMatrix,
-    pixel: usize,
-    light: usize,
-    [width, height]: [usize; 2],
-) -> bool {
-    let (x, y) = (pixel % width, pixel / width);
+fn is_smooth(direct: &DirectMatrix, pixel: usize, light: usize, resolution: [usize; 2]) -> bool {
     let lit = direct.lit(pixel, light);
-    (y.saturating_sub(1)..=(y + 1).min(height - 1)).all(|j| {
-        (x.saturating_sub(1)..=(x + 1).min(width - 1)).all(|i| {
-            let q = j * width + i;
-            direct.coverage[q] >= 1.0 && direct.lit(q, light) == lit
-        })
-    }) && (lit == 0.0 || lit == 1.0)
+    (lit == 0.0 || lit == 1.0)
+        && around(pixel, resolution)
+            .all(|q| direct.coverage[q] >= 1.0 && direct.lit(q, light) == lit)
 }
 
 /// Lower triangle of `h += w · v vᵀ`.
@@ -463,26 +461,4 @@ fn add_outer(h: &mut DMatrix<f64>, v: &[f64], w: f64) {
                 .for_each(|(h, &x)| *h += scale * x);
         }
     }
-}
-
-/// Mean over the eight neighbours of a pixel for which `value` gives something.
-pub(super) fn neighbour_mean(
-    pixel: usize,
-    width: usize,
-    height: usize,
-    value: impl Fn(usize) -> Option<[f64; 2]>,
-) -> Option<[f64; 2]> {
-    let (x, y) = (pixel % width, pixel / width);
-    let (mut sum, mut count) = ([0.0; 2], 0.0);
-    for j in y.saturating_sub(1)..=(y + 1).min(height - 1) {
-        for i in x.saturating_sub(1)..=(x + 1).min(width - 1) {
-            if (i, j) != (x, y)
-                && let Some(v) = value(j * width + i)
-            {
-                sum = [sum[0] + v[0], sum[1] + v[1]];
-                count += 1.0;
-            }
-        }
-    }
-    (count > 0.0).then(|| sum.map(|s| s / count))
 }

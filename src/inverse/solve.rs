@@ -11,7 +11,7 @@ use super::ridge::Ridge;
 use super::trace::{Observer, Step, Termination};
 use crate::brdf::dictionary::Dictionary;
 use crate::radiance_image::RadianceImage;
-use crate::transport::{Cache, DirectMatrix, Scene};
+use crate::transport::{Cache, DirectMatrix, Guide, Scene};
 
 /// Weights, what they were found with, and how; a later solution of the same images can
 /// go on from it.
@@ -20,6 +20,8 @@ pub(super) struct Solution {
     pub dictionary: Arc<Dictionary>,
     /// Light that the sample reflects once, per atom of the dictionary.
     pub direct: Arc<DirectMatrix>,
+    /// What leads paths to the lamps' light.
+    pub guide: Option<Arc<Guide>>,
     /// Weights per channel × atoms; equal vectors if shared.
     pub weights: [Vec<f64>; 3],
     /// The first single-bounce start, per channel.
@@ -69,12 +71,13 @@ pub(super) struct Paths {
     pub dictionary: Arc<Dictionary>,
     pub direct: Arc<DirectMatrix>,
     pub cache: Cache,
+    guide: Option<Arc<Guide>>,
     timings: Timings,
 }
 
 impl Paths {
-    /// Traces the scene; direct reflection is taken from an earlier solution with the same
-    /// dictionary.
+    /// Traces the scene; what guides the paths is taken from an earlier solution, direct
+    /// reflection from one with the same dictionary.
     pub fn trace(
         scene: &Scene,
         dictionary: &Arc<Dictionary>,
@@ -92,11 +95,20 @@ impl Paths {
             }
         });
         stage("tracing paths");
-        let cache = timings.time("trace", || Cache::trace(scene, dictionary, &options.cache))?;
+        let how = &options.cache;
+        let (cache, guide) = timings.time("trace", || {
+            let guide = match earlier {
+                Some(earlier) => earlier.guide.clone(),
+                None => how.steering.guide(scene, how.seed),
+            };
+            let cache = Cache::trace_guided(scene, dictionary, how, guide.clone())?;
+            Ok::<_, FitError>((cache, guide))
+        })?;
         Ok(Self {
             dictionary: dictionary.clone(),
             direct,
             cache,
+            guide,
             timings,
         })
     }
@@ -179,6 +191,7 @@ pub(super) fn solve(
     let solution = Solution {
         dictionary: paths.dictionary.clone(),
         direct: paths.direct.clone(),
+        guide: paths.guide.clone(),
         weights: per_channel(&mixture),
         start,
         trace: recorder.trace,

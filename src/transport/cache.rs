@@ -4,6 +4,7 @@
 //! way is a constant: it is folded into the weight of the record before, so that
 //! light which comes to the sample by way of a holder is a connection like any other.
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
 
 use glam::{DVec2, Vec3};
@@ -11,6 +12,7 @@ use rayon::prelude::*;
 
 use super::continuation::{Continuations, Kind, Steering};
 use super::event::{GeneralRecord, GridRecord, Head, LaneAtoms, MAX_LIGHTS, Record};
+use super::guide::Guide;
 use super::proposal::Proposal;
 use super::scene::{Scene, Surface};
 use crate::brdf::dictionary::Dictionary;
@@ -134,6 +136,17 @@ impl Cache {
         dictionary: &Dictionary,
         options: &CacheOptions,
     ) -> Result<Self, CacheError> {
+        let guide = options.steering.guide(scene, options.seed);
+        Self::trace_guided(scene, dictionary, options, guide)
+    }
+
+    /// [`Cache::trace`] with the guide that [`Steering::guide`] gave for the same scene.
+    pub fn trace_guided(
+        scene: &Scene,
+        dictionary: &Dictionary,
+        options: &CacheOptions,
+        guide: Option<Arc<Guide>>,
+    ) -> Result<Self, CacheError> {
         let lights = scene.lights.len();
         if lights > MAX_LIGHTS {
             return Err(CacheError::TooManyLights { lights });
@@ -141,12 +154,7 @@ impl Cache {
         let atoms = LaneAtoms::new(dictionary, options.allow_grid);
         let tracer = Tracer {
             scene,
-            continuations: Continuations::new(
-                scene,
-                &options.proposal,
-                options.steering,
-                options.seed,
-            ),
+            continuations: Continuations::new(&options.proposal, options.steering, guide),
             atoms: &atoms,
             options,
             coloured: AtomicU32::new(0),

@@ -32,6 +32,11 @@ impl Steering {
         guided: 0.0,
         constant: 0.0,
     };
+
+    /// What guides the paths of a scene, if any are to be guided.
+    pub fn guide(&self, scene: &Scene, seed: u64) -> Option<Arc<Guide>> {
+        (self.guided > 0.0).then(|| Arc::new(Guide::new(scene, seed)))
+    }
 }
 
 impl Default for Steering {
@@ -60,24 +65,19 @@ pub struct Kind {
 }
 
 impl<'a> Continuations<'a> {
-    /// Continuations of paths in `scene`.
-    pub fn new(scene: &Scene, proposal: &'a Proposal, steering: Steering, seed: u64) -> Self {
+    /// Continuations by a proposal, steered with the guide of [`Steering::guide`].
+    pub fn new(proposal: &'a Proposal, steering: Steering, guide: Option<Arc<Guide>>) -> Self {
         Self {
             proposal,
             probabilities: proposal.probabilities(),
             steering,
-            guide: (steering.guided > 0.0).then(|| Arc::new(Guide::new(scene, seed))),
+            guide,
         }
     }
 
     /// The same by another proposal.
     pub fn by<'b>(&self, proposal: &'b Proposal) -> Continuations<'b> {
-        Continuations {
-            proposal,
-            probabilities: proposal.probabilities(),
-            steering: self.steering,
-            guide: self.guide.clone(),
-        }
+        Continuations::new(proposal, self.steering, self.guide.clone())
     }
 
     /// A path at its beginning.

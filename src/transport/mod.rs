@@ -31,6 +31,7 @@ pub use direct::DirectMatrix;
 pub use distortion::Coefficients;
 pub use distortion::Folded;
 pub use evaluate::{Kernel, PixelRows};
+pub use guide::Guide;
 pub use lens::{Lens, LensSpec};
 pub use light::Light;
 pub use polarised::render_polarised;

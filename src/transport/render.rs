@@ -40,7 +40,8 @@ impl Default for RenderOptions {
 
 impl RenderOptions {
     pub(super) fn continuations(&self, scene: &Scene) -> Continuations<'_> {
-        Continuations::new(scene, &self.proposal, self.steering, self.seed)
+        let guide = self.steering.guide(scene, self.seed);
+        Continuations::new(&self.proposal, self.steering, guide)
     }
 }
 

@@ -12,7 +12,10 @@ use glam::{DVec2, DVec3};
 use nalgebra::DVector;
 use rig::brdf::{Atom, Dictionary, Mixture};
 use rig::geometry::Shape;
-use rig::inverse::{Channels, objective::Objective};
+use rig::inverse::{
+    Channels,
+    objective::{Modelled, Objective},
+};
 use rig::radiance_image::RadianceImage;
 use rig::random::{Purpose, stream};
 use rig::transport::{
@@ -289,7 +292,7 @@ fn the_error_of_the_model_is_found_below_the_noise() {
             let [before, after] = [&before, &after].map(|w| w[0][pixel][0]);
             if before > 0.0 {
                 added += 1.0 / after - 1.0 / before;
-                power += pass.model[0][pixel][0][0].powi(2);
+                power += pass.model[0][pixel][0].value().powi(2);
             }
         }
         let expected = (found.max(stated).powi(2) - stated.powi(2)).sqrt();
@@ -300,6 +303,53 @@ fn the_error_of_the_model_is_found_below_the_noise() {
             "{allowed} {expected}"
         );
     }
+}
+
+/// Columns of a highlight beside columns a thousand times as dark, without noise of paths:
+/// each value weighs by its own light and its own variance, also along the edge.
+#[test]
+fn a_highlight_does_not_hide_the_dark_beside_it() {
+    const PIXELS: usize = 16;
+    let (scene, dictionary) = grey_bowl(PIXELS);
+    let direct = DirectMatrix::new(&scene, &dictionary, 2, 3);
+    let options = CacheOptions {
+        samples_per_pixel: 2,
+        ..CacheOptions::default()
+    };
+    let cache = Cache::trace(&scene, &dictionary, &options).unwrap();
+    let radiance = |pixel: usize| -> f64 { if pixel % PIXELS < 5 { 1e-3 } else { 1.0 } };
+    let mut target = RadianceImage::new(PIXELS, PIXELS);
+    for pixel in 0..PIXELS * PIXELS {
+        target.mean[pixel] = [radiance(pixel) as f32; 3];
+        target.variance[pixel] = [(0.03 * radiance(pixel)).powi(2) as f32; 3];
+        target.valid[pixel] = true;
+    }
+    let objective = Objective::new(
+        &cache,
+        &direct,
+        std::slice::from_ref(&target),
+        None,
+        Channels::Shared,
+        Kernel::detect(),
+        0.04,
+    );
+    let modelled = |pixel: usize| Modelled {
+        once: radiance(pixel),
+        ..Modelled::default()
+    };
+    let model = (0..PIXELS * PIXELS).map(|pixel| [modelled(pixel); 3]);
+    let weights = objective.weights(Some(&[model.collect()]));
+    let mut compared = 0;
+    for pixel in (0..PIXELS * PIXELS).filter(|&p| objective.is_compared(0, p)) {
+        let deviation = weights[0][pixel][0].sqrt().recip();
+        let expected = 0.05 * radiance(pixel);
+        assert!(
+            (deviation / expected - 1.0).abs() < 1e-4,
+            "pixel {pixel}: {deviation}, not {expected}"
+        );
+        compared += 1;
+    }
+    assert!(compared > 50, "{compared}");
 }
 
 /// A GGX lobe in a corner: central differences of the plain renderer's images in the

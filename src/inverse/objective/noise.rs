@@ -4,7 +4,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::pass::add_product;
-use super::{Objective, ResidualWeights};
+use super::{ModelImage, Objective, ResidualWeights};
 
 /// Covariance of the score Jᵀ W r per set by what makes the residual scatter, N × N each.
 #[derive(Clone, Debug)]
@@ -21,7 +21,7 @@ impl Objective<'_> {
         &self,
         mixture: &[DVector<f64>],
         residual_weights: &ResidualWeights,
-        model: &[Vec<[[f64; 2]; 3]>],
+        model: &[ModelImage],
     ) -> Vec<ScoreNoise> {
         let (n, sets, lights) = (self.atoms(), self.sets(), self.lights());
         let slices: Vec<&[f64]> = mixture.iter().map(|w| w.as_slice()).collect();
@@ -46,7 +46,7 @@ impl Objective<'_> {
                         let [a, b] = &mut derivatives;
                         self.derivatives(rows, light, set, [a, b]);
                         let captured = w * w * self.variance[light][pixel][c];
-                        let rendered = w * w * model[light][pixel][c][1];
+                        let rendered = w * w * model[light][pixel][c].variance;
                         add_product(&mut sums[set].captured, a, b, captured);
                         add_product(&mut sums[set].rendered, a, b, rendered);
                     }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use nalgebra::{DMatrix, DVector};
 
-use super::{ModelImage, Objective, ResidualWeights, add_outer};
+use super::{ModelImage, Modelled, Objective, ResidualWeights, add_outer};
 use crate::inverse::simplex::Quadratic;
 use crate::transport::PixelRows;
 
@@ -18,7 +18,7 @@ pub struct Linearised {
     pub information: Vec<DMatrix<f64>>,
     /// Per set: what the render's noise adds to the loss if the mean residual is squared.
     pub(in crate::inverse) noise: Vec<Noise>,
-    /// Modelled radiance over lamp strength and its variance, `[light][pixel][channel]`.
+    /// Modelled radiance, `[light][pixel][channel]`.
     pub model: Vec<ModelImage>,
     /// Per set: Σ w (r_A r_B − σ²_captured), which the noise of neither capture nor render
     /// makes: what the model leaves unexplained, as a part of χ².
@@ -117,7 +117,7 @@ impl Objective<'_> {
             || Part::new(n, sets),
             |part, rows| {
                 let pixel = rows.pixel;
-                let mut model = vec![[[0.0; 2]; 3]; lights];
+                let mut model = vec![[Modelled::default(); 3]; lights];
                 let mut derivatives = [vec![0.0; n], vec![0.0; n]];
                 let mut row_mean = vec![0.0; n];
                 for light in 0..lights {
@@ -125,14 +125,18 @@ impl Objective<'_> {
                     for c in 0..3 {
                         let set = self.set_of(c);
                         let r = light * sets + set;
-                        let direct_value: f64 = direct
+                        let once: f64 = direct
                             .iter()
                             .zip(&mixture[set])
                             .map(|(&d, &w)| f64::from(d) * w)
                             .sum();
-                        let halves = [0, 1].map(|h| direct_value + f64::from(rows.value[h][r]));
-                        model[light][c] =
-                            [0.5 * (halves[0] + halves[1]), f64::from(rows.variance[r])];
+                        let again = [0, 1].map(|h| f64::from(rows.value[h][r]));
+                        let halves = again.map(|value| once + value);
+                        model[light][c] = Modelled {
+                            once,
+                            again: 0.5 * (again[0] + again[1]),
+                            variance: f64::from(rows.variance[r]),
+                        };
                         let w = residual_weights[light][pixel][c];
                         if w <= 0.0 {
                             continue;
