@@ -18,9 +18,7 @@ use crate::transport::{
 const TRUTH: u64 = 0x7275_7468;
 
 impl Lab {
-    /// Images of `brdf` on the true shape, one per light, that count as exact. Their paths'
-    /// noise is small beside the fit's, and a weight that followed its sampled variance
-    /// would follow the values too: those that are low by chance would weigh more.
+    /// Images of `brdf` on the true shape, one per light, with the render's variance.
     pub fn capture(
         &self,
         sample: Sample,
@@ -28,14 +26,10 @@ impl Lab {
         brdf: &dyn Brdf,
     ) -> Result<Vec<RadianceImage>, EvaluateError> {
         let scene = sample.true_scene(self.settings.resolution_px, lights.to_vec())?;
-        let mut images = self.render_truth(&scene, brdf);
-        for image in &mut images {
-            image.variance.fill([0.0; 3]);
-        }
-        Ok(images)
+        Ok(self.render_truth(&scene, brdf))
     }
 
-    /// Images of a scene with the truth's seed and number of paths, and their variance.
+    /// Images of a scene with the truth's seed and number of paths.
     pub fn render_truth(&self, scene: &Scene, brdf: &dyn Brdf) -> Vec<RadianceImage> {
         render(scene, brdf, &self.truth_options(scene, brdf), &|_| {})
     }
