@@ -7,6 +7,7 @@ use super::lab::materials::{Class, Material};
 use super::lab::{Lab, Sample};
 use crate::brdf::{Brdf, HalfDifference, Mixture};
 use crate::inverse::intervals::{self, Interval};
+use crate::inverse::objective::around;
 use crate::inverse::{FitOptions, fit};
 use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
 use crate::radiance_image::RadianceImage;
@@ -76,7 +77,7 @@ pub(super) fn capture(
             let mut taken = photographer.take(image, light)?;
             // The truth's own paths are part of the capture's noise.
             for (p, variance) in taken.variance.iter_mut().enumerate() {
-                let around = around(p, image.width, image.height);
+                let around: Vec<usize> = around(p, [image.width, image.height]).collect();
                 for (c, v) in variance.iter_mut().enumerate() {
                     let sum: f32 = around.iter().map(|&q| image.variance[q][c]).sum();
                     *v += sum / around.len() as f32;
@@ -84,13 +85,6 @@ pub(super) fn capture(
             }
             Ok(taken)
         })
-        .collect()
-}
-
-fn around(p: usize, width: usize, height: usize) -> Vec<usize> {
-    let (x, y) = (p % width, p / width);
-    (y.saturating_sub(1)..=(y + 1).min(height - 1))
-        .flat_map(|j| (x.saturating_sub(1)..=(x + 1).min(width - 1)).map(move |i| j * width + i))
         .collect()
 }
 

@@ -192,9 +192,12 @@ pub(super) fn fit_on_bench(
     }
     let mut quick = options.clone();
     quick.cache.samples_per_pixel = (options.cache.samples_per_pixel / QUICKER).max(2);
-    let paths = Paths::trace(scene, &dictionary, None, &quick, stage)?;
-    let objective = paths.objective(captured, &quick);
-    let first = solve(&paths, &objective, None, &quick, stage)?.solution;
+    let first = {
+        // Its paths are gone before the others are traced.
+        let paths = Paths::trace(scene, &dictionary, None, &quick, stage)?;
+        let objective = paths.objective(captured, &quick);
+        solve(&paths, &objective, None, &quick, stage)?.solution
+    };
     refine(scene, captured, first, options, bench, stage)
 }
 

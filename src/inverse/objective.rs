@@ -11,7 +11,6 @@
 
 use nalgebra::DMatrix;
 
-use self::modelled::around;
 use super::simplex::Quadratic;
 use crate::radiance_image::RadianceImage;
 use crate::transport::{Cache, DirectMatrix, Kernel};
@@ -20,7 +19,7 @@ mod modelled;
 mod noise;
 mod pass;
 
-pub use modelled::Modelled;
+pub use modelled::{Modelled, around};
 pub use noise::ScoreNoise;
 pub use pass::Linearised;
 

@@ -44,11 +44,8 @@ impl Modelled {
     }
 }
 
-/// A pixel and its neighbours in the image, nine at most.
-pub(super) fn around(
-    pixel: usize,
-    [width, height]: [usize; 2],
-) -> impl Iterator<Item = usize> + Clone {
+/// Indices of a pixel and its neighbours in an image of `[width, height]`, nine at most.
+pub fn around(pixel: usize, [width, height]: [usize; 2]) -> impl Iterator<Item = usize> + Clone {
     let (x, y) = (pixel % width, pixel / width);
     (y.saturating_sub(1)..=(y + 1).min(height - 1)).flat_map(move |j| {
         (x.saturating_sub(1)..=(x + 1).min(width - 1)).map(move |i| j * width + i)
