@@ -16,6 +16,10 @@ use crate::units::Seconds;
 /// How long the port may refuse to take bytes before it counts as stuck.
 const WRITE_TIMEOUT: Duration = Duration::from_millis(500);
 
+/// How long another opener may take to let go of the port: a program that just
+/// ends, a child between its fork and its exec, a service that probes new ports.
+const BUSY_PATIENCE: Duration = Duration::from_secs(1);
+
 /// An open port. A driver and its stop handles share it: anyone may write at
 /// any moment, one at a time reads.
 pub struct SerialLine {
@@ -28,12 +32,10 @@ pub struct SerialLine {
 
 impl SerialLine {
     /// Opens and configures the port (8 data bits, no parity, 1 stop bit), and
-    /// drops what has come before. Nothing is sent.
+    /// drops what has come before. Nothing is sent. A port in use is waited for,
+    /// a second at most.
     pub fn open(path: &str, baud: u32) -> Result<Self, DeviceError> {
-        let port = serialport::new(path, baud)
-            .timeout(WRITE_TIMEOUT)
-            .open_native()
-            .map_err(|error| open_error(path, error))?;
+        let port = open_when_free(path, baud)?;
         let _ = port.clear(ClearBuffer::Input);
         // SAFETY: the descriptor is the port's, which is open until after the call.
         let descriptor = unsafe { BorrowedFd::borrow_raw(port.as_raw_fd()) };
@@ -214,6 +216,22 @@ impl LineReader<'_> {
     }
 }
 
+fn open_when_free(path: &str, baud: u32) -> Result<TTYPort, DeviceError> {
+    let deadline = Instant::now() + BUSY_PATIENCE;
+    loop {
+        let opened = serialport::new(path, baud)
+            .timeout(WRITE_TIMEOUT)
+            .open_native()
+            .map_err(|error| open_error(path, error));
+        match opened {
+            Err(DeviceError::Busy { .. }) if Instant::now() < deadline => {
+                std::thread::sleep(Duration::from_millis(20));
+            }
+            opened => return opened,
+        }
+    }
+}
+
 /// An error of the system while the port is open.
 fn io_error(device: &str, source: std::io::Error) -> DeviceError {
     use rustix::io::Errno;
@@ -284,6 +302,27 @@ mod tests {
             assert!(message.starts_with("/dev/ttyUSB0"), "{message}");
             assert!(message.ends_with(expected), "{message}");
         }
+    }
+
+    /// A program that has just closed a port may have a child that still holds it.
+    #[test]
+    fn a_port_that_is_let_go_of_soon_is_waited_for() {
+        let pair = TTYPort::pair().unwrap();
+        let path = pair.1.name().unwrap();
+        drop(pair.1);
+        let held = SerialLine::open(&path, 115_200).unwrap();
+        std::thread::scope(|scope| {
+            let again = scope.spawn(|| SerialLine::open(&path, 115_200));
+            std::thread::sleep(Duration::from_millis(100));
+            drop(held);
+            assert!(again.join().unwrap().is_ok());
+        });
+        let held = SerialLine::open(&path, 115_200).unwrap();
+        assert!(matches!(
+            SerialLine::open(&path, 115_200),
+            Err(DeviceError::Busy { .. })
+        ));
+        drop(held);
     }
 
     #[test]
