@@ -24,6 +24,21 @@ pub enum Purpose {
     FormError = 17,
     /// Mirror paths that tell where light comes from.
     Guide = 18,
+    /// Scrambles of the evenly spread points of paths.
+    PathPoints = 19,
+}
+
+/// Where uniform numbers come from.
+pub trait Uniform {
+    /// Uniform in [0, 1).
+    fn uniform_f32(&mut self) -> f32;
+}
+
+impl Uniform for Stream {
+    #[inline]
+    fn uniform_f32(&mut self) -> f32 {
+        Stream::uniform_f32(self)
+    }
 }
 
 /// A small counter-based stream of random numbers.

@@ -7,17 +7,18 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
 
-use glam::{DVec2, Vec3};
+use glam::Vec3;
 use rayon::prelude::*;
 
 use super::continuation::{Continuations, Kind, Steering};
 use super::event::{GeneralRecord, GridRecord, Head, LaneAtoms, MAX_LIGHTS, Record};
 use super::guide::Guide;
+use super::points::PathNumbers;
 use super::proposal::Proposal;
 use super::scene::{Scene, Surface};
 use crate::brdf::dictionary::Dictionary;
 use crate::brdf::ggx::Cosines;
-use crate::random::{Purpose, Stream, stream};
+use crate::random::{Purpose, stream};
 
 /// How paths are traced and kept.
 #[derive(Clone, Debug)]
@@ -231,14 +232,7 @@ struct Walk {
     to_viewer: Vec3,
     reflections: u32,
     kind: Kind,
-    directions: Stream,
-    lamps: Stream,
-}
-
-impl Walk {
-    fn lamp_numbers(&mut self) -> [f32; 2] {
-        [self.lamps.uniform_f32(), self.lamps.uniform_f32()]
-    }
+    numbers: PathNumbers,
 }
 
 impl Tracer<'_> {
@@ -279,7 +273,7 @@ impl Tracer<'_> {
                 let x = within(cell % columns, columns, width);
                 let y = within(cell / columns, rows, height);
                 let mut records: Vec<R> = Vec::new();
-                self.pixel(y * width + x, 0..samples, &mut records);
+                self.half(y * width + x, 0, samples, &mut records);
                 records.len()
             })
             .sum();
@@ -310,8 +304,7 @@ impl Tracer<'_> {
                 };
                 for pixel in first_pixel..(first_pixel + CHUNK_PIXELS).min(pixels) {
                     for half in 0..2 {
-                        let samples = half * per_half..(half + 1) * per_half;
-                        self.pixel(pixel, samples, &mut chunk.records);
+                        self.half(pixel, half, per_half, &mut chunk.records);
                         chunk.start.push(chunk.records.len() as u32);
                     }
                 }
@@ -323,25 +316,18 @@ impl Tracer<'_> {
             .collect()
     }
 
-    fn pixel<const B: usize, R: Record<B>>(
+    /// Traces one half, 0 or 1, of a pixel's paths.
+    fn half<const B: usize, R: Record<B>>(
         &self,
         pixel: usize,
-        samples: std::ops::Range<u32>,
+        half: u32,
+        samples: u32,
         records: &mut Vec<R>,
     ) {
         let (scene, atoms, options) = (self.scene, self.atoms, self.options);
-        let width = scene.camera.resolution_px[0];
-        let corner = DVec2::new((pixel % width) as f64, (pixel / width) as f64);
-        for sample in samples {
-            let key = |purpose| stream(options.seed, purpose, 0, pixel as u64, u64::from(sample));
-            let mut position = key(Purpose::PixelPosition);
-            let mut lamps = key(Purpose::LightAndLens);
-            let ray = scene.camera.ray(
-                scene
-                    .camera
-                    .in_footprint(corner, DVec2::new(position.uniform(), position.uniform())),
-                DVec2::new(lamps.uniform(), lamps.uniform()),
-            );
+        for sample in 0..samples {
+            let (numbers, ray) =
+                PathNumbers::begin(&scene.camera, options.seed, pixel, half, sample);
             let begin = records.len();
             // Up to here the path has contributed; records after it lead nowhere.
             let mut useful = begin;
@@ -354,15 +340,15 @@ impl Tracer<'_> {
                 to_viewer,
                 reflections: 1,
                 kind: self.continuations.begin(),
-                directions: key(Purpose::PathDirection),
-                lamps,
+                numbers,
             };
             while walk.reflections < options.max_reflections {
+                walk.numbers.advance();
                 let Some((direction, pdf)) = self.continuations.draw(
                     &mut walk.kind,
                     &walk.surface,
                     walk.to_viewer,
-                    &mut walk.directions,
+                    &mut walk.numbers,
                 ) else {
                     break;
                 };
@@ -386,7 +372,7 @@ impl Tracer<'_> {
                 }
                 records.push(R::encode(Head::continuation(weight), atoms, &at));
                 for light in 0..scene.lights.len() {
-                    let u = walk.lamp_numbers();
+                    let u = walk.numbers.on_lamp();
                     let Some(connection) = scene.connect(&walk.surface, light, u) else {
                         continue;
                     };
@@ -422,7 +408,7 @@ impl Tracer<'_> {
             while let Some(brdf) = self.scene.known(&walk.surface) {
                 let body = walk.surface.body();
                 for (light, arriving) in arriving.iter_mut().enumerate() {
-                    let u = walk.lamp_numbers();
+                    let u = walk.numbers.on_lamp();
                     if let Some(to) = self.scene.connect(&walk.surface, light, u) {
                         let f = self.grey(body, brdf.eval(to.to_light, walk.to_viewer));
                         *arriving += weight * f * to.irradiance;
@@ -432,7 +418,8 @@ impl Tracer<'_> {
                     return None;
                 }
                 let proposal = &self.options.proposal;
-                let (direction, pdf) = proposal.sample(walk.to_viewer, &mut walk.directions)?;
+                walk.numbers.advance();
+                let (direction, pdf) = proposal.sample(walk.to_viewer, &mut walk.numbers)?;
                 let f = self.grey(body, brdf.eval(direction, walk.to_viewer));
                 weight *= f * direction.z / pdf;
                 if weight == 0.0 {

@@ -14,7 +14,7 @@ use glam::Vec3;
 use super::guide::Guide;
 use super::proposal::{PARTS, Proposal, mixed};
 use super::scene::{Scene, Surface};
-use crate::random::Stream;
+use crate::random::Uniform;
 
 /// What leads paths to light that their proposal alone would seldom find.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -91,14 +91,15 @@ impl<'a> Continuations<'a> {
     }
 
     /// A local direction in which a path goes on, and its density given all directions
-    /// before, 1/sr. `None` below the horizon.
+    /// before, 1/sr, by four numbers or less where no table is drawn from. `None` below the
+    /// horizon.
     #[inline]
     pub fn draw(
         &self,
         kind: &mut Kind,
         surface: &Surface,
         to_viewer: Vec3,
-        numbers: &mut Stream,
+        numbers: &mut impl Uniform,
     ) -> Option<(Vec3, f32)> {
         let guide = self.guide.as_deref().filter(|_| surface.is_sample());
         let arrivals = guide.and_then(|guide| guide.around(surface));

@@ -18,6 +18,7 @@ mod guide;
 pub mod lanes;
 pub mod lens;
 pub mod light;
+pub mod points;
 pub mod polarised;
 pub mod proposal;
 pub mod render;

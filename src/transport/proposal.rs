@@ -9,7 +9,7 @@ use glam::Vec3;
 use crate::brdf::dictionary::Atom;
 use crate::brdf::mixture::Mixture;
 use crate::brdf::{Brdf, LobeTable, ggx};
-use crate::random::Stream;
+use crate::random::Uniform;
 
 /// A mixture over directions.
 #[derive(Clone, Debug, PartialEq)]
@@ -111,7 +111,7 @@ impl Proposal {
     /// Draws a direction for the local `to_viewer` with its density per solid angle
     /// (1/sr, cosine excluded). `None` below the horizon.
     #[inline]
-    pub fn sample(&self, to_viewer: Vec3, numbers: &mut Stream) -> Option<(Vec3, f32)> {
+    pub fn sample(&self, to_viewer: Vec3, numbers: &mut impl Uniform) -> Option<(Vec3, f32)> {
         let direction = self.draw(&self.probabilities(), to_viewer, numbers)?;
         Some((direction, self.pdf(to_viewer, direction)))
     }
@@ -137,13 +137,14 @@ impl Proposal {
         parts
     }
 
-    /// Draws a direction from parts with these probabilities; `None` below the horizon.
+    /// Draws a direction from parts with these probabilities, by three numbers, five for a
+    /// table; `None` below the horizon.
     #[inline]
     pub(super) fn draw(
         &self,
         probabilities: &[f32; PARTS],
         to_viewer: Vec3,
-        numbers: &mut Stream,
+        numbers: &mut impl Uniform,
     ) -> Option<Vec3> {
         let mut choice = numbers.uniform_f32();
         let u = [numbers.uniform_f32(), numbers.uniform_f32()];
@@ -165,8 +166,8 @@ impl Proposal {
                 Vec3::new(radius * cos, radius * sin, (1.0 - u[1]).sqrt())
             }
             (TABLE, Some((table, _))) => {
-                let u = [0; 4].map(|_| numbers.uniform());
-                table.sample(to_viewer, u)?
+                let [cell, side] = [0; 2].map(|_| f64::from(numbers.uniform_f32()));
+                table.sample(to_viewer, [cell, f64::from(u[0]), f64::from(u[1]), side])?
             }
             (part, _) => {
                 let alpha = self.lobes[part - 1].0;

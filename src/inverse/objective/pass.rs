@@ -7,6 +7,7 @@ use nalgebra::{DMatrix, DVector};
 use super::{ModelImage, Modelled, Objective, ResidualWeights, add_outer};
 use crate::inverse::simplex::Quadratic;
 use crate::transport::PixelRows;
+use crate::transport::points::Evenness;
 
 /// One pass at given mixture weights.
 pub struct Linearised {
@@ -114,7 +115,7 @@ impl Objective<'_> {
         let parts = self.cache.evaluate(
             self.kernel,
             &slices,
-            || Part::new(n, sets),
+            || Part::new(n, sets, lights),
             |part, rows| {
                 let pixel = rows.pixel;
                 let mut model = vec![[Modelled::default(); 3]; lights];
@@ -132,10 +133,12 @@ impl Objective<'_> {
                             .sum();
                         let again = [0, 1].map(|h| f64::from(rows.value[h][r]));
                         let halves = again.map(|value| once + value);
+                        let variance = f64::from(rows.variance[r]);
+                        part.evenness[light][c].add(0.25 * (again[0] - again[1]).powi(2), variance);
                         model[light][c] = Modelled {
                             once,
                             again: 0.5 * (again[0] + again[1]),
-                            variance: f64::from(rows.variance[r]),
+                            variance,
                         };
                         let w = residual_weights[light][pixel][c];
                         if w <= 0.0 {
@@ -199,7 +202,7 @@ impl Objective<'_> {
 
     fn gather(&self, parts: Vec<Part>) -> Linearised {
         let (n, sets) = (self.atoms(), self.sets());
-        let mut total = Part::new(n, sets);
+        let mut total = Part::new(n, sets, self.lights());
         let mut model = vec![Vec::with_capacity(self.target[0].len()); self.lights()];
         for part in parts {
             for set in 0..sets {
@@ -215,6 +218,11 @@ impl Objective<'_> {
                         .or_insert_with(|| DVector::zeros(n)) += score;
                 }
             }
+            for (total, part) in total.evenness.iter_mut().zip(&part.evenness) {
+                for (total, part) in total.iter_mut().zip(part) {
+                    total.join(part);
+                }
+            }
             for pixel in part.model {
                 for (light, value) in pixel.into_iter().enumerate() {
                     model[light].push(value);
@@ -226,6 +234,14 @@ impl Objective<'_> {
                 .h
                 .fill_upper_triangle_with_lower_triangle();
             total.information[set].fill_upper_triangle_with_lower_triangle();
+        }
+        for (image, evenness) in model.iter_mut().zip(&total.evenness) {
+            let factors = evenness.map(|channel| channel.factor());
+            for pixel in image {
+                for (modelled, factor) in pixel.iter_mut().zip(factors) {
+                    modelled.variance *= factor;
+                }
+            }
         }
         Linearised {
             noise: total.noise,
@@ -252,10 +268,12 @@ struct Part {
     power: Vec<f64>,
     scores: Vec<BTreeMap<usize, DVector<f64>>>,
     model: Vec<ModelImage>,
+    /// Per light and channel.
+    evenness: Vec<[Evenness; 3]>,
 }
 
 impl Part {
-    fn new(n: usize, sets: usize) -> Self {
+    fn new(n: usize, sets: usize, lights: usize) -> Self {
         Self {
             quadratics: vec![Quadratic::zero(n); sets],
             information: vec![DMatrix::zeros(n, n); sets],
@@ -264,6 +282,7 @@ impl Part {
             power: vec![0.0; sets],
             scores: vec![Default::default(); sets],
             model: Vec::new(),
+            evenness: vec![[Evenness::default(); 3]; lights],
         }
     }
 }
