@@ -69,12 +69,16 @@ pub fn chi_square(
     let none = (1.0 - total).max(0.0) * samples as f64;
     let systematic = INTEGRAL_ERROR * samples as f64;
     add(lost as f64, none, none.max(1.0) + systematic * systematic);
-    let freedom = f64::max(freedom, 1.0);
-    let spread = 2.0 / (9.0 * freedom);
     ChiSquare {
-        deviate: ((chi2 / freedom).cbrt() - (1.0 - spread)) / spread.sqrt(),
+        deviate: normal_deviate(chi2, f64::max(freedom, 1.0)),
         total,
     }
+}
+
+/// χ² with `freedom` degrees of freedom as a standard normal deviate (Wilson & Hilferty 1931).
+pub fn normal_deviate(chi2: f64, freedom: f64) -> f64 {
+    let spread = 2.0 / (9.0 * freedom);
+    ((chi2 / freedom).cbrt() - (1.0 - spread)) / spread.sqrt()
 }
 
 /// The sampler of measured materials, [`LobeTable`], at angles of the viewer in degrees.

@@ -353,6 +353,7 @@ impl Arrivals<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::brdf::chi_square::normal_deviate;
     use std::f32::consts::{PI, TAU};
 
     /// The first surface below a place of the bowl's opening.
@@ -426,10 +427,7 @@ mod tests {
                 .zip(&expected)
                 .map(|(o, e): (&f64, &f64)| (o - e).powi(2) / e)
                 .sum();
-            // Wilson & Hilferty (1931).
-            let freedom = (RINGS * SECTORS) as f64;
-            let spread = 2.0 / (9.0 * freedom);
-            let deviate = ((chi2 / freedom).cbrt() - (1.0 - spread)) / spread.sqrt();
+            let deviate = normal_deviate(chi2, (RINGS * SECTORS) as f64);
             assert!(
                 deviate < CRITICAL,
                 "{x}, {y}: {deviate} {observed:?} {expected:?}"
