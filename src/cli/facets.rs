@@ -8,10 +8,7 @@ use crate::transport::Scene;
 /// Warns where facets shade with their own normals and neighbours differ by more than
 /// an eighth of the narrowest lobe's roughness, which takes up to a sixth off its peak.
 pub fn warn_if_coarse(scene: &Scene, atoms: &[Atom], context: &Context) {
-    let widths = atoms.iter().filter_map(|atom| match *atom {
-        Atom::Ggx { alpha, .. } => Some(alpha),
-        _ => None,
-    });
+    let widths = atoms.iter().filter_map(Atom::alpha);
     let narrowest = widths.fold(f64::INFINITY, f64::min);
     if !scene.is_flat() || narrowest.is_infinite() {
         return;

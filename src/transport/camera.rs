@@ -99,6 +99,14 @@ impl Camera {
             )
     }
 
+    /// The ray that begins in the footprint of a pixel (its index, row by row), at a place and
+    /// a point of the lens that uniform numbers in [0, 1)² choose.
+    pub fn ray_of_pixel(&self, pixel: usize, place: DVec2, lens: DVec2) -> Ray {
+        let width = self.resolution_px[0];
+        let corner = DVec2::new((pixel % width) as f64, (pixel / width) as f64);
+        self.ray(self.in_footprint(corner, place), lens)
+    }
+
     /// Radius of the disc into which a point at this distance along the camera's axis is
     /// blurred by the lens, millimetres in the plane of the point.
     pub fn defocus_mm(&self, depth_mm: f64) -> f64 {

@@ -33,12 +33,7 @@ impl PathNumbers {
     pub fn begin(camera: &Camera, seed: u64, pixel: usize, part: u32, index: u32) -> (Self, Ray) {
         let mut numbers = Self::new(seed, pixel as u64, part, index);
         let [place, lens] = numbers.on_sensor();
-        let width = camera.resolution_px[0];
-        let corner = DVec2::new((pixel % width) as f64, (pixel / width) as f64);
-        (
-            numbers,
-            camera.ray(camera.in_footprint(corner, place), lens),
-        )
+        (numbers, camera.ray_of_pixel(pixel, place, lens))
     }
 
     fn new(seed: u64, pixel: u64, part: u32, index: u32) -> Self {

@@ -236,18 +236,13 @@ pub(super) fn follow<C: Carrier>(
     [pixel, sample]: [u64; 2],
     mut visit: impl FnMut(u32, usize, [f64; 3]),
 ) {
-    let width = scene.camera.resolution_px[0] as u64;
-    let corner = DVec2::new((pixel % width) as f64, (pixel / width) as f64);
     let key = |purpose| stream(options.seed, purpose, 0, pixel, sample);
     let mut position = key(Purpose::PixelPosition);
     let mut directions = key(Purpose::PathDirection);
     let mut lamps = key(Purpose::LightAndLens);
-    let ray = scene.camera.ray(
-        scene
-            .camera
-            .in_footprint(corner, DVec2::new(position.uniform(), position.uniform())),
-        DVec2::new(lamps.uniform(), lamps.uniform()),
-    );
+    let place = DVec2::new(position.uniform(), position.uniform());
+    let lens = DVec2::new(lamps.uniform(), lamps.uniform());
+    let ray = scene.camera.ray_of_pixel(pixel as usize, place, lens);
     let mut carried = C::start(ray.direction);
     let mut kind = continuations.begin();
     let mut next = scene.first(&ray);

@@ -215,11 +215,7 @@ impl Aligner<'_> {
                 self.blur_px2,
             );
             let sum = self.sum(&words);
-            let step = sum.spectrum.step(
-                &self.values,
-                &sum.score,
-                &DMatrix::zeros(self.values.len(), self.values.len()),
-            );
+            let step = sum.spectrum.step(&self.values, &sum.score);
             let settled = sum.spectrum.length(&step) < SETTLED;
             tracing::debug!(factor, round, values = ?self.values.as_slice(), step = ?step.as_slice(), blur = self.blur_px2, "pose round");
             if settled || round >= self.options.rounds {

@@ -5,6 +5,8 @@
 //! The two halves of the samples step in opposite directions: each half is an
 //! independent estimate, and their mean is a central difference. A light that moves
 //! leaves the camera's paths as they are, so all lights' steps share one set of them.
+//! Direct reflection, which says most, is a central difference of dense quadratures over
+//! the pixels' footprints, without noise and the same for both halves.
 //!
 //! Whatever multiplies the residual, it vanishes on average at the true bench: a
 //! derivative that is off costs certainty, not truth. So what comes by way of other
@@ -17,14 +19,16 @@ use rayon::prelude::*;
 use super::parameters::{Bench, Parameter};
 use crate::brdf::Brdf;
 use crate::geometry::Mesh;
-use crate::random::{Purpose, stream};
+use crate::random::{Purpose, Stream, stream};
+use crate::transport::direct::for_each_seen;
 use crate::transport::falloff::Falloff;
-use crate::transport::{Proposal, Scene};
+use crate::transport::scene::Surface;
+use crate::transport::{Continuations, Proposal, Scene, Steering};
 
 /// How derivative images are traced.
 #[derive(Clone, Debug)]
 pub struct DerivativeOptions {
-    /// Paths per pixel in each half and on each differing bench, at least 1.
+    /// Paths per pixel in each half and on each differing bench; 0: direct reflection alone.
     pub samples_per_half: u32,
     /// Longest path in surface reflections, 1..=64.
     pub max_reflections: u32,
@@ -32,6 +36,10 @@ pub struct DerivativeOptions {
     pub seed: u64,
     /// Where continuations go.
     pub proposal: Proposal,
+    /// What leads continuations to light, on all benches as on the base.
+    pub steering: Steering,
+    /// Direct reflection: square root of the samples per pixel, at least 1.
+    pub direct_strata: u32,
     /// What comes by way of other surfaces is averaged over pixels up to this far away.
     pub average_px: usize,
 }
@@ -124,34 +132,37 @@ impl DerivativeImages {
         let lights = base.lights.len();
         let places = &halves[0].1;
         let columns: Vec<_> = places.iter().map(|p| (p.parameter, p.light)).collect();
-        let rows: Vec<Vec<[Parts; 2]>> = (0..base.camera.pixels())
+        let guide = options.steering.guide(base, options.seed);
+        let continuations = Continuations::new(&options.proposal, options.steering, guide);
+        let rows: Vec<Vec<Parts>> = (0..base.camera.pixels())
             .into_par_iter()
             .map(|pixel| {
-                let mut row = vec![[Parts::default(); 2]; columns.len()];
+                let mut row = vec![Parts::default(); columns.len()];
                 if !wanted[pixel] {
                     return row;
                 }
                 for (half, (views, places)) in halves.iter().enumerate() {
-                    let n = options.samples_per_half;
-                    let sums: Vec<Vec<[[f64; 3]; 2]>> = views
-                        .iter()
-                        .map(|view| {
-                            let mut walk = Walk::new(view, lights);
-                            for sample in half as u32 * n..(half as u32 + 1) * n {
-                                walk.follow(brdf, options, pixel, sample);
-                            }
-                            walk.sums
-                        })
-                        .collect();
+                    let mut direct = Vec::with_capacity(views.len());
+                    let mut others = Vec::with_capacity(views.len());
+                    for view in views {
+                        let mut walk = Walk::new(view, lights);
+                        walk.look(brdf, options, pixel);
+                        direct.push(walk.take());
+                        let n = options.samples_per_half;
+                        for sample in half as u32 * n..(half as u32 + 1) * n {
+                            walk.follow(brdf, options, &continuations, pixel, sample);
+                        }
+                        others.push(walk.take());
+                    }
                     for (value, place) in row.iter_mut().zip(places) {
-                        let moved = sums[place.view][place.slot];
-                        let still = sums[0][place.light];
-                        value[half] = [0, 1].map(|part| {
-                            std::array::from_fn(|c| {
-                                let change = moved[part][c] - still[part][c];
-                                (change / (f64::from(n) * place.step)) as f32
-                            })
-                        });
+                        let change = |means: &[Vec<[f64; 3]>], c: usize| {
+                            let moved = means[place.view][place.slot][c];
+                            (moved - means[0][place.light][c]) / place.step
+                        };
+                        for c in 0..3 {
+                            value.direct[c] += (0.5 * change(&direct, c)) as f32;
+                            value.others[half][c] = change(&others, c) as f32;
+                        }
                     }
                 }
                 row
@@ -172,12 +183,18 @@ impl DerivativeImages {
     }
 }
 
-/// Direct reflection, and all others, per channel.
-type Parts = [[f32; 3]; 2];
+/// The derivative of one value, per channel.
+#[derive(Clone, Copy, Default)]
+struct Parts {
+    /// By direct reflection.
+    direct: [f32; 3],
+    /// By way of other surfaces, as each half of the paths sees it.
+    others: [[f32; 3]; 2],
+}
 
 /// The direct part of each pixel, and the mean of the other over the wanted pixels around.
 fn smoothed(
-    rows: &[Vec<[Parts; 2]>],
+    rows: &[Vec<Parts>],
     wanted: &[bool],
     [width, height]: [usize; 2],
     reach: usize,
@@ -185,10 +202,8 @@ fn smoothed(
     (0..rows.len())
         .into_par_iter()
         .map(|pixel| {
-            let mut out: Vec<[[f32; 3]; 2]> = rows[pixel]
-                .iter()
-                .map(|halves| halves.map(|[direct, _]| direct))
-                .collect();
+            let mut out: Vec<[[f32; 3]; 2]> =
+                rows[pixel].iter().map(|parts| [parts.direct; 2]).collect();
             if !wanted[pixel] {
                 return out;
             }
@@ -202,8 +217,8 @@ fn smoothed(
                 .collect();
             let share = 1.0 / near.len() as f32;
             for q in near {
-                for (out, halves) in out.iter_mut().zip(&rows[q]) {
-                    for (out, [_, others]) in out.iter_mut().zip(halves) {
+                for (out, parts) in out.iter_mut().zip(&rows[q]) {
+                    for (out, others) in out.iter_mut().zip(&parts.others) {
                         for (out, other) in out.iter_mut().zip(others) {
                             *out += share * other;
                         }
@@ -285,8 +300,8 @@ fn step(bench: &Bench, parameter: usize) -> f64 {
 struct Walk<'a> {
     view: &'a View,
     lamp_numbers: Vec<[f32; 2]>,
-    /// Direct reflection, and all others.
-    sums: Vec<[[f64; 3]; 2]>,
+    paths: u32,
+    sums: Vec<[f64; 3]>,
 }
 
 impl<'a> Walk<'a> {
@@ -294,49 +309,94 @@ impl<'a> Walk<'a> {
         Self {
             view,
             lamp_numbers: vec![[0.0; 2]; lights],
-            sums: vec![[[0.0; 3]; 2]; view.light_of_slot.len()],
+            paths: 0,
+            sums: vec![[0.0; 3]; view.light_of_slot.len()],
         }
     }
 
-    /// Adds the path of one sample.
-    fn follow(&mut self, brdf: &dyn Brdf, options: &DerivativeOptions, pixel: usize, sample: u32) {
-        let scene = &self.view.scene;
-        let width = scene.camera.resolution_px[0];
-        let corner = DVec2::new((pixel % width) as f64, (pixel / width) as f64);
+    /// The mean value per slot of what was followed since the last time.
+    fn take(&mut self) -> Vec<[f64; 3]> {
+        let paths = f64::from(std::mem::take(&mut self.paths).max(1));
+        let none = vec![[0.0; 3]; self.sums.len()];
+        let sums = std::mem::replace(&mut self.sums, none);
+        sums.into_iter().map(|sum| sum.map(|v| v / paths)).collect()
+    }
+
+    /// Adds what the lamps give at a reflection to which `throughput` belongs.
+    fn connect(
+        &mut self,
+        brdf: &dyn Brdf,
+        surface: &Surface,
+        to_viewer: Vec3,
+        throughput: Vec3,
+        lamps: &mut Stream,
+    ) {
+        for numbers in &mut self.lamp_numbers {
+            *numbers = [lamps.uniform_f32(), lamps.uniform_f32()];
+        }
+        for (slot, sum) in self.sums.iter_mut().enumerate() {
+            let numbers = self.lamp_numbers[self.view.light_of_slot[slot]];
+            if let Some(connection) = self.view.scene.connect(surface, slot, numbers) {
+                let f = Vec3::from(brdf.eval(connection.to_light, to_viewer));
+                let value = throughput * f * connection.irradiance;
+                for (sum, value) in sum.iter_mut().zip(value.to_array()) {
+                    *sum += f64::from(value);
+                }
+            }
+        }
+    }
+
+    /// Adds the direct reflection of a pixel.
+    fn look(&mut self, brdf: &dyn Brdf, options: &DerivativeOptions, pixel: usize) {
+        let view = self.view;
+        let strata = options.direct_strata;
+        self.paths += strata * strata;
+        for_each_seen(
+            &view.scene,
+            pixel,
+            strata,
+            options.seed,
+            |surface, to_viewer, lamps| {
+                let brdf = view.scene.known(surface).unwrap_or(brdf);
+                self.connect(brdf, surface, to_viewer, Vec3::ONE, lamps);
+            },
+        );
+    }
+
+    /// Adds what a path finds by way of other surfaces.
+    fn follow(
+        &mut self,
+        brdf: &dyn Brdf,
+        options: &DerivativeOptions,
+        continuations: &Continuations<'_>,
+        pixel: usize,
+        sample: u32,
+    ) {
+        let view = self.view;
+        let scene = &view.scene;
+        self.paths += 1;
         let key = |purpose| stream(options.seed, purpose, 0, pixel as u64, u64::from(sample));
         let mut position = key(Purpose::PixelPosition);
         let mut directions = key(Purpose::PathDirection);
         let mut lamps = key(Purpose::LightAndLens);
-        let ray = scene.camera.ray(
-            scene
-                .camera
-                .in_footprint(corner, DVec2::new(position.uniform(), position.uniform())),
-            DVec2::new(lamps.uniform(), lamps.uniform()),
-        );
+        let place = DVec2::new(position.uniform(), position.uniform());
+        let lens = DVec2::new(lamps.uniform(), lamps.uniform());
+        let ray = scene.camera.ray_of_pixel(pixel, place, lens);
         let mut throughput = Vec3::ONE;
+        let mut kind = continuations.begin();
         let mut next = scene.first(&ray).filter(|(hit, _)| hit.is_sample());
         let mut reflections = 0;
         while let Some((surface, to_viewer)) = next {
             reflections += 1;
             let brdf = scene.known(&surface).unwrap_or(brdf);
-            for numbers in &mut self.lamp_numbers {
-                *numbers = [lamps.uniform_f32(), lamps.uniform_f32()];
-            }
-            for (slot, sum) in self.sums.iter_mut().enumerate() {
-                let numbers = self.lamp_numbers[self.view.light_of_slot[slot]];
-                if let Some(connection) = scene.connect(&surface, slot, numbers) {
-                    let f = Vec3::from(brdf.eval(connection.to_light, to_viewer));
-                    let value = throughput * f * connection.irradiance;
-                    let part = usize::from(reflections > 1);
-                    for (sum, value) in sum[part].iter_mut().zip(value.to_array()) {
-                        *sum += f64::from(value);
-                    }
-                }
+            if reflections > 1 {
+                self.connect(brdf, &surface, to_viewer, throughput, &mut lamps);
             }
             if reflections >= options.max_reflections {
                 break;
             }
-            let Some((direction, pdf)) = options.proposal.sample(to_viewer, &mut directions) else {
+            let drawn = continuations.draw(&mut kind, &surface, to_viewer, &mut directions);
+            let Some((direction, pdf)) = drawn else {
                 break;
             };
             throughput *= Vec3::from(brdf.eval(direction, to_viewer)) * (direction.z / pdf);

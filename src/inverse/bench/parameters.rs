@@ -245,6 +245,11 @@ impl Bench {
         &self.root
     }
 
+    /// Of the camera.
+    pub fn resolution_px(&self) -> [usize; 2] {
+        self.described.camera.resolution_px
+    }
+
     /// Half the diagonal of the box around the sample.
     pub fn sample_radius_mm(&self) -> f64 {
         let [low, high] = self.described.sample().bounds_mm();

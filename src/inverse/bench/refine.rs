@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DVector;
 
 use super::derivatives::{DerivativeImages, DerivativeOptions};
 use super::parameters::{Bench, BenchPriors, Parameter};
@@ -13,7 +13,7 @@ use crate::brdf::dictionary::Dictionary;
 use crate::brdf::mixture::Mixture;
 use crate::inverse::fit::{Fit, FitError, FitOptions, fit_on_bench};
 use crate::inverse::gauss_newton::GaussNewton;
-use crate::inverse::objective::{Linearised, Objective};
+use crate::inverse::objective::{Linearised, Modelled, Objective, ResidualWeights};
 use crate::inverse::ridge::Ridge;
 use crate::radiance_image::RadianceImage;
 use crate::random::{Purpose, stream};
@@ -24,11 +24,14 @@ use crate::transport::{Cache, DirectMatrix, Proposal, Scene};
 pub struct RefineOptions {
     /// Most rounds, 2..=20; the first does not know how far the scores can be trusted.
     pub rounds: usize,
-    /// Paths per pixel of a round's fit, at least 2; never more than the final fit's.
+    /// Paths per pixel of a round's fit, at least 8; never more than the final fit's. The
+    /// first round has a quarter, the second half of them.
     pub samples_per_pixel: u32,
     /// Direct reflection of a round's fit: square root of the samples per pixel, 1..=64.
     pub direct_strata: u32,
-    /// Paths per pixel, both halves together, on each differing bench, at least 2.
+    /// Paths per pixel, both halves together, on each differing bench, of the derivatives that
+    /// say how much the bench leaves open; at least 2. The rounds use those of direct
+    /// reflection alone (docs/adr/0009).
     pub derivative_samples: u32,
     /// Longest path of the derivatives, in surface reflections.
     pub derivative_reflections: u32,
@@ -39,8 +42,8 @@ pub struct RefineOptions {
 impl Default for RefineOptions {
     fn default() -> Self {
         Self {
-            rounds: 5,
-            samples_per_pixel: 64,
+            rounds: 8,
+            samples_per_pixel: 256,
             direct_strata: 8,
             derivative_samples: 16,
             derivative_reflections: 6,
@@ -73,7 +76,8 @@ pub struct BenchEstimate {
     pub rounds: usize,
     /// Whether the last step was short.
     pub settled: bool,
-    /// Mean squared residual on the described bench, and on the refined one.
+    /// Mean squared residual over its deviation, the stated error of the model included, on
+    /// the described bench and on the refined one.
     pub reduced_chi2: [f64; 2],
 }
 
@@ -120,41 +124,57 @@ pub fn refine_bench(
         if first_chi2.is_nan() {
             first_chi2 = round.chi2;
         }
-        // The prior counts once, against as many residuals as there are.
-        let loss = round.chi2 + 2.0 * round.spectrum.prior_loss(&values) / round.count;
+        let prior_loss = round.spectrum.prior_loss(&values);
         let lengths = round.spectrum.values.as_slice();
-        tracing::debug!(taken, loss, chi2 = round.chi2, values = ?values.as_slice(), ?lengths, "bench round");
+        tracing::debug!(taken, chi2 = round.chi2, prior_loss, values = ?values.as_slice(), ?lengths, "bench round");
         match best {
-            Some(ref mut best) if loss > best.loss + WORSE * best.loss.abs() + round.scatter() => {
+            Some(ref mut best)
+                if round
+                    .image
+                    .is_worse_than(&best.image, prior_loss - best.prior_loss) =>
+            {
+                tracing::debug!("too far");
                 // Too far: a quarter of the way from where it was better.
                 best.step *= 0.25;
                 values = &best.values + &best.step;
                 settled = best.spectrum.length(&best.step) < refine.settled;
             }
             _ => {
-                let step = round.spectrum.step(&values, &round.score, &round.noise);
+                let step = round.spectrum.step(&values, &round.score);
                 settled = taken > 1 && round.spectrum.length(&step) < refine.settled;
                 let next = &values + &step;
                 best = Some(Best {
                     values: std::mem::replace(&mut values, next),
                     step,
-                    loss,
+                    prior_loss,
+                    image: round.image,
                     chi2: round.chi2,
                     spectrum: round.spectrum,
-                    derivatives: round.derivatives,
+                    material: round.material,
+                    wanted: round.wanted,
                 });
             }
         }
     }
-    let refining = clock.elapsed().as_secs_f64();
+    if let (false, Some(best)) = (settled, &best) {
+        // Nothing has been seen of where the last step led.
+        values.copy_from(&best.values);
+    }
     let refined = bench.scene(&values);
     let without_stray_light = bench.without_stray_light(captured, &values);
     let last_chi2 = best.as_ref().map_or(f64::NAN, |best| best.chi2);
-    let linearisation = best.map(|best| BenchLinearisation {
-        bench,
-        derivatives: best.derivatives,
-        spectrum: best.spectrum,
+    let derivatives = best.as_ref().map(|best| {
+        let samples = (refine.derivative_samples / 2).max(1);
+        rounds.derivatives(&values, &best.material, &best.wanted, samples, taken)
     });
+    let linearisation = best
+        .zip(derivatives)
+        .map(|(best, derivatives)| BenchLinearisation {
+            bench,
+            derivatives,
+            spectrum: best.spectrum,
+        });
+    let refining = clock.elapsed().as_secs_f64();
     let mut fit = fit_on_bench(
         &refined,
         &without_stray_light,
@@ -193,17 +213,16 @@ pub fn refine_bench(
     })
 }
 
-/// A loss that grew by a smaller fraction is within what masks change from round to round.
-const WORSE: f64 = 0.01;
-
 /// Where the loss was least.
 struct Best {
     values: DVector<f64>,
     step: DVector<f64>,
-    loss: f64,
+    prior_loss: f64,
+    image: Compared,
     chi2: f64,
     spectrum: Spectrum,
-    derivatives: DerivativeImages,
+    material: Mixture,
+    wanted: Vec<bool>,
 }
 
 /// What the rounds share.
@@ -221,18 +240,69 @@ struct Rounds<'a> {
 struct Round {
     spectrum: Spectrum,
     score: DVector<f64>,
-    noise: DMatrix<f64>,
-    derivatives: DerivativeImages,
-    /// Mean squared residual, and of how many.
+    /// The material as it is believed, and the pixels that are compared under any light.
+    material: Mixture,
+    wanted: Vec<bool>,
+    image: Compared,
+    /// Mean squared residual over its deviation, the stated error of the model included.
     chi2: f64,
-    count: f64,
 }
 
-impl Round {
-    /// Three deviations of a mean of products of independent residuals, whose halves
-    /// each have twice the variance of their mean.
-    fn scatter(&self) -> f64 {
-        6.0 / self.count.sqrt()
+/// How the images compare with the model of one bench, so that two benches can be compared
+/// by the same values and the same weights.
+struct Compared {
+    /// Squared residuals less the render's variance, `[light][pixel][channel]`.
+    squares: Vec<Vec<[f64; 3]>>,
+    residual_weights: ResidualWeights,
+}
+
+impl Compared {
+    fn new(
+        objective: &Objective<'_>,
+        pass: &Linearised,
+        residual_weights: ResidualWeights,
+    ) -> Self {
+        let squares = pass.model.iter().enumerate().map(|(light, image)| {
+            let square = |(pixel, values): (usize, &[Modelled; 3])| {
+                let [target, _] = objective.captured(light, pixel);
+                std::array::from_fn(|c| {
+                    (target[c] - values[c].value()).powi(2) - values[c].variance
+                })
+            };
+            image.iter().enumerate().map(square).collect()
+        });
+        Self {
+            squares: squares.collect(),
+            residual_weights,
+        }
+    }
+
+    /// The squares weighed and summed.
+    fn sum(&self, weights: &ResidualWeights) -> f64 {
+        let squares = self.squares.iter().flatten().flatten();
+        let weights = weights.iter().flatten().flatten();
+        squares.zip(weights).map(|(square, w)| w * square).sum()
+    }
+
+    /// Whether this fits worse than `before` beyond three deviations of the difference, with
+    /// `prior` as what the prior's part of the loss gained. Weighed as before: a bench that
+    /// explains less makes weights of its own under which nothing looks wrong.
+    fn is_worse_than(&self, before: &Self, prior: f64) -> bool {
+        let (mut sum, mut square) = (2.0 * prior, 0.0);
+        for light in 0..self.squares.len() {
+            for pixel in 0..self.squares[light].len() {
+                for c in 0..3 {
+                    if self.residual_weights[light][pixel][c] <= 0.0 {
+                        continue;
+                    }
+                    let change = self.squares[light][pixel][c] - before.squares[light][pixel][c];
+                    let change = before.residual_weights[light][pixel][c] * change;
+                    sum += change;
+                    square += change * change;
+                }
+            }
+        }
+        sum > 3.0 * square.sqrt()
     }
 }
 
@@ -242,7 +312,10 @@ impl Rounds<'_> {
         let scene = self.bench.scene(values);
         let captured = self.bench.without_stray_light(self.captured, values);
         let mut paths = options.cache.clone();
-        paths.samples_per_pixel = paths.samples_per_pixel.min(refine.samples_per_pixel);
+        let early = 2u32.saturating_sub(round as u32 - 1);
+        paths.samples_per_pixel = paths
+            .samples_per_pixel
+            .min(refine.samples_per_pixel >> early);
         let strata = options.direct_strata.min(refine.direct_strata);
         let direct = DirectMatrix::new(&scene, self.dictionary, strata, paths.seed);
         let cache = Cache::trace(&scene, self.dictionary, &paths)?;
@@ -275,19 +348,7 @@ impl Rounds<'_> {
         // The simplex programme keeps the sum to rounding.
         let material = Mixture::new(self.dictionary.clone(), per_channel)
             .map_err(|_| crate::inverse::simplex::SimplexError::NotConvex)?;
-        let derivatives = DerivativeImages::trace(
-            self.bench,
-            values,
-            &material,
-            &wanted,
-            &DerivativeOptions {
-                samples_per_half: (refine.derivative_samples / 2).max(1),
-                max_reflections: paths.max_reflections.min(refine.derivative_reflections),
-                seed: stream(paths.seed, Purpose::BenchDerivative, round as u64, 0, 0).bits(),
-                proposal: Proposal::resembling(&material, 0.3),
-                average_px: (scene.camera.resolution_px[0] + 12) / 24,
-            },
-        );
+        let derivatives = self.derivatives(values, &material, &wanted, 0, round);
         let model = Model {
             objective: &objective,
             cache: &cache,
@@ -302,9 +363,9 @@ impl Rounds<'_> {
             &mixture,
         );
         let reduced = normal.reduced(&pass.information, &mixture);
-        let loss: f64 = pass.quadratics.iter().map(|q| q.c).sum();
         let spectrum = Spectrum::new(self.bench, &reduced.information);
         self.mixture = Some(mixture);
+        let image = Compared::new(&objective, &pass, residual_weights);
         Ok(Round {
             // At first the scores scatter because the bench is off, not by noise.
             spectrum: if round == 1 {
@@ -313,11 +374,33 @@ impl Rounds<'_> {
                 spectrum.widened(&reduced.block_scores)
             },
             score: reduced.score,
-            noise: reduced.noise,
-            derivatives,
-            chi2: 2.0 * loss / count as f64,
-            count: count as f64,
+            material,
+            wanted,
+            chi2: image.sum(&objective.weights(Some(&pass.model))) / count as f64,
+            image,
         })
+    }
+
+    /// How the images of `material` change with the bench around `values`.
+    fn derivatives(
+        &self,
+        values: &DVector<f64>,
+        material: &Mixture,
+        wanted: &[bool],
+        samples_per_half: u32,
+        round: usize,
+    ) -> DerivativeImages {
+        let (paths, refine) = (&self.options.cache, self.refine);
+        let options = DerivativeOptions {
+            samples_per_half,
+            max_reflections: paths.max_reflections.min(refine.derivative_reflections),
+            seed: stream(paths.seed, Purpose::BenchDerivative, round as u64, 0, 0).bits(),
+            proposal: Proposal::resembling(material, 0.3),
+            steering: paths.steering,
+            direct_strata: refine.direct_strata,
+            average_px: (self.bench.resolution_px()[0] + 12) / 24,
+        };
+        DerivativeImages::trace(self.bench, values, material, wanted, &options)
     }
 
     /// The weights on the bench as it is believed now, from those of the round before.
@@ -344,5 +427,42 @@ impl Rounds<'_> {
         let (pass, _) =
             method.minimise(objective, &residual_weights, &ridge, &mut mixture, &mut ())?;
         Ok((mixture, residual_weights, pass))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn compared(squares: [f64; 3], weights: [f64; 3]) -> Compared {
+        // Many pixels alike, so that the scatter of their sum is small.
+        Compared {
+            squares: vec![vec![squares; 100]],
+            residual_weights: vec![vec![weights; 100]],
+        }
+    }
+
+    /// By the weights of before: those of a bench that explains less would hide it.
+    #[test]
+    fn a_bench_is_judged_by_the_weights_of_the_one_before() {
+        let before = compared([1.0; 3], [1.0; 3]);
+        let far_off = compared([9.0; 3], [0.01; 3]);
+        assert!(far_off.is_worse_than(&before, 0.0));
+        assert!(!before.is_worse_than(&far_off, 0.0));
+        assert!(!before.is_worse_than(&before, 0.0));
+        assert!(before.is_worse_than(&before, 0.1));
+        // What is not compared under both says nothing.
+        let blind = compared([9.0, 1.0, 1.0], [0.0, 1.0, 1.0]);
+        assert!(!blind.is_worse_than(&before, 0.0));
+    }
+
+    #[test]
+    fn a_change_within_its_scatter_is_not_worse() {
+        let before = compared([1.0; 3], [1.0; 3]);
+        let mut after = compared([1.0; 3], [1.0; 3]);
+        for (k, squares) in after.squares[0].iter_mut().enumerate() {
+            squares[0] = if k % 2 == 0 { 5.1 } else { -3.0 };
+        }
+        assert!(!after.is_worse_than(&before, 0.0));
     }
 }

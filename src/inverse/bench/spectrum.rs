@@ -62,39 +62,18 @@ impl Spectrum {
         self
     }
 
-    /// The Gauss–Newton step from `values` by the score g, with the prior; `noise` is
-    /// what noisy derivatives add to the scatter of the score, and damps. Held
-    /// directions go back to the prior's centre.
-    pub fn step(
-        &self,
-        values: &DVector<f64>,
-        score: &DVector<f64>,
-        noise: &DMatrix<f64>,
-    ) -> DVector<f64> {
+    /// The Gauss–Newton step from `values` by the score g, with the prior. Held directions
+    /// go back to the prior's centre.
+    pub fn step(&self, values: &DVector<f64>, score: &DVector<f64>) -> DVector<f64> {
         let at = self.whitened(values);
         let push = self.vectors.tr_mul(&self.root.tr_mul(score));
-        let push = push.component_mul(&self.trust) - &at;
-        let trust = DMatrix::from_diagonal(&self.trust.map(f64::sqrt));
-        let basis = &self.root * &self.vectors * trust;
-        let noise = basis.transpose() * noise * &basis;
-        let told: Vec<usize> = (0..at.len())
-            .filter(|&i| self.values[i] >= HELD_BELOW)
-            .collect();
-        let h = DMatrix::from_fn(told.len(), told.len(), |i, j| {
-            let own = if i == j {
-                1.0 + self.values[told[i]]
-            } else {
-                0.0
-            };
-            own + noise[(told[i], told[j])]
+        let step = DVector::from_fn(at.len(), |i, _| {
+            if self.values[i] < HELD_BELOW {
+                return -at[i];
+            }
+            let own = (self.trust[i] * push[i] - at[i]) / (1.0 + self.values[i]);
+            own.clamp(-LONGEST_STEP, LONGEST_STEP)
         });
-        let push = DVector::from_iterator(told.len(), told.iter().map(|&i| push[i]));
-        // Positive definite: a positive diagonal and a sum of squares.
-        let solved = h.cholesky().map(|h| h.solve(&push)).unwrap_or(push * 0.0);
-        let mut step = -at;
-        for (&i, solved) in told.iter().zip(solved.iter()) {
-            step[i] = solved.clamp(-LONGEST_STEP, LONGEST_STEP);
-        }
         &self.root * (&self.vectors * step)
     }
 

@@ -38,8 +38,6 @@ pub struct Model<'a> {
 pub struct Normal {
     /// F_pp, P × P.
     information: DMatrix<f64>,
-    /// What the noise of the derivatives adds to J_pᵀJ_p, P × P.
-    noise: DMatrix<f64>,
     /// F_pw per weight set, P × N.
     coupling: Vec<DMatrix<f64>>,
     /// Scores per block of pixels, all lights together: they share the paths, and so
@@ -58,8 +56,6 @@ struct Scores {
 pub struct Reduced {
     /// P × P.
     pub information: DMatrix<f64>,
-    /// What the noise of the derivatives adds to the scatter of the score, P × P.
-    pub noise: DMatrix<f64>,
     /// P.
     pub score: DVector<f64>,
     /// The score's parts by block of pixels.
@@ -127,8 +123,6 @@ impl Normal {
                             .blocks
                             .entry(objective.block(pixel, 0))
                             .or_insert_with(|| Scores::zero(parameters.len(), n, sets));
-                        let difference = &by_bench[0] - &by_bench[1];
-                        sum.noise.ger(0.25 * w, &difference, &difference, 1.0);
                         for h in 0..2 {
                             let (a, b) = (h, 1 - h);
                             sum.information
@@ -144,7 +138,6 @@ impl Normal {
         let mut total = Self::zero(parameters.len(), n, sets);
         for part in parts {
             total.information += part.information;
-            total.noise += part.noise;
             for (sum, part) in total.coupling.iter_mut().zip(part.coupling) {
                 *sum += part;
             }
@@ -162,7 +155,6 @@ impl Normal {
     fn zero(parameters: usize, atoms: usize, sets: usize) -> Self {
         Self {
             information: DMatrix::zeros(parameters, parameters),
-            noise: DMatrix::zeros(parameters, parameters),
             coupling: vec![DMatrix::zeros(parameters, atoms); sets],
             blocks: BTreeMap::new(),
         }
@@ -196,7 +188,6 @@ impl Normal {
             .collect();
         Reduced {
             information: 0.5 * (&own + own.transpose()),
-            noise: self.noise.clone(),
             score: block_scores
                 .iter()
                 .fold(DVector::zeros(own.nrows()), |sum, s| sum + s),

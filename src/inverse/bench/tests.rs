@@ -18,7 +18,7 @@ use crate::inverse::{Channels, FitOptions, fit};
 use crate::radiance_image::RadianceImage;
 use crate::random::{Purpose, stream};
 use crate::transport::{
-    Camera, Light, Projection, Proposal, RenderOptions, Scene, Shading, render,
+    Camera, Light, Projection, Proposal, RenderOptions, Scene, Shading, Steering, render,
 };
 use crate::units::StageAngles;
 
@@ -193,6 +193,8 @@ fn derivatives_are_those_of_independent_renders() {
         max_reflections: 4,
         seed: 11,
         proposal: Proposal::resembling(&brdf, 0.2),
+        steering: Steering::default(),
+        direct_strata: 8,
         average_px: 0,
     };
     let images = DerivativeImages::trace(&bench, &values, &brdf, &wanted, &options);
@@ -283,7 +285,7 @@ fn a_step_follows_the_images_where_they_tell_and_the_prior_elsewhere() {
     score[0] = information[(0, 0)] * truth;
     let mut values = DVector::from_element(n, 0.0);
     values[n - 1] = 0.1;
-    let step = spectrum.step(&values, &score, &DMatrix::zeros(n, n));
+    let step = spectrum.step(&values, &score);
     assert!((step[0] - 0.99 * truth).abs() < 1e-9 * sigma);
     assert!((step[n - 1] + 0.1).abs() < 1e-12, "back to the prior");
     let deviations = spectrum.deviations();
