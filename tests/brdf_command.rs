@@ -114,7 +114,7 @@ fn a_projection_shows_the_score_beside_its_floor() {
     // Another dictionary's weights are not taken for this one's.
     let (code, _, err) = rig(folder.path(), &["check", "paper42:weights.csv"]);
     assert_eq!(code, 1);
-    assert!(err.contains("in paper42 they are 0.01 and 10"), "{err}");
+    assert!(err.contains("eta 1.3, in paper42 it is 10"), "{err}");
 }
 
 #[test]

@@ -5,7 +5,7 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use super::Brdf;
-use super::dictionary::cosine_direction;
+use super::atom::cosine_direction;
 use super::quadrature;
 use crate::random::{Purpose, stream};
 

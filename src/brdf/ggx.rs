@@ -28,6 +28,8 @@ pub trait Real:
     fn of(value: f64) -> Self;
     /// Square root.
     fn sqrt(self) -> Self;
+    /// e to this power.
+    fn exp(self) -> Self;
     /// Sine and cosine of an angle in radians.
     fn sin_cos(self) -> (Self, Self);
 }
@@ -38,6 +40,9 @@ impl Real for f32 {
     }
     fn sqrt(self) -> Self {
         self.sqrt()
+    }
+    fn exp(self) -> Self {
+        self.exp()
     }
     fn sin_cos(self) -> (Self, Self) {
         self.sin_cos()
@@ -50,6 +55,9 @@ impl Real for f64 {
     }
     fn sqrt(self) -> Self {
         self.sqrt()
+    }
+    fn exp(self) -> Self {
+        self.exp()
     }
     fn sin_cos(self) -> (Self, Self) {
         self.sin_cos()

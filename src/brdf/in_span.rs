@@ -90,10 +90,7 @@ impl InSpan {
         let dictionary = Dictionary::paper42();
         self.shares
             .iter()
-            .filter_map(|share| match dictionary.atoms()[share.atom] {
-                Atom::Ggx { alpha, .. } => Some(alpha),
-                _ => None,
-            })
+            .filter_map(|share| dictionary.atoms()[share.atom].alpha())
             .fold(1.0, f64::min)
     }
 }

@@ -78,7 +78,7 @@ impl Mixture {
         &self.weights
     }
 
-    /// f_r for polarised light, 1/sr: GGX facets are smooth dielectrics, diffuse reflection
+    /// f_r for polarised light, 1/sr: facets are smooth dielectrics, diffuse reflection
     /// depolarises. `ii` is [`Brdf::eval`].
     pub fn mueller(&self, to_light: Vec3, to_viewer: Vec3) -> [Mueller; 3] {
         let mut sum = [Mueller::default(); 3];
@@ -86,26 +86,19 @@ impl Mixture {
             return sum;
         };
         for (atom, weights) in &self.used {
-            let (scale, facet) = match *atom {
-                Atom::Ggx { alpha, eta } => (
-                    ggx::d_g(alpha as f32, at.cos_i, at.cos_o, at.sin2_h),
-                    ggx::fresnel_mueller(eta as f32, at.cos_d),
-                ),
-                Atom::Lambertian { .. } | Atom::Black => {
-                    let ii = atom.eval_f32(&at);
-                    let depolarised = Mueller {
-                        ii,
-                        ..Mueller::default()
-                    };
-                    (1.0, depolarised)
-                }
-            };
+            let diffuse = atom.diffuse().map_or(0.0, |diffuse| diffuse.eval(&at));
+            let (scale, facet) = atom.facets().map_or_else(Default::default, |facets| {
+                (
+                    facets.distribution.d_g(facets.alpha as f32, &at),
+                    ggx::fresnel_mueller(facets.eta as f32, at.cos_d),
+                )
+            });
             for (sum, weight) in sum.iter_mut().zip(weights) {
-                let weight = weight * scale;
-                sum.ii += weight * facet.ii;
-                sum.iq += weight * facet.iq;
-                sum.qq += weight * facet.qq;
-                sum.uu += weight * facet.uu;
+                let lobe = weight * scale;
+                sum.ii += lobe * facet.ii + weight * diffuse;
+                sum.iq += lobe * facet.iq;
+                sum.qq += lobe * facet.qq;
+                sum.uu += lobe * facet.uu;
             }
         }
         sum
@@ -117,7 +110,7 @@ impl Brdf for Mixture {
         let mut sum = [0.0f32; 3];
         if let Some(at) = Cosines::new(to_light.to_array(), to_viewer.to_array()) {
             for (atom, weights) in &self.used {
-                let f = atom.eval_f32(&at);
+                let f = atom.eval(&at);
                 for (sum, weight) in sum.iter_mut().zip(weights) {
                     *sum += weight * f;
                 }

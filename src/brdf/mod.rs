@@ -8,11 +8,15 @@ use std::path::PathBuf;
 
 use glam::Vec3;
 
+pub mod atom;
+pub mod beckmann;
 pub mod bivariate;
 pub mod check;
 pub mod chi_square;
+pub mod coat;
 pub mod dictionary;
 pub mod environment;
+pub mod evaluator;
 pub mod ggx;
 pub mod half_difference;
 pub mod in_span;

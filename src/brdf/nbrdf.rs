@@ -142,7 +142,7 @@ impl Brdf for NeuralBrdf {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::brdf::dictionary::cosine_direction;
+    use crate::brdf::atom::cosine_direction;
     use crate::random::{Purpose, stream};
 
     #[test]

@@ -6,7 +6,7 @@
 
 use glam::DVec3;
 
-use super::dictionary::cosine_direction;
+use super::atom::cosine_direction;
 use super::ggx::{self, Cosines};
 
 /// Widths of the lobes, from the narrowest of any dictionary up.

@@ -186,7 +186,7 @@ mod tests {
         let mut numbers = stream(5, Purpose::Experiment, 0, 0, 0);
         for _ in 0..2000 {
             let mut direction = || {
-                let d = crate::brdf::dictionary::cosine_direction([
+                let d = crate::brdf::atom::cosine_direction([
                     numbers.uniform(),
                     0.85 * numbers.uniform(),
                 ]);

@@ -10,7 +10,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::BrdfError;
-use super::dictionary::{Atom, Dictionary};
+use super::dictionary::Dictionary;
 use super::mixture::Mixture;
 
 /// The text of `weights.csv`; `deviations` are standard deviations, indexed as the weights.
@@ -21,12 +21,9 @@ pub fn to_csv(mixture: &Mixture, deviations: Option<&[Vec<f64>; 3]>) -> String {
     }
     text.push('\n');
     for (index, atom) in mixture.dictionary().atoms().iter().enumerate() {
-        let described = match *atom {
-            Atom::Ggx { alpha, eta } => format!("ggx,{alpha},{eta}"),
-            Atom::Lambertian { .. } => "lambertian,,".to_owned(),
-            Atom::Black => "black,,".to_owned(),
-        };
-        let _ = write!(text, "{index},{described}");
+        let [alpha, eta] =
+            [atom.alpha(), atom.eta()].map(|value| value.map_or(String::new(), |v| v.to_string()));
+        let _ = write!(text, "{index},{},{alpha},{eta}", atom.kind());
         for columns in [Some(mixture.weights()), deviations].into_iter().flatten() {
             for channel in columns {
                 let _ = write!(text, ",{}", channel.get(index).copied().unwrap_or(f64::NAN));
@@ -99,11 +96,8 @@ fn parse(text: &str, dictionary: &Dictionary) -> Result<[Vec<f64>; 3], String> {
                 let last = dictionary.len() - 1;
                 format!("line {}: atom {text}, allowed is 0 to {last}", number + 1)
             })?;
-        let kind = match dictionary.atoms()[index] {
-            Atom::Ggx { .. } => "ggx",
-            Atom::Lambertian { .. } => "lambertian",
-            Atom::Black => "black",
-        };
+        let atom = dictionary.atoms()[index];
+        let kind = atom.kind();
         if cell(kind_column)? != kind {
             return Err(format!(
                 "line {}: atom {index} is {}, in {} it is {kind}",
@@ -112,13 +106,17 @@ fn parse(text: &str, dictionary: &Dictionary) -> Result<[Vec<f64>; 3], String> {
                 dictionary.name()
             ));
         }
-        if let (Atom::Ggx { alpha, eta }, (Some(alpha_column), Some(eta_column))) =
-            (dictionary.atoms()[index], shape_columns)
-        {
-            let (a, e) = (cell(alpha_column)?, cell(eta_column)?);
-            if a.parse() != Ok(alpha) || e.parse() != Ok(eta) {
+        for (name, column, value) in [
+            ("alpha", shape_columns.0, atom.alpha()),
+            ("eta", shape_columns.1, atom.eta()),
+        ] {
+            let (Some(column), Some(value)) = (column, value) else {
+                continue;
+            };
+            let text = cell(column)?;
+            if text.parse() != Ok(value) {
                 return Err(format!(
-                    "line {}: atom {index} has alpha {a} and eta {e}, in {} they are {alpha} and {eta}",
+                    "line {}: atom {index} has {name} {text}, in {} it is {value}",
                     number + 1,
                     dictionary.name()
                 ));
@@ -170,6 +168,13 @@ mod tests {
                 mixture.weights()
             );
         }
+        let other = Arc::new(Dictionary::rig26());
+        let even = Mixture::grey(other.clone(), vec![1.0 / 26.0; 26]).unwrap();
+        let text = to_csv(&even, None);
+        assert_eq!(&parse(&text, &other).unwrap(), even.weights());
+        let bad = text.replace("coated,,1.5", "coated,,1.6");
+        let error = parse(&bad, &other).unwrap_err();
+        assert!(error.contains("eta 1.6"), "{error}");
     }
 
     #[test]

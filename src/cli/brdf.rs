@@ -22,7 +22,7 @@ use crate::out;
 use crate::whole_file;
 
 const SPEC_HELP: &str = "A BRDF is one of: FILE.binary (MERL), FILE.bsdf (RGL), nbrdf:NAME (embedded measured material), \
-DICTIONARY:WEIGHTS.csv (a fit's mixture; DICTIONARY is paper42, grid42, rig42, reference-grid42 or a .json or .toml file), \
+DICTIONARY:WEIGHTS.csv (a fit's mixture; DICTIONARY is paper42, grid42, rig42, rig26, reference-grid42 or a .json or .toml file), \
 ggx:ALPHA,ETA, lambertian:ALBEDO.";
 
 /// Evaluates, checks, compares, draws and converts BRDFs
@@ -62,7 +62,7 @@ enum BrdfCommand {
     Project {
         /// The BRDF
         brdf: String,
-        /// paper42, grid42, rig42, reference-grid42, or a .json or .toml file
+        /// paper42, grid42, rig42, rig26, reference-grid42, or a .json or .toml file
         #[arg(long, default_value = "paper42")]
         dictionary: String,
         /// Pixels per side of the spheres, 8 to 512; published figures use 128
@@ -380,7 +380,7 @@ fn project(
     let truth = load(spec)?;
     let dictionary = Arc::new(
         Dictionary::load(dictionary)
-            .hint("known dictionaries are paper42, grid42, rig42, reference-grid42")?,
+            .hint("known dictionaries are paper42, grid42, rig42, rig26, reference-grid42")?,
     );
     let maps = EnvironmentMap::all();
     let spheres = EnvironmentMatrix::new(dictionary.clone(), &maps, size);

@@ -33,7 +33,7 @@ use crate::transport::{Kernel, RenderOptions, Scene, truncation_remainder};
 /// Choices of a fit that the command line may take over from the configuration.
 #[derive(clap::Args, Debug, Clone, Default)]
 pub struct FitArgs {
-    /// paper42, grid42, rig42, or a dictionary file
+    /// paper42, grid42, rig42, rig26, or a dictionary file
     #[arg(long, value_name = "D")]
     pub dictionary: Option<String>,
     /// Rounds of new atoms beside the active ones, in finer and finer steps of alpha and eta, 0 to 8

@@ -74,34 +74,80 @@ impl BrdfSpec {
 }
 
 impl WeightedAtom {
+    const KINDS: [&str; 5] = ["lambertian", "ggx", "beckmann", "coated", "black"];
+
     fn read(mut table: Section) -> Result<Self, ConfigError> {
         let weight = table.channels("weight", 0.0..=1.0)?.required()?;
-        let lambertian = table.section("lambertian")?.optional();
-        let ggx = table.section("ggx")?.optional();
-        let black = table.section("black")?.optional();
-        let atom = match (lambertian, ggx, black) {
-            (Some(mut inner), None, None) => {
-                let albedo = inner.number("albedo", 0.0..=1.0)?.required()?;
-                inner.finish()?;
-                Atom::Lambertian { albedo }
+        let mut given = Vec::new();
+        for kind in Self::KINDS {
+            if let Some(inner) = table.section(kind)?.optional() {
+                given.push((kind, inner));
             }
-            (None, Some(mut inner), None) => {
-                let atom = Atom::Ggx {
-                    alpha: inner.number("alpha", 1e-3..=1.0)?.required()?,
-                    eta: inner.number("eta", 1.01..=100.0)?.required()?,
-                };
-                inner.finish()?;
-                atom
-            }
-            (None, None, Some(inner)) => {
-                inner.finish()?;
-                Atom::Black
-            }
-            _ => {
-                return Err(table.missing("lambertian", "the only one of lambertian, ggx, black"));
-            }
+        }
+        let [(kind, mut inner)] = <[_; 1]>::try_from(given).map_err(|_| {
+            let only = format!("the only one of {}", Self::KINDS.join(", "));
+            table.missing("lambertian", &only)
+        })?;
+        let is_lobe = matches!(kind, "ggx" | "beckmann");
+        let mut number = |wanted: bool, key, range| match wanted {
+            true => inner.number(key, range)?.required().map(Some),
+            false => Ok(None),
+        };
+        let alpha = number(is_lobe, "alpha", 1e-3..=1.0)?;
+        let eta = number(is_lobe || kind == "coated", "eta", 1.01..=100.0)?;
+        let albedo = number(kind == "lambertian", "albedo", 0.0..=1.0)?;
+        inner.finish()?;
+        let Some(atom) = Atom::from_parts(kind, alpha, eta, albedo) else {
+            unreachable!("a kind of the list, with its parameters");
         };
         table.finish()?;
         Ok(Self { weight, atom })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(atom: &str) -> Result<BrdfSpec, String> {
+        let text = format!("mixture = [{{ weight = [1.0, 1.0, 1.0], {atom} }}]");
+        Section::parse("scene.toml", std::path::Path::new(""), &text)
+            .and_then(BrdfSpec::read)
+            .map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn every_kind_of_atom_is_read() {
+        let (alpha, eta) = (0.2, 1.5);
+        for (text, atom) in [
+            ("ggx = { alpha = 0.2, eta = 1.5 }", Atom::Ggx { alpha, eta }),
+            (
+                "beckmann = { alpha = 0.2, eta = 1.5 }",
+                Atom::Beckmann { alpha, eta },
+            ),
+            ("coated = { eta = 1.5 }", Atom::Coated { eta }),
+            (
+                "lambertian = { albedo = 0.3 }",
+                Atom::Lambertian { albedo: 0.3 },
+            ),
+            ("black = {}", Atom::Black),
+        ] {
+            let weight = [1.0; 3];
+            let spec = BrdfSpec::Mixture(vec![WeightedAtom { weight, atom }]);
+            assert_eq!(read(text).unwrap(), spec);
+        }
+    }
+
+    #[test]
+    fn a_wrong_atom_is_named() {
+        for (text, said) in [
+            ("coated = { alpha = 0.2, eta = 1.5 }", "alpha"),
+            ("beckmann = { alpha = 0.2 }", "beckmann.eta"),
+            ("beckmann = { alpha = 2, eta = 1.5 }", "beckmann.alpha"),
+            ("black = {}, coated = { eta = 1.5 }", "the only one of"),
+        ] {
+            let error = read(text).unwrap_err();
+            assert!(error.contains(said), "{text}: {error}");
+        }
     }
 }

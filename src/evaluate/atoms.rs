@@ -6,7 +6,7 @@ use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table};
 use super::lab::Lab;
 use crate::brdf::environment::EnvironmentMap;
 use crate::brdf::sphere::sphere_image;
-use crate::brdf::{Atom, Mixture, check};
+use crate::brdf::{Mixture, check};
 use crate::plot::{Figure, Picture, pictures};
 
 /// Every atom on a sphere.
@@ -37,16 +37,18 @@ fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
     let case = |index: usize| {
         Case::new(format!("atom {index}"), move |lab: &Lab| {
             let row = Row::new().with("atom", index);
-            let row = match lab.dictionary.atoms()[index] {
-                Atom::Ggx { alpha, eta } => row
-                    .with("type", "ggx")
-                    .with("alpha", alpha)
-                    .with("eta", eta),
-                Atom::Lambertian { albedo } => {
-                    row.with("type", "lambertian").with("albedo", albedo)
+            let atom = lab.dictionary.atoms()[index];
+            let mut row = row.with("type", atom.kind());
+            let parameters = [
+                ("alpha", atom.alpha()),
+                ("eta", atom.eta()),
+                ("albedo", atom.albedo()),
+            ];
+            for (name, value) in parameters {
+                if let Some(value) = value {
+                    row = row.with(name, value);
                 }
-                Atom::Black => row.with("type", "black"),
-            };
+            }
             let brdf = mixture(lab, index)?;
             let albedo = |deg: f64| {
                 let (sin, cos) = deg.to_radians().sin_cos();
@@ -69,10 +71,11 @@ fn figures(lab: &Lab, _: &Table) -> Result<Vec<Figure>, EvaluateError> {
     let mut all = Vec::new();
     for (index, atom) in lab.dictionary.atoms().iter().enumerate() {
         let image = sphere_image(&mixture(lab, index)?, &map, lab.settings.sphere_px);
-        let caption = match atom {
-            Atom::Ggx { alpha, eta } => format!("α {alpha:.3}, η {eta:.2}"),
-            Atom::Lambertian { albedo } => format!("Lambertian, ρ {albedo}"),
-            Atom::Black => "black".to_owned(),
+        let caption = match (atom.alpha(), atom.eta(), atom.albedo()) {
+            (Some(alpha), Some(eta), _) => format!("{} α {alpha:.3}, η {eta:.2}", atom.kind()),
+            (None, Some(eta), _) => format!("{} η {eta:.2}", atom.kind()),
+            (_, _, Some(albedo)) => format!("{} ρ {albedo}", atom.kind()),
+            _ => atom.kind().to_owned(),
         };
         all.push(Picture {
             caption,

@@ -7,20 +7,30 @@
 //! atom's channels, and black takes the rest; if they sum to more than one they
 //! are scaled down and some reflectances exceed one, which Mitsuba's `srgb`
 //! texture allows when it is told so (`unbounded`). A GGX atom of real index η
-//! is `roughconductor` with k = 0, whose Fresnel term is then the dielectric's.
+//! is `roughconductor` with k = 0, whose Fresnel term is then the dielectric's; a
+//! coat is `plastic` without its own highlight.
 
 use std::fmt::Write;
 
 use super::SIMULATED_NOTE;
-use crate::brdf::{Atom, Mixture};
+use crate::brdf::Mixture;
+use crate::brdf::atom::{Diffuse, Distribution, Facets};
 
 /// The identifier of the BSDF in the fragment.
 pub const BSDF_ID: &str = "rig";
 
 struct Part {
-    atom: Atom,
+    piece: Piece,
     share: f64,
     reflectance: [f64; 3],
+}
+
+/// What one BSDF holds: an atom's lobe, its diffuse part, or nothing.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Piece {
+    Facets(Facets),
+    Diffuse(Diffuse),
+    Black,
 }
 
 /// Shares that sum to one with the reflectances that belong to them.
@@ -30,12 +40,18 @@ fn parts(mixture: &Mixture) -> Vec<Part> {
     let largest = |w: [f64; 3]| w.into_iter().fold(0.0, f64::max);
     let atoms = mixture.dictionary().atoms().iter().enumerate();
     let mut parts: Vec<Part> = atoms
-        .map(|(k, atom)| Part {
-            atom: *atom,
-            share: largest(at(k)),
-            reflectance: at(k),
+        .flat_map(|(k, atom)| {
+            let pieces = [
+                atom.facets().map(Piece::Facets),
+                atom.diffuse().map(Piece::Diffuse),
+            ];
+            pieces.into_iter().flatten().map(move |piece| Part {
+                piece,
+                share: largest(at(k)),
+                reflectance: at(k),
+            })
         })
-        .filter(|part| part.share > 0.0 && part.atom != Atom::Black)
+        .filter(|part| part.share > 0.0)
         .collect();
     let total: f64 = parts.iter().map(|part| part.share).sum();
     let scale = total.max(1.0);
@@ -45,7 +61,7 @@ fn parts(mixture: &Mixture) -> Vec<Part> {
     }
     if total < 1.0 {
         parts.push(Part {
-            atom: Atom::Black,
+            piece: Piece::Black,
             share: 1.0 - total,
             reflectance: [0.0; 3],
         });
@@ -95,23 +111,38 @@ fn write_atom(xml: &mut String, part: &Part, pad: &str, id: &str) {
              {pad}    </texture>\n"
         )
     };
-    match part.atom {
-        Atom::Ggx { alpha, eta } => {
+    match part.piece {
+        Piece::Facets(Facets {
+            distribution,
+            alpha,
+            eta,
+        }) => {
+            let distribution = match distribution {
+                Distribution::Ggx => "ggx",
+                Distribution::Beckmann => "beckmann",
+            };
             let _ = writeln!(xml, "{pad}<bsdf type=\"roughconductor\"{id}>");
             let _ = writeln!(
                 xml,
-                "{pad}    <string name=\"distribution\" value=\"ggx\"/>"
+                "{pad}    <string name=\"distribution\" value=\"{distribution}\"/>"
             );
             let _ = writeln!(xml, "{pad}    <float name=\"alpha\" value=\"{alpha}\"/>");
             let _ = writeln!(xml, "{pad}    <spectrum name=\"eta\" value=\"{eta}\"/>");
             let _ = writeln!(xml, "{pad}    <spectrum name=\"k\" value=\"0\"/>");
             *xml += &texture("specular_reflectance", part.reflectance);
         }
-        Atom::Lambertian { albedo } => {
+        Piece::Diffuse(Diffuse::Coated { eta }) => {
+            let _ = writeln!(xml, "{pad}<bsdf type=\"plastic\"{id}>");
+            let _ = writeln!(xml, "{pad}    <float name=\"int_ior\" value=\"{eta}\"/>");
+            let _ = writeln!(xml, "{pad}    <float name=\"ext_ior\" value=\"1\"/>");
+            *xml += &texture("diffuse_reflectance", part.reflectance);
+            *xml += &texture("specular_reflectance", [0.0; 3]);
+        }
+        Piece::Diffuse(Diffuse::Lambertian(albedo)) => {
             let _ = writeln!(xml, "{pad}<bsdf type=\"diffuse\"{id}>");
             *xml += &texture("reflectance", part.reflectance.map(|s| s * albedo));
         }
-        Atom::Black => {
+        Piece::Black => {
             let _ = writeln!(xml, "{pad}<bsdf type=\"diffuse\"{id}>");
             *xml += &texture("reflectance", [0.0; 3]);
         }
@@ -124,7 +155,15 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
-    use crate::brdf::Dictionary;
+    use crate::brdf::{Atom, Dictionary};
+
+    fn is_part_of(piece: Piece, atom: Atom) -> bool {
+        match piece {
+            Piece::Facets(facets) => atom.facets() == Some(facets),
+            Piece::Diffuse(diffuse) => atom.diffuse() == Some(diffuse),
+            Piece::Black => atom == Atom::Black,
+        }
+    }
 
     /// Whatever the weights, the shares sum to one and share times reflectance
     /// is the weight again.
@@ -147,11 +186,11 @@ mod tests {
                     .dictionary()
                     .atoms()
                     .iter()
-                    .position(|atom| *atom == part.atom)
+                    .position(|atom| is_part_of(part.piece, *atom))
                 else {
                     panic!("unknown atom");
                 };
-                let black = part.atom == Atom::Black;
+                let black = part.piece == Piece::Black;
                 for (reflectance, weights) in part.reflectance.iter().zip(&weights) {
                     let expected = if black { 0.0 } else { weights[k] };
                     assert!((part.share * reflectance - expected).abs() < 1e-12);
@@ -161,7 +200,7 @@ mod tests {
             assert_eq!(xml.matches("<bsdf").count(), xml.matches("</bsdf>").count());
             assert_eq!(
                 xml.matches("roughconductor").count(),
-                parts.len() - 1 - usize::from(parts.iter().any(|p| p.atom == Atom::Black))
+                parts.len() - 1 - usize::from(parts.iter().any(|p| p.piece == Piece::Black))
             );
             assert!(xml.contains("SIMULATED"));
         }

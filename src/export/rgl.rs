@@ -230,7 +230,7 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
-    use crate::brdf::dictionary::cosine_direction;
+    use crate::brdf::atom::cosine_direction;
     use crate::brdf::ggx::sample_visible;
     use crate::brdf::rgl::RglBrdf;
     use crate::brdf::{Dictionary, Mixture};

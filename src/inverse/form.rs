@@ -13,12 +13,14 @@ use super::objective::ResidualWeights;
 use crate::brdf::Mixture;
 use crate::geometry::FormError;
 use crate::random::{Purpose, stream};
-use crate::transport::{Proposal, Scene};
+use crate::transport::{Proposal, Scene, Steering};
 
 /// Departures that are drawn: the deviation that they give is itself known within an eighth.
 const DEPARTURES: usize = 32;
 /// Departures that are traced together, which bounds the memory.
 const TOGETHER: usize = 4;
+/// Direct reflection: square root of the samples per pixel.
+const DIRECT_STRATA: u32 = 4;
 /// Paths per pixel in each half and for each departure.
 const SAMPLES_PER_HALF: u32 = 4;
 /// Longest path in surface reflections.
@@ -46,6 +48,8 @@ pub(super) fn score_covariance(
         max_reflections: REFLECTIONS,
         seed: stream(seed, Purpose::FormError, 1, 0, 0).bits(),
         proposal: Proposal::resembling(material, 0.3),
+        steering: Steering::NONE,
+        direct_strata: DIRECT_STRATA,
         average_px: (scene.camera.resolution_px[0] + 12) / 24,
     };
     let mut covariance = vec![DMatrix::zeros(n, n); sets];

@@ -10,8 +10,8 @@ use std::sync::Arc;
 use super::bench::system::BenchLinearisation;
 use super::fit::{Fit, FitError, FitOptions, fit_from};
 use super::solve::Solution;
+use crate::brdf::Mixture;
 use crate::brdf::dictionary::{Atom, Dictionary};
-use crate::brdf::{Mixture, ggx};
 use crate::radiance_image::RadianceImage;
 use crate::transport::{Proposal, Scene};
 
@@ -112,20 +112,14 @@ fn enlarge(base: &Dictionary, fit: &Fit, ratio: [f64; 2]) -> Option<Dictionary> 
         .enumerate()
         .filter_map(|(k, atom)| {
             let weight = fit.weights.iter().map(|w| w[k]).fold(0.0, f64::max);
-            let Atom::Ggx { eta, .. } = *atom else {
-                return None;
-            };
-            let power = weight * ggx::fresnel(eta, std::f64::consts::FRAC_1_SQRT_2);
+            let power = weight * atom.facets()?.power_at_45_deg();
             (weight > ACTIVE).then_some((power, *atom))
         })
         .collect();
     active.sort_by(|a, b| b.0.total_cmp(&a.0));
     let neighbours = active.iter().flat_map(|(_, atom)| beside(atom, ratio));
     let fixed = atoms.len();
-    let mut lobes = atoms
-        .iter()
-        .filter(|a| matches!(a, Atom::Ggx { .. }))
-        .count();
+    let mut lobes = atoms.iter().filter(|atom| atom.varies()).count();
     for atom in active.iter().map(|(_, atom)| *atom).chain(neighbours) {
         if lobes < MAX_LOBES && !atoms.contains(&atom) {
             atoms.push(atom);
@@ -139,7 +133,7 @@ fn enlarge(base: &Dictionary, fit: &Fit, ratio: [f64; 2]) -> Option<Dictionary> 
 
 /// The four lobes next to one, to four digits; those out of range are left out.
 fn beside(atom: &Atom, [alpha_ratio, eta_ratio]: [f64; 2]) -> Vec<Atom> {
-    let Atom::Ggx { alpha, eta } = *atom else {
+    let (Some(alpha), Some(eta)) = (atom.alpha(), atom.eta()) else {
         return Vec::new();
     };
     let round = |x: f64| (x * 1e4).round() / 1e4;
@@ -152,7 +146,7 @@ fn beside(atom: &Atom, [alpha_ratio, eta_ratio]: [f64; 2]) -> Vec<Atom> {
     .map(|(alpha, eta)| (round(alpha), round(eta)))
     .into_iter()
     .filter(|(alpha, eta)| ALPHAS.contains(alpha) && ETAS.contains(eta))
-    .map(|(alpha, eta)| Atom::Ggx { alpha, eta })
+    .filter_map(|(alpha, eta)| Atom::from_parts(atom.kind(), Some(alpha), Some(eta), None))
     .collect()
 }
 

@@ -48,9 +48,9 @@ pub const FORMAT: u32 = 1;
 pub struct AtomRecord {
     /// Position in the dictionary, from 0.
     pub index: usize,
-    /// `ggx`, `lambertian` or `black`.
+    /// See [`Atom::kind`].
     pub kind: String,
-    /// GGX width (Walter et al. 2007), where it has one.
+    /// Width of its lobe (Walter et al. 2007), where it has one.
     pub alpha: Option<f64>,
     /// Index of refraction relative to air, where it has one.
     pub eta: Option<f64>,
@@ -61,41 +61,28 @@ pub struct AtomRecord {
 impl AtomRecord {
     /// The record of a dictionary's atom.
     pub fn new(index: usize, atom: &Atom) -> Self {
-        let (kind, alpha, eta, albedo) = match *atom {
-            Atom::Ggx { alpha, eta } => ("ggx", Some(alpha), Some(eta), None),
-            Atom::Lambertian { albedo } => ("lambertian", None, None, Some(albedo)),
-            Atom::Black => ("black", None, None, None),
-        };
         Self {
             index,
-            kind: kind.to_owned(),
-            alpha,
-            eta,
-            albedo,
+            kind: atom.kind().to_owned(),
+            alpha: atom.alpha(),
+            eta: atom.eta(),
+            albedo: atom.albedo(),
         }
     }
 
     /// The atom; `None` if a parameter is missing or the kind is not known.
     pub fn atom(&self) -> Option<Atom> {
-        match self.kind.as_str() {
-            "ggx" => Some(Atom::Ggx {
-                alpha: self.alpha?,
-                eta: self.eta?,
-            }),
-            "lambertian" => Some(Atom::Lambertian {
-                albedo: self.albedo?,
-            }),
-            "black" => Some(Atom::Black),
-            _ => None,
-        }
+        Atom::from_parts(&self.kind, self.alpha, self.eta, self.albedo)
     }
 
     /// A short name for tables and plots, such as `GGX α 0.05, η 1.5`.
     pub fn label(&self) -> String {
         match (self.alpha, self.eta, self.albedo) {
+            (Some(alpha), Some(eta), _) if self.kind == "ggx" => format!("GGX α {alpha}, η {eta}"),
             (Some(alpha), Some(eta), _) => {
-                format!("{} α {alpha}, η {eta}", self.kind.to_uppercase())
+                format!("{} α {alpha}, η {eta}", capitalised(&self.kind))
             }
+            (None, Some(eta), _) => format!("{} η {eta}", capitalised(&self.kind)),
             (_, _, Some(albedo)) => format!("{} ρ {albedo}", capitalised(&self.kind)),
             _ => capitalised(&self.kind),
         }

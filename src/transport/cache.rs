@@ -62,12 +62,14 @@ pub enum CacheError {
         /// Lamps of the scene.
         lights: usize,
     },
-    /// More GGX atoms than the kernels take.
-    #[error("dictionary {name} has {atoms} GGX atoms; at most {limit} can be cached")]
+    /// More atoms that vary with the directions than the kernels take.
+    #[error(
+        "dictionary {name} has {atoms} atoms beside white and black; at most {limit} can be cached"
+    )]
     TooManyAtoms {
         /// The dictionary.
         name: String,
-        /// Its GGX atoms.
+        /// Its atoms that vary with the directions.
         atoms: usize,
         /// The limit.
         limit: usize,

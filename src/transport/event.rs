@@ -11,7 +11,8 @@ use half::f16;
 use half::slice::HalfFloatSliceExt;
 
 use super::lanes::Lanes;
-use crate::brdf::dictionary::{Atom, Dictionary};
+use crate::brdf::dictionary::{Dictionary, MAX_ATOMS};
+use crate::brdf::evaluator::Evaluator;
 use crate::brdf::ggx::{self, Cosines};
 
 /// A continuation: the path goes on to another surface.
@@ -162,77 +163,65 @@ fn exponent_for(largest: f32) -> i8 {
 /// Which atom each lane stands for.
 #[derive(Clone, Debug)]
 pub struct LaneAtoms {
-    alphas: Vec<f32>,
-    etas: Vec<f32>,
-    /// Per lane: index into `alphas`, into `etas`; the general layout's lanes.
-    pairs: Vec<(u16, u16)>,
+    layout: Layout,
     /// Per lane: the dictionary's atom; `None` for a lane without one.
     atom_of_lane: Vec<Option<usize>>,
     lambertian: Vec<(usize, f64)>,
     atoms: usize,
-    grid: bool,
+}
+
+/// How the lanes' values come about.
+#[derive(Clone, Debug)]
+enum Layout {
+    /// Lane `e · 8 + a` is D·G of width `a` times F of index `e`.
+    Grid { alphas: Vec<f32>, etas: Vec<f32> },
+    /// Each lane has its own value.
+    General(Evaluator),
 }
 
 impl LaneAtoms {
-    /// The layout of a dictionary: `grid` if its GGX atoms are a grid of at most
+    /// The layout of a dictionary: separable if its lobes are a grid of at most
     /// eight widths and five indices and `allow_grid` says so.
     pub fn new(dictionary: &Dictionary, allow_grid: bool) -> Self {
         let atoms = dictionary.atoms();
         let lambertian = atoms
             .iter()
             .enumerate()
-            .filter_map(|(i, atom)| match atom {
-                Atom::Lambertian { albedo } => Some((i, *albedo)),
-                _ => None,
-            })
+            .filter_map(|(i, atom)| Some((i, atom.albedo()?)))
             .collect();
-        let axes = dictionary.grid_axes().filter(|_| allow_grid);
-        if let Some(axes) = axes {
-            let mut atom_of_lane = vec![None; 8 * 5];
-            for e in 0..axes.etas.len() {
-                for a in 0..axes.alphas.len() {
-                    atom_of_lane[e * 8 + a] = Some(axes.atom[a * axes.etas.len() + e]);
+        let (layout, atom_of_lane) = match dictionary.grid_axes().filter(|_| allow_grid) {
+            Some(axes) => {
+                let mut atom_of_lane = vec![None; 8 * 5];
+                for e in 0..axes.etas.len() {
+                    for a in 0..axes.alphas.len() {
+                        atom_of_lane[e * 8 + a] = Some(axes.atom[a * axes.etas.len() + e]);
+                    }
                 }
+                let single = |axis: &[f64]| axis.iter().map(|&value| value as f32).collect();
+                let layout = Layout::Grid {
+                    alphas: single(&axes.alphas),
+                    etas: single(&axes.etas),
+                };
+                (layout, atom_of_lane)
             }
-            return Self {
-                alphas: axes.alphas.iter().map(|&a| a as f32).collect(),
-                etas: axes.etas.iter().map(|&e| e as f32).collect(),
-                pairs: Vec::new(),
-                atom_of_lane,
-                lambertian,
-                atoms: atoms.len(),
-                grid: true,
-            };
-        }
-        let (mut alphas, mut etas) = (Vec::<f32>::new(), Vec::<f32>::new());
-        let (mut pairs, mut atom_of_lane) = (Vec::new(), Vec::new());
-        let index = |values: &mut Vec<f32>, value: f64| {
-            let value = value as f32;
-            values.iter().position(|&v| v == value).unwrap_or_else(|| {
-                values.push(value);
-                values.len() - 1
-            }) as u16
+            None => {
+                let lanes: Vec<usize> = (0..atoms.len()).filter(|&i| atoms[i].varies()).collect();
+                let evaluator = Evaluator::new(lanes.iter().map(|&i| &atoms[i]));
+                let atom_of_lane = lanes.into_iter().map(Some).collect();
+                (Layout::General(evaluator), atom_of_lane)
+            }
         };
-        for (i, atom) in atoms.iter().enumerate() {
-            if let Atom::Ggx { alpha, eta } = *atom {
-                pairs.push((index(&mut alphas, alpha), index(&mut etas, eta)));
-                atom_of_lane.push(Some(i));
-            }
-        }
         Self {
-            alphas,
-            etas,
-            pairs,
+            layout,
             atom_of_lane,
             lambertian,
             atoms: atoms.len(),
-            grid: false,
         }
     }
 
     /// Whether the separable layout is used.
     pub fn is_grid(&self) -> bool {
-        self.grid
+        matches!(self.layout, Layout::Grid { .. })
     }
 
     /// Blocks of eight lanes that are needed.
@@ -274,37 +263,49 @@ impl LaneAtoms {
 
     /// Adds `factor · f_r` of every atom at `at` to `row`.
     pub fn add_values(&self, at: &Cosines<f32>, factor: f64, row: &mut [f64]) {
-        let (lobes, fresnel) = self.factors(at);
-        for (lane, atom) in self.atom_of_lane.iter().enumerate() {
-            let Some(atom) = *atom else { continue };
-            let (a, e) = if self.grid {
-                (lane % 8, lane / 8)
-            } else {
-                (self.pairs[lane].0 as usize, self.pairs[lane].1 as usize)
-            };
-            row[atom] += factor * f64::from(lobes[a]) * f64::from(fresnel[e]);
+        let mut add = |lane: usize, value: f64| {
+            if let Some(atom) = self.atom_of_lane[lane] {
+                row[atom] += factor * value;
+            }
+        };
+        match &self.layout {
+            Layout::Grid { .. } => {
+                let (lobes, fresnel) = self.factors(at);
+                for (e, fresnel) in fresnel[..5].iter().enumerate() {
+                    for (a, lobe) in lobes.iter().enumerate() {
+                        add(e * 8 + a, f64::from(*lobe) * f64::from(*fresnel));
+                    }
+                }
+            }
+            Layout::General(evaluator) => {
+                let mut values = [0.0; MAX_ATOMS];
+                evaluator.eval(at, &mut values);
+                let lanes = self.atom_of_lane.len();
+                for (lane, &value) in values.iter().enumerate().take(lanes) {
+                    add(lane, f64::from(value));
+                }
+            }
         }
         for &(atom, albedo) in &self.lambertian {
             row[atom] += factor * albedo * std::f64::consts::FRAC_1_PI;
         }
     }
 
-    /// D·G per width and F per index.
+    /// D·G per width and F per index of a grid.
     #[inline]
-    fn factors(&self, at: &Cosines<f32>) -> ([f32; MAX_AXIS], [f32; MAX_AXIS]) {
-        let (mut lobes, mut fresnel) = ([0.0; MAX_AXIS], [0.0; MAX_AXIS]);
-        for (value, &alpha) in lobes.iter_mut().zip(&self.alphas) {
-            *value = ggx::d_g(alpha, at.cos_i, at.cos_o, at.sin2_h);
-        }
-        for (value, &eta) in fresnel.iter_mut().zip(&self.etas) {
-            *value = ggx::fresnel(eta, at.cos_d);
+    fn factors(&self, at: &Cosines<f32>) -> ([f32; 8], [f32; 8]) {
+        let (mut lobes, mut fresnel) = ([0.0; 8], [0.0; 8]);
+        if let Layout::Grid { alphas, etas } = &self.layout {
+            for (value, &alpha) in lobes.iter_mut().zip(alphas) {
+                *value = ggx::d_g(alpha, at.cos_i, at.cos_o, at.sin2_h);
+            }
+            for (value, &eta) in fresnel.iter_mut().zip(etas) {
+                *value = ggx::fresnel(eta, at.cos_d);
+            }
         }
         (lobes, fresnel)
     }
 }
-
-/// Most distinct widths, or indices, of a dictionary in a cache.
-pub const MAX_AXIS: usize = 64;
 
 /// 32 bytes: eight D·G, five F, exponent and tag, weight.
 #[derive(Clone, Copy)]
@@ -326,12 +327,6 @@ pub struct GeneralRecord<const B: usize> {
     head: Head,
 }
 
-/// Those that a grid record holds.
-#[inline]
-fn first_eight(values: &[f32; MAX_AXIS]) -> [f32; 8] {
-    std::array::from_fn(|i| values[i])
-}
-
 /// Half precision of `values` · 2^−exponent.
 #[inline]
 fn store(values: &[f32; 8], exponent: i8) -> [u16; 8] {
@@ -344,7 +339,6 @@ fn store(values: &[f32; 8], exponent: i8) -> [u16; 8] {
 impl Record<5> for GridRecord {
     fn encode(head: Head, atoms: &LaneAtoms, at: &Cosines<f32>) -> Self {
         let (lobes, fresnel) = atoms.factors(at);
-        let (lobes, fresnel) = (first_eight(&lobes), first_eight(&fresnel));
         let largest = lobes.iter().fold(0.0f32, |m, &v| m.max(v));
         let exponent = exponent_for(largest);
         let [f0, f1, f2, f3, f4, ..] = store(&fresnel, 0);
@@ -419,10 +413,9 @@ impl Record<5> for GridRecord {
 )]
 impl<const B: usize> Record<B> for GeneralRecord<B> {
     fn encode(mut head: Head, atoms: &LaneAtoms, at: &Cosines<f32>) -> Self {
-        let (lobes, fresnel) = atoms.factors(at);
         let mut lanes = [[0.0f32; 8]; B];
-        for (lane, &(a, e)) in atoms.pairs.iter().enumerate() {
-            lanes[lane / 8][lane % 8] = lobes[a as usize] * fresnel[e as usize];
+        if let Layout::General(evaluator) = &atoms.layout {
+            evaluator.eval(at, lanes.as_flattened_mut());
         }
         let largest = lanes.iter().flatten().fold(0.0f32, |m, &v| m.max(v));
         head.exponent = exponent_for(largest);
@@ -499,7 +492,11 @@ mod tests {
             (1.55, 1.5),
             (1.2, -1.2),
         ];
-        for dictionary in [Dictionary::paper42(), Dictionary::grid42()] {
+        for dictionary in [
+            Dictionary::paper42(),
+            Dictionary::grid42(),
+            Dictionary::rig26(),
+        ] {
             for grid in [true, false] {
                 let atoms = LaneAtoms::new(&dictionary, grid);
                 for (i, o) in directions {
@@ -515,7 +512,7 @@ mod tests {
                     let largest = values.iter().fold(0.0f32, |m, &v| m.max(v));
                     for (lane, atom) in atoms.atom_of_lane.iter().enumerate() {
                         let Some(atom) = *atom else { continue };
-                        let expected = dictionary.atoms()[atom].eval_f32(&at);
+                        let expected = dictionary.atoms()[atom].eval(&at);
                         let error = (values[lane] - expected).abs();
                         let bound = 1.1e-3 * expected + 4e-8 * largest;
                         assert!(

@@ -27,7 +27,7 @@ pub mod truncation;
 
 pub use cache::{Cache, CacheOptions};
 pub use camera::{Camera, Projection};
-pub use continuation::Steering;
+pub use continuation::{Continuations, Steering};
 pub use direct::DirectMatrix;
 pub use distortion::Coefficients;
 pub use distortion::Folded;

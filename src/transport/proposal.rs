@@ -6,7 +6,6 @@ use std::sync::Arc;
 
 use glam::Vec3;
 
-use crate::brdf::dictionary::Atom;
 use crate::brdf::mixture::Mixture;
 use crate::brdf::{Brdf, LobeTable, ggx};
 use crate::random::Uniform;
@@ -59,18 +58,18 @@ impl Proposal {
     /// Resembles a mixture (its three channels together), with at least `defensive`
     /// of the probability, 0.0..=1.0, left to the default so that no direction starves.
     pub fn resembling(mixture: &Mixture, defensive: f32) -> Self {
-        // Reflected power per atom, with the Fresnel factor at 45° for all angles.
         let mut cosine = 0.0;
         let mut lobes: Vec<(f32, f32)> = Vec::new();
         for (n, atom) in mixture.dictionary().atoms().iter().enumerate() {
             let weight: f64 = mixture.weights().iter().map(|w| w[n]).sum::<f64>() / 3.0;
-            match *atom {
-                Atom::Lambertian { albedo } => cosine += (weight * albedo) as f32,
-                Atom::Ggx { alpha, eta } => {
-                    let power = weight * ggx::fresnel(eta, std::f64::consts::FRAC_1_SQRT_2);
-                    lobes.push((alpha as f32, power as f32));
-                }
-                Atom::Black => {}
+            if let Some(diffuse) = atom.diffuse() {
+                cosine += (weight * diffuse.power_at_45_deg()) as f32;
+            }
+            if let Some(facets) = atom.facets() {
+                lobes.push((
+                    facets.alpha as f32,
+                    (weight * facets.power_at_45_deg()) as f32,
+                ));
             }
         }
         let total: f32 = cosine + lobes.iter().map(|l| l.1).sum::<f32>();
