@@ -76,6 +76,8 @@ fn compare(lab: &Lab, sample: Sample, material: &Material) -> Result<Vec<Row>, E
             rounds: 1,
             // One loss for all, on the same paths.
             refine: Refine::NONE,
+            // Where the optimisers themselves end.
+            draws: 0,
             ..lab.fit_options()
         };
         let estimate = lab.fit_with(&scene, &captured, &lab.dictionary, &options)?;

@@ -7,10 +7,10 @@ use super::diagnosis::{self, Diagnosis};
 use super::exponentiated_gradient::ExponentiatedGradient;
 use super::form;
 use super::gauss_newton::GaussNewton;
-use super::objective::{Channels, Linearised, Objective};
+use super::objective::{Channels, ModelImage, Objective};
 use super::refine::{Refine, refine};
 use super::simplex::SimplexError;
-use super::solve::{Paths, Solution, Solved, solve};
+use super::solve::{Paths, Solution, Solved, per_channel, solve};
 use super::trace::{Step, Termination};
 use super::uncertainty::{self, Adds, Draws};
 use crate::brdf::Mixture;
@@ -89,7 +89,9 @@ impl Default for FitOptions {
 pub struct Fit {
     /// The dictionary that the weights belong to: the one given, or with more atoms.
     pub dictionary: Arc<Dictionary>,
-    /// Weights per channel × atoms; equal vectors if shared.
+    /// Weights per channel × atoms; equal vectors if shared. Of Gauss–Newton, the mean of the
+    /// draws as far as the model holds, the least squares' for the rest
+    /// ([`uncertainty::estimate`]).
     pub weights: [Vec<f64>; 3],
     /// The single-bounce start of Eq. (13) in the dictionary given, per channel.
     pub start: [Vec<f64>; 3],
@@ -261,6 +263,12 @@ pub(super) fn fit_from(
         }
         draws
     });
+    let trusted = match options.optimizer {
+        Optimizer::GaussNewton(_) => objective.holds(&pass),
+        // The others are there to be compared: they report where they end.
+        _ => vec![0.0; mixture.len()],
+    };
+    let estimate = uncertainty::estimate(&mixture, &draws, &trusted);
     stage("diagnosis");
     let diagnosis = timings.time("diagnosis", || {
         diagnosis::examine(scene, dictionary, &objective, cache, &mixture, &pass)
@@ -268,10 +276,11 @@ pub(super) fn fit_from(
     let doubted = (0..captured.len())
         .map(|light| objective.doubted(&pass.model, light))
         .collect();
-    let (rendered, residual, reduced_chi2) = images(&objective, &pass, captured, cache);
+    let model = objective.modelled(&estimate);
+    let (rendered, residual, reduced_chi2) = images(&objective, &model, captured, cache);
     let fit = Fit {
         dictionary: dictionary.clone(),
-        weights: solution.weights.clone(),
+        weights: per_channel(&estimate),
         start: solution.start.clone(),
         draws,
         rendered,
@@ -314,7 +323,7 @@ pub(super) fn check(scene: &Scene, captured: &[RadianceImage]) -> Result<(), Fit
 /// Re-rendered images, residuals in standard deviations, and their mean squares.
 fn images(
     objective: &Objective<'_>,
-    pass: &Linearised,
+    model: &[ModelImage],
     captured: &[RadianceImage],
     cache: &Cache,
 ) -> (Vec<RadianceImage>, Vec<RadianceImage>, Vec<[f64; 3]>) {
@@ -322,8 +331,8 @@ fn images(
     let mut residual = Vec::new();
     let mut reduced = Vec::new();
     for (light, image) in captured.iter().enumerate() {
-        let mut model = RadianceImage::new(image.width, image.height);
-        let mut deviation = model.clone();
+        let mut radiance = RadianceImage::new(image.width, image.height);
+        let mut deviation = radiance.clone();
         let (mut chi2, mut count) = ([0.0; 3], 0usize);
         for p in 0..image.mean.len() {
             let compared = objective.is_compared(light, p);
@@ -332,10 +341,10 @@ fn images(
             count += usize::from(compared);
             for c in 0..3 {
                 let strength = cache.strength[light][c];
-                let modelled = pass.model[light][p][c];
+                let modelled = model[light][p][c];
                 let (value, noise) = (modelled.value(), modelled.variance);
-                model.mean[p][c] = (value * strength) as f32;
-                model.variance[p][c] = (noise * strength * strength) as f32;
+                radiance.mean[p][c] = (value * strength) as f32;
+                radiance.variance[p][c] = (noise * strength * strength) as f32;
                 let sigma =
                     (noise + variance[c] + (objective.model_error() * value).powi(2)).sqrt();
                 if compared && sigma > 0.0 {
@@ -345,7 +354,7 @@ fn images(
                 }
             }
         }
-        rendered.push(model);
+        rendered.push(radiance);
         residual.push(deviation);
         reduced.push(chi2.map(|c| c / count.max(1) as f64));
     }

@@ -9,7 +9,7 @@
 //! taken from the pixel's neighbours, because a weight that follows a pixel's own noise
 //! pulls the fit low ([`Modelled`]).
 
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 
 use super::simplex::Quadratic;
 use crate::radiance_image::RadianceImage;
@@ -245,16 +245,16 @@ impl<'a> Objective<'a> {
     }
 
     /// Weights for a first round on new paths, from `earlier` weights' pass over them if there
-    /// are any: render noise is taken to be, relative to the radiance, at least what the pass
+    /// are any: render noise is taken to be, relative to the radiance, at least what the model
     /// `even` has, as that of the solution is not known (docs/adr/0030).
     pub fn first_weights(
         &self,
         earlier: Option<&Linearised>,
-        even: &Linearised,
+        even: &[ModelImage],
     ) -> ResidualWeights {
         let mut model = earlier.map_or_else(|| self.as_model(), |pass| pass.model.clone());
         let values = model.iter_mut().flatten().flatten();
-        for (modelled, even) in values.zip(even.model.iter().flatten().flatten()) {
+        for (modelled, even) in values.zip(even.iter().flatten().flatten()) {
             if even.value() > 0.0 {
                 let noise = even.variance * (modelled.value() / even.value()).powi(2);
                 modelled.variance = modelled.variance.max(noise);
@@ -273,6 +273,20 @@ impl<'a> Objective<'a> {
         let found = self.found_error(pass);
         tracing::debug!(?found, "model error");
         self.weights_allowing(&pass.model, true, &found)
+    }
+
+    /// How far the model holds, per set, 0..=1: the part of its squared error, as `pass`
+    /// finds it, that was stated.
+    pub fn holds(&self, pass: &Linearised) -> Vec<f64> {
+        let part = |found: f64| (self.model_error / found).powi(2);
+        let found = self.found_error(pass).into_iter();
+        found.map(|f| if f > 0.0 { part(f) } else { 1.0 }).collect()
+    }
+
+    /// Modelled radiance at `mixture`, without the matrices of a whole pass.
+    pub fn modelled(&self, mixture: &[DVector<f64>]) -> Vec<ModelImage> {
+        let unweighed = vec![vec![[0.0; 3]; self.target[0].len()]; self.lights()];
+        self.linearise(mixture, &unweighed).model
     }
 
     /// The stated model error or the one found, per set.

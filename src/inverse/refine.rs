@@ -46,7 +46,7 @@ impl Default for Refine {
 /// GGX atoms of a refined dictionary.
 pub const MAX_LOBES: usize = 64;
 /// Probability of a re-traced path's continuation that is left to the default proposal.
-const DEFENSIVE: f32 = 0.4;
+pub(super) const DEFENSIVE: f32 = 0.4;
 /// First ratio between a new alpha and its parent's, and between η − 1; each round takes the
 /// square root.
 const FIRST_RATIO: [f64; 2] = [1.35, 1.8];
@@ -80,7 +80,7 @@ pub(super) fn refine(
     let (mut best, mut solution) = again(&base, &first)?;
     let mut ratio = FIRST_RATIO;
     for _ in 0..options.refine.rounds {
-        let Some(larger) = enlarge(&base, &best, ratio) else {
+        let Some(larger) = enlarge(&base, &solution, ratio) else {
             break;
         };
         let (next, solved) = again(&Arc::new(larger), &solution)?;
@@ -94,9 +94,9 @@ pub(super) fn refine(
     Ok(best)
 }
 
-/// `base`, the active atoms of `fit`, and neighbours of those at `ratio`, the parents that
+/// `base`, the active atoms of `fitted`, and neighbours of those at `ratio`, the parents that
 /// reflect most first, up to [`MAX_LOBES`] lobes; `None` if that adds nothing.
-fn enlarge(base: &Dictionary, fit: &Fit, ratio: [f64; 2]) -> Option<Dictionary> {
+fn enlarge(base: &Dictionary, fitted: &Solution, ratio: [f64; 2]) -> Option<Dictionary> {
     let duplicates = base.duplicate_of();
     let mut atoms: Vec<Atom> = base
         .atoms()
@@ -105,13 +105,13 @@ fn enlarge(base: &Dictionary, fit: &Fit, ratio: [f64; 2]) -> Option<Dictionary> 
         .filter(|(_, duplicate)| duplicate.is_none())
         .map(|(atom, _)| *atom)
         .collect();
-    let mut active: Vec<(f64, Atom)> = fit
+    let mut active: Vec<(f64, Atom)> = fitted
         .dictionary
         .atoms()
         .iter()
         .enumerate()
         .filter_map(|(k, atom)| {
-            let weight = fit.weights.iter().map(|w| w[k]).fold(0.0, f64::max);
+            let weight = fitted.weights.iter().map(|w| w[k]).fold(0.0, f64::max);
             let power = weight * atom.facets()?.power_at_45_deg();
             (weight > ACTIVE).then_some((power, *atom))
         })

@@ -217,9 +217,7 @@ fn begin(
     let residual_weights = objective.weights(None);
     let n = objective.atoms();
     let even = vec![DVector::from_element(n, 1.0 / n as f64); objective.sets()];
-    // Only its image is wanted; values without weight cost no matrices.
-    let weightless = residual_weights.iter().map(|w| vec![[0.0; 3]; w.len()]);
-    let even = objective.linearise(&even, &weightless.collect());
+    let even = objective.modelled(&even);
     let Some(earlier) = earlier else {
         let quadratics = objective.single_bounce(&residual_weights);
         let mixture = quadratics.iter().map(|q| Ok(q.minimise()?.x));
@@ -255,7 +253,7 @@ impl Solution {
 }
 
 /// Weights of the sets as those of R, G and B.
-fn per_channel(sets: &[DVector<f64>]) -> [Vec<f64>; 3] {
+pub(super) fn per_channel(sets: &[DVector<f64>]) -> [Vec<f64>; 3] {
     std::array::from_fn(|c| sets[c.min(sets.len() - 1)].iter().copied().collect())
 }
 

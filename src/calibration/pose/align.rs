@@ -344,7 +344,7 @@ impl Aligner<'_> {
             *score *= grow;
         }
         Sum {
-            spectrum: spectrum.widened(&block_scores),
+            spectrum: spectrum.widened(&block_scores, 1.0),
             score,
             blur_score: words.iter().map(|w| w.score[n]).sum::<f64>() + prior_pull,
             to_blur,

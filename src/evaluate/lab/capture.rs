@@ -47,8 +47,7 @@ impl Lab {
         options
     }
 
-    /// Options of a fit: the settings' paths, seed and kernel; no draws, for scores need
-    /// none.
+    /// Options of a fit: the settings' paths, seed and kernel.
     pub fn fit_options(&self) -> FitOptions {
         FitOptions {
             cache: CacheOptions {
@@ -57,7 +56,6 @@ impl Lab {
                 seed: self.settings.seed,
                 ..CacheOptions::default()
             },
-            draws: 0,
             kernel: self.kernel,
             ..FitOptions::default()
         }

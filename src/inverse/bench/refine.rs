@@ -14,7 +14,9 @@ use crate::brdf::mixture::Mixture;
 use crate::inverse::fit::{Fit, FitError, FitOptions, fit_on_bench};
 use crate::inverse::gauss_newton::GaussNewton;
 use crate::inverse::objective::{Linearised, Modelled, Objective, ResidualWeights};
+use crate::inverse::refine::DEFENSIVE;
 use crate::inverse::ridge::Ridge;
+use crate::inverse::uncertainty::LEAST_SPREAD;
 use crate::radiance_image::RadianceImage;
 use crate::random::{Purpose, stream};
 use crate::transport::{Cache, DirectMatrix, Proposal, Scene};
@@ -42,7 +44,7 @@ pub struct RefineOptions {
 impl Default for RefineOptions {
     fn default() -> Self {
         Self {
-            rounds: 8,
+            rounds: 12,
             samples_per_pixel: 256,
             direct_strata: 8,
             derivative_samples: 16,
@@ -51,6 +53,10 @@ impl Default for RefineOptions {
         }
     }
 }
+
+/// The round from which on all paths are traced, and like ones: benches of two rounds can be
+/// compared. Those before have a half of them, a quarter and so on.
+const ALL_PATHS: usize = 3;
 
 /// A refined parameter.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -113,6 +119,7 @@ pub fn refine_bench(
         options,
         refine,
         mixture: None,
+        followed: None,
     };
     let mut values = DVector::zeros(bench.parameters().len());
     let mut best: Option<Best> = None;
@@ -129,9 +136,10 @@ pub fn refine_bench(
         tracing::debug!(taken, chi2 = round.chi2, prior_loss, values = ?values.as_slice(), ?lengths, "bench round");
         match best {
             Some(ref mut best)
-                if round
-                    .image
-                    .is_worse_than(&best.image, prior_loss - best.prior_loss) =>
+                if best.round >= ALL_PATHS
+                    && round
+                        .image
+                        .is_worse_than(&best.image, prior_loss - best.prior_loss) =>
             {
                 tracing::debug!("too far");
                 // Too far: a quarter of the way from where it was better.
@@ -144,6 +152,7 @@ pub fn refine_bench(
                 settled = taken > 1 && round.spectrum.length(&step) < refine.settled;
                 let next = &values + &step;
                 best = Some(Best {
+                    round: taken,
                     values: std::mem::replace(&mut values, next),
                     step,
                     prior_loss,
@@ -215,6 +224,7 @@ pub fn refine_bench(
 
 /// Where the loss was least.
 struct Best {
+    round: usize,
     values: DVector<f64>,
     step: DVector<f64>,
     prior_loss: f64,
@@ -234,6 +244,9 @@ struct Rounds<'a> {
     refine: &'a RefineOptions,
     /// Weights of the round before.
     mixture: Option<Vec<DVector<f64>>>,
+    /// The material whose directions the paths take: the round before's until all paths are
+    /// traced, then the same, so that benches are compared with like paths.
+    followed: Option<Mixture>,
 }
 
 /// What one round says.
@@ -312,7 +325,10 @@ impl Rounds<'_> {
         let scene = self.bench.scene(values);
         let captured = self.bench.without_stray_light(self.captured, values);
         let mut paths = options.cache.clone();
-        let early = 2u32.saturating_sub(round as u32 - 1);
+        if let Some(material) = &self.followed {
+            paths.proposal = Proposal::resembling(material, DEFENSIVE);
+        }
+        let early = ALL_PATHS.saturating_sub(round);
         paths.samples_per_pixel = paths
             .samples_per_pixel
             .min(refine.samples_per_pixel >> early);
@@ -365,13 +381,16 @@ impl Rounds<'_> {
         let reduced = normal.reduced(&pass.information, &mixture);
         let spectrum = Spectrum::new(self.bench, &reduced.information);
         self.mixture = Some(mixture);
+        if early > 0 {
+            self.followed = Some(material.clone());
+        }
         let image = Compared::new(&objective, &pass, residual_weights);
         Ok(Round {
             // At first the scores scatter because the bench is off, not by noise.
             spectrum: if round == 1 {
                 spectrum
             } else {
-                spectrum.widened(&reduced.block_scores)
+                spectrum.widened(&reduced.block_scores, LEAST_SPREAD)
             },
             score: reduced.score,
             material,

@@ -44,17 +44,19 @@ impl Spectrum {
         }
     }
 
-    /// Less sure along directions where the scores of blocks of pixels scatter by more
-    /// than independent noise would: errors of the model are correlated between pixels,
-    /// and the paths' noise between lights and channels.
-    pub fn widened(mut self, block_scores: &[DVector<f64>]) -> Self {
+    /// Less sure by what the scores of blocks of pixels scatter: errors of the model are
+    /// correlated between pixels, and the paths' noise between lights and channels. At least
+    /// `least` times what independent noise would, 1 or more: some of it is common to all
+    /// blocks.
+    pub fn widened(mut self, block_scores: &[DVector<f64>], least: f64) -> Self {
         let mut scatter = DVector::<f64>::zeros(self.values.len());
         for score in block_scores {
             let along = self.vectors.tr_mul(&self.root.tr_mul(score));
             scatter += along.component_mul(&along);
         }
         for (i, &scatter) in scatter.iter().enumerate() {
-            if scatter > self.values[i] {
+            let scatter = scatter.max(least * self.values[i]);
+            if scatter > 0.0 {
                 self.trust[i] = self.values[i] / scatter;
                 self.values[i] *= self.trust[i];
             }

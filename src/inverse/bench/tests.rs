@@ -295,8 +295,11 @@ fn a_step_follows_the_images_where_they_tell_and_the_prior_elsewhere() {
     // Scores that scatter a hundred times as much as noise would are believed that much less.
     let mut wild = DVector::zeros(n);
     wild[0] = (100.0 * information[(0, 0)]).sqrt();
-    let doubtful = spectrum.widened(&[wild]);
+    let doubtful = spectrum.clone().widened(&[wild], 1.0);
     assert!((doubtful.deviations()[0] / sigma - (1.0f64 / 1.99).sqrt()).abs() < 1e-6);
+    // What scatters no more than noise is still believed a third.
+    let calm = spectrum.widened(&[], 3.0);
+    assert!((calm.deviations()[0] / sigma - 1.0 / 34f64.sqrt()).abs() < 1e-6);
 }
 
 /// Images of a bench at `values`: another mesh and other paths than the fit's, 1% noise.

@@ -1,5 +1,10 @@
 //! What a model says of a value, and what a residual's weight may know of it.
 
+/// A value whose own paths scatter by more than this many times the variance of the
+/// neighbours' holds a rare bright path and counts for less. Far above what a weight that
+/// follows its own noise would need to pull the fit low.
+const RARE: f64 = 64.0;
+
 /// A modelled value, radiance over lamp strength.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Modelled {
@@ -20,7 +25,8 @@ impl Modelled {
     /// Value and render's variance as expected without the paths of the pixel itself: those
     /// of the eight neighbours for which `beside` gives something, or its own where none does.
     /// The light that was reflected once is the pixel's own: beside a highlight the
-    /// neighbours' would hide what a dark pixel tells.
+    /// neighbours' would hide what a dark pixel tells. A rare bright path of its own is not
+    /// taken for certain either: one such value could outweigh the whole image.
     pub(in crate::inverse) fn expected(
         &self,
         pixel: usize,
@@ -37,7 +43,8 @@ impl Modelled {
             count += 1.0;
         }
         if count > 0.0 {
-            [self.once + again / count, variance / count]
+            let variance = (variance / count).max(self.variance / RARE);
+            [self.once + again / count, variance]
         } else {
             [self.value(), self.variance]
         }
@@ -75,5 +82,19 @@ mod tests {
         // The corner has three neighbours: 1, 3 and 4, the last not compared.
         assert_eq!(expected(0, |q| q != 4), [20.0, 200.0]);
         assert_eq!(expected(8, |q| q == 5), [8.0 + 50.0, 500.0]);
+    }
+
+    #[test]
+    fn a_rare_bright_path_does_not_count_as_certain() {
+        let mut image = vec![Modelled::default(); 9];
+        for (k, of_its_own) in [(1.0, 1.0), (RARE, 1.0), (4.0 * RARE, 4.0)] {
+            image.fill(Modelled {
+                variance: 1.0,
+                ..Modelled::default()
+            });
+            image[4].variance = k;
+            let [_, variance] = image[4].expected(4, [3, 3], |q| Some(image[q]));
+            assert_eq!(variance, of_its_own, "{k}");
+        }
     }
 }
