@@ -124,6 +124,10 @@ impl Dictionary {
         Self::grid("reference-grid42", &alphas, &[1.25, 1.5, 2.0, 3.0, 5.0])
     }
 
+    /// What fits use where nothing else is asked for: measured materials come out better
+    /// than with any other (docs/adr/0013). Experiments that repeat the paper's use paper42.
+    pub const DEFAULT: &'static str = "rig26";
+
     /// The dictionaries that [`Self::load`] knows by name.
     pub const NAMES: [&'static str; 5] =
         ["paper42", "grid42", "rig42", "rig26", "reference-grid42"];

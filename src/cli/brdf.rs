@@ -63,7 +63,7 @@ enum BrdfCommand {
         /// The BRDF
         brdf: String,
         /// paper42, grid42, rig42, rig26, reference-grid42, or a .json or .toml file
-        #[arg(long, default_value = "paper42")]
+        #[arg(long, default_value = Dictionary::DEFAULT)]
         dictionary: String,
         /// Pixels per side of the spheres, 8 to 512; published figures use 128
         #[arg(long, default_value_t = score::SPHERE_SIZE, value_parser = sphere_size)]

@@ -33,7 +33,7 @@ use crate::transport::{Kernel, RenderOptions, Scene, truncation_remainder};
 /// Choices of a fit that the command line may take over from the configuration.
 #[derive(clap::Args, Debug, Clone, Default)]
 pub struct FitArgs {
-    /// paper42, grid42, rig42, rig26, or a dictionary file
+    /// rig26 (the default), paper42, grid42, rig42, or a dictionary file
     #[arg(long, value_name = "D")]
     pub dictionary: Option<String>,
     /// Rounds of new atoms beside the active ones, in finer and finer steps of alpha and eta, 0 to 8
@@ -151,7 +151,7 @@ impl FitPlan {
             .dictionary
             .as_deref()
             .or(config.map(|c| c.dictionary.as_str()));
-        let dictionary = Dictionary::load(name.unwrap_or("paper42"))?;
+        let dictionary = Dictionary::load(name.unwrap_or(Dictionary::DEFAULT))?;
         let mut options = FitOptions {
             model_error: args.model_error,
             channels: if args.shared_weights {

@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use super::ConfigError;
 use super::camera::CameraConfig;
 use super::reader::Section;
+use crate::brdf::Dictionary;
 use crate::units::Seconds;
 
 /// How a capture is done.
@@ -103,7 +104,7 @@ impl FitConfig {
     /// Reads the `[fit]` table.
     pub fn read(mut table: Section) -> Result<Self, ConfigError> {
         let fit = Self {
-            dictionary: table.text("dictionary")?.or("paper42".to_owned()),
+            dictionary: table.text("dictionary")?.or(Dictionary::DEFAULT.to_owned()),
             optimizer: table
                 .choice(
                     "optimizer",
