@@ -330,18 +330,18 @@ fn images(
     let mut rendered = Vec::new();
     let mut residual = Vec::new();
     let mut reduced = Vec::new();
-    for (light, image) in captured.iter().enumerate() {
+    for (light, (image, model)) in captured.iter().zip(model).enumerate() {
         let mut radiance = RadianceImage::new(image.width, image.height);
         let mut deviation = radiance.clone();
         let (mut chi2, mut count) = ([0.0; 3], 0usize);
-        for p in 0..image.mean.len() {
+        for (p, modelled) in model.iter().enumerate() {
             let compared = objective.is_compared(light, p);
             let [target, variance] = objective.captured(light, p);
             deviation.valid[p] = compared;
             count += usize::from(compared);
             for c in 0..3 {
                 let strength = cache.strength[light][c];
-                let modelled = model[light][p][c];
+                let modelled = modelled[c];
                 let (value, noise) = (modelled.value(), modelled.variance);
                 radiance.mean[p][c] = (value * strength) as f32;
                 radiance.variance[p][c] = (noise * strength * strength) as f32;
