@@ -20,6 +20,7 @@ use rig::brdf::nbrdf::{NAMES, NeuralBrdf};
 use rig::brdf::score::Cell;
 use rig::brdf::sphere::{SphereMatrix, sphere_image, sphere_matrix};
 use rig::brdf::{Atom, Dictionary, score};
+use rig::evaluate::lab::materials::MIRRORS;
 use rig::inverse::simplex::{Quadratic, SimplexError};
 
 const TRAINING: [&str; 12] = [
@@ -36,8 +37,6 @@ const TRAINING: [&str; 12] = [
     "pink-jasper",
     "pvc",
 ];
-/// Their networks make them far too dark.
-const MIRRORS: [&str; 3] = ["chrome", "aluminium", "brass"];
 const SPHERE_PX: usize = 24;
 const AZIMUTHS: usize = 6;
 /// Environment and cube-root errors that weigh alike.

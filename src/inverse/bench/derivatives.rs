@@ -132,7 +132,11 @@ impl DerivativeImages {
         let lights = base.lights.len();
         let places = &halves[0].1;
         let columns: Vec<_> = places.iter().map(|p| (p.parameter, p.light)).collect();
-        let guide = options.steering.guide(base, options.seed);
+        // Direct reflection alone follows nothing.
+        let guide = match options.samples_per_half {
+            0 => None,
+            _ => options.steering.guide(base, options.seed),
+        };
         let continuations = Continuations::new(&options.proposal, options.steering, guide);
         let rows: Vec<Vec<Parts>> = (0..base.camera.pixels())
             .into_par_iter()
