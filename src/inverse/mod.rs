@@ -14,6 +14,7 @@ pub mod objective;
 pub mod projection;
 pub mod refine;
 pub mod ridge;
+mod segment;
 pub mod simplex;
 mod solve;
 pub mod sparse;

@@ -2,12 +2,14 @@
 //!
 //! A priori each atom is used with the same probability, and the weights of those in
 //! use are uniform on their simplex. The likelihood is a Gaussian. A Metropolis chain
-//! walks over the sets in use: an atom joins, leaves or is replaced, and the weights of
-//! the new set come from the Gaussian restricted to it, so the chain never has to creep
-//! along the narrow valleys that nearly equal atoms make.
+//! walks over the sets in use: an atom joins, leaves or is replaced. Most moves touch one
+//! or two weights; some draw all weights of the new set from the Gaussian restricted to
+//! it, so the chain does not have to creep along the narrow valleys that nearly equal
+//! atoms make. Such jumps alone stay for ever in a set whose Gaussian lies off the simplex.
 
 use nalgebra::{DMatrix, DVector};
 
+use super::segment::Segment;
 use crate::random::Stream;
 
 /// Most atoms in use at once.
@@ -16,6 +18,9 @@ const MOST: usize = 14;
 /// Precision added to the Gaussian that weights are proposed from, which keeps directions
 /// without information near the simplex. It does not change the posterior.
 const PROPOSAL_PRECISION: f64 = 4.0;
+
+/// Moves of one or two weights for each of all weights.
+const LOCAL_MOVES: usize = 6;
 
 /// log p(x) = −½ xᵀHx + bᵀx + log prior + constant.
 pub struct SparsePosterior {
@@ -27,10 +32,10 @@ pub struct SparsePosterior {
 
 /// Where the chain is.
 struct State {
+    /// Atoms in use.
     used: Vec<usize>,
+    /// Their weights, each above zero, together one.
     x: Vec<f64>,
-    /// Log posterior over the proposal's density.
-    log_weight: f64,
 }
 
 impl SparsePosterior {
@@ -55,63 +60,149 @@ impl SparsePosterior {
         numbers: &mut Stream,
     ) -> Vec<DVector<f64>> {
         let n = self.b.len();
-        let mut state = self.begin(start, numbers);
+        let mut state = begin(start);
         let burn = steps / 5;
         let mut draws = Vec::with_capacity(count);
         for step in 0..steps {
-            let mut used = state.used.clone();
-            let choice = numbers.uniform();
-            let atom = ((numbers.uniform() * n as f64) as usize).min(n - 1);
-            let place = used.iter().position(|&k| k == atom);
-            if choice < 0.35 {
-                match place {
-                    Some(at) => drop(used.remove(at)),
-                    None => used.push(atom),
-                }
-            } else if choice < 0.75 {
-                let at = ((numbers.uniform() * used.len() as f64) as usize).min(used.len() - 1);
-                match place {
-                    Some(_) => used.clear(),
-                    None => used[at] = atom,
+            for _ in 0..LOCAL_MOVES {
+                match index(3, numbers) {
+                    0 => self.share(&mut state, numbers),
+                    1 => self.join_or_leave(&mut state, numbers),
+                    _ => self.replace(&mut state, numbers),
                 }
             }
-            if let Some(next) = self.propose(used, numbers)
-                && (1.0 - numbers.uniform()).ln() < next.log_weight - state.log_weight
-            {
-                state = next;
-            }
+            self.jump(&mut state, numbers);
             if step >= burn && (step - burn) * count >= draws.len() * (steps - burn) {
                 let mut x = DVector::zeros(n);
-                state
-                    .used
-                    .iter()
-                    .zip(&state.x)
-                    .for_each(|(&k, &v)| x[k] = v);
+                let weights = state.used.iter().zip(&state.x);
+                weights.for_each(|(&k, &v)| x[k] = v);
                 draws.push(x);
             }
         }
         draws
     }
 
-    /// The largest weights of `start`, as many as give a point inside the simplex.
-    fn begin(&self, start: &DVector<f64>, numbers: &mut Stream) -> State {
-        let mut used: Vec<usize> = (0..start.len()).filter(|&k| start[k] > 1e-3).collect();
-        used.sort_by(|&a, &b| start[b].total_cmp(&start[a]));
-        used.truncate(8);
-        while used.len() > 1 {
-            for _ in 0..2000 {
-                if let Some(state) = self.propose(used.clone(), numbers) {
-                    return state;
-                }
+    /// What moving weight to `gains` from `loses` does to the log-likelihood: slope and
+    /// curvature along the way.
+    fn along(&self, state: &State, gains: usize, loses: usize) -> [f64; 2] {
+        let pull = |k: usize| {
+            let weights = state.used.iter().zip(&state.x);
+            self.b[k] - weights.map(|(&j, &x)| self.h[(k, j)] * x).sum::<f64>()
+        };
+        let h = |i, j| self.h[(i, j)];
+        let curvature = h(gains, gains) - 2.0 * h(gains, loses) + h(loses, loses);
+        [pull(gains) - pull(loses), curvature]
+    }
+
+    /// Shares the weight of two atoms in use anew, as the posterior has it.
+    fn share(&self, state: &mut State, numbers: &mut Stream) {
+        let Some([i, j]) = pair(state.used.len(), numbers) else {
+            return;
+        };
+        let all = state.x[i] + state.x[j];
+        (state.x[i], state.x[j]) = (all, 0.0);
+        let [slope, curvature] = self.along(state, state.used[j], state.used[i]);
+        let moved = Segment::new(slope, curvature, all).draw(numbers);
+        (state.x[i], state.x[j]) = (all - moved, moved);
+    }
+
+    /// An atom takes part of another's weight, or gives another all that it has. The new
+    /// weight is drawn as the posterior has it, so the choice rests on the mass along the
+    /// way alone (Green 1995, reversible jump).
+    fn join_or_leave(&self, state: &mut State, numbers: &mut Stream) {
+        let (n, k) = (self.b.len(), state.used.len());
+        // Log ratio of the posterior's to the proposals' densities for k → k + 1 atoms.
+        let log_ratio = |k: usize, mass: f64| {
+            let ways = k as f64 * (n - k) as f64 / (k + 1) as f64;
+            self.log_odds + ways.ln() + mass
+        };
+        if numbers.uniform() < 0.5 {
+            if k == MOST.min(n) {
+                return;
             }
-            used.pop();
+            let mut joins = index(n, numbers);
+            while state.used.contains(&joins) {
+                joins = index(n, numbers);
+            }
+            let gives = index(k, numbers);
+            let [slope, curvature] = self.along(state, joins, state.used[gives]);
+            let segment = Segment::new(slope, curvature, state.x[gives]);
+            if (1.0 - numbers.uniform()).ln() < log_ratio(k, segment.log_mass()) {
+                let moved = segment.draw(numbers);
+                state.x[gives] -= moved;
+                state.used.push(joins);
+                state.x.push(moved);
+            }
+        } else if let Some([leaves, takes]) = pair(k, numbers) {
+            let before = [state.x[leaves], state.x[takes]];
+            state.x[takes] += state.x[leaves];
+            state.x[leaves] = 0.0;
+            let [slope, curvature] = self.along(state, state.used[leaves], state.used[takes]);
+            let segment = Segment::new(slope, curvature, state.x[takes]);
+            if (1.0 - numbers.uniform()).ln() < -log_ratio(k - 1, segment.log_mass()) {
+                state.used.swap_remove(leaves);
+                state.x.swap_remove(leaves);
+            } else {
+                [state.x[leaves], state.x[takes]] = before;
+            }
         }
-        let only = used.first().copied().unwrap_or(0);
-        State {
-            log_weight: self.log_odds + self.log_likelihood(&[only], &[1.0]),
-            used: vec![only],
-            x: vec![1.0],
+    }
+
+    /// An atom that is not in use takes the place of one that is.
+    fn replace(&self, state: &mut State, numbers: &mut Stream) {
+        let place = index(state.used.len(), numbers);
+        let atom = index(self.b.len(), numbers);
+        if state.used.contains(&atom) {
+            return;
         }
+        let [slope, curvature] = self.along(state, atom, state.used[place]);
+        let all = state.x[place];
+        if (1.0 - numbers.uniform()).ln() < all * (slope - 0.5 * curvature * all) {
+            state.used[place] = atom;
+        }
+    }
+
+    /// All weights anew for the same atoms, one more, one fewer or one replaced, from the
+    /// Gaussian restricted to them.
+    fn jump(&self, state: &mut State, numbers: &mut Stream) {
+        let mut used = state.used.clone();
+        let choice = numbers.uniform();
+        let atom = index(self.b.len(), numbers);
+        let place = used.iter().position(|&k| k == atom);
+        if choice < 0.35 {
+            match place {
+                Some(at) => drop(used.remove(at)),
+                None => used.push(atom),
+            }
+        } else if choice < 0.75 {
+            let at = index(used.len(), numbers);
+            match place {
+                Some(_) => return,
+                None => used[at] = atom,
+            }
+        }
+        let Some(proposal) = Proposal::new(self, &used) else {
+            return;
+        };
+        let Some(back) = Proposal::new(self, &state.used) else {
+            return;
+        };
+        let Some(x) = proposal.draw(numbers) else {
+            return;
+        };
+        let next = State { used, x };
+        let gain = self.log_density(&next) - proposal.log_density(&next.x);
+        let loss = self.log_density(state) - back.log_density(&state.x);
+        if (1.0 - numbers.uniform()).ln() < gain - loss {
+            *state = next;
+        }
+    }
+
+    /// Log posterior; a uniform density on the simplex of k weights is (k − 1)!.
+    fn log_density(&self, state: &State) -> f64 {
+        let k = state.used.len();
+        let log_uniform: f64 = (1..k).map(|i| (i as f64).ln()).sum();
+        k as f64 * self.log_odds + log_uniform + self.log_likelihood(&state.used, &state.x)
     }
 
     fn log_likelihood(&self, used: &[usize], x: &[f64]) -> f64 {
@@ -126,18 +217,30 @@ impl SparsePosterior {
         }
         sum
     }
+}
 
-    /// Weights for a set of atoms, from the Gaussian restricted to their plane; `None`
-    /// off the simplex.
-    fn propose(&self, used: Vec<usize>, numbers: &mut Stream) -> Option<State> {
+/// The Gaussian restricted to the plane of a set of atoms, in the coordinates x₀..x_{k−2},
+/// the last weight being what is left of one.
+struct Proposal {
+    /// Atoms.
+    k: usize,
+    /// Lower triangular root of the precision.
+    factor: [[f64; MOST]; MOST],
+    /// The mean, left-multiplied by the root's transpose.
+    y: [f64; MOST],
+}
+
+impl Proposal {
+    /// `None` for no atoms, too many, or atoms without any precision.
+    fn new(posterior: &SparsePosterior, used: &[usize]) -> Option<Self> {
         let k = used.len();
         if k == 0 || k > MOST {
             return None;
         }
         let m = k - 1;
         let last = used[m];
-        let h = |i: usize, j: usize| self.h[(i, j)];
-        // In the coordinates x₀..x_{m−1}, the last weight being what is left of one.
+        let h = |i: usize, j: usize| posterior.h[(i, j)];
+        let b = &posterior.b;
         let mut factor = [[0.0f64; MOST]; MOST];
         let mut y = [0.0f64; MOST];
         for s in 0..m {
@@ -160,44 +263,68 @@ impl SparsePosterior {
                     v / factor[t][t]
                 };
             }
-            let mut v = self.b[i] - self.b[last] - h(i, last)
-                + h(last, last)
-                + PROPOSAL_PRECISION / k as f64;
+            let mut v = b[i] - b[last] - h(i, last) + h(last, last) + PROPOSAL_PRECISION / k as f64;
             for q in 0..s {
                 v -= factor[s][q] * y[q];
             }
             y[s] = v / factor[s][s];
         }
-        let mut log_density = -0.5 * m as f64 * std::f64::consts::TAU.ln();
-        for s in 0..m {
-            let z = numbers.normal();
-            log_density += factor[s][s].ln() - 0.5 * z * z;
-            y[s] += z;
-        }
-        let mut x = vec![0.0; k];
+        Some(Self { k, factor, y })
+    }
+
+    /// Weights; `None` where these are off the simplex.
+    fn draw(&self, numbers: &mut Stream) -> Option<Vec<f64>> {
+        let m = self.k - 1;
+        let mut x = vec![0.0; self.k];
         let mut left = 1.0;
         for s in (0..m).rev() {
-            let mut v = y[s];
-            for q in s + 1..m {
-                v -= factor[q][s] * x[q];
-            }
-            x[s] = v / factor[s][s];
+            let others: f64 = (s + 1..m).map(|q| self.factor[q][s] * x[q]).sum();
+            x[s] = (self.y[s] + numbers.normal() - others) / self.factor[s][s];
             left -= x[s];
             if x[s] < 0.0 || left < 0.0 {
                 return None;
             }
         }
         x[m] = left;
-        // A uniform density on the simplex of k weights is (k − 1)!.
-        let log_uniform: f64 = (1..k).map(|i| (i as f64).ln()).sum();
-        let log_weight =
-            k as f64 * self.log_odds + log_uniform + self.log_likelihood(&used, &x) - log_density;
-        Some(State {
-            used,
-            x,
-            log_weight,
-        })
+        Some(x)
     }
+
+    /// Log density of weights on the simplex.
+    fn log_density(&self, x: &[f64]) -> f64 {
+        let m = self.k - 1;
+        let mut log_density = -0.5 * m as f64 * std::f64::consts::TAU.ln();
+        for s in 0..m {
+            let mapped: f64 = (s..m).map(|q| self.factor[q][s] * x[q]).sum();
+            let z = mapped - self.y[s];
+            log_density += self.factor[s][s].ln() - 0.5 * z * z;
+        }
+        log_density
+    }
+}
+
+/// The largest weights of `start`.
+fn begin(start: &DVector<f64>) -> State {
+    let mut used: Vec<usize> = (0..start.len()).filter(|&k| start[k] > 0.0).collect();
+    used.sort_by(|&a, &b| start[b].total_cmp(&start[a]));
+    used.truncate(MOST);
+    let sum: f64 = used.iter().map(|&k| start[k]).sum();
+    let x = used.iter().map(|&k| start[k] / sum).collect();
+    State { used, x }
+}
+
+/// An index below `n`.
+fn index(n: usize, numbers: &mut Stream) -> usize {
+    ((numbers.uniform() * n as f64) as usize).min(n - 1)
+}
+
+/// Two different indices below `n`, where there are two.
+fn pair(n: usize, numbers: &mut Stream) -> Option<[usize; 2]> {
+    if n < 2 {
+        return None;
+    }
+    let first = index(n, numbers);
+    let second = index(n - 1, numbers);
+    Some([first, second + usize::from(second >= first)])
 }
 
 #[cfg(test)]
@@ -261,6 +388,41 @@ mod tests {
         }
         for x in &draws {
             assert!((x.sum() - 1.0).abs() < 1e-9 && x.min() >= 0.0);
+        }
+    }
+
+    /// Without a likelihood: atoms in use and the sum of the squared weights against the
+    /// binomial and 2 / (k + 1), and every atom alike.
+    #[test]
+    fn the_prior_is_what_it_says() {
+        let n = 26;
+        let expected = 5.0;
+        let posterior = SparsePosterior::new(DMatrix::zeros(n, n), DVector::zeros(n), expected);
+        let odds = posterior.log_odds.exp();
+        // Ways to use k atoms, each with the odds.
+        let mut mass = vec![1.0];
+        for k in 1..=MOST {
+            mass.push(mass[k - 1] * odds * (n + 1 - k) as f64 / k as f64);
+        }
+        let mean_of = |f: &dyn Fn(f64) -> f64| -> f64 {
+            let terms = (1..=MOST).map(|k| mass[k] * f(k as f64));
+            terms.sum::<f64>() / mass[1..].iter().sum::<f64>()
+        };
+        let mut numbers = stream(5, Purpose::Posterior, 0, 0, 0);
+        let start = DVector::from_element(n, 1.0 / n as f64);
+        let draws = posterior.draw(&start, 20_000, 200_000, &mut numbers);
+        let mean = |f: &dyn Fn(&DVector<f64>) -> f64| -> f64 {
+            draws.iter().map(f).sum::<f64>() / draws.len() as f64
+        };
+        let used = mean(&|x| x.iter().filter(|&&w| w > 0.0).count() as f64);
+        let wanted = mean_of(&|k| k);
+        assert!((used - wanted).abs() < 0.05, "{used} for {wanted}");
+        let square = mean(&|x| x.norm_squared());
+        let wanted = mean_of(&|k| 2.0 / (k + 1.0));
+        assert!((square - wanted).abs() < 0.01, "{square} for {wanted}");
+        for atom in 0..n {
+            let weight = mean(&|x| x[atom]);
+            assert!((weight * n as f64 - 1.0).abs() < 0.15, "{atom}: {weight}");
         }
     }
 }
