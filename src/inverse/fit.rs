@@ -90,8 +90,7 @@ pub struct Fit {
     /// The dictionary that the weights belong to: the one given, or with more atoms.
     pub dictionary: Arc<Dictionary>,
     /// Weights per channel × atoms; equal vectors if shared. Of Gauss–Newton, the mean of the
-    /// draws as far as the model holds, the least squares' for the rest
-    /// ([`uncertainty::estimate`]).
+    /// draws ([`uncertainty::estimate`]).
     pub weights: [Vec<f64>; 3],
     /// The single-bounce start of Eq. (13) in the dictionary given, per channel.
     pub start: [Vec<f64>; 3],
@@ -263,12 +262,11 @@ pub(super) fn fit_from(
         }
         draws
     });
-    let trusted = match options.optimizer {
-        Optimizer::GaussNewton(_) => objective.holds(&pass),
+    let estimate = match options.optimizer {
+        Optimizer::GaussNewton(_) => uncertainty::estimate(&mixture, &draws),
         // The others are there to be compared: they report where they end.
-        _ => vec![0.0; mixture.len()],
+        _ => mixture.clone(),
     };
-    let estimate = uncertainty::estimate(&mixture, &draws, &trusted);
     stage("diagnosis");
     let diagnosis = timings.time("diagnosis", || {
         diagnosis::examine(scene, dictionary, &objective, cache, &mixture, &pass)

@@ -275,14 +275,6 @@ impl<'a> Objective<'a> {
         self.weights_allowing(&pass.model, true, &found)
     }
 
-    /// How far the model holds, per set, 0..=1: the part of its squared error, as `pass`
-    /// finds it, that was stated.
-    pub fn holds(&self, pass: &Linearised) -> Vec<f64> {
-        let part = |found: f64| (self.model_error / found).powi(2);
-        let found = self.found_error(pass).into_iter();
-        found.map(|f| if f > 0.0 { part(f) } else { 1.0 }).collect()
-    }
-
     /// Modelled radiance at `mixture`, without the matrices of a whole pass.
     pub fn modelled(&self, mixture: &[DVector<f64>]) -> Vec<ModelImage> {
         let unweighed = vec![vec![[0.0; 3]; self.target[0].len()]; self.lights()];

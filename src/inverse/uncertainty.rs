@@ -92,19 +92,17 @@ fn draw_set(
 }
 
 /// The weights that are reported, per set: the mean of the draws, which has the least
-/// expected error where the model holds, as far as the model is `trusted` (0..=1), the
-/// fit's own for the rest; those alone without draws (docs/adr/0006).
-pub fn estimate(mixture: &[DVector<f64>], draws: &[Draws], trusted: &[f64]) -> Vec<DVector<f64>> {
-    let of_set = |((fitted, draws), trusted): ((&DVector<f64>, &Draws), &f64)| {
+/// expected error; the fit's own without draws (docs/adr/0006).
+pub fn estimate(mixture: &[DVector<f64>], draws: &[Draws]) -> Vec<DVector<f64>> {
+    let of_set = |(fitted, draws): (&DVector<f64>, &Draws)| {
         let count = draws.posterior.len();
         if count == 0 {
             return fitted.clone();
         }
         let zero = DVector::zeros(fitted.len());
-        let mean = draws.posterior.iter().fold(zero, |sum, draw| sum + draw) / count as f64;
-        mean * *trusted + fitted * (1.0 - trusted)
+        draws.posterior.iter().fold(zero, |sum, draw| sum + draw) / count as f64
     };
-    mixture.iter().zip(draws).zip(trusted).map(of_set).collect()
+    mixture.iter().zip(draws).map(of_set).collect()
 }
 
 /// Quadratic log-likelihood −½ xᵀHx + bᵀx whose score scatters as the blocks' does, and,
@@ -243,24 +241,20 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_estimate_is_the_draws_mean_as_far_as_the_model_is_trusted() {
+    fn the_estimate_is_the_draws_mean() {
         let vector = |values: [f64; 2]| DVector::from_row_slice(&values);
         let draws = |posterior: Vec<DVector<f64>>| {
-            let prior = Vec::new();
             vec![Draws {
                 posterior,
-                prior,
+                prior: Vec::new(),
                 misfit: 0.0,
                 budget: None,
             }]
         };
         let fitted = [vector([1.0, 0.0])];
         let drawn = draws(vec![vector([0.75, 0.25]), vector([0.25, 0.75])]);
-        for (trusted, expected) in [(0.0, [1.0, 0.0]), (0.5, [0.75, 0.25]), (1.0, [0.5, 0.5])] {
-            let found = estimate(&fitted, &drawn, &[trusted]);
-            assert_eq!(found, [vector(expected)], "{trusted}");
-        }
-        assert_eq!(estimate(&fitted, &draws(Vec::new()), &[1.0]), fitted);
+        assert_eq!(estimate(&fitted, &drawn), [vector([0.5, 0.5])]);
+        assert_eq!(estimate(&fitted, &draws(Vec::new())), fitted);
     }
 
     /// Mean 1/n and variance (1/n)(1 − 1/n)/(a n + 1) of a symmetric Dirichlet.
