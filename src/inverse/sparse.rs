@@ -184,10 +184,10 @@ impl SparsePosterior {
         let Some(proposal) = Proposal::new(self, &used) else {
             return;
         };
-        let Some(back) = Proposal::new(self, &state.used) else {
+        let Some(x) = proposal.draw(numbers) else {
             return;
         };
-        let Some(x) = proposal.draw(numbers) else {
+        let Some(back) = Proposal::new(self, &state.used) else {
             return;
         };
         let next = State { used, x };
