@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use super::bench::system::{BenchLinearisation, Model};
 use super::diagnosis::{self, Diagnosis};
+use super::estimate::estimate;
 use super::exponentiated_gradient::ExponentiatedGradient;
 use super::form;
 use super::gauss_newton::GaussNewton;
@@ -89,8 +90,8 @@ impl Default for FitOptions {
 pub struct Fit {
     /// The dictionary that the weights belong to: the one given, or with more atoms.
     pub dictionary: Arc<Dictionary>,
-    /// Weights per channel × atoms; equal vectors if shared. Of Gauss–Newton, the mean of the
-    /// draws ([`uncertainty::estimate`]).
+    /// Weights per channel × atoms; equal vectors if shared. Of Gauss–Newton, those of
+    /// least expected error over the draws (docs/adr/0006).
     pub weights: [Vec<f64>; 3],
     /// The single-bounce start of Eq. (13) in the dictionary given, per channel.
     pub start: [Vec<f64>; 3],
@@ -262,8 +263,8 @@ pub(super) fn fit_from(
         }
         draws
     });
-    let estimate = match options.optimizer {
-        Optimizer::GaussNewton(_) => uncertainty::estimate(&mixture, &draws),
+    let reported = match options.optimizer {
+        Optimizer::GaussNewton(_) => estimate(dictionary, &mixture, &draws),
         // The others are there to be compared: they report where they end.
         _ => mixture.clone(),
     };
@@ -274,11 +275,11 @@ pub(super) fn fit_from(
     let doubted = (0..captured.len())
         .map(|light| objective.doubted(&pass.model, light))
         .collect();
-    let model = objective.modelled(&estimate);
+    let model = objective.modelled(&reported);
     let (rendered, residual, reduced_chi2) = images(&objective, &model, captured, cache);
     let fit = Fit {
         dictionary: dictionary.clone(),
-        weights: per_channel(&estimate),
+        weights: per_channel(&reported),
         start: solution.start.clone(),
         draws,
         rendered,

@@ -4,6 +4,7 @@
 pub mod bench;
 pub mod budget;
 pub mod diagnosis;
+mod estimate;
 pub mod exponentiated_gradient;
 pub mod fit;
 mod form;

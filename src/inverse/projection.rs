@@ -336,6 +336,16 @@ impl<'a> EnvironmentMatrix<'a> {
         }
     }
 
+    /// G such that wᵀGw is the mean square radiance of the mixture w over the pixels of
+    /// all spheres, in one channel: atoms × atoms.
+    pub fn mean_square(&self, channel: usize) -> DMatrix<f64> {
+        let atoms = self.dictionary.len();
+        let sum = self.grams.iter().map(|of_map| &of_map[channel]);
+        let sum = sum.fold(DMatrix::zeros(atoms, atoms), |sum, gram| sum + gram);
+        let pixels: usize = self.matrices.iter().map(|m| m.pixels.len()).sum();
+        sum / pixels as f64
+    }
+
     fn targets(&self, truth: &dyn Brdf) -> Vec<Target> {
         self.maps
             .iter()

@@ -91,20 +91,6 @@ fn draw_set(
     }
 }
 
-/// The weights that are reported, per set: the mean of the draws, which has the least
-/// expected error; the fit's own without draws (docs/adr/0006).
-pub fn estimate(mixture: &[DVector<f64>], draws: &[Draws]) -> Vec<DVector<f64>> {
-    let of_set = |(fitted, draws): (&DVector<f64>, &Draws)| {
-        let count = draws.posterior.len();
-        if count == 0 {
-            return fitted.clone();
-        }
-        let zero = DVector::zeros(fitted.len());
-        draws.posterior.iter().fold(zero, |sum, draw| sum + draw) / count as f64
-    };
-    mixture.iter().zip(draws).map(of_set).collect()
-}
-
 /// Quadratic log-likelihood −½ xᵀHx + bᵀx whose score scatters as the blocks' does, and,
 /// where the `noise` is known, what makes it scatter.
 fn adjusted_likelihood(
@@ -239,23 +225,6 @@ fn gamma_above_one(shape: f64, numbers: &mut Stream) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn the_estimate_is_the_draws_mean() {
-        let vector = |values: [f64; 2]| DVector::from_row_slice(&values);
-        let draws = |posterior: Vec<DVector<f64>>| {
-            vec![Draws {
-                posterior,
-                prior: Vec::new(),
-                misfit: 0.0,
-                budget: None,
-            }]
-        };
-        let fitted = [vector([1.0, 0.0])];
-        let drawn = draws(vec![vector([0.75, 0.25]), vector([0.25, 0.75])]);
-        assert_eq!(estimate(&fitted, &drawn), [vector([0.5, 0.5])]);
-        assert_eq!(estimate(&fitted, &draws(Vec::new())), fitted);
-    }
 
     /// Mean 1/n and variance (1/n)(1 − 1/n)/(a n + 1) of a symmetric Dirichlet.
     #[test]

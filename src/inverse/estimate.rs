@@ -1,0 +1,112 @@
+//! The weights that are reported: those of least expected error over the draws.
+//!
+//! Errors of appearance are relative to how bright the true material looks. Draws f of the
+//! posterior are therefore averaged with weights 1/‖f‖², which makes E ‖a − f‖²/‖f‖² least
+//! at a; ‖f‖ is the radiance of a sphere under the maps of the environment error. Where the
+//! images decide, all draws are about as bright and this is their mean; where they say
+//! little, draws that shine like mirrors don't decide (docs/adr/0006).
+
+use std::sync::Arc;
+
+use nalgebra::{DMatrix, DVector};
+
+use super::projection::EnvironmentMatrix;
+use super::uncertainty::Draws;
+use crate::brdf::Dictionary;
+use crate::brdf::environment::EnvironmentMap;
+
+/// Pixels per side of the spheres.
+const SPHERE_PX: usize = 24;
+
+/// Albedo of what looks black: darker materials count as this bright.
+const BLACK: f64 = 0.02;
+
+/// The reported weights per set; `mixture`, the fit's own, without draws.
+pub(super) fn estimate(
+    dictionary: &Arc<Dictionary>,
+    mixture: &[DVector<f64>],
+    draws: &[Draws],
+) -> Vec<DVector<f64>> {
+    if draws.iter().all(|set| set.posterior.is_empty()) {
+        return mixture.to_vec();
+    }
+    let maps = EnvironmentMap::all();
+    let spheres = EnvironmentMatrix::new(dictionary.clone(), &maps, SPHERE_PX);
+    let of_set = |(set, draws): (usize, &Draws)| {
+        let mean_square = match mixture.len() {
+            1 => (spheres.mean_square(0) + spheres.mean_square(1) + spheres.mean_square(2)) / 3.0,
+            _ => spheres.mean_square(set),
+        };
+        least_relative_error(&draws.posterior, &mean_square)
+    };
+    draws.iter().enumerate().map(of_set).collect()
+}
+
+/// Mean of the draws, each with 1/‖draw‖², where ‖x‖² = xᵀ · `mean_square` · x is the mean
+/// square radiance of the mixture x (map radiances of mean 1).
+fn least_relative_error(draws: &[DVector<f64>], mean_square: &DMatrix<f64>) -> DVector<f64> {
+    let mut mean = DVector::zeros(mean_square.nrows());
+    let mut total = 0.0;
+    for draw in draws {
+        let share = 1.0 / (draw.dot(&(mean_square * draw)) + BLACK * BLACK);
+        mean.axpy(share, draw, 1.0);
+        total += share;
+    }
+    mean / total
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::brdf::Atom;
+
+    fn vector(values: [f64; 2]) -> DVector<f64> {
+        DVector::from_row_slice(&values)
+    }
+
+    fn of_draws(posterior: Vec<DVector<f64>>) -> Vec<Draws> {
+        vec![Draws {
+            posterior,
+            prior: Vec::new(),
+            misfit: 0.0,
+            budget: None,
+        }]
+    }
+
+    /// No other mixture of the two has a smaller expected relative error.
+    #[test]
+    fn the_expected_relative_error_is_least() {
+        let square = DMatrix::from_row_slice(2, 2, &[9.0, 0.6, 0.6, 0.25]);
+        let draws = [0.9, 0.2, 0.5, 0.4].map(|x| vector([x, 1.0 - x]));
+        let found = least_relative_error(&draws, &square);
+        let norm = |x: &DVector<f64>| x.dot(&(&square * x));
+        let error = |a: &DVector<f64>| -> f64 {
+            let relative = |f: &DVector<f64>| norm(&(a - f)) / (norm(f) + BLACK * BLACK);
+            draws.iter().map(relative).sum()
+        };
+        assert!((found.sum() - 1.0).abs() < 1e-12);
+        for step in [-0.01, 0.01] {
+            let other = &found + vector([step, -step]);
+            assert!(error(&found) < error(&other));
+        }
+        assert!(found[0] < 0.4, "nearer to the dark draws: {found}");
+    }
+
+    /// A white and a grey Lambertian are as bright as 1 and 0.5: of draws that are one or
+    /// the other, the estimate is (1·1 + 4·½)/(1 + 4) = 0.6.
+    #[test]
+    fn brightness_is_that_of_spheres_under_the_maps() {
+        let grey = |albedo| Atom::Lambertian { albedo };
+        let dictionary = Dictionary::new("grey", vec![grey(1.0), grey(0.5)]).unwrap();
+        let dictionary = Arc::new(dictionary);
+        let fitted = [vector([1.0, 0.0])];
+        let drawn = of_draws(vec![vector([1.0, 0.0]), vector([0.0, 1.0])]);
+        let found = &estimate(&dictionary, &fitted, &drawn)[0];
+        let albedo = found[0] + 0.5 * found[1];
+        assert!((albedo - 0.6).abs() < 1e-3, "{albedo}");
+        assert_eq!(
+            estimate(&dictionary, &fitted, &of_draws(Vec::new())),
+            fitted
+        );
+    }
+}
