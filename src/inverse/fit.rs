@@ -257,7 +257,7 @@ pub(super) fn fit_from(
             form: &form,
             noise: &noise,
         };
-        let mut draws = uncertainty::draw(&mixture, &pass, &adds, count, seed);
+        let mut draws = uncertainty::draw(dictionary, &mixture, &pass, &adds, count, seed);
         for (draws, misfit) in draws.iter_mut().zip(objective.misfit(&pass.model)) {
             draws.misfit = misfit;
         }
