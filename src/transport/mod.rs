@@ -23,6 +23,7 @@ pub mod polarised;
 pub mod proposal;
 pub mod render;
 pub mod scene;
+pub mod sensitivity;
 pub mod truncation;
 
 pub use cache::{Cache, CacheOptions};

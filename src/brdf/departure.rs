@@ -1,0 +1,248 @@
+//! How materials depart from the mixtures of a dictionary: by a smooth random factor.
+//!
+//! ln f = ln f_mixture + g(θh, θd), where g is Gaussian with zero mean, bilinear between the
+//! nodes of a table. Its deviations and lengths resemble those of measured materials about
+//! the mixtures that explain them best (docs/adr/0032).
+
+use std::sync::OnceLock;
+
+use glam::Vec3;
+use nalgebra::{DMatrix, DVector, SymmetricEigen};
+
+use super::{Brdf, Mixture};
+
+/// Half angles of the nodes, degrees.
+const THETA_H_DEG: [f64; 12] = [
+    0.0, 1.0, 3.0, 6.0, 10.0, 15.0, 22.0, 30.0, 40.0, 52.0, 66.0, 82.0,
+];
+/// Difference angles of the nodes, degrees.
+const THETA_D_DEG: [f64; 11] = [
+    0.0, 12.0, 24.0, 35.0, 45.0, 54.0, 62.0, 69.0, 76.0, 82.0, 88.0,
+];
+
+/// Nodes of the table, θd fastest.
+pub const NODES: usize = THETA_H_DEG.len() * THETA_D_DEG.len();
+
+/// Part of the variance that the modes may miss, where g has unit deviation everywhere.
+const MISSED: f64 = 0.02;
+
+/// A node of the table.
+#[derive(Clone, Copy, Debug)]
+pub struct Node {
+    /// Half angle, degrees.
+    pub theta_h_deg: f64,
+    /// Difference angle, degrees.
+    pub theta_d_deg: f64,
+    /// Its share of the pairs of directions, up to a factor.
+    pub measure: f64,
+}
+
+/// The nodes in the order of the table.
+pub fn nodes() -> impl Iterator<Item = Node> {
+    (0..NODES).map(|k| {
+        let (i, j) = (k / THETA_D_DEG.len(), k % THETA_D_DEG.len());
+        // dωi dωo is proportional to sin θh dθh · sin θd cos θd dθd.
+        let [low_h, high_h] = cell(&THETA_H_DEG, i).map(|v: f64| v.to_radians().cos());
+        let [low_d, high_d] = cell(&THETA_D_DEG, j).map(|v: f64| v.to_radians().sin().powi(2));
+        Node {
+            theta_h_deg: THETA_H_DEG[i],
+            theta_d_deg: THETA_D_DEG[j],
+            measure: (low_h - high_h) * (high_d - low_d),
+        }
+    })
+}
+
+/// From half way to the node before to half way to the one after.
+fn cell(axis: &[f64], k: usize) -> [f64; 2] {
+    let before = axis[k.saturating_sub(1)];
+    let after = axis[(k + 1).min(axis.len() - 1)];
+    [0.5 * (before + axis[k]), 0.5 * (axis[k] + after)]
+}
+
+/// Standard deviation of g.
+fn deviation(theta_h_deg: f64, theta_d_deg: f64) -> f64 {
+    0.13 + 0.3 * (-theta_h_deg).exp()
+        + 0.4 * (theta_h_deg / 82.0).powi(5)
+        + 0.45 * ((theta_d_deg - 80.0) / 7.0).exp()
+}
+
+/// Correlation of g at two nodes.
+fn correlation(a: &Node, b: &Node) -> f64 {
+    // Along these axes g changes alike everywhere.
+    let position = |n: &Node| {
+        [
+            n.theta_h_deg.sqrt() / 1.2,
+            -2.5 * (1.0 - n.theta_d_deg / 100.0).ln(),
+        ]
+    };
+    let ([a_h, a_d], [b_h, b_d]) = (position(a), position(b));
+    (-0.5 * ((a_h - b_h).powi(2) + (a_d - b_d).powi(2))).exp()
+}
+
+/// The modes of g: columns with values at the nodes, which independent standard normal
+/// numbers multiply. A factor that is the same everywhere is left to the weights.
+pub fn modes() -> &'static DMatrix<f64> {
+    static MODES: OnceLock<DMatrix<f64>> = OnceLock::new();
+    MODES.get_or_init(|| {
+        let nodes: Vec<Node> = nodes().collect();
+        let deviations: Vec<f64> = nodes
+            .iter()
+            .map(|n| deviation(n.theta_h_deg, n.theta_d_deg))
+            .collect();
+        let covariance = DMatrix::from_fn(NODES, NODES, |i, j| {
+            deviations[i] * deviations[j] * correlation(&nodes[i], &nodes[j])
+        });
+        let inner = |n: &Node| n.theta_h_deg < 70.0 && n.theta_d_deg < 72.0;
+        let everywhere =
+            DVector::from_iterator(NODES, nodes.iter().map(|n| f64::from(u8::from(inner(n)))));
+        let along = &covariance * &everywhere;
+        let covariance = &covariance - &along * along.transpose() / everywhere.dot(&along);
+        principal(&covariance)
+    })
+}
+
+/// Columns whose outer products add up to a covariance but for [`MISSED`].
+fn principal(covariance: &DMatrix<f64>) -> DMatrix<f64> {
+    let scale = covariance.diagonal().map(f64::sqrt);
+    // By the correlation, so that where g is small counts as much.
+    let eigen = SymmetricEigen::new(DMatrix::from_fn(NODES, NODES, |i, j| {
+        covariance[(i, j)] / (scale[i] * scale[j])
+    }));
+    let mut order: Vec<usize> = (0..NODES).collect();
+    order.sort_by(|&a, &b| eigen.eigenvalues[b].total_cmp(&eigen.eigenvalues[a]));
+    let total: f64 = eigen.eigenvalues.sum();
+    let mut missed = total;
+    let kept = order.into_iter().take_while(|&k| {
+        let enough = missed <= MISSED * total;
+        missed -= eigen.eigenvalues[k];
+        !enough
+    });
+    let columns: Vec<DVector<f64>> = kept
+        .map(|k| {
+            let root = eigen.eigenvalues[k].sqrt();
+            eigen.eigenvectors.column(k).component_mul(&scale) * root
+        })
+        .collect();
+    DMatrix::from_columns(&columns)
+}
+
+/// The nodes around a pair of directions (unit, local frame), with their shares.
+#[inline]
+pub fn around(to_light: Vec3, to_viewer: Vec3) -> [(usize, f32); 4] {
+    let sum = to_light + to_viewer;
+    let theta_h = sum.x.hypot(sum.y).atan2(sum.z);
+    let theta_d = (to_light - to_viewer).length().atan2(sum.length());
+    around_angles(
+        f64::from(theta_h.to_degrees()),
+        f64::from(theta_d.to_degrees()),
+    )
+}
+
+/// The nodes around half and difference angles, with their shares.
+fn around_angles(theta_h_deg: f64, theta_d_deg: f64) -> [(usize, f32); 4] {
+    let segment = |axis: &[f64], x: f64| {
+        let k = axis.partition_point(|&n| n <= x).clamp(1, axis.len() - 1) - 1;
+        let t = (x - axis[k]) / (axis[k + 1] - axis[k]);
+        (k, t.clamp(0.0, 1.0) as f32)
+    };
+    let (h, u) = segment(&THETA_H_DEG, theta_h_deg);
+    let (d, v) = segment(&THETA_D_DEG, theta_d_deg);
+    let first = h * THETA_D_DEG.len() + d;
+    let next = first + THETA_D_DEG.len();
+    [
+        (first, (1.0 - u) * (1.0 - v)),
+        (first + 1, (1.0 - u) * v),
+        (next, u * (1.0 - v)),
+        (next + 1, u * v),
+    ]
+}
+
+/// A departure: g at each node.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Departure(pub DVector<f64>);
+
+impl Departure {
+    /// g at half and difference angles.
+    pub fn at(&self, theta_h_deg: f64, theta_d_deg: f64) -> f64 {
+        self.sum(around_angles(theta_h_deg, theta_d_deg))
+    }
+
+    fn sum(&self, around: [(usize, f32); 4]) -> f64 {
+        let terms = around.into_iter();
+        terms.map(|(k, share)| self.0[k] * f64::from(share)).sum()
+    }
+}
+
+/// A mixture that departs from itself, per channel.
+pub struct Departed<'a> {
+    /// The mixture.
+    pub mixture: &'a Mixture,
+    /// Of R, G and B.
+    pub departures: [&'a Departure; 3],
+}
+
+impl Brdf for Departed<'_> {
+    fn eval(&self, to_light: Vec3, to_viewer: Vec3) -> [f32; 3] {
+        let f = self.mixture.eval(to_light, to_viewer);
+        if f == [0.0; 3] {
+            return f;
+        }
+        let around = around(to_light, to_viewer);
+        [0, 1, 2].map(|c| f[c] * self.departures[c].sum(around).exp() as f32)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::brdf::HalfDifference;
+
+    /// Half the modes' products are the covariance, but for what a common factor makes.
+    #[test]
+    fn modes_have_the_stated_deviations() {
+        let modes = modes();
+        let nodes: Vec<Node> = nodes().collect();
+        let covariance = modes * modes.transpose();
+        for (k, node) in nodes.iter().enumerate() {
+            let stated = deviation(node.theta_h_deg, node.theta_d_deg);
+            let found = covariance[(k, k)].sqrt();
+            assert!(
+                (0.6..1.01).contains(&(found / stated)),
+                "{node:?}: {found} for {stated}"
+            );
+        }
+        for mode in modes.column_iter() {
+            let inner = nodes.iter().zip(mode.iter());
+            let inner = inner.filter(|(n, _)| n.theta_h_deg < 70.0 && n.theta_d_deg < 72.0);
+            let sum: f64 = inner.map(|(_, v)| v).sum();
+            assert!(sum.abs() < 1e-2, "a common factor: {sum}");
+        }
+    }
+
+    /// The measures add up to those of all pairs of angles.
+    #[test]
+    fn nodes_share_all_directions() {
+        let sum: f64 = nodes().map(|n| n.measure).sum();
+        let [h, d] = [82f64, 88f64].map(f64::to_radians);
+        assert!((sum - (1.0 - h.cos()) * d.sin().powi(2)).abs() < 1e-12);
+    }
+
+    /// A function that is linear in both angles is met exactly, whatever φd.
+    #[test]
+    fn nodes_around_interpolate() {
+        let linear = |h: f64, d: f64| 0.3 - 0.01 * h + 0.02 * d;
+        let values = nodes().map(|n| linear(n.theta_h_deg, n.theta_d_deg));
+        let departure = Departure(DVector::from_iterator(NODES, values));
+        for (h, d, phi) in [(0.4, 5.0, 1.0), (17.0, 50.0, 2.0), (60.0, 20.0, 0.3)] {
+            assert!((departure.at(h, d) - linear(h, d)).abs() < 1e-6);
+            let angles = HalfDifference {
+                theta_h_rad: f64::to_radians(h),
+                theta_d_rad: f64::to_radians(d),
+                phi_d_rad: phi,
+            };
+            let (i, o) = angles.to_directions();
+            let found = departure.sum(around(i.as_vec3(), o.as_vec3()));
+            assert!((found - linear(h, d)).abs() < 1e-4, "{found}");
+        }
+    }
+}
