@@ -19,7 +19,7 @@ fn table(name: &str) -> Table {
 }
 
 /// 2592 intervals of 8 captures per class. Cells of one capture err together, so the bounds
-/// are below 95% in span; out of span the intervals hold less than they promise (0.76
+/// are below 95% in span; out of span the intervals hold less than they promise (0.74
 /// here, docs/adr/0006), and the bound keeps that from growing worse.
 #[test]
 fn intervals_hold_the_truth() {

@@ -283,7 +283,7 @@ fn for_fit(error: &FitError) -> Option<String> {
         Cache(CacheError::ColouredBody { .. }) => Some(
             "give the [[body]] equal values for all channels, or leave it out of the scene".into(),
         ),
-        Cache(_) | Simplex(_) => None,
+        Cache(_) | Simplex(_) | Projection(_) => None,
     }
 }
 

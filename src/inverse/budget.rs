@@ -9,7 +9,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use super::intervals::{atom_values, inadequacy};
+use super::intervals::{atom_values, deviation, inadequacy};
 use super::uncertainty::Draws;
 use crate::brdf::dictionary::Dictionary;
 
@@ -154,7 +154,9 @@ pub fn at(
         for (sum, share) in cell.relative_variance.iter_mut().zip(shares) {
             *sum += share * variance / (value * value) / 3.0;
         }
-        let beyond = inadequacy(set.misfit, theta_h_deg, theta_d_deg);
+        let departures = set.departures.iter();
+        let departures: Vec<f64> = departures.map(|d| d.at(theta_h_deg, theta_d_deg)).collect();
+        let beyond = inadequacy(set.misfit, theta_h_deg, theta_d_deg).hypot(deviation(&departures));
         cell.relative_variance[Source::Model as usize] += beyond * beyond / 3.0;
     }
     Some(cell)

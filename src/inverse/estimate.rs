@@ -10,10 +10,13 @@ use std::sync::Arc;
 
 use nalgebra::{DMatrix, DVector};
 
-use super::projection::EnvironmentMatrix;
+use super::departure::Eliminated;
+use super::projection::{EnvironmentMatrix, ProjectionError};
+use super::solve::per_channel;
 use super::uncertainty::Draws;
-use crate::brdf::Dictionary;
+use crate::brdf::departure::Departed;
 use crate::brdf::environment::EnvironmentMap;
+use crate::brdf::{Dictionary, Mixture};
 
 /// Pixels per side of the spheres.
 const SPHERE_PX: usize = 24;
@@ -26,9 +29,10 @@ pub(super) fn estimate(
     dictionary: &Arc<Dictionary>,
     mixture: &[DVector<f64>],
     draws: &[Draws],
-) -> Vec<DVector<f64>> {
+    departure: &[Eliminated],
+) -> Result<Vec<DVector<f64>>, ProjectionError> {
     if draws.iter().all(|set| set.posterior.is_empty()) {
-        return mixture.to_vec();
+        return Ok(mixture.to_vec());
     }
     let maps = EnvironmentMap::all();
     let spheres = EnvironmentMatrix::new(dictionary.clone(), &maps, SPHERE_PX);
@@ -39,7 +43,25 @@ pub(super) fn estimate(
         };
         least_relative_error(&draws.posterior, &mean_square)
     };
-    draws.iter().enumerate().map(of_set).collect()
+    let mean: Vec<_> = draws.iter().enumerate().map(of_set).collect();
+    if departure.is_empty() {
+        return Ok(mean);
+    }
+    let sets = departure.iter().zip(&mean).zip(mixture);
+    let departures: Vec<_> = sets.map(|((d, mean), x)| d.expected(&(mean - x))).collect();
+    let departed = Departed {
+        mixture: &Mixture::new(dictionary.clone(), per_channel(&mean))?,
+        departures: [0, 1, 2].map(|c| &departures[c.min(departures.len() - 1)]),
+    };
+    let (_, closest) = spheres.of(&departed).floor()?;
+    let closest = closest
+        .weights()
+        .each_ref()
+        .map(|w| DVector::from_column_slice(w));
+    Ok(match mean.len() {
+        1 => vec![closest.iter().sum::<DVector<f64>>() / 3.0],
+        _ => closest.to_vec(),
+    })
 }
 
 /// Mean of the draws, each with 1/‖draw‖², where ‖x‖² = xᵀ · `mean_square` · x is the mean
@@ -69,6 +91,7 @@ mod tests {
             posterior,
             prior: Vec::new(),
             misfit: 0.0,
+            departures: Vec::new(),
             budget: None,
         }]
     }
@@ -101,11 +124,11 @@ mod tests {
         let dictionary = Arc::new(dictionary);
         let fitted = [vector([1.0, 0.0])];
         let drawn = of_draws(vec![vector([1.0, 0.0]), vector([0.0, 1.0])]);
-        let found = &estimate(&dictionary, &fitted, &drawn)[0];
+        let found = &estimate(&dictionary, &fitted, &drawn, &[]).unwrap()[0];
         let albedo = found[0] + 0.5 * found[1];
         assert!((albedo - 0.6).abs() < 1e-3, "{albedo}");
         assert_eq!(
-            estimate(&dictionary, &fitted, &of_draws(Vec::new())),
+            estimate(&dictionary, &fitted, &of_draws(Vec::new()), &[]).unwrap(),
             fitted
         );
     }

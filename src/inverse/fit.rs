@@ -3,12 +3,14 @@
 use std::sync::Arc;
 
 use super::bench::system::{BenchLinearisation, Model};
+use super::departure::{self, Eliminated};
 use super::diagnosis::{self, Diagnosis};
 use super::estimate::estimate;
 use super::exponentiated_gradient::ExponentiatedGradient;
 use super::form;
 use super::gauss_newton::GaussNewton;
 use super::objective::{Channels, ModelImage, Objective};
+use super::projection::ProjectionError;
 use super::refine::{Refine, refine};
 use super::simplex::SimplexError;
 use super::solve::{Paths, Solution, Solved, per_channel, solve};
@@ -160,6 +162,9 @@ pub enum FitError {
     /// The quadratic programme.
     #[error(transparent)]
     Simplex(#[from] SimplexError),
+    /// The weights closest to what the material departs to.
+    #[error(transparent)]
+    Projection(#[from] ProjectionError),
 }
 
 /// Fits the weights of `dictionary` to one captured image per light of the scene.
@@ -226,7 +231,7 @@ pub(super) fn fit_from(
     let (cache, timings) = (&paths.cache, &mut solution.timings);
     let weights = solution.weights.clone();
     stage("uncertainty");
-    let draws = timings.time("uncertainty", || {
+    let (draws, reported) = timings.time("uncertainty", || {
         let model = Model {
             objective: &objective,
             cache,
@@ -239,35 +244,47 @@ pub(super) fn fit_from(
             _ => objective.score_noise(&mixture, &residual_weights, &pass.model),
         };
         let (count, seed) = (options.draws, options.cache.seed);
-        let material = Mixture::new(dictionary.clone(), weights);
-        let form = match (&options.form_error, material) {
-            (Some(error), Ok(material)) if count > 0 => form::score_covariance(
+        let material = Mixture::new(dictionary.clone(), weights).ok();
+        let material = material.filter(|_| count > 0);
+        let form = match (&options.form_error, &material) {
+            (Some(error), Some(material)) => form::score_covariance(
                 &model,
                 scene,
                 error,
                 &residual_weights,
                 &mixture,
-                &material,
+                material,
                 seed,
             ),
             _ => Vec::new(),
         };
+        let at = departure::At {
+            objective: &objective,
+            cache,
+            residual_weights: &residual_weights,
+            mixture: &mixture,
+            pass: &pass,
+        };
+        let departure = material.map_or_else(Vec::new, |material| {
+            Eliminated::all(&at, scene, &material, seed)
+        });
         let adds = Adds {
             bench: coupling.as_ref(),
             form: &form,
             noise: &noise,
+            departure: &departure,
         };
         let mut draws = uncertainty::draw(dictionary, &mixture, &pass, &adds, count, seed);
         for (draws, misfit) in draws.iter_mut().zip(objective.misfit(&pass.model)) {
             draws.misfit = misfit;
         }
-        draws
-    });
-    let reported = match options.optimizer {
-        Optimizer::GaussNewton(_) => estimate(dictionary, &mixture, &draws),
-        // The others are there to be compared: they report where they end.
-        _ => mixture.clone(),
-    };
+        let reported = match options.optimizer {
+            Optimizer::GaussNewton(_) => estimate(dictionary, &mixture, &draws, &departure)?,
+            // The others are there to be compared: they report where they end.
+            _ => mixture.clone(),
+        };
+        Ok::<_, FitError>((draws, reported))
+    })?;
     stage("diagnosis");
     let diagnosis = timings.time("diagnosis", || {
         diagnosis::examine(scene, dictionary, &objective, cache, &mixture, &pass)

@@ -52,10 +52,15 @@ pub fn table(
                 theta_d_deg.to_bits(),
                 c as u64,
             );
-            let mut posterior: Vec<f64> = set
-                .posterior
-                .iter()
-                .map(|x| f(x.as_slice()) * (spread * numbers.normal()).exp())
+            let departed = |draw: usize| match set.departures.get(draw) {
+                Some(departure) => departure.at(theta_h_deg, theta_d_deg),
+                None => 0.0,
+            };
+            let mut posterior: Vec<f64> = (0..)
+                .zip(&set.posterior)
+                .map(|(draw, x)| {
+                    f(x.as_slice()) * (departed(draw) + spread * numbers.normal()).exp()
+                })
                 .collect();
             let prior: Vec<f64> = set.prior.iter().map(|x| f(x.as_slice())).collect();
             interval.constrained &= deviation(&posterior) < 0.5 * deviation(&prior);
@@ -115,7 +120,8 @@ pub fn weight_deviations(draws: &[Draws], atoms: usize) -> [Vec<f64>; 3] {
     })
 }
 
-fn deviation(values: &[f64]) -> f64 {
+/// Standard deviation; 0 of nothing.
+pub(super) fn deviation(values: &[f64]) -> f64 {
     let n = values.len().max(2) as f64;
     let mean = values.iter().sum::<f64>() / n;
     (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt()
@@ -147,6 +153,7 @@ mod tests {
                 .collect(),
             prior: (0..=100).map(|i| draw(0.01 * f64::from(i))).collect(),
             misfit: 0.0,
+            departures: Vec::new(),
             budget: None,
         };
         let weights = std::array::from_fn(|_| vec![0.5, 0.5]);
@@ -163,6 +170,7 @@ mod tests {
             posterior: set().prior,
             prior: set().prior,
             misfit: 0.0,
+            departures: Vec::new(),
             budget: None,
         }];
         assert!(!table(&dictionary, &weights, &wide, &[0.0], &[45.0])[0].constrained);

@@ -3,6 +3,7 @@
 
 pub mod bench;
 pub mod budget;
+mod departure;
 pub mod diagnosis;
 mod estimate;
 pub mod exponentiated_gradient;

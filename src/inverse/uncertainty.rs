@@ -12,8 +12,10 @@ use rayon::prelude::*;
 
 use super::bench::{BenchCoupling, Parameter};
 use super::budget::{Budget, Source};
+use super::departure::Eliminated;
 use super::objective::{Linearised, ScoreNoise};
 use super::sparse::SparsePosterior;
+use crate::brdf::departure::Departure;
 use crate::brdf::{Atom, Dictionary};
 use crate::random::{Purpose, Stream, stream};
 
@@ -25,6 +27,8 @@ pub struct Draws {
     pub prior: Vec<DVector<f64>>,
     /// Relative error of the images that the mixture leaves beyond noise, 0 or more.
     pub misfit: f64,
+    /// How the material departs from each of the posterior draws; empty where it does not.
+    pub departures: Vec<Departure>,
     /// Where the posterior's spread comes from, where that is known.
     pub budget: Option<Budget>,
 }
@@ -55,6 +59,8 @@ pub struct Adds<'a> {
     pub form: &'a [DMatrix<f64>],
     /// What capture and render make of the residual's own scatter; empty where unknown.
     pub noise: &'a [ScoreNoise],
+    /// How the material departs from every mixture; empty where it does not.
+    pub departure: &'a [Eliminated],
 }
 
 /// Draws `count` weights for each set around `mixture`.
@@ -101,10 +107,19 @@ fn draw_set(
         SparsePosterior::new(h, b, expected).draw(mixture, count, STEPS, &mut numbers)
     };
     let (h, b, budget) = adjusted_likelihood(mixture, pass, adds, set);
+    let posterior = chain(h, b + prior, 0);
+    let mut numbers = stream(seed, Purpose::Posterior, set as u64, 2, 0);
+    let departures = adds.departure.get(set).map_or_else(Vec::new, |departure| {
+        let draws = posterior.iter();
+        draws
+            .map(|x| departure.draw(&(x - mixture), &mut numbers))
+            .collect()
+    });
     Draws {
-        posterior: chain(h, b + prior, 0),
         prior: chain(DMatrix::zeros(n, n), prior.clone(), 1),
         misfit: 0.0,
+        departures,
+        posterior,
         budget,
     }
 }
@@ -118,7 +133,18 @@ fn adjusted_likelihood(
     set: usize,
 ) -> (DMatrix<f64>, DVector<f64>, Option<Budget>) {
     let quadratic = &pass.quadratics[set];
-    let information = without_noise(&pass.information[set], &quadratic.h);
+    let (information, scores, score) = match adds.departure.get(set) {
+        Some(d) => (
+            d.information.clone(),
+            &d.block_scores,
+            d.total_score.clone(),
+        ),
+        None => {
+            let scores = &pass.block_scores[set];
+            let information = without_noise(&pass.information[set], &quadratic.h);
+            (information, scores, scores.iter().sum())
+        }
+    };
     let eigen = SymmetricEigen::new(information);
     let largest = eigen.eigenvalues.max();
     let kept: Vec<usize> = (0..mixture.len())
@@ -134,7 +160,6 @@ fn adjusted_likelihood(
 
     // Covariance of the score where F has unit eigenvalues.
     let mut scatter = DMatrix::<f64>::zeros(kept.len(), kept.len());
-    let scores = &pass.block_scores[set];
     for score in scores {
         let z = inverse.tr_mul(score);
         scatter.ger(1.0, &z, &z, 1.0);
@@ -176,7 +201,6 @@ fn adjusted_likelihood(
     let weight = mapped(scatter, |v| 1.0 / v);
     let h = &root * &weight * root.transpose();
     // The likelihood's own score, which the fit's prior and share of noise leave nonzero.
-    let score: DVector<f64> = scores.iter().sum();
     let b = &h * mixture + &root * (&weight * inverse.tr_mul(&score));
     (h, b, budget)
 }
@@ -193,7 +217,7 @@ fn mapped(matrix: DMatrix<f64>, change: impl Fn(f64) -> f64) -> DMatrix<f64> {
 /// alone could have made. `full` is JᵀWJ of the halves' mean: the difference of the two
 /// is the noise. Relative to it, an eigenvalue no larger than the most negative one says
 /// nothing.
-fn without_noise(information: &DMatrix<f64>, full: &DMatrix<f64>) -> DMatrix<f64> {
+pub(super) fn without_noise(information: &DMatrix<f64>, full: &DMatrix<f64>) -> DMatrix<f64> {
     let noise = full - information;
     let eigen = SymmetricEigen::new(0.5 * (&noise + noise.transpose()));
     let largest = eigen.eigenvalues.max().max(1e-9);

@@ -1,0 +1,567 @@
+//! How the material departs from every mixture, estimated together with the weights.
+//!
+//! Around a fit the images change by J δx + G z, with δx a step of the weights and z the
+//! modes of a smooth departure ([`crate::brdf::departure`]), standard normal a priori times
+//! an amplitude. What z could have made is no evidence about the weights: their information
+//! is the Schur complement F_xx − F_xz (F_zz + Λ)⁻¹ F_zx. The amplitude is the one under which
+//! the images are most probable, and nothing departs unless that is much more probable
+//! (docs/adr/0032).
+
+use std::collections::BTreeMap;
+
+use nalgebra::{Cholesky, DMatrix, DVector};
+
+use super::intervals::atom_values;
+use super::objective::{Linearised, Objective, ResidualWeights};
+use super::uncertainty::{LEAST_SPREAD, without_noise};
+use crate::brdf::departure::{self, Departure};
+use crate::brdf::{Dictionary, Mixture};
+use crate::random::{Purpose, Stream, stream};
+use crate::transport::render::RenderOptions;
+use crate::transport::sensitivity::Sensitivity;
+use crate::transport::{Cache, PixelRows, Proposal, Scene, Steering};
+
+/// Paths over all pixels, and per pixel at most and at least.
+const PATHS: usize = 1 << 18;
+const SAMPLES_PER_PIXEL: [usize; 2] = [8, 64];
+
+/// Longest path.
+const REFLECTIONS: u32 = 16;
+
+/// Variance that the equations of the departure grant the images over what their weights
+/// say: they are linear in it, and the images are that only as long as it is small.
+const CAUTION: f64 = 10.0;
+
+/// Weights from which an atom counts as in use.
+const IN_USE: f64 = 1e-3;
+
+/// Log probability that the images must gain by a departure.
+const LEAST_GAIN: f64 = 3.0;
+
+/// The departure beside one set of weights.
+pub struct Eliminated {
+    /// Modes that no change of the weights in use could make: columns in those of all.
+    free: DMatrix<f64>,
+    /// (F_zz + Λ)⁻¹.
+    covariance: DMatrix<f64>,
+    /// F_xz.
+    coupling: DMatrix<f64>,
+    /// Gᵀ W r.
+    score: DVector<f64>,
+    /// Information of the weights.
+    pub information: DMatrix<f64>,
+    /// Their score.
+    pub total_score: DVector<f64>,
+    /// Parts of the score by block of pixels, of the residual that the departure leaves.
+    pub block_scores: Vec<DVector<f64>>,
+}
+
+/// What a departure needs to know of a fit.
+pub struct At<'a> {
+    /// The comparison.
+    pub objective: &'a Objective<'a>,
+    /// Its paths.
+    pub cache: &'a Cache,
+    /// What its values weigh.
+    pub residual_weights: &'a ResidualWeights,
+    /// The fitted weights per set.
+    pub mixture: &'a [DVector<f64>],
+    /// The pass at them.
+    pub pass: &'a Linearised,
+}
+
+impl Eliminated {
+    /// The departure beside each set of weights, `material`; nothing where the images hardly
+    /// ask for one.
+    pub fn all(at: &At<'_>, scene: &Scene, material: &Mixture, seed: u64) -> Vec<Self> {
+        let modes = departure::modes();
+        let lights = at.objective.lights();
+        let pixels = scene.camera.pixels();
+        let wanted: Vec<bool> = (0..pixels)
+            .map(|pixel| (0..lights).any(|light| at.objective.is_compared(light, pixel)))
+            .collect();
+        let [least, most] = SAMPLES_PER_PIXEL;
+        let options = RenderOptions {
+            samples_per_pixel: (PATHS / pixels).clamp(least, most) as u32,
+            max_reflections: REFLECTIONS,
+            seed: stream(seed, Purpose::Sensitivity, 0, 0, 0).bits(),
+            proposal: Proposal::resembling(material, 0.3),
+            steering: Steering::default(),
+        };
+        let images = Sensitivity::trace(scene, material, modes, &wanted, &options);
+        let dictionary = material.dictionary();
+        let free: Vec<_> = at
+            .mixture
+            .iter()
+            .map(|x| free_modes(dictionary, x))
+            .collect();
+        let values = Values {
+            at,
+            images: &images,
+        };
+        let normal = values.normal_equations(&free);
+        let fitted: Vec<DVector<f64>> = normal
+            .iter()
+            .zip(&free)
+            .map(|(normal, free)| free * (normal.covariance(1.0) * &normal.score))
+            .collect();
+        let blocks = values.blocks(&fitted, &free);
+        let amplitude = amplitude(&normal, &blocks, at);
+        tracing::debug!(amplitude, "departure");
+        if amplitude == 0.0 {
+            return Vec::new();
+        }
+        let parts = normal
+            .into_iter()
+            .zip(free)
+            .zip(blocks)
+            .zip(at.pass.scores());
+        parts
+            .map(|(((normal, free), blocks), score)| {
+                let covariance = normal.covariance(amplitude);
+                let through = &normal.coupling * &covariance;
+                let left = |step: [DVector<f64>; 2]| &step[0] - &through * &step[1];
+                let information = &normal.information - &through * normal.coupling.transpose();
+                Self {
+                    information: 0.5 * (&information + information.transpose()),
+                    total_score: score - &through * &normal.score,
+                    block_scores: blocks.into_iter().map(left).collect(),
+                    free,
+                    covariance,
+                    coupling: normal.coupling,
+                    score: normal.score,
+                }
+            })
+            .collect()
+    }
+
+    /// The expected departure where the weights differ from the fitted ones by `step`.
+    pub fn expected(&self, step: &DVector<f64>) -> Departure {
+        Departure(departure::modes() * (&self.free * self.modes(step)))
+    }
+
+    /// A draw of it.
+    pub fn draw(&self, step: &DVector<f64>, numbers: &mut Stream) -> Departure {
+        let mut z = self.modes(step);
+        if let Some(root) = Cholesky::new(&self.covariance * CAUTION) {
+            let normal = DVector::from_iterator(z.len(), (0..z.len()).map(|_| numbers.normal()));
+            z += root.l() * normal;
+        }
+        Departure(departure::modes() * (&self.free * z))
+    }
+
+    fn modes(&self, step: &DVector<f64>) -> DVector<f64> {
+        &self.covariance * (&self.score - self.coupling.tr_mul(step))
+    }
+}
+
+/// The modes that no change of the weights in use could make. What both could make would
+/// be shared by the priors alone, far from where the images are linear. As in a projection
+/// on the dictionary by cube roots, a departure is orthogonal to the atoms.
+fn free_modes(dictionary: &Dictionary, mixture: &DVector<f64>) -> DMatrix<f64> {
+    let modes = departure::modes();
+    let used: Vec<usize> = (0..mixture.len())
+        .filter(|&k| mixture[k] > IN_USE)
+        .collect();
+    let mut rows = DMatrix::<f64>::zeros(used.len(), modes.ncols());
+    for (k, node) in departure::nodes().enumerate() {
+        let atoms = atom_values(dictionary, node.theta_h_deg, node.theta_d_deg);
+        let f: f64 = atoms.iter().zip(mixture.iter()).map(|(a, w)| a * w).sum();
+        if f <= 0.0 {
+            continue;
+        }
+        let weight = node.measure * f.powf(2.0 / 3.0);
+        for (row, &atom) in used.iter().enumerate() {
+            let mut row = rows.row_mut(row);
+            row += weight * atoms[atom] / f * modes.row(k);
+        }
+    }
+    for mut row in rows.row_iter_mut() {
+        let norm = row.norm().max(1e-12);
+        row /= norm;
+    }
+    let eigen = rows.tr_mul(&rows).symmetric_eigen();
+    let free: Vec<usize> = (0..modes.ncols())
+        .filter(|&m| eigen.eigenvalues[m] < 1e-3)
+        .collect();
+    eigen.eigenvectors.select_columns(&free)
+}
+
+/// Normal equations of one set: x its weights, z the free modes.
+struct Normal {
+    /// F_xx, N × N.
+    information: DMatrix<f64>,
+    /// F_xz, N × M.
+    coupling: DMatrix<f64>,
+    /// F_zz, M × M.
+    departure: DMatrix<f64>,
+    /// Gᵀ W r.
+    score: DVector<f64>,
+}
+
+impl Normal {
+    fn covariance(&self, amplitude: f64) -> DMatrix<f64> {
+        let m = self.score.len();
+        let prior = DMatrix::identity(m, m) * (CAUTION / (amplitude * amplitude));
+        Cholesky::new(&self.departure + prior)
+            .map_or_else(|| DMatrix::zeros(m, m), |root| root.inverse())
+    }
+}
+
+/// The compared values one by one.
+struct Values<'a> {
+    at: &'a At<'a>,
+    images: &'a Sensitivity,
+}
+
+/// One compared value.
+struct Value {
+    light: usize,
+    set: usize,
+    weight: f64,
+    /// Derivatives by both halves of the paths.
+    by_weights: [DVector<f64>; 2],
+    by_modes: [DVector<f64>; 2],
+    /// Captured − model.
+    residual: [f64; 2],
+}
+
+/// Sums over values, all modes.
+#[derive(Clone)]
+struct Sums {
+    coupling: DMatrix<f64>,
+    /// Of independent halves, and of the mean of both.
+    departure: [DMatrix<f64>; 2],
+    score: DVector<f64>,
+}
+
+impl Values<'_> {
+    fn for_each(&self, rows: &PixelRows<'_>, mut visit: impl FnMut(Value)) {
+        let objective = self.at.objective;
+        let (n, sets) = (objective.atoms(), objective.sets());
+        for light in 0..objective.lights() {
+            let direct = objective.direct().row(rows.pixel, light);
+            for c in 0..3 {
+                let weight = self.at.residual_weights[light][rows.pixel][c];
+                if weight <= 0.0 {
+                    continue;
+                }
+                let set = c.min(sets - 1);
+                let mut by_weights = [DVector::zeros(n), DVector::zeros(n)];
+                let [a, b] = &mut by_weights;
+                objective.derivatives(rows, light, set, [a.as_mut_slice(), b.as_mut_slice()]);
+                let mixture = self.at.mixture[set].iter();
+                let once: f64 = direct
+                    .iter()
+                    .zip(mixture)
+                    .map(|(&d, w)| f64::from(d) * w)
+                    .sum();
+                let [target, _] = objective.captured(light, rows.pixel);
+                let residual =
+                    [0, 1].map(|h| target[c] - once - f64::from(rows.value[h][light * sets + set]));
+                let by_modes = self.images.at(rows.pixel, light, c);
+                visit(Value {
+                    light,
+                    set,
+                    weight,
+                    by_weights,
+                    by_modes: by_modes.map(|half| {
+                        DVector::from_iterator(half.len(), half.iter().map(|&v| f64::from(v)))
+                    }),
+                    residual,
+                });
+            }
+        }
+    }
+
+    fn slices(&self) -> Vec<&[f64]> {
+        self.at.mixture.iter().map(|w| w.as_slice()).collect()
+    }
+
+    /// With what the paths' noise alone could have made taken out of the information.
+    fn normal_equations(&self, free: &[DMatrix<f64>]) -> Vec<Normal> {
+        let (n, m) = (self.at.objective.atoms(), departure::modes().ncols());
+        let none = || {
+            let sums = Sums {
+                coupling: DMatrix::zeros(n, m),
+                departure: [DMatrix::zeros(m, m), DMatrix::zeros(m, m)],
+                score: DVector::zeros(m),
+            };
+            vec![sums; free.len()]
+        };
+        let kernel = self.at.objective.kernel();
+        let parts = self
+            .at
+            .cache
+            .evaluate(kernel, &self.slices(), none, |sums, rows| {
+                self.for_each(rows, |value| {
+                    let (sums, w) = (&mut sums[value.set], value.weight);
+                    let [a, b] = &value.by_modes;
+                    let modes = 0.5 * (a + b);
+                    let weights = 0.5 * (&value.by_weights[0] + &value.by_weights[1]);
+                    sums.departure[0].ger(0.5 * w, a, b, 1.0);
+                    sums.departure[0].ger(0.5 * w, b, a, 1.0);
+                    sums.departure[1].ger(w, &modes, &modes, 1.0);
+                    sums.coupling.ger(w, &weights, &modes, 1.0);
+                    let residual = 0.5 * (value.residual[0] + value.residual[1]);
+                    sums.score.axpy(w * residual, &modes, 1.0);
+                });
+            });
+        let mut total = none();
+        for part in parts {
+            for (total, part) in total.iter_mut().zip(part) {
+                total.coupling += part.coupling;
+                total.departure[0] += &part.departure[0];
+                total.departure[1] += &part.departure[1];
+                total.score += part.score;
+            }
+        }
+        let pass = self.at.pass;
+        let known = pass.information.iter().zip(&pass.quadratics);
+        let sets = total.into_iter().zip(free).zip(known);
+        sets.map(|((sums, free), (information, quadratic))| {
+            let coupling = &sums.coupling * free;
+            let m = free.ncols();
+            let joint = |weights: &DMatrix<f64>, modes: &DMatrix<f64>| {
+                let mut joint = DMatrix::zeros(n + m, n + m);
+                joint.view_mut((0, 0), (n, n)).copy_from(weights);
+                joint.view_mut((0, n), (n, m)).copy_from(&coupling);
+                joint.view_mut((n, 0), (m, n)).tr_copy_from(&coupling);
+                let modes = free.tr_mul(modes) * free;
+                joint.view_mut((n, n), (m, m)).copy_from(&modes);
+                joint
+            };
+            let [halves, mean] = &sums.departure;
+            let joint = without_noise(&joint(information, halves), &joint(&quadratic.h, mean));
+            Normal {
+                information: joint.view((0, 0), (n, n)).into_owned(),
+                coupling: joint.view((0, n), (n, m)).into_owned(),
+                departure: joint.view((n, n), (m, m)).into_owned(),
+                score: free.tr_mul(&sums.score),
+            }
+        })
+        .collect()
+    }
+
+    /// The scores of weights and free modes by block of pixels, of the residual that
+    /// departures (values of all modes, per set) leave.
+    fn blocks(
+        &self,
+        departures: &[DVector<f64>],
+        free: &[DMatrix<f64>],
+    ) -> Vec<Vec<[DVector<f64>; 2]>> {
+        let objective = self.at.objective;
+        let (n, m) = (objective.atoms(), departure::modes().ncols());
+        let zero = || [DVector::zeros(n), DVector::zeros(m)];
+        let none = || vec![BTreeMap::<usize, [DVector<f64>; 2]>::new(); free.len()];
+        let parts =
+            self.at
+                .cache
+                .evaluate(objective.kernel(), &self.slices(), none, |blocks, rows| {
+                    self.for_each(rows, |value| {
+                        let block = objective.block(rows.pixel, value.light);
+                        let [weights, modes] = blocks[value.set].entry(block).or_insert_with(zero);
+                        for (half, other) in [(0, 1), (1, 0)] {
+                            let departed = value.by_modes[other].dot(&departures[value.set]);
+                            let residual = 0.5 * value.weight * (value.residual[other] - departed);
+                            weights.axpy(residual, &value.by_weights[half], 1.0);
+                            modes.axpy(residual, &value.by_modes[half], 1.0);
+                        }
+                    });
+                });
+        let mut total = none();
+        for part in parts {
+            for (total, part) in total.iter_mut().zip(part) {
+                for (block, [weights, modes]) in part {
+                    let sum = total.entry(block).or_insert_with(zero);
+                    sum[0] += weights;
+                    sum[1] += modes;
+                }
+            }
+        }
+        let sets = total.into_iter().zip(free);
+        sets.map(|(blocks, free)| {
+            let blocks = blocks.into_values();
+            blocks
+                .map(|[weights, modes]| [weights, free.tr_mul(&modes)])
+                .collect()
+        })
+        .collect()
+    }
+}
+
+/// The amplitude under which the images are most probable, all sets together, with the
+/// weights in use free to follow the departure; 0 where little is gained by any. `blocks` say
+/// how the score scatters.
+fn amplitude(normal: &[Normal], blocks: &[Vec<[DVector<f64>; 2]>], at: &At<'_>) -> f64 {
+    // Per direction that the images tell apart: information and squared score, in units of
+    // the score's own scatter.
+    let mut directions = Vec::new();
+    for (set, (normal, score)) in normal.iter().zip(at.pass.scores()).enumerate() {
+        let mixture = &at.mixture[set];
+        let used: Vec<usize> = (0..mixture.len()).filter(|&k| mixture[k] > 0.0).collect();
+        let Some((&last, others)) = used.split_last() else {
+            continue;
+        };
+        // Steps that keep the sum of the weights.
+        let tangent = DMatrix::from_fn(mixture.len(), others.len(), |row, column| {
+            f64::from(i8::from(row == others[column]) - i8::from(row == last))
+        });
+        let own = tangent.tr_mul(&normal.information) * &tangent;
+        let own = own + DMatrix::identity(others.len(), others.len());
+        let coupling = tangent.tr_mul(&normal.coupling);
+        let Some(root) = Cholesky::new(own) else {
+            continue;
+        };
+        let follow = root.solve(&coupling);
+        let left = &normal.departure - coupling.tr_mul(&follow);
+        let eigen = (0.5 * (&left + left.transpose())).symmetric_eigen();
+        let along = |weights: &DVector<f64>, modes: &DVector<f64>| {
+            let followed = follow.tr_mul(&tangent.tr_mul(weights));
+            eigen.eigenvectors.tr_mul(&(modes - followed))
+        };
+        let score = along(&score, &normal.score);
+        let mut scatter = DVector::zeros(score.len());
+        for [weights, modes] in &blocks[set] {
+            scatter += along(weights, modes).map(|v| v * v);
+        }
+        for m in 0..score.len() {
+            let information = eigen.eigenvalues[m];
+            if information > LEAST_SPREAD {
+                let spread = (scatter[m] / information).max(LEAST_SPREAD);
+                directions.push([information / spread, (score[m] / spread).powi(2)]);
+            }
+        }
+    }
+    let gain = |amplitude: f64| -> f64 {
+        let variance = amplitude * amplitude;
+        let gains = directions.iter().map(|[information, square]| {
+            let seen = variance * information;
+            0.5 * (variance * square / (1.0 + seen) - seen.ln_1p())
+        });
+        gains.sum()
+    };
+    let candidates = (0..24).map(|k| 0.05 * 1.15f64.powi(k));
+    let best = candidates.max_by(|a, b| gain(*a).total_cmp(&gain(*b)));
+    best.filter(|&amplitude| gain(amplitude) > LEAST_GAIN)
+        .unwrap_or(0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use glam::{DVec2, DVec3};
+
+    use super::*;
+    use crate::brdf::departure::Departed;
+    use crate::brdf::{Atom, Brdf};
+    use crate::geometry::Shape;
+    use crate::inverse::fit::FitOptions;
+    use crate::inverse::solve::{Paths, per_channel, solve};
+    use crate::radiance_image::RadianceImage;
+    use crate::transport::{Camera, Light, Projection, Shading, render};
+
+    fn bowl() -> Scene {
+        let projection = Projection::Orthographic {
+            extent_mm: DVec2::splat(2.2),
+        };
+        let above = DVec3::new(0.0, 0.0, 5.0);
+        let camera =
+            Camera::looking_at([16, 16], projection, above, DVec3::ZERO, DVec3::Y).unwrap();
+        let shape = Shape::Bowl {
+            radius_mm: 1.0,
+            segments: 48,
+        };
+        let lights = [DVec3::Z, DVec3::new(0.4, 0.1, 1.0)].map(|to_light| Light::Directional {
+            to_light: to_light.normalize(),
+            irradiance: [1.0; 3],
+            angular_radius_rad: 0.0,
+        });
+        Scene::new(
+            shape.mesh().unwrap(),
+            Shading::Smooth,
+            camera,
+            lights.to_vec(),
+        )
+    }
+
+    fn photograph(scene: &Scene, material: &dyn Brdf) -> Vec<RadianceImage> {
+        let options = RenderOptions {
+            samples_per_pixel: 1024,
+            max_reflections: 8,
+            seed: 71,
+            proposal: Proposal::tabulating(material, 0.3),
+            ..RenderOptions::default()
+        };
+        render(scene, material, &options, &|_| {})
+    }
+
+    /// Images of a mixture ask for no departure; those of one that departs do, and with what is
+    /// found f comes closer to the truth where light is reflected once.
+    #[test]
+    fn a_departure_is_found_where_there_is_one() {
+        let scene = bowl();
+        let atoms = vec![
+            Atom::Lambertian { albedo: 1.0 },
+            Atom::Ggx {
+                alpha: 0.3,
+                eta: 3.0,
+            },
+            Atom::Black,
+        ];
+        let dictionary = Arc::new(Dictionary::new("three", atoms).unwrap());
+        let truth = Mixture::grey(dictionary.clone(), vec![0.4, 0.4, 0.2]).unwrap();
+        let weights = DVector::from_column_slice(&truth.weights()[0]);
+        // Of the widest modes, what the weights cannot make.
+        let free = free_modes(&dictionary, &weights);
+        let mut z = DVector::zeros(free.nrows());
+        z.rows_mut(0, 4).copy_from_slice(&[1.5, -1.5, 1.5, 1.5]);
+        let g = Departure(departure::modes() * (&free * free.tr_mul(&z)));
+        let departed = Departed {
+            mixture: &truth,
+            departures: [&g; 3],
+        };
+        let mut options = FitOptions::default();
+        options.cache.samples_per_pixel = 128;
+        let found = |material: &dyn Brdf| {
+            let captured = photograph(&scene, material);
+            let paths = Paths::trace(&scene, &dictionary, None, &options, &mut |_| {}).unwrap();
+            let objective = paths.objective(&captured, &options);
+            let solved = solve(&paths, &objective, None, &options, &mut |_| {}).unwrap();
+            let fitted = Mixture::new(dictionary.clone(), per_channel(&solved.mixture)).unwrap();
+            let at = At {
+                objective: &objective,
+                cache: &paths.cache,
+                residual_weights: &solved.residual_weights,
+                mixture: &solved.mixture,
+                pass: &solved.pass,
+            };
+            let found = Eliminated::all(&at, &scene, &fitted, 3);
+            let none = DVector::zeros(3);
+            (fitted, found.first().map(|found| found.expected(&none)))
+        };
+        assert!(found(&truth).1.is_none(), "a mixture departs");
+        let (fitted, found) = found(&departed);
+        let found = found.unwrap();
+        let ln = |mixture: &Mixture, theta_h_deg, theta_d_deg| {
+            let atoms = atom_values(&dictionary, theta_h_deg, theta_d_deg);
+            let terms = atoms.iter().zip(&mixture.weights()[0]);
+            terms.map(|(f, w)| f * w).sum::<f64>().ln()
+        };
+        let mut squares = [0.0, 0.0];
+        for (k, node) in departure::nodes().enumerate() {
+            let (h, d) = (node.theta_h_deg, node.theta_d_deg);
+            if !(1.0..60.0).contains(&h) || d > 15.0 {
+                continue;
+            }
+            let error = ln(&fitted, h, d) - ln(&truth, h, d) - g.0[k];
+            squares[0] += error.powi(2);
+            squares[1] += (error + found.0[k]).powi(2);
+        }
+        let left = (squares[1] / squares[0]).sqrt();
+        println!("{:.3} of the error {:.3} is left", left, squares[0].sqrt());
+        // As the equations are cautious, a part remains; 0.69 here.
+        assert!(left < 0.8, "{left} of {}", squares[0].sqrt());
+    }
+}
