@@ -7,19 +7,22 @@
 //! the images are most probable, and nothing departs unless that is much more probable
 //! (docs/adr/0032).
 
-use std::collections::BTreeMap;
-
 use nalgebra::{Cholesky, DMatrix, DVector};
 
 use super::intervals::atom_values;
 use super::objective::{Linearised, Objective, ResidualWeights};
-use super::uncertainty::{LEAST_SPREAD, without_noise};
 use crate::brdf::departure::{self, Departure};
 use crate::brdf::{Dictionary, Mixture};
 use crate::random::{Purpose, Stream, stream};
 use crate::transport::render::RenderOptions;
 use crate::transport::sensitivity::Sensitivity;
-use crate::transport::{Cache, PixelRows, Proposal, Scene, Steering};
+use crate::transport::{Cache, Proposal, Scene, Steering};
+
+mod amplitude;
+mod normal;
+
+use amplitude::amplitude;
+use normal::Values;
 
 /// Paths over all pixels, and per pixel at most and at least.
 const PATHS: usize = 1 << 18;
@@ -35,9 +38,6 @@ const CAUTION: f64 = 10.0;
 /// Weights from which an atom counts as in use.
 const IN_USE: f64 = 1e-3;
 
-/// Log probability that the images must gain by a departure.
-const LEAST_GAIN: f64 = 3.0;
-
 /// The departure beside one set of weights.
 pub struct Eliminated {
     /// Modes that no change of the weights in use could make: columns in those of all.
@@ -48,9 +48,9 @@ pub struct Eliminated {
     coupling: DMatrix<f64>,
     /// Gᵀ W r.
     score: DVector<f64>,
-    /// Information of the weights.
+    /// Information of the weights, without what the departure could have made.
     pub information: DMatrix<f64>,
-    /// Their score.
+    /// Their score, likewise.
     pub total_score: DVector<f64>,
     /// Parts of the score by block of pixels, of the residual that the departure leaves.
     pub block_scores: Vec<DVector<f64>>,
@@ -71,8 +71,8 @@ pub struct At<'a> {
 }
 
 impl Eliminated {
-    /// The departure beside each set of weights, `material`; nothing where the images hardly
-    /// ask for one.
+    /// The departure beside each set of weights, around the fitted `material`; nothing where the
+    /// images hardly ask for one.
     pub fn all(at: &At<'_>, scene: &Scene, material: &Mixture, seed: u64) -> Vec<Self> {
         let modes = departure::modes();
         let lights = at.objective.lights();
@@ -185,266 +185,6 @@ fn free_modes(dictionary: &Dictionary, mixture: &DVector<f64>) -> DMatrix<f64> {
         .filter(|&m| eigen.eigenvalues[m] < 1e-3)
         .collect();
     eigen.eigenvectors.select_columns(&free)
-}
-
-/// Normal equations of one set: x its weights, z the free modes.
-struct Normal {
-    /// F_xx, N × N.
-    information: DMatrix<f64>,
-    /// F_xz, N × M.
-    coupling: DMatrix<f64>,
-    /// F_zz, M × M.
-    departure: DMatrix<f64>,
-    /// Gᵀ W r.
-    score: DVector<f64>,
-}
-
-impl Normal {
-    fn covariance(&self, amplitude: f64) -> DMatrix<f64> {
-        let m = self.score.len();
-        let prior = DMatrix::identity(m, m) * (CAUTION / (amplitude * amplitude));
-        Cholesky::new(&self.departure + prior)
-            .map_or_else(|| DMatrix::zeros(m, m), |root| root.inverse())
-    }
-}
-
-/// The compared values one by one.
-struct Values<'a> {
-    at: &'a At<'a>,
-    images: &'a Sensitivity,
-}
-
-/// One compared value.
-struct Value {
-    light: usize,
-    set: usize,
-    weight: f64,
-    /// Derivatives by both halves of the paths.
-    by_weights: [DVector<f64>; 2],
-    by_modes: [DVector<f64>; 2],
-    /// Captured − model.
-    residual: [f64; 2],
-}
-
-/// Sums over values, all modes.
-#[derive(Clone)]
-struct Sums {
-    coupling: DMatrix<f64>,
-    /// Of independent halves, and of the mean of both.
-    departure: [DMatrix<f64>; 2],
-    score: DVector<f64>,
-}
-
-impl Values<'_> {
-    fn for_each(&self, rows: &PixelRows<'_>, mut visit: impl FnMut(Value)) {
-        let objective = self.at.objective;
-        let (n, sets) = (objective.atoms(), objective.sets());
-        for light in 0..objective.lights() {
-            let direct = objective.direct().row(rows.pixel, light);
-            for c in 0..3 {
-                let weight = self.at.residual_weights[light][rows.pixel][c];
-                if weight <= 0.0 {
-                    continue;
-                }
-                let set = c.min(sets - 1);
-                let mut by_weights = [DVector::zeros(n), DVector::zeros(n)];
-                let [a, b] = &mut by_weights;
-                objective.derivatives(rows, light, set, [a.as_mut_slice(), b.as_mut_slice()]);
-                let mixture = self.at.mixture[set].iter();
-                let once: f64 = direct
-                    .iter()
-                    .zip(mixture)
-                    .map(|(&d, w)| f64::from(d) * w)
-                    .sum();
-                let [target, _] = objective.captured(light, rows.pixel);
-                let residual =
-                    [0, 1].map(|h| target[c] - once - f64::from(rows.value[h][light * sets + set]));
-                let by_modes = self.images.at(rows.pixel, light, c);
-                visit(Value {
-                    light,
-                    set,
-                    weight,
-                    by_weights,
-                    by_modes: by_modes.map(|half| {
-                        DVector::from_iterator(half.len(), half.iter().map(|&v| f64::from(v)))
-                    }),
-                    residual,
-                });
-            }
-        }
-    }
-
-    fn slices(&self) -> Vec<&[f64]> {
-        self.at.mixture.iter().map(|w| w.as_slice()).collect()
-    }
-
-    /// With what the paths' noise alone could have made taken out of the information.
-    fn normal_equations(&self, free: &[DMatrix<f64>]) -> Vec<Normal> {
-        let (n, m) = (self.at.objective.atoms(), departure::modes().ncols());
-        let none = || {
-            let sums = Sums {
-                coupling: DMatrix::zeros(n, m),
-                departure: [DMatrix::zeros(m, m), DMatrix::zeros(m, m)],
-                score: DVector::zeros(m),
-            };
-            vec![sums; free.len()]
-        };
-        let kernel = self.at.objective.kernel();
-        let parts = self
-            .at
-            .cache
-            .evaluate(kernel, &self.slices(), none, |sums, rows| {
-                self.for_each(rows, |value| {
-                    let (sums, w) = (&mut sums[value.set], value.weight);
-                    let [a, b] = &value.by_modes;
-                    let modes = 0.5 * (a + b);
-                    let weights = 0.5 * (&value.by_weights[0] + &value.by_weights[1]);
-                    sums.departure[0].ger(0.5 * w, a, b, 1.0);
-                    sums.departure[0].ger(0.5 * w, b, a, 1.0);
-                    sums.departure[1].ger(w, &modes, &modes, 1.0);
-                    sums.coupling.ger(w, &weights, &modes, 1.0);
-                    let residual = 0.5 * (value.residual[0] + value.residual[1]);
-                    sums.score.axpy(w * residual, &modes, 1.0);
-                });
-            });
-        let mut total = none();
-        for part in parts {
-            for (total, part) in total.iter_mut().zip(part) {
-                total.coupling += part.coupling;
-                total.departure[0] += &part.departure[0];
-                total.departure[1] += &part.departure[1];
-                total.score += part.score;
-            }
-        }
-        let pass = self.at.pass;
-        let known = pass.information.iter().zip(&pass.quadratics);
-        let sets = total.into_iter().zip(free).zip(known);
-        sets.map(|((sums, free), (information, quadratic))| {
-            let coupling = &sums.coupling * free;
-            let m = free.ncols();
-            let joint = |weights: &DMatrix<f64>, modes: &DMatrix<f64>| {
-                let mut joint = DMatrix::zeros(n + m, n + m);
-                joint.view_mut((0, 0), (n, n)).copy_from(weights);
-                joint.view_mut((0, n), (n, m)).copy_from(&coupling);
-                joint.view_mut((n, 0), (m, n)).tr_copy_from(&coupling);
-                let modes = free.tr_mul(modes) * free;
-                joint.view_mut((n, n), (m, m)).copy_from(&modes);
-                joint
-            };
-            let [halves, mean] = &sums.departure;
-            let joint = without_noise(&joint(information, halves), &joint(&quadratic.h, mean));
-            Normal {
-                information: joint.view((0, 0), (n, n)).into_owned(),
-                coupling: joint.view((0, n), (n, m)).into_owned(),
-                departure: joint.view((n, n), (m, m)).into_owned(),
-                score: free.tr_mul(&sums.score),
-            }
-        })
-        .collect()
-    }
-
-    /// The scores of weights and free modes by block of pixels, of the residual that
-    /// departures (values of all modes, per set) leave.
-    fn blocks(
-        &self,
-        departures: &[DVector<f64>],
-        free: &[DMatrix<f64>],
-    ) -> Vec<Vec<[DVector<f64>; 2]>> {
-        let objective = self.at.objective;
-        let (n, m) = (objective.atoms(), departure::modes().ncols());
-        let zero = || [DVector::zeros(n), DVector::zeros(m)];
-        let none = || vec![BTreeMap::<usize, [DVector<f64>; 2]>::new(); free.len()];
-        let parts =
-            self.at
-                .cache
-                .evaluate(objective.kernel(), &self.slices(), none, |blocks, rows| {
-                    self.for_each(rows, |value| {
-                        let block = objective.block(rows.pixel, value.light);
-                        let [weights, modes] = blocks[value.set].entry(block).or_insert_with(zero);
-                        for (half, other) in [(0, 1), (1, 0)] {
-                            let departed = value.by_modes[other].dot(&departures[value.set]);
-                            let residual = 0.5 * value.weight * (value.residual[other] - departed);
-                            weights.axpy(residual, &value.by_weights[half], 1.0);
-                            modes.axpy(residual, &value.by_modes[half], 1.0);
-                        }
-                    });
-                });
-        let mut total = none();
-        for part in parts {
-            for (total, part) in total.iter_mut().zip(part) {
-                for (block, [weights, modes]) in part {
-                    let sum = total.entry(block).or_insert_with(zero);
-                    sum[0] += weights;
-                    sum[1] += modes;
-                }
-            }
-        }
-        let sets = total.into_iter().zip(free);
-        sets.map(|(blocks, free)| {
-            let blocks = blocks.into_values();
-            blocks
-                .map(|[weights, modes]| [weights, free.tr_mul(&modes)])
-                .collect()
-        })
-        .collect()
-    }
-}
-
-/// The amplitude under which the images are most probable, all sets together, with the
-/// weights in use free to follow the departure; 0 where little is gained by any. `blocks` say
-/// how the score scatters.
-fn amplitude(normal: &[Normal], blocks: &[Vec<[DVector<f64>; 2]>], at: &At<'_>) -> f64 {
-    // Per direction that the images tell apart: information and squared score, in units of
-    // the score's own scatter.
-    let mut directions = Vec::new();
-    for (set, (normal, score)) in normal.iter().zip(at.pass.scores()).enumerate() {
-        let mixture = &at.mixture[set];
-        let used: Vec<usize> = (0..mixture.len()).filter(|&k| mixture[k] > 0.0).collect();
-        let Some((&last, others)) = used.split_last() else {
-            continue;
-        };
-        // Steps that keep the sum of the weights.
-        let tangent = DMatrix::from_fn(mixture.len(), others.len(), |row, column| {
-            f64::from(i8::from(row == others[column]) - i8::from(row == last))
-        });
-        let own = tangent.tr_mul(&normal.information) * &tangent;
-        let own = own + DMatrix::identity(others.len(), others.len());
-        let coupling = tangent.tr_mul(&normal.coupling);
-        let Some(root) = Cholesky::new(own) else {
-            continue;
-        };
-        let follow = root.solve(&coupling);
-        let left = &normal.departure - coupling.tr_mul(&follow);
-        let eigen = (0.5 * (&left + left.transpose())).symmetric_eigen();
-        let along = |weights: &DVector<f64>, modes: &DVector<f64>| {
-            let followed = follow.tr_mul(&tangent.tr_mul(weights));
-            eigen.eigenvectors.tr_mul(&(modes - followed))
-        };
-        let score = along(&score, &normal.score);
-        let mut scatter = DVector::zeros(score.len());
-        for [weights, modes] in &blocks[set] {
-            scatter += along(weights, modes).map(|v| v * v);
-        }
-        for m in 0..score.len() {
-            let information = eigen.eigenvalues[m];
-            if information > LEAST_SPREAD {
-                let spread = (scatter[m] / information).max(LEAST_SPREAD);
-                directions.push([information / spread, (score[m] / spread).powi(2)]);
-            }
-        }
-    }
-    let gain = |amplitude: f64| -> f64 {
-        let variance = amplitude * amplitude;
-        let gains = directions.iter().map(|[information, square]| {
-            let seen = variance * information;
-            0.5 * (variance * square / (1.0 + seen) - seen.ln_1p())
-        });
-        gains.sum()
-    };
-    let candidates = (0..24).map(|k| 0.05 * 1.15f64.powi(k));
-    let best = candidates.max_by(|a, b| gain(*a).total_cmp(&gain(*b)));
-    best.filter(|&amplitude| gain(amplitude) > LEAST_GAIN)
-        .unwrap_or(0.0)
 }
 
 #[cfg(test)]

@@ -1,0 +1,67 @@
+//! How much the images ask for a departure.
+
+use nalgebra::{Cholesky, DMatrix, DVector};
+
+use super::At;
+use super::normal::Normal;
+use crate::inverse::uncertainty::LEAST_SPREAD;
+
+/// Log probability that the images must gain by a departure.
+const LEAST_GAIN: f64 = 3.0;
+
+/// The amplitude under which the images are most probable, all sets together, with the
+/// weights in use free to follow the departure; 0 where little is gained by any. `blocks` say
+/// how the score scatters.
+pub(super) fn amplitude(normal: &[Normal], blocks: &[Vec<[DVector<f64>; 2]>], at: &At<'_>) -> f64 {
+    // Per direction that the images tell apart: information and squared score, in units of
+    // the score's own scatter.
+    let mut directions = Vec::new();
+    for (set, (normal, score)) in normal.iter().zip(at.pass.scores()).enumerate() {
+        let mixture = &at.mixture[set];
+        let used: Vec<usize> = (0..mixture.len()).filter(|&k| mixture[k] > 0.0).collect();
+        let Some((&last, others)) = used.split_last() else {
+            continue;
+        };
+        // Steps that keep the sum of the weights.
+        let tangent = DMatrix::from_fn(mixture.len(), others.len(), |row, column| {
+            f64::from(i8::from(row == others[column]) - i8::from(row == last))
+        });
+        let own = tangent.tr_mul(&normal.information) * &tangent;
+        let own = own + DMatrix::identity(others.len(), others.len());
+        let coupling = tangent.tr_mul(&normal.coupling);
+        let Some(root) = Cholesky::new(own) else {
+            continue;
+        };
+        let follow = root.solve(&coupling);
+        let left = &normal.departure - coupling.tr_mul(&follow);
+        let eigen = (0.5 * (&left + left.transpose())).symmetric_eigen();
+        let along = |weights: &DVector<f64>, modes: &DVector<f64>| {
+            let followed = follow.tr_mul(&tangent.tr_mul(weights));
+            eigen.eigenvectors.tr_mul(&(modes - followed))
+        };
+        let score = along(&score, &normal.score);
+        let mut scatter = DVector::zeros(score.len());
+        for [weights, modes] in &blocks[set] {
+            scatter += along(weights, modes).map(|v| v * v);
+        }
+        for m in 0..score.len() {
+            let information = eigen.eigenvalues[m];
+            if information > LEAST_SPREAD {
+                let spread = (scatter[m] / information).max(LEAST_SPREAD);
+                directions.push([information / spread, (score[m] / spread).powi(2)]);
+            }
+        }
+    }
+    let gain = |amplitude: f64| -> f64 {
+        let variance = amplitude * amplitude;
+        let gains = directions.iter().map(|[information, square]| {
+            let seen = variance * information;
+            0.5 * (variance * square / (1.0 + seen) - seen.ln_1p())
+        });
+        gains.sum()
+    };
+    let candidates = (0..24).map(|k| 0.05 * 1.15f64.powi(k));
+    let best = candidates.max_by(|a, b| gain(*a).total_cmp(&gain(*b)));
+    best.filter(|&amplitude| gain(amplitude) > LEAST_GAIN)
+        .unwrap_or(0.0)
+}
