@@ -191,40 +191,14 @@ fn free_modes(dictionary: &Dictionary, mixture: &DVector<f64>) -> DMatrix<f64> {
 mod tests {
     use std::sync::Arc;
 
-    use glam::{DVec2, DVec3};
-
     use super::*;
     use crate::brdf::departure::Departed;
     use crate::brdf::{Atom, Brdf};
-    use crate::geometry::Shape;
     use crate::inverse::fit::FitOptions;
+    use crate::inverse::form::tests::bowl;
     use crate::inverse::solve::{Paths, per_channel, solve};
     use crate::radiance_image::RadianceImage;
-    use crate::transport::{Camera, Light, Projection, Shading, render};
-
-    fn bowl() -> Scene {
-        let projection = Projection::Orthographic {
-            extent_mm: DVec2::splat(2.2),
-        };
-        let above = DVec3::new(0.0, 0.0, 5.0);
-        let camera =
-            Camera::looking_at([16, 16], projection, above, DVec3::ZERO, DVec3::Y).unwrap();
-        let shape = Shape::Bowl {
-            radius_mm: 1.0,
-            segments: 48,
-        };
-        let lights = [DVec3::Z, DVec3::new(0.4, 0.1, 1.0)].map(|to_light| Light::Directional {
-            to_light: to_light.normalize(),
-            irradiance: [1.0; 3],
-            angular_radius_rad: 0.0,
-        });
-        Scene::new(
-            shape.mesh().unwrap(),
-            Shading::Smooth,
-            camera,
-            lights.to_vec(),
-        )
-    }
+    use crate::transport::render;
 
     fn photograph(scene: &Scene, material: &dyn Brdf) -> Vec<RadianceImage> {
         let options = RenderOptions {
@@ -241,7 +215,7 @@ mod tests {
     /// found f comes closer to the truth where light is reflected once.
     #[test]
     fn a_departure_is_found_where_there_is_one() {
-        let scene = bowl();
+        let scene = bowl(16);
         let atoms = vec![
             Atom::Lambertian { albedo: 1.0 },
             Atom::Ggx {

@@ -131,7 +131,7 @@ fn without_negative(matrix: DMatrix<f64>) -> DMatrix<f64> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use std::sync::Arc;
 
     use glam::{DVec2, DVec3};
@@ -145,13 +145,15 @@ mod tests {
     use crate::radiance_image::RadianceImage;
     use crate::transport::{Camera, Light, Projection, RenderOptions, Shading, render};
 
-    fn bowl() -> Scene {
+    /// A bowl under two lights, photographed with this many pixels per side.
+    pub(in crate::inverse) fn bowl(pixels: usize) -> Scene {
         let projection = Projection::Orthographic {
             extent_mm: DVec2::splat(2.2),
         };
         let above = DVec3::new(0.0, 0.0, 5.0);
+        let resolution_px = [pixels; 2];
         let camera =
-            Camera::looking_at([12, 12], projection, above, DVec3::ZERO, DVec3::Y).unwrap();
+            Camera::looking_at(resolution_px, projection, above, DVec3::ZERO, DVec3::Y).unwrap();
         let shape = Shape::Bowl {
             radius_mm: 1.0,
             segments: 48,
@@ -185,7 +187,7 @@ mod tests {
         let dictionary = Arc::new(Dictionary::new("three", atoms).unwrap());
         let weights = std::array::from_fn(|_| vec![0.4, 0.4, 0.2]);
         let truth = Mixture::new(dictionary.clone(), weights).unwrap();
-        let scene = bowl();
+        let scene = bowl(12);
         let photograph = |scene: &Scene| -> Vec<RadianceImage> {
             let options = RenderOptions {
                 samples_per_pixel: 64,
