@@ -26,8 +26,6 @@ pub enum Purpose {
     Guide = 18,
     /// Scrambles of the evenly spread points of paths.
     PathPoints = 19,
-    /// Paths that tell how the images change with the BRDF.
-    Sensitivity = 20,
 }
 
 /// Where uniform numbers come from.

@@ -157,11 +157,55 @@ fn around_angles(theta_h_deg: f64, theta_d_deg: f64) -> [(usize, f32); 4] {
     ]
 }
 
+/// One of the nodes around half and difference angles (sin² θh and cos θd), each as often as
+/// is its share, so that sums over many directions are as if all four were used. Chance is
+/// taken from the last digits of the directions.
+#[inline]
+pub fn node_near(sin2_h: f32, cos_d: f32) -> u8 {
+    static POSITIONS: OnceLock<[[f32; 257]; 2]> = OnceLock::new();
+    let [by_h, by_d] = POSITIONS.get_or_init(|| {
+        let position = |axis: &[f64], deg: f64| {
+            let k = axis.partition_point(|&n| n <= deg).clamp(1, axis.len() - 1) - 1;
+            let t = (deg - axis[k]) / (axis[k + 1] - axis[k]);
+            (k as f64 + t.clamp(0.0, 0.999_999)) as f32
+        };
+        let root = |k: usize| k as f64 / 256.0;
+        [
+            std::array::from_fn(|k| {
+                position(&THETA_H_DEG, root(k).powi(2).min(1.0).asin().to_degrees())
+            }),
+            std::array::from_fn(|k| {
+                position(&THETA_D_DEG, (1.0 - root(k).powi(2)).acos().to_degrees())
+            }),
+        ]
+    });
+    let between = |table: &[f32; 257], root: f32| {
+        let at = root.clamp(0.0, 1.0) * 255.999;
+        let k = at as usize;
+        table[k] + (at - k as f32) * (table[k + 1] - table[k])
+    };
+    let h = between(by_h, sin2_h.sqrt().sqrt());
+    let d = between(by_d, (1.0 - cos_d).sqrt());
+    let hash = (sin2_h.to_bits() ^ cos_d.to_bits().rotate_left(16)).wrapping_mul(0x9e37_79b9);
+    let hash = (hash ^ hash >> 15).wrapping_mul(0x85eb_ca6b);
+    let chance = |bits: u32| f32::from(bits as u16) / 65536.0;
+    let (h, d) = (
+        (h + chance(hash)) as usize,
+        (d + chance(hash >> 16)) as usize,
+    );
+    (h * THETA_D_DEG.len() + d) as u8
+}
+
 /// A departure: g at each node.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Departure(pub DVector<f64>);
 
 impl Departure {
+    /// No departure.
+    pub fn none() -> Self {
+        Self(DVector::zeros(NODES))
+    }
+
     /// g at half and difference angles.
     pub fn at(&self, theta_h_deg: f64, theta_d_deg: f64) -> f64 {
         self.sum(around_angles(theta_h_deg, theta_d_deg))
@@ -181,14 +225,21 @@ pub struct Departed<'a> {
     pub departures: [&'a Departure; 3],
 }
 
+impl Departed<'_> {
+    /// The mixture's f as it departs where these are the nodes around.
+    #[inline]
+    pub fn depart(&self, f: [f32; 3], around: [(usize, f32); 4]) -> [f32; 3] {
+        [0, 1, 2].map(|c| f[c] * self.departures[c].sum(around).exp() as f32)
+    }
+}
+
 impl Brdf for Departed<'_> {
     fn eval(&self, to_light: Vec3, to_viewer: Vec3) -> [f32; 3] {
         let f = self.mixture.eval(to_light, to_viewer);
         if f == [0.0; 3] {
             return f;
         }
-        let around = around(to_light, to_viewer);
-        [0, 1, 2].map(|c| f[c] * self.departures[c].sum(around).exp() as f32)
+        self.depart(f, around(to_light, to_viewer))
     }
 }
 

@@ -257,6 +257,12 @@ impl FitPlan {
         record.warnings = warnings(&fit, &record);
         record.bench = bench.as_ref().map(bench_record);
         bar.finish_and_clear();
+        if fit.departure > 0.0 {
+            context.note(format!(
+                "the material departs from every mixture of {}, {:.1} times as much as measured materials usually do; the intervals allow for it",
+                record.dictionary, fit.departure
+            ));
+        }
         Ok((
             record,
             FitImages {
@@ -336,6 +342,7 @@ impl FitPlan {
             reduced_chi_square: fit.reduced_chi2.clone(),
             truncation_remainder: Vec::new(),
             doubted: fit.doubted.clone(),
+            departure: fit.departure,
             termination: fit.termination.to_string(),
             trace: fit
                 .trace

@@ -50,6 +50,7 @@ pub fn to_json(record: &FitRecord) -> String {
         "weight_standard_deviations": record.weight_deviations,
         "weights_note": "weights alone are not identifiable: compare BRDF values, not weights",
         "reduced_chi_square": record.reduced_chi_square,
+        "departure": record.departure,
         "warnings": record.warnings,
         "table": {
             "theta_h_deg": table.theta_h_deg,

@@ -41,6 +41,7 @@ fn record(simulated: bool) -> FitRecord {
         reduced_chi_square: vec![[1.0; 3]],
         truncation_remainder: Vec::new(),
         doubted: Vec::new(),
+        departure: 0.0,
         termination: "converged".to_owned(),
         trace: Vec::new(),
         timings: Vec::new(),

@@ -6,51 +6,36 @@
 //! images decide, all draws are about as bright and this is their mean; where they say
 //! little, draws that shine like mirrors don't decide (docs/adr/0006).
 
-use std::sync::Arc;
-
 use nalgebra::{DMatrix, DVector};
 
 use super::departure::Eliminated;
 use super::projection::{EnvironmentMatrix, ProjectionError};
 use super::solve::per_channel;
 use super::uncertainty::Draws;
+use crate::brdf::Mixture;
 use crate::brdf::departure::Departed;
-use crate::brdf::environment::EnvironmentMap;
-use crate::brdf::{Dictionary, Mixture};
-
-/// Pixels per side of the spheres.
-const SPHERE_PX: usize = 24;
 
 /// Albedo of what looks black: darker materials count as this bright.
 const BLACK: f64 = 0.02;
 
-/// The reported weights per set; `mixture`, the fit's own, without draws.
+/// The weights to report per set: of draws around `center`, what is closest in environment error
+/// to their mean as it departs.
 pub(super) fn estimate(
-    dictionary: &Arc<Dictionary>,
-    mixture: &[DVector<f64>],
+    spheres: &EnvironmentMatrix<'_>,
+    center: &[DVector<f64>],
     draws: &[Draws],
     departure: &[Eliminated],
 ) -> Result<Vec<DVector<f64>>, ProjectionError> {
-    if draws.iter().all(|set| set.posterior.is_empty()) {
-        return Ok(mixture.to_vec());
-    }
-    let maps = EnvironmentMap::all();
-    let spheres = EnvironmentMatrix::new(dictionary.clone(), &maps, SPHERE_PX);
-    let of_set = |(set, draws): (usize, &Draws)| {
-        let mean_square = match mixture.len() {
-            1 => (spheres.mean_square(0) + spheres.mean_square(1) + spheres.mean_square(2)) / 3.0,
-            _ => spheres.mean_square(set),
-        };
-        least_relative_error(&draws.posterior, &mean_square)
-    };
-    let mean: Vec<_> = draws.iter().enumerate().map(of_set).collect();
+    let mean = mean_of_draws(spheres, draws);
     if departure.is_empty() {
         return Ok(mean);
     }
-    let sets = departure.iter().zip(&mean).zip(mixture);
-    let departures: Vec<_> = sets.map(|((d, mean), x)| d.expected(&(mean - x))).collect();
+    let sets = departure.iter().zip(mean.iter().zip(center));
+    let departures: Vec<_> = sets
+        .map(|(d, (mean, x))| d.departure(&d.modes(&(mean - x))))
+        .collect();
     let departed = Departed {
-        mixture: &Mixture::new(dictionary.clone(), per_channel(&mean))?,
+        mixture: &Mixture::new(spheres.dictionary().clone(), per_channel(&mean))?,
         departures: [0, 1, 2].map(|c| &departures[c.min(departures.len() - 1)]),
     };
     let (_, closest) = spheres.of(&departed).floor()?;
@@ -62,6 +47,19 @@ pub(super) fn estimate(
         1 => vec![closest.iter().sum::<DVector<f64>>() / 3.0],
         _ => closest.to_vec(),
     })
+}
+
+/// Per set, the weights of least expected relative error over the draws, of which there is one
+/// at least.
+pub(super) fn mean_of_draws(spheres: &EnvironmentMatrix<'_>, draws: &[Draws]) -> Vec<DVector<f64>> {
+    let of_set = |(set, of_set): (usize, &Draws)| {
+        let mean_square = match draws.len() {
+            1 => (spheres.mean_square(0) + spheres.mean_square(1) + spheres.mean_square(2)) / 3.0,
+            _ => spheres.mean_square(set),
+        };
+        least_relative_error(&of_set.posterior, &mean_square)
+    };
+    draws.iter().enumerate().map(of_set).collect()
 }
 
 /// Mean of the draws, each with 1/‖draw‖², where ‖x‖² = xᵀ · `mean_square` · x is the mean
@@ -79,8 +77,11 @@ fn least_relative_error(draws: &[DVector<f64>], mean_square: &DMatrix<f64>) -> D
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use super::*;
-    use crate::brdf::Atom;
+    use crate::brdf::environment::EnvironmentMap;
+    use crate::brdf::{Atom, Dictionary};
 
     fn vector(values: [f64; 2]) -> DVector<f64> {
         DVector::from_row_slice(&values)
@@ -121,15 +122,11 @@ mod tests {
     fn brightness_is_that_of_spheres_under_the_maps() {
         let grey = |albedo| Atom::Lambertian { albedo };
         let dictionary = Dictionary::new("grey", vec![grey(1.0), grey(0.5)]).unwrap();
-        let dictionary = Arc::new(dictionary);
-        let fitted = [vector([1.0, 0.0])];
+        let maps = EnvironmentMap::all();
+        let spheres = EnvironmentMatrix::new(Arc::new(dictionary), &maps, 24);
         let drawn = of_draws(vec![vector([1.0, 0.0]), vector([0.0, 1.0])]);
-        let found = &estimate(&dictionary, &fitted, &drawn, &[]).unwrap()[0];
+        let found = &estimate(&spheres, &[vector([1.0, 0.0])], &drawn, &[]).unwrap()[0];
         let albedo = found[0] + 0.5 * found[1];
         assert!((albedo - 0.6).abs() < 1e-3, "{albedo}");
-        assert_eq!(
-            estimate(&dictionary, &fitted, &of_draws(Vec::new()), &[]).unwrap(),
-            fitted
-        );
     }
 }

@@ -2,21 +2,18 @@
 
 use std::sync::Arc;
 
-use super::bench::system::{BenchLinearisation, Model};
-use super::departure::{self, Eliminated};
+use super::bench::system::BenchLinearisation;
 use super::diagnosis::{self, Diagnosis};
-use super::estimate::estimate;
 use super::exponentiated_gradient::ExponentiatedGradient;
-use super::form;
 use super::gauss_newton::GaussNewton;
 use super::objective::{Channels, ModelImage, Objective};
+use super::posterior::{Posterior, posterior};
 use super::projection::ProjectionError;
 use super::refine::{Refine, refine};
 use super::simplex::SimplexError;
 use super::solve::{Paths, Solution, Solved, per_channel, solve};
 use super::trace::{Step, Termination};
-use super::uncertainty::{self, Adds, Draws};
-use crate::brdf::Mixture;
+use super::uncertainty::Draws;
 use crate::brdf::dictionary::Dictionary;
 use crate::geometry::FormError;
 use crate::radiance_image::RadianceImage;
@@ -99,6 +96,9 @@ pub struct Fit {
     pub start: [Vec<f64>; 3],
     /// Posterior and prior draws per channel.
     pub draws: Vec<Draws>,
+    /// How much the material departs from every mixture, in units of what measured materials do
+    /// (docs/adr/0032); 0 where the images do not ask for it.
+    pub departure: f64,
     /// Modelled radiance with the render's variance, one image per light.
     pub rendered: Vec<RadianceImage>,
     /// (captured − model)/σ of capture, render and model error, 0 where not compared, one image per light.
@@ -221,74 +221,29 @@ pub(super) fn fit_from(
 ) -> Result<(Fit, Solution), FitError> {
     let paths = Paths::trace(scene, dictionary, earlier, options, stage)?;
     let objective = paths.objective(captured, options);
+    let mut solved = solve(&paths, &objective, earlier, options, stage)?;
+    stage("uncertainty");
+    let mut timings = std::mem::take(&mut solved.solution.timings);
+    let Posterior {
+        draws,
+        reported,
+        departure,
+    } = timings.time("uncertainty", || {
+        posterior(scene, &paths, &objective, &solved, options, bench)
+    })?;
     let Solved {
         mut solution,
         mixture,
         pass,
-        residual_weights,
         termination,
-    } = solve(&paths, &objective, earlier, options, stage)?;
-    let (cache, timings) = (&paths.cache, &mut solution.timings);
-    let weights = solution.weights.clone();
-    stage("uncertainty");
-    let (draws, reported) = timings.time("uncertainty", || {
-        let model = Model {
-            objective: &objective,
-            cache,
-            direct: &paths.direct,
-            kernel: options.kernel,
-        };
-        let coupling = bench.map(|b| b.coupling(&model, &residual_weights, &mixture));
-        let noise = match options.draws {
-            0 => Vec::new(),
-            _ => objective.score_noise(&mixture, &residual_weights, &pass.model),
-        };
-        let (count, seed) = (options.draws, options.cache.seed);
-        let material = Mixture::new(dictionary.clone(), weights).ok();
-        let material = material.filter(|_| count > 0);
-        let form = match (&options.form_error, &material) {
-            (Some(error), Some(material)) => form::score_covariance(
-                &model,
-                scene,
-                error,
-                &residual_weights,
-                &mixture,
-                material,
-                seed,
-            ),
-            _ => Vec::new(),
-        };
-        let at = departure::At {
-            objective: &objective,
-            cache,
-            residual_weights: &residual_weights,
-            mixture: &mixture,
-            pass: &pass,
-        };
-        let departure = material.map_or_else(Vec::new, |material| {
-            Eliminated::all(&at, scene, &material, seed)
-        });
-        let adds = Adds {
-            bench: coupling.as_ref(),
-            form: &form,
-            noise: &noise,
-            departure: &departure,
-        };
-        let mut draws = uncertainty::draw(dictionary, &mixture, &pass, &adds, count, seed);
-        for (draws, misfit) in draws.iter_mut().zip(objective.misfit(&pass.model)) {
-            draws.misfit = misfit;
-        }
-        let reported = match options.optimizer {
-            Optimizer::GaussNewton(_) => estimate(dictionary, &mixture, &draws, &departure)?,
-            // The others are there to be compared: they report where they end.
-            _ => mixture.clone(),
-        };
-        Ok::<_, FitError>((draws, reported))
-    })?;
+        ..
+    } = solved;
+    let cache = &paths.cache;
     stage("diagnosis");
     let diagnosis = timings.time("diagnosis", || {
         diagnosis::examine(scene, dictionary, &objective, cache, &mixture, &pass)
     });
+    solution.timings = timings;
     let doubted = (0..captured.len())
         .map(|light| objective.doubted(&pass.model, light))
         .collect();
@@ -299,6 +254,7 @@ pub(super) fn fit_from(
         weights: per_channel(&reported),
         start: solution.start.clone(),
         draws,
+        departure,
         rendered,
         residual,
         reduced_chi2,

@@ -94,7 +94,7 @@ fn scores(
                     }
                     let set = c.min(sets - 1);
                     let [a, b] = &mut by_weight;
-                    model.objective.derivatives(rows, light, set, [a, b]);
+                    model.objective.derivatives(rows, light, c, [a, b]);
                     for (departure, _, change) in
                         images.at(rows.pixel).filter(|(_, l, _)| *l == light)
                     {

@@ -13,6 +13,7 @@ pub mod gauss_newton;
 pub mod intervals;
 pub mod light_selection;
 pub mod objective;
+mod posterior;
 pub mod projection;
 pub mod refine;
 pub mod ridge;

@@ -15,10 +15,12 @@ use super::simplex::Quadratic;
 use crate::radiance_image::RadianceImage;
 use crate::transport::{Cache, DirectMatrix, Kernel};
 
+mod departed;
 mod modelled;
 mod noise;
 mod pass;
 
+pub use departed::DepartedModel;
 pub use modelled::{Modelled, around};
 pub use noise::ScoreNoise;
 pub use pass::Linearised;
@@ -57,6 +59,8 @@ pub struct Objective<'a> {
     kernel: Kernel,
     /// Relative model error τ, 0..=1.
     model_error: f64,
+    /// How the material departs from the mixture.
+    departed: Option<&'a DepartedModel>,
 }
 
 /// Deviation, in standard deviations and in typical deviations of the neighbours, from
@@ -129,6 +133,7 @@ impl<'a> Objective<'a> {
             channels,
             kernel,
             model_error,
+            departed: None,
         }
     }
 

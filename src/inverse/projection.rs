@@ -322,6 +322,11 @@ impl<'a> EnvironmentMatrix<'a> {
         self.of(truth).floor()
     }
 
+    /// Its dictionary.
+    pub fn dictionary(&self) -> &Arc<Dictionary> {
+        &self.dictionary
+    }
+
     /// The environment error of a mixture of this dictionary against `truth`, without
     /// rendering the mixture.
     pub fn error(&self, mixture: &Mixture, truth: &dyn Brdf) -> EnvironmentError {

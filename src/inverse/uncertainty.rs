@@ -52,6 +52,7 @@ const STEPS: usize = 20_000;
 pub const LEAST_SPREAD: f64 = 3.0;
 
 /// What makes the score scatter beside the residual, per set of weights.
+#[derive(Default)]
 pub struct Adds<'a> {
     /// What an uncertain bench adds.
     pub bench: Option<&'a BenchCoupling>,

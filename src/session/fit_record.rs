@@ -201,6 +201,9 @@ pub struct FitRecord {
     pub truncation_remainder: Vec<f64>,
     /// Part of the compared values that counted for less, as isolated outliers, per light.
     pub doubted: Vec<f64>,
+    /// How much the material departs from every mixture, in units of what measured materials do;
+    /// 0 where the images do not ask for it. Intervals allow for it.
+    pub departure: f64,
     /// Why the optimiser stopped, in words.
     pub termination: String,
     /// The way there.

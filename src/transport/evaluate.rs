@@ -11,6 +11,7 @@ use rayon::prelude::*;
 use super::cache::{Cache, Chunk, Records};
 use super::event::{LaneAtoms, MAX_LIGHTS, Record};
 use super::lanes::{Lanes, Portable};
+use crate::brdf::departure::NODES;
 
 /// Which instructions evaluate the cache.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -67,6 +68,9 @@ pub struct PixelRows<'a> {
     pub variance: &'a [f32],
     /// `jacobian[half][r · atoms + atom]`.
     pub jacobian: [&'a [f32]; 2],
+    /// Derivatives by ln f at the nodes of a departure, `nodes[half][r · NODES + node]`; empty
+    /// unless asked for.
+    pub nodes: [&'a [f32]; 2],
 }
 
 /// Most accumulators of one evaluation: enough to keep many threads busy, few enough to be
@@ -75,6 +79,16 @@ const MAX_GROUPS: usize = 256;
 
 /// Weights of one mixture per channel; all channels may share one.
 pub type ChannelWeights<'a> = &'a [&'a [f64]];
+
+/// How a material departs from the mixture in an evaluation.
+#[derive(Clone, Copy, Default)]
+pub struct Departing<'a> {
+    /// Per channel, factors of f at the nodes of [`crate::brdf::departure`]; none where it does
+    /// not depart.
+    pub factors: &'a [[f32; NODES]],
+    /// Whether derivatives by ln f at the nodes are wanted.
+    pub by_node: bool,
+}
 
 impl Cache {
     /// Evaluates every pixel for `weights` (1 or 3 channels × atoms). `group` makes
@@ -90,6 +104,18 @@ impl Cache {
         group: impl Fn() -> T + Sync,
         visit: impl Fn(&mut T, &PixelRows<'_>) + Sync,
     ) -> Vec<T> {
+        self.evaluate_departed(kernel, weights, &Departing::default(), group, visit)
+    }
+
+    /// [`Cache::evaluate`] for a material that departs from the mixture.
+    pub fn evaluate_departed<T: Send>(
+        &self,
+        kernel: Kernel,
+        weights: ChannelWeights<'_>,
+        departing: &Departing<'_>,
+        group: impl Fn() -> T + Sync,
+        visit: impl Fn(&mut T, &PixelRows<'_>) + Sync,
+    ) -> Vec<T> {
         assert!(
             Kernel::available().contains(&kernel),
             "this processor lacks kernel {kernel}"
@@ -97,8 +123,12 @@ impl Cache {
         macro_rules! by_channels {
             ($chunks:expr, $b:literal) => {
                 match weights.len() {
-                    1 => self.run::<$b, 1, _, _>(kernel, $chunks, weights, &group, &visit),
-                    3 => self.run::<$b, 3, _, _>(kernel, $chunks, weights, &group, &visit),
+                    1 => {
+                        self.run::<$b, 1, _, _>(kernel, $chunks, weights, departing, &group, &visit)
+                    }
+                    3 => {
+                        self.run::<$b, 3, _, _>(kernel, $chunks, weights, departing, &group, &visit)
+                    }
                     n => panic!("{n} channels of weights; 1 or 3 are possible"),
                 }
             };
@@ -118,10 +148,11 @@ impl Cache {
         kernel: Kernel,
         chunks: &[Chunk<R>],
         weights: ChannelWeights<'_>,
+        departing: &Departing<'_>,
         new: &(impl Fn() -> T + Sync),
         visit: &(impl Fn(&mut T, &PixelRows<'_>) + Sync),
     ) -> Vec<T> {
-        let mixture = Mixture::<B, C>::new(&self.atoms, weights);
+        let mixture = Mixture::<B, C>::new(&self.atoms, weights, departing.factors);
         let atoms = self.atoms.atoms();
         let rows = self.lights * C;
         chunks
@@ -131,8 +162,10 @@ impl Cache {
             .map(|group| {
                 let mut accumulator = new();
                 let mut scratch = Scratch::new();
-                let mut sums = [(); 2].map(|()| Sums::<B, C>::new(self.lights));
+                let mut sums = [(); 2].map(|()| Sums::<B, C>::new(self.lights, departing.by_node));
                 let mut jacobian = [(); 2].map(|()| vec![0.0; rows * atoms]);
+                let nodes = if departing.by_node { rows * NODES } else { 0 };
+                let mut nodes = [(); 2].map(|()| vec![0.0; nodes]);
                 let mut values = [(); 2].map(|()| vec![0.0; rows]);
                 let mut variance = vec![0.0; rows];
                 for records in group {
@@ -153,6 +186,7 @@ impl Cache {
                                 &mut values[half],
                                 &mut jacobian[half],
                             );
+                            sums[half].by_node(self.samples_per_half, &mut nodes[half]);
                         }
                         let n = 2.0 * self.samples_per_half as f32;
                         for (r, out) in variance.iter_mut().enumerate() {
@@ -167,6 +201,7 @@ impl Cache {
                                 value: [&values[0], &values[1]],
                                 variance: &variance,
                                 jacobian: [&jacobian[0], &jacobian[1]],
+                                nodes: [&nodes[0], &nodes[1]],
                             },
                         );
                     }
@@ -181,14 +216,22 @@ impl Cache {
 struct Mixture<const B: usize, const C: usize> {
     lanes: [[[f32; 8]; B]; C],
     lambertian: [f32; C],
+    /// Of f, by the node of a record.
+    factors: [[f32; C]; 256],
 }
 
 impl<const B: usize, const C: usize> Mixture<B, C> {
-    fn new(atoms: &LaneAtoms, weights: ChannelWeights<'_>) -> Self {
+    fn new(atoms: &LaneAtoms, weights: ChannelWeights<'_>, factors: &[[f32; NODES]]) -> Self {
         let mut mixture = Self {
             lanes: [[[0.0; 8]; B]; C],
             lambertian: [0.0; C],
+            factors: [[1.0; C]; 256],
         };
+        for (c, factors) in factors.iter().enumerate().take(C) {
+            for (all, factor) in mixture.factors.iter_mut().zip(factors) {
+                all[c] = *factor;
+            }
+        }
         for (c, weights) in weights.iter().enumerate().take(C) {
             (mixture.lanes[c], mixture.lambertian[c]) = atoms.lane_weights::<B>(weights);
         }
@@ -197,7 +240,11 @@ impl<const B: usize, const C: usize> Mixture<B, C> {
 }
 
 /// Sums over the paths of one half of a pixel, per light.
-struct Sums<const B: usize, const C: usize>(Vec<LightSums<B, C>>);
+struct Sums<const B: usize, const C: usize>(
+    Vec<LightSums<B, C>>,
+    /// By ln f at the nodes, per light; empty unless asked for.
+    Vec<[[f32; C]; 256]>,
+);
 
 /// Sums under one light, per channel.
 #[derive(Clone, Copy)]
@@ -209,8 +256,8 @@ struct LightSums<const B: usize, const C: usize> {
 }
 
 impl<const B: usize, const C: usize> Sums<B, C> {
-    fn new(lights: usize) -> Self {
-        Self(vec![
+    fn new(lights: usize, by_node: bool) -> Self {
+        let sums = vec![
             LightSums {
                 value: [0.0; C],
                 square: [0.0; C],
@@ -218,11 +265,27 @@ impl<const B: usize, const C: usize> Sums<B, C> {
                 gradient: [[[0.0; 8]; B]; C],
             };
             lights
-        ])
+        ];
+        let nodes = if by_node { lights } else { 0 };
+        Self(sums, vec![[[0.0; C]; 256]; nodes])
     }
 
     fn square(&self, row: usize) -> f32 {
         self.0[row / C].square[row % C]
+    }
+
+    /// Means over the samples by ln f at the nodes.
+    fn by_node(&self, samples: u32, out: &mut [f32]) {
+        let scale = 1.0 / samples as f32;
+        let rows = self
+            .1
+            .iter()
+            .flat_map(|nodes| (0..C).map(move |c| (nodes, c)));
+        for (out, (nodes, c)) in out.chunks_mut(NODES).zip(rows) {
+            for (out, node) in out.iter_mut().zip(nodes) {
+                *out = node[c] * scale;
+            }
+        }
     }
 
     /// Means over the samples, in the dictionary's order.
@@ -253,6 +316,8 @@ struct Scratch<U, const C: usize> {
 #[derive(Clone, Copy)]
 struct Step<U, const C: usize> {
     unpacked: U,
+    /// f of the mixture.
+    f: [f32; C],
     /// f · weight, by which a continuation multiplies what comes after it.
     gain: [f32; C],
     /// Weight times the product of all gains before it on its path.
@@ -273,6 +338,7 @@ impl<U: Copy + Default, const C: usize> Scratch<U, C> {
         if self.steps.len() < n {
             let step = Step {
                 unpacked: U::default(),
+                f: [0.0; C],
                 gain: [0.0; C],
                 before: [0.0; C],
             };
@@ -372,20 +438,24 @@ fn sweep<L: Lanes, const B: usize, const C: usize, R: Record<B>>(
         let head = records[i].head();
         let kind = head.kind();
         let scale = head.scale();
+        let departed = &mixture.factors[head.node()];
         let dot = records[i].dot::<L, C>(&step.unpacked, &weights);
         // About as many records come next: the pixel's other half, or the next pixel.
         L::prefetch(&records[i], n);
         for c in 0..C {
-            let gain = L::fused(dot[c], scale, mixture.lambertian[c]) * head.weight;
+            let weight = head.weight * departed[c];
+            step.f[c] = L::fused(dot[c], scale, mixture.lambertian[c]);
+            let gain = step.f[c] * weight;
             before[c] = L::fused(before[c], factor[c] * kind.later, kind.first);
-            step.before[c] = before[c] * head.weight;
+            step.before[c] = before[c] * weight;
             step.gain[c] = gain;
             factor[c] = L::fused(gain, kind.goes_on, kind.connects);
         }
     }
 
     let mut is_lamp = [0.0f32; MAX_LIGHTS];
-    for (light, sums) in sums.0.iter_mut().enumerate() {
+    let Sums(by_atom, by_node) = sums;
+    for (light, sums) in by_atom.iter_mut().enumerate() {
         is_lamp[light] = 1.0;
         let mut count = 0;
         let (mut value, mut square, mut lambertian) = ([0.0f32; C], [0.0f32; C], [0.0f32; C]);
@@ -396,7 +466,6 @@ fn sweep<L: Lanes, const B: usize, const C: usize, R: Record<B>>(
             let step = &steps[i];
             let head = records[i].head();
             let kind = head.kind();
-            let scale = head.scale();
             let connects = kind.connects * is_lamp[head.lamp()];
             let mut share = [0.0f32; C];
             for c in 0..C {
@@ -408,7 +477,7 @@ fn sweep<L: Lanes, const B: usize, const C: usize, R: Record<B>>(
                 value[c] += total;
                 square[c] = L::fused(total, total, square[c]);
                 lambertian[c] += coefficient;
-                share[c] = coefficient * scale;
+                share[c] = coefficient;
             }
             same_path = kind.later;
             shares[count] = (i as u32, share);
@@ -417,9 +486,21 @@ fn sweep<L: Lanes, const B: usize, const C: usize, R: Record<B>>(
         is_lamp[light] = 0.0;
         let mut gradient = [[L::splat(0.0); B]; C];
         for &(i, share) in &shares[..count] {
+            let i = i as usize;
+            let scale = records[i].head().scale();
             for c in 0..C {
+                let share = share[c] * scale;
+                records[i].accumulate(&steps[i].unpacked, share, &mut gradient[c]);
+            }
+        }
+        if let Some(nodes) = by_node.get_mut(light) {
+            nodes.fill([0.0; C]);
+            for &(i, share) in &shares[..count] {
                 let i = i as usize;
-                records[i].accumulate(&steps[i].unpacked, share[c], &mut gradient[c]);
+                let node = &mut nodes[records[i].head().node()];
+                for c in 0..C {
+                    node[c] = L::fused(share[c], steps[i].f[c], node[c]);
+                }
             }
         }
         for c in 0..C {

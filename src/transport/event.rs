@@ -11,6 +11,7 @@ use half::f16;
 use half::slice::HalfFloatSliceExt;
 
 use super::lanes::Lanes;
+use crate::brdf::departure;
 use crate::brdf::dictionary::{Dictionary, MAX_ATOMS};
 use crate::brdf::evaluator::Evaluator;
 use crate::brdf::ggx::{self, Cosines};
@@ -27,7 +28,8 @@ pub const MAX_LIGHTS: usize = LIGHT as usize + 1;
 /// The part that all records share.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Head {
-    /// Continuation: cos θ/pdf; connection: irradiance over the lamp's strength.
+    /// Continuation: cos θ/pdf; connection: irradiance over the lamp's strength. Of a record, its
+    /// last eight bits are the node of the departure that stands for the pair of directions.
     pub weight: f32,
     /// Exponent of the power of two that multiplies the stored values.
     pub exponent: i8,
@@ -80,6 +82,23 @@ impl Head {
     #[inline(always)]
     pub fn lamp(&self) -> usize {
         usize::from(self.tag & LIGHT)
+    }
+
+    /// The departure's node ([`departure::node_near`]).
+    #[inline(always)]
+    pub fn node(&self) -> usize {
+        usize::from(self.weight.to_bits() as u8)
+    }
+
+    /// With the node of a pair of directions. The weight keeps 16 bits, more than the values.
+    #[inline]
+    fn at(self, at: &Cosines<f32>) -> Self {
+        let bits = self.weight.to_bits().saturating_add(0x80) & !0xff;
+        let node = departure::node_near(at.sin2_h, at.cos_d);
+        Self {
+            weight: f32::from_bits(bits | u32::from(node)),
+            ..self
+        }
     }
 
     /// 2^exponent.
@@ -338,6 +357,7 @@ fn store(values: &[f32; 8], exponent: i8) -> [u16; 8] {
 
 impl Record<5> for GridRecord {
     fn encode(head: Head, atoms: &LaneAtoms, at: &Cosines<f32>) -> Self {
+        let head = head.at(at);
         let (lobes, fresnel) = atoms.factors(at);
         let largest = lobes.iter().fold(0.0f32, |m, &v| m.max(v));
         let exponent = exponent_for(largest);
@@ -412,7 +432,8 @@ impl Record<5> for GridRecord {
     reason = "only what is inlined may use the kernel's instructions: a loop, not a closure"
 )]
 impl<const B: usize> Record<B> for GeneralRecord<B> {
-    fn encode(mut head: Head, atoms: &LaneAtoms, at: &Cosines<f32>) -> Self {
+    fn encode(head: Head, atoms: &LaneAtoms, at: &Cosines<f32>) -> Self {
+        let mut head = head.at(at);
         let mut lanes = [[0.0f32; 8]; B];
         if let Layout::General(evaluator) = &atoms.layout {
             evaluator.eval(at, lanes.as_flattened_mut());

@@ -9,6 +9,7 @@ pub mod cache;
 pub mod camera;
 mod continuation;
 pub mod direct;
+pub mod direct_departed;
 pub mod distortion;
 pub mod evaluate;
 pub mod event;
@@ -23,7 +24,6 @@ pub mod polarised;
 pub mod proposal;
 pub mod render;
 pub mod scene;
-pub mod sensitivity;
 pub mod truncation;
 
 pub use cache::{Cache, CacheOptions};

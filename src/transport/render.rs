@@ -209,7 +209,7 @@ fn render_pixel<C: Carrier>(
             options,
             continuations,
             [pixel as u64, u64::from(sample)],
-            |_, light, reading, _, _| {
+            |_, light, reading| {
                 for (sum, value) in path[light].iter_mut().zip(reading) {
                     *sum += value;
                 }
@@ -226,8 +226,7 @@ fn render_pixel<C: Carrier>(
 }
 
 /// Follows the path of (pixel, sample) and tells `visit` the reflections up to a lamp, the
-/// lamp, what the camera reads of it per unit of the lamp's strength, what the path carried
-/// before the last reflection, and that reflection.
+/// lamp and what the camera reads of it per unit of the lamp's strength.
 #[inline]
 pub(super) fn follow<C: Carrier>(
     scene: &Scene,
@@ -235,7 +234,7 @@ pub(super) fn follow<C: Carrier>(
     options: &RenderOptions,
     continuations: &Continuations<'_>,
     [pixel, sample]: [u64; 2],
-    mut visit: impl FnMut(u32, usize, [f64; 3], &C, &Event<'_>),
+    mut visit: impl FnMut(u32, usize, [f64; 3]),
 ) {
     let key = |purpose| stream(options.seed, purpose, 0, pixel, sample);
     let mut position = key(Purpose::PixelPosition);
@@ -261,7 +260,7 @@ pub(super) fn follow<C: Carrier>(
                     to_viewer,
                 };
                 let reading = carried.reading(&event, connection.irradiance);
-                visit(reflections, light, reading, &carried, &event);
+                visit(reflections, light, reading);
             }
         }
         if reflections >= options.max_reflections {

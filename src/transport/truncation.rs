@@ -65,7 +65,7 @@ pub fn truncation_remainder(
                         &longer,
                         &continuations,
                         key,
-                        |order, light, reading, _, _| {
+                        |order, light, reading| {
                             let strength = scene.lights[light].strength();
                             let part = order.saturating_sub(cut).div_ceil(WINDOW) as usize;
                             sums[light][part] +=

@@ -100,7 +100,7 @@ impl Normal {
                         let residual = value.map(|v| target[c] - v);
                         let mut by_weight = [DVector::zeros(n), DVector::zeros(n)];
                         let halves = by_weight.each_mut().map(|half| half.as_mut_slice());
-                        objective.derivatives(rows, light, set, halves);
+                        objective.derivatives(rows, light, c, halves);
                         let by_bench = [0, 1].map(|h| {
                             let mut row = DVector::zeros(parameters.len());
                             for (k, l, value) in derivatives.at(pixel) {

@@ -2,7 +2,6 @@
 
 use nalgebra::{Cholesky, DMatrix, DVector};
 
-use super::At;
 use super::normal::Normal;
 use crate::inverse::uncertainty::LEAST_SPREAD;
 
@@ -10,20 +9,19 @@ use crate::inverse::uncertainty::LEAST_SPREAD;
 const LEAST_GAIN: f64 = 3.0;
 
 /// The amplitude under which the images are most probable, all sets together, with the
-/// weights in use free to follow the departure; 0 where little is gained by any. `blocks` say
-/// how the score scatters.
-pub(super) fn amplitude(normal: &[Normal], blocks: &[Vec<[DVector<f64>; 2]>], at: &At<'_>) -> f64 {
+/// weights in use free to follow the departure; 0 where little is gained by any.
+pub(super) fn amplitude(normal: &[Normal], mixture: &[DVector<f64>]) -> f64 {
     // Per direction that the images tell apart: information and squared score, in units of
     // the score's own scatter.
     let mut directions = Vec::new();
-    for (set, (normal, score)) in normal.iter().zip(at.pass.scores()).enumerate() {
-        let mixture = &at.mixture[set];
-        let used: Vec<usize> = (0..mixture.len()).filter(|&k| mixture[k] > 0.0).collect();
+    for (normal, mixture) in normal.iter().zip(mixture) {
+        let n = mixture.len();
+        let used: Vec<usize> = (0..n).filter(|&k| mixture[k] > 0.0).collect();
         let Some((&last, others)) = used.split_last() else {
             continue;
         };
         // Steps that keep the sum of the weights.
-        let tangent = DMatrix::from_fn(mixture.len(), others.len(), |row, column| {
+        let tangent = DMatrix::from_fn(n, others.len(), |row, column| {
             f64::from(i8::from(row == others[column]) - i8::from(row == last))
         });
         let own = tangent.tr_mul(&normal.information) * &tangent;
@@ -39,9 +37,9 @@ pub(super) fn amplitude(normal: &[Normal], blocks: &[Vec<[DVector<f64>; 2]>], at
             let followed = follow.tr_mul(&tangent.tr_mul(weights));
             eigen.eigenvectors.tr_mul(&(modes - followed))
         };
-        let score = along(&score, &normal.score);
+        let score = along(&normal.scores[0], &normal.scores[1]);
         let mut scatter = DVector::zeros(score.len());
-        for [weights, modes] in &blocks[set] {
+        for [weights, modes] in &normal.blocks {
             scatter += along(weights, modes).map(|v| v * v);
         }
         for m in 0..score.len() {

@@ -4,11 +4,12 @@ use std::collections::BTreeMap;
 
 use nalgebra::{Cholesky, DMatrix, DVector};
 
-use super::{At, CAUTION};
-use crate::brdf::departure;
+use super::At;
+use crate::brdf::departure::{self, NODES};
 use crate::inverse::uncertainty::without_noise;
-use crate::transport::PixelRows;
-use crate::transport::sensitivity::Sensitivity;
+
+/// The scores Jᵀ W r of the weights and Gᵀ W r of the modes.
+type Scores = [DVector<f64>; 2];
 
 /// Normal equations of one set: x its weights, z the free modes.
 pub(super) struct Normal {
@@ -18,199 +19,230 @@ pub(super) struct Normal {
     pub coupling: DMatrix<f64>,
     /// F_zz, M × M.
     pub departure: DMatrix<f64>,
-    /// Gᵀ W r.
-    pub score: DVector<f64>,
+    /// Of all pixels.
+    pub scores: Scores,
+    /// By block of pixels.
+    pub blocks: Vec<Scores>,
 }
 
 impl Normal {
-    /// Of the free modes, around what is expected of them.
-    pub fn covariance(&self, amplitude: f64) -> DMatrix<f64> {
-        let m = self.score.len();
-        let prior = DMatrix::identity(m, m) * (CAUTION / (amplitude * amplitude));
+    /// (F_zz + Λ)⁻¹ for modes of this amplitude.
+    pub fn covariance(&self, amplitude: f64, caution: f64) -> DMatrix<f64> {
+        let m = self.departure.nrows();
+        let prior = DMatrix::identity(m, m) * (caution / (amplitude * amplitude));
         Cholesky::new(&self.departure + prior)
             .map_or_else(|| DMatrix::zeros(m, m), |root| root.inverse())
     }
 }
 
-/// The compared values one by one.
-pub(super) struct Values<'a> {
-    pub at: &'a At<'a>,
-    /// How the images change with the departure's modes.
-    pub images: &'a Sensitivity,
-}
-
 /// One compared value.
 struct Value {
-    light: usize,
     set: usize,
+    block: usize,
     weight: f64,
-    /// Derivatives by both halves of the paths.
+    /// Derivatives by the weights and by all modes, by either half of the paths.
     by_weights: [DVector<f64>; 2],
     by_modes: [DVector<f64>; 2],
     /// Captured − model.
     residual: [f64; 2],
 }
 
-/// Sums over values, all modes.
+/// Sums over the values of a set, all modes.
 #[derive(Clone)]
 struct Sums {
-    coupling: DMatrix<f64>,
     /// Of independent halves, and of the mean of both.
+    coupling: [DMatrix<f64>; 2],
     departure: [DMatrix<f64>; 2],
-    score: DVector<f64>,
+    blocks: Blocks,
 }
 
-impl Values<'_> {
-    fn for_each(&self, rows: &PixelRows<'_>, mut visit: impl FnMut(Value)) {
-        let objective = self.at.objective;
-        let (n, sets) = (objective.atoms(), objective.sets());
-        for light in 0..objective.lights() {
-            let direct = objective.direct().row(rows.pixel, light);
-            for c in 0..3 {
-                let weight = self.at.residual_weights[light][rows.pixel][c];
-                if weight <= 0.0 {
-                    continue;
-                }
-                let set = c.min(sets - 1);
-                let mut by_weights = [DVector::zeros(n), DVector::zeros(n)];
-                let [a, b] = &mut by_weights;
-                objective.derivatives(rows, light, set, [a.as_mut_slice(), b.as_mut_slice()]);
-                let mixture = self.at.mixture[set].iter();
-                let once: f64 = direct
-                    .iter()
-                    .zip(mixture)
-                    .map(|(&d, w)| f64::from(d) * w)
-                    .sum();
-                let [target, _] = objective.captured(light, rows.pixel);
-                let residual =
-                    [0, 1].map(|h| target[c] - once - f64::from(rows.value[h][light * sets + set]));
-                let by_modes = self.images.at(rows.pixel, light, c);
-                visit(Value {
-                    light,
-                    set,
-                    weight,
-                    by_weights,
-                    by_modes: by_modes.map(|half| {
-                        DVector::from_iterator(half.len(), half.iter().map(|&v| f64::from(v)))
-                    }),
-                    residual,
-                });
-            }
+/// Scores by block of pixels, all modes.
+#[derive(Clone, Default)]
+struct Blocks(BTreeMap<usize, Scores>);
+
+impl Blocks {
+    fn add(&mut self, block: usize, [weights, modes]: [&DVector<f64>; 2], factor: f64) {
+        let none = || [weights, modes].map(|v| DVector::zeros(v.len()));
+        let scores = self.0.entry(block).or_insert_with(none);
+        scores[0].axpy(factor, weights, 1.0);
+        scores[1].axpy(factor, modes, 1.0);
+    }
+
+    /// What a value adds whose `residual` is this: every product between independent halves.
+    fn add_value(&mut self, value: &Value, residual: [f64; 2]) {
+        for (half, other) in [(0, 1), (1, 0)] {
+            let by = [&value.by_weights[half], &value.by_modes[half]];
+            self.add(value.block, by, 0.5 * value.weight * residual[other]);
         }
     }
 
-    fn slices(&self) -> Vec<&[f64]> {
-        self.at.mixture.iter().map(|w| w.as_slice()).collect()
+    fn join(&mut self, other: Self) {
+        for (block, [weights, modes]) in other.0 {
+            self.add(block, [&weights, &modes], 1.0);
+        }
     }
 
-    /// With what the paths' noise alone could have made taken out of the information.
-    pub fn normal_equations(&self, free: &[DMatrix<f64>]) -> Vec<Normal> {
-        let (n, m) = (self.at.objective.atoms(), departure::modes().ncols());
-        let none = || {
-            let sums = Sums {
-                coupling: DMatrix::zeros(n, m),
-                departure: [DMatrix::zeros(m, m), DMatrix::zeros(m, m)],
-                score: DVector::zeros(m),
-            };
-            vec![sums; free.len()]
+    fn of_free(self, free: &DMatrix<f64>) -> Vec<Scores> {
+        let scores = self.0.into_values();
+        scores.map(|[x, z]| [x, free.tr_mul(&z)]).collect()
+    }
+}
+
+impl Sums {
+    fn zero(n: usize, m: usize) -> Self {
+        Self {
+            coupling: [DMatrix::zeros(n, m), DMatrix::zeros(n, m)],
+            departure: [DMatrix::zeros(m, m), DMatrix::zeros(m, m)],
+            blocks: Blocks::default(),
+        }
+    }
+
+    fn add(&mut self, value: &Value) {
+        let w = value.weight;
+        let [[j, k], [a, b]] = [&value.by_weights, &value.by_modes];
+        self.departure[0].ger(0.5 * w, a, b, 1.0);
+        self.departure[0].ger(0.5 * w, b, a, 1.0);
+        self.coupling[0].ger(0.5 * w, j, b, 1.0);
+        self.coupling[0].ger(0.5 * w, k, a, 1.0);
+        // (a + b)(a + b)ᵀ/4 is half of the above and these.
+        self.departure[1].ger(0.25 * w, a, a, 1.0);
+        self.departure[1].ger(0.25 * w, b, b, 1.0);
+        self.coupling[1].ger(0.25 * w, j, a, 1.0);
+        self.coupling[1].ger(0.25 * w, k, b, 1.0);
+        self.blocks.add_value(value, value.residual);
+    }
+
+    fn join(&mut self, other: Self) {
+        for k in 0..2 {
+            self.coupling[k] += &other.coupling[k];
+            self.departure[k] += &other.departure[k];
+        }
+        self.blocks.join(other.blocks);
+    }
+
+    /// With what the paths' noise alone could have made taken out of the information, given
+    /// that of the weights by independent halves and by their mean.
+    fn normal(mut self, weights: [&DMatrix<f64>; 2], free: &DMatrix<f64>) -> Normal {
+        self.coupling[1] = &self.coupling[1] + 0.5 * &self.coupling[0];
+        self.departure[1] = &self.departure[1] + 0.5 * &self.departure[0];
+        let (n, m) = (weights[0].nrows(), free.ncols());
+        let joint = |k: usize| {
+            let mut joint = DMatrix::zeros(n + m, n + m);
+            let coupling = &self.coupling[k] * free;
+            joint.view_mut((0, 0), (n, n)).copy_from(weights[k]);
+            joint.view_mut((0, n), (n, m)).copy_from(&coupling);
+            joint.view_mut((n, 0), (m, n)).tr_copy_from(&coupling);
+            let modes = free.tr_mul(&self.departure[k]) * free;
+            joint.view_mut((n, n), (m, m)).copy_from(&modes);
+            joint
         };
-        let kernel = self.at.objective.kernel();
-        let parts = self
-            .at
-            .cache
-            .evaluate(kernel, &self.slices(), none, |sums, rows| {
-                self.for_each(rows, |value| {
-                    let (sums, w) = (&mut sums[value.set], value.weight);
-                    let [a, b] = &value.by_modes;
-                    let modes = 0.5 * (a + b);
-                    let weights = 0.5 * (&value.by_weights[0] + &value.by_weights[1]);
-                    sums.departure[0].ger(0.5 * w, a, b, 1.0);
-                    sums.departure[0].ger(0.5 * w, b, a, 1.0);
-                    sums.departure[1].ger(w, &modes, &modes, 1.0);
-                    sums.coupling.ger(w, &weights, &modes, 1.0);
-                    let residual = 0.5 * (value.residual[0] + value.residual[1]);
-                    sums.score.axpy(w * residual, &modes, 1.0);
-                });
-            });
-        let mut total = none();
-        for part in parts {
-            for (total, part) in total.iter_mut().zip(part) {
-                total.coupling += part.coupling;
-                total.departure[0] += &part.departure[0];
-                total.departure[1] += &part.departure[1];
-                total.score += part.score;
+        let joint = without_noise(&joint(0), &joint(1));
+        let blocks = self.blocks.of_free(free);
+        let mut scores = [DVector::zeros(n), DVector::zeros(m)];
+        for block in &blocks {
+            for (sum, score) in scores.iter_mut().zip(block) {
+                *sum += score;
             }
         }
-        let pass = self.at.pass;
-        let known = pass.information.iter().zip(&pass.quadratics);
-        let sets = total.into_iter().zip(free).zip(known);
-        sets.map(|((sums, free), (information, quadratic))| {
-            let coupling = &sums.coupling * free;
-            let m = free.ncols();
-            let joint = |weights: &DMatrix<f64>, modes: &DMatrix<f64>| {
-                let mut joint = DMatrix::zeros(n + m, n + m);
-                joint.view_mut((0, 0), (n, n)).copy_from(weights);
-                joint.view_mut((0, n), (n, m)).copy_from(&coupling);
-                joint.view_mut((n, 0), (m, n)).tr_copy_from(&coupling);
-                let modes = free.tr_mul(modes) * free;
-                joint.view_mut((n, n), (m, m)).copy_from(&modes);
-                joint
-            };
-            let [halves, mean] = &sums.departure;
-            let joint = without_noise(&joint(information, halves), &joint(&quadratic.h, mean));
-            Normal {
-                information: joint.view((0, 0), (n, n)).into_owned(),
-                coupling: joint.view((0, n), (n, m)).into_owned(),
-                departure: joint.view((n, n), (m, m)).into_owned(),
-                score: free.tr_mul(&sums.score),
-            }
-        })
-        .collect()
+        Normal {
+            information: joint.view((0, 0), (n, n)).into_owned(),
+            coupling: joint.view((0, n), (n, m)).into_owned(),
+            departure: joint.view((n, n), (m, m)).into_owned(),
+            scores,
+            blocks,
+        }
     }
+}
 
-    /// The scores of weights and free modes by block of pixels, of the residual that
-    /// departures (values of all modes, per set) leave.
-    pub fn blocks(
-        &self,
-        departures: &[DVector<f64>],
-        free: &[DMatrix<f64>],
-    ) -> Vec<Vec<[DVector<f64>; 2]>> {
-        let objective = self.at.objective;
-        let (n, m) = (objective.atoms(), departure::modes().ncols());
-        let zero = || [DVector::zeros(n), DVector::zeros(m)];
-        let none = || vec![BTreeMap::<usize, [DVector<f64>; 2]>::new(); free.len()];
-        let parts =
-            self.at
-                .cache
-                .evaluate(objective.kernel(), &self.slices(), none, |blocks, rows| {
-                    self.for_each(rows, |value| {
-                        let block = objective.block(rows.pixel, value.light);
-                        let [weights, modes] = blocks[value.set].entry(block).or_insert_with(zero);
-                        for (half, other) in [(0, 1), (1, 0)] {
-                            let departed = value.by_modes[other].dot(&departures[value.set]);
-                            let residual = 0.5 * value.weight * (value.residual[other] - departed);
-                            weights.axpy(residual, &value.by_weights[half], 1.0);
-                            modes.axpy(residual, &value.by_modes[half], 1.0);
-                        }
-                    });
-                });
-        let mut total = none();
-        for part in parts {
-            for (total, part) in total.iter_mut().zip(part) {
-                for (block, [weights, modes]) in part {
-                    let sum = total.entry(block).or_insert_with(zero);
-                    sum[0] += weights;
-                    sum[1] += modes;
+/// The equations of each set with its `free` modes.
+pub(super) fn equations(at: &At<'_>, free: &[DMatrix<f64>]) -> Vec<Normal> {
+    let (n, m) = (at.objective.atoms(), departure::modes().ncols());
+    let zero = || vec![Sums::zero(n, m); free.len()];
+    let parts = over_values(at, zero, |sums, value| sums[value.set].add(value));
+    let mut total = zero();
+    for part in parts {
+        for (total, part) in total.iter_mut().zip(part) {
+            total.join(part);
+        }
+    }
+    let pass = at.pass;
+    let known = pass.information.iter().zip(&pass.quadratics);
+    let sets = total.into_iter().zip(known).zip(free);
+    sets.map(|((sums, (halves, mean)), free)| sums.normal([halves, &mean.h], free))
+        .collect()
+}
+
+/// The scores of weights and free modes by block of pixels, of the residual that small
+/// departures (values of all modes, per set) leave.
+pub(super) fn blocks_after(
+    at: &At<'_>,
+    departures: &[DVector<f64>],
+    free: &[DMatrix<f64>],
+) -> Vec<Vec<Scores>> {
+    let none = || vec![Blocks::default(); free.len()];
+    let parts = over_values(at, none, |blocks, value| {
+        let departed = |half: usize| value.by_modes[half].dot(&departures[value.set]);
+        let residual = [0, 1].map(|half| value.residual[half] - departed(half));
+        blocks[value.set].add_value(value, residual);
+    });
+    let mut total = none();
+    for part in parts {
+        for (total, part) in total.iter_mut().zip(part) {
+            total.join(part);
+        }
+    }
+    let sets = total.into_iter().zip(free);
+    sets.map(|(blocks, free)| blocks.of_free(free)).collect()
+}
+
+/// Visits every compared value, by groups of pixels.
+fn over_values<T: Send>(
+    at: &At<'_>,
+    group: impl Fn() -> T + Sync,
+    visit: impl Fn(&mut T, &Value) + Sync,
+) -> Vec<T> {
+    let objective = at.objective;
+    let modes = departure::modes();
+    let (n, m, sets) = (objective.atoms(), modes.ncols(), objective.sets());
+    let group = || {
+        let value = Value {
+            set: 0,
+            block: 0,
+            weight: 0.0,
+            by_weights: [DVector::zeros(n), DVector::zeros(n)],
+            by_modes: [DVector::zeros(m), DVector::zeros(m)],
+            residual: [0.0; 2],
+        };
+        (group(), value, DVector::zeros(NODES))
+    };
+    let parts = objective.evaluate(at.mixture, true, group, |(sums, value, nodes), rows| {
+        let pixel = rows.pixel;
+        for (light, c) in (0..objective.lights()).flat_map(|l| [(l, 0), (l, 1), (l, 2)]) {
+            value.weight = at.residual_weights[light][pixel][c];
+            if value.weight <= 0.0 {
+                continue;
+            }
+            value.set = c.min(sets - 1);
+            value.block = objective.block(pixel, light);
+            let [a, b] = value.by_weights.each_mut().map(|v| v.as_mut_slice());
+            objective.derivatives(rows, light, c, [a, b]);
+            let once = objective.once(pixel, light, c, &at.mixture[value.set]);
+            let [target, _] = objective.captured(light, pixel);
+            let row = light * sets + value.set;
+            for half in 0..2 {
+                value.residual[half] = target[c] - once - f64::from(rows.value[half][row]);
+                let by_node = &rows.nodes[half][row * NODES..(row + 1) * NODES];
+                for (node, &by_node) in nodes.iter_mut().zip(by_node) {
+                    *node = f64::from(by_node);
+                }
+                modes.tr_mul_to(nodes, &mut value.by_modes[half]);
+                let once = at.direct.by_modes(pixel, light, c);
+                for (mode, &once) in value.by_modes[half].iter_mut().zip(once) {
+                    *mode += f64::from(once);
                 }
             }
+            visit(sums, value);
         }
-        let sets = total.into_iter().zip(free);
-        sets.map(|(blocks, free)| {
-            let blocks = blocks.into_values();
-            blocks
-                .map(|[weights, modes]| [weights, free.tr_mul(&modes)])
-                .collect()
-        })
-        .collect()
-    }
+    });
+    parts.into_iter().map(|(sums, ..)| sums).collect()
 }

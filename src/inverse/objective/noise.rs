@@ -44,7 +44,7 @@ impl Objective<'_> {
                             continue;
                         }
                         let [a, b] = &mut derivatives;
-                        self.derivatives(rows, light, set, [a, b]);
+                        self.derivatives(rows, light, c, [a, b]);
                         let captured = w * w * self.variance[light][pixel][c];
                         let rendered = w * w * model[light][pixel][c].variance;
                         add_product(&mut sums[set].captured, a, b, captured);

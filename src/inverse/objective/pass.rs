@@ -116,10 +116,9 @@ impl Objective<'_> {
         residual_weights: &ResidualWeights,
     ) -> Linearised {
         let (n, sets, lights) = (self.atoms(), self.sets(), self.lights());
-        let slices: Vec<&[f64]> = mixture.iter().map(|w| w.as_slice()).collect();
-        let parts = self.cache.evaluate(
-            self.kernel,
-            &slices,
+        let parts = self.evaluate(
+            mixture,
+            false,
             || Part::new(n, sets, lights),
             |part, rows| {
                 let pixel = rows.pixel;
@@ -127,15 +126,10 @@ impl Objective<'_> {
                 let mut derivatives = [vec![0.0; n], vec![0.0; n]];
                 let mut row_mean = vec![0.0; n];
                 for light in 0..lights {
-                    let direct = self.direct.row(pixel, light);
                     for c in 0..3 {
                         let set = self.set_of(c);
                         let r = light * sets + set;
-                        let once: f64 = direct
-                            .iter()
-                            .zip(&mixture[set])
-                            .map(|(&d, &w)| f64::from(d) * w)
-                            .sum();
+                        let once = self.once(pixel, light, c, &mixture[set]);
                         let again = [0, 1].map(|h| f64::from(rows.value[h][r]));
                         let halves = again.map(|value| once + value);
                         let variance = f64::from(rows.variance[r]);
@@ -150,7 +144,7 @@ impl Objective<'_> {
                             continue;
                         }
                         let [row_a, row_b] = &mut derivatives;
-                        self.derivatives(rows, light, set, [row_a, row_b]);
+                        self.derivatives(rows, light, c, [row_a, row_b]);
                         for (mean, (a, b)) in row_mean.iter_mut().zip(row_a.iter().zip(&*row_b)) {
                             *mean = 0.5 * (a + b);
                         }
@@ -187,20 +181,34 @@ impl Objective<'_> {
         self.gather(parts)
     }
 
+    /// What is reflected once, over the lamp's strength.
+    pub(in crate::inverse) fn once(
+        &self,
+        pixel: usize,
+        light: usize,
+        channel: usize,
+        mixture: &DVector<f64>,
+    ) -> f64 {
+        let direct = self.direct.row(pixel, light).iter();
+        let terms = direct.zip(mixture).map(|(&d, w)| f64::from(d) * w);
+        terms.sum::<f64>() * self.once_factor(pixel, light, channel)
+    }
+
     /// Derivatives of one value by the weights of its set, with the paths of each half.
     pub(in crate::inverse) fn derivatives(
         &self,
         rows: &PixelRows<'_>,
         light: usize,
-        set: usize,
+        channel: usize,
         halves: [&mut [f64]; 2],
     ) {
-        let (n, row) = (self.atoms(), light * self.sets() + set);
+        let (n, row) = (self.atoms(), light * self.sets() + self.set_of(channel));
         let direct = self.direct.row(rows.pixel, light);
+        let factor = self.once_factor(rows.pixel, light, channel);
         for (half, jacobian) in halves.into_iter().zip(rows.jacobian) {
             let indirect = &jacobian[row * n..(row + 1) * n];
             for (sum, (&d, &i)) in half.iter_mut().zip(direct.iter().zip(indirect)) {
-                *sum = f64::from(d) + f64::from(i);
+                *sum = factor * f64::from(d) + f64::from(i);
             }
         }
     }

@@ -28,6 +28,8 @@ struct FitToml {
     truncation_remainder: Vec<f64>,
     #[serde(default)]
     doubted: Vec<f64>,
+    #[serde(default)]
+    departure: f64,
     settings: FitSettings,
     #[serde(default)]
     versions: BTreeMap<String, String>,
@@ -214,6 +216,7 @@ fn parse(
         reduced_chi_square: toml.reduced_chi_square,
         truncation_remainder: toml.truncation_remainder,
         doubted: toml.doubted,
+        departure: toml.departure,
         termination: toml.termination,
         trace,
         timings: toml.timing,
@@ -316,6 +319,7 @@ fn to_toml(record: &FitRecord) -> String {
         reduced_chi_square: record.reduced_chi_square.clone(),
         truncation_remainder: record.truncation_remainder.clone(),
         doubted: record.doubted.clone(),
+        departure: record.departure,
         settings: record.settings.clone(),
         versions: record.versions.clone(),
         timing: record.timings.clone(),

@@ -52,6 +52,7 @@ fn sample() -> FitRecord {
         reduced_chi_square: vec![[1.0, 1.1, 0.9], [1.2, 1.0, 1.0]],
         truncation_remainder: vec![2e-4, 1e-4],
         doubted: vec![0.0, 0.01],
+        departure: 0.35,
         termination: "the step changed no weight by more than 1e-6".to_owned(),
         trace: vec![TracePoint {
             step: 0,

@@ -1,0 +1,199 @@
+//! The comparison with a material that departs from the mixtures (docs/adr/0032).
+
+use nalgebra::DVector;
+
+use super::Objective;
+use crate::brdf::departure::{Departed, NODES};
+use crate::transport::direct_departed::DirectDeparted;
+use crate::transport::evaluate::Departing;
+use crate::transport::{PixelRows, Scene};
+
+/// What makes a model of a mixture one of a material that departs from it.
+pub struct DepartedModel {
+    /// Factors of f at the nodes, per set.
+    factors: Vec<[f32; NODES]>,
+    /// Light that is reflected once.
+    pub direct: DirectDeparted,
+}
+
+impl DepartedModel {
+    /// Of `material`, for the pixels that `objective` compares.
+    pub fn new(
+        objective: &Objective<'_>,
+        scene: &Scene,
+        material: &Departed<'_>,
+        seed: u64,
+    ) -> Self {
+        let wanted: Vec<bool> = (0..scene.camera.pixels())
+            .map(|pixel| (0..objective.lights()).any(|light| objective.is_compared(light, pixel)))
+            .collect();
+        let of_set = |set: usize| {
+            let g = &material.departures[set].0;
+            std::array::from_fn(|node| g[node].exp() as f32)
+        };
+        Self {
+            factors: (0..objective.sets()).map(of_set).collect(),
+            direct: DirectDeparted::new(scene, material, &wanted, seed),
+        }
+    }
+}
+
+impl<'a> Objective<'a> {
+    /// The same comparison with the light of a material that departs from the mixture.
+    pub fn departed(&self, model: &'a DepartedModel) -> Self {
+        Self {
+            target: self.target.clone(),
+            variance: self.variance.clone(),
+            compared: self.compared.clone(),
+            departed: Some(model),
+            ..*self
+        }
+    }
+
+    /// What a departure makes of the mixture's light that is reflected once.
+    pub(in crate::inverse) fn once_factor(
+        &self,
+        pixel: usize,
+        light: usize,
+        channel: usize,
+    ) -> f64 {
+        self.departed
+            .map_or(1.0, |d| f64::from(d.direct.factor(pixel, light, channel)))
+    }
+
+    /// One pass over the paths with the light of `mixture`, or of what departs from it, with the
+    /// derivatives by the departure's nodes if wanted.
+    pub(in crate::inverse) fn evaluate<T: Send>(
+        &self,
+        mixture: &[DVector<f64>],
+        by_node: bool,
+        group: impl Fn() -> T + Sync,
+        visit: impl Fn(&mut T, &PixelRows<'_>) + Sync,
+    ) -> Vec<T> {
+        let slices: Vec<&[f64]> = mixture.iter().map(|w| w.as_slice()).collect();
+        let departing = Departing {
+            factors: self.departed.map_or(&[][..], |d| &d.factors),
+            by_node,
+        };
+        self.cache
+            .evaluate_departed(self.kernel, &slices, &departing, group, visit)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::brdf::departure::{Departure, modes};
+    use crate::brdf::{Atom, Dictionary, Mixture};
+    use crate::inverse::fit::FitOptions;
+    use crate::inverse::form::tests::bowl;
+    use crate::inverse::objective::ModelImage;
+    use crate::inverse::solve::Paths;
+    use crate::transport::{Proposal, RenderOptions, render};
+
+    /// Images and their derivatives by two modes, around a material that departs, against what
+    /// the renderer makes of departures a little to either side: it shares nothing with the
+    /// cache but the table.
+    #[test]
+    fn images_of_departed_materials_are_as_rendered() {
+        let scene = bowl(8);
+        let atoms = vec![
+            Atom::Lambertian { albedo: 1.0 },
+            Atom::Ggx {
+                alpha: 0.3,
+                eta: 3.0,
+            },
+        ];
+        let dictionary = Arc::new(Dictionary::new("two", atoms).unwrap());
+        let mixture = Mixture::grey(dictionary.clone(), vec![0.5, 0.5]).unwrap();
+        let departure = |along: [f64; 2]| {
+            let [a, b] = [0, 1].map(|k| modes().column(k) * along[k]);
+            Departure(a + b)
+        };
+        let rendered = |along: [f64; 2]| {
+            let g = departure(along);
+            let departed = Departed {
+                mixture: &mixture,
+                departures: [&g; 3],
+            };
+            let options = RenderOptions {
+                samples_per_pixel: 8192,
+                max_reflections: 4,
+                seed: 5,
+                proposal: Proposal::resembling(&mixture, 0.3),
+                ..RenderOptions::default()
+            };
+            render(&scene, &departed, &options, &|_| {})
+        };
+        let (at, step) = ([1.0, -0.5], 0.05);
+        let captured = rendered(at);
+
+        let mut options = FitOptions::default();
+        options.cache.samples_per_pixel = 4096;
+        options.cache.max_reflections = 4;
+        let paths = Paths::trace(&scene, &dictionary, None, &options, &mut |_| {}).unwrap();
+        let objective = paths.objective(&captured, &options);
+        let g = departure(at);
+        let departed = Departed {
+            mixture: &mixture,
+            departures: [&g; 3],
+        };
+        let model = DepartedModel::new(&objective, &scene, &departed, 3);
+        let objective = objective.departed(&model);
+        let weights = vec![DVector::from_vec(vec![0.5, 0.5]); 3];
+
+        // Relative deviations over the compared pixels, root mean square.
+        let compare = |told: &dyn Fn(usize, usize) -> f64, seen: &dyn Fn(usize, usize) -> f64| {
+            let (mut square, mut error) = (0.0, 0.0);
+            for (light, pixel) in (0..2).flat_map(|l| (0..64).map(move |p| (l, p))) {
+                if objective.is_compared(light, pixel) {
+                    let seen = seen(light, pixel);
+                    square += seen * seen;
+                    error += (told(light, pixel) - seen).powi(2);
+                }
+            }
+            (error / square).sqrt()
+        };
+        let modelled: Vec<ModelImage> = objective.modelled(&weights);
+        let error = compare(&|l, p| modelled[l][p][1].value(), &|l, p| {
+            f64::from(captured[l].mean[p][1])
+        });
+        println!("images: {error:.4}");
+        assert!(error < 0.01, "images: {error}");
+
+        let mut by_modes = vec![vec![DVector::zeros(modes().ncols()); 64]; 2];
+        let none = Vec::new;
+        let parts = objective.evaluate(&weights, true, none, |rows: &mut Vec<_>, pixel| {
+            for light in 0..2 {
+                let row = (light * 3 + 1) * NODES;
+                let nodes = (0..NODES).map(|k| {
+                    let of_half = |half: usize| f64::from(pixel.nodes[half][row + k]);
+                    0.5 * (of_half(0) + of_half(1))
+                });
+                let nodes = DVector::from_iterator(NODES, nodes);
+                rows.push((light, pixel.pixel, modes().tr_mul(&nodes)));
+            }
+        });
+        for (light, pixel, by_paths) in parts.into_iter().flatten() {
+            let once = model.direct.by_modes(pixel, light, 1).iter();
+            let once = DVector::from_iterator(modes().ncols(), once.map(|&v| f64::from(v)));
+            by_modes[light][pixel] = by_paths + once;
+        }
+        for mode in 0..2 {
+            let [more, less] = [step, -step].map(|step| {
+                let mut to = at;
+                to[mode] += step;
+                rendered(to)
+            });
+            let seen = |l: usize, p: usize| {
+                f64::from(more[l].mean[p][1] - less[l].mean[p][1]) / (2.0 * step)
+            };
+            let error = compare(&|l, p| by_modes[l][p][mode], &seen);
+            println!("mode {mode}: {error:.4}");
+            // What is left is mostly the few rays of the direct part.
+            assert!(error < 0.03, "mode {mode}: {error}");
+        }
+    }
+}

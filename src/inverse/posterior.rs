@@ -1,0 +1,224 @@
+//! What the images leave open around a fit: draws of the weights and of how the material
+//! departs from their mixture, and the weights to report.
+
+use nalgebra::DVector;
+
+use super::bench::system::{BenchLinearisation, Model};
+use super::departure::{At, Eliminated};
+use super::estimate::{estimate, mean_of_draws};
+use super::fit::{FitError, FitOptions, Optimizer};
+use super::form;
+use super::objective::{DepartedModel, Linearised, Objective};
+use super::projection::{EnvironmentMatrix, ProjectionError};
+use super::solve::{Paths, Solved, per_channel};
+use super::uncertainty::{self, Adds, Draws};
+use crate::brdf::Mixture;
+use crate::brdf::departure::{Departed, Departure};
+use crate::brdf::environment::EnvironmentMap;
+use crate::transport::Scene;
+
+/// Pixels per side of the spheres that say how materials look.
+const SPHERE_PX: usize = 24;
+
+/// What the images leave open.
+pub(super) struct Posterior {
+    /// Per set of weights.
+    pub draws: Vec<Draws>,
+    /// The weights to report, per set.
+    pub reported: Vec<DVector<f64>>,
+    /// Deviation of the departure in units of what measured materials have; 0 without one.
+    pub departure: f64,
+}
+
+/// Around the weights that were `solved` for.
+pub(super) fn posterior(
+    scene: &Scene,
+    paths: &Paths,
+    objective: &Objective<'_>,
+    solved: &Solved,
+    options: &FitOptions,
+    bench: Option<&BenchLinearisation>,
+) -> Result<Posterior, FitError> {
+    let (dictionary, seed) = (&paths.dictionary, options.cache.seed);
+    let (mixture, weights) = (&solved.mixture, &solved.residual_weights);
+    let material = |sets: &[DVector<f64>]| -> Result<Mixture, ProjectionError> {
+        Ok(Mixture::new(dictionary.clone(), per_channel(sets))?)
+    };
+    if options.draws == 0 {
+        return Ok(Posterior {
+            draws: uncertainty::draw(dictionary, mixture, &solved.pass, &Adds::default(), 0, seed),
+            reported: mixture.clone(),
+            departure: 0.0,
+        });
+    }
+    let model = Model {
+        objective,
+        cache: &paths.cache,
+        direct: &paths.direct,
+        kernel: options.kernel,
+    };
+    let fitted = material(mixture)?;
+    let coupling = bench.map(|b| b.coupling(&model, weights, mixture));
+    let noise = objective.score_noise(mixture, weights, &solved.pass.model);
+    let form = options.form_error.as_ref().map_or_else(Vec::new, |error| {
+        form::score_covariance(&model, scene, error, weights, mixture, &fitted, seed)
+    });
+    let draw = |center: &[DVector<f64>], pass: &Linearised, departure: &[Eliminated]| {
+        let adds = Adds {
+            bench: coupling.as_ref(),
+            form: &form,
+            noise: &noise,
+            departure,
+        };
+        uncertainty::draw(dictionary, center, pass, &adds, options.draws, seed)
+    };
+    let departed_by = |departures: &[Departure], material: &Mixture| {
+        let departures = [0, 1, 2].map(|c| &departures[c.min(departures.len() - 1)]);
+        let material = Departed {
+            mixture: material,
+            departures,
+        };
+        DepartedModel::new(objective, scene, &material, seed)
+    };
+    let maps = EnvironmentMap::all();
+    let spheres = EnvironmentMatrix::new(dictionary.clone(), &maps, SPHERE_PX);
+
+    let mut center = mixture.clone();
+    let nothing = departed_by(&vec![Departure::none(); mixture.len()], &fitted);
+    let at = At {
+        objective,
+        direct: &nothing.direct,
+        residual_weights: weights,
+        mixture,
+        pass: &solved.pass,
+    };
+    let mut departure = Eliminated::first(&at, dictionary);
+    let mut draws = draw(&center, &solved.pass, &departure);
+    if !departure.is_empty() {
+        // Once more, linear around what was found.
+        let mean = mean_of_draws(&spheres, &draws);
+        let sets = departure.iter().zip(mean.iter().zip(&center));
+        let modes: Vec<_> = sets.map(|(d, (mean, x))| d.modes(&(mean - x))).collect();
+        let sets = departure.iter().zip(&modes);
+        let departures: Vec<_> = sets.map(|(d, modes)| d.departure(modes)).collect();
+        let departed = departed_by(&departures, &material(&mean)?);
+        let objective = objective.departed(&departed);
+        let pass = objective.linearise(&mean, weights);
+        let left = |pass: &Linearised| pass.unexplained.iter().sum::<f64>();
+        tracing::debug!(before = left(&solved.pass), after = left(&pass), "departed");
+        if left(&pass) < left(&solved.pass) {
+            let at = At {
+                objective: &objective,
+                direct: &departed.direct,
+                mixture: &mean,
+                pass: &pass,
+                ..at
+            };
+            departure = Eliminated::again(&at, &departure, &modes);
+            draws = draw(&mean, &pass, &departure);
+            center = mean;
+        }
+    }
+    for (draws, misfit) in draws.iter_mut().zip(objective.misfit(&solved.pass.model)) {
+        draws.misfit = misfit;
+    }
+    let reported = match options.optimizer {
+        Optimizer::GaussNewton(_) => estimate(&spheres, &center, &draws, &departure)?,
+        // The others are there to be compared: they report where they end.
+        _ => mixture.clone(),
+    };
+    Ok(Posterior {
+        draws,
+        reported,
+        departure: departure.first().map_or(0.0, Eliminated::amplitude),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::brdf::departure::modes;
+    use crate::brdf::{Atom, Brdf, Dictionary};
+    use crate::inverse::departure::free_modes;
+    use crate::inverse::form::tests::bowl;
+    use crate::inverse::intervals::atom_values;
+    use crate::inverse::solve::solve;
+    use crate::radiance_image::RadianceImage;
+    use crate::transport::{Proposal, RenderOptions, render};
+
+    fn photograph(scene: &Scene, material: &dyn Brdf) -> Vec<RadianceImage> {
+        let options = RenderOptions {
+            samples_per_pixel: 1024,
+            max_reflections: 8,
+            seed: 71,
+            proposal: Proposal::tabulating(material, 0.3),
+            ..RenderOptions::default()
+        };
+        render(scene, material, &options, &|_| {})
+    }
+
+    /// Images of a mixture ask for no departure; those of one that departs do, and with what is
+    /// found f comes closer to the truth where light is reflected once.
+    #[test]
+    fn a_departure_is_found_where_there_is_one() {
+        let scene = bowl(16);
+        let atoms = vec![
+            Atom::Lambertian { albedo: 1.0 },
+            Atom::Ggx {
+                alpha: 0.3,
+                eta: 3.0,
+            },
+            Atom::Black,
+        ];
+        let dictionary = Arc::new(Dictionary::new("three", atoms).unwrap());
+        let truth = Mixture::grey(dictionary.clone(), vec![0.4, 0.4, 0.2]).unwrap();
+        let weights = DVector::from_column_slice(&truth.weights()[0]);
+        // Of the widest modes, what the weights cannot make.
+        let free = free_modes(&dictionary, &weights);
+        let mut z = DVector::zeros(free.nrows());
+        z.rows_mut(0, 4).copy_from_slice(&[1.5, -1.5, 1.5, 1.5]);
+        let g = Departure(modes() * (&free * free.tr_mul(&z)));
+        let departed = Departed {
+            mixture: &truth,
+            departures: [&g; 3],
+        };
+        let mut options = FitOptions::default();
+        options.cache.samples_per_pixel = 128;
+        let found = |material: &dyn Brdf| {
+            let captured = photograph(&scene, material);
+            let paths = Paths::trace(&scene, &dictionary, None, &options, &mut |_| {}).unwrap();
+            let objective = paths.objective(&captured, &options);
+            let solved = solve(&paths, &objective, None, &options, &mut |_| {}).unwrap();
+            posterior(&scene, &paths, &objective, &solved, &options, None).unwrap()
+        };
+        assert_eq!(found(&truth).departure, 0.0, "a mixture departs");
+        let found = found(&departed);
+        assert!(found.departure > 0.0);
+        let draws = &found.draws[0];
+        let share = 1.0 / draws.posterior.len() as f64;
+        let mean = share * draws.posterior.iter().sum::<DVector<f64>>();
+        let departures = draws.departures.iter().map(|d| &d.0);
+        let departure = share * departures.sum::<DVector<f64>>();
+        let ln = |weights: &DVector<f64>, theta_h_deg, theta_d_deg| {
+            let atoms = atom_values(&dictionary, theta_h_deg, theta_d_deg);
+            let terms = atoms.iter().zip(weights);
+            terms.map(|(f, w)| f * w).sum::<f64>().ln()
+        };
+        let mut squares = [0.0, 0.0];
+        for (k, node) in crate::brdf::departure::nodes().enumerate() {
+            let (h, d) = (node.theta_h_deg, node.theta_d_deg);
+            if !(1.0..60.0).contains(&h) || d > 15.0 {
+                continue;
+            }
+            let error = ln(&mean, h, d) - ln(&weights, h, d) - g.0[k];
+            squares[0] += error.powi(2);
+            squares[1] += (error + departure[k]).powi(2);
+        }
+        let left = (squares[1] / squares[0]).sqrt();
+        println!("{:.3} of the error {:.3} is left", left, squares[0].sqrt());
+        // As the equations are cautious, a part remains; 0.69 here.
+        assert!(left < 0.8, "{left} of {}", squares[0].sqrt());
+    }
+}
