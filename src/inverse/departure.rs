@@ -63,7 +63,7 @@ pub struct Eliminated {
 pub struct At<'a> {
     /// The comparison, of what departs from the mixture if something does.
     pub objective: &'a Objective<'a>,
-    /// The light that is reflected once.
+    /// How the light that is reflected once changes with the departure.
     pub direct: &'a DirectDeparted,
     /// What its values weigh.
     pub residual_weights: &'a ResidualWeights,

@@ -44,9 +44,23 @@ pub(super) fn posterior(
     let material = |sets: &[DVector<f64>]| -> Result<Mixture, ProjectionError> {
         Ok(Mixture::new(dictionary.clone(), per_channel(sets))?)
     };
+    let misfits = objective.misfit(&solved.pass.model);
+    let with_misfits = |mut draws: Vec<Draws>| {
+        for (draws, misfit) in draws.iter_mut().zip(&misfits) {
+            draws.misfit = *misfit;
+        }
+        draws
+    };
     if options.draws == 0 {
         return Ok(Posterior {
-            draws: uncertainty::draw(dictionary, mixture, &solved.pass, &Adds::default(), 0, seed),
+            draws: with_misfits(uncertainty::draw(
+                dictionary,
+                mixture,
+                &solved.pass,
+                &Adds::default(),
+                0,
+                seed,
+            )),
             reported: mixture.clone(),
             departure: 0.0,
         });
@@ -119,16 +133,13 @@ pub(super) fn posterior(
             center = mean;
         }
     }
-    for (draws, misfit) in draws.iter_mut().zip(objective.misfit(&solved.pass.model)) {
-        draws.misfit = misfit;
-    }
     let reported = match options.optimizer {
         Optimizer::GaussNewton(_) => estimate(&spheres, &center, &draws, &departure)?,
         // The others are there to be compared: they report where they end.
         _ => mixture.clone(),
     };
     Ok(Posterior {
-        draws,
+        draws: with_misfits(draws),
         reported,
         departure: departure.first().map_or(0.0, Eliminated::amplitude),
     })

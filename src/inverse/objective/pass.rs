@@ -57,11 +57,6 @@ impl Linearised {
         }
     }
 
-    /// The score Jᵀ W r per set.
-    pub fn scores(&self) -> impl Iterator<Item = DVector<f64>> {
-        self.block_scores.iter().map(|blocks| blocks.iter().sum())
-    }
-
     /// The least share of the noise's energy, per set, that makes the loss convex around
     /// this point together with a prior of curvature `prior` in every direction. Without it
     /// ½ r_AᵀWr_B has directions of negative curvature where paths are few, and its minimum
