@@ -80,11 +80,10 @@ fn scores(
     mixture: &[DVector<f64>],
 ) -> Vec<Vec<[DVector<f64>; 2]>> {
     let (n, sets) = (model.objective.atoms(), model.objective.sets());
-    let slices: Vec<&[f64]> = mixture.iter().map(|w| w.as_slice()).collect();
     let none = || vec![vec![[DVector::zeros(n), DVector::zeros(n)]; TOGETHER]; sets];
     let parts = model
-        .cache
-        .evaluate(model.kernel, &slices, none, |sums, rows| {
+        .objective
+        .evaluate(mixture, false, none, |sums, rows| {
             let mut by_weight = [vec![0.0; n], vec![0.0; n]];
             for (light, residual_weights) in residual_weights.iter().enumerate() {
                 for c in 0..3 {
@@ -216,8 +215,6 @@ pub(super) mod tests {
         let model = Model {
             objective: &objective,
             cache: &paths.cache,
-            direct: &paths.direct,
-            kernel: options.kernel,
         };
         let error = FormError::new(0.004, 1f64.to_radians()).unwrap();
         let covariance = score_covariance(

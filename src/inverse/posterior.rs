@@ -68,8 +68,6 @@ pub(super) fn posterior(
     let model = Model {
         objective,
         cache: &paths.cache,
-        direct: &paths.direct,
-        kernel: options.kernel,
     };
     let fitted = material(mixture)?;
     let coupling = bench.map(|b| b.coupling(&model, weights, mixture));

@@ -368,8 +368,6 @@ impl Rounds<'_> {
         let model = Model {
             objective: &objective,
             cache: &cache,
-            direct: &direct,
-            kernel: options.kernel,
         };
         let normal = Normal::new(
             &model,

@@ -16,7 +16,7 @@ use super::derivatives::DerivativeImages;
 use super::parameters::{Bench, Parameter};
 use super::spectrum::Spectrum;
 use crate::inverse::objective::{Objective, ResidualWeights};
-use crate::transport::{Cache, DirectMatrix, Kernel};
+use crate::transport::Cache;
 
 /// Deviation of a weight before any image, which keeps F_ww invertible where atoms
 /// are alike; that of the posterior's prior.
@@ -28,10 +28,6 @@ pub struct Model<'a> {
     pub objective: &'a Objective<'a>,
     /// Its paths.
     pub cache: &'a Cache,
-    /// Its direct part.
-    pub direct: &'a DirectMatrix,
-    /// Instructions to use.
-    pub kernel: Kernel,
 }
 
 /// The bench's part of the normal equations; P parameters, N atoms.
@@ -71,18 +67,16 @@ impl Normal {
         residual_weights: &ResidualWeights,
         mixture: &[DVector<f64>],
     ) -> Self {
-        let (objective, cache, direct) = (model.objective, model.cache, model.direct);
+        let (objective, cache) = (model.objective, model.cache);
         let (n, sets) = (objective.atoms(), objective.sets());
         let parameters = bench.parameters();
-        let slices: Vec<&[f64]> = mixture.iter().map(|w| w.as_slice()).collect();
-        let parts = cache.evaluate(
-            model.kernel,
-            &slices,
+        let parts = objective.evaluate(
+            mixture,
+            false,
             || Self::zero(parameters.len(), n, sets),
             |sum, rows| {
                 let pixel = rows.pixel;
                 for (light, residual_weights) in residual_weights.iter().enumerate() {
-                    let direct = direct.row(pixel, light);
                     for c in 0..3 {
                         let w = residual_weights[pixel][c];
                         if w <= 0.0 {
@@ -90,11 +84,7 @@ impl Normal {
                         }
                         let set = c.min(sets - 1);
                         let r = light * sets + set;
-                        let first: f64 = direct
-                            .iter()
-                            .zip(&mixture[set])
-                            .map(|(&d, &w)| f64::from(d) * w)
-                            .sum();
+                        let first = objective.once(pixel, light, c, &mixture[set]);
                         let [target, _] = objective.captured(light, pixel);
                         let value = [0, 1].map(|h| first + f64::from(rows.value[h][r]));
                         let residual = value.map(|v| target[c] - v);

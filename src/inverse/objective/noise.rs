@@ -24,14 +24,13 @@ impl Objective<'_> {
         model: &[ModelImage],
     ) -> Vec<ScoreNoise> {
         let (n, sets, lights) = (self.atoms(), self.sets(), self.lights());
-        let slices: Vec<&[f64]> = mixture.iter().map(|w| w.as_slice()).collect();
         let none = || ScoreNoise {
             captured: DMatrix::zeros(n, n),
             rendered: DMatrix::zeros(n, n),
         };
-        let parts = self.cache.evaluate(
-            self.kernel,
-            &slices,
+        let parts = self.evaluate(
+            mixture,
+            false,
             || vec![none(); sets],
             |sums, rows| {
                 let pixel = rows.pixel;
