@@ -214,6 +214,14 @@ impl Departure {
         self.sum(around_angles(theta_h_deg, theta_d_deg))
     }
 
+    /// e^g, linear between the nodes.
+    pub fn factor(&self, around: [(usize, f32); 4]) -> f64 {
+        let terms = around.into_iter();
+        terms
+            .map(|(k, share)| self.0[k].exp() * f64::from(share))
+            .sum()
+    }
+
     fn sum(&self, around: [(usize, f32); 4]) -> f64 {
         let terms = around.into_iter();
         terms.map(|(k, share)| self.0[k] * f64::from(share)).sum()
@@ -232,7 +240,7 @@ impl Departed<'_> {
     /// The mixture's f as it departs where these are the nodes around.
     #[inline]
     pub fn depart(&self, f: [f32; 3], around: [(usize, f32); 4]) -> [f32; 3] {
-        [0, 1, 2].map(|c| f[c] * self.departures[c].sum(around).exp() as f32)
+        [0, 1, 2].map(|c| f[c] * self.departures[c].factor(around) as f32)
     }
 }
 

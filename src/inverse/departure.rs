@@ -24,11 +24,8 @@ use amplitude::amplitude;
 use normal::Normal;
 
 /// Variance that the equations of the departure grant the images over what their weights
-/// say: they are linear in it, and far from the mixture the images are not.
+/// say: they are linear in it, and far from where they were formed the images are not.
 const CAUTION: f64 = 10.0;
-
-/// The same around what was found.
-const CAUTION_AGAIN: f64 = 3.0;
 
 /// Largest amplitude: what measured materials have. Images that are not linear ask for more, and
 /// what they then get is not near enough to be linear around.
@@ -43,8 +40,6 @@ pub struct Eliminated {
     free: DMatrix<f64>,
     /// Deviation of each a priori.
     amplitude: f64,
-    /// By what the posterior's variance is more than (F_zz + Λ)⁻¹.
-    caution: f64,
     /// (F_zz + Λ)⁻¹.
     covariance: DMatrix<f64>,
     /// F_xz.
@@ -83,21 +78,16 @@ impl Eliminated {
         let fitted: Vec<DVector<f64>> = normal
             .iter()
             .zip(&free)
-            .map(|(normal, free)| free * (normal.covariance(1.0, CAUTION) * &normal.scores[1]))
+            .map(|(normal, free)| free * (normal.covariance(1.0) * &normal.scores[1]))
             .collect();
-        for (normal, blocks) in normal
-            .iter_mut()
-            .zip(normal::blocks_after(at, &fitted, &free))
-        {
-            normal.blocks = blocks;
-        }
+        normal::blocks_after(at, &fitted, &free, &mut normal);
         let amplitude = amplitude(&normal, at.mixture).min(LARGEST);
         tracing::debug!(amplitude, "departure");
         if amplitude == 0.0 {
             return Vec::new();
         }
         let sets = normal.into_iter().zip(free);
-        sets.map(|(normal, free)| Self::new(normal, free, amplitude, CAUTION))
+        sets.map(|(normal, free)| Self::new(normal, free, amplitude))
             .collect()
     }
 
@@ -111,13 +101,13 @@ impl Eliminated {
             .map(|((mut normal, free), (earlier, modes))| {
                 normal.scores[0] += &normal.coupling * modes;
                 normal.scores[1] += &normal.departure * modes;
-                Self::new(normal, free, earlier.amplitude, CAUTION_AGAIN)
+                Self::new(normal, free, earlier.amplitude)
             })
             .collect()
     }
 
-    fn new(normal: Normal, free: DMatrix<f64>, amplitude: f64, caution: f64) -> Self {
-        let covariance = normal.covariance(amplitude, caution);
+    fn new(normal: Normal, free: DMatrix<f64>, amplitude: f64) -> Self {
+        let covariance = normal.covariance(amplitude);
         let through = &normal.coupling * &covariance;
         let left = |[weights, modes]: &[DVector<f64>; 2]| weights - &through * modes;
         let information = &normal.information - &through * normal.coupling.transpose();
@@ -127,7 +117,6 @@ impl Eliminated {
             block_scores: normal.blocks.iter().map(left).collect(),
             free,
             amplitude,
-            caution,
             covariance,
             coupling: normal.coupling,
             score: {
@@ -156,7 +145,7 @@ impl Eliminated {
     /// A draw of the departure there.
     pub fn draw(&self, step: &DVector<f64>, numbers: &mut Stream) -> Departure {
         let mut z = self.modes(step);
-        if let Some(root) = Cholesky::new(&self.covariance * self.caution) {
+        if let Some(root) = Cholesky::new(&self.covariance * CAUTION) {
             let normal = DVector::from_iterator(z.len(), (0..z.len()).map(|_| numbers.normal()));
             z += root.l() * normal;
         }

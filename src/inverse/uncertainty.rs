@@ -142,7 +142,7 @@ fn adjusted_likelihood(
         ),
         None => {
             let scores = &pass.block_scores[set];
-            let information = without_noise(&pass.information[set], &quadratic.h);
+            let information = without_noise(&pass.information[set], &quadratic.h).information;
             (information, scores, scores.iter().sum())
         }
     };
@@ -218,7 +218,7 @@ fn mapped(matrix: DMatrix<f64>, change: impl Fn(f64) -> f64) -> DMatrix<f64> {
 /// alone could have made. `full` is JᵀWJ of the halves' mean: the difference of the two
 /// is the noise. Relative to it, an eigenvalue no larger than the most negative one says
 /// nothing.
-pub(super) fn without_noise(information: &DMatrix<f64>, full: &DMatrix<f64>) -> DMatrix<f64> {
+pub(super) fn without_noise(information: &DMatrix<f64>, full: &DMatrix<f64>) -> Told {
     let noise = full - information;
     let eigen = SymmetricEigen::new(0.5 * (&noise + noise.transpose()));
     let largest = eigen.eigenvalues.max().max(1e-9);
@@ -230,11 +230,23 @@ pub(super) fn without_noise(information: &DMatrix<f64>, full: &DMatrix<f64>) -> 
     let relative = inverse.tr_mul(information) * &inverse;
     let relative = SymmetricEigen::new(0.5 * (&relative + relative.transpose()));
     let threshold = (-relative.eigenvalues.min()).max(0.0);
-    let kept = relative
-        .eigenvalues
-        .map(|v| if v > threshold { v.sqrt() } else { 0.0 });
-    let root = root * relative.eigenvectors * DMatrix::from_diagonal(&kept);
-    &root * root.transpose()
+    let kept: Vec<usize> = (0..relative.eigenvalues.len())
+        .filter(|&k| relative.eigenvalues[k] > threshold)
+        .collect();
+    let vectors = relative.eigenvectors.select_columns(&kept);
+    let values = DVector::from_iterator(kept.len(), kept.iter().map(|&k| relative.eigenvalues[k]));
+    let root = root * &vectors;
+    Told {
+        information: &root * DMatrix::from_diagonal(&values) * root.transpose(),
+        scores: &root * (inverse * vectors).transpose(),
+    }
+}
+
+/// What is told apart from the paths' noise.
+pub(super) struct Told {
+    pub information: DMatrix<f64>,
+    /// Takes from a score what it says of the other directions, which is noise.
+    pub scores: DMatrix<f64>,
 }
 
 /// One draw of a symmetric Dirichlet distribution.

@@ -18,7 +18,7 @@ pub struct DirectDeparted {
     lights: usize,
     /// Over that of the mixture alone, `[(pixel · lights + light) · 3 + channel]`.
     factors: Vec<f32>,
-    /// Derivatives by the departure's modes, over the lamp's strength, `[… · modes + mode]`.
+    /// Derivatives of ln of the departed light by the departure's modes, `[… · modes + mode]`.
     by_modes: Vec<f32>,
 }
 
@@ -55,7 +55,7 @@ impl DirectDeparted {
         self.factors[self.index(pixel, light, channel)]
     }
 
-    /// The derivative by each mode.
+    /// The derivative of ln of the light by each mode.
     pub fn by_modes(&self, pixel: usize, light: usize, channel: usize) -> &[f32] {
         let modes = modes().ncols();
         let start = self.index(pixel, light, channel) * modes;
@@ -89,7 +89,12 @@ impl Sum {
 
     fn by_modes(&self) -> Vec<f32> {
         let by_modes = modes().tr_mul(&DVector::from_column_slice(&self.nodes));
-        by_modes.iter().map(|&v| v as f32).collect()
+        let scale = if self.departed > 0.0 {
+            1.0 / self.departed
+        } else {
+            0.0
+        };
+        by_modes.iter().map(|&v| (scale * v) as f32).collect()
     }
 }
 
@@ -106,17 +111,16 @@ fn look(scene: &Scene, material: &Departed<'_>, pixel: usize, seed: u64) -> Vec<
             };
             let of_mixture = material.mixture.eval(lamp.to_light, to_viewer);
             let around = around(lamp.to_light, to_viewer);
-            let departed = material.depart(of_mixture, around);
             let sums = &mut sums[light * 3..light * 3 + 3];
-            for (sum, (of_mixture, departed)) in
-                sums.iter_mut().zip(of_mixture.into_iter().zip(departed))
-            {
+            for (c, (sum, of_mixture)) in sums.iter_mut().zip(of_mixture).enumerate() {
                 let arriving = share * f64::from(lamp.irradiance);
-                sum.of_mixture += arriving * f64::from(of_mixture);
-                let departed = arriving * f64::from(departed);
-                sum.departed += departed;
+                let of_mixture = arriving * f64::from(of_mixture);
+                sum.of_mixture += of_mixture;
                 for (node, part) in around {
-                    sum.nodes[node] += departed * f64::from(part);
+                    let factor = material.departures[c].0[node].exp();
+                    let departed = of_mixture * factor * f64::from(part);
+                    sum.departed += departed;
+                    sum.nodes[node] += departed;
                 }
             }
         }

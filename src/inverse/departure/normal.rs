@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use nalgebra::{Cholesky, DMatrix, DVector};
 
-use super::At;
+use super::{At, CAUTION};
 use crate::brdf::departure::{self, NODES};
 use crate::inverse::uncertainty::without_noise;
 
@@ -23,13 +23,15 @@ pub(super) struct Normal {
     pub scores: Scores,
     /// By block of pixels.
     pub blocks: Vec<Scores>,
+    /// Takes noise out of scores of both.
+    told: DMatrix<f64>,
 }
 
 impl Normal {
     /// (F_zz + Λ)⁻¹ for modes of this amplitude.
-    pub fn covariance(&self, amplitude: f64, caution: f64) -> DMatrix<f64> {
+    pub fn covariance(&self, amplitude: f64) -> DMatrix<f64> {
         let m = self.departure.nrows();
-        let prior = DMatrix::identity(m, m) * (caution / (amplitude * amplitude));
+        let prior = DMatrix::identity(m, m) * (CAUTION / (amplitude * amplitude));
         Cholesky::new(&self.departure + prior)
             .map_or_else(|| DMatrix::zeros(m, m), |root| root.inverse())
     }
@@ -136,8 +138,9 @@ impl Sums {
             joint.view_mut((n, n), (m, m)).copy_from(&modes);
             joint
         };
-        let joint = without_noise(&joint(0), &joint(1));
-        let blocks = self.blocks.of_free(free);
+        let told = without_noise(&joint(0), &joint(1));
+        let joint = told.information;
+        let blocks = told_of(&told.scores, self.blocks.of_free(free));
         let mut scores = [DVector::zeros(n), DVector::zeros(m)];
         for block in &blocks {
             for (sum, score) in scores.iter_mut().zip(block) {
@@ -150,8 +153,22 @@ impl Sums {
             departure: joint.view((n, n), (m, m)).into_owned(),
             scores,
             blocks,
+            told: told.scores,
         }
     }
+}
+
+/// What scores say in the directions that are told apart.
+fn told_of(told: &DMatrix<f64>, scores: Vec<Scores>) -> Vec<Scores> {
+    let of = |[x, z]: Scores| {
+        let both = DVector::from_iterator(x.len() + z.len(), x.iter().chain(&z).copied());
+        let both = told * both;
+        [
+            both.rows(0, x.len()).into_owned(),
+            both.rows(x.len(), z.len()).into_owned(),
+        ]
+    };
+    scores.into_iter().map(of).collect()
 }
 
 /// The equations of each set with its `free` modes.
@@ -172,13 +189,14 @@ pub(super) fn equations(at: &At<'_>, free: &[DMatrix<f64>]) -> Vec<Normal> {
         .collect()
 }
 
-/// The scores of weights and free modes by block of pixels, of the residual that small
+/// Sets the scores of weights and free modes by block of pixels to those of the residual that small
 /// departures (values of all modes, per set) leave.
 pub(super) fn blocks_after(
     at: &At<'_>,
     departures: &[DVector<f64>],
     free: &[DMatrix<f64>],
-) -> Vec<Vec<Scores>> {
+    normal: &mut [Normal],
+) {
     let none = || vec![Blocks::default(); free.len()];
     let parts = over_values(at, none, |blocks, value| {
         let departed = |half: usize| value.by_modes[half].dot(&departures[value.set]);
@@ -191,8 +209,9 @@ pub(super) fn blocks_after(
             total.join(part);
         }
     }
-    let sets = total.into_iter().zip(free);
-    sets.map(|(blocks, free)| blocks.of_free(free)).collect()
+    for ((normal, blocks), free) in normal.iter_mut().zip(total).zip(free) {
+        normal.blocks = told_of(&normal.told, blocks.of_free(free));
+    }
 }
 
 /// Visits every compared value, by groups of pixels.
@@ -226,11 +245,11 @@ fn over_values<T: Send>(
             value.block = objective.block(pixel, light);
             let [a, b] = value.by_weights.each_mut().map(|v| v.as_mut_slice());
             objective.derivatives(rows, light, c, [a, b]);
-            let once = objective.once(pixel, light, c, &at.mixture[value.set]);
+            let light_once = objective.once(pixel, light, c, &at.mixture[value.set]);
             let [target, _] = objective.captured(light, pixel);
             let row = light * sets + value.set;
             for half in 0..2 {
-                value.residual[half] = target[c] - once - f64::from(rows.value[half][row]);
+                value.residual[half] = target[c] - light_once - f64::from(rows.value[half][row]);
                 let by_node = &rows.nodes[half][row * NODES..(row + 1) * NODES];
                 for (node, &by_node) in nodes.iter_mut().zip(by_node) {
                     *node = f64::from(by_node);
@@ -238,7 +257,7 @@ fn over_values<T: Send>(
                 modes.tr_mul_to(nodes, &mut value.by_modes[half]);
                 let once = at.direct.by_modes(pixel, light, c);
                 for (mode, &once) in value.by_modes[half].iter_mut().zip(once) {
-                    *mode += f64::from(once);
+                    *mode += light_once * f64::from(once);
                 }
             }
             visit(sums, value);
