@@ -46,7 +46,7 @@ fn write_fit(folder: &Path) {
         reduced_chi_square: vec![[1.0; 3]],
         truncation_remainder: Vec::new(),
         doubted: Vec::new(),
-        departure: 0.0,
+        departure: None,
         termination: "converged".to_owned(),
         trace: Vec::new(),
         timings: Vec::new(),

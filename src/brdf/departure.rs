@@ -209,48 +209,75 @@ impl Departure {
         Self(DVector::zeros(NODES))
     }
 
-    /// g at half and difference angles.
-    pub fn at(&self, theta_h_deg: f64, theta_d_deg: f64) -> f64 {
-        self.sum(around_angles(theta_h_deg, theta_d_deg))
+    /// e^g at half and difference angles, linear between the nodes.
+    pub fn factor(&self, theta_h_deg: f64, theta_d_deg: f64) -> f64 {
+        self.factor_around(around_angles(theta_h_deg, theta_d_deg))
     }
 
-    /// e^g, linear between the nodes.
-    pub fn factor(&self, around: [(usize, f32); 4]) -> f64 {
+    fn factor_around(&self, around: [(usize, f32); 4]) -> f64 {
         let terms = around.into_iter();
         terms
             .map(|(k, share)| self.0[k].exp() * f64::from(share))
             .sum()
     }
-
-    fn sum(&self, around: [(usize, f32); 4]) -> f64 {
-        let terms = around.into_iter();
-        terms.map(|(k, share)| self.0[k] * f64::from(share)).sum()
-    }
 }
 
-/// A mixture that departs from itself, per channel.
-pub struct Departed<'a> {
+/// What departs from a mixture.
+#[derive(Clone, Debug)]
+pub struct Departed {
     /// The mixture.
-    pub mixture: &'a Mixture,
-    /// Of R, G and B.
-    pub departures: [&'a Departure; 3],
+    pub mixture: Mixture,
+    /// In R, G and B.
+    pub departures: [Departure; 3],
 }
 
-impl Departed<'_> {
+impl Departed {
+    /// What departs from `mixture` by these departures: one per channel, or one for all.
+    pub fn new(mixture: Mixture, departures: &[Departure]) -> Self {
+        Self {
+            mixture,
+            departures: [0, 1, 2].map(|c| departures[c.min(departures.len() - 1)].clone()),
+        }
+    }
+
+    /// A mixture from which nothing departs.
+    pub fn nowhere(mixture: Mixture) -> Self {
+        Self::new(mixture, &[Departure::none()])
+    }
+
+    /// Per channel, f of the mixture of these `atoms` (their values at half and difference
+    /// angles, in the dictionary's order) as it departs, 1/sr.
+    pub fn at(&self, atoms: &[f64], theta_h_deg: f64, theta_d_deg: f64) -> [f64; 3] {
+        let around = around_angles(theta_h_deg, theta_d_deg);
+        [0, 1, 2].map(|c| {
+            let terms = self.mixture.weights()[c].iter().zip(atoms);
+            let f: f64 = terms.map(|(weight, atom)| weight * atom).sum();
+            f * self.departures[c].factor_around(around)
+        })
+    }
+
     /// The mixture's f as it departs where these are the nodes around.
     #[inline]
     pub fn depart(&self, f: [f32; 3], around: [(usize, f32); 4]) -> [f32; 3] {
-        [0, 1, 2].map(|c| f[c] * self.departures[c].factor(around) as f32)
+        [0, 1, 2].map(|c| f[c] * self.departures[c].factor_around(around) as f32)
     }
 }
 
-impl Brdf for Departed<'_> {
+impl Brdf for Departed {
     fn eval(&self, to_light: Vec3, to_viewer: Vec3) -> [f32; 3] {
         let f = self.mixture.eval(to_light, to_viewer);
         if f == [0.0; 3] {
             return f;
         }
         self.depart(f, around(to_light, to_viewer))
+    }
+
+    fn as_mixture(&self) -> Option<&Mixture> {
+        let nowhere = self
+            .departures
+            .iter()
+            .all(|d| d.0.iter().all(|&g| g == 0.0));
+        nowhere.then_some(&self.mixture)
     }
 }
 
@@ -322,18 +349,18 @@ mod tests {
     /// A function that is linear in both angles is met exactly, whatever φd.
     #[test]
     fn nodes_around_interpolate() {
-        let linear = |h: f64, d: f64| 0.3 - 0.01 * h + 0.02 * d;
-        let values = nodes().map(|n| linear(n.theta_h_deg, n.theta_d_deg));
+        let linear = |h: f64, d: f64| 1.3 - 0.01 * h + 0.02 * d;
+        let values = nodes().map(|n| linear(n.theta_h_deg, n.theta_d_deg).ln());
         let departure = Departure(DVector::from_iterator(NODES, values));
         for (h, d, phi) in [(0.4, 5.0, 1.0), (17.0, 50.0, 2.0), (60.0, 20.0, 0.3)] {
-            assert!((departure.at(h, d) - linear(h, d)).abs() < 1e-6);
+            assert!((departure.factor(h, d) - linear(h, d)).abs() < 1e-6);
             let angles = HalfDifference {
                 theta_h_rad: f64::to_radians(h),
                 theta_d_rad: f64::to_radians(d),
                 phi_d_rad: phi,
             };
             let (i, o) = angles.to_directions();
-            let found = departure.sum(around(i.as_vec3(), o.as_vec3()));
+            let found = departure.factor_around(around(i.as_vec3(), o.as_vec3()));
             assert!((found - linear(h, d)).abs() < 1e-4, "{found}");
         }
     }

@@ -62,7 +62,7 @@ pub fn run(args: &FitCommandArgs, context: &Context) -> Result<(), CliError> {
             "weights": record.weights,
             "weight_deviations": record.weight_deviations,
             "reduced_chi_square": record.reduced_chi_square,
-            "departure": record.departure,
+            "departure": record.departure.as_ref().map_or(0.0, |d| d.amplitude),
             "loss": record.loss,
             "termination": record.termination,
             "score": record.score,

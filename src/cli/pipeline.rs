@@ -25,7 +25,7 @@ use crate::report;
 use crate::session::commit::SystemDisk;
 use crate::session::fit_record::{
     self, AngleCell, AngleTable, AtomRecord, BenchParameter, BenchRecord, BudgetRecord, BudgetRow,
-    FitImages, FitRecord, FitSettings, Timing, TracePoint, Warning,
+    DepartureRecord, FitImages, FitRecord, FitSettings, Timing, TracePoint, Warning,
 };
 use crate::session::{SessionWriter, layout};
 use crate::transport::{Kernel, RenderOptions, Scene, truncation_remainder};
@@ -252,14 +252,14 @@ impl FitPlan {
             seed: self.options.cache.seed,
             ..RenderOptions::default()
         };
-        let remainder = truncation_remainder(scene, &record.mixture()?, &paths, TRUNCATION_SAMPLES);
+        let remainder = truncation_remainder(scene, &fit.material, &paths, TRUNCATION_SAMPLES);
         record.truncation_remainder = remainder.iter().map(|r| r.share).collect();
         record.warnings = warnings(&fit, &record);
         record.bench = bench.as_ref().map(bench_record);
         bar.finish_and_clear();
         if fit.departure > 0.0 {
             context.note(format!(
-                "the material departs from every mixture of {}, {:.1} times as much as measured materials usually do; the intervals allow for it",
+                "the material departs from every mixture of {}, {:.1} times as much as measured materials usually do; its f in table.csv and in exports to merl, rgl and pbrt allows for it, weights and an export to mitsuba are the closest mixture",
                 record.dictionary, fit.departure
             ));
         }
@@ -283,13 +283,12 @@ impl FitPlan {
         let clock = std::time::Instant::now();
         let score = match truth {
             Some((name, brdf)) => {
-                let estimate = Mixture::new(dictionary.clone(), fit.weights.clone())?;
                 let start = Mixture::new(self.dictionary.clone(), fit.start.clone())?;
                 Some(crate::evaluate::score(
                     name,
                     brdf,
                     &self.dictionary,
-                    &estimate,
+                    &fit.material,
                     &start,
                     SCORE_SPHERE_PX,
                 )?)
@@ -301,21 +300,15 @@ impl FitPlan {
             .map(|i| 90.0 * (f64::from(i) / 45.0).powi(2))
             .collect();
         let theta_d_deg: Vec<f64> = (0..=30).map(|j| 3.0 * f64::from(j)).collect();
-        let cells = intervals::table(
-            dictionary,
-            &fit.weights,
-            &fit.draws,
-            &theta_h_deg,
-            &theta_d_deg,
-        )
-        .into_iter()
-        .map(|i| AngleCell {
-            value: i.value,
-            lower: i.lower,
-            upper: i.upper,
-            constrained: i.constrained,
-        })
-        .collect();
+        let cells = intervals::table(&fit.material, &fit.draws, &theta_h_deg, &theta_d_deg)
+            .into_iter()
+            .map(|i| AngleCell {
+                value: i.value,
+                lower: i.lower,
+                upper: i.upper,
+                constrained: i.constrained,
+            })
+            .collect();
         let options = &self.options;
         Ok(FitRecord {
             simulated,
@@ -326,7 +319,7 @@ impl FitPlan {
                 .enumerate()
                 .map(|(i, a)| AtomRecord::new(i, a))
                 .collect(),
-            weights: fit.weights.clone(),
+            weights: fit.material.mixture.weights().clone(),
             weight_deviations: intervals::weight_deviations(&fit.draws, dictionary.len()),
             settings: FitSettings {
                 optimizer: options.optimizer.name().to_owned(),
@@ -342,7 +335,10 @@ impl FitPlan {
             reduced_chi_square: fit.reduced_chi2.clone(),
             truncation_remainder: Vec::new(),
             doubted: fit.doubted.clone(),
-            departure: fit.departure,
+            departure: (fit.departure > 0.0).then(|| DepartureRecord {
+                amplitude: fit.departure,
+                by_channel: fit.material.departures.clone(),
+            }),
             termination: fit.termination.to_string(),
             trace: fit
                 .trace
@@ -390,13 +386,7 @@ const BUDGET_AT_DEG: [[f64; 2]; 8] = [
 /// Where the interval comes from, at a few angles; `None` without draws.
 fn budget_record(fit: &Fit) -> Option<BudgetRecord> {
     let row = |[theta_h_deg, theta_d_deg]: [f64; 2]| {
-        let cell = budget::at(
-            &fit.dictionary,
-            &fit.weights,
-            &fit.draws,
-            theta_h_deg,
-            theta_d_deg,
-        )?;
+        let cell = budget::at(&fit.material, &fit.draws, theta_h_deg, theta_d_deg)?;
         let total: f64 = cell.relative_variance.iter().sum();
         let share = cell.relative_variance.iter();
         Some(BudgetRow {

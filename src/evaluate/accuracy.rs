@@ -50,7 +50,9 @@ fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
                         "start_error",
                         lab.score(&estimate.start, &*material.brdf).environment,
                     );
-                Ok(vec![row.and(lab.score_row(&estimate.mixture, &material)?)])
+                Ok(vec![
+                    row.and(lab.score_row(&estimate.fit.material, &material)?),
+                ])
             }));
         }
     }

@@ -68,13 +68,19 @@ fn one(lab: &Lab, trial: u64, size: usize, sample: Sample) -> Result<Row, Evalua
     let estimate = lab.fit_with(&scene, &captured, &part, &lab.fit_options())?;
 
     // In terms of the whole dictionary, whose spheres are known.
-    let whole = estimate.mixture.weights().each_ref().map(|weights| {
-        let mut whole = vec![0.0; lab.dictionary.len()];
-        for (&atom, &weight) in atoms.iter().zip(weights) {
-            whole[atom] = weight;
-        }
-        whole
-    });
+    let whole = estimate
+        .fit
+        .material
+        .mixture
+        .weights()
+        .each_ref()
+        .map(|weights| {
+            let mut whole = vec![0.0; lab.dictionary.len()];
+            for (&atom, &weight) in atoms.iter().zip(weights) {
+                whole[atom] = weight;
+            }
+            whole
+        });
     let figures = lab.score(&Mixture::new(lab.dictionary.clone(), whole)?, &truth);
     Ok(Row::new()
         .with("environment_error", figures.environment)

@@ -141,10 +141,10 @@ fn trials(lab: &Lab, error: Option<FormError>, index: u64) -> Result<[Trial; 2],
         };
         let fit = fit(&scene, &images, &lab.dictionary, &options, &mut |_| {})?;
         let (theta_h, theta_d) = (theta_h_deg(), theta_d_deg());
-        let (dictionary, weights, draws) = (&lab.dictionary, &fit.weights, &fit.draws);
-        let cells = intervals::table(dictionary, weights, draws, &theta_h, &theta_d);
+        let (material, draws) = (&fit.material, &fit.draws);
+        let cells = intervals::table(material, draws, &theta_h, &theta_d);
         let [theta_h, theta_d] = SHARE_AT_DEG;
-        let budget = budget::at(dictionary, weights, draws, theta_h, theta_d);
+        let budget = budget::at(material, draws, theta_h, theta_d);
         let share = budget.map_or(0.0, |cell| {
             let total: f64 = cell.relative_variance.iter().sum();
             cell.relative_variance[Source::Mesh as usize] / total.max(f64::MIN_POSITIVE)

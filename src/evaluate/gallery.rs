@@ -123,14 +123,15 @@ fn one(
     for (object, name, map_name) in VIEWS {
         let points = object.points(lab.settings.sphere_px);
         let shaded = shade(
-            [&*material.brdf, &estimate.mixture],
+            [&*material.brdf, &estimate.fit.material],
             &map(map_name)?,
             &points,
         );
         let error = relative_error(shaded.iter().map(|(_, pair)| *pair));
         row = row.with(format!("error_{name}_{map_name}"), error);
     }
-    let weights = serde_json::to_string(estimate.mixture.weights()).unwrap_or_default();
+    let weights =
+        serde_json::to_string(estimate.fit.material.mixture.weights()).unwrap_or_default();
     Ok(vec![row.with("weights", weights)])
 }
 

@@ -212,13 +212,7 @@ fn coverage(lab: &Lab, class: Class) -> Result<Vec<Row>, EvaluateError> {
                 &options(lab, index),
                 &mut |_| {},
             )?;
-            let cells = intervals::table(
-                &lab.dictionary,
-                &fit.weights,
-                &fit.draws,
-                &theta_h,
-                &theta_d,
-            );
+            let cells = intervals::table(&fit.material, &fit.draws, &theta_h, &theta_d);
             Ok((values(&*brdf), cells))
         })
         .collect::<Result<Vec<(Vec<[f64; 3]>, Vec<Interval>)>, EvaluateError>>()?;

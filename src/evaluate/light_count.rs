@@ -40,7 +40,9 @@ fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
                         .with("shape", sample.name())
                         .with("lights", lights)
                         .with("paths_per_pixel", estimate.fit.samples[0]);
-                    Ok(vec![row.and(lab.score_row(&estimate.mixture, &material)?)])
+                    Ok(vec![
+                        row.and(lab.score_row(&estimate.fit.material, &material)?),
+                    ])
                 }));
             }
         }

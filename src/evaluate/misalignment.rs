@@ -4,9 +4,8 @@ use nalgebra::DVector;
 
 use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table, quantile};
 use super::lab::{Lab, Material, Sample};
-use crate::brdf::Mixture;
 use crate::inverse::bench::{Bench, Parameter};
-use crate::inverse::{BenchPriors, RefineOptions, fit, refine_bench};
+use crate::inverse::{BenchPriors, Fit, RefineOptions, fit, refine_bench};
 use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
 use crate::random::{Purpose, Stream, stream};
 use crate::simulation::photograph::Photographer;
@@ -149,12 +148,10 @@ fn one(
         .collect::<Result<Vec<_>, _>>()?;
 
     let options = lab.fit_options();
-    let error = |weights: [Vec<f64>; 3]| -> Result<f64, EvaluateError> {
-        let mixture = Mixture::new(lab.dictionary.clone(), weights)?;
-        Ok(lab.score(&mixture, &*material.brdf).environment)
-    };
+    let error = |fit: &Fit| lab.score(&fit.material, &*material.brdf).environment;
     let plain = |scene: &Scene| -> Result<f64, EvaluateError> {
-        error(fit(scene, &captured, &lab.dictionary, &options, &mut |_| {})?.weights)
+        let fit = fit(scene, &captured, &lab.dictionary, &options, &mut |_| {})?;
+        Ok(error(&fit))
     };
     let known = plain(&bench.scene(&truth))?;
     let unrefined = plain(&described)?;
@@ -175,7 +172,7 @@ fn one(
         .with("bench", number)
         .with("known", known)
         .with("unrefined", unrefined);
-    let refined = error(refined.fit.weights)?;
+    let refined = error(&refined.fit);
     row = row
         .with("refined", refined)
         .with("unrefined_over_known", unrefined / known)

@@ -186,14 +186,8 @@ fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
                             .with("expected_variance_left", remaining);
                         let fit = &estimate.fit;
                         let (theta_h, theta_d) = table_angles();
-                        let table = intervals::table(
-                            &lab.dictionary,
-                            &fit.weights,
-                            &fit.draws,
-                            &theta_h,
-                            &theta_d,
-                        );
-                        let row = row.and(lab.score_row(&estimate.mixture, &material)?);
+                        let table = intervals::table(&fit.material, &fit.draws, &theta_h, &theta_d);
+                        let row = row.and(lab.score_row(&estimate.fit.material, &material)?);
                         Ok(vec![row.with("interval_width", width(&table))])
                     }));
                 }

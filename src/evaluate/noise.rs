@@ -54,8 +54,8 @@ fn one(lab: &Lab, sample: Sample, material: &Material) -> Result<Vec<Row>, Evalu
             .with("exposures", exposures)
     };
     let clean = lab.fit_scene(&scene, &captured)?;
-    let noise_free = lab.score(&clean.mixture, &*material.brdf).environment;
-    let mut rows = vec![row("noise-free", 0).and(lab.score_row(&clean.mixture, material)?)];
+    let noise_free = lab.score(&clean.fit.material, &*material.brdf).environment;
+    let mut rows = vec![row("noise-free", 0).and(lab.score_row(&clean.fit.material, material)?)];
     for (name, bit_depth, full_well_e, read_noise_e) in SENSORS {
         for exposures in EXPOSURES {
             let photographer = Photographer {
@@ -71,7 +71,7 @@ fn one(lab: &Lab, sample: Sample, material: &Material) -> Result<Vec<Row>, Evalu
                 .map(|(light, image)| photographer.take(image, light))
                 .collect::<Result<Vec<_>, _>>()?;
             let estimate = lab.fit_scene(&scene, &taken)?;
-            let scores = lab.score_row(&estimate.mixture, material)?;
+            let scores = lab.score_row(&estimate.fit.material, material)?;
             let ratio = scores.number("environment_error").map(|e| e / noise_free);
             rows.push(
                 row(name, exposures)

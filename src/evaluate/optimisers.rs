@@ -81,7 +81,9 @@ fn compare(lab: &Lab, sample: Sample, material: &Material) -> Result<Vec<Row>, E
             ..lab.fit_options()
         };
         let estimate = lab.fit_with(&scene, &captured, &lab.dictionary, &options)?;
-        let error = lab.score(&estimate.mixture, &*material.brdf).environment;
+        let error = lab
+            .score(&estimate.fit.material, &*material.brdf)
+            .environment;
         let start = lab.score(&estimate.start, &*material.brdf).environment;
         let trace = &estimate.fit.trace;
         let begin = trace.first().map_or(0.0, |(seconds, _)| *seconds);

@@ -99,7 +99,7 @@ fn one(
     let lights = sample.lights(1);
     let (captured, truth) = capture(lab, sample, &lights, &material.brdf, departure)?;
     let estimate = lab.fit(sample, &lights, &captured)?;
-    let figures = lab.score(&estimate.mixture, &*truth);
+    let figures = lab.score(&estimate.fit.material, &*truth);
     Ok(vec![
         Row::new()
             .with("material", material.name.as_str())

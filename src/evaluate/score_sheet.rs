@@ -19,7 +19,7 @@ pub fn score(
     name: &str,
     truth: &dyn Brdf,
     dictionary: &Arc<Dictionary>,
-    estimate: &Mixture,
+    estimate: &dyn Brdf,
     start: &Mixture,
     sphere_px: usize,
 ) -> Result<ScoreSheet, ProjectionError> {
@@ -31,12 +31,11 @@ pub fn score(
     let maps = EnvironmentMap::all();
     let spheres = EnvironmentMatrix::new(dictionary.clone(), &maps, sphere_px);
     let spheres = spheres.of(truth);
-    let environment = |mixture: &Mixture| {
-        // A refined estimate has atoms that the dictionary's spheres lack.
-        channels(&if mixture.dictionary() == dictionary {
-            spheres.error(mixture).mean
-        } else {
-            score::environment_error(mixture, truth, &maps, sphere_px).mean
+    let environment = |brdf: &dyn Brdf| {
+        // The dictionary's spheres lack atoms of a refined estimate, and what departs.
+        channels(&match brdf.as_mixture() {
+            Some(mixture) if mixture.dictionary() == dictionary => spheres.error(mixture).mean,
+            _ => score::environment_error(brdf, truth, &maps, sphere_px).mean,
         })
     };
     let environment_error = MetricScores {
@@ -47,7 +46,7 @@ pub fn score(
     };
 
     let scored = score::cells(AZIMUTHS);
-    let errors = |mixture: &Mixture| score::brdf_errors(mixture, truth, &scored);
+    let errors = |brdf: &dyn Brdf| score::brdf_errors(brdf, truth, &scored);
     let [estimate, reference, start] = [estimate, &reference, start].map(errors);
     let metric = |of: fn(&BrdfErrors) -> &PerChannel, floor: &Mixture| MetricScores {
         estimate: channels(of(&estimate)),

@@ -28,7 +28,7 @@ fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
                     .with("shape", sample.name());
                 let start = lab.score(&estimate.start, &*material.brdf);
                 Ok(vec![
-                    row.and(lab.score_row(&estimate.mixture, &material)?)
+                    row.and(lab.score_row(&estimate.fit.material, &material)?)
                         .with("environment_error_single_bounce", start.environment)
                         .with("reduced_chi2", estimate.mean_reduced_chi2()),
                 ])

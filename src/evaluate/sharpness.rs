@@ -95,8 +95,7 @@ fn one(lab: &Lab, sample: Sample, material: &Material) -> Result<Vec<Row>, Evalu
             .collect::<Result<Vec<_>, _>>()?;
         let (scene, options) = (spread(&believed, believed_px), lab.fit_options());
         let fitted = fit(&scene, &captured, &lab.dictionary, &options, &mut |_| {})?;
-        let mixture = Mixture::new(lab.dictionary.clone(), fitted.weights)?;
-        Ok(lab.score(&mixture, &*material.brdf).environment)
+        Ok(lab.score(&fitted.material, &*material.brdf).environment)
     };
     let [measured_px, measured_std_px] = measured(&truth.camera, EDGE_SAMPLES, key(3))?;
     let sharp = error(0.0, 0.0)?;

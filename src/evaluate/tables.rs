@@ -50,7 +50,7 @@ fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
                     .with("source", source);
                 let rows = match (source, Sample::named(source)) {
                     (_, Some(sample)) => {
-                        rows(&lab.measure(sample, 1, &material.brdf)?.mixture, &row)
+                        rows(&lab.measure(sample, 1, &material.brdf)?.fit.material, &row)
                     }
                     ("truth", _) => rows(&*material.brdf, &row),
                     _ => rows(&lab.cells().reference_projection(&*material.brdf)?, &row),

@@ -3,12 +3,29 @@
 use serde_json::{Value, json};
 
 use super::SIMULATED_NOTE;
-use crate::session::fit_record::FitRecord;
+use crate::brdf::departure;
+use crate::session::fit_record::{DepartureRecord, FitRecord};
 
 /// Version of the document's layout.
 pub const FORMAT: u32 = 1;
 
-/// Dictionary, weights with their deviations, and the (θh, θd) table with its
+/// ln of what f is more than the mixture's, bilinear in its exponential between the angles.
+fn departure(departure: &DepartureRecord) -> Value {
+    let by_channel = departure.by_channel.each_ref().map(|d| d.0.as_slice());
+    let nodes: Vec<Value> = departure::nodes()
+        .enumerate()
+        .map(|(k, node)| {
+            json!({
+                "theta_h_deg": node.theta_h_deg,
+                "theta_d_deg": node.theta_d_deg,
+                "ln_factor": by_channel.map(|g| g[k]),
+            })
+        })
+        .collect();
+    json!({ "amplitude": departure.amplitude, "nodes": nodes })
+}
+
+/// Dictionary, weights with their deviations, the departure from their mixture, and the (θh, θd) table with its
 /// 95% interval. BRDF values are in 1/sr, cosine excluded; channels are R, G, B;
 /// table values are indexed [θh][θd][channel].
 pub fn to_json(record: &FitRecord) -> String {
@@ -50,7 +67,7 @@ pub fn to_json(record: &FitRecord) -> String {
         "weight_standard_deviations": record.weight_deviations,
         "weights_note": "weights alone are not identifiable: compare BRDF values, not weights",
         "reduced_chi_square": record.reduced_chi_square,
-        "departure": record.departure,
+        "departure": record.departure.as_ref().map(departure),
         "warnings": record.warnings,
         "table": {
             "theta_h_deg": table.theta_h_deg,

@@ -70,13 +70,16 @@ fn parts(mixture: &Mixture) -> Vec<Part> {
 }
 
 /// A scene fragment with one `bsdf` of the id [`BSDF_ID`]; for RGB variants.
-/// One-sided, like the measured surface.
-pub fn to_xml(mixture: &Mixture, simulated: bool) -> String {
+/// One-sided, like the measured surface. A `note` says more than that.
+pub fn to_xml(mixture: &Mixture, simulated: bool, note: Option<&str>) -> String {
     let parts = parts(mixture);
     let mut xml = String::from("<?xml version=\"1.0\" encoding=\"utf-8\"?>\n");
     xml += "<!-- BRDF fitted by rig; for the RGB variants of Mitsuba 3. -->\n";
     if simulated {
         let _ = writeln!(xml, "<!-- {SIMULATED_NOTE}. -->");
+    }
+    if let Some(note) = note {
+        let _ = writeln!(xml, "<!-- {note} -->");
     }
     xml += "<scene version=\"3.0.0\">\n";
     write_blend(&mut xml, &parts, 1, &format!(" id=\"{BSDF_ID}\""));
@@ -196,7 +199,7 @@ mod tests {
                     assert!((part.share * reflectance - expected).abs() < 1e-12);
                 }
             }
-            let xml = to_xml(&mixture, true);
+            let xml = to_xml(&mixture, true, None);
             assert_eq!(xml.matches("<bsdf").count(), xml.matches("</bsdf>").count());
             assert_eq!(
                 xml.matches("roughconductor").count(),

@@ -2,11 +2,11 @@
 //!
 //! | format | file | exactness |
 //! |---|---|---|
-//! | `json` | dictionary, weights, (θh, θd) table with intervals | exact |
+//! | `json` | dictionary, weights, departure, (θh, θd) table with intervals | exact |
 //! | `merl` | MERL `.binary`, 90 × 90 × 180 cells, with a note beside it | the BRDF at the cells' nodes |
 //! | `rgl` | RGL `.bsdf` in RGB, for Mitsuba 3's `measured` | at its nodes; see [`rgl`] |
 //! | `rgl-spectral` | the same with spectra, for pbrt-v4 and spectral Mitsuba | likewise; the spectra are an assumption |
-//! | `mitsuba` | scene fragment for Mitsuba 3 in an RGB variant | exact |
+//! | `mitsuba` | scene fragment for Mitsuba 3 in an RGB variant | exact but for a departure, which it lacks |
 //! | `pbrt` | material for pbrt-v4 and the `rgl-spectral` file it refers to | as that file |
 //!
 //! Exports of simulated sessions say so inside the file, or in the note beside
@@ -77,12 +77,18 @@ pub fn export(record: &FitRecord, format: Format, out: &Path) -> Result<Vec<Path
             Ok(vec![out.to_owned()])
         }
         Format::Mitsuba => {
-            let text = mitsuba::to_xml(&record.mixture()?, record.simulated);
+            let note = record.departure.as_ref().map(|departure| {
+                format!(
+                    "The material departs from every mixture, {:.1} times as much as measured ones usually do; this is the closest mixture, and RGL and MERL exports hold what was measured.",
+                    departure.amplitude
+                )
+            });
+            let text = mitsuba::to_xml(&record.mixture()?, record.simulated, note.as_deref());
             replace(out, text.as_bytes())?;
             Ok(vec![out.to_owned()])
         }
         Format::Merl => {
-            merl::write(out, &record.mixture()?)?;
+            merl::write(out, &*record.material()?)?;
             let mut name = out.as_os_str().to_owned();
             name.push(".txt");
             let note = PathBuf::from(name);
@@ -111,7 +117,7 @@ fn rgl_bytes(record: &FitRecord, spectral: bool) -> Result<Vec<u8>, ExportError>
     } else {
         rgl::Channels::Rgb
     };
-    Ok(rgl::to_bytes(&record.mixture()?, channels, &text))
+    Ok(rgl::to_bytes(&*record.material()?, channels, &text))
 }
 
 /// Where the values come from, in two sentences; formats that hold text hold this.
@@ -122,8 +128,12 @@ fn summary(record: &FitRecord) -> String {
     } else {
         String::new()
     };
+    let departs = match record.departure {
+        Some(_) => ", from which the material departs",
+        None => "",
+    };
     note + &format!(
-        "Mixture of the dictionary {}, rig {}: the images constrain {share:.0}% of the (half angle, difference angle) cells, and the other values are the dictionary's.",
+        "Mixture of the dictionary {}{departs}, rig {}: the images constrain {share:.0}% of the (half angle, difference angle) cells, and the other values are the dictionary's.",
         record.dictionary,
         env!("CARGO_PKG_VERSION"),
     )

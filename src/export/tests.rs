@@ -2,11 +2,13 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use glam::Vec3;
+use nalgebra::DVector;
 use serde_json::Value;
 
 use super::*;
+use crate::brdf::departure::{self, Departure};
 use crate::brdf::{Brdf, Dictionary, Mixture};
-use crate::session::fit_record::{AngleCell, AngleTable, AtomRecord, FitSettings};
+use crate::session::fit_record::{AngleCell, AngleTable, AtomRecord, DepartureRecord, FitSettings};
 
 fn record(simulated: bool) -> FitRecord {
     let dictionary = Dictionary::grid42();
@@ -41,7 +43,7 @@ fn record(simulated: bool) -> FitRecord {
         reduced_chi_square: vec![[1.0; 3]],
         truncation_remainder: Vec::new(),
         doubted: Vec::new(),
-        departure: 0.0,
+        departure: None,
         termination: "converged".to_owned(),
         trace: Vec::new(),
         timings: Vec::new(),
@@ -56,6 +58,63 @@ fn record(simulated: bool) -> FitRecord {
         bench: None,
         budget: None,
     }
+}
+
+/// A fit whose material departs, differently in each channel.
+fn departing() -> FitRecord {
+    let by_channel = [0.2, -0.3, 0.5].map(|scale| {
+        let nodes =
+            departure::nodes().map(|n| scale * (0.1 * n.theta_h_deg + 0.03 * n.theta_d_deg).sin());
+        Departure(DVector::from_iterator(departure::NODES, nodes))
+    });
+    FitRecord {
+        departure: Some(DepartureRecord {
+            amplitude: 0.8,
+            by_channel,
+        }),
+        ..record(true)
+    }
+}
+
+/// The node's factors make of the weights' mixture the material.
+#[test]
+fn json_holds_the_departure() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("brdf.json");
+    let record = departing();
+    export(&record, Format::Json, &out).unwrap();
+    let document: Value = serde_json::from_slice(&std::fs::read(&out).unwrap()).unwrap();
+    assert_eq!(document["departure"]["amplitude"], 0.8);
+    let node = &document["departure"]["nodes"][40];
+    let angle = |name: &str| node[name].as_f64().unwrap().to_radians();
+    let (to_light, to_viewer) = crate::brdf::HalfDifference {
+        theta_h_rad: angle("theta_h_deg"),
+        theta_d_rad: angle("theta_d_deg"),
+        phi_d_rad: std::f64::consts::FRAC_PI_2,
+    }
+    .to_directions();
+    let f = |brdf: &dyn Brdf| brdf.eval(to_light.as_vec3(), to_viewer.as_vec3());
+    let mixture = f(&record.mixture().unwrap());
+    let material = f(&*record.material().unwrap());
+    for c in 0..3 {
+        let factor = node["ln_factor"][c].as_f64().unwrap().exp();
+        let ratio = f64::from(material[c] / mixture[c]);
+        assert!((ratio / factor - 1.0).abs() < 1e-4, "{ratio} for {factor}");
+        assert!((factor - 1.0).abs() > 0.01, "{factor}");
+    }
+}
+
+/// Mitsuba's blends are the closest mixture alone, and say so.
+#[test]
+fn blends_say_that_they_lack_the_departure() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("a.xml");
+    let text = |record: &FitRecord| {
+        export(record, Format::Mitsuba, &out).unwrap();
+        std::fs::read_to_string(&out).unwrap()
+    };
+    assert!(text(&departing()).contains("departs"));
+    assert!(!text(&record(true)).contains("departs"));
 }
 
 #[test]
@@ -87,7 +146,7 @@ fn json_holds_the_whole_brdf() {
 fn a_merl_file_is_read_back_exactly() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("x.binary");
-    let record = record(true);
+    let record = departing();
     let files = export(&record, Format::Merl, &out).unwrap();
     assert_eq!(files, [out.clone(), folder.path().join("x.binary.txt")]);
     assert!(
@@ -100,7 +159,7 @@ fn a_merl_file_is_read_back_exactly() {
     let cells = 90 * 90 * 180;
     assert_eq!(bytes.len(), 12 + cells * 3 * 8);
     let table = merl::read(&out).unwrap();
-    let mixture = record.mixture().unwrap();
+    let material = record.material().unwrap();
     let mut compared = 0;
     for cell in (0..cells).step_by(101) {
         let stored = [0, 1, 2].map(|c| {
@@ -129,7 +188,7 @@ fn a_merl_file_is_read_back_exactly() {
         if light.z.min(viewer.z) < 0.02 {
             continue; // Single precision decides the horizon.
         }
-        for (got, want) in stored.into_iter().zip(mixture.eval(light, viewer)) {
+        for (got, want) in stored.into_iter().zip(material.eval(light, viewer)) {
             let want = f64::from(want);
             assert!(
                 (got - want).abs() < 1e-3 * want,

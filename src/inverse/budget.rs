@@ -11,7 +11,7 @@ use nalgebra::{DMatrix, DVector};
 
 use super::intervals::{atom_values, deviation, inadequacy};
 use super::uncertainty::Draws;
-use crate::brdf::dictionary::Dictionary;
+use crate::brdf::departure::Departed;
 
 /// What makes an estimate uncertain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -126,21 +126,21 @@ pub struct CellBudget {
 
 /// The budget at half and difference angles, degrees; `None` without draws.
 pub fn at(
-    dictionary: &Dictionary,
-    weights: &[Vec<f64>; 3],
+    material: &Departed,
     draws: &[Draws],
     theta_h_deg: f64,
     theta_d_deg: f64,
 ) -> Option<CellBudget> {
+    let dictionary = material.mixture.dictionary();
     let atoms = DVector::from_vec(atom_values(dictionary, theta_h_deg, theta_d_deg));
+    let values = material.at(atoms.as_slice(), theta_h_deg, theta_d_deg);
     let mut cell = CellBudget {
         value: 0.0,
         relative_variance: [0.0; SOURCES],
     };
-    for (c, weights) in weights.iter().enumerate() {
+    for (c, value) in values.into_iter().enumerate() {
         let set = draws.get(c.min(draws.len().checked_sub(1)?))?;
         let budget = set.budget.as_ref()?;
-        let value: f64 = weights.iter().zip(&atoms).map(|(w, f)| w * f).sum();
         let drawn: Vec<f64> = set.posterior.iter().map(|x| x.dot(&atoms)).collect();
         let count = drawn.len() as f64;
         if count < 2.0 || value <= 0.0 {
@@ -155,7 +155,9 @@ pub fn at(
             *sum += share * variance / (value * value) / 3.0;
         }
         let departures = set.departures.iter();
-        let departures: Vec<f64> = departures.map(|d| d.at(theta_h_deg, theta_d_deg)).collect();
+        let departures: Vec<f64> = departures
+            .map(|d| d.factor(theta_h_deg, theta_d_deg).ln())
+            .collect();
         let beyond = inadequacy(set.misfit, theta_h_deg, theta_d_deg).hypot(deviation(&departures));
         cell.relative_variance[Source::Model as usize] += beyond * beyond / 3.0;
     }

@@ -1,4 +1,4 @@
-//! The weights that are reported: those of least expected error over the draws.
+//! The material that is reported: that of least expected error over the draws.
 //!
 //! Errors of appearance are relative to how bright the true material looks. Draws f of the
 //! posterior are therefore averaged with weights 1/‖f‖², which makes E ‖a − f‖²/‖f‖² least
@@ -9,44 +9,67 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::departure::Eliminated;
+use super::intervals::atom_values;
 use super::projection::{EnvironmentMatrix, ProjectionError};
 use super::solve::per_channel;
 use super::uncertainty::Draws;
 use crate::brdf::Mixture;
-use crate::brdf::departure::Departed;
+use crate::brdf::departure::{self, Departed};
 
 /// Albedo of what looks black: darker materials count as this bright.
 const BLACK: f64 = 0.02;
 
-/// The weights to report per set: of draws around `center`, what is closest in environment error
-/// to their mean as it departs.
+/// The material to report: of draws around `center`, their mean as it departs, told as what
+/// departs from the mixture that is closest to it in environment error.
 pub(super) fn estimate(
     spheres: &EnvironmentMatrix<'_>,
     center: &[DVector<f64>],
     draws: &[Draws],
     departure: &[Eliminated],
-) -> Result<Vec<DVector<f64>>, ProjectionError> {
+) -> Result<Departed, ProjectionError> {
+    let dictionary = spheres.dictionary();
     let mean = mean_of_draws(spheres, draws);
+    let mixture = Mixture::new(dictionary.clone(), per_channel(&mean))?;
     if departure.is_empty() {
-        return Ok(mean);
+        return Ok(Departed::nowhere(mixture));
     }
     let sets = departure.iter().zip(mean.iter().zip(center));
     let departures: Vec<_> = sets
         .map(|(d, (mean, x))| d.departure(&d.modes(&(mean - x))))
         .collect();
-    let departed = Departed {
-        mixture: &Mixture::new(spheres.dictionary().clone(), per_channel(&mean))?,
-        departures: [0, 1, 2].map(|c| &departures[c.min(departures.len() - 1)]),
-    };
-    let (_, closest) = spheres.of(&departed).floor()?;
-    let closest = closest
-        .weights()
-        .each_ref()
-        .map(|w| DVector::from_column_slice(w));
-    Ok(match mean.len() {
-        1 => vec![closest.iter().sum::<DVector<f64>>() / 3.0],
-        _ => closest.to_vec(),
-    })
+    let departed = Departed::new(mixture, &departures);
+    let (_, mut closest) = spheres.of(&departed).floor()?;
+    if let [_] = mean[..] {
+        let [r, g, b] = closest
+            .weights()
+            .each_ref()
+            .map(|w| DVector::from_column_slice(w));
+        closest = Mixture::new(dictionary.clone(), per_channel(&[(r + g + b) / 3.0]))?;
+    }
+    Ok(departed_from(closest, &departed))
+}
+
+/// `departed` as what departs from another mixture.
+fn departed_from(mixture: Mixture, departed: &Departed) -> Departed {
+    let mut other = Departed::nowhere(mixture);
+    let nodes = departure::nodes().map(|node| {
+        let (h, d) = (node.theta_h_deg, node.theta_d_deg);
+        let atoms = atom_values(other.mixture.dictionary(), h, d);
+        let [wanted, there] = [departed, &other].map(|material| material.at(&atoms, h, d));
+        [0, 1, 2].map(|c| {
+            let both = wanted[c] > 0.0 && there[c] > 0.0;
+            if both {
+                (wanted[c] / there[c]).ln()
+            } else {
+                0.0
+            }
+        })
+    });
+    let nodes: Vec<[f64; 3]> = nodes.collect();
+    for (c, departure) in other.departures.iter_mut().enumerate() {
+        departure.0 = DVector::from_iterator(nodes.len(), nodes.iter().map(|g| g[c]));
+    }
+    other
 }
 
 /// Per set, the weights of least expected relative error over the draws, of which there is one
@@ -125,7 +148,8 @@ mod tests {
         let maps = EnvironmentMap::all();
         let spheres = EnvironmentMatrix::new(Arc::new(dictionary), &maps, 24);
         let drawn = of_draws(vec![vector([1.0, 0.0]), vector([0.0, 1.0])]);
-        let found = &estimate(&spheres, &[vector([1.0, 0.0])], &drawn, &[]).unwrap()[0];
+        let found = estimate(&spheres, &[vector([1.0, 0.0])], &drawn, &[]).unwrap();
+        let found = &found.mixture.weights()[0];
         let albedo = found[0] + 0.5 * found[1];
         assert!((albedo - 0.6).abs() < 1e-3, "{albedo}");
     }

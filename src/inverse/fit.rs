@@ -2,18 +2,21 @@
 
 use std::sync::Arc;
 
+use nalgebra::DVector;
+
 use super::bench::system::BenchLinearisation;
 use super::diagnosis::{self, Diagnosis};
 use super::exponentiated_gradient::ExponentiatedGradient;
 use super::gauss_newton::GaussNewton;
-use super::objective::{Channels, ModelImage, Objective};
+use super::objective::{Channels, DepartedModel, ModelImage, Objective};
 use super::posterior::{Posterior, posterior};
 use super::projection::ProjectionError;
 use super::refine::{Refine, refine};
 use super::simplex::SimplexError;
-use super::solve::{Paths, Solution, Solved, per_channel, solve};
+use super::solve::{Paths, Solution, Solved, solve};
 use super::trace::{Step, Termination};
 use super::uncertainty::Draws;
+use crate::brdf::departure::Departed;
 use crate::brdf::dictionary::Dictionary;
 use crate::geometry::FormError;
 use crate::radiance_image::RadianceImage;
@@ -89,9 +92,10 @@ impl Default for FitOptions {
 pub struct Fit {
     /// The dictionary that the weights belong to: the one given, or with more atoms.
     pub dictionary: Arc<Dictionary>,
-    /// Weights per channel × atoms; equal vectors if shared. Of Gauss–Newton, those of
-    /// least expected error over the draws (docs/adr/0006).
-    pub weights: [Vec<f64>; 3],
+    /// What is reported: a mixture (weights per channel × atoms; equal vectors if shared) and how
+    /// the material departs from it. Of Gauss–Newton, of least expected error over the draws
+    /// (docs/adr/0006, docs/adr/0032).
+    pub material: Departed,
     /// The single-bounce start of Eq. (13) in the dictionary given, per channel.
     pub start: [Vec<f64>; 3],
     /// Posterior and prior draws per channel.
@@ -99,7 +103,7 @@ pub struct Fit {
     /// How much the material departs from every mixture, in units of what measured materials do
     /// (docs/adr/0032); 0 where the images do not ask for it.
     pub departure: f64,
-    /// Modelled radiance with the render's variance, one image per light.
+    /// Radiance modelled for the material, with the render's variance, one image per light.
     pub rendered: Vec<RadianceImage>,
     /// (captured − model)/σ of capture, render and model error, 0 where not compared, one image per light.
     pub residual: Vec<RadianceImage>,
@@ -226,7 +230,7 @@ pub(super) fn fit_from(
     let mut timings = std::mem::take(&mut solved.solution.timings);
     let Posterior {
         draws,
-        reported,
+        material,
         departure,
     } = timings.time("uncertainty", || {
         posterior(scene, &paths, &objective, &solved, options, bench)
@@ -243,15 +247,25 @@ pub(super) fn fit_from(
     let diagnosis = timings.time("diagnosis", || {
         diagnosis::examine(scene, dictionary, &objective, cache, &mixture, &pass)
     });
-    solution.timings = timings;
     let doubted = (0..captured.len())
         .map(|light| objective.doubted(&pass.model, light))
         .collect();
-    let model = objective.modelled(&reported);
-    let (rendered, residual, reduced_chi2) = images(&objective, &model, captured, cache);
+    let (rendered, residual, reduced_chi2) = timings.time("images", || {
+        let sets: Vec<_> = (0..objective.sets())
+            .map(|set| DVector::from_column_slice(&material.mixture.weights()[set]))
+            .collect();
+        let modelled = if departure > 0.0 {
+            let model = DepartedModel::new(&objective, scene, &material, options.cache.seed);
+            objective.departed(&model).modelled(&sets)
+        } else {
+            objective.modelled(&sets)
+        };
+        images(&objective, &modelled, captured, cache)
+    });
+    solution.timings = timings;
     let fit = Fit {
         dictionary: dictionary.clone(),
-        weights: per_channel(&reported),
+        material,
         start: solution.start.clone(),
         draws,
         departure,

@@ -3,6 +3,7 @@
 //! Weights alone are not identifiable (atoms overlap); the BRDF they add up to is.
 
 use super::uncertainty::Draws;
+use crate::brdf::departure::Departed;
 use crate::brdf::dictionary::Dictionary;
 use crate::brdf::ggx::Cosines;
 use crate::brdf::half_difference::HalfDifference;
@@ -11,7 +12,7 @@ use crate::random::{Purpose, stream};
 /// f at one pair of angles, per channel, 1/sr.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Interval {
-    /// At the fitted weights.
+    /// As reported.
     pub value: [f64; 3],
     /// 2.5% quantile of the posterior draws, never above `value`.
     pub lower: [f64; 3],
@@ -23,23 +24,22 @@ pub struct Interval {
 
 /// Intervals over the grid of half and difference angles (degrees), θd fastest, at φd = 90°.
 pub fn table(
-    dictionary: &Dictionary,
-    weights: &[Vec<f64>; 3],
+    material: &Departed,
     draws: &[Draws],
     theta_h_deg: &[f64],
     theta_d_deg: &[f64],
 ) -> Vec<Interval> {
     let cell = |theta_h_deg: f64, theta_d_deg: f64| {
-        let atoms = atom_values(dictionary, theta_h_deg, theta_d_deg);
+        let atoms = atom_values(material.mixture.dictionary(), theta_h_deg, theta_d_deg);
+        let values = material.at(&atoms, theta_h_deg, theta_d_deg);
         let mut interval = Interval {
             value: [0.0; 3],
             lower: [0.0; 3],
             upper: [0.0; 3],
             constrained: true,
         };
-        for (c, weights) in weights.iter().enumerate() {
+        for (c, value) in values.into_iter().enumerate() {
             let f = |w: &[f64]| -> f64 { w.iter().zip(&atoms).map(|(w, f)| w * f).sum() };
-            let value = f(weights);
             let Some(set) = draws.get(c.min(draws.len().saturating_sub(1))) else {
                 (interval.value[c], interval.lower[c], interval.upper[c]) = (value, value, value);
                 continue;
@@ -53,13 +53,13 @@ pub fn table(
                 c as u64,
             );
             let departed = |draw: usize| match set.departures.get(draw) {
-                Some(departure) => departure.at(theta_h_deg, theta_d_deg),
-                None => 0.0,
+                Some(departure) => departure.factor(theta_h_deg, theta_d_deg),
+                None => 1.0,
             };
             let mut posterior: Vec<f64> = (0..)
                 .zip(&set.posterior)
                 .map(|(draw, x)| {
-                    f(x.as_slice()) * (departed(draw) + spread * numbers.normal()).exp()
+                    f(x.as_slice()) * departed(draw) * (spread * numbers.normal()).exp()
                 })
                 .collect();
             let prior: Vec<f64> = set.prior.iter().map(|x| f(x.as_slice())).collect();
@@ -137,9 +137,13 @@ fn quantile(sorted: &[f64], q: f64) -> Option<f64> {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
-    use crate::brdf::dictionary::Atom;
+    use std::sync::Arc;
+
     use nalgebra::DVector;
+
+    use super::*;
+    use crate::brdf::Mixture;
+    use crate::brdf::dictionary::Atom;
 
     /// Two atoms, uniform weights between them: quantiles and deviations are known.
     #[test]
@@ -156,12 +160,13 @@ mod tests {
             departures: Vec::new(),
             budget: None,
         };
-        let weights = std::array::from_fn(|_| vec![0.5, 0.5]);
+        let mixture = Mixture::grey(Arc::new(dictionary), vec![0.5, 0.5]).unwrap();
+        let material = Departed::nowhere(mixture);
         let draws = [set(), set(), set()];
-        let cells = table(&dictionary, &weights, &draws, &[0.0, 30.0], &[45.0]);
+        let cells = table(&material, &draws, &[0.0, 30.0], &[45.0]);
         for cell in &cells {
             let pi = std::f64::consts::PI;
-            assert!((cell.value[1] - 0.5 / pi).abs() < 1e-12);
+            assert!((cell.value[1] - 0.5 / pi).abs() < 1e-7);
             assert!((cell.lower[1] - 0.405 / pi).abs() < 1e-9, "{cell:?}");
             assert!((cell.upper[1] - 0.595 / pi).abs() < 1e-9, "{cell:?}");
             assert!(cell.constrained);
@@ -173,7 +178,7 @@ mod tests {
             departures: Vec::new(),
             budget: None,
         }];
-        assert!(!table(&dictionary, &weights, &wide, &[0.0], &[45.0])[0].constrained);
+        assert!(!table(&material, &wide, &[0.0], &[45.0])[0].constrained);
         assert!((weight_deviations(&draws, 2)[0][0] - 0.0586).abs() < 1e-3);
     }
 }

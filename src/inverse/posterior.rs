@@ -1,5 +1,5 @@
 //! What the images leave open around a fit: draws of the weights and of how the material
-//! departs from their mixture, and the weights to report.
+//! departs from their mixture, and the material to report.
 
 use nalgebra::DVector;
 
@@ -13,7 +13,7 @@ use super::projection::{EnvironmentMatrix, ProjectionError};
 use super::solve::{Paths, Solved, per_channel};
 use super::uncertainty::{self, Adds, Draws};
 use crate::brdf::Mixture;
-use crate::brdf::departure::{Departed, Departure};
+use crate::brdf::departure::Departed;
 use crate::brdf::environment::EnvironmentMap;
 use crate::transport::Scene;
 
@@ -24,8 +24,8 @@ const SPHERE_PX: usize = 24;
 pub(super) struct Posterior {
     /// Per set of weights.
     pub draws: Vec<Draws>,
-    /// The weights to report, per set.
-    pub reported: Vec<DVector<f64>>,
+    /// What to report.
+    pub material: Departed,
     /// Deviation of the departure in units of what measured materials have; 0 without one.
     pub departure: f64,
 }
@@ -61,7 +61,7 @@ pub(super) fn posterior(
                 0,
                 seed,
             )),
-            reported: mixture.clone(),
+            material: Departed::nowhere(material(mixture)?),
             departure: 0.0,
         });
     }
@@ -84,19 +84,12 @@ pub(super) fn posterior(
         };
         uncertainty::draw(dictionary, center, pass, &adds, options.draws, seed)
     };
-    let departed_by = |departures: &[Departure], material: &Mixture| {
-        let departures = [0, 1, 2].map(|c| &departures[c.min(departures.len() - 1)]);
-        let material = Departed {
-            mixture: material,
-            departures,
-        };
-        DepartedModel::new(objective, scene, &material, seed)
-    };
+    let model_of = |material: &Departed| DepartedModel::new(objective, scene, material, seed);
     let maps = EnvironmentMap::all();
     let spheres = EnvironmentMatrix::new(dictionary.clone(), &maps, SPHERE_PX);
 
     let mut center = mixture.clone();
-    let nothing = departed_by(&vec![Departure::none(); mixture.len()], &fitted);
+    let nothing = model_of(&Departed::nowhere(fitted));
     let at = At {
         objective,
         direct: &nothing.direct,
@@ -113,7 +106,7 @@ pub(super) fn posterior(
         let modes: Vec<_> = sets.map(|(d, (mean, x))| d.modes(&(mean - x))).collect();
         let sets = departure.iter().zip(&modes);
         let departures: Vec<_> = sets.map(|(d, modes)| d.departure(modes)).collect();
-        let departed = departed_by(&departures, &material(&mean)?);
+        let departed = model_of(&Departed::new(material(&mean)?, &departures));
         let objective = objective.departed(&departed);
         let pass = objective.linearise(&mean, weights);
         let left = |pass: &Linearised| pass.unexplained.iter().sum::<f64>();
@@ -131,14 +124,14 @@ pub(super) fn posterior(
             center = mean;
         }
     }
-    let reported = match options.optimizer {
+    let material = match options.optimizer {
         Optimizer::GaussNewton(_) => estimate(&spheres, &center, &draws, &departure)?,
         // The others are there to be compared: they report where they end.
-        _ => mixture.clone(),
+        _ => Departed::nowhere(material(mixture)?),
     };
     Ok(Posterior {
         draws: with_misfits(draws),
-        reported,
+        material,
         departure: departure.first().map_or(0.0, Eliminated::amplitude),
     })
 }
@@ -148,7 +141,7 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
-    use crate::brdf::departure::modes;
+    use crate::brdf::departure::{Departure, modes};
     use crate::brdf::{Atom, Brdf, Dictionary};
     use crate::inverse::departure::free_modes;
     use crate::inverse::form::tests::bowl;
@@ -189,10 +182,7 @@ mod tests {
         let mut z = DVector::zeros(free.nrows());
         z.rows_mut(0, 4).copy_from_slice(&[1.5, -1.5, 1.5, 1.5]);
         let g = Departure(modes() * (&free * free.tr_mul(&z)));
-        let departed = Departed {
-            mixture: &truth,
-            departures: [&g; 3],
-        };
+        let departed = Departed::new(truth.clone(), std::slice::from_ref(&g));
         let mut options = FitOptions::default();
         options.cache.samples_per_pixel = 128;
         let found = |material: &dyn Brdf| {
@@ -205,25 +195,18 @@ mod tests {
         assert_eq!(found(&truth).departure, 0.0, "a mixture departs");
         let found = found(&departed);
         assert!(found.departure > 0.0);
-        let draws = &found.draws[0];
-        let share = 1.0 / draws.posterior.len() as f64;
-        let mean = share * draws.posterior.iter().sum::<DVector<f64>>();
-        let departures = draws.departures.iter().map(|d| &d.0);
-        let departure = share * departures.sum::<DVector<f64>>();
-        let ln = |weights: &DVector<f64>, theta_h_deg, theta_d_deg| {
-            let atoms = atom_values(&dictionary, theta_h_deg, theta_d_deg);
-            let terms = atoms.iter().zip(weights);
-            terms.map(|(f, w)| f * w).sum::<f64>().ln()
-        };
+        let mixture = Departed::nowhere(found.material.mixture.clone());
         let mut squares = [0.0, 0.0];
-        for (k, node) in crate::brdf::departure::nodes().enumerate() {
+        for node in crate::brdf::departure::nodes() {
             let (h, d) = (node.theta_h_deg, node.theta_d_deg);
             if !(1.0..60.0).contains(&h) || d > 15.0 {
                 continue;
             }
-            let error = ln(&mean, h, d) - ln(&weights, h, d) - g.0[k];
-            squares[0] += error.powi(2);
-            squares[1] += (error + departure[k]).powi(2);
+            let atoms = atom_values(&dictionary, h, d);
+            let [truth, mixture, found] =
+                [&departed, &mixture, &found.material].map(|material| material.at(&atoms, h, d)[0]);
+            squares[0] += (mixture / truth).ln().powi(2);
+            squares[1] += (found / truth).ln().powi(2);
         }
         let left = (squares[1] / squares[0]).sqrt();
         println!("{:.3} of the error {:.3} is left", left, squares[0].sqrt());

@@ -327,10 +327,15 @@ impl<'a> EnvironmentMatrix<'a> {
         &self.dictionary
     }
 
-    /// The environment error of a mixture of this dictionary against `truth`, without
-    /// rendering the mixture.
-    pub fn error(&self, mixture: &Mixture, truth: &dyn Brdf) -> EnvironmentError {
-        self.of(truth).error(mixture)
+    /// The environment error of `estimate` against `truth`; a mixture of this dictionary is not
+    /// rendered for it.
+    pub fn error(&self, estimate: &dyn Brdf, truth: &dyn Brdf) -> EnvironmentError {
+        match estimate.as_mixture() {
+            Some(mixture) if *mixture.dictionary() == self.dictionary => {
+                self.of(truth).error(mixture)
+            }
+            _ => score::environment_error(estimate, truth, self.maps, self.size),
+        }
     }
 
     /// Renders `truth` once for any number of comparisons.

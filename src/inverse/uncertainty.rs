@@ -47,8 +47,9 @@ const ABSORPTION: f64 = 6.0;
 /// Steps of the chain per set of weights.
 const STEPS: usize = 20_000;
 
-/// Least variance of the score over what F says. Above one, because what is common to all
-/// pixels, such as the facets of the mesh, scatters no block; calibrated by coverage.
+/// Least variance of the score over what F says where the material departs from every mixture:
+/// what of the departure is common to all pixels scatters no block. Calibrated by coverage;
+/// where nothing departs, 1 is enough.
 pub const LEAST_SPREAD: f64 = 3.0;
 
 /// What makes the score scatter beside the residual, per set of weights.
@@ -168,7 +169,11 @@ fn adjusted_likelihood(
     // The fit has made the residuals smaller than the errors.
     let blocks = scores.len() as f64;
     scatter *= blocks / (blocks - 0.5 * kept.len() as f64).max(1.0);
-    let mut scatter = mapped(scatter, |v| v.max(LEAST_SPREAD));
+    let least = match adds.departure {
+        [] => 1.0,
+        _ => LEAST_SPREAD,
+    };
+    let mut scatter = mapped(scatter, |v| v.max(least));
     let whitened = |m: &DMatrix<f64>| inverse.tr_mul(m) * &inverse;
     if let Some(bench) = adds.bench {
         scatter += whitened(&bench.covariance(set));

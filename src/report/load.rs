@@ -75,7 +75,7 @@ fn load_with(
             Ok(FitInput {
                 name: number.to_string(),
                 images: fit_record::read_images_in(&session, number)?,
-                estimate: std::sync::Arc::new(record.mixture()?),
+                estimate: record.material()?,
                 record,
             })
         })

@@ -142,8 +142,8 @@ pub(super) fn tiles(record: Option<&FitRecord>) -> Vec<Tile> {
     if let Some(worst) = record.worst_reduced_chi_square() {
         tile("Worst reduced χ²", format!("{worst:.2}"), "1 is expected");
     }
-    if record.departure > 0.0 {
-        let times = format!("{:.1}×", record.departure);
+    if let Some(departure) = &record.departure {
+        let times = format!("{:.1}×", departure.amplitude);
         tile("Departure", times, "from mixtures, 1 is usual");
     }
     if !record.table.cells.is_empty() {

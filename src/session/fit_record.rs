@@ -5,6 +5,7 @@
 //! |---|---|
 //! | `fit.toml` | dictionary, settings, loss, χ², termination, timings, versions, scores, warnings, the bench as refined |
 //! | `weights.csv` | one row per atom: what it is, weight and standard deviation per channel |
+//! | `departure.csv` | by what f is more than the mixture's, over (θh, θd); only where the images ask for it |
 //! | `table.csv` | f over (θh, θd) with its 95% interval, and which cells the data constrain |
 //! | `trace.csv` | the loss after each step |
 //! | `rendered_L000.exr` | the images rendered from the fit, mean and variance |
@@ -25,8 +26,9 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
+use crate::brdf::departure::{self, Departed, Departure};
 use crate::brdf::mixture::SUM_TOLERANCE;
-use crate::brdf::{Atom, BrdfError, Dictionary, Mixture};
+use crate::brdf::{Atom, Brdf, BrdfError, Dictionary, Mixture};
 use crate::radiance_image::RadianceImage;
 use crate::radiance_image::exr::ExrError;
 use crate::session::SessionError;
@@ -39,6 +41,7 @@ pub use folder::{
 pub use tables::{AngleCell, AngleTable};
 
 const FIT_FILE: &str = "fit.toml";
+const DEPARTURE_FILE: &str = "departure.csv";
 
 /// Version of the folder's layout; a reader refuses any other.
 pub const FORMAT: u32 = 1;
@@ -167,6 +170,15 @@ pub struct ScoreSheet {
     pub brdf_cube_root_error: Option<MetricScores>,
 }
 
+/// How the material departs from the mixture of the weights (docs/adr/0032).
+#[derive(Clone, Debug, PartialEq)]
+pub struct DepartureRecord {
+    /// How much it departs from every mixture, in units of what measured materials do; above 0.
+    pub amplitude: f64,
+    /// In R, G and B.
+    pub by_channel: [Departure; 3],
+}
+
 /// A reason not to trust the fit.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Warning {
@@ -201,9 +213,9 @@ pub struct FitRecord {
     pub truncation_remainder: Vec<f64>,
     /// Part of the compared values that counted for less, as isolated outliers, per light.
     pub doubted: Vec<f64>,
-    /// How much the material departs from every mixture, in units of what measured materials do;
-    /// 0 where the images do not ask for it. Intervals allow for it.
-    pub departure: f64,
+    /// How the material departs from the mixture of the weights; `None` where the images do
+    /// not ask for it.
+    pub departure: Option<DepartureRecord>,
     /// Why the optimiser stopped, in words.
     pub termination: String,
     /// The way there.
@@ -226,6 +238,18 @@ pub struct FitRecord {
 
 impl FitRecord {
     /// The fitted BRDF.
+    ///
+    /// # Errors
+    /// As of [`FitRecord::mixture`].
+    pub fn material(&self) -> Result<Arc<dyn Brdf>, BrdfError> {
+        let mixture = self.mixture()?;
+        Ok(match &self.departure {
+            None => Arc::new(mixture),
+            Some(departure) => Arc::new(Departed::new(mixture, &departure.by_channel)),
+        })
+    }
+
+    /// The mixture of the weights: the one closest to the fitted BRDF where that departs from all.
     ///
     /// # Errors
     /// Atoms that the program doesn't know or whose parameters are out of range.
@@ -351,6 +375,38 @@ fn check(folder: &Path, record: &FitRecord) -> Result<(), FitRecordError> {
     if let Some((key, value)) = record.budget.as_ref().and_then(BudgetRecord::bad_value) {
         let allowed = "a share per source that sum to 1, and a deviation of 0 or more";
         return Err(out_of_range(&toml, key, value, allowed));
+    }
+    if let Some(departure) = &record.departure {
+        let amplitude = departure.amplitude;
+        if !(amplitude.is_finite() && amplitude > 0.0) {
+            return Err(out_of_range(
+                &toml,
+                "departure",
+                amplitude,
+                "0 or more, finite",
+            ));
+        }
+        let csv = folder.join(DEPARTURE_FILE);
+        for (departure, channel) in departure.by_channel.iter().zip(["r", "g", "b"]) {
+            let (rows, nodes) = (departure.0.len(), departure::NODES);
+            if rows != nodes {
+                return Err(out_of_range(
+                    &csv,
+                    "number of rows",
+                    rows,
+                    &nodes.to_string(),
+                ));
+            }
+            // What measured materials have stays well within.
+            if let Some(bad) = departure.0.iter().find(|g| !(-50.0..=50.0).contains(*g)) {
+                return Err(out_of_range(
+                    &csv,
+                    format!("ln_factor_{channel}"),
+                    bad,
+                    "-50 to 50",
+                ));
+            }
+        }
     }
     let atoms = record.atoms.len();
     for (row, atom) in record.atoms.iter().enumerate() {

@@ -24,7 +24,7 @@ pub struct DirectDeparted {
 
 impl DirectDeparted {
     /// In the `wanted` pixels; factors of 1 and derivatives of 0 elsewhere.
-    pub fn new(scene: &Scene, material: &Departed<'_>, wanted: &[bool], seed: u64) -> Self {
+    pub fn new(scene: &Scene, material: &Departed, wanted: &[bool], seed: u64) -> Self {
         let lights = scene.lights.len();
         let pixels: Vec<(Vec<f32>, Vec<f32>)> = (0..scene.camera.pixels())
             .into_par_iter()
@@ -99,7 +99,7 @@ impl Sum {
 }
 
 /// The sums of a pixel, per light and channel.
-fn look(scene: &Scene, material: &Departed<'_>, pixel: usize, seed: u64) -> Vec<Sum> {
+fn look(scene: &Scene, material: &Departed, pixel: usize, seed: u64) -> Vec<Sum> {
     let lights = scene.lights.len();
     let share = 1.0 / f64::from(STRATA * STRATA);
     let mut sums = vec![Sum::ZERO; lights * 3];

@@ -91,7 +91,6 @@ impl Lab {
     ) -> Result<Estimate, EvaluateError> {
         let fit = fit(scene, captured, dictionary, options, &mut |_| {})?;
         Ok(Estimate {
-            mixture: Mixture::new(dictionary.clone(), fit.weights.clone())?,
             start: Mixture::new(dictionary.clone(), fit.start.clone())?,
             fit,
         })
@@ -112,8 +111,6 @@ impl Lab {
 
 /// What a fit found.
 pub struct Estimate {
-    /// The estimate.
-    pub mixture: Mixture,
     /// The single-bounce start.
     pub start: Mixture,
     /// The fit itself.

@@ -5,7 +5,7 @@ use crate::brdf::score::{brdf_errors, cells};
 use crate::brdf::{Brdf, Mixture};
 use crate::evaluate::experiment::{EvaluateError, Row};
 
-/// Environment, BRDF and cube-root error of one mixture over all channels.
+/// Environment, BRDF and cube-root error of one estimate over all channels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Figures {
     /// Environment error, mean of the maps.
@@ -30,7 +30,7 @@ pub struct Scored {
 
 impl Lab {
     /// Scores of an estimate.
-    pub fn score(&self, estimate: &Mixture, truth: &dyn Brdf) -> Figures {
+    pub fn score(&self, estimate: &dyn Brdf, truth: &dyn Brdf) -> Figures {
         let environment = self.environment().error(estimate, truth).mean.all;
         self.figures(estimate, truth, environment)
     }
@@ -68,7 +68,11 @@ impl Lab {
 
     /// The columns that every table of estimates has: environment error, BRDF errors,
     /// the reference projection's and the floor.
-    pub fn score_row(&self, estimate: &Mixture, material: &Material) -> Result<Row, EvaluateError> {
+    pub fn score_row(
+        &self,
+        estimate: &dyn Brdf,
+        material: &Material,
+    ) -> Result<Row, EvaluateError> {
         let reachable = self.reachable(material)?;
         let figures = self.score(estimate, &*material.brdf);
         Ok(Row::new()

@@ -18,12 +18,7 @@ pub struct DepartedModel {
 
 impl DepartedModel {
     /// Of `material`, for the pixels that `objective` compares.
-    pub fn new(
-        objective: &Objective<'_>,
-        scene: &Scene,
-        material: &Departed<'_>,
-        seed: u64,
-    ) -> Self {
+    pub fn new(objective: &Objective<'_>, scene: &Scene, material: &Departed, seed: u64) -> Self {
         let wanted: Vec<bool> = (0..scene.camera.pixels())
             .map(|pixel| (0..objective.lights()).any(|light| objective.is_compared(light, pixel)))
             .collect();
@@ -114,10 +109,7 @@ mod tests {
         };
         let rendered = |along: [f64; 2]| {
             let g = departure(along);
-            let departed = Departed {
-                mixture: &mixture,
-                departures: [&g; 3],
-            };
+            let departed = Departed::new(mixture.clone(), &[g]);
             let options = RenderOptions {
                 samples_per_pixel: 8192,
                 max_reflections: 4,
@@ -136,10 +128,7 @@ mod tests {
         let paths = Paths::trace(&scene, &dictionary, None, &options, &mut |_| {}).unwrap();
         let objective = paths.objective(&captured, &options);
         let g = departure(at);
-        let departed = Departed {
-            mixture: &mixture,
-            departures: [&g; 3],
-        };
+        let departed = Departed::new(mixture.clone(), &[g]);
         let model = DepartedModel::new(&objective, &scene, &departed, 3);
         let objective = objective.departed(&model);
         let weights = vec![DVector::from_vec(vec![0.5, 0.5]); 3];

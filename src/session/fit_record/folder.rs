@@ -8,8 +8,9 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use super::{
-    BenchRecord, BudgetRecord, FIT_FILE, FORMAT, FitImages, FitRecord, FitRecordError, FitSettings,
-    ScoreSheet, Timing, Warning, check, out_of_range, tables,
+    BenchRecord, BudgetRecord, DEPARTURE_FILE, DepartureRecord, FIT_FILE, FORMAT, FitImages,
+    FitRecord, FitRecordError, FitSettings, ScoreSheet, Timing, Warning, check, out_of_range,
+    tables,
 };
 use crate::radiance_image::exr;
 use crate::session::layout::FITS_FOLDER;
@@ -62,6 +63,10 @@ pub fn encode(
             let bytes = exr::encode(image, &folder.join(&name))?;
             files.push((name, bytes));
         }
+    }
+    if let Some(departure) = &record.departure {
+        let text = tables::departure_to_csv(&departure.by_channel);
+        files.push((DEPARTURE_FILE.to_owned(), text.into_bytes()));
     }
     for (name, text) in [
         ("weights.csv", tables::weights_to_csv(record)),
@@ -203,6 +208,15 @@ fn parse(
     let (atoms, weights, weight_deviations) = tables::weights_from_csv(&path, &csv)?;
     let (path, csv) = text("table.csv")?;
     let table = tables::table_from_csv(&path, &csv)?;
+    let departure = if toml.departure == 0.0 {
+        None
+    } else {
+        let (path, csv) = text(DEPARTURE_FILE)?;
+        Some(DepartureRecord {
+            amplitude: toml.departure,
+            by_channel: tables::departure_from_csv(&path, &csv)?,
+        })
+    };
     let (path, csv) = text("trace.csv")?;
     let trace = tables::trace_from_csv(&path, &csv)?;
     let record = FitRecord {
@@ -216,7 +230,7 @@ fn parse(
         reduced_chi_square: toml.reduced_chi_square,
         truncation_remainder: toml.truncation_remainder,
         doubted: toml.doubted,
-        departure: toml.departure,
+        departure,
         termination: toml.termination,
         trace,
         timings: toml.timing,
@@ -319,7 +333,7 @@ fn to_toml(record: &FitRecord) -> String {
         reduced_chi_square: record.reduced_chi_square.clone(),
         truncation_remainder: record.truncation_remainder.clone(),
         doubted: record.doubted.clone(),
-        departure: record.departure,
+        departure: record.departure.as_ref().map_or(0.0, |d| d.amplitude),
         settings: record.settings.clone(),
         versions: record.versions.clone(),
         timing: record.timings.clone(),

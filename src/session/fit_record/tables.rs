@@ -3,7 +3,10 @@
 use std::fmt::Write;
 use std::path::Path;
 
+use nalgebra::DVector;
+
 use super::{AtomRecord, FitRecord, FitRecordError, TracePoint, out_of_range};
+use crate::brdf::departure::{self, Departure};
 
 /// f over a grid of half and difference angles (Rusinkiewicz), at φd = 90°:
 /// there both cosines equal cos θh · cos θd, so that every cell exists.
@@ -103,6 +106,13 @@ const TABLE_COLUMNS: [&str; 12] = [
     "upper_b",
     "constrained",
 ];
+const DEPARTURE_COLUMNS: [&str; 5] = [
+    "theta_h_deg",
+    "theta_d_deg",
+    "ln_factor_r",
+    "ln_factor_g",
+    "ln_factor_b",
+];
 const TRACE_COLUMNS: [&str; 3] = ["step", "loss", "seconds"];
 
 fn optional(value: Option<f64>) -> String {
@@ -144,6 +154,18 @@ pub(super) fn table_to_csv(table: &AngleTable) -> String {
             }
             let _ = writeln!(csv, ",{}", cell.constrained);
         }
+    }
+    csv
+}
+
+pub(super) fn departure_to_csv(departures: &[Departure; 3]) -> String {
+    let mut csv = DEPARTURE_COLUMNS.join(",") + "\n";
+    for (k, node) in departure::nodes().enumerate() {
+        let _ = write!(csv, "{:?},{:?}", node.theta_h_deg, node.theta_d_deg);
+        for departure in departures {
+            let _ = write!(csv, ",{:?}", departure.0[k]);
+        }
+        csv.push('\n');
     }
     csv
 }
@@ -293,6 +315,28 @@ pub(super) fn table_from_csv(path: &Path, csv: &str) -> Result<AngleTable, FitRe
         Ok(())
     })?;
     Ok(table)
+}
+
+pub(super) fn departure_from_csv(path: &Path, csv: &str) -> Result<[Departure; 3], FitRecordError> {
+    let mut nodes = departure::nodes();
+    let mut by_channel: [Vec<f64>; 3] = Default::default();
+    each_row(path, csv, &DEPARTURE_COLUMNS, |row| {
+        let angles: [f64; 2] = [row.get("theta_h_deg")?, row.get("theta_d_deg")?];
+        let node = nodes.next();
+        if node.is_none_or(|n| [n.theta_h_deg, n.theta_d_deg] != angles) {
+            let wanted = node.map_or_else(
+                || "no further row".to_owned(),
+                |n| format!("{}, {}", n.theta_h_deg, n.theta_d_deg),
+            );
+            let fact = format!("{}, {} where {wanted} belongs", angles[0], angles[1]);
+            return Err(row.error("theta_h_deg, theta_d_deg", fact));
+        }
+        for (values, value) in by_channel.iter_mut().zip(row.channels("ln_factor")?) {
+            values.push(value);
+        }
+        Ok(())
+    })?;
+    Ok(by_channel.map(|values| Departure(DVector::from_vec(values))))
 }
 
 pub(super) fn trace_from_csv(path: &Path, csv: &str) -> Result<Vec<TracePoint>, FitRecordError> {

@@ -52,7 +52,11 @@ fn sample() -> FitRecord {
         reduced_chi_square: vec![[1.0, 1.1, 0.9], [1.2, 1.0, 1.0]],
         truncation_remainder: vec![2e-4, 1e-4],
         doubted: vec![0.0, 0.01],
-        departure: 0.35,
+        departure: Some(DepartureRecord {
+            amplitude: 0.35,
+            by_channel: [0.1, -0.2, 0.0]
+                .map(|g| Departure(nalgebra::DVector::from_element(departure::NODES, g))),
+        }),
         termination: "the step changed no weight by more than 1e-6".to_owned(),
         trace: vec![TracePoint {
             step: 0,
@@ -172,6 +176,24 @@ const CORRUPTIONS: &[(&str, &str, &str, &str)] = &[
     ("table.csv", "true", "perhaps", "constrained"),
     ("table.csv", "45.0,", "95.0,", "theta_h_deg"),
     ("trace.csv", "0.125", "soon", "seconds"),
+    (
+        "fit.toml",
+        "departure = 0.35",
+        "departure = -1.0",
+        "departure",
+    ),
+    ("departure.csv", "ln_factor_g", "g", "ln_factor_g"),
+    ("departure.csv", ",0.1,", ",60.0,", "ln_factor_r"),
+    ("departure.csv", "1.0,12.0", "1.0,13.0", "theta_d_deg"),
+    ("departure.csv", "82.0,88.0,0.1,-0.2,0.0\n", "", "rows"),
+];
+
+const FILES: [&str; 5] = [
+    "fit.toml",
+    "weights.csv",
+    "table.csv",
+    "trace.csv",
+    "departure.csv",
 ];
 
 #[test]
@@ -189,7 +211,7 @@ fn a_corrupted_file_is_named_with_its_key() {
         );
         assert!(!error.contains('\n'), "one line: {error}");
     }
-    for file in ["fit.toml", "weights.csv", "table.csv", "trace.csv"] {
+    for file in FILES {
         let (_home, folder) = written();
         std::fs::remove_file(folder.join(file)).unwrap();
         let error = read(&folder).expect_err(file).to_string();
@@ -208,6 +230,7 @@ proptest! {
         chi2 in prop::collection::vec(prop::array::uniform3(0.0f64..1e9), 0..5),
         values in prop::collection::vec(prop::array::uniform3(0.0f64..1e30), 6),
         scored in any::<bool>(),
+        departs in any::<bool>(),
         seed in 0u64..=i64::MAX as u64,
     ) {
         let mut record = sample();
@@ -228,6 +251,7 @@ proptest! {
             cell.constrained = value[0] > 1.0;
         }
         if !scored { record.score = None; }
+        if !departs { record.departure = None; }
         let home = tempfile::tempdir().unwrap();
         let folder = home.path().join("fit");
         write(&folder, &record, &FitImages::default()).unwrap();
@@ -235,9 +259,8 @@ proptest! {
     }
 
     #[test]
-    fn arbitrary_text_never_panics(text in "\\PC{0,200}", file in 0usize..4) {
+    fn arbitrary_text_never_panics(text in "\\PC{0,200}", file in prop::sample::select(&FILES[..])) {
         let (_home, folder) = written();
-        let file = ["fit.toml", "weights.csv", "table.csv", "trace.csv"][file];
         std::fs::write(folder.join(file), text).unwrap();
         let _ = read(&folder);
     }
