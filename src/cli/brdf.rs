@@ -22,7 +22,7 @@ use crate::out;
 use crate::whole_file;
 
 const SPEC_HELP: &str = "A BRDF is one of: FILE.binary (MERL), FILE.bsdf (RGL), nbrdf:NAME (embedded measured material), \
-DICTIONARY:WEIGHTS.csv (a fit's mixture; DICTIONARY is paper42, grid42, rig42, rig26, reference-grid42 or a .json or .toml file), \
+DICTIONARY:WEIGHTS.csv (a fit's mixture, without what departs from it: that is in rig export --format merl; DICTIONARY is paper42, grid42, rig42, rig26, reference-grid42 or a .json or .toml file), \
 ggx:ALPHA,ETA, lambertian:ALBEDO.";
 
 /// Evaluates, checks, compares, draws and converts BRDFs

@@ -27,7 +27,7 @@ pub struct ExportArgs {
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum FormatArg {
-    /// Dictionary, weights and the table with its intervals
+    /// Dictionary, weights, departure and the table with its intervals
     Json,
     /// MERL .binary, 90 x 90 x 180 cells
     Merl,
@@ -35,7 +35,7 @@ enum FormatArg {
     Rgl,
     /// RGL .bsdf with spectra, for pbrt-v4's `measured` and spectral Mitsuba 3
     RglSpectral,
-    /// Scene fragment for the RGB variants of Mitsuba 3, exact
+    /// Scene fragment for the RGB variants of Mitsuba 3: the mixture of the weights, exactly
     Mitsuba,
     /// Material for pbrt-v4, with the .bsdf it refers to
     Pbrt,

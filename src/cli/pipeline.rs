@@ -459,7 +459,7 @@ fn warnings(fit: &Fit, record: &FitRecord) -> Vec<Warning> {
             });
         warn(
             format!(
-                "the images differ from the fit by {deviations:.1} times what noise and model error allow (root mean square), {part:.0}% of it as {} would",
+                "the images differ from those of the best mixture by {deviations:.1} times what noise and model error allow (root mean square), {part:.0}% of it as {} would",
                 cause.name()
             ),
             advice(cause),

@@ -15,7 +15,7 @@ pub enum BrdfSpec {
     Dictionary {
         /// `paper42`, `grid42`, or a dictionary file.
         name: String,
-        /// `weights.csv`, as a fit leaves it.
+        /// `weights.csv`, as a fit leaves it; what departs from it is not read.
         weights: PathBuf,
     },
     /// A measured table: MERL (`.binary`) or RGL (`.bsdf`).

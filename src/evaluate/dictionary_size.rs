@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table, spread};
 use super::lab::{Lab, Sample};
+use crate::brdf::departure::Departed;
 use crate::brdf::{Dictionary, Mixture};
 use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
 use crate::random::{Purpose, Stream, stream};
@@ -68,20 +69,19 @@ fn one(lab: &Lab, trial: u64, size: usize, sample: Sample) -> Result<Row, Evalua
     let estimate = lab.fit_with(&scene, &captured, &part, &lab.fit_options())?;
 
     // In terms of the whole dictionary, whose spheres are known.
-    let whole = estimate
-        .fit
-        .material
-        .mixture
-        .weights()
-        .each_ref()
-        .map(|weights| {
-            let mut whole = vec![0.0; lab.dictionary.len()];
-            for (&atom, &weight) in atoms.iter().zip(weights) {
-                whole[atom] = weight;
-            }
-            whole
-        });
-    let figures = lab.score(&Mixture::new(lab.dictionary.clone(), whole)?, &truth);
+    let material = estimate.fit.material;
+    let whole = material.mixture.weights().each_ref().map(|weights| {
+        let mut whole = vec![0.0; lab.dictionary.len()];
+        for (&atom, &weight) in atoms.iter().zip(weights) {
+            whole[atom] = weight;
+        }
+        whole
+    });
+    let whole = Departed {
+        mixture: Mixture::new(lab.dictionary.clone(), whole)?,
+        departures: material.departures,
+    };
+    let figures = lab.score(&whole, &truth);
     Ok(Row::new()
         .with("environment_error", figures.environment)
         .with("brdf_error", figures.brdf)

@@ -143,16 +143,17 @@ pub fn at(
         let budget = set.budget.as_ref()?;
         let drawn: Vec<f64> = set.posterior.iter().map(|x| x.dot(&atoms)).collect();
         let count = drawn.len() as f64;
-        if count < 2.0 || value <= 0.0 {
+        let mean = drawn.iter().sum::<f64>() / count;
+        if count < 2.0 || value <= 0.0 || mean <= 0.0 {
             return None;
         }
-        let mean = drawn.iter().sum::<f64>() / count;
         let variance = drawn.iter().map(|f| (f - mean).powi(2)).sum::<f64>() / (count - 1.0);
         // The draws differ in their sum nowhere: shares look at what differs.
         let shares = budget.shares(&atoms.add_scalar(-atoms.mean()));
         cell.value += value / 3.0;
         for (sum, share) in cell.relative_variance.iter_mut().zip(shares) {
-            *sum += share * variance / (value * value) / 3.0;
+            // The draws are of mixtures, the value of what departs.
+            *sum += share * variance / (mean * mean) / 3.0;
         }
         let departures = set.departures.iter();
         let departures: Vec<f64> = departures

@@ -49,20 +49,26 @@ pub(super) fn estimate(
     Ok(departed_from(closest, &departed))
 }
 
+/// Most that ln f of a mixture differs from that of the one closest to it, as far as a table
+/// of nodes can say it: in the tails of narrow lobes one may be all there is of the other.
+const APART: f64 = 3.0;
+
 /// `departed` as what departs from another mixture.
 fn departed_from(mixture: Mixture, departed: &Departed) -> Departed {
     let mut other = Departed::nowhere(mixture);
-    let nodes = departure::nodes().map(|node| {
+    let nodes = departure::nodes().enumerate().map(|(k, node)| {
         let (h, d) = (node.theta_h_deg, node.theta_d_deg);
         let atoms = atom_values(other.mixture.dictionary(), h, d);
         let [wanted, there] = [departed, &other].map(|material| material.at(&atoms, h, d));
         [0, 1, 2].map(|c| {
+            let g = departed.departures[c].0[k];
             let both = wanted[c] > 0.0 && there[c] > 0.0;
-            if both {
-                (wanted[c] / there[c]).ln()
+            let apart = if both {
+                (wanted[c] / there[c]).ln() - g
             } else {
                 0.0
-            }
+            };
+            g + apart.clamp(-APART, APART)
         })
     });
     let nodes: Vec<[f64; 3]> = nodes.collect();
@@ -103,6 +109,7 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
+    use crate::brdf::departure::Departure;
     use crate::brdf::environment::EnvironmentMap;
     use crate::brdf::{Atom, Dictionary};
 
@@ -137,6 +144,33 @@ mod tests {
             assert!(error(&found) < error(&other));
         }
         assert!(found[0] < 0.4, "nearer to the dark draws: {found}");
+    }
+
+    /// Where two mixtures have the same lobes, one is told exactly as what departs from the other;
+    /// where only one has light, no further apart than a table can say.
+    #[test]
+    fn a_mixture_is_told_as_departing_from_another() {
+        let atoms = vec![
+            Atom::Lambertian { albedo: 1.0 },
+            Atom::Black,
+            Atom::Beckmann {
+                alpha: 0.05,
+                eta: 1.5,
+            },
+        ];
+        let dictionary = Arc::new(Dictionary::new("three", atoms).unwrap());
+        let mixture =
+            |weights: [f64; 3]| Mixture::grey(dictionary.clone(), weights.to_vec()).unwrap();
+        let g = [Departure(DVector::from_element(departure::NODES, 0.3))];
+        let told = |from, wanted| departed_from(mixture(from), &Departed::new(mixture(wanted), &g));
+        let darker = told([0.8, 0.2, 0.0], [0.4, 0.6, 0.0]);
+        for &found in darker.departures[1].0.iter() {
+            assert!((found - (0.3 + 0.5f64.ln())).abs() < 1e-6, "{found}");
+        }
+        let other = told([0.0, 0.5, 0.5], [0.5, 0.0, 0.5]);
+        for &found in other.departures[2].0.iter() {
+            assert!((found - 0.3).abs() <= APART + 1e-9, "{found}");
+        }
     }
 
     /// A white and a grey Lambertian are as bright as 1 and 0.5: of draws that are one or

@@ -255,7 +255,7 @@ pub(super) fn fit_from(
             .map(|set| DVector::from_column_slice(&material.mixture.weights()[set]))
             .collect();
         let modelled = if departure > 0.0 {
-            let model = DepartedModel::new(&objective, scene, &material, options.cache.seed);
+            let model = DepartedModel::of_all(&objective, scene, &material, options.cache.seed);
             objective.departed(&model).modelled(&sets)
         } else {
             objective.modelled(&sets)

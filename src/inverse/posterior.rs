@@ -26,7 +26,7 @@ pub(super) struct Posterior {
     pub draws: Vec<Draws>,
     /// What to report.
     pub material: Departed,
-    /// Deviation of the departure in units of what measured materials have; 0 without one.
+    /// Deviation of its departure in units of what measured materials have; 0 without one.
     pub departure: f64,
 }
 
@@ -84,7 +84,8 @@ pub(super) fn posterior(
         };
         uncertainty::draw(dictionary, center, pass, &adds, options.draws, seed)
     };
-    let model_of = |material: &Departed| DepartedModel::new(objective, scene, material, seed);
+    let model_of =
+        |material: &Departed| DepartedModel::of_compared(objective, scene, material, seed);
     let maps = EnvironmentMap::all();
     let spheres = EnvironmentMatrix::new(dictionary.clone(), &maps, SPHERE_PX);
 
@@ -124,15 +125,16 @@ pub(super) fn posterior(
             center = mean;
         }
     }
-    let material = match options.optimizer {
-        Optimizer::GaussNewton(_) => estimate(&spheres, &center, &draws, &departure)?,
+    let amplitude = departure.first().map_or(0.0, Eliminated::amplitude);
+    let (material, departure) = match options.optimizer {
+        Optimizer::GaussNewton(_) => (estimate(&spheres, &center, &draws, &departure)?, amplitude),
         // The others are there to be compared: they report where they end.
-        _ => Departed::nowhere(material(mixture)?),
+        _ => (Departed::nowhere(material(mixture)?), 0.0),
     };
     Ok(Posterior {
         draws: with_misfits(draws),
         material,
-        departure: departure.first().map_or(0.0, Eliminated::amplitude),
+        departure,
     })
 }
 

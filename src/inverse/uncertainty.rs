@@ -47,9 +47,9 @@ const ABSORPTION: f64 = 6.0;
 /// Steps of the chain per set of weights.
 const STEPS: usize = 20_000;
 
-/// Least variance of the score over what F says where the material departs from every mixture:
-/// what of the departure is common to all pixels scatters no block. Calibrated by coverage;
-/// where nothing departs, 1 is enough.
+/// Least variance of the score over what F says, where the material may depart from every
+/// mixture: what of that is common to all pixels scatters no block. Calibrated by coverage; for
+/// weights from which nothing is found to depart 1 is enough.
 pub const LEAST_SPREAD: f64 = 3.0;
 
 /// What makes the score scatter beside the residual, per set of weights.

@@ -379,12 +379,8 @@ fn check(folder: &Path, record: &FitRecord) -> Result<(), FitRecordError> {
     if let Some(departure) = &record.departure {
         let amplitude = departure.amplitude;
         if !(amplitude.is_finite() && amplitude > 0.0) {
-            return Err(out_of_range(
-                &toml,
-                "departure",
-                amplitude,
-                "0 or more, finite",
-            ));
+            let allowed = "above 0, finite; 0 without departure.csv";
+            return Err(out_of_range(&toml, "departure", amplitude, allowed));
         }
         let csv = folder.join(DEPARTURE_FILE);
         for (departure, channel) in departure.by_channel.iter().zip(["r", "g", "b"]) {

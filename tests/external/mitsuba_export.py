@@ -10,6 +10,7 @@ import struct
 import subprocess
 import sys
 import tempfile
+import tomllib
 from pathlib import Path
 
 import mitsuba as mi
@@ -300,6 +301,9 @@ def main():
         rig("render", "--scene", scene, "--out", image, "--spp", 64, "--seed", 3)
         fit = folder / "fit"
         rig("fit", "--scene", scene, "--image", image, "--out", fit, "--dictionary", "grid42", "--spp", 64)
+        # Every format is compared with the weights' mixture, from which this fit must not depart.
+        departure = tomllib.loads((fit / "fit.toml").read_text())["departure"]
+        check("departure from the mixture", departure, 0.0)
         spec = f"grid42:{fit / 'weights.csv'}"
         for format, name in [
             ("mitsuba", "a.xml"),

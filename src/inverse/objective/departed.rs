@@ -18,17 +18,43 @@ pub struct DepartedModel {
 
 impl DepartedModel {
     /// Of `material`, for the pixels that `objective` compares.
-    pub fn new(objective: &Objective<'_>, scene: &Scene, material: &Departed, seed: u64) -> Self {
+    pub fn of_compared(
+        objective: &Objective<'_>,
+        scene: &Scene,
+        material: &Departed,
+        seed: u64,
+    ) -> Self {
         let wanted: Vec<bool> = (0..scene.camera.pixels())
             .map(|pixel| (0..objective.lights()).any(|light| objective.is_compared(light, pixel)))
             .collect();
+        Self::new(objective, scene, material, &wanted, seed)
+    }
+
+    /// Of `material`, for all pixels.
+    pub fn of_all(
+        objective: &Objective<'_>,
+        scene: &Scene,
+        material: &Departed,
+        seed: u64,
+    ) -> Self {
+        let wanted = vec![true; scene.camera.pixels()];
+        Self::new(objective, scene, material, &wanted, seed)
+    }
+
+    fn new(
+        objective: &Objective<'_>,
+        scene: &Scene,
+        material: &Departed,
+        wanted: &[bool],
+        seed: u64,
+    ) -> Self {
         let of_set = |set: usize| {
             let g = &material.departures[set].0;
             std::array::from_fn(|node| g[node].exp() as f32)
         };
         Self {
             factors: (0..objective.sets()).map(of_set).collect(),
-            direct: DirectDeparted::new(scene, material, &wanted, seed),
+            direct: DirectDeparted::new(scene, material, wanted, seed),
         }
     }
 }
@@ -129,7 +155,7 @@ mod tests {
         let objective = paths.objective(&captured, &options);
         let g = departure(at);
         let departed = Departed::new(mixture.clone(), &[g]);
-        let model = DepartedModel::new(&objective, &scene, &departed, 3);
+        let model = DepartedModel::of_compared(&objective, &scene, &departed, 3);
         let objective = objective.departed(&model);
         let weights = vec![DVector::from_vec(vec![0.5, 0.5]); 3];
 
