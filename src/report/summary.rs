@@ -124,7 +124,7 @@ pub(super) fn tiles(record: Option<&FitRecord>) -> Vec<Tile> {
         tile(
             "Dictionary floor",
             percent(errors.floor.overall),
-            "least possible",
+            "of any mixture",
         );
         tile(
             "Reference projection",
