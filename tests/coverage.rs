@@ -35,3 +35,38 @@ fn intervals_hold_the_truth() {
         assert!(constrained > 0.25, "{class}: {constrained}");
     }
 }
+
+/// Four captures of each kind; 17 of 20 faults are noticed here and 15 named.
+#[test]
+fn faults_are_noticed() {
+    let table = table("diagnosis");
+    let count = |kind: &str, column: &str| -> f64 {
+        let of_kind = table.figures(column, |row| row.text("capture") == kind);
+        assert_eq!(of_kind.len(), 4, "{kind}");
+        of_kind.iter().sum()
+    };
+    assert_eq!(count("sound, in span", "warned"), 0.0);
+    let faults = [
+        "second material",
+        "wrong depth",
+        "wrong pose",
+        "stray light",
+        "translucent",
+    ];
+    let [mut warned, mut right] = [0.0, 0.0];
+    for kind in faults {
+        println!(
+            "{kind}: {} warned, {} right",
+            count(kind, "warned"),
+            count(kind, "right")
+        );
+        warned += count(kind, "warned");
+        right += count(kind, "right");
+    }
+    println!(
+        "sound, measured: {} warned",
+        count("sound, measured", "warned")
+    );
+    assert!(warned >= 14.0, "{warned} of 20 noticed");
+    assert!(right >= 11.0, "{right} of 20 named");
+}

@@ -38,7 +38,16 @@ impl PhysicalCheck {
     /// Whether reciprocity holds within 1%, the albedo stays below 1.005 (the quadrature's own
     /// error is below half a percent), and all values are valid.
     pub fn passes(&self) -> bool {
-        self.reciprocity <= 0.01 && self.largest_albedo <= 1.005 && self.invalid == 0
+        self.reciprocity <= 0.01 && self.excess().is_none() && self.invalid == 0
+    }
+
+    /// Where more is reflected than arrives: the largest directional albedo if it is above
+    /// 1.005, the angle of incidence in degrees and the channel.
+    pub fn excess(&self) -> Option<(f64, f64, usize)> {
+        let all = ALBEDO_ANGLES_DEG.iter().zip(&self.albedo);
+        all.flat_map(|(&angle, albedo)| (0..3).map(move |c| (albedo[c], angle, c)))
+            .filter(|(albedo, ..)| *albedo > 1.005)
+            .max_by(|a, b| a.0.total_cmp(&b.0))
     }
 }
 
@@ -130,6 +139,9 @@ mod tests {
         }
         let bright = check(&Formula(|_, _| 1.1 * FRAC_1_PI));
         assert!(!bright.passes() && bright.largest_albedo > 1.09);
+        let (albedo, ..) = bright.excess().unwrap();
+        assert_eq!(albedo, bright.largest_albedo);
+        assert_eq!(grey.excess(), None);
         let lopsided = check(&Formula(|i, _| 0.5 * i.z * FRAC_1_PI));
         assert!(!lopsided.passes() && lopsided.reciprocity > 0.5);
         let negative = check(&Formula(|i, _| i.x.min(0.0)));

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use super::pipeline::{FitArgs, FitPlan, fit_session};
-use super::{CliError, Context, HintExt, output};
+use super::{CliError, Context, HintExt, output, warnings};
 use crate::config::scene::SceneFile;
 use crate::out;
 use crate::radiance_image::exr;
@@ -102,5 +102,6 @@ fn fit_scene(
     }
     let (record, images) = plan.run(&scene, &captured, false, None, context)?;
     fit_record::write(out, &record, &images)?;
+    warnings::tell(&record.warnings, context);
     Ok(())
 }

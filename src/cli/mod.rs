@@ -47,6 +47,7 @@ mod session_rig;
 pub mod shape;
 mod sharpness;
 pub mod stage;
+mod warnings;
 
 use std::ffi::OsString;
 use std::io::IsTerminal;

@@ -7,13 +7,13 @@ use std::sync::Arc;
 
 use super::bench_records::BenchRecords;
 use super::session_images::{SessionImages, measured_pose, session_images};
+use super::warnings::{self, warnings};
 use super::{CliError, Context, HintExt, facets};
 use crate::brdf::{Brdf, Dictionary, Mixture};
 use crate::config::process;
 use crate::config::uncertainty::Deviation;
 use crate::geometry::FormError;
 use crate::inverse::bench::{BenchEstimate, with_sample_at};
-use crate::inverse::diagnosis::Cause;
 use crate::inverse::exponentiated_gradient::ExponentiatedGradient;
 use crate::inverse::gauss_newton::GaussNewton;
 use crate::inverse::{
@@ -278,7 +278,7 @@ impl FitPlan {
         simulated: bool,
         truth: Option<(&str, &dyn Brdf)>,
     ) -> Result<FitRecord, CliError> {
-        let dictionary = &fit.dictionary;
+        let dictionary = fit.material.mixture.dictionary();
         let mut timings = fit.timings.clone();
         let clock = std::time::Instant::now();
         let score = match truth {
@@ -438,97 +438,8 @@ const SCORE_SPHERE_PX: usize = crate::brdf::score::SPHERE_SIZE;
 /// Change of the lamp within a light that a fit mentions.
 const NOTABLE_DRIFT: f64 = 0.005;
 
-/// Reasons not to trust a fit, with what most likely made them.
-fn warnings(fit: &Fit, record: &FitRecord) -> Vec<Warning> {
-    let mut warnings = Vec::new();
-    let mut warn = |what: String, likely_cause: &str| {
-        warnings.push(Warning {
-            what,
-            likely_cause: likely_cause.to_owned(),
-        });
-    };
-    let diagnosis = &fit.diagnosis;
-    if let Some(cause) = diagnosis.finding() {
-        let deviations = diagnosis.mean_square.sqrt();
-        let part = Cause::ALL
-            .into_iter()
-            .zip(diagnosis.explained)
-            .find(|(c, _)| *c == cause)
-            .map_or(0.0, |(_, part)| {
-                100.0 * (part / diagnosis.mean_square).clamp(0.0, 1.0)
-            });
-        warn(
-            format!(
-                "the images differ from those of the best mixture by {deviations:.1} times what noise and model error allow (root mean square), {part:.0}% of it as {} would",
-                cause.name()
-            ),
-            advice(cause),
-        );
-    }
-    for (light, &share) in record.truncation_remainder.iter().enumerate() {
-        if share > NOTABLE_REMAINDER {
-            warn(
-                format!(
-                    "paths of more than {} reflections, which were not followed, hold {:.2}% of the light (light {light})",
-                    record.settings.max_reflections,
-                    100.0 * share
-                ),
-                "--max-reflections is too small for so bright a material in so deep a shape",
-            );
-        }
-    }
-    for (light, &part) in fit.doubted.iter().enumerate() {
-        if part > NOTABLE_DOUBT {
-            warn(
-                format!(
-                    "{:.1}% of the values of light {light} are isolated outliers and counted for less",
-                    100.0 * part
-                ),
-                "dust or scratches on the sample, or hot pixels",
-            );
-        }
-    }
-    if fit.samples[0] < FEW_PATHS {
-        warn(
-            format!(
-                "{} paths per pixel were followed; below {FEW_PATHS} the paths' noise can steer the fit",
-                fit.samples[0]
-            ),
-            "--spp or --memory is small",
-        );
-    }
-    warnings
-}
-
-/// Light beyond the longest path that a fit should not leave out.
-const NOTABLE_REMAINDER: f64 = 1e-3;
-/// Part of the values that dust may cover unmentioned.
-const NOTABLE_DOUBT: f64 = 0.02;
-/// Paths per pixel from which independent halves work well.
-const FEW_PATHS: u32 = 128;
 /// Paths per looked-at pixel that the truncation's estimate takes.
 const TRUNCATION_SAMPLES: u32 = 32;
-
-/// What to look at, by cause.
-fn advice(cause: Cause) -> &'static str {
-    match cause {
-        Cause::StrayLight => {
-            "stray light from the room or the holder; darken it, or subtract frames taken with the lamp off"
-        }
-        Cause::ShapeOrPose => {
-            "the sample is not where, or not of the shape that, the scene file says; measure its pose again"
-        }
-        Cause::NonUniform => {
-            "the material differs between places; fit a uniform region alone with --mask"
-        }
-        Cause::Translucency => {
-            "light spreads below the surface, or the image is not sharp; neither is part of the model"
-        }
-        Cause::Dictionary => {
-            "a material that the dictionary does not hold; try another with --dictionary"
-        }
-    }
-}
 
 /// Leaves out what is dark in a mask of the images' size.
 fn apply_mask(path: &Path, images: &mut [RadianceImage]) -> Result<(), CliError> {
@@ -621,6 +532,7 @@ pub fn fit_session(
     let mut writer = SessionWriter::open(Arc::new(SystemDisk), root)?;
     let folder = fit_record::commit(&mut writer, &fit, &images)?;
     writer.refresh_manifest()?;
+    warnings::tell(&fit.warnings, context);
     Ok(folder)
 }
 

@@ -11,7 +11,7 @@ use super::lab::materials::Class;
 use super::lab::{Lab, Sample};
 use crate::brdf::Brdf;
 use crate::inverse::diagnosis::Cause;
-use crate::inverse::{FitOptions, fit};
+use crate::inverse::fit;
 use crate::plot::Figure;
 
 /// Rates of warnings and of the named causes.
@@ -111,19 +111,26 @@ fn one(lab: &Lab, kind: usize, index: u64) -> Result<Row, EvaluateError> {
         lab.settings.resolution_px,
         sample.lights(lab.settings.lights),
     )?;
-    let options = FitOptions {
-        draws: 0,
-        ..options(lab, index)
-    };
+    let options = options(lab, index);
     let fit = fit(&scene, &images, &lab.dictionary, &options, &mut |_| {})?;
     let finding = fit.diagnosis.finding();
+    let named = match finding {
+        Some(cause) => cause.name(),
+        None if fit.diagnosis.is_unexplained() => "unexplained",
+        None => "none",
+    };
     let mut row = Row::new()
         .with("capture", name)
         .with("expected", expected.map_or("none", Cause::name))
-        .with("named", finding.map_or("none", Cause::name))
-        .with("right", if finding == expected { 1.0 } else { 0.0 })
+        .with("named", named)
+        .with("warned", f64::from(u8::from(named != "none")))
+        .with(
+            "right",
+            f64::from(u8::from(named == expected.map_or("none", Cause::name))),
+        )
         .with("mean_square", fit.diagnosis.mean_square)
-        .with("correlation", fit.diagnosis.correlation);
+        .with("correlation", fit.diagnosis.correlation)
+        .with("departure", fit.departure);
     for (cause, part) in Cause::ALL.into_iter().zip(fit.diagnosis.explained) {
         row = row.with(cause.name().replace(' ', "_"), part);
     }

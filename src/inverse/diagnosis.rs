@@ -1,19 +1,20 @@
 //! What a fit cannot explain, and what would explain it.
 //!
-//! Every cause that is considered has images of its own: what the residual would look
-//! like to first order if that were wrong. The residual, in standard deviations of
-//! noise and model error, is regressed on them after the part that other weights could
-//! make has been taken out of both. What is left to say is how much of the mean square
-//! residual each cause accounts for (docs/adr/0010).
+//! Every cause that is considered has images of its own: what the residual would look like to
+//! first order if that were wrong. The residual of the material, as it departs from its mixture,
+//! in standard deviations of noise and model error, is regressed on them after the part that
+//! other weights could make has been taken out of both. What is left to say is how much of the
+//! mean square residual each cause accounts for (docs/adr/0010).
 
 use glam::{DVec2, DVec3};
 use nalgebra::{Cholesky, DMatrix, DVector};
 
-use super::objective::{Linearised, Modelled, Objective};
-use crate::brdf::Dictionary;
+use super::bench::derivatives::{DerivativeImages, DerivativeOptions};
+use super::objective::{ModelImage, Modelled, Objective};
+use crate::brdf::departure::Departed;
 use crate::brdf::half_difference::HalfDifference;
 use crate::frames::{Rigid, Sample};
-use crate::transport::{Cache, DirectMatrix, Scene};
+use crate::transport::{Proposal, Scene, Steering};
 
 /// What can be wrong with a sample or a bench.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -81,6 +82,9 @@ const NOTABLE_PART: f64 = 0.25;
 /// little of anything.
 const NOTABLE_DICTIONARY_PART: f64 = 0.5;
 
+/// Mean square residual from which images count as unexplained where no cause is named.
+const UNEXPLAINED_MEAN_SQUARE: f64 = 1.3;
+
 /// How much more the dictionary must account for than any other cause to be the most
 /// likely one: on a round sample almost everything depends on the angles.
 const DICTIONARY_LEAD: f64 = 1.25;
@@ -102,6 +106,11 @@ impl Diagnosis {
             (part > NOTABLE_PART).then_some(*other)
         }
     }
+
+    /// Whether the images are not explained, and look as no cause would that can be named.
+    pub fn is_unexplained(&self) -> bool {
+        self.mean_square >= UNEXPLAINED_MEAN_SQUARE && self.finding().is_none()
+    }
 }
 
 /// Fields of position that a non-uniform material may follow, over [−1, 1]².
@@ -113,124 +122,149 @@ const SHAPES: usize = 9;
 /// Radii of blur, pixels.
 const BLURS: [f64; 2] = [0.7, 1.5];
 
+/// What is examined: a fit, and what explains its images.
+pub(super) struct Examined<'a> {
+    /// What was fitted.
+    pub scene: &'a Scene,
+    /// The comparison, with the light of the material.
+    pub objective: &'a Objective<'a>,
+    /// The weights of least loss per set, few of them above zero: what they could make is no
+    /// sign of a fault. All atoms of the reported mixture could make almost anything.
+    pub mixture: &'a [DVector<f64>],
+    /// The material, which may depart from its mixture.
+    pub material: &'a Departed,
+    /// Its images.
+    pub model: &'a [ModelImage],
+    /// That of the fit's paths.
+    pub seed: u64,
+}
+
 /// Examines the residual of a fit.
-pub fn examine(
-    scene: &Scene,
-    dictionary: &Dictionary,
-    objective: &Objective<'_>,
-    cache: &Cache,
-    mixture: &[DVector<f64>],
-    pass: &Linearised,
-) -> Diagnosis {
+pub(super) fn examine(fit: &Examined<'_>) -> Diagnosis {
+    let &Examined {
+        scene,
+        objective,
+        mixture,
+        model,
+        ..
+    } = fit;
     let [width, height] = scene.camera.resolution_px;
-    let lights = objective.lights();
-    let atoms = dictionary.len();
-    let displaced = displaced_images(scene, dictionary, mixture);
+    let (lights, atoms, sets) = (objective.lights(), objective.atoms(), objective.sets());
+    let Scatter {
+        mean_square,
+        correlation,
+        count,
+    } = scatter(objective, model, [width, height]);
+    let displaced = displaced_images(fit);
     let angles = first_angles(scene);
-    let slices: Vec<&[f64]> = mixture.iter().map(|w| w.as_slice()).collect();
     let active: Vec<Vec<usize>> = mixture
         .iter()
         .map(|w| (0..atoms).filter(|&k| w[k] > ACTIVE).collect())
         .collect();
-    let sets = mixture.len();
     // Columns: active atoms, the templates of all causes, the residual.
     let sizes = [lights, SHAPES, FIELDS, BLURS.len(), ANGLES];
     let templates: usize = sizes.iter().sum();
     let columns: Vec<usize> = active.iter().map(|a| a.len() + templates + 1).collect();
-    let model = &pass.model;
-    let parts = cache.evaluate(
-        objective.kernel(),
-        &slices,
-        || {
-            (0..3)
-                .map(|c| DMatrix::zeros(columns[c.min(sets - 1)], columns[c.min(sets - 1)]))
-                .collect::<Vec<_>>()
-        },
-        |grams, rows| {
-            let pixel = rows.pixel;
-            let at = DVec2::new(
-                (2 * (pixel % width) + 1) as f64 / width as f64 - 1.0,
-                (2 * (pixel / width) + 1) as f64 / height as f64 - 1.0,
-            );
-            for light in (0..lights).filter(|&l| objective.is_compared(l, pixel)) {
-                for (c, gram) in grams.iter_mut().enumerate() {
-                    let Some((z, sigma)) = objective.deviation(model, light, pixel, c) else {
-                        continue;
-                    };
-                    let set = c.min(sets - 1);
-                    let value = model[light][pixel][c].value();
-                    let r = light * sets + set;
-                    let direct = objective.direct().row(pixel, light);
-                    let mut row = Vec::with_capacity(columns[set]);
-                    for &k in &active[set] {
-                        let indirect =
-                            rows.jacobian[0][r * atoms + k] + rows.jacobian[1][r * atoms + k];
-                        row.push(f64::from(direct[k]) + 0.5 * f64::from(indirect));
-                    }
-                    row.extend((0..lights).map(|l| f64::from(u8::from(l == light))));
-                    row.extend(
-                        (0..SHAPES).map(|s| displaced[s][(light * 3 + c) * width * height + pixel]),
-                    );
-                    row.extend(fields(at).map(|f| f * value));
-                    row.extend(BLURS.map(|radius| {
-                        blurred(&model[light], c, pixel, [width, height], radius) - value
-                    }));
-                    row.extend(angles[light * width * height + pixel].map(|f| f * value));
-                    row.iter_mut().for_each(|v| *v /= sigma);
-                    row.push(z.clamp(-WILD, WILD));
-                    for j in 0..row.len() {
-                        for i in j..row.len() {
-                            gram[(i, j)] += row[i] * row[j];
-                        }
+    let none = || -> Vec<_> {
+        (0..3)
+            .map(|c| DMatrix::zeros(columns[c.min(sets - 1)], columns[c.min(sets - 1)]))
+            .collect()
+    };
+    let parts = objective.evaluate(mixture, false, none, |grams, rows| {
+        let pixel = rows.pixel;
+        let at = DVec2::new(
+            (2 * (pixel % width) + 1) as f64 / width as f64 - 1.0,
+            (2 * (pixel / width) + 1) as f64 / height as f64 - 1.0,
+        );
+        let mut by_weight = [vec![0.0; atoms], vec![0.0; atoms]];
+        for light in (0..lights).filter(|&l| objective.is_compared(l, pixel)) {
+            for (c, gram) in grams.iter_mut().enumerate() {
+                let Some((z, sigma)) = objective.deviation(model, light, pixel, c) else {
+                    continue;
+                };
+                let set = c.min(sets - 1);
+                let value = model[light][pixel][c].value();
+                let [first, second] = &mut by_weight;
+                objective.derivatives(rows, light, c, [first, second]);
+                let mut row = Vec::with_capacity(columns[set]);
+                row.extend(active[set].iter().map(|&k| 0.5 * (first[k] + second[k])));
+                row.extend((0..lights).map(|l| f64::from(u8::from(l == light))));
+                let pixels = width * height;
+                row.extend(displaced.iter().map(|d| d[light * pixels + pixel][c]));
+                row.extend(fields(at).map(|f| f * value));
+                row.extend(BLURS.map(|radius| {
+                    blurred(&model[light], c, pixel, [width, height], radius) - value
+                }));
+                row.extend(angles[light * pixels + pixel].map(|f| f * value));
+                row.iter_mut().for_each(|v| *v /= sigma);
+                row.push(z.clamp(-WILD, WILD));
+                for j in 0..row.len() {
+                    for i in j..row.len() {
+                        gram[(i, j)] += row[i] * row[j];
                     }
                 }
             }
-        },
-    );
+        }
+    });
     let mut explained = [0.0; 5];
-    let (mut square, mut count) = (0.0, 0usize);
     for c in 0..3 {
         let set = c.min(sets - 1);
         let mut gram = DMatrix::zeros(columns[set], columns[set]);
         parts.iter().for_each(|p| gram += &p[c]);
         gram.fill_upper_triangle_with_lower_triangle();
-        let last = columns[set] - 1;
-        square += gram[(last, last)];
         let first = active[set].len();
         let mut from = first;
-        for (h, &size) in sizes.iter().enumerate() {
+        for (explained, &size) in explained.iter_mut().zip(&sizes) {
             let template: Vec<usize> = (from..from + size).collect();
-            explained[h] += accounted_for(&gram, first, &template, last) - size as f64;
+            *explained += accounted_for(&gram, first, &template, columns[set] - 1) - size as f64;
             from += size;
         }
     }
+    Diagnosis {
+        mean_square,
+        explained: explained.map(|e| e / count),
+        correlation,
+    }
+}
+
+/// How residuals scatter.
+struct Scatter {
+    mean_square: f64,
+    correlation: f64,
+    /// Values compared.
+    count: f64,
+}
+
+fn scatter(
+    objective: &Objective<'_>,
+    model: &[ModelImage],
+    [width, height]: [usize; 2],
+) -> Scatter {
+    let (mut square, mut count) = (0.0, 0usize);
     let (mut neighbours, mut pairs) = (0.0, 0usize);
-    for light in 0..lights {
-        for pixel in 0..width * height {
-            if !objective.is_compared(light, pixel) {
-                continue;
-            }
+    for light in 0..objective.lights() {
+        let z = |pixel, c| {
+            let z = objective
+                .deviation(model, light, pixel, c)
+                .map_or(0.0, |d| d.0);
+            z.clamp(-WILD, WILD)
+        };
+        for pixel in (0..width * height).filter(|&p| objective.is_compared(light, p)) {
             count += 3;
+            square += (0..3).map(|c| z(pixel, c).powi(2)).sum::<f64>();
             let right = pixel + 1;
-            if right % width == 0 || !objective.is_compared(light, right) {
-                continue;
-            }
-            for c in 0..3 {
-                let z = |p| {
-                    let z = objective.deviation(model, light, p, c).map_or(0.0, |d| d.0);
-                    z.clamp(-WILD, WILD)
-                };
-                neighbours += z(pixel) * z(right);
-                pairs += 1;
+            if !right.is_multiple_of(width) && objective.is_compared(light, right) {
+                neighbours += (0..3).map(|c| z(pixel, c) * z(right, c)).sum::<f64>();
+                pairs += 3;
             }
         }
     }
     let count = count.max(1) as f64;
     let mean_square = square / count;
-    Diagnosis {
+    Scatter {
         mean_square,
-        explained: explained.map(|e| e / count),
         correlation: neighbours / pairs.max(1) as f64 / mean_square.max(f64::MIN_POSITIVE),
+        count,
     }
 }
 
@@ -329,56 +363,66 @@ fn first_angles(scene: &Scene) -> Vec<[f64; ANGLES]> {
     all
 }
 
-/// Change of the direct reflection, `[displacement][(light · 3 + channel) · pixels + pixel]`,
-/// when the sample moves, turns or is scaled a little.
-fn displaced_images(
-    scene: &Scene,
-    dictionary: &Dictionary,
-    mixture: &[DVector<f64>],
-) -> Vec<Vec<f64>> {
+/// Change of the direct reflection, `[displacement][light · pixels + pixel][channel]`, when the
+/// sample moves, turns or is scaled a little. What comes by way of other surfaces is left out:
+/// few paths are noise that hides the rest (docs/adr/0010).
+fn displaced_images(fit: &Examined<'_>) -> Vec<Vec<[f64; 3]>> {
+    let (scene, objective) = (fit.scene, fit.objective);
     let mesh = scene.sample();
     let [low, high] = mesh.bounds_mm().map(|v| v.as_dvec3());
     let (centre, size) = (0.5 * (low + high), (high - low).max_element());
-    let image = |scene: &Scene| -> Vec<f64> {
-        let direct = DirectMatrix::new(scene, dictionary, 2, 1);
-        let mut values = Vec::new();
-        for light in 0..scene.lights.len() {
-            for c in 0..3 {
-                let weights = &mixture[c.min(mixture.len() - 1)];
-                values.extend((0..scene.camera.pixels()).map(|p| -> f64 {
-                    let row = direct.row(p, light);
-                    row.iter()
-                        .zip(weights)
-                        .map(|(&d, &w)| f64::from(d) * w)
-                        .sum()
-                }));
+    let (lights, pixels) = (objective.lights(), scene.camera.pixels());
+    let wanted: Vec<bool> = (0..pixels)
+        .map(|pixel| (0..lights).any(|light| objective.is_compared(light, pixel)))
+        .collect();
+    let options = DerivativeOptions {
+        samples_per_half: 0,
+        max_reflections: 1,
+        seed: fit.seed,
+        proposal: Proposal::default(),
+        steering: Steering::NONE,
+        direct_strata: 2,
+        average_px: 0,
+    };
+    let mut displaced = Vec::with_capacity(SHAPES);
+    // One axis at a time, which bounds the memory.
+    for axis in [DVec3::X, DVec3::Y, DVec3::Z] {
+        let shift = |step: f64| {
+            let to = Rigid::<Sample, Sample>::from_rotation_vector(DVec3::ZERO, step * size * axis);
+            mesh.transformed(&to)
+        };
+        let turn = |step: f64| {
+            let about = Rigid::<Sample, Sample>::from_rotation_vector(step * axis, DVec3::ZERO);
+            // Turned about the sample's middle.
+            let back = centre - about.point(centre);
+            let to = Rigid::<Sample, Sample>::from_rotation_vector(step * axis, back);
+            mesh.transformed(&to)
+        };
+        let scale = |step: f64| {
+            let mut scaled = mesh.clone();
+            let factor = DVec3::ONE + step * axis;
+            for p in &mut scaled.positions_mm {
+                *p = (centre + (p.as_dvec3() - centre) * factor).as_vec3();
+            }
+            for n in scaled.normals.iter_mut().flatten() {
+                *n = (n.as_dvec3() / factor).normalize().as_vec3();
+            }
+            scaled
+        };
+        let deformed = vec![
+            [STEP, -STEP].map(shift),
+            [STEP, -STEP].map(turn),
+            [STEP, -STEP].map(scale),
+        ];
+        let shapes = deformed.len();
+        let images = DerivativeImages::of_shapes(scene, deformed, fit.material, &wanted, &options);
+        let mut changes = vec![vec![[0.0; 3]; lights * pixels]; shapes];
+        for pixel in 0..pixels {
+            for (shape, light, [change, _]) in images.at(pixel) {
+                changes[shape][light * pixels + pixel] = change.map(f64::from);
             }
         }
-        values
-    };
-    let still = image(scene);
-    let displaced_by = |mesh| image(&scene.deformed(mesh));
-    let mut displaced: Vec<Vec<f64>> = Vec::with_capacity(SHAPES);
-    for axis in [DVec3::X, DVec3::Y, DVec3::Z] {
-        let shift = Rigid::<Sample, Sample>::from_rotation_vector(DVec3::ZERO, STEP * size * axis);
-        let about = Rigid::<Sample, Sample>::from_rotation_vector(STEP * axis, DVec3::ZERO);
-        // Turned about the sample's middle.
-        let back = centre - about.point(centre);
-        let turn = Rigid::<Sample, Sample>::from_rotation_vector(STEP * axis, back);
-        let mut scaled = mesh.clone();
-        let factor = DVec3::ONE + STEP * axis;
-        for p in &mut scaled.positions_mm {
-            *p = (centre + (p.as_dvec3() - centre) * factor).as_vec3();
-        }
-        for n in scaled.normals.iter_mut().flatten() {
-            *n = (n.as_dvec3() / factor).normalize().as_vec3();
-        }
-        displaced.push(displaced_by(mesh.transformed(&shift)));
-        displaced.push(displaced_by(mesh.transformed(&turn)));
-        displaced.push(displaced_by(scaled));
-    }
-    for image in &mut displaced {
-        image.iter_mut().zip(&still).for_each(|(v, s)| *v -= s);
+        displaced.extend(changes);
     }
     displaced
 }
@@ -406,4 +450,32 @@ fn blurred(
         }
     }
     sum / total
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn diagnosis(mean_square: f64, explained: [f64; 5]) -> Diagnosis {
+        Diagnosis {
+            mean_square,
+            explained,
+            correlation: 0.0,
+        }
+    }
+
+    /// The dictionary explains a little of anything, so it must lead; what nothing explains is
+    /// said to be so, and what noise explains is nothing.
+    #[test]
+    fn the_leading_cause_is_named() {
+        let pose = diagnosis(1.5, [0.0, 0.4, 0.1, 0.0, 0.45]);
+        assert_eq!(pose.finding(), Some(Cause::ShapeOrPose));
+        let lobe = diagnosis(1.5, [0.0, 0.4, 0.1, 0.0, 0.55]);
+        assert_eq!(lobe.finding(), Some(Cause::Dictionary));
+        assert!(!pose.is_unexplained() && !lobe.is_unexplained());
+        let unclear = diagnosis(1.5, [0.1, 0.2, 0.1, 0.0, 0.4]);
+        assert!(unclear.finding().is_none() && unclear.is_unexplained());
+        let noise = diagnosis(1.0, [0.6, 0.0, 0.0, 0.0, 0.0]);
+        assert!(noise.finding().is_none() && !noise.is_unexplained());
+    }
 }

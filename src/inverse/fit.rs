@@ -5,7 +5,7 @@ use std::sync::Arc;
 use nalgebra::DVector;
 
 use super::bench::system::BenchLinearisation;
-use super::diagnosis::{self, Diagnosis};
+use super::diagnosis::{self, Diagnosis, Examined};
 use super::exponentiated_gradient::ExponentiatedGradient;
 use super::gauss_newton::GaussNewton;
 use super::objective::{Channels, DepartedModel, ModelImage, Objective};
@@ -90,10 +90,8 @@ impl Default for FitOptions {
 
 /// What a fit leaves.
 pub struct Fit {
-    /// The dictionary that the weights belong to: the one given, or with more atoms.
-    pub dictionary: Arc<Dictionary>,
-    /// What is reported: a mixture (weights per channel × atoms; equal vectors if shared) and how
-    /// the material departs from it. Of Gauss–Newton, of least expected error over the draws
+    /// What is reported: a mixture (weights per channel × atoms; equal vectors if shared) of the
+    /// dictionary given, or of one with more atoms, and how the material departs from it. Of Gauss–Newton, of least expected error over the draws
     /// (docs/adr/0006, docs/adr/0032).
     pub material: Departed,
     /// The single-bounce start of Eq. (13) in the dictionary given, per channel.
@@ -243,28 +241,34 @@ pub(super) fn fit_from(
         ..
     } = solved;
     let cache = &paths.cache;
-    stage("diagnosis");
-    let diagnosis = timings.time("diagnosis", || {
-        diagnosis::examine(scene, dictionary, &objective, cache, &mixture, &pass)
-    });
     let doubted = (0..captured.len())
         .map(|light| objective.doubted(&pass.model, light))
         .collect();
-    let (rendered, residual, reduced_chi2) = timings.time("images", || {
-        let sets: Vec<_> = (0..objective.sets())
-            .map(|set| DVector::from_column_slice(&material.mixture.weights()[set]))
-            .collect();
-        let modelled = if departure > 0.0 {
-            let model = DepartedModel::of_all(&objective, scene, &material, options.cache.seed);
-            objective.departed(&model).modelled(&sets)
-        } else {
-            objective.modelled(&sets)
-        };
-        images(&objective, &modelled, captured, cache)
+    let departed = (departure > 0.0)
+        .then(|| DepartedModel::of_all(&objective, scene, &material, options.cache.seed));
+    let objective = match &departed {
+        Some(model) => objective.departed(model),
+        None => objective,
+    };
+    let reported: Vec<_> = (0..objective.sets())
+        .map(|set| DVector::from_column_slice(&material.mixture.weights()[set]))
+        .collect();
+    let model = objective.modelled(&reported);
+    let (rendered, residual, reduced_chi2) =
+        timings.time("images", || images(&objective, &model, captured, cache));
+    stage("diagnosis");
+    let diagnosis = timings.time("diagnosis", || {
+        diagnosis::examine(&Examined {
+            scene,
+            objective: &objective,
+            mixture: &mixture,
+            material: &material,
+            model: &model,
+            seed: options.cache.seed,
+        })
     });
     solution.timings = timings;
     let fit = Fit {
-        dictionary: dictionary.clone(),
         material,
         start: solution.start.clone(),
         draws,
