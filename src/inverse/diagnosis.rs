@@ -6,15 +6,17 @@
 //! other weights could make has been taken out of both. What is left to say is how much of the
 //! mean square residual each cause accounts for (docs/adr/0010).
 
-use glam::{DVec2, DVec3};
+use glam::DVec2;
 use nalgebra::{Cholesky, DMatrix, DVector};
 
-use super::bench::derivatives::{DerivativeImages, DerivativeOptions};
-use super::objective::{ModelImage, Modelled, Objective};
+use super::objective::{ModelImage, Objective};
+use crate::brdf::Brdf;
 use crate::brdf::departure::Departed;
-use crate::brdf::half_difference::HalfDifference;
-use crate::frames::{Rigid, Sample};
-use crate::transport::{Proposal, Scene, Steering};
+use crate::transport::Scene;
+
+mod templates;
+
+use templates::{ANGLES, BLURS, FIELDS, SHAPES, blurred, displaced_images, fields, first_angles};
 
 /// What can be wrong with a sample or a bench.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -69,6 +71,9 @@ pub struct Diagnosis {
     /// Mean product of the residuals of neighbouring pixels over `mean_square`: 0 for
     /// noise, towards 1 for smooth structure.
     pub correlation: f64,
+    /// Whether the material departs from every mixture, which is a sign of the dictionary: no
+    /// fault of the bench was found to ask for it.
+    pub departs: bool,
 }
 
 /// Below this mean square residual nothing is named: the noise and the model explain the
@@ -78,14 +83,14 @@ const NOTABLE_MEAN_SQUARE: f64 = 1.1;
 /// Part of the mean square residual from which a fault of bench or sample is named.
 const NOTABLE_PART: f64 = 0.25;
 
-/// Part from which the dictionary is named, which has the most images and explains a
-/// little of anything.
+/// Part from which the dictionary is named where nothing departs: it has the most images and
+/// explains a little of anything.
 const NOTABLE_DICTIONARY_PART: f64 = 0.5;
 
 /// Mean square residual from which images count as unexplained where no cause is named.
 const UNEXPLAINED_MEAN_SQUARE: f64 = 1.3;
 
-/// How much more the dictionary must account for than any other cause to be the most
+/// How much more the dictionary must account for there than any other cause to be the most
 /// likely one: on a round sample almost everything depends on the angles.
 const DICTIONARY_LEAD: f64 = 1.25;
 
@@ -100,8 +105,13 @@ impl Diagnosis {
             .iter()
             .zip(self.explained)
             .max_by(|a, b| a.1.total_cmp(&b.1))?;
-        if dictionary > DICTIONARY_LEAD * part {
-            (dictionary > NOTABLE_DICTIONARY_PART).then_some(Cause::Dictionary)
+        let [lead, notable] = if self.departs {
+            [1.0, NOTABLE_PART]
+        } else {
+            [DICTIONARY_LEAD, NOTABLE_DICTIONARY_PART]
+        };
+        if dictionary > lead * part {
+            (dictionary > notable).then_some(Cause::Dictionary)
         } else {
             (part > NOTABLE_PART).then_some(*other)
         }
@@ -112,15 +122,6 @@ impl Diagnosis {
         self.mean_square >= UNEXPLAINED_MEAN_SQUARE && self.finding().is_none()
     }
 }
-
-/// Fields of position that a non-uniform material may follow, over [−1, 1]².
-const FIELDS: usize = 9;
-/// Powers of the angles that a missing lobe may follow.
-const ANGLES: usize = 10;
-/// Displacements of the sample whose images are compared.
-const SHAPES: usize = 9;
-/// Radii of blur, pixels.
-const BLURS: [f64; 2] = [0.7, 1.5];
 
 /// What is examined: a fit, and what explains its images.
 pub(super) struct Examined<'a> {
@@ -224,6 +225,7 @@ pub(super) fn examine(fit: &Examined<'_>) -> Diagnosis {
         mean_square,
         explained: explained.map(|e| e / count),
         correlation,
+        departs: fit.material.as_mixture().is_none(),
     }
 }
 
@@ -309,149 +311,6 @@ fn accounted_for(gram: &DMatrix<f64>, known: usize, template: &[usize], z: usize
     (rhs.transpose() * x)[(0, 0)]
 }
 
-/// Low-order fields over the image.
-fn fields(at: DVec2) -> [f64; FIELDS] {
-    let (x, y) = (at.x, at.y);
-    [
-        x,
-        y,
-        x * y,
-        x * x - y * y,
-        x * x + y * y,
-        x * x * x,
-        y * y * y,
-        x * x * y,
-        x * y * y,
-    ]
-}
-
-/// Powers of the angles of the first reflection per light and pixel; zero in shadow.
-fn first_angles(scene: &Scene) -> Vec<[f64; ANGLES]> {
-    let [width, height] = scene.camera.resolution_px;
-    let mut all = Vec::with_capacity(scene.lights.len() * width * height);
-    for light in 0..scene.lights.len() {
-        for pixel in 0..width * height {
-            let centre = DVec2::new((pixel % width) as f64 + 0.5, (pixel / width) as f64 + 0.5);
-            let angles = scene
-                .first(&scene.camera.ray(centre, DVec2::ZERO))
-                .and_then(|(surface, viewer)| {
-                    let lamp = scene.connect(&surface, light, [0.5; 2])?;
-                    Some(HalfDifference::from_directions(
-                        lamp.to_light.as_dvec3(),
-                        viewer.as_dvec3(),
-                    ))
-                });
-            all.push(angles.map_or([0.0; ANGLES], |a| {
-                let [h, d] = [a.theta_h_rad, a.theta_d_rad];
-                // Even in θh, and fine near the peak.
-                let near = |width: f64| (-(h / width).powi(2)).exp();
-                [
-                    1.0,
-                    near(0.1),
-                    near(0.2),
-                    near(0.4),
-                    near(0.8),
-                    d * d,
-                    d * d * near(0.4),
-                    d.powi(4),
-                    h * h,
-                    (h * d).powi(2),
-                ]
-            }));
-        }
-    }
-    all
-}
-
-/// Change of the direct reflection, `[displacement][light · pixels + pixel][channel]`, when the
-/// sample moves, turns or is scaled a little. What comes by way of other surfaces is left out:
-/// few paths are noise that hides the rest (docs/adr/0010).
-fn displaced_images(fit: &Examined<'_>) -> Vec<Vec<[f64; 3]>> {
-    let (scene, objective) = (fit.scene, fit.objective);
-    let mesh = scene.sample();
-    let [low, high] = mesh.bounds_mm().map(|v| v.as_dvec3());
-    let (centre, size) = (0.5 * (low + high), (high - low).max_element());
-    let (lights, pixels) = (objective.lights(), scene.camera.pixels());
-    let wanted: Vec<bool> = (0..pixels)
-        .map(|pixel| (0..lights).any(|light| objective.is_compared(light, pixel)))
-        .collect();
-    let options = DerivativeOptions {
-        samples_per_half: 0,
-        max_reflections: 1,
-        seed: fit.seed,
-        proposal: Proposal::default(),
-        steering: Steering::NONE,
-        direct_strata: 2,
-        average_px: 0,
-    };
-    let mut displaced = Vec::with_capacity(SHAPES);
-    // One axis at a time, which bounds the memory.
-    for axis in [DVec3::X, DVec3::Y, DVec3::Z] {
-        let shift = |step: f64| {
-            let to = Rigid::<Sample, Sample>::from_rotation_vector(DVec3::ZERO, step * size * axis);
-            mesh.transformed(&to)
-        };
-        let turn = |step: f64| {
-            let about = Rigid::<Sample, Sample>::from_rotation_vector(step * axis, DVec3::ZERO);
-            // Turned about the sample's middle.
-            let back = centre - about.point(centre);
-            let to = Rigid::<Sample, Sample>::from_rotation_vector(step * axis, back);
-            mesh.transformed(&to)
-        };
-        let scale = |step: f64| {
-            let mut scaled = mesh.clone();
-            let factor = DVec3::ONE + step * axis;
-            for p in &mut scaled.positions_mm {
-                *p = (centre + (p.as_dvec3() - centre) * factor).as_vec3();
-            }
-            for n in scaled.normals.iter_mut().flatten() {
-                *n = (n.as_dvec3() / factor).normalize().as_vec3();
-            }
-            scaled
-        };
-        let deformed = vec![
-            [STEP, -STEP].map(shift),
-            [STEP, -STEP].map(turn),
-            [STEP, -STEP].map(scale),
-        ];
-        let shapes = deformed.len();
-        let images = DerivativeImages::of_shapes(scene, deformed, fit.material, &wanted, &options);
-        let mut changes = vec![vec![[0.0; 3]; lights * pixels]; shapes];
-        for pixel in 0..pixels {
-            for (shape, light, [change, _]) in images.at(pixel) {
-                changes[shape][light * pixels + pixel] = change.map(f64::from);
-            }
-        }
-        displaced.extend(changes);
-    }
-    displaced
-}
-
-/// Displacement over the sample's size; angle in radians; relative scale.
-const STEP: f64 = 2e-3;
-
-/// The model's pixel after a Gaussian blur.
-fn blurred(
-    model: &[[Modelled; 3]],
-    channel: usize,
-    pixel: usize,
-    [width, height]: [usize; 2],
-    radius_px: f64,
-) -> f64 {
-    let reach = (2.5 * radius_px).ceil() as usize;
-    let (x, y) = (pixel % width, pixel / width);
-    let (mut sum, mut total) = (0.0, 0.0);
-    for j in y.saturating_sub(reach)..=(y + reach).min(height - 1) {
-        for i in x.saturating_sub(reach)..=(x + reach).min(width - 1) {
-            let d2 = (i.abs_diff(x).pow(2) + j.abs_diff(y).pow(2)) as f64;
-            let weight = (-0.5 * d2 / (radius_px * radius_px)).exp();
-            sum += weight * model[j * width + i][channel].value();
-            total += weight;
-        }
-    }
-    sum / total
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -461,11 +320,12 @@ mod tests {
             mean_square,
             explained,
             correlation: 0.0,
+            departs: false,
         }
     }
 
-    /// The dictionary explains a little of anything, so it must lead; what nothing explains is
-    /// said to be so, and what noise explains is nothing.
+    /// The dictionary explains a little of anything, so it must lead unless the material departs;
+    /// what nothing explains is said to be so, and what noise explains is nothing.
     #[test]
     fn the_leading_cause_is_named() {
         let pose = diagnosis(1.5, [0.0, 0.4, 0.1, 0.0, 0.45]);
@@ -475,6 +335,11 @@ mod tests {
         assert!(!pose.is_unexplained() && !lobe.is_unexplained());
         let unclear = diagnosis(1.5, [0.1, 0.2, 0.1, 0.0, 0.4]);
         assert!(unclear.finding().is_none() && unclear.is_unexplained());
+        let departing = Diagnosis {
+            departs: true,
+            ..pose
+        };
+        assert_eq!(departing.finding(), Some(Cause::Dictionary));
         let noise = diagnosis(1.0, [0.6, 0.0, 0.0, 0.0, 0.0]);
         assert!(noise.finding().is_none() && !noise.is_unexplained());
     }

@@ -1,0 +1,162 @@
+//! What the images would look like, to first order, if something were wrong.
+
+use glam::{DVec2, DVec3};
+
+use super::Examined;
+use crate::brdf::half_difference::HalfDifference;
+use crate::frames::{Rigid, Sample};
+use crate::inverse::bench::derivatives::{DerivativeImages, DerivativeOptions};
+use crate::inverse::objective::Modelled;
+use crate::transport::{Proposal, Scene, Steering};
+
+/// Fields of position that a non-uniform material may follow, over [−1, 1]².
+pub(super) const FIELDS: usize = 9;
+/// Powers of the angles that a missing lobe may follow.
+pub(super) const ANGLES: usize = 10;
+/// Displacements of the sample whose images are compared.
+pub(super) const SHAPES: usize = 9;
+/// Radii of blur, pixels.
+pub(super) const BLURS: [f64; 2] = [0.7, 1.5];
+
+/// Low-order fields over the image.
+pub(super) fn fields(at: DVec2) -> [f64; FIELDS] {
+    let (x, y) = (at.x, at.y);
+    [
+        x,
+        y,
+        x * y,
+        x * x - y * y,
+        x * x + y * y,
+        x * x * x,
+        y * y * y,
+        x * x * y,
+        x * y * y,
+    ]
+}
+
+/// Powers of the angles of the first reflection per light and pixel; zero in shadow.
+pub(super) fn first_angles(scene: &Scene) -> Vec<[f64; ANGLES]> {
+    let [width, height] = scene.camera.resolution_px;
+    let mut all = Vec::with_capacity(scene.lights.len() * width * height);
+    for light in 0..scene.lights.len() {
+        for pixel in 0..width * height {
+            let centre = DVec2::new((pixel % width) as f64 + 0.5, (pixel / width) as f64 + 0.5);
+            let angles = scene
+                .first(&scene.camera.ray(centre, DVec2::ZERO))
+                .and_then(|(surface, viewer)| {
+                    let lamp = scene.connect(&surface, light, [0.5; 2])?;
+                    Some(HalfDifference::from_directions(
+                        lamp.to_light.as_dvec3(),
+                        viewer.as_dvec3(),
+                    ))
+                });
+            all.push(angles.map_or([0.0; ANGLES], |a| {
+                let [h, d] = [a.theta_h_rad, a.theta_d_rad];
+                // Even in θh, and fine near the peak.
+                let near = |width: f64| (-(h / width).powi(2)).exp();
+                [
+                    1.0,
+                    near(0.1),
+                    near(0.2),
+                    near(0.4),
+                    near(0.8),
+                    d * d,
+                    d * d * near(0.4),
+                    d.powi(4),
+                    h * h,
+                    (h * d).powi(2),
+                ]
+            }));
+        }
+    }
+    all
+}
+
+/// Change of the direct reflection, `[displacement][light · pixels + pixel][channel]`, when the
+/// sample moves, turns or is scaled a little. What comes by way of other surfaces is left out:
+/// few paths are noise that hides the rest (docs/adr/0010).
+pub(super) fn displaced_images(fit: &Examined<'_>) -> Vec<Vec<[f64; 3]>> {
+    let (scene, objective) = (fit.scene, fit.objective);
+    let mesh = scene.sample();
+    let [low, high] = mesh.bounds_mm().map(|v| v.as_dvec3());
+    let (centre, size) = (0.5 * (low + high), (high - low).max_element());
+    let (lights, pixels) = (objective.lights(), scene.camera.pixels());
+    let wanted: Vec<bool> = (0..pixels)
+        .map(|pixel| (0..lights).any(|light| objective.is_compared(light, pixel)))
+        .collect();
+    let options = DerivativeOptions {
+        samples_per_half: 0,
+        max_reflections: 1,
+        seed: fit.seed,
+        proposal: Proposal::default(),
+        steering: Steering::NONE,
+        direct_strata: 2,
+        average_px: 0,
+    };
+    let mut displaced = Vec::with_capacity(SHAPES);
+    // One axis at a time, which bounds the memory.
+    for axis in [DVec3::X, DVec3::Y, DVec3::Z] {
+        let shift = |step: f64| {
+            let to = Rigid::<Sample, Sample>::from_rotation_vector(DVec3::ZERO, step * size * axis);
+            mesh.transformed(&to)
+        };
+        let turn = |step: f64| {
+            let about = Rigid::<Sample, Sample>::from_rotation_vector(step * axis, DVec3::ZERO);
+            // Turned about the sample's middle.
+            let back = centre - about.point(centre);
+            let to = Rigid::<Sample, Sample>::from_rotation_vector(step * axis, back);
+            mesh.transformed(&to)
+        };
+        let scale = |step: f64| {
+            let mut scaled = mesh.clone();
+            let factor = DVec3::ONE + step * axis;
+            for p in &mut scaled.positions_mm {
+                *p = (centre + (p.as_dvec3() - centre) * factor).as_vec3();
+            }
+            for n in scaled.normals.iter_mut().flatten() {
+                *n = (n.as_dvec3() / factor).normalize().as_vec3();
+            }
+            scaled
+        };
+        let deformed = vec![
+            [STEP, -STEP].map(shift),
+            [STEP, -STEP].map(turn),
+            [STEP, -STEP].map(scale),
+        ];
+        let shapes = deformed.len();
+        let images = DerivativeImages::of_shapes(scene, deformed, fit.material, &wanted, &options);
+        let mut changes = vec![vec![[0.0; 3]; lights * pixels]; shapes];
+        for pixel in 0..pixels {
+            for (shape, light, [change, _]) in images.at(pixel) {
+                changes[shape][light * pixels + pixel] = change.map(f64::from);
+            }
+        }
+        displaced.extend(changes);
+    }
+    displaced
+}
+
+/// Displacement over the sample's size; angle in radians; relative scale.
+const STEP: f64 = 2e-3;
+
+/// The model's pixel after a Gaussian blur.
+pub(super) fn blurred(
+    model: &[[Modelled; 3]],
+    channel: usize,
+    pixel: usize,
+    [width, height]: [usize; 2],
+    radius_px: f64,
+) -> f64 {
+    let reach = (2.5 * radius_px).ceil() as usize;
+    let (x, y) = (pixel % width, pixel / width);
+    let (mut sum, mut total) = (0.0, 0.0);
+    for j in y.saturating_sub(reach)..=(y + reach).min(height - 1) {
+        for i in x.saturating_sub(reach)..=(x + reach).min(width - 1) {
+            let d2 = (i.abs_diff(x).pow(2) + j.abs_diff(y).pow(2)) as f64;
+            let weight = (-0.5 * d2 / (radius_px * radius_px)).exp();
+            sum += weight * model[j * width + i][channel].value();
+            total += weight;
+        }
+    }
+    sum / total
+}
