@@ -28,7 +28,7 @@ pub(super) fn warnings(fit: &Fit, record: &FitRecord) -> Vec<Warning> {
         warn(
             format!(
                 "the images differ from those of the material by {deviations:.1} times what noise and model error allow (root mean square), {part:.0}% of it as {} would",
-                cause.name()
+                looks_like(cause)
             ),
             advice(cause),
         );
@@ -103,6 +103,17 @@ const FEW_PATHS: u32 = 128;
 /// Directions per technique that an albedo takes.
 const ALBEDO_DIRECTIONS: u32 = 1024;
 
+/// What the residual looks like, by cause.
+fn looks_like(cause: Cause) -> &'static str {
+    match cause {
+        Cause::StrayLight => "stray light",
+        Cause::ShapeOrPose => "a wrong shape or pose",
+        Cause::NonUniform => "a material that varies",
+        Cause::Translucency => "translucency or blur",
+        Cause::Dictionary => "a material beyond the dictionary",
+    }
+}
+
 /// What to look at, by cause.
 fn advice(cause: Cause) -> &'static str {
     match cause {
@@ -119,7 +130,7 @@ fn advice(cause: Cause) -> &'static str {
             "light spreads below the surface, or the image is not sharp; neither is part of the model"
         }
         Cause::Dictionary => {
-            "a material that the dictionary does not hold; try another with --dictionary"
+            "neither mixtures of the dictionary nor what departs from them holds the material; try another with --dictionary, or more lights"
         }
     }
 }

@@ -66,7 +66,8 @@ pub struct Diagnosis {
     /// than four deviations.
     pub mean_square: f64,
     /// The part of `mean_square` that each cause accounts for, beyond what as many
-    /// random images would; in the order of [`Cause::ALL`], can be slightly negative.
+    /// random images would; in the order of [`Cause::ALL`], can be slightly negative. All 0 where
+    /// noise and model error explain the images and nothing is asked.
     pub explained: [f64; 5],
     /// Mean product of the residuals of neighbouring pixels over `mean_square`: 0 for
     /// noise, towards 1 for smooth structure.
@@ -156,6 +157,15 @@ pub(super) fn examine(fit: &Examined<'_>) -> Diagnosis {
         correlation,
         count,
     } = scatter(objective, model, [width, height]);
+    let departs = fit.material.as_mixture().is_none();
+    if mean_square < NOTABLE_MEAN_SQUARE {
+        return Diagnosis {
+            mean_square,
+            explained: [0.0; 5],
+            correlation,
+            departs,
+        };
+    }
     let displaced = displaced_images(fit);
     let angles = first_angles(scene);
     let active: Vec<Vec<usize>> = mixture
@@ -225,7 +235,7 @@ pub(super) fn examine(fit: &Examined<'_>) -> Diagnosis {
         mean_square,
         explained: explained.map(|e| e / count),
         correlation,
-        departs: fit.material.as_mixture().is_none(),
+        departs,
     }
 }
 

@@ -244,8 +244,10 @@ pub(super) fn fit_from(
     let doubted = (0..captured.len())
         .map(|light| objective.doubted(&pass.model, light))
         .collect();
-    let departed = (departure > 0.0)
-        .then(|| DepartedModel::of_all(&objective, scene, &material, options.cache.seed));
+    let departed = timings.time("images", || {
+        (departure > 0.0)
+            .then(|| DepartedModel::of_all(&objective, scene, &material, options.cache.seed))
+    });
     let objective = match &departed {
         Some(model) => objective.departed(model),
         None => objective,
@@ -253,9 +255,11 @@ pub(super) fn fit_from(
     let reported: Vec<_> = (0..objective.sets())
         .map(|set| DVector::from_column_slice(&material.mixture.weights()[set]))
         .collect();
-    let model = objective.modelled(&reported);
-    let (rendered, residual, reduced_chi2) =
-        timings.time("images", || images(&objective, &model, captured, cache));
+    let (model, (rendered, residual, reduced_chi2)) = timings.time("images", || {
+        let model = objective.modelled(&reported);
+        let images = images(&objective, &model, captured, cache);
+        (model, images)
+    });
     stage("diagnosis");
     let diagnosis = timings.time("diagnosis", || {
         diagnosis::examine(&Examined {
