@@ -113,21 +113,18 @@ fn one(lab: &Lab, kind: usize, index: u64) -> Result<Row, EvaluateError> {
     )?;
     let options = options(lab, index);
     let fit = fit(&scene, &images, &lab.dictionary, &options, &mut |_| {})?;
-    let finding = fit.diagnosis.finding();
-    let named = match finding {
+    let expected = expected.map_or("none", Cause::name);
+    let named = match fit.diagnosis.finding() {
         Some(cause) => cause.name(),
         None if fit.diagnosis.is_unexplained() => "unexplained",
         None => "none",
     };
     let mut row = Row::new()
         .with("capture", name)
-        .with("expected", expected.map_or("none", Cause::name))
+        .with("expected", expected)
         .with("named", named)
         .with("warned", f64::from(u8::from(named != "none")))
-        .with(
-            "right",
-            f64::from(u8::from(named == expected.map_or("none", Cause::name))),
-        )
+        .with("right", f64::from(u8::from(named == expected)))
         .with("mean_square", fit.diagnosis.mean_square)
         .with("correlation", fit.diagnosis.correlation)
         .with("departure", fit.departure);

@@ -91,8 +91,8 @@ impl Default for FitOptions {
 /// What a fit leaves.
 pub struct Fit {
     /// What is reported: a mixture (weights per channel × atoms; equal vectors if shared) of the
-    /// dictionary given, or of one with more atoms, and how the material departs from it. Of Gauss–Newton, of least expected error over the draws
-    /// (docs/adr/0006, docs/adr/0032).
+    /// dictionary given, or of one with more atoms, and how the material departs from it. Of
+    /// Gauss–Newton, of least expected error over the draws (docs/adr/0006, docs/adr/0032).
     pub material: Departed,
     /// The single-bounce start of Eq. (13) in the dictionary given, per channel.
     pub start: [Vec<f64>; 3],

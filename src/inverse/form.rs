@@ -38,10 +38,7 @@ pub(super) fn score_covariance(
     seed: u64,
 ) -> Vec<DMatrix<f64>> {
     let (n, sets) = (model.objective.atoms(), model.objective.sets());
-    let lights = model.objective.lights();
-    let wanted: Vec<bool> = (0..scene.camera.pixels())
-        .map(|pixel| (0..lights).any(|light| model.objective.is_compared(light, pixel)))
-        .collect();
+    let wanted = model.objective.compared_pixels();
     let edge_mm = scene.sample().mean_edge_mm();
     let options = DerivativeOptions {
         samples_per_half: SAMPLES_PER_HALF,

@@ -162,6 +162,14 @@ impl<'a> Objective<'a> {
         self.compared[light][pixel]
     }
 
+    /// Which pixels are compared under any light.
+    pub fn compared_pixels(&self) -> Vec<bool> {
+        let pixels = self.target[0].len();
+        (0..pixels)
+            .map(|pixel| self.compared.iter().any(|of_light| of_light[pixel]))
+            .collect()
+    }
+
     /// Whether any pixel is compared under a light.
     pub fn compares_any(&self, light: usize) -> bool {
         self.compared[light].contains(&true)

@@ -346,18 +346,14 @@ impl Rounds<'_> {
         );
         let pixels = scene.camera.pixels();
         let mut count = 0usize;
-        let mut wanted = vec![false; pixels];
         for image in 0..captured.len() {
-            let before = count;
-            for (pixel, wanted) in wanted.iter_mut().enumerate() {
-                let compared = objective.is_compared(image, pixel);
-                *wanted |= compared;
-                count += 3 * usize::from(compared);
-            }
-            if count == before {
+            if !objective.compares_any(image) {
                 return Err(FitError::NothingToCompare { image });
             }
+            let compared = (0..pixels).filter(|&pixel| objective.is_compared(image, pixel));
+            count += 3 * compared.count();
         }
+        let wanted = objective.compared_pixels();
         let (mixture, residual_weights, pass) = self.weights(&objective)?;
         let per_channel =
             std::array::from_fn(|c| mixture[c.min(mixture.len() - 1)].iter().copied().collect());

@@ -81,9 +81,7 @@ pub(super) fn displaced_images(fit: &Examined<'_>) -> Vec<Vec<[f64; 3]>> {
     let [low, high] = mesh.bounds_mm().map(|v| v.as_dvec3());
     let (centre, size) = (0.5 * (low + high), (high - low).max_element());
     let (lights, pixels) = (objective.lights(), scene.camera.pixels());
-    let wanted: Vec<bool> = (0..pixels)
-        .map(|pixel| (0..lights).any(|light| objective.is_compared(light, pixel)))
-        .collect();
+    let wanted = objective.compared_pixels();
     let options = DerivativeOptions {
         samples_per_half: 0,
         max_reflections: 1,

@@ -24,9 +24,7 @@ impl DepartedModel {
         material: &Departed,
         seed: u64,
     ) -> Self {
-        let wanted: Vec<bool> = (0..scene.camera.pixels())
-            .map(|pixel| (0..objective.lights()).any(|light| objective.is_compared(light, pixel)))
-            .collect();
+        let wanted = objective.compared_pixels();
         Self::new(objective, scene, material, &wanted, seed)
     }
 
