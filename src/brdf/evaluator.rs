@@ -1,16 +1,19 @@
 //! All atoms of a dictionary at one pair of directions: each lobe's D·G once per distinct
 //! distribution and width, each Fresnel factor and each coat once per distinct index.
 
-use super::atom::{Atom, Diffuse, Distribution};
-use super::coat;
+use super::atom::{Atom, Diffuse, Distribution, Facets};
 use super::dictionary::MAX_ATOMS;
 use super::ggx::{self, Cosines};
+use super::{beckmann, coat};
 
 /// Evaluates several atoms at once.
 #[derive(Clone, Debug)]
 pub struct Evaluator {
-    /// Distinct distributions and widths.
-    lobes: Vec<(Distribution, f32)>,
+    /// Distinct widths: those of GGX first, then those of Beckmann, so that each kind is one
+    /// loop without a branch, which the compiler does several lanes at a time.
+    alphas: Vec<f32>,
+    /// How many are of GGX.
+    ggx: usize,
     /// Distinct indices of facets.
     etas: Vec<f32>,
     /// Distinct indices of coats, with their norms, 1/sr.
@@ -21,7 +24,7 @@ pub struct Evaluator {
 /// An atom by the positions of its parts.
 #[derive(Clone, Copy, Debug)]
 enum Term {
-    /// In `lobes` and `etas`.
+    /// In `alphas` and `etas`.
     Facets(usize, usize),
     /// In `coats`.
     Coat(usize),
@@ -31,18 +34,23 @@ enum Term {
 
 impl Evaluator {
     /// For these atoms, at most [`MAX_ATOMS`].
-    pub fn new<'a>(atoms: impl Iterator<Item = &'a Atom>) -> Self {
+    pub fn new<'a>(atoms: impl Iterator<Item = &'a Atom> + Clone) -> Self {
         fn index_in<T: PartialEq>(values: &mut Vec<T>, value: T) -> usize {
             values.iter().position(|v| *v == value).unwrap_or_else(|| {
                 values.push(value);
                 values.len() - 1
             })
         }
-        let (mut lobes, mut etas, mut coats) = (Vec::new(), Vec::new(), Vec::new());
+        let mut lobes = Vec::new();
+        for facets in atoms.clone().filter_map(Atom::facets) {
+            index_in(&mut lobes, lobe(&facets));
+        }
+        lobes.sort_by_key(|&(distribution, _)| distribution != Distribution::Ggx);
+        let (mut etas, mut coats) = (Vec::new(), Vec::new());
         let terms = atoms
             .map(|atom| match (atom.facets(), atom.diffuse()) {
                 (Some(facets), _) => Term::Facets(
-                    index_in(&mut lobes, (facets.distribution, facets.alpha as f32)),
+                    index_in(&mut lobes, lobe(&facets)),
                     index_in(&mut etas, facets.eta as f32),
                 ),
                 (None, Some(Diffuse::Coated { eta })) => {
@@ -54,8 +62,10 @@ impl Evaluator {
                 (None, None) => Term::Constant(0.0),
             })
             .collect();
+        let is_ggx = |&&(distribution, _): &&(Distribution, f32)| distribution == Distribution::Ggx;
         Self {
-            lobes,
+            ggx: lobes.iter().filter(is_ggx).count(),
+            alphas: lobes.into_iter().map(|(_, alpha)| alpha).collect(),
             etas,
             coats,
             terms,
@@ -67,8 +77,12 @@ impl Evaluator {
     pub fn eval(&self, at: &Cosines<f32>, values: &mut [f32]) {
         let (mut lobes, mut fresnel) = ([0.0; MAX_ATOMS], [0.0; MAX_ATOMS]);
         let mut coats = [0.0; MAX_ATOMS];
-        for (value, &(distribution, alpha)) in lobes.iter_mut().zip(&self.lobes) {
-            *value = distribution.d_g(alpha, at);
+        let (ggx, beckmann) = self.alphas.split_at(self.ggx);
+        for (value, &alpha) in lobes.iter_mut().zip(ggx) {
+            *value = ggx::d_g(alpha, at.cos_i, at.cos_o, at.sin2_h);
+        }
+        for (value, &alpha) in lobes[self.ggx..].iter_mut().zip(beckmann) {
+            *value = beckmann::d_g(alpha, at.cos_i, at.cos_o, at.sin2_h);
         }
         for (value, &eta) in fresnel.iter_mut().zip(&self.etas) {
             *value = ggx::fresnel(eta, at.cos_d);
@@ -84,4 +98,9 @@ impl Evaluator {
             };
         }
     }
+}
+
+/// What of facets decides D·G.
+fn lobe(facets: &Facets) -> (Distribution, f32) {
+    (facets.distribution, facets.alpha as f32)
 }

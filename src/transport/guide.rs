@@ -8,8 +8,12 @@
 //! as well, with a known density (docs/adr/0030). The material's weights play no part, so
 //! cached paths stay valid while the fit moves.
 
-use glam::{IVec3, Mat3, Vec3};
+mod four;
+
+use glam::{IVec3, Mat3, Vec3, Vec4};
 use rayon::prelude::*;
+
+use four::Four;
 
 use super::scene::{Scene, Surface};
 use crate::random::{Purpose, Stream, Uniform, stream};
@@ -53,9 +57,9 @@ pub struct Guide {
     low_mm: Vec3,
     cell_mm: f32,
     cells: IVec3,
-    /// `lobes[start[cell]..start[cell + 1]]` arrive in a cell.
+    /// `fours[start[cell]..start[cell + 1]]` arrive in a cell.
     start: Vec<u32>,
-    lobes: Vec<Lobe>,
+    fours: Vec<Four>,
 }
 
 /// A direction from which light came, sample frame.
@@ -107,7 +111,7 @@ impl Guide {
             cell_mm,
             cells: (size_mm / cell_mm).floor().as_ivec3() + IVec3::ONE,
             start: Vec::new(),
-            lobes: Vec::new(),
+            fours: Vec::new(),
         };
         let arrivals: Vec<(usize, Lobe)> = (0..scene.lights.len() * paths)
             .into_par_iter()
@@ -236,14 +240,14 @@ impl Guide {
             if let Some(all) = of_cells.next_if(|all| arrivals[all[0]].0 == cell) {
                 let distinct = self.distinct(cell, all.iter().map(|&k| arrivals[k].1));
                 let kept = distinct.len().min(MOST_LOBES);
-                let begin = self.lobes.len();
-                let evenly = (0..kept).map(|k| distinct[k * distinct.len() / kept]);
-                self.lobes.extend(evenly);
-                let lobes = &mut self.lobes[begin..];
+                let mut lobes: Vec<Lobe> = (0..kept)
+                    .map(|k| distinct[k * distinct.len() / kept])
+                    .collect();
                 let sum: f32 = lobes.iter().map(|lobe| lobe.share).sum();
                 lobes.iter_mut().for_each(|lobe| lobe.share /= sum);
+                self.fours.extend(lobes.chunks(4).map(Four::new));
             }
-            self.start.push(self.lobes.len() as u32);
+            self.start.push(self.fours.len() as u32);
         }
     }
 
@@ -282,9 +286,9 @@ impl Guide {
     #[inline]
     pub fn around(&self, surface: &Surface) -> Option<Arrivals<'_>> {
         let cell = self.cell(surface.origin_mm);
-        let lobes = &self.lobes[self.start[cell] as usize..self.start[cell + 1] as usize];
-        (!lobes.is_empty()).then_some(Arrivals {
-            lobes,
+        let fours = &self.fours[self.start[cell] as usize..self.start[cell + 1] as usize];
+        (!fours.is_empty()).then_some(Arrivals {
+            fours,
             place_mm: surface.origin_mm,
         })
     }
@@ -298,7 +302,7 @@ fn outer(column: Vec3, row: Vec3) -> Mat3 {
 #[derive(Clone, Copy)]
 pub struct Arrivals<'a> {
     /// At least one.
-    lobes: &'a [Lobe],
+    fours: &'a [Four],
     place_mm: Vec3,
 }
 
@@ -307,14 +311,16 @@ impl Arrivals<'_> {
     #[inline]
     pub fn sample(&self, numbers: &mut impl Uniform) -> Vec3 {
         let mut choice = numbers.uniform_f32();
-        let mut lobe = &self.lobes[0];
-        for next in self.lobes {
-            lobe = next;
-            if choice < lobe.share {
+        let mut chosen = 0;
+        let shares = self.fours.iter().flat_map(Four::shares);
+        for (k, share) in shares.enumerate().take_while(|&(_, share)| share > 0.0) {
+            chosen = k;
+            if choice < share {
                 break;
             }
-            choice -= lobe.share;
+            choice -= share;
         }
+        let lobe = self.fours[chosen / 4].lobe(chosen % 4);
         // What is left of the number is uniform again.
         let width = (choice / lobe.share * WIDTHS as f32) as i32;
         let alpha2 = lobe.alpha2 * (WIDER * WIDER).powi(width.min(WIDTHS - 1));
@@ -331,22 +337,11 @@ impl Arrivals<'_> {
     /// Density at a unit direction, 1/sr.
     #[inline]
     pub fn pdf(&self, direction: Vec3) -> f32 {
-        let mut sum = 0.0;
-        for lobe in self.lobes {
-            let towards = lobe.towards_from(self.place_mm);
-            let cos = towards.dot(direction).max(0.0);
-            // 1 − cos² without its cancellation.
-            let sin2 = 0.5 * (towards - direction).length_squared() * (1.0 + cos);
-            let mut alpha2 = lobe.alpha2;
-            let mut widths = 0.0;
-            for _ in 0..WIDTHS {
-                let t = alpha2 * cos * cos + sin2;
-                widths += alpha2 / (t * t);
-                alpha2 *= WIDER * WIDER;
-            }
-            sum += lobe.share * cos * widths;
-        }
-        sum * std::f32::consts::FRAC_1_PI / WIDTHS as f32
+        let parts = self.fours.iter();
+        let sum: Vec4 = parts
+            .map(|four| four.density(self.place_mm, direction))
+            .sum();
+        sum.element_sum() * std::f32::consts::FRAC_1_PI / WIDTHS as f32
     }
 }
 
@@ -355,6 +350,14 @@ mod tests {
     use super::*;
     use crate::brdf::chi_square::normal_deviate;
     use std::f32::consts::{PI, TAU};
+
+    fn lobes(arrivals: &Arrivals<'_>) -> Vec<Lobe> {
+        let all = arrivals
+            .fours
+            .iter()
+            .flat_map(|four| [0, 1, 2, 3].map(|k| four.lobe(k)));
+        all.filter(|lobe| lobe.share > 0.0).collect()
+    }
 
     /// The first surface below a place of the bowl's opening.
     fn below(scene: &Scene, x_mm: f32, y_mm: f32) -> Surface {
@@ -381,7 +384,8 @@ mod tests {
             let surface = below(&scene, x, y);
             let arrivals = guide.around(&surface).unwrap();
             let narrowest = |a: &&Lobe, b: &&Lobe| a.alpha2.total_cmp(&b.alpha2);
-            let lobe = arrivals.lobes.iter().min_by(narrowest).unwrap();
+            let lobes = lobes(&arrivals);
+            let lobe = lobes.iter().min_by(narrowest).unwrap();
             let axis = lobe.towards_from(arrivals.place_mm);
             let (tangent, bitangent) = axis.any_orthonormal_pair();
             let mut observed = vec![0.0; RINGS * SECTORS + 1];
@@ -473,8 +477,7 @@ mod tests {
                     })
                 })
                 .collect();
-            let sought: Vec<Vec3> = arrivals
-                .lobes
+            let sought: Vec<Vec3> = lobes(&arrivals)
                 .iter()
                 .filter(|lobe| lobe.alpha2 <= NARROWEST_RAD * NARROWEST_RAD)
                 .map(|lobe| lobe.towards_from(arrivals.place_mm))
