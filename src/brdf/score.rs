@@ -81,6 +81,63 @@ pub fn environment_error(
     summarise(maps, &errors)
 }
 
+/// The environment error of what differs by more than a common factor.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct UpToFactor {
+    /// Least environment error of any multiple of the estimate.
+    pub error: f64,
+    /// The estimate's brightness over that multiple's.
+    pub factor: f64,
+}
+
+/// Environment error of `estimate`, times the factor that makes it least.
+pub fn environment_error_up_to_factor(
+    estimate: &dyn Brdf,
+    truth: &dyn Brdf,
+    maps: &[EnvironmentMap],
+    size: usize,
+) -> UpToFactor {
+    // ‖a‖², a·b and ‖b‖² under each map.
+    let products: Vec<[f64; 3]> = maps
+        .iter()
+        .map(|map| {
+            let [a, b] = sphere_images([estimate, truth], map, size);
+            let mut sums = [0.0; 3];
+            for (pixel, _) in normals(size) {
+                for (a, b) in a.radiance[pixel].iter().zip(b.radiance[pixel]) {
+                    let (a, b) = (f64::from(*a), f64::from(b));
+                    let products = [a * a, a * b, b * b];
+                    sums.iter_mut().zip(products).for_each(|(s, p)| *s += p);
+                }
+            }
+            sums
+        })
+        .collect();
+    let errors = |scale: f64| {
+        let square = move |&[aa, ab, bb]: &[f64; 3]| (scale * scale * aa - 2.0 * scale * ab) / bb;
+        products
+            .iter()
+            .map(move |p| (square(p) + 1.0).max(0.0).sqrt())
+    };
+    // A mean of norms, by reweighted least squares; convex in the scale.
+    let mut scale = 1.0;
+    for _ in 0..40 {
+        let [mut along, mut length] = [0.0; 2];
+        for ([aa, ab, bb], error) in products.iter().zip(errors(scale)) {
+            let weight = 1.0 / (bb * error.max(1e-9));
+            along += weight * ab;
+            length += weight * aa;
+        }
+        if length > 0.0 {
+            scale = along / length;
+        }
+    }
+    UpToFactor {
+        error: errors(scale).sum::<f64>() / maps.len().max(1) as f64,
+        factor: 1.0 / scale,
+    }
+}
+
 /// The environment error from the errors under each map.
 pub fn summarise(maps: &[EnvironmentMap], errors: &[PerChannel]) -> EnvironmentError {
     let mean = |of: &dyn Fn(&PerChannel) -> f64| {
@@ -221,6 +278,39 @@ mod tests {
         assert!((error.mean.all - 0.2).abs() < 1e-5);
         assert!(error.mean.channels.iter().all(|e| (e - 0.2).abs() < 1e-5));
         assert_eq!(brdf_errors(&truth, &truth, &cells(6)).relative.all, 0.0);
+        let shape = environment_error_up_to_factor(&estimate, &truth, &maps, 8);
+        assert!(shape.error < 1e-3, "{}", shape.error);
+        assert!((shape.factor - 0.8).abs() < 1e-5, "{}", shape.factor);
+    }
+
+    /// No other multiple is nearer, and the estimate itself is as near as it was.
+    #[test]
+    fn the_factor_makes_the_error_least() {
+        let atoms = vec![
+            Atom::Ggx {
+                alpha: 0.2,
+                eta: 1.5,
+            },
+            Atom::Lambertian { albedo: 1.0 },
+            Atom::Black,
+        ];
+        let dictionary = Arc::new(Dictionary::new("three", atoms).unwrap());
+        let mixture = |[lobe, white]: [f64; 2]| {
+            let weights = vec![lobe, white, 1.0 - lobe - white];
+            Mixture::grey(dictionary.clone(), weights).unwrap()
+        };
+        let (truth, estimate) = (mixture([0.3, 0.2]), mixture([0.35, 0.15]));
+        let maps = EnvironmentMap::all();
+        let least = environment_error_up_to_factor(&estimate, &truth, &maps, 8);
+        let of = |factor: f64| {
+            let scaled = mixture([0.35, 0.15].map(|weight| weight / factor));
+            environment_error(&scaled, &truth, &maps, 8).mean.all
+        };
+        println!("{least:?}, as it is {}", of(1.0));
+        assert!((of(least.factor) - least.error).abs() < 1e-5);
+        for other in [0.97, 0.99, 1.01, 1.03] {
+            assert!(of(other * least.factor) > least.error, "{other}");
+        }
     }
 
     #[test]

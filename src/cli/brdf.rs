@@ -378,10 +378,10 @@ fn project(
         weights: &'a [Vec<f64>; 3],
     }
     let truth = load(spec)?;
-    let dictionary = Arc::new(
-        Dictionary::load(dictionary)
-            .hint("known dictionaries are paper42, grid42, rig42, rig26, reference-grid42")?,
-    );
+    let dictionary = Arc::new(Dictionary::load(dictionary).hint(format!(
+        "known dictionaries are {}",
+        Dictionary::NAMES.join(", ")
+    ))?);
     let maps = EnvironmentMap::all();
     let spheres = EnvironmentMatrix::new(dictionary.clone(), &maps, size);
     let matrix = CellMatrix::new(dictionary.clone(), FIT_AZIMUTHS);
