@@ -378,10 +378,7 @@ fn project(
         weights: &'a [Vec<f64>; 3],
     }
     let truth = load(spec)?;
-    let dictionary = Arc::new(Dictionary::load(dictionary).hint(format!(
-        "known dictionaries are {}",
-        Dictionary::NAMES.join(", ")
-    ))?);
+    let dictionary = Arc::new(Dictionary::load(dictionary)?);
     let maps = EnvironmentMap::all();
     let spheres = EnvironmentMatrix::new(dictionary.clone(), &maps, size);
     let matrix = CellMatrix::new(dictionary.clone(), FIT_AZIMUTHS);

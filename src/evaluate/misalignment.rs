@@ -4,9 +4,9 @@ use nalgebra::DVector;
 
 use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table, quantile};
 use super::lab::{Lab, Material, Sample};
-use crate::brdf::score::{UpToFactor, environment_error_up_to_factor};
+use crate::brdf::score::environment_error_up_to_factor;
 use crate::inverse::bench::{Bench, Parameter};
-use crate::inverse::{BenchPriors, Fit, RefineOptions, fit, refine_bench};
+use crate::inverse::{BenchPriors, RefineOptions, fit, refine_bench};
 use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
 use crate::random::{Purpose, Stream, stream};
 use crate::simulation::photograph::Photographer;
@@ -149,18 +149,9 @@ fn one(
         .collect::<Result<Vec<_>, _>>()?;
 
     let options = lab.fit_options();
-    let error = |fit: &Fit| lab.score(&fit.material, &*material.brdf).environment;
-    // Apart from what intensities that are all off by the same factor make of the albedo.
-    let up_to_factor = |fit: &Fit| {
-        let sphere_px = lab.settings.sphere_px;
-        environment_error_up_to_factor(&fit.material, &*material.brdf, lab.maps(), sphere_px)
-    };
-    let plain = |scene: &Scene| -> Result<(f64, UpToFactor), EvaluateError> {
-        let fit = fit(scene, &captured, &lab.dictionary, &options, &mut |_| {})?;
-        Ok((error(&fit), up_to_factor(&fit)))
-    };
-    let (known, known_up_to) = plain(&bench.scene(&truth))?;
-    let (unrefined, unrefined_up_to) = plain(&described)?;
+    let plain = |scene: &Scene| fit(scene, &captured, &lab.dictionary, &options, &mut |_| {});
+    let known = plain(&bench.scene(&truth))?;
+    let unrefined = plain(&described)?;
     let refined = refine_bench(
         &described,
         &captured,
@@ -175,21 +166,29 @@ fn one(
         .with("material", material.name.as_str())
         .with("class", material.class.name())
         .with("shape", sample.name())
-        .with("bench", number)
-        .with("known", known)
-        .with("unrefined", unrefined);
-    let refined_up_to = up_to_factor(&refined.fit);
-    let refined = error(&refined.fit);
+        .with("bench", number);
+    let materials = [
+        ("known", &known.material),
+        ("unrefined", &unrefined.material),
+        ("refined", &refined.fit.material),
+    ];
+    let errors = materials.map(|(_, estimate)| lab.score(estimate, &*material.brdf).environment);
+    for ((name, _), error) in materials.iter().zip(errors) {
+        row = row.with(*name, error);
+    }
+    let [known, unrefined, refined] = errors;
     row = row
-        .with("refined", refined)
         .with("unrefined_over_known", unrefined / known)
-        .with("refined_over_known", refined / known)
-        .with("known_up_to_factor", known_up_to.error)
-        .with("unrefined_up_to_factor", unrefined_up_to.error)
-        .with("refined_up_to_factor", refined_up_to.error)
-        .with("known_factor", known_up_to.factor)
-        .with("unrefined_factor", unrefined_up_to.factor)
-        .with("refined_factor", refined_up_to.factor)
+        .with("refined_over_known", refined / known);
+    // Apart from what intensities that are all off by the same factor make of the albedo.
+    for (name, estimate) in materials {
+        let (maps, sphere_px) = (lab.maps(), lab.settings.sphere_px);
+        let apart = environment_error_up_to_factor(estimate, &*material.brdf, maps, sphere_px);
+        row = row
+            .with(format!("{name}_up_to_factor"), apart.error)
+            .with(format!("{name}_factor"), apart.factor);
+    }
+    row = row
         .with("rounds", estimate.rounds)
         .with("held", estimate.held.join("; "));
     // Root mean squares by kind: errors before and after in prior deviations, and after in
