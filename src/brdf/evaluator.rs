@@ -62,9 +62,8 @@ impl Evaluator {
                 (None, None) => Term::Constant(0.0),
             })
             .collect();
-        let is_ggx = |&&(distribution, _): &&(Distribution, f32)| distribution == Distribution::Ggx;
         Self {
-            ggx: lobes.iter().filter(is_ggx).count(),
+            ggx: lobes.partition_point(|&(distribution, _)| distribution == Distribution::Ggx),
             alphas: lobes.into_iter().map(|(_, alpha)| alpha).collect(),
             etas,
             coats,

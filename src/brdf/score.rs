@@ -283,7 +283,7 @@ mod tests {
         assert!((shape.factor - 0.8).abs() < 1e-5, "{}", shape.factor);
     }
 
-    /// No other multiple is nearer, and the estimate itself is as near as it was.
+    /// That multiple has the error that is said, and no other is nearer.
     #[test]
     fn the_factor_makes_the_error_least() {
         let atoms = vec![
