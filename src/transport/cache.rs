@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use super::continuation::{Continuations, Kind, Steering};
 use super::event::{GeneralRecord, GridRecord, Head, LaneAtoms, MAX_LIGHTS, Record};
 use super::guide::Guide;
-use super::points::PathNumbers;
+use super::points::{Numbers, PathNumbers};
 use super::proposal::Proposal;
 use super::scene::{Scene, Surface};
 use crate::brdf::dictionary::Dictionary;

@@ -1,5 +1,5 @@
-//! The numbers of cached camera paths: points that fill the space of paths more evenly than
-//! independent ones, so that their mean scatters less.
+//! The numbers of camera paths: independent ones, or points that fill the space of paths more
+//! evenly, so that their mean scatters less.
 //!
 //! The places in a pixel and the continuations of its paths are points of a Sobol sequence
 //! under a hashed Owen scramble (Burley 2020), four dimensions per reflection. Each point
@@ -11,6 +11,53 @@ use glam::DVec2;
 use super::camera::Camera;
 use crate::geometry::Ray;
 use crate::random::{Purpose, Stream, Uniform, stream};
+
+/// The numbers of one path, by what they are for.
+pub trait Numbers: Uniform {
+    /// Where on an extended lamp a reflection is connected to, in [0, 1)².
+    fn on_lamp(&mut self) -> [f32; 2];
+    /// Goes on to the next reflection.
+    fn advance(&mut self);
+}
+
+/// Independent numbers.
+pub struct Independent {
+    directions: Stream,
+    lamps: Stream,
+}
+
+impl Independent {
+    /// Begins path number `sample` of a pixel: its numbers and its ray.
+    pub fn begin(camera: &Camera, seed: u64, pixel: usize, sample: u32) -> (Self, Ray) {
+        let key = |purpose| stream(seed, purpose, 0, pixel as u64, u64::from(sample));
+        let mut position = key(Purpose::PixelPosition);
+        let mut lamps = key(Purpose::LightAndLens);
+        let place = DVec2::new(position.uniform(), position.uniform());
+        let lens = DVec2::new(lamps.uniform(), lamps.uniform());
+        let numbers = Self {
+            directions: key(Purpose::PathDirection),
+            lamps,
+        };
+        (numbers, camera.ray_of_pixel(pixel, place, lens))
+    }
+}
+
+impl Uniform for Independent {
+    #[inline]
+    fn uniform_f32(&mut self) -> f32 {
+        self.directions.uniform_f32()
+    }
+}
+
+impl Numbers for Independent {
+    #[inline]
+    fn on_lamp(&mut self) -> [f32; 2] {
+        [self.lamps.uniform_f32(), self.lamps.uniform_f32()]
+    }
+
+    #[inline]
+    fn advance(&mut self) {}
+}
 
 /// Points of one sequence; further ones get another scramble.
 const LENGTH: u32 = 1 << 16;
@@ -57,23 +104,6 @@ impl PathNumbers {
             DVec2::new(next(), next())
         })
     }
-
-    /// Where on an extended lamp a reflection is connected to, in [0, 1)².
-    #[inline]
-    pub fn on_lamp(&mut self) -> [f32; 2] {
-        [self.lamps.uniform_f32(), self.lamps.uniform_f32()]
-    }
-
-    /// Goes on to the next reflection, whose first four numbers are of the sequence.
-    #[inline]
-    pub fn advance(&mut self) {
-        self.used = 4;
-        if self.set < sobol_burley::NUM_DIMENSION_SETS_4D {
-            self.point = sobol_burley::sample_4d(self.index, self.set, self.scramble);
-            self.set += 1;
-            self.used = 0;
-        }
-    }
 }
 
 impl Uniform for PathNumbers {
@@ -85,6 +115,24 @@ impl Uniform for PathNumbers {
                 number
             }
             None => self.others.uniform_f32(),
+        }
+    }
+}
+
+impl Numbers for PathNumbers {
+    #[inline]
+    fn on_lamp(&mut self) -> [f32; 2] {
+        [self.lamps.uniform_f32(), self.lamps.uniform_f32()]
+    }
+
+    /// The first four numbers of a reflection are of the sequence.
+    #[inline]
+    fn advance(&mut self) {
+        self.used = 4;
+        if self.set < sobol_burley::NUM_DIMENSION_SETS_4D {
+            self.point = sobol_burley::sample_4d(self.index, self.set, self.scramble);
+            self.set += 1;
+            self.used = 0;
         }
     }
 }

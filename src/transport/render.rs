@@ -1,14 +1,15 @@
 //! Plain forward rendering of any BRDF, known bodies included: mean and variance of the mean per pixel.
 
-use glam::{DVec2, Vec3};
+use glam::Vec3;
 use rayon::prelude::*;
 
 use super::continuation::{Continuations, Steering};
+use super::points::{Independent, Numbers, PathNumbers};
 use super::proposal::Proposal;
 use super::scene::{Scene, Surface};
 use crate::brdf::Brdf;
+use crate::geometry::Ray;
 use crate::radiance_image::RadianceImage;
-use crate::random::{Purpose, stream};
 
 /// How to render.
 #[derive(Clone, Debug)]
@@ -24,6 +25,9 @@ pub struct RenderOptions {
     /// What leads them to light. The images of two scenes that differ a little differ
     /// smoothly, for equal seeds, only without.
     pub steering: Steering,
+    /// Paths of evenly spread points instead of independent ones, in this many scrambles, at
+    /// least 8: less noise, by a variance that is the scatter of so few means.
+    pub scrambles: Option<u32>,
 }
 
 impl Default for RenderOptions {
@@ -34,6 +38,7 @@ impl Default for RenderOptions {
             seed: 0,
             proposal: Proposal::default(),
             steering: Steering::NONE,
+            scrambles: None,
         }
     }
 }
@@ -42,6 +47,18 @@ impl RenderOptions {
     pub(super) fn continuations(&self, scene: &Scene) -> Continuations<'_> {
         let guide = self.steering.guide(scene, self.seed);
         Continuations::new(&self.proposal, self.steering, guide)
+    }
+
+    /// Groups of a pixel's paths whose means are independent of each other, and paths of each.
+    fn groups(&self) -> [u32; 2] {
+        match self.scrambles {
+            Some(scrambles) => {
+                // Fewer have no scatter.
+                let scrambles = scrambles.max(2);
+                [scrambles, self.samples_per_pixel.div_ceil(scrambles)]
+            }
+            None => [self.samples_per_pixel, 1],
+        }
     }
 }
 
@@ -121,7 +138,7 @@ pub(super) fn render_carrying<C: Carrier>(
             pixels
         })
         .collect();
-    let n = f64::from(options.samples_per_pixel);
+    let n = f64::from(options.groups()[0]);
     (0..lights)
         .map(|light| {
             let mut image = RadianceImage::new(width, height);
@@ -162,6 +179,7 @@ pub fn quietest_proposal(
     let steered = options.continuations(scene);
     let options = RenderOptions {
         samples_per_pixel: 64,
+        scrambles: None,
         ..options.clone()
     };
     let noise = |proposal: &Proposal| -> f64 {
@@ -188,7 +206,7 @@ pub fn quietest_proposal(
         .unwrap_or_default()
 }
 
-/// Per lamp and channel: sum of path values, sum of their squares.
+/// Per lamp and channel: sum of the means of groups of paths, sum of their squares.
 type PixelSums = Vec<[[f64; 2]; 3]>;
 
 fn render_pixel<C: Carrier>(
@@ -200,49 +218,47 @@ fn render_pixel<C: Carrier>(
 ) -> PixelSums {
     let lights = scene.lights.len();
     let mut sums = vec![[[0.0; 2]; 3]; lights];
-    let mut path = vec![[0.0f64; 3]; lights];
-    for sample in 0..options.samples_per_pixel {
-        path.fill([0.0; 3]);
-        follow::<C>(
-            scene,
-            brdf,
-            options,
-            continuations,
-            [pixel as u64, u64::from(sample)],
-            |_, light, reading| {
-                for (sum, value) in path[light].iter_mut().zip(reading) {
-                    *sum += value;
-                }
-            },
-        );
-        for (sum, value) in sums.iter_mut().zip(&path) {
+    let mut group_sums = vec![[0.0f64; 3]; lights];
+    let (camera, seed) = (&scene.camera, options.seed);
+    let [groups, size] = options.groups();
+    for group in 0..groups {
+        group_sums.fill([0.0; 3]);
+        let mut add = |_, light: usize, reading: [f64; 3]| {
+            for (sum, value) in group_sums[light].iter_mut().zip(reading) {
+                *sum += value;
+            }
+        };
+        if options.scrambles.is_some() {
+            for index in 0..size {
+                let path = PathNumbers::begin(camera, seed, pixel, group, index);
+                follow::<C, _>(scene, brdf, options, continuations, path, &mut add);
+            }
+        } else {
+            let path = Independent::begin(camera, seed, pixel, group);
+            follow::<C, _>(scene, brdf, options, continuations, path, &mut add);
+        }
+        for (sum, group_sum) in sums.iter_mut().zip(&group_sums) {
             for channel in 0..3 {
-                sum[channel][0] += value[channel];
-                sum[channel][1] += value[channel] * value[channel];
+                let mean = group_sum[channel] / f64::from(size);
+                sum[channel][0] += mean;
+                sum[channel][1] += mean * mean;
             }
         }
     }
     sums
 }
 
-/// Follows the path of (pixel, sample) and tells `visit` the reflections up to a lamp, the
-/// lamp and what the camera reads of it per unit of the lamp's strength.
+/// Follows a path by its numbers from its ray on and tells `visit` the reflections up to a lamp,
+/// the lamp and what the camera reads of it per unit of the lamp's strength.
 #[inline]
-pub(super) fn follow<C: Carrier>(
+pub(super) fn follow<C: Carrier, N: Numbers>(
     scene: &Scene,
     brdf: &dyn Brdf,
     options: &RenderOptions,
     continuations: &Continuations<'_>,
-    [pixel, sample]: [u64; 2],
+    (mut numbers, ray): (N, Ray),
     mut visit: impl FnMut(u32, usize, [f64; 3]),
 ) {
-    let key = |purpose| stream(options.seed, purpose, 0, pixel, sample);
-    let mut position = key(Purpose::PixelPosition);
-    let mut directions = key(Purpose::PathDirection);
-    let mut lamps = key(Purpose::LightAndLens);
-    let place = DVec2::new(position.uniform(), position.uniform());
-    let lens = DVec2::new(lamps.uniform(), lamps.uniform());
-    let ray = scene.camera.ray_of_pixel(pixel as usize, place, lens);
     let mut carried = C::start(ray.direction);
     let mut kind = continuations.begin();
     let mut next = scene.first(&ray);
@@ -251,8 +267,7 @@ pub(super) fn follow<C: Carrier>(
         reflections += 1;
         let brdf = scene.known(&surface).unwrap_or(brdf);
         for light in 0..scene.lights.len() {
-            let u = [lamps.uniform_f32(), lamps.uniform_f32()];
-            if let Some(connection) = scene.connect(&surface, light, u) {
+            if let Some(connection) = scene.connect(&surface, light, numbers.on_lamp()) {
                 let event = Event {
                     brdf,
                     surface: &surface,
@@ -266,7 +281,8 @@ pub(super) fn follow<C: Carrier>(
         if reflections >= options.max_reflections {
             break;
         }
-        let drawn = continuations.draw(&mut kind, &surface, to_viewer, &mut directions);
+        numbers.advance();
+        let drawn = continuations.draw(&mut kind, &surface, to_viewer, &mut numbers);
         let Some((direction, pdf)) = drawn else {
             break;
         };

@@ -2,6 +2,7 @@
 
 use rayon::prelude::*;
 
+use super::points::Independent;
 use super::render::{RenderOptions, follow};
 use super::scene::Scene;
 use crate::brdf::Brdf;
@@ -55,16 +56,16 @@ pub fn truncation_remainder(
         .into_par_iter()
         .map(|group| {
             let mut sums = vec![[0.0; 3]; lights];
-            let first = group as u64 * u64::from(per_group);
+            let first = group as u32 * per_group;
             for &pixel in &pixels {
-                for sample in first..first + u64::from(per_group) {
-                    let key = [pixel as u64, sample];
-                    follow::<[f64; 3]>(
+                for sample in first..first + per_group {
+                    let path = Independent::begin(&scene.camera, longer.seed, pixel, sample);
+                    follow::<[f64; 3], _>(
                         scene,
                         brdf,
                         &longer,
                         &continuations,
-                        key,
+                        path,
                         |order, light, reading| {
                             let strength = scene.lights[light].strength();
                             let part = order.saturating_sub(cut).div_ceil(WINDOW) as usize;

@@ -1,5 +1,6 @@
 //! Light transport against an independent renderer, closed forms, and itself.
 
+mod even_points;
 mod gradient;
 mod materials;
 mod point_spread;
