@@ -235,7 +235,8 @@ impl FitPlan {
                 let refined = refine_bench(
                     scene, captured, dictionary, options, priors, &how, &mut stage,
                 )?;
-                (refined.fit, Some(refined.estimate))
+                let fit = refined.fit(dictionary, options, &mut stage)?;
+                (fit, Some(refined.estimate))
             }
         };
         if fit.samples[0] < fit.samples[1] {

@@ -20,5 +20,5 @@ pub mod system;
 mod tests;
 
 pub use parameters::{Axis, Bench, BenchPriors, Parameter, with_sample_at};
-pub use refine::{BenchEstimate, Estimated, RefineOptions, RefinedFit, refine_bench};
+pub use refine::{BenchEstimate, Estimated, RefineOptions, RefinedBench, refine_bench};
 pub use system::{BenchCoupling, BenchLinearisation};

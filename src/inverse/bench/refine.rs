@@ -1,5 +1,5 @@
 //! The rounds: fit the weights on the bench as it is believed, see how the images change
-//! with the bench, step, repeat; then fit in full at the refined bench.
+//! with the bench, step, repeat; and the fit in full at the refined bench.
 
 use std::sync::Arc;
 
@@ -26,9 +26,10 @@ use crate::transport::{Cache, DirectMatrix, Proposal, Scene};
 pub struct RefineOptions {
     /// Most rounds, 2..=20; the first does not know how far the scores can be trusted.
     pub rounds: usize,
-    /// Paths per pixel of a round's fit, at least 8; never more than the final fit's. The
-    /// first round has a quarter, the second half of them.
-    pub samples_per_pixel: u32,
+    /// Paths per pixel of a round's fit over those of the final fit, 1..=64, as far as they fit
+    /// into its memory. What tells the intensities' common scale from albedo is lost in the
+    /// noise of fewer. The first round has a quarter, the second half of them.
+    pub times_paths: u32,
     /// Direct reflection of a round's fit: square root of the samples per pixel, 1..=64.
     pub direct_strata: u32,
     /// Paths per pixel, both halves together, on each differing bench, of the derivatives that
@@ -45,7 +46,7 @@ impl Default for RefineOptions {
     fn default() -> Self {
         Self {
             rounds: 12,
-            samples_per_pixel: 256,
+            times_paths: 4,
             direct_strata: 8,
             derivative_samples: 16,
             derivative_reflections: 6,
@@ -87,19 +88,38 @@ pub struct BenchEstimate {
     pub reduced_chi2: [f64; 2],
 }
 
-/// A fit on a refined bench.
-pub struct RefinedFit {
-    /// The fit; its draws know what the bench leaves open.
-    pub fit: Fit,
-    /// The scene that was fitted, in the frame of the sample where it truly is.
+/// A refined bench, and the images as they compare with it.
+pub struct RefinedBench {
+    /// The scene in the frame of the sample where it truly is.
     pub scene: Scene,
     /// The bench.
     pub estimate: BenchEstimate,
+    /// The captured images without stray light.
+    captured: Vec<RadianceImage>,
+    /// How much of the material's uncertainty the bench leaves open.
+    linearisation: Option<BenchLinearisation>,
+    seconds: f64,
 }
 
-/// Fits the weights of `dictionary` and the bench within `priors` to one captured
-/// image per light of `scene`, which is the bench as described. `stage` is told what
-/// begins.
+impl RefinedBench {
+    /// Fits the weights of `dictionary` on this bench; the draws know what it leaves open.
+    pub fn fit(
+        &self,
+        dictionary: &Dictionary,
+        options: &FitOptions,
+        stage: &mut dyn FnMut(&str),
+    ) -> Result<Fit, FitError> {
+        let bench = self.linearisation.as_ref();
+        let (scene, captured) = (&self.scene, &self.captured);
+        let mut fit = fit_on_bench(scene, captured, dictionary, options, bench, stage)?;
+        fit.timings.insert(0, ("refine bench", self.seconds));
+        Ok(fit)
+    }
+}
+
+/// Refines the bench within `priors` by one captured image per light of `scene`, which is
+/// the bench as described, with the weights of `dictionary` free to follow. `options` are
+/// those of the fit that is to come. `stage` is told what begins.
 pub fn refine_bench(
     scene: &Scene,
     captured: &[RadianceImage],
@@ -108,7 +128,7 @@ pub fn refine_bench(
     priors: &BenchPriors,
     refine: &RefineOptions,
     stage: &mut dyn FnMut(&str),
-) -> Result<RefinedFit, FitError> {
+) -> Result<RefinedBench, FitError> {
     crate::inverse::fit::check(scene, captured)?;
     let clock = std::time::Instant::now();
     let bench = Bench::new(scene, priors);
@@ -183,16 +203,6 @@ pub fn refine_bench(
             derivatives,
             spectrum: best.spectrum,
         });
-    let refining = clock.elapsed().as_secs_f64();
-    let mut fit = fit_on_bench(
-        &refined,
-        &without_stray_light,
-        dictionary,
-        options,
-        linearisation.as_ref(),
-        stage,
-    )?;
-    fit.timings.insert(0, ("refine bench", refining));
     let mut estimate = BenchEstimate {
         parameters: Vec::new(),
         held: Vec::new(),
@@ -215,10 +225,12 @@ pub fn refine_bench(
             })
             .collect();
     }
-    Ok(RefinedFit {
-        fit,
+    Ok(RefinedBench {
         scene: refined,
         estimate,
+        captured: without_stray_light,
+        linearisation,
+        seconds: clock.elapsed().as_secs_f64(),
     })
 }
 
@@ -329,9 +341,8 @@ impl Rounds<'_> {
             paths.proposal = Proposal::resembling(material, DEFENSIVE);
         }
         let early = ALL_PATHS.saturating_sub(round);
-        paths.samples_per_pixel = paths
-            .samples_per_pixel
-            .min(refine.samples_per_pixel >> early);
+        paths.samples_per_pixel =
+            (paths.samples_per_pixel.saturating_mul(refine.times_paths) >> early).max(8);
         let strata = options.direct_strata.min(refine.direct_strata);
         let direct = DirectMatrix::new(&scene, self.dictionary, strata, paths.seed);
         let cache = Cache::trace(&scene, self.dictionary, &paths)?;

@@ -8,7 +8,7 @@ use nalgebra::{DMatrix, DVector};
 use super::derivatives::{DerivativeImages, DerivativeOptions};
 use super::parameters::{Axis, Bench, BenchPriors, Parameter};
 use super::spectrum::Spectrum;
-use super::{RefineOptions, RefinedFit, refine_bench};
+use super::{RefineOptions, RefinedBench, refine_bench};
 use crate::brdf::ggx::Cosines;
 use crate::brdf::half_difference::HalfDifference;
 use crate::brdf::{Dictionary, Mixture};
@@ -340,12 +340,12 @@ fn options() -> FitOptions {
 
 const LIGHTS: [[f64; 2]; 3] = [[20.0, 80.0], [110.0, 60.0], [250.0, 70.0]];
 
-fn refined(values: &DVector<f64>, size: usize) -> (RefinedFit, Vec<RadianceImage>, Mixture) {
+fn refined(values: &DVector<f64>, size: usize) -> (RefinedBench, Vec<RadianceImage>, Mixture) {
     let brdf = material();
     let images = captured(&bowl(128, size, &LIGHTS), values, &brdf);
     let how = RefineOptions {
         rounds: 4,
-        samples_per_pixel: 128,
+        times_paths: 1,
         ..RefineOptions::default()
     };
     let result = refine_bench(
@@ -438,7 +438,10 @@ fn misplaced_lights_come_back() {
         };
         (cells.iter().map(relative).sum::<f64>() / cells.len() as f64).sqrt()
     };
-    let [with, without] = [&refined.fit.draws, &plain.draws].map(|draws| spread(draws));
+    let on_refined = refined
+        .fit(brdf.dictionary(), &options(), &mut |_| {})
+        .unwrap();
+    let [with, without] = [&on_refined.draws, &plain.draws].map(|draws| spread(draws));
     assert!(
         with > without,
         "{with} with the bench's share, {without} without"
