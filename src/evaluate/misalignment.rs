@@ -49,7 +49,7 @@ const TRUTH_SCRAMBLES: u32 = 32;
 /// Benches per shape and material.
 const BENCHES: u64 = 3;
 /// Fits with paths of their own whose errors are averaged in squares: a single one is more or
-/// less lucky with its paths, by up to a factor of two.
+/// less lucky with its paths, by a factor of two or more.
 const PATHS: u64 = 3;
 
 /// Every light is off by this much, in a random direction.

@@ -50,9 +50,9 @@ fn compared(a: &RadianceImage, b: &RadianceImage) -> [f64; 2] {
     [squares / count, variance / count]
 }
 
-/// Two renders of some 470 pixels by scrambles of their own differ as their variances say: the
-/// mean square is 15/13 · 1 ± 0.07 for variances of 16 means each, as many in both; heavier
-/// tails raise it. So does one by even points and one by independent ones, which has more noise.
+/// Two renders of some 470 pixels by scrambles of their own differ as their variances say: with
+/// variances of 16 means each the mean square is 30/28, with a deviation of 0.07; heavy tails raise
+/// it. So do one by even points and one by independent ones, which has more noise.
 #[test]
 fn even_points_scatter_less_and_as_they_say() {
     let [first, second] = [3, 4].map(|seed| image(Some(SCRAMBLES), seed));

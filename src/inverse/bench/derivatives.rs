@@ -12,16 +12,16 @@
 //! derivative that is off costs certainty, not truth. So what comes by way of other
 //! surfaces, which is noisy and varies slowly, is averaged over neighbouring pixels.
 
-use glam::{DVec2, Vec3};
+use glam::Vec3;
 use nalgebra::DVector;
 use rayon::prelude::*;
 
 use super::parameters::{Bench, Parameter};
 use crate::brdf::Brdf;
 use crate::geometry::Mesh;
-use crate::random::{Purpose, Stream, stream};
 use crate::transport::direct::for_each_seen;
 use crate::transport::falloff::Falloff;
+use crate::transport::points::{Independent, Numbers};
 use crate::transport::scene::Surface;
 use crate::transport::{Continuations, Proposal, Scene, Steering};
 
@@ -333,10 +333,10 @@ impl<'a> Walk<'a> {
         surface: &Surface,
         to_viewer: Vec3,
         throughput: Vec3,
-        lamps: &mut Stream,
+        mut on_lamp: impl FnMut() -> [f32; 2],
     ) {
         for numbers in &mut self.lamp_numbers {
-            *numbers = [lamps.uniform_f32(), lamps.uniform_f32()];
+            *numbers = on_lamp();
         }
         for (slot, sum) in self.sums.iter_mut().enumerate() {
             let numbers = self.lamp_numbers[self.view.light_of_slot[slot]];
@@ -362,7 +362,8 @@ impl<'a> Walk<'a> {
             options.seed,
             |surface, to_viewer, lamps| {
                 let brdf = view.scene.known(surface).unwrap_or(brdf);
-                self.connect(brdf, surface, to_viewer, Vec3::ONE, lamps);
+                let on_lamp = || [lamps.uniform_f32(), lamps.uniform_f32()];
+                self.connect(brdf, surface, to_viewer, Vec3::ONE, on_lamp);
             },
         );
     }
@@ -379,13 +380,7 @@ impl<'a> Walk<'a> {
         let view = self.view;
         let scene = &view.scene;
         self.paths += 1;
-        let key = |purpose| stream(options.seed, purpose, 0, pixel as u64, u64::from(sample));
-        let mut position = key(Purpose::PixelPosition);
-        let mut directions = key(Purpose::PathDirection);
-        let mut lamps = key(Purpose::LightAndLens);
-        let place = DVec2::new(position.uniform(), position.uniform());
-        let lens = DVec2::new(lamps.uniform(), lamps.uniform());
-        let ray = scene.camera.ray_of_pixel(pixel, place, lens);
+        let (mut numbers, ray) = Independent::begin(&scene.camera, options.seed, pixel, sample);
         let mut throughput = Vec3::ONE;
         let mut kind = continuations.begin();
         let mut next = scene.first(&ray).filter(|(hit, _)| hit.is_sample());
@@ -394,12 +389,13 @@ impl<'a> Walk<'a> {
             reflections += 1;
             let brdf = scene.known(&surface).unwrap_or(brdf);
             if reflections > 1 {
-                self.connect(brdf, &surface, to_viewer, throughput, &mut lamps);
+                let on_lamp = || numbers.on_lamp();
+                self.connect(brdf, &surface, to_viewer, throughput, on_lamp);
             }
             if reflections >= options.max_reflections {
                 break;
             }
-            let drawn = continuations.draw(&mut kind, &surface, to_viewer, &mut directions);
+            let drawn = continuations.draw(&mut kind, &surface, to_viewer, &mut numbers);
             let Some((direction, pdf)) = drawn else {
                 break;
             };
