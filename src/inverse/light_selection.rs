@@ -2,7 +2,7 @@
 //!
 //! A light's image adds the Fisher information Jᵀ W J about the mixture weights. Both
 //! J and the residual weights W depend on the material, so they are computed for a few
-//! plausible ones (draws of the fit's own prior, or the current estimate), at a coarse
+//! plausible ones (draws of a Dirichlet distribution, or the current estimate), at a coarse
 //! resolution. To each belongs a Gaussian posterior: the prior's covariance, updated
 //! by the information of the lights taken. What counts is the expected squared
 //! error of the BRDF: tr(M C), where M sums a aᵀ over the (θh, θd, φd) cells of the
@@ -73,7 +73,7 @@ const AZIMUTHS: usize = 3;
 /// Keeps dark cells from counting without bound, 1/sr.
 const FAINT: f64 = 1e-3;
 
-/// Weights of plausible materials: draws of the fit's prior.
+/// Weights of plausible materials: draws of a symmetric Dirichlet distribution.
 pub fn prior_materials(dictionary: &Dictionary, count: usize, seed: u64) -> Vec<DVector<f64>> {
     (0..count)
         .map(|k| {
@@ -314,7 +314,7 @@ fn root(information: &DMatrix<f64>) -> DMatrix<f64> {
     }
 }
 
-/// Of a symmetric Dirichlet distribution with the fit's concentration.
+/// Of a symmetric Dirichlet distribution, by its concentration.
 fn prior_covariance(n: usize) -> DMatrix<f64> {
     let share = 1.0 / n as f64;
     let scale = share / (CONCENTRATION * n as f64 + 1.0);

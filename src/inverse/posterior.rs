@@ -3,6 +3,7 @@
 
 use nalgebra::DVector;
 
+use super::bench::BenchCoupling;
 use super::bench::system::{BenchLinearisation, Model};
 use super::departure::{At, Eliminated};
 use super::estimate::{estimate, mean_of_draws};
@@ -75,14 +76,20 @@ pub(super) fn posterior(
     let form = options.form_error.as_ref().map_or_else(Vec::new, |error| {
         form::score_covariance(&model, scene, error, weights, mixture, &fitted, seed)
     });
-    let draw = |center: &[DVector<f64>], pass: &Linearised, departure: &[Eliminated]| {
+    let draw_on = |bench: Option<&BenchCoupling>,
+                   center: &[DVector<f64>],
+                   pass: &Linearised,
+                   departure: &[Eliminated]| {
         let adds = Adds {
-            bench: coupling.as_ref(),
+            bench,
             form: &form,
             noise: &noise,
             departure,
         };
         uncertainty::draw(dictionary, center, pass, &adds, options.draws, seed)
+    };
+    let draw = |center: &[DVector<f64>], pass: &Linearised, departure: &[Eliminated]| {
+        draw_on(None, center, pass, departure)
     };
     let model_of =
         |material: &Departed| DepartedModel::of_compared(objective, scene, material, seed);
@@ -100,6 +107,7 @@ pub(super) fn posterior(
     };
     let mut departure = Eliminated::first(&at, dictionary);
     let mut draws = draw(&center, &solved.pass, &departure);
+    let mut departed_pass = None;
     if !departure.is_empty() {
         // Once more, linear around what was found.
         let mean = mean_of_draws(&spheres, &draws);
@@ -123,18 +131,26 @@ pub(super) fn posterior(
             departure = Eliminated::again(&at, &departure, &modes);
             draws = draw(&mean, &pass, &departure);
             center = mean;
+            departed_pass = Some(pass);
         }
     }
     let amplitude = departure.first().map_or(0.0, Eliminated::amplitude);
-    let (material, departure) = match options.optimizer {
+    let (material, amplitude) = match options.optimizer {
         Optimizer::GaussNewton(_) => (estimate(&spheres, &center, &draws, &departure)?, amplitude),
         // The others are there to be compared: they report where they end.
         _ => (Departed::nowhere(material(mixture)?), 0.0),
     };
+    // What the bench leaves open widens the intervals; the material is that of the bench as
+    // believed. Averaged over benches it would be darker: weights make no material brighter
+    // than white.
+    if let Some(bench) = &coupling {
+        let pass = departed_pass.as_ref().unwrap_or(&solved.pass);
+        draws = draw_on(Some(bench), &center, pass, &departure);
+    }
     Ok(Posterior {
         draws: with_misfits(draws),
         material,
-        departure,
+        departure: amplitude,
     })
 }
 

@@ -176,7 +176,7 @@ fn adjusted_likelihood(
     let mut scatter = mapped(scatter, |v| v.max(least));
     let whitened = |m: &DMatrix<f64>| inverse.tr_mul(m) * &inverse;
     if let Some(bench) = adds.bench {
-        scatter += whitened(&bench.covariance(set));
+        scatter += above_noise(whitened(&bench.covariance(set)));
     }
     let form = adds.form.get(set).map(whitened);
     if let Some(form) = &form {
@@ -199,7 +199,7 @@ fn adjusted_likelihood(
         };
         for source in [Source::Pose, Source::LightDirections, Source::Intensities] {
             if let Some(bench) = adds.bench {
-                known.push((source, whitened(&bench.part(set, of(source)))));
+                known.push((source, above_noise(whitened(&bench.part(set, of(source))))));
             }
         }
         Budget::new(&root, &scatter, &known)
@@ -217,6 +217,13 @@ fn mapped(matrix: DMatrix<f64>, change: impl Fn(f64) -> f64) -> DMatrix<f64> {
     &eigen.eigenvectors
         * DMatrix::from_diagonal(&eigen.eigenvalues.map(change))
         * eigen.eigenvectors.transpose()
+}
+
+/// A covariance of independent halves without what their noise alone could have made: its
+/// eigenvalues that are no larger than the most negative one.
+fn above_noise(covariance: DMatrix<f64>) -> DMatrix<f64> {
+    let least = covariance.symmetric_eigenvalues().min();
+    mapped(covariance, |v| if v > -least { v.max(0.0) } else { 0.0 })
 }
 
 /// `information` of independent halves without the directions that the paths' noise
@@ -285,6 +292,19 @@ fn gamma_above_one(shape: f64, numbers: &mut Stream) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_noise_could_have_made_is_left_out() {
+        let turn = nalgebra::Rotation3::from_euler_angles(0.3, 0.7, -0.2).into_inner();
+        let of = |values: [f64; 3]| {
+            let m = turn * nalgebra::Matrix3::from_diagonal(&values.into()) * turn.transpose();
+            DMatrix::from_fn(3, 3, |i, j| m[(i, j)])
+        };
+        let told = above_noise(of([9.0, -2.0, 1.5]));
+        assert!((told - of([9.0, 0.0, 0.0])).norm() < 1e-12);
+        let sure = of([9.0, 2.0, 0.5]);
+        assert!((above_noise(sure.clone()) - sure).norm() < 1e-12);
+    }
 
     /// Mean weight of black in prior draws, against the sum over the sizes of sets with and
     /// without it (0.394, 0.463), each with the mean of exp(slope · x) over Beta(1, k − 1).

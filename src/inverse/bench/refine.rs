@@ -48,7 +48,7 @@ impl Default for RefineOptions {
             rounds: 12,
             times_paths: 4,
             direct_strata: 8,
-            derivative_samples: 16,
+            derivative_samples: 128,
             derivative_reflections: 6,
             settled: 0.3,
         }

@@ -34,8 +34,8 @@ pub struct Model<'a> {
 pub struct Normal {
     /// F_pp, P × P.
     information: DMatrix<f64>,
-    /// F_pw per weight set, P × N.
-    coupling: Vec<DMatrix<f64>>,
+    /// F_pw per weight set, P × N, twice: from independent halves of the samples.
+    coupling: Vec<[DMatrix<f64>; 2]>,
     /// Scores per block of pixels, all lights together: they share the paths, and so
     /// their noise.
     blocks: BTreeMap<usize, Scores>,
@@ -117,7 +117,7 @@ impl Normal {
                             let (a, b) = (h, 1 - h);
                             sum.information
                                 .ger(0.5 * w, &by_bench[a], &by_bench[b], 1.0);
-                            sum.coupling[set].ger(0.5 * w, &by_bench[a], &by_weight[b], 1.0);
+                            sum.coupling[set][h].ger(w, &by_bench[a], &by_weight[b], 1.0);
                             block.bench.axpy(0.5 * w * residual[b], &by_bench[a], 1.0);
                             block.weights[set].axpy(0.5 * w * residual[b], &by_weight[a], 1.0);
                         }
@@ -128,7 +128,8 @@ impl Normal {
         let mut total = Self::zero(parameters.len(), n, sets);
         for part in parts {
             total.information += part.information;
-            for (sum, part) in total.coupling.iter_mut().zip(part.coupling) {
+            let couplings = total.coupling.iter_mut().flatten();
+            for (sum, part) in couplings.zip(part.coupling.iter().flatten()) {
                 *sum += part;
             }
             for (block, scores) in part.blocks {
@@ -145,7 +146,7 @@ impl Normal {
     fn zero(parameters: usize, atoms: usize, sets: usize) -> Self {
         Self {
             information: DMatrix::zeros(parameters, parameters),
-            coupling: vec![DMatrix::zeros(parameters, atoms); sets],
+            coupling: vec![[(); 2].map(|()| DMatrix::zeros(parameters, atoms)); sets],
             blocks: BTreeMap::new(),
         }
     }
@@ -153,16 +154,17 @@ impl Normal {
     /// Eliminates the weights that are above zero in `mixture`; `information` is F_ww per set.
     pub fn reduced(&self, information: &[DMatrix<f64>], mixture: &[DVector<f64>]) -> Reduced {
         // G = F_pw F_ww⁻¹ per set, so that S = F_pp − G F_wp and g = g_p − G g_w.
+        let coupling: Vec<_> = self.coupling.iter().map(|[a, b]| 0.5 * (a + b)).collect();
         let gains: Vec<DMatrix<f64>> = mixture
             .iter()
             .zip(information)
-            .zip(&self.coupling)
+            .zip(&coupling)
             .map(|((mixture, information), coupling)| {
                 coupling * inverse_on_face(information, mixture)
             })
             .collect();
         let mut own = self.information.clone();
-        for (gain, coupling) in gains.iter().zip(&self.coupling) {
+        for (gain, coupling) in gains.iter().zip(&coupling) {
             own -= gain * coupling.transpose();
         }
         let block_scores: Vec<DVector<f64>> = self
@@ -255,8 +257,9 @@ impl BenchLinearisation {
             mixture,
         );
         let root = self.spectrum.posterior_root();
+        let to_weights = |halves: &[DMatrix<f64>; 2]| halves.each_ref().map(DMatrix::transpose);
         BenchCoupling {
-            to_weights: normal.coupling.iter().map(|c| c.transpose()).collect(),
+            to_weights: normal.coupling.iter().map(to_weights).collect(),
             covariance: &root * root.transpose(),
             parameters: self.bench.parameters().to_vec(),
         }
@@ -267,15 +270,18 @@ impl BenchLinearisation {
 /// its estimate, the weights' score changes by −F_wp p; p is drawn from its posterior,
 /// which has the weights eliminated, so that both together are drawn from the joint one.
 pub struct BenchCoupling {
-    /// F_wp per set, N × P.
-    to_weights: Vec<DMatrix<f64>>,
+    /// F_wp per set, N × P, from independent halves.
+    to_weights: Vec<[DMatrix<f64>; 2]>,
     /// The bench's posterior covariance, P × P.
     covariance: DMatrix<f64>,
     parameters: Vec<Parameter>,
 }
 
 impl BenchCoupling {
-    /// Covariance that it adds to the score of a set's weights, N × N.
+    /// Covariance that it adds to the score of a set's weights, N × N. Each product has its two
+    /// factors from independent halves: of one matrix with itself the noise of the derivatives
+    /// would be counted as spread, the more the more lights there are. What noise is left can
+    /// make it indefinite.
     pub fn covariance(&self, set: usize) -> DMatrix<f64> {
         self.part(set, |_| true)
     }
@@ -283,14 +289,61 @@ impl BenchCoupling {
     /// The part of some parameters in it; what they share with others counts half. Parts
     /// of all parameters sum to the whole.
     pub fn part(&self, set: usize, of: impl Fn(Parameter) -> bool) -> DMatrix<f64> {
-        let to_weights = &self.to_weights[set];
-        let mut own = to_weights.clone();
-        for (k, parameter) in self.parameters.iter().enumerate() {
-            if !of(*parameter) {
-                own.column_mut(k).fill(0.0);
+        let [first, second] = &self.to_weights[set];
+        let own = |whole: &DMatrix<f64>| {
+            let mut own = whole.clone();
+            for (k, parameter) in self.parameters.iter().enumerate() {
+                if !of(*parameter) {
+                    own.column_mut(k).fill(0.0);
+                }
             }
+            own
+        };
+        let part = own(first) * &self.covariance * second.transpose()
+            + own(second) * &self.covariance * first.transpose();
+        0.25 * (&part + part.transpose())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::{Purpose, stream};
+
+    /// Derivatives that are nothing but noise spread no weights, however many parameters
+    /// there are; those without noise as much as they should, and the parts sum to the whole.
+    #[test]
+    fn noise_of_the_derivatives_is_no_spread() {
+        const N: usize = 6;
+        let mut numbers = stream(5, Purpose::Experiment, 0, 0, 0);
+        let parameters: Vec<Parameter> = (0..40)
+            .map(|k| match k % 2 {
+                0 => Parameter::LightAzimuth(k / 2),
+                _ => Parameter::Intensity(k / 2),
+            })
+            .collect();
+        let count = parameters.len();
+        let coupling = |to_weights: [DMatrix<f64>; 2]| BenchCoupling {
+            to_weights: vec![to_weights],
+            covariance: DMatrix::identity(count, count),
+            parameters: parameters.clone(),
+        };
+        let mut noise = || DMatrix::from_fn(N, count, |_, _| numbers.normal());
+        const TIMES: usize = 200;
+        let mut trace = 0.0;
+        for _ in 0..TIMES {
+            trace += coupling([noise(), noise()]).covariance(0).trace();
         }
-        let part = own * &self.covariance * to_weights.transpose();
-        0.5 * (&part + part.transpose())
+        // The variance of each trace is N · P; of one matrix with itself the mean were N · P.
+        let deviation = (N as f64 * count as f64 / TIMES as f64).sqrt();
+        assert!((trace / TIMES as f64).abs() < 4.0 * deviation, "{trace}");
+
+        let exact = noise();
+        let coupling = coupling([exact.clone(), exact.clone()]);
+        let whole = coupling.covariance(0);
+        assert!((&whole - &exact * exact.transpose()).norm() < 1e-9);
+        let is_light = |p: Parameter| matches!(p, Parameter::LightAzimuth(_));
+        let parts = coupling.part(0, is_light) + coupling.part(0, |p| !is_light(p));
+        assert!((whole - parts).norm() < 1e-9);
     }
 }
