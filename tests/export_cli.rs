@@ -41,6 +41,7 @@ fn write_fit(folder: &Path) {
             max_reflections: 16,
             seed: 3,
             kernel: "portable".to_owned(),
+            ..FitSettings::default()
         },
         loss: 1.0,
         reduced_chi_square: vec![[1.0; 3]],
@@ -83,6 +84,26 @@ fn a_fit_is_exported_and_its_files_are_named() {
     assert_eq!(done.stdout, b"brdf.bsdf\n");
 }
 
+/// Also as the estimate of other commands, by the folder alone.
+#[test]
+fn a_fit_is_a_brdf_by_its_folder() {
+    let home = tempfile::tempdir().unwrap();
+    write_fit(&home.path().join("fit"));
+    std::fs::write(
+        home.path().join("angles.csv"),
+        "theta_i_deg,theta_o_deg,phi_deg\n30,20,120\n",
+    )
+    .unwrap();
+    let eval = |brdf: &str| {
+        let arguments = ["brdf", "eval", "--brdf", brdf, "--angles", "angles.csv"];
+        let done = rig(&arguments, home.path());
+        assert!(done.status.success(), "{}", stderr(&done));
+        String::from_utf8(done.stdout).unwrap()
+    };
+    // Nothing departs in it: it is the mixture of its weights.
+    assert_eq!(eval("fit"), eval("paper42:fit/weights.csv"));
+}
+
 /// (what is done to the fit, arguments, what the error says)
 #[test]
 fn failures_are_one_line_and_a_hint() {
@@ -94,6 +115,8 @@ fn failures_are_one_line_and_a_hint() {
         .replace("0.35", "x");
     std::fs::write(&weights, text).unwrap();
     std::fs::create_dir(home.path().join("empty")).unwrap();
+    write_fit(&home.path().join("whole"));
+    let kept = std::fs::read(home.path().join("whole/fit.toml")).unwrap();
     let cases: &[(&[&str], &str)] = &[
         (
             &["export", "broken", "--format", "json"],
@@ -108,6 +131,19 @@ fn failures_are_one_line_and_a_hint() {
             "possible values: json, merl, rgl, rgl-spectral, mitsuba, pbrt",
         ),
         (&["report", "empty"], "empty is not a session"),
+        (&["brdf", "check", "empty"], "empty holds no fit"),
+        (
+            &[
+                "export",
+                "whole",
+                "--format",
+                "merl",
+                "--out",
+                "whole/fit.toml",
+            ],
+            "whole/fit.toml: what is written here ends in .binary",
+        ),
+        (&["bench", "--only", "nothing"], "no case's name holds"),
     ];
     for (arguments, expected) in cases {
         let failed = rig(arguments, home.path());
@@ -119,4 +155,6 @@ fn failures_are_one_line_and_a_hint() {
         );
         assert!(text.contains("\n\nhint: "), "{arguments:?}: {text}");
     }
+    let left = std::fs::read(home.path().join("whole/fit.toml")).unwrap();
+    assert_eq!(left, kept);
 }

@@ -74,6 +74,12 @@ pub fn run(args: &BenchArgs, context: &Context) -> Result<(), CliError> {
     bench.paths()?;
     bench.fit()?;
     let rows = bench.rows;
+    if rows.is_empty() {
+        return Err(
+            CliError::new(format!("no case's name holds \"{}\"", args.only))
+                .hint("`rig bench` without --only runs and names them all"),
+        );
+    }
     if args.json {
         return output::write_json(&json!({ "cases": rows }));
     }

@@ -72,6 +72,11 @@ impl BenchRecords {
         })
     }
 
+    /// Whether the irradiance was measured.
+    pub fn has_irradiance(&self) -> bool {
+        self.irradiance.is_some()
+    }
+
     /// The bench by these records, and the stage's angles as they truly were. Says which
     /// records it went by.
     pub fn apply(

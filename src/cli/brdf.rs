@@ -8,7 +8,7 @@ use glam::DVec3;
 use serde::Serialize;
 
 use super::output::write_json;
-use super::{CliError, Context, HintExt};
+use super::{CliError, Context, HintExt, fit_folder};
 use crate::brdf::check::{ALBEDO_ANGLES_DEG, PhysicalCheck, check};
 use crate::brdf::chi_square::{ChiSquare, check_lobes};
 use crate::brdf::environment::EnvironmentMap;
@@ -22,7 +22,7 @@ use crate::out;
 use crate::whole_file;
 
 const SPEC_HELP: &str = "A BRDF is one of: FILE.binary (MERL), FILE.bsdf (RGL), nbrdf:NAME (embedded measured material), \
-DICTIONARY:WEIGHTS.csv (a fit's mixture, without what departs from it: that is in rig export --format merl; DICTIONARY is paper42, grid42, rig42, rig26, reference-grid42 or a .json or .toml file), \
+FIT (the folder of a fit, or a session: its latest), DICTIONARY:WEIGHTS.csv (a mixture, as a fit or a projection writes it; DICTIONARY is paper42, grid42, rig42, rig26, reference-grid42 or a .json or .toml file), \
 ggx:ALPHA,ETA, lambertian:ALBEDO.";
 
 /// Evaluates, checks, compares, draws and converts BRDFs
@@ -142,14 +142,18 @@ pub fn run(args: &BrdfArgs, _context: &Context) -> Result<(), CliError> {
     }
 }
 
-fn load(spec: &str) -> Result<Box<dyn Brdf>, CliError> {
+fn load(spec: &str) -> Result<Arc<dyn Brdf>, CliError> {
+    let folder = Path::new(spec);
+    if folder.is_dir() {
+        return Ok(fit_folder::read(folder)?.material()?);
+    }
     if let Some(name) = spec.strip_prefix("nbrdf:")
         && !nbrdf::NAMES.contains(&name)
     {
         return Err(CliError::new(format!("no embedded material \"{name}\""))
             .hint(format!("known are {}", nbrdf::NAMES.join(", "))));
     }
-    source::load(spec).map_err(|error| {
+    source::load(spec).map(Arc::from).map_err(|error| {
         let advice = match &error {
             BrdfError::Io { .. } => return error.into(),
             BrdfError::File { .. } => {

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use super::interrupt::end_on_signal;
 use super::{CliError, Context, light_choice, output};
-use crate::evaluate::experiment::{EvaluateError, Overrides, Run, run as run_experiment};
+use crate::evaluate::experiment::{Overrides, Run, run as run_experiment};
 use crate::evaluate::lab::Lab;
 use crate::evaluate::{EXPERIMENTS, find};
 use crate::out;
@@ -33,7 +33,7 @@ pub struct EvaluateArgs {
     /// With next-light: a fitted session, to say which lights would add most to it
     #[arg(long, value_name = "SESSION", conflicts_with = "list")]
     session: Option<PathBuf>,
-    /// Materials: bundled, mirrors, synthetic, in-span, nbrdf:NAME, synthetic:NAME, or files (.binary, .bsdf, …)
+    /// Materials: bundled, mirrors, synthetic, in-span, nbrdf:NAME, synthetic:NAME, in-span:NN, or files (.binary, .bsdf, …)
     #[arg(long, value_name = "M", num_args = 1.., value_delimiter = ',')]
     materials: Option<Vec<String>>,
     /// paper42 (the default), rig26, grid42, rig42, or a dictionary file
@@ -42,9 +42,16 @@ pub struct EvaluateArgs {
     /// Pixels per side of the captured images, 4 to 4096
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(4..=4096))]
     resolution: Option<u64>,
-    /// Light paths per pixel of the fit, 2 to 65536; the true images get four times as many
+    /// Light paths per pixel of the fit, 2 to 65536; the true images get four times as many unless
+    /// --truth-spp says otherwise
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=65_536))]
     spp: Option<u32>,
+    /// Light paths per pixel of the true images, 2 to 1048576; misalignment takes four times these
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=1_048_576))]
+    truth_spp: Option<u32>,
+    /// Pixels per side of the spheres of the environment error, 8 to 512
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(8..=512))]
+    sphere: Option<u64>,
     /// Most lights, 1 to 64
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=64))]
     lights: Option<u64>,
@@ -82,6 +89,8 @@ pub fn run(args: &EvaluateArgs, context: &Context) -> Result<(), CliError> {
         materials: args.materials.clone(),
         resolution_px: args.resolution.map(|n| n as usize),
         samples_per_pixel: args.spp,
+        truth_samples_per_pixel: args.truth_spp,
+        sphere_px: args.sphere.map(|n| n as usize),
         lights: args.lights.map(|n| n as usize),
         seed: args.seed,
         dictionary: args.dictionary.clone(),
@@ -112,25 +121,7 @@ pub fn run(args: &EvaluateArgs, context: &Context) -> Result<(), CliError> {
         },
     );
     bar.finish_and_clear();
-    let outcome = outcome.map_err(|error| {
-        let advice = match &error {
-            EvaluateError::SettingsChanged { .. } => {
-                Some("give the earlier settings or another --out, or start anew with --restart")
-            }
-            EvaluateError::ForeignFolder { .. } => {
-                Some("give a folder that is empty or does not exist")
-            }
-            EvaluateError::Locked { .. } => Some("wait for it, or give another --out"),
-            EvaluateError::Journal { .. } => Some("start anew with --restart"),
-            EvaluateError::NoMaterial { .. } => Some("name one with --materials"),
-            _ => None,
-        };
-        let error = CliError::from(error);
-        match advice {
-            Some(advice) => error.hint(advice),
-            None => error,
-        }
-    })?;
+    let outcome = outcome?;
     if outcome.resumed > 0 {
         context.note(format!("{} cases were finished before", outcome.resumed));
     }

@@ -76,11 +76,11 @@ pub fn run(args: &FitCommandArgs, context: &Context) -> Result<(), CliError> {
 
 fn fit_scene(
     args: &FitCommandArgs,
-    scene: &std::path::Path,
+    path: &std::path::Path,
     out: &std::path::Path,
     context: &Context,
 ) -> Result<(), CliError> {
-    let file = SceneFile::load(scene)?;
+    let file = SceneFile::load(path)?;
     let plan = FitPlan::new(&args.fit, None, &file.uncertainty, file.sample.form_error)?;
     let scene = file.scene()?;
     let mut captured = Vec::new();
@@ -100,7 +100,9 @@ fn fit_scene(
         }
         captured.push(image);
     }
-    let (record, images) = plan.run(&scene, &captured, false, None, context)?;
+    let (mut record, images) = plan.run(&scene, &captured, false, None, context)?;
+    record.settings.scene = Some(path.display().to_string());
+    record.settings.images = args.image.iter().map(|i| i.display().to_string()).collect();
     fit_record::write(out, &record, &images)?;
     warnings::tell(&record.warnings, context);
     Ok(())

@@ -25,6 +25,7 @@ pub mod exit;
 pub mod export;
 mod facets;
 pub mod fit;
+mod fit_folder;
 pub mod guardian;
 pub mod hints;
 pub mod interrupt;

@@ -7,6 +7,7 @@
 
 use std::fmt::Arguments;
 use std::io::{ErrorKind, Write};
+use std::path::Path;
 
 use super::CliError;
 
@@ -33,6 +34,21 @@ pub fn write_bytes(bytes: &[u8]) -> Result<(), CliError> {
         .write_all(bytes)
         .and_then(|()| stdout.flush())
         .map_err(stdout_error)
+}
+
+/// Refuses a file whose name has not this ending: one of another kind would be replaced by a
+/// slip, and programs that go by endings would not read it.
+pub fn check_ending(path: &Path, ending: &str) -> Result<(), CliError> {
+    if path
+        .extension()
+        .is_some_and(|e| e.eq_ignore_ascii_case(ending))
+    {
+        return Ok(());
+    }
+    let fact = format!("{}: what is written here ends in .{ending}", path.display());
+    let mut named = path.as_os_str().to_owned();
+    named.push(format!(".{ending}"));
+    Err(CliError::new(fact).hint(format!("for instance {}", named.display())))
 }
 
 /// Writes `value` as indented JSON and a line end to stdout.

@@ -196,6 +196,18 @@ impl FitPlan {
         let refine = args
             .refine_bench
             .unwrap_or(config.is_some_and(|c| c.refine_bench));
+        if !refine && !args.uncertainty.is_empty() {
+            return Err(CliError::new(
+                "--uncertainty says how well the bench is known, but the bench is not refined",
+            )
+            .hint("add --refine-bench, or leave --uncertainty out"));
+        }
+        if args.refine_atoms > 0 && args.optimizer == Some(OptimizerArg::SingleBounce) {
+            return Err(CliError::new(
+                "--optimizer single-bounce takes no --refine-atoms: it is one linear programme",
+            )
+            .hint("leave one of them out"));
+        }
         let mut priors = uncertainty.clone();
         args.uncertainty.iter().for_each(|d| d.apply(&mut priors));
         Ok(Self {
@@ -325,6 +337,15 @@ impl FitPlan {
             settings: FitSettings {
                 optimizer: options.optimizer.name().to_owned(),
                 samples_per_pixel: u64::from(fit.samples[0]),
+                samples_requested: Some(u64::from(fit.samples[1])),
+                memory_mib: Some((options.cache.max_bytes >> 20) as u64),
+                adapted_paths: Some(options.refine.adapt_paths),
+                refined_atoms: Some(options.refine.rounds),
+                shared_weights: Some(options.channels == Channels::Shared),
+                model_error: Some(options.model_error),
+                mask: self.mask.as_ref().map(|path| path.display().to_string()),
+                scene: None,
+                images: Vec::new(),
                 max_reflections: options.cache.max_reflections,
                 seed: options.cache.seed,
                 kernel: fit.kernel.to_string(),
@@ -481,7 +502,15 @@ pub fn fit_session(
         captured,
     } = session_images(root)?;
     let record = session.record();
-    let mut bench = BenchRecords::load(root)?.apply(&config, &mut places, context);
+    let records = BenchRecords::load(root)?;
+    if !config.is_simulated() && !records.has_irradiance() {
+        context.note(
+            "no record of the irradiance: the BRDF's scale, its albedo, is as good as \
+             irradiance_w_m2 in the rig file; `rig calibrate white` measures it, and where it is \
+             unknown --refine-bench --uncertainty common_intensity=1 says so",
+        );
+    }
+    let mut bench = records.apply(&config, &mut places, context);
     let mut scene = bench.scene(&places, context)?;
     let mut uncertainty = bench.priors;
     if let Some(pose) = measured_pose(root, pose)? {

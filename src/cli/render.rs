@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::output::write_json;
+use super::output::{check_ending, write_json};
 use super::{CliError, Context, HintExt, facets};
 use crate::config::scene::SceneFile;
 use crate::out;
@@ -57,6 +57,7 @@ const TRUNCATION_REMARK: f64 = 1e-4;
 
 /// `rig render`.
 pub fn run(args: &RenderArgs, context: &Context) -> Result<(), CliError> {
+    check_ending(&args.out, "exr")?;
     let file = SceneFile::load(&args.scene)?;
     let Some(brdf) = &file.brdf else {
         return Err(CliError::new(format!("{}: [brdf] is missing", args.scene.display()))

@@ -38,6 +38,7 @@ fn record(simulated: bool) -> FitRecord {
             max_reflections: 16,
             seed: 3,
             kernel: "portable".to_owned(),
+            ..FitSettings::default()
         },
         loss: 1.0,
         reduced_chi_square: vec![[1.0; 3]],

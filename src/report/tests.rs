@@ -139,6 +139,7 @@ fn record(estimate: &Mixture) -> FitRecord {
             max_reflections: 16,
             seed: 1,
             kernel: "portable".to_owned(),
+            ..FitSettings::default()
         },
         loss: 1.043,
         reduced_chi_square: vec![[1.02, 0.98, 1.04], [1.01, 1.0, 0.97]],

@@ -40,7 +40,8 @@ pub use folder::{
 };
 pub use tables::{AngleCell, AngleTable};
 
-const FIT_FILE: &str = "fit.toml";
+/// The record itself, written last: a folder without it holds no fit.
+pub const FIT_FILE: &str = "fit.toml";
 const DEPARTURE_FILE: &str = "departure.csv";
 
 /// Version of the folder's layout; a reader refuses any other.
@@ -100,13 +101,41 @@ fn capitalised(word: &str) -> String {
         .unwrap_or_default()
 }
 
-/// How the fit was run.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+/// How the fit was run. Fits of earlier versions lack what is marked as optional.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct FitSettings {
-    /// `gauss-newton` or `exponentiated-gradient`.
+    /// `gauss-newton`, `exponentiated-gradient` or `single-bounce`.
     pub optimizer: String,
-    /// Camera paths per pixel.
+    /// Camera paths per pixel, as traced.
     pub samples_per_pixel: u64,
+    /// Camera paths per pixel that were asked for: more than were traced where memory did not
+    /// suffice. Optional, as is all below that has `None` or nothing.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub samples_requested: Option<u64>,
+    /// Memory that cached paths might take, MiB.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub memory_mib: Option<u64>,
+    /// Whether paths were traced again where the first fit's material sends light.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub adapted_paths: Option<bool>,
+    /// Rounds of new atoms beside the active ones.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub refined_atoms: Option<u32>,
+    /// One set of weights for all channels.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub shared_weights: Option<bool>,
+    /// Relative error of the model that the weighting allowed for.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub model_error: Option<f64>,
+    /// Mask of the compared pixels, as it was named.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mask: Option<String>,
+    /// Scene file, as it was named; none for a session.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scene: Option<String>,
+    /// Images, as they were named, in the lights' order; none for a session.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub images: Vec<String>,
     /// Longest path in surface reflections; 1 = direct only.
     pub max_reflections: u32,
     /// Seed of all random streams. At most 2⁶³ − 1, which TOML can hold.

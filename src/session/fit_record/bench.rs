@@ -10,7 +10,8 @@ pub struct BenchRecord {
     /// Whether the last step was within the remaining uncertainty.
     pub settled: bool,
     /// Mean squared residual, in variances, on the bench as described. It is estimated
-    /// without bias and can be slightly negative.
+    /// without bias and can be slightly negative; with a quarter of the paths, whose noise is
+    /// part of the variances, so that more paths would say no less.
     pub residual_described: f64,
     /// The same where the refinement ended.
     pub residual_refined: f64,

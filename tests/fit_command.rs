@@ -1,0 +1,176 @@
+//! `rig fit` on images of a described scene: what its options do, and what the fit's record
+//! says of them.
+
+use std::path::Path;
+use std::process::{Command, Output};
+
+use image::{GrayImage, Luma};
+use rig::session::fit_record::{self, FitRecord};
+
+const SCENE: &str = r#"
+[camera]
+model = "orthographic"
+resolution_px = [16, 16]
+extent_mm = [2.2, 2.2]
+position_mm = [0.0, 0.0, 5.0]
+
+[[light]]
+kind = "directional"
+to_light = [0.0, 0.0, 1.0]
+irradiance = 3.14
+
+[[light]]
+kind = "directional"
+to_light = [0.4, 0.1, 0.9]
+irradiance = 3.14
+
+[sample]
+shape = { kind = "bowl", radius_mm = 1.0, segments = 48 }
+shading = "smooth"
+
+[brdf]
+mixture = [
+  { weight = [0.4, 0.3, 0.2], lambertian = { albedo = 1.0 } },
+  { weight = 0.2, ggx = { alpha = 0.3, eta = 1.5 } },
+  { weight = [0.4, 0.5, 0.6], black = {} },
+]
+
+[uncertainty]
+light_deg = 0.1
+intensity = 0.0
+rotation_deg = 0.0
+translation_mm = 0.0
+"#;
+
+const FIT: &str = "fit --scene s.toml --image i_L000.exr i_L001.exr --spp 32 --kernel portable";
+
+fn rig(folder: &Path, words: &str) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_rig"))
+        .args(words.split_whitespace())
+        .current_dir(folder)
+        .output()
+        .unwrap()
+}
+
+/// A folder with a scene and its images.
+fn photographed() -> tempfile::TempDir {
+    let home = tempfile::tempdir().unwrap();
+    std::fs::write(home.path().join("s.toml"), SCENE).unwrap();
+    let done = rig(
+        home.path(),
+        "render --scene s.toml --out i.exr --spp 128 --seed 5",
+    );
+    assert!(done.status.success(), "{done:?}");
+    home
+}
+
+fn fitted(folder: &Path, options: &str) -> FitRecord {
+    let name = options.replace(['-', ' ', '=', '.'], "");
+    let done = rig(folder, &format!("{FIT} --out fit{name} {options}"));
+    let stderr = String::from_utf8_lossy(&done.stderr);
+    assert!(done.status.success(), "{options}: {stderr}");
+    fit_record::read(&folder.join(format!("fit{name}"))).unwrap()
+}
+
+#[test]
+fn the_record_says_how_the_fit_was_made() {
+    let home = photographed();
+    let mut mask = GrayImage::from_pixel(16, 16, Luma([255]));
+    for y in 0..16 {
+        for x in 0..4 {
+            mask.put_pixel(x, y, Luma([0]));
+        }
+    }
+    mask.save(home.path().join("m.png")).unwrap();
+
+    let plain = fitted(home.path(), "");
+    let settings = &plain.settings;
+    assert_eq!(settings.optimizer, "gauss-newton");
+    assert_eq!(settings.samples_requested, Some(32));
+    assert_eq!(settings.memory_mib, Some(512));
+    assert_eq!(settings.shared_weights, Some(false));
+    assert_eq!(settings.adapted_paths, Some(true));
+    assert_eq!(settings.refined_atoms, Some(0));
+    assert_eq!(settings.model_error, Some(0.02));
+    assert_eq!(settings.mask, None);
+    assert_eq!(settings.scene.as_deref(), Some("s.toml"));
+    assert_eq!(settings.images, ["i_L000.exr", "i_L001.exr"]);
+    assert!(plain.bench.is_none());
+
+    let options = "--mask m.png --shared-weights --model-error 0.05 --fixed-paths --memory 64 --refine-atoms 1";
+    let other = fitted(home.path(), options);
+    let settings = &other.settings;
+    assert_eq!(settings.memory_mib, Some(64));
+    assert_eq!(settings.shared_weights, Some(true));
+    assert_eq!(settings.adapted_paths, Some(false));
+    assert_eq!(settings.refined_atoms, Some(1));
+    assert_eq!(settings.model_error, Some(0.05));
+    assert_eq!(settings.mask.as_deref(), Some("m.png"));
+    // One set of weights, and nothing compared where the mask is black.
+    assert_eq!(other.weights[0], other.weights[2]);
+    assert_ne!(plain.weights[0], plain.weights[2]);
+    let residual = home
+        .path()
+        .join(format!("fit{}", options.replace(['-', ' ', '=', '.'], "")))
+        .join("residual_L000.exr");
+    let residual = rig::radiance_image::exr::read(&residual).unwrap().image;
+    let sums = [0..4, 4..16].map(|columns| {
+        let pixels = (0..16).flat_map(|y| columns.clone().map(move |x| y * 16 + x));
+        pixels.map(|p| residual.mean[p][0].abs()).sum::<f32>()
+    });
+    assert!(sums[0] == 0.0 && sums[1] > 0.0, "{sums:?}");
+}
+
+#[test]
+fn other_optimisers_and_a_refined_bench() {
+    let home = photographed();
+    let gradient = fitted(home.path(), "--optimizer exponentiated-gradient");
+    assert_eq!(gradient.settings.optimizer, "exponentiated-gradient");
+    let once = fitted(home.path(), "--optimizer single-bounce");
+    assert_eq!(once.settings.optimizer, "single-bounce");
+
+    let refined = fitted(
+        home.path(),
+        "--refine-bench --uncertainty intensity=0.01 --uncertainty stray_light=0.001",
+    );
+    let bench = refined.bench.unwrap();
+    let names: Vec<&str> = bench.parameter.iter().map(|p| p.name.as_str()).collect();
+    for name in [
+        "azimuth of light 0",
+        "elevation of light 1",
+        "intensity of light 1",
+        "stray light in image 0",
+    ] {
+        assert!(names.contains(&name), "{name} in {names:?}");
+    }
+    assert!(names.iter().all(|name| !name.contains("rotation")));
+    for p in &bench.parameter {
+        // The images were rendered on the bench as described.
+        assert!(p.value.abs() < 5.0 * p.prior_deviation, "{p:?}");
+        assert!(p.deviation <= 1.001 * p.prior_deviation, "{p:?}");
+    }
+}
+
+#[test]
+fn options_that_would_do_nothing_are_refused() {
+    let home = photographed();
+    for (options, said) in [
+        ("--uncertainty light_deg=0.5", "the bench is not refined"),
+        (
+            "--optimizer single-bounce --refine-atoms 2",
+            "takes no --refine-atoms",
+        ),
+        ("--refine-bench --uncertainty light=0.5", "light_deg"),
+        ("--mask gone.png", "gone.png"),
+    ] {
+        let done = rig(home.path(), &format!("{FIT} --out no {options}"));
+        let stderr = String::from_utf8_lossy(&done.stderr);
+        assert_eq!(done.status.code(), Some(1), "{options}: {stderr}");
+        assert!(stderr.contains(said), "{options}: {stderr}");
+        assert!(stderr.contains("\n\nhint: "), "{options}: {stderr}");
+        assert!(!home.path().join("no").exists());
+    }
+    let done = rig(home.path(), "render --scene s.toml --out i.png");
+    assert_eq!(done.status.code(), Some(1));
+    assert!(!home.path().join("i.png").exists());
+}
