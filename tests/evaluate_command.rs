@@ -144,8 +144,18 @@ fn what_is_wrong_is_said_before_anything_is_written() {
         ),
         (
             "evaluate shapes --materials gold --out a",
-            "\"gold\" is no BRDF",
+            "\"gold\" is unknown (known: bundled, mirrors",
         ),
+        (
+            "evaluate shapes --materials pvc --out a",
+            "did you mean `nbrdf:pvc`?",
+        ),
+        ("evaluate shaps --out a", "did you mean `shapes`?"),
+        (
+            "evaluate atoms --truth-spp 64 --out a",
+            "atoms has no setting truth-spp",
+        ),
+        ("evaluate shapes --sphere 4 --out a", "8..=512"),
         (
             "evaluate form --materials nbrdf:pvc --out a",
             "no material of class in-span",

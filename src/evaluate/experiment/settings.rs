@@ -68,8 +68,12 @@ pub struct Overrides {
     pub materials: Option<Vec<String>>,
     /// Pixels per side, 4..=4096.
     pub resolution_px: Option<usize>,
-    /// Paths per pixel of the fit; the truth gets four times as many.
+    /// Paths per pixel of the fit; the truth gets four times as many where nothing else is said.
     pub samples_per_pixel: Option<u32>,
+    /// Paths per pixel of the true images, in the place of four times the fit's.
+    pub truth_samples_per_pixel: Option<u32>,
+    /// Pixels per side of the spheres of the environment error.
+    pub sphere_px: Option<usize>,
     /// Most lights.
     pub lights: Option<usize>,
     /// Seed.
@@ -147,14 +151,21 @@ impl Settings {
             o.samples_per_pixel.is_some(),
             scale.samples_per_pixel > 0,
         )?;
+        check(
+            "truth-spp",
+            o.truth_samples_per_pixel.is_some(),
+            scale.truth_samples_per_pixel > 0,
+        )?;
+        check("sphere", o.sphere_px.is_some(), scale.sphere_px > 0)?;
         check("lights", o.lights.is_some(), scale.lights > 0)?;
         check(
             "materials",
             o.materials.is_some(),
             !scale.materials.is_empty(),
         )?;
-        let truth_samples_per_pixel = match o.samples_per_pixel {
-            Some(n) if scale.truth_samples_per_pixel > 0 => 4 * n,
+        let truth_samples_per_pixel = match (o.truth_samples_per_pixel, o.samples_per_pixel) {
+            (Some(n), _) => n,
+            (None, Some(n)) if scale.truth_samples_per_pixel > 0 => 4 * n,
             _ => scale.truth_samples_per_pixel,
         };
         Ok(Self {
@@ -165,7 +176,7 @@ impl Settings {
             truth_samples_per_pixel,
             max_reflections: MAX_REFLECTIONS,
             lights: o.lights.unwrap_or(scale.lights),
-            sphere_px: scale.sphere_px,
+            sphere_px: o.sphere_px.unwrap_or(scale.sphere_px),
             azimuths: scale.azimuths,
             seed: o.seed.unwrap_or(1),
             dictionary: o.dictionary.clone().unwrap_or_else(|| "paper42".to_owned()),

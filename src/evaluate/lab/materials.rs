@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use super::{short_hash, synthetic};
 use crate::brdf::nbrdf::NAMES;
-use crate::brdf::{Brdf, in_span, source};
+use crate::brdf::{Brdf, BrdfError, in_span, source};
 use crate::evaluate::experiment::EvaluateError;
 
 /// Where a material comes from.
@@ -80,6 +80,22 @@ pub fn load_all(specs: &[String]) -> Result<Vec<Arc<Material>>, EvaluateError> {
     Ok(materials)
 }
 
+/// Specs of this file alone, as a list of what is known shows them.
+const GROUPS: [&str; 6] = [
+    "bundled",
+    "mirrors",
+    "synthetic",
+    "synthetic:NAME",
+    "in-span",
+    "in-span:NN",
+];
+
+/// Every spec of one embedded material.
+pub fn specs() -> Vec<String> {
+    let one_by_one = ["bundled", "mirrors", "synthetic", "in-span"];
+    one_by_one.iter().flat_map(|group| expand(group)).collect()
+}
+
 fn expand(spec: &str) -> Vec<String> {
     let measured = |name: &&str| format!("nbrdf:{name}");
     match spec {
@@ -126,7 +142,16 @@ fn load(spec: &str) -> Result<Loaded, EvaluateError> {
             Arc::new(material.mixture()),
         ));
     }
-    let brdf: Arc<dyn Brdf> = source::load(spec)?.into();
+    let brdf: Arc<dyn Brdf> = match source::load(spec) {
+        Ok(brdf) => brdf.into(),
+        Err(BrdfError::UnknownSource { known, .. }) if !spec.starts_with("nbrdf:") => {
+            return Err(EvaluateError::UnknownMaterial {
+                spec: spec.to_owned(),
+                known: format!("{}, {known}", GROUPS.join(", ")),
+            });
+        }
+        Err(error) => return Err(error.into()),
+    };
     if let Some(name) = spec.strip_prefix("nbrdf:") {
         return Ok((name.into(), spec.into(), Class::Measured, brdf));
     }
@@ -159,7 +184,7 @@ mod tests {
                 "two materials are called \"pvc\"",
             ),
             (vec!["synthetic:gold"], "\"synthetic:gold\" is unknown"),
-            (vec!["nothing"], "\"nothing\" is no BRDF"),
+            (vec!["nothing"], "\"nothing\" is unknown (known: bundled,"),
         ] {
             let error = load(&bad).err().map(|e| e.to_string()).unwrap_or_default();
             assert!(error.contains(said), "{error}");
