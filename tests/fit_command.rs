@@ -64,12 +64,17 @@ fn photographed() -> tempfile::TempDir {
     home
 }
 
+/// The folder of the fit with these options.
+fn folder_of(options: &str) -> String {
+    format!("fit{}", options.replace(['-', ' ', '=', '.'], ""))
+}
+
 fn fitted(folder: &Path, options: &str) -> FitRecord {
-    let name = options.replace(['-', ' ', '=', '.'], "");
-    let done = rig(folder, &format!("{FIT} --out fit{name} {options}"));
+    let name = folder_of(options);
+    let done = rig(folder, &format!("{FIT} --out {name} {options}"));
     let stderr = String::from_utf8_lossy(&done.stderr);
     assert!(done.status.success(), "{options}: {stderr}");
-    fit_record::read(&folder.join(format!("fit{name}"))).unwrap()
+    fit_record::read(&folder.join(name)).unwrap()
 }
 
 #[test]
@@ -111,7 +116,7 @@ fn the_record_says_how_the_fit_was_made() {
     assert_ne!(plain.weights[0], plain.weights[2]);
     let residual = home
         .path()
-        .join(format!("fit{}", options.replace(['-', ' ', '=', '.'], "")))
+        .join(folder_of(options))
         .join("residual_L000.exr");
     let residual = rig::radiance_image::exr::read(&residual).unwrap().image;
     let sums = [0..4, 4..16].map(|columns| {

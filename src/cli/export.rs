@@ -41,19 +41,17 @@ enum FormatArg {
 /// `rig export`.
 pub fn run(args: &ExportArgs, context: &Context) -> Result<(), CliError> {
     let record = fit_folder::read(&args.dir)?;
-    let (format, name) = match args.format {
-        FormatArg::Json => (Format::Json, "brdf.json"),
-        FormatArg::Merl => (Format::Merl, "brdf.binary"),
-        FormatArg::Rgl => (Format::Rgl, "brdf.bsdf"),
-        FormatArg::RglSpectral => (Format::RglSpectral, "brdf.bsdf"),
-        FormatArg::Mitsuba => (Format::Mitsuba, "brdf.xml"),
-        FormatArg::Pbrt => (Format::Pbrt, "brdf.pbrt"),
+    let (format, ending) = match args.format {
+        FormatArg::Json => (Format::Json, "json"),
+        FormatArg::Merl => (Format::Merl, "binary"),
+        FormatArg::Rgl => (Format::Rgl, "bsdf"),
+        FormatArg::RglSpectral => (Format::RglSpectral, "bsdf"),
+        FormatArg::Mitsuba => (Format::Mitsuba, "xml"),
+        FormatArg::Pbrt => (Format::Pbrt, "pbrt"),
     };
-    let path = args.out.clone().unwrap_or_else(|| PathBuf::from(name));
-    // A format's own ending, so that no file of another kind is replaced by a slip.
-    if let Some(ending) = name.rsplit('.').next() {
-        output::check_ending(&path, ending)?;
-    }
+    let path = args.out.clone();
+    let path = path.unwrap_or_else(|| PathBuf::from(format!("brdf.{ending}")));
+    output::check_ending(&path, ending)?;
     if record.simulated {
         context.warn("this BRDF comes from a simulated bench; the export says so");
     }

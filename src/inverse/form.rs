@@ -10,6 +10,7 @@ use nalgebra::{DMatrix, DVector};
 use super::bench::derivatives::{DerivativeImages, DerivativeOptions};
 use super::bench::system::Model;
 use super::objective::ResidualWeights;
+use super::uncertainty::mapped;
 use crate::brdf::Mixture;
 use crate::geometry::FormError;
 use crate::random::{Purpose, stream};
@@ -66,7 +67,9 @@ pub(super) fn score_covariance(
             }
         }
     }
-    covariance.into_iter().map(without_negative).collect()
+    // What is below 0 is the paths' noise.
+    let semidefinite = |covariance| mapped(covariance, |v| v.max(0.0));
+    covariance.into_iter().map(semidefinite).collect()
 }
 
 /// JᵀWd per set, departure and half.
@@ -116,14 +119,6 @@ fn scores(
         }
     }
     total
-}
-
-/// The nearest positive semidefinite matrix: what is below 0 is the paths' noise.
-fn without_negative(matrix: DMatrix<f64>) -> DMatrix<f64> {
-    let eigen = matrix.symmetric_eigen();
-    &eigen.eigenvectors
-        * DMatrix::from_diagonal(&eigen.eigenvalues.map(|v| v.max(0.0)))
-        * eigen.eigenvectors.transpose()
 }
 
 #[cfg(test)]

@@ -76,10 +76,10 @@ pub(super) fn posterior(
     let form = options.form_error.as_ref().map_or_else(Vec::new, |error| {
         form::score_covariance(&model, scene, error, weights, mixture, &fitted, seed)
     });
-    let draw_on = |bench: Option<&BenchCoupling>,
-                   center: &[DVector<f64>],
-                   pass: &Linearised,
-                   departure: &[Eliminated]| {
+    let draw = |bench: Option<&BenchCoupling>,
+                center: &[DVector<f64>],
+                pass: &Linearised,
+                departure: &[Eliminated]| {
         let adds = Adds {
             bench,
             form: &form,
@@ -87,9 +87,6 @@ pub(super) fn posterior(
             departure,
         };
         uncertainty::draw(dictionary, center, pass, &adds, options.draws, seed)
-    };
-    let draw = |center: &[DVector<f64>], pass: &Linearised, departure: &[Eliminated]| {
-        draw_on(None, center, pass, departure)
     };
     let model_of =
         |material: &Departed| DepartedModel::of_compared(objective, scene, material, seed);
@@ -106,7 +103,7 @@ pub(super) fn posterior(
         pass: &solved.pass,
     };
     let mut departure = Eliminated::first(&at, dictionary);
-    let mut draws = draw(&center, &solved.pass, &departure);
+    let mut draws = draw(None, &center, &solved.pass, &departure);
     let mut departed_pass = None;
     if !departure.is_empty() {
         // Once more, linear around what was found.
@@ -129,14 +126,16 @@ pub(super) fn posterior(
                 ..at
             };
             departure = Eliminated::again(&at, &departure, &modes);
-            draws = draw(&mean, &pass, &departure);
+            draws = draw(None, &mean, &pass, &departure);
             center = mean;
             departed_pass = Some(pass);
         }
     }
-    let amplitude = departure.first().map_or(0.0, Eliminated::amplitude);
     let (material, amplitude) = match options.optimizer {
-        Optimizer::GaussNewton(_) => (estimate(&spheres, &center, &draws, &departure)?, amplitude),
+        Optimizer::GaussNewton(_) => (
+            estimate(&spheres, &center, &draws, &departure)?,
+            departure.first().map_or(0.0, Eliminated::amplitude),
+        ),
         // The others are there to be compared: they report where they end.
         _ => (Departed::nowhere(material(mixture)?), 0.0),
     };
@@ -145,7 +144,7 @@ pub(super) fn posterior(
     // than white.
     if let Some(bench) = &coupling {
         let pass = departed_pass.as_ref().unwrap_or(&solved.pass);
-        draws = draw_on(Some(bench), &center, pass, &departure);
+        draws = draw(Some(bench), &center, pass, &departure);
     }
     Ok(Posterior {
         draws: with_misfits(draws),

@@ -212,7 +212,7 @@ fn adjusted_likelihood(
 }
 
 /// A symmetric matrix with its eigenvalues changed.
-fn mapped(matrix: DMatrix<f64>, change: impl Fn(f64) -> f64) -> DMatrix<f64> {
+pub(super) fn mapped(matrix: DMatrix<f64>, change: impl Fn(f64) -> f64) -> DMatrix<f64> {
     let eigen = SymmetricEigen::new(matrix);
     &eigen.eigenvectors
         * DMatrix::from_diagonal(&eigen.eigenvalues.map(change))
@@ -223,7 +223,7 @@ fn mapped(matrix: DMatrix<f64>, change: impl Fn(f64) -> f64) -> DMatrix<f64> {
 /// eigenvalues that are no larger than the most negative one.
 fn above_noise(covariance: DMatrix<f64>) -> DMatrix<f64> {
     let least = covariance.symmetric_eigenvalues().min();
-    mapped(covariance, |v| if v > -least { v.max(0.0) } else { 0.0 })
+    mapped(covariance, |v| if v > -least { v } else { 0.0 })
 }
 
 /// `information` of independent halves without the directions that the paths' noise

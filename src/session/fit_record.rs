@@ -110,28 +110,20 @@ pub struct FitSettings {
     pub samples_per_pixel: u64,
     /// Camera paths per pixel that were asked for: more than were traced where memory did not
     /// suffice. Optional, as is all below that has `None` or nothing.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub samples_requested: Option<u64>,
     /// Memory that cached paths might take, MiB.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub memory_mib: Option<u64>,
     /// Whether paths were traced again where the first fit's material sends light.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub adapted_paths: Option<bool>,
     /// Rounds of new atoms beside the active ones.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub refined_atoms: Option<u32>,
     /// One set of weights for all channels.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub shared_weights: Option<bool>,
     /// Relative error of the model that the weighting allowed for.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub model_error: Option<f64>,
     /// Mask of the compared pixels, as it was named.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mask: Option<String>,
     /// Scene file, as it was named; none for a session.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub scene: Option<String>,
     /// Images, as they were named, in the lights' order; none for a session.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
