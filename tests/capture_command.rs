@@ -3,10 +3,15 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use rig::brdf::Dictionary;
+use rig::config::RigConfig;
+use rig::inverse::{FitOptions, fit, intervals};
+use rig::radiance_image::exr;
 use rig::random::{Purpose, stream};
-use rig::session::{Event, Journal, Session, SessionState, layout, verify};
+use rig::session::{Event, Journal, Session, SessionState, fit_record, layout, verify};
 use rustix::process::{Pid, Signal, kill_process};
 use tempfile::TempDir;
 
@@ -184,7 +189,6 @@ fn a_colour_camera_is_captured_and_fitted() {
     assert!(error.unwrap() < 0.08, "{error:?}");
 }
 
-/// Chosen among the reachable ones, and said with what they are expected to leave.
 /// The rig file's mesh goes into the session, so that the session can be moved, and the
 /// mesh be changed, before the fit.
 #[test]
@@ -225,6 +229,75 @@ fn a_session_is_fitted_with_the_mesh_it_was_captured_with() {
     );
     assert!(fitted.status.success(), "{}", text(&fitted.stderr));
     assert!(verify::verify(&moved).unwrap().is_intact());
+}
+
+/// Four bright walls around the bowl, outside the view. The simulated bench has them, the fit
+/// knows them from the session's copies, and a fit that is not told takes their light for the
+/// sample's.
+#[test]
+fn a_holder_is_captured_and_known_to_the_fit() {
+    const HOLDER: &str = "[[geometry.body]]\nmesh = \"holder.obj\"\n\
+        brdf = { dictionary = \"holder.json\", weights = \"holder.csv\" }\n";
+    const WALLS: &str = "v -12 -12 0\nv 12 -12 0\nv 12 12 0\nv -12 12 0\n\
+        v -12 -12 8\nv 12 -12 8\nv 12 12 8\nv -12 12 8\n\
+        f 1 4 8 5\nf 4 3 7 8\nf 3 2 6 7\nf 2 1 5 6\n";
+    let folder = workplace(|text| {
+        let stage = "[geometry.sample_from_stage]";
+        text.replace(stage, &format!("{HOLDER}{stage}"))
+            .replace("samples_per_pixel = 2\n", "samples_per_pixel = 64\n")
+            .replace("max_reflections = 2\n", "max_reflections = 6\n")
+    });
+    let at = folder.path();
+    let atoms = r#"{ "atoms": [ { "type": "lambertian", "albedo": 0.9 } ] }"#;
+    let files = [
+        ("holder.obj", WALLS),
+        ("holder.json", atoms),
+        (
+            "holder.csv",
+            "atom,kind,weight_r,weight_g,weight_b\n0,lambertian,1,1,1\n",
+        ),
+    ];
+    for (name, content) in files {
+        std::fs::write(at.join(name), content).unwrap();
+    }
+    let captured = run(&folder, &["capture", "--lights", "2", "--no-fit"]);
+    assert!(captured.status.success(), "{}", text(&captured.stderr));
+    let moved = at.join("moved");
+    std::fs::rename(session_of(&folder, &captured), &moved).unwrap();
+    for (name, _) in files {
+        std::fs::remove_file(at.join(name)).unwrap();
+    }
+    let fitted = run(&folder, &["fit", "moved", "--spp", "64"]);
+    assert!(fitted.status.success(), "{}", text(&fitted.stderr));
+    assert!(verify::verify(&moved).unwrap().is_intact());
+    let record = fit_record::read(&moved.join("fits/0")).unwrap();
+    let halves = &record.table.theta_h_deg;
+    let at_40_deg = halves.iter().position(|&h| h >= 40.0).unwrap();
+    let known = record.table.cell(at_40_deg, 0).unwrap().value[1];
+
+    let session = Session::open(&moved).unwrap();
+    let mut config = RigConfig::load(&at.join("rig.toml")).unwrap();
+    config.geometry.bodies.clear();
+    let lights = &session.record().plan.lights;
+    let images: Vec<_> = (0..lights.len() as u32)
+        .map(|light| exr::read(&moved.join(layout::radiance_file(light))).unwrap())
+        .map(|file| file.image)
+        .collect();
+    let mut options = FitOptions::default();
+    options.cache.samples_per_pixel = 64;
+    let scene = config.geometry.scene(lights).unwrap();
+    let dictionary = Arc::new(Dictionary::rig26());
+    let fit = fit(&scene, &images, &dictionary, &options, &mut |_| {}).unwrap();
+    let untold = intervals::table(&fit.material, &[], &[halves[at_40_deg]], &[0.0])[0].value[1];
+
+    let errors = [known, untold].map(|f| f / (0.8 / std::f64::consts::PI) - 1.0);
+    println!(
+        "holder known: {:+.4}, not told: {:+.4}",
+        errors[0], errors[1]
+    );
+    // Without, gloss and departures have to explain the walls' light.
+    assert!(errors[0].abs() < 0.02, "{errors:?}");
+    assert!(errors[1].abs() > 0.04, "{errors:?}");
 }
 
 #[test]

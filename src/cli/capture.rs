@@ -10,7 +10,7 @@ use super::capture_progress::Bar;
 use super::capture_records::Records;
 use super::output::write_json;
 use super::rig_choice::RigArg;
-use super::session_rig::{mesh_copy, session_rig};
+use super::session_rig::{self, session_rig};
 use super::{CliError, Context, HintExt, interrupt, light_choice, open, pipeline, sharpness};
 use crate::calibration::Library;
 use crate::capture::directions::StageReach;
@@ -214,7 +214,7 @@ fn start(args: &CaptureArgs, context: &Context) -> Result<(), CliError> {
     let calibration: Vec<_> = copies
         .into_iter()
         .map(|(name, _, bytes)| (name, bytes))
-        .chain(mesh_copy(config)?)
+        .chain(session_rig::copies(config)?)
         .collect();
     let writer = SessionWriter::create(
         Arc::new(SystemDisk),

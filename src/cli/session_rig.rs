@@ -1,35 +1,36 @@
 //! The rig that a session was captured with, as the session itself has it.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use super::{CliError, HintExt};
+use crate::brdf::Dictionary;
+use crate::config::reflectance::BrdfSpec;
 use crate::config::view::SurfaceSpec;
 use crate::config::{ConfigError, RigConfig};
 use crate::session::SessionRecord;
 use crate::session::layout::CALIBRATION_FOLDER;
 
-/// Name of the copy of a rig file's mesh, without its extension.
-const MESH: &str = "sample-mesh";
-
-/// The sample's mesh, where the rig file names one, as a file for the session: later fits
-/// must see the sample that was captured, wherever the session lies then.
-pub(super) fn mesh_copy(config: &RigConfig) -> Result<Option<(String, Vec<u8>)>, CliError> {
-    let SurfaceSpec::Mesh(path) = &config.geometry.sample.surface else {
-        return Ok(None);
-    };
-    let bytes = std::fs::read(path)
-        .map_err(|error| CliError::new(format!("{}: {error}", path.display())))
-        .hint("`mesh` in the rig file is relative to that file")?;
-    Ok(Some((name(path), bytes)))
+/// The files that say what lies under the camera (the meshes of sample and holder, the
+/// holder's reflectance), as files for the session: later fits must see what was captured,
+/// wherever the session lies then.
+pub(super) fn copies(config: &RigConfig) -> Result<Vec<(String, Vec<u8>)>, CliError> {
+    let mut copies = Vec::new();
+    for (name, path) in files(&mut config.clone()) {
+        let bytes = std::fs::read(&*path)
+            .map_err(|error| CliError::new(format!("{}: {error}", path.display())))
+            .hint("`mesh`, `table` and `weights` in the rig file are relative to that file")?;
+        copies.push((name, bytes));
+    }
+    Ok(copies)
 }
 
-/// The session's rig: other relative paths begin where its rig file is, the mesh is the
-/// session's copy.
+/// The session's rig: other relative paths begin where its rig file is, the files under the
+/// camera are the session's copies.
 pub(super) fn session_rig(root: &Path, record: &SessionRecord) -> Result<RigConfig, ConfigError> {
     let folder = Path::new(&record.rig).parent().unwrap_or(Path::new(""));
     let mut config = RigConfig::parse(&record.rig, folder, &record.config)?;
-    if let SurfaceSpec::Mesh(path) = &mut config.geometry.sample.surface {
-        let copy = root.join(CALIBRATION_FOLDER).join(name(path));
+    for (name, path) in files(&mut config) {
+        let copy = root.join(CALIBRATION_FOLDER).join(name);
         // Sessions of older versions have none.
         if copy.is_file() {
             *path = copy;
@@ -38,9 +39,46 @@ pub(super) fn session_rig(root: &Path, record: &SessionRecord) -> Result<RigConf
     Ok(config)
 }
 
-fn name(mesh: &Path) -> String {
-    match mesh.extension() {
-        Some(extension) => format!("{MESH}.{}", extension.to_string_lossy()),
-        None => MESH.to_owned(),
+/// These files' paths, with the names of their copies.
+fn files(config: &mut RigConfig) -> Vec<(String, &mut PathBuf)> {
+    let geometry = &mut config.geometry;
+    let mut files = Vec::new();
+    add_mesh(&mut files, "sample", &mut geometry.sample.surface);
+    for (number, body) in geometry.bodies.iter_mut().enumerate() {
+        let body_name = format!("body-{number}");
+        add_mesh(&mut files, &body_name, &mut body.surface);
+        let mut add = |what: &str, path| add(&mut files, &format!("{body_name}-{what}"), path);
+        match &mut body.brdf {
+            BrdfSpec::Mixture(_) => {}
+            BrdfSpec::Table(path) => add("brdf", path),
+            BrdfSpec::Dictionary {
+                dictionary,
+                weights,
+            } => {
+                if !Dictionary::NAMES.contains(&&*dictionary.to_string_lossy()) {
+                    add("dictionary", dictionary);
+                }
+                add("weights", weights);
+            }
+        }
     }
+    files
+}
+
+fn add_mesh<'a>(
+    files: &mut Vec<(String, &'a mut PathBuf)>,
+    of: &str,
+    surface: &'a mut SurfaceSpec,
+) {
+    if let SurfaceSpec::Mesh(path) = surface {
+        add(files, &format!("{of}-mesh"), path);
+    }
+}
+
+fn add<'a>(files: &mut Vec<(String, &'a mut PathBuf)>, stem: &str, path: &'a mut PathBuf) {
+    let name = match path.extension() {
+        Some(extension) => format!("{stem}.{}", extension.to_string_lossy()),
+        None => stem.to_owned(),
+    };
+    files.push((name, path));
 }

@@ -1,13 +1,14 @@
 //! From what files say to what is traced: meshes read, scenes assembled.
 
+use std::path::Path;
 use std::sync::Arc;
 
 use super::RigConfig;
 use super::geometry::GeometryConfig;
 use super::reflectance::BrdfSpec;
-use super::scene::{BodySpec, SceneFile};
+use super::scene::SceneFile;
 use super::simulation::MaterialSpec;
-use super::view::{SampleSpec, SurfaceSpec};
+use super::view::{BodySpec, SampleSpec, SurfaceSpec};
 use crate::brdf::{Atom, Brdf, BrdfError, Dictionary, Mixture, source, weights};
 use crate::geometry::{Mesh, MeshError, Shape, files};
 use crate::simulation::{Truth, TruthSource};
@@ -79,20 +80,24 @@ impl BodySpec {
     }
 }
 
+fn load_all(bodies: &[BodySpec]) -> Result<Vec<Body>, BuildError> {
+    bodies.iter().map(BodySpec::load).collect()
+}
+
 impl GeometryConfig {
     /// The scene as the fit believes it, with the lamp at each of these angles.
     pub fn scene(&self, angles: &[StageAngles]) -> Result<Scene, BuildError> {
         let lights = angles.iter().map(|&a| self.light(a)).collect();
-        self.sample.scene(Vec::new(), self.image_camera(), lights)
+        self.sample
+            .scene(load_all(&self.bodies)?, self.image_camera(), lights)
     }
 }
 
 impl SceneFile {
     /// The scene with its meshes read.
     pub fn scene(&self) -> Result<Scene, BuildError> {
-        let bodies = self.bodies.iter().map(BodySpec::load);
-        let bodies = bodies.collect::<Result<_, _>>()?;
-        self.sample.scene(bodies, self.camera, self.lights.clone())
+        self.sample
+            .scene(load_all(&self.bodies)?, self.camera, self.lights.clone())
     }
 }
 
@@ -101,7 +106,9 @@ impl BrdfSpec {
     pub fn atoms(&self) -> Result<Vec<Atom>, BrdfError> {
         Ok(match self {
             BrdfSpec::Mixture(parts) => parts.iter().map(|p| p.atom).collect(),
-            BrdfSpec::Dictionary { name, .. } => Dictionary::load(name)?.atoms().to_vec(),
+            BrdfSpec::Dictionary { dictionary, .. } => {
+                load_dictionary(dictionary)?.atoms().to_vec()
+            }
             BrdfSpec::Table(_) => Vec::new(),
         })
     }
@@ -116,12 +123,16 @@ impl BrdfSpec {
                 Arc::new(Mixture::new(Arc::new(dictionary), weights)?)
             }
             BrdfSpec::Dictionary {
-                name,
+                dictionary,
                 weights: file,
-            } => Arc::new(weights::read(file, Arc::new(Dictionary::load(name)?))?),
+            } => Arc::new(weights::read(file, Arc::new(load_dictionary(dictionary)?))?),
             BrdfSpec::Table(path) => source::load(&path.display().to_string())?.into(),
         })
     }
+}
+
+fn load_dictionary(name_or_path: &Path) -> Result<Dictionary, BrdfError> {
+    Dictionary::load(&name_or_path.to_string_lossy())
 }
 
 impl MaterialSpec {
@@ -149,6 +160,7 @@ impl RigConfig {
         Ok(Some(Arc::new(TruthSource::new(Truth {
             mesh: geometry.sample.surface.mesh(Some(simulation.segments))?,
             shading: geometry.sample.shading,
+            bodies: load_all(&geometry.bodies)?,
             camera,
             mosaic: self.camera.mosaic,
             light: Box::new(move |angles| geometry.light(angles)),

@@ -5,7 +5,7 @@ use glam::DVec3;
 use super::ConfigError;
 use super::camera::CameraConfig;
 use super::reader::Section;
-use super::view::{SampleSpec, take_camera};
+use super::view::{BodySpec, SampleSpec, take_bodies, take_camera};
 use crate::device::kinematics::{Kinematics, Mechanism};
 use crate::frames::{Rigid, Sample, Stage};
 use crate::transport::{Camera, Light};
@@ -20,6 +20,8 @@ pub struct GeometryConfig {
     pub cell_px: usize,
     /// The sample's known shape.
     pub sample: SampleSpec,
+    /// What stands around it and moves with it: a holder.
+    pub bodies: Vec<BodySpec>,
     /// The stage's axes as seen from the sample.
     pub sample_from_stage: Rigid<Sample, Stage>,
     /// The light.
@@ -59,6 +61,7 @@ impl GeometryConfig {
         let view = take_camera(&mut camera, device.resolution_px)?;
         camera.finish()?;
         let sample = SampleSpec::read(table.section("sample")?.required()?)?;
+        let bodies = take_bodies(&mut table)?;
         let mut stage = table.section_or_empty("sample_from_stage")?;
         let rotation_deg = stage
             .numbers::<3>("rotation_deg", -180.0..=180.0)?
@@ -99,6 +102,7 @@ impl GeometryConfig {
             camera: view,
             cell_px: device.mosaic.period(),
             sample,
+            bodies,
             sample_from_stage,
             light: light_config,
         })

@@ -126,6 +126,21 @@ impl Section {
         })
     }
 
+    /// One of `names` as it stands, or a path.
+    pub fn name_or_path(
+        &mut self,
+        key: &'static str,
+        names: &[&str],
+    ) -> Result<Found<PathBuf>, ConfigError> {
+        let folder = self.source.folder.clone();
+        let allowed = format!("{} or a path", names.join(", "));
+        self.parsed(key, &allowed, |text| match text {
+            "" => None,
+            name if names.contains(&name) => Some(name.into()),
+            path => Some(folder.join(path)),
+        })
+    }
+
     /// One of the named choices.
     pub fn choice<T: Clone>(
         &mut self,

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use super::ConfigError;
 use super::reader::Section;
-use crate::brdf::Atom;
+use crate::brdf::{Atom, Dictionary};
 
 /// A BRDF as a file gives it.
 #[derive(Clone, Debug, PartialEq)]
@@ -13,8 +13,8 @@ pub enum BrdfSpec {
     Mixture(Vec<WeightedAtom>),
     /// A dictionary by name or file, with a table of weights.
     Dictionary {
-        /// `paper42`, `grid42`, or a dictionary file.
-        name: String,
+        /// One of [`Dictionary::NAMES`], or a dictionary file.
+        dictionary: PathBuf,
         /// `weights.csv`, as a fit leaves it; what departs from it is not read.
         weights: PathBuf,
     },
@@ -38,7 +38,9 @@ impl BrdfSpec {
     /// Reads the `[brdf]` table.
     pub fn read(mut table: Section) -> Result<Self, ConfigError> {
         let mixture = table.sections("mixture")?.optional();
-        let dictionary = table.text("dictionary")?.optional();
+        let dictionary = table
+            .name_or_path("dictionary", &Dictionary::NAMES)?
+            .optional();
         let file = table.path("table")?.optional();
         let spec = match (mixture, dictionary, file) {
             (Some(atoms), None, None) => {
@@ -55,8 +57,8 @@ impl BrdfSpec {
                 }
                 Self::Mixture(atoms)
             }
-            (None, Some(name), None) => Self::Dictionary {
-                name,
+            (None, Some(dictionary), None) => Self::Dictionary {
+                dictionary,
                 weights: table.path("weights")?.required()?,
             },
             (None, None, Some(path)) => Self::Table(path),

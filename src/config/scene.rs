@@ -5,9 +5,9 @@ use std::path::Path;
 use super::ConfigError;
 use super::reader::Section;
 use super::reflectance::BrdfSpec;
-use super::view::{SampleSpec, SurfaceSpec, take_camera, take_shading};
+use super::view::{BodySpec, SampleSpec, take_bodies, take_camera};
 use crate::inverse::BenchPriors;
-use crate::transport::{Camera, Light, Shading};
+use crate::transport::{Camera, Light};
 
 /// A scene file, valid but with its meshes and tables still unread.
 #[derive(Clone, Debug, PartialEq)]
@@ -28,17 +28,6 @@ pub struct SceneFile {
     pub uncertainty: BenchPriors,
 }
 
-/// A thing in view that is not fitted.
-#[derive(Clone, Debug, PartialEq)]
-pub struct BodySpec {
-    /// Its surface.
-    pub surface: SurfaceSpec,
-    /// Which normals shade.
-    pub shading: Shading,
-    /// Its reflectance.
-    pub brdf: BrdfSpec,
-}
-
 impl SceneFile {
     /// Reads a scene file; paths in it are relative to it.
     pub fn load(path: &Path) -> Result<Self, ConfigError> {
@@ -56,7 +45,6 @@ impl SceneFile {
         camera.finish()?;
         let lights = root.sections("light")?.required()?;
         let brdf = root.section("brdf")?.optional();
-        let bodies = root.sections("body")?.optional().unwrap_or_default();
         let mut render = root.section_or_empty("render")?;
         let polarised = render.flag("polarised")?.or(false);
         render.finish()?;
@@ -69,10 +57,7 @@ impl SceneFile {
                 .collect::<Result<_, _>>()?,
             sample: SampleSpec::read(root.section("sample")?.required()?)?,
             brdf: brdf.map(BrdfSpec::read).transpose()?,
-            bodies: bodies
-                .into_iter()
-                .map(BodySpec::read)
-                .collect::<Result<_, _>>()?,
+            bodies: take_bodies(&mut root)?,
             uncertainty: super::uncertainty::read(root.section_or_empty("uncertainty")?)?,
         };
         root.finish()?;
@@ -101,27 +86,16 @@ fn read_light(mut table: Section) -> Result<Light, ConfigError> {
     Ok(light)
 }
 
-impl BodySpec {
-    fn read(mut table: Section) -> Result<Self, ConfigError> {
-        let body = Self {
-            brdf: BrdfSpec::read(table.section("brdf")?.required()?)?,
-            surface: SurfaceSpec::take(&mut table)?,
-            shading: take_shading(&mut table)?,
-        };
-        table.finish()?;
-        Ok(body)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use glam::{DVec2, DVec3};
 
     use crate::brdf::Atom;
+    use crate::config::view::SurfaceSpec;
     use crate::geometry::Shape;
     use crate::geometry::shapes::Form;
-    use crate::transport::Projection;
+    use crate::transport::{Projection, Shading};
 
     const BOWL: &str = r#"
 [camera]

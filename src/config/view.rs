@@ -7,6 +7,7 @@ use glam::{DVec2, DVec3};
 
 use super::ConfigError;
 use super::reader::Section;
+use super::reflectance::BrdfSpec;
 use super::shape::read_shape;
 use crate::geometry::{FormError, Shape};
 use crate::transport::{Camera, Coefficients, LensSpec, Projection, Shading};
@@ -143,6 +144,35 @@ impl SampleSpec {
         table.finish()?;
         Ok(sample)
     }
+}
+
+/// A thing in view that is not fitted: holder, occluder, reference.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BodySpec {
+    /// Its surface, in the sample's frame.
+    pub surface: SurfaceSpec,
+    /// Which normals shade.
+    pub shading: Shading,
+    /// Its reflectance.
+    pub brdf: BrdfSpec,
+}
+
+impl BodySpec {
+    fn read(mut table: Section) -> Result<Self, ConfigError> {
+        let body = Self {
+            brdf: BrdfSpec::read(table.section("brdf")?.required()?)?,
+            surface: SurfaceSpec::take(&mut table)?,
+            shading: take_shading(&mut table)?,
+        };
+        table.finish()?;
+        Ok(body)
+    }
+}
+
+/// Takes the `[[body]]` tables, if any.
+pub fn take_bodies(table: &mut Section) -> Result<Vec<BodySpec>, ConfigError> {
+    let bodies = table.sections("body")?.optional().unwrap_or_default();
+    bodies.into_iter().map(BodySpec::read).collect()
 }
 
 /// Takes `shading`, flat if absent.

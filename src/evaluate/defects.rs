@@ -3,7 +3,9 @@
 use std::sync::Arc;
 
 use glam::{DVec3, Vec3};
+use nalgebra::DVector;
 
+use super::lab::misaligned;
 use crate::brdf::Brdf;
 use crate::frames::{self, Rigid};
 use crate::geometry::{FormError, Mesh, MeshError};
@@ -20,6 +22,8 @@ pub enum Defect {
     Depth(f32),
     /// The sample is displaced (mm) and turned (rotation vector, radians).
     Pose(DVec3, DVec3),
+    /// Lights and sample differ from their description by these values of a bench's parameters.
+    Misaligned(DVector<f64>),
     /// The sample departs from its mesh by a field of this seed.
     Form(FormError, u64),
     /// Light from elsewhere in every pixel, over the image's mean radiance.
@@ -31,6 +35,9 @@ pub enum Defect {
 impl Defect {
     /// The scene as it truly is.
     pub fn scene(&self, sound: &Scene) -> Result<Scene, MeshError> {
+        if let Defect::Misaligned(values) = self {
+            return Ok(misaligned::bench(sound).scene(values));
+        }
         let mut mesh = sound.sample().clone();
         let mut bodies = Vec::new();
         let shading = if sound.is_flat() {
@@ -65,7 +72,7 @@ impl Defect {
                 let field = error.field(mesh.mean_edge_mm(), &mut numbers);
                 mesh = field.deform(&mesh, 1.0);
             }
-            Defect::StrayLight(_) | Defect::Translucent(..) => {}
+            Defect::StrayLight(_) | Defect::Translucent(..) | Defect::Misaligned(_) => {}
         }
         let lights = sound.lights.clone();
         Ok(Scene::with_bodies(

@@ -2,21 +2,23 @@
 
 use std::sync::Arc;
 
+use super::defects::Defect;
 use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table, quantile};
 use super::lab::materials::{Class, Material};
-use super::lab::{Lab, Sample};
+use super::lab::{Lab, Sample, misaligned};
 use crate::brdf::{Brdf, HalfDifference, Mixture};
 use crate::inverse::intervals::{self, Interval};
 use crate::inverse::objective::around;
-use crate::inverse::{FitOptions, fit};
+use crate::inverse::{FitOptions, RefineOptions, fit, refine_bench};
 use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
 use crate::radiance_image::RadianceImage;
+use crate::random::{Purpose, stream};
 use crate::simulation::photograph::Photographer;
 
 /// Pointwise coverage of the 95% intervals.
 pub static INTERVALS: Experiment = Experiment {
     name: "intervals",
-    shows: "Coverage of the 95% intervals of f at every (θh, θd) and channel over captures with noise, paths and finer mesh of their own; beside it the median relative width and the fraction of cells that count as constrained",
+    shows: "Coverage of the 95% intervals of f at every (θh, θd) and channel over captures with noise, paths, finer mesh and misaligned bench of their own, where the bench is known, taken as described, and refined; beside it the median relative width and the fraction of cells that count as constrained",
     full: Scale {
         resolution_px: 16,
         samples_per_pixel: 256,
@@ -37,10 +39,38 @@ pub static INTERVALS: Experiment = Experiment {
     figures,
 };
 
-/// Captures per class of materials.
-const CAPTURES: u64 = 200;
-/// The same in the small version.
-const QUICK_CAPTURES: u64 = 8;
+/// What a fit knows of the bench, which is off in every capture as in `misalignment`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Known {
+    /// All.
+    Exactly,
+    /// Its description, which it believes.
+    Described,
+    /// Its description and how well that is known.
+    Refined,
+}
+
+impl Known {
+    const ALL: [Self; 3] = [Self::Exactly, Self::Described, Self::Refined];
+
+    /// As in tables.
+    fn name(self) -> &'static str {
+        match self {
+            Self::Exactly => "known",
+            Self::Described => "described",
+            Self::Refined => "refined",
+        }
+    }
+
+    /// Captures per class of materials; in the small version fewer, a refined one costs ten.
+    fn captures(self, quick: bool) -> u64 {
+        match (quick, self) {
+            (false, _) => 200,
+            (true, Self::Refined) => 2,
+            (true, _) => 8,
+        }
+    }
+}
 
 /// A noisy capture of `material` from `sample` under the settings' lights, after what
 /// `defect` does to it, and the seed of its fit.
@@ -48,7 +78,7 @@ pub(super) fn capture(
     lab: &Lab,
     sample: Sample,
     brdf: &dyn Brdf,
-    defect: Option<&super::defects::Defect>,
+    defect: Option<&Defect>,
     index: u64,
 ) -> Result<Vec<RadianceImage>, EvaluateError> {
     let lights = sample.lights(lab.settings.lights);
@@ -150,10 +180,12 @@ pub(super) fn material(
 fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
     let mut cases = Vec::new();
     for class in [Class::InSpan, Class::Measured] {
-        if of_class(lab, class).is_ok() {
-            cases.push(Case::new(class.name(), move |lab: &Lab| {
-                coverage(lab, class)
-            }));
+        if of_class(lab, class).is_err() {
+            continue;
+        }
+        for known in Known::ALL {
+            let key = format!("{}/{}", class.name(), known.name());
+            cases.push(Case::new(key, move |lab: &Lab| coverage(lab, class, known)));
         }
     }
     Ok(cases)
@@ -186,36 +218,50 @@ pub(super) fn values(brdf: &dyn Brdf) -> Vec<[f64; 3]> {
     cells
 }
 
-/// One row per cell and channel.
-fn coverage(lab: &Lab, class: Class) -> Result<Vec<Row>, EvaluateError> {
-    use rayon::prelude::*;
-    let captures = if lab.settings.quick {
-        QUICK_CAPTURES
-    } else {
-        CAPTURES
-    };
-    let (theta_h, theta_d) = (theta_h_deg(), theta_d_deg());
+/// f in truth and its interval, by cell.
+type Trial = (Vec<[f64; 3]>, Vec<Interval>);
+
+/// One capture on a bench of its own, fitted.
+fn trial(lab: &Lab, class: Class, known: Known, index: u64) -> Result<Trial, EvaluateError> {
     let sample = Sample::Bowl;
-    let scene = sample.scene(
+    let brdf = material(lab, class, index)?;
+    let described = sample.scene(
         lab.settings.resolution_px,
         sample.lights(lab.settings.lights),
     )?;
+    let bench = misaligned::bench(&described);
+    let seed = lab.settings.seed;
+    let mut numbers = stream(seed, Purpose::BenchPerturbation, index, 0, 0);
+    let truth = misaligned::draw(&bench, &mut numbers);
+    let scene = bench.scene(&truth);
+    let images = capture(lab, sample, &*brdf, Some(&Defect::Misaligned(truth)), index)?;
+    let (dictionary, options) = (&lab.dictionary, options(lab, index));
+    let quiet = &mut |_: &str| {};
+    let fit = match known {
+        Known::Exactly => fit(&scene, &images, dictionary, &options, quiet)?,
+        Known::Described => fit(&described, &images, dictionary, &options, quiet)?,
+        Known::Refined => {
+            let (priors, refine) = (misaligned::priors(), RefineOptions::default());
+            refine_bench(
+                &described, &images, dictionary, &options, &priors, &refine, quiet,
+            )?
+            .fit(dictionary, &options, quiet)?
+        }
+    };
+    let (theta_h, theta_d) = (theta_h_deg(), theta_d_deg());
+    let cells = intervals::table(&fit.material, &fit.draws, &theta_h, &theta_d);
+    Ok((values(&*brdf), cells))
+}
+
+/// One row per cell and channel.
+fn coverage(lab: &Lab, class: Class, known: Known) -> Result<Vec<Row>, EvaluateError> {
+    use rayon::prelude::*;
+    let captures = known.captures(lab.settings.quick);
     let trials = (0..captures)
         .into_par_iter()
-        .map(|index| {
-            let brdf = material(lab, class, index)?;
-            let images = capture(lab, sample, &*brdf, None, index)?;
-            let fit = fit(
-                &scene,
-                &images,
-                &lab.dictionary,
-                &options(lab, index),
-                &mut |_| {},
-            )?;
-            let cells = intervals::table(&fit.material, &fit.draws, &theta_h, &theta_d);
-            Ok((values(&*brdf), cells))
-        })
-        .collect::<Result<Vec<(Vec<[f64; 3]>, Vec<Interval>)>, EvaluateError>>()?;
+        .map(|index| trial(lab, class, known, index))
+        .collect::<Result<Vec<_>, EvaluateError>>()?;
+    let (theta_h, theta_d) = (theta_h_deg(), theta_d_deg());
     let mut rows = Vec::new();
     for (cell, (h, d)) in theta_h
         .iter()
@@ -223,7 +269,7 @@ fn coverage(lab: &Lab, class: Class) -> Result<Vec<Row>, EvaluateError> {
         .enumerate()
     {
         for (c, channel) in ["R", "G", "B"].into_iter().enumerate() {
-            let inside = |(truth, cells): &&(Vec<[f64; 3]>, Vec<Interval>)| {
+            let inside = |(truth, cells): &&Trial| {
                 (cells[cell].lower[c]..=cells[cell].upper[c]).contains(&truth[cell][c])
             };
             let constrained = || trials.iter().filter(|t| t.1[cell].constrained);
@@ -234,6 +280,7 @@ fn coverage(lab: &Lab, class: Class) -> Result<Vec<Row>, EvaluateError> {
             let n = constrained().count();
             let row = Row::new()
                 .with("class", class.name())
+                .with("bench", known.name())
                 .with("theta_h_deg", *h)
                 .with("theta_d_deg", *d)
                 .with("channel", channel)
@@ -257,8 +304,9 @@ fn coverage(lab: &Lab, class: Class) -> Result<Vec<Row>, EvaluateError> {
     Ok(rows)
 }
 
+/// A row of panels per class, one panel for what is known of the bench.
 fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
-    let panel = |class: Class| {
+    let panel = |(class, known): (Class, Known)| {
         let series = theta_d_deg()
             .into_iter()
             .step_by(2)
@@ -267,6 +315,7 @@ fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
                 let points = theta_h_deg().into_iter().filter_map(|h| {
                     let here = table.figures("coverage", |row| {
                         row.text("class") == class.name()
+                            && row.text("bench") == known.name()
                             && row.number("theta_h_deg") == Some(h)
                             && row.number("theta_d_deg") == Some(d)
                     });
@@ -275,15 +324,15 @@ fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
                 Series::new(&format!("θd = {d}°"), color, Mark::Points, points.collect())
             });
         Chart {
-            title: format!("{} materials", class.name()),
+            title: format!("{} materials, bench {}", class.name(), known.name()),
             x: Axis::linear(0.0..90.0, "θh, degrees"),
             y: Axis::linear(0.0..1.0, "captures whose 95% interval holds the truth"),
             series: series.collect(),
         }
     };
-    Ok(vec![charts(
-        "coverage",
-        2,
-        &[Class::InSpan, Class::Measured].map(panel),
-    )])
+    let panels: Vec<Chart> = [Class::InSpan, Class::Measured]
+        .into_iter()
+        .flat_map(|class| Known::ALL.map(|known| panel((class, known))))
+        .collect();
+    Ok(vec![charts("coverage", 3, &panels)])
 }

@@ -1,14 +1,12 @@
 //! What an inexactly known bench costs, and what refining it gives back.
 
-use nalgebra::DVector;
-
 use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table, quantile};
-use super::lab::{Lab, Material, Sample};
+use super::lab::{Lab, Material, Sample, misaligned};
 use crate::brdf::score::environment_error_up_to_factor;
-use crate::inverse::bench::{Bench, Parameter};
-use crate::inverse::{BenchPriors, Fit, FitError, FitOptions, RefineOptions, fit, refine_bench};
+use crate::inverse::bench::Parameter;
+use crate::inverse::{Fit, FitError, FitOptions, RefineOptions, fit, refine_bench};
 use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
-use crate::random::{Purpose, Stream, stream};
+use crate::random::{Purpose, stream};
 use crate::simulation::photograph::Photographer;
 use crate::transport::{RenderOptions, render};
 
@@ -52,59 +50,6 @@ const BENCHES: u64 = 3;
 /// less lucky with its paths, by a factor of two or more.
 const PATHS: u64 = 3;
 
-/// Every light is off by this much, in a random direction.
-const LIGHT_DEG: f64 = 0.5;
-/// Standard deviation of each light's intensity, relative.
-const INTENSITY: f64 = 0.02;
-/// The sample is turned by this much about a random axis.
-const ROTATION_DEG: f64 = 0.3;
-/// The sample is moved by this much in a random direction: 0.3 mm for one of 50 mm.
-const TRANSLATION_MM: f64 = 0.012;
-
-/// The prior that states these errors: the same mean square along each axis.
-fn priors() -> BenchPriors {
-    BenchPriors {
-        light_rad: LIGHT_DEG.to_radians() / 2f64.sqrt(),
-        stage_rad: 0.0,
-        intensity: INTENSITY,
-        common_intensity: 0.0,
-        rotation_rad: ROTATION_DEG.to_radians() / 3f64.sqrt(),
-        translation_mm: TRANSLATION_MM / 3f64.sqrt(),
-        stray_light: 0.0,
-        pose_covariance: None,
-    }
-}
-
-/// A bench with these errors.
-fn draw(bench: &Bench, numbers: &mut Stream) -> DVector<f64> {
-    let parameters = bench.parameters();
-    let mut values = DVector::from_fn(parameters.len(), |_, _| numbers.normal());
-    // What is scaled together to an exact length.
-    let group = |parameter: &Parameter| match *parameter {
-        Parameter::LightAzimuth(light) | Parameter::LightElevation(light) => {
-            Some((2 + light, LIGHT_DEG.to_radians()))
-        }
-        Parameter::Rotation(_) => Some((0, ROTATION_DEG.to_radians())),
-        Parameter::Translation(_) => Some((1, TRANSLATION_MM)),
-        Parameter::Intensity(_) | Parameter::StrayLight(_) => None,
-    };
-    let drawn = values.clone();
-    for (value, parameter) in values.iter_mut().zip(parameters) {
-        *value *= match group(parameter) {
-            Some((number, length)) => {
-                let members = parameters.iter().zip(drawn.iter());
-                let square: f64 = members
-                    .filter(|(p, _)| group(p).is_some_and(|(n, _)| n == number))
-                    .map(|(_, v)| v * v)
-                    .sum();
-                length / square.sqrt()
-            }
-            None => INTENSITY,
-        };
-    }
-    values
-}
-
 fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
     let mut cases = Vec::new();
     for material in &lab.materials {
@@ -131,13 +76,12 @@ fn one(
     let (resolution_px, lights) = (settings.resolution_px, sample.lights(settings.lights));
     let described = sample.scene(resolution_px, lights.clone())?;
     let fine = sample.true_scene(resolution_px, lights)?;
-    let priors = priors();
-    let bench = Bench::new(&described, &priors);
+    let bench = misaligned::bench(&described);
     let key = |what| stream(settings.seed, Purpose::BenchPerturbation, number, 0, what);
-    let truth = draw(&bench, &mut key(0));
+    let truth = misaligned::draw(&bench, &mut key(0));
 
     // Truth, photographed: another mesh, other paths, the noise of a 12-bit bracket.
-    let true_scene = Bench::new(&fine, &priors).scene(&truth);
+    let true_scene = misaligned::bench(&fine).scene(&truth);
     let render_options = lab.truth_options(&true_scene, &*material.brdf);
     let render_options = RenderOptions {
         seed: key(1).bits(),
@@ -165,7 +109,7 @@ fn one(
         &captured,
         &lab.dictionary,
         &options,
-        &priors,
+        &misaligned::priors(),
         &RefineOptions::default(),
         &mut |_| {},
     )?;

@@ -24,7 +24,7 @@ use crate::geometry::Mesh;
 use crate::radiometry::mosaic::Mosaic;
 use crate::random::{Purpose, stream};
 use crate::transport::{
-    Camera, Light, Proposal, RenderOptions, Scene, Shading, render, render::quietest_proposal,
+    Body, Camera, Light, Proposal, RenderOptions, Scene, Shading, render, render::quietest_proposal,
 };
 use crate::units::StageAngles;
 
@@ -34,6 +34,8 @@ pub struct Truth {
     pub mesh: Mesh,
     /// Which normals shade.
     pub shading: Shading,
+    /// What stands around it, where the configuration puts that; it moves with the sample.
+    pub bodies: Vec<Body>,
     /// The camera.
     pub camera: Camera,
     /// Its colour filters, each of which passes its channel's light alone.
@@ -74,7 +76,10 @@ impl TruthSource {
         let [rotation_rad, translation_mm] =
             pose_error(truth.seed, truth.pose_error_mm, truth.pose_error_deg);
         let pose: Rigid<Sample, Sample> = Rigid::from_rotation_vector(rotation_rad, translation_mm);
-        truth.mesh = truth.mesh.transformed(&pose);
+        let meshes = truth.bodies.iter_mut().map(|body| &mut body.mesh);
+        for mesh in meshes.chain([&mut truth.mesh]) {
+            *mesh = mesh.transformed(&pose);
+        }
         Self {
             truth,
             lobes: OnceLock::new(),
@@ -85,7 +90,13 @@ impl TruthSource {
     fn render(&self, angles: StageAngles) -> Vec<[f32; 3]> {
         let truth = &self.truth;
         let light = (truth.light)(angles);
-        let scene = Scene::new(truth.mesh.clone(), truth.shading, truth.camera, vec![light]);
+        let scene = Scene::with_bodies(
+            truth.mesh.clone(),
+            truth.shading,
+            truth.bodies.clone(),
+            truth.camera,
+            vec![light],
+        );
         // Independent paths for every lamp position.
         let position = stream(
             truth.seed,
@@ -188,6 +199,7 @@ mod tests {
             .mesh()
             .unwrap(),
             shading: Shading::Smooth,
+            bodies: Vec::new(),
             camera: Camera::looking_at(
                 [8, 8],
                 Projection::Orthographic {

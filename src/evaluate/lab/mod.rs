@@ -3,6 +3,7 @@
 
 pub mod capture;
 pub mod materials;
+pub mod misaligned;
 pub mod samples;
 mod scoring;
 mod synthetic;
