@@ -14,10 +14,11 @@ use rig::brdf::table::TabulatedBrdf;
 use rig::brdf::{Brdf, Dictionary, score, source};
 use rig::inverse::projection::{CellMatrix, EnvironmentMatrix};
 
-/// Azimuths of the cells, and pixels per side of the spheres: isotropic materials change
-/// little with φd, and the figures move by less than 2% from here to MERL's 180 and 128.
+/// Azimuths of the cells: isotropic materials change little with φd.
 const AZIMUTHS: usize = 4;
-const SPHERE_PX: usize = 48;
+/// Pixels per side of the spheres, as `rig brdf project` has them: with 48 the floors of some
+/// materials come out a sixth lower.
+const SPHERE_PX: usize = 128;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut materials: Vec<(String, Box<dyn Brdf>)> = Vec::new();

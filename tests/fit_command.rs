@@ -77,6 +77,53 @@ fn fitted(folder: &Path, options: &str) -> FitRecord {
     fit_record::read(&folder.join(name)).unwrap()
 }
 
+/// Of a bowl under lamps that are described 25% too bright, with a scale of which nothing is
+/// known: what tells it is how strong the interreflections are.
+#[test]
+fn a_free_common_scale_is_found() {
+    let light = |to_light: &str| {
+        format!("[[light]]\nkind = \"directional\"\nto_light = {to_light}\nirradiance = 3.14\n")
+    };
+    let more = ["[-0.35, 0.61, 0.71]", "[-0.2, -0.55, 0.81]"].map(light);
+    let free = SCENE
+        .replace("[16, 16]", "[24, 24]")
+        .replace("[sample]", &format!("{}[sample]", more.concat()))
+        .replace("light_deg = 0.1", "light_deg = 0.0")
+        .replace(
+            "intensity = 0.0",
+            "intensity = 0.01\ncommon_intensity = 1.0",
+        );
+    let home = tempfile::tempdir().unwrap();
+    let write = |name: &str, scene: &str| std::fs::write(home.path().join(name), scene).unwrap();
+    write("s.toml", &free.replace("segments = 48", "segments = 240"));
+    let done = rig(
+        home.path(),
+        "render --scene s.toml --out i.exr --spp 1024 --seed 77",
+    );
+    assert!(done.status.success(), "{done:?}");
+    let described = free.replace("segments = 48", "segments = 128");
+    write("s.toml", &described.replace("3.14", "3.925"));
+    let done = rig(
+        home.path(),
+        "fit --scene s.toml --image i_L000.exr i_L001.exr i_L002.exr i_L003.exr --spp 256 \
+         --kernel portable --out fit --refine-bench",
+    );
+    assert!(done.status.success(), "{done:?}");
+    let record = fit_record::read(&home.path().join("fit")).unwrap();
+    let bench = record.bench.unwrap();
+    assert!(bench.settled);
+    assert_eq!(bench.parameter.len(), 4);
+    for lamp in &bench.parameter {
+        let off = lamp.value - 0.8f64.ln();
+        println!(
+            "{}: off by {off:+.4}, stated {:.4}",
+            lamp.name, lamp.deviation
+        );
+        assert!(off.abs() < 3.0 * lamp.deviation, "{lamp:?}");
+        assert!(lamp.deviation < 0.05, "{lamp:?}");
+    }
+}
+
 #[test]
 fn the_record_says_how_the_fit_was_made() {
     let home = photographed();

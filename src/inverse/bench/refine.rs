@@ -256,9 +256,10 @@ struct Rounds<'a> {
     refine: &'a RefineOptions,
     /// Weights of the round before.
     mixture: Option<Vec<DVector<f64>>>,
-    /// The material whose directions the paths take: the round before's until all paths are
-    /// traced, then the same, so that benches are compared with like paths.
-    followed: Option<Mixture>,
+    /// The material whose directions the paths take, and how well it explained the images: the
+    /// round before's until all paths are traced, unless it explained them worse; then the same,
+    /// so that benches are compared with like paths.
+    followed: Option<(Mixture, f64)>,
 }
 
 /// What one round says.
@@ -337,7 +338,7 @@ impl Rounds<'_> {
         let scene = self.bench.scene(values);
         let captured = self.bench.without_stray_light(self.captured, values);
         let mut paths = options.cache.clone();
-        if let Some(material) = &self.followed {
+        if let Some((material, _)) = &self.followed {
             paths.proposal = Proposal::resembling(material, DEFENSIVE);
         }
         let early = ALL_PATHS.saturating_sub(round);
@@ -386,10 +387,16 @@ impl Rounds<'_> {
         let reduced = normal.reduced(&pass.information, &mixture);
         let spectrum = Spectrum::new(self.bench, &reduced.information);
         self.mixture = Some(mixture);
-        if early > 0 {
-            self.followed = Some(material.clone());
-        }
         let image = Compared::new(&objective, &pass, residual_weights);
+        let chi2 = image.sum(&objective.weights(Some(&pass.model))) / count as f64;
+        // Where lamps are believed too dark all weights end up white: nothing to follow.
+        let worst = self
+            .followed
+            .as_ref()
+            .map_or(f64::INFINITY, |f| f.1.max(1.0));
+        if early > 0 && chi2 < worst {
+            self.followed = Some((material.clone(), chi2));
+        }
         Ok(Round {
             // At first the scores scatter because the bench is off, not by noise.
             spectrum: if round == 1 {
@@ -400,7 +407,7 @@ impl Rounds<'_> {
             score: reduced.score,
             material,
             wanted,
-            chi2: image.sum(&objective.weights(Some(&pass.model))) / count as f64,
+            chi2,
             image,
         })
     }
