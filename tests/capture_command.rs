@@ -367,6 +367,29 @@ fn bad_input_is_refused_before_anything_moves() {
         assert_eq!(text(&output.stdout), "", "{arguments:?}");
         no_session(&folder);
     }
+    let holder = |brdf: &str| {
+        let stage = "[geometry.sample_from_stage]";
+        let body = format!("[[geometry.body]]\nmesh = \"holder.stl\"\nbrdf = {brdf}\n");
+        workplace(|text| text.replace(stage, &format!("{body}{stage}")))
+    };
+    let red = "{ mixture = [ { weight = [1.0, 0.5, 0.5], lambertian = { albedo = 0.5 } }, \
+        { weight = [0.0, 0.5, 0.5], black = {} } ] }";
+    let coloured = holder(red);
+    let capture = ["capture", "--lights", "1"];
+    assert_refused(&run(&coloured, &capture), "holder.stl");
+    let made = [
+        "shape",
+        "tetrahedron",
+        "--radius",
+        "3",
+        "--depth",
+        "2",
+        "--out",
+        "holder.stl",
+    ];
+    assert!(run(&coloured, &made).status.success());
+    assert_refused(&run(&coloured, &capture), "geometry.body[0] is coloured");
+    no_session(&coloured);
     let crowded =
         workplace(|text| text.replace("disk_reserve_mb = 200", "disk_reserve_mb = 1000000"));
     let free = rig::session::commit::free_bytes(crowded.path()).unwrap();

@@ -157,6 +157,8 @@ fn start(args: &CaptureArgs, context: &Context) -> Result<(), CliError> {
     {
         context.warn(format_args!("{concern}; {}", sharpness::REMEDY));
     }
+    // What cannot be read or fitted is said before anything moves.
+    config.geometry.scene(&[])?;
     let noise = records.noise(config)?;
     let lights = light_choice(args, config, context)?;
     let request = request(&lights, config, None);

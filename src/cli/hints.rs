@@ -270,6 +270,10 @@ fn for_build(error: &BuildError) -> Option<String> {
     match error {
         BuildError::Mesh(error) => for_mesh(error),
         BuildError::Brdf(error) => for_brdf(error),
+        BuildError::ColouredBody { .. } => Some(
+            "paint it grey or black and give it equal values for all channels in the rig file"
+                .into(),
+        ),
     }
 }
 

@@ -24,6 +24,12 @@ pub enum BuildError {
     /// The material.
     #[error(transparent)]
     Brdf(#[from] BrdfError),
+    /// A thing beside the sample whose channels differ.
+    #[error("geometry.body[{body}] is coloured; only grey bodies can stand beside a sample")]
+    ColouredBody {
+        /// Index from 0.
+        body: usize,
+    },
 }
 
 impl SurfaceSpec {
@@ -88,8 +94,12 @@ impl GeometryConfig {
     /// The scene as the fit believes it, with the lamp at each of these angles.
     pub fn scene(&self, angles: &[StageAngles]) -> Result<Scene, BuildError> {
         let lights = angles.iter().map(|&a| self.light(a)).collect();
-        self.sample
-            .scene(load_all(&self.bodies)?, self.image_camera(), lights)
+        let bodies = load_all(&self.bodies)?;
+        let scene = self.sample.scene(bodies, self.image_camera(), lights)?;
+        match scene.coloured_body() {
+            Some(body) => Err(BuildError::ColouredBody { body }),
+            None => Ok(scene),
+        }
     }
 }
 

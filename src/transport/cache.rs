@@ -5,7 +5,7 @@
 //! light which comes to the sample by way of a holder is a connection like any other.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -78,7 +78,7 @@ pub enum CacheError {
     #[error("body {body} is coloured; only grey bodies can stand beside a sample that is fitted")]
     ColouredBody {
         /// Index from 0.
-        body: u32,
+        body: usize,
     },
 }
 
@@ -154,13 +154,15 @@ impl Cache {
         if lights > MAX_LIGHTS {
             return Err(CacheError::TooManyLights { lights });
         }
+        if let Some(body) = scene.coloured_body() {
+            return Err(CacheError::ColouredBody { body });
+        }
         let atoms = LaneAtoms::new(dictionary, options.allow_grid);
         let tracer = Tracer {
             scene,
             continuations: Continuations::new(&options.proposal, options.steering, guide),
             atoms: &atoms,
             options,
-            coloured: AtomicU32::new(0),
         };
         let (samples_per_half, records) = if atoms.is_grid() {
             let (n, chunks) = tracer.chunks::<5, GridRecord>();
@@ -187,9 +189,6 @@ impl Cache {
                 }
             }
         };
-        if let Some(body) = tracer.coloured.into_inner().checked_sub(1) {
-            return Err(CacheError::ColouredBody { body });
-        }
         Ok(Self {
             records,
             atoms,
@@ -224,8 +223,6 @@ struct Tracer<'a> {
     continuations: Continuations<'a>,
     atoms: &'a LaneAtoms,
     options: &'a CacheOptions,
-    /// 1 + the last coloured body met; 0 for none.
-    coloured: AtomicU32,
 }
 
 /// The end of a path that is being traced, and its random numbers.
@@ -408,11 +405,10 @@ impl Tracer<'_> {
         let mut arriving = vec![0.0f32; self.scene.lights.len()];
         let mut follow = || {
             while let Some(brdf) = self.scene.known(&walk.surface) {
-                let body = walk.surface.body();
                 for (light, arriving) in arriving.iter_mut().enumerate() {
                     let u = walk.numbers.on_lamp();
                     if let Some(to) = self.scene.connect(&walk.surface, light, u) {
-                        let f = self.grey(body, brdf.eval(to.to_light, walk.to_viewer));
+                        let [f, ..] = brdf.eval(to.to_light, walk.to_viewer);
                         *arriving += weight * f * to.irradiance;
                     }
                 }
@@ -422,7 +418,7 @@ impl Tracer<'_> {
                 let proposal = &self.options.proposal;
                 walk.numbers.advance();
                 let (direction, pdf) = proposal.sample(walk.to_viewer, &mut walk.numbers)?;
-                let f = self.grey(body, brdf.eval(direction, walk.to_viewer));
+                let [f, ..] = brdf.eval(direction, walk.to_viewer);
                 weight *= f * direction.z / pdf;
                 if weight == 0.0 {
                     return None;
@@ -441,20 +437,7 @@ impl Tracer<'_> {
         }
         back
     }
-
-    /// The value that all channels share; remembers the body if they don't.
-    fn grey(&self, body: u32, f: [f32; 3]) -> f32 {
-        let [r, g, b] = f;
-        let spread = r.max(g).max(b) - r.min(g).min(b);
-        if spread > GREY_TOLERANCE * g {
-            self.coloured.store(body, Ordering::Relaxed);
-        }
-        g
-    }
 }
-
-/// Channels of a grey body differ by no more than rounding.
-const GREY_TOLERANCE: f32 = 1e-5;
 
 #[cfg(test)]
 mod tests {

@@ -53,6 +53,9 @@ pub struct Scene {
     pub falloffs: Vec<Falloff>,
 }
 
+/// Channels of a grey body differ by no more than rounding.
+const GREY_TOLERANCE: f32 = 1e-5;
+
 /// What a hit needs to know of a triangle.
 #[derive(Clone)]
 struct Facet {
@@ -219,6 +222,26 @@ impl Scene {
     /// What the known bodies are made of.
     pub fn bodies(&self) -> &[Arc<dyn Brdf>] {
         &self.bodies
+    }
+
+    /// The first known body whose channels differ by more than rounding, of directions 30° apart:
+    /// a fit needs grey ones, as a path's record has one weight for all channels.
+    pub fn coloured_body(&self) -> Option<usize> {
+        let direction = |theta_deg: u16, phi_deg: u16| {
+            let (sin, cos) = f32::from(theta_deg).to_radians().sin_cos();
+            let (y, x) = f32::from(phi_deg).to_radians().sin_cos();
+            Vec3::new(sin * x, sin * y, cos)
+        };
+        let is_coloured = |brdf: &Arc<dyn Brdf>| {
+            let thetas_deg = || (0..90).step_by(30);
+            let pairs = thetas_deg().flat_map(|i| thetas_deg().map(move |o| (i, o)));
+            let mut all = pairs.flat_map(|(i, o)| (0..=180).step_by(30).map(move |d| (i, o, d)));
+            all.any(|(i, o, d)| {
+                let [r, g, b] = brdf.eval(direction(i, 0), direction(o, d));
+                r.max(g).max(b) - r.min(g).min(b) > GREY_TOLERANCE * g
+            })
+        };
+        self.bodies.iter().position(is_coloured)
     }
 
     /// Where a ray meets a front first; `None` if it leaves the scene or meets a back,
