@@ -45,6 +45,12 @@ fn workplace(change: impl FnOnce(String) -> String) -> TempDir {
     folder
 }
 
+/// The rig file with this beside the sample.
+fn with_body(text: &str, body: &str) -> String {
+    let next = "[geometry.sample_from_stage]";
+    text.replace(next, &format!("[[geometry.body]]\n{body}\n{next}"))
+}
+
 fn rig(folder: &TempDir, arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_rig"));
     command
@@ -236,14 +242,13 @@ fn a_session_is_fitted_with_the_mesh_it_was_captured_with() {
 /// sample's.
 #[test]
 fn a_holder_is_captured_and_known_to_the_fit() {
-    const HOLDER: &str = "[[geometry.body]]\nmesh = \"holder.obj\"\n\
-        brdf = { dictionary = \"holder.json\", weights = \"holder.csv\" }\n";
+    const HOLDER: &str = "mesh = \"holder.obj\"\n\
+        brdf = { dictionary = \"holder.json\", weights = \"holder.csv\" }";
     const WALLS: &str = "v -12 -12 0\nv 12 -12 0\nv 12 12 0\nv -12 12 0\n\
         v -12 -12 8\nv 12 -12 8\nv 12 12 8\nv -12 12 8\n\
         f 1 4 8 5\nf 4 3 7 8\nf 3 2 6 7\nf 2 1 5 6\n";
     let folder = workplace(|text| {
-        let stage = "[geometry.sample_from_stage]";
-        text.replace(stage, &format!("{HOLDER}{stage}"))
+        with_body(&text, HOLDER)
             .replace("samples_per_pixel = 2\n", "samples_per_pixel = 64\n")
             .replace("max_reflections = 2\n", "max_reflections = 6\n")
     });
@@ -367,14 +372,9 @@ fn bad_input_is_refused_before_anything_moves() {
         assert_eq!(text(&output.stdout), "", "{arguments:?}");
         no_session(&folder);
     }
-    let holder = |brdf: &str| {
-        let stage = "[geometry.sample_from_stage]";
-        let body = format!("[[geometry.body]]\nmesh = \"holder.stl\"\nbrdf = {brdf}\n");
-        workplace(|text| text.replace(stage, &format!("{body}{stage}")))
-    };
-    let red = "{ mixture = [ { weight = [1.0, 0.5, 0.5], lambertian = { albedo = 0.5 } }, \
+    let red = "mesh = \"holder.stl\"\nbrdf = { mixture = [ { weight = [1.0, 0.5, 0.5], lambertian = { albedo = 0.5 } }, \
         { weight = [0.0, 0.5, 0.5], black = {} } ] }";
-    let coloured = holder(red);
+    let coloured = workplace(|text| with_body(&text, red));
     let capture = ["capture", "--lights", "1"];
     assert_refused(&run(&coloured, &capture), "holder.stl");
     let made = [

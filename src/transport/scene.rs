@@ -86,11 +86,6 @@ impl Surface {
         self.body == 0
     }
 
-    /// 0 for the sample, k for the k-th known body.
-    pub fn body(&self) -> u32 {
-        self.body
-    }
-
     /// Sample-frame direction in the local frame (+z is the normal).
     #[inline]
     pub fn local(&self, direction: Vec3) -> Vec3 {
