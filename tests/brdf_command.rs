@@ -123,6 +123,8 @@ fn bad_input_is_one_line_and_a_hint() {
     std::fs::write(folder.path().join("junk.binary"), b"junk").unwrap();
     std::fs::write(folder.path().join("junk.bsdf"), b"junk").unwrap();
     std::fs::write(folder.path().join("junk.json"), b"{\"atoms\": []}").unwrap();
+    let wide = b"atoms = [{ type = \"ggx\", alpha = 2.0, eta = 1.5 }]";
+    std::fs::write(folder.path().join("wide.toml"), wide).unwrap();
     for (arguments, said) in [
         (
             &["check", "nbrdf:gold"] as &[&str],
@@ -138,6 +140,10 @@ fn bad_input_is_one_line_and_a_hint() {
             &["project", "lambertian:0.5", "--dictionary", "junk.json"],
             "0 atoms",
         ),
+        (
+            &["project", "lambertian:0.5", "--dictionary", "wide.toml"],
+            "hint: a dictionary is a list `atoms`",
+        ),
         (&["project", "lambertian:0.5", "--size", "4"], "8 to 512"),
         (
             &["convert", "lambertian:0.5", "--out", "x.merl"],
@@ -147,7 +153,10 @@ fn bad_input_is_one_line_and_a_hint() {
             &["convert", "lambertian:0.5", "--out", "no/folder/x.binary"],
             "x.binary",
         ),
-        (&["plot", "lambertian:0.5", "--out", "x.jpg"], "not a .png"),
+        (
+            &["plot", "lambertian:0.5", "--out", "x.jpg"],
+            "ends in .png",
+        ),
         (
             &["eval", "--brdf", "lambertian:0.5", "--angles", "none.csv"],
             "none.csv",
@@ -166,7 +175,7 @@ fn bad_input_is_one_line_and_a_hint() {
         );
     }
     assert!(
-        std::fs::read_dir(folder.path()).unwrap().count() == 3,
+        std::fs::read_dir(folder.path()).unwrap().count() == 4,
         "nothing was left behind"
     );
 }

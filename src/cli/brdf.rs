@@ -7,7 +7,7 @@ use clap::{Args, Subcommand};
 use glam::DVec3;
 use serde::Serialize;
 
-use super::output::write_json;
+use super::output::{check_ending, write_json};
 use super::{CliError, Context, HintExt, fit_folder};
 use crate::brdf::check::{ALBEDO_ANGLES_DEG, PhysicalCheck, check};
 use crate::brdf::chi_square::{ChiSquare, check_lobes};
@@ -438,12 +438,7 @@ fn compare(estimate: &str, truth: &str, size: usize, json: bool) -> Result<(), C
 }
 
 fn plot(spec: &str, path: &Path, size: usize) -> Result<(), CliError> {
-    if path.extension().is_none_or(|e| e != "png") {
-        return Err(CliError::new(format!(
-            "{}: not a .png name",
-            path.display()
-        )));
-    }
+    check_ending(path, "png")?;
     let brdf = load(spec)?;
     let maps = EnvironmentMap::all();
     let mut picture = image::RgbImage::new((size * maps.len()) as u32, size as u32);
@@ -460,7 +455,8 @@ fn plot(spec: &str, path: &Path, size: usize) -> Result<(), CliError> {
     }
     picture
         .save(path)
-        .map_err(|error| CliError::new(format!("{}: {error}", path.display())))?;
+        .map_err(|error| CliError::new(format!("{}: {error}", path.display())))
+        .hint("choose a file in a folder that exists and can be written")?;
     out!("{}", path.display())
 }
 

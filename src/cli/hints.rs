@@ -245,6 +245,10 @@ fn for_brdf(error: &BrdfError) -> Option<String> {
     match error {
         UnknownSource { .. } => Some("a file needs its path; names are listed above".into()),
         Io { source, .. } => for_io(source).map(str::to_owned),
+        File { path, .. } if path.extension().is_some_and(|e| e == "toml" || e == "json") => Some(
+            "a dictionary is a list `atoms`, such as [{ type = \"ggx\", alpha = 0.1, eta = 1.5 }]"
+                .into(),
+        ),
         File { .. } | Table { .. } => {
             Some("the file is not what its ending says, or it is damaged: get it again".into())
         }

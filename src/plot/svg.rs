@@ -56,8 +56,11 @@ impl Svg {
         self.path(&[from, to], color, width, None);
     }
 
-    /// A polyline; `dash` as in `stroke-dasharray`.
+    /// A polyline of two points or more, of fewer nothing; `dash` as in `stroke-dasharray`.
     pub fn path(&mut self, points: &[[f64; 2]], color: &str, width: f64, dash: Option<&str>) {
+        if points.len() < 2 {
+            return;
+        }
         let dash = dash.map_or(String::new(), |d| format!(" stroke-dasharray=\"{d}\""));
         let points = list(points);
         self.element(format_args!(
