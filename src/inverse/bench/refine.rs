@@ -59,6 +59,10 @@ impl Default for RefineOptions {
 /// compared. Those before have a half of them, a quarter and so on.
 const ALL_PATHS: usize = 3;
 
+/// Mean square of a refused bench over that of the best, up to which they differ as two sets
+/// of weights on one bench can.
+const WITHIN_NOISE: f64 = 1.25;
+
 /// A refined parameter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Estimated {
@@ -81,7 +85,7 @@ pub struct BenchEstimate {
     pub held: Vec<String>,
     /// Rounds that were taken.
     pub rounds: usize,
-    /// Whether the last step was short.
+    /// Whether the last step was short, and not because longer parts of it led far off.
     pub settled: bool,
     /// Mean squared residual over its deviation, the stated error of the model included, on
     /// the described bench and on the refined one.
@@ -165,7 +169,12 @@ pub fn refine_bench(
                 // Too far: a quarter of the way from where it was better.
                 best.step *= 0.25;
                 values = &best.values + &best.step;
-                settled = best.spectrum.length(&best.step) < refine.settled;
+                let is_short = best.spectrum.length(&best.step) < refine.settled;
+                settled = is_short && round.chi2 < WITHIN_NOISE * best.chi2;
+                if is_short && !settled {
+                    // Short because it was refused: no step from here explains the images.
+                    break;
+                }
             }
             _ => {
                 let step = round.spectrum.step(&values, &round.score);
