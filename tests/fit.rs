@@ -96,6 +96,18 @@ fn options() -> FitOptions {
     options
 }
 
+/// One round of an optimiser, and nothing after it.
+fn one_round(optimizer: Optimizer, channels: Channels) -> FitOptions {
+    FitOptions {
+        optimizer,
+        channels,
+        rounds: 1,
+        refine: Refine::NONE,
+        draws: 20,
+        ..options()
+    }
+}
+
 /// Cube-root BRDF error over all channels: of the fit, of its start.
 fn errors(fit: &Fit, dictionary: &Arc<Dictionary>, truth: &Mixture) -> [f64; 2] {
     let cells = cells(6);
@@ -170,14 +182,7 @@ fn both_optimisers_lower_the_same_loss() {
     let captured = images(&scene(bowl(192), &lights), &truth);
     let scene = scene(bowl(96), &lights);
     let run = |optimizer: Optimizer, channels| {
-        let options = FitOptions {
-            optimizer,
-            channels,
-            rounds: 1,
-            refine: Refine::NONE,
-            draws: 20,
-            ..options()
-        };
+        let options = one_round(optimizer, channels);
         let fit = fit(&scene, &captured, &dictionary, &options, &mut |_| {}).unwrap();
         let total = |i: usize| -> f64 { fit.trace[i].1.loss.iter().sum() };
         (total(0), total(fit.trace.len() - 1), fit)
@@ -225,13 +230,7 @@ fn the_last_point_is_as_good_as_the_best() {
         options().optimizer,
         Optimizer::ExponentiatedGradient(restless),
     ] {
-        let options = FitOptions {
-            optimizer,
-            rounds: 1,
-            refine: Refine::NONE,
-            draws: 20,
-            ..options()
-        };
+        let options = one_round(optimizer, Channels::Separate);
         let fit = fit(&scene, &captured, &dictionary, &options, &mut |_| {}).unwrap();
         let mut rises = 0;
         for set in 0..3 {

@@ -7,7 +7,7 @@ use clap::{Args, Subcommand};
 use glam::DVec3;
 use serde::Serialize;
 
-use super::output::{check_ending, write_json};
+use super::output::{ANOTHER_FILE, check_ending, write_json};
 use super::{CliError, Context, HintExt, fit_folder};
 use crate::brdf::check::{ALBEDO_ANGLES_DEG, PhysicalCheck, check};
 use crate::brdf::chi_square::{ChiSquare, check_lobes};
@@ -413,7 +413,7 @@ fn project(
         let csv = weights::to_csv(&reference, None);
         whole_file::replace(path, |file| file.write_all(csv.as_bytes()))
             .map_err(|error| CliError::new(format!("{}: {error}", path.display())))
-            .hint("choose a file in a folder that exists and can be written")?;
+            .hint(ANOTHER_FILE)?;
     }
     if json {
         return write_json(&answer);
@@ -456,7 +456,7 @@ fn plot(spec: &str, path: &Path, size: usize) -> Result<(), CliError> {
     picture
         .save(path)
         .map_err(|error| CliError::new(format!("{}: {error}", path.display())))
-        .hint("choose a file in a folder that exists and can be written")?;
+        .hint(ANOTHER_FILE)?;
     out!("{}", path.display())
 }
 
@@ -469,7 +469,7 @@ fn convert(spec: &str, path: &Path) -> Result<(), CliError> {
             let bytes = rgl::to_bytes(brdf.as_ref(), rgl::Channels::Rgb, &description);
             whole_file::replace(path, |file| file.write_all(&bytes))
                 .map_err(|error| CliError::new(format!("{}: {error}", path.display())))
-                .hint("choose a file in a folder that exists and can be written")?;
+                .hint(ANOTHER_FILE)?;
         }
         _ => {
             return Err(CliError::new(format!(

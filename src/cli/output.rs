@@ -36,6 +36,9 @@ pub fn write_bytes(bytes: &[u8]) -> Result<(), CliError> {
         .map_err(stdout_error)
 }
 
+/// Advice where a file cannot be written.
+pub const ANOTHER_FILE: &str = "choose a file in a folder that exists and can be written";
+
 /// Refuses a file whose name has not this ending: one of another kind would be replaced by a
 /// slip, and programs that go by endings would not read it.
 pub fn check_ending(path: &Path, ending: &str) -> Result<(), CliError> {

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
+use super::output::ANOTHER_FILE;
 use super::{CliError, Context, HintExt};
 use crate::out;
 use crate::report::{self, load::LoadError};
@@ -35,7 +36,7 @@ pub fn run(args: &ReportArgs, context: &Context) -> Result<(), CliError> {
         Some(path) => {
             whole_file::replace(path, |file| file.write_all(html.as_bytes()))
                 .map_err(|error| CliError::new(format!("{}: {error}", path.display())))
-                .hint("choose a file in a folder that exists and can be written")?;
+                .hint(ANOTHER_FILE)?;
             path.clone()
         }
         None => {

@@ -59,8 +59,7 @@ impl Default for RefineOptions {
 /// compared. Those before have a half of them, a quarter and so on.
 const ALL_PATHS: usize = 3;
 
-/// Mean square of a refused bench over that of the best, up to which they differ as two sets
-/// of weights on one bench can.
+/// Mean square of a refused bench over that of the best, up to which it did not lead far off.
 const WITHIN_NOISE: f64 = 1.25;
 
 /// A refined parameter.
@@ -169,10 +168,9 @@ pub fn refine_bench(
                 // Too far: a quarter of the way from where it was better.
                 best.step *= 0.25;
                 values = &best.values + &best.step;
-                let is_short = best.spectrum.length(&best.step) < refine.settled;
-                settled = is_short && round.chi2 < WITHIN_NOISE * best.chi2;
-                if is_short && !settled {
-                    // Short because it was refused: no step from here explains the images.
+                if best.spectrum.length(&best.step) < refine.settled {
+                    // Where it led far off, it is short only because it was refused.
+                    settled = round.chi2 < WITHIN_NOISE * best.chi2;
                     break;
                 }
             }
