@@ -11,7 +11,7 @@ mod lanes;
 
 use std::mem::MaybeUninit;
 
-use glam::{Vec3, Vec3A};
+use glam::{DVec3, Vec3, Vec3A};
 use obvhs::BvhBuildParams;
 use obvhs::aabb::Aabb;
 use obvhs::bvh2::builder::build_bvh2;
@@ -20,7 +20,7 @@ use super::mesh::Mesh;
 use collapse::Collapse;
 #[cfg(target_arch = "x86_64")]
 use lanes::Avx2;
-use lanes::{Instructions, LeafHits, Portable, Prepared, on_an_edge};
+use lanes::{Instructions, Portable, Prepared, on_an_edge};
 
 /// A half line from `origin_mm` along the unit vector `direction`, up to `limit_mm`.
 #[derive(Clone, Copy, Debug)]
@@ -94,6 +94,35 @@ impl Leaf {
                 corner[axis][lane] = p[axis];
             }
         }
+    }
+
+    fn corners(&self, lane: usize) -> [DVec3; 3] {
+        self.corner
+            .map(|corner| DVec3::from_array(corner.map(|axis| f64::from(axis[lane]))))
+    }
+
+    /// Distance along the ray to a triangle's plane. In f64: in f32 that to a triangle a
+    /// thousand times as long as wide is off by more than rays are set off the surface they
+    /// leave, and they would meet it again.
+    #[inline(always)]
+    fn distance_mm(&self, lane: usize, ray: &Ray) -> f32 {
+        let [a, b, c] = self.corners(lane);
+        let normal = (b - a).cross(c - a);
+        let to_plane = normal.dot(a - ray.origin_mm.as_dvec3());
+        (to_plane / normal.dot(ray.direction.as_dvec3())) as f32
+    }
+
+    /// Barycentric weights of a triangle's second and third corner where the ray meets its
+    /// plane, within the triangle.
+    #[inline(always)]
+    fn barycentric(&self, lane: usize, ray: &Ray) -> [f32; 2] {
+        let [a, b, c] = self.corners(lane);
+        let (d, from_a) = (ray.direction.as_dvec3(), ray.origin_mm.as_dvec3() - a);
+        let across = d.cross(c - a);
+        let over = 1.0 / (b - a).dot(across);
+        let second = (from_a.dot(across) * over).clamp(0.0, 1.0);
+        let third = d.dot(from_a.cross(b - a)) * over;
+        [second as f32, third.clamp(0.0, 1.0 - second) as f32]
     }
 
     /// The box around its triangles; unused lanes are NaN, which min and max pass over.
@@ -265,7 +294,6 @@ fn closest_with<I: Instructions>(bvh: &Bvh, ray: &Ray) -> Option<Hit> {
     let mut best: Option<Hit> = None;
     let mut stack = Stack::new();
     let mut entries = [0.0; WIDTH];
-    let mut hits = LeafHits::NONE;
     let mut reference = 0u32;
     loop {
         if reference & LEAF_BIT == 0 {
@@ -288,14 +316,14 @@ fn closest_with<I: Instructions>(bvh: &Bvh, ray: &Ray) -> Option<Hit> {
             }
         } else {
             let leaf = &bvh.leaves[(reference & !LEAF_BIT) as usize];
-            let (mut inside, edge) = I::triangles(leaf, &prepared, &mut hits);
+            let (mut inside, edge) = I::triangles(leaf, &prepared);
             while inside != 0 {
                 let lane = inside.trailing_zeros() as usize;
                 inside &= inside - 1;
-                if edge >> lane & 1 != 0 && !on_an_edge(leaf, &prepared, lane, &mut hits) {
+                if edge >> lane & 1 != 0 && !on_an_edge(leaf, &prepared, lane) {
                     continue;
                 }
-                let t = hits.distance[lane];
+                let t = leaf.distance_mm(lane, ray);
                 let triangle = leaf.triangle[lane];
                 // Equal distances go to the smaller index, whatever the tree's order.
                 if t > 0.0
@@ -305,7 +333,7 @@ fn closest_with<I: Instructions>(bvh: &Bvh, ray: &Ray) -> Option<Hit> {
                     best = Some(Hit {
                         distance_mm: t,
                         triangle,
-                        barycentric: [hits.second[lane], hits.third[lane]],
+                        barycentric: leaf.barycentric(lane, ray),
                     });
                 }
             }
@@ -327,7 +355,6 @@ fn any_with<I: Instructions>(bvh: &Bvh, ray: &Ray) -> bool {
     let mut stack = [const { MaybeUninit::<u32>::uninit() }; STACK + WIDTH];
     let mut height = 0;
     let mut entries = [0.0; WIDTH];
-    let mut hits = LeafHits::NONE;
     let mut reference = 0u32;
     loop {
         if reference & LEAF_BIT == 0 {
@@ -339,14 +366,15 @@ fn any_with<I: Instructions>(bvh: &Bvh, ray: &Ray) -> bool {
             height += met.count_ones() as usize;
         } else {
             let leaf = &bvh.leaves[(reference & !LEAF_BIT) as usize];
-            let (mut inside, edge) = I::triangles(leaf, &prepared, &mut hits);
+            let (mut inside, edge) = I::triangles(leaf, &prepared);
             while inside != 0 {
                 let lane = inside.trailing_zeros() as usize;
                 inside &= inside - 1;
-                if (edge >> lane & 1 == 0 || on_an_edge(leaf, &prepared, lane, &mut hits))
-                    && hits.distance[lane] > 0.0
-                    && hits.distance[lane] < ray.limit_mm
-                {
+                if edge >> lane & 1 != 0 && !on_an_edge(leaf, &prepared, lane) {
+                    continue;
+                }
+                let t = leaf.distance_mm(lane, ray);
+                if t > 0.0 && t < ray.limit_mm {
                     return true;
                 }
             }

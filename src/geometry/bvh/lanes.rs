@@ -16,7 +16,7 @@ pub(super) struct Prepared {
     far: [usize; 3],
     /// Axes permuted so that the direction's largest component comes last.
     axes: [usize; 3],
-    shear: [f32; 3],
+    shear: [f32; 2],
 }
 
 /// Relative rounding of a distance to a plane and of its comparison (Ize 2013).
@@ -51,7 +51,7 @@ impl Prepared {
             near: [0; 3],
             far: [0; 3],
             axes: [x, y, z],
-            shear: [0.0; 3],
+            shear: [0.0; 2],
         };
         for axis in 0..3 {
             let component = d[axis].abs().max(LEAST_COMPONENT).copysign(d[axis]);
@@ -68,7 +68,7 @@ impl Prepared {
             prepared.far[axis] = if backwards { axis } else { axis + 3 };
         }
         let along = prepared.inverse[z][0];
-        prepared.shear = [d[x] * along, d[y] * along, along];
+        prepared.shear = [d[x] * along, d[y] * along];
         prepared
     }
 }
@@ -80,8 +80,8 @@ pub(super) trait Instructions {
     fn boxes(node: &Node, ray: &Prepared, limit: f32, entries: &mut [f32; WIDTH]) -> u32;
     /// Writes the met children to the front of `out`; what follows them is arbitrary.
     fn children(node: &Node, met: u32, out: &mut [MaybeUninit<u32>; WIDTH]);
-    /// Woop's test in f32: fills `hits` and returns (lanes inside, lanes on an edge).
-    fn triangles(leaf: &Leaf, ray: &Prepared, hits: &mut LeafHits) -> (u32, u32);
+    /// Woop's test in f32: (lanes inside, lanes on an edge).
+    fn triangles(leaf: &Leaf, ray: &Prepared) -> (u32, u32);
 }
 
 /// For each set of lanes their numbers in order, a byte each.
@@ -101,21 +101,6 @@ static LANES_OF: [u64; 256] = {
     }
     table
 };
-
-/// Distances and barycentric weights of a leaf's triangles, where they are met.
-pub(super) struct LeafHits {
-    pub(super) distance: [f32; LEAF],
-    pub(super) second: [f32; LEAF],
-    pub(super) third: [f32; LEAF],
-}
-
-impl LeafHits {
-    pub(super) const NONE: Self = Self {
-        distance: [0.0; LEAF],
-        second: [0.0; LEAF],
-        third: [0.0; LEAF],
-    };
-}
 
 pub(super) struct Portable;
 
@@ -146,10 +131,10 @@ impl Instructions for Portable {
     }
 
     #[inline(always)]
-    fn triangles(leaf: &Leaf, ray: &Prepared, hits: &mut LeafHits) -> (u32, u32) {
+    fn triangles(leaf: &Leaf, ray: &Prepared) -> (u32, u32) {
         let (mut inside, mut edge) = (0, 0);
         for lane in 0..LEAF {
-            let [[ax, ay, az], [bx, by, bz], [cx, cy, cz]] = sheared(leaf, ray, lane);
+            let [[ax, ay], [bx, by], [cx, cy]] = sheared(leaf, ray, lane);
             // Rounding is monotonous: a difference of two rounded products has the
             // exact difference's sign, or is zero.
             let u = cx * by - cy * bx;
@@ -158,50 +143,38 @@ impl Instructions for Portable {
             let (low, high) = (u.min(v).min(w), u.max(v).max(w));
             inside |= u32::from(low >= 0.0 || high <= 0.0) << lane;
             edge |= u32::from(u == 0.0 || v == 0.0 || w == 0.0) << lane;
-            let over = 1.0 / (u + v + w);
-            hits.distance[lane] = (u * az + v * bz + w * cz) * over;
-            hits.second[lane] = v * over;
-            hits.third[lane] = w * over;
         }
         (inside, edge)
     }
 }
 
-/// A triangle's corners seen along the ray: two coordinates across, the distance along.
+/// A triangle's corners seen along the ray: coordinates across it.
 #[inline(always)]
-fn sheared(leaf: &Leaf, ray: &Prepared, lane: usize) -> [[f32; 3]; 3] {
+fn sheared(leaf: &Leaf, ray: &Prepared, lane: usize) -> [[f32; 2]; 3] {
     let [x, y, z] = ray.axes;
-    let mut out = [[0.0; 3]; 3];
+    let mut out = [[0.0; 2]; 3];
     for (corner, out) in leaf.corner.iter().zip(&mut out) {
         let along = corner[z][lane] - ray.origin[z];
         *out = [
             (corner[x][lane] - ray.origin[x]) - ray.shear[0] * along,
             (corner[y][lane] - ray.origin[y]) - ray.shear[1] * along,
-            ray.shear[2] * along,
         ];
     }
     out
 }
 
-/// The same test where f32 sees a ray on an edge: products of f32 are exact in f64,
-/// hence so are the signs, and antisymmetric across a shared edge. Updates the lane of
-/// `hits` and says whether the triangle is met.
+/// Whether a triangle is met where f32 sees the ray on an edge: products of f32 are exact in
+/// f64, hence so are the signs, and antisymmetric across a shared edge.
 #[cold]
 #[inline(never)]
-pub(super) fn on_an_edge(leaf: &Leaf, ray: &Prepared, lane: usize, hits: &mut LeafHits) -> bool {
+pub(super) fn on_an_edge(leaf: &Leaf, ray: &Prepared, lane: usize) -> bool {
     let corners = sheared(leaf, ray, lane).map(|p| p.map(f64::from));
-    let [[ax, ay, az], [bx, by, bz], [cx, cy, cz]] = corners;
+    let [[ax, ay], [bx, by], [cx, cy]] = corners;
     let u = cx * by - cy * bx;
     let v = ax * cy - ay * cx;
     let w = bx * ay - by * ax;
     let determinant = u + v + w;
-    if determinant == 0.0 || u.min(v).min(w) < 0.0 && u.max(v).max(w) > 0.0 {
-        return false;
-    }
-    hits.distance[lane] = ((u * az + v * bz + w * cz) / determinant) as f32;
-    hits.second[lane] = (v / determinant) as f32;
-    hits.third[lane] = (w / determinant) as f32;
-    true
+    determinant != 0.0 && (u.min(v).min(w) >= 0.0 || u.max(v).max(w) <= 0.0)
 }
 
 #[cfg(target_arch = "x86_64")]
@@ -251,7 +224,7 @@ impl Instructions for Avx2 {
     }
 
     #[inline(always)]
-    fn triangles(leaf: &Leaf, ray: &Prepared, hits: &mut LeafHits) -> (u32, u32) {
+    fn triangles(leaf: &Leaf, ray: &Prepared) -> (u32, u32) {
         use std::arch::x86_64::*;
         // SAFETY: as above; axes are below 3, and a corner has three rows of four f32.
         // Multiplications and additions are not fused, so that the portable form gives the same numbers.
@@ -261,15 +234,14 @@ impl Instructions for Avx2 {
             let shear = ray.shear.map(|s| _mm_set1_ps(s));
             let zero = _mm_setzero_ps();
             let mut across = [[zero; 2]; 3];
-            let mut along = [zero; 3];
             let mut k = 0;
             while k < 3 {
                 let rows = leaf.corner[k].as_ptr().cast::<f32>();
-                along[k] = _mm_sub_ps(_mm_load_ps(rows.add(LEAF * z)), origin[2]);
+                let along = _mm_sub_ps(_mm_load_ps(rows.add(LEAF * z)), origin[2]);
                 let px = _mm_sub_ps(_mm_load_ps(rows.add(LEAF * x)), origin[0]);
                 let py = _mm_sub_ps(_mm_load_ps(rows.add(LEAF * y)), origin[1]);
-                across[k][0] = _mm_sub_ps(px, _mm_mul_ps(shear[0], along[k]));
-                across[k][1] = _mm_sub_ps(py, _mm_mul_ps(shear[1], along[k]));
+                across[k][0] = _mm_sub_ps(px, _mm_mul_ps(shear[0], along));
+                across[k][1] = _mm_sub_ps(py, _mm_mul_ps(shear[1], along));
                 k += 1;
             }
             let [[ax, ay], [bx, by], [cx, cy]] = across;
@@ -287,17 +259,6 @@ impl Instructions for Avx2 {
                 _mm_or_ps(_mm_cmpeq_ps(u, zero), _mm_cmpeq_ps(v, zero)),
                 _mm_cmpeq_ps(w, zero),
             );
-            let over = _mm_div_ps(_mm_set1_ps(1.0), _mm_add_ps(_mm_add_ps(u, v), w));
-            let sum = _mm_add_ps(
-                _mm_add_ps(
-                    _mm_mul_ps(u, _mm_mul_ps(shear[2], along[0])),
-                    _mm_mul_ps(v, _mm_mul_ps(shear[2], along[1])),
-                ),
-                _mm_mul_ps(w, _mm_mul_ps(shear[2], along[2])),
-            );
-            _mm_storeu_ps(hits.distance.as_mut_ptr(), _mm_mul_ps(sum, over));
-            _mm_storeu_ps(hits.second.as_mut_ptr(), _mm_mul_ps(v, over));
-            _mm_storeu_ps(hits.third.as_mut_ptr(), _mm_mul_ps(w, over));
             (inside, _mm_movemask_ps(edge) as u32)
         }
     }
