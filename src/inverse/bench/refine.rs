@@ -11,15 +11,15 @@ use super::spectrum::Spectrum;
 use super::system::{BenchLinearisation, Model, Normal};
 use crate::brdf::dictionary::Dictionary;
 use crate::brdf::mixture::Mixture;
-use crate::inverse::fit::{Fit, FitError, FitOptions, fit_on_bench};
+use crate::inverse::fit::{Fit, FitError, FitOptions, Optimizer, fit_on_bench};
 use crate::inverse::gauss_newton::GaussNewton;
 use crate::inverse::objective::{Linearised, Modelled, Objective, ResidualWeights};
 use crate::inverse::refine::DEFENSIVE;
-use crate::inverse::ridge::Ridge;
+use crate::inverse::solve::{Paths, Solution, solve};
 use crate::inverse::uncertainty::LEAST_SPREAD;
 use crate::radiance_image::RadianceImage;
 use crate::random::{Purpose, stream};
-use crate::transport::{Cache, DirectMatrix, Proposal, Scene};
+use crate::transport::{Proposal, Scene};
 
 /// How a bench is refined.
 #[derive(Clone, Debug, PartialEq)]
@@ -141,7 +141,7 @@ pub fn refine_bench(
         dictionary,
         options,
         refine,
-        mixture: None,
+        before: None,
         followed: None,
     };
     let mut values = DVector::zeros(bench.parameters().len());
@@ -261,8 +261,8 @@ struct Rounds<'a> {
     dictionary: &'a Arc<Dictionary>,
     options: &'a FitOptions,
     refine: &'a RefineOptions,
-    /// Weights of the round before.
-    mixture: Option<Vec<DVector<f64>>>,
+    /// Solution of the round before, whose weights the next one starts with.
+    before: Option<Solution>,
     /// The material whose directions the paths take, and how well it explained the images: the
     /// round before's until all paths are traced, unless it explained them worse; then the same,
     /// so that benches are compared with like paths.
@@ -344,36 +344,33 @@ impl Rounds<'_> {
         let (options, refine) = (self.options, self.refine);
         let scene = self.bench.scene(values);
         let captured = self.bench.without_stray_light(self.captured, values);
-        let mut paths = options.cache.clone();
+        let mut options = FitOptions {
+            optimizer: Optimizer::GaussNewton(GaussNewton::default()),
+            direct_strata: options.direct_strata.min(refine.direct_strata),
+            ..options.clone()
+        };
         if let Some((material, _)) = &self.followed {
-            paths.proposal = Proposal::resembling(material, DEFENSIVE);
+            options.cache.proposal = Proposal::resembling(material, DEFENSIVE);
         }
         let early = ALL_PATHS.saturating_sub(round);
-        paths.samples_per_pixel =
-            (paths.samples_per_pixel.saturating_mul(refine.times_paths) >> early).max(8);
-        let strata = options.direct_strata.min(refine.direct_strata);
-        let direct = DirectMatrix::new(&scene, self.dictionary, strata, paths.seed);
-        let cache = Cache::trace(&scene, self.dictionary, &paths)?;
-        let objective = Objective::new(
-            &cache,
-            &direct,
-            &captured,
-            None,
-            options.channels,
-            options.kernel,
-            options.model_error,
-        );
+        let all_paths = options
+            .cache
+            .samples_per_pixel
+            .saturating_mul(refine.times_paths);
+        options.cache.samples_per_pixel = (all_paths >> early).max(8);
+        let quiet = &mut |_: &str| {};
+        let paths = Paths::trace(&scene, self.dictionary, None, &options, quiet)?;
+        let objective = paths.objective(&captured, &options);
         let pixels = scene.camera.pixels();
         let mut count = 0usize;
         for image in 0..captured.len() {
-            if !objective.compares_any(image) {
-                return Err(FitError::NothingToCompare { image });
-            }
             let compared = (0..pixels).filter(|&pixel| objective.is_compared(image, pixel));
             count += 3 * compared.count();
         }
         let wanted = objective.compared_pixels();
-        let (mixture, residual_weights, pass) = self.weights(&objective)?;
+        let before = self.before.as_ref();
+        let solved = solve(&paths, &objective, before, &options, quiet)?;
+        let (mixture, residual_weights) = (solved.mixture, solved.residual_weights);
         let per_channel =
             std::array::from_fn(|c| mixture[c.min(mixture.len() - 1)].iter().copied().collect());
         // The simplex programme keeps the sum to rounding.
@@ -382,7 +379,7 @@ impl Rounds<'_> {
         let derivatives = self.derivatives(values, &material, &wanted, 0, round);
         let model = Model {
             objective: &objective,
-            cache: &cache,
+            cache: &paths.cache,
         };
         let normal = Normal::new(
             &model,
@@ -391,11 +388,11 @@ impl Rounds<'_> {
             &residual_weights,
             &mixture,
         );
-        let reduced = normal.reduced(&pass.information, &mixture);
+        let reduced = normal.reduced(&solved.pass.information, &mixture);
         let spectrum = Spectrum::new(self.bench, &reduced.information);
-        self.mixture = Some(mixture);
-        let image = Compared::new(&objective, &pass, residual_weights);
-        let chi2 = image.sum(&objective.weights(Some(&pass.model))) / count as f64;
+        self.before = Some(solved.solution);
+        let image = Compared::new(&objective, &solved.pass, residual_weights);
+        let chi2 = image.sum(&objective.weights(Some(&solved.pass.model))) / count as f64;
         // Where lamps are believed too dark all weights end up white: nothing to follow.
         let worst = self
             .followed
@@ -439,32 +436,6 @@ impl Rounds<'_> {
             average_px: (self.bench.resolution_px()[0] + 12) / 24,
         };
         DerivativeImages::trace(self.bench, values, material, wanted, &options)
-    }
-
-    /// The weights on the bench as it is believed now, from those of the round before.
-    #[expect(clippy::type_complexity, reason = "three results of one optimisation")]
-    fn weights(
-        &self,
-        objective: &Objective<'_>,
-    ) -> Result<(Vec<DVector<f64>>, Vec<Vec<[f64; 3]>>, Linearised), FitError> {
-        let mut residual_weights = objective.weights(None);
-        let mut mixture = match &self.mixture {
-            Some(mixture) => mixture.clone(),
-            None => objective
-                .single_bounce(&residual_weights)
-                .iter()
-                .map(|quadratic| Ok(quadratic.minimise()?.x))
-                .collect::<Result<_, FitError>>()?,
-        };
-        let method = GaussNewton::default();
-        let ridge = Ridge::first(objective);
-        let (pass, _) =
-            method.minimise(objective, &residual_weights, &ridge, &mut mixture, &mut ())?;
-        let ridge = Ridge::after(&pass);
-        residual_weights = objective.weights_after(&pass);
-        let (pass, _) =
-            method.minimise(objective, &residual_weights, &ridge, &mut mixture, &mut ())?;
-        Ok((mixture, residual_weights, pass))
     }
 }
 
