@@ -15,4 +15,5 @@ skip() {
 "$venv/bin/pip" install --quiet -r "$here/requirements.txt" || skip "Mitsuba 3 could not be installed"
 "$venv/bin/python" -c 'import mitsuba' || skip "Mitsuba 3 cannot be imported"
 "$venv/bin/python" "$here/mitsuba_export.py" "$1"
+"$venv/bin/python" "$here/mitsuba_render.py" "$1"
 "$venv/bin/python" "$here/mitsuba_images.py" "$1"
