@@ -7,7 +7,6 @@ Usage: mitsuba_images.py RIG_BINARY
 import json
 import math
 import struct
-import subprocess
 import sys
 import tempfile
 from pathlib import Path
@@ -15,7 +14,8 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 
-RIG = sys.argv[1]
+from mitsuba_bench import camera, rig, scene
+
 RESOLUTION = 64
 SAMPLES, BATCHES = 512, 8
 LIGHTS = [(0, 0), (41.4, 137.5), (29.0, 275.0), (51.3, 52.5)]
@@ -42,32 +42,18 @@ MATERIALS = {
 ALLOWED = {"rough plastic": 0.06, "rough copper": 0.06, "principled": 0.075, "dark glossy plastic": 0.14}
 
 
-def rig(*arguments):
-    done = subprocess.run([RIG, *map(str, arguments)], capture_output=True, text=True)
-    if done.returncode != 0:
-        sys.exit(f"rig {' '.join(map(str, arguments))} failed:\n{done.stderr}")
-    return done.stdout
-
-
 def to_light(polar_deg, azimuth_deg):
     polar, azimuth = math.radians(polar_deg), math.radians(azimuth_deg)
     return [math.sin(polar) * math.cos(azimuth), math.sin(polar) * math.sin(azimuth), math.cos(polar)]
 
 
-def describe(scene):
+def describe(path):
     """The bench as rig is told of it; its bowl has fewer facets than Mitsuba's."""
     lights = "".join(
         f'[[light]]\nkind = "directional"\nto_light = {to_light(*light)}\nirradiance = 1.0\n' for light in LIGHTS
     )
-    scene.write_text(
-        f"""[camera]
-model = "orthographic"
-resolution_px = [{RESOLUTION}, {RESOLUTION}]
-extent_mm = [2.2, 2.2]
-position_mm = [0.0, 0.0, 5.0]
-look_at_mm = [0.0, 0.0, 0.0]
-up = [0.0, 1.0, 0.0]
-
+    path.write_text(
+        f"""{camera(RESOLUTION)}
 [sample]
 shape = {{ kind = "bowl", radius_mm = 1.0, segments = 192 }}
 shading = "smooth"
@@ -78,27 +64,10 @@ shading = "smooth"
 
 def render(material, mesh, light, seed):
     """Mean and variance of a Mitsuba image, from batches with seeds of their own."""
-    look = mi.ScalarTransform4f().look_at(origin=[0, 0, 5], target=[0, 0, 0], up=[0, 1, 0])
-    scene = mi.load_dict({
-        "type": "scene",
-        "integrator": {"type": "path", "max_depth": 17, "rr_depth": 1000},
-        "sensor": {
-            "type": "orthographic",
-            "to_world": look @ mi.ScalarTransform4f().scale([1.1, 1.1, 1]),
-            "film": {
-                "type": "hdrfilm", "width": RESOLUTION, "height": RESOLUTION,
-                "rfilter": {"type": "box"}, "pixel_format": "rgb", "component_format": "float32",
-            },
-            "sampler": {"type": "independent"},
-        },
-        "light": {
-            "type": "directional", "direction": [-x for x in to_light(*light)],
-            "irradiance": {"type": "rgb", "value": 1.0},
-        },
-        "sample": {"type": "ply", "filename": str(mesh), "bsdf": material},
-    })  # fmt: skip
+    sample = {"type": "ply", "filename": str(mesh), "bsdf": material}
+    bench = scene(RESOLUTION, to_light(*light), 16, sample)
     images = np.array([
-        np.array(mi.render(scene, spp=SAMPLES // BATCHES, seed=BATCHES * seed + batch))[..., :3]
+        np.array(mi.render(bench, spp=SAMPLES // BATCHES, seed=BATCHES * seed + batch))[..., :3]
         for batch in range(BATCHES)
     ])
     return images.mean(axis=0), images.var(axis=0, ddof=1) / BATCHES
@@ -150,9 +119,9 @@ def main():
     failed = False
     with tempfile.TemporaryDirectory() as home:
         folder = Path(home)
-        mesh, scene = folder / "bowl.ply", folder / "scene.toml"
+        mesh, description = folder / "bowl.ply", folder / "scene.toml"
         rig("shape", "bowl", "--radius", 1, "--segments", 320, "--out", mesh)
-        describe(scene)
+        describe(description)
         for number, (name, material) in enumerate(MATERIALS.items()):
             images = []
             for k, light in enumerate(LIGHTS):
@@ -161,7 +130,7 @@ def main():
             truth, fit = folder / f"{number}.binary", folder / f"fit-{number}"
             write_merl(truth, mi.load_dict(material))
             arguments = [a for image in images for a in ("--image", image)]
-            rig("fit", "--scene", scene, *arguments, "--out", fit)
+            rig("fit", "--scene", description, *arguments, "--out", fit)
             estimate = folder / f"estimate-{number}.binary"
             rig("export", fit, "--format", "merl", "--out", estimate)
             error = environment_error(estimate, truth)

@@ -4,7 +4,6 @@ images of the same mesh. See README.md here.
 Usage: mitsuba_render.py RIG_BINARY
 """
 
-import subprocess
 import sys
 import tempfile
 from pathlib import Path
@@ -12,7 +11,8 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 
-RIG = sys.argv[1]
+from mitsuba_bench import camera, rig, scene
+
 RESOLUTION, SAMPLES = 48, 256
 ALBEDO = 0.8
 # Coaxial; across the strips; and mostly along them, close to the diagonal of two axes.
@@ -21,23 +21,10 @@ LIGHTS = {"coaxial": [0, 0, 1], "across": [0.55, 0.05, 0.8], "along": [0.4747, 0
 ALLOWED = 0.004
 
 
-def rig(*arguments):
-    done = subprocess.run([RIG, *map(str, arguments)], capture_output=True, text=True)
-    if done.returncode != 0:
-        sys.exit(f"rig {' '.join(map(str, arguments))} failed:\n{done.stderr}")
-
-
 def rig_image(folder, mesh, to_light, reflections):
-    scene, out = folder / "scene.toml", folder / "image.exr"
-    scene.write_text(
-        f"""[camera]
-model = "orthographic"
-resolution_px = [{RESOLUTION}, {RESOLUTION}]
-extent_mm = [2.2, 2.2]
-position_mm = [0.0, 0.0, 5.0]
-look_at_mm = [0.0, 0.0, 0.0]
-up = [0.0, 1.0, 0.0]
-
+    description, out = folder / "scene.toml", folder / "image.exr"
+    description.write_text(
+        f"""{camera(RESOLUTION)}
 [sample]
 mesh = "{mesh.name}"
 shading = "flat"
@@ -51,36 +38,19 @@ irradiance = 1.0
 mixture = [{{ lambertian = {{ albedo = {ALBEDO} }}, weight = 1.0 }}]
 """
     )
-    rig("render", "--scene", scene, "--out", out, "--spp", SAMPLES, "--max-reflections", reflections)
+    rig("render", "--scene", description, "--out", out, "--spp", SAMPLES, "--max-reflections", reflections)
     bitmap = mi.Bitmap(str(out))
     channel = [field.name for field in bitmap.struct_()].index("G")
     return np.array(bitmap)[..., channel]
 
 
 def mitsuba_image(mesh, to_light, reflections):
-    look = mi.ScalarTransform4f().look_at(origin=[0, 0, 5], target=[0, 0, 0], up=[0, 1, 0])
-    scene = mi.load_dict({
-        "type": "scene",
-        "integrator": {"type": "path", "max_depth": reflections + 1, "rr_depth": 1000},
-        "sensor": {
-            "type": "orthographic",
-            "to_world": look @ mi.ScalarTransform4f().scale([1.1, 1.1, 1]),
-            "film": {
-                "type": "hdrfilm", "width": RESOLUTION, "height": RESOLUTION,
-                "rfilter": {"type": "box"}, "pixel_format": "rgb", "component_format": "float32",
-            },
-            "sampler": {"type": "independent"},
-        },
-        "light": {
-            "type": "directional", "direction": [-x for x in to_light],
-            "irradiance": {"type": "rgb", "value": 1.0},
-        },
-        "sample": {
-            "type": "ply", "filename": str(mesh), "face_normals": True,
-            "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": ALBEDO}},
-        },
-    })  # fmt: skip
-    return np.array(mi.render(scene, spp=SAMPLES, seed=1))[..., 1]
+    sample = {
+        "type": "ply", "filename": str(mesh), "face_normals": True,
+        "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": ALBEDO}},
+    }  # fmt: skip
+    bench = scene(RESOLUTION, to_light, reflections, sample)
+    return np.array(mi.render(bench, spp=SAMPLES, seed=1))[..., 1]
 
 
 def main():

@@ -48,6 +48,19 @@ fn no_ray_escapes_a_closed_sphere() {
     }
 }
 
+/// A triangle, an origin of rays that leave it, and its normal.
+fn off_the_surface(mesh: &Mesh, numbers: &mut Stream) -> (usize, Vec3, Vec3) {
+    let triangle = (numbers.bits() % mesh.triangles.len() as u64) as usize;
+    let [a, b, c] = mesh.corners(triangle);
+    let (mut u, mut v) = (numbers.uniform_f32(), numbers.uniform_f32());
+    if u + v > 1.0 {
+        (u, v) = (1.0 - u, 1.0 - v);
+    }
+    let outward = mesh.face_normal(triangle);
+    let origin_mm = offset_origin(a + (b - a) * u + (c - a) * v, outward);
+    (triangle, origin_mm, outward)
+}
+
 /// Rays that leave the surface never meet it at once: on a sphere the nearest other
 /// point along a direction with cosine c to the normal is 2 c R away.
 #[test]
@@ -56,19 +69,13 @@ fn no_ray_hits_the_surface_it_leaves() {
     let bvh = Bvh::new(&mesh);
     let mut numbers = stream(12, Purpose::Experiment, 0, 0, 0);
     for _ in 0..200_000 {
-        let triangle = (numbers.bits() % mesh.triangles.len() as u64) as usize;
-        let [a, b, c] = mesh.corners(triangle);
-        let (mut u, mut v) = (numbers.uniform_f32(), numbers.uniform_f32());
-        if u + v > 1.0 {
-            (u, v) = (1.0 - u, 1.0 - v);
-        }
-        let outward = mesh.face_normal(triangle);
+        let (triangle, origin_mm, outward) = off_the_surface(&mesh, &mut numbers);
         let mut away = direction(&mut numbers);
         if away.dot(outward) < 0.0 {
             away = -away;
         }
         let ray = Ray {
-            origin_mm: offset_origin(a + (b - a) * u + (c - a) * v, outward),
+            origin_mm,
             direction: away,
             limit_mm: f32::INFINITY,
         };
@@ -100,13 +107,7 @@ fn no_ray_hits_the_strip_it_leaves() {
         let mut numbers = stream(12, Purpose::Experiment, 1, 0, 0);
         let (mut free, mut wrong) = (0, 0);
         for sample in 0..4000 {
-            let triangle = (numbers.bits() % mesh.triangles.len() as u64) as usize;
-            let [a, b, c] = mesh.corners(triangle);
-            let (mut u, mut v) = (numbers.uniform_f32(), numbers.uniform_f32());
-            if u + v > 1.0 {
-                (u, v) = (1.0 - u, 1.0 - v);
-            }
-            let outward = mesh.face_normal(triangle);
+            let (_, origin_mm, outward) = off_the_surface(&mesh, &mut numbers);
             let mut away = if sample % 2 == 0 {
                 along
             } else {
@@ -116,7 +117,7 @@ fn no_ray_hits_the_strip_it_leaves() {
                 away = -away;
             }
             let ray = Ray {
-                origin_mm: offset_origin(a + (b - a) * u + (c - a) * v, outward),
+                origin_mm,
                 direction: away,
                 limit_mm: f32::INFINITY,
             };
