@@ -55,6 +55,7 @@ fn write_fit(folder: &Path) {
         score: None,
         table: AngleTable::default(),
         warnings: Vec::new(),
+        remarks: Vec::new(),
         bench: None,
         budget: None,
     };

@@ -148,6 +148,7 @@ fn the_record_says_how_the_fit_was_made() {
     assert_eq!(settings.scene.as_deref(), Some("s.toml"));
     assert_eq!(settings.images, ["i_L000.exr", "i_L001.exr"]);
     assert!(plain.bench.is_none());
+    assert_eq!(plain.remarks, [""; 0]);
 
     let options = "--mask m.png --shared-weights --model-error 0.05 --fixed-paths --memory 64 --refine-atoms 1";
     let other = fitted(home.path(), options);
@@ -171,6 +172,33 @@ fn the_record_says_how_the_fit_was_made() {
         pixels.map(|p| residual.mean[p][0].abs()).sum::<f32>()
     });
     assert!(sums[0] == 0.0 && sums[1] > 0.0, "{sums:?}");
+}
+
+/// What was said at the terminal is in the record too, and speaks neither for nor against it.
+#[test]
+fn remarks_stay_with_the_fit() {
+    let home = photographed();
+    let flat = SCENE.replace("\"smooth\"", "\"flat\"");
+    std::fs::write(home.path().join("flat.toml"), flat).unwrap();
+    let images = "--image i_L000.exr i_L001.exr";
+    let done = rig(
+        home.path(),
+        &format!("fit --scene flat.toml {images} --spp 4096 --memory 16 --out flat --json"),
+    );
+    let stderr = String::from_utf8_lossy(&done.stderr);
+    assert!(done.status.success(), "{stderr}");
+    let record = fit_record::read(&home.path().join("flat")).unwrap();
+    let [coarse, fewer] = &record.remarks[..] else {
+        panic!("{:?}", record.remarks);
+    };
+    assert!(coarse.contains("facets turn by 7.52°"), "{coarse}");
+    assert!(fewer.contains("of 4096 paths per pixel"), "{fewer}");
+    assert!(
+        stderr.contains(coarse) && stderr.contains(fewer),
+        "{stderr}"
+    );
+    let told: serde_json::Value = serde_json::from_slice(&done.stdout).unwrap();
+    assert_eq!(told["remarks"], serde_json::json!(record.remarks));
 }
 
 #[test]

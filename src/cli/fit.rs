@@ -68,6 +68,7 @@ pub fn run(args: &FitCommandArgs, context: &Context) -> Result<(), CliError> {
             "score": record.score,
             "timings": record.timings,
             "warnings": record.warnings,
+            "remarks": record.remarks,
             "bench": record.bench,
         }));
     }
@@ -83,17 +84,19 @@ fn fit_scene(
     let file = SceneFile::load(path)?;
     let plan = FitPlan::new(&args.fit, None, &file.uncertainty, file.sample.form_error)?;
     let scene = file.scene()?;
-    let mut captured = Vec::new();
+    let (mut captured, mut remarks) = (Vec::new(), Vec::new());
     for path in &args.image {
         let file = exr::read(path)
             .map_err(CliError::from)
             .hint("give one EXR image for each [[light]] of the scene, in its order")?;
         let mut image = file.image;
         if !file.has_variance {
-            context.note(format!(
+            let remark = format!(
                 "{}: no variance is stated; a relative noise of {UNSTATED_NOISE} is assumed",
                 path.display()
-            ));
+            );
+            context.note(&remark);
+            remarks.push(remark);
             for (variance, mean) in image.variance.iter_mut().zip(&image.mean) {
                 *variance = mean.map(|m| (UNSTATED_NOISE * m).powi(2));
             }
@@ -101,6 +104,7 @@ fn fit_scene(
         captured.push(image);
     }
     let (mut record, images) = plan.run(&scene, &captured, false, None, context)?;
+    record.remarks.extend(remarks);
     record.settings.scene = Some(path.display().to_string());
     record.settings.images = args.image.iter().map(|i| i.display().to_string()).collect();
     fit_record::write(out, &record, &images)?;

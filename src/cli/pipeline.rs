@@ -236,7 +236,14 @@ impl FitPlan {
             }
             None => captured,
         };
-        facets::warn_if_coarse(scene, self.dictionary.atoms(), context);
+        let mut remarks = Vec::new();
+        let mut remark = |text: String| {
+            context.warn(&text);
+            remarks.push(text);
+        };
+        if let Some(coarse) = facets::coarse(scene, self.dictionary.atoms()) {
+            remark(coarse);
+        }
         let bar = context.spinner();
         let mut stage = |stage: &str| bar.set_message(stage.to_owned());
         let (dictionary, options) = (&self.dictionary, &self.options);
@@ -252,7 +259,7 @@ impl FitPlan {
             }
         };
         if fit.samples[0] < fit.samples[1] {
-            context.warn(format!(
+            remark(format!(
                 "{} of {} paths per pixel were traced: more do not fit into the memory given",
                 fit.samples[0], fit.samples[1]
             ));
@@ -268,6 +275,7 @@ impl FitPlan {
         let remainder = truncation_remainder(scene, &fit.material, &paths, TRUNCATION_SAMPLES);
         record.truncation_remainder = remainder.iter().map(|r| r.share).collect();
         record.warnings = warnings(&fit, &record);
+        record.remarks = remarks;
         record.bench = bench.as_ref().map(bench_record);
         bar.finish_and_clear();
         if fit.departure > 0.0 {
@@ -387,6 +395,7 @@ impl FitPlan {
                 cells,
             },
             warnings: Vec::new(),
+            remarks: Vec::new(),
             bench: None,
             budget: budget_record(fit),
         })
@@ -487,6 +496,8 @@ fn apply_mask(path: &Path, images: &mut [RadianceImage]) -> Result<(), CliError>
     Ok(())
 }
 
+const SCALE_AS_DESCRIBED: &str = "no record of the irradiance: the BRDF's scale, its albedo, is as good as irradiance_w_m2 in the rig file";
+
 /// Fits a session's merged images into its next `fits/<n>` and returns that folder;
 /// `pose` is a record of where the sample lies.
 pub fn fit_session(
@@ -503,12 +514,12 @@ pub fn fit_session(
     } = session_images(root)?;
     let record = session.record();
     let records = BenchRecords::load(root)?;
-    if !config.is_simulated() && !records.has_irradiance() {
-        context.note(
-            "no record of the irradiance: the BRDF's scale, its albedo, is as good as \
-             irradiance_w_m2 in the rig file; `rig calibrate white` measures it, and where it is \
-             unknown --refine-bench --uncertainty common_intensity=1 says so",
-        );
+    let is_scale_described = !config.is_simulated() && !records.has_irradiance();
+    if is_scale_described {
+        context.note(format_args!(
+            "{SCALE_AS_DESCRIBED}; `rig calibrate white` measures it, and where it is unknown \
+             --refine-bench --uncertainty common_intensity=1 says so"
+        ));
     }
     let mut bench = records.apply(&config, &mut places, context);
     let mut scene = bench.scene(&places, context)?;
@@ -535,6 +546,9 @@ pub fn fit_session(
         .unwrap_or("simulated material");
     let truth = truth.as_ref().map(|brdf| (name, &**brdf));
     let (mut fit, images) = plan.run(&scene, &captured, record.simulated, truth, context)?;
+    if is_scale_described {
+        fit.remarks.push(SCALE_AS_DESCRIBED.to_owned());
+    }
     fit.warnings
         .extend(session.journal().suspicion().map(|what| Warning {
             what,

@@ -64,7 +64,9 @@ pub fn run(args: &RenderArgs, context: &Context) -> Result<(), CliError> {
             .hint("a scene that is rendered needs a [brdf] table: mixture, dictionary with weights, or table"));
     };
     let scene = file.scene()?;
-    facets::warn_if_coarse(&scene, &brdf.atoms()?, context);
+    if let Some(remark) = facets::coarse(&scene, &brdf.atoms()?) {
+        context.warn(remark);
+    }
     let brdf = brdf.load()?;
     let folder = args
         .out

@@ -56,6 +56,7 @@ fn record(simulated: bool) -> FitRecord {
             cells: vec![cell; 6],
         },
         warnings: Vec::new(),
+        remarks: Vec::new(),
         bench: None,
         budget: None,
     }

@@ -174,6 +174,7 @@ fn record(estimate: &Mixture) -> FitRecord {
         }),
         table: table(estimate),
         warnings: Vec::new(),
+        remarks: Vec::new(),
         bench: None,
         budget: None,
     }
@@ -375,6 +376,17 @@ fn a_bad_fit_never_looks_like_a_good_one() {
         });
     let html = page(&doubtful);
     assert!(html.contains("only in part") && html.contains("Most likely: the pose is off."));
+}
+
+/// A remark is on the page and changes no verdict.
+#[test]
+fn a_remark_is_no_warning() {
+    let mut remarked = synthetic();
+    let record = &mut remarked.fit.as_mut().unwrap().record;
+    record.remarks.push("48 of 64 paths were traced".to_owned());
+    let html = page(&remarked);
+    assert!(html.contains("The fit explains the images"));
+    assert!(html.contains("<li>48 of 64 paths were traced.</li>"));
 }
 
 #[test]

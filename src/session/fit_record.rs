@@ -3,7 +3,7 @@
 //!
 //! | file | content |
 //! |---|---|
-//! | `fit.toml` | dictionary, settings, loss, χ², termination, timings, versions, scores, warnings, the bench as refined |
+//! | `fit.toml` | dictionary, settings, loss, χ², termination, timings, versions, scores, warnings, remarks, the bench as refined |
 //! | `weights.csv` | one row per atom: what it is, weight and standard deviation per channel |
 //! | `departure.csv` | by what f is more than the mixture's, over (θh, θd); only where the images ask for it |
 //! | `table.csv` | f over (θh, θd) with its 95% interval, and which cells the data constrain |
@@ -251,6 +251,8 @@ pub struct FitRecord {
     pub table: AngleTable,
     /// Reasons not to trust the fit; empty if none were found.
     pub warnings: Vec<Warning>,
+    /// What to know of how the fit was made that speaks neither for nor against it.
+    pub remarks: Vec<String>,
     /// The bench as refined; `None` where it was taken as exactly known.
     pub bench: Option<BenchRecord>,
     /// Where the interval comes from; `None` without draws.

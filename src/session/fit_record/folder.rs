@@ -24,6 +24,8 @@ struct FitToml {
     dictionary: String,
     loss: f64,
     termination: String,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    remarks: Vec<String>,
     reduced_chi_square: Vec<[f64; 3]>,
     #[serde(default)]
     truncation_remainder: Vec<f64>,
@@ -238,6 +240,7 @@ fn parse(
         score: toml.score,
         table,
         warnings: toml.warning,
+        remarks: toml.remarks,
         bench: toml.bench,
         budget: toml.budget,
     };
@@ -330,6 +333,7 @@ fn to_toml(record: &FitRecord) -> String {
         dictionary: record.dictionary.clone(),
         loss: record.loss,
         termination: record.termination.clone(),
+        remarks: record.remarks.clone(),
         reduced_chi_square: record.reduced_chi_square.clone(),
         truncation_remainder: record.truncation_remainder.clone(),
         doubted: record.doubted.clone(),

@@ -92,6 +92,7 @@ fn sample() -> FitRecord {
             what: "residuals follow the crease".to_owned(),
             likely_cause: "pose error".to_owned(),
         }],
+        remarks: vec!["48 of 64 paths per pixel were traced".to_owned()],
         bench: Some(BenchRecord {
             rounds: 3,
             settled: true,
