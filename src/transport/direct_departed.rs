@@ -5,6 +5,7 @@ use nalgebra::DVector;
 use rayon::prelude::*;
 
 use super::direct::for_each_seen;
+use super::points::Numbers;
 use super::scene::Scene;
 use crate::brdf::Brdf;
 use crate::brdf::departure::{Departed, NODES, around, modes};
@@ -103,9 +104,9 @@ fn look(scene: &Scene, material: &Departed, pixel: usize, seed: u64) -> Vec<Sum>
     let lights = scene.lights.len();
     let share = 1.0 / f64::from(STRATA * STRATA);
     let mut sums = vec![Sum::ZERO; lights * 3];
-    for_each_seen(scene, pixel, STRATA, seed, |surface, to_viewer, lamps| {
+    for_each_seen(scene, pixel, STRATA, seed, |surface, to_viewer, numbers| {
         for light in 0..lights {
-            let u = [lamps.uniform_f32(), lamps.uniform_f32()];
+            let u = numbers.on_lamp();
             let Some(lamp) = scene.connect(surface, light, u) else {
                 continue;
             };

@@ -360,9 +360,9 @@ impl<'a> Walk<'a> {
             pixel,
             strata,
             options.seed,
-            |surface, to_viewer, lamps| {
+            |surface, to_viewer, numbers| {
                 let brdf = view.scene.known(surface).unwrap_or(brdf);
-                let on_lamp = || [lamps.uniform_f32(), lamps.uniform_f32()];
+                let on_lamp = || numbers.on_lamp();
                 self.connect(brdf, surface, to_viewer, Vec3::ONE, on_lamp);
             },
         );

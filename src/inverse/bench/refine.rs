@@ -30,7 +30,8 @@ pub struct RefineOptions {
     /// into its memory. What tells the intensities' common scale from albedo is lost in the
     /// noise of fewer. The first round has a quarter, the second half of them.
     pub times_paths: u32,
-    /// Direct reflection of a round's fit: square root of the samples per pixel, 1..=64.
+    /// Direct reflection of a round: square root of the samples per pixel, 1..=64. Noise of
+    /// theirs that moves the highlights moves the bench.
     pub direct_strata: u32,
     /// Paths per pixel, both halves together, on each differing bench, of the derivatives that
     /// say how much the bench leaves open; at least 2. The rounds use those of direct
@@ -47,7 +48,7 @@ impl Default for RefineOptions {
         Self {
             rounds: 12,
             times_paths: 4,
-            direct_strata: 8,
+            direct_strata: 16,
             derivative_samples: 128,
             derivative_reflections: 6,
             settled: 0.3,
