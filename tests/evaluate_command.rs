@@ -82,6 +82,26 @@ fn a_table_its_figures_and_a_run_taken_up_again() {
     assert!(stderr.contains("4 cases were finished before"), "{stderr}");
     assert_eq!(read(&out.join("table.csv")), csv);
 
+    // A text that no case has in its name; then one case alone, and the others after it.
+    let (code, _, stderr) = rig(folder.path(), &format!("{SHAPES} --only torus"));
+    assert_eq!(code, Some(1));
+    assert!(
+        stderr.contains("none of the 5 cases has \"torus\""),
+        "{stderr}"
+    );
+    let parts = SHAPES.replace("--out out", "--out parts");
+    let (code, _, stderr) = rig(folder.path(), &format!("{parts} --only bowl"));
+    assert_eq!(code, Some(0), "{stderr}");
+    assert!(stderr.contains("4 other cases are open"), "{stderr}");
+    let parts_out = folder.path().join("parts");
+    assert_eq!(read(&parts_out.join("table.csv")).lines().count(), 2);
+    assert!(!parts_out.join("shapes.svg").exists());
+    let (code, _, stderr) = rig(folder.path(), &parts);
+    assert_eq!(code, Some(0), "{stderr}");
+    assert!(stderr.contains("1 case was finished before"), "{stderr}");
+    assert_eq!(read(&parts_out.join("table.csv")), csv);
+    assert!(parts_out.join("shapes.svg").exists());
+
     // Other settings are refused by name; --restart begins anew.
     let other = SHAPES.replace("--spp 16", "--spp 8");
     let (code, _, stderr) = rig(folder.path(), &other);

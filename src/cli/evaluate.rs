@@ -61,6 +61,14 @@ pub struct EvaluateArgs {
     /// A small version that shows the experiment works
     #[arg(long)]
     quick: bool,
+    /// Only cases whose name contains this, such as a material's or a shape's; further runs add others
+    #[arg(
+        long,
+        value_name = "TEXT",
+        default_value = "",
+        hide_default_value = true
+    )]
+    only: String,
     /// Forget what the folder holds of an earlier run
     #[arg(long)]
     restart: bool,
@@ -111,6 +119,7 @@ pub fn run(args: &EvaluateArgs, context: &Context) -> Result<(), CliError> {
             lab: &lab,
             folder,
             restart: args.restart,
+            only: &args.only,
         },
         &|done| {
             bar.set_length(done.total as u64);
@@ -122,8 +131,17 @@ pub fn run(args: &EvaluateArgs, context: &Context) -> Result<(), CliError> {
     );
     bar.finish_and_clear();
     let outcome = outcome?;
-    if outcome.resumed > 0 {
-        context.note(format!("{} cases were finished before", outcome.resumed));
+    match outcome.resumed {
+        0 => {}
+        1 => context.note("1 case was finished before"),
+        n => context.note(format!("{n} cases were finished before")),
+    }
+    match outcome.left {
+        0 => {}
+        1 => context.note("1 other case is open; figures are drawn when all are done"),
+        n => context.note(format!(
+            "{n} other cases are open; figures are drawn when all are done"
+        )),
     }
     for file in &outcome.files {
         context.note(file.display());

@@ -320,6 +320,9 @@ fn for_evaluate(error: &EvaluateError) -> Option<String> {
         ForeignFolder { .. } => "give a folder that is empty or does not exist",
         Locked { .. } => "wait for it, or give another --out",
         Journal { .. } => "start anew with --restart",
+        NoSuchCase { .. } => {
+            "names are made of the material, the shape and the like, as the first is"
+        }
         NoMaterial { .. } => "name one with --materials",
         SameName { .. } => "name each material once; files of one name need another",
         Io { source, .. } => return for_io(source).map(str::to_owned),

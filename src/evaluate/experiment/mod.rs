@@ -95,6 +95,16 @@ pub enum EvaluateError {
         /// What would have been understood.
         known: String,
     },
+    /// No case is called so.
+    #[error("none of the {cases} cases has \"{only}\" in its name; the first is \"{first}\"")]
+    NoSuchCase {
+        /// What was looked for.
+        only: String,
+        /// How many cases there are.
+        cases: usize,
+        /// The name of one.
+        first: String,
+    },
     /// None of the materials is of a class that the experiment needs.
     #[error("no material of class {class} among those given")]
     NoMaterial {

@@ -20,6 +20,8 @@ pub struct Run<'a> {
     pub folder: &'a Path,
     /// Forget the cases that the folder holds.
     pub restart: bool,
+    /// Only cases whose key holds this; empty for all. The folder keeps the others of earlier runs.
+    pub only: &'a str,
 }
 
 /// How far a run is.
@@ -42,17 +44,21 @@ pub struct Outcome {
     pub json: serde_json::Value,
     /// Files written, tables first.
     pub files: Vec<PathBuf>,
-    /// Cases that earlier runs had finished.
+    /// Cases that earlier runs had finished, of those wanted.
     pub resumed: usize,
+    /// Cases that the folder lacks because they were not wanted; figures are drawn when there
+    /// are none.
+    pub left: usize,
 }
 
 /// Does all cases that the folder does not hold yet, on as many threads as the pool
-/// has, then writes `table.csv`, `table.json` and the figures. `progress` is told of
-/// every finished case. Whatever ends the process leaves a folder that a further run
-/// completes.
+/// has, then writes `table.csv` and `table.json` of all that the folder holds, and the figures
+/// where that is every case. `progress` is told of every finished case. Whatever ends the process
+/// leaves a folder that a further run completes.
 ///
 /// # Errors
-/// The first case that fails ends the run; those in progress are kept.
+/// The first case that fails ends the run; those in progress are kept. No case's key holds
+/// `only`.
 pub fn run(run: &Run<'_>, progress: &(dyn Fn(&Done) + Sync)) -> Result<Outcome, EvaluateError> {
     let (experiment, lab) = (run.experiment, run.lab);
     let cases = (experiment.cases)(lab)?;
@@ -63,15 +69,24 @@ pub fn run(run: &Run<'_>, progress: &(dyn Fn(&Done) + Sync)) -> Result<Outcome, 
             experiment.name, twice.key
         )));
     }
+    let wanted: Vec<_> = cases.iter().filter(|c| c.key.contains(run.only)).collect();
+    if let ([], Some(first)) = (&wanted[..], cases.first()) {
+        return Err(EvaluateError::NoSuchCase {
+            only: run.only.to_owned(),
+            cases: cases.len(),
+            first: first.key.clone(),
+        });
+    }
     let journal = Journal::open(run.folder, &lab.settings, run.restart)?;
-    let open: Vec<_> = cases
-        .iter()
+    let total = wanted.len();
+    let open: Vec<_> = wanted
+        .into_iter()
         .filter(|case| journal.rows(&case.key).is_none())
         .collect();
-    let resumed = cases.len() - open.len();
+    let resumed = total - open.len();
     progress(&Done {
         finished: resumed,
-        total: cases.len(),
+        total,
         case: None,
     });
 
@@ -93,7 +108,7 @@ pub fn run(run: &Run<'_>, progress: &(dyn Fn(&Done) + Sync)) -> Result<Outcome, 
             match kept {
                 Ok(()) => progress(&Done {
                     finished: finished.fetch_add(1, Ordering::Relaxed) + 1,
-                    total: cases.len(),
+                    total,
                     case: Some(&case.key),
                 }),
                 Err(error) => {
@@ -124,10 +139,15 @@ pub fn run(run: &Run<'_>, progress: &(dyn Fn(&Done) + Sync)) -> Result<Outcome, 
         .cloned()
         .collect();
     let table = Table { rows };
+    let left = cases
+        .iter()
+        .filter(|case| journal.rows(&case.key).is_none())
+        .count();
     let json = serde_json::json!({
         "experiment": experiment.name,
         "shows": experiment.shows,
         "settings": lab.settings,
+        "open_cases": left,
         "columns": table.columns(),
         "rows": table.rows,
     });
@@ -140,14 +160,17 @@ pub fn run(run: &Run<'_>, progress: &(dyn Fn(&Done) + Sync)) -> Result<Outcome, 
     };
     keep("table.csv".into(), table.to_csv().as_bytes())?;
     keep("table.json".into(), format!("{json:#}\n").as_bytes())?;
-    for figure in (experiment.figures)(lab, &table)? {
-        keep(format!("{}.svg", figure.name), figure.svg.as_bytes())?;
-        keep(format!("{}.png", figure.name), &figure.png()?)?;
+    if left == 0 {
+        for figure in (experiment.figures)(lab, &table)? {
+            keep(format!("{}.svg", figure.name), figure.svg.as_bytes())?;
+            keep(format!("{}.png", figure.name), &figure.png()?)?;
+        }
     }
     Ok(Outcome {
         table,
         json,
         files,
         resumed,
+        left,
     })
 }
