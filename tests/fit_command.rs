@@ -201,6 +201,35 @@ fn remarks_stay_with_the_fit() {
     assert_eq!(told["remarks"], serde_json::json!(record.remarks));
 }
 
+/// Another program's image, which states no variance, is fitted with an assumed one, and the
+/// record says which image that was.
+#[test]
+fn noise_that_no_image_states_is_remarked_on() {
+    let home = photographed();
+    let known = rig::radiance_image::exr::read(&home.path().join("i_L001.exr")).unwrap();
+    let bare = home.path().join("bare.exr");
+    exr::prelude::write_rgb_file(&bare, 16, 16, |x, y| {
+        let [r, g, b] = known.image.mean[16 * y + x];
+        (r, g, b)
+    })
+    .unwrap();
+    let done = rig(
+        home.path(),
+        "fit --scene s.toml --image i_L000.exr bare.exr --spp 32 --out bare",
+    );
+    let stderr = String::from_utf8_lossy(&done.stderr);
+    assert!(done.status.success(), "{stderr}");
+    let record = fit_record::read(&home.path().join("bare")).unwrap();
+    let [remark] = &record.remarks[..] else {
+        panic!("{:?}", record.remarks);
+    };
+    assert!(
+        remark.starts_with("bare.exr: no variance is stated"),
+        "{remark}"
+    );
+    assert!(stderr.contains(remark), "{stderr}");
+}
+
 #[test]
 fn other_optimisers_and_a_refined_bench() {
     let home = photographed();
