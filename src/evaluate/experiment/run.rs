@@ -132,17 +132,14 @@ pub fn run(run: &Run<'_>, progress: &(dyn Fn(&Done) + Sync)) -> Result<Outcome, 
     }
 
     let journal = journal.into_inner().unwrap_or_else(|e| e.into_inner());
-    let rows: Vec<Row> = cases
+    let kept: Vec<&Vec<Row>> = cases
         .iter()
         .filter_map(|case| journal.rows(&case.key))
-        .flatten()
-        .cloned()
         .collect();
-    let table = Table { rows };
-    let left = cases
-        .iter()
-        .filter(|case| journal.rows(&case.key).is_none())
-        .count();
+    let left = cases.len() - kept.len();
+    let table = Table {
+        rows: kept.into_iter().flatten().cloned().collect(),
+    };
     let json = serde_json::json!({
         "experiment": experiment.name,
         "shows": experiment.shows,
