@@ -86,8 +86,7 @@ fn scores(
         .evaluate(mixture, false, none, |sums, rows| {
             let mut by_weight = [vec![0.0; n], vec![0.0; n]];
             for (light, residual_weights) in residual_weights.iter().enumerate() {
-                for c in 0..3 {
-                    let w = residual_weights[rows.pixel][c];
+                for (c, &w) in residual_weights[rows.pixel].iter().enumerate() {
                     if w <= 0.0 {
                         continue;
                     }
@@ -98,7 +97,7 @@ fn scores(
                         images.at(rows.pixel).filter(|(_, l, _)| *l == light)
                     {
                         for (half, sum) in sums[set][departure].iter_mut().enumerate() {
-                            let factor = w * f64::from(change[half][c]);
+                            let factor = w * f64::from(change.halves[half][c]);
                             for (sum, derivative) in sum.iter_mut().zip(&by_weight[half]) {
                                 *sum += factor * derivative;
                             }

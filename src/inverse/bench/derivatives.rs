@@ -49,8 +49,17 @@ pub struct DerivativeImages {
     /// Parameter and light of each column: a light's direction changes its own image
     /// alone, the pose changes all.
     columns: Vec<(usize, usize)>,
-    /// `[pixel · columns + column][half][channel]`.
-    values: Vec<[[f32; 3]; 2]>,
+    /// `[pixel · columns + column]`.
+    values: Vec<Derivative>,
+}
+
+/// The derivative of one value, per channel.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Derivative {
+    /// By direct reflection, without noise.
+    pub direct: [f32; 3],
+    /// By all reflections, as each half of the paths sees it.
+    pub halves: [[f32; 3]; 2],
 }
 
 /// A bench that differs from the base, as one half of the samples sees it.
@@ -176,8 +185,8 @@ impl DerivativeImages {
         Self { columns, values }
     }
 
-    /// Parameter, light, and per half the derivative per channel, of one pixel.
-    pub fn at(&self, pixel: usize) -> impl Iterator<Item = (usize, usize, &[[f32; 3]; 2])> {
+    /// Parameter, light and derivative, of one pixel.
+    pub fn at(&self, pixel: usize) -> impl Iterator<Item = (usize, usize, &Derivative)> {
         let n = self.columns.len();
         let values = &self.values[pixel * n..(pixel + 1) * n];
         self.columns
@@ -187,7 +196,7 @@ impl DerivativeImages {
     }
 }
 
-/// The derivative of one value, per channel.
+/// The derivative of one value before it is averaged, per channel.
 #[derive(Clone, Copy, Default)]
 struct Parts {
     /// By direct reflection.
@@ -202,12 +211,17 @@ fn smoothed(
     wanted: &[bool],
     [width, height]: [usize; 2],
     reach: usize,
-) -> Vec<[[f32; 3]; 2]> {
+) -> Vec<Derivative> {
     (0..rows.len())
         .into_par_iter()
         .map(|pixel| {
-            let mut out: Vec<[[f32; 3]; 2]> =
-                rows[pixel].iter().map(|parts| [parts.direct; 2]).collect();
+            let mut out: Vec<Derivative> = rows[pixel]
+                .iter()
+                .map(|&Parts { direct, .. }| Derivative {
+                    direct,
+                    halves: [direct; 2],
+                })
+                .collect();
             if !wanted[pixel] {
                 return out;
             }
@@ -222,7 +236,7 @@ fn smoothed(
             let share = 1.0 / near.len() as f32;
             for q in near {
                 for (out, parts) in out.iter_mut().zip(&rows[q]) {
-                    for (out, others) in out.iter_mut().zip(&parts.others) {
+                    for (out, others) in out.halves.iter_mut().zip(&parts.others) {
                         for (out, other) in out.iter_mut().zip(others) {
                             *out += share * other;
                         }

@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use nalgebra::DVector;
+use nalgebra::{DMatrix, DVector};
 
 use super::derivatives::{DerivativeImages, DerivativeOptions};
 use super::parameters::{Bench, BenchPriors, Parameter};
@@ -34,8 +34,8 @@ pub struct RefineOptions {
     /// theirs that moves the highlights moves the bench.
     pub direct_strata: u32,
     /// Paths per pixel, both halves together, on each differing bench, of the derivatives that
-    /// say how much the bench leaves open; at least 2. The rounds use those of direct
-    /// reflection alone (docs/adr/0009).
+    /// say how well the bench is known and how much it leaves open; at least 2. The rounds use
+    /// those of direct reflection alone (docs/adr/0009).
     pub derivative_samples: u32,
     /// Longest path of the derivatives, in surface reflections.
     pub derivative_reflections: u32,
@@ -70,7 +70,7 @@ pub struct Estimated {
     pub parameter: Parameter,
     /// Difference from the description, in the parameter's unit.
     pub value: f64,
-    /// Posterior standard deviation.
+    /// Standard deviation of what is left open, which can be above the prior's (docs/adr/0009).
     pub deviation: f64,
     /// Standard deviation before the images.
     pub prior_deviation: f64,
@@ -151,7 +151,7 @@ pub fn refine_bench(
     while taken < refine.rounds && !bench.parameters().is_empty() && !settled {
         taken += 1;
         stage(&format!("refining the bench, round {taken}"));
-        let round = rounds.take(&values, taken)?;
+        let round = rounds.take(&values, taken, 0)?;
         if first_chi2.is_nan() {
             first_chi2 = round.chi2;
         }
@@ -187,8 +187,6 @@ pub fn refine_bench(
                     image: round.image,
                     chi2: round.chi2,
                     spectrum: round.spectrum,
-                    material: round.material,
-                    wanted: round.wanted,
                 });
             }
         }
@@ -199,31 +197,22 @@ pub fn refine_bench(
     }
     let refined = bench.scene(&values);
     let without_stray_light = bench.without_stray_light(captured, &values);
-    let last_chi2 = best.as_ref().map_or(f64::NAN, |best| best.chi2);
-    let derivatives = best.as_ref().map(|best| {
-        let samples = (refine.derivative_samples / 2).max(1);
-        rounds.derivatives(&values, &best.material, &best.wanted, samples, taken)
-    });
-    let linearisation = best
-        .zip(derivatives)
-        .map(|(best, derivatives)| BenchLinearisation {
-            bench,
-            derivatives,
-            spectrum: best.spectrum,
-        });
     let mut estimate = BenchEstimate {
         parameters: Vec::new(),
         held: Vec::new(),
         rounds: taken,
         settled,
-        reduced_chi2: [first_chi2, last_chi2],
+        reduced_chi2: [first_chi2; 2],
     };
-    if let Some(BenchLinearisation {
-        bench, spectrum, ..
-    }) = &linearisation
-    {
-        let deviations = spectrum.deviations();
-        estimate.held = spectrum.held(bench);
+    let mut linearisation = None;
+    if best.is_some() {
+        stage("what the refined bench leaves open");
+        let samples = (refine.derivative_samples / 2).max(1);
+        let last = rounds.take(&values, taken.max(ALL_PATHS) + 1, samples)?;
+        let known = last.spectrum.answering(&last.response);
+        let deviations = known.deviations();
+        estimate.reduced_chi2[1] = last.chi2;
+        estimate.held = last.spectrum.held(&bench);
         estimate.parameters = (0..bench.parameters().len())
             .map(|k| Estimated {
                 parameter: bench.parameters()[k],
@@ -232,6 +221,11 @@ pub fn refine_bench(
                 prior_deviation: bench.prior_deviation(k),
             })
             .collect();
+        linearisation = Some(BenchLinearisation {
+            bench,
+            derivatives: last.derivatives,
+            spectrum: known,
+        });
     }
     Ok(RefinedBench {
         scene: refined,
@@ -251,8 +245,6 @@ struct Best {
     image: Compared,
     chi2: f64,
     spectrum: Spectrum,
-    material: Mixture,
-    wanted: Vec<bool>,
 }
 
 /// What the rounds share.
@@ -274,9 +266,9 @@ struct Rounds<'a> {
 struct Round {
     spectrum: Spectrum,
     score: DVector<f64>,
-    /// The material as it is believed, and the pixels that are compared under any light.
-    material: Mixture,
-    wanted: Vec<bool>,
+    /// How the score answers to the bench.
+    response: DMatrix<f64>,
+    derivatives: DerivativeImages,
     image: Compared,
     /// Mean squared residual over its deviation, the stated error of the model included.
     chi2: f64,
@@ -341,7 +333,14 @@ impl Compared {
 }
 
 impl Rounds<'_> {
-    fn take(&mut self, values: &DVector<f64>, round: usize) -> Result<Round, FitError> {
+    /// Fits the weights on the bench at `values`, and sees how the images change with it: by
+    /// direct reflection, and by way of other surfaces with so many paths per pixel and half.
+    fn take(
+        &mut self,
+        values: &DVector<f64>,
+        round: usize,
+        samples_per_half: u32,
+    ) -> Result<Round, FitError> {
         let (options, refine) = (self.options, self.refine);
         let scene = self.bench.scene(values);
         let captured = self.bench.without_stray_light(self.captured, values);
@@ -377,7 +376,7 @@ impl Rounds<'_> {
         // The simplex programme keeps the sum to rounding.
         let material = Mixture::new(self.dictionary.clone(), per_channel)
             .map_err(|_| crate::inverse::simplex::SimplexError::NotConvex)?;
-        let derivatives = self.derivatives(values, &material, &wanted, 0, round);
+        let derivatives = self.derivatives(values, &material, &wanted, samples_per_half, round);
         let model = Model {
             objective: &objective,
             cache: &paths.cache,
@@ -410,8 +409,8 @@ impl Rounds<'_> {
                 spectrum.widened(&reduced.block_scores, LEAST_SPREAD)
             },
             score: reduced.score,
-            material,
-            wanted,
+            response: reduced.response,
+            derivatives,
             chi2,
             image,
         })

@@ -18,10 +18,14 @@ pub const HELD_BELOW: f64 = 1.0 / 3.0;
 /// in the bench beyond.
 const LONGEST_STEP: f64 = 2.0;
 
+/// Variance of an estimate over the prior's where its scores answer to the bench the wrong way
+/// round: it ends anywhere within the prior, as the truth does.
+const WORST_VARIANCE: f64 = 2.0;
+
 /// Eigenvalues and directions of the information in units of the prior.
 #[derive(Clone, Debug)]
 pub struct Spectrum {
-    /// λ ≥ 0 of each direction.
+    /// λ of each direction; below 0 where the estimate is worse than the prior.
     pub values: DVector<f64>,
     /// Fraction of the images' word that counts along each direction.
     trust: DVector<f64>,
@@ -62,6 +66,36 @@ impl Spectrum {
             }
         }
         self
+    }
+
+    /// What is known where the estimate's scores, whose information this is, answer to the bench
+    /// by `response`, P × P, instead: where they answer less, noise has moved the place where
+    /// they vanish the farther. With A the response, S the scores' covariance and T the trust,
+    /// 0 along what is held, all in units of the prior, the estimate p solves T s(p) = p, and
+    /// p − p_true has the covariance (1 + TA)⁻¹ (TST + 1) (1 + TA)⁻ᵀ, and at most
+    /// [`WORST_VARIANCE`] along any direction.
+    pub fn answering(&self, response: &DMatrix<f64>) -> Self {
+        let n = self.values.len();
+        let told = |i: usize| self.values[i] >= HELD_BELOW;
+        let trust = DVector::from_fn(n, |i, _| if told(i) { self.trust[i] } else { 0.0 });
+        let noise = DVector::from_fn(n, |i, _| if told(i) { self.values[i] } else { 0.0 });
+        let along = &self.root * &self.vectors;
+        let answer = along.tr_mul(response) * &along;
+        let pull = DMatrix::identity(n, n) + DMatrix::from_diagonal(&trust) * answer;
+        let noise = DMatrix::from_diagonal(&noise.add_scalar(1.0));
+        // Singular where a score answers just so that nothing holds the estimate.
+        let covariance = match pull.try_inverse() {
+            Some(inverse) => &inverse * noise * inverse.transpose(),
+            None => WORST_VARIANCE * DMatrix::identity(n, n),
+        };
+        let eigen = SymmetricEigen::new(0.5 * (&covariance + covariance.transpose()));
+        let variances = eigen.eigenvalues.map(|v| v.min(WORST_VARIANCE));
+        Self {
+            values: variances.map(|variance| 1.0 / variance - 1.0),
+            trust: DVector::repeat(n, 1.0),
+            vectors: &self.vectors * eigen.eigenvectors,
+            root: self.root.clone(),
+        }
     }
 
     /// The Gauss–Newton step from `values` by the score g, with the prior. Held directions

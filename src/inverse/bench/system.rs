@@ -7,6 +7,10 @@
 //! F_pp − F_pw F_ww⁻¹ F_wp, and its score g_p − F_pw F_ww⁻¹ g_w. All products take
 //! their two factors from independent halves of the samples, so that noise in
 //! neither of them counts as information.
+//!
+//! The bench's scores ask with derivatives Z of direct reflection (docs/adr/0009), Zᵀ W r:
+//! they scatter by ZᵀZ, and answer to a bench that is off by ZᵀJ_p, all reflections.
+//! F_pp and F_pw of the elimination are Z's for the same reason.
 
 use std::collections::BTreeMap;
 
@@ -32,8 +36,12 @@ pub struct Model<'a> {
 
 /// The bench's part of the normal equations; P parameters, N atoms.
 pub struct Normal {
-    /// F_pp, P × P.
+    /// ZᵀZ, P × P.
     information: DMatrix<f64>,
+    /// ZᵀJ_p, P × P.
+    response: DMatrix<f64>,
+    /// ZᵀJ_w per weight set, P × N.
+    asked: Vec<DMatrix<f64>>,
     /// F_pw per weight set, P × N, twice: from independent halves of the samples.
     coupling: Vec<[DMatrix<f64>; 2]>,
     /// Scores per block of pixels, all lights together: they share the paths, and so
@@ -41,7 +49,7 @@ pub struct Normal {
     blocks: BTreeMap<usize, Scores>,
 }
 
-/// Jᵀ W r of the bench and of each weight set.
+/// Zᵀ W r of the bench and Jᵀ W r of each weight set.
 #[derive(Clone)]
 struct Scores {
     bench: DVector<f64>,
@@ -52,6 +60,9 @@ struct Scores {
 pub struct Reduced {
     /// P × P.
     pub information: DMatrix<f64>,
+    /// How the score answers to the bench by all reflections, P × P: the information, where
+    /// the derivatives are of direct reflection alone.
+    pub response: DMatrix<f64>,
     /// P.
     pub score: DVector<f64>,
     /// The score's parts by block of pixels.
@@ -91,34 +102,39 @@ impl Normal {
                         let mut by_weight = [DVector::zeros(n), DVector::zeros(n)];
                         let halves = by_weight.each_mut().map(|half| half.as_mut_slice());
                         objective.derivatives(rows, light, c, halves);
-                        let by_bench = [0, 1].map(|h| {
-                            let mut row = DVector::zeros(parameters.len());
-                            for (k, l, value) in derivatives.at(pixel) {
-                                if l == light {
-                                    row[k] = f64::from(value[h][c]);
-                                }
-                            }
+                        let of_half = |h: usize| {
+                            let mut by_bench = DVector::zeros(parameters.len());
                             for (k, parameter) in parameters.iter().enumerate() {
                                 match *parameter {
-                                    Parameter::Intensity(l) if l == light => row[k] = value[h],
+                                    Parameter::Intensity(l) if l == light => by_bench[k] = value[h],
                                     Parameter::StrayLight(l) if l == light => {
-                                        row[k] = 1.0 / cache.strength[light][c];
+                                        by_bench[k] = 1.0 / cache.strength[light][c];
                                     }
                                     _ => {}
                                 }
                             }
-                            row
-                        });
+                            let mut asked = by_bench.clone();
+                            for (k, l, derivative) in derivatives.at(pixel) {
+                                if l == light {
+                                    asked[k] = f64::from(derivative.direct[c]);
+                                    by_bench[k] = f64::from(derivative.halves[h][c]);
+                                }
+                            }
+                            [asked, by_bench]
+                        };
+                        let [[z_0, bench_0], [z_1, bench_1]] = [of_half(0), of_half(1)];
+                        let (asked, by_bench) = ([z_0, z_1], [bench_0, bench_1]);
                         let block = sum
                             .blocks
                             .entry(objective.block(pixel, 0))
                             .or_insert_with(|| Scores::zero(parameters.len(), n, sets));
                         for h in 0..2 {
                             let (a, b) = (h, 1 - h);
-                            sum.information
-                                .ger(0.5 * w, &by_bench[a], &by_bench[b], 1.0);
+                            sum.information.ger(0.5 * w, &asked[a], &asked[b], 1.0);
+                            sum.response.ger(0.5 * w, &asked[a], &by_bench[b], 1.0);
+                            sum.asked[set].ger(0.5 * w, &asked[a], &by_weight[b], 1.0);
                             sum.coupling[set][h].ger(w, &by_bench[a], &by_weight[b], 1.0);
-                            block.bench.axpy(0.5 * w * residual[b], &by_bench[a], 1.0);
+                            block.bench.axpy(0.5 * w * residual[b], &asked[a], 1.0);
                             block.weights[set].axpy(0.5 * w * residual[b], &by_weight[a], 1.0);
                         }
                     }
@@ -128,6 +144,10 @@ impl Normal {
         let mut total = Self::zero(parameters.len(), n, sets);
         for part in parts {
             total.information += part.information;
+            total.response += part.response;
+            for (sum, part) in total.asked.iter_mut().zip(&part.asked) {
+                *sum += part;
+            }
             let couplings = total.coupling.iter_mut().flatten();
             for (sum, part) in couplings.zip(part.coupling.iter().flatten()) {
                 *sum += part;
@@ -146,6 +166,8 @@ impl Normal {
     fn zero(parameters: usize, atoms: usize, sets: usize) -> Self {
         Self {
             information: DMatrix::zeros(parameters, parameters),
+            response: DMatrix::zeros(parameters, parameters),
+            asked: vec![DMatrix::zeros(parameters, atoms); sets],
             coupling: vec![[(); 2].map(|()| DMatrix::zeros(parameters, atoms)); sets],
             blocks: BTreeMap::new(),
         }
@@ -154,18 +176,16 @@ impl Normal {
     /// Eliminates the weights that are above zero in `mixture`; `information` is F_ww per set.
     pub fn reduced(&self, information: &[DMatrix<f64>], mixture: &[DVector<f64>]) -> Reduced {
         // G = F_pw F_ww⁻¹ per set, so that S = F_pp − G F_wp and g = g_p − G g_w.
-        let coupling: Vec<_> = self.coupling.iter().map(|[a, b]| 0.5 * (a + b)).collect();
         let gains: Vec<DMatrix<f64>> = mixture
             .iter()
             .zip(information)
-            .zip(&coupling)
-            .map(|((mixture, information), coupling)| {
-                coupling * inverse_on_face(information, mixture)
-            })
+            .zip(&self.asked)
+            .map(|((mixture, information), asked)| asked * inverse_on_face(information, mixture))
             .collect();
-        let mut own = self.information.clone();
-        for (gain, coupling) in gains.iter().zip(&coupling) {
-            own -= gain * coupling.transpose();
+        let (mut own, mut response) = (self.information.clone(), self.response.clone());
+        for ((gain, asked), [a, b]) in gains.iter().zip(&self.asked).zip(&self.coupling) {
+            own -= gain * asked.transpose();
+            response -= 0.5 * gain * (a + b).transpose();
         }
         let block_scores: Vec<DVector<f64>> = self
             .blocks
@@ -180,6 +200,7 @@ impl Normal {
             .collect();
         Reduced {
             information: 0.5 * (&own + own.transpose()),
+            response,
             score: block_scores
                 .iter()
                 .fold(DVector::zeros(own.nrows()), |sum, s| sum + s),

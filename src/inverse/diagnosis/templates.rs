@@ -125,8 +125,8 @@ pub(super) fn displaced_images(fit: &Examined<'_>) -> Vec<Vec<[f64; 3]>> {
         let images = DerivativeImages::of_shapes(scene, deformed, fit.material, &wanted, &options);
         let mut changes = vec![vec![[0.0; 3]; lights * pixels]; shapes];
         for pixel in 0..pixels {
-            for (shape, light, [change, _]) in images.at(pixel) {
-                changes[shape][light * pixels + pixel] = change.map(f64::from);
+            for (shape, light, change) in images.at(pixel) {
+                changes[shape][light * pixels + pixel] = change.halves[0].map(f64::from);
             }
         }
         displaced.extend(changes);
