@@ -76,9 +76,13 @@ impl Spectrum {
     /// [`WORST_VARIANCE`] along any direction.
     pub fn answering(&self, response: &DMatrix<f64>) -> Self {
         let n = self.values.len();
-        let told = |i: usize| self.values[i] >= HELD_BELOW;
-        let trust = DVector::from_fn(n, |i, _| if told(i) { self.trust[i] } else { 0.0 });
-        let noise = DVector::from_fn(n, |i, _| if told(i) { self.values[i] } else { 0.0 });
+        let where_told = |of: &DVector<f64>| {
+            of.zip_map(
+                &self.values,
+                |own, v| if v < HELD_BELOW { 0.0 } else { own },
+            )
+        };
+        let (trust, noise) = (where_told(&self.trust), where_told(&self.values));
         let along = &self.root * &self.vectors;
         let answer = along.tr_mul(response) * &along;
         let pull = DMatrix::identity(n, n) + DMatrix::from_diagonal(&trust) * answer;

@@ -10,13 +10,13 @@
 //!
 //! The bench's scores ask with derivatives Z of direct reflection (docs/adr/0009), Zᵀ W r:
 //! they scatter by ZᵀZ, and answer to a bench that is off by ZᵀJ_p, all reflections.
-//! F_pp and F_pw of the elimination are Z's for the same reason.
+//! So where the bench's scores are made free of the weights, F_pp is ZᵀZ and F_pw is ZᵀJ_w.
 
 use std::collections::BTreeMap;
 
 use nalgebra::{DMatrix, DVector};
 
-use super::derivatives::DerivativeImages;
+use super::derivatives::{Derivative, DerivativeImages};
 use super::parameters::{Bench, Parameter};
 use super::spectrum::Spectrum;
 use crate::inverse::objective::{Objective, ResidualWeights};
@@ -102,28 +102,26 @@ impl Normal {
                         let mut by_weight = [DVector::zeros(n), DVector::zeros(n)];
                         let halves = by_weight.each_mut().map(|half| half.as_mut_slice());
                         objective.derivatives(rows, light, c, halves);
-                        let of_half = |h: usize| {
-                            let mut by_bench = DVector::zeros(parameters.len());
+                        let row = |h: usize, of: fn(&Derivative, usize) -> [f32; 3]| {
+                            let mut row = DVector::zeros(parameters.len());
+                            for (k, l, derivative) in derivatives.at(pixel) {
+                                if l == light {
+                                    row[k] = f64::from(of(derivative, h)[c]);
+                                }
+                            }
                             for (k, parameter) in parameters.iter().enumerate() {
                                 match *parameter {
-                                    Parameter::Intensity(l) if l == light => by_bench[k] = value[h],
+                                    Parameter::Intensity(l) if l == light => row[k] = value[h],
                                     Parameter::StrayLight(l) if l == light => {
-                                        by_bench[k] = 1.0 / cache.strength[light][c];
+                                        row[k] = 1.0 / cache.strength[light][c];
                                     }
                                     _ => {}
                                 }
                             }
-                            let mut asked = by_bench.clone();
-                            for (k, l, derivative) in derivatives.at(pixel) {
-                                if l == light {
-                                    asked[k] = f64::from(derivative.direct[c]);
-                                    by_bench[k] = f64::from(derivative.halves[h][c]);
-                                }
-                            }
-                            [asked, by_bench]
+                            row
                         };
-                        let [[z_0, bench_0], [z_1, bench_1]] = [of_half(0), of_half(1)];
-                        let (asked, by_bench) = ([z_0, z_1], [bench_0, bench_1]);
+                        let asked = [0, 1].map(|h| row(h, |derivative, _| derivative.direct));
+                        let by_bench = [0, 1].map(|h| row(h, |derivative, h| derivative.halves[h]));
                         let block = sum
                             .blocks
                             .entry(objective.block(pixel, 0))
