@@ -11,7 +11,10 @@ use rig::config::RigConfig;
 use rig::inverse::{FitOptions, fit, intervals};
 use rig::radiance_image::exr;
 use rig::random::{Purpose, stream};
-use rig::session::{Event, Journal, Session, SessionState, fit_record, layout, verify};
+use rig::session::commit::SystemDisk;
+use rig::session::{
+    Event, Journal, NewSession, Session, SessionState, SessionWriter, fit_record, layout, verify,
+};
 use rustix::process::{Pid, Signal, kill_process};
 use tempfile::TempDir;
 
@@ -235,6 +238,89 @@ fn a_session_is_fitted_with_the_mesh_it_was_captured_with() {
     );
     assert!(fitted.status.success(), "{}", text(&fitted.stderr));
     assert!(verify::verify(&moved).unwrap().is_intact());
+}
+
+/// The session of a bench whose lamp nobody measured, as no simulated one is: the record of its
+/// fit says what the albedo rests on.
+#[test]
+fn a_scale_that_nobody_measured_is_remarked_on() {
+    let folder = workplace(|text| text);
+    let captured = run(&folder, &["capture", "--lights", "1", "--no-fit"]);
+    assert!(captured.status.success(), "{}", text(&captured.stderr));
+    let root = session_of(&folder, &captured);
+    let fit = |root: &Path| {
+        let fitted = run(
+            &folder,
+            &["fit", root.to_str().unwrap(), "--spp", "64", "--json"],
+        );
+        assert!(fitted.status.success(), "{}", text(&fitted.stderr));
+        let told: serde_json::Value = serde_json::from_slice(&fitted.stdout).unwrap();
+        (told["remarks"].clone(), text(&fitted.stderr).to_owned())
+    };
+    assert_eq!(
+        fit(&root).0,
+        serde_json::json!([]),
+        "a simulated lamp is known"
+    );
+
+    let root = retold(&root, |config| {
+        config.remove("simulation");
+        config["camera"]["driver"] = "v4l".into();
+        config["stage"]["driver"] = "grbl".into();
+        for (table, key, path) in [
+            ("camera", "device", "/dev/video0"),
+            ("stage", "port", "/dev/ttyACM0"),
+        ] {
+            let table = config[table].as_table_mut().unwrap();
+            table.insert(key.to_owned(), path.into());
+        }
+    });
+    let (remarks, stderr) = fit(&root);
+    let [remark] = &remarks.as_array().unwrap()[..] else {
+        panic!("{remarks}");
+    };
+    let remark = remark.as_str().unwrap();
+    assert!(
+        remark.starts_with("no record of the irradiance"),
+        "{remark}"
+    );
+    assert!(stderr.contains(remark), "{stderr}");
+}
+
+/// A session with the same frames of a bench with another configuration.
+fn retold(root: &Path, change: impl FnOnce(&mut toml::Table)) -> PathBuf {
+    let told = Session::open(root).unwrap();
+    let mut record = told.record().clone();
+    let mut config = toml::from_str(&record.config).unwrap();
+    change(&mut config);
+    record.config = toml::to_string(&config).unwrap();
+    record.simulated = false;
+    let new = NewSession {
+        parent: root.parent().unwrap(),
+        created: jiff::Timestamp::UNIX_EPOCH,
+        short_id: "retold",
+        record: &record,
+        calibration: &[],
+    };
+    let mut writer = SessionWriter::create(Arc::new(SystemDisk), &new).unwrap();
+    let mut frames = told.frames();
+    for step in &told.journal().records {
+        match &step.event {
+            Event::Start { .. } | Event::Stop => {}
+            Event::Frame { .. } => {
+                let (frame, sidecar) = told.read_frame(&frames.next().unwrap()).unwrap();
+                writer.commit_frame(&frame, &sidecar).unwrap();
+            }
+            Event::File { file } if file.path == layout::MANIFEST_FILE => {}
+            Event::File { file } => {
+                let bytes = told.read_file(&file.path).unwrap();
+                writer.commit_file(&file.path, &bytes).unwrap();
+            }
+            event => writer.record(event.clone()).unwrap(),
+        }
+    }
+    writer.finish().unwrap();
+    writer.root().to_owned()
 }
 
 /// Four bright walls around the bowl, outside the view. The simulated bench has them, the fit
