@@ -2,11 +2,11 @@
 
 use std::path::PathBuf;
 
-use super::pipeline::{FitArgs, FitPlan, fit_session};
+use super::pipeline::{FitArgs, FitPlan, check_images, fit_session};
 use super::{CliError, Context, HintExt, output, warnings};
 use crate::config::scene::SceneFile;
 use crate::out;
-use crate::radiance_image::exr;
+use crate::radiance_image::{RadianceImage, exr};
 use crate::session::fit_record;
 
 /// Fits a BRDF to a session, or to images of a described scene.
@@ -61,6 +61,7 @@ pub fn run(args: &FitCommandArgs, context: &Context) -> Result<(), CliError> {
             "atoms": record.atoms,
             "weights": record.weights,
             "weight_deviations": record.weight_deviations,
+            "verdict": record.verdict(),
             "reduced_chi_square": record.reduced_chi_square,
             "departure": record.departure.as_ref().map_or(0.0, |d| d.amplitude),
             "loss": record.loss,
@@ -73,6 +74,16 @@ pub fn run(args: &FitCommandArgs, context: &Context) -> Result<(), CliError> {
         }));
     }
     out!("{}", folder.display())
+}
+
+/// States the relative noise of [`UNSTATED_NOISE`], of dark pixels that of a thousandth of the
+/// mean radiance: nothing is known without any error.
+fn assume_noise(image: &mut RadianceImage) {
+    let values = image.mean.iter().flatten().filter(|v| v.is_finite());
+    let mean = values.map(|v| v.abs()).sum::<f32>() / (3 * image.mean.len()).max(1) as f32;
+    for (variance, mean_radiance) in image.variance.iter_mut().zip(&image.mean) {
+        *variance = mean_radiance.map(|m| (UNSTATED_NOISE * m.abs().max(1e-3 * mean)).powi(2));
+    }
 }
 
 fn fit_scene(
@@ -97,17 +108,18 @@ fn fit_scene(
             );
             context.note(&remark);
             remarks.push(remark);
-            for (variance, mean) in image.variance.iter_mut().zip(&image.mean) {
-                *variance = mean.map(|m| (UNSTATED_NOISE * m).powi(2));
-            }
+            assume_noise(&mut image);
         }
         captured.push(image);
     }
+    check_images(&scene, &captured, |image| {
+        args.image[image].display().to_string()
+    })?;
     let (mut record, images) = plan.run(&scene, &captured, false, None, context)?;
     record.remarks.extend(remarks);
     record.settings.scene = Some(path.display().to_string());
     record.settings.images = args.image.iter().map(|i| i.display().to_string()).collect();
     fit_record::write(out, &record, &images)?;
-    warnings::tell(&record.warnings, context);
+    warnings::tell(&record, context);
     Ok(())
 }

@@ -14,6 +14,7 @@ use crate::evaluate::lab::materials;
 use crate::export::ExportError;
 use crate::geometry::MeshError;
 use crate::inverse::fit::FitError;
+use crate::inverse::plausibility::Implausible;
 use crate::radiance_image::exr::ExrError;
 use crate::radiometry::exposure::PlanError;
 use crate::report::load::LoadError;
@@ -296,7 +297,44 @@ fn for_fit(error: &FitError) -> Option<String> {
         Cache(CacheError::ColouredBody { .. }) => Some(
             "give the [[body]] equal values for all channels, or leave it out of the scene".into(),
         ),
-        Cache(_) | Simplex(_) | Projection(_) => None,
+        Cache(_) => None,
+        Simplex(_) | Projection(_) => Some(
+            "the equations of the fit hold no finite numbers: check the images for values far beyond the others, or follow more paths (--spp)"
+                .into(),
+        ),
+    }
+}
+
+/// What to look at where images cannot be those of the scene.
+pub(super) fn for_implausible(error: &Implausible) -> &'static str {
+    use Implausible::*;
+    match error {
+        Irradiance { .. } => {
+            "state what the light brings (irradiance of a directional light, intensity of a point light, one value or one for each channel), or leave light and image out"
+        }
+        NotLit { .. } => {
+            "directions point from the sample to the light: to_light = [0, 0, 1] is above it; check the signs, and that the mesh is not inside out"
+        }
+        NoLight { .. } => {
+            "check that the lamp was lit and the lens uncovered, that the image is in the radiance unit of the scene's irradiance, and that its var.* channels hold variances of the mean"
+        }
+        TooBright { .. } => {
+            "give image and irradiance in one unit: raw counts must be divided by exposure and calibration (`rig merge` does that)"
+        }
+        Negative { .. } => {
+            "check what was subtracted: dark frames of a longer exposure, or an ambient frame with the lamp on"
+        }
+        Constant { .. } => "give the image of the sample; a saturated or filled one tells nothing",
+        OnePixel { .. } => {
+            "mask hot pixels (a mask channel, or --mask), and check that the sample is in the image"
+        }
+        NotFinite { .. } => {
+            "infinite values and NaN are left out, and here all are: check the program that wrote the image, and its number format"
+        }
+        NoVariance { .. } => {
+            "leave the var.* channels out where the noise is not known: a relative noise of 0.5% is assumed then"
+        }
+        Repeated { .. } => "give each light its own image, in the order of the scene's lights",
     }
 }
 

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use super::bench_records::BenchRecords;
 use super::session_images::{SessionImages, measured_pose, session_images};
 use super::warnings::{self, warnings};
-use super::{CliError, Context, HintExt, facets};
+use super::{CliError, Context, HintExt, facets, hints};
 use crate::brdf::{Brdf, Dictionary, Mixture};
 use crate::config::process;
 use crate::config::uncertainty::Deviation;
@@ -18,14 +18,14 @@ use crate::inverse::exponentiated_gradient::ExponentiatedGradient;
 use crate::inverse::gauss_newton::GaussNewton;
 use crate::inverse::{
     BenchPriors, Channels, Fit, FitOptions, Optimizer, Refine, RefineOptions, budget, fit,
-    intervals, refine_bench,
+    intervals, plausibility, refine_bench,
 };
 use crate::radiance_image::RadianceImage;
 use crate::report;
 use crate::session::commit::SystemDisk;
 use crate::session::fit_record::{
     self, AngleCell, AngleTable, AtomRecord, BenchParameter, BenchRecord, BudgetRecord, BudgetRow,
-    DepartureRecord, FitImages, FitRecord, FitSettings, Timing, TracePoint, Warning,
+    DepartureRecord, FitImages, FitRecord, FitSettings, Grade, Timing, TracePoint, Warning,
 };
 use crate::session::{SessionWriter, layout};
 use crate::transport::{Kernel, RenderOptions, Scene, truncation_remainder};
@@ -536,6 +536,11 @@ pub fn fit_session(
     };
     let form_error = config.geometry.sample.form_error;
     let plan = FitPlan::new(args, Some(&config.fit), &uncertainty, form_error)?;
+    check_images(&scene, &captured, |light| {
+        root.join(layout::radiance_file(light as u32))
+            .display()
+            .to_string()
+    })?;
     let truth = match &config.simulation {
         Some(simulation) => Some(simulation.material.load()?),
         None => None,
@@ -553,6 +558,7 @@ pub fn fit_session(
         .extend(session.journal().suspicion().map(|what| Warning {
             what,
             likely_cause: "an axis that slipped or was blocked: the fit takes the lights to be where they were asked for; capture anew".to_owned(),
+            grade: Grade::Reservation,
         }));
     if let Some((light, change)) = drift.worst().filter(|(_, c)| c.abs() > NOTABLE_DRIFT) {
         fit.warnings.push(Warning {
@@ -562,6 +568,7 @@ pub fn fit_session(
                 100.0 * drift.rms()
             ),
             likely_cause: "a lamp that was still warming up, or its supply; raise capture.lamp_warm_up_s by `rig calibrate lamp`, or let --refine-bench allow for it".to_owned(),
+            grade: Grade::Reservation,
         });
     }
     if let Some(change) = drift.over_session.filter(|c| c.abs() > NOTABLE_DRIFT) {
@@ -571,13 +578,29 @@ pub fn fit_session(
                 100.0 * change
             ),
             likely_cause: "a lamp that was still warming up, or its supply; raise capture.lamp_warm_up_s by `rig calibrate lamp`, or let --refine-bench allow for it".to_owned(),
+            grade: Grade::Reservation,
         });
     }
     let mut writer = SessionWriter::open(Arc::new(SystemDisk), root)?;
     let folder = fit_record::commit(&mut writer, &fit, &images)?;
     writer.refresh_manifest()?;
-    warnings::tell(&fit.warnings, context);
+    warnings::tell(&fit, context);
     Ok(folder)
+}
+
+/// Refuses images that cannot be those of the scene; `file` names the one of a light.
+pub(super) fn check_images(
+    scene: &Scene,
+    captured: &[RadianceImage],
+    file: impl Fn(usize) -> String,
+) -> Result<(), CliError> {
+    plausibility::check(scene, captured).map_err(|error| {
+        let fact = match error.image() {
+            Some(image) => format!("{}: {error}", file(image)),
+            None => error.to_string(),
+        };
+        CliError::new(fact).hint(hints::for_implausible(&error))
+    })
 }
 
 /// Writes the session's report and returns its path.

@@ -4,17 +4,106 @@ use super::Context;
 use crate::brdf::check;
 use crate::inverse::Fit;
 use crate::inverse::diagnosis::Cause;
-use crate::session::fit_record::{FitRecord, Warning};
+use crate::inverse::findings::{Finding, Flip};
+use crate::session::fit_record::{FitRecord, Grade, UNEXPLAINED_CHI_SQUARE, Warning};
 
-/// Reasons not to trust a fit, with what most likely made them.
+/// Reasons not to trust a fit, or not in everything, with what most likely made them; the
+/// gravest first.
 pub(super) fn warnings(fit: &Fit, record: &FitRecord) -> Vec<Warning> {
     let mut warnings = Vec::new();
-    let mut warn = |what: String, likely_cause: &str| {
+    let mut warn = |grade: Grade, what: String, likely_cause: &str| {
         warnings.push(Warning {
             what,
             likely_cause: likely_cause.to_owned(),
+            grade,
         });
     };
+
+    // What the images and the residual say.
+    let grave = match record.worst_reduced_chi_square() {
+        Some(worst) if worst > UNEXPLAINED_CHI_SQUARE => Grade::Distrust,
+        _ => Grade::Reservation,
+    };
+    let has_cause = describe_misfit(fit, |what, likely_cause| warn(grave, what, likely_cause));
+    for finding in &fit.findings {
+        if matches!(finding, Finding::Misfit { .. }) && has_cause {
+            continue;
+        }
+        let (grade, what, likely_cause) = describe(finding);
+        warn(grade, what, likely_cause);
+    }
+
+    // How the fit was made.
+    for (light, &share) in record.truncation_remainder.iter().enumerate() {
+        if share > NOTABLE_REMAINDER {
+            warn(
+                Grade::Reservation,
+                format!(
+                    "paths of more than {} reflections, which were not followed, hold {:.2}% of the light (light {light})",
+                    record.settings.max_reflections,
+                    100.0 * share
+                ),
+                "--max-reflections is too small for so bright a material in so deep a shape",
+            );
+        }
+    }
+    for (light, &part) in fit.doubted.iter().enumerate() {
+        if part > NOTABLE_DOUBT {
+            warn(
+                Grade::Reservation,
+                format!(
+                    "{:.1}% of the values of light {light} are isolated outliers and counted for less",
+                    100.0 * part
+                ),
+                "dust or scratches on the sample, or hot pixels",
+            );
+        }
+    }
+    // A mixture reflects at most what arrives; what departs from it need not.
+    let excess = || check::check_with(&fit.material, ALBEDO_DIRECTIONS, 0).excess();
+    if let Some((albedo, theta_deg, channel)) = (fit.departure > 0.0).then(excess).flatten() {
+        let grade = if albedo > IMPOSSIBLE_ALBEDO {
+            Grade::Distrust
+        } else {
+            Grade::Reservation
+        };
+        warn(
+            grade,
+            format!(
+                "the material, as it departs from the mixture, would reflect {:.0}% of the {} light that arrives at {theta_deg}° from the normal",
+                100.0 * albedo,
+                ["red", "green", "blue"][channel]
+            ),
+            "angles that the images show little of, or intensities that are off; capture more lights, or render the mixture alone (rig export --format mitsuba)",
+        );
+    }
+    if fit.samples[0] < FEW_PATHS {
+        warn(
+            Grade::Reservation,
+            format!(
+                "{} paths per pixel were followed; below {FEW_PATHS} the paths' noise can steer the fit",
+                fit.samples[0]
+            ),
+            "--spp or --memory is small",
+        );
+    }
+    warnings.sort_by_key(|warning| std::cmp::Reverse(warning.grade));
+    warnings
+}
+
+/// Says the verdict and its reasons at the terminal.
+pub(super) fn tell(record: &FitRecord, context: &Context) {
+    for Warning {
+        what, likely_cause, ..
+    } in &record.warnings
+    {
+        context.warn(format!("{what}\n  likely: {likely_cause}"));
+    }
+    context.note(format!("verdict: {}", record.verdict().sentence()));
+}
+
+/// Names the cause of a misfit, or that none can be named; `false` where there is nothing to say.
+fn describe_misfit(fit: &Fit, mut warn: impl FnMut(String, &str)) -> bool {
     let diagnosis = &fit.diagnosis;
     let deviations = diagnosis.mean_square.sqrt();
     if let Some(cause) = diagnosis.finding() {
@@ -32,6 +121,7 @@ pub(super) fn warnings(fit: &Fit, record: &FitRecord) -> Vec<Warning> {
             ),
             advice(cause),
         );
+        true
     } else if diagnosis.is_unexplained() {
         warn(
             format!(
@@ -39,58 +129,132 @@ pub(super) fn warnings(fit: &Fit, record: &FitRecord) -> Vec<Warning> {
             ),
             "a depth or shape that is not the mesh's, light that spreads below the surface, or a material beyond what mixtures and departures hold; the report's residuals show where",
         );
+        true
+    } else {
+        false
     }
-    for (light, &share) in record.truncation_remainder.iter().enumerate() {
-        if share > NOTABLE_REMAINDER {
-            warn(
-                format!(
-                    "paths of more than {} reflections, which were not followed, hold {:.2}% of the light (light {light})",
-                    record.settings.max_reflections,
-                    100.0 * share
-                ),
-                "--max-reflections is too small for so bright a material in so deep a shape",
-            );
-        }
-    }
-    for (light, &part) in fit.doubted.iter().enumerate() {
-        if part > NOTABLE_DOUBT {
-            warn(
-                format!(
-                    "{:.1}% of the values of light {light} are isolated outliers and counted for less",
-                    100.0 * part
-                ),
-                "dust or scratches on the sample, or hot pixels",
-            );
-        }
-    }
-    // A mixture reflects at most what arrives; what departs from it need not.
-    let excess = || check::check_with(&fit.material, ALBEDO_DIRECTIONS, 0).excess();
-    if let Some((albedo, theta_deg, channel)) = (fit.departure > 0.0).then(excess).flatten() {
-        warn(
-            format!(
-                "the material, as it departs from the mixture, would reflect {:.0}% of the {} light that arrives at {theta_deg}° from the normal",
-                100.0 * albedo,
-                ["red", "green", "blue"][channel]
-            ),
-            "angles that the images show little of, or intensities that are off; capture more lights, or render the mixture alone (rig export --format mitsuba)",
-        );
-    }
-    if fit.samples[0] < FEW_PATHS {
-        warn(
-            format!(
-                "{} paths per pixel were followed; below {FEW_PATHS} the paths' noise can steer the fit",
-                fit.samples[0]
-            ),
-            "--spp or --memory is small",
-        );
-    }
-    warnings
 }
 
-/// Says them at the terminal.
-pub(super) fn tell(warnings: &[Warning], context: &Context) {
-    for Warning { what, likely_cause } in warnings {
-        context.warn(format!("{what}\n  likely: {likely_cause}"));
+/// What a finding means for the result, the fact, and its most likely cause.
+fn describe(finding: &Finding) -> (Grade, String, &'static str) {
+    use Grade::{Distrust, Reservation};
+    const CHANNELS: [&str; 3] = ["red", "green", "blue"];
+    // Beyond this much, either way, a factor is no inaccuracy.
+    let by_factor = |ratio: f64, limit: f64| {
+        if ratio.ln().abs() > limit.ln() {
+            Distrust
+        } else {
+            Reservation
+        }
+    };
+    match *finding {
+        Finding::NoInformation { channel } => (
+            Distrust,
+            format!(
+                "the images tell nothing of the material in the {} channel: the result is the prior",
+                CHANNELS[channel]
+            ),
+            "variances as large as the images, too few paths (--spp), or a mask that leaves too little",
+        ),
+        Finding::DarkChannel { image, channel } => (
+            Reservation,
+            format!(
+                "image {image} shows no light above its noise in the {} channel",
+                CHANNELS[channel]
+            ),
+            "a lamp or filter without this colour; the material's values there are upper limits",
+        ),
+        Finding::Misfit { mean_square } => (
+            if mean_square > UNEXPLAINED_CHI_SQUARE {
+                Distrust
+            } else {
+                Reservation
+            },
+            format!(
+                "the images differ from those of the material by {:.1} times what noise and model error allow (root mean square of the worst image and channel)",
+                mean_square.sqrt()
+            ),
+            "few values that are far off, such as glare or dust, or variances that are stated too small; the report's residuals show where",
+        ),
+        Finding::Unexplained { image, share } => (
+            Distrust,
+            format!(
+                "{:.0}% of the light of image {image} is not where the material puts it",
+                100.0 * share.min(9.99)
+            ),
+            "an image of something else, or a scene file whose camera, lights or sample are not those of the images",
+        ),
+        Finding::NoStructure { image } => (
+            Distrust,
+            format!(
+                "image {image} shows no shading of the sample: the same radiance in all pixels explains it as well"
+            ),
+            "an image of noise or of an evenly lit surface, or a scene file that is not of this image",
+        ),
+        Finding::Scatter { image, ratio } => (
+            by_factor(ratio, IMPOSSIBLE_SCATTER),
+            format!(
+                "neighbouring pixels of image {image} scatter by {} times the standard deviation that its variance states",
+                factor(ratio)
+            ),
+            if ratio > 1.0 {
+                "a variance that leaves out noise, such as that of the mean of several frames, or one in another unit"
+            } else {
+                "a variance in another unit, a standard deviation in its place, or images that were smoothed"
+            },
+        ),
+        Finding::TooBright { channel, ratio } => (
+            by_factor(ratio, IMPOSSIBLE_BRIGHTNESS),
+            format!(
+                "in the {} channel the images are {} times as bright as the brightest material that resembles them: it would reflect more light than arrives",
+                CHANNELS[channel],
+                factor(ratio)
+            ),
+            "an irradiance or radiance in another unit, or not divided by the exposure; `rig calibrate white` measures the scale",
+        ),
+        Finding::Scale {
+            channel,
+            ratio,
+            log_std,
+        } => (
+            by_factor(ratio, IMPOSSIBLE_SCALE),
+            format!(
+                "in the {} channel direct light and interreflections agree if the irradiance is {} (± {:.0}%) times the stated one",
+                CHANNELS[channel],
+                factor(ratio),
+                100.0 * log_std
+            ),
+            "an irradiance in another unit or of another lamp; `rig calibrate white` measures it, and --refine-bench --uncertainty common_intensity=1 fits it",
+        ),
+        Finding::Exchanged { image, light, flip } => (
+            Distrust,
+            format!(
+                "image {image} looks like that of light {light}{}",
+                match flip {
+                    Flip::None => "",
+                    Flip::Horizontal => " with left and right exchanged",
+                    Flip::Vertical => " with top and bottom exchanged",
+                    Flip::HalfTurn => " turned by 180°",
+                }
+            ),
+            match flip {
+                Flip::None => "images that are not in the order of the scene's lights",
+                _ => {
+                    "images that were mirrored or turned, or a camera whose `up` or side is another"
+                }
+            },
+        ),
+    }
+}
+
+/// Two significant digits.
+fn factor(ratio: f64) -> String {
+    match ratio.abs().log10().floor() {
+        magnitude if magnitude >= 4.0 => format!("{ratio:.1e}"),
+        magnitude => {
+            let digits = (1.0 - magnitude).max(0.0) as usize;
+            format!("{ratio:.digits$}")
+        }
     }
 }
 
@@ -100,6 +264,14 @@ const NOTABLE_REMAINDER: f64 = 1e-3;
 const NOTABLE_DOUBT: f64 = 0.02;
 /// Paths per pixel from which independent halves work well.
 const FEW_PATHS: u32 = 128;
+/// Albedo from which a material is no result.
+const IMPOSSIBLE_ALBEDO: f64 = 1.2;
+/// Scatter of neighbouring pixels over the stated one, either way, that no noise model is off by.
+const IMPOSSIBLE_SCATTER: f64 = 10.0;
+/// Brightness over the brightest material's that no inaccuracy of the irradiance explains.
+const IMPOSSIBLE_BRIGHTNESS: f64 = 1.25;
+/// Factor between irradiances, either way, that no inaccuracy explains.
+const IMPOSSIBLE_SCALE: f64 = 2.0;
 /// Directions per technique that an albedo takes.
 const ALBEDO_DIRECTIONS: u32 = 1024;
 

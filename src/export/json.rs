@@ -68,6 +68,7 @@ pub fn to_json(record: &FitRecord) -> String {
         "weights_note": "weights alone are not identifiable: compare BRDF values, not weights",
         "reduced_chi_square": record.reduced_chi_square,
         "departure": record.departure.as_ref().map(departure),
+        "verdict": record.verdict(),
         "warnings": record.warnings,
         "table": {
             "theta_h_deg": table.theta_h_deg,

@@ -122,6 +122,7 @@ mod tests {
             posterior,
             prior: Vec::new(),
             misfit: 0.0,
+            informed: 1,
             departures: Vec::new(),
             budget: None,
         }]

@@ -7,6 +7,7 @@ use nalgebra::DVector;
 use super::bench::system::BenchLinearisation;
 use super::diagnosis::{self, Diagnosis, Examined};
 use super::exponentiated_gradient::ExponentiatedGradient;
+use super::findings::{self, Finding, Judged};
 use super::gauss_newton::GaussNewton;
 use super::objective::{Channels, DepartedModel, ModelImage, Objective};
 use super::posterior::{Posterior, posterior};
@@ -16,6 +17,7 @@ use super::simplex::SimplexError;
 use super::solve::{Paths, Solution, Solved, solve};
 use super::trace::{Step, Termination};
 use super::uncertainty::Draws;
+use crate::brdf::Atom;
 use crate::brdf::departure::Departed;
 use crate::brdf::dictionary::Dictionary;
 use crate::geometry::FormError;
@@ -105,10 +107,13 @@ pub struct Fit {
     pub rendered: Vec<RadianceImage>,
     /// (captured − model)/σ of capture, render and model error, 0 where not compared, one image per light.
     pub residual: Vec<RadianceImage>,
-    /// Mean squared residual in standard deviations per light and channel.
+    /// Mean squared residual in standard deviations per light and channel; isolated outliers
+    /// count in it as they did in the fit.
     pub reduced_chi2: Vec<[f64; 3]>,
     /// What the residual looks like.
     pub diagnosis: Diagnosis,
+    /// What else speaks against the fit.
+    pub findings: Vec<Finding>,
     /// Part of each light's values that were believed less, as isolated outliers.
     pub doubted: Vec<f64>,
     /// Loss at every evaluated point, with the seconds since the start.
@@ -271,8 +276,19 @@ pub(super) fn fit_from(
             seed: options.cache.seed,
         })
     });
+    let findings = findings::find(&Judged {
+        objective: &objective,
+        model: &model,
+        informed: draws
+            .iter()
+            .map(|set| (!set.posterior.is_empty()).then_some(set.informed))
+            .collect(),
+        black: black_weights(&material),
+        reduced_chi2: &reduced_chi2,
+    });
     solution.timings = timings;
     let fit = Fit {
+        findings,
         material,
         start: solution.start.clone(),
         draws,
@@ -290,6 +306,17 @@ pub(super) fn fit_from(
         kernel: options.kernel,
     };
     Ok((fit, solution))
+}
+
+/// Weight of the atom that reflects nothing, per channel.
+fn black_weights(material: &Departed) -> [Option<f64>; 3] {
+    let mixture = &material.mixture;
+    let atoms = mixture.dictionary().atoms();
+    let black = atoms.iter().position(|atom| *atom == Atom::Black);
+    mixture
+        .weights()
+        .each_ref()
+        .map(|weights| Some(weights[black?]))
 }
 
 pub(super) fn check(scene: &Scene, captured: &[RadianceImage]) -> Result<(), FitError> {
@@ -324,11 +351,12 @@ fn images(
     let mut rendered = Vec::new();
     let mut residual = Vec::new();
     let mut reduced = Vec::new();
-    for (light, (image, model)) in captured.iter().zip(model).enumerate() {
+    for (light, image) in captured.iter().enumerate() {
         let mut radiance = RadianceImage::new(image.width, image.height);
         let mut deviation = radiance.clone();
+        let trust = objective.trust(model, light);
         let (mut chi2, mut count) = ([0.0; 3], 0usize);
-        for (p, modelled) in model.iter().enumerate() {
+        for (p, modelled) in model[light].iter().enumerate() {
             let compared = objective.is_compared(light, p);
             let [target, variance] = objective.captured(light, p);
             deviation.valid[p] = compared;
@@ -344,7 +372,7 @@ fn images(
                 if compared && sigma > 0.0 {
                     let z = (target[c] - value) / sigma;
                     deviation.mean[p][c] = z as f32;
-                    chi2[c] += z * z;
+                    chi2[c] += trust[p][c] * z * z;
                 }
             }
         }

@@ -157,6 +157,7 @@ mod tests {
                 .collect(),
             prior: (0..=100).map(|i| draw(0.01 * f64::from(i))).collect(),
             misfit: 0.0,
+            informed: 1,
             departures: Vec::new(),
             budget: None,
         };
@@ -175,6 +176,7 @@ mod tests {
             posterior: set().prior,
             prior: set().prior,
             misfit: 0.0,
+            informed: 1,
             departures: Vec::new(),
             budget: None,
         }];

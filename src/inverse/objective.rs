@@ -152,6 +152,11 @@ impl<'a> Objective<'a> {
         self.target.len()
     }
 
+    /// Width and height of the images, pixels.
+    pub fn resolution(&self) -> [usize; 2] {
+        self.resolution
+    }
+
     /// Relative error that the model is allowed.
     pub fn model_error(&self) -> f64 {
         self.model_error

@@ -8,6 +8,14 @@ use crate::random::Stream;
 /// weights it changes the log density by less than 1e-6.
 const LEAST_CURVATURE: f64 = 1e-6;
 
+/// From so many standard deviations on a normal's flank is an exponential to the last digit
+/// of its rate, and differences of squares would lose all of theirs.
+const FAR_FLANK: f64 = 1e6;
+
+/// Proposals of which one is accepted with certainty for any practical purpose: the worst case
+/// accepts more than half of them.
+const PROPOSALS: usize = 1000;
+
 /// Density exp(s·t − ½c·t²) for t in 0..=length.
 #[derive(Clone, Copy, Debug)]
 pub struct Segment {
@@ -85,7 +93,7 @@ fn log_upper(z: f64) -> f64 {
 /// A standard normal between two numbers around zero, by rejection.
 fn middle([low, high]: [f64; 2], numbers: &mut Stream) -> f64 {
     let narrow = high - low < TAU.sqrt();
-    loop {
+    for _ in 0..PROPOSALS {
         let (z, accepted) = if narrow {
             let z = low + (high - low) * numbers.uniform();
             (z, numbers.uniform() < (-0.5 * z * z).exp())
@@ -97,21 +105,26 @@ fn middle([low, high]: [f64; 2], numbers: &mut Stream) -> f64 {
             return z;
         }
     }
+    0.0
 }
 
 /// A standard normal between two positive numbers, by rejection from an exponential
 /// (Robert 1995), itself cut at `high`.
 fn flank([low, high]: [f64; 2], numbers: &mut Stream) -> f64 {
-    let rate = 0.5 * (low + (low * low + 4.0).sqrt());
+    let rate = 0.5 * (low + low.hypot(2.0));
     let cut = -(-rate * (high - low)).exp_m1();
     let best = rate.min(high);
-    loop {
+    for _ in 0..PROPOSALS {
         let z = low - (-numbers.uniform() * cut).ln_1p() / rate;
+        if low > FAR_FLANK {
+            return z;
+        }
         // Of exp(−½z²) over exp(−rate·z), the largest is at `best`.
         if numbers.uniform() < (0.5 * (best - z) * (best + z) - rate * (best - z)).exp() {
             return z;
         }
     }
+    low
 }
 
 #[cfg(test)]
@@ -157,6 +170,24 @@ mod tests {
                 (found - expected).abs() < 1e-5,
                 "{case:?}: {found} for {expected}"
             );
+        }
+    }
+
+    /// Slopes and curvatures of likelihoods beyond any measurement, and what is not a number,
+    /// end, and stay on the segment.
+    #[test]
+    fn extreme_densities_end() {
+        let mut numbers = stream(9, Purpose::Posterior, 0, 0, 0);
+        let magnitudes = [0.0, 1.0, 1e9, 1e80, 1e154, 1e200, 1e300, f64::MAX];
+        for slope in magnitudes.iter().flat_map(|&m| [m, -m]).chain([f64::NAN]) {
+            for curvature in magnitudes {
+                let segment = Segment::new(slope, curvature, 0.7);
+                for _ in 0..20 {
+                    let t = segment.draw(&mut numbers);
+                    let inside = (0.0..=0.7 * (1.0 + 1e-9)).contains(&t);
+                    assert!(inside || slope.is_nan(), "{slope:e}, {curvature:e}: {t}");
+                }
+            }
         }
     }
 

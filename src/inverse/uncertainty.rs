@@ -27,6 +27,9 @@ pub struct Draws {
     pub prior: Vec<DVector<f64>>,
     /// Relative error of the images that the mixture leaves beyond noise, 0 or more.
     pub misfit: f64,
+    /// Directions of the space of weights in which the images say more than their noise and
+    /// the paths' could; 0: the images tell nothing, and the posterior is the prior.
+    pub informed: usize,
     /// How the material departs from each of the posterior draws; empty where it does not.
     pub departures: Vec<Departure>,
     /// Where the posterior's spread comes from, where that is known.
@@ -108,7 +111,12 @@ fn draw_set(
         let expected = EXPECTED_ATOMS.min(0.5 * n as f64);
         SparsePosterior::new(h, b, expected).draw(mixture, count, STEPS, &mut numbers)
     };
-    let (h, b, budget) = adjusted_likelihood(mixture, pass, adds, set);
+    let Likelihood {
+        h,
+        b,
+        informed,
+        budget,
+    } = adjusted_likelihood(mixture, pass, adds, set);
     let posterior = chain(h, b + prior, 0);
     let mut numbers = stream(seed, Purpose::Posterior, set as u64, 2, 0);
     let departures = adds.departure.get(set).map_or_else(Vec::new, |departure| {
@@ -120,20 +128,31 @@ fn draw_set(
     Draws {
         prior: chain(DMatrix::zeros(n, n), prior.clone(), 1),
         misfit: 0.0,
+        informed,
         departures,
         posterior,
         budget,
     }
 }
 
-/// Quadratic log-likelihood −½ xᵀHx + bᵀx whose score scatters as the blocks' does, and,
-/// where the `noise` is known, what makes it scatter.
+/// Quadratic log-likelihood −½ xᵀHx + bᵀx.
+struct Likelihood {
+    h: DMatrix<f64>,
+    b: DVector<f64>,
+    /// Rank of `h`: directions that the images tell apart from noise.
+    informed: usize,
+    /// What makes the score scatter, where the noise is known.
+    budget: Option<Budget>,
+}
+
+/// The likelihood whose score scatters as the blocks' does, and, where the `noise` is known,
+/// what makes it scatter.
 fn adjusted_likelihood(
     mixture: &DVector<f64>,
     pass: &Linearised,
     adds: &Adds<'_>,
     set: usize,
-) -> (DMatrix<f64>, DVector<f64>, Option<Budget>) {
+) -> Likelihood {
     let quadratic = &pass.quadratics[set];
     let (information, scores, score) = match adds.departure.get(set) {
         Some(d) => (
@@ -144,7 +163,12 @@ fn adjusted_likelihood(
         None => {
             let scores = &pass.block_scores[set];
             let information = without_noise(&pass.information[set], &quadratic.h).information;
-            (information, scores, scores.iter().sum())
+            let none = DVector::zeros(mixture.len());
+            (
+                information,
+                scores,
+                scores.iter().fold(none, |sum, s| sum + s),
+            )
         }
     };
     let eigen = SymmetricEigen::new(information);
@@ -152,6 +176,14 @@ fn adjusted_likelihood(
     let kept: Vec<usize> = (0..mixture.len())
         .filter(|&k| eigen.eigenvalues[k] > (1e-7 * largest).max(1.0))
         .collect();
+    if kept.is_empty() {
+        return Likelihood {
+            h: DMatrix::zeros(mixture.len(), mixture.len()),
+            b: DVector::zeros(mixture.len()),
+            informed: 0,
+            budget: None,
+        };
+    }
     let vectors = eigen.eigenvectors.select_columns(&kept);
     let scales = DVector::from_iterator(
         kept.len(),
@@ -208,7 +240,12 @@ fn adjusted_likelihood(
     let h = &root * &weight * root.transpose();
     // The likelihood's own score, which the fit's prior and share of noise leave nonzero.
     let b = &h * mixture + &root * (&weight * inverse.tr_mul(&score));
-    (h, b, budget)
+    Likelihood {
+        h,
+        b,
+        informed: kept.len(),
+        budget,
+    }
 }
 
 /// A symmetric matrix with its eigenvalues changed.

@@ -115,42 +115,6 @@ pub struct ProvenanceGroup {
     pub entries: Vec<(String, String)>,
 }
 
-/// Whether a fit is to be believed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Verdict {
-    /// Nothing was fitted.
-    NoFit,
-    /// The images are explained within their uncertainty.
-    Explained,
-    /// Larger residuals than the uncertainties allow, or warnings.
-    Doubtful,
-    /// The model does not explain the images.
-    Unexplained,
-}
-
-/// Reduced χ² up to which a fit counts as explaining its images. With thousands
-/// of pixels its own scatter is a few hundredths; the rest is room for model
-/// errors that the weights of the objective only approximate.
-pub const EXPLAINED_CHI_SQUARE: f64 = 1.3;
-/// Reduced χ² above which a fit counts as not explaining its images: residuals two and
-/// a half times what noise and model error allow.
-pub const UNEXPLAINED_CHI_SQUARE: f64 = 6.25;
-
-/// Judges a fit by its worst reduced χ² and its warnings. A fit without χ² is
-/// at best doubtful.
-pub fn verdict(fit: Option<&FitRecord>) -> Verdict {
-    let Some(fit) = fit else {
-        return Verdict::NoFit;
-    };
-    match fit.worst_reduced_chi_square() {
-        Some(worst) if worst > UNEXPLAINED_CHI_SQUARE => Verdict::Unexplained,
-        Some(worst) if worst <= EXPLAINED_CHI_SQUARE && fit.warnings.is_empty() => {
-            Verdict::Explained
-        }
-        _ => Verdict::Doubtful,
-    }
-}
-
 /// The page, as one HTML document without any external resource.
 ///
 /// # Errors

@@ -2,8 +2,7 @@
 
 use serde::Serialize;
 
-use super::{Verdict, verdict};
-use crate::session::fit_record::{ChannelScore, FitRecord, MetricScores};
+use crate::session::fit_record::{ChannelScore, FitRecord, MetricScores, Verdict};
 
 #[derive(Serialize)]
 pub(super) struct VerdictView {
@@ -48,57 +47,45 @@ pub(super) fn percent(value: f64) -> String {
 }
 
 pub(super) fn verdict_view(record: Option<&FitRecord>) -> VerdictView {
-    let judged = verdict(record);
-    let worst = record.and_then(FitRecord::worst_reduced_chi_square);
-    let worst = worst.map_or("not known".to_owned(), |worst| format!("{worst:.2}"));
-    let (class, sign, mut title) = match judged {
-        Verdict::NoFit => (
-            "none",
-            "–",
-            "No fit yet: this session holds captured images only",
-        ),
-        Verdict::Explained => (
-            "good",
-            "✓",
-            "The fit explains the images within their uncertainty",
-        ),
-        Verdict::Doubtful => ("doubtful", "!", "The fit explains the images only in part"),
-        Verdict::Unexplained => (
-            "bad",
-            "✗",
-            "The fit does not explain the images: don’t use it as it is",
-        ),
+    let Some(record) = record else {
+        return VerdictView {
+            class: "none",
+            sign: "–",
+            title: "No fit yet: this session holds captured images only".to_owned(),
+            text: "Nothing below says anything about the material before “rig fit” has run."
+                .to_owned(),
+        };
     };
-    let mut text = match judged {
-        Verdict::NoFit => {
-            "Nothing below says anything about the material before “rig fit” has run.".to_owned()
+    let verdict = record.verdict();
+    let worst = record.worst_reduced_chi_square();
+    let (class, sign, title) = match (verdict, worst) {
+        (Verdict::Reservations, None) => {
+            ("doubtful", "!", "The fit cannot be judged: it has no χ²")
         }
-        _ => format!("Worst reduced χ² over lights and channels: {worst} (1 is expected)."),
+        (Verdict::Explains, _) => ("good", "✓", verdict.sentence()),
+        (Verdict::Reservations, _) => ("doubtful", "!", verdict.sentence()),
+        (Verdict::NotToBeTrusted, _) => ("bad", "✗", verdict.sentence()),
     };
-    if let Some(FitRecord {
-        score: Some(score),
-        dictionary,
-        ..
-    }) = record
-    {
+    let worst = worst.map_or("not known".to_owned(), |worst| format!("{worst:.2}"));
+    let mut text = format!(
+        "Worst reduced χ² over lights and channels: {worst} (at most 1 where noise and the allowed model error explain the images)."
+    );
+    if let Some(score) = &record.score {
         let (own, floor) = (
             &score.environment_error.estimate,
             &score.environment_error.floor,
         );
-        let ratio = own.overall / floor.overall;
         text = format!(
             "Against the true material ({}), the environment error is {}, {} times the least that \
-             the dictionary {dictionary} can reach ({}). {text}",
+             the dictionary {} can reach ({}). {text}",
             score.truth,
             percent(own.overall),
-            short(ratio),
+            short(own.overall / floor.overall),
+            record.dictionary,
             percent(floor.overall),
         );
-    } else if record.is_some() {
+    } else {
         text += " No truth is known for this sample, so the error of the BRDF itself is not.";
-    }
-    if judged == Verdict::Doubtful && worst == "not known" {
-        title = "The fit cannot be judged: it has no χ²";
     }
     VerdictView {
         class,

@@ -9,7 +9,7 @@ use super::summary::{
 };
 use super::{FitInput, LightInput, ReportError, ReportInput, SphereInput, figures};
 use crate::radiance_image::RadianceImage;
-use crate::session::fit_record::{BenchRecord, Warning};
+use crate::session::fit_record::{BenchRecord, EXPLAINED_CHI_SQUARE, Warning};
 
 #[derive(Serialize)]
 struct Page<'a> {
@@ -266,7 +266,7 @@ fn light_view(position: usize, light: &LightInput, fit: Option<&FitInput>) -> Li
         chi_square: chi_square.map(|values| {
             let judge = |value: &f64| Judged {
                 text: format!("{value:.2}"),
-                bad: *value > super::EXPLAINED_CHI_SQUARE,
+                bad: *value > EXPLAINED_CHI_SQUARE,
             };
             values.iter().map(judge).collect()
         }),

@@ -5,8 +5,8 @@ use crate::brdf::departure::Departure;
 use crate::brdf::{Brdf, Dictionary, Mixture};
 use crate::random::{Purpose, stream};
 use crate::session::fit_record::{
-    AngleCell, AngleTable, AtomRecord, ChannelScore, DepartureRecord, FitSettings, MetricScores,
-    ScoreSheet, Timing, TracePoint, Warning,
+    AngleCell, AngleTable, AtomRecord, ChannelScore, DepartureRecord, FitSettings, Grade,
+    MetricScores, ScoreSheet, Timing, TracePoint, Warning,
 };
 
 const WIDTH: usize = 48;
@@ -360,7 +360,7 @@ fn a_bad_fit_never_looks_like_a_good_one() {
     let record = &mut bad.fit.as_mut().unwrap().record;
     record.reduced_chi_square[1] = [7.5, 1.0, 1.0];
     let html = page(&bad);
-    assert!(html.contains("does not explain the images") && html.contains("7.50 !"));
+    assert!(html.contains("The fit is not to be trusted") && html.contains("7.50 !"));
     assert!(!html.contains("The fit explains the images"));
 
     let mut doubtful = synthetic();
@@ -373,9 +373,10 @@ fn a_bad_fit_never_looks_like_a_good_one() {
         .push(Warning {
             what: "Residuals follow the rim".to_owned(),
             likely_cause: "the pose is off".to_owned(),
+            grade: Grade::Reservation,
         });
     let html = page(&doubtful);
-    assert!(html.contains("only in part") && html.contains("Most likely: the pose is off."));
+    assert!(html.contains("with reservations") && html.contains("Most likely: the pose is off."));
 }
 
 /// A remark is on the page and changes no verdict.

@@ -3,7 +3,7 @@
 //!
 //! | file | content |
 //! |---|---|
-//! | `fit.toml` | dictionary, settings, loss, χ², termination, timings, versions, scores, warnings, remarks, the bench as refined |
+//! | `fit.toml` | verdict, dictionary, settings, loss, χ², termination, timings, versions, scores, warnings, remarks, the bench as refined |
 //! | `weights.csv` | one row per atom: what it is, weight and standard deviation per channel |
 //! | `departure.csv` | by what f is more than the mixture's, over (θh, θd); only where the images ask for it |
 //! | `table.csv` | f over (θh, θd) with its 95% interval, and which cells the data constrain |
@@ -19,6 +19,7 @@ mod bench;
 mod budget;
 mod folder;
 mod tables;
+mod verdict;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -39,6 +40,7 @@ pub use folder::{
     commit, encode, next_folder, numbers_in, read, read_images, read_images_in, read_in, write,
 };
 pub use tables::{AngleCell, AngleTable};
+pub use verdict::{EXPLAINED_CHI_SQUARE, Grade, UNEXPLAINED_CHI_SQUARE, Verdict, Warning};
 
 /// The record itself, written last: a folder without it holds no fit.
 pub const FIT_FILE: &str = "fit.toml";
@@ -200,15 +202,6 @@ pub struct DepartureRecord {
     pub by_channel: [Departure; 3],
 }
 
-/// A reason not to trust the fit.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Warning {
-    /// The fact.
-    pub what: String,
-    /// Its most likely cause.
-    pub likely_cause: String,
-}
-
 /// Everything that a fit leaves, but its images.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FitRecord {
@@ -227,7 +220,8 @@ pub struct FitRecord {
     pub settings: FitSettings,
     /// Final value of the objective, dimensionless.
     pub loss: f64,
-    /// χ² per degree of freedom, per light and channel.
+    /// χ² per degree of freedom, per light and channel; isolated outliers count in it as they
+    /// did in the fit.
     pub reduced_chi_square: Vec<[f64; 3]>,
     /// Light that paths longer than the longest followed would bring, over all light, per
     /// light; empty where it was not estimated.
@@ -249,7 +243,8 @@ pub struct FitRecord {
     pub score: Option<ScoreSheet>,
     /// The BRDF with its interval over (θh, θd).
     pub table: AngleTable,
-    /// Reasons not to trust the fit; empty if none were found.
+    /// Reasons not to trust the fit, or not in everything, the gravest first; empty if none
+    /// were found.
     pub warnings: Vec<Warning>,
     /// What to know of how the fit was made that speaks neither for nor against it.
     pub remarks: Vec<String>,

@@ -9,8 +9,8 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     BenchRecord, BudgetRecord, DEPARTURE_FILE, DepartureRecord, FIT_FILE, FORMAT, FitImages,
-    FitRecord, FitRecordError, FitSettings, ScoreSheet, Timing, Warning, check, out_of_range,
-    tables,
+    FitRecord, FitRecordError, FitSettings, ScoreSheet, Timing, Verdict, Warning, check,
+    out_of_range, tables,
 };
 use crate::radiance_image::exr;
 use crate::session::layout::FITS_FOLDER;
@@ -21,6 +21,9 @@ use crate::session::{Session, SessionWriter};
 struct FitToml {
     format: u32,
     simulated: bool,
+    /// For readers; it follows from what else is in the record.
+    #[serde(default, skip_deserializing)]
+    verdict: Option<Verdict>,
     dictionary: String,
     loss: f64,
     termination: String,
@@ -330,6 +333,7 @@ fn to_toml(record: &FitRecord) -> String {
     let toml = FitToml {
         format: FORMAT,
         simulated: record.simulated,
+        verdict: Some(record.verdict()),
         dictionary: record.dictionary.clone(),
         loss: record.loss,
         termination: record.termination.clone(),

@@ -3,7 +3,7 @@ use proptest::prelude::*;
 use super::*;
 
 /// A small record with every optional part, for the tests of this module.
-fn sample() -> FitRecord {
+pub(super) fn sample() -> FitRecord {
     let score = |estimate: f64| ChannelScore {
         channels: [estimate, estimate * 1.5, estimate * 2.0],
         overall: estimate * 1.4,
@@ -91,6 +91,7 @@ fn sample() -> FitRecord {
         warnings: vec![Warning {
             what: "residuals follow the crease".to_owned(),
             likely_cause: "pose error".to_owned(),
+            grade: Grade::Distrust,
         }],
         remarks: vec!["48 of 64 paths per pixel were traced".to_owned()],
         bench: Some(BenchRecord {

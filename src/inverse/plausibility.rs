@@ -1,0 +1,380 @@
+//! Whether captured images can show the sample that a scene describes, asked before a fit
+//! begins: black, negative, noiseless or repeated images give weights as any others do, and
+//! nothing in the result would say what they came from.
+//!
+//! What the images are measured against is a white sample: the direct reflection of a
+//! Lambertian surface of albedo 1 in the same place, under the same lights.
+
+use crate::brdf::{Atom, Dictionary};
+use crate::radiance_image::RadianceImage;
+use crate::transport::{DirectMatrix, Scene};
+
+/// Why images cannot be fitted. Lights and images count from 0.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum Implausible {
+    /// A light that gives none, of which no image can be explained.
+    #[error(
+        "the {} irradiance of light {light} is {value}, allowed is a finite number above 0",
+        CHANNELS[*channel]
+    )]
+    Irradiance {
+        /// Index of the light.
+        light: usize,
+        /// 0 to 2: red, green, blue.
+        channel: usize,
+        /// As stated (of a point light, its intensity).
+        value: f64,
+    },
+    /// A light behind the sample, or at its horizon.
+    #[error(
+        "light {light} brings {:.3}% of its irradiance to the surface that the camera sees, 1% at least is needed: it lies behind the sample or at its horizon",
+        100.0 * mean_cosine
+    )]
+    NotLit {
+        /// Index of the light.
+        light: usize,
+        /// Mean cosine of incidence over the visible surface, 0 in its shadow.
+        mean_cosine: f64,
+    },
+    /// Nothing but noise, or nothing at all.
+    #[error(
+        "image {image} shows no light: its mean radiance on the sample is {mean:.2e} ± {std_dev:.2e}, that of a white sample would be {white:.2e}"
+    )]
+    NoLight {
+        /// Index of the image.
+        image: usize,
+        /// Mean radiance over the sample's pixels and channels.
+        mean: f64,
+        /// Its standard deviation, by the stated variances.
+        std_dev: f64,
+        /// Mean radiance of a white Lambertian sample by direct reflection.
+        white: f64,
+    },
+    /// Far beyond what any material reflects, at any angle.
+    #[error(
+        "image {image} is {ratio:.1e} times as bright as a white sample under the stated irradiance; not even a mirror that sends all light to the camera reaches {BRIGHTEST:.0e}"
+    )]
+    TooBright {
+        /// Index of the image.
+        image: usize,
+        /// Mean radiance over that of a white sample.
+        ratio: f64,
+    },
+    /// Less than no light.
+    #[error(
+        "image {image} is negative on {:.0}% of the sample by more than 5 standard deviations",
+        100.0 * share
+    )]
+    Negative {
+        /// Index of the image.
+        image: usize,
+        /// Part of the sample's values.
+        share: f64,
+    },
+    /// The same value everywhere, where shading must vary.
+    #[error(
+        "image {image} has the same radiance in every pixel of the sample ({mean:.2e}), where a white sample's would vary by {:.0}%",
+        100.0 * expected
+    )]
+    Constant {
+        /// Index of the image.
+        image: usize,
+        /// The radiance.
+        mean: f64,
+        /// Standard deviation over mean of a white sample's.
+        expected: f64,
+    },
+    /// All light in one pixel.
+    #[error("{:.0}% of the light of image {image} is in one pixel, x {x}, y {y}", 100.0 * share)]
+    OnePixel {
+        /// Index of the image.
+        image: usize,
+        /// Part of the light on the sample.
+        share: f64,
+        /// Column.
+        x: usize,
+        /// Row, from the top.
+        y: usize,
+    },
+    /// Infinite, or not numbers.
+    #[error("image {image} holds no finite value on the sample")]
+    NotFinite {
+        /// Index of the image.
+        image: usize,
+    },
+    /// A capture without noise.
+    #[error(
+        "the variance of image {image} is 0 where its radiance is not, in {:.0}% of the sample's values",
+        100.0 * share
+    )]
+    NoVariance {
+        /// Index of the image.
+        image: usize,
+        /// Part of the sample's values.
+        share: f64,
+    },
+    /// One image for two lights.
+    #[error("images {first} and {second} are equal in every pixel, though their lights differ")]
+    Repeated {
+        /// Index of an image.
+        first: usize,
+        /// Index of the other.
+        second: usize,
+    },
+}
+
+impl Implausible {
+    /// The image that is at fault; `None` where a light of the scene is.
+    pub fn image(&self) -> Option<usize> {
+        use Implausible::*;
+        match *self {
+            Irradiance { .. } | NotLit { .. } => None,
+            NoLight { image, .. }
+            | TooBright { image, .. }
+            | Negative { image, .. }
+            | Constant { image, .. }
+            | OnePixel { image, .. }
+            | NotFinite { image }
+            | NoVariance { image, .. }
+            | Repeated { second: image, .. } => Some(image),
+        }
+    }
+}
+
+/// Names of the channels in messages.
+const CHANNELS: [&str; 3] = ["red", "green", "blue"];
+
+/// A light must bring this part of its irradiance to the visible surface on average: of a
+/// flat sample, one that stands 0.6° above its horizon.
+const LEAST_COSINE: f64 = 0.01;
+/// Below this part of a white sample's radiance an image counts as black, whatever variance
+/// it states: the blackest coatings reflect some 3e-4 of the light.
+const BLACKEST: f64 = 1e-5;
+/// Above this many times a white sample's radiance no material can be: a mirror of GGX alpha
+/// 0.002 that returns all light to the camera has 1/(4 alpha²) times.
+const BRIGHTEST: f64 = 1e5;
+/// Standard deviations by which light must stand out of noise, and negative values below 0.
+const SIGNIFICANT: f64 = 5.0;
+/// Part of the values that may be significantly negative, or without variance.
+const TOLERATED_SHARE: f64 = 0.1;
+/// Part of the light that one pixel may hold. A highlight of the narrowest lobe lies in one or
+/// two, but not alone.
+const ONE_PIXEL_SHARE: f64 = 0.9;
+/// Relative scatter that a white sample's shading must have before an image without any is
+/// refused: a flat sample under one direction has none.
+const NOTABLE_SHADING: f64 = 0.05;
+/// Square root of the rays through a pixel for the white sample.
+const STRATA: u32 = 3;
+
+/// The pixels that show the sample alone, and what a white one would show there.
+struct White {
+    /// Indices of pixels that are wholly on the sample.
+    pixels: Vec<usize>,
+    /// Radiance per unit of the light's strength, `[light][pixels]`.
+    radiance: Vec<Vec<f64>>,
+}
+
+impl White {
+    fn of(scene: &Scene) -> Option<Self> {
+        let atom = Atom::Lambertian { albedo: 1.0 };
+        let dictionary = Dictionary::new("white", vec![atom]).ok()?;
+        let direct = DirectMatrix::new(scene, &dictionary, STRATA, 0);
+        let pixels: Vec<usize> = (0..direct.coverage.len())
+            .filter(|&p| direct.coverage[p] >= 1.0)
+            .collect();
+        let radiance = (0..scene.lights.len())
+            .map(|light| {
+                let of_pixel = |&p: &usize| f64::from(direct.row(p, light)[0]);
+                pixels.iter().map(of_pixel).collect()
+            })
+            .collect();
+        Some(Self { pixels, radiance })
+    }
+}
+
+/// Refuses images that cannot be those of the scene: one per light, of the camera's size.
+/// What needs a fit to be seen is left to [`super::findings`].
+///
+/// # Errors
+/// The first [`Implausible`] found; images of other number or size are not looked at.
+pub fn check(scene: &Scene, captured: &[RadianceImage]) -> Result<(), Implausible> {
+    check_lights(scene)?;
+    let sizes_agree = captured
+        .iter()
+        .all(|image| [image.width, image.height] == scene.camera.resolution_px);
+    let Some(white) = White::of(scene)
+        .filter(|w| !w.pixels.is_empty() && sizes_agree && captured.len() == scene.lights.len())
+    else {
+        return Ok(());
+    };
+    for light in 0..captured.len() {
+        let mean_cosine = std::f64::consts::PI * mean(&white.radiance[light])
+            / reference_irradiance(scene, light);
+        if mean_cosine < LEAST_COSINE {
+            return Err(Implausible::NotLit { light, mean_cosine });
+        }
+    }
+    for (image, radiance) in captured.iter().enumerate() {
+        let strength = scene.lights[image].strength();
+        Values::on(radiance, &white, image, strength)
+            .ok_or(Implausible::NotFinite { image })?
+            .check(image, radiance.width)?;
+    }
+    for (second, image) in captured.iter().enumerate() {
+        if let Some(first) = (0..second).find(|&first| captured[first].mean == image.mean) {
+            return Err(Implausible::Repeated { first, second });
+        }
+    }
+    Ok(())
+}
+
+fn check_lights(scene: &Scene) -> Result<(), Implausible> {
+    for (light, lamp) in scene.lights.iter().enumerate() {
+        for (channel, value) in lamp.strength().into_iter().enumerate() {
+            if !(value.is_finite() && value > 0.0) {
+                return Err(Implausible::Irradiance {
+                    light,
+                    channel,
+                    value,
+                });
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Irradiance across the light's direction at the sample's middle, per unit of strength.
+fn reference_irradiance(scene: &Scene, light: usize) -> f64 {
+    let [low, high] = scene.sample().bounds_mm();
+    let middle = 0.5 * (low + high);
+    f64::from(
+        scene.lights[light]
+            .sample(middle, [0.5; 2])
+            .relative_irradiance,
+    )
+}
+
+fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len().max(1) as f64
+}
+
+/// Standard deviation over mean; 0 of nothing.
+fn relative_scatter(values: &[f64]) -> f64 {
+    let mean = mean(values);
+    let square = values.iter().map(|v| (v - mean).powi(2)).sum::<f64>();
+    let scatter = (square / values.len().max(1) as f64).sqrt();
+    if mean.abs() > 0.0 {
+        scatter / mean.abs()
+    } else {
+        0.0
+    }
+}
+
+/// An image on the sample's valid pixels.
+struct Values {
+    /// Pixel of each.
+    pixels: Vec<usize>,
+    /// Radiance, R, G, B.
+    mean: Vec<[f64; 3]>,
+    variance: Vec<[f64; 3]>,
+    /// Radiance of a white sample, mean of the channels.
+    white: Vec<f64>,
+}
+
+impl Values {
+    /// `None` where a valid pixel holds no finite number.
+    fn on(image: &RadianceImage, white: &White, light: usize, strength: [f64; 3]) -> Option<Self> {
+        let mut values = Self {
+            pixels: Vec::new(),
+            mean: Vec::new(),
+            variance: Vec::new(),
+            white: Vec::new(),
+        };
+        let strength = mean(&strength);
+        let mut finite = true;
+        for (&pixel, &unit) in white.pixels.iter().zip(&white.radiance[light]) {
+            let all = image.mean[pixel].iter().chain(&image.variance[pixel]);
+            if !image.valid[pixel] {
+                continue;
+            }
+            finite = all.copied().all(f32::is_finite);
+            if finite {
+                values.pixels.push(pixel);
+                values.mean.push(image.mean[pixel].map(f64::from));
+                values.variance.push(image.variance[pixel].map(f64::from));
+                values.white.push(unit * strength);
+            }
+        }
+        (finite || !values.pixels.is_empty()).then_some(values)
+    }
+
+    fn check(&self, image: usize, width: usize) -> Result<(), Implausible> {
+        if self.pixels.is_empty() {
+            // The fit says that it has nothing to compare.
+            return Ok(());
+        }
+        let count = 3.0 * self.pixels.len() as f64;
+        let white = mean(&self.white);
+        let total: f64 = self.mean.iter().flatten().sum();
+        let variance: f64 = self.variance.iter().flatten().sum();
+        let average = total / count;
+
+        // How bright, against noise and against white.
+        let share = self.share(|mean, variance| mean < -SIGNIFICANT * variance.sqrt());
+        let magnitude: f64 = self.mean.iter().flatten().map(|v| v.abs()).sum();
+        if share > TOLERATED_SHARE && magnitude - total > 2.0 * TOLERATED_SHARE * magnitude {
+            return Err(Implausible::Negative { image, share });
+        }
+        if total <= SIGNIFICANT * variance.sqrt() || average < BLACKEST * white {
+            return Err(Implausible::NoLight {
+                image,
+                mean: average,
+                std_dev: variance.sqrt() / count,
+                white,
+            });
+        }
+        if average > BRIGHTEST * white {
+            let ratio = average / white;
+            return Err(Implausible::TooBright { image, ratio });
+        }
+
+        // Where the light is.
+        let light_of = |values: &[f64; 3]| values.iter().map(|v| v.abs()).sum::<f64>();
+        let brightest = (0..self.pixels.len())
+            .max_by(|&a, &b| light_of(&self.mean[a]).total_cmp(&light_of(&self.mean[b])));
+        if let Some(brightest) = brightest.filter(|_| self.pixels.len() > 1) {
+            let share = light_of(&self.mean[brightest]) / magnitude;
+            if share > ONE_PIXEL_SHARE {
+                let pixel = self.pixels[brightest];
+                let (x, y) = (pixel % width, pixel / width);
+                return Err(Implausible::OnePixel { image, share, x, y });
+            }
+        }
+        let expected = relative_scatter(&self.white);
+        let first = self.mean[0];
+        if expected > NOTABLE_SHADING && self.mean.iter().all(|values| *values == first) {
+            return Err(Implausible::Constant {
+                image,
+                mean: average,
+                expected,
+            });
+        }
+
+        // What is said of the noise.
+        let share = self.share(|mean, variance| variance == 0.0 && mean != 0.0);
+        if share > TOLERATED_SHARE {
+            return Err(Implausible::NoVariance { image, share });
+        }
+        Ok(())
+    }
+
+    /// Part of the values of which something holds, given mean and variance.
+    fn share(&self, holds: impl Fn(f64, f64) -> bool) -> f64 {
+        let values = self.mean.iter().flatten();
+        let both = values.zip(self.variance.iter().flatten());
+        let count = both
+            .filter(|(mean, variance)| holds(**mean, **variance))
+            .count();
+        count as f64 / (3 * self.pixels.len()) as f64
+    }
+}
