@@ -258,7 +258,12 @@ fn nonsense(good: &[RadianceImage]) -> Vec<Nonsense> {
             scaled(good, 1e15),
             "times as bright",
         ),
-        ("beyond all numbers", same(), scaled(good, 1e30), "finite"),
+        (
+            "beyond all numbers",
+            same(),
+            scaled(good, 1e30),
+            "no valid, finite",
+        ),
         (
             "one channel 10 times too bright",
             same(),
@@ -326,7 +331,12 @@ fn nonsense(good: &[RadianceImage]) -> Vec<Nonsense> {
             exchanged,
             "looks like that of light",
         ),
-        ("images mirrored", same(), mirrored, "left and right"),
+        (
+            "images mirrored",
+            same(),
+            mirrored,
+            "looks like that of light",
+        ),
         (
             "one image twice",
             same(),

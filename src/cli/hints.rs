@@ -328,8 +328,8 @@ pub(super) fn for_implausible(error: &Implausible) -> &'static str {
         OnePixel { .. } => {
             "mask hot pixels (a mask channel, or --mask), and check that the sample is in the image"
         }
-        NotFinite { .. } => {
-            "infinite values and NaN are left out, and here all are: check the program that wrote the image, and its number format"
+        NothingValid { .. } => {
+            "infinite values, NaN, and pixels whose mask channel is 0 are left out, and here all are: check exposures, the program that wrote the image, and its number format"
         }
         NoVariance { .. } => {
             "leave the var.* channels out where the noise is not known: a relative noise of 0.5% is assumed then"

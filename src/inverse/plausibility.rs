@@ -96,9 +96,9 @@ pub enum Implausible {
         /// Row, from the top.
         y: usize,
     },
-    /// Infinite, or not numbers.
-    #[error("image {image} holds no finite value on the sample")]
-    NotFinite {
+    /// Masked, saturated, infinite or not numbers.
+    #[error("image {image} has no valid, finite value on the sample")]
+    NothingValid {
         /// Index of the image.
         image: usize,
     },
@@ -134,7 +134,7 @@ impl Implausible {
             | Negative { image, .. }
             | Constant { image, .. }
             | OnePixel { image, .. }
-            | NotFinite { image }
+            | NothingValid { image }
             | NoVariance { image, .. }
             | Repeated { second: image, .. } => Some(image),
         }
@@ -216,9 +216,7 @@ pub fn check(scene: &Scene, captured: &[RadianceImage]) -> Result<(), Implausibl
     }
     for (image, radiance) in captured.iter().enumerate() {
         let strength = scene.lights[image].strength();
-        Values::on(radiance, &white, image, strength)
-            .ok_or(Implausible::NotFinite { image })?
-            .check(image, radiance.width)?;
+        Values::on(radiance, &white, image, strength).check(image, radiance.width)?;
     }
     for (second, image) in captured.iter().enumerate() {
         if let Some(first) = (0..second).find(|&first| captured[first].mean == image.mean) {
@@ -282,8 +280,7 @@ struct Values {
 }
 
 impl Values {
-    /// `None` where a valid pixel holds no finite number.
-    fn on(image: &RadianceImage, white: &White, light: usize, strength: [f64; 3]) -> Option<Self> {
+    fn on(image: &RadianceImage, white: &White, light: usize, strength: [f64; 3]) -> Self {
         let mut values = Self {
             pixels: Vec::new(),
             mean: Vec::new(),
@@ -291,27 +288,21 @@ impl Values {
             white: Vec::new(),
         };
         let strength = mean(&strength);
-        let mut finite = true;
         for (&pixel, &unit) in white.pixels.iter().zip(&white.radiance[light]) {
             let all = image.mean[pixel].iter().chain(&image.variance[pixel]);
-            if !image.valid[pixel] {
-                continue;
-            }
-            finite = all.copied().all(f32::is_finite);
-            if finite {
+            if image.valid[pixel] && all.copied().all(f32::is_finite) {
                 values.pixels.push(pixel);
                 values.mean.push(image.mean[pixel].map(f64::from));
                 values.variance.push(image.variance[pixel].map(f64::from));
                 values.white.push(unit * strength);
             }
         }
-        (finite || !values.pixels.is_empty()).then_some(values)
+        values
     }
 
     fn check(&self, image: usize, width: usize) -> Result<(), Implausible> {
         if self.pixels.is_empty() {
-            // The fit says that it has nothing to compare.
-            return Ok(());
+            return Err(Implausible::NothingValid { image });
         }
         let count = 3.0 * self.pixels.len() as f64;
         let white = mean(&self.white);
