@@ -176,7 +176,7 @@ fn start(args: &CaptureArgs, context: &Context) -> Result<(), CliError> {
     crate::session::layout::session_name(created, &sample, &short_id)?;
 
     let interrupt = interrupt::listen()?;
-    let mut devices = open::open_devices(config, || truth(config))?;
+    let mut devices = open::open_devices(config, &[], || truth(config))?;
     let camera_info = devices.camera.info().clone();
     check_camera(&camera_info, config)?;
     let sensor_c = devices.camera.temperature_c();
@@ -249,7 +249,12 @@ fn resume(args: &CaptureArgs, root: &Path, context: &Context) -> Result<(), CliE
     }
     let library = Library::Folder(root.join(CALIBRATION_FOLDER));
     let noise = Records::load_copies(&library)?.noise(&config)?;
-    let devices = open::open_devices(&config, || truth(&config))?;
+    let captured: Vec<StageAngles> = (0..)
+        .zip(&record.plan.lights)
+        .filter(|&(light, _)| session.light_is_finished(light))
+        .map(|(_, &angles)| angles)
+        .collect();
+    let devices = open::open_devices(&config, &captured, || truth(&config))?;
     carry_out(args, &config, devices, writer, noise, interrupt, context)
 }
 
@@ -371,7 +376,7 @@ fn print_result(
     if args.json {
         let summary = Session::open(root)?.summary();
         return write_json(&json!({
-            "session": root,
+            "session": root.to_string_lossy(),
             "complete": outcome == Outcome::Complete,
             "elapsed_s": elapsed_s,
             "spent": spent,

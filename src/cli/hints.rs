@@ -178,7 +178,12 @@ fn for_session(error: &SessionError) -> Option<String> {
             "nothing that was journalled is lost; free some space and try again".into()
         }
         Io { source, .. } => return for_io(source).map(str::to_owned),
-        Checksum { .. } | Missing { .. } | Malformed { .. } | CorruptJournal { .. } => {
+        Link { .. } => {
+            "put a copy of what it leads to in the link's place, so that the session holds its own files: `rig session verify` then checks them".into()
+        }
+        NotCaptured { .. } => "`rig capture --resume SESSION` captures the rest; then fit".into(),
+        Value { .. } => "the plan was changed since it was written: restore session.toml from a backup, or start a new session".into(),
+        Checksum { .. } | Length { .. } | Missing { .. } | Malformed { .. } | CorruptJournal { .. } => {
             "the session was changed or damaged: `rig session verify` lists every such file; restore them from a backup".into()
         }
         Locked { .. } => "wait until the other capture has ended, or end it".into(),
