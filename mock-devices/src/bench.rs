@@ -623,8 +623,7 @@ impl State {
             self.stretches.pop_back();
         }
         if let Some(stretch) = self.stretches.back_mut() {
-            let left = time_s - stretch.piece.start_s;
-            stretch.piece.duration_s = stretch.piece.duration_s.min(left);
+            stretch.piece.cut(time_s);
         }
     }
 

@@ -29,6 +29,14 @@ impl Piece {
         self.start_s + self.duration_s
     }
 
+    /// Ends it at a time, if it lasts that long.
+    pub(crate) fn cut(&mut self, time_s: f64) {
+        if time_s < self.end_s() {
+            self.to = self.position(time_s);
+            self.duration_s = time_s - self.start_s;
+        }
+    }
+
     fn clamped(&self, time_s: f64) -> f64 {
         (time_s - self.start_s).clamp(0.0, self.duration_s)
     }

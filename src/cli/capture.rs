@@ -286,6 +286,7 @@ fn carry_out(
         stage: devices.stage,
         session,
         reserve_bytes: config.capture.disk_reserve_bytes,
+        position_tolerance_deg: config.stage.position_tolerance_deg(),
         noise: &noise,
         interest: Some(&sample),
         sink: Box::new(sink),

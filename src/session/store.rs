@@ -164,12 +164,13 @@ impl Session {
         }
     }
 
-    /// Why a light has no merged image, where its frames are not all journalled.
+    /// Why a light of an interrupted session has no merged image.
     fn not_captured(&self, relative: &str) -> Option<SessionError> {
+        if self.journal.is_complete() {
+            return None;
+        }
         let planned = self.record.plan.lights.len();
-        let light = (0..planned as u32)
-            .filter(|&light| !self.light_is_finished(light))
-            .find(|&light| layout::radiance_file(light) == relative)?;
+        let light = (0..planned as u32).find(|&n| layout::radiance_file(n) == relative)?;
         let reason = self
             .journal
             .records

@@ -9,7 +9,7 @@ use serde::{Serialize, Serializer};
 
 use super::journal::{Event, Journal};
 pub use super::journalled::check;
-use super::layout::{self, JOURNAL_FILE, QUARANTINE_FOLDER};
+use super::layout::{self, JOURNAL_FILE, QUARANTINE_FOLDER, SESSION_FILE};
 use super::{Session, SessionError, journalled};
 
 /// What a check of a session found.
@@ -78,9 +78,21 @@ pub fn verify(root: &Path) -> Result<Verification, SessionError> {
 /// Records whose checksums are right and that cannot all be true.
 pub(super) fn contradictions(session: &Session) -> Vec<SessionError> {
     let lights = session.record().plan.lights.len() as u32;
+    let wrong = |line: usize, why: String| SessionError::CorruptJournal {
+        path: session.root().join(JOURNAL_FILE),
+        line,
+        why,
+    };
     let (mut frames, mut finished) = (HashSet::new(), HashSet::new());
     let mut is_stopped = false;
     let mut found = Vec::new();
+    // They are journalled before the session has its name: a resume must not take them for strays.
+    for copy in &session.record().calibration {
+        if !session.vouches_for(&copy.file) {
+            let why = format!("{}, which {SESSION_FILE} names, is in no record", copy.file);
+            found.push(wrong(session.journal().records.len(), why));
+        }
+    }
     for (index, record) in session.journal().records.iter().enumerate() {
         let light = match &record.event {
             Event::Frame { key, .. } => Some(key.light),
@@ -114,11 +126,7 @@ pub(super) fn contradictions(session: &Session) -> Vec<SessionError> {
                 continue;
             }
         };
-        found.push(SessionError::CorruptJournal {
-            path: session.root().join(JOURNAL_FILE),
-            line: index + 1,
-            why,
-        });
+        found.push(wrong(index + 1, why));
     }
     found
 }
