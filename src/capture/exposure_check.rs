@@ -46,9 +46,9 @@ pub struct Exposed<'a> {
 /// A pixel says most about the exposure where its signal in one of the frames is
 /// at least this part of the usable range. Where no pixel reaches it, all are
 /// taken: their sum is unbiased, and its uncertainty says what it is worth.
-const MIN_SIGNAL: f64 = 0.05;
+pub(super) const MIN_SIGNAL: f64 = 0.05;
 /// ... and at most this part, so that noise at the clipping level cannot bias.
-const MAX_SIGNAL: f64 = 0.9;
+pub(super) const MAX_SIGNAL: f64 = 0.9;
 /// Uncertainty of the black level common to all pixels, DN.
 const BLACK_LEVEL_STD_DN: f64 = 0.25;
 
@@ -69,10 +69,7 @@ fn ratio_above(
     earlier: Exposed<'_>,
     later: Exposed<'_>,
 ) -> Option<SignalRatio> {
-    let signal = |frame: Exposed<'_>, pixel: usize| {
-        noise.signal_dn(f64::from(frame.counts[pixel]))
-            - noise.gain_dn_per_e * noise.dark_current_e_s * frame.exposure_s
-    };
+    let signal = |frame: Exposed<'_>, pixel: usize| signal_dn(noise, frame, pixel);
     let range_dn = noise.usable_range_dn();
     let (mut sums_dn, mut variances_dn2, mut pixels) = ([0.0; 2], [0.0; 2], 0.0);
     for pixel in 0..earlier.counts.len().min(later.counts.len()) {
@@ -90,9 +87,7 @@ fn ratio_above(
         for (i, frame) in [earlier, later].into_iter().enumerate() {
             let signal_dn = signal(frame, pixel);
             sums_dn[i] += signal_dn;
-            variances_dn2[i] += noise.gain_dn_per_e * signal_dn.max(0.0)
-                + (noise.gain_dn_per_e * noise.read_noise_e).powi(2)
-                + 1.0 / 12.0;
+            variances_dn2[i] += variance_dn2(noise, signal_dn);
         }
     }
     let rate = |i: usize, frame: Exposed<'_>| sums_dn[i] / frame.exposure_s;
@@ -106,6 +101,19 @@ fn ratio_above(
         ratio,
         std_dev: ratio.abs() * (relative2(0) + relative2(1)).sqrt(),
     })
+}
+
+/// A pixel's counts of light, DN.
+pub(super) fn signal_dn(noise: &SensorNoise, frame: Exposed<'_>, pixel: usize) -> f64 {
+    noise.signal_dn(f64::from(frame.counts[pixel]))
+        - noise.gain_dn_per_e * noise.dark_current_e_s * frame.exposure_s
+}
+
+/// Variance of a pixel's counts, DN².
+pub(super) fn variance_dn2(noise: &SensorNoise, signal_dn: f64) -> f64 {
+    noise.gain_dn_per_e * signal_dn.max(0.0)
+        + (noise.gain_dn_per_e * noise.read_noise_e).powi(2)
+        + 1.0 / 12.0
 }
 
 impl SignalRatio {
@@ -130,7 +138,12 @@ impl SignalRatio {
     /// Judges; noise is granted three standard deviations before a frame is refused, five
     /// before it is doubted.
     pub fn verdict(&self) -> Verdict {
-        let off = (self.ratio - 1.0).abs();
+        self.verdict_beyond(0.0)
+    }
+
+    /// Likewise where the ratio may be off by `granted` for a reason that is known.
+    pub fn verdict_beyond(&self, granted: f64) -> Verdict {
+        let off = (self.ratio - 1.0).abs() - granted;
         if off > REFUSED + TO_REFUSE * self.std_dev {
             Verdict::Refused
         } else if off > GOOD + TO_WARN * self.std_dev {

@@ -176,7 +176,7 @@ fn start(args: &CaptureArgs, context: &Context) -> Result<(), CliError> {
     crate::session::layout::session_name(created, &sample, &short_id)?;
 
     let interrupt = interrupt::listen()?;
-    let mut devices = open::open_devices(config, || truth(config))?;
+    let mut devices = open::open_devices(config, &[], || truth(config))?;
     let camera_info = devices.camera.info().clone();
     check_camera(&camera_info, config)?;
     let sensor_c = devices.camera.temperature_c();
@@ -249,7 +249,13 @@ fn resume(args: &CaptureArgs, root: &Path, context: &Context) -> Result<(), CliE
     }
     let library = Library::Folder(root.join(CALIBRATION_FOLDER));
     let noise = Records::load_copies(&library)?.noise(&config)?;
-    let devices = open::open_devices(&config, || truth(&config))?;
+    let has_frames = |light: u32| session.frames().any(|frame| frame.key.light == light);
+    let begun: Vec<(StageAngles, bool)> = (0..)
+        .zip(&record.plan.lights)
+        .filter(|&(light, _)| has_frames(light))
+        .map(|(light, &angles)| (angles, session.light_is_finished(light)))
+        .collect();
+    let devices = open::open_devices(&config, &begun, || truth(&config))?;
     carry_out(args, &config, devices, writer, noise, interrupt, context)
 }
 
@@ -281,6 +287,7 @@ fn carry_out(
         stage: devices.stage,
         session,
         reserve_bytes: config.capture.disk_reserve_bytes,
+        position_tolerance_deg: config.stage.position_tolerance_deg(),
         noise: &noise,
         interest: Some(&sample),
         sink: Box::new(sink),
@@ -371,7 +378,7 @@ fn print_result(
     if args.json {
         let summary = Session::open(root)?.summary();
         return write_json(&json!({
-            "session": root,
+            "session": root.to_string_lossy(),
             "complete": outcome == Outcome::Complete,
             "elapsed_s": elapsed_s,
             "spent": spent,

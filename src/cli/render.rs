@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::output::{check_ending, write_json};
+use super::output::{check_ending, check_writable, write_json};
 use super::{CliError, Context, HintExt, facets};
 use crate::config::scene::SceneFile;
 use crate::out;
@@ -79,6 +79,7 @@ pub fn run(args: &RenderArgs, context: &Context) -> Result<(), CliError> {
                 .hint("create it first, or choose another --out"),
         );
     }
+    check_writable(&args.out)?;
     let polarised = args.polarised || file.polarised;
     let bar = context.bar(scene.camera.resolution_px[1] as u64, "rows");
     let mut options = RenderOptions {

@@ -37,7 +37,8 @@ use crate::session::SessionError;
 pub use bench::{BenchParameter, BenchRecord};
 pub use budget::{BudgetRecord, BudgetRow};
 pub use folder::{
-    commit, encode, next_folder, numbers_in, read, read_images, read_images_in, read_in, write,
+    check_folder, commit, encode, next_folder, numbers_in, read, read_images, read_images_in,
+    read_in, write,
 };
 pub use tables::{AngleCell, AngleTable};
 pub use verdict::{EXPLAINED_CHI_SQUARE, Grade, UNEXPLAINED_CHI_SQUARE, Verdict, Warning};

@@ -130,6 +130,17 @@ impl StageConfig {
         }
     }
 
+    /// How far a position may be off, degrees; `None` where nothing moves by itself.
+    pub fn position_tolerance_deg(&self) -> Option<f64> {
+        match &self.driver {
+            StageDriver::Simulated(config) | StageDriver::Grbl(config) => {
+                Some(config.position_tolerance_deg)
+            }
+            StageDriver::Zaber(config) => Some(config.position_tolerance_deg),
+            StageDriver::Dome(_) | StageDriver::Manual(_) => None,
+        }
+    }
+
     /// How many degrees per second the light's direction turns at least, and
     /// how long homing may take: for estimates.
     pub fn pace(&self) -> (f64, Seconds) {
