@@ -9,6 +9,7 @@ use rig::capture::{CaptureError, Outcome};
 use rig::device::temperature::{Part, TemperatureLimits};
 use rig::device::{FrameKind, LampState, ReferenceCheck};
 use rig::session::commit::SystemDisk;
+use rig::session::drift::{LampChange, LampDrift, Span};
 use rig::session::faults::{Fault, FaultyDisk, SmallDisk, UnsyncedDisk};
 use rig::session::{Event, Journal, Session, SessionWriter, layout, verify};
 use support::*;
@@ -339,34 +340,27 @@ fn a_lamp_that_drifts_suspends() {
     };
     let (result, _, found, drift) = run(0.998);
     assert!(
-        matches!(result, Err(CaptureError::LampDrift { light: 0, ratio, .. }) if ratio < 0.96),
+        matches!(result, Err(CaptureError::LampDrift { light: 0, change, .. }) if change.ratio < 0.96),
         "{result:?}"
     );
     assert!(found.is_intact() && !found.complete);
-    assert_eq!(drift.worst(), None);
+    assert_eq!(drift.changes, []);
     let (result, heard, _, drift) = run(0.9991);
     assert_eq!(result.unwrap(), Outcome::Complete);
     let drifts = heard.warnings.iter();
-    assert!(
-        drifts
-            .clone()
-            .any(|w| w.contains("the light's earlier frame")),
-        "{:?}",
-        heard.warnings
-    );
+    let drifted = |w: &String| w.starts_with("the lamp drifted by -") && w.contains("during light");
+    assert!(drifts.clone().any(drifted), "{:?}", heard.warnings);
     // Every light's last frames are some thirty frames after its first.
-    assert!(
-        drift
-            .lights
-            .iter()
-            .all(|d| d.is_some_and(|d| (-0.04..-0.01).contains(&d))),
-        "{drift:?}"
-    );
-    assert!((0.01..0.04).contains(&drift.rms()) && drift.worst().is_some());
+    let is_near = |c: &LampChange| (-0.04..-0.01).contains(&c.change) && c.std_dev.is_some();
+    assert!(drift.within_lights().all(is_near), "{drift:?}");
+    assert_eq!(drift.changes.len(), 2 * 2);
+    assert!((0.01..0.04).contains(&drift.of_intensities()));
+    assert!(!drift.notable().is_empty(), "{drift:?}");
     let (result, heard, _, drift) = run(1.0);
     assert_eq!(result.unwrap(), Outcome::Complete);
     assert_eq!(heard.warnings, [""; 0]);
-    assert!(drift.rms() < 0.01 && drift.lights.len() == 2, "{drift:?}");
+    assert_eq!(drift.notable(), [], "{drift:?}");
+    assert!(drift.of_intensities() < 0.005, "{drift:?}");
 }
 
 /// After its last light a capture visits the first again: what the lamp did meanwhile is
@@ -407,23 +401,84 @@ fn the_first_light_is_visited_again() {
     let (steady, told, moves, grabs, expected) = run(1.0, None);
     assert_eq!((told, moves), (0, 3));
     // These few pixels tell the lamp within 1%.
-    assert!(
-        steady.over_session.is_some_and(|c| c.abs() < 0.03),
-        "{steady:?}"
-    );
+    assert!(steady.over_session().count() > 0, "{steady:?}");
+    assert_eq!(steady.notable(), [], "{steady:?}");
     // Some 3% within each light, which does not suspend, and more than twice that between
     // the first light and its second visit, which does not either.
     let (drifting, told, _, all, _) = run(0.9988, None);
-    let change = drifting.over_session.unwrap();
     let lost = 0.9988f64.powi(all as i32) - 1.0;
-    assert!((change - lost).abs() < 0.03, "{change} for {lost}");
+    for change in drifting.over_session() {
+        assert!((change.change - lost).abs() < 0.03, "{change} for {lost}");
+    }
+    assert_eq!(drifting.notable()[0].span, Span::OverSession);
     assert!((1..=2).contains(&told), "{told} channels");
-    assert!(drifting.of_intensities() > drifting.rms());
+    assert!(drifting.of_intensities() > steady.of_intensities());
     // In the middle, and during the visit.
     for at in [grabs / 2, grabs - 1] {
         let (_, _, _, _, found) = run(1.0, Some(at));
         assert_eq!(found, expected, "interrupted at frame {at} of {grabs}");
     }
+}
+
+/// Captures of two lights by two channels, the first visited again, on a bench of which this
+/// seed decides the noise; the lamp is constant or loses `lost` from a light's first frame to
+/// its last.
+fn lamp_of(seed: u64, lost: f64) -> LampDrift {
+    // The lights take 52 to 54 frames each.
+    let bench = Bench::with(|world| {
+        world.size = 32;
+        world.noise_seed = seed;
+        world.drift_per_frame = (1.0 - lost).powf(1.0 / 50.0);
+    });
+    let parent = tempfile::tempdir().unwrap();
+    let mut record = record();
+    record.plan.revisit_first = true;
+    record.versions.camera = camera_of(32);
+    let session = create_from(Arc::new(UnsyncedDisk), parent.path(), &record).unwrap();
+    let root = session.root().to_owned();
+    assert_eq!(capture(&bench, session).0.unwrap(), Outcome::Complete);
+    if seed == 1 {
+        println!("{lost}: {} grabs", bench.world().grabs);
+    }
+    Session::open(&root).unwrap().lamp_drift().unwrap()
+}
+
+/// `RIG_DRIFT_CAPTURES` constant lamps (20) make no remark: one in 200 captures would already
+/// be more than the stated 0.1% allows in 4 of 5 such runs. Of half as many lamps that lose
+/// 1% within a light 95 of 100 are named.
+#[test]
+fn constant_lamps_are_not_blamed_and_drifting_ones_are() {
+    let captures = std::env::var("RIG_DRIFT_CAPTURES").map_or(20, |n| n.parse().unwrap());
+    let (mut squares, mut compared) = (0.0, 0.0);
+    for seed in 0..captures {
+        let constant = lamp_of(seed, 0.0);
+        assert_eq!(constant.notable(), [], "seed {seed}");
+        assert!(constant.of_intensities() < 0.002, "{constant:?}");
+        for change in constant.within_lights() {
+            squares += (change.change / change.std_dev.unwrap()).powi(2);
+            compared += 1.0;
+        }
+    }
+    let drifting = captures / 2;
+    let is_named = |seed: &u64| {
+        let drift = lamp_of(*seed, 0.01);
+        for change in drift.within_lights().filter(|_| *seed == 1) {
+            println!("{change}");
+        }
+        let is_within = |change: &LampChange| change.span != Span::OverSession;
+        drift.notable().iter().any(is_within)
+    };
+    let named = (0..drifting).filter(is_named).count();
+    println!(
+        "{captures} constant lamps: none blamed, pulls {:.3}; {named} of {drifting} drifting ones named",
+        squares / compared
+    );
+    // χ² within what 0.1% allows.
+    assert!((squares - compared).abs() < 3.3 * f64::sqrt(2.0 * compared));
+    assert!(
+        100 * named >= 95 * drifting as usize,
+        "{named} of {drifting}"
+    );
 }
 
 /// Temperatures stand in the sidecars; near its limit a part is warned of once, above it

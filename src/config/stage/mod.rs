@@ -130,6 +130,18 @@ impl StageConfig {
         }
     }
 
+    /// How far it may stand from where it was sent, degrees; 0 where nothing moves, or a
+    /// person moves it and nobody knows.
+    pub fn tolerance_deg(&self) -> f64 {
+        match &self.driver {
+            StageDriver::Simulated(config) | StageDriver::Grbl(config) => {
+                config.position_tolerance_deg
+            }
+            StageDriver::Zaber(config) => config.position_tolerance_deg,
+            StageDriver::Dome(_) | StageDriver::Manual(_) => 0.0,
+        }
+    }
+
     /// How many degrees per second the light's direction turns at least, and
     /// how long homing may take: for estimates.
     pub fn pace(&self) -> (f64, Seconds) {
