@@ -13,7 +13,7 @@ const LIGHTS_LOOKED_AT: usize = 16;
 
 /// A sample so many times longer than the field, or that would fill this part of the field
 /// if it were a thousand times longer, was not made in millimetres.
-const THOUSANDFOLD: f64 = 100.0;
+const THOUSANDFOLD: std::ops::Range<f64> = 100.0..1e9;
 const A_THOUSANDTH: std::ops::Range<f64> = 0.05e-3..3e-3;
 
 /// Refuses a bench whose camera doesn't see the front of the sample. Remarks go to stderr.
@@ -136,7 +136,8 @@ fn mm(length: f64) -> String {
         0.1..1.0 => 2,
         _ => 1,
     };
-    format!("{length:.digits$}")
+    // No negative zero.
+    format!("{:.digits$}", length + 0.0)
 }
 
 /// How the keys of a file are called.
@@ -166,7 +167,7 @@ fn remedy(concern: &Concern, seen: &Visibility, keys: Keys) -> String {
     let (camera, sample) = (keys.camera(), keys.sample());
     let times = seen.times_the_field();
     match concern {
-        Concern::OutOfView { .. } | Concern::PartlyInView { .. } if times > THOUSANDFOLD => format!(
+        Concern::OutOfView { .. } | Concern::PartlyInView { .. } if THOUSANDFOLD.contains(&times) => format!(
             "the sample is {times:.0} times as long as the field of view: lengths are millimetres; a mesh in micrometres must be divided by 1000 ({sample})"
         ),
         Concern::TooSmall { .. } if A_THOUSANDTH.contains(&times) => format!(
