@@ -1,7 +1,7 @@
 # `make demo`: build, then the whole pipeline on the simulated rig.
 # `make test`: all tests.
-# `make test-long`: coverage of the intervals and rates of warnings, in full; 200
-#   captures killed at random moments.
+# `make test-long`: coverage of the intervals and rates of warnings, in full; captures
+#   cut at every record and 200 killed at random moments.
 # `make test-vm`: the program against the kernel's own drivers in a virtual machine.
 # `make test-external`: exports loaded in the programs they are for (tests/external/README.md).
 
@@ -29,7 +29,8 @@ test-vm: build
 
 # Hours of one core at full size; an interrupted run goes on where it stopped.
 test-long: build
-	RIG_KILLS=200 $(CARGO) test --locked --release --test capture_command killed -- --nocapture
+	RIG_KILLS=200 RIG_CUTS=all $(CARGO) test --locked --release --test resume_command \
+	  -- --nocapture killed cut_at
 	target/release/rig evaluate intervals --out target/long/intervals
 	target/release/rig evaluate diagnosis --out target/long/diagnosis
 

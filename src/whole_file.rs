@@ -21,10 +21,7 @@ impl<T: Write + Seek> Out for T {}
 /// the path.
 pub fn replace(path: &Path, write: impl FnOnce(&mut dyn Out) -> io::Result<()>) -> io::Result<()> {
     if std::fs::symlink_metadata(path).is_ok_and(|there| !there.is_file()) {
-        return Err(io::Error::new(
-            io::ErrorKind::InvalidInput,
-            "it exists and is not a regular file",
-        ));
+        return Err(not_regular());
     }
     let file = written(path, write)?;
     file.persist(path).map_err(|error| error.error)?;
@@ -39,6 +36,45 @@ pub fn create(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let file = written(path, |out| out.write_all(bytes))?;
     file.persist_noclobber(path).map_err(|error| error.error)?;
     Ok(())
+}
+
+/// Whether [`replace`] could write this file: for what works long before it writes. The
+/// nearest parent that exists must take a new file, which leaves no trace.
+///
+/// # Errors
+/// As [`replace`]; messages don't name the path.
+pub fn check_writable(path: &Path) -> io::Result<()> {
+    if std::fs::symlink_metadata(path).is_ok_and(|there| !there.is_file()) {
+        return Err(not_regular());
+    }
+    check_folder(path.parent().unwrap_or(Path::new("")))
+}
+
+/// Whether files can be made in this folder, which may have to be made itself.
+///
+/// # Errors
+/// The system refuses a file there. Messages don't name the path.
+pub fn check_folder(folder: &Path) -> io::Result<()> {
+    let folder = std::path::absolute(if folder.as_os_str().is_empty() {
+        Path::new(".")
+    } else {
+        folder
+    })?;
+    let there = folder
+        .ancestors()
+        .find(|path| path.symlink_metadata().is_ok());
+    let there = there.unwrap_or(Path::new("/"));
+    if !there.is_dir() {
+        return Err(io::ErrorKind::NotADirectory.into());
+    }
+    tempfile::tempfile_in(there).map(drop)
+}
+
+fn not_regular() -> io::Error {
+    io::Error::new(
+        io::ErrorKind::InvalidInput,
+        "it exists and is not a regular file",
+    )
 }
 
 /// A temporary file beside `path`, synchronised; dropping it removes it.
@@ -92,6 +128,24 @@ mod tests {
         let error = create(&file, b"two").unwrap_err();
         assert_eq!(error.kind(), io::ErrorKind::AlreadyExists);
         assert_eq!(std::fs::read(&file).unwrap(), b"one");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn what_cannot_be_written_is_known_before() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("file");
+        std::fs::write(&file, "old").unwrap();
+        let not_made = folder.path().join("a/b/c");
+        check_writable(&file).unwrap();
+        check_writable(&not_made).unwrap();
+        check_folder(&not_made).unwrap();
+        for refused in [folder.path(), &file.join("x"), Path::new("/proc/x")] {
+            check_writable(refused).unwrap_err();
+        }
+        check_folder(&file).unwrap_err();
+        check_folder(Path::new("/proc/a/b")).unwrap_err();
+        assert_eq!(std::fs::read(&file).unwrap(), b"old");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
     }
 

@@ -2,6 +2,9 @@
 //! signals: nothing that was journalled is lost, and whatever is wrong is said
 //! in one line with a hint.
 
+#[path = "command_support/mod.rs"]
+mod support;
+
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
 use std::os::unix::process::CommandExt;
@@ -11,100 +14,14 @@ use std::time::{Duration, Instant};
 
 use rig::session::{Journal, Session, SessionState, layout, verify};
 use rustix::process::{Pid, Signal, kill_process};
-use tempfile::TempDir;
+use support::*;
 
 const NO_FIT: &[&str] = &["capture", "--lights", "1", "--no-fit"];
-
-/// A folder with a rig file of the simulated bench whose truth is rendered
-/// quickly; `change` is applied to its text.
-fn workplace(change: impl FnOnce(String) -> String) -> TempDir {
-    let folder = tempfile::tempdir().unwrap();
-    let text = include_str!("../rig-configs/simulated.toml");
-    let (before, simulation) = text.split_once("[simulation]").unwrap();
-    let quick: String = simulation
-        .lines()
-        .map(|line| match line.split_once(" = ") {
-            Some(("samples_per_pixel", _)) => "samples_per_pixel = 2\n".into(),
-            Some(("max_reflections", _)) => "max_reflections = 2\n".into(),
-            Some(("segments", _)) => "segments = 32\n".into(),
-            Some(("timing", _)) => "timing = \"instant\"\n".into(),
-            Some(("material", _)) => {
-                "brdf = { mixture = [ { weight = 1.0, lambertian = { albedo = 0.8 } } ] }\n".into()
-            }
-            _ => format!("{line}\n"),
-        })
-        .collect();
-    let text = change(format!("{before}[simulation]{quick}"));
-    fs::write(folder.path().join("rig.toml"), text).unwrap();
-    folder
-}
 
 /// As on a real bench: motion, exposures and settling take their time.
 fn realistic(text: String) -> String {
     assert!(text.contains("timing = \"instant\""));
     text.replace("timing = \"instant\"", "timing = \"realistic\"")
-}
-
-fn rig(folder: &Path, arguments: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_rig"));
-    command
-        .args(arguments)
-        .current_dir(folder)
-        .env_remove("RIG_CONFIG")
-        .env_remove("RUST_BACKTRACE");
-    command
-}
-
-fn run(folder: &Path, arguments: &[&str]) -> Output {
-    rig(folder, arguments).output().unwrap()
-}
-
-fn text(bytes: &[u8]) -> String {
-    String::from_utf8_lossy(bytes).into_owned()
-}
-
-#[track_caller]
-fn assert_done(output: &Output) {
-    let stderr = text(&output.stderr);
-    assert_eq!(output.status.code(), Some(0), "{stderr}");
-}
-
-/// Exit code `code`, one line of fact, a blank line, a hint, and no defect.
-#[track_caller]
-fn assert_fails(output: &Output, code: i32, fact: &str, hint: &str) {
-    let stderr = text(&output.stderr);
-    assert_eq!(output.status.code(), Some(code), "{stderr}");
-    let lines: Vec<&str> = stderr.lines().collect();
-    let [.., error, "", advice] = lines[..] else {
-        panic!("not one fact and one hint:\n{stderr}");
-    };
-    assert!(
-        error.starts_with("error: ") && error.contains(fact),
-        "{stderr}"
-    );
-    assert!(
-        advice.starts_with("hint: ") && advice.contains(hint),
-        "{stderr}"
-    );
-    assert!(!stderr.contains("internal error"), "{stderr}");
-}
-
-/// The path that stdout ends with.
-fn session_of(folder: &Path, output: &Output) -> PathBuf {
-    let stdout = text(&output.stdout);
-    folder.join(stdout.lines().last().expect("a path on stdout"))
-}
-
-fn copy(from: &Path, to: &Path) {
-    fs::create_dir(to).unwrap();
-    for entry in fs::read_dir(from).unwrap().flatten() {
-        let target = to.join(entry.file_name());
-        if entry.file_type().unwrap().is_dir() {
-            copy(&entry.path(), &target);
-        } else {
-            fs::copy(entry.path(), target).unwrap();
-        }
-    }
 }
 
 fn flip_a_bit(path: &Path) {
@@ -382,35 +299,6 @@ fn a_reader_that_leaves_does_not_end_a_capture() {
     let root = only_session(folder.path()).unwrap();
     let found = verify::verify(&root).unwrap();
     assert!(found.is_intact() && found.complete, "{found:?}");
-}
-
-fn only_session(folder: &Path) -> Option<PathBuf> {
-    fs::read_dir(folder.join("sessions"))
-        .into_iter()
-        .flatten()
-        .flatten()
-        .map(|entry| entry.path())
-        .find(|path| !path.file_name().unwrap().to_str().unwrap().starts_with('.'))
-}
-
-/// Starts a capture and waits until its journal is as wanted.
-fn begin(folder: &Path, arguments: &[&str], until: impl Fn(&Journal) -> bool) -> (Child, PathBuf) {
-    let mut child = rig(folder, arguments)
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap();
-    let began = Instant::now();
-    loop {
-        if let Some(root) = only_session(folder)
-            && Journal::read(&root).is_ok_and(|journal| until(&journal))
-        {
-            return (child, root);
-        }
-        assert!(child.try_wait().unwrap().is_none(), "it ended by itself");
-        assert!(began.elapsed() < Duration::from_secs(120), "it takes long");
-        std::thread::sleep(Duration::from_millis(2));
-    }
 }
 
 #[test]

@@ -120,9 +120,10 @@ pub struct StageErrors {
     /// Standard deviation of a fixed error of each axis that depends on the
     /// target, mm: the same target always errs alike.
     pub positioning_mm: f64,
-    /// Standard deviation of an error of each axis that is new with every move, mm.
+    /// Standard deviation of an error of each axis that is new with every visit of a
+    /// target, mm; see [`Bench::count_visit`].
     pub repeatability_mm: f64,
-    /// Standard deviation of where homing finds the switch, mm.
+    /// Standard deviation of where homing finds the switch, mm: new with every homing.
     pub homing_mm: f64,
     /// How far an axis coasts when its drive is cut in motion, as seconds of
     /// its speed (times a number in [0, 1) new at each cut).
@@ -192,12 +193,17 @@ pub struct BenchConfig {
 /// How much of the past is kept for exposures that began earlier, seconds.
 const HISTORY_S: f64 = 600.0;
 
-/// One moving stretch and the errors that hold from its start on.
+/// One moving stretch, where the firmware believes that it leads, and the errors that
+/// hold from its start on.
 #[derive(Clone, Copy, Debug)]
 struct Stretch {
     piece: Piece,
+    target: Position,
     error: Position,
 }
+
+/// Two targets of the firmware closer than this are one, mm.
+const SAME_TARGET_MM: f64 = 5e-4;
 
 #[derive(Clone, Copy, Debug)]
 struct LampEvent {
@@ -214,10 +220,14 @@ struct State {
     rest: Position,
     rest_output: Position,
     rest_error: Position,
+    rest_target: Position,
     stretches: VecDeque<Stretch>,
     /// Motor position minus the firmware's.
     slip: Position,
-    moves: u64,
+    /// Every target that was left after the lamp had burned there, as often as it was.
+    visits: Vec<Position>,
+    /// Where the lamp has burned since the stage last moved.
+    lit_at: Option<Position>,
     homings: u64,
     cuts: u64,
     lamp: VecDeque<LampEvent>,
@@ -243,9 +253,11 @@ impl Bench {
             rest: config.start_mm,
             rest_output: config.start_mm,
             rest_error: [0.0; 3],
+            rest_target: config.start_mm,
             stretches: VecDeque::new(),
             slip: config.start_mm,
-            moves: 0,
+            visits: Vec::new(),
+            lit_at: None,
             homings: 0,
             cuts: 0,
             lamp: VecDeque::from([LampEvent {
@@ -284,10 +296,12 @@ impl Bench {
     /// its middle and each channel's power averaged over it.
     pub fn illumination_over(&self, start_s: f64, end_s: f64) -> Illumination {
         let state = lock(&self.state);
-        let [azimuth_deg, elevation_deg] = self.angles_deg(&state, 0.5 * (start_s + end_s));
+        let middle_s = 0.5 * (start_s + end_s);
+        let [azimuth_deg, elevation_deg] = self.angles_deg(&state, middle_s);
         Illumination {
             azimuth_rad: azimuth_deg.to_radians(),
             elevation_rad: elevation_deg.to_radians(),
+            sent_to_deg: self.config.kinematics.angles_deg(state.target(middle_s)),
             channels: self.mean_power(&state, start_s, end_s),
         }
     }
@@ -341,10 +355,18 @@ impl Bench {
         let now_s = self.clock.now_s();
         let mut state = lock(&self.state);
         let at = state.motor(now_s);
+        state.rest_target = state.target(now_s);
         state.stretches.clear();
         state.rest = std::array::from_fn(|axis| at[axis] + by_mm[axis]);
         state.rest_output = state.rest;
         state.slip = std::array::from_fn(|axis| state.slip[axis] + by_mm[axis]);
+    }
+
+    /// A target of the firmware was visited before this bench was made. The bench
+    /// counts by itself what comes after: a visit is a stay with the lamp lit, and each
+    /// has its own error of [`StageErrors::repeatability_mm`].
+    pub fn count_visit(&self, target: Position) {
+        lock(&self.state).visits.push(target);
     }
 
     fn angles_deg(&self, state: &State, time_s: f64) -> [f64; 2] {
@@ -404,31 +426,42 @@ impl Bench {
         let mut state = lock(&self.state);
         state.cut(from_s);
         state.forget_before(from_s - HISTORY_S, self.config.errors.backlash_mm);
+        if !pieces.is_empty()
+            && let Some(left) = state.lit_at.take()
+        {
+            state.visits.push(left);
+        }
         for piece in pieces {
             let mut piece = *piece;
-            for (axis, from) in piece.from.iter_mut().enumerate() {
-                *from += state.slip[axis];
+            let target = piece.to;
+            for (axis, slip) in state.slip.iter().enumerate() {
+                piece.from[axis] += slip;
+                piece.to[axis] += slip;
             }
-            let error = self.error_of_move(state.moves, piece.position(piece.end_s()));
-            state.stretches.push_back(Stretch { piece, error });
-        }
-        if !pieces.is_empty() {
-            state.moves += 1;
+            let error = self.error_at(target, state.visits_of(target));
+            state.stretches.push_back(Stretch {
+                piece,
+                target,
+                error,
+            });
         }
     }
 
-    fn error_of_move(&self, index: u64, target: Position) -> Position {
+    /// The error of a stay at a target of the firmware after so many visits before it.
+    fn error_at(&self, target: Position, visits: u64) -> Position {
         let errors = &self.config.errors;
+        let [x, y, z] = target.map(|mm| (mm * 1e4).round() as i64 as u64);
         std::array::from_fn(|axis| {
+            let seed = self.config.seed;
             let mut error = 0.0;
             if errors.positioning_mm > 0.0 {
-                let place = (target[axis] * 1e4).round() as i64 as u64;
-                error += errors.positioning_mm
-                    * random::stream(&[self.config.seed, 1, axis as u64, place]).normal();
+                let place = [x, y, z][axis];
+                error +=
+                    errors.positioning_mm * random::stream(&[seed, 1, axis as u64, place]).normal();
             }
             if errors.repeatability_mm > 0.0 {
-                error += errors.repeatability_mm
-                    * random::stream(&[self.config.seed, 2, axis as u64, index]).normal();
+                let visit = [seed, 2, axis as u64, x, y, z, visits];
+                error += errors.repeatability_mm * random::stream(&visit).normal();
             }
             error
         })
@@ -451,6 +484,7 @@ impl Bench {
             .map_or(state.rest_error, |stretch| stretch.error);
         let output = state.output_without_error(now_s, self.config.errors.backlash_mm);
         let at = state.motor(now_s);
+        state.rest_target = state.target(now_s);
         state.cuts += 1;
         state.stretches.clear();
         state.rest = std::array::from_fn(|axis| at[axis] + coast[axis]);
@@ -499,6 +533,9 @@ impl Bench {
         if last.is_some_and(|event| event.drive == drive) {
             return;
         }
+        if drive.iter().any(|&drive| drive > 0.0) {
+            state.lit_at = Some(state.target(now_s));
+        }
         let lit_since_s = std::array::from_fn(|channel| match last {
             Some(event) if event.drive[channel] > 0.0 => event.lit_since_s[channel],
             _ => now_s,
@@ -529,6 +566,24 @@ impl State {
             .rev()
             .find(|stretch| stretch.piece.start_s <= time_s)
             .map_or(self.rest, |stretch| stretch.piece.position(time_s))
+    }
+
+    /// Where the firmware was sent.
+    fn target(&self, time_s: f64) -> Position {
+        self.stretches
+            .iter()
+            .rev()
+            .find(|stretch| stretch.piece.start_s <= time_s)
+            .map_or(self.rest_target, |stretch| stretch.target)
+    }
+
+    /// How often a target was visited before.
+    fn visits_of(&self, target: Position) -> u64 {
+        let near = |visit: &&Position| {
+            let mut apart = visit.iter().zip(target).map(|(a, b)| (a - b).abs());
+            apart.all(|apart_mm| apart_mm < SAME_TARGET_MM)
+        };
+        self.visits.iter().filter(near).count() as u64
     }
 
     /// The play operator: the output stays until the motor has taken up the
@@ -568,8 +623,7 @@ impl State {
             self.stretches.pop_back();
         }
         if let Some(stretch) = self.stretches.back_mut() {
-            let left = time_s - stretch.piece.start_s;
-            stretch.piece.duration_s = stretch.piece.duration_s.min(left);
+            stretch.piece.cut(time_s);
         }
     }
 
@@ -586,6 +640,7 @@ impl State {
                     self.rest_output[axis].clamp(motor[axis], motor[axis] + play[axis])
                 });
                 self.rest_error = stretch.error;
+                self.rest_target = stretch.target;
             }
         }
     }
@@ -702,6 +757,58 @@ mod tests {
         );
         bench.clock().advance(1.0);
         assert!((bench.motor_position()[0] - 11.0 - coasted).abs() < 1e-6);
+    }
+
+    /// Sends the stage to a place by way of others, lights the lamp there, and says where
+    /// the lamp truly was.
+    fn visit(bench: &Bench, way: &[Position], to: Position) -> [f64; 2] {
+        for &to in way.iter().chain([&to]) {
+            let now_s = bench.clock().now_s();
+            let from = lock(&bench.state).target(now_s);
+            bench.follow(now_s, &trapezoid(from, to, now_s, 10.0, 100.0));
+            bench.clock().advance(100.0);
+        }
+        let now_s = bench.clock().now_s();
+        bench.set_lamp(now_s, [1.0; 3]);
+        let light = bench.illumination();
+        bench.set_lamp(now_s, [0.0; 3]);
+        assert_eq!(light.sent_to_deg, [to[0] - 180.0, to[1]]);
+        [light.azimuth_rad, light.elevation_rad]
+    }
+
+    /// Whatever the way there, to the last bit; and anew at every visit.
+    #[test]
+    fn errors_belong_to_target_and_visit() {
+        let bench = || {
+            let config = BenchConfig {
+                errors: StageErrors {
+                    positioning_mm: 0.05,
+                    repeatability_mm: 0.01,
+                    ..StageErrors::default()
+                },
+                seed: 3,
+                ..BenchConfig::default()
+            };
+            Bench::new(config, Clock::manual())
+        };
+        let (a, b) = ([31.7, 47.3, 0.0], [90.1, 12.9, 0.0]);
+        let one = bench();
+        let first = visit(&one, &[], a);
+        let other = visit(&one, &[[3.1, 4.7, 0.0]], b);
+        let second = visit(&one, &[], a);
+        assert_ne!(first, second);
+        assert!((first[0] - second[0]).abs() < f64::to_radians(0.1));
+        let another = bench();
+        assert_eq!(
+            visit(&another, &[[17.3, 60.0, 0.0], [0.1, 0.3, 0.0]], b),
+            other
+        );
+        assert_eq!(visit(&another, &[[1.0, 1.0, 0.0]], a), first);
+        // One that was made after the first visit, e.g. by another process.
+        let later = bench();
+        later.count_visit(a);
+        assert_eq!(visit(&later, &[], a), second);
+        assert_eq!(visit(&later, &[], b), other);
     }
 
     #[test]

@@ -29,6 +29,9 @@ pub struct Illumination {
     pub azimuth_rad: f64,
     /// True elevation of the lamp in the stage's axes, radians.
     pub elevation_rad: f64,
+    /// Azimuth and elevation to which the lamp was sent, degrees: the same at every
+    /// visit, whatever the stage's errors make of it.
+    pub sent_to_deg: [f64; 2],
     /// Relative power of the lamp's channels, 0 = off, 1 = nominal.
     pub channels: [f64; 3],
 }

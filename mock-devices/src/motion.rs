@@ -13,6 +13,8 @@ pub struct Piece {
     pub duration_s: f64,
     /// Where it begins.
     pub from: Position,
+    /// Where it ends: exactly, so that a position does not depend on the way there.
+    pub to: Position,
     /// Unit vector of the motion.
     pub direction: Position,
     /// Speed at its beginning, mm/s.
@@ -27,6 +29,14 @@ impl Piece {
         self.start_s + self.duration_s
     }
 
+    /// Ends it at a time, if it lasts that long.
+    pub(crate) fn cut(&mut self, time_s: f64) {
+        if time_s < self.end_s() {
+            self.to = self.position(time_s);
+            self.duration_s = time_s - self.start_s;
+        }
+    }
+
     fn clamped(&self, time_s: f64) -> f64 {
         (time_s - self.start_s).clamp(0.0, self.duration_s)
     }
@@ -39,6 +49,9 @@ impl Piece {
 
     /// Where it is at a time; at its ends outside of it.
     pub fn position(&self, time_s: f64) -> Position {
+        if time_s >= self.end_s() {
+            return self.to;
+        }
         along(self.from, self.direction, self.travelled(time_s))
     }
 
@@ -93,14 +106,18 @@ pub fn trapezoid(
         (cruise_s, peak, 0.0, ramp_length),
         (ramp_s, peak, -acceleration, length - ramp_length),
     ];
-    let mut pieces = Vec::with_capacity(3);
+    let mut pieces: Vec<Piece> = Vec::with_capacity(3);
     let mut begin_s = start_s;
     for (duration_s, speed, acceleration, done) in stretches {
         if duration_s > 0.0 {
+            if let Some(before) = pieces.last_mut() {
+                before.to = along(from, direction, done);
+            }
             pieces.push(Piece {
                 start_s: begin_s,
                 duration_s,
                 from: along(from, direction, done),
+                to,
                 direction,
                 speed,
                 acceleration,
@@ -135,7 +152,9 @@ mod tests {
             };
             let last = pieces.last().unwrap();
             assert!((last.end_s() - 7.0 - expected_s).abs() < 1e-9);
-            for (reached, wanted) in last.position(1e9).iter().zip(to) {
+            assert_eq!(last.position(last.end_s()), to, "distance {distance}");
+            let nearly = last.position(last.end_s() - 1e-9);
+            for (reached, wanted) in nearly.iter().zip(to) {
                 assert!((reached - wanted).abs() < 1e-9, "distance {distance}");
             }
             assert!(last.speed_at(1e9) < 1e-6, "ends at rest");

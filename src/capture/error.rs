@@ -83,6 +83,25 @@ pub enum CaptureError {
         /// Signal over that of the first frame at the same exposure.
         change: super::exposure_check::SignalRatio,
     },
+    /// The lamp is not back where it was before the stage was homed anew.
+    #[error(
+        "light {light}: since the stage was homed anew, the image at the same exposure differs by {:.1} % \
+         (root mean square of its pixels, beyond noise), as if the lamp stood roughly {turned_deg:.2}° \
+         from where it was; the stage's position_tolerance_deg of {tolerance_deg}° explains {:.1} %",
+        100.0 * pattern, 100.0 * explained
+    )]
+    LightMoved {
+        /// Index in the plan.
+        light: u32,
+        /// Root mean square relative change of the pixels, beyond noise.
+        pattern: f64,
+        /// Roughly the turn of the light that makes it, degrees.
+        turned_deg: f64,
+        /// Of the rig file.
+        tolerance_deg: f64,
+        /// The most that this makes of `pattern`.
+        explained: f64,
+    },
     /// The sensor or the lamp has become too hot.
     #[error(
         "light {light}: the {part} has {temperature_c:.1} °C, more than the limit of {limit_c} °C"

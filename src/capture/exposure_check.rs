@@ -53,9 +53,9 @@ pub struct Exposed<'a> {
 /// A pixel says most about the exposure where its signal in one of the frames is
 /// at least this part of the usable range. Where no pixel reaches it, all are
 /// taken: their sum is unbiased, and its uncertainty says what it is worth.
-const MIN_SIGNAL: f64 = 0.05;
+pub(super) const MIN_SIGNAL: f64 = 0.05;
 /// ... and at most this part, so that noise at the clipping level cannot bias.
-const MAX_SIGNAL: f64 = 0.9;
+pub(super) const MAX_SIGNAL: f64 = 0.9;
 /// Uncertainty of the black level common to all pixels and to both frames, DN.
 const BLACK_LEVEL_STD_DN: f64 = 0.25;
 
@@ -76,10 +76,7 @@ fn ratio_above(
     earlier: Exposed<'_>,
     later: Exposed<'_>,
 ) -> Option<SignalRatio> {
-    let dark_e = |frame: Exposed<'_>| noise.dark_current_e_s * frame.exposure_s;
-    let signal = |frame: Exposed<'_>, pixel: usize| {
-        noise.signal_dn(f64::from(frame.counts[pixel])) - noise.gain_dn_per_e * dark_e(frame)
-    };
+    let signal = |frame: Exposed<'_>, pixel: usize| signal_dn(noise, frame, pixel);
     let range_dn = noise.usable_range_dn();
     let (mut sums_dn, mut variances_dn2, mut pixels) = ([0.0; 2], [0.0; 2], 0.0);
     for pixel in 0..earlier.counts.len().min(later.counts.len()) {
@@ -97,8 +94,7 @@ fn ratio_above(
         for (i, frame) in [earlier, later].into_iter().enumerate() {
             let signal_dn = signal(frame, pixel);
             sums_dn[i] += signal_dn;
-            let electrons = signal_dn / noise.gain_dn_per_e + dark_e(frame);
-            variances_dn2[i] += noise.count_variance_dn2(electrons);
+            variances_dn2[i] += variance_dn2(noise, frame, signal_dn);
         }
     }
     let rate = |i: usize, frame: Exposed<'_>| sums_dn[i] / frame.exposure_s;
@@ -113,6 +109,20 @@ fn ratio_above(
         ratio,
         std_dev: ratio.abs() * (relative2(0) + relative2(1) + black * black).sqrt(),
     })
+}
+
+/// A pixel's counts of light, DN.
+pub(super) fn signal_dn(noise: &SensorNoise, frame: Exposed<'_>, pixel: usize) -> f64 {
+    noise.signal_dn(f64::from(frame.counts[pixel])) - noise.gain_dn_per_e * dark_e(noise, frame)
+}
+
+/// Variance of a pixel's counts, DN², of which so many are of light.
+pub(super) fn variance_dn2(noise: &SensorNoise, frame: Exposed<'_>, signal_dn: f64) -> f64 {
+    noise.count_variance_dn2(signal_dn / noise.gain_dn_per_e + dark_e(noise, frame))
+}
+
+fn dark_e(noise: &SensorNoise, frame: Exposed<'_>) -> f64 {
+    noise.dark_current_e_s * frame.exposure_s
 }
 
 /// The change: `+0.53 ± 0.12%`.
@@ -145,7 +155,12 @@ impl SignalRatio {
     /// Judges; noise is granted three standard deviations before a frame is refused, five
     /// before it is doubted.
     pub fn verdict(&self) -> Verdict {
-        let off = (self.ratio - 1.0).abs();
+        self.verdict_beyond(0.0)
+    }
+
+    /// Likewise where the ratio may be off by `granted` for a reason that is known.
+    pub fn verdict_beyond(&self, granted: f64) -> Verdict {
+        let off = (self.ratio - 1.0).abs() - granted;
         if off > REFUSED + TO_REFUSE * self.std_dev {
             Verdict::Refused
         } else if off > GOOD + TO_WARN * self.std_dev {

@@ -4,6 +4,7 @@
 //! - [`plan`]: the whole plan with its estimates and checks, before anything moves;
 //! - [`bracket`]: which exposures a light needs, decided from its pilot frames;
 //! - [`exposure_check`]: whether an exposure was what it claims, from the images;
+//! - [`return_check`]: whether the lamp is back where it was, from the images;
 //! - [`run`]: the execution, interruptible and resumable.
 //!
 //! Every decision during a run is a pure function of the plan and of the frames
@@ -21,6 +22,7 @@ pub mod interest;
 mod merge_sink;
 pub mod plan;
 mod progress;
+pub mod return_check;
 pub mod run;
 mod spent;
 mod worker;

@@ -5,6 +5,7 @@ mod between;
 mod ending;
 mod exposure_proof;
 mod frame;
+mod returned;
 mod revisit;
 
 use std::collections::HashMap;
@@ -35,6 +36,9 @@ pub struct Capture<'a> {
     pub session: SessionWriter,
     /// What must remain free on the session's disk, bytes.
     pub reserve_bytes: u64,
+    /// How far a position of the stage may be off, degrees; `None` where nothing moves by
+    /// itself. Frames from before and after a homing are one light's within that.
+    pub position_tolerance_deg: Option<f64>,
     /// The sensor as calibrated.
     pub noise: &'a SensorNoise,
     /// The sample's pixels, row by row; `None`: all pixels count as sample.
@@ -87,7 +91,10 @@ impl Capture<'_> {
             merger,
             held,
             session,
+            position_tolerance_deg: self.position_tolerance_deg,
             position: None,
+            homing: 0,
+            granted: HashMap::new(),
             discarded: 0,
             unproven_told: false,
             warm_told: Vec::new(),
@@ -149,6 +156,13 @@ struct Run<'a> {
     /// Frames that were journalled before this run.
     held: HashMap<FrameKey, FrameEntry>,
     session: Session,
+    /// As in [`Capture`].
+    position_tolerance_deg: Option<f64>,
+    /// How often the stage was homed in this run.
+    homing: u32,
+    /// By light and lamp channel, since the stage was homed last: how far the signal is off
+    /// from that of frames before, relative, within what the stage's tolerance explains.
+    granted: HashMap<(u32, u8), f64>,
     /// The light that the stage stands at, and the position read back.
     position: Option<(u32, StageAngles)>,
     /// Frames thrown away since the settings changed.

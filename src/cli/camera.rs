@@ -272,7 +272,7 @@ fn report(
     let mean = sum / frame.counts.len().max(1) as f64;
     if which.json {
         return write_json(&serde_json::json!({
-            "file": file,
+            "file": file.map(|file| file.to_string_lossy()),
             "settings": settings,
             "width": frame.width,
             "height": frame.height,
@@ -363,7 +363,7 @@ fn open_simulated(rig: &RigConfig) -> Result<Box<dyn Camera>, CliError> {
                 as f32,
         }))
     };
-    let devices = open::open_devices(rig, source)?;
+    let devices = open::open_devices(rig, &[], source)?;
     Ok(devices.camera)
 }
 

@@ -182,7 +182,7 @@ fn start(args: &CaptureArgs, context: &Context) -> Result<(), CliError> {
     crate::session::layout::session_name(created, &sample, &short_id)?;
 
     let interrupt = interrupt::listen()?;
-    let mut devices = open::open_devices(config, || truth(config))?;
+    let mut devices = open::open_devices(config, &[], || truth(config))?;
     let camera_info = devices.camera.info().clone();
     check_camera(&camera_info, config)?;
     let sensor_c = devices.camera.temperature_c();
@@ -255,7 +255,12 @@ fn resume(args: &CaptureArgs, root: &Path, context: &Context) -> Result<(), CliE
     }
     let library = Library::Folder(root.join(CALIBRATION_FOLDER));
     let noise = Records::load_copies(&library)?.noise(&config)?;
-    let devices = open::open_devices(&config, || truth(&config))?;
+    let captured: Vec<StageAngles> = (0..)
+        .zip(&record.plan.lights)
+        .filter(|&(light, _)| session.light_is_finished(light))
+        .map(|(_, &angles)| angles)
+        .collect();
+    let devices = open::open_devices(&config, &captured, || truth(&config))?;
     carry_out(args, &config, devices, writer, noise, interrupt, context)
 }
 
@@ -287,6 +292,7 @@ fn carry_out(
         stage: devices.stage,
         session,
         reserve_bytes: config.capture.disk_reserve_bytes,
+        position_tolerance_deg: config.stage.position_tolerance_deg(),
         noise: &noise,
         interest: Some(&sample),
         sink: Box::new(sink),
@@ -393,7 +399,7 @@ fn print_result(
     if args.json {
         let summary = Session::open(root)?.summary();
         return write_json(&json!({
-            "session": root,
+            "session": root.to_string_lossy(),
             "complete": outcome == Outcome::Complete,
             "elapsed_s": elapsed_s,
             "spent": spent,
@@ -512,7 +518,7 @@ fn request(lights: &LightChoice, config: &RigConfig, camera: Option<&CameraInfo>
         revisit_first: capture
             .revisit_first
             .unwrap_or(config.stage.driver_name() != "manual"),
-        stage_tolerance_deg: config.stage.tolerance_deg(),
+        stage_tolerance_deg: config.stage.position_tolerance_deg().unwrap_or(0.0),
         limits: config.limits.temperature,
         resolution_px: config.camera.resolution_px,
         pace: Pace {

@@ -82,6 +82,7 @@ fn fit_scene(
     context: &Context,
 ) -> Result<(), CliError> {
     let file = SceneFile::load(path)?;
+    fit_record::check_folder(out)?;
     let plan = FitPlan::new(&args.fit, None, &file.uncertainty, file.sample.form_error)?;
     let scene = file.scene()?;
     let (mut captured, mut remarks) = (Vec::new(), Vec::new());

@@ -177,8 +177,13 @@ fn for_session(error: &SessionError) -> Option<String> {
         DiskFull { .. } => {
             "nothing that was journalled is lost; free some space and try again".into()
         }
-        Io { source, .. } => return for_io(source).map(str::to_owned),
-        Checksum { .. } | Missing { .. } | Malformed { .. } | CorruptJournal { .. } => {
+        Io { source, .. } if source.kind() != std::io::ErrorKind::InvalidInput => return for_io(source).map(str::to_owned),
+        Link { .. } => {
+            "put a copy of what it leads to in the link's place, so that the session holds its own files: `rig session verify` then checks them".into()
+        }
+        NotCaptured { .. } => "`rig capture --resume SESSION` captures the rest; then fit".into(),
+        Value { .. } => "the plan was changed since it was written: restore session.toml from a backup, or start a new session".into(),
+        Io { .. } | Checksum { .. } | Length { .. } | Missing { .. } | Malformed { .. } | CorruptJournal { .. } => {
             "the session was changed or damaged: `rig session verify` lists every such file; restore them from a backup".into()
         }
         Locked { .. } => "wait until the other capture has ended, or end it".into(),
@@ -200,6 +205,7 @@ fn for_capture(error: &CaptureError) -> Option<String> {
         NotEnoughSpace { .. } => "free some space, choose another disk with --out, or ask for fewer lights".into(),
         LowDisk { .. } => "nothing that was journalled is lost; free some space".into(),
         LampDrift { .. } => "let the lamp warm up (capture.lamp_warm_up_s in the rig file) and check its supply; if it doesn't come back to what it was, start a new session".into(),
+        LightMoved { .. } => "resume once more, which homes the stage again; `rig stage repeatability` shows how well it finds its switches; if the sample was touched or the stage repeats no better, start a new session".into(),
         TooHot { .. } => "let it cool down (the lamp is off) and resume; improve the cooling, or correct the [limits] in a new session's rig file".into(),
         OtherCamera { .. } => "connect the camera that the session was begun with, or start a new session".into(),
         ExposureNotApplied { .. } => "raise camera.settings_latency_frames in the rig file; check that the camera is in manual mode and the lamp doesn't flicker".into(),

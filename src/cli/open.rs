@@ -9,7 +9,7 @@ use crate::config::{CameraDriver, RigConfig};
 use crate::device::command_camera::{CommandCamera, CommandConfig};
 use crate::device::folder_camera::{FolderCamera, FolderConfig};
 use crate::device::{Camera, CameraInfo, LightStage};
-use crate::units::Seconds;
+use crate::units::{Seconds, StageAngles};
 
 /// The stage and the camera of a rig.
 pub struct Devices {
@@ -69,14 +69,17 @@ mod with_serial {
     use crate::device::zaber::{self, ZaberConfig, ZaberStage};
 
     /// Opens both devices. `source` is asked only for a simulated rig: what its
-    /// camera sees.
+    /// camera sees. `captured` are the lights that a session holds already, of which a
+    /// simulated stage must know.
     pub fn open_devices(
         rig: &RigConfig,
+        captured: &[StageAngles],
         source: impl FnOnce() -> Result<Arc<dyn RadianceSource>, CliError>,
     ) -> Result<Devices, CliError> {
         match rig.simulated_bench() {
             Some(config) => {
                 let bench = SimulatedBench::start(config)?;
+                bench.count_visits(captured);
                 Ok(Devices {
                     stage: Box::new(bench.open_stage()?),
                     camera: Box::new(bench.open_camera(source()?)),
@@ -192,6 +195,7 @@ mod without_serial {
     /// Fails: there are no stages.
     pub fn open_devices(
         _: &RigConfig,
+        _: &[StageAngles],
         _: impl FnOnce() -> Result<Arc<dyn RadianceSource>, CliError>,
     ) -> Result<Devices, CliError> {
         Err(without())

@@ -9,7 +9,8 @@ use std::fmt::Arguments;
 use std::io::{ErrorKind, Write};
 use std::path::Path;
 
-use super::CliError;
+use super::{CliError, HintExt};
+use crate::whole_file;
 
 /// Writes a line of data to stdout: `out!("{path}")?`.
 #[macro_export]
@@ -52,6 +53,13 @@ pub fn check_ending(path: &Path, ending: &str) -> Result<(), CliError> {
     let mut named = path.as_os_str().to_owned();
     named.push(format!(".{ending}"));
     Err(CliError::new(fact).hint(format!("for instance {}", named.display())))
+}
+
+/// Refuses, before the work, a file that could not be written after it.
+pub fn check_writable(path: &Path) -> Result<(), CliError> {
+    whole_file::check_writable(path)
+        .map_err(|error| CliError::new(format!("{}: {error}", path.display())))
+        .hint(ANOTHER_FILE)
 }
 
 /// Writes `value` as indented JSON and a line end to stdout.

@@ -503,6 +503,8 @@ pub fn fit_session(
     pose: Option<&Path>,
     context: &Context,
 ) -> Result<PathBuf, CliError> {
+    // Before a fit that may take hours, and let go of until it is there.
+    SessionWriter::open(Arc::new(SystemDisk), root)?.check_writable(layout::FITS_FOLDER)?;
     let SessionImages {
         session,
         config,

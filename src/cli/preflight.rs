@@ -32,14 +32,13 @@ pub(super) fn check_bench(config: &RigConfig, context: &Context) -> Result<(), C
 /// Refuses lights that reach nothing of what the camera sees.
 pub(super) fn check_lights(config: &RigConfig, lights: &[StageAngles]) -> Result<(), CliError> {
     let seen = Visibility::of(&config.geometry.scene(lights)?);
-    match seen
-        .concerns()
-        .iter()
-        .find(|concern| is_of_a_light(concern))
-    {
-        Some(concern) => Err(CliError::new(concern).hint(remedy(concern, &seen, Keys::Rig))),
-        None => Ok(()),
+    for concern in seen.concerns() {
+        if let Concern::Unlit { light, .. } = concern {
+            let fact = format!("{concern} ({})", lights[light]);
+            return Err(CliError::new(fact).hint(remedy(&concern, &seen, Keys::Rig)));
+        }
     }
+    Ok(())
 }
 
 /// Warns of what is wrong with a scene file's scene, which is rendered all the same.
@@ -76,6 +75,18 @@ pub(super) fn outlook(config: &RigConfig) -> Result<Outlook, CliError> {
         concerns.retain(|concern| !is_of_a_light(concern));
     }
     Ok(match concerns.first() {
+        Some(Concern::Unlit { .. }) => Outlook {
+            fact: format!(
+                "none of {} lights spread over the stage's reach reaches what the camera sees of the sample",
+                lights.len()
+            ),
+            concern: Some(Remedied {
+                remedy:
+                    "correct [geometry.sample_from_stage] or the limits of [stage] in the rig file"
+                        .to_owned(),
+                is_fatal: true,
+            }),
+        },
         Some(concern) => Outlook {
             fact: fact(concern, &seen),
             concern: Some(Remedied {
@@ -111,7 +122,9 @@ fn place(seen: &Visibility) -> String {
             "x {:.1} to {:.1} and y {:.1} to {:.1} px of an image of {width} × {height} px",
             from.x, to.x, from.y, to.y
         ),
-        None => "in part behind the camera".to_owned(),
+        None => format!(
+            "no place: a part of it is behind the camera, whose image has {width} × {height} px"
+        ),
     };
     format!(
         "its box of {} × {} × {} mm (x {} to {}, y {} to {}, z {} to {}) appears at {in_image}, the field of view is {} × {} mm",

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::output::{check_ending, write_json};
+use super::output::{check_ending, check_writable, write_json};
 use super::{CliError, Context, HintExt, facets, preflight};
 use crate::config::scene::SceneFile;
 use crate::out;
@@ -80,6 +80,7 @@ pub fn run(args: &RenderArgs, context: &Context) -> Result<(), CliError> {
                 .hint("create it first, or choose another --out"),
         );
     }
+    check_writable(&args.out)?;
     let polarised = args.polarised || file.polarised;
     let bar = context.bar(scene.camera.resolution_px[1] as u64, "rows");
     let mut options = RenderOptions {

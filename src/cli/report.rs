@@ -8,7 +8,7 @@ use super::{CliError, Context, HintExt};
 use crate::out;
 use crate::report::{self, load::LoadError};
 use crate::session::commit::SystemDisk;
-use crate::session::{SessionError, SessionWriter, layout};
+use crate::session::{SessionWriter, layout};
 use crate::whole_file;
 
 /// Writes a session's report: one HTML file that needs no other.
@@ -58,7 +58,7 @@ fn advise(error: LoadError) -> CliError {
         LoadError::Image(_) => {
             "`rig capture --resume SESSION` makes the merged images again from the raw frames"
         }
-        LoadError::Session(SessionError::Checksum { .. } | SessionError::Missing { .. }) => {
+        LoadError::Session(error) if error.damaged_file().is_some() => {
             "`rig session verify SESSION` lists every damaged file; `rig capture --resume SESSION` makes merged images again"
         }
         LoadError::Sidecar { .. } | LoadError::Session(_) => {

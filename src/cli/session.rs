@@ -70,8 +70,6 @@ fn is_session(folder: &Path) -> bool {
 
 fn run_verify(args: &VerifyArgs) -> Result<(), CliError> {
     let found = verify(&args.session)?;
-    // What the journal vouches for must also be readable.
-    let session = Session::open(&args.session);
     let state = if found.complete {
         "complete"
     } else {
@@ -79,14 +77,15 @@ fn run_verify(args: &VerifyArgs) -> Result<(), CliError> {
     };
     if args.json {
         let problems: Vec<String> = found.problems.iter().map(ToString::to_string).collect();
+        let strays = found.strays.iter().map(|stray| stray.to_string_lossy());
         write_json(&json!({
-            "session": args.session,
+            "session": args.session.to_string_lossy(),
             "intact": found.is_intact(),
             "complete": found.complete,
             "files": found.good_files,
             "bytes": found.good_bytes,
             "problems": problems,
-            "strays": found.strays,
+            "strays": strays.collect::<Vec<_>>(),
             "torn_bytes": found.torn_bytes,
             "suspect": found.suspicion,
         }))?;
@@ -119,7 +118,6 @@ fn run_verify(args: &VerifyArgs) -> Result<(), CliError> {
             error
         });
     }
-    session?;
     if found.strays.is_empty() && found.torn_bytes == 0 {
         return Ok(());
     }
@@ -133,11 +131,10 @@ fn run_verify(args: &VerifyArgs) -> Result<(), CliError> {
 
 /// Whether what is damaged or gone can be made from the raw frames.
 fn is_derived(problem: &SessionError, root: &Path) -> bool {
-    let (SessionError::Checksum { path, .. } | SessionError::Missing { path }) = problem else {
-        return false;
-    };
-    path.strip_prefix(root)
-        .is_ok_and(|relative| layout::is_derived(&relative.to_string_lossy()))
+    problem
+        .damaged_file()
+        .and_then(|path| path.strip_prefix(root).ok())
+        .is_some_and(|relative| layout::is_derived(&relative.to_string_lossy()))
 }
 
 fn list_lights(root: &Path, as_json: bool) -> Result<(), CliError> {

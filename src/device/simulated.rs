@@ -14,9 +14,10 @@ use mock_devices::sensor::{SensorConfig, SensorModel};
 
 use super::grbl::protocol::{Spindle, effect_of};
 use super::grbl::{GrblConfig, GrblStage, axis_index};
-use super::kinematics::{AxisMap, Mechanism};
+use super::kinematics::{AxisMap, Mechanism, Pose};
 use super::simulated_camera::SimulatedCamera;
 use super::{DeviceError, Mosaic};
+use crate::units::StageAngles;
 
 /// What a simulated bench is: how its devices are used, and how the truth differs.
 #[derive(Clone, Debug)]
@@ -112,6 +113,30 @@ impl SimulatedBench {
     /// Pulls the cable of the controller.
     pub fn unplug_stage(&self) {
         self.simulator.unplug();
+    }
+
+    /// These lights were captured before this bench was started, by another process of
+    /// the same session: its stage's next errors are those of the visits that follow.
+    pub fn count_visits(&self, lights: &[StageAngles]) {
+        let stage = &self.config.stage;
+        for light in lights {
+            let Some(Pose(pose)) = stage.kinematics.solve(*light) else {
+                continue;
+            };
+            let mut target = [0.0; 3];
+            for ((map, letter), coordinate) in stage
+                .kinematics
+                .axes()
+                .into_iter()
+                .zip(stage.axes)
+                .zip(pose)
+            {
+                if let Some(axis) = axis_index(letter).and_then(|index| target.get_mut(index)) {
+                    *axis = map.position(coordinate);
+                }
+            }
+            self.bench().count_visit(target);
+        }
     }
 
     /// The stage's configuration with its port.
@@ -216,7 +241,7 @@ pub(crate) mod tests {
     use crate::device::{
         Camera, CameraSettings, FrameKey, FrameKind, LampChannel, LampState, LightStage,
     };
-    use crate::units::{Seconds, StageAngles};
+    use crate::units::Seconds;
     use mock_devices::Illumination;
 
     /// A stage of 360° × 90° whose machine space begins at −180° and 0°, with
@@ -362,6 +387,43 @@ pub(crate) mod tests {
                 assert!(off.to_degrees() < 0.01, "{mechanism:?}: {is} for {target}");
             }
         }
+    }
+
+    /// A bench that is told of an earlier visit errs as the one that made it.
+    #[test]
+    fn visits_are_counted_across_benches() {
+        let at = |azimuth_deg, elevation_deg| StageAngles {
+            azimuth_deg,
+            elevation_deg,
+        };
+        let lights = [at(20.0, 61.7), at(-33.3, 80.0)];
+        let errors = StageErrors {
+            repeatability_mm: 0.1,
+            ..StageErrors::default()
+        };
+        let start = || {
+            let config = simulated(Clock::instant(), stage_config()).config;
+            let bench = SimulatedBench::start(SimulatedConfig { errors, ..config }).unwrap();
+            let mut stage = bench.open_stage().unwrap();
+            stage.home().unwrap();
+            (bench, stage)
+        };
+        let visit = |(bench, stage): &mut (SimulatedBench, GrblStage), light| {
+            stage.move_to(light).unwrap();
+            stage.set_lamp(LampState::On(LampChannel(0))).unwrap();
+            let true_deg = bench.bench().stage_angles_deg();
+            stage.set_lamp(LampState::Off).unwrap();
+            true_deg
+        };
+        let mut whole = start();
+        let first = visit(&mut whole, lights[0]);
+        let other = visit(&mut whole, lights[1]);
+        let again = visit(&mut whole, lights[0]);
+        assert_ne!(first, again);
+        let mut resumed = start();
+        resumed.0.count_visits(&lights[..1]);
+        assert_eq!(visit(&mut resumed, lights[1]), other);
+        assert_eq!(visit(&mut resumed, lights[0]), again);
     }
 
     #[test]

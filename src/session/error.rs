@@ -48,6 +48,53 @@ pub enum SessionError {
         /// Of the file, hexadecimal.
         actual: String,
     },
+    /// A file has another length than the journal says.
+    #[error("{} has {actual_bytes} bytes, the journal says {expected_bytes}", path.display())]
+    Length {
+        /// The file.
+        path: PathBuf,
+        /// From the journal.
+        expected_bytes: u64,
+        /// Of the file.
+        actual_bytes: u64,
+    },
+    /// A file or folder of the session is a link.
+    #[error("{} is a link to {}, and a session holds its files itself", path.display(), target.display())]
+    Link {
+        /// The link.
+        path: PathBuf,
+        /// Where it leads, as it says.
+        target: PathBuf,
+    },
+    /// A value of `session.toml` is outside its range.
+    #[error("{}: `{key}` is {value}, but must be {allowed}", path.display())]
+    Value {
+        /// The file.
+        path: PathBuf,
+        /// Dotted path of the key.
+        key: String,
+        /// As it stands there.
+        value: String,
+        /// What may stand there.
+        allowed: String,
+    },
+    /// The light has no merged image, because its capture did not come to its end.
+    #[error(
+        "light {light} of {} has no merged image, because the capture ended after {finished} of {planned} lights ({reason})",
+        path.display()
+    )]
+    NotCaptured {
+        /// The session.
+        path: PathBuf,
+        /// Index in the plan.
+        light: u32,
+        /// Lights whose frames are all there.
+        finished: usize,
+        /// Lights of the plan.
+        planned: usize,
+        /// Why the capture ended, as far as the journal knows.
+        reason: String,
+    },
     /// A journalled file is gone.
     #[error("{} is in the journal but not on the disk", path.display())]
     Missing {
@@ -109,6 +156,16 @@ impl SessionError {
                 operation,
                 source,
             },
+        }
+    }
+
+    /// Whether a journalled file is gone or holds something else, and which.
+    pub fn damaged_file(&self) -> Option<&Path> {
+        match self {
+            Self::Missing { path } | Self::Length { path, .. } | Self::Checksum { path, .. } => {
+                Some(path)
+            }
+            _ => None,
         }
     }
 

@@ -36,7 +36,8 @@ use crate::session::SessionError;
 pub use bench::{BenchParameter, BenchRecord};
 pub use budget::{BudgetRecord, BudgetRow};
 pub use folder::{
-    commit, encode, next_folder, numbers_in, read, read_images, read_images_in, read_in, write,
+    check_folder, commit, encode, next_folder, numbers_in, read, read_images, read_images_in,
+    read_in, write,
 };
 pub use tables::{AngleCell, AngleTable};
 

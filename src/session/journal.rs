@@ -11,7 +11,6 @@
 //! newline is a torn line and is ignored. Anything else that does not check is
 //! refused.
 
-use std::fs;
 use std::io::ErrorKind;
 use std::path::Path;
 
@@ -21,6 +20,10 @@ use sha2::{Digest, Sha256};
 use super::SessionError;
 use super::layout::{self, JOURNAL_FILE};
 use crate::device::FrameKey;
+use crate::outside_file::read_regular;
+
+/// Far more than the longest capture writes.
+const LARGEST_JOURNAL_BYTES: u64 = 256 << 20;
 
 /// Version of the session's layout that this program writes and reads.
 pub const FORMAT: u32 = 1;
@@ -189,7 +192,7 @@ impl Journal {
     /// [`SessionError::CorruptJournal`] for any whole line that does not check.
     pub fn read(root: &Path) -> Result<Self, SessionError> {
         let path = root.join(JOURNAL_FILE);
-        let bytes = fs::read(&path).map_err(|e| match e.kind() {
+        let bytes = read_regular(&path, LARGEST_JOURNAL_BYTES).map_err(|e| match e.kind() {
             ErrorKind::NotFound | ErrorKind::NotADirectory => SessionError::NotASession {
                 path: root.to_owned(),
                 why: if root.exists() {

@@ -29,6 +29,7 @@ pub mod faults;
 pub mod fit_record;
 pub mod frame;
 pub mod journal;
+mod journalled;
 pub mod layout;
 pub mod record;
 mod store;

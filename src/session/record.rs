@@ -1,8 +1,12 @@
 //! `session.toml`: what was planned and with what. Written once, before
 //! anything moves; a resume needs nothing else.
 
+use std::ops::RangeInclusive;
+use std::path::Path;
+
 use serde::{Deserialize, Serialize};
 
+use super::SessionError;
 use crate::device::temperature::TemperatureLimits;
 use crate::device::{CameraInfo, LampChannel, StageInfo};
 use crate::units::{Seconds, StageAngles};
@@ -33,6 +37,80 @@ pub struct SessionRecord {
     /// Calibration records that were used; copies lie in `calibration/`.
     #[serde(default)]
     pub calibration: Vec<CalibrationCopy>,
+}
+
+impl SessionRecord {
+    /// Whether a capture can be carried out by it: each value in the range that a rig
+    /// file allows, whoever wrote the file.
+    pub(super) fn check(&self, file: &Path) -> Result<(), SessionError> {
+        let plan = &self.plan;
+        let rules = &plan.exposure;
+        let refused = |key: &str, value: String, allowed: String| SessionError::Value {
+            path: file.to_owned(),
+            key: format!("plan.{key}"),
+            value,
+            allowed,
+        };
+        let ranges: [(&str, f64, RangeInclusive<f64>); 16] = [
+            ("gain", plan.gain, 1.0..=1000.0),
+            ("settle_s", plan.settle_s.0, 0.0..=60.0),
+            ("lamp_settle_s", plan.lamp_settle_s.0, 0.0..=60.0),
+            ("lamp_warm_up_s", plan.lamp_warm_up_s.0, 0.0..=7200.0),
+            (
+                "settings_latency_frames",
+                plan.settings_latency_frames.into(),
+                0.0..=32.0,
+            ),
+            ("estimated_s", plan.estimated_s.0, 0.0..=f64::MAX),
+            ("limits.margin_c", plan.limits.margin_c, 0.0..=50.0),
+            ("exposure.shortest_s", rules.shortest_s.0, 1e-9..=1000.0),
+            (
+                "exposure.longest_s",
+                rules.longest_s.0,
+                rules.shortest_s.0..=1000.0,
+            ),
+            ("exposure.pilot_s", rules.pilot_s.0, 1e-9..=1000.0),
+            ("exposure.step_s", rules.step_s.0, 0.0..=1000.0),
+            ("exposure.peak_fraction", rules.peak_fraction, 0.1..=0.95),
+            ("exposure.dark_snr", rules.dark_snr, 1.0..=1e4),
+            ("exposure.ratio", rules.ratio, 1.2..=64.0),
+            ("exposure.max_frames", rules.max_frames.into(), 1.0..=4096.0),
+            (
+                "exposure.dark_frames",
+                rules.dark_frames.into(),
+                0.0..=1024.0,
+            ),
+        ];
+        for (key, value, range) in ranges {
+            // Neither contains a value that is no number.
+            if !range.contains(&value) {
+                let allowed = format!("{} to {}", range.start(), range.end());
+                return Err(refused(key, value.to_string(), allowed));
+            }
+        }
+        for (index, light) in plan.lights.iter().enumerate() {
+            if !(light.azimuth_deg.is_finite() && light.elevation_deg.is_finite()) {
+                let key = format!("lights[{index}]");
+                return Err(refused(&key, light.to_string(), "two finite angles".into()));
+            }
+        }
+        for (key, limit_c) in [
+            ("limits.sensor_c", plan.limits.sensor_c),
+            ("limits.lamp_c", plan.limits.lamp_c),
+        ] {
+            if let Some(limit_c) = limit_c.filter(|limit_c| !limit_c.is_finite()) {
+                return Err(refused(key, limit_c.to_string(), "finite".into()));
+            }
+        }
+        if plan.channels.is_empty() {
+            return Err(refused(
+                "channels",
+                "[]".into(),
+                "at least one lamp channel".into(),
+            ));
+        }
+        Ok(())
+    }
 }
 
 /// What made the session.

@@ -1,7 +1,6 @@
 //! A session opened for reading, and one opened for adding to.
 
-use std::fs::{self, File, TryLockError};
-use std::io;
+use std::fs::{self, File, OpenOptions, TryLockError};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -9,10 +8,16 @@ use super::SessionError;
 use super::commit::{self, Disk, Replace};
 use super::frame::{self, Sidecar};
 use super::journal::{self, Event, FORMAT, FileDigest, Journal, Record};
+use super::journalled;
 use super::layout::{self, CALIBRATION_FOLDER, JOURNAL_FILE, MANIFEST_FILE, SESSION_FILE};
 use super::record::SessionRecord;
 use super::verify::{self, Summary};
 use crate::device::{FrameKey, RawFrame};
+use crate::outside_file::open_regular;
+use crate::whole_file;
+
+/// A rig file has at most 256 KiB, and a light takes about 60 bytes.
+const LARGEST_RECORD_BYTES: u64 = 4 << 20;
 
 /// Whether a capture ran to its end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -53,10 +58,17 @@ impl Session {
                 why: "its journal has no start".into(),
             });
         };
-        let bytes = read_checked(root, session)?;
-        let path = root.join(SESSION_FILE);
+        let path = root.join(&session.path);
+        if session.bytes > LARGEST_RECORD_BYTES {
+            let bytes = session.bytes;
+            let why = format!("it has {bytes} bytes, but at most {LARGEST_RECORD_BYTES} are read");
+            return Err(SessionError::malformed(&path, why));
+        }
+        let bytes = journalled::read(root, session)?;
         let text = str::from_utf8(&bytes).map_err(|e| SessionError::malformed(&path, e))?;
-        let record = toml::from_str(text).map_err(|e| SessionError::malformed(&path, e))?;
+        let record: SessionRecord =
+            toml::from_str(text).map_err(|e| SessionError::malformed(&path, e))?;
+        record.check(&path)?;
         Ok(Self {
             root: root.to_owned(),
             record,
@@ -115,11 +127,11 @@ impl Session {
     /// A frame's counts and sidecar, checked against the journal.
     pub fn read_frame(&self, entry: &FrameEntry) -> Result<(RawFrame, Sidecar), SessionError> {
         let image_path = self.root.join(&entry.image.path);
-        let png = read_checked(&self.root, &entry.image)?;
+        let png = journalled::read(&self.root, &entry.image)?;
         let counts =
             frame::decode_png(&png).map_err(|why| SessionError::malformed(&image_path, why))?;
         let sidecar_path = self.root.join(&entry.sidecar.path);
-        let text = read_checked(&self.root, &entry.sidecar)?;
+        let text = journalled::read(&self.root, &entry.sidecar)?;
         let text = str::from_utf8(&text).map_err(|e| SessionError::malformed(&sidecar_path, e))?;
         let sidecar: Sidecar =
             toml::from_str(text).map_err(|e| SessionError::malformed(&sidecar_path, e))?;
@@ -144,11 +156,37 @@ impl Session {
             .into_iter()
             .find(|f| f.path == relative)
         {
-            Some(file) => read_checked(&self.root, file),
+            Some(file) => journalled::read(&self.root, file),
+            None if let Some(light) = self.not_captured(relative) => Err(light),
             None => Err(SessionError::Missing {
                 path: self.root.join(relative),
             }),
         }
+    }
+
+    /// Why a light of an interrupted session has no merged image.
+    fn not_captured(&self, relative: &str) -> Option<SessionError> {
+        if self.journal.is_complete() {
+            return None;
+        }
+        let planned = self.record.plan.lights.len();
+        let light = (0..planned as u32).find(|&n| layout::radiance_file(n) == relative)?;
+        let reason = self
+            .journal
+            .records
+            .iter()
+            .rev()
+            .find_map(|r| match &r.event {
+                Event::Interrupted { reason } => Some(reason.clone()),
+                _ => None,
+            });
+        Some(SessionError::NotCaptured {
+            path: self.root.clone(),
+            light,
+            finished: self.summary().lights_finished,
+            planned,
+            reason: reason.unwrap_or_else(|| "without a word: killed, or a power cut".to_owned()),
+        })
     }
 
     /// Whether the journal names a file of this path.
@@ -173,23 +211,6 @@ impl Session {
             suspect: self.journal().steps_lost().is_some(),
         }
     }
-}
-
-fn read_checked(root: &Path, file: &FileDigest) -> Result<Vec<u8>, SessionError> {
-    let path = root.join(&file.path);
-    let bytes = fs::read(&path).map_err(|e| match e.kind() {
-        io::ErrorKind::NotFound => SessionError::Missing { path: path.clone() },
-        _ => SessionError::io("read", &path, e),
-    })?;
-    let actual = journal::sha256_hex(&bytes);
-    if actual == file.sha256 {
-        return Ok(bytes);
-    }
-    Err(SessionError::Checksum {
-        path,
-        expected: file.sha256.clone(),
-        actual,
-    })
 }
 
 /// What a session begins with.
@@ -305,19 +326,26 @@ impl SessionWriter {
     /// derived files that are broken go to the quarantine folder.
     ///
     /// # Errors
-    /// [`SessionError::Checksum`] or [`SessionError::Missing`] where a raw frame,
-    /// calibration copy or `session.toml` is not what was journalled; nothing
-    /// was changed then.
+    /// Where a raw frame, calibration copy or `session.toml` is not what was journalled,
+    /// something of the session is a link, or its records contradict each other: all that
+    /// [`verify`](verify::verify) calls a problem but what can be made again. Nothing was
+    /// changed then.
     pub fn resume(disk: Arc<dyn Disk>, root: &Path) -> Result<Self, SessionError> {
         let mut writer = Self::open(disk, root)?;
+        let mut problems = journalled::misplaced(root, &writer.journal);
+        problems.extend(verify::contradictions(&Session::open(root)?));
+        if let Some(problem) = problems.into_iter().next() {
+            return Err(problem);
+        }
         let mut unwanted = verify::strays(root, &writer.journal)?;
+        let mut needed = vec![root.join(JOURNAL_FILE)];
         for file in writer.journal.files() {
-            match verify::check(root, file) {
-                Ok(()) => {}
-                Err(SessionError::Checksum { .. }) if layout::is_derived(&file.path) => {
+            match journalled::check(root, file) {
+                Ok(()) => needed.push(root.join(&file.path)),
+                Err(SessionError::Missing { .. }) if layout::is_derived(&file.path) => {}
+                Err(_) if layout::is_derived(&file.path) => {
                     unwanted.push(PathBuf::from(&file.path));
                 }
-                Err(SessionError::Missing { .. }) if layout::is_derived(&file.path) => {}
                 Err(problem) => return Err(problem),
             }
         }
@@ -325,6 +353,10 @@ impl SessionWriter {
             return Ok(writer);
         }
         writer.quarantine(&unwanted)?;
+        // Nothing that the session needs went with them.
+        if let Some(path) = needed.into_iter().find(|path| !path.is_file()) {
+            return Err(SessionError::Missing { path });
+        }
         writer.record(Event::Resume {
             quarantined: unwanted.len() as u32,
         })?;
@@ -338,7 +370,7 @@ impl SessionWriter {
         let quarantine = self.root.join(layout::QUARANTINE_FOLDER);
         let folder = (1..)
             .map(|n: u32| quarantine.join(n.to_string()))
-            .find(|folder| !folder.exists())
+            .find(|folder| folder.symlink_metadata().is_err())
             .expect("a free number exists");
         for file in files {
             let from = self.root.join(file);
@@ -352,6 +384,19 @@ impl SessionWriter {
             commit::sync_dir(&*self.disk, from.parent().unwrap_or(&self.root))?;
         }
         Ok(())
+    }
+
+    /// Whether a file could be added: asked before work whose result is added at its end.
+    ///
+    /// # Errors
+    /// What the file system says of the journal, or of a new file in `folder`, which may
+    /// have to be made.
+    pub fn check_writable(&self, folder: &str) -> Result<(), SessionError> {
+        let path = self.root.join(JOURNAL_FILE);
+        let journal = OpenOptions::new().append(true).open(&path);
+        journal.map_err(|e| SessionError::io("append to", &path, e))?;
+        let path = self.root.join(folder);
+        whole_file::check_folder(&path).map_err(|e| SessionError::io("write in", &path, e))
     }
 
     /// The session's folder.
@@ -479,9 +524,12 @@ impl SessionWriter {
         Ok(())
     }
 
-    /// Ends the capture: manifest, then the stop record.
+    /// Ends the capture: manifest, then the stop record, unless it has one.
     pub fn finish(&mut self) -> Result<(), SessionError> {
         self.write_manifest()?;
+        if self.journal.is_complete() {
+            return Ok(());
+        }
         self.record(Event::Stop)
     }
 }
@@ -495,7 +543,7 @@ pub(crate) fn utc_now() -> String {
 
 fn lock(root: &Path) -> Result<File, SessionError> {
     let path = root.join(JOURNAL_FILE);
-    let file = File::open(&path).map_err(|e| SessionError::io("open", &path, e))?;
+    let file = open_regular(&path).map_err(|e| SessionError::io("open", &path, e))?;
     match file.try_lock() {
         Ok(()) => Ok(file),
         Err(TryLockError::WouldBlock) => Err(SessionError::Locked {

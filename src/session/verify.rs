@@ -2,16 +2,15 @@
 //! journal does not know.
 
 use std::collections::HashSet;
-use std::fs::{self, File};
-use std::io::{self, Read};
+use std::fs;
 use std::path::{Path, PathBuf};
 
-use serde::Serialize;
-use sha2::{Digest, Sha256};
+use serde::{Serialize, Serializer};
 
-use super::SessionError;
-use super::journal::{FileDigest, Journal, hex};
-use super::layout::{JOURNAL_FILE, QUARANTINE_FOLDER};
+use super::journal::{Event, Journal};
+pub use super::journalled::check;
+use super::layout::{self, JOURNAL_FILE, QUARANTINE_FOLDER, SESSION_FILE};
+use super::{Session, SessionError, journalled};
 
 /// What a check of a session found.
 #[derive(Debug)]
@@ -22,7 +21,8 @@ pub struct Verification {
     pub good_files: usize,
     /// Their bytes.
     pub good_bytes: u64,
-    /// Journalled files that are gone or hold something else.
+    /// Journalled files that are gone or hold something else, links in place of the
+    /// session's own files, and records that contradict each other or the plan.
     pub problems: Vec<SessionError>,
     /// Files that no record names, relative to the session.
     pub strays: Vec<PathBuf>,
@@ -52,58 +52,88 @@ pub fn verify(root: &Path) -> Result<Verification, SessionError> {
         complete: journal.is_complete(),
         good_files: 0,
         good_bytes: 0,
-        problems: Vec::new(),
+        problems: journalled::misplaced(root, &journal),
         strays: strays(root, &journal)?,
         torn_bytes: journal.torn_bytes,
         suspicion: journal.suspicion(),
     };
     for file in journal.files() {
-        match check(root, file) {
+        match journalled::check(root, file) {
             Ok(()) => {
                 found.good_files += 1;
-                found.good_bytes += file.bytes;
+                found.good_bytes = found.good_bytes.saturating_add(file.bytes);
             }
             Err(problem) => found.problems.push(problem),
         }
     }
+    match Session::open(root) {
+        Ok(session) => found.problems.extend(contradictions(&session)),
+        // Damage was found above.
+        Err(problem) if problem.damaged_file().is_some() => {}
+        Err(problem) => found.problems.push(problem),
+    }
     Ok(found)
 }
 
-/// Whether a file holds what the journal says.
-pub fn check(root: &Path, file: &FileDigest) -> Result<(), SessionError> {
-    let path = root.join(&file.path);
-    let actual = match sha256_of(&path) {
-        Ok(actual) => actual,
-        Err(e) if e.kind() == io::ErrorKind::NotFound => {
-            return Err(SessionError::Missing { path });
-        }
-        Err(e) => return Err(SessionError::io("read", &path, e)),
+/// Records whose checksums are right and that cannot all be true.
+pub(super) fn contradictions(session: &Session) -> Vec<SessionError> {
+    let lights = session.record().plan.lights.len() as u32;
+    let wrong = |line: usize, why: String| SessionError::CorruptJournal {
+        path: session.root().join(JOURNAL_FILE),
+        line,
+        why,
     };
-    if actual == file.sha256 {
-        Ok(())
-    } else {
-        Err(SessionError::Checksum {
-            path,
-            expected: file.sha256.clone(),
-            actual,
-        })
-    }
-}
-
-fn sha256_of(path: &Path) -> io::Result<String> {
-    let mut file = File::open(path)?;
-    let mut hash = Sha256::new();
-    let mut piece = vec![0; 1 << 16];
-    loop {
-        match file.read(&mut piece)? {
-            0 => return Ok(hex(&hash.finalize())),
-            bytes => hash.update(&piece[..bytes]),
+    let (mut frames, mut finished) = (HashSet::new(), HashSet::new());
+    let mut is_stopped = false;
+    let mut found = Vec::new();
+    // They are journalled before the session has its name: a resume must not take them for strays.
+    for copy in &session.record().calibration {
+        if !session.vouches_for(&copy.file) {
+            let why = format!("{}, which {SESSION_FILE} names, is in no record", copy.file);
+            found.push(wrong(session.journal().records.len(), why));
         }
     }
+    for (index, record) in session.journal().records.iter().enumerate() {
+        let light = match &record.event {
+            Event::Frame { key, .. } => Some(key.light),
+            Event::LightStart { light, .. }
+            | Event::LightStop { light }
+            | Event::Warning { light, .. } => Some(*light),
+            _ => None,
+        };
+        let why = match &record.event {
+            _ if light.is_some_and(|light| light >= lights) => format!(
+                "a record of light {}, and the plan has {lights}, counted from 0",
+                light.unwrap_or_default()
+            ),
+            Event::Frame { key, .. } if !frames.insert(*key) => {
+                format!("frame {} a second time", layout::frame_stem(*key))
+            }
+            Event::Stop if is_stopped => "a second stop".to_owned(),
+            Event::Stop if (finished.len() as u32) < lights => {
+                is_stopped = true;
+                let finished = finished.len();
+                format!("a stop when {finished} of {lights} lights were finished")
+            }
+            event => {
+                match event {
+                    Event::LightStop { light } => drop(finished.insert(*light)),
+                    Event::Stop => is_stopped = true,
+                    // A resume of a complete session makes derived files again.
+                    Event::Resume { .. } => is_stopped = false,
+                    _ => {}
+                }
+                continue;
+            }
+        };
+        found.push(wrong(index + 1, why));
+    }
+    found
 }
 
 /// Files below `root` that no record names, relative to it, sorted. Folders
-/// don't count, nor what is in quarantine already.
+/// don't count, nor what is in quarantine already, nor a link that stands where a file or
+/// folder of the session belongs: what it leads to may be the session's own.
 pub fn strays(root: &Path, journal: &Journal) -> Result<Vec<PathBuf>, SessionError> {
     let known: HashSet<PathBuf> = journal
         .files()
@@ -111,6 +141,7 @@ pub fn strays(root: &Path, journal: &Journal) -> Result<Vec<PathBuf>, SessionErr
         .map(|file| PathBuf::from(&file.path))
         .chain([PathBuf::from(JOURNAL_FILE)])
         .collect();
+    let own = journalled::own_names(journal);
     let mut strays = Vec::new();
     let mut folders = vec![PathBuf::new()];
     while let Some(folder) = folders.pop() {
@@ -119,11 +150,15 @@ pub fn strays(root: &Path, journal: &Journal) -> Result<Vec<PathBuf>, SessionErr
         for entry in fs::read_dir(&path).map_err(read)? {
             let entry = entry.map_err(read)?;
             let relative = folder.join(entry.file_name());
-            if entry.file_type().map_err(read)?.is_dir() {
-                if relative != Path::new(QUARANTINE_FOLDER) {
-                    folders.push(relative);
-                }
-            } else if !known.contains(&relative) {
+            let file_type = entry.file_type().map_err(read)?;
+            if relative == Path::new(QUARANTINE_FOLDER) {
+                continue;
+            }
+            if file_type.is_dir() {
+                folders.push(relative);
+            } else if !known.contains(&relative)
+                && !(file_type.is_symlink() && own.contains(&relative))
+            {
                 strays.push(relative);
             }
         }
@@ -135,7 +170,8 @@ pub fn strays(root: &Path, journal: &Journal) -> Result<Vec<PathBuf>, SessionErr
 /// One session in a list.
 #[derive(Clone, Debug, Serialize)]
 pub struct Summary {
-    /// Its folder.
+    /// Its folder; serialised with U+FFFD for bytes that are no UTF-8.
+    #[serde(serialize_with = "as_text")]
     pub session: PathBuf,
     /// The sample's name.
     pub sample: String,
@@ -153,4 +189,8 @@ pub struct Summary {
     pub frames: usize,
     /// Whether the stage was found to have lost steps.
     pub suspect: bool,
+}
+
+fn as_text<S: Serializer>(path: &Path, out: S) -> Result<S::Ok, S::Error> {
+    out.serialize_str(&path.to_string_lossy())
 }

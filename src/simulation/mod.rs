@@ -61,13 +61,17 @@ pub struct Truth {
 /// The image under one lamp position, for unit power of each channel.
 type Rendered = Arc<Vec<[f32; 3]>>;
 
+/// Steps of the angles at which the truth is rendered, degrees: far below what any image
+/// shows, and above the last bits of a sum.
+const ANGLE_STEP_DEG: f64 = 1e-6;
+
 /// Renders the truth on demand and remembers it by lamp position.
 pub struct TruthSource {
     truth: Truth,
     /// The material's own lobes.
     lobes: OnceLock<Proposal>,
-    /// By the bits of azimuth and elevation.
-    rendered: Mutex<HashMap<[u64; 2], Rendered>>,
+    /// By the key of [`TruthSource::key`].
+    rendered: Mutex<HashMap<[i64; 4], Rendered>>,
 }
 
 impl TruthSource {
@@ -87,9 +91,25 @@ impl TruthSource {
         }
     }
 
-    fn render(&self, angles: StageAngles) -> Vec<[f32; 3]> {
+    /// True azimuth and elevation of the lamp, then where it was sent, in steps.
+    fn key(illumination: &Illumination) -> [i64; 4] {
+        let steps = |angle_deg: f64| (angle_deg / ANGLE_STEP_DEG).round() as i64;
+        let [azimuth_deg, elevation_deg] = illumination.sent_to_deg;
+        [
+            steps(illumination.azimuth_rad.to_degrees()),
+            steps(illumination.elevation_rad.to_degrees()),
+            steps(azimuth_deg),
+            steps(elevation_deg),
+        ]
+    }
+
+    fn render(&self, key: [i64; 4]) -> Vec<[f32; 3]> {
         let truth = &self.truth;
-        let light = (truth.light)(angles);
+        let [azimuth, elevation, paths @ ..] = key;
+        let light = (truth.light)(StageAngles {
+            azimuth_deg: azimuth as f64 * ANGLE_STEP_DEG,
+            elevation_deg: elevation as f64 * ANGLE_STEP_DEG,
+        });
         let scene = Scene::with_bodies(
             truth.mesh.clone(),
             truth.shading,
@@ -97,12 +117,14 @@ impl TruthSource {
             truth.camera,
             vec![light],
         );
-        // Independent paths for every lamp position.
+        // Independent paths for every position to which the lamp is sent, and the same at
+        // every visit: what differs between two visits is where the lamp stands alone.
+        let [azimuth, elevation] = paths.map(|steps| steps as u64);
         let position = stream(
             truth.seed,
             Purpose::BenchPerturbation,
-            angles.azimuth_deg.to_bits(),
-            angles.elevation_deg.to_bits(),
+            azimuth,
+            elevation,
             1,
         )
         .bits();
@@ -150,20 +172,14 @@ impl RadianceSource for TruthSource {
         if illumination.channels == [0.0; 3] {
             return Arc::new(vec![ambient; pixels]);
         }
-        let key = [
-            illumination.azimuth_rad.to_bits(),
-            illumination.elevation_rad.to_bits(),
-        ];
+        let key = Self::key(illumination);
         let known = self
             .rendered
             .lock()
             .map(|map| map.get(&key).cloned())
             .unwrap_or_default();
         let image = known.unwrap_or_else(|| {
-            let image = Arc::new(self.render(StageAngles {
-                azimuth_deg: illumination.azimuth_rad.to_degrees(),
-                elevation_deg: illumination.elevation_rad.to_degrees(),
-            }));
+            let image = Arc::new(self.render(key));
             if let Ok(mut map) = self.rendered.lock() {
                 map.insert(key, image.clone());
             }
@@ -230,6 +246,7 @@ mod tests {
         Illumination {
             azimuth_rad: 0.3,
             elevation_rad: f64::to_radians(elevation_deg),
+            sent_to_deg: [17.0, elevation_deg.round()],
             channels,
         }
     }
@@ -252,6 +269,20 @@ mod tests {
             source.radiance(&lit(60.0, [1.0, 0.0, 0.0]))[middle] - 0.5,
             red
         );
+    }
+
+    /// Last bits of the angles change nothing, and another visit, a hundredth of a degree
+    /// beside the first, changes what that hundredth changes: not the paths.
+    #[test]
+    fn one_commanded_position_has_one_truth() {
+        let image = |elevation_deg| source(0.0).radiance(&lit(elevation_deg, [1.0, 0.0, 0.0]));
+        let first = image(60.0);
+        assert_eq!(image(60.0 * (1.0 + 2.0 * f64::EPSILON)), first);
+        let again = image(60.01);
+        assert_ne!(again, first);
+        let sum = |image: &[f32]| image.iter().sum::<f32>();
+        let change = sum(&again) / sum(&first) - 1.0;
+        assert!(change.abs() < 1e-3, "{change}");
     }
 
     #[test]

@@ -40,7 +40,7 @@ pub struct Visibility {
     pub bounds_mm: [DVec3; 2],
     /// Top left and bottom right corner of the box around the sample's projection, pixels
     /// from the top left corner of the image; may lie outside it. `None` where a part of the
-    /// sample is behind a perspective camera.
+    /// sample is behind the camera.
     pub projected_px: Option<[DVec2; 2]>,
     /// Width and height of the image, pixels.
     pub resolution_px: [usize; 2],
@@ -267,7 +267,8 @@ impl Projected {
         for &corner in &scene.sample().positions_mm {
             let corner = corner.as_dvec3();
             is_within_image &= shows(camera, corner);
-            match camera.position_px(corner) {
+            let corner = camera.sample_from_camera.inverse().point(corner);
+            match camera.position_of_px(corner).filter(|_| corner.z > 0.0) {
                 Some(at) => (low, high) = (low.min(at), high.max(at)),
                 None => is_before = false,
             }

@@ -51,6 +51,8 @@ pub struct World {
     pub lamp_is_dead: bool,
     /// What a check of the stage's reference finds; `None`: it cannot tell.
     pub reference: Option<ReferenceCheck>,
+    /// How far above its target's elevation the lamp truly stands, degrees.
+    pub turned_deg: f64,
     pub fail_at_move: Option<u32>,
     pub fail_at_grab: Option<u32>,
     /// A defect of the camera's driver.
@@ -111,6 +113,7 @@ impl Bench {
             exposure_factor: 1.0,
             lamp_is_dead: false,
             reference: None,
+            turned_deg: 0.0,
             fail_at_move: None,
             fail_at_grab: None,
             panic_at_grab: None,
@@ -358,9 +361,15 @@ impl Camera for Cam {
             world.settings
         };
         let exposure_s = settings.exposure.0 * world.exposure_factor_of(settings);
-        let light = world
-            .position
-            .map_or(glam::DVec3::Z, |angles| angles.to_light());
+        let turned_deg = world.turned_deg;
+        let light = world.position.map_or(glam::DVec3::Z, |angles| {
+            let elevation_deg = angles.elevation_deg + turned_deg;
+            let angles = StageAngles {
+                elevation_deg,
+                ..angles
+            };
+            angles.to_light()
+        });
         let counts = (0..world.size * world.size)
             .map(|pixel| {
                 let rate_e_s = world.rate_e_s(pixel, light);
@@ -621,6 +630,7 @@ fn run(
         stage,
         session,
         reserve_bytes,
+        position_tolerance_deg: Some(0.05),
         noise: &noise(),
         interest: None,
         sink: Box::new(SumSink::default()),

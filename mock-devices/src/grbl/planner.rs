@@ -169,15 +169,17 @@ impl Planner {
         }
         // Every move can stop before its end; rounding may not carry it beyond.
         let length = (0.5 * speed * duration_s).min(left);
+        let to = along(at, direction, length);
         self.pieces.push(Piece {
             start_s: now_s,
             duration_s,
             from: at,
+            to,
             direction,
             speed,
             acceleration: -speed / duration_s,
         });
-        self.from = along(at, direction, length);
+        self.from = to;
         self.held = Some(now_s + duration_s);
     }
 

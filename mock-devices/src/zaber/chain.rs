@@ -144,6 +144,7 @@ impl Chain {
                         start_s: time_s(slice),
                         duration_s,
                         from,
+                        to,
                         direction,
                         speed: length / duration_s,
                         acceleration: 0.0,

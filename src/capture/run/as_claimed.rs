@@ -56,6 +56,7 @@ impl Run<'_> {
                 Some(taken)
             }
         };
+        let granted = before.map_or(0.0, |before| self.granted(&shot, before.homing));
         let mut sent_again = false;
         let mut patience = self.plan.settings_latency_frames + PATIENCE_FRAMES;
         loop {
@@ -69,7 +70,7 @@ impl Run<'_> {
             else {
                 return Ok((frame, None));
             };
-            match found.verdict() {
+            match found.verdict_beyond(granted) {
                 Verdict::Good => return Ok((frame, found.if_known())),
                 Verdict::Doubtful | Verdict::Refused if let Reference::Revisit(_) = reference => {
                     if found.verdict() == Verdict::Refused && self.discarded < patience {

@@ -29,6 +29,7 @@ impl Run<'_> {
                 CaptureError::Interrupted
                 | CaptureError::LowDisk { .. }
                 | CaptureError::LampDrift { .. }
+                | CaptureError::LightMoved { .. }
                 | CaptureError::TooHot { .. },
             ) => match devices.shut_down().await {
                 Ok(()) => result,

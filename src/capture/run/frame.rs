@@ -29,6 +29,8 @@ pub(super) struct Taken {
     pub(super) requested_s: f64,
     /// Read back.
     pub(super) exposure_s: f64,
+    /// After how many homings of this run it was taken; 0: before this run.
+    pub(super) homing: u32,
 }
 
 /// What a frame's signal is compared with.
@@ -119,19 +121,20 @@ impl Run<'_> {
         shot: Shot,
         reference: Reference<'_>,
     ) -> Result<Taken, CaptureError> {
-        let (frame, sidecar) = match self.held.get(&shot.key) {
+        let (frame, sidecar, homing) = match self.held.get(&shot.key) {
             Some(entry) => {
                 let (frame, sidecar) = self.session.read_frame(entry)?;
                 check_same(&shot, &sidecar)?;
-                (Arc::new(frame), sidecar)
+                (Arc::new(frame), sidecar, 0)
             }
             None => {
                 self.before_frame().await?;
+                self.check_return(&shot, reference).await?;
                 let place = self.disk.place().await?;
                 let (frame, sidecar) = self.expose_again_if_lost(shot, reference).await?;
                 let frame = Arc::new(frame);
                 place.frame(Arc::clone(&frame), sidecar.clone());
-                (frame, sidecar)
+                (frame, sidecar, self.homing)
             }
         };
         let exposure_s = sidecar.applied.exposure.0;
@@ -142,6 +145,7 @@ impl Run<'_> {
             frame,
             requested_s: shot.exposure.0,
             exposure_s,
+            homing,
         })
     }
 
@@ -228,7 +232,7 @@ impl Run<'_> {
     }
 
     /// The stage stands at the light, homed before its first move.
-    async fn go_to(&mut self, light: u32) -> Result<StageAngles, CaptureError> {
+    pub(super) async fn go_to(&mut self, light: u32) -> Result<StageAngles, CaptureError> {
         if let Some((at, position)) = self.position
             && at == light
         {
@@ -239,6 +243,8 @@ impl Run<'_> {
         if !self.devices.is_homed() {
             self.observer.observe(Progress::Homing);
             self.devices.home().await?;
+            self.homing += 1;
+            self.granted.clear();
             self.disk.record(Event::Homed).await?;
         }
         self.observer.observe(Progress::Moving { light, target });

@@ -53,6 +53,7 @@ impl Run<'_> {
                         frame: frame.into(),
                         requested_s: sidecar.requested.exposure.0,
                         exposure_s: sidecar.applied.exposure.0,
+                        homing: 0,
                     });
                 }
             }

@@ -158,7 +158,7 @@ pub(super) fn run(args: &CameraArgs, context: &Context) -> Result<(), CliError> 
         context.warn(missed.to_string());
     }
     let values = CameraValues::new(&fit, &described, cell_px);
-    let mut target = Target::new(&rig.config, Library::of_rig(&rig), &args.common, context);
+    let mut target = Target::new(&rig.config, Library::of_rig(&rig), &args.common, context)?;
     let names: Vec<_> = args.views.iter().map(|v| v.display().to_string()).collect();
     target.source = names.join(", ");
     target.settings = Settings {

@@ -50,7 +50,7 @@ struct FlatReport {
 pub(super) fn run(args: &FlatArgs, context: &Context) -> Result<(), CliError> {
     let rig = args.common.rig.resolve(context)?;
     let library = Library::of_rig(&rig);
-    let mut target = Target::new(&rig.config, library.clone(), &args.common, context);
+    let mut target = Target::new(&rig.config, library.clone(), &args.common, context)?;
     let pinned = rig.config.calibration.sensor.as_deref();
     // A record measured just before into --out counts.
     let gain = rig.config.camera.gain;

@@ -104,7 +104,7 @@ pub(super) fn run(args: &FocusArgs, context: &Context) -> Result<(), CliError> {
     let found = fit_edges(&edges, stated).map_err(advised)?;
     let cell_px = rig.config.geometry.cell_px;
     let values = FocusValues::new(&edges, &found, cell_px, args.height_std);
-    let mut target = Target::new(&rig.config, Library::of_rig(&rig), &args.common, context);
+    let mut target = Target::new(&rig.config, Library::of_rig(&rig), &args.common, context)?;
     let names: Vec<_> = args.input.iter().map(|p| p.display().to_string()).collect();
     target.source = names.join(", ");
     target.settings = Settings {

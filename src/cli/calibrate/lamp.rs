@@ -65,7 +65,7 @@ pub(super) fn run(args: &LampArgs, context: &Context) -> Result<(), CliError> {
             )),
         );
     }
-    let mut target = Target::new(config, Library::of_rig(&rig), &args.common, context);
+    let mut target = Target::new(config, Library::of_rig(&rig), &args.common, context)?;
     let options = WatchOptions {
         gain: config.camera.gain,
         watch_s: 60.0 * args.minutes,
@@ -93,7 +93,7 @@ pub(super) fn run(args: &LampArgs, context: &Context) -> Result<(), CliError> {
                 "a white card where the lamp lights it evenly, no other light, the lamp cold",
             );
             let unlit = || Err(CliError::new("the rig is not simulated"));
-            let devices = open::open_devices(config, unlit)?;
+            let devices = open::open_devices(config, &[], unlit)?;
             let (mut stage, mut camera) = (devices.stage, devices.camera);
             let mut switch = |on: bool| {
                 let state = match on {

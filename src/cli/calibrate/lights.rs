@@ -152,7 +152,7 @@ pub(super) fn run(args: &LightsArgs, context: &Context) -> Result<(), CliError> 
         ),
     };
     let values = DirectionsValues::new(&pictures.angles, &found, stage.as_ref(), distance);
-    let mut target = Target::new(&rig.config, Library::of_rig(&rig), &args.common, context);
+    let mut target = Target::new(&rig.config, Library::of_rig(&rig), &args.common, context)?;
     target.source = pictures.source;
     let method = format!(
         "highlights of {} lights on {} mirror sphere(s) of radius {} mm",

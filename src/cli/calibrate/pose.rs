@@ -119,7 +119,7 @@ pub(super) fn run(args: &PoseArgs, context: &Context) -> Result<(), CliError> {
         CliError::new(error.to_string()).hint(format!("{hint}; nothing was kept"))
     })?;
     let values = PoseValues::new(&found);
-    let mut target = Target::new(&rig.config, Library::of_rig(&rig), &args.common, context);
+    let mut target = Target::new(&rig.config, Library::of_rig(&rig), &args.common, context)?;
     target.source = format!("session {}", args.session.display());
     target.settings = Settings {
         resolution_px: Some(session.config.camera.resolution_px),

@@ -145,7 +145,7 @@ pub(super) fn run(args: &ResponseArgs, context: &Context) -> Result<(), CliError
         .collect::<Result<Vec<_>, CliError>>()
         .hint(SCENE_HINT)?;
     let values = ResponseValues { channels };
-    let mut target = Target::new(&rig.config, Library::of_rig(&rig), &args.common, context);
+    let mut target = Target::new(&rig.config, Library::of_rig(&rig), &args.common, context)?;
     target.source = format!("{} frames, {} first", files.len(), first_path.display());
     target.settings = Settings {
         bit_depth: Some(8),

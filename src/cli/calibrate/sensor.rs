@@ -56,7 +56,7 @@ impl From<&TransferPoint> for CurvePoint {
 
 pub(super) fn run(args: &SensorArgs, context: &Context) -> Result<(), CliError> {
     let rig = args.common.rig.resolve(context)?;
-    let mut target = Target::new(&rig.config, Library::of_rig(&rig), &args.common, context);
+    let mut target = Target::new(&rig.config, Library::of_rig(&rig), &args.common, context)?;
     let options = procedure_options(&rig.config.camera, args.frames);
     let mut camera = open_camera(&rig.config, UNIFORM_RADIANCE)?;
     let bit_depth = camera.info().bit_depth;

@@ -7,7 +7,7 @@ use jiff::Timestamp;
 use crate::calibration::Library;
 use crate::calibration::record::{Kind, Record, Settings, Values};
 use crate::cli::rig_choice::RigArg;
-use crate::cli::{CliError, Context};
+use crate::cli::{CliError, Context, HintExt};
 use crate::config::RigConfig;
 use crate::plot::Figure;
 use crate::whole_file;
@@ -53,7 +53,7 @@ impl<'a> Target<'a> {
         library: Library,
         args: &'a CommonArgs,
         context: &Context,
-    ) -> Self {
+    ) -> Result<Self, CliError> {
         let library = match (&args.out, library) {
             (Some(folder), _) => Library::Folder(folder.clone()),
             (None, Library::BuiltIn(_)) => {
@@ -67,7 +67,15 @@ impl<'a> Target<'a> {
             (None, Library::Before(folder, _)) => Library::Folder(folder),
             (None, folder) => folder,
         };
-        Self {
+        if let Library::Folder(folder) = &library {
+            // Before devices work for what could not be kept.
+            whole_file::check_folder(folder)
+                .map_err(|error| CliError::new(format!("{}: {error}", folder.display())))
+                .hint(
+                    "records are kept there; make the folder writable, or name another with --out",
+                )?;
+        }
+        Ok(Self {
             rig,
             library,
             id: args.id.as_deref(),
@@ -84,7 +92,7 @@ impl<'a> Target<'a> {
                 resolution_px: Some(rig.camera.resolution_px),
                 ..Settings::default()
             },
-        }
+        })
     }
 
     pub fn id(&self, kind: Kind) -> String {

@@ -106,7 +106,7 @@ pub(super) fn run(args: &WhiteArgs, context: &Context) -> Result<(), CliError> {
         incidence_std_rad: args.incidence_std.to_radians(),
     };
     let found = irradiance(&image, args.region.unwrap_or(whole), &standard).hint(HINT)?;
-    let mut target = Target::new(&rig.config, Library::of_rig(&rig), &args.common, context);
+    let mut target = Target::new(&rig.config, Library::of_rig(&rig), &args.common, context)?;
     target.source = args.image.display().to_string();
     let method = format!(
         "diffuse standard of reflectance {} ± {} at {} degrees",
@@ -200,7 +200,7 @@ fn of_session(args: &WhiteArgs, context: &Context) -> Result<(), CliError> {
         }),
         lights: found.lights,
     };
-    let mut target = Target::new(&rig.config, Library::of_rig(&rig), &args.common, context);
+    let mut target = Target::new(&rig.config, Library::of_rig(&rig), &args.common, context)?;
     target.source = format!("session {}", args.image.display());
     let method = format!(
         "diffuse standard of reflectance {} ± {} under {} lights",

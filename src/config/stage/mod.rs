@@ -130,15 +130,14 @@ impl StageConfig {
         }
     }
 
-    /// How far it may stand from where it was sent, degrees; 0 where nothing moves, or a
-    /// person moves it and nobody knows.
-    pub fn tolerance_deg(&self) -> f64 {
+    /// How far a position may be off, degrees; `None` where nothing moves by itself.
+    pub fn position_tolerance_deg(&self) -> Option<f64> {
         match &self.driver {
             StageDriver::Simulated(config) | StageDriver::Grbl(config) => {
-                config.position_tolerance_deg
+                Some(config.position_tolerance_deg)
             }
-            StageDriver::Zaber(config) => config.position_tolerance_deg,
-            StageDriver::Dome(_) | StageDriver::Manual(_) => 0.0,
+            StageDriver::Zaber(config) => Some(config.position_tolerance_deg),
+            StageDriver::Dome(_) | StageDriver::Manual(_) => None,
         }
     }
 

@@ -47,8 +47,8 @@ pub struct TwoAxes {
     /// Second axis: elevation, carriage, or y.
     pub second: AxisMap,
     /// Every pose is approached from this far below it on each axis, degrees or
-    /// mm; more than the backlash, 0 turns it off. Near a lower limit the
-    /// approach is as long as the limit leaves room.
+    /// mm; more than the backlash, 0 turns it off. Where the lower limit leaves no
+    /// room for that, always from above: also from a home position beyond the limit.
     pub approach: f64,
 }
 
@@ -227,14 +227,20 @@ impl TwoAxes {
         (slowest_deg_s, Seconds(longest_s))
     }
 
-    /// Where to go first so that both axes reach `target` upwards; `None` if
-    /// they already do from `from`.
+    /// Where to go first so that each axis reaches `target` from the side that it always
+    /// does; `None` if they already do from `from`.
     pub fn approach(&self, from: Pose, target: Pose) -> Option<Pose> {
-        let below =
-            |map: &AxisMap, from: f64, target: f64| (target - self.approach).max(map.min).min(from);
+        let start_of = |map: &AxisMap, from: f64, target: f64| {
+            let below = target - self.approach;
+            if below >= map.min {
+                below.min(from)
+            } else {
+                (target + self.approach).min(map.max).max(from)
+            }
+        };
         let start = [
-            below(&self.first, from.0[0], target.0[0]),
-            below(&self.second, from.0[1], target.0[1]),
+            start_of(&self.first, from.0[0], target.0[0]),
+            start_of(&self.second, from.0[1], target.0[1]),
         ];
         let way = (start[0] - from.0[0])
             .abs()

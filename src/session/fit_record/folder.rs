@@ -12,9 +12,14 @@ use super::{
     FitRecord, FitRecordError, FitSettings, ScoreSheet, Timing, Warning, check, out_of_range,
     tables,
 };
+use crate::outside_file::read_regular;
 use crate::radiance_image::exr;
 use crate::session::layout::FITS_FOLDER;
 use crate::session::{Session, SessionWriter};
+use crate::whole_file;
+
+/// Tables of a fit have some thousand rows.
+const LARGEST_FILE_BYTES: u64 = 64 << 20;
 
 /// The part of the record that is `fit.toml`.
 #[derive(Serialize, Deserialize)]
@@ -100,6 +105,20 @@ pub fn commit(
     Ok(folder)
 }
 
+/// Whether [`write`] could write this folder: asked before the fit, which may take hours.
+///
+/// # Errors
+/// [`FitRecordError::Exists`], or the system's error.
+pub fn check_folder(folder: &Path) -> Result<(), FitRecordError> {
+    let path = folder.to_path_buf();
+    let occupied = std::fs::read_dir(folder).is_ok_and(|mut inside| inside.next().is_some());
+    if occupied || folder.is_file() {
+        return Err(FitRecordError::Exists { path });
+    }
+    whole_file::check_folder(folder.parent().unwrap_or(Path::new("")))
+        .map_err(|source| FitRecordError::Io { path, source })
+}
+
 /// Writes a fit's folder outside a session. `folder` must not exist, or be
 /// empty. It appears whole or not at all.
 ///
@@ -108,16 +127,11 @@ pub fn commit(
 /// then), or the system's error.
 pub fn write(folder: &Path, record: &FitRecord, images: &FitImages) -> Result<(), FitRecordError> {
     let files = encode(folder, record, images)?;
+    check_folder(folder)?;
     let io = |path: &Path| {
         let path = path.to_path_buf();
         move |source| FitRecordError::Io { path, source }
     };
-    let occupied = std::fs::read_dir(folder).is_ok_and(|mut inside| inside.next().is_some());
-    if occupied || folder.is_file() {
-        return Err(FitRecordError::Exists {
-            path: folder.to_path_buf(),
-        });
-    }
     let parent = match folder.parent() {
         Some(parent) if parent != Path::new("") => parent,
         _ => Path::new("."),
@@ -163,7 +177,7 @@ fn image_name(kind: &str, light: usize) -> String {
 /// Names the file and the key or column that is missing or wrong.
 pub fn read(folder: &Path) -> Result<FitRecord, FitRecordError> {
     parse(folder, |path, _| {
-        std::fs::read(path).map_err(|source| FitRecordError::Io {
+        read_regular(path, LARGEST_FILE_BYTES).map_err(|source| FitRecordError::Io {
             path: path.to_path_buf(),
             source,
         })

@@ -141,12 +141,15 @@ fn a_gantry_by_hand() {
 }
 
 #[test]
-fn approach_comes_from_below_and_stays_within_the_limits() {
+fn approach_comes_from_one_side_and_stays_within_the_limits() {
     let start = |from, to| arm().approach(Pose(from), Pose(to)).map(|pose| pose.0);
     assert_eq!(start([50.0, 50.0], [10.0, 20.0]), Some([8.0, 18.0]));
     assert_eq!(start([0.0, 6.0], [10.0, 20.0]), None);
     assert_eq!(start([0.0, 50.0], [10.0, 20.0]), Some([0.0, 18.0]));
-    assert_eq!(start([0.0, 50.0], [-180.0, 6.0]), Some([-180.0, 5.0]));
+    // No room below: from above, whether it is there already or at home beyond the limit.
+    assert_eq!(start([0.0, 50.0], [-180.0, 6.0]), None);
+    assert_eq!(start([-180.0, 0.0], [-179.0, 5.0]), Some([-177.0, 7.0]));
+    assert_eq!(start([0.0, 0.0], [10.0, 5.5]), Some([0.0, 7.5]));
     let straight = TwoAxes {
         approach: 0.0,
         ..arm()

@@ -1,0 +1,136 @@
+//! The program as a user runs it, on a simulated rig whose truth is rendered quickly.
+
+// Each test uses some of it.
+#![allow(dead_code)]
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use rig::session::Journal;
+use tempfile::TempDir;
+
+/// A folder with a rig file of the simulated bench whose truth is rendered
+/// quickly; `change` is applied to its text.
+pub fn workplace(change: impl FnOnce(String) -> String) -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let text = include_str!("../rig-configs/simulated.toml");
+    let (before, simulation) = text.split_once("[simulation]").unwrap();
+    let quick: String = simulation
+        .lines()
+        .map(|line| match line.split_once(" = ") {
+            Some(("samples_per_pixel", _)) => "samples_per_pixel = 2\n".into(),
+            Some(("max_reflections", _)) => "max_reflections = 2\n".into(),
+            Some(("segments", _)) => "segments = 32\n".into(),
+            Some(("timing", _)) => "timing = \"instant\"\n".into(),
+            Some(("material", _)) => {
+                "brdf = { mixture = [ { weight = 1.0, lambertian = { albedo = 0.8 } } ] }\n".into()
+            }
+            _ => format!("{line}\n"),
+        })
+        .collect();
+    let text = change(format!("{before}[simulation]{quick}"));
+    fs::write(folder.path().join("rig.toml"), text).unwrap();
+    folder
+}
+
+/// The program with these arguments in this folder.
+pub fn rig(folder: &Path, arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_rig"));
+    command
+        .args(arguments)
+        .current_dir(folder)
+        .env_remove("RIG_CONFIG")
+        .env_remove("RUST_BACKTRACE");
+    command
+}
+
+/// Likewise, run to its end.
+pub fn run(folder: &Path, arguments: &[&str]) -> Output {
+    rig(folder, arguments).output().unwrap()
+}
+
+/// For people to read.
+pub fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+/// Exit code 0.
+#[track_caller]
+pub fn assert_done(output: &Output) {
+    let stderr = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(0), "{stderr}");
+}
+
+/// Exit code `code`, one line of fact, a blank line, a hint, and no defect.
+#[track_caller]
+pub fn assert_fails(output: &Output, code: i32, fact: &str, hint: &str) {
+    let stderr = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(code), "{stderr}");
+    let lines: Vec<&str> = stderr.lines().collect();
+    let [.., error, "", advice] = lines[..] else {
+        panic!("not one fact and one hint:\n{stderr}");
+    };
+    assert!(
+        error.starts_with("error: ") && error.contains(fact),
+        "{stderr}"
+    );
+    assert!(
+        advice.starts_with("hint: ") && advice.contains(hint),
+        "{stderr}"
+    );
+    assert!(!stderr.contains("internal error"), "{stderr}");
+}
+
+/// The path that stdout ends with.
+pub fn session_of(folder: &Path, output: &Output) -> PathBuf {
+    let stdout = text(&output.stdout);
+    folder.join(stdout.lines().last().expect("a path on stdout"))
+}
+
+/// A folder with all that is in it.
+pub fn copy(from: &Path, to: &Path) {
+    fs::create_dir(to).unwrap();
+    for entry in fs::read_dir(from).unwrap().flatten() {
+        let target = to.join(entry.file_name());
+        if entry.file_type().unwrap().is_dir() {
+            copy(&entry.path(), &target);
+        } else {
+            fs::copy(entry.path(), target).unwrap();
+        }
+    }
+}
+
+pub fn only_session(folder: &Path) -> Option<PathBuf> {
+    fs::read_dir(folder.join("sessions"))
+        .into_iter()
+        .flatten()
+        .flatten()
+        .map(|entry| entry.path())
+        .find(|path| !path.file_name().unwrap().to_str().unwrap().starts_with('.'))
+}
+
+/// Starts a capture and waits until its journal is as wanted.
+pub fn begin(
+    folder: &Path,
+    arguments: &[&str],
+    until: impl Fn(&Journal) -> bool,
+) -> (Child, PathBuf) {
+    let mut child = rig(folder, arguments)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let began = Instant::now();
+    loop {
+        if let Some(root) = only_session(folder)
+            && Journal::read(&root).is_ok_and(|journal| until(&journal))
+        {
+            return (child, root);
+        }
+        assert!(child.try_wait().unwrap().is_none(), "it ended by itself");
+        assert!(began.elapsed() < Duration::from_secs(120), "it takes long");
+        std::thread::sleep(Duration::from_millis(2));
+    }
+}
