@@ -1,7 +1,7 @@
 # `make demo`: build, then the whole pipeline on the simulated rig.
 # `make test`: all tests.
 # `make test-long`: coverage of the intervals and rates of warnings, in full; captures
-#   cut at every record and 200 killed at random moments.
+#   cut at every record and 200 killed at random moments; 200 under a constant lamp.
 # `make test-vm`: the program against the kernel's own drivers in a virtual machine.
 # `make test-external`: exports loaded in the programs they are for (tests/external/README.md).
 
@@ -31,6 +31,8 @@ test-vm: build
 test-long: build
 	RIG_KILLS=200 RIG_CUTS=all $(CARGO) test --locked --release --test resume_command \
 	  -- --nocapture killed cut_at
+	RIG_DRIFT_CAPTURES=200 $(CARGO) test --locked --release --test capture \
+	  -- --nocapture constant_lamps
 	target/release/rig evaluate intervals --out target/long/intervals
 	target/release/rig evaluate diagnosis --out target/long/diagnosis
 

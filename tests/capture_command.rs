@@ -480,6 +480,188 @@ fn bad_input_is_refused_before_anything_moves() {
     }
 }
 
+/// The pit of a tetrahedron as an OBJ file, each corner moved, its facets seen from above or,
+/// inside out, from below.
+fn pit(corner: impl Fn([f64; 3]) -> [f64; 3], inside_out: bool) -> String {
+    let corners = [
+        [10.0, 0.0, 0.0],
+        [-5.0, 8.66, 0.0],
+        [-5.0, -8.66, 0.0],
+        [0.0, 0.0, -5.0],
+    ];
+    let mut obj = String::new();
+    for [x, y, z] in corners.map(corner) {
+        obj += &format!("v {x} {y} {z}\n");
+    }
+    for [a, b] in [[1, 2], [2, 3], [3, 1]] {
+        let [a, b] = if inside_out { [b, a] } else { [a, b] };
+        obj += &format!("f {a} {b} 4\n");
+    }
+    obj
+}
+
+/// What no capture can come of is refused by the doctor, by a dry run and by a capture, before
+/// anything moves, with the sample's place and a remedy that is this case's.
+#[test]
+fn scenes_that_make_no_sense_are_refused_before_anything_moves() {
+    let upright = |c: [f64; 3]| c;
+    let scaled = |by: f64| move |c: [f64; 3]| c.map(|x| by * x);
+    let out = "the sample is outside the camera's view: ";
+    let back = "the sample's surface faces away from the camera: 0.0%";
+    let small = "the sample is too small in the image: it covers 0.0 pixels";
+    let dark = "reaches 0.0% of what the camera sees of the sample: 100% is turned away from it";
+    let cases = [
+        (
+            "aside",
+            pit(|[x, y, z]| [x + 30.0, y, z], false),
+            out,
+            "look_at_mm",
+        ),
+        (
+            "nearly aside",
+            pit(|[x, y, z]| [x, y + 18.0, z], false),
+            out,
+            "look_at_mm",
+        ),
+        (
+            "behind the camera",
+            pit(|[x, y, z]| [x, y, z + 300.0], false),
+            out,
+            "position_mm",
+        ),
+        (
+            "micrometres",
+            pit(scaled(1000.0), false),
+            out,
+            "787 times as long as the field of view",
+        ),
+        (
+            "metres",
+            pit(scaled(0.001), false),
+            small,
+            "in metres must be multiplied by 1000",
+        ),
+        (
+            "a grain",
+            pit(scaled(0.1), false),
+            "it covers 1",
+            "the field of view of [geometry.camera]",
+        ),
+        (
+            "upside down",
+            pit(|[x, y, z]| [x, -y, -z], false),
+            back,
+            "turn it over",
+        ),
+        (
+            "inside out",
+            pit(upright, true),
+            back,
+            "reverse the order of each triangle's corners",
+        ),
+        (
+            "lit from below",
+            pit(|[x, y, z]| [x, y, 0.5 * z], false),
+            dark,
+            "[geometry.sample_from_stage]",
+        ),
+    ];
+    for (name, mesh, fact, remedy) in cases {
+        let folder = workplace(|text| {
+            let (before, rest) = text.split_once("[geometry.sample.shape]").unwrap();
+            let (_, after) = rest.split_once("[geometry.sample_from_stage]").unwrap();
+            let before = before.replace("# mesh = \"bowl.ply\"", "mesh = \"pit.obj\"");
+            let before = before.replace("shading = \"smooth\"", "shading = \"flat\"");
+            let from_below = match name {
+                "lit from below" => {
+                    after.replacen("rotation_deg = [0.0,", "rotation_deg = [180.0,", 1)
+                }
+                _ => after.to_owned(),
+            };
+            format!("{before}[geometry.sample_from_stage]{from_below}")
+        });
+        std::fs::write(folder.path().join("pit.obj"), mesh).unwrap();
+        let doctor = run(&folder, &["doctor"]);
+        let said = text(&doctor.stdout);
+        assert_eq!(doctor.status.code(), Some(1), "{name}: {said}");
+        let view = said
+            .lines()
+            .find(|line| line.starts_with("FAILED   view"))
+            .expect(said);
+        let fact_there = match fact == dark {
+            true => "none of 16 lights spread over the stage's reach",
+            false => fact,
+        };
+        assert!(
+            view.contains(fact_there) && said.contains(remedy),
+            "{name}: {said}"
+        );
+        for command in [
+            &["capture", "--lights", "2", "--dry-run"][..],
+            &["capture", "--lights", "2"],
+        ] {
+            let output = run(&folder, command);
+            assert_refused(&output, fact);
+            let said = text(&output.stderr);
+            assert!(said.contains(remedy), "{name}: {said}");
+            assert!(
+                fact == dark || said.contains("the field of view is 22.0 × 22.0 mm"),
+                "{name}: {said}"
+            );
+            assert_eq!(text(&output.stdout), "", "{name}");
+            no_session(&folder);
+        }
+    }
+}
+
+/// A sample that is partly in view is a remark; one that is wholly in view is none.
+#[test]
+fn a_sample_partly_in_view_is_remarked() {
+    let dry = ["capture", "--lights", "2", "--dry-run"];
+    let whole = run(&workplace(|text| text), &dry);
+    assert_eq!(text(&whole.stderr), "");
+    let folder = workplace(|text| {
+        text.replace("look_at_mm = [0.0,", "look_at_mm = [6.0,")
+            .replace("position_mm = [0.0,", "position_mm = [6.0,")
+    });
+    let cut = run(&folder, &dry);
+    assert_eq!(cut.status.code(), Some(0));
+    let said = text(&cut.stderr);
+    assert!(
+        said.contains("warning: the sample is only partly in view: 8"),
+        "{said}"
+    );
+}
+
+/// A plan needs no calibration; what it then estimates is marked.
+#[test]
+fn a_dry_run_without_records_marks_its_estimates() {
+    let folder = workplace(|text| text.replace("name = \"simulated\"", "name = \"new-bench\""));
+    let dry = ["capture", "--lights", "2", "--dry-run"];
+    let output = run(&folder, &dry);
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    let mark = "estimated for a usual sensor, no sensor record: run `rig calibrate sensor`";
+    assert!(
+        text(&output.stdout).contains(mark),
+        "{}",
+        text(&output.stdout)
+    );
+    let output = run(&folder, &[&dry[..], &["--json"]].concat());
+    let plan: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(plan["estimated"], mark);
+    assert!(plan["sensor_record"].is_null());
+    assert!(plan["estimated_s"].as_f64().unwrap() > 1.0);
+    assert_refused(
+        &run(&folder, &["capture", "--lights", "2"]),
+        "there is no sensor record",
+    );
+    no_session(&folder);
+    let known = run(&workplace(|text| text), &[&dry[..], &["--json"]].concat());
+    let plan: serde_json::Value = serde_json::from_slice(&known.stdout).unwrap();
+    assert_eq!(plan["sensor_record"], "20261121T020000Z-sensor");
+    assert!(plan.get("estimated").is_none());
+}
+
 /// The simulated bench's stage with other mechanics.
 fn with_mechanism(text: &str, mechanism: &str) -> String {
     let (before, rest) = text.split_once("[stage.azimuth]").unwrap();

@@ -287,13 +287,13 @@ fn nonsense(good: &[RadianceImage]) -> Vec<Nonsense> {
             "light behind",
             with("[0.1, 0.05, 0.99]", "[0.1, 0.05, -0.99]"),
             good.to_vec(),
-            "behind the sample",
+            "reaches 0.0% of what the camera sees",
         ),
         (
             "light at the horizon",
             with("[0.5, 0.2, 0.85]", "[1.0, 0.0, 0.0]"),
             good.to_vec(),
-            "horizon",
+            "light 1 reaches 0.0%",
         ),
         (
             "no irradiance",
@@ -314,7 +314,7 @@ fn nonsense(good: &[RadianceImage]) -> Vec<Nonsense> {
                 "position_mm = [9.0, 0.0, 5.0]\nlook_at_mm = [9.0, 0.0, 0.0]",
             ),
             good.to_vec(),
-            "",
+            "outside the camera's view",
         ),
         (
             "seen from behind",
@@ -323,7 +323,13 @@ fn nonsense(good: &[RadianceImage]) -> Vec<Nonsense> {
                 "position_mm = [0.0, 0.0, -5.0]",
             ),
             good.to_vec(),
-            "",
+            "faces away from the camera",
+        ),
+        (
+            "sample in metres",
+            with("radius_mm = 1.0", "radius_mm = 0.001"),
+            good.to_vec(),
+            "metres",
         ),
         (
             "images exchanged",

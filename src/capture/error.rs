@@ -72,8 +72,8 @@ pub enum CaptureError {
     },
     /// The lamp is no longer what it was when the light began.
     #[error(
-        "light {light}, lamp channel {channel}: the lamp has become {ratio:.3} times as bright \
-         since the light's earlier frame"
+        "the lamp drifted by {change} during light {light} (lamp channel {channel}), more than {} %",
+        100.0 * super::exposure_check::REFUSED
     )]
     LampDrift {
         /// Index in the plan.
@@ -81,7 +81,7 @@ pub enum CaptureError {
         /// Which channel.
         channel: u8,
         /// Signal over that of the first frame at the same exposure.
-        ratio: f64,
+        change: super::exposure_check::SignalRatio,
     },
     /// The lamp is not back where it was before the stage was homed anew.
     #[error(

@@ -135,6 +135,7 @@ mod tests {
             stage_position: ANGLES,
             frames_discarded: 0,
             exposure_ratio: None,
+            lamp_ratio_std: None,
             time: FrameTimes {
                 utc: String::new(),
                 monotonic_s: Seconds(0.0),

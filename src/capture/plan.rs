@@ -52,6 +52,8 @@ pub struct PlanRequest {
     pub settings_latency_frames: u32,
     /// Whether the first light is visited again after the last one.
     pub revisit_first: bool,
+    /// How far the stage may stand from where it was sent, degrees.
+    pub stage_tolerance_deg: f64,
     /// Temperatures above which the capture is suspended.
     pub limits: TemperatureLimits,
     /// Width and height of a frame, pixels.
@@ -110,6 +112,7 @@ pub fn plan(request: &PlanRequest, noise: &SensorNoise) -> Result<PlanRecord, Ca
         lamp_warm_up_s: request.lamp_warm_up,
         settings_latency_frames: request.settings_latency_frames,
         revisit_first,
+        stage_tolerance_deg: request.stage_tolerance_deg,
         limits: request.limits,
         estimated_s: Seconds(
             request.pace.homing.0 + request.lamp_warm_up.0 + moving_s + count as f64 * per_light_s,
@@ -252,6 +255,7 @@ mod tests {
             lamp_warm_up: Seconds(0.0),
             settings_latency_frames: 2,
             revisit_first: false,
+            stage_tolerance_deg: 0.05,
             limits: TemperatureLimits::default(),
             resolution_px: [64, 48],
             pace: Pace {

@@ -74,8 +74,8 @@ pub fn change(
                 signal_dn(noise, earlier, pixel),
                 signal_dn(noise, later, pixel) / scale,
             ];
-            let relative_variance = variance_dn2(noise, before_dn) / before_dn.powi(2)
-                + variance_dn2(noise, after_dn * scale) / (after_dn * scale).powi(2);
+            let relative_variance = variance_dn2(noise, earlier, before_dn) / before_dn.powi(2)
+                + variance_dn2(noise, later, after_dn * scale) / (after_dn * scale).powi(2);
             pixels += 1.0;
             excess += (after_dn / before_dn - 1.0).powi(2) - relative_variance;
             excess_variance += 2.0 * relative_variance.powi(2);
@@ -96,7 +96,8 @@ pub fn change(
             for (pixel, step) in pairs {
                 let [low_dn, high_dn] =
                     [pixel - step, pixel + step].map(|p| signal_dn(noise, earlier, p));
-                let noise_dn2 = variance_dn2(noise, low_dn) + variance_dn2(noise, high_dn);
+                let noise_dn2 =
+                    variance_dn2(noise, earlier, low_dn) + variance_dn2(noise, earlier, high_dn);
                 let step_px = 2.0 * REACH_PX as f64;
                 gradient +=
                     ((high_dn - low_dn).powi(2) - noise_dn2) / (step_px * before_dn).powi(2);

@@ -11,7 +11,9 @@ use super::capture_records::Records;
 use super::output::write_json;
 use super::rig_choice::RigArg;
 use super::session_rig::{self, session_rig};
-use super::{CliError, Context, HintExt, interrupt, light_choice, open, pipeline, sharpness};
+use super::{
+    CliError, Context, HintExt, interrupt, light_choice, open, pipeline, preflight, sharpness,
+};
 use crate::calibration::Library;
 use crate::capture::directions::StageReach;
 use crate::capture::plan::{LightChoice, Pace, PlanRequest, check_reach, check_space, plan};
@@ -151,21 +153,25 @@ fn start(args: &CaptureArgs, context: &Context) -> Result<(), CliError> {
     for concern in records.concerns(config, jiff::Timestamp::now()) {
         context.warn(format_args!("{concern}"));
     }
+    // What cannot be read, seen or fitted is said before anything moves.
+    preflight::check_bench(config, context)?;
     let limit_px = config.capture.blur_limit_px;
     if let Some(found) = sharpness::of_rig(config, records.focus())?
         && let Some(concern) = sharpness::concern(&found, limit_px)
     {
         context.warn(format_args!("{concern}; {}", sharpness::REMEDY));
     }
-    // What cannot be read or fitted is said before anything moves.
-    config.geometry.scene(&[])?;
-    let noise = records.noise(config)?;
+    let noise = match (args.dry_run, records.sensor_id()) {
+        (true, None) => SensorNoise::usual(config.camera.bit_depth, config.camera.gain),
+        _ => records.noise(config)?,
+    };
     let lights = light_choice(args, config, context)?;
     let request = request(&lights, config, None);
     let planned = plan(&request, &noise)?;
+    preflight::check_lights(config, &planned.lights)?;
     let reserve_bytes = config.capture.disk_reserve_bytes;
     if args.dry_run {
-        print_plan(&planned, args.json)?;
+        print_plan(&planned, records.sensor_id(), args.json)?;
         return Ok(check_space(&planned, &args.out, reserve_bytes)?);
     }
     check_space(&planned, &args.out, reserve_bytes)?;
@@ -330,6 +336,22 @@ fn carry_out(
     print_result(args, &root, outcome, elapsed_s, bar.spent())
 }
 
+/// What marks a plan that no sensor record stands behind.
+const NO_SENSOR_RECORD: &str =
+    "estimated for a usual sensor, no sensor record: run `rig calibrate sensor`";
+
+/// What `--dry-run --json` prints.
+#[derive(serde::Serialize)]
+struct PrintedPlan<'a> {
+    #[serde(flatten)]
+    plan: &'a PlanRecord,
+    /// The record that time and size are estimated by.
+    sensor_record: Option<&'a str>,
+    /// How they are estimated without one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    estimated: Option<&'static str>,
+}
+
 /// Whether its clock jumps instead of waiting.
 fn is_instant(config: &RigConfig) -> bool {
     let simulation = config.simulation.as_ref();
@@ -390,10 +412,20 @@ fn print_result(
     out!("{}", root.display())
 }
 
-fn print_plan(plan: &PlanRecord, as_json: bool) -> Result<(), CliError> {
+/// `sensor_id` is the record that exposures and time are estimated by; without one they are
+/// estimated for a usual sensor, and marked.
+fn print_plan(plan: &PlanRecord, sensor_id: Option<&str>, as_json: bool) -> Result<(), CliError> {
     if as_json {
-        return write_json(plan);
+        return write_json(&PrintedPlan {
+            plan,
+            sensor_record: sensor_id,
+            estimated: sensor_id.is_none().then_some(NO_SENSOR_RECORD),
+        });
     }
+    let mark = match sensor_id {
+        Some(_) => String::new(),
+        None => format!(" ({NO_SENSOR_RECORD})"),
+    };
     let rules = &plan.exposure;
     let channels = plan.channels.len();
     out!("{} lights, {channels} lamp channels", plan.lights.len())?;
@@ -412,7 +444,7 @@ fn print_plan(plan: &PlanRecord, as_json: bool) -> Result<(), CliError> {
         rules.dark_snr
     )?;
     out!(
-        "about {:.0} s on the bench and {:.1} MB for a scene of usual contrast",
+        "about {:.0} s on the bench and {:.1} MB for a scene of usual contrast{mark}",
         plan.estimated_s.0,
         plan.estimated_bytes as f64 / 1e6
     )
@@ -487,6 +519,7 @@ fn request(lights: &LightChoice, config: &RigConfig, camera: Option<&CameraInfo>
         revisit_first: capture
             .revisit_first
             .unwrap_or(config.stage.driver_name() != "manual"),
+        stage_tolerance_deg: config.stage.position_tolerance_deg().unwrap_or(0.0),
         limits: config.limits.temperature,
         resolution_px: config.camera.resolution_px,
         pace: Pace {

@@ -17,7 +17,9 @@ use crate::radiometry::sensor::SensorNoise;
 
 /// The calibration that a capture goes by.
 pub(super) struct Records {
-    sensor: Loaded<SensorValues>,
+    /// Where they were looked for.
+    place: String,
+    sensor: Option<Loaded<SensorValues>>,
     flat: Option<Loaded<FlatValues>>,
     scale: Option<Loaded<ScaleValues>>,
     lights: Option<Loaded<LightsValues>>,
@@ -35,9 +37,9 @@ impl Records {
         let ids = &config.calibration;
         let serial = config.camera.serial.as_deref().unwrap_or_default();
         let gain = config.camera.gain;
-        let sensor = library.load_for(ids.sensor.as_deref(), gain)?;
         let records = Self {
-            sensor: sensor.ok_or_else(|| no_sensor(library))?,
+            place: library.place(),
+            sensor: library.load_for(ids.sensor.as_deref(), gain)?,
             flat: library.load_for(ids.flat.as_deref(), gain)?,
             scale: library.load_for(ids.scale.as_deref(), gain)?,
             lights: library.load(ids.lights.as_deref())?,
@@ -50,7 +52,9 @@ impl Records {
             },
             camera: library.load(ids.camera.as_deref())?,
         };
-        records.sensor.check_camera(serial, &config.camera)?;
+        if let Some(sensor) = &records.sensor {
+            sensor.check_camera(serial, &config.camera)?;
+        }
         if let Some(flat) = &records.flat {
             flat.check_camera(serial, &config.camera)?;
         }
@@ -62,9 +66,9 @@ impl Records {
 
     /// The copies in a session.
     pub(super) fn load_copies(library: &Library) -> Result<Self, CliError> {
-        let sensor = library.load(None)?;
         Ok(Self {
-            sensor: sensor.ok_or_else(|| no_sensor(library))?,
+            place: library.place(),
+            sensor: library.load(None)?,
             flat: library.load(None)?,
             scale: library.load(None)?,
             lights: library.load(None)?,
@@ -76,14 +80,29 @@ impl Records {
         })
     }
 
+    /// What merge and exposure planning believe of the sensor.
+    ///
+    /// # Errors
+    /// No sensor record, or a map that cannot be used.
     pub(super) fn noise(&self, config: &RigConfig) -> Result<SensorNoise, CliError> {
+        let sensor = self.sensor.as_ref().ok_or_else(|| self.no_sensor())?;
         let scale = self.scale.as_ref().map(|loaded| &loaded.record.values);
         Ok(sensor_noise(
-            &self.sensor,
+            sensor,
             self.flat.as_ref(),
             scale,
             config.camera.resolution_px,
         )?)
+    }
+
+    /// The record of the sensor's noise, if there is one.
+    pub(super) fn sensor_id(&self) -> Option<&str> {
+        self.sensor.as_ref().map(|loaded| loaded.record.id.as_str())
+    }
+
+    fn no_sensor(&self) -> CliError {
+        CliError::new(format!("there is no sensor record in {}", self.place))
+            .hint("measure the sensor once with `rig calibrate sensor`")
     }
 
     /// What is known of the camera's sharpness.
@@ -94,7 +113,7 @@ impl Records {
     /// What speaks against these records now, with what to run.
     pub(super) fn concerns(&self, config: &RigConfig, now: Timestamp) -> Vec<String> {
         let mut concerns = Vec::new();
-        add_concerns(&mut concerns, Some(&self.sensor), config, now);
+        add_concerns(&mut concerns, self.sensor.as_ref(), config, now);
         add_concerns(&mut concerns, self.flat.as_ref(), config, now);
         add_concerns(&mut concerns, self.scale.as_ref(), config, now);
         add_concerns(&mut concerns, self.lights.as_ref(), config, now);
@@ -126,7 +145,7 @@ impl Records {
     ) -> Vec<String> {
         let allowed_c = config.limits.record_differs_c;
         let concerns = [
-            self.sensor.temperature_concern(sensor_c, allowed_c),
+            doubt(&self.sensor, sensor_c, allowed_c),
             doubt(&self.flat, sensor_c, allowed_c),
             doubt(&self.scale, sensor_c, allowed_c),
             doubt(&self.lamp, sensor_c, allowed_c),
@@ -142,7 +161,7 @@ impl Records {
     /// `<kind>/<file>`, whether it is the record itself, and its bytes.
     pub(super) fn copies(&self) -> Vec<(String, bool, Vec<u8>)> {
         let mut copies = Vec::new();
-        add_copies(&mut copies, Some(&self.sensor));
+        add_copies(&mut copies, self.sensor.as_ref());
         add_copies(&mut copies, self.flat.as_ref());
         add_copies(&mut copies, self.scale.as_ref());
         add_copies(&mut copies, self.lights.as_ref());
@@ -153,11 +172,6 @@ impl Records {
         add_copies(&mut copies, self.camera.as_ref());
         copies
     }
-}
-
-fn no_sensor(library: &Library) -> CliError {
-    CliError::new(format!("there is no sensor record in {}", library.place()))
-        .hint("measure the sensor once with `rig calibrate sensor`")
 }
 
 fn add_concerns<V: Values>(

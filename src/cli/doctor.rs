@@ -12,6 +12,7 @@ use rustix::fs::{Access, access, statvfs};
 use serde::Serialize;
 
 use super::output::{write_json, write_line};
+use super::preflight::{self, Outlook};
 use super::rig_choice::RigArg;
 use super::{CliError, Context, hints, sharpness};
 use crate::calibration::camera::CameraValues;
@@ -179,11 +180,38 @@ fn all_checks(rig: &ResolvedRig) -> Vec<Check> {
         &library,
         named.focus.as_deref(),
     ));
-    checks.push(depth_of_field(rig, &library));
+    let view = view(rig);
+    let is_in_view = view.verdict != Verdict::Failed;
+    checks.push(view);
+    checks.push(depth_of_field(rig, &library, is_in_view));
     checks
 }
 
-fn depth_of_field(rig: &ResolvedRig, library: &Library) -> Check {
+/// Whether the camera sees the sample's front and lights within reach shine on it.
+fn view(rig: &ResolvedRig) -> Check {
+    match preflight::outlook(&rig.config) {
+        Err(error) => {
+            let remedy = error
+                .advice()
+                .unwrap_or("correct [geometry] in the rig file");
+            Check::failed("view", error.fact(), remedy)
+        }
+        Ok(Outlook {
+            fact,
+            concern: None,
+        }) => Check::ok("view", fact),
+        Ok(Outlook {
+            fact,
+            concern: Some(concern),
+        }) if concern.is_fatal => Check::failed("view", fact, concern.remedy),
+        Ok(Outlook {
+            fact,
+            concern: Some(concern),
+        }) => Check::warning("view", fact, concern.remedy),
+    }
+}
+
+fn depth_of_field(rig: &ResolvedRig, library: &Library, is_in_view: bool) -> Check {
     let name = "depth of field";
     let named = rig.config.calibration.focus.as_deref();
     // A record that cannot be read has its own line.
@@ -196,7 +224,8 @@ fn depth_of_field(rig: &ResolvedRig, library: &Library) -> Check {
             error.fact(),
             error.advice().unwrap_or("correct [geometry.sample]"),
         ),
-        Ok(None) => Check::ok(name, "no aperture is stated, or the sample is not in view"),
+        Ok(None) if is_in_view => Check::ok(name, "unlimited: no aperture is stated"),
+        Ok(None) => Check::ok(name, "not checked: the camera doesn't see the sample"),
         Ok(Some(found)) => match sharpness::concern(&found, limit_px) {
             Some(concern) => {
                 let fact = concern.strip_prefix("depth of field: ").unwrap_or(&concern);

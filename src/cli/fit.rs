@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use super::pipeline::{FitArgs, FitPlan, check_images, fit_session};
+use super::preflight::Keys;
 use super::{CliError, Context, HintExt, output, warnings};
 use crate::config::scene::SceneFile;
 use crate::out;
@@ -113,9 +114,8 @@ fn fit_scene(
         }
         captured.push(image);
     }
-    check_images(&scene, &captured, |image| {
-        args.image[image].display().to_string()
-    })?;
+    let file = |image: usize| args.image[image].display().to_string();
+    check_images(&scene, Keys::Scene, &captured, file, context)?;
     let (mut record, images) = plan.run(&scene, &captured, false, None, context)?;
     record.remarks.extend(remarks);
     record.settings.scene = Some(path.display().to_string());

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use super::bench_records::BenchRecords;
 use super::session_images::{SessionImages, measured_pose, session_images};
 use super::warnings::{self, warnings};
-use super::{CliError, Context, HintExt, facets, hints};
+use super::{CliError, Context, HintExt, facets, hints, lamp_drift, preflight};
 use crate::brdf::{Brdf, Dictionary, Mixture};
 use crate::config::process;
 use crate::config::uncertainty::Deviation;
@@ -466,9 +466,6 @@ fn bench_record(bench: &BenchEstimate) -> BenchRecord {
 /// Pixels per side of the spheres of the environment error, as the score is defined.
 const SCORE_SPHERE_PX: usize = crate::brdf::score::SPHERE_SIZE;
 
-/// Change of the lamp within a light that a fit mentions.
-const NOTABLE_DRIFT: f64 = 0.005;
-
 /// Paths per looked-at pixel that the truncation's estimate takes.
 const TRUNCATION_SAMPLES: u32 = 32;
 
@@ -538,11 +535,12 @@ pub fn fit_session(
     };
     let form_error = config.geometry.sample.form_error;
     let plan = FitPlan::new(args, Some(&config.fit), &uncertainty, form_error)?;
-    check_images(&scene, &captured, |light| {
+    let file = |light| {
         root.join(layout::radiance_file(light as u32))
             .display()
             .to_string()
-    })?;
+    };
+    check_images(&scene, preflight::Keys::Rig, &captured, file, context)?;
     let truth = match &config.simulation {
         Some(simulation) => Some(simulation.material.load()?),
         None => None,
@@ -562,26 +560,9 @@ pub fn fit_session(
             likely_cause: "an axis that slipped or was blocked: the fit takes the lights to be where they were asked for; capture anew".to_owned(),
             grade: Grade::Reservation,
         }));
-    if let Some((light, change)) = drift.worst().filter(|(_, c)| c.abs() > NOTABLE_DRIFT) {
-        fit.warnings.push(Warning {
-            what: format!(
-                "the lamp changed by {:+.2}% while light {light} was captured, by {:.2}% root mean square over all lights",
-                100.0 * change,
-                100.0 * drift.rms()
-            ),
-            likely_cause: "a lamp that was still warming up, or its supply; raise capture.lamp_warm_up_s by `rig calibrate lamp`, or let --refine-bench allow for it".to_owned(),
-            grade: Grade::Reservation,
-        });
-    }
-    if let Some(change) = drift.over_session.filter(|c| c.abs() > NOTABLE_DRIFT) {
-        fit.warnings.push(Warning {
-            what: format!(
-                "the lamp changed by {:+.2}% from the first light to when it was visited again after the last one",
-                100.0 * change
-            ),
-            likely_cause: "a lamp that was still warming up, or its supply; raise capture.lamp_warm_up_s by `rig calibrate lamp`, or let --refine-bench allow for it".to_owned(),
-            grade: Grade::Reservation,
-        });
+    if let Some(remark) = lamp_drift::remark(&drift) {
+        context.warn(&remark);
+        fit.remarks.push(remark);
     }
     let mut writer = SessionWriter::open(Arc::new(SystemDisk), root)?;
     let folder = fit_record::commit(&mut writer, &fit, &images)?;
@@ -590,12 +571,16 @@ pub fn fit_session(
     Ok(folder)
 }
 
-/// Refuses images that cannot be those of the scene; `file` names the one of a light.
+/// Refuses a scene that the camera does not see, and images that cannot be those of the
+/// scene; `file` names the one of a light.
 pub(super) fn check_images(
     scene: &Scene,
+    keys: preflight::Keys,
     captured: &[RadianceImage],
     file: impl Fn(usize) -> String,
+    context: &Context,
 ) -> Result<(), CliError> {
+    preflight::check_scene(scene, keys, context)?;
     plausibility::check(scene, captured).map_err(|error| {
         let fact = match error.image() {
             Some(image) => format!("{}: {error}", file(image)),

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::output::{check_ending, check_writable, write_json};
-use super::{CliError, Context, HintExt, facets};
+use super::{CliError, Context, HintExt, facets, preflight};
 use crate::config::scene::SceneFile;
 use crate::out;
 use crate::radiance_image::exr;
@@ -64,6 +64,7 @@ pub fn run(args: &RenderArgs, context: &Context) -> Result<(), CliError> {
             .hint("a scene that is rendered needs a [brdf] table: mixture, dictionary with weights, or table"));
     };
     let scene = file.scene()?;
+    preflight::remark_on_scene(&scene, context);
     if let Some(remark) = facets::coarse(&scene, &brdf.atoms()?) {
         context.warn(remark);
     }

@@ -123,6 +123,20 @@ impl SensorNoise {
         }
     }
 
+    /// What to expect of a camera of which nothing was measured: ten thousand electrons at
+    /// full scale and gain 1, 3 e⁻ of read noise, a black level of 1/64 of full scale, as
+    /// machine vision sensors have. Good for estimates of time, never for a merge.
+    pub fn usual(bit_depth: u32, gain: f64) -> Self {
+        let full_scale_dn = (1u64 << bit_depth.clamp(1, 16)) as f64 - 1.0;
+        let gain_dn_per_e = gain * full_scale_dn / 1e4;
+        Self::ideal(
+            gain_dn_per_e,
+            3.0,
+            (full_scale_dn / 64.0).floor(),
+            bit_depth,
+        )
+    }
+
     /// Checks every value, and the maps against frames of `pixels` pixels.
     pub fn check(&self, pixels: usize) -> Result<(), SensorError> {
         let range = |name, value: f64, low: f64, high: f64, open: bool| {

@@ -1,5 +1,7 @@
 //! A session on disk, and one of its fits, as the input of a report.
 
+mod lamp;
+
 use std::path::{Path, PathBuf};
 
 use super::{
@@ -298,16 +300,6 @@ fn provenance(
             ("Seed", record.seed.to_string()),
             ("Interruptions resumed", resumed.to_string()),
             ("Stage's reference after the last light", reference(session)),
-            ("Lamp from the first light to its second visit", {
-                let found = session.lamp_drift().unwrap_or_default().over_session;
-                found.map_or("not known".to_owned(), |c| {
-                    format!("changed by {:+.2}%", 100.0 * c)
-                })
-            }),
-            (
-                "Lamp from a light's first to its last frames",
-                drift(session),
-            ),
             ("Captured with", format!("rig {}", record.versions.rig)),
         ],
     )];
@@ -367,6 +359,7 @@ fn provenance(
                 .collect(),
         },
     });
+    groups.push(lamp::group(session));
     groups.extend(fit.map(|fit| fit_group(&fit.record)));
     groups.push(group(
         "Configuration",
@@ -406,19 +399,6 @@ fn fit_group(record: &FitRecord) -> ProvenanceGroup {
     ProvenanceGroup {
         title: "Fit".to_owned(),
         entries,
-    }
-}
-
-/// How far the lamp drifted while a light was captured.
-fn drift(session: &Session) -> String {
-    let found = session.lamp_drift().unwrap_or_default();
-    match found.worst() {
-        None => "not known".to_owned(),
-        Some((light, change)) => format!(
-            "changed by {:+.2}% in light {light}, where most; root mean square {:.2}%",
-            100.0 * change,
-            100.0 * found.rms()
-        ),
     }
 }
 

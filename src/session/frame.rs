@@ -44,6 +44,11 @@ pub struct Sidecar {
     /// enough; 1 if the exposures are what they claim and the lamp is steady.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub exposure_ratio: Option<f64>,
+    /// Standard uncertainty of that ratio from noise, where it compares the lamp with itself:
+    /// in a light's last frames, and in those of the first light's second visit. Absent in
+    /// sessions of before it was recorded.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lamp_ratio_std: Option<f64>,
     /// What a repetition of the same capture does not share.
     pub time: FrameTimes,
 }

@@ -23,7 +23,7 @@
 //! can fail each operation ([`faults`]).
 
 pub mod commit;
-mod drift;
+pub mod drift;
 mod error;
 pub mod faults;
 pub mod fit_record;

@@ -159,6 +159,10 @@ pub struct PlanRecord {
     /// Whether the first light is visited again after the last one, against drift of the lamp.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub revisit_first: bool,
+    /// How far the stage may stand from where it was sent, degrees: what a second visit of a
+    /// light may make of its signal is part of a comparison's uncertainty.
+    #[serde(default)]
+    pub stage_tolerance_deg: f64,
     /// Temperatures above which the capture is suspended.
     #[serde(default, skip_serializing_if = "TemperatureLimits::is_none")]
     pub limits: TemperatureLimits,

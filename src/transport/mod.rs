@@ -25,6 +25,7 @@ pub mod proposal;
 pub mod render;
 pub mod scene;
 pub mod truncation;
+pub mod visibility;
 
 pub use cache::{Cache, CacheOptions};
 pub use camera::{Camera, Projection};
@@ -41,3 +42,4 @@ pub use proposal::Proposal;
 pub use render::{RenderOptions, render, suited_proposal};
 pub use scene::{Body, Scene, Shading};
 pub use truncation::{Remainder, truncation_remainder};
+pub use visibility::Visibility;

@@ -250,6 +250,29 @@ impl Scene {
         Some(self.surface(hit.triangle, hit.barycentric))
     }
 
+    /// Where a ray meets anything first, and whether it meets the front there.
+    pub(super) fn meet(&self, ray: &Ray) -> Option<(Surface, bool)> {
+        let hit = self.bvh.closest(ray)?;
+        let is_front = self.facets[hit.triangle as usize].normal.dot(ray.direction) < 0.0;
+        Some((self.surface(hit.triangle, hit.barycentric), is_front))
+    }
+
+    /// Whether anything lies between a point of the sample, on whichever side, and a place in
+    /// this direction and distance.
+    pub(super) fn is_blocked(&self, place: &Surface, direction: Vec3, distance_mm: f32) -> bool {
+        let normal = place.face_normal;
+        let origin_mm = match normal.dot(direction) >= 0.0 {
+            true => place.origin_mm,
+            // Twice: from just off the front to just off the back.
+            false => offset_origin(offset_origin(place.origin_mm, -normal), -normal),
+        };
+        self.bvh.any(&Ray {
+            origin_mm,
+            direction,
+            limit_mm: distance_mm,
+        })
+    }
+
     /// The point of a triangle at given barycentric coordinates.
     #[inline]
     pub fn surface(&self, triangle: u32, [u, v]: [f32; 2]) -> Surface {

@@ -18,6 +18,7 @@ use rig::session::commit::Disk;
 use rig::session::*;
 use rig::units::{Seconds, StageAngles};
 
+/// Pixels a side of the camera, unless the world says otherwise.
 pub const SIZE: u32 = 8;
 const LATENCY: u32 = 2;
 /// What a capture calls the frames that nobody keeps.
@@ -32,6 +33,10 @@ pub struct World {
     pub moves: u32,
     pub homings: u32,
     pub grabs: u32,
+    /// Pixels a side of the camera.
+    pub size: u32,
+    /// Of the sensor's noise.
+    pub noise_seed: u64,
     /// Radiance of the sample in electrons per second.
     pub brightness_e_s: f64,
     /// Settings asked for, and how many frames still come with the old ones.
@@ -97,6 +102,8 @@ impl Bench {
             moves: 0,
             homings: 0,
             grabs: 0,
+            size: SIZE,
+            noise_seed: 5,
             brightness_e_s: 4e5,
             settings,
             old: settings,
@@ -170,11 +177,15 @@ pub fn stage_info() -> StageInfo {
 }
 
 pub fn camera_info() -> CameraInfo {
+    camera_of(SIZE)
+}
+
+pub fn camera_of(size: u32) -> CameraInfo {
     CameraInfo {
         driver: "memory".into(),
         model: "memory".into(),
         serial: "M-1".into(),
-        resolution_px: [SIZE, SIZE],
+        resolution_px: [size, size],
         bit_depth: 12,
         mosaic: Mosaic::None,
         exposure_range: [Seconds(1e-4), Seconds(1.0)],
@@ -359,21 +370,27 @@ impl Camera for Cam {
             };
             angles.to_light()
         });
-        let counts = (0..SIZE * SIZE)
+        let counts = (0..world.size * world.size)
             .map(|pixel| {
                 let rate_e_s = world.rate_e_s(pixel, light);
                 let seed =
                     u64::from(key.exposure) * 64 + u64::from(key.repeat) * 4 + key.kind as u64;
-                let normal =
-                    stream(5, Purpose::Experiment, key.light.into(), pixel.into(), seed).normal();
+                let normal = stream(
+                    world.noise_seed,
+                    Purpose::Experiment,
+                    key.light.into(),
+                    pixel.into(),
+                    seed,
+                )
+                .normal();
                 let signal_e = (rate_e_s + 1.0) * exposure_s;
                 let noisy_e = signal_e + normal * (signal_e + 6.25).sqrt();
                 (64.0 + 0.4 * noisy_e).round().clamp(0.0, 4095.0) as u16
             })
             .collect();
         Ok(RawFrame {
-            width: SIZE,
-            height: SIZE,
+            width: world.size,
+            height: world.size,
             counts,
             sequence: Some(world.grabs.into()),
             timestamp: None,
@@ -397,8 +414,8 @@ impl World {
         if !self.shutter_open {
             return 0.0;
         }
-        let centred = |i: u32| (f64::from(i) + 0.5) / f64::from(SIZE) * 2.0 - 1.0;
-        let (x, y) = (centred(pixel % SIZE), -centred(pixel / SIZE));
+        let centred = |i: u32| (f64::from(i) + 0.5) / f64::from(self.size) * 2.0 - 1.0;
+        let (x, y) = (centred(pixel % self.size), -centred(pixel / self.size));
         let height_sq = 1.0 - x * x - y * y;
         let room_e_s = 20.0;
         let albedo = match self.lamp {
@@ -527,6 +544,7 @@ pub fn record() -> SessionRecord {
             lamp_warm_up_s: Seconds(0.0),
             settings_latency_frames: LATENCY,
             revisit_first: false,
+            stage_tolerance_deg: 0.0,
             limits: Default::default(),
             estimated_s: Seconds(10.0),
             estimated_bytes: 1000,
@@ -569,7 +587,7 @@ pub fn create_from(
 }
 
 pub fn capture(bench: &Bench, session: SessionWriter) -> (Result<Outcome, CaptureError>, Heard) {
-    let camera = Box::new(Cam(bench.clone(), camera_info()));
+    let camera = Box::new(Cam(bench.clone(), camera_of(bench.world().size)));
     let stage = Box::new(Stage(bench.clone(), stage_info()));
     run(bench, camera, stage, session)
 }
@@ -590,7 +608,7 @@ pub fn capture_with_stage(
     stage: Box<dyn LightStage>,
     session: SessionWriter,
 ) -> (Result<Outcome, CaptureError>, Heard) {
-    let camera = Box::new(Cam(bench.clone(), camera_info()));
+    let camera = Box::new(Cam(bench.clone(), camera_of(bench.world().size)));
     run(bench, camera, stage, session)
 }
 

@@ -4,7 +4,7 @@
 use super::Run;
 use super::frame::{Reference, Shot, Taken};
 use crate::capture::CaptureError;
-use crate::capture::exposure_check::{self, Exposed, Verdict, signal_ratio};
+use crate::capture::exposure_check::{self, Exposed, SignalRatio, Verdict, signal_ratio};
 use crate::device::{CameraSettings, LampChannel, LampState, RawFrame};
 use crate::session::Sidecar;
 
@@ -47,7 +47,7 @@ impl Run<'_> {
         shot: Shot,
         applied: CameraSettings,
         reference: Reference<'_>,
-    ) -> Result<(RawFrame, Option<f64>), CaptureError> {
+    ) -> Result<(RawFrame, Option<SignalRatio>), CaptureError> {
         let same_exposure = |taken: &Taken| (taken.exposure_s - applied.exposure.0).abs() <= 1e-9;
         let before = match reference {
             Reference::Exposure(taken) if shot.key.repeat > 0 || same_exposure(taken) => None,
@@ -78,24 +78,25 @@ impl Run<'_> {
                         continue;
                     }
                     let text = format!(
-                        "the lamp has become {:.4} times as bright since light {} was captured",
-                        found.ratio, shot.key.light
+                        "the lamp drifted by {found} since light {} was captured",
+                        shot.key.light
                     );
                     self.warn(shot.key.light, text).await?;
                     return Ok((frame, found.if_known()));
                 }
                 Verdict::Doubtful => {
-                    let expected = match reference {
-                        Reference::Lamp(_) => "the light's earlier frame",
-                        _ => "the expected signal",
+                    let light = shot.key.light;
+                    let text = match reference {
+                        Reference::Lamp(_) => {
+                            format!("the lamp drifted by {found} during light {light}")
+                        }
+                        _ => format!(
+                            "light {light}: at {} the images show {:.4} of the expected signal, more than {} % off",
+                            applied.exposure,
+                            found.ratio,
+                            100.0 * exposure_check::GOOD
+                        ),
                     };
-                    let text = format!(
-                        "light {}: at {} the images show {:.4} of {expected}, more than {} % off",
-                        shot.key.light,
-                        applied.exposure,
-                        found.ratio,
-                        100.0 * exposure_check::GOOD
-                    );
                     self.warn(shot.key.light, text).await?;
                     return Ok((frame, found.if_known()));
                 }
@@ -105,11 +106,11 @@ impl Run<'_> {
                     self.discarded += 1;
                     patience = self.discarded + self.plan.settings_latency_frames;
                     if self.devices.configure_again().await? != Some(applied) {
-                        return Err(self.contradicted(shot, applied, reference, found.ratio));
+                        return Err(self.contradicted(shot, applied, reference, found));
                     }
                 }
                 Verdict::Refused => {
-                    return Err(self.contradicted(shot, applied, reference, found.ratio));
+                    return Err(self.contradicted(shot, applied, reference, found));
                 }
             }
         }
@@ -120,19 +121,19 @@ impl Run<'_> {
         shot: Shot,
         applied: CameraSettings,
         reference: Reference<'_>,
-        ratio: f64,
+        found: SignalRatio,
     ) -> CaptureError {
         let light = shot.key.light;
         match (reference, shot.lamp) {
             (Reference::Lamp(_), LampState::On(LampChannel(channel))) => CaptureError::LampDrift {
                 light,
                 channel,
-                ratio,
+                change: found,
             },
             _ => CaptureError::ExposureNotApplied {
                 light,
                 exposure_s: applied.exposure.0,
-                ratio,
+                ratio: found.ratio,
                 discarded: self.discarded,
             },
         }

@@ -46,6 +46,13 @@ pub(super) enum Reference<'a> {
     Revisit(&'a Taken),
 }
 
+impl Reference<'_> {
+    /// Whether the lamp is compared with itself.
+    fn is_of_the_lamp(self) -> bool {
+        matches!(self, Self::Lamp(_) | Self::Revisit(_))
+    }
+}
+
 impl<'a> From<Option<&'a Taken>> for Reference<'a> {
     fn from(before: Option<&'a Taken>) -> Self {
         before.map_or(Self::None, Self::Exposure)
@@ -184,7 +191,7 @@ impl Run<'_> {
         if changed {
             self.discarded = latency;
         }
-        let (frame, exposure_ratio) = self.grab_as_claimed(shot, applied, reference).await?;
+        let (frame, ratio) = self.grab_as_claimed(shot, applied, reference).await?;
         let sensor_c = self.devices.sensor_c();
         self.check_temperature(shot.key.light, Part::Sensor, sensor_c)
             .await?;
@@ -207,7 +214,10 @@ impl Run<'_> {
             stage_target: self.plan.lights[shot.key.light as usize],
             stage_position,
             frames_discarded: self.discarded,
-            exposure_ratio,
+            exposure_ratio: ratio.map(|known| known.ratio),
+            lamp_ratio_std: ratio
+                .filter(|_| reference.is_of_the_lamp())
+                .map(|known| known.std_dev),
             time: FrameTimes {
                 utc: utc_now(),
                 monotonic_s: Seconds(self.clock.start.elapsed().as_secs_f64()),

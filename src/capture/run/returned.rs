@@ -67,7 +67,7 @@ impl Run<'_> {
                 return Err(CaptureError::LampDrift {
                     light,
                     channel,
-                    ratio: ratio.ratio,
+                    change: ratio,
                 });
             }
             if off > 3.0 * ratio.std_dev {

@@ -29,6 +29,7 @@ fn plan() -> PlanRecord {
         lamp_settle_s: Seconds(0.0),
         settings_latency_frames: 2,
         revisit_first: false,
+        stage_tolerance_deg: 0.0,
         limits: Default::default(),
         estimated_s: Seconds(12.0),
         estimated_bytes: 1000,
@@ -110,6 +111,7 @@ fn frame(repeat: u32, exposure: f64, pilot: bool) -> (RawFrame, Sidecar) {
         stage_position: place,
         frames_discarded: 2,
         exposure_ratio: None,
+        lamp_ratio_std: None,
         time: FrameTimes {
             utc: "2026-11-21T02:34:00Z".into(),
             monotonic_s: Seconds(1.0),

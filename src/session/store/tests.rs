@@ -65,6 +65,7 @@ fn record() -> SessionRecord {
             lamp_warm_up_s: Seconds(0.0),
             settings_latency_frames: 2,
             revisit_first: false,
+            stage_tolerance_deg: 0.0,
             limits: Default::default(),
             estimated_s: Seconds(12.0),
             estimated_bytes: 1000,
@@ -118,6 +119,7 @@ fn frame(repeat: u32) -> (RawFrame, Sidecar) {
         stage_position: ANGLES,
         frames_discarded: 2,
         exposure_ratio: None,
+        lamp_ratio_std: None,
         time: FrameTimes {
             utc: "2026-11-21T02:34:00Z".into(),
             monotonic_s: Seconds(1.0),

@@ -1,0 +1,219 @@
+//! What makes a scene not worth measuring, said before anything moves or is rendered: the
+//! facts are [`Visibility`]'s, here are the words and the advice.
+
+use super::{CliError, Context};
+use crate::capture::directions::{StageReach, farthest_point_order};
+use crate::config::RigConfig;
+use crate::transport::Scene;
+use crate::transport::visibility::{Concern, Visibility};
+use crate::units::StageAngles;
+
+/// Lights within a stage's reach that stand for all of them while none is planned.
+const LIGHTS_LOOKED_AT: usize = 16;
+
+/// A sample so many times longer than the field, or that would fill this part of the field
+/// if it were a thousand times longer, was not made in millimetres.
+const THOUSANDFOLD: std::ops::Range<f64> = 100.0..1e9;
+const A_THOUSANDTH: std::ops::Range<f64> = 0.05e-3..3e-3;
+
+/// Refuses a bench whose camera doesn't see the front of the sample. Remarks go to stderr.
+pub(super) fn check_bench(config: &RigConfig, context: &Context) -> Result<(), CliError> {
+    let seen = Visibility::of(&config.geometry.scene(&[])?);
+    for concern in seen.concerns() {
+        let fact = fact(&concern, &seen);
+        if concern.is_fatal() {
+            return Err(CliError::new(fact).hint(remedy(&concern, &seen, Keys::Rig)));
+        }
+        context.warn(fact);
+    }
+    Ok(())
+}
+
+/// Refuses lights that reach nothing of what the camera sees.
+pub(super) fn check_lights(config: &RigConfig, lights: &[StageAngles]) -> Result<(), CliError> {
+    let seen = Visibility::of(&config.geometry.scene(lights)?);
+    for concern in seen.concerns() {
+        if let Concern::Unlit { light, .. } = concern {
+            let fact = format!("{concern} ({})", lights[light]);
+            return Err(CliError::new(fact).hint(remedy(&concern, &seen, Keys::Rig)));
+        }
+    }
+    Ok(())
+}
+
+/// Refuses a scene of which images can tell nothing; what is worth a remark goes to stderr.
+pub(super) fn check_scene(scene: &Scene, keys: Keys, context: &Context) -> Result<(), CliError> {
+    let seen = Visibility::of(scene);
+    for concern in seen.concerns() {
+        let (fact, remedy) = (fact(&concern, &seen), remedy(&concern, &seen, keys));
+        if concern.is_fatal() {
+            return Err(CliError::new(fact).hint(remedy));
+        }
+        context.warn(format_args!("{fact}; {remedy}"));
+    }
+    Ok(())
+}
+
+/// Warns of what is wrong with a scene file's scene, which is rendered all the same.
+pub(super) fn remark_on_scene(scene: &Scene, context: &Context) {
+    let seen = Visibility::of(scene);
+    for concern in seen.concerns() {
+        let remedy = remedy(&concern, &seen, Keys::Scene);
+        context.warn(format_args!("{}; {remedy}", fact(&concern, &seen)));
+    }
+}
+
+/// How a rig's camera sees the sample.
+pub(super) struct Outlook {
+    pub(super) fact: String,
+    /// What speaks against it.
+    pub(super) concern: Option<Remedied>,
+}
+
+/// What to do about a concern.
+pub(super) struct Remedied {
+    pub(super) remedy: String,
+    pub(super) is_fatal: bool,
+}
+
+/// The sample as this rig's camera sees it. No light is planned: those within reach must all
+/// fail to be a concern.
+pub(super) fn outlook(config: &RigConfig) -> Result<Outlook, CliError> {
+    let reach = StageReach(config.stage.kinematics());
+    let coaxial = config.geometry.coaxial();
+    let lights = farthest_point_order(&reach, coaxial, LIGHTS_LOOKED_AT, 0.0);
+    let seen = Visibility::of(&config.geometry.scene(&lights)?);
+    let mut concerns = seen.concerns();
+    if concerns.iter().filter(|c| is_of_a_light(c)).count() < lights.len() {
+        concerns.retain(|concern| !is_of_a_light(concern));
+    }
+    Ok(match concerns.first() {
+        Some(Concern::Unlit { .. }) => Outlook {
+            fact: format!(
+                "none of {} lights spread over the stage's reach reaches what the camera sees of the sample",
+                lights.len()
+            ),
+            concern: Some(Remedied {
+                remedy:
+                    "correct [geometry.sample_from_stage] or the limits of [stage] in the rig file"
+                        .to_owned(),
+                is_fatal: true,
+            }),
+        },
+        Some(concern) => Outlook {
+            fact: fact(concern, &seen),
+            concern: Some(Remedied {
+                remedy: remedy(concern, &seen, Keys::Rig),
+                is_fatal: concern.is_fatal(),
+            }),
+        },
+        None => Outlook {
+            fact: format!("the sample is in view: {}", place(&seen)),
+            concern: None,
+        },
+    })
+}
+
+fn is_of_a_light(concern: &Concern) -> bool {
+    matches!(concern, Concern::Unlit { .. })
+}
+
+fn fact(concern: &Concern, seen: &Visibility) -> String {
+    match concern {
+        Concern::Unlit { .. } => concern.to_string(),
+        _ => format!("{concern}; {}", place(seen)),
+    }
+}
+
+/// The sample's box, in millimetres and in the image, and the field of view.
+fn place(seen: &Visibility) -> String {
+    let [low, high] = seen.bounds_mm;
+    let size = high - low;
+    let [width, height] = seen.resolution_px;
+    let in_image = match seen.projected_px {
+        Some([from, to]) => format!(
+            "x {:.1} to {:.1} and y {:.1} to {:.1} px of an image of {width} × {height} px",
+            from.x, to.x, from.y, to.y
+        ),
+        None => format!(
+            "no place: a part of it is behind the camera, whose image has {width} × {height} px"
+        ),
+    };
+    format!(
+        "its box of {} × {} × {} mm (x {} to {}, y {} to {}, z {} to {}) appears at {in_image}, the field of view is {} × {} mm",
+        mm(size.x),
+        mm(size.y),
+        mm(size.z),
+        mm(low.x),
+        mm(high.x),
+        mm(low.y),
+        mm(high.y),
+        mm(low.z),
+        mm(high.z),
+        mm(seen.field_mm.x),
+        mm(seen.field_mm.y),
+    )
+}
+
+/// Millimetres with about three digits.
+fn mm(length: f64) -> String {
+    let digits = match length.abs() {
+        1e-6..0.1 => 4,
+        0.1..1.0 => 2,
+        _ => 1,
+    };
+    // No negative zero.
+    format!("{:.digits$}", length + 0.0)
+}
+
+/// How the keys of a file are called.
+#[derive(Clone, Copy)]
+pub(super) enum Keys {
+    /// Of a rig file, or the session made by it.
+    Rig,
+    /// Of a scene file.
+    Scene,
+}
+
+impl Keys {
+    fn camera(self) -> &'static str {
+        match self {
+            Self::Rig => "[geometry.camera] in the rig file",
+            Self::Scene => "[camera] in the scene file",
+        }
+    }
+
+    fn sample(self) -> &'static str {
+        match self {
+            Self::Rig => "[geometry.sample] in the rig file",
+            Self::Scene => "[sample] in the scene file",
+        }
+    }
+}
+
+fn remedy(concern: &Concern, seen: &Visibility, keys: Keys) -> String {
+    let (camera, sample) = (keys.camera(), keys.sample());
+    let times = seen.times_the_field();
+    match concern {
+        Concern::OutOfView { .. } | Concern::PartlyInView { .. } if THOUSANDFOLD.contains(&times) => format!(
+            "the sample is {times:.0} times as long as the field of view: lengths are millimetres; a mesh in micrometres must be divided by 1000 ({sample})"
+        ),
+        Concern::TooSmall { .. } if A_THOUSANDTH.contains(&times) => format!(
+            "a thousand times as large, the sample would take {:.0}% of the field of view: lengths are millimetres; a mesh in metres must be multiplied by 1000 ({sample})",
+            100.0 * 1000.0 * times
+        ),
+        Concern::OutOfView { .. } | Concern::PartlyInView { .. } => format!(
+            "correct position_mm, look_at_mm and the field of view of {camera}, or the sample's place ({sample}): the origin of the sample's frame is on its datum"
+        ),
+        Concern::TooSmall { .. } => format!(
+            "correct the field of view of {camera} or the sample's size ({sample}); lengths are millimetres"
+        ),
+        Concern::FacesAway { .. } | Concern::PartlyFacesAway { .. } => format!(
+            "if the sample lies upside down, turn it over, or correct position_mm of {camera}; if its mesh is inside out, reverse the order of each triangle's corners ({sample}): they run counter-clockwise seen from the front"
+        ),
+        Concern::Unlit { .. } => match keys {
+            Keys::Rig => "leave this light out (`--light AZ,EL` names lights one by one), or correct [geometry.sample_from_stage] in the rig file if the stage stands otherwise".to_owned(),
+            Keys::Scene => "correct the light's direction in the scene file: it points from the sample to the lamp".to_owned(),
+        },
+    }
+}
