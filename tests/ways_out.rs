@@ -19,7 +19,7 @@ use rig::capture::Outcome;
 use rig::cli::exit::Exit;
 use rig::cli::output::write_stderr;
 use rig::device::grbl::{GrblConfig, GrblStage};
-use rig::device::guardian::GuardedStage;
+use rig::device::guardian::{GuardedStage, Watchdog};
 use rig::device::kinematics::{AxisMap, Mechanism, TwoAxes};
 use rig::device::simulated::{SimulatedBench, SimulatedConfig};
 use rig::device::*;
@@ -97,6 +97,9 @@ impl LightStage for Seen {
     }
     fn stop_handle(&self) -> Result<Box<dyn StopHandle>, DeviceError> {
         self.0.stop_handle()
+    }
+    fn watchdog(&self) -> Watchdog {
+        self.0.watchdog()
     }
 }
 

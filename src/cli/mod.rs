@@ -29,6 +29,7 @@ mod fit_folder;
 pub mod guardian;
 pub mod hints;
 pub mod interrupt;
+pub mod keeper;
 pub mod light_choice;
 pub mod merge;
 pub mod open;
@@ -96,6 +97,7 @@ commands! {
     Completions(completions::CompletionsArgs) => completions::run,
     Man(completions::ManArgs) => completions::run_man,
     Guardian(guardian::GuardianArgs) => guardian::run,
+    Keeper(keeper::KeeperArgs) => keeper::run,
 }
 
 /// Measures how a material reflects light, from the interreflections of a concave sample
