@@ -64,7 +64,8 @@ impl Queue {
 
     fn put(&self, text: &str, worth: Worth) {
         let mut state = self.state();
-        if state.waiting_bytes + text.len() > worth.waiting_bytes() {
+        let waiting = state.waiting_bytes;
+        if waiting > 0 && waiting + text.len() > worth.waiting_bytes() {
             state.lost += u64::from(worth != Worth::Progress);
             return;
         }

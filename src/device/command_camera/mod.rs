@@ -260,7 +260,7 @@ impl Camera for CommandCamera {
     }
 
     fn longest_frame(&self, exposure: Seconds) -> Seconds {
-        Seconds(exposure.0 + self.config.timeout.0 + 1.0)
+        Seconds(exposure.0 + self.config.timeout.0 + 2.0 * HANDOVER.as_secs_f64())
     }
 }
 

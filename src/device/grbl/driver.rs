@@ -578,7 +578,7 @@ impl LightStage for GrblStage {
             StageStep::Home => self.config.homing_timeout.to_duration() + 4 * reply,
             // To where the approach begins, and on.
             StageStep::Move => 2 * drive() + reply,
-            StageStep::Lamp => 4 * reply + self.config.connect_timeout.to_duration(),
+            StageStep::Lamp => 4 * reply,
             StageStep::Question => 2 * reply,
         }
     }

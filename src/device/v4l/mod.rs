@@ -458,7 +458,7 @@ impl Camera for V4lCamera {
     }
 
     fn longest_frame(&self, exposure: Seconds) -> Seconds {
-        Seconds(2.0 * exposure.0.max(0.0) + self.config.frame_timeout.0 + 1.0)
+        Seconds(2.0 * exposure.0.max(0.0) + self.config.frame_timeout.0 + 0.5)
     }
 
     fn may_return_within(&self) -> Seconds {
