@@ -69,6 +69,12 @@ impl Interrupt {
         self.pause.store(true, Ordering::SeqCst);
     }
 
+    /// Whether a pause is wanted, which [`take_pause`](Self::take_pause) still says
+    /// afterwards.
+    pub fn wants_pause(&self) -> bool {
+        self.pause.load(Ordering::SeqCst)
+    }
+
     /// Whether a pause is wanted; whoever hears it must obey.
     pub fn take_pause(&self) -> bool {
         self.pause.swap(false, Ordering::SeqCst)

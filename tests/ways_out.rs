@@ -19,7 +19,7 @@ use rig::capture::Outcome;
 use rig::cli::exit::Exit;
 use rig::cli::output::write_stderr;
 use rig::device::grbl::{GrblConfig, GrblStage};
-use rig::device::guardian::GuardedStage;
+use rig::device::guardian::{GuardedStage, Watchdog};
 use rig::device::kinematics::{AxisMap, Mechanism, TwoAxes};
 use rig::device::simulated::{SimulatedBench, SimulatedConfig};
 use rig::device::*;
@@ -29,6 +29,10 @@ use rustix::process::{Pid, Signal, kill_process};
 
 const PORT: &str = "WAYS_OUT_PORT";
 const DEFECT: &str = "WAYS_OUT_DEFECT";
+const REPLY_S: &str = "WAYS_OUT_REPLY_S";
+/// What a reply of the stage may take where its driver is not to wait for one: a step
+/// of the lamp is announced with four times that.
+const QUICK_REPLY_S: f64 = 2.0;
 /// In which the guardian has promised to act.
 const PROMISE: Duration = Duration::from_secs(3);
 /// What nothing here should ever take.
@@ -98,6 +102,9 @@ impl LightStage for Seen {
     fn stop_handle(&self) -> Result<Box<dyn StopHandle>, DeviceError> {
         self.0.stop_handle()
     }
+    fn watchdog(&self) -> Watchdog {
+        self.0.watchdog()
+    }
 }
 
 /// Not a test of its own but the process that the tests below start: a capture
@@ -118,10 +125,17 @@ fn capture(port: &str) -> Exit {
             Ok("panic") => world.panic_at_frame = Some(3),
             Ok("camera panic") => world.panic_at_grab = Some(5),
             Ok("camera") => world.fail_at_grab = Some(5),
+            Ok("camera hangs") => world.hang_at_grab = Some(5),
+            Ok("thread hangs") => world.hang_at_frame = Some(3),
             _ => {}
         }
     });
-    let stage = GrblStage::open(stage_config(port)).unwrap();
+    let reply_s = std::env::var(REPLY_S).unwrap().parse().unwrap();
+    let config = GrblConfig {
+        reply_timeout: Seconds(reply_s),
+        ..stage_config(port)
+    };
+    let stage = GrblStage::open(config).unwrap();
     let guarded = GuardedStage::guard(Box::new(stage), |port| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_rig"));
         command.args(["guardian", "--port", port]);
@@ -139,11 +153,12 @@ fn capture(port: &str) -> Exit {
     }
 }
 
-fn start(bench: &SimulatedBench, folder: &Path, defect: &str) -> Child {
+fn start(bench: &SimulatedBench, folder: &Path, defect: &str, reply_s: f64) -> Child {
     Command::new(std::env::current_exe().unwrap())
         .args(["--exact", "the_process_that_is_ended", "--nocapture"])
         .env(PORT, bench.stage_config().port)
         .env(DEFECT, defect)
+        .env(REPLY_S, reply_s.to_string())
         .current_dir(folder)
         .stdin(Stdio::null())
         .stdout(Stdio::null())
@@ -174,7 +189,7 @@ fn turned_deg(bench: &SimulatedBench, seconds: f64) -> f64 {
 }
 
 #[track_caller]
-fn wait_until(what: &str, is: impl Fn() -> bool) -> Duration {
+fn wait_until(what: &str, mut is: impl FnMut() -> bool) -> Duration {
     let began = Instant::now();
     while !is() {
         assert!(began.elapsed() < PATIENCE, "{what}");
@@ -193,7 +208,7 @@ fn end_one(moment: Moment, signals: &[Signal], defect: &str) -> (Option<i32>, St
         bench.stage_faults().inject(line, Fault::NoReply);
     }
     let folder = tempfile::tempdir().unwrap();
-    let child = start(&bench, folder.path(), defect);
+    let child = start(&bench, folder.path(), defect, 30.0);
     match moment {
         Moment::Moving => {
             let moves = || bench.bench().is_homed() && turned_deg(&bench, 0.1) > 0.0;
@@ -286,4 +301,91 @@ fn the_driver_waits_for_a_reply() {
             (&[Signal::KILL], "", None, GUARDIAN),
         ],
     );
+}
+
+/// Who does not go on, and why.
+#[derive(Clone, Copy, Debug)]
+enum Blow {
+    /// The capture's process gets this signal.
+    Process(Signal),
+    /// Its guardian gets this signal.
+    Guardian(Signal),
+    /// A defect of its own.
+    Defect(&'static str),
+}
+
+/// The guardian of a capture's process: its only child.
+fn guardian_of(child: &Child) -> Pid {
+    let is_child = |name: &str| {
+        let stat = std::fs::read_to_string(format!("/proc/{name}/stat")).unwrap_or_default();
+        let after = stat.rsplit_once(") ").map_or("", |(_, after)| after);
+        after.split(' ').nth(1) == Some(&child.id().to_string())
+    };
+    let processes = std::fs::read_dir("/proc").unwrap().flatten();
+    let mut names = processes.filter_map(|entry| entry.file_name().into_string().ok());
+    let name = names.find(|name| is_child(name)).expect("a guardian");
+    Pid::from_raw(name.parse().unwrap()).unwrap()
+}
+
+/// A capture that does not go on leaves no lamp lit, whatever keeps it; where it still
+/// can it ends with an error and a session that resumes.
+#[test]
+fn a_capture_that_does_not_go_on_is_relieved() {
+    use Blow::*;
+    let relieved = "its guardian has taken the stage over";
+    let unguarded = "has ended or does not answer";
+    std::thread::scope(|scope| {
+        for (blow, code, fact) in [
+            (Process(Signal::STOP), Some(1), relieved),
+            (Guardian(Signal::KILL), Some(1), unguarded),
+            (Guardian(Signal::STOP), Some(1), unguarded),
+            (Defect("camera hangs"), Some(1), relieved),
+            (Defect("thread hangs"), None, "has turned it off"),
+        ] {
+            scope.spawn(move || {
+                let bench = start_bench();
+                let folder = tempfile::tempdir().unwrap();
+                let defect = match blow {
+                    Defect(defect) => defect,
+                    _ => "",
+                };
+                let mut child = start(&bench, folder.path(), defect, QUICK_REPLY_S);
+                wait_until("lit", || is_lit(&bench));
+                let pid = Pid::from_child(&child);
+                match blow {
+                    Process(signal) => kill_process(pid, signal).unwrap(),
+                    Guardian(signal) => kill_process(guardian_of(&child), signal).unwrap(),
+                    Defect(_) => {}
+                }
+                // Longer than the lamp is off for an ambient frame.
+                let mut dark_since = Instant::now();
+                let took = wait_until("dark", || {
+                    let now = Instant::now();
+                    if is_lit(&bench) {
+                        dark_since = now;
+                    }
+                    now.duration_since(dark_since) > Duration::from_secs(2)
+                });
+                write_stderr(&format!("{blow:?}: dark for good after {took:?} - 2 s\n"));
+                let announced = Duration::from_secs_f64(4.0 * QUICK_REPLY_S);
+                assert!(
+                    took < announced + PROMISE + Duration::from_secs(2),
+                    "{blow:?}"
+                );
+                match (blow, code) {
+                    (Process(_), _) => kill_process(pid, Signal::CONT).unwrap(),
+                    (_, None) => child.kill().unwrap(),
+                    _ => {}
+                }
+                let output = child.wait_with_output().unwrap();
+                let said = String::from_utf8_lossy(&output.stderr);
+                assert_eq!(output.status.code(), code, "{blow:?}: {said}");
+                assert!(said.contains(fact), "{blow:?}: {said}");
+                assert!(!is_lit(&bench), "{blow:?}: {said}");
+                let root = support::session_in(folder.path()).unwrap();
+                drop(bench);
+                support::resume(Arc::new(UnsyncedDisk), &root);
+            });
+        }
+    });
 }

@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 use super::CaptureError;
 use super::spent::{Spent, Stopwatch};
 use super::worker::Worker;
+use crate::device::guardian::Watchdog;
 use crate::device::retake::{Retakes, grab_right};
 use crate::device::{
     Camera, CameraInfo, CameraSettings, DeviceError, FrameKey, LampState, LightStage, RawFrame,
@@ -33,6 +34,7 @@ pub(super) struct Devices {
     /// First, because it is dropped first: the lamp goes off before anybody
     /// waits for a driver.
     guard: LampGuard,
+    watchdog: Watchdog,
     camera: Worker<Box<dyn Camera>>,
     stage: Worker<Box<dyn LightStage>>,
     interrupt: Interrupt,
@@ -119,6 +121,7 @@ impl Devices {
             armed: false,
         };
         Ok(Self {
+            watchdog: stage.watchdog(),
             camera_info: camera.info().clone(),
             stage_info: stage.info().clone(),
             camera: Worker::spawn("camera", camera)?,
@@ -132,6 +135,11 @@ impl Devices {
             sensor_c: None,
             lamp_c: None,
         })
+    }
+
+    /// Who watches over the thread of this capture.
+    pub(super) fn watchdog(&self) -> Watchdog {
+        self.watchdog.clone()
     }
 
     /// Waits for an answer. Asked to stop meanwhile, it waits so much longer
@@ -149,6 +157,10 @@ impl Devices {
                 biased;
                 result = &mut answer => return result,
                 () = tokio::time::sleep(POLL) => {}
+            }
+            // The driver may be what hangs: its answer is not waited for.
+            if let Err(error) = self.watchdog.check() {
+                return Err(self.stop_after(error.into()));
             }
             let level = self.interrupt.level();
             if level == StopLevel::Continue {
@@ -169,7 +181,13 @@ impl Devices {
         } else {
             Ok(())
         };
-        if matches!(why, CaptureError::StoppedNow) {
+        if matches!(
+            why,
+            CaptureError::StoppedNow
+                | CaptureError::Device(
+                    DeviceError::Relieved { .. } | DeviceError::Unguarded { .. }
+                )
+        ) {
             // Nobody waits for a frame, or for a driver that hangs.
             self.stage.abandon(LET_GO);
             self.camera.abandon(Duration::ZERO);
@@ -268,6 +286,7 @@ impl Devices {
     pub(super) async fn pause(&mut self, time: Seconds) -> Result<(), CaptureError> {
         if time.0 > 0.0 {
             let watch = Stopwatch::start();
+            let _step = self.watchdog.step(time.to_duration());
             let wait = tokio::time::sleep(time.to_duration());
             let waited = self
                 .answer(Some(Duration::ZERO), async {

@@ -2,11 +2,13 @@
 //! finished brackets while the stage already moves on.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use tokio::sync::{mpsc, oneshot};
 
 use super::CaptureError;
 use crate::device::RawFrame;
+use crate::device::guardian::Watchdog;
 use crate::session::{Event, SessionWriter, Sidecar, layout};
 
 /// Makes one merged image out of a bracket's frames, which come one by one.
@@ -26,6 +28,9 @@ pub trait BracketSink: Send {
 pub const WRITE_QUEUE: usize = 4;
 /// Frames that wait for the merge at most.
 const MERGE_QUEUE: usize = 8;
+/// A capture waits so long at most for a place in either queue, perhaps with the lamp
+/// lit: then its guardian takes the stage over.
+const LONGEST_WAIT: Duration = Duration::from_secs(120);
 
 enum DiskJob {
     Event(Event),
@@ -42,12 +47,16 @@ enum DiskJob {
 /// The disk's thread.
 pub(super) struct Disk {
     jobs: mpsc::Sender<DiskJob>,
+    watchdog: Watchdog,
     /// How the thread ended, until somebody has asked.
     end: Option<oneshot::Receiver<Result<(), CaptureError>>>,
 }
 
 impl Disk {
-    pub(super) fn spawn(mut session: SessionWriter) -> Result<Self, CaptureError> {
+    pub(super) fn spawn(
+        mut session: SessionWriter,
+        watchdog: Watchdog,
+    ) -> Result<Self, CaptureError> {
         let (jobs, mut inbox) = mpsc::channel(WRITE_QUEUE);
         let end = spawn("disk", move || {
             while let Some(job) = inbox.blocking_recv() {
@@ -72,6 +81,7 @@ impl Disk {
         })?;
         Ok(Self {
             jobs,
+            watchdog,
             end: Some(end),
         })
     }
@@ -93,7 +103,10 @@ impl Disk {
     /// Waits for a place in the queue. It is taken before the frame is, so that
     /// no frame is exposed for a disk that is behind or gone.
     pub(super) async fn place(&mut self) -> Result<Place, CaptureError> {
-        match self.jobs.clone().reserve_owned().await {
+        let step = self.watchdog.step(LONGEST_WAIT);
+        let place = self.jobs.clone().reserve_owned().await;
+        drop(step);
+        match place {
             Ok(permit) => Ok(Place(permit)),
             Err(_) => Err(self.why_gone().await),
         }
@@ -111,6 +124,7 @@ impl Disk {
     }
 
     async fn send(&mut self, job: DiskJob) -> Result<(), CaptureError> {
+        let _step = self.watchdog.step(LONGEST_WAIT);
         match self.jobs.send(job).await {
             Ok(()) => Ok(()),
             Err(_) => Err(self.why_gone().await),
@@ -153,6 +167,7 @@ enum MergeJob {
 /// The merge's thread; its results go to the disk's.
 pub(super) struct Merger {
     jobs: mpsc::Sender<MergeJob>,
+    watchdog: Watchdog,
     end: oneshot::Receiver<Result<(), CaptureError>>,
 }
 
@@ -189,7 +204,11 @@ impl Merger {
             }
             Ok(())
         })?;
-        Ok(Self { jobs, end })
+        Ok(Self {
+            jobs,
+            watchdog: disk.watchdog.clone(),
+            end,
+        })
     }
 
     pub(super) async fn begin(&mut self, light: u32) -> Result<(), CaptureError> {
@@ -217,6 +236,7 @@ impl Merger {
     }
 
     async fn send(&mut self, job: MergeJob) -> Result<(), CaptureError> {
+        let _step = self.watchdog.step(LONGEST_WAIT);
         match self.jobs.send(job).await {
             Ok(()) => Ok(()),
             Err(_) => match (&mut self.end).await {

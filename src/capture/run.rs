@@ -73,7 +73,7 @@ impl Capture<'_> {
     async fn run_async(self, session: Session) -> Result<Outcome, CaptureError> {
         let devices = Devices::new(self.camera, self.stage, self.interrupt.clone())?;
         let room = self.session.disk();
-        let disk = Disk::spawn(self.session)?;
+        let disk = Disk::spawn(self.session, devices.watchdog())?;
         let merger = Merger::spawn(self.sink, &disk)?;
         let held: HashMap<FrameKey, FrameEntry> =
             session.frames().map(|entry| (entry.key, entry)).collect();

@@ -19,13 +19,9 @@ const LENGTH: u64 = 1000;
 impl<'a> Bar<'a> {
     /// Drawn if stderr is a terminal.
     pub fn new(context: &'a Context) -> Self {
-        let bar = if context.shows_progress() {
-            let style = ProgressStyle::with_template("{bar:30} {percent:>3}%  {wide_msg}");
-            ProgressBar::new(LENGTH)
-                .with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
-        } else {
-            ProgressBar::hidden()
-        };
+        let style = ProgressStyle::with_template("{bar:30} {percent:>3}%  {wide_msg}");
+        let bar = ProgressBar::with_draw_target(Some(LENGTH), context.draw_target())
+            .with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
         Self {
             context,
             bar,

@@ -111,6 +111,9 @@ fn for_device(error: &DeviceError) -> String {
         OutOfReach { .. } => "choose fewer or other lights, or correct the limits in the rig file's [stage] table".into(),
         NotApplied { .. } => "the device has another range or step; `rig camera info` and `rig stage status` show what it accepts".into(),
         Disconnected { .. } => "check the cable and the USB hub's power, then `rig doctor`; an interrupted capture continues with `rig capture --resume`".into(),
+        TemporaryFolder { .. } => "the variable TMPDIR names that folder (without it, it is /tmp): name one that exists and can be written".into(),
+        Relieved { .. } => "find out what stopped the program or kept it from running (`kill -STOP`, a debugger, too little memory): its guardian says whether the lamp went off; Ctrl-Z pauses a capture, and an interrupted one continues with `rig capture --resume`".into(),
+        Unguarded { .. } => "leave the process `rig guardian` alone, which turns the lamp off where this program cannot; an interrupted capture continues with `rig capture --resume`".into(),
         Io { .. } => "run `rig doctor`".into(),
     }
 }

@@ -9,7 +9,7 @@ use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGTSTP};
 use signal_hook::low_level::emulate_default_handler;
 
 use super::output::write_stderr;
-use super::{CliError, Context};
+use super::{CliError, Context, stderr};
 use crate::interrupt::{Interrupt, Signal};
 
 /// Starts to listen; from now on the command must poll what this returns.
@@ -33,6 +33,7 @@ pub fn listen() -> Result<Interrupt, CliError> {
 /// Suspends this process as Ctrl-Z does where nobody listens; returns when it is
 /// continued (`fg`, SIGCONT).
 pub fn suspend() {
+    stderr::flush_in_order();
     // It can only fail for a signal that does not exist.
     drop(emulate_default_handler(SIGTSTP));
 }
@@ -55,6 +56,7 @@ pub fn end_on_signal(
                 };
                 let error = error(signal);
                 write_stderr(&error.render(color));
+                stderr::flush(stderr::LAST_WORDS);
                 std::process::exit(error.exit().code().into());
             }
         })?;

@@ -29,6 +29,7 @@ mod fit_folder;
 pub mod guardian;
 pub mod hints;
 pub mod interrupt;
+pub mod keeper;
 mod lamp_drift;
 pub mod light_choice;
 pub mod merge;
@@ -50,6 +51,7 @@ mod session_rig;
 pub mod shape;
 mod sharpness;
 pub mod stage;
+pub mod stderr;
 mod warnings;
 
 use std::ffi::OsString;
@@ -97,6 +99,7 @@ commands! {
     Completions(completions::CompletionsArgs) => completions::run,
     Man(completions::ManArgs) => completions::run_man,
     Guardian(guardian::GuardianArgs) => guardian::run,
+    Keeper(keeper::KeeperArgs) => keeper::run,
 }
 
 /// Measures how a material reflects light, from the interreflections of a concave sample
@@ -174,7 +177,9 @@ pub fn main() -> ExitCode {
 /// Runs `body`; a panic in it is reported in one line and becomes [`Exit::Internal`].
 pub fn guarded(body: impl FnOnce() -> Exit + std::panic::UnwindSafe) -> Exit {
     install_panic_hook();
-    std::panic::catch_unwind(body).unwrap_or(Exit::Internal)
+    let exit = std::panic::catch_unwind(body).unwrap_or(Exit::Internal);
+    stderr::flush(stderr::LAST_WORDS);
+    exit
 }
 
 fn run(arguments: Vec<OsString>) -> Exit {
@@ -293,7 +298,7 @@ fn start_tracing(global: &GlobalArgs, color: bool) {
     let filter = std::env::var("RUST_LOG").unwrap_or_else(|_| level.to_owned());
     let _ = tracing_subscriber::fmt()
         .with_env_filter(tracing_subscriber::EnvFilter::new(filter))
-        .with_writer(std::io::stderr)
+        .with_writer(|| stderr::Trace)
         .with_ansi(color)
         .log_internal_errors(false)
         .try_init();
@@ -302,7 +307,6 @@ fn start_tracing(global: &GlobalArgs, color: bool) {
 /// A defect says so in one line; the backtrace only where RUST_BACKTRACE asks for it.
 fn install_panic_hook() {
     let with_backtrace = std::env::var_os("RUST_BACKTRACE").is_some_and(|value| value != "0");
-    let default = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {
         let message = error::one_line(panic.payload_as_str().unwrap_or("no message"));
         let place = panic
@@ -315,7 +319,8 @@ fn install_panic_hook() {
             env!("CARGO_PKG_VERSION")
         ));
         if with_backtrace {
-            default(panic);
+            let backtrace = std::backtrace::Backtrace::force_capture();
+            write_stderr(&format!("\n{backtrace}\n"));
         }
     }));
 }

@@ -64,6 +64,7 @@ mod with_serial {
     use crate::device::DeviceError;
     use crate::device::dome::{self, DomeStage, DomeWiring};
     use crate::device::grbl::{self, GrblConfig, GrblStage};
+    use crate::device::guardian::guarded_camera;
     use crate::device::manual::ManualStage;
     use crate::device::simulated::SimulatedBench;
     use crate::device::zaber::{self, ZaberConfig, ZaberStage};
@@ -86,11 +87,15 @@ mod with_serial {
                     _bench: Some(Box::new(bench)),
                 })
             }
-            None => Ok(Devices {
-                stage: guarded(open_real_stage(rig)?)?,
-                camera: super::open_real_camera(rig)?,
-                _bench: None,
-            }),
+            None => {
+                let stage = guarded(open_real_stage(rig)?)?;
+                let camera = super::open_real_camera(rig)?;
+                Ok(Devices {
+                    camera: guarded_camera(camera, stage.watchdog()),
+                    stage,
+                    _bench: None,
+                })
+            }
         }
     }
 
@@ -228,11 +233,15 @@ pub fn open_real_camera(rig: &RigConfig) -> Result<Box<dyn Camera>, CliError> {
     match &rig.camera.driver {
         CameraDriver::Simulated => Err(CliError::new("the rig's camera is simulated")),
         CameraDriver::V4l { device, format } => open_v4l(rig, device, *format),
-        CameraDriver::Command(command) => Ok(Box::new(CommandCamera::new(CommandConfig {
-            info: described(rig, "command", command.first().map_or("", String::as_str)),
-            command: command.clone(),
-            timeout,
-        }))),
+        CameraDriver::Command(command) => {
+            let config = CommandConfig {
+                info: described(rig, "command", command.first().map_or("", String::as_str)),
+                command: command.clone(),
+                timeout,
+            };
+            let keeper = super::keeper::command()?;
+            Ok(Box::new(CommandCamera::new(config, Some(keeper))?))
+        }
         CameraDriver::Folder(folder) => Ok(Box::new(FolderCamera::new(FolderConfig {
             info: described(rig, "folder", &folder.display().to_string()),
             folder: folder.clone(),

@@ -1,14 +1,15 @@
 //! stdout carries data, stderr everything else.
 //!
 //! A reader that goes away (`rig … | head`) ends the command quietly; a stderr
-//! that goes away is no reason to stop, least of all while a lamp is on. The
-//! standard `println!` and `eprintln!` panic in both cases, so a lint forbids
-//! them here.
+//! that goes away, or takes nothing any more ([`stderr`]), is no reason to stop,
+//! least of all while a lamp is on. The standard `println!` and `eprintln!` panic
+//! or wait in these cases, so a lint forbids them here.
 
 use std::fmt::Arguments;
 use std::io::{ErrorKind, Write};
 use std::path::Path;
 
+use super::stderr::{self, Worth};
 use super::{CliError, HintExt};
 use crate::whole_file;
 
@@ -22,6 +23,7 @@ macro_rules! out {
 
 /// What [`out!`](crate::out) calls.
 pub fn write_line(text: Arguments<'_>) -> Result<(), CliError> {
+    stderr::flush_in_order();
     let mut stdout = std::io::stdout().lock();
     writeln!(stdout, "{text}")
         .and_then(|()| stdout.flush())
@@ -30,6 +32,7 @@ pub fn write_line(text: Arguments<'_>) -> Result<(), CliError> {
 
 /// Writes data as it is to stdout.
 pub fn write_bytes(bytes: &[u8]) -> Result<(), CliError> {
+    stderr::flush_in_order();
     let mut stdout = std::io::stdout().lock();
     stdout
         .write_all(bytes)
@@ -67,9 +70,9 @@ pub fn write_json(value: &impl serde::Serialize) -> Result<(), CliError> {
     write_line(format_args!("{}", serde_json::to_string_pretty(value)?))
 }
 
-/// Writes text to stderr; a closed stderr is ignored.
+/// Writes text to stderr without waiting; a closed stderr is ignored.
 pub fn write_stderr(text: &str) {
-    let _ = std::io::stderr().lock().write_all(text.as_bytes());
+    stderr::write(text, Worth::Remark);
 }
 
 fn stdout_error(error: std::io::Error) -> CliError {

@@ -10,7 +10,7 @@ use super::{CliError, Context, interrupt, repeatability};
 use crate::device::{
     DeviceError, LampChannel, LampState, LightStage, StageActivity, StageInfo, StageStatus,
 };
-use crate::interrupt::StopLevel;
+use crate::interrupt::{Interrupt, StopLevel};
 use crate::out;
 use crate::units::StageAngles;
 
@@ -128,7 +128,7 @@ pub fn run(args: &StageArgs, context: &Context) -> Result<(), CliError> {
     match &args.action {
         Action::Home(which) => {
             let mut open = which.open(context)?.guarded()?;
-            let status = stoppable(&mut *open.stage, |stage, _| stage.home())?;
+            let status = stoppable(&mut *open.stage, |stage, _| Ok(stage.home()?))?;
             which.report(open.stage.info(), &status)
         }
         Action::Move {
@@ -145,7 +145,7 @@ pub fn run(args: &StageArgs, context: &Context) -> Result<(), CliError> {
             let status = stoppable(&mut *open.stage, |stage, _| {
                 stage.home()?;
                 stage.move_to(target)?;
-                stage.status()
+                Ok(stage.status()?)
             })?;
             which.report(open.stage.info(), &status)
         }
@@ -167,7 +167,7 @@ pub fn run(args: &StageArgs, context: &Context) -> Result<(), CliError> {
                 None => which.open(context)?,
             }
             .guarded()?;
-            let status = stoppable(&mut *open.stage, |stage, stopped| {
+            let status = stoppable(&mut *open.stage, |stage, wishes| {
                 if *home || target.is_some() {
                     stage.home()?;
                 }
@@ -180,10 +180,13 @@ pub fn run(args: &StageArgs, context: &Context) -> Result<(), CliError> {
                         Some(seconds) => format!("lit for {seconds} s or until Ctrl-C"),
                         None => "lit until Ctrl-C".to_owned(),
                     });
-                    wait(*seconds, stopped);
+                    keep_lit(stage, *lamp, *seconds, wishes)?;
                     stage.set_lamp(LampState::Off)?;
+                    if wishes.interrupt.take_pause() {
+                        suspend_dark(context);
+                    }
                 }
-                stage.status()
+                Ok(stage.status()?)
             });
             match status {
                 Err(error) if error.fact().contains("locked") => {
@@ -202,8 +205,15 @@ pub fn run(args: &StageArgs, context: &Context) -> Result<(), CliError> {
             let rig = which.rig.resolve(context)?.config;
             let kinematics = rig.stage.kinematics();
             let mut open = open::open_stage(&rig)?.guarded()?;
-            let found = stoppable(&mut *open.stage, |stage, stopped| {
-                repeatability::measure(stage, &kinematics, *cycles, stopped, context)
+            let found = stoppable(&mut *open.stage, |stage, wishes| {
+                let stopped = wishes.stopped;
+                Ok(repeatability::measure(
+                    stage,
+                    &kinematics,
+                    *cycles,
+                    stopped,
+                    context,
+                )?)
             })?;
             let found = found.ok_or_else(|| {
                 let driver = &open.stage.info().driver;
@@ -297,11 +307,13 @@ impl Which {
 
 /// How often signals are looked at.
 const LOOK: Duration = Duration::from_millis(20);
+/// How often a stage whose lamp is lit is asked whether it is there.
+const ASK: Duration = Duration::from_secs(1);
 
 /// Runs `act` while another thread waits for a signal, to stop the stage then.
 fn stoppable<T>(
     stage: &mut dyn LightStage,
-    act: impl FnOnce(&mut dyn LightStage, &AtomicBool) -> Result<T, DeviceError>,
+    act: impl FnOnce(&mut dyn LightStage, &Wishes) -> Result<T, CliError>,
 ) -> Result<T, CliError> {
     let interrupt = interrupt::listen()?;
     let mut handle = stage.stop_handle()?;
@@ -321,7 +333,11 @@ fn stoppable<T>(
         });
         // Also where a panic ends it: the scope waits for the watcher.
         let watching = SetOnDrop(&done);
-        let outcome = act(stage, &stopped);
+        let wishes = Wishes {
+            stopped: &stopped,
+            interrupt: &interrupt,
+        };
+        let outcome = act(stage, &wishes);
         drop(watching);
         (outcome, watcher.join().unwrap_or(None))
     });
@@ -332,8 +348,16 @@ fn stoppable<T>(
         )),
         (Some(Err(error)), _) => Err(CliError::from(error)
             .hint("use the emergency stop: the stage did not confirm that it stopped")),
-        _ => Ok(outcome?),
+        _ => outcome,
     }
+}
+
+/// What was asked for by signals.
+struct Wishes<'a> {
+    /// The stage was stopped.
+    stopped: &'a AtomicBool,
+    /// Knows of a wish to pause, which nobody else hears.
+    interrupt: &'a Interrupt,
 }
 
 struct SetOnDrop<'a>(&'a AtomicBool);
@@ -344,11 +368,44 @@ impl Drop for SetOnDrop<'_> {
     }
 }
 
-/// Waits until the time is over or a signal has stopped the stage.
-fn wait(seconds: Option<f64>, stopped: &AtomicBool) {
+/// Waits until the time is over, a signal has stopped the stage or asks for a pause.
+/// Asks the stage meanwhile whether it is there and the lamp lit.
+fn keep_lit(
+    stage: &mut dyn LightStage,
+    lamp: LampState,
+    seconds: Option<f64>,
+    wishes: &Wishes,
+) -> Result<(), CliError> {
     let start = Instant::now();
     let over = || seconds.is_some_and(|seconds| start.elapsed().as_secs_f64() >= seconds);
-    while !stopped.load(Ordering::Acquire) && !over() {
-        std::thread::sleep(LOOK);
+    let watchdog = stage.watchdog();
+    let mut asked = start;
+    while !wishes.stopped.load(Ordering::Acquire) && !wishes.interrupt.wants_pause() && !over() {
+        watchdog.wait(LOOK);
+        watchdog.check()?;
+        if asked.elapsed() >= ASK {
+            asked = Instant::now();
+            let status = stage.status().map_err(|error| match error {
+                error @ DeviceError::Disconnected { .. } => CliError::from(error).hint(
+                    "the lamp may still be lit: turn it off at its supply or by the emergency stop, then check the cable",
+                ),
+                error => error.into(),
+            })?;
+            if status.lamp.is_some_and(|is| is != lamp) && !wishes.stopped.load(Ordering::Acquire) {
+                let port = &stage.info().port;
+                return Err(CliError::new(format!("{port}: the lamp is no longer lit")).hint(
+                    "the controller may have restarted, or somebody stopped it: check its supply and `rig stage status`",
+                ));
+            }
+        }
     }
+    Ok(())
+}
+
+/// Suspends this process with the lamp off, and leaves it off afterwards: nobody may
+/// be at the bench when it goes on.
+fn suspend_dark(context: &Context) {
+    context.note("suspended: the lamp is off");
+    interrupt::suspend();
+    context.note("going on: the lamp stays off; run the command again to light it");
 }

@@ -4,11 +4,15 @@
 //! person or a script; the next new file that has become whole is the frame.
 
 use std::collections::BTreeMap;
+use std::fs::Permissions;
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant, SystemTime};
 
 use super::retake::FrameFault;
-use super::{Camera, CameraInfo, CameraSettings, DeviceError, FrameKey, RawFrame, image_file};
+use super::{
+    Camera, CameraInfo, CameraSettings, DeviceError, FrameKey, RawFrame, image_file, outside,
+};
 use crate::units::Seconds;
 
 /// The folder and what its files hold.
@@ -25,7 +29,7 @@ pub struct FolderConfig {
 }
 
 /// A folder as a camera.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct FolderCamera {
     config: FolderConfig,
     settings: Option<CameraSettings>,
@@ -36,6 +40,8 @@ pub struct FolderCamera {
 pub const REQUEST_FILE: &str = "rig-request.json";
 /// How often the folder is looked at.
 const POLL: Duration = Duration::from_millis(50);
+/// What ends at the time-out has so long to say so, before it is abandoned.
+const HANDOVER: Duration = Duration::from_millis(200);
 
 /// What tells one state of a file from another.
 type State = (u64, Option<SystemTime>);
@@ -93,7 +99,10 @@ impl FolderCamera {
             "exposure_s": settings.exposure.0,
             "gain": settings.gain,
         });
-        let file = tempfile::NamedTempFile::new_in(&self.config.folder)?;
+        // Other programs, perhaps of other users, read it.
+        let file = tempfile::Builder::new()
+            .permissions(Permissions::from_mode(0o666))
+            .tempfile_in(&self.config.folder)?;
         std::fs::write(file.path(), format!("{request}\n"))?;
         file.persist(self.config.folder.join(REQUEST_FILE))?;
         Ok(())
@@ -134,14 +143,40 @@ impl Camera for FolderCamera {
             command: "a frame".to_owned(),
             reason: "it is not configured".to_owned(),
         })?;
-        let old = self.files()?;
         self.requests += 1;
+        let timeout = Seconds(settings.exposure.0 + self.config.timeout.0);
+        let device = self.device();
+        let camera = self.clone();
+        let longest = timeout.to_duration() + HANDOVER;
+        match outside::within(longest, move || camera.next_file(settings, timeout)) {
+            Ok(Some(taken)) => taken,
+            Ok(None) => Err(DeviceError::NoReply {
+                device,
+                timeout,
+                sent: "a request for a frame; its files cannot be read".to_owned(),
+            }),
+            Err(source) => Err(DeviceError::Io { device, source }),
+        }
+    }
+
+    fn longest_frame(&self, exposure: Seconds) -> Seconds {
+        Seconds(exposure.0 + self.config.timeout.0 + 2.0 * HANDOVER.as_secs_f64())
+    }
+}
+
+impl FolderCamera {
+    /// Asks for a frame and waits for its file.
+    fn next_file(
+        &self,
+        settings: CameraSettings,
+        timeout: Seconds,
+    ) -> Result<RawFrame, DeviceError> {
+        let deadline = Instant::now() + timeout.to_duration();
+        let old = self.files()?;
         self.request(settings)
             .map_err(|error| self.io_error(error))?;
-        let timeout = Seconds(settings.exposure.0 + self.config.timeout.0);
         let wanted = format!("a frame of {} at gain {}", settings.exposure, settings.gain);
         tracing::info!("waiting for {wanted} in {}", self.device());
-        let deadline = Instant::now() + timeout.to_duration();
         let mut seen: BTreeMap<PathBuf, (State, Instant)> = BTreeMap::new();
         let mut fault = None;
         while Instant::now() < deadline {
@@ -265,6 +300,12 @@ mod tests {
         let request: serde_json::Value = serde_json::from_str(&request).unwrap();
         assert_eq!(request["exposure_s"], 0.05);
         assert_eq!(request["number"], 1);
+        // The files that another program makes here tell what the umask allows.
+        let mode = |name: &str| {
+            let path = folder.path().join(name);
+            std::fs::metadata(path).unwrap().permissions().mode() & 0o777
+        };
+        assert_eq!(mode(REQUEST_FILE), mode("old.png"));
     }
 
     #[test]

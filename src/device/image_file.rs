@@ -1,8 +1,11 @@
 //! A raw frame in an image file that some other program wrote.
 
-use std::fs::File;
+use std::fs::{File, OpenOptions};
 use std::io::BufReader;
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
+
+use rustix::fs::OFlags;
 
 use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat, ImageReader};
 
@@ -17,6 +20,19 @@ pub fn has_raw_ending(path: &Path) -> bool {
     })
 }
 
+/// Opens a file that is one: a pipe or a device could be waited on for ever.
+fn open_regular(path: &Path) -> std::io::Result<File> {
+    let file = OpenOptions::new()
+        .read(true)
+        // Where it is a pipe, nobody waits for its writer.
+        .custom_flags(OFlags::NONBLOCK.bits() as i32)
+        .open(path)?;
+    if file.metadata()?.is_file() {
+        return Ok(file);
+    }
+    Err(std::io::Error::other("it is no regular file"))
+}
+
 /// The counts of a greyscale PNG or TIFF of 8 or 16 bits, one sample per pixel
 /// (a colour sensor's mosaic as it is, not interpolated). Nothing is allocated
 /// for a declared size other than `expected`.
@@ -27,7 +43,7 @@ pub fn read(path: &Path, expected: [u32; 2], bit_depth: u32) -> Result<RawFrame,
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let unreadable =
         |what: &dyn std::fmt::Display| FrameFault::Undecodable(format!("{name}: {what}"));
-    let file = File::open(path).map_err(|error| unreadable(&error))?;
+    let file = open_regular(path).map_err(|error| unreadable(&error))?;
     let reader = ImageReader::new(BufReader::new(file))
         .with_guessed_format()
         .map_err(|error| unreadable(&error))?;
@@ -101,6 +117,19 @@ mod tests {
         let path = folder.path().join("a.png");
         let fault = |bits| read(&path, [5, 3], bits).unwrap_err().to_string();
         assert!(fault(12).contains("a.png: No such file"));
+        for (kind, special) in [("pipe", "p"), ("folder", "d"), ("device", "l")] {
+            let made = match special {
+                "p" => rustix::fs::mkfifoat(rustix::fs::CWD, &path, 0o600.into())
+                    .map_err(std::io::Error::from),
+                "d" => std::fs::create_dir(&path),
+                _ => std::os::unix::fs::symlink("/dev/zero", &path),
+            };
+            made.unwrap();
+            assert_eq!(fault(12), "a.png: it is no regular file", "{kind}");
+            std::fs::remove_file(&path)
+                .or_else(|_| std::fs::remove_dir(&path))
+                .unwrap();
+        }
         std::fs::write(&path, "no image").unwrap();
         assert_eq!(fault(12), "a.png: it is neither PNG nor TIFF");
         ImageBuffer::from_pixel(5, 3, Rgb([1_u8, 2, 3]))

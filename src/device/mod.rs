@@ -17,6 +17,7 @@ pub mod image_file;
 pub mod kinematics;
 pub mod lit_card;
 pub mod manual;
+pub mod outside;
 pub mod pixel_format;
 pub mod retake;
 #[cfg(feature = "serial")]
@@ -28,6 +29,8 @@ pub mod temperature;
 #[cfg(feature = "v4l")]
 pub mod v4l;
 pub mod zaber;
+
+use std::time::Duration;
 
 use crate::units::{Seconds, StageAngles};
 use serde::{Deserialize, Serialize};
@@ -108,6 +111,19 @@ impl ReferenceCheck {
     }
 }
 
+/// What a stage is told, by how long it may take.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StageStep {
+    /// Seeking the reference switches.
+    Home,
+    /// Moving to a target.
+    Move,
+    /// Switching the lamp.
+    Lamp,
+    /// Saying what it does.
+    Question,
+}
+
 /// A lamp on a movable (or switchable) mount.
 ///
 /// After an alarm, reset, timeout or reconnect the position is unknown and
@@ -138,6 +154,18 @@ pub trait LightStage: Send {
     /// A handle that stops motion and lamp from another thread, also while this
     /// one waits for a reply.
     fn stop_handle(&self) -> Result<Box<dyn StopHandle>, DeviceError>;
+    /// How long a step of this kind takes at most until it ends or fails: what the
+    /// driver's own time-outs come to.
+    fn longest(&self, step: StageStep) -> Duration {
+        match step {
+            StageStep::Home | StageStep::Move => Duration::from_secs(600),
+            StageStep::Lamp | StageStep::Question => Duration::from_secs(10),
+        }
+    }
+    /// Who watches over the thread that uses this stage; by default nobody.
+    fn watchdog(&self) -> guardian::Watchdog {
+        guardian::Watchdog::default()
+    }
     /// How another process stops this stage over its open port when this process
     /// is gone; `None` where there is no such way.
     fn port_stop(&self) -> Result<Option<guardian::PortStop>, DeviceError> {
@@ -246,6 +274,11 @@ pub trait Camera: Send {
     /// each while one was waited for.
     fn frames_lost(&self) -> u64 {
         0
+    }
+    /// How long [`grab`](Self::grab) takes at most at this exposure until it returns
+    /// or fails.
+    fn longest_frame(&self, exposure: Seconds) -> Seconds {
+        Seconds(2.0 * exposure.0.max(0.0) + 10.0)
     }
     /// How long a camera that went away is worth waiting for; 0: it cannot come back.
     fn may_return_within(&self) -> Seconds {
@@ -370,6 +403,30 @@ pub enum DeviceError {
         is: String,
         /// Asked for.
         wanted: String,
+    },
+    /// Nothing can be put into the folder for temporary files.
+    #[error("the folder for temporary files, {}: {source}", folder.display())]
+    TemporaryFolder {
+        /// As `TMPDIR` names it, or the system's own.
+        folder: std::path::PathBuf,
+        /// The system's error.
+        source: std::io::Error,
+    },
+    /// The guardian has taken the stage over, because it had heard nothing from this
+    /// process for longer than was announced.
+    #[error(
+        "{device}: the program gave no sign of life for longer than it had announced, \
+         and its guardian has taken the stage over"
+    )]
+    Relieved {
+        /// Path or name.
+        device: String,
+    },
+    /// The guardian has ended, or does not answer.
+    #[error("the guardian of {device} has ended or does not answer; the stage was stopped")]
+    Unguarded {
+        /// Path or name.
+        device: String,
     },
     /// The device went away.
     #[error("{device} was disconnected")]

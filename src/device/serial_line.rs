@@ -11,10 +11,15 @@ use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use serialport::{ClearBuffer, ErrorKind, SerialPort, TTYPort};
 
 use super::DeviceError;
+use super::guardian::Gate;
 use crate::units::Seconds;
 
 /// How long the port may refuse to take bytes before it counts as stuck.
 const WRITE_TIMEOUT: Duration = Duration::from_millis(500);
+
+/// How often one that waits looks whether the port was taken over: the answers are
+/// the guardian's then.
+const LOOK: Duration = Duration::from_millis(50);
 
 /// How long another opener may take to let go of the port: a program that just
 /// ends, a child between its fork and its exec, a service that probes new ports.
@@ -28,6 +33,7 @@ pub struct SerialLine {
     _port: TTYPort,
     file: File,
     input: Mutex<Vec<u8>>,
+    gate: Gate,
 }
 
 impl SerialLine {
@@ -47,6 +53,7 @@ impl SerialLine {
             _port: port,
             file: file.into(),
             input: Mutex::default(),
+            gate: Gate::default(),
         })
     }
 
@@ -61,7 +68,15 @@ impl SerialLine {
         Ok(file.map_err(|error| io_error(&self.device, error))?.into())
     }
 
+    /// What is asked before each write: whoever takes the port over closes it.
+    pub fn gate(&self) -> Gate {
+        self.gate.clone()
+    }
+
     /// Sends bytes.
+    ///
+    /// # Errors
+    /// [`DeviceError::Relieved`] where the guardian has taken the port over.
     pub fn send(&self, bytes: &[u8]) -> Result<(), DeviceError> {
         let deadline = Instant::now() + WRITE_TIMEOUT;
         let mut left = bytes;
@@ -69,12 +84,19 @@ impl SerialLine {
             if !self.wait_for(PollFlags::OUT, deadline)? {
                 return Err(self.no_reply(&printable(bytes), WRITE_TIMEOUT));
             }
+            self.gate.pass()?;
             let written = (&self.file)
                 .write(left)
                 .map_err(|error| io_error(&self.device, error))?;
+            self.gate.passed()?;
             left = &left[written..];
         }
         Ok(())
+    }
+
+    /// An error where the port has gone away.
+    pub fn check_connected(&self) -> Result<(), DeviceError> {
+        self.wait_for(PollFlags::empty(), Instant::now()).map(drop)
     }
 
     /// The reading end, once it is free.
@@ -125,13 +147,19 @@ impl SerialLine {
     /// Waits until the file is ready; false at the deadline.
     fn wait_for(&self, event: PollFlags, deadline: Instant) -> Result<bool, DeviceError> {
         loop {
-            let left = deadline.saturating_duration_since(Instant::now());
+            self.gate.pass()?;
+            let all = deadline.saturating_duration_since(Instant::now());
+            let left = match self.gate.is_kept() {
+                true => all.min(LOOK),
+                false => all,
+            };
             let timeout = Timespec {
                 tv_sec: left.as_secs() as i64,
                 tv_nsec: i64::from(left.subsec_nanos()),
             };
             let mut descriptors = [PollFd::new(&self.file, event)];
             match poll(&mut descriptors, Some(&timeout)) {
+                Ok(0) if left < all => {}
                 Ok(0) => return Ok(false),
                 Ok(_) => {
                     let ready = descriptors[0].revents();

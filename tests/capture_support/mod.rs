@@ -57,8 +57,12 @@ pub struct World {
     pub fail_at_grab: Option<u32>,
     /// A defect of the camera's driver.
     pub panic_at_grab: Option<u32>,
+    /// A driver that never returns from this frame.
+    pub hang_at_grab: Option<u32>,
     /// A defect of who watches, at this many frames.
     pub panic_at_frame: Option<usize>,
+    /// Who watches never returns from this frame.
+    pub hang_at_frame: Option<usize>,
     /// `move_to` raises the interrupt this often, then waits until the stage is
     /// stopped from another thread.
     pub hang_in_move: u32,
@@ -117,7 +121,9 @@ impl Bench {
             fail_at_move: None,
             fail_at_grab: None,
             panic_at_grab: None,
+            hang_at_grab: None,
             panic_at_frame: None,
+            hang_at_frame: None,
             hang_in_move: 0,
             stop_fails: false,
             moves_wait_for_settings: false,
@@ -333,6 +339,10 @@ impl Camera for Cam {
             drop(world);
             panic!("a defect of the driver");
         }
+        if world.hang_at_grab == Some(world.grabs) {
+            drop(world);
+            hang();
+        }
         let now = (world.lamp, world.position, world.shutter_open);
         if let Some((last, lamp, position, open)) = world.last
             && last.kind == key.kind
@@ -475,6 +485,14 @@ pub struct Heard {
     pub pauses: Vec<(LampState, usize)>,
     watched: Option<(Bench, PathBuf)>,
     panic_at_frame: Option<usize>,
+    hang_at_frame: Option<usize>,
+}
+
+/// For as long as the process lives.
+fn hang() -> ! {
+    loop {
+        std::thread::sleep(Duration::from_secs(60));
+    }
 }
 
 impl Observer for Heard {
@@ -484,6 +502,9 @@ impl Observer for Heard {
             Progress::Frame { done, .. } => {
                 self.done.push(done);
                 assert!(self.panic_at_frame != Some(self.done.len()), "a defect");
+                if self.hang_at_frame == Some(self.done.len()) {
+                    hang();
+                }
             }
             Progress::Resumed { frames } => self.resumed = frames,
             _ => {}
@@ -620,6 +641,7 @@ fn run(
 ) -> (Result<Outcome, CaptureError>, Heard) {
     let mut heard = Heard {
         panic_at_frame: bench.world().panic_at_frame,
+        hang_at_frame: bench.world().hang_at_frame,
         watched: Some((bench.clone(), session.root().to_owned())),
         ..Heard::default()
     };

@@ -95,6 +95,7 @@ pub(super) fn run(args: &LampArgs, context: &Context) -> Result<(), CliError> {
             let unlit = || Err(CliError::new("the rig is not simulated"));
             let devices = open::open_devices(config, &[], unlit)?;
             let (mut stage, mut camera) = (devices.stage, devices.camera);
+            let watchdog = stage.watchdog();
             let mut switch = |on: bool| {
                 let state = match on {
                     true => LampState::On(LampChannel(args.channel)),
@@ -103,7 +104,7 @@ pub(super) fn run(args: &LampArgs, context: &Context) -> Result<(), CliError> {
                 stage.set_lamp(state).map(|_| ())
             };
             let mut wait = |seconds: f64| {
-                std::thread::sleep(Duration::try_from_secs_f64(seconds).unwrap_or_default());
+                watchdog.wait(Duration::try_from_secs_f64(seconds).unwrap_or_default());
             };
             let mut watch = Watch::new(camera.as_mut(), &mut switch, &mut wait, &mut progress);
             let fit = watch.run(&options).hint(SCENE_HINT)?;

@@ -107,9 +107,5 @@ fn procedure_options(camera: &CameraConfig, frames: u32) -> ProcedureOptions {
 }
 
 fn progress(context: &Context, frames: u32) -> ProgressBar {
-    if context.shows_progress() {
-        ProgressBar::new(u64::from(frames))
-    } else {
-        ProgressBar::hidden()
-    }
+    ProgressBar::with_draw_target(Some(u64::from(frames)), context.draw_target())
 }

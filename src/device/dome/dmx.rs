@@ -97,6 +97,7 @@ impl LightPort for DmxPort {
     }
 
     fn read_back(&self) -> Result<ReadBack, DeviceError> {
+        self.line.check_connected()?;
         Ok(ReadBack::Unverified)
     }
 

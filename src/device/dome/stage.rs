@@ -11,7 +11,7 @@ use crate::device::guardian::{Exchange, PortStop};
 use crate::device::serial_line::SerialLine;
 use crate::device::{
     DeviceError, LampChannel, LampState, LightStage, StageActivity, StageInfo, StageStatus,
-    StopHandle,
+    StageStep, StopHandle,
 };
 use crate::units::StageAngles;
 
@@ -327,7 +327,13 @@ impl LightStage for DomeStage {
             name: self.config.port.clone(),
             exchanges: self.port.off_exchanges(),
             reports_lamp: self.port.reports_lights(),
+            gate: self.port.line().gate(),
         }))
+    }
+
+    fn longest(&self, _: StageStep) -> Duration {
+        // Two requests and what they are read back by; nothing moves.
+        4 * self.config.reply_timeout.to_duration() + Duration::from_secs(1)
     }
 
     fn stop_handle(&self) -> Result<Box<dyn StopHandle>, DeviceError> {

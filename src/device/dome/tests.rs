@@ -240,6 +240,11 @@ fn a_dmx_interface_that_was_unplugged_comes_back_dark() {
     assert!(settled(simulator.bench(), lit));
 }
 
+/// The guardian's end of a socket whose other end is gone.
+fn closed_socket() -> std::os::unix::net::UnixStream {
+    std::os::unix::net::UnixStream::pair().unwrap().0
+}
+
 /// The driver's process is gone in the middle of a request, and its port is all
 /// that is left.
 #[test]
@@ -263,7 +268,7 @@ fn a_guardian_turns_the_lights_off_over_the_open_port() {
         let stop = stage.port_stop().unwrap().unwrap();
         assert_eq!(stop.reports_lamp, stage.info().driver == "dome");
         stage.port.line().send(begun).unwrap();
-        let watch = guardian::stand_guard(std::io::empty(), stop.port, &stop.exchanges);
+        let watch = guardian::stand_guard(closed_socket(), stop.port, &stop.exchanges, &mut |_| {});
         assert!(matches!(watch, guardian::Watch::Acted(Ok(()))), "{watch:?}");
         assert_eq!(bench.lamp_drive(), [0.0; 3], "{}", stage.info().driver);
     }

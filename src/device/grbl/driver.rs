@@ -12,7 +12,7 @@ use crate::device::guardian::{Exchange, PortStop};
 use crate::device::kinematics::Pose;
 use crate::device::{
     DeviceError, LampChannel, LampState, LightStage, StageActivity, StageInfo, StageStatus,
-    StopHandle,
+    StageStep, StopHandle,
 };
 use crate::units::StageAngles;
 
@@ -562,7 +562,25 @@ impl LightStage for GrblStage {
                 Exchange::new(&[STATUS], &[b"<Idle", b"<Alarm"]),
             ],
             reports_lamp: true,
+            gate: self.link.gate(),
         }))
+    }
+
+    fn longest(&self, step: StageStep) -> Duration {
+        let reply = self.reply_timeout();
+        let drive = || {
+            let [first, second] = self.config.kinematics.axes();
+            let from = Pose([first.min, second.min]);
+            let whole = self.duration(from, Pose([first.max, second.max]));
+            2 * whole + 2 * reply + Duration::from_secs(1)
+        };
+        match step {
+            StageStep::Home => self.config.homing_timeout.to_duration() + 4 * reply,
+            // To where the approach begins, and on.
+            StageStep::Move => 2 * drive() + reply,
+            StageStep::Lamp => 4 * reply,
+            StageStep::Question => 2 * reply,
+        }
     }
 }
 

@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 use super::codes;
 use super::protocol::{Accessories, LONGEST_LINE, MachineState, Reply, StatusReport, parse};
 use crate::device::DeviceError;
+use crate::device::guardian::Gate;
 use crate::device::serial_line::{LineReader, SerialLine, printable};
 
 /// Real-time command: report the status.
@@ -79,6 +80,11 @@ impl Link {
     /// The open port once more, for another process.
     pub fn duplicate(&self) -> Result<OwnedFd, DeviceError> {
         self.line.duplicate()
+    }
+
+    /// What the port asks before each write.
+    pub fn gate(&self) -> Gate {
+        self.line.gate()
     }
 
     /// What is known now.

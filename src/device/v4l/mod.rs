@@ -457,6 +457,10 @@ impl Camera for V4lCamera {
         self.frames_lost
     }
 
+    fn longest_frame(&self, exposure: Seconds) -> Seconds {
+        Seconds(2.0 * exposure.0.max(0.0) + self.config.frame_timeout.0 + 0.5)
+    }
+
     fn may_return_within(&self) -> Seconds {
         self.config.return_timeout
     }

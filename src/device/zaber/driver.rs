@@ -11,7 +11,7 @@ use crate::device::guardian::{Exchange, PortStop};
 use crate::device::kinematics::Pose;
 use crate::device::{
     DeviceError, LampChannel, LampState, LightStage, ReferenceCheck, StageActivity, StageInfo,
-    StageStatus, StopHandle,
+    StageStatus, StageStep, StopHandle,
 };
 use crate::units::StageAngles;
 
@@ -502,7 +502,25 @@ impl LightStage for ZaberStage {
             name: self.config.port.clone(),
             exchanges,
             reports_lamp: true,
+            gate: self.link.line().gate(),
         }))
+    }
+
+    fn longest(&self, step: StageStep) -> Duration {
+        let reply = self.reply_timeout();
+        let drive = || {
+            let [first, second] = self.config.kinematics.axes();
+            let from = Pose([first.min, second.min]);
+            let whole = self.duration(from, Pose([first.max, second.max]));
+            2 * whole + 4 * reply + Duration::from_secs(1)
+        };
+        match step {
+            StageStep::Home => self.config.homing_timeout.to_duration() + 8 * reply,
+            // To where the approach begins, and on.
+            StageStep::Move => 2 * drive(),
+            StageStep::Lamp => 4 * reply,
+            StageStep::Question => 4 * reply,
+        }
     }
 
     fn stop_handle(&self) -> Result<Box<dyn StopHandle>, DeviceError> {

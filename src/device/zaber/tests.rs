@@ -145,6 +145,11 @@ fn every_lamp_channel_is_read_back() {
     }
 }
 
+/// The guardian's end of a socket whose other end is gone.
+fn closed_socket() -> std::os::unix::net::UnixStream {
+    std::os::unix::net::UnixStream::pair().unwrap().0
+}
+
 /// The driver's process is gone, and its port is all that is left.
 #[test]
 fn a_guardian_stops_axes_and_lamp_over_the_open_port() {
@@ -152,7 +157,7 @@ fn a_guardian_stops_axes_and_lamp_over_the_open_port() {
         let (simulator, mut stage) = homed(wiring);
         stage.set_lamp(LampState::On(LampChannel(1))).unwrap();
         let stop = stage.port_stop().unwrap().unwrap();
-        let watch = guardian::stand_guard(std::io::empty(), stop.port, &stop.exchanges);
+        let watch = guardian::stand_guard(closed_socket(), stop.port, &stop.exchanges, &mut |_| {});
         assert!(matches!(watch, guardian::Watch::Acted(Ok(()))), "{watch:?}");
         assert_eq!(simulator.bench().lamp_drive(), [0.0; 3], "{wiring:?}");
         drop(stage);

@@ -1,18 +1,26 @@
 //! A camera behind a program: it is run once per frame, told the exposure and
 //! where to put the file, and must have written it when it ends.
 
+mod workplace;
+
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use rustix::process::{Pid, Signal, kill_process_group};
 
+use self::workplace::Workplace;
 use super::retake::FrameFault;
-use super::{Camera, CameraInfo, CameraSettings, DeviceError, FrameKey, RawFrame, image_file};
+use super::{
+    Camera, CameraInfo, CameraSettings, DeviceError, FrameKey, RawFrame, image_file, outside,
+};
 use crate::units::Seconds;
+
+pub use self::workplace::keep;
 
 /// What the program is and what its files hold.
 #[derive(Clone, Debug, PartialEq)]
@@ -23,7 +31,7 @@ pub struct CommandConfig {
     pub command: Vec<String>,
     /// The camera as the rig file describes it: nobody can be asked.
     pub info: CameraInfo,
-    /// How long the program may take beyond the exposure.
+    /// How long the program, and reading its file, may take beyond the exposure.
     pub timeout: Seconds,
 }
 
@@ -32,48 +40,97 @@ pub struct CommandConfig {
 pub struct CommandCamera {
     config: CommandConfig,
     settings: Option<CameraSettings>,
+    workplace: Arc<Workplace>,
 }
 
 /// How often is looked whether the program has ended.
 const POLL: Duration = Duration::from_millis(5);
 /// So much of what it wrote to stderr is told: its end says most.
 const TOLD_BYTES: u64 = 600;
+/// What ends at the time-out has so long to say so, before it is abandoned.
+const HANDOVER: Duration = Duration::from_millis(200);
 
 impl CommandCamera {
-    /// A camera of this configuration. Nothing is run.
-    pub fn new(config: CommandConfig) -> Self {
-        Self {
+    /// A camera of this configuration. The program is not run yet. `keeper` is to
+    /// call [`keep`] with its standard input and its last argument, a folder that is
+    /// added: it ends the program where this process cannot. Without one a program
+    /// goes on when this process is killed.
+    ///
+    /// # Errors
+    /// If there can be no temporary folder or the keeper cannot be started.
+    pub fn new(config: CommandConfig, keeper: Option<Command>) -> Result<Self, DeviceError> {
+        Ok(Self {
             config,
             settings: None,
-        }
+            workplace: Arc::new(Workplace::new(keeper)?),
+        })
     }
 
     fn program(&self) -> String {
         self.config.command.first().cloned().unwrap_or_default()
     }
+}
 
+/// One frame, taken on a thread that can be abandoned.
+struct Job {
+    config: CommandConfig,
+    settings: CameraSettings,
+    workplace: Arc<Workplace>,
+    timeout: Seconds,
+    deadline: Instant,
+}
+
+impl Job {
     /// Arguments with their values, program first.
-    fn filled_in(&self, settings: CameraSettings, output: &Path) -> Vec<String> {
+    fn filled_in(&self, output: &Path) -> Vec<String> {
         let fill = |word: &String| {
-            word.replace("{exposure_s}", &settings.exposure.0.to_string())
-                .replace("{gain}", &settings.gain.to_string())
+            word.replace("{exposure_s}", &self.settings.exposure.0.to_string())
+                .replace("{gain}", &self.settings.gain.to_string())
                 .replace("{output}", &output.display().to_string())
         };
         self.config.command.iter().map(fill).collect()
     }
 
-    fn io_error(&self, source: std::io::Error) -> DeviceError {
-        let device = self.program();
-        match source.kind() {
-            std::io::ErrorKind::NotFound => DeviceError::NotFound { device },
-            std::io::ErrorKind::PermissionDenied => DeviceError::PermissionDenied { device },
-            _ => DeviceError::Io { device, source },
+    /// Runs the program and reads its file.
+    fn take(self, device: String) -> Result<RawFrame, DeviceError> {
+        let place = self.workplace.place()?;
+        let output = place.path().join("frame.tif");
+        let words = self.filled_in(&output);
+        let ended = self.run(&words).map_err(|error| io_error(&device, error))?;
+        let refused = |reason: String| DeviceError::Refused {
+            device: device.clone(),
+            command: words[1..].join(" "),
+            reason: reason + &and_said(&ended.said),
+        };
+        match ended.status {
+            None => Err(DeviceError::NoReply {
+                device,
+                timeout: self.timeout,
+                sent: words[1..].join(" ") + &and_said(&ended.said),
+            }),
+            Some(status) if !status.success() => Err(refused(match status.code() {
+                Some(code) => format!("it ended with exit code {code}"),
+                None => format!("signal {} ended it", status.signal().unwrap_or_default()),
+            })),
+            Some(_) if !output.exists() => Err(refused("it wrote no file".to_owned())),
+            Some(_) => {
+                let info = &self.config.info;
+                image_file::read(&output, info.resolution_px, info.bit_depth).map_err(|fault| {
+                    let fault = match fault {
+                        FrameFault::Undecodable(what) => {
+                            FrameFault::Undecodable(what + &and_said(&ended.said))
+                        }
+                        other => other,
+                    };
+                    DeviceError::BadFrame { device, fault }
+                })
+            }
         }
     }
 
     /// Runs the program to its end, or ends it and all that it started.
-    fn run(&self, words: &[String], timeout: Duration) -> std::io::Result<Ended> {
-        let mut errors = tempfile::tempfile()?;
+    fn run(&self, words: &[String]) -> std::io::Result<Ended> {
+        let mut errors = self.workplace.scratch()?;
         let (program, arguments) = words.split_first().ok_or(std::io::ErrorKind::NotFound)?;
         let child = Command::new(program)
             .args(arguments)
@@ -83,13 +140,13 @@ impl CommandCamera {
             // Apart from the terminal's signals, and to be ended as a whole.
             .process_group(0)
             .spawn()?;
-        let mut running = Running(child);
-        let deadline = Instant::now() + timeout;
+        self.workplace.runs(Some(Pid::from_child(&child)));
+        let mut running = Running(child, &self.workplace);
         let status = loop {
             if let Some(status) = running.0.try_wait()? {
                 break Some(status);
             }
-            if Instant::now() >= deadline {
+            if Instant::now() >= self.deadline {
                 break None;
             }
             std::thread::sleep(POLL);
@@ -102,6 +159,15 @@ impl CommandCamera {
     }
 }
 
+fn io_error(device: &str, source: std::io::Error) -> DeviceError {
+    let device = device.to_owned();
+    match source.kind() {
+        std::io::ErrorKind::NotFound => DeviceError::NotFound { device },
+        std::io::ErrorKind::PermissionDenied => DeviceError::PermissionDenied { device },
+        _ => DeviceError::Io { device, source },
+    }
+}
+
 /// How the program ended (`None`: it had to be), and the end of its stderr.
 struct Ended {
     status: Option<ExitStatus>,
@@ -109,13 +175,14 @@ struct Ended {
 }
 
 /// Ends the program's whole process group when dropped.
-struct Running(Child);
+struct Running<'a>(Child, &'a Workplace);
 
-impl Drop for Running {
+impl Drop for Running<'_> {
     fn drop(&mut self) {
         // Fails where the program and all its children have ended already.
         let _ = kill_process_group(Pid::from_child(&self.0), Signal::KILL);
         let _ = self.0.wait();
+        self.1.runs(None);
     }
 }
 
@@ -168,43 +235,32 @@ impl Camera for CommandCamera {
             command: "a frame".to_owned(),
             reason: "it is not configured".to_owned(),
         })?;
-        let folder = tempfile::tempdir().map_err(|error| self.io_error(error))?;
-        let output = folder.path().join("frame.tif");
-        let words = self.filled_in(settings, &output);
         let timeout = Seconds(settings.exposure.0 + self.config.timeout.0);
-        let ended = self
-            .run(&words, timeout.to_duration())
-            .map_err(|error| self.io_error(error))?;
-        let device = self.program();
-        let refused = |reason: String| DeviceError::Refused {
-            device: device.clone(),
-            command: words[1..].join(" "),
-            reason: reason + &and_said(&ended.said),
+        let job = Job {
+            config: self.config.clone(),
+            settings,
+            workplace: Arc::clone(&self.workplace),
+            timeout,
+            deadline: Instant::now() + timeout.to_duration(),
         };
-        match ended.status {
-            None => Err(DeviceError::NoReply {
+        let device = self.program();
+        let its_device = device.clone();
+        let taken = outside::within(timeout.to_duration() + HANDOVER, move || {
+            job.take(its_device)
+        });
+        match taken {
+            Ok(Some(taken)) => taken,
+            Ok(None) => Err(DeviceError::NoReply {
                 device,
                 timeout,
-                sent: words[1..].join(" ") + &and_said(&ended.said),
+                sent: "a frame, whose file could not be read".to_owned(),
             }),
-            Some(status) if !status.success() => Err(refused(match status.code() {
-                Some(code) => format!("it ended with exit code {code}"),
-                None => format!("signal {} ended it", status.signal().unwrap_or_default()),
-            })),
-            Some(_) if !output.exists() => Err(refused("it wrote no file".to_owned())),
-            Some(_) => {
-                let info = &self.config.info;
-                image_file::read(&output, info.resolution_px, info.bit_depth).map_err(|fault| {
-                    let fault = match fault {
-                        FrameFault::Undecodable(what) => {
-                            FrameFault::Undecodable(what + &and_said(&ended.said))
-                        }
-                        other => other,
-                    };
-                    DeviceError::BadFrame { device, fault }
-                })
-            }
+            Err(source) => Err(DeviceError::Io { device, source }),
         }
+    }
+
+    fn longest_frame(&self, exposure: Seconds) -> Seconds {
+        Seconds(exposure.0 + self.config.timeout.0 + 2.0 * HANDOVER.as_secs_f64())
     }
 }
 
@@ -237,7 +293,7 @@ mod tests {
         ];
         let mut command = words.map(str::to_owned).to_vec();
         command.push(folder.display().to_string());
-        let mut camera = CommandCamera::new(CommandConfig {
+        let config = CommandConfig {
             command,
             info: CameraInfo {
                 driver: "command".to_owned(),
@@ -250,7 +306,8 @@ mod tests {
                 exposure_step: Seconds(0.001),
             },
             timeout: Seconds(timeout_s),
-        });
+        };
+        let mut camera = CommandCamera::new(config, None).unwrap();
         camera
             .configure(CameraSettings {
                 exposure: Seconds(0.0251),
@@ -288,6 +345,10 @@ mod tests {
         let said = error("kill -9 $$");
         assert!(said.ends_with("signal 9 ended it"), "{said}");
         assert!(error("exit 0").ends_with("it wrote no file"));
+        for special in ["mkfifo $3", "mkdir $3", "ln -s /dev/zero $3"] {
+            let said = error(special);
+            assert!(said.ends_with("it is no regular file"), "{special}: {said}");
+        }
         let said = error("head -c 60 $4/good.tif > $3; echo half >&2");
         assert!(
             said.contains("frame.tif: ") && said.ends_with("it wrote: half"),
