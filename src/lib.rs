@@ -8,7 +8,7 @@
 //!
 //! | floor | modules |
 //! |---|---|
-//! | 0 | [`units`], [`frames`], [`random`], [`radiance_image`], [`interrupt`], [`whole_file`], [`plot`] |
+//! | 0 | [`units`], [`frames`], [`random`], [`radiance_image`], [`interrupt`], [`outside_file`], [`whole_file`], [`plot`] |
 //! | 1 | [`brdf`], [`geometry`] |
 //! | 2 | [`transport`], [`radiometry`] |
 //! | 3 | [`inverse`], [`device`], [`simulation`] |
@@ -19,6 +19,7 @@
 
 pub mod frames;
 pub mod interrupt;
+pub mod outside_file;
 pub mod plot;
 pub mod radiance_image;
 pub mod random;

@@ -1,0 +1,145 @@
+//! Reading files that others have put there: never waiting, never without bound.
+//!
+//! A path that someone names may lead to a named pipe, whose opening waits for a
+//! writer, or to a device, which never ends and says that its length is 0.
+
+use std::fs::{File, FileType, Metadata, OpenOptions};
+use std::io::{self, Read};
+use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
+use std::path::Path;
+
+use rustix::fs::OFlags;
+use rustix::io::Errno;
+
+/// Opens a regular file, or a link to one, for reading, and never waits.
+///
+/// # Errors
+/// What stands there is a folder, named pipe, socket or device, which is not
+/// opened; or the system refuses. Messages don't name the path.
+pub fn open_regular(path: &Path) -> io::Result<File> {
+    // Before the opening, which alone makes some devices act.
+    check(&std::fs::metadata(path)?)?;
+    let never_wait = (OFlags::NONBLOCK | OFlags::NOCTTY).bits() as i32;
+    let file = OpenOptions::new()
+        .read(true)
+        .custom_flags(never_wait)
+        .open(path)?;
+    // Again, because another may stand there by now.
+    check(&file.metadata()?)?;
+    Ok(file)
+}
+
+/// The bytes of a regular file of at most `max_bytes`, whatever length the
+/// system says that it has.
+///
+/// # Errors
+/// As [`open_regular`]; the file is larger ([`io::ErrorKind::FileTooLarge`]).
+pub fn read_regular(path: &Path, max_bytes: u64) -> io::Result<Vec<u8>> {
+    let file = open_regular(path)?;
+    let length = file.metadata()?.len();
+    if length > max_bytes {
+        return Err(too_large(&format!("it has {length} bytes"), max_bytes));
+    }
+    let mut bytes = Vec::with_capacity(length as usize);
+    file.take(max_bytes.saturating_add(1))
+        .read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > max_bytes {
+        return Err(too_large("it does not end there", max_bytes));
+    }
+    Ok(bytes)
+}
+
+/// The text of a regular file of at most `max_bytes`.
+///
+/// # Errors
+/// As [`read_regular`]; the bytes are no UTF-8 ([`io::ErrorKind::InvalidData`]).
+pub fn read_text(path: &Path, max_bytes: u64) -> io::Result<String> {
+    let bytes = read_regular(path, max_bytes)?;
+    String::from_utf8(bytes).map_err(|error| {
+        let fact = format!("it is no UTF-8 text: {}", error.utf8_error());
+        io::Error::new(io::ErrorKind::InvalidData, fact)
+    })
+}
+
+fn too_large(fact: &str, max_bytes: u64) -> io::Error {
+    let text = format!("{fact}, but at most {max_bytes} bytes are read");
+    io::Error::new(io::ErrorKind::FileTooLarge, text)
+}
+
+fn check(found: &Metadata) -> io::Result<()> {
+    if found.is_file() {
+        return Ok(());
+    }
+    if found.is_dir() {
+        return Err(Errno::ISDIR.into());
+    }
+    let text = format!("it is {}, not a regular file", kind(found.file_type()));
+    Err(io::Error::new(io::ErrorKind::InvalidInput, text))
+}
+
+/// In words, with its article.
+pub fn kind(found: FileType) -> &'static str {
+    match found {
+        _ if found.is_file() => "a regular file",
+        _ if found.is_dir() => "a folder",
+        _ if found.is_symlink() => "a link",
+        _ if found.is_fifo() => "a named pipe",
+        _ if found.is_socket() => "a socket",
+        _ if found.is_char_device() || found.is_block_device() => "a device",
+        _ => "of an unknown kind",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::ErrorKind;
+    use std::os::unix::net::UnixListener;
+
+    #[test]
+    fn a_regular_file_is_read_up_to_its_bound() {
+        let folder = tempfile::tempdir().unwrap();
+        let (file, link) = (folder.path().join("a"), folder.path().join("link"));
+        std::fs::write(&file, "twelve bytes").unwrap();
+        std::os::unix::fs::symlink(&file, &link).unwrap();
+        assert_eq!(read_regular(&link, 12).unwrap(), b"twelve bytes");
+        let error = read_regular(&file, 11).unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::FileTooLarge);
+        assert!(error.to_string().contains("12 bytes") && error.to_string().contains("11 bytes"));
+        std::fs::write(&file, b"\xff").unwrap();
+        assert_eq!(
+            read_text(&file, 12).unwrap_err().kind(),
+            ErrorKind::InvalidData
+        );
+    }
+
+    /// Files of /proc say that their length is 0.
+    #[test]
+    fn the_bytes_count_not_the_stated_length() {
+        let path = Path::new("/proc/self/stat");
+        assert_eq!(std::fs::metadata(path).unwrap().len(), 0);
+        assert!(read_regular(path, 1 << 20).unwrap().len() > 10);
+        assert_eq!(
+            read_regular(path, 10).unwrap_err().kind(),
+            ErrorKind::FileTooLarge
+        );
+    }
+
+    #[test]
+    fn what_is_no_regular_file_is_named_and_never_waited_for() {
+        let folder = tempfile::tempdir().unwrap();
+        let (pipe, socket) = (folder.path().join("pipe"), folder.path().join("socket"));
+        let mode = rustix::fs::Mode::from_raw_mode(0o600);
+        rustix::fs::mknodat(rustix::fs::CWD, &pipe, rustix::fs::FileType::Fifo, mode, 0).unwrap();
+        let _listener = UnixListener::bind(&socket).unwrap();
+        for (path, words) in [
+            (pipe.as_path(), "a named pipe"),
+            (socket.as_path(), "a socket"),
+            (Path::new("/dev/zero"), "a device"),
+            (folder.path(), "directory"),
+        ] {
+            let error = read_regular(path, 100).unwrap_err().to_string();
+            assert!(error.contains(words), "{error}");
+        }
+    }
+}
