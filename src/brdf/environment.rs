@@ -106,10 +106,12 @@ impl EnvironmentMap {
 
     /// Reads an OpenEXR file with channels R, G, B.
     pub fn read(path: &Path) -> std::result::Result<Self, BrdfError> {
-        let bytes = std::fs::read(path).map_err(|source| BrdfError::Io {
-            path: path.into(),
-            source,
-        })?;
+        let bytes = crate::outside_file::read_regular(path, super::LARGEST_FILE_BYTES).map_err(
+            |source| BrdfError::Io {
+                path: path.into(),
+                source,
+            },
+        )?;
         let stem = path.file_stem().and_then(|s| s.to_str()).unwrap_or("map");
         Self::parse(stem, &bytes).map_err(|fact| BrdfError::File {
             path: path.into(),

@@ -19,6 +19,7 @@ pub mod pose;
 pub mod procedure;
 pub mod record;
 pub mod rotation;
+mod seal;
 pub mod sensor;
 pub mod slanted_edge;
 pub mod stage_directions;
@@ -26,3 +27,4 @@ pub mod white;
 pub mod white_lights;
 
 pub use library::{Library, Loaded, RecordError, record_in};
+pub use seal::Seal;

@@ -4,9 +4,10 @@
 use std::path::{Path, PathBuf};
 
 use super::{CliError, HintExt};
+use crate::outside_file;
 use crate::radiometry::bracket_table::{BracketRow, parse_bracket_table};
 use crate::radiometry::frame_exposure::{CameraNote, from_exif, from_name};
-use crate::radiometry::frame_file::{FrameFile, decode};
+use crate::radiometry::frame_file::{FrameFile, decode, picture};
 use crate::radiometry::merge::FrameRole;
 
 /// One frame of a bracket.
@@ -19,6 +20,10 @@ pub(super) struct BracketFile {
 
 /// Endings of frames in a folder.
 const ENDINGS: [&str; 5] = ["png", "tif", "tiff", "jpg", "jpeg"];
+/// Largest frame, bytes: 250 megapixels of 16-bit RGB, not compressed.
+const LARGEST_FRAME_BYTES: u64 = 3 << 29;
+/// Largest table of exposures, bytes.
+const LARGEST_TABLE_BYTES: u64 = 1 << 20;
 /// EXIF data and a name may differ by this factor, as cameras round.
 const ROUNDING: f64 = 1.3;
 
@@ -55,6 +60,15 @@ pub(super) fn read_frame(path: &Path) -> Result<FrameFile, CliError> {
     decode(&read(path)?)
         .map_err(|error| CliError::new(format!("{}: {error}", path.display())))
         .hint("frames are PNG, TIFF or JPEG files of 8 or 16 bits, grey or RGB")
+}
+
+/// A picture of any colours; of `size` (pixels per row, rows) where that is known.
+pub(super) fn read_picture(
+    path: &Path,
+    size: Option<[usize; 2]>,
+) -> Result<image::DynamicImage, CliError> {
+    picture(&read(path)?, size)
+        .map_err(|error| CliError::new(format!("{}: {error}", path.display())))
 }
 
 /// Two frames of one bracket have one size, depth and number of channels.
@@ -112,7 +126,7 @@ fn frames_in(folder: &Path) -> Result<Vec<PathBuf>, CliError> {
 }
 
 fn read(path: &Path) -> Result<Vec<u8>, CliError> {
-    std::fs::read(path)
+    outside_file::read_regular(path, LARGEST_FRAME_BYTES)
         .map_err(|error| CliError::new(format!("{}: {error}", path.display())))
         .hint("check the path's spelling and the file's permissions")
 }
@@ -183,7 +197,7 @@ fn same_setting(
 }
 
 fn read_table(path: &Path) -> Result<Vec<BracketRow>, CliError> {
-    let text = std::fs::read_to_string(path)
+    let text = outside_file::read_text(path, LARGEST_TABLE_BYTES)
         .map_err(|error| CliError::new(format!("{}: {error}", path.display())))
         .hint("--exposures names a CSV file with lines `file,exposure_s`")?;
     parse_bracket_table(&text)

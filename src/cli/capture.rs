@@ -8,7 +8,7 @@ use serde_json::json;
 
 use super::capture_progress::Bar;
 use super::capture_records::Records;
-use super::output::write_json;
+use super::output::{write_json, write_path};
 use super::rig_choice::RigArg;
 use super::session_rig::{self, session_rig};
 use super::{CliError, Context, HintExt, interrupt, light_choice, open, pipeline, sharpness};
@@ -338,7 +338,7 @@ fn unfitted(
     move |signal| {
         if prints_path {
             // Whoever reads stdout may be gone; the signal is what counts.
-            drop(out!("{}", root.display()));
+            drop(write_path(&root));
         }
         let root = root.display();
         CliError::interrupted(signal, "the fit was interrupted; the capture is complete").hint(
@@ -380,7 +380,7 @@ fn print_result(
             "summary": summary,
         }));
     }
-    out!("{}", root.display())
+    write_path(&root)
 }
 
 fn print_plan(plan: &PlanRecord, as_json: bool) -> Result<(), CliError> {

@@ -5,7 +5,6 @@ use std::path::PathBuf;
 use super::pipeline::{FitArgs, FitPlan, fit_session};
 use super::{CliError, Context, HintExt, output, warnings};
 use crate::config::scene::SceneFile;
-use crate::out;
 use crate::radiance_image::exr;
 use crate::session::fit_record;
 
@@ -72,7 +71,7 @@ pub fn run(args: &FitCommandArgs, context: &Context) -> Result<(), CliError> {
             "bench": record.bench,
         }));
     }
-    out!("{}", folder.display())
+    output::write_path(&folder)
 }
 
 fn fit_scene(
@@ -86,9 +85,9 @@ fn fit_scene(
     let scene = file.scene()?;
     let (mut captured, mut remarks) = (Vec::new(), Vec::new());
     for path in &args.image {
-        let file = exr::read(path)
+        let file = exr::read_sized(path, scene.camera.resolution_px)
             .map_err(CliError::from)
-            .hint("give one EXR image for each [[light]] of the scene, in its order")?;
+            .hint("give one EXR image for each [[light]] of the scene, in its order, of its camera's resolution_px")?;
         let mut image = file.image;
         if !file.has_variance {
             let remark = format!(

@@ -123,7 +123,7 @@ fn for_config(error: &ConfigError) -> String {
         Read { source, .. } if source.kind() == std::io::ErrorKind::InvalidData => {
             "the file is no text: rig files and scenes are TOML (https://toml.io)".into()
         }
-        Read { source, .. } if source.kind() == std::io::ErrorKind::PermissionDenied => {
+        Read { source, .. } if source.kind() != std::io::ErrorKind::NotFound => {
             for_io(source).unwrap_or(FALLBACK).into()
         }
         Read { .. } => "check the path; a bare name is looked for in rig-configs/ and among the built-in rigs".into(),
@@ -389,6 +389,10 @@ fn for_io(error: &std::io::Error) -> Option<&'static str> {
         PermissionDenied => Some("check who owns the file and the folder, and their permissions"),
         StorageFull => Some(
             "free some space or choose another folder with --out; nothing already written is lost",
+        ),
+        InvalidInput => Some("name a regular file: pipes, sockets and devices are not read"),
+        FileTooLarge => Some(
+            "give a file of that size at most; where one is written, the shell's limit (`ulimit -f`) must allow it",
         ),
         ReadOnlyFilesystem => Some("choose a folder that can be written"),
         _ => None,

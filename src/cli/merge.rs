@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use super::bracket_files::{self, BracketFile, read_frame, same_kind};
-use super::output::write_json;
+use super::output::{write_json, write_path};
 use super::rig_choice::RigArg;
 use super::{CliError, Context, HintExt};
 use crate::calibration::noise::sensor_noise;
@@ -13,7 +13,6 @@ use crate::calibration::record::{
     FlatValues, ResponseCurve, ResponseValues, ScaleValues, SensorValues,
 };
 use crate::calibration::{Library, record_in};
-use crate::out;
 use crate::radiance_image::RadianceImage;
 use crate::radiance_image::exr;
 use crate::radiometry::agreement::ExposureAgreement;
@@ -316,7 +315,7 @@ impl MergeArgs {
             ));
         }
         if !self.json {
-            return out!("{}", self.out.display());
+            return write_path(&self.out);
         }
         write_json(&MergeReport {
             image: self.out.display().to_string(),

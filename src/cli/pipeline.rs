@@ -8,7 +8,7 @@ use std::sync::Arc;
 use super::bench_records::BenchRecords;
 use super::session_images::{SessionImages, measured_pose, session_images};
 use super::warnings::{self, warnings};
-use super::{CliError, Context, HintExt, facets};
+use super::{CliError, Context, HintExt, bracket_files, facets};
 use crate::brdf::{Brdf, Dictionary, Mixture};
 use crate::config::process;
 use crate::config::uncertainty::Deviation;
@@ -474,21 +474,11 @@ const TRUNCATION_SAMPLES: u32 = 32;
 
 /// Leaves out what is dark in a mask of the images' size.
 fn apply_mask(path: &Path, images: &mut [RadianceImage]) -> Result<(), CliError> {
-    let mask = image::open(path)
-        .map_err(|e| CliError::new(format!("{}: {e}", path.display())))
+    let size = images.first().map(|image| [image.width, image.height]);
+    let mask = bracket_files::read_picture(path, size)
         .hint("a mask is a PNG of the images' size, white where pixels are used")?
         .to_luma8();
-    for (light, image) in images.iter_mut().enumerate() {
-        let (width, height) = (mask.width() as usize, mask.height() as usize);
-        if [width, height] != [image.width, image.height] {
-            return Err(CliError::new(format!(
-                "{} is {width} × {height}; image {light} is {} × {}",
-                path.display(),
-                image.width,
-                image.height
-            ))
-            .hint("a mask has one pixel for each of the images'"));
-        }
+    for image in images {
         for (valid, used) in image.valid.iter_mut().zip(mask.as_raw()) {
             *valid &= *used >= 128;
         }

@@ -90,7 +90,7 @@ pub(super) fn warnings(fit: &Fit, record: &FitRecord) -> Vec<Warning> {
 /// Says them at the terminal.
 pub(super) fn tell(warnings: &[Warning], context: &Context) {
     for Warning { what, likely_cause } in warnings {
-        context.warn(format!("{what}\n  likely: {likely_cause}"));
+        context.warn_of(what, likely_cause);
     }
 }
 

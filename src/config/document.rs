@@ -7,6 +7,8 @@ use std::ops::RangeInclusive;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
+use crate::shown::{MESSAGE, shortened};
+
 /// The longest piece of a value that is shown.
 const SHOWN_CHARS: usize = 48;
 
@@ -37,11 +39,13 @@ pub(super) enum Value {
 
 /// Parses a document; on failure the line, from 1, and what the parser says.
 pub(super) fn parse(text: &str) -> Result<BTreeMap<String, Node>, (usize, String)> {
-    let table = DeTable::parse(text).map_err(|error| {
+    let text = Lined::new(text);
+    let table = DeTable::parse(text.text).map_err(|error| {
         let start = error.span().map_or(0, |span| span.start);
-        (line_at(text, start), error.message().to_owned())
+        let message = shortened(error.message(), MESSAGE);
+        (text.line_at(start), message.into_owned())
     })?;
-    Ok(entries(table.get_ref(), text))
+    Ok(entries(table.get_ref(), &text))
 }
 
 impl Value {
@@ -88,15 +92,15 @@ impl fmt::Display for Value {
     }
 }
 
-fn entries(table: &DeTable<'_>, text: &str) -> BTreeMap<String, Node> {
+fn entries(table: &DeTable<'_>, text: &Lined<'_>) -> BTreeMap<String, Node> {
     table
         .iter()
         .map(|(key, value)| (key.get_ref().to_string(), node(value, text)))
         .collect()
 }
 
-fn node(value: &Spanned<DeValue<'_>>, text: &str) -> Node {
-    let quoted = || text[value.span()].to_owned();
+fn node(value: &Spanned<DeValue<'_>>, text: &Lined<'_>) -> Node {
+    let quoted = || text.text[value.span()].to_owned();
     let converted = match value.get_ref() {
         DeValue::String(s) => Value::Text(s.to_string()),
         DeValue::Integer(n) => i64::from_str_radix(n.as_str(), n.radix())
@@ -113,11 +117,25 @@ fn node(value: &Spanned<DeValue<'_>>, text: &str) -> Node {
         DeValue::Table(table) => Value::Table(entries(table, text)),
     };
     Node {
-        line: line_at(text, value.span().start),
+        line: text.line_at(value.span().start),
         value: converted,
     }
 }
 
-fn line_at(text: &str, byte: usize) -> usize {
-    1 + text.bytes().take(byte).filter(|&b| b == b'\n').count()
+/// A text and where its lines begin.
+struct Lined<'a> {
+    text: &'a str,
+    ends: Vec<usize>,
+}
+
+impl<'a> Lined<'a> {
+    fn new(text: &'a str) -> Self {
+        let ends = text.match_indices('\n').map(|(at, _)| at).collect();
+        Self { text, ends }
+    }
+
+    /// Line of a byte, from 1.
+    fn line_at(&self, byte: usize) -> usize {
+        1 + self.ends.partition_point(|&end| end < byte)
+    }
 }

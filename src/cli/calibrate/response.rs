@@ -12,9 +12,8 @@ use crate::calibration::record::{ResponseCurve, ResponseValues, Settings};
 use crate::calibration::white::Region;
 use crate::calibration::{Library, figures};
 use crate::cli::bracket_files::{self, BracketFile, read_frame, same_kind};
-use crate::cli::output::write_json;
+use crate::cli::output::{write_json, write_path};
 use crate::cli::{CliError, Context, HintExt};
-use crate::out;
 use crate::radiometry::frame_file::FrameFile;
 use crate::radiometry::response::{BracketSamples, Response, debevec, robertson};
 
@@ -168,5 +167,5 @@ pub(super) fn run(args: &ResponseArgs, context: &Context) -> Result<(), CliError
             values: &values,
         });
     }
-    out!("{}", path.display())
+    write_path(&path)
 }

@@ -12,9 +12,11 @@ use super::{
     FitRecord, FitRecordError, FitSettings, ScoreSheet, Timing, Warning, check, out_of_range,
     tables,
 };
+use crate::outside_file;
 use crate::radiance_image::exr;
 use crate::session::layout::FITS_FOLDER;
 use crate::session::{Session, SessionWriter};
+use crate::shown::{self, MESSAGE, excerpt, shortened};
 
 /// The part of the record that is `fit.toml`.
 #[derive(Serialize, Deserialize)]
@@ -157,13 +159,16 @@ fn image_name(kind: &str, light: usize) -> String {
     format!("{kind}_L{light:03}.exr")
 }
 
+/// Largest text of a fit, bytes.
+const LARGEST_FILE_BYTES: u64 = 64 << 20;
+
 /// Reads a fit's folder outside a session, without its images.
 ///
 /// # Errors
 /// Names the file and the key or column that is missing or wrong.
 pub fn read(folder: &Path) -> Result<FitRecord, FitRecordError> {
     parse(folder, |path, _| {
-        std::fs::read(path).map_err(|source| FitRecordError::Io {
+        outside_file::read_regular(path, LARGEST_FILE_BYTES).map_err(|source| FitRecordError::Io {
             path: path.to_path_buf(),
             source,
         })
@@ -362,8 +367,8 @@ fn from_toml(path: &Path, text: &str) -> Result<FitToml, FitRecordError> {
         FitRecordError::Syntax {
             path: path.to_path_buf(),
             line,
-            key: if key.is_empty() { "document" } else { key }.to_owned(),
-            fact: error.message().lines().collect::<Vec<_>>().join(" "),
+            key: excerpt(if key.is_empty() { "document" } else { key }).into_owned(),
+            fact: shortened(&shown::line(error.message()), MESSAGE).into_owned(),
         }
     })?;
     if toml.format == FORMAT {
