@@ -53,6 +53,28 @@ pub fn escaped(text: &str) -> Cow<'_, str> {
     Cow::Owned(shown)
 }
 
+/// A line of a log with its line end and its own colours, whose values the logger has escaped as
+/// far as they could begin a terminal's command; here the rest.
+pub fn traced(text: &str) -> Cow<'_, str> {
+    let (line, end) = match text.strip_suffix('\n') {
+        Some(line) => (line, "\n"),
+        None => (text, ""),
+    };
+    let is_raw = |c: char| c != '\u{1b}' && is_obeyed(c);
+    if !line.contains(is_raw) {
+        return Cow::Borrowed(text);
+    }
+    let mut shown = String::with_capacity(text.len() + 16);
+    for c in line.chars() {
+        match is_raw(c) {
+            true => shown.extend(c.escape_default()),
+            false => shown.push(c),
+        }
+    }
+    shown.push_str(end);
+    Cow::Owned(shown)
+}
+
 /// Whether a terminal obeys the character instead of drawing it.
 pub fn is_obeyed(c: char) -> bool {
     c.is_control()
@@ -97,6 +119,8 @@ mod tests {
         ] {
             assert_eq!(escaped(raw), shown);
         }
+        assert_eq!(traced("\x1b[1ma\x1b[0m\n"), "\x1b[1ma\x1b[0m\n");
+        assert_eq!(traced("a\nb\u{202e}\n"), "a\\nb\\u{202e}\n");
         assert_eq!(line(" a\n  b\u{85}c\x1b "), "a b c\\u{1b}");
     }
 

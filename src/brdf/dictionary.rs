@@ -175,7 +175,11 @@ impl Dictionary {
         })
     }
 
-    fn parse(default_name: &str, text: &str, json: bool) -> Result<Self, BrdfError> {
+    /// From the text of a dictionary file, JSON or TOML; as [`Self::load`] says.
+    ///
+    /// # Errors
+    /// Syntax, or atoms out of range.
+    pub fn parse(default_name: &str, text: &str, json: bool) -> Result<Self, BrdfError> {
         let parsed: Result<DictionaryFile, String> = if json {
             serde_json::from_str(text).map_err(|e| e.to_string())
         } else {

@@ -119,7 +119,11 @@ impl EnvironmentMap {
         })
     }
 
-    fn parse(name: &str, bytes: &[u8]) -> std::result::Result<Self, String> {
+    /// [`Self::read`] from memory.
+    ///
+    /// # Errors
+    /// In words: no readable OpenEXR file, or too large.
+    pub fn parse(name: &str, bytes: &[u8]) -> std::result::Result<Self, String> {
         let meta = MetaData::read_from_buffered(Cursor::new(bytes), true)
             .map_err(|error| error.to_string())?;
         for header in &meta.headers {

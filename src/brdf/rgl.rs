@@ -73,8 +73,9 @@ impl RglBrdf {
         }
         let flat = |name: &str| -> Result<Grid, String> {
             let (shape, values) = floats(&fields, name, 2)?;
+            let grid = Grid::new(name, shape[1], shape[0], &values)?;
             some_positive(name, &values)?;
-            Grid::new(name, shape[1], shape[0], &values)
+            Ok(grid)
         };
         // Fields of one slice per incidence; those of the first azimuth stand first.
         let incidences = [phi_i.len(), theta_i_rad.len()];
@@ -90,7 +91,6 @@ impl RglBrdf {
             ));
         }
         let (shape, values) = floats(&fields, "rgb", 5)?;
-        some_positive("rgb", &values)?;
         let rgb = slices("rgb", &shape, incidences, &[3], &values)?
             .map(|slice| {
                 let planes: Vec<&[f32]> = slice.chunks_exact(shape[3] * shape[4]).collect();
@@ -98,6 +98,7 @@ impl RglBrdf {
                 Ok([grid(0)?, grid(1)?, grid(2)?])
             })
             .collect::<Result<_, String>>()?;
+        some_positive("rgb", &values)?;
         if fields.get("jacobian").map(|field| field.bytes) != Some(&[1]) {
             return Err("the field jacobian is missing or not 1".to_owned());
         }
@@ -563,7 +564,7 @@ mod tests {
             ("rgb", vec![1, slices, 3, 0, 0], 1.0, "field rgb"),
             ("rgb", changed("rgb", 2, 4), 1.0, "needed is 1 x"),
             ("rgb", shape("rgb"), -1e38, "field rgb: none of its"),
-            ("ndf", vec![0, 0], 1.0, "field ndf: none of its 0 values"),
+            ("ndf", vec![0, 0], 1.0, "field ndf holds grids of 0 x 0"),
             ("ndf", vec![1, 5], 1.0, "field ndf holds grids of 1 x 5"),
             ("sigma", shape("sigma"), 0.0, "field sigma: none of its"),
         ] {

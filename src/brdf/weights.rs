@@ -56,7 +56,10 @@ pub fn read(path: &Path, dictionary: Arc<Dictionary>) -> Result<Mixture, BrdfErr
 }
 
 /// R, G, B weights in the dictionary's order, from the text of a `weights.csv`.
-fn parse(text: &str, dictionary: &Dictionary) -> Result<[Vec<f64>; 3], String> {
+///
+/// # Errors
+/// In words: a column, atom or number that is missing or wrong.
+pub fn parse(text: &str, dictionary: &Dictionary) -> Result<[Vec<f64>; 3], String> {
     let mut lines = text
         .lines()
         .enumerate()

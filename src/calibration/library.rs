@@ -345,20 +345,29 @@ pub fn record_in<V: Values>(path: &Path) -> Result<Record<V>, RecordError> {
     parse(&bytes, &id, &path.display().to_string()).map(|(record, _)| record)
 }
 
-fn parse<V: Values>(bytes: &[u8], id: &str, file: &str) -> Result<(Record<V>, Seal), RecordError> {
+/// A record from its file's bytes, and what its checksum says; `file` is for messages.
+///
+/// # Errors
+/// The bytes are no valid record of this kind and id.
+pub fn parse<V: Values>(
+    bytes: &[u8],
+    id: &str,
+    file: &str,
+) -> Result<(Record<V>, Seal), RecordError> {
     let syntax = |problem: String, line| RecordError::Syntax {
         file: file.to_owned(),
         line,
         problem,
     };
     let text = std::str::from_utf8(bytes).map_err(|error| syntax(error.to_string(), 1))?;
+    let (checksum, text) = seal::split(text);
     let at = |error: toml::de::Error| {
         let start = error.span().map_or(0, |span| span.start);
         let line = 1 + text.bytes().take(start).filter(|&b| b == b'\n').count();
         syntax(shortened(error.message(), MESSAGE).into_owned(), line)
     };
-    let (seal, text) = seal::opened(text).map_err(at)?;
     let record: Record<V> = toml::from_str(text).map_err(at)?;
+    let seal = Seal::of(checksum, text).map_err(at)?;
     check(&record, id, file)?;
     Ok((record, seal))
 }

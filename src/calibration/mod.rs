@@ -26,5 +26,5 @@ pub mod stage_directions;
 pub mod white;
 pub mod white_lights;
 
-pub use library::{Library, Loaded, RecordError, record_in};
+pub use library::{Library, Loaded, RecordError, parse as parse_record, record_in};
 pub use seal::Seal;

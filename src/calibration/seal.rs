@@ -24,21 +24,31 @@ pub(super) fn sealed(text: &str) -> Result<String, toml::de::Error> {
     Ok(format!("{BEGIN}{}\"\n{text}", checksum(text)?))
 }
 
-/// What the checksum says, and the text with a blank line in its place.
-pub(super) fn opened(text: &str) -> Result<(Seal, &str), toml::de::Error> {
-    let stated = text.strip_prefix(BEGIN).and_then(|rest| {
-        let (stated, rest) = rest.split_once('"')?;
-        // The line end stays, so that errors name the right line.
-        (rest.is_empty() || rest.starts_with(['\n', '\r'])).then_some((stated, rest))
-    });
-    let Some((stated, rest)) = stated else {
-        return Ok((Seal::Missing, text));
-    };
-    let seal = match checksum(rest)?.eq_ignore_ascii_case(stated) {
-        true => Seal::Whole,
-        false => Seal::Broken,
-    };
-    Ok((seal, rest))
+/// The checksum that a record states, and the text without it. The line end stays, so that
+/// errors name the right line.
+pub(super) fn split(text: &str) -> (Option<&str>, &str) {
+    let stated = text
+        .strip_prefix(BEGIN)
+        .and_then(|rest| rest.split_once('"'));
+    match stated {
+        Some((stated, rest)) if rest.is_empty() || rest.starts_with(['\n', '\r']) => {
+            (Some(stated), rest)
+        }
+        _ => (None, text),
+    }
+}
+
+impl Seal {
+    /// Of a record that states this checksum and has this text.
+    pub(super) fn of(stated: Option<&str>, text: &str) -> Result<Self, toml::de::Error> {
+        let Some(stated) = stated else {
+            return Ok(Seal::Missing);
+        };
+        Ok(match checksum(text)?.eq_ignore_ascii_case(stated) {
+            true => Seal::Whole,
+            false => Seal::Broken,
+        })
+    }
 }
 
 /// SHA-256 of the values, in the order of their keys.
@@ -89,11 +99,11 @@ mod tests {
     #[test]
     fn a_changed_value_is_seen_and_a_changed_text_is_not() {
         let text = sealed(RECORD).unwrap();
-        let seal = |text: &str| opened(text).unwrap().0;
-        assert_eq!(
-            opened(&text).unwrap(),
-            (Seal::Whole, &*format!("\n{RECORD}"))
-        );
+        let seal = |text: &str| {
+            let (stated, text) = split(text);
+            Seal::of(stated, text).unwrap()
+        };
+        assert_eq!(split(&text).1, format!("\n{RECORD}"));
         for (from, to, expected) in [
             ("value = 0.38", "value = 0.9", Seal::Broken),
             ("std = 0.001", "std = 0.0010000000000000002", Seal::Broken),

@@ -1,7 +1,10 @@
 //! The files of a bracket and their exposures: by a table, else as each file's
 //! EXIF data or name state them.
 
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
+
+use sha2::{Digest, Sha256};
 
 use super::{CliError, HintExt};
 use crate::outside_file;
@@ -37,6 +40,7 @@ pub(super) fn find(paths: &[PathBuf], table: Option<&Path>) -> Result<Vec<Bracke
             files.push(path.clone());
         }
     }
+    each_once(&files)?;
     match table {
         Some(table) => {
             let rows = read_table(table)?;
@@ -52,6 +56,51 @@ pub(super) fn find(paths: &[PathBuf], table: Option<&Path>) -> Result<Vec<Bracke
             files.into_iter().map(file).collect()
         }
         None => stated(files),
+    }
+}
+
+/// Refuses a file that is named twice, by whatever paths: it would count as two frames.
+fn each_once(files: &[PathBuf]) -> Result<(), CliError> {
+    let mut known = HashMap::new();
+    for path in files {
+        // What is not there has its own error.
+        let Ok(place) = path.canonicalize() else {
+            continue;
+        };
+        if let Some(other) = known.insert(place, path) {
+            return Err(same_frame(other, path));
+        }
+    }
+    Ok(())
+}
+
+fn same_frame(one: &Path, other: &Path) -> CliError {
+    let fact = match one == other {
+        true => format!("{} is named twice", one.display()),
+        false => format!("{} and {} are one frame", one.display(), other.display()),
+    };
+    CliError::new(format!("{fact}, and would count as two"))
+        .hint("leave one of them out: the noise of a copy is not independent")
+}
+
+/// Frames that have been read, by their counts.
+#[derive(Default)]
+pub(super) struct Distinct(HashMap<[u8; 32], PathBuf>);
+
+impl Distinct {
+    /// Refuses a frame with the very counts of an earlier one. Frames of one count throughout
+    /// (black or clipped) may well be equal.
+    pub fn add(&mut self, path: &Path, frame: &FrameFile) -> Result<(), CliError> {
+        let mut hash = Sha256::new();
+        let mut varies = false;
+        for plane in &frame.planes {
+            varies |= plane.windows(2).any(|pair| pair[0] != pair[1]);
+            hash.update(bytemuck::cast_slice(plane));
+        }
+        match self.0.insert(hash.finalize().into(), path.to_owned()) {
+            Some(other) if varies => Err(same_frame(&other, path)),
+            _ => Ok(()),
+        }
     }
 }
 

@@ -173,10 +173,13 @@ const LARGEST_ANGLES_BYTES: u64 = 1 << 28;
 
 /// One line of an angles file, degrees.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-struct Angles {
-    theta_i_deg: f64,
-    theta_o_deg: f64,
-    phi_deg: f64,
+pub struct Angles {
+    /// Polar angle of the light, 0..=90.
+    pub theta_i_deg: f64,
+    /// Polar angle of the viewer, 0..=90.
+    pub theta_o_deg: f64,
+    /// Azimuth between the two.
+    pub phi_deg: f64,
 }
 
 impl Angles {
@@ -193,7 +196,11 @@ impl Angles {
     }
 }
 
-fn parse_angles(text: &str) -> Result<Vec<Angles>, String> {
+/// The lines of an angles file.
+///
+/// # Errors
+/// In words: a column or number that is missing or wrong.
+pub fn parse_angles(text: &str) -> Result<Vec<Angles>, String> {
     let mut lines = text
         .lines()
         .enumerate()
@@ -488,7 +495,7 @@ fn plot(spec: &str, path: &Path, size: usize) -> Result<(), CliError> {
         .save(path)
         .map_err(|error| CliError::new(format!("{}: {error}", path.display())))
         .hint(ANOTHER_FILE)?;
-    write_path(&path)
+    write_path(path)
 }
 
 fn convert(spec: &str, path: &Path) -> Result<(), CliError> {
@@ -510,7 +517,7 @@ fn convert(spec: &str, path: &Path) -> Result<(), CliError> {
             .hint("MERL tables end in .binary, RGL files in .bsdf; `rig export` writes other formats of a fit"));
         }
     }
-    write_path(&path)
+    write_path(path)
 }
 
 #[cfg(test)]

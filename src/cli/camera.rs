@@ -294,7 +294,7 @@ fn report(
         out!("retaken   frames {retakes}")?;
     }
     match file {
-        Some(path) => write_path(&path),
+        Some(path) => write_path(path),
         None => Ok(()),
     }
 }

@@ -100,6 +100,9 @@ impl CaptureArgs {
 /// Angle that `--lights all` keeps between two lights, degrees.
 const ALL_SPACING_DEG: f64 = 15.0;
 
+/// Directions closer than this are one, radians: 0.001°.
+const SAME_LIGHT_RAD: f64 = 1.7e-5;
+
 fn parse_lights(text: &str) -> Result<Lights, String> {
     if text == "all" {
         return Ok(Lights::All);
@@ -380,7 +383,7 @@ fn print_result(
             "summary": summary,
         }));
     }
-    write_path(&root)
+    write_path(root)
 }
 
 fn print_plan(plan: &PlanRecord, as_json: bool) -> Result<(), CliError> {
@@ -430,11 +433,29 @@ fn light_choice(
                 context,
             )?)
         }
-        None => LightChoice::Listed(args.light.clone()),
+        None => LightChoice::Listed(each_once(&args.light)?),
     })
 }
 
 /// What a capture is planned from. The camera's own limits count once it is known.
+/// Refuses a direction that is named twice: its light would count as two.
+fn each_once(lights: &[StageAngles]) -> Result<Vec<StageAngles>, CliError> {
+    for (number, angles) in lights.iter().enumerate() {
+        let same =
+            |other: &&StageAngles| other.to_light().distance(angles.to_light()) < SAME_LIGHT_RAD;
+        if let Some(other) = lights[..number].iter().find(same) {
+            let fact = match other == angles {
+                true => format!("--light names the direction {angles} twice"),
+                false => format!("--light names one direction twice: {other} and {angles}"),
+            };
+            return Err(CliError::new(fact).hint(
+                "name each direction once; how well a light repeats, `rig stage repeatability` tells",
+            ));
+        }
+    }
+    Ok(lights.to_vec())
+}
+
 fn request(lights: &LightChoice, config: &RigConfig, camera: Option<&CameraInfo>) -> PlanRequest {
     let capture = &config.capture;
     let [mut shortest, mut longest] = capture.exposure_range;

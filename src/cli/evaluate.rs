@@ -149,7 +149,7 @@ pub fn run(args: &EvaluateArgs, context: &Context) -> Result<(), CliError> {
     if args.json {
         return output::write_json(&outcome.json);
     }
-    output::write_path(&folder)
+    output::write_path(folder)
 }
 
 fn list(json: bool) -> Result<(), CliError> {

@@ -83,6 +83,7 @@ fn fit_scene(
     let file = SceneFile::load(path)?;
     let plan = FitPlan::new(&args.fit, None, &file.uncertainty, file.sample.form_error)?;
     let scene = file.scene()?;
+    plan.bounded(&scene)?;
     let (mut captured, mut remarks) = (Vec::new(), Vec::new());
     for path in &args.image {
         let file = exr::read_sized(path, scene.camera.resolution_px)

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::bracket_files::{self, BracketFile, read_frame, same_kind};
+use super::bracket_files::{self, BracketFile, Distinct, read_frame, same_kind};
 use super::output::{write_json, write_path};
 use super::rig_choice::RigArg;
 use super::{CliError, Context, HintExt};
@@ -150,6 +150,7 @@ fn gather(
         Model::Response(_) => first.bits,
     };
     let full_scale_dn = ((1u32 << bits) - 1) as u16;
+    let mut distinct = Distinct::default();
     for BracketFile {
         path,
         role,
@@ -158,6 +159,7 @@ fn gather(
     {
         let frame = read_frame(path)?;
         same_kind((&frames[0].path, first), (path, &frame))?;
+        distinct.add(path, &frame)?;
         let largest = frame.planes.iter().flatten().max().copied().unwrap_or(0);
         if largest > full_scale_dn {
             return Err(CliError::new(format!(

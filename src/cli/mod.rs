@@ -26,6 +26,7 @@ pub mod export;
 mod facets;
 pub mod fit;
 mod fit_folder;
+mod fit_memory;
 pub mod guardian;
 pub mod hints;
 pub mod interrupt;

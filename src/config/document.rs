@@ -7,8 +7,6 @@ use std::ops::RangeInclusive;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-use crate::shown::{MESSAGE, shortened};
-
 /// The longest piece of a value that is shown.
 const SHOWN_CHARS: usize = 48;
 
@@ -39,13 +37,15 @@ pub(super) enum Value {
 
 /// Parses a document; on failure the line, from 1, and what the parser says.
 pub(super) fn parse(text: &str) -> Result<BTreeMap<String, Node>, (usize, String)> {
-    let text = Lined::new(text);
-    let table = DeTable::parse(text.text).map_err(|error| {
+    let table = DeTable::parse(text).map_err(|error| {
         let start = error.span().map_or(0, |span| span.start);
-        let message = shortened(error.message(), MESSAGE);
-        (text.line_at(start), message.into_owned())
+        (line_at(text, start), error.message().to_owned())
     })?;
-    Ok(entries(table.get_ref(), &text))
+    let source = Source {
+        text,
+        breaks: text.match_indices('\n').map(|(at, _)| at).collect(),
+    };
+    Ok(source.entries(table.get_ref()))
 }
 
 impl Value {
@@ -92,50 +92,69 @@ impl fmt::Display for Value {
     }
 }
 
-fn entries(table: &DeTable<'_>, text: &Lined<'_>) -> BTreeMap<String, Node> {
-    table
-        .iter()
-        .map(|(key, value)| (key.get_ref().to_string(), node(value, text)))
-        .collect()
-}
-
-fn node(value: &Spanned<DeValue<'_>>, text: &Lined<'_>) -> Node {
-    let quoted = || text.text[value.span()].to_owned();
-    let converted = match value.get_ref() {
-        DeValue::String(s) => Value::Text(s.to_string()),
-        DeValue::Integer(n) => i64::from_str_radix(n.as_str(), n.radix())
-            .map_or_else(|_| Value::Other(quoted()), Value::Integer),
-        DeValue::Float(x) => x
-            .as_str()
-            .parse()
-            .map_or_else(|_| Value::Other(quoted()), Value::Number),
-        DeValue::Boolean(flag) => Value::Flag(*flag),
-        DeValue::Datetime(date) => Value::Other(date.to_string()),
-        DeValue::Array(values) => {
-            Value::List(values.iter().map(|value| node(value, text)).collect())
-        }
-        DeValue::Table(table) => Value::Table(entries(table, text)),
-    };
-    Node {
-        line: text.line_at(value.span().start),
-        value: converted,
-    }
-}
-
-/// A text and where its lines begin.
-struct Lined<'a> {
+/// The text with the places of its line breaks, so that a value's line costs a search
+/// among them and not a count from the top.
+struct Source<'a> {
     text: &'a str,
-    ends: Vec<usize>,
+    /// Byte offsets, ascending.
+    breaks: Vec<usize>,
 }
 
-impl<'a> Lined<'a> {
-    fn new(text: &'a str) -> Self {
-        let ends = text.match_indices('\n').map(|(at, _)| at).collect();
-        Self { text, ends }
+impl Source<'_> {
+    fn entries(&self, table: &DeTable<'_>) -> BTreeMap<String, Node> {
+        table
+            .iter()
+            .map(|(key, value)| (key.get_ref().to_string(), self.node(value)))
+            .collect()
     }
 
-    /// Line of a byte, from 1.
-    fn line_at(&self, byte: usize) -> usize {
-        1 + self.ends.partition_point(|&end| end < byte)
+    fn node(&self, value: &Spanned<DeValue<'_>>) -> Node {
+        let quoted = || self.text[value.span()].to_owned();
+        let converted = match value.get_ref() {
+            DeValue::String(s) => Value::Text(s.to_string()),
+            DeValue::Integer(n) => i64::from_str_radix(n.as_str(), n.radix())
+                .map_or_else(|_| Value::Other(quoted()), Value::Integer),
+            DeValue::Float(x) => x
+                .as_str()
+                .parse()
+                .map_or_else(|_| Value::Other(quoted()), Value::Number),
+            DeValue::Boolean(flag) => Value::Flag(*flag),
+            DeValue::Datetime(date) => Value::Other(date.to_string()),
+            DeValue::Array(values) => {
+                Value::List(values.iter().map(|value| self.node(value)).collect())
+            }
+            DeValue::Table(table) => Value::Table(self.entries(table)),
+        };
+        let start = value.span().start;
+        Node {
+            line: 1 + self.breaks.partition_point(|&at| at < start),
+            value: converted,
+        }
+    }
+}
+
+/// The line of a byte, from 1.
+fn line_at(text: &str, byte: usize) -> usize {
+    1 + text.bytes().take(byte).filter(|&b| b == b'\n').count()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_know_their_lines() {
+        let tree = parse("a = 1\n\n[b]\nc = [\n  2,\n  3 ]\nd = 4").unwrap();
+        assert_eq!(tree["a"].line, 1);
+        let Value::Table(b) = &tree["b"].value else {
+            panic!("{tree:?}");
+        };
+        let Value::List(c) = &b["c"].value else {
+            panic!("{b:?}");
+        };
+        assert_eq!(
+            (b["c"].line, c[0].line, c[1].line, b["d"].line),
+            (4, 5, 6, 7)
+        );
     }
 }

@@ -12,6 +12,7 @@ mod form;
 pub mod gauss_newton;
 pub mod intervals;
 pub mod light_selection;
+pub mod memory;
 pub mod objective;
 mod posterior;
 pub mod projection;

@@ -12,7 +12,6 @@ use super::{
     FitRecord, FitRecordError, FitSettings, ScoreSheet, Timing, Warning, check, out_of_range,
     tables,
 };
-use crate::outside_file;
 use crate::radiance_image::exr;
 use crate::session::layout::FITS_FOLDER;
 use crate::session::{Session, SessionWriter};
@@ -159,16 +158,13 @@ fn image_name(kind: &str, light: usize) -> String {
     format!("{kind}_L{light:03}.exr")
 }
 
-/// Largest text of a fit, bytes.
-const LARGEST_FILE_BYTES: u64 = 64 << 20;
-
 /// Reads a fit's folder outside a session, without its images.
 ///
 /// # Errors
 /// Names the file and the key or column that is missing or wrong.
 pub fn read(folder: &Path) -> Result<FitRecord, FitRecordError> {
     parse(folder, |path, _| {
-        outside_file::read_regular(path, LARGEST_FILE_BYTES).map_err(|source| FitRecordError::Io {
+        std::fs::read(path).map_err(|source| FitRecordError::Io {
             path: path.to_path_buf(),
             source,
         })
@@ -193,8 +189,11 @@ pub fn read_in(session: &Session, number: u32) -> Result<FitRecord, FitRecordErr
     })
 }
 
-/// `load` gives the bytes of a path and name.
-fn parse(
+/// Reads a fit's files; `load` gives the bytes of a path and name.
+///
+/// # Errors
+/// As [`read`], and what `load` returns.
+pub fn parse(
     folder: &Path,
     load: impl Fn(&Path, &str) -> Result<Vec<u8>, FitRecordError>,
 ) -> Result<FitRecord, FitRecordError> {
