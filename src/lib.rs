@@ -8,7 +8,7 @@
 //!
 //! | floor | modules |
 //! |---|---|
-//! | 0 | [`units`], [`frames`], [`random`], [`radiance_image`], [`interrupt`], [`outside_file`], [`whole_file`], [`plot`] |
+//! | 0 | [`units`], [`frames`], [`random`], [`shown`], [`radiance_image`], [`interrupt`], [`outside_file`], [`whole_file`], [`plot`] |
 //! | 1 | [`brdf`], [`geometry`] |
 //! | 2 | [`transport`], [`radiometry`] |
 //! | 3 | [`inverse`], [`device`], [`simulation`] |
@@ -23,6 +23,7 @@ pub mod outside_file;
 pub mod plot;
 pub mod radiance_image;
 pub mod random;
+pub mod shown;
 pub mod units;
 pub mod whole_file;
 

@@ -179,3 +179,58 @@ fn bad_input_is_one_line_and_a_hint() {
         "nothing was left behind"
     );
 }
+
+/// A MERL file of 6 x 6 x 6 cells that hold `value`, but for `others` of them.
+fn merl(value: f64, others: &[(usize, f64)]) -> Vec<u8> {
+    let mut bytes: Vec<u8> = [6i32; 3].iter().flat_map(|n| n.to_le_bytes()).collect();
+    let mut cells = vec![value; 3 * 216];
+    for &(cell, value) in others {
+        cells[cell] = value;
+    }
+    bytes.extend(cells.iter().flat_map(|cell| cell.to_le_bytes()));
+    bytes
+}
+
+#[test]
+fn cells_without_a_value_are_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    for (bytes, code, said) in [
+        (
+            merl(100.0, &[]),
+            0,
+            "nodes without value   0 not measured, 0 undefined",
+        ),
+        (
+            merl(100.0, &[(0, -1.0)]),
+            0,
+            "nodes without value   1 not measured, 0 undefined",
+        ),
+        (
+            merl(f64::NAN, &[]),
+            1,
+            "is no measured table: of its 216 nodes,",
+        ),
+        (
+            merl(-1.0, &[]),
+            1,
+            "are marked as not measured (allowed half)",
+        ),
+        (merl(1e300, &[]), 1, "undefined or infinite (allowed 0)"),
+        (
+            merl(100.0, &[(7, f64::NAN)]),
+            1,
+            "1 above the horizon are undefined",
+        ),
+        (
+            merl(100.0, &[(7, f64::INFINITY)]),
+            1,
+            "1 above the horizon are undefined",
+        ),
+        (merl(1e30, &[]), 1, "is not physical"),
+    ] {
+        std::fs::write(folder.path().join("m.binary"), bytes).unwrap();
+        let (found, out, err) = rig(folder.path(), &["check", "m.binary"]);
+        assert_eq!(found, code, "{said}: {out}{err}");
+        assert!(format!("{out}{err}").contains(said), "{said}: {out}{err}");
+    }
+}

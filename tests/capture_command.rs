@@ -436,6 +436,18 @@ fn bad_input_is_refused_before_anything_moves() {
         ),
         (&["capture", "--light", "0"], "--light"),
         (
+            &["capture", "--light", "0,60", "--light", "0,60"],
+            "--light names the direction",
+        ),
+        (
+            &["capture", "--light", "10,60", "--light", "370,60"],
+            "--light names one direction twice",
+        ),
+        (
+            &["capture", "--light", "0,90", "--light", "120,90"],
+            "--light names one direction twice",
+        ),
+        (
             &["capture", "--lights", "1", "--sample", "../x"],
             "sample name",
         ),

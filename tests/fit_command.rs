@@ -183,7 +183,7 @@ fn remarks_stay_with_the_fit() {
     let images = "--image i_L000.exr i_L001.exr";
     let done = rig(
         home.path(),
-        &format!("fit --scene flat.toml {images} --spp 4096 --memory 16 --out flat --json"),
+        &format!("fit --scene flat.toml {images} --spp 4096 --memory 40 --out flat --json"),
     );
     let stderr = String::from_utf8_lossy(&done.stderr);
     assert!(done.status.success(), "{stderr}");
@@ -282,4 +282,81 @@ fn options_that_would_do_nothing_are_refused() {
     let done = rig(home.path(), "render --scene s.toml --out i.png");
     assert_eq!(done.status.code(), Some(1));
     assert!(!home.path().join("i.png").exists());
+}
+
+/// What would take more memory than is allowed is refused before any image is read, with what
+/// would do; that then does.
+#[test]
+fn a_fit_beyond_its_memory_is_refused_with_what_would_do() {
+    let home = photographed();
+    let refused = |words: &str| {
+        let done = rig(home.path(), words);
+        let stderr = String::from_utf8(done.stderr).unwrap();
+        assert_eq!(done.status.code(), Some(1), "{words}: {stderr}");
+        assert!(stderr.contains("of memory, but"), "{words}: {stderr}");
+        stderr
+    };
+    let large = SCENE.replace("[16, 16]", "[4096, 4096]");
+    std::fs::write(home.path().join("large.toml"), large).unwrap();
+    let fit = "fit --scene large.toml --image gone.exr gone.exr --out refused";
+    let said = refused(&format!("{fit} --memory 1024"));
+    assert!(said.contains("average the images to at most"), "{said}");
+    let said =
+        refused("fit --scene s.toml --image i_L000.exr i_L001.exr --out refused --memory 16");
+    let enough = said
+        .split("`--memory ")
+        .nth(1)
+        .and_then(|rest| rest.split('`').next());
+    let enough: u64 = enough.unwrap().parse().unwrap();
+    assert!((17..256).contains(&enough), "{said}");
+    assert!(!home.path().join("refused").exists());
+    let quick = "--spp 2 --optimizer single-bounce --fixed-paths";
+    let done = rig(
+        home.path(),
+        &format!("{FIT} {quick} --out done --memory {enough}").replace("--spp 32", ""),
+    );
+    assert!(done.status.success(), "{done:?}");
+}
+
+/// Sizes are compared before anything is decoded: an image that would fill the memory, one that
+/// is a little larger, and a mask of another size.
+#[test]
+fn images_of_another_size_are_refused_by_their_headers() {
+    let home = photographed();
+    let bomb = include_bytes!("../fuzz/corpus/exr/bomb");
+    std::fs::write(home.path().join("bomb.exr"), bomb).unwrap();
+    let other = SCENE.replace("[16, 16]", "[17, 16]");
+    std::fs::write(home.path().join("other.toml"), other).unwrap();
+    GrayImage::new(16, 17)
+        .save(home.path().join("mask.png"))
+        .unwrap();
+    for (words, fact) in [
+        (
+            "fit --scene s.toml --image i_L000.exr bomb.exr",
+            "bomb.exr is 4096 x 4096 pixels; the camera's image is 16 x 16",
+        ),
+        (
+            "fit --scene other.toml --image i_L000.exr i_L001.exr",
+            "i_L000.exr is 16 x 16 pixels; the camera's image is 17 x 16",
+        ),
+        (
+            "fit --scene s.toml --image i_L000.exr i_L001.exr --mask mask.png",
+            "mask.png: it is 16 x 17 pixels; 16 x 16 are needed",
+        ),
+        // Nobody knows the size here, but no image of so few bytes has so many pixels.
+        (
+            "calibrate white bomb.exr --rig simulated --reflectance 0.9 --reflectance-std 0.01",
+            "bytes cannot hold",
+        ),
+    ] {
+        let out = if words.starts_with("fit") {
+            " --out o"
+        } else {
+            ""
+        };
+        let done = rig(home.path(), &format!("{words}{out}"));
+        let stderr = String::from_utf8(done.stderr).unwrap();
+        assert_eq!(done.status.code(), Some(1), "{words}: {stderr}");
+        assert!(stderr.contains(fact), "{words}: {stderr}");
+    }
 }

@@ -6,8 +6,21 @@
 mod targets;
 
 use std::path::Path;
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
+use glam::{DVec2, DVec3};
+use rig::brdf::{Atom, Dictionary, Mixture};
+use rig::geometry::Shape;
+use rig::inverse::memory::Size;
+use rig::inverse::{FitOptions, fit};
 use rig::random::{Purpose, Stream, stream};
+use rig::transport::{Camera, Light, Projection, RenderOptions, Scene, Shading, render};
+
+/// One test at a time: what another allocates would count as well.
+fn alone() -> MutexGuard<'static, ()> {
+    static TURN: Mutex<()> = Mutex::new(());
+    TURN.lock().unwrap_or_else(PoisonError::into_inner)
+}
 
 /// The inputs of a target, in the order of their names.
 fn inputs(name: &str) -> Vec<Vec<u8>> {
@@ -24,6 +37,7 @@ fn inputs(name: &str) -> Vec<Vec<u8>> {
 
 #[test]
 fn no_input_breaks_a_parser() {
+    let _turn = alone();
     let mut total_bytes = 0;
     for target in targets::TARGETS {
         for bytes in inputs(target.name) {
@@ -78,6 +92,7 @@ fn broken(bytes: &[u8], random: &mut Stream) -> Vec<u8> {
 /// Every input of the corpus, broken at random: `RIG_FUZZ_RUNS` times each.
 #[test]
 fn no_broken_input_breaks_a_parser() {
+    let _turn = alone();
     let runs: u64 = std::env::var("RIG_FUZZ_RUNS").map_or(100, |text| text.parse().unwrap());
     for (number, target) in targets::TARGETS.iter().enumerate() {
         let began = std::time::Instant::now();
@@ -100,11 +115,90 @@ fn no_broken_input_breaks_a_parser() {
     }
 }
 
+/// A bowl under `lights` lamps around it.
+fn bowl(side: usize, lights: usize) -> Scene {
+    let extent_mm = DVec2::splat(2.2);
+    let camera = Camera::looking_at(
+        [side; 2],
+        Projection::Orthographic { extent_mm },
+        5.0 * DVec3::Z,
+        DVec3::ZERO,
+        DVec3::Y,
+    );
+    let light = |number: usize| {
+        let (sin, cos) = (2.0 * number as f64).sin_cos();
+        Light::Directional {
+            to_light: DVec3::new(0.5 * cos, 0.5 * sin, 1.0).normalize(),
+            irradiance: [1.0; 3],
+            angular_radius_rad: 0.0,
+        }
+    };
+    let shape = Shape::Bowl {
+        radius_mm: 1.0,
+        segments: 32,
+    };
+    let lights = (0..lights).map(light).collect();
+    Scene::new(
+        shape.mesh().unwrap(),
+        Shading::Smooth,
+        camera.unwrap(),
+        lights,
+    )
+}
+
+/// Bytes that a fit with the fewest paths allocates at most at a time, and what is estimated.
+fn memory_of_a_fit(side: usize, lights: usize, dictionary: &Dictionary) -> [f64; 2] {
+    let scene = bowl(side, lights);
+    let atom = Atom::Ggx {
+        alpha: 0.25,
+        eta: 2.0,
+    };
+    let material = Dictionary::new("material", vec![atom]).unwrap();
+    let material = Mixture::grey(material.into(), vec![1.0]).unwrap();
+    let how = RenderOptions {
+        samples_per_pixel: 32,
+        ..RenderOptions::default()
+    };
+    let captured = render(&scene, &material, &how, &|_| {});
+    let mut options = FitOptions::default();
+    options.cache.samples_per_pixel = 2;
+    let counted = targets::peak_bytes(|| {
+        let images = captured.clone();
+        drop(fit(&scene, &images, dictionary, &options, &mut |_| {}).unwrap());
+    });
+    let size = Size {
+        resolution_px: [side; 2],
+        lights,
+        atoms: dictionary.len(),
+        bench_parameters: 0,
+    };
+    let estimated = size.images_bytes() + size.least_paths_bytes();
+    [counted as f64, estimated as f64]
+}
+
+/// Refused is what would not fit, and not much more.
+#[test]
+fn the_memory_of_a_fit_is_estimated_from_above_and_closely() {
+    let _turn = alone();
+    for (lights, dictionary) in [(1, Dictionary::rig26()), (3, Dictionary::paper42())] {
+        let [small, large] = [24, 48].map(|side| memory_of_a_fit(side, lights, &dictionary));
+        println!(
+            "{lights} lights, {}: {small:?} and {large:?} bytes, counted and estimated",
+            dictionary.name()
+        );
+        // What does not grow with the images belongs to the program.
+        let [counted, estimated] = [0, 1].map(|k| large[k] - small[k]);
+        let part = counted / estimated;
+        assert!((0.3..1.0).contains(&part), "{}: {part}", dictionary.name());
+    }
+}
+
 /// The meter sees a size that is believed.
 #[test]
 #[should_panic(expected = "bytes of memory")]
 fn a_declared_size_that_is_believed_is_noticed() {
-    targets::check("a parser that believes", 64, b"1000000000", |bytes| {
+    let _turn = alone();
+    targets::check("a parser that believes", 8 << 20, b"1000000000", |bytes| {
         let declared: usize = str::from_utf8(bytes).unwrap().parse().unwrap();
         drop(std::hint::black_box(Vec::<u8>::with_capacity(declared)));
     });

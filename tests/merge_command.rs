@@ -183,3 +183,51 @@ fn bad_folders_are_refused_and_nothing_is_overwritten() {
         assert!(!path("records").exists(), "{fact}: a record was written");
     }
 }
+
+/// A copy's noise is not independent: whatever names one frame twice is refused.
+#[test]
+fn one_frame_given_twice_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let counts = |seed: usize| (0..64).map(|p| (100 + p * seed % 97) as u16).collect();
+    write_grey(&path("a_10ms.png"), 8, counts(7));
+    write_grey(&path("b_10ms.png"), 8, counts(5));
+    for copy in ["copy_10ms.png", "longer_40ms.png"] {
+        std::fs::copy(path("a_10ms.png"), path(copy)).unwrap();
+    }
+    std::os::unix::fs::symlink("a_10ms.png", path("link_10ms.png")).unwrap();
+    write_grey(&path("black_10ms.png"), 8, vec![0; 64]);
+    write_grey(&path("black_40ms.png"), 8, vec![0; 64]);
+    for (frames, fact) in [
+        (
+            &["a_10ms.png", "a_10ms.png"],
+            Some("a_10ms.png is named twice"),
+        ),
+        (&["a_10ms.png", "./a_10ms.png"], Some("are one frame")),
+        (&["a_10ms.png", "link_10ms.png"], Some("are one frame")),
+        (
+            &["a_10ms.png", "copy_10ms.png"],
+            Some("a_10ms.png and copy_10ms.png are one frame"),
+        ),
+        (&["a_10ms.png", "longer_40ms.png"], Some("are one frame")),
+        (&["a_10ms.png", "b_10ms.png"], None),
+        // Black frames, as clipped ones, may well be equal.
+        (&["black_10ms.png", "black_40ms.png"], None),
+    ] {
+        let output = rig()
+            .current_dir(&folder)
+            .arg("merge")
+            .args(frames)
+            .args(["--gain", "1", "--read-noise", "2", "--black-level", "0"])
+            .output()
+            .unwrap();
+        let stderr = String::from_utf8(output.stderr).unwrap();
+        match fact {
+            Some(fact) => {
+                assert_eq!(output.status.code(), Some(1), "{frames:?}: {stderr}");
+                assert!(stderr.contains(fact), "{frames:?}: {stderr}");
+            }
+            None => assert_eq!(output.status.code(), Some(0), "{frames:?}: {stderr}"),
+        }
+    }
+}

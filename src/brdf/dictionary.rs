@@ -10,6 +10,7 @@ use super::BrdfError;
 pub use super::atom::Atom;
 use super::evaluator::Evaluator;
 use super::ggx::Cosines;
+use crate::shown::{MESSAGE, shortened};
 
 /// A named list of atoms, each with parameters in range.
 #[derive(Clone, Debug, PartialEq)]
@@ -157,10 +158,13 @@ impl Dictionary {
                 known: format!("{}, a .json or .toml file", Self::NAMES.join(", ")),
             });
         }
-        let text = std::fs::read_to_string(path).map_err(|source| BrdfError::Io {
-            path: path.into(),
-            source,
-        })?;
+        let text =
+            crate::outside_file::read_text(path, super::LARGEST_TEXT_BYTES).map_err(|source| {
+                BrdfError::Io {
+                    path: path.into(),
+                    source,
+                }
+            })?;
         let stem = path.file_stem().and_then(|s| s.to_str()).unwrap_or("file");
         Self::parse(stem, &text, extension == "json").map_err(|fact| match fact {
             BrdfError::Dictionary { fact, .. } => BrdfError::File {
@@ -171,7 +175,11 @@ impl Dictionary {
         })
     }
 
-    fn parse(default_name: &str, text: &str, json: bool) -> Result<Self, BrdfError> {
+    /// From the text of a dictionary file, JSON or TOML; as [`Self::load`] says.
+    ///
+    /// # Errors
+    /// Syntax, or atoms out of range.
+    pub fn parse(default_name: &str, text: &str, json: bool) -> Result<Self, BrdfError> {
         let parsed: Result<DictionaryFile, String> = if json {
             serde_json::from_str(text).map_err(|e| e.to_string())
         } else {
@@ -179,7 +187,7 @@ impl Dictionary {
         };
         let file = parsed.map_err(|fact| BrdfError::Dictionary {
             name: default_name.to_owned(),
-            fact,
+            fact: shortened(&fact, MESSAGE).into_owned(),
         })?;
         Self::new(file.name.as_deref().unwrap_or(default_name), file.atoms)
     }

@@ -106,10 +106,12 @@ impl EnvironmentMap {
 
     /// Reads an OpenEXR file with channels R, G, B.
     pub fn read(path: &Path) -> std::result::Result<Self, BrdfError> {
-        let bytes = std::fs::read(path).map_err(|source| BrdfError::Io {
-            path: path.into(),
-            source,
-        })?;
+        let bytes = crate::outside_file::read_regular(path, super::LARGEST_FILE_BYTES).map_err(
+            |source| BrdfError::Io {
+                path: path.into(),
+                source,
+            },
+        )?;
         let stem = path.file_stem().and_then(|s| s.to_str()).unwrap_or("map");
         Self::parse(stem, &bytes).map_err(|fact| BrdfError::File {
             path: path.into(),
@@ -117,7 +119,11 @@ impl EnvironmentMap {
         })
     }
 
-    fn parse(name: &str, bytes: &[u8]) -> std::result::Result<Self, String> {
+    /// [`Self::read`] from memory.
+    ///
+    /// # Errors
+    /// In words: no readable OpenEXR file, or too large.
+    pub fn parse(name: &str, bytes: &[u8]) -> std::result::Result<Self, String> {
         let meta = MetaData::read_from_buffered(Cursor::new(bytes), true)
             .map_err(|error| error.to_string())?;
         for header in &meta.headers {

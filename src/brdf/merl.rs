@@ -8,16 +8,18 @@ use std::path::Path;
 
 use super::table::{MERL_SHAPE, TabulatedBrdf, node};
 use super::{Brdf, BrdfError};
-use crate::whole_file;
+use crate::{outside_file, whole_file};
 
 /// 1/sr per stored unit, R, G, B.
 pub const SCALE: [f64; 3] = [1.0 / 1500.0, 1.15 / 1500.0, 1.66 / 1500.0];
 
 /// Reads a `.binary` file of any cell counts; its size must be the one its header implies.
 pub fn read(path: &Path) -> Result<TabulatedBrdf, BrdfError> {
-    let bytes = std::fs::read(path).map_err(|source| BrdfError::Io {
-        path: path.into(),
-        source,
+    let bytes = outside_file::read_regular(path, super::LARGEST_FILE_BYTES).map_err(|source| {
+        BrdfError::Io {
+            path: path.into(),
+            source,
+        }
     })?;
     parse(&bytes).map_err(|fact| BrdfError::File {
         path: path.into(),

@@ -50,6 +50,11 @@ pub trait Brdf: Send + Sync {
     }
 }
 
+/// Largest table or environment map that is read, bytes: 4096 x 4096 cells of three f64.
+const LARGEST_FILE_BYTES: u64 = 1 << 29;
+/// Largest list of atoms or weights that is read, bytes.
+const LARGEST_TEXT_BYTES: u64 = 1 << 20;
+
 /// What is wrong with a BRDF or with the file that should hold one.
 #[derive(Debug, thiserror::Error)]
 pub enum BrdfError {

@@ -13,6 +13,7 @@ use std::path::Path;
 use glam::{DVec3, Vec3};
 
 use super::{Brdf, BrdfError};
+use crate::outside_file;
 
 /// Most fields a tensor file may have.
 const MAX_FIELDS: u32 = 64;
@@ -36,10 +37,13 @@ pub struct RglBrdf {
 impl RglBrdf {
     /// Reads a `.bsdf` file.
     pub fn read(path: &Path) -> Result<Self, BrdfError> {
-        let bytes = std::fs::read(path).map_err(|source| BrdfError::Io {
-            path: path.into(),
-            source,
-        })?;
+        let bytes =
+            outside_file::read_regular(path, super::LARGEST_FILE_BYTES).map_err(|source| {
+                BrdfError::Io {
+                    path: path.into(),
+                    source,
+                }
+            })?;
         Self::parse(&bytes).map_err(|fact| BrdfError::File {
             path: path.into(),
             fact,
@@ -56,45 +60,45 @@ impl RglBrdf {
                 phi_i.len()
             ));
         }
+        if phi_i.is_empty() {
+            return Err("field phi_i is empty; it needs one azimuth of incidence".to_owned());
+        }
         let (_, theta) = floats(&fields, "theta_i", 1)?;
         let theta_i_rad: Vec<f64> = theta.iter().map(|&t| f64::from(t)).collect();
         if !theta_i_rad.is_sorted_by(|a, b| a < b) || theta_i_rad.is_empty() {
-            return Err("theta_i is not ascending".to_owned());
+            return Err(format!(
+                "field theta_i has {} angles; at least one is needed, ascending",
+                theta_i_rad.len()
+            ));
         }
         let flat = |name: &str| -> Result<Grid, String> {
             let (shape, values) = floats(&fields, name, 2)?;
-            Grid::new(shape[1], shape[0], &values)
+            let grid = Grid::new(name, shape[1], shape[0], &values)?;
+            some_positive(name, &values)?;
+            Ok(grid)
         };
-        let slices = |name: &str, rank: usize| -> Result<(Vec<usize>, Vec<f32>), String> {
-            let (shape, values) = floats(&fields, name, rank)?;
-            if shape[0] != phi_i.len() || shape[1] != theta_i_rad.len() {
-                return Err(format!(
-                    "{name} is {shape:?}, it needs one slice per incidence"
-                ));
-            }
-            Ok((shape, values))
-        };
-        let (shape, values) = slices("vndf", 4)?;
-        let area = shape[2] * shape[3];
-        let warp = values
-            .chunks_exact(area.max(1))
-            .take(theta_i_rad.len())
-            .map(|slice| Ok(Warp::new(Grid::new(shape[3], shape[2], slice)?)))
+        // Fields of one slice per incidence; those of the first azimuth stand first.
+        let incidences = [phi_i.len(), theta_i_rad.len()];
+        let (shape, values) = floats(&fields, "vndf", 4)?;
+        let warp: Vec<Warp> = slices("vndf", &shape, incidences, &[], &values)?
+            .map(|slice| Ok(Warp::new(Grid::new("vndf", shape[3], shape[2], slice)?)))
             .collect::<Result<_, String>>()?;
-        let (shape, values) = slices("rgb", 5)?;
-        if shape[2] != 3 {
-            return Err(format!("rgb has {} channels, not 3", shape[2]));
+        let empty = warp.iter().filter(|warp| !warp.is_density()).count();
+        if empty > 0 {
+            return Err(format!(
+                "field vndf: {empty} of {} slices have no positive integral, which a density has",
+                warp.len()
+            ));
         }
-        let area = (shape[3] * shape[4]).max(1);
-        let rgb = values
-            .chunks_exact(3 * area)
-            .take(theta_i_rad.len())
+        let (shape, values) = floats(&fields, "rgb", 5)?;
+        let rgb = slices("rgb", &shape, incidences, &[3], &values)?
             .map(|slice| {
-                let grid =
-                    |c: usize| Grid::new(shape[4], shape[3], &slice[c * area..(c + 1) * area]);
+                let planes: Vec<&[f32]> = slice.chunks_exact(shape[3] * shape[4]).collect();
+                let grid = |c: usize| Grid::new("rgb", shape[4], shape[3], planes[c]);
                 Ok([grid(0)?, grid(1)?, grid(2)?])
             })
             .collect::<Result<_, String>>()?;
+        some_positive("rgb", &values)?;
         if fields.get("jacobian").map(|field| field.bytes) != Some(&[1]) {
             return Err("the field jacobian is missing or not 1".to_owned());
         }
@@ -198,15 +202,15 @@ struct Grid {
 }
 
 impl Grid {
-    fn new(width: usize, height: usize, values: &[f32]) -> Result<Self, String> {
+    /// `field` is for messages.
+    fn new(field: &str, width: usize, height: usize, values: &[f32]) -> Result<Self, String> {
         if width < 2 || height < 2 || values.len() != width * height {
             return Err(format!(
-                "a grid of {width} x {height} with {} values",
-                values.len()
+                "field {field} holds grids of {height} x {width} nodes; at least 2 x 2 are needed"
             ));
         }
         if let Some(bad) = values.iter().find(|v| !v.is_finite()) {
-            return Err(format!("the value {bad} in a grid"));
+            return Err(format!("field {field} holds the value {bad}"));
         }
         Ok(Self {
             width,
@@ -269,8 +273,13 @@ impl Warp {
             density,
             along_row,
             above,
-            total: total.max(f64::MIN_POSITIVE),
+            total,
         }
+    }
+
+    /// Whether the whole can be normalised.
+    fn is_density(&self) -> bool {
+        self.total > 0.0
     }
 }
 
@@ -299,6 +308,43 @@ fn invert(lower: &Warp, upper: &Warp, t: f64, [u, v]: [f64; 2]) -> [f64; 2] {
     let along = left + tx * (v0 + 0.5 * tx * (v1 - v0));
     let fraction = if row > 0.0 { along / row } else { u };
     [fraction.clamp(0.0, 1.0), up_to.clamp(0.0, 1.0)]
+}
+
+/// Refuses a field that would make the material black: 0, negative or empty throughout.
+fn some_positive(name: &str, values: &[f32]) -> Result<(), String> {
+    if values.iter().any(|&value| value > 0.0) {
+        return Ok(());
+    }
+    Err(format!(
+        "field {name}: none of its {} values is above 0",
+        values.len()
+    ))
+}
+
+/// The values of a field, cut into those of each angle of incidence at the first azimuth.
+///
+/// # Errors
+/// Other extents than `[azimuths, angles]`, then `inner`, then a grid of at least 2 × 2 nodes.
+fn slices<'a>(
+    name: &str,
+    shape: &[usize],
+    incidences: [usize; 2],
+    inner: &[usize],
+    values: &'a [f32],
+) -> Result<impl Iterator<Item = &'a [f32]>, String> {
+    let leading = [&incidences[..], inner].concat();
+    let (found, grid) = shape.split_at(leading.len());
+    if found != leading || grid.iter().any(|&nodes| nodes < 2) {
+        let wanted = leading.iter().map(usize::to_string).collect::<Vec<_>>();
+        let found = shape.iter().map(usize::to_string).collect::<Vec<_>>();
+        return Err(format!(
+            "field {name} is {}; needed is {} x at least 2 x 2",
+            found.join(" x "),
+            wanted.join(" x ")
+        ));
+    }
+    let slice: usize = shape[2..].iter().product();
+    Ok(values.chunks_exact(slice).take(incidences[1]))
 }
 
 struct Field<'a> {
@@ -439,13 +485,93 @@ mod tests {
 
     #[test]
     fn a_warp_is_the_cumulated_density() {
-        let density = Grid::new(3, 2, &[0.0, 1.0, 0.0, 2.0, 3.0, 2.0]).unwrap();
+        let density = Grid::new("", 3, 2, &[0.0, 1.0, 0.0, 2.0, 3.0, 2.0]).unwrap();
         let warp = Warp::new(density);
         assert_eq!(invert(&warp, &warp, 0.5, [0.0, 0.0]), [0.0, 0.0]);
         assert_eq!(invert(&warp, &warp, 0.5, [1.0, 1.0]), [1.0, 1.0]);
         // Row totals 1 and 5: half the height holds (1 + 3)/2·½ of 3.
         let [x, y] = invert(&warp, &warp, 0.25, [0.5, 0.5]);
         assert!((x - 0.5).abs() < 1e-12 && (y - 1.0 / 3.0).abs() < 1e-12);
+    }
+
+    /// The paper's file with one field of another shape, filled with `value`.
+    fn with_field(changed: &str, shape: &[usize], value: f32) -> Vec<u8> {
+        let fields = read_fields(PAPER).unwrap();
+        let mut body = Vec::new();
+        let mut head = b"tensor_file\0\x01\0".to_vec();
+        head.extend((fields.len() as u32).to_le_bytes());
+        let names: usize = fields
+            .iter()
+            .map(|(name, field)| {
+                let rank = if name == changed {
+                    shape.len()
+                } else {
+                    field.shape.len()
+                };
+                name.len() + 13 + 8 * rank
+            })
+            .sum();
+        let start = head.len() + names;
+        for (name, field) in &fields {
+            let (shape, data) = if name == changed {
+                let count = shape.iter().product();
+                (shape, value.to_le_bytes().repeat(count))
+            } else {
+                (&field.shape[..], field.bytes.to_vec())
+            };
+            head.extend((name.len() as u16).to_le_bytes());
+            head.extend(name.as_bytes());
+            head.extend((shape.len() as u16).to_le_bytes());
+            head.push(field.kind);
+            head.extend(((start + body.len()) as u64).to_le_bytes());
+            head.extend(shape.iter().flat_map(|&n| (n as u64).to_le_bytes()));
+            body.extend(data);
+        }
+        [head, body].concat()
+    }
+
+    #[test]
+    fn odd_shapes_and_empty_densities_are_refused_by_name() {
+        let fields = read_fields(PAPER).unwrap();
+        let shape = |name: &str| fields[name].shape.clone();
+        let changed = |name: &str, axis: usize, extent: usize| {
+            let mut shape = shape(name);
+            shape[axis] = extent;
+            shape
+        };
+        assert!(RglBrdf::parse(&with_field("rgb", &shape("rgb"), 0.5)).is_ok());
+        let slices = shape("vndf")[1];
+        for (name, shape, value, said) in [
+            ("phi_i", vec![0], 0.0, "field phi_i is empty"),
+            ("theta_i", vec![0], 0.0, "field theta_i has 0 angles"),
+            ("theta_i", vec![1], 0.5, "needed is 1 x 1 x at least 2 x 2"),
+            ("vndf", vec![1, slices, 0, 0], 1.0, "x 0 x 0; needed is 1 x"),
+            ("vndf", changed("vndf", 0, 0), 1.0, "field vndf is 0 x"),
+            ("vndf", changed("vndf", 1, 2), 1.0, "field vndf is 1 x 2 x"),
+            ("vndf", changed("vndf", 3, 1), 1.0, "x 1; needed is 1 x"),
+            (
+                "vndf",
+                shape("vndf"),
+                0.0,
+                "slices have no positive integral",
+            ),
+            (
+                "vndf",
+                shape("vndf"),
+                -1.0,
+                "slices have no positive integral",
+            ),
+            ("rgb", vec![1, slices, 3, 0, 0], 1.0, "field rgb"),
+            ("rgb", changed("rgb", 2, 4), 1.0, "needed is 1 x"),
+            ("rgb", shape("rgb"), -1e38, "field rgb: none of its"),
+            ("ndf", vec![0, 0], 1.0, "field ndf holds grids of 0 x 0"),
+            ("ndf", vec![1, 5], 1.0, "field ndf holds grids of 1 x 5"),
+            ("sigma", shape("sigma"), 0.0, "field sigma: none of its"),
+        ] {
+            let error = RglBrdf::parse(&with_field(name, &shape, value));
+            let error = error.err().unwrap_or_default();
+            assert!(error.contains(said), "{name} {shape:?} {value}: {error}");
+        }
     }
 
     proptest! {

@@ -23,6 +23,26 @@ pub struct TabulatedBrdf {
     shape: [usize; 3],
     /// f_r of R, G, B, 1/sr, φd fastest.
     values: Vec<[f32; 3]>,
+    gaps: Gaps,
+}
+
+/// Nodes above the horizon that came without a value, and took their neighbour's.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+pub struct Gaps {
+    /// Those with a negative value: not measured.
+    pub negative: usize,
+    /// Those with an infinite or undefined value.
+    pub not_finite: usize,
+    /// All nodes, also those below the horizon.
+    pub nodes: usize,
+}
+
+impl Gaps {
+    /// Whether it is still a measured table: every value is a number, and at most half of the
+    /// nodes were not measured (the published tables lack some at grazing angles).
+    pub fn are_few(&self) -> bool {
+        self.not_finite == 0 && 2 * self.negative <= self.nodes
+    }
 }
 
 impl TabulatedBrdf {
@@ -37,8 +57,21 @@ impl TabulatedBrdf {
             return Err(BrdfError::Table { fact });
         }
         let [_, n_d, n_phi] = shape;
-        for slab in values.chunks_exact_mut(n_d * n_phi) {
+        let mut gaps = Gaps {
+            nodes: values.len(),
+            ..Gaps::default()
+        };
+        for (i, slab) in values.chunks_exact_mut(n_d * n_phi).enumerate() {
             for at in 0..slab.len() {
+                let is_number = slab[at].iter().all(|v| v.is_finite());
+                if !is_number || slab[at].iter().any(|&v| v < 0.0) {
+                    let (to_light, to_viewer) =
+                        node(shape, [i, at / n_phi, at % n_phi]).to_directions();
+                    if to_light.z > 0.0 && to_viewer.z > 0.0 {
+                        gaps.negative += usize::from(is_number);
+                        gaps.not_finite += usize::from(!is_number);
+                    }
+                }
                 let nearer = at.checked_sub(n_phi).map_or([0.0; 3], |at| slab[at]);
                 for (value, nearer) in slab[at].iter_mut().zip(nearer) {
                     if !(*value >= 0.0 && value.is_finite()) {
@@ -47,7 +80,11 @@ impl TabulatedBrdf {
                 }
             }
         }
-        Ok(Self { shape, values })
+        Ok(Self {
+            shape,
+            values,
+            gaps,
+        })
     }
 
     /// Evaluates `f` at all nodes whose directions are above the horizon, in parallel.
@@ -80,6 +117,11 @@ impl TabulatedBrdf {
             let (there, back) = (brdf.eval(i, o), brdf.eval(o, i));
             [0, 1, 2].map(|c| 0.5 * (there[c] + back[c]))
         })
+    }
+
+    /// What it came without.
+    pub fn gaps(&self) -> Gaps {
+        self.gaps
     }
 
     /// Number of nodes in θh, θd, φd.

@@ -12,6 +12,7 @@ use std::sync::Arc;
 use super::BrdfError;
 use super::dictionary::Dictionary;
 use super::mixture::Mixture;
+use crate::shown::excerpt;
 
 /// The text of `weights.csv`; `deviations` are standard deviations, indexed as the weights.
 pub fn to_csv(mixture: &Mixture, deviations: Option<&[Vec<f64>; 3]>) -> String {
@@ -37,10 +38,13 @@ pub fn to_csv(mixture: &Mixture, deviations: Option<&[Vec<f64>; 3]>) -> String {
 /// Reads `weights.csv`; every atom of `dictionary` must stand once, with the
 /// kind it has there, and the weights must be on the simplex.
 pub fn read(path: &Path, dictionary: Arc<Dictionary>) -> Result<Mixture, BrdfError> {
-    let text = std::fs::read_to_string(path).map_err(|source| BrdfError::Io {
-        path: path.into(),
-        source,
-    })?;
+    let text =
+        crate::outside_file::read_text(path, super::LARGEST_TEXT_BYTES).map_err(|source| {
+            BrdfError::Io {
+                path: path.into(),
+                source,
+            }
+        })?;
     let weights = parse(&text, &dictionary).map_err(|fact| BrdfError::File {
         path: path.into(),
         fact,
@@ -52,7 +56,10 @@ pub fn read(path: &Path, dictionary: Arc<Dictionary>) -> Result<Mixture, BrdfErr
 }
 
 /// R, G, B weights in the dictionary's order, from the text of a `weights.csv`.
-fn parse(text: &str, dictionary: &Dictionary) -> Result<[Vec<f64>; 3], String> {
+///
+/// # Errors
+/// In words: a column, atom or number that is missing or wrong.
+pub fn parse(text: &str, dictionary: &Dictionary) -> Result<[Vec<f64>; 3], String> {
     let mut lines = text
         .lines()
         .enumerate()
@@ -93,7 +100,7 @@ fn parse(text: &str, dictionary: &Dictionary) -> Result<[Vec<f64>; 3], String> {
             .ok()
             .filter(|&index| index < dictionary.len())
             .ok_or_else(|| {
-                let last = dictionary.len() - 1;
+                let (last, text) = (dictionary.len() - 1, excerpt(text));
                 format!("line {}: atom {text}, allowed is 0 to {last}", number + 1)
             })?;
         let atom = dictionary.atoms()[index];
@@ -102,7 +109,7 @@ fn parse(text: &str, dictionary: &Dictionary) -> Result<[Vec<f64>; 3], String> {
             return Err(format!(
                 "line {}: atom {index} is {}, in {} it is {kind}",
                 number + 1,
-                cell(kind_column)?,
+                excerpt(cell(kind_column)?),
                 dictionary.name()
             ));
         }
@@ -116,8 +123,9 @@ fn parse(text: &str, dictionary: &Dictionary) -> Result<[Vec<f64>; 3], String> {
             let text = cell(column)?;
             if text.parse() != Ok(value) {
                 return Err(format!(
-                    "line {}: atom {index} has {name} {text}, in {} it is {value}",
+                    "line {}: atom {index} has {name} {}, in {} it is {value}",
                     number + 1,
+                    excerpt(text),
                     dictionary.name()
                 ));
             }
@@ -131,7 +139,9 @@ fn parse(text: &str, dictionary: &Dictionary) -> Result<[Vec<f64>; 3], String> {
                 .parse()
                 .ok()
                 .filter(|weight: &f64| weight.is_finite())
-                .ok_or_else(|| format!("line {}: weight {text} is no number", number + 1))?;
+                .ok_or_else(|| {
+                    format!("line {}: weight {} is no number", number + 1, excerpt(text))
+                })?;
         }
     }
     if let Some(missing) = weights[0].iter().position(|w| w.is_nan()) {

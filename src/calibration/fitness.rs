@@ -3,7 +3,7 @@
 use jiff::Timestamp;
 
 use super::record::Kind;
-use super::{Loaded, RecordError};
+use super::{Loaded, RecordError, Seal};
 use crate::config::CameraConfig;
 
 /// What speaks against a record.
@@ -12,6 +12,12 @@ pub enum Concern {
     /// It belongs to another camera or setting: a capture refuses it.
     #[error(transparent)]
     Other(#[from] RecordError),
+    /// Its values are not those that were measured.
+    #[error("record {id} was changed after the measurement: its checksum is of other values")]
+    Changed {
+        /// The record.
+        id: String,
+    },
     /// It says itself that its time is over.
     #[error("record {id} was valid until {until}")]
     Expired {
@@ -98,6 +104,9 @@ impl<V> Loaded<V> {
             concerns.push(error.into());
         }
         let id = || record.id.clone();
+        if self.seal == Seal::Broken {
+            concerns.push(Concern::Changed { id: id() });
+        }
         if self.is_expired(now) {
             let until = record.valid_until.clone().unwrap_or_default();
             concerns.push(Concern::Expired { id: id(), until });

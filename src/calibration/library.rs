@@ -7,8 +7,10 @@ use sha2::{Digest, Sha256};
 
 use super::built_in;
 use super::record::{BadValue, Kind, Record, Values};
+use super::seal::{self, Seal};
 use crate::config::{CameraConfig, ResolvedRig};
-use crate::whole_file;
+use crate::shown::{MESSAGE, excerpt, shortened};
+use crate::{outside_file, whole_file};
 
 /// Records and their maps are small; anything larger is another file.
 const LARGEST_FILE_BYTES: u64 = 256 << 20;
@@ -33,6 +35,9 @@ pub struct Loaded<V> {
     pub record: Record<V>,
     /// SHA-256 of its file, hexadecimal.
     pub sha256: String,
+    /// Whether its values are those that were measured; records built into the program have
+    /// no need of a checksum.
+    pub seal: Seal,
     /// Its files by name, the record's own first: what a session copies.
     pub files: Vec<(String, Vec<u8>)>,
 }
@@ -252,6 +257,11 @@ impl Library {
             line: 1,
             problem: error.to_string(),
         })?;
+        let text = seal::sealed(&text).map_err(|error| RecordError::Syntax {
+            file: path.display().to_string(),
+            line: 1,
+            problem: error.message().to_owned(),
+        })?;
         check(record, &record.id, &path.display().to_string())?;
         for (name, bytes) in maps {
             write_new(&folder.join(name), bytes)?;
@@ -269,7 +279,11 @@ impl Library {
             id: id.to_owned(),
             library: self.place(),
         })?;
-        let record: Record<V> = parse(&bytes, id, &file)?;
+        let (record, seal) = parse::<V>(&bytes, id, &file)?;
+        let seal = match part {
+            Self::BuiltIn(_) => Seal::Whole,
+            _ => seal,
+        };
         let sha256 = hex_sha256(&bytes);
         let mut files = vec![(name, bytes)];
         for map in record.values.maps() {
@@ -290,6 +304,7 @@ impl Library {
         Ok(Loaded {
             record,
             sha256,
+            seal,
             files,
         })
     }
@@ -309,15 +324,7 @@ impl Library {
             }
             Self::Folder(folder) => {
                 let path = folder.join(kind.folder()).join(name);
-                let read = || {
-                    let length = std::fs::metadata(&path)?.len();
-                    if length > LARGEST_FILE_BYTES {
-                        let fact = format!("{length} bytes, at most {LARGEST_FILE_BYTES} are read");
-                        return Err(std::io::Error::other(fact));
-                    }
-                    std::fs::read(&path)
-                };
-                match read() {
+                match outside_file::read_regular(&path, LARGEST_FILE_BYTES) {
                     Ok(bytes) => Ok(Some(bytes)),
                     Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
                     Err(source) => Err(io_error(&path, source)),
@@ -332,25 +339,37 @@ impl Library {
 /// # Errors
 /// The file cannot be read or is no valid record of this kind.
 pub fn record_in<V: Values>(path: &Path) -> Result<Record<V>, RecordError> {
-    let bytes = std::fs::read(path).map_err(|source| io_error(path, source))?;
+    let bytes = outside_file::read_regular(path, LARGEST_FILE_BYTES)
+        .map_err(|source| io_error(path, source))?;
     let id = path.file_stem().unwrap_or_default().to_string_lossy();
-    parse(&bytes, &id, &path.display().to_string())
+    parse(&bytes, &id, &path.display().to_string()).map(|(record, _)| record)
 }
 
-fn parse<V: Values>(bytes: &[u8], id: &str, file: &str) -> Result<Record<V>, RecordError> {
+/// A record from its file's bytes, and what its checksum says; `file` is for messages.
+///
+/// # Errors
+/// The bytes are no valid record of this kind and id.
+pub fn parse<V: Values>(
+    bytes: &[u8],
+    id: &str,
+    file: &str,
+) -> Result<(Record<V>, Seal), RecordError> {
     let syntax = |problem: String, line| RecordError::Syntax {
         file: file.to_owned(),
         line,
         problem,
     };
     let text = std::str::from_utf8(bytes).map_err(|error| syntax(error.to_string(), 1))?;
-    let record: Record<V> = toml::from_str(text).map_err(|error| {
+    let (checksum, text) = seal::split(text);
+    let at = |error: toml::de::Error| {
         let start = error.span().map_or(0, |span| span.start);
         let line = 1 + text.bytes().take(start).filter(|&b| b == b'\n').count();
-        syntax(error.message().to_owned(), line)
-    })?;
+        syntax(shortened(error.message(), MESSAGE).into_owned(), line)
+    };
+    let record: Record<V> = toml::from_str(text).map_err(at)?;
+    let seal = Seal::of(checksum, text).map_err(at)?;
     check(&record, id, file)?;
-    Ok(record)
+    Ok((record, seal))
 }
 
 impl<V> Loaded<V> {
@@ -401,7 +420,7 @@ fn check<V: Values>(record: &Record<V>, id: &str, file: &str) -> Result<(), Reco
     let invalid = |key: &str, value: &str, allowed: &str| RecordError::Invalid {
         file: file.to_owned(),
         key: key.to_owned(),
-        value: value.to_owned(),
+        value: excerpt(value).into_owned(),
         allowed: allowed.to_owned(),
     };
     if record.id != id {
@@ -461,7 +480,7 @@ fn io_error(path: &Path, source: std::io::Error) -> RecordError {
     }
 }
 
-fn hex_sha256(bytes: &[u8]) -> String {
+pub(super) fn hex_sha256(bytes: &[u8]) -> String {
     let digest = Sha256::digest(bytes);
     digest.iter().map(|byte| format!("{byte:02x}")).collect()
 }

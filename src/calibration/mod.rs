@@ -19,10 +19,12 @@ pub mod pose;
 pub mod procedure;
 pub mod record;
 pub mod rotation;
+mod seal;
 pub mod sensor;
 pub mod slanted_edge;
 pub mod stage_directions;
 pub mod white;
 pub mod white_lights;
 
-pub use library::{Library, Loaded, RecordError, record_in};
+pub use library::{Library, Loaded, RecordError, parse as parse_record, record_in};
+pub use seal::Seal;

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::record::{BadValue, MapFile, bad};
+use crate::radiometry::frame_file::picture;
 
 /// A map whose value at a pixel is `lowest + per_count × count`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -101,20 +102,8 @@ pub(super) fn grey_png(counts: Vec<u16>, width: usize) -> Result<Vec<u8>, String
 
 /// The counts of a PNG of this size; in words, why not.
 pub(super) fn grey_counts(png: &[u8], resolution_px: [u32; 2]) -> Result<Vec<u16>, String> {
-    let reader =
-        image::ImageReader::with_format(std::io::Cursor::new(png), image::ImageFormat::Png);
-    let size = reader
-        .into_dimensions()
-        .map_err(|error| error.to_string())?;
-    if [size.0, size.1] != resolution_px {
-        let [width, height] = resolution_px;
-        return Err(format!(
-            "{} x {} pixels, the sensor has {width} x {height}",
-            size.0, size.1
-        ));
-    }
-    let image = image::load_from_memory_with_format(png, image::ImageFormat::Png)
-        .map_err(|error| error.to_string())?;
+    let size = resolution_px.map(|side| side as usize);
+    let image = picture(png, Some(size)).map_err(|error| error.to_string())?;
     Ok(image.into_luma16().into_raw())
 }
 
@@ -138,7 +127,9 @@ mod tests {
         }
         let error = map.read(&png, [3, 4]).unwrap_err();
         assert!(
-            error.to_string().contains("map.png: 4 x 3 pixels"),
+            error
+                .to_string()
+                .contains("map.png: it is 4 x 3 pixels; 3 x 4"),
             "{error}"
         );
         assert!(map.read(&png[..20], [4, 3]).is_err());

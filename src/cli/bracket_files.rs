@@ -1,12 +1,16 @@
 //! The files of a bracket and their exposures: by a table, else as each file's
 //! EXIF data or name state them.
 
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
+use sha2::{Digest, Sha256};
+
 use super::{CliError, HintExt};
+use crate::outside_file;
 use crate::radiometry::bracket_table::{BracketRow, parse_bracket_table};
 use crate::radiometry::frame_exposure::{CameraNote, from_exif, from_name};
-use crate::radiometry::frame_file::{FrameFile, decode};
+use crate::radiometry::frame_file::{FrameFile, decode, picture};
 use crate::radiometry::merge::FrameRole;
 
 /// One frame of a bracket.
@@ -19,6 +23,10 @@ pub(super) struct BracketFile {
 
 /// Endings of frames in a folder.
 const ENDINGS: [&str; 5] = ["png", "tif", "tiff", "jpg", "jpeg"];
+/// Largest frame, bytes: 250 megapixels of 16-bit RGB, not compressed.
+const LARGEST_FRAME_BYTES: u64 = 3 << 29;
+/// Largest table of exposures, bytes.
+const LARGEST_TABLE_BYTES: u64 = 1 << 20;
 /// EXIF data and a name may differ by this factor, as cameras round.
 const ROUNDING: f64 = 1.3;
 
@@ -32,6 +40,7 @@ pub(super) fn find(paths: &[PathBuf], table: Option<&Path>) -> Result<Vec<Bracke
             files.push(path.clone());
         }
     }
+    each_once(&files)?;
     match table {
         Some(table) => {
             let rows = read_table(table)?;
@@ -50,11 +59,65 @@ pub(super) fn find(paths: &[PathBuf], table: Option<&Path>) -> Result<Vec<Bracke
     }
 }
 
+/// Refuses a file that is named twice, by whatever paths: it would count as two frames.
+fn each_once(files: &[PathBuf]) -> Result<(), CliError> {
+    let mut known = HashMap::new();
+    for path in files {
+        // What is not there has its own error.
+        let Ok(place) = path.canonicalize() else {
+            continue;
+        };
+        if let Some(other) = known.insert(place, path) {
+            return Err(same_frame(other, path));
+        }
+    }
+    Ok(())
+}
+
+fn same_frame(one: &Path, other: &Path) -> CliError {
+    let fact = match one == other {
+        true => format!("{} is named twice", one.display()),
+        false => format!("{} and {} are one frame", one.display(), other.display()),
+    };
+    CliError::new(format!("{fact}, and would count as two"))
+        .hint("leave one of them out: the noise of a copy is not independent")
+}
+
+/// Frames that have been read, by their counts.
+#[derive(Default)]
+pub(super) struct Distinct(HashMap<[u8; 32], PathBuf>);
+
+impl Distinct {
+    /// Refuses a frame with the very counts of an earlier one. Frames of one count throughout
+    /// (black or clipped) may well be equal.
+    pub fn add(&mut self, path: &Path, frame: &FrameFile) -> Result<(), CliError> {
+        let mut hash = Sha256::new();
+        let mut varies = false;
+        for plane in &frame.planes {
+            varies |= plane.windows(2).any(|pair| pair[0] != pair[1]);
+            hash.update(bytemuck::cast_slice(plane));
+        }
+        match self.0.insert(hash.finalize().into(), path.to_owned()) {
+            Some(other) if varies => Err(same_frame(&other, path)),
+            _ => Ok(()),
+        }
+    }
+}
+
 /// A frame, whatever its format.
 pub(super) fn read_frame(path: &Path) -> Result<FrameFile, CliError> {
     decode(&read(path)?)
         .map_err(|error| CliError::new(format!("{}: {error}", path.display())))
         .hint("frames are PNG, TIFF or JPEG files of 8 or 16 bits, grey or RGB")
+}
+
+/// A picture of any colours; of `size` (pixels per row, rows) where that is known.
+pub(super) fn read_picture(
+    path: &Path,
+    size: Option<[usize; 2]>,
+) -> Result<image::DynamicImage, CliError> {
+    picture(&read(path)?, size)
+        .map_err(|error| CliError::new(format!("{}: {error}", path.display())))
 }
 
 /// Two frames of one bracket have one size, depth and number of channels.
@@ -112,7 +175,7 @@ fn frames_in(folder: &Path) -> Result<Vec<PathBuf>, CliError> {
 }
 
 fn read(path: &Path) -> Result<Vec<u8>, CliError> {
-    std::fs::read(path)
+    outside_file::read_regular(path, LARGEST_FRAME_BYTES)
         .map_err(|error| CliError::new(format!("{}: {error}", path.display())))
         .hint("check the path's spelling and the file's permissions")
 }
@@ -183,7 +246,7 @@ fn same_setting(
 }
 
 fn read_table(path: &Path) -> Result<Vec<BracketRow>, CliError> {
-    let text = std::fs::read_to_string(path)
+    let text = outside_file::read_text(path, LARGEST_TABLE_BYTES)
         .map_err(|error| CliError::new(format!("{}: {error}", path.display())))
         .hint("--exposures names a CSV file with lines `file,exposure_s`")?;
     parse_bracket_table(&text)

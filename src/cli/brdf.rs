@@ -7,7 +7,7 @@ use clap::{Args, Subcommand};
 use glam::DVec3;
 use serde::Serialize;
 
-use super::output::{ANOTHER_FILE, check_ending, write_json};
+use super::output::{ANOTHER_FILE, check_ending, write_json, write_path};
 use super::{CliError, Context, HintExt, fit_folder};
 use crate::brdf::check::{ALBEDO_ANGLES_DEG, PhysicalCheck, check};
 use crate::brdf::chi_square::{ChiSquare, check_lobes};
@@ -15,10 +15,13 @@ use crate::brdf::environment::EnvironmentMap;
 use crate::brdf::rgl::{AsMeasured, RglBrdf};
 use crate::brdf::score::{self, BrdfErrors, EnvironmentError};
 use crate::brdf::sphere::sphere_image;
+use crate::brdf::table::Gaps;
 use crate::brdf::{Brdf, BrdfError, Dictionary, Mixture, merl, nbrdf, source, weights};
 use crate::export::rgl;
 use crate::inverse::projection::{CellMatrix, EnvironmentMatrix, FIT_AZIMUTHS};
 use crate::out;
+use crate::outside_file;
+use crate::shown::excerpt;
 use crate::whole_file;
 
 const SPEC_HELP: &str = "A BRDF is one of: FILE.binary (MERL), FILE.bsdf (RGL), nbrdf:NAME (embedded measured material), \
@@ -165,12 +168,18 @@ fn load(spec: &str) -> Result<Arc<dyn Brdf>, CliError> {
     })
 }
 
+/// Largest angles file, bytes: some millions of lines.
+const LARGEST_ANGLES_BYTES: u64 = 1 << 28;
+
 /// One line of an angles file, degrees.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-struct Angles {
-    theta_i_deg: f64,
-    theta_o_deg: f64,
-    phi_deg: f64,
+pub struct Angles {
+    /// Polar angle of the light, 0..=90.
+    pub theta_i_deg: f64,
+    /// Polar angle of the viewer, 0..=90.
+    pub theta_o_deg: f64,
+    /// Azimuth between the two.
+    pub phi_deg: f64,
 }
 
 impl Angles {
@@ -187,7 +196,11 @@ impl Angles {
     }
 }
 
-fn parse_angles(text: &str) -> Result<Vec<Angles>, String> {
+/// The lines of an angles file.
+///
+/// # Errors
+/// In words: a column or number that is missing or wrong.
+pub fn parse_angles(text: &str) -> Result<Vec<Angles>, String> {
     let mut lines = text
         .lines()
         .enumerate()
@@ -219,7 +232,9 @@ fn parse_angles(text: &str) -> Result<Vec<Angles>, String> {
                     .parse()
                     .ok()
                     .filter(|value: &f64| value.is_finite())
-                    .ok_or_else(|| format!("line {}: \"{cell}\" is no number", number + 1))?;
+                    .ok_or_else(|| {
+                        format!("line {}: \"{}\" is no number", number + 1, excerpt(cell))
+                    })?;
             }
             let [theta_i_deg, theta_o_deg, phi_deg] = values;
             for theta in [theta_i_deg, theta_o_deg] {
@@ -248,7 +263,7 @@ fn eval(spec: &str, angles: &Path, json: bool) -> Result<(), CliError> {
         f: [f32; 3],
     }
     let brdf = load(spec)?;
-    let text = std::fs::read_to_string(angles)
+    let text = outside_file::read_text(angles, LARGEST_ANGLES_BYTES)
         .map_err(|error| CliError::new(format!("{}: {error}", angles.display())))?;
     let rows: Vec<Row> = parse_angles(&text)
         .map_err(|fact| CliError::new(format!("{}: {fact}", angles.display())))
@@ -291,6 +306,8 @@ fn run_check(spec: &str, json: bool) -> Result<(), CliError> {
         found: PhysicalCheck,
         /// Of a measured file, before both orders of the directions are averaged.
         reciprocity_as_measured: Option<f64>,
+        /// Of a MERL file: nodes above the horizon that have no value.
+        gaps: Option<Gaps>,
         /// The importance sampler made from it, at [`SAMPLER_ANGLES_DEG`].
         sampler: Vec<ChiSquare>,
     }
@@ -303,9 +320,15 @@ fn run_check(spec: &str, json: bool) -> Result<(), CliError> {
     } else {
         None
     };
+    let gaps = if path.extension().is_some_and(|e| e == "binary") {
+        Some(merl::read(path)?.gaps())
+    } else {
+        None
+    };
     let answer = Answer {
         found,
         reciprocity_as_measured,
+        gaps,
         sampler,
     };
     let found = &answer.found;
@@ -327,11 +350,26 @@ fn run_check(spec: &str, json: bool) -> Result<(), CliError> {
             found.invalid,
             found.pairs
         )?;
+        if let Some(gaps) = gaps {
+            out!(
+                "nodes without value   {} not measured, {} undefined or infinite, of {}",
+                gaps.negative,
+                gaps.not_finite,
+                gaps.nodes
+            )?;
+        }
         let worst = answer.sampler.iter().map(|s| s.deviate);
         out!(
             "sampler, worst χ²     {:+.1} standard deviations at 0, 45, 80 and 88°",
             worst.fold(f64::NEG_INFINITY, f64::max)
         )?;
+    }
+    if let Some(gaps) = gaps.filter(|gaps| !gaps.are_few()) {
+        return Err(CliError::new(format!(
+            "{spec} is no measured table: of its {} nodes, {} above the horizon are undefined or infinite (allowed 0), {} are marked as not measured (allowed half)",
+            gaps.nodes, gaps.not_finite, gaps.negative
+        ))
+        .hint("restore the file from where it came: what stands in these nodes was made up from their neighbours"));
     }
     if found.passes() {
         return Ok(());
@@ -457,7 +495,7 @@ fn plot(spec: &str, path: &Path, size: usize) -> Result<(), CliError> {
         .save(path)
         .map_err(|error| CliError::new(format!("{}: {error}", path.display())))
         .hint(ANOTHER_FILE)?;
-    out!("{}", path.display())
+    write_path(path)
 }
 
 fn convert(spec: &str, path: &Path) -> Result<(), CliError> {
@@ -479,7 +517,7 @@ fn convert(spec: &str, path: &Path) -> Result<(), CliError> {
             .hint("MERL tables end in .binary, RGL files in .bsdf; `rig export` writes other formats of a fit"));
         }
     }
-    out!("{}", path.display())
+    write_path(path)
 }
 
 #[cfg(test)]

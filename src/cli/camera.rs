@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use mock_devices::{Illumination, RadianceSource};
 
-use super::output::write_json;
+use super::output::{write_json, write_path};
 use super::rig_choice::RigArg;
 use super::{CliError, Context, HintExt, camera_preview, open};
 use crate::config::{CameraDriver, RigConfig};
@@ -294,7 +294,7 @@ fn report(
         out!("retaken   frames {retakes}")?;
     }
     match file {
-        Some(path) => out!("{}", path.display()),
+        Some(path) => write_path(path),
         None => Ok(()),
     }
 }

@@ -8,7 +8,7 @@ use serde_json::json;
 
 use super::capture_progress::Bar;
 use super::capture_records::Records;
-use super::output::write_json;
+use super::output::{write_json, write_path};
 use super::rig_choice::RigArg;
 use super::session_rig::{self, session_rig};
 use super::{
@@ -101,6 +101,9 @@ impl CaptureArgs {
 
 /// Angle that `--lights all` keeps between two lights, degrees.
 const ALL_SPACING_DEG: f64 = 15.0;
+
+/// Directions closer than this are one, radians: 0.001°.
+const SAME_LIGHT_RAD: f64 = 1.7e-5;
 
 fn parse_lights(text: &str) -> Result<Lights, String> {
     if text == "all" {
@@ -367,7 +370,7 @@ fn unfitted(
     move |signal| {
         if prints_path {
             // Whoever reads stdout may be gone; the signal is what counts.
-            drop(out!("{}", root.display()));
+            drop(write_path(&root));
         }
         let root = root.display();
         CliError::interrupted(signal, "the fit was interrupted; the capture is complete").hint(
@@ -409,7 +412,7 @@ fn print_result(
             "summary": summary,
         }));
     }
-    out!("{}", root.display())
+    write_path(root)
 }
 
 /// `sensor_id` is the record that exposures and time are estimated by; without one they are
@@ -469,11 +472,29 @@ fn light_choice(
                 context,
             )?)
         }
-        None => LightChoice::Listed(args.light.clone()),
+        None => LightChoice::Listed(each_once(&args.light)?),
     })
 }
 
 /// What a capture is planned from. The camera's own limits count once it is known.
+/// Refuses a direction that is named twice: its light would count as two.
+fn each_once(lights: &[StageAngles]) -> Result<Vec<StageAngles>, CliError> {
+    for (number, angles) in lights.iter().enumerate() {
+        let same =
+            |other: &&StageAngles| other.to_light().distance(angles.to_light()) < SAME_LIGHT_RAD;
+        if let Some(other) = lights[..number].iter().find(same) {
+            let fact = match other == angles {
+                true => format!("--light names the direction {angles} twice"),
+                false => format!("--light names one direction twice: {other} and {angles}"),
+            };
+            return Err(CliError::new(fact).hint(
+                "name each direction once; how well a light repeats, `rig stage repeatability` tells",
+            ));
+        }
+    }
+    Ok(lights.to_vec())
+}
+
 fn request(lights: &LightChoice, config: &RigConfig, camera: Option<&CameraInfo>) -> PlanRequest {
     let capture = &config.capture;
     let [mut shortest, mut longest] = capture.exposure_range;

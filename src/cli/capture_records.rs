@@ -174,6 +174,10 @@ impl Records {
     }
 }
 
+/// What else to do about a record that does not match its checksum.
+pub(super) const CHANGED_ON_PURPOSE: &str =
+    ", or remove the record's line `checksum` if it was changed on purpose";
+
 fn add_concerns<V: Values>(
     concerns: &mut Vec<String>,
     loaded: Option<&Loaded<V>>,
@@ -184,7 +188,13 @@ fn add_concerns<V: Values>(
     if let Some(loaded) = loaded {
         for concern in loaded.concerns_on(config.is_simulated(), serial, &config.camera, now) {
             let (kind, command) = (V::KIND.folder(), V::KIND.command());
-            concerns.push(format!("{kind}: {concern}; run `rig calibrate {command}`"));
+            let otherwise = match concern {
+                Concern::Changed { .. } => CHANGED_ON_PURPOSE,
+                _ => "",
+            };
+            concerns.push(format!(
+                "{kind}: {concern}; run `rig calibrate {command}`{otherwise}"
+            ));
         }
     }
 }

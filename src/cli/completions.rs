@@ -3,9 +3,8 @@
 
 use std::path::PathBuf;
 
-use super::output::write_bytes;
+use super::output::{write_bytes, write_path};
 use super::{CliError, Context, definition};
-use crate::out;
 
 /// Prints a shell's completion script
 ///
@@ -39,5 +38,5 @@ pub fn run_man(args: &ManArgs, _: &Context) -> Result<(), CliError> {
     };
     std::fs::create_dir_all(&args.out).map_err(failed)?;
     clap_mangen::generate_to(definition(), &args.out).map_err(failed)?;
-    out!("{}", args.out.display())
+    write_path(&args.out)
 }

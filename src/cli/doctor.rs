@@ -11,17 +11,19 @@ use jiff::Timestamp;
 use rustix::fs::{Access, access, statvfs};
 use serde::Serialize;
 
+use super::capture_records::CHANGED_ON_PURPOSE;
 use super::output::{write_json, write_line};
 use super::preflight::{self, Outlook};
 use super::rig_choice::RigArg;
 use super::{CliError, Context, hints, sharpness};
 use crate::calibration::camera::CameraValues;
 use crate::calibration::directions::DirectionsValues;
+use crate::calibration::fitness::Concern;
 use crate::calibration::record::{
     FlatValues, Kind, LightsValues, ScaleValues, SensorValues, Values,
 };
 use crate::calibration::slanted_edge::FocusValues;
-use crate::calibration::{Library, RecordError};
+use crate::calibration::{Library, RecordError, Seal};
 use crate::config::stage::StageDriver;
 use crate::config::{CameraDriver, Origin, ResolvedRig};
 use crate::device::discovery;
@@ -474,12 +476,22 @@ fn calibration<V: Values>(rig: &ResolvedRig, library: &Library, id: Option<&str>
         return failed(error);
     }
     let record = &loaded.record;
+    if loaded.seal == Seal::Broken {
+        let id = record.id.clone();
+        let remedy = format!("restore it, or calibrate anew{CHANGED_ON_PURPOSE}");
+        return Check::warning(name, Concern::Changed { id }.to_string(), remedy);
+    }
     if loaded.is_expired(Timestamp::now()) {
         let until = record.valid_until.as_deref().unwrap_or_default();
         let fact = format!("record {} was valid until {until}", record.id);
         return Check::warning(name, fact, "calibrate anew");
     }
-    Check::ok(name, format!("record {} of {}", record.id, record.date))
+    let unsealed = match loaded.seal {
+        Seal::Missing => "; it has no checksum, so a change would not be noticed",
+        _ => "",
+    };
+    let fact = format!("record {} of {}{unsealed}", record.id, record.date);
+    Check::ok(name, fact)
 }
 
 #[cfg(test)]

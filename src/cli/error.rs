@@ -6,6 +6,7 @@ use std::fmt::Display;
 use super::exit::Exit;
 use super::hints;
 use crate::interrupt::Signal;
+use crate::shown;
 
 /// A failed command.
 ///
@@ -24,7 +25,7 @@ impl CliError {
     /// A fact that no library error states; exit code 1.
     pub fn new(fact: impl Display) -> Self {
         Self {
-            fact: one_line(&fact.to_string()),
+            fact: shown::line(&fact.to_string()),
             hint: None,
             exit: Exit::Failed,
             quiet: false,
@@ -50,7 +51,7 @@ impl CliError {
 
     /// The same error with this advice instead of any other.
     pub fn hint(mut self, hint: impl Display) -> Self {
-        self.hint = Some(one_line(&hint.to_string()));
+        self.hint = Some(shown::line(&hint.to_string()));
         self
     }
 
@@ -99,21 +100,16 @@ impl<E: Error + Send + Sync + 'static> From<E> for CliError {
 /// The error and its causes, outermost first, joined by `: `. A cause that its
 /// parent already quotes is not repeated.
 fn facts(error: &(dyn Error + 'static)) -> String {
-    let mut text = one_line(&error.to_string());
+    let mut text = shown::line(&error.to_string());
     let mut cause = error.source();
     while let Some(error) = cause {
-        let fact = one_line(&error.to_string());
+        let fact = shown::line(&error.to_string());
         if !text.ends_with(&fact) {
             text = format!("{text}: {fact}");
         }
         cause = error.source();
     }
     text
-}
-
-/// Lines and runs of blanks joined by single blanks.
-pub(super) fn one_line(text: &str) -> String {
-    text.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
 /// Advice given where the error is raised.

@@ -125,7 +125,7 @@ pub fn run(args: &EvaluateArgs, context: &Context) -> Result<(), CliError> {
             bar.set_length(done.total as u64);
             bar.set_position(done.finished as u64);
             if let Some(case) = done.case {
-                bar.set_message(case.to_owned());
+                bar.set_message(crate::shown::escaped(case).into_owned());
             }
         },
     );
@@ -149,7 +149,7 @@ pub fn run(args: &EvaluateArgs, context: &Context) -> Result<(), CliError> {
     if args.json {
         return output::write_json(&outcome.json);
     }
-    out!("{}", folder.display())
+    output::write_path(folder)
 }
 
 fn list(json: bool) -> Result<(), CliError> {

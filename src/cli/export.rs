@@ -6,7 +6,6 @@ use clap::ValueEnum;
 
 use super::{CliError, Context, fit_folder, output};
 use crate::export::{self, Format};
-use crate::out;
 
 /// Writes a fitted BRDF for other programs.
 #[derive(clap::Args, Debug)]
@@ -56,7 +55,7 @@ pub fn run(args: &ExportArgs, context: &Context) -> Result<(), CliError> {
         context.warn("this BRDF comes from a simulated bench; the export says so");
     }
     for file in export::export(&record, format, &path)? {
-        out!("{}", file.display())?;
+        output::write_path(&file)?;
     }
     Ok(())
 }

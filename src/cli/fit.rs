@@ -6,7 +6,6 @@ use super::pipeline::{FitArgs, FitPlan, check_images, fit_session};
 use super::preflight::Keys;
 use super::{CliError, Context, HintExt, output, warnings};
 use crate::config::scene::SceneFile;
-use crate::out;
 use crate::radiance_image::{RadianceImage, exr};
 use crate::session::fit_record;
 
@@ -74,7 +73,7 @@ pub fn run(args: &FitCommandArgs, context: &Context) -> Result<(), CliError> {
             "bench": record.bench,
         }));
     }
-    out!("{}", folder.display())
+    output::write_path(&folder)
 }
 
 /// States the relative noise of [`UNSTATED_NOISE`], of dark pixels that of a thousandth of the
@@ -97,11 +96,12 @@ fn fit_scene(
     fit_record::check_folder(out)?;
     let plan = FitPlan::new(&args.fit, None, &file.uncertainty, file.sample.form_error)?;
     let scene = file.scene()?;
+    plan.bounded(&scene)?;
     let (mut captured, mut remarks) = (Vec::new(), Vec::new());
     for path in &args.image {
-        let file = exr::read(path)
+        let file = exr::read_sized(path, scene.camera.resolution_px)
             .map_err(CliError::from)
-            .hint("give one EXR image for each [[light]] of the scene, in its order")?;
+            .hint("give one EXR image for each [[light]] of the scene, in its order, of its camera's resolution_px")?;
         let mut image = file.image;
         if !file.has_variance {
             let remark = format!(

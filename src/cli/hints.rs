@@ -127,10 +127,10 @@ fn for_config(error: &ConfigError) -> String {
         Read { source, .. } if source.kind() == std::io::ErrorKind::InvalidData => {
             "the file is no text: rig files and scenes are TOML (https://toml.io)".into()
         }
-        Read { source, .. } if source.kind() == std::io::ErrorKind::PermissionDenied => {
-            for_io(source).unwrap_or(FALLBACK).into()
-        }
-        Read { .. } => "check the path; a bare name is looked for in rig-configs/ and among the built-in rigs".into(),
+        Read { source, .. } => match for_io(source) {
+            Some(hint) if source.kind() != std::io::ErrorKind::NotFound => hint.into(),
+            _ => "check the path; a bare name is looked for in rig-configs/ and among the built-in rigs".into(),
+        },
         Syntax { .. } => "the file is TOML (https://toml.io): `key = value`, texts in double quotes, `[table]`".into(),
         UnknownKey { key, known, .. } => {
             let last = key.rsplit('.').next().unwrap_or(key);
@@ -272,6 +272,9 @@ fn for_exr(error: &ExrError) -> Option<String> {
         Io { source, .. } => for_io(source).map(str::to_owned),
         Format { .. } | Size { .. } => {
             Some("the image is damaged or no OpenEXR file: render or merge it again".into())
+        }
+        OtherSize { .. } => {
+            Some("give an image of this camera, with the rig file's resolution_px".into())
         }
         Channels { .. } => {
             Some("images need the channels R, G, B, and where known var.R, var.G, var.B".into())
@@ -436,6 +439,10 @@ fn for_io(error: &std::io::Error) -> Option<&'static str> {
         PermissionDenied => Some("check who owns the file and the folder, and their permissions"),
         StorageFull => Some(
             "free some space or choose another folder with --out; nothing already written is lost",
+        ),
+        InvalidInput => Some("name a regular file: pipes, sockets and devices are not read"),
+        FileTooLarge => Some(
+            "give a file of that size at most; where one is written, the shell's limit (`ulimit -f`) must allow it",
         ),
         ReadOnlyFilesystem => Some("choose a folder that can be written"),
         _ => None,

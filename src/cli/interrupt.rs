@@ -30,6 +30,17 @@ pub fn listen() -> Result<Interrupt, CliError> {
     Ok(interrupt)
 }
 
+/// Where a file would pass the size that the shell allows (`ulimit -f`), the system kills a
+/// process that does not catch its signal; one that does gets an error from the write.
+pub fn outlive_file_limits() {
+    let caught = std::sync::Arc::default();
+    // It can only fail for a signal that does not exist. Programs that are started do not inherit it.
+    drop(signal_hook::flag::register(
+        signal_hook::consts::SIGXFSZ,
+        caught,
+    ));
+}
+
 /// Suspends this process as Ctrl-Z does where nobody listens; returns when it is
 /// continued (`fg`, SIGCONT).
 pub fn suspend() {

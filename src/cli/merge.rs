@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::bracket_files::{self, BracketFile, read_frame, same_kind};
-use super::output::write_json;
+use super::bracket_files::{self, BracketFile, Distinct, read_frame, same_kind};
+use super::output::{write_json, write_path};
 use super::rig_choice::RigArg;
 use super::{CliError, Context, HintExt};
 use crate::calibration::noise::sensor_noise;
@@ -13,7 +13,6 @@ use crate::calibration::record::{
     FlatValues, ResponseCurve, ResponseValues, ScaleValues, SensorValues,
 };
 use crate::calibration::{Library, record_in};
-use crate::out;
 use crate::radiance_image::RadianceImage;
 use crate::radiance_image::exr;
 use crate::radiometry::agreement::ExposureAgreement;
@@ -151,6 +150,7 @@ fn gather(
         Model::Response(_) => first.bits,
     };
     let full_scale_dn = ((1u32 << bits) - 1) as u16;
+    let mut distinct = Distinct::default();
     for BracketFile {
         path,
         role,
@@ -159,6 +159,7 @@ fn gather(
     {
         let frame = read_frame(path)?;
         same_kind((&frames[0].path, first), (path, &frame))?;
+        distinct.add(path, &frame)?;
         let largest = frame.planes.iter().flatten().max().copied().unwrap_or(0);
         if largest > full_scale_dn {
             return Err(CliError::new(format!(
@@ -316,7 +317,7 @@ impl MergeArgs {
             ));
         }
         if !self.json {
-            return out!("{}", self.out.display());
+            return write_path(&self.out);
         }
         write_json(&MergeReport {
             image: self.out.display().to_string(),

@@ -26,6 +26,7 @@ pub mod export;
 mod facets;
 pub mod fit;
 mod fit_folder;
+mod fit_memory;
 pub mod guardian;
 pub mod hints;
 pub mod interrupt;
@@ -63,6 +64,8 @@ use clap::{Args, ColorChoice, CommandFactory, FromArgMatches, Parser, Subcommand
 pub use error::{CliError, HintExt};
 use exit::Exit;
 use output::write_stderr;
+
+use crate::shown::escaped;
 
 /// The table of commands: `Name(arguments) => function`, in the order of `rig --help`.
 macro_rules! commands {
@@ -143,18 +146,28 @@ impl Context {
     /// A remark for the person at the terminal, on stderr; `--quiet` drops it.
     pub fn note(&self, text: impl std::fmt::Display) {
         if !self.quiet {
-            write_stderr(&format!("{text}\n"));
+            write_stderr(&format!("{}\n", escaped(&text.to_string())));
         }
     }
 
     /// A remark that matters: `warning: …` on stderr, also with `--quiet`.
     pub fn warn(&self, text: impl std::fmt::Display) {
+        self.warn_lines(&[&text.to_string()]);
+    }
+
+    /// [`Self::warn`] with the likely cause on a line of its own.
+    pub fn warn_of(&self, what: &str, likely_cause: &str) {
+        self.warn_lines(&[what, &format!("  likely: {likely_cause}")]);
+    }
+
+    fn warn_lines(&self, lines: &[&str]) {
         let (yellow, plain) = if self.color {
             ("\x1b[1;33m", "\x1b[0m")
         } else {
             ("", "")
         };
-        write_stderr(&format!("{yellow}warning:{plain} {text}\n"));
+        let lines: Vec<_> = lines.iter().map(|line| escaped(line)).collect();
+        write_stderr(&format!("{yellow}warning:{plain} {}\n", lines.join("\n")));
     }
 
     /// Whether to draw progress bars: stderr is a terminal and nobody asked for quiet.
@@ -177,6 +190,7 @@ pub fn main() -> ExitCode {
 /// Runs `body`; a panic in it is reported in one line and becomes [`Exit::Internal`].
 pub fn guarded(body: impl FnOnce() -> Exit + std::panic::UnwindSafe) -> Exit {
     install_panic_hook();
+    interrupt::outlive_file_limits();
     let exit = std::panic::catch_unwind(body).unwrap_or(Exit::Internal);
     stderr::flush(stderr::LAST_WORDS);
     exit
@@ -308,7 +322,7 @@ fn start_tracing(global: &GlobalArgs, color: bool) {
 fn install_panic_hook() {
     let with_backtrace = std::env::var_os("RUST_BACKTRACE").is_some_and(|value| value != "0");
     std::panic::set_hook(Box::new(move |panic| {
-        let message = error::one_line(panic.payload_as_str().unwrap_or("no message"));
+        let message = crate::shown::line(panic.payload_as_str().unwrap_or("no message"));
         let place = panic
             .location()
             .map(|place| format!(" ({}:{})", place.file(), place.line()))

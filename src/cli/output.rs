@@ -6,11 +6,12 @@
 //! or wait in these cases, so a lint forbids them here.
 
 use std::fmt::Arguments;
-use std::io::{ErrorKind, Write};
+use std::io::{ErrorKind, IsTerminal, Write};
 use std::path::Path;
 
 use super::stderr::{self, Worth};
 use super::{CliError, HintExt};
+use crate::shown::{escaped, is_obeyed};
 use crate::whole_file;
 
 /// Writes a line of data to stdout: `out!("{path}")?`.
@@ -21,13 +22,19 @@ macro_rules! out {
     };
 }
 
-/// What [`out!`](crate::out) calls.
+/// What [`out!`](crate::out) calls. Names and what devices say are shown [`escaped`], also in
+/// a pipe, which may end in a pager.
 pub fn write_line(text: Arguments<'_>) -> Result<(), CliError> {
-    stderr::flush_in_order();
-    let mut stdout = std::io::stdout().lock();
-    writeln!(stdout, "{text}")
-        .and_then(|()| stdout.flush())
-        .map_err(stdout_error)
+    write_bytes(format!("{}\n", escaped(&text.to_string())).as_bytes())
+}
+
+/// A line that is a path and nothing else. A program that reads it gets the path's own bytes,
+/// so that it finds the file; a terminal gets it [`escaped`].
+pub fn write_path(path: &Path) -> Result<(), CliError> {
+    if std::io::stdout().is_terminal() {
+        return write_line(format_args!("{}", path.display()));
+    }
+    write_bytes(&[path.as_os_str().as_encoded_bytes(), b"\n"].concat())
 }
 
 /// Writes data as it is to stdout.
@@ -67,7 +74,18 @@ pub fn check_writable(path: &Path) -> Result<(), CliError> {
 
 /// Writes `value` as indented JSON and a line end to stdout.
 pub fn write_json(value: &impl serde::Serialize) -> Result<(), CliError> {
-    write_line(format_args!("{}", serde_json::to_string_pretty(value)?))
+    let text = serde_json::to_string_pretty(value)?;
+    // JSON escapes most of what a terminal obeys, and the rest stands in texts alone.
+    let mut shown = String::with_capacity(text.len() + 1);
+    for c in text.chars() {
+        match c {
+            '\n' => shown.push(c),
+            c if is_obeyed(c) => shown += &format!("\\u{:04x}", u32::from(c)),
+            c => shown.push(c),
+        }
+    }
+    shown.push('\n');
+    write_bytes(shown.as_bytes())
 }
 
 /// Writes text to stderr without waiting; a closed stderr is ignored.

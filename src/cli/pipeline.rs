@@ -8,7 +8,9 @@ use std::sync::Arc;
 use super::bench_records::BenchRecords;
 use super::session_images::{SessionImages, measured_pose, session_images};
 use super::warnings::{self, warnings};
-use super::{CliError, Context, HintExt, facets, hints, lamp_drift, preflight};
+use super::{
+    CliError, Context, HintExt, bracket_files, facets, fit_memory, hints, lamp_drift, preflight,
+};
 use crate::brdf::{Brdf, Dictionary, Mixture};
 use crate::config::process;
 use crate::config::uncertainty::Deviation;
@@ -64,9 +66,11 @@ pub struct FitArgs {
     /// PNG of the images' size: only pixels that are white in it are compared
     #[arg(long, value_name = "PNG")]
     pub mask: Option<PathBuf>,
-    /// Memory for cached paths, MiB; fewer paths are traced if it does not suffice
-    #[arg(long, value_name = "MIB", default_value_t = 512, value_parser = clap::value_parser!(u64).range(16..=1_048_576))]
-    pub memory: u64,
+    /// Memory that the whole fit may take, MiB: fewer paths are traced if it does not suffice, and
+    /// images that are too large for it are refused. By default, what the images need and 512 MiB
+    /// for paths, as far as the machine has them free
+    #[arg(long, value_name = "MIB", value_parser = clap::value_parser!(u64).range(16..=1_048_576))]
+    pub memory: Option<u64>,
     /// Which instructions evaluate the paths; portable gives the same numbers anywhere
     #[arg(long, value_enum)]
     pub kernel: Option<KernelArg>,
@@ -136,6 +140,8 @@ pub struct FitPlan {
     mask: Option<PathBuf>,
     /// How well the bench is known; `None`: exactly.
     priors: Option<BenchPriors>,
+    /// Memory of the whole fit, MiB, if that was said.
+    memory_mib: Option<u64>,
 }
 
 impl FitPlan {
@@ -189,7 +195,6 @@ impl FitPlan {
         cache.samples_per_pixel = args.spp.unwrap_or(cache.samples_per_pixel);
         cache.max_reflections = args.max_reflections.unwrap_or(cache.max_reflections);
         cache.seed = args.seed.unwrap_or(cache.seed);
-        cache.max_bytes = (args.memory as usize) << 20;
         if let Some(kernel) = args.kernel {
             options.kernel = kernel.kernel()?;
         }
@@ -215,7 +220,15 @@ impl FitPlan {
             options,
             mask: args.mask.clone(),
             priors: refine.then_some(priors),
+            memory_mib: args.memory,
         })
+    }
+
+    /// The options with the room that cached paths may take, or why no fit of this scene finds
+    /// enough memory.
+    pub(super) fn bounded(&self, scene: &Scene) -> Result<FitOptions, CliError> {
+        let (atoms, refines) = (self.dictionary.len(), self.priors.is_some());
+        fit_memory::bounded(&self.options, scene, atoms, refines, self.memory_mib)
     }
 
     /// Fits and describes the result. `truth`: name and BRDF, where known.
@@ -246,7 +259,7 @@ impl FitPlan {
         }
         let bar = context.spinner();
         let mut stage = |stage: &str| bar.set_message(stage.to_owned());
-        let (dictionary, options) = (&self.dictionary, &self.options);
+        let (dictionary, options) = (&self.dictionary, &self.bounded(scene)?);
         let (fit, bench) = match &self.priors {
             None => (fit(scene, captured, dictionary, options, &mut stage)?, None),
             Some(priors) => {
@@ -346,7 +359,9 @@ impl FitPlan {
                 optimizer: options.optimizer.name().to_owned(),
                 samples_per_pixel: u64::from(fit.samples[0]),
                 samples_requested: Some(u64::from(fit.samples[1])),
-                memory_mib: Some((options.cache.max_bytes >> 20) as u64),
+                memory_mib: self
+                    .memory_mib
+                    .or(Some((options.cache.max_bytes >> 20) as u64)),
                 adapted_paths: Some(options.refine.adapt_paths),
                 refined_atoms: Some(options.refine.rounds),
                 shared_weights: Some(options.channels == Channels::Shared),
@@ -471,21 +486,11 @@ const TRUNCATION_SAMPLES: u32 = 32;
 
 /// Leaves out what is dark in a mask of the images' size.
 fn apply_mask(path: &Path, images: &mut [RadianceImage]) -> Result<(), CliError> {
-    let mask = image::open(path)
-        .map_err(|e| CliError::new(format!("{}: {e}", path.display())))
+    let size = images.first().map(|image| [image.width, image.height]);
+    let mask = bracket_files::read_picture(path, size)
         .hint("a mask is a PNG of the images' size, white where pixels are used")?
         .to_luma8();
-    for (light, image) in images.iter_mut().enumerate() {
-        let (width, height) = (mask.width() as usize, mask.height() as usize);
-        if [width, height] != [image.width, image.height] {
-            return Err(CliError::new(format!(
-                "{} is {width} × {height}; image {light} is {} × {}",
-                path.display(),
-                image.width,
-                image.height
-            ))
-            .hint("a mask has one pixel for each of the images'"));
-        }
+    for image in images {
         for (valid, used) in image.valid.iter_mut().zip(mask.as_raw()) {
             *valid &= *used >= 128;
         }
@@ -603,7 +608,6 @@ pub fn report_session(root: &Path) -> Result<PathBuf, CliError> {
 pub fn fit_and_report(root: &Path, context: &Context) -> Result<(), CliError> {
     let args = FitArgs {
         model_error: 0.02,
-        memory: 512,
         ..FitArgs::default()
     };
     let folder = fit_session(root, &args, None, context)?;

@@ -2,10 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use super::output::{check_ending, check_writable, write_json};
+use super::output::{check_ending, check_writable, write_json, write_path};
 use super::{CliError, Context, HintExt, facets, preflight};
 use crate::config::scene::SceneFile;
-use crate::out;
 use crate::radiance_image::exr;
 use crate::transport::{
     Remainder, RenderOptions, Steering, render, render_polarised, suited_proposal,
@@ -123,7 +122,7 @@ pub fn run(args: &RenderArgs, context: &Context) -> Result<(), CliError> {
             .map_err(CliError::from)
             .hint("choose an --out in a folder that can be written")?;
         if !args.json {
-            out!("{}", path.display())?;
+            write_path(&path)?;
         }
         written.push(path.display().to_string());
     }

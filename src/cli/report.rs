@@ -3,9 +3,8 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use super::output::ANOTHER_FILE;
+use super::output::{ANOTHER_FILE, write_path};
 use super::{CliError, Context, HintExt};
-use crate::out;
 use crate::report::{self, load::LoadError};
 use crate::session::commit::SystemDisk;
 use crate::session::{SessionWriter, layout};
@@ -46,7 +45,7 @@ pub fn run(args: &ReportArgs, context: &Context) -> Result<(), CliError> {
             args.session.join(layout::REPORT_FILE)
         }
     };
-    out!("{}", path.display())
+    write_path(&path)
 }
 
 fn advise(error: LoadError) -> CliError {

@@ -30,6 +30,7 @@ pub(super) fn session_images(root: &Path) -> Result<SessionImages, CliError> {
     let record = session.record();
     let config = session_rig(root, record)?;
     let places = places(&session)?;
+    let size = config.geometry.image_camera().resolution_px;
     let mut captured = Vec::new();
     for light in 0..places.len() {
         let name = layout::radiance_file(light as u32);
@@ -37,7 +38,7 @@ pub(super) fn session_images(root: &Path) -> Result<SessionImages, CliError> {
         let image = session
             .read_file(&name)
             .map_err(CliError::from)
-            .and_then(|bytes| Ok(exr::decode(&bytes, &root.join(&name))?))
+            .and_then(|bytes| Ok(exr::decode_sized(&bytes, &root.join(&name), size)?))
             .hint(format!(
                 "`rig capture --resume {}` takes what is missing and merges the raw frames again",
                 root.display()

@@ -7,8 +7,12 @@ use crate::brdf::Dictionary;
 use crate::config::reflectance::BrdfSpec;
 use crate::config::view::SurfaceSpec;
 use crate::config::{ConfigError, RigConfig};
+use crate::outside_file;
 use crate::session::SessionRecord;
 use crate::session::layout::CALIBRATION_FOLDER;
+
+/// Largest such file, bytes: what readers of meshes take.
+const LARGEST_FILE_BYTES: u64 = 4 << 30;
 
 /// The files that say what lies under the camera (the meshes of sample and holder, the
 /// holder's reflectance), as files for the session: later fits must see what was captured,
@@ -16,7 +20,7 @@ use crate::session::layout::CALIBRATION_FOLDER;
 pub(super) fn copies(config: &RigConfig) -> Result<Vec<(String, Vec<u8>)>, CliError> {
     let mut copies = Vec::new();
     for (name, path) in files(&mut config.clone()) {
-        let bytes = std::fs::read(&*path)
+        let bytes = outside_file::read_regular(path, LARGEST_FILE_BYTES)
             .map_err(|error| CliError::new(format!("{}: {error}", path.display())))
             .hint("`mesh`, `table` and `weights` in the rig file are relative to that file")?;
         copies.push((name, bytes));

@@ -97,7 +97,7 @@ pub(super) fn tell(record: &FitRecord, context: &Context) {
         what, likely_cause, ..
     } in &record.warnings
     {
-        context.warn(format!("{what}\n  likely: {likely_cause}"));
+        context.warn_of(what, likely_cause);
     }
     context.note(format!("verdict: {}", record.verdict().sentence()));
 }

@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use crate::shown::excerpt;
+
 /// A file that cannot be used, and exactly where and why.
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
@@ -24,7 +26,7 @@ pub enum ConfigError {
         problem: String,
     },
     /// A key that means nothing here.
-    #[error("{file}:{line}: unknown key `{key}`; known here: {}", known.join(", "))]
+    #[error("{file}:{line}: unknown key `{}`; known here: {}", excerpt(key), known.join(", "))]
     UnknownKey {
         /// Path or name of the file.
         file: String,
@@ -50,7 +52,7 @@ pub enum ConfigError {
         unread: Vec<String>,
     },
     /// A value of the wrong type or outside its range.
-    #[error("{file}:{line}: `{key}` is {value}, but must be {allowed}")]
+    #[error("{file}:{line}: `{}` is {value}, but must be {allowed}", excerpt(key))]
     Invalid {
         /// Path or name of the file.
         file: String,

@@ -23,6 +23,8 @@ pub mod view;
 
 use std::path::Path;
 
+use crate::outside_file;
+
 pub use camera::{CameraConfig, CameraDriver};
 pub use error::ConfigError;
 pub use resolve::{BUILT_IN, Origin, ResolvedRig, Surroundings, resolve_rig};
@@ -32,15 +34,7 @@ pub use rig::RigConfig;
 const LARGEST_FILE_BYTES: u64 = 256 << 10;
 
 fn read_text(path: &Path) -> Result<String, ConfigError> {
-    let read = || {
-        let length = std::fs::metadata(path)?.len();
-        if length > LARGEST_FILE_BYTES {
-            let fact = format!("{length} bytes, but at most {LARGEST_FILE_BYTES} are read");
-            return Err(std::io::Error::other(fact));
-        }
-        std::fs::read_to_string(path)
-    };
-    read().map_err(|source| ConfigError::Read {
+    outside_file::read_text(path, LARGEST_FILE_BYTES).map_err(|source| ConfigError::Read {
         file: path.to_owned(),
         source,
     })

@@ -13,6 +13,7 @@ use glam::DVec3;
 
 use super::ConfigError;
 use super::document::{self, Node, Value};
+use crate::shown::{MESSAGE, shortened};
 
 /// The document that a value came from.
 #[derive(Debug)]
@@ -66,7 +67,7 @@ impl Section {
         let entries = document::parse(text).map_err(|(line, problem)| ConfigError::Syntax {
             file: file.to_owned(),
             line,
-            problem,
+            problem: shortened(&problem, MESSAGE).into_owned(),
         })?;
         Ok(Self {
             source: Rc::new(Source {

@@ -105,7 +105,9 @@ impl std::str::FromStr for Deviation {
                 )
             })?;
         let range = &KEYS[key].range;
-        let value: f64 = value.parse().map_err(|_| format!("{value} is no number"))?;
+        let value: f64 = value
+            .parse()
+            .map_err(|_| format!("{} is no number", crate::shown::excerpt(value)))?;
         if !range.contains(&value) {
             let (low, high) = (range.start(), range.end());
             return Err(format!(

@@ -10,7 +10,7 @@ use std::path::Path;
 
 use super::mesh::{Mesh, MeshError};
 use super::{obj, ply, stl};
-use crate::whole_file;
+use crate::{outside_file, whole_file};
 
 /// Largest file that is read, bytes: more than the most triangles take in any format.
 const MAX_BYTES: u64 = 4 << 30;
@@ -71,18 +71,7 @@ pub fn read(path: &Path, mm_per_unit: f32) -> Result<Mesh, MeshError> {
         path: name.clone(),
         what,
     };
-    // A named pipe would never end, or never begin.
-    let there = std::fs::metadata(path).map_err(io)?;
-    if !there.is_file() {
-        return Err(wrong("it is not a regular file".to_owned()));
-    }
-    if there.len() > MAX_BYTES {
-        return Err(wrong(format!(
-            "it has {} bytes; at most {MAX_BYTES} are read",
-            there.len()
-        )));
-    }
-    let bytes = std::fs::read(path).map_err(io)?;
+    let bytes = outside_file::read_regular(path, MAX_BYTES).map_err(io)?;
     format
         .parse(&bytes, mm_per_unit)
         .map_err(|error| match error {
@@ -166,7 +155,7 @@ mod tests {
         assert!(error("a.step").contains("a.step: the file name does not end in .ply"));
         assert!(error("missing.stl").contains("missing.stl: No such file"));
         std::fs::create_dir(folder.path().join("folder.obj")).unwrap();
-        assert!(error("folder.obj").contains("folder.obj: it is not a regular file"));
+        assert!(error("folder.obj").contains("folder.obj: Is a directory"));
         std::fs::write(folder.path().join("empty.obj"), "# nothing\n").unwrap();
         assert!(error("empty.obj").contains("empty.obj: the mesh has no triangle"));
     }

@@ -2,6 +2,8 @@
 
 use glam::Vec3;
 
+use crate::shown::{MESSAGE, shortened};
+
 /// Vertices and triangles of one body. The front of a triangle is the side
 /// from which its corners run counter-clockwise; the BRDF lives there, the
 /// back is black.
@@ -108,7 +110,7 @@ impl MeshError {
     pub(super) fn format(what: impl Into<String>) -> Self {
         Self::Format {
             path: String::new(),
-            what: what.into(),
+            what: shortened(&what.into(), MESSAGE).into_owned(),
         }
     }
 }

@@ -7,6 +7,7 @@ use std::io::Write;
 use glam::Vec3;
 
 use super::mesh::{MAX_TRIANGLES, Mesh, MeshError};
+use crate::shown::excerpt;
 
 /// The mesh of a file's bytes; polygons are cut into fans. Normals are kept where
 /// every corner has one: positions used with several normals become as many vertices.
@@ -85,7 +86,7 @@ impl File {
         let index = |text: &str, count: usize, what: &str| -> Result<u32, String> {
             let number: i64 = text
                 .parse()
-                .map_err(|_| format!("{word:?} is not a corner of a face"))?;
+                .map_err(|_| format!("{:?} is not a corner of a face", excerpt(word)))?;
             let from_zero = match number {
                 1.. => number - 1,
                 _ => number.saturating_add(count as i64),
@@ -141,7 +142,7 @@ fn vector<'a>(mut words: impl Iterator<Item = &'a str>) -> Result<Vec3, String> 
         let word = words.next().ok_or("three numbers are needed")?;
         *value = match word.parse() {
             Ok(number) if f32::is_finite(number) => number,
-            _ => return Err(format!("{word:?} is not a finite number")),
+            _ => return Err(format!("{:?} is not a finite number", excerpt(word))),
         };
     }
     Ok(Vec3::from_array(v))

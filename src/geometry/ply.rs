@@ -5,6 +5,7 @@ use std::io::Write;
 use glam::Vec3;
 
 use super::mesh::{MAX_TRIANGLES, Mesh, MeshError};
+use crate::shown::excerpt;
 
 /// How one element's property is stored.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -206,7 +207,11 @@ fn header(bytes: &[u8]) -> Result<(Vec<Element>, Body<'_>), MeshError> {
             }
             ["element", name, count] => {
                 let count = count.parse().map_err(|_| {
-                    MeshError::format(format!("element {name} has count {count:?}"))
+                    MeshError::format(format!(
+                        "element {} has count {:?}",
+                        excerpt(name),
+                        excerpt(count)
+                    ))
                 })?;
                 elements.push(Element {
                     name: (*name).to_owned(),

@@ -10,6 +10,7 @@ use std::io::Write;
 use glam::Vec3;
 
 use super::mesh::{MAX_TRIANGLES, Mesh, MeshError};
+use crate::shown::excerpt;
 
 const HEADER: usize = 84;
 const TRIANGLE: usize = 50;
@@ -82,7 +83,12 @@ fn ascii(bytes: &[u8], mm_per_unit: f32, weld: &mut Weld) -> Result<(), MeshErro
                         .ok_or_else(|| wrong("three numbers are needed".to_owned()))?;
                     *value = match word.parse::<f32>().map(|v| v * mm_per_unit) {
                         Ok(number) if number.is_finite() => number,
-                        _ => return Err(wrong(format!("{word:?} is not a finite number"))),
+                        _ => {
+                            return Err(wrong(format!(
+                                "{:?} is not a finite number",
+                                excerpt(word)
+                            )));
+                        }
                     };
                 }
                 corners.push(Vec3::from_array(p));
@@ -101,7 +107,7 @@ fn ascii(bytes: &[u8], mm_per_unit: f32, weld: &mut Weld) -> Result<(), MeshErro
             "endsolid" if !in_loop => ended = true,
             _ => {
                 let word: String = first.chars().take(40).collect();
-                return Err(wrong(format!("{word:?} is out of place here")));
+                return Err(wrong(format!("{:?} is out of place here", excerpt(&word))));
             }
         }
     }

@@ -13,6 +13,7 @@ mod form;
 pub mod gauss_newton;
 pub mod intervals;
 pub mod light_selection;
+pub mod memory;
 pub mod objective;
 pub mod plausibility;
 mod posterior;

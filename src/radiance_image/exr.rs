@@ -9,7 +9,8 @@ use std::path::{Path, PathBuf};
 use exr::prelude::*;
 
 use super::RadianceImage;
-use crate::whole_file;
+use crate::shown::{MESSAGE, shortened};
+use crate::{outside_file, whole_file};
 
 /// What a file says about radiance.
 #[derive(Clone, Debug, PartialEq)]
@@ -40,9 +41,21 @@ pub enum ExrError {
         /// What the decoder says.
         problem: String,
     },
-    /// A size that the file's bytes cannot hold.
+    /// Another size than that of the camera whose image it should be.
+    #[error("{file} is {width} x {height} pixels; the camera's image is {} x {}", expected[0], expected[1])]
+    OtherSize {
+        /// The file.
+        file: PathBuf,
+        /// Its pixels per row.
+        width: usize,
+        /// Its rows.
+        height: usize,
+        /// The camera's pixels per row, and rows.
+        expected: [usize; 2],
+    },
+    /// A size that the file's bytes cannot hold, or that no camera has.
     #[error(
-        "{file} declares {width} x {height} pixels in {channels} channels, which its {bytes} bytes cannot hold"
+        "{file} declares {width} x {height} pixels in {channels} channels, which its {bytes} bytes cannot hold (at most {MOST_PER_BYTE} pixels for each, and {MOST_PIXELS} in all)"
     )]
     Size {
         /// The file.
@@ -90,9 +103,17 @@ const COLOURS: [&str; 3] = ["R", "G", "B"];
 const VARIANCES: [&str; 3] = ["var.R", "var.G", "var.B"];
 const MASK: &str = "mask";
 
-/// Deflate shrinks at most 1032-fold and the other methods less on anything
-/// that is not constant; a file that declares more is damaged or hostile.
-const MAX_COMPRESSION: usize = 2048;
+/// Most bytes that one byte becomes: by Deflate, and more than by the other methods.
+const MAX_EXPANSION: usize = 1032;
+/// Most pixels that a byte stands for where nobody knows the image's size: above the 37 of a
+/// black image with variance and mask as [`write()`] writes it.
+const MOST_PER_BYTE: usize = 64;
+/// Images up to this many pixels may be better compressed than that: a few dozen megabytes.
+const SMALL_PIXELS: usize = 1 << 20;
+/// Most pixels of an image whose size nobody knows.
+const MOST_PIXELS: usize = 1 << 28;
+/// Largest file, bytes: that many pixels of seven floats.
+const MOST_BYTES: u64 = 7 << 30;
 
 /// Reads a radiance image. A file with `Y` instead of `R`, `G`, `B` is grey;
 /// other channels are ignored.
@@ -101,8 +122,20 @@ const MAX_COMPRESSION: usize = 2048;
 /// The file cannot be read, is damaged, declares more than it can hold, or
 /// lacks channels.
 pub fn read(path: &Path) -> std::result::Result<RadianceFile, ExrError> {
-    let bytes = std::fs::read(path).map_err(|source| io_error(path, source))?;
-    decode(&bytes, path)
+    decode(&bytes_of(path)?, path)
+}
+
+/// [`read`] for an image of this width and height; the size is compared before
+/// anything is decoded.
+///
+/// # Errors
+/// As [`read`]; another size.
+pub fn read_sized(path: &Path, size: [usize; 2]) -> std::result::Result<RadianceFile, ExrError> {
+    decode_sized(&bytes_of(path)?, path, size)
+}
+
+fn bytes_of(path: &Path) -> std::result::Result<Vec<u8>, ExrError> {
+    outside_file::read_regular(path, MOST_BYTES).map_err(|source| io_error(path, source))
 }
 
 /// Reads a radiance image from a file's bytes; `path` is for messages.
@@ -110,6 +143,26 @@ pub fn read(path: &Path) -> std::result::Result<RadianceFile, ExrError> {
 /// # Errors
 /// As [`read`].
 pub fn decode(bytes: &[u8], path: &Path) -> std::result::Result<RadianceFile, ExrError> {
+    decode_within(bytes, path, None)
+}
+
+/// [`decode`] for an image of this width and height.
+///
+/// # Errors
+/// As [`read_sized`].
+pub fn decode_sized(
+    bytes: &[u8],
+    path: &Path,
+    size: [usize; 2],
+) -> std::result::Result<RadianceFile, ExrError> {
+    decode_within(bytes, path, Some(size))
+}
+
+fn decode_within(
+    bytes: &[u8],
+    path: &Path,
+    expected: Option<[usize; 2]>,
+) -> std::result::Result<RadianceFile, ExrError> {
     let format_error = |error: Error| ExrError::Format {
         file: path.to_owned(),
         problem: error.to_string(),
@@ -117,20 +170,27 @@ pub fn decode(bytes: &[u8], path: &Path) -> std::result::Result<RadianceFile, Ex
     let meta = MetaData::read_from_buffered(Cursor::new(bytes), true).map_err(format_error)?;
     for header in &meta.headers {
         let Vec2(width, height) = header.layer_size;
+        if let Some(expected) = expected.filter(|&expected| expected != [width, height]) {
+            return Err(ExrError::OtherSize {
+                file: path.to_owned(),
+                width,
+                height,
+                expected,
+            });
+        }
         let channels = header.channels.list.len();
-        let fits = width
-            .checked_mul(height)
-            .and_then(|pixels| pixels.checked_mul(channels.max(1)))
-            .is_some_and(|samples| samples / MAX_COMPRESSION <= bytes.len());
-        let tile_fits = match header.blocks {
-            exr::meta::BlockDescription::ScanLines => true,
-            exr::meta::BlockDescription::Tiles(tiles) => tiles
-                .tile_size
-                .0
-                .checked_mul(tiles.tile_size.1)
-                .is_some_and(|pixels| pixels / MAX_COMPRESSION <= bytes.len()),
+        let sample_bytes: usize = header.channels.list.iter().map(sample_bytes).sum();
+        let fits = |Vec2(width, height): Vec2<usize>| {
+            let pixels = width.checked_mul(height)?;
+            let held = pixels.checked_mul(sample_bytes)? / MAX_EXPANSION <= bytes.len();
+            let dense = pixels <= SMALL_PIXELS.max(MOST_PER_BYTE * bytes.len());
+            (held && (expected.is_some() || dense && pixels <= MOST_PIXELS)).then_some(())
         };
-        if !fits || !tile_fits {
+        let tile = match header.blocks {
+            exr::meta::BlockDescription::ScanLines => Vec2(1, 1),
+            exr::meta::BlockDescription::Tiles(tiles) => tiles.tile_size,
+        };
+        if fits(header.layer_size).is_none() || fits(tile).is_none() {
             return Err(ExrError::Size {
                 file: path.to_owned(),
                 width,
@@ -153,6 +213,10 @@ pub fn decode(bytes: &[u8], path: &Path) -> std::result::Result<RadianceFile, Ex
     from_layer(image.layer_data, path)
 }
 
+fn sample_bytes(channel: &ChannelDescription) -> usize {
+    channel.sample_type.bytes_per_sample()
+}
+
 fn from_layer(
     layer: Layer<AnyChannels<FlatSamples>>,
     path: &Path,
@@ -164,29 +228,31 @@ fn from_layer(
         let values: Vec<f32> = channel.sample_data.values_as_f32().collect();
         (channel.sampling == Vec2(1, 1) && values.len() == width * height).then_some(values)
     };
-    let three = |names: [&str; 3]| -> Option<[Vec<f32>; 3]> {
-        let [a, b, c] = names.map(samples);
-        Some([a?, b?, c?])
+    let three = |names: [&str; 3], grey: &str| -> Option<Vec<Vec<f32>>> {
+        let colours: Option<Vec<_>> = names.into_iter().map(samples).collect();
+        colours.or_else(|| Some(vec![samples(grey)?]))
     };
-    let colours = three(COLOURS).or_else(|| samples("Y").map(|y| [y.clone(), y.clone(), y]));
+    // Of a channel and a pixel; grey has one plane for all.
+    let value =
+        |planes: &[Vec<f32>], c: usize, pixel: usize| planes[c.min(planes.len() - 1)][pixel];
+    let colours = three(COLOURS, "Y");
     let Some(colours) = colours else {
         let names: Vec<String> = list.iter().map(|c| c.name.to_string()).collect();
         return Err(ExrError::Channels {
             file: path.to_owned(),
-            found: names.join(", "),
+            found: shortened(&names.join(", "), MESSAGE).into_owned(),
             wanted: "R, G, B (or Y), at full resolution,",
         });
     };
-    let variances =
-        three(VARIANCES).or_else(|| samples("var.Y").map(|y| [y.clone(), y.clone(), y]));
+    let variances = three(VARIANCES, "var.Y");
     let mask = samples(MASK);
 
     let mut image = RadianceImage::new(width, height);
     for pixel in 0..width * height {
-        let mean = [0, 1, 2].map(|c| colours[c][pixel]);
+        let mean = [0, 1, 2].map(|c| value(&colours, c, pixel));
         let variance = variances
             .as_ref()
-            .map_or([0.0; 3], |v| [0, 1, 2].map(|c| v[c][pixel]));
+            .map_or([0.0; 3], |v| [0, 1, 2].map(|c| value(v, c, pixel)));
         let good = mean.iter().all(|x| x.is_finite())
             && variance.iter().all(|x| x.is_finite() && *x >= 0.0);
         if good {
@@ -504,7 +570,7 @@ mod tests {
             }
             if let Ok(file) = decode(&bytes, Path::new("x.exr")) {
                 let pixels = file.image.width * file.image.height;
-                prop_assert!(pixels / MAX_COMPRESSION <= bytes.len());
+                prop_assert!(pixels <= SMALL_PIXELS.max(MOST_PER_BYTE * bytes.len()));
                 prop_assert_eq!(file.image.mean.len(), pixels);
             }
         }

@@ -1,7 +1,10 @@
 //! The table that says which frame of a bracket had which exposure: CSV with
 //! the columns file, exposure in seconds, and optionally role.
 
+use std::collections::HashSet;
+
 use super::merge::FrameRole;
+use crate::shown::excerpt;
 
 /// A line of the table.
 #[derive(Clone, Debug, PartialEq)]
@@ -32,6 +35,7 @@ pub struct TableError {
 /// The first line that is wrong; a file named twice.
 pub fn parse_bracket_table(text: &str) -> Result<Vec<BracketRow>, TableError> {
     let mut rows: Vec<BracketRow> = Vec::new();
+    let mut seen = HashSet::new();
     for (index, line) in text.lines().enumerate() {
         let error = |problem: String| TableError {
             line: index + 1,
@@ -50,7 +54,8 @@ pub fn parse_bracket_table(text: &str) -> Result<Vec<BracketRow>, TableError> {
         }
         let exposure_s = seconds(exposure).ok_or_else(|| {
             error(format!(
-                "the exposure is {exposure:?}, and must be a number of seconds above 0"
+                "the exposure is {:?}, and must be a number of seconds above 0",
+                excerpt(exposure)
             ))
         })?;
         let role = match fields.next() {
@@ -59,18 +64,22 @@ pub fn parse_bracket_table(text: &str) -> Result<Vec<BracketRow>, TableError> {
             Some("dark") => FrameRole::Dark,
             Some(other) => {
                 return Err(error(format!(
-                    "the role is {other:?}, and must be light, ambient or dark"
+                    "the role is {:?}, and must be light, ambient or dark",
+                    excerpt(other)
                 )));
             }
         };
         if let Some(extra) = fields.next() {
-            return Err(error(format!("there is a fourth column, {extra:?}")));
+            return Err(error(format!(
+                "there is a fourth column, {:?}",
+                excerpt(extra)
+            )));
         }
         if file.is_empty() {
             return Err(error("the file is empty".into()));
         }
-        if rows.iter().any(|row| row.file == file) {
-            return Err(error(format!("{file} appears twice")));
+        if !seen.insert(file.clone()) {
+            return Err(error(format!("{} appears twice", excerpt(&file))));
         }
         rows.push(BracketRow {
             file,

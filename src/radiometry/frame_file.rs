@@ -5,6 +5,8 @@ use std::ops::Range;
 
 use image::{DynamicImage, ImageFormat, ImageReader, Limits};
 
+use crate::shown::{MESSAGE, shortened};
+
 /// Counts of a frame, DN.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FrameFile {
@@ -48,15 +50,18 @@ pub struct FrameFileError(String);
 
 /// Deflate shrinks at most 1032-fold; a larger declared size is a lie.
 const MAX_COMPRESSION: u64 = 1032;
+/// More than any sensor has.
+const MOST_PIXELS: u64 = 1 << 28;
+
+const KNOWN: [ImageFormat; 3] = [ImageFormat::Png, ImageFormat::Tiff, ImageFormat::Jpeg];
 
 /// Decodes a PNG, TIFF or JPEG, whichever its first bytes say it is; as [`decode_png`].
 ///
 /// # Errors
 /// Another format, damaged, larger than its bytes can hold, or with alpha or palette.
 pub fn decode(bytes: &[u8]) -> Result<FrameFile, FrameFileError> {
-    let known = [ImageFormat::Png, ImageFormat::Tiff, ImageFormat::Jpeg];
     match image::guess_format(bytes) {
-        Ok(format) if known.contains(&format) => decode_as(bytes, format),
+        Ok(format) if KNOWN.contains(&format) => decode_as(bytes, format),
         _ => Err(FrameFileError("it is neither PNG nor TIFF nor JPEG".into())),
     }
 }
@@ -70,13 +75,50 @@ pub fn decode_png(bytes: &[u8]) -> Result<FrameFile, FrameFileError> {
     decode_as(bytes, ImageFormat::Png)
 }
 
-fn decode_as(bytes: &[u8], format: ImageFormat) -> Result<FrameFile, FrameFileError> {
-    let error = |problem: image::ImageError| FrameFileError(problem.to_string());
+/// A picture of any colours, PNG, TIFF or JPEG, as it is; of `size` (pixels per row, rows) where
+/// that is known.
+///
+/// # Errors
+/// Another format or size, damaged, or larger than its bytes can hold.
+pub fn picture(bytes: &[u8], size: Option<[usize; 2]>) -> Result<DynamicImage, FrameFileError> {
+    match image::guess_format(bytes) {
+        Ok(format) if KNOWN.contains(&format) => picture_as(bytes, format, size),
+        _ => Err(FrameFileError("it is neither PNG nor TIFF nor JPEG".into())),
+    }
+}
+
+fn picture_as(
+    bytes: &[u8],
+    format: ImageFormat,
+    size: Option<[usize; 2]>,
+) -> Result<DynamicImage, FrameFileError> {
+    let error = |problem: image::ImageError| {
+        FrameFileError(shortened(&problem.to_string(), MESSAGE).into_owned())
+    };
+    // The size is compared before anything is decoded.
+    let reader = ImageReader::with_format(Cursor::new(bytes), format);
+    let (width, height) = reader.into_dimensions().map_err(error)?;
+    if let Some([wanted_width, wanted_height]) = size
+        && [width as usize, height as usize] != [wanted_width, wanted_height]
+    {
+        return Err(FrameFileError(format!(
+            "it is {width} x {height} pixels; {wanted_width} x {wanted_height} are needed"
+        )));
+    }
+    if u64::from(width) * u64::from(height) > MOST_PIXELS {
+        return Err(FrameFileError(format!(
+            "it declares {width} x {height} pixels; at most {MOST_PIXELS} are read"
+        )));
+    }
     let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
     let mut limits = Limits::default();
     limits.max_alloc = Some((bytes.len() as u64) * MAX_COMPRESSION + (1 << 16));
     reader.limits(limits);
-    let image = reader.decode().map_err(error)?;
+    reader.decode().map_err(error)
+}
+
+fn decode_as(bytes: &[u8], format: ImageFormat) -> Result<FrameFile, FrameFileError> {
+    let image = picture_as(bytes, format, None)?;
     let (width, height) = (image.width() as usize, image.height() as usize);
     let deinterleave = |samples: Vec<u16>| -> Vec<Vec<u16>> {
         (0..3)

@@ -36,6 +36,7 @@ use crate::session::SessionError;
 
 pub use bench::{BenchParameter, BenchRecord};
 pub use budget::{BudgetRecord, BudgetRow};
+pub use folder::parse;
 pub use folder::{
     check_folder, commit, encode, next_folder, numbers_in, read, read_images, read_images_in,
     read_in, write,

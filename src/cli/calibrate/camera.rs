@@ -12,11 +12,11 @@ use crate::calibration::camera::{
 };
 use crate::calibration::mirror_sphere::Grey;
 use crate::calibration::record::Settings;
-use crate::cli::output::write_json;
+use crate::cli::bracket_files;
+use crate::cli::output::{write_json, write_path};
 use crate::cli::session_images::session_images;
-use crate::cli::{CliError, Context};
+use crate::cli::{CliError, Context, HintExt};
 use crate::config::geometry::GeometryConfig;
-use crate::out;
 use crate::radiance_image::exr;
 use crate::transport::{Camera, Projection};
 
@@ -188,7 +188,7 @@ pub(super) fn run(args: &CameraArgs, context: &Context) -> Result<(), CliError> 
             left_out: missed.iter().map(ToString::to_string).collect(),
         });
     }
-    out!("{}", path.display())
+    write_path(&path)
 }
 
 /// The camera whose pixels an image has: the sensor's or those of merged images; with the
@@ -213,11 +213,8 @@ fn read(path: &Path) -> Result<Grey, CliError> {
     if path.extension().is_some_and(|ending| ending == "exr") {
         return Ok(Grey::of(&exr::read(path)?.image));
     }
-    let frame = image::open(path)
-        .map_err(|error| {
-            CliError::new(format!("{}: {error}", path.display()))
-                .hint("views are OpenEXR, PNG, TIFF or JPEG files, or folders of sessions")
-        })?
+    let frame = bracket_files::read_picture(path, None)
+        .hint("views are OpenEXR, PNG, TIFF or JPEG files, or folders of sessions")?
         .to_luma32f();
     let value: Vec<f64> = frame.as_raw().iter().map(|v| f64::from(*v)).collect();
     Ok(Grey {

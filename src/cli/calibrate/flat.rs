@@ -14,9 +14,8 @@ use crate::calibration::noise::sensor_noise;
 use crate::calibration::procedure::Bench;
 use crate::calibration::record::{FlatValues, Kind, Measured, ScaleValues, SensorValues};
 use crate::calibration::{Library, Loaded};
-use crate::cli::output::write_json;
+use crate::cli::output::{write_json, write_path};
 use crate::cli::{CliError, Context, HintExt};
-use crate::out;
 use crate::random::{Purpose, stream};
 
 #[derive(clap::Args, Debug)]
@@ -144,9 +143,9 @@ pub(super) fn run(args: &FlatArgs, context: &Context) -> Result<(), CliError> {
             responsivity_e_s,
         });
     }
-    out!("{}", path.display())?;
+    write_path(&path)?;
     match scale {
-        Some(path) => out!("{}", path.display()),
+        Some(path) => write_path(&path),
         None => Ok(()),
     }
 }

@@ -13,10 +13,9 @@ use crate::calibration::slanted_edge::{
 };
 use crate::calibration::white::Region;
 use crate::calibration::{Library, depth_of_field};
-use crate::cli::output::write_json;
+use crate::cli::output::{write_json, write_path};
 use crate::cli::session_images::session_images;
 use crate::cli::{CliError, Context};
-use crate::out;
 use crate::radiance_image::{RadianceImage, exr};
 
 #[derive(clap::Args, Debug)]
@@ -151,7 +150,7 @@ pub(super) fn run(args: &FocusArgs, context: &Context) -> Result<(), CliError> {
             values: &values,
         });
     }
-    out!("{}", path.display())
+    write_path(&path)
 }
 
 fn read(path: &Path, light: usize, rig: &str) -> Result<RadianceImage, CliError> {

@@ -11,10 +11,9 @@ use crate::calibration::figures;
 use crate::calibration::lamp::LampFit;
 use crate::calibration::lamp_watch::{Watch, WatchOptions};
 use crate::calibration::record::LampValues;
-use crate::cli::output::write_json;
+use crate::cli::output::{write_json, write_path};
 use crate::cli::{CliError, Context, HintExt, open};
 use crate::device::{LampChannel, LampState};
-use crate::out;
 
 #[derive(clap::Args, Debug)]
 pub(super) struct LampArgs {
@@ -145,5 +144,5 @@ pub(super) fn run(args: &LampArgs, context: &Context) -> Result<(), CliError> {
             levels: fit.levels.iter().map(|l| [l.time_s, l.level]).collect(),
         });
     }
-    out!("{}", path.display())
+    write_path(&path)
 }

@@ -13,12 +13,11 @@ use crate::calibration::mirror_sphere::{Grey, locate_all};
 use crate::calibration::stage_directions::{self, StageFitError};
 use crate::calibration::{Library, figures};
 use crate::cli::bench_records::go_by_lens;
-use crate::cli::output::write_json;
+use crate::cli::output::{write_json, write_path};
 use crate::cli::session_images::{SessionImages, session_images};
 use crate::cli::{CliError, Context};
 use crate::config::RigConfig;
 use crate::device::kinematics::{Kinematics, Mechanism};
-use crate::out;
 use crate::radiance_image::{RadianceImage, exr};
 use crate::session::layout::CALIBRATION_FOLDER;
 use crate::units::StageAngles;
@@ -106,11 +105,13 @@ pub(super) fn run(args: &LightsArgs, context: &Context) -> Result<(), CliError> 
         height_mm: args.height,
     };
     let images: Vec<Grey> = pictures.images.iter().map(Grey::of).collect();
+    let camera = &geometry.image_camera();
     let outline = match &args.outline {
-        Some(path) => Some(Grey::of(&exr::read(path)?.image)),
+        Some(path) => Some(Grey::of(
+            &exr::read_sized(path, camera.resolution_px)?.image,
+        )),
         None => None,
     };
-    let camera = &geometry.image_camera();
     let spheres = spheres_in(
         &images,
         outline.as_ref(),
@@ -184,7 +185,7 @@ pub(super) fn run(args: &LightsArgs, context: &Context) -> Result<(), CliError> 
             values: &values,
         });
     }
-    out!("{}", path.display())
+    write_path(&path)
 }
 
 fn sphere_report(sphere: &Sphere) -> SphereReport {
@@ -252,9 +253,10 @@ fn of_files(files: &[PathBuf], rig: &RigConfig) -> Result<Pictures, CliError> {
         ))
         .hint("name one image per light, in the order of the rig file's [[stage.light]] tables"));
     }
+    let size = rig.geometry.image_camera().resolution_px;
     let mut images = Vec::new();
     for file in files {
-        images.push(exr::read(file)?.image);
+        images.push(exr::read_sized(file, size)?.image);
     }
     let names: Vec<_> = files.iter().map(|f| f.display().to_string()).collect();
     Ok(Pictures {

@@ -10,10 +10,9 @@ use crate::calibration::Library;
 use crate::calibration::pose::{PoseError, PoseOptions, PoseValues, align, figure};
 use crate::calibration::record::Settings;
 use crate::cli::bench_records::BenchRecords;
-use crate::cli::output::write_json;
+use crate::cli::output::{write_json, write_path};
 use crate::cli::session_images::session_images;
 use crate::cli::{CliError, Context};
-use crate::out;
 
 #[derive(clap::Args, Debug)]
 pub(super) struct PoseArgs {
@@ -157,5 +156,5 @@ pub(super) fn run(args: &PoseArgs, context: &Context) -> Result<(), CliError> {
             settled: found.settled,
         });
     }
-    out!("{}", path.display())
+    write_path(&path)
 }

@@ -11,10 +11,9 @@ use super::white::parse_region;
 use crate::calibration::record::{ResponseCurve, ResponseValues, Settings};
 use crate::calibration::white::Region;
 use crate::calibration::{Library, figures};
-use crate::cli::bracket_files::{self, BracketFile, read_frame, same_kind};
-use crate::cli::output::write_json;
+use crate::cli::bracket_files::{self, BracketFile, Distinct, read_frame, same_kind};
+use crate::cli::output::{write_json, write_path};
 use crate::cli::{CliError, Context, HintExt};
-use crate::out;
 use crate::radiometry::frame_file::FrameFile;
 use crate::radiometry::response::{BracketSamples, Response, debevec, robertson};
 
@@ -118,9 +117,11 @@ pub(super) fn run(args: &ResponseArgs, context: &Context) -> Result<(), CliError
         .hint("cameras that give more bits are linear: `rig calibrate sensor`"));
     }
     let mut frames = Vec::with_capacity(files.len());
+    let mut distinct = Distinct::default();
     for BracketFile { path, .. } in &files {
         let frame = read_frame(path)?;
         same_kind((first_path, &first), (path, &frame))?;
+        distinct.add(path, &frame)?;
         frames.push(match args.region {
             Some(region) => inside(region, &frame)?,
             None => frame,
@@ -168,5 +169,5 @@ pub(super) fn run(args: &ResponseArgs, context: &Context) -> Result<(), CliError
             values: &values,
         });
     }
-    out!("{}", path.display())
+    write_path(&path)
 }

@@ -10,9 +10,8 @@ use crate::calibration::figures;
 use crate::calibration::procedure::Bench;
 use crate::calibration::record::{Kind, SensorValues};
 use crate::calibration::sensor::TransferPoint;
-use crate::cli::output::write_json;
+use crate::cli::output::{write_json, write_path};
 use crate::cli::{CliError, Context, HintExt};
-use crate::out;
 
 #[derive(clap::Args, Debug)]
 pub(super) struct SensorArgs {
@@ -103,7 +102,7 @@ pub(super) fn run(args: &SensorArgs, context: &Context) -> Result<(), CliError> 
         v.hot_pixels.len(),
     ));
     if !args.common.json {
-        return out!("{}", path.display());
+        return write_path(&path);
     }
     write_json(&SensorReport {
         record: path.display().to_string(),

@@ -11,10 +11,9 @@ use crate::calibration::record::{LightsValues, Measured};
 use crate::calibration::white::{Region, WhiteStandard, irradiance};
 use crate::calibration::white_lights::{LightIntensity, WhiteLights};
 use crate::cli::bench_records::BenchRecords;
-use crate::cli::output::write_json;
+use crate::cli::output::{write_json, write_path};
 use crate::cli::session_images::session_images;
 use crate::cli::{CliError, Context, HintExt};
-use crate::out;
 use crate::radiance_image::exr;
 
 #[derive(clap::Args, Debug)]
@@ -130,7 +129,7 @@ pub(super) fn run(args: &WhiteArgs, context: &Context) -> Result<(), CliError> {
             lights: &[],
         });
     }
-    out!("{}", path.display())
+    write_path(&path)
 }
 
 /// Intensity and evenness of every light of a session, with the mean irradiance.
@@ -225,5 +224,5 @@ fn of_session(args: &WhiteArgs, context: &Context) -> Result<(), CliError> {
             lights: &values.lights,
         });
     }
-    out!("{}", path.display())
+    write_path(&path)
 }

@@ -34,7 +34,8 @@ impl Journal {
         std::fs::create_dir_all(folder).map_err(EvaluateError::io(folder))?;
         let path = folder.join(FILE);
         let mut entries = std::fs::read_dir(folder).map_err(EvaluateError::io(folder))?;
-        if !path.exists() && entries.next().is_some() {
+        let is_other = path.exists() && !path.is_file();
+        if is_other || !path.exists() && entries.next().is_some() {
             return Err(EvaluateError::ForeignFolder {
                 path: folder.into(),
             });

@@ -156,7 +156,7 @@ fn load(spec: &str) -> Result<Loaded, EvaluateError> {
         return Ok((name.into(), spec.into(), Class::Measured, brdf));
     }
     let path = Path::new(spec);
-    let Ok(bytes) = std::fs::read(path) else {
+    let Ok(bytes) = crate::outside_file::read_regular(path, 1 << 29) else {
         // One atom, which some dictionary may hold.
         return Ok((spec.into(), spec.into(), Class::InSpan, brdf));
     };

@@ -20,6 +20,7 @@ use crate::whole_file;
 
 /// Tables of a fit have some thousand rows.
 const LARGEST_FILE_BYTES: u64 = 64 << 20;
+use crate::shown::{self, MESSAGE, excerpt, shortened};
 
 /// The part of the record that is `fit.toml`.
 #[derive(Serialize, Deserialize)]
@@ -205,8 +206,11 @@ pub fn read_in(session: &Session, number: u32) -> Result<FitRecord, FitRecordErr
     })
 }
 
-/// `load` gives the bytes of a path and name.
-fn parse(
+/// Reads a fit's files; `load` gives the bytes of a path and name.
+///
+/// # Errors
+/// As [`read`], and what `load` returns.
+pub fn parse(
     folder: &Path,
     load: impl Fn(&Path, &str) -> Result<Vec<u8>, FitRecordError>,
 ) -> Result<FitRecord, FitRecordError> {
@@ -380,8 +384,8 @@ fn from_toml(path: &Path, text: &str) -> Result<FitToml, FitRecordError> {
         FitRecordError::Syntax {
             path: path.to_path_buf(),
             line,
-            key: if key.is_empty() { "document" } else { key }.to_owned(),
-            fact: error.message().lines().collect::<Vec<_>>().join(" "),
+            key: excerpt(if key.is_empty() { "document" } else { key }).into_owned(),
+            fact: shortened(&shown::line(error.message()), MESSAGE).into_owned(),
         }
     })?;
     if toml.format == FORMAT {

@@ -7,6 +7,7 @@ use nalgebra::DVector;
 
 use super::{AtomRecord, FitRecord, FitRecordError, TracePoint, out_of_range};
 use crate::brdf::departure::{self, Departure};
+use crate::shown::excerpt;
 
 /// f over a grid of half and difference angles (Rusinkiewicz), at φd = 90°:
 /// there both cosines equal cos θh · cos θd, so that every cell exists.
@@ -212,7 +213,7 @@ impl Row<'_> {
                 "bool" => "true or false",
                 _ => "a whole number",
             };
-            self.error(column, format!("{text:?} is not {wanted}"))
+            self.error(column, format!("{:?} is not {wanted}", excerpt(text)))
         })
     }
 

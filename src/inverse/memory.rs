@@ -1,0 +1,254 @@
+//! What a fit needs of the machine's memory, known before it begins.
+//!
+//! In addition to the cached paths, whose room is chosen, a fit needs its images, the direct
+//! matrix, what a departure makes of the light, residual weights, modelled images and the images
+//! that a diagnosis compares, in proportion to the pixels of every light; and the sums over
+//! groups of pixels, of which there are at most [`GROUPS`]. [`Size::images_bytes`] is an upper
+//! estimate of all of that at its peak, by counted allocations (`tests/fuzz_corpus.rs` counts
+//! again) and by the resident memory of whole fits of 64² to 512² pixels with 1 to 4 lights.
+
+use crate::brdf::departure::modes;
+
+/// Of program, scene, dictionary and threads, bytes.
+const PROGRAM_BYTES: u64 = 24 << 20;
+/// Per pixel and light: images, weights, models, templates of the diagnosis.
+const PER_VALUE_BYTES: u64 = 500;
+/// Per pixel, light and atom: the direct matrix, twice while it is made.
+const PER_ATOM_BYTES: u64 = 8;
+/// Per pixel, light and mode of a departure: derivatives in three channels, twice likewise.
+const PER_MODE_BYTES: u64 = 24;
+/// Per pixel, light and parameter of a bench that is refined.
+const PER_PARAMETER_BYTES: u64 = 48;
+/// Groups of pixels over which an evaluation sums, at most, and pixels in each, at least.
+const GROUPS: u64 = 256;
+const GROUP_PIXELS: u64 = 32;
+/// A record of a cached reflection, bytes, at most for the dictionaries of the program.
+const RECORD_BYTES: u64 = 96;
+/// Reflections beyond the first that a path of a bowl has, about, over all pixels.
+const REFLECTIONS: u64 = 1;
+/// Fewest paths per pixel: one in each half.
+const LEAST_PATHS: u64 = 2;
+
+/// How much there is to fit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Size {
+    /// Pixels per row, and rows.
+    pub resolution_px: [usize; 2],
+    /// Lights, each with its image.
+    pub lights: usize,
+    /// Atoms of the dictionary, with those that refinement may add.
+    pub atoms: usize,
+    /// Parameters of the bench that are refined with the weights; 0 where it is exactly known.
+    pub bench_parameters: usize,
+}
+
+/// A fit that would need more memory than it may have.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "a fit of {lights} images of {} x {} pixels needs about {} MiB of memory, but {} MiB are allowed{}",
+    resolution_px[0],
+    resolution_px[1],
+    mebibytes(*needed_bytes),
+    allowed_bytes >> 20,
+    if *by_machine { " (what the machine has free)" } else { "" }
+)]
+pub struct TooLittleMemory {
+    /// Pixels per row, and rows.
+    pub resolution_px: [usize; 2],
+    /// Lights, each with its image.
+    pub lights: usize,
+    /// With the fewest paths, bytes.
+    pub needed_bytes: u64,
+    /// What it may have, bytes.
+    pub allowed_bytes: u64,
+    /// Whether that is what the machine has free, and not what was asked for.
+    pub by_machine: bool,
+    /// Pixels per row, and rows, of images that would fit; `None` if none would.
+    pub fitting_px: Option<[usize; 2]>,
+}
+
+impl TooLittleMemory {
+    /// What would do, MiB.
+    pub fn needed_mebibytes(&self) -> u64 {
+        mebibytes(self.needed_bytes)
+    }
+}
+
+fn mebibytes(bytes: u64) -> u64 {
+    bytes.div_ceil(1 << 20)
+}
+
+impl Size {
+    /// All that a fit needs but its cached paths, bytes: an upper estimate.
+    pub fn images_bytes(&self) -> u64 {
+        let (atoms, modes) = (self.atoms as u64, modes().ncols() as u64);
+        let per_value = PER_VALUE_BYTES
+            + PER_ATOM_BYTES * atoms
+            + PER_MODE_BYTES * modes
+            + PER_PARAMETER_BYTES * self.bench_parameters as u64;
+        // Two matrices of each kind, for three channels, in double precision.
+        let per_group = 48 * (atoms * atoms + atoms * modes + modes * modes);
+        let groups = GROUPS.min(self.pixels().div_ceil(GROUP_PIXELS));
+        let values = self.values().saturating_mul(per_value);
+        values.saturating_add(groups * per_group)
+    }
+
+    /// Room that the fewest paths take, bytes.
+    pub fn least_paths_bytes(&self) -> u64 {
+        let records = LEAST_PATHS * REFLECTIONS * (1 + self.lights as u64);
+        self.pixels().saturating_mul(records * RECORD_BYTES)
+    }
+
+    /// What the fit needs at least, bytes.
+    pub fn least_bytes(&self) -> u64 {
+        PROGRAM_BYTES
+            .saturating_add(self.images_bytes())
+            .saturating_add(self.least_paths_bytes())
+    }
+
+    fn pixels(&self) -> u64 {
+        let [width, height] = self.resolution_px.map(|side| side as u64);
+        width.saturating_mul(height)
+    }
+
+    fn values(&self) -> u64 {
+        self.pixels().saturating_mul(self.lights as u64)
+    }
+
+    /// Room for cached paths, bytes, where the whole fit may have `allowed_bytes`.
+    ///
+    /// # Errors
+    /// Not even the fewest paths find room.
+    pub fn room_for_paths(&self, allowed_bytes: u64) -> Result<u64, TooLittleMemory> {
+        if self.least_bytes() > allowed_bytes {
+            return Err(TooLittleMemory {
+                resolution_px: self.resolution_px,
+                lights: self.lights,
+                needed_bytes: self.least_bytes(),
+                allowed_bytes,
+                by_machine: false,
+                fitting_px: self.fitting(allowed_bytes),
+            });
+        }
+        Ok(allowed_bytes - PROGRAM_BYTES - self.images_bytes())
+    }
+
+    /// [`Self::room_for_paths`] where nobody says how much the fit may have: `wanted_bytes` for
+    /// paths, or less where the machine has less, of which `free_bytes` are free (`None`: unknown).
+    ///
+    /// # Errors
+    /// Not even the fewest paths find room on the machine.
+    pub fn room_on_machine(
+        &self,
+        wanted_bytes: u64,
+        free_bytes: Option<u64>,
+    ) -> Result<u64, TooLittleMemory> {
+        let Some(free_bytes) = free_bytes else {
+            return Ok(wanted_bytes);
+        };
+        let room = self
+            .room_for_paths(free_bytes)
+            .map_err(|error| TooLittleMemory {
+                by_machine: true,
+                ..error
+            })?;
+        Ok(room.min(wanted_bytes))
+    }
+
+    /// The largest images of this shape, within some percent, that would fit.
+    fn fitting(&self, allowed_bytes: u64) -> Option<[usize; 2]> {
+        let mut size = *self;
+        while size.least_bytes() > allowed_bytes {
+            size.resolution_px = size
+                .resolution_px
+                .map(|side| side / 32 * 31 + side % 32 * 31 / 32);
+            if size.resolution_px.contains(&0) {
+                return None;
+            }
+        }
+        Some(size.resolution_px)
+    }
+}
+
+/// What the machine, or the group of processes that this one belongs to, has free; `None` where
+/// nobody says.
+pub fn free_bytes() -> Option<u64> {
+    let read = |path: &str| std::fs::read_to_string(path).ok();
+    let available = read("/proc/meminfo").and_then(|text| available_in(&text));
+    let group = || {
+        let number = |name: &str| -> Option<u64> {
+            read(&format!("/sys/fs/cgroup/{name}"))?.trim().parse().ok()
+        };
+        Some(number("memory.max")?.saturating_sub(number("memory.current")?))
+    };
+    [available, group()].into_iter().flatten().min()
+}
+
+fn available_in(meminfo: &str) -> Option<u64> {
+    let line = meminfo
+        .lines()
+        .find(|line| line.starts_with("MemAvailable:"))?;
+    let kibibytes: u64 = line.split_whitespace().nth(1)?.parse().ok()?;
+    Some(kibibytes << 10)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn size(side: usize, lights: usize) -> Size {
+        Size {
+            resolution_px: [side, side],
+            lights,
+            atoms: 26,
+            bench_parameters: 0,
+        }
+    }
+
+    #[test]
+    fn usual_fits_find_room_and_large_ones_are_told_what_would_do() {
+        let mebi = |n: u64| n << 20;
+        // Four lights on 64 x 64 pixels leave most of 512 MiB to the paths.
+        let room = size(64, 4).room_for_paths(mebi(512)).unwrap();
+        assert!(room > mebi(400), "{room}");
+        for (side, lights, allowed) in [(512, 2, 512), (4096, 2, 16_384), (128, 4, 64), (64, 1, 16)]
+        {
+            let size = size(side, lights);
+            let error = size.room_for_paths(mebi(allowed)).unwrap_err();
+            let enough = mebi(error.needed_mebibytes());
+            assert!(size.room_for_paths(enough).is_ok(), "{error}");
+            match error.fitting_px {
+                Some(resolution_px) => {
+                    let smaller = Size {
+                        resolution_px,
+                        ..size
+                    };
+                    assert!(smaller.room_for_paths(mebi(allowed)).is_ok(), "{error:?}");
+                }
+                None => assert_eq!(allowed, 16),
+            }
+        }
+        let huge = size(usize::MAX, 64);
+        assert!(huge.room_for_paths(u64::MAX - 1).is_err());
+    }
+
+    #[test]
+    fn without_a_wish_the_machine_decides() {
+        let (wanted, large) = (512 << 20, size(512, 4));
+        assert_eq!(large.room_on_machine(wanted, None), Ok(wanted));
+        assert_eq!(large.room_on_machine(wanted, Some(64 << 30)), Ok(wanted));
+        let some = large.least_bytes() + (1 << 20);
+        let room = large.room_on_machine(wanted, Some(some)).unwrap();
+        assert!(room < wanted && room >= large.least_paths_bytes());
+        let error = large.room_on_machine(wanted, Some(1 << 30)).unwrap_err();
+        assert!(
+            error.to_string().contains("what the machine has free"),
+            "{error}"
+        );
+        assert_eq!(
+            available_in("MemTotal:  9 kB\nMemAvailable:   18679900 kB\n"),
+            Some(18_679_900 << 10)
+        );
+        assert!(free_bytes().is_none_or(|bytes| bytes > 0));
+    }
+}
