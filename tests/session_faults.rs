@@ -7,7 +7,7 @@ mod support;
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Output, Stdio};
+use std::process::{Output, Stdio};
 use std::time::{Duration, Instant};
 
 use rig::session::journal::encode;
@@ -433,6 +433,7 @@ fn what_cannot_be_written_is_refused_before_the_work() {
         (
             &[
                 "render",
+                "--scene",
                 "scene.toml",
                 "--spp",
                 "65536",

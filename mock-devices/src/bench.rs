@@ -205,6 +205,10 @@ struct Stretch {
 /// Two targets of the firmware closer than this are one, mm.
 const SAME_TARGET_MM: f64 = 5e-4;
 
+fn is_same(a: Position, b: Position) -> bool {
+    a.iter().zip(b).all(|(a, b)| (a - b).abs() < SAME_TARGET_MM)
+}
+
 #[derive(Clone, Copy, Debug)]
 struct LampEvent {
     time_s: f64,
@@ -226,6 +230,8 @@ struct State {
     slip: Position,
     /// Every target that was left after the lamp had burned there, as often as it was.
     visits: Vec<Position>,
+    /// A target that was being visited when this bench was made.
+    under_way: Option<Position>,
     /// Where the lamp has burned since the stage last moved.
     lit_at: Option<Position>,
     homings: u64,
@@ -257,6 +263,7 @@ impl Bench {
             stretches: VecDeque::new(),
             slip: config.start_mm,
             visits: Vec::new(),
+            under_way: None,
             lit_at: None,
             homings: 0,
             cuts: 0,
@@ -367,6 +374,12 @@ impl Bench {
     /// has its own error of [`StageErrors::repeatability_mm`].
     pub fn count_visit(&self, target: Position) {
         lock(&self.state).visits.push(target);
+    }
+
+    /// A visit of this target was under way when this bench was made: where the lamp is
+    /// next lit there, it goes on; lit elsewhere, it was over.
+    pub fn continue_visit(&self, target: Position) {
+        lock(&self.state).under_way = Some(target);
     }
 
     fn angles_deg(&self, state: &State, time_s: f64) -> [f64; 2] {
@@ -534,7 +547,13 @@ impl Bench {
             return;
         }
         if drive.iter().any(|&drive| drive > 0.0) {
-            state.lit_at = Some(state.target(now_s));
+            let here = state.target(now_s);
+            state.lit_at = Some(here);
+            if let Some(visited) = state.under_way.take()
+                && !is_same(visited, here)
+            {
+                state.visits.push(visited);
+            }
         }
         let lit_since_s = std::array::from_fn(|channel| match last {
             Some(event) if event.drive[channel] > 0.0 => event.lit_since_s[channel],
@@ -579,11 +598,8 @@ impl State {
 
     /// How often a target was visited before.
     fn visits_of(&self, target: Position) -> u64 {
-        let near = |visit: &&Position| {
-            let mut apart = visit.iter().zip(target).map(|(a, b)| (a - b).abs());
-            apart.all(|apart_mm| apart_mm < SAME_TARGET_MM)
-        };
-        self.visits.iter().filter(near).count() as u64
+        let visits = self.visits.iter();
+        visits.filter(|&&visit| is_same(visit, target)).count() as u64
     }
 
     /// The play operator: the output stays until the motor has taken up the
@@ -809,6 +825,16 @@ mod tests {
         later.count_visit(a);
         assert_eq!(visit(&later, &[], a), second);
         assert_eq!(visit(&later, &[], b), other);
+        // One that was made during the first visit: it goes on there, or was over.
+        let during = bench();
+        during.continue_visit(a);
+        assert_eq!(visit(&during, &[], a), first);
+        assert_eq!(visit(&during, &[], b), other);
+        assert_eq!(visit(&during, &[], a), second);
+        let over = bench();
+        over.continue_visit(a);
+        assert_eq!(visit(&over, &[], b), other);
+        assert_eq!(visit(&over, &[], a), second);
     }
 
     #[test]

@@ -255,12 +255,13 @@ fn resume(args: &CaptureArgs, root: &Path, context: &Context) -> Result<(), CliE
     }
     let library = Library::Folder(root.join(CALIBRATION_FOLDER));
     let noise = Records::load_copies(&library)?.noise(&config)?;
-    let captured: Vec<StageAngles> = (0..)
+    let has_frames = |light: u32| session.frames().any(|frame| frame.key.light == light);
+    let begun: Vec<(StageAngles, bool)> = (0..)
         .zip(&record.plan.lights)
-        .filter(|&(light, _)| session.light_is_finished(light))
-        .map(|(_, &angles)| angles)
+        .filter(|&(light, _)| has_frames(light))
+        .map(|(light, &angles)| (angles, session.light_is_finished(light)))
         .collect();
-    let devices = open::open_devices(&config, &captured, || truth(&config))?;
+    let devices = open::open_devices(&config, &begun, || truth(&config))?;
     carry_out(args, &config, devices, writer, noise, interrupt, context)
 }
 

@@ -69,17 +69,17 @@ mod with_serial {
     use crate::device::zaber::{self, ZaberConfig, ZaberStage};
 
     /// Opens both devices. `source` is asked only for a simulated rig: what its
-    /// camera sees. `captured` are the lights that a session holds already, of which a
-    /// simulated stage must know.
+    /// camera sees. `begun` are the lights that a session holds frames of, and whether
+    /// all of them: a simulated stage must know.
     pub fn open_devices(
         rig: &RigConfig,
-        captured: &[StageAngles],
+        begun: &[(StageAngles, bool)],
         source: impl FnOnce() -> Result<Arc<dyn RadianceSource>, CliError>,
     ) -> Result<Devices, CliError> {
         match rig.simulated_bench() {
             Some(config) => {
                 let bench = SimulatedBench::start(config)?;
-                bench.count_visits(captured);
+                bench.count_visits(begun);
                 Ok(Devices {
                     stage: Box::new(bench.open_stage()?),
                     camera: Box::new(bench.open_camera(source()?)),
@@ -195,7 +195,7 @@ mod without_serial {
     /// Fails: there are no stages.
     pub fn open_devices(
         _: &RigConfig,
-        _: &[StageAngles],
+        _: &[(StageAngles, bool)],
         _: impl FnOnce() -> Result<Arc<dyn RadianceSource>, CliError>,
     ) -> Result<Devices, CliError> {
         Err(without())

@@ -115,12 +115,13 @@ impl SimulatedBench {
         self.simulator.unplug();
     }
 
-    /// These lights were captured before this bench was started, by another process of
-    /// the same session: its stage's next errors are those of the visits that follow.
-    pub fn count_visits(&self, lights: &[StageAngles]) {
+    /// These lights were begun before this bench was started, by another process of the
+    /// same session, and are captured or not: the stage's next errors are those of the
+    /// visits that follow, or that go on.
+    pub fn count_visits(&self, begun: &[(StageAngles, bool)]) {
         let stage = &self.config.stage;
-        for light in lights {
-            let Some(Pose(pose)) = stage.kinematics.solve(*light) else {
+        for &(light, is_captured) in begun {
+            let Some(Pose(pose)) = stage.kinematics.solve(light) else {
                 continue;
             };
             let mut target = [0.0; 3];
@@ -135,7 +136,11 @@ impl SimulatedBench {
                     *axis = map.position(coordinate);
                 }
             }
-            self.bench().count_visit(target);
+            if is_captured {
+                self.bench().count_visit(target);
+            } else {
+                self.bench().continue_visit(target);
+            }
         }
     }
 
@@ -421,7 +426,7 @@ pub(crate) mod tests {
         let again = visit(&mut whole, lights[0]);
         assert_ne!(first, again);
         let mut resumed = start();
-        resumed.0.count_visits(&lights[..1]);
+        resumed.0.count_visits(&[(lights[0], true)]);
         assert_eq!(visit(&mut resumed, lights[1]), other);
         assert_eq!(visit(&mut resumed, lights[0]), again);
     }

@@ -15,7 +15,7 @@ use tempfile::TempDir;
 /// quickly; `change` is applied to its text.
 pub fn workplace(change: impl FnOnce(String) -> String) -> TempDir {
     let folder = tempfile::tempdir().unwrap();
-    let text = include_str!("../rig-configs/simulated.toml");
+    let text = include_str!("../../rig-configs/simulated.toml");
     let (before, simulation) = text.split_once("[simulation]").unwrap();
     let quick: String = simulation
         .lines()
