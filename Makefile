@@ -31,7 +31,7 @@ test-vm: build
 test-long: build
 	RIG_KILLS=200 RIG_CUTS=all $(CARGO) test --locked --release --test resume_command \
 	  -- --nocapture killed cut_at
-	RIG_DRIFT_CAPTURES=200 $(CARGO) test --locked --release --test capture \
+	RIG_DRIFT_CAPTURES=200 $(CARGO) test --locked --release --test lamp_drift \
 	  -- --nocapture constant_lamps
 	target/release/rig evaluate intervals --out target/long/intervals
 	target/release/rig evaluate diagnosis --out target/long/diagnosis
