@@ -13,6 +13,8 @@ use std::time::{Duration, Instant};
 
 use indicatif::TermLike;
 
+use crate::shown;
+
 /// How long a program that ends waits for stderr to take what is left.
 pub const LAST_WORDS: Duration = Duration::from_secs(1);
 /// How long stdout waits for what was said on stderr before, so that a terminal
@@ -159,7 +161,10 @@ pub struct Trace;
 
 impl Write for Trace {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        write(&String::from_utf8_lossy(bytes), Worth::Trace);
+        write(
+            &shown::traced(&String::from_utf8_lossy(bytes)),
+            Worth::Trace,
+        );
         Ok(bytes.len())
     }
 
