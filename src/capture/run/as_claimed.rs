@@ -56,7 +56,7 @@ impl Run<'_> {
                 Some(taken)
             }
         };
-        let granted = before.map_or(0.0, |before| self.granted(&shot, before.homing));
+        let granted = before.map_or(0.0, |before| self.granted(shot.key.light, before.homing));
         let mut sent_again = false;
         let mut patience = self.plan.settings_latency_frames + PATIENCE_FRAMES;
         loop {
