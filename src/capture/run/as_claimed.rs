@@ -123,6 +123,11 @@ impl Run<'_> {
         ratio: f64,
     ) -> CaptureError {
         let light = shot.key.light;
+        if let Reference::Exposure(before) | Reference::Lamp(before) = reference
+            && before.homing != self.homing
+        {
+            return CaptureError::NotAsBefore { light, ratio };
+        }
         match (reference, shot.lamp) {
             (Reference::Lamp(_), LampState::On(LampChannel(channel))) => CaptureError::LampDrift {
                 light,
