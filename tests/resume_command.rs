@@ -67,7 +67,7 @@ fn a_signal_ends_a_capture_in_good_order_and_it_resumes() {
 
 /// A capture paused by Ctrl-Z in its first light and continued: its session and output.
 fn paused_and_continued(folder: &Path) -> (PathBuf, Output) {
-    let (child, root) = begin_two(folder, 3);
+    let (child, root) = begin_two(folder, 14);
     let pid = Pid::from_child(&child);
     kill_process(pid, Signal::TSTP).unwrap();
     let stat = format!("/proc/{}/stat", child.id());

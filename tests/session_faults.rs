@@ -215,7 +215,7 @@ fn records_that_contradict_each_other_are_named() {
         (longer, "the journal says 18446744073709551615"),
         (shorter, "bytes, the journal says"),
         (second_stop, "a second stop"),
-        (early_stop, "a stop when 0 of 1 lights were finished"),
+        (early_stop, "a stop before any frame"),
         (frame_twice, "frame L000_E00_R00_light a second time"),
         (no_calibration, "which session.toml names, is in no record"),
         (

@@ -125,7 +125,7 @@ fn capture(port: &str) -> Exit {
             Ok("panic") => world.panic_at_frame = Some(3),
             Ok("camera panic") => world.panic_at_grab = Some(5),
             Ok("camera") => world.fail_at_grab = Some(5),
-            Ok("camera hangs") => world.hang_at_grab = Some(5),
+            Ok("camera hangs") => world.hang_at_grab = Some(3),
             Ok("thread hangs") => world.hang_at_frame = Some(3),
             _ => {}
         }

@@ -102,6 +102,18 @@ pub enum CaptureError {
         /// The most that this makes of `pattern`.
         explained: f64,
     },
+    /// After a new homing the signal is not what the light's frames from before lead to
+    /// expect, and those cannot tell whether the light has moved.
+    #[error(
+        "light {light}: since the stage was homed anew, the images show {ratio:.3} of the signal \
+         that the frames before lead to expect"
+    )]
+    NotAsBefore {
+        /// Index in the plan.
+        light: u32,
+        /// Signal over expected signal.
+        ratio: f64,
+    },
     /// The sensor or the lamp has become too hot.
     #[error(
         "light {light}: the {part} has {temperature_c:.1} °C, more than the limit of {limit_c} °C"

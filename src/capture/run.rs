@@ -94,7 +94,8 @@ impl Capture<'_> {
             position_tolerance_deg: self.position_tolerance_deg,
             position: None,
             homing: 0,
-            granted: HashMap::new(),
+            witnesses: Vec::new(),
+            granted: None,
             discarded: 0,
             unproven_told: false,
             warm_told: Vec::new(),
@@ -160,9 +161,11 @@ struct Run<'a> {
     position_tolerance_deg: Option<f64>,
     /// How often the stage was homed in this run.
     homing: u32,
-    /// By light and lamp channel, since the stage was homed last: how far the signal is off
-    /// from that of frames before, relative, within what the stage's tolerance explains.
-    granted: HashMap<(u32, u8), f64>,
+    /// The latest lit frame of each channel at the light under way.
+    witnesses: Vec<(Shot, Taken)>,
+    /// Of a light begun before the last homing: how far its signal is off since, relative,
+    /// within what the stage's tolerance explains.
+    granted: Option<(u32, f64)>,
     /// The light that the stage stands at, and the position read back.
     position: Option<(u32, StageAngles)>,
     /// Frames thrown away since the settings changed.

@@ -209,7 +209,7 @@ fn for_capture(error: &CaptureError) -> Option<String> {
         NotEnoughSpace { .. } => "free some space, choose another disk with --out, or ask for fewer lights".into(),
         LowDisk { .. } => "nothing that was journalled is lost; free some space".into(),
         LampDrift { .. } => "let the lamp warm up (capture.lamp_warm_up_s in the rig file) and check its supply; if it doesn't come back to what it was, start a new session".into(),
-        LightMoved { .. } => "resume once more, which homes the stage again; `rig stage repeatability` shows how well it finds its switches; if the sample was touched or the stage repeats no better, start a new session".into(),
+        LightMoved { .. } | NotAsBefore { .. } => "resume once more, which homes the stage again; `rig stage repeatability` shows how well it finds its switches; if the sample was touched or the stage repeats no better, start a new session".into(),
         TooHot { .. } => "let it cool down (the lamp is off) and resume; improve the cooling, or correct the [limits] in a new session's rig file".into(),
         OtherCamera { .. } => "connect the camera that the session was begun with, or start a new session".into(),
         ExposureNotApplied { .. } => "raise camera.settings_latency_frames in the rig file; check that the camera is in manual mode and the lamp doesn't flicker".into(),

@@ -394,7 +394,7 @@ pub(crate) mod tests {
         }
     }
 
-    /// A bench that is told of an earlier visit errs as the one that made it.
+    /// A bench that knows of an earlier visit errs as the one that made it.
     #[test]
     fn visits_are_counted_across_benches() {
         let at = |azimuth_deg, elevation_deg| StageAngles {

@@ -83,7 +83,7 @@ pub(super) fn contradictions(session: &Session) -> Vec<SessionError> {
         line,
         why,
     };
-    let (mut frames, mut finished) = (HashSet::new(), HashSet::new());
+    let mut frames = HashSet::new();
     let mut is_stopped = false;
     let mut found = Vec::new();
     // They are journalled before the session has its name: a resume must not take them for strays.
@@ -110,14 +110,12 @@ pub(super) fn contradictions(session: &Session) -> Vec<SessionError> {
                 format!("frame {} a second time", layout::frame_stem(*key))
             }
             Event::Stop if is_stopped => "a second stop".to_owned(),
-            Event::Stop if (finished.len() as u32) < lights => {
+            Event::Stop if frames.is_empty() && lights > 0 => {
                 is_stopped = true;
-                let finished = finished.len();
-                format!("a stop when {finished} of {lights} lights were finished")
+                "a stop before any frame".to_owned()
             }
             event => {
                 match event {
-                    Event::LightStop { light } => drop(finished.insert(*light)),
                     Event::Stop => is_stopped = true,
                     // A resume of a complete session makes derived files again.
                     Event::Resume { .. } => is_stopped = false,

@@ -272,7 +272,7 @@ mod tests {
     }
 
     /// Last bits of the angles change nothing, and another visit, a hundredth of a degree
-    /// beside the first, changes what that hundredth changes: not the paths.
+    /// away, changes what that hundredth changes: not the paths.
     #[test]
     fn one_commanded_position_has_one_truth() {
         let image = |elevation_deg| source(0.0).radiance(&lit(elevation_deg, [1.0, 0.0, 0.0]));

@@ -163,6 +163,12 @@ impl Bench {
         (world.lamp, world.stops)
     }
 
+    /// At which frames whoever watches panics or hangs.
+    fn at_frames(&self) -> (Option<usize>, Option<usize>) {
+        let world = self.world();
+        (world.panic_at_frame, world.hang_at_frame)
+    }
+
     pub fn homings_and_grabs(&self) -> (u32, u32) {
         let world = self.world();
         (world.homings, world.grabs)
@@ -639,9 +645,10 @@ fn run(
     stage: Box<dyn LightStage>,
     session: SessionWriter,
 ) -> (Result<Outcome, CaptureError>, Heard) {
+    let (panic_at_frame, hang_at_frame) = bench.at_frames();
     let mut heard = Heard {
-        panic_at_frame: bench.world().panic_at_frame,
-        hang_at_frame: bench.world().hang_at_frame,
+        panic_at_frame,
+        hang_at_frame,
         watched: Some((bench.clone(), session.root().to_owned())),
         ..Heard::default()
     };

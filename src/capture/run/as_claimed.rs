@@ -56,7 +56,7 @@ impl Run<'_> {
                 Some(taken)
             }
         };
-        let granted = before.map_or(0.0, |before| self.granted(&shot, before.homing));
+        let granted = before.map_or(0.0, |before| self.granted(shot.key.light, before.homing));
         let mut sent_again = false;
         let mut patience = self.plan.settings_latency_frames + PATIENCE_FRAMES;
         loop {
@@ -124,6 +124,14 @@ impl Run<'_> {
         found: SignalRatio,
     ) -> CaptureError {
         let light = shot.key.light;
+        if let Reference::Exposure(before) | Reference::Lamp(before) = reference
+            && before.homing != self.homing
+        {
+            return CaptureError::NotAsBefore {
+                light,
+                ratio: found.ratio,
+            };
+        }
         match (reference, shot.lamp) {
             (Reference::Lamp(_), LampState::On(LampChannel(channel))) => CaptureError::LampDrift {
                 light,

@@ -141,12 +141,16 @@ impl Run<'_> {
         if !sidecar.pilot {
             self.merger.add(Arc::clone(&frame), sidecar).await?;
         }
-        Ok(Taken {
+        let taken = Taken {
             frame,
             requested_s: shot.exposure.0,
             exposure_s,
             homing,
-        })
+        };
+        if !matches!(reference, Reference::Revisit(_)) {
+            self.keep_as_witness(shot, &taken);
+        }
+        Ok(taken)
     }
 
     /// Brings stage, lamp and camera into the shot's state and takes the frame.
@@ -244,7 +248,7 @@ impl Run<'_> {
             self.observer.observe(Progress::Homing);
             self.devices.home().await?;
             self.homing += 1;
-            self.granted.clear();
+            self.granted = None;
             self.disk.record(Event::Homed).await?;
         }
         self.observer.observe(Progress::Moving { light, target });

@@ -2,47 +2,82 @@
 //! interruption or a pause.
 
 use super::Run;
-use super::frame::{Reference, Shot};
+use super::frame::{Reference, Shot, Taken};
 use crate::capture::CaptureError;
 use crate::capture::exposure_check::{Exposed, REFUSED};
 use crate::capture::return_check::change;
 use crate::device::{FrameKey, LampChannel, LampState};
 use crate::units::Seconds;
 
+/// Number of an exposure that becomes no file.
+const NOT_KEPT: u32 = u32::MAX - 1;
+
 impl Run<'_> {
-    /// Once per channel after each homing, where the shot's reference is older: a frame at
-    /// the reference's exposure, which is not kept, shows what has changed since. What is
-    /// within the stage's tolerance is granted to the comparisons that follow.
+    /// Keeps the latest lit frame of each channel at the light under way.
+    pub(super) fn keep_as_witness(&mut self, shot: Shot, taken: &Taken) {
+        if let LampState::On(_) = shot.lamp {
+            self.witnesses
+                .retain(|(kept, _)| kept.key.light == shot.key.light && kept.lamp != shot.lamp);
+            self.witnesses.push((shot, taken.clone()));
+        }
+    }
+
+    /// Before the first lit frame at a light that was begun before the last homing: a frame
+    /// like one from before, which is not kept, shows what has changed since. What is within
+    /// the stage's tolerance is granted to the comparisons that follow.
     pub(super) async fn check_return(
         &mut self,
         shot: &Shot,
         reference: Reference<'_>,
     ) -> Result<(), CaptureError> {
-        let (Reference::Exposure(before) | Reference::Lamp(before)) = reference else {
-            return Ok(());
-        };
-        let (Some(tolerance_deg), LampState::On(LampChannel(channel))) =
-            (self.position_tolerance_deg, shot.lamp)
+        let light = shot.key.light;
+        let (Some(tolerance_deg), LampState::On(_)) = (self.position_tolerance_deg, shot.lamp)
         else {
             return Ok(());
         };
-        let light = shot.key.light;
-        if self.devices.is_homed() && before.homing == self.homing {
+        if matches!(reference, Reference::Revisit(_))
+            || (self.devices.is_homed() && self.granted.is_some_and(|(at, _)| at == light))
+        {
+            return Ok(());
+        }
+        let homing = self.homing + u32::from(!self.devices.is_homed());
+        let is_older =
+            |(kept, taken): &&(Shot, Taken)| kept.key.light == light && taken.homing < homing;
+        let older: Vec<(Shot, Taken)> = self.witnesses.iter().filter(is_older).cloned().collect();
+        if older.is_empty() {
             return Ok(());
         }
         self.go_to(light).await?;
-        if before.homing == self.homing || self.granted.contains_key(&(light, channel)) {
-            return Ok(());
+        self.granted = Some((light, 0.0));
+        for (kept, before) in older {
+            if let Some(granted) = self.changed(&kept, &before, tolerance_deg).await? {
+                self.granted = Some((light, granted));
+                break;
+            }
         }
+        Ok(())
+    }
+
+    /// By how much, relative, the signal is off from that of a frame from before; `None`
+    /// where the frames do not tell.
+    async fn changed(
+        &mut self,
+        kept: &Shot,
+        before: &Taken,
+        tolerance_deg: f64,
+    ) -> Result<Option<f64>, CaptureError> {
+        let (light, LampState::On(LampChannel(channel))) = (kept.key.light, kept.lamp) else {
+            return Ok(None);
+        };
         let again = Shot {
             key: FrameKey {
                 exposure: NOT_KEPT,
                 repeat: channel.into(),
-                ..shot.key
+                ..kept.key
             },
             exposure: Seconds(before.requested_s),
             pilot: true,
-            ..*shot
+            ..*kept
         };
         let (frame, sidecar) = self.expose_again_if_lost(again, Reference::None).await?;
         let now = Exposed {
@@ -50,46 +85,37 @@ impl Run<'_> {
             exposure_s: sidecar.applied.exposure.0,
         };
         let width = self.devices.camera_info.resolution_px[0] as usize;
-        let mut granted = 0.0;
-        if let Some(change) = change(self.noise, width, before.exposed(), now) {
-            if change.is_beyond(tolerance_deg) {
-                return Err(CaptureError::LightMoved {
-                    light,
-                    pattern: change.pattern(),
-                    turned_deg: change.turned_deg(),
-                    tolerance_deg,
-                    explained: change.explained(tolerance_deg),
-                });
-            }
-            let ratio = change.ratio;
-            let off = (ratio.ratio - 1.0).abs();
-            if off > REFUSED + change.explained(tolerance_deg) + 3.0 * ratio.std_dev {
-                return Err(CaptureError::LampDrift {
-                    light,
-                    channel,
-                    change: ratio,
-                });
-            }
-            if off > 3.0 * ratio.std_dev {
-                granted = off;
-            }
+        let Some(change) = change(self.noise, width, before.exposed(), now) else {
+            return Ok(None);
+        };
+        if change.is_beyond(tolerance_deg) {
+            return Err(CaptureError::LightMoved {
+                light,
+                pattern: change.pattern(),
+                turned_deg: change.turned_deg(),
+                tolerance_deg,
+                explained: change.explained(tolerance_deg),
+            });
         }
-        self.granted.insert((light, channel), granted);
-        Ok(())
+        let ratio = change.ratio;
+        let off = (ratio.ratio - 1.0).abs();
+        if off > REFUSED + change.explained(tolerance_deg) + 3.0 * ratio.std_dev {
+            return Err(CaptureError::LampDrift {
+                light,
+                channel,
+                change: ratio,
+            });
+        }
+        let is_certain = off > 3.0 * ratio.std_dev;
+        Ok(Some(if is_certain { off } else { 0.0 }))
     }
 
-    /// By how much, relative, the signal under a channel may differ from a reference that
-    /// was taken before the stage was homed anew.
-    pub(super) fn granted(&self, shot: &Shot, homing: u32) -> f64 {
-        match shot.lamp {
-            LampState::On(LampChannel(channel)) if homing != self.homing => {
-                let granted = self.granted.get(&(shot.key.light, channel));
-                granted.copied().unwrap_or(0.0)
-            }
+    /// By how much, relative, the signal at a light may differ from a reference that was
+    /// taken before the stage was homed anew.
+    pub(super) fn granted(&self, light: u32, homing: u32) -> f64 {
+        match self.granted {
+            Some((at, granted)) if at == light && homing != self.homing => granted,
             _ => 0.0,
         }
     }
 }
-
-/// Number of an exposure that becomes no file.
-const NOT_KEPT: u32 = u32::MAX - 1;
