@@ -400,12 +400,16 @@ fn text(output: &Output) -> String {
 #[test]
 fn what_a_camera_s_program_leaves_is_named_for_what_it_is() {
     for (script, tmp, fact) in [
-        ("mkfifo $1", "tmp", "frame.tif: it is no regular file"),
-        ("mkdir $1", "tmp", "frame.tif: it is no regular file"),
+        (
+            "mkfifo $1",
+            "tmp",
+            "frame.tif: it is a named pipe, not a regular file",
+        ),
+        ("mkdir $1", "tmp", "frame.tif: Is a directory"),
         (
             "ln -s /dev/zero $1",
             "tmp",
-            "frame.tif: it is no regular file",
+            "frame.tif: it is a device, not a regular file",
         ),
         ("exit 0", "tmp", "it wrote no file"),
         ("exit 0", "gone", "the folder for temporary files, "),

@@ -1,16 +1,13 @@
 //! A raw frame in an image file that some other program wrote.
 
-use std::fs::{File, OpenOptions};
 use std::io::BufReader;
-use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
-
-use rustix::fs::OFlags;
 
 use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat, ImageReader};
 
 use super::RawFrame;
 use super::retake::FrameFault;
+use crate::outside_file::open_regular;
 
 /// Whether a file's name is that of a format which can hold raw counts.
 pub fn has_raw_ending(path: &Path) -> bool {
@@ -18,19 +15,6 @@ pub fn has_raw_ending(path: &Path) -> bool {
     ending.is_some_and(|ending| {
         ["png", "tif", "tiff"].contains(&ending.to_ascii_lowercase().as_str())
     })
-}
-
-/// Opens a file that is one: a pipe or a device could be waited on for ever.
-fn open_regular(path: &Path) -> std::io::Result<File> {
-    let file = OpenOptions::new()
-        .read(true)
-        // Where it is a pipe, nobody waits for its writer.
-        .custom_flags(OFlags::NONBLOCK.bits() as i32)
-        .open(path)?;
-    if file.metadata()?.is_file() {
-        return Ok(file);
-    }
-    Err(std::io::Error::other("it is no regular file"))
 }
 
 /// The counts of a greyscale PNG or TIFF of 8 or 16 bits, one sample per pixel
@@ -117,7 +101,11 @@ mod tests {
         let path = folder.path().join("a.png");
         let fault = |bits| read(&path, [5, 3], bits).unwrap_err().to_string();
         assert!(fault(12).contains("a.png: No such file"));
-        for (kind, special) in [("pipe", "p"), ("folder", "d"), ("device", "l")] {
+        for (fact, special) in [
+            ("it is a named pipe, not a regular file", "p"),
+            ("Is a directory (os error 21)", "d"),
+            ("it is a device, not a regular file", "l"),
+        ] {
             let made = match special {
                 "p" => rustix::fs::mkfifoat(rustix::fs::CWD, &path, 0o600.into())
                     .map_err(std::io::Error::from),
@@ -125,7 +113,7 @@ mod tests {
                 _ => std::os::unix::fs::symlink("/dev/zero", &path),
             };
             made.unwrap();
-            assert_eq!(fault(12), "a.png: it is no regular file", "{kind}");
+            assert_eq!(fault(12), format!("a.png: {fact}"));
             std::fs::remove_file(&path)
                 .or_else(|_| std::fs::remove_dir(&path))
                 .unwrap();

@@ -155,7 +155,7 @@ pub fn strays(root: &Path, journal: &Journal) -> Result<Vec<PathBuf>, SessionErr
             if file_type.is_dir() {
                 folders.push(relative);
             } else if !known.contains(&relative)
-                && !(file_type.is_symlink() && own.contains(&relative))
+                && (!file_type.is_symlink() || !own.contains(&relative))
             {
                 strays.push(relative);
             }

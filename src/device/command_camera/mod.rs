@@ -345,9 +345,13 @@ mod tests {
         let said = error("kill -9 $$");
         assert!(said.ends_with("signal 9 ended it"), "{said}");
         assert!(error("exit 0").ends_with("it wrote no file"));
-        for special in ["mkfifo $3", "mkdir $3", "ln -s /dev/zero $3"] {
+        for (special, kind) in [
+            ("mkfifo $3", "it is a named pipe, not a regular file"),
+            ("mkdir $3", "Is a directory (os error 21)"),
+            ("ln -s /dev/zero $3", "it is a device, not a regular file"),
+        ] {
             let said = error(special);
-            assert!(said.ends_with("it is no regular file"), "{special}: {said}");
+            assert!(said.ends_with(kind), "{special}: {said}");
         }
         let said = error("head -c 60 $4/good.tif > $3; echo half >&2");
         assert!(
