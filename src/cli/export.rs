@@ -6,6 +6,7 @@ use clap::ValueEnum;
 
 use super::{CliError, Context, fit_folder, output};
 use crate::export::{self, Format};
+use crate::session::fit_record::Verdict;
 
 /// Writes a fitted BRDF for other programs.
 #[derive(clap::Args, Debug)]
@@ -53,6 +54,13 @@ pub fn run(args: &ExportArgs, context: &Context) -> Result<(), CliError> {
     output::check_ending(&path, ending)?;
     if record.simulated {
         context.warn("this BRDF comes from a simulated bench; the export says so");
+    }
+    if record.verdict() == Verdict::NotToBeTrusted {
+        let reason = record.warnings.first().map(|warning| &warning.what);
+        context.warn(match reason {
+            Some(reason) => format!("{}: {reason}", record.verdict().sentence()),
+            None => record.verdict().sentence().to_owned(),
+        });
     }
     for file in export::export(&record, format, &path)? {
         output::write_path(&file)?;
