@@ -265,7 +265,7 @@ fn a_broken_raw_frame_stops_a_resume_and_a_broken_derived_file_is_set_aside() {
     fs::write(root.join("raw/L000_E01_R00_light.png"), b"other").unwrap();
     assert!(matches!(
         SessionWriter::resume(Arc::new(SystemDisk), &root),
-        Err(SessionError::Checksum { .. })
+        Err(SessionError::Length { .. })
     ));
 }
 
