@@ -732,3 +732,38 @@ fn a_capture_on_an_arc_with_turntable_and_on_a_gantry() {
         assert_refused(&beyond, "outside the stage's limits");
     }
 }
+
+/// Every number as `N`, so that a text shows its words.
+fn without_numbers(text: &str) -> String {
+    let mut shown = String::new();
+    let mut chars = text.chars().peekable();
+    while let Some(c) = chars.next() {
+        if !c.is_ascii_digit() {
+            shown.push(c);
+            continue;
+        }
+        while chars.next_if(|c| c.is_ascii_digit() || *c == '.').is_some() {}
+        shown.push('N');
+    }
+    shown
+}
+
+/// A new user's first run, as `make demo` makes it: no warning, the best verdict, and these
+/// words alone.
+#[test]
+fn the_first_run_is_clean() {
+    let home = tempfile::tempdir().unwrap();
+    let done = rig(&home, &["demo"]).output().unwrap();
+    let stderr = String::from_utf8(done.stderr).unwrap();
+    assert!(done.status.success(), "{stderr}");
+    let root = PathBuf::from(String::from_utf8(done.stdout).unwrap().trim_end());
+    let name = root.file_name().unwrap().to_str().unwrap();
+    let words = without_numbers(&stderr.replace(name, "SESSION"));
+    insta::assert_snapshot!(words, @r"");
+    let fits = home.path().join(&root).join("fits/0");
+    let record = fit_record::read(&fits).unwrap();
+    assert_eq!(record.verdict(), fit_record::Verdict::Explains);
+    assert_eq!(record.warnings, []);
+    let report = std::fs::read_to_string(home.path().join(root).join("report.html")).unwrap();
+    assert!(report.contains("✓</span> The fit explains the images</h2>"));
+}

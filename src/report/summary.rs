@@ -68,7 +68,7 @@ pub(super) fn verdict_view(record: Option<&FitRecord>) -> VerdictView {
     };
     let worst = worst.map_or("not known".to_owned(), |worst| format!("{worst:.2}"));
     let mut text = format!(
-        "Worst reduced χ² over lights and channels: {worst} (at most 1 where noise and the allowed model error explain the images)."
+        "Worst reduced χ² over lights and channels: {worst} (about 1 or less where noise and the allowed model error explain the images)."
     );
     if let Some(score) = &record.score {
         let (own, floor) = (
