@@ -367,6 +367,9 @@ fn positioning_errors_repeat_and_repeatability_errors_do_not() {
             host.exchange(line, &["ok"]);
             host.exchange("G4 P0", &["ok"]);
             visits.push(simulator.bench().stage_angles_deg());
+            // A stay without light is no visit.
+            host.exchange("M3 S1000", &["ok"]);
+            host.exchange("M5", &["ok"]);
         }
         visits
     };
