@@ -98,7 +98,11 @@ impl RglBrdf {
                 Ok([grid(0)?, grid(1)?, grid(2)?])
             })
             .collect::<Result<_, String>>()?;
-        some_positive("rgb", &values)?;
+        // All 0 is a black material; all negative is none.
+        if values.iter().all(|&value| value < 0.0) {
+            let count = values.len();
+            return Err(format!("field rgb: all of its {count} values are negative"));
+        }
         if fields.get("jacobian").map(|field| field.bytes) != Some(&[1]) {
             return Err("the field jacobian is missing or not 1".to_owned());
         }
@@ -310,7 +314,8 @@ fn invert(lower: &Warp, upper: &Warp, t: f64, [u, v]: [f64; 2]) -> [f64; 2] {
     [fraction.clamp(0.0, 1.0), up_to.clamp(0.0, 1.0)]
 }
 
-/// Refuses a field that would make the material black: 0, negative or empty throughout.
+/// Refuses a density that is 0, negative or empty throughout: no direction could be drawn from
+/// it. Values of f may all be 0, a black material's.
 fn some_positive(name: &str, values: &[f32]) -> Result<(), String> {
     if values.iter().any(|&value| value > 0.0) {
         return Ok(());
@@ -563,7 +568,7 @@ mod tests {
             ),
             ("rgb", vec![1, slices, 3, 0, 0], 1.0, "field rgb"),
             ("rgb", changed("rgb", 2, 4), 1.0, "needed is 1 x"),
-            ("rgb", shape("rgb"), -1e38, "field rgb: none of its"),
+            ("rgb", shape("rgb"), -1e38, "field rgb: all of its"),
             ("ndf", vec![0, 0], 1.0, "field ndf holds grids of 0 x 0"),
             ("ndf", vec![1, 5], 1.0, "field ndf holds grids of 1 x 5"),
             ("sigma", shape("sigma"), 0.0, "field sigma: none of its"),

@@ -23,6 +23,7 @@ pub struct Segment {
     deviation: f64,
     /// The segment's ends from the normal's mean, in standard deviations.
     ends: [f64; 2],
+    length: f64,
 }
 
 impl Segment {
@@ -33,6 +34,7 @@ impl Segment {
         Self {
             deviation: 1.0 / root,
             ends: [low, low + length * root],
+            length,
         }
     }
 
@@ -52,7 +54,7 @@ impl Segment {
         } else {
             middle([low, high], numbers)
         };
-        ((z - low) * self.deviation).clamp(0.0, (high - low) * self.deviation)
+        ((z - low) * self.deviation).clamp(0.0, self.length)
     }
 }
 

@@ -9,7 +9,8 @@ use crate::capture::return_check::change;
 use crate::device::{FrameKey, LampChannel, LampState};
 use crate::units::Seconds;
 
-/// Number of an exposure that becomes no file.
+/// Number of an exposure that becomes no file, less the lamp's channel: frames of one number
+/// follow each other under one lamp.
 const NOT_KEPT: u32 = u32::MAX - 1;
 
 impl Run<'_> {
@@ -71,8 +72,8 @@ impl Run<'_> {
         };
         let again = Shot {
             key: FrameKey {
-                exposure: NOT_KEPT,
-                repeat: channel.into(),
+                exposure: NOT_KEPT - u32::from(channel),
+                repeat: 0,
                 ..kept.key
             },
             exposure: Seconds(before.requested_s),
