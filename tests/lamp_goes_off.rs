@@ -5,6 +5,7 @@
 
 use std::io::{PipeReader, Read, Write};
 use std::os::fd::{AsFd, OwnedFd};
+use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
@@ -56,6 +57,8 @@ impl Stage {
             .stdin(Stdio::null())
             .stdout(Stdio::null())
             .stderr(stderr)
+            // A job of its own: of an orphaned group the system stops nobody for SIGTTIN.
+            .process_group(0)
             .spawn()
             .unwrap();
         wait_until("lit", || self.is_lit());

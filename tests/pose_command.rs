@@ -140,6 +140,8 @@ fn a_pose_goes_by_the_records_of_lens_and_lights() {
             "elevation_offset_deg = -0.05",
             "elevation_offset_deg = -0.9",
         ),
+        // The directions' record below knows of none.
+        ("backlash = 0.2", "backlash = 0.0"),
         ("[simulation.lens]", &format!("[simulation.lens]\n{lens}")),
     ]);
     let at = folder.path();
