@@ -174,14 +174,14 @@ pub fn run(args: &StageArgs, context: &Context) -> Result<(), CliError> {
                 if let Some(target) = target {
                     stage.move_to(target)?;
                 }
-                stage.set_lamp(*lamp)?;
+                stage.set_lamp(*lamp).map_err(while_lit)?;
                 if *lamp != LampState::Off {
                     context.note(match seconds {
                         Some(seconds) => format!("lit for {seconds} s or until Ctrl-C"),
                         None => "lit until Ctrl-C".to_owned(),
                     });
                     keep_lit(stage, *lamp, *seconds, wishes)?;
-                    stage.set_lamp(LampState::Off)?;
+                    stage.set_lamp(LampState::Off).map_err(while_lit)?;
                     if wishes.interrupt.take_pause() {
                         suspend_dark(context);
                     }
@@ -368,6 +368,16 @@ impl Drop for SetOnDrop<'_> {
     }
 }
 
+/// An error of a stage whose lamp was, or was being, switched on.
+fn while_lit(error: DeviceError) -> CliError {
+    match error {
+        error @ DeviceError::Disconnected { .. } => CliError::from(error).hint(
+            "the lamp may still be lit: turn it off at its supply or by the emergency stop, then check the cable",
+        ),
+        error => error.into(),
+    }
+}
+
 /// Waits until the time is over, a signal has stopped the stage or asks for a pause.
 /// Asks the stage meanwhile whether it is there and the lamp lit.
 fn keep_lit(
@@ -385,12 +395,7 @@ fn keep_lit(
         watchdog.check()?;
         if asked.elapsed() >= ASK {
             asked = Instant::now();
-            let status = stage.status().map_err(|error| match error {
-                error @ DeviceError::Disconnected { .. } => CliError::from(error).hint(
-                    "the lamp may still be lit: turn it off at its supply or by the emergency stop, then check the cable",
-                ),
-                error => error.into(),
-            })?;
+            let status = stage.status().map_err(while_lit)?;
             if status.lamp.is_some_and(|is| is != lamp) && !wishes.stopped.load(Ordering::Acquire) {
                 let port = &stage.info().port;
                 return Err(CliError::new(format!("{port}: the lamp is no longer lit")).hint(
