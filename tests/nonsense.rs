@@ -229,6 +229,18 @@ fn nonsense(good: &[RadianceImage]) -> Vec<Nonsense> {
             "negative",
         ),
         (
+            "half as bright",
+            same(),
+            scaled(good, 0.5),
+            "times the stated one",
+        ),
+        (
+            "a fifth as bright",
+            same(),
+            scaled(good, 0.2),
+            "times the stated one",
+        ),
+        (
             "3 times too bright",
             same(),
             scaled(good, 3.0),

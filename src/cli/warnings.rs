@@ -271,7 +271,7 @@ const IMPOSSIBLE_SCATTER: f64 = 10.0;
 /// Brightness over the brightest material's that no inaccuracy of the irradiance explains.
 const IMPOSSIBLE_BRIGHTNESS: f64 = 1.25;
 /// Factor between irradiances, either way, that no inaccuracy explains.
-const IMPOSSIBLE_SCALE: f64 = 2.0;
+const IMPOSSIBLE_SCALE: f64 = 1.5;
 /// Directions per technique that an albedo takes.
 const ALBEDO_DIRECTIONS: u32 = 1024;
 
