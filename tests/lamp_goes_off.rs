@@ -380,7 +380,8 @@ fn a_camera_s_program_ends_with_the_program_that_started_it() {
         for signal in [Signal::INT, Signal::TERM, Signal::HUP, Signal::KILL] {
             scope.spawn(move || {
                 let folder = command_camera(
-                    "echo half > $1; sleep 600 & echo $! > pid.new; mv pid.new pid; wait",
+                    // By the time of the signal the keeper has been told, also on a loaded machine.
+                    "echo half > $1; sleep 600 & echo $! > pid.new; sleep 1; mv pid.new pid; wait",
                 );
                 let running = Running(grab(folder.path()).spawn().unwrap());
                 let pid = folder.path().join("pid");

@@ -32,7 +32,7 @@ const DEFECT: &str = "WAYS_OUT_DEFECT";
 const REPLY_S: &str = "WAYS_OUT_REPLY_S";
 /// What a reply of the stage may take where its driver is not to wait for one: a step
 /// of the lamp is announced with four times that.
-const QUICK_REPLY_S: f64 = 2.0;
+const QUICK_REPLY_S: f64 = 4.0;
 /// In which the guardian has promised to act.
 const PROMISE: Duration = Duration::from_secs(3);
 /// What nothing here should ever take.
