@@ -5,6 +5,7 @@ use crate::brdf::check;
 use crate::inverse::Fit;
 use crate::inverse::diagnosis::Cause;
 use crate::inverse::findings::{Finding, Flip};
+use crate::radiance_image::CHANNEL_NAMES;
 use crate::session::fit_record::{FitRecord, Grade, UNEXPLAINED_CHI_SQUARE, Warning};
 
 /// Reasons not to trust a fit, or not in everything, with what most likely made them; the
@@ -72,7 +73,7 @@ pub(super) fn warnings(fit: &Fit, record: &FitRecord) -> Vec<Warning> {
             format!(
                 "the material, as it departs from the mixture, would reflect {:.0}% of the {} light that arrives at {theta_deg}° from the normal",
                 100.0 * albedo,
-                ["red", "green", "blue"][channel]
+                CHANNEL_NAMES[channel]
             ),
             "angles that the images show little of, or intensities that are off; capture more lights, or render the mixture alone (rig export --format mitsuba)",
         );
@@ -138,7 +139,6 @@ fn describe_misfit(fit: &Fit, mut warn: impl FnMut(String, &str)) -> bool {
 /// What a finding means for the result, the fact, and its most likely cause.
 fn describe(finding: &Finding) -> (Grade, String, &'static str) {
     use Grade::{Distrust, Reservation};
-    const CHANNELS: [&str; 3] = ["red", "green", "blue"];
     // Beyond this much, either way, a factor is no inaccuracy.
     let by_factor = |ratio: f64, limit: f64| {
         if ratio.ln().abs() > limit.ln() {
@@ -152,7 +152,7 @@ fn describe(finding: &Finding) -> (Grade, String, &'static str) {
             Distrust,
             format!(
                 "the images tell nothing of the material in the {} channel: the result is the prior",
-                CHANNELS[channel]
+                CHANNEL_NAMES[channel]
             ),
             "variances as large as the images, too few paths (--spp), or a mask that leaves too little",
         ),
@@ -160,7 +160,7 @@ fn describe(finding: &Finding) -> (Grade, String, &'static str) {
             Reservation,
             format!(
                 "image {image} shows no light above its noise in the {} channel",
-                CHANNELS[channel]
+                CHANNEL_NAMES[channel]
             ),
             "a lamp or filter without this colour; the material's values there are upper limits",
         ),
@@ -207,7 +207,7 @@ fn describe(finding: &Finding) -> (Grade, String, &'static str) {
             by_factor(ratio, IMPOSSIBLE_BRIGHTNESS),
             format!(
                 "in the {} channel the images are {} times as bright as the brightest material that resembles them: it would reflect more light than arrives",
-                CHANNELS[channel],
+                CHANNEL_NAMES[channel],
                 factor(ratio)
             ),
             "an irradiance or radiance in another unit, or not divided by the exposure; `rig calibrate white` measures the scale",
@@ -220,7 +220,7 @@ fn describe(finding: &Finding) -> (Grade, String, &'static str) {
             by_factor(ratio, IMPOSSIBLE_SCALE),
             format!(
                 "in the {} channel direct light and interreflections agree if the irradiance is {} (± {:.0}%) times the stated one",
-                CHANNELS[channel],
+                CHANNEL_NAMES[channel],
                 factor(ratio),
                 100.0 * log_std
             ),

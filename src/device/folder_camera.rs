@@ -40,9 +40,6 @@ pub struct FolderCamera {
 pub const REQUEST_FILE: &str = "rig-request.json";
 /// How often the folder is looked at.
 const POLL: Duration = Duration::from_millis(50);
-/// What ends at the time-out has so long to say so, before it is abandoned.
-const HANDOVER: Duration = Duration::from_millis(200);
-
 /// What tells one state of a file from another.
 type State = (u64, Option<SystemTime>);
 
@@ -147,20 +144,14 @@ impl Camera for FolderCamera {
         let timeout = Seconds(settings.exposure.0 + self.config.timeout.0);
         let device = self.device();
         let camera = self.clone();
-        let longest = timeout.to_duration() + HANDOVER;
-        match outside::within(longest, move || camera.next_file(settings, timeout)) {
-            Ok(Some(taken)) => taken,
-            Ok(None) => Err(DeviceError::NoReply {
-                device,
-                timeout,
-                sent: "a request for a frame; its files cannot be read".to_owned(),
-            }),
-            Err(source) => Err(DeviceError::Io { device, source }),
-        }
+        let sent = "a request for a frame; its files cannot be read";
+        outside::frame_within(device, timeout, sent, move || {
+            camera.next_file(settings, timeout)
+        })
     }
 
     fn longest_frame(&self, exposure: Seconds) -> Seconds {
-        Seconds(exposure.0 + self.config.timeout.0 + 2.0 * HANDOVER.as_secs_f64())
+        Seconds(exposure.0 + self.config.timeout.0 + 2.0 * outside::HANDOVER.as_secs_f64())
     }
 }
 

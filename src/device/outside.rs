@@ -4,6 +4,33 @@
 use std::sync::mpsc;
 use std::time::Duration;
 
+use super::{DeviceError, RawFrame};
+use crate::units::Seconds;
+
+/// What handing a result over may take beyond the time that the work itself is given.
+pub const HANDOVER: Duration = Duration::from_millis(200);
+
+/// A camera's frame by `work`, which ends by itself within `timeout` unless a file holds it up.
+///
+/// # Errors
+/// Those of `work`; [`DeviceError::NoReply`] to what was `sent` where it took longer.
+pub fn frame_within(
+    device: String,
+    timeout: Seconds,
+    sent: &str,
+    work: impl FnOnce() -> Result<RawFrame, DeviceError> + Send + 'static,
+) -> Result<RawFrame, DeviceError> {
+    match within(timeout.to_duration() + HANDOVER, work) {
+        Ok(Some(taken)) => taken,
+        Ok(None) => Err(DeviceError::NoReply {
+            device,
+            timeout,
+            sent: sent.to_owned(),
+        }),
+        Err(source) => Err(DeviceError::Io { device, source }),
+    }
+}
+
 /// Does `work` on a thread of its own and waits for it, `longest` at most. `None`:
 /// it took longer and was abandoned; its thread ends whenever the work does.
 ///

@@ -6,7 +6,7 @@
 //! Lambertian surface of albedo 1 in the same place, under the same lights.
 
 use crate::brdf::{Atom, Dictionary};
-use crate::radiance_image::RadianceImage;
+use crate::radiance_image::{CHANNEL_NAMES, RadianceImage};
 use crate::transport::{DirectMatrix, Scene};
 
 /// Why images cannot be fitted. Lights and images count from 0.
@@ -15,7 +15,7 @@ pub enum Implausible {
     /// A light that gives none, of which no image can be explained.
     #[error(
         "the {} irradiance of light {light} is {value}, allowed is a finite number above 0",
-        CHANNELS[*channel]
+        CHANNEL_NAMES[*channel]
     )]
     Irradiance {
         /// Index of the light.
@@ -140,9 +140,6 @@ impl Implausible {
         }
     }
 }
-
-/// Names of the channels in messages.
-const CHANNELS: [&str; 3] = ["red", "green", "blue"];
 
 /// A light must bring this part of its irradiance to the visible surface on average: of a
 /// flat sample, one that stands 0.6° above its horizon.

@@ -5,6 +5,9 @@ pub mod exr;
 
 use std::ops::Range;
 
+/// The channels as messages name them.
+pub const CHANNEL_NAMES: [&str; 3] = ["red", "green", "blue"];
+
 /// Three channels of radiance with the variance of each value, and which
 /// pixels are trustworthy. Row 0 is the top.
 #[derive(Clone, Debug, PartialEq)]

@@ -47,9 +47,6 @@ pub struct CommandCamera {
 const POLL: Duration = Duration::from_millis(5);
 /// So much of what it wrote to stderr is told: its end says most.
 const TOLD_BYTES: u64 = 600;
-/// What ends at the time-out has so long to say so, before it is abandoned.
-const HANDOVER: Duration = Duration::from_millis(200);
-
 impl CommandCamera {
     /// A camera of this configuration. The program is not run yet. `keeper` is to
     /// call [`keep`] with its standard input and its last argument, a folder that is
@@ -245,22 +242,12 @@ impl Camera for CommandCamera {
         };
         let device = self.program();
         let its_device = device.clone();
-        let taken = outside::within(timeout.to_duration() + HANDOVER, move || {
-            job.take(its_device)
-        });
-        match taken {
-            Ok(Some(taken)) => taken,
-            Ok(None) => Err(DeviceError::NoReply {
-                device,
-                timeout,
-                sent: "a frame, whose file could not be read".to_owned(),
-            }),
-            Err(source) => Err(DeviceError::Io { device, source }),
-        }
+        let sent = "a frame, whose file could not be read";
+        outside::frame_within(device, timeout, sent, move || job.take(its_device))
     }
 
     fn longest_frame(&self, exposure: Seconds) -> Seconds {
-        Seconds(exposure.0 + self.config.timeout.0 + 2.0 * HANDOVER.as_secs_f64())
+        Seconds(exposure.0 + self.config.timeout.0 + 2.0 * outside::HANDOVER.as_secs_f64())
     }
 }
 
