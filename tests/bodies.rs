@@ -12,7 +12,7 @@ use rig::config::scene::SceneFile;
 use rig::geometry::{Mesh, files};
 use rig::transport::cache::CacheError;
 use rig::transport::{
-    Cache, CacheOptions, DirectMatrix, Kernel, Proposal, RenderOptions, Scene, render,
+    Cache, CacheOptions, Cells, DirectMatrix, Kernel, Proposal, RenderOptions, Scene, render,
 };
 
 /// A quadrilateral whose front sees `towards`.
@@ -76,6 +76,11 @@ fn sample() -> (Dictionary, Vec<f64>, Mixture) {
     (dictionary, weights, mixture)
 }
 
+/// Every pixel of a scene's image as a cell.
+fn pixels_of(scene: &Scene) -> Cells {
+    Cells::of_pixels(scene.camera.resolution_px)
+}
+
 /// χ² per pixel of cached against rendered radiance over the pixels wholly on the
 /// sample, and how many those are.
 fn agreement(cached: &Scene, rendered: &Scene) -> (f64, f64) {
@@ -89,12 +94,12 @@ fn agreement(cached: &Scene, rendered: &Scene) -> (f64, f64) {
     };
     let image = render(rendered, &mixture, &options, &|_| {}).remove(0);
     let options = CacheOptions {
-        samples_per_pixel: 2048,
+        samples_per_cell: 2048,
         max_reflections: 6,
         ..CacheOptions::default()
     };
-    let cache = Cache::trace(cached, &dictionary, &options).unwrap();
-    let direct = DirectMatrix::new(cached, &dictionary, 16, 3);
+    let cache = Cache::trace(cached, &pixels_of(cached), &dictionary, &options).unwrap();
+    let direct = DirectMatrix::new(cached, &pixels_of(cached), &dictionary, 16, 3);
     let pixels: Vec<_> = cache
         .evaluate(Kernel::detect(), &[&weights], Vec::new, |out, rows| {
             let mean = 0.5 * (rows.value[0][0] + rows.value[1][0]);
@@ -157,7 +162,7 @@ fn an_occluder_shadows_the_sample() {
         let radiance = |s: &Scene| render(s, &mixture, &options, &|_| {})[0].mean[middle][1];
         assert!(radiance(&open) > 0.05);
         assert_eq!(radiance(&shadowed), 0.0);
-        let direct = DirectMatrix::new(&shadowed, &dictionary, 4, 1);
+        let direct = DirectMatrix::new(&shadowed, &pixels_of(&shadowed), &dictionary, 4, 1);
         assert_eq!(direct.coverage[middle], 1.0);
         assert!(direct.row(middle, 0).iter().all(|&v| v == 0.0));
     }
@@ -178,8 +183,14 @@ fn pixels_of_a_body_are_none_of_the_sample() {
     );
     let (dictionary, _, mixture) = sample();
     let grey = scene(&[(&lid, GREY)]);
-    let direct = DirectMatrix::new(&grey, &dictionary, 4, 1);
-    let cache = Cache::trace(&grey, &dictionary, &CacheOptions::default()).unwrap();
+    let direct = DirectMatrix::new(&grey, &pixels_of(&grey), &dictionary, 4, 1);
+    let cache = Cache::trace(
+        &grey,
+        &pixels_of(&grey),
+        &dictionary,
+        &CacheOptions::default(),
+    )
+    .unwrap();
     let seen = rig::capture::interest::sample_pixels(&grey, &grey.camera);
     let radiance: Vec<f32> = cache
         .evaluate(
@@ -218,7 +229,13 @@ fn a_coloured_body_cannot_stand_beside_a_fit() {
     let holder = walls(1.3, 1.5);
     let (dictionary, ..) = sample();
     let coloured = scene(&[(&walls(1.4, 0.1), GREY), (&holder, RED)]);
-    let error = Cache::trace(&coloured, &dictionary, &CacheOptions::default()).err();
+    let error = Cache::trace(
+        &coloured,
+        &pixels_of(&coloured),
+        &dictionary,
+        &CacheOptions::default(),
+    )
+    .err();
     let Some(CacheError::ColouredBody { body: 1 }) = error else {
         panic!("{error:?}");
     };

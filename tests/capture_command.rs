@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use rig::brdf::Dictionary;
 use rig::config::RigConfig;
-use rig::inverse::{FitOptions, fit, intervals};
+use rig::inverse::{Captured, CellOptions, FitOptions, fit, intervals};
 use rig::radiance_image::exr;
 use rig::session::commit::SystemDisk;
 use rig::session::{
@@ -371,9 +371,10 @@ fn a_holder_is_captured_and_known_to_the_fit() {
         .map(|file| file.image)
         .collect();
     let mut options = FitOptions::default();
-    options.cache.samples_per_pixel = 64;
+    options.cache.samples_per_cell = 64;
     let scene = config.geometry.scene(lights).unwrap();
     let dictionary = Arc::new(Dictionary::rig26());
+    let images = Captured::new(&scene, &images, &CellOptions::default()).unwrap();
     let fit = fit(&scene, &images, &dictionary, &options, &mut |_| {}).unwrap();
     let untold = intervals::table(&fit.material, &[], &[halves[at_40_deg]], &[0.0])[0].value[1];
 

@@ -12,8 +12,11 @@ use rig::brdf::{Atom, Brdf, Dictionary, Mixture};
 use rig::geometry::shapes::Form;
 use rig::geometry::{FormError, Shape};
 use rig::inverse::budget::{self, Source};
+use rig::inverse::cells::AverageError;
 use rig::inverse::exponentiated_gradient::ExponentiatedGradient;
-use rig::inverse::{Channels, Fit, FitError, FitOptions, Optimizer, Refine, fit, intervals};
+use rig::inverse::{
+    Captured, CellOptions, Channels, Fit, FitOptions, Optimizer, Refine, fit, intervals,
+};
 use rig::radiance_image::RadianceImage;
 use rig::transport::{Camera, Light, Projection, Proposal, RenderOptions, Scene, Shading, render};
 
@@ -90,7 +93,7 @@ fn images(scene: &Scene, material: &Mixture) -> Vec<RadianceImage> {
 
 fn options() -> FitOptions {
     let mut options = FitOptions::default();
-    options.cache.samples_per_pixel = 256;
+    options.cache.samples_per_cell = 256;
     options.cache.max_reflections = 12;
     options.model_error = 0.005;
     options
@@ -116,6 +119,10 @@ fn errors(fit: &Fit, dictionary: &Arc<Dictionary>, truth: &Mixture) -> [f64; 2] 
     brdfs.map(|brdf| brdf_errors(brdf, truth, &cells).cube_root.all)
 }
 
+fn averaged(scene: &Scene, images: &[RadianceImage]) -> Captured {
+    Captured::new(scene, images, &CellOptions::default()).unwrap()
+}
+
 #[test]
 fn the_truth_comes_back_through_interreflections() {
     let dictionary = Arc::new(Dictionary::grid42());
@@ -132,9 +139,10 @@ fn the_truth_comes_back_through_interreflections() {
         ),
     ] {
         let captured = images(&scene(fine, &lights), &truth);
+        let scene = scene(shape, &lights);
         let fit = fit(
-            &scene(shape, &lights),
-            &captured,
+            &scene,
+            &averaged(&scene, &captured),
             &dictionary,
             &options(),
             &mut |_| {},
@@ -147,7 +155,7 @@ fn the_truth_comes_back_through_interreflections() {
         println!(
             "{name}: cube-root error {error:.4}, start {start:.4}, constrained {constrained} of {}, chi2 {:?}",
             cells.len(),
-            fit.reduced_chi2
+            fit.comparison.reduced_chi2()
         );
         assert!(error < limit, "{name}: {error}");
         assert!(
@@ -183,7 +191,14 @@ fn both_optimisers_lower_the_same_loss() {
     let scene = scene(bowl(96), &lights);
     let run = |optimizer: Optimizer, channels| {
         let options = one_round(optimizer, channels);
-        let fit = fit(&scene, &captured, &dictionary, &options, &mut |_| {}).unwrap();
+        let fit = fit(
+            &scene,
+            &averaged(&scene, &captured),
+            &dictionary,
+            &options,
+            &mut |_| {},
+        )
+        .unwrap();
         let total = |i: usize| -> f64 { fit.trace[i].1.loss.iter().sum() };
         (total(0), total(fit.trace.len() - 1), fit)
     };
@@ -231,7 +246,14 @@ fn the_last_point_is_as_good_as_the_best() {
         Optimizer::ExponentiatedGradient(restless),
     ] {
         let options = one_round(optimizer, Channels::Separate);
-        let fit = fit(&scene, &captured, &dictionary, &options, &mut |_| {}).unwrap();
+        let fit = fit(
+            &scene,
+            &averaged(&scene, &captured),
+            &dictionary,
+            &options,
+            &mut |_| {},
+        )
+        .unwrap();
         let mut rises = 0;
         for set in 0..3 {
             let losses: Vec<f64> = fit.trace.iter().map(|(_, step)| step.loss[set]).collect();
@@ -269,7 +291,14 @@ fn dust_counts_for_less() {
         ..options()
     };
     let [without, with] = [&clean, &dusty].map(|captured| {
-        let fit = fit(&scene, captured, &dictionary, &options, &mut |_| {}).unwrap();
+        let fit = fit(
+            &scene,
+            &averaged(&scene, captured),
+            &dictionary,
+            &options,
+            &mut |_| {},
+        )
+        .unwrap();
         (errors(&fit, &dictionary, &truth)[0], fit.doubted)
     });
     println!("without dust {without:?}, with {with:?} (cube-root error, doubted)");
@@ -281,12 +310,11 @@ fn dust_counts_for_less() {
 
 #[test]
 fn images_that_do_not_belong_to_the_scene_are_refused() {
-    let dictionary = Dictionary::grid42();
     let scene = scene(bowl(32), &[DVec3::Z]);
-    let run = |images: &[RadianceImage]| fit(&scene, images, &dictionary, &options(), &mut |_| {});
+    let run = |images: &[RadianceImage]| Captured::new(&scene, images, &CellOptions::default());
     assert!(matches!(
         run(&[]),
-        Err(FitError::ImageCount {
+        Err(AverageError::ImageCount {
             images: 0,
             lights: 1
         })
@@ -294,7 +322,7 @@ fn images_that_do_not_belong_to_the_scene_are_refused() {
     let small = RadianceImage::new(8, 24);
     assert!(matches!(
         run(&[small]),
-        Err(FitError::ImageSize {
+        Err(AverageError::ImageSize {
             image: 0,
             width: 8,
             ..
@@ -304,7 +332,7 @@ fn images_that_do_not_belong_to_the_scene_are_refused() {
     blind.valid.fill(false);
     assert!(matches!(
         run(&[blind]),
-        Err(FitError::NothingToCompare { image: 0 })
+        Err(AverageError::NothingValid { image: 0 })
     ));
 }
 
@@ -338,9 +366,16 @@ fn a_stated_form_error_is_a_part_of_the_budget() {
             refine: Refine::NONE,
             ..options()
         };
-        options.cache.samples_per_pixel = 32;
+        options.cache.samples_per_cell = 32;
         options.cache.max_reflections = 3;
-        fit(&scene, &captured, &dictionary, &options, &mut |_| {}).unwrap()
+        fit(
+            &scene,
+            &averaged(&scene, &captured),
+            &dictionary,
+            &options,
+            &mut |_| {},
+        )
+        .unwrap()
     };
     let mesh = |fit: &Fit| {
         let cell = budget::at(&fit.material, &fit.draws, 10.0, 20.0).unwrap();

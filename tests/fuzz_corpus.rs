@@ -12,7 +12,7 @@ use glam::{DVec2, DVec3};
 use rig::brdf::{Atom, Dictionary, Mixture};
 use rig::geometry::Shape;
 use rig::inverse::memory::Size;
-use rig::inverse::{FitOptions, fit};
+use rig::inverse::{Captured, FitOptions, fit};
 use rig::random::{Purpose, Stream, stream};
 use rig::transport::{Camera, Light, Projection, RenderOptions, Scene, Shading, render};
 
@@ -161,18 +161,18 @@ fn memory_of_a_fit(side: usize, lights: usize, dictionary: &Dictionary) -> [f64;
     };
     let captured = render(&scene, &material, &how, &|_| {});
     let mut options = FitOptions::default();
-    options.cache.samples_per_pixel = 2;
+    options.cache.samples_per_cell = 2;
     let counted = targets::peak_bytes(|| {
-        let images = captured.clone();
+        let images = Captured::of_pixels(&captured, |_| true);
         drop(fit(&scene, &images, dictionary, &options, &mut |_| {}).unwrap());
     });
     let size = Size {
-        resolution_px: [side; 2],
+        cells: side * side,
         lights,
         atoms: dictionary.len(),
         bench_parameters: 0,
     };
-    let estimated = size.images_bytes() + size.least_paths_bytes();
+    let estimated = size.values_bytes() + size.least_paths_bytes();
     [counted as f64, estimated as f64]
 }
 

@@ -6,10 +6,10 @@ use divan::{Bencher, black_box};
 use rig::brdf::{Dictionary, Mixture};
 use rig::geometry::{Bvh, Mesh};
 use rig::inverse::simplex::Quadratic;
-use rig::inverse::{Channels, objective::Objective};
+use rig::inverse::{Captured, Channels, objective::Objective};
 use rig::random::{Purpose, stream};
 use rig::transport::{
-    Cache, CacheOptions, DirectMatrix, Kernel, Proposal, RenderOptions, Scene, render,
+    Cache, CacheOptions, Cells, DirectMatrix, Kernel, Proposal, RenderOptions, Scene, render,
 };
 use rig_benches::{rays, scenes};
 
@@ -31,13 +31,20 @@ fn bowl() -> Mesh {
     scenes::bowl().expect("a valid shape")
 }
 
+/// Every pixel of a scene's image as a cell.
+fn pixels_of(scene: &Scene) -> Cells {
+    Cells::of_pixels(scene.camera.resolution_px)
+}
+
 fn cache(shape: &str, resolution_px: usize) -> Cache {
     let options = CacheOptions {
         max_reflections: 8,
         ..CacheOptions::default()
     };
+    let scene = scene(shape, resolution_px);
     Cache::trace(
-        &scene(shape, resolution_px),
+        &scene,
+        &pixels_of(&scene),
         &Dictionary::grid42(),
         &options,
     )
@@ -78,7 +85,7 @@ fn trace(bencher: Bencher, shape: &str) {
         max_reflections: 8,
         ..CacheOptions::default()
     };
-    bencher.bench_local(|| Cache::trace(&scene, &dictionary, &options).map(|c| c.size()));
+    bencher.bench_local(|| Cache::trace(&scene, &pixels_of(&scene), &dictionary, &options).map(|c| c.size()));
 }
 
 #[divan::bench(sample_count = 20)]
@@ -112,7 +119,7 @@ fn build_tree(bencher: Bencher) {
 fn direct_matrix(bencher: Bencher, shape: &str) {
     let scene = scene(shape, 16);
     let dictionary = Dictionary::grid42();
-    bencher.bench_local(|| DirectMatrix::new(&scene, &dictionary, 16, 1));
+    bencher.bench_local(|| DirectMatrix::new(&scene, &pixels_of(&scene), &dictionary, 16, 1));
 }
 
 /// Residuals, gradient and Gauss–Newton matrix of one 32 × 32 image in three channels.
@@ -121,7 +128,7 @@ fn linearise(bencher: Bencher, shape: &str) {
     let scene = scene(shape, 32);
     let dictionary = Dictionary::grid42();
     let cache = cache(shape, 32);
-    let direct = DirectMatrix::new(&scene, &dictionary, 4, 1);
+    let direct = DirectMatrix::new(&scene, &pixels_of(&scene), &dictionary, 4, 1);
     let mut half_white = vec![0.0; 42];
     half_white[40..].fill(0.5);
     let material =
@@ -137,11 +144,11 @@ fn linearise(bencher: Bencher, shape: &str) {
         },
         &|_| {},
     );
+    let captured = Captured::of_pixels(&captured, |_| true);
     let objective = Objective::new(
         &cache,
         &direct,
         &captured,
-        None,
         Channels::Separate,
         Kernel::detect(),
         0.02,

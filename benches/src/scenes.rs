@@ -55,6 +55,7 @@ pub fn scene(mesh: Mesh, resolution_px: usize, lamps_deg: &[f64]) -> Scene {
         ),
         focus_mm: 5.0,
         object_na: 0.0,
+        point_spread_px: 0.0,
     };
     let lamps = lamps_deg
         .iter()

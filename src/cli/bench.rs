@@ -12,11 +12,11 @@ use super::{CliError, Context, output};
 use crate::brdf::{Dictionary, Mixture};
 use crate::geometry::bvh::offset_origin;
 use crate::geometry::{Bvh, Mesh, Ray, Shape};
-use crate::inverse::{FitOptions, fit};
+use crate::inverse::{BenchPriors, Captured, CellOptions, FitError, FitOptions, fit};
 use crate::out;
 use crate::random::{Purpose, stream};
 use crate::transport::{
-    Cache, CacheOptions, Camera, DirectMatrix, Kernel, Lens, Light, Projection, Proposal,
+    Cache, CacheOptions, Camera, Cells, DirectMatrix, Kernel, Lens, Light, Projection, Proposal,
     RenderOptions, Scene, Shading, render,
 };
 
@@ -183,17 +183,18 @@ impl Bench<'_> {
             let scene = scene(mesh, &[[light_deg, 0.0]]);
             let dictionary = Dictionary::grid42();
             let options = CacheOptions {
-                samples_per_pixel: 256,
+                samples_per_cell: 256,
                 max_reflections: 8,
                 ..CacheOptions::default()
             };
-            let cache = Cache::trace(&scene, &dictionary, &options)?;
+            let cells = Cells::of_pixels(scene.camera.resolution_px);
+            let cache = Cache::trace(&scene, &cells, &dictionary, &options)?;
             let (records, bytes) = cache.size();
             let facts = json!({
                 "mesh": name, "triangles": triangles, "dictionary": dictionary.name(),
                 "light_deg": light_deg, "resolution_px": scene.camera.resolution_px,
                 "samples_per_pixel": 2 * cache.samples_per_half,
-                "paths": 2 * cache.samples_per_half as usize * cache.pixels,
+                "paths": 2 * cache.samples_per_half as usize * cache.cells,
                 "max_reflections": options.max_reflections, "records": records, "bytes": bytes,
             });
             let repeat = self.args.repeat;
@@ -201,7 +202,9 @@ impl Bench<'_> {
                 &trace,
                 repeat.min(3),
                 || {
-                    std::hint::black_box(Cache::trace(&scene, &dictionary, &options).is_ok());
+                    std::hint::black_box(
+                        Cache::trace(&scene, &cells, &dictionary, &options).is_ok(),
+                    );
                 },
                 |_| facts.clone(),
             );
@@ -209,7 +212,7 @@ impl Bench<'_> {
                 &direct,
                 repeat.min(3),
                 || {
-                    std::hint::black_box(DirectMatrix::new(&scene, &dictionary, 16, 1));
+                    std::hint::black_box(DirectMatrix::new(&scene, &cells, &dictionary, 16, 1));
                 },
                 |_| facts.clone(),
             );
@@ -262,6 +265,8 @@ impl Bench<'_> {
         };
         let captured = render(&scene, &truth, &options, &|_| {});
         let options = FitOptions::default();
+        let cells = CellOptions::new(&dictionary, &BenchPriors::default());
+        let captured = Captured::new(&scene, &captured, &cells).map_err(FitError::from)?;
         let mut failed = None;
         let mut records = 0;
         self.case(
@@ -275,7 +280,7 @@ impl Bench<'_> {
                 json!({
                     "mesh": "bowl", "triangles": triangles, "dictionary": dictionary.name(),
                     "light_deg": lights, "resolution_px": scene.camera.resolution_px,
-                    "samples_per_pixel": options.cache.samples_per_pixel,
+                    "samples_per_pixel": options.cache.samples_per_cell,
                     "max_reflections": options.cache.max_reflections,
                     "kernel": options.kernel.to_string(),
                 })
@@ -337,7 +342,7 @@ fn pass(cache: &Cache, kernel: Kernel, weights: &[f64]) -> f64 {
             }
         },
     );
-    sums.iter().map(|s| s.0).sum::<f64>() / cache.pixels as f64
+    sums.iter().map(|s| s.0).sum::<f64>() / cache.cells as f64
 }
 
 fn bowl() -> Shape {

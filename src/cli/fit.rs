@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use super::pipeline::{FitArgs, FitPlan, check_images, fit_session};
-use super::preflight::Keys;
+use super::preflight::{Keys, check_scene};
 use super::{CliError, Context, HintExt, output, warnings};
 use crate::config::scene::SceneFile;
 use crate::radiance_image::{RadianceImage, exr};
@@ -96,7 +96,6 @@ fn fit_scene(
     fit_record::check_folder(out)?;
     let plan = FitPlan::new(&args.fit, None, &file.uncertainty, file.sample.form_error)?;
     let scene = file.scene()?;
-    plan.bounded(&scene)?;
     let (mut captured, mut remarks) = (Vec::new(), Vec::new());
     for path in &args.image {
         let file = exr::read_sized(path, scene.camera.resolution_px)
@@ -115,7 +114,9 @@ fn fit_scene(
         captured.push(image);
     }
     let file = |image: usize| args.image[image].display().to_string();
-    check_images(&scene, Keys::Scene, &captured, file, context)?;
+    check_scene(&scene, Keys::Scene, context)?;
+    let captured = plan.average(&scene, captured, file)?;
+    check_images(&scene, &captured, file)?;
     let (mut record, images) = plan.run(&scene, &captured, false, None, context)?;
     record.remarks.extend(remarks);
     record.settings.scene = Some(path.display().to_string());

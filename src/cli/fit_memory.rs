@@ -2,8 +2,8 @@
 
 use super::CliError;
 use crate::inverse::FitOptions;
+use crate::inverse::cells::BUDGET;
 use crate::inverse::memory::{Size, TooLittleMemory, free_bytes};
-use crate::transport::Scene;
 
 /// Atoms that a round of refinement may add, about.
 const ATOMS_PER_ROUND: usize = 16;
@@ -11,18 +11,19 @@ const ATOMS_PER_ROUND: usize = 16;
 /// light's direction and intensity, stray light in each channel.
 const BENCH_PARAMETERS: usize = 12;
 
-/// `options` with the room that the cached paths of a fit of `scene` may take, where the whole
+/// `options` with the room that the cached paths of a fit of so many cells under so many lights
+/// may take, where the whole
 /// fit may take `memory_mib`; where nobody says, the options' room as far as the machine has it.
 pub(super) fn bounded(
     options: &FitOptions,
-    scene: &Scene,
+    [cells, lights]: [usize; 2],
     atoms: usize,
     refines_bench: bool,
     memory_mib: Option<u64>,
 ) -> Result<FitOptions, CliError> {
     let size = Size {
-        resolution_px: scene.camera.resolution_px,
-        lights: scene.lights.len(),
+        cells,
+        lights,
         atoms: atoms + ATOMS_PER_ROUND * options.refine.rounds as usize,
         bench_parameters: if refines_bench { BENCH_PARAMETERS } else { 0 },
     };
@@ -40,10 +41,8 @@ fn refused(error: TooLittleMemory) -> CliError {
         true => "free some memory or use a larger machine".to_owned(),
         false => format!("`--memory {}` would do", error.needed_mebibytes()),
     };
-    let smaller = match error.fitting_px {
-        Some([width, height]) => {
-            format!(", or average the images to at most {width} x {height} pixels")
-        }
+    let smaller = match error.fitting_cells.filter(|cells| BUDGET.contains(cells)) {
+        Some(cells) => format!(", or compare fewer cells (`--cells {cells}`)"),
         None => String::new(),
     };
     CliError::new(error).hint(format!("{enough}{smaller}"))

@@ -13,6 +13,7 @@ use crate::evaluate::experiment::EvaluateError;
 use crate::evaluate::lab::materials;
 use crate::export::ExportError;
 use crate::geometry::MeshError;
+use crate::inverse::cells::AverageError;
 use crate::inverse::fit::FitError;
 use crate::inverse::plausibility::Implausible;
 use crate::radiance_image::exr::ExrError;
@@ -297,12 +298,7 @@ fn for_build(error: &BuildError) -> Option<String> {
 fn for_fit(error: &FitError) -> Option<String> {
     use FitError::*;
     match error {
-        ImageCount { .. } => {
-            Some("give one image for each light of the scene, in its order".into())
-        }
-        ImageSize { .. } => {
-            Some("the scene's resolution_px must be the images' width and height".into())
-        }
+        Average(error) => for_images(error).map(Into::into),
         NothingToCompare { .. } => {
             Some("check that the scene's camera and sample are those of the images".into())
         }
@@ -313,6 +309,22 @@ fn for_fit(error: &FitError) -> Option<String> {
         Simplex(_) | Projection(_) => Some(
             "the equations of the fit hold no finite numbers: check the images for values far beyond the others, or follow more paths (--spp)"
                 .into(),
+        ),
+    }
+}
+
+/// What to do where images cannot be averaged over a scene's cells.
+pub(super) fn for_images(error: &AverageError) -> Option<&'static str> {
+    use AverageError::*;
+    match error {
+        ImageCount { .. } => Some("give one image for each light of the scene, in its order"),
+        TooManyLights { .. } => None,
+        ImageSize { .. } => Some("the scene's resolution_px must be the images' width and height"),
+        NothingSeen => Some(
+            "the sample is too small in the image, or its pose too uncertain ([uncertainty]), for anything to be left between its edges",
+        ),
+        NothingValid { .. } => Some(
+            "infinite values, NaN, pixels whose mask channel is 0 and what --mask leaves out are not compared, and here nothing else is left: check exposures, the program that wrote the image, and its number format",
         ),
     }
 }
@@ -339,9 +351,6 @@ pub(super) fn for_implausible(error: &Implausible) -> &'static str {
         Constant { .. } => "give the image of the sample; a saturated or filled one tells nothing",
         OnePixel { .. } => {
             "mask hot pixels (a mask channel, or --mask), and check that the sample is in the image"
-        }
-        NothingValid { .. } => {
-            "infinite values, NaN, and pixels whose mask channel is 0 are left out, and here all are: check exposures, the program that wrote the image, and its number format"
         }
         NoVariance { .. } => {
             "leave the var.* channels out where the noise is not known: a relative noise of 0.5% is assumed then"

@@ -16,11 +16,12 @@ use crate::config::process;
 use crate::config::uncertainty::Deviation;
 use crate::geometry::FormError;
 use crate::inverse::bench::{BenchEstimate, with_sample_at};
+use crate::inverse::cells::{AverageError, BUDGET};
 use crate::inverse::exponentiated_gradient::ExponentiatedGradient;
 use crate::inverse::gauss_newton::GaussNewton;
 use crate::inverse::{
-    BenchPriors, Channels, Fit, FitOptions, Optimizer, Refine, RefineOptions, budget, fit,
-    intervals, plausibility, refine_bench,
+    BenchPriors, Captured, CellOptions, Channels, Fit, FitOptions, Optimizer, Refine,
+    RefineOptions, budget, fit, intervals, plausibility, refine_bench,
 };
 use crate::radiance_image::RadianceImage;
 use crate::report;
@@ -48,7 +49,7 @@ pub struct FitArgs {
     /// How the weights are found
     #[arg(long, value_enum)]
     pub optimizer: Option<OptimizerArg>,
-    /// Light paths per pixel, 2 to 65536
+    /// Light paths per cell, 2 to 65536
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=65_536))]
     pub spp: Option<u32>,
     /// Longest path in surface reflections, 2 to 64
@@ -66,9 +67,13 @@ pub struct FitArgs {
     /// PNG of the images' size: only pixels that are white in it are compared
     #[arg(long, value_name = "PNG")]
     pub mask: Option<PathBuf>,
+    /// Most cells of the images that are compared, 64 to 100000 (default 2500): squares of pixels,
+    /// single ones where a highlight can be and large ones where the scene is smooth
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(*BUDGET.start() as u64..=*BUDGET.end() as u64))]
+    pub cells: Option<u64>,
     /// Memory that the whole fit may take, MiB: fewer paths are traced if it does not suffice, and
-    /// images that are too large for it are refused. By default, what the images need and 512 MiB
-    /// for paths, as far as the machine has them free
+    /// a fit that is too large for it is refused. By default, what the cells need and 512 MiB for
+    /// paths, as far as the machine has them free
     #[arg(long, value_name = "MIB", value_parser = clap::value_parser!(u64).range(16..=1_048_576))]
     pub memory: Option<u64>,
     /// Which instructions evaluate the paths; portable gives the same numbers anywhere
@@ -140,6 +145,10 @@ pub struct FitPlan {
     mask: Option<PathBuf>,
     /// How well the bench is known; `None`: exactly.
     priors: Option<BenchPriors>,
+    /// How well the bench is known, refined or not.
+    known: BenchPriors,
+    /// Most cells, if that was said.
+    cells: Option<usize>,
     /// Memory of the whole fit, MiB, if that was said.
     memory_mib: Option<u64>,
 }
@@ -173,7 +182,7 @@ impl FitPlan {
             ..FitOptions::default()
         };
         if let Some(config) = config {
-            options.cache.samples_per_pixel = config.samples_per_pixel;
+            options.cache.samples_per_cell = config.samples_per_pixel;
             options.cache.max_reflections = config.max_reflections.max(2);
             options.cache.seed = config.seed;
         }
@@ -192,7 +201,7 @@ impl FitPlan {
             Optimizer::GaussNewton(GaussNewton::default())
         };
         let cache = &mut options.cache;
-        cache.samples_per_pixel = args.spp.unwrap_or(cache.samples_per_pixel);
+        cache.samples_per_cell = args.spp.unwrap_or(cache.samples_per_cell);
         cache.max_reflections = args.max_reflections.unwrap_or(cache.max_reflections);
         cache.seed = args.seed.unwrap_or(cache.seed);
         if let Some(kernel) = args.kernel {
@@ -219,36 +228,60 @@ impl FitPlan {
             dictionary: Arc::new(dictionary),
             options,
             mask: args.mask.clone(),
+            known: priors.clone(),
             priors: refine.then_some(priors),
+            cells: args.cells.map(|cells| cells as usize),
             memory_mib: args.memory,
         })
     }
 
-    /// The options with the room that cached paths may take, or why no fit of this scene finds
-    /// enough memory.
-    pub(super) fn bounded(&self, scene: &Scene) -> Result<FitOptions, CliError> {
+    /// The options with the room that cached paths may take, or why no fit of so many cells under
+    /// so many lights finds enough memory.
+    fn bounded(&self, cells_and_lights: [usize; 2]) -> Result<FitOptions, CliError> {
         let (atoms, refines) = (self.dictionary.len(), self.priors.is_some());
-        fit_memory::bounded(&self.options, scene, atoms, refines, self.memory_mib)
+        fit_memory::bounded(
+            &self.options,
+            cells_and_lights,
+            atoms,
+            refines,
+            self.memory_mib,
+        )
+    }
+
+    /// The images averaged over the cells that are compared.
+    pub(super) fn average(
+        &self,
+        scene: &Scene,
+        mut images: Vec<RadianceImage>,
+        file: impl Fn(usize) -> String,
+    ) -> Result<Captured, CliError> {
+        if let Some(path) = &self.mask {
+            apply_mask(path, &mut images)?;
+        }
+        let mut cells = CellOptions::new(&self.dictionary, &self.known);
+        cells.budget = self.cells.unwrap_or(cells.budget);
+        Captured::new(scene, &images, &cells).map_err(|error| {
+            let hint = hints::for_images(&error);
+            let fact = match error {
+                AverageError::NothingValid { image } => format!("{}: {error}", file(image)),
+                _ => error.to_string(),
+            };
+            match hint {
+                Some(hint) => CliError::new(fact).hint(hint),
+                None => CliError::new(fact),
+            }
+        })
     }
 
     /// Fits and describes the result. `truth`: name and BRDF, where known.
     pub fn run(
         &self,
         scene: &Scene,
-        captured: &[RadianceImage],
+        captured: &Captured,
         simulated: bool,
         truth: Option<(&str, &dyn Brdf)>,
         context: &Context,
     ) -> Result<(FitRecord, FitImages), CliError> {
-        let mut masked = Vec::new();
-        let captured = match &self.mask {
-            Some(path) => {
-                masked.extend_from_slice(captured);
-                apply_mask(path, &mut masked)?;
-                &masked
-            }
-            None => captured,
-        };
         let mut remarks = Vec::new();
         let mut remark = |text: String| {
             context.warn(&text);
@@ -259,7 +292,10 @@ impl FitPlan {
         }
         let bar = context.spinner();
         let mut stage = |stage: &str| bar.set_message(stage.to_owned());
-        let (dictionary, options) = (&self.dictionary, &self.bounded(scene)?);
+        let (dictionary, options) = (
+            &self.dictionary,
+            &self.bounded([captured.len(), captured.images.len()])?,
+        );
         let (fit, bench) = match &self.priors {
             None => (fit(scene, captured, dictionary, options, &mut stage)?, None),
             Some(priors) => {
@@ -273,7 +309,7 @@ impl FitPlan {
         };
         if fit.samples[0] < fit.samples[1] {
             remark(format!(
-                "{} of {} paths per pixel were traced: more do not fit into the memory given",
+                "{} of {} paths per cell were traced: more do not fit into the memory given",
                 fit.samples[0], fit.samples[1]
             ));
         }
@@ -300,8 +336,8 @@ impl FitPlan {
         Ok((
             record,
             FitImages {
-                rendered: fit.rendered,
-                residual: fit.residual,
+                rendered: fit.comparison.rendered(),
+                residual: fit.comparison.residual(),
             },
         ))
     }
@@ -377,7 +413,7 @@ impl FitPlan {
                 .trace
                 .last()
                 .map_or(0.0, |(_, step)| step.loss.iter().sum()),
-            reduced_chi_square: fit.reduced_chi2.clone(),
+            reduced_chi_square: fit.comparison.reduced_chi2(),
             truncation_remainder: Vec::new(),
             doubted: fit.doubted.clone(),
             departure: (fit.departure > 0.0).then(|| DepartureRecord {
@@ -540,12 +576,14 @@ pub fn fit_session(
     };
     let form_error = config.geometry.sample.form_error;
     let plan = FitPlan::new(args, Some(&config.fit), &uncertainty, form_error)?;
-    let file = |light| {
+    let file = |light: usize| {
         root.join(layout::radiance_file(light as u32))
             .display()
             .to_string()
     };
-    check_images(&scene, preflight::Keys::Rig, &captured, file, context)?;
+    preflight::check_scene(&scene, preflight::Keys::Rig, context)?;
+    let captured = plan.average(&scene, captured, file)?;
+    check_images(&scene, &captured, file)?;
     let truth = match &config.simulation {
         Some(simulation) => Some(simulation.material.load()?),
         None => None,
@@ -576,16 +614,12 @@ pub fn fit_session(
     Ok(folder)
 }
 
-/// Refuses a scene that the camera does not see, and images that cannot be those of the
-/// scene; `file` names the one of a light.
+/// Refuses images that cannot be those of the scene; `file` names the one of a light.
 pub(super) fn check_images(
     scene: &Scene,
-    keys: preflight::Keys,
-    captured: &[RadianceImage],
+    captured: &Captured,
     file: impl Fn(usize) -> String,
-    context: &Context,
 ) -> Result<(), CliError> {
-    preflight::check_scene(scene, keys, context)?;
     plausibility::check(scene, captured).map_err(|error| {
         let fact = match error.image() {
             Some(image) => format!("{}: {error}", file(image)),

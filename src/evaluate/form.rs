@@ -4,6 +4,7 @@
 use super::defects::Defect;
 use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table, quantile};
 use super::intervals::{capture, material, of_class, options, theta_d_deg, theta_h_deg, values};
+use super::lab::capture::average;
 use super::lab::materials::Class;
 use super::lab::{Lab, Sample};
 use crate::brdf::Brdf;
@@ -139,7 +140,13 @@ fn trials(lab: &Lab, error: Option<FormError>, index: u64) -> Result<[Trial; 2],
             form_error,
             ..options(lab, index)
         };
-        let fit = fit(&scene, &images, &lab.dictionary, &options, &mut |_| {})?;
+        let fit = fit(
+            &scene,
+            &average(&scene, &images, &lab.dictionary)?,
+            &lab.dictionary,
+            &options,
+            &mut |_| {},
+        )?;
         let (theta_h, theta_d) = (theta_h_deg(), theta_d_deg());
         let (material, draws) = (&fit.material, &fit.draws);
         let cells = intervals::table(material, draws, &theta_h, &theta_d);

@@ -4,16 +4,17 @@ use std::sync::Arc;
 
 use super::defects::Defect;
 use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table, quantile};
+use super::lab::capture::average;
 use super::lab::materials::{Class, Material};
 use super::lab::{Lab, Sample, misaligned};
 use crate::brdf::{Brdf, HalfDifference, Mixture};
 use crate::inverse::intervals::{self, Interval};
-use crate::inverse::objective::around;
 use crate::inverse::{FitOptions, RefineOptions, fit, refine_bench};
 use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
 use crate::radiance_image::RadianceImage;
 use crate::random::{Purpose, stream};
 use crate::simulation::photograph::Photographer;
+use crate::transport::Cells;
 
 /// Pointwise coverage of the 95% intervals.
 pub static INTERVALS: Experiment = Experiment {
@@ -105,9 +106,10 @@ pub(super) fn capture(
                 defect.image(image);
             }
             let mut taken = photographer.take(image, light)?;
+            let cells = Cells::of_pixels([image.width, image.height]);
             // The truth's own paths are part of the capture's noise.
             for (p, variance) in taken.variance.iter_mut().enumerate() {
-                let around: Vec<usize> = around(p, [image.width, image.height]).collect();
+                let around: Vec<usize> = cells.around(p).chain([p]).collect();
                 for (c, v) in variance.iter_mut().enumerate() {
                     let sum: f32 = around.iter().map(|&q| image.variance[q][c]).sum();
                     *v += sum / around.len() as f32;
@@ -236,6 +238,7 @@ fn trial(lab: &Lab, class: Class, known: Known, index: u64) -> Result<Trial, Eva
     let scene = bench.scene(&truth);
     let images = capture(lab, sample, &*brdf, Some(&Defect::Misaligned(truth)), index)?;
     let (dictionary, options) = (&lab.dictionary, options(lab, index));
+    let images = average(&described, &images, dictionary)?;
     let quiet = &mut |_: &str| {};
     let fit = match known {
         Known::Exactly => fit(&scene, &images, dictionary, &options, quiet)?,

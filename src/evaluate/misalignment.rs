@@ -1,6 +1,7 @@
 //! What an inexactly known bench costs, and what refining it gives back.
 
 use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table, quantile};
+use super::lab::capture::average;
 use super::lab::{Lab, Material, Sample, misaligned};
 use crate::brdf::score::environment_error_up_to_factor;
 use crate::inverse::bench::Parameter;
@@ -103,6 +104,7 @@ fn one(
         .map(|(light, image)| photographer.take(image, light))
         .collect::<Result<Vec<_>, _>>()?;
 
+    let captured = average(&described, &captured, &lab.dictionary)?;
     let options = lab.fit_options();
     let refined = refine_bench(
         &described,

@@ -3,10 +3,12 @@
 use nalgebra::DVector;
 
 use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table, quantile};
+use super::lab::capture::average;
 use super::lab::{Lab, Sample};
 use crate::inverse::Channels;
 use crate::inverse::objective::Objective;
 use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
+use crate::radiance_image::RadianceImage;
 use crate::transport::{Cache, DirectMatrix};
 
 /// Spectrum of the Fisher information per shape.
@@ -60,15 +62,15 @@ fn information(
     let scene = sample.scene(lab.settings.resolution_px, sample.lights(1))?;
     let options = lab.fit_options();
     let (strata, seed) = (options.direct_strata, options.cache.seed);
-    let direct = DirectMatrix::new(&scene, &lab.dictionary, strata, seed);
-    let cache = Cache::trace(&scene, &lab.dictionary, &options.cache)?;
     let resolution = lab.settings.resolution_px;
-    let blank = crate::radiance_image::RadianceImage::new(resolution, resolution);
+    let blank = RadianceImage::new(resolution, resolution);
+    let captured = average(&scene, std::slice::from_ref(&blank), &lab.dictionary)?;
+    let direct = DirectMatrix::new(&scene, &captured.cells, &lab.dictionary, strata, seed);
+    let cache = Cache::trace(&scene, &captured.cells, &lab.dictionary, &options.cache)?;
     let objective = Objective::new(
         &cache,
         &direct,
-        std::slice::from_ref(&blank),
-        None,
+        &captured,
         Channels::Shared,
         lab.kernel,
         NOISE,

@@ -3,6 +3,7 @@
 use glam::Vec3;
 
 use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table, quantile};
+use super::lab::capture::average;
 use super::lab::{Lab, Material, Sample};
 use crate::brdf::{Atom, Dictionary, Mixture};
 use crate::calibration::mirror_sphere::Grey;
@@ -94,7 +95,13 @@ fn one(lab: &Lab, sample: Sample, material: &Material) -> Result<Vec<Row>, Evalu
             .map(|(light, image)| photographer.take(image, light))
             .collect::<Result<Vec<_>, _>>()?;
         let (scene, options) = (spread(&believed, believed_px), lab.fit_options());
-        let fitted = fit(&scene, &captured, &lab.dictionary, &options, &mut |_| {})?;
+        let fitted = fit(
+            &scene,
+            &average(&scene, &captured, &lab.dictionary)?,
+            &lab.dictionary,
+            &options,
+            &mut |_| {},
+        )?;
         Ok(lab.score(&fitted.material, &*material.brdf).environment)
     };
     let [measured_px, measured_std_px] = measured(&truth.camera, EDGE_SAMPLES, key(3))?;

@@ -28,7 +28,7 @@ pub enum Source {
     LightDirections,
     /// Intensities of the lights with their common scale, and stray light.
     Intensities,
-    /// Residuals beyond noise: what no mixture, mesh or pixel of the model explains, and
+    /// Residuals beyond noise: what no mixture, mesh or cell of the model explains, and
     /// the least that is allowed for it.
     Model,
     /// What the images do not tell.

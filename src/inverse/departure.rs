@@ -50,7 +50,7 @@ pub struct Eliminated {
     pub information: DMatrix<f64>,
     /// Their score, likewise.
     pub total_score: DVector<f64>,
-    /// Parts of the score by block of pixels, of the residual that the departure leaves.
+    /// Parts of the score by block of cells, of the residual that the departure leaves.
     pub block_scores: Vec<DVector<f64>>,
 }
 

@@ -21,7 +21,7 @@ use templates::{ANGLES, BLURS, FIELDS, SHAPES, blurred, displaced_images, fields
 /// What can be wrong with a sample or a bench.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Cause {
-    /// Light that comes neither from the lamp nor by way of the sample: the same in every pixel.
+    /// Light that comes neither from the lamp nor by way of the sample: the same in every cell.
     StrayLight,
     /// The sample is not where, or not of the shape that, the scene says.
     ShapeOrPose,
@@ -55,7 +55,7 @@ impl Cause {
     }
 }
 
-/// Standard deviations beyond which a value counts as this much: a few pixels on the peak
+/// Standard deviations beyond which a value counts as this much: a few cells on the peak
 /// of a narrow lobe, or dust, are not what the images look like.
 const WILD: f64 = 4.0;
 
@@ -69,7 +69,7 @@ pub struct Diagnosis {
     /// random images would; in the order of [`Cause::ALL`], can be slightly negative. All 0 where
     /// noise and model error explain the images and nothing is asked.
     pub explained: [f64; 5],
-    /// Mean product of the residuals of neighbouring pixels over `mean_square`: 0 for
+    /// Mean product of the residuals of neighbouring cells over `mean_square`: 0 for
     /// noise, towards 1 for smooth structure.
     pub correlation: f64,
     /// Whether the material departs from every mixture, which is a sign of the dictionary: no
@@ -150,13 +150,13 @@ pub(super) fn examine(fit: &Examined<'_>) -> Diagnosis {
         model,
         ..
     } = fit;
-    let [width, height] = scene.camera.resolution_px;
+    let cells = objective.cells();
     let (lights, atoms, sets) = (objective.lights(), objective.atoms(), objective.sets());
     let Scatter {
         mean_square,
         correlation,
         count,
-    } = scatter(objective, model, [width, height]);
+    } = scatter(objective, model);
     let departs = fit.material.as_mixture().is_none();
     if mean_square < NOTABLE_MEAN_SQUARE {
         return Diagnosis {
@@ -166,8 +166,9 @@ pub(super) fn examine(fit: &Examined<'_>) -> Diagnosis {
             departs,
         };
     }
+    let resolution_px = DVec2::from_array(cells.resolution_px().map(|n| n as f64));
     let displaced = displaced_images(fit);
-    let angles = first_angles(scene);
+    let angles = first_angles(scene, cells);
     let active: Vec<Vec<usize>> = mixture
         .iter()
         .map(|w| (0..atoms).filter(|&k| w[k] > ACTIVE).collect())
@@ -182,31 +183,28 @@ pub(super) fn examine(fit: &Examined<'_>) -> Diagnosis {
             .collect()
     };
     let parts = objective.evaluate(mixture, false, none, |grams, rows| {
-        let pixel = rows.pixel;
-        let at = DVec2::new(
-            (2 * (pixel % width) + 1) as f64 / width as f64 - 1.0,
-            (2 * (pixel / width) + 1) as f64 / height as f64 - 1.0,
-        );
+        let cell = rows.cell;
+        let middle_px = cells.cell(cell).middle_px();
+        let at = 2.0 * middle_px / resolution_px - DVec2::ONE;
         let mut by_weight = [vec![0.0; atoms], vec![0.0; atoms]];
-        for light in (0..lights).filter(|&l| objective.is_compared(l, pixel)) {
+        for light in (0..lights).filter(|&l| objective.is_compared(l, cell)) {
             for (c, gram) in grams.iter_mut().enumerate() {
-                let Some((z, sigma)) = objective.deviation(model, light, pixel, c) else {
+                let Some((z, sigma)) = objective.deviation(model, light, cell, c) else {
                     continue;
                 };
                 let set = c.min(sets - 1);
-                let value = model[light][pixel][c].value();
+                let value = model[light][cell][c].value();
                 let [first, second] = &mut by_weight;
                 objective.derivatives(rows, light, c, [first, second]);
                 let mut row = Vec::with_capacity(columns[set]);
                 row.extend(active[set].iter().map(|&k| 0.5 * (first[k] + second[k])));
                 row.extend((0..lights).map(|l| f64::from(u8::from(l == light))));
-                let pixels = width * height;
-                row.extend(displaced.iter().map(|d| d[light * pixels + pixel][c]));
+                row.extend(displaced.iter().map(|d| d[light * cells.len() + cell][c]));
                 row.extend(fields(at).map(|f| f * value));
                 row.extend(BLURS.map(|radius| {
-                    blurred(&model[light], c, pixel, [width, height], radius) - value
+                    blurred(cells, cell, radius, |k| model[light][k][c].value()) - value
                 }));
-                row.extend(angles[light * pixels + pixel].map(|f| f * value));
+                row.extend(angles[light * cells.len() + cell].map(|f| f * value));
                 row.iter_mut().for_each(|v| *v /= sigma);
                 row.push(z.clamp(-WILD, WILD));
                 for j in 0..row.len() {
@@ -247,26 +245,23 @@ struct Scatter {
     count: f64,
 }
 
-fn scatter(
-    objective: &Objective<'_>,
-    model: &[ModelImage],
-    [width, height]: [usize; 2],
-) -> Scatter {
+fn scatter(objective: &Objective<'_>, model: &[ModelImage]) -> Scatter {
+    let cells = objective.cells();
     let (mut square, mut count) = (0.0, 0usize);
     let (mut neighbours, mut pairs) = (0.0, 0usize);
     for light in 0..objective.lights() {
-        let z = |pixel, c| {
+        let z = |cell, c| {
             let z = objective
-                .deviation(model, light, pixel, c)
+                .deviation(model, light, cell, c)
                 .map_or(0.0, |d| d.0);
             z.clamp(-WILD, WILD)
         };
-        for pixel in (0..width * height).filter(|&p| objective.is_compared(light, p)) {
+        for cell in (0..cells.len()).filter(|&p| objective.is_compared(light, p)) {
             count += 3;
-            square += (0..3).map(|c| z(pixel, c).powi(2)).sum::<f64>();
-            let right = pixel + 1;
-            if !right.is_multiple_of(width) && objective.is_compared(light, right) {
-                neighbours += (0..3).map(|c| z(pixel, c) * z(right, c)).sum::<f64>();
+            square += (0..3).map(|c| z(cell, c).powi(2)).sum::<f64>();
+            let later = cells.around(cell).filter(|&other| other > cell);
+            for other in later.filter(|&other| objective.is_compared(light, other)) {
+                neighbours += (0..3).map(|c| z(cell, c) * z(other, c)).sum::<f64>();
                 pairs += 3;
             }
         }

@@ -5,9 +5,11 @@
 //! material with its render variance, and what the model reflects directly (D) and by
 //! interreflection (I), m = D + I.
 
+use glam::DVec2;
 use nalgebra::{Matrix2, Vector2};
 
 use super::objective::{ModelImage, Objective};
+use crate::transport::Cells;
 
 /// How an image would have to be turned over to look like the model's.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -25,15 +27,17 @@ pub enum Flip {
 impl Flip {
     const ALL: [Flip; 4] = [Flip::None, Flip::Horizontal, Flip::Vertical, Flip::HalfTurn];
 
-    fn pixel(self, pixel: usize, [width, height]: [usize; 2]) -> usize {
-        let (x, y) = (pixel % width, pixel / width);
-        let (x, y) = match self {
-            Flip::None => (x, y),
-            Flip::Horizontal => (width - 1 - x, y),
-            Flip::Vertical => (x, height - 1 - y),
-            Flip::HalfTurn => (width - 1 - x, height - 1 - y),
+    /// The cell where the middle of a cell comes to lie; `None` if there is none.
+    fn cell(self, cells: &Cells, cell: usize) -> Option<usize> {
+        let [width, height] = cells.resolution_px().map(|n| n as f64);
+        let DVec2 { x, y } = cells.cell(cell).middle_px();
+        let place = match self {
+            Flip::None => return Some(cell),
+            Flip::Horizontal => DVec2::new(width - x, y),
+            Flip::Vertical => DVec2::new(x, height - y),
+            Flip::HalfTurn => DVec2::new(width - x, height - y),
         };
-        y * width + x
+        cells.at(place)
     }
 }
 
@@ -64,12 +68,12 @@ pub enum Finding {
         /// Σ|y − m| over Σ|y|, what noise makes of it taken off.
         share: f64,
     },
-    /// The same radiance in all pixels explains an image as well as the material does.
+    /// The same radiance in all cells explains an image as well as the material does.
     NoStructure {
         /// Index of the image.
         image: usize,
     },
-    /// Neighbouring pixels scatter by another noise than the variance states.
+    /// Neighbouring cells scatter by another noise than the variance states.
     Scatter {
         /// Index of the image.
         image: usize,
@@ -118,7 +122,7 @@ pub(super) struct Judged<'a> {
     pub reduced_chi2: &'a [[f64; 3]],
 }
 
-/// Mean square residual up to which images count as explained. With thousands of pixels its
+/// Mean square residual up to which images count as explained. With thousands of cells its
 /// own scatter is a few hundredths; the rest is room for errors that the objective's weights
 /// only approximate.
 pub const EXPLAINED_MEAN_SQUARE: f64 = 1.3;
@@ -128,7 +132,7 @@ const LIT: f64 = 5.0;
 const TOLERATED_SHARE: f64 = 0.4;
 /// Relative scatter that a model's image must have before one without any is remarkable.
 const NOTABLE_SHADING: f64 = 0.05;
-/// Standard deviation of the pixels' scatter over the stated one, either way, that is
+/// Standard deviation of the cells' scatter over the stated one, either way, that is
 /// reported.
 const NOTABLE_SCATTER: f64 = 3.0;
 /// Weight of black below which a material is as bright as materials are.
@@ -228,15 +232,15 @@ impl Compared {
 
 fn compared(objective: &Objective<'_>, model: &[ModelImage], light: usize) -> Vec<Compared> {
     let trust = objective.trust(model, light);
-    let pixels = (0..trust.len()).filter(|&p| objective.is_compared(light, p));
-    let of_pixel = |pixel: usize| {
-        let [captured, variance] = objective.captured(light, pixel);
-        let block = objective.block(pixel, light);
-        let trust = trust[pixel];
+    let cells = (0..trust.len()).filter(|&p| objective.is_compared(light, p));
+    let of_pixel = |cell: usize| {
+        let [captured, variance] = objective.captured(light, cell);
+        let block = objective.block(cell, light);
+        let trust = trust[cell];
         (0..3).map(move |channel| {
-            let modelled = model[light][pixel][channel];
+            let modelled = model[light][cell][channel];
             let noise = variance[channel] + modelled.variance;
-            let allowed = (objective.model_error() * modelled.value()).powi(2);
+            let allowed = objective.allowed(cell, modelled.value());
             Compared {
                 channel,
                 block,
@@ -249,7 +253,7 @@ fn compared(objective: &Objective<'_>, model: &[ModelImage], light: usize) -> Ve
             }
         })
     };
-    pixels.flat_map(of_pixel).collect()
+    cells.flat_map(of_pixel).collect()
 }
 
 fn dark_channels(values: &[Compared], image: usize) -> Vec<Finding> {
@@ -302,10 +306,21 @@ fn without_structure(values: &[Compared], image: usize) -> Option<Finding> {
 /// highlights do not count; of a normal's square it is 0.4549.
 fn scatter(objective: &Objective<'_>, model: &[ModelImage], image: usize) -> Option<Finding> {
     const MEDIAN_OF_SQUARE: f64 = 0.4549;
-    let [width, height] = objective.resolution();
+    let cells = objective.cells();
     let (mut of_image, mut of_residual) = (Vec::new(), Vec::new());
-    for pixel in (0..width * height).filter(|p| (1..width - 1).contains(&(p % width))) {
-        let row = [pixel - 1, pixel, pixel + 1];
+    for cell in 0..cells.len() {
+        // Neighbours of the same size.
+        let here = cells.cell(cell);
+        let [x, y] = here.middle_px().to_array();
+        let side = f64::from(here.side_px);
+        let ends = [x - side, x + side].map(|x| {
+            let other = cells.at(DVec2::new(x, y))?;
+            (cells.cell(other).side_px == here.side_px).then_some(other)
+        });
+        let [Some(left), Some(right)] = ends else {
+            continue;
+        };
+        let row = [left, cell, right];
         if !row.iter().all(|&p| objective.is_compared(image, p)) {
             continue;
         }
@@ -315,7 +330,7 @@ fn scatter(objective: &Objective<'_>, model: &[ModelImage], image: usize) -> Opt
             for (&p, weight) in row.iter().zip([1.0, -2.0, 1.0f64]) {
                 let [captured, variance] = objective.captured(image, p);
                 let modelled = model[image][p][channel];
-                let allowed = (objective.model_error() * modelled.value()).powi(2);
+                let allowed = objective.allowed(p, modelled.value());
                 image_difference += weight * captured[channel];
                 image_variance += weight * weight * variance[channel];
                 residual_difference += weight * (captured[channel] - modelled.value());
@@ -340,7 +355,7 @@ fn scatter(objective: &Objective<'_>, model: &[ModelImage], image: usize) -> Opt
         image,
         at_most,
         beyond_model_error,
-        "scatter of neighbouring pixels"
+        "scatter of neighbouring cells"
     );
     // Noise below the model's error harms nothing, whatever is stated.
     let ratio = if beyond_model_error > NOTABLE_SCATTER {
@@ -368,7 +383,7 @@ fn brightness<'a>(values: impl Iterator<Item = &'a Compared>) -> f64 {
 /// If the irradiance is s times the stated one, direct light of a material of reflectance ρ is
 /// sρD and light reflected twice sρ²I. Fitted with the irradiance as stated, with a reflectance
 /// ρ′, the model's parts must be scaled by a = sρ/ρ′ and b = sρ²/ρ′², so s = a²/b. Their
-/// covariance is the sandwich over blocks of pixels.
+/// covariance is the sandwich over blocks of cells.
 fn scale<'a>(values: impl Iterator<Item = &'a Compared>) -> Option<[f64; 2]> {
     let values: Vec<&Compared> = values.filter(|v| v.variance > 0.0 && !v.outlier).collect();
     let blocks = 1 + values.iter().map(|v| v.block).max()?;
@@ -429,14 +444,14 @@ fn unlike(
     light: usize,
     flip: Flip,
 ) -> Option<f64> {
-    let resolution = objective.resolution();
+    let cells = objective.cells();
     let [mut cross, mut captured, mut modelled] = [0.0; 3];
-    for pixel in (0..resolution[0] * resolution[1]).filter(|&p| objective.is_compared(image, p)) {
-        let place = flip.pixel(pixel, resolution);
-        if !objective.is_compared(light, place) {
+    for cell in (0..cells.len()).filter(|&p| objective.is_compared(image, p)) {
+        let place = flip.cell(cells, cell);
+        let Some(place) = place.filter(|&place| objective.is_compared(light, place)) else {
             continue;
-        }
-        let [values, _] = objective.captured(image, pixel);
+        };
+        let [values, _] = objective.captured(image, cell);
         for (value, model) in values.iter().zip(&model[light][place]) {
             cross += value * model.value();
             captured += value * value;

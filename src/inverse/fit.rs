@@ -5,11 +5,13 @@ use std::sync::Arc;
 use nalgebra::DVector;
 
 use super::bench::system::BenchLinearisation;
+use super::cells::{AverageError, Captured, check_count};
+use super::comparison::Comparison;
 use super::diagnosis::{self, Diagnosis, Examined};
 use super::exponentiated_gradient::ExponentiatedGradient;
 use super::findings::{self, Finding, Judged};
 use super::gauss_newton::GaussNewton;
-use super::objective::{Channels, DepartedModel, ModelImage, Objective};
+use super::objective::{Channels, DepartedModel};
 use super::posterior::{Posterior, posterior};
 use super::projection::ProjectionError;
 use super::refine::{Refine, refine};
@@ -21,9 +23,8 @@ use crate::brdf::Atom;
 use crate::brdf::departure::Departed;
 use crate::brdf::dictionary::Dictionary;
 use crate::geometry::FormError;
-use crate::radiance_image::RadianceImage;
 use crate::transport::cache::CacheError;
-use crate::transport::{Cache, CacheOptions, Kernel, Scene};
+use crate::transport::{CacheOptions, Kernel, Scene};
 
 /// Which optimiser.
 #[derive(Clone, Debug, PartialEq)]
@@ -51,9 +52,9 @@ impl Optimizer {
 /// Everything that a fit can be told.
 #[derive(Clone, Debug)]
 pub struct FitOptions {
-    /// Paths: samples per pixel, longest path, seed, memory.
+    /// Paths: samples per cell, longest path, seed, memory.
     pub cache: CacheOptions,
-    /// Direct reflection: square root of the samples per pixel, 1..=64.
+    /// Direct reflection: square root of the samples per cell, 1..=64.
     pub direct_strata: u32,
     /// How the weights are found.
     pub optimizer: Optimizer,
@@ -103,13 +104,8 @@ pub struct Fit {
     /// How much the material departs from every mixture, in units of what measured materials do
     /// (docs/adr/0032); 0 where the images do not ask for it.
     pub departure: f64,
-    /// Radiance modelled for the material, with the render's variance, one image per light.
-    pub rendered: Vec<RadianceImage>,
-    /// (captured − model)/σ of capture, render and model error, 0 where not compared, one image per light.
-    pub residual: Vec<RadianceImage>,
-    /// Mean squared residual in standard deviations per light and channel; isolated outliers
-    /// count in it as they did in the fit.
-    pub reduced_chi2: Vec<[f64; 3]>,
+    /// How the material's images compare with those captured.
+    pub comparison: Comparison,
     /// What the residual looks like.
     pub diagnosis: Diagnosis,
     /// What else speaks against the fit.
@@ -122,7 +118,7 @@ pub struct Fit {
     pub termination: Termination,
     /// Seconds by stage.
     pub timings: Vec<(&'static str, f64)>,
-    /// Paths per pixel that were traced, and asked for.
+    /// Paths per cell that were traced, and asked for.
     pub samples: [u32; 2],
     /// Records and bytes of the cache.
     pub cache_size: (usize, usize),
@@ -133,32 +129,11 @@ pub struct Fit {
 /// Why a fit failed.
 #[derive(Debug, thiserror::Error)]
 pub enum FitError {
-    /// Numbers of images and lights differ.
-    #[error("{images} images for {lights} lights of the scene")]
-    ImageCount {
-        /// Images given.
-        images: usize,
-        /// Lights of the scene.
-        lights: usize,
-    },
-    /// An image does not have the camera's size.
-    #[error(
-        "image {image} is {width} × {height}; the scene's camera has {expected_width} × {expected_height}"
-    )]
-    ImageSize {
-        /// Index of the image.
-        image: usize,
-        /// Its width.
-        width: usize,
-        /// Its height.
-        height: usize,
-        /// The camera's width.
-        expected_width: usize,
-        /// The camera's height.
-        expected_height: usize,
-    },
+    /// Images of another number or size, or with nothing to compare.
+    #[error(transparent)]
+    Average(#[from] AverageError),
     /// Nothing to compare.
-    #[error("no pixel of image {image} is valid and wholly on the sample")]
+    #[error("no cell of image {image} lies away from the edges of its light's shadow")]
     NothingToCompare {
         /// Index of the image.
         image: usize,
@@ -174,11 +149,11 @@ pub enum FitError {
     Projection(#[from] ProjectionError),
 }
 
-/// Fits the weights of `dictionary` to one captured image per light of the scene.
+/// Fits the weights of `dictionary` to the captured image of each light of the scene.
 /// `stage` is told what begins.
 pub fn fit(
     scene: &Scene,
-    captured: &[RadianceImage],
+    captured: &Captured,
     dictionary: &Dictionary,
     options: &FitOptions,
     stage: &mut dyn FnMut(&str),
@@ -192,23 +167,23 @@ const QUICKER: u32 = 4;
 /// [`fit`] on a bench that is known within what `bench` says, which widens the draws.
 pub(super) fn fit_on_bench(
     scene: &Scene,
-    captured: &[RadianceImage],
+    captured: &Captured,
     dictionary: &Dictionary,
     options: &FitOptions,
     bench: Option<&BenchLinearisation>,
     stage: &mut dyn FnMut(&str),
 ) -> Result<Fit, FitError> {
-    check(scene, captured)?;
+    check_count(scene, captured.images.len())?;
     let dictionary = Arc::new(dictionary.clone());
     if options.refine == Refine::NONE || options.optimizer == Optimizer::SingleBounce {
         let (fit, _) = fit_from(scene, captured, &dictionary, None, options, bench, stage)?;
         return Ok(fit);
     }
     let mut quick = options.clone();
-    quick.cache.samples_per_pixel = (options.cache.samples_per_pixel / QUICKER).max(2);
+    quick.cache.samples_per_cell = (options.cache.samples_per_cell / QUICKER).max(2);
     let first = {
         // Its paths are gone before the others are traced.
-        let paths = Paths::trace(scene, &dictionary, None, &quick, stage)?;
+        let paths = Paths::trace(scene, &captured.cells, &dictionary, None, &quick, stage)?;
         let objective = paths.objective(captured, &quick);
         solve(&paths, &objective, None, &quick, stage)?.solution
     };
@@ -219,14 +194,14 @@ pub(super) fn fit_on_bench(
 /// single-bounce start.
 pub(super) fn fit_from(
     scene: &Scene,
-    captured: &[RadianceImage],
+    captured: &Captured,
     dictionary: &Arc<Dictionary>,
     earlier: Option<&Solution>,
     options: &FitOptions,
     bench: Option<&BenchLinearisation>,
     stage: &mut dyn FnMut(&str),
 ) -> Result<(Fit, Solution), FitError> {
-    let paths = Paths::trace(scene, dictionary, earlier, options, stage)?;
+    let paths = Paths::trace(scene, &captured.cells, dictionary, earlier, options, stage)?;
     let objective = paths.objective(captured, options);
     let mut solved = solve(&paths, &objective, earlier, options, stage)?;
     stage("uncertainty");
@@ -246,7 +221,7 @@ pub(super) fn fit_from(
         ..
     } = solved;
     let cache = &paths.cache;
-    let doubted = (0..captured.len())
+    let doubted = (0..objective.lights())
         .map(|light| objective.doubted(&pass.model, light))
         .collect();
     let departed = timings.time("images", || {
@@ -260,11 +235,12 @@ pub(super) fn fit_from(
     let reported: Vec<_> = (0..objective.sets())
         .map(|set| DVector::from_column_slice(&material.mixture.weights()[set]))
         .collect();
-    let (model, (rendered, residual, reduced_chi2)) = timings.time("images", || {
+    let (model, comparison) = timings.time("images", || {
         let model = objective.modelled(&reported);
-        let images = images(&objective, &model, captured, cache);
-        (model, images)
+        let comparison = Comparison::new(&objective, &model, &cache.strength);
+        (model, comparison)
     });
+    let reduced_chi2 = comparison.reduced_chi2();
     stage("diagnosis");
     let diagnosis = timings.time("diagnosis", || {
         diagnosis::examine(&Examined {
@@ -293,9 +269,7 @@ pub(super) fn fit_from(
         start: solution.start.clone(),
         draws,
         departure,
-        rendered,
-        residual,
-        reduced_chi2,
+        comparison,
         diagnosis,
         doubted,
         trace: solution.trace.clone(),
@@ -317,68 +291,4 @@ fn black_weights(material: &Departed) -> [Option<f64>; 3] {
         .weights()
         .each_ref()
         .map(|weights| Some(weights[black?]))
-}
-
-pub(super) fn check(scene: &Scene, captured: &[RadianceImage]) -> Result<(), FitError> {
-    if captured.len() != scene.lights.len() || captured.is_empty() {
-        return Err(FitError::ImageCount {
-            images: captured.len(),
-            lights: scene.lights.len(),
-        });
-    }
-    let [expected_width, expected_height] = scene.camera.resolution_px;
-    for (image, c) in captured.iter().enumerate() {
-        if [c.width, c.height] != scene.camera.resolution_px {
-            return Err(FitError::ImageSize {
-                image,
-                width: c.width,
-                height: c.height,
-                expected_width,
-                expected_height,
-            });
-        }
-    }
-    Ok(())
-}
-
-/// Re-rendered images, residuals in standard deviations, and their mean squares.
-fn images(
-    objective: &Objective<'_>,
-    model: &[ModelImage],
-    captured: &[RadianceImage],
-    cache: &Cache,
-) -> (Vec<RadianceImage>, Vec<RadianceImage>, Vec<[f64; 3]>) {
-    let mut rendered = Vec::new();
-    let mut residual = Vec::new();
-    let mut reduced = Vec::new();
-    for (light, image) in captured.iter().enumerate() {
-        let mut radiance = RadianceImage::new(image.width, image.height);
-        let mut deviation = radiance.clone();
-        let trust = objective.trust(model, light);
-        let (mut chi2, mut count) = ([0.0; 3], 0usize);
-        for (p, modelled) in model[light].iter().enumerate() {
-            let compared = objective.is_compared(light, p);
-            let [target, variance] = objective.captured(light, p);
-            deviation.valid[p] = compared;
-            count += usize::from(compared);
-            for c in 0..3 {
-                let strength = cache.strength[light][c];
-                let modelled = modelled[c];
-                let (value, noise) = (modelled.value(), modelled.variance);
-                radiance.mean[p][c] = (value * strength) as f32;
-                radiance.variance[p][c] = (noise * strength * strength) as f32;
-                let sigma =
-                    (noise + variance[c] + (objective.model_error() * value).powi(2)).sqrt();
-                if compared && sigma > 0.0 {
-                    let z = (target[c] - value) / sigma;
-                    deviation.mean[p][c] = z as f32;
-                    chi2[c] += trust[p][c] * z * z;
-                }
-            }
-        }
-        rendered.push(radiance);
-        residual.push(deviation);
-        reduced.push(chi2.map(|c| c / count.max(1) as f64));
-    }
-    (rendered, residual, reduced)
 }

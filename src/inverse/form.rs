@@ -8,6 +8,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::bench::derivatives::{DerivativeImages, DerivativeOptions};
+use super::bench::refine::AVERAGED;
 use super::bench::system::Model;
 use super::objective::ResidualWeights;
 use super::uncertainty::mapped;
@@ -20,9 +21,9 @@ use crate::transport::{Proposal, Scene, Steering};
 const DEPARTURES: usize = 32;
 /// Departures that are traced together, which bounds the memory.
 const TOGETHER: usize = 4;
-/// Direct reflection: square root of the samples per pixel.
+/// Direct reflection: square root of the samples per cell.
 const DIRECT_STRATA: u32 = 4;
-/// Paths per pixel in each half and for each departure.
+/// Paths per cell in each half and for each departure.
 const SAMPLES_PER_HALF: u32 = 4;
 /// Longest path in surface reflections.
 const REFLECTIONS: u32 = 6;
@@ -48,7 +49,7 @@ pub(super) fn score_covariance(
         proposal: Proposal::resembling(material, 0.3),
         steering: Steering::NONE,
         direct_strata: DIRECT_STRATA,
-        average_px: (scene.camera.resolution_px[0] + 12) / 24,
+        average: AVERAGED,
     };
     let mut covariance = vec![DMatrix::zeros(n, n); sets];
     for first in (0..DEPARTURES).step_by(TOGETHER) {
@@ -57,8 +58,14 @@ pub(super) fn score_covariance(
             let field = error.field(edge_mm, &mut numbers);
             [1.0, -1.0].map(|sign| field.deform(scene.sample(), sign))
         });
-        let images =
-            DerivativeImages::of_shapes(scene, deformed.collect(), material, &wanted, &options);
+        let images = DerivativeImages::of_shapes(
+            scene,
+            model.objective.cells(),
+            deformed.collect(),
+            material,
+            &wanted,
+            &options,
+        );
         let scores = scores(model, &images, residual_weights, mixture);
         for (covariance, scores) in covariance.iter_mut().zip(scores) {
             for [a, b] in scores {
@@ -86,7 +93,7 @@ fn scores(
         .evaluate(mixture, false, none, |sums, rows| {
             let mut by_weight = [vec![0.0; n], vec![0.0; n]];
             for (light, residual_weights) in residual_weights.iter().enumerate() {
-                for (c, &w) in residual_weights[rows.pixel].iter().enumerate() {
+                for (c, &w) in residual_weights[rows.cell].iter().enumerate() {
                     if w <= 0.0 {
                         continue;
                     }
@@ -94,7 +101,7 @@ fn scores(
                     let [a, b] = &mut by_weight;
                     model.objective.derivatives(rows, light, c, [a, b]);
                     for (departure, _, change) in
-                        images.at(rows.pixel).filter(|(_, l, _)| *l == light)
+                        images.at(rows.cell).filter(|(_, l, _)| *l == light)
                     {
                         for (half, sum) in sums[set][departure].iter_mut().enumerate() {
                             let factor = w * f64::from(change.halves[half][c]);
@@ -129,19 +136,20 @@ pub(super) mod tests {
     use super::*;
     use crate::brdf::dictionary::{Atom, Dictionary};
     use crate::geometry::Shape;
+    use crate::inverse::cells::{Captured, CellOptions};
     use crate::inverse::fit::FitOptions;
     use crate::inverse::intervals::atom_values;
     use crate::inverse::solve::{Paths, solve};
     use crate::radiance_image::RadianceImage;
     use crate::transport::{Camera, Light, Projection, RenderOptions, Shading, render};
 
-    /// A bowl under two lights, photographed with this many pixels per side.
-    pub(in crate::inverse) fn bowl(pixels: usize) -> Scene {
+    /// A bowl under two lights, photographed with this many cells per side.
+    pub(in crate::inverse) fn bowl(cells: usize) -> Scene {
         let projection = Projection::Orthographic {
             extent_mm: DVec2::splat(2.2),
         };
         let above = DVec3::new(0.0, 0.0, 5.0);
-        let resolution_px = [pixels; 2];
+        let resolution_px = [cells; 2];
         let camera =
             Camera::looking_at(resolution_px, projection, above, DVec3::ZERO, DVec3::Y).unwrap();
         let shape = Shape::Bowl {
@@ -192,17 +200,23 @@ pub(super) mod tests {
             rounds: 1,
             ..FitOptions::default()
         };
-        options.cache.samples_per_pixel = 64;
+        options.cache.samples_per_cell = 64;
         options.cache.max_reflections = 3;
         let quiet = &mut |_: &str| {};
-        let paths = Paths::trace(&scene, &dictionary, None, &options, quiet).unwrap();
-        let fitted = |images: &[RadianceImage]| {
-            let objective = paths.objective(images, &options);
-            solve(&paths, &objective, None, &options, &mut |_| {}).unwrap()
+        let averaged = |images: &[RadianceImage]| {
+            Captured::new(&scene, images, &CellOptions::default()).unwrap()
         };
         let images = photograph(&scene);
-        let objective = paths.objective(&images, &options);
+        let cells = averaged(&images).cells;
+        let paths = Paths::trace(&scene, &cells, &dictionary, None, &options, quiet).unwrap();
+        let fitted = |images: &[RadianceImage]| {
+            let images = averaged(images);
+            let objective = paths.objective(&images, &options);
+            solve(&paths, &objective, None, &options, &mut |_| {}).unwrap()
+        };
         let base = fitted(&images);
+        let images = averaged(&images);
+        let objective = paths.objective(&images, &options);
         let model = Model {
             objective: &objective,
             cache: &paths.cache,

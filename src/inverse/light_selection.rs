@@ -17,6 +17,7 @@
 use nalgebra::{Cholesky, DMatrix, DVector, SymmetricEigen};
 use rayon::prelude::*;
 
+use super::cells::{CellOptions, choose};
 use super::objective::Modelled;
 use super::uncertainty::{CONCENTRATION, dirichlet};
 use crate::brdf::Dictionary;
@@ -24,13 +25,13 @@ use crate::brdf::ggx::Cosines;
 use crate::brdf::score::cells;
 use crate::random::{Purpose, stream};
 use crate::transport::cache::CacheError;
-use crate::transport::{Cache, CacheOptions, DirectMatrix, Kernel, Scene};
+use crate::transport::{Cache, CacheOptions, Cells, DirectMatrix, Kernel, Scene};
 
 /// How the information of the candidates is computed.
 #[derive(Clone, Debug)]
 pub struct SelectionOptions {
-    /// Camera paths per pixel, at least 2.
-    pub samples_per_pixel: u32,
+    /// Camera paths per cell, at least 2.
+    pub samples_per_cell: u32,
     /// Longest path in surface reflections, 2..=64.
     pub max_reflections: u32,
     /// Same seed, same paths.
@@ -50,7 +51,7 @@ pub struct SelectionOptions {
 impl Default for SelectionOptions {
     fn default() -> Self {
         Self {
-            samples_per_pixel: 64,
+            samples_per_cell: 64,
             max_reflections: 8,
             seed: 1,
             model_error: 0.02,
@@ -68,6 +69,8 @@ pub const PRIOR_MATERIALS: usize = 8;
 const BATCH: usize = 8;
 /// Square root of the samples per pixel of the direct reflection.
 const DIRECT_STRATA: u32 = 6;
+/// Cells of each batch.
+const CELLS: usize = 500;
 /// Azimuths φd of the cells: materials change little with it.
 const AZIMUTHS: usize = 3;
 /// Keeps dark cells from counting without bound, 1/sr.
@@ -137,17 +140,23 @@ impl Prospects {
     ) -> Result<Self, CacheError> {
         let lights = std::mem::take(&mut scene.lights);
         scene.falloffs.clear();
-        let resolution = scene.camera.resolution_px;
+        let grid_options = CellOptions {
+            budget: CELLS,
+            ..CellOptions::default()
+        };
         // Per material and candidate.
         let mut roots = vec![Vec::with_capacity(lights.len()); materials.len()];
         for batch in lights.chunks(BATCH) {
             scene.lights = batch.to_vec();
-            let direct = DirectMatrix::new(&scene, dictionary, DIRECT_STRATA, options.seed);
+            let grid = choose(&scene, &grid_options);
+            let cells = Cells::new(grid.resolution_px, grid.cells);
+            let direct = DirectMatrix::new(&scene, &cells, dictionary, DIRECT_STRATA, options.seed);
             let cache = Cache::trace(
                 &scene,
+                &cells,
                 dictionary,
                 &CacheOptions {
-                    samples_per_pixel: options.samples_per_pixel,
+                    samples_per_cell: options.samples_per_cell,
                     max_reflections: options.max_reflections,
                     seed: options.seed,
                     ..CacheOptions::default()
@@ -157,7 +166,7 @@ impl Prospects {
                 let images = images_of(&cache, &direct, weights, options.kernel);
                 let new: Vec<_> = images
                     .par_iter()
-                    .map(|image| root(&information(image, resolution, options)))
+                    .map(|image| root(&information(image, &cells, options)))
                     .collect();
                 roots.extend(new);
             }
@@ -344,58 +353,58 @@ fn metric(dictionary: &Dictionary, weights: &DVector<f64>) -> DMatrix<f64> {
     metric / total
 }
 
-/// One pixel's mean value and derivatives of both halves.
-struct Pixel {
+/// One cell's mean value and derivatives of both halves.
+struct Value {
     /// Whether a fit would compare it: wholly on the sample, and no edge of a shadow.
     compared: bool,
     modelled: Modelled,
     rows: [DVector<f64>; 2],
 }
 
-/// All pixels under each light of the cache.
+/// All cells under each light of the cache.
 fn images_of(
     cache: &Cache,
     direct_matrix: &DirectMatrix,
     weights: &DVector<f64>,
     kernel: Kernel,
-) -> Vec<Vec<Pixel>> {
+) -> Vec<Vec<Value>> {
     let n = weights.len();
     let parts = cache.evaluate(
         kernel,
         &[weights.as_slice()],
         Vec::new,
-        |part: &mut Vec<Vec<Pixel>>, pixel| {
+        |part: &mut Vec<Vec<Value>>, rows| {
             let of = |light: usize| {
-                let row = direct_matrix.row(pixel.pixel, light);
-                let rows = [0, 1].map(|half: usize| {
-                    let indirect = &pixel.jacobian[half][light * n..(light + 1) * n];
+                let row = direct_matrix.row(rows.cell, light);
+                let derivatives = [0, 1].map(|half: usize| {
+                    let indirect = &rows.jacobian[half][light * n..(light + 1) * n];
                     DVector::from_fn(n, |k, _| f64::from(row[k]) + f64::from(indirect[k]))
                 });
-                let again = 0.5 * (pixel.value[0][light] + pixel.value[1][light]);
+                let again = 0.5 * (rows.value[0][light] + rows.value[1][light]);
                 let once: f64 = row
                     .iter()
                     .zip(weights)
                     .map(|(&d, w)| f64::from(d) * w)
                     .sum();
-                let lit = direct_matrix.lit(pixel.pixel, light);
-                Pixel {
-                    compared: direct_matrix.coverage[pixel.pixel] >= 1.0
+                let lit = direct_matrix.lit(rows.cell, light);
+                Value {
+                    compared: direct_matrix.coverage[rows.cell] >= 1.0
                         && (lit == 0.0 || lit == 1.0),
                     modelled: Modelled {
                         once,
                         again: f64::from(again),
-                        variance: f64::from(pixel.variance[light]),
+                        variance: f64::from(rows.variance[light]),
                     },
-                    rows,
+                    rows: derivatives,
                 }
             };
             part.push((0..cache.lights).map(of).collect());
         },
     );
-    let mut images: Vec<Vec<Pixel>> = (0..cache.lights).map(|_| Vec::new()).collect();
-    for pixel in parts.into_iter().flatten() {
-        for (image, pixel) in images.iter_mut().zip(pixel) {
-            image.push(pixel);
+    let mut images: Vec<Vec<Value>> = (0..cache.lights).map(|_| Vec::new()).collect();
+    for cell in parts.into_iter().flatten() {
+        for (image, value) in images.iter_mut().zip(cell) {
+            image.push(value);
         }
     }
     images
@@ -404,11 +413,7 @@ fn images_of(
 /// Of one image: sym(J_Aᵀ W J_B) of independent halves, scaled to the number of
 /// independent values. Like the fit's, a residual's weight comes from the pixel's
 /// neighbours: a pixel whose paths missed the light would otherwise count as certain.
-fn information(
-    image: &[Pixel],
-    resolution: [usize; 2],
-    options: &SelectionOptions,
-) -> DMatrix<f64> {
+fn information(image: &[Value], cells: &Cells, options: &SelectionOptions) -> DMatrix<f64> {
     let values = || image.iter().map(|pixel| pixel.modelled.value());
     let lit = values().filter(|&value| value > 0.0).count();
     let mean = values().sum::<f64>() / lit.max(1) as f64;
@@ -418,10 +423,14 @@ fn information(
         return sum;
     }
     let floor = (options.noise * mean).powi(2);
-    let scale = options.independent_values / image.len() as f64;
+    // Each counts by the part of the field that it covers.
+    let field = [0, 1].map(|k| cells.resolution_px()[k] as f64);
+    let per_pixel = options.independent_values / (field[0] * field[1]);
     for (at, pixel) in image.iter().enumerate().filter(|(_, p)| p.compared) {
-        let beside = |q: usize| image[q].compared.then_some(image[q].modelled);
-        let [value, rendered] = pixel.modelled.expected(at, resolution, beside);
+        let scale = per_pixel * cells.cell(at).pixels() as f64;
+        let near = cells.around(at).filter(|&other| image[other].compared);
+        let near = near.map(|other| image[other].modelled);
+        let [value, rendered] = pixel.modelled.expected(near);
         let variance = (options.model_error * value).powi(2) + rendered + floor;
         let [a, b] = &pixel.rows;
         // The lower triangle of (a bᵀ + b aᵀ)/2.
@@ -549,7 +558,7 @@ mod tests {
         let dictionary = Dictionary::grid42();
         let materials = prior_materials(&dictionary, 2, 5);
         let options = SelectionOptions {
-            samples_per_pixel: 16,
+            samples_per_cell: 16,
             ..SelectionOptions::default()
         };
         let pool = rayon::ThreadPoolBuilder::new()

@@ -1,39 +1,40 @@
 //! What a fit needs of the machine's memory, known before it begins.
 //!
-//! In addition to the cached paths, whose room is chosen, a fit needs its images, the direct
-//! matrix, what a departure makes of the light, residual weights, modelled images and the images
-//! that a diagnosis compares, in proportion to the pixels of every light; and the sums over
-//! groups of pixels, of which there are at most [`GROUPS`]. [`Size::images_bytes`] is an upper
+//! In addition to the cached paths, whose room is chosen, a fit needs its values, the direct
+//! matrix, what a departure makes of the light, residual weights, modelled values and what a
+//! diagnosis compares, in proportion to the cells under every light; and the sums over
+//! groups of cells, of which there are at most [`GROUPS`]. [`Size::values_bytes`] is an upper
 //! estimate of all of that at its peak, by counted allocations (`tests/fuzz_corpus.rs` counts
-//! again) and by the resident memory of whole fits of 64² to 512² pixels with 1 to 4 lights.
+//! again) and by the resident memory of whole fits of up to 512² cells with 1 to 4 lights.
+//! The images themselves are averaged while they are read.
 
 use crate::brdf::departure::modes;
 
 /// Of program, scene, dictionary and threads, bytes.
 const PROGRAM_BYTES: u64 = 24 << 20;
-/// Per pixel and light: images, weights, models, templates of the diagnosis.
+/// Per cell and light: values, weights, models, templates of the diagnosis.
 const PER_VALUE_BYTES: u64 = 500;
-/// Per pixel, light and atom: the direct matrix, twice while it is made.
+/// Per cell, light and atom: the direct matrix, twice while it is made.
 const PER_ATOM_BYTES: u64 = 8;
-/// Per pixel, light and mode of a departure: derivatives in three channels, twice likewise.
+/// Per cell, light and mode of a departure: derivatives in three channels, twice likewise.
 const PER_MODE_BYTES: u64 = 24;
-/// Per pixel, light and parameter of a bench that is refined.
+/// Per cell, light and parameter of a bench that is refined.
 const PER_PARAMETER_BYTES: u64 = 48;
-/// Groups of pixels over which an evaluation sums, at most, and pixels in each, at least.
+/// Groups of cells over which an evaluation sums, at most, and cells in each, at least.
 const GROUPS: u64 = 256;
-const GROUP_PIXELS: u64 = 32;
+const GROUP_CELLS: u64 = 32;
 /// A record of a cached reflection, bytes, at most for the dictionaries of the program.
 const RECORD_BYTES: u64 = 96;
-/// Reflections beyond the first that a path of a bowl has, about, over all pixels.
+/// Reflections beyond the first that a path of a bowl has, about, over all cells.
 const REFLECTIONS: u64 = 1;
-/// Fewest paths per pixel: one in each half.
+/// Fewest paths per cell: one in each half.
 const LEAST_PATHS: u64 = 2;
 
 /// How much there is to fit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Size {
-    /// Pixels per row, and rows.
-    pub resolution_px: [usize; 2],
+    /// Cells that are compared.
+    pub cells: usize,
     /// Lights, each with its image.
     pub lights: usize,
     /// Atoms of the dictionary, with those that refinement may add.
@@ -45,16 +46,14 @@ pub struct Size {
 /// A fit that would need more memory than it may have.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "a fit of {lights} images of {} x {} pixels needs about {} MiB of memory, but {} MiB are allowed{}",
-    resolution_px[0],
-    resolution_px[1],
+    "a fit of {lights} images in {cells} cells needs about {} MiB of memory, but {} MiB are allowed{}",
     mebibytes(*needed_bytes),
     allowed_bytes >> 20,
     if *by_machine { " (what the machine has free)" } else { "" }
 )]
 pub struct TooLittleMemory {
-    /// Pixels per row, and rows.
-    pub resolution_px: [usize; 2],
+    /// Cells that are compared.
+    pub cells: usize,
     /// Lights, each with its image.
     pub lights: usize,
     /// With the fewest paths, bytes.
@@ -63,8 +62,8 @@ pub struct TooLittleMemory {
     pub allowed_bytes: u64,
     /// Whether that is what the machine has free, and not what was asked for.
     pub by_machine: bool,
-    /// Pixels per row, and rows, of images that would fit; `None` if none would.
-    pub fitting_px: Option<[usize; 2]>,
+    /// A number of cells that would fit; `None` if none would.
+    pub fitting_cells: Option<usize>,
 }
 
 impl TooLittleMemory {
@@ -80,7 +79,7 @@ fn mebibytes(bytes: u64) -> u64 {
 
 impl Size {
     /// All that a fit needs but its cached paths, bytes: an upper estimate.
-    pub fn images_bytes(&self) -> u64 {
+    pub fn values_bytes(&self) -> u64 {
         let (atoms, modes) = (self.atoms as u64, modes().ncols() as u64);
         let per_value = PER_VALUE_BYTES
             + PER_ATOM_BYTES * atoms
@@ -88,7 +87,7 @@ impl Size {
             + PER_PARAMETER_BYTES * self.bench_parameters as u64;
         // Two matrices of each kind, for three channels, in double precision.
         let per_group = 48 * (atoms * atoms + atoms * modes + modes * modes);
-        let groups = GROUPS.min(self.pixels().div_ceil(GROUP_PIXELS));
+        let groups = GROUPS.min((self.cells as u64).div_ceil(GROUP_CELLS));
         let values = self.values().saturating_mul(per_value);
         values.saturating_add(groups * per_group)
     }
@@ -96,23 +95,18 @@ impl Size {
     /// Room that the fewest paths take, bytes.
     pub fn least_paths_bytes(&self) -> u64 {
         let records = LEAST_PATHS * REFLECTIONS * (1 + self.lights as u64);
-        self.pixels().saturating_mul(records * RECORD_BYTES)
+        (self.cells as u64).saturating_mul(records * RECORD_BYTES)
     }
 
     /// What the fit needs at least, bytes.
     pub fn least_bytes(&self) -> u64 {
         PROGRAM_BYTES
-            .saturating_add(self.images_bytes())
+            .saturating_add(self.values_bytes())
             .saturating_add(self.least_paths_bytes())
     }
 
-    fn pixels(&self) -> u64 {
-        let [width, height] = self.resolution_px.map(|side| side as u64);
-        width.saturating_mul(height)
-    }
-
     fn values(&self) -> u64 {
-        self.pixels().saturating_mul(self.lights as u64)
+        (self.cells as u64).saturating_mul(self.lights as u64)
     }
 
     /// Room for cached paths, bytes, where the whole fit may have `allowed_bytes`.
@@ -122,15 +116,15 @@ impl Size {
     pub fn room_for_paths(&self, allowed_bytes: u64) -> Result<u64, TooLittleMemory> {
         if self.least_bytes() > allowed_bytes {
             return Err(TooLittleMemory {
-                resolution_px: self.resolution_px,
+                cells: self.cells,
                 lights: self.lights,
                 needed_bytes: self.least_bytes(),
                 allowed_bytes,
                 by_machine: false,
-                fitting_px: self.fitting(allowed_bytes),
+                fitting_cells: self.fitting(allowed_bytes),
             });
         }
-        Ok(allowed_bytes - PROGRAM_BYTES - self.images_bytes())
+        Ok(allowed_bytes - PROGRAM_BYTES - self.values_bytes())
     }
 
     /// [`Self::room_for_paths`] where nobody says how much the fit may have: `wanted_bytes` for
@@ -155,18 +149,16 @@ impl Size {
         Ok(room.min(wanted_bytes))
     }
 
-    /// The largest images of this shape, within some percent, that would fit.
-    fn fitting(&self, allowed_bytes: u64) -> Option<[usize; 2]> {
+    /// The most cells, within some percent, that would fit.
+    fn fitting(&self, allowed_bytes: u64) -> Option<usize> {
         let mut size = *self;
         while size.least_bytes() > allowed_bytes {
-            size.resolution_px = size
-                .resolution_px
-                .map(|side| side / 32 * 31 + side % 32 * 31 / 32);
-            if size.resolution_px.contains(&0) {
+            size.cells = size.cells / 32 * 31 + size.cells % 32 * 31 / 32;
+            if size.cells == 0 {
                 return None;
             }
         }
-        Some(size.resolution_px)
+        Some(size.cells)
     }
 }
 
@@ -198,7 +190,7 @@ mod tests {
 
     fn size(side: usize, lights: usize) -> Size {
         Size {
-            resolution_px: [side, side],
+            cells: side * side,
             lights,
             atoms: 26,
             bench_parameters: 0,
@@ -208,7 +200,7 @@ mod tests {
     #[test]
     fn usual_fits_find_room_and_large_ones_are_told_what_would_do() {
         let mebi = |n: u64| n << 20;
-        // Four lights on 64 x 64 pixels leave most of 512 MiB to the paths.
+        // Four lights on 64 x 64 cells leave most of 512 MiB to the paths.
         let room = size(64, 4).room_for_paths(mebi(512)).unwrap();
         assert!(room > mebi(400), "{room}");
         for (side, lights, allowed) in [(512, 2, 512), (4096, 2, 16_384), (128, 4, 64), (64, 1, 16)]
@@ -217,18 +209,18 @@ mod tests {
             let error = size.room_for_paths(mebi(allowed)).unwrap_err();
             let enough = mebi(error.needed_mebibytes());
             assert!(size.room_for_paths(enough).is_ok(), "{error}");
-            match error.fitting_px {
-                Some(resolution_px) => {
-                    let smaller = Size {
-                        resolution_px,
-                        ..size
-                    };
+            match error.fitting_cells {
+                Some(cells) => {
+                    let smaller = Size { cells, ..size };
                     assert!(smaller.room_for_paths(mebi(allowed)).is_ok(), "{error:?}");
                 }
                 None => assert_eq!(allowed, 16),
             }
         }
-        let huge = size(usize::MAX, 64);
+        let huge = Size {
+            cells: usize::MAX,
+            ..size(1, 64)
+        };
         assert!(huge.room_for_paths(u64::MAX - 1).is_err());
     }
 

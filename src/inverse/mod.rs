@@ -3,6 +3,8 @@
 
 pub mod bench;
 pub mod budget;
+pub mod cells;
+pub mod comparison;
 mod departure;
 pub mod diagnosis;
 mod estimate;
@@ -28,6 +30,7 @@ pub mod trace;
 pub mod uncertainty;
 
 pub use bench::{BenchPriors, RefineOptions, refine_bench};
+pub use cells::{Captured, CellOptions};
 pub use fit::{Fit, FitError, FitOptions, Optimizer, fit};
 pub use objective::Channels;
 pub use refine::Refine;

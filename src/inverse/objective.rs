@@ -6,14 +6,16 @@
 //! the render's own noise biases neither the loss nor its gradient. Each value is
 //! weighted by 1/(σ²_captured + σ²_rendered + (τ I)²), the last term standing for
 //! what no mixture of the dictionary can explain; what paths say of I and σ_rendered is
-//! taken from the pixel's neighbours, because a weight that follows a pixel's own noise
+//! taken from the cell's neighbours, because a weight that follows a cell's own noise
 //! pulls the fit low ([`Modelled`]).
 
 use nalgebra::{DMatrix, DVector};
 
+use std::sync::Arc;
+
+use super::cells::Captured;
 use super::simplex::Quadratic;
-use crate::radiance_image::RadianceImage;
-use crate::transport::{Cache, DirectMatrix, Kernel};
+use crate::transport::{Cache, Cells, DirectMatrix, Kernel};
 
 mod departed;
 mod modelled;
@@ -21,7 +23,7 @@ mod noise;
 mod pass;
 
 pub use departed::DepartedModel;
-pub use modelled::{Modelled, around};
+pub use modelled::Modelled;
 pub use noise::ScoreNoise;
 pub use pass::Linearised;
 
@@ -48,19 +50,24 @@ impl Channels {
 pub struct Objective<'a> {
     cache: &'a Cache,
     direct: &'a DirectMatrix,
-    /// Captured radiance over lamp strength: `[light][pixel][channel]`.
-    target: Vec<Vec<[f64; 3]>>,
-    /// Its variance.
-    variance: Vec<Vec<[f64; 3]>>,
-    /// Pixels of each light that are compared.
-    compared: Vec<Vec<bool>>,
-    resolution: [usize; 2],
+    cells: &'a Arc<Cells>,
+    values: Arc<Values>,
     channels: Channels,
     kernel: Kernel,
     /// Relative model error τ, 0..=1.
     model_error: f64,
     /// How the material departs from the mixture.
     departed: Option<&'a DepartedModel>,
+}
+
+/// What is compared, `[light][cell]`.
+struct Values {
+    /// Captured radiance over lamp strength, per channel.
+    target: Vec<Vec<[f64; 3]>>,
+    /// Its variance.
+    variance: Vec<Vec<[f64; 3]>>,
+    /// Cells of each light that are compared.
+    compared: Vec<Vec<bool>>,
 }
 
 /// Deviation, in standard deviations and in typical deviations of the neighbours, from
@@ -73,63 +80,50 @@ const LEAST_OF_NEAR: f64 = 0.01;
 /// Part of the values that may count for less.
 const MOST_DOUBTED: f64 = 0.05;
 
-/// Modelled radiance, `[pixel][channel]`.
+/// Modelled radiance, `[cell][channel]`.
 pub type ModelImage = Vec<[Modelled; 3]>;
 
-/// Weights of the residuals, `[light][pixel][channel]`; 0 where not compared.
+/// Weights of the residuals, `[light][cell][channel]`; 0 where not compared.
 pub type ResidualWeights = Vec<Vec<[f64; 3]>>;
 
 impl<'a> Objective<'a> {
-    /// Compares `captured[light]` with the model of `cache` and `direct`. Pixels that
-    /// are invalid, at a silhouette or the edge of a shadow, or outside `region` (if any)
-    /// are left out.
+    /// Compares the captured cells with the model of `cache` and `direct`. Under a light near
+    /// the edge of whose shadow a cell lies it is left out.
     pub fn new(
         cache: &'a Cache,
         direct: &'a DirectMatrix,
-        captured: &[RadianceImage],
-        region: Option<&[bool]>,
+        captured: &'a Captured,
         channels: Channels,
         kernel: Kernel,
         model_error: f64,
     ) -> Self {
-        let resolution = [captured[0].width, captured[0].height];
-        let over_strength = |values: &[[f32; 3]], light: usize, power: i32| -> Vec<[f64; 3]> {
+        let over_strength = |values: &[[f64; 3]], light: usize, power: i32| -> Vec<[f64; 3]> {
             let strength = cache.strength[light];
             values
                 .iter()
-                .map(|v| std::array::from_fn(|c| f64::from(v[c]) / strength[c].powi(power)))
+                .map(|v| std::array::from_fn(|c| v[c] / strength[c].powi(power)))
                 .collect()
         };
-        let compared = captured
-            .iter()
-            .enumerate()
-            .map(|(light, image)| {
-                (0..image.mean.len())
-                    .map(|p| {
-                        let values = image.mean[p].iter().chain(&image.variance[p]);
-                        image.valid[p]
-                            && region.is_none_or(|r| r[p])
-                            && values.copied().all(f32::is_finite)
-                            && is_smooth(direct, p, light, resolution)
-                    })
-                    .collect()
-            })
-            .collect();
+        let images = || captured.images.iter().enumerate();
+        let compared = |light: usize| {
+            (0..captured.len())
+                .map(|cell| captured.is_even(cell, light) && is_smooth(direct, cell, light))
+                .collect()
+        };
+        let values = Values {
+            target: images()
+                .map(|(light, image)| over_strength(&image.mean, light, 1))
+                .collect(),
+            variance: images()
+                .map(|(light, image)| over_strength(&image.variance, light, 2))
+                .collect(),
+            compared: (0..captured.images.len()).map(compared).collect(),
+        };
         Self {
             cache,
             direct,
-            target: captured
-                .iter()
-                .enumerate()
-                .map(|(l, i)| over_strength(&i.mean, l, 1))
-                .collect(),
-            variance: captured
-                .iter()
-                .enumerate()
-                .map(|(l, i)| over_strength(&i.variance, l, 2))
-                .collect(),
-            compared,
-            resolution,
+            cells: &captured.cells,
+            values: Arc::new(values),
             channels,
             kernel,
             model_error,
@@ -149,12 +143,17 @@ impl<'a> Objective<'a> {
 
     /// Number of lamps.
     pub fn lights(&self) -> usize {
-        self.target.len()
+        self.values.target.len()
     }
 
-    /// Width and height of the images, pixels.
-    pub fn resolution(&self) -> [usize; 2] {
-        self.resolution
+    /// The cells that are compared.
+    pub fn cells(&self) -> &'a Cells {
+        self.cells
+    }
+
+    /// The same, to be kept.
+    pub(super) fn shared_cells(&self) -> Arc<Cells> {
+        self.cells.clone()
     }
 
     /// Relative error that the model is allowed.
@@ -162,22 +161,21 @@ impl<'a> Objective<'a> {
         self.model_error
     }
 
-    /// Whether a pixel is compared under a light.
-    pub fn is_compared(&self, light: usize, pixel: usize) -> bool {
-        self.compared[light][pixel]
+    /// Whether a cell is compared under a light.
+    pub fn is_compared(&self, light: usize, cell: usize) -> bool {
+        self.values.compared[light][cell]
     }
 
-    /// Which pixels are compared under any light.
+    /// Which cells are compared under any light.
     pub fn compared_pixels(&self) -> Vec<bool> {
-        let pixels = self.target[0].len();
-        (0..pixels)
-            .map(|pixel| self.compared.iter().any(|of_light| of_light[pixel]))
+        (0..self.cells.len())
+            .map(|cell| self.values.compared.iter().any(|of_light| of_light[cell]))
             .collect()
     }
 
-    /// Whether any pixel is compared under a light.
+    /// Whether any cell is compared under a light.
     pub fn compares_any(&self, light: usize) -> bool {
-        self.compared[light].contains(&true)
+        self.values.compared[light].contains(&true)
     }
 
     /// The linear part of the model.
@@ -190,19 +188,32 @@ impl<'a> Objective<'a> {
         self.kernel
     }
 
+    /// Variance that the model's error is allowed in a value. The stated error is that of a
+    /// 64th of the field of view; in a smaller cell it may be larger, as if parts of one erred
+    /// independently.
+    pub fn allowed(&self, cell: usize, value: f64) -> f64 {
+        (self.model_error * value).powi(2) / self.cells.area(cell).min(1.0)
+    }
+
     /// (captured − model)/σ and σ of a compared value; `None` where σ is 0.
     pub fn deviation(
         &self,
         model: &[ModelImage],
         light: usize,
-        pixel: usize,
+        cell: usize,
         channel: usize,
     ) -> Option<(f64, f64)> {
-        let modelled = model[light][pixel][channel];
+        let modelled = model[light][cell][channel];
         let value = modelled.value();
-        let allowed = (self.model_error * value).powi(2);
-        let sigma = (self.variance[light][pixel][channel] + modelled.variance + allowed).sqrt();
-        (sigma > 0.0).then(|| ((self.target[light][pixel][channel] - value) / sigma, sigma))
+        let allowed = self.allowed(cell, value);
+        let noise = self.values.variance[light][cell][channel] + modelled.variance;
+        let sigma = (noise + allowed).sqrt();
+        (sigma > 0.0).then(|| {
+            (
+                (self.values.target[light][cell][channel] - value) / sigma,
+                sigma,
+            )
+        })
     }
 
     /// Relative error that a model leaves beyond what the noise of capture and render
@@ -210,13 +221,13 @@ impl<'a> Objective<'a> {
     pub fn misfit(&self, model: &[ModelImage]) -> Vec<f64> {
         let mut sums = vec![[0.0; 3]; self.sets()];
         for light in 0..self.lights() {
-            for pixel in (0..model[light].len()).filter(|&p| self.compared[light][p]) {
+            for cell in (0..model[light].len()).filter(|&p| self.values.compared[light][p]) {
                 for c in 0..3 {
-                    let Some((z, sigma)) = self.deviation(model, light, pixel, c) else {
+                    let Some((z, sigma)) = self.deviation(model, light, cell, c) else {
                         continue;
                     };
-                    let modelled = model[light][pixel][c];
-                    let noise = self.variance[light][pixel][c] + modelled.variance;
+                    let modelled = model[light][cell][c];
+                    let noise = self.values.variance[light][cell][c] + modelled.variance;
                     let noise = noise / (sigma * sigma);
                     // A few wild values are dust, not the material.
                     let excess = z.powi(2).min(25.0) - noise;
@@ -241,8 +252,11 @@ impl<'a> Objective<'a> {
     }
 
     /// Captured radiance over lamp strength, its variance.
-    pub fn captured(&self, light: usize, pixel: usize) -> [[f64; 3]; 2] {
-        [self.target[light][pixel], self.variance[light][pixel]]
+    pub fn captured(&self, light: usize, cell: usize) -> [[f64; 3]; 2] {
+        [
+            self.values.target[light][cell],
+            self.values.variance[light][cell],
+        ]
     }
 
     fn set_of(&self, channel: usize) -> usize {
@@ -295,7 +309,7 @@ impl<'a> Objective<'a> {
 
     /// Modelled radiance at `mixture`, without the matrices of a whole pass.
     pub fn modelled(&self, mixture: &[DVector<f64>]) -> Vec<ModelImage> {
-        let unweighed = vec![vec![[0.0; 3]; self.target[0].len()]; self.lights()];
+        let unweighed = vec![vec![[0.0; 3]; self.cells.len()]; self.lights()];
         self.linearise(mixture, &unweighed).model
     }
 
@@ -315,7 +329,8 @@ impl<'a> Objective<'a> {
                 ..Modelled::default()
             })
         };
-        self.target
+        self.values
+            .target
             .iter()
             .map(|image| image.iter().map(exact).collect())
             .collect()
@@ -327,25 +342,27 @@ impl<'a> Objective<'a> {
         doubting: bool,
         model_error: &[f64],
     ) -> ResidualWeights {
-        let [width, height] = self.resolution;
         (0..self.lights())
             .map(|light| {
                 let trust = doubting.then(|| self.trust(model, light));
-                (0..width * height)
-                    .map(|p| {
-                        if !self.compared[light][p] {
+                (0..self.cells.len())
+                    .map(|cell| {
+                        if !self.values.compared[light][cell] {
                             return [0.0; 3];
                         }
+                        // Model errors are common to neighbours: what they leave of a cell's
+                        // information is in proportion to its area.
+                        let area = self.cells.area(cell);
                         std::array::from_fn(|c| {
-                            let beside =
-                                |q: usize| self.compared[light][q].then_some(model[light][q][c]);
-                            let [intensity, rendered] =
-                                model[light][p][c].expected(p, self.resolution, beside);
-                            let captured = self.variance[light][p][c]
-                                .max(LEAST_OF_NEAR * self.near_variance(light, p, c));
-                            let model = (model_error[self.set_of(c)] * intensity).powi(2);
+                            let near = self.cells.around(cell);
+                            let near = near.filter(|&other| self.values.compared[light][other]);
+                            let near = near.map(|other| model[light][other][c]);
+                            let [intensity, rendered] = model[light][cell][c].expected(near);
+                            let captured = self.values.variance[light][cell][c]
+                                .max(LEAST_OF_NEAR * self.near_variance(light, cell, c));
+                            let model = (model_error[self.set_of(c)] * intensity).powi(2) / area;
                             let total = captured + rendered + model;
-                            let trust = trust.as_ref().map_or(1.0, |t| t[p][c]);
+                            let trust = trust.as_ref().map_or(1.0, |t| t[cell][c]);
                             if total > 0.0 { trust / total } else { 0.0 }
                         })
                     })
@@ -358,28 +375,25 @@ impl<'a> Objective<'a> {
     /// values, which dust makes, and for at most [`MOST_DOUBTED`] of them. Where the
     /// neighbours deviate as well, the model is wrong and must not look right.
     pub fn trust(&self, model: &[ModelImage], light: usize) -> Vec<[f64; 3]> {
-        let [width, height] = self.resolution;
         let deviation = |p: usize, c: usize| {
-            self.compared[light][p]
+            self.values.compared[light][p]
                 .then(|| self.deviation(model, light, p, c))
                 .flatten()
                 .map(|d| d.0.abs())
         };
-        let mut trust = vec![[1.0; 3]; width * height];
+        let mut trust = vec![[1.0; 3]; self.cells.len()];
         let mut doubted = Vec::new();
         let mut compared = 0;
-        for (p, c) in (0..width * height).flat_map(|p| [(p, 0), (p, 1), (p, 2)]) {
+        for (p, c) in (0..self.cells.len()).flat_map(|p| [(p, 0), (p, 1), (p, 2)]) {
             let Some(z) = deviation(p, c) else { continue };
             compared += 1;
             if z <= DOUBTFUL {
                 continue;
             }
-            let (x, y) = (p % width, p / width);
-            let mut around: Vec<f64> = (y.saturating_sub(2)..=(y + 2).min(height - 1))
-                .flat_map(|j| {
-                    (x.saturating_sub(2)..=(x + 2).min(width - 1)).map(move |i| j * width + i)
-                })
-                .filter(|&q| q != p)
+            let mut two_around = self.two_around(p);
+            two_around.retain(|&q| q != p);
+            let mut around: Vec<f64> = two_around
+                .into_iter()
                 .filter_map(|q| deviation(q, c))
                 .collect();
             let middle = around.len() / 2;
@@ -401,19 +415,32 @@ impl<'a> Objective<'a> {
         trust
     }
 
+    /// The cells that touch one or its neighbours.
+    fn two_around(&self, cell: usize) -> Vec<usize> {
+        let near = self.cells.around(cell);
+        let mut all: Vec<usize> = near.flat_map(|near| self.cells.around(near)).collect();
+        all.extend(self.cells.around(cell));
+        all.sort_unstable();
+        all.dedup();
+        all
+    }
+
     /// Part of a light's compared values that are believed less than the others.
     pub fn doubted(&self, model: &[ModelImage], light: usize) -> f64 {
         let doubted = self.trust(model, light).into_iter().flatten();
-        let compared = self.compared[light].iter().filter(|&&c| c).count();
+        let compared = self.values.compared[light].iter().filter(|&&c| c).count();
         doubted.filter(|&t| t < 1.0).count() as f64 / (3 * compared.max(1)) as f64
     }
 
-    /// Median captured variance of a compared pixel and its neighbours. Of the whole image
+    /// Median captured variance of a compared cell and its neighbours. Of the whole image
     /// it would hide the dark parts of a scene with bright ones.
-    fn near_variance(&self, light: usize, pixel: usize, channel: usize) -> f64 {
-        let mut values: Vec<f64> = around(pixel, self.resolution)
-            .filter(|&q| self.compared[light][q])
-            .map(|q| self.variance[light][q][channel])
+    fn near_variance(&self, light: usize, cell: usize, channel: usize) -> f64 {
+        // Of as many pixels as the cell itself has.
+        let pixels = |q: usize| self.cells.cell(q).pixels() as f64;
+        let mut values: Vec<f64> = std::iter::once(cell)
+            .chain(self.cells.around(cell))
+            .filter(|&q| self.values.compared[light][q])
+            .map(|q| self.values.variance[light][q][channel] * pixels(q) / pixels(cell))
             .collect();
         let middle = values.len() / 2;
         *values.select_nth_unstable_by(middle, f64::total_cmp).1
@@ -425,16 +452,16 @@ impl<'a> Objective<'a> {
         let n = self.atoms();
         let mut quadratics = vec![Quadratic::zero(n); self.sets()];
         for (light, weights) in residual_weights.iter().enumerate() {
-            for (pixel, weights) in weights.iter().enumerate() {
+            for (cell, weights) in weights.iter().enumerate() {
                 let row: Vec<f64> = self
                     .direct
-                    .row(pixel, light)
+                    .row(cell, light)
                     .iter()
                     .map(|&v| f64::from(v))
                     .collect();
                 for (c, &w) in weights.iter().enumerate() {
                     if w > 0.0 {
-                        let target = self.target[light][pixel][c];
+                        let target = self.values.target[light][cell][c];
                         let sum = &mut quadratics[self.set_of(c)];
                         add_outer(&mut sum.h, &row, w);
                         sum.g
@@ -452,22 +479,21 @@ impl<'a> Objective<'a> {
         quadratics
     }
 
-    /// Blocks of 8 × 8 pixels of one light, over which model error is taken as correlated.
-    pub fn block(&self, pixel: usize, light: usize) -> usize {
-        let [width, _] = self.resolution;
-        let (x, y) = (pixel % width / 8, pixel / width / 8);
-        (light * self.resolution[1].div_ceil(8) + y) * width.div_ceil(8) + x
+    /// Block of a cell under one light, over which model error is taken as correlated.
+    pub fn block(&self, cell: usize, light: usize) -> usize {
+        light * self.cells.blocks() + self.cells.block(cell)
     }
 }
 
-/// Whether a pixel and its neighbours show nothing but the sample, all lit or all in
-/// shadow: along silhouettes and edges of shadows an error of the pose or of the light's
-/// direction that is far below a pixel changes the radiance by any amount.
-fn is_smooth(direct: &DirectMatrix, pixel: usize, light: usize, resolution: [usize; 2]) -> bool {
-    let lit = direct.lit(pixel, light);
-    (lit == 0.0 || lit == 1.0)
-        && around(pixel, resolution)
-            .all(|q| direct.coverage[q] >= 1.0 && direct.lit(q, light) == lit)
+/// Part of a footprint that may show something else, or lie in another light.
+const TOLERATED: f32 = 0.01;
+
+/// Whether a cell shows nothing but the sample, all lit or all in shadow: along silhouettes and
+/// edges of shadows an error of the pose or of the light's direction that is far below a pixel
+/// changes the radiance by any amount.
+fn is_smooth(direct: &DirectMatrix, cell: usize, light: usize) -> bool {
+    let lit = direct.lit(cell, light);
+    direct.coverage[cell] >= 1.0 - TOLERATED && (lit <= TOLERATED || lit >= 1.0 - TOLERATED)
 }
 
 /// Lower triangle of `h += w · v vᵀ`.

@@ -5,9 +5,10 @@
 //! What the images are measured against is a white sample: the direct reflection of a
 //! Lambertian surface of albedo 1 in the same place, under the same lights.
 
+use super::cells::{Captured, CellImage};
 use crate::brdf::{Atom, Dictionary};
-use crate::radiance_image::{CHANNEL_NAMES, RadianceImage};
-use crate::transport::{DirectMatrix, Scene};
+use crate::radiance_image::CHANNEL_NAMES;
+use crate::transport::{Cells, DirectMatrix, Scene};
 
 /// Why images cannot be fitted. Lights and images count from 0.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -96,12 +97,6 @@ pub enum Implausible {
         /// Row, from the top.
         y: usize,
     },
-    /// Masked, saturated, infinite or not numbers.
-    #[error("image {image} has no valid, finite value on the sample")]
-    NothingValid {
-        /// Index of the image.
-        image: usize,
-    },
     /// A capture without noise.
     #[error(
         "the variance of image {image} is 0 where its radiance is not, in {:.0}% of the sample's values",
@@ -134,7 +129,6 @@ impl Implausible {
             | Negative { image, .. }
             | Constant { image, .. }
             | OnePixel { image, .. }
-            | NothingValid { image }
             | NoVariance { image, .. }
             | Repeated { second: image, .. } => Some(image),
         }
@@ -160,63 +154,45 @@ const ONE_PIXEL_SHARE: f64 = 0.9;
 /// Relative scatter that a white sample's shading must have before an image without any is
 /// refused: a flat sample under one direction has none.
 const NOTABLE_SHADING: f64 = 0.05;
-/// Square root of the rays through a pixel for the white sample.
+/// Square root of the rays through a cell for the white sample.
 const STRATA: u32 = 3;
 
-/// The pixels that show the sample alone, and what a white one would show there.
-struct White {
-    /// Indices of pixels that are wholly on the sample.
-    pixels: Vec<usize>,
-    /// Radiance per unit of the light's strength, `[light][pixels]`.
-    radiance: Vec<Vec<f64>>,
+/// What a white sample would show: radiance per unit of the light's strength, `[light][cell]`.
+fn white_radiance(scene: &Scene, cells: &Cells) -> Option<Vec<Vec<f64>>> {
+    let atom = Atom::Lambertian { albedo: 1.0 };
+    let dictionary = Dictionary::new("white", vec![atom]).ok()?;
+    let direct = DirectMatrix::new(scene, cells, &dictionary, STRATA, 0);
+    let of_light = |light: usize| {
+        let of_cell = |cell: usize| f64::from(direct.row(cell, light)[0]);
+        (0..cells.len()).map(of_cell).collect()
+    };
+    Some((0..scene.lights.len()).map(of_light).collect())
 }
 
-impl White {
-    fn of(scene: &Scene) -> Option<Self> {
-        let atom = Atom::Lambertian { albedo: 1.0 };
-        let dictionary = Dictionary::new("white", vec![atom]).ok()?;
-        let direct = DirectMatrix::new(scene, &dictionary, STRATA, 0);
-        let pixels: Vec<usize> = (0..direct.coverage.len())
-            .filter(|&p| direct.coverage[p] >= 1.0)
-            .collect();
-        let radiance = (0..scene.lights.len())
-            .map(|light| {
-                let of_pixel = |&p: &usize| f64::from(direct.row(p, light)[0]);
-                pixels.iter().map(of_pixel).collect()
-            })
-            .collect();
-        Some(Self { pixels, radiance })
-    }
-}
-
-/// Refuses images that cannot be those of the scene: one per light, of the camera's size.
-/// What needs a fit to be seen is left to [`super::findings`].
+/// Refuses images that cannot be those of the scene. What needs a fit to be seen is left to
+/// [`super::findings`].
 ///
 /// # Errors
-/// The first [`Implausible`] found; images of other number or size are not looked at.
-pub fn check(scene: &Scene, captured: &[RadianceImage]) -> Result<(), Implausible> {
+/// The first [`Implausible`] found.
+pub fn check(scene: &Scene, captured: &Captured) -> Result<(), Implausible> {
     check_lights(scene)?;
-    let sizes_agree = captured
-        .iter()
-        .all(|image| [image.width, image.height] == scene.camera.resolution_px);
-    let Some(white) = White::of(scene)
-        .filter(|w| !w.pixels.is_empty() && sizes_agree && captured.len() == scene.lights.len())
-    else {
+    let Some(white) = white_radiance(scene, &captured.cells) else {
         return Ok(());
     };
-    for light in 0..captured.len() {
-        let mean_cosine = std::f64::consts::PI * mean(&white.radiance[light])
-            / reference_irradiance(scene, light);
+    for (light, white) in white.iter().enumerate() {
+        let mean_cosine = std::f64::consts::PI * mean(white) / reference_irradiance(scene, light);
         if mean_cosine < LEAST_COSINE {
             return Err(Implausible::NotLit { light, mean_cosine });
         }
     }
-    for (image, radiance) in captured.iter().enumerate() {
-        let strength = scene.lights[image].strength();
-        Values::on(radiance, &white, image, strength).check(image, radiance.width)?;
+    for (light, (image, white)) in captured.images.iter().zip(&white).enumerate() {
+        let strength = mean(&scene.lights[light].strength());
+        let white = white.iter().map(|unit| unit * strength).collect();
+        Values { image, white }.check(light, &captured.cells)?;
     }
-    for (second, image) in captured.iter().enumerate() {
-        if let Some(first) = (0..second).find(|&first| captured[first].mean == image.mean) {
+    for (second, image) in captured.images.iter().enumerate() {
+        let same = |&first: &usize| captured.images[first].mean == image.mean;
+        if let Some(first) = (0..second).find(same) {
             return Err(Implausible::Repeated { first, second });
         }
     }
@@ -265,51 +241,24 @@ fn relative_scatter(values: &[f64]) -> f64 {
     }
 }
 
-/// An image on the sample's valid pixels.
-struct Values {
-    /// Pixel of each.
-    pixels: Vec<usize>,
-    /// Radiance, R, G, B.
-    mean: Vec<[f64; 3]>,
-    variance: Vec<[f64; 3]>,
+/// An image, and that of a white sample.
+struct Values<'a> {
+    image: &'a CellImage,
     /// Radiance of a white sample, mean of the channels.
     white: Vec<f64>,
 }
 
-impl Values {
-    fn on(image: &RadianceImage, white: &White, light: usize, strength: [f64; 3]) -> Self {
-        let mut values = Self {
-            pixels: Vec::new(),
-            mean: Vec::new(),
-            variance: Vec::new(),
-            white: Vec::new(),
-        };
-        let strength = mean(&strength);
-        for (&pixel, &unit) in white.pixels.iter().zip(&white.radiance[light]) {
-            let all = image.mean[pixel].iter().chain(&image.variance[pixel]);
-            if image.valid[pixel] && all.copied().all(f32::is_finite) {
-                values.pixels.push(pixel);
-                values.mean.push(image.mean[pixel].map(f64::from));
-                values.variance.push(image.variance[pixel].map(f64::from));
-                values.white.push(unit * strength);
-            }
-        }
-        values
-    }
-
-    fn check(&self, image: usize, width: usize) -> Result<(), Implausible> {
-        if self.pixels.is_empty() {
-            return Err(Implausible::NothingValid { image });
-        }
-        let count = 3.0 * self.pixels.len() as f64;
+impl Values<'_> {
+    fn check(&self, image: usize, cells: &Cells) -> Result<(), Implausible> {
+        let count = 3.0 * cells.len() as f64;
         let white = mean(&self.white);
-        let total: f64 = self.mean.iter().flatten().sum();
-        let variance: f64 = self.variance.iter().flatten().sum();
+        let total: f64 = self.image.mean.iter().flatten().sum();
+        let variance: f64 = self.image.variance.iter().flatten().sum();
         let average = total / count;
 
         // How bright, against noise and against white.
         let share = self.share(|mean, variance| mean < -SIGNIFICANT * variance.sqrt());
-        let magnitude: f64 = self.mean.iter().flatten().map(|v| v.abs()).sum();
+        let magnitude: f64 = self.image.mean.iter().flatten().map(|v| v.abs()).sum();
         if share > TOLERATED_SHARE && magnitude - total > 2.0 * TOLERATED_SHARE * magnitude {
             return Err(Implausible::Negative { image, share });
         }
@@ -328,19 +277,19 @@ impl Values {
 
         // Where the light is.
         let light_of = |values: &[f64; 3]| values.iter().map(|v| v.abs()).sum::<f64>();
-        let brightest = (0..self.pixels.len())
-            .max_by(|&a, &b| light_of(&self.mean[a]).total_cmp(&light_of(&self.mean[b])));
-        if let Some(brightest) = brightest.filter(|_| self.pixels.len() > 1) {
-            let share = light_of(&self.mean[brightest]) / magnitude;
+        let brightest = (0..cells.len()).max_by(|&a, &b| {
+            light_of(&self.image.mean[a]).total_cmp(&light_of(&self.image.mean[b]))
+        });
+        if let Some(brightest) = brightest.filter(|_| cells.len() > 1) {
+            let share = light_of(&self.image.mean[brightest]) / magnitude;
             if share > ONE_PIXEL_SHARE {
-                let pixel = self.pixels[brightest];
-                let (x, y) = (pixel % width, pixel / width);
+                let [x, y] = cells.cell(brightest).corner_px.map(|at| at as usize);
                 return Err(Implausible::OnePixel { image, share, x, y });
             }
         }
         let expected = relative_scatter(&self.white);
-        let first = self.mean[0];
-        if expected > NOTABLE_SHADING && self.mean.iter().all(|values| *values == first) {
+        let first = self.image.mean[0];
+        if expected > NOTABLE_SHADING && self.image.mean.iter().all(|values| *values == first) {
             return Err(Implausible::Constant {
                 image,
                 mean: average,
@@ -358,11 +307,11 @@ impl Values {
 
     /// Part of the values of which something holds, given mean and variance.
     fn share(&self, holds: impl Fn(f64, f64) -> bool) -> f64 {
-        let values = self.mean.iter().flatten();
-        let both = values.zip(self.variance.iter().flatten());
+        let values = self.image.mean.iter().flatten();
+        let both = values.zip(self.image.variance.iter().flatten());
         let count = both
             .filter(|(mean, variance)| holds(**mean, **variance))
             .count();
-        count as f64 / (3 * self.pixels.len()) as f64
+        count as f64 / (3 * self.image.mean.len()) as f64
     }
 }

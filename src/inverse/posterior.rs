@@ -160,6 +160,7 @@ mod tests {
     use super::*;
     use crate::brdf::departure::{Departure, modes};
     use crate::brdf::{Atom, Brdf, Dictionary};
+    use crate::inverse::cells::{Captured, CellOptions};
     use crate::inverse::departure::free_modes;
     use crate::inverse::form::tests::bowl;
     use crate::inverse::intervals::atom_values;
@@ -201,10 +202,13 @@ mod tests {
         let g = Departure(modes() * (&free * free.tr_mul(&z)));
         let departed = Departed::new(truth.clone(), std::slice::from_ref(&g));
         let mut options = FitOptions::default();
-        options.cache.samples_per_pixel = 128;
+        options.cache.samples_per_cell = 128;
         let found = |material: &dyn Brdf| {
             let captured = photograph(&scene, material);
-            let paths = Paths::trace(&scene, &dictionary, None, &options, &mut |_| {}).unwrap();
+            let captured = Captured::new(&scene, &captured, &CellOptions::default()).unwrap();
+            let cells = &captured.cells;
+            let paths =
+                Paths::trace(&scene, cells, &dictionary, None, &options, &mut |_| {}).unwrap();
             let objective = paths.objective(&captured, &options);
             let solved = solve(&paths, &objective, None, &options, &mut |_| {}).unwrap();
             posterior(&scene, &paths, &objective, &solved, &options, None).unwrap()

@@ -8,11 +8,11 @@
 use std::sync::Arc;
 
 use super::bench::system::BenchLinearisation;
+use super::cells::Captured;
 use super::fit::{Fit, FitError, FitOptions, fit_from};
 use super::solve::Solution;
 use crate::brdf::Mixture;
 use crate::brdf::dictionary::{Atom, Dictionary};
-use crate::radiance_image::RadianceImage;
 use crate::transport::{Proposal, Scene};
 
 /// What follows a first fit.
@@ -61,7 +61,7 @@ const SIGNIFICANT: f64 = 2.0;
 /// A fit that goes on from `first`, a solution for the atoms to begin with.
 pub(super) fn refine(
     scene: &Scene,
-    captured: &[RadianceImage],
+    captured: &Captured,
     first: Solution,
     options: &FitOptions,
     bench: Option<&BenchLinearisation>,
@@ -154,14 +154,14 @@ fn beside(atom: &Atom, [alpha_ratio, eta_ratio]: [f64; 2]) -> Vec<Atom> {
 /// its scatter over the compared values.
 fn gain(old: &Fit, new: &Fit) -> (f64, f64) {
     let (mut sum, mut square) = (0.0, 0.0);
-    for (old, new) in old.residual.iter().zip(&new.residual) {
-        for (pixel, (old, after)) in old.mean.iter().zip(&new.mean).enumerate() {
-            if new.valid[pixel] {
-                for c in 0..3 {
-                    let fall = 0.5 * f64::from(old[c] * old[c] - after[c] * after[c]);
-                    sum += fall;
-                    square += fall * fall;
-                }
+    let images = old.comparison.images.iter().zip(&new.comparison.images);
+    for (old, new) in images {
+        for (old, after) in old.residual.iter().zip(&new.residual) {
+            // Nothing where it was not compared.
+            for c in 0..3 {
+                let fall = 0.5 * (old[c] * old[c] - after[c] * after[c]);
+                sum += fall;
+                square += fall * fall;
             }
         }
     }

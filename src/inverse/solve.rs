@@ -5,13 +5,13 @@ use std::time::Instant;
 
 use nalgebra::DVector;
 
+use super::cells::Captured;
 use super::fit::{FitError, FitOptions, Optimizer};
 use super::objective::{Linearised, Objective, ResidualWeights};
 use super::ridge::Ridge;
 use super::trace::{Observer, Step, Termination};
 use crate::brdf::dictionary::Dictionary;
-use crate::radiance_image::RadianceImage;
-use crate::transport::{Cache, DirectMatrix, Guide, Scene};
+use crate::transport::{Cache, Cells, DirectMatrix, Guide, Scene};
 
 /// Weights, what they were found with, and how; a later solution of the same images can
 /// go on from it.
@@ -80,6 +80,7 @@ impl Paths {
     /// reflection from one with the same dictionary.
     pub fn trace(
         scene: &Scene,
+        cells: &Cells,
         dictionary: &Arc<Dictionary>,
         earlier: Option<&Solution>,
         options: &FitOptions,
@@ -91,7 +92,7 @@ impl Paths {
             Some(earlier) if Arc::ptr_eq(&earlier.dictionary, dictionary) => earlier.direct.clone(),
             _ => {
                 let (strata, seed) = (options.direct_strata, options.cache.seed);
-                Arc::new(DirectMatrix::new(scene, dictionary, strata, seed))
+                Arc::new(DirectMatrix::new(scene, cells, dictionary, strata, seed))
             }
         });
         stage("tracing paths");
@@ -101,7 +102,7 @@ impl Paths {
                 Some(earlier) => earlier.guide.clone(),
                 None => how.steering.guide(scene, how.seed),
             };
-            let cache = Cache::trace_guided(scene, dictionary, how, guide.clone())?;
+            let cache = Cache::trace_guided(scene, cells, dictionary, how, guide.clone())?;
             Ok::<_, FitError>((cache, guide))
         })?;
         Ok(Self {
@@ -114,12 +115,11 @@ impl Paths {
     }
 
     /// Compares the images with the light that these paths carry.
-    pub fn objective(&self, captured: &[RadianceImage], options: &FitOptions) -> Objective<'_> {
+    pub fn objective<'a>(&'a self, captured: &'a Captured, options: &FitOptions) -> Objective<'a> {
         Objective::new(
             &self.cache,
             &self.direct,
             captured,
-            None,
             options.channels,
             options.kernel,
             options.model_error,

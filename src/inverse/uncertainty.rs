@@ -2,8 +2,8 @@
 //!
 //! Around the fit the log-likelihood is quadratic, with the information F of independent
 //! halves of the paths and the score g. Noise is not all that the residual holds: model
-//! error is common to neighbouring pixels, and paths have heavy tails. The score's
-//! covariance is therefore taken from the scores of blocks of pixels, and the
+//! error is common to neighbouring cells, and paths have heavy tails. The score's
+//! covariance is therefore taken from the scores of blocks of cells, and the
 //! likelihood rescaled to it in the directions that F tells apart (a sandwich). The
 //! prior holds that few atoms are used ([`super::sparse`]); docs/adr/0006.
 
@@ -51,7 +51,7 @@ const ABSORPTION: f64 = 6.0;
 const STEPS: usize = 20_000;
 
 /// Least variance of the score over what F says, where the material may depart from every
-/// mixture: what of that is common to all pixels scatters no block. Calibrated by coverage; for
+/// mixture: what of that is common to all cells scatters no block. Calibrated by coverage; for
 /// weights from which nothing is found to depart 1 is enough.
 pub const LEAST_SPREAD: f64 = 3.0;
 

@@ -10,6 +10,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use glam::Vec3;
 use rayon::prelude::*;
 
+use super::cells::Cells;
 use super::continuation::{Continuations, Kind, Steering};
 use super::event::{GeneralRecord, GridRecord, Head, LaneAtoms, MAX_LIGHTS, Record};
 use super::guide::Guide;
@@ -23,8 +24,8 @@ use crate::random::{Purpose, stream};
 /// How paths are traced and kept.
 #[derive(Clone, Debug)]
 pub struct CacheOptions {
-    /// Camera paths per pixel, both halves together, at least 2.
-    pub samples_per_pixel: u32,
+    /// Camera paths per cell, both halves together, at least 2.
+    pub samples_per_cell: u32,
     /// Longest path in surface reflections, 2..=64.
     pub max_reflections: u32,
     /// Same seed, same paths.
@@ -42,7 +43,7 @@ pub struct CacheOptions {
 impl Default for CacheOptions {
     fn default() -> Self {
         Self {
-            samples_per_pixel: 256,
+            samples_per_cell: 256,
             max_reflections: 16,
             seed: 1,
             proposal: Proposal::default(),
@@ -82,15 +83,15 @@ pub enum CacheError {
     },
 }
 
-/// Pixels that are traced and evaluated together; fixed, so that sums are formed in
+/// Cells that are traced and evaluated together; fixed, so that sums are formed in
 /// the same order for any number of threads.
-pub const CHUNK_PIXELS: usize = 32;
+pub const CHUNK_CELLS: usize = 32;
 
-/// Records of consecutive pixels. Each pixel has two independent halves.
+/// Records of consecutive cells. Each cell has two independent halves.
 pub struct Chunk<R> {
-    /// First pixel.
-    pub first_pixel: usize,
-    /// `records[start[2·p + h]..start[2·p + h + 1]]` is half h of the chunk's pixel p.
+    /// First cell.
+    pub first_cell: usize,
+    /// `records[start[2·p + h]..start[2·p + h + 1]]` is half h of the chunk's cell p.
     pub start: Vec<u32>,
     /// All records, path after path.
     pub records: Vec<R>,
@@ -118,15 +119,15 @@ pub struct Cache {
     pub records: Records,
     /// Lane layout of the dictionary.
     pub atoms: LaneAtoms,
-    /// Camera paths per pixel in each half.
+    /// Camera paths per cell in each half.
     pub samples_per_half: u32,
     /// Lamps.
     pub lights: usize,
-    /// Pixels.
-    pub pixels: usize,
+    /// Cells.
+    pub cells: usize,
     /// Strength of each lamp per channel.
     pub strength: Vec<[f64; 3]>,
-    /// Paths per pixel that were asked for; more than twice `samples_per_half` if
+    /// Paths per cell that were asked for; more than twice `samples_per_half` if
     /// memory did not suffice.
     pub samples_requested: u32,
 }
@@ -136,16 +137,18 @@ impl Cache {
     /// the sample.
     pub fn trace(
         scene: &Scene,
+        cells: &Cells,
         dictionary: &Dictionary,
         options: &CacheOptions,
     ) -> Result<Self, CacheError> {
         let guide = options.steering.guide(scene, options.seed);
-        Self::trace_guided(scene, dictionary, options, guide)
+        Self::trace_guided(scene, cells, dictionary, options, guide)
     }
 
     /// [`Cache::trace`] with the guide that [`Steering::guide`] gave for the same scene.
     pub fn trace_guided(
         scene: &Scene,
+        cells: &Cells,
         dictionary: &Dictionary,
         options: &CacheOptions,
         guide: Option<Arc<Guide>>,
@@ -160,6 +163,7 @@ impl Cache {
         let atoms = LaneAtoms::new(dictionary, options.allow_grid);
         let tracer = Tracer {
             scene,
+            cells,
             continuations: Continuations::new(&options.proposal, options.steering, guide),
             atoms: &atoms,
             options,
@@ -194,9 +198,9 @@ impl Cache {
             atoms,
             samples_per_half,
             lights,
-            pixels: scene.camera.pixels(),
+            cells: cells.len(),
             strength: scene.lights.iter().map(|l| l.strength()).collect(),
-            samples_requested: options.samples_per_pixel,
+            samples_requested: options.samples_per_cell,
         })
     }
 
@@ -217,9 +221,10 @@ impl Cache {
     }
 }
 
-/// What tracing a pixel needs.
+/// What tracing a cell needs.
 struct Tracer<'a> {
     scene: &'a Scene,
+    cells: &'a Cells,
     continuations: Continuations<'a>,
     atoms: &'a LaneAtoms,
     options: &'a CacheOptions,
@@ -238,7 +243,7 @@ impl Tracer<'_> {
     /// Traces all chunks with as many samples as fit into memory; returns the samples per half.
     fn chunks<const B: usize, R: Record<B>>(&self) -> (u32, Vec<Chunk<R>>) {
         let options = self.options;
-        let mut per_half = (options.samples_per_pixel / 2).max(1);
+        let mut per_half = (options.samples_per_cell / 2).max(1);
         let wanted = self.probe::<B, R>() * f64::from(per_half);
         // Aims a little below, as the estimate has an error.
         let room = 0.97 * options.max_bytes as f64;
@@ -253,57 +258,53 @@ impl Tracer<'_> {
         }
     }
 
-    /// Bytes of records that one sample per half of every pixel takes, from a few samples of
-    /// pixels spread over the image.
+    /// Bytes of records that one sample per half of every cell takes, from a few samples of
+    /// cells spread over the image.
     fn probe<const B: usize, R: Record<B>>(&self) -> f64 {
-        const CELLS: usize = 24;
-        let [width, height] = self.scene.camera.resolution_px;
-        let [columns, rows] = [width.min(CELLS), height.min(CELLS)];
-        let samples = (self.options.samples_per_pixel / 2).clamp(1, 8);
-        let records: usize = (0..columns * rows)
+        const PROBES: usize = 24 * 24;
+        let count = self.cells.len();
+        let probes = count.min(PROBES);
+        let samples = (self.options.samples_per_cell / 2).clamp(1, 8);
+        let records: usize = (0..probes)
             .into_par_iter()
-            .map(|cell| {
-                // A pixel anywhere in the cell, so that no pattern of the image is met in step.
-                let mut numbers = stream(self.options.seed, Purpose::Experiment, 0, cell as u64, 0);
-                let mut within = |index: usize, cells: usize, pixels: usize| {
-                    let at = (index as f64 + numbers.uniform()) / cells as f64;
-                    ((at * pixels as f64) as usize).min(pixels - 1)
-                };
-                let x = within(cell % columns, columns, width);
-                let y = within(cell / columns, rows, height);
+            .map(|probe| {
+                // A cell anywhere in a stretch, so that no pattern of the image is met in step.
+                let key = probe as u64;
+                let mut numbers = stream(self.options.seed, Purpose::Experiment, 0, key, 0);
+                let at = (probe as f64 + numbers.uniform()) / probes as f64;
+                let cell = ((at * count as f64) as usize).min(count - 1);
                 let mut records: Vec<R> = Vec::new();
-                self.half(y * width + x, 0, samples, &mut records);
+                self.half(cell, 0, samples, &mut records);
                 records.len()
             })
             .sum();
-        let probed = (columns * rows) as f64 * f64::from(samples);
-        let pixels = (width * height) as f64;
-        2.0 * (records * size_of::<R>()) as f64 * pixels / probed
+        let probed = probes.max(1) as f64 * f64::from(samples);
+        2.0 * (records * size_of::<R>()) as f64 * count as f64 / probed
     }
 
     /// Traces all chunks; `None` as soon as they take more memory than allowed (unless
     /// fewer samples are impossible).
     fn trace_all<const B: usize, R: Record<B>>(&self, per_half: u32) -> Option<Vec<Chunk<R>>> {
-        let pixels = self.scene.camera.pixels();
+        let cells = self.cells.len();
         let limit = match per_half {
             1 => usize::MAX,
             _ => self.options.max_bytes,
         };
         let bytes = AtomicUsize::new(0);
-        let starts: Vec<usize> = (0..pixels).step_by(CHUNK_PIXELS).collect();
+        let starts: Vec<usize> = (0..cells).step_by(CHUNK_CELLS).collect();
         starts
             .into_par_iter()
             // Chunks differ in cost: whoever is done takes the next.
             .with_max_len(1)
-            .map(|first_pixel| {
+            .map(|first_cell| {
                 let mut chunk = Chunk {
-                    first_pixel,
+                    first_cell,
                     start: vec![0],
                     records: Vec::new(),
                 };
-                for pixel in first_pixel..(first_pixel + CHUNK_PIXELS).min(pixels) {
+                for cell in first_cell..(first_cell + CHUNK_CELLS).min(cells) {
                     for half in 0..2 {
-                        self.half(pixel, half, per_half, &mut chunk.records);
+                        self.half(cell, half, per_half, &mut chunk.records);
                         chunk.start.push(chunk.records.len() as u32);
                     }
                 }
@@ -315,10 +316,10 @@ impl Tracer<'_> {
             .collect()
     }
 
-    /// Traces one half, 0 or 1, of a pixel's paths.
+    /// Traces one half, 0 or 1, of a cell's paths.
     fn half<const B: usize, R: Record<B>>(
         &self,
-        pixel: usize,
+        cell: usize,
         half: u32,
         samples: u32,
         records: &mut Vec<R>,
@@ -326,7 +327,7 @@ impl Tracer<'_> {
         let (scene, atoms, options) = (self.scene, self.atoms, self.options);
         for sample in 0..samples {
             let (numbers, ray) =
-                PathNumbers::begin(&scene.camera, options.seed, pixel, half, sample);
+                PathNumbers::begin_in(&scene.camera, self.cells, options.seed, cell, half, sample);
             let begin = records.len();
             // Up to here the path has contributed; records after it lead nowhere.
             let mut useful = begin;
@@ -450,12 +451,18 @@ mod tests {
         for resolution in [[64, 64], [256, 32], [16, 100]] {
             let scene = Scene::bowl(16, resolution, 2.4);
             let options = CacheOptions {
-                samples_per_pixel: 1024,
+                samples_per_cell: 1024,
                 max_reflections: 4,
                 max_bytes: 4 << 20,
                 ..CacheOptions::default()
             };
-            let cache = Cache::trace(&scene, &Dictionary::grid42(), &options).unwrap();
+            let cache = Cache::trace(
+                &scene,
+                &Cells::of_pixels(scene.camera.resolution_px),
+                &Dictionary::grid42(),
+                &options,
+            )
+            .unwrap();
             let (_, bytes) = cache.size();
             assert!(cache.samples_per_half < 512, "{resolution:?}");
             assert!(bytes <= options.max_bytes, "{resolution:?}: {bytes}");

@@ -1,9 +1,10 @@
-//! Direct reflection, which is linear in the weights: an exact pixels × atoms
-//! matrix per lamp by dense quadrature over each pixel's footprint.
+//! Direct reflection, which is linear in the weights: an exact cells × atoms
+//! matrix per lamp by dense quadrature over each cell's footprint.
 
 use glam::Vec3;
 use rayon::prelude::*;
 
+use super::cells::Cells;
 use super::event::LaneAtoms;
 use super::points::{Numbers, PathNumbers};
 use super::scene::{Scene, Surface};
@@ -12,31 +13,33 @@ use crate::brdf::ggx::Cosines;
 
 /// Radiance by direct reflection per unit weight and unit lamp strength.
 pub struct DirectMatrix {
-    /// `[(pixel · lights + light) · atoms + atom]`.
+    /// `[(cell · lights + light) · atoms + atom]`.
     values: Vec<f32>,
-    /// Fraction of each pixel's footprint that shows the front of the sample, 0..=1.
+    /// Fraction of each cell's footprint that shows the front of the sample, 0..=1.
     pub coverage: Vec<f32>,
-    /// Fraction of the seen footprint that the lamp reaches, `[pixel · lights + light]`.
+    /// Fraction of the seen footprint that the lamp reaches, `[cell · lights + light]`.
     lit: Vec<f32>,
     lights: usize,
     atoms: usize,
 }
 
-/// The part of a pixel's points that is none of its paths'.
+/// The part of a cell's points that is none of its paths'.
 const PART: u32 = u32::MAX;
 
-/// Shows `each` where `strata`² rays through a pixel meet the sample, with the direction to
+/// Shows `each` where `strata`² rays through a cell meet the sample, with the direction to
 /// the viewer and the numbers for the lamps. Their places are evenly spread points: what the
 /// sum misses is no render noise that a fit is told of, so there should be little of it.
 pub fn for_each_seen(
     scene: &Scene,
-    pixel: usize,
+    cells: &Cells,
+    cell: usize,
     strata: u32,
     seed: u64,
     mut each: impl FnMut(&Surface, Vec3, &mut PathNumbers),
 ) {
     for sample in 0..strata * strata {
-        let (mut numbers, ray) = PathNumbers::begin(&scene.camera, seed, pixel, PART, sample);
+        let (mut numbers, ray) =
+            PathNumbers::begin_in(&scene.camera, cells, seed, cell, PART, sample);
         if let Some((surface, to_viewer)) = scene.first(&ray).filter(|(hit, _)| hit.is_sample()) {
             each(&surface, to_viewer, &mut numbers);
         }
@@ -44,31 +47,44 @@ pub fn for_each_seen(
 }
 
 impl DirectMatrix {
-    /// `strata`² samples per pixel.
-    pub fn new(scene: &Scene, dictionary: &Dictionary, strata: u32, seed: u64) -> Self {
+    /// `strata`² samples per cell.
+    pub fn new(
+        scene: &Scene,
+        cells: &Cells,
+        dictionary: &Dictionary,
+        strata: u32,
+        seed: u64,
+    ) -> Self {
         let atoms = LaneAtoms::new(dictionary, true);
         let (n, lights) = (atoms.atoms(), scene.lights.len());
-        let rows: Vec<(Vec<f32>, f32, Vec<f32>)> = (0..scene.camera.pixels())
+        let rows: Vec<(Vec<f32>, f32, Vec<f32>)> = (0..cells.len())
             .into_par_iter()
-            .map(|pixel| {
+            .map(|cell| {
                 let mut sums = vec![0.0f64; lights * n];
                 let mut seen = 0u32;
                 let mut lit = vec![0u32; lights];
-                for_each_seen(scene, pixel, strata, seed, |surface, to_viewer, numbers| {
-                    seen += 1;
-                    for light in 0..lights {
-                        let u = numbers.on_lamp();
-                        let Some(connection) = scene.connect(surface, light, u) else {
-                            continue;
-                        };
-                        lit[light] += 1;
-                        let (i, o) = (connection.to_light.to_array(), to_viewer.to_array());
-                        if let Some(cosines) = Cosines::new(i, o) {
-                            let row = &mut sums[light * n..(light + 1) * n];
-                            atoms.add_values(&cosines, f64::from(connection.irradiance), row);
+                for_each_seen(
+                    scene,
+                    cells,
+                    cell,
+                    strata,
+                    seed,
+                    |surface, to_viewer, numbers| {
+                        seen += 1;
+                        for light in 0..lights {
+                            let u = numbers.on_lamp();
+                            let Some(connection) = scene.connect(surface, light, u) else {
+                                continue;
+                            };
+                            lit[light] += 1;
+                            let (i, o) = (connection.to_light.to_array(), to_viewer.to_array());
+                            if let Some(cosines) = Cosines::new(i, o) {
+                                let row = &mut sums[light * n..(light + 1) * n];
+                                atoms.add_values(&cosines, f64::from(connection.irradiance), row);
+                            }
                         }
-                    }
-                });
+                    },
+                );
                 let samples = f64::from(strata * strata);
                 let row = sums.iter().map(|&v| (v / samples) as f32).collect();
                 let lit = lit.iter().map(|&n| n as f32 / seen.max(1) as f32).collect();
@@ -84,15 +100,15 @@ impl DirectMatrix {
         }
     }
 
-    /// Fraction of a pixel's seen footprint that a lamp reaches, 0..=1: between the two
+    /// Fraction of a cell's seen footprint that a lamp reaches, 0..=1: between the two
     /// lies the edge of a shadow.
-    pub fn lit(&self, pixel: usize, light: usize) -> f32 {
-        self.lit[pixel * self.lights + light]
+    pub fn lit(&self, cell: usize, light: usize) -> f32 {
+        self.lit[cell * self.lights + light]
     }
 
-    /// The row of one pixel under one lamp, one value per atom.
-    pub fn row(&self, pixel: usize, light: usize) -> &[f32] {
-        let start = (pixel * self.lights + light) * self.atoms;
+    /// The row of one cell under one lamp, one value per atom.
+    pub fn row(&self, cell: usize, light: usize) -> &[f32] {
+        let start = (cell * self.lights + light) * self.atoms;
         &self.values[start..start + self.atoms]
     }
 }
@@ -135,7 +151,9 @@ mod tests {
         let scene = Scene::bowl(64, [24, 24], 2.4);
         let dictionary = Dictionary::paper42();
         let atoms = LaneAtoms::new(&dictionary, true);
-        let direct = [1, 2].map(|seed| DirectMatrix::new(&scene, &dictionary, STRATA, seed));
+        let cells = Cells::of_pixels(scene.camera.resolution_px);
+        let direct =
+            [1, 2].map(|seed| DirectMatrix::new(&scene, &cells, &dictionary, STRATA, seed));
         let (mut even, mut jittered, mut square) = (0.0, 0.0, 0.0);
         let mut sums = [0.0; 2];
         for pixel in 0..scene.camera.pixels() {

@@ -4,6 +4,7 @@
 use nalgebra::DVector;
 use rayon::prelude::*;
 
+use super::cells::Cells;
 use super::direct::for_each_seen;
 use super::points::Numbers;
 use super::scene::Scene;
@@ -25,21 +26,27 @@ pub struct DirectDeparted {
 
 impl DirectDeparted {
     /// In the `wanted` pixels; factors of 1 and derivatives of 0 elsewhere.
-    pub fn new(scene: &Scene, material: &Departed, wanted: &[bool], seed: u64) -> Self {
+    pub fn new(
+        scene: &Scene,
+        cells: &Cells,
+        material: &Departed,
+        wanted: &[bool],
+        seed: u64,
+    ) -> Self {
         let lights = scene.lights.len();
-        let pixels: Vec<(Vec<f32>, Vec<f32>)> = (0..scene.camera.pixels())
+        let of_cells: Vec<(Vec<f32>, Vec<f32>)> = (0..cells.len())
             .into_par_iter()
-            .map(|pixel| {
+            .map(|cell| {
                 let values = lights * 3;
-                if !wanted[pixel] {
+                if !wanted[cell] {
                     return (vec![1.0; values], vec![0.0; values * modes().ncols()]);
                 }
-                let sums = look(scene, material, pixel, seed);
+                let sums = look(scene, cells, material, cell, seed);
                 let factors = sums.iter().map(Sum::factor).collect();
                 (factors, sums.iter().flat_map(Sum::by_modes).collect())
             })
             .collect();
-        let (factors, by_modes): (Vec<_>, Vec<_>) = pixels.into_iter().unzip();
+        let (factors, by_modes): (Vec<_>, Vec<_>) = of_cells.into_iter().unzip();
         Self {
             lights,
             factors: factors.into_iter().flatten().collect(),
@@ -47,19 +54,19 @@ impl DirectDeparted {
         }
     }
 
-    fn index(&self, pixel: usize, light: usize, channel: usize) -> usize {
-        (pixel * self.lights + light) * 3 + channel
+    fn index(&self, cell: usize, light: usize, channel: usize) -> usize {
+        (cell * self.lights + light) * 3 + channel
     }
 
     /// By what the mixture's light is multiplied.
-    pub fn factor(&self, pixel: usize, light: usize, channel: usize) -> f32 {
-        self.factors[self.index(pixel, light, channel)]
+    pub fn factor(&self, cell: usize, light: usize, channel: usize) -> f32 {
+        self.factors[self.index(cell, light, channel)]
     }
 
     /// The derivative of ln of the light by each mode.
-    pub fn by_modes(&self, pixel: usize, light: usize, channel: usize) -> &[f32] {
+    pub fn by_modes(&self, cell: usize, light: usize, channel: usize) -> &[f32] {
         let modes = modes().ncols();
-        let start = self.index(pixel, light, channel) * modes;
+        let start = self.index(cell, light, channel) * modes;
         &self.by_modes[start..start + modes]
     }
 }
@@ -100,31 +107,38 @@ impl Sum {
 }
 
 /// The sums of a pixel, per light and channel.
-fn look(scene: &Scene, material: &Departed, pixel: usize, seed: u64) -> Vec<Sum> {
+fn look(scene: &Scene, cells: &Cells, material: &Departed, cell: usize, seed: u64) -> Vec<Sum> {
     let lights = scene.lights.len();
     let share = 1.0 / f64::from(STRATA * STRATA);
     let mut sums = vec![Sum::ZERO; lights * 3];
-    for_each_seen(scene, pixel, STRATA, seed, |surface, to_viewer, numbers| {
-        for light in 0..lights {
-            let u = numbers.on_lamp();
-            let Some(lamp) = scene.connect(surface, light, u) else {
-                continue;
-            };
-            let of_mixture = material.mixture.eval(lamp.to_light, to_viewer);
-            let around = around(lamp.to_light, to_viewer);
-            let sums = &mut sums[light * 3..light * 3 + 3];
-            for (c, (sum, of_mixture)) in sums.iter_mut().zip(of_mixture).enumerate() {
-                let arriving = share * f64::from(lamp.irradiance);
-                let of_mixture = arriving * f64::from(of_mixture);
-                sum.of_mixture += of_mixture;
-                for (node, part) in around {
-                    let factor = material.departures[c].0[node].exp();
-                    let departed = of_mixture * factor * f64::from(part);
-                    sum.departed += departed;
-                    sum.nodes[node] += departed;
+    for_each_seen(
+        scene,
+        cells,
+        cell,
+        STRATA,
+        seed,
+        |surface, to_viewer, numbers| {
+            for light in 0..lights {
+                let u = numbers.on_lamp();
+                let Some(lamp) = scene.connect(surface, light, u) else {
+                    continue;
+                };
+                let of_mixture = material.mixture.eval(lamp.to_light, to_viewer);
+                let around = around(lamp.to_light, to_viewer);
+                let sums = &mut sums[light * 3..light * 3 + 3];
+                for (c, (sum, of_mixture)) in sums.iter_mut().zip(of_mixture).enumerate() {
+                    let arriving = share * f64::from(lamp.irradiance);
+                    let of_mixture = arriving * f64::from(of_mixture);
+                    sum.of_mixture += of_mixture;
+                    for (node, part) in around {
+                        let factor = material.departures[c].0[node].exp();
+                        let departed = of_mixture * factor * f64::from(part);
+                        sum.departed += departed;
+                        sum.nodes[node] += departed;
+                    }
                 }
             }
-        }
-    });
+        },
+    );
     sums
 }

@@ -57,11 +57,11 @@ impl std::fmt::Display for Kernel {
     }
 }
 
-/// One pixel's multiple-reflection radiance per unit lamp strength: values and
+/// One cell's multiple-reflection radiance per unit lamp strength: values and
 /// derivatives of both halves. Row `r = light · channels + channel`.
-pub struct PixelRows<'a> {
-    /// The pixel.
-    pub pixel: usize,
+pub struct CellRows<'a> {
+    /// The cell.
+    pub cell: usize,
     /// `value[half][r]`.
     pub value: [&'a [f32]; 2],
     /// Variance of the mean of both halves, per row.
@@ -91,9 +91,9 @@ pub struct Departing<'a> {
 }
 
 impl Cache {
-    /// Evaluates every pixel for `weights` (1 or 3 channels × atoms). `group` makes
-    /// an accumulator for each group of pixels, `visit` adds a pixel to it; the
-    /// accumulators come back in the order of the pixels, whatever the threads did.
+    /// Evaluates every cell for `weights` (1 or 3 channels × atoms). `group` makes
+    /// an accumulator for each group of cells, `visit` adds a cell to it; the
+    /// accumulators come back in the order of the cells, whatever the threads did.
     ///
     /// # Panics
     /// For a kernel that is not among [`Kernel::available`].
@@ -102,7 +102,7 @@ impl Cache {
         kernel: Kernel,
         weights: ChannelWeights<'_>,
         group: impl Fn() -> T + Sync,
-        visit: impl Fn(&mut T, &PixelRows<'_>) + Sync,
+        visit: impl Fn(&mut T, &CellRows<'_>) + Sync,
     ) -> Vec<T> {
         self.evaluate_departed(kernel, weights, &Departing::default(), group, visit)
     }
@@ -114,7 +114,7 @@ impl Cache {
         weights: ChannelWeights<'_>,
         departing: &Departing<'_>,
         group: impl Fn() -> T + Sync,
-        visit: impl Fn(&mut T, &PixelRows<'_>) + Sync,
+        visit: impl Fn(&mut T, &CellRows<'_>) + Sync,
     ) -> Vec<T> {
         assert!(
             Kernel::available().contains(&kernel),
@@ -150,7 +150,7 @@ impl Cache {
         weights: ChannelWeights<'_>,
         departing: &Departing<'_>,
         new: &(impl Fn() -> T + Sync),
-        visit: &(impl Fn(&mut T, &PixelRows<'_>) + Sync),
+        visit: &(impl Fn(&mut T, &CellRows<'_>) + Sync),
     ) -> Vec<T> {
         let mixture = Mixture::<B, C>::new(&self.atoms, weights, departing.factors);
         let atoms = self.atoms.atoms();
@@ -196,8 +196,8 @@ impl Cache {
                         }
                         visit(
                             &mut accumulator,
-                            &PixelRows {
-                                pixel: records.first_pixel + p,
+                            &CellRows {
+                                cell: records.first_cell + p,
                                 value: [&values[0], &values[1]],
                                 variance: &variance,
                                 jacobian: [&jacobian[0], &jacobian[1]],
@@ -239,7 +239,7 @@ impl<const B: usize, const C: usize> Mixture<B, C> {
     }
 }
 
-/// Sums over the paths of one half of a pixel, per light.
+/// Sums over the paths of one half of a cell, per light.
 struct Sums<const B: usize, const C: usize>(
     Vec<LightSums<B, C>>,
     /// By ln f at the nodes, per light; empty unless asked for.
@@ -303,7 +303,7 @@ impl<const B: usize, const C: usize> Sums<B, C> {
     }
 }
 
-/// What the sweeps over a pixel's records leave for each other.
+/// What the sweeps over a cell's records leave for each other.
 struct Scratch<U, const C: usize> {
     /// Per record.
     steps: Vec<Step<U, C>>,
@@ -517,7 +517,7 @@ mod tests {
     use super::*;
     use crate::brdf::dictionary::Dictionary;
     use crate::geometry::Shape;
-    use crate::transport::{CacheOptions, Camera, Light, Projection, Scene, Shading};
+    use crate::transport::{CacheOptions, Camera, Cells, Light, Projection, Scene, Shading};
     use glam::{DVec2, DVec3};
 
     fn scene() -> Scene {
@@ -603,12 +603,18 @@ mod tests {
             (Dictionary::paper42(), true),
         ] {
             let options = CacheOptions {
-                samples_per_pixel: 32,
+                samples_per_cell: 32,
                 max_reflections: 6,
                 allow_grid,
                 ..CacheOptions::default()
             };
-            let cache = Cache::trace(&scene, &dictionary, &options).unwrap();
+            let cache = Cache::trace(
+                &scene,
+                &Cells::of_pixels(scene.camera.resolution_px),
+                &dictionary,
+                &options,
+            )
+            .unwrap();
             let n = dictionary.len();
             let mut single = vec![0.0; n];
             single[7] = 1.0;
@@ -700,11 +706,17 @@ mod tests {
         let weights: Vec<f64> = (0..42).map(|n| f64::from(n + 1) / (21.0 * 43.0)).collect();
         let [grid, general] = [true, false].map(|allow_grid| {
             let options = CacheOptions {
-                samples_per_pixel: 32,
+                samples_per_cell: 32,
                 allow_grid,
                 ..CacheOptions::default()
             };
-            let cache = Cache::trace(&scene, &dictionary, &options).unwrap();
+            let cache = Cache::trace(
+                &scene,
+                &Cells::of_pixels(scene.camera.resolution_px),
+                &dictionary,
+                &options,
+            )
+            .unwrap();
             assert_eq!(cache.atoms.is_grid(), allow_grid);
             totals(&cache, Kernel::detect(), &weights)
         });
@@ -728,10 +740,16 @@ mod tests {
                 .unwrap();
             pool.install(|| {
                 let options = CacheOptions {
-                    samples_per_pixel: 16,
+                    samples_per_cell: 16,
                     ..CacheOptions::default()
                 };
-                let cache = Cache::trace(&scene, &dictionary, &options).unwrap();
+                let cache = Cache::trace(
+                    &scene,
+                    &Cells::of_pixels(scene.camera.resolution_px),
+                    &dictionary,
+                    &options,
+                )
+                .unwrap();
                 totals(&cache, kernel, &vec![1.0 / 42.0; 42])
             })
         };

@@ -33,8 +33,9 @@ mod tests {
     use super::*;
     use crate::brdf::{Atom, Dictionary, Mixture};
     use crate::geometry::Mesh;
-    use crate::transport::{Camera, DirectMatrix, Light, Projection, RenderOptions, Scene};
-    use crate::transport::{Shading, render};
+    use crate::transport::{
+        Camera, Cells, DirectMatrix, Light, Projection, RenderOptions, Scene, Shading, render,
+    };
 
     /// A level white plate under an uneven lamp and an even one.
     #[test]
@@ -65,7 +66,8 @@ mod tests {
             ..RenderOptions::default()
         };
         let images = render(&scene, &white, &options, &|_| {});
-        let direct = DirectMatrix::new(&scene, white.dictionary(), 8, 1);
+        let cells = Cells::of_pixels(scene.camera.resolution_px);
+        let direct = DirectMatrix::new(&scene, &cells, white.dictionary(), 8, 1);
         for pixel in 0..64 {
             let x = (pixel % 8) as f64 - 3.5;
             let y = 3.5 - (pixel / 8) as f64;

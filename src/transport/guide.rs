@@ -18,10 +18,8 @@ use four::Four;
 use super::scene::{Scene, Surface};
 use crate::random::{Purpose, Stream, Uniform, stream};
 
-/// Mirror paths per lamp and pixel of the image.
-const PER_PIXEL: usize = 2;
 /// Mirror paths per lamp.
-const PATHS: std::ops::RangeInclusive<usize> = 4096..=32_768;
+const PATHS: usize = 8192;
 /// Mirror reflections of a path.
 const REFLECTIONS: u32 = 3;
 /// How much less often directions are drawn whose light was mirrored once more.
@@ -99,8 +97,7 @@ impl Guide {
                 area_mm2
             })
             .collect();
-        let paths = PER_PIXEL * scene.camera.pixels();
-        let paths = paths.clamp(*PATHS.start(), *PATHS.end());
+        let paths = PATHS;
         let [low_mm, high_mm] = mesh.bounds_mm();
         let size_mm = high_mm - low_mm;
         let cell_mm = (area_mm2 as f32 * PER_CELL / paths as f32)

@@ -43,6 +43,16 @@ impl Light {
         }
     }
 
+    /// Half angle under which the lamp appears, radians; 0 of a point.
+    pub fn angular_radius_rad(&self) -> f64 {
+        match self {
+            Light::Directional {
+                angular_radius_rad, ..
+            } => *angular_radius_rad,
+            Light::Point { .. } => 0.0,
+        }
+    }
+
     /// Draws a connection from `point_mm`; `u` uniform in [0, 1)², used by extended lamps only.
     #[inline]
     pub fn sample(&self, point_mm: Vec3, u: [f32; 2]) -> LightSample {

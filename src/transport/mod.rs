@@ -7,6 +7,7 @@
 
 pub mod cache;
 pub mod camera;
+pub mod cells;
 mod continuation;
 pub mod direct;
 pub mod direct_departed;
@@ -29,11 +30,12 @@ pub mod visibility;
 
 pub use cache::{Cache, CacheOptions};
 pub use camera::{Camera, Projection};
+pub use cells::Cells;
 pub use continuation::{Continuations, Steering};
 pub use direct::DirectMatrix;
 pub use distortion::Coefficients;
 pub use distortion::Folded;
-pub use evaluate::{Kernel, PixelRows};
+pub use evaluate::{CellRows, Kernel};
 pub use guide::Guide;
 pub use lens::{Lens, LensSpec};
 pub use light::Light;

@@ -1,14 +1,15 @@
 //! The numbers of camera paths: independent ones, or points that fill the space of paths more
 //! evenly, so that their mean scatters less.
 //!
-//! The places in a pixel and the continuations of its paths are points of a Sobol sequence
+//! The places in a cell and the continuations of its paths are points of a Sobol sequence
 //! under a hashed Owen scramble (Burley 2020), four dimensions per reflection. Each point
-//! alone is uniform, so nothing is biased. Parts of a pixel's paths have scrambles of their
-//! own and are independent of each other, as pixels are.
+//! alone is uniform, so nothing is biased. Parts of a cell's paths have scrambles of their
+//! own and are independent of each other, as cells are.
 
 use glam::DVec2;
 
 use super::camera::Camera;
+use super::cells::Cells;
 use crate::geometry::Ray;
 use crate::random::{Purpose, Stream, Uniform, stream};
 
@@ -29,7 +30,25 @@ pub struct Independent {
 impl Independent {
     /// Begins path number `sample` of a pixel: its numbers and its ray.
     pub fn begin(camera: &Camera, seed: u64, pixel: usize, sample: u32) -> (Self, Ray) {
-        let key = |purpose| stream(seed, purpose, 0, pixel as u64, u64::from(sample));
+        let (numbers, [place, lens]) = Self::new(seed, pixel as u64, sample);
+        (numbers, camera.ray_of_pixel(pixel, place, lens))
+    }
+
+    /// The same of a cell.
+    pub fn begin_in(
+        camera: &Camera,
+        cells: &Cells,
+        seed: u64,
+        cell: usize,
+        sample: u32,
+    ) -> (Self, Ray) {
+        let (numbers, [place, lens]) = Self::new(seed, cells.key(cell), sample);
+        (numbers, cells.ray(camera, cell, place, lens))
+    }
+
+    /// The numbers, and where the path begins in its footprint and on the lens.
+    fn new(seed: u64, key: u64, sample: u32) -> (Self, [DVec2; 2]) {
+        let key = |purpose| stream(seed, purpose, 0, key, u64::from(sample));
         let mut position = key(Purpose::PixelPosition);
         let mut lamps = key(Purpose::LightAndLens);
         let place = DVec2::new(position.uniform(), position.uniform());
@@ -38,7 +57,7 @@ impl Independent {
             directions: key(Purpose::PathDirection),
             lamps,
         };
-        (numbers, camera.ray_of_pixel(pixel, place, lens))
+        (numbers, [place, lens])
     }
 }
 
@@ -81,6 +100,20 @@ impl PathNumbers {
         let mut numbers = Self::new(seed, pixel as u64, part, index);
         let [place, lens] = numbers.on_sensor();
         (numbers, camera.ray_of_pixel(pixel, place, lens))
+    }
+
+    /// The same of a cell's paths.
+    pub fn begin_in(
+        camera: &Camera,
+        cells: &Cells,
+        seed: u64,
+        cell: usize,
+        part: u32,
+        index: u32,
+    ) -> (Self, Ray) {
+        let mut numbers = Self::new(seed, cells.key(cell), part, index);
+        let [place, lens] = numbers.on_sensor();
+        (numbers, cells.ray(camera, cell, place, lens))
     }
 
     fn new(seed: u64, pixel: u64, part: u32, index: u32) -> Self {

@@ -13,14 +13,14 @@ use nalgebra::DVector;
 use rig::brdf::{Atom, Dictionary, Mixture};
 use rig::geometry::Shape;
 use rig::inverse::{
-    Channels,
+    Captured, Channels,
     objective::{Modelled, Objective},
 };
 use rig::radiance_image::RadianceImage;
 use rig::random::{Purpose, stream};
 use rig::transport::{
-    Cache, CacheOptions, Camera, DirectMatrix, Kernel, Projection, Proposal, RenderOptions, Scene,
-    Shading, render,
+    Cache, CacheOptions, Camera, Cells, DirectMatrix, Kernel, Projection, Proposal, RenderOptions,
+    Scene, Shading, render,
 };
 
 use super::references::{above, mesh, sun};
@@ -30,6 +30,11 @@ use super::statistics::{
 
 const GROUPS: u64 = 16;
 
+/// Every pixel of a scene's image as a cell.
+fn pixels_of(scene: &Scene) -> Cells {
+    Cells::of_pixels(scene.camera.resolution_px)
+}
+
 /// Per pixel: multiple reflection per unit lamp strength, and its derivative with respect
 /// to the first atom of a dictionary of two.
 fn cached(scene: &Scene, dictionary: &Arc<Dictionary>, weight: f64, seed: u64) -> [Vec<f64>; 2] {
@@ -37,18 +42,18 @@ fn cached(scene: &Scene, dictionary: &Arc<Dictionary>, weight: f64, seed: u64) -
     let brdf = Mixture::grey(dictionary.clone(), vec![weight, 1.0 - weight]).unwrap();
     let options = CacheOptions {
         proposal: Proposal::resembling(&brdf, 0.05),
-        samples_per_pixel: 128,
+        samples_per_cell: 128,
         max_reflections: 12,
         seed,
         ..CacheOptions::default()
     };
-    let cache = Cache::trace(scene, dictionary, &options).unwrap();
+    let cache = Cache::trace(scene, &pixels_of(scene), dictionary, &options).unwrap();
     let weights = [weight, 1.0 - weight];
     let mut pixels: Vec<[f64; 3]> = cache
         .evaluate(Kernel::detect(), &[&weights], Vec::new, |out, rows| {
             let mean = |pair: [f32; 2]| 0.5 * f64::from(pair[0] + pair[1]);
             out.push([
-                rows.pixel as f64,
+                rows.cell as f64,
                 mean(rows.value.map(|v| v[0])),
                 mean(rows.jacobian.map(|j| j[0])),
             ]);
@@ -171,7 +176,7 @@ fn the_gradient_of_the_loss_is_unbiased() {
     let rho = 0.8f64;
     let mixture = [DVector::from_vec(vec![rho, 1.0 - rho])];
     let [multiple, derivative] = grey_bowl_radiance(rho, 12);
-    let direct = DirectMatrix::new(&scene, &dictionary, 16, 3);
+    let direct = DirectMatrix::new(&scene, &pixels_of(&scene), &dictionary, 16, 3);
     // Paths so rare and bright as by the default proposal would ask for many more seeds.
     let truth = Arc::new(Dictionary::clone(&dictionary));
     let truth = Mixture::grey(truth, vec![rho, 1.0 - rho]).unwrap();
@@ -191,18 +196,18 @@ fn the_gradient_of_the_loss_is_unbiased() {
         let [mut unbiased, mut same_paths] = [Vec::new(), Vec::new()];
         for seed in 0..SEEDS {
             let options = CacheOptions {
-                samples_per_pixel: 8,
+                samples_per_cell: 8,
                 max_reflections: 12,
                 seed: 500 + seed,
                 proposal: proposal.clone(),
                 ..CacheOptions::default()
             };
-            let cache = Cache::trace(&scene, &dictionary, &options).unwrap();
+            let cache = Cache::trace(&scene, &pixels_of(&scene), &dictionary, &options).unwrap();
+            let captured = Captured::of_pixels(std::slice::from_ref(&target), |_| true);
             let objective = Objective::new(
                 &cache,
                 &direct,
-                std::slice::from_ref(&target),
-                None,
+                &captured,
                 Channels::Shared,
                 Kernel::detect(),
                 0.0,
@@ -214,9 +219,9 @@ fn the_gradient_of_the_loss_is_unbiased() {
                 || 0.0,
                 |sum, rows| {
                     let mean = |pair: [f32; 2]| 0.5 * f64::from(pair[0] + pair[1]);
-                    let first = f64::from(direct.row(rows.pixel, 0)[0]);
+                    let first = f64::from(direct.row(rows.cell, 0)[0]);
                     let model = first * rho + mean(rows.value.map(|v| v[0]));
-                    let residual = model - f64::from(target.mean[rows.pixel][0]);
+                    let residual = model - f64::from(target.mean[rows.cell][0]);
                     *sum -= 3.0 * residual * (first + mean(rows.jacobian.map(|j| j[0])));
                 },
             );
@@ -246,14 +251,14 @@ fn the_error_of_the_model_is_found_below_the_noise() {
     let rho = 0.8f64;
     let mixture = [DVector::from_vec(vec![rho, 1.0 - rho])];
     let [multiple, _] = grey_bowl_radiance(rho, 12);
-    let direct = DirectMatrix::new(&scene, &dictionary, 16, 3);
+    let direct = DirectMatrix::new(&scene, &pixels_of(&scene), &dictionary, 16, 3);
     let options = CacheOptions {
-        samples_per_pixel: 64,
+        samples_per_cell: 64,
         max_reflections: 12,
         seed: 77,
         ..CacheOptions::default()
     };
-    let cache = Cache::trace(&scene, &dictionary, &options).unwrap();
+    let cache = Cache::trace(&scene, &pixels_of(&scene), &dictionary, &options).unwrap();
     let (noise, stated) = (0.03, 0.02);
     for error in [0.0, 0.25] {
         let mut target = RadianceImage::new(PIXELS, PIXELS);
@@ -269,11 +274,11 @@ fn the_error_of_the_model_is_found_below_the_noise() {
             }
             target.valid[pixel] = true;
         }
+        let captured = Captured::of_pixels(std::slice::from_ref(&target), |_| true);
         let objective = Objective::new(
             &cache,
             &direct,
-            std::slice::from_ref(&target),
-            None,
+            &captured,
             Channels::Shared,
             Kernel::detect(),
             stated,
@@ -311,12 +316,12 @@ fn the_error_of_the_model_is_found_below_the_noise() {
 fn a_highlight_does_not_hide_the_dark_beside_it() {
     const PIXELS: usize = 16;
     let (scene, dictionary) = grey_bowl(PIXELS);
-    let direct = DirectMatrix::new(&scene, &dictionary, 2, 3);
+    let direct = DirectMatrix::new(&scene, &pixels_of(&scene), &dictionary, 2, 3);
     let options = CacheOptions {
-        samples_per_pixel: 2,
+        samples_per_cell: 2,
         ..CacheOptions::default()
     };
-    let cache = Cache::trace(&scene, &dictionary, &options).unwrap();
+    let cache = Cache::trace(&scene, &pixels_of(&scene), &dictionary, &options).unwrap();
     let radiance = |pixel: usize| -> f64 { if pixel % PIXELS < 5 { 1e-3 } else { 1.0 } };
     let mut target = RadianceImage::new(PIXELS, PIXELS);
     for pixel in 0..PIXELS * PIXELS {
@@ -324,11 +329,11 @@ fn a_highlight_does_not_hide_the_dark_beside_it() {
         target.variance[pixel] = [(0.03 * radiance(pixel)).powi(2) as f32; 3];
         target.valid[pixel] = true;
     }
+    let captured = Captured::of_pixels(std::slice::from_ref(&target), |_| true);
     let objective = Objective::new(
         &cache,
         &direct,
-        std::slice::from_ref(&target),
-        None,
+        &captured,
         Channels::Shared,
         Kernel::detect(),
         0.04,
@@ -434,12 +439,12 @@ fn cached_paths_give_the_rendered_image() {
         };
         let image = render(&scene, &truth, &options, &|_| {}).remove(0);
         let options = CacheOptions {
-            samples_per_pixel: 1024,
+            samples_per_cell: 1024,
             max_reflections: 8,
             ..CacheOptions::default()
         };
-        let cache = Cache::trace(&scene, &dictionary, &options).unwrap();
-        let direct = DirectMatrix::new(&scene, &dictionary, 16, 3);
+        let cache = Cache::trace(&scene, &pixels_of(&scene), &dictionary, &options).unwrap();
+        let direct = DirectMatrix::new(&scene, &pixels_of(&scene), &dictionary, 16, 3);
         let pixels: Vec<_> = cache
             .evaluate(Kernel::detect(), &[&w], Vec::new, |out, rows| {
                 out.push((

@@ -9,8 +9,8 @@ use glam::{DVec2, Vec3};
 use rig::brdf::{Atom, Dictionary, Mixture};
 use rig::geometry::{Mesh, Shape};
 use rig::transport::{
-    Cache, CacheOptions, Camera, DirectMatrix, Kernel, Projection, RenderOptions, Scene, Shading,
-    render,
+    Cache, CacheOptions, Camera, Cells, DirectMatrix, Kernel, Projection, RenderOptions, Scene,
+    Shading, render,
 };
 
 use super::references::{above, sun};
@@ -99,7 +99,8 @@ fn a_slanted_edge_has_the_analytic_spread() {
         };
         let image = render(&scene, &white(), &options, &|_| {}).remove(0);
         let brdf = white();
-        let direct = DirectMatrix::new(&scene, brdf.dictionary(), 16, 5);
+        let cells = Cells::of_pixels(scene.camera.resolution_px);
+        let direct = DirectMatrix::new(&scene, &cells, brdf.dictionary(), 16, 5);
         let mut worst = 0.0f64;
         for pixel in 0..pixels * pixels {
             let at = [pixel % pixels, pixel / pixels];
@@ -202,20 +203,21 @@ fn a_fit_sees_the_same_blur() {
     let scene = bowl(blurred(above([SIDE; 2]), BLUR_PX));
     let brdf = white();
     let rendered = render(&scene, &brdf, &options(800, 31), &|_| {}).remove(0);
-    let direct = DirectMatrix::new(&scene, brdf.dictionary(), 32, 6);
+    let cells = Cells::of_pixels(scene.camera.resolution_px);
+    let direct = DirectMatrix::new(&scene, &cells, brdf.dictionary(), 32, 6);
     let groups: Vec<Vec<f64>> = (0..8)
         .map(|group| {
             let how = CacheOptions {
-                samples_per_pixel: 64,
+                samples_per_cell: 64,
                 max_reflections: 3,
                 seed: 100 + group,
                 ..CacheOptions::default()
             };
-            let cache = Cache::trace(&scene, brdf.dictionary(), &how).unwrap();
+            let cache = Cache::trace(&scene, &cells, brdf.dictionary(), &how).unwrap();
             let mut image = vec![0.0; SIDE * SIDE];
             let rows = cache.evaluate(Kernel::detect(), &[&[1.0]], Vec::new, |out, rows| {
                 out.push((
-                    rows.pixel,
+                    rows.cell,
                     0.5 * f64::from(rows.value[0][0] + rows.value[1][0]),
                 ));
             });

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use super::{Lab, Sample};
 use crate::brdf::{Brdf, Dictionary, Mixture};
 use crate::evaluate::experiment::EvaluateError;
-use crate::inverse::{Fit, FitOptions, fit};
+use crate::inverse::{BenchPriors, Captured, CellOptions, Fit, FitError, FitOptions, fit};
 use crate::radiance_image::RadianceImage;
 use crate::transport::{
     CacheOptions, Light, RenderOptions, Scene, Steering, render, suited_proposal,
@@ -51,7 +51,7 @@ impl Lab {
     pub fn fit_options(&self) -> FitOptions {
         FitOptions {
             cache: CacheOptions {
-                samples_per_pixel: self.settings.samples_per_pixel,
+                samples_per_cell: self.settings.samples_per_pixel,
                 max_reflections: self.settings.max_reflections,
                 seed: self.settings.seed,
                 ..CacheOptions::default()
@@ -89,7 +89,8 @@ impl Lab {
         dictionary: &Arc<Dictionary>,
         options: &FitOptions,
     ) -> Result<Estimate, EvaluateError> {
-        let fit = fit(scene, captured, dictionary, options, &mut |_| {})?;
+        let captured = average(scene, captured, dictionary)?;
+        let fit = fit(scene, &captured, dictionary, options, &mut |_| {})?;
         Ok(Estimate {
             start: Mixture::new(dictionary.clone(), fit.start.clone())?,
             fit,
@@ -109,6 +110,16 @@ impl Lab {
     }
 }
 
+/// Images averaged over the cells that a fit of this dictionary compares.
+pub fn average(
+    scene: &Scene,
+    images: &[RadianceImage],
+    dictionary: &Dictionary,
+) -> Result<Captured, EvaluateError> {
+    let options = CellOptions::new(dictionary, &BenchPriors::default());
+    Ok(Captured::new(scene, images, &options).map_err(FitError::from)?)
+}
+
 /// What a fit found.
 pub struct Estimate {
     /// The single-bounce start.
@@ -120,7 +131,8 @@ pub struct Estimate {
 impl Estimate {
     /// Mean squared residual in standard deviations, over lights and channels.
     pub fn mean_reduced_chi2(&self) -> f64 {
-        let all = self.fit.reduced_chi2.as_flattened();
+        let all = self.fit.comparison.reduced_chi2();
+        let all = all.as_flattened();
         all.iter().sum::<f64>() / all.len().max(1) as f64
     }
 }

@@ -6,11 +6,11 @@
 //! independent estimate, and their mean is a central difference. A light that moves
 //! leaves the camera's paths as they are, so all lights' steps share one set of them.
 //! Direct reflection, which says most, is a central difference of dense quadratures over
-//! the pixels' footprints, without noise and the same for both halves.
+//! the cells' footprints, without noise and the same for both halves.
 //!
 //! Whatever multiplies the residual, it vanishes on average at the true bench: a
 //! derivative that is off costs certainty, not truth. So what comes by way of other
-//! surfaces, which is noisy and varies slowly, is averaged over neighbouring pixels.
+//! surfaces, which is noisy and varies slowly, is averaged over neighbouring cells.
 
 use glam::Vec3;
 use nalgebra::DVector;
@@ -23,12 +23,12 @@ use crate::transport::direct::for_each_seen;
 use crate::transport::falloff::Falloff;
 use crate::transport::points::{Independent, Numbers};
 use crate::transport::scene::Surface;
-use crate::transport::{Continuations, Proposal, Scene, Steering};
+use crate::transport::{Cells, Continuations, Proposal, Scene, Steering};
 
 /// How derivative images are traced.
 #[derive(Clone, Debug)]
 pub struct DerivativeOptions {
-    /// Paths per pixel in each half and on each differing bench; 0: direct reflection alone.
+    /// Paths per cell in each half and on each differing bench; 0: direct reflection alone.
     pub samples_per_half: u32,
     /// Longest path in surface reflections, 1..=64.
     pub max_reflections: u32,
@@ -38,10 +38,11 @@ pub struct DerivativeOptions {
     pub proposal: Proposal,
     /// What leads continuations to light, on all benches as on the base.
     pub steering: Steering,
-    /// Direct reflection: square root of the samples per pixel, at least 1.
+    /// Direct reflection: square root of the samples per cell, at least 1.
     pub direct_strata: u32,
-    /// What comes by way of other surfaces is averaged over pixels up to this far away.
-    pub average_px: usize,
+    /// What comes by way of other surfaces is averaged over cells up to this far away, parts of
+    /// the image's width.
+    pub average: f64,
 }
 
 /// Derivatives of radiance over lamp strength with respect to the geometric parameters.
@@ -49,7 +50,7 @@ pub struct DerivativeImages {
     /// Parameter and light of each column: a light's direction changes its own image
     /// alone, the pose changes all.
     columns: Vec<(usize, usize)>,
-    /// `[pixel · columns + column]`.
+    /// `[cell · columns + column]`.
     values: Vec<Derivative>,
 }
 
@@ -80,17 +81,18 @@ struct Place {
 }
 
 impl DerivativeImages {
-    /// Derivatives at `values` for the material `brdf`, at the pixels that are `wanted`; zero elsewhere.
+    /// Derivatives at `values` for the material `brdf`, at the cells that are `wanted`; zero elsewhere.
     pub fn trace(
         bench: &Bench,
         values: &DVector<f64>,
+        cells: &Cells,
         brdf: &dyn Brdf,
         wanted: &[bool],
         options: &DerivativeOptions,
     ) -> Self {
         let base = bench.scene(values);
         let halves = [1.0, -1.0].map(|sign| views(bench, &base, values, sign));
-        Self::between(&base, &halves, brdf, wanted, options)
+        Self::between(&base, cells, &halves, brdf, wanted, options)
     }
 
     /// By how much the images change when the sample takes these shapes: the mean of what a
@@ -99,6 +101,7 @@ impl DerivativeImages {
     /// the parameter.
     pub fn of_shapes(
         base: &Scene,
+        cells: &Cells,
         deformed: Vec<[Mesh; 2]>,
         brdf: &dyn Brdf,
         wanted: &[bool],
@@ -127,12 +130,13 @@ impl DerivativeImages {
                 });
             }
         }
-        Self::between(base, &halves, brdf, wanted, options)
+        Self::between(base, cells, &halves, brdf, wanted, options)
     }
 
     /// Differences between the first view and the others, over their steps.
     fn between(
         base: &Scene,
+        cells: &Cells,
         halves: &[(Vec<View>, Vec<Place>); 2],
         brdf: &dyn Brdf,
         wanted: &[bool],
@@ -147,11 +151,11 @@ impl DerivativeImages {
             _ => options.steering.guide(base, options.seed),
         };
         let continuations = Continuations::new(&options.proposal, options.steering, guide);
-        let rows: Vec<Vec<Parts>> = (0..base.camera.pixels())
+        let rows: Vec<Vec<Parts>> = (0..cells.len())
             .into_par_iter()
-            .map(|pixel| {
+            .map(|cell| {
                 let mut row = vec![Parts::default(); columns.len()];
-                if !wanted[pixel] {
+                if !wanted[cell] {
                     return row;
                 }
                 for (half, (views, places)) in halves.iter().enumerate() {
@@ -159,11 +163,11 @@ impl DerivativeImages {
                     let mut others = Vec::with_capacity(views.len());
                     for view in views {
                         let mut walk = Walk::new(view, lights);
-                        walk.look(brdf, options, pixel);
+                        walk.look(brdf, options, cells, cell);
                         direct.push(walk.take());
                         let n = options.samples_per_half;
                         for sample in half as u32 * n..(half as u32 + 1) * n {
-                            walk.follow(brdf, options, &continuations, pixel, sample);
+                            walk.follow(brdf, options, &continuations, (cells, cell), sample);
                         }
                         others.push(walk.take());
                     }
@@ -181,14 +185,14 @@ impl DerivativeImages {
                 row
             })
             .collect();
-        let values = smoothed(&rows, wanted, base.camera.resolution_px, options.average_px);
+        let values = smoothed(&rows, wanted, cells, options.average);
         Self { columns, values }
     }
 
-    /// Parameter, light and derivative, of one pixel.
-    pub fn at(&self, pixel: usize) -> impl Iterator<Item = (usize, usize, &Derivative)> {
+    /// Parameter, light and derivative, of one cell.
+    pub fn at(&self, cell: usize) -> impl Iterator<Item = (usize, usize, &Derivative)> {
         let n = self.columns.len();
-        let values = &self.values[pixel * n..(pixel + 1) * n];
+        let values = &self.values[cell * n..(cell + 1) * n];
         self.columns
             .iter()
             .zip(values)
@@ -205,36 +209,25 @@ struct Parts {
     others: [[f32; 3]; 2],
 }
 
-/// The direct part of each pixel, and the mean of the other over the wanted pixels around.
-fn smoothed(
-    rows: &[Vec<Parts>],
-    wanted: &[bool],
-    [width, height]: [usize; 2],
-    reach: usize,
-) -> Vec<Derivative> {
+/// The direct part of each cell, and the mean of the other over the wanted cells around.
+fn smoothed(rows: &[Vec<Parts>], wanted: &[bool], cells: &Cells, reach: f64) -> Vec<Derivative> {
     (0..rows.len())
         .into_par_iter()
-        .map(|pixel| {
-            let mut out: Vec<Derivative> = rows[pixel]
+        .map(|cell| {
+            let mut out: Vec<Derivative> = rows[cell]
                 .iter()
                 .map(|&Parts { direct, .. }| Derivative {
                     direct,
                     halves: [direct; 2],
                 })
                 .collect();
-            if !wanted[pixel] {
+            if !wanted[cell] {
                 return out;
             }
-            let (x, y) = (pixel % width, pixel / width);
-            let near: Vec<usize> = (y.saturating_sub(reach)..=(y + reach).min(height - 1))
-                .flat_map(|j| {
-                    (x.saturating_sub(reach)..=(x + reach).min(width - 1))
-                        .map(move |i| j * width + i)
-                })
-                .filter(|&q| wanted[q])
-                .collect();
-            let share = 1.0 / near.len() as f32;
+            let near: Vec<usize> = cells.within(cell, reach).filter(|&q| wanted[q]).collect();
+            let total: f64 = near.iter().map(|&q| cells.area(q)).sum();
             for q in near {
+                let share = (cells.area(q) / total) as f32;
                 for (out, parts) in out.iter_mut().zip(&rows[q]) {
                     for (out, others) in out.halves.iter_mut().zip(&parts.others) {
                         for (out, other) in out.iter_mut().zip(others) {
@@ -364,14 +357,15 @@ impl<'a> Walk<'a> {
         }
     }
 
-    /// Adds the direct reflection of a pixel.
-    fn look(&mut self, brdf: &dyn Brdf, options: &DerivativeOptions, pixel: usize) {
+    /// Adds the direct reflection of a cell.
+    fn look(&mut self, brdf: &dyn Brdf, options: &DerivativeOptions, cells: &Cells, cell: usize) {
         let view = self.view;
         let strata = options.direct_strata;
         self.paths += strata * strata;
         for_each_seen(
             &view.scene,
-            pixel,
+            cells,
+            cell,
             strata,
             options.seed,
             |surface, to_viewer, numbers| {
@@ -388,13 +382,14 @@ impl<'a> Walk<'a> {
         brdf: &dyn Brdf,
         options: &DerivativeOptions,
         continuations: &Continuations<'_>,
-        pixel: usize,
+        (cells, cell): (&Cells, usize),
         sample: u32,
     ) {
         let view = self.view;
         let scene = &view.scene;
         self.paths += 1;
-        let (mut numbers, ray) = Independent::begin(&scene.camera, options.seed, pixel, sample);
+        let (mut numbers, ray) =
+            Independent::begin_in(&scene.camera, cells, options.seed, cell, sample);
         let mut throughput = Vec3::ONE;
         let mut kind = continuations.begin();
         let mut next = scene.first(&ray).filter(|(hit, _)| hit.is_sample());

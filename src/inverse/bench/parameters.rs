@@ -5,7 +5,7 @@ use glam::DVec3;
 use nalgebra::{DMatrix, DVector};
 
 use crate::frames::{Rigid, Sample};
-use crate::radiance_image::RadianceImage;
+use crate::inverse::cells::Captured;
 use crate::transport::{Light, Scene};
 
 /// Standard deviations of what a description says about a bench; 0: exactly known.
@@ -245,11 +245,6 @@ impl Bench {
         &self.root
     }
 
-    /// Of the camera.
-    pub fn resolution_px(&self) -> [usize; 2] {
-        self.described.camera.resolution_px
-    }
-
     /// Half the diagonal of the box around the sample.
     pub fn sample_radius_mm(&self) -> f64 {
         let [low, high] = self.described.sample().bounds_mm();
@@ -279,16 +274,12 @@ impl Bench {
     }
 
     /// Captured images without the stray light.
-    pub fn without_stray_light(
-        &self,
-        captured: &[RadianceImage],
-        values: &DVector<f64>,
-    ) -> Vec<RadianceImage> {
-        let mut captured = captured.to_vec();
+    pub fn without_stray_light(&self, captured: &Captured, values: &DVector<f64>) -> Captured {
+        let mut captured = captured.clone();
         for (parameter, &value) in self.parameters.iter().zip(values.iter()) {
             if let Parameter::StrayLight(light) = *parameter {
-                for pixel in &mut captured[light].mean {
-                    *pixel = pixel.map(|radiance| radiance - value as f32);
+                for cell in &mut captured.images[light].mean {
+                    *cell = cell.map(|radiance| radiance - value);
                 }
             }
         }

@@ -11,13 +11,13 @@ use super::spectrum::Spectrum;
 use super::system::{BenchLinearisation, Model, Normal};
 use crate::brdf::dictionary::Dictionary;
 use crate::brdf::mixture::Mixture;
+use crate::inverse::cells::{Captured, check_count};
 use crate::inverse::fit::{Fit, FitError, FitOptions, Optimizer, fit_on_bench};
 use crate::inverse::gauss_newton::GaussNewton;
 use crate::inverse::objective::{Linearised, Modelled, Objective, ResidualWeights};
 use crate::inverse::refine::DEFENSIVE;
 use crate::inverse::solve::{Paths, Solution, solve};
 use crate::inverse::uncertainty::LEAST_SPREAD;
-use crate::radiance_image::RadianceImage;
 use crate::random::{Purpose, stream};
 use crate::transport::{Proposal, Scene};
 
@@ -26,14 +26,14 @@ use crate::transport::{Proposal, Scene};
 pub struct RefineOptions {
     /// Most rounds, 2..=20; the first does not know how far the scores can be trusted.
     pub rounds: usize,
-    /// Paths per pixel of a round's fit over those of the final fit, 1..=64, as far as they fit
+    /// Paths per cell of a round's fit over those of the final fit, 1..=64, as far as they fit
     /// into its memory. What tells the intensities' common scale from albedo is lost in the
     /// noise of fewer. The first round has a quarter, the second half of them.
     pub times_paths: u32,
-    /// Direct reflection of a round: square root of the samples per pixel, 1..=64. Noise of
+    /// Direct reflection of a round: square root of the samples per cell, 1..=64. Noise of
     /// theirs that moves the highlights moves the bench.
     pub direct_strata: u32,
-    /// Paths per pixel, both halves together, on each differing bench, of the derivatives that
+    /// Paths per cell, both halves together, on each differing bench, of the derivatives that
     /// say how well the bench is known and how much it leaves open; at least 2. The rounds use
     /// those of direct reflection alone (docs/adr/0009).
     pub derivative_samples: u32,
@@ -59,6 +59,9 @@ impl Default for RefineOptions {
 /// The round from which on all paths are traced, and like ones: benches of two rounds can be
 /// compared. Those before have a half of them, a quarter and so on.
 const ALL_PATHS: usize = 3;
+
+/// Reach over which derivatives by way of other surfaces are averaged, parts of the image's width.
+pub(in crate::inverse) const AVERAGED: f64 = 1.0 / 24.0;
 
 /// Mean square of a refused bench over that of the best, up to which it did not lead far off.
 const WITHIN_NOISE: f64 = 1.25;
@@ -99,7 +102,7 @@ pub struct RefinedBench {
     /// The bench.
     pub estimate: BenchEstimate,
     /// The captured images without stray light.
-    captured: Vec<RadianceImage>,
+    captured: Captured,
     /// How much of the material's uncertainty the bench leaves open.
     linearisation: Option<BenchLinearisation>,
     seconds: f64,
@@ -121,19 +124,19 @@ impl RefinedBench {
     }
 }
 
-/// Refines the bench within `priors` by one captured image per light of `scene`, which is
+/// Refines the bench within `priors` by the captured image of each light of `scene`, which is
 /// the bench as described, with the weights of `dictionary` free to follow. `options` are
 /// those of the fit that is to come. `stage` is told what begins.
 pub fn refine_bench(
     scene: &Scene,
-    captured: &[RadianceImage],
+    captured: &Captured,
     dictionary: &Arc<Dictionary>,
     options: &FitOptions,
     priors: &BenchPriors,
     refine: &RefineOptions,
     stage: &mut dyn FnMut(&str),
 ) -> Result<RefinedBench, FitError> {
-    crate::inverse::fit::check(scene, captured)?;
+    check_count(scene, captured.images.len())?;
     let clock = std::time::Instant::now();
     let bench = Bench::new(scene, priors);
     let mut rounds = Rounds {
@@ -250,7 +253,7 @@ struct Best {
 /// What the rounds share.
 struct Rounds<'a> {
     bench: &'a Bench,
-    captured: &'a [RadianceImage],
+    captured: &'a Captured,
     dictionary: &'a Arc<Dictionary>,
     options: &'a FitOptions,
     refine: &'a RefineOptions,
@@ -277,7 +280,7 @@ struct Round {
 /// How the images compare with the model of one bench, so that two benches can be compared
 /// by the same values and the same weights.
 struct Compared {
-    /// Squared residuals less the render's variance, `[light][pixel][channel]`.
+    /// Squared residuals less the render's variance, `[light][cell][channel]`.
     squares: Vec<Vec<[f64; 3]>>,
     residual_weights: ResidualWeights,
 }
@@ -289,8 +292,8 @@ impl Compared {
         residual_weights: ResidualWeights,
     ) -> Self {
         let squares = pass.model.iter().enumerate().map(|(light, image)| {
-            let square = |(pixel, values): (usize, &[Modelled; 3])| {
-                let [target, _] = objective.captured(light, pixel);
+            let square = |(cell, values): (usize, &[Modelled; 3])| {
+                let [target, _] = objective.captured(light, cell);
                 std::array::from_fn(|c| {
                     (target[c] - values[c].value()).powi(2) - values[c].variance
                 })
@@ -316,13 +319,13 @@ impl Compared {
     fn is_worse_than(&self, before: &Self, prior: f64) -> bool {
         let (mut sum, mut square) = (2.0 * prior, 0.0);
         for light in 0..self.squares.len() {
-            for pixel in 0..self.squares[light].len() {
+            for cell in 0..self.squares[light].len() {
                 for c in 0..3 {
-                    if self.residual_weights[light][pixel][c] <= 0.0 {
+                    if self.residual_weights[light][cell][c] <= 0.0 {
                         continue;
                     }
-                    let change = self.squares[light][pixel][c] - before.squares[light][pixel][c];
-                    let change = before.residual_weights[light][pixel][c] * change;
+                    let change = self.squares[light][cell][c] - before.squares[light][cell][c];
+                    let change = before.residual_weights[light][cell][c] * change;
                     sum += change;
                     square += change * change;
                 }
@@ -334,7 +337,7 @@ impl Compared {
 
 impl Rounds<'_> {
     /// Fits the weights on the bench at `values`, and sees how the images change with it: by
-    /// direct reflection, and by way of other surfaces with so many paths per pixel and half.
+    /// direct reflection, and by way of other surfaces with so many paths per cell and half.
     fn take(
         &mut self,
         values: &DVector<f64>,
@@ -355,18 +358,28 @@ impl Rounds<'_> {
         let early = ALL_PATHS.saturating_sub(round);
         let all_paths = options
             .cache
-            .samples_per_pixel
+            .samples_per_cell
             .saturating_mul(refine.times_paths);
-        options.cache.samples_per_pixel = (all_paths >> early).max(8);
+        options.cache.samples_per_cell = (all_paths >> early).max(8);
         let quiet = &mut |_: &str| {};
-        let paths = Paths::trace(&scene, self.dictionary, None, &options, quiet)?;
+        let paths = Paths::trace(
+            &scene,
+            &self.captured.cells,
+            self.dictionary,
+            None,
+            &options,
+            quiet,
+        )?;
         let objective = paths.objective(&captured, &options);
-        let pixels = scene.camera.pixels();
-        let mut count = 0usize;
-        for image in 0..captured.len() {
-            let compared = (0..pixels).filter(|&pixel| objective.is_compared(image, pixel));
-            count += 3 * compared.count();
-        }
+        let compared = |image: usize| {
+            let cells = 0..captured.len();
+            cells
+                .filter(|&cell| objective.is_compared(image, cell))
+                .count()
+        };
+        let count: usize = (0..objective.lights())
+            .map(|image| 3 * compared(image))
+            .sum();
         let wanted = objective.compared_pixels();
         let before = self.before.as_ref();
         let solved = solve(&paths, &objective, before, &options, quiet)?;
@@ -433,9 +446,10 @@ impl Rounds<'_> {
             proposal: Proposal::resembling(material, 0.3),
             steering: paths.steering,
             direct_strata: refine.direct_strata,
-            average_px: (self.bench.resolution_px()[0] + 12) / 24,
+            average: AVERAGED,
         };
-        DerivativeImages::trace(self.bench, values, material, wanted, &options)
+        let cells = &self.captured.cells;
+        DerivativeImages::trace(self.bench, values, cells, material, wanted, &options)
     }
 }
 
@@ -444,7 +458,7 @@ mod tests {
     use super::*;
 
     fn compared(squares: [f64; 3], weights: [f64; 3]) -> Compared {
-        // Many pixels alike, so that the scatter of their sum is small.
+        // Many cells alike, so that the scatter of their sum is small.
         Compared {
             squares: vec![vec![squares; 100]],
             residual_weights: vec![vec![weights; 100]],

@@ -44,7 +44,7 @@ pub struct Normal {
     asked: Vec<DMatrix<f64>>,
     /// F_pw per weight set, P × N, twice: from independent halves of the samples.
     coupling: Vec<[DMatrix<f64>; 2]>,
-    /// Scores per block of pixels, all lights together: they share the paths, and so
+    /// Scores per block of cells, all lights together: they share the paths, and so
     /// their noise.
     blocks: BTreeMap<usize, Scores>,
 }
@@ -65,12 +65,12 @@ pub struct Reduced {
     pub response: DMatrix<f64>,
     /// P.
     pub score: DVector<f64>,
-    /// The score's parts by block of pixels.
+    /// The score's parts by block of cells.
     pub block_scores: Vec<DVector<f64>>,
 }
 
 impl Normal {
-    /// Sums over all compared pixels at `mixture`.
+    /// Sums over all compared cells at `mixture`.
     pub fn new(
         model: &Model<'_>,
         bench: &Bench,
@@ -86,17 +86,17 @@ impl Normal {
             false,
             || Self::zero(parameters.len(), n, sets),
             |sum, rows| {
-                let pixel = rows.pixel;
+                let cell = rows.cell;
                 for (light, residual_weights) in residual_weights.iter().enumerate() {
                     for c in 0..3 {
-                        let w = residual_weights[pixel][c];
+                        let w = residual_weights[cell][c];
                         if w <= 0.0 {
                             continue;
                         }
                         let set = c.min(sets - 1);
                         let r = light * sets + set;
-                        let first = objective.once(pixel, light, c, &mixture[set]);
-                        let [target, _] = objective.captured(light, pixel);
+                        let first = objective.once(cell, light, c, &mixture[set]);
+                        let [target, _] = objective.captured(light, cell);
                         let value = [0, 1].map(|h| first + f64::from(rows.value[h][r]));
                         let residual = value.map(|v| target[c] - v);
                         let mut by_weight = [DVector::zeros(n), DVector::zeros(n)];
@@ -104,7 +104,7 @@ impl Normal {
                         objective.derivatives(rows, light, c, halves);
                         let row = |h: usize, of: fn(&Derivative, usize) -> [f32; 3]| {
                             let mut row = DVector::zeros(parameters.len());
-                            for (k, l, derivative) in derivatives.at(pixel) {
+                            for (k, l, derivative) in derivatives.at(cell) {
                                 if l == light {
                                     row[k] = f64::from(of(derivative, h)[c]);
                                 }
@@ -124,7 +124,7 @@ impl Normal {
                         let by_bench = [0, 1].map(|h| row(h, |derivative, h| derivative.halves[h]));
                         let block = sum
                             .blocks
-                            .entry(objective.block(pixel, 0))
+                            .entry(objective.block(cell, 0))
                             .or_insert_with(|| Scores::zero(parameters.len(), n, sets));
                         for h in 0..2 {
                             let (a, b) = (h, 1 - h);

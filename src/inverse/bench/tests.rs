@@ -14,11 +14,11 @@ use crate::brdf::half_difference::HalfDifference;
 use crate::brdf::{Dictionary, Mixture};
 use crate::frames::{Rigid, Sample};
 use crate::geometry::Shape;
-use crate::inverse::{Channels, FitOptions, fit};
+use crate::inverse::{Captured, CellOptions, Channels, FitOptions, fit};
 use crate::radiance_image::RadianceImage;
 use crate::random::{Purpose, stream};
 use crate::transport::{
-    Camera, Light, Projection, Proposal, RenderOptions, Scene, Shading, Steering, render,
+    Camera, Cells, Light, Projection, Proposal, RenderOptions, Scene, Shading, Steering, render,
 };
 use crate::units::StageAngles;
 
@@ -195,9 +195,10 @@ fn derivatives_are_those_of_independent_renders() {
         proposal: Proposal::resembling(&brdf, 0.2),
         steering: Steering::default(),
         direct_strata: 8,
-        average_px: 0,
+        average: 0.0,
     };
-    let images = DerivativeImages::trace(&bench, &values, &brdf, &wanted, &options);
+    let cells = Cells::of_pixels([size; 2]);
+    let images = DerivativeImages::trace(&bench, &values, &cells, &brdf, &wanted, &options);
     let patterns: [fn(f64, f64) -> f64; 3] = [|_, _| 1.0, |x, _| x, |_, y| y];
     let sum = |pattern: fn(f64, f64) -> f64, value: &dyn Fn(usize) -> f64| -> f64 {
         let pixels = (0..size * size).filter(|&p| wanted[p]);
@@ -357,23 +358,25 @@ fn options() -> FitOptions {
         draws: 60,
         ..FitOptions::default()
     };
-    options.cache.samples_per_pixel = 192;
+    options.cache.samples_per_cell = 192;
     options.cache.max_reflections = 8;
     options
 }
 
 const LIGHTS: [[f64; 2]; 3] = [[20.0, 80.0], [110.0, 60.0], [250.0, 70.0]];
 
-fn refined(values: &DVector<f64>, size: usize) -> (RefinedBench, Vec<RadianceImage>, Mixture) {
+fn refined(values: &DVector<f64>, size: usize) -> (RefinedBench, Captured, Mixture) {
     let brdf = material();
+    let described = bowl(96, size, &LIGHTS);
     let images = captured(&bowl(128, size, &LIGHTS), values, &brdf);
+    let images = Captured::new(&described, &images, &CellOptions::default()).unwrap();
     let how = RefineOptions {
         rounds: 4,
         times_paths: 1,
         ..RefineOptions::default()
     };
     let result = refine_bench(
-        &bowl(96, size, &LIGHTS),
+        &described,
         &images,
         brdf.dictionary(),
         &options(),

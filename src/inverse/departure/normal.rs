@@ -19,9 +19,9 @@ pub(super) struct Normal {
     pub coupling: DMatrix<f64>,
     /// F_zz, M × M.
     pub departure: DMatrix<f64>,
-    /// Of all pixels.
+    /// Of all cells.
     pub scores: Scores,
-    /// By block of pixels.
+    /// By block of cells.
     pub blocks: Vec<Scores>,
     /// Takes noise out of scores of both.
     told: DMatrix<f64>,
@@ -58,7 +58,7 @@ struct Sums {
     blocks: Blocks,
 }
 
-/// Scores by block of pixels, all modes.
+/// Scores by block of cells, all modes.
 #[derive(Clone, Default)]
 struct Blocks(BTreeMap<usize, Scores>);
 
@@ -189,7 +189,7 @@ pub(super) fn equations(at: &At<'_>, free: &[DMatrix<f64>]) -> Vec<Normal> {
         .collect()
 }
 
-/// Sets the scores of weights and free modes by block of pixels to those of the residual that small
+/// Sets the scores of weights and free modes by block of cells to those of the residual that small
 /// departures (values of all modes, per set) leave.
 pub(super) fn blocks_after(
     at: &At<'_>,
@@ -214,7 +214,7 @@ pub(super) fn blocks_after(
     }
 }
 
-/// Visits every compared value, by groups of pixels.
+/// Visits every compared value, by groups of cells.
 fn over_values<T: Send>(
     at: &At<'_>,
     group: impl Fn() -> T + Sync,
@@ -235,18 +235,18 @@ fn over_values<T: Send>(
         (group(), value, DVector::zeros(NODES))
     };
     let parts = objective.evaluate(at.mixture, true, group, |(sums, value, nodes), rows| {
-        let pixel = rows.pixel;
+        let cell = rows.cell;
         for (light, c) in (0..objective.lights()).flat_map(|l| [(l, 0), (l, 1), (l, 2)]) {
-            value.weight = at.residual_weights[light][pixel][c];
+            value.weight = at.residual_weights[light][cell][c];
             if value.weight <= 0.0 {
                 continue;
             }
             value.set = c.min(sets - 1);
-            value.block = objective.block(pixel, light);
+            value.block = objective.block(cell, light);
             let [a, b] = value.by_weights.each_mut().map(|v| v.as_mut_slice());
             objective.derivatives(rows, light, c, [a, b]);
-            let light_once = objective.once(pixel, light, c, &at.mixture[value.set]);
-            let [target, _] = objective.captured(light, pixel);
+            let light_once = objective.once(cell, light, c, &at.mixture[value.set]);
+            let [target, _] = objective.captured(light, cell);
             let row = light * sets + value.set;
             for half in 0..2 {
                 value.residual[half] = target[c] - light_once - f64::from(rows.value[half][row]);
@@ -255,7 +255,7 @@ fn over_values<T: Send>(
                     *node = f64::from(by_node);
                 }
                 modes.tr_mul_to(nodes, &mut value.by_modes[half]);
-                let once = at.direct.by_modes(pixel, light, c);
+                let once = at.direct.by_modes(cell, light, c);
                 for (mode, &once) in value.by_modes[half].iter_mut().zip(once) {
                     *mode += light_once * f64::from(once);
                 }

@@ -6,8 +6,8 @@ use super::Examined;
 use crate::brdf::half_difference::HalfDifference;
 use crate::frames::{Rigid, Sample};
 use crate::inverse::bench::derivatives::{DerivativeImages, DerivativeOptions};
-use crate::inverse::objective::Modelled;
-use crate::transport::{Proposal, Scene, Steering};
+use crate::transport::cells::FIELD_PARTS;
+use crate::transport::{Cells, Proposal, Scene, Steering};
 
 /// Fields of position that a non-uniform material may follow, over [−1, 1]².
 pub(super) const FIELDS: usize = 9;
@@ -15,8 +15,8 @@ pub(super) const FIELDS: usize = 9;
 pub(super) const ANGLES: usize = 10;
 /// Displacements of the sample whose images are compared.
 pub(super) const SHAPES: usize = 9;
-/// Radii of blur, pixels.
-pub(super) const BLURS: [f64; 2] = [0.7, 1.5];
+/// Radii of blur, parts of the image's width.
+pub(super) const BLURS: [f64; 2] = [0.7 / FIELD_PARTS, 1.5 / FIELD_PARTS];
 
 /// Low-order fields over the image.
 pub(super) fn fields(at: DVec2) -> [f64; FIELDS] {
@@ -34,13 +34,12 @@ pub(super) fn fields(at: DVec2) -> [f64; FIELDS] {
     ]
 }
 
-/// Powers of the angles of the first reflection per light and pixel; zero in shadow.
-pub(super) fn first_angles(scene: &Scene) -> Vec<[f64; ANGLES]> {
-    let [width, height] = scene.camera.resolution_px;
-    let mut all = Vec::with_capacity(scene.lights.len() * width * height);
+/// Powers of the angles of the first reflection per light and cell; zero in shadow.
+pub(super) fn first_angles(scene: &Scene, cells: &Cells) -> Vec<[f64; ANGLES]> {
+    let mut all = Vec::with_capacity(scene.lights.len() * cells.len());
     for light in 0..scene.lights.len() {
-        for pixel in 0..width * height {
-            let centre = DVec2::new((pixel % width) as f64 + 0.5, (pixel / width) as f64 + 0.5);
+        for cell in cells.iter() {
+            let centre = cell.middle_px();
             let angles = scene
                 .first(&scene.camera.ray(centre, DVec2::ZERO))
                 .and_then(|(surface, viewer)| {
@@ -72,7 +71,7 @@ pub(super) fn first_angles(scene: &Scene) -> Vec<[f64; ANGLES]> {
     all
 }
 
-/// Change of the direct reflection, `[displacement][light · pixels + pixel][channel]`, when the
+/// Change of the direct reflection, `[displacement][light · cells + cell][channel]`, when the
 /// sample moves, turns or is scaled a little. What comes by way of other surfaces is left out:
 /// few paths are noise that hides the rest (docs/adr/0010).
 pub(super) fn displaced_images(fit: &Examined<'_>) -> Vec<Vec<[f64; 3]>> {
@@ -80,7 +79,7 @@ pub(super) fn displaced_images(fit: &Examined<'_>) -> Vec<Vec<[f64; 3]>> {
     let mesh = scene.sample();
     let [low, high] = mesh.bounds_mm().map(|v| v.as_dvec3());
     let (centre, size) = (0.5 * (low + high), (high - low).max_element());
-    let (lights, pixels) = (objective.lights(), scene.camera.pixels());
+    let (lights, cells) = (objective.lights(), objective.cells().len());
     let wanted = objective.compared_pixels();
     let options = DerivativeOptions {
         samples_per_half: 0,
@@ -89,7 +88,7 @@ pub(super) fn displaced_images(fit: &Examined<'_>) -> Vec<Vec<[f64; 3]>> {
         proposal: Proposal::default(),
         steering: Steering::NONE,
         direct_strata: 2,
-        average_px: 0,
+        average: 0.0,
     };
     let mut displaced = Vec::with_capacity(SHAPES);
     // One axis at a time, which bounds the memory.
@@ -122,11 +121,18 @@ pub(super) fn displaced_images(fit: &Examined<'_>) -> Vec<Vec<[f64; 3]>> {
             [STEP, -STEP].map(scale),
         ];
         let shapes = deformed.len();
-        let images = DerivativeImages::of_shapes(scene, deformed, fit.material, &wanted, &options);
-        let mut changes = vec![vec![[0.0; 3]; lights * pixels]; shapes];
-        for pixel in 0..pixels {
-            for (shape, light, change) in images.at(pixel) {
-                changes[shape][light * pixels + pixel] = change.halves[0].map(f64::from);
+        let images = DerivativeImages::of_shapes(
+            scene,
+            objective.cells(),
+            deformed,
+            fit.material,
+            &wanted,
+            &options,
+        );
+        let mut changes = vec![vec![[0.0; 3]; lights * cells]; shapes];
+        for cell in 0..cells {
+            for (shape, light, change) in images.at(cell) {
+                changes[shape][light * cells + cell] = change.halves[0].map(f64::from);
             }
         }
         displaced.extend(changes);
@@ -137,24 +143,20 @@ pub(super) fn displaced_images(fit: &Examined<'_>) -> Vec<Vec<[f64; 3]>> {
 /// Displacement over the sample's size; angle in radians; relative scale.
 const STEP: f64 = 2e-3;
 
-/// The model's pixel after a Gaussian blur.
+/// The mean around a cell under a Gaussian of this radius, parts of the image's width.
 pub(super) fn blurred(
-    model: &[[Modelled; 3]],
-    channel: usize,
-    pixel: usize,
-    [width, height]: [usize; 2],
-    radius_px: f64,
+    cells: &Cells,
+    cell: usize,
+    radius: f64,
+    value: impl Fn(usize) -> f64,
 ) -> f64 {
-    let reach = (2.5 * radius_px).ceil() as usize;
-    let (x, y) = (pixel % width, pixel / width);
+    let middle = cells.middle(cell);
     let (mut sum, mut total) = (0.0, 0.0);
-    for j in y.saturating_sub(reach)..=(y + reach).min(height - 1) {
-        for i in x.saturating_sub(reach)..=(x + reach).min(width - 1) {
-            let d2 = (i.abs_diff(x).pow(2) + j.abs_diff(y).pow(2)) as f64;
-            let weight = (-0.5 * d2 / (radius_px * radius_px)).exp();
-            sum += weight * model[j * width + i][channel].value();
-            total += weight;
-        }
+    for other in cells.within(cell, 2.5 * radius) {
+        let distance2 = cells.middle(other).distance_squared(middle);
+        let weight = cells.area(other) * (-0.5 * distance2 / (radius * radius)).exp();
+        sum += weight * value(other);
+        total += weight;
     }
     sum / total
 }

@@ -6,7 +6,7 @@ use super::Objective;
 use crate::brdf::departure::{Departed, NODES};
 use crate::transport::direct_departed::DirectDeparted;
 use crate::transport::evaluate::Departing;
-use crate::transport::{PixelRows, Scene};
+use crate::transport::{CellRows, Scene};
 
 /// What makes a model of a mixture one of a material that departs from it.
 pub struct DepartedModel {
@@ -17,7 +17,7 @@ pub struct DepartedModel {
 }
 
 impl DepartedModel {
-    /// Of `material`, for the pixels that `objective` compares.
+    /// Of `material`, for the cells that `objective` compares.
     pub fn of_compared(
         objective: &Objective<'_>,
         scene: &Scene,
@@ -28,14 +28,14 @@ impl DepartedModel {
         Self::new(objective, scene, material, &wanted, seed)
     }
 
-    /// Of `material`, for all pixels.
+    /// Of `material`, for all cells.
     pub fn of_all(
         objective: &Objective<'_>,
         scene: &Scene,
         material: &Departed,
         seed: u64,
     ) -> Self {
-        let wanted = vec![true; scene.camera.pixels()];
+        let wanted = vec![true; objective.cells.len()];
         Self::new(objective, scene, material, &wanted, seed)
     }
 
@@ -52,7 +52,7 @@ impl DepartedModel {
         };
         Self {
             factors: (0..objective.sets()).map(of_set).collect(),
-            direct: DirectDeparted::new(scene, material, wanted, seed),
+            direct: DirectDeparted::new(scene, objective.cells, material, wanted, seed),
         }
     }
 }
@@ -61,23 +61,16 @@ impl<'a> Objective<'a> {
     /// The same comparison with the light of a material that departs from the mixture.
     pub fn departed(&self, model: &'a DepartedModel) -> Self {
         Self {
-            target: self.target.clone(),
-            variance: self.variance.clone(),
-            compared: self.compared.clone(),
+            values: self.values.clone(),
             departed: Some(model),
             ..*self
         }
     }
 
     /// What a departure makes of the mixture's light that is reflected once.
-    pub(in crate::inverse) fn once_factor(
-        &self,
-        pixel: usize,
-        light: usize,
-        channel: usize,
-    ) -> f64 {
+    pub(in crate::inverse) fn once_factor(&self, cell: usize, light: usize, channel: usize) -> f64 {
         self.departed
-            .map_or(1.0, |d| f64::from(d.direct.factor(pixel, light, channel)))
+            .map_or(1.0, |d| f64::from(d.direct.factor(cell, light, channel)))
     }
 
     /// One pass over the paths with the light of `mixture`, or of what departs from it, with the
@@ -87,7 +80,7 @@ impl<'a> Objective<'a> {
         mixture: &[DVector<f64>],
         by_node: bool,
         group: impl Fn() -> T + Sync,
-        visit: impl Fn(&mut T, &PixelRows<'_>) + Sync,
+        visit: impl Fn(&mut T, &CellRows<'_>) + Sync,
     ) -> Vec<T> {
         let slices: Vec<&[f64]> = mixture.iter().map(|w| w.as_slice()).collect();
         let departing = Departing {
@@ -106,6 +99,7 @@ mod tests {
     use super::*;
     use crate::brdf::departure::{Departure, modes};
     use crate::brdf::{Atom, Dictionary, Mixture};
+    use crate::inverse::cells::Captured;
     use crate::inverse::fit::FitOptions;
     use crate::inverse::form::tests::bowl;
     use crate::inverse::objective::ModelImage;
@@ -147,24 +141,33 @@ mod tests {
         let captured = rendered(at);
 
         let mut options = FitOptions::default();
-        options.cache.samples_per_pixel = 4096;
+        options.cache.samples_per_cell = 4096;
         options.cache.max_reflections = 4;
-        let paths = Paths::trace(&scene, &dictionary, None, &options, &mut |_| {}).unwrap();
-        let objective = paths.objective(&captured, &options);
+        let compared = Captured::of_pixels(&captured, |_| true);
+        let paths = Paths::trace(
+            &scene,
+            &compared.cells,
+            &dictionary,
+            None,
+            &options,
+            &mut |_| {},
+        )
+        .unwrap();
+        let objective = paths.objective(&compared, &options);
         let g = departure(at);
         let departed = Departed::new(mixture.clone(), &[g]);
         let model = DepartedModel::of_compared(&objective, &scene, &departed, 3);
         let objective = objective.departed(&model);
         let weights = vec![DVector::from_vec(vec![0.5, 0.5]); 3];
 
-        // Relative deviations over the compared pixels, root mean square.
+        // Relative deviations over the compared cells, root mean square.
         let compare = |told: &dyn Fn(usize, usize) -> f64, seen: &dyn Fn(usize, usize) -> f64| {
             let (mut square, mut error) = (0.0, 0.0);
-            for (light, pixel) in (0..2).flat_map(|l| (0..64).map(move |p| (l, p))) {
-                if objective.is_compared(light, pixel) {
-                    let seen = seen(light, pixel);
+            for (light, cell) in (0..2).flat_map(|l| (0..64).map(move |p| (l, p))) {
+                if objective.is_compared(light, cell) {
+                    let seen = seen(light, cell);
                     square += seen * seen;
-                    error += (told(light, pixel) - seen).powi(2);
+                    error += (told(light, cell) - seen).powi(2);
                 }
             }
             (error / square).sqrt()
@@ -178,22 +181,22 @@ mod tests {
 
         let mut by_modes = vec![vec![DVector::zeros(modes().ncols()); 64]; 2];
         let none = Vec::new;
-        let parts = objective.evaluate(&weights, true, none, |rows: &mut Vec<_>, pixel| {
+        let parts = objective.evaluate(&weights, true, none, |rows: &mut Vec<_>, cell| {
             for light in 0..2 {
                 let row = (light * 3 + 1) * NODES;
                 let nodes = (0..NODES).map(|k| {
-                    let of_half = |half: usize| f64::from(pixel.nodes[half][row + k]);
+                    let of_half = |half: usize| f64::from(cell.nodes[half][row + k]);
                     0.5 * (of_half(0) + of_half(1))
                 });
                 let nodes = DVector::from_iterator(NODES, nodes);
-                rows.push((light, pixel.pixel, modes().tr_mul(&nodes)));
+                rows.push((light, cell.cell, modes().tr_mul(&nodes)));
             }
         });
-        for (light, pixel, by_paths) in parts.into_iter().flatten() {
-            let once = model.direct.by_modes(pixel, light, 1).iter();
+        for (light, cell, by_paths) in parts.into_iter().flatten() {
+            let once = model.direct.by_modes(cell, light, 1).iter();
             let once = DVector::from_iterator(modes().ncols(), once.map(|&v| f64::from(v)));
-            let light_once = objective.once(pixel, light, 1, &weights[1]);
-            by_modes[light][pixel] = by_paths + light_once * once;
+            let light_once = objective.once(cell, light, 1, &weights[1]);
+            by_modes[light][cell] = by_paths + light_once * once;
         }
         for mode in 0..2 {
             let [more, less] = [step, -step].map(|step| {

@@ -33,19 +33,19 @@ impl Objective<'_> {
             false,
             || vec![none(); sets],
             |sums, rows| {
-                let pixel = rows.pixel;
+                let cell = rows.cell;
                 let mut derivatives = [vec![0.0; n], vec![0.0; n]];
                 for light in 0..lights {
                     for c in 0..3 {
                         let set = self.set_of(c);
-                        let w = residual_weights[light][pixel][c];
+                        let w = residual_weights[light][cell][c];
                         if w <= 0.0 {
                             continue;
                         }
                         let [a, b] = &mut derivatives;
                         self.derivatives(rows, light, c, [a, b]);
-                        let captured = w * w * self.variance[light][pixel][c];
-                        let rendered = w * w * model[light][pixel][c].variance;
+                        let captured = w * w * self.values.variance[light][cell][c];
+                        let rendered = w * w * model[light][cell][c].variance;
                         add_product(&mut sums[set].captured, a, b, captured);
                         add_product(&mut sums[set].rendered, a, b, rendered);
                     }

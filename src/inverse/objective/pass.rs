@@ -6,7 +6,7 @@ use nalgebra::{DMatrix, DVector};
 
 use super::{ModelImage, Modelled, Objective, ResidualWeights, add_outer};
 use crate::inverse::simplex::Quadratic;
-use crate::transport::PixelRows;
+use crate::transport::CellRows;
 use crate::transport::points::Evenness;
 
 /// One pass at given mixture weights.
@@ -19,14 +19,14 @@ pub struct Linearised {
     pub information: Vec<DMatrix<f64>>,
     /// Per set: what the render's noise adds to the loss if the mean residual is squared.
     pub(in crate::inverse) noise: Vec<Noise>,
-    /// Modelled radiance, `[light][pixel][channel]`.
+    /// Modelled radiance, `[light][cell][channel]`.
     pub model: Vec<ModelImage>,
     /// Per set: Σ w (r_A r_B − σ²_captured), which the noise of neither capture nor render
     /// makes: what the model leaves unexplained, as a part of χ².
     pub unexplained: Vec<f64>,
     /// Σ w I² per set, by which a relative error of the model counts as a part of χ².
     pub power: Vec<f64>,
-    /// Per set and block of pixels of one light: Jᵀ W r.
+    /// Per set and block of cells of one light: Jᵀ W r.
     pub block_scores: Vec<Vec<DVector<f64>>>,
 }
 
@@ -116,7 +116,7 @@ impl Objective<'_> {
             false,
             || Part::new(n, sets, lights),
             |part, rows| {
-                let pixel = rows.pixel;
+                let cell = rows.cell;
                 let mut model = vec![[Modelled::default(); 3]; lights];
                 let mut derivatives = [vec![0.0; n], vec![0.0; n]];
                 let mut row_mean = vec![0.0; n];
@@ -124,7 +124,7 @@ impl Objective<'_> {
                     for c in 0..3 {
                         let set = self.set_of(c);
                         let r = light * sets + set;
-                        let once = self.once(pixel, light, c, &mixture[set]);
+                        let once = self.once(cell, light, c, &mixture[set]);
                         let again = [0, 1].map(|h| f64::from(rows.value[h][r]));
                         let halves = again.map(|value| once + value);
                         let variance = f64::from(rows.variance[r]);
@@ -134,7 +134,7 @@ impl Objective<'_> {
                             again: 0.5 * (again[0] + again[1]),
                             variance,
                         };
-                        let w = residual_weights[light][pixel][c];
+                        let w = residual_weights[light][cell][c];
                         if w <= 0.0 {
                             continue;
                         }
@@ -143,12 +143,12 @@ impl Objective<'_> {
                         for (mean, (a, b)) in row_mean.iter_mut().zip(row_a.iter().zip(&*row_b)) {
                             *mean = 0.5 * (a + b);
                         }
-                        let target = self.target[light][pixel][c];
+                        let target = self.values.target[light][cell][c];
                         let residual = halves.map(|m| m - target);
                         let q = &mut part.quadratics[set];
                         add_outer(&mut q.h, &row_mean, w);
                         add_product(&mut part.information[set], row_a, row_b, w);
-                        let block = self.block(pixel, light);
+                        let block = self.block(cell, light);
                         let score = part.scores[set]
                             .entry(block)
                             .or_insert_with(|| DVector::zeros(n));
@@ -160,7 +160,7 @@ impl Objective<'_> {
                         }
                         q.c += 0.5 * w * residual[0] * residual[1];
                         part.unexplained[set] +=
-                            w * (residual[0] * residual[1] - self.variance[light][pixel][c]);
+                            w * (residual[0] * residual[1] - self.values.variance[light][cell][c]);
                         part.power[set] += w * halves[0] * halves[1];
                         let difference = residual[0] - residual[1];
                         let noise = &mut part.noise[set];
@@ -179,27 +179,27 @@ impl Objective<'_> {
     /// What is reflected once, over the lamp's strength.
     pub(in crate::inverse) fn once(
         &self,
-        pixel: usize,
+        cell: usize,
         light: usize,
         channel: usize,
         mixture: &DVector<f64>,
     ) -> f64 {
-        let direct = self.direct.row(pixel, light).iter();
+        let direct = self.direct.row(cell, light).iter();
         let terms = direct.zip(mixture).map(|(&d, w)| f64::from(d) * w);
-        terms.sum::<f64>() * self.once_factor(pixel, light, channel)
+        terms.sum::<f64>() * self.once_factor(cell, light, channel)
     }
 
     /// Derivatives of one value by the weights of its set, with the paths of each half.
     pub(in crate::inverse) fn derivatives(
         &self,
-        rows: &PixelRows<'_>,
+        rows: &CellRows<'_>,
         light: usize,
         channel: usize,
         halves: [&mut [f64]; 2],
     ) {
         let (n, row) = (self.atoms(), light * self.sets() + self.set_of(channel));
-        let direct = self.direct.row(rows.pixel, light);
-        let factor = self.once_factor(rows.pixel, light, channel);
+        let direct = self.direct.row(rows.cell, light);
+        let factor = self.once_factor(rows.cell, light, channel);
         for (half, jacobian) in halves.into_iter().zip(rows.jacobian) {
             let indirect = &jacobian[row * n..(row + 1) * n];
             for (sum, (&d, &i)) in half.iter_mut().zip(direct.iter().zip(indirect)) {
@@ -211,7 +211,7 @@ impl Objective<'_> {
     fn gather(&self, parts: Vec<Part>) -> Linearised {
         let (n, sets) = (self.atoms(), self.sets());
         let mut total = Part::new(n, sets, self.lights());
-        let mut model = vec![Vec::with_capacity(self.target[0].len()); self.lights()];
+        let mut model = vec![Vec::with_capacity(self.values.target[0].len()); self.lights()];
         for part in parts {
             for set in 0..sets {
                 total.quadratics[set].add_scaled(1.0, &part.quadratics[set]);
@@ -231,8 +231,8 @@ impl Objective<'_> {
                     total.join(part);
                 }
             }
-            for pixel in part.model {
-                for (light, value) in pixel.into_iter().enumerate() {
+            for cell in part.model {
+                for (light, value) in cell.into_iter().enumerate() {
                     model[light].push(value);
                 }
             }
@@ -245,8 +245,8 @@ impl Objective<'_> {
         }
         for (image, evenness) in model.iter_mut().zip(&total.evenness) {
             let factors = evenness.map(|channel| channel.factor());
-            for pixel in image {
-                for (modelled, factor) in pixel.iter_mut().zip(factors) {
+            for cell in image {
+                for (modelled, factor) in cell.iter_mut().zip(factors) {
                     modelled.variance *= factor;
                 }
             }
@@ -267,7 +267,7 @@ impl Objective<'_> {
     }
 }
 
-/// Sums over a group of pixels.
+/// Sums over a group of cells.
 struct Part {
     quadratics: Vec<Quadratic>,
     information: Vec<DMatrix<f64>>,
