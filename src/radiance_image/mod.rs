@@ -37,6 +37,20 @@ impl RadianceImage {
         }
     }
 
+    /// Adds these rows of another image of the same width below.
+    ///
+    /// # Panics
+    /// The widths differ.
+    pub fn extend(&mut self, other: &Self, rows: Range<usize>) {
+        assert_eq!(self.width, other.width, "rows of one image");
+        let pixels = rows.start * self.width..rows.end * self.width;
+        self.height += rows.len();
+        self.mean.extend_from_slice(&other.mean[pixels.clone()]);
+        self.variance
+            .extend_from_slice(&other.variance[pixels.clone()]);
+        self.valid.extend_from_slice(&other.valid[pixels]);
+    }
+
     /// Only these rows.
     #[must_use]
     pub fn rows(&self, rows: Range<usize>) -> Self {

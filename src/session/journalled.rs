@@ -2,7 +2,8 @@
 //! inside the session, of the length and the SHA-256 of their record.
 
 use std::collections::BTreeSet;
-use std::io::{self, Read};
+use std::fs::File;
+use std::io::{self, Read, Seek};
 use std::path::{Path, PathBuf};
 
 use sha2::{Digest, Sha256};
@@ -32,11 +33,21 @@ pub(super) fn read(root: &Path, file: &FileDigest) -> Result<Vec<u8>, SessionErr
 /// [`SessionError::Missing`], [`SessionError::Length`], [`SessionError::Checksum`], or
 /// [`SessionError::Io`] for what is no regular file or cannot be read.
 pub fn check(root: &Path, file: &FileDigest) -> Result<(), SessionError> {
-    pass(root, file, |_| ())
+    pass(root, file, |_| ()).map(drop)
 }
 
-/// Hands out the file piece by piece, never more than its record says.
-fn pass(root: &Path, file: &FileDigest, mut take: impl FnMut(&[u8])) -> Result<(), SessionError> {
+/// As [`check`]; the file, open at its beginning, for what is read in pieces.
+pub(super) fn open(root: &Path, file: &FileDigest) -> Result<File, SessionError> {
+    let mut opened = pass(root, file, |_| ())?;
+    match opened.rewind() {
+        Ok(()) => Ok(opened),
+        Err(error) => Err(SessionError::io("read", &root.join(&file.path), error)),
+    }
+}
+
+/// Hands out the file piece by piece, never more than its record says, and then itself,
+/// read to its end.
+fn pass(root: &Path, file: &FileDigest, mut take: impl FnMut(&[u8])) -> Result<File, SessionError> {
     let path = root.join(&file.path);
     let failed = |error: io::Error| match error.kind() {
         io::ErrorKind::NotFound | io::ErrorKind::NotADirectory => {
@@ -72,7 +83,7 @@ fn pass(root: &Path, file: &FileDigest, mut take: impl FnMut(&[u8])) -> Result<(
     }
     let actual = hex(&hash.finalize());
     if actual == file.sha256 {
-        return Ok(());
+        return Ok(opened.into_inner());
     }
     Err(SessionError::Checksum {
         path,

@@ -147,16 +147,25 @@ impl Session {
         Ok((counts, sidecar))
     }
 
-    /// The bytes of a journalled file (a calibration copy, merged radiance),
-    /// checked against the journal.
+    /// The bytes of a journalled file (a calibration copy, a record), checked against
+    /// the journal.
     pub fn read_file(&self, relative: &str) -> Result<Vec<u8>, SessionError> {
-        match self
-            .journal
-            .files()
-            .into_iter()
-            .find(|f| f.path == relative)
-        {
-            Some(file) => journalled::read(&self.root, file),
+        journalled::read(&self.root, self.journalled(relative)?)
+    }
+
+    /// A journalled file of any length (merged radiance), checked against the journal piece
+    /// by piece and then open at its beginning.
+    ///
+    /// # Errors
+    /// As [`read_file`](Self::read_file), with nothing of the file in memory.
+    pub fn open_file(&self, relative: &str) -> Result<File, SessionError> {
+        journalled::open(&self.root, self.journalled(relative)?)
+    }
+
+    fn journalled(&self, relative: &str) -> Result<&FileDigest, SessionError> {
+        let mut files = self.journal.files().into_iter();
+        match files.find(|file| file.path == relative) {
+            Some(file) => Ok(file),
             None if let Some(light) = self.not_captured(relative) => Err(light),
             None => Err(SessionError::Missing {
                 path: self.root.join(relative),

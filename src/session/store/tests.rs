@@ -191,6 +191,40 @@ fn what_is_committed_is_read_and_verified() {
     assert_eq!(manifest.lines().count(), 9);
 }
 
+/// A file that is handed out open was checked as one whose bytes are.
+#[test]
+fn a_file_to_be_read_in_pieces_is_checked_first() {
+    use std::io::Read;
+    let parent = tempfile::tempdir().unwrap();
+    let mut writer = create(Arc::new(SystemDisk), parent.path()).unwrap();
+    let name = "derived/radiance_L000.exr";
+    let whole: Vec<u8> = (0..300_000u32).map(|n| n as u8).collect();
+    writer.commit_file(name, &whole).unwrap();
+    let session = Session::open(writer.root()).unwrap();
+    let path = session.root().join(name);
+    let mut read = Vec::new();
+    session
+        .open_file(name)
+        .unwrap()
+        .read_to_end(&mut read)
+        .unwrap();
+    assert!(read == whole, "from its beginning to its end");
+    let mut other = whole.clone();
+    other[200_000] ^= 4;
+    for bytes in [
+        &whole[..whole.len() - 1],
+        &other,
+        &[whole.as_slice(), b"x"].concat(),
+    ] {
+        fs::write(&path, bytes).unwrap();
+        let expected = session.read_file(name).unwrap_err().to_string();
+        assert_eq!(session.open_file(name).unwrap_err().to_string(), expected);
+    }
+    fs::remove_file(&path).unwrap();
+    let missing = session.open_file(name).unwrap_err();
+    assert!(matches!(missing, SessionError::Missing { .. }), "{missing}");
+}
+
 #[test]
 fn an_existing_session_and_a_second_writer_are_refused() {
     let parent = tempfile::tempdir().unwrap();

@@ -1,0 +1,189 @@
+//! Radiance images as OpenEXR files: channels `R`, `G`, `B`, their variances
+//! `var.R`, `var.G`, `var.B`, and `mask` (1 where a pixel is valid), 32-bit
+//! floats, compressed without loss.
+
+mod planes;
+mod rows;
+mod write;
+
+use std::io::{Read, Seek};
+use std::path::{Path, PathBuf};
+
+use super::RadianceImage;
+
+pub use rows::ExrRows;
+pub use write::{encode, write, write_rows};
+
+/// What a file says about radiance.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RadianceFile {
+    /// The image. Without variances in the file they are 0 here; without a mask
+    /// every finite pixel is valid. Pixels that are not finite are invalid and 0.
+    pub image: RadianceImage,
+    /// Whether the file has the three variance channels.
+    pub has_variance: bool,
+}
+
+/// A radiance image that cannot be read or written.
+#[derive(Debug, thiserror::Error)]
+pub enum ExrError {
+    /// The system refuses.
+    #[error("{file}: {source}")]
+    Io {
+        /// The file.
+        file: PathBuf,
+        /// The system's error.
+        source: std::io::Error,
+    },
+    /// Not an OpenEXR file, or a damaged one.
+    #[error("{file} is not a readable OpenEXR file: {problem}")]
+    Format {
+        /// The file.
+        file: PathBuf,
+        /// What the decoder says.
+        problem: String,
+    },
+    /// The file ends before its image does.
+    #[error("{file} is cut short: it has {bytes} bytes, but its image needs at least {needed}")]
+    CutShort {
+        /// The file.
+        file: PathBuf,
+        /// Its length.
+        bytes: u64,
+        /// The least length that its header and its table of blocks ask for.
+        needed: u64,
+    },
+    /// Another size than that of the camera whose image it should be.
+    #[error("{file} is {width} x {height} pixels; the camera's image is {} x {}", expected[0], expected[1])]
+    OtherSize {
+        /// The file.
+        file: PathBuf,
+        /// Its pixels per row.
+        width: usize,
+        /// Its rows.
+        height: usize,
+        /// The camera's pixels per row, and rows.
+        expected: [usize; 2],
+    },
+    /// A size that the file's bytes cannot hold, or that no camera has.
+    #[error(
+        "{file} declares {width} x {height} pixels in {channels} channels, which its {bytes} bytes cannot hold (at most {MOST_PER_BYTE} pixels for each, and {MOST_PIXELS} in all)"
+    )]
+    Size {
+        /// The file.
+        file: PathBuf,
+        /// Declared pixels per row.
+        width: usize,
+        /// Declared rows.
+        height: usize,
+        /// Declared channels.
+        channels: usize,
+        /// Length of the file.
+        bytes: u64,
+    },
+    /// Channels from which no radiance can be had.
+    #[error("{file} has the channels {found}, but {wanted} are needed")]
+    Channels {
+        /// The file.
+        file: PathBuf,
+        /// Those in the file, joined by commas.
+        found: String,
+        /// What is needed.
+        wanted: &'static str,
+    },
+    /// An image whose parts differ in size.
+    #[error(
+        "{file}: {width} x {height} pixels, but {mean} means, {variance} variances and {valid} mask values"
+    )]
+    Inconsistent {
+        /// The file to be written.
+        file: PathBuf,
+        /// Pixels per row.
+        width: usize,
+        /// Rows.
+        height: usize,
+        /// Means.
+        mean: usize,
+        /// Variances.
+        variance: usize,
+        /// Mask values.
+        valid: usize,
+    },
+}
+
+const COLOURS: [&str; 3] = ["R", "G", "B"];
+const VARIANCES: [&str; 3] = ["var.R", "var.G", "var.B"];
+const MASK: &str = "mask";
+
+/// Most bytes that one byte becomes: by Deflate, and more than by the other methods.
+const MAX_EXPANSION: u64 = 1032;
+/// Most pixels that a byte stands for where nobody knows the image's size: above the 37 of a
+/// black image with variance and mask as [`write()`] writes it.
+const MOST_PER_BYTE: u64 = 64;
+/// Images up to this many pixels may be better compressed than that: a few dozen megabytes.
+const SMALL_PIXELS: u64 = 1 << 20;
+/// Most pixels of an image whose size nobody knows.
+const MOST_PIXELS: u64 = 1 << 28;
+/// Largest file, bytes: that many pixels of seven floats.
+const MOST_BYTES: u64 = 7 << 30;
+
+/// Reads a radiance image. A file with `Y` instead of `R`, `G`, `B` is grey;
+/// other channels are ignored.
+///
+/// # Errors
+/// The file cannot be read, is damaged or cut short, declares more than it can hold, or
+/// lacks channels.
+pub fn read(path: &Path) -> Result<RadianceFile, ExrError> {
+    whole(ExrRows::open(path, None)?)
+}
+
+/// [`read`] for an image of this width and height; the size is compared before
+/// anything is decoded.
+///
+/// # Errors
+/// As [`read`]; another size.
+pub fn read_sized(path: &Path, size: [usize; 2]) -> Result<RadianceFile, ExrError> {
+    whole(ExrRows::open(path, Some(size))?)
+}
+
+/// Reads a radiance image from a file's bytes; `path` is for messages.
+///
+/// # Errors
+/// As [`read`].
+pub fn decode(bytes: &[u8], path: &Path) -> Result<RadianceFile, ExrError> {
+    whole(ExrRows::of_bytes(bytes, path, None)?)
+}
+
+/// [`decode`] for an image of this width and height.
+///
+/// # Errors
+/// As [`read_sized`].
+pub fn decode_sized(bytes: &[u8], path: &Path, size: [usize; 2]) -> Result<RadianceFile, ExrError> {
+    whole(ExrRows::of_bytes(bytes, path, Some(size))?)
+}
+
+/// Whether a file declares an image that can be read, of this size where one is expected,
+/// and is long enough for it: without decoding, in milliseconds.
+///
+/// # Errors
+/// As [`read_sized`], but for what only decoding shows.
+pub fn check(path: &Path, size: Option<[usize; 2]>) -> Result<(), ExrError> {
+    ExrRows::open(path, size).map(drop)
+}
+
+fn whole<R: Read + Seek>(mut rows: ExrRows<R>) -> Result<RadianceFile, ExrError> {
+    Ok(RadianceFile {
+        image: rows.next_rows(usize::MAX)?,
+        has_variance: rows.has_variance(),
+    })
+}
+
+fn io_error(path: &Path, source: std::io::Error) -> ExrError {
+    ExrError::Io {
+        file: path.to_owned(),
+        source,
+    }
+}
+
+#[cfg(test)]
+mod tests;
