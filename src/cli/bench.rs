@@ -265,7 +265,7 @@ impl Bench<'_> {
         };
         let captured = render(&scene, &truth, &options, &|_| {});
         let options = FitOptions::default();
-        let cells = CellOptions::new(&dictionary, &BenchPriors::default());
+        let cells = CellOptions::new(&dictionary, &BenchPriors::EXACT);
         let captured = Captured::new(&scene, &captured, &cells).map_err(FitError::from)?;
         let mut failed = None;
         let mut records = 0;

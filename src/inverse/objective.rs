@@ -79,7 +79,7 @@ const LEAST_OF_NEAR: f64 = 0.01;
 
 /// Area of a cell, in squares of a 64th of the image's width, from which on more of it is no
 /// more certain where the model errs.
-const LARGEST_AREA: f64 = 1.0;
+const LARGEST_AREA: f64 = 4.0;
 
 /// Part of the values that may count for less.
 const MOST_DOUBTED: f64 = 0.05;
