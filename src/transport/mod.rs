@@ -7,6 +7,7 @@
 
 pub mod cache;
 pub mod camera;
+pub mod camera_body;
 mod continuation;
 pub mod direct;
 pub mod direct_departed;
@@ -29,6 +30,7 @@ pub mod visibility;
 
 pub use cache::{Cache, CacheOptions};
 pub use camera::{Camera, Projection};
+pub use camera_body::{CameraBody, CameraShadow, Obstruction};
 pub use continuation::{Continuations, Steering};
 pub use direct::DirectMatrix;
 pub use distortion::Coefficients;
