@@ -194,7 +194,10 @@ fn near_zero_first(mut angles_deg: Vec<f64>) -> Vec<f64> {
 
 #[cfg(test)]
 mod tests {
+    use std::path::Path;
+
     use super::*;
+    use crate::config::BUILT_IN;
 
     #[test]
     fn the_zenith_and_a_full_turn_are_counted_once() {
@@ -230,5 +233,95 @@ mod tests {
         assert_eq!([at(45.0), at(57.5), at(90.0)], [0, 144, 1]);
         assert!((1..144).contains(&at(50.0)), "{}", at(50.0));
         assert!(candidates.iter().all(|&angles| gantry.contains(angles)));
+    }
+
+    fn shipped(name: &str, change: impl Fn(&str) -> String) -> StageReach {
+        let (_, text) = BUILT_IN.iter().find(|(known, _)| *known == name).unwrap();
+        let config = RigConfig::parse(name, Path::new(""), &change(text)).unwrap();
+        StageReach::of_rig(&config).unwrap()
+    }
+
+    fn at(azimuth_deg: f64, elevation_deg: f64) -> StageAngles {
+        StageAngles {
+            azimuth_deg,
+            elevation_deg,
+        }
+    }
+
+    /// The camera's body takes away what is around its axis, for lamps on an arm and in a
+    /// plane above the camera; nothing without a body.
+    #[test]
+    fn what_the_camera_blocks_is_no_candidate() {
+        for (name, body) in [
+            ("grbl-arm-v4l2", true),
+            ("zaber-gantry-v4l2", true),
+            ("simulated", false),
+        ] {
+            let reach = shipped(name, str::to_owned);
+            let (all, free, blocked) = (reach.reachable(), reach.candidates(), reach.blocked());
+            assert_eq!(free.len() + blocked.len(), all.len(), "{name}");
+            assert_eq!(blocked.is_empty(), !body, "{name}");
+            assert!(
+                free.len() > all.len() / 2,
+                "{name}: {} of {}",
+                free.len(),
+                all.len()
+            );
+            for angles in blocked {
+                assert!(angles.elevation_deg > 65.0, "{name}: {angles}");
+                let refused = reach.check(&[at(0.0, 50.0), angles]).unwrap_err();
+                let CaptureError::LightBlocked {
+                    light: 1,
+                    free: Some(free),
+                    ..
+                } = refused
+                else {
+                    panic!("{name}: {refused}");
+                };
+                assert_eq!(free.azimuth_deg, angles.azimuth_deg);
+                assert!(
+                    (65.0..angles.elevation_deg).contains(&free.elevation_deg),
+                    "{name}: {free}"
+                );
+                assert!(reach.check(&[free]).is_ok());
+            }
+        }
+    }
+
+    /// Of lights that stand still, another one is named.
+    #[test]
+    fn a_blocked_light_of_a_dome_has_a_free_one_next_to_it() {
+        let dome = shipped("dmx-dome-v4l2", |text| {
+            text.replacen("elevation_deg = 60.0", "elevation_deg = 80.0", 1)
+        });
+        assert_eq!(dome.blocked(), [at(30.0, 80.0)]);
+        assert_eq!(dome.candidates().len(), 9);
+        let refused = dome.check(&[at(30.0, 80.0)]).unwrap_err().to_string();
+        assert!(
+            refused.contains("free direction is azimuth 120.000°, elevation 60.000°")
+                || refused.contains("free direction is azimuth -60.000°, elevation 60.000°"),
+            "{refused}"
+        );
+        assert!(matches!(
+            dome.check(&[at(30.0, 80.0), at(0.0, 10.0)]),
+            Err(CaptureError::LightOutOfReach { light: 1, .. })
+        ));
+    }
+
+    /// A body so wide that nothing is free: no plan, and no direction to name.
+    #[test]
+    fn a_body_that_blocks_everything_leaves_nothing() {
+        let reach = shipped("grbl-arm-v4l2", |text| {
+            text.replace(
+                "radius_mm = 25.0, length_mm = 220.0",
+                "radius_mm = 900.0, length_mm = 9.0, front_mm = 105.0",
+            )
+        });
+        assert_eq!(reach.candidates(), []);
+        let refused = reach.check(&[at(0.0, 50.0)]).unwrap_err().to_string();
+        assert!(
+            refused.contains("no direction near it is free"),
+            "{refused}"
+        );
     }
 }

@@ -40,7 +40,7 @@ use crate::units::{Seconds, StageAngles};
 pub struct CaptureArgs {
     #[command(flatten)]
     rig: RigArg,
-    /// How many light directions (nearest coaxial first, then as far apart as possible);
+    /// How many light directions (around the sample at several heights, past the camera's body);
     /// `all` that keep 15° between them; or `best:N`, those that tell most about an unknown material
     #[arg(long, value_name = "N|all|best:N", value_parser = parse_lights, required_unless_present_any = ["light", "resume"], conflicts_with_all = ["light", "resume"])]
     lights: Option<Lights>,

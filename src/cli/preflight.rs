@@ -127,7 +127,7 @@ pub(super) fn light_ways(reach: &StageReach, body: Option<CameraBody>) -> Outloo
     };
     let (all, blocked) = (reach.reachable().len(), reach.blocked());
     let body = format!(
-        "the camera's body of {} mm radius and {} mm length",
+        "with the camera's body of {} mm radius and {} mm length",
         body.radius_mm, body.length_mm
     );
     let elevations = blocked.iter().map(|angles| angles.elevation_deg);
@@ -138,7 +138,7 @@ pub(super) fn light_ways(reach: &StageReach, body: Option<CameraBody>) -> Outloo
         ));
     }
     let fact = format!(
-        "{body} blocks {} of {all} directions within reach, the lowest at elevation {lowest_deg:.1}°; plans leave them out",
+        "{body} {} of {all} directions within reach are blocked, the lowest at elevation {lowest_deg:.1}°; plans leave them out",
         blocked.len()
     );
     let remedied = |remedy: &str, is_fatal| {
