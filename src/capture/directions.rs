@@ -19,7 +19,7 @@ const FALL_DEG: f64 = 30.0;
 const LEAST_PREFERENCE: f64 = 0.3;
 /// How much more a difference of the angle to the axis counts than one around it, as squares:
 /// around the axis a sample of revolution shows the same angles of incidence once more.
-const POLAR_WEIGHT: f64 = 4.0;
+const POLAR_WEIGHT: f64 = 2.0;
 
 /// A direction that can be chosen.
 struct Candidate {

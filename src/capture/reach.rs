@@ -1,6 +1,7 @@
 //! Where light can come from: what the stage's limits allow and the camera's body leaves free.
 
 use glam::DVec3;
+use rayon::prelude::*;
 
 use super::CaptureError;
 use crate::config::RigConfig;
@@ -101,8 +102,7 @@ impl StageReach {
     /// The direction nearest to a blocked one that is within reach and free: of fixed lights
     /// one of them, else at the same azimuth.
     fn nearest_free(&self, blocked: StageAngles) -> Option<StageAngles> {
-        let is_free =
-            |angles: &StageAngles| self.contains(*angles) && self.obstruction(*angles).is_none();
+        let is_free = |angles: &StageAngles| self.contains(*angles) && !self.is_blocked(*angles);
         let near = |angles: &StageAngles| blocked.to_light().dot(angles.to_light());
         if let Kinematics::FixedLights(lights) = &self.kinematics {
             let free = lights.directions.iter().copied().filter(is_free);
@@ -123,16 +123,23 @@ impl StageReach {
     /// inside the limits and rotary limits themselves, of fixed lights all of them; without
     /// those that the camera's body blocks.
     pub fn candidates(&self) -> Vec<StageAngles> {
-        let mut free = self.reachable();
-        free.retain(|&angles| self.obstruction(angles).is_none());
-        free
+        self.reachable_where(|is_blocked| !is_blocked)
     }
 
     /// Candidates that the camera's body blocks.
     pub fn blocked(&self) -> Vec<StageAngles> {
-        let mut blocked = self.reachable();
-        blocked.retain(|&angles| self.obstruction(angles).is_some());
-        blocked
+        self.reachable_where(|is_blocked| is_blocked)
+    }
+
+    fn is_blocked(&self, angles: StageAngles) -> bool {
+        let shadow = self.shadow.as_ref();
+        shadow.is_some_and(|(shadow, geometry)| shadow.blocks(&geometry.light(angles)))
+    }
+
+    fn reachable_where(&self, wanted: impl Fn(bool) -> bool + Sync) -> Vec<StageAngles> {
+        let all = self.reachable().into_par_iter();
+        all.filter(|&angles| wanted(self.is_blocked(angles)))
+            .collect()
     }
 
     /// Whether the lights stand still, each in its direction.

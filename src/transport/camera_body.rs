@@ -154,19 +154,35 @@ impl CameraShadow {
         if self.is_far_from(light) {
             return None;
         }
-        let (mut cut, mut lines) = (0usize, 0usize);
         let offsets = self.lamp_offsets(light);
-        for &place in &self.places_mm {
-            let (direction, distance_mm) = self.towards(light, place);
-            let (x, y) = direction.any_orthonormal_pair();
-            for offset in &offsets {
-                let to_lamp = (direction + x * offset.x + y * offset.y).normalize();
-                cut += usize::from(self.body.meets(place, to_lamp, distance_mm));
-                lines += 1;
-            }
-        }
+        let (cut, lines) = self
+            .cuts(light, &offsets)
+            .fold((0usize, 0usize), |(cut, lines), is_cut| {
+                (cut + usize::from(is_cut), lines + 1)
+            });
         let part = cut as f64 / lines.max(1) as f64;
         (cut > 0).then_some(Obstruction::Shadow { part })
+    }
+
+    /// Whether anything is in this light's way: [`Self::obstruction`] without its part.
+    pub fn blocks(&self, light: &Light) -> bool {
+        let is_cut = || {
+            self.cuts(light, &self.lamp_offsets(light))
+                .any(|is_cut| is_cut)
+        };
+        self.is_in_view(light) || (!self.is_far_from(light) && is_cut())
+    }
+
+    /// For every line from a place to a point of the lamp, whether the body cuts it.
+    fn cuts(&self, light: &Light, offsets: &[DVec2]) -> impl Iterator<Item = bool> {
+        self.places_mm.iter().flat_map(move |&place| {
+            let (direction, distance_mm) = self.towards(light, place);
+            let (x, y) = direction.any_orthonormal_pair();
+            offsets.iter().map(move |offset| {
+                let to_lamp = (direction + x * offset.x + y * offset.y).normalize();
+                self.body.meets(place, to_lamp, distance_mm)
+            })
+        })
     }
 
     /// A lamp at a finite distance that hides a part of the image.
@@ -409,6 +425,7 @@ mod tests {
                     rays += 1;
                 }
                 let cast = hits as f64 / rays as f64;
+                assert_eq!(shadow.blocks(&light), shadow.obstruction(&light).is_some());
                 match shadow.obstruction(&light) {
                     Some(Obstruction::Shadow { part }) => {
                         cut += 1;
