@@ -349,7 +349,9 @@ fn a_holder_is_captured_and_known_to_the_fit() {
     for (name, content) in files {
         std::fs::write(at.join(name), content).unwrap();
     }
-    let captured = run(&folder, &["capture", "--lights", "2", "--no-fit"]);
+    // From above and from one side, so that the walls are lit and shade little of the bowl.
+    let lights = ["--light", "0,90", "--light", "0,45", "--no-fit"];
+    let captured = run(&folder, &[&["capture"][..], &lights].concat());
     assert!(captured.status.success(), "{}", text(&captured.stderr));
     let moved = at.join("moved");
     std::fs::rename(session_of(&folder, &captured), &moved).unwrap();
