@@ -134,11 +134,11 @@ pub(super) fn light_ways(reach: &StageReach, body: Option<CameraBody>) -> Outloo
     let lowest_deg = elevations.fold(f64::INFINITY, f64::min);
     if blocked.is_empty() {
         return free_of_concern(format!(
-            "{body} blocks none of {all} directions within reach"
+            "{body}, all {all} directions within reach are free"
         ));
     }
     let fact = format!(
-        "{body} {} of {all} directions within reach are blocked, the lowest at elevation {lowest_deg:.1}°; plans leave them out",
+        "{body}, {} of {all} directions within reach are blocked, the lowest at elevation {lowest_deg:.1}°; plans leave them out",
         blocked.len()
     );
     let remedied = |remedy: &str, is_fatal| {
