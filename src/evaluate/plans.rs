@@ -201,7 +201,7 @@ fn with_side(mut scene: Scene, side_px: usize) -> Scene {
 fn elevations(lights: &[StageAngles]) -> String {
     let each = lights
         .iter()
-        .map(|angles| format!("{}", angles.elevation_deg));
+        .map(|angles| format!("{:.1}", angles.elevation_deg));
     each.collect::<Vec<_>>().join(" ")
 }
 

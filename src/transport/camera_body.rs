@@ -140,11 +140,6 @@ impl CameraShadow {
         }
     }
 
-    /// The body.
-    pub fn body(&self) -> CameraBody {
-        self.body
-    }
-
     /// What is in this light's way; `None` where all that the camera sees of the sample is
     /// free towards all of the lamp.
     pub fn obstruction(&self, light: &Light) -> Option<Obstruction> {
