@@ -1,6 +1,7 @@
 //! A capture: planned as data, then carried out on a camera and a stage.
 //!
-//! - [`directions`]: which light directions, from what the stage can reach;
+//! - [`reach`]: where light can come from: the stage's limits, the camera's shadow;
+//! - [`directions`]: which light directions, from what is within reach;
 //! - [`plan`]: the whole plan with its estimates and checks, before anything moves;
 //! - [`bracket`]: which exposures a light needs, decided from its pilot frames;
 //! - [`exposure_check`]: whether an exposure was what it claims, from the images;
@@ -22,6 +23,7 @@ pub mod interest;
 mod merge_sink;
 pub mod plan;
 mod progress;
+pub mod reach;
 pub mod return_check;
 pub mod run;
 mod spent;

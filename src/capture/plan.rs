@@ -7,7 +7,8 @@ use glam::DVec3;
 
 use super::CaptureError;
 use super::bracket;
-use super::directions::{StageReach, farthest_point_order};
+use super::directions::plan_order;
+use super::reach::StageReach;
 use crate::device::LampChannel;
 use crate::device::temperature::TemperatureLimits;
 use crate::radiometry::exposure::{PilotStatistics, plan_bracket};
@@ -19,9 +20,9 @@ use crate::units::{Seconds, StageAngles};
 /// Which light directions are wanted.
 #[derive(Clone, Debug, PartialEq)]
 pub enum LightChoice {
-    /// This many in farthest-point order.
+    /// This many, in the order of [`plan_order`].
     Count(usize),
-    /// All in farthest-point order that keep this angle between them, degrees.
+    /// All in that order that keep this angle between them, degrees.
     Spacing(f64),
     /// These, in this order.
     Listed(Vec<StageAngles>),
@@ -83,7 +84,7 @@ const MERGED_PIXEL_BYTES: u64 = 28;
 /// Makes the plan and checks every light against the soft limits.
 ///
 /// # Errors
-/// A light outside the limits, more lights than there are directions, exposure
+/// A light outside the limits or blocked by the camera, more lights than there are directions, exposure
 /// rules that make no sense.
 pub fn plan(request: &PlanRequest, noise: &SensorNoise) -> Result<PlanRecord, CaptureError> {
     let lights = choose_lights(request)?;
@@ -125,9 +126,8 @@ pub fn plan(request: &PlanRequest, noise: &SensorNoise) -> Result<PlanRecord, Ca
 }
 
 fn choose_lights(request: &PlanRequest) -> Result<Vec<StageAngles>, CaptureError> {
-    let order = |count, spacing_deg| {
-        farthest_point_order(&request.reach, request.coaxial, count, spacing_deg)
-    };
+    let order =
+        |count, spacing_deg| plan_order(&request.reach, request.coaxial, count, spacing_deg);
     let lights = match &request.lights {
         LightChoice::Count(count) => {
             let lights = order(*count, 0.0);
@@ -135,6 +135,7 @@ fn choose_lights(request: &PlanRequest) -> Result<Vec<StageAngles>, CaptureError
                 return Err(CaptureError::TooManyLights {
                     wanted: *count,
                     reachable: lights.len(),
+                    blocked: request.reach.blocked().len(),
                 });
             }
             lights
@@ -145,20 +146,8 @@ fn choose_lights(request: &PlanRequest) -> Result<Vec<StageAngles>, CaptureError
     if lights.is_empty() {
         return Err(CaptureError::Empty { what: "light" });
     }
-    check_reach(&lights, &request.reach)?;
+    request.reach.check(&lights)?;
     Ok(lights)
-}
-
-/// Checks all directions against the soft limits; a resumed plan is checked again.
-pub fn check_reach(lights: &[StageAngles], reach: &StageReach) -> Result<(), CaptureError> {
-    match lights.iter().position(|&angles| !reach.contains(angles)) {
-        None => Ok(()),
-        Some(light) => Err(CaptureError::LightOutOfReach {
-            light,
-            angles: lights[light],
-            limits: reach.0.limits(),
-        }),
-    }
 }
 
 /// The axes turn together; the longer way counts.

@@ -15,8 +15,8 @@ use super::{
     CliError, Context, HintExt, interrupt, light_choice, open, pipeline, preflight, sharpness,
 };
 use crate::calibration::Library;
-use crate::capture::directions::StageReach;
-use crate::capture::plan::{LightChoice, Pace, PlanRequest, check_reach, check_space, plan};
+use crate::capture::plan::{LightChoice, Pace, PlanRequest, check_space, plan};
+use crate::capture::reach::StageReach;
 use crate::capture::{Capture, Outcome, RadianceSink, Spent, interest};
 use crate::config::RigConfig;
 use crate::config::simulation::{MaterialSpec, Timing};
@@ -40,7 +40,7 @@ use crate::units::{Seconds, StageAngles};
 pub struct CaptureArgs {
     #[command(flatten)]
     rig: RigArg,
-    /// How many light directions (nearest coaxial first, then as far apart as possible);
+    /// How many light directions (around the sample at several heights, past the camera's body);
     /// `all` that keep 15° between them; or `best:N`, those that tell most about an unknown material
     #[arg(long, value_name = "N|all|best:N", value_parser = parse_lights, required_unless_present_any = ["light", "resume"], conflicts_with_all = ["light", "resume"])]
     lights: Option<Lights>,
@@ -168,8 +168,9 @@ fn start(args: &CaptureArgs, context: &Context) -> Result<(), CliError> {
         (true, None) => SensorNoise::usual(config.camera.bit_depth, config.camera.gain),
         _ => records.noise(config)?,
     };
-    let lights = light_choice(args, config, context)?;
-    let request = request(&lights, config, None);
+    let reach = StageReach::of_rig(config)?;
+    let lights = light_choice(args, config, &reach, context)?;
+    let request = request(&lights, config, &reach, None);
     let planned = plan(&request, &noise)?;
     preflight::check_lights(config, &planned.lights)?;
     let reserve_bytes = config.capture.disk_reserve_bytes;
@@ -192,7 +193,7 @@ fn start(args: &CaptureArgs, context: &Context) -> Result<(), CliError> {
     for concern in records.temperature_concerns(config, sensor_c) {
         context.warn(format_args!("{concern}"));
     }
-    let request = self::request(&lights, config, Some(&camera_info));
+    let request = self::request(&lights, config, &reach, Some(&camera_info));
     let planned = plan(&request, &noise)?;
     let copies = records.copies();
     let record = SessionRecord {
@@ -244,7 +245,7 @@ fn resume(args: &CaptureArgs, root: &Path, context: &Context) -> Result<(), CliE
     let session = Session::open(root)?;
     let record = session.record().clone();
     let config = session_rig(root, &record)?;
-    check_reach(&record.plan.lights, &StageReach(config.stage.kinematics()))?;
+    StageReach::of_rig(&config)?.check(&record.plan.lights)?;
     let interrupt = interrupt::listen()?;
     let writer = SessionWriter::resume(Arc::new(SystemDisk), root)?;
     if let Some(Event::Resume { quarantined: 1.. }) =
@@ -457,21 +458,19 @@ fn print_plan(plan: &PlanRecord, sensor_id: Option<&str>, as_json: bool) -> Resu
 fn light_choice(
     args: &CaptureArgs,
     config: &RigConfig,
+    reach: &StageReach,
     context: &Context,
 ) -> Result<LightChoice, CliError> {
     Ok(match args.lights {
         Some(Lights::Count(count)) => LightChoice::Count(count),
         Some(Lights::All) => LightChoice::Spacing(ALL_SPACING_DEG),
-        Some(Lights::Best(count)) => {
-            let reach = StageReach(config.stage.kinematics());
-            LightChoice::Listed(light_choice::best(
-                config,
-                &reach,
-                config.geometry.coaxial(),
-                count,
-                context,
-            )?)
-        }
+        Some(Lights::Best(count)) => LightChoice::Listed(light_choice::best(
+            config,
+            reach,
+            config.geometry.coaxial(),
+            count,
+            context,
+        )?),
         None => LightChoice::Listed(each_once(&args.light)?),
     })
 }
@@ -495,7 +494,12 @@ fn each_once(lights: &[StageAngles]) -> Result<Vec<StageAngles>, CliError> {
     Ok(lights.to_vec())
 }
 
-fn request(lights: &LightChoice, config: &RigConfig, camera: Option<&CameraInfo>) -> PlanRequest {
+fn request(
+    lights: &LightChoice,
+    config: &RigConfig,
+    reach: &StageReach,
+    camera: Option<&CameraInfo>,
+) -> PlanRequest {
     let capture = &config.capture;
     let [mut shortest, mut longest] = capture.exposure_range;
     let mut step = config.camera.exposure_step;
@@ -514,7 +518,7 @@ fn request(lights: &LightChoice, config: &RigConfig, camera: Option<&CameraInfo>
         .map_or(1.0 / 30.0, |s| s.camera.frame_interval_s);
     PlanRequest {
         lights: lights.clone(),
-        reach: StageReach(config.stage.kinematics()),
+        reach: reach.clone(),
         coaxial: config.geometry.coaxial(),
         channels: (0..config.stage.measures.len() as u8)
             .map(LampChannel)

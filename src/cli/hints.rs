@@ -208,6 +208,8 @@ fn for_capture(error: &CaptureError) -> Option<String> {
         Exposure(PlanError::OutOfRange { .. }) => EXPLAINED.into(),
         Exposure(PlanError::TooBright { .. }) => "dim the lamp or close the aperture, or lower capture.shortest_ms in the rig file if the camera can do less".into(),
         LightOutOfReach { .. } => "choose fewer or other lights, or correct the limits in the rig file's [stage] table".into(),
+        LightBlocked { .. } => "take a direction that is free (`--lights N` plans only such), or correct [geometry.camera] body in the rig file; leave `body` out where the light comes through the lens or a beam splitter".into(),
+        TooManyLights { reachable: 0, .. } => "correct [geometry.camera] body, or the limits in the rig file's [stage] table".into(),
         TooManyLights { reachable, .. } => format!("ask for at most {reachable}, or `--lights all`"),
         Empty { .. } => "ask for at least one light, e.g. `--lights 4`".into(),
         NotEnoughSpace { .. } => "free some space, choose another disk with --out, or ask for fewer lights".into(),
