@@ -1,7 +1,8 @@
 # `make demo`: build, then the whole pipeline on the simulated rig.
 # `make test`: all tests.
 # `make test-long`: coverage of the intervals and rates of warnings, in full; captures
-#   cut at every record and 200 killed at random moments; 200 under a constant lamp.
+#   cut at every record and 200 killed at random moments; 200 under a constant lamp; a
+#   session of a camera of five megapixels.
 # `make test-vm`: the program against the kernel's own drivers in a virtual machine.
 # `make test-external`: exports loaded in the programs they are for (tests/external/README.md).
 
@@ -31,6 +32,8 @@ test-vm: build
 test-long: build
 	RIG_KILLS=200 RIG_CUTS=all $(CARGO) test --locked --release --test resume_command \
 	  -- --nocapture killed cut_at
+	RIG_CAMERA=full $(CARGO) test --locked --release --test capture_command \
+	  -- --nocapture a_bayer_camera
 	RIG_DRIFT_CAPTURES=200 $(CARGO) test --locked --release --test lamp_drift \
 	  -- --nocapture constant_lamps
 	target/release/rig evaluate intervals --out target/long/intervals

@@ -1,6 +1,8 @@
 //! What cannot be calibrated from is refused with a fact and a hint, and leaves
 //! the records as they were.
 
+mod small_bench;
+
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Output;
@@ -20,21 +22,13 @@ fn rig(folder: &Path, arguments: &[&str]) -> Output {
 /// must stay as it is.
 fn workplace(changes: &[(&str, &str)]) -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let mut text = std::fs::read_to_string(root.join("rig-configs/simulated.toml")).unwrap();
+    let mut text = small_bench::rig_file();
     for (old, new) in changes {
         assert!(text.contains(old), "{old}");
         text = text.replace(old, new);
     }
     std::fs::write(folder.path().join("rig.toml"), text).unwrap();
-    for kind in ["sensor", "flat", "scale"] {
-        let to = folder.path().join("calibration/simulated").join(kind);
-        std::fs::create_dir_all(&to).unwrap();
-        for entry in std::fs::read_dir(root.join("calibration/simulated").join(kind)).unwrap() {
-            let entry = entry.unwrap();
-            std::fs::copy(entry.path(), to.join(entry.file_name())).unwrap();
-        }
-    }
+    small_bench::put_records(folder.path());
     folder
 }
 

@@ -94,7 +94,7 @@ const CASES: &[Case] = &[
         name: "unknown rig name",
         args: &["doctor", "--rig", "simulate"],
         change: None,
-        fact: "there is no rig named \"simulate\"; known: dmx-dome-v4l2, grbl-arm-v4l2, simulated, zaber-gantry-v4l2",
+        fact: "there is no rig named \"simulate\"; known: dmx-dome-v4l2, grbl-arm-v4l2, simulated, simulated-5mp-bayer, zaber-gantry-v4l2",
         hint: "did you mean `simulated`?",
     },
     Case {
@@ -149,8 +149,8 @@ const CASES: &[Case] = &[
     Case {
         name: "not a number",
         args: &["doctor", "--rig", "rig.toml"],
-        change: Some(("extent_mm = [22.0, 22.0]", "extent_mm = [22.0, nan]")),
-        fact: "`geometry.camera.extent_mm` is [22, NaN]",
+        change: Some(("extent_mm = [29.3, 22.0]", "extent_mm = [29.3, nan]")),
+        fact: "`geometry.camera.extent_mm` is [29.3, NaN]",
         hint: "unit and range",
     },
     Case {

@@ -1,6 +1,8 @@
 //! `rig calibrate` as the operator meets it: records, figures, status, and that a
 //! failure leaves what was there.
 
+mod small_bench;
+
 use std::path::Path;
 
 use serde_json::Value;
@@ -13,8 +15,7 @@ fn rig(folder: &Path) -> assert_cmd::Command {
 
 /// A simulated rig of which some lines are changed.
 fn rig_file(folder: &Path, changes: &[(&str, &str)]) {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let mut text = std::fs::read_to_string(root.join("rig-configs/simulated.toml")).unwrap();
+    let mut text = small_bench::rig_file();
     for (old, new) in changes {
         assert!(text.contains(old), "{old}");
         text = text.replace(old, new);
@@ -114,9 +115,10 @@ fn heat_is_noted_compared_and_limited() {
         ("margin_c = 5.0", "margin_c = 0.0"),
         ("record_differs_c = 10.0", "record_differs_c = 0.1"),
         ("timing = \"realistic\"", "timing = \"instant\""),
-        ("samples_per_pixel = 512", "samples_per_pixel = 8"),
+        ("samples_per_pixel = 384", "samples_per_pixel = 8"),
     ];
     rig_file(at, &changes);
+    small_bench::put_records(at);
     rig(at)
         .args(["calibrate", "sensor", "--id", "one", "--frames", "4"])
         .assert()

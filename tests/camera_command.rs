@@ -1,6 +1,8 @@
 //! `rig calibrate camera` as the operator meets it: from photographs of a board to a record,
 //! and refusals with advice.
 
+mod small_bench;
+
 use std::path::Path;
 
 use glam::{DQuat, DVec2, DVec3};
@@ -76,7 +78,7 @@ fn photograph(camera: &Camera, turn: DQuat, shift: DVec3, path: &Path) {
 fn a_lens_is_measured_and_kept() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
-    let mut config = include_str!("../rig-configs/simulated.toml").to_owned();
+    let mut config = small_bench::rig_file();
     for (key, new) in [
         ("resolution_px = [64, 64]", "resolution_px = [160, 120]"),
         ("model = \"orthographic\"", "model = \"perspective\""),

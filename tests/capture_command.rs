@@ -1,5 +1,7 @@
 //! `rig capture` and `rig session` as a user runs them, on the simulated rig.
 
+mod small_bench;
+
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::Arc;
@@ -20,11 +22,21 @@ use tempfile::TempDir;
 const BUNDLED: &str = "material = \"nbrdf:dark-red-paint\"";
 const QUICK: &str = "brdf = { mixture = [ { weight = 1.0, lambertian = { albedo = 0.8 } } ] }";
 
-/// A folder to work in, with a rig file of the simulated bench whose truth is
+/// A folder to work in, with a rig file of the small simulated bench whose truth is
 /// rendered quickly; `change` is applied to its text.
 fn workplace(change: impl FnOnce(String) -> String) -> TempDir {
+    let folder = quick_bench(&small_bench::rig_file(), change);
+    small_bench::put_records(folder.path());
+    folder
+}
+
+/// The same with the camera that the program ships.
+fn shipped_workplace(change: impl FnOnce(String) -> String) -> TempDir {
+    quick_bench(include_str!("../rig-configs/simulated.toml"), change)
+}
+
+fn quick_bench(text: &str, change: impl FnOnce(String) -> String) -> TempDir {
     let folder = tempfile::tempdir().unwrap();
-    let text = include_str!("../rig-configs/simulated.toml");
     let (before, simulation) = text.split_once("[simulation]").unwrap();
     let quick = [
         ("samples_per_pixel = ", "samples_per_pixel = 2"),
@@ -102,7 +114,7 @@ fn session_of(folder: &TempDir, output: &Output) -> PathBuf {
 
 #[test]
 fn a_capture_is_complete_verified_and_listed() {
-    let folder = workplace(|text| text.replace(QUICK, BUNDLED));
+    let folder = shipped_workplace(|text| text.replace(QUICK, BUNDLED));
     let output = run(
         &folder,
         &["capture", "--lights", "2", "--no-fit", "--sample", "cup"],
@@ -130,9 +142,9 @@ fn a_capture_is_complete_verified_and_listed() {
         let image = rig::radiance_image::exr::decode(&bytes, path)
             .unwrap()
             .image;
-        assert_eq!((image.width, image.height), (64, 64));
+        assert_eq!((image.width, image.height), (640, 480));
         let lit = image.mean.iter().filter(|mean| mean[0] > 0.01).count();
-        assert!(lit > 300, "light {light}: {lit} pixels are lit");
+        assert!(lit > 30_000, "light {light}: {lit} pixels are lit");
     }
     let root = root.to_str().unwrap();
     assert_eq!(
@@ -242,7 +254,7 @@ fn a_session_is_fitted_with_the_mesh_it_was_captured_with() {
 /// fit says what the albedo rests on.
 #[test]
 fn a_scale_that_nobody_measured_is_remarked_on() {
-    let folder = workplace(|text| text);
+    let folder = shipped_workplace(|text| text);
     let captured = run(&folder, &["capture", "--lights", "1", "--no-fit"]);
     assert!(captured.status.success(), "{}", text(&captured.stderr));
     let root = session_of(&folder, &captured);
@@ -896,6 +908,50 @@ fn without_numbers(text: &str) -> String {
         shown.push('N');
     }
     shown
+}
+
+/// A colour camera under a white lamp from its calibration to the report: with
+/// `RIG_CAMERA=full` the five megapixels of the rig file, else an eighth of them along each side.
+#[test]
+fn a_bayer_camera_is_calibrated_captured_fitted_and_reported() {
+    let full = std::env::var("RIG_CAMERA").is_ok_and(|which| which == "full");
+    let mut bench = include_str!("../rig-configs/simulated-5mp-bayer.toml").to_owned();
+    // A pixel of the image for each cell of four filters.
+    let mut size = [1296, 972];
+    if !full {
+        size = [162, 122];
+        let changes = [
+            ("[2592, 1944]", "[324, 244]"),
+            ("samples_per_pixel = 384", "samples_per_pixel = 32"),
+        ];
+        for (key, small) in changes {
+            assert!(bench.contains(key), "{key}");
+            bench = bench.replacen(key, small, 1);
+        }
+    }
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("rig.toml"), bench).unwrap();
+    for what in [
+        "calibrate sensor --frames 4",
+        "calibrate flat --frames 4 --radiance 0.4 --radiance-std 0.001",
+        "capture --lights 2",
+    ] {
+        let begun = std::time::Instant::now();
+        let words: Vec<&str> = what.split(' ').collect();
+        let done = run(&folder, &words);
+        assert!(done.status.success(), "{what}: {}", text(&done.stderr));
+        println!("{what}: {:.1} s", begun.elapsed().as_secs_f64());
+    }
+    let sessions = std::fs::read_dir(folder.path().join("sessions")).unwrap();
+    let root = sessions.flatten().next().unwrap().path();
+    assert!(verify::verify(&root).unwrap().is_intact());
+    let image = exr::read(&root.join(layout::radiance_file(1)))
+        .unwrap()
+        .image;
+    assert_eq!([image.width, image.height], size);
+    let record = fit_record::read(&root.join("fits/0")).unwrap();
+    assert_ne!(record.verdict(), fit_record::Verdict::NotToBeTrusted);
+    assert!(root.join("report.html").is_file());
 }
 
 /// A new user's first run, as `make demo` makes it: no warning, the best verdict, and these

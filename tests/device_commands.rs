@@ -282,7 +282,7 @@ fn a_camera_is_described_and_a_frame_is_written_once() {
     assert_eq!(text(&taken.stdout).lines().last(), Some(file.as_str()));
     let png = std::fs::read(&file).unwrap();
     let frame = rig::session::frame::decode_png(&png).unwrap();
-    assert_eq!([frame.width, frame.height], [64, 64]);
+    assert_eq!([frame.width, frame.height], [640, 480]);
     assert_fails(&run(&grab), "exists");
     let missing = run(&["camera", "info", "--device", "/dev/video-none"]);
     assert_fails(&missing, "does not exist");

@@ -1,6 +1,8 @@
 //! `rig calibrate focus` from capture to record on the simulated rig, whose lens is less sharp
 //! than its rig file says.
 
+mod small_bench;
+
 use std::path::{Path, PathBuf};
 
 use serde_json::Value;
@@ -42,11 +44,11 @@ fn target(height_mm: f64) -> String {
 fn workplace(heights_mm: &[f64]) -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
-    let shape = include_str!("../rig-configs/simulated.toml");
+    let shape = small_bench::rig_file();
     let lens = format!(
         "[simulation.lens]\npoint_spread_px = {POINT_SPREAD_PX}\nobject_na = {OBJECT_NA}\nfocus_mm = {FOCUS_MM}\n"
     );
-    let mut common = shape.to_owned();
+    let mut common = shape.clone();
     for (key, new) in [
         ("[simulation.lens]\n", lens.as_str()),
         ("timing = \"realistic\"", "timing = \"instant\""),
@@ -54,7 +56,7 @@ fn workplace(heights_mm: &[f64]) -> tempfile::TempDir {
             "material = \"nbrdf:dark-red-paint\"",
             "brdf = { mixture = [ { weight = 1.0, lambertian = { albedo = 0.8 } } ] }",
         ),
-        ("samples_per_pixel = 512", "samples_per_pixel = 600"),
+        ("samples_per_pixel = 384", "samples_per_pixel = 600"),
         // What is beside the target is black: nothing is gained by waiting for its light.
         ("snr = 20.0", "snr = 1.0"),
         ("max_frames = 16", "max_frames = 2"),
@@ -78,15 +80,7 @@ fn workplace(heights_mm: &[f64]) -> tempfile::TempDir {
         )
         .unwrap();
     }
-    let records = Path::new(env!("CARGO_MANIFEST_DIR")).join("calibration/simulated");
-    for kind in ["sensor", "flat", "scale"] {
-        let to = at.join("calibration/simulated").join(kind);
-        std::fs::create_dir_all(&to).unwrap();
-        for file in std::fs::read_dir(records.join(kind)).unwrap() {
-            let file = file.unwrap();
-            std::fs::copy(file.path(), to.join(file.file_name())).unwrap();
-        }
-    }
+    small_bench::put_records(at);
     folder
 }
 

@@ -1,6 +1,8 @@
 //! `rig calibrate lights` from capture to fit on the simulated rig, whose stage stands
 //! elsewhere than its rig file says.
 
+mod small_bench;
+
 use std::path::{Path, PathBuf};
 
 use serde_json::Value;
@@ -24,7 +26,7 @@ fn good(output: std::process::Output) -> std::process::Output {
 /// counts elevations from -0.6°.
 fn workplace() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
-    let mut text = include_str!("../rig-configs/simulated.toml").to_owned();
+    let mut text = small_bench::rig_file();
     for (key, new) in [
         ("kind = \"bowl\"", "kind = \"sphere\""),
         ("extent_mm = [22.0, 22.0]", "extent_mm = [26.0, 26.0]"),
@@ -42,7 +44,7 @@ fn workplace() -> tempfile::TempDir {
             "irradiance_w_m2 = [64.0, 80.0, 48.0]",
             "irradiance_w_m2 = [0.64, 0.8, 0.48]",
         ),
-        ("samples_per_pixel = 512", "samples_per_pixel = 1024"),
+        ("samples_per_pixel = 384", "samples_per_pixel = 1024"),
         (
             "material = \"nbrdf:dark-red-paint\"",
             "brdf = { mixture = [ { weight = 0.2, lambertian = { albedo = 0.5 } }, { weight = 0.8, ggx = { alpha = 0.04, eta = 1.5 } } ] }",
@@ -63,15 +65,7 @@ fn workplace() -> tempfile::TempDir {
     }
     std::fs::write(folder.path().join("rig.toml"), text).unwrap();
     // Records of its own, so that the built-in ones are copied first.
-    let records = Path::new(env!("CARGO_MANIFEST_DIR")).join("calibration/simulated");
-    for kind in ["sensor", "flat", "scale"] {
-        let to = folder.path().join("calibration/simulated").join(kind);
-        std::fs::create_dir_all(&to).unwrap();
-        for file in std::fs::read_dir(records.join(kind)).unwrap() {
-            let file = file.unwrap();
-            std::fs::copy(file.path(), to.join(file.file_name())).unwrap();
-        }
-    }
+    small_bench::put_records(folder.path());
     folder
 }
 

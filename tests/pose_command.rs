@@ -1,6 +1,8 @@
 //! `rig calibrate pose` as the operator meets it: from a session to a record, and what
 //! status says of it.
 
+mod small_bench;
+
 use std::path::Path;
 
 use serde_json::Value;
@@ -23,22 +25,14 @@ fn json(command: &mut assert_cmd::Command) -> Value {
 
 /// A folder with the simulated rig, changed so, and records of its sensor.
 fn workplace(changes: &[(&str, &str)]) -> tempfile::TempDir {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let folder = tempfile::tempdir().unwrap();
-    let mut text = std::fs::read_to_string(root.join("rig-configs/simulated.toml")).unwrap();
+    let mut text = small_bench::rig_file();
     for (key, new) in changes {
         assert!(text.contains(key), "{key}");
         text = text.replace(key, new);
     }
     std::fs::write(folder.path().join("rig.toml"), text).unwrap();
-    let library = folder.path().join("calibration/simulated");
-    for kind in ["sensor", "flat", "scale"] {
-        std::fs::create_dir_all(library.join(kind)).unwrap();
-        let from = root.join("calibration/simulated").join(kind);
-        for entry in std::fs::read_dir(from).unwrap().flatten() {
-            std::fs::copy(entry.path(), library.join(kind).join(entry.file_name())).unwrap();
-        }
-    }
+    small_bench::put_records(folder.path());
     folder
 }
 
@@ -66,7 +60,7 @@ fn number(value: &Value) -> f64 {
 fn a_pose_is_measured_and_kept() {
     let folder = workplace(&[
         ("\"realistic\"", "\"instant\""),
-        ("samples_per_pixel = 512", "samples_per_pixel = 48"),
+        ("samples_per_pixel = 384", "samples_per_pixel = 192"),
     ]);
     let at = folder.path();
     let library = at.join("calibration/simulated");
@@ -130,7 +124,7 @@ fn a_pose_goes_by_the_records_of_lens_and_lights() {
     let lens = "principal_point_px = [34.5, 30.5]\nradial = [0.02, 0.0, 0.0]\n";
     let folder = workplace(&[
         ("\"realistic\"", "\"instant\""),
-        ("samples_per_pixel = 512", "samples_per_pixel = 48"),
+        ("samples_per_pixel = 384", "samples_per_pixel = 192"),
         ("pose_error_mm = 0.02", "pose_error_mm = 0.25"),
         ("pose_error_deg = 0.1", "pose_error_deg = 0.8"),
         ("translation_mm = 0.2", "translation_mm = 0.3"),

@@ -93,7 +93,7 @@ fn paused_and_continued(folder: &Path) -> (PathBuf, Output) {
 /// anew and goes on, since the switches are found again within the stage's tolerance.
 #[test]
 fn a_capture_is_paused_by_ctrl_z_and_goes_on() {
-    let folder = workplace(|text| text);
+    let folder = shipped_workplace(|text| text);
     let (root, output) = paused_and_continued(folder.path());
     assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
     assert!(Journal::read(&root).unwrap().is_complete());

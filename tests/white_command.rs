@@ -1,6 +1,8 @@
 //! `rig calibrate white` on a session of several lights, whose strengths are those of the
 //! rig file.
 
+mod small_bench;
+
 use std::path::{Path, PathBuf};
 
 use serde_json::Value;
@@ -30,14 +32,14 @@ fn workplace() -> tempfile::TempDir {
         "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\nelement face 2\nproperty list uchar int vertex_indices\nend_header\n-30 -30 0\n30 -30 0\n30 30 0\n-30 30 0\n3 0 1 2\n3 0 2 3\n",
     )
     .unwrap();
-    let mut rig = include_str!("../rig-configs/simulated.toml").to_owned();
+    let mut rig = small_bench::rig_file();
     for (key, new) in [
         ("timing = \"realistic\"", "timing = \"instant\""),
         (
             "material = \"nbrdf:dark-red-paint\"",
             "brdf = { mixture = [ { weight = 1.0, lambertian = { albedo = 0.99 } } ] }",
         ),
-        ("samples_per_pixel = 512", "samples_per_pixel = 16"),
+        ("samples_per_pixel = 384", "samples_per_pixel = 16"),
         ("max_reflections = 32", "max_reflections = 1"),
         ("max_frames = 16", "max_frames = 2"),
         ("pose_error_mm = 0.02", "pose_error_mm = 0.0"),
@@ -55,15 +57,7 @@ fn workplace() -> tempfile::TempDir {
     let (_, after) = after.split_once("# Where the stage's axes are").unwrap();
     let sample = format!("[geometry.sample]\nmesh = {plate:?}\n\n#");
     std::fs::write(at.join("rig.toml"), format!("{before}{sample}{after}")).unwrap();
-    let records = Path::new(env!("CARGO_MANIFEST_DIR")).join("calibration/simulated");
-    for kind in ["sensor", "flat", "scale"] {
-        let to = at.join("calibration/simulated").join(kind);
-        std::fs::create_dir_all(&to).unwrap();
-        for file in std::fs::read_dir(records.join(kind)).unwrap() {
-            let file = file.unwrap();
-            std::fs::copy(file.path(), to.join(file.file_name())).unwrap();
-        }
-    }
+    small_bench::put_records(at);
     folder
 }
 

@@ -36,17 +36,17 @@ mod tests {
     use super::*;
     use crate::config::{BUILT_IN, RigConfig};
 
-    /// A bowl of radius 10 mm in a field of 22 mm: a disk of that area.
+    /// A bowl of radius 10 mm in a field of 29.3 × 22 mm: a disk of that area.
     #[test]
     fn the_bowl_is_a_disk() {
         let rig = RigConfig::parse("simulated", Path::new(""), BUILT_IN[0].1).unwrap();
         let scene = rig.geometry.scene(&[]).unwrap();
         let pixels = sample_pixels(&scene, &rig.geometry.camera);
         let seen = pixels.iter().filter(|&&seen| seen).count() as f64;
-        let disk = std::f64::consts::PI * (10.0f64 / 22.0 * 64.0).powi(2);
+        let disk = std::f64::consts::PI * (10.0 / 29.3 * 640.0) * (10.0 / 22.0 * 480.0);
         // Pixels cut by the rim count whole: half a pixel more all around, about.
         assert!(
-            (disk..disk * 1.06).contains(&seen),
+            (disk..disk * 1.015).contains(&seen),
             "{seen} pixels of {disk:.0}"
         );
     }

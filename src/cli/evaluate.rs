@@ -42,8 +42,8 @@ pub struct EvaluateArgs {
     /// Pixels per side of the captured images, 4 to 4096
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(4..=4096))]
     resolution: Option<u64>,
-    /// Light paths per pixel of the fit, 2 to 65536; the true images get four times as many unless
-    /// --truth-spp says otherwise
+    /// Light paths per pixel of the fit, 2 to 65536; those of the true images change in proportion
+    /// unless --truth-spp says otherwise
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=65_536))]
     spp: Option<u32>,
     /// Light paths per pixel of the true images, 2 to 1048576; misalignment takes four times these

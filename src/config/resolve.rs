@@ -23,6 +23,10 @@ pub const BUILT_IN: &[(&str, &str)] = &[
         "zaber-gantry-v4l2",
         include_str!("../../rig-configs/zaber-gantry-v4l2.toml"),
     ),
+    (
+        "simulated-5mp-bayer",
+        include_str!("../../rig-configs/simulated-5mp-bayer.toml"),
+    ),
 ];
 
 /// The folder that is searched for rigs by name.

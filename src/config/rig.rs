@@ -167,7 +167,7 @@ mod tests {
         let shape = "kind = \"bowl\"";
         let perspective = simulated()
             .replace("model = \"orthographic\"", "model = \"perspective\"")
-            .replace("extent_mm = [22.0, 22.0]", "fov_deg = 12.0");
+            .replace("extent_mm = [29.3, 22.0]", "fov_deg = 12.0");
         let mut texts: Vec<_> = BUILT_IN
             .iter()
             .map(|(_, text)| (*text).to_owned())
@@ -234,7 +234,7 @@ mod tests {
     fn the_simulated_rig_reads_as_written() {
         let rig = parse(simulated()).unwrap();
         assert!(rig.is_simulated());
-        assert_eq!(rig.camera.resolution_px, [64, 64]);
+        assert_eq!(rig.camera.resolution_px, [640, 480]);
         let StageDriver::Simulated(grbl) = &rig.stage.driver else {
             panic!("not simulated");
         };

@@ -11,9 +11,8 @@ pub static LIGHT_COUNT: Experiment = Experiment {
     name: "light-count",
     shows: "Fig. 4: error against the number of lights for the five shapes, mean and median over the materials with 95% confidence, the floor as a line",
     full: Scale {
-        resolution_px: 32,
         lights: 16,
-        ..Scale::SINGLE_IMAGE
+        ..Scale::FULL_SIZE
     },
     quick: Scale {
         lights: 4,

@@ -9,7 +9,7 @@ use crate::simulation::photograph::Photographer;
 pub static NOISE: Experiment = Experiment {
     name: "noise",
     shows: "Error from one image taken by sensors of several bit depths and full wells, with one exposure (the brightest 2% clip) or a bracket, over the error from the noise-free image",
-    full: Scale::SINGLE_IMAGE,
+    full: Scale::FULL_SIZE,
     quick: Scale {
         materials: &["nbrdf:pvc", "synthetic:cream-satin"],
         ..Scale::QUICK_IMAGE

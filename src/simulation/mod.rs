@@ -7,9 +7,11 @@
 pub mod checkerboard;
 pub mod edge;
 pub mod glossy_spheres;
+mod interreflection;
 pub mod photograph;
 pub mod pixels;
 pub mod posed_sample;
+mod view;
 pub mod white_standard;
 
 use std::collections::HashMap;
@@ -18,14 +20,15 @@ use std::sync::{Arc, Mutex, OnceLock};
 use glam::DVec3;
 use mock_devices::{Illumination, RadianceSource};
 
+use self::interreflection::{Grid, Value};
+use self::view::View;
 use crate::brdf::Brdf;
 use crate::frames::{Rigid, Sample};
 use crate::geometry::Mesh;
 use crate::radiometry::mosaic::Mosaic;
 use crate::random::{Purpose, stream};
-use crate::transport::{
-    Body, Camera, Light, Proposal, RenderOptions, Scene, Shading, render, render::quietest_proposal,
-};
+use crate::transport::render::quietest_proposal;
+use crate::transport::{Body, Camera, Light, Proposal, RenderOptions, Scene, Shading};
 use crate::units::StageAngles;
 
 /// What is true on the bench.
@@ -50,7 +53,7 @@ pub struct Truth {
     pub pose_error_deg: f64,
     /// Radiance of the room's light on the sensor, W/(m² sr).
     pub ambient_w_m2_sr: f32,
-    /// Light paths per pixel.
+    /// Light paths from each node of the grid on which the interreflection is followed.
     pub samples_per_pixel: u32,
     /// Longest path in surface reflections.
     pub max_reflections: u32,
@@ -64,14 +67,37 @@ type Rendered = Arc<Vec<[f32; 3]>>;
 /// Steps of the angles at which the truth is rendered, degrees: far below what any image
 /// shows, and above the last bits of a sum.
 const ANGLE_STEP_DEG: f64 = 1e-6;
+/// Steps of the angles at which interreflection is followed, degrees: visits of one light
+/// mostly fall into one step, and what lights the sample by way of itself changes less
+/// within it than noise.
+const INTERREFLECTION_STEP_DEG: f64 = 0.1;
 
 /// Renders the truth on demand and remembers it by lamp position.
 pub struct TruthSource {
     truth: Truth,
-    /// The material's own lobes.
-    lobes: OnceLock<Proposal>,
-    /// By the key of [`TruthSource::key`].
-    rendered: Mutex<HashMap<[i64; 4], Rendered>>,
+    /// What it takes to render, made when first asked for.
+    studio: OnceLock<Studio>,
+    /// Held while something is rendered, so that nothing is rendered twice.
+    known: Mutex<Known>,
+}
+
+/// What was rendered.
+#[derive(Default)]
+struct Known {
+    /// By where the lamp was sent and stands, in [`INTERREFLECTION_STEP_DEG`].
+    interreflections: HashMap<[i64; 4], Arc<Vec<Value>>>,
+    /// The latest image, with the key of [`key`]: lights come one after the other, and an
+    /// image is large.
+    latest: Option<([i64; 4], Rendered)>,
+}
+
+/// What the images under all lamps share.
+struct Studio {
+    /// Without a lamp.
+    scene: Scene,
+    grid: Grid,
+    /// Where continuations go.
+    proposal: Proposal,
 }
 
 impl TruthSource {
@@ -86,54 +112,116 @@ impl TruthSource {
         }
         Self {
             truth,
-            lobes: OnceLock::new(),
-            rendered: Mutex::default(),
+            studio: OnceLock::new(),
+            known: Mutex::default(),
         }
     }
 
-    /// True azimuth and elevation of the lamp, then where it was sent, in steps.
-    fn key(illumination: &Illumination) -> [i64; 4] {
-        let steps = |angle_deg: f64| (angle_deg / ANGLE_STEP_DEG).round() as i64;
-        let [azimuth_deg, elevation_deg] = illumination.sent_to_deg;
-        [
-            steps(illumination.azimuth_rad.to_degrees()),
-            steps(illumination.elevation_rad.to_degrees()),
-            steps(azimuth_deg),
-            steps(elevation_deg),
-        ]
+    fn studio(&self) -> &Studio {
+        self.studio.get_or_init(|| Studio::new(&self.truth))
     }
 
-    fn render(&self, key: [i64; 4]) -> Vec<[f32; 3]> {
-        let truth = &self.truth;
-        let [azimuth, elevation, paths @ ..] = key;
-        let light = (truth.light)(StageAngles {
-            azimuth_deg: azimuth as f64 * ANGLE_STEP_DEG,
-            elevation_deg: elevation as f64 * ANGLE_STEP_DEG,
-        });
+    /// The image for unit power of each channel, rendered if it is not known.
+    fn image(&self, illumination: &Illumination) -> Rendered {
+        let mut known = self
+            .known
+            .lock()
+            .unwrap_or_else(|poisoned| poisoned.into_inner());
+        let position = key(illumination, ANGLE_STEP_DEG);
+        if let Some((of, image)) = &known.latest
+            && *of == position
+        {
+            return image.clone();
+        }
+        let place = key(illumination, INTERREFLECTION_STEP_DEG);
+        let interreflection = known
+            .interreflections
+            .entry(place)
+            .or_insert_with(|| Arc::new(self.follow(place)))
+            .clone();
+        let view = View {
+            scene: &self.lit(position, ANGLE_STEP_DEG),
+            brdf: &*self.truth.brdf,
+            grid: &self.studio().grid,
+            interreflection: &interreflection,
+            seed: self.seed(place, 1),
+        };
+        let image = Arc::new(view.render());
+        known.latest = Some((position, image.clone()));
+        image
+    }
+
+    /// Interreflection of the grid's nodes.
+    fn follow(&self, place: [i64; 4]) -> Vec<Value> {
+        let options = RenderOptions {
+            seed: self.seed(place, 0),
+            proposal: self.studio().proposal.clone(),
+            ..options(&self.truth)
+        };
+        let scene = self.lit(place, INTERREFLECTION_STEP_DEG);
+        self.studio()
+            .grid
+            .render(&scene, &*self.truth.brdf, &options)
+    }
+
+    /// The scene with the lamp where a key of these steps says that it stands.
+    fn lit(&self, [azimuth, elevation, ..]: [i64; 4], step_deg: f64) -> Scene {
+        self.studio().lit_by((self.truth.light)(StageAngles {
+            azimuth_deg: azimuth as f64 * step_deg,
+            elevation_deg: elevation as f64 * step_deg,
+        }))
+    }
+
+    /// Independent numbers for every position to which the lamp is sent, and the same at
+    /// every visit: what differs between two visits is where the lamp stands alone.
+    fn seed(&self, [.., azimuth, elevation]: [i64; 4], number: u64) -> u64 {
+        let [azimuth, elevation] = [azimuth, elevation].map(|steps| steps as u64);
+        let purpose = Purpose::BenchPerturbation;
+        stream(self.truth.seed, purpose, azimuth, elevation, 1 + number).bits()
+    }
+}
+
+/// True azimuth and elevation of the lamp, then where it was sent, in steps.
+fn key(illumination: &Illumination, step_deg: f64) -> [i64; 4] {
+    let steps = |angle_deg: f64, step_deg: f64| (angle_deg / step_deg).round() as i64;
+    let [azimuth_deg, elevation_deg] = illumination.sent_to_deg;
+    [
+        steps(illumination.azimuth_rad.to_degrees(), step_deg),
+        steps(illumination.elevation_rad.to_degrees(), step_deg),
+        steps(azimuth_deg, ANGLE_STEP_DEG),
+        steps(elevation_deg, ANGLE_STEP_DEG),
+    ]
+}
+
+/// How the interreflection is followed, but for seed and proposal.
+fn options(truth: &Truth) -> RenderOptions {
+    RenderOptions {
+        samples_per_pixel: truth.samples_per_pixel,
+        max_reflections: truth.max_reflections,
+        ..RenderOptions::default()
+    }
+}
+
+impl Studio {
+    fn new(truth: &Truth) -> Self {
         let scene = Scene::with_bodies(
             truth.mesh.clone(),
             truth.shading,
             truth.bodies.clone(),
             truth.camera,
-            vec![light],
+            Vec::new(),
         );
-        // Independent paths for every position to which the lamp is sent, and the same at
-        // every visit: what differs between two visits is where the lamp stands alone.
-        let [azimuth, elevation] = paths.map(|steps| steps as u64);
-        let position = stream(
-            truth.seed,
-            Purpose::BenchPerturbation,
-            azimuth,
-            elevation,
-            1,
-        )
-        .bits();
-        let mut options = RenderOptions {
-            samples_per_pixel: truth.samples_per_pixel.max(2),
-            max_reflections: truth.max_reflections,
-            seed: position,
-            ..RenderOptions::default()
+        let grid = Grid::new(&scene, &*truth.brdf);
+        let mut studio = Self {
+            scene,
+            grid,
+            proposal: Proposal::default(),
         };
+        // The same for all lamps, and whichever is lit first: by one above the stage.
+        let above = (truth.light)(StageAngles {
+            azimuth_deg: 0.0,
+            elevation_deg: 90.0,
+        });
         let candidates = vec![
             Proposal::default(),
             Proposal::of_lobes([(0.3, 0.1)]),
@@ -141,14 +229,17 @@ impl TruthSource {
             Proposal::of_lobes([(0.05, 0.25), (0.15, 0.25)]),
             Proposal::of_lobes([(0.2, 0.5), (0.4, 0.2)]),
             Proposal::of_lobes([(0.1, 0.5), (0.25, 0.2)]),
-            self.lobes
-                .get_or_init(|| Proposal::tabulating(&*truth.brdf, 0.3))
-                .clone(),
+            Proposal::tabulating(&*truth.brdf, 0.3),
         ];
-        options.proposal = quietest_proposal(&scene, &*truth.brdf, &options, candidates);
-        render(&scene, &*truth.brdf, &options, &|_| {})
-            .remove(0)
-            .mean
+        let (scene, options) = (studio.lit_by(above), options(truth));
+        studio.proposal = quietest_proposal(&scene, &*truth.brdf, &options, candidates);
+        studio
+    }
+
+    fn lit_by(&self, light: Light) -> Scene {
+        let mut scene = self.scene.clone();
+        scene.lights = vec![light];
+        scene
     }
 }
 
@@ -172,19 +263,7 @@ impl RadianceSource for TruthSource {
         if illumination.channels == [0.0; 3] {
             return Arc::new(vec![ambient; pixels]);
         }
-        let key = Self::key(illumination);
-        let known = self
-            .rendered
-            .lock()
-            .map(|map| map.get(&key).cloned())
-            .unwrap_or_default();
-        let image = known.unwrap_or_else(|| {
-            let image = Arc::new(self.render(key));
-            if let Ok(mut map) = self.rendered.lock() {
-                map.insert(key, image.clone());
-            }
-            image
-        });
+        let image = self.image(illumination);
         let power = illumination.channels.map(|p| p as f32);
         let width = self.truth.camera.resolution_px[0];
         let seen = |(pixel, radiance): (usize, &[f32; 3])| {

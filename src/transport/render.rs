@@ -16,6 +16,8 @@ use crate::radiance_image::RadianceImage;
 pub struct RenderOptions {
     /// Paths per pixel, at least 2; the variance falls as its inverse.
     pub samples_per_pixel: u32,
+    /// Shortest path in surface reflections, 1 or more; 2 leaves the direct light out.
+    pub min_reflections: u32,
     /// Longest path in surface reflections; 1 = direct only; 1..=64.
     pub max_reflections: u32,
     /// Same seed, same image.
@@ -34,6 +36,7 @@ impl Default for RenderOptions {
     fn default() -> Self {
         Self {
             samples_per_pixel: 256,
+            min_reflections: 1,
             max_reflections: 32,
             seed: 0,
             proposal: Proposal::default(),
@@ -138,22 +141,53 @@ pub(super) fn render_carrying<C: Carrier>(
             pixels
         })
         .collect();
-    let n = f64::from(options.groups()[0]);
+    let pixels: Vec<PixelSums> = rows.into_iter().flatten().collect();
     (0..lights)
         .map(|light| {
             let mut image = RadianceImage::new(width, height);
-            for (pixel, sums) in rows.iter().flatten().enumerate() {
-                for (channel, &[sum, sum2]) in sums[light].iter().enumerate() {
-                    let strength = scene.lights[light].strength()[channel];
-                    let mean = sum / n;
-                    let variance = ((sum2 / n - mean * mean) / (n - 1.0)).max(0.0);
-                    image.mean[pixel][channel] = (mean * strength) as f32;
-                    image.variance[pixel][channel] = (variance * strength * strength) as f32;
-                }
+            for (pixel, sums) in pixels.iter().enumerate() {
+                let [mean, variance] = moments(scene, options, sums, light);
+                image.mean[pixel] = mean;
+                image.variance[pixel] = variance;
             }
             image
         })
         .collect()
+}
+
+/// Mean and variance of the mean of a pixel's groups of paths under a lamp.
+fn moments(
+    scene: &Scene,
+    options: &RenderOptions,
+    sums: &PixelSums,
+    light: usize,
+) -> [[f32; 3]; 2] {
+    let n = f64::from(options.groups()[0]);
+    let mut result = [[0.0; 3]; 2];
+    for (channel, &[sum, sum2]) in sums[light].iter().enumerate() {
+        let strength = scene.lights[light].strength()[channel];
+        let mean = sum / n;
+        let variance = ((sum2 / n - mean * mean) / (n - 1.0)).max(0.0);
+        result[0][channel] = (mean * strength) as f32;
+        result[1][channel] = (variance * strength * strength) as f32;
+    }
+    result
+}
+
+/// Single pixels of the image under the scene's first lamp, each as [`render`] would have it:
+/// mean and variance of the mean, R, G, B.
+pub fn render_pixels(
+    scene: &Scene,
+    brdf: &dyn Brdf,
+    options: &RenderOptions,
+    pixels: &[usize],
+) -> Vec<[[f32; 3]; 2]> {
+    let continuations = options.continuations(scene);
+    let of_pixel = |&pixel: &usize| {
+        let sums = render_pixel::<[f64; 3]>(scene, brdf, options, &continuations, pixel);
+        moments(scene, options, &sums, 0)
+    };
+    pixels.par_iter().map(of_pixel).collect()
 }
 
 /// The default proposal or one made for the sample's BRDF, whichever is quieter.
@@ -257,16 +291,42 @@ pub(super) fn follow<C: Carrier, N: Numbers>(
     options: &RenderOptions,
     continuations: &Continuations<'_>,
     (mut numbers, ray): (N, Ray),
+    visit: impl FnMut(u32, usize, [f64; 3]),
+) {
+    let carried = C::start(ray.direction);
+    if let Some(first) = scene.first(&ray) {
+        follow_from(
+            scene,
+            brdf,
+            options,
+            continuations,
+            (&mut numbers, carried, first),
+            visit,
+        );
+    }
+}
+
+/// The same from the first place that the camera sees, with the direction towards it.
+#[inline]
+pub(super) fn follow_from<C: Carrier, N: Numbers>(
+    scene: &Scene,
+    brdf: &dyn Brdf,
+    options: &RenderOptions,
+    continuations: &Continuations<'_>,
+    (numbers, mut carried, first): (&mut N, C, (Surface, Vec3)),
     mut visit: impl FnMut(u32, usize, [f64; 3]),
 ) {
-    let mut carried = C::start(ray.direction);
     let mut kind = continuations.begin();
-    let mut next = scene.first(&ray);
+    let mut next = Some(first);
     let mut reflections = 0;
     while let Some((surface, to_viewer)) = next {
         reflections += 1;
         let brdf = scene.known(&surface).unwrap_or(brdf);
-        for light in 0..scene.lights.len() {
+        let lights = match reflections < options.min_reflections {
+            true => 0,
+            false => scene.lights.len(),
+        };
+        for light in 0..lights {
             if let Some(connection) = scene.connect(&surface, light, numbers.on_lamp()) {
                 let event = Event {
                     brdf,
@@ -282,7 +342,7 @@ pub(super) fn follow<C: Carrier, N: Numbers>(
             break;
         }
         numbers.advance();
-        let drawn = continuations.draw(&mut kind, &surface, to_viewer, &mut numbers);
+        let drawn = continuations.draw(&mut kind, &surface, to_viewer, numbers);
         let Some((direction, pdf)) = drawn else {
             break;
         };

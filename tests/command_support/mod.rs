@@ -11,11 +11,24 @@ use std::time::{Duration, Instant};
 use rig::session::Journal;
 use tempfile::TempDir;
 
-/// A folder with a rig file of the simulated bench whose truth is rendered
+#[path = "../small_bench/mod.rs"]
+mod small_bench;
+
+/// A folder with a rig file of the small simulated bench whose truth is rendered
 /// quickly; `change` is applied to its text.
 pub fn workplace(change: impl FnOnce(String) -> String) -> TempDir {
+    let folder = quick_bench(&small_bench::rig_file(), change);
+    small_bench::put_records(folder.path());
+    folder
+}
+
+/// The same with the camera that the program ships.
+pub fn shipped_workplace(change: impl FnOnce(String) -> String) -> TempDir {
+    quick_bench(include_str!("../../rig-configs/simulated.toml"), change)
+}
+
+fn quick_bench(text: &str, change: impl FnOnce(String) -> String) -> TempDir {
     let folder = tempfile::tempdir().unwrap();
-    let text = include_str!("../../rig-configs/simulated.toml");
     let (before, simulation) = text.split_once("[simulation]").unwrap();
     let quick: String = simulation
         .lines()

@@ -6,3 +6,4 @@ mod materials;
 mod point_spread;
 mod references;
 mod statistics;
+mod truth;

@@ -49,6 +49,15 @@ impl Scale {
         materials: &["bundled", "synthetic"],
     };
 
+    /// One image of a camera's own size. The fit compares cells, over which the true images'
+    /// noise is averaged, so that few paths per pixel make up as many as in
+    /// [`Self::SINGLE_IMAGE`].
+    pub const FULL_SIZE: Self = Self {
+        resolution_px: 640,
+        truth_samples_per_pixel: 24,
+        ..Self::SINGLE_IMAGE
+    };
+
     /// [`Self::SINGLE_IMAGE`] in minutes on one core.
     pub const QUICK_IMAGE: Self = Self {
         resolution_px: 16,
@@ -68,9 +77,9 @@ pub struct Overrides {
     pub materials: Option<Vec<String>>,
     /// Pixels per side, 4..=4096.
     pub resolution_px: Option<usize>,
-    /// Paths per pixel of the fit; the truth gets four times as many where nothing else is said.
+    /// Paths per cell of the fit; the truth's change in proportion where nothing else is said.
     pub samples_per_pixel: Option<u32>,
-    /// Paths per pixel of the true images, in the place of four times the fit's.
+    /// Paths per pixel of the true images.
     pub truth_samples_per_pixel: Option<u32>,
     /// Pixels per side of the spheres of the environment error.
     pub sphere_px: Option<usize>,
@@ -165,7 +174,10 @@ impl Settings {
         )?;
         let truth_samples_per_pixel = match (o.truth_samples_per_pixel, o.samples_per_pixel) {
             (Some(n), _) => n,
-            (None, Some(n)) if scale.truth_samples_per_pixel > 0 => 4 * n,
+            (None, Some(n)) if scale.truth_samples_per_pixel > 0 => {
+                let [truth, fit] = [scale.truth_samples_per_pixel, scale.samples_per_pixel];
+                (u64::from(n) * u64::from(truth) / u64::from(fit.max(1))).max(2) as u32
+            }
             _ => scale.truth_samples_per_pixel,
         };
         Ok(Self {
