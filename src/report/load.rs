@@ -247,15 +247,15 @@ fn exposures(session: &Session, light: u32) -> Result<Vec<ExposureInput>, LoadEr
 }
 
 fn spheres(estimate: &dyn Brdf, truth: Option<&dyn Brdf>, sphere_px: usize) -> Vec<SphereInput> {
-    let under = |map: &EnvironmentMap| {
-        let [fitted, other] = sphere_images([estimate, truth.unwrap_or(estimate)], map, sphere_px);
-        SphereInput {
-            map: map.name().to_owned(),
-            estimate: as_radiance(&fitted),
-            truth: truth.map(|_| as_radiance(&other)),
-        }
+    let maps = EnvironmentMap::all();
+    let brdfs: Vec<&dyn Brdf> = std::iter::once(estimate).chain(truth).collect();
+    let images = sphere_images(&brdfs, &maps, sphere_px);
+    let under = |(map, images): (&EnvironmentMap, &Vec<SphereImage>)| SphereInput {
+        map: map.name().to_owned(),
+        estimate: as_radiance(&images[0]),
+        truth: images.get(1).map(as_radiance),
     };
-    EnvironmentMap::all().iter().map(under).collect()
+    maps.iter().zip(&images).map(under).collect()
 }
 
 /// The sphere's pixels are valid, those around it are not.
