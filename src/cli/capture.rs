@@ -289,7 +289,12 @@ fn carry_out(
         );
     }
     let colours = config.stage.measures.iter().map(|m| m.colours()).collect();
-    let sink = RadianceSink::new(Arc::clone(&noise), config.camera.mosaic, colours);
+    let sink = RadianceSink::new(
+        Arc::clone(&noise),
+        config.camera.mosaic,
+        colours,
+        root.clone(),
+    );
     let mut bar = Bar::new(context);
     let captured = Capture {
         camera: devices.camera,

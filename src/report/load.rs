@@ -5,7 +5,8 @@ mod lamp;
 use std::path::{Path, PathBuf};
 
 use super::{
-    ExposureInput, FitInput, LightInput, ProvenanceGroup, ReportInput, SphereInput, Truth,
+    CapturedInput, ExposureInput, FitInput, LightInput, ProvenanceGroup, ReportInput, SphereInput,
+    Truth,
 };
 use crate::brdf::environment::EnvironmentMap;
 use crate::brdf::sphere::{self, SphereImage, sphere_images};
@@ -197,14 +198,15 @@ fn light(session: &Session, index: usize) -> Result<LightInput, LoadError> {
     let exposures = exposures(session, number)?;
     let name = layout::radiance_file(number);
     let path = session.root().join(&name);
-    let captured = path
-        .exists()
-        .then(|| -> Result<_, LoadError> { Ok(exr::decode(&session.read_file(&name)?, &path)?) });
+    let captured = path.exists().then(|| -> Result<_, LoadError> {
+        let file = exr::read_opened(session.open_file(&name)?, &path, None)?;
+        Ok(CapturedInput::of(&file.image))
+    });
     Ok(LightInput {
         index: number,
         place: read_back.or(plan.lights.get(index).copied()),
         exposures,
-        captured: captured.transpose()?.map(|file| file.image),
+        captured: captured.transpose()?,
     })
 }
 
