@@ -1,15 +1,21 @@
 //! What a person sees of a capture while it runs.
 
+use std::time::Instant;
+
 use indicatif::{ProgressBar, ProgressStyle};
 
+use super::progress::duration;
 use super::{Context, interrupt};
 use crate::capture::{Observer, Progress, Spent};
 use crate::device::{FrameKind, LampState};
+use crate::units::Seconds;
 
 /// A bar on stderr, or nothing where nobody watches; warnings always.
 pub struct Bar<'a> {
     context: &'a Context,
     bar: ProgressBar,
+    /// How long the rest takes, as last said, and when.
+    left: Option<(Seconds, Instant)>,
     spent: Option<Spent>,
 }
 
@@ -25,6 +31,7 @@ impl<'a> Bar<'a> {
         Self {
             context,
             bar,
+            left: None,
             spent: None,
         }
     }
@@ -32,6 +39,17 @@ impl<'a> Bar<'a> {
     /// Where the time went, once the capture has ended.
     pub fn spent(&self) -> Option<Spent> {
         self.spent
+    }
+
+    /// What is being done, with the time left.
+    fn say(&self, what: &str) {
+        let left = self
+            .left
+            .map(|(left, said)| left.0 - said.elapsed().as_secs_f64());
+        self.bar.set_message(match left {
+            Some(left_s) => format!("{what}; {} left", duration(left_s)),
+            None => what.to_owned(),
+        });
     }
 
     /// Clears the line.
@@ -48,10 +66,10 @@ impl Observer for Bar<'_> {
                     self.context.note(format!("frames there already: {frames}"));
                 });
             }
-            Progress::Homing => self.bar.set_message("homing"),
+            Progress::Left(left) => self.left = Some((left, Instant::now())),
+            Progress::Homing => self.say("homing"),
             Progress::Moving { light, target } => {
-                self.bar
-                    .set_message(format!("light {light}: moving to {target}"));
+                self.say(&format!("light {light}: moving to {target}"));
             }
             Progress::Planned { .. } | Progress::LightDone { .. } => {}
             Progress::Frame {
@@ -59,7 +77,6 @@ impl Observer for Bar<'_> {
                 exposure,
                 lamp,
                 done,
-                left,
             } => {
                 self.bar.set_position((done * LENGTH as f64) as u64);
                 let what = match (key.kind, lamp) {
@@ -67,10 +84,7 @@ impl Observer for Bar<'_> {
                     (FrameKind::Dark, _) => "dark".to_owned(),
                     _ => "lamp off".to_owned(),
                 };
-                self.bar.set_message(format!(
-                    "light {}, {what}, {exposure}; {:.0} s left",
-                    key.light, left.0
-                ));
+                self.say(&format!("light {}, {what}, {exposure}", key.light));
             }
             Progress::Merging => {
                 self.bar.set_position(LENGTH);
