@@ -24,7 +24,7 @@ impl Tally {
 }
 
 /// The expectation counts as much as a measurement of so many seconds.
-const ARRIVAL_TRUST_S: f64 = 2.0;
+const ARRIVAL_TRUST_S: f64 = 1.0;
 const FRAME_TRUST_S: f64 = 0.3;
 
 /// Follows a capture frame by frame. Moves and frames have paces of their own: a stage that
@@ -38,6 +38,7 @@ pub(super) struct Clock {
     frames: Tally,
     /// Expected seconds of frames that the session held already.
     held_s: f64,
+    homing_left_s: f64,
     arrivals_left_s: VecDeque<f64>,
     /// After the one under way.
     lights_left: usize,
@@ -60,7 +61,7 @@ impl Clock {
         if let Some(first_s) = arrivals_left_s.front_mut()
             && finished.first() == Some(&true)
         {
-            // Homing comes before any first move.
+            // Warm-up comes before any first light.
             *first_s = expected.arrivals_s[0];
         }
         Self {
@@ -69,6 +70,11 @@ impl Clock {
             arrivals: Tally::default(),
             frames: Tally::default(),
             held_s: expected.light_s * finished.iter().filter(|&&done| done).count() as f64,
+            homing_left_s: if arrivals_left_s.is_empty() {
+                0.0
+            } else {
+                expected.homing_s
+            },
             arrivals_left_s,
             lights_left: finished.iter().filter(|&&done| !done).count(),
             light_taken_s: 0.0,
@@ -84,6 +90,12 @@ impl Clock {
     /// Seconds since the start.
     pub(super) fn now_s(&self) -> f64 {
         self.start.elapsed().as_secs_f64()
+    }
+
+    /// The stage was homed, which says nothing about its moves.
+    pub(super) fn homed(&mut self, now_s: f64) {
+        self.homing_left_s = 0.0;
+        self.forget_until(now_s);
     }
 
     /// A light's frames begin, with its pilots.
@@ -165,7 +177,8 @@ impl Clock {
         let frames_s = self.light_left_s
             + self.lights_left as f64 * self.usual_light_s()
             + self.revisit_left_s;
-        self.arrivals_left_s.iter().sum::<f64>() * self.arrivals.pace(ARRIVAL_TRUST_S)
+        self.homing_left_s
+            + self.arrivals_left_s.iter().sum::<f64>() * self.arrivals.pace(ARRIVAL_TRUST_S)
             + frames_s * self.frame_pace()
             + self.expected.end_s
     }
@@ -191,7 +204,8 @@ mod tests {
     /// Four lights, the first visited again; ten frames of 0.1 s each.
     fn expected() -> Expected {
         Expected {
-            arrivals_s: vec![6.0, 3.0, 3.0, 3.0, 3.0],
+            homing_s: 3.0,
+            arrivals_s: vec![3.0; 5],
             light_s: 1.0,
             frames_per_light: 10,
             revisit_s: 0.1,
@@ -205,7 +219,8 @@ mod tests {
     fn drive(expected: Expected, arrival_s: f64, frame_s: f64) -> Vec<(f64, f64)> {
         let mut clock = Clock::start(expected, &[false; 4]);
         let lamp = LampState::On(LampChannel(0));
-        let (mut now_s, mut said) = (0.0, vec![(0.0, clock.left_s())]);
+        let (mut now_s, mut said) = (3.0, vec![(0.0, clock.left_s())]);
+        clock.homed(now_s);
         for light in 0..5 {
             match light {
                 4 => clock.begin_revisit(),
@@ -228,7 +243,7 @@ mod tests {
 
     #[test]
     fn the_time_left_is_right_where_the_plan_is() {
-        for (left, truth) in drive(expected(), 3.6, 0.1) {
+        for (left, truth) in drive(expected(), 3.0, 0.1) {
             assert!((left / truth - 1.0).abs() < 0.2, "{left} of {truth}");
         }
     }
@@ -236,7 +251,7 @@ mod tests {
     /// A stage or a camera three times as slow as expected: known when the first light is done.
     #[test]
     fn a_wrong_plan_is_corrected_by_the_pace() {
-        for (arrival_s, frame_s) in [(10.8, 0.1), (3.6, 0.3), (1.2, 0.4)] {
+        for (arrival_s, frame_s) in [(9.0, 0.1), (3.0, 0.3), (1.0, 0.4)] {
             for (left, truth) in drive(expected(), arrival_s, frame_s).into_iter().skip(11) {
                 let off = (left / truth - 1.0).abs();
                 assert!(off < 0.3, "{arrival_s} {frame_s}: {left} of {truth}");
@@ -262,7 +277,7 @@ mod tests {
         );
         // One homing, two lights and the return; frames of one and a half lights.
         assert!(
-            (left_s - (6.0 + 3.0 + 3.0 + 1.5 + 0.1 + 0.5)).abs() < 1e-9,
+            (left_s - (3.0 + 3.0 * 3.0 + 1.5 + 0.1 + 0.5)).abs() < 1e-9,
             "{left_s}"
         );
     }

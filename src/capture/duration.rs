@@ -20,14 +20,16 @@ const STARTING_S: f64 = 1.5;
 /// Of the first move, from the switches: degrees.
 const FIRST_MOVE_DEG: f64 = 90.0;
 /// The last light's merge, seconds per pixel, and per pixel and frame.
-const MERGE_PIXEL_S: f64 = 0.3e-6;
-const MERGE_FRAME_S: f64 = 0.05e-6;
+const MERGE_PIXEL_S: f64 = 0.15e-6;
+const MERGE_FRAME_S: f64 = 0.02e-6;
 
 /// Expected seconds of the parts of a capture.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Expected {
-    /// From the end of what was before to a light's first frame, per light; homing and
-    /// warm-up belong to the first. The first light once more at the end, where the plan
+    /// Until the stage knows where it is.
+    pub homing_s: f64,
+    /// From the end of what was before to a light's first frame, per light; the lamp's
+    /// warm-up belongs to the first. The first light once more at the end, where the plan
     /// has it.
     pub arrivals_s: Vec<f64>,
     /// Frames of a light whose pilot is well exposed and whose contrast is usual.
@@ -151,11 +153,12 @@ impl Expected {
         let way: Vec<StageAngles> = plan.lights.iter().chain(again).copied().collect();
         let arrival_s =
             |deg: f64| STARTING_S + deg / pace.stage_deg_s + plan.settle_s.0 + pace.view.0;
-        let first_s = pace.homing.0 + plan.lamp_warm_up_s.0 + arrival_s(FIRST_MOVE_DEG);
+        let first_s = plan.lamp_warm_up_s.0 + arrival_s(FIRST_MOVE_DEG);
         let moves = way
             .windows(2)
             .map(|pair| arrival_s(move_deg(pair[0], pair[1])));
         Ok(Self {
+            homing_s: pace.homing.0,
             arrivals_s: std::iter::once(first_s).chain(moves).collect(),
             light_s: PILOT_ROUNDS * frames.states_s(pilot_s, states)
                 + frames.bracket_s(&steps, rules, channels),
@@ -169,7 +172,7 @@ impl Expected {
     /// All of it, for so many lights.
     pub fn total_s(&self, lights: usize) -> f64 {
         let arrivals_s: f64 = self.arrivals_s.iter().sum();
-        arrivals_s + lights as f64 * self.light_s + self.revisit_s + self.end_s
+        self.homing_s + arrivals_s + lights as f64 * self.light_s + self.revisit_s + self.end_s
     }
 }
 

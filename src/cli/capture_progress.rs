@@ -1,8 +1,10 @@
 //! What a person sees of a capture while it runs.
 
-use std::time::Instant;
+use std::fmt::Write;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::{ProgressBar, ProgressState, ProgressStyle};
 
 use super::progress::duration;
 use super::{Context, interrupt};
@@ -14,9 +16,27 @@ use crate::units::Seconds;
 pub struct Bar<'a> {
     context: &'a Context,
     bar: ProgressBar,
-    /// How long the rest takes, as last said, and when.
-    left: Option<(Seconds, Instant)>,
+    left: Left,
     spent: Option<Spent>,
+}
+
+/// How long the rest takes, as last said, and when: counted down while nothing is said.
+#[derive(Clone, Default)]
+struct Left(Arc<Mutex<Option<(Seconds, Instant)>>>);
+
+impl Left {
+    fn set(&self, left: Option<Seconds>) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) =
+            left.map(|left| (left, Instant::now()));
+    }
+
+    fn text(&self) -> String {
+        let left = *self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        left.map_or(String::new(), |(left, said)| {
+            let left_s = left.0 - said.elapsed().as_secs_f64();
+            format!("{} left", duration(left_s))
+        })
+    }
 }
 
 /// Steps of the bar.
@@ -25,13 +45,23 @@ const LENGTH: u64 = 1000;
 impl<'a> Bar<'a> {
     /// Drawn if stderr is a terminal.
     pub fn new(context: &'a Context) -> Self {
-        let style = ProgressStyle::with_template("{bar:30} {percent:>3}%  {wide_msg}");
-        let bar = ProgressBar::with_draw_target(Some(LENGTH), context.draw_target())
-            .with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
+        let left = Left::default();
+        let shown = left.clone();
+        let style = ProgressStyle::with_template("{bar:30} {percent:>3}%  {left}  {wide_msg}")
+            .unwrap_or_else(|_| ProgressStyle::default_bar())
+            .with_key("left", move |_: &ProgressState, out: &mut dyn Write| {
+                // What a bar cannot show is not shown.
+                let _ = out.write_str(&shown.text());
+            });
+        let bar =
+            ProgressBar::with_draw_target(Some(LENGTH), context.draw_target()).with_style(style);
+        if context.shows_progress() {
+            bar.enable_steady_tick(Duration::from_secs(1));
+        }
         Self {
             context,
             bar,
-            left: None,
+            left,
             spent: None,
         }
     }
@@ -39,17 +69,6 @@ impl<'a> Bar<'a> {
     /// Where the time went, once the capture has ended.
     pub fn spent(&self) -> Option<Spent> {
         self.spent
-    }
-
-    /// What is being done, with the time left.
-    fn say(&self, what: &str) {
-        let left = self
-            .left
-            .map(|(left, said)| left.0 - said.elapsed().as_secs_f64());
-        self.bar.set_message(match left {
-            Some(left_s) => format!("{what}; {} left", duration(left_s)),
-            None => what.to_owned(),
-        });
     }
 
     /// Clears the line.
@@ -66,10 +85,11 @@ impl Observer for Bar<'_> {
                     self.context.note(format!("frames there already: {frames}"));
                 });
             }
-            Progress::Left(left) => self.left = Some((left, Instant::now())),
-            Progress::Homing => self.say("homing"),
+            Progress::Left(left) => self.left.set(Some(left)),
+            Progress::Homing => self.bar.set_message("homing"),
             Progress::Moving { light, target } => {
-                self.say(&format!("light {light}: moving to {target}"));
+                self.bar
+                    .set_message(format!("light {light}: moving to {target}"));
             }
             Progress::Planned { .. } | Progress::LightDone { .. } => {}
             Progress::Frame {
@@ -84,11 +104,13 @@ impl Observer for Bar<'_> {
                     (FrameKind::Dark, _) => "dark".to_owned(),
                     _ => "lamp off".to_owned(),
                 };
-                self.say(&format!("light {}, {what}, {exposure}", key.light));
+                self.bar
+                    .set_message(format!("light {}, {what}, {exposure}", key.light));
             }
             Progress::Merging => {
                 self.bar.set_position(LENGTH);
                 self.bar.set_message("merging");
+                self.left.set(None);
             }
             Progress::Ended(spent) => self.spent = Some(spent),
             Progress::Warning(text) => self.bar.suspend(|| self.context.warn(text)),

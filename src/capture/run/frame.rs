@@ -252,6 +252,7 @@ impl Run<'_> {
         if !self.devices.is_homed() {
             self.observer.observe(Progress::Homing);
             self.devices.home().await?;
+            self.clock.homed(self.clock.now_s());
             self.homing += 1;
             self.granted = None;
             self.disk.record(Event::Homed).await?;
