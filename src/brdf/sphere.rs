@@ -259,7 +259,7 @@ pub fn sphere_matrices(
     let n = dictionary.len();
     let points = normals(size);
     // Per pixel: of each map and channel the atoms, and what the BRDFs reflect.
-    let rows: Vec<(Vec<f64>, (usize, Vec<[f32; 3]>))> = points
+    let (rows, shaded): (Vec<Vec<f64>>, Vec<_>) = points
         .par_iter()
         .map(|&(pixel, normal)| {
             let mut values = vec![0.0f32; n];
@@ -279,8 +279,7 @@ pub fn sphere_matrices(
             });
             (sums, (pixel, to_f32(&reflected)))
         })
-        .collect();
-    let (rows, shaded): (Vec<_>, Vec<_>) = rows.into_iter().unzip();
+        .unzip();
     let pixels: Vec<usize> = points.iter().map(|&(pixel, _)| pixel).collect();
     let matrix = |map: usize| SphereMatrix {
         pixels: pixels.clone(),
