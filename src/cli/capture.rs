@@ -9,6 +9,7 @@ use serde_json::json;
 use super::capture_progress::Bar;
 use super::capture_records::Records;
 use super::output::{write_json, write_path};
+use super::progress::duration;
 use super::rig_choice::RigArg;
 use super::session_rig::{self, session_rig};
 use super::{
@@ -290,7 +291,12 @@ fn carry_out(
         );
     }
     let colours = config.stage.measures.iter().map(|m| m.colours()).collect();
-    let sink = RadianceSink::new(Arc::clone(&noise), config.camera.mosaic, colours);
+    let sink = RadianceSink::new(
+        Arc::clone(&noise),
+        config.camera.mosaic,
+        colours,
+        root.clone(),
+    );
     let mut bar = Bar::new(context);
     let captured = Capture {
         camera: devices.camera,
@@ -298,6 +304,7 @@ fn carry_out(
         session,
         reserve_bytes: config.capture.disk_reserve_bytes,
         position_tolerance_deg: config.stage.position_tolerance_deg(),
+        pace: pace(config),
         noise: &noise,
         interest: Some(&sample),
         sink: Box::new(sink),
@@ -448,8 +455,9 @@ fn print_plan(plan: &PlanRecord, sensor_id: Option<&str>, as_json: bool) -> Resu
         rules.dark_snr
     )?;
     out!(
-        "about {:.0} s on the bench and {:.1} MB for a scene of usual contrast{mark}",
-        plan.estimated_s.0,
+        "about {} on the bench, {} merged images and {:.1} MB for a scene of usual contrast{mark}",
+        duration(plan.estimated_s.0),
+        plan.lights.len(),
         plan.estimated_bytes as f64 / 1e6
     )
 }
@@ -511,11 +519,6 @@ fn request(
     // On a bench whose clock jumps, nothing needs to settle.
     let is_instant = is_instant(config);
     let wait = |time: Seconds| if is_instant { Seconds(0.0) } else { time };
-    let (stage_deg_s, homing) = config.stage.pace();
-    let frame_interval_s = config
-        .simulation
-        .as_ref()
-        .map_or(1.0 / 30.0, |s| s.camera.frame_interval_s);
     PlanRequest {
         lights: lights.clone(),
         reach: reach.clone(),
@@ -547,11 +550,22 @@ fn request(
         stage_tolerance_deg: config.stage.position_tolerance_deg().unwrap_or(0.0),
         limits: config.limits.temperature,
         resolution_px: config.camera.resolution_px,
-        pace: Pace {
-            stage_deg_s,
-            homing,
-            frame_interval: Seconds(frame_interval_s),
-        },
+        pace: pace(config),
+    }
+}
+
+/// A simulated bench computes for so long what a light shows, on two processors.
+const SIMULATED_VIEW_S: f64 = 2.0;
+
+/// How fast this bench is.
+fn pace(config: &RigConfig) -> Pace {
+    let (stage_deg_s, homing) = config.stage.pace();
+    let simulation = config.simulation.as_ref();
+    Pace {
+        stage_deg_s,
+        homing,
+        frame_interval: Seconds(simulation.map_or(1.0 / 30.0, |s| s.camera.frame_interval_s)),
+        view: Seconds(simulation.map_or(0.0, |_| SIMULATED_VIEW_S)),
     }
 }
 
