@@ -8,6 +8,7 @@ use serde_json::json;
 
 use super::capture_progress::Bar;
 use super::capture_records::Records;
+use super::fit_progress::Work;
 use super::output::{write_json, write_path};
 use super::progress::duration;
 use super::rig_choice::RigArg;
@@ -176,7 +177,8 @@ fn start(args: &CaptureArgs, context: &Context) -> Result<(), CliError> {
     preflight::check_lights(config, &planned.lights)?;
     let reserve_bytes = config.capture.disk_reserve_bytes;
     if args.dry_run {
-        print_plan(&planned, records.sensor_id(), args.json)?;
+        let fit = pipeline::work_of(config, &planned.lights)?;
+        print_plan(&planned, &fit, records.sensor_id(), args.json)?;
         return Ok(check_space(&planned, &args.out, reserve_bytes)?);
     }
     check_space(&planned, &args.out, reserve_bytes)?;
@@ -356,6 +358,8 @@ const NO_SENSOR_RECORD: &str =
 struct PrintedPlan<'a> {
     #[serde(flatten)]
     plan: &'a PlanRecord,
+    /// What the fit will have to do.
+    fit: Work,
     /// The record that time and size are estimated by.
     sensor_record: Option<&'a str>,
     /// How they are estimated without one.
@@ -425,10 +429,16 @@ fn print_result(
 
 /// `sensor_id` is the record that exposures and time are estimated by; without one they are
 /// estimated for a usual sensor, and marked.
-fn print_plan(plan: &PlanRecord, sensor_id: Option<&str>, as_json: bool) -> Result<(), CliError> {
+fn print_plan(
+    plan: &PlanRecord,
+    fit: &Work,
+    sensor_id: Option<&str>,
+    as_json: bool,
+) -> Result<(), CliError> {
     if as_json {
         return write_json(&PrintedPlan {
             plan,
+            fit: *fit,
             sensor_record: sensor_id,
             estimated: sensor_id.is_none().then_some(NO_SENSOR_RECORD),
         });
@@ -459,7 +469,8 @@ fn print_plan(plan: &PlanRecord, sensor_id: Option<&str>, as_json: bool) -> Resu
         duration(plan.estimated_s.0),
         plan.lights.len(),
         plan.estimated_bytes as f64 / 1e6
-    )
+    )?;
+    out!("then a fit: {fit}")
 }
 
 /// The directions that the command line asks for.

@@ -28,6 +28,7 @@ mod facets;
 pub mod fit;
 mod fit_folder;
 mod fit_memory;
+mod fit_progress;
 pub mod guardian;
 pub mod hints;
 pub mod interrupt;

@@ -8,15 +8,16 @@ use std::sync::Arc;
 
 use super::bench_records::BenchRecords;
 use super::cell_images::{self, Source};
+use super::fit_progress::{FitProgress, Work};
 use super::session_images::{CapturedSession, captured_session, measured_pose};
 use super::warnings::{self, warnings};
 use super::{CliError, Context, facets, fit_memory, hints, lamp_drift, preflight};
 use crate::brdf::{Brdf, Dictionary, Mixture};
-use crate::config::process;
 use crate::config::uncertainty::Deviation;
+use crate::config::{RigConfig, process};
 use crate::geometry::FormError;
 use crate::inverse::bench::{BenchEstimate, with_sample_at};
-use crate::inverse::cells::BUDGET;
+use crate::inverse::cells::{BUDGET, choose};
 use crate::inverse::exponentiated_gradient::ExponentiatedGradient;
 use crate::inverse::gauss_newton::GaussNewton;
 use crate::inverse::{
@@ -31,6 +32,7 @@ use crate::session::fit_record::{
 };
 use crate::session::{SessionWriter, layout};
 use crate::transport::{Kernel, RenderOptions, Scene, truncation_remainder};
+use crate::units::StageAngles;
 
 /// Choices of a fit that the command line may take over from the configuration.
 #[derive(clap::Args, Debug, Clone, Default)]
@@ -247,14 +249,36 @@ impl FitPlan {
         )
     }
 
+    /// How much there is to do for so many cells under so many lights.
+    pub(super) fn work(&self, cells: usize, lights: usize) -> Work {
+        Work {
+            cells,
+            lights,
+            paths_per_cell: self.options.cache.samples_per_cell,
+            refines_bench: self.priors.is_some(),
+        }
+    }
+
+    /// The cells of a scene whose images are yet to be captured.
+    pub(super) fn cells_of(&self, scene: &Scene) -> usize {
+        choose(scene, &self.cell_options()).cells.len()
+    }
+
+    fn cell_options(&self) -> CellOptions {
+        let options = CellOptions::new(&self.dictionary, &self.known);
+        CellOptions {
+            budget: self.cells.unwrap_or(options.budget),
+            ..options
+        }
+    }
+
     /// The images averaged over the cells that are compared.
     pub(super) fn average<R: Read + Seek>(
         &self,
         scene: &Scene,
         images: Vec<cell_images::Source<R>>,
     ) -> Result<Captured, CliError> {
-        let mut cells = CellOptions::new(&self.dictionary, &self.known);
-        cells.budget = self.cells.unwrap_or(cells.budget);
+        let cells = self.cell_options();
         let captured = cell_images::average(scene, images, self.mask.as_deref(), &cells)?;
         tracing::info!(
             cells = captured.len(),
@@ -281,8 +305,10 @@ impl FitPlan {
         if let Some(coarse) = facets::coarse(scene, self.dictionary.atoms()) {
             remark(coarse);
         }
-        let bar = context.spinner();
-        let mut stage = |stage: &str| bar.set_message(stage.to_owned());
+        let work = self.work(captured.len(), captured.images.len());
+        tracing::info!("{work}");
+        let mut progress = FitProgress::new(context, self.priors.is_some());
+        let mut stage = |stage: &str| progress.begin(stage);
         let (dictionary, options) = (
             &self.dictionary,
             &self.bounded([captured.len(), captured.images.len()])?,
@@ -304,9 +330,9 @@ impl FitPlan {
                 fit.samples[0], fit.samples[1]
             ));
         }
-        bar.set_message("scoring".to_owned());
+        progress.begin("scoring");
         let mut record = self.describe(&fit, simulated, truth)?;
-        bar.set_message("longer paths".to_owned());
+        progress.begin("longer paths");
         let paths = RenderOptions {
             max_reflections: self.options.cache.max_reflections,
             seed: self.options.cache.seed,
@@ -317,7 +343,7 @@ impl FitPlan {
         record.warnings = warnings(&fit, &record);
         record.remarks = remarks;
         record.bench = bench.as_ref().map(bench_record);
-        bar.finish_and_clear();
+        progress.finish();
         if fit.departure > 0.0 {
             context.note(format!(
                 "the material departs from every mixture of {}, {:.1} times as much as measured materials usually do; its f in table.csv and in exports to merl, rgl and pbrt allows for it, weights and an export to mitsuba are the closest mixture",
@@ -329,6 +355,7 @@ impl FitPlan {
             FitImages {
                 rendered: fit.comparison.rendered(),
                 residual: fit.comparison.residual(),
+                cells_csv: fit.comparison.to_csv(),
             },
         ))
     }
@@ -621,13 +648,25 @@ pub fn report_session(root: &Path) -> Result<PathBuf, CliError> {
     Ok(root.join(layout::REPORT_FILE))
 }
 
-/// Fits a captured session and reports it.
-pub fn fit_and_report(root: &Path, context: &Context) -> Result<(), CliError> {
-    let args = FitArgs {
+/// How much a fit with the defaults will have to do, of images under these lights.
+pub fn work_of(config: &RigConfig, lights: &[StageAngles]) -> Result<Work, CliError> {
+    let form_error = config.geometry.sample.form_error;
+    let uncertainty = &config.uncertainty;
+    let plan = FitPlan::new(&default_args(), Some(&config.fit), uncertainty, form_error)?;
+    let scene = config.geometry.scene(lights)?;
+    Ok(plan.work(plan.cells_of(&scene), lights.len()))
+}
+
+fn default_args() -> FitArgs {
+    FitArgs {
         model_error: 0.02,
         ..FitArgs::default()
-    };
-    let folder = fit_session(root, &args, None, context)?;
+    }
+}
+
+/// Fits a captured session and reports it.
+pub fn fit_and_report(root: &Path, context: &Context) -> Result<(), CliError> {
+    let folder = fit_session(root, &default_args(), None, context)?;
     context.note(format!("fit: {}", folder.display()));
     let report = report_session(root)?;
     context.note(format!("report: {}", report.display()));

@@ -115,6 +115,46 @@ impl Comparison {
             .collect()
     }
 
+    /// All cells of all lights as a table of comma-separated values, one row each: light, corner,
+    /// side and number of pixels, whether it was compared, then for R, G and B the radiance as
+    /// captured with its standard deviation, as modelled with that of the paths, and the
+    /// residual in standard deviations.
+    pub fn to_csv(&self) -> String {
+        use std::fmt::Write;
+        let mut csv = String::from("light,x_px,y_px,side_px,pixels,compared");
+        for name in [
+            "captured",
+            "captured_sd",
+            "modelled",
+            "modelled_sd",
+            "residual",
+        ] {
+            for channel in ["r", "g", "b"] {
+                let _ = write!(csv, ",{name}_{channel}");
+            }
+        }
+        csv.push('\n');
+        for (light, image) in self.images.iter().enumerate() {
+            for (k, cell) in self.cells.iter().enumerate() {
+                let [x, y] = cell.corner_px;
+                let (side, pixels, compared) = (cell.side_px, cell.pixels(), image.compared[k]);
+                let _ = write!(csv, "{light},{x},{y},{side},{pixels},{compared}");
+                let values = [
+                    image.captured.mean[k],
+                    image.captured.variance[k].map(f64::sqrt),
+                    image.rendered.mean[k],
+                    image.rendered.variance[k].map(f64::sqrt),
+                    image.residual[k],
+                ];
+                for value in values.as_flattened() {
+                    let _ = write!(csv, ",{:?}", *value as f32);
+                }
+                csv.push('\n');
+            }
+        }
+        csv
+    }
+
     /// Mean and variance of the cell at every pixel of a picture; invalid where there is none.
     fn painted(&self, of: impl Fn(usize) -> Option<[[f32; 3]; 2]>) -> RadianceImage {
         let [width, height] = self.cells.resolution_px();

@@ -210,6 +210,7 @@ pub(super) fn synthetic() -> ReportInput {
             images: FitImages {
                 rendered: vec![bowl(0, 0.1), bowl(1, 0.1)],
                 residual: vec![residual(0), residual(1)],
+                cells_csv: String::new(),
             },
             estimate: Arc::new(estimate.clone()),
         }),

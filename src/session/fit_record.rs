@@ -293,13 +293,15 @@ impl FitRecord {
     }
 }
 
-/// The images of a fit, one of each per light.
+/// The images of a fit, one of each per light, as pictures of at most 512 pixels a side.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FitImages {
     /// Rendered from the estimate: mean and variance, unit of the captured images.
     pub rendered: Vec<RadianceImage>,
     /// `mean` holds (captured − rendered) in standard deviations; `variance` is unused.
     pub residual: Vec<RadianceImage>,
+    /// Table of the compared cells, comma-separated; empty where read from a folder.
+    pub cells_csv: String,
 }
 
 /// What can be wrong with a fit's folder; facts only.

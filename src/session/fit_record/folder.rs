@@ -18,6 +18,9 @@ use crate::session::layout::FITS_FOLDER;
 use crate::session::{Session, SessionWriter};
 use crate::whole_file;
 
+/// The compared cells of every light.
+const CELLS_FILE: &str = "cells.csv";
+
 /// Tables of a fit have some thousand rows.
 const LARGEST_FILE_BYTES: u64 = 64 << 20;
 use crate::shown::{self, MESSAGE, excerpt, shortened};
@@ -74,6 +77,9 @@ pub fn encode(
             let bytes = exr::encode(image, &folder.join(&name))?;
             files.push((name, bytes));
         }
+    }
+    if !images.cells_csv.is_empty() {
+        files.push((CELLS_FILE.to_owned(), images.cells_csv.clone().into_bytes()));
     }
     if let Some(departure) = &record.departure {
         let text = tables::departure_to_csv(&departure.by_channel);
@@ -284,6 +290,7 @@ pub fn read_images(folder: &Path) -> Result<FitImages, FitRecordError> {
     Ok(FitImages {
         rendered: series("rendered")?,
         residual: series("residual")?,
+        cells_csv: String::new(),
     })
 }
 
@@ -305,6 +312,7 @@ pub fn read_images_in(session: &Session, number: u32) -> Result<FitImages, FitRe
     Ok(FitImages {
         rendered: series("rendered")?,
         residual: series("residual")?,
+        cells_csv: String::new(),
     })
 }
 

@@ -137,6 +137,7 @@ fn record_and_images_come_back_as_they_were() {
     let images = FitImages {
         rendered: vec![image.clone(), image.clone()],
         residual: vec![image.clone(), image],
+        cells_csv: String::new(),
     };
     let folder = next_folder(home.path());
     assert_eq!(folder, home.path().join("fits/0"));
