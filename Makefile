@@ -2,7 +2,7 @@
 # `make test`: all tests.
 # `make test-long`: coverage of the intervals and rates of warnings, in full; captures
 #   cut at every record and 200 killed at random moments; 200 under a constant lamp; a
-#   session of a camera of five megapixels.
+#   session of a camera of five megapixels, and memory of a 20 MP sensor.
 # `make test-vm`: the program against the kernel's own drivers in a virtual machine.
 # `make test-external`: exports loaded in the programs they are for (tests/external/README.md).
 
@@ -36,6 +36,8 @@ test-long: build
 	  -- --nocapture a_bayer_camera
 	RIG_DRIFT_CAPTURES=200 $(CARGO) test --locked --release --test lamp_drift \
 	  -- --nocapture constant_lamps
+	RIG_LARGE=1 $(CARGO) test --locked --release --test fuzz_corpus \
+	  -- --nocapture large_sensor
 	target/release/rig evaluate intervals --out target/long/intervals
 	target/release/rig evaluate diagnosis --out target/long/diagnosis
 

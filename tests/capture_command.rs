@@ -7,6 +7,7 @@ use std::process::{Command, Output};
 use std::sync::Arc;
 
 use rig::brdf::Dictionary;
+use rig::capture::reach::StageReach;
 use rig::config::RigConfig;
 use rig::inverse::{Captured, CellOptions, FitOptions, fit, intervals};
 use rig::radiance_image::exr;
@@ -14,6 +15,7 @@ use rig::session::commit::SystemDisk;
 use rig::session::{
     Event, NewSession, Session, SessionState, SessionWriter, fit_record, layout, verify,
 };
+use rig::units::StageAngles;
 use tempfile::TempDir;
 
 /// A measured material, whose table takes its time, and one that does not.
@@ -359,7 +361,9 @@ fn a_holder_is_captured_and_known_to_the_fit() {
     for (name, content) in files {
         std::fs::write(at.join(name), content).unwrap();
     }
-    let captured = run(&folder, &["capture", "--lights", "2", "--no-fit"]);
+    // From above and from one side, so that the walls are lit and shade little of the bowl.
+    let lights = ["--light", "0,90", "--light", "0,45", "--no-fit"];
+    let captured = run(&folder, &[&["capture"][..], &lights].concat());
     assert!(captured.status.success(), "{}", text(&captured.stderr));
     let moved = at.join("moved");
     std::fs::rename(session_of(&folder, &captured), &moved).unwrap();
@@ -423,7 +427,7 @@ fn a_dry_run_prints_the_plan_and_touches_nothing() {
     let folder = workplace(|text| text);
     let output = run(&folder, &["capture", "--lights", "4", "--dry-run"]);
     assert_eq!(output.status.code(), Some(0));
-    assert!(text(&output.stdout).contains("elevation 90.000°"));
+    assert!(text(&output.stdout).contains("light 0: azimuth 0.000°, elevation 45.000°"));
     let output = run(
         &folder,
         &["capture", "--lights", "4", "--dry-run", "--json"],
@@ -636,6 +640,151 @@ fn scenes_that_make_no_sense_are_refused_before_anything_moves() {
             assert_eq!(text(&output.stdout), "", "{name}");
             no_session(&folder);
         }
+    }
+}
+
+/// Shipped rig files describe benches that can exist: sample, lights and depth of field are
+/// as they should be, and plans have lights within reach, each once, past the camera's body.
+#[test]
+fn shipped_benches_are_sound_and_plan_lights_that_nothing_blocks() {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, file) in rig::config::BUILT_IN {
+        let config = RigConfig::parse(name, Path::new(""), file).unwrap();
+        assert_eq!(config.geometry.camera_body.is_none(), config.is_simulated());
+        let doctor = run(&folder, &["doctor", "--rig", name, "--json"]);
+        let found: serde_json::Value = serde_json::from_slice(&doctor.stdout).unwrap();
+        for check in ["view", "light paths", "depth of field"] {
+            let checks = found["checks"].as_array().unwrap();
+            let check = checks.iter().find(|c| c["name"] == check).unwrap();
+            assert_eq!(check["verdict"], "ok", "{name}: {check}");
+        }
+        let reach = StageReach::of_rig(&config).unwrap();
+        let mut longest = Vec::new();
+        for count in ["8", "4", "1"] {
+            let words = [
+                "capture",
+                "--rig",
+                name,
+                "--lights",
+                count,
+                "--dry-run",
+                "--json",
+            ];
+            let output = run(&folder, &words);
+            let plan: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+            let lights: Vec<StageAngles> = serde_json::from_value(plan["lights"].clone()).unwrap();
+            assert_eq!(lights.len().to_string(), count, "{name}");
+            reach.check(&lights).unwrap();
+            for (number, light) in lights.iter().enumerate() {
+                assert!(!lights[..number].contains(light), "{name}: {light} twice");
+            }
+            if longest.is_empty() {
+                longest.clone_from(&lights);
+            }
+            assert_eq!(lights, longest[..lights.len()], "{name}");
+        }
+        let elevations = longest.iter().map(|light| light.elevation_deg);
+        let [low, high] = [f64::min, f64::max].map(|of| elevations.clone().reduce(of).unwrap());
+        assert!(
+            (25.0..=90.0).contains(&low) && high - low > 15.0,
+            "{name}: {low} to {high}"
+        );
+    }
+}
+
+/// A light from which the camera's body, or the lamp itself, hides the sample is named with
+/// what is in the way and the nearest direction that is free.
+#[test]
+fn a_light_that_the_camera_blocks_is_refused() {
+    let with_body = |body: &'static str| {
+        move |text: String| {
+            let key = "point_spread_px = 0.0";
+            assert!(text.contains(key));
+            text.replacen(key, &format!("{key}\nbody = {{ {body} }}"), 1)
+        }
+    };
+    let telescope = "radius_mm = 30.0, length_mm = 100.0";
+    // (30 + 10) mm aside at 200 mm: 11.3° from the axis. A front 50 mm farther down: 14.9°.
+    // A lamp of 2° radius: 2° more.
+    let lower = "radius_mm = 30.0, length_mm = 100.0, front_mm = 50.0";
+    type Change = Box<dyn Fn(String) -> String>;
+    let cases: [(&str, Change, &str, &str, &str); 5] = [
+        (
+            "coaxial",
+            Box::new(with_body(telescope)),
+            "10,90",
+            "the camera's body keeps the light from 100% of the sample in view",
+            "the nearest free direction is azimuth 10.000°, elevation 78.5°",
+        ),
+        (
+            "at the edge",
+            Box::new(with_body(telescope)),
+            "-20,79",
+            "the camera's body keeps the light from",
+            "the nearest free direction is azimuth -20.000°, elevation 78.5°",
+        ),
+        (
+            "a lower front",
+            Box::new(with_body(lower)),
+            "0,76",
+            "the camera's body keeps the light from",
+            "the nearest free direction is azimuth 0.000°, elevation 75.0°",
+        ),
+        (
+            "a wide lamp",
+            Box::new(move |text: String| {
+                let text = with_body(telescope)(text);
+                let key = "angular_radius_deg = ";
+                let (before, rest) = text.split_once(&format!("\n{key}")).unwrap();
+                let (_, after) = rest.split_once('\n').unwrap();
+                format!("{before}\n{key}2.0\n{after}")
+            }),
+            "0,78.5",
+            "the camera's body keeps the light from",
+            "the nearest free direction is azimuth 0.000°, elevation 76.5°",
+        ),
+        (
+            "a lamp in front of the lens",
+            Box::new(move |text: String| {
+                let text = with_body(telescope)(text);
+                text.replacen(
+                    "[geometry.light]",
+                    "[geometry.light]\ndistance_mm = 100.0",
+                    1,
+                )
+                .replacen(
+                    "\nangular_radius_deg = ",
+                    "\n# angular_radius_deg = ",
+                    1,
+                )
+            }),
+            "0,88",
+            "the lamp stands in front of the camera, in its view",
+            "the nearest free direction is azimuth 0.000°, elevation 83.5°",
+        ),
+    ];
+    for (name, change, light, fact, free) in cases {
+        let folder = workplace(change);
+        let words = ["capture", "--light", "0,50", "--light", light, "--dry-run"];
+        let output = run(&folder, &words);
+        assert_refused(&output, fact);
+        let said = text(&output.stderr);
+        assert!(said.contains("light 1 (azimuth"), "{name}: {said}");
+        let free = free.trim_end_matches('°');
+        assert!(
+            said.contains(free) && said.contains("--lights N"),
+            "{name}: {said}"
+        );
+        let plan = run(&folder, &["capture", "--lights", "12", "--dry-run"]);
+        assert_eq!(
+            plan.status.code(),
+            Some(0),
+            "{name}: {}",
+            text(&plan.stderr)
+        );
+        let doctor = run(&folder, &["doctor"]);
+        let said = text(&doctor.stdout);
+        assert!(said.contains("plans leave them out"), "{name}: {said}");
     }
 }
 

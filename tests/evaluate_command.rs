@@ -116,6 +116,29 @@ fn a_table_its_figures_and_a_run_taken_up_again() {
     assert_ne!(read(&out.join("table.csv")), csv);
 }
 
+/// The four lights that each shipped rig file plans, and what they tell of a white dielectric
+/// on it: far less error than one light at the horizon, which is about 0.5.
+#[test]
+fn plans_of_the_shipped_benches_are_scored() {
+    let folder = tempfile::tempdir().unwrap();
+    let plans = "evaluate plans --quick --resolution 20 --spp 32 --materials synthetic:cream-satin --portable --only /4/planned --out out";
+    let (code, _, stderr) = rig(folder.path(), plans);
+    assert_eq!(code, Some(0), "{stderr}");
+    let json: Value = serde_json::from_str(&read(&folder.path().join("out/table.json"))).unwrap();
+    let rows = json["rows"].as_array().unwrap();
+    assert_eq!(rows.len(), rig::config::BUILT_IN.len());
+    for row in rows {
+        let elevations = row["elevations_deg"].as_str().unwrap().split(' ');
+        let elevations: Vec<f64> = elevations.map(|e| e.parse().unwrap()).collect();
+        assert_eq!(elevations.len(), 4, "{row}");
+        assert!(
+            elevations.iter().all(|e| (30.0..=80.0).contains(e)),
+            "{row}"
+        );
+        assert!(row["environment_error"].as_f64().unwrap() < 0.2, "{row}");
+    }
+}
+
 #[test]
 fn visits_of_the_table_are_as_the_paper_says() {
     let folder = tempfile::tempdir().unwrap();

@@ -120,7 +120,7 @@ fn errors(fit: &Fit, dictionary: &Arc<Dictionary>, truth: &Mixture) -> [f64; 2] 
 }
 
 fn averaged(scene: &Scene, images: &[RadianceImage]) -> Captured {
-    Captured::new(scene, images, &CellOptions::default()).unwrap()
+    Captured::new(scene, images, &CellOptions::exact()).unwrap()
 }
 
 #[test]
@@ -311,7 +311,7 @@ fn dust_counts_for_less() {
 #[test]
 fn images_that_do_not_belong_to_the_scene_are_refused() {
     let scene = scene(bowl(32), &[DVec3::Z]);
-    let run = |images: &[RadianceImage]| Captured::new(&scene, images, &CellOptions::default());
+    let run = |images: &[RadianceImage]| Captured::new(&scene, images, &CellOptions::exact());
     assert!(matches!(
         run(&[]),
         Err(AverageError::ImageCount {

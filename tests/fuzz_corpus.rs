@@ -6,15 +6,22 @@
 mod targets;
 
 use std::path::Path;
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use glam::{DVec2, DVec3};
 use rig::brdf::{Atom, Dictionary, Mixture};
+use rig::capture::{BracketSink, RadianceSink};
+use rig::device::{CameraSettings, FrameKey, FrameKind, LampChannel, LampState, Mosaic, RawFrame};
 use rig::geometry::Shape;
 use rig::inverse::memory::Size;
 use rig::inverse::{Captured, FitOptions, fit};
+use rig::radiance_image::exr;
+use rig::radiometry::sensor::SensorNoise;
 use rig::random::{Purpose, Stream, stream};
+use rig::report::CapturedInput;
+use rig::session::{FrameTimes, Sidecar};
 use rig::transport::{Camera, Light, Projection, RenderOptions, Scene, Shading, render};
+use rig::units::{Seconds, StageAngles};
 
 /// One test at a time: what another allocates would count as well.
 fn alone() -> MutexGuard<'static, ()> {
@@ -191,6 +198,122 @@ fn the_memory_of_a_fit_is_estimated_from_above_and_closely() {
         let part = counted / estimated;
         assert!((0.3..1.0).contains(&part), "{}: {part}", dictionary.name());
     }
+}
+
+/// A raw frame of `size`, with noise, and how it was taken.
+fn raw_frame(size: [usize; 2], kind: FrameKind, exposure_s: f64) -> (RawFrame, Sidecar) {
+    let [width, height] = size;
+    let counts = (0..width * height).map(|pixel| {
+        let scattered = (pixel as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 58;
+        let lit = 1e5 * (1.0 + (pixel % width) as f64 / width as f64) * exposure_s;
+        let signal = if kind == FrameKind::Light { lit } else { 0.0 };
+        (64.0 + signal + 0.3 * scattered as f64).min(4095.0) as u16
+    });
+    let frame = RawFrame {
+        width: width as u32,
+        height: height as u32,
+        counts: counts.collect(),
+        sequence: None,
+        timestamp: None,
+    };
+    let settings = CameraSettings {
+        exposure: Seconds(exposure_s),
+        gain: 1.0,
+    };
+    let angles = StageAngles {
+        azimuth_deg: 0.0,
+        elevation_deg: 45.0,
+    };
+    let sidecar = Sidecar {
+        key: FrameKey {
+            light: 0,
+            exposure: 0,
+            repeat: 0,
+            kind,
+        },
+        pilot: false,
+        lamp: match kind {
+            FrameKind::Light => LampState::On(LampChannel(0)),
+            _ => LampState::Off,
+        },
+        requested: settings,
+        applied: settings,
+        black_level_dn: 64.0,
+        bit_depth: 12,
+        mosaic: Mosaic::Rggb,
+        camera_serial: String::new(),
+        stage_target: angles,
+        stage_position: angles,
+        frames_discarded: 0,
+        exposure_ratio: None,
+        lamp_ratio_std: None,
+        time: FrameTimes {
+            utc: String::new(),
+            monotonic_s: Seconds(0.0),
+            device_s: None,
+            device_sequence: None,
+            sensor_c: None,
+            lamp_c: None,
+            retakes: Default::default(),
+        },
+    };
+    (frame, sidecar)
+}
+
+/// Merging takes a band, reading by rows a row of blocks, a report one merged image, however
+/// large the sensor. A sixteenth of 20 MP; all of it with `RIG_LARGE=1`.
+#[test]
+fn a_large_sensor_takes_little_memory() {
+    let _turn = alone();
+    let parts = if std::env::var_os("RIG_LARGE").is_some() {
+        1
+    } else {
+        4
+    };
+    let size = [5472 / parts, 3648 / parts];
+    let pixels = size[0] * size[1];
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("merged.exr");
+    let megabytes = |name: &str, work: &mut dyn FnMut()| {
+        let used = targets::peak_bytes(work) as f64 / 1e6;
+        println!("{name}: {used:.0} MB for {:.1} MP", pixels as f64 / 1e6);
+        used
+    };
+
+    let merging = megabytes("merging", &mut || {
+        let noise = SensorNoise::ideal(0.5, 2.0, 64.0, 12);
+        let mosaic = Mosaic::Rggb;
+        let all: &[usize] = &[0, 1, 2];
+        let home = folder.path().to_owned();
+        let mut sink = RadianceSink::new(Arc::new(noise), mosaic, vec![all], home);
+        sink.begin(0).unwrap();
+        for exposure_s in [0.001, 0.004, 0.016] {
+            for kind in [FrameKind::Light, FrameKind::Ambient, FrameKind::Dark] {
+                let (frame, sidecar) = raw_frame(size, kind, exposure_s);
+                sink.add(&frame, &sidecar).unwrap();
+            }
+        }
+        std::fs::write(&path, sink.finish().unwrap()).unwrap();
+    });
+    // A band, one raw frame, and the file that is made.
+    let file = std::fs::metadata(&path).unwrap().len() as f64 / 1e6;
+    let frame = 2e-6 * pixels as f64;
+    assert!(merging < 300.0 + frame + 3.0 * file, "{merging} MB");
+
+    let rows = megabytes("rows", &mut || {
+        let mut rows = exr::ExrRows::open(&path, None).unwrap();
+        while rows.next_rows(16).unwrap().height > 0 {}
+    });
+    assert!(rows < 20.0, "{rows} MB");
+
+    let report = megabytes("report", &mut || {
+        let image = exr::read(&path).unwrap().image;
+        let shown = CapturedInput::of(&image);
+        assert!(shown.picture.width <= 512 && shown.picture.height <= 512);
+        assert_eq!(shown.size_px, size.map(|n| n / 2));
+    });
+    // 25 bytes of a merged pixel while vectors grow, and its values sorted.
+    assert!(report < 30.0 + 75e-6 * pixels as f64 / 4.0, "{report} MB");
 }
 
 /// The meter sees a size that is believed.

@@ -36,19 +36,19 @@ fn pixels_of(scene: &Scene) -> Cells {
     Cells::of_pixels(scene.camera.resolution_px)
 }
 
+/// What fits use unless another is named.
+fn dictionary() -> Dictionary {
+    Dictionary::load(Dictionary::DEFAULT).expect("it is built in")
+}
+
 fn cache(shape: &str, resolution_px: usize) -> Cache {
     let options = CacheOptions {
         max_reflections: 8,
         ..CacheOptions::default()
     };
     let scene = scene(shape, resolution_px);
-    Cache::trace(
-        &scene,
-        &pixels_of(&scene),
-        &Dictionary::grid42(),
-        &options,
-    )
-    .expect("one lamp and a usual dictionary")
+    Cache::trace(&scene, &pixels_of(&scene), &dictionary(), &options)
+        .expect("one lamp and a usual dictionary")
 }
 
 /// Image and Jacobian of 32 × 32 pixels, 256 samples each.
@@ -65,7 +65,8 @@ fn evaluate_portable(bencher: Bencher, shape: &str) {
 
 fn evaluate_with(bencher: Bencher, shape: &str, kernel: Kernel) {
     let cache = cache(shape, 32);
-    let weights = [1.0 / 42.0; 42];
+    let atoms = dictionary().len();
+    let weights = vec![1.0 / atoms as f64; atoms];
     bencher.bench_local(|| {
         cache.evaluate(
             kernel,
@@ -80,7 +81,7 @@ fn evaluate_with(bencher: Bencher, shape: &str, kernel: Kernel) {
 #[divan::bench(args = SHAPES, sample_count = 5)]
 fn trace(bencher: Bencher, shape: &str) {
     let scene = scene(shape, 16);
-    let dictionary = Dictionary::grid42();
+    let dictionary = dictionary();
     let options = CacheOptions {
         max_reflections: 8,
         ..CacheOptions::default()
@@ -118,7 +119,7 @@ fn build_tree(bencher: Bencher) {
 #[divan::bench(args = SHAPES, sample_count = 5)]
 fn direct_matrix(bencher: Bencher, shape: &str) {
     let scene = scene(shape, 16);
-    let dictionary = Dictionary::grid42();
+    let dictionary = dictionary();
     bencher.bench_local(|| DirectMatrix::new(&scene, &pixels_of(&scene), &dictionary, 16, 1));
 }
 
@@ -126,13 +127,14 @@ fn direct_matrix(bencher: Bencher, shape: &str) {
 #[divan::bench(args = SHAPES, sample_count = 5)]
 fn linearise(bencher: Bencher, shape: &str) {
     let scene = scene(shape, 32);
-    let dictionary = Dictionary::grid42();
+    let dictionary = dictionary();
     let cache = cache(shape, 32);
     let direct = DirectMatrix::new(&scene, &pixels_of(&scene), &dictionary, 4, 1);
-    let mut half_white = vec![0.0; 42];
-    half_white[40..].fill(0.5);
+    let atoms = dictionary.len();
+    let mut half_white = vec![0.0; atoms];
+    half_white[atoms - 2..].fill(0.5);
     let material =
-        Mixture::grey(Arc::new(Dictionary::grid42()), half_white).expect("weights on the simplex");
+        Mixture::grey(Arc::new(dictionary.clone()), half_white).expect("weights on the simplex");
     let captured = render(
         &scene,
         &material,
@@ -154,7 +156,7 @@ fn linearise(bencher: Bencher, shape: &str) {
         0.02,
     );
     let weights = objective.weights(None);
-    let mixture = vec![nalgebra::DVector::from_element(42, 1.0 / 42.0); 3];
+    let mixture = vec![nalgebra::DVector::from_element(atoms, 1.0 / atoms as f64); 3];
     bencher.bench_local(|| objective.linearise(&mixture, &weights));
 }
 

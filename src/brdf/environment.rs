@@ -166,7 +166,11 @@ impl EnvironmentMap {
     /// Radiance R, G, B from a direction (unit), bilinear between texel centres, and the
     /// density of [`Self::sample`] there, per solid angle, 1/sr.
     pub fn look(&self, direction: DVec3) -> ([f32; 3], f64) {
-        let (u, v) = coordinates(direction);
+        self.at(Place::of(direction))
+    }
+
+    /// [`Self::look`] at a place that was found once for several maps.
+    pub fn at(&self, Place { u, v }: Place) -> ([f32; 3], f64) {
         (self.radiance_at(u, v), self.density_at(u, v))
     }
 
@@ -228,6 +232,21 @@ impl EnvironmentMap {
             self.cumulated[texel - 1]
         };
         (self.cumulated[texel] - below) / self.solid_angles[row]
+    }
+}
+
+/// Where a direction lies on every map.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Place {
+    u: f64,
+    v: f64,
+}
+
+impl Place {
+    /// Of a unit direction.
+    pub fn of(direction: DVec3) -> Self {
+        let (u, v) = coordinates(direction);
+        Self { u, v }
     }
 }
 

@@ -71,12 +71,10 @@ pub fn environment_error(
     maps: &[EnvironmentMap],
     size: usize,
 ) -> EnvironmentError {
-    let errors: Vec<PerChannel> = maps
+    let images = sphere_images(&[estimate, truth], maps, size);
+    let errors: Vec<PerChannel> = images
         .iter()
-        .map(|map| {
-            let [a, b] = sphere_images([estimate, truth], map, size);
-            image_error(&a, &b)
-        })
+        .map(|under| image_error(&under[0], &under[1]))
         .collect();
     summarise(maps, &errors)
 }
@@ -98,10 +96,10 @@ pub fn environment_error_up_to_factor(
     size: usize,
 ) -> UpToFactor {
     // ‖a‖², a·b and ‖b‖² under each map.
-    let products: Vec<[f64; 3]> = maps
+    let products: Vec<[f64; 3]> = sphere_images(&[estimate, truth], maps, size)
         .iter()
-        .map(|map| {
-            let [a, b] = sphere_images([estimate, truth], map, size);
+        .map(|under| {
+            let (a, b) = (&under[0], &under[1]);
             let mut sums = [0.0; 3];
             for (pixel, _) in normals(size) {
                 for (a, b) in a.radiance[pixel].iter().zip(b.radiance[pixel]) {

@@ -14,7 +14,7 @@ use rayon::prelude::*;
 
 use super::Brdf;
 use super::dictionary::Dictionary;
-use super::environment::EnvironmentMap;
+use super::environment::{EnvironmentMap, Place};
 use super::ggx::Cosines;
 use super::quadrature::{self, TECHNIQUES};
 use crate::random::{Purpose, stream};
@@ -78,16 +78,30 @@ pub fn normals(size: usize) -> Vec<(usize, DVec3)> {
         .collect()
 }
 
-/// Light that reaches one pixel's point from one direction.
+/// A direction from which light reaches one pixel's point.
 struct Incident {
     at: Cosines<f32>,
     to_light: glam::Vec3,
     to_viewer: glam::Vec3,
+}
+
+/// What arrives from there under one of the maps.
+#[derive(Clone, Copy)]
+struct Arriving {
+    map: usize,
     /// Radiance × cosine × quadrature weight, R, G, B.
     irradiance: [f32; 3],
 }
 
-fn incident(map: &EnvironmentMap, pixel: usize, normal: DVec3) -> Vec<Incident> {
+/// Hands out the directions of one pixel with what arrives from each. Those of the lobes
+/// serve all maps, so that a BRDF is evaluated there once; those drawn from a map serve it
+/// alone.
+fn incident(
+    maps: &[EnvironmentMap],
+    pixel: usize,
+    normal: DVec3,
+    mut each: impl FnMut(&Incident, &[Arriving]),
+) {
     let mut numbers = stream(0, Purpose::Experiment, 0, pixel as u64, 0);
     let shift = [numbers.uniform(), numbers.uniform()];
     // The local frame: the viewer (+z) lies in its xz plane.
@@ -98,75 +112,111 @@ fn incident(map: &EnvironmentMap, pixel: usize, normal: DVec3) -> Vec<Incident> 
     let to_local = |d: DVec3| DVec3::new(d.dot(tangent), d.dot(bitangent), d.dot(normal));
     let to_world = |d: DVec3| d.x * tangent + d.y * bitangent + d.z * normal;
     let viewer = to_local(DVec3::Z);
-    let lobes = quadrature::directions(viewer, PER_TECHNIQUE, shift).map(|d| (d, to_world(d)));
-    let map_directions = (0..FROM_MAP).map(|k| {
-        let d = map.sample(quadrature::point(k, FROM_MAP, shift));
-        (to_local(d), d)
-    });
-    lobes
-        .chain(map_directions)
-        .filter_map(|(local, world)| {
-            let (to_light, to_viewer) = (local.as_vec3(), viewer.as_vec3());
-            let at = Cosines::new(to_light.to_array(), to_viewer.to_array())?;
-            let (radiance, map_density) = map.look(world);
-            let density =
-                f64::from(PER_TECHNIQUE) * TECHNIQUES as f64 * quadrature::density(viewer, local)
-                    + f64::from(FROM_MAP) * map_density;
-            let scale = (local.z / density) as f32;
-            Some(Incident {
-                at,
-                to_light,
-                to_viewer,
+
+    let mut arriving = Vec::with_capacity(maps.len());
+    let mut hand_out = |local: DVec3, world: DVec3, served: std::ops::Range<usize>| {
+        let (to_light, to_viewer) = (local.as_vec3(), viewer.as_vec3());
+        let Some(at) = Cosines::new(to_light.to_array(), to_viewer.to_array()) else {
+            return;
+        };
+        let of_lobes =
+            f64::from(PER_TECHNIQUE) * TECHNIQUES as f64 * quadrature::density(viewer, local);
+        let place = Place::of(world);
+        arriving.clear();
+        arriving.extend(served.map(|map| {
+            let (radiance, map_density) = maps[map].at(place);
+            let scale = (local.z / (of_lobes + f64::from(FROM_MAP) * map_density)) as f32;
+            Arriving {
+                map,
                 irradiance: radiance.map(|l| l * scale),
-            })
-        })
-        .collect()
+            }
+        }));
+        let light = Incident {
+            at,
+            to_light,
+            to_viewer,
+        };
+        each(&light, &arriving);
+    };
+    for local in quadrature::directions(viewer, PER_TECHNIQUE, shift) {
+        hand_out(local, to_world(local), 0..maps.len());
+    }
+    for (map, of_map) in maps.iter().enumerate() {
+        for k in 0..FROM_MAP {
+            let world = of_map.sample(quadrature::point(k, FROM_MAP, shift));
+            hand_out(to_local(world), world, map..map + 1);
+        }
+    }
 }
 
 /// The sphere of `brdf` under `map`, `size` × `size` pixels.
 pub fn sphere_image(brdf: &dyn Brdf, map: &EnvironmentMap, size: usize) -> SphereImage {
-    let [image] = sphere_images([brdf], map, size);
-    image
+    let mut images = sphere_images(&[brdf], std::slice::from_ref(map), size);
+    images.swap_remove(0).swap_remove(0)
 }
 
-/// [`sphere_image`] of several BRDFs, in the time that one takes and little more.
-pub fn sphere_images<const N: usize>(
-    brdfs: [&dyn Brdf; N],
-    map: &EnvironmentMap,
+/// [`sphere_image`] of several BRDFs under several maps, in the time that one takes and
+/// little more: per map one image of each.
+pub fn sphere_images(
+    brdfs: &[&dyn Brdf],
+    maps: &[EnvironmentMap],
     size: usize,
-) -> [SphereImage; N] {
-    let shaded = shade(brdfs, map, &normals(size));
-    std::array::from_fn(|k| {
+) -> Vec<Vec<SphereImage>> {
+    images_of(&shade(brdfs, maps, &normals(size)), maps, brdfs, size)
+}
+
+fn images_of(
+    shaded: &[(usize, Vec<[f32; 3]>)],
+    maps: &[EnvironmentMap],
+    brdfs: &[&dyn Brdf],
+    size: usize,
+) -> Vec<Vec<SphereImage>> {
+    let image = |map: usize, brdf: usize| {
         let mut radiance = vec![[0.0; 3]; size * size];
-        for (pixel, rgb) in &shaded {
-            radiance[*pixel] = rgb[k];
+        for (pixel, values) in shaded {
+            radiance[*pixel] = values[map * brdfs.len() + brdf];
         }
         SphereImage { size, radiance }
-    })
+    };
+    let under = |map| (0..brdfs.len()).map(|brdf| image(map, brdf)).collect();
+    (0..maps.len()).map(under).collect()
 }
 
 /// Radiance towards the viewer at +z of surface points, given by a pixel (which keys the
-/// quadrature) and a unit normal, under `map` without shadows: per BRDF R, G, B.
-pub fn shade<const N: usize>(
-    brdfs: [&dyn Brdf; N],
-    map: &EnvironmentMap,
+/// quadrature) and a unit normal, without shadows: R, G, B of each BRDF under the first
+/// map, then under the others.
+pub fn shade(
+    brdfs: &[&dyn Brdf],
+    maps: &[EnvironmentMap],
     points: &[(usize, DVec3)],
-) -> Vec<(usize, [[f32; 3]; N])> {
+) -> Vec<(usize, Vec<[f32; 3]>)> {
     points
         .par_iter()
         .map(|&(pixel, normal)| {
-            let mut sums = [[0.0f64; 3]; N];
-            for light in incident(map, pixel, normal) {
-                for (sum, brdf) in sums.iter_mut().zip(brdfs) {
-                    let f = brdf.eval(light.to_light, light.to_viewer);
-                    for c in 0..3 {
-                        sum[c] += f64::from(f[c] * light.irradiance[c]);
-                    }
-                }
-            }
-            (pixel, sums.map(|sum| sum.map(|s| s as f32)))
+            let mut sums = vec![[0.0f64; 3]; maps.len() * brdfs.len()];
+            incident(maps, pixel, normal, |light, arriving| {
+                reflect(brdfs, light, arriving, &mut sums);
+            });
+            (pixel, to_f32(&sums))
         })
         .collect()
+}
+
+/// Adds what each BRDF reflects of one direction's light.
+fn reflect(brdfs: &[&dyn Brdf], light: &Incident, arriving: &[Arriving], sums: &mut [[f64; 3]]) {
+    for (k, brdf) in brdfs.iter().enumerate() {
+        let f = brdf.eval(light.to_light, light.to_viewer);
+        for Arriving { map, irradiance } in arriving {
+            let sum = &mut sums[map * brdfs.len() + k];
+            for c in 0..3 {
+                sum[c] += f64::from(f[c] * irradiance[c]);
+            }
+        }
+    }
+}
+
+fn to_f32(sums: &[[f64; 3]]) -> Vec<[f32; 3]> {
+    sums.iter().map(|sum| sum.map(|s| s as f32)).collect()
 }
 
 /// The sphere images of all atoms of a dictionary under one map: the image of a mixture is
@@ -193,30 +243,53 @@ impl SphereMatrix {
 
 /// [`sphere_image`] of every atom at once.
 pub fn sphere_matrix(dictionary: &Dictionary, map: &EnvironmentMap, size: usize) -> SphereMatrix {
+    let (mut matrices, _) = sphere_matrices(dictionary, std::slice::from_ref(map), size, &[]);
+    matrices.swap_remove(0)
+}
+
+/// [`sphere_matrix`] under several maps and, in the same pass, [`sphere_images`] of some
+/// BRDFs.
+pub fn sphere_matrices(
+    dictionary: &Dictionary,
+    maps: &[EnvironmentMap],
+    size: usize,
+    brdfs: &[&dyn Brdf],
+) -> (Vec<SphereMatrix>, Vec<Vec<SphereImage>>) {
     let evaluator = dictionary.evaluator();
     let n = dictionary.len();
     let points = normals(size);
-    let rows: Vec<[Vec<f64>; 3]> = points
+    // Per pixel: of each map and channel the atoms, and what the BRDFs reflect.
+    let (rows, shaded): (Vec<Vec<f64>>, Vec<_>) = points
         .par_iter()
         .map(|&(pixel, normal)| {
             let mut values = vec![0.0f32; n];
-            let mut sums = [0, 1, 2].map(|_| vec![0.0f64; n]);
-            for light in incident(map, pixel, normal) {
+            let mut sums = vec![0.0f64; maps.len() * 3 * n];
+            let mut reflected = vec![[0.0f64; 3]; maps.len() * brdfs.len()];
+            incident(maps, pixel, normal, |light, arriving| {
                 evaluator.eval(&light.at, &mut values);
-                for (sums, irradiance) in sums.iter_mut().zip(light.irradiance) {
-                    for (sum, value) in sums.iter_mut().zip(&values) {
-                        *sum += f64::from(value * irradiance);
+                for Arriving { map, irradiance } in arriving {
+                    let sums = sums[map * 3 * n..].chunks_exact_mut(n);
+                    for (sums, irradiance) in sums.zip(irradiance) {
+                        for (sum, value) in sums.iter_mut().zip(&values) {
+                            *sum += f64::from(value * irradiance);
+                        }
                     }
                 }
-            }
-            sums
+                reflect(brdfs, light, arriving, &mut reflected);
+            });
+            (sums, (pixel, to_f32(&reflected)))
         })
-        .collect();
-    SphereMatrix {
-        channels: [0, 1, 2]
-            .map(|c| DMatrix::from_fn(rows.len(), n, |row, atom| rows[row][c][atom])),
-        pixels: points.into_iter().map(|(pixel, _)| pixel).collect(),
-    }
+        .unzip();
+    let pixels: Vec<usize> = points.iter().map(|&(pixel, _)| pixel).collect();
+    let matrix = |map: usize| SphereMatrix {
+        pixels: pixels.clone(),
+        channels: [0, 1, 2].map(|c| {
+            let first = (3 * map + c) * n;
+            DMatrix::from_fn(rows.len(), n, |row, atom| rows[row][first + atom])
+        }),
+    };
+    let matrices = (0..maps.len()).map(matrix).collect();
+    (matrices, images_of(&shaded, maps, brdfs, size))
 }
 
 #[cfg(test)]
@@ -259,6 +332,28 @@ mod tests {
             rows.map(|r| image.radiance[r * 16 + 8][0]).sum()
         };
         assert!(mean(1..4) > 10.0 * mean(12..15));
+    }
+
+    /// What maps and BRDFs share changes nothing of any image.
+    #[test]
+    fn several_maps_and_brdfs_in_one_pass_are_each_alone() {
+        let dictionary = Arc::new(Dictionary::rig26());
+        let maps = EnvironmentMap::all();
+        let mixture = |atom: usize| {
+            let mut weights = vec![0.0; dictionary.len()];
+            weights[atom] = 1.0;
+            Mixture::grey(dictionary.clone(), weights).unwrap()
+        };
+        let (narrow, wide) = (mixture(2), mixture(17));
+        let (matrices, images) = sphere_matrices(&dictionary, &maps, 10, &[&narrow, &wide]);
+        let together = sphere_images(&[&wide, &narrow], &maps, 10);
+        for (k, map) in maps.iter().enumerate() {
+            let alone = [&narrow, &wide].map(|brdf| sphere_image(brdf, map, 10));
+            assert_eq!(images[k], alone, "{}", map.name());
+            assert_eq!(together[k], [alone[1].clone(), alone[0].clone()]);
+            let matrix = sphere_matrix(&dictionary, map, 10);
+            assert_eq!(matrices[k].channels, matrix.channels);
+        }
     }
 
     #[test]

@@ -1,144 +1,115 @@
-//! Which light directions to take: nearest coaxial first, then farthest-point
-//! order over a fixed grid of the reachable part of the hemisphere.
+//! Which light directions to take: a greedy choice that spreads the lights around the sample
+//! and over a range of angles to the camera's axis (docs/adr/0035).
 //!
-//! Any first N directions of the order are spread as evenly as a greedy choice
-//! can, so that N + 1 lights are N lights and one more.
+//! N + 1 lights are N lights and one more: the first ones of a longer plan are a plan.
 
 use glam::DVec3;
 
-use crate::device::kinematics::{AxisMap, Kinematics, Mechanism, TwoAxes};
+use super::reach::StageReach;
 use crate::units::StageAngles;
 
-/// Candidates stand on whole multiples of this, degrees, so that a person can
-/// read and repeat them.
-const GRID_DEG: f64 = 2.5;
+/// The first light's angle to the camera's axis, degrees.
+const FIRST_DEG: f64 = 45.0;
+/// Angles to the camera's axis that are preferred, degrees: nearer to it highlights repeat
+/// what the first lights showed, farther from it little of a concave sample is lit.
+const PREFERRED_DEG: [f64; 2] = [15.0, 55.0];
+/// Beyond them a light counts for less, down to [`LEAST_PREFERENCE`], over this, degrees.
+const FALL_DEG: f64 = 30.0;
+/// What any direction counts for at least, of 1.
+const LEAST_PREFERENCE: f64 = 0.3;
+/// How much more a difference of the angle to the axis counts than one around it, as squares:
+/// around the axis a sample of revolution shows the same angles of incidence once more.
+const POLAR_WEIGHT: f64 = 2.0;
 
-/// What a stage can reach.
-#[derive(Clone, Debug, PartialEq)]
-pub struct StageReach(pub Kinematics);
+/// A direction that can be chosen.
+struct Candidate {
+    angles: StageAngles,
+    direction: DVec3,
+    /// Angle to the camera's axis, radians.
+    polar_rad: f64,
+    /// Squared chord to the nearest direction chosen so far.
+    nearest_chord_sq: f64,
+    /// Distance to the nearest one chosen, with [`POLAR_WEIGHT`].
+    gap: f64,
+    /// Sum of the inverse distances to those chosen.
+    energy: f64,
+}
 
-impl StageReach {
-    /// Two rotary axes with these soft limits, degrees.
-    pub fn of_angles(azimuth_deg: [f64; 2], elevation_deg: [f64; 2]) -> Self {
-        let axis = |[min, max]: [f64; 2]| AxisMap {
-            scale: 1.0,
-            offset: 0.0,
-            min,
-            max,
-        };
-        Self(Kinematics::TwoAxes(TwoAxes {
-            mechanism: Mechanism::Rotary,
-            first: axis(azimuth_deg),
-            second: axis(elevation_deg),
-            approach: 0.0,
-        }))
-    }
-
-    /// Whether the soft limits allow it.
-    pub fn contains(&self, angles: StageAngles) -> bool {
-        self.0.reaches(angles)
-    }
-
-    /// Directions to choose from, each once, in a fixed order: of axes the
-    /// grid's points inside the limits and rotary limits themselves, of fixed
-    /// lights all of them.
-    pub fn candidates(&self) -> Vec<StageAngles> {
-        let axes = match &self.0 {
-            Kinematics::FixedLights(lights) => return lights.directions.clone(),
-            Kinematics::TwoAxes(axes) => axes,
-        };
-        let [azimuth_deg, elevation_deg] = axes.angle_ranges_deg();
-        let mut all: Vec<(StageAngles, DVec3)> = Vec::new();
-        for elevation_deg in ticks(elevation_deg) {
-            for azimuth_deg in near_zero_first(ticks(azimuth_deg)) {
-                let angles = StageAngles {
-                    azimuth_deg,
-                    elevation_deg,
-                };
-                if !self.contains(angles) {
-                    continue;
-                }
-                let direction = angles.to_light();
-                // Azimuths that are the same direction: at the zenith, or a full turn apart.
-                let row = all
-                    .iter()
-                    .rev()
-                    .take_while(|(a, _)| a.elevation_deg == elevation_deg);
-                if row
-                    .clone()
-                    .all(|(_, d)| d.distance_squared(direction) > 1e-12)
-                {
-                    all.push((angles, direction));
-                }
-            }
+impl Candidate {
+    fn new(angles: StageAngles, coaxial: DVec3) -> Self {
+        let direction = angles.to_light();
+        Self {
+            angles,
+            direction,
+            polar_rad: direction.angle_between(coaxial),
+            nearest_chord_sq: f64::INFINITY,
+            gap: f64::INFINITY,
+            energy: 0.0,
         }
-        all.into_iter().map(|(angles, _)| angles).collect()
+    }
+
+    /// Takes note of a direction that was chosen.
+    fn meet(&mut self, direction: DVec3, polar_rad: f64) {
+        let chord_sq = self.direction.distance_squared(direction);
+        let distance = (chord_sq + POLAR_WEIGHT * (self.polar_rad - polar_rad).powi(2)).sqrt();
+        self.nearest_chord_sq = self.nearest_chord_sq.min(chord_sq);
+        self.gap = self.gap.min(distance);
+        self.energy += distance.max(1e-6).recip();
+    }
+
+    /// How much its gap counts, up to 1.
+    fn preference(&self) -> f64 {
+        let polar_deg = self.polar_rad.to_degrees();
+        let [near_deg, far_deg] = PREFERRED_DEG;
+        let outside_deg = (near_deg - polar_deg).max(polar_deg - far_deg).max(0.0);
+        (1.0 - outside_deg / FALL_DEG).max(LEAST_PREFERENCE)
     }
 }
 
-/// The interval's ends and the grid between them, ascending.
-fn ticks([low, high]: [f64; 2]) -> Vec<f64> {
-    let first = (low / GRID_DEG).ceil() as i64;
-    let last = (high / GRID_DEG).floor() as i64;
-    let mut ticks = vec![low];
-    ticks.extend((first..=last).map(|i| i as f64 * GRID_DEG));
-    ticks.push(high);
-    ticks.dedup_by(|a, b| (*a - *b).abs() < 1e-9);
-    ticks
-}
-
-/// Where several directions are equally good, the axis shall turn little.
-fn near_zero_first(mut angles_deg: Vec<f64>) -> Vec<f64> {
-    angles_deg.sort_by(|a, b| a.abs().total_cmp(&b.abs()).then(b.total_cmp(a)));
-    angles_deg
-}
-
-/// Directions in the order in which they should be taken. `coaxial` is the unit
-/// direction from the sample to the camera in the stage's frame. Ends after
-/// `count` directions, or where the next one would be nearer than
-/// `min_spacing_deg` to one chosen before.
-pub fn farthest_point_order(
+/// Directions in the order in which they should be taken: first the one whose angle to the
+/// camera's axis is nearest to [`FIRST_DEG`], then always the one with the largest gap to
+/// those before, where the gap counts by preference. `coaxial` is the unit direction from the
+/// sample to the camera in the stage's frame. Ends after `count` directions, or where every
+/// other one is nearer than `min_spacing_deg` to one chosen before.
+pub fn plan_order(
     reach: &StageReach,
     coaxial: DVec3,
     count: usize,
     min_spacing_deg: f64,
 ) -> Vec<StageAngles> {
-    let candidates = reach.candidates();
-    let directions: Vec<DVec3> = candidates.iter().map(|angles| angles.to_light()).collect();
-    let smallest_distance_sq = (2.0 * (0.5 * min_spacing_deg.to_radians()).sin()).powi(2);
-    let Some(mut next) = first_best(directions.iter().map(|d| d.dot(coaxial))) else {
-        return Vec::new();
-    };
-    let mut nearest_sq = vec![f64::INFINITY; directions.len()];
-    // Many candidates are equally far from their nearest light; of those the one
-    // with the least Coulomb energy is also far from the others.
-    let mut energy = vec![0.0; directions.len()];
+    let smallest_chord_sq = (2.0 * (0.5 * min_spacing_deg.to_radians()).sin()).powi(2);
+    let candidates = reach.candidates().into_iter();
+    let mut candidates: Vec<Candidate> = candidates
+        .map(|angles| Candidate::new(angles, coaxial))
+        .collect();
+    let off_first = |candidate: &Candidate| (candidate.polar_rad - FIRST_DEG.to_radians()).abs();
+    let mut next = first_best(candidates.iter().map(|c| -off_first(c)));
     let mut chosen = Vec::new();
-    while chosen.len() < count {
-        chosen.push(candidates[next]);
-        for (candidate, direction) in directions.iter().enumerate() {
-            let distance_sq = direction.distance_squared(directions[next]);
-            nearest_sq[candidate] = nearest_sq[candidate].min(distance_sq);
-            energy[candidate] += distance_sq.max(1e-12).sqrt().recip();
-        }
-        let farthest_sq = nearest_sq.iter().copied().fold(0.0, f64::max);
-        if farthest_sq <= smallest_distance_sq.max(1e-12) {
-            break;
-        }
-        let relaxed = energy
-            .iter()
-            .zip(&nearest_sq)
-            .map(|(&energy, &nearest_sq)| {
-                if nearest_sq < farthest_sq - 1e-9 {
-                    f64::NEG_INFINITY
-                } else {
-                    -energy
-                }
-            });
-        match first_best(relaxed) {
-            Some(best) => next = best,
-            None => break,
-        }
+    while let (Some(index), true) = (next, chosen.len() < count) {
+        let Candidate {
+            angles,
+            direction,
+            polar_rad,
+            ..
+        } = candidates[index];
+        chosen.push(angles);
+        candidates
+            .iter_mut()
+            .for_each(|c| c.meet(direction, polar_rad));
+        candidates.retain(|c| c.nearest_chord_sq > smallest_chord_sq.max(1e-12));
+        let largest = candidates.iter().map(|c| c.gap * c.preference());
+        let largest = largest.fold(0.0, f64::max);
+        // Many are equally far from their nearest light; of those the one with the least
+        // energy is also far from the others.
+        next =
+            first_best(
+                candidates
+                    .iter()
+                    .map(|c| match c.gap * c.preference() > largest - 1e-9 {
+                        true => -c.energy,
+                        false => f64::NEG_INFINITY,
+                    }),
+            );
     }
     chosen
 }
@@ -157,56 +128,68 @@ fn first_best(values: impl Iterator<Item = f64>) -> Option<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::device::kinematics::FixedLights;
+    use crate::device::kinematics::{FixedLights, Kinematics};
 
     fn reach() -> StageReach {
         StageReach::of_angles([-170.0, 170.0], [12.0, 88.0])
     }
 
     #[test]
-    fn coaxial_comes_first_and_n_lights_begin_n_plus_one() {
-        let ten = farthest_point_order(&reach(), DVec3::Z, 10, 0.0);
+    fn n_lights_begin_n_plus_one() {
+        let ten = plan_order(&reach(), DVec3::Z, 10, 0.0);
         assert_eq!(ten.len(), 10);
-        assert_eq!(ten[0].elevation_deg, 88.0);
+        assert_eq!((ten[0].azimuth_deg, ten[0].elevation_deg), (0.0, 45.0));
         for n in 1..10 {
-            assert_eq!(farthest_point_order(&reach(), DVec3::Z, n, 0.0), ten[..n]);
+            assert_eq!(plan_order(&reach(), DVec3::Z, n, 0.0), ten[..n]);
         }
         assert!(ten.iter().all(|&angles| reach().contains(angles)));
     }
 
+    /// Whatever the stage reaches, and however the camera stands: lights are at least as far
+    /// apart as so many can be on the part that is preferred, at more than one angle to the
+    /// camera's axis, and none is outside that part while there is room in it.
     #[test]
-    fn each_light_is_as_far_from_the_others_as_any_candidate_could_be() {
-        let chosen = farthest_point_order(&reach(), DVec3::Z, 8, 0.0);
-        let distance = |a: StageAngles, b: StageAngles| a.to_light().distance(b.to_light());
-        for n in 1..chosen.len() {
-            let gap = |candidate: StageAngles| {
-                chosen[..n]
-                    .iter()
-                    .map(|&c| distance(c, candidate))
-                    .fold(9.0, f64::min)
-            };
-            let best = reach()
-                .candidates()
-                .into_iter()
-                .map(gap)
-                .fold(0.0, f64::max);
-            assert!(gap(chosen[n]) > best - 1e-6, "light {n}");
+    fn lights_are_spread_over_what_is_preferred() {
+        for (azimuth_deg, elevation_deg, tilt_deg) in [
+            ([-170.0, 170.0], [12.0, 88.0], 0.0f64),
+            ([-180.0, 180.0], [0.0, 90.0], 20.0),
+            ([-180.0, 180.0], [30.0, 70.0], 0.0),
+            ([-90.0, 90.0], [20.0, 80.0], 0.0),
+        ] {
+            let reach = StageReach::of_angles(azimuth_deg, elevation_deg);
+            let tilt_rad = tilt_deg.to_radians();
+            let coaxial = DVec3::new(tilt_rad.sin(), 0.0, tilt_rad.cos());
+            let lights = plan_order(&reach, coaxial, 8, 0.0);
+            let directions: Vec<DVec3> = lights.iter().map(|angles| angles.to_light()).collect();
+            let polar_deg = |d: &DVec3| d.angle_between(coaxial).to_degrees();
+            let polar: Vec<f64> = directions.iter().map(polar_deg).collect();
+            let [low, high] =
+                [f64::min, f64::max].map(|of| polar.iter().copied().reduce(of).unwrap());
+            assert!(low >= 15.0 - 5.0 && high <= 55.0 + 10.0, "{polar:?}");
+            assert!(high - low > 20.0, "{polar:?}");
+            for (n, light) in directions.iter().enumerate() {
+                for other in &directions[..n] {
+                    let apart_deg = light.angle_between(*other).to_degrees();
+                    assert!(apart_deg > 18.0, "{apart_deg}: {lights:?}");
+                }
+            }
         }
     }
 
-    /// All directions on the lower limit are equally far from the zenith; the
-    /// lights still go all around.
+    /// Outside the preferred part there is still a best choice.
     #[test]
-    fn equally_far_lights_go_around() {
-        let reach = StageReach::of_angles([-180.0, 180.0], [20.0, 90.0]);
-        let four = farthest_point_order(&reach, DVec3::Z, 4, 0.0);
-        let azimuths: Vec<f64> = four.iter().map(|angles| angles.azimuth_deg).collect();
-        assert_eq!(azimuths, [0.0, 0.0, 180.0, 90.0]);
+    fn lights_that_only_graze_or_only_face_the_camera_go_around() {
+        for elevation_deg in [[5.0, 5.0], [80.0, 80.0]] {
+            let reach = StageReach::of_angles([-180.0, 180.0], elevation_deg);
+            let four = plan_order(&reach, DVec3::Z, 4, 0.0);
+            let azimuths: Vec<f64> = four.iter().map(|angles| angles.azimuth_deg).collect();
+            assert_eq!(azimuths, [0.0, 180.0, 90.0, -90.0]);
+        }
     }
 
     #[test]
     fn the_spacing_bounds_the_number() {
-        let all = farthest_point_order(&reach(), DVec3::Z, usize::MAX, 20.0);
+        let all = plan_order(&reach(), DVec3::Z, usize::MAX, 20.0);
         assert!((20..80).contains(&all.len()), "{}", all.len());
         for (i, a) in all.iter().enumerate() {
             for b in &all[..i] {
@@ -217,42 +200,6 @@ mod tests {
     }
 
     #[test]
-    fn the_zenith_and_a_full_turn_are_counted_once() {
-        let reach = StageReach::of_angles([-180.0, 180.0], [90.0, 90.0]);
-        assert_eq!(reach.candidates().len(), 1);
-        let reach = StageReach::of_angles([-180.0, 180.0], [0.0, 0.0]);
-        assert_eq!(reach.candidates().len(), 144);
-    }
-
-    /// 200 mm aside at a height of 300 mm is 56.3° of elevation, along the
-    /// diagonal 46.7°: what is lower is no candidate, what is higher is one
-    /// wherever it points.
-    #[test]
-    fn a_gantry_reaches_farther_along_its_diagonals() {
-        let axis = AxisMap {
-            scale: 1.0,
-            offset: 0.0,
-            min: -200.0,
-            max: 200.0,
-        };
-        let gantry = StageReach(Kinematics::TwoAxes(TwoAxes {
-            mechanism: Mechanism::Gantry { height_mm: 300.0 },
-            first: axis,
-            second: axis,
-            approach: 0.0,
-        }));
-        let candidates = gantry.candidates();
-        let at = |elevation_deg| {
-            let row = candidates.iter();
-            row.filter(|angles| angles.elevation_deg == elevation_deg)
-                .count()
-        };
-        assert_eq!([at(45.0), at(57.5), at(90.0)], [0, 144, 1]);
-        assert!((1..144).contains(&at(50.0)), "{}", at(50.0));
-        assert!(candidates.iter().all(|&angles| gantry.contains(angles)));
-    }
-
-    #[test]
     fn fixed_lights_are_the_only_candidates() {
         let directions: Vec<_> = (0..12)
             .map(|i| StageAngles {
@@ -260,13 +207,13 @@ mod tests {
                 elevation_deg: 40.0 + f64::from(i),
             })
             .collect();
-        let dome = StageReach(Kinematics::FixedLights(FixedLights {
+        let dome = StageReach::free(Kinematics::FixedLights(FixedLights {
             directions: directions.clone(),
             tolerance_deg: 0.5,
         }));
-        let chosen = farthest_point_order(&dome, DVec3::Z, usize::MAX, 0.0);
+        let chosen = plan_order(&dome, DVec3::Z, usize::MAX, 0.0);
         assert_eq!(chosen.len(), 12);
-        assert_eq!(chosen[0], directions[11]);
+        assert_eq!(chosen[0], directions[5]);
         assert!(chosen.iter().all(|light| directions.contains(light)));
     }
 }

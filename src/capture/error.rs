@@ -3,6 +3,7 @@
 use crate::device::DeviceError;
 use crate::radiometry::exposure::PlanError;
 use crate::session::SessionError;
+use crate::transport::Obstruction;
 use crate::units::StageAngles;
 
 /// A capture could not be planned, or did not come to its end.
@@ -27,13 +28,31 @@ pub enum CaptureError {
         /// The limits.
         limits: String,
     },
+    /// Something stands between a planned light and the sample, or between the sample and
+    /// the camera.
+    #[error("light {light} ({angles}): {by}; {}", free_as_text(*free))]
+    LightBlocked {
+        /// Index in the plan.
+        light: usize,
+        /// Where it should be.
+        angles: StageAngles,
+        /// What stands there.
+        by: Obstruction,
+        /// The nearest direction that is free: at the same azimuth, or another fixed light.
+        free: Option<StageAngles>,
+    },
     /// More lights than the stage has distinct directions.
-    #[error("{wanted} lights were asked for, and the stage reaches {reachable}")]
+    #[error(
+        "{wanted} lights were asked for, and the stage reaches {reachable}{}",
+        blocked_as_text(*blocked)
+    )]
     TooManyLights {
         /// Asked for.
         wanted: usize,
-        /// Distinct directions.
+        /// Distinct directions that are free.
         reachable: usize,
+        /// Directions that the stage reaches and the camera's body blocks.
+        blocked: usize,
     },
     /// Nothing to capture.
     #[error("the plan has no {what}")]
@@ -215,4 +234,18 @@ pub enum CaptureError {
     /// motion and lamp were stopped at once.
     #[error("stopped at once")]
     StoppedNow,
+}
+
+fn free_as_text(free: Option<StageAngles>) -> String {
+    match free {
+        Some(angles) => format!("the nearest free direction is {angles}"),
+        None => "no direction near it is free".to_owned(),
+    }
+}
+
+fn blocked_as_text(blocked: usize) -> String {
+    match blocked {
+        0 => String::new(),
+        blocked => format!(" that the camera's body does not block ({blocked} are blocked)"),
+    }
 }

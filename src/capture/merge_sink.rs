@@ -1,14 +1,17 @@
 //! The bracket sink of a real capture: HDR merge of each lamp channel, put
-//! together to one radiance image.
+//! together to one radiance image. The frames of a light wait in a file and are
+//! merged in bands of rows, so that a large sensor's take little memory.
 
 use std::path::PathBuf;
 use std::sync::Arc;
 
 use super::BracketSink;
 use crate::device::{FrameKind, LampState, Mosaic, RawFrame};
-use crate::radiance_image::{RadianceImage, exr};
-use crate::radiometry::merge::{BracketMerge, FrameRole};
+use crate::radiance_image::RadianceImage;
+use crate::radiance_image::exr::{self, ExrError};
+use crate::radiometry::merge::{FrameRole, MergeError};
 use crate::radiometry::sensor::SensorNoise;
+use crate::radiometry::stack::{Bands, Stack, StackError};
 use crate::session::{Sidecar, layout};
 
 /// Merges one bracket after the other.
@@ -17,73 +20,44 @@ pub struct RadianceSink {
     mosaic: Mosaic,
     /// Which of R, G, B (0, 1, 2) the frames under each lamp channel measure.
     colours: Vec<&'static [usize]>,
+    folder: PathBuf,
     light: u32,
-    size: [u32; 2],
-    merges: Vec<BracketMerge<Arc<SensorNoise>>>,
+    size: [usize; 2],
+    /// The light's frames; made with the first.
+    stack: Option<Stack>,
+    /// The lamp channel of each frame of the stack; `None` without the lamp: it belongs to
+    /// every channel.
+    channels: Vec<Option<usize>>,
 }
 
 impl RadianceSink {
     /// For a camera with this noise and these colour filters; `colours` has an
-    /// entry per lamp channel: which of R, G, B (0, 1, 2) its frames measure.
-    pub fn new(noise: Arc<SensorNoise>, mosaic: Mosaic, colours: Vec<&'static [usize]>) -> Self {
+    /// entry per lamp channel: which of R, G, B (0, 1, 2) its frames measure. A light's
+    /// frames wait in a file of `folder` that has no name and vanishes with the sink.
+    pub fn new(
+        noise: Arc<SensorNoise>,
+        mosaic: Mosaic,
+        colours: Vec<&'static [usize]>,
+        folder: PathBuf,
+    ) -> Self {
         Self {
             noise,
             mosaic,
             colours,
+            folder,
             light: 0,
             size: [0, 0],
-            merges: Vec::new(),
+            stack: None,
+            channels: Vec::new(),
         }
     }
-}
 
-impl BracketSink for RadianceSink {
-    fn begin(&mut self, light: u32) -> Result<(), String> {
-        self.light = light;
-        self.merges.clear();
-        Ok(())
-    }
-
-    fn add(&mut self, frame: &RawFrame, sidecar: &Sidecar) -> Result<(), String> {
-        if self.merges.is_empty() {
-            self.size = [frame.width, frame.height];
-            let [width, height] = self.size.map(|n| n as usize);
-            let new = |_| BracketMerge::new(Arc::clone(&self.noise), self.mosaic, width, height);
-            let merges: Result<_, _> = self.colours.iter().map(new).collect();
-            self.merges = merges.map_err(|e| e.to_string())?;
-        }
-        let exposure_s = sidecar.applied.exposure.0;
-        // Frames without the lamp belong to every channel.
-        let (role, only) = match (sidecar.key.kind, sidecar.lamp) {
-            (FrameKind::Light, LampState::On(channel)) => {
-                (FrameRole::Light, Some(usize::from(channel.0)))
-            }
-            (FrameKind::Light, LampState::Off) => {
-                return Err(format!("{} has no lamp", layout::frame_stem(sidecar.key)));
-            }
-            (FrameKind::Ambient, _) => (FrameRole::Ambient, None),
-            (FrameKind::Dark, _) => (FrameRole::Dark, None),
-        };
-        for (channel, merge) in self.merges.iter_mut().enumerate() {
-            if only.is_none_or(|only| only == channel) {
-                merge
-                    .add(role, exposure_s, &frame.counts)
-                    .map_err(|e| e.to_string())?;
-            }
-        }
-        Ok(())
-    }
-
-    fn finish(&mut self) -> Result<Vec<u8>, String> {
+    /// The next rows of the image: those of each channel, in the colours that it measures.
+    fn next_rows(&self, bands: &mut [Bands<'_>]) -> Result<RadianceImage, SinkError> {
         let mut merged: Option<RadianceImage> = None;
-        for (merge, colours) in std::mem::take(&mut self.merges)
-            .into_iter()
-            .zip(&self.colours)
-        {
-            let image = merge
-                .finish()
-                .map_err(|e| e.to_string())?
-                .binned(self.mosaic);
+        for (bands, colours) in bands.iter_mut().zip(&self.colours) {
+            let band = bands.next_band()?.ok_or(MergeError::NoLightFrame);
+            let image = band.map_err(StackError::from)?.planes[0].binned(self.mosaic);
             let all = merged.get_or_insert_with(|| RadianceImage::new(image.width, image.height));
             for pixel in 0..image.mean.len() {
                 for &colour in *colours {
@@ -93,9 +67,73 @@ impl BracketSink for RadianceSink {
                 all.valid[pixel] &= image.valid[pixel];
             }
         }
-        let image = merged.ok_or("the bracket has no frame")?;
+        Ok(merged.ok_or(StackError::from(MergeError::NoLightFrame))?)
+    }
+}
+
+/// Why no image came of a bracket.
+#[derive(Debug, thiserror::Error)]
+enum SinkError {
+    #[error(transparent)]
+    Stack(#[from] StackError),
+    #[error(transparent)]
+    Image(#[from] ExrError),
+}
+
+impl BracketSink for RadianceSink {
+    fn begin(&mut self, light: u32) -> Result<(), String> {
+        self.light = light;
+        self.channels.clear();
+        if let Some(stack) = &mut self.stack {
+            stack.clear();
+        }
+        Ok(())
+    }
+
+    fn add(&mut self, frame: &RawFrame, sidecar: &Sidecar) -> Result<(), String> {
+        let (role, channel) = match (sidecar.key.kind, sidecar.lamp) {
+            (FrameKind::Light, LampState::On(channel)) => {
+                (FrameRole::Light, Some(usize::from(channel.0)))
+            }
+            (FrameKind::Light, LampState::Off) => {
+                return Err(format!("{} has no lamp", layout::frame_stem(sidecar.key)));
+            }
+            (FrameKind::Ambient, _) => (FrameRole::Ambient, None),
+            (FrameKind::Dark, _) => (FrameRole::Dark, None),
+        };
+        let stack = match &mut self.stack {
+            Some(stack) => stack,
+            None => {
+                self.size = [frame.width, frame.height].map(|n| n as usize);
+                let [width, height] = self.size;
+                let check = self.noise.check(width * height);
+                check.map_err(|e| e.to_string())?;
+                let stack = Stack::new(&self.folder, width, height, 1);
+                self.stack.insert(stack.map_err(|e| e.to_string())?)
+            }
+        };
+        let exposure_s = sidecar.applied.exposure.0;
+        let added = stack.add(role, exposure_s, &[frame.counts.as_slice()]);
+        added.map_err(|e| e.to_string())?;
+        self.channels.push(channel);
+        Ok(())
+    }
+
+    fn finish(&mut self) -> Result<Vec<u8>, String> {
+        let stack = self.stack.as_ref().filter(|stack| !stack.is_empty());
+        let stack = stack.ok_or("the bracket has no frame")?;
+        let of_channel = |channel: usize| {
+            let belongs = |of: &Option<usize>| of.is_none_or(|of| of == channel);
+            let frames = (0..stack.len()).filter(|&k| belongs(&self.channels[k]));
+            stack.bands_of(frames.collect(), &self.noise, self.mosaic, 0)
+        };
+        let mut bands: Vec<Bands<'_>> = (0..self.colours.len()).map(of_channel).collect();
+        let size = match self.mosaic {
+            Mosaic::None => self.size,
+            _ => self.size.map(|n| n / 2),
+        };
         let path = PathBuf::from(layout::radiance_file(self.light));
-        exr::encode(&image, &path).map_err(|e| e.to_string())
+        exr::encode_rows(&path, size, || self.next_rows(&mut bands)).map_err(|e| e.to_string())
     }
 }
 
@@ -152,7 +190,12 @@ mod tests {
     #[test]
     fn lamp_channels_become_their_colours() {
         let noise = Arc::new(SensorNoise::ideal(0.5, 2.0, 64.0, 12));
-        let mut sink = RadianceSink::new(noise, Mosaic::None, vec![&[2], &[0, 1]]);
+        let mut sink = RadianceSink::new(
+            noise,
+            Mosaic::None,
+            vec![&[2], &[0, 1]],
+            std::env::temp_dir(),
+        );
         sink.begin(2).unwrap();
         let mut add = |kind, lamp, dn: u16| {
             let frame = RawFrame {

@@ -1,7 +1,9 @@
 //! A capture: planned as data, then carried out on a camera and a stage.
 //!
-//! - [`directions`]: which light directions, from what the stage can reach;
+//! - [`reach`]: where light can come from: the stage's limits, the camera's shadow;
+//! - [`directions`]: which light directions, from what is within reach;
 //! - [`plan`]: the whole plan with its estimates and checks, before anything moves;
+//! - [`duration`]: how long that takes, by plan; a clock follows it frame by frame;
 //! - [`bracket`]: which exposures a light needs, decided from its pilot frames;
 //! - [`exposure_check`]: whether an exposure was what it claims, from the images;
 //! - [`return_check`]: whether the lamp is back where it was, from the images;
@@ -13,15 +15,18 @@
 //! the session does not hold yet.
 
 pub mod bracket;
+mod clock;
 mod devices;
 pub mod directions;
 mod disk;
+pub mod duration;
 mod error;
 pub mod exposure_check;
 pub mod interest;
 mod merge_sink;
 pub mod plan;
 mod progress;
+pub mod reach;
 pub mod return_check;
 pub mod run;
 mod spent;

@@ -6,11 +6,11 @@ use std::path::Path;
 use glam::DVec3;
 
 use super::CaptureError;
-use super::bracket;
-use super::directions::{StageReach, farthest_point_order};
+use super::directions::plan_order;
+use super::duration::Expected;
+use super::reach::StageReach;
 use crate::device::LampChannel;
 use crate::device::temperature::TemperatureLimits;
-use crate::radiometry::exposure::{PilotStatistics, plan_bracket};
 use crate::radiometry::sensor::SensorNoise;
 use crate::session::commit::free_bytes;
 use crate::session::{ExposureRules, PlanRecord};
@@ -19,9 +19,9 @@ use crate::units::{Seconds, StageAngles};
 /// Which light directions are wanted.
 #[derive(Clone, Debug, PartialEq)]
 pub enum LightChoice {
-    /// This many in farthest-point order.
+    /// This many, in the order of [`plan_order`].
     Count(usize),
-    /// All in farthest-point order that keep this angle between them, degrees.
+    /// All in that order that keep this angle between them, degrees.
     Spacing(f64),
     /// These, in this order.
     Listed(Vec<StageAngles>),
@@ -71,10 +71,10 @@ pub struct Pace {
     pub homing: Seconds,
     /// Time between frames where the exposure is shorter.
     pub frame_interval: Seconds,
+    /// What a simulated bench computes before a light's first frame; 0 of real ones.
+    pub view: Seconds,
 }
 
-/// Brightest over darkest level of interest of the scene that estimates assume.
-const USUAL_CONTRAST: f64 = 100.0;
 /// PNG overhead and sidecar of one frame, bytes.
 const FRAME_OVERHEAD_BYTES: u64 = 2048;
 /// Mean, variance (32 bits each for three colours) and mask of a merged pixel, bytes.
@@ -83,7 +83,7 @@ const MERGED_PIXEL_BYTES: u64 = 28;
 /// Makes the plan and checks every light against the soft limits.
 ///
 /// # Errors
-/// A light outside the limits, more lights than there are directions, exposure
+/// A light outside the limits or blocked by the camera, more lights than there are directions, exposure
 /// rules that make no sense.
 pub fn plan(request: &PlanRequest, noise: &SensorNoise) -> Result<PlanRecord, CaptureError> {
     let lights = choose_lights(request)?;
@@ -92,18 +92,9 @@ pub fn plan(request: &PlanRequest, noise: &SensorNoise) -> Result<PlanRecord, Ca
             what: "lamp channel",
         });
     }
-    let (per_light_s, frames_per_light) = usual_light(request, noise)?;
-    let count = lights.len() as u64;
     let [width, height] = request.resolution_px.map(u64::from);
     let pixels = width * height;
-    let revisit_first = request.revisit_first && lights.len() > 1;
-    let again: &[StageAngles] = if revisit_first { &lights[..1] } else { &[] };
-    let way: Vec<StageAngles> = lights.iter().chain(again).copied().collect();
-    let moving_s: f64 = way
-        .windows(2)
-        .map(|pair| move_deg(pair[0], pair[1]) / request.pace.stage_deg_s)
-        .sum();
-    Ok(PlanRecord {
+    let mut planned = PlanRecord {
         channels: request.channels.clone(),
         gain: request.gain,
         exposure: request.exposure,
@@ -111,23 +102,26 @@ pub fn plan(request: &PlanRequest, noise: &SensorNoise) -> Result<PlanRecord, Ca
         lamp_settle_s: request.lamp_settle,
         lamp_warm_up_s: request.lamp_warm_up,
         settings_latency_frames: request.settings_latency_frames,
-        revisit_first,
+        revisit_first: request.revisit_first && lights.len() > 1,
         stage_tolerance_deg: request.stage_tolerance_deg,
         limits: request.limits,
-        estimated_s: Seconds(
-            request.pace.homing.0 + request.lamp_warm_up.0 + moving_s + count as f64 * per_light_s,
-        ),
-        estimated_bytes: count
-            * (frames_per_light * (2 * pixels + FRAME_OVERHEAD_BYTES)
-                + MERGED_PIXEL_BYTES * pixels),
+        estimated_s: Seconds(0.0),
+        estimated_bytes: 0,
         lights,
-    })
+    };
+    let expected = Expected::of(&planned, pixels, &request.pace, noise)?;
+    let lights = planned.lights.len();
+    planned.estimated_s = Seconds(expected.total_s(lights));
+    let frames_bytes = expected.frames_per_light * (2 * pixels + FRAME_OVERHEAD_BYTES);
+    // The frames of the light that is merged lie there twice.
+    planned.estimated_bytes =
+        lights as u64 * (frames_bytes + MERGED_PIXEL_BYTES * pixels) + frames_bytes;
+    Ok(planned)
 }
 
 fn choose_lights(request: &PlanRequest) -> Result<Vec<StageAngles>, CaptureError> {
-    let order = |count, spacing_deg| {
-        farthest_point_order(&request.reach, request.coaxial, count, spacing_deg)
-    };
+    let order =
+        |count, spacing_deg| plan_order(&request.reach, request.coaxial, count, spacing_deg);
     let lights = match &request.lights {
         LightChoice::Count(count) => {
             let lights = order(*count, 0.0);
@@ -135,6 +129,7 @@ fn choose_lights(request: &PlanRequest) -> Result<Vec<StageAngles>, CaptureError
                 return Err(CaptureError::TooManyLights {
                     wanted: *count,
                     reachable: lights.len(),
+                    blocked: request.reach.blocked().len(),
                 });
             }
             lights
@@ -145,66 +140,8 @@ fn choose_lights(request: &PlanRequest) -> Result<Vec<StageAngles>, CaptureError
     if lights.is_empty() {
         return Err(CaptureError::Empty { what: "light" });
     }
-    check_reach(&lights, &request.reach)?;
+    request.reach.check(&lights)?;
     Ok(lights)
-}
-
-/// Checks all directions against the soft limits; a resumed plan is checked again.
-pub fn check_reach(lights: &[StageAngles], reach: &StageReach) -> Result<(), CaptureError> {
-    match lights.iter().position(|&angles| !reach.contains(angles)) {
-        None => Ok(()),
-        Some(light) => Err(CaptureError::LightOutOfReach {
-            light,
-            angles: lights[light],
-            limits: reach.0.limits(),
-        }),
-    }
-}
-
-/// The axes turn together; the longer way counts.
-fn move_deg(from: StageAngles, to: StageAngles) -> f64 {
-    let azimuth_deg = (to.azimuth_deg - from.azimuth_deg).abs();
-    azimuth_deg.max((to.elevation_deg - from.elevation_deg).abs())
-}
-
-/// Time, without the move, and number of frames of one light over a scene whose
-/// pilot is well exposed and whose contrast is usual.
-fn usual_light(request: &PlanRequest, noise: &SensorNoise) -> Result<(f64, u64), CaptureError> {
-    let rules = &request.exposure;
-    let full_e = noise.usable_range_dn() / noise.gain_dn_per_e;
-    let pilot_s = rules.pilot_s.0.clamp(rules.shortest_s.0, rules.longest_s.0);
-    let brightest_e_s = 0.5 * rules.peak_fraction * full_e / pilot_s;
-    let usual = PilotStatistics {
-        brightest_e_s,
-        darkest_e_s: brightest_e_s / USUAL_CONTRAST,
-    };
-    let bracket = plan_bracket(
-        noise,
-        &usual,
-        &bracket::limits(rules),
-        &bracket::target(rules),
-    )?;
-    let channels = request.channels.len() as f64;
-    let frame_s = |exposure_s: f64| exposure_s.max(request.pace.frame_interval.0);
-    let latency = f64::from(request.settings_latency_frames);
-    let mut seconds = request.settle.0
-        + (latency + channels) * frame_s(pilot_s)
-        + channels * request.lamp_settle.0;
-    let mut frames = request.channels.len() as u64;
-    let states = request.channels.len() as u64 + u64::from(rules.ambient);
-    for step in &bracket.steps {
-        let taken = u64::from(step.frames) * states + u64::from(rules.dark_frames);
-        seconds += (latency + taken as f64) * frame_s(step.exposure_s)
-            + states as f64 * request.lamp_settle.0;
-        frames += taken;
-    }
-    // The first exposure once more, against drift of the lamp.
-    if let Some(first) = bracket.steps.first() {
-        seconds +=
-            (latency + channels) * frame_s(first.exposure_s) + channels * request.lamp_settle.0;
-        frames += request.channels.len() as u64;
-    }
-    Ok((seconds, frames))
 }
 
 /// Checks that the disk that holds (or will hold) `folder` has room for the
@@ -262,6 +199,7 @@ mod tests {
                 stage_deg_s: 20.0,
                 homing: Seconds(10.0),
                 frame_interval: Seconds(1.0 / 30.0),
+                view: Seconds(0.0),
             },
         }
     }
@@ -275,7 +213,12 @@ mod tests {
         let of = |count| plan(&request(LightChoice::Count(count)), &noise()).unwrap();
         let (two, four) = (of(2), of(4));
         assert_eq!(four.lights[..2], two.lights);
-        assert_eq!(four.estimated_bytes, 2 * two.estimated_bytes);
+        let light_bytes = (four.estimated_bytes - two.estimated_bytes) / 2;
+        assert!(two.estimated_bytes > 2 * light_bytes);
+        assert!(
+            two.estimated_bytes < 3 * light_bytes,
+            "one light lies there twice"
+        );
         assert!(two.estimated_s.0 > 10.0 + 2.0 * 0.5 && four.estimated_s.0 > two.estimated_s.0);
         let again = PlanRequest {
             revisit_first: true,

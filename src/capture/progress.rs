@@ -1,7 +1,5 @@
 //! How a capture ends, and what it says meanwhile.
 
-use std::time::Instant;
-
 use super::Spent;
 use crate::device::{FrameKey, LampState};
 use crate::radiometry::exposure::BracketStep;
@@ -61,9 +59,9 @@ pub enum Progress<'a> {
         lamp: LampState,
         /// Part of the whole capture that is done, 0 to 1.
         done: f64,
-        /// Estimated time left.
-        left: Seconds,
     },
+    /// How long the rest will take; said before anything moves, and before every frame.
+    Left(Seconds),
     /// All frames of a light are taken.
     LightDone {
         /// Index in the plan.
@@ -75,37 +73,4 @@ pub enum Progress<'a> {
     Ended(Spent),
     /// Something that the operator should know; it is journalled too.
     Warning(&'a str),
-}
-
-/// How far the capture is, and how long the rest may take.
-pub(super) struct Clock {
-    pub(super) start: Instant,
-    pub(super) done: f64,
-    done_at_start: Option<f64>,
-}
-
-impl Clock {
-    pub(super) fn start() -> Self {
-        Self {
-            start: Instant::now(),
-            done: 0.0,
-            done_at_start: None,
-        }
-    }
-
-    pub(super) fn within_light(&mut self, light: u32, lights: usize, part: f64) {
-        self.done = (f64::from(light) + part) / lights as f64;
-        self.done_at_start.get_or_insert(self.done);
-    }
-
-    /// From the pace so far; from the plan's estimate where there is none yet.
-    pub(super) fn left(&self, estimated: Seconds) -> Seconds {
-        let gained = self.done - self.done_at_start.unwrap_or(0.0);
-        let rest = 1.0 - self.done;
-        if gained > 0.02 {
-            Seconds(self.start.elapsed().as_secs_f64() / gained * rest)
-        } else {
-            Seconds(estimated.0 * rest)
-        }
-    }
 }

@@ -14,16 +14,19 @@ use std::sync::Arc;
 use self::frame::{Reference, Shot, Taken};
 use super::CaptureError;
 use super::bracket::{self, Decision, PilotRound};
+use super::clock::Clock;
 use super::devices::Devices;
 use super::disk::{BracketSink, Disk, Merger};
-use super::progress::{Clock, Observer, Outcome, Progress};
+use super::duration::Expected;
+use super::plan::Pace;
+use super::progress::{Observer, Outcome, Progress};
 use crate::device::temperature::Part;
 use crate::device::{Camera, CameraInfo, FrameKey, FrameKind, LightStage};
 use crate::interrupt::Interrupt;
 use crate::radiometry::exposure::BracketStep;
 use crate::radiometry::sensor::SensorNoise;
 use crate::session::{Event, FrameEntry, PlanRecord, Session, SessionWriter, commit, layout};
-use crate::units::StageAngles;
+use crate::units::{Seconds, StageAngles};
 
 /// Everything that a capture needs. The session was created, or opened by
 /// [`SessionWriter::resume`]; its plan says what is done.
@@ -39,6 +42,8 @@ pub struct Capture<'a> {
     /// How far a position of the stage may be off, degrees; `None` where nothing moves by
     /// itself. Frames from before and after a homing are one light's within that.
     pub position_tolerance_deg: Option<f64>,
+    /// How fast the bench is, for the time left.
+    pub pace: Pace,
     /// The sensor as calibrated.
     pub noise: &'a SensorNoise,
     /// The sample's pixels, row by row; `None`: all pixels count as sample.
@@ -77,6 +82,12 @@ impl Capture<'_> {
         let merger = Merger::spawn(self.sink, &disk)?;
         let held: HashMap<FrameKey, FrameEntry> =
             session.frames().map(|entry| (entry.key, entry)).collect();
+        let plan = &session.record().plan;
+        let [width, height] = devices.camera_info.resolution_px.map(u64::from);
+        let expected = Expected::of(plan, width * height, &self.pace, self.noise)?;
+        let lights = 0..plan.lights.len() as u32;
+        let finished: Vec<bool> = lights.map(|n| session.light_is_finished(n)).collect();
+        let clock = Clock::start(expected, &finished);
         let mut run = Run {
             lights: session.record().plan.lights.len(),
             plan: session.record().plan.clone(),
@@ -99,7 +110,7 @@ impl Capture<'_> {
             discarded: 0,
             unproven_told: false,
             warm_told: Vec::new(),
-            clock: Clock::start(),
+            clock,
         };
         let result = run.all_lights().await;
         run.leave(result).await
@@ -183,6 +194,8 @@ impl Run<'_> {
             let frames = self.held.len();
             self.observer.observe(Progress::Resumed { frames });
         }
+        self.observer
+            .observe(Progress::Left(Seconds(self.clock.left_s())));
         let unmerged = missing_radiance(&self.session);
         for light in 0..self.lights as u32 {
             if !self.session.light_is_finished(light) {
@@ -217,6 +230,7 @@ impl Run<'_> {
     /// exposure once more.
     async fn one_light(&mut self, light: u32) -> Result<(), CaptureError> {
         self.merger.begin(light).await?;
+        self.clock.begin_light();
         let channels = self.plan.channels.clone();
         // The latest frame of each channel: what the next exposure is checked against.
         let mut latest: Vec<Option<Taken>> = vec![None; channels.len()];
@@ -268,8 +282,6 @@ impl Run<'_> {
         // What the lamp is compared with when the light is done.
         let mut before = None;
         for (step, index) in steps.iter().zip(first..) {
-            let part = f64::from(index - first) / steps.len() as f64;
-            self.clock.within_light(light, self.lights, part);
             let mut firsts = Vec::new();
             let before_step = latest.clone();
             for (channel, latest) in latest.iter_mut().enumerate() {
@@ -302,6 +314,7 @@ impl Run<'_> {
             self.prove_exposure(light, last + 1, &latest).await?;
         }
         self.check_drift(light, last, before).await?;
+        self.clock.end_light();
         self.disk.record(Event::LightStop { light }).await?;
         self.merger.finish_bracket().await
     }
@@ -315,7 +328,6 @@ impl Run<'_> {
         exposure_s: f64,
         latest: &mut [Option<Taken>],
     ) -> Result<(PilotRound, bool), CaptureError> {
-        self.clock.within_light(light, self.lights, 0.0);
         for (channel, latest) in latest.iter_mut().enumerate() {
             let shot = Shot {
                 pilot: true,
@@ -353,6 +365,8 @@ impl Run<'_> {
         reached: bool,
         clips: bool,
     ) -> Result<(), CaptureError> {
+        let rules = self.plan.exposure;
+        self.clock.decided(steps, &rules, self.plan.channels.len());
         self.observer.observe(Progress::Planned {
             light,
             steps,

@@ -72,7 +72,9 @@ pub fn run(args: &BenchArgs, context: &Context) -> Result<(), CliError> {
     };
     bench.rays()?;
     bench.paths()?;
-    bench.fit()?;
+    let lights = [[0.0, 0.0], [30.0, 0.0], [30.0, 120.0], [30.0, 240.0]];
+    bench.fit("fit/four-lights", &lights)?;
+    bench.fit("fit/one-light", &lights[1..2])?;
     let rows = bench.rows;
     if rows.is_empty() {
         return Err(
@@ -181,7 +183,7 @@ impl Bench<'_> {
             let mesh = shape.mesh()?;
             let triangles = mesh.triangles.len();
             let scene = scene(mesh, &[[light_deg, 0.0]]);
-            let dictionary = Dictionary::grid42();
+            let dictionary = Dictionary::load(Dictionary::DEFAULT)?;
             let options = CacheOptions {
                 samples_per_cell: 256,
                 max_reflections: 8,
@@ -233,17 +235,15 @@ impl Bench<'_> {
         Ok(())
     }
 
-    /// A fit of three channels to four images, tracing included.
-    fn fit(&mut self) -> Result<(), CliError> {
-        const NAME: &str = "fit/four-lights";
-        if !self.wanted(NAME) {
+    /// A fit of three channels to so many images with the defaults, tracing included.
+    fn fit(&mut self, name: &str, lights: &[[f64; 2]]) -> Result<(), CliError> {
+        if !self.wanted(name) {
             return Ok(());
         }
         let mesh = bowl().mesh()?;
         let triangles = mesh.triangles.len();
-        let lights = [[0.0, 0.0], [30.0, 0.0], [30.0, 120.0], [30.0, 240.0]];
-        let scene = scene(mesh, &lights);
-        let dictionary = Arc::new(Dictionary::grid42());
+        let scene = scene(mesh, lights);
+        let dictionary = Arc::new(Dictionary::load(Dictionary::DEFAULT)?);
         let n = dictionary.len();
         // Half Lambertian (the last but one atom), the rest spread over the GGX atoms.
         let truth = [3usize, 5, 7].map(|step| {
@@ -265,12 +265,12 @@ impl Bench<'_> {
         };
         let captured = render(&scene, &truth, &options, &|_| {});
         let options = FitOptions::default();
-        let cells = CellOptions::new(&dictionary, &BenchPriors::default());
+        let cells = CellOptions::new(&dictionary, &BenchPriors::EXACT);
         let captured = Captured::new(&scene, &captured, &cells).map_err(FitError::from)?;
         let mut failed = None;
         let mut records = 0;
         self.case(
-            NAME,
+            name,
             self.args.repeat.min(3),
             || match fit(&scene, &captured, &dictionary, &options, &mut |_| ()) {
                 Ok(fit) => records = fit.cache_size.0,
@@ -286,7 +286,7 @@ impl Bench<'_> {
                 })
             },
         );
-        for row in self.rows.iter_mut().filter(|row| row.name == NAME) {
+        for row in self.rows.iter_mut().filter(|row| row.name == name) {
             row.facts["records"] = records.into();
         }
         failed.map_or(Ok(()), |error| Err(error.into()))

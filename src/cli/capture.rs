@@ -9,14 +9,15 @@ use serde_json::json;
 use super::capture_progress::Bar;
 use super::capture_records::Records;
 use super::output::{write_json, write_path};
+use super::progress::duration;
 use super::rig_choice::RigArg;
 use super::session_rig::{self, session_rig};
 use super::{
     CliError, Context, HintExt, interrupt, light_choice, open, pipeline, preflight, sharpness,
 };
 use crate::calibration::Library;
-use crate::capture::directions::StageReach;
-use crate::capture::plan::{LightChoice, Pace, PlanRequest, check_reach, check_space, plan};
+use crate::capture::plan::{LightChoice, Pace, PlanRequest, check_space, plan};
+use crate::capture::reach::StageReach;
 use crate::capture::{Capture, Outcome, RadianceSink, Spent, interest};
 use crate::config::RigConfig;
 use crate::config::simulation::{MaterialSpec, Timing};
@@ -40,7 +41,7 @@ use crate::units::{Seconds, StageAngles};
 pub struct CaptureArgs {
     #[command(flatten)]
     rig: RigArg,
-    /// How many light directions (nearest coaxial first, then as far apart as possible);
+    /// How many light directions (around the sample at several heights, past the camera's body);
     /// `all` that keep 15° between them; or `best:N`, those that tell most about an unknown material
     #[arg(long, value_name = "N|all|best:N", value_parser = parse_lights, required_unless_present_any = ["light", "resume"], conflicts_with_all = ["light", "resume"])]
     lights: Option<Lights>,
@@ -168,8 +169,9 @@ fn start(args: &CaptureArgs, context: &Context) -> Result<(), CliError> {
         (true, None) => SensorNoise::usual(config.camera.bit_depth, config.camera.gain),
         _ => records.noise(config)?,
     };
-    let lights = light_choice(args, config, context)?;
-    let request = request(&lights, config, None);
+    let reach = StageReach::of_rig(config)?;
+    let lights = light_choice(args, config, &reach, context)?;
+    let request = request(&lights, config, &reach, None);
     let planned = plan(&request, &noise)?;
     preflight::check_lights(config, &planned.lights)?;
     let reserve_bytes = config.capture.disk_reserve_bytes;
@@ -192,7 +194,7 @@ fn start(args: &CaptureArgs, context: &Context) -> Result<(), CliError> {
     for concern in records.temperature_concerns(config, sensor_c) {
         context.warn(format_args!("{concern}"));
     }
-    let request = self::request(&lights, config, Some(&camera_info));
+    let request = self::request(&lights, config, &reach, Some(&camera_info));
     let planned = plan(&request, &noise)?;
     let copies = records.copies();
     let record = SessionRecord {
@@ -244,7 +246,7 @@ fn resume(args: &CaptureArgs, root: &Path, context: &Context) -> Result<(), CliE
     let session = Session::open(root)?;
     let record = session.record().clone();
     let config = session_rig(root, &record)?;
-    check_reach(&record.plan.lights, &StageReach(config.stage.kinematics()))?;
+    StageReach::of_rig(&config)?.check(&record.plan.lights)?;
     let interrupt = interrupt::listen()?;
     let writer = SessionWriter::resume(Arc::new(SystemDisk), root)?;
     if let Some(Event::Resume { quarantined: 1.. }) =
@@ -289,7 +291,12 @@ fn carry_out(
         );
     }
     let colours = config.stage.measures.iter().map(|m| m.colours()).collect();
-    let sink = RadianceSink::new(Arc::clone(&noise), config.camera.mosaic, colours);
+    let sink = RadianceSink::new(
+        Arc::clone(&noise),
+        config.camera.mosaic,
+        colours,
+        root.clone(),
+    );
     let mut bar = Bar::new(context);
     let captured = Capture {
         camera: devices.camera,
@@ -297,6 +304,7 @@ fn carry_out(
         session,
         reserve_bytes: config.capture.disk_reserve_bytes,
         position_tolerance_deg: config.stage.position_tolerance_deg(),
+        pace: pace(config),
         noise: &noise,
         interest: Some(&sample),
         sink: Box::new(sink),
@@ -447,8 +455,9 @@ fn print_plan(plan: &PlanRecord, sensor_id: Option<&str>, as_json: bool) -> Resu
         rules.dark_snr
     )?;
     out!(
-        "about {:.0} s on the bench and {:.1} MB for a scene of usual contrast{mark}",
-        plan.estimated_s.0,
+        "about {} on the bench, {} merged images and {:.1} MB for a scene of usual contrast{mark}",
+        duration(plan.estimated_s.0),
+        plan.lights.len(),
         plan.estimated_bytes as f64 / 1e6
     )
 }
@@ -457,21 +466,19 @@ fn print_plan(plan: &PlanRecord, sensor_id: Option<&str>, as_json: bool) -> Resu
 fn light_choice(
     args: &CaptureArgs,
     config: &RigConfig,
+    reach: &StageReach,
     context: &Context,
 ) -> Result<LightChoice, CliError> {
     Ok(match args.lights {
         Some(Lights::Count(count)) => LightChoice::Count(count),
         Some(Lights::All) => LightChoice::Spacing(ALL_SPACING_DEG),
-        Some(Lights::Best(count)) => {
-            let reach = StageReach(config.stage.kinematics());
-            LightChoice::Listed(light_choice::best(
-                config,
-                &reach,
-                config.geometry.coaxial(),
-                count,
-                context,
-            )?)
-        }
+        Some(Lights::Best(count)) => LightChoice::Listed(light_choice::best(
+            config,
+            reach,
+            config.geometry.coaxial(),
+            count,
+            context,
+        )?),
         None => LightChoice::Listed(each_once(&args.light)?),
     })
 }
@@ -495,7 +502,12 @@ fn each_once(lights: &[StageAngles]) -> Result<Vec<StageAngles>, CliError> {
     Ok(lights.to_vec())
 }
 
-fn request(lights: &LightChoice, config: &RigConfig, camera: Option<&CameraInfo>) -> PlanRequest {
+fn request(
+    lights: &LightChoice,
+    config: &RigConfig,
+    reach: &StageReach,
+    camera: Option<&CameraInfo>,
+) -> PlanRequest {
     let capture = &config.capture;
     let [mut shortest, mut longest] = capture.exposure_range;
     let mut step = config.camera.exposure_step;
@@ -507,14 +519,9 @@ fn request(lights: &LightChoice, config: &RigConfig, camera: Option<&CameraInfo>
     // On a bench whose clock jumps, nothing needs to settle.
     let is_instant = is_instant(config);
     let wait = |time: Seconds| if is_instant { Seconds(0.0) } else { time };
-    let (stage_deg_s, homing) = config.stage.pace();
-    let frame_interval_s = config
-        .simulation
-        .as_ref()
-        .map_or(1.0 / 30.0, |s| s.camera.frame_interval_s);
     PlanRequest {
         lights: lights.clone(),
-        reach: StageReach(config.stage.kinematics()),
+        reach: reach.clone(),
         coaxial: config.geometry.coaxial(),
         channels: (0..config.stage.measures.len() as u8)
             .map(LampChannel)
@@ -543,11 +550,22 @@ fn request(lights: &LightChoice, config: &RigConfig, camera: Option<&CameraInfo>
         stage_tolerance_deg: config.stage.position_tolerance_deg().unwrap_or(0.0),
         limits: config.limits.temperature,
         resolution_px: config.camera.resolution_px,
-        pace: Pace {
-            stage_deg_s,
-            homing,
-            frame_interval: Seconds(frame_interval_s),
-        },
+        pace: pace(config),
+    }
+}
+
+/// A simulated bench computes for so long what a light shows, on two processors.
+const SIMULATED_VIEW_S: f64 = 2.0;
+
+/// How fast this bench is.
+fn pace(config: &RigConfig) -> Pace {
+    let (stage_deg_s, homing) = config.stage.pace();
+    let simulation = config.simulation.as_ref();
+    Pace {
+        stage_deg_s,
+        homing,
+        frame_interval: Seconds(simulation.map_or(1.0 / 30.0, |s| s.camera.frame_interval_s)),
+        view: Seconds(simulation.map_or(0.0, |_| SIMULATED_VIEW_S)),
     }
 }
 

@@ -1,16 +1,42 @@
 //! What a person sees of a capture while it runs.
 
-use indicatif::{ProgressBar, ProgressStyle};
+use std::fmt::Write;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
+use indicatif::{ProgressBar, ProgressState, ProgressStyle};
+
+use super::progress::duration;
 use super::{Context, interrupt};
 use crate::capture::{Observer, Progress, Spent};
 use crate::device::{FrameKind, LampState};
+use crate::units::Seconds;
 
 /// A bar on stderr, or nothing where nobody watches; warnings always.
 pub struct Bar<'a> {
     context: &'a Context,
     bar: ProgressBar,
+    left: Left,
     spent: Option<Spent>,
+}
+
+/// How long the rest takes, as last said, and when: counted down while nothing is said.
+#[derive(Clone, Default)]
+struct Left(Arc<Mutex<Option<(Seconds, Instant)>>>);
+
+impl Left {
+    fn set(&self, left: Option<Seconds>) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) =
+            left.map(|left| (left, Instant::now()));
+    }
+
+    fn text(&self) -> String {
+        let left = *self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        left.map_or(String::new(), |(left, said)| {
+            let left_s = left.0 - said.elapsed().as_secs_f64();
+            format!("{} left", duration(left_s))
+        })
+    }
 }
 
 /// Steps of the bar.
@@ -19,12 +45,23 @@ const LENGTH: u64 = 1000;
 impl<'a> Bar<'a> {
     /// Drawn if stderr is a terminal.
     pub fn new(context: &'a Context) -> Self {
-        let style = ProgressStyle::with_template("{bar:30} {percent:>3}%  {wide_msg}");
-        let bar = ProgressBar::with_draw_target(Some(LENGTH), context.draw_target())
-            .with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
+        let left = Left::default();
+        let shown = left.clone();
+        let style = ProgressStyle::with_template("{bar:30} {percent:>3}%  {left}  {wide_msg}")
+            .unwrap_or_else(|_| ProgressStyle::default_bar())
+            .with_key("left", move |_: &ProgressState, out: &mut dyn Write| {
+                // What a bar cannot show is not shown.
+                let _ = out.write_str(&shown.text());
+            });
+        let bar =
+            ProgressBar::with_draw_target(Some(LENGTH), context.draw_target()).with_style(style);
+        if context.shows_progress() {
+            bar.enable_steady_tick(Duration::from_secs(1));
+        }
         Self {
             context,
             bar,
+            left,
             spent: None,
         }
     }
@@ -48,6 +85,7 @@ impl Observer for Bar<'_> {
                     self.context.note(format!("frames there already: {frames}"));
                 });
             }
+            Progress::Left(left) => self.left.set(Some(left)),
             Progress::Homing => self.bar.set_message("homing"),
             Progress::Moving { light, target } => {
                 self.bar
@@ -59,7 +97,6 @@ impl Observer for Bar<'_> {
                 exposure,
                 lamp,
                 done,
-                left,
             } => {
                 self.bar.set_position((done * LENGTH as f64) as u64);
                 let what = match (key.kind, lamp) {
@@ -67,14 +104,13 @@ impl Observer for Bar<'_> {
                     (FrameKind::Dark, _) => "dark".to_owned(),
                     _ => "lamp off".to_owned(),
                 };
-                self.bar.set_message(format!(
-                    "light {}, {what}, {exposure}; {:.0} s left",
-                    key.light, left.0
-                ));
+                self.bar
+                    .set_message(format!("light {}, {what}, {exposure}", key.light));
             }
             Progress::Merging => {
                 self.bar.set_position(LENGTH);
                 self.bar.set_message("merging");
+                self.left.set(None);
             }
             Progress::Ended(spent) => self.spent = Some(spent),
             Progress::Warning(text) => self.bar.suspend(|| self.context.warn(text)),

@@ -24,6 +24,7 @@ use crate::calibration::record::{
 };
 use crate::calibration::slanted_edge::FocusValues;
 use crate::calibration::{Library, RecordError, Seal};
+use crate::capture::reach::StageReach;
 use crate::config::stage::StageDriver;
 use crate::config::{CameraDriver, Origin, ResolvedRig};
 use crate::device::discovery;
@@ -182,35 +183,46 @@ fn all_checks(rig: &ResolvedRig) -> Vec<Check> {
         &library,
         named.focus.as_deref(),
     ));
-    let view = view(rig);
+    let view = verdict_on("view", preflight::outlook(&rig.config));
     let is_in_view = view.verdict != Verdict::Failed;
     checks.push(view);
+    checks.push(light_ways(rig));
     checks.push(depth_of_field(rig, &library, is_in_view));
     checks
 }
 
-/// Whether the camera sees the sample's front and lights within reach shine on it.
-fn view(rig: &ResolvedRig) -> Check {
-    match preflight::outlook(&rig.config) {
+/// A check of the geometry: of what the camera sees, and of where light can come from.
+fn verdict_on(name: &'static str, outlook: Result<Outlook, CliError>) -> Check {
+    match outlook {
         Err(error) => {
             let remedy = error
                 .advice()
                 .unwrap_or("correct [geometry] in the rig file");
-            Check::failed("view", error.fact(), remedy)
+            Check::failed(name, error.fact(), remedy)
         }
         Ok(Outlook {
             fact,
             concern: None,
-        }) => Check::ok("view", fact),
+        }) => Check::ok(name, fact),
         Ok(Outlook {
             fact,
             concern: Some(concern),
-        }) if concern.is_fatal => Check::failed("view", fact, concern.remedy),
+        }) if concern.is_fatal => Check::failed(name, fact, concern.remedy),
         Ok(Outlook {
             fact,
             concern: Some(concern),
-        }) => Check::warning("view", fact, concern.remedy),
+        }) => Check::warning(name, fact, concern.remedy),
     }
+}
+
+/// Whether the camera's body stands in the way of the lights.
+fn light_ways(rig: &ResolvedRig) -> Check {
+    let reach = StageReach::of_rig(&rig.config).map_err(CliError::from);
+    let body = rig.config.geometry.camera_body;
+    verdict_on(
+        "light paths",
+        reach.map(|reach| preflight::light_ways(&reach, body)),
+    )
 }
 
 fn depth_of_field(rig: &ResolvedRig, library: &Library, is_in_view: bool) -> Check {

@@ -2,11 +2,12 @@
 
 use std::path::PathBuf;
 
+use super::cell_images::{Source, UNSTATED_NOISE};
 use super::pipeline::{FitArgs, FitPlan, check_images, fit_session};
 use super::preflight::{Keys, check_scene};
 use super::{CliError, Context, HintExt, output, warnings};
 use crate::config::scene::SceneFile;
-use crate::radiance_image::{RadianceImage, exr};
+use crate::radiance_image::exr::ExrRows;
 use crate::session::fit_record;
 
 /// Fits a BRDF to a session, or to images of a described scene.
@@ -35,9 +36,6 @@ pub struct FitCommandArgs {
     #[command(flatten)]
     fit: FitArgs,
 }
-
-/// Relative noise that images without a stated variance are taken to have.
-const UNSTATED_NOISE: f32 = 0.005;
 
 /// `rig fit`.
 pub fn run(args: &FitCommandArgs, context: &Context) -> Result<(), CliError> {
@@ -76,16 +74,6 @@ pub fn run(args: &FitCommandArgs, context: &Context) -> Result<(), CliError> {
     output::write_path(&folder)
 }
 
-/// States the relative noise of [`UNSTATED_NOISE`], of dark pixels that of a thousandth of the
-/// mean radiance: nothing is known without any error.
-fn assume_noise(image: &mut RadianceImage) {
-    let values = image.mean.iter().flatten().filter(|v| v.is_finite());
-    let mean = values.map(|v| v.abs()).sum::<f32>() / (3 * image.mean.len()).max(1) as f32;
-    for (variance, mean_radiance) in image.variance.iter_mut().zip(&image.mean) {
-        *variance = mean_radiance.map(|m| (UNSTATED_NOISE * m.abs().max(1e-3 * mean)).powi(2));
-    }
-}
-
 fn fit_scene(
     args: &FitCommandArgs,
     path: &std::path::Path,
@@ -96,26 +84,26 @@ fn fit_scene(
     fit_record::check_folder(out)?;
     let plan = FitPlan::new(&args.fit, None, &file.uncertainty, file.sample.form_error)?;
     let scene = file.scene()?;
-    let (mut captured, mut remarks) = (Vec::new(), Vec::new());
+    let size = Some(scene.camera.resolution_px);
+    let (mut sources, mut remarks) = (Vec::new(), Vec::new());
     for path in &args.image {
-        let file = exr::read_sized(path, scene.camera.resolution_px)
-            .map_err(CliError::from)
+        let open = || ExrRows::open(path, size);
+        let source = open().and_then(|rows| Source::new(rows, path.display().to_string(), open));
+        let source = source
             .hint("give one EXR image for each [[light]] of the scene, in its order, of its camera's resolution_px")?;
-        let mut image = file.image;
-        if !file.has_variance {
+        if source.mean_of_unstated.is_some() {
             let remark = format!(
                 "{}: no variance is stated; a relative noise of {UNSTATED_NOISE} is assumed",
                 path.display()
             );
             context.note(&remark);
             remarks.push(remark);
-            assume_noise(&mut image);
         }
-        captured.push(image);
+        sources.push(source);
     }
     let file = |image: usize| args.image[image].display().to_string();
     check_scene(&scene, Keys::Scene, context)?;
-    let captured = plan.average(&scene, captured, file)?;
+    let captured = plan.average(&scene, sources)?;
     check_images(&scene, &captured, file)?;
     let (mut record, images) = plan.run(&scene, &captured, false, None, context)?;
     record.remarks.extend(remarks);

@@ -54,6 +54,9 @@ fn for_one(error: &(dyn Error + 'static)) -> Option<String> {
         return for_session(error);
     }
     if let Some(error) = error.downcast_ref() {
+        return for_images(error);
+    }
+    if let Some(error) = error.downcast_ref() {
         return for_capture(error);
     }
     if let Some(error) = error.downcast_ref() {
@@ -205,6 +208,8 @@ fn for_capture(error: &CaptureError) -> Option<String> {
         Exposure(PlanError::OutOfRange { .. }) => EXPLAINED.into(),
         Exposure(PlanError::TooBright { .. }) => "dim the lamp or close the aperture, or lower capture.shortest_ms in the rig file if the camera can do less".into(),
         LightOutOfReach { .. } => "choose fewer or other lights, or correct the limits in the rig file's [stage] table".into(),
+        LightBlocked { .. } => "take a direction that is free (`--lights N` plans only such), or correct [geometry.camera] body in the rig file; leave `body` out where the light comes through the lens or a beam splitter".into(),
+        TooManyLights { reachable: 0, .. } => "correct [geometry.camera] body, or the limits in the rig file's [stage] table".into(),
         TooManyLights { reachable, .. } => format!("ask for at most {reachable}, or `--lights all`"),
         Empty { .. } => "ask for at least one light, e.g. `--lights 4`".into(),
         NotEnoughSpace { .. } => "free some space, choose another disk with --out, or ask for fewer lights".into(),
@@ -298,7 +303,7 @@ fn for_build(error: &BuildError) -> Option<String> {
 fn for_fit(error: &FitError) -> Option<String> {
     use FitError::*;
     match error {
-        Average(error) => for_images(error).map(Into::into),
+        Average(error) => for_images(error),
         NothingToCompare { .. } => {
             Some("check that the scene's camera and sample are those of the images".into())
         }
@@ -313,20 +318,22 @@ fn for_fit(error: &FitError) -> Option<String> {
     }
 }
 
+/// What to do where nothing of an image is valid.
+pub(super) const FOR_INVALID_IMAGES: &str = "infinite values, NaN, pixels whose mask channel is 0 and what --mask leaves out are not compared, and here nothing else is left: check exposures, the program that wrote the image, and its number format";
+
 /// What to do where images cannot be averaged over a scene's cells.
-pub(super) fn for_images(error: &AverageError) -> Option<&'static str> {
+fn for_images(error: &AverageError) -> Option<String> {
     use AverageError::*;
-    match error {
-        ImageCount { .. } => Some("give one image for each light of the scene, in its order"),
-        TooManyLights { .. } => None,
-        ImageSize { .. } => Some("the scene's resolution_px must be the images' width and height"),
-        NothingSeen => Some(
-            "the sample is too small in the image, or its pose too uncertain ([uncertainty]), for anything to be left between its edges",
-        ),
-        NothingValid { .. } => Some(
-            "infinite values, NaN, pixels whose mask channel is 0 and what --mask leaves out are not compared, and here nothing else is left: check exposures, the program that wrote the image, and its number format",
-        ),
-    }
+    let hint = match error {
+        ImageCount { .. } => "give one image for each light of the scene, in its order",
+        TooManyLights { .. } => return None,
+        ImageSize { .. } => "the scene's resolution_px must be the images' width and height",
+        NothingSeen => {
+            "the sample is too small in the image, or its pose too uncertain ([uncertainty]), for anything to be left between its edges"
+        }
+        NothingValid { .. } => FOR_INVALID_IMAGES,
+    };
+    Some(hint.to_owned())
 }
 
 /// What to look at where images cannot be those of the scene.

@@ -11,7 +11,8 @@ use super::session_rig::session_rig;
 use super::{CliError, Context, HintExt};
 use crate::brdf::Dictionary;
 use crate::capture::CaptureError;
-use crate::capture::directions::{StageReach, farthest_point_order};
+use crate::capture::directions::plan_order;
+use crate::capture::reach::StageReach;
 use crate::config::RigConfig;
 use crate::inverse::light_selection::{
     PRIOR_MATERIALS, Prospects, SelectionOptions, prior_materials,
@@ -35,11 +36,12 @@ pub fn best(
     count: usize,
     context: &Context,
 ) -> Result<Vec<StageAngles>, CliError> {
-    let candidates = farthest_point_order(reach, coaxial, CANDIDATES, 0.0);
+    let candidates = plan_order(reach, coaxial, CANDIDATES, 0.0);
     if candidates.len() < count {
         return Err(CaptureError::TooManyLights {
             wanted: count,
             reachable: candidates.len(),
+            blocked: reach.blocked().len(),
         }
         .into());
     }
@@ -90,8 +92,8 @@ pub fn next(root: &Path, json: bool, context: &Context) -> Result<(), CliError> 
         .map(|(_, &angles)| angles)
         .collect();
     let taken: Vec<usize> = (0..candidates.len()).collect();
-    let spread = farthest_point_order(
-        &StageReach(config.stage.kinematics()),
+    let spread = plan_order(
+        &StageReach::of_rig(&config)?,
         config.geometry.coaxial(),
         CANDIDATES,
         0.0,

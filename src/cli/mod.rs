@@ -15,6 +15,7 @@ mod camera_preview;
 pub mod capture;
 mod capture_progress;
 mod capture_records;
+mod cell_images;
 pub mod completions;
 pub mod demo;
 pub mod devices;

@@ -2,28 +2,27 @@
 //! to a fit on disk and a report.
 
 use std::collections::BTreeMap;
+use std::io::{Read, Seek};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::bench_records::BenchRecords;
-use super::session_images::{SessionImages, measured_pose, session_images};
+use super::cell_images::{self, Source};
+use super::session_images::{CapturedSession, captured_session, measured_pose};
 use super::warnings::{self, warnings};
-use super::{
-    CliError, Context, HintExt, bracket_files, facets, fit_memory, hints, lamp_drift, preflight,
-};
+use super::{CliError, Context, facets, fit_memory, hints, lamp_drift, preflight};
 use crate::brdf::{Brdf, Dictionary, Mixture};
 use crate::config::process;
 use crate::config::uncertainty::Deviation;
 use crate::geometry::FormError;
 use crate::inverse::bench::{BenchEstimate, with_sample_at};
-use crate::inverse::cells::{AverageError, BUDGET};
+use crate::inverse::cells::BUDGET;
 use crate::inverse::exponentiated_gradient::ExponentiatedGradient;
 use crate::inverse::gauss_newton::GaussNewton;
 use crate::inverse::{
     BenchPriors, Captured, CellOptions, Channels, Fit, FitOptions, Optimizer, Refine,
     RefineOptions, budget, fit, intervals, plausibility, refine_bench,
 };
-use crate::radiance_image::RadianceImage;
 use crate::report;
 use crate::session::commit::SystemDisk;
 use crate::session::fit_record::{
@@ -249,28 +248,20 @@ impl FitPlan {
     }
 
     /// The images averaged over the cells that are compared.
-    pub(super) fn average(
+    pub(super) fn average<R: Read + Seek>(
         &self,
         scene: &Scene,
-        mut images: Vec<RadianceImage>,
-        file: impl Fn(usize) -> String,
+        images: Vec<cell_images::Source<R>>,
     ) -> Result<Captured, CliError> {
-        if let Some(path) = &self.mask {
-            apply_mask(path, &mut images)?;
-        }
         let mut cells = CellOptions::new(&self.dictionary, &self.known);
         cells.budget = self.cells.unwrap_or(cells.budget);
-        Captured::new(scene, &images, &cells).map_err(|error| {
-            let hint = hints::for_images(&error);
-            let fact = match error {
-                AverageError::NothingValid { image } => format!("{}: {error}", file(image)),
-                _ => error.to_string(),
-            };
-            match hint {
-                Some(hint) => CliError::new(fact).hint(hint),
-                None => CliError::new(fact),
-            }
-        })
+        let captured = cell_images::average(scene, images, self.mask.as_deref(), &cells)?;
+        tracing::info!(
+            cells = captured.len(),
+            outlying_pixels = captured.outliers,
+            "images averaged"
+        );
+        Ok(captured)
     }
 
     /// Fits and describes the result. `truth`: name and BRDF, where known.
@@ -520,20 +511,6 @@ const SCORE_SPHERE_PX: usize = crate::brdf::score::SPHERE_SIZE;
 /// Paths per looked-at pixel that the truncation's estimate takes.
 const TRUNCATION_SAMPLES: u32 = 32;
 
-/// Leaves out what is dark in a mask of the images' size.
-fn apply_mask(path: &Path, images: &mut [RadianceImage]) -> Result<(), CliError> {
-    let size = images.first().map(|image| [image.width, image.height]);
-    let mask = bracket_files::read_picture(path, size)
-        .hint("a mask is a PNG of the images' size, white where pixels are used")?
-        .to_luma8();
-    for image in images {
-        for (valid, used) in image.valid.iter_mut().zip(mask.as_raw()) {
-            *valid &= *used >= 128;
-        }
-    }
-    Ok(())
-}
-
 const SCALE_AS_DESCRIBED: &str = "no record of the irradiance: the BRDF's scale, its albedo, is as good as irradiance_w_m2 in the rig file";
 
 /// Fits a session's merged images into its next `fits/<n>` and returns that folder;
@@ -546,12 +523,13 @@ pub fn fit_session(
 ) -> Result<PathBuf, CliError> {
     // Before a fit that may take hours, and let go of until it is there.
     SessionWriter::open(Arc::new(SystemDisk), root)?.check_writable(layout::FITS_FOLDER)?;
-    let SessionImages {
+    let captured = captured_session(root)?;
+    let images = captured.image_rows(root)?;
+    let CapturedSession {
         session,
         config,
         mut places,
-        captured,
-    } = session_images(root)?;
+    } = captured;
     let record = session.record();
     let records = BenchRecords::load(root)?;
     let is_scale_described = !config.is_simulated() && !records.has_irradiance();
@@ -582,7 +560,12 @@ pub fn fit_session(
             .to_string()
     };
     preflight::check_scene(&scene, preflight::Keys::Rig, context)?;
-    let captured = plan.average(&scene, captured, file)?;
+    let sources = images.into_iter().enumerate().map(|(light, rows)| Source {
+        rows,
+        file: file(light),
+        mean_of_unstated: None,
+    });
+    let captured = plan.average(&scene, sources.collect())?;
     check_images(&scene, &captured, file)?;
     let truth = match &config.simulation {
         Some(simulation) => Some(simulation.material.load()?),

@@ -2,10 +2,11 @@
 //! facts are [`Visibility`]'s, here are the words and the advice.
 
 use super::{CliError, Context};
-use crate::capture::directions::{StageReach, farthest_point_order};
+use crate::capture::directions::plan_order;
+use crate::capture::reach::StageReach;
 use crate::config::RigConfig;
-use crate::transport::Scene;
 use crate::transport::visibility::{Concern, Visibility};
+use crate::transport::{CameraBody, Scene};
 use crate::units::StageAngles;
 
 /// Lights within a stage's reach that stand for all of them while none is planned.
@@ -63,7 +64,7 @@ pub(super) fn remark_on_scene(scene: &Scene, context: &Context) {
     }
 }
 
-/// How a rig's camera sees the sample.
+/// What a check of a rig found.
 pub(super) struct Outlook {
     pub(super) fact: String,
     /// What speaks against it.
@@ -79,9 +80,9 @@ pub(super) struct Remedied {
 /// The sample as this rig's camera sees it. No light is planned: those within reach must all
 /// fail to be a concern.
 pub(super) fn outlook(config: &RigConfig) -> Result<Outlook, CliError> {
-    let reach = StageReach(config.stage.kinematics());
+    let reach = StageReach::of_rig(config)?;
     let coaxial = config.geometry.coaxial();
-    let lights = farthest_point_order(&reach, coaxial, LIGHTS_LOOKED_AT, 0.0);
+    let lights = plan_order(&reach, coaxial, LIGHTS_LOOKED_AT, 0.0);
     let seen = Visibility::of(&config.geometry.scene(&lights)?);
     let mut concerns = seen.concerns();
     if concerns.iter().filter(|c| is_of_a_light(c)).count() < lights.len() {
@@ -112,6 +113,50 @@ pub(super) fn outlook(config: &RigConfig) -> Result<Outlook, CliError> {
             concern: None,
         },
     })
+}
+
+/// What the camera's body leaves of the directions within reach.
+pub(super) fn light_ways(reach: &StageReach, body: Option<CameraBody>) -> Outlook {
+    let free_of_concern = |fact: String| Outlook {
+        fact,
+        concern: None,
+    };
+    let Some(body) = body else {
+        let fact = "no camera body is stated: no direction counts as blocked";
+        return free_of_concern(fact.to_owned());
+    };
+    let (all, blocked) = (reach.reachable().len(), reach.blocked());
+    let body = format!(
+        "with the camera's body of {} mm radius and {} mm length",
+        body.radius_mm, body.length_mm
+    );
+    let elevations = blocked.iter().map(|angles| angles.elevation_deg);
+    let lowest_deg = elevations.fold(f64::INFINITY, f64::min);
+    if blocked.is_empty() {
+        return free_of_concern(format!(
+            "{body}, all {all} directions within reach are free"
+        ));
+    }
+    let fact = format!(
+        "{body}, {} of {all} directions within reach are blocked, the lowest at elevation {lowest_deg:.1}°; plans leave them out",
+        blocked.len()
+    );
+    let remedied = |remedy: &str, is_fatal| {
+        let remedy = remedy.to_owned();
+        Some(Remedied { remedy, is_fatal })
+    };
+    let concern = match (blocked.len() == all, reach.is_fixed()) {
+        (true, _) => remedied(
+            "correct [geometry.camera] body, or the limits of [stage] in the rig file",
+            true,
+        ),
+        (false, true) => remedied(
+            "move the camera farther away, take a slimmer lens, or leave those lights out of the rig file",
+            false,
+        ),
+        (false, false) => None,
+    };
+    Outlook { fact, concern }
 }
 
 fn is_of_a_light(concern: &Concern) -> bool {

@@ -1,6 +1,6 @@
 //! Progress on stderr, silent where nobody watches.
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
@@ -27,6 +27,17 @@ impl Context {
             .with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
     }
 
+    /// A bar for work of which parts are known by name, with the time left.
+    pub fn staged_bar(&self) -> StagedBar {
+        let style = ProgressStyle::with_template("{bar:30} {percent:>3}%  {wide_msg}");
+        let bar = ProgressBar::with_draw_target(Some(STEPS), self.draw_target())
+            .with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
+        StagedBar {
+            bar,
+            began: Instant::now(),
+        }
+    }
+
     /// A spinner whose message says what is being done.
     pub fn spinner(&self) -> ProgressBar {
         if !self.shows_progress() {
@@ -36,5 +47,70 @@ impl Context {
         let spinner = ProgressBar::with_draw_target(None, self.draw_target()).with_style(style);
         spinner.enable_steady_tick(Duration::from_millis(120));
         spinner
+    }
+}
+
+/// Steps of a bar that is fed with parts of the whole.
+const STEPS: u64 = 1000;
+/// Before this part of the whole is done, the pace says nothing.
+const LEAST_DONE: f64 = 0.02;
+
+/// A bar that is fed with the name of a stage and the part of the whole that is done.
+pub struct StagedBar {
+    bar: ProgressBar,
+    began: Instant,
+}
+
+impl StagedBar {
+    /// `done` of the whole, 0 to 1, proportional to time as far as that is known.
+    pub fn at(&self, stage: &str, done: f64) {
+        let done = done.clamp(0.0, 1.0);
+        self.bar.set_position((done * STEPS as f64) as u64);
+        self.bar
+            .set_message(staged(stage, done, self.began.elapsed().as_secs_f64()));
+    }
+
+    /// Clears the line.
+    pub fn finish(&self) {
+        self.bar.finish_and_clear();
+    }
+}
+
+/// What a bar says: the time left once the pace is known.
+fn staged(stage: &str, done: f64, elapsed_s: f64) -> String {
+    if done < LEAST_DONE {
+        return stage.to_owned();
+    }
+    let left_s = elapsed_s * (1.0 - done) / done;
+    format!("{stage}; {} left", duration(left_s))
+}
+
+/// `47 s`, `3 min 20 s`, `2 h 5 min`.
+pub fn duration(seconds: f64) -> String {
+    let seconds = seconds.max(0.0).round() as u64;
+    match (seconds / 3600, seconds / 60 % 60, seconds % 60) {
+        (0, 0, s) => format!("{s} s"),
+        (0, min, s) => format!("{min} min {s} s"),
+        (h, min, _) => format!("{h} h {min} min"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_are_said_in_two_units_at_most() {
+        for (seconds, text) in [
+            (-3.0, "0 s"),
+            (46.6, "47 s"),
+            (59.6, "1 min 0 s"),
+            (200.0, "3 min 20 s"),
+            (7500.0, "2 h 5 min"),
+        ] {
+            assert_eq!(duration(seconds), text);
+        }
+        assert_eq!(staged("tracing", 0.0, 5.0), "tracing");
+        assert_eq!(staged("tracing", 0.25, 5.0), "tracing; 15 s left");
     }
 }

@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::output::write_json;
 use super::{CliError, Context};
-use crate::capture::directions::StageReach;
+use crate::capture::reach::StageReach;
 use crate::device::kinematics::Kinematics;
 use crate::device::{DeviceError, LightStage, StageInfo};
 use crate::out;
@@ -51,7 +51,7 @@ pub fn measure(
 
 /// A direction well within the limits.
 fn away(kinematics: &Kinematics) -> Option<StageAngles> {
-    let candidates = StageReach(kinematics.clone()).candidates();
+    let candidates = StageReach::free(kinematics.clone()).candidates();
     candidates.get(candidates.len() / 2).copied()
 }
 

@@ -12,7 +12,7 @@ use super::view::{BodySpec, SampleSpec, SurfaceSpec};
 use crate::brdf::{Atom, Brdf, BrdfError, Dictionary, Mixture, source, weights};
 use crate::geometry::{Mesh, MeshError, Shape, files};
 use crate::simulation::{Truth, TruthSource};
-use crate::transport::{Body, Camera, Light, Scene};
+use crate::transport::{Body, Camera, CameraShadow, Light, Scene};
 use crate::units::StageAngles;
 
 /// Why a scene cannot be built from a valid description.
@@ -100,6 +100,14 @@ impl GeometryConfig {
             Some(body) => Err(BuildError::ColouredBody { body }),
             None => Ok(scene),
         }
+    }
+
+    /// Where the camera's body keeps the light from the sample; `None` where none is stated.
+    pub fn camera_shadow(&self) -> Result<Option<CameraShadow>, BuildError> {
+        let Some(body) = self.camera_body else {
+            return Ok(None);
+        };
+        Ok(Some(CameraShadow::new(&self.scene(&[])?, body)))
     }
 }
 

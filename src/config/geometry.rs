@@ -5,10 +5,10 @@ use glam::DVec3;
 use super::ConfigError;
 use super::camera::CameraConfig;
 use super::reader::Section;
-use super::view::{BodySpec, SampleSpec, take_bodies, take_camera};
+use super::view::{BodySpec, SampleSpec, take_bodies, take_camera, take_camera_body};
 use crate::device::kinematics::{Kinematics, Mechanism};
 use crate::frames::{Rigid, Sample, Stage};
-use crate::transport::{Camera, Light};
+use crate::transport::{Camera, CameraBody, Light};
 use crate::units::StageAngles;
 
 /// The geometry as calibrated (or as designed, before the first calibration).
@@ -16,6 +16,9 @@ use crate::units::StageAngles;
 pub struct GeometryConfig {
     /// Where the camera stands, with the device's pixel grid.
     pub camera: Camera,
+    /// Its housing and lens, which keep light from the sample; `None`: not stated, as where
+    /// the light comes through the lens.
+    pub camera_body: Option<CameraBody>,
     /// Sensor pixels on each side of a merged image's pixel: 2 under colour filters.
     pub cell_px: usize,
     /// The sample's known shape.
@@ -59,6 +62,7 @@ impl GeometryConfig {
     ) -> Result<Self, ConfigError> {
         let mut camera = table.section("camera")?.required()?;
         let view = take_camera(&mut camera, device.resolution_px)?;
+        let camera_body = take_camera_body(&mut camera, &view)?;
         camera.finish()?;
         let sample = SampleSpec::read(table.section("sample")?.required()?)?;
         let bodies = take_bodies(&mut table)?;
@@ -100,6 +104,7 @@ impl GeometryConfig {
         table.finish()?;
         Ok(Self {
             camera: view,
+            camera_body,
             cell_px: device.mosaic.period(),
             sample,
             bodies,

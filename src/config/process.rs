@@ -7,6 +7,7 @@ use super::ConfigError;
 use super::camera::CameraConfig;
 use super::reader::Section;
 use crate::brdf::Dictionary;
+use crate::transport::CacheOptions;
 use crate::units::Seconds;
 
 /// How a capture is done.
@@ -114,7 +115,10 @@ impl FitConfig {
                     ],
                 )?
                 .or(Optimizer::GaussNewton),
-            samples_per_pixel: table.integer("samples_per_pixel", 2..=65_536)?.or(256) as u32,
+            samples_per_pixel: table
+                .integer("samples_per_pixel", 2..=65_536)?
+                .or(u64::from(CacheOptions::default().samples_per_cell))
+                as u32,
             max_reflections: table.integer("max_reflections", 2..=64)?.or(16) as u32,
             seed: table.integer("seed", 0..=i64::MAX as u64)?.or(1),
             refine_bench: table.flag("refine_bench")?.or(false),

@@ -10,7 +10,7 @@ use super::reader::Section;
 use super::reflectance::BrdfSpec;
 use super::shape::read_shape;
 use crate::geometry::{FormError, Shape};
-use crate::transport::{Camera, Coefficients, LensSpec, Projection, Shading};
+use crate::transport::{Camera, CameraBody, Coefficients, LensSpec, Projection, Shading};
 
 /// Takes the camera's place and lens out of a table that may have other keys;
 /// the pixel grid is the caller's. A lens with an aperture is sharp at the
@@ -50,6 +50,29 @@ pub fn take_camera(table: &mut Section, resolution_px: [u32; 2]) -> Result<Camer
         Some(lens) => with_lens(camera, lens, table, "radial"),
         None => Ok(camera),
     }
+}
+
+/// Takes `body`, the camera's housing and lens; `None` where nothing is said of them. Its
+/// front must lie before what is in focus.
+pub fn take_camera_body(
+    table: &mut Section,
+    camera: &Camera,
+) -> Result<Option<CameraBody>, ConfigError> {
+    let Some(mut body) = table.section("body")?.optional() else {
+        return Ok(None);
+    };
+    let stated = CameraBody {
+        radius_mm: body.number("radius_mm", 0.5..=1e3)?.required()?,
+        length_mm: body.number("length_mm", 0.5..=1e4)?.required()?,
+        front_mm: body.number("front_mm", -1e3..=1e3)?.or(0.0),
+    };
+    let focus_mm = camera.focus_mm;
+    if stated.front_mm >= focus_mm {
+        let allowed = format!("below {focus_mm:.1}, the distance at which the image is sharp");
+        return Err(body.conflict("front_mm", stated.front_mm, &allowed));
+    }
+    body.finish()?;
+    Ok(Some(stated))
 }
 
 /// Takes how the lens departs from an ideal one in front of the middle of an image of this

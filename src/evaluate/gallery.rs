@@ -122,17 +122,25 @@ fn one(
         .with("lights", lights);
     for (object, name, map_name) in VIEWS {
         let points = object.points(lab.settings.sphere_px);
-        let shaded = shade(
-            [&*material.brdf, &estimate.fit.material],
-            &map(map_name)?,
-            &points,
-        );
+        let brdfs: [&dyn Brdf; 2] = [&*material.brdf, &estimate.fit.material];
+        let shaded = pairs(brdfs, &map(map_name)?, &points);
         let error = relative_error(shaded.iter().map(|(_, pair)| *pair));
         row = row.with(format!("error_{name}_{map_name}"), error);
     }
     let weights =
         serde_json::to_string(estimate.fit.material.mixture.weights()).unwrap_or_default();
     Ok(vec![row.with("weights", weights)])
+}
+
+/// Two BRDFs shaded under one map: pixel and radiance of each.
+fn pairs(
+    brdfs: [&dyn Brdf; 2],
+    map: &EnvironmentMap,
+    points: &[(usize, DVec3)],
+) -> Vec<(usize, [[f32; 3]; 2])> {
+    let shaded = shade(&brdfs, std::slice::from_ref(map), points);
+    let pair = |(pixel, values): (usize, Vec<[f32; 3]>)| (pixel, [values[0], values[1]]);
+    shaded.into_iter().map(pair).collect()
 }
 
 /// ‖b − a‖ / ‖a‖ of (truth, estimate) pairs.
@@ -164,7 +172,7 @@ fn row(
     let mut exposure = 1.0;
     let mut mean = 1.0f32;
     for (index, brdf) in std::iter::once(&truth).chain(others).enumerate() {
-        let shaded = shade([truth, *brdf], &map, &points);
+        let shaded = pairs([truth, *brdf], &map, &points);
         if index == 0 {
             let mut all: Vec<f32> = shaded.iter().flat_map(|(_, [a, _])| *a).collect();
             all.sort_by(f32::total_cmp);

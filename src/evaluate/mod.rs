@@ -19,6 +19,7 @@ mod misalignment;
 mod next_light;
 mod noise;
 mod optimisers;
+mod plans;
 mod rank;
 mod realism;
 mod shape_construction;
@@ -39,6 +40,7 @@ pub static EXPERIMENTS: &[&Experiment] = &[
     &dictionary_size::DICTIONARY_SIZE,
     &light_count::LIGHT_COUNT,
     &next_light::NEXT_LIGHT,
+    &plans::PLANS,
     &shape_construction::SHAPE_CONSTRUCTION,
     &gallery::GALLERY,
     &tables::TABLES,

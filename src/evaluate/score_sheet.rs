@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use crate::brdf::environment::EnvironmentMap;
 use crate::brdf::score::{self, BrdfErrors, PerChannel};
+use crate::brdf::sphere::SphereImage;
 use crate::brdf::{Brdf, Dictionary, Mixture};
 use crate::inverse::projection::{CellMatrix, EnvironmentMatrix, ProjectionError};
 use crate::session::fit_record::{ChannelScore, MetricScores, ScoreSheet};
@@ -12,7 +13,7 @@ use crate::session::fit_record::{ChannelScore, MetricScores, ScoreSheet};
 /// all of MERL's 180 would take minutes.
 const AZIMUTHS: usize = 9;
 
-/// Scores `estimate` (of `dictionary`, or refined from it) and its single-bounce `start` against
+/// Scores `estimate` (of `dictionary`, or refined from it) and its single-bounce `start` (of it) against
 /// `truth`: environment error with spheres of `sphere_px` pixels, BRDF error and its
 /// cube-root version, each beside the reference projection and the metric's floor.
 pub fn score(
@@ -29,20 +30,30 @@ pub fn score(
     let cube_root_floor = cells.cube_root_floor_from(&reference, truth)?;
 
     let maps = EnvironmentMap::all();
-    let spheres = EnvironmentMatrix::new(dictionary.clone(), &maps, sphere_px);
-    let spheres = spheres.of(truth);
-    let environment = |brdf: &dyn Brdf| {
-        // The dictionary's spheres lack atoms of a refined estimate, and what departs.
-        channels(&match brdf.as_mixture() {
-            Some(mixture) if mixture.dictionary() == dictionary => spheres.error(mixture).mean,
-            _ => score::environment_error(brdf, truth, &maps, sphere_px).mean,
-        })
+    // All in one pass over the spheres. The dictionary's lack atoms of a refined estimate,
+    // and where it departs from any mixture: such an estimate is rendered like the truth.
+    let mixture = estimate.as_mixture();
+    let mixture = mixture.filter(|mixture| mixture.dictionary() == dictionary);
+    let rendered: &[&dyn Brdf] = match mixture {
+        Some(_) => &[truth],
+        None => &[truth, estimate],
     };
+    let (matrix, images) =
+        EnvironmentMatrix::with_images(dictionary.clone(), &maps, sphere_px, rendered);
+    let spheres = matrix.of_images(images.iter().map(|under| &under[0]));
+    let of_mixture = |mixture: &Mixture| channels(&spheres.error(mixture).mean);
     let environment_error = MetricScores {
-        estimate: environment(estimate),
-        reference_projection: environment(&reference),
+        estimate: match mixture {
+            Some(mixture) => of_mixture(mixture),
+            None => {
+                let error = |under: &Vec<SphereImage>| score::image_error(&under[1], &under[0]);
+                let errors: Vec<PerChannel> = images.iter().map(error).collect();
+                channels(&score::summarise(&maps, &errors).mean)
+            }
+        },
+        reference_projection: of_mixture(&reference),
         floor: channels(&spheres.floor()?.0.mean),
-        single_bounce_start: Some(environment(start)),
+        single_bounce_start: Some(of_mixture(start)),
     };
 
     let scored = score::cells(AZIMUTHS);

@@ -78,7 +78,7 @@ impl Default for FitOptions {
     fn default() -> Self {
         Self {
             cache: CacheOptions::default(),
-            direct_strata: 16,
+            direct_strata: 10,
             optimizer: Optimizer::GaussNewton(GaussNewton::default()),
             channels: Channels::Separate,
             model_error: 0.02,

@@ -204,7 +204,7 @@ pub(super) mod tests {
         options.cache.max_reflections = 3;
         let quiet = &mut |_: &str| {};
         let averaged = |images: &[RadianceImage]| {
-            Captured::new(&scene, images, &CellOptions::default()).unwrap()
+            Captured::new(&scene, images, &CellOptions::exact()).unwrap()
         };
         let images = photograph(&scene);
         let cells = averaged(&images).cells;

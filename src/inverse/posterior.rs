@@ -205,7 +205,7 @@ mod tests {
         options.cache.samples_per_cell = 128;
         let found = |material: &dyn Brdf| {
             let captured = photograph(&scene, material);
-            let captured = Captured::new(&scene, &captured, &CellOptions::default()).unwrap();
+            let captured = Captured::new(&scene, &captured, &CellOptions::exact()).unwrap();
             let cells = &captured.cells;
             let paths =
                 Paths::trace(&scene, cells, &dictionary, None, &options, &mut |_| {}).unwrap();

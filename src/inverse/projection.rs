@@ -15,7 +15,7 @@ use super::simplex::{Quadratic, SimplexError};
 use crate::brdf::environment::EnvironmentMap;
 use crate::brdf::ggx::Cosines;
 use crate::brdf::score::{self, Cell, EnvironmentError, PerChannel};
-use crate::brdf::sphere::{sphere_image, sphere_matrix};
+use crate::brdf::sphere::{SphereImage, sphere_images, sphere_matrices};
 use crate::brdf::{Brdf, BrdfError, Dictionary, Mixture};
 
 /// Azimuths of the cells a projection is fitted on (scores use MERL's 180).
@@ -300,21 +300,30 @@ pub struct EnvironmentMatrix<'a> {
 impl<'a> EnvironmentMatrix<'a> {
     /// Renders every atom under every map, `size` × `size`.
     pub fn new(dictionary: Arc<Dictionary>, maps: &'a [EnvironmentMap], size: usize) -> Self {
-        let matrices: Vec<_> = maps
-            .iter()
-            .map(|map| sphere_matrix(&dictionary, map, size))
-            .collect();
+        Self::with_images(dictionary, maps, size, &[]).0
+    }
+
+    /// [`Self::new`] and, in the same pass, the spheres of some BRDFs: per map one image of
+    /// each.
+    pub fn with_images(
+        dictionary: Arc<Dictionary>,
+        maps: &'a [EnvironmentMap],
+        size: usize,
+        brdfs: &[&dyn Brdf],
+    ) -> (Self, Vec<Vec<SphereImage>>) {
+        let (matrices, images) = sphere_matrices(&dictionary, maps, size, brdfs);
         let grams = matrices
             .iter()
             .map(|matrix| [0, 1, 2].map(|c| matrix.channels[c].tr_mul(&matrix.channels[c])))
             .collect();
-        Self {
+        let matrix = Self {
             dictionary,
             maps,
             size,
             matrices,
             grams,
-        }
+        };
+        (matrix, images)
     }
 
     /// The least environment error of any mixture, and that mixture.
@@ -340,8 +349,17 @@ impl<'a> EnvironmentMatrix<'a> {
 
     /// Renders `truth` once for any number of comparisons.
     pub fn of(&self, truth: &dyn Brdf) -> EnvironmentTruth<'_, 'a> {
+        let images = sphere_images(&[truth], self.maps, self.size);
+        self.of_images(images.iter().map(|under| &under[0]))
+    }
+
+    /// [`Self::of`] from the truth's images, one per map.
+    pub fn of_images<'i>(
+        &self,
+        images: impl IntoIterator<Item = &'i SphereImage>,
+    ) -> EnvironmentTruth<'_, 'a> {
         EnvironmentTruth {
-            targets: self.targets(truth),
+            targets: self.targets(images),
             matrix: self,
         }
     }
@@ -356,15 +374,14 @@ impl<'a> EnvironmentMatrix<'a> {
         sum / pixels as f64
     }
 
-    fn targets(&self, truth: &dyn Brdf) -> Vec<Target> {
-        self.maps
-            .iter()
+    fn targets<'i>(&self, images: impl IntoIterator<Item = &'i SphereImage>) -> Vec<Target> {
+        images
+            .into_iter()
             .zip(&self.matrices)
             .zip(&self.grams)
-            .map(|((map, matrix), grams)| {
-                let image = sphere_image(truth, map, self.size);
+            .map(|((image, matrix), grams)| {
                 let quadratics = [0, 1, 2].map(|c| {
-                    let b = matrix.column_of(&image, c);
+                    let b = matrix.column_of(image, c);
                     Quadratic {
                         h: grams[c].clone(),
                         g: matrix.channels[c].tr_mul(&b),

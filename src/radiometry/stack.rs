@@ -63,17 +63,32 @@ impl Stack {
         })
     }
 
+    /// Forgets all frames; the file is written anew from its beginning.
+    pub fn clear(&mut self) {
+        self.frames.clear();
+    }
+
+    /// Frames that were added.
+    pub fn len(&self) -> usize {
+        self.frames.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.frames.is_empty()
+    }
+
     /// Adds a frame of raw counts, DN, plane by plane, row by row.
     ///
     /// # Errors
     /// Another size, an exposure that cannot be, or the disk refuses.
-    pub fn add(
+    pub fn add<P: AsRef<[u16]>>(
         &mut self,
         role: FrameRole,
         exposure_s: f64,
-        planes: &[Vec<u16>],
+        planes: &[P],
     ) -> Result<(), StackError> {
-        let found: usize = planes.iter().map(Vec::len).sum();
+        let found: usize = planes.iter().map(|plane| plane.as_ref().len()).sum();
         if found != self.planes * self.width * self.height {
             let (width, height) = (self.width, self.height);
             return Err(MergeError::FrameSize {
@@ -88,7 +103,8 @@ impl Stack {
         }
         for (plane, counts) in planes.iter().enumerate() {
             let at = self.offset(self.frames.len(), plane, 0);
-            self.file.write_all_at(bytemuck::cast_slice(counts), at)?;
+            self.file
+                .write_all_at(bytemuck::cast_slice(counts.as_ref()), at)?;
         }
         self.frames.push((role, exposure_s));
         Ok(())
@@ -97,8 +113,21 @@ impl Stack {
     /// Merges band after band, from the top. Each has `margin` rows more on each
     /// side where the image has them.
     pub fn bands<'a>(&'a self, noise: &'a SensorNoise, mosaic: Mosaic, margin: usize) -> Bands<'a> {
+        self.bands_of((0..self.frames.len()).collect(), noise, mosaic, margin)
+    }
+
+    /// [`bands`](Self::bands) of only these frames, by the order in which they were added:
+    /// those under one channel of the lamp.
+    pub fn bands_of<'a>(
+        &'a self,
+        frames: Vec<usize>,
+        noise: &'a SensorNoise,
+        mosaic: Mosaic,
+        margin: usize,
+    ) -> Bands<'a> {
         Bands {
             stack: self,
+            frames,
             noise,
             mosaic,
             margin: margin.next_multiple_of(mosaic.period()),
@@ -165,6 +194,7 @@ impl Stack {
 #[derive(Debug)]
 pub struct Bands<'a> {
     stack: &'a Stack,
+    frames: Vec<usize>,
     noise: &'a SensorNoise,
     mosaic: Mosaic,
     margin: usize,
@@ -212,7 +242,8 @@ impl Bands<'_> {
             let merge = BracketMerge::new(&noise, self.mosaic, stack.width, bottom - top)?;
             let mut merge =
                 merge.only(merged.start - top..merged.end - top, start - top..end - top);
-            for (frame, &(role, exposure_s)) in stack.frames.iter().enumerate() {
+            for &frame in &self.frames {
+                let (role, exposure_s) = stack.frames[frame];
                 let at = stack.offset(frame, plane, top);
                 stack
                     .file

@@ -121,19 +121,34 @@ fn reduced(
     Picture::from_fn(width, height, |x, y| pixel(&mut block(image, x, y)))
 }
 
-/// Radiance over `white` as sRGB; brighter values clip. Untrustworthy pixels
-/// are left out (see-through), larger images are averaged down.
-pub fn tone_mapped(image: &RadianceImage, white: f32) -> Picture {
-    reduced(image, |pixels| {
+/// The image as the page has room for it: blocks of pixels become the mean of those that
+/// are valid, and are invalid where none is. Variances are left out.
+pub fn averaged_down(image: &RadianceImage) -> RadianceImage {
+    let step = reduction(image);
+    let mut small = RadianceImage::new(image.width.div_ceil(step), image.height.div_ceil(step));
+    for at in 0..small.mean.len() {
         let (mut sum, mut count) = ([0.0f32; 3], 0.0f32);
+        let pixels = block(image, at % small.width, at / small.width);
         for pixel in pixels.filter(|&pixel| image.valid[pixel]) {
             (0..3).for_each(|c| sum[c] += image.mean[pixel][c]);
             count += 1.0;
         }
-        if count == 0.0 {
-            return [0; 4];
+        small.valid[at] = count > 0.0;
+        small.mean[at] = sum.map(|value| value / count.max(1.0));
+    }
+    small
+}
+
+/// Radiance over `white` as sRGB; brighter values clip. Untrustworthy pixels
+/// are left out (see-through), larger images are averaged down.
+pub fn tone_mapped(image: &RadianceImage, white: f32) -> Picture {
+    let small = averaged_down(image);
+    Picture::from_fn(small.width, small.height, |x, y| {
+        let at = y * small.width + x;
+        match small.valid[at] {
+            true => opaque(small.mean[at].map(|value| srgb(value / white))),
+            false => [0; 4],
         }
-        opaque(sum.map(|value| srgb(value / count / white)))
     })
 }
 

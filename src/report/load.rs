@@ -5,7 +5,8 @@ mod lamp;
 use std::path::{Path, PathBuf};
 
 use super::{
-    ExposureInput, FitInput, LightInput, ProvenanceGroup, ReportInput, SphereInput, Truth,
+    CapturedInput, ExposureInput, FitInput, LightInput, ProvenanceGroup, ReportInput, SphereInput,
+    Truth,
 };
 use crate::brdf::environment::EnvironmentMap;
 use crate::brdf::sphere::{self, SphereImage, sphere_images};
@@ -197,14 +198,15 @@ fn light(session: &Session, index: usize) -> Result<LightInput, LoadError> {
     let exposures = exposures(session, number)?;
     let name = layout::radiance_file(number);
     let path = session.root().join(&name);
-    let captured = path
-        .exists()
-        .then(|| -> Result<_, LoadError> { Ok(exr::decode(&session.read_file(&name)?, &path)?) });
+    let captured = path.exists().then(|| -> Result<_, LoadError> {
+        let file = exr::read_opened(session.open_file(&name)?, &path, None)?;
+        Ok(CapturedInput::of(&file.image))
+    });
     Ok(LightInput {
         index: number,
         place: read_back.or(plan.lights.get(index).copied()),
         exposures,
-        captured: captured.transpose()?.map(|file| file.image),
+        captured: captured.transpose()?,
     })
 }
 
@@ -247,15 +249,15 @@ fn exposures(session: &Session, light: u32) -> Result<Vec<ExposureInput>, LoadEr
 }
 
 fn spheres(estimate: &dyn Brdf, truth: Option<&dyn Brdf>, sphere_px: usize) -> Vec<SphereInput> {
-    let under = |map: &EnvironmentMap| {
-        let [fitted, other] = sphere_images([estimate, truth.unwrap_or(estimate)], map, sphere_px);
-        SphereInput {
-            map: map.name().to_owned(),
-            estimate: as_radiance(&fitted),
-            truth: truth.map(|_| as_radiance(&other)),
-        }
+    let maps = EnvironmentMap::all();
+    let brdfs: Vec<&dyn Brdf> = std::iter::once(estimate).chain(truth).collect();
+    let images = sphere_images(&brdfs, &maps, sphere_px);
+    let under = |(map, images): (&EnvironmentMap, &Vec<SphereImage>)| SphereInput {
+        map: map.name().to_owned(),
+        estimate: as_radiance(&images[0]),
+        truth: images.get(1).map(as_radiance),
     };
-    EnvironmentMap::all().iter().map(under).collect()
+    maps.iter().zip(&images).map(under).collect()
 }
 
 /// The sphere's pixels are valid, those around it are not.

@@ -6,6 +6,7 @@
 //! (no fit yet, no known truth) are said to be missing, never left out silently.
 
 mod budget;
+mod captured;
 pub mod figures;
 pub mod images;
 pub mod load;
@@ -14,6 +15,8 @@ mod summary;
 mod template;
 
 use std::sync::Arc;
+
+pub use captured::{CapturedInput, SignalToNoise};
 
 use crate::brdf::Brdf;
 use crate::radiance_image::RadianceImage;
@@ -64,7 +67,7 @@ pub struct LightInput {
     /// What was exposed.
     pub exposures: Vec<ExposureInput>,
     /// The merged image.
-    pub captured: Option<RadianceImage>,
+    pub captured: Option<CapturedInput>,
 }
 
 /// One entry of a light's bracket.

@@ -215,21 +215,18 @@ fn sphere_view(sphere: &SphereInput) -> SphereView {
 fn light_view(position: usize, light: &LightInput, fit: Option<&FitInput>) -> LightView {
     let rendered = fit.and_then(|fit| fit.images.rendered.get(position));
     let residual = fit.and_then(|fit| fit.images.residual.get(position));
-    let white = light
-        .captured
-        .as_ref()
-        .or(rendered)
-        .map_or(1.0, images::white_level);
+    let captured = light.captured.as_ref();
+    let white = captured
+        .map(|captured| captured.white)
+        .or(rendered.map(images::white_level))
+        .unwrap_or(1.0);
     let uri = |image: &RadianceImage| images::data_uri(&images::tone_mapped(image, white));
     let names = ["red", "green", "blue"];
     let named = |channel: usize, image: &RadianceImage| Named {
         name: names[channel],
         uri: images::data_uri(&images::residual(image, channel)),
     };
-    let quality = light
-        .captured
-        .as_ref()
-        .map(|image| SignalToNoise::of(image, white));
+    let quality = captured.map(|captured| &captured.signal_to_noise);
     let chi_square = fit.and_then(|fit| fit.record.reduced_chi_square.get(position));
     LightView {
         name: format!("L{:03}", light.index),
@@ -238,30 +235,25 @@ fn light_view(position: usize, light: &LightInput, fit: Option<&FitInput>) -> Li
             let (azimuth, elevation) = (place.azimuth_deg + 0.0, place.elevation_deg + 0.0);
             format!("azimuth {azimuth:.1}°, elevation {elevation:.1}°").replace('-', "−")
         }),
-        captured: light.captured.as_ref().map(uri),
+        captured: captured.map(|captured| uri(&captured.picture)),
         rendered: rendered.map(uri),
         residuals: residual.map_or(Vec::new(), |image| {
             (0..3).map(|c| named(c, image)).collect()
         }),
         white: short(f64::from(white)),
-        size: light
-            .captured
-            .as_ref()
-            .or(rendered)
-            .map_or(String::new(), |image| {
-                format!("{} × {} pixels", image.width, image.height)
+        size: captured
+            .map(|captured| captured.size_px)
+            .or(rendered.map(|image| [image.width, image.height]))
+            .map_or(String::new(), |[width, height]| {
+                format!("{width} × {height} pixels")
             }),
         exposures: exposures(light),
-        snr: quality
-            .as_ref()
-            .map(|quality| quality.median.map(|x| format!("{x:.0}"))),
-        snr_low: quality
-            .as_ref()
-            .map(|quality| quality.low.map(|x| format!("{x:.0}"))),
-        unusable: light.captured.as_ref().map(|image| {
-            let count = image.valid.iter().filter(|valid| !**valid).count();
-            let share = count as f64 / image.valid.len().max(1) as f64;
-            format!("{count} ({:.1} %)", share * 100.0)
+        snr: quality.map(|quality| quality.median.map(|x| format!("{x:.0}"))),
+        snr_low: quality.map(|quality| quality.low.map(|x| format!("{x:.0}"))),
+        unusable: captured.map(|captured| {
+            let [width, height] = captured.size_px;
+            let share = captured.unusable as f64 / (width * height).max(1) as f64;
+            format!("{} ({:.1} %)", captured.unusable, share * 100.0)
         }),
         chi_square: chi_square.map(|values| {
             let judge = |value: &f64| Judged {
@@ -288,38 +280,6 @@ fn exposures(light: &LightInput) -> Vec<Vec<String>> {
         name.into_iter().chain(entries).collect()
     };
     channels.iter().map(line).collect()
-}
-
-/// Mean over standard deviation of the merged radiance, over the pixels
-/// brighter than 5% of white.
-struct SignalToNoise {
-    median: [f64; 3],
-    /// The 5th percentile.
-    low: [f64; 3],
-}
-
-impl SignalToNoise {
-    fn of(image: &RadianceImage, white: f32) -> Self {
-        let sorted: [Vec<f64>; 3] = [0, 1, 2].map(|c| {
-            let mut ratios: Vec<f64> = (0..image.mean.len())
-                .filter(|&n| image.valid[n] && image.variance[n][c] > 0.0)
-                .filter(|&n| image.mean[n][c] > 0.05 * white)
-                .map(|n| f64::from(image.mean[n][c]) / f64::from(image.variance[n][c]).sqrt())
-                .collect();
-            ratios.sort_by(f64::total_cmp);
-            ratios
-        });
-        let at = |percent: usize| {
-            sorted.each_ref().map(|ratios| match ratios.len() {
-                0 => 0.0,
-                count => ratios[(count - 1) * percent / 100],
-            })
-        };
-        Self {
-            median: at(50),
-            low: at(5),
-        }
-    }
 }
 
 fn fit_view(fit: &FitInput, input: &ReportInput) -> Result<FitView, ReportError> {

@@ -195,7 +195,7 @@ pub(super) fn synthetic() -> ReportInput {
             elevation_deg: 85.0,
         }),
         exposures: vec![exposure(0.5, 1), exposure(4.0, 2), exposure(32.0, 8)],
-        captured: Some(bowl(index.into(), 1.0)),
+        captured: Some(CapturedInput::of(&bowl(index.into(), 1.0))),
     };
     ReportInput {
         sample: "red-plastic <bowl> & co".to_owned(),

@@ -43,7 +43,7 @@ pub struct CacheOptions {
 impl Default for CacheOptions {
     fn default() -> Self {
         Self {
-            samples_per_cell: 256,
+            samples_per_cell: 160,
             max_reflections: 16,
             seed: 1,
             proposal: Proposal::default(),

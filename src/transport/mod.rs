@@ -7,6 +7,7 @@
 
 pub mod cache;
 pub mod camera;
+pub mod camera_body;
 pub mod cells;
 mod continuation;
 pub mod direct;
@@ -31,6 +32,7 @@ pub mod visibility;
 
 pub use cache::{Cache, CacheOptions};
 pub use camera::{Camera, Projection};
+pub use camera_body::{CameraBody, CameraShadow, Obstruction};
 pub use cells::Cells;
 pub use continuation::{Continuations, Steering};
 pub use direct::DirectMatrix;

@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 
+use rig::capture::plan::Pace;
 use rig::capture::{BracketSink, Capture, CaptureError, Observer, Outcome, Progress};
 use rig::device::*;
 use rig::interrupt::{Interrupt, Signal};
@@ -661,6 +662,12 @@ fn run(
         session,
         reserve_bytes,
         position_tolerance_deg: Some(0.05),
+        pace: Pace {
+            stage_deg_s: 20.0,
+            homing: Seconds(1.0),
+            frame_interval: Seconds(0.03),
+            view: Seconds(0.0),
+        },
         noise: &noise(),
         interest: None,
         sink: Box::new(SumSink::default()),

@@ -46,6 +46,7 @@ impl Run<'_> {
         self.disk.record(Event::Paused).await?;
         self.disk.settle().await?;
         self.observer.pause();
+        self.clock.forget_until(self.clock.now_s());
         self.disk.record(Event::Continued).await
     }
 

@@ -46,7 +46,7 @@ impl Run<'_> {
             }
             stopped => stopped,
         };
-        spent.wall_s = clock.start.elapsed().as_secs_f64();
+        spent.wall_s = clock.now_s();
         observer.observe(Progress::Ended(spent));
         match result {
             Ok(()) => disk.finish().await.map(|()| Outcome::Complete),

@@ -125,6 +125,8 @@ impl Run<'_> {
             Some(entry) => {
                 let (frame, sidecar) = self.session.read_frame(entry)?;
                 check_same(&shot, &sidecar)?;
+                let now_s = self.clock.now_s();
+                self.clock.held(shot.exposure.0, shot.lamp, now_s);
                 (Arc::new(frame), sidecar, 0)
             }
             None => {
@@ -177,12 +179,13 @@ impl Run<'_> {
         let latency = self.plan.settings_latency_frames;
         let change = self.devices.begin_settings(requested, latency, discards);
         let stage_position = self.go_to(shot.key.light).await?;
+        self.observer
+            .observe(Progress::Left(Seconds(self.clock.left_s())));
         self.observer.observe(Progress::Frame {
             key: shot.key,
             exposure: shot.exposure,
             lamp: shot.lamp,
-            done: self.clock.done,
-            left: self.clock.left(self.plan.estimated_s),
+            done: self.clock.done(),
         });
         self.devices
             .lamp(shot.lamp, self.plan.lamp_settle_s)
@@ -196,6 +199,8 @@ impl Run<'_> {
             self.discarded = latency;
         }
         let (frame, ratio) = self.grab_as_claimed(shot, applied, reference).await?;
+        let now_s = self.clock.now_s();
+        self.clock.took(shot.exposure.0, shot.lamp, !stands, now_s);
         let sensor_c = self.devices.sensor_c();
         self.check_temperature(shot.key.light, Part::Sensor, sensor_c)
             .await?;
@@ -224,7 +229,7 @@ impl Run<'_> {
                 .map(|known| known.std_dev),
             time: FrameTimes {
                 utc: utc_now(),
-                monotonic_s: Seconds(self.clock.start.elapsed().as_secs_f64()),
+                monotonic_s: Seconds(self.clock.now_s()),
                 device_s: frame.timestamp,
                 device_sequence: frame.sequence,
                 sensor_c,
@@ -247,6 +252,7 @@ impl Run<'_> {
         if !self.devices.is_homed() {
             self.observer.observe(Progress::Homing);
             self.devices.home().await?;
+            self.clock.homed(self.clock.now_s());
             self.homing += 1;
             self.granted = None;
             self.disk.record(Event::Homed).await?;

@@ -18,6 +18,7 @@ impl Run<'_> {
             return Ok(());
         }
         let frames = self.first_light().await?.map_or(Vec::new(), Kept::frames);
+        self.clock.begin_revisit();
         for (channel, before) in frames.iter().enumerate() {
             let shot = Shot {
                 // No part of the bracket.

@@ -116,7 +116,7 @@ pub fn average(
     images: &[RadianceImage],
     dictionary: &Dictionary,
 ) -> Result<Captured, EvaluateError> {
-    let options = CellOptions::new(dictionary, &BenchPriors::default());
+    let options = CellOptions::new(dictionary, &BenchPriors::EXACT);
     Ok(Captured::new(scene, images, &options).map_err(FitError::from)?)
 }
 

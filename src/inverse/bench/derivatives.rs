@@ -224,6 +224,13 @@ fn smoothed(rows: &[Vec<Parts>], wanted: &[bool], cells: &Cells, reach: f64) -> 
             if !wanted[cell] {
                 return out;
             }
+            // The neighbours at least, where anything is averaged.
+            let side = f64::from(cells.cell(cell).side_px) / cells.resolution_px()[0] as f64;
+            let reach = if reach > 0.0 {
+                reach.max(1.01 * side)
+            } else {
+                0.0
+            };
             let near: Vec<usize> = cells.within(cell, reach).filter(|&q| wanted[q]).collect();
             let total: f64 = near.iter().map(|&q| cells.area(q)).sum();
             for q in near {

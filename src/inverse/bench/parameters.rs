@@ -33,6 +33,20 @@ pub struct BenchPriors {
     pub pose_covariance: Option<[[f64; 6]; 6]>,
 }
 
+impl BenchPriors {
+    /// A bench that is exactly as described.
+    pub const EXACT: Self = Self {
+        light_rad: 0.0,
+        stage_rad: 0.0,
+        intensity: 0.0,
+        common_intensity: 0.0,
+        rotation_rad: 0.0,
+        translation_mm: 0.0,
+        stray_light: 0.0,
+        pose_covariance: None,
+    };
+}
+
 impl Default for BenchPriors {
     /// A bench that was set up with care: lights 0.3°, intensities 1%, pose 0.2 mm and
     /// 0.2°, no stray light.

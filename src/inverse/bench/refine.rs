@@ -61,7 +61,7 @@ impl Default for RefineOptions {
 const ALL_PATHS: usize = 3;
 
 /// Reach over which derivatives by way of other surfaces are averaged, parts of the image's width.
-pub(in crate::inverse) const AVERAGED: f64 = 1.0 / 24.0;
+pub(in crate::inverse) const AVERAGED: f64 = 3.0 / 64.0;
 
 /// Mean square of a refused bench over that of the best, up to which it did not lead far off.
 const WITHIN_NOISE: f64 = 1.25;

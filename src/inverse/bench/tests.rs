@@ -369,7 +369,7 @@ fn refined(values: &DVector<f64>, size: usize) -> (RefinedBench, Captured, Mixtu
     let brdf = material();
     let described = bowl(96, size, &LIGHTS);
     let images = captured(&bowl(128, size, &LIGHTS), values, &brdf);
-    let images = Captured::new(&described, &images, &CellOptions::default()).unwrap();
+    let images = Captured::new(&described, &images, &CellOptions::exact()).unwrap();
     let how = RefineOptions {
         rounds: 4,
         times_paths: 1,

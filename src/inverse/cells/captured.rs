@@ -91,7 +91,6 @@ impl Captured {
         images: &[RadianceImage],
         options: &CellOptions,
     ) -> Result<Self, AverageError> {
-        check_count(scene, images.len())?;
         let expected = scene.camera.resolution_px;
         for (image, of_light) in images.iter().enumerate() {
             let (width, height) = (of_light.width, of_light.height);
@@ -104,7 +103,7 @@ impl Captured {
                 });
             }
         }
-        let mut averager = Averager::new(choose(scene, options), images.len());
+        let mut averager = Averager::new(scene, choose(scene, options), images.len())?;
         averager.add(images);
         averager.finish()
     }
@@ -198,8 +197,12 @@ const OUTLYING: f32 = 8.0;
 const LEAST_DIFFERENCE: f32 = 0.05;
 
 impl Averager {
-    /// For images of so many lights.
-    pub fn new(grid: Grid, lights: usize) -> Self {
+    /// For the images of a scene's lights, over its cells.
+    ///
+    /// # Errors
+    /// Another number of images than of lights, or too many.
+    pub fn new(scene: &Scene, grid: Grid, images: usize) -> Result<Self, AverageError> {
+        check_count(scene, images)?;
         let mut by_row: Vec<(u32, Run)> = Vec::new();
         for (k, cell) in (0..).zip(&grid.cells) {
             let mut pixels = cell.each_pixel().map(|[x, y]| [x as u32, y as u32]);
@@ -231,17 +234,17 @@ impl Averager {
             mean: vec![[0.0; 3]; grid.cells.len()],
             variance: vec![[0.0; 3]; grid.cells.len()],
         };
-        Self {
+        Ok(Self {
             row_start,
             runs: by_row.into_iter().map(|(_, run)| run).collect(),
-            sums: vec![none; lights],
+            sums: vec![none; images],
             left_out: vec![Vec::new(); grid.cells.len()],
-            invalid: vec![0; lights],
+            invalid: vec![0; images],
             outliers: 0,
             rows: VecDeque::new(),
             next: 0,
             grid,
-        }
+        })
     }
 
     /// Takes the next rows: the same ones of every light's image.

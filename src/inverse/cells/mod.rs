@@ -50,6 +50,14 @@ impl Default for CellOptions {
 }
 
 impl CellOptions {
+    /// As by default, on a bench that is exactly known.
+    pub fn exact() -> Self {
+        Self {
+            known: BenchPriors::EXACT,
+            ..Self::default()
+        }
+    }
+
     /// For a fit of this dictionary on a bench that is known so well.
     pub fn new(dictionary: &Dictionary, known: &BenchPriors) -> Self {
         let widths = dictionary.atoms().iter().filter_map(Atom::alpha);

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use super::{CellOptions, Square};
 use crate::transport::Scene;
-use crate::transport::cells::Cell;
+use crate::transport::cells::{Cell, FIELD_PARTS};
 use crate::transport::scene::Surface;
 
 /// Most lattice points along the longer side of an image.
@@ -22,6 +22,9 @@ const DIFFERENCE_RAD: f32 = 0.17;
 const MOST_CHANGE: f32 = 1.0;
 /// Half width of what is left out at an edge, in standard deviations of where the edge is.
 const EDGE_DEVIATIONS: f64 = 1.5;
+/// Most that is left out, in 64ths of the image's width, of which one is left out at least: what
+/// a mesh says of an edge is no better known.
+const WIDEST_EDGE: f64 = 4.0;
 /// Standard deviations of the point spread beyond which an edge is not seen.
 const SPREAD_DEVIATIONS: f64 = 3.0;
 
@@ -231,7 +234,11 @@ fn edge_widths_px(scene: &Scene, options: &CellOptions) -> [f64; 2] {
     let light_rad = known.light_rad.hypot(known.stage_rad);
     let shadow_px = pose_px.hypot(px_per_mm * light_rad * radius_mm);
     let spread_px = SPREAD_DEVIATIONS * scene.camera.point_spread_px;
-    [pose_px, shadow_px].map(|deviation| 0.5 + EDGE_DEVIATIONS * deviation + spread_px)
+    let field_px = scene.camera.resolution_px[0] as f64 / FIELD_PARTS;
+    [pose_px, shadow_px].map(|deviation| {
+        let width_px = 0.5 + EDGE_DEVIATIONS * deviation + spread_px;
+        width_px.clamp(field_px, WIDEST_EDGE * field_px)
+    })
 }
 
 /// Scale of the image at a point, along the image's rows and columns, the larger.

@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use super::RadianceImage;
 
 pub use rows::ExrRows;
-pub use write::{encode, write, write_rows};
+pub use write::{encode, encode_rows, write, write_rows};
 
 /// What a file says about radiance.
 #[derive(Clone, Debug, PartialEq)]
@@ -144,6 +144,19 @@ pub fn read(path: &Path) -> Result<RadianceFile, ExrError> {
 /// As [`read`]; another size.
 pub fn read_sized(path: &Path, size: [usize; 2]) -> Result<RadianceFile, ExrError> {
     whole(ExrRows::open(path, Some(size))?)
+}
+
+/// As [`read`], or [`read_sized`] where a size is given, of a file that is open at its
+/// beginning; `path` is for messages.
+///
+/// # Errors
+/// As [`read_sized`].
+pub fn read_opened(
+    file: std::fs::File,
+    path: &Path,
+    size: Option<[usize; 2]>,
+) -> Result<RadianceFile, ExrError> {
+    whole(ExrRows::of_file(file, path, size)?)
 }
 
 /// Reads a radiance image from a file's bytes; `path` is for messages.

@@ -39,14 +39,26 @@ pub fn encode(image: &RadianceImage, path: &Path) -> Result<Vec<u8>, ExrError> {
     if !same || width * height == 0 {
         return Err(inconsistent(path, [width, height], image));
     }
-    let mut bytes = Cursor::new(Vec::new());
     let mut next = 0;
-    let rows = || {
+    encode_rows(path, [width, height], || {
         let rows = next..height.min(next + 64);
         next = rows.end;
-        Ok::<_, ExrError>(image.rows(rows))
-    };
-    put_rows(&mut bytes, path, [width, height], rows)?;
+        Ok(image.rows(rows))
+    })
+}
+
+/// The bytes of the file that [`write_rows`] makes of an image of this width and height;
+/// `path` is for messages.
+///
+/// # Errors
+/// As [`write_rows`].
+pub fn encode_rows<E: From<ExrError>>(
+    path: &Path,
+    size: [usize; 2],
+    next_rows: impl FnMut() -> Result<RadianceImage, E>,
+) -> Result<Vec<u8>, E> {
+    let mut bytes = Cursor::new(Vec::new());
+    put_rows(&mut bytes, path, size, next_rows)?;
     Ok(bytes.into_inner())
 }
 

@@ -151,7 +151,7 @@ fn session(parent: &Path, true_material: Option<&str>, fitted: bool) -> PathBuf 
         writer.commit_frame(&raw, &sidecar).unwrap();
     }
     let synthetic = synthetic();
-    let image = synthetic.lights[0].captured.as_ref().unwrap();
+    let image = &synthetic.lights[0].captured.as_ref().unwrap().picture;
     let bytes = exr::encode(image, Path::new("radiance")).unwrap();
     writer
         .commit_file(&layout::radiance_file(0), &bytes)

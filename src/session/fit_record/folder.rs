@@ -297,8 +297,8 @@ pub fn read_images_in(session: &Session, number: u32) -> Result<FitImages, FitRe
             .map(|light| inside(number, &image_name(kind, light)))
             .take_while(|path| session.vouches_for(path))
             .map(|path| {
-                let bytes = session.read_file(&path)?;
-                Ok(exr::decode(&bytes, &session.root().join(&path))?.image)
+                let file = session.open_file(&path)?;
+                Ok(exr::read_opened(file, &session.root().join(&path), None)?.image)
             })
             .collect::<Result<Vec<_>, FitRecordError>>()
     };
