@@ -163,7 +163,7 @@ const CASES: &[Case] = &[
     Case {
         name: "camera body without its length",
         args: &["doctor", "--rig", "rig.toml"],
-        change: Some(("point_spread_px = 0.0", "body = { radius_mm = 20.0 }")),
+        change: Some(("point_spread_px = 0.5", "body = { radius_mm = 20.0 }")),
         fact: "`geometry.camera.body.length_mm` is missing; it must be a number from 0.5 to 10000",
         hint: "unit and range",
     },
@@ -171,7 +171,7 @@ const CASES: &[Case] = &[
         name: "camera body with a misspelt key",
         args: &["doctor", "--rig", "rig.toml"],
         change: Some((
-            "point_spread_px = 0.0",
+            "point_spread_px = 0.5",
             "body = { radius_mm = 20.0, length_mm = 100.0, font_mm = 5.0 }",
         )),
         fact: "unknown key `geometry.camera.body.font_mm`",
@@ -181,7 +181,7 @@ const CASES: &[Case] = &[
         name: "camera body that reaches into the sample",
         args: &["doctor", "--rig", "rig.toml"],
         change: Some((
-            "point_spread_px = 0.0",
+            "point_spread_px = 0.5",
             "body = { radius_mm = 20.0, length_mm = 100.0, front_mm = 200.0 }",
         )),
         fact: "`geometry.camera.body.front_mm` is 200, but must be below 200.0, the distance at which the image is sharp",

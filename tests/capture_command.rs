@@ -190,7 +190,7 @@ fn a_colour_camera_is_captured_and_fitted() {
         let (_, geometry) = geometry.split_once("\n\n").unwrap();
         let text = format!("{before}{white}{geometry}");
         text.replace("\nmosaic = \"none\"", "\nmosaic = \"grbg\"")
-            .replace("\nsamples_per_pixel = 256", "\nsamples_per_pixel = 32")
+            .replace("\nsamples_per_pixel = 160", "\nsamples_per_pixel = 32")
             .replace("\nsamples_per_pixel = 2\n", "\nsamples_per_pixel = 128\n")
             .replace("\nmax_reflections = 2\n", "\nmax_reflections = 16\n")
     });
@@ -698,7 +698,7 @@ fn shipped_benches_are_sound_and_plan_lights_that_nothing_blocks() {
 fn a_light_that_the_camera_blocks_is_refused() {
     let with_body = |body: &'static str| {
         move |text: String| {
-            let key = "point_spread_px = 0.0";
+            let key = "point_spread_px = 0.5";
             assert!(text.contains(key));
             text.replacen(key, &format!("{key}\nbody = {{ {body} }}"), 1)
         }

@@ -55,6 +55,10 @@ fn number(value: &Value) -> f64 {
     value.as_f64().unwrap()
 }
 
+/// Error of the alignment that its stated uncertainty does not hold and that shows where images
+/// are nearly free of noise: up to 0.3° at pixels of 0.34 mm.
+const OWN_DEG: f64 = 0.15;
+
 /// The simulated bench's sample lies within what the record says of where it truly is.
 #[test]
 fn a_pose_is_measured_and_kept() {
@@ -79,8 +83,13 @@ fn a_pose_is_measured_and_kept() {
             let std = number(&found["covariance"][k][k]).sqrt();
             let error = number(&found[key][axis]) - truth;
             eprintln!("{key}[{axis}]: {error:.4} ± {std:.4}");
-            // Six numbers at 1e-3 together.
-            assert!(error.abs() < 4.0 * std, "{key}[{axis}]: {error} ± {std}");
+            // Six numbers at 1e-3 together, and the alignment's own error where images are as free
+            // of noise as these.
+            let own = if key == "rotation_deg" { OWN_DEG } else { 0.0 };
+            assert!(
+                error.abs() < 4.0 * std + own,
+                "{key}[{axis}]: {error} ± {std}"
+            );
         }
     }
     // Across the view, a pixel being 0.34 mm.
@@ -185,9 +194,7 @@ fn a_pose_goes_by_the_records_of_lens_and_lights() {
             let std = number(&found["covariance"][k][k]).sqrt();
             let error = number(&found[key][axis]) - truth;
             eprintln!("{key}[{axis}]: {error:.4} ± {std:.4} of {truth:.4}");
-            // Where images are as free of noise as these, an error of the alignment shows that
-            // its uncertainty doesn't hold: up to 0.3° at pixels of 0.34 mm.
-            let own = if key == "rotation_deg" { 0.15 } else { 0.0 };
+            let own = if key == "rotation_deg" { OWN_DEG } else { 0.0 };
             assert!(
                 error.abs() < 4.0 * std + own,
                 "{key}[{axis}]: {error} ± {std}"

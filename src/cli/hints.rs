@@ -224,6 +224,9 @@ fn for_capture(error: &CaptureError) -> Option<String> {
         OtherFrame { .. } => "the session was changed since it was captured; start a new one".into(),
         NotStopped { .. } => "use the emergency stop and look whether the lamp is on; check the stage's cable and power".into(),
         Interrupted | StoppedNow => "`rig capture --resume SESSION` continues it".into(),
+        Merge { reason, .. } if reason.contains("no space left") => {
+            "free some space on the disk of the session; the frames taken so far are safe".into()
+        }
         Merge { .. } | Thread(_) | WorkerGone { .. } => return None,
     })
 }

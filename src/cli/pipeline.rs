@@ -146,8 +146,6 @@ pub struct FitPlan {
     mask: Option<PathBuf>,
     /// How well the bench is known; `None`: exactly.
     priors: Option<BenchPriors>,
-    /// How well the bench is known, refined or not.
-    known: BenchPriors,
     /// Most cells, if that was said.
     cells: Option<usize>,
     /// Memory of the whole fit, MiB, if that was said.
@@ -229,7 +227,6 @@ impl FitPlan {
             dictionary: Arc::new(dictionary),
             options,
             mask: args.mask.clone(),
-            known: priors.clone(),
             priors: refine.then_some(priors),
             cells: args.cells.map(|cells| cells as usize),
             memory_mib: args.memory,
@@ -265,7 +262,9 @@ impl FitPlan {
     }
 
     fn cell_options(&self) -> CellOptions {
-        let options = CellOptions::new(&self.dictionary, &self.known);
+        // A bench that is not refined counts as exactly known.
+        let known = self.priors.as_ref().unwrap_or(&BenchPriors::EXACT);
+        let options = CellOptions::new(&self.dictionary, known);
         CellOptions {
             budget: self.cells.unwrap_or(options.budget),
             ..options

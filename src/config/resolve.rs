@@ -223,7 +223,7 @@ mod tests {
         assert_eq!(name(Some("arm"), Some("elsewhere.toml")), "arm");
         assert!(matches!(
             resolve(Some("amr"), None, &[]),
-            Err(ConfigError::UnknownRig { known, .. }) if known == ["arm", "dmx-dome-v4l2", "grbl-arm-v4l2", "simulated", "zaber-gantry-v4l2"]
+            Err(ConfigError::UnknownRig { known, .. }) if known == ["arm", "dmx-dome-v4l2", "grbl-arm-v4l2", "simulated", "simulated-5mp-bayer", "zaber-gantry-v4l2"]
         ));
         std::fs::write(folder.path().join("rig.toml"), "broken").unwrap();
         assert!(matches!(

@@ -259,8 +259,8 @@ mod tests {
             ),
             (
                 "object_na = 0.0",
-                "principal_point_px = [65.0, 2.0]",
-                "`geometry.camera.principal_point_px` is [65, 2], but must be within the image",
+                "principal_point_px = [641.0, 2.0]",
+                "`geometry.camera.principal_point_px` is [641, 2], but must be within the image",
             ),
             (
                 "[simulation.lens]",

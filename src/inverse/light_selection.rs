@@ -534,7 +534,7 @@ mod tests {
         .mesh()
         .unwrap();
         let camera = Camera::looking_at(
-            [6, 6],
+            [12, 12],
             Projection::Orthographic {
                 extent_mm: DVec2::splat(2.2),
             },

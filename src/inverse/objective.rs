@@ -77,10 +77,6 @@ const DOUBTFUL: f64 = 4.0;
 /// No captured variance counts as less than this part of the usual one around it.
 const LEAST_OF_NEAR: f64 = 0.01;
 
-/// Area of a cell, in squares of a 64th of the image's width, from which on more of it is no
-/// more certain where the model errs.
-const LARGEST_AREA: f64 = 4.0;
-
 /// Part of the values that may count for less.
 const MOST_DOUBTED: f64 = 0.05;
 
@@ -354,9 +350,8 @@ impl<'a> Objective<'a> {
                         if !self.values.compared[light][cell] {
                             return [0.0; 3];
                         }
-                        // Model errors are common to neighbours: what they leave of a cell's
-                        // information is in proportion to its area.
-                        let area = self.cells.area(cell).min(LARGEST_AREA);
+                        // As in [`Self::allowed`].
+                        let area = self.cells.area(cell).min(1.0);
                         std::array::from_fn(|c| {
                             let near = self.cells.around(cell);
                             let near = near.filter(|&other| self.values.compared[light][other]);

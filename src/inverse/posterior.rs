@@ -183,7 +183,7 @@ mod tests {
     /// found f comes closer to the truth where light is reflected once.
     #[test]
     fn a_departure_is_found_where_there_is_one() {
-        let scene = bowl(16);
+        let scene = bowl(20);
         let atoms = vec![
             Atom::Lambertian { albedo: 1.0 },
             Atom::Ggx {

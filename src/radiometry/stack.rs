@@ -21,7 +21,7 @@ pub enum StackError {
     #[error(transparent)]
     Merge(#[from] MergeError),
     /// The disk refuses.
-    #[error("the frames cannot be kept on disk: {0}")]
+    #[error("the frames cannot be kept on disk: {}", reason(.0))]
     Io(#[from] io::Error),
 }
 
@@ -41,6 +41,14 @@ const BAND_BYTES: usize = 64 << 20;
 /// Bytes per pixel of a merge: rates and results, and the sums of an exposure.
 const PIXEL_BYTES: usize = 64;
 const EXPOSURE_BYTES: usize = 8;
+
+/// Of the system's errors, a full disk in the words of all messages.
+fn reason(error: &std::io::Error) -> String {
+    match error.kind() {
+        std::io::ErrorKind::StorageFull => "no space left".to_owned(),
+        _ => error.to_string(),
+    }
+}
 
 impl Stack {
     /// An empty stack of frames of `planes` planes in a file of this folder,

@@ -99,8 +99,8 @@ pub struct Grid {
 pub fn choose(scene: &Scene, options: &CellOptions) -> Grid {
     let lattice = Lattice::look(scene, options);
     let levels = lattice.levels();
-    let root = root_level(&lattice, levels.len());
-    let finest_at_edges = edge_level(&lattice);
+    let root = root_level(&lattice, &levels, options.budget);
+    let finest_at_edges = edge_level(&lattice).max(root.saturating_sub(1));
 
     // Halve what must be, then where the angles vary most, until the budget is spent.
     let mut heap = BinaryHeap::new();
@@ -209,10 +209,12 @@ impl PartialEq for Candidate {
 
 impl Eq for Candidate {}
 
-/// The level of the largest squares.
-fn root_level(lattice: &Lattice, levels: usize) -> usize {
+/// The level of the largest squares: larger ones where the budget asks for it.
+fn root_level(lattice: &Lattice, levels: &[Level], budget: usize) -> usize {
     let points = lattice.size[0] as usize / LARGEST;
-    (points.max(1).ilog2() as usize).min(levels - 1)
+    let usual = (points.max(1).ilog2() as usize).min(levels.len() - 1);
+    let fits = |&level: &usize| 2 * levels[level].seen() <= budget;
+    (usual..levels.len()).find(fits).unwrap_or(levels.len() - 1)
 }
 
 /// The level down to which squares are halved that an edge crosses: about a 64th of the

@@ -86,6 +86,11 @@ impl Level {
         (0..rows).flat_map(move |y| (0..columns).map(move |x| Square { level, at: [x, y] }))
     }
 
+    /// Squares that have valid points.
+    pub fn seen(&self) -> usize {
+        self.points.iter().filter(|point| point.valid > 0).count()
+    }
+
     fn next(&self) -> Self {
         let [columns, rows] = self.size;
         let size = self.size.map(|n| n.div_ceil(2));
@@ -128,7 +133,8 @@ impl Lattice {
             .collect();
 
         let [silhouettes, shadows] = edge_widths_px(scene, options)
-            .map(|width| (width / f64::from(step_px)).round().max(1.0) as usize);
+            // An edge lies anywhere between the points on its two sides.
+            .map(|width| width.max(1.0) / f64::from(step_px) + 1.0);
         let flat =
             |of: &dyn Fn(&Seen) -> bool| -> Vec<bool> { rows.iter().flatten().map(of).collect() };
         let off_sample = grown(&flat(&|seen| !seen.on_sample), size, silhouettes);
@@ -325,32 +331,33 @@ fn change(here: &Seen, next: &Seen, compared: impl Fn(usize) -> bool) -> f32 {
     largest
 }
 
-/// Where anything is set within this distance along rows and columns.
-fn grown(set: &[bool], [columns, rows]: [u32; 2], reach: usize) -> Vec<bool> {
+/// Where anything is set within this distance, points.
+fn grown(set: &[bool], [columns, rows]: [u32; 2], reach: f64) -> Vec<bool> {
     let (columns, rows) = (columns as usize, rows as usize);
-    let along = |set: &[bool], length: usize, stride: usize, starts: &[usize]| {
-        let mut out = vec![false; set.len()];
-        for &start in starts {
-            let at = |k: usize| start + k * stride;
-            // Points until which the last set one reaches.
-            let mut until = 0;
-            let mut ahead = 0;
-            for k in 0..length {
-                while ahead < length && ahead <= k + reach {
-                    if set[at(ahead)] {
-                        until = until.max(ahead + reach + 1);
+    let mut out = vec![false; set.len()];
+    for down in 0..=reach as usize {
+        let along = (reach * reach - (down * down) as f64).sqrt() as usize;
+        for y in 0..rows {
+            // Column until which the last point that is set reaches.
+            let (mut until, mut ahead) = (0, 0);
+            for x in 0..columns {
+                while ahead < columns && ahead <= x + along {
+                    if set[y * columns + ahead] {
+                        until = ahead + along + 1;
                     }
                     ahead += 1;
                 }
-                out[at(k)] = k < until;
+                if x < until {
+                    let above = y.checked_sub(down);
+                    let below = (y + down < rows).then_some(y + down);
+                    for y in [above, below].into_iter().flatten() {
+                        out[y * columns + x] = true;
+                    }
+                }
             }
         }
-        out
-    };
-    let starts: Vec<usize> = (0..rows).map(|y| y * columns).collect();
-    let by_rows = along(set, columns, 1, &starts);
-    let starts: Vec<usize> = (0..columns).collect();
-    along(&by_rows, rows, columns, &starts)
+    }
+    out
 }
 
 #[cfg(test)]
@@ -360,7 +367,7 @@ mod tests {
     #[test]
     fn sets_grow_by_their_reach() {
         let size = [7u32, 5];
-        for reach in 1..3 {
+        for reach in [1.0, 2.0, 2.3] {
             let mut set = vec![false; 35];
             for at in [0, 17, 30] {
                 set[at] = true;
@@ -368,7 +375,8 @@ mod tests {
             let found = grown(&set, size, reach);
             for k in 0..35usize {
                 let near = |&j: &usize| {
-                    set[j] && (j % 7).abs_diff(k % 7) <= reach && (j / 7).abs_diff(k / 7) <= reach
+                    let apart = [(j % 7).abs_diff(k % 7), (j / 7).abs_diff(k / 7)];
+                    set[j] && (apart[0].pow(2) + apart[1].pow(2)) as f64 <= reach * reach
                 };
                 assert_eq!(found[k], (0..35).any(|j| near(&j)), "{k} {reach}");
             }
