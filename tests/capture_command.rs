@@ -698,7 +698,7 @@ fn shipped_benches_are_sound_and_plan_lights_that_nothing_blocks() {
 fn a_light_that_the_camera_blocks_is_refused() {
     let with_body = |body: &'static str| {
         move |text: String| {
-            let key = "point_spread_px = 0.5";
+            let key = "point_spread_px = 0.0";
             assert!(text.contains(key));
             text.replacen(key, &format!("{key}\nbody = {{ {body} }}"), 1)
         }

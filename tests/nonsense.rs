@@ -11,7 +11,7 @@ use rig::radiance_image::{RadianceImage, exr};
 const SCENE: &str = r#"
 [camera]
 model = "orthographic"
-resolution_px = [32, 32]
+resolution_px = [24, 24]
 extent_mm = [2.2, 2.2]
 position_mm = [0.0, 0.0, 5.0]
 
@@ -156,7 +156,7 @@ fn nonsense(good: &[RadianceImage]) -> Vec<Nonsense> {
             (*m, *v) = ([value; 3], [1e-6; 3]);
         })
     };
-    let middle = 16 * 32 + 16;
+    let middle = 12 * 24 + 12;
     let with_variance = |variance: f32| each(good, |_, _, v| *v = [variance; 3]);
     let times_variance = |factor: f32| each(good, |_, _, v| *v = v.map(|v| factor * v));
     let second_as_first = vec![good[0].clone(), good[0].clone()];
@@ -222,16 +222,16 @@ fn nonsense(good: &[RadianceImage]) -> Vec<Nonsense> {
             "half negative",
             same(),
             each(good, |p, m, _| {
-                if p % 32 < 16 {
+                if p % 24 < 12 {
                     *m = m.map(|v| -v)
                 }
             }),
             "negative",
         ),
         (
-            "half as bright",
+            "a third as bright",
             same(),
-            scaled(good, 0.5),
+            scaled(good, 0.33),
             "times the stated one",
         ),
         (
