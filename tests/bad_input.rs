@@ -347,7 +347,7 @@ const SCENE_CASES: &[Case] = &[
         ],
         change: None,
         fact: "gone.exr: No such file",
-        hint: "EXR image",
+        hint: "check the path's spelling",
     },
     Case {
         name: "image that is none",

@@ -78,11 +78,11 @@ fn mean_radiance<R: Read + Seek>(rows: &mut ExrRows<R>) -> Result<f32, ExrError>
 pub fn average<R: Read + Seek>(
     scene: &Scene,
     mut sources: Vec<Source<R>>,
-    mask: Option<&Path>,
+    mask_path: Option<&Path>,
     options: &CellOptions,
 ) -> Result<Captured, CliError> {
     let resolution_px = scene.camera.resolution_px;
-    let mask = mask
+    let mask = mask_path
         .map(|path| {
             bracket_files::read_picture(path, Some(resolution_px))
                 .hint("a mask is a PNG of the images' size, white where pixels are used")
@@ -113,7 +113,13 @@ pub fn average<R: Read + Seek>(
     }
     averager.finish().map_err(|error| match error {
         AverageError::NothingValid { image } => {
-            let fact = format!("{}: {error}", sources[image].file);
+            let masked = mask.as_ref().zip(mask_path).map(|(mask, path)| {
+                let left = mask.as_raw().iter().filter(|used| **used >= 128).count();
+                let part = 100.0 * left as f64 / mask.as_raw().len().max(1) as f64;
+                format!("; --mask {} leaves {part:.1}% of it", path.display())
+            });
+            let masked = masked.unwrap_or_default();
+            let fact = format!("{}: {error}{masked}", sources[image].file);
             CliError::new(fact).hint(hints::FOR_INVALID_IMAGES)
         }
         error => error.into(),

@@ -5,9 +5,9 @@ use std::path::PathBuf;
 use super::cell_images::{Source, UNSTATED_NOISE};
 use super::pipeline::{FitArgs, FitPlan, check_images, fit_session};
 use super::preflight::{Keys, check_scene};
-use super::{CliError, Context, HintExt, output, warnings};
+use super::{CliError, Context, output, warnings};
 use crate::config::scene::SceneFile;
-use crate::radiance_image::exr::ExrRows;
+use crate::radiance_image::exr::{ExrError, ExrRows};
 use crate::session::fit_record;
 
 /// Fits a BRDF to a session, or to images of a described scene.
@@ -89,8 +89,12 @@ fn fit_scene(
     for path in &args.image {
         let open = || ExrRows::open(path, size);
         let source = open().and_then(|rows| Source::new(rows, path.display().to_string(), open));
-        let source = source
-            .hint("give one EXR image for each [[light]] of the scene, in its order, of its camera's resolution_px")?;
+        let source = match source {
+            Err(error @ ExrError::OtherSize { .. }) => {
+                return Err(CliError::from(error).hint("give one EXR image for each [[light]] of the scene, in its order, of its camera's resolution_px"));
+            }
+            other => other?,
+        };
         if source.mean_of_unstated.is_some() {
             let remark = format!(
                 "{}: no variance is stated; a relative noise of {UNSTATED_NOISE} is assumed",

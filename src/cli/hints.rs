@@ -282,6 +282,7 @@ fn for_exr(error: &ExrError) -> Option<String> {
         Format { .. } | Size { .. } => {
             Some("the image is damaged or no OpenEXR file: render or merge it again".into())
         }
+        CutShort { .. } => Some("copy it again, or render or merge it again".into()),
         OtherSize { .. } => {
             Some("give an image of this camera, with the rig file's resolution_px".into())
         }

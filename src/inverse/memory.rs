@@ -13,7 +13,7 @@ use crate::brdf::departure::modes;
 /// Of program, scene, dictionary and threads, bytes.
 const PROGRAM_BYTES: u64 = 24 << 20;
 /// Per cell and light: values, weights, models, templates of the diagnosis.
-const PER_VALUE_BYTES: u64 = 500;
+const PER_VALUE_BYTES: u64 = 800;
 /// Per cell, light and atom: the direct matrix, twice while it is made.
 const PER_ATOM_BYTES: u64 = 8;
 /// Per cell, light and mode of a departure: derivatives in three channels, twice likewise.
