@@ -362,7 +362,7 @@ const SCENE_CASES: &[Case] = &[
         ],
         change: None,
         fact: "bad.exr is not a readable OpenEXR file",
-        hint: "EXR image",
+        hint: "render or merge it again",
     },
     Case {
         name: "unknown dictionary",
