@@ -7,12 +7,10 @@ use glam::DVec3;
 use super::defects::Defect;
 use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table};
 use super::intervals::{capture, material, of_class, options};
-use super::lab::capture::average;
 use super::lab::materials::Class;
 use super::lab::{Lab, Sample};
 use crate::brdf::Brdf;
 use crate::inverse::diagnosis::Cause;
-use crate::inverse::fit;
 use crate::plot::Figure;
 
 /// Rates of warnings and of the named causes.
@@ -113,13 +111,9 @@ fn one(lab: &Lab, kind: usize, index: u64) -> Result<Row, EvaluateError> {
         sample.lights(lab.settings.lights),
     )?;
     let options = options(lab, index);
-    let fit = fit(
-        &scene,
-        &average(&scene, &images, &lab.dictionary)?,
-        &lab.dictionary,
-        &options,
-        &mut |_| {},
-    )?;
+    let fit = lab
+        .fit_with(&scene, &images, &lab.dictionary, &options)?
+        .fit;
     let expected = expected.map_or("none", Cause::name);
     let named = match fit.diagnosis.finding() {
         Some(cause) => cause.name(),

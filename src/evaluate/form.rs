@@ -135,18 +135,13 @@ fn trials(lab: &Lab, error: Option<FormError>, index: u64) -> Result<[Trial; 2],
     let images = capture(lab, sample, &*brdf, defect.as_ref(), index)?;
     let lights = sample.lights(lab.settings.lights);
     let scene = sample.scene(lab.settings.resolution_px, lights)?;
+    let captured = average(&scene, &images, &lab.dictionary)?;
     let one = |form_error| -> Result<Trial, EvaluateError> {
         let options = FitOptions {
             form_error,
             ..options(lab, index)
         };
-        let fit = fit(
-            &scene,
-            &average(&scene, &images, &lab.dictionary)?,
-            &lab.dictionary,
-            &options,
-            &mut |_| {},
-        )?;
+        let fit = fit(&scene, &captured, &lab.dictionary, &options, &mut |_| {})?;
         let (theta_h, theta_d) = (theta_h_deg(), theta_d_deg());
         let (material, draws) = (&fit.material, &fit.draws);
         let cells = intervals::table(material, draws, &theta_h, &theta_d);

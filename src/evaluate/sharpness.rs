@@ -3,13 +3,11 @@
 use glam::Vec3;
 
 use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table, quantile};
-use super::lab::capture::average;
 use super::lab::{Lab, Material, Sample};
 use crate::brdf::{Atom, Dictionary, Mixture};
 use crate::calibration::mirror_sphere::Grey;
 use crate::calibration::slanted_edge::{Lens, fit_edges, locate};
 use crate::geometry::Mesh;
-use crate::inverse::fit;
 use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
 use crate::random::{Purpose, stream};
 use crate::simulation::photograph::Photographer;
@@ -94,14 +92,9 @@ fn one(lab: &Lab, sample: Sample, material: &Material) -> Result<Vec<Row>, Evalu
             .zip(&rendered)
             .map(|(light, image)| photographer.take(image, light))
             .collect::<Result<Vec<_>, _>>()?;
-        let (scene, options) = (spread(&believed, believed_px), lab.fit_options());
-        let fitted = fit(
-            &scene,
-            &average(&scene, &captured, &lab.dictionary)?,
-            &lab.dictionary,
-            &options,
-            &mut |_| {},
-        )?;
+        let fitted = lab
+            .fit_scene(&spread(&believed, believed_px), &captured)?
+            .fit;
         Ok(lab.score(&fitted.material, &*material.brdf).environment)
     };
     let [measured_px, measured_std_px] = measured(&truth.camera, EDGE_SAMPLES, key(3))?;

@@ -394,8 +394,9 @@ fn is_outlying(
         let value = row.mean[column][c];
         let noise = row.variance[column][c].max(0.0).sqrt();
         // Most pixels are like the one next to them.
-        let beside = row.mean[column.saturating_sub(1)][c];
-        if (value - beside).abs() <= (0.5 * OUTLYING * noise).max(0.5 * LEAST_DIFFERENCE * value) {
+        let neighbour = row.mean[column.saturating_sub(1)][c];
+        if (value - neighbour).abs() <= (0.5 * OUTLYING * noise).max(0.5 * LEAST_DIFFERENCE * value)
+        {
             return false;
         }
         let mut near = [0.0f32; 8];
