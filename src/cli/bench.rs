@@ -1,5 +1,6 @@
 //! `rig bench`: the inner loops on this machine.
 
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -10,6 +11,7 @@ use serde_json::{Value, json};
 
 use super::{CliError, Context, output};
 use crate::brdf::{Dictionary, Mixture};
+use crate::evaluate::growth;
 use crate::geometry::bvh::offset_origin;
 use crate::geometry::{Bvh, Mesh, Ray, Shape};
 use crate::inverse::{BenchPriors, Captured, CellOptions, FitError, FitOptions, fit};
@@ -35,6 +37,10 @@ pub struct BenchArgs {
     /// Only cases whose name contains this
     #[arg(long, value_name = "TEXT", default_value = "")]
     only: String,
+    /// Instead: what `rig fit` costs by the size of its images (64 × 48 to 20 MP), cells, paths,
+    /// lights and threads; a table and a plot go into this folder
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["only", "repeat", "threads"])]
+    growth: Option<PathBuf>,
 }
 
 /// A case at one number of threads.
@@ -54,6 +60,9 @@ struct Row {
 
 /// `rig bench`.
 pub fn run(args: &BenchArgs, context: &Context) -> Result<(), CliError> {
+    if let Some(folder) = &args.growth {
+        return run_growth(folder, args.json, context);
+    }
     let pools = args
         .threads
         .iter()
@@ -107,6 +116,35 @@ pub fn run(args: &BenchArgs, context: &Context) -> Result<(), CliError> {
             row.speedup
         )?;
     }
+    Ok(())
+}
+
+/// Images of every size are in a temporary folder meanwhile.
+fn run_growth(folder: &Path, json: bool, context: &Context) -> Result<(), CliError> {
+    let io = |path: &Path| {
+        let path = path.to_owned();
+        move |error| CliError::new(format!("{}: {error}", path.display()))
+    };
+    std::fs::create_dir_all(folder).map_err(io(folder))?;
+    let program = std::env::current_exe().map_err(io(Path::new("this program")))?;
+    let images = tempfile::tempdir_in(folder).map_err(io(folder))?;
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let costs = growth::measure(&program, images.path(), threads, &|name| context.note(name))?;
+    let figure = growth::figure(&costs);
+    let csv = growth::to_csv(&costs);
+    for (name, bytes) in [
+        ("growth.csv", csv.as_bytes()),
+        ("growth.svg", figure.svg.as_bytes()),
+        ("growth.png", &figure.png()?),
+    ] {
+        let path = folder.join(name);
+        std::fs::write(&path, bytes).map_err(io(&path))?;
+    }
+    if json {
+        return output::write_json(&json!({ "fits": costs }));
+    }
+    out!("{}", csv.trim_end())?;
+    out!("{}", folder.join("growth.png").display())?;
     Ok(())
 }
 

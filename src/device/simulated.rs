@@ -211,23 +211,27 @@ fn angle_axis(letter: char, map: &AxisMap) -> Result<AngleAxis, DeviceError> {
     })
 }
 
-/// Settings of a firmware whose travel is that of the axes. Its machine space
-/// begins at the switch, at 0; a stage with negative positions gets none of the
-/// firmware's own soft limits.
+/// Settings of a firmware whose travel is that of the axes, and whose motors turn as fast as
+/// the rig file's feed, reached within [`SPEED_UP_S`]. Its machine space begins at the switch,
+/// at 0; a stage with negative positions gets none of the firmware's own soft limits.
 fn settings(stage: &GrblConfig) -> GrblSettings {
     let mut settings = GrblSettings::default();
     settings.homing_pull_off = 0.0;
     for (map, letter) in stage.kinematics.axes().into_iter().zip(stage.axes) {
         let ends = [map.position(map.min), map.position(map.max)];
         settings.soft_limits &= ends.iter().all(|&end| end >= -1e-6);
-        if let Some(travel) =
-            axis_index(letter).and_then(|index| settings.max_travel.get_mut(index))
-        {
-            *travel = ends[0].max(ends[1]).max(1.0);
+        let index = axis_index(letter);
+        if let Some(index) = index.filter(|&index| index < settings.max_travel.len()) {
+            settings.max_travel[index] = ends[0].max(ends[1]).max(1.0);
+            settings.max_rate[index] = stage.feed_per_min;
+            settings.acceleration[index] = stage.feed_per_min / 60.0 / SPEED_UP_S;
         }
     }
     settings
 }
+
+/// Time in which an axis reaches its speed, s: an arm of half a kilogram on a belt.
+const SPEED_UP_S: f64 = 0.5;
 
 fn pin_of(commands: &[String]) -> LampPin {
     let (on, _) = effect_of(commands);

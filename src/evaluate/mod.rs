@@ -14,6 +14,7 @@ mod calibration;
 mod dictionary_size;
 mod form;
 mod gallery;
+pub mod growth;
 mod light_count;
 mod misalignment;
 mod next_light;

@@ -49,7 +49,7 @@ fn quick_bench(text: &str, change: impl FnOnce(String) -> String) -> TempDir {
 }
 
 /// The program with these arguments in this folder.
-pub fn rig(folder: &Path, arguments: &[&str]) -> Command {
+pub fn rig(folder: impl AsRef<Path>, arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_rig"));
     command
         .args(arguments)
@@ -60,7 +60,7 @@ pub fn rig(folder: &Path, arguments: &[&str]) -> Command {
 }
 
 /// Likewise, run to its end.
-pub fn run(folder: &Path, arguments: &[&str]) -> Output {
+pub fn run(folder: impl AsRef<Path>, arguments: &[&str]) -> Output {
     rig(folder, arguments).output().unwrap()
 }
 
@@ -96,10 +96,44 @@ pub fn assert_fails(output: &Output, code: i32, fact: &str, hint: &str) {
     assert!(!stderr.contains("internal error"), "{stderr}");
 }
 
+/// Exit code 1, a line that states the fact, a hint at the end, and no defect; there may be
+/// remarks before.
+#[track_caller]
+pub fn assert_refused(output: &Output, fact: &str) {
+    let stderr = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{stderr}");
+    let lines: Vec<&str> = stderr.trim_end().lines().collect();
+    let error = lines
+        .iter()
+        .find(|line| line.starts_with("error: "))
+        .unwrap_or(&"");
+    assert!(error.contains(fact), "{stderr}");
+    assert!(lines.last().unwrap().starts_with("hint: "), "{stderr}");
+    assert!(
+        !stderr.contains("panicked") && !stderr.contains("internal error"),
+        "{stderr}"
+    );
+}
+
+#[track_caller]
+pub fn no_session(folder: impl AsRef<Path>) {
+    let sessions = folder.as_ref().join("sessions");
+    let any = fs::read_dir(sessions).map_or(0, |entries| entries.count());
+    assert_eq!(any, 0);
+}
+
+/// The rig file with such a body around the sample.
+pub fn with_body(text: &str, body: &str) -> String {
+    let next = "[geometry.sample_from_stage]";
+    text.replace(next, &format!("[[geometry.body]]\n{body}\n{next}"))
+}
+
 /// The path that stdout ends with.
-pub fn session_of(folder: &Path, output: &Output) -> PathBuf {
+pub fn session_of(folder: impl AsRef<Path>, output: &Output) -> PathBuf {
     let stdout = text(&output.stdout);
-    folder.join(stdout.lines().last().expect("a path on stdout"))
+    folder
+        .as_ref()
+        .join(stdout.lines().last().expect("a path on stdout"))
 }
 
 /// A folder with all that is in it.

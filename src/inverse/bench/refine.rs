@@ -33,6 +33,9 @@ pub struct RefineOptions {
     /// Direct reflection of a round: square root of the samples per cell, 1..=64. Noise of
     /// theirs that moves the highlights moves the bench.
     pub direct_strata: u32,
+    /// The same of the derivatives, 1..=64. Differences by the same points on two benches are
+    /// smooth where values are not, and each round takes some thirty of them.
+    pub derivative_strata: u32,
     /// Paths per cell, both halves together, on each differing bench, of the derivatives that
     /// say how well the bench is known and how much it leaves open; at least 2. The rounds use
     /// those of direct reflection alone (docs/adr/0009).
@@ -46,9 +49,10 @@ pub struct RefineOptions {
 impl Default for RefineOptions {
     fn default() -> Self {
         Self {
-            rounds: 12,
-            times_paths: 4,
+            rounds: 8,
+            times_paths: 3,
             direct_strata: 16,
+            derivative_strata: 6,
             derivative_samples: 128,
             derivative_reflections: 6,
             settled: 0.3,
@@ -445,7 +449,7 @@ impl Rounds<'_> {
             seed: stream(paths.seed, Purpose::BenchDerivative, round as u64, 0, 0).bits(),
             proposal: Proposal::resembling(material, 0.3),
             steering: paths.steering,
-            direct_strata: refine.direct_strata,
+            direct_strata: refine.derivative_strata,
             average: AVERAGED,
         };
         let cells = &self.captured.cells;
