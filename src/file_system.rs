@@ -243,6 +243,15 @@ fn said(lack: Option<Lack>, path: &Path) {
         } else {
             path.parent()
         };
+        // What has a hidden name is not named: it is temporary.
+        let is_hidden = |folder: &Path| {
+            let name = folder.file_name().unwrap_or_default();
+            name.as_encoded_bytes().starts_with(b".")
+        };
+        let folder = folder.map(|folder| match is_hidden(folder) {
+            true => folder.parent().unwrap_or(folder),
+            false => folder,
+        });
         let folder = folder.filter(|folder| !folder.as_os_str().is_empty());
         let folder: PathBuf = folder.unwrap_or(Path::new(".")).into();
         tracing::warn!("the file system of {} {lack}", folder.display());

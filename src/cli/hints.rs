@@ -8,6 +8,8 @@ mod session;
 
 use std::error::Error;
 
+use rustix::io::Errno;
+
 use device::for_device;
 use evaluate::for_evaluate;
 use session::{for_capture, for_fit_record, for_loading, for_record, for_session};
@@ -302,6 +304,9 @@ fn for_io(error: &std::io::Error) -> Option<&'static str> {
             "give a file of that size at most; where one is written, the shell's limit (`ulimit -f`) and the file system (FAT: 4 GB) must allow it",
         ),
         ReadOnlyFilesystem => Some("choose a folder that can be written"),
+        _ if Errno::from_io_error(error) == Some(Errno::IO) => {
+            Some("the disk or the way to it fails (see `dmesg`): choose another, and try again")
+        }
         _ => None,
     }
 }

@@ -32,7 +32,9 @@ impl Speaker {
     pub fn of(line: &str) -> Option<Self> {
         let line = line.trim();
         let is_status = line.starts_with('<') && line.ends_with('>') && line.contains("Pos:");
-        if is_status || line.starts_with("Grbl ") || line.ends_with("for help]") {
+        let error = line.strip_prefix("error:").map(str::parse::<u16>);
+        let is_error = matches!(error, Some(Ok(_)));
+        if is_status || is_error || line.starts_with("Grbl ") || line.ends_with("for help]") {
             return Some(Self::Grbl);
         }
         if is_zaber(line) {
@@ -77,6 +79,7 @@ mod tests {
                 Some(Speaker::Grbl),
             ),
             ("Grbl 1.1h ['$' for help]", Some(Speaker::Grbl)),
+            ("error:2", Some(Speaker::Grbl)),
             ("@01 0 OK IDLE -- 0", Some(Speaker::Zaber)),
             ("@01 0 12 OK BUSY WR 0:5A", Some(Speaker::Zaber)),
             ("!02 1 IDLE --", Some(Speaker::Zaber)),

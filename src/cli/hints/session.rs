@@ -19,7 +19,8 @@ pub(super) fn for_session(error: &SessionError) -> Option<String> {
         OverQuota { .. } => {
             "nothing that was journalled is lost; remove some of your files there (`quota` says what counts), or use another disk, and try again".into()
         }
-        Io { source, .. } if source.kind() != std::io::ErrorKind::InvalidInput => return for_io(source).map(str::to_owned),
+        // What is not the system's own says that a file is no file.
+        Io { source, .. } if source.raw_os_error().is_some() || source.kind() != std::io::ErrorKind::InvalidInput => return for_io(source).map(str::to_owned),
         Link { .. } => {
             "put a copy of what it leads to in the link's place, so that the session holds its own files: `rig session verify` then checks them".into()
         }

@@ -89,6 +89,8 @@ impl GrblStage {
         stage.is_alive = true;
         stage.identify()?;
         stage.lamp = stage.read_lamp()?;
+        // What has no position is refused before it moves.
+        stage.report_with_position()?;
         Ok(stage)
     }
 

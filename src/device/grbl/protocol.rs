@@ -258,6 +258,8 @@ fn status(body: &str) -> Option<StatusReport> {
             }
         };
         match key {
+            // A controller that has lost count says nan: that is no position.
+            "MPos" | "WPos" if value.contains("nan") || value.contains("inf") => {}
             "MPos" => report.machine = Some(numbers(value)?),
             "WPos" => report.work = Some(numbers(value)?),
             "WCO" => report.work_offset = Some(numbers(value)?),
@@ -447,6 +449,10 @@ mod tests {
                 Reply::OldStatus("<Idle,MPos:0.000,0.000,0.000,WPos:0.000,0.000,0.000>".to_owned()),
             ),
             (
+                "<Idle|MPos:nan,0.000,0.000>",
+                Reply::Status(report(MachineState::Idle)),
+            ),
+            (
                 "$/axes/x/steps_per_mm=80.000",
                 Reply::Info {
                     key: "$/axes/x/steps_per_mm".to_owned(),
@@ -582,7 +588,6 @@ mod tests {
             "<Idle|MPos:0.000,-5.5",
             "<Idle|MPos:0.000,x,0.000>",
             "<Idle|MPos:1,2,3,4,5,6,7>",
-            "<Idle|MPos:nan,0,0>",
             "<Idle|MPos>",
             "<Rum|MPos:0,0,0>",
             "<Idle|Ov:1,1,1|A:Q>",
