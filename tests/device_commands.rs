@@ -287,7 +287,7 @@ fn a_camera_is_described_and_a_frame_is_written_once() {
     let missing = run(&["camera", "info", "--device", "/dev/video-none"]);
     assert_fails(&missing, "does not exist");
     let other = run(&["camera", "info", "--device", "/dev/null"]);
-    assert_fails(&other, "/dev/null: not a camera");
+    assert_fails(&other, "/dev/null is not a camera");
     let asked = ["--exposure-ms", "99999", "--json"];
     let longest = run(&[&["camera", "grab", "--rig", "simulated"][..], &asked].concat());
     assert_eq!(longest.status.code(), Some(0));

@@ -299,7 +299,9 @@ fn for_io(error: &std::io::Error) -> Option<&'static str> {
         InvalidInput if error.raw_os_error().is_some() => Some(
             "the file system there may not take this name: on FAT, exFAT and most shares leave out \" * : < > ? \\ | and a dot or space at the end",
         ),
-        InvalidInput => Some("name a regular file: pipes, sockets and devices are not read"),
+        InvalidInput => {
+            Some("name a regular file: pipes, sockets and devices are neither read nor replaced")
+        }
         FileTooLarge => Some(
             "give a file of that size at most; where one is written, the shell's limit (`ulimit -f`) and the file system (FAT: 4 GB) must allow it",
         ),

@@ -34,6 +34,16 @@ pub enum DeviceError {
         /// What was sent last.
         sent: String,
     },
+    /// There is something else than what is wanted.
+    #[error("{device} is not a {wanted}: {why}")]
+    WrongKind {
+        /// Path or name.
+        device: String,
+        /// What it must be.
+        wanted: &'static str,
+        /// The system's words.
+        why: String,
+    },
     /// What answers speaks another protocol.
     #[error("{device} answered {answer:?}: that is {speaks}, not {expected}")]
     OtherProtocol {

@@ -324,9 +324,10 @@ fn open_error(path: &str, error: serialport::Error) -> DeviceError {
             device,
             source: std::io::Error::new(kind, error.description),
         },
-        _ => DeviceError::Io {
+        _ => DeviceError::WrongKind {
             device,
-            source: std::io::Error::other(format!("not a serial port: {}", error.description)),
+            wanted: "serial port",
+            why: error.description,
         },
     }
 }
@@ -357,7 +358,7 @@ mod tests {
                 ErrorKind::Io(std::io::ErrorKind::PermissionDenied),
                 "permission denied",
             ),
-            (ErrorKind::Unknown, "not a serial port: Not a typewriter"),
+            (ErrorKind::Unknown, "is not a serial port: Not a typewriter"),
         ] {
             let message = message(kind, "Not a typewriter");
             assert!(message.starts_with("/dev/ttyUSB0"), "{message}");
@@ -392,7 +393,7 @@ mod tests {
         let path = file.path().to_str().unwrap();
         assert!(matches!(
             SerialLine::open(path, 115_200),
-            Err(DeviceError::Io { .. })
+            Err(DeviceError::WrongKind { .. })
         ));
         let missing = format!("{path}-missing");
         assert!(matches!(

@@ -105,7 +105,8 @@ impl Controller {
     fn report(&mut self) -> String {
         self.reports += 1;
         let mut text = self.dialect.report.replace("STATE", self.state);
-        if self.reports.is_multiple_of(3) {
+        let is_report = text.starts_with('<');
+        if is_report && self.reports.is_multiple_of(3) {
             let on: String = self.on.iter().collect();
             let on = match on.as_str() {
                 "" => String::new(),
@@ -113,7 +114,7 @@ impl Controller {
             };
             text += &self.dialect.outputs.replace("OUTPUTS", &on);
         }
-        if text.starts_with('<') {
+        if is_report {
             text.push('>');
         }
         self.say(&[&text])

@@ -27,6 +27,7 @@ pub(super) fn for_device(error: &DeviceError) -> String {
         Garbled { .. } => {
             "check the baud rate, and that the port belongs to this device (`rig devices`)"
         }
+        WrongKind { .. } => "name another: `rig devices` lists the cameras and serial ports",
         OtherProtocol { speaks, .. } => for_speaker(*speaks),
         Firmware { fault, .. } => for_firmware(fault),
         Program { program, fault } => return for_program(program, fault),

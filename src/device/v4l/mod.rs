@@ -133,7 +133,11 @@ impl V4lCamera {
         let device = Device::with_path(&config.device).map_err(failed)?;
         let capabilities = device.query_caps().map_err(|error| {
             if error.raw_os_error() == Some(NOT_THIS_KIND) {
-                return failed(io::Error::other("not a camera"));
+                return DeviceError::WrongKind {
+                    device: config.device.clone(),
+                    wanted: "camera",
+                    why: error.to_string(),
+                };
             }
             failed(error)
         })?;
@@ -549,7 +553,7 @@ mod tests {
         assert!(matches!(open(&file), Err(DeviceError::NotFound { .. })));
         assert!(matches!(open("a\0b"), Err(DeviceError::NotFound { .. })));
         std::fs::write(&file, "").unwrap();
-        assert!(matches!(open(&file), Err(DeviceError::Io { .. })));
+        assert!(matches!(open(&file), Err(DeviceError::WrongKind { .. })));
         let gone = device_error("x", io::Error::from_raw_os_error(19));
         assert!(matches!(gone, DeviceError::Disconnected { .. }));
         let full = stream_error("x", [640, 480], io::Error::from_raw_os_error(28));
