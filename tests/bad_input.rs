@@ -435,7 +435,7 @@ const SCENE_CASES: &[Case] = &[
         args: &["shape", "bowl", "--out", "gone/s.ply"],
         change: None,
         fact: "gone/s.ply: No such file or directory",
-        hint: "folder that exists",
+        hint: "check the path's spelling",
     },
     Case {
         name: "mesh in place of a folder",

@@ -122,6 +122,48 @@ fn a_session_is_written_where_there_are_no_locks() {
     assert_done(&command_support::run(folder.path(), &verify));
 }
 
+/// An experiment that another process carries out is its own.
+#[test]
+fn an_experiment_has_one_process() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = ["evaluate", "atoms", "--quick", "--out", "ev"];
+    let held = run_where(&[(LOCK, Errno::AGAIN)], folder.path(), &run);
+    assert_fails(&held, 1, "ev", "wait for it, or give another --out");
+}
+
+/// Programs leave their frames in the folder for temporary files.
+#[test]
+fn a_folder_for_temporary_files_that_is_none_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let program = include_str!("outside/shared/program-camera.toml");
+    fs::write(folder.path().join("rig.toml"), program).unwrap();
+    let grab = ["camera", "grab", "--exposure-ms", "20", "--out", "x.png"];
+    let mut command = rig(folder.path(), &grab);
+    let output = command.env("TMPDIR", "/no/such/folder").output().unwrap();
+    assert_fails(
+        &output,
+        1,
+        "/no/such/folder",
+        "the variable TMPDIR names that folder",
+    );
+}
+
+/// What a session takes is estimated before anything moves.
+#[test]
+fn a_disk_that_is_too_small_is_said_before() {
+    let folder = workplace(|text| {
+        let line = |line: &str| match line.starts_with("disk_reserve_mb") {
+            true => "disk_reserve_mb = 1000000\n".to_owned(),
+            false => format!("{line}\n"),
+        };
+        text.lines().map(line).collect()
+    });
+    let output = command_support::run(folder.path(), CAPTURE);
+    let hint = "free some space, choose another disk with --out";
+    assert_fails(&output, 1, "bytes free", hint);
+    assert!(only_session(folder.path()).is_none());
+}
+
 /// The doctor tries it where sessions go, and leaves nothing there.
 #[test]
 fn the_doctor_names_what_is_lacking() {

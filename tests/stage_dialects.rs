@@ -1,6 +1,6 @@
 //! Controllers that speak other than stock GRBL 1.1: older and newer firmware, builds of
 //! others, settings and inputs that stop a stage. The program as a person runs it, on a
-//! pseudo-terminal. The table in docs/stages.md is made of these.
+//! pseudo-terminal. docs/stages.md sums them up.
 #![cfg(feature = "serial")]
 
 use std::path::Path;
@@ -120,7 +120,7 @@ fn deviations() -> Vec<Deviation> {
             old.clone(),
             STATUS,
             "GRBL 0.9j, and GRBL 1.1 or later is needed",
-            "put GRBL 1.1",
+            "older versions don't report outputs",
         ),
         fails(
             Dialect {
@@ -129,7 +129,7 @@ fn deviations() -> Vec<Deviation> {
             },
             HOME,
             "GRBL 0.8c",
-            "put GRBL 1.1",
+            "older versions don't report outputs",
         ),
         // arkypita/LaserGRBL#667, cprezzi/grbl-LPC#39, grbl/grbl#1267.
         fails(
@@ -523,6 +523,47 @@ fn who_answers_on_a_port_is_named() {
     let port = grbl.path().display().to_string();
     let output = run(&["stage", "status", "--driver", "zaber", "--port", &port]);
     assert_fails(&output, 1, "that is a GRBL controller", "driver = \"grbl\"");
+}
+
+/// What the firmware says after a command that it took counts.
+#[test]
+fn a_restart_or_a_dark_lamp_is_noticed() {
+    let of = |refusals| {
+        DialectSimulator::spawn(Dialect {
+            refusals,
+            ..Dialect::GRBL
+        })
+        .unwrap()
+    };
+    let restarts = of(&[("G21", &["", "Grbl 1.1h ['$' for help]"])]);
+    let (_folder, file) = rig_file(restarts.path());
+    let target = ["--azimuth", "10", "--elevation", "45", "--rig", &file];
+    let moved = run(&[&["stage", "move", "--quiet"], &target[..]].concat());
+    assert_fails(
+        &moved,
+        1,
+        "has not been homed",
+        "run `rig stage home` first",
+    );
+    let stays_dark = of(&[("M3", &["ok"])]);
+    let (_folder, file) = rig_file(stays_dark.path());
+    let lamp = run(&[
+        "stage",
+        "lamp",
+        "0",
+        "--home",
+        "--seconds",
+        "0",
+        "--quiet",
+        "--rig",
+        &file,
+    ]);
+    assert_fails(
+        &lamp,
+        1,
+        "was commanded",
+        "the device has another range or step",
+    );
 }
 
 /// Where the firmware's travel is shorter than the rig file's, the alarm says so.

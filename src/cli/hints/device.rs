@@ -10,7 +10,7 @@ pub(super) fn for_device(error: &DeviceError) -> String {
             "run `rig devices` to see what is connected; name ports by /dev/serial/by-id, which survives replugging"
         }
         NotFound { .. } => {
-            "check the path in the rig file or on the command line: nothing of that name is there"
+            "check the path in the rig file or on the command line: nothing of that name is there (`rig devices` lists what is connected)"
         }
         PermissionDenied { device } if device.starts_with("/dev/") => {
             "`rig devices` says who may open it: where that is a group, add yourself to it (`sudo usermod -aG dialout,video $USER`), then log in again"
