@@ -115,6 +115,7 @@ fn deviations() -> Vec<Deviation> {
             STOP,
             "stopped",
         ),
+        works(old.clone(), STOP, "stopped"),
         // LaserWeb/lw.comm-server#22, zeevy/grblcontroller#169, gnea/grbl#635.
         fails(
             old.clone(),
@@ -361,6 +362,24 @@ fn deviations() -> Vec<Deviation> {
             HOME,
             "unless the machine is idle",
             "against what the device accepts",
+        ),
+        fails(
+            Dialect {
+                homing: &["error:50"],
+                ..grbl.clone()
+            },
+            HOME,
+            "error 50: the emergency stop is active",
+            "or what else closes an input",
+        ),
+        fails(
+            Dialect {
+                homing: &["error:13"],
+                ..grbl.clone()
+            },
+            HOME,
+            "the safety door input is open",
+            "close the safety door",
         ),
         // Lines of their own, echoes, fields without a value, carriage returns alone.
         works(

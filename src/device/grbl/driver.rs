@@ -6,7 +6,9 @@ use std::time::{Duration, Instant};
 
 use super::codes;
 use super::link::{HOLD, Link, RESET, STATUS};
-use super::protocol::{Accessories, Code, MachineState, Reply, StatusReport, effect_of, is_old};
+use super::protocol::{
+    Accessories, Code, Dialect, MachineState, Reply, StatusReport, effect_of, is_old,
+};
 use super::{GrblConfig, axis_index};
 use crate::device::guardian::{Exchange, PortStop};
 use crate::device::kinematics::Pose;
@@ -219,9 +221,18 @@ impl GrblStage {
 
     /// Why the firmware refused a line.
     fn refused_for(&self, line: &str, code: &Code) -> DeviceError {
-        let reason = codes::error(self.link.known().dialect, code);
+        let dialect = self.link.known().dialect;
+        let reason = codes::error(dialect, code);
         let command = line.to_owned();
         let fault = match code {
+            // Alarms in all but name.
+            Code::Number(45) => return self.alarm((AlarmCause::LimitSwitch, reason)),
+            Code::Number(46) => return self.alarm((AlarmCause::HomingRequired, reason)),
+            Code::Number(50) => return self.alarm((AlarmCause::EmergencyStop, reason)),
+            Code::Number(40) if dialect == Dialect::FluidNc => {
+                return self.alarm((AlarmCause::EmergencyStop, reason));
+            }
+            Code::Number(13) => FirmwareFault::Door(1),
             Code::Number(5) => FirmwareFault::HomingDisabled { command },
             Code::Number(18) if line == "$H" => FirmwareFault::NothingToHome { command },
             Code::Number(20) => FirmwareFault::Unsupported { command, reason },

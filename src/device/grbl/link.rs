@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use super::codes;
 use super::protocol::{
-    Accessories, Dialect, LONGEST_LINE, MachineState, Reply, StatusReport, parse,
+    Accessories, Dialect, LONGEST_LINE, MachineState, Reply, StatusReport, machine_state, parse,
 };
 use crate::device::guardian::Gate;
 use crate::device::serial_line::{LineReader, SerialLine, printable};
@@ -163,6 +163,11 @@ impl Link {
                 known.needs_reset = true;
             }
             Reply::Status(report) => known.note_report(report),
+            // All that is read of it: whether it stands.
+            Reply::OldStatus(text) => {
+                known.reports += 1;
+                known.state = text[1..].split(',').next().and_then(machine_state);
+            }
             Reply::Info { key, text } if key == "VER" => known.dialect = Dialect::of(text),
             _ => {}
         }

@@ -276,7 +276,8 @@ fn status(body: &str) -> Option<StatusReport> {
     Some(report)
 }
 
-fn machine_state(text: &str) -> Option<MachineState> {
+/// The state at the beginning of a report.
+pub fn machine_state(text: &str) -> Option<MachineState> {
     let (name, sub) = match text.split_once(':') {
         Some((name, sub)) => (name, sub.parse().ok()?),
         None => (text, 0),
