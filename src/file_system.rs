@@ -215,10 +215,7 @@ pub fn probe(folder: &Path) -> io::Result<Vec<Lack>> {
     };
     let (first, first_path) = scratch(".first")?;
     let (second, second_path) = scratch(".second")?;
-    let locks = match file_lock(&first) {
-        Ok(lack) => lack,
-        Err(error) => return Err(error.into()),
-    };
+    let locks = file_lock(&first)?;
     let mut syncs = sync(&first, &[])?;
     // Some rename no file that is open.
     drop((first, second));

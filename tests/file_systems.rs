@@ -13,7 +13,6 @@ use std::process::Output;
 use rustix::io::Errno;
 use seccompiler::{BpfProgram, SeccompAction, SeccompFilter, TargetArch};
 
-#[allow(dead_code)]
 mod command_support;
 
 use command_support::{assert_done, assert_fails, only_session, rig, text, workplace};

@@ -8,7 +8,6 @@ use std::process::Output;
 
 use mock_devices::grbl::{Dialect, DialectSimulator};
 
-#[allow(dead_code)]
 mod command_support;
 
 use command_support::{assert_fails, text};
