@@ -61,7 +61,7 @@ fn first_calibration_copy(session: &Path) -> PathBuf {
     panic!("no calibration copy");
 }
 
-/// What cannot be made again is in a backup, or nowhere.
+/// What cannot be made again must come from a backup.
 const BACKUP: &str = "lists every such file; restore them from a backup";
 
 const DAMAGES: &[Damage] = &[

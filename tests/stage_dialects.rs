@@ -33,8 +33,8 @@ fn rig_file(port: &Path) -> (tempfile::TempDir, String) {
     (folder, name)
 }
 
-/// A controller, what is asked of it, and what must come of that: exit code, and texts that
-/// are in the fact (or the output), in the hint, and nowhere.
+/// A controller, what is asked of it, and what must come of that: a text of the output, or
+/// texts of the fact and of the hint.
 struct Deviation {
     dialect: Dialect,
     command: &'static [&'static str],
