@@ -62,8 +62,7 @@ fn is_zaber(line: &str) -> bool {
     let words: Vec<&str> = rest.split_whitespace().collect();
     let is_number = |word: &&str| !word.is_empty() && word.bytes().all(|b| b.is_ascii_digit());
     let is_state = |word: &&str| ["IDLE", "BUSY"].contains(word);
-    words.iter().take(2).filter(|word| is_number(word)).count() == 2
-        && words.iter().any(is_state)
+    words.iter().take(2).filter(|word| is_number(word)).count() == 2 && words.iter().any(is_state)
 }
 
 #[cfg(test)]

@@ -1,14 +1,16 @@
 //! The stage driver: homing, moves, lamp and status over a [`Link`].
 
+mod connect;
+mod stop;
+
 use std::collections::BTreeMap;
-use std::sync::{Arc, Weak};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use self::stop::GrblStop;
 use super::codes;
 use super::link::{HOLD, Link, RESET, STATUS};
-use super::protocol::{
-    Accessories, Code, Dialect, MachineState, Reply, StatusReport, effect_of, is_old,
-};
+use super::protocol::{Accessories, Code, Dialect, MachineState, Reply, StatusReport, effect_of};
 use super::{GrblConfig, axis_index};
 use crate::device::guardian::{Exchange, PortStop};
 use crate::device::kinematics::Pose;
@@ -17,6 +19,8 @@ use crate::device::{
     StageInfo, StageStatus, StageStep, StopHandle,
 };
 use crate::units::StageAngles;
+
+pub use self::stop::stop_port;
 
 /// A stage is lost after this many status requests without an answer.
 const STATUS_ATTEMPTS: u32 = 3;
@@ -28,10 +32,6 @@ const POLL_PAUSE: Duration = Duration::from_millis(50);
 /// Standing still elsewhere than at the target for this long ends a move: right
 /// after a command GRBL may report idle before it starts.
 const START_GRACE: Duration = Duration::from_millis(500);
-/// How long a report may take while a stop is confirmed.
-const STOP_PATIENCE: Duration = Duration::from_millis(500);
-/// How long a version before 1.1 may take to say which it is.
-const VERSION_PATIENCE: Duration = Duration::from_secs(1);
 /// How long a controller that took no command may take to say what it does.
 const STATE_PATIENCE: Duration = Duration::from_millis(300);
 /// GRBL's line buffer holds 80 characters.
@@ -101,95 +101,6 @@ impl GrblStage {
             if axis_index(letter).is_none() {
                 return Err(self.refused(&letter.to_string(), "not one of the axes XYZABC"));
             }
-        }
-        Ok(())
-    }
-
-    /// Asks until the firmware speaks. If it stays silent for half of the time it
-    /// may be locked up by a limit switch, which only a reset ends.
-    fn wait_until_alive(&self) -> Result<(), DeviceError> {
-        let timeout = self.config.connect_timeout.to_duration();
-        let start = Instant::now();
-        let mut last_words = None;
-        let mut was_reset = false;
-        while start.elapsed() < timeout {
-            if !was_reset && start.elapsed() > timeout / 2 {
-                was_reset = true;
-                self.link.send(&[RESET])?;
-            }
-            self.link.send(&[STATUS])?;
-            let next = Instant::now() + (timeout / 10).min(Duration::from_millis(250));
-            while let Some(reply) = self.link.receive(next)? {
-                match reply {
-                    Reply::Banner { version, .. } if is_old(&version) => {
-                        return Err(self.old(&version));
-                    }
-                    Reply::OldStatus(_) => return Err(self.old_by_status()),
-                    Reply::Status(_) | Reply::Banner { .. } => {
-                        self.link.drain()?;
-                        self.link.known().unhomed_since = Some("it was connected".to_owned());
-                        return Ok(());
-                    }
-                    Reply::Unknown(text) => last_words = Some(text),
-                    _ => {}
-                }
-            }
-        }
-        Err(match last_words {
-            Some(text) => self.link.garbled(&text, "a GRBL status report"),
-            None => self.link.no_reply(&[STATUS], timeout),
-        })
-    }
-
-    fn old(&self, version: &str) -> DeviceError {
-        self.link.firmware(FirmwareFault::Old {
-            is: format!("GRBL {version}"),
-            needed: "GRBL 1.1",
-        })
-    }
-
-    /// A version before 1.1 has been heard; which one, it says itself.
-    fn old_by_status(&self) -> DeviceError {
-        let deadline = Instant::now() + VERSION_PATIENCE;
-        if let Err(error) = self.link.send(b"$I\n") {
-            return error;
-        }
-        while let Ok(Some(reply)) = self.link.receive(deadline) {
-            match reply {
-                // `[0.9j.20160316:]`: version and date.
-                Reply::Info { key, .. } if is_old(&key) => {
-                    let version = key.rsplit_once('.').map_or(&*key, |(version, _)| version);
-                    return self.old(version);
-                }
-                Reply::Banner { version, .. } => return self.old(&version),
-                Reply::Ok => break,
-                _ => {}
-            }
-        }
-        self.old("0.9 or older")
-    }
-
-    fn identify(&mut self) -> Result<(), DeviceError> {
-        for reply in self.command("$I", self.reply_timeout())? {
-            if let Reply::Info { key, text } = reply
-                && key == "VER"
-            {
-                // Stock GRBL has no watchdog; builds with one say so in their name.
-                self.info.has_watchdog = text.contains("host-watchdog=");
-                self.info.firmware = text.trim_end_matches(':').to_owned();
-            }
-        }
-        for reply in self.command("$$", self.reply_timeout())? {
-            if let Reply::Setting { number, value } = reply {
-                self.settings.insert(number, value);
-            }
-        }
-        // grblHAL's lathe mode ($32=2) leaves the outputs alone.
-        if let Some(mode) = self.setting(32).filter(|&mode| mode != 0.0 && mode != 2.0) {
-            return Err(self.link.firmware(FirmwareFault::LaserMode(mode)));
-        }
-        if let Some(inches) = self.setting(13).filter(|&inches| inches != 0.0) {
-            return Err(self.link.firmware(FirmwareFault::Inches(inches)));
         }
         Ok(())
     }
@@ -737,65 +648,4 @@ impl Drop for GrblStage {
                 .restart(true, "its driver ended", self.reply_timeout());
         }
     }
-}
-
-/// Stops a [`GrblStage`] beside its driver.
-struct GrblStop {
-    link: Weak<Link>,
-    timeout: Duration,
-}
-
-impl StopHandle for GrblStop {
-    fn stop(&mut self) -> Result<(), DeviceError> {
-        // A driver that is gone has turned the lamp off and ended its motion.
-        let Some(link) = self.link.upgrade() else {
-            return Ok(());
-        };
-        link.restart(true, "it was stopped", self.timeout)?;
-        confirm_stopped(&link)
-    }
-}
-
-/// Asks after a restart what the machine does and which outputs are on. It may
-/// be the driver that reads the answers. A build that never reports its outputs
-/// has said with its banner that it began anew.
-fn confirm_stopped(link: &Link) -> Result<(), DeviceError> {
-    for _ in 0..REPORTS_WITH_OUTPUTS {
-        link.send(&[STATUS])?;
-        let deadline = Instant::now() + STOP_PATIENCE;
-        let before = link.known().reports;
-        while link.known().reports == before && Instant::now() < deadline {
-            link.try_receive(deadline.min(Instant::now() + Duration::from_millis(20)))?;
-        }
-        if link.known().accessories.is_some() {
-            break;
-        }
-    }
-    let known = link.known().clone();
-    // After a restart nothing moves, whatever waits.
-    let stands = matches!(
-        known.state.map(activity),
-        Some(StageActivity::Idle | StageActivity::Alarm | StageActivity::Held)
-    );
-    let outputs = known.accessories.unwrap_or_default();
-    if stands && outputs == Accessories::default() {
-        return Ok(());
-    }
-    Err(DeviceError::NotApplied {
-        device: link.device().to_owned(),
-        what: "its state".to_owned(),
-        is: match known.state {
-            Some(state) => format!("{state:?} with {outputs:?}"),
-            None => "not reported".to_owned(),
-        },
-        wanted: "a stop".to_owned(),
-    })
-}
-
-/// Stops whatever GRBL controller is on a port that no driver holds: brakes,
-/// resets it, which turns its outputs off, and waits for its banner.
-pub fn stop_port(path: &str, baud: u32, timeout: Duration) -> Result<(), DeviceError> {
-    let link = Link::open(path, baud)?;
-    link.restart(true, "it was stopped", timeout)?;
-    confirm_stopped(&link)
 }
