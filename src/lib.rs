@@ -8,7 +8,7 @@
 //!
 //! | floor | modules |
 //! |---|---|
-//! | 0 | [`units`], [`frames`], [`random`], [`shown`], [`radiance_image`], [`interrupt`], [`outside_file`], [`whole_file`], [`plot`] |
+//! | 0 | [`units`], [`frames`], [`random`], [`shown`], [`radiance_image`], [`interrupt`], [`outside_file`], [`file_system`], [`whole_file`], [`plot`] |
 //! | 1 | [`brdf`], [`geometry`] |
 //! | 2 | [`transport`], [`radiometry`] |
 //! | 3 | [`inverse`], [`device`], [`simulation`] |
@@ -17,6 +17,7 @@
 //! | 6 | [`report`], [`export`] |
 //! | 7 | [`cli`] |
 
+pub mod file_system;
 pub mod frames;
 pub mod interrupt;
 pub mod outside_file;

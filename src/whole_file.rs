@@ -4,7 +4,9 @@ use std::io::{self, BufWriter, Seek, Write};
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 
-use tempfile::NamedTempFile;
+use tempfile::TempPath;
+
+use crate::file_system;
 
 /// A file that is being written.
 pub trait Out: Write + Seek {}
@@ -24,7 +26,9 @@ pub fn replace(path: &Path, write: impl FnOnce(&mut dyn Out) -> io::Result<()>) 
         return Err(not_regular());
     }
     let file = written(path, write)?;
-    file.persist(path).map_err(|error| error.error)?;
+    file_system::rename(&file, path)?;
+    // Renamed: nothing is left to remove.
+    file.keep().map_err(|error| error.error)?;
     Ok(())
 }
 
@@ -34,7 +38,8 @@ pub fn replace(path: &Path, write: impl FnOnce(&mut dyn Out) -> io::Result<()>) 
 /// [`io::ErrorKind::AlreadyExists`], or the system refuses.
 pub fn create(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let file = written(path, |out| out.write_all(bytes))?;
-    file.persist_noclobber(path).map_err(|error| error.error)?;
+    file_system::rename_new(&file, path)?;
+    file.keep().map_err(|error| error.error)?;
     Ok(())
 }
 
@@ -67,7 +72,9 @@ pub fn check_folder(folder: &Path) -> io::Result<()> {
     if !there.is_dir() {
         return Err(io::ErrorKind::NotADirectory.into());
     }
-    tempfile::tempfile_in(there).map(drop)
+    // Closed before it is removed, which not every file system does with an open one.
+    let file = tempfile::NamedTempFile::new_in(there)?;
+    file.into_temp_path().close()
 }
 
 fn not_regular() -> io::Error {
@@ -77,11 +84,11 @@ fn not_regular() -> io::Error {
     )
 }
 
-/// A temporary file beside `path`, synchronised; dropping it removes it.
+/// A temporary file in the folder of `path`, synchronised and closed; dropping it removes it.
 fn written(
     path: &Path,
     write: impl FnOnce(&mut dyn Out) -> io::Result<()>,
-) -> io::Result<NamedTempFile> {
+) -> io::Result<TempPath> {
     let folder = path.parent().filter(|p| !p.as_os_str().is_empty());
     // In the system's words where there is no such folder.
     std::fs::metadata(folder.unwrap_or(Path::new(".")))?;
@@ -95,8 +102,8 @@ fn written(
     write(&mut writer)?;
     writer.flush()?;
     drop(writer);
-    file.as_file().sync_all()?;
-    Ok(file)
+    file_system::sync_file(file.as_file(), path)?;
+    Ok(file.into_temp_path())
 }
 
 #[cfg(test)]

@@ -393,7 +393,7 @@ const SCENE_CASES: &[Case] = &[
         args: &["brdf", "check", "nbrdf:unobtainium"],
         change: None,
         fact: "no embedded material \"unobtainium\"",
-        hint: "red-plastic",
+        hint: "choose a name such as",
     },
     Case {
         name: "width beyond the closed form",
@@ -435,7 +435,7 @@ const SCENE_CASES: &[Case] = &[
         args: &["shape", "bowl", "--out", "gone/s.ply"],
         change: None,
         fact: "gone/s.ply: No such file or directory",
-        hint: "folder that exists",
+        hint: "check the path's spelling",
     },
     Case {
         name: "mesh in place of a folder",

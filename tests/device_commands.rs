@@ -72,6 +72,15 @@ fn assert_fails(output: &Output, fact: &str) {
     assert!(hint.starts_with("hint: "), "{hint}");
 }
 
+/// The same, with this in the hint.
+#[track_caller]
+fn assert_advises(output: &Output, fact: &str, advice: &str) {
+    assert_fails(output, fact);
+    let stderr = text(&output.stderr);
+    let hint = stderr.lines().last().unwrap();
+    assert!(hint.contains(advice), "{hint}");
+}
+
 #[test]
 fn a_stage_on_a_port_is_asked_homed_and_stopped() {
     let (simulator, port) = firmware();
@@ -114,16 +123,24 @@ fn ports_that_cannot_be_used() {
     let held =
         rig::device::grbl::GrblStage::open(rig::device::grbl::GrblConfig::of_port(&port, 115_200))
             .unwrap();
-    assert_fails(&status(&port), "in use");
+    assert_advises(&status(&port), "in use", "names the process that holds it");
     assert_fails(&run(&["stage", "stop", "--port", &port]), "in use");
     drop(held);
     let (_folder, file) = rig_file(&port);
     let status = || run(&["stage", "status", "--rig", &file]);
     simulator.faults().inject(Trigger::Always, Fault::Garbled);
-    assert_fails(&status(), "is not a GRBL status report");
+    assert_advises(
+        &status(),
+        "is not a GRBL status report",
+        "check the baud rate, and that the port belongs",
+    );
     simulator.faults().clear();
     simulator.faults().inject(Trigger::Always, Fault::NoReply);
-    assert_fails(&status(), "did not answer");
+    assert_advises(
+        &status(),
+        "did not answer",
+        "check power and cable, and that driver and baud rate",
+    );
 }
 
 /// As the superuser may open everything, the test gives that up where it has it.
@@ -146,7 +163,11 @@ fn a_port_or_camera_without_permission() {
         if rustix::process::geteuid().is_root() {
             command.uid(65_534).gid(65_534);
         }
-        assert_fails(&command.output().unwrap(), "permission denied");
+        assert_advises(
+            &command.output().unwrap(),
+            "permission denied",
+            "check who owns the file and its folder",
+        );
     }
 }
 
@@ -287,7 +308,7 @@ fn a_camera_is_described_and_a_frame_is_written_once() {
     let missing = run(&["camera", "info", "--device", "/dev/video-none"]);
     assert_fails(&missing, "does not exist");
     let other = run(&["camera", "info", "--device", "/dev/null"]);
-    assert_fails(&other, "/dev/null: not a camera");
+    assert_fails(&other, "/dev/null is not a camera");
     let asked = ["--exposure-ms", "99999", "--json"];
     let longest = run(&[&["camera", "grab", "--rig", "simulated"][..], &asked].concat());
     assert_eq!(longest.status.code(), Some(0));

@@ -268,6 +268,13 @@ fn the_program_and_its_guardian_watch_over_each_other() {
                 );
                 let said = running.said();
                 assert!(said.contains(fact), "{case}: {said}");
+                // One that was killed says no more.
+                let hint = match (victim, signal) {
+                    (Program, Signal::KILL) => "",
+                    (Program, _) => "find out what stopped the program",
+                    (Guardian, _) => "leave the process `rig guardian` alone",
+                };
+                assert!(said.contains(hint), "{case}: {said}");
                 assert!(!said.contains("internal error"), "{case}: {said}");
                 assert!(!stage.is_lit(), "{case}");
                 if victim == Program {

@@ -61,6 +61,9 @@ fn first_calibration_copy(session: &Path) -> PathBuf {
     panic!("no calibration copy");
 }
 
+/// What cannot be made again must come from a backup.
+const BACKUP: &str = "lists every such file; restore them from a backup";
+
 const DAMAGES: &[Damage] = &[
     Damage {
         name: "merged image changed",
@@ -125,7 +128,7 @@ const DAMAGES: &[Damage] = &[
         done: |w| flip_a_bit(&w.join("raw/L000_E00_R00_light.png")),
         said: &[
             (VERIFY, 1, "light.png has SHA-256", "backup"),
-            (RESUME, 1, "light.png has SHA-256", "backup"),
+            (RESUME, 1, "light.png has SHA-256", BACKUP),
             (FIT, 1, "light.png has SHA-256", ""),
         ],
         heals: false,
@@ -135,7 +138,7 @@ const DAMAGES: &[Damage] = &[
         done: |w| fs::remove_file(w.join("raw/L000_E00_R00_light.toml")).unwrap(),
         said: &[
             (VERIFY, 1, "light.toml is in the journal but not", "backup"),
-            (RESUME, 1, "light.toml is in the journal but not", "backup"),
+            (RESUME, 1, "light.toml is in the journal but not", BACKUP),
             (REPORT, 1, "light.toml is in the journal but not", "verify"),
         ],
         heals: false,
@@ -145,10 +148,10 @@ const DAMAGES: &[Damage] = &[
         done: |w| flip_a_bit(&w.join(layout::SESSION_FILE)),
         said: &[
             (VERIFY, 1, "session.toml has SHA-256", "backup"),
-            (RESUME, 1, "session.toml has SHA-256", "backup"),
+            (RESUME, 1, "session.toml has SHA-256", BACKUP),
             (FIT, 1, "session.toml has SHA-256", ""),
             (REPORT, 1, "session.toml has SHA-256", "verify"),
-            (LIST, 1, "session.toml has SHA-256", "backup"),
+            (LIST, 1, "session.toml has SHA-256", BACKUP),
         ],
         heals: false,
     },
@@ -157,7 +160,7 @@ const DAMAGES: &[Damage] = &[
         done: |w| flip_a_bit(&first_calibration_copy(w)),
         said: &[
             (VERIFY, 1, "has SHA-256", "backup"),
-            (RESUME, 1, "has SHA-256", "backup"),
+            (RESUME, 1, "has SHA-256", BACKUP),
         ],
         heals: false,
     },
@@ -171,10 +174,10 @@ const DAMAGES: &[Damage] = &[
         },
         said: &[
             (VERIFY, 1, "journal.jsonl, line 1", "backup"),
-            (RESUME, 1, "journal.jsonl, line 1", "backup"),
+            (RESUME, 1, "journal.jsonl, line 1", BACKUP),
             (FIT, 1, "journal.jsonl, line 1", ""),
             (REPORT, 1, "journal.jsonl, line 1", "verify"),
-            (LIST, 1, "journal.jsonl, line 1", "backup"),
+            (LIST, 1, "journal.jsonl, line 1", BACKUP),
         ],
         heals: false,
     },
@@ -231,6 +234,13 @@ fn whatever_is_damaged_is_said_and_what_can_be_made_again_is() {
     }
     // A report changes what the manifest vouches for.
     copy(&whole, &w);
+    let of_none = run(folder, &[REPORT, &["--fit", "9"]].concat());
+    assert_fails(
+        &of_none,
+        1,
+        "",
+        "makes one; without --fit the newest is taken",
+    );
     for _ in 0..2 {
         assert_done(&run(folder, REPORT));
     }
@@ -270,10 +280,15 @@ fn folders_and_names_that_cannot_be_used() {
         &with(&["--out", "file"]),
         1,
         "file",
-        "choose another folder",
+        "nothing was overwritten; choose another folder or name",
     );
     for name in ["Schüssel", "", "a b", ".hidden"] {
-        assert_fails(&with(&["--sample", name]), 1, "sample name", "red-plastic");
+        assert_fails(
+            &with(&["--sample", name]),
+            1,
+            "sample name",
+            "choose a name such as",
+        );
     }
     let odd = with(&["--out", "Größe ☃/neu"]);
     assert_done(&odd);

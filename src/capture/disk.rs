@@ -11,16 +11,19 @@ use crate::device::RawFrame;
 use crate::device::guardian::Watchdog;
 use crate::session::{Event, SessionWriter, Sidecar, layout};
 
+/// What a sink meets.
+pub type SinkError = Box<dyn std::error::Error + Send + Sync>;
+
 /// Makes one merged image out of a bracket's frames, which come one by one.
 ///
 /// Errors are the merge's own words.
 pub trait BracketSink: Send {
     /// The frames of another light direction follow.
-    fn begin(&mut self, light: u32) -> Result<(), String>;
+    fn begin(&mut self, light: u32) -> Result<(), SinkError>;
     /// A light, ambient or dark frame of the bracket; pilots are left out.
-    fn add(&mut self, frame: &RawFrame, sidecar: &Sidecar) -> Result<(), String>;
+    fn add(&mut self, frame: &RawFrame, sidecar: &Sidecar) -> Result<(), SinkError>;
     /// The bracket is whole; returns the bytes of its `radiance_L….exr`.
-    fn finish(&mut self) -> Result<Vec<u8>, String>;
+    fn finish(&mut self) -> Result<Vec<u8>, SinkError>;
 }
 
 /// Frames that wait for the disk at most, the one being taken among them. With
@@ -181,9 +184,9 @@ impl Merger {
                 if let MergeJob::Begin(light) = job {
                     current = light;
                 }
-                let fail = |reason| CaptureError::Merge {
+                let fail = |source| CaptureError::Merge {
                     light: current,
-                    reason,
+                    source,
                 };
                 match job {
                     MergeJob::Begin(light) => {

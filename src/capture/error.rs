@@ -193,12 +193,12 @@ pub enum CaptureError {
         exposure_s: f64,
     },
     /// Merging a bracket failed.
-    #[error("light {light} could not be merged: {reason}")]
+    #[error("light {light} could not be merged: {source}")]
     Merge {
         /// Index in the plan.
         light: u32,
-        /// The merge's own words.
-        reason: String,
+        /// What the merge met.
+        source: super::disk::SinkError,
     },
     /// The journalled frames lead to other decisions than the ones recorded.
     #[error("frame {frame} in the session was taken with {found}, the plan leads to {expected}")]

@@ -5,7 +5,7 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use super::BracketSink;
+use super::disk::{BracketSink, SinkError};
 use crate::device::{FrameKind, LampState, Mosaic, RawFrame};
 use crate::radiance_image::RadianceImage;
 use crate::radiance_image::exr::{self, ExrError};
@@ -53,7 +53,7 @@ impl RadianceSink {
     }
 
     /// The next rows of the image: those of each channel, in the colours that it measures.
-    fn next_rows(&self, bands: &mut [Bands<'_>]) -> Result<RadianceImage, SinkError> {
+    fn next_rows(&self, bands: &mut [Bands<'_>]) -> Result<RadianceImage, MergingError> {
         let mut merged: Option<RadianceImage> = None;
         for (bands, colours) in bands.iter_mut().zip(&self.colours) {
             let band = bands.next_band()?.ok_or(MergeError::NoLightFrame);
@@ -73,7 +73,7 @@ impl RadianceSink {
 
 /// Why no image came of a bracket.
 #[derive(Debug, thiserror::Error)]
-enum SinkError {
+enum MergingError {
     #[error(transparent)]
     Stack(#[from] StackError),
     #[error(transparent)]
@@ -81,7 +81,7 @@ enum SinkError {
 }
 
 impl BracketSink for RadianceSink {
-    fn begin(&mut self, light: u32) -> Result<(), String> {
+    fn begin(&mut self, light: u32) -> Result<(), SinkError> {
         self.light = light;
         self.channels.clear();
         if let Some(stack) = &mut self.stack {
@@ -90,13 +90,13 @@ impl BracketSink for RadianceSink {
         Ok(())
     }
 
-    fn add(&mut self, frame: &RawFrame, sidecar: &Sidecar) -> Result<(), String> {
+    fn add(&mut self, frame: &RawFrame, sidecar: &Sidecar) -> Result<(), SinkError> {
         let (role, channel) = match (sidecar.key.kind, sidecar.lamp) {
             (FrameKind::Light, LampState::On(channel)) => {
                 (FrameRole::Light, Some(usize::from(channel.0)))
             }
             (FrameKind::Light, LampState::Off) => {
-                return Err(format!("{} has no lamp", layout::frame_stem(sidecar.key)));
+                return Err(format!("{} has no lamp", layout::frame_stem(sidecar.key)).into());
             }
             (FrameKind::Ambient, _) => (FrameRole::Ambient, None),
             (FrameKind::Dark, _) => (FrameRole::Dark, None),
@@ -106,20 +106,18 @@ impl BracketSink for RadianceSink {
             None => {
                 self.size = [frame.width, frame.height].map(|n| n as usize);
                 let [width, height] = self.size;
-                let check = self.noise.check(width * height);
-                check.map_err(|e| e.to_string())?;
-                let stack = Stack::new(&self.folder, width, height, 1);
-                self.stack.insert(stack.map_err(|e| e.to_string())?)
+                self.noise.check(width * height)?;
+                self.stack
+                    .insert(Stack::new(&self.folder, width, height, 1)?)
             }
         };
         let exposure_s = sidecar.applied.exposure.0;
-        let added = stack.add(role, exposure_s, &[frame.counts.as_slice()]);
-        added.map_err(|e| e.to_string())?;
+        stack.add(role, exposure_s, &[frame.counts.as_slice()])?;
         self.channels.push(channel);
         Ok(())
     }
 
-    fn finish(&mut self) -> Result<Vec<u8>, String> {
+    fn finish(&mut self) -> Result<Vec<u8>, SinkError> {
         let stack = self.stack.as_ref().filter(|stack| !stack.is_empty());
         let stack = stack.ok_or("the bracket has no frame")?;
         let of_channel = |channel: usize| {
@@ -133,7 +131,12 @@ impl BracketSink for RadianceSink {
             _ => self.size.map(|n| n / 2),
         };
         let path = PathBuf::from(layout::radiance_file(self.light));
-        exr::encode_rows(&path, size, || self.next_rows(&mut bands)).map_err(|e| e.to_string())
+        match exr::encode_rows(&path, size, || self.next_rows(&mut bands)) {
+            Ok(bytes) => Ok(bytes),
+            // Each as what it is, not as what wraps both.
+            Err(MergingError::Stack(error)) => Err(error.into()),
+            Err(MergingError::Image(error)) => Err(error.into()),
+        }
     }
 }
 

@@ -32,7 +32,7 @@ pub mod run;
 mod spent;
 mod worker;
 
-pub use disk::{BracketSink, WRITE_QUEUE};
+pub use disk::{BracketSink, SinkError, WRITE_QUEUE};
 pub use error::CaptureError;
 pub use merge_sink::RadianceSink;
 pub use progress::{Observer, Outcome, Progress};

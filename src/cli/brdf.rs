@@ -7,7 +7,7 @@ use clap::{Args, Subcommand};
 use glam::DVec3;
 use serde::Serialize;
 
-use super::output::{ANOTHER_FILE, check_ending, write_json, write_path};
+use super::output::{ANOTHER_FILE, check_ending, unwritable, write_json, write_path};
 use super::{CliError, Context, HintExt, fit_folder};
 use crate::brdf::check::{ALBEDO_ANGLES_DEG, PhysicalCheck, check};
 use crate::brdf::chi_square::{ChiSquare, check_lobes};
@@ -450,8 +450,7 @@ fn project(
     if let Some(path) = weights_out {
         let csv = weights::to_csv(&reference, None);
         whole_file::replace(path, |file| file.write_all(csv.as_bytes()))
-            .map_err(|error| CliError::new(format!("{}: {error}", path.display())))
-            .hint(ANOTHER_FILE)?;
+            .map_err(|error| unwritable(path, &error))?;
     }
     if json {
         return write_json(&answer);
@@ -506,8 +505,7 @@ fn convert(spec: &str, path: &Path) -> Result<(), CliError> {
             let description = format!("{spec}, by rig {}", env!("CARGO_PKG_VERSION"));
             let bytes = rgl::to_bytes(brdf.as_ref(), rgl::Channels::Rgb, &description);
             whole_file::replace(path, |file| file.write_all(&bytes))
-                .map_err(|error| CliError::new(format!("{}: {error}", path.display())))
-                .hint(ANOTHER_FILE)?;
+                .map_err(|error| unwritable(path, &error))?;
         }
         _ => {
             return Err(CliError::new(format!(

@@ -7,7 +7,7 @@ use mock_devices::{Illumination, RadianceSource};
 
 use super::output::{write_json, write_path};
 use super::rig_choice::RigArg;
-use super::{CliError, Context, HintExt, camera_preview, open};
+use super::{CliError, Context, camera_preview, hints, open};
 use crate::config::{CameraDriver, RigConfig};
 use crate::device::controls::{ControlInfo, name_of};
 use crate::device::pixel_format::{FORMAT_NAME, fourcc_of_name};
@@ -229,9 +229,15 @@ fn grab(
 
 fn write_png(path: &Path, frame: &RawFrame) -> Result<(), CliError> {
     let png = encode_png(frame).map_err(CliError::new)?;
-    whole_file::create(path, &png)
-        .map_err(|error| CliError::new(format!("{}: {error}", path.display())))
-        .hint("name a file that does not exist yet, in a folder that can be written")
+    whole_file::create(path, &png).map_err(|error| {
+        let hint = match error.kind() {
+            std::io::ErrorKind::AlreadyExists => None,
+            _ => hints::for_error(&error),
+        };
+        let exists =
+            || "name a file that does not exist yet, in a folder that can be written".into();
+        CliError::new(format!("{}: {error}", path.display())).hint(hint.unwrap_or_else(exists))
+    })
 }
 
 fn print_info(info: &CameraInfo) -> Result<(), CliError> {

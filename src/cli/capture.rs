@@ -53,7 +53,7 @@ pub struct CaptureArgs {
     #[arg(
         long,
         value_name = "DIR",
-        default_value = "sessions",
+        default_value = SESSIONS,
         conflicts_with = "resume"
     )]
     out: PathBuf,
@@ -73,6 +73,9 @@ pub struct CaptureArgs {
     #[arg(long)]
     json: bool,
 }
+
+/// Folder of the sessions where `--out` names no other.
+pub(super) const SESSIONS: &str = "sessions";
 
 /// `--lights`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -83,6 +83,10 @@ fn print(listed: &Listed) -> Result<(), CliError> {
         line += &format!("  serial number {}", device.serial);
     }
     out!("{line}")?;
+    if let Some(first) = &device.first_node {
+        let first = first.display();
+        out!("        a further node of the camera {first}, mostly without images")?;
+    }
     if let Some(problem) = &device.problem {
         out!("        cannot be opened: {problem}")?;
     }
@@ -108,6 +112,7 @@ mod tests {
             node: "/dev/video0".into(),
             model: String::new(),
             serial: String::new(),
+            first_node: None,
             usb: true,
             accessible: problem.is_none(),
             problem: problem.map(str::to_owned),

@@ -8,7 +8,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use jiff::Timestamp;
-use rustix::fs::{Access, access, statvfs};
+use rustix::fs::{Access, access};
 use serde::Serialize;
 
 use super::capture_records::CHANGED_ON_PURPOSE;
@@ -27,8 +27,10 @@ use crate::calibration::{Library, RecordError, Seal};
 use crate::capture::reach::StageReach;
 use crate::config::stage::StageDriver;
 use crate::config::{CameraDriver, Origin, ResolvedRig};
-use crate::device::discovery;
+use crate::device::command_camera::program;
 use crate::device::dome::DomeWiring;
+use crate::device::{DeviceError, discovery};
+use crate::file_system::{self, Lack};
 
 /// Checks configuration, devices, permissions, disk and calibration
 ///
@@ -145,7 +147,12 @@ impl Check {
 fn all_checks(rig: &ResolvedRig) -> Vec<Check> {
     let mut checks = vec![configuration(rig), camera(rig), stage(rig)];
     checks.extend(watchdog(rig));
-    checks.extend(folder(rig, Path::new(".")));
+    let sessions = Path::new(super::capture::SESSIONS);
+    let place = match sessions.is_dir() {
+        true => sessions,
+        false => Path::new("."),
+    };
+    checks.extend(folder(rig, place));
     let library = Library::of_rig(rig);
     let named = &rig.config.calibration;
     checks.push(calibration::<SensorValues>(
@@ -282,7 +289,9 @@ fn camera(rig: &ResolvedRig) -> Check {
             "build it with the feature `v4l`",
         ),
         CameraDriver::V4l { device, .. } => device_file("camera", device, "/dev/v4l/by-id"),
-        CameraDriver::Command(command) => program(command.first().map_or("", String::as_str)),
+        CameraDriver::Command(command) => {
+            camera_program(command.first().map_or("", String::as_str))
+        }
         CameraDriver::Folder(folder) => match access(folder, Access::READ_OK | Access::WRITE_OK) {
             Ok(()) => Check::ok(
                 "camera",
@@ -298,21 +307,16 @@ fn camera(rig: &ResolvedRig) -> Check {
 }
 
 /// Whether a program can be run, by its path or found as a shell finds it.
-fn program(name: &str) -> Check {
-    let paths = std::env::var_os("PATH").unwrap_or_default();
-    let found = if name.contains('/') {
-        access(name, Access::EXEC_OK).is_ok()
-    } else {
-        std::env::split_paths(&paths).any(|path| access(path.join(name), Access::EXEC_OK).is_ok())
-    };
-    if found {
+fn camera_program(name: &str) -> Check {
+    let Some(fault) = program::fault(name) else {
         return Check::ok("camera", format!("frames come from the program {name}"));
-    }
-    Check::failed(
-        "camera",
-        format!("the program {name} is not there or may not be run"),
-        "install it, `chmod +x` it, or correct camera.command in the rig file",
-    )
+    };
+    let error = DeviceError::Program {
+        program: name.to_owned(),
+        fault,
+    };
+    let remedy = hints::for_error(&error).unwrap_or_default();
+    Check::failed("camera", error.to_string(), remedy)
 }
 
 fn stage(rig: &ResolvedRig) -> Check {
@@ -386,22 +390,28 @@ fn watchdog(rig: &ResolvedRig) -> Option<Check> {
     ))
 }
 
-/// Free space and speed of the disk that will hold the sessions.
+/// Free space and speed of the disk that will hold the sessions, and what its file system
+/// can do.
 fn folder(rig: &ResolvedRig, folder: &Path) -> Vec<Check> {
     if let Err(error) = access(folder, Access::WRITE_OK) {
         return vec![Check::failed(
             "folder",
             format!(
-                "the working folder cannot be written: {}",
+                "the folder {} cannot be written: {}",
+                folder.display(),
                 std::io::Error::from(error)
             ),
             "run in another folder, or give `rig capture` one with --out",
         )];
     }
     let reserve = rig.config.capture.disk_reserve_bytes;
-    let space = match statvfs(folder) {
-        Ok(disk) => {
-            let free = disk.f_bavail.saturating_mul(disk.f_frsize);
+    let space = match file_system::free_bytes(folder) {
+        Ok(u64::MAX) => Check::warning(
+            "disk space",
+            "the file system does not say how much is free",
+            "see to it that there is enough: a capture cannot stop before the disk is full",
+        ),
+        Ok(free) => {
             let fact = format!("{} MB free, {} MB stay reserved", free >> 20, reserve >> 20);
             if free <= reserve {
                 let remedy = "free some space, or lower capture.disk_reserve_mb in the rig file";
@@ -410,30 +420,56 @@ fn folder(rig: &ResolvedRig, folder: &Path) -> Vec<Check> {
                 Check::ok("disk space", fact)
             }
         }
-        Err(error) => Check::failed(
-            "disk space",
-            std::io::Error::from(error).to_string(),
-            "run in another folder",
-        ),
+        Err(error) => Check::failed("disk space", error.to_string(), "run in another folder"),
     };
     let speed = match write_rate_mb_s(folder) {
         Ok(rate) => Check::ok("disk speed", format!("{rate:.0} MB/s written and synced")),
         Err(error) => Check::failed("disk speed", error.to_string(), "run in another folder"),
     };
-    vec![space, speed]
+    vec![file_system_of(folder), space, speed]
+}
+
+/// Whether a session can be written as it should be: tried with a file that goes again.
+fn file_system_of(folder: &Path) -> Check {
+    let name = "file system";
+    match file_system::probe(folder) {
+        Err(error) => {
+            let remedy = hints::for_error(&error).unwrap_or_else(|| {
+                "run in another folder, or give `rig capture` one with --out".to_owned()
+            });
+            let fact = format!("no session can be kept in {}: {error}", folder.display());
+            Check::failed(name, fact, remedy)
+        }
+        Ok(lacks) if lacks.is_empty() => Check::ok(
+            name,
+            "locks, confirms what is on the medium, and replaces files",
+        ),
+        Ok(lacks) => {
+            let lacks: Vec<String> = lacks.iter().map(Lack::to_string).collect();
+            Check::warning(
+                name,
+                format!("that of {} {}", folder.display(), lacks.join("; it ")),
+                "sessions work there with that; for all of it, put them on a local disk (`rig capture --out`)",
+            )
+        }
+    }
 }
 
 /// Writes and syncs a few megabytes as a capture would.
 fn write_rate_mb_s(folder: &Path) -> std::io::Result<f64> {
     const MEGABYTES: usize = 8;
     let block = vec![0x5a; 1 << 20];
-    let mut file = tempfile::tempfile_in(folder)?;
+    // Closed before it is removed, which not every file system does with an open one.
+    let (mut file, path) = tempfile::NamedTempFile::new_in(folder)?.into_parts();
     let start = Instant::now();
     for _ in 0..MEGABYTES {
         file.write_all(&block)?;
     }
-    file.sync_all()?;
-    Ok(MEGABYTES as f64 / start.elapsed().as_secs_f64().max(1e-9))
+    file_system::sync_file(&file, &path)?;
+    let rate = MEGABYTES as f64 / start.elapsed().as_secs_f64().max(1e-9);
+    drop(file);
+    path.close()?;
+    Ok(rate)
 }
 
 fn calibration<V: Values>(rig: &ResolvedRig, library: &Library, id: Option<&str>) -> Check {

@@ -1,26 +1,29 @@
-//! Advice for typed errors. The library states facts; here is what to do about them.
+//! Advice for typed errors. The library states facts; here is what to do about them: a row
+//! for each kind, by the floor that states it. `tests/hints.rs` holds every row to a test
+//! that runs the program.
+
+mod device;
+mod evaluate;
+mod session;
 
 use std::error::Error;
 
+use rustix::io::Errno;
+
+use device::for_device;
+use evaluate::for_evaluate;
+use session::{for_capture, for_fit_record, for_loading, for_record, for_session};
+
 use crate::brdf::BrdfError;
-use crate::calibration::RecordError;
 use crate::calibration::procedure::ProcedureError;
-use crate::capture::CaptureError;
 use crate::config::ConfigError;
 use crate::config::build::BuildError;
-use crate::device::DeviceError;
-use crate::evaluate::experiment::EvaluateError;
-use crate::evaluate::lab::materials;
 use crate::export::ExportError;
 use crate::geometry::MeshError;
 use crate::inverse::cells::AverageError;
 use crate::inverse::fit::FitError;
 use crate::inverse::plausibility::Implausible;
 use crate::radiance_image::exr::ExrError;
-use crate::radiometry::exposure::PlanError;
-use crate::report::load::LoadError;
-use crate::session::SessionError;
-use crate::session::fit_record::FitRecordError;
 use crate::transport::cache::CacheError;
 
 /// What remains when nothing better is known.
@@ -98,30 +101,6 @@ fn for_one(error: &(dyn Error + 'static)) -> Option<String> {
     None
 }
 
-fn for_device(error: &DeviceError) -> String {
-    use DeviceError::*;
-    match error {
-        NotFound { .. } => "run `rig devices` to see what is connected; name ports by /dev/serial/by-id, which survives replugging".into(),
-        PermissionDenied { device } => format!(
-            "add yourself to the group that owns {device} (`sudo usermod -aG dialout,video $USER`), then log in again; `rig doctor` checks it"
-        ),
-        Busy { device } => format!("`fuser -v {device}` names the process that holds it; end that one first"),
-        NoReply { .. } => "check power, cable and baud rate; `rig devices` shows whether it is still there; a slow camera needs a longer camera.frame_timeout_s".into(),
-        Garbled { .. } => "check the baud rate and that the port belongs to this device (`rig devices`)".into(),
-        BadFrame { .. } => "check the cable and that nothing else shares its USB bus; resolution_px and bit_depth in the rig file must be the camera's (`rig camera info`)".into(),
-        Refused { .. } => "check the rig file against what the device accepts: `rig stage status`, `rig camera info` and `rig camera controls` ask it".into(),
-        Alarm { .. } => "find out what the stage hit or lost, then `rig stage home`".into(),
-        NotHomed { .. } => "run `rig stage home` first".into(),
-        OutOfReach { .. } => "choose fewer or other lights, or correct the limits in the rig file's [stage] table".into(),
-        NotApplied { .. } => "the device has another range or step; `rig camera info` and `rig stage status` show what it accepts".into(),
-        Disconnected { .. } => "check the cable and the USB hub's power, then `rig doctor`; an interrupted capture continues with `rig capture --resume`".into(),
-        TemporaryFolder { .. } => "the variable TMPDIR names that folder (without it, it is /tmp): name one that exists and can be written".into(),
-        Relieved { .. } => "find out what stopped the program or kept it from running (`kill -STOP`, a debugger, too little memory): its guardian says whether the lamp went off; Ctrl-Z pauses a capture, and an interrupted one continues with `rig capture --resume`".into(),
-        Unguarded { .. } => "leave the process `rig guardian` alone, which turns the lamp off where this program cannot; an interrupted capture continues with `rig capture --resume`".into(),
-        Io { .. } => "run `rig doctor`".into(),
-    }
-}
-
 const EXPLAINED: &str =
     "correct the file; rig-configs/simulated.toml explains every key with its unit and range";
 
@@ -158,104 +137,6 @@ fn for_config(error: &ConfigError) -> String {
         FallbackRefused { .. } => {
             "name the rig with --rig, RIG_CONFIG or ./rig.toml; for the simulated one, --rig simulated".into()
         }
-    }
-}
-
-fn for_record(error: &RecordError) -> String {
-    use RecordError::*;
-    match error {
-        Io { .. } => "check the path and the permissions of the calibration folder".into(),
-        NotFound { .. } => "correct the id in the rig file's [calibration] table, or remove it to use the newest record".into(),
-        Syntax { .. } | Invalid { .. } | Checksum { .. } => {
-            "the record was changed or damaged: restore it from a backup, or calibrate anew and remove it".into()
-        }
-        Mismatch { kind, .. } => format!(
-            "run `rig calibrate {}` with this device at these settings, or name a record that belongs to them in the rig file's [calibration] table",
-            kind.command()
-        ),
-        Exists { .. } => "give the new record another id".into(),
-    }
-}
-
-fn for_session(error: &SessionError) -> Option<String> {
-    use SessionError::*;
-    Some(match error {
-        Exists { .. } => "nothing was overwritten; choose another folder or name".into(),
-        NotASession { .. } => "name the session's own folder, the one with session.toml in it".into(),
-        DiskFull { .. } => {
-            "nothing that was journalled is lost; free some space and try again".into()
-        }
-        Io { source, .. } if source.kind() != std::io::ErrorKind::InvalidInput => return for_io(source).map(str::to_owned),
-        Link { .. } => {
-            "put a copy of what it leads to in the link's place, so that the session holds its own files: `rig session verify` then checks them".into()
-        }
-        NotCaptured { .. } => "`rig capture --resume SESSION` captures the rest; then fit".into(),
-        Value { .. } => "the plan was changed since it was written: restore session.toml from a backup, or start a new session".into(),
-        Io { .. } | Checksum { .. } | Length { .. } | Missing { .. } | Malformed { .. } | CorruptJournal { .. } => {
-            "the session was changed or damaged: `rig session verify` lists every such file; restore them from a backup".into()
-        }
-        Locked { .. } => "wait until the other capture has ended, or end it".into(),
-        SampleName { .. } => "choose a name such as `red-plastic_01`".into(),
-        FrameTaken { .. } => "start a new session, or `rig capture --resume` this one".into(),
-    })
-}
-
-fn for_capture(error: &CaptureError) -> Option<String> {
-    use CaptureError::*;
-    Some(match error {
-        Device(error) => for_device(error),
-        Session(error) => return for_session(error),
-        Exposure(PlanError::OutOfRange { .. }) => EXPLAINED.into(),
-        Exposure(PlanError::TooBright { .. }) => "dim the lamp or close the aperture, or lower capture.shortest_ms in the rig file if the camera can do less".into(),
-        LightOutOfReach { .. } => "choose fewer or other lights, or correct the limits in the rig file's [stage] table".into(),
-        LightBlocked { .. } => "take a direction that is free (`--lights N` plans only such), or correct [geometry.camera] body in the rig file; leave `body` out where the light comes through the lens or a beam splitter".into(),
-        TooManyLights { reachable: 0, .. } => "correct [geometry.camera] body, or the limits in the rig file's [stage] table".into(),
-        TooManyLights { reachable, .. } => format!("ask for at most {reachable}, or `--lights all`"),
-        Empty { .. } => "ask for at least one light, e.g. `--lights 4`".into(),
-        NotEnoughSpace { .. } => "free some space, choose another disk with --out, or ask for fewer lights".into(),
-        LowDisk { .. } => "nothing that was journalled is lost; free some space".into(),
-        LampDrift { .. } => "let the lamp warm up (capture.lamp_warm_up_s in the rig file) and check its supply; if it doesn't come back to what it was, start a new session".into(),
-        LightMoved { .. } | NotAsBefore { .. } => "resume once more, which homes the stage again; `rig stage repeatability` shows how well it finds its switches; if the sample was touched or the stage repeats no better, start a new session".into(),
-        TooHot { .. } => "let it cool down (the lamp is off) and resume; improve the cooling, or correct the [limits] in a new session's rig file".into(),
-        OtherCamera { .. } => "connect the camera that the session was begun with, or start a new session".into(),
-        ExposureNotApplied { .. } => "raise camera.settings_latency_frames in the rig file; check that the camera is in manual mode and the lamp doesn't flicker".into(),
-        NoLight { .. } => "check the lamp's power and cable, the lens cap, and that the stage points at the sample".into(),
-        AllSaturated { .. } => "dim the lamp or close the aperture; a camera that ignores its exposure does the same: compare `rig camera grab` at two exposures".into(),
-        OtherFrame { .. } => "the session was changed since it was captured; start a new one".into(),
-        NotStopped { .. } => "use the emergency stop and look whether the lamp is on; check the stage's cable and power".into(),
-        Interrupted | StoppedNow => "`rig capture --resume SESSION` continues it".into(),
-        Merge { reason, .. } if reason.contains("no space left") => {
-            "free some space on the disk of the session; the frames taken so far are safe".into()
-        }
-        Merge { .. } | Thread(_) | WorkerGone { .. } => return None,
-    })
-}
-
-fn for_loading(error: &LoadError) -> Option<String> {
-    use LoadError::*;
-    match error {
-        Session(error) => for_session(error),
-        Fit(error) => for_fit_record(error),
-        Brdf(error) => for_brdf(error),
-        Image(error) => for_exr(error),
-        Sidecar { .. } => Some("`rig session verify` lists every damaged file".into()),
-        NoSuchFit { .. } => {
-            Some("`rig fit SESSION` makes one; without --fit the newest is taken".into())
-        }
-    }
-}
-
-fn for_fit_record(error: &FitRecordError) -> Option<String> {
-    use FitRecordError::*;
-    match error {
-        Io { source, .. } => for_io(source).map(str::to_owned),
-        Exists { .. } => Some("nothing was overwritten; choose another folder".into()),
-        Syntax { .. } | Value { .. } => {
-            Some("the fit was changed by hand or damaged; fit again".into())
-        }
-        NotVouchedFor { .. } => Some("`rig fit SESSION` makes a fit that is journalled".into()),
-        Session(error) => for_session(error),
-        Image(error) => for_exr(error),
     }
 }
 
@@ -370,56 +251,6 @@ pub(super) fn for_implausible(error: &Implausible) -> &'static str {
     }
 }
 
-fn for_evaluate(error: &EvaluateError) -> Option<String> {
-    use EvaluateError::*;
-    let advice = match error {
-        UnknownExperiment { name, known } => {
-            let known: Vec<String> = known.split(", ").map(str::to_owned).collect();
-            return Some(match nearest(name, &known) {
-                Some(near) => {
-                    format!("did you mean `{near}`? `rig evaluate --list` says what each shows")
-                }
-                None => "`rig evaluate --list` says what each shows".into(),
-            });
-        }
-        UnknownMaterial { spec, .. } => return Some(for_material(spec)),
-        Unused { .. } => "leave the option out: this experiment has nothing that it could change",
-        SettingsChanged { .. } => {
-            "give the earlier settings or another --out, or start anew with --restart"
-        }
-        ForeignFolder { .. } => "give a folder that is empty or does not exist",
-        Locked { .. } => "wait for it, or give another --out",
-        Journal { .. } => "start anew with --restart",
-        NoSuchCase { .. } => {
-            "names are made of the material, the shape and the like, as the first is"
-        }
-        NoMaterial { .. } => "name one with --materials",
-        SameName { .. } => "name each material once; files of one name need another",
-        Io { source, .. } => return for_io(source).map(str::to_owned),
-        // Those with a source of their own are asked for it; these have it folded in.
-        Brdf(error) => return for_brdf(error),
-        Fit(error) => return for_fit(error),
-        Mesh(error) => return for_mesh(error),
-        _ => return None,
-    };
-    Some(advice.into())
-}
-
-/// What a misspelt material may have meant: a name without its kind, or one that differs little.
-fn for_material(spec: &str) -> String {
-    let known = materials::specs();
-    let bare = known.iter().find(|other| {
-        let name = other.split_once(':').map_or("", |(_, name)| name);
-        name == spec
-    });
-    match bare.map(String::as_str).or_else(|| nearest(spec, &known)) {
-        Some(near) => format!("did you mean `{near}`? A file needs its path"),
-        None => {
-            "a file needs its path and the ending of its kind; the names are listed above".into()
-        }
-    }
-}
-
 fn for_mesh(error: &MeshError) -> Option<String> {
     match error {
         MeshError::Io { source, .. } => for_io(source).map(str::to_owned),
@@ -460,11 +291,24 @@ fn for_io(error: &std::io::Error) -> Option<&'static str> {
         StorageFull => Some(
             "free some space or choose another folder with --out; nothing already written is lost",
         ),
-        InvalidInput => Some("name a regular file: pipes, sockets and devices are not read"),
+        QuotaExceeded => Some(
+            "remove some of your files there (`quota` says what counts), or choose another folder; nothing already written is lost",
+        ),
+        InvalidFilename => Some("shorten the name: most file systems take at most 255 bytes"),
+        // The system's own, of a name that FAT and exFAT don't take.
+        InvalidInput if error.raw_os_error().is_some() => Some(
+            "the file system there may not take this name: on FAT, exFAT and most shares leave out \" * : < > ? \\ | and a dot or space at the end",
+        ),
+        InvalidInput => {
+            Some("name a regular file: pipes, sockets and devices are neither read nor replaced")
+        }
         FileTooLarge => Some(
-            "give a file of that size at most; where one is written, the shell's limit (`ulimit -f`) must allow it",
+            "give a file of that size at most; where one is written, the shell's limit (`ulimit -f`) and the file system (FAT: 4 GB) must allow it",
         ),
         ReadOnlyFilesystem => Some("choose a folder that can be written"),
+        _ if Errno::from_io_error(error) == Some(Errno::IO) => {
+            Some("the disk or the way to it fails (see `dmesg`): choose another, and try again")
+        }
         _ => None,
     }
 }
@@ -472,6 +316,10 @@ fn for_io(error: &std::io::Error) -> Option<&'static str> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::capture::CaptureError;
+    use crate::device::{AlarmCause, DeviceError};
+    use crate::report::load::LoadError;
+    use crate::session::SessionError;
 
     #[derive(Debug, thiserror::Error)]
     #[error("capture failed")]
@@ -491,6 +339,7 @@ mod tests {
     fn the_hint_is_found_inside_a_transparent_wrapper() {
         let alarm = DeviceError::Alarm {
             device: "arm".into(),
+            cause: AlarmCause::Other,
             reason: "hard limit".into(),
         };
         let hint = for_error(&CaptureError::Device(alarm)).unwrap();

@@ -180,7 +180,7 @@ mod with_serial {
             Err(error @ DeviceError::Busy { .. }) => Err(CliError::from(error).hint(
                 "stop the program that uses it with Ctrl-C, twice; or use the emergency stop",
             )),
-            Err(error @ DeviceError::NoReply { .. }) => {
+            Err(error @ (DeviceError::NoReply { .. } | DeviceError::NotApplied { .. })) => {
                 Err(CliError::from(error).hint("use the emergency stop"))
             }
             outcome => Ok(outcome?),

@@ -10,7 +10,7 @@ use std::io::{ErrorKind, IsTerminal, Write};
 use std::path::Path;
 
 use super::stderr::{self, Worth};
-use super::{CliError, HintExt};
+use super::{CliError, hints};
 use crate::shown::{escaped, is_obeyed};
 use crate::whole_file;
 
@@ -67,9 +67,14 @@ pub fn check_ending(path: &Path, ending: &str) -> Result<(), CliError> {
 
 /// Refuses, before the work, a file that could not be written after it.
 pub fn check_writable(path: &Path) -> Result<(), CliError> {
-    whole_file::check_writable(path)
-        .map_err(|error| CliError::new(format!("{}: {error}", path.display())))
-        .hint(ANOTHER_FILE)
+    whole_file::check_writable(path).map_err(|error| unwritable(path, &error))
+}
+
+/// A result that cannot be written, with the advice that belongs to why.
+pub fn unwritable(path: &Path, error: &std::io::Error) -> CliError {
+    let hint = hints::for_error(error).filter(|_| error.kind() != ErrorKind::NotFound);
+    CliError::new(format!("{}: {error}", path.display()))
+        .hint(hint.as_deref().unwrap_or(ANOTHER_FILE))
 }
 
 /// Writes `value` as indented JSON and a line end to stdout.

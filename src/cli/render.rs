@@ -118,9 +118,7 @@ pub fn run(args: &RenderArgs, context: &Context) -> Result<(), CliError> {
         } else {
             numbered(&args.out, light)
         };
-        exr::write(&path, image)
-            .map_err(CliError::from)
-            .hint("choose an --out in a folder that can be written")?;
+        exr::write(&path, image)?;
         if !args.json {
             write_path(&path)?;
         }

@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use super::output::{ANOTHER_FILE, write_path};
-use super::{CliError, Context, HintExt};
+use super::output::{unwritable, write_path};
+use super::{CliError, Context};
 use crate::report::{self, load::LoadError};
 use crate::session::commit::SystemDisk;
 use crate::session::{SessionWriter, layout};
@@ -34,8 +34,7 @@ pub fn run(args: &ReportArgs, context: &Context) -> Result<(), CliError> {
     let path = match &args.out {
         Some(path) => {
             whole_file::replace(path, |file| file.write_all(html.as_bytes()))
-                .map_err(|error| CliError::new(format!("{}: {error}", path.display())))
-                .hint(ANOTHER_FILE)?;
+                .map_err(|error| unwritable(path, &error))?;
             path.clone()
         }
         None => {

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use super::{CliError, Context, HintExt, output};
+use super::{CliError, Context, output};
 use crate::geometry::shapes::{Form, Profile};
 use crate::geometry::{Mesh, Shape, files};
 
@@ -158,9 +158,7 @@ impl ShapeArgs {
 pub fn run(args: &ShapeArgs, _: &Context) -> Result<(), CliError> {
     let shape = args.shape()?;
     let mesh = shape.mesh()?;
-    files::write(&args.out, &mesh)
-        .map_err(CliError::from)
-        .hint("choose an --out in a folder that exists and can be written")?;
+    files::write(&args.out, &mesh)?;
     let [low, high] = mesh.bounds_mm();
     let mut figures = serde_json::json!({
         "mesh": args.out.display().to_string(),

@@ -33,6 +33,10 @@ pub struct FoundDevice {
     pub model: String,
     /// The device's own serial number; empty if it has none.
     pub serial: String,
+    /// The first node of the same camera, where this is a further one: most of these give
+    /// no images but what accompanies them.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub first_node: Option<PathBuf>,
     /// Whether it hangs on USB, as what belongs to a bench does.
     pub usb: bool,
     /// Whether this user may open it.
@@ -92,7 +96,8 @@ pub fn holder(file: &Path) -> Option<Holder> {
 
 /// Nodes of the cameras and serial ports that hang on USB.
 pub fn usb_devices(root: &Path) -> Vec<String> {
-    let found = find_devices(root).into_iter().filter(|device| device.usb);
+    let found = find_devices(root).into_iter();
+    let found = found.filter(|device| device.usb && device.first_node.is_none());
     found
         .map(|device| device.node.display().to_string())
         .collect()
@@ -152,6 +157,7 @@ fn find_with(root: &Path, access: &dyn Fn(&Path) -> std::io::Result<()>) -> Vec<
                 path: names.get(&node).cloned().unwrap_or_else(|| node.clone()),
                 model: model.unwrap_or_default(),
                 serial: usb("serial").unwrap_or_default(),
+                first_node: first_node(root, &node),
                 usb: usb_device(&system).is_some(),
                 accessible: problem.is_none(),
                 problem,
@@ -170,6 +176,31 @@ pub fn serial_of_camera(root: &Path, path: &Path) -> Option<String> {
     let node = std::fs::canonicalize(path).ok()?;
     let system = root.join("sys/class/video4linux").join(node.file_name()?);
     attribute_above(&system, "serial")
+}
+
+/// The first node of the camera that a node, or a link to one, is a further one of, by
+/// `root/sys`; by its lasting name where there is one. `None` for a first node.
+pub fn first_node(root: &Path, path: &Path) -> Option<PathBuf> {
+    let node = std::fs::canonicalize(path).ok()?;
+    let class = root.join("sys/class/video4linux");
+    let index = |name: &std::ffi::OsStr| -> Option<u32> {
+        read_text(&class.join(name).join("index"))?.parse().ok()
+    };
+    let name = node.file_name()?;
+    index(name).filter(|&index| index > 0)?;
+    let device = |name: &std::ffi::OsStr| {
+        let of_class = class.join(name);
+        let usb = std::fs::canonicalize(of_class.join("device")).ok();
+        usb.map(PathBuf::into_os_string)
+            .or_else(|| read_text(&of_class.join("name")).map(Into::into))
+    };
+    let dev = root.join("dev");
+    let first = nodes(&dev, &["video"]).into_iter().find(|other| {
+        let other = other.file_name().unwrap_or_default();
+        index(other) == Some(0) && device(other) == device(name)
+    })?;
+    let names = lasting_names(&dev.join("v4l/by-id"));
+    Some(names.get(&first).cloned().unwrap_or(first))
 }
 
 /// Nodes whose names are a prefix and a number, in the order of prefix and number.
@@ -296,6 +327,7 @@ mod tests {
         for (node, index) in [("video0", 0), ("video1", 1)] {
             let class = root.join("sys/class/video4linux").join(node);
             write(&class.join("name"), "Mono camera\n");
+            write(&class.join("index"), &format!("{index}\n"));
             link("../../../devices/usb1/1-2/1-2:1.0", &class.join("device"));
             let name = format!("dev/v4l/by-id/usb-Mono_C4711-video-index{index}");
             link(&format!("../../{node}"), &root.join(name));
@@ -346,6 +378,10 @@ mod tests {
             ("USB Serial", "")
         );
         assert!(found.iter().all(|device| device.accessible));
+        let first = found[1].first_node.as_ref().unwrap();
+        assert!(first.ends_with("usb-Mono_C4711-video-index0"), "{first:?}");
+        let further = found.iter().filter(|device| device.first_node.is_some());
+        assert_eq!(further.count(), 1);
         // The last port has no device behind it in the tree.
         assert!(
             found[..3]

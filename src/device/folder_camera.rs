@@ -5,7 +5,7 @@
 
 use std::collections::BTreeMap;
 use std::fs::Permissions;
-use std::os::unix::fs::PermissionsExt;
+use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant, SystemTime};
 
@@ -40,8 +40,9 @@ pub struct FolderCamera {
 pub const REQUEST_FILE: &str = "rig-request.json";
 /// How often the folder is looked at.
 const POLL: Duration = Duration::from_millis(50);
-/// What tells one state of a file from another.
-type State = (u64, Option<SystemTime>);
+/// What tells one state of a file from another: length, time, and number on its file
+/// system, because the times of some go in steps of two seconds.
+type State = (u64, Option<SystemTime>, u64);
 
 impl FolderCamera {
     /// A camera of this configuration.
@@ -73,18 +74,25 @@ impl FolderCamera {
 
     /// The image files of the folder.
     fn files(&self) -> Result<BTreeMap<PathBuf, State>, DeviceError> {
+        self.files_that(image_file::has_raw_ending)
+    }
+
+    fn files_that(
+        &self,
+        is_wanted: fn(&Path) -> bool,
+    ) -> Result<BTreeMap<PathBuf, State>, DeviceError> {
         let entries = std::fs::read_dir(&self.config.folder).map_err(|e| self.io_error(e))?;
         let state = |path: PathBuf| {
             // A file that is gone again is no file.
             let meta = std::fs::metadata(&path)
                 .ok()
                 .filter(|meta| meta.is_file())?;
-            Some((path, (meta.len(), meta.modified().ok())))
+            Some((path, (meta.len(), meta.modified().ok(), meta.ino())))
         };
         Ok(entries
             .flatten()
             .map(|entry| entry.path())
-            .filter(|path| image_file::has_raw_ending(path))
+            .filter(|path| is_wanted(path))
             .filter_map(state)
             .collect())
     }
@@ -164,6 +172,7 @@ impl FolderCamera {
     ) -> Result<RawFrame, DeviceError> {
         let deadline = Instant::now() + timeout.to_duration();
         let old = self.files()?;
+        let old_others = self.files_that(image_file::has_other_ending)?;
         self.request(settings)
             .map_err(|error| self.io_error(error))?;
         let wanted = format!("a frame of {} at gain {}", settings.exposure, settings.gain);
@@ -195,7 +204,20 @@ impl FolderCamera {
             std::thread::sleep(POLL);
         }
         let device = self.device();
-        Err(match fault {
+        let others = self.files_that(image_file::has_other_ending)?;
+        let is_new = |(path, state): &(&PathBuf, &State)| old_others.get(*path) != Some(*state);
+        let other = others.iter().find(is_new).map(|(path, _)| {
+            let ending = path.extension().unwrap_or_default().to_string_lossy();
+            FrameFault::NotRaw {
+                name: path
+                    .file_name()
+                    .unwrap_or_default()
+                    .to_string_lossy()
+                    .into(),
+                kind: format!("a {} file", ending.to_uppercase()),
+            }
+        });
+        Err(match fault.or(other) {
             Some(fault) => DeviceError::BadFrame { device, fault },
             None => DeviceError::NoReply {
                 device,

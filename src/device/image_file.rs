@@ -17,6 +17,17 @@ pub fn has_raw_ending(path: &Path) -> bool {
     })
 }
 
+/// Whether a file's name is that of a picture, developed or a camera's own raw format, in
+/// which counts are not read.
+pub fn has_other_ending(path: &Path) -> bool {
+    const OTHERS: [&str; 16] = [
+        "jpg", "jpeg", "heic", "heif", "webp", "bmp", "dng", "cr2", "cr3", "nef", "arw", "raf",
+        "orf", "rw2", "pef", "raw",
+    ];
+    let ending = path.extension().and_then(|ending| ending.to_str());
+    ending.is_some_and(|ending| OTHERS.contains(&ending.to_ascii_lowercase().as_str()))
+}
+
 /// The counts of a greyscale PNG or TIFF of 8 or 16 bits, one sample per pixel
 /// (a colour sensor's mosaic as it is, not interpolated). Nothing is allocated
 /// for a declared size other than `expected`.
@@ -31,8 +42,17 @@ pub fn read(path: &Path, expected: [u32; 2], bit_depth: u32) -> Result<RawFrame,
     let reader = ImageReader::new(BufReader::new(file))
         .with_guessed_format()
         .map_err(|error| unreadable(&error))?;
-    if !matches!(reader.format(), Some(ImageFormat::Png | ImageFormat::Tiff)) {
-        return Err(unreadable(&"it is neither PNG nor TIFF"));
+    let not_raw = |kind: String| FrameFault::NotRaw {
+        name: name.to_string(),
+        kind,
+    };
+    match reader.format() {
+        Some(ImageFormat::Png | ImageFormat::Tiff) => {}
+        Some(format) => {
+            let kind = format.extensions_str().first().unwrap_or(&"");
+            return Err(not_raw(format!("a {} file", kind.to_uppercase())));
+        }
+        None => return Err(unreadable(&"it is neither PNG nor TIFF")),
     }
     let decoder = reader.into_decoder().map_err(|error| unreadable(&error))?;
     let (width, height) = decoder.dimensions();
@@ -44,8 +64,13 @@ pub fn read(path: &Path, expected: [u32; 2], bit_depth: u32) -> Result<RawFrame,
         });
     }
     if !matches!(decoder.color_type(), ColorType::L8 | ColorType::L16) {
-        let kind = decoder.color_type();
-        return Err(unreadable(&format!("{kind:?} pixels instead of L16 or L8")));
+        let kind = match decoder.color_type() {
+            ColorType::Rgb8 | ColorType::Rgb16 | ColorType::Rgba8 | ColorType::Rgba16 => {
+                "in colour, with all channels at every pixel".to_owned()
+            }
+            kind => format!("of {kind:?} pixels instead of grey ones of 8 or 16 bits"),
+        };
+        return Err(not_raw(kind));
     }
     let counts: Vec<u16> = match DynamicImage::from_decoder(decoder).map_err(|e| unreadable(&e))? {
         DynamicImage::ImageLuma16(image) => image.into_raw(),
@@ -123,7 +148,10 @@ mod tests {
         ImageBuffer::from_pixel(5, 3, Rgb([1_u8, 2, 3]))
             .save(&path)
             .unwrap();
-        assert_eq!(fault(12), "a.png: Rgb8 pixels instead of L16 or L8");
+        assert_eq!(
+            fault(12),
+            "a.png holds no raw counts: it is in colour, with all channels at every pixel"
+        );
         ImageBuffer::from_pixel(3, 5, Luma([1_u16]))
             .save(&path)
             .unwrap();

@@ -8,6 +8,7 @@ pub mod command_camera;
 pub mod controls;
 pub mod discovery;
 pub mod dome;
+mod error;
 pub mod even_light;
 pub mod folder_camera;
 pub mod frame_row;
@@ -25,6 +26,7 @@ pub mod serial_line;
 #[cfg(feature = "serial")]
 pub mod simulated;
 pub mod simulated_camera;
+mod speaker;
 pub mod temperature;
 #[cfg(feature = "v4l")]
 pub mod v4l;
@@ -35,6 +37,8 @@ use std::time::Duration;
 use crate::units::{Seconds, StageAngles};
 use serde::{Deserialize, Serialize};
 
+pub use self::error::{AlarmCause, DeviceError, FirmwareFault, ProgramFault};
+pub use self::speaker::Speaker;
 pub use crate::radiometry::mosaic::Mosaic;
 
 /// Which part of the lamp is lit. A lamp of one colour has one channel.
@@ -305,141 +309,4 @@ fn nearest_exposure(info: &CameraInfo, wanted: Seconds) -> Seconds {
             .max(shortest.0)
             .min(longest.0),
     )
-}
-
-/// What went wrong at a device; facts only.
-#[derive(Debug, thiserror::Error)]
-pub enum DeviceError {
-    /// There is no such port or device file.
-    #[error("{device} does not exist")]
-    NotFound {
-        /// Path or name.
-        device: String,
-    },
-    /// The system refuses access.
-    #[error("{device}: permission denied")]
-    PermissionDenied {
-        /// Path or name.
-        device: String,
-    },
-    /// Another process holds it.
-    #[error("{device} is in use by another process")]
-    Busy {
-        /// Path or name.
-        device: String,
-    },
-    /// No answer in time.
-    #[error("{device} did not answer within {timeout} (sent {sent:?})")]
-    NoReply {
-        /// Path or name.
-        device: String,
-        /// How long was waited.
-        timeout: Seconds,
-        /// What was sent last.
-        sent: String,
-    },
-    /// An answer that the protocol does not allow.
-    #[error("{device} answered {answer:?}, which is not {expected}")]
-    Garbled {
-        /// Path or name.
-        device: String,
-        /// The bytes, as text.
-        answer: String,
-        /// What the protocol allows here.
-        expected: String,
-    },
-    /// A frame that cannot be used.
-    #[error("{device}: a frame cannot be used: {fault}")]
-    BadFrame {
-        /// Path or name.
-        device: String,
-        /// What is wrong with it.
-        fault: retake::FrameFault,
-    },
-    /// The device refused a command.
-    #[error("{device} refused {command:?}: {reason}")]
-    Refused {
-        /// Path or name.
-        device: String,
-        /// What was sent.
-        command: String,
-        /// The device's error code and its meaning.
-        reason: String,
-    },
-    /// The device is in alarm: its position is unknown.
-    #[error("{device} is in alarm: {reason}")]
-    Alarm {
-        /// Path or name.
-        device: String,
-        /// The alarm code and its meaning.
-        reason: String,
-    },
-    /// A move was asked for while the position is unknown.
-    #[error("{device} has not been homed since {since}, so its position is unknown")]
-    NotHomed {
-        /// Path or name.
-        device: String,
-        /// The event that made the position unknown.
-        since: String,
-    },
-    /// A target outside the configured limits.
-    #[error("{device}: {target} is outside the limits ({limits})")]
-    OutOfReach {
-        /// Path or name.
-        device: String,
-        /// The target.
-        target: StageAngles,
-        /// The limits.
-        limits: String,
-    },
-    /// The device reports another state than the one commanded.
-    #[error("{device}: {what} is {is} after {wanted} was commanded")]
-    NotApplied {
-        /// Path or name.
-        device: String,
-        /// Which setting.
-        what: String,
-        /// Read back.
-        is: String,
-        /// Asked for.
-        wanted: String,
-    },
-    /// Nothing can be put into the folder for temporary files.
-    #[error("the folder for temporary files, {}: {source}", folder.display())]
-    TemporaryFolder {
-        /// As `TMPDIR` names it, or the system's own.
-        folder: std::path::PathBuf,
-        /// The system's error.
-        source: std::io::Error,
-    },
-    /// The guardian has taken the stage over, because it had heard nothing from this
-    /// process for longer than was announced.
-    #[error(
-        "{device}: the program gave no sign of life for longer than it had announced, \
-         and its guardian has taken the stage over"
-    )]
-    Relieved {
-        /// Path or name.
-        device: String,
-    },
-    /// The guardian has ended, or does not answer.
-    #[error("the guardian of {device} has ended or does not answer; the stage was stopped")]
-    Unguarded {
-        /// Path or name.
-        device: String,
-    },
-    /// The device went away.
-    #[error("{device} was disconnected")]
-    Disconnected {
-        /// Path or name.
-        device: String,
-    },
-    /// Any other failure of the system.
-    #[error("{device}: {source}")]
-    Io {
-        /// Path or name.
-        device: String,
-        /// The system's error.
-        source: std::io::Error,
-    },
 }

@@ -18,6 +18,14 @@ pub enum FrameFault {
     /// Its bytes are no image of the format.
     #[error("{0}")]
     Undecodable(String),
+    /// Its values are not the sensor's counts: developed, compressed or interpolated.
+    #[error("{name} holds no raw counts: it is {kind}")]
+    NotRaw {
+        /// The file's name.
+        name: String,
+        /// What it is.
+        kind: String,
+    },
     /// Another size than the camera's.
     #[error(
         "it has {counts} counts in {} × {} pixels instead of {} × {}",
@@ -86,7 +94,9 @@ impl Retakes {
 
     fn count(&mut self, fault: &FrameFault) {
         match fault {
-            FrameFault::Damaged | FrameFault::Undecodable(_) => self.damaged += 1,
+            FrameFault::Damaged | FrameFault::Undecodable(_) | FrameFault::NotRaw { .. } => {
+                self.damaged += 1;
+            }
             FrameFault::Size { .. } => self.wrong_size += 1,
             FrameFault::Late => self.late += 1,
         }

@@ -10,8 +10,8 @@ use std::time::{Duration, Instant};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use serialport::{ClearBuffer, ErrorKind, SerialPort, TTYPort};
 
-use super::DeviceError;
 use super::guardian::Gate;
+use super::{DeviceError, Speaker};
 use crate::units::Seconds;
 
 /// How long the port may refuse to take bytes before it counts as stuck.
@@ -20,6 +20,9 @@ const WRITE_TIMEOUT: Duration = Duration::from_millis(500);
 /// How often one that waits looks whether the port was taken over: the answers are
 /// the guardian's then.
 const LOOK: Duration = Duration::from_millis(50);
+
+/// A line feed comes so soon after its carriage return, or not at all.
+const AFTER_RETURN: Duration = Duration::from_millis(50);
 
 /// How long another opener may take to let go of the port: a program that just
 /// ends, a child between its fork and its exec, a service that probes new ports.
@@ -34,6 +37,7 @@ pub struct SerialLine {
     file: File,
     input: Mutex<Vec<u8>>,
     gate: Gate,
+    speaks: Option<Speaker>,
 }
 
 impl SerialLine {
@@ -54,7 +58,16 @@ impl SerialLine {
             file: file.into(),
             input: Mutex::default(),
             gate: Gate::default(),
+            speaks: None,
         })
+    }
+
+    /// The same, of which this one is expected to answer.
+    pub fn of(self, speaker: Speaker) -> Self {
+        Self {
+            speaks: Some(speaker),
+            ..self
+        }
     }
 
     /// The port's path.
@@ -126,12 +139,23 @@ impl SerialLine {
         }
     }
 
-    /// The error for an answer that the protocol does not allow.
+    /// The error for an answer that the protocol does not allow: by whom else it is,
+    /// where it tells.
     pub fn garbled(&self, answer: &str, expected: &str) -> DeviceError {
-        DeviceError::Garbled {
-            device: self.device.clone(),
-            answer: answer.to_owned(),
-            expected: expected.to_owned(),
+        let device = self.device.clone();
+        let (answer, expected) = (answer.to_owned(), expected.to_owned());
+        match Speaker::of(&answer) {
+            Some(speaks) if self.speaks != Some(speaks) => DeviceError::OtherProtocol {
+                device,
+                answer,
+                speaks,
+                expected,
+            },
+            _ => DeviceError::Garbled {
+                device,
+                answer,
+                expected,
+            },
         }
     }
 
@@ -199,22 +223,31 @@ pub struct LineReader<'a> {
 }
 
 impl LineReader<'_> {
-    /// The next line with its end, or `longest` bytes without one; `None` if
-    /// neither came in time.
+    /// The next line with its end (a line feed, a carriage return or both), or `longest`
+    /// bytes without one; `None` if neither came in time.
     pub fn line(
         &mut self,
         longest: usize,
         deadline: Instant,
     ) -> Result<Option<Vec<u8>>, DeviceError> {
         loop {
-            if let Some(end) = self.input.iter().position(|&byte| byte == b'\n') {
-                return Ok(Some(self.input.drain(..=end).collect()));
-            }
-            if self.input.len() > longest {
+            let end = self.input.iter().position(|byte| b"\r\n".contains(byte));
+            let mut until = deadline;
+            if let Some(mut end) = end {
+                let is_last = end + 1 == self.input.len();
+                let ends_with_return = self.input[end] == b'\r';
+                if !(is_last && ends_with_return) {
+                    end += usize::from(ends_with_return && self.input[end + 1] == b'\n');
+                    return Ok(Some(self.input.drain(..=end).collect()));
+                }
+                // A line feed may follow, or nothing.
+                until = deadline.min(Instant::now() + AFTER_RETURN);
+            } else if self.input.len() > longest {
                 return Ok(Some(std::mem::take(&mut *self.input)));
             }
-            match self.more(deadline)? {
+            match self.more(until)? {
                 Some(bytes) => self.input.extend(bytes),
+                None if end.is_some() => return Ok(Some(std::mem::take(&mut *self.input))),
                 None => return Ok(None),
             }
         }
@@ -291,9 +324,10 @@ fn open_error(path: &str, error: serialport::Error) -> DeviceError {
             device,
             source: std::io::Error::new(kind, error.description),
         },
-        _ => DeviceError::Io {
+        _ => DeviceError::WrongKind {
             device,
-            source: std::io::Error::other(format!("not a serial port: {}", error.description)),
+            wanted: "serial port",
+            why: error.description,
         },
     }
 }
@@ -324,7 +358,7 @@ mod tests {
                 ErrorKind::Io(std::io::ErrorKind::PermissionDenied),
                 "permission denied",
             ),
-            (ErrorKind::Unknown, "not a serial port: Not a typewriter"),
+            (ErrorKind::Unknown, "is not a serial port: Not a typewriter"),
         ] {
             let message = message(kind, "Not a typewriter");
             assert!(message.starts_with("/dev/ttyUSB0"), "{message}");
@@ -359,7 +393,7 @@ mod tests {
         let path = file.path().to_str().unwrap();
         assert!(matches!(
             SerialLine::open(path, 115_200),
-            Err(DeviceError::Io { .. })
+            Err(DeviceError::WrongKind { .. })
         ));
         let missing = format!("{path}-missing");
         assert!(matches!(

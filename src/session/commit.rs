@@ -11,6 +11,7 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use super::SessionError;
+use crate::file_system;
 
 /// The operations that change a disk. Each either happened or returns an error;
 /// [`Disk::append`] and [`Disk::write_temporary`] may have happened in part.
@@ -28,14 +29,13 @@ pub trait Disk: Send + Sync {
     fn truncate(&self, path: &Path, bytes: u64) -> io::Result<()>;
     /// Waits until a file's bytes are on the medium.
     fn sync_file(&self, path: &Path) -> io::Result<()>;
-    /// Gives a file or folder its new name, in one step.
+    /// Gives a file or folder its new name, in one step where the file system has one.
     fn rename(&self, from: &Path, to: &Path) -> io::Result<()>;
-    /// Waits until a folder's names are on the medium.
+    /// Waits until a folder's names are on the medium, as far as the file system says.
     fn sync_dir(&self, path: &Path) -> io::Result<()>;
     /// Bytes that this process may still write where this folder is.
     fn free_bytes(&self, folder: &Path) -> io::Result<u64> {
-        let disk = rustix::fs::statvfs(folder)?;
-        Ok(disk.f_bavail.saturating_mul(disk.f_frsize))
+        file_system::free_bytes(folder)
     }
 }
 
@@ -65,15 +65,17 @@ impl Disk for SystemDisk {
     }
 
     fn sync_file(&self, path: &Path) -> io::Result<()> {
-        File::open(path)?.sync_all()
+        // SMB flushes no file that is open for reading alone.
+        let file = OpenOptions::new().write(true).open(path)?;
+        file_system::sync_file(&file, path)
     }
 
     fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
-        fs::rename(from, to)
+        file_system::rename(from, to)
     }
 
     fn sync_dir(&self, path: &Path) -> io::Result<()> {
-        File::open(path)?.sync_all()
+        file_system::sync_folder(path)
     }
 }
 

@@ -28,6 +28,14 @@ pub enum SessionError {
         /// Which operation met the end of the disk.
         operation: &'static str,
     },
+    /// What the user may write is used up.
+    #[error("the disk quota is used up ({operation} {})", path.display())]
+    OverQuota {
+        /// What was being written.
+        path: PathBuf,
+        /// Which operation met it.
+        operation: &'static str,
+    },
     /// Any other failure of the file system.
     #[error("cannot {operation} {}: {source}", path.display())]
     Io {
@@ -147,9 +155,8 @@ impl SessionError {
     pub(crate) fn io(operation: &'static str, path: &Path, source: io::Error) -> Self {
         let path = path.to_owned();
         match source.kind() {
-            io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
-                Self::DiskFull { path, operation }
-            }
+            io::ErrorKind::StorageFull => Self::DiskFull { path, operation },
+            io::ErrorKind::QuotaExceeded => Self::OverQuota { path, operation },
             io::ErrorKind::AlreadyExists => Self::Exists { path },
             _ => Self::Io {
                 path,

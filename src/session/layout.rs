@@ -9,6 +9,9 @@ use crate::device::{FrameKey, FrameKind};
 pub const SESSION_FILE: &str = "session.toml";
 /// What happened, line by line.
 pub const JOURNAL_FILE: &str = "journal.jsonl";
+/// Locked by the process that adds to the session. A file that nobody reads or writes,
+/// because some file systems keep every other handle from a locked one.
+pub const LOCK_FILE: &str = ".lock";
 /// Raw frames and their sidecars.
 pub const RAW_FOLDER: &str = "raw";
 /// Copies of the calibration records that were used.

@@ -1,8 +1,11 @@
 //! A session opened for reading, and one opened for adding to.
 
 use std::fs::{self, File, OpenOptions, TryLockError};
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+
+use rustix::fs::OFlags;
 
 use super::SessionError;
 use super::commit::{self, Disk, Replace};
@@ -13,7 +16,7 @@ use super::layout::{self, CALIBRATION_FOLDER, JOURNAL_FILE, MANIFEST_FILE, SESSI
 use super::record::SessionRecord;
 use super::verify::{self, Summary};
 use crate::device::{FrameKey, RawFrame};
-use crate::outside_file::open_regular;
+use crate::file_system;
 use crate::whole_file;
 
 /// A rig file has at most 256 KiB, and a light takes about 60 bytes.
@@ -243,8 +246,8 @@ pub struct SessionWriter {
     journal: Journal,
     /// The journal may hold a torn line, because the last append failed.
     torn: bool,
-    /// Held locked as long as the writer lives.
-    _lock: File,
+    /// Held locked as long as the writer lives; none while the session is being made.
+    _lock: Option<File>,
 }
 
 impl SessionWriter {
@@ -265,6 +268,8 @@ impl SessionWriter {
         let made = Self::create_hidden(Arc::clone(&disk), &hidden, new).and_then(|mut writer| {
             disk.rename(&hidden, &root)
                 .map_err(|e| SessionError::io("rename to", &root, e))?;
+            // Not before: some file systems rename no folder in which a file is open.
+            writer._lock = Some(lock(&root)?);
             writer.root = root;
             commit::sync_dir(&*disk, new.parent)?;
             Ok(writer)
@@ -303,7 +308,7 @@ impl SessionWriter {
             root: hidden.to_owned(),
             journal: Journal::default(),
             torn: false,
-            _lock: lock(hidden)?,
+            _lock: None,
         };
         writer.record(Event::Start {
             format: FORMAT,
@@ -326,7 +331,7 @@ impl SessionWriter {
             root: root.to_owned(),
             torn: journal.torn_bytes > 0,
             journal,
-            _lock: lock,
+            _lock: Some(lock),
         })
     }
 
@@ -551,9 +556,18 @@ pub(crate) fn utc_now() -> String {
 }
 
 fn lock(root: &Path) -> Result<File, SessionError> {
-    let path = root.join(JOURNAL_FILE);
-    let file = open_regular(&path).map_err(|e| SessionError::io("open", &path, e))?;
-    match file.try_lock() {
+    let path = root.join(layout::LOCK_FILE);
+    // A link or a named pipe in its place is neither followed nor waited for.
+    let flags = OFlags::NOFOLLOW | OFlags::NONBLOCK;
+    let file = OpenOptions::new()
+        .read(true)
+        .write(true)
+        .create(true)
+        .truncate(false)
+        .custom_flags(flags.bits().cast_signed())
+        .open(&path)
+        .map_err(|e| SessionError::io("open", &path, e))?;
+    match file_system::lock(&file, &path) {
         Ok(()) => Ok(file),
         Err(TryLockError::WouldBlock) => Err(SessionError::Locked {
             path: root.to_owned(),

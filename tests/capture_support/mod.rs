@@ -458,13 +458,13 @@ struct SumSink {
 }
 
 impl BracketSink for SumSink {
-    fn begin(&mut self, light: u32) -> Result<(), String> {
+    fn begin(&mut self, light: u32) -> Result<(), rig::capture::SinkError> {
         self.light = light;
         self.sums.clear();
         Ok(())
     }
 
-    fn add(&mut self, frame: &RawFrame, sidecar: &Sidecar) -> Result<(), String> {
+    fn add(&mut self, frame: &RawFrame, sidecar: &Sidecar) -> Result<(), rig::capture::SinkError> {
         assert!(sidecar.key.light == self.light && !sidecar.pilot);
         let key = (sidecar.key.kind, sidecar.applied.exposure.0.to_bits());
         let sums = self
@@ -477,7 +477,7 @@ impl BracketSink for SumSink {
         Ok(())
     }
 
-    fn finish(&mut self) -> Result<Vec<u8>, String> {
+    fn finish(&mut self) -> Result<Vec<u8>, rig::capture::SinkError> {
         Ok(format!("{:?}", self.sums).into_bytes())
     }
 }

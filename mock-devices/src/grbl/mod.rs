@@ -7,6 +7,7 @@
 //! absent; homing takes its axes one after the other.
 
 mod commands;
+mod dialect;
 mod faults;
 mod firmware;
 mod gcode;
@@ -17,6 +18,7 @@ mod planner;
 mod report;
 mod settings;
 
+pub use dialect::{Dialect, DialectSimulator};
 pub use faults::{Fault, Faults, Trigger};
 pub use settings::GrblSettings;
 

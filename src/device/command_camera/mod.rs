@@ -1,6 +1,7 @@
 //! A camera behind a program: it is run once per frame, told the exposure and
 //! where to put the file, and must have written it when it ends.
 
+pub mod program;
 mod workplace;
 
 use std::fs::File;
@@ -93,7 +94,17 @@ impl Job {
         let place = self.workplace.place()?;
         let output = place.path().join("frame.tif");
         let words = self.filled_in(&output);
-        let ended = self.run(&words).map_err(|error| io_error(&device, error))?;
+        let unrunnable = |fault| DeviceError::Program {
+            program: device.clone(),
+            fault,
+        };
+        let ended = self.run(&words).map_err(|error| match error {
+            RunError::Start(error) => match program::fault_of(&device, &error) {
+                Some(fault) => unrunnable(fault),
+                None => io_error(&device, error),
+            },
+            RunError::Other(error) => io_error(&device, error),
+        })?;
         let refused = |reason: String| DeviceError::Refused {
             device: device.clone(),
             command: words[1..].join(" "),
@@ -105,10 +116,16 @@ impl Job {
                 timeout: self.timeout,
                 sent: words[1..].join(" ") + &and_said(&ended.said),
             }),
-            Some(status) if !status.success() => Err(refused(match status.code() {
-                Some(code) => format!("it ended with exit code {code}"),
-                None => format!("signal {} ended it", status.signal().unwrap_or_default()),
-            })),
+            Some(status) if !status.success() => Err(match status.code() {
+                Some(code) => match program::fault_at_end(&device, code, &ended.said) {
+                    Some(fault) => unrunnable(fault),
+                    None => refused(format!("it ended with exit code {code}")),
+                },
+                None => refused(format!(
+                    "signal {} ended it",
+                    status.signal().unwrap_or_default()
+                )),
+            }),
             Some(_) if !output.exists() => Err(refused("it wrote no file".to_owned())),
             Some(_) => {
                 let info = &self.config.info;
@@ -126,9 +143,10 @@ impl Job {
     }
 
     /// Runs the program to its end, or ends it and all that it started.
-    fn run(&self, words: &[String]) -> std::io::Result<Ended> {
+    fn run(&self, words: &[String]) -> Result<Ended, RunError> {
         let mut errors = self.workplace.scratch()?;
-        let (program, arguments) = words.split_first().ok_or(std::io::ErrorKind::NotFound)?;
+        let none = || RunError::Start(std::io::ErrorKind::NotFound.into());
+        let (program, arguments) = words.split_first().ok_or_else(none)?;
         let child = Command::new(program)
             .args(arguments)
             .stdin(Stdio::null())
@@ -136,7 +154,8 @@ impl Job {
             .stderr(errors.try_clone()?)
             // Apart from the terminal's signals, and to be ended as a whole.
             .process_group(0)
-            .spawn()?;
+            .spawn()
+            .map_err(RunError::Start)?;
         self.workplace.runs(Some(Pid::from_child(&child)));
         let mut running = Running(child, &self.workplace);
         let status = loop {
@@ -162,6 +181,20 @@ fn io_error(device: &str, source: std::io::Error) -> DeviceError {
         std::io::ErrorKind::NotFound => DeviceError::NotFound { device },
         std::io::ErrorKind::PermissionDenied => DeviceError::PermissionDenied { device },
         _ => DeviceError::Io { device, source },
+    }
+}
+
+/// What running a program met.
+enum RunError {
+    /// It did not start.
+    Start(std::io::Error),
+    /// Anything else.
+    Other(std::io::Error),
+}
+
+impl From<std::io::Error> for RunError {
+    fn from(error: std::io::Error) -> Self {
+        Self::Other(error)
     }
 }
 
@@ -254,7 +287,7 @@ impl Camera for CommandCamera {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::device::{FrameKind, Mosaic};
+    use crate::device::{FrameKind, Mosaic, ProgramFault};
     use image::{ImageBuffer, Luma};
 
     const KEY: FrameKey = FrameKey {
@@ -347,14 +380,18 @@ mod tests {
         );
         let mut missing = camera(folder.path(), "", 20.0);
         missing.config.command = vec!["/no/such/program".to_owned()];
+        let is_missing = |fault: &ProgramFault| matches!(fault, ProgramFault::Missing { .. });
         assert!(matches!(
             missing.grab(KEY),
-            Err(DeviceError::NotFound { .. })
+            Err(DeviceError::Program { fault, .. }) if is_missing(&fault)
         ));
         missing.config.command = vec![folder.path().join("good.tif").display().to_string()];
         assert!(matches!(
             missing.grab(KEY),
-            Err(DeviceError::PermissionDenied { .. })
+            Err(DeviceError::Program {
+                fault: ProgramFault::NotExecutable { .. },
+                ..
+            })
         ));
     }
 

@@ -1,20 +1,26 @@
 //! The stage driver: homing, moves, lamp and status over a [`Link`].
 
+mod connect;
+mod stop;
+
 use std::collections::BTreeMap;
-use std::sync::{Arc, Weak};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use self::stop::GrblStop;
 use super::codes;
 use super::link::{HOLD, Link, RESET, STATUS};
-use super::protocol::{Accessories, MachineState, Reply, StatusReport, effect_of};
+use super::protocol::{Accessories, Code, Dialect, MachineState, Reply, StatusReport, effect_of};
 use super::{GrblConfig, axis_index};
 use crate::device::guardian::{Exchange, PortStop};
 use crate::device::kinematics::Pose;
 use crate::device::{
-    DeviceError, LampChannel, LampState, LightStage, StageActivity, StageInfo, StageStatus,
-    StageStep, StopHandle,
+    AlarmCause, DeviceError, FirmwareFault, LampChannel, LampState, LightStage, StageActivity,
+    StageInfo, StageStatus, StageStep, StopHandle,
 };
 use crate::units::StageAngles;
+
+pub use self::stop::stop_port;
 
 /// A stage is lost after this many status requests without an answer.
 const STATUS_ATTEMPTS: u32 = 3;
@@ -26,10 +32,23 @@ const POLL_PAUSE: Duration = Duration::from_millis(50);
 /// Standing still elsewhere than at the target for this long ends a move: right
 /// after a command GRBL may report idle before it starts.
 const START_GRACE: Duration = Duration::from_millis(500);
-/// How long a report may take while a stop is confirmed.
-const STOP_PATIENCE: Duration = Duration::from_millis(500);
+/// How long a controller that took no command may take to say what it does.
+const STATE_PATIENCE: Duration = Duration::from_millis(300);
 /// GRBL's line buffer holds 80 characters.
 const LONGEST_COMMAND: usize = 79;
+
+/// In a banner, also of builds with a name of their own.
+const BANNERS: &[&[u8]] = &[b"Grbl", b"for help]"];
+/// In a report of a controller that does not move.
+const STANDING: &[&[u8]] = &[
+    b"<Idle",
+    b"<Alarm",
+    b"<ConfigAlarm",
+    b"<Sleep",
+    b"<Hold:0",
+    b"<Door:0",
+    b"<Door:1",
+];
 
 /// A light stage with a GRBL 1.1 controller.
 ///
@@ -72,6 +91,8 @@ impl GrblStage {
         stage.is_alive = true;
         stage.identify()?;
         stage.lamp = stage.read_lamp()?;
+        // What has no position is refused before it moves.
+        stage.report_with_position()?;
         Ok(stage)
     }
 
@@ -80,63 +101,6 @@ impl GrblStage {
             if axis_index(letter).is_none() {
                 return Err(self.refused(&letter.to_string(), "not one of the axes XYZABC"));
             }
-        }
-        Ok(())
-    }
-
-    /// Asks until the firmware speaks. If it stays silent for half of the time it
-    /// may be locked up by a limit switch, which only a reset ends.
-    fn wait_until_alive(&self) -> Result<(), DeviceError> {
-        let timeout = self.config.connect_timeout.to_duration();
-        let start = Instant::now();
-        let mut last_words = None;
-        let mut was_reset = false;
-        while start.elapsed() < timeout {
-            if !was_reset && start.elapsed() > timeout / 2 {
-                was_reset = true;
-                self.link.send(&[RESET])?;
-            }
-            self.link.send(&[STATUS])?;
-            let next = Instant::now() + (timeout / 10).min(Duration::from_millis(250));
-            while let Some(reply) = self.link.receive(next)? {
-                match reply {
-                    Reply::Status(_) | Reply::Banner(_) => {
-                        self.link.drain()?;
-                        self.link.known().unhomed_since = Some("it was connected".to_owned());
-                        return Ok(());
-                    }
-                    Reply::Unknown(text) => last_words = Some(text),
-                    _ => {}
-                }
-            }
-        }
-        Err(match last_words {
-            Some(text) => self.link.garbled(&text, "a GRBL status report"),
-            None => self.link.no_reply(&[STATUS], timeout),
-        })
-    }
-
-    fn identify(&mut self) -> Result<(), DeviceError> {
-        for reply in self.command("$I", self.reply_timeout())? {
-            if let Reply::Info { key, text } = reply
-                && key == "VER"
-            {
-                // Stock GRBL has no watchdog; builds with one say so in their name.
-                self.info.has_watchdog = text.contains("host-watchdog=");
-                self.info.firmware = text.trim_end_matches(':').to_owned();
-            }
-        }
-        for reply in self.command("$$", self.reply_timeout())? {
-            if let Reply::Setting { number, value } = reply {
-                self.settings.insert(number, value);
-            }
-        }
-        if self.setting(32).is_some_and(|mode| mode != 0.0) {
-            let reason = "laser mode is on ($32=1), which switches the lamp with the motion";
-            return Err(self.refused("$32", reason));
-        }
-        if self.setting(13).is_some_and(|inches| inches != 0.0) {
-            return Err(self.refused("$13", "positions are reported in inches ($13=1)"));
         }
         Ok(())
     }
@@ -153,11 +117,66 @@ impl GrblStage {
         self.link.refused(command, reason)
     }
 
-    fn alarm(&self, reason: String) -> DeviceError {
+    fn alarm(&self, (cause, reason): (AlarmCause, String)) -> DeviceError {
         DeviceError::Alarm {
             device: self.link.device().to_owned(),
+            cause,
             reason,
         }
+    }
+
+    fn alarm_of(&self, code: &Code) -> DeviceError {
+        let dialect = self.link.known().dialect;
+        self.alarm(codes::alarm(dialect, code))
+    }
+
+    /// Why the firmware refused a line.
+    fn refused_for(&self, line: &str, code: &Code) -> DeviceError {
+        let dialect = self.link.known().dialect;
+        let reason = codes::error(dialect, code);
+        let command = line.to_owned();
+        let fault = match code {
+            // Alarms in all but name.
+            Code::Number(45) => return self.alarm((AlarmCause::LimitSwitch, reason)),
+            Code::Number(46) => return self.alarm((AlarmCause::HomingRequired, reason)),
+            Code::Number(50) => return self.alarm((AlarmCause::EmergencyStop, reason)),
+            Code::Number(40) if dialect == Dialect::FluidNc => {
+                return self.alarm((AlarmCause::EmergencyStop, reason));
+            }
+            Code::Number(13) => FirmwareFault::Door(1),
+            Code::Number(5) => FirmwareFault::HomingDisabled { command },
+            Code::Number(18) if line == "$H" => FirmwareFault::NothingToHome { command },
+            Code::Number(20) => FirmwareFault::Unsupported { command, reason },
+            Code::Number(152) => FirmwareFault::Configuration(reason),
+            Code::Text(_) if reason.to_ascii_lowercase().contains("unsupported") => {
+                FirmwareFault::Unsupported { command, reason }
+            }
+            _ => return self.refused(line, &reason),
+        };
+        self.link.firmware(fault)
+    }
+
+    /// An error where the controller takes no commands in this state.
+    fn check_open(&self, state: MachineState) -> Result<(), DeviceError> {
+        Err(self.link.firmware(match state {
+            MachineState::Door(step) => FirmwareFault::Door(step),
+            MachineState::Hold(step) => FirmwareFault::Held(step),
+            MachineState::Sleep => FirmwareFault::Asleep,
+            MachineState::ConfigAlarm => FirmwareFault::Configuration("ConfigAlarm".to_owned()),
+            _ => return Ok(()),
+        }))
+    }
+
+    /// What a controller that did not answer a line says of its state, if anything.
+    fn check_open_after_silence(&self) -> Result<(), DeviceError> {
+        self.link.send(&[STATUS])?;
+        let deadline = Instant::now() + STATE_PATIENCE;
+        while let Some(reply) = self.link.receive(deadline)? {
+            if let Reply::Status(report) = reply {
+                return self.check_open(report.state);
+            }
+        }
+        Ok(())
     }
 
     fn not_homed(&self, since: String) -> DeviceError {
@@ -188,27 +207,40 @@ impl GrblStage {
         self.link.send(format!("{line}\n").as_bytes())?;
         let deadline = Instant::now() + timeout;
         let mut replies = Vec::new();
+        let mut damaged = None;
         while let Some(reply) = self.link.receive(deadline)? {
             match reply {
                 Reply::Ok => return Ok(replies),
                 // Locked out.
-                Reply::Error(9) => return Err(self.alarm(self.reason_of_lock())),
-                Reply::Error(code) => return Err(self.refused(line, &codes::error(code))),
-                Reply::Alarm(code) => return Err(self.alarm(codes::alarm(code))),
-                Reply::Unknown(text) => return Err(self.link.garbled(&text, "ok or error:N")),
-                Reply::Status(_) | Reply::Empty | Reply::StartupLine | Reply::Banner(_) => {}
+                Reply::Error(Code::Number(9)) => return Err(self.alarm(self.reason_of_lock())),
+                Reply::Error(code) => return Err(self.refused_for(line, &code)),
+                Reply::Alarm(code) => return Err(self.alarm_of(&code)),
+                // An echo, or what a build says in its own way; an answer may follow.
+                Reply::Unknown(text) => damaged = Some(text),
+                Reply::Status(_)
+                | Reply::OldStatus(_)
+                | Reply::Empty
+                | Reply::StartupLine
+                | Reply::Banner { .. } => {}
                 Reply::Setting { .. } | Reply::Info { .. } => replies.push(reply),
             }
             self.check_restart(restarts)?;
         }
         // Another reader (a stop) may have taken the banner.
         self.check_restart(restarts)?;
-        Err(self.link.no_reply(line.as_bytes(), timeout))
+        self.check_open_after_silence()?;
+        Err(match damaged {
+            Some(text) => self.link.garbled(&text, "ok or error:N"),
+            None => self.link.no_reply(line.as_bytes(), timeout),
+        })
     }
 
-    fn reason_of_lock(&self) -> String {
+    fn reason_of_lock(&self) -> (AlarmCause, String) {
         let alarm = self.link.known().alarm.clone();
-        alarm.unwrap_or_else(|| "locked until it is homed".to_owned())
+        alarm.unwrap_or_else(|| {
+            let reason = "locked until it is homed".to_owned();
+            (AlarmCause::HomingRequired, reason)
+        })
     }
 
     /// An error if the firmware has restarted since it had restarted `before` times.
@@ -234,7 +266,8 @@ impl GrblStage {
             while let Some(reply) = self.link.receive(deadline)? {
                 match reply {
                     Reply::Status(report) => return Ok(report),
-                    Reply::Alarm(code) => return Err(self.alarm(codes::alarm(code))),
+                    Reply::Alarm(code) => return Err(self.alarm_of(&code)),
+                    Reply::OldStatus(_) => return Err(self.old_by_status()),
                     Reply::Unknown(text) => {
                         damaged = Some(text);
                         break;
@@ -261,10 +294,7 @@ impl GrblStage {
                 return Ok((report, pose));
             }
         }
-        Err(self.link.garbled(
-            "reports without a position",
-            "a status report with MPos or WPos and WCO",
-        ))
+        Err(self.link.firmware(FirmwareFault::NoPosition))
     }
 
     fn pose_of(&self, axes: &[f64]) -> Result<Pose, DeviceError> {
@@ -273,9 +303,8 @@ impl GrblStage {
         for ((value, map), letter) in pose.0.iter_mut().zip(maps).zip(self.config.axes) {
             let position = axis_index(letter).and_then(|index| axes.get(index));
             let Some(&position) = position else {
-                let answer = format!("a position with {} axes", axes.len());
-                let expected = format!("one with axis {letter}");
-                return Err(self.link.garbled(&answer, &expected));
+                let axes = axes.len();
+                return Err(self.link.firmware(FirmwareFault::NoAxis { axes, letter }));
             };
             *value = map.coordinate(position);
         }
@@ -334,7 +363,11 @@ impl GrblStage {
             }
             if start.elapsed() > timeout {
                 self.link.forget_position("a move did not end in time");
-                return Err(self.not_applied("position", pose, to));
+                let what = match self.check_open(report.state) {
+                    Ok(()) => "position".to_owned(),
+                    Err(_) => format!("position (in state {:?})", report.state),
+                };
+                return Err(self.not_applied(&what, pose, to));
             }
             std::thread::sleep(pause);
             pause = (2 * pause).min(POLL_PAUSE);
@@ -448,8 +481,12 @@ fn activity(state: MachineState) -> StageActivity {
         MachineState::Idle | MachineState::Check => StageActivity::Idle,
         MachineState::Run | MachineState::Jog => StageActivity::Moving,
         MachineState::Home => StageActivity::Homing,
-        MachineState::Hold(_) | MachineState::Door(_) => StageActivity::Held,
-        MachineState::Alarm | MachineState::Sleep => StageActivity::Alarm,
+        MachineState::Hold(0) | MachineState::Door(0 | 1) => StageActivity::Held,
+        // It still brakes, or goes on.
+        MachineState::Hold(_) | MachineState::Door(_) => StageActivity::Moving,
+        MachineState::Alarm | MachineState::Sleep | MachineState::ConfigAlarm => {
+            StageActivity::Alarm
+        }
     }
 }
 
@@ -461,17 +498,28 @@ impl LightStage for GrblStage {
     fn home(&mut self) -> Result<StageStatus, DeviceError> {
         self.link.forget_position("homing began");
         self.link.drain()?;
-        if self.link.known().needs_reset {
+        let reset = || -> Result<(), DeviceError> {
             let timeout = self.config.connect_timeout.to_duration();
             self.link
                 .restart(false, "it was reset before homing", timeout)?;
-            self.link.drain()?;
+            self.link.drain()
+        };
+        if self.link.known().needs_reset {
+            reset()?;
+        }
+        // A reset ends a hold and a sleep, and the wait after a door that is closed again.
+        if self.check_open(self.report()?.state).is_err() {
+            reset()?;
+            self.check_open(self.report()?.state)?;
         }
         self.in_motion = true;
-        self.command("$H", self.config.homing_timeout.to_duration())?;
-        self.in_motion = false;
+        let homed = self.command("$H", self.config.homing_timeout.to_duration());
+        // What is refused did not begin.
+        self.in_motion = !matches!(homed, Ok(_) | Err(DeviceError::Firmware { .. }));
+        homed?;
         let mut known = self.link.known();
         known.alarm = None;
+        known.needs_reset = false;
         known.unhomed_since = None;
         drop(known);
         self.status()
@@ -489,6 +537,7 @@ impl LightStage for GrblStage {
             })?;
         self.check_homed()?;
         let (report, from) = self.report_with_position()?;
+        self.check_open(report.state)?;
         if report.state != MachineState::Idle {
             let reason = format!("the controller is in state {:?}", report.state);
             return Err(self.refused("move", &reason));
@@ -558,8 +607,8 @@ impl LightStage for GrblStage {
             name: self.config.port.clone(),
             exchanges: vec![
                 Exchange::new(&[HOLD], &[]),
-                Exchange::new(&[RESET], &[b"Grbl"]),
-                Exchange::new(&[STATUS], &[b"<Idle", b"<Alarm"]),
+                Exchange::new(&[RESET], BANNERS),
+                Exchange::new(&[STATUS], STANDING),
             ],
             reports_lamp: true,
             gate: self.link.gate(),
@@ -599,64 +648,4 @@ impl Drop for GrblStage {
                 .restart(true, "its driver ended", self.reply_timeout());
         }
     }
-}
-
-/// Stops a [`GrblStage`] beside its driver.
-struct GrblStop {
-    link: Weak<Link>,
-    timeout: Duration,
-}
-
-impl StopHandle for GrblStop {
-    fn stop(&mut self) -> Result<(), DeviceError> {
-        // A driver that is gone has turned the lamp off and ended its motion.
-        let Some(link) = self.link.upgrade() else {
-            return Ok(());
-        };
-        link.restart(true, "it was stopped", self.timeout)?;
-        confirm_stopped(&link)
-    }
-}
-
-/// Asks after a restart what the machine does and which outputs are on. It may
-/// be the driver that reads the answers. A build that never reports its outputs
-/// has said with its banner that it began anew.
-fn confirm_stopped(link: &Link) -> Result<(), DeviceError> {
-    for _ in 0..REPORTS_WITH_OUTPUTS {
-        link.send(&[STATUS])?;
-        let deadline = Instant::now() + STOP_PATIENCE;
-        let before = link.known().reports;
-        while link.known().reports == before && Instant::now() < deadline {
-            link.try_receive(deadline.min(Instant::now() + Duration::from_millis(20)))?;
-        }
-        if link.known().accessories.is_some() {
-            break;
-        }
-    }
-    let known = link.known().clone();
-    let stands = matches!(
-        known.state,
-        Some(MachineState::Idle | MachineState::Alarm | MachineState::Sleep)
-    );
-    let outputs = known.accessories.unwrap_or_default();
-    if stands && outputs == Accessories::default() {
-        return Ok(());
-    }
-    Err(DeviceError::NotApplied {
-        device: link.device().to_owned(),
-        what: "its state".to_owned(),
-        is: match known.state {
-            Some(state) => format!("{state:?} with {outputs:?}"),
-            None => "not reported".to_owned(),
-        },
-        wanted: "a stop".to_owned(),
-    })
-}
-
-/// Stops whatever GRBL controller is on a port that no driver holds: brakes,
-/// resets it, which turns its outputs off, and waits for its banner.
-pub fn stop_port(path: &str, baud: u32, timeout: Duration) -> Result<(), DeviceError> {
-    let link = Link::open(path, baud)?;
-    link.restart(true, "it was stopped", timeout)?;
-    confirm_stopped(&link)
 }

@@ -6,10 +6,12 @@ use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use super::codes;
-use super::protocol::{Accessories, LONGEST_LINE, MachineState, Reply, StatusReport, parse};
-use crate::device::DeviceError;
+use super::protocol::{
+    Accessories, Dialect, LONGEST_LINE, MachineState, Reply, StatusReport, machine_state, parse,
+};
 use crate::device::guardian::Gate;
 use crate::device::serial_line::{LineReader, SerialLine, printable};
+use crate::device::{AlarmCause, DeviceError, FirmwareFault, Speaker};
 
 /// Real-time command: report the status.
 pub const STATUS: u8 = b'?';
@@ -32,7 +34,9 @@ pub struct Known {
     /// Why the position is unknown; `None` while it is known.
     pub unhomed_since: Option<String>,
     /// The alarm that was raised last, until homing succeeds.
-    pub alarm: Option<String>,
+    pub alarm: Option<(AlarmCause, String)>,
+    /// How the firmware counts.
+    pub dialect: Dialect,
     /// Replies may be late or the firmware locked up: reset it before going on.
     pub needs_reset: bool,
     /// Banners seen.
@@ -55,10 +59,11 @@ impl Link {
     /// Opens and configures the port. Nothing is sent.
     pub fn open(path: &str, baud: u32) -> Result<Self, DeviceError> {
         Ok(Self {
-            line: SerialLine::open(path, baud)?,
+            line: SerialLine::open(path, baud)?.of(Speaker::Grbl),
             known: Mutex::new(Known {
                 unhomed_since: Some("it was connected".to_owned()),
                 alarm: None,
+                dialect: Dialect::default(),
                 needs_reset: false,
                 restarts: 0,
                 reports: 0,
@@ -137,7 +142,8 @@ impl Link {
     fn note(&self, reply: &Reply) {
         let mut known = self.known();
         match reply {
-            Reply::Banner(_) => {
+            Reply::Banner { dialect, .. } => {
+                known.dialect = *dialect;
                 known.restarts += 1;
                 let cause = known.restart_cause.clone();
                 let cause = cause.unwrap_or_else(|| "the firmware restarted by itself".to_owned());
@@ -148,15 +154,21 @@ impl Link {
                 known.work_offset = None;
             }
             Reply::Alarm(code) => {
-                let reason = codes::alarm(*code);
+                let (cause, reason) = codes::alarm(known.dialect, code);
                 if known.restart_cause.is_none() {
                     known.unhomed_since = Some(reason.clone());
                 }
-                known.alarm = Some(reason);
+                known.alarm = Some((cause, reason));
                 // Either the firmware is deaf to all but a reset or its banner follows.
                 known.needs_reset = true;
             }
             Reply::Status(report) => known.note_report(report),
+            // All that is read of it: whether it stands.
+            Reply::OldStatus(text) => {
+                known.reports += 1;
+                known.state = text[1..].split(',').next().and_then(machine_state);
+            }
+            Reply::Info { key, text } if key == "VER" => known.dialect = Dialect::of(text),
             _ => {}
         }
         drop(known);
@@ -236,6 +248,14 @@ impl Link {
         self.line.refused(command, reason)
     }
 
+    /// The error for a firmware that is not as it must be.
+    pub fn firmware(&self, fault: FirmwareFault) -> DeviceError {
+        DeviceError::Firmware {
+            device: self.device().to_owned(),
+            fault,
+        }
+    }
+
     fn distrust(&self, since: &str) {
         let mut known = self.known();
         known.needs_reset = true;
@@ -264,7 +284,12 @@ impl Known {
         if report.speed.is_some() {
             self.speed = report.speed;
         }
-        if matches!(report.state, MachineState::Alarm | MachineState::Sleep) {
+        let locked = [
+            MachineState::Alarm,
+            MachineState::Sleep,
+            MachineState::ConfigAlarm,
+        ];
+        if locked.contains(&report.state) {
             self.unhomed_since
                 .get_or_insert_with(|| "the firmware locked itself".to_owned());
         }

@@ -6,14 +6,21 @@
 pub enum Reply {
     /// The line before was accepted.
     Ok,
-    /// The line before was refused with this code.
-    Error(u16),
+    /// The line before was refused for this.
+    Error(Code),
     /// Something went wrong; the position is unknown.
-    Alarm(u16),
+    Alarm(Code),
     /// Answer to `?`.
     Status(StatusReport),
-    /// The firmware has (re)started; its version.
-    Banner(String),
+    /// Answer to `?` as GRBL before 1.1 gives it, with commas between its fields.
+    OldStatus(String),
+    /// The firmware has (re)started.
+    Banner {
+        /// Its version, or its name where it says none.
+        version: String,
+        /// How it counts.
+        dialect: Dialect,
+    },
     /// A line of `$$`.
     Setting {
         /// Number after the `$`.
@@ -34,6 +41,35 @@ pub enum Reply {
     Empty,
     /// Nothing that the protocol knows.
     Unknown(String),
+}
+
+/// Why something was refused, or an alarm was raised.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Code {
+    /// Its number.
+    Number(u16),
+    /// In words, as older and verbose builds have it.
+    Text(String),
+}
+
+/// How a firmware counts its errors and alarms.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Dialect {
+    /// As GRBL 1.1, whose numbers grblHAL continues.
+    #[default]
+    Grbl,
+    /// As FluidNC.
+    FluidNc,
+}
+
+impl Dialect {
+    /// By what a firmware says of itself.
+    pub fn of(text: &str) -> Self {
+        match text.contains("FluidNC") {
+            true => Self::FluidNc,
+            false => Self::Grbl,
+        }
+    }
 }
 
 /// What the machine is doing, with its sub-state where it has one.
@@ -57,6 +93,8 @@ pub enum MachineState {
     Home,
     /// Outputs off until a reset.
     Sleep,
+    /// FluidNC: locked, because its configuration is faulty.
+    ConfigAlarm,
 }
 
 /// Which way the spindle output turns.
@@ -104,7 +142,8 @@ pub const LONGEST_LINE: usize = 256;
 /// Reads a line without its line end.
 pub fn parse(line: &[u8]) -> Reply {
     let text = String::from_utf8_lossy(line);
-    let text = text.trim();
+    // A line that echoes what it hears may begin with the request for a report.
+    let text = text.trim().trim_start_matches(['?', '!', '~']);
     match text {
         "" => return Reply::Empty,
         "ok" => return Reply::Ok,
@@ -115,12 +154,15 @@ pub fn parse(line: &[u8]) -> Reply {
 
 fn known(text: &str) -> Option<Reply> {
     if let Some(code) = text.strip_prefix("error:") {
-        return Some(Reply::Error(code.parse().ok()?));
+        return Some(Reply::Error(code_in(code)?));
     }
     if let Some(code) = text.strip_prefix("ALARM:") {
-        return Some(Reply::Alarm(code.parse().ok()?));
+        return Some(Reply::Alarm(code_in(code)?));
     }
     if let Some(body) = enclosed(text, '<', '>') {
+        if body.contains(",MPos:") || body.contains(",WPos:") {
+            return Some(Reply::OldStatus(text.to_owned()));
+        }
         return status(body).map(Reply::Status);
     }
     if let Some(body) = enclosed(text, '[', ']') {
@@ -130,14 +172,18 @@ fn known(text: &str) -> Option<Reply> {
             text: text.to_owned(),
         });
     }
-    let banner = text.strip_prefix("Grbl ").or(text.strip_prefix("GrblHAL "));
-    if let Some(rest) = banner {
-        let version = rest.split_whitespace().next()?;
-        return Some(Reply::Banner(version.to_owned()));
+    if text.starts_with("Grbl ") || text.ends_with("for help]") {
+        return Some(banner(text));
     }
     if let Some(setting) = text.strip_prefix('$') {
-        let (number, value) = setting.split_once('=')?;
-        let number: u16 = number.parse().ok()?;
+        let (name, value) = setting.split_once('=')?;
+        let Ok(number) = name.parse::<u16>() else {
+            // Start-up blocks ($N0), and settings that have names, as FluidNC's.
+            return Some(Reply::Info {
+                key: format!("${name}"),
+                text: value.to_owned(),
+            });
+        };
         // Older builds add a description in parentheses.
         let first = value.split_whitespace().next().unwrap_or("");
         return match number_in(first) {
@@ -158,6 +204,37 @@ fn is_hal_setting(number: u16) -> bool {
     !matches!(number, 0..=32 | 100..=132)
 }
 
+/// A number, or a space and words.
+fn code_in(text: &str) -> Option<Code> {
+    match text.strip_prefix(' ') {
+        Some(words) if words.contains(char::is_alphabetic) => Some(Code::Text(words.to_owned())),
+        _ => Some(Code::Number(text.trim().parse().ok()?)),
+    }
+}
+
+/// The version is the first word that begins as one; builds put their own name before it,
+/// or none at all.
+fn banner(text: &str) -> Reply {
+    let (name, _) = text.split_once('[').unwrap_or((text, ""));
+    let version = name.split_whitespace().find(|word| {
+        let number = word.strip_prefix('v').unwrap_or(word);
+        number.starts_with(|c: char| c.is_ascii_digit())
+    });
+    Reply::Banner {
+        version: version
+            .unwrap_or(name.trim())
+            .trim_end_matches(':')
+            .to_owned(),
+        dialect: Dialect::of(text),
+    }
+}
+
+/// Whether this version of GRBL is older than 1.1, whose protocol is another.
+pub fn is_old(version: &str) -> bool {
+    let number = version.strip_prefix('v').unwrap_or(version);
+    number.starts_with("0.")
+}
+
 fn enclosed(text: &str, open: char, close: char) -> Option<&str> {
     text.strip_prefix(open)?.strip_suffix(close)
 }
@@ -173,8 +250,16 @@ fn status(body: &str) -> Option<StatusReport> {
         accessories: None,
     };
     for field in fields {
-        let (key, value) = field.split_once(':')?;
+        let Some((key, value)) = field.split_once(':') else {
+            // What later builds add may have no value; what is read here has one.
+            match field {
+                "MPos" | "WPos" | "WCO" | "FS" | "Ov" | "A" => return None,
+                _ => continue,
+            }
+        };
         match key {
+            // A controller that has lost count says nan: that is no position.
+            "MPos" | "WPos" if value.contains("nan") || value.contains("inf") => {}
             "MPos" => report.machine = Some(numbers(value)?),
             "WPos" => report.work = Some(numbers(value)?),
             "WCO" => report.work_offset = Some(numbers(value)?),
@@ -191,7 +276,8 @@ fn status(body: &str) -> Option<StatusReport> {
     Some(report)
 }
 
-fn machine_state(text: &str) -> Option<MachineState> {
+/// The state at the beginning of a report.
+pub fn machine_state(text: &str) -> Option<MachineState> {
     let (name, sub) = match text.split_once(':') {
         Some((name, sub)) => (name, sub.parse().ok()?),
         None => (text, 0),
@@ -207,6 +293,7 @@ fn machine_state(text: &str) -> Option<MachineState> {
         "Check" => MachineState::Check,
         "Home" => MachineState::Home,
         "Sleep" => MachineState::Sleep,
+        "ConfigAlarm" => MachineState::ConfigAlarm,
         _ => return None,
     })
 }
@@ -312,13 +399,81 @@ mod tests {
         }
     }
 
+    fn grbl_banner(version: &str) -> Reply {
+        Reply::Banner {
+            version: version.to_owned(),
+            dialect: Dialect::Grbl,
+        }
+    }
+
+    #[test]
+    fn versions_before_1_1_are_old() {
+        assert!(is_old("0.9j") && is_old("v0.8c"));
+        assert!(!is_old("1.1h") && !is_old("3.7") && !is_old("v1.1f") && !is_old("Turntable"));
+    }
+
     #[test]
     fn lines_as_controllers_send_them() {
         let cases: &[(&str, Reply)] = &[
             ("ok", Reply::Ok),
-            ("error:20", Reply::Error(20)),
-            ("ALARM:1", Reply::Alarm(1)),
-            ("Grbl 1.1h ['$' for help]", Reply::Banner("1.1h".to_owned())),
+            ("error:20", Reply::Error(Code::Number(20))),
+            (
+                "error: Unsupported command",
+                Reply::Error(Code::Text("Unsupported command".to_owned())),
+            ),
+            ("ALARM:1", Reply::Alarm(Code::Number(1))),
+            (
+                "ALARM: Hard limit",
+                Reply::Alarm(Code::Text("Hard limit".to_owned())),
+            ),
+            ("Grbl 1.1h ['$' for help]", grbl_banner("1.1h")),
+            (
+                "Grbl 1.1h: LongMill build ['$' for help]",
+                grbl_banner("1.1h"),
+            ),
+            ("ArcBench 1.1h ['$' for help]", grbl_banner("1.1h")),
+            ("Grbl-Mega-5X 1.1t ['$' for help]", grbl_banner("1.1t")),
+            (
+                "Grbl v1.1f [uCNC v1.8.9 '$' for help]",
+                grbl_banner("v1.1f"),
+            ),
+            ("Turntable ['$' for help]", grbl_banner("Turntable")),
+            (
+                "Grbl 3.7 [FluidNC v3.7.13 (wifi) '$' for help]",
+                Reply::Banner {
+                    version: "3.7".to_owned(),
+                    dialect: Dialect::FluidNc,
+                },
+            ),
+            (
+                "<Idle,MPos:0.000,0.000,0.000,WPos:0.000,0.000,0.000>",
+                Reply::OldStatus("<Idle,MPos:0.000,0.000,0.000,WPos:0.000,0.000,0.000>".to_owned()),
+            ),
+            (
+                "<Idle|MPos:nan,0.000,0.000>",
+                Reply::Status(report(MachineState::Idle)),
+            ),
+            (
+                "$/axes/x/steps_per_mm=80.000",
+                Reply::Info {
+                    key: "$/axes/x/steps_per_mm".to_owned(),
+                    text: "80.000".to_owned(),
+                },
+            ),
+            (
+                "$N0=",
+                Reply::Info {
+                    key: "$N0".to_owned(),
+                    text: String::new(),
+                },
+            ),
+            (
+                "?<Door:1|MPos:0.000,0.000,0.000|Pn:D|H||X>",
+                Reply::Status(StatusReport {
+                    machine: Some(vec![0.0; 3]),
+                    ..report(MachineState::Door(1))
+                }),
+            ),
             (
                 "$110=500.000",
                 Reply::Setting {
@@ -380,8 +535,8 @@ mod tests {
                 }),
             ),
             (
-                "GrblHAL 1.1f ['$' or '$HELP' for help]",
-                Reply::Banner("1.1f".to_owned()),
+                "grblHAL 1.1f ['$' or '$HELP' for help]",
+                grbl_banner("1.1f"),
             ),
             (
                 "$302=192.168.5.1",
@@ -434,12 +589,10 @@ mod tests {
             "<Idle|MPos:0.000,-5.5",
             "<Idle|MPos:0.000,x,0.000>",
             "<Idle|MPos:1,2,3,4,5,6,7>",
-            "<Idle|MPos:nan,0,0>",
             "<Idle|MPos>",
             "<Rum|MPos:0,0,0>",
             "<Idle|Ov:1,1,1|A:Q>",
             "<Idle|FS:3>",
-            "$x=1",
             "$110=",
             "[VER]",
             "Grbl ",

@@ -28,7 +28,8 @@ pub struct GuardedStage {
     stage: Option<Box<dyn LightStage>>,
     info: StageInfo,
     watchdog: Watchdog,
-    reports_lamp: bool,
+    /// A motion has begun that did not come to its end.
+    may_go_on: bool,
     /// Whether the last command about the lamp turned it off.
     told_off: bool,
     /// The lamp was lit and not turned off since, as far as this process knows.
@@ -55,7 +56,7 @@ impl GuardedStage {
         if !stop.reports_lamp {
             command.arg("--unverified");
         }
-        let (name, reports_lamp, gate) = (stop.name.clone(), stop.reports_lamp, stop.gate.clone());
+        let (name, gate) = (stop.name.clone(), stop.gate.clone());
         let handle = stage.stop_handle()?;
         let watchdog = spawn(command, stop)
             .and_then(|(link, child)| Watchdog::start(name.clone(), link, child, handle))
@@ -68,7 +69,7 @@ impl GuardedStage {
             info: stage.info().clone(),
             stage: Some(stage),
             watchdog,
-            reports_lamp,
+            may_go_on: false,
             told_off: false,
             is_lit: false,
         }))
@@ -105,11 +106,38 @@ impl GuardedStage {
     fn is_safe(&self, status: &StageStatus) -> bool {
         let is_off = match status.lamp {
             Some(lamp) => lamp == LampState::Off,
-            None => !self.reports_lamp && self.told_off,
+            None => self.told_off,
         };
-        let stands = matches!(status.activity, StageActivity::Idle | StageActivity::Alarm);
+        let stands = match status.activity {
+            StageActivity::Idle | StageActivity::Alarm => true,
+            // What is held goes on where somebody lets it.
+            StageActivity::Held => !self.may_go_on,
+            StageActivity::Moving | StageActivity::Homing => false,
+        };
         stands && is_off
     }
+
+    /// Its state at the end. A lamp that the stage says nothing of is turned off first:
+    /// who lit it, and whether, is not known.
+    fn last_status(&mut self) -> Result<StageStatus, DeviceError> {
+        let status = self.status()?;
+        if status.lamp.is_none() && !self.told_off {
+            self.set_lamp(LampState::Off)?;
+            return self.status();
+        }
+        Ok(status)
+    }
+}
+
+/// Whether a motion may still be under way: not where it was refused.
+fn may_go_on<T>(moved: &Result<T, DeviceError>) -> bool {
+    !matches!(
+        moved,
+        Ok(_)
+            | Err(DeviceError::Firmware { .. }
+                | DeviceError::NotHomed { .. }
+                | DeviceError::OutOfReach { .. })
+    )
 }
 
 /// The guardian, and this end of the socket between it and this process.
@@ -127,7 +155,7 @@ fn spawn(mut command: Command, stop: PortStop) -> std::io::Result<(UnixStream, C
 
 impl Drop for GuardedStage {
     fn drop(&mut self) {
-        let status = self.status();
+        let status = self.last_status();
         let is_safe = !std::thread::panicking() && status.is_ok_and(|status| self.is_safe(&status));
         self.stage = None;
         self.watchdog.end(is_safe, END);
@@ -141,14 +169,18 @@ impl LightStage for GuardedStage {
 
     fn home(&mut self) -> Result<StageStatus, DeviceError> {
         self.told_off = false;
-        let status = self.step(StageStep::Home, |stage| stage.home())?;
+        let homed = self.step(StageStep::Home, |stage| stage.home());
+        self.may_go_on = may_go_on(&homed);
+        let status = homed?;
         self.told_off = true;
         self.stands();
         Ok(status)
     }
 
     fn move_to(&mut self, target: StageAngles) -> Result<StageAngles, DeviceError> {
-        let reached = self.step(StageStep::Move, |stage| stage.move_to(target))?;
+        let moved = self.step(StageStep::Move, |stage| stage.move_to(target));
+        self.may_go_on = may_go_on(&moved);
+        let reached = moved?;
         self.stands();
         Ok(reached)
     }

@@ -149,10 +149,12 @@ impl Watchdog {
         let Some(shared) = &self.0 else {
             return;
         };
-        if is_safe && self.check().is_ok() {
+        let is_dismissed = is_safe && self.check().is_ok();
+        // First, so that nobody takes the end of the guardian for its loss.
+        shared.is_over.store(true, Ordering::Release);
+        if is_dismissed {
             shared.say(Message::Dismissed);
         }
-        shared.is_over.store(true, Ordering::Release);
         drop(shared.link.shutdown(Shutdown::Both));
         let mut child = shared.child();
         let end = Instant::now() + longest;

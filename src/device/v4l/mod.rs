@@ -14,6 +14,7 @@ use std::time::{Duration, Instant};
 
 use v4l::Device;
 use v4l::buffer::Flags;
+use v4l::capability::Flags as Capability;
 
 use super::controls::{self, ControlInfo, ControlPort, TemperatureControl, id};
 use super::discovery::{self, DeviceKind};
@@ -82,6 +83,9 @@ const STALLED: i32 = 32;
 /// ENOTTY: what answers is no Video4Linux device.
 const NOT_THIS_KIND: i32 = 25;
 
+/// What a node that gives images says it can do, by one of the kernel's two interfaces.
+const IMAGES: Capability = Capability::VIDEO_CAPTURE.union(Capability::VIDEO_CAPTURE_MPLANE);
+
 /// A camera that streams frames.
 pub struct V4lCamera {
     config: V4lConfig,
@@ -129,10 +133,22 @@ impl V4lCamera {
         let device = Device::with_path(&config.device).map_err(failed)?;
         let capabilities = device.query_caps().map_err(|error| {
             if error.raw_os_error() == Some(NOT_THIS_KIND) {
-                return failed(io::Error::other("not a camera"));
+                return DeviceError::WrongKind {
+                    device: config.device.clone(),
+                    wanted: "camera",
+                    why: error.to_string(),
+                };
             }
             failed(error)
         })?;
+        if !capabilities.capabilities.intersects(IMAGES) {
+            let node = Path::new(&config.device);
+            return Err(DeviceError::NoImages {
+                device: config.device.clone(),
+                image_node: discovery::first_node(Path::new("/"), node)
+                    .map(|node| node.display().to_string()),
+            });
+        }
         let serial = discovery::serial_of_camera(Path::new("/"), Path::new(&config.device));
         if let Some(wanted) = &config.serial
             && serial.as_ref() != Some(wanted)
@@ -240,7 +256,8 @@ impl V4lCamera {
             let found = discovery::find_devices(Path::new("/"));
             let same = found
                 .iter()
-                .filter(|device| device.kind == DeviceKind::Camera && device.serial == *serial);
+                .filter(|device| device.kind == DeviceKind::Camera && device.serial == *serial)
+                .filter(|device| device.first_node.is_none());
             places.extend(same.map(|device| device.path.display().to_string()));
         }
         let expected = |camera: &Self| {
@@ -326,6 +343,19 @@ fn device_error(device: &str, error: io::Error) -> DeviceError {
     }
 }
 
+/// A stream that does not start: ENOSPC speaks of the bus, not of a disk.
+fn stream_error(device: &str, [width, height]: [u32; 2], error: io::Error) -> DeviceError {
+    const NO_BANDWIDTH: i32 = 28;
+    match error.raw_os_error() {
+        Some(NO_BANDWIDTH) => DeviceError::NoBandwidth {
+            device: device.to_owned(),
+            width,
+            height,
+        },
+        _ => device_error(device, error),
+    }
+}
+
 impl Camera for V4lCamera {
     fn info(&self) -> &CameraInfo {
         &self.info
@@ -399,7 +429,8 @@ impl Camera for V4lCamera {
             let next = self
                 .ring
                 .next(&self.device, left.max(Duration::from_millis(1)));
-            let failed = |error| device_error(&self.config.device, error);
+            let [width, height] = self.info.resolution_px;
+            let failed = |error| stream_error(&self.config.device, [width, height], error);
             let Some((bytes, meta)) = next.map_err(failed)? else {
                 // Also a device that reports an error without a frame: no busy loop.
                 std::thread::sleep(Duration::from_millis(1));
@@ -422,7 +453,6 @@ impl Camera for V4lCamera {
             if meta.flags.contains(Flags::ERROR) {
                 return Err(bad_frame(FrameFault::Damaged));
             }
-            let [width, height] = self.info.resolution_px;
             let counts = self
                 .format
                 .decode(bytes, width, height, self.stride)
@@ -523,8 +553,12 @@ mod tests {
         assert!(matches!(open(&file), Err(DeviceError::NotFound { .. })));
         assert!(matches!(open("a\0b"), Err(DeviceError::NotFound { .. })));
         std::fs::write(&file, "").unwrap();
-        assert!(matches!(open(&file), Err(DeviceError::Io { .. })));
+        assert!(matches!(open(&file), Err(DeviceError::WrongKind { .. })));
         let gone = device_error("x", io::Error::from_raw_os_error(19));
+        assert!(matches!(gone, DeviceError::Disconnected { .. }));
+        let full = stream_error("x", [640, 480], io::Error::from_raw_os_error(28));
+        assert!(matches!(full, DeviceError::NoBandwidth { .. }), "{full}");
+        let gone = stream_error("x", [640, 480], io::Error::from_raw_os_error(19));
         assert!(matches!(gone, DeviceError::Disconnected { .. }));
         let busy = device_error("x", io::Error::from_raw_os_error(16));
         assert!(matches!(busy, DeviceError::Busy { .. }));

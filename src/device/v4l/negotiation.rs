@@ -25,10 +25,7 @@ pub(super) fn set_format(
         .iter()
         .map(|description| description.fourcc.repr)
         .collect();
-    let names = |codes: &[[u8; 4]]| {
-        let text = |code: &[u8; 4]| String::from_utf8_lossy(code).trim_end().to_owned();
-        codes.iter().map(text).collect::<Vec<_>>().join(", ")
-    };
+    let names = |codes: &[[u8; 4]]| codes.iter().map(name_of).collect::<Vec<_>>().join(", ");
     let mut wanted = match config.format {
         Some(code) => of_fourcc(code).ok_or_else(|| {
             refused(
@@ -36,13 +33,8 @@ pub(super) fn set_format(
                 "not a format that can be read".to_owned(),
             )
         })?,
-        None => best_of(&offered, config.bit_depth, config.preview).ok_or_else(|| {
-            let reason = format!(
-                "none of the camera's formats is uncompressed: {}",
-                names(&offered)
-            );
-            refused("an uncompressed format".to_owned(), reason)
-        })?,
+        None => best_of(&offered, config.bit_depth, config.preview)
+            .ok_or_else(|| compressed(&config.device, &offered))?,
     };
     let bits = config.bit_depth.unwrap_or(wanted.bits);
     if !(1..=wanted.bits).contains(&bits) {
@@ -70,4 +62,28 @@ pub(super) fn set_format(
         });
     }
     Ok((wanted, [applied.width, applied.height], applied.stride))
+}
+
+fn name_of(code: &[u8; 4]) -> String {
+    String::from_utf8_lossy(code).trim_end().to_owned()
+}
+
+fn compressed(device: &str, offered: &[[u8; 4]]) -> DeviceError {
+    DeviceError::Compressed {
+        device: device.to_owned(),
+        offered: offered.iter().map(name_of).collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_camera_of_compressed_formats_says_which_it_offers() {
+        let said = compressed("/dev/video0", &[*b"MJPG", *b"H264"]).to_string();
+        assert!(said.ends_with("it offers MJPG, H264"), "{said}");
+        let said = compressed("/dev/video0", &[]).to_string();
+        assert!(said.ends_with("it offers none at all"), "{said}");
+    }
 }

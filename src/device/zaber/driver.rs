@@ -10,8 +10,8 @@ use super::{AxisAddress, LampSwitch, ZaberConfig};
 use crate::device::guardian::{Exchange, PortStop};
 use crate::device::kinematics::Pose;
 use crate::device::{
-    DeviceError, LampChannel, LampState, LightStage, ReferenceCheck, StageActivity, StageInfo,
-    StageStatus, StageStep, StopHandle,
+    AlarmCause, DeviceError, FirmwareFault, LampChannel, LampState, LightStage, ReferenceCheck,
+    StageActivity, StageInfo, StageStatus, StageStep, StopHandle,
 };
 use crate::units::StageAngles;
 
@@ -94,8 +94,13 @@ impl ZaberStage {
         let device = self.config.axes[0].device;
         let version = self.get(device, 0, "version")?;
         if version < 6.0 {
-            let reason = format!("firmware {version} is older than 6");
-            return Err(self.link.line().refused("get version", &reason));
+            return Err(DeviceError::Firmware {
+                device: self.config.port.clone(),
+                fault: FirmwareFault::Old {
+                    is: format!("Zaber {version}"),
+                    needed: "Zaber 6",
+                },
+            });
         }
         let serial = self.get(device, 0, "system.serial")?;
         self.info.firmware = format!("{version} (serial number {serial})");
@@ -187,6 +192,7 @@ impl ZaberStage {
     fn alarm(&self, reason: String) -> DeviceError {
         DeviceError::Alarm {
             device: self.config.port.clone(),
+            cause: AlarmCause::Other,
             reason,
         }
     }

@@ -6,8 +6,8 @@ use std::time::{Duration, Instant};
 
 use super::codes::{self, Trust};
 use super::protocol::{LONGEST_LINE, Message, Reply, command, parse};
-use crate::device::DeviceError;
 use crate::device::serial_line::SerialLine;
+use crate::device::{DeviceError, Speaker};
 
 /// How long another reader may go on before one looks for oneself.
 const LOOK: Duration = Duration::from_millis(20);
@@ -42,7 +42,7 @@ impl Link {
     /// Opens and configures the port. Nothing is sent.
     pub fn open(path: &str, baud: u32) -> Result<Self, DeviceError> {
         Ok(Self {
-            line: SerialLine::open(path, baud)?,
+            line: SerialLine::open(path, baud)?.of(Speaker::Zaber),
             known: Mutex::new(Known {
                 unhomed_since: Some("it was connected".to_owned()),
                 fault: None,

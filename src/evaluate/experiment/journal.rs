@@ -11,6 +11,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use super::{EvaluateError, Row, Settings};
+use crate::file_system;
 
 /// Its name in the output folder.
 pub const FILE: &str = "journal.jsonl";
@@ -46,7 +47,7 @@ impl Journal {
             .append(true)
             .open(&path)
             .map_err(EvaluateError::io(&path))?;
-        match file.try_lock() {
+        match file_system::lock(&file, &path) {
             Ok(()) => {}
             Err(std::fs::TryLockError::WouldBlock) => {
                 return Err(EvaluateError::Locked {
@@ -139,7 +140,7 @@ impl Journal {
         bytes.push(b'\n');
         self.file
             .write_all(&bytes)
-            .and_then(|()| self.file.sync_data())
+            .and_then(|()| file_system::sync_file(&self.file, &self.path))
             .map_err(EvaluateError::io(&self.path))
     }
 }

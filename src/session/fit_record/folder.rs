@@ -12,6 +12,7 @@ use super::{
     FitRecord, FitRecordError, FitSettings, ScoreSheet, Timing, Verdict, Warning, check,
     out_of_range, tables,
 };
+use crate::file_system;
 use crate::outside_file::read_regular;
 use crate::radiance_image::exr;
 use crate::session::layout::FITS_FOLDER;
@@ -155,26 +156,28 @@ pub fn write(folder: &Path, record: &FitRecord, images: &FitImages) -> Result<()
         let path = partial.path().join(name);
         let written = File::create(&path).and_then(|mut file| {
             file.write_all(&bytes)?;
-            file.sync_all()
+            file_system::sync_file(&file, &path)
         });
         written.map_err(io(&path))?;
     }
-    sync_folder(partial.path()).map_err(io(partial.path()))?;
-    make_readable(partial.path()).map_err(io(partial.path()))?;
-    // An empty folder may be replaced by the rename; a filled one may not.
-    std::fs::rename(partial.path(), folder).map_err(io(folder))?;
+    file_system::sync_folder(partial.path()).map_err(io(partial.path()))?;
+    make_readable(partial.path());
+    // Not every file system puts one folder in the place of another. One with files in it
+    // stays, and stops the rename.
+    drop(std::fs::remove_dir(folder));
+    file_system::rename(partial.path(), folder).map_err(io(folder))?;
     let _ = partial.keep(); // Renamed: nothing is left to remove.
-    sync_folder(parent).map_err(io(parent))
+    file_system::sync_folder(parent).map_err(io(parent))
 }
 
-/// A temporary folder is private to its owner; a result is not.
-fn make_readable(folder: &Path) -> std::io::Result<()> {
+/// A temporary folder is private to its owner; a result is not. Where the file system has
+/// no permissions, there is nothing to be done.
+fn make_readable(folder: &Path) {
     use std::os::unix::fs::PermissionsExt;
-    std::fs::set_permissions(folder, std::fs::Permissions::from_mode(0o755))
-}
-
-fn sync_folder(folder: &Path) -> std::io::Result<()> {
-    File::open(folder)?.sync_all()
+    drop(std::fs::set_permissions(
+        folder,
+        std::fs::Permissions::from_mode(0o755),
+    ));
 }
 
 fn image_name(kind: &str, light: usize) -> String {

@@ -1,0 +1,199 @@
+//! Advice on stages and cameras.
+
+use crate::device::retake::FrameFault;
+use crate::device::{AlarmCause, DeviceError, FirmwareFault, ProgramFault, Speaker};
+
+pub(super) fn for_device(error: &DeviceError) -> String {
+    use DeviceError::*;
+    let hint = match error {
+        NotFound { device } if device.starts_with("/dev/") => {
+            "run `rig devices` to see what is connected; name ports by /dev/serial/by-id, which survives replugging"
+        }
+        NotFound { .. } => {
+            "check the path in the rig file or on the command line: nothing of that name is there (`rig devices` lists what is connected)"
+        }
+        PermissionDenied { device } if device.starts_with("/dev/") => {
+            "`rig devices` says who may open it: where that is a group, add yourself to it (`sudo usermod -aG dialout,video $USER`), then log in again"
+        }
+        PermissionDenied { .. } => "check who owns the file and its folder, and their permissions",
+        Busy { device } => {
+            return format!(
+                "`fuser -v {device}` names the process that holds it; end that one first"
+            );
+        }
+        NoReply { .. } => {
+            "check power and cable, and that driver and baud rate are this device's; `rig devices` shows whether it is still there; a slow camera needs a longer camera.frame_timeout_s"
+        }
+        Garbled { .. } => {
+            "check the baud rate, and that the port belongs to this device (`rig devices`)"
+        }
+        WrongKind { .. } => "name another: `rig devices` lists the cameras and serial ports",
+        OtherProtocol { speaks, .. } => for_speaker(*speaks),
+        Firmware { fault, .. } => for_firmware(fault),
+        Program { program, fault } => return for_program(program, fault),
+        NoImages { .. } => {
+            "name the first node of the camera, whose name ends in index0: `rig devices` lists it"
+        }
+        Compressed { .. } => {
+            "raw counts need an uncompressed format: take another camera, or one whose own program writes raw frames (camera.driver = \"command\" or \"folder\")"
+        }
+        NoBandwidth { .. } => {
+            "plug it into a port of another USB controller, without a hub, and end the streams of other cameras; one that asks for more than it needs is cured by `sudo rmmod uvcvideo && sudo modprobe uvcvideo quirks=128`"
+        }
+        BadFrame { fault, .. } => for_frame(fault),
+        Refused { .. } => {
+            "check the rig file against what the device accepts: `rig stage status`, `rig camera info` and `rig camera controls` ask it"
+        }
+        Alarm { cause, .. } => for_alarm(*cause),
+        NotHomed { .. } => "run `rig stage home` first",
+        OutOfReach { .. } => {
+            "choose fewer or other lights, or correct the limits in the rig file's [stage] table"
+        }
+        NotApplied { .. } => {
+            "the device has another range or step; `rig camera info` and `rig stage status` show what it accepts"
+        }
+        Disconnected { .. } => {
+            "check the cable and the USB hub's power, then `rig doctor`; an interrupted capture continues with `rig capture --resume`"
+        }
+        TemporaryFolder { .. } => {
+            "the variable TMPDIR names that folder (without it, it is /tmp): name one that exists and can be written"
+        }
+        Relieved { .. } => {
+            "find out what stopped the program or kept it from running (`kill -STOP`, a debugger, too little memory): its guardian says whether the lamp went off; Ctrl-Z pauses a capture, and an interrupted one continues with `rig capture --resume`"
+        }
+        Unguarded { .. } => {
+            "leave the process `rig guardian` alone, which turns the lamp off where this program cannot; an interrupted capture continues with `rig capture --resume`"
+        }
+        Io { .. } => {
+            "see what the system says of it (`dmesg`), and whether it is what the rig file says; `rig doctor` checks that"
+        }
+    };
+    hint.to_owned()
+}
+
+fn for_speaker(speaks: Speaker) -> &'static str {
+    match speaks {
+        Speaker::Grbl => {
+            "name it as what it is: driver = \"grbl\" in the rig file's [stage] table, or --driver grbl"
+        }
+        Speaker::Zaber => {
+            "name it as what it is: driver = \"zaber\" in the rig file's [stage] table, or --driver zaber"
+        }
+        Speaker::Marlin | Speaker::Smoothie | Speaker::TinyG => {
+            "this firmware is not spoken to: put GRBL 1.1, grblHAL or FluidNC on the board, or take another port (`rig devices`)"
+        }
+    }
+}
+
+/// Settings are GRBL's.
+fn for_firmware(fault: &FirmwareFault) -> &'static str {
+    use FirmwareFault::*;
+    match fault {
+        Old { is, .. } if is.starts_with("Zaber") => {
+            "update the firmware of the device with Zaber Launcher"
+        }
+        Old { .. } => {
+            "put GRBL 1.1 (https://github.com/gnea/grbl) or grblHAL on the board: older versions don't report outputs and causes of alarms"
+        }
+        HomingDisabled { .. } => {
+            "fit limit switches to the axes, then set $22=1 and the homing settings $23 to $27 (grblHAL: the axes in $44 and on, too)"
+        }
+        NothingToHome { .. } => {
+            "give the axes a homing cycle: of grblHAL in $44 and on, of FluidNC under `homing:` of each axis in its configuration file"
+        }
+        LaserMode(_) => {
+            "set $32=0, so that the lamp stays as it was switched while the stage moves and stands"
+        }
+        Inches(_) => "set $13=0, so that positions are reported in millimetres (or degrees)",
+        NoPosition => "set $10=1, so that status reports have machine positions",
+        NoAxis { .. } => {
+            "name axes that the controller has: `axis` in [stage.azimuth] and [stage.elevation] of the rig file"
+        }
+        Door(_) => {
+            "close the safety door, then `rig stage home`; where no door switch is fitted, the input floats or is inverted: tie it to its idle level, or disable it in the firmware"
+        }
+        Held(_) => "see why it was held, then `rig stage home`, which resets it",
+        Asleep => "`rig stage home` resets it and wakes it",
+        Configuration(_) => {
+            "correct the controller's configuration file (FluidNC: `$SS` shows what it said of it at its start), then restart it"
+        }
+        Unsupported { .. } => {
+            "take commands in the rig file that this firmware has, or build it with these: M7 of GRBL needs ENABLE_M7 in its config.h"
+        }
+    }
+}
+
+fn for_alarm(cause: AlarmCause) -> &'static str {
+    match cause {
+        AlarmCause::LimitSwitch => {
+            "find out what the stage hit, move it off the switch by hand with its motors unpowered, then `rig stage home`"
+        }
+        AlarmCause::SoftLimit => {
+            "the limits in the rig file's [stage] table go beyond the travel that the controller knows ($130 to $132 from its zero): correct whichever is wrong, then `rig stage home`"
+        }
+        AlarmCause::Homing => {
+            "check that each limit switch opens and closes, its polarity ($5), the direction of the search ($23), the travel ($130 to $132) and the pull-off ($27), then `rig stage home`"
+        }
+        AlarmCause::EmergencyStop => {
+            "release the emergency stop, or what else closes an input, then `rig stage home`"
+        }
+        AlarmCause::HomingRequired => {
+            "make sure that the stage is free to move, then `rig stage home`"
+        }
+        AlarmCause::Other => "find out what the stage hit or lost, then `rig stage home`",
+    }
+}
+
+fn for_frame(fault: &FrameFault) -> &'static str {
+    match fault {
+        FrameFault::NotRaw { .. } => {
+            "the camera's program must write the sensor's counts untouched, as a grey PNG or TIFF of 8 or 16 bits, one value per pixel (of a raw file of a camera, `dcraw -D -4 -T` makes one)"
+        }
+        FrameFault::Size { .. } => {
+            "resolution_px in the rig file must be what the camera, or its program, is set to"
+        }
+        FrameFault::Undecodable(_) => {
+            "see whether the file or the frame is whole, and whether bit_depth in the rig file is the camera's"
+        }
+        FrameFault::Damaged | FrameFault::Late => {
+            "check the cable, and that nothing else shares the camera's USB bus"
+        }
+    }
+}
+
+fn for_program(program: &str, fault: &ProgramFault) -> String {
+    use ProgramFault::*;
+    let hint = match fault {
+        Missing {
+            looked_in_path: true,
+        } => "install it, or give its path in camera.command of the rig file",
+        Missing {
+            looked_in_path: false,
+        } => {
+            "correct the path in camera.command of the rig file: it counts from the folder the command runs in"
+        }
+        NotExecutable { .. } => {
+            return format!("`chmod +x {program}` makes it one that may be executed");
+        }
+        Denied => {
+            "check that its folders may be entered, and that its file system is not mounted `noexec`"
+        }
+        Folder => "name the program in it in camera.command of the rig file",
+        WindowsLineEnds { .. } => {
+            return format!(
+                "it was saved with Windows line ends: `sed -i 's/\\r$//' {program}` (or dos2unix) removes them"
+            );
+        }
+        NoInterpreter { .. } => {
+            "install the interpreter, or correct the program's first line (`#!/usr/bin/env python3` finds it in PATH)"
+        }
+        NoLoader => "build or install it for this processor and system",
+        NotAProgram => {
+            "begin a script with a line such as #!/bin/sh, with nothing before the # (no byte order mark); a binary must be of this processor"
+        }
+        NoLibrary { .. } => {
+            "install the library that it names (`ldd` on the program lists all), or name its folder in LD_LIBRARY_PATH"
+        }
+    };
+    hint.to_owned()
+}

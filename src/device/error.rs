@@ -1,0 +1,354 @@
+//! What goes wrong at a device; facts only.
+
+use super::{Speaker, retake};
+use crate::units::{Seconds, StageAngles};
+
+/// What went wrong at a device; facts only.
+#[derive(Debug, thiserror::Error)]
+pub enum DeviceError {
+    /// There is no such port or device file.
+    #[error("{device} does not exist")]
+    NotFound {
+        /// Path or name.
+        device: String,
+    },
+    /// The system refuses access.
+    #[error("{device}: permission denied")]
+    PermissionDenied {
+        /// Path or name.
+        device: String,
+    },
+    /// Another process holds it.
+    #[error("{device} is in use by another process")]
+    Busy {
+        /// Path or name.
+        device: String,
+    },
+    /// No answer in time.
+    #[error("{device} did not answer within {timeout} (sent {sent:?})")]
+    NoReply {
+        /// Path or name.
+        device: String,
+        /// How long was waited.
+        timeout: Seconds,
+        /// What was sent last.
+        sent: String,
+    },
+    /// There is something else than what is wanted.
+    #[error("{device} is not a {wanted}: {why}")]
+    WrongKind {
+        /// Path or name.
+        device: String,
+        /// What it must be.
+        wanted: &'static str,
+        /// The system's words.
+        why: String,
+    },
+    /// What answers speaks another protocol.
+    #[error("{device} answered {answer:?}: that is {speaks}, not {expected}")]
+    OtherProtocol {
+        /// Path or name.
+        device: String,
+        /// The bytes, as text.
+        answer: String,
+        /// Who speaks so.
+        speaks: Speaker,
+        /// What the protocol allows here.
+        expected: String,
+    },
+    /// The firmware is not, or not set up, as a stage needs it.
+    #[error("{device}: {fault}")]
+    Firmware {
+        /// Path or name.
+        device: String,
+        /// What is the case.
+        fault: FirmwareFault,
+    },
+    /// A program that takes the frames cannot be run.
+    #[error("{program}: {fault}")]
+    Program {
+        /// As the rig file names it.
+        program: String,
+        /// What is the case.
+        fault: ProgramFault,
+    },
+    /// A node of a camera that gives no images, such as that of its metadata.
+    #[error("{device} gives no images{}", other_node(image_node.as_deref()))]
+    NoImages {
+        /// Path or name.
+        device: String,
+        /// The node of the same camera that does, where one is found.
+        image_node: Option<String>,
+    },
+    /// The camera offers compressed formats alone.
+    #[error(
+        "none of the formats of {device} is uncompressed: it offers {}",
+        offered_formats(offered)
+    )]
+    Compressed {
+        /// Path or name.
+        device: String,
+        /// Four-character codes of the formats.
+        offered: Vec<String>,
+    },
+    /// The system has no room for the stream on the camera's bus.
+    #[error(
+        "{device}: its USB bus has no bandwidth left for a stream of {width} × {height} pixels"
+    )]
+    NoBandwidth {
+        /// Path or name.
+        device: String,
+        /// Pixels per row.
+        width: u32,
+        /// Rows.
+        height: u32,
+    },
+    /// An answer that the protocol does not allow.
+    #[error("{device} answered {answer:?}, which is not {expected}")]
+    Garbled {
+        /// Path or name.
+        device: String,
+        /// The bytes, as text.
+        answer: String,
+        /// What the protocol allows here.
+        expected: String,
+    },
+    /// A frame that cannot be used.
+    #[error("{device}: a frame cannot be used: {fault}")]
+    BadFrame {
+        /// Path or name.
+        device: String,
+        /// What is wrong with it.
+        fault: retake::FrameFault,
+    },
+    /// The device refused a command.
+    #[error("{device} refused {command:?}: {reason}")]
+    Refused {
+        /// Path or name.
+        device: String,
+        /// What was sent.
+        command: String,
+        /// The device's error code and its meaning.
+        reason: String,
+    },
+    /// The device is in alarm: its position is unknown.
+    #[error("{device} is in alarm: {reason}")]
+    Alarm {
+        /// Path or name.
+        device: String,
+        /// What raises it, by kind.
+        cause: AlarmCause,
+        /// The alarm code and its meaning.
+        reason: String,
+    },
+    /// A move was asked for while the position is unknown.
+    #[error("{device} has not been homed since {since}, so its position is unknown")]
+    NotHomed {
+        /// Path or name.
+        device: String,
+        /// The event that made the position unknown.
+        since: String,
+    },
+    /// A target outside the configured limits.
+    #[error("{device}: {target} is outside the limits ({limits})")]
+    OutOfReach {
+        /// Path or name.
+        device: String,
+        /// The target.
+        target: StageAngles,
+        /// The limits.
+        limits: String,
+    },
+    /// The device reports another state than the one commanded.
+    #[error("{device}: {what} is {is} after {wanted} was commanded")]
+    NotApplied {
+        /// Path or name.
+        device: String,
+        /// Which setting.
+        what: String,
+        /// Read back.
+        is: String,
+        /// Asked for.
+        wanted: String,
+    },
+    /// Nothing can be put into the folder for temporary files.
+    #[error("the folder for temporary files, {}: {source}", folder.display())]
+    TemporaryFolder {
+        /// As `TMPDIR` names it, or the system's own.
+        folder: std::path::PathBuf,
+        /// The system's error.
+        source: std::io::Error,
+    },
+    /// The guardian has taken the stage over, because it had heard nothing from this
+    /// process for longer than was announced.
+    #[error(
+        "{device}: the program gave no sign of life for longer than it had announced, \
+         and its guardian has taken the stage over"
+    )]
+    Relieved {
+        /// Path or name.
+        device: String,
+    },
+    /// The guardian has ended, or does not answer.
+    #[error("the guardian of {device} has ended or does not answer; the stage was stopped")]
+    Unguarded {
+        /// Path or name.
+        device: String,
+    },
+    /// The device went away.
+    #[error("{device} was disconnected")]
+    Disconnected {
+        /// Path or name.
+        device: String,
+    },
+    /// Any other failure of the system.
+    #[error("{device}: {source}")]
+    Io {
+        /// Path or name.
+        device: String,
+        /// The system's error.
+        source: std::io::Error,
+    },
+}
+
+fn other_node(image_node: Option<&str>) -> String {
+    match image_node {
+        Some(node) => format!("; those of the same camera come from {node}"),
+        None => String::new(),
+    }
+}
+
+fn offered_formats(offered: &[String]) -> String {
+    match offered {
+        [] => "none at all".to_owned(),
+        offered => offered.join(", "),
+    }
+}
+
+/// What raises an alarm, as far as something else is to be done about it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum AlarmCause {
+    /// A limit switch was hit, or is closed.
+    LimitSwitch,
+    /// A target is beyond the travel that the firmware knows.
+    SoftLimit,
+    /// The switches were not found, or not left.
+    Homing,
+    /// An emergency stop or another control input is active.
+    EmergencyStop,
+    /// It waits to be homed.
+    HomingRequired,
+    /// Anything else.
+    Other,
+}
+
+/// A firmware that is not, or not set up, as a stage needs it. Settings are those of GRBL.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum FirmwareFault {
+    /// Too old.
+    #[error("its firmware is {is}, and {needed} or later is needed")]
+    Old {
+        /// Name and version.
+        is: String,
+        /// Name and version.
+        needed: &'static str,
+    },
+    /// `$22=0`.
+    #[error("it refused {command:?}: homing is not enabled ($22=0)")]
+    HomingDisabled {
+        /// What was sent.
+        command: String,
+    },
+    /// No axis has a homing cycle (FluidNC, grblHAL).
+    #[error("it refused {command:?}: no axis is set to be homed")]
+    NothingToHome {
+        /// What was sent.
+        command: String,
+    },
+    /// `$32` is not 0.
+    #[error("laser mode is on ($32={0}), which switches the lamp with the motion")]
+    LaserMode(f64),
+    /// `$13` is not 0.
+    #[error("positions are reported in inches ($13={0})")]
+    Inches(f64),
+    /// Neither machine positions nor work positions with their offset.
+    #[error("its status reports have no position: neither MPos, nor WPos and WCO")]
+    NoPosition,
+    /// Fewer axes than the stage uses.
+    #[error("its status reports have {axes} axes, and axis {letter} is needed")]
+    NoAxis {
+        /// In the report.
+        axes: usize,
+        /// Of the rig file.
+        letter: char,
+    },
+    /// The safety door's input.
+    #[error("the safety door input is open, or was opened and not confirmed since (Door:{0})")]
+    Door(u8),
+    /// A feed hold.
+    #[error("it is held and takes no command (Hold:{0})")]
+    Held(u8),
+    /// `$SLP`, or a sleep timer.
+    #[error("it sleeps and takes no command until it is reset (Sleep)")]
+    Asleep,
+    /// FluidNC could not read its configuration file.
+    #[error("its configuration is faulty, and it moves nothing ({0})")]
+    Configuration(String),
+    /// A command that this build lacks.
+    #[error("it refused {command:?}: {reason}")]
+    Unsupported {
+        /// What was sent.
+        command: String,
+        /// The error's number and meaning.
+        reason: String,
+    },
+}
+
+/// Why a program cannot be run.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum ProgramFault {
+    /// There is none of this name.
+    #[error("there is no such program{}", if *looked_in_path { " in PATH" } else { "" })]
+    Missing {
+        /// The name has no `/`.
+        looked_in_path: bool,
+    },
+    /// The file may not be executed.
+    #[error("it may not be executed (mode {mode:04o})")]
+    NotExecutable {
+        /// Permissions of the file.
+        mode: u32,
+    },
+    /// Its folder may not be entered, or its file system allows no programs.
+    #[error("the system does not let it be executed (permission denied)")]
+    Denied,
+    /// It is a folder.
+    #[error("it is a folder")]
+    Folder,
+    /// Its first line ends as Windows ends lines.
+    #[error(
+        "its first line ends with a carriage return, so that its interpreter is sought as {interpreter:?}"
+    )]
+    WindowsLineEnds {
+        /// As the first line has it.
+        interpreter: String,
+    },
+    /// What its first line names does not exist or may not be executed.
+    #[error("its interpreter {interpreter:?} cannot be run")]
+    NoInterpreter {
+        /// As the first line has it.
+        interpreter: String,
+    },
+    /// A binary whose loader does not exist.
+    #[error("it is a program for another system: the loader that it names does not exist")]
+    NoLoader,
+    /// Neither a binary for this processor nor a script with a first line.
+    #[error("it is neither a program for this processor nor a script that begins with #!")]
+    NotAProgram,
+    /// The loader found no library (exit code 127).
+    #[error("it could not be loaded: {said}")]
+    NoLibrary {
+        /// The loader's own words.
+        said: String,
+    },
+}

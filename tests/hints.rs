@@ -1,0 +1,347 @@
+//! Every piece of advice of `src/cli/hints.rs` is reached by a test that runs the program.
+//!
+//! A row is a text of that source. A test reaches it by quoting a part that no other row
+//! has: as the `hint` of a case of `tests/outside`, which compares it with the hint alone,
+//! or in a test of this folder that runs the program.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Rows that no run of the program reaches in a test, and why.
+const ELSEWHERE: &[(&str, &str)] = &[
+    // What only hardware, or another user's, says; the errors themselves are made by the
+    // drivers' own tests.
+    (
+        "`rig devices` says who may open it",
+        "a device file of another user",
+    ),
+    (
+        "name the first node of the camera",
+        "a camera with a metadata node",
+    ),
+    (
+        "name the rig with --rig, RIG_CONFIG",
+        "a bench that is connected",
+    ),
+    (
+        "raw counts need an uncompressed format",
+        "a camera without raw formats",
+    ),
+    (
+        "plug it into a port of another USB controller",
+        "a USB bus that is full",
+    ),
+    (
+        "check the cable, and that nothing else shares",
+        "a camera whose driver marks frames",
+    ),
+    (
+        "check the cable and the USB hub's power",
+        "a cable that is pulled while no lamp is lit",
+    ),
+    (
+        "see what the system says of it (`dmesg`)",
+        "a driver of the kernel that fails",
+    ),
+    (
+        "update the firmware of the device with Zaber",
+        "a Zaber device before firmware 6",
+    ),
+    ("its file system is not mounted `noexec`", "a mount"),
+    // What a simulated bench meets in `tests/capture.rs` and `tests/camera_faults.rs`, by
+    // the library: minutes of a capture each.
+    ("let the lamp warm up", "a lamp that drifts"),
+    ("let it cool down", "a sensor that is hot"),
+    (
+        "resume once more, which homes the stage again",
+        "a stage that homes elsewhere",
+    ),
+    (
+        "connect the camera that the session was begun with",
+        "two cameras",
+    ),
+    (
+        "raise camera.settings_latency_frames",
+        "a camera that ignores its settings",
+    ),
+    (
+        "check the lamp's power and cable, the lens cap",
+        "a dark lamp",
+    ),
+    (
+        "a camera that ignores its exposure does the same",
+        "a lamp that is too bright",
+    ),
+    (
+        "lower capture.shortest_ms in the rig file",
+        "a lamp that is too bright",
+    ),
+    (
+        "nothing that was journalled is lost; free some space",
+        "a disk that fills meanwhile",
+    ),
+    (
+        "the session was changed since it was captured",
+        "frames of another plan",
+    ),
+    ("paint it grey or black", "a rig with a coloured body"),
+    // Kept for what the command line refuses or says itself before.
+    (
+        "run it again with --verbose",
+        "an error without advice, of which none is known",
+    ),
+    ("ask for at least one light", "refused as an argument"),
+    (
+        "start a new session, or `rig capture --resume` this one",
+        "a defect",
+    ),
+    (
+        "`rig capture --resume SESSION` continues it",
+        "the command names the session itself",
+    ),
+    (
+        "or the limits in the rig file's [stage] table",
+        "a stage that reaches nothing",
+    ),
+    (
+        "`rig fit SESSION` makes a fit that is journalled",
+        "a fit copied into a session",
+    ),
+    (
+        "`rig session verify` lists every damaged file",
+        "a report of a damaged sidecar",
+    ),
+    (
+        "the fit was changed by hand or damaged",
+        "a fit that was edited",
+    ),
+    // Calibration records: `src/calibration` and `tests/calibrate_command.rs`.
+    (
+        "the permissions of the calibration folder",
+        "a folder that cannot be read",
+    ),
+    (
+        "correct the id in the rig file's [calibration] table",
+        "a record that is gone",
+    ),
+    (
+        "the record was changed or damaged",
+        "a record that is damaged",
+    ),
+    (
+        "or name a record that belongs to them",
+        "a record of another camera",
+    ),
+    (
+        "give the new record another id",
+        "two records of one second",
+    ),
+    // Images and scenes.
+    (
+        "the equations of the fit hold no finite numbers",
+        "values near the largest",
+    ),
+    (
+        "give an image of this camera",
+        "a pixel map of another size",
+    ),
+    (
+        "the image is damaged or no OpenEXR file",
+        "`tests/bad_input.rs`, by its first words",
+    ),
+    (
+        "images need the channels R, G, B",
+        "`tests/outside_input.rs`",
+    ),
+    (
+        "copy it again, or render or merge it again",
+        "`tests/outside_input.rs`",
+    ),
+    ("the scene's resolution_px must be", "`tests/bad_input.rs`"),
+    (
+        "the sample is too small in the image, or its pose",
+        "a pose that is not known",
+    ),
+    (
+        "check that the scene's camera and sample are those",
+        "a sample between its edges",
+    ),
+    (
+        "give image and irradiance in one unit",
+        "`tests/nonsense.rs`",
+    ),
+    (
+        "the file is no text: rig files and scenes",
+        "`tests/bad_input.rs`",
+    ),
+    ("name one with --materials", "`tests/evaluate_command.rs`"),
+];
+
+/// A shorter quotation might be there by accident.
+const SHORTEST_QUOTATION: usize = 8;
+/// A shorter text is no advice.
+const SHORTEST_ROW: usize = 20;
+
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+fn files(folder: &str, ending: &str) -> Vec<PathBuf> {
+    let entries = fs::read_dir(root().join(folder)).unwrap();
+    let paths = entries.map(|entry| entry.unwrap().path());
+    paths
+        .filter(|path| path.extension().is_some_and(|is| is == ending))
+        .collect()
+}
+
+/// The texts between double quotes, as the compiler reads them; comments have none.
+fn literals(source: &str) -> Vec<String> {
+    let mut found = Vec::new();
+    let mut rest = source;
+    while let Some(c) = rest.chars().next() {
+        if rest.starts_with("//") {
+            rest = rest.split_once('\n').map_or("", |(_, after)| after);
+        } else if let Some(after) = ["'\"'", "'\\\"'"].iter().find_map(|q| rest.strip_prefix(q)) {
+            rest = after;
+        } else if c == '"' {
+            let (text, after) = literal(&rest[1..]);
+            found.push(text);
+            rest = after;
+        } else {
+            rest = &rest[c.len_utf8()..];
+        }
+    }
+    found
+}
+
+/// The text up to its closing quote, and what comes after that.
+fn literal(source: &str) -> (String, &str) {
+    let mut text = String::new();
+    let mut chars = source.chars();
+    while let Some(c) = chars.next() {
+        match c {
+            '"' => break,
+            '\\' => match chars.next() {
+                Some('\n') => {
+                    let after = chars.as_str().trim_start();
+                    chars = after.chars();
+                }
+                Some('n') => text.push('\n'),
+                Some(c) => text.push(c),
+                None => break,
+            },
+            c => text.push(c),
+        }
+    }
+    (text, chars.as_str())
+}
+
+/// What is fixed in a row: the parts between its placeholders.
+fn fixed_parts(row: &str) -> Vec<&str> {
+    row.split(['{', '}']).step_by(2).collect()
+}
+
+fn rows() -> BTreeSet<String> {
+    let mut sources = files("src/cli/hints", "rs");
+    sources.push(root().join("src/cli/hints.rs"));
+    let of_file = |path: PathBuf| {
+        let source = fs::read_to_string(path).unwrap();
+        literals(source.split("#[cfg(test)]").next().unwrap())
+    };
+    let rows = sources.into_iter().flat_map(of_file);
+    rows.filter(|row| row.len() >= SHORTEST_ROW && row.contains(' '))
+        .collect()
+}
+
+fn quotations() -> BTreeSet<String> {
+    let mut quoted = BTreeSet::new();
+    for topic in fs::read_dir(root().join("tests/outside")).unwrap() {
+        let topic = topic.unwrap().path();
+        let cases = fs::read_dir(&topic).into_iter().flatten();
+        for case in cases.map(|case| case.unwrap().path().join("case.toml")) {
+            let Ok(text) = fs::read_to_string(&case) else {
+                continue;
+            };
+            let case: toml::Value = toml::from_str(&text).unwrap();
+            let runs = case["run"].as_array().unwrap();
+            let hints = runs.iter().filter_map(|run| run.get("hint")?.as_str());
+            quoted.extend(hints.map(str::to_owned));
+        }
+    }
+    for file in files("tests", "rs") {
+        let source = fs::read_to_string(&file).unwrap();
+        let runs_it = [
+            "CARGO_BIN_EXE_rig",
+            "cargo_bin(\"rig\")",
+            "mod command_support",
+        ];
+        if !file.ends_with("hints.rs") && runs_it.iter().any(|mark| source.contains(mark)) {
+            // Names of keys and options are no phrases.
+            quoted.extend(
+                literals(&source)
+                    .into_iter()
+                    .filter(|text| text.contains(' ')),
+            );
+        }
+    }
+    quoted.retain(|text| text.len() >= SHORTEST_QUOTATION);
+    quoted
+}
+
+/// Whether a quotation is a part of what is fixed in a row, or all of it with its
+/// placeholders filled in.
+fn is_of(quoted: &str, row: &str) -> bool {
+    let parts = fixed_parts(row);
+    if parts.iter().any(|part| part.contains(quoted)) {
+        return true;
+    }
+    let mut rest = quoted;
+    let is_filled_in = parts.iter().all(|part| match rest.find(part) {
+        Some(at) => {
+            rest = &rest[at + part.len()..];
+            true
+        }
+        None => false,
+    });
+    is_filled_in && rest.is_empty() && quoted.starts_with(parts[0])
+}
+
+#[test]
+fn every_hint_is_reached_by_a_test_that_runs_the_program() {
+    let rows = rows();
+    let quoted = quotations();
+    assert!(rows.len() > 100 && quoted.len() > 100);
+    let of_one: BTreeSet<&String> = quoted
+        .iter()
+        .filter_map(|text| {
+            if let Some(row) = rows.get(text) {
+                return Some(row);
+            }
+            let mut of = rows.iter().filter(|row| is_of(text, row));
+            of.next().filter(|_| of.next().is_none())
+        })
+        .collect();
+    let excuses = |row: &String| {
+        // A part that is a whole row is for that row alone.
+        let is_for = |part: &str| row == part || row.contains(part) && !rows.contains(part);
+        ELSEWHERE.iter().filter(|(part, _)| is_for(part)).count()
+    };
+    let is_missing = |row: &&String| !of_one.contains(row) && excuses(row) == 0;
+    let missing: Vec<_> = rows.iter().filter(is_missing).collect();
+    assert!(missing.is_empty(), "no test reaches {missing:#?}");
+    // What is reached needs no excuse.
+    let is_excused = |row: &&&String| excuses(row) > 0;
+    let reached: Vec<_> = of_one.iter().filter(is_excused).collect();
+    assert!(reached.is_empty(), "take out of ELSEWHERE: {reached:#?}");
+}
+
+#[test]
+fn texts_are_found_as_the_compiler_reads_them() {
+    let source = "a(\"one\\\n   two\", '\"', r) // \"no\"\n/// \"no\"\nb(\"say \\\"x\\\"\")";
+    assert_eq!(literals(source), ["onetwo", "say \"x\""]);
+    assert_eq!(
+        fixed_parts("`fuser {device}` ends {}"),
+        ["`fuser ", "` ends ", ""]
+    );
+}
