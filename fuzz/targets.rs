@@ -158,7 +158,7 @@ pub const TARGETS: &[Target] = &[
     target("exr", exr_rows, 64 * DEFLATE),
     target(
         "png",
-        |bytes| drop(rig::radiometry::frame_file::decode_png(bytes)),
+        |bytes| drop(rig::radiometry::frame_file::decode(bytes)),
         8 * DEFLATE,
     ),
     target(
@@ -194,7 +194,7 @@ pub const TARGETS: &[Target] = &[
     target(
         "exif",
         |bytes| {
-            let _ = rig::radiometry::frame_exposure::from_exif(bytes);
+            let _ = rig::radiometry::frame_exposure::CameraNote::read(bytes).exposure_s();
         },
         256,
     ),

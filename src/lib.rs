@@ -8,7 +8,7 @@
 //!
 //! | floor | modules |
 //! |---|---|
-//! | 0 | [`units`], [`frames`], [`random`], [`shown`], [`radiance_image`], [`interrupt`], [`outside_file`], [`whole_file`], [`plot`] |
+//! | 0 | [`units`], [`frames`], [`random`], [`shown`], [`radiance_image`], [`interrupt`], [`outside_file`], [`outside_text`], [`outside_table`], [`whole_file`], [`plot`] |
 //! | 1 | [`brdf`], [`geometry`] |
 //! | 2 | [`transport`], [`radiometry`] |
 //! | 3 | [`inverse`], [`device`], [`simulation`] |
@@ -20,6 +20,8 @@
 pub mod frames;
 pub mod interrupt;
 pub mod outside_file;
+pub mod outside_table;
+pub mod outside_text;
 pub mod plot;
 pub mod radiance_image;
 pub mod random;

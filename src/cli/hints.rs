@@ -18,6 +18,7 @@ use crate::inverse::fit::FitError;
 use crate::inverse::plausibility::Implausible;
 use crate::radiance_image::exr::ExrError;
 use crate::radiometry::exposure::PlanError;
+use crate::radiometry::frame_file::FrameFileError;
 use crate::report::load::LoadError;
 use crate::session::SessionError;
 use crate::session::fit_record::FitRecordError;
@@ -286,10 +287,49 @@ fn for_exr(error: &ExrError) -> Option<String> {
         OtherSize { .. } => {
             Some("give an image of this camera, with the rig file's resolution_px".into())
         }
+        Layers { file, .. } => Some(format!(
+            "name the one that holds radiance after a colon: {}:NAME",
+            file.display()
+        )),
+        NoSuchLayer { .. } => Some("take one of these names, or leave it out where there is one".into()),
+        Windows { .. } => Some(
+            "the display window is the image: save it without cropping, in the camera's frame".into(),
+        ),
+        Kind { .. } => Some(
+            "save it as a flat image with the channels R, G, B at full resolution, with ZIP compression".into(),
+        ),
         Channels { .. } => {
             Some("images need the channels R, G, B, and where known var.R, var.G, var.B".into())
         }
         _ => None,
+    }
+}
+
+/// What to do with a camera's raw files.
+pub(super) const FOR_CAMERA_RAW: &str = "write its counts as 16-bit TIFFs first: `dcraw -D -4 -T FILE` or LibRaw's `unprocessed_raw -T FILE`; then merge those with --mosaic, the order of the camera's colour filters";
+
+/// What to do with a file that is no frame.
+pub(super) fn for_frame_file(error: &FrameFileError) -> &'static str {
+    use FrameFileError::*;
+    match error {
+        CameraRaw(_) => FOR_CAMERA_RAW,
+        Samples(what) if what.contains("and alpha") => {
+            "write it without alpha: `convert IN -alpha off OUT`"
+        }
+        Samples(what) if what.contains("floating-point") || what.contains("32 bits") => {
+            "frames are counts: write them as whole numbers of 16 bits, without scaling; an image of radiance is an EXR"
+        }
+        Samples(_) => {
+            "write the camera's counts as they are: grey (also of a colour mosaic) or RGB, whole numbers of 8 or 16 bits"
+        }
+        Compression(_) => "write it without compression, or with LZW, Deflate or PackBits",
+        Pages { .. } => {
+            "write each image to a file of its own (`convert IN frame_%d.tif`) and state the exposures in a table, --exposures"
+        }
+        Size { .. } => "give an image of this camera at its full size",
+        Format(_) | TooLarge(_) | Damaged(_) => {
+            "frames are PNG, TIFF or JPEG files of 8 or 16 bits, grey or RGB"
+        }
     }
 }
 

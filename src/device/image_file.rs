@@ -1,13 +1,14 @@
 //! A raw frame in an image file that some other program wrote.
 
-use std::io::BufReader;
 use std::path::Path;
-
-use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat, ImageReader};
 
 use super::RawFrame;
 use super::retake::FrameFault;
-use crate::outside_file::open_regular;
+use crate::outside_file::read_regular;
+use crate::radiometry::frame_file::{FrameFileError, Tone, decode_sized};
+
+/// Largest raw frame, bytes: 250 megapixels of 16 bits, not compressed.
+const LARGEST_BYTES: u64 = 1 << 29;
 
 /// Whether a file's name is that of a format which can hold raw counts.
 pub fn has_raw_ending(path: &Path) -> bool {
@@ -17,7 +18,7 @@ pub fn has_raw_ending(path: &Path) -> bool {
     })
 }
 
-/// The counts of a greyscale PNG or TIFF of 8 or 16 bits, one sample per pixel
+/// The counts of a greyscale PNG or TIFF of 8 to 16 bits, one sample per pixel
 /// (a colour sensor's mosaic as it is, not interpolated). Nothing is allocated
 /// for a declared size other than `expected`.
 ///
@@ -27,29 +28,29 @@ pub fn read(path: &Path, expected: [u32; 2], bit_depth: u32) -> Result<RawFrame,
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let unreadable =
         |what: &dyn std::fmt::Display| FrameFault::Undecodable(format!("{name}: {what}"));
-    let file = open_regular(path).map_err(|error| unreadable(&error))?;
-    let reader = ImageReader::new(BufReader::new(file))
-        .with_guessed_format()
-        .map_err(|error| unreadable(&error))?;
-    if !matches!(reader.format(), Some(ImageFormat::Png | ImageFormat::Tiff)) {
-        return Err(unreadable(&"it is neither PNG nor TIFF"));
-    }
-    let decoder = reader.into_decoder().map_err(|error| unreadable(&error))?;
-    let (width, height) = decoder.dimensions();
-    if [width, height] != expected {
-        return Err(FrameFault::Size {
-            found: [width, height],
-            counts: width as usize * height as usize,
+    let bytes = read_regular(path, LARGEST_BYTES).map_err(|error| unreadable(&error))?;
+    let [width, height] = expected;
+    let size = [width as usize, height as usize];
+    let mut frame = decode_sized(&bytes, Some(size)).map_err(|error| match error {
+        FrameFileError::Size { found, .. } => FrameFault::Size {
+            found: found.map(|side| side as u32),
+            counts: found[0] * found[1],
             expected,
-        });
+        },
+        error => unreadable(&error),
+    })?;
+    if frame.tone == Tone::Jpeg {
+        return Err(unreadable(
+            &"it is a JPEG, whose counts are not proportional to light: raw counts are needed",
+        ));
     }
-    if !matches!(decoder.color_type(), ColorType::L8 | ColorType::L16) {
-        let kind = decoder.color_type();
-        return Err(unreadable(&format!("{kind:?} pixels instead of L16 or L8")));
-    }
-    let counts: Vec<u16> = match DynamicImage::from_decoder(decoder).map_err(|e| unreadable(&e))? {
-        DynamicImage::ImageLuma16(image) => image.into_raw(),
-        other => other.to_luma8().iter().map(|&count| count.into()).collect(),
+    let counts = match frame.planes.len() {
+        1 => frame.planes.remove(0),
+        _ => {
+            return Err(unreadable(
+                &"it is RGB; a raw frame has one sample per pixel",
+            ));
+        }
     };
     let largest = ((1_u32 << bit_depth.min(16)) - 1) as u16;
     if let Some(place) = counts.iter().position(|&count| count > largest) {
@@ -71,7 +72,7 @@ pub fn read(path: &Path, expected: [u32; 2], bit_depth: u32) -> Result<RawFrame,
 #[cfg(test)]
 mod tests {
     use super::*;
-    use image::{ImageBuffer, Luma, Rgb};
+    use image::{ImageBuffer, ImageFormat, Luma, Rgb};
 
     #[test]
     fn counts_of_8_and_16_bits_are_read_as_they_are() {
@@ -119,11 +120,17 @@ mod tests {
                 .unwrap();
         }
         std::fs::write(&path, "no image").unwrap();
-        assert_eq!(fault(12), "a.png: it is neither PNG nor TIFF");
+        assert_eq!(fault(12), "a.png: it is neither PNG nor TIFF nor JPEG");
         ImageBuffer::from_pixel(5, 3, Rgb([1_u8, 2, 3]))
             .save(&path)
             .unwrap();
-        assert_eq!(fault(12), "a.png: Rgb8 pixels instead of L16 or L8");
+        assert_eq!(
+            fault(12),
+            "a.png: it is RGB; a raw frame has one sample per pixel"
+        );
+        let jpeg = ImageBuffer::from_pixel(5, 3, Luma([9_u8]));
+        jpeg.save_with_format(&path, ImageFormat::Jpeg).unwrap();
+        assert!(fault(12).contains("it is a JPEG"), "{}", fault(12));
         ImageBuffer::from_pixel(3, 5, Luma([1_u16]))
             .save(&path)
             .unwrap();

@@ -89,7 +89,10 @@ fn failures(folder: &Path) -> Vec<String> {
     }
     let complaints = case.run.iter().filter_map(|run| {
         let complaint = run.complaint(copy.path())?;
-        Some(format!("{name} ({}), {}: {complaint}", case.what, run.command))
+        Some(format!(
+            "{name} ({}), {}: {complaint}",
+            case.what, run.command
+        ))
     });
     complaints.collect()
 }
