@@ -154,15 +154,11 @@ fn load(spec: &str) -> Result<Arc<dyn Brdf>, CliError> {
         return Err(CliError::new(format!("no embedded material \"{name}\""))
             .hint(format!("known are {}", nbrdf::NAMES.join(", "))));
     }
-    source::load(spec).map(Arc::from).map_err(|error| {
-        let advice = match &error {
-            BrdfError::Io { .. } => return error.into(),
-            BrdfError::File { .. } => {
-                "the file may be cut short, or of another kind than its name says"
-            }
-            _ => "`rig brdf --help` lists what names a BRDF",
-        };
-        CliError::from(error).hint(advice)
+    source::load(spec).map(Arc::from).map_err(|error| match &error {
+        BrdfError::UnknownSource { .. } => {
+            CliError::from(error).hint("`rig brdf --help` lists what names a BRDF")
+        }
+        _ => error.into(),
     })
 }
 

@@ -3,11 +3,12 @@
 use std::error::Error;
 
 use crate::brdf::BrdfError;
+use crate::brdf::rgl::RglFault;
 use crate::calibration::RecordError;
 use crate::calibration::procedure::ProcedureError;
 use crate::capture::CaptureError;
-use crate::config::ConfigError;
 use crate::config::build::BuildError;
+use crate::config::{ConfigError, Slip};
 use crate::device::DeviceError;
 use crate::evaluate::experiment::EvaluateError;
 use crate::evaluate::lab::materials;
@@ -130,12 +131,14 @@ fn for_config(error: &ConfigError) -> String {
     use ConfigError::*;
     match error {
         Read { source, .. } if source.kind() == std::io::ErrorKind::InvalidData => {
-            "the file is no text: rig files and scenes are TOML (https://toml.io)".into()
+            "rig files and scenes are TOML (https://toml.io), which is UTF-8: save the text in that encoding".into()
         }
         Read { source, .. } => match for_io(source) {
             Some(hint) if source.kind() != std::io::ErrorKind::NotFound => hint.into(),
             _ => "check the path; a bare name is looked for in rig-configs/ and among the built-in rigs".into(),
         },
+        Syntax { slip: Some(slip), .. } => for_slip(*slip),
+        ControlCharacter { .. } => for_slip(Slip::Backslash),
         Syntax { .. } => "the file is TOML (https://toml.io): `key = value`, texts in double quotes, `[table]`".into(),
         UnknownKey { key, known, .. } => {
             let last = key.rsplit('.').next().unwrap_or(key);
@@ -159,6 +162,21 @@ fn for_config(error: &ConfigError) -> String {
         FallbackRefused { .. } => {
             "name the rig with --rig, RIG_CONFIG or ./rig.toml; for the simulated one, --rig simulated".into()
         }
+    }
+}
+
+fn for_slip(slip: Slip) -> String {
+    match slip {
+        Slip::Quote(_) => {
+            "write texts in straight quotes, \"…\", and turn off smart quotes in the editor".into()
+        }
+        Slip::Minus(_) => "write the minus of the keyboard, -".into(),
+        Slip::Blank(_) => "delete it, or write an ordinary blank in its place".into(),
+        Slip::Lookalike(_, ascii) => format!("write {ascii} in its place"),
+        Slip::Backslash => {
+            "write paths with /, or in single quotes, in which a backslash is nothing else".into()
+        }
+        Slip::DecimalComma => "write numbers with a decimal point".into(),
     }
 }
 
@@ -265,12 +283,19 @@ fn for_brdf(error: &BrdfError) -> Option<String> {
     match error {
         UnknownSource { .. } => Some("a file needs its path; names are listed above".into()),
         Io { source, .. } => for_io(source).map(str::to_owned),
+        RglKind {
+            kind: RglFault::Spectral { .. },
+            ..
+        } => Some(
+            "the database has each material in RGB as well, named …_rgb.bsdf; `rig export --format rgl` writes that".into(),
+        ),
+        RglKind { .. } => Some("take an isotropic material: such files have one azimuth of incidence".into()),
         File { path, .. } if path.extension().is_some_and(|e| e == "toml" || e == "json") => Some(
             "a dictionary is a list `atoms`, such as [{ type = \"ggx\", alpha = 0.1, eta = 1.5 }]"
                 .into(),
         ),
         File { .. } | Table { .. } => {
-            Some("the file is not what its ending says, or it is damaged: get it again".into())
+            Some("the file is cut short, damaged, or of another kind than its ending says: get it again, or write it as that format has it".into())
         }
         Dictionary { .. } | Weights { .. } => None,
     }
@@ -284,9 +309,9 @@ fn for_exr(error: &ExrError) -> Option<String> {
             Some("the image is damaged or no OpenEXR file: render or merge it again".into())
         }
         CutShort { .. } => Some("copy it again, or render or merge it again".into()),
-        OtherSize { .. } => {
-            Some("give an image of this camera, with the rig file's resolution_px".into())
-        }
+        OtherSize { .. } => Some(
+            "give an image that this camera took, whole and not resampled, one for each light; or correct resolution_px if the camera has another".into(),
+        ),
         Layers { file, .. } => Some(format!(
             "name the one that holds radiance after a colon: {}:NAME",
             file.display()
@@ -393,8 +418,11 @@ pub(super) fn for_implausible(error: &Implausible) -> &'static str {
         NoLight { .. } => {
             "check that the lamp was lit and the lens uncovered, that the image is in the radiance unit of the scene's irradiance, and that its var.* channels hold variances of the mean"
         }
+        TooBright { channel: None, .. } => {
+            "state the irradiance in the unit of the images, in which a white sample shows irradiance/π: a merge's scale is arbitrary (`rig merge` gives electrons per second unless --responsivity says how many of them unit radiance makes); `rig calibrate white` measures it"
+        }
         TooBright { .. } => {
-            "give image and irradiance in one unit: raw counts must be divided by exposure and calibration (`rig merge` does that)"
+            "the other channels fit: check that channel's irradiance and the program that wrote the image"
         }
         Negative { .. } => {
             "check what was subtracted: dark frames of a longer exposure, or an ambient frame with the lamp on"
