@@ -144,11 +144,12 @@ pub const TARGETS: &[Target] = &[
     target(
         "bracket_table",
         |bytes| {
-            text(bytes, |text| {
-                drop(rig::radiometry::bracket_table::parse_bracket_table(text))
-            });
+            let text = rig::outside_text::decode_any(bytes);
+            drop(rig::radiometry::bracket_table::parse_bracket_table(&text));
+            let _ = rig::radiometry::frame_exposure::from_name(&text);
+            drop(rig::outside_text::decode(bytes.to_vec()));
         },
-        256,
+        1024,
     ),
     target(
         "journal",

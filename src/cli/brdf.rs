@@ -154,12 +154,14 @@ fn load(spec: &str) -> Result<Arc<dyn Brdf>, CliError> {
         return Err(CliError::new(format!("no embedded material \"{name}\""))
             .hint(format!("known are {}", nbrdf::NAMES.join(", "))));
     }
-    source::load(spec).map(Arc::from).map_err(|error| match &error {
-        BrdfError::UnknownSource { .. } => {
-            CliError::from(error).hint("`rig brdf --help` lists what names a BRDF")
-        }
-        _ => error.into(),
-    })
+    source::load(spec)
+        .map(Arc::from)
+        .map_err(|error| match &error {
+            BrdfError::UnknownSource { .. } => {
+                CliError::from(error).hint("`rig brdf --help` lists what names a BRDF")
+            }
+            _ => error.into(),
+        })
 }
 
 /// Largest angles file, bytes: some millions of lines.

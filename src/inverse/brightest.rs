@@ -1,7 +1,6 @@
 //! How bright images of a scene can be at most: by direct reflection, what the brightest atom of
 //! a dictionary gives; by interreflection, what a surface that absorbs nothing adds to it.
 
-
 use super::plausibility::BRIGHTEST;
 use crate::brdf::Dictionary;
 use crate::brdf::atom::cosine_direction;

@@ -137,6 +137,10 @@ impl<R: Read + Seek> ExrRows<R> {
             BlockDescription::Tiles(tiles) => [tiles.tile_size.0, tiles.tile_size.1],
         };
         offsets.truncate(width.div_ceil(block[0]) * height.div_ceil(block[1]));
+        if offsets.contains(&0) {
+            let problem = "blocks are missing: the program that wrote it has not finished";
+            return Err(format_error(path, problem));
+        }
         Ok(Self {
             file: path.to_owned(),
             source,
@@ -345,9 +349,11 @@ fn offset_tables<R: Read + Seek>(
             .iter()
             .map(|&entry| u64::from_le_bytes(entry))
             .collect();
+        // An entry of 0 is a block that was never written.
+        let places = blocks_begin..=blocks_begin + longest;
         if table
             .iter()
-            .any(|entry| !(blocks_begin..=blocks_begin + longest).contains(entry))
+            .any(|entry| *entry != 0 && !places.contains(entry))
         {
             return Err(format_error(path, "its table of blocks points elsewhere"));
         }
