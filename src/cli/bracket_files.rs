@@ -134,6 +134,11 @@ pub(super) fn read_picture(
 }
 
 fn no_frame(path: &Path, error: &FrameFileError) -> CliError {
+    // Most raw files are TIFFs, some of which only their names tell from others.
+    if has_ending(path, &RAW_ENDINGS) {
+        return CliError::new(format!("{} is a camera's raw file", path.display()))
+            .hint(hints::FOR_CAMERA_RAW);
+    }
     CliError::new(format!("{}: {error}", path.display())).hint(hints::for_frame_file(error))
 }
 
@@ -168,14 +173,15 @@ fn describe(frame: &FrameFile) -> String {
     )
 }
 
+fn has_ending(path: &Path, endings: &[&str]) -> bool {
+    let ending = path.extension().and_then(|e| e.to_str()).unwrap_or("");
+    endings.contains(&ending.to_ascii_lowercase().as_str())
+}
+
 fn frames_in(folder: &Path) -> Result<Vec<PathBuf>, CliError> {
     let entries = std::fs::read_dir(folder)
         .map_err(|error| CliError::new(format!("{}: {error}", folder.display())))
         .hint("check the folder's permissions")?;
-    let has = |path: &Path, endings: &[&str]| {
-        let ending = path.extension().and_then(|e| e.to_str()).unwrap_or("");
-        endings.contains(&ending.to_ascii_lowercase().as_str())
-    };
     // macOS keeps what other file systems cannot in hidden files of the same ending.
     let is_hidden = |path: &Path| {
         let name = path.file_name().unwrap_or_default();
@@ -184,8 +190,11 @@ fn frames_in(folder: &Path) -> Result<Vec<PathBuf>, CliError> {
     let mut files: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).collect();
     files.retain(|path| !is_hidden(path));
     files.sort();
-    let raw = files.iter().find(|path| has(path, &RAW_ENDINGS)).cloned();
-    files.retain(|path| has(path, &ENDINGS));
+    let raw = files
+        .iter()
+        .find(|path| has_ending(path, &RAW_ENDINGS))
+        .cloned();
+    files.retain(|path| has_ending(path, &ENDINGS));
     if !files.is_empty() {
         return Ok(files);
     }

@@ -19,7 +19,8 @@ pub struct FitCommandArgs {
     /// Scene file: camera, lights and the sample's shape
     #[arg(long, value_name = "S", requires = "image", requires = "out")]
     scene: Option<PathBuf>,
-    /// Image (EXR: R, G, B and, where known, var.R, var.G, var.B), one per light of the scene, in its order
+    /// Image (EXR: R, G, B and, where known, var.R, var.G, var.B), one per light of the scene, in its order;
+    /// FILE:NAME names one of several parts or layers
     #[arg(long, value_name = "EXR", num_args = 1..)]
     image: Vec<PathBuf>,
     /// Folder for the result; it must not exist or be empty

@@ -174,7 +174,7 @@ fn for_slip(slip: Slip) -> String {
         Slip::Blank(_) => "delete it, or write an ordinary blank in its place".into(),
         Slip::Lookalike(_, ascii) => format!("write {ascii} in its place"),
         Slip::Backslash => {
-            "write paths with /, or in single quotes, in which a backslash is nothing else".into()
+            "write the path with / as this system has it; in single quotes a backslash is an ordinary character".into()
         }
         Slip::DecimalComma => "write numbers with a decimal point".into(),
     }

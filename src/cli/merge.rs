@@ -34,8 +34,9 @@ pub struct MergeArgs {
     /// all of one size
     #[arg(value_name = "FRAMES", required = true)]
     frames: Vec<PathBuf>,
-    /// Table of exposures: CSV lines `file,exposure_s[,light|ambient|dark]`, files by path or name
-    /// (default: each frame's EXIF data, or its name, such as scene_20ms.png or scene_1-250s.jpg)
+    /// Table of exposures: CSV lines `file,exposure_s[,light|ambient|dark]`, files by path or name,
+    /// separated by commas, semicolons or tabs (default: each frame's EXIF data, or its name, such
+    /// as scene_20ms.png, scene_0,02s.png or scene_1-250s.jpg)
     #[arg(long, value_name = "CSV")]
     exposures: Option<PathBuf>,
     /// The radiance image to write (OpenEXR)

@@ -153,6 +153,7 @@ impl Layout {
         let compression = first(&list(Tag::Compression), 1);
         let is_signed_or_float = first(&list(Tag::SampleFormat), 1);
         let extra = list(Tag::ExtraSamples);
+        let lowest_bit_first = first(&list(Tag::FillOrder), 1) == 2;
 
         let colour = COLOURS.iter().find(|(number, _)| *number == photometric);
         let colour = colour.map_or("colours", |(_, words)| words);
@@ -181,6 +182,7 @@ impl Layout {
             2 => format!("signed samples of {bits} bits"),
             3 => format!("floating-point samples of {bits} bits"),
             _ if !(8..=16).contains(&bits) => format!("samples of {bits} bits"),
+            _ if lowest_bit_first => format!("samples of {bits} bits, the lowest first"),
             _ => {
                 return Ok(Self {
                     bits: bits.into(),
@@ -236,9 +238,7 @@ fn packed_samples(
         .ok()
         .flatten();
     let planar = unsigned(reader, Tag::PlanarConfiguration).unwrap_or(1) != 1;
-    let low_bits_first = unsigned(reader, Tag::FillOrder).unwrap_or(1) != 1;
-    let (Some(offsets), CompressionMethod::None, false, false) =
-        (offsets, layout.compression, planar, low_bits_first)
+    let (Some(offsets), CompressionMethod::None, false) = (offsets, layout.compression, planar)
     else {
         let what = format!("packed samples of {bits} bits, compressed, in tiles or in planes");
         return Err(FrameFileError::Samples(what));
