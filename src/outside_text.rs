@@ -29,7 +29,7 @@ pub enum NotText {
 /// the text has no LF.
 ///
 /// # Errors
-/// The bytes are neither UTF-8 nor UTF-16 with a byte order mark or a first ASCII character.
+/// The bytes are neither UTF-8 nor UTF-16 with a byte order mark or two first ASCII characters.
 pub fn decode(bytes: Vec<u8>) -> Result<String, NotText> {
     let unicode = unicode(&bytes);
     if unicode == UTF_8 {
@@ -55,11 +55,11 @@ pub fn decode_any(bytes: &[u8]) -> String {
     }
 }
 
-/// The encoding by a byte order mark, or by the zeros beside a first ASCII character.
+/// The encoding by a byte order mark, or by the zeros next to two first ASCII characters.
 fn unicode(bytes: &[u8]) -> &'static Encoding {
     match bytes {
-        [0xFF, 0xFE, ..] | [1..=127, 0, ..] => UTF_16LE,
-        [0xFE, 0xFF, ..] | [0, 1..=127, ..] => UTF_16BE,
+        [0xFF, 0xFE, ..] | [1..=127, 0, 1..=127, 0, ..] => UTF_16LE,
+        [0xFE, 0xFF, ..] | [0, 1..=127, 0, 1..=127, ..] => UTF_16BE,
         _ => UTF_8,
     }
 }

@@ -198,7 +198,9 @@ impl Angles {
 /// In words: a column or number that is missing or wrong.
 pub fn parse_angles(text: &str) -> Result<Vec<Angles>, String> {
     let rows = outside_table::rows(text).map_err(|error| error.to_string())?;
-    let (header, rows) = rows.split_first().ok_or("it has no line")?;
+    let (header, rows) = rows
+        .split_first()
+        .ok_or("no column theta_i_deg in the first line: it is empty")?;
     let column = |name: &str| {
         let column = header.column(name);
         column.ok_or_else(|| format!("no column {name} in the first line"))

@@ -422,7 +422,7 @@ pub(super) fn for_implausible(error: &Implausible) -> &'static str {
             "state the irradiance in the unit of the images, in which a white sample shows irradiance/π: a merge's scale is arbitrary (`rig merge` gives electrons per second unless --responsivity says how many of them unit radiance makes); `rig calibrate white` measures it"
         }
         TooBright { .. } => {
-            "the other channels fit: check that channel's irradiance and the program that wrote the image"
+            "check that channel's irradiance; if the other channels are in another unit as well, state the irradiance in the unit of the images (`rig calibrate white` measures it)"
         }
         Negative { .. } => {
             "check what was subtracted: dark frames of a longer exposure, or an ambient frame with the lamp on"

@@ -152,6 +152,8 @@ pub(super) const BRIGHTEST: f64 = 1e5;
 /// How much brighter than the brightest material of the dictionary images may be whose
 /// irradiance is known: measured materials are no mixtures, and retroreflect a little.
 const BRIGHTER: f64 = 2.0;
+/// A channel counts as too bright alone where the others are below this part of it.
+const ALONE: f64 = 0.2;
 /// By how many of its standard deviations a stated irradiance may be wrong.
 const SURE: f64 = 2.0;
 /// Standard deviations by which light must stand out of noise, and negative values below 0.
@@ -249,9 +251,10 @@ fn check_brightness(
     else {
         return Ok(());
     };
+    let is_alone = (0..3).all(|c| c == worst || ratios[c] < ALONE * ratios[worst]);
     Err(Implausible::TooBright {
         image: index,
-        channel: (sure != [true; 3]).then_some(worst),
+        channel: is_alone.then_some(worst),
         ratio: ratios[worst],
     })
 }
