@@ -341,7 +341,7 @@ pub(super) fn for_frame_file(error: &FrameFileError) -> &'static str {
         Samples(what) if what.contains("and alpha") => {
             "write it without alpha: `convert IN -alpha off OUT`"
         }
-        Samples(what) if what.contains("floating-point") || what.contains("32 bits") => {
+        Samples(what) if what.contains("floating-point") || what.contains("32-bit") => {
             "frames are counts: write them as whole numbers of 16 bits, without scaling; an image of radiance is an EXR"
         }
         Samples(_) => {

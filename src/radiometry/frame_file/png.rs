@@ -68,7 +68,7 @@ fn samples(info: &Info) -> String {
     let bits = info.bit_depth as u32;
     match info.color_type {
         ColorType::Grayscale => format!("{bits}-bit samples"),
-        ColorType::Rgb => format!("RGB samples of {bits} bits"),
+        ColorType::Rgb => format!("{bits}-bit RGB samples"),
         ColorType::Indexed => format!("{bits}-bit numbers of the colours in a palette"),
         ColorType::GrayscaleAlpha => "2 samples per pixel (grey and alpha)".into(),
         ColorType::Rgba => "4 samples per pixel (red, green, blue and alpha)".into(),

@@ -179,10 +179,10 @@ impl Layout {
                     channels.saturating_sub(bare)
                 )
             }
-            2 => format!("signed samples of {bits} bits"),
-            3 => format!("floating-point samples of {bits} bits"),
-            _ if !(8..=16).contains(&bits) => format!("samples of {bits} bits"),
-            _ if lowest_bit_first => format!("samples of {bits} bits, the lowest first"),
+            2 => format!("signed {bits}-bit samples"),
+            3 => format!("floating-point {bits}-bit samples"),
+            _ if !(8..=16).contains(&bits) => format!("{bits}-bit samples"),
+            _ if lowest_bit_first => format!("{bits}-bit samples, the lowest bit first"),
             _ => {
                 return Ok(Self {
                     bits: bits.into(),
@@ -240,7 +240,7 @@ fn packed_samples(
     let planar = unsigned(reader, Tag::PlanarConfiguration).unwrap_or(1) != 1;
     let (Some(offsets), CompressionMethod::None, false) = (offsets, layout.compression, planar)
     else {
-        let what = format!("packed samples of {bits} bits, compressed, in tiles or in planes");
+        let what = format!("packed {bits}-bit samples that are compressed, in tiles or in planes");
         return Err(FrameFileError::Samples(what));
     };
     let row_samples = width * layout.channels;
