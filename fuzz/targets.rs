@@ -144,11 +144,12 @@ pub const TARGETS: &[Target] = &[
     target(
         "bracket_table",
         |bytes| {
-            text(bytes, |text| {
-                drop(rig::radiometry::bracket_table::parse_bracket_table(text))
-            });
+            let text = rig::outside_text::decode_any(bytes);
+            drop(rig::radiometry::bracket_table::parse_bracket_table(&text));
+            let _ = rig::radiometry::frame_exposure::from_name(&text);
+            drop(rig::outside_text::decode(bytes.to_vec()));
         },
-        256,
+        1024,
     ),
     target(
         "journal",
@@ -158,7 +159,7 @@ pub const TARGETS: &[Target] = &[
     target("exr", exr_rows, 64 * DEFLATE),
     target(
         "png",
-        |bytes| drop(rig::radiometry::frame_file::decode_png(bytes)),
+        |bytes| drop(rig::radiometry::frame_file::decode(bytes)),
         8 * DEFLATE,
     ),
     target(
@@ -194,7 +195,7 @@ pub const TARGETS: &[Target] = &[
     target(
         "exif",
         |bytes| {
-            let _ = rig::radiometry::frame_exposure::from_exif(bytes);
+            let _ = rig::radiometry::frame_exposure::CameraNote::read(bytes).exposure_s();
         },
         256,
     ),

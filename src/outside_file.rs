@@ -11,6 +11,8 @@ use std::path::Path;
 use rustix::fs::OFlags;
 use rustix::io::Errno;
 
+use crate::outside_text;
+
 /// Opens a regular file, or a link to one, for reading, and never waits.
 ///
 /// # Errors
@@ -49,16 +51,13 @@ pub fn read_regular(path: &Path, max_bytes: u64) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// The text of a regular file of at most `max_bytes`.
+/// The text of a regular file of at most `max_bytes`, by [`outside_text::decode`].
 ///
 /// # Errors
-/// As [`read_regular`]; the bytes are no UTF-8 ([`io::ErrorKind::InvalidData`]).
+/// As [`read_regular`]; the bytes are no Unicode text ([`io::ErrorKind::InvalidData`]).
 pub fn read_text(path: &Path, max_bytes: u64) -> io::Result<String> {
     let bytes = read_regular(path, max_bytes)?;
-    String::from_utf8(bytes).map_err(|error| {
-        let fact = format!("it is no UTF-8 text: {}", error.utf8_error());
-        io::Error::new(io::ErrorKind::InvalidData, fact)
-    })
+    outside_text::decode(bytes).map_err(|error| io::Error::new(io::ErrorKind::InvalidData, error))
 }
 
 fn too_large(fact: &str, max_bytes: u64) -> io::Error {

@@ -523,7 +523,7 @@ fn run_cases(cases: &[Case], file: &str, text: &str, others: &[(&str, &[u8])]) {
 #[test]
 fn every_bad_rig_or_command_line_gets_a_fact_a_hint_and_exit_code_1() {
     let simulated = include_str!("../rig-configs/simulated.toml");
-    let noise: &[u8] = &[0xff, 0xfe, 0x00, 0x80];
+    let noise: &[u8] = &[0xff, 0xfd, 0x00, 0x80];
     run_cases(CASES, "rig.toml", simulated, &[("noise.toml", noise)]);
 }
 

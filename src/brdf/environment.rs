@@ -7,13 +7,12 @@
 //! (sin πv · sin 2π(u − ½), cos πv, −sin πv · cos 2π(u − ½)).
 
 use std::f64::consts::{PI, TAU};
-use std::io::Cursor;
 use std::path::Path;
 
-use exr::prelude::*;
 use glam::DVec3;
 
 use super::BrdfError;
+use crate::radiance_image::exr::ExrRows;
 
 /// Names of the embedded maps, CC0 from Poly Haven, see data/envmaps/NOTICE.md.
 pub const NAMES: [&str; 4] = ["city", "forest", "studio", "sunset"];
@@ -43,7 +42,7 @@ impl EnvironmentMap {
         width: usize,
         height: usize,
         radiance: Vec<[f32; 3]>,
-    ) -> std::result::Result<Self, String> {
+    ) -> Result<Self, String> {
         if width == 0 || height == 0 || radiance.len() != width * height {
             return Err(format!("{} texels for {width} x {height}", radiance.len()));
         }
@@ -105,7 +104,7 @@ impl EnvironmentMap {
     }
 
     /// Reads an OpenEXR file with channels R, G, B.
-    pub fn read(path: &Path) -> std::result::Result<Self, BrdfError> {
+    pub fn read(path: &Path) -> Result<Self, BrdfError> {
         let bytes = crate::outside_file::read_regular(path, super::LARGEST_FILE_BYTES).map_err(
             |source| BrdfError::Io {
                 path: path.into(),
@@ -123,34 +122,20 @@ impl EnvironmentMap {
     ///
     /// # Errors
     /// In words: no readable OpenEXR file, or too large.
-    pub fn parse(name: &str, bytes: &[u8]) -> std::result::Result<Self, String> {
-        let meta = MetaData::read_from_buffered(Cursor::new(bytes), true)
-            .map_err(|error| error.to_string())?;
-        for header in &meta.headers {
-            let size = header.layer_size;
-            if size.0.saturating_mul(size.1) > MAX_TEXELS {
-                return Err(format!(
-                    "{} x {} texels, allowed are {MAX_TEXELS}",
-                    size.0, size.1
-                ));
-            }
+    pub fn parse(name: &str, bytes: &[u8]) -> Result<Self, String> {
+        let path = Path::new(name);
+        let mut rows = ExrRows::of_bytes(bytes, path, None).map_err(|error| error.to_string())?;
+        let [width, height] = rows.size();
+        if width * height > MAX_TEXELS {
+            return Err(format!(
+                "{width} x {height} texels, allowed are {MAX_TEXELS}"
+            ));
         }
-        let image = read()
-            .no_deep_data()
-            .largest_resolution_level()
-            .rgb_channels(
-                |size: Vec2<usize>, _: &RgbChannels| (size.0, vec![[0.0f32; 3]; size.area()]),
-                |(width, texels): &mut (usize, Vec<[f32; 3]>), at, (r, g, b): (f32, f32, f32)| {
-                    texels[at.1 * *width + at.0] = [r, g, b];
-                },
-            )
-            .first_valid_layer()
-            .all_attributes()
-            .from_buffered(Cursor::new(bytes))
-            .map_err(|error| error.to_string())?;
-        let size = image.layer_data.size;
-        let (_, texels) = image.layer_data.channel_data.pixels;
-        Self::new(name, size.0, size.1, texels)
+        let image = rows.next_rows(height).map_err(|error| error.to_string())?;
+        if image.valid.contains(&false) {
+            return Err("some texels have no finite radiance".to_owned());
+        }
+        Self::new(name, width, height, image.mean)
     }
 
     /// What tables call it.

@@ -32,8 +32,13 @@ pub fn parse(bytes: &[u8]) -> Result<TabulatedBrdf, String> {
     let (header, body) = bytes
         .split_at_checked(12)
         .ok_or_else(|| format!("{} bytes, a MERL file has at least 12", bytes.len()))?;
+    let words = header.as_chunks::<4>().0;
+    let fit = |of: fn([u8; 4]) -> i32| words.iter().all(|word| (1..=4096).contains(&of(*word)));
+    if !fit(i32::from_le_bytes) && fit(i32::from_be_bytes) {
+        return Err("its numbers are big-endian; those of a MERL file are little-endian".into());
+    }
     let mut shape = [0usize; 3];
-    for (axis, word) in header.as_chunks::<4>().0.iter().enumerate() {
+    for (axis, word) in words.iter().enumerate() {
         let count = i32::from_le_bytes(*word);
         shape[axis] = usize::try_from(count)
             .ok()
@@ -42,8 +47,13 @@ pub fn parse(bytes: &[u8]) -> Result<TabulatedBrdf, String> {
     }
     let cells = shape[0] * shape[1] * shape[2];
     if body.len() != cells * 24 {
+        let how = match body.len() {
+            short if short == cells * 12 => "numbers of 32 instead of 64 bits",
+            short if short < cells * 24 => "cut short",
+            _ => "too long",
+        };
         return Err(format!(
-            "{} bytes after the header, {} x {} x {} cells need {}",
+            "{how}: {} bytes after the header, {} x {} x {} cells need {}",
             body.len(),
             shape[0],
             shape[1],

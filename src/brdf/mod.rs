@@ -96,6 +96,14 @@ pub enum BrdfError {
         /// Its reason.
         source: std::io::Error,
     },
+    /// A file of the RGL database of a kind that is not read.
+    #[error("{}: {kind}", path.display())]
+    RglKind {
+        /// The file.
+        path: PathBuf,
+        /// Which.
+        kind: rgl::RglFault,
+    },
     /// A file was read but does not hold what its type promises.
     #[error("{}: {fact}", path.display())]
     File {

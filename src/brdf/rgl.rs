@@ -18,6 +18,34 @@ use crate::outside_file;
 /// Most fields a tensor file may have.
 const MAX_FIELDS: u32 = 64;
 
+/// Why a tensor file holds no isotropic material in RGB.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum RglFault {
+    /// It was measured over azimuths, which an isotropic one does not need.
+    #[error(
+        "the material is anisotropic ({azimuths} azimuths of incidence); isotropic ones are read"
+    )]
+    Anisotropic {
+        /// Azimuths of incidence.
+        azimuths: usize,
+    },
+    /// Spectra in the place of red, green and blue.
+    #[error("the file is spectral ({wavelengths} wavelengths); files in RGB are read")]
+    Spectral {
+        /// How many wavelengths.
+        wavelengths: usize,
+    },
+    /// What is wrong with it, in words.
+    #[error("{0}")]
+    Damaged(String),
+}
+
+impl From<String> for RglFault {
+    fn from(fact: String) -> Self {
+        Self::Damaged(fact)
+    }
+}
+
 /// One isotropic material.
 #[derive(Clone, Debug)]
 pub struct RglBrdf {
@@ -44,26 +72,38 @@ impl RglBrdf {
                     source,
                 }
             })?;
-        Self::parse(&bytes).map_err(|fact| BrdfError::File {
-            path: path.into(),
-            fact,
+        Self::parse(&bytes).map_err(|fault| match fault {
+            RglFault::Damaged(fact) => BrdfError::File {
+                path: path.into(),
+                fact,
+            },
+            kind => BrdfError::RglKind {
+                path: path.into(),
+                kind,
+            },
         })
     }
 
     /// [`Self::read`] from memory.
-    pub fn parse(bytes: &[u8]) -> Result<Self, String> {
+    pub fn parse(bytes: &[u8]) -> Result<Self, RglFault> {
         let fields = read_fields(bytes)?;
         let (_, phi_i) = floats(&fields, "phi_i", 1)?;
         if phi_i.len() > 2 {
-            return Err(format!(
-                "{} azimuths of incidence: the material is anisotropic",
-                phi_i.len()
-            ));
+            let azimuths = phi_i.len();
+            return Err(RglFault::Anisotropic { azimuths });
         }
+        if let (Some(field), false) = (fields.get("wavelengths"), fields.contains_key("rgb")) {
+            let wavelengths = field.shape.first().copied().unwrap_or(0);
+            return Err(RglFault::Spectral { wavelengths });
+        }
+        Ok(Self::isotropic_rgb(&fields, &phi_i)?)
+    }
+
+    fn isotropic_rgb(fields: &HashMap<String, Field<'_>>, phi_i: &[f32]) -> Result<Self, String> {
         if phi_i.is_empty() {
             return Err("field phi_i is empty; it needs one azimuth of incidence".to_owned());
         }
-        let (_, theta) = floats(&fields, "theta_i", 1)?;
+        let (_, theta) = floats(fields, "theta_i", 1)?;
         let theta_i_rad: Vec<f64> = theta.iter().map(|&t| f64::from(t)).collect();
         if !theta_i_rad.is_sorted_by(|a, b| a < b) || theta_i_rad.is_empty() {
             return Err(format!(
@@ -72,14 +112,14 @@ impl RglBrdf {
             ));
         }
         let flat = |name: &str| -> Result<Grid, String> {
-            let (shape, values) = floats(&fields, name, 2)?;
+            let (shape, values) = floats(fields, name, 2)?;
             let grid = Grid::new(name, shape[1], shape[0], &values)?;
             some_positive(name, &values)?;
             Ok(grid)
         };
         // Fields of one slice per incidence; those of the first azimuth stand first.
         let incidences = [phi_i.len(), theta_i_rad.len()];
-        let (shape, values) = floats(&fields, "vndf", 4)?;
+        let (shape, values) = floats(fields, "vndf", 4)?;
         let warp: Vec<Warp> = slices("vndf", &shape, incidences, &[], &values)?
             .map(|slice| Ok(Warp::new(Grid::new("vndf", shape[3], shape[2], slice)?)))
             .collect::<Result<_, String>>()?;
@@ -90,7 +130,7 @@ impl RglBrdf {
                 warp.len()
             ));
         }
-        let (shape, values) = floats(&fields, "rgb", 5)?;
+        let (shape, values) = floats(fields, "rgb", 5)?;
         let rgb = slices("rgb", &shape, incidences, &[3], &values)?
             .map(|slice| {
                 let planes: Vec<&[f32]> = slice.chunks_exact(shape[3] * shape[4]).collect();
@@ -574,7 +614,7 @@ mod tests {
             ("sigma", shape("sigma"), 0.0, "field sigma: none of its"),
         ] {
             let error = RglBrdf::parse(&with_field(name, &shape, value));
-            let error = error.err().unwrap_or_default();
+            let error = error.err().map_or(String::new(), |error| error.to_string());
             assert!(error.contains(said), "{name} {shape:?} {value}: {error}");
         }
     }

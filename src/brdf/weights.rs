@@ -12,6 +12,7 @@ use std::sync::Arc;
 use super::BrdfError;
 use super::dictionary::Dictionary;
 use super::mixture::Mixture;
+use crate::outside_table;
 use crate::shown::excerpt;
 
 /// The text of `weights.csv`; `deviations` are standard deviations, indexed as the weights.
@@ -60,21 +61,11 @@ pub fn read(path: &Path, dictionary: Arc<Dictionary>) -> Result<Mixture, BrdfErr
 /// # Errors
 /// In words: a column, atom or number that is missing or wrong.
 pub fn parse(text: &str, dictionary: &Dictionary) -> Result<[Vec<f64>; 3], String> {
-    let mut lines = text
-        .lines()
-        .enumerate()
-        .filter(|(_, l)| !l.trim().is_empty());
-    let header: Vec<&str> = lines
-        .next()
-        .ok_or("the file is empty")?
-        .1
-        .split(',')
-        .map(str::trim)
-        .collect();
+    let rows = outside_table::rows(text).map_err(|error| error.to_string())?;
+    let (header, rows) = rows.split_first().ok_or("the file is empty")?;
     let column = |name: &str| {
         header
-            .iter()
-            .position(|h| *h == name)
+            .column(name)
             .ok_or_else(|| format!("no column {name}"))
     };
     let atom_column = column("atom")?;
@@ -86,30 +77,23 @@ pub fn parse(text: &str, dictionary: &Dictionary) -> Result<[Vec<f64>; 3], Strin
     ];
     let shape_columns = (column("alpha").ok(), column("eta").ok());
     let mut weights = [0, 1, 2].map(|_| vec![f64::NAN; dictionary.len()]);
-    for (number, line) in lines {
-        let cells: Vec<&str> = line.split(',').map(str::trim).collect();
-        let cell = |column: usize| {
-            cells
-                .get(column)
-                .copied()
-                .ok_or_else(|| format!("line {}: {} columns", number + 1, cells.len()))
-        };
-        let text = cell(atom_column)?;
+    for row in rows {
+        let line = row.line;
+        let text = row.field(atom_column);
         let index = text
             .parse::<usize>()
             .ok()
             .filter(|&index| index < dictionary.len())
             .ok_or_else(|| {
                 let (last, text) = (dictionary.len() - 1, excerpt(text));
-                format!("line {}: atom {text}, allowed is 0 to {last}", number + 1)
+                format!("line {line}: atom {text}, allowed is 0 to {last}")
             })?;
         let atom = dictionary.atoms()[index];
         let kind = atom.kind();
-        if cell(kind_column)? != kind {
+        if row.field(kind_column) != kind {
             return Err(format!(
-                "line {}: atom {index} is {}, in {} it is {kind}",
-                number + 1,
-                excerpt(cell(kind_column)?),
+                "line {line}: atom {index} is {}, in {} it is {kind}",
+                excerpt(row.field(kind_column)),
                 dictionary.name()
             ));
         }
@@ -120,11 +104,10 @@ pub fn parse(text: &str, dictionary: &Dictionary) -> Result<[Vec<f64>; 3], Strin
             let (Some(column), Some(value)) = (column, value) else {
                 continue;
             };
-            let text = cell(column)?;
-            if text.parse() != Ok(value) {
+            let text = row.field(column);
+            if outside_table::number(text) != Ok(value) {
                 return Err(format!(
-                    "line {}: atom {index} has {name} {}, in {} it is {value}",
-                    number + 1,
+                    "line {line}: atom {index} has {name} {}, in {} it is {value}",
                     excerpt(text),
                     dictionary.name()
                 ));
@@ -132,16 +115,10 @@ pub fn parse(text: &str, dictionary: &Dictionary) -> Result<[Vec<f64>; 3], Strin
         }
         for (channel, &column) in weights.iter_mut().zip(&weight_columns) {
             if !channel[index].is_nan() {
-                return Err(format!("line {}: atom {index} stands twice", number + 1));
+                return Err(format!("line {line}: atom {index} stands twice"));
             }
-            let text = cell(column)?;
-            channel[index] = text
-                .parse()
-                .ok()
-                .filter(|weight: &f64| weight.is_finite())
-                .ok_or_else(|| {
-                    format!("line {}: weight {} is no number", number + 1, excerpt(text))
-                })?;
+            channel[index] = outside_table::number(row.field(column))
+                .map_err(|error| format!("line {line}: the weight {error}"))?;
         }
     }
     if let Some(missing) = weights[0].iter().position(|w| w.is_nan()) {

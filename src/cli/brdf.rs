@@ -20,9 +20,7 @@ use crate::brdf::{Brdf, BrdfError, Dictionary, Mixture, merl, nbrdf, source, wei
 use crate::export::rgl;
 use crate::inverse::projection::{CellMatrix, EnvironmentMatrix, FIT_AZIMUTHS};
 use crate::out;
-use crate::outside_file;
-use crate::shown::excerpt;
-use crate::whole_file;
+use crate::{outside_file, outside_table, whole_file};
 
 const SPEC_HELP: &str = "A BRDF is one of: FILE.binary (MERL), FILE.bsdf (RGL), nbrdf:NAME (embedded measured material), \
 FIT (the folder of a fit, or a session: its latest), DICTIONARY:WEIGHTS.csv (a mixture, as a fit or a projection writes it; DICTIONARY is paper42, grid42, rig42, rig26, reference-grid42 or a .json or .toml file), \
@@ -156,16 +154,14 @@ fn load(spec: &str) -> Result<Arc<dyn Brdf>, CliError> {
         return Err(CliError::new(format!("no embedded material \"{name}\""))
             .hint(format!("known are {}", nbrdf::NAMES.join(", "))));
     }
-    source::load(spec).map(Arc::from).map_err(|error| {
-        let advice = match &error {
-            BrdfError::Io { .. } => return error.into(),
-            BrdfError::File { .. } => {
-                "the file may be cut short, or of another kind than its name says"
+    source::load(spec)
+        .map(Arc::from)
+        .map_err(|error| match &error {
+            BrdfError::UnknownSource { .. } => {
+                CliError::from(error).hint("`rig brdf --help` lists what names a BRDF")
             }
-            _ => "`rig brdf --help` lists what names a BRDF",
-        };
-        CliError::from(error).hint(advice)
-    })
+            _ => error.into(),
+        })
 }
 
 /// Largest angles file, bytes: some millions of lines.
@@ -201,47 +197,32 @@ impl Angles {
 /// # Errors
 /// In words: a column or number that is missing or wrong.
 pub fn parse_angles(text: &str) -> Result<Vec<Angles>, String> {
-    let mut lines = text
-        .lines()
-        .enumerate()
-        .filter(|(_, line)| !line.trim().is_empty() && !line.starts_with('#'));
-    let header: Vec<&str> = lines
-        .next()
-        .map_or("", |(_, line)| line)
-        .split(',')
-        .map(str::trim)
-        .collect();
+    let rows = outside_table::rows(text).map_err(|error| error.to_string())?;
+    let (header, rows) = rows
+        .split_first()
+        .ok_or("no column theta_i_deg in the first line: it is empty")?;
     let column = |name: &str| {
-        header
-            .iter()
-            .position(|h| *h == name)
-            .ok_or_else(|| format!("no column {name} in the first line"))
+        let column = header.column(name);
+        column.ok_or_else(|| format!("no column {name} in the first line"))
     };
     let columns = [
         column("theta_i_deg")?,
         column("theta_o_deg")?,
         column("phi_deg")?,
     ];
-    lines
-        .map(|(number, line)| {
-            let cells: Vec<&str> = line.split(',').map(str::trim).collect();
+    rows.iter()
+        .map(|row| {
             let mut values = [0.0; 3];
             for (value, &column) in values.iter_mut().zip(&columns) {
-                let cell = cells.get(column).copied().unwrap_or("");
-                *value = cell
-                    .parse()
-                    .ok()
-                    .filter(|value: &f64| value.is_finite())
-                    .ok_or_else(|| {
-                        format!("line {}: \"{}\" is no number", number + 1, excerpt(cell))
-                    })?;
+                *value = outside_table::number(row.field(column))
+                    .map_err(|error| format!("line {}: {error}", row.line))?;
             }
             let [theta_i_deg, theta_o_deg, phi_deg] = values;
             for theta in [theta_i_deg, theta_o_deg] {
                 if !(0.0..=90.0).contains(&theta) {
                     return Err(format!(
                         "line {}: polar angle {theta}, allowed is 0 to 90",
-                        number + 1
+                        row.line
                     ));
                 }
             }

@@ -3,11 +3,11 @@
 use std::path::PathBuf;
 
 use super::cell_images::{Source, UNSTATED_NOISE};
-use super::pipeline::{FitArgs, FitPlan, check_images, fit_session};
+use super::pipeline::{FitArgs, FitPlan, fit_session};
 use super::preflight::{Keys, check_scene};
 use super::{CliError, Context, output, warnings};
 use crate::config::scene::SceneFile;
-use crate::radiance_image::exr::{ExrError, ExrRows};
+use crate::radiance_image::exr::ExrRows;
 use crate::session::fit_record;
 
 /// Fits a BRDF to a session, or to images of a described scene.
@@ -19,7 +19,8 @@ pub struct FitCommandArgs {
     /// Scene file: camera, lights and the sample's shape
     #[arg(long, value_name = "S", requires = "image", requires = "out")]
     scene: Option<PathBuf>,
-    /// Image (EXR: R, G, B and, where known, var.R, var.G, var.B), one per light of the scene, in its order
+    /// Image (EXR: R, G, B and, where known, var.R, var.G, var.B), one per light of the scene, in its order;
+    /// FILE:NAME names one of several parts or layers
     #[arg(long, value_name = "EXR", num_args = 1..)]
     image: Vec<PathBuf>,
     /// Folder for the result; it must not exist or be empty
@@ -89,12 +90,7 @@ fn fit_scene(
     for path in &args.image {
         let open = || ExrRows::open(path, size);
         let source = open().and_then(|rows| Source::new(rows, path.display().to_string(), open));
-        let source = match source {
-            Err(error @ ExrError::OtherSize { .. }) => {
-                return Err(CliError::from(error).hint("give one EXR image for each [[light]] of the scene, in its order, of its camera's resolution_px"));
-            }
-            other => other?,
-        };
+        let source = source?;
         if source.mean_of_unstated.is_some() {
             let remark = format!(
                 "{}: no variance is stated; a relative noise of {UNSTATED_NOISE} is assumed",
@@ -108,7 +104,7 @@ fn fit_scene(
     let file = |image: usize| args.image[image].display().to_string();
     check_scene(&scene, Keys::Scene, context)?;
     let captured = plan.average(&scene, sources)?;
-    check_images(&scene, &captured, file)?;
+    plan.check_images(&scene, &captured, file)?;
     let (mut record, images) = plan.run(&scene, &captured, false, None, context)?;
     record.remarks.extend(remarks);
     record.settings.scene = Some(path.display().to_string());

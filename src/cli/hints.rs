@@ -15,15 +15,17 @@ use evaluate::for_evaluate;
 use session::{for_capture, for_fit_record, for_loading, for_record, for_session};
 
 use crate::brdf::BrdfError;
+use crate::brdf::rgl::RglFault;
 use crate::calibration::procedure::ProcedureError;
-use crate::config::ConfigError;
 use crate::config::build::BuildError;
+use crate::config::{ConfigError, Slip};
 use crate::export::ExportError;
 use crate::geometry::MeshError;
 use crate::inverse::cells::AverageError;
 use crate::inverse::fit::FitError;
 use crate::inverse::plausibility::Implausible;
 use crate::radiance_image::exr::ExrError;
+use crate::radiometry::frame_file::FrameFileError;
 use crate::transport::cache::CacheError;
 
 /// What remains when nothing better is known.
@@ -108,12 +110,14 @@ fn for_config(error: &ConfigError) -> String {
     use ConfigError::*;
     match error {
         Read { source, .. } if source.kind() == std::io::ErrorKind::InvalidData => {
-            "the file is no text: rig files and scenes are TOML (https://toml.io)".into()
+            "rig files and scenes are TOML (https://toml.io), which is UTF-8: save the text in that encoding".into()
         }
         Read { source, .. } => match for_io(source) {
             Some(hint) if source.kind() != std::io::ErrorKind::NotFound => hint.into(),
             _ => "check the path; a bare name is looked for in rig-configs/ and among the built-in rigs".into(),
         },
+        Syntax { slip: Some(slip), .. } => for_slip(*slip),
+        ControlCharacter { .. } => for_slip(Slip::Backslash),
         Syntax { .. } => "the file is TOML (https://toml.io): `key = value`, texts in double quotes, `[table]`".into(),
         UnknownKey { key, known, .. } => {
             let last = key.rsplit('.').next().unwrap_or(key);
@@ -140,17 +144,39 @@ fn for_config(error: &ConfigError) -> String {
     }
 }
 
+fn for_slip(slip: Slip) -> String {
+    match slip {
+        Slip::Quote(_) => {
+            "write texts in straight quotes, \"…\", and turn off smart quotes in the editor".into()
+        }
+        Slip::Minus(_) => "write the minus of the keyboard, -".into(),
+        Slip::Blank(_) => "delete it, or write an ordinary blank in its place".into(),
+        Slip::Lookalike(_, ascii) => format!("write {ascii} in its place"),
+        Slip::Backslash => {
+            "write the path with / as this system has it; in single quotes a backslash is an ordinary character".into()
+        }
+        Slip::DecimalComma => "write numbers with a decimal point".into(),
+    }
+}
+
 fn for_brdf(error: &BrdfError) -> Option<String> {
     use BrdfError::*;
     match error {
         UnknownSource { .. } => Some("a file needs its path; names are listed above".into()),
         Io { source, .. } => for_io(source).map(str::to_owned),
+        RglKind {
+            kind: RglFault::Spectral { .. },
+            ..
+        } => Some(
+            "the database has each material in RGB as well, named …_rgb.bsdf; `rig export --format rgl` writes that".into(),
+        ),
+        RglKind { .. } => Some("take an isotropic material: such files have one azimuth of incidence".into()),
         File { path, .. } if path.extension().is_some_and(|e| e == "toml" || e == "json") => Some(
             "a dictionary is a list `atoms`, such as [{ type = \"ggx\", alpha = 0.1, eta = 1.5 }]"
                 .into(),
         ),
         File { .. } | Table { .. } => {
-            Some("the file is not what its ending says, or it is damaged: get it again".into())
+            Some("the file is cut short, damaged, or of another kind than its ending says: get it again, or write it as that format has it".into())
         }
         Dictionary { .. } | Weights { .. } => None,
     }
@@ -164,13 +190,52 @@ fn for_exr(error: &ExrError) -> Option<String> {
             Some("the image is damaged or no OpenEXR file: render or merge it again".into())
         }
         CutShort { .. } => Some("copy it again, or render or merge it again".into()),
-        OtherSize { .. } => {
-            Some("give an image of this camera, with the rig file's resolution_px".into())
-        }
+        OtherSize { .. } => Some(
+            "give an image that this camera took, whole and not resampled, one for each light; or correct resolution_px if the camera has another".into(),
+        ),
+        Layers { file, .. } => Some(format!(
+            "name the one that holds radiance after a colon: {}:NAME",
+            file.display()
+        )),
+        NoSuchLayer { .. } => Some("take one of these names, or leave it out where there is one".into()),
+        Windows { .. } => Some(
+            "the display window is the image: save it without cropping, in the camera's frame".into(),
+        ),
+        Kind { .. } => Some(
+            "save it as a flat image with the channels R, G, B at full resolution, with ZIP compression".into(),
+        ),
         Channels { .. } => {
             Some("images need the channels R, G, B, and where known var.R, var.G, var.B".into())
         }
         _ => None,
+    }
+}
+
+/// What to do with a camera's raw files.
+pub(super) const FOR_CAMERA_RAW: &str = "write its counts as 16-bit TIFFs first: `dcraw -D -4 -T FILE` or LibRaw's `unprocessed_raw -T FILE`; then merge those with --mosaic, the order of the camera's colour filters";
+
+/// What to do with a file that is no frame.
+pub(super) fn for_frame_file(error: &FrameFileError) -> &'static str {
+    use FrameFileError::*;
+    match error {
+        CameraRaw(_) => FOR_CAMERA_RAW,
+        Samples(what) if what.contains("and alpha") => {
+            "write it without alpha: `convert IN -alpha off OUT`"
+        }
+        Samples(what) if what.contains("floating-point") || what.contains("32-bit") => {
+            "frames are counts: write them as whole numbers of 16 bits, without scaling; an image of radiance is an EXR"
+        }
+        Samples(_) => {
+            "write the camera's counts as they are: grey (also of a colour mosaic) or RGB, whole numbers of 8 or 16 bits"
+        }
+        Compression(_) => "write it without compression, or with LZW, Deflate or PackBits",
+        Pages { .. } => {
+            "write each image to a file of its own (`convert IN frame_%d.tif`) and state the exposures in a table, --exposures"
+        }
+        Size { .. } => "give an image of this camera at its full size",
+        Format(_) | TooLarge(_) | Damaged(_) => {
+            "frames are PNG, TIFF or JPEG files of 8 or 16 bits, grey or RGB"
+        }
     }
 }
 
@@ -234,8 +299,11 @@ pub(super) fn for_implausible(error: &Implausible) -> &'static str {
         NoLight { .. } => {
             "check that the lamp was lit and the lens uncovered, that the image is in the radiance unit of the scene's irradiance, and that its var.* channels hold variances of the mean"
         }
+        TooBright { channel: None, .. } => {
+            "state the irradiance in the unit of the images, in which a white sample shows irradiance/π: a merge's scale is arbitrary (`rig merge` gives electrons per second unless --responsivity says how many of them unit radiance makes); `rig calibrate white` measures it"
+        }
         TooBright { .. } => {
-            "give image and irradiance in one unit: raw counts must be divided by exposure and calibration (`rig merge` does that)"
+            "check that channel's irradiance; if the other channels are in another unit as well, state the irradiance in the unit of the images (`rig calibrate white` measures it)"
         }
         Negative { .. } => {
             "check what was subtracted: dark frames of a longer exposure, or an ambient frame with the lamp on"

@@ -16,7 +16,7 @@ use crate::calibration::{Library, record_in};
 use crate::radiance_image::RadianceImage;
 use crate::radiance_image::exr;
 use crate::radiometry::agreement::ExposureAgreement;
-use crate::radiometry::frame_file::FrameFile;
+use crate::radiometry::frame_file::{FrameFile, Tone};
 use crate::radiometry::mosaic::Mosaic;
 use crate::radiometry::plane::MergedPlane;
 use crate::radiometry::response::Response;
@@ -34,8 +34,9 @@ pub struct MergeArgs {
     /// all of one size
     #[arg(value_name = "FRAMES", required = true)]
     frames: Vec<PathBuf>,
-    /// Table of exposures: CSV lines `file,exposure_s[,light|ambient|dark]`, files by path or name
-    /// (default: each frame's EXIF data, or its name, such as scene_20ms.png or scene_1-250s.jpg)
+    /// Table of exposures: CSV lines `file,exposure_s[,light|ambient|dark]`, files by path or name,
+    /// separated by commas, semicolons or tabs (default: each frame's EXIF data, or its name, such
+    /// as scene_20ms.png, scene_0,02s.png or scene_1-250s.jpg)
     #[arg(long, value_name = "CSV")]
     exposures: Option<PathBuf>,
     /// The radiance image to write (OpenEXR)
@@ -81,11 +82,6 @@ pub struct MergeArgs {
     responsivity: Option<f64>,
 }
 
-fn is_jpeg(path: &Path) -> bool {
-    let ending = path.extension().and_then(|e| e.to_str()).unwrap_or("");
-    ["jpg", "jpeg"].contains(&ending.to_ascii_lowercase().as_str())
-}
-
 fn parse_mosaic(text: &str) -> Result<Mosaic, String> {
     match text {
         "none" => Ok(Mosaic::None),
@@ -99,7 +95,7 @@ fn parse_mosaic(text: &str) -> Result<Mosaic, String> {
 
 /// `rig merge`.
 pub fn run(args: &MergeArgs, context: &Context) -> Result<(), CliError> {
-    let frames = bracket_files::find(&args.frames, args.exposures.as_deref())?;
+    let frames = bracket_files::find(&args.frames, args.exposures.as_deref(), context)?;
     let first_path = frames[0].path.as_path();
     let first = read_frame(first_path)?;
     if args.mosaic != Mosaic::None && first.planes.len() != 1 {
@@ -254,6 +250,8 @@ fn to_image(planes: &[MergedPlane]) -> Result<RadianceImage, CliError> {
 
 const DISK_HINT: &str = "frames wait in the folder of --out while they are merged: make room \
     there, or choose another folder";
+const RESPONSE_HINT: &str = "find the camera's response with `rig calibrate response`, then give \
+    the record with --response";
 const BRACKET_HINT: &str = "mark at least one frame as light in the table (the default)";
 
 #[derive(Serialize)]
@@ -348,12 +346,21 @@ impl MergeArgs {
         path: &Path,
         frame: &FrameFile,
     ) -> Result<SensorNoise, CliError> {
-        if is_jpeg(path) {
-            return Err(CliError::new(format!(
-                "{} is a JPEG, whose counts are not proportional to light",
+        match frame.tone {
+            Tone::Jpeg => {
+                return Err(CliError::new(format!(
+                    "{} is a JPEG, whose counts are not proportional to light",
+                    path.display()
+                ))
+                .hint(RESPONSE_HINT));
+            }
+            Tone::Gamma => context.warn(format_args!(
+                "{}: the PNG says that its counts are sRGB or have another gamma, and they are \
+                 merged as proportional to light: if a camera or converter has bent them, \
+                 {RESPONSE_HINT}",
                 path.display()
-            ))
-            .hint("find the camera's response with `rig calibrate response`, then give the record with --response"));
+            )),
+            Tone::Unstated => {}
         }
         let mut noise = if self.rig.rig.is_some() {
             self.recorded_noise(context, frame)?

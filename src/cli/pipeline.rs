@@ -287,6 +287,24 @@ impl FitPlan {
         Ok(captured)
     }
 
+    /// Refuses images that cannot be those of the scene; `file` names the one of a light.
+    pub(super) fn check_images(
+        &self,
+        scene: &Scene,
+        captured: &Captured,
+        file: impl Fn(usize) -> String,
+    ) -> Result<(), CliError> {
+        let known = |priors: &BenchPriors| priors.intensity.hypot(priors.common_intensity);
+        let log_std = self.priors.as_ref().map_or(0.0, known);
+        plausibility::check(scene, captured, &self.dictionary, log_std).map_err(|error| {
+            let fact = match error.image() {
+                Some(image) => format!("{}: {error}", file(image)),
+                None => error.to_string(),
+            };
+            CliError::new(fact).hint(hints::for_implausible(&error))
+        })
+    }
+
     /// Fits and describes the result. `truth`: name and BRDF, where known.
     pub fn run(
         &self,
@@ -592,7 +610,7 @@ pub fn fit_session(
         mean_of_unstated: None,
     });
     let captured = plan.average(&scene, sources.collect())?;
-    check_images(&scene, &captured, file)?;
+    plan.check_images(&scene, &captured, file)?;
     let truth = match &config.simulation {
         Some(simulation) => Some(simulation.material.load()?),
         None => None,
@@ -621,21 +639,6 @@ pub fn fit_session(
     writer.refresh_manifest()?;
     warnings::tell(&fit, context);
     Ok(folder)
-}
-
-/// Refuses images that cannot be those of the scene; `file` names the one of a light.
-pub(super) fn check_images(
-    scene: &Scene,
-    captured: &Captured,
-    file: impl Fn(usize) -> String,
-) -> Result<(), CliError> {
-    plausibility::check(scene, captured).map_err(|error| {
-        let fact = match error.image() {
-            Some(image) => format!("{}: {error}", file(image)),
-            None => error.to_string(),
-        };
-        CliError::new(fact).hint(hints::for_implausible(&error))
-    })
 }
 
 /// Writes the session's report and returns its path.

@@ -7,6 +7,8 @@ use std::ops::RangeInclusive;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
+use super::slip::{self, Slip};
+
 /// The longest piece of a value that is shown.
 const SHOWN_CHARS: usize = 48;
 
@@ -35,11 +37,38 @@ pub(super) enum Value {
     Other(String),
 }
 
-/// Parses a document; on failure the line, from 1, and what the parser says.
-pub(super) fn parse(text: &str) -> Result<BTreeMap<String, Node>, (usize, String)> {
+/// Why a text is no document, and where.
+#[derive(Debug)]
+pub(super) struct Fault {
+    /// Line, from 1.
+    pub line: usize,
+    /// Character of the line, from 1.
+    pub column: usize,
+    /// What is wrong.
+    pub problem: String,
+    /// What made it so, where that is known.
+    pub slip: Option<Slip>,
+}
+
+/// Parses a document.
+///
+/// # Errors
+/// The place at which it is no TOML.
+pub(super) fn parse(text: &str) -> Result<BTreeMap<String, Node>, Fault> {
     let table = DeTable::parse(text).map_err(|error| {
         let start = error.span().map_or(0, |span| span.start);
-        (line_at(text, start), error.message().to_owned())
+        let found = slip::find(text, start, error.message());
+        let at = text.floor_char_boundary(found.map_or(start, |(at, _)| at));
+        let line_start = text[..at].rfind('\n').map_or(0, |end| end + 1);
+        Fault {
+            line: line_at(text, at),
+            column: 1 + text[line_start..at].chars().count(),
+            problem: match found {
+                Some((_, slip)) => slip.to_string(),
+                None => error.message().to_owned(),
+            },
+            slip: found.map(|(_, slip)| slip),
+        }
     })?;
     let source = Source {
         text,

@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use super::slip::Slip;
 use crate::shown::excerpt;
 
 /// A file that cannot be used, and exactly where and why.
@@ -16,14 +17,35 @@ pub enum ConfigError {
         source: std::io::Error,
     },
     /// Not a TOML document.
-    #[error("{file}:{line}: not valid TOML: {problem}")]
+    #[error("{file}:{line}:{column}: not valid TOML: {problem}")]
     Syntax {
         /// Path or name of the file.
         file: String,
         /// Line, from 1.
         line: usize,
-        /// What the parser says.
+        /// Character of the line, from 1.
+        column: usize,
+        /// What is wrong there.
         problem: String,
+        /// What made it so, where that is known.
+        slip: Option<Slip>,
+    },
+    /// A path with a character that no path has, by an escape sequence that was not meant.
+    #[error(
+        "{file}:{line}: `{}` is {value}, which holds {character}",
+        excerpt(key)
+    )]
+    ControlCharacter {
+        /// Path or name of the file.
+        file: String,
+        /// Line, from 1.
+        line: usize,
+        /// Dotted path of the key.
+        key: String,
+        /// The value, with escape sequences, shortened.
+        value: String,
+        /// The character, in words.
+        character: &'static str,
     },
     /// A key that means nothing here.
     #[error("{file}:{line}: unknown key `{}`; known here: {}", excerpt(key), known.join(", "))]

@@ -17,6 +17,7 @@ mod rig;
 pub mod scene;
 pub mod shape;
 pub mod simulation;
+mod slip;
 pub mod stage;
 pub mod uncertainty;
 pub mod view;
@@ -29,6 +30,7 @@ pub use camera::{CameraConfig, CameraDriver};
 pub use error::ConfigError;
 pub use resolve::{BUILT_IN, Origin, ResolvedRig, Surroundings, resolve_rig};
 pub use rig::RigConfig;
+pub use slip::Slip;
 
 /// Rig and scene files are small; anything larger is another file.
 const LARGEST_FILE_BYTES: u64 = 256 << 10;

@@ -13,6 +13,7 @@ use glam::DVec3;
 
 use super::ConfigError;
 use super::document::{self, Node, Value};
+use super::slip;
 use crate::shown::{MESSAGE, shortened};
 
 /// The document that a value came from.
@@ -64,10 +65,12 @@ impl Section {
     /// Parses a document. `file` is what errors call it; relative paths in it
     /// start at `folder`.
     pub fn parse(file: &str, folder: &Path, text: &str) -> Result<Self, ConfigError> {
-        let entries = document::parse(text).map_err(|(line, problem)| ConfigError::Syntax {
+        let entries = document::parse(text).map_err(|fault| ConfigError::Syntax {
             file: file.to_owned(),
-            line,
-            problem: shortened(&problem, MESSAGE).into_owned(),
+            line: fault.line,
+            column: fault.column,
+            problem: shortened(&fault.problem, MESSAGE).into_owned(),
+            slip: fault.slip,
         })?;
         Ok(Self {
             source: Rc::new(Source {
@@ -122,6 +125,7 @@ impl Section {
     /// A path, relative to the document's folder.
     pub fn path(&mut self, key: &'static str) -> Result<Found<PathBuf>, ConfigError> {
         let folder = self.source.folder.clone();
+        self.without_control(key)?;
         self.parsed(key, "a path", |text| {
             (!text.is_empty()).then(|| folder.join(text))
         })
@@ -134,12 +138,32 @@ impl Section {
         names: &[&str],
     ) -> Result<Found<PathBuf>, ConfigError> {
         let folder = self.source.folder.clone();
+        self.without_control(key)?;
         let allowed = format!("{} or a path", names.join(", "));
         self.parsed(key, &allowed, |text| match text {
             "" => None,
             name if names.contains(&name) => Some(name.into()),
             path => Some(folder.join(path)),
         })
+    }
+
+    /// Refuses a text with control characters, as a Windows path in double quotes has them.
+    fn without_control(&self, key: &'static str) -> Result<(), ConfigError> {
+        let Some(node) = self.entries.get(key) else {
+            return Ok(());
+        };
+        match &node.value {
+            Value::Text(text) if let Some(character) = slip::control(text) => {
+                Err(ConfigError::ControlCharacter {
+                    file: self.source.file.clone(),
+                    line: node.line,
+                    key: self.path_of(key),
+                    value: node.value.to_string(),
+                    character,
+                })
+            }
+            _ => Ok(()),
+        }
     }
 
     /// One of the named choices.

@@ -1,13 +1,14 @@
 //! A raw frame in an image file that some other program wrote.
 
-use std::io::BufReader;
 use std::path::Path;
-
-use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat, ImageReader};
 
 use super::RawFrame;
 use super::retake::FrameFault;
-use crate::outside_file::open_regular;
+use crate::outside_file::read_regular;
+use crate::radiometry::frame_file::{FrameFileError, Tone, decode_sized};
+
+/// Largest raw frame, bytes: 250 megapixels of 16 bits, not compressed.
+const LARGEST_BYTES: u64 = 1 << 29;
 
 /// Whether a file's name is that of a format which can hold raw counts.
 pub fn has_raw_ending(path: &Path) -> bool {
@@ -28,7 +29,7 @@ pub fn has_other_ending(path: &Path) -> bool {
     ending.is_some_and(|ending| OTHERS.contains(&ending.to_ascii_lowercase().as_str()))
 }
 
-/// The counts of a greyscale PNG or TIFF of 8 or 16 bits, one sample per pixel
+/// The counts of a greyscale PNG or TIFF of 8 to 16 bits, one sample per pixel
 /// (a colour sensor's mosaic as it is, not interpolated). Nothing is allocated
 /// for a declared size other than `expected`.
 ///
@@ -38,43 +39,29 @@ pub fn read(path: &Path, expected: [u32; 2], bit_depth: u32) -> Result<RawFrame,
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let unreadable =
         |what: &dyn std::fmt::Display| FrameFault::Undecodable(format!("{name}: {what}"));
-    let file = open_regular(path).map_err(|error| unreadable(&error))?;
-    let reader = ImageReader::new(BufReader::new(file))
-        .with_guessed_format()
-        .map_err(|error| unreadable(&error))?;
-    let not_raw = |kind: String| FrameFault::NotRaw {
+    let not_raw = |kind: &str| FrameFault::NotRaw {
         name: name.to_string(),
-        kind,
+        kind: kind.to_owned(),
     };
-    match reader.format() {
-        Some(ImageFormat::Png | ImageFormat::Tiff) => {}
-        Some(format) => {
-            let kind = format.extensions_str().first().unwrap_or(&"");
-            return Err(not_raw(format!("a {} file", kind.to_uppercase())));
-        }
-        None => return Err(unreadable(&"it is neither PNG nor TIFF")),
-    }
-    let decoder = reader.into_decoder().map_err(|error| unreadable(&error))?;
-    let (width, height) = decoder.dimensions();
-    if [width, height] != expected {
-        return Err(FrameFault::Size {
-            found: [width, height],
-            counts: width as usize * height as usize,
+    let bytes = read_regular(path, LARGEST_BYTES).map_err(|error| unreadable(&error))?;
+    let [width, height] = expected;
+    let size = [width as usize, height as usize];
+    let mut frame = decode_sized(&bytes, Some(size)).map_err(|error| match error {
+        FrameFileError::Size { found, .. } => FrameFault::Size {
+            found: found.map(|side| side as u32),
+            counts: found[0] * found[1],
             expected,
-        });
+        },
+        error => unreadable(&error),
+    })?;
+    if frame.tone == Tone::Jpeg {
+        return Err(not_raw("a JPEG file"));
     }
-    if !matches!(decoder.color_type(), ColorType::L8 | ColorType::L16) {
-        let kind = match decoder.color_type() {
-            ColorType::Rgb8 | ColorType::Rgb16 | ColorType::Rgba8 | ColorType::Rgba16 => {
-                "in colour, with all channels at every pixel".to_owned()
-            }
-            kind => format!("of {kind:?} pixels instead of grey ones of 8 or 16 bits"),
-        };
-        return Err(not_raw(kind));
-    }
-    let counts: Vec<u16> = match DynamicImage::from_decoder(decoder).map_err(|e| unreadable(&e))? {
-        DynamicImage::ImageLuma16(image) => image.into_raw(),
-        other => other.to_luma8().iter().map(|&count| count.into()).collect(),
+    let counts = match frame.planes.len() {
+        1 => frame.planes.remove(0),
+        _ => {
+            return Err(not_raw("in colour, with all channels at every pixel"));
+        }
     };
     let largest = ((1_u32 << bit_depth.min(16)) - 1) as u16;
     if let Some(place) = counts.iter().position(|&count| count > largest) {
@@ -96,7 +83,7 @@ pub fn read(path: &Path, expected: [u32; 2], bit_depth: u32) -> Result<RawFrame,
 #[cfg(test)]
 mod tests {
     use super::*;
-    use image::{ImageBuffer, Luma, Rgb};
+    use image::{ImageBuffer, ImageFormat, Luma, Rgb};
 
     #[test]
     fn counts_of_8_and_16_bits_are_read_as_they_are() {
@@ -144,7 +131,7 @@ mod tests {
                 .unwrap();
         }
         std::fs::write(&path, "no image").unwrap();
-        assert_eq!(fault(12), "a.png: it is neither PNG nor TIFF");
+        assert_eq!(fault(12), "a.png: it is neither PNG nor TIFF nor JPEG");
         ImageBuffer::from_pixel(5, 3, Rgb([1_u8, 2, 3]))
             .save(&path)
             .unwrap();
@@ -152,6 +139,9 @@ mod tests {
             fault(12),
             "a.png holds no raw counts: it is in colour, with all channels at every pixel"
         );
+        let jpeg = ImageBuffer::from_pixel(5, 3, Luma([9_u8]));
+        jpeg.save_with_format(&path, ImageFormat::Jpeg).unwrap();
+        assert_eq!(fault(12), "a.png holds no raw counts: it is a JPEG file");
         ImageBuffer::from_pixel(3, 5, Luma([1_u16]))
             .save(&path)
             .unwrap();

@@ -2,6 +2,7 @@
 //! they can say about their own error.
 
 pub mod bench;
+mod brightest;
 pub mod budget;
 pub mod cells;
 pub mod comparison;

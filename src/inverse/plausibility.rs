@@ -5,6 +5,7 @@
 //! What the images are measured against is a white sample: the direct reflection of a
 //! Lambertian surface of albedo 1 in the same place, under the same lights.
 
+use super::brightest::brightest;
 use super::cells::{Captured, CellImage};
 use crate::brdf::{Atom, Dictionary};
 use crate::radiance_image::CHANNEL_NAMES;
@@ -53,12 +54,16 @@ pub enum Implausible {
     },
     /// Far beyond what any material reflects, at any angle.
     #[error(
-        "image {image} is {ratio:.1e} times as bright as a white sample under the stated irradiance; not even a mirror that sends all light to the camera reaches {BRIGHTEST:.0e}"
+        "{}image {image} is {} times as bright as the brightest material under the stated irradiance",
+        channel.map_or(String::new(), |channel| format!("in the {} channel, ", CHANNEL_NAMES[channel])),
+        factor(*ratio)
     )]
     TooBright {
         /// Index of the image.
         image: usize,
-        /// Mean radiance over that of a white sample.
+        /// 0 to 2 where one channel alone is; `None` where all are.
+        channel: Option<usize>,
+        /// Mean radiance over that of the brightest material of the dictionary.
         ratio: f64,
     },
     /// Less than no light.
@@ -143,7 +148,14 @@ const LEAST_COSINE: f64 = 0.01;
 const BLACKEST: f64 = 1e-5;
 /// Above this many times a white sample's radiance no material can be: a mirror of GGX alpha
 /// 0.002 that returns all light to the camera has 1/(4 alpha²) times.
-const BRIGHTEST: f64 = 1e5;
+pub(super) const BRIGHTEST: f64 = 1e5;
+/// How much brighter than the brightest material of the dictionary images may be whose
+/// irradiance is known: measured materials are no mixtures, and retroreflect a little.
+const BRIGHTER: f64 = 2.0;
+/// A channel counts as too bright alone where the others are below this part of it.
+const ALONE: f64 = 0.2;
+/// By how many of its standard deviations a stated irradiance may be wrong.
+const SURE: f64 = 2.0;
 /// Standard deviations by which light must stand out of noise, and negative values below 0.
 const SIGNIFICANT: f64 = 5.0;
 /// Part of the values that may be significantly negative, or without variance.
@@ -170,11 +182,17 @@ fn white_radiance(scene: &Scene, cells: &Cells) -> Option<Vec<Vec<f64>>> {
 }
 
 /// Refuses images that cannot be those of the scene. What needs a fit to be seen is left to
-/// [`super::findings`].
+/// [`super::findings`]. `log_std` is the standard deviation of the natural logarithm of the
+/// stated irradiance, 0 where it is exact.
 ///
 /// # Errors
 /// The first [`Implausible`] found.
-pub fn check(scene: &Scene, captured: &Captured) -> Result<(), Implausible> {
+pub fn check(
+    scene: &Scene,
+    captured: &Captured,
+    dictionary: &Dictionary,
+    log_std: f64,
+) -> Result<(), Implausible> {
     check_lights(scene)?;
     let Some(white) = white_radiance(scene, &captured.cells) else {
         return Ok(());
@@ -184,6 +202,14 @@ pub fn check(scene: &Scene, captured: &Captured) -> Result<(), Implausible> {
         if mean_cosine < LEAST_COSINE {
             return Err(Implausible::NotLit { light, mean_cosine });
         }
+    }
+    let means: Vec<f64> = white.iter().map(|white| mean(white)).collect();
+    let allowed = BRIGHTER * (SURE * log_std).exp();
+    let brightest = brightest(scene, &captured.cells, dictionary, &means);
+    for (light, image) in captured.images.iter().enumerate() {
+        let strength = scene.lights[light].strength();
+        let brightest = strength.map(|strength| strength * brightest[light]);
+        check_brightness(light, image, brightest, allowed)?;
     }
     for (light, (image, white)) in captured.images.iter().zip(&white).enumerate() {
         let strength = mean(&scene.lights[light].strength());
@@ -197,6 +223,49 @@ pub fn check(scene: &Scene, captured: &Captured) -> Result<(), Implausible> {
         }
     }
     Ok(())
+}
+
+/// Refuses an image that is more than `allowed` times as bright as the brightest material, per
+/// channel, beyond its noise.
+fn check_brightness(
+    index: usize,
+    image: &CellImage,
+    brightest: [f64; 3],
+    allowed: f64,
+) -> Result<(), Implausible> {
+    let count = image.mean.len().max(1) as f64;
+    let mut ratios = [0.0; 3];
+    let mut sure = [false; 3];
+    for channel in 0..3 {
+        let sum = |values: &[[f64; 3]]| values.iter().map(|value| value[channel]).sum::<f64>();
+        let (mean, noise) = (
+            sum(&image.mean) / count,
+            sum(&image.variance).sqrt() / count,
+        );
+        ratios[channel] = mean / brightest[channel];
+        sure[channel] = mean - SIGNIFICANT * noise > allowed * brightest[channel];
+    }
+    let Some(worst) = (0..3)
+        .filter(|&channel| sure[channel])
+        .max_by(|&a, &b| ratios[a].total_cmp(&ratios[b]))
+    else {
+        return Ok(());
+    };
+    let is_alone = (0..3).all(|c| c == worst || ratios[c] < ALONE * ratios[worst]);
+    Err(Implausible::TooBright {
+        image: index,
+        channel: is_alone.then_some(worst),
+        ratio: ratios[worst],
+    })
+}
+
+/// Two significant digits.
+fn factor(ratio: f64) -> String {
+    match ratio {
+        ..10.0 => format!("{ratio:.1}"),
+        ..1e4 => format!("{ratio:.0}"),
+        _ => format!("{ratio:.1e}"),
+    }
 }
 
 fn check_lights(scene: &Scene) -> Result<(), Implausible> {
@@ -269,10 +338,6 @@ impl Values<'_> {
                 std_dev: variance.sqrt() / count,
                 white,
             });
-        }
-        if average > BRIGHTEST * white {
-            let ratio = average / white;
-            return Err(Implausible::TooBright { image, ratio });
         }
 
         // Where the light is.

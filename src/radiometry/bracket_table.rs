@@ -1,9 +1,14 @@
 //! The table that says which frame of a bracket had which exposure: CSV with
-//! the columns file, exposure in seconds, and optionally role.
+//! the columns file, exposure, and optionally role.
 
 use std::collections::HashSet;
+use std::path::Path;
+
+use unicode_normalization::UnicodeNormalization;
 
 use super::merge::FrameRole;
+use super::written_time::seconds;
+use crate::outside_table::{Row, rows};
 use crate::shown::excerpt;
 
 /// A line of the table.
@@ -27,101 +32,168 @@ pub struct TableError {
     pub problem: String,
 }
 
-/// Parses `file,exposure_s[,role]` lines; an exposure may be a fraction, `1/250`. Empty lines and lines that begin with
-/// `#` are skipped, as is a first line whose second column is `exposure_s`. A
-/// file in double quotes may hold commas; `""` inside is one quote.
+/// Names of the column of files.
+const FILE_NAMES: [&str; 5] = ["file", "filename", "name", "image", "frame"];
+/// Names of the column of exposures, and their units in seconds.
+const EXPOSURE_NAMES: [(&str, f64); 3] = [
+    ("exposure_s", 1.0),
+    ("exposure_ms", 1e-3),
+    ("exposure_us", 1e-6),
+];
+
+/// Where a table has what.
+struct Columns {
+    file: usize,
+    exposure: usize,
+    unit_s: f64,
+    role: usize,
+    /// Columns without a name.
+    most: usize,
+}
+
+/// Parses the rows `file,exposure_s[,role]`, or those below a first row that names its columns
+/// (others than these are ignored). An exposure is a number of seconds, a fraction (`1/250`) or
+/// has a unit (`4 ms`).
 ///
 /// # Errors
-/// The first line that is wrong; a file named twice.
+/// The first row that is wrong; a file named twice.
 pub fn parse_bracket_table(text: &str) -> Result<Vec<BracketRow>, TableError> {
-    let mut rows: Vec<BracketRow> = Vec::new();
+    let table = rows(text).map_err(|unclosed| TableError {
+        line: unclosed.line,
+        problem: "a double quote has no partner".into(),
+    })?;
+    let named = table.first().and_then(named_columns);
+    let first = usize::from(named.is_some());
+    let columns = named.unwrap_or(Columns {
+        file: 0,
+        exposure: 1,
+        unit_s: 1.0,
+        role: 2,
+        most: 3,
+    });
     let mut seen = HashSet::new();
-    for (index, line) in text.lines().enumerate() {
+    let mut parsed = Vec::new();
+    for row in &table[first.min(table.len())..] {
         let error = |problem: String| TableError {
-            line: index + 1,
+            line: row.line,
             problem,
         };
-        let line = line.trim_start_matches('\u{feff}').trim();
-        if line.is_empty() || line.starts_with('#') {
+        let bracket_row = bracket_row(row, &columns).map_err(error)?;
+        if !seen.insert(key(&bracket_row.file)) {
+            let file = excerpt(&bracket_row.file);
+            return Err(error(format!("{file} appears twice")));
+        }
+        parsed.push(bracket_row);
+    }
+    Ok(parsed)
+}
+
+fn named_columns(row: &Row) -> Option<Columns> {
+    let (exposure, unit_s) = EXPOSURE_NAMES
+        .iter()
+        .find_map(|(name, unit_s)| Some((row.column(name)?, *unit_s)))?;
+    let file = FILE_NAMES.iter().find_map(|name| row.column(name));
+    // `exposure_s` in the second place was enough of a name.
+    let file = file.unwrap_or(0);
+    Some(Columns {
+        file,
+        exposure,
+        unit_s,
+        role: row.column("role").unwrap_or(usize::MAX),
+        most: usize::MAX,
+    })
+}
+
+fn bracket_row(row: &Row, columns: &Columns) -> Result<BracketRow, String> {
+    let file = row.field(columns.file);
+    let exposure = row.field(columns.exposure);
+    let role = row.field(columns.role).to_ascii_lowercase();
+    if !role.is_empty() && role.bytes().all(|b| b.is_ascii_digit()) {
+        return Err(format!(
+            "the exposure is {:?} and the role {:?}: a decimal comma needs quotes, or semicolons between the columns",
+            excerpt(exposure),
+            excerpt(&role)
+        ));
+    }
+    let exposure_s = seconds(exposure, columns.unit_s)
+        .map_err(|problem| format!("the exposure is {:?}, {problem}", excerpt(exposure)))?;
+    let role = match role.as_str() {
+        "" | "light" => FrameRole::Light,
+        "ambient" => FrameRole::Ambient,
+        "dark" => FrameRole::Dark,
+        other => {
+            return Err(format!(
+                "the role is {:?}, and must be light, ambient or dark",
+                excerpt(other)
+            ));
+        }
+    };
+    if row.fields.len() > columns.most {
+        let extra = excerpt(row.field(columns.most));
+        return Err(format!("there is a fourth column, {extra:?}"));
+    }
+    if file.is_empty() {
+        return Err("the file is empty".into());
+    }
+    Ok(BracketRow {
+        file: file.to_owned(),
+        exposure_s,
+        role,
+    })
+}
+
+/// The row for a frame: the one whose path agrees with the frame's in most of its last parts.
+/// Compared are Unicode's composed forms, `\` is `/`, and case counts only where it decides.
+///
+/// # Errors
+/// No row has the frame's name, or several that say different things.
+pub fn row_of<'a>(rows: &'a [BracketRow], frame: &Path) -> Result<&'a BracketRow, NoRow> {
+    let frame = key(&frame.to_string_lossy());
+    let folded = frame.to_lowercase();
+    let exact = |row: &BracketRow| common_parts(&key(&row.file), &frame);
+    let any_case = |row: &BracketRow| common_parts(&key(&row.file).to_lowercase(), &folded);
+    for agreement in [&exact as &dyn Fn(&BracketRow) -> usize, &any_case] {
+        let most = rows.iter().map(agreement).max().unwrap_or(0);
+        if most == 0 {
             continue;
         }
-        let (file, rest) =
-            first_field(line).ok_or_else(|| error("the quotes of the file never close".into()))?;
-        let mut fields = rest.split(',').map(str::trim);
-        let exposure = fields.next().unwrap_or("");
-        if exposure == "exposure_s" && rows.is_empty() {
-            continue;
-        }
-        let exposure_s = seconds(exposure).ok_or_else(|| {
-            error(format!(
-                "the exposure is {:?}, and must be a number of seconds above 0",
-                excerpt(exposure)
-            ))
-        })?;
-        let role = match fields.next() {
-            None | Some("" | "light") => FrameRole::Light,
-            Some("ambient") => FrameRole::Ambient,
-            Some("dark") => FrameRole::Dark,
-            Some(other) => {
-                return Err(error(format!(
-                    "the role is {:?}, and must be light, ambient or dark",
-                    excerpt(other)
-                )));
-            }
+        let mut best = rows.iter().filter(|row| agreement(row) == most);
+        let first = best.next().ok_or(NoRow::None)?;
+        let same = |row: &BracketRow| (row.exposure_s, row.role) == (first.exposure_s, first.role);
+        return match best.find(|row| !same(row)) {
+            None => Ok(first),
+            Some(other) => Err(NoRow::Several([first.file.clone(), other.file.clone()])),
         };
-        if let Some(extra) = fields.next() {
-            return Err(error(format!(
-                "there is a fourth column, {:?}",
-                excerpt(extra)
-            )));
-        }
-        if file.is_empty() {
-            return Err(error("the file is empty".into()));
-        }
-        if !seen.insert(file.clone()) {
-            return Err(error(format!("{} appears twice", excerpt(&file))));
-        }
-        rows.push(BracketRow {
-            file,
-            exposure_s,
-            role,
-        });
     }
-    Ok(rows)
+    Err(NoRow::None)
 }
 
-/// A number or a fraction of two, finite and > 0.
-fn seconds(text: &str) -> Option<f64> {
-    let number = |text: &str| text.trim().parse::<f64>().ok();
-    let seconds = match text.split_once('/') {
-        Some((above, below)) => number(above)? / number(below)?,
-        None => number(text)?,
-    };
-    (seconds.is_finite() && seconds > 0.0).then_some(seconds)
+/// Why a table says nothing of a frame.
+#[derive(Clone, Debug, PartialEq)]
+pub enum NoRow {
+    /// Nothing has its name.
+    None,
+    /// Two rows have its name, in other folders than its own, and differ.
+    Several([String; 2]),
 }
 
-/// The first field and what follows its comma.
-fn first_field(line: &str) -> Option<(String, &str)> {
-    let Some(quoted) = line.strip_prefix('"') else {
-        let (file, rest) = line.split_once(',').unwrap_or((line, ""));
-        return Some((file.trim().to_owned(), rest));
+/// A path by which names are compared.
+fn key(path: &str) -> String {
+    path.nfc().collect::<String>().replace('\\', "/")
+}
+
+/// How many parts two paths have in common, from the last on.
+fn common_parts(one: &str, other: &str) -> usize {
+    let parts = |path: &str| -> Vec<String> {
+        let parts = path
+            .split('/')
+            .rev()
+            .filter(|part| !["", "."].contains(part));
+        parts.map(str::to_owned).collect()
     };
-    let mut file = String::new();
-    let mut rest = quoted;
-    loop {
-        let (part, after) = rest.split_once('"')?;
-        file += part;
-        match after.strip_prefix('"') {
-            Some(after) => {
-                file.push('"');
-                rest = after;
-            }
-            None => {
-                let after = after.trim_start();
-                return Some((file, after.strip_prefix(',').unwrap_or(after)));
-            }
-        }
-    }
+    let (one, other) = (parts(one), parts(other));
+    let pairs = one.iter().zip(&other);
+    pairs.take_while(|(one, other)| one == other).count()
 }
 
 #[cfg(test)]
@@ -151,6 +223,21 @@ mod tests {
     }
 
     #[test]
+    fn columns_are_found_by_name_and_exposures_by_unit() {
+        for text in [
+            "exposure_ms;Date;File\n20;today;a.png\n",
+            "\"File\",\"Exposure_s\"\n\"a.png\",\"0,02\"\n",
+            "a.png,20 ms\n",
+            "a.png;0,02;Light\n",
+            "name\texposure_us\na.png\t20000\n",
+        ] {
+            let rows = parse_bracket_table(text).unwrap();
+            let found = (rows.len(), rows[0].file.as_str(), rows[0].exposure_s);
+            assert_eq!(found, (1, "a.png", 0.02), "{text}");
+        }
+    }
+
+    #[test]
     fn wrong_lines_are_named() {
         for (text, line, part) in [
             ("a.png,0\n", 1, "\"0\""),
@@ -160,14 +247,31 @@ mod tests {
             ("a.png,1/0\n", 1, "\"1/0\""),
             ("a.png,1/2/4\n", 1, "\"1/2/4\""),
             ("a.png,1,bright\n", 1, "\"bright\""),
+            ("a.png,0,02\n", 1, "decimal comma"),
+            ("a.png;1,250\n", 1, "1.25 s or 1250 s"),
             ("a.png,1,dark,x\n", 1, "fourth"),
-            ("\"a.png,1\n", 1, "quotes"),
+            ("\"a.png,1\n", 1, "double quote"),
             (",1\n", 1, "empty"),
         ] {
             let error = parse_bracket_table(text).unwrap_err();
             assert_eq!(error.line, line, "{text}");
             assert!(error.problem.contains(part), "{text}: {error}");
         }
+    }
+
+    #[test]
+    fn names_agree_in_whatever_form_they_were_written() {
+        let text = "Pr\u{fc}fling_1.png,1\nD:\\shots\\b.png,2\nday1/c.png,3\nday2/c.png,4\nD.PNG,5\nd2.png,6\nD2.PNG,7\n";
+        let rows = parse_bracket_table(text).unwrap();
+        let of = |frame: &str| row_of(&rows, Path::new(frame)).map(|row| row.exposure_s);
+        assert_eq!(of("x/Pru\u{308}fling_1.png"), Ok(1.0));
+        assert_eq!(of("./b.png"), Ok(2.0));
+        assert_eq!(of("/data/day2/c.png"), Ok(4.0));
+        assert_eq!(of("d.png"), Ok(5.0));
+        assert_eq!(of("D2.PNG"), Ok(7.0));
+        assert_eq!(of("missing.png"), Err(NoRow::None));
+        let two = ["day1/c.png", "day2/c.png"].map(String::from);
+        assert_eq!(of("c.png"), Err(NoRow::Several(two)));
     }
 
     proptest! {

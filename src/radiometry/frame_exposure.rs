@@ -2,17 +2,24 @@
 
 use std::io::Cursor;
 
-use exif::{Exif, In, Tag, Value};
+use exif::{Context, Exif, In, Tag, Value};
+use tiff::decoder::{Decoder, ifd};
+
+pub use super::written_time::{Ambiguous, from_name};
 
 /// What the camera wrote about a frame.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct CameraNote {
-    /// Exposure, seconds.
-    pub exposure_s: f64,
+    /// Exposures by ExposureTime of the EXIF directory and of the first one, seconds.
+    times_s: Vec<f64>,
+    /// Exposure by ShutterSpeedValue, seconds.
+    shutter_s: Option<f64>,
     /// ISO speed, where stated.
     pub iso: Option<f64>,
     /// Aperture number, where stated.
     pub f_number: Option<f64>,
+    /// How the picture is to be turned when it is shown, 1 (not at all) to 8, where stated.
+    pub orientation: Option<u32>,
 }
 
 /// EXIF data that cannot be gone by.
@@ -20,13 +27,15 @@ pub struct CameraNote {
 pub enum NoteError {
     /// Two statements of the exposure, too far apart for rounding.
     #[error(
-        "its EXIF data contradict themselves: an exposure of {exposure_s} s, and a shutter speed of {shutter_s:.6} s"
+        "its EXIF data contradict themselves: an exposure of {exposure_s} s, and {what} of {other_s:.6} s"
     )]
     Contradiction {
         /// The tag ExposureTime, seconds.
         exposure_s: f64,
-        /// The tag ShutterSpeedValue, seconds.
-        shutter_s: f64,
+        /// What says otherwise.
+        what: &'static str,
+        /// Its value, seconds.
+        other_s: f64,
     },
     /// A number that no exposure can be.
     #[error("its EXIF data state an exposure of {exposure_s} s")]
@@ -39,74 +48,127 @@ pub enum NoteError {
 /// Cameras round both tags, up to a third of a stop each; more is a contradiction.
 const ROUNDING: f64 = 1.6;
 
-/// The exposure by the EXIF data of a JPEG, TIFF or PNG; `None` where there are none.
-///
-/// # Errors
-/// Tags that contradict each other or state what cannot be.
-pub fn from_exif(bytes: &[u8]) -> Result<Option<CameraNote>, NoteError> {
-    let Ok(exif) = exif::Reader::new().read_from_container(&mut Cursor::new(bytes)) else {
-        return Ok(None);
-    };
-    let exposure_s = number(&exif, Tag::ExposureTime);
-    // APEX: the negative binary logarithm of the time.
-    let shutter_s = number(&exif, Tag::ShutterSpeedValue).map(|apex| (-apex).exp2());
-    if let (Some(exposure_s), Some(shutter_s)) = (exposure_s, shutter_s) {
-        let ratio = exposure_s / shutter_s;
-        if !(1.0 / ROUNDING..=ROUNDING).contains(&ratio) {
-            return Err(NoteError::Contradiction {
-                exposure_s,
-                shutter_s,
-            });
-        }
-    }
-    let Some(exposure_s) = exposure_s.or(shutter_s) else {
-        return Ok(None);
-    };
-    if !(exposure_s.is_finite() && exposure_s > 0.0) {
-        return Err(NoteError::Impossible { exposure_s });
-    }
-    Ok(Some(CameraNote {
-        exposure_s,
-        iso: number(&exif, Tag::PhotographicSensitivity),
-        f_number: number(&exif, Tag::FNumber),
-    }))
+/// Numbers of the tags that are read, in both directories.
+mod tag {
+    pub const EXPOSURE_TIME: u16 = 0x829a;
+    pub const F_NUMBER: u16 = 0x829d;
+    pub const ISO: u16 = 0x8827;
+    pub const RECOMMENDED_INDEX: u16 = 0x8832;
+    pub const SHUTTER_SPEED: u16 = 0x9201;
+    pub const ORIENTATION: u16 = 0x0112;
 }
 
-fn number(exif: &Exif, tag: Tag) -> Option<f64> {
+impl CameraNote {
+    /// What the EXIF data of a JPEG, TIFF, BigTIFF or PNG say, in their own directory or in the
+    /// first one (as TIFF/EP and scientific programs have it). Fields of 0/0 are unknown.
+    pub fn read(bytes: &[u8]) -> Self {
+        let mut reader = exif::Reader::new();
+        let parsed = reader
+            .continue_on_error(true)
+            .read_from_container(&mut Cursor::new(bytes))
+            .or_else(|error| error.distill_partial_result(|_| ()));
+        match parsed {
+            Ok(exif) => Self::of(|number| {
+                let contexts = [Context::Exif, Context::Tiff].into_iter();
+                contexts
+                    .filter_map(|context| field(&exif, Tag(context, number)))
+                    .collect()
+            }),
+            Err(_) => Self::of_big_tiff(bytes).unwrap_or_default(),
+        }
+    }
+
+    /// BigTIFF, which the EXIF reader does not know.
+    fn of_big_tiff(bytes: &[u8]) -> Option<Self> {
+        let mut decoder = Decoder::new(Cursor::new(bytes)).ok()?;
+        let pointer = decoder
+            .find_tag(tiff::tags::Tag::ExifDirectory)
+            .ok()
+            .flatten();
+        let directory = pointer
+            .and_then(|pointer| pointer.into_ifd_pointer().ok())
+            .and_then(|pointer| decoder.read_directory(pointer).ok());
+        Some(Self::of(|number| {
+            let tag = tiff::tags::Tag::from_u16_exhaustive(number);
+            let own = directory
+                .as_ref()
+                .and_then(|directory| decoder.read_directory_tags(directory).find_tag(tag).ok()?);
+            let first = decoder.find_tag(tag).ok().flatten();
+            own.into_iter().chain(first).filter_map(number_of).collect()
+        }))
+    }
+
+    /// `fields` gives the numbers of a tag, that of the EXIF directory first.
+    fn of(mut fields: impl FnMut(u16) -> Vec<f64>) -> Self {
+        let mut known = |number| -> Vec<f64> {
+            let mut values = fields(number);
+            values.retain(|value| !value.is_nan());
+            values
+        };
+        let mut first = |number| known(number).first().copied();
+        // A camera that cannot say its speed in 16 bits says 65535, and has another tag for it.
+        let iso = match first(tag::ISO) {
+            Some(65535.0) => first(tag::RECOMMENDED_INDEX),
+            iso => iso,
+        };
+        Self {
+            iso,
+            f_number: first(tag::F_NUMBER),
+            orientation: first(tag::ORIENTATION).map(|value| value as u32),
+            // APEX: the negative binary logarithm of the time.
+            shutter_s: first(tag::SHUTTER_SPEED).map(|apex| (-apex).exp2()),
+            times_s: known(tag::EXPOSURE_TIME),
+        }
+    }
+
+    /// The exposure, seconds, finite and > 0; `None` where it is not stated.
+    ///
+    /// # Errors
+    /// Tags that contradict each other or state what cannot be.
+    pub fn exposure_s(&self) -> Result<Option<f64>, NoteError> {
+        let Some(exposure_s) = self.times_s.first().copied().or(self.shutter_s) else {
+            return Ok(None);
+        };
+        if !(exposure_s.is_finite() && exposure_s > 0.0) {
+            return Err(NoteError::Impossible { exposure_s });
+        }
+        let second = self.times_s.get(1).map(|&s| ("another one", s));
+        let shutter = self.shutter_s.map(|s| ("a shutter speed", s));
+        for (what, other_s) in second.into_iter().chain(shutter) {
+            if !(1.0 / ROUNDING..=ROUNDING).contains(&(exposure_s / other_s)) {
+                return Err(NoteError::Contradiction {
+                    exposure_s,
+                    what,
+                    other_s,
+                });
+            }
+        }
+        Ok(Some(exposure_s))
+    }
+}
+
+fn field(exif: &Exif, tag: Tag) -> Option<f64> {
     match &exif.get_field(tag, In::PRIMARY)?.value {
         Value::Rational(values) => values.first().map(exif::Rational::to_f64),
         Value::SRational(values) => values.first().map(exif::SRational::to_f64),
         Value::Short(values) => values.first().map(|&v| f64::from(v)),
         Value::Long(values) => values.first().map(|&v| f64::from(v)),
+        Value::SLong(values) => values.first().map(|&v| f64::from(v)),
+        Value::Float(values) => values.first().map(|&v| f64::from(v)),
+        Value::Double(values) => values.first().copied(),
         _ => None,
     }
 }
 
-/// The exposure in a file's name: the last part (between `_`, `,` or spaces) that
-/// is a number with `s`, `ms` or `us`, such as `scene_0.25s.png`, `t20ms_02.tif`
-/// or, as a fraction, `scene_1-250s.jpg`. Seconds, > 0.
-pub fn from_name(name: &str) -> Option<f64> {
-    let stem = name.rsplit_once('.').map_or(name, |(stem, _)| stem);
-    let parts = stem.split(['_', ',', ' ']);
-    parts.rev().find_map(|part| {
-        let part = part.trim_start_matches(|c: char| c.is_ascii_alphabetic());
-        let (number, scale) = part
-            .strip_suffix("us")
-            .map(|number| (number, 1e-6))
-            .or_else(|| part.strip_suffix("ms").map(|number| (number, 1e-3)))
-            .or_else(|| part.strip_suffix('s').map(|number| (number, 1.0)))?;
-        let seconds = match number.split_once('-') {
-            Some((above, below)) => decimal(above)? / decimal(below)?,
-            None => decimal(number)?,
-        };
-        let seconds = seconds * scale;
-        (seconds.is_finite() && seconds > 0.0).then_some(seconds)
-    })
-}
-
-fn decimal(text: &str) -> Option<f64> {
-    let plain = text.chars().all(|c| c.is_ascii_digit() || c == '.');
-    plain.then(|| text.parse().ok()).flatten()
+fn number_of(value: ifd::Value) -> Option<f64> {
+    use ifd::Value::{Double, Float, Rational, SRational};
+    match value {
+        Rational(above, below) => Some(f64::from(above) / f64::from(below)),
+        SRational(above, below) => Some(f64::from(above) / f64::from(below)),
+        Float(value) => Some(value.into()),
+        Double(value) => Some(value),
+        other => other.into_u64().ok().map(|value| value as f64),
+    }
 }
 
 #[cfg(test)]
@@ -149,7 +211,7 @@ mod tests {
 
     #[test]
     fn exif_states_the_exposure_speed_and_aperture() {
-        let note = from_exif(&tiff(&[
+        let note = CameraNote::read(&tiff(&[
             time(1, 60),
             apex(6, 1), // 1/64 s, as cameras round
             (Tag::PhotographicSensitivity, Value::Short(vec![400])),
@@ -158,60 +220,55 @@ mod tests {
                 Value::Rational(vec![Rational { num: 56, denom: 10 }]),
             ),
         ]));
-        let note = note.unwrap().unwrap();
-        assert!((note.exposure_s - 1.0 / 60.0).abs() < 1e-12);
+        let exposure_s = note.exposure_s().unwrap().unwrap();
+        assert!((exposure_s - 1.0 / 60.0).abs() < 1e-12);
         assert_eq!((note.iso, note.f_number), (Some(400.0), Some(5.6)));
-        let note = from_exif(&tiff(&[apex(3, 1)])).unwrap().unwrap();
-        assert_eq!(note.exposure_s, 0.125);
-        assert_eq!(from_exif(b"no picture at all").unwrap(), None);
+        let exposure_s = |tags: &[_]| CameraNote::read(&tiff(tags)).exposure_s();
+        assert_eq!(exposure_s(&[apex(3, 1)]), Ok(Some(0.125)));
+        assert_eq!(exposure_s(&[time(0, 0), apex(3, 1)]), Ok(Some(0.125)));
+        assert_eq!(exposure_s(&[time(0, 0)]), Ok(None));
+        let nothing = CameraNote::read(b"no picture at all");
+        assert_eq!(nothing, CameraNote::default());
+    }
+
+    /// In the first directory, of every type that a number can have.
+    #[test]
+    fn the_first_directory_states_it_as_well() {
+        let first = Tag(Context::Tiff, tag::EXPOSURE_TIME);
+        let rational = Value::Rational(vec![Rational { num: 1, denom: 4 }]);
+        for value in [
+            rational,
+            Value::Double(vec![0.25]),
+            Value::Float(vec![0.25]),
+        ] {
+            let note = CameraNote::read(&tiff(&[(first, value)]));
+            assert_eq!(note.exposure_s(), Ok(Some(0.25)));
+        }
+        let both = tiff(&[(first, Value::Double(vec![0.5])), time(1, 60)]);
+        let error = CameraNote::read(&both).exposure_s().unwrap_err();
+        assert!(error.to_string().contains("another one of 0.5"), "{error}");
     }
 
     #[test]
     fn contradictions_and_impossible_times_are_refused() {
-        let error = from_exif(&tiff(&[time(1, 60), apex(2, 1)])).unwrap_err();
+        let exposure_s = |tags: &[_]| CameraNote::read(&tiff(tags)).exposure_s();
+        let error = exposure_s(&[time(1, 60), apex(2, 1)]).unwrap_err();
         assert!(error.to_string().contains("0.25"), "{error}");
-        assert!(from_exif(&tiff(&[time(0, 60)])).is_err());
-        assert!(from_exif(&tiff(&[time(1, 0)])).is_err());
-    }
-
-    #[test]
-    fn names_state_the_exposure() {
-        for (name, seconds) in [
-            ("scene_0.25s.png", 0.25),
-            ("t20ms_02.tif", 0.02),
-            ("scene_1-250s.jpg", 0.004),
-            ("a_3s_500us.png", 5e-4),
-            ("exp2s.png", 2.0),
-        ] {
-            assert_eq!(from_name(name), Some(seconds), "{name}");
-        }
-        for name in [
-            "bracket.png",
-            "img_0001.jpg",
-            "s.png",
-            "_0s.png",
-            "1-0s.png",
-            "-3s.png",
-        ] {
-            assert_eq!(from_name(name), None, "{name}");
-        }
+        assert!(exposure_s(&[time(0, 60)]).is_err());
+        assert!(exposure_s(&[time(1, 0)]).is_err());
     }
 
     proptest! {
         #[test]
-        fn any_name_and_any_bytes_are_an_exposure_or_none(
-            name in "[ a-z0-9._,é-]{0,20}",
+        fn any_bytes_are_an_exposure_or_none(
             bytes in proptest::collection::vec(any::<u8>(), 0..300),
         ) {
-            if let Some(seconds) = from_name(&name) {
-                assert!(seconds > 0.0);
-            }
-            let _ = from_exif(&bytes);
+            let _ = CameraNote::read(&bytes).exposure_s();
             let mut damaged = tiff(&[time(1, 60)]);
             for (old, new) in damaged.iter_mut().skip(8).zip(&bytes) {
                 *old ^= *new;
             }
-            let _ = from_exif(&damaged);
+            let _ = CameraNote::read(&damaged).exposure_s();
         }
     }
 }

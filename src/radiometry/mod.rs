@@ -16,3 +16,4 @@ mod rate;
 pub mod response;
 pub mod sensor;
 pub mod stack;
+mod written_time;

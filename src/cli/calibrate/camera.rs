@@ -15,7 +15,7 @@ use crate::calibration::record::Settings;
 use crate::cli::bracket_files;
 use crate::cli::output::{write_json, write_path};
 use crate::cli::session_images::session_images;
-use crate::cli::{CliError, Context, HintExt};
+use crate::cli::{CliError, Context};
 use crate::config::geometry::GeometryConfig;
 use crate::radiance_image::exr;
 use crate::transport::{Camera, Projection};
@@ -210,12 +210,12 @@ fn read(path: &Path) -> Result<Grey, CliError> {
         let none = || CliError::new(format!("{} has no images", path.display()));
         return Grey::mean(&images).ok_or_else(none);
     }
-    if path.extension().is_some_and(|ending| ending == "exr") {
+    // A layer may be named after the ending: view.exr:C.
+    let ending = path.extension().unwrap_or_default().to_ascii_lowercase();
+    if ending.to_string_lossy().split(':').next() == Some("exr") {
         return Ok(Grey::of(&exr::read(path)?.image));
     }
-    let frame = bracket_files::read_picture(path, None)
-        .hint("views are OpenEXR, PNG, TIFF or JPEG files, or folders of sessions")?
-        .to_luma32f();
+    let frame = bracket_files::read_picture(path, None)?.to_luma32f();
     let value: Vec<f64> = frame.as_raw().iter().map(|v| f64::from(*v)).collect();
     Ok(Grey {
         width: frame.width() as usize,

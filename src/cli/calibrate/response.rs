@@ -105,7 +105,7 @@ pub(super) fn run(args: &ResponseArgs, context: &Context) -> Result<(), CliError
             .hint("it must be a number above 0; larger is smoother"));
     }
     let rig = args.common.rig.resolve(context)?;
-    let files = bracket_files::find(&args.frames, args.exposures.as_deref())?;
+    let files = bracket_files::find(&args.frames, args.exposures.as_deref(), context)?;
     let first_path = files[0].path.as_path();
     let first = read_frame(first_path)?;
     if first.bits != 8 {

@@ -1,9 +1,12 @@
 //! Radiance images as OpenEXR files: channels `R`, `G`, `B`, their variances
 //! `var.R`, `var.G`, `var.B`, and `mask` (1 where a pixel is valid), 32-bit
-//! floats, compressed without loss.
+//! floats, compressed without loss. Files of other programs may hold several images, as parts or
+//! as layers; their display window is the image, of which the data window holds the pixels.
 
+mod layers;
 mod planes;
 mod rows;
+mod window;
 mod write;
 
 use std::io::{Read, Seek};
@@ -91,6 +94,47 @@ pub enum ExrError {
         /// What is needed.
         wanted: &'static str,
     },
+    /// Several images, and nothing says which one is meant.
+    #[error("{file} holds {count} images: {known}")]
+    Layers {
+        /// The file.
+        file: PathBuf,
+        /// How many.
+        count: usize,
+        /// Their names, joined by commas.
+        known: String,
+    },
+    /// No image of the name that was asked for.
+    #[error("{file} holds no image named {layer:?}; it holds {}", if known.is_empty() { "none" } else { known })]
+    NoSuchLayer {
+        /// The file.
+        file: PathBuf,
+        /// As asked for.
+        layer: String,
+        /// The names that it has, joined by commas.
+        known: String,
+    },
+    /// Pixels, none of which is in the image.
+    #[error(
+        "{file}: none of its pixels (data window {} x {} at {}, {}) lies in its image (display window {} x {} at {}, {})",
+        data[0], data[1], data[2], data[3], display[0], display[1], display[2], display[3]
+    )]
+    Windows {
+        /// The file.
+        file: PathBuf,
+        /// Width, height, left and top of the data window.
+        data: [i64; 4],
+        /// Width, height, left and top of the display window.
+        display: [i64; 4],
+    },
+    /// A kind of OpenEXR file that is not read.
+    #[error("{file} is an OpenEXR file of a kind that is not read: {what}")]
+    Kind {
+        /// The file.
+        file: PathBuf,
+        /// What it has.
+        what: String,
+    },
     /// An image whose parts differ in size.
     #[error(
         "{file}: {width} x {height} pixels, but {mean} means, {variance} variances and {valid} mask values"
@@ -127,12 +171,14 @@ const MOST_PIXELS: u64 = 1 << 28;
 /// Largest file, bytes: that many pixels of seven floats.
 const MOST_BYTES: u64 = 7 << 30;
 
-/// Reads a radiance image. A file with `Y` instead of `R`, `G`, `B` is grey;
-/// other channels are ignored.
+/// Reads a radiance image. An image with `Y` instead of `R`, `G`, `B` is grey; other channels
+/// are ignored. A file of several images needs the name of one after a colon, `image.exr:C`.
+/// The image is the file's display window: pixels of the data window beyond it are cut off, and
+/// what the data window leaves out is invalid.
 ///
 /// # Errors
-/// The file cannot be read, is damaged or cut short, declares more than it can hold, or
-/// lacks channels.
+/// The file cannot be read, is damaged or cut short, declares more than it can hold, lacks
+/// channels, or holds several images.
 pub fn read(path: &Path) -> Result<RadianceFile, ExrError> {
     whole(ExrRows::open(path, None)?)
 }

@@ -5,7 +5,8 @@ use exr::block::UncompressedBlock;
 use exr::meta::attribute::{ChannelDescription, ChannelList, SampleType};
 use half::f16;
 
-use super::{COLOURS, MASK, VARIANCES};
+use super::layers::Layer;
+use super::{COLOURS, MASK};
 use crate::radiance_image::RadianceImage;
 
 /// The channels that are read, in the file's order.
@@ -34,20 +35,25 @@ enum Role {
 }
 
 impl Planes {
-    /// `None` where there is neither `R`, `G`, `B` nor `Y`.
-    pub fn of(list: &ChannelList) -> Option<Self> {
-        let colours = chosen(list, COLOURS, Role::Mean, ("Y", Role::GreyMean));
-        let variances = chosen(
-            list,
-            VARIANCES,
-            Role::Variance,
-            ("var.Y", Role::GreyVariance),
-        );
-        let has_variance = !variances.is_empty();
-        if colours.is_empty() {
-            return None;
+    /// Those of a layer, with its variances and mask where it has them.
+    pub fn of(list: &ChannelList, layer: &Layer) -> Self {
+        let prefix = &layer.prefix;
+        let variance = |name: &str| format!("{prefix}var.{name}");
+        let has = |name: &String| list.list.iter().any(|channel| channel.name == **name);
+        let colours = COLOURS.map(variance);
+        let grey = variance("Y");
+        let mut roles: Vec<(String, Role)> = match &layer.colours[..] {
+            [grey] => vec![(grey.clone(), Role::GreyMean)],
+            names => names.iter().cloned().zip((0..3).map(Role::Mean)).collect(),
+        };
+        let means = roles.len();
+        if colours.iter().all(has) {
+            roles.extend(colours.into_iter().zip((0..3).map(Role::Variance)));
+        } else if has(&grey) {
+            roles.push((grey, Role::GreyVariance));
         }
-        let roles = [colours, variances, vec![(MASK, Role::Mask)]].concat();
+        let has_variance = roles.len() > means;
+        roles.push((format!("{prefix}{MASK}"), Role::Mask));
         let mut bytes_per_pixel = 0;
         let mut planes = Vec::new();
         for channel in &list.list {
@@ -60,11 +66,11 @@ impl Planes {
             }
             bytes_per_pixel += sample_bytes(channel);
         }
-        Some(Self {
+        Self {
             planes,
             bytes_per_pixel,
             has_variance,
-        })
+        }
     }
 
     /// Puts a block's samples where they belong in `band`, whose first row is `first_row`
@@ -134,24 +140,6 @@ impl Plane {
             }
         }
     }
-}
-
-/// Three colours where all are there, else the grey channel, else nothing.
-fn chosen(
-    list: &ChannelList,
-    names: [&'static str; 3],
-    role: fn(usize) -> Role,
-    grey: (&'static str, Role),
-) -> Vec<(&'static str, Role)> {
-    let has = |name: &str| list.list.iter().any(|channel| channel.name == *name);
-    if names.into_iter().all(has) {
-        return names
-            .into_iter()
-            .enumerate()
-            .map(|(c, name)| (name, role(c)))
-            .collect();
-    }
-    if has(grey.0) { vec![grey] } else { Vec::new() }
 }
 
 pub(super) fn sample_bytes(channel: &ChannelDescription) -> usize {

@@ -10,13 +10,12 @@ use exr::math::Vec2;
 use exr::meta::header::Header;
 use exr::meta::{BlockDescription, MetaData};
 
+use super::layers::{self, Layer};
 use super::planes::{Planes, drop_meaningless, sample_bytes};
-use super::{
-    ExrError, MAX_EXPANSION, MOST_BYTES, MOST_PER_BYTE, MOST_PIXELS, SMALL_PIXELS, io_error,
-};
+use super::window::{Window, size_error};
+use super::{ExrError, MAX_EXPANSION, MOST_BYTES, io_error};
 use crate::outside_file::open_regular;
 use crate::radiance_image::RadianceImage;
-use crate::shown::{MESSAGE, shortened};
 
 /// A radiance image whose rows are read from the top, some at a time. What is in memory is
 /// one row of the file's blocks (16 lines of the files that [`write()`](super::write())
@@ -29,16 +28,18 @@ pub struct ExrRows<R = BufReader<File>> {
     source: R,
     bytes: u64,
     meta: MetaData,
+    layer: Layer,
     planes: Planes,
+    window: Window,
     /// Pixels per row of a block, and rows.
     block: [usize; 2],
     /// Where the blocks of full resolution begin, row of blocks after row of blocks.
     offsets: Vec<u64>,
-    /// The last row of blocks that was decoded, and how many of its rows were handed out.
+    /// Rows that were decoded, and how many of them were handed out.
     band: RadianceImage,
     handed_out: usize,
-    /// Where the next row of blocks begins, rows of the image.
-    next_band: usize,
+    /// Where the next ones begin, rows of the image.
+    next_row: usize,
 }
 
 impl ExrRows {
@@ -48,8 +49,9 @@ impl ExrRows {
     /// As [`read`](super::read) and [`read_sized`](super::read_sized), but for what only
     /// decoding shows.
     pub fn open(path: &Path, expected: Option<[usize; 2]>) -> Result<Self, ExrError> {
-        let file = open_regular(path).map_err(|source| io_error(path, source))?;
-        Self::of_file(file, path, expected)
+        let (name, layer) = layers::split(path);
+        let file = open_regular(&name).map_err(|source| io_error(path, source))?;
+        Self::of_layer(file, path, layer.as_deref(), expected)
     }
 
     /// As [`open`](Self::open), of a file that is open at its beginning; `path` is for
@@ -60,6 +62,15 @@ impl ExrRows {
     pub fn of_file(
         file: File,
         path: &Path,
+        expected: Option<[usize; 2]>,
+    ) -> Result<Self, ExrError> {
+        Self::of_layer(file, path, None, expected)
+    }
+
+    fn of_layer(
+        file: File,
+        path: &Path,
+        layer: Option<&str>,
         expected: Option<[usize; 2]>,
     ) -> Result<Self, ExrError> {
         let length = file
@@ -75,6 +86,7 @@ impl ExrRows {
             BufReader::with_capacity(1 << 16, file),
             length,
             path,
+            layer,
             expected,
         )
     }
@@ -90,7 +102,7 @@ impl<'a> ExrRows<Cursor<&'a [u8]>> {
         path: &Path,
         expected: Option<[usize; 2]>,
     ) -> Result<Self, ExrError> {
-        Self::new(Cursor::new(bytes), bytes.len() as u64, path, expected)
+        Self::new(Cursor::new(bytes), bytes.len() as u64, path, None, expected)
     }
 }
 
@@ -99,6 +111,7 @@ impl<R: Read + Seek> ExrRows<R> {
         mut source: R,
         bytes: u64,
         path: &Path,
+        layer: Option<&str>,
         expected: Option<[usize; 2]>,
     ) -> Result<Self, ExrError> {
         // What the file declares, against what it can hold.
@@ -106,52 +119,47 @@ impl<R: Read + Seek> ExrRows<R> {
             Ok(meta) => meta,
             Err(error) => return Err(read_error(&mut source, bytes, path, error)),
         };
-        MetaData::validate(&meta.headers, true).map_err(|error| format_error(path, error))?;
+        MetaData::validate(&meta.headers, false).map_err(|error| not_read(path, error))?;
         for header in &meta.headers {
-            check_size(header, bytes, path, expected)?;
+            check_size(header, bytes, path)?;
         }
         let mut offsets = offset_tables(&mut source, &meta, bytes, path)?;
-        let mut offsets = offsets.swap_remove(0);
 
         // What of it is read.
-        let header = &meta.headers[0];
+        let layer = layers::choose(&meta.headers, layer, path)?;
+        let header = &meta.headers[layer.part];
+        let window = Window::of(header, bytes, path, expected)?;
+        let mut offsets = offsets.swap_remove(layer.part);
         let Vec2(width, height) = header.layer_size;
-        let Some(planes) = Planes::of(&header.channels) else {
-            let names: Vec<String> = header
-                .channels
-                .list
-                .iter()
-                .map(|channel| channel.name.to_string())
-                .collect();
-            return Err(ExrError::Channels {
-                file: path.to_owned(),
-                found: shortened(&names.join(", "), MESSAGE).into_owned(),
-                wanted: "R, G, B (or Y), at full resolution,",
-            });
-        };
+        let planes = Planes::of(&header.channels, &layer);
         let block = match header.blocks {
             BlockDescription::ScanLines => [width, header.compression.scan_lines_per_block()],
             BlockDescription::Tiles(tiles) => [tiles.tile_size.0, tiles.tile_size.1],
         };
         offsets.truncate(width.div_ceil(block[0]) * height.div_ceil(block[1]));
+        if offsets.contains(&0) {
+            let problem = "blocks are missing: the program that wrote it has not finished";
+            return Err(format_error(path, problem));
+        }
         Ok(Self {
             file: path.to_owned(),
             source,
             bytes,
+            layer,
             planes,
+            window,
             block,
             offsets,
-            band: RadianceImage::new(width, 0),
+            band: RadianceImage::new(window.size[0], 0),
             handed_out: 0,
-            next_band: 0,
+            next_row: 0,
             meta,
         })
     }
 
     /// Pixels per row, and rows.
     pub fn size(&self) -> [usize; 2] {
-        let Vec2(width, height) = self.meta.headers[0].layer_size;
-        [width, height]
+        self.window.size
     }
 
     /// Whether the file has the three variance channels; else the variances are 0.
@@ -168,10 +176,10 @@ impl<R: Read + Seek> ExrRows<R> {
         let mut rows = RadianceImage::new(width, 0);
         while rows.height < count {
             if self.handed_out == self.band.height {
-                if self.next_band == height {
+                if self.next_row == height {
                     break;
                 }
-                self.decode_band()?;
+                self.next_band()?;
             }
             let end = self.band.height.min(self.handed_out + count - rows.height);
             rows.extend(&self.band, self.handed_out..end);
@@ -180,17 +188,36 @@ impl<R: Read + Seek> ExrRows<R> {
         Ok(rows)
     }
 
-    /// Decodes the next row of blocks.
-    fn decode_band(&mut self) -> Result<(), ExrError> {
-        let [width, height] = self.size();
+    /// Makes the image's next rows: those of the next row of blocks, or some without data.
+    fn next_band(&mut self) -> Result<(), ExrError> {
+        let rest = self.window.size[1] - self.next_row;
+        let data_row = self.next_row as i64 - self.window.data_at[1];
+        self.band = if (0..self.window.data_size[1] as i64).contains(&data_row) {
+            let data_row = data_row as usize;
+            let first = data_row / self.block[1] * self.block[1];
+            let band = self.decode_band(first)?;
+            let rows = data_row - first..band.height.min(data_row - first + rest);
+            self.window.in_image(band, rows)
+        } else {
+            let gap = if data_row < 0 { -data_row } else { i64::MAX };
+            let rows = rest.min(64).min(usize::try_from(gap).unwrap_or(rest));
+            self.window.without_data(rows)
+        };
+        self.next_row += self.band.height;
+        self.handed_out = 0;
+        Ok(())
+    }
+
+    /// Decodes the row of blocks whose first row is `top`, of the data.
+    fn decode_band(&mut self, top: usize) -> Result<RadianceImage, ExrError> {
+        let [width, height] = self.window.data_size;
         let [block_width, block_height] = self.block;
-        let top = self.next_band;
         let mut band = RadianceImage::new(width, block_height.min(height - top));
         let across = width.div_ceil(block_width);
         for column in 0..across {
             let offset = self.offsets[top / block_height * across + column];
             let block = self.decode_block(offset)?;
-            let in_place = block.index.layer == 0
+            let in_place = block.index.layer == self.layer.part
                 && block.index.level == Vec2(0, 0)
                 && block.index.pixel_position == Vec2(column * block_width, top);
             if !in_place || !self.planes.put(&block, top, &mut band) {
@@ -201,9 +228,7 @@ impl<R: Read + Seek> ExrRows<R> {
             }
         }
         drop_meaningless(&mut band);
-        self.next_band += band.height;
-        (self.band, self.handed_out) = (band, 0);
-        Ok(())
+        Ok(band)
     }
 
     fn decode_block(&mut self, offset: u64) -> Result<UncompressedBlock, ExrError> {
@@ -217,7 +242,7 @@ impl<R: Read + Seek> ExrRows<R> {
             Err(error) => return Err(read_error(&mut self.source, self.bytes, &self.file, error)),
         };
         UncompressedBlock::decompress_chunk(chunk, &self.meta, true)
-            .map_err(|error| format_error(&self.file, error))
+            .map_err(|error| not_read(&self.file, error))
     }
 }
 
@@ -248,47 +273,46 @@ fn read_error<R: Seek>(
         _ if source.stream_position().is_ok_and(|place| place >= bytes) => {
             cut_short(path, bytes, bytes + 1)
         }
-        error => format_error(path, error),
+        error => not_read(path, error),
     }
 }
 
-/// Compares a declared size with the expected one, and with what the bytes can hold.
-fn check_size(
-    header: &Header,
-    bytes: u64,
-    path: &Path,
-    expected: Option<[usize; 2]>,
-) -> Result<(), ExrError> {
-    let Vec2(width, height) = header.layer_size;
-    if let Some(expected) = expected.filter(|&expected| expected != [width, height]) {
-        return Err(ExrError::OtherSize {
-            file: path.to_owned(),
-            width,
-            height,
-            expected,
-        });
+/// What the decoder does not read, by what it is.
+fn not_read(path: &Path, error: exr::error::Error) -> ExrError {
+    let exr::error::Error::NotSupported(problem) = &error else {
+        return format_error(path, error);
+    };
+    let what = if problem.contains("deep") {
+        "it holds deep data, of which a pixel has any number of samples"
+    } else if problem.contains("subsampling") {
+        "some channels have fewer pixels than others (as chroma, RY and BY, has)"
+    } else if problem.contains("unknown compression") {
+        "its compression is younger than the reader"
+    } else {
+        &**problem
+    };
+    ExrError::Kind {
+        file: path.to_owned(),
+        what: what.to_owned(),
     }
+}
+
+/// Compares a part's declared size with what the bytes can hold.
+fn check_size(header: &Header, bytes: u64, path: &Path) -> Result<(), ExrError> {
     let pixel_bytes: usize = header.channels.list.iter().map(sample_bytes).sum();
     let fits = |Vec2(width, height): Vec2<usize>| {
         let pixels = (width as u64).checked_mul(height as u64)?;
         let held = pixels.checked_mul(pixel_bytes as u64)? / MAX_EXPANSION <= bytes;
-        let dense = pixels <= SMALL_PIXELS.max(MOST_PER_BYTE * bytes);
-        (held && (expected.is_some() || dense && pixels <= MOST_PIXELS)).then_some(())
+        (held && pixels > 0).then_some(())
     };
     let tile = match header.blocks {
         BlockDescription::ScanLines => Vec2(1, 1),
         BlockDescription::Tiles(tiles) => tiles.tile_size,
     };
-    if fits(header.layer_size).is_some() && fits(tile).is_some() {
-        return Ok(());
+    match fits(header.layer_size).and(fits(tile)) {
+        Some(()) => Ok(()),
+        None => Err(size_error(header, bytes, path)),
     }
-    Err(ExrError::Size {
-        file: path.to_owned(),
-        width,
-        height,
-        channels: header.channels.list.len(),
-        bytes,
-    })
 }
 
 /// Where each layer's blocks begin, after a look whether the file reaches to their ends.
@@ -325,9 +349,11 @@ fn offset_tables<R: Read + Seek>(
             .iter()
             .map(|&entry| u64::from_le_bytes(entry))
             .collect();
+        // An entry of 0 is a block that was never written.
+        let places = blocks_begin..=blocks_begin + longest;
         if table
             .iter()
-            .any(|entry| !(blocks_begin..=blocks_begin + longest).contains(entry))
+            .any(|entry| *entry != 0 && !places.contains(entry))
         {
             return Err(format_error(path, "its table of blocks points elsewhere"));
         }

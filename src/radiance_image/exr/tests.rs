@@ -205,6 +205,143 @@ fn a_file_cut_anywhere_is_noticed_when_it_is_opened() {
     }
 }
 
+/// The pixels of `picture` at `at`, in a file whose display window is this.
+fn in_window(
+    image: &RadianceImage,
+    encoding: Encoding,
+    at: [i32; 2],
+    display: IntegerBounds,
+) -> Vec<u8> {
+    let plane = |c: usize| FlatSamples::F32(image.mean.iter().map(|m| m[c]).collect());
+    let channels = (0..3).map(|c| AnyChannel::new(COLOURS[c], plane(c)));
+    let attributes = LayerAttributes {
+        layer_position: Vec2(at[0], at[1]),
+        ..LayerAttributes::named("rgba")
+    };
+    let channels = AnyChannels::sort(channels.collect());
+    let layer = Layer::new((image.width, image.height), attributes, encoding, channels);
+    let mut bytes = Cursor::new(Vec::new());
+    let file = Image::from_layers(ImageAttributes::new(display), vec![layer]);
+    file.write().to_buffered(&mut bytes).unwrap();
+    bytes.into_inner()
+}
+
+/// Overscan is cut off, and what was trimmed is invalid, in whatever portions rows are read.
+#[test]
+fn the_display_window_is_the_image() {
+    let mut data = picture(19, 40);
+    data.valid.fill(true);
+    for encoding in [encodings()[0], encodings()[2]] {
+        for (at, display_at, [width, height]) in [
+            ([0, 0], [0, 0], [19usize, 40usize]),
+            ([-3, -4], [0, 0], [11, 20]),
+            ([5, 2], [0, 0], [30, 90]),
+            ([-7, 25], [-10, -20], [16, 70]),
+        ] {
+            let display = IntegerBounds::new((display_at[0], display_at[1]), (width, height));
+            let bytes = in_window(&data, encoding, at, display);
+            for count in [1, 7, 1000] {
+                let path = Path::new("x.exr");
+                let mut rows = ExrRows::of_bytes(&bytes, path, Some([width, height])).unwrap();
+                let mut image = RadianceImage::new(width, 0);
+                while image.height < height {
+                    let next = rows.next_rows(count).unwrap();
+                    image.extend(&next, 0..next.height);
+                }
+                for pixel in 0..width * height {
+                    let x = (pixel % width) as i32 + display_at[0] - at[0];
+                    let y = (pixel / width) as i32 + display_at[1] - at[1];
+                    let inside = (0..19).contains(&x) && (0..40).contains(&y);
+                    assert_eq!(image.valid[pixel], inside, "{encoding:?} {at:?} {pixel}");
+                    let expected = match inside {
+                        true => data.mean[y as usize * 19 + x as usize],
+                        false => [0.0; 3],
+                    };
+                    assert_eq!(image.mean[pixel], expected, "{encoding:?} {at:?} {pixel}");
+                }
+            }
+        }
+    }
+    let display = IntegerBounds::new((100, 0), (19, 40));
+    let bytes = in_window(&data, encodings()[0], [0, 0], display);
+    let error = decode(&bytes, Path::new("x.exr")).unwrap_err();
+    assert!(matches!(error, ExrError::Windows { .. }), "{error}");
+}
+
+/// A file of 2 x 1 pixels whose channels all hold the number of their part and place.
+fn parts(parts: &[(&str, &[&str])]) -> Vec<u8> {
+    let layer = |(number, (name, channels)): (usize, &(&str, &[&str]))| {
+        let value = |place: usize| (10 * number + place) as f32;
+        let channels = channels.iter().enumerate();
+        let channels = channels
+            .map(|(place, name)| AnyChannel::new(*name, FlatSamples::F32(vec![value(place); 2])));
+        let channels = AnyChannels::sort(channels.collect());
+        let attributes = LayerAttributes::named(*name);
+        Layer::new((2, 1), attributes, Encoding::SMALL_LOSSLESS, channels)
+    };
+    let layers: Vec<_> = parts.iter().enumerate().map(layer).collect();
+    let bounds = IntegerBounds::from_dimensions((2, 1));
+    let mut bytes = Cursor::new(Vec::new());
+    let file = Image::from_layers(ImageAttributes::new(bounds), layers);
+    file.write().to_buffered(&mut bytes).unwrap();
+    bytes.into_inner()
+}
+
+#[test]
+fn the_only_image_is_taken_and_others_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("many.exr");
+    let all = ["R", "G", "B"];
+    let combined = [
+        "Combined.R",
+        "Combined.G",
+        "Combined.B",
+        "Combined.var.Y",
+        "Depth.Z",
+    ];
+    let colours = ["a.red", "a.green", "a.blue", "b.r", "b.g", "b.b"];
+    for (file, layer, expected) in [
+        (&[("one", &all[..])][..], "", Ok([0.0, 1.0, 2.0])),
+        (&[("N", &all), ("C", &all)], "", Err("holds 2 images: N, C")),
+        (&[("N", &all), ("C", &all)], ":C", Ok([10.0, 11.0, 12.0])),
+        (
+            &[("N", &all), ("C", &all)],
+            ":D",
+            Err("no image named \"D\"; it holds N, C"),
+        ),
+        (
+            &[("depth", &["Z"]), ("rgba", &all)],
+            "",
+            Ok([10.0, 11.0, 12.0]),
+        ),
+        (&[("", &combined)], "", Ok([0.0, 1.0, 2.0])),
+        (&[("", &colours)], "", Err("holds 2 images: a, b")),
+        (&[("", &colours)], ":b", Ok([3.0, 4.0, 5.0])),
+        (
+            &[("", &["X", "Y", "Z"])],
+            "",
+            Err("has the channels X, Y, Z"),
+        ),
+        (
+            &[("", &["Y", "RY", "BY"])],
+            "",
+            Err("has the channels BY, RY, Y"),
+        ),
+        (&[("", &["Y", "A"])], "", Ok([0.0; 3])),
+    ] {
+        std::fs::write(&path, parts(file)).unwrap();
+        let named = format!("{}{layer}", path.display());
+        let found = read(Path::new(&named)).map(|file| file.image.mean[0]);
+        match (found, expected) {
+            (Ok(found), Ok(expected)) => assert_eq!(found, expected, "{file:?}"),
+            (Err(error), Err(said)) => {
+                assert!(error.to_string().contains(said), "{said}: {error}");
+            }
+            (found, expected) => panic!("{file:?}: {found:?} instead of {expected:?}"),
+        }
+    }
+}
+
 /// Half floats and whole numbers of other programs, a layer that is not read after the first.
 #[test]
 fn other_sample_types_and_further_layers_are_read() {

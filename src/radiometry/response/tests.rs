@@ -2,7 +2,7 @@
 //! `tests/data/response` (its SOURCES.md says how both were made).
 
 use super::*;
-use crate::radiometry::frame_file::decode_png;
+use crate::radiometry::frame_file::decode;
 use crate::random::{Purpose, stream};
 
 const EXPOSURES: [u32; 5] = [16, 8, 4, 2, 1];
@@ -29,7 +29,7 @@ fn samples(channel: usize, every_second: bool) -> BracketSamples {
         .iter()
         .map(|n| {
             let bytes = std::fs::read(folder().join(format!("bracket_{n:03}.png"))).unwrap();
-            decode_png(&bytes).unwrap().planes.swap_remove(channel)
+            decode(&bytes).unwrap().planes.swap_remove(channel)
         })
         .collect();
     let chosen = (0..frames[0].len())
