@@ -169,17 +169,32 @@ pub const TARGETS: &[Target] = &[
     ),
     target(
         "ply",
-        |bytes| drop(rig::geometry::ply::parse(bytes, 1.0)),
+        |bytes| {
+            drop(rig::geometry::ply::parse(
+                bytes,
+                &rig::geometry::Placement::default(),
+            ))
+        },
         512,
     ),
     target(
         "obj",
-        |bytes| drop(rig::geometry::obj::parse(bytes, 1.0)),
+        |bytes| {
+            drop(rig::geometry::obj::parse(
+                bytes,
+                &rig::geometry::Placement::default(),
+            ))
+        },
         512,
     ),
     target(
         "stl",
-        |bytes| drop(rig::geometry::stl::parse(bytes, 1.0)),
+        |bytes| {
+            drop(rig::geometry::stl::parse(
+                bytes,
+                &rig::geometry::Placement::default(),
+            ))
+        },
         512,
     ),
     Target {

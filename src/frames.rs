@@ -18,6 +18,9 @@ pub struct Camera;
 /// The light stage's own axes: azimuth about +z, elevation from the xy plane.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Stage;
+/// The axes in which a mesh file's coordinates are.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MeshFile;
 
 /// A rotation and a translation that take coordinates in `Src` to `Dst`.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -167,13 +167,13 @@ fn scenes_that_make_no_sense_are_refused_before_anything_moves() {
             "micrometres",
             pit(scaled(1000.0), false),
             out,
-            "787 times as long as the field of view",
+            "mesh_unit = \"um\" in [geometry.sample]",
         ),
         (
             "metres",
             pit(scaled(0.001), false),
             small,
-            "in metres must be multiplied by 1000",
+            "mesh_unit = \"m\" in [geometry.sample]",
         ),
         (
             "a grain",
@@ -185,13 +185,13 @@ fn scenes_that_make_no_sense_are_refused_before_anything_moves() {
             "upside down",
             pit(|[x, y, z]| [x, -y, -z], false),
             back,
-            "turn it over",
+            "upside down, which mesh_to_sample mends",
         ),
         (
             "inside out",
             pit(upright, true),
             back,
-            "reverse the order of each triangle's corners",
+            "inside out, which flip_facets = true mends",
         ),
         (
             "lit from below",

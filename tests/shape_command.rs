@@ -5,7 +5,9 @@
 use std::path::Path;
 
 use assert_cmd::Command;
-use rig::geometry::files;
+use rig::frames::{MeshFile, Rigid, Sample};
+use rig::geometry::{Mesh, Placement, Shape, files};
+use rig::radiance_image::exr;
 use serde_json::Value;
 
 fn rig(folder: &Path, args: &[&str]) -> (bool, String, String) {
@@ -41,7 +43,7 @@ fn every_kind_is_written_with_its_figures() {
         let (success, stdout, stderr) = rig(folder.path(), &words);
         assert!(success, "{args}: {stderr}");
         let figures: Value = serde_json::from_str(&stdout).unwrap();
-        let mesh = files::read(&folder.path().join(file), 1.0).unwrap();
+        let mesh = files::read(&folder.path().join(file), &Placement::default()).unwrap();
         assert_eq!(figures["triangles"], mesh.triangles.len(), "{args}");
         let check = &figures["mirror_check"];
         assert_eq!(check.is_object(), mirrors, "{args}: {figures}");
@@ -184,4 +186,123 @@ fn polarised_light_is_asked_for_in_either_way_and_refused_where_unknown() {
             && stderr.contains("hint: "),
         "{stderr}"
     );
+}
+
+/// A scene of a sample with these keys, seen and lit along its axis.
+fn scene_of(folder: &Path, name: &str, sample: &str) {
+    let scene = format!(
+        "[camera]\nmodel = \"orthographic\"\nresolution_px = [16, 16]\nextent_mm = [22.0, 22.0]\n\
+         position_mm = [0.0, 0.0, 200.0]\n[[light]]\nkind = \"directional\"\n\
+         to_light = [0.0, 0.0, 1.0]\nirradiance = 3.14\n[brdf]\n\
+         mixture = [ {{ weight = 1.0, lambertian = {{ albedo = 0.5 }} }} ]\n[sample]\n{sample}\n"
+    );
+    std::fs::write(folder.join(name), scene).unwrap();
+}
+
+/// Renders a scene and returns its green channel, and what was said.
+fn rendered(folder: &Path, scene: &str) -> (Vec<f32>, String) {
+    let args = ["render", "--scene", scene, "--out", "o.exr", "--spp", "64"];
+    let (success, _, stderr) = rig(folder, &args);
+    assert!(success, "{scene}: {stderr}");
+    let image = exr::read(&folder.join("o.exr")).unwrap().image;
+    (image.mean.iter().map(|m| m[1]).collect(), stderr)
+}
+
+/// Part by which images differ.
+fn difference(a: &[f32], b: &[f32]) -> f32 {
+    let off: f32 = a.iter().zip(b).map(|(a, b)| (a - b).abs()).sum();
+    off / a.iter().sum::<f32>()
+}
+
+fn bowl() -> Mesh {
+    let shape = Shape::Bowl {
+        radius_mm: 10.0,
+        segments: 64,
+    };
+    Mesh {
+        normals: None,
+        ..shape.mesh().unwrap()
+    }
+}
+
+/// A bowl in metres, turned, elsewhere and inside out: the lines that are suggested make it
+/// the bowl that it was, up to a turn about its axis.
+#[test]
+fn what_an_inspection_suggests_can_be_pasted() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let original = bowl();
+    files::write(&at.join("original.stl"), &original).unwrap();
+    let turn = glam::DQuat::from_euler(glam::EulerRot::XYZ, 2.1, -0.7, 0.4);
+    let file_from_sample: Rigid<MeshFile, Sample> =
+        Rigid::new(turn, glam::DVec3::new(420.0, -33.0, 180.0));
+    let mut exported = original.transformed(&file_from_sample);
+    exported.positions_mm.iter_mut().for_each(|p| *p *= 1e-3);
+    exported.triangles.iter_mut().for_each(|t| t.swap(1, 2));
+    files::write(&at.join("exported.ply"), &exported).unwrap();
+
+    let (success, said, stderr) = rig(at, &["shape", "--inspect", "exported.ply"]);
+    assert!(success, "{stderr}");
+    let pasted: String = said
+        .lines()
+        .filter(|line| line.starts_with("mesh") || line.starts_with("flip"))
+        .map(|line| format!("{line}\n"))
+        .collect();
+    assert_eq!(pasted.lines().count(), 4, "{said}");
+    let smooth = "shading = \"smooth\"\n";
+    scene_of(at, "a.toml", &format!("mesh = \"original.stl\"\n{smooth}"));
+    scene_of(at, "b.toml", &format!("{pasted}{smooth}"));
+    let ((a, _), (b, said)) = (rendered(at, "a.toml"), rendered(at, "b.toml"));
+    assert!(!said.contains("warning"), "{said}");
+    let off = difference(&a, &b);
+    println!("off by {off}");
+    assert!(off < 0.03, "{off}");
+
+    // The same for programs.
+    let (success, json, _) = rig(at, &["shape", "--inspect", "exported.ply", "--json"]);
+    let found: Value = serde_json::from_str(&json).unwrap();
+    assert!(success);
+    assert_eq!(found["suggestion"]["mesh_unit"], "m");
+    assert_eq!(found["suggestion"]["flip_facets"], true);
+    assert_eq!(found["openings"][0]["corners"], 64);
+    assert_eq!(found["is_closed"], false);
+    let depth = found["hollow"]["depth"].as_f64().unwrap();
+    assert!((depth - 0.01).abs() < 1e-6, "{depth}");
+}
+
+/// Smooth shading of a file without normals differs from flat, and is near to that with the
+/// sphere's own normals.
+#[test]
+fn normals_are_made_for_a_file_that_has_none() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    files::write(&at.join("a.stl"), &bowl()).unwrap();
+    let shape = "shape = { kind = \"bowl\", radius_mm = 10.0, segments = 64 }\n";
+    scene_of(at, "flat.toml", "mesh = \"a.stl\"");
+    scene_of(at, "made.toml", "mesh = \"a.stl\"\nshading = \"smooth\"");
+    scene_of(at, "exact.toml", &format!("{shape}shading = \"smooth\""));
+    let images = ["flat", "made", "exact"].map(|name| rendered(at, &format!("{name}.toml")).0);
+    let [flat, made] = [0, 1].map(|i| difference(&images[2], &images[i]));
+    println!("flat {flat}, made {made}");
+    assert!(images[0] != images[1]);
+    assert!(made < 0.5 * flat, "{made} {flat}");
+}
+
+/// More facets than are supported: said without reading them all into memory.
+#[test]
+fn a_mesh_of_too_many_facets_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let header = "ply\nformat binary_little_endian 1.0\nelement vertex 0\nproperty float x\n\
+                  property float y\nproperty float z\nelement face 20000001\n\
+                  property list uchar uchar vertex_indices\nend_header\n";
+    let mut bytes = header.as_bytes().to_vec();
+    bytes.resize(header.len() + 20_000_001, 0);
+    std::fs::write(folder.path().join("a.ply"), bytes).unwrap();
+    let (success, _, stderr) = rig(folder.path(), &["shape", "--inspect", "a.ply"]);
+    assert!(!success);
+    assert!(
+        stderr.contains("a.ply: the mesh has 20000001 triangles; at most 20000000"),
+        "{stderr}"
+    );
+    assert!(stderr.contains("hint: reduce it"), "{stderr}");
 }

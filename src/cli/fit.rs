@@ -101,10 +101,10 @@ fn fit_scene(
         }
         sources.push(source);
     }
-    let file = |image: usize| args.image[image].display().to_string();
-    check_scene(&scene, Keys::Scene, context)?;
+    check_scene(&scene, Keys::scene(&file), context)?;
     let captured = plan.average(&scene, sources)?;
-    plan.check_images(&scene, &captured, file)?;
+    let name = |image: usize| args.image[image].display().to_string();
+    plan.check_images(&scene, &captured, name)?;
     let (mut record, images) = plan.run(&scene, &captured, false, None, context)?;
     record.remarks.extend(remarks);
     record.settings.scene = Some(path.display().to_string());

@@ -320,11 +320,56 @@ pub(super) fn for_implausible(error: &Implausible) -> &'static str {
 }
 
 fn for_mesh(error: &MeshError) -> Option<String> {
-    match error {
-        MeshError::Io { source, .. } => for_io(source).map(str::to_owned),
-        MeshError::Kind { .. } => Some("give PLY, OBJ or STL; `rig shape` writes all three".into()),
-        _ => Some("repair the mesh where it was made: triangles with area, finite coordinates in millimetres".into()),
-    }
+    use MeshError::*;
+    let hint = match error {
+        InFile { error, .. } => return for_mesh(error),
+        Io { source, .. } => return for_io(source).map(str::to_owned),
+        Kind { .. } => {
+            "give PLY, OBJ or STL: CAD programs, MeshLab and Blender export them, `rig shape` writes all three"
+        }
+        OtherKind { found, .. } => match *found {
+            "PLY" => "rename the file to end in .ply",
+            "STL" => "rename the file to end in .stl",
+            "compressed by gzip" | "a ZIP archive (3MF and others)" | "a 7z archive" => {
+                "unpack it; what is inside must be PLY, OBJ or STL"
+            }
+            "a web page" => "the download gave a page in place of the file: get the file itself",
+            "a pointer of Git LFS" => "`git lfs pull` brings the file itself",
+            _ => "export it as PLY, OBJ or STL, from the CAD program, MeshLab or Blender",
+        },
+        Format { .. } => {
+            "export the mesh again; if another program reads the file, let it write a binary PLY"
+        }
+        Number { .. } => {
+            "three numbers with decimal points stand there in such a file: export the mesh again, or correct that line"
+        }
+        DecimalComma { .. } => {
+            "export the mesh again with the locale that has decimal points (LC_NUMERIC=C, or the program's language set to English), or as a binary file, which has none"
+        }
+        CutShort { .. } => "copy or export the file again: it is not whole",
+        Empty { vertices: 0 } => "the file holds no surface: export the body itself, as a mesh",
+        Empty { .. } => {
+            "a cloud of points is no surface: make facets of it first (in MeshLab: Remeshing, Screened Poisson)"
+        }
+        TooLarge { .. } => {
+            "reduce it (in MeshLab: Simplification): a pixel need not see many facets"
+        }
+        NotFinite { .. } => {
+            "the program that wrote the mesh had no place for that vertex: remove the facets around it and export again"
+        }
+        TooFar { .. } => {
+            "the mesh is in another unit or in far-off axes: `rig shape --inspect FILE` suggests mesh_unit and mesh_to_sample"
+        }
+        NoSuchVertex { .. } => {
+            "the file is damaged or was put together from parts: export the mesh again, and transfer it as binary"
+        }
+        // Of meshes that no file made.
+        Normal { .. } | Degenerate { .. } => return None,
+        NoArea { .. } => {
+            "the export lost the shape to rounding: write more digits, a larger unit, or a binary file"
+        }
+    };
+    Some(hint.into())
 }
 
 /// The known word that differs least, if it differs little.

@@ -52,6 +52,7 @@ pub mod session;
 mod session_images;
 mod session_rig;
 pub mod shape;
+mod shape_inspect;
 mod sharpness;
 pub mod stage;
 pub mod stderr;

@@ -314,7 +314,7 @@ impl FitPlan {
         truth: Option<(&str, &dyn Brdf)>,
         context: &Context,
     ) -> Result<(FitRecord, FitImages), CliError> {
-        let mut remarks = Vec::new();
+        let mut remarks: Vec<String> = scene.remarks().iter().map(ToString::to_string).collect();
         let mut remark = |text: String| {
             context.warn(&text);
             remarks.push(text);
@@ -603,7 +603,7 @@ pub fn fit_session(
             .display()
             .to_string()
     };
-    preflight::check_scene(&scene, preflight::Keys::Rig, context)?;
+    preflight::check_scene(&scene, preflight::Keys::rig(&config), context)?;
     let sources = images.into_iter().enumerate().map(|(light, rows)| Source {
         rows,
         file: file(light),

@@ -5,6 +5,9 @@ use super::{CliError, Context};
 use crate::capture::directions::plan_order;
 use crate::capture::reach::StageReach;
 use crate::config::RigConfig;
+use crate::config::scene::SceneFile;
+use crate::config::view::SurfaceSpec;
+use crate::geometry::inspect::UNITS;
 use crate::transport::visibility::{Concern, Visibility};
 use crate::transport::{CameraBody, Scene};
 use crate::units::StageAngles;
@@ -12,18 +15,19 @@ use crate::units::StageAngles;
 /// Lights within a stage's reach that stand for all of them while none is planned.
 const LIGHTS_LOOKED_AT: usize = 16;
 
-/// A sample so many times longer than the field, or that would fill this part of the field
-/// if it were a thousand times longer, was not made in millimetres.
-const THOUSANDFOLD: std::ops::Range<f64> = 100.0..1e9;
-const A_THOUSANDTH: std::ops::Range<f64> = 0.05e-3..3e-3;
+/// How many times the field's width a sample is long that was made for it. Another unit
+/// that brings a mesh into this range is likely its own.
+const SUITS_THE_FIELD: std::ops::RangeInclusive<f64> = 0.05..=3.0;
 
 /// Refuses a bench whose camera doesn't see the front of the sample. Remarks go to stderr.
 pub(super) fn check_bench(config: &RigConfig, context: &Context) -> Result<(), CliError> {
-    let seen = Visibility::of(&config.geometry.scene(&[])?);
+    let scene = config.geometry.scene(&[])?;
+    remark_on_files(&scene, context);
+    let seen = Visibility::of(&scene);
     for concern in seen.concerns() {
         let fact = fact(&concern, &seen);
         if concern.is_fatal() {
-            return Err(CliError::new(fact).hint(remedy(&concern, &seen, Keys::Rig)));
+            return Err(CliError::new(fact).hint(remedy(&concern, &seen, Keys::rig(config))));
         }
         context.warn(fact);
     }
@@ -36,14 +40,19 @@ pub(super) fn check_lights(config: &RigConfig, lights: &[StageAngles]) -> Result
     for concern in seen.concerns() {
         if let Concern::Unlit { light, .. } = concern {
             let fact = format!("{concern} ({})", lights[light]);
-            return Err(CliError::new(fact).hint(remedy(&concern, &seen, Keys::Rig)));
+            return Err(CliError::new(fact).hint(remedy(&concern, &seen, Keys::rig(config))));
         }
     }
     Ok(())
 }
 
 /// Refuses a scene of which images can tell nothing; what is worth a remark goes to stderr.
-pub(super) fn check_scene(scene: &Scene, keys: Keys, context: &Context) -> Result<(), CliError> {
+pub(super) fn check_scene(
+    scene: &Scene,
+    keys: Keys<'_>,
+    context: &Context,
+) -> Result<(), CliError> {
+    remark_on_files(scene, context);
     let seen = Visibility::of(scene);
     for concern in seen.concerns() {
         let (fact, remedy) = (fact(&concern, &seen), remedy(&concern, &seen, keys));
@@ -56,11 +65,19 @@ pub(super) fn check_scene(scene: &Scene, keys: Keys, context: &Context) -> Resul
 }
 
 /// Warns of what is wrong with a scene file's scene, which is rendered all the same.
-pub(super) fn remark_on_scene(scene: &Scene, context: &Context) {
+pub(super) fn remark_on_scene(scene: &Scene, file: &SceneFile, context: &Context) {
+    remark_on_files(scene, context);
     let seen = Visibility::of(scene);
     for concern in seen.concerns() {
-        let remedy = remedy(&concern, &seen, Keys::Scene);
+        let remedy = remedy(&concern, &seen, Keys::scene(file));
         context.warn(format_args!("{}; {remedy}", fact(&concern, &seen)));
+    }
+}
+
+/// What was left out of mesh files, and the like.
+fn remark_on_files(scene: &Scene, context: &Context) {
+    for remark in scene.remarks() {
+        context.warn(remark);
     }
 }
 
@@ -83,7 +100,8 @@ pub(super) fn outlook(config: &RigConfig) -> Result<Outlook, CliError> {
     let reach = StageReach::of_rig(config)?;
     let coaxial = config.geometry.coaxial();
     let lights = plan_order(&reach, coaxial, LIGHTS_LOOKED_AT, 0.0);
-    let seen = Visibility::of(&config.geometry.scene(&lights)?);
+    let scene = config.geometry.scene(&lights)?;
+    let seen = Visibility::of(&scene);
     let mut concerns = seen.concerns();
     if concerns.iter().filter(|c| is_of_a_light(c)).count() < lights.len() {
         concerns.retain(|concern| !is_of_a_light(concern));
@@ -104,13 +122,16 @@ pub(super) fn outlook(config: &RigConfig) -> Result<Outlook, CliError> {
         Some(concern) => Outlook {
             fact: fact(concern, &seen),
             concern: Some(Remedied {
-                remedy: remedy(concern, &seen, Keys::Rig),
+                remedy: remedy(concern, &seen, Keys::rig(config)),
                 is_fatal: concern.is_fatal(),
             }),
         },
         None => Outlook {
             fact: format!("the sample is in view: {}", place(&seen)),
-            concern: None,
+            concern: scene.remarks().first().map(|remark| Remedied {
+                remedy: format!("repair the mesh where it was made: {remark}"),
+                is_fatal: false,
+            }),
         },
     })
 }
@@ -211,54 +232,94 @@ fn mm(length: f64) -> String {
     format!("{:.digits$}", length + 0.0)
 }
 
-/// How the keys of a file are called.
+/// How the keys of a file are called, and what it says of the sample's surface.
 #[derive(Clone, Copy)]
-pub(super) enum Keys {
+pub(super) struct Keys<'a> {
+    camera: &'static str,
+    sample: &'static str,
+    light: &'static str,
+    surface: &'a SurfaceSpec,
+}
+
+impl<'a> Keys<'a> {
     /// Of a rig file, or the session made by it.
-    Rig,
+    pub(super) fn rig(config: &'a RigConfig) -> Self {
+        Self {
+            camera: "[geometry.camera] in the rig file",
+            sample: "[geometry.sample] in the rig file",
+            light: "leave this light out (`--light AZ,EL` names lights one by one), or correct [geometry.sample_from_stage] in the rig file if the stage stands otherwise",
+            surface: &config.geometry.sample.surface,
+        }
+    }
+
     /// Of a scene file.
-    Scene,
-}
-
-impl Keys {
-    fn camera(self) -> &'static str {
-        match self {
-            Self::Rig => "[geometry.camera] in the rig file",
-            Self::Scene => "[camera] in the scene file",
+    pub(super) fn scene(file: &'a SceneFile) -> Self {
+        Self {
+            camera: "[camera] in the scene file",
+            sample: "[sample] in the scene file",
+            light: "correct the light's direction in the scene file: it points from the sample to the lamp",
+            surface: &file.sample.surface,
         }
     }
 
-    fn sample(self) -> &'static str {
-        match self {
-            Self::Rig => "[geometry.sample] in the rig file",
-            Self::Scene => "[sample] in the scene file",
+    /// The unit in which a mesh so many times the field's length would suit it, if its own
+    /// does not.
+    fn better_unit(&self, times: f64) -> Option<&'static str> {
+        let SurfaceSpec::Mesh(mesh) = self.surface else {
+            return None;
+        };
+        if SUITS_THE_FIELD.contains(&times) {
+            return None;
         }
+        let suits = |mm: f64| SUITS_THE_FIELD.contains(&(times * mm / mesh.placement.mm_per_unit));
+        let unit = UNITS.iter().find(|(_, mm)| suits(*mm));
+        unit.map(|(name, _)| *name)
     }
 }
 
-fn remedy(concern: &Concern, seen: &Visibility, keys: Keys) -> String {
-    let (camera, sample) = (keys.camera(), keys.sample());
-    let times = seen.times_the_field();
-    match concern {
-        Concern::OutOfView { .. } | Concern::PartlyInView { .. } if THOUSANDFOLD.contains(&times) => format!(
-            "the sample is {times:.0} times as long as the field of view: lengths are millimetres; a mesh in micrometres must be divided by 1000 ({sample})"
+fn remedy(concern: &Concern, seen: &Visibility, keys: Keys<'_>) -> String {
+    let (camera, sample) = (keys.camera, keys.sample);
+    let better_unit = keys.better_unit(seen.times_the_field());
+    let [low, high] = seen.bounds_mm;
+    match (concern, keys.surface, better_unit) {
+        (
+            Concern::OutOfView { .. } | Concern::PartlyInView { .. } | Concern::TooSmall { .. },
+            SurfaceSpec::Mesh(_),
+            Some(unit),
+        ) => format!(
+            "the mesh is {} mm across, the view {} mm: if the mesh is in another unit, say so: mesh_unit = \"{unit}\" in {sample}",
+            mm((high - low).max_element()),
+            mm(seen.field_mm.max_element())
         ),
-        Concern::TooSmall { .. } if A_THOUSANDTH.contains(&times) => format!(
-            "a thousand times as large, the sample would take {:.0}% of the field of view: lengths are millimetres; a mesh in metres must be multiplied by 1000 ({sample})",
-            100.0 * 1000.0 * times
+        (
+            Concern::OutOfView { .. } | Concern::PartlyInView { .. },
+            SurfaceSpec::Mesh(mesh),
+            None,
+        ) => format!(
+            "correct position_mm, look_at_mm and the field of view of {camera}, or bring the mesh's own axes to the sample's with mesh_to_sample in {sample}, for which `rig shape --inspect {}` makes a suggestion: the origin of the sample's frame is on its datum",
+            mesh.path.display()
         ),
-        Concern::OutOfView { .. } | Concern::PartlyInView { .. } => format!(
-            "correct position_mm, look_at_mm and the field of view of {camera}, or the sample's place ({sample}): the origin of the sample's frame is on its datum"
+        (Concern::OutOfView { .. } | Concern::PartlyInView { .. }, ..) => format!(
+            "correct position_mm, look_at_mm and the field of view of {camera}: the origin of the sample's frame is on its datum"
         ),
-        Concern::TooSmall { .. } => format!(
+        (Concern::TooSmall { .. }, ..) => format!(
             "correct the field of view of {camera} or the sample's size ({sample}); lengths are millimetres"
         ),
-        Concern::FacesAway { .. } | Concern::PartlyFacesAway { .. } => format!(
-            "if the sample lies upside down, turn it over, or correct position_mm of {camera}; if its mesh is inside out, reverse the order of each triangle's corners ({sample}): they run counter-clockwise seen from the front"
+        (
+            Concern::FacesAway { .. } | Concern::PartlyFacesAway { .. },
+            SurfaceSpec::Mesh(mesh),
+            _,
+        ) => format!(
+            "`rig shape --inspect {}` says whether the mesh is inside out, which {} mends, or upside down, which mesh_to_sample mends ({sample}); else correct position_mm of {camera}",
+            mesh.path.display(),
+            match mesh.placement.flip_facets {
+                true => "leaving out flip_facets",
+                false => "flip_facets = true",
+            }
         ),
-        Concern::Unlit { .. } => match keys {
-            Keys::Rig => "leave this light out (`--light AZ,EL` names lights one by one), or correct [geometry.sample_from_stage] in the rig file if the stage stands otherwise".to_owned(),
-            Keys::Scene => "correct the light's direction in the scene file: it points from the sample to the lamp".to_owned(),
-        },
+        (Concern::FacesAway { .. } | Concern::PartlyFacesAway { .. }, ..) => format!(
+            "the sample's front is seen from above: correct position_mm and look_at_mm of {camera}"
+        ),
+        (Concern::Unlit { .. }, ..) => keys.light.to_owned(),
     }
 }

@@ -63,7 +63,7 @@ pub fn run(args: &RenderArgs, context: &Context) -> Result<(), CliError> {
             .hint("a scene that is rendered needs a [brdf] table: mixture, dictionary with weights, or table"));
     };
     let scene = file.scene()?;
-    preflight::remark_on_scene(&scene, context);
+    preflight::remark_on_scene(&scene, &file, context);
     if let Some(remark) = facets::coarse(&scene, &brdf.atoms()?) {
         context.warn(remark);
     }

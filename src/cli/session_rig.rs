@@ -74,8 +74,8 @@ fn add_mesh<'a>(
     of: &str,
     surface: &'a mut SurfaceSpec,
 ) {
-    if let SurfaceSpec::Mesh(path) = surface {
-        add(files, &format!("{of}-mesh"), path);
+    if let SurfaceSpec::Mesh(spec) = surface {
+        add(files, &format!("{of}-mesh"), &mut spec.path);
     }
 }
 

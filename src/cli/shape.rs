@@ -1,17 +1,24 @@
-//! `rig shape`: sample shapes as meshes.
+//! `rig shape`: sample shapes as meshes, and what mesh files hold.
 
 use std::path::PathBuf;
 
-use super::{CliError, Context, output};
+use super::{CliError, Context, output, shape_inspect};
 use crate::geometry::shapes::{Form, Profile};
 use crate::geometry::{Mesh, Shape, files};
 
-/// Writes the mesh of a sample shape and prints its figures as JSON.
+/// Writes the mesh of a sample shape and prints its figures as JSON, or says what a mesh file holds.
 #[derive(clap::Args, Debug)]
 pub struct ShapeArgs {
     /// Which shape
-    #[arg(value_enum)]
-    kind: Kind,
+    #[arg(value_enum, required_unless_present = "inspect")]
+    kind: Option<Kind>,
+    /// Says instead what a mesh file holds: size, openings, rim and axis, and the lines of a
+    /// rig or scene file that place it
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["kind", "out"])]
+    inspect: Option<PathBuf>,
+    /// What --inspect finds, as JSON
+    #[arg(long, requires = "inspect")]
+    json: bool,
     /// Radius, mm, 0.001 to 10000: of the sphere, of the base's corners, of the convex arc, of the groove's middle
     #[arg(long, value_name = "MM", default_value_t = 10.0, value_parser = length)]
     radius: f32,
@@ -40,8 +47,8 @@ pub struct ShapeArgs {
     #[arg(long, value_name = "N", default_value_t = 128, value_parser = segments)]
     segments: u32,
     /// Mesh to write, millimetres: .ply, .obj or .stl
-    #[arg(long, value_name = "FILE")]
-    out: PathBuf,
+    #[arg(long, value_name = "FILE", required_unless_present = "inspect")]
+    out: Option<PathBuf>,
 }
 
 #[derive(clap::ValueEnum, Debug, Clone, Copy)]
@@ -87,9 +94,9 @@ fn segments(text: &str) -> Result<u32, String> {
 }
 
 impl ShapeArgs {
-    fn shape(&self) -> Result<Shape, CliError> {
+    fn shape(&self, kind: Kind) -> Result<Shape, CliError> {
         let (radius_mm, segments) = (self.radius, self.segments);
-        Ok(match self.kind {
+        Ok(match kind {
             Kind::Bowl => Shape::Bowl {
                 radius_mm,
                 segments,
@@ -155,13 +162,22 @@ impl ShapeArgs {
 }
 
 /// `rig shape`.
-pub fn run(args: &ShapeArgs, _: &Context) -> Result<(), CliError> {
-    let shape = args.shape()?;
+pub fn run(args: &ShapeArgs, context: &Context) -> Result<(), CliError> {
+    let (kind, out) = match (&args.inspect, args.kind, &args.out) {
+        (Some(file), _, _) => return shape_inspect::run(file, args.json, context),
+        (None, Some(kind), Some(out)) => (kind, out),
+        _ => {
+            return Err(CliError::new(
+                "neither a shape with --out nor --inspect is given",
+            ));
+        }
+    };
+    let shape = args.shape(kind)?;
     let mesh = shape.mesh()?;
-    files::write(&args.out, &mesh)?;
+    files::write(out, &mesh)?;
     let [low, high] = mesh.bounds_mm();
     let mut figures = serde_json::json!({
-        "mesh": args.out.display().to_string(),
+        "mesh": out.display().to_string(),
         "shape": shape,
         "vertices": mesh.positions_mm.len(),
         "triangles": mesh.triangles.len(),

@@ -10,9 +10,9 @@ use super::scene::SceneFile;
 use super::simulation::MaterialSpec;
 use super::view::{BodySpec, SampleSpec, SurfaceSpec};
 use crate::brdf::{Atom, Brdf, BrdfError, Dictionary, Mixture, source, weights};
-use crate::geometry::{Mesh, MeshError, Shape, files};
+use crate::geometry::{Mesh, MeshError, Shape};
 use crate::simulation::{Truth, TruthSource};
-use crate::transport::{Body, Camera, CameraShadow, Light, Scene};
+use crate::transport::{Body, Camera, CameraShadow, Light, Scene, Shading};
 use crate::units::StageAngles;
 
 /// Why a scene cannot be built from a valid description.
@@ -33,11 +33,12 @@ pub enum BuildError {
 }
 
 impl SurfaceSpec {
-    /// The surface; a shape with `segments` facets around if given, else with its own.
-    pub fn mesh(&self, segments: Option<u32>) -> Result<Mesh, BuildError> {
+    /// The surface, to be shaded so; a shape with `segments` facets around if given, else
+    /// with its own.
+    pub fn mesh(&self, shading: Shading, segments: Option<u32>) -> Result<Mesh, BuildError> {
         match self {
             SurfaceSpec::Shape(shape) => Ok(with_segments(shape, segments).mesh()?),
-            SurfaceSpec::Mesh(path) => Ok(files::read(path, 1.0)?),
+            SurfaceSpec::Mesh(spec) => Ok(spec.load(shading)?),
         }
     }
 }
@@ -66,7 +67,7 @@ impl SampleSpec {
         lights: Vec<Light>,
     ) -> Result<Scene, BuildError> {
         Ok(Scene::with_bodies(
-            self.surface.mesh(None)?,
+            self.surface.mesh(self.shading, None)?,
             self.shading,
             bodies,
             camera,
@@ -79,7 +80,7 @@ impl BodySpec {
     /// The body, its mesh and tables read.
     fn load(&self) -> Result<Body, BuildError> {
         Ok(Body {
-            mesh: self.surface.mesh(None)?,
+            mesh: self.surface.mesh(self.shading, None)?,
             shading: self.shading,
             brdf: self.brdf.load()?,
         })
@@ -176,7 +177,8 @@ impl RigConfig {
         let camera = simulation.lens.of(&geometry.camera);
         let camera = camera.unwrap_or(geometry.camera);
         Ok(Some(Arc::new(TruthSource::new(Truth {
-            mesh: geometry.sample.surface.mesh(Some(simulation.segments))?,
+            mesh: (geometry.sample.surface)
+                .mesh(geometry.sample.shading, Some(simulation.segments))?,
             shading: geometry.sample.shading,
             bodies: load_all(&geometry.bodies)?,
             camera,

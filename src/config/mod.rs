@@ -9,6 +9,7 @@ mod document;
 mod error;
 pub mod geometry;
 pub mod limits;
+pub mod mesh;
 pub mod process;
 pub mod reader;
 pub mod reflectance;

@@ -196,6 +196,12 @@ mod tests {
         let body = "[[geometry.body]]\nmesh = \"holder.obj\"\nbrdf = { table = \"paint.binary\" }";
         let stage = "[geometry.sample_from_stage]";
         texts.push(simulated().replace(stage, &format!("{body}\n{stage}")));
+        let mesh = "[geometry.sample]\nmesh = \"scan.ply\"";
+        texts.push(
+            simulated()
+                .replace("[geometry.sample]", mesh)
+                .replace("[geometry.sample.shape]", "[geometry.sample.no_shape]"),
+        );
         for text in texts {
             let mut root = Section::parse("rig.toml", Path::new(""), &text).unwrap();
             // The tetrahedron refuses `segments`; what it asked for is recorded all the same.

@@ -92,6 +92,7 @@ mod tests {
     use glam::{DVec2, DVec3};
 
     use crate::brdf::Atom;
+    use crate::config::mesh::MeshSpec;
     use crate::config::view::SurfaceSpec;
     use crate::geometry::Shape;
     use crate::geometry::shapes::Form;
@@ -166,7 +167,7 @@ brdf = { table = "holder.binary" }
         );
         assert_eq!(
             scene.sample.surface,
-            SurfaceSpec::Mesh("/s/meshes/bowl.ply".into())
+            SurfaceSpec::Mesh(MeshSpec::of("/s/meshes/bowl.ply".into()))
         );
         let Some(BrdfSpec::Mixture(atoms)) = scene.brdf else {
             panic!("a mixture was given");

@@ -1,11 +1,10 @@
 //! What rig files and scene files say in the same words: where the camera
 //! stands, and what lies in front of it.
 
-use std::path::PathBuf;
-
 use glam::{DVec2, DVec3};
 
 use super::ConfigError;
+use super::mesh::MeshSpec;
 use super::reader::Section;
 use super::reflectance::BrdfSpec;
 use super::shape::read_shape;
@@ -123,19 +122,34 @@ pub fn with_lens(
 /// A surface, from a file or by its parameters.
 #[derive(Clone, Debug, PartialEq)]
 pub enum SurfaceSpec {
-    /// A mesh file (PLY, OBJ, STL), millimetres.
-    Mesh(PathBuf),
+    /// A mesh file.
+    Mesh(MeshSpec),
     /// A shape by its parameters.
     Shape(Shape),
 }
 
 impl SurfaceSpec {
-    /// Takes `mesh` or `shape`.
-    pub fn take(table: &mut Section) -> Result<Self, ConfigError> {
+    /// Takes `mesh` with what says how it is to be taken, or `shape`, and `shading`.
+    pub fn take(table: &mut Section) -> Result<(Self, Shading), ConfigError> {
+        let surface = Self::take_alone(table)?;
+        let shading = take_shading(table)?;
+        match &surface {
+            Self::Mesh(MeshSpec {
+                crease_deg: Some(crease_deg),
+                ..
+            }) if shading == Shading::Flat => {
+                let allowed = "absent where shading is not \"smooth\"";
+                Err(table.conflict("crease_deg", crease_deg, allowed))
+            }
+            _ => Ok((surface, shading)),
+        }
+    }
+
+    fn take_alone(table: &mut Section) -> Result<Self, ConfigError> {
         let mesh = table.path("mesh")?.optional();
         let shape = table.section("shape")?.optional();
         match (mesh, shape) {
-            (Some(mesh), None) => Ok(Self::Mesh(mesh)),
+            (Some(mesh), None) => Ok(Self::Mesh(MeshSpec::take(mesh, table)?)),
             (None, Some(shape)) => Ok(Self::Shape(read_shape(shape)?)),
             (Some(mesh), Some(_)) => {
                 Err(table.conflict("mesh", mesh.display(), "absent where `shape` is given"))
@@ -159,9 +173,10 @@ pub struct SampleSpec {
 impl SampleSpec {
     /// Reads the `[sample]` table.
     pub fn read(mut table: Section) -> Result<Self, ConfigError> {
+        let (surface, shading) = SurfaceSpec::take(&mut table)?;
         let sample = Self {
-            surface: SurfaceSpec::take(&mut table)?,
-            shading: take_shading(&mut table)?,
+            surface,
+            shading,
             form_error: take_form_error(&mut table)?,
         };
         table.finish()?;
@@ -182,10 +197,12 @@ pub struct BodySpec {
 
 impl BodySpec {
     fn read(mut table: Section) -> Result<Self, ConfigError> {
+        let brdf = BrdfSpec::read(table.section("brdf")?.required()?)?;
+        let (surface, shading) = SurfaceSpec::take(&mut table)?;
         let body = Self {
-            brdf: BrdfSpec::read(table.section("brdf")?.required()?)?,
-            surface: SurfaceSpec::take(&mut table)?,
-            shading: take_shading(&mut table)?,
+            surface,
+            shading,
+            brdf,
         };
         table.finish()?;
         Ok(body)
@@ -226,6 +243,36 @@ mod tests {
     fn sample(keys: &str) -> Result<SampleSpec, ConfigError> {
         let text = format!("mesh = \"scan.ply\"\n{keys}");
         SampleSpec::read(Section::parse("rig.toml", Path::new(""), &text)?)
+    }
+
+    #[test]
+    fn a_mesh_says_how_it_is_taken() {
+        let spec = |keys: &str| match sample(keys)?.surface {
+            SurfaceSpec::Mesh(spec) => Ok::<_, ConfigError>(spec),
+            SurfaceSpec::Shape(_) => unreachable!(),
+        };
+        let plain = spec("").unwrap();
+        assert_eq!(plain, MeshSpec::of("scan.ply".into()));
+        let keys = "mesh_unit = \"in\"\nflip_facets = true\nshading = \"smooth\"\ncrease_deg = 40\n\
+                    mesh_to_sample = { rotate_deg = [90, 0, 90], translate_mm = [1, 2, 3] }";
+        let placed = spec(keys).unwrap();
+        assert_eq!(placed.placement.mm_per_unit, 25.4);
+        assert!(placed.placement.flip_facets);
+        assert_eq!(placed.crease_deg, Some(40.0));
+        // About x, y becomes z; about z that stays; then it is moved.
+        let moved = placed.placement.sample_from_mesh.point(DVec3::Y);
+        assert!(
+            (moved - DVec3::new(1.0, 2.0, 4.0)).length() < 1e-12,
+            "{moved}"
+        );
+        for (wrong, expected) in [
+            ("mesh_unit = \"metre\"", "`mesh_unit`"),
+            ("crease_deg = 40", "absent where shading is not \"smooth\""),
+            ("mesh_to_sample = { rotate = [1, 2, 3] }", "rotate"),
+        ] {
+            let error = spec(wrong).unwrap_err().to_string();
+            assert!(error.contains(expected), "{error}");
+        }
     }
 
     #[test]

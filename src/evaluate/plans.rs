@@ -155,7 +155,9 @@ fn one(
     let [turned_rad, moved_mm] = pose_error(seed, POSE_ERROR_MM, POSE_ERROR_DEG);
     let pose: Rigid<Sample, Sample> = Rigid::from_rotation_vector(turned_rad, moved_mm);
     let surface = &geometry.sample.surface;
-    let mesh = surface.mesh(Some(TRUE_SEGMENTS)).map_err(fact)?;
+    let mesh = surface
+        .mesh(geometry.sample.shading, Some(TRUE_SEGMENTS))
+        .map_err(fact)?;
     let mut numbers = stream(seed, Purpose::BenchPerturbation, 0, 0, 2);
     let true_lights = lights.iter().map(|angles| {
         geometry.light(StageAngles {

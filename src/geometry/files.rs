@@ -1,14 +1,16 @@
 //! Mesh files of all kinds, told apart by the end of their names.
 //!
-//! The files carry no unit; `mm_per_unit` says what theirs is. Whatever the format,
-//! a mesh that comes out has passed [`Mesh::new`]; errors name the file and what is
-//! wrong where. No line or count of a file is trusted to allocate more than the file
-//! can hold.
+//! The files carry no unit and have axes of their own; a [`Placement`] says what theirs are.
+//! Whatever the format, a mesh that comes out has been tidied and passed [`Mesh::new`];
+//! errors name the file and what is wrong where. No line or count of a file is trusted to
+//! allocate more than the file can hold.
 
 use std::io::Write;
 use std::path::Path;
 
+use super::draft::Draft;
 use super::mesh::{Mesh, MeshError};
+use super::placement::Placement;
 use super::{obj, ply, stl};
 use crate::{outside_file, whole_file};
 
@@ -41,11 +43,37 @@ impl MeshFormat {
     }
 
     /// The mesh of a file's bytes.
-    pub fn parse(self, bytes: &[u8], mm_per_unit: f32) -> Result<Mesh, MeshError> {
+    ///
+    /// # Errors
+    /// What is wrong within the file; its name is not known here.
+    pub fn parse(self, bytes: &[u8], placement: &Placement) -> Result<Mesh, MeshError> {
+        self.draft(bytes)?.mesh(placement)
+    }
+
+    /// What a file's bytes say.
+    fn draft(self, bytes: &[u8]) -> Result<Draft, MeshError> {
+        self.check_content(bytes)?;
         match self {
-            Self::Ply => ply::parse(bytes, mm_per_unit),
-            Self::Obj => obj::parse(bytes, mm_per_unit),
-            Self::Stl => stl::parse(bytes, mm_per_unit),
+            Self::Ply => ply::draft(bytes),
+            Self::Obj => obj::draft(bytes),
+            Self::Stl => stl::draft(bytes),
+        }
+    }
+
+    /// Refuses what is plainly another kind of file.
+    fn check_content(self, bytes: &[u8]) -> Result<(), MeshError> {
+        let known = CONTENTS.iter().find(|(start, _)| {
+            let head = bytes.get(..start.len());
+            head.is_some_and(|head| head.eq_ignore_ascii_case(start))
+        });
+        let expected = match self {
+            Self::Ply => "PLY",
+            Self::Obj => "OBJ",
+            Self::Stl => "STL",
+        };
+        match known {
+            Some(&(_, found)) if found != expected => Err(MeshError::OtherKind { expected, found }),
+            _ => Ok(()),
         }
     }
 
@@ -59,25 +87,55 @@ impl MeshFormat {
     }
 }
 
-/// Reads a mesh file; one unit of its coordinates is `mm_per_unit` millimetres.
-pub fn read(path: &Path, mm_per_unit: f32) -> Result<Mesh, MeshError> {
+/// How files begin that are met under names of others.
+const CONTENTS: [(&[u8], &str); 14] = [
+    (b"ply\n", "PLY"),
+    (b"ply\r", "PLY"),
+    (b"solid ", "STL"),
+    (b"\x1f\x8b", "compressed by gzip"),
+    (b"PK\x03\x04", "a ZIP archive (3MF and others)"),
+    (b"7z\xbc\xaf", "a 7z archive"),
+    (b"glTF", "glTF"),
+    (b"ISO-10303", "STEP"),
+    (b"OFF\n", "OFF"),
+    (b"#VRML", "VRML"),
+    (b"<?xml", "XML (AMF, COLLADA or another)"),
+    (b"<!doctype", "a web page"),
+    (b"<html", "a web page"),
+    (b"version https://git-lfs", "a pointer of Git LFS"),
+];
+
+/// Reads a mesh file and places it in the sample's frame.
+///
+/// # Errors
+/// The file cannot be read, is of no known kind, or no usable mesh; all name it.
+pub fn read(path: &Path, placement: &Placement) -> Result<Mesh, MeshError> {
+    within(path, |draft| draft.mesh(placement))
+}
+
+/// What becomes of a file's draft; errors and remarks get the file's name.
+pub(super) fn within(
+    path: &Path,
+    make: impl FnOnce(Draft) -> Result<Mesh, MeshError>,
+) -> Result<Mesh, MeshError> {
     let format = MeshFormat::of(path)?;
     let name = path.display().to_string();
-    let io = |source| MeshError::Io {
+    let bytes = outside_file::read_regular(path, MAX_BYTES).map_err(|source| MeshError::Io {
         path: name.clone(),
         source,
-    };
-    let wrong = |what: String| MeshError::Format {
-        path: name.clone(),
-        what,
-    };
-    let bytes = outside_file::read_regular(path, MAX_BYTES).map_err(io)?;
-    format
-        .parse(&bytes, mm_per_unit)
-        .map_err(|error| match error {
-            MeshError::Format { what, .. } => wrong(what),
-            other => wrong(other.to_string()),
-        })
+    })?;
+    match format.draft(&bytes).and_then(make) {
+        Ok(mut mesh) => {
+            for remark in &mut mesh.remarks {
+                remark.file.clone_from(&name);
+            }
+            Ok(mesh)
+        }
+        Err(error) => Err(MeshError::InFile {
+            path: name,
+            error: Box::new(error),
+        }),
+    }
 }
 
 /// Writes a mesh in millimetres, whole or not at all, in place of any file of that name.
@@ -125,7 +183,7 @@ mod tests {
         for name in ["a.ply", "a.OBJ", "a.Stl"] {
             let path = folder.path().join(name);
             write(&path, &mesh).unwrap();
-            let back = read(&path, 1.0).unwrap();
+            let back = read(&path, &Placement::default()).unwrap();
             assert_eq!(corners(&back), corners(&mesh), "{name}");
             assert_eq!(
                 back.positions_mm.len(),
@@ -138,7 +196,7 @@ mod tests {
                 let worst = was.iter().zip(&is).map(|(a, b)| (*a - *b).length());
                 assert!(worst.fold(0.0, f32::max) < 1e-6, "{name}");
             }
-            let inches = read(&path, 25.4).unwrap();
+            let inches = read(&path, &Placement::scaled(25.4)).unwrap();
             let ratio = inches.bounds_mm()[0].z / mesh.bounds_mm()[0].z;
             assert!((ratio - 25.4).abs() < 1e-4, "{name}: {ratio}");
         }
@@ -148,7 +206,7 @@ mod tests {
     fn what_is_no_mesh_file_is_refused_with_its_name() {
         let folder = tempfile::tempdir().unwrap();
         let error = |name: &str| {
-            read(&folder.path().join(name), 1.0)
+            read(&folder.path().join(name), &Placement::default())
                 .unwrap_err()
                 .to_string()
         };
@@ -156,8 +214,10 @@ mod tests {
         assert!(error("missing.stl").contains("missing.stl: No such file"));
         std::fs::create_dir(folder.path().join("folder.obj")).unwrap();
         assert!(error("folder.obj").contains("folder.obj: Is a directory"));
+        std::fs::write(folder.path().join("a.stl"), "ply\nformat ascii 1.0\n").unwrap();
+        assert!(error("a.stl").contains("a.stl: the file is PLY by its content, not STL"));
         std::fs::write(folder.path().join("empty.obj"), "# nothing\n").unwrap();
-        assert!(error("empty.obj").contains("empty.obj: the mesh has no triangle"));
+        assert!(error("empty.obj").contains("empty.obj: the mesh has 0 vertices and no facet"));
     }
 
     proptest! {
@@ -175,7 +235,7 @@ mod tests {
                 if let Some(cut) = &cut {
                     bytes.truncate(cut.index(bytes.len()));
                 }
-                if let Ok(mesh) = format.parse(&bytes, 1.0) {
+                if let Ok(mesh) = format.parse(&bytes, &Placement::default()) {
                     prop_assert!(mesh.positions_mm.iter().all(|p| p.is_finite()));
                 }
             }
@@ -184,7 +244,7 @@ mod tests {
         #[test]
         fn any_bytes_never_panic(bytes in proptest::collection::vec(any::<u8>(), 0..400)) {
             for format in ALL {
-                prop_assert!(format.parse(&bytes, 1.0).is_err());
+                prop_assert!(format.parse(&bytes, &Placement::default()).is_err());
             }
         }
 
@@ -196,7 +256,7 @@ mod tests {
             let p: Vec<Vec3> = values.chunks(3).map(Vec3::from_slice).collect();
             if let Ok(mesh) = Mesh::new(p, vec![[0, 1, 2]]) {
                 for format in ALL {
-                    let back = format.parse(&bytes(format, &mesh), 1.0).unwrap();
+                    let back = format.parse(&bytes(format, &mesh), &Placement::default()).unwrap();
                     prop_assert_eq!(back.corners(0), mesh.corners(0));
                 }
             }

@@ -116,6 +116,7 @@ impl FormField {
             positions_mm,
             triangles: mesh.triangles.clone(),
             normals: normals.into_iter().collect(),
+            remarks: mesh.remarks.clone(),
         }
     }
 }

@@ -2,6 +2,9 @@
 
 use glam::Vec3;
 
+use super::mesh_error::FileRemark;
+pub use super::mesh_error::MeshError;
+use super::topology::Topology;
 use crate::shown::{MESSAGE, shortened};
 
 /// Vertices and triangles of one body. The front of a triangle is the side
@@ -15,101 +18,14 @@ pub struct Mesh {
     pub triangles: Vec<[u32; 3]>,
     /// Unit normals per corner, for smooth shading, where known.
     pub normals: Option<Vec<Vec3>>,
-}
-
-/// Why a mesh cannot be used.
-#[derive(Debug, thiserror::Error)]
-pub enum MeshError {
-    /// The file could not be read or written.
-    #[error("{path}: {source}")]
-    Io {
-        /// The file.
-        path: String,
-        /// The system's error.
-        source: std::io::Error,
-    },
-    /// The file does not follow its format.
-    #[error("{path}: {what}")]
-    Format {
-        /// The file.
-        path: String,
-        /// What was found and where.
-        what: String,
-    },
-    /// The file's name does not tell its format.
-    #[error("{path}: the file name does not end in .ply, .obj or .stl")]
-    Kind {
-        /// The file.
-        path: String,
-    },
-    /// No triangle.
-    #[error("the mesh has no triangle")]
-    Empty,
-    /// More than indices can address or memory should hold.
-    #[error("the mesh has {triangles} triangles; at most {limit} are supported")]
-    TooLarge {
-        /// Triangles found.
-        triangles: usize,
-        /// The limit.
-        limit: usize,
-    },
-    /// A coordinate is NaN or infinite.
-    #[error("vertex {vertex} has a coordinate that is not finite")]
-    NotFinite {
-        /// Index from 0.
-        vertex: usize,
-    },
-    /// A coordinate is so large that rays lose their precision.
-    #[error(
-        "vertex {vertex} lies {distance_mm} mm from the origin; at most {MAX_DISTANCE_MM} mm are supported"
-    )]
-    TooFar {
-        /// Index from 0.
-        vertex: usize,
-        /// Its largest coordinate, absolute.
-        distance_mm: f32,
-    },
-    /// A normal is NaN, infinite, without length, or missing.
-    #[error("vertex {vertex} has no usable normal")]
-    Normal {
-        /// Index from 0.
-        vertex: usize,
-    },
-    /// A triangle refers to a vertex that does not exist.
-    #[error("triangle {triangle} refers to vertex {vertex}, but there are {vertices}")]
-    NoSuchVertex {
-        /// Index from 0.
-        triangle: usize,
-        /// The index it holds.
-        vertex: u32,
-        /// Number of vertices.
-        vertices: usize,
-    },
-    /// A triangle without area.
-    #[error("triangle {triangle} has no area")]
-    Degenerate {
-        /// Index from 0.
-        triangle: usize,
-    },
-    /// More than two triangles meet in an edge, or two face opposite ways.
-    #[error(
-        "the edge between vertices {a} and {b} is shared by {count} triangles of the same orientation"
-    )]
-    NonManifold {
-        /// One end.
-        a: u32,
-        /// Other end.
-        b: u32,
-        /// Triangles that run along it in this direction.
-        count: usize,
-    },
+    /// What there is to say about the file that it was read from.
+    pub remarks: Vec<FileRemark>,
 }
 
 impl MeshError {
     /// An error of the format, without the file's name, which a parser does not know.
     pub(super) fn format(what: impl Into<String>) -> Self {
         Self::Format {
-            path: String::new(),
             what: shortened(&what.into(), MESSAGE).into_owned(),
         }
     }
@@ -122,11 +38,13 @@ pub const MAX_TRIANGLES: usize = 20_000_000;
 pub const MAX_DISTANCE_MM: f32 = 1e7;
 
 impl Mesh {
-    /// Checks indices, coordinates, areas and edges. Triangles that repeat a
-    /// corner are refused.
+    /// Checks indices, coordinates and areas. Edges may be shared by any number of triangles:
+    /// rays meet each for itself.
     pub fn new(positions_mm: Vec<Vec3>, triangles: Vec<[u32; 3]>) -> Result<Self, MeshError> {
         if triangles.is_empty() {
-            return Err(MeshError::Empty);
+            return Err(MeshError::Empty {
+                vertices: positions_mm.len(),
+            });
         }
         if triangles.len() > MAX_TRIANGLES {
             return Err(MeshError::TooLarge {
@@ -135,7 +53,8 @@ impl Mesh {
             });
         }
         if let Some(vertex) = positions_mm.iter().position(|p| !p.is_finite()) {
-            return Err(MeshError::NotFinite { vertex });
+            let place = format!("vertex {vertex}");
+            return Err(MeshError::NotFinite { place });
         }
         let distances = positions_mm.iter().map(|p| p.abs().max_element());
         if let Some((vertex, distance_mm)) =
@@ -149,21 +68,20 @@ impl Mesh {
         for (triangle, corners) in triangles.iter().enumerate() {
             if let Some(&vertex) = corners.iter().find(|&&v| v as usize >= positions_mm.len()) {
                 return Err(MeshError::NoSuchVertex {
-                    triangle,
-                    vertex,
+                    facet: triangle,
+                    vertex: vertex.into(),
                     vertices: positions_mm.len(),
                 });
             }
-            let [a, b, c] = corners.map(|v| positions_mm[v as usize].as_dvec3());
-            if (b - a).cross(c - a).length_squared() <= 0.0 {
+            if !has_area(corners.map(|v| positions_mm[v as usize])) {
                 return Err(MeshError::Degenerate { triangle });
             }
         }
-        check_edges(&triangles)?;
         Ok(Self {
             positions_mm,
             triangles,
             normals: None,
+            remarks: Vec::new(),
         })
     }
 
@@ -187,6 +105,7 @@ impl Mesh {
             positions_mm: Vec::new(),
             triangles: Vec::new(),
             normals: None,
+            remarks: Vec::new(),
         };
         for mesh in meshes {
             let first = all.positions_mm.len() as u32;
@@ -204,8 +123,7 @@ impl Mesh {
 
     /// Unit normal of a triangle's front.
     pub fn face_normal(&self, triangle: usize) -> Vec3 {
-        let [a, b, c] = self.corners(triangle).map(Vec3::as_dvec3);
-        (b - a).cross(c - a).normalize().as_vec3()
+        face_normal(self.corners(triangle))
     }
 
     /// Neighbouring facets at a larger angle are meant to be a crease, radians: eight
@@ -216,26 +134,13 @@ impl Mesh {
     /// among angles below `crease_rad` (larger ones are meant to be creases), radians.
     /// A lobe narrower than eight times this angle sees the facets.
     pub fn facet_step_rad(&self, crease_rad: f32) -> f32 {
-        let mut edges = std::collections::HashMap::new();
-        let mut step: f32 = 0.0;
-        for (index, corners) in self.triangles.iter().enumerate() {
-            let normal = self.face_normal(index);
-            for i in 0..3 {
-                let (a, b) = (corners[i], corners[(i + 1) % 3]);
-                match edges.remove(&(b, a)) {
-                    Some(other) => {
-                        let angle = normal.cross(other).length().atan2(normal.dot(other));
-                        if angle < crease_rad {
-                            step = step.max(angle);
-                        }
-                    }
-                    None => {
-                        edges.insert((a, b), normal);
-                    }
-                }
-            }
-        }
-        step
+        let topology = Topology::of(&self.positions_mm, &self.triangles);
+        let turn = |[one, two]: [super::topology::Side; 2]| {
+            let [one, two] = [one, two].map(|side| self.face_normal(side.facet as usize));
+            one.cross(two).length().atan2(one.dot(two))
+        };
+        let turns = topology.pairs().map(turn);
+        turns.filter(|turn| *turn < crease_rad).fold(0.0, f32::max)
     }
 
     /// Mean length of the triangles' edges, millimetres.
@@ -267,27 +172,21 @@ impl Mesh {
                 .normals
                 .as_ref()
                 .map(|n| n.iter().map(direction).collect()),
+            remarks: self.remarks.clone(),
         }
     }
 }
 
-/// Every directed edge may occur once.
-fn check_edges(triangles: &[[u32; 3]]) -> Result<(), MeshError> {
-    let mut edges: Vec<(u32, u32)> = triangles
-        .iter()
-        .flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)])
-        .collect();
-    edges.sort_unstable();
-    for run in edges.chunk_by(|x, y| x == y) {
-        if run.len() > 1 {
-            return Err(MeshError::NonManifold {
-                a: run[0].0,
-                b: run[0].1,
-                count: run.len(),
-            });
-        }
-    }
-    Ok(())
+/// Whether a triangle has an area, in f64: no triangle of f32 corners is lost to rounding.
+pub(super) fn has_area(corners: [Vec3; 3]) -> bool {
+    let [a, b, c] = corners.map(Vec3::as_dvec3);
+    (b - a).cross(c - a).length_squared() > 0.0
+}
+
+/// Unit normal of a triangle's front.
+pub(super) fn face_normal(corners: [Vec3; 3]) -> Vec3 {
+    let [a, b, c] = corners.map(Vec3::as_dvec3);
+    (b - a).cross(c - a).normalize().as_vec3()
 }
 
 #[cfg(test)]
@@ -307,12 +206,12 @@ mod tests {
         assert!(Mesh::new(positions.clone(), triangles.clone()).is_ok());
         assert!(matches!(
             Mesh::new(positions.clone(), vec![]),
-            Err(MeshError::Empty)
+            Err(MeshError::Empty { vertices: 4 })
         ));
         assert!(matches!(
             Mesh::new(positions.clone(), vec![[0, 1, 9]]),
             Err(MeshError::NoSuchVertex {
-                triangle: 0,
+                facet: 0,
                 vertex: 9,
                 vertices: 4
             })
@@ -321,14 +220,8 @@ mod tests {
             Mesh::new(positions.clone(), vec![[0, 1, 1]]),
             Err(MeshError::Degenerate { triangle: 0 })
         ));
-        assert!(matches!(
-            Mesh::new(positions.clone(), vec![[0, 1, 2], [0, 1, 3]]),
-            Err(MeshError::NonManifold {
-                a: 0,
-                b: 1,
-                count: 2
-            })
-        ));
+        // Edges of any number of facets, turned or not.
+        assert!(Mesh::new(positions.clone(), vec![[0, 1, 2], [0, 1, 3]]).is_ok());
         let mut far = positions.clone();
         far[1].x = 3e8;
         let error = Mesh::new(far, triangles.clone()).unwrap_err().to_string();
@@ -337,7 +230,7 @@ mod tests {
         broken[2].y = f32::NAN;
         assert!(matches!(
             Mesh::new(broken, triangles),
-            Err(MeshError::NotFinite { vertex: 2 })
+            Err(MeshError::NotFinite { .. })
         ));
     }
 }

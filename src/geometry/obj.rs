@@ -1,80 +1,105 @@
-//! Wavefront OBJ: `v`, `vn` and `f` lines; groups, materials and texture
-//! coordinates are passed over (Wavefront, "Advanced Visualizer" manual, appendix B1).
+//! Wavefront OBJ: `v`, `vn` and `f` lines; all others are passed over: groups, materials,
+//! texture coordinates, lines and points (Wavefront, "Advanced Visualizer" manual, appendix B1).
 
-use std::collections::HashMap;
 use std::io::Write;
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 
-use super::mesh::{MAX_TRIANGLES, Mesh, MeshError};
+use super::draft::{Corner, Draft, NO_NORMAL};
+use super::mesh::{Mesh, MeshError};
+use super::placement::Placement;
+use super::text::{decoded, lines, vector};
 use crate::shown::excerpt;
 
-/// The mesh of a file's bytes; polygons are cut into fans. Normals are kept where
-/// every corner has one: positions used with several normals become as many vertices.
-pub fn parse(bytes: &[u8], mm_per_unit: f32) -> Result<Mesh, MeshError> {
+/// The mesh of a file's bytes. Normals are kept where every corner has one: positions used
+/// with several normals become as many vertices.
+///
+/// # Errors
+/// A line is wrong, or no usable mesh comes of all.
+pub fn parse(bytes: &[u8], placement: &Placement) -> Result<Mesh, MeshError> {
+    draft(bytes)?.mesh(placement)
+}
+
+/// What a file's bytes say.
+pub(super) fn draft(bytes: &[u8]) -> Result<Draft, MeshError> {
     let mut file = File::default();
     // A line that ends in a backslash goes on in the next one.
     let mut begun = String::new();
-    for (index, raw) in bytes.split(|&b| b == b'\n').enumerate() {
+    for (number, raw) in lines(&decoded(bytes)) {
         let text = String::from_utf8_lossy(raw);
-        let text = text.trim_end();
-        if let Some(head) = text.strip_suffix('\\') {
+        let code = without_comment(&text);
+        if let Some(head) = text.trim_end().strip_suffix('\\')
+            && code.len() == text.len()
+            && (!begun.is_empty() || is_read(code))
+        {
             begun += head;
             begun.push(' ');
             continue;
         }
-        begun += text;
-        file.line(&begun)
-            .map_err(|what| MeshError::format(format!("line {}: {what}", index + 1)))?;
+        begun += code;
+        file.line(&begun, number)?;
         begun.clear();
-        if file.triangles.len() > MAX_TRIANGLES {
-            return Err(MeshError::TooLarge {
-                triangles: file.triangles.len(),
-                limit: MAX_TRIANGLES,
-            });
-        }
     }
-    file.mesh(mm_per_unit)
+    file.line(&begun, 0)?;
+    if let Some((number, line)) = file.farthest
+        && number > file.draft.vertices.len() as i64
+    {
+        return Err(MeshError::format(format!(
+            "line {line}: the face refers to vertex {number}, but there are {}",
+            file.draft.vertices.len()
+        )));
+    }
+    Ok(file.draft)
 }
 
-/// Indices of a corner's position and normal.
-type Corner = (u32, Option<u32>);
+/// A line up to its comment. What C libraries print for no number, `1.#IND`, is none.
+fn without_comment(line: &str) -> &str {
+    let mut marks = line.match_indices('#').map(|(at, _)| at);
+    let comment = marks.find(|&at| !line[..at].ends_with('.'));
+    &line[..comment.unwrap_or(line.len())]
+}
+
+/// Whether a line is one of those that count. A path in another line may end in a backslash.
+fn is_read(line: &str) -> bool {
+    let word = line.split_ascii_whitespace().next().unwrap_or("");
+    ["v", "vn", "f", "fo"].contains(&word.to_ascii_lowercase().as_str())
+}
 
 /// What has been read so far.
 #[derive(Default)]
 struct File {
-    positions: Vec<Vec3>,
-    normals: Vec<Vec3>,
-    triangles: Vec<[Corner; 3]>,
+    draft: Draft,
+    /// The largest number of a vertex that a face refers to, and its line.
+    farthest: Option<(i64, usize)>,
+    corners: Vec<Corner>,
 }
 
 impl File {
-    fn line(&mut self, line: &str) -> Result<(), String> {
-        let line = line.split('#').next().unwrap_or("");
+    fn line(&mut self, line: &str, number: usize) -> Result<(), MeshError> {
         let mut words = line.split_ascii_whitespace();
-        match words.next() {
-            Some("v") => self.positions.push(vector(words)?),
-            Some("vn") => self.normals.push(vector(words)?),
-            Some("f") => {
-                let mut fan: [Option<Corner>; 2] = [None; 2];
-                let mut corners = 0;
+        let keyword = words.next().unwrap_or("").to_ascii_lowercase();
+        match keyword.as_str() {
+            // A weight or a colour may follow.
+            "v" => {
+                let place = DVec3::from_array(vector(words, number)?);
+                if !place.is_finite() {
+                    let vertex = self.draft.vertices.len() as u32;
+                    self.draft.broken_lines.push((vertex, number));
+                }
+                self.draft.vertices.push(place);
+            }
+            "vn" => {
+                let normal = vector(words, number)?.map(|n| n as f32);
+                self.draft.normals.push(Vec3::from_array(normal));
+            }
+            "f" | "fo" => {
+                let mut corners = std::mem::take(&mut self.corners);
+                corners.clear();
                 for word in words {
-                    let corner = self.corner(word)?;
-                    match fan {
-                        [None, _] => fan[0] = Some(corner),
-                        [_, None] => fan[1] = Some(corner),
-                        [Some(a), Some(b)] => {
-                            self.triangles.push([a, b, corner]);
-                            fan[1] = Some(corner);
-                        }
-                    }
-                    corners += 1;
+                    corners.push(self.corner(word, number)?);
                 }
-                if corners < 3 {
-                    return Err(format!(
-                        "the face has {corners} corners; at least 3 are needed"
-                    ));
-                }
+                self.draft.push(corners.iter().copied())?;
+                self.corners = corners;
             }
             _ => {}
         }
@@ -82,70 +107,42 @@ impl File {
     }
 
     /// `v`, `v/vt`, `v//vn` or `v/vt/vn`; 1 is the first, −1 the last so far.
-    fn corner(&self, word: &str) -> Result<Corner, String> {
-        let index = |text: &str, count: usize, what: &str| -> Result<u32, String> {
+    fn corner(&mut self, word: &str, line: usize) -> Result<Corner, MeshError> {
+        let index = |text: &str, count: usize, what: &str| -> Result<i64, MeshError> {
+            let wrong = |what: String| MeshError::format(format!("line {line}: {what}"));
             let number: i64 = text
                 .parse()
-                .map_err(|_| format!("{:?} is not a corner of a face", excerpt(word)))?;
+                .map_err(|_| wrong(format!("{:?} is not a corner of a face", excerpt(word))))?;
             let from_zero = match number {
                 1.. => number - 1,
                 _ => number.saturating_add(count as i64),
             };
-            if number != 0 && (0..count as i64).contains(&from_zero) {
-                Ok(from_zero as u32)
+            if number != 0 && (0..i64::from(NO_NORMAL)).contains(&from_zero) {
+                Ok(from_zero)
             } else {
-                Err(format!(
+                Err(wrong(format!(
                     "the face refers to {what} {number}, but {count} stand before it"
-                ))
+                )))
             }
         };
         let mut parts = word.split('/');
-        let position = index(parts.next().unwrap_or(""), self.positions.len(), "vertex")?;
-        let normal = match parts.nth(1) {
-            None | Some("") => None,
-            Some(text) => Some(index(text, self.normals.len(), "normal")?),
-        };
-        Ok((position, normal))
-    }
-
-    fn mesh(self, mm_per_unit: f32) -> Result<Mesh, MeshError> {
-        let scaled = |p: &Vec3| *p * mm_per_unit;
-        let shaded = self.triangles.iter().flatten().all(|c| c.1.is_some());
-        if !shaded {
-            let positions = self.positions.iter().map(scaled).collect();
-            let triangles = self.triangles.iter().map(|t| t.map(|c| c.0)).collect();
-            return Mesh::new(positions, triangles);
+        let vertex = index(
+            parts.next().unwrap_or(""),
+            self.draft.vertices.len(),
+            "vertex",
+        )?;
+        if self.farthest.is_none_or(|(number, _)| vertex + 1 > number) {
+            self.farthest = Some((vertex + 1, line));
         }
-        let (mut positions, mut normals) = (Vec::new(), Vec::new());
-        let mut vertex_of: HashMap<Corner, u32> = HashMap::new();
-        let mut vertex = |corner: Corner| {
-            *vertex_of.entry(corner).or_insert_with(|| {
-                positions.push(scaled(&self.positions[corner.0 as usize]));
-                normals.push(self.normals[corner.1.unwrap_or(0) as usize]);
-                (positions.len() - 1) as u32
-            })
+        let normal = match parts.nth(1) {
+            None | Some("") => NO_NORMAL,
+            Some(text) => index(text, self.draft.normals.len(), "normal")? as u32,
         };
-        // Vertices in the order of the file's positions.
-        let mut corners: Vec<Corner> = self.triangles.iter().flatten().copied().collect();
-        corners.sort_unstable();
-        corners.into_iter().for_each(|c| {
-            vertex(c);
-        });
-        let triangles = self.triangles.iter().map(|t| t.map(&mut vertex)).collect();
-        Mesh::new(positions, triangles)?.with_normals(normals)
+        Ok(Corner {
+            vertex: vertex as u32,
+            normal,
+        })
     }
-}
-
-fn vector<'a>(mut words: impl Iterator<Item = &'a str>) -> Result<Vec3, String> {
-    let mut v = [0.0f32; 3];
-    for value in &mut v {
-        let word = words.next().ok_or("three numbers are needed")?;
-        *value = match word.parse() {
-            Ok(number) if f32::is_finite(number) => number,
-            _ => return Err(format!("{:?} is not a finite number", excerpt(word))),
-        };
-    }
-    Ok(Vec3::from_array(v))
 }
 
 /// Writes a mesh, millimetres, with its normals where it has them; numbers in full.
@@ -174,9 +171,13 @@ mod tests {
 
     const SQUARE: &str = "# by hand\nmtllib x.mtl\no square\nv 0 0 0\nv 1 0 0 1.0\nv 1 1 0\nv 0 1 0 # last\nvt 0 0\ng front\nf 1 2/1 3 \\\n -1\n";
 
+    fn read(text: &str) -> Result<Mesh, MeshError> {
+        parse(text.as_bytes(), &Placement::default())
+    }
+
     #[test]
     fn polygons_relative_indices_and_continued_lines_are_read() {
-        let mesh = parse(SQUARE.as_bytes(), 10.0).unwrap();
+        let mesh = parse(SQUARE.as_bytes(), &Placement::scaled(10.0)).unwrap();
         assert_eq!(mesh.triangles, [[0, 1, 2], [0, 2, 3]]);
         assert_eq!(mesh.positions_mm[2], Vec3::new(10.0, 10.0, 0.0));
         assert!(mesh.normals.is_none());
@@ -185,7 +186,7 @@ mod tests {
     #[test]
     fn a_crease_has_a_vertex_for_each_normal() {
         let text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nvn 0 0 1\nvn 1 0 0\nf 1//1 2//1 3//1\nf 1//2 3//2 4//2\n";
-        let mesh = parse(text.as_bytes(), 1.0).unwrap();
+        let mesh = read(text).unwrap();
         assert_eq!(mesh.positions_mm.len(), 6);
         let normals = mesh.normals.as_ref().unwrap();
         for (i, corners) in mesh.triangles.iter().enumerate() {
@@ -195,38 +196,73 @@ mod tests {
         }
     }
 
+    /// The same square as other programs write it.
+    #[test]
+    fn dialects_are_read() {
+        let square = read(SQUARE).unwrap();
+        let joined = SQUARE.replace(" \\\n", "");
+        for text in [
+            SQUARE.replace('\n', "\r\n"),
+            SQUARE.replace('\n', "\r"),
+            format!("\u{feff}{SQUARE}"),
+            joined.replace("v 0 0 0", "v 0 0 0 1.0 0.5 0.25 0.1"),
+            joined.replace("f 1", "usemtl C:\\new\\\nl 1 2\np 1\ns off\nf 1"),
+            joined.replace("# by hand", "# from C:\\scans\\"),
+            // Faces first, capital keywords.
+            "F 1 2 3 4\nV 0 0 0\nV 1 0 0\nV 1 1 0\nV 0 1 0\n".to_owned(),
+            // Vertices that nothing uses, and their normals.
+            joined.clone() + "v nan -1.#IND 0\nvn 0 0 0\n",
+        ] {
+            assert_eq!(read(&text).unwrap(), square, "{text}");
+        }
+        let no_length = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0 0\nf 1//1 2//1 3//1\n";
+        let mesh = read(no_length).unwrap();
+        assert!(mesh.normals.is_none());
+        assert_eq!(mesh.remarks.len(), 1);
+        let backwards = read(&no_length.replace("vn 0 0 0", "vn 0 0 -2")).unwrap();
+        assert_eq!(backwards.normals.unwrap(), [Vec3::Z; 3]);
+    }
+
     #[test]
     fn errors_name_the_line() {
         for (good, wrong, expected) in [
             (
                 "v 1 1 0",
                 "v 1 nan 0",
-                "line 6: \"nan\" is not a finite number",
+                "line 6: vertex 2 has a coordinate that is not finite",
             ),
             ("v 1 1 0", "v 1 1", "line 6: three numbers are needed"),
             (
+                "v 1 1 0",
+                "v 1,5 1 0",
+                "line 6: \"1,5\" has a decimal comma",
+            ),
+            ("v 1 1 0", "v 1 x 0", "line 6: \"x\" is not a number"),
+            (
                 "f 1",
                 "f 9",
-                "line 11: the face refers to vertex 9, but 4 stand before it",
+                "line 11: the face refers to vertex 9, but there are 4",
             ),
             ("f 1", "f 0", "line 11: the face refers to vertex 0"),
+            (
+                "f 1",
+                "f -5",
+                "line 11: the face refers to vertex -5, but 4 stand before it",
+            ),
             ("f 1", "f x", "line 11: \"x\" is not a corner of a face"),
             (
                 "f 1 2/1 3 \\\n -1",
                 "f 1 2",
-                "line 10: the face has 2 corners",
-            ),
-            ("f 1 2/1 3", "f 1 2 2", "triangle 0 has no area"),
-            (
-                "f 1",
-                "f 1//1",
-                "line 11: the face refers to normal 1, but 0 stand before it",
+                "none of the 1 facets has an area",
             ),
         ] {
             assert!(SQUARE.contains(good), "{good}");
-            let text = SQUARE.replacen(good, wrong, 1);
-            let error = parse(text.as_bytes(), 1.0).unwrap_err().to_string();
+            let error = read(&SQUARE.replacen(good, wrong, 1))
+                .unwrap_err()
+                .to_string();
             assert!(error.contains(expected), "{wrong}: {error}");
         }
+        let cloud = read("v 0 0 0\nv 1 0 0\nv 0 1 0\n").unwrap_err();
+        assert_eq!(cloud.to_string(), "the mesh has 3 vertices and no facet");
     }
 }

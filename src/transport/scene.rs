@@ -9,7 +9,7 @@ use super::falloff::Falloff;
 use super::light::Light;
 use crate::brdf::Brdf;
 use crate::geometry::bvh::offset_origin;
-use crate::geometry::{Bvh, Mesh, Ray};
+use crate::geometry::{Bvh, FileRemark, Mesh, Ray};
 
 /// Which normals the reflection uses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
@@ -44,6 +44,8 @@ pub struct Scene {
     /// Corners' normals of the triangles that are shaded smoothly.
     corner_normals: Arc<[[Vec3; 3]]>,
     bodies: Vec<Arc<dyn Brdf>>,
+    /// About the files of its surfaces.
+    remarks: Arc<[FileRemark]>,
     /// The camera.
     pub camera: Camera,
     /// The lamps; images are rendered one per lamp.
@@ -158,7 +160,12 @@ impl Scene {
         } else {
             Bvh::new(&Mesh::joined(parts().map(|(mesh, _)| mesh)))
         };
+        let remarks = parts()
+            .flat_map(|(mesh, _)| &mesh.remarks)
+            .cloned()
+            .collect();
         Self {
+            remarks,
             bvh: Arc::new(bvh),
             facets: facets.into(),
             corner_normals: corner_normals.into(),
@@ -198,6 +205,11 @@ impl Scene {
     /// The sample's surface.
     pub fn sample(&self) -> &Mesh {
         &self.sample
+    }
+
+    /// What there is to say about the files of its surfaces.
+    pub fn remarks(&self) -> &[FileRemark] {
+        &self.remarks
     }
 
     /// Whether the sample's facets shade with their own normals.

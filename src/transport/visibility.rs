@@ -94,7 +94,7 @@ pub enum Concern {
         least_px: f64,
     },
     /// The camera sees the sample's back: it is upside down, or its mesh is inside out.
-    #[error("the sample's surface faces away from the camera: {:.1}% of what the camera sees is its front", 100.0 * .front)]
+    #[error("the sample's surface faces away from the camera: {:.1}% of what the camera sees is its front, the rest are backs of facets", 100.0 * .front)]
     FacesAway {
         /// Part of the front.
         front: f64,

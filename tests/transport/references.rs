@@ -59,7 +59,11 @@ pub fn mesh(name: &str) -> Mesh {
         bowl.positions_mm.iter_mut().for_each(|p| p.z = -p.z);
         return bowl;
     }
-    files::read(&data(&format!("{name}.ply")), 1.0).unwrap()
+    files::read(
+        &data(&format!("{name}.ply")),
+        &rig::geometry::Placement::default(),
+    )
+    .unwrap()
 }
 
 fn towards(theta_deg: f64, phi_deg: f64) -> DVec3 {

@@ -102,8 +102,8 @@ fn the_shipped_truth_errs_by_less_than_a_third_of_the_sensors_noise() {
     };
     let radiance = source.radiance(&lit(at));
     let brdf = simulation.material.load().unwrap();
-    let surface = &geometry.sample.surface;
-    let mesh = surface.mesh(Some(simulation.segments)).unwrap();
+    let (surface, shading) = (&geometry.sample.surface, geometry.sample.shading);
+    let mesh = surface.mesh(shading, Some(simulation.segments)).unwrap();
     let [rotation_rad, translation_mm] = pose_error(
         simulation.seed,
         simulation.pose_error_mm,

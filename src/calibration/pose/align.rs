@@ -5,6 +5,7 @@ use nalgebra::{DMatrix, DVector};
 
 use super::patches::{LARGEST_BLUR_PX2, Pair, PatchWord, SIDE, Target, listen, needed, with_edges};
 use super::regions::{Grid, Sight};
+use super::search::{WIDEST_DEG, search};
 use super::{PoseError, PoseEstimate, PoseOptions, ResidualShift};
 use crate::calibration::record::Measured;
 use crate::inverse::bench::spectrum::{HELD_BELOW, Spectrum};
@@ -42,6 +43,60 @@ pub fn align(
     options: &PoseOptions,
 ) -> Result<PoseEstimate, PoseError> {
     check(scene, images, priors)?;
+    check_view(scene)?;
+    align_from(scene, images, priors, options, None)
+}
+
+/// As [`align`]; where the description is too far off for that, the pose is searched for
+/// first, within [`WIDEST_DEG`] and a field's width, and the stated uncertainty of the pose
+/// gives way to that range.
+///
+/// # Errors
+/// Those of [`align`], where a search finds nothing better either.
+pub fn find(
+    scene: &Scene,
+    images: &[RadianceImage],
+    priors: &BenchPriors,
+    options: &PoseOptions,
+) -> Result<PoseEstimate, PoseError> {
+    use PoseError::{NoEdges, NotThere, OutsideView, TooFar};
+    let error = match align(scene, images, priors, options) {
+        Err(error @ (OutsideView { .. } | NoEdges | NotThere { .. } | TooFar { .. })) => error,
+        other => return other,
+    };
+    let sight = Sight::new(scene.sample(), options.subsamples);
+    let Some(start) = search(scene, &sight, images) else {
+        return Err(error);
+    };
+    let [low, high] = scene.sample().bounds_mm();
+    let wide = BenchPriors {
+        rotation_rad: 0.5 * WIDEST_DEG.to_radians(),
+        translation_mm: f64::from((high - low).length()),
+        ..priors.clone()
+    };
+    match align_from(scene, images, &wide, options, Some(start)) {
+        Ok(found) if rotation_of(&found) <= WIDEST_DEG.to_radians() => Ok(PoseEstimate {
+            searched: true,
+            ..found
+        }),
+        _ => Err(error),
+    }
+}
+
+/// The angle by which a pose is turned, radians.
+fn rotation_of(found: &PoseEstimate) -> f64 {
+    let [x, y, z, ..] = found.values;
+    glam::DVec3::new(x, y, z).length()
+}
+
+/// Aligns from a rotation vector (radians) and a translation (mm), or from the description.
+fn align_from(
+    scene: &Scene,
+    images: &[RadianceImage],
+    priors: &BenchPriors,
+    options: &PoseOptions,
+    start: Option<[glam::DVec3; 2]>,
+) -> Result<PoseEstimate, PoseError> {
     let priors = BenchPriors {
         intensity: 0.0,
         stray_light: 0.0,
@@ -57,9 +112,24 @@ pub fn align(
         blur_px2: 0.0,
     };
     aligner.values = DVector::zeros(aligner.bench.parameters().len());
+    let mut sizes = factors(scene, &priors, options);
+    if let Some([rotation, translation]) = start {
+        let six = rotation
+            .to_array()
+            .into_iter()
+            .chain(translation.to_array());
+        let parameters = aligner.bench.parameters();
+        let pose = (0..parameters.len()).filter(|&k| parameters[k].light().is_none());
+        for (k, value) in pose.zip(six) {
+            aligner.values[k] = value;
+        }
+        // A search ends within a pixel or two.
+        let two = sizes.len().saturating_sub(2);
+        sizes.drain(..two);
+    }
     let mut last = None;
     let mut rounds = 0;
-    for factor in factors(scene, &priors, options) {
+    for factor in sizes {
         // A blur seen on coarse pixels is wider on finer ones.
         aligner.blur_px2 = match &last {
             Some(_) => (4.0 * aligner.blur_px2).clamp(BLUR_PX2[0], LARGEST_BLUR_PX2),
@@ -94,7 +164,12 @@ fn check(scene: &Scene, images: &[RadianceImage], priors: &BenchPriors) -> Resul
             height,
         });
     }
-    let size = [width, height].map(|n| n as f64);
+    Ok(())
+}
+
+/// Refuses a mesh that is not in the camera's view.
+fn check_view(scene: &Scene) -> Result<(), PoseError> {
+    let size = scene.camera.resolution_px.map(|n| n as f64);
     let corners = &scene.sample().positions_mm;
     let inside = corners.iter().filter(|p| {
         let at = scene.camera.position_px(p.as_dvec3());
@@ -413,6 +488,7 @@ impl Aligner<'_> {
             pixel_px: factor,
             rounds,
             settled: level.settled,
+            searched: false,
         })
     }
 

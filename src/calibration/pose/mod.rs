@@ -15,6 +15,7 @@
 //! | `regions` | what each pixel looks at |
 //! | `patches` | images against regions, and how that changes with the pose |
 //! | `align` | the rounds, from coarse pixels to fine |
+//! | `search` | where to begin if the description is far off |
 //! | `values` | what the record holds |
 //! | `figure` | what the operator sees |
 
@@ -23,6 +24,7 @@ mod figure;
 mod patches;
 mod pieces;
 mod regions;
+mod search;
 mod values;
 
 #[cfg(test)]
@@ -30,7 +32,7 @@ mod tests;
 
 use super::record::Measured;
 
-pub use align::align;
+pub use align::{align, find};
 pub use figure::figure;
 pub use values::PoseValues;
 
@@ -81,6 +83,9 @@ pub struct PoseEstimate {
     pub rounds: usize,
     /// Whether the last step was short.
     pub settled: bool,
+    /// Whether the description was too far off, so that the pose was searched for, of the
+    /// poses that look alike the nearest.
+    pub searched: bool,
 }
 
 /// A patch with edges.

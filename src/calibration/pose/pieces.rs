@@ -3,51 +3,26 @@
 
 use std::collections::HashMap;
 
-use glam::Vec3;
-
 use crate::geometry::Mesh;
+use crate::geometry::topology::{Groups, Topology};
 
 /// For each triangle the number of its piece, from 0. Triangles belong together where
 /// they share an edge, by the places of its ends, at less than [`Mesh::CREASE_RAD`].
 pub fn smooth_pieces(mesh: &Mesh) -> Vec<u32> {
-    // Adding 0 makes −0 and 0 one place.
-    let place = |v: u32| (mesh.positions_mm[v as usize] + Vec3::ZERO).to_array();
-    let key = |v: u32| place(v).map(f32::to_bits);
-    let mut parent: Vec<u32> = (0..mesh.triangles.len() as u32).collect();
-    let mut edges = HashMap::new();
-    for (triangle, corners) in mesh.triangles.iter().enumerate() {
-        let normal = mesh.face_normal(triangle);
-        for i in 0..3 {
-            let (a, b) = (key(corners[i]), key(corners[(i + 1) % 3]));
-            match edges.remove(&(b, a)) {
-                Some(other) => {
-                    if normal.angle_between(mesh.face_normal(other)) < Mesh::CREASE_RAD {
-                        let [one, two] = [triangle, other].map(|t| root(&mut parent, t as u32));
-                        parent[one.max(two) as usize] = one.min(two);
-                    }
-                }
-                None => {
-                    edges.insert((a, b), triangle);
-                }
-            }
+    let mut groups = Groups::new(mesh.triangles.len());
+    for [one, two] in Topology::of(&mesh.positions_mm, &mesh.triangles).pairs() {
+        let [a, b] = [one, two].map(|side| mesh.face_normal(side.facet as usize));
+        if a.angle_between(b) < Mesh::CREASE_RAD {
+            groups.join(one.facet, two.facet);
         }
     }
     let mut number = HashMap::new();
     (0..mesh.triangles.len() as u32)
         .map(|triangle| {
             let next = number.len() as u32;
-            *number.entry(root(&mut parent, triangle)).or_insert(next)
+            *number.entry(groups.root(triangle)).or_insert(next)
         })
         .collect()
-}
-
-fn root(parent: &mut [u32], mut of: u32) -> u32 {
-    while parent[of as usize] != of {
-        // Halves the way for the next search.
-        parent[of as usize] = parent[parent[of as usize] as usize];
-        of = parent[of as usize];
-    }
-    of
 }
 
 #[cfg(test)]

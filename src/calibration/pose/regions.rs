@@ -70,9 +70,11 @@ pub struct Sight<'a> {
 
 /// What one ray sees under one light.
 #[derive(Clone, Copy, PartialEq)]
-struct Seen {
-    label: u32,
-    cosine: f32,
+pub struct Seen {
+    /// As of a [`Part`].
+    pub label: u32,
+    /// Between normal and light; 0 in shadow.
+    pub cosine: f32,
 }
 
 impl<'a> Sight<'a> {
@@ -114,7 +116,7 @@ impl<'a> Sight<'a> {
         // Every straight edge through a pixel has a corner of it for itself.
         let look = |x: f64, y: f64, seen: &mut [Seen]| {
             let at = corner + DVec2::new(x, y) * grid.factor as f64;
-            self.at(scene, at, seen);
+            self.look(scene, at, seen);
         };
         let spread = scene.camera.point_spread_px / grid.factor as f64;
         let (near, far) = (-FOOTPRINT_REACH * spread, 1.0 + FOOTPRINT_REACH * spread);
@@ -152,7 +154,13 @@ impl<'a> Sight<'a> {
         parts
     }
 
-    fn at(&self, scene: &Scene, position_px: DVec2, seen: &mut [Seen]) {
+    /// Room for what a ray sees under each light of a scene.
+    pub fn blank(&self, scene: &Scene) -> Vec<Seen> {
+        vec![BLACK; scene.lights.len()]
+    }
+
+    /// What the ray through a place of the image, the camera's pixels, sees under each light.
+    pub fn look(&self, scene: &Scene, position_px: DVec2, seen: &mut [Seen]) {
         seen.fill(BLACK);
         let ray = scene.camera.ray(position_px, DVec2::ZERO);
         let Some(hit) = self.bvh.closest(&ray) else {

@@ -7,7 +7,7 @@ use serde::Serialize;
 use super::rotation;
 use super::target::{CommonArgs, Target};
 use crate::calibration::Library;
-use crate::calibration::pose::{PoseError, PoseOptions, PoseValues, align, figure};
+use crate::calibration::pose::{PoseError, PoseOptions, PoseValues, figure, find};
 use crate::calibration::record::Settings;
 use crate::cli::bench_records::BenchRecords;
 use crate::cli::output::{write_json, write_path};
@@ -65,9 +65,9 @@ fn hint(error: &PoseError) -> &'static str {
              the side that cast shadows, and more pixels"
         }
         PoseError::NotThere { .. } => {
-            "the sample is elsewhere, or of another shape: look at the radiance images, correct \
-             [geometry.sample] and [geometry.camera], or state larger rotation_deg and translation_mm \
-             in [uncertainty]"
+            "no pose within 45° of the rig file's fits better, so the sample is of another shape or \
+             the camera elsewhere: look at the radiance images, correct [geometry.sample] and \
+             [geometry.camera]"
         }
         PoseError::TooFar { .. } => {
             "seat the sample again, correct [geometry], or state how far it may be off in \
@@ -111,7 +111,7 @@ pub(super) fn run(args: &PoseArgs, context: &Context) -> Result<(), CliError> {
     };
     let bar = context.spinner();
     bar.set_message("aligning");
-    let found = align(&scene, &session.captured, &bench.priors, &options);
+    let found = find(&scene, &session.captured, &bench.priors, &options);
     bar.finish_and_clear();
     let found = found.map_err(|error| {
         let hint = hint(&error);
@@ -130,6 +130,16 @@ pub(super) fn run(args: &PoseArgs, context: &Context) -> Result<(), CliError> {
         session.captured.len(),
         found.rounds
     );
+    if found.searched {
+        let norm = |v: [f64; 3]| v.iter().map(|x| x * x).sum::<f64>().sqrt();
+        context.warn(format_args!(
+            "the sample lies {:.1}° and {:.1} mm from where the rig file has it, beyond its stated \
+             uncertainty: found by a search; of poses that look alike (turns of a symmetric sample, \
+             depth under a telecentric lens) this is the nearest",
+            norm(values.rotation_deg),
+            norm(values.translation_mm)
+        ));
+    }
     let path = target.add(values.clone(), &method, &[])?;
     target.draw(&figure(&found, scene.camera.resolution_px), &path, context)?;
     if !found.settled {
