@@ -393,7 +393,7 @@ const SCENE_CASES: &[Case] = &[
         args: &["brdf", "check", "nbrdf:unobtainium"],
         change: None,
         fact: "no embedded material \"unobtainium\"",
-        hint: "choose a name such as",
+        hint: "red-plastic",
     },
     Case {
         name: "width beyond the closed form",

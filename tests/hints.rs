@@ -93,6 +93,14 @@ const ELSEWHERE: &[(&str, &str)] = &[
     ),
     ("ask for at least one light", "refused as an argument"),
     (
+        "`rig capture --resume SESSION` captures the rest",
+        "`rig fit` names the session itself",
+    ),
+    (
+        "makes one; without --fit the newest is taken",
+        "`rig report` says so itself",
+    ),
+    (
         "start a new session, or `rig capture --resume` this one",
         "a defect",
     ),
@@ -271,11 +279,7 @@ fn quotations() -> BTreeSet<String> {
     }
     for file in files("tests", "rs") {
         let source = fs::read_to_string(&file).unwrap();
-        let runs_it = [
-            "CARGO_BIN_EXE_rig",
-            "cargo_bin(\"rig\")",
-            "mod command_support",
-        ];
+        let runs_it = ["CARGO_BIN_EXE_rig", "cargo_bin(\"rig\")", "command_support"];
         if !file.ends_with("hints.rs") && runs_it.iter().any(|mark| source.contains(mark)) {
             // Names of keys and options are no phrases.
             quoted.extend(

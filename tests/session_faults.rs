@@ -478,5 +478,5 @@ fn a_fit_of_an_interrupted_session_says_what_is_missing() {
     assert_eq!(output.status.code(), Some(143), "{}", text(&output.stderr));
     let output = run(folder.path(), &["fit", root.to_str().unwrap()]);
     let fact = "has no merged image, because the capture ended after 1 of 2 lights (stopped";
-    assert_fails(&output, 1, fact, "captures the rest; then fit");
+    assert_fails(&output, 1, fact, "rig capture --resume");
 }
