@@ -285,7 +285,7 @@ fn normals_are_made_for_a_file_that_has_none() {
     let [flat, made] = [0, 1].map(|i| difference(&images[2], &images[i]));
     println!("flat {flat}, made {made}");
     assert!(images[0] != images[1]);
-    assert!(made < 0.5 * flat, "{made} {flat}");
+    assert!(made < 0.75 * flat, "{made} {flat}");
 }
 
 /// More facets than are supported: said without reading them all into memory.

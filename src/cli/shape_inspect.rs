@@ -24,8 +24,12 @@ fn text(file: &Path, found: &Inspection) -> String {
     let mut line = |words: String| {
         let _ = writeln!(text, "{words}");
     };
-    let of = |v: [f64; 3]| v.map(short).join(", ");
     let size: [f64; 3] = std::array::from_fn(|i| found.high[i] - found.low[i]);
+    let nothing = 1e-6 * size.iter().copied().fold(0.0, f64::max);
+    // What rounding left of a zero is none.
+    let length = |v: f64| short(if v.abs() < nothing { 0.0 } else { v });
+    let of = |v: [f64; 3]| v.map(length).join(", ");
+    let unit_vector = |v: [f64; 3]| v.map(|x| short((x * 1e5).round() / 1e5)).join(", ");
     line(format!(
         "{}: {} facets, {} vertices{}",
         file.display(),
@@ -65,8 +69,8 @@ fn text(file: &Path, found: &Inspection) -> String {
             "hollow: {} deep, its rim around [{}] plane to {}, its axis [{}]",
             short(hollow.depth),
             of(hollow.rim.centre),
-            short(hollow.rim.off_plane),
-            of(hollow.axis)
+            length(hollow.rim.off_plane),
+            unit_vector(hollow.axis)
         )),
         None => line(
             "hollow: none with a plane rim, so that nothing tells how it should lie".to_owned(),

@@ -29,6 +29,9 @@ pub const UNITS: [(&str, f64); 6] = [
 const USUAL_MM: std::ops::RangeInclusive<f64> = 2.0..=400.0;
 /// A rim is plane if no corner is farther off its plane, of its extent.
 const PLANE: f64 = 0.02;
+/// A plane face counts as one if it has this part of the whole area: rings of narrow facets
+/// around a pole do not.
+const LEAST_FACE: f64 = 0.01;
 /// Facets that turn by less are of one plane, radians.
 const COPLANAR_RAD: f32 = 1e-3;
 
@@ -321,6 +324,9 @@ fn hole_in_a_plane(mesh: &Mesh, topology: &Topology) -> Option<Opening> {
         let [low, high] = mesh.bounds_mm();
         f64::from((high - low).length())
     };
+    let whole: f64 = (0..mesh.triangles.len())
+        .map(|t| area(mesh, t).length())
+        .sum();
     let mut best: Option<Opening> = None;
     for (root, edges) in around {
         let loops: Vec<Opening> = chains(edges.into_iter())
@@ -332,10 +338,13 @@ fn hole_in_a_plane(mesh: &Mesh, topology: &Topology) -> Option<Opening> {
                 Opening::of(&corners.collect::<Vec<_>>())
             })
             .collect();
-        if loops.len() < 2 {
+        let front = mesh.face_normal(root as usize).as_dvec3();
+        let sides = loops
+            .iter()
+            .map(|l| l.area * vector(l.normal).dot(front).signum());
+        if loops.len() < 2 || sides.sum::<f64>() < LEAST_FACE * whole {
             continue;
         }
-        let front = mesh.face_normal(root as usize).as_dvec3();
         let on = mesh.corners(root as usize)[0].as_dvec3();
         let heights = || {
             mesh.positions_mm
