@@ -117,12 +117,12 @@ fn layers(headers: &[Header], part: usize) -> Vec<Layer> {
     let prefixes = prefixes.into_iter().filter(|prefix| !is_variance(prefix));
     let of_prefix = |prefix: &str| {
         let has = |last: &&str| names.contains(&format!("{prefix}{last}"));
-        let grey: &[&str] = match NOT_GREY.iter().any(|last| has(&last)) {
+        let grey: &[&str] = match NOT_GREY.iter().any(has) {
             false => &[GREY],
             true => &[],
         };
         let mut sets = COLOURS.iter().map(|set| &set[..]).chain([grey]);
-        let set = sets.find(|set| !set.is_empty() && set.iter().all(|last| has(&last)))?;
+        let set = sets.find(|set| !set.is_empty() && set.iter().all(has))?;
         Some(Layer {
             part,
             prefix: prefix.to_owned(),
