@@ -196,6 +196,6 @@ fn a_stage_is_found_where_it_truly_stands_and_a_fit_goes_by_it() {
     let said = text(&fitted.stderr);
     assert!(said.contains("light directions by record one"), "{said}");
     assert!(said.contains("irradiance by record white"), "{said}");
-    let few = "warning: 2 paths per pixel were followed";
+    let few = "warning: 2 paths per cell were followed";
     assert!(said.contains(few), "{said}");
 }

@@ -290,9 +290,13 @@ fn read_table(path: &Path) -> Result<Vec<BracketRow>, CliError> {
     let bytes = outside_file::read_regular(path, LARGEST_TABLE_BYTES)
         .map_err(|error| CliError::new(format!("{}: {error}", path.display())))
         .hint("--exposures names a CSV file with lines `file,exposure_s`")?;
-    parse_bracket_table(&outside_text::decode_any(&bytes))
-        .map_err(|error| CliError::new(format!("{}, {error}", path.display())))
-        .hint("each line is `file,exposure_s` or `file,exposure_s,light|ambient|dark`, or a first line names these columns; semicolons and tabs separate as well")
+    parse_bracket_table(&outside_text::decode_any(&bytes)).map_err(|error| {
+        let hint = match error.is_repeated {
+            true => "each file has one line: remove the one that is wrong",
+            false => "each line is `file,exposure_s` or `file,exposure_s,light|ambient|dark`, or a first line names these columns; semicolons and tabs separate as well",
+        };
+        CliError::new(format!("{}, {error}", path.display())).hint(hint)
+    })
 }
 
 /// The table's line for a frame.

@@ -56,6 +56,7 @@ mod shape_inspect;
 mod sharpness;
 pub mod stage;
 pub mod stderr;
+mod trace;
 mod warnings;
 
 use std::ffi::OsString;
@@ -211,7 +212,7 @@ fn run(arguments: Vec<OsString>) -> Exit {
         Ok(cli) => cli,
         Err(error) => return report_usage(&error, &subcommand, color),
     };
-    start_tracing(&cli.global, color);
+    trace::start(&cli.global, color);
     let context = Context {
         quiet: cli.global.quiet,
         color,
@@ -303,22 +304,6 @@ fn use_color(choice: ColorChoice) -> bool {
                 && std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty())
         }
     }
-}
-
-fn start_tracing(global: &GlobalArgs, color: bool) {
-    let level = match (global.quiet, global.verbose) {
-        (true, _) => "error",
-        (_, 0) => "warn",
-        (_, 1) => "info,rig=debug",
-        _ => "trace",
-    };
-    let filter = std::env::var("RUST_LOG").unwrap_or_else(|_| level.to_owned());
-    let _ = tracing_subscriber::fmt()
-        .with_env_filter(tracing_subscriber::EnvFilter::new(filter))
-        .with_writer(|| stderr::Trace)
-        .with_ansi(color)
-        .log_internal_errors(false)
-        .try_init();
 }
 
 /// A defect says so in one line; the backtrace only where RUST_BACKTRACE asks for it.

@@ -82,7 +82,7 @@ pub(super) fn warnings(fit: &Fit, record: &FitRecord) -> Vec<Warning> {
         warn(
             Grade::Reservation,
             format!(
-                "{} paths per pixel were followed; below {FEW_PATHS} the paths' noise can steer the fit",
+                "{} paths per cell were followed; below {FEW_PATHS} the paths' noise can steer the fit",
                 fit.samples[0]
             ),
             "--spp or --memory is small",

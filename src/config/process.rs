@@ -82,7 +82,7 @@ pub struct FitConfig {
     pub dictionary: String,
     /// Which optimiser.
     pub optimizer: Optimizer,
-    /// Light paths per pixel.
+    /// Light paths per cell.
     pub samples_per_pixel: u32,
     /// Longest path in surface reflections.
     pub max_reflections: u32,

@@ -30,6 +30,8 @@ pub struct TableError {
     pub line: usize,
     /// What is wrong, with the value.
     pub problem: String,
+    /// Whether the line is sound and its file had one before.
+    pub is_repeated: bool,
 }
 
 /// Names of the column of files.
@@ -61,6 +63,7 @@ pub fn parse_bracket_table(text: &str) -> Result<Vec<BracketRow>, TableError> {
     let table = rows(text).map_err(|unclosed| TableError {
         line: unclosed.line,
         problem: "a double quote has no partner".into(),
+        is_repeated: false,
     })?;
     let named = table.first().and_then(named_columns);
     let first = usize::from(named.is_some());
@@ -77,11 +80,15 @@ pub fn parse_bracket_table(text: &str) -> Result<Vec<BracketRow>, TableError> {
         let error = |problem: String| TableError {
             line: row.line,
             problem,
+            is_repeated: false,
         };
         let bracket_row = bracket_row(row, &columns).map_err(error)?;
         if !seen.insert(key(&bracket_row.file)) {
             let file = excerpt(&bracket_row.file);
-            return Err(error(format!("{file} appears twice")));
+            return Err(TableError {
+                is_repeated: true,
+                ..error(format!("{file} appears twice"))
+            });
         }
         parsed.push(bracket_row);
     }

@@ -110,9 +110,9 @@ fn capitalised(word: &str) -> String {
 pub struct FitSettings {
     /// `gauss-newton`, `exponentiated-gradient` or `single-bounce`.
     pub optimizer: String,
-    /// Camera paths per pixel, as traced.
+    /// Camera paths per cell, as traced.
     pub samples_per_pixel: u64,
-    /// Camera paths per pixel that were asked for: more than were traced where memory did not
+    /// Camera paths per cell that were asked for: more than were traced where memory did not
     /// suffice. Optional, as is all below that has `None` or nothing.
     pub samples_requested: Option<u64>,
     /// Memory that cached paths might take, MiB.

@@ -93,7 +93,7 @@ pub(super) fn sample() -> FitRecord {
             likely_cause: "pose error".to_owned(),
             grade: Grade::Distrust,
         }],
-        remarks: vec!["48 of 64 paths per pixel were traced".to_owned()],
+        remarks: vec!["48 of 64 paths per cell were traced".to_owned()],
         bench: Some(BenchRecord {
             rounds: 3,
             settled: true,

@@ -1,0 +1,63 @@
+//! What the library says while it works: warnings as the program's own, the rest on demand.
+
+use std::fmt;
+
+use tracing::{Event, Level, Subscriber};
+use tracing_subscriber::EnvFilter;
+use tracing_subscriber::fmt::format::Writer;
+use tracing_subscriber::fmt::{FmtContext, FormatEvent, FormatFields};
+use tracing_subscriber::registry::LookupSpan;
+
+use super::{GlobalArgs, stderr};
+
+/// Shows warnings; with --verbose or RUST_LOG more, each with its time and module.
+pub(super) fn start(global: &GlobalArgs, color: bool) {
+    let level = match (global.quiet, global.verbose) {
+        (true, _) => "error",
+        (_, 0) => "warn",
+        (_, 1) => "info,rig=debug",
+        _ => "trace",
+    };
+    let wanted = std::env::var("RUST_LOG").ok();
+    let shows_places = wanted.is_some() || global.verbose > 0;
+    let filter = wanted.unwrap_or_else(|| level.to_owned());
+    let subscriber = tracing_subscriber::fmt()
+        .with_env_filter(EnvFilter::new(filter))
+        .with_writer(|| stderr::Trace)
+        .with_ansi(color)
+        .log_internal_errors(false);
+    // Fails where there is one already, which is as good.
+    let _ = match shows_places {
+        true => subscriber.try_init(),
+        false => subscriber.event_format(AsWarning { color }).try_init(),
+    };
+}
+
+/// `warning: …`, as the program's own warnings are shown.
+struct AsWarning {
+    color: bool,
+}
+
+impl<S, N> FormatEvent<S, N> for AsWarning
+where
+    S: Subscriber + for<'a> LookupSpan<'a>,
+    N: for<'a> FormatFields<'a> + 'static,
+{
+    fn format_event(
+        &self,
+        context: &FmtContext<'_, S, N>,
+        mut writer: Writer<'_>,
+        event: &Event<'_>,
+    ) -> fmt::Result {
+        let (word, begin) = match *event.metadata().level() {
+            Level::ERROR => ("error:", "\x1b[1;31m"),
+            _ => ("warning:", "\x1b[1;33m"),
+        };
+        match self.color {
+            true => write!(writer, "{begin}{word}\x1b[0m ")?,
+            false => write!(writer, "{word} ")?,
+        }
+        context.format_fields(writer.by_ref(), event)?;
+        writeln!(writer)
+    }
+}
