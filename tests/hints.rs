@@ -183,6 +183,10 @@ const ELSEWHERE: &[(&str, &str)] = &[
         "the file is no text: rig files and scenes",
         "`tests/bad_input.rs`",
     ),
+    (
+        "reduce it (in MeshLab: Simplification)",
+        "a mesh of hundreds of millions of facets",
+    ),
     ("name one with --materials", "`tests/evaluate_command.rs`"),
 ];
 
@@ -308,7 +312,9 @@ fn is_of(quoted: &str, row: &str) -> bool {
         }
         None => false,
     });
-    is_filled_in && rest.is_empty() && quoted.starts_with(parts[0])
+    // A placeholder at the end takes all that is left.
+    let is_whole = rest.is_empty() || parts.last().is_some_and(|part| part.is_empty());
+    is_filled_in && is_whole && quoted.starts_with(parts[0])
 }
 
 #[test]

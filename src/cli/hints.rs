@@ -21,6 +21,7 @@ use crate::config::build::BuildError;
 use crate::config::{ConfigError, Slip};
 use crate::export::ExportError;
 use crate::geometry::MeshError;
+use crate::geometry::files::Content;
 use crate::inverse::cells::AverageError;
 use crate::inverse::fit::FitError;
 use crate::inverse::plausibility::Implausible;
@@ -327,15 +328,21 @@ fn for_mesh(error: &MeshError) -> Option<String> {
         Kind { .. } => {
             "give PLY, OBJ or STL: CAD programs, MeshLab and Blender export them, `rig shape` writes all three"
         }
-        OtherKind { found, .. } => match *found {
-            "PLY" => "rename the file to end in .ply",
-            "STL" => "rename the file to end in .stl",
-            "compressed by gzip" | "a ZIP archive (3MF and others)" | "a 7z archive" => {
-                "unpack it; what is inside must be PLY, OBJ or STL"
+        OtherKind { found, .. } => match found {
+            Content::Mesh(name) => {
+                return Some(format!(
+                    "rename the file to end in .{}",
+                    name.to_lowercase()
+                ));
             }
-            "a web page" => "the download gave a page in place of the file: get the file itself",
-            "a pointer of Git LFS" => "`git lfs pull` brings the file itself",
-            _ => "export it as PLY, OBJ or STL, from the CAD program, MeshLab or Blender",
+            Content::Packed(_) => "unpack it; what is inside must be PLY, OBJ or STL",
+            Content::WebPage => {
+                "the download gave a page in place of the file: get the file itself"
+            }
+            Content::LfsPointer => "`git lfs pull` brings the file itself",
+            Content::Other(_) => {
+                "export it as PLY, OBJ or STL, from the CAD program, MeshLab or Blender"
+            }
         },
         Format { .. } => {
             "export the mesh again; if another program reads the file, let it write a binary PLY"

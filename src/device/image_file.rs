@@ -5,7 +5,10 @@ use std::path::Path;
 use super::RawFrame;
 use super::retake::FrameFault;
 use crate::outside_file::read_regular;
-use crate::radiometry::frame_file::{FrameFileError, Tone, decode_sized};
+use crate::radiometry::frame_file::{FrameFileError, decode_sized};
+
+/// The first bytes of every JPEG file.
+const JPEG_START: &[u8] = b"\xff\xd8\xff";
 
 /// Largest raw frame, bytes: 250 megapixels of 16 bits, not compressed.
 const LARGEST_BYTES: u64 = 1 << 29;
@@ -44,6 +47,9 @@ pub fn read(path: &Path, expected: [u32; 2], bit_depth: u32) -> Result<RawFrame,
         kind: kind.to_owned(),
     };
     let bytes = read_regular(path, LARGEST_BYTES).map_err(|error| unreadable(&error))?;
+    if bytes.starts_with(JPEG_START) {
+        return Err(not_raw("a JPEG file"));
+    }
     let [width, height] = expected;
     let size = [width as usize, height as usize];
     let mut frame = decode_sized(&bytes, Some(size)).map_err(|error| match error {
@@ -54,9 +60,6 @@ pub fn read(path: &Path, expected: [u32; 2], bit_depth: u32) -> Result<RawFrame,
         },
         error => unreadable(&error),
     })?;
-    if frame.tone == Tone::Jpeg {
-        return Err(not_raw("a JPEG file"));
-    }
     let counts = match frame.planes.len() {
         1 => frame.planes.remove(0),
         _ => {

@@ -72,7 +72,9 @@ impl MeshFormat {
             Self::Stl => "STL",
         };
         match known {
-            Some(&(_, found)) if found != expected => Err(MeshError::OtherKind { expected, found }),
+            Some(&(_, found)) if found != Content::Mesh(expected) => {
+                Err(MeshError::OtherKind { expected, found })
+            }
             _ => Ok(()),
         }
     }
@@ -87,22 +89,50 @@ impl MeshFormat {
     }
 }
 
+/// What a file is by its first bytes; each shows as its name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Content {
+    /// A kind of mesh that is read.
+    Mesh(&'static str),
+    /// Something that holds the mesh.
+    Packed(&'static str),
+    /// What a download gives in place of the file.
+    WebPage,
+    /// What a checkout without Git LFS gives in place of the file.
+    LfsPointer,
+    /// A kind that is not read.
+    Other(&'static str),
+}
+
+impl std::fmt::Display for Content {
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        out.write_str(match self {
+            Self::Mesh(name) | Self::Packed(name) | Self::Other(name) => name,
+            Self::WebPage => "a web page",
+            Self::LfsPointer => "a pointer of Git LFS",
+        })
+    }
+}
+
 /// How files begin that are met under names of others.
-const CONTENTS: [(&[u8], &str); 14] = [
-    (b"ply\n", "PLY"),
-    (b"ply\r", "PLY"),
-    (b"solid ", "STL"),
-    (b"\x1f\x8b", "compressed by gzip"),
-    (b"PK\x03\x04", "a ZIP archive (3MF and others)"),
-    (b"7z\xbc\xaf", "a 7z archive"),
-    (b"glTF", "glTF"),
-    (b"ISO-10303", "STEP"),
-    (b"OFF\n", "OFF"),
-    (b"#VRML", "VRML"),
-    (b"<?xml", "XML (AMF, COLLADA or another)"),
-    (b"<!doctype", "a web page"),
-    (b"<html", "a web page"),
-    (b"version https://git-lfs", "a pointer of Git LFS"),
+const CONTENTS: [(&[u8], Content); 14] = [
+    (b"ply\n", Content::Mesh("PLY")),
+    (b"ply\r", Content::Mesh("PLY")),
+    (b"solid ", Content::Mesh("STL")),
+    (b"\x1f\x8b", Content::Packed("compressed by gzip")),
+    (
+        b"PK\x03\x04",
+        Content::Packed("a ZIP archive (3MF and others)"),
+    ),
+    (b"7z\xbc\xaf", Content::Packed("a 7z archive")),
+    (b"glTF", Content::Other("glTF")),
+    (b"ISO-10303", Content::Other("STEP")),
+    (b"OFF\n", Content::Other("OFF")),
+    (b"#VRML", Content::Other("VRML")),
+    (b"<?xml", Content::Other("XML (AMF, COLLADA or another)")),
+    (b"<!doctype", Content::WebPage),
+    (b"<html", Content::WebPage),
+    (b"version https://git-lfs", Content::LfsPointer),
 ];
 
 /// Reads a mesh file and places it in the sample's frame.

@@ -1,5 +1,7 @@
 //! What can be wrong with a mesh, and what is worth a remark though it can be used.
 
+use super::files::Content;
+
 /// Why a mesh cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum MeshError {
@@ -31,7 +33,7 @@ pub enum MeshError {
         /// By the file's name.
         expected: &'static str,
         /// By its first bytes.
-        found: &'static str,
+        found: Content,
     },
     /// The file does not follow its format.
     #[error("{what}")]

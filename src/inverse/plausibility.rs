@@ -226,7 +226,8 @@ pub fn check(
 }
 
 /// Refuses an image that is more than `allowed` times as bright as the brightest material, per
-/// channel, beyond its noise.
+/// channel, beyond its noise and without the brightest cell: a hot pixel says nothing of the
+/// irradiance.
 fn check_brightness(
     index: usize,
     image: &CellImage,
@@ -237,11 +238,13 @@ fn check_brightness(
     let mut ratios = [0.0; 3];
     let mut sure = [false; 3];
     for channel in 0..3 {
-        let sum = |values: &[[f64; 3]]| values.iter().map(|value| value[channel]).sum::<f64>();
-        let (mean, noise) = (
-            sum(&image.mean) / count,
-            sum(&image.variance).sqrt() / count,
-        );
+        let of_channel = |values: &[[f64; 3]]| -> Vec<f64> {
+            values.iter().map(|value| value[channel]).collect()
+        };
+        let values = of_channel(&image.mean);
+        let highest = values.iter().copied().fold(0.0, f64::max);
+        let mean = (values.iter().sum::<f64>() - highest) / count;
+        let noise = of_channel(&image.variance).iter().sum::<f64>().sqrt() / count;
         ratios[channel] = mean / brightest[channel];
         sure[channel] = mean - SIGNIFICANT * noise > allowed * brightest[channel];
     }
