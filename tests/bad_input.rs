@@ -362,7 +362,7 @@ const SCENE_CASES: &[Case] = &[
         ],
         change: None,
         fact: "bad.exr is not a readable OpenEXR file",
-        hint: "render or merge it again",
+        hint: "the image is damaged or no OpenEXR file: render or merge it again",
     },
     Case {
         name: "unknown dictionary",
@@ -580,7 +580,10 @@ fn a_damaged_record_is_found() {
         "{check}"
     );
     assert!(
-        check["remedy"].as_str().unwrap().contains("backup"),
+        check["remedy"]
+            .as_str()
+            .unwrap()
+            .contains("the record was changed or damaged"),
         "{check}"
     );
 }

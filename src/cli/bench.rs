@@ -143,7 +143,33 @@ fn run_growth(folder: &Path, json: bool, context: &Context) -> Result<(), CliErr
     if json {
         return output::write_json(&json!({ "fits": costs }));
     }
-    out!("{}", csv.trim_end())?;
+    out!(
+        "{:8} {:>12} {:>6} {:>6} {:>6} {:>7} {:>8} {:>8} {:>8}",
+        "varied",
+        "pixels",
+        "lights",
+        "cells",
+        "paths",
+        "threads",
+        "CPU s",
+        "wall s",
+        "MB"
+    )?;
+    for cost in &costs {
+        let [width, height] = cost.resolution_px;
+        out!(
+            "{:8} {:>12} {:6} {:6} {:6} {:7} {:8.1} {:8.1} {:8.0}",
+            cost.varied,
+            format!("{width} × {height}"),
+            cost.lights,
+            cost.cells,
+            cost.paths,
+            cost.threads,
+            cost.cpu_s,
+            cost.wall_s,
+            cost.memory_mb
+        )?;
+    }
     out!("{}", folder.join("growth.png").display())?;
     Ok(())
 }

@@ -157,7 +157,9 @@ fn load(spec: &str) -> Result<Arc<dyn Brdf>, CliError> {
     source::load(spec)
         .map(Arc::from)
         .map_err(|error| match &error {
-            BrdfError::UnknownSource { .. } => {
+            BrdfError::UnknownSource { .. }
+            | BrdfError::Dictionary { .. }
+            | BrdfError::Weights { .. } => {
                 CliError::from(error).hint("`rig brdf --help` lists what names a BRDF")
             }
             _ => error.into(),

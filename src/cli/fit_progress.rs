@@ -22,14 +22,14 @@ const FIXED_CPU_S: f64 = 0.7;
 const PATH_CPU_S: f64 = 6.0e-6;
 const CONNECTION_CPU_S: f64 = 1.7e-6;
 /// Refining the bench over the fit itself, likewise.
-const REFINING: f64 = 8.5;
+const REFINING: f64 = 9.0;
 /// Memory by the same measurements: of the program, of each cell, and of each path from a cell
 /// to a light, bytes.
 const FIXED_BYTES: f64 = 25e6;
 const CELL_BYTES: f64 = 18e3;
 const PATH_BYTES: f64 = 78.0;
 /// Memory of a refinement over that of the fit itself.
-const REFINING_MEMORY: f64 = 2.5;
+const REFINING_MEMORY: f64 = 3.2;
 
 impl Work {
     /// Processor time that it takes, about, seconds.

@@ -359,7 +359,7 @@ pub fn figure(costs: &[Cost]) -> Figure {
         panels.push(Chart {
             title: String::new(),
             x: Axis::decades(range, label),
-            y: Axis::decades(-1.0..3.0, "s, 10 MB"),
+            y: Axis::decades(0.0..2.0, "s, 10 MB"),
             series: vec![
                 line("processor time, s", 0, &|cost| cost.cpu_s),
                 line("memory, 10 MB", 1, &|cost| cost.memory_mb / 10.0),
