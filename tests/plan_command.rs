@@ -397,7 +397,7 @@ fn a_light_that_the_camera_blocks_is_refused() {
 #[test]
 fn a_sample_partly_in_view_is_remarked() {
     let dry = ["capture", "--lights", "2", "--dry-run"];
-    let whole = run(&workplace(|text| text), &dry);
+    let whole = run(workplace(|text| text), &dry);
     assert_eq!(text(&whole.stderr), "");
     let folder = workplace(|text| {
         text.replace("look_at_mm = [0.0,", "look_at_mm = [6.0,")
@@ -435,7 +435,7 @@ fn a_dry_run_without_records_marks_its_estimates() {
         "there is no sensor record",
     );
     no_session(&folder);
-    let known = run(&workplace(|text| text), &[&dry[..], &["--json"]].concat());
+    let known = run(workplace(|text| text), &[&dry[..], &["--json"]].concat());
     let plan: serde_json::Value = serde_json::from_slice(&known.stdout).unwrap();
     assert_eq!(plan["sensor_record"], "20261121T020000Z-sensor");
     assert!(plan.get("estimated").is_none());
