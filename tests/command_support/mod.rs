@@ -61,7 +61,7 @@ pub fn rig(folder: impl AsRef<Path>, arguments: &[&str]) -> Command {
 
 /// Likewise, run to its end.
 pub fn run(folder: impl AsRef<Path>, arguments: &[&str]) -> Output {
-    rig(folder, arguments).output().unwrap()
+    rig(folder.as_ref(), arguments).output().unwrap()
 }
 
 /// For people to read.
