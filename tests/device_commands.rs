@@ -8,6 +8,9 @@ use std::os::unix::process::CommandExt;
 use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
+mod command_support;
+
+use command_support::rig_file_on_port;
 use mock_devices::bench::{Bench, BenchConfig};
 use mock_devices::clock::Clock;
 use rustix::process::Signal;
@@ -33,22 +36,7 @@ fn firmware() -> (GrblSimulator, String) {
 
 /// A rig file for a stage on this port.
 fn rig_file(port: &str) -> (tempfile::TempDir, String) {
-    rig_file_from(include_str!("../rig-configs/grbl-arm-v4l2.toml"), port)
-}
-
-fn rig_file_from(built_in: &str, port: &str) -> (tempfile::TempDir, String) {
-    let with_port: String = built_in
-        .lines()
-        .map(|line| match line.strip_prefix("port = ") {
-            Some(_) => format!("port = {port:?}\nconnect_timeout_s = 0.6\n"),
-            None => format!("{line}\n"),
-        })
-        .collect();
-    let folder = tempfile::tempdir().unwrap();
-    let file = folder.path().join("arm.toml");
-    std::fs::write(&file, with_port).unwrap();
-    let name = file.display().to_string();
-    (folder, name)
+    rig_file_on_port(include_str!("../rig-configs/grbl-arm-v4l2.toml"), port)
 }
 
 fn text(bytes: &[u8]) -> String {
@@ -260,7 +248,7 @@ fn a_killed_program_leaves_no_light_of_a_dome_lit() {
             "told it to turn off",
         ),
     ] {
-        let (_folder, file) = rig_file_from(built_in, &port.display().to_string());
+        let (_folder, file) = rig_file_on_port(built_in, &port.display().to_string());
         let at = ["--azimuth", "60", "--elevation", "30", "--rig", &file];
         let lamp = |more: &[&str]| rig(&[&["stage", "lamp", "0"][..], more, &at].concat());
         let is_lit = || bench.lamp_drive() != [0.0; 3];

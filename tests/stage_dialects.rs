@@ -10,7 +10,7 @@ use mock_devices::grbl::{Dialect, DialectSimulator};
 
 mod command_support;
 
-use command_support::{assert_fails, text};
+use command_support::{assert_fails, rig_file_on_port, text};
 
 fn run(args: &[&str]) -> Output {
     command_support::run(Path::new("."), args)
@@ -19,18 +19,7 @@ fn run(args: &[&str]) -> Output {
 /// A rig file for a stage on this port.
 fn rig_file(port: &Path) -> (tempfile::TempDir, String) {
     let built_in = include_str!("../rig-configs/grbl-arm-v4l2.toml");
-    let with_port: String = built_in
-        .lines()
-        .map(|line| match line.strip_prefix("port = ") {
-            Some(_) => format!("port = {port:?}\nconnect_timeout_s = 0.6\n"),
-            None => format!("{line}\n"),
-        })
-        .collect();
-    let folder = tempfile::tempdir().unwrap();
-    let file = folder.path().join("arm.toml");
-    std::fs::write(&file, with_port).unwrap();
-    let name = file.display().to_string();
-    (folder, name)
+    rig_file_on_port(built_in, port.to_str().unwrap())
 }
 
 /// A controller, what is asked of it, and what must come of that: a text of the output, or

@@ -156,15 +156,16 @@ fn run_growth(folder: &Path, json: bool, context: &Context) -> Result<(), CliErr
         "MB"
     )?;
     for cost in &costs {
-        let [width, height] = cost.resolution_px;
+        let case = &cost.case;
+        let [width, height] = case.resolution_px;
         out!(
             "{:8} {:>12} {:6} {:6} {:6} {:7} {:8.1} {:8.1} {:8.0}",
-            cost.varied,
+            case.varied,
             format!("{width} × {height}"),
-            cost.lights,
-            cost.cells,
-            cost.paths,
-            cost.threads,
+            case.lights,
+            case.cells,
+            case.paths,
+            case.threads,
             cost.cpu_s,
             cost.wall_s,
             cost.memory_mb

@@ -43,10 +43,10 @@ const TO_LIGHT: [[f64; 3]; 4] = [
 /// Standard deviation of a pixel's noise, relative, and as part of the image's mean.
 const NOISE: [f64; 2] = [0.005, 2e-4];
 
-/// One fit and what it cost.
-#[derive(Clone, Debug, Serialize)]
-pub struct Cost {
-    /// What was varied: `pixels`, `cells`, `paths`, `lights`, `threads` or `bench`.
+/// A fit that is run.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Case {
+    /// What is varied: `pixels`, `cells`, `paths`, `lights`, `threads` or `bench`.
     pub varied: &'static str,
     /// Width and height of the images, pixels.
     pub resolution_px: [usize; 2],
@@ -58,8 +58,16 @@ pub struct Cost {
     pub paths: u32,
     /// Threads.
     pub threads: usize,
-    /// Whether the bench was refined.
+    /// Whether the bench is refined.
     pub refined: bool,
+}
+
+/// What a fit cost.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Cost {
+    /// The fit.
+    #[serde(flatten)]
+    pub case: Case,
     /// Processor time of the program, s.
     pub cpu_s: f64,
     /// From its start to its end, s.
@@ -68,30 +76,23 @@ pub struct Cost {
     pub memory_mb: f64,
 }
 
-/// A fit to be run.
-#[derive(Clone, Copy)]
-struct Case {
-    varied: &'static str,
-    size: [usize; 2],
-    lights: usize,
-    cells: usize,
-    paths: u32,
-    threads: usize,
-    refined: bool,
-}
-
 fn cases(threads: usize) -> Vec<Case> {
     let defaults = crate::transport::CacheOptions::default();
     let usual = Case {
         varied: "pixels",
-        size: USUAL,
+        resolution_px: USUAL,
         lights: 4,
         cells: crate::inverse::cells::DEFAULT_CELLS,
         paths: defaults.samples_per_cell,
         threads,
         refined: false,
     };
-    let mut cases: Vec<Case> = SIZES.map(|size| Case { size, ..usual }).to_vec();
+    let mut cases: Vec<Case> = SIZES
+        .map(|resolution_px| Case {
+            resolution_px,
+            ..usual
+        })
+        .to_vec();
     let varied = |varied| Case { varied, ..usual };
     cases.extend([600, 1200, 5000, 10_000].map(|cells| Case {
         cells,
@@ -133,15 +134,15 @@ pub fn measure(
     let mut costs = Vec::new();
     let mut written = None;
     for case in cases(threads) {
-        if written != Some(case.size) {
+        if written != Some(case.resolution_px) {
             for (light, image) in rendered.iter().enumerate() {
                 let path = folder.join(image_name(light));
-                exr::write(&path, &noisy(image, case.size, light))
+                exr::write(&path, &noisy(image, case.resolution_px, light))
                     .map_err(|error| EvaluateError::Fact(error.to_string()))?;
             }
-            written = Some(case.size);
+            written = Some(case.resolution_px);
         }
-        let [width, height] = case.size;
+        let [width, height] = case.resolution_px;
         note(&format!("{}: {width} × {height}", case.varied));
         costs.push(case.run(program, folder)?);
     }
@@ -205,7 +206,7 @@ fn noisy(image: &RadianceImage, [width, height]: [usize; 2], light: usize) -> Ra
 
 impl Case {
     fn scene(&self) -> String {
-        let [width, height] = self.size;
+        let [width, height] = self.resolution_px;
         let spread = 0.7 * width as f64 / USUAL[0] as f64;
         let mut text = format!(
             "[camera]\nmodel = \"orthographic\"\nresolution_px = [{width}, {height}]\n\
@@ -261,18 +262,12 @@ impl Case {
             return Err(EvaluateError::Fact(format!(
                 "the fit of {} at {:?} pixels ended with {ended}: {}",
                 self.varied,
-                self.size,
+                self.resolution_px,
                 line.unwrap_or("it said nothing")
             )));
         }
         Ok(Cost {
-            varied: self.varied,
-            resolution_px: self.size,
-            lights: self.lights,
-            cells: self.cells,
-            paths: self.paths,
-            threads: self.threads,
-            refined: self.refined,
+            case: *self,
             cpu_s: cpu_of_ended_children_s() - cpu_s,
             wall_s,
             memory_mb,
@@ -307,19 +302,17 @@ pub fn to_csv(costs: &[Cost]) -> String {
     let mut csv =
         "varied,width_px,height_px,lights,cells,paths,threads,refined,cpu_s,wall_s,memory_mb\n"
             .to_owned();
-    for cost in costs {
-        let [width, height] = cost.resolution_px;
+    for Cost {
+        case,
+        cpu_s,
+        wall_s,
+        memory_mb,
+    } in costs
+    {
+        let [width, height] = case.resolution_px;
         csv += &format!(
-            "{},{width},{height},{},{},{},{},{},{:.2},{:.2},{:.0}\n",
-            cost.varied,
-            cost.lights,
-            cost.cells,
-            cost.paths,
-            cost.threads,
-            cost.refined,
-            cost.cpu_s,
-            cost.wall_s,
-            cost.memory_mb
+            "{},{width},{height},{},{},{},{},{},{cpu_s:.2},{wall_s:.2},{memory_mb:.0}\n",
+            case.varied, case.lights, case.cells, case.paths, case.threads, case.refined
         );
     }
     csv
@@ -327,7 +320,7 @@ pub fn to_csv(costs: &[Cost]) -> String {
 
 /// Processor time and memory over pixels, cells, paths and lights, each on logarithmic axes.
 pub fn figure(costs: &[Cost]) -> Figure {
-    let usual = costs.iter().find(|cost| cost.resolution_px == USUAL);
+    let usual = costs.iter().find(|cost| cost.case.resolution_px == USUAL);
     let mut panels = Vec::new();
     for (varied, label) in [
         ("pixels", "pixels of an image"),
@@ -335,15 +328,18 @@ pub fn figure(costs: &[Cost]) -> Figure {
         ("paths", "paths per cell"),
         ("lights", "lights"),
     ] {
-        let mut chosen: Vec<&Cost> = costs.iter().filter(|cost| cost.varied == varied).collect();
+        let mut chosen: Vec<&Cost> = costs
+            .iter()
+            .filter(|cost| cost.case.varied == varied)
+            .collect();
         if varied != "pixels" {
             chosen.extend(usual);
         }
         let x = |cost: &Cost| match varied {
-            "pixels" => cost.resolution_px.iter().product::<usize>() as f64,
-            "cells" => cost.cells as f64,
-            "paths" => f64::from(cost.paths),
-            _ => cost.lights as f64,
+            "pixels" => cost.case.resolution_px.iter().product::<usize>() as f64,
+            "cells" => cost.case.cells as f64,
+            "paths" => f64::from(cost.case.paths),
+            _ => cost.case.lights as f64,
         };
         chosen.sort_by(|a, b| x(a).total_cmp(&x(b)));
         let line = |label, color, value: &dyn Fn(&Cost) -> f64| {
@@ -407,7 +403,7 @@ mod tests {
     fn every_case_is_one_change_of_the_usual_fit() {
         for case in cases(2) {
             let changes = [
-                case.size != USUAL,
+                case.resolution_px != USUAL,
                 case.cells != crate::inverse::cells::DEFAULT_CELLS,
                 case.lights != 4,
                 case.threads != 2,

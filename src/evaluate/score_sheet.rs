@@ -31,7 +31,7 @@ pub fn score(
 
     let maps = EnvironmentMap::all();
     // All in one pass over the spheres. The dictionary's lack atoms of a refined estimate,
-    // and where it departs from any mixture: such an estimate is rendered like the truth.
+    // and its discrepancy from every mixture: such an estimate is rendered like the truth.
     let mixture = estimate.as_mixture();
     let mixture = mixture.filter(|mixture| mixture.dictionary() == dictionary);
     let rendered: &[&dyn Brdf] = match mixture {

@@ -2,7 +2,7 @@
 //! and ascii (3D Systems, "StereoLithography Interface Specification", 1989).
 //!
 //! The format shares no vertices; corners at exactly equal places become one. The
-//! front is told by the order of the corners; the stored normals are passed over, and so
+//! front follows from the order of the corners; the stored normals are passed over, and so
 //! are the two bytes after each binary facet, in which some programs keep a colour.
 
 use std::collections::HashMap;

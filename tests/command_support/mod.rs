@@ -48,6 +48,22 @@ fn quick_bench(text: &str, change: impl FnOnce(String) -> String) -> TempDir {
     folder
 }
 
+/// A rig file whose stage is on this serial port, in a folder that lasts as long as its guard.
+pub fn rig_file_on_port(built_in: &str, port: &str) -> (TempDir, String) {
+    let with_port: String = built_in
+        .lines()
+        .map(|line| match line.strip_prefix("port = ") {
+            Some(_) => format!("port = {port:?}\nconnect_timeout_s = 0.6\n"),
+            None => format!("{line}\n"),
+        })
+        .collect();
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("arm.toml");
+    fs::write(&file, with_port).unwrap();
+    let name = file.display().to_string();
+    (folder, name)
+}
+
 /// The program with these arguments in this folder.
 pub fn rig(folder: impl AsRef<Path>, arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_rig"));

@@ -38,7 +38,7 @@ struct Run {
     says: Vec<String>,
     /// A text that must be in the hint.
     hint: Option<String>,
-    /// Texts that must be nowhere in it.
+    /// Texts that must not be in it.
     #[serde(default)]
     never: Vec<String>,
 }

@@ -36,7 +36,7 @@ pub(super) fn kind(bytes: &[u8]) -> Option<&'static str> {
         _ if begins(b"\x93NUMPY") => Some("a NumPy array"),
         _ if begins(b"\x89HDF") => Some("an HDF5 file"),
         _ if begins(b"\0\0\0\x0cjP") || begins(b"\xff\x4f\xff\x51") => Some("a JPEG 2000 image"),
-        _ if begins(b"\0\x05\x16\x07") => Some("what macOS keeps beside a file (AppleDouble)"),
+        _ if begins(b"\0\x05\x16\x07") => Some("what macOS keeps next to a file (AppleDouble)"),
         _ if begins(b"<") => Some("a web page or XML"),
         _ => None,
     }
