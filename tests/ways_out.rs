@@ -7,7 +7,7 @@
 mod support;
 
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Command, Output, Stdio};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -198,6 +198,18 @@ fn wait_until(what: &str, mut is: impl FnMut() -> bool) -> Duration {
     began.elapsed()
 }
 
+/// What it said and how it ended. Standard error closes when the guardian has ended,
+/// too; neither may outlast [`PATIENCE`].
+#[track_caller]
+fn output_in_time(child: Child, case: &str) -> Output {
+    let (ended, ends) = std::sync::mpsc::channel();
+    std::thread::spawn(move || ended.send(child.wait_with_output()));
+    let output = ends.recv_timeout(PATIENCE);
+    output
+        .unwrap_or_else(|_| panic!("{case}: it or its guardian does not end"))
+        .unwrap()
+}
+
 /// Ends one capture and returns its exit code (none where a signal killed it)
 /// and what it said.
 fn end_one(moment: Moment, signals: &[Signal], defect: &str) -> (Option<i32>, String) {
@@ -222,7 +234,6 @@ fn end_one(moment: Moment, signals: &[Signal], defect: &str) -> (Option<i32>, St
         kill_process(Pid::from_child(&child), signal).unwrap();
     }
     let mut ended = child;
-    let asked = Instant::now();
     if signals.contains(&Signal::KILL) {
         ended.wait().unwrap();
         let safe = || !is_lit(&bench) && turned_deg(&bench, 0.05) == 0.0;
@@ -230,10 +241,8 @@ fn end_one(moment: Moment, signals: &[Signal], defect: &str) -> (Option<i32>, St
         write_stderr(&format!("{case}: lamp off and standing after {took:?}\n"));
         assert!(took < PROMISE, "{case}: {took:?}");
     }
-    // Standard error closes when the guardian has ended, too.
-    let output = ended.wait_with_output().unwrap();
+    let output = output_in_time(ended, &case);
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(asked.elapsed() < PATIENCE, "{case}: {said}");
     assert!(!is_lit(&bench), "{case}: {said}");
     std::thread::sleep(Duration::from_millis(300));
     assert_eq!(turned_deg(&bench, 0.3), 0.0, "{case}: {said}");
@@ -377,7 +386,7 @@ fn a_capture_that_does_not_go_on_is_relieved() {
                     (_, None) => child.kill().unwrap(),
                     _ => {}
                 }
-                let output = child.wait_with_output().unwrap();
+                let output = output_in_time(child, &format!("{blow:?}"));
                 let said = String::from_utf8_lossy(&output.stderr);
                 assert_eq!(output.status.code(), code, "{blow:?}: {said}");
                 assert!(said.contains(fact), "{blow:?}: {said}");

@@ -8,6 +8,7 @@ use std::os::unix::net::UnixStream;
 use std::time::{Duration, Instant};
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
 use rustix::termios::{QueueSelector, tcflush};
 
 use super::message::{self, Message, PONG};
@@ -94,6 +95,9 @@ fn next(link: &UnixStream, overdue: Option<Duration>) -> Heard {
 
 fn stop(port: &File, exchanges: &[Exchange]) -> io::Result<()> {
     let end = Instant::now() + DEADLINE;
+    // The program, where it wakes, may take what this one was about to read: neither
+    // shall wait for it. Both have the same open port, so this holds for both.
+    fcntl_setfl(port, fcntl_getfl(port)? | OFlags::NONBLOCK)?;
     // What waits to be sent would come before the stop; not every port can.
     let _ = tcflush(port, QueueSelector::OFlush);
     while Instant::now() < end {
@@ -117,11 +121,14 @@ fn perform(mut port: &File, exchange: &Exchange, end: Instant) -> io::Result<boo
     let mut heard = Vec::new();
     let mut buffer = [0; 256];
     // What was said before is no answer.
-    while is_ready(port, PollFlags::IN, Instant::now())? && port.read(&mut buffer)? > 0 {}
+    while is_ready(port, PollFlags::IN, Instant::now())? && read(port, &mut buffer)? != Some(0) {}
     if !is_ready(port, PollFlags::OUT, until)? {
         return Ok(false);
     }
-    port.write_all(&exchange.send)?;
+    match port.write_all(&exchange.send) {
+        Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Ok(false),
+        written => written?,
+    }
     loop {
         let mut answers = exchange.answers.iter();
         if exchange.answers.is_empty()
@@ -132,10 +139,20 @@ fn perform(mut port: &File, exchange: &Exchange, end: Instant) -> io::Result<boo
         if !is_ready(port, PollFlags::IN, until)? {
             return Ok(false);
         }
-        match port.read(&mut buffer)? {
-            0 => return Err(io::ErrorKind::UnexpectedEof.into()),
-            count => heard.extend_from_slice(&buffer[..count]),
+        match read(port, &mut buffer)? {
+            Some(0) => return Err(io::ErrorKind::UnexpectedEof.into()),
+            Some(count) => heard.extend_from_slice(&buffer[..count]),
+            None => {}
         }
+    }
+}
+
+/// How many bytes were read, 0 where the port is gone; none if somebody else took them
+/// after they were announced.
+fn read(mut port: &File, buffer: &mut [u8]) -> io::Result<Option<usize>> {
+    match port.read(buffer) {
+        Err(error) if error.kind() == io::ErrorKind::WouldBlock => Ok(None),
+        read => read.map(Some),
     }
 }
 
@@ -222,6 +239,49 @@ mod tests {
         assert!(matches!(watch, Watch::Acted(Err(_))), "{watch:?}");
         assert!(heard.len() > 3 && began.elapsed() >= DEADLINE, "{heard:?}");
     }
+
+    /// The program may wake and read the answer that the guardian has seen coming: that
+    /// ends in time, too.
+    #[test]
+    fn an_answer_that_somebody_else_takes_is_not_waited_for() {
+        let (port, mut device) = UnixStream::pair().unwrap();
+        let thief = port.try_clone().unwrap();
+        let taken = std::thread::spawn(move || {
+            let mut buffer = [0; 64];
+            let mut taken = 0;
+            loop {
+                match (&thief).read(&mut buffer) {
+                    Ok(0) => return taken,
+                    Ok(count) => taken += count,
+                    Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
+                    Err(_) => return taken,
+                }
+            }
+        });
+        let answering = std::thread::spawn(move || {
+            let mut byte = [0];
+            while matches!(device.read(&mut byte), Ok(1)) {
+                for said in [b"<Run".as_slice(), b"|MPos", b">\r\n"] {
+                    std::thread::sleep(Duration::from_micros(50));
+                    drop(device.write_all(said));
+                }
+            }
+        });
+        let (program, link) = program(&[]);
+        drop(program);
+        let (ended, ends) = std::sync::mpsc::channel();
+        let shut = port.try_clone().unwrap();
+        std::thread::spawn(move || {
+            let watch = stand_guard(link, port.into(), &exchanges(), &mut |_| {});
+            ended.send(watch).unwrap();
+        });
+        let watch = ends.recv_timeout(3 * DEADLINE).expect("it does not end");
+        assert!(matches!(watch, Watch::Acted(_)), "{watch:?}");
+        shut.shutdown(Shutdown::Both).unwrap();
+        assert!(taken.join().unwrap() > 0);
+        answering.join().unwrap();
+    }
+
     /// A program that says nothing for longer than it announced is relieved, one
     /// that rests is not, and what it still sends is undone.
     #[test]
