@@ -262,7 +262,7 @@ pub const TARGETS: &[Target] = &[
     ),
     target(
         "angles",
-        |bytes| text(bytes, |text| drop(rig::cli::brdf::parse_angles(text))),
+        |bytes| text(bytes, |text| drop(rig::material::parse_angles(text))),
         256,
     ),
     target("fit_folder", fit_folder, 4096),

@@ -12,8 +12,8 @@
 //! | 1 | [`brdf`], [`geometry`] |
 //! | 2 | [`transport`], [`radiometry`] |
 //! | 3 | [`inverse`], [`device`], [`simulation`] |
-//! | 4 | [`config`], [`session`], [`calibration`] |
-//! | 5 | [`capture`], [`evaluate`] |
+//! | 4 | [`benchmark`], [`scores`], [`config`], [`session`], [`calibration`] |
+//! | 5 | [`capture`], [`evaluate`], [`material`], [`rendering`] |
 //! | 6 | [`report`], [`export`] |
 //! | 7 | [`cli`] |
 
@@ -23,6 +23,7 @@ pub mod interrupt;
 pub mod outside_file;
 pub mod outside_table;
 pub mod outside_text;
+#[cfg(feature = "figures")]
 pub mod plot;
 pub mod radiance_image;
 pub mod random;
@@ -40,14 +41,20 @@ pub mod device;
 pub mod inverse;
 pub mod simulation;
 
+pub mod benchmark;
 pub mod calibration;
 pub mod config;
+pub mod scores;
 pub mod session;
 
 pub mod capture;
+#[cfg(feature = "experiments")]
 pub mod evaluate;
+pub mod material;
+pub mod rendering;
 
 pub mod export;
+#[cfg(feature = "reports")]
 pub mod report;
 
 pub mod cli;

@@ -6,6 +6,7 @@ mod built_in;
 pub mod camera;
 pub mod depth_of_field;
 pub mod directions;
+#[cfg(feature = "figures")]
 pub mod figures;
 pub mod fitness;
 pub mod flat;

@@ -1,4 +1,4 @@
-//! `rig completions` and `rig man`: what the shell and `man` want to know,
+//! `rig completions` and `rig man`: completion scripts and manual pages,
 //! generated from the command line's own definition.
 
 use std::path::PathBuf;

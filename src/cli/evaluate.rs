@@ -1,4 +1,4 @@
-//! `rig evaluate`: the paper's experiments and ours.
+//! `rig evaluate`: experiments against a known truth.
 
 use std::path::PathBuf;
 
@@ -12,14 +12,14 @@ use crate::out;
 /// Runs an experiment against a known truth: a table (CSV, JSON) and figures (SVG, PNG).
 #[derive(clap::Args, Debug)]
 pub struct EvaluateArgs {
-    /// Which one, see --list
+    /// Name of the experiment, see --list
     #[arg(
         value_name = "NAME",
         required_unless_present = "list",
         conflicts_with = "list"
     )]
     name: Option<String>,
-    /// All experiments and what they show
+    /// Lists all experiments with what they show
     #[arg(long)]
     list: bool,
     /// Folder for the results; a further run with the same settings completes what it holds
@@ -30,7 +30,7 @@ pub struct EvaluateArgs {
         conflicts_with_all = ["list", "session"]
     )]
     out: Option<PathBuf>,
-    /// With next-light: a fitted session, to say which lights would add most to it
+    /// With next-light: a fitted session, to find the lights that would add most to it
     #[arg(long, value_name = "SESSION", conflicts_with = "list")]
     session: Option<PathBuf>,
     /// Materials: bundled, mirrors, synthetic, in-span, nbrdf:NAME, synthetic:NAME, in-span:NN, or files (.binary, .bsdf, …)
@@ -43,7 +43,7 @@ pub struct EvaluateArgs {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(4..=4096))]
     resolution: Option<u64>,
     /// Light paths per pixel of the fit, 2 to 65536; those of the true images change in proportion
-    /// unless --truth-spp says otherwise
+    /// unless --truth-spp is given
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=65_536))]
     spp: Option<u32>,
     /// Light paths per pixel of the true images, 2 to 1048576; misalignment takes four times these
@@ -92,6 +92,7 @@ pub fn run(args: &EvaluateArgs, context: &Context) -> Result<(), CliError> {
     let (Some(name), Some(folder)) = (&args.name, &args.out) else {
         return list(args.json);
     };
+    // The experiment with its settings.
     let experiment = find(name)?;
     let overrides = Overrides {
         materials: args.materials.clone(),
@@ -112,6 +113,7 @@ pub fn run(args: &EvaluateArgs, context: &Context) -> Result<(), CliError> {
         CliError::interrupted(signal, format!("stopped; {shown} keeps what is finished"))
             .hint("the same command completes it")
     })?;
+    // The run.
     let bar = context.bar(0, "cases");
     let outcome = run_experiment(
         &Run {
@@ -131,6 +133,7 @@ pub fn run(args: &EvaluateArgs, context: &Context) -> Result<(), CliError> {
     );
     bar.finish_and_clear();
     let outcome = outcome?;
+    // What it left.
     match outcome.resumed {
         0 => {}
         1 => context.note("1 case was finished before"),

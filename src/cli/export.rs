@@ -24,7 +24,7 @@ pub struct ExportArgs {
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum FormatArg {
-    /// Dictionary, weights, departure and the table with its intervals
+    /// Dictionary, weights, model discrepancy and the table with its intervals
     Json,
     /// MERL .binary, 90 x 90 x 180 cells
     Merl,
@@ -41,19 +41,20 @@ enum FormatArg {
 /// `rig export`.
 pub fn run(args: &ExportArgs, context: &Context) -> Result<(), CliError> {
     let record = fit_folder::read(&args.dir)?;
-    let (format, ending) = match args.format {
-        FormatArg::Json => (Format::Json, "json"),
-        FormatArg::Merl => (Format::Merl, "binary"),
-        FormatArg::Rgl => (Format::Rgl, "bsdf"),
-        FormatArg::RglSpectral => (Format::RglSpectral, "bsdf"),
-        FormatArg::Mitsuba => (Format::Mitsuba, "xml"),
-        FormatArg::Pbrt => (Format::Pbrt, "pbrt"),
+    let format = match args.format {
+        FormatArg::Json => Format::Json,
+        FormatArg::Merl => Format::Merl,
+        FormatArg::Rgl => Format::Rgl,
+        FormatArg::RglSpectral => Format::RglSpectral,
+        FormatArg::Mitsuba => Format::Mitsuba,
+        FormatArg::Pbrt => Format::Pbrt,
     };
+    let ending = format.ending();
     let path = args.out.clone();
     let path = path.unwrap_or_else(|| PathBuf::from(format!("brdf.{ending}")));
     output::check_ending(&path, ending)?;
     if record.simulated {
-        context.warn("this BRDF comes from a simulated bench; the export says so");
+        context.warn("this BRDF comes from a simulated bench; the export is marked as simulated");
     }
     if record.verdict() == Verdict::NotToBeTrusted {
         let reason = record.warnings.first().map(|warning| &warning.what);

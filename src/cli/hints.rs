@@ -3,6 +3,7 @@
 //! that runs the program.
 
 mod device;
+#[cfg(feature = "experiments")]
 mod evaluate;
 mod session;
 
@@ -11,8 +12,9 @@ use std::error::Error;
 use rustix::io::Errno;
 
 use device::for_device;
+#[cfg(feature = "experiments")]
 use evaluate::for_evaluate;
-use session::{for_capture, for_fit_record, for_loading, for_record, for_session};
+use session::{for_capture, for_fit_record, for_record, for_session};
 
 use crate::brdf::BrdfError;
 use crate::brdf::rgl::RglFault;
@@ -27,6 +29,8 @@ use crate::inverse::fit::FitError;
 use crate::inverse::plausibility::Implausible;
 use crate::radiance_image::exr::ExrError;
 use crate::radiometry::frame_file::FrameFileError;
+#[cfg(feature = "reports")]
+use crate::report::ReportError;
 use crate::transport::cache::CacheError;
 
 /// What remains when nothing better is known.
@@ -65,8 +69,18 @@ fn for_one(error: &(dyn Error + 'static)) -> Option<String> {
     if let Some(error) = error.downcast_ref() {
         return for_capture(error);
     }
+    #[cfg(feature = "reports")]
     if let Some(error) = error.downcast_ref() {
-        return for_loading(error);
+        return match error {
+            ReportError::Load(error) => session::for_loading(error),
+            ReportError::Session(error) => for_session(error),
+            ReportError::Io { source, .. } => for_io(source).map(str::to_owned),
+            ReportError::Plot(_) | ReportError::Template(_) => None,
+        };
+    }
+    #[cfg(feature = "reports")]
+    if let Some(error) = error.downcast_ref() {
+        return session::for_loading(error);
     }
     if let Some(error) = error.downcast_ref() {
         return for_fit_record(error);
@@ -80,6 +94,7 @@ fn for_one(error: &(dyn Error + 'static)) -> Option<String> {
     if let Some(error) = error.downcast_ref() {
         return for_fit(error);
     }
+    #[cfg(feature = "experiments")]
     if let Some(error) = error.downcast_ref() {
         return for_evaluate(error);
     }
@@ -383,24 +398,10 @@ fn for_mesh(error: &MeshError) -> Option<String> {
 fn nearest<'a>(word: &str, known: &'a [String]) -> Option<&'a str> {
     known
         .iter()
-        .map(|other| (distance(word, other), other))
+        .map(|other| (strsim::levenshtein(word, other), other))
         .filter(|(distance, other)| *distance * 3 <= word.len().max(other.len()))
         .min()
         .map(|(_, other)| other.as_str())
-}
-
-/// Levenshtein's distance in bytes.
-fn distance(a: &str, b: &str) -> usize {
-    let mut row: Vec<usize> = (0..=b.len()).collect();
-    for (i, x) in a.bytes().enumerate() {
-        let mut diagonal = std::mem::replace(&mut row[0], i + 1);
-        for (j, y) in b.bytes().enumerate() {
-            let substituted = diagonal + usize::from(x != y);
-            diagonal = row[j + 1];
-            row[j + 1] = substituted.min(diagonal + 1).min(row[j] + 1);
-        }
-    }
-    row[b.len()]
 }
 
 fn for_io(error: &std::io::Error) -> Option<&'static str> {
@@ -438,7 +439,6 @@ mod tests {
     use super::*;
     use crate::capture::CaptureError;
     use crate::device::{AlarmCause, DeviceError};
-    use crate::report::load::LoadError;
     use crate::session::SessionError;
 
     #[derive(Debug, thiserror::Error)]
@@ -468,7 +468,7 @@ mod tests {
             path: "raw".into(),
             operation: "write",
         };
-        let hint = for_error(&LoadError::Session(full)).unwrap();
+        let hint = for_error(&CaptureError::Session(full)).unwrap();
         assert!(hint.contains("free some space"), "{hint}");
     }
 
@@ -478,7 +478,6 @@ mod tests {
         assert_eq!(nearest("segmets", &known), Some("segments"));
         assert_eq!(nearest("raduis_mm", &known), Some("radius_mm"));
         assert_eq!(nearest("colour", &known), None);
-        assert_eq!(distance("kitten", "sitting"), 3);
     }
 
     #[test]

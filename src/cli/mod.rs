@@ -21,6 +21,7 @@ pub mod demo;
 pub mod devices;
 pub mod doctor;
 pub mod error;
+#[cfg(feature = "experiments")]
 pub mod evaluate;
 pub mod exit;
 pub mod export;
@@ -46,6 +47,7 @@ mod preview_server;
 pub mod progress;
 pub mod render;
 mod repeatability;
+#[cfg(feature = "reports")]
 pub mod report;
 pub mod rig_choice;
 pub mod session;
@@ -73,13 +75,13 @@ use crate::shown::escaped;
 
 /// The table of commands: `Name(arguments) => function`, in the order of `rig --help`.
 macro_rules! commands {
-    ($($name:ident($arguments:ty) => $run:path,)*) => {
+    ($($(#[$attribute:meta])* $name:ident($arguments:ty) => $run:path,)*) => {
         #[derive(Subcommand, Debug)]
-        enum Command { $($name($arguments),)* }
+        enum Command { $($(#[$attribute])* $name($arguments),)* }
 
         impl Command {
             fn run(&self, context: &Context) -> Result<(), CliError> {
-                match self { $(Command::$name(arguments) => $run(arguments, context),)* }
+                match self { $($(#[$attribute])* Command::$name(arguments) => $run(arguments, context),)* }
             }
         }
     };
@@ -99,7 +101,9 @@ commands! {
     Render(render::RenderArgs) => render::run,
     Brdf(brdf::BrdfArgs) => brdf::run,
     Shape(shape::ShapeArgs) => shape::run,
+    #[cfg(feature = "experiments")]
     Evaluate(evaluate::EvaluateArgs) => evaluate::run,
+    #[cfg(feature = "reports")]
     Report(report::ReportArgs) => report::run,
     Export(export::ExportArgs) => export::run,
     Bench(bench::BenchArgs) => bench::run,

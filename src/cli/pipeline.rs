@@ -24,7 +24,6 @@ use crate::inverse::{
     BenchPriors, Captured, CellOptions, Channels, Fit, FitOptions, Optimizer, Refine,
     RefineOptions, budget, fit, intervals, plausibility, refine_bench,
 };
-use crate::report;
 use crate::session::commit::SystemDisk;
 use crate::session::fit_record::{
     self, AngleCell, AngleTable, AtomRecord, BenchParameter, BenchRecord, BudgetRecord, BudgetRow,
@@ -389,7 +388,7 @@ impl FitPlan {
         let score = match truth {
             Some((name, brdf)) => {
                 let start = Mixture::new(self.dictionary.clone(), fit.start.clone())?;
-                Some(crate::evaluate::score(
+                Some(crate::scores::score(
                     name,
                     brdf,
                     &self.dictionary,
@@ -641,15 +640,6 @@ pub fn fit_session(
     Ok(folder)
 }
 
-/// Writes the session's report and returns its path.
-pub fn report_session(root: &Path) -> Result<PathBuf, CliError> {
-    let html = report::render(&report::load::load(root, None)?)?;
-    let mut session = SessionWriter::open(Arc::new(SystemDisk), root)?;
-    session.commit_file(layout::REPORT_FILE, html.as_bytes())?;
-    session.refresh_manifest()?;
-    Ok(root.join(layout::REPORT_FILE))
-}
-
 /// How much a fit with the defaults will have to do, of images under these lights.
 pub fn work_of(config: &RigConfig, lights: &[StageAngles]) -> Result<Work, CliError> {
     let form_error = config.geometry.sample.form_error;
@@ -670,7 +660,10 @@ fn default_args() -> FitArgs {
 pub fn fit_and_report(root: &Path, context: &Context) -> Result<(), CliError> {
     let folder = fit_session(root, &default_args(), None, context)?;
     context.note(format!("fit: {}", folder.display()));
-    let report = report_session(root)?;
-    context.note(format!("report: {}", report.display()));
+    #[cfg(feature = "reports")]
+    {
+        let written = crate::report::write(&crate::report::ReportRequest::of(root))?;
+        context.note(format!("report: {}", written.path.display()));
+    }
     Ok(())
 }

@@ -3,13 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use super::output::{check_ending, check_writable, write_json, write_path};
-use super::{CliError, Context, HintExt, facets, preflight};
-use crate::config::scene::SceneFile;
-use crate::radiance_image::exr;
-use crate::transport::{
-    Remainder, RenderOptions, Steering, render, render_polarised, suited_proposal,
-    truncation_remainder,
-};
+use super::{CliError, Context, facets, preflight};
+use crate::rendering::{RenderError, RenderRequest, Rendering};
+use crate::transport::{Remainder, RenderOptions};
 
 /// Renders a scene file, one image per light.
 #[derive(clap::Args, Debug)]
@@ -21,13 +17,13 @@ pub struct RenderArgs {
     #[arg(long, value_name = "EXR")]
     out: PathBuf,
     /// Light paths per pixel, 2 to 1000000
-    #[arg(long, value_name = "N", default_value_t = 256, value_parser = clap::value_parser!(u32).range(2..=1_000_000))]
+    #[arg(long, value_name = "N", default_value_t = RenderOptions::default().samples_per_pixel, value_parser = clap::value_parser!(u32).range(2..=1_000_000))]
     spp: u32,
     /// Longest path in surface reflections (1 = direct only), 1 to 64
-    #[arg(long, value_name = "K", default_value_t = 32, value_parser = clap::value_parser!(u32).range(1..=64))]
+    #[arg(long, value_name = "K", default_value_t = RenderOptions::default().max_reflections, value_parser = clap::value_parser!(u32).range(1..=64))]
     max_reflections: u32,
     /// Seed of the light paths
-    #[arg(long, value_name = "S", default_value_t = 0)]
+    #[arg(long, value_name = "S", default_value_t = RenderOptions::default().seed)]
     seed: u64,
     /// Follow polarisation: lamps are unpolarised, the camera measures intensity (also
     /// `polarised = true` under [render] in the scene file)
@@ -48,26 +44,25 @@ struct Answer {
     truncation: Vec<Remainder>,
 }
 
-/// Paths per pixel that estimate what the longest path cuts off.
-const TRUNCATION_SAMPLES: u32 = 32;
-
 /// The least share of the light that is worth a remark if it is cut off.
 const TRUNCATION_REMARK: f64 = 1e-4;
 
 /// `rig render`.
 pub fn run(args: &RenderArgs, context: &Context) -> Result<(), CliError> {
     check_ending(&args.out, "exr")?;
-    let file = SceneFile::load(&args.scene)?;
-    let Some(brdf) = &file.brdf else {
-        return Err(CliError::new(format!("{}: [brdf] is missing", args.scene.display()))
-            .hint("a scene that is rendered needs a [brdf] table: mixture, dictionary with weights, or table"));
+    let request = RenderRequest {
+        samples_per_pixel: args.spp,
+        max_reflections: args.max_reflections,
+        seed: args.seed,
+        polarised: args.polarised,
+        ..RenderRequest::new(&args.scene, &args.out)
     };
-    let scene = file.scene()?;
-    preflight::remark_on_scene(&scene, &file, context);
-    if let Some(remark) = facets::coarse(&scene, &brdf.atoms()?) {
-        context.warn(remark);
+    // Before the work, what is wrong with the scene, and whether the result can be written.
+    let rendering = Rendering::load(&request).map_err(advise)?;
+    preflight::remark_on_scene(&rendering.scene, &rendering.file, context);
+    if let Some(found) = &rendering.coarse_facets {
+        context.warn(facets::remark(found));
     }
-    let brdf = brdf.load()?;
     let folder = args
         .out
         .parent()
@@ -80,28 +75,12 @@ pub fn run(args: &RenderArgs, context: &Context) -> Result<(), CliError> {
         );
     }
     check_writable(&args.out)?;
-    let polarised = args.polarised || file.polarised;
-    let bar = context.bar(scene.camera.resolution_px[1] as u64, "rows");
-    let mut options = RenderOptions {
-        samples_per_pixel: args.spp,
-        max_reflections: args.max_reflections,
-        seed: args.seed,
-        steering: Steering::default(),
-        ..RenderOptions::default()
-    };
-    options.proposal = suited_proposal(&scene, &*brdf, &options);
-    let progress = |rows| bar.set_position(rows as u64);
-    let images = if polarised {
-        render_polarised(&scene, &*brdf, &options, &progress)
-            .map_err(|error| CliError::new(error.to_string()))
-            .hint("polarised light needs a [brdf] of GGX, Lambertian and black atoms, for known bodies too")?
-    } else {
-        render(&scene, &*brdf, &options, &progress)
-    };
+    // The work.
+    let bar = context.bar(rendering.scene.camera.resolution_px[1] as u64, "rows");
+    let rendered = rendering.run(&|rows| bar.set_position(rows as u64));
     bar.finish_and_clear();
-    let truncation =
-        truncation_remainder(&scene, &*brdf, &options, TRUNCATION_SAMPLES.min(args.spp));
-    for (light, cut) in truncation.iter().enumerate() {
+    let rendered = rendered.map_err(advise)?;
+    for (light, cut) in rendered.truncation.iter().enumerate() {
         if cut.share > TRUNCATION_REMARK {
             context.note(format!(
                 "light {light}: paths of more than {} reflections, not followed, would add {:.2}% ± {:.2}% of the light",
@@ -111,31 +90,27 @@ pub fn run(args: &RenderArgs, context: &Context) -> Result<(), CliError> {
             ));
         }
     }
-    let mut written = Vec::new();
-    for (light, image) in images.iter().enumerate() {
-        let path = if images.len() == 1 {
-            args.out.clone()
-        } else {
-            numbered(&args.out, light)
-        };
-        exr::write(&path, image)?;
-        if !args.json {
-            write_path(&path)?;
-        }
-        written.push(path.display().to_string());
-    }
     if args.json {
-        write_json(&Answer {
-            images: written,
-            polarised,
+        let shown = |path: &PathBuf| path.display().to_string();
+        return write_json(&Answer {
+            images: rendered.images.iter().map(shown).collect(),
+            polarised: rendered.polarised,
             max_reflections: args.max_reflections,
-            truncation,
-        })?;
+            truncation: rendered.truncation,
+        });
     }
-    Ok(())
+    rendered.images.iter().try_for_each(|path| write_path(path))
 }
 
-fn numbered(path: &Path, light: usize) -> PathBuf {
-    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
-    path.with_file_name(format!("{stem}_L{light:03}.exr"))
+fn advise(error: RenderError) -> CliError {
+    match error {
+        RenderError::NoBrdf { .. } => CliError::from(error)
+            .hint("a scene that is rendered needs a [brdf] table: mixture, dictionary with weights, or table"),
+        RenderError::Polarisation(_) => CliError::from(error)
+            .hint("polarised light needs a [brdf] of GGX, Lambertian and black atoms, for known bodies too"),
+        RenderError::Config(error) => error.into(),
+        RenderError::Build(error) => error.into(),
+        RenderError::Brdf(error) => error.into(),
+        RenderError::Image(error) => error.into(),
+    }
 }

@@ -1,14 +1,11 @@
 //! `rig report`: a session as one HTML file.
 
 use std::path::PathBuf;
-use std::sync::Arc;
 
 use super::output::{unwritable, write_path};
 use super::{CliError, Context};
-use crate::report::{self, load::LoadError};
-use crate::session::commit::SystemDisk;
-use crate::session::{SessionWriter, layout};
-use crate::whole_file;
+use crate::report::load::LoadError;
+use crate::report::{self, ReportError, ReportRequest};
 
 /// Writes a session's report: one HTML file that needs no other.
 #[derive(clap::Args, Debug)]
@@ -26,25 +23,21 @@ pub struct ReportArgs {
 
 /// `rig report`.
 pub fn run(args: &ReportArgs, context: &Context) -> Result<(), CliError> {
-    let input = report::load::load(&args.session, args.fit).map_err(advise)?;
-    if input.fit.is_none() {
+    let request = ReportRequest {
+        session: args.session.clone(),
+        fit: args.fit,
+        out: args.out.clone(),
+    };
+    let written = report::write(&request).map_err(|error| match error {
+        ReportError::Load(error) => advise(error),
+        ReportError::Session(error) => error.into(),
+        ReportError::Io { path, source } => unwritable(&path, &source),
+        error => error.into(),
+    })?;
+    if !written.has_fit {
         context.note("the session has no fit yet; `rig fit SESSION` makes one");
     }
-    let html = report::render(&input)?;
-    let path = match &args.out {
-        Some(path) => {
-            whole_file::replace(path, |file| file.write_all(html.as_bytes()))
-                .map_err(|error| unwritable(path, &error))?;
-            path.clone()
-        }
-        None => {
-            let mut session = SessionWriter::open(Arc::new(SystemDisk), &args.session)?;
-            session.commit_file(layout::REPORT_FILE, html.as_bytes())?;
-            session.refresh_manifest()?;
-            args.session.join(layout::REPORT_FILE)
-        }
-    };
-    write_path(&path)
+    write_path(&written.path)
 }
 
 fn advise(error: LoadError) -> CliError {

@@ -1,4 +1,4 @@
-//! `rig shape`: sample shapes as meshes, and what mesh files hold.
+//! `rig shape`: sample shapes as meshes, and the content of mesh files.
 
 use std::path::PathBuf;
 
@@ -6,13 +6,13 @@ use super::{CliError, Context, output, shape_inspect};
 use crate::geometry::shapes::{Form, Profile};
 use crate::geometry::{Mesh, Shape, files};
 
-/// Writes the mesh of a sample shape and prints its figures as JSON, or says what a mesh file holds.
+/// Writes the mesh of a sample shape and prints its figures as JSON, or describes a mesh file.
 #[derive(clap::Args, Debug)]
 pub struct ShapeArgs {
     /// Which shape
     #[arg(value_enum, required_unless_present = "inspect")]
     kind: Option<Kind>,
-    /// Says instead what a mesh file holds: size, openings, rim and axis, and the lines of a
+    /// Describes a mesh file instead: size, openings, rim and axis, and the lines of a
     /// rig or scene file that place it
     #[arg(long, value_name = "FILE", conflicts_with_all = ["kind", "out"])]
     inspect: Option<PathBuf>,

@@ -1,4 +1,5 @@
-//! `rig shape --inspect`: what a mesh file holds, and how a rig or scene file places it.
+//! `rig shape --inspect`: the content of a mesh file, and the lines that place it in a rig or
+//! scene file.
 
 use std::fmt::Write;
 use std::path::Path;
@@ -18,15 +19,15 @@ pub(super) fn run(file: &Path, json: bool, context: &Context) -> Result<(), CliE
     write_bytes(text(file, &found).as_bytes())
 }
 
-/// What is found, then the lines to paste.
+/// The findings, then the lines to paste.
 fn text(file: &Path, found: &Inspection) -> String {
     let mut text = String::new();
-    let mut line = |words: String| {
-        let _ = writeln!(text, "{words}");
+    let mut line = |text_line: String| {
+        let _ = writeln!(text, "{text_line}");
     };
     let size: [f64; 3] = std::array::from_fn(|i| found.high[i] - found.low[i]);
     let nothing = 1e-6 * size.iter().copied().fold(0.0, f64::max);
-    // What rounding left of a zero is none.
+    // Rounding errors count as zero.
     let length = |v: f64| short(if v.abs() < nothing { 0.0 } else { v });
     let of = |v: [f64; 3]| v.map(length).join(", ");
     let unit_vector = |v: [f64; 3]| v.map(|x| short((x * 1e5).round() / 1e5)).join(", ");
@@ -47,6 +48,7 @@ fn text(file: &Path, found: &Inspection) -> String {
         of(found.low),
         of(found.high)
     ));
+    // The surface.
     line(match found.openings.first() {
         _ if found.is_closed => "surface: closed".to_owned(),
         None => "surface: open, without a border that surrounds an area".to_owned(),
@@ -64,6 +66,7 @@ fn text(file: &Path, found: &Inspection) -> String {
             found.turned_edges, found.crowded_edges
         ));
     }
+    // The hollow, and which side is its front.
     match &found.hollow {
         Some(hollow) => line(format!(
             "hollow: {} deep, its rim around [{}] plane to {}, its axis [{}]",
@@ -72,17 +75,16 @@ fn text(file: &Path, found: &Inspection) -> String {
             length(hollow.rim.off_plane),
             unit_vector(hollow.axis)
         )),
-        None => line(
-            "hollow: none with a plane rim, so that nothing tells how it should lie".to_owned(),
-        ),
+        None => line("hollow: none with a plane rim, so its orientation is unknown".to_owned()),
     }
     line(match found.is_inside_out {
         Some(true) if found.is_closed => "fronts: inside the body, so it is inside out".to_owned(),
         Some(true) => "fronts: outside the hollow, so it is inside out, or a dome".to_owned(),
         Some(false) if found.is_closed => "fronts: outside the body, as they should be".to_owned(),
         Some(false) => "fronts: inside the hollow, as they should be".to_owned(),
-        None => "fronts: nothing tells whether they are on the right side".to_owned(),
+        None => "fronts: whether they are on the right side is unknown".to_owned(),
     });
+    // The lines to paste.
     line(format!(
         "\n# For [sample] of a scene file or [geometry.sample] of a rig file: {} mm across,",
         short(found.suggestion.size_mm)

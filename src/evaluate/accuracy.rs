@@ -1,12 +1,14 @@
-//! What one image is worth: every material on every concave shape under one light, and on
-//! the bowl under four, beside what the dictionary can reach.
+//! How accurate one image is: every material on every concave shape under one light, and on
+//! the bowl under four, next to what the dictionary can reach.
+
+use std::sync::Arc;
 
 use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table, quantile};
-use super::lab::{Lab, Sample};
+use super::lab::{Lab, Material, Sample, of_materials};
 use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
 
 /// The concave shapes and numbers of lights.
-const BENCHES: [(Sample, usize); 4] = [
+const SETTINGS: [(Sample, usize); 4] = [
     (Sample::ConcaveCorner, 1),
     (Sample::Bowl, 1),
     (Sample::Designed, 1),
@@ -16,7 +18,7 @@ const BENCHES: [(Sample, usize); 4] = [
 /// Errors of all materials, sorted, and their ratios to the reference projection.
 pub static ACCURACY: Experiment = Experiment {
     name: "accuracy",
-    shows: "environment error of every material from one image of the concave shapes and from four of the bowl, beside the reference projection and the floor of the same dictionary",
+    shows: "environment error of every material from one image of the concave shapes and from four of the bowl, next to the reference projection and the floor of the same dictionary",
     full: Scale {
         materials: &["bundled", "in-span"],
         samples_per_pixel: 256,
@@ -32,31 +34,28 @@ pub static ACCURACY: Experiment = Experiment {
 };
 
 fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
-    let mut cases = Vec::new();
-    for material in &lab.materials {
-        for (sample, lights) in BENCHES {
-            let material = material.clone();
-            let key = format!("{}/{}/{lights}", material.name, sample.name());
-            cases.push(Case::new(key, move |lab: &Lab| {
-                let estimate = lab.measure(sample, lights, &material.brdf)?;
-                let row = Row::new()
-                    .with("material", material.name.as_str())
-                    .with("class", material.class.name())
-                    .with("shape", sample.name())
-                    .with("lights", lights)
-                    .with("paths_per_pixel", estimate.fit.samples[0])
-                    .with("reduced_chi2", estimate.mean_reduced_chi2())
-                    .with(
-                        "start_error",
-                        lab.score(&estimate.start, &*material.brdf).environment,
-                    );
-                Ok(vec![
-                    row.and(lab.score_row(&estimate.fit.material, &material)?),
-                ])
-            }));
-        }
-    }
-    Ok(cases)
+    let name = |(sample, lights): (Sample, usize)| format!("{}/{lights}", sample.name());
+    Ok(of_materials(lab, &SETTINGS, name, one))
+}
+
+fn one(
+    lab: &Lab,
+    material: &Arc<Material>,
+    (sample, lights): (Sample, usize),
+) -> Result<Vec<Row>, EvaluateError> {
+    let estimate = lab.measure(sample, lights, &material.brdf)?;
+    let start = lab.score(&estimate.start, &*material.brdf);
+    let row = Row::new()
+        .with("material", material.name.as_str())
+        .with("class", material.class.name())
+        .with("shape", sample.name())
+        .with("lights", lights)
+        .with("paths_per_pixel", estimate.fit.samples[0])
+        .with("reduced_chi2", estimate.mean_reduced_chi2())
+        .with("start_error", start.environment);
+    Ok(vec![
+        row.and(lab.score_row(&estimate.fit.material, material)?),
+    ])
 }
 
 fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
@@ -78,7 +77,7 @@ fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
     Ok(vec![charts("accuracy", 2, &[in_span, outside])])
 }
 
-/// A figure of all materials of a class per bench, in ascending order.
+/// A figure of all materials of a class per setting, in ascending order.
 fn panel(table: &Table, title: &str, column: &str, label: &str, in_span: bool) -> Chart {
     let of = |sample: Sample, lights: usize| {
         let mut values = table.figures(column, |row| {
@@ -90,7 +89,7 @@ fn panel(table: &Table, title: &str, column: &str, label: &str, in_span: bool) -
         values
     };
     let mut all = Vec::new();
-    let series = BENCHES
+    let series = SETTINGS
         .iter()
         .enumerate()
         .map(|(color, &(sample, lights))| {

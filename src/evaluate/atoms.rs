@@ -7,7 +7,7 @@ use super::lab::Lab;
 use crate::brdf::environment::EnvironmentMap;
 use crate::brdf::sphere::sphere_image;
 use crate::brdf::{Mixture, check};
-use crate::plot::{Figure, Picture, pictures};
+use crate::plot::{Figure, Picture, Tile, pictures};
 
 /// Every atom on a sphere.
 pub static ATOMS: Experiment = Experiment {
@@ -77,10 +77,9 @@ fn figures(lab: &Lab, _: &Table) -> Result<Vec<Figure>, EvaluateError> {
             (_, _, Some(albedo)) => format!("{} ρ {albedo}", atom.kind()),
             _ => atom.kind().to_owned(),
         };
-        all.push(Picture {
+        all.push(Tile {
             caption,
-            width: image.size,
-            pixels: image.to_srgb(0.7),
+            picture: Picture::opaque(image.size, image.to_srgb(0.7)),
             inset: None,
         });
     }

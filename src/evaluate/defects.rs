@@ -1,4 +1,4 @@
-//! Benches on which something is wrong that the fit is not told.
+//! Defects of bench and sample that the model of the fit does not include.
 
 use std::sync::Arc;
 
@@ -13,7 +13,7 @@ use crate::radiance_image::RadianceImage;
 use crate::random::{Purpose, stream};
 use crate::transport::{Body, Scene, Shading};
 
-/// What is wrong.
+/// A defect.
 #[derive(Clone)]
 pub enum Defect {
     /// The half of the sample with x > 0 is made of something else.
@@ -24,7 +24,7 @@ pub enum Defect {
     Pose(DVec3, DVec3),
     /// Lights and sample differ from their description by these values of a bench's parameters.
     Misaligned(DVector<f64>),
-    /// The sample departs from its mesh by a field of this seed.
+    /// The sample deviates from its mesh by a random field of this seed.
     Form(FormError, u64),
     /// Light from elsewhere in every pixel, over the image's mean radiance.
     StrayLight(f32),
@@ -123,7 +123,7 @@ fn spread(image: &mut RadianceImage, share: f32, radius_px: f32) {
     }
 }
 
-/// The triangles whose middle has an x that `keep` wants.
+/// The triangles for whose middle's x `keep` is true.
 fn part(mesh: &Mesh, keep: impl Fn(f32) -> bool) -> Result<Mesh, MeshError> {
     let mut renumbered = vec![u32::MAX; mesh.positions_mm.len()];
     let (mut positions, mut normals, mut triangles) = (Vec::new(), Vec::new(), Vec::new());

@@ -1,4 +1,4 @@
-//! Does a fit notice that something is wrong, and does it name what?
+//! How often a fit detects a defect, and how often it names the right cause.
 
 use std::sync::Arc;
 
@@ -16,7 +16,7 @@ use crate::plot::Figure;
 /// Rates of warnings and of the named causes.
 pub static DIAGNOSIS: Experiment = Experiment {
     name: "diagnosis",
-    shows: "How often a fit warns, and which cause it names, on sound captures and on captures with a defect that the fit is not told",
+    shows: "How often a fit warns, and which cause it names, on sound captures and on captures with a defect that the fit's model does not include",
     full: Scale {
         resolution_px: 16,
         samples_per_pixel: 256,

@@ -1,12 +1,12 @@
-//! Fig. 3: how many atoms one image of a corner can tell apart.
+//! Fig. 3: how many atoms one image of a corner can distinguish.
 
 use std::sync::Arc;
 
-use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table, spread};
+use super::experiment::{Case, EvaluateError, Experiment, Medians, Row, Scale, Table};
 use super::lab::{Lab, Sample};
 use crate::brdf::departure::Departed;
 use crate::brdf::{Dictionary, Mixture};
-use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
+use crate::plot::{Axis, Chart, Figure, charts};
 use crate::random::{Purpose, Stream, stream};
 
 /// Nested random dictionaries, targets in their span.
@@ -108,25 +108,18 @@ fn dirichlet(n: usize, numbers: &mut Stream) -> Vec<f64> {
 fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
     let sizes = table.numbers("atoms");
     let ticks = sizes.iter().map(|n| (n.log2(), format!("{n}"))).collect();
+    let errors = Medians {
+        table,
+        column: "environment_error",
+        x_column: "atoms",
+        x: &sizes,
+        position: f64::log2,
+    };
     let series = [Sample::ConvexCorner, Sample::ConcaveCorner]
-        .iter()
+        .map(Sample::name)
+        .into_iter()
         .enumerate()
-        .map(|(color, sample)| {
-            let found = sizes.iter().filter_map(|&n| {
-                let errors = table.figures("environment_error", |row| {
-                    row.text("shape") == sample.name() && row.number("atoms") == Some(n)
-                });
-                Some((n.log2(), spread(&errors)?))
-            });
-            let found: Vec<_> = found.collect();
-            let floor = |v: f64| v.max(1e-4).log10();
-            let points = found.iter().map(|(n, s)| [*n, floor(s.median)]).collect();
-            let band = found.iter().map(|(n, s)| {
-                let [low, high] = s.median_95;
-                [*n, floor(low), floor(high)]
-            });
-            Series::new(sample.name(), color, Mark::Points, points).within(band.collect())
-        });
+        .map(|(color, shape)| errors.series(shape, color, |row| row.text("shape") == shape));
     Ok(vec![charts(
         "dictionary-size",
         1,

@@ -1,5 +1,5 @@
-//! A sample that was not made as its mesh has it: what the intervals hold when the fit is
-//! told by how much, and when it is not.
+//! Coverage of the intervals on samples that deviate from their mesh, where the fit's model
+//! includes a form error, and where it does not.
 
 use super::defects::Defect;
 use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table, quantile};
@@ -17,7 +17,7 @@ use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
 /// Coverage against the slope error of the sample.
 pub static FORM: Experiment = Experiment {
     name: "form",
-    shows: "Coverage of the 95% intervals where the sample departs from its mesh by a form and a slope error (correlated over 0.4 mm of 2 mm), which the fit is not told or is told, and the mesh's part of the variance",
+    shows: "Coverage of the 95% intervals where the sample deviates from its mesh by a form and a slope error (correlated over 0.4 mm of 2 mm), which the fit's model does not include (not told) or includes (told), and the mesh's share of the variance",
     full: Scale {
         resolution_px: 16,
         samples_per_pixel: 256,
@@ -44,11 +44,12 @@ const CAPTURES: [u64; 2] = [40, 6];
 const SLOPES_DEG: [f64; 4] = [0.0, 0.5, 1.0, 2.0];
 /// The one of the small version.
 const QUICK_DEG: f64 = 2.0;
-/// Length over which the departure stays alike, mm.
+/// Correlation length of the deviation, mm.
 const CORRELATION_MM: f64 = 0.4;
-/// Half and difference angle at which the mesh's part is given, degrees.
+/// Half and difference angle at which the mesh's share is given, degrees.
 const SHARE_AT_DEG: [f64; 2] = [5.0, 10.0];
 
+/// Whether the fit's model includes the form error, as in tables.
 const TOLD: [&str; 2] = ["not told", "told"];
 
 fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
@@ -64,7 +65,7 @@ fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
         .collect())
 }
 
-/// One capture fitted in one way.
+/// One capture with one fit.
 struct Trial {
     truth: Vec<[f64; 3]>,
     cells: Vec<Interval>,
@@ -83,7 +84,7 @@ impl Trial {
     }
 }
 
-/// A row for the fits that were not told, and one for those that were.
+/// A row for the fits whose model has no form error, and one for those that have it.
 fn coverage(lab: &Lab, slope_deg: f64) -> Result<Vec<Row>, EvaluateError> {
     use rayon::prelude::*;
     let height_mm = slope_deg.to_radians() * CORRELATION_MM / std::f64::consts::SQRT_2;
@@ -96,7 +97,7 @@ fn coverage(lab: &Lab, slope_deg: f64) -> Result<Vec<Row>, EvaluateError> {
     Ok((0..2)
         .map(|told| {
             let all = || trials.iter().flat_map(|t| t[told].each());
-            let held = |(truth, [lower, upper], _): &(f64, [f64; 2], bool)| {
+            let covers = |(truth, [lower, upper], _): &(f64, [f64; 2], bool)| {
                 (*lower..=*upper).contains(truth)
             };
             let widths: Vec<f64> = all()
@@ -104,18 +105,18 @@ fn coverage(lab: &Lab, slope_deg: f64) -> Result<Vec<Row>, EvaluateError> {
                 .map(|(truth, [lower, upper], _)| (upper - lower) / truth)
                 .collect();
             let (count, constrained) = (all().count() as f64, all().filter(|t| t.2).count());
-            let held_there = all().filter(|t| t.2).filter(held).count() as f64;
+            let covered_there = all().filter(|t| t.2).filter(covers).count() as f64;
             let share: f64 = trials.iter().map(|t| t[told].share).sum();
             Row::new()
                 .with("slope_error_deg", slope_deg)
                 .with("form_error_mm", height_mm)
                 .with("fit", TOLD[told])
                 .with("captures", captures as f64)
-                .with("coverage", all().filter(held).count() as f64 / count)
+                .with("coverage", all().filter(covers).count() as f64 / count)
                 .with("constrained", constrained as f64 / count)
                 .with(
                     "coverage_where_constrained",
-                    (constrained > 0).then(|| held_there / constrained as f64),
+                    (constrained > 0).then(|| covered_there / constrained as f64),
                 )
                 .with(
                     "median_relative_width",
@@ -173,7 +174,7 @@ fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
     let chart = Chart {
         title: "bowl".to_owned(),
         x: Axis::linear(-0.1..2.1, "slope error of the sample, degrees"),
-        y: Axis::linear(0.0..1.0, "cells whose 95% interval holds the truth"),
+        y: Axis::linear(0.0..1.0, "cells whose 95% interval covers the truth"),
         series: series.collect(),
     };
     Ok(vec![charts("form", 1, &[chart])])

@@ -1,13 +1,16 @@
 //! Figs. 6, 7 and 9: objects of the recovered materials under environment maps.
 
+use std::sync::Arc;
+
 use glam::DVec3;
 
 use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table};
-use super::lab::{Lab, Material, Sample};
+use super::lab::{Lab, Material, Sample, of_materials};
 use crate::brdf::environment::EnvironmentMap;
 use crate::brdf::sphere::{normals, shade, srgb8};
 use crate::brdf::{Brdf, Mixture};
-use crate::plot::{Figure, Picture, color, pictures};
+use crate::plot::colors::sequential;
+use crate::plot::{Figure, Picture, Tile, pictures};
 
 /// A sphere and a vase under a checkerboard and a studio.
 pub static GALLERY: Experiment = Experiment {
@@ -37,7 +40,7 @@ pub static GALLERY: Experiment = Experiment {
 
 const SHAPES: [Sample; 3] = [Sample::Sphere, Sample::Bowl, Sample::Designed];
 
-/// What stands under the maps.
+/// What is lit by the maps.
 #[derive(Clone, Copy)]
 enum Object {
     Sphere,
@@ -93,27 +96,20 @@ fn vase(y: f64) -> (f64, f64) {
 }
 
 fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
-    let mut cases = Vec::new();
-    let counts: Vec<usize> = [1, lab.settings.lights].into();
-    for material in &lab.materials {
-        for sample in SHAPES {
-            for &lights in &counts[..if lab.settings.lights > 1 { 2 } else { 1 }] {
-                let material = material.clone();
-                let key = format!("{}/{}/{lights}", material.name, sample.name());
-                cases.push(Case::new(key, move |lab: &Lab| {
-                    one(lab, sample, lights, &material)
-                }));
-            }
-        }
-    }
-    Ok(cases)
+    let several = (lab.settings.lights > 1).then_some(lab.settings.lights);
+    let counts = [Some(1), several].into_iter().flatten();
+    let variants: Vec<(Sample, usize)> = SHAPES
+        .into_iter()
+        .flat_map(|sample| counts.clone().map(move |lights| (sample, lights)))
+        .collect();
+    let name = |(sample, lights): (Sample, usize)| format!("{}/{lights}", sample.name());
+    Ok(of_materials(lab, &variants, name, one))
 }
 
 fn one(
     lab: &Lab,
-    sample: Sample,
-    lights: usize,
-    material: &Material,
+    material: &Arc<Material>,
+    (sample, lights): (Sample, usize),
 ) -> Result<Vec<Row>, EvaluateError> {
     let estimate = lab.measure(sample, lights, &material.brdf)?;
     let mut row = Row::new()
@@ -164,7 +160,7 @@ fn row(
     view: (Object, &str, &str),
     truth: &dyn Brdf,
     others: &[&dyn Brdf],
-) -> Result<Vec<Picture>, EvaluateError> {
+) -> Result<Vec<Tile>, EvaluateError> {
     let size = lab.settings.sphere_px;
     let points = view.0.points(size);
     let map = map(view.2)?;
@@ -184,18 +180,17 @@ fn row(
         for (pixel, [a, b]) in &shaded {
             pixels[*pixel] = b.map(|x| srgb8(exposure * x));
             let error = (0..3).map(|c| (b[c] - a[c]).abs()).sum::<f32>() / 3.0;
-            errors[*pixel] = color(f64::from(error / (INSET_RANGE * mean)));
+            errors[*pixel] = sequential(error / (INSET_RANGE * mean));
         }
         let error = relative_error(shaded.iter().map(|(_, pair)| *pair));
-        row.push(Picture {
+        row.push(Tile {
             caption: if index == 0 {
                 String::new()
             } else {
                 format!("error {error:.3}")
             },
-            width: size,
-            pixels,
-            inset: (index > 0).then_some((size, errors)),
+            picture: Picture::opaque(size, pixels),
+            inset: (index > 0).then(|| Picture::opaque(size, errors)),
         });
     }
     Ok(row)

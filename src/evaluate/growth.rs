@@ -1,4 +1,4 @@
-//! What a fit costs by the size of its images, cells, paths, lights and threads: the program
+//! Time and memory of a fit by the size of its images, cells, paths, lights and threads: the program
 //! itself is run on images of each size, so that reading counts and memory is its own.
 
 use std::fs;
@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use glam::{DVec2, DVec3};
 use serde::Serialize;
 
-use super::experiment::EvaluateError;
+use super::experiment::{EvaluateError, csv_text};
 use crate::brdf::source;
 use crate::geometry::Shape;
 use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
@@ -52,7 +52,7 @@ pub struct Case {
     pub resolution_px: [usize; 2],
     /// Images.
     pub lights: usize,
-    /// Most cells, as asked for.
+    /// Most cells, as requested.
     pub cells: usize,
     /// Paths per cell.
     pub paths: u32,
@@ -62,7 +62,7 @@ pub struct Case {
     pub refined: bool,
 }
 
-/// What a fit cost.
+/// Time and memory of a fit.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Cost {
     /// The fit.
@@ -72,7 +72,7 @@ pub struct Cost {
     pub cpu_s: f64,
     /// From its start to its end, s.
     pub wall_s: f64,
-    /// The most memory that it held, MB.
+    /// Its peak memory, MB.
     pub memory_mb: f64,
 }
 
@@ -118,12 +118,50 @@ fn cases(threads: usize) -> Vec<Case> {
     cases
 }
 
+/// What [`run`] found.
+#[derive(Debug)]
+pub struct Growth {
+    /// Every fit.
+    pub costs: Vec<Cost>,
+    /// The figure, a PNG.
+    pub figure: PathBuf,
+}
+
+/// Runs this program for every case, on all cores, and leaves `growth.csv`, `growth.svg` and
+/// `growth.png` in `folder`, which is made if it is missing and holds a temporary folder of
+/// images meanwhile; `note` is given each case's name as it begins.
+///
+/// # Errors
+/// A file that cannot be written, or a fit that fails, with its error.
+pub fn run(folder: &Path, note: &dyn Fn(&str)) -> Result<Growth, EvaluateError> {
+    let io = |path: &Path| EvaluateError::io(path.to_owned());
+    fs::create_dir_all(folder).map_err(io(folder))?;
+    let program = std::env::current_exe().map_err(io(Path::new("this program")))?;
+    let images = tempfile::tempdir_in(folder).map_err(io(folder))?;
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let costs = measure(&program, images.path(), threads, note)?;
+    let figure = figure(&costs);
+    let csv = to_csv(&costs);
+    for (name, bytes) in [
+        ("growth.csv", csv.as_bytes()),
+        ("growth.svg", figure.svg()?.as_bytes()),
+        ("growth.png", &figure.png()?),
+    ] {
+        let path = folder.join(name);
+        fs::write(&path, bytes).map_err(io(&path))?;
+    }
+    Ok(Growth {
+        costs,
+        figure: folder.join("growth.png"),
+    })
+}
+
 /// Runs `program` (rig itself) for every case, with up to `threads` threads, in `folder`, which
 /// holds some 200 MB of images meanwhile; `note` is given each case's name as it begins.
 ///
 /// # Errors
-/// A file that cannot be written, or a fit that fails, with what it said.
-pub fn measure(
+/// A file that cannot be written, or a fit that fails, with its error.
+fn measure(
     program: &Path,
     folder: &Path,
     threads: usize,
@@ -263,7 +301,7 @@ impl Case {
                 "the fit of {} at {:?} pixels ended with {ended}: {}",
                 self.varied,
                 self.resolution_px,
-                line.unwrap_or("it said nothing")
+                line.unwrap_or("it gave no reason")
             )));
         }
         Ok(Cost {
@@ -289,7 +327,7 @@ fn cpu_of_ended_children_s() -> f64 {
     ticks as f64 / rustix::param::clock_ticks_per_second() as f64
 }
 
-/// The most memory that a process held until now, MB (`proc(5)`, `VmHWM` in KiB).
+/// Peak memory of a process so far, MB (`proc(5)`, `VmHWM` in KiB).
 fn peak_memory_mb(status: &Path) -> Option<f64> {
     let status = fs::read_to_string(status).ok()?;
     let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;
@@ -297,29 +335,44 @@ fn peak_memory_mb(status: &Path) -> Option<f64> {
     Some(kib * 1024.0 / 1e6)
 }
 
-/// A line a case under a header; times in s, memory in MB.
-pub fn to_csv(costs: &[Cost]) -> String {
-    let mut csv =
-        "varied,width_px,height_px,lights,cells,paths,threads,refined,cpu_s,wall_s,memory_mb\n"
-            .to_owned();
-    for Cost {
-        case,
-        cpu_s,
-        wall_s,
-        memory_mb,
-    } in costs
-    {
+/// A line per case under a header; times in s, memory in MB.
+fn to_csv(costs: &[Cost]) -> String {
+    let header = [
+        "varied",
+        "width_px",
+        "height_px",
+        "lights",
+        "cells",
+        "paths",
+        "threads",
+        "refined",
+        "cpu_s",
+        "wall_s",
+        "memory_mb",
+    ];
+    let mut records = vec![header.map(str::to_owned).to_vec()];
+    records.extend(costs.iter().map(|cost| {
+        let case = &cost.case;
         let [width, height] = case.resolution_px;
-        csv += &format!(
-            "{},{width},{height},{},{},{},{},{},{cpu_s:.2},{wall_s:.2},{memory_mb:.0}\n",
-            case.varied, case.lights, case.cells, case.paths, case.threads, case.refined
-        );
-    }
-    csv
+        vec![
+            case.varied.to_owned(),
+            width.to_string(),
+            height.to_string(),
+            case.lights.to_string(),
+            case.cells.to_string(),
+            case.paths.to_string(),
+            case.threads.to_string(),
+            case.refined.to_string(),
+            format!("{:.2}", cost.cpu_s),
+            format!("{:.2}", cost.wall_s),
+            format!("{:.0}", cost.memory_mb),
+        ]
+    }));
+    csv_text(&records)
 }
 
 /// Processor time and memory over pixels, cells, paths and lights, each on logarithmic axes.
-pub fn figure(costs: &[Cost]) -> Figure {
+fn figure(costs: &[Cost]) -> Figure {
     let usual = costs.iter().find(|cost| cost.case.resolution_px == USUAL);
     let mut panels = Vec::new();
     for (varied, label) in [
@@ -390,7 +443,7 @@ mod tests {
     }
 
     #[test]
-    fn a_process_says_its_memory_and_its_childrens_time() {
+    fn memory_and_childrens_time_of_a_process_are_read() {
         let memory_mb = peak_memory_mb(Path::new("/proc/self/status")).unwrap();
         assert!((1.0..1e5).contains(&memory_mb), "{memory_mb}");
         let before = cpu_of_ended_children_s();

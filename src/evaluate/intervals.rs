@@ -1,4 +1,4 @@
-//! Do the intervals hold what they promise? Coverage, cell by cell, over many captures.
+//! Coverage of the 95% intervals, cell by cell, over many captures.
 
 use std::sync::Arc;
 
@@ -19,7 +19,7 @@ use crate::transport::Cells;
 /// Pointwise coverage of the 95% intervals.
 pub static INTERVALS: Experiment = Experiment {
     name: "intervals",
-    shows: "Coverage of the 95% intervals of f at every (θh, θd) and channel over captures with noise, paths, finer mesh and misaligned bench of their own, where the bench is known, taken as described, and refined; beside it the median relative width and the fraction of cells that count as constrained",
+    shows: "Coverage of the 95% intervals of f at every (θh, θd) and channel over captures with noise, paths, finer mesh and misaligned bench of their own, where the bench is known, taken as described, and refined; also the median relative width and the fraction of cells that count as constrained",
     full: Scale {
         resolution_px: 16,
         samples_per_pixel: 256,
@@ -40,14 +40,14 @@ pub static INTERVALS: Experiment = Experiment {
     figures,
 };
 
-/// What a fit knows of the bench, which is off in every capture as in `misalignment`.
+/// The fit's prior on the bench, which is misaligned in every capture as in `misalignment`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Known {
-    /// All.
+    /// The true bench.
     Exactly,
-    /// Its description, which it believes.
+    /// Its description, taken as exact.
     Described,
-    /// Its description and how well that is known.
+    /// Its description with its uncertainty.
     Refined,
 }
 
@@ -73,8 +73,8 @@ impl Known {
     }
 }
 
-/// A noisy capture of `material` from `sample` under the settings' lights, after what
-/// `defect` does to it, and the seed of its fit.
+/// A noisy capture of `material` from `sample` under the settings' lights, with
+/// `defect`.
 pub(super) fn capture(
     lab: &Lab,
     sample: Sample,
@@ -133,8 +133,7 @@ pub(super) fn options(lab: &Lab, index: u64) -> FitOptions {
 /// The mixtures of the dictionary's atoms, or all other materials.
 ///
 /// # Errors
-///
-/// There is none.
+/// No material of this class.
 pub(super) fn of_class(lab: &Lab, class: Class) -> Result<Vec<&Arc<Material>>, EvaluateError> {
     let in_span = class == Class::InSpan;
     let materials = lab.materials.iter();
@@ -307,7 +306,7 @@ fn coverage(lab: &Lab, class: Class, known: Known) -> Result<Vec<Row>, EvaluateE
     Ok(rows)
 }
 
-/// A row of panels per class, one panel for what is known of the bench.
+/// A row of panels per class, one panel for each prior on the bench.
 fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
     let panel = |(class, known): (Class, Known)| {
         let series = theta_d_deg()
@@ -329,7 +328,7 @@ fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
         Chart {
             title: format!("{} materials, bench {}", class.name(), known.name()),
             x: Axis::linear(0.0..90.0, "θh, degrees"),
-            y: Axis::linear(0.0..1.0, "captures whose 95% interval holds the truth"),
+            y: Axis::linear(0.0..1.0, "captures whose 95% interval covers the truth"),
             series: series.collect(),
         }
     };

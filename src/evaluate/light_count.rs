@@ -1,9 +1,11 @@
 //! Fig. 4: what more lights add, for each shape.
 
+use std::sync::Arc;
+
 use super::experiment::{
-    Case, EvaluateError, Experiment, Row, Scale, Spread, Table, quantile, spread,
+    Case, EvaluateError, Experiment, Row, Scale, Spread, Table, doublings, quantile, spread,
 };
-use super::lab::{Lab, Sample};
+use super::lab::{Lab, Material, Sample, of_materials};
 use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
 
 /// Five shapes, 1 to 16 lights.
@@ -24,36 +26,37 @@ pub static LIGHT_COUNT: Experiment = Experiment {
 
 fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
     let counts = (0..7).map(|k| 1usize << k);
-    let counts: Vec<usize> = counts.filter(|&n| n <= lab.settings.lights).collect();
-    let mut cases = Vec::new();
-    for material in &lab.materials {
-        for sample in Sample::ALL {
-            for &lights in &counts {
-                let material = material.clone();
-                let key = format!("{}/{}/{lights}", material.name, sample.name());
-                cases.push(Case::new(key, move |lab: &Lab| {
-                    let estimate = lab.measure(sample, lights, &material.brdf)?;
-                    let row = Row::new()
-                        .with("material", material.name.as_str())
-                        .with("class", material.class.name())
-                        .with("shape", sample.name())
-                        .with("lights", lights)
-                        .with("paths_per_pixel", estimate.fit.samples[0]);
-                    Ok(vec![
-                        row.and(lab.score_row(&estimate.fit.material, &material)?),
-                    ])
-                }));
-            }
-        }
-    }
-    Ok(cases)
+    let counts = counts.filter(|&n| n <= lab.settings.lights);
+    let variants: Vec<(Sample, usize)> = Sample::ALL
+        .into_iter()
+        .flat_map(|sample| counts.clone().map(move |n| (sample, n)))
+        .collect();
+    let name = |(sample, lights): (Sample, usize)| format!("{}/{lights}", sample.name());
+    Ok(of_materials(lab, &variants, name, one))
+}
+
+fn one(
+    lab: &Lab,
+    material: &Arc<Material>,
+    (sample, lights): (Sample, usize),
+) -> Result<Vec<Row>, EvaluateError> {
+    let estimate = lab.measure(sample, lights, &material.brdf)?;
+    let row = Row::new()
+        .with("material", material.name.as_str())
+        .with("class", material.class.name())
+        .with("shape", sample.name())
+        .with("lights", lights)
+        .with("paths_per_pixel", estimate.fit.samples[0]);
+    Ok(vec![
+        row.and(lab.score_row(&estimate.fit.material, material)?),
+    ])
 }
 
 fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
     let counts = table.numbers("lights");
     let last = counts.last().copied().unwrap_or(1.0).log2();
-    let ticks = counts.iter().map(|n| (n.log2(), format!("{n}")));
-    let x = Axis::with_ticks(-0.15..last + 0.15, ticks.collect(), "number of lights");
+    let x = doublings(&counts, "number of lights");
+    // Curves of the shapes, and levels of the dictionary.
     let panel = |title: &str, of: fn(&Spread) -> (f64, [f64; 2])| {
         let mut series: Vec<Series> = Sample::ALL
             .iter()

@@ -1,12 +1,14 @@
-//! What an inexactly known bench costs, and what refining it gives back.
+//! How much error an inexactly known bench adds, and how much of it refining the bench removes.
 
-use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table, quantile};
+use std::sync::Arc;
+
+use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Scatter, Table};
 use super::lab::capture::average;
-use super::lab::{Lab, Material, Sample, misaligned};
+use super::lab::{Lab, Material, Sample, misaligned, of_materials};
 use crate::brdf::score::environment_error_up_to_factor;
 use crate::inverse::bench::Parameter;
 use crate::inverse::{Fit, FitError, FitOptions, RefineOptions, fit, refine_bench};
-use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
+use crate::plot::{Figure, charts};
 use crate::random::{Purpose, stream};
 use crate::simulation::photograph::Photographer;
 use crate::transport::{RenderOptions, render};
@@ -40,39 +42,32 @@ pub static MISALIGNMENT: Experiment = Experiment {
 };
 
 const SHAPES: [Sample; 3] = [Sample::Bowl, Sample::ConcaveCorner, Sample::Designed];
-/// Paths of the true images over those of other experiments, and their scrambles. Where the
-/// truth's noise is as large as the fit's, its rare bright paths count for less, as they state a
-/// large variance: images that seem darker than they are took 1% from the albedo.
+/// Paths of the true images over those of other experiments, and their scrambles. With as much
+/// noise in the truth as in the fit, rare bright paths are down-weighted for their large
+/// variance, and the images' apparent darkening took 1% from the albedo.
 const TRUTH_FACTOR: u32 = 4;
 const TRUTH_SCRAMBLES: u32 = 32;
 /// Benches per shape and material.
 const BENCHES: u64 = 3;
-/// Fits with paths of their own whose errors are averaged in squares: a single one is more or
-/// less lucky with its paths, by a factor of two or more.
+/// Fits with independent paths whose squared errors are averaged: a single fit's error varies
+/// by a factor of two or more with its paths.
 const PATHS: u64 = 3;
 
 fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
-    let mut cases = Vec::new();
-    for material in &lab.materials {
-        for sample in SHAPES {
-            for bench in 0..BENCHES {
-                let material = material.clone();
-                let key = format!("{}/{}/{bench}", material.name, sample.name());
-                cases.push(Case::new(key, move |lab: &Lab| {
-                    one(lab, sample, &material, bench)
-                }));
-            }
-        }
-    }
-    Ok(cases)
+    let variants: Vec<(Sample, u64)> = SHAPES
+        .into_iter()
+        .flat_map(|sample| (0..BENCHES).map(move |bench| (sample, bench)))
+        .collect();
+    let name = |(sample, bench): (Sample, u64)| format!("{}/{bench}", sample.name());
+    Ok(of_materials(lab, &variants, name, one))
 }
 
 fn one(
     lab: &Lab,
-    sample: Sample,
-    material: &Material,
-    number: u64,
+    material: &Arc<Material>,
+    (sample, number): (Sample, u64),
 ) -> Result<Vec<Row>, EvaluateError> {
+    // The described bench, and a true one that differs from it.
     let settings = &lab.settings;
     let (resolution_px, lights) = (settings.resolution_px, sample.lights(settings.lights));
     let described = sample.scene(resolution_px, lights.clone())?;
@@ -104,6 +99,7 @@ fn one(
         .map(|(light, image)| photographer.take(image, light))
         .collect::<Result<Vec<_>, _>>()?;
 
+    // Fits on the true bench, on the described one, and on the refined one.
     let captured = average(&described, &captured, &lab.dictionary)?;
     let options = lab.fit_options();
     let refined = refine_bench(
@@ -131,6 +127,7 @@ fn one(
             refined.fit(&lab.dictionary, options, &mut |_| {})
         }),
     ];
+    // Their errors, also up to a common factor of the albedo.
     let mut errors = [0.0; 3];
     for ((name, fitted), error) in fits.iter().zip(&mut errors) {
         let (mut square, mut square_apart, mut factor) = (0.0, 0.0, 0.0);
@@ -142,7 +139,7 @@ fn one(
                 .score(&material_found, &*material.brdf)
                 .environment
                 .powi(2);
-            // Apart from what intensities that are all off by the same factor make of the albedo.
+            // Without the error of the albedo that a common factor of all intensities causes.
             let (maps, sphere_px) = (lab.maps(), settings.sphere_px);
             let apart =
                 environment_error_up_to_factor(&material_found, &*material.brdf, maps, sphere_px);
@@ -205,37 +202,19 @@ fn one(
 
 /// Known against refined and unrefined, one panel per shape; the line is equality.
 fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
-    let panel = |sample: Sample| {
-        let points = |column: &str| -> Vec<[f64; 2]> {
-            let rows = table
-                .rows
-                .iter()
-                .filter(|r| r.text("shape") == sample.name());
-            rows.filter_map(|r| Some([r.number("known")?, r.number(column)?]))
-                .map(|point| point.map(|e| e.max(1e-4).log10()))
-                .collect()
-        };
-        let median = |column: &str| {
-            quantile(
-                &table.figures(column, |r| r.text("shape") == sample.name()),
-                0.5,
-            )
-        };
-        Chart {
-            title: format!(
-                "{}: medians {:.2} and {:.2} times the known bench's",
-                sample.name(),
-                median("unrefined_over_known"),
-                median("refined_over_known")
-            ),
-            x: Axis::decades(-3.0..0.0, "environment error, bench known"),
-            y: Axis::decades(-3.0..0.0, "environment error"),
-            series: vec![
-                Series::new("", 7, Mark::Line, vec![[-3.0, -3.0], [0.0, 0.0]]),
-                Series::new("as described", 1, Mark::Dots, points("unrefined")),
-                Series::new("refined", 0, Mark::Dots, points("refined")),
-            ],
-        }
+    let scatter = Scatter {
+        table,
+        decades: -3.0..0.0,
+        x: ("known", "environment error, bench known"),
+        y_label: "environment error",
+        series: &[("as described", 1, "unrefined"), ("refined", 0, "refined")],
     };
-    Ok(vec![charts("misalignment", 3, &SHAPES.map(panel))])
+    let panels = SHAPES.map(Sample::name).map(|shape| {
+        let [unrefined, refined] = ["unrefined_over_known", "refined_over_known"]
+            .map(|column| scatter.median(column, shape));
+        let title =
+            format!("{shape}: medians {unrefined:.2} and {refined:.2} times the known bench's");
+        scatter.panel(title, shape)
+    });
+    Ok(vec![charts("misalignment", 3, &panels)])
 }

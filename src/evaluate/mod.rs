@@ -1,12 +1,10 @@
-//! Estimates beside the truth, where the truth is known: the score of one fit, and the
-//! experiments of `rig evaluate`.
+//! The experiments of `rig evaluate`: estimates compared with a known truth.
 
 mod defects;
 mod diagnosis;
 pub mod experiment;
 mod intervals;
 pub mod lab;
-pub mod score_sheet;
 
 mod accuracy;
 mod atoms;
@@ -30,8 +28,6 @@ mod table_visits;
 mod tables;
 
 use experiment::{EvaluateError, Experiment};
-
-pub use score_sheet::score;
 
 /// All experiments, in the order of `rig evaluate --list`.
 pub static EXPERIMENTS: &[&Experiment] = &[

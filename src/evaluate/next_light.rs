@@ -1,24 +1,24 @@
-//! Lights chosen for what they tell, against evenly spread and random ones.
+//! Lights chosen for the information they add, compared with evenly spread and random ones.
 
 use std::sync::{Arc, OnceLock};
 
 use glam::DVec3;
 
-use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table, spread};
+use super::experiment::{Case, EvaluateError, Experiment, Medians, Row, Scale, Table};
 use super::lab::{Lab, Sample};
 use crate::inverse::FitOptions;
 use crate::inverse::intervals::{self, Interval};
 use crate::inverse::light_selection::{
     PRIOR_MATERIALS, Prospects, SelectionOptions, prior_materials,
 };
-use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
+use crate::plot::{Axis, Chart, Figure, Series, charts};
 use crate::random::{Purpose, stream};
 use crate::transport::Light;
 
 /// Two shapes, three rules.
 pub static NEXT_LIGHT: Experiment = Experiment {
     name: "next-light",
-    shows: "error and width of the intervals against the number of lights, where the lights are chosen for what they are expected to tell, evenly spread, or random",
+    shows: "error and width of the intervals against the number of lights, where the lights are chosen for the information they are expected to add, evenly spread, or random",
     full: Scale {
         resolution_px: 32,
         samples_per_pixel: 256,
@@ -45,8 +45,8 @@ const CANDIDATES: usize = 60;
 const COARSE_PX: usize = 24;
 /// Random sets per number of lights.
 const RANDOM_SETS: usize = 3;
-/// Draws of the posterior behind an interval.
-const DRAWS: usize = 100;
+/// Posterior samples behind an interval.
+const POSTERIOR_SAMPLES: usize = 100;
 
 /// How lights are chosen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -66,7 +66,7 @@ impl Rule {
     }
 }
 
-/// The directions of a sample in evenly spread order, and what they would tell.
+/// The directions of a sample in evenly spread order, and the information each would add.
 struct Choosing {
     sample: Sample,
     candidates: Vec<Light>,
@@ -172,7 +172,7 @@ fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
                         let captured = lab.capture(sample, &lights, &*material.brdf)?;
                         let scene = sample.scene(lab.settings.resolution_px, lights.clone())?;
                         let options = FitOptions {
-                            draws: DRAWS,
+                            draws: POSTERIOR_SAMPLES,
                             ..lab.fit_options()
                         };
                         let estimate =
@@ -225,20 +225,21 @@ fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
     let ticks = counts.iter().map(|&n| (n, format!("{n}")));
     let x = Axis::with_ticks(0.8..last + 0.2, ticks.collect(), "number of lights");
     let panel = |sample: Sample, column: &str, label: &str| {
+        let medians = Medians {
+            table,
+            column,
+            x_column: "lights",
+            x: &counts,
+            position: |n| n,
+        };
         let mut all = Vec::new();
         let series = ["best", "evenly spread", "random"].iter().enumerate();
         let series = series.map(|(color, rule)| {
-            let at = |n: f64| {
-                let values = table.figures(column, |row| {
-                    row.text("shape") == sample.name()
-                        && row.text("rule") == *rule
-                        && row.number("lights") == Some(n)
-                });
-                spread(&values).map(|s| s.median.max(1e-6).log10())
-            };
-            let points: Vec<[f64; 2]> = counts.iter().filter_map(|&n| Some([n, at(n)?])).collect();
-            all.extend(points.iter().map(|p| p[1]));
-            Series::new(rule, color, Mark::Points, points)
+            let series = medians.series(rule, color, |row| {
+                row.text("shape") == sample.name() && row.text("rule") == *rule
+            });
+            all.extend(series.points.iter().map(|p| p[1]));
+            series.within(Vec::new())
         });
         let series: Vec<Series> = series.collect();
         let low = all.iter().copied().fold(f64::INFINITY, f64::min);

@@ -1,8 +1,10 @@
-//! What the sensor costs: bit depth, full well, number of exposures.
+//! How much error a sensor adds: bit depth, full well, number of exposures.
 
-use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table, spread};
-use super::lab::{Lab, Material, Sample};
-use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
+use std::sync::Arc;
+
+use super::experiment::{Case, EvaluateError, Experiment, Medians, Row, Scale, Table, doublings};
+use super::lab::{Lab, Material, Sample, of_materials};
+use crate::plot::{Axis, Chart, Figure, charts};
 use crate::simulation::photograph::Photographer;
 
 /// One image through sensors from poor to good.
@@ -30,19 +32,11 @@ const SENSORS: [(&str, u32, f64, f64); 4] = [
 const EXPOSURES: [u32; 3] = [1, 2, 4];
 
 fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
-    let mut cases = Vec::new();
-    for material in &lab.materials {
-        for sample in SHAPES {
-            let material = material.clone();
-            let key = format!("{}/{}", material.name, sample.name());
-            cases.push(Case::new(key, move |lab: &Lab| one(lab, sample, &material)));
-        }
-    }
-    Ok(cases)
+    Ok(of_materials(lab, &SHAPES, |s| s.name().to_owned(), one))
 }
 
 /// One truth through every sensor.
-fn one(lab: &Lab, sample: Sample, material: &Material) -> Result<Vec<Row>, EvaluateError> {
+fn one(lab: &Lab, material: &Arc<Material>, sample: Sample) -> Result<Vec<Row>, EvaluateError> {
     let lights = sample.lights(1);
     let captured = lab.capture(sample, &lights, &*material.brdf)?;
     let scene = sample.scene(lab.settings.resolution_px, lights)?;
@@ -84,29 +78,20 @@ fn one(lab: &Lab, sample: Sample, material: &Material) -> Result<Vec<Row>, Evalu
 }
 
 fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
-    let ticks = EXPOSURES
-        .map(|n| (f64::from(n).log2(), format!("{n}")))
-        .into();
-    let x = Axis::with_ticks(-0.2..2.2, ticks, "exposures, each 4 times the one before");
+    let exposures = EXPOSURES.map(f64::from);
+    let x = doublings(&exposures, "exposures, each 4 times the one before");
+    let ratios = Medians {
+        table,
+        column: "over_noise_free",
+        x_column: "exposures",
+        x: &exposures,
+        position: f64::log2,
+    };
     let panel = |sample: Sample| {
         let series = SENSORS.iter().enumerate().map(|(color, (sensor, ..))| {
-            let found: Vec<_> = EXPOSURES
-                .iter()
-                .filter_map(|&n| {
-                    let ratios = table.figures("over_noise_free", |row| {
-                        row.text("shape") == sample.name()
-                            && row.text("sensor") == *sensor
-                            && row.number("exposures") == Some(f64::from(n))
-                    });
-                    Some((f64::from(n).log2(), spread(&ratios)?))
-                })
-                .collect();
-            let points = found.iter().map(|(n, s)| [*n, s.median.log10()]).collect();
-            let band = found.iter().map(|(n, s)| {
-                let [low, high] = s.median_95;
-                [*n, low.log10(), high.log10()]
-            });
-            Series::new(sensor, color, Mark::Points, points).within(band.collect())
+            ratios.series(sensor, color, |row| {
+                row.text("shape") == sample.name() && row.text("sensor") == *sensor
+            })
         });
         Chart {
             title: format!("{}, median over materials", sample.name()),

@@ -1,14 +1,16 @@
 //! Loss against work: Gauss–Newton, the paper's exponentiated gradient, and the
 //! single-bounce start.
 
+use std::sync::Arc;
+
 use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table, quantile};
-use super::lab::{Lab, Material, Sample};
+use super::lab::{Lab, Material, Sample, of_materials};
 use crate::inverse::exponentiated_gradient::ExponentiatedGradient;
 use crate::inverse::gauss_newton::GaussNewton;
 use crate::inverse::{FitOptions, Optimizer, Refine};
 use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
 
-/// One objective, one start, three ways on.
+/// One objective and one start, several optimisers.
 pub static OPTIMISERS: Experiment = Experiment {
     name: "optimisers",
     shows: "Loss against passes over the paths and seconds, one objective and one start (the single-bounce solution) for all: Gauss–Newton, and exponentiated gradient at three rates",
@@ -51,21 +53,11 @@ fn methods() -> Vec<(String, Optimizer)> {
 }
 
 fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
-    let mut cases = Vec::new();
-    for material in &lab.materials {
-        for sample in SHAPES {
-            let material = material.clone();
-            let key = format!("{}/{}", material.name, sample.name());
-            cases.push(Case::new(key, move |lab: &Lab| {
-                compare(lab, sample, &material)
-            }));
-        }
-    }
-    Ok(cases)
+    Ok(of_materials(lab, &SHAPES, |s| s.name().to_owned(), compare))
 }
 
 /// All methods on one image, one after the other, so that their times compare.
-fn compare(lab: &Lab, sample: Sample, material: &Material) -> Result<Vec<Row>, EvaluateError> {
+fn compare(lab: &Lab, material: &Arc<Material>, sample: Sample) -> Result<Vec<Row>, EvaluateError> {
     let lights = sample.lights(1);
     let captured = lab.capture(sample, &lights, &*material.brdf)?;
     let scene = sample.scene(lab.settings.resolution_px, lights)?;
@@ -109,6 +101,7 @@ fn compare(lab: &Lab, sample: Sample, material: &Material) -> Result<Vec<Row>, E
 /// Per shape: how far the loss still is above the lowest one that any method found, over
 /// what it was at the common start; and the errors where the methods end.
 fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
+    // Loss over passes, a panel per shape.
     let materials = table.texts("material");
     let mut panels = Vec::new();
     for sample in SHAPES {
@@ -149,6 +142,7 @@ fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
             series,
         });
     }
+    // Where the optimisers end.
     let ticks = (0..SHAPES.len()).map(|i| (i as f64, SHAPES[i].name().to_owned()));
     let mut series = Vec::new();
     for (color, (name, _)) in methods().iter().enumerate() {

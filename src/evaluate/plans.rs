@@ -1,18 +1,18 @@
-//! What the lights tell that `--lights N` plans on each shipped bench, against lights as far
-//! from each other as the stage allows.
+//! How good the lights are that `--lights N` plans on each shipped bench, compared with lights
+//! as far from each other as the stage allows.
 
 use std::path::Path;
 
 use glam::DVec3;
 
-use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table, spread};
+use super::experiment::{Case, EvaluateError, Experiment, Medians, Row, Scale, Table, doublings};
 use super::lab::{Lab, Material};
 use crate::capture::directions::plan_order;
 use crate::capture::reach::StageReach;
 use crate::config::geometry::GeometryConfig;
 use crate::config::{BUILT_IN, RigConfig};
 use crate::frames::{Rigid, Sample};
-use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
+use crate::plot::{Axis, Chart, Figure, Series, charts};
 use crate::random::{Purpose, stream};
 use crate::simulation::photograph::Photographer;
 use crate::simulation::pose_error;
@@ -50,9 +50,9 @@ pub static PLANS: Experiment = Experiment {
 
 /// Facets around the true sample's rim: finer than the fit's, as on the simulated bench.
 const TRUE_SEGMENTS: u32 = 320;
-/// How far the lamp stands from where the stage says, degrees (standard deviation).
+/// Error of the stage's angles, degrees (standard deviation).
 const POSITIONING_DEG: f64 = 0.05;
-/// How far the sample lies from where the file says, per axis (standard deviations).
+/// Error of the sample's pose in the file, per axis (standard deviations).
 const POSE_ERROR_MM: f64 = 0.02;
 const POSE_ERROR_DEG: f64 = 0.1;
 
@@ -213,24 +213,23 @@ fn fact(error: impl std::fmt::Display) -> EvaluateError {
 
 fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
     let counts = table.numbers("lights");
-    let last = counts.last().copied().unwrap_or(1.0).log2();
-    let ticks = counts.iter().map(|n| (n.log2(), format!("{n}")));
-    let x = Axis::with_ticks(-0.15..last + 0.15, ticks.collect(), "number of lights");
+    let x = doublings(&counts, "number of lights");
+    let medians = Medians {
+        table,
+        column: "environment_error",
+        x_column: "lights",
+        x: &counts,
+        position: f64::log2,
+    };
     let panel = |(rig, _): &(&str, &str)| {
         let mut all = Vec::new();
         let series = [Rule::Planned, Rule::Farthest].iter().enumerate();
         let series = series.map(|(color, rule)| {
-            let points = counts.iter().filter_map(|&n| {
-                let errors = table.figures("environment_error", |row| {
-                    row.text("rig") == *rig
-                        && row.text("rule") == rule.name()
-                        && row.number("lights") == Some(n)
-                });
-                Some([n.log2(), spread(&errors)?.median.max(1e-6).log10()])
+            let series = medians.series(rule.name(), color, |row| {
+                row.text("rig") == *rig && row.text("rule") == rule.name()
             });
-            let points: Vec<[f64; 2]> = points.collect();
-            all.extend(points.iter().map(|p| p[1]));
-            Series::new(rule.name(), color, Mark::Points, points)
+            all.extend(series.points.iter().map(|p| p[1]));
+            series.within(Vec::new())
         });
         let series: Vec<Series> = series.collect();
         let low = all.iter().copied().fold(0.0, f64::min);

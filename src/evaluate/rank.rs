@@ -1,10 +1,12 @@
 //! Section 5: how many independent constraints one image puts on the weights.
 
+use std::sync::Arc;
+
 use nalgebra::DVector;
 
 use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table, quantile};
 use super::lab::capture::average;
-use super::lab::{Lab, Sample};
+use super::lab::{Lab, Material, Sample, of_materials};
 use crate::inverse::Channels;
 use crate::inverse::objective::Objective;
 use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
@@ -14,7 +16,7 @@ use crate::transport::{Cache, DirectMatrix};
 /// Spectrum of the Fisher information per shape.
 pub static RANK: Experiment = Experiment {
     name: "rank",
-    shows: "Section 5: spectrum of the information that one image of each shape with 1% noise holds on the weights, and the number of directions it determines",
+    shows: "Section 5: spectrum of the information that one image of each shape with 1% noise gives on the weights, and the number of directions it determines",
     full: Scale {
         materials: &["bundled", "synthetic"],
         azimuths: 9,
@@ -28,28 +30,27 @@ pub static RANK: Experiment = Experiment {
     figures,
 };
 
-/// Relative noise of the images, which stands in the weights.
+/// Relative noise of the images, of which the objective's weights are made.
 const NOISE: f64 = 0.01;
 /// A direction is determined where its standard deviation is below this (weights sum to 1).
 const DETERMINED: f64 = 0.1;
 
 fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
-    let mut cases = Vec::new();
-    for material in &lab.materials {
-        for sample in Sample::ALL {
-            let material = material.clone();
-            let key = format!("{}/{}", material.name, sample.name());
-            cases.push(Case::new(key, move |lab: &Lab| {
-                let weights = lab.cells().reference_projection(&*material.brdf)?;
-                let information = information(lab, sample, &weights.weights()[1])?;
-                let row = Row::new()
-                    .with("material", material.name.as_str())
-                    .with("shape", sample.name());
-                Ok(spectrum(&information, row))
-            }));
-        }
-    }
-    Ok(cases)
+    Ok(of_materials(
+        lab,
+        &Sample::ALL,
+        |s| s.name().to_owned(),
+        one,
+    ))
+}
+
+fn one(lab: &Lab, material: &Arc<Material>, sample: Sample) -> Result<Vec<Row>, EvaluateError> {
+    let weights = lab.cells().reference_projection(&*material.brdf)?;
+    let information = information(lab, sample, &weights.weights()[1])?;
+    let row = Row::new()
+        .with("material", material.name.as_str())
+        .with("shape", sample.name());
+    Ok(spectrum(&information, row))
 }
 
 /// sym(J_Aᵀ W J_B) of the green channel at `weights`, in the directions that keep their

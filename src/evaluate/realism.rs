@@ -1,4 +1,4 @@
-//! Where a real bench departs from the model, and what it costs to ignore that.
+//! Where a real bench deviates from the model, and the error of ignoring that.
 
 use std::sync::Arc;
 
@@ -12,10 +12,10 @@ use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
 use crate::radiance_image::RadianceImage;
 use crate::transport::{Body, Light, Scene, Shading, render_polarised};
 
-/// The truth with one departure at a time, the fit without.
+/// The truth with one deviation at a time, the fit without.
 pub static REALISM: Experiment = Experiment {
     name: "realism",
-    shows: "Error that each departure of a real bench from the model causes if the fit ignores it: polarisation, broadband channels, cones of lamp and lens, a near lamp, the holder, translucency",
+    shows: "Error that each deviation of a real bench from the model causes if the fit ignores it: polarisation, broadband channels, cones of lamp and lens, a near lamp, the holder, translucency",
     full: Scale {
         materials: &["in-span"],
         ..Scale::SINGLE_IMAGE
@@ -31,9 +31,9 @@ pub static REALISM: Experiment = Experiment {
 
 const SHAPES: [Sample; 3] = [Sample::Sphere, Sample::Bowl, Sample::Designed];
 
-/// What the truth does that the fit does not know.
+/// What the truth includes and the fit's model does not.
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Departure {
+enum Deviation {
     /// Nothing.
     None,
     /// Light is polarised by reflections.
@@ -48,40 +48,40 @@ enum Departure {
     Lens(f64),
     /// The lamp's distance, mm (the sample is 1 mm in radius).
     Near(f64),
-    /// Grey walls of this albedo beside the sample, 1.3 mm from its axis, 1 mm high.
+    /// Grey walls of this albedo around the sample, 1.3 mm from its axis, 1 mm high.
     Holder(f64),
     /// Part of the light that comes out elsewhere, 0.05 mm away (standard deviation).
     Translucent(f64),
 }
 
-const DEPARTURES: [(&str, Departure); 12] = [
-    ("none", Departure::None),
-    ("polarised light", Departure::Polarised),
-    ("narrow channel", Departure::Narrowband),
-    ("broadband channel", Departure::Broadband),
-    ("lamp ±0.5°", Departure::Lamp(0.5)),
-    ("lamp ±1.15°", Departure::Lamp(1.15)),
-    ("lens ±0.5°", Departure::Lens(0.5)),
-    ("lens ±1.15°", Departure::Lens(1.15)),
-    ("lamp at 12 radii", Departure::Near(12.0)),
-    ("black holder", Departure::Holder(0.05)),
-    ("grey holder", Departure::Holder(0.4)),
-    ("translucent, 20%", Departure::Translucent(0.2)),
+const DEVIATIONS: [(&str, Deviation); 12] = [
+    ("none", Deviation::None),
+    ("polarised light", Deviation::Polarised),
+    ("narrow channel", Deviation::Narrowband),
+    ("broadband channel", Deviation::Broadband),
+    ("lamp ±0.5°", Deviation::Lamp(0.5)),
+    ("lamp ±1.15°", Deviation::Lamp(1.15)),
+    ("lens ±0.5°", Deviation::Lens(0.5)),
+    ("lens ±1.15°", Deviation::Lens(1.15)),
+    ("lamp at 12 radii", Deviation::Near(12.0)),
+    ("black holder", Deviation::Holder(0.05)),
+    ("grey holder", Deviation::Holder(0.4)),
+    ("translucent, 20%", Deviation::Translucent(0.2)),
 ];
 
 fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
     let mut cases = Vec::new();
     for material in &lab.materials {
         for sample in SHAPES {
-            for (name, departure) in DEPARTURES {
+            for (name, deviation) in DEVIATIONS {
                 // How other materials polarise is not known.
-                if departure == Departure::Polarised && material.brdf.as_mixture().is_none() {
+                if deviation == Deviation::Polarised && material.brdf.as_mixture().is_none() {
                     continue;
                 }
                 let material = material.clone();
                 let key = format!("{}/{}/{name}", material.name, sample.name());
                 cases.push(Case::new(key, move |lab: &Lab| {
-                    one(lab, sample, &material, name, departure)
+                    one(lab, sample, &material, name, deviation)
                 }));
             }
         }
@@ -94,10 +94,10 @@ fn one(
     sample: Sample,
     material: &Material,
     name: &str,
-    departure: Departure,
+    deviation: Deviation,
 ) -> Result<Vec<Row>, EvaluateError> {
     let lights = sample.lights(1);
-    let (captured, truth) = capture(lab, sample, &lights, &material.brdf, departure)?;
+    let (captured, truth) = capture(lab, sample, &lights, &material.brdf, deviation)?;
     let estimate = lab.fit(sample, &lights, &captured)?;
     let figures = lab.score(&estimate.fit.material, &*truth);
     Ok(vec![
@@ -112,38 +112,39 @@ fn one(
     ])
 }
 
-/// Images with the departure, and the BRDF that a perfect fit would find.
+/// Images with the deviation, and the BRDF that a perfect fit would find.
 fn capture(
     lab: &Lab,
     sample: Sample,
     lights: &[Light],
     brdf: &Arc<dyn Brdf>,
-    departure: Departure,
+    deviation: Deviation,
 ) -> Result<(Vec<RadianceImage>, Arc<dyn Brdf>), EvaluateError> {
+    // The true scene and material, then the images with the deviation.
     let mut scene = sample.true_scene(lab.settings.resolution_px, lights.to_vec())?;
     let mut truth = brdf.clone();
     let scaled = |factor: f32| Scaled {
         brdf: brdf.clone(),
         factor,
     };
-    let images = match departure {
-        Departure::None => lab.render_truth(&scene, &**brdf),
-        Departure::Polarised => {
+    let images = match deviation {
+        Deviation::None => lab.render_truth(&scene, &**brdf),
+        Deviation::Polarised => {
             let options = lab.truth_options(&scene, &**brdf);
             render_polarised(&scene, &**brdf, &options, &|_| {})
                 .map_err(|error| EvaluateError::Fact(error.to_string()))?
         }
-        Departure::Narrowband => {
+        Deviation::Narrowband => {
             truth = Arc::new(scaled(0.55));
             lab.render_truth(&scene, &*truth)
         }
-        Departure::Broadband => {
+        Deviation::Broadband => {
             truth = Arc::new(scaled(0.55));
             let bright = lab.render_truth(&scene, &**brdf);
             let dark = lab.render_truth(&scene, &scaled(0.1));
             bright.iter().zip(&dark).map(|(a, b)| mean(a, b)).collect()
         }
-        Departure::Lamp(half_angle_deg) => {
+        Deviation::Lamp(half_angle_deg) => {
             for light in &mut scene.lights {
                 if let Light::Directional {
                     angular_radius_rad, ..
@@ -154,11 +155,11 @@ fn capture(
             }
             lab.render_truth(&scene, &**brdf)
         }
-        Departure::Lens(half_angle_deg) => {
+        Deviation::Lens(half_angle_deg) => {
             scene.camera.object_na = half_angle_deg.to_radians().sin();
             lab.render_truth(&scene, &**brdf)
         }
-        Departure::Near(distance_mm) => {
+        Deviation::Near(distance_mm) => {
             for light in &mut scene.lights {
                 if let Light::Directional { to_light, .. } = *light {
                     *light = Light::Point {
@@ -169,7 +170,7 @@ fn capture(
             }
             lab.render_truth(&scene, &**brdf)
         }
-        Departure::Holder(albedo) => {
+        Deviation::Holder(albedo) => {
             let mesh = scene.sample().clone();
             let body = holder(albedo)?;
             let camera = scene.camera;
@@ -177,7 +178,7 @@ fn capture(
                 Scene::with_bodies(mesh, Shading::Smooth, vec![body], camera, lights.to_vec());
             lab.render_truth(&with, &**brdf)
         }
-        Departure::Translucent(part) => {
+        Deviation::Translucent(part) => {
             let sharp = lab.render_truth(&scene, &**brdf);
             let sigma_px = 0.05 * lab.settings.resolution_px as f64 / 2.2;
             sharp
@@ -275,12 +276,12 @@ fn blurred(image: &RadianceImage, part: f64, sigma_px: f64) -> RadianceImage {
 }
 
 fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
-    let names = DEPARTURES.map(|(name, _)| name);
+    let names = DEVIATIONS.map(|(name, _)| name);
     let ticks = (0..names.len()).map(|i| (i as f64, format!("{}", i + 1)));
     let x = Axis::with_ticks(
         -0.5..11.5,
         ticks.collect(),
-        "departure of the bench, see the legend",
+        "deviation of the bench, see the legend",
     );
     let panel = |column: &str, label: &str, range: std::ops::Range<f64>| {
         let mut series = Vec::new();

@@ -80,9 +80,9 @@ fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
         rows.filter(move |row| row.number("offset") == Some(offset))
     };
     let point = |row: &Row, x: &str, z: &str| Some([row.number(x)?, row.number(z)?]);
-    // Equal scales: the panel is 300 by 220 units.
+    // Equal scales: the panel is 308 by 232 pixels.
     let x = Axis::linear(-0.2..4.3, "x / R");
-    let z = Axis::linear(-1.2..2.1, "z / R");
+    let z = Axis::linear(-1.25..2.14, "z / R");
     let arc: Vec<_> = (0..=90)
         .map(|deg| f64::from(deg).to_radians())
         .map(|phi| [phi.sin(), phi.cos()])

@@ -1,13 +1,15 @@
-//! Fig. 2 and Section 5: what one image of each shape tells of a material.
+//! Fig. 2 and Section 5: how well one image of each shape determines a material.
+
+use std::sync::Arc;
 
 use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table, quantile};
-use super::lab::{Lab, Sample};
+use super::lab::{Lab, Material, Sample, of_materials};
 use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
 
 /// One image per shape and material.
 pub static SHAPES: Experiment = Experiment {
     name: "shapes",
-    shows: "Fig. 2: error of the BRDF recovered from one image of each shape, beside the reference projection and the floor of the dictionary",
+    shows: "Fig. 2: error of the BRDF recovered from one image of each shape, next to the reference projection and the floor of the dictionary",
     full: Scale::SINGLE_IMAGE,
     quick: Scale::QUICK_IMAGE,
     cases,
@@ -15,27 +17,26 @@ pub static SHAPES: Experiment = Experiment {
 };
 
 fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
-    let mut cases = Vec::new();
-    for material in &lab.materials {
-        for sample in Sample::ALL {
-            let material = material.clone();
-            let key = format!("{}/{}", material.name, sample.name());
-            cases.push(Case::new(key, move |lab: &Lab| {
-                let estimate = lab.measure(sample, 1, &material.brdf)?;
-                let row = Row::new()
-                    .with("material", material.name.as_str())
-                    .with("class", material.class.name())
-                    .with("shape", sample.name());
-                let start = lab.score(&estimate.start, &*material.brdf);
-                Ok(vec![
-                    row.and(lab.score_row(&estimate.fit.material, &material)?)
-                        .with("environment_error_single_bounce", start.environment)
-                        .with("reduced_chi2", estimate.mean_reduced_chi2()),
-                ])
-            }));
-        }
-    }
-    Ok(cases)
+    Ok(of_materials(
+        lab,
+        &Sample::ALL,
+        |s| s.name().to_owned(),
+        one,
+    ))
+}
+
+fn one(lab: &Lab, material: &Arc<Material>, sample: Sample) -> Result<Vec<Row>, EvaluateError> {
+    let estimate = lab.measure(sample, 1, &material.brdf)?;
+    let row = Row::new()
+        .with("material", material.name.as_str())
+        .with("class", material.class.name())
+        .with("shape", sample.name());
+    let start = lab.score(&estimate.start, &*material.brdf);
+    Ok(vec![
+        row.and(lab.score_row(&estimate.fit.material, material)?)
+            .with("environment_error_single_bounce", start.environment)
+            .with("reduced_chi2", estimate.mean_reduced_chi2()),
+    ])
 }
 
 /// One dot per material and shape, medians as lines.
@@ -47,7 +48,7 @@ fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
     ];
     let shapes = Sample::ALL.map(Sample::name);
     let ticks = |at: &dyn Fn(usize) -> f64| {
-        let name = |(i, name): (usize, &&str)| (at(i), name.replace("corner", "c."));
+        let name = |(i, name): (usize, &&str)| (at(i), name.replace(" corner", ""));
         shapes.iter().enumerate().map(name).collect::<Vec<_>>()
     };
     let x = Axis::with_ticks(-0.5..4.5, ticks(&|i| i as f64), "shape of the sample");

@@ -1,14 +1,17 @@
-//! What an image that is not sharp costs, and what knowing its point spread gives back.
+//! How much error an image that is not sharp adds, and how much of it a model with the point
+//! spread removes.
+
+use std::sync::Arc;
 
 use glam::Vec3;
 
-use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table, quantile};
-use super::lab::{Lab, Material, Sample};
+use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Scatter, Table};
+use super::lab::{Lab, Material, Sample, of_materials};
 use crate::brdf::{Atom, Dictionary, Mixture};
 use crate::calibration::mirror_sphere::Grey;
 use crate::calibration::slanted_edge::{Lens, fit_edges, locate};
 use crate::geometry::Mesh;
-use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
+use crate::plot::{Figure, charts};
 use crate::random::{Purpose, stream};
 use crate::simulation::photograph::Photographer;
 use crate::transport::{Camera, Light, RenderOptions, Scene, Shading, render};
@@ -17,7 +20,7 @@ use crate::transport::{Camera, Light, RenderOptions, Scene, Shading, render};
 /// and with the measured point spread in the model; and sharp captures.
 pub static SHARPNESS: Experiment = Experiment {
     name: "sharpness",
-    shows: "Error where the lens spreads a point over 1.5 pixels (standard deviation): with no, the true and the measured point spread in the model, and of a sharp image",
+    shows: "Error where the lens spreads a point over 1.5 pixels (standard deviation): without, with the true and with the measured point spread in the model, and of a sharp image",
     full: Scale {
         materials: &[
             "in-span:01",
@@ -47,15 +50,7 @@ const SHAPES: [Sample; 2] = [Sample::Bowl, Sample::ConcaveCorner];
 const SPREAD_PX: f64 = 1.5;
 
 fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
-    let mut cases = Vec::new();
-    for material in &lab.materials {
-        for sample in SHAPES {
-            let material = material.clone();
-            let key = format!("{}/{}", material.name, sample.name());
-            cases.push(Case::new(key, move |lab: &Lab| one(lab, sample, &material)));
-        }
-    }
-    Ok(cases)
+    Ok(of_materials(lab, &SHAPES, |s| s.name().to_owned(), one))
 }
 
 fn photographer(seed: u64) -> Photographer {
@@ -69,7 +64,7 @@ fn photographer(seed: u64) -> Photographer {
     }
 }
 
-fn one(lab: &Lab, sample: Sample, material: &Material) -> Result<Vec<Row>, EvaluateError> {
+fn one(lab: &Lab, material: &Arc<Material>, sample: Sample) -> Result<Vec<Row>, EvaluateError> {
     let settings = &lab.settings;
     let (resolution_px, lights) = (settings.resolution_px, sample.lights(settings.lights));
     let believed = sample.scene(resolution_px, lights.clone())?;
@@ -145,7 +140,7 @@ fn measured(camera: &Camera, samples_per_pixel: u32, seed: u64) -> Result<[f64; 
         ..RenderOptions::default()
     };
     let mut rendered = render(&scene, &white, &options, &|_| {}).remove(0);
-    // A pixel that few paths reach does not know its own variance: the widest holds for all.
+    // Few paths give a pixel no reliable variance: the largest is used for all.
     let widest = rendered.variance.iter().flatten().copied();
     let widest = widest.fold(0.0, f32::max);
     rendered.variance.fill([widest; 3]);
@@ -167,36 +162,25 @@ const EDGE_SAMPLES: u32 = 4096;
 /// The sharp image's error against that of the blurred one, one panel per shape; the line
 /// is equality.
 fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
-    let panel = |sample: Sample| {
-        let points = |column: &str| -> Vec<[f64; 2]> {
-            let rows = table.rows.iter();
-            rows.filter(|r| r.text("shape") == sample.name())
-                .filter_map(|r| Some([r.number("sharp")?, r.number(column)?]))
-                .map(|point| point.map(|e| e.max(1e-4).log10()))
-                .collect()
-        };
-        let median = |column: &str| {
-            let here = table.figures(column, |r| r.text("shape") == sample.name());
-            quantile(&here, 0.5)
-        };
-        Chart {
-            title: format!(
-                "{}: medians {:.2} and {:.2} times the sharp image's",
-                sample.name(),
-                median("ignored_over_sharp"),
-                median("measured_over_sharp")
-            ),
-            x: Axis::decades(-3.0..1.0, "environment error, sharp image"),
-            y: Axis::decades(-3.0..1.0, "environment error"),
-            series: vec![
-                Series::new("", 7, Mark::Line, vec![[-3.0, -3.0], [1.0, 1.0]]),
-                Series::new("blur ignored", 1, Mark::Dots, points("ignored")),
-                Series::new("blur stated", 2, Mark::Dots, points("stated")),
-                Series::new("blur measured", 0, Mark::Dots, points("measured")),
-            ],
-        }
+    let scatter = Scatter {
+        table,
+        decades: -3.0..1.0,
+        x: ("sharp", "environment error, sharp image"),
+        y_label: "environment error",
+        series: &[
+            ("blur ignored", 1, "ignored"),
+            ("blur stated", 2, "stated"),
+            ("blur measured", 0, "measured"),
+        ],
     };
-    Ok(vec![charts("sharpness", 2, &SHAPES.map(panel))])
+    let panels = SHAPES.map(Sample::name).map(|shape| {
+        let [ignored, measured] = ["ignored_over_sharp", "measured_over_sharp"]
+            .map(|column| scatter.median(column, shape));
+        let title =
+            format!("{shape}: medians {ignored:.2} and {measured:.2} times the sharp image's");
+        scatter.panel(title, shape)
+    });
+    Ok(vec![charts("sharpness", 2, &panels)])
 }
 
 #[cfg(test)]

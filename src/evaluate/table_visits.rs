@@ -5,7 +5,7 @@ use glam::DVec2;
 use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table};
 use super::lab::{Lab, Sample};
 use crate::brdf::HalfDifference;
-use crate::plot::{Figure, HeatMap, HeatScale, heat_maps};
+use crate::plot::{Axis, Figure, HeatMap, HeatMaps, heat_maps};
 use crate::random::{Purpose, stream};
 use crate::transport::{Proposal, Scene};
 
@@ -133,29 +133,21 @@ fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
             } else {
                 "K ≤ 2"
             };
-            maps.push(HeatMap {
-                title: format!("{}, {paths}: {seen} cells", sample.name()),
-                width: CELLS,
-                values,
-            });
+            maps.push((format!("{}, {paths}: {seen} cells", sample.name()), values));
         }
     }
-    let degrees: Vec<_> = [0.0, 30.0, 60.0, 90.0]
-        .map(|d| (d / 90.0, format!("{d}°")))
-        .into();
-    let scale = HeatScale {
-        range: [0.0, most],
-        label: "visits".to_owned(),
-        ticks: (0..=most as i32)
-            .map(|n| (f64::from(n), crate::plot::axis::power_of_ten(n)))
-            .collect(),
+    let maps: Vec<HeatMap> = maps
+        .into_iter()
+        .map(|(title, values)| HeatMap::new(title, CELLS, &values, &(0.0..most)))
+        .collect();
+    let all = HeatMaps {
+        columns: 5,
+        cell_px: [180.0; 2],
+        x: Axis::with_step(0.0..90.0, 30.0, "difference angle θd / °"),
+        // Row 0 is the top.
+        y: Axis::with_step(0.0..90.0, 30.0, "half angle θh / °").reversed(),
+        scale: Axis::decades(0.0..most, "visits"),
+        maps: &maps,
     };
-    Ok(vec![heat_maps(
-        "table-visits",
-        5,
-        ["difference angle θd", "half angle θh"],
-        [&degrees, &degrees],
-        &scale,
-        &maps,
-    )])
+    Ok(vec![heat_maps("table-visits", &all)])
 }

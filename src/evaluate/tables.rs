@@ -1,10 +1,11 @@
 //! Fig. 8: the recovered BRDFs as (θh, θd) tables.
 
+use std::sync::Arc;
+
 use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table};
-use super::lab::{Lab, Sample};
+use super::lab::{Lab, Material, Sample, of_materials};
 use crate::brdf::{Brdf, bivariate};
-use crate::plot::axis::power_of_ten;
-use crate::plot::{Figure, HeatMap, HeatScale, heat_maps};
+use crate::plot::{Axis, Figure, HeatMap, HeatMaps, heat_maps};
 
 /// Truth, reference projection and estimates.
 pub static TABLES: Experiment = Experiment {
@@ -39,27 +40,22 @@ const SOURCES: [&str; 5] = [
 ];
 
 fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
-    let mut cases = Vec::new();
-    for material in &lab.materials {
-        for source in SOURCES {
-            let material = material.clone();
-            let key = format!("{}/{source}", material.name);
-            cases.push(Case::new(key, move |lab: &Lab| {
-                let row = Row::new()
-                    .with("material", material.name.as_str())
-                    .with("source", source);
-                let rows = match (source, Sample::named(source)) {
-                    (_, Some(sample)) => {
-                        rows(&lab.measure(sample, 1, &material.brdf)?.fit.material, &row)
-                    }
-                    ("truth", _) => rows(&*material.brdf, &row),
-                    _ => rows(&lab.cells().reference_projection(&*material.brdf)?, &row),
-                };
-                Ok(rows)
-            }));
-        }
-    }
-    Ok(cases)
+    Ok(of_materials(lab, &SOURCES, str::to_owned, one))
+}
+
+fn one(
+    lab: &Lab,
+    material: &Arc<Material>,
+    source: &'static str,
+) -> Result<Vec<Row>, EvaluateError> {
+    let row = Row::new()
+        .with("material", material.name.as_str())
+        .with("source", source);
+    Ok(match (source, Sample::named(source)) {
+        (_, Some(sample)) => rows(&lab.measure(sample, 1, &material.brdf)?.fit.material, &row),
+        ("truth", _) => rows(&*material.brdf, &row),
+        _ => rows(&lab.cells().reference_projection(&*material.brdf)?, &row),
+    })
 }
 
 fn rows(brdf: &dyn Brdf, row: &Row) -> Vec<Row> {
@@ -77,7 +73,7 @@ fn rows(brdf: &dyn Brdf, row: &Row) -> Vec<Row> {
 }
 
 fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
-    let range = [-2.5, 1.5];
+    let range = -2.5..1.5;
     let mut maps = Vec::new();
     for material in table.texts("material") {
         for source in SOURCES {
@@ -89,29 +85,20 @@ fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
                 "reference projection" => source.to_owned(),
                 shape => format!("from one image of the {shape}"),
             };
-            maps.push(HeatMap {
-                title: title.replace("image of the", "image,"),
-                width: NODES,
-                values: values
-                    .iter()
-                    .map(|f| f.max(1e-9).log10().max(range[0]))
-                    .collect(),
-            });
+            let values: Vec<f64> = values.iter().map(|f| f.max(1e-9).log10()).collect();
+            let title = title.replace("image of the", "image,");
+            maps.push(HeatMap::new(title, NODES, &values, &range));
         }
     }
-    let half = [0.0, 10.0, 40.0, 90.0].map(|deg: f64| ((deg / 90.0).sqrt(), format!("{deg}°")));
-    let difference = [0.0, 30.0, 60.0, 90.0].map(|deg| (deg / 90.0, format!("{deg}°")));
-    let scale = HeatScale {
-        range,
-        label: "f, 1/sr".to_owned(),
-        ticks: (-2..=1).map(|n| (f64::from(n), power_of_ten(n))).collect(),
+    let half = [0.0, 10.0, 40.0, 90.0].map(|deg| (Axis::half_angle(deg), format!("{deg}°")));
+    let all = HeatMaps {
+        columns: SOURCES.len(),
+        cell_px: [180.0; 2],
+        x: Axis::with_step(0.0..90.0, 30.0, "difference angle θd / °"),
+        // Row 0 is the top.
+        y: Axis::with_ticks(0.0..1.0, half.into(), "half angle θh").reversed(),
+        scale: Axis::decades(range, "f / sr⁻¹"),
+        maps: &maps,
     };
-    Ok(vec![heat_maps(
-        "tables",
-        SOURCES.len(),
-        ["difference angle θd", "half angle θh"],
-        [&difference, &half],
-        &scale,
-        &maps,
-    )])
+    Ok(vec![heat_maps("tables", &all)])
 }

@@ -4,7 +4,7 @@
 //! Where light and viewer coincide, a microfacet BRDF of constant Fresnel term is
 //! D(m) / (4 σ(m) cos θm) up to a factor, and σ(i) = ∫ D(m) ⟨i, m⟩ dm. Together
 //! they make D the leading eigenvector of an integral operator, found by power
-//! iteration. Retro-reflection alone hardly shows a dielectric's narrow lobe beside a
+//! iteration. Retro-reflection alone hardly shows a dielectric's narrow lobe next to a
 //! matte ground, so the mean over a few difference angles θd stands in its place,
 //! f·cos²θd, which for facets is the same up to Fresnel and shadowing. Isotropic:
 //! everything depends on the polar angle.

@@ -25,7 +25,7 @@ fn departure(departure: &DepartureRecord) -> Value {
     json!({ "amplitude": departure.amplitude, "nodes": nodes })
 }
 
-/// Dictionary, weights with their deviations, the departure from their mixture, and the (θh, θd) table with its
+/// Dictionary, weights with their deviations, the model discrepancy (`departure`), and the (θh, θd) table with its
 /// 95% interval. BRDF values are in 1/sr, cosine excluded; channels are R, G, B;
 /// table values are indexed [θh][θd][channel].
 pub fn to_json(record: &FitRecord) -> String {

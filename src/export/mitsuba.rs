@@ -6,7 +6,7 @@
 //! sum Σ bₖ·sₖ·fₖ is Σ wₖ·fₖ exactly. The shares are the largest weight of each
 //! atom's channels, and black takes the rest; if they sum to more than one they
 //! are scaled down and some reflectances exceed one, which Mitsuba's `srgb`
-//! texture allows when it is told so (`unbounded`). A GGX atom of real index η
+//! texture allows with `unbounded`. A GGX atom of real index η
 //! is `roughconductor` with k = 0, whose Fresnel term is then the dielectric's; a
 //! coat is `plastic` without its own highlight.
 
@@ -70,7 +70,7 @@ fn parts(mixture: &Mixture) -> Vec<Part> {
 }
 
 /// A scene fragment with one `bsdf` of the id [`BSDF_ID`]; for RGB variants.
-/// One-sided, like the measured surface. A `note` says more than that.
+/// One-sided, like the measured surface. A `note` is added as a comment.
 pub fn to_xml(mixture: &Mixture, simulated: bool, note: Option<&str>) -> String {
     let parts = parts(mixture);
     let mut xml = String::from("<?xml version=\"1.0\" encoding=\"utf-8\"?>\n");

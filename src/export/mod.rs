@@ -2,15 +2,15 @@
 //!
 //! | format | file | exactness |
 //! |---|---|---|
-//! | `json` | dictionary, weights, departure, (θh, θd) table with intervals | exact |
-//! | `merl` | MERL `.binary`, 90 × 90 × 180 cells, with a note beside it | the BRDF at the cells' nodes |
+//! | `json` | dictionary, weights, model discrepancy, (θh, θd) table with intervals | exact |
+//! | `merl` | MERL `.binary`, 90 × 90 × 180 cells, with a note in a file of its own | the BRDF at the cells' nodes |
 //! | `rgl` | RGL `.bsdf` in RGB, for Mitsuba 3's `measured` | at its nodes; see [`rgl`] |
 //! | `rgl-spectral` | the same with spectra, for pbrt-v4 and spectral Mitsuba | likewise; the spectra are an assumption |
-//! | `mitsuba` | scene fragment for Mitsuba 3 in an RGB variant | exact but for a departure, which it lacks |
+//! | `mitsuba` | scene fragment for Mitsuba 3 in an RGB variant | the mixture exactly; a model discrepancy is left out |
 //! | `pbrt` | material for pbrt-v4 and the `rgl-spectral` file it refers to | as that file |
 //!
-//! Exports of simulated sessions say so inside the file, or in the note beside
-//! it where the format has no room.
+//! Exports of simulated sessions say so inside the file, or in that note
+//! where the format has no room.
 
 mod facets;
 pub mod json;
@@ -23,7 +23,7 @@ mod warp;
 
 use std::path::{Path, PathBuf};
 
-use crate::brdf::{BrdfError, merl};
+use crate::brdf::{Brdf, BrdfError, merl};
 use crate::session::fit_record::FitRecord;
 use crate::whole_file;
 
@@ -44,6 +44,59 @@ pub enum Format {
     Pbrt,
 }
 
+impl Format {
+    /// The usual ending of its files.
+    pub fn ending(self) -> &'static str {
+        match self {
+            Self::Json => "json",
+            Self::Merl => "binary",
+            Self::Rgl | Self::RglSpectral => "bsdf",
+            Self::Mitsuba => "xml",
+            Self::Pbrt => "pbrt",
+        }
+    }
+}
+
+/// A file format of [`table`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TableFormat {
+    /// The MERL database's `.binary`, 90 × 90 × 180 cells.
+    Merl,
+    /// RGL's `.bsdf` in RGB.
+    Rgl,
+}
+
+impl TableFormat {
+    /// The format that a file's ending stands for.
+    pub fn of(path: &Path) -> Option<Self> {
+        match path.extension()?.to_str()? {
+            "binary" => Some(Self::Merl),
+            "bsdf" => Some(Self::Rgl),
+            _ => None,
+        }
+    }
+}
+
+/// Writes any BRDF, called `name`, as a table. A file of that name is replaced, whole or
+/// not at all.
+///
+/// # Errors
+/// The system's error.
+pub fn table(
+    brdf: &dyn Brdf,
+    name: &str,
+    format: TableFormat,
+    out: &Path,
+) -> Result<(), ExportError> {
+    match format {
+        TableFormat::Merl => Ok(merl::write(out, brdf)?),
+        TableFormat::Rgl => {
+            let description = format!("{name}, by rig {}", env!("CARGO_PKG_VERSION"));
+            replace(out, &rgl::to_bytes(brdf, rgl::Channels::Rgb, &description))
+        }
+    }
+}
+
 /// Why nothing was exported.
 #[derive(Debug, thiserror::Error)]
 pub enum ExportError {
@@ -60,7 +113,7 @@ pub enum ExportError {
     },
 }
 
-/// What an export of a simulated session says.
+/// The note in exports of simulated sessions.
 pub const SIMULATED_NOTE: &str =
     "SIMULATED: made from images of a simulated bench; no physical sample was measured";
 
@@ -77,10 +130,10 @@ pub fn export(record: &FitRecord, format: Format, out: &Path) -> Result<Vec<Path
             Ok(vec![out.to_owned()])
         }
         Format::Mitsuba => {
-            let note = record.departure.as_ref().map(|departure| {
+            let note = record.departure.as_ref().map(|discrepancy| {
                 format!(
-                    "The material departs from every mixture, {:.1} times as much as measured ones usually do; this is the closest mixture, and RGL and MERL exports hold what was measured.",
-                    departure.amplitude
+                    "This is the mixture alone. The fitted BRDF differs from it by a model discrepancy, {:.1} times the usual one of measured materials, which RGL and MERL exports include.",
+                    discrepancy.amplitude
                 )
             });
             let text = mitsuba::to_xml(&record.mixture()?, record.simulated, note.as_deref());
@@ -128,18 +181,18 @@ fn summary(record: &FitRecord) -> String {
     } else {
         String::new()
     };
-    let departs = match record.departure {
-        Some(_) => ", from which the material departs",
+    let discrepancy = match record.departure {
+        Some(_) => ", with a model discrepancy",
         None => "",
     };
     note + &format!(
-        "Mixture of the dictionary {}{departs}, rig {}: the images constrain {share:.0}% of the (half angle, difference angle) cells, and the other values are the dictionary's.",
+        "Mixture of the dictionary {}{discrepancy}, rig {}: the images constrain {share:.0}% of the (half angle, difference angle) cells, and the other values are the dictionary's.",
         record.dictionary,
         env!("CARGO_PKG_VERSION"),
     )
 }
 
-/// A MERL file has no room for text, so this stands beside it.
+/// A MERL file has no room for text, so this is written next to it.
 fn merl_note(record: &FitRecord) -> String {
     format!(
         "{}\nBRDF in 1/sr (cosine excluded), R, G, B, in the layout and with the scale factors of the MERL database.\nIntervals are in the fit's table.csv.\n",

@@ -6,7 +6,7 @@
 //! which S is tabulated, and by `vndf` from there to half vectors. Any `vndf` gives
 //! the right values if S is tabulated for it; it decides where the table is fine.
 //! Here it is half the visible-normal density D(m)⟨i, m⟩ and half a density that
-//! follows how fast log f changes with θh, so that a narrow lobe beside a matte ground gets
+//! follows how fast log f changes with θh, so that a narrow lobe over a matte ground gets
 //! nodes of its own (docs/adr/0016). `luminance` is the reflected radiance's density
 //! over half vectors divided by `vndf`, which makes sampling nearly proportional
 //! to f·cos θo whatever `vndf` is.
@@ -115,7 +115,7 @@ fn following_density(brdf: &dyn Brdf) -> Vec<f64> {
         .collect();
     let change: Vec<f64> = (0..POLAR)
         .map(|k| {
-            // f falls to 0 at the horizon: the last node says nothing.
+            // f falls to 0 at the horizon: the last node carries no information.
             let (before, after) = (k.saturating_sub(1), (k + 1).min(POLAR - 2));
             let pairs = logs[before].iter().zip(&logs[after]);
             pairs.map(|(a, b)| (b - a).abs()).fold(0.0, f64::max)
@@ -260,7 +260,7 @@ mod tests {
 
     /// By the reader, which was checked against another program: f·cos θo at pairs of
     /// directions up to 72°, half of them in a lobe of one of three widths. Single
-    /// values are judged beside what counts as dark.
+    /// values are compared with a floor.
     #[test]
     fn the_file_holds_the_brdf() {
         for parts in MATERIALS {

@@ -62,8 +62,8 @@ fn record(simulated: bool) -> FitRecord {
     }
 }
 
-/// A fit whose material departs, differently in each channel.
-fn departing() -> FitRecord {
+/// A fit with a model discrepancy that differs between the channels.
+fn with_discrepancy() -> FitRecord {
     let by_channel = [0.2, -0.3, 0.5].map(|scale| {
         let nodes =
             departure::nodes().map(|n| scale * (0.1 * n.theta_h_deg + 0.03 * n.theta_d_deg).sin());
@@ -83,7 +83,7 @@ fn departing() -> FitRecord {
 fn json_holds_the_departure() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("brdf.json");
-    let record = departing();
+    let record = with_discrepancy();
     export(&record, Format::Json, &out).unwrap();
     let document: Value = serde_json::from_slice(&std::fs::read(&out).unwrap()).unwrap();
     assert_eq!(document["departure"]["amplitude"], 0.8);
@@ -106,7 +106,7 @@ fn json_holds_the_departure() {
     }
 }
 
-/// Mitsuba's blends are the closest mixture alone, and say so.
+/// Mitsuba's blends are the mixture alone, with a note of that.
 #[test]
 fn blends_say_that_they_lack_the_departure() {
     let folder = tempfile::tempdir().unwrap();
@@ -115,8 +115,8 @@ fn blends_say_that_they_lack_the_departure() {
         export(record, Format::Mitsuba, &out).unwrap();
         std::fs::read_to_string(&out).unwrap()
     };
-    assert!(text(&departing()).contains("departs"));
-    assert!(!text(&record(true)).contains("departs"));
+    assert!(text(&with_discrepancy()).contains("model discrepancy"));
+    assert!(!text(&record(true)).contains("model discrepancy"));
 }
 
 #[test]
@@ -148,7 +148,7 @@ fn json_holds_the_whole_brdf() {
 fn a_merl_file_is_read_back_exactly() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("x.binary");
-    let record = departing();
+    let record = with_discrepancy();
     let files = export(&record, Format::Merl, &out).unwrap();
     assert_eq!(files, [out.clone(), folder.path().join("x.binary.txt")]);
     assert!(

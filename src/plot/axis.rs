@@ -1,15 +1,15 @@
-//! Axes: ranges, round ticks and what they say.
+//! Axes: ranges, round ticks and their labels.
 
 use std::ops::Range;
 
 use plotters::coord::ranged1d::{KeyPointHint, NoDefaultFormatting, Ranged, ValueFormatter};
 
-/// One axis: its range, where its ticks stand and what they say.
+/// One axis: its range, and the positions and labels of its ticks.
 #[derive(Clone, Debug)]
 pub struct Axis {
-    pub(crate) range: Range<f64>,
+    pub(super) range: Range<f64>,
     ticks: Vec<(f64, String)>,
-    pub(crate) label: String,
+    pub(super) label: String,
 }
 
 impl Axis {
@@ -33,11 +33,7 @@ impl Axis {
             format!("{}", (value * scale).round() / scale).replace('-', "−")
         };
         let ticks = multiples(&range, step).map(|value| (value, number(value)));
-        Self {
-            ticks: ticks.collect(),
-            range,
-            label: label.to_owned(),
-        }
+        Self::with_ticks(range.clone(), ticks.collect(), label)
     }
 
     /// Logarithmic: the range is in powers of ten, and so is what is plotted.
@@ -56,24 +52,15 @@ impl Axis {
                 .filter(|(position, _)| range.contains(position) || *position == range.end)
                 .collect();
         }
-        Self {
-            ticks,
-            range,
-            label: label.to_owned(),
-        }
+        Self::with_ticks(range, ticks, label)
     }
 
     /// Half angles on the square-root scale of the MERL tables, which shows a
     /// narrow highlight; positions are [`Self::half_angle`].
     pub fn half_angles(label: &str) -> Self {
         let ticks = [0.0, 2.0, 10.0, 25.0, 45.0, 90.0];
-        Self {
-            ticks: ticks
-                .map(|deg| (Self::half_angle(deg), format!("{deg}°")))
-                .into(),
-            range: 0.0..1.0,
-            label: label.to_owned(),
-        }
+        let ticks = ticks.map(|deg| (Self::half_angle(deg), format!("{deg}°")));
+        Self::with_ticks(0.0..1.0, ticks.into(), label)
     }
 
     /// The position 0..=1 of a half angle in degrees on [`Self::half_angles`].
@@ -81,12 +68,7 @@ impl Axis {
         (theta_h_deg.max(0.0) / 90.0).sqrt()
     }
 
-    /// Positions and what stands there.
-    pub fn ticks(&self) -> &[(f64, String)] {
-        &self.ticks
-    }
-
-    /// With ticks of one's own.
+    /// With given ticks: positions and their labels.
     pub fn with_ticks(range: Range<f64>, ticks: Vec<(f64, String)>, label: &str) -> Self {
         Self {
             range,
@@ -95,13 +77,27 @@ impl Axis {
         }
     }
 
+    /// The same axis the other way round: its start at the right or the top.
+    #[must_use]
+    pub fn reversed(mut self) -> Self {
+        std::mem::swap(&mut self.range.start, &mut self.range.end);
+        self
+    }
+
     /// No ticks, no label.
-    pub(crate) fn bare(range: Range<f64>) -> Self {
-        Self {
-            range,
-            ticks: Vec::new(),
-            label: String::new(),
-        }
+    pub(super) fn bare(range: Range<f64>) -> Self {
+        Self::with_ticks(range, Vec::new(), "")
+    }
+
+    /// Whether it has neither ticks nor a label.
+    pub(super) fn is_bare(&self) -> bool {
+        self.ticks.is_empty() && self.label.is_empty()
+    }
+
+    /// A value, or the end of the axis that is nearest to it.
+    pub(super) fn inside(&self, value: f64) -> f64 {
+        let Range { start, end } = self.range;
+        value.clamp(start.min(end), start.max(end))
     }
 }
 

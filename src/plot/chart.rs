@@ -1,8 +1,14 @@
-//! Curves, bands and marks over two axes, one or several panels beside each other.
+//! Curves, bands and marks over two axes; one panel, or several with a common legend.
 
-use super::Figure;
+use plotters::element::DashedPathElement;
+use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, VPos};
+
 use super::axis::Axis;
-use super::svg::{Anchor, COLORS, INK, PALE, Svg, TEXT, text_width};
+use super::canvas::{
+    Area, DrawError, Figure, INK, Plot, dashes, draw, draw_axes, draw_title, palette, stroke,
+    text_style, text_width, units,
+};
 
 /// How the points of a series are shown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -11,11 +17,11 @@ pub enum Mark {
     Points,
     /// A line alone.
     Line,
-    /// A broken line alone.
+    /// A dashed line alone.
     Dashed,
     /// Discs alone.
     Dots,
-    /// Nothing: an entry of the legend without a sample.
+    /// Nothing but the interval; in a legend, text alone.
     None,
 }
 
@@ -24,7 +30,7 @@ pub enum Mark {
 pub struct Series {
     /// In the legend; series of one label are entered once.
     pub label: String,
-    /// Index into the palette.
+    /// Index into the palette: blue, red, green, and five more.
     pub color: usize,
     /// How it is drawn.
     pub mark: Mark,
@@ -63,55 +69,46 @@ pub struct Chart {
     pub x: Axis,
     /// Vertical axis.
     pub y: Axis,
-    /// The curves, drawn in this order.
+    /// The curves, drawn in this order; what is outside the axes is drawn at their ends.
     pub series: Vec<Series>,
 }
 
-const PANEL: [f64; 2] = [300.0, 220.0];
-const LEFT: f64 = 58.0;
-const RIGHT: f64 = 16.0;
-const TOP: f64 = 26.0;
-const BOTTOM: f64 = 44.0;
+/// A panel with its title and the labels of its axes, CSS pixels.
+const PANEL_PX: [f64; 2] = [390.0, 306.0];
+/// Height of a line of the legend.
+const LINE_PX: f64 = 20.0;
+
+/// One chart without a legend, for a page that has its own.
+pub fn chart(name: &str, size_px: [f64; 2], panel: &Chart) -> Figure {
+    draw(name, size_px, |root, _| draw_chart(root, panel))
+}
 
 /// Panels in rows of `columns`, with one legend for all at the bottom.
 pub fn charts(name: &str, columns: usize, panels: &[Chart]) -> Figure {
     let columns = columns.clamp(1, panels.len().max(1));
     let rows = panels.len().div_ceil(columns);
-    let cell = [LEFT + PANEL[0] + RIGHT, TOP + PANEL[1] + BOTTOM];
-    let width = columns as f64 * cell[0];
-    let entries = legend(panels);
-    let lines = wrap(&entries, width - 2.0 * RIGHT);
-    let height = rows as f64 * cell[1] + lines.len() as f64 * 18.0 + 8.0;
-    let mut svg = Svg::new(width, height);
-    for (index, panel) in panels.iter().enumerate() {
-        let at = [
-            (index % columns) as f64 * cell[0] + LEFT,
-            (index / columns) as f64 * cell[1] + TOP,
-        ];
-        draw(&mut svg, at, panel);
-    }
-    for (row, line) in lines.iter().enumerate() {
-        let y = rows as f64 * cell[1] + row as f64 * 18.0 + 6.0;
-        let total: f64 = line.iter().map(|s| entry_width(s)).sum();
-        let mut x = 0.5 * (width - total);
-        for series in line {
-            sample(&mut svg, [x, y - 4.0], series);
-            svg.text(
-                [x + sample_width(series), y],
-                Anchor::Start,
-                TEXT,
-                &series.label,
-            );
-            x += entry_width(series);
+    let [width_px, panels_px] = [columns as f64 * PANEL_PX[0], rows as f64 * PANEL_PX[1]];
+    let legend = wrap(&entries(panels), width_px - 32.0);
+    let size_px = [width_px, panels_px + LINE_PX * legend.len() as f64 + 8.0];
+    draw(name, size_px, |root, _| {
+        let (upper, lower) = root.split_vertically(units(panels_px));
+        for (area, panel) in upper.split_evenly((rows, columns)).iter().zip(panels) {
+            draw_chart(area, panel)?;
         }
-    }
-    Figure {
-        name: name.to_owned(),
-        svg: svg.finish(),
-    }
+        for (row, line) in legend.iter().enumerate() {
+            let total_px: f64 = line.iter().map(|series| entry_width(series)).sum();
+            let mut x_px = 0.5 * (width_px - total_px);
+            for series in line {
+                draw_entry(&lower, [x_px, LINE_PX * (row as f64 + 0.5)], series)?;
+                x_px += entry_width(series);
+            }
+        }
+        Ok(())
+    })
 }
 
-fn legend(panels: &[Chart]) -> Vec<&Series> {
+/// The series of the legend.
+fn entries(panels: &[Chart]) -> Vec<&Series> {
     let mut entries: Vec<&Series> = Vec::new();
     for series in panels.iter().flat_map(|p| &p.series) {
         if !series.label.is_empty() && entries.iter().all(|s| s.label != series.label) {
@@ -122,26 +119,26 @@ fn legend(panels: &[Chart]) -> Vec<&Series> {
 }
 
 fn entry_width(series: &Series) -> f64 {
-    sample_width(series) + text_width(&series.label, TEXT) + 16.0
+    sample_width(series) + text_width(&series.label) + 18.0
 }
 
 fn sample_width(series: &Series) -> f64 {
     match series.mark {
         Mark::None => 0.0,
-        Mark::Dots => 22.0,
-        _ => 30.0,
+        Mark::Dots => 20.0,
+        _ => 32.0,
     }
 }
 
-fn wrap<'a>(entries: &[&'a Series], width: f64) -> Vec<Vec<&'a Series>> {
+fn wrap<'a>(entries: &[&'a Series], width_px: f64) -> Vec<Vec<&'a Series>> {
     let mut lines: Vec<Vec<&Series>> = Vec::new();
-    let mut used = f64::INFINITY;
+    let mut used_px = f64::INFINITY;
     for entry in entries {
-        if used + entry_width(entry) > width {
+        if used_px + entry_width(entry) > width_px {
             lines.push(Vec::new());
-            used = 0.0;
+            used_px = 0.0;
         }
-        used += entry_width(entry);
+        used_px += entry_width(entry);
         if let Some(line) = lines.last_mut() {
             line.push(entry);
         }
@@ -149,80 +146,118 @@ fn wrap<'a>(entries: &[&'a Series], width: f64) -> Vec<Vec<&'a Series>> {
     lines
 }
 
-fn sample(svg: &mut Svg, [x, y]: [f64; 2], series: &Series) {
-    let color = COLORS[series.color % COLORS.len()];
-    let ends = [[x, y], [x + 24.0, y]];
+/// A sample of the series, and its label.
+fn draw_entry(area: &Area, [x_px, y_px]: [f64; 2], series: &Series) -> Result<(), DrawError> {
+    let color = palette(series.color);
+    let at = |offset_px: f64| (units(x_px + offset_px), units(y_px));
+    let ends = [at(0.0), at(26.0)];
     match series.mark {
-        Mark::Points | Mark::Line => svg.path(&ends, color, 1.6, None),
-        Mark::Dashed => svg.path(&ends, color, 1.6, Some("5 4")),
+        Mark::Points | Mark::Line => area.draw(&PathElement::new(ends, stroke(color, 1.6)))?,
+        Mark::Dashed => area.draw(&DashedPathElement::new(
+            ends,
+            units(6.0),
+            units(5.0),
+            stroke(color, 1.5),
+        ))?,
+        Mark::Dots | Mark::None => {}
+    }
+    let disc_px = match series.mark {
+        Mark::Points => Some(13.0),
+        Mark::Dots => Some(10.0),
+        _ => None,
+    };
+    if let Some(disc_px) = disc_px {
+        area.draw(&Circle::new(at(disc_px), units(3.0), color.filled()))?;
+    }
+    let style = text_style(INK, HPos::Left, VPos::Center);
+    area.draw(&Text::new(
+        series.label.clone(),
+        at(sample_width(series)),
+        style,
+    ))
+}
+
+fn draw_chart(area: &Area, panel: &Chart) -> Result<(), DrawError> {
+    let top_px = if panel.title.is_empty() { 8.0 } else { 26.0 };
+    let mut plot = ChartBuilder::on(area)
+        .margin(units(8.0))
+        .margin_top(units(top_px))
+        .margin_right(units(16.0))
+        .x_label_area_size(units(40.0))
+        .y_label_area_size(units(58.0))
+        .build_cartesian_2d(panel.x.clone(), panel.y.clone())?;
+    draw_axes(&mut plot, [&panel.x, &panel.y], true)?;
+    // Bands and error bars are below all curves.
+    for series in &panel.series {
+        draw_interval(&mut plot, panel, series)?;
+    }
+    for series in &panel.series {
+        draw_points(&mut plot, panel, series)?;
+    }
+    draw_title(area, &plot, &panel.title)
+}
+
+fn draw_interval(plot: &mut Plot, panel: &Chart, series: &Series) -> Result<(), DrawError> {
+    let color = palette(series.color);
+    let at = |x: f64, y: f64| (panel.x.inside(x), panel.y.inside(y));
+    if series.mark == Mark::Dots {
+        let bars = series.interval.iter().map(|&[x, low, high]| {
+            PathElement::new(vec![at(x, low), at(x, high)], stroke(color, 1.2))
+        });
+        plot.draw_series(bars)?;
+    } else if !series.interval.is_empty() {
+        let lower = series.interval.iter().map(|&[x, low, _]| at(x, low));
+        let upper = series.interval.iter().rev();
+        let outline: Vec<_> = lower
+            .chain(upper.map(|&[x, _, high]| at(x, high)))
+            .collect();
+        plot.draw_series([Polygon::new(outline, color.mix(0.15))])?;
+    }
+    Ok(())
+}
+
+fn draw_points(plot: &mut Plot, panel: &Chart, series: &Series) -> Result<(), DrawError> {
+    let color = palette(series.color);
+    let points = series.points.iter();
+    let points = points.map(|&[x, y]| (panel.x.inside(x), panel.y.inside(y)));
+    match series.mark {
+        Mark::Points | Mark::Line => {
+            plot.draw_series(LineSeries::new(points.clone(), stroke(color, 1.6)))?;
+        }
+        Mark::Dashed => {
+            plot.draw_series(dashes(points.clone(), color))?;
+        }
         Mark::Dots | Mark::None => {}
     }
     if matches!(series.mark, Mark::Points | Mark::Dots) {
-        svg.disc([x + 12.0, y], 3.0, color, "none");
+        plot.draw_series(points.map(|at| Circle::new(at, units(3.0), color.filled())))?;
     }
+    Ok(())
 }
 
-fn draw(svg: &mut Svg, at: [f64; 2], panel: &Chart) {
-    let [left, top] = at;
-    let part = |axis: &Axis, value: f64| {
-        ((value - axis.range.start) / (axis.range.end - axis.range.start)).clamp(-0.02, 1.02)
-    };
-    let x_of = |v: f64| left + part(&panel.x, v) * PANEL[0];
-    let y_of = |v: f64| top + (1.0 - part(&panel.y, v)) * PANEL[1];
-    for (position, label) in panel.x.ticks() {
-        let x = x_of(*position);
-        svg.line([x, top], [x, top + PANEL[1]], PALE, 0.8);
-        svg.text([x, top + PANEL[1] + 15.0], Anchor::Middle, TEXT, label);
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_figure_takes_the_colours_of_file_and_page() {
+        let line = Series::new("a < b", 2, Mark::Line, vec![[0.0, 0.0], [1.0, 5.0]]);
+        let panel = Chart {
+            title: "loss".to_owned(),
+            x: Axis::linear(0.0..1.0, "step"),
+            y: Axis::decades(-1.0..2.0, "loss"),
+            series: vec![line],
+        };
+        let page = chart("loss", [320.0, 200.0], &panel)
+            .inline("loss")
+            .unwrap();
+        assert!(page.starts_with("<svg viewBox=\"0 0 1280 800\""));
+        assert!(page.contains("var(--channel-g)") && page.contains("10⁻¹"));
+        assert!(page.contains("step") && !page.contains("http"));
+        let file = charts("loss", 1, std::slice::from_ref(&panel));
+        let svg = file.svg().unwrap();
+        assert!(svg.contains("#009e73") && svg.contains("a &lt; b"));
+        assert!(!svg.contains("var(") && !svg.contains("#120000"));
+        assert!(file.png().unwrap().starts_with(b"\x89PNG"));
     }
-    for (position, label) in panel.y.ticks() {
-        let y = y_of(*position);
-        svg.line([left, y], [left + PANEL[0], y], PALE, 0.8);
-        svg.text([left - 6.0, y + 4.0], Anchor::End, TEXT, label);
-    }
-    for series in &panel.series {
-        let color = COLORS[series.color % COLORS.len()];
-        if series.mark == Mark::Dots {
-            for &[x, low, high] in &series.interval {
-                svg.line([x_of(x), y_of(low)], [x_of(x), y_of(high)], color, 1.2);
-            }
-        } else if !series.interval.is_empty() {
-            let lower = series.interval.iter().map(|i| [x_of(i[0]), y_of(i[1])]);
-            let upper = series.interval.iter().rev();
-            let outline: Vec<_> = lower
-                .chain(upper.map(|i| [x_of(i[0]), y_of(i[2])]))
-                .collect();
-            svg.area(&outline, color, 0.14);
-        }
-    }
-    for series in &panel.series {
-        let color = COLORS[series.color % COLORS.len()];
-        let points: Vec<_> = series
-            .points
-            .iter()
-            .map(|p| [x_of(p[0]), y_of(p[1])])
-            .collect();
-        match series.mark {
-            Mark::Points | Mark::Line => svg.path(&points, color, 1.6, None),
-            Mark::Dashed => svg.path(&points, color, 1.6, Some("5 4")),
-            Mark::Dots | Mark::None => {}
-        }
-        if matches!(series.mark, Mark::Points | Mark::Dots) {
-            for point in points {
-                svg.disc(point, 3.0, color, "none");
-            }
-        }
-    }
-    svg.rectangle(at, PANEL, "none", INK);
-    let wide = text_width(&panel.title, TEXT + 1.0) / PANEL[0];
-    let title_size = (TEXT + 1.0) / wide.max(1.0);
-    svg.text(
-        [left + 0.5 * PANEL[0], top - 8.0],
-        Anchor::Middle,
-        title_size,
-        &panel.title,
-    );
-    let middle = [left + 0.5 * PANEL[0], top + PANEL[1] + 32.0];
-    svg.text(middle, Anchor::Middle, TEXT, &panel.x.label);
-    let middle = [left - 42.0, top + 0.5 * PANEL[1]];
-    svg.turned(middle, Anchor::Middle, TEXT, -90.0, &panel.y.label);
 }

@@ -11,16 +11,16 @@ pub struct CapturedInput {
     pub size_px: [usize; 2],
     /// The radiance shown as white.
     pub white: f32,
-    /// Pixels that say nothing.
+    /// Pixels without a valid value.
     pub unusable: usize,
-    /// Of its bright pixels.
+    /// Signal-to-noise ratio of its bright pixels.
     pub signal_to_noise: SignalToNoise,
     /// The image itself, averaged down where it is larger than the page shows.
     pub picture: RadianceImage,
 }
 
 impl CapturedInput {
-    /// Of a merged image.
+    /// Summarises a merged image.
     pub fn of(image: &RadianceImage) -> Self {
         let white = images::white_level(image);
         Self {

@@ -2,15 +2,26 @@
 
 use glam::Vec3;
 
-use super::images::{self, Picture};
-use super::plots::{self, ACCENT, Axis, Band, BarRow, CHANNELS, HeatMap, Line, Lobe, PlotError};
 use crate::brdf::Brdf;
+use crate::plot::colors::{diverging, sequential};
+use crate::plot::{
+    Axis, Bar, BarRow, Chart, HeatMap, HeatMaps, Lobe, Mark, Picture, PlotError, Series, bars,
+    chart, heat_maps, polar,
+};
 use crate::session::fit_record::{AngleCell, AngleTable, FitRecord, TracePoint};
 
 /// Angles of incidence of the polar plots, degrees from the normal.
 pub const POLAR_THETA_I_DEG: [f64; 3] = [0.0, 30.0, 60.0];
 /// Difference angles of the slices, degrees; the nearest of the table are taken.
 const SLICE_THETA_D_DEG: [f64; 3] = [5.0, 45.0, 75.0];
+/// Colours of the channels R, G, B in the palette, and of what belongs to no channel.
+const CHANNELS: [usize; 3] = [1, 2, 0];
+const NO_CHANNEL: usize = 3;
+const BLACK: usize = 7;
+/// Width and height of a figure that has a row to share, and of one that has half a row,
+/// CSS pixels.
+const THIRD_PX: [f64; 2] = [352.0, 256.0];
+const HALF_PX: [f64; 2] = [500.0, 280.0];
 /// Values below this are drawn as this, 1/sr.
 const SMALLEST: f64 = 1e-6;
 /// Logarithmic scales show at most so many powers of ten below the largest value.
@@ -155,7 +166,7 @@ pub fn polar_plots(
                 })
                 .collect();
             let title = format!("BRDF in the plane of incidence, light at {theta_i_deg}°");
-            plots::polar(&title, theta_i_deg, scale.clone(), &lobes)
+            polar("polar", theta_i_deg, scale.clone(), &lobes).inline(&title)
         })
         .collect()
 }
@@ -181,58 +192,40 @@ pub fn slices(
         .map(|&j| {
             let theta_d_deg = table.theta_d_deg[j];
             let x = |i: usize| Axis::half_angle(table.theta_h_deg[i]);
-            let curve = |value: &dyn Fn(usize) -> Option<f64>| -> Vec<(f64, f64)> {
-                rows.clone()
-                    .filter_map(|i| Some((x(i), value(i)?)))
-                    .collect()
-            };
-            let mut bands = unconstrained_bands(table, j, &scale);
-            let mut lines = Vec::new();
+            let mut series = unconstrained_bands(table, j, &scale);
             for (c, color) in CHANNELS.into_iter().enumerate() {
-                let interval = rows.clone().filter_map(|i| {
-                    let cell = table.cell(i, j)?;
-                    Some((x(i), log(cell.lower[c]), log(cell.upper[c])))
-                });
-                bands.push(Band {
-                    points: interval.collect(),
-                    color,
-                });
-                lines.push(Line {
-                    points: curve(&|i| Some(log(table.cell(i, j)?.value[c]))),
-                    color,
-                    dashed: false,
-                });
+                let cells = rows.clone().filter_map(|i| Some((x(i), table.cell(i, j)?)));
+                let points = cells.clone().map(|(x, cell)| [x, log(cell.value[c])]);
+                let interval = cells.map(|(x, cell)| [x, log(cell.lower[c]), log(cell.upper[c])]);
+                let estimate = Series::new("", color, Mark::Line, points.collect());
+                series.push(estimate.within(interval.collect()));
                 if let Some(truth) = truth {
                     let fine = (0..=180).map(|n| f64::from(n).powi(2) / 360.0);
                     let last = table.theta_h_deg.last().copied().unwrap_or(0.0);
                     let points = fine.filter(|deg| *deg <= last).map(|deg| {
                         let (to_light, to_viewer) = directions_at(deg, theta_d_deg);
                         let value = truth.eval(to_light, to_viewer)[c];
-                        (Axis::half_angle(deg), log(f64::from(value)))
+                        [Axis::half_angle(deg), log(f64::from(value))]
                     });
-                    lines.push(Line {
-                        points: points.collect(),
-                        color,
-                        dashed: true,
-                    });
+                    series.push(Series::new("", color, Mark::Dashed, points.collect()));
                 }
             }
             let title =
                 format!("BRDF over the half angle at a difference angle of {theta_d_deg} degrees");
-            let (x, y) = (
-                Axis::half_angles("half angle θh"),
-                Axis::decades(scale.clone(), "f / sr⁻¹"),
-            );
-            Ok((
-                theta_d_deg,
-                plots::chart(&title, (360, 260), &x, &y, &bands, &lines)?,
-            ))
+            let slice = Chart {
+                title: String::new(),
+                x: Axis::half_angles("half angle θh"),
+                y: Axis::decades(scale.clone(), "f / sr⁻¹"),
+                series,
+            };
+            let figure = chart("slice", THIRD_PX, &slice);
+            Ok((theta_d_deg, figure.inline(&title)?))
         })
         .collect()
 }
 
-/// Shades the half angles of column `j` about which the images say nothing.
-fn unconstrained_bands(table: &AngleTable, j: usize, scale: &std::ops::Range<f64>) -> Vec<Band> {
+/// Shades the half angles of column `j` that the images don't constrain.
+fn unconstrained_bands(table: &AngleTable, j: usize, scale: &std::ops::Range<f64>) -> Vec<Series> {
     let count = table.theta_h_deg.len();
     let edge = |i: usize| {
         let here = Axis::half_angle(table.theta_h_deg[i.min(count - 1)]);
@@ -246,23 +239,23 @@ fn unconstrained_bands(table: &AngleTable, j: usize, scale: &std::ops::Range<f64
     let rows: Vec<usize> = (0..count).collect();
     rows.chunk_by(|&a, &b| constrained(a) == constrained(b))
         .filter(|run| !constrained(run[0]))
-        .map(|run| Band {
-            points: [edge(run[0]), edge(run[run.len() - 1] + 1)]
-                .map(|x| (x, scale.start, scale.end))
-                .into(),
-            color: plots::MUTED,
+        .map(|run| {
+            let ends = [edge(run[0]), edge(run[run.len() - 1] + 1)];
+            let band = ends.map(|x| [x, scale.start, scale.end]);
+            Series::new("", BLACK, Mark::None, Vec::new()).within(band.into())
         })
         .collect()
 }
 
 /// The table as two maps: f, and the half-width of its interval relative to f;
-/// both the mean of the channels, hatched where the data say nothing. `None`
-/// without a table.
+/// both the mean of the channels, hatched where the images don't constrain them.
+/// `None` without a table.
 pub fn table_maps(table: &AngleTable) -> Result<Option<[String; 2]>, PlotError> {
     const SIDE_PX: usize = 270;
     if table.theta_h_deg.len() < 2 || table.theta_d_deg.len() < 2 {
         return Ok(None);
     }
+    // What is mapped, and in which colours.
     let value = |cell: &AngleCell| log(cell.value.iter().sum::<f64>() / 3.0);
     let width = |cell: &AngleCell| {
         let relative =
@@ -276,7 +269,7 @@ pub fn table_maps(table: &AngleTable) -> Result<Option<[String; 2]>, PlotError> 
             match nearest(table, 90.0 * across * across, theta_d_deg) {
                 Some(cell) if cell.constrained => {
                     let part = (of(cell) - scale.start) / (scale.end - scale.start);
-                    let [r, g, b] = images::sequential(part as f32);
+                    let [r, g, b] = sequential(part as f32);
                     [r, g, b, 255]
                 }
                 _ if (x + y) % 8 < 2 => [140, 140, 140, 255],
@@ -284,18 +277,24 @@ pub fn table_maps(table: &AngleTable) -> Result<Option<[String; 2]>, PlotError> 
             }
         })
     };
+    // The map with its axes.
     let map = |title: &str,
                bar_label: &str,
                scale: std::ops::Range<f64>,
                of: &dyn Fn(&AngleCell) -> f64| {
-        plots::heat_map(&HeatMap {
-            title,
-            picture: &picture(&scale, of),
+        let map = HeatMap {
+            title: String::new(),
+            picture: picture(&scale, of),
+        };
+        let maps = HeatMaps {
+            columns: 1,
+            cell_px: [330.0, 300.0],
             x: Axis::half_angles("half angle θh"),
             y: Axis::with_step(0.0..90.0, 15.0, "difference angle θd / °"),
-            bar_colors: &images::steps(images::sequential, 0.0, 1.0, 64),
-            bar: Axis::decades(scale, bar_label),
-        })
+            scale: Axis::decades(scale, bar_label),
+            maps: &[map],
+        };
+        heat_maps("table", &maps).inline(title)
     };
     // The maps' scales end at the values themselves, to use all colours.
     let exact = |of: &dyn Fn(&AngleCell) -> f64| {
@@ -329,21 +328,37 @@ pub const SHOWN_WEIGHT: f64 = 0.005;
 
 /// The weights' bars, heaviest first, and how many atoms are too light to show.
 pub fn weight_bars(record: &FitRecord) -> Result<(String, usize), PlotError> {
-    let mut rows: Vec<BarRow> = record
+    let mut shown: Vec<(String, [f64; 3], usize)> = record
         .atoms
         .iter()
         .enumerate()
-        .map(|(n, atom)| BarRow {
-            label: atom.label(),
-            value: [0, 1, 2].map(|c| record.weights[c][n]),
-            deviation: [0, 1, 2].map(|c| record.weight_deviations[c][n]),
-        })
-        .filter(|row| row.value.iter().any(|weight| *weight >= SHOWN_WEIGHT))
+        .map(|(n, atom)| (atom.label(), [0, 1, 2].map(|c| record.weights[c][n]), n))
+        .filter(|(_, weights, _)| weights.iter().any(|weight| *weight >= SHOWN_WEIGHT))
         .collect();
-    let total = |row: &BarRow| row.value.iter().sum::<f64>();
-    rows.sort_by(|a, b| total(b).total_cmp(&total(a)));
+    let total = |weights: &[f64; 3]| weights.iter().sum::<f64>();
+    shown.sort_by(|a, b| total(&b.1).total_cmp(&total(&a.1)));
+    let mut longest = 0.05f64;
+    let rows: Vec<BarRow> = shown
+        .into_iter()
+        .map(|(label, weights, n)| BarRow {
+            label,
+            bars: (0..3)
+                .map(|c| {
+                    let deviation = record.weight_deviations[c][n];
+                    longest = longest.max(weights[c] + deviation);
+                    Bar {
+                        parts: vec![(weights[c], CHANNELS[c])],
+                        deviation: Some(deviation),
+                        note: String::new(),
+                    }
+                })
+                .collect(),
+        })
+        .collect();
     let hidden = record.atoms.len() - rows.len();
-    Ok((plots::bars("mixture weights", &rows)?, hidden))
+    let x = Axis::linear(0.0..(longest * 1.04).min(1.1), "weight");
+    let figure = bars("weights", &x, [34.0, 140.0], &rows);
+    Ok((figure.inline("mixture weights")?, hidden))
 }
 
 /// The loss over the steps; logarithmic if it falls by more than a factor of 20.
@@ -367,23 +382,21 @@ pub fn trace_plot(trace: &[TracePoint]) -> Result<Option<String>, PlotError> {
     let height = |loss: f64| if logarithmic { loss.log10() } else { loss };
     let first = trace.first().map_or(0, |point| point.step) as f64;
     let x = Axis::linear(first..(last.step as f64).max(first + 1.0), "step");
-    let line = Line {
-        points: trace
-            .iter()
-            .map(|p| (p.step as f64, height(p.loss)))
-            .collect(),
-        color: ACCENT,
-        dashed: false,
+    let points = trace.iter().map(|p| [p.step as f64, height(p.loss)]);
+    let loss = Chart {
+        title: String::new(),
+        x,
+        y,
+        series: vec![Series::new("", NO_CHANNEL, Mark::Line, points.collect())],
     };
-    plots::chart("loss after each step", (500, 280), &x, &y, &[], &[line]).map(Some)
+    let figure = chart("loss", HALF_PX, &loss);
+    figure.inline("loss after each step").map(Some)
 }
 
 /// The colour bar of the residual images.
 pub fn residual_bar() -> String {
-    images::data_uri(&Picture::from_fn(128, 1, |x, _| {
-        let [r, g, b] = images::diverging(x as f32 / 63.5 - 1.0);
-        [r, g, b, 255]
-    }))
+    let colors = (0..128).map(|x| diverging(x as f32 / 63.5 - 1.0));
+    Picture::opaque(128, colors).data_uri()
 }
 
 #[cfg(test)]

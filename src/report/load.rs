@@ -49,9 +49,9 @@ pub enum LoadError {
     NoSuchFit {
         /// The session.
         session: PathBuf,
-        /// What was asked for.
+        /// The number given.
         number: u32,
-        /// The fits that exist, in words.
+        /// Numbers of the fits that exist, or "none".
         existing: String,
     },
 }
@@ -284,6 +284,7 @@ fn provenance(
             .map(|(key, value)| (key.to_owned(), value))
             .collect(),
     };
+    // The session.
     let resumed = session.journal().records.iter();
     let resumed = resumed
         .filter(|r| matches!(r.event, Event::Resume { .. }))
@@ -310,6 +311,7 @@ fn provenance(
         let text = format!("{name}{}", reason.unwrap_or_default());
         groups[0].entries.push(("True material".to_owned(), text));
     }
+    // Its devices.
     let (camera, stage) = (&record.versions.camera, &record.versions.stage);
     let [width, height] = camera.resolution_px;
     groups.push(group(
@@ -346,6 +348,7 @@ fn provenance(
             ),
         ],
     ));
+    // Calibrations, lamp, fit and configuration.
     let copies = record.calibration.iter();
     groups.push(ProvenanceGroup {
         title: "Calibration".to_owned(),
@@ -404,7 +407,7 @@ fn fit_group(record: &FitRecord) -> ProvenanceGroup {
     }
 }
 
-/// What the check of the stage's reference switches found.
+/// Result of the check of the stage's reference switches.
 fn reference(session: &Session) -> String {
     let records = session.journal().records.iter().rev();
     let mut checks = records.filter_map(|record| match record.event {

@@ -1,37 +1,118 @@
 //! The report of a session: one self-contained HTML file that can be read on a
 //! phone and printed, with the verdict first.
 //!
-//! [`ReportInput`] is plain data, loaded from disk by [`load::load`] or made by a
-//! test; [`render`] turns it into the page. Parts that a session does not have
-//! (no fit yet, no known truth) are said to be missing, never left out silently.
+//! [`write`] makes a session's report. [`ReportInput`] is plain data, loaded from disk
+//! by [`load::load`] or made by a test; [`render`] turns it into the page. Parts that a
+//! session does not have (no fit yet, no known truth) are named as missing, never left
+//! out silently.
 
 mod budget;
 mod captured;
 pub mod figures;
 pub mod images;
 pub mod load;
-pub mod plots;
 mod summary;
 mod template;
 
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 pub use captured::{CapturedInput, SignalToNoise};
 
 use crate::brdf::Brdf;
+use crate::plot::PlotError;
 use crate::radiance_image::RadianceImage;
+use crate::session::commit::SystemDisk;
 use crate::session::fit_record::{FitImages, FitRecord};
+use crate::session::{SessionError, SessionWriter, layout};
 use crate::units::{Seconds, StageAngles};
+use crate::whole_file;
 
 /// Why a report could not be made.
 #[derive(Debug, thiserror::Error)]
 pub enum ReportError {
     /// A figure failed.
     #[error(transparent)]
-    Plot(#[from] plots::PlotError),
+    Plot(#[from] PlotError),
     /// The page's template failed: a defect of the program.
     #[error("report template: {0}")]
     Template(#[from] minijinja::Error),
+    /// The session or its fit could not be read.
+    #[error(transparent)]
+    Load(#[from] load::LoadError),
+    /// The page could not be added to the session.
+    #[error(transparent)]
+    Session(#[from] SessionError),
+    /// The page could not be written elsewhere.
+    #[error("{}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// The system's error.
+        source: std::io::Error,
+    },
+}
+
+/// What to report, and where.
+#[derive(Clone, Debug)]
+pub struct ReportRequest {
+    /// The session's folder.
+    pub session: PathBuf,
+    /// Number of the fit to show; the latest if `None`.
+    pub fit: Option<u32>,
+    /// The file to write; the session's own `report.html` if `None`.
+    pub out: Option<PathBuf>,
+}
+
+impl ReportRequest {
+    /// The latest fit of a session, reported in the session.
+    pub fn of(session: &Path) -> Self {
+        Self {
+            session: session.to_owned(),
+            fit: None,
+            out: None,
+        }
+    }
+}
+
+/// A report that was written.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct WrittenReport {
+    /// The HTML file.
+    pub path: PathBuf,
+    /// Whether it shows a fit.
+    pub has_fit: bool,
+}
+
+/// Writes the report of a session: whole or not at all, journalled where it becomes a
+/// file of the session.
+///
+/// # Errors
+/// Anything on disk that is damaged, a fit that the session doesn't have, a figure that
+/// could not be drawn, or a file that could not be written.
+pub fn write(request: &ReportRequest) -> Result<WrittenReport, ReportError> {
+    let input = load::load(&request.session, request.fit)?;
+    let html = render(&input)?;
+    let path = match &request.out {
+        Some(path) => {
+            let written = whole_file::replace(path, |file| file.write_all(html.as_bytes()));
+            written.map_err(|source| ReportError::Io {
+                path: path.clone(),
+                source,
+            })?;
+            path.clone()
+        }
+        None => {
+            let mut session = SessionWriter::open(Arc::new(SystemDisk), &request.session)?;
+            session.commit_file(layout::REPORT_FILE, html.as_bytes())?;
+            session.refresh_manifest()?;
+            request.session.join(layout::REPORT_FILE)
+        }
+    };
+    Ok(WrittenReport {
+        path,
+        has_fit: input.fit.is_some(),
+    })
 }
 
 /// Everything a report shows.
@@ -62,7 +143,7 @@ pub struct ReportInput {
 pub struct LightInput {
     /// Index in the plan.
     pub index: u32,
-    /// Where the lamp stood, as read back, or else as planned.
+    /// Angles of the lamp, as read back, or else as planned.
     pub place: Option<StageAngles>,
     /// What was exposed.
     pub exposures: Vec<ExposureInput>,

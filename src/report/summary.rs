@@ -1,4 +1,4 @@
-//! The head of the page: verdict, figures that sum the fit up, scores.
+//! The head of the page: verdict, key figures, scores.
 
 use serde::Serialize;
 
@@ -22,7 +22,7 @@ pub(super) struct Tile {
 #[derive(Serialize)]
 pub(super) struct ScoreRow {
     metric: &'static str,
-    who: &'static str,
+    estimate: &'static str,
     values: Vec<String>,
     first: bool,
     own: bool,
@@ -52,8 +52,7 @@ pub(super) fn verdict_view(record: Option<&FitRecord>) -> VerdictView {
             class: "none",
             sign: "–",
             title: "No fit yet: this session holds captured images only".to_owned(),
-            text: "Nothing below says anything about the material before “rig fit” has run."
-                .to_owned(),
+            text: "“rig fit” adds the material’s BRDF to this report.".to_owned(),
         };
     };
     let verdict = record.verdict();
@@ -85,7 +84,7 @@ pub(super) fn verdict_view(record: Option<&FitRecord>) -> VerdictView {
             percent(floor.overall),
         );
     } else {
-        text += " No truth is known for this sample, so the error of the BRDF itself is not.";
+        text += " No truth is known for this sample, so neither is the error of the BRDF itself.";
     }
     VerdictView {
         class,
@@ -129,9 +128,13 @@ pub(super) fn tiles(record: Option<&FitRecord>) -> Vec<Tile> {
     if let Some(worst) = record.worst_reduced_chi_square() {
         tile("Worst reduced χ²", format!("{worst:.2}"), "1 is expected");
     }
-    if let Some(departure) = &record.departure {
-        let times = format!("{:.1}×", departure.amplitude);
-        tile("Departure", times, "from mixtures, 1 is usual");
+    if let Some(discrepancy) = &record.departure {
+        let times = format!("{:.1}×", discrepancy.amplitude);
+        tile(
+            "Model discrepancy",
+            times,
+            "of measured materials’ usual one",
+        );
     }
     if !record.table.cells.is_empty() {
         let share = percent(record.table.constrained_share());
@@ -146,11 +149,11 @@ pub(super) fn score_rows(record: Option<&FitRecord>) -> Vec<ScoreRow> {
     };
     let mut rows = Vec::new();
     let mut add = |metric, scores: &MetricScores| {
-        let mut row = |who, score: &ChannelScore, first, own| {
+        let mut row = |estimate, score: &ChannelScore, first, own| {
             let [r, g, b] = score.channels;
             rows.push(ScoreRow {
                 metric,
-                who,
+                estimate,
                 values: [r, g, b, score.overall].map(percent).into(),
                 first,
                 own,

@@ -3,11 +3,13 @@
 use serde::Serialize;
 
 use super::budget::BudgetView;
-use super::images::{self, Picture};
+use super::images;
 use super::summary::{
     ScoreRow, Tile, VerdictView, percent, score_rows, short, tiles, verdict_view,
 };
 use super::{FitInput, LightInput, ReportError, ReportInput, SphereInput, figures};
+use crate::plot::Picture;
+use crate::plot::colors::diverging;
 use crate::radiance_image::RadianceImage;
 use crate::session::fit_record::{BenchRecord, EXPLAINED_CHI_SQUARE, Warning};
 
@@ -81,7 +83,7 @@ struct FitView {
     constrained_percent: String,
     bars: String,
     hidden_atoms: usize,
-    departs: bool,
+    has_discrepancy: bool,
     hidden_below_percent: f64,
     trace: Option<String>,
     loss: String,
@@ -92,12 +94,12 @@ struct FitView {
     budget: Option<BudgetView>,
 }
 
-/// The bench as refined.
+/// The refined bench.
 #[derive(Serialize)]
 struct BenchView {
-    /// Name, difference with its deviation, deviation before, unit.
+    /// Name, correction with its standard deviation, the one before, unit.
     rows: Vec<[String; 4]>,
-    held: Vec<String>,
+    fixed: Vec<String>,
     rounds: u32,
     settled: bool,
 }
@@ -107,7 +109,7 @@ impl BenchView {
         Self {
             rounds: bench.rounds,
             settled: bench.settled,
-            held: bench.held.clone(),
+            fixed: bench.held.clone(),
             rows: bench
                 .parameter
                 .iter()
@@ -184,24 +186,21 @@ pub(super) fn render(input: &ReportInput) -> Result<String, ReportError> {
 fn sphere_view(sphere: &SphereInput) -> SphereView {
     const DIFFERENCE_RANGE: f32 = 0.2;
     let white = images::white_level(sphere.truth.as_ref().unwrap_or(&sphere.estimate));
-    let uri = |image: &RadianceImage| images::data_uri(&images::tone_mapped(image, white));
+    let uri = |image: &RadianceImage| images::tone_mapped(image, white).data_uri();
     let difference = |truth: &RadianceImage| {
         let estimate = &sphere.estimate;
-        images::data_uri(&Picture::from_fn(
-            estimate.width,
-            estimate.height,
-            |x, y| {
-                let at = y * estimate.width + x;
-                match (estimate.mean.get(at), truth.mean.get(at)) {
-                    (Some(a), Some(b)) if estimate.valid[at] => {
-                        let sum: f32 = (0..3).map(|c| a[c] - b[c]).sum();
-                        let [r, g, b] = images::diverging(sum / 3.0 / white / DIFFERENCE_RANGE);
-                        [r, g, b, 255]
-                    }
-                    _ => [0; 4],
+        let pixel = |x: usize, y: usize| {
+            let at = y * estimate.width + x;
+            match (estimate.mean.get(at), truth.mean.get(at)) {
+                (Some(a), Some(b)) if estimate.valid[at] => {
+                    let sum: f32 = (0..3).map(|c| a[c] - b[c]).sum();
+                    let [r, g, b] = diverging(sum / 3.0 / white / DIFFERENCE_RANGE);
+                    [r, g, b, 255]
                 }
-            },
-        ))
+                _ => [0; 4],
+            }
+        };
+        Picture::from_fn(estimate.width, estimate.height, pixel).data_uri()
     };
     SphereView {
         map: sphere.map.clone(),
@@ -220,11 +219,11 @@ fn light_view(position: usize, light: &LightInput, fit: Option<&FitInput>) -> Li
         .map(|captured| captured.white)
         .or(rendered.map(images::white_level))
         .unwrap_or(1.0);
-    let uri = |image: &RadianceImage| images::data_uri(&images::tone_mapped(image, white));
+    let uri = |image: &RadianceImage| images::tone_mapped(image, white).data_uri();
     let names = ["red", "green", "blue"];
     let named = |channel: usize, image: &RadianceImage| Named {
         name: names[channel],
-        uri: images::data_uri(&images::residual(image, channel)),
+        uri: images::residual(image, channel).data_uri(),
     };
     let quality = captured.map(|captured| &captured.signal_to_noise);
     let chi_square = fit.and_then(|fit| fit.record.reduced_chi_square.get(position));
@@ -306,7 +305,7 @@ fn fit_view(fit: &FitInput, input: &ReportInput) -> Result<FitView, ReportError>
         constrained_percent: percent(record.table.constrained_share()),
         bars,
         hidden_atoms,
-        departs: record.departure.is_some(),
+        has_discrepancy: record.departure.is_some(),
         hidden_below_percent: figures::SHOWN_WEIGHT * 100.0,
         trace: figures::trace_plot(&record.trace)?,
         loss: short(record.loss),
@@ -318,6 +317,6 @@ fn fit_view(fit: &FitInput, input: &ReportInput) -> Result<FitView, ReportError>
             .map(|timing| (timing.stage.clone(), format!("{:.2} s", timing.seconds)))
             .collect(),
         bench: record.bench.as_ref().map(BenchView::of),
-        budget: record.budget.as_ref().map(BudgetView::of),
+        budget: record.budget.as_ref().map(BudgetView::of).transpose()?,
     })
 }

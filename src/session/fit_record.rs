@@ -34,6 +34,7 @@ use crate::radiance_image::RadianceImage;
 use crate::radiance_image::exr::ExrError;
 use crate::session::SessionError;
 
+pub use crate::scores::{ChannelScore, MetricScores, ScoreSheet};
 pub use bench::{BenchParameter, BenchRecord};
 pub use budget::{BudgetRecord, BudgetRow};
 pub use folder::parse;
@@ -158,41 +159,6 @@ pub struct Timing {
     pub stage: String,
     /// Wall time, seconds.
     pub seconds: f64,
-}
-
-/// One error, by channel and over all three.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct ChannelScore {
-    /// R, G, B; relative, dimensionless.
-    pub channels: [f64; 3],
-    /// Over all channels together.
-    pub overall: f64,
-}
-
-/// One metric for the estimate and for what it is to be measured against.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct MetricScores {
-    /// The fit.
-    pub estimate: ChannelScore,
-    /// The simplex weights that minimise the squared cube-root error to the truth.
-    pub reference_projection: ChannelScore,
-    /// The least value of this metric that any weights on the simplex reach.
-    pub floor: ChannelScore,
-    /// The single-bounce least-squares start of the fit (Eq. 13 of the paper).
-    pub single_bounce_start: Option<ChannelScore>,
-}
-
-/// The fit beside the truth, where the truth is known.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct ScoreSheet {
-    /// Name of the true material.
-    pub truth: String,
-    /// Sphere under environment maps: mean over the maps of ‖a − b‖₂ / ‖b‖₂.
-    pub environment_error: MetricScores,
-    /// ‖cos θi (f − f̂)‖ / ‖cos θi f‖ over the table's cells.
-    pub brdf_error: MetricScores,
-    /// The same cells, mean |∛a − ∛b| over mean ∛b with a = cos θi f.
-    pub brdf_cube_root_error: Option<MetricScores>,
 }
 
 /// How the material departs from the mixture of the weights (docs/adr/0032).

@@ -1,10 +1,9 @@
-//! A camera's calibration as a figure: where corners were seen, and how far they are from
-//! where the camera explains them.
+//! A camera's calibration as a figure: the positions of the corners, and their residuals.
 
 use super::{CameraFit, Residual};
 use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
 
-/// The corners in an image of `resolution_px`, what is left of each, and that against the
+/// The corners in an image of `resolution_px`, their residuals, and the radial residuals against the
 /// distance from the image's middle.
 pub fn figure(fit: &CameraFit, resolution_px: [usize; 2]) -> Figure {
     let [width, height] = resolution_px.map(|n| n as f64);
@@ -18,7 +17,7 @@ pub fn figure(fit: &CameraFit, resolution_px: [usize; 2]) -> Figure {
     };
     let far = of(true).map(|r| r.off_px.abs().max_element());
     let far = 1.1 * far.fold(0.01, f64::max);
-    let places = Chart {
+    let positions = Chart {
         title: format!("{} views of the board", fit.views),
         x: Axis::linear(0.0..width, "column (px)"),
         y: Axis::linear(0.0..height, "row from below (px)"),
@@ -26,15 +25,15 @@ pub fn figure(fit: &CameraFit, resolution_px: [usize; 2]) -> Figure {
         series: both(&|r| [r.at_px.x, height - r.at_px.y]),
     };
     let clamped = |v: f64| v.clamp(-far, far);
-    let offs = Chart {
-        title: format!("left: {:.3} px (rms)", fit.rms_px),
+    let residuals = Chart {
+        title: format!("Residuals: {:.3} px (rms)", fit.rms_px),
         x: Axis::linear(-far..far, "across (px)"),
         y: Axis::linear(-far..far, "down (px)"),
         series: both(&|r| [clamped(r.off_px.x), clamped(r.off_px.y)]),
     };
     let middle = 0.5 * glam::DVec2::new(width, height);
-    let outwards = Chart {
-        title: "outwards".to_owned(),
+    let radial = Chart {
+        title: "Radial residual".to_owned(),
         x: Axis::linear(0.0..middle.length(), "distance from the middle (px)"),
         y: Axis::linear(-far..far, "outwards (px)"),
         series: both(&|r| {
@@ -45,5 +44,5 @@ pub fn figure(fit: &CameraFit, resolution_px: [usize; 2]) -> Figure {
             ]
         }),
     };
-    charts("camera", 3, &[places, offs, outwards])
+    charts("camera", 3, &[positions, residuals, radial])
 }

@@ -7,6 +7,7 @@
 
 mod bundle;
 mod corner;
+#[cfg(feature = "figures")]
 mod figure;
 mod grid;
 pub mod model;
@@ -18,6 +19,7 @@ use glam::DVec2;
 use nalgebra::DMatrix;
 
 pub use self::bundle::{CameraOptions, calibrate};
+#[cfg(feature = "figures")]
 pub use self::figure::figure;
 pub use self::model::Terms;
 pub use self::values::{CameraPose, CameraValues, LensModel};

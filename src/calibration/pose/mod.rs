@@ -20,6 +20,7 @@
 //! | `figure` | what the operator sees |
 
 mod align;
+#[cfg(feature = "figures")]
 mod figure;
 mod patches;
 mod pieces;
@@ -33,6 +34,7 @@ mod tests;
 use super::record::Measured;
 
 pub use align::{align, find};
+#[cfg(feature = "figures")]
 pub use figure::figure;
 pub use values::PoseValues;
 

@@ -2,12 +2,14 @@
 //! points beside it blur, from images of a straight edge at known heights (after the
 //! slanted-edge method of ISO 12233, with the edge's profile fitted by a model).
 
+#[cfg(feature = "figures")]
 mod figure;
 mod fit;
 pub mod locate;
 mod profile;
 mod values;
 
+#[cfg(feature = "figures")]
 pub use figure::figure;
 pub use fit::{EdgeFit, Fitted, Lens, fit_edges};
 pub use locate::{Edge, locate};

@@ -8,7 +8,7 @@ use serde::Serialize;
 use super::target::{CommonArgs, Target};
 use crate::calibration::Library;
 use crate::calibration::camera::{
-    Board, CameraError, CameraOptions, CameraValues, Terms, calibrate, figure,
+    Board, CameraError, CameraOptions, CameraValues, Terms, calibrate,
 };
 use crate::calibration::mirror_sphere::Grey;
 use crate::calibration::record::Settings;
@@ -171,7 +171,12 @@ pub(super) fn run(args: &CameraArgs, context: &Context) -> Result<(), CliError> 
         fit.views, args.square, values.residual_px
     );
     let path = target.add(values.clone(), &method, &[])?;
-    target.draw(&figure(&fit, described.resolution_px), &path, context)?;
+    #[cfg(feature = "figures")]
+    target.draw(
+        &crate::calibration::camera::figure(&fit, described.resolution_px),
+        &path,
+        context,
+    )?;
     let [used, left_out] = values.corners;
     context.note(format_args!(
         "{} views, {used} corners ({left_out} left out) within {:.3} pixels; they cover {:.0}% of \

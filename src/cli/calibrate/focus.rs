@@ -8,9 +8,7 @@ use super::target::{CommonArgs, Target};
 use super::white::parse_region;
 use crate::calibration::mirror_sphere::Grey;
 use crate::calibration::record::Settings;
-use crate::calibration::slanted_edge::{
-    Edge, EdgeError, FocusValues, Lens, figure, fit_edges, locate,
-};
+use crate::calibration::slanted_edge::{Edge, EdgeError, FocusValues, Lens, fit_edges, locate};
 use crate::calibration::white::Region;
 use crate::calibration::{Library, depth_of_field};
 use crate::cli::output::{write_json, write_path};
@@ -119,7 +117,12 @@ pub(super) fn run(args: &FocusArgs, context: &Context) -> Result<(), CliError> {
             .fold(f64::NEG_INFINITY, f64::max)
     );
     let path = target.add(values.clone(), &method, &[])?;
-    target.draw(&figure(&edges, &found), &path, context)?;
+    #[cfg(feature = "figures")]
+    target.draw(
+        &crate::calibration::slanted_edge::figure(&edges, &found),
+        &path,
+        context,
+    )?;
     let spread = values.point_spread_px;
     context.note(format_args!(
         "point spread {:.3} ± {:.3} px",

@@ -7,6 +7,7 @@ use serde::Serialize;
 use super::light::lamp_bench;
 use super::target::{CommonArgs, Target};
 use crate::calibration::Library;
+#[cfg(feature = "figures")]
 use crate::calibration::figures;
 use crate::calibration::lamp::LampFit;
 use crate::calibration::lamp_watch::{Watch, WatchOptions};
@@ -118,6 +119,7 @@ pub(super) fn run(args: &LampArgs, context: &Context) -> Result<(), CliError> {
         args.interval, args.minutes, args.burst, args.channel
     );
     let path = target.add(fit.values.clone(), &method, &[])?;
+    #[cfg(feature = "figures")]
     target.draw(&figures::lamp(&fit), &path, context)?;
     let v = &fit.values;
     context.note(format_args!(

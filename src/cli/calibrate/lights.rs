@@ -6,12 +6,14 @@ use glam::DVec2;
 use serde::Serialize;
 
 use super::target::{CommonArgs, Target};
+use crate::calibration::Library;
 use crate::calibration::directions::DirectionsValues;
+#[cfg(feature = "figures")]
+use crate::calibration::figures;
 use crate::calibration::mirror_sphere::outline::Stated;
 use crate::calibration::mirror_sphere::{Circle, Sphere, SphereError, spheres_in};
 use crate::calibration::mirror_sphere::{Grey, locate_all};
 use crate::calibration::stage_directions::{self, StageFitError};
-use crate::calibration::{Library, figures};
 use crate::cli::bench_records::go_by_lens;
 use crate::cli::output::{write_json, write_path};
 use crate::cli::session_images::{SessionImages, session_images};
@@ -162,8 +164,12 @@ pub(super) fn run(args: &LightsArgs, context: &Context) -> Result<(), CliError> 
         args.radius
     );
     let path = target.add(values.clone(), &method, &[])?;
-    let off = figures::light_directions(geometry, &pictures.angles, &found, stage.as_ref());
-    target.draw(&off, &path, context)?;
+    #[cfg(feature = "figures")]
+    target.draw(
+        &figures::light_directions(geometry, &pictures.angles, &found, stage.as_ref()),
+        &path,
+        context,
+    )?;
     if let Some(stage) = &values.stage {
         let [x, y, z] = stage.rotation_deg;
         context.note(format_args!(

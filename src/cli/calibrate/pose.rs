@@ -7,7 +7,7 @@ use serde::Serialize;
 use super::rotation;
 use super::target::{CommonArgs, Target};
 use crate::calibration::Library;
-use crate::calibration::pose::{PoseError, PoseOptions, PoseValues, figure, find};
+use crate::calibration::pose::{PoseError, PoseOptions, PoseValues, find};
 use crate::calibration::record::Settings;
 use crate::cli::bench_records::BenchRecords;
 use crate::cli::output::{write_json, write_path};
@@ -141,7 +141,12 @@ pub(super) fn run(args: &PoseArgs, context: &Context) -> Result<(), CliError> {
         ));
     }
     let path = target.add(values.clone(), &method, &[])?;
-    target.draw(&figure(&found, scene.camera.resolution_px), &path, context)?;
+    #[cfg(feature = "figures")]
+    target.draw(
+        &crate::calibration::pose::figure(&found, scene.camera.resolution_px),
+        &path,
+        context,
+    )?;
     if !found.settled {
         context.warn("the last step was not short: the uncertainty may be too small".to_owned());
     }

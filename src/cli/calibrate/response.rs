@@ -8,9 +8,11 @@ use serde::Serialize;
 
 use super::target::{CommonArgs, Target};
 use super::white::parse_region;
+use crate::calibration::Library;
+#[cfg(feature = "figures")]
+use crate::calibration::figures;
 use crate::calibration::record::{ResponseCurve, ResponseValues, Settings};
 use crate::calibration::white::Region;
-use crate::calibration::{Library, figures};
 use crate::cli::bracket_files::{self, BracketFile, Distinct, read_frame, same_kind};
 use crate::cli::output::{write_json, write_path};
 use crate::cli::{CliError, Context, HintExt};
@@ -161,6 +163,7 @@ pub(super) fn run(args: &ResponseArgs, context: &Context) -> Result<(), CliError
         exposures_s.iter().copied().fold(0.0, f64::max),
     );
     let path = target.add(values.clone(), &method, &[])?;
+    #[cfg(feature = "figures")]
     target.draw(&figures::response(&values), &path, context)?;
     if args.common.json {
         return write_json(&ResponseReport {

@@ -6,6 +6,7 @@ use super::light::{LIGHT_HINT, UNIFORM_RADIANCE, ask_to_cover, open_camera};
 use super::target::{CommonArgs, Target};
 use super::{procedure_options, progress};
 use crate::calibration::Library;
+#[cfg(feature = "figures")]
 use crate::calibration::figures;
 use crate::calibration::procedure::Bench;
 use crate::calibration::record::{Kind, SensorValues};
@@ -84,6 +85,7 @@ pub(super) fn run(args: &SensorArgs, context: &Context) -> Result<(), CliError> 
         .each_ref()
         .map(|(file, bytes)| (file.as_str(), bytes.as_slice()));
     let path = target.add(values, &method, &maps)?;
+    #[cfg(feature = "figures")]
     target.draw(&figures::photon_transfer(&fit), &path, context)?;
     let v = &fit.values;
     context.note(format_args!(

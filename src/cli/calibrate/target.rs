@@ -1,6 +1,6 @@
 //! Where the records of a calibration go.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use jiff::Timestamp;
 
@@ -9,6 +9,7 @@ use crate::calibration::record::{Kind, Record, Settings, Values};
 use crate::cli::rig_choice::RigArg;
 use crate::cli::{CliError, Context, HintExt};
 use crate::config::RigConfig;
+#[cfg(feature = "figures")]
 use crate::plot::Figure;
 use crate::whole_file;
 
@@ -132,7 +133,13 @@ impl<'a> Target<'a> {
 
     /// Draws a figure into the folder `plots` beside the records, named as the
     /// record: SVG and PNG.
-    pub fn draw(&self, figure: &Figure, record: &Path, context: &Context) -> Result<(), CliError> {
+    #[cfg(feature = "figures")]
+    pub fn draw(
+        &self,
+        figure: &Figure,
+        record: &std::path::Path,
+        context: &Context,
+    ) -> Result<(), CliError> {
         let Library::Folder(folder) = &self.library else {
             return Ok(());
         };
@@ -141,7 +148,7 @@ impl<'a> Target<'a> {
             .map_err(|error| CliError::new(format!("{}: {error}", folder.display())))?;
         let stem = record.file_stem().unwrap_or_default().to_string_lossy();
         let png = figure.png()?;
-        for (ending, bytes) in [("svg", figure.svg.as_bytes()), ("png", &png)] {
+        for (ending, bytes) in [("svg", figure.svg()?.as_bytes()), ("png", &png)] {
             let path = folder.join(format!("{stem}.{ending}"));
             whole_file::replace(&path, |out| out.write_all(bytes))
                 .map_err(|error| CliError::new(format!("{}: {error}", path.display())))?;

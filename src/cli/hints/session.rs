@@ -1,9 +1,10 @@
 //! Advice on captures, sessions, fits and calibration records.
 
-use super::{EXPLAINED, for_brdf, for_device, for_exr, for_io};
+use super::{EXPLAINED, for_device, for_exr, for_io};
 use crate::calibration::RecordError;
 use crate::capture::CaptureError;
 use crate::radiometry::exposure::PlanError;
+#[cfg(feature = "reports")]
 use crate::report::load::LoadError;
 use crate::session::SessionError;
 use crate::session::fit_record::FitRecordError;
@@ -63,12 +64,13 @@ pub(super) fn for_capture(error: &CaptureError) -> Option<String> {
     })
 }
 
+#[cfg(feature = "reports")]
 pub(super) fn for_loading(error: &LoadError) -> Option<String> {
     use LoadError::*;
     match error {
         Session(error) => for_session(error),
         Fit(error) => for_fit_record(error),
-        Brdf(error) => for_brdf(error),
+        Brdf(error) => super::for_brdf(error),
         Image(error) => for_exr(error),
         Sidecar { .. } => Some("`rig session verify` lists every damaged file".into()),
         NoSuchFit { .. } => {

@@ -1,4 +1,4 @@
-//! Lens and place of a camera by views of a checkerboard.
+//! Lens and position of a camera by views of a checkerboard.
 
 use glam::DVec2;
 
@@ -79,7 +79,7 @@ fn one(
     let errors = [turned.to_array().map(f64::to_degrees), moved.to_array()].concat();
     for (i, error) in errors.into_iter().enumerate() {
         let std = covariance[(i, i)].sqrt();
-        // What a telecentric lens does not see is held.
+        // What a telecentric lens cannot determine is fixed.
         if std > 1e-9 {
             all.push(Recovered {
                 quantity: POSE[i],

@@ -1,5 +1,5 @@
-//! Whether each calibration finds what is true on the simulated bench, and how
-//! well its stated uncertainties hold: pulls (error over stated uncertainty) of a
+//! Whether each calibration recovers the truth of the simulated bench, and whether its
+//! stated uncertainties are right: pulls (error over stated uncertainty) of a
 //! calibration that is right have a mean of 0 and a standard deviation of 1.
 
 mod camera;
@@ -24,7 +24,7 @@ use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
 /// Every calibration on many simulated benches.
 pub static CALIBRATION: Experiment = Experiment {
     name: "calibration",
-    shows: "What each calibration finds on simulated benches beside what is true there: mean, stated uncertainty, and mean and standard deviation of the pulls (error over stated uncertainty)",
+    shows: "What each calibration finds on simulated benches, next to the truth: mean, stated uncertainty, and mean and standard deviation of the pulls (error over stated uncertainty)",
     full: Scale::NONE,
     quick: Scale::NONE,
     cases,
@@ -63,9 +63,9 @@ pub(super) struct Recovered {
     pub quantity: &'static str,
     /// Its unit; empty for ratios.
     pub unit: &'static str,
-    /// What is true.
+    /// The truth.
     pub truth: f64,
-    /// What was found, with its stated uncertainty.
+    /// The value found, with its stated uncertainty.
     pub found: Measured,
 }
 
@@ -150,9 +150,12 @@ fn standard_error(values: &[f64]) -> f64 {
 fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
     let rows = &table.rows;
     // A number under every row would be one black bar.
-    let step = rows.len().div_ceil(20).max(1);
+    let step = match rows.len() {
+        0..=15 => 1,
+        count => 5 * count.div_ceil(50),
+    };
     let numbers = (1..=rows.len())
-        .filter(|row| step == 1 || row % step == 0)
+        .filter(|row| row % step == 0)
         .map(|row| (row as f64, row.to_string()));
     let x = Axis::with_ticks(
         0.5..rows.len() as f64 + 0.5,
@@ -233,7 +236,7 @@ mod tests {
         assert_eq!(number("pull_std_se"), 0.0);
     }
 
-    /// Seconds each without optimisation; the same photographs are tested beside their
+    /// Seconds each without optimisation; the same photographs are tested with their
     /// calibrations.
     const SLOW: [&str; 4] = ["lights", "camera", "telecentric", "pose"];
 

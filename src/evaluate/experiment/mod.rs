@@ -1,4 +1,4 @@
-//! What every experiment is made of.
+//! The parts that every experiment has.
 //!
 //! An [`Experiment`] lists independent *cases*, each with a key; running a case gives
 //! rows of a table; figures are drawn from the table alone. [`run`] does the cases on
@@ -8,14 +8,17 @@
 //! [`super::EXPERIMENTS`].
 
 mod journal;
+mod panels;
 mod run;
 mod settings;
 mod statistics;
 mod table;
 
+pub use panels::{Medians, Scatter, doublings};
 pub use run::{Done, Outcome, Run, run};
 pub use settings::{Overrides, Scale, Settings};
 pub use statistics::{Spread, quantile, spread};
+pub(crate) use table::csv_text;
 pub use table::{Row, Table, Value};
 
 use std::path::PathBuf;
@@ -44,7 +47,7 @@ type Work = Box<dyn Fn(&Lab) -> Result<Vec<Row>, EvaluateError> + Send + Sync>;
 
 /// One independent part of an experiment.
 pub struct Case {
-    /// Names it in the journal; unique within the experiment, it says all that
+    /// Its name in the journal: unique within the experiment, made of all that
     /// distinguishes the case.
     pub key: String,
     work: Work,
@@ -76,7 +79,7 @@ pub enum EvaluateError {
     UnknownExperiment {
         /// As given.
         name: String,
-        /// What would have been understood.
+        /// The known ones.
         known: String,
     },
     /// A setting that the experiment does not have.
@@ -87,12 +90,12 @@ pub enum EvaluateError {
         /// The setting.
         setting: &'static str,
     },
-    /// A material that no reader knows.
+    /// A material that has no such name and is no file.
     #[error("material \"{spec}\" is unknown (known: {known})")]
     UnknownMaterial {
         /// As given.
         spec: String,
-        /// What would have been understood.
+        /// The known ones.
         known: String,
     },
     /// No case is called so.
@@ -196,7 +199,7 @@ pub enum EvaluateError {
 }
 
 impl EvaluateError {
-    /// For `map_err` beside a path.
+    /// For `map_err`, with the path.
     pub(crate) fn io(path: impl Into<PathBuf>) -> impl FnOnce(std::io::Error) -> Self {
         let path = path.into();
         move |source| Self::Io { path, source }

@@ -53,14 +53,15 @@ pub struct Outcome {
 
 /// Does all cases that the folder does not hold yet, on as many threads as the pool
 /// has, then writes `table.csv` and `table.json` of all that the folder holds, and the figures
-/// where that is every case. `progress` is told of every finished case. Whatever ends the process
-/// leaves a folder that a further run completes.
+/// where that is every case. `progress` is called for every finished case. However the process
+/// ends, it leaves a folder that a further run completes.
 ///
 /// # Errors
 /// The first case that fails ends the run; those in progress are kept. No case's key holds
 /// `only`.
 pub fn run(run: &Run<'_>, progress: &(dyn Fn(&Done) + Sync)) -> Result<Outcome, EvaluateError> {
     let (experiment, lab) = (run.experiment, run.lab);
+    // The wanted cases that the folder doesn't have yet.
     let cases = (experiment.cases)(lab)?;
     let mut keys = HashSet::new();
     if let Some(twice) = cases.iter().find(|case| !keys.insert(&case.key)) {
@@ -90,6 +91,7 @@ pub fn run(run: &Run<'_>, progress: &(dyn Fn(&Done) + Sync)) -> Result<Outcome, 
         case: None,
     });
 
+    // Their rows.
     let journal = Mutex::new(journal);
     let failure = Mutex::new(None);
     let (next, finished) = (AtomicUsize::new(0), AtomicUsize::new(resumed));
@@ -131,6 +133,7 @@ pub fn run(run: &Run<'_>, progress: &(dyn Fn(&Done) + Sync)) -> Result<Outcome, 
         return Err(error);
     }
 
+    // Table and figures of all that the folder has.
     let journal = journal.into_inner().unwrap_or_else(|e| e.into_inner());
     let kept: Vec<&Vec<Row>> = cases
         .iter()
@@ -159,7 +162,7 @@ pub fn run(run: &Run<'_>, progress: &(dyn Fn(&Done) + Sync)) -> Result<Outcome, 
     keep("table.json".into(), format!("{json:#}\n").as_bytes())?;
     if left == 0 {
         for figure in (experiment.figures)(lab, &table)? {
-            keep(format!("{}.svg", figure.name), figure.svg.as_bytes())?;
+            keep(format!("{}.svg", figure.name), figure.svg()?.as_bytes())?;
             keep(format!("{}.png", figure.name), &figure.png()?)?;
         }
     }

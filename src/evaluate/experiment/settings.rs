@@ -77,7 +77,7 @@ pub struct Overrides {
     pub materials: Option<Vec<String>>,
     /// Pixels per side, 4..=4096.
     pub resolution_px: Option<usize>,
-    /// Paths per cell of the fit; the truth's change in proportion where nothing else is said.
+    /// Paths per cell of the fit; the truth's change in proportion unless it is given.
     pub samples_per_pixel: Option<u32>,
     /// Paths per pixel of the true images.
     pub truth_samples_per_pixel: Option<u32>,
@@ -95,7 +95,7 @@ pub struct Overrides {
     pub portable: bool,
 }
 
-/// All that the rows of a run depend on; written beside them.
+/// All that the rows of a run depend on; written with them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Settings {
     /// The experiment's name.
@@ -131,6 +131,11 @@ pub struct Settings {
 /// Longest path in surface reflections of every experiment, truth and fit alike.
 pub const MAX_REFLECTIONS: u32 = 16;
 
+/// Dictionary of every experiment unless another is given: the paper's.
+pub const DICTIONARY: &str = "paper42";
+/// Seed unless another is given.
+pub const SEED: u64 = 1;
+
 impl Settings {
     /// The experiment's defaults with the command line's changes. `dictionary`,
     /// `materials` and `kernel` are filled in by the laboratory that loads them.
@@ -140,6 +145,7 @@ impl Settings {
         } else {
             &experiment.full
         };
+        // Options that the experiment has no use for.
         let check = |setting, given: bool, has: bool| {
             if given && !has {
                 return Err(EvaluateError::Unused {
@@ -172,6 +178,7 @@ impl Settings {
             o.materials.is_some(),
             !scale.materials.is_empty(),
         )?;
+        // The truth's paths change in proportion to the fit's.
         let truth_samples_per_pixel = match (o.truth_samples_per_pixel, o.samples_per_pixel) {
             (Some(n), _) => n,
             (None, Some(n)) if scale.truth_samples_per_pixel > 0 => {
@@ -190,8 +197,11 @@ impl Settings {
             lights: o.lights.unwrap_or(scale.lights),
             sphere_px: o.sphere_px.unwrap_or(scale.sphere_px),
             azimuths: scale.azimuths,
-            seed: o.seed.unwrap_or(1),
-            dictionary: o.dictionary.clone().unwrap_or_else(|| "paper42".to_owned()),
+            seed: o.seed.unwrap_or(SEED),
+            dictionary: o
+                .dictionary
+                .clone()
+                .unwrap_or_else(|| DICTIONARY.to_owned()),
             materials: o
                 .materials
                 .clone()

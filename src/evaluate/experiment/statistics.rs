@@ -19,7 +19,7 @@ pub struct Spread {
 const RESAMPLES: u64 = 1000;
 
 /// Mean and median of `values` over materials, with how far they would move for another
-/// draw of as many materials. `None` without values.
+/// sample of as many materials. `None` without values.
 pub fn spread(values: &[f64]) -> Option<Spread> {
     if values.is_empty() {
         return None;
@@ -69,7 +69,7 @@ mod tests {
         assert_eq!(spread.mean_95, [1.0, 1.0]);
     }
 
-    /// The bootstrap interval of a mean covers it about as often as it says: of 200
+    /// The bootstrap interval of a mean covers it about as often as stated: of 200
     /// samples of 40 uniform numbers, fewer than 175 or more than 199 covering has a
     /// probability below 1e-3 at 93 to 95% coverage.
     #[test]

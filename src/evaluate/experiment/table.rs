@@ -184,28 +184,29 @@ impl Table {
     /// as in JSON.
     pub fn to_csv(&self) -> String {
         let columns = self.columns();
-        let mut csv = line(columns.iter().map(|c| quoted(c)));
-        for row in &self.rows {
-            csv += &line(columns.iter().map(|column| match row.get(column) {
-                Some(Value::Text(text)) => quoted(text),
+        let mut records = vec![columns.iter().map(|c| (*c).to_owned()).collect()];
+        records.extend(self.rows.iter().map(|row| {
+            let field = |column: &&str| match row.get(column) {
+                Some(Value::Text(text)) => text.clone(),
                 Some(Value::Missing(())) | None => String::new(),
                 Some(value) => serde_json::to_string(value).unwrap_or_default(),
-            }));
-        }
-        csv
+            };
+            columns.iter().map(field).collect()
+        }));
+        csv_text(&records)
     }
 }
 
-fn line(fields: impl Iterator<Item = String>) -> String {
-    fields.collect::<Vec<_>>().join(",") + "\n"
-}
-
-fn quoted(text: &str) -> String {
-    if text.contains([',', '"', '\n', '\r']) {
-        format!("\"{}\"", text.replace('"', "\"\""))
-    } else {
-        text.to_owned()
+/// Records as RFC 4180 with single line feeds.
+pub(crate) fn csv_text(records: &[Vec<String>]) -> String {
+    let mut writer = csv::Writer::from_writer(Vec::new());
+    for record in records {
+        // Writing records of one length into memory cannot fail.
+        let written = writer.write_record(record);
+        debug_assert!(written.is_ok());
     }
+    let bytes = writer.into_inner().unwrap_or_default();
+    String::from_utf8(bytes).unwrap_or_default()
 }
 
 #[cfg(test)]

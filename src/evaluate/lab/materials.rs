@@ -40,7 +40,7 @@ pub struct Material {
     pub class: Class,
     /// The reflectance.
     pub brdf: Arc<dyn Brdf>,
-    /// Its place among the run's materials.
+    /// Its index among the run's materials.
     pub(super) index: usize,
 }
 
@@ -157,7 +157,7 @@ fn load(spec: &str) -> Result<Loaded, EvaluateError> {
     }
     let path = Path::new(spec);
     let Ok(bytes) = crate::outside_file::read_regular(path, 1 << 29) else {
-        // One atom, which some dictionary may hold.
+        // One atom, which may be in some dictionary.
         return Ok((spec.into(), spec.into(), Class::InSpan, brdf));
     };
     let stem = path.file_stem().and_then(|s| s.to_str()).unwrap_or(spec);

@@ -30,12 +30,12 @@ pub fn priors() -> BenchPriors {
     }
 }
 
-/// `scene` as the description of a bench that is known as well as [`priors`] say.
+/// `scene` as the description of a bench with the uncertainties of [`priors`].
 pub fn bench(scene: &Scene) -> Bench {
     Bench::new(scene, &priors())
 }
 
-/// What one bench differs by: values of its parameters with these errors.
+/// The misalignment of one bench: values of its parameters drawn with these errors.
 pub fn draw(bench: &Bench, numbers: &mut Stream) -> DVector<f64> {
     let parameters = bench.parameters();
     let mut values = DVector::from_fn(parameters.len(), |_, _| numbers.normal());

@@ -2,6 +2,7 @@
 //! and how an estimate is scored.
 
 pub mod capture;
+pub mod cases;
 pub mod materials;
 pub mod misaligned;
 pub mod samples;
@@ -18,6 +19,7 @@ use crate::brdf::environment::EnvironmentMap;
 use crate::inverse::projection::{CellMatrix, EnvironmentMatrix};
 use crate::transport::Kernel;
 
+pub use cases::of_materials;
 pub use materials::{Class, Material};
 pub use samples::Sample;
 pub use scoring::Scored;
@@ -26,7 +28,7 @@ pub use scoring::Scored;
 static MAPS: LazyLock<Vec<EnvironmentMap>> = LazyLock::new(EnvironmentMap::all);
 
 /// Settings with all that they name, loaded. What is costly and shared by cases is
-/// computed when first asked for.
+/// computed at the first use.
 pub struct Lab {
     /// The settings.
     pub settings: Settings,

@@ -1,4 +1,4 @@
-//! Scores of estimates beside what their dictionary can reach.
+//! Scores of estimates next to what their dictionary can reach.
 
 use super::{Lab, Material};
 use crate::brdf::score::{brdf_errors, cells};
@@ -16,7 +16,7 @@ pub struct Figures {
     pub cube_root: f64,
 }
 
-/// What a dictionary can say of a material: the reference projection's scores and the
+/// What a dictionary can reach of a material: the reference projection's scores and the
 /// environment error's floor.
 #[derive(Clone, Debug)]
 pub struct Scored {

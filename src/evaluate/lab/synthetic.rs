@@ -1,4 +1,4 @@
-//! Bright closed forms that no dictionary holds: targets of strong interreflection.
+//! Bright closed forms that are in no dictionary: targets of strong interreflection.
 //!
 //! Each is the sum of a rough diffuse part, flatter towards grazing and brighter
 //! towards the lamp than Lambert's, and of GGX lobes whose widths and indices lie

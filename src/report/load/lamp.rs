@@ -1,4 +1,4 @@
-//! Every comparison of the lamp with itself, as the report's provenance lists them.
+//! Every comparison of the lamp's level at two times, for the report's provenance.
 
 use crate::report::ProvenanceGroup;
 use crate::session::Session;

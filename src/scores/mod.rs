@@ -1,21 +1,62 @@
-//! A fit's scores beside what its dictionary could reach.
+//! How far an estimate is from a known truth, next to what its dictionary could reach:
+//! environment error, BRDF error and cube-root BRDF error.
 
 use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
 
 use crate::brdf::environment::EnvironmentMap;
 use crate::brdf::score::{self, BrdfErrors, PerChannel};
 use crate::brdf::sphere::SphereImage;
 use crate::brdf::{Brdf, Dictionary, Mixture};
 use crate::inverse::projection::{CellMatrix, EnvironmentMatrix, ProjectionError};
-use crate::session::fit_record::{ChannelScore, MetricScores, ScoreSheet};
+
+/// One error, by channel and over all three.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ChannelScore {
+    /// R, G, B; relative, dimensionless.
+    pub channels: [f64; 3],
+    /// Over all channels together.
+    pub overall: f64,
+}
+
+/// One metric of the estimate, and of what it is compared with.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct MetricScores {
+    /// The fit.
+    pub estimate: ChannelScore,
+    /// The simplex weights that minimise the squared cube-root error to the truth.
+    pub reference_projection: ChannelScore,
+    /// The least value of this metric that any weights on the simplex reach.
+    pub floor: ChannelScore,
+    /// The single-bounce least-squares start of the fit (Eq. 13 of the paper).
+    pub single_bounce_start: Option<ChannelScore>,
+}
+
+/// All scores of a fit whose true material is known.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ScoreSheet {
+    /// Name of the true material.
+    pub truth: String,
+    /// Sphere under environment maps: mean over the maps of ‖a − b‖₂ / ‖b‖₂.
+    pub environment_error: MetricScores,
+    /// ‖cos θi (f − f̂)‖ / ‖cos θi f‖ over the table's cells.
+    pub brdf_error: MetricScores,
+    /// The same cells, mean |∛a − ∛b| over mean ∛b with a = cos θi f.
+    pub brdf_cube_root_error: Option<MetricScores>,
+}
 
 /// Azimuths φd of the BRDF errors' cells: isotropic materials change little with φd, and
 /// all of MERL's 180 would take minutes.
 const AZIMUTHS: usize = 9;
 
-/// Scores `estimate` (of `dictionary`, or refined from it) and its single-bounce `start` (of it) against
-/// `truth`: environment error with spheres of `sphere_px` pixels, BRDF error and its
-/// cube-root version, each beside the reference projection and the metric's floor.
+/// Scores `estimate` (of `dictionary`, or refined from it) and its single-bounce `start`
+/// (of `dictionary`) against `truth`, called `name`: environment error with spheres of
+/// `sphere_px` pixels, BRDF error and its cube-root version, each next to the scores of the
+/// reference projection and the metric's floor.
+///
+/// # Errors
+/// The truth could not be projected onto the dictionary.
 pub fn score(
     name: &str,
     truth: &dyn Brdf,
@@ -24,14 +65,15 @@ pub fn score(
     start: &Mixture,
     sphere_px: usize,
 ) -> Result<ScoreSheet, ProjectionError> {
+    // The truth's projection and the floors of both BRDF errors.
     let cells = CellMatrix::new(dictionary.clone(), AZIMUTHS);
     let reference = cells.reference_projection(truth)?;
     let relative_floor = cells.relative_floor(truth)?;
     let cube_root_floor = cells.cube_root_floor_from(&reference, truth)?;
 
+    // Environment errors, all in one pass over the spheres. An estimate with other atoms
+    // than the dictionary's, or with a model discrepancy, is rendered like the truth.
     let maps = EnvironmentMap::all();
-    // All in one pass over the spheres. The dictionary's lack atoms of a refined estimate,
-    // and its discrepancy from every mixture: such an estimate is rendered like the truth.
     let mixture = estimate.as_mixture();
     let mixture = mixture.filter(|mixture| mixture.dictionary() == dictionary);
     let rendered: &[&dyn Brdf] = match mixture {
@@ -56,6 +98,7 @@ pub fn score(
         single_bounce_start: Some(of_mixture(start)),
     };
 
+    // BRDF errors.
     let scored = score::cells(AZIMUTHS);
     let errors = |brdf: &dyn Brdf| score::brdf_errors(brdf, truth, &scored);
     let [estimate, reference, start] = [estimate, &reference, start].map(errors);

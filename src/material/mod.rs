@@ -1,0 +1,95 @@
+//! What can be done with one BRDF from a file, a name or a fit: evaluate it, check it,
+//! compare it with another, project it onto a dictionary, draw it on spheres.
+
+mod angles;
+mod check;
+mod errors;
+mod fit_folder;
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+pub use angles::{Angles, Evaluated, evaluate, parse_angles, read_angles};
+pub use check::{MaterialCheck, SAMPLER_ANGLES_DEG, check_material};
+pub use errors::{Errors, Projected, compare, project};
+pub use fit_folder::{FitFolderError, read_fit};
+
+use crate::brdf::environment::EnvironmentMap;
+use crate::brdf::sphere::sphere_image;
+use crate::brdf::{Brdf, BrdfError, nbrdf, source};
+use crate::inverse::projection::ProjectionError;
+
+/// Why nothing could be done with a BRDF.
+#[derive(Debug, thiserror::Error)]
+pub enum MaterialError {
+    /// The fit that should give it.
+    #[error(transparent)]
+    Fit(#[from] FitFolderError),
+    /// The file or name that should give it.
+    #[error(transparent)]
+    Brdf(#[from] BrdfError),
+    /// No embedded material has this name.
+    #[error("no embedded material \"{name}\"")]
+    UnknownMaterial {
+        /// The name.
+        name: String,
+    },
+    /// The projection onto a dictionary.
+    #[error(transparent)]
+    Projection(#[from] ProjectionError),
+    /// A file of angles that could not be read.
+    #[error("{}: {fact}", path.display())]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        fact: String,
+    },
+    /// A file of angles whose content is wrong.
+    #[error("{}: {fact}", path.display())]
+    Angles {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        fact: String,
+    },
+}
+
+/// Pixels a side of a drawn sphere unless other sizes are asked for.
+pub const DRAWN_SPHERE_PX: usize = 256;
+
+/// The BRDF that `spec` names: the folder of a fit, a session (its latest fit), or what
+/// [`source::load`] takes.
+///
+/// # Errors
+/// A name or file that stands for no BRDF.
+pub fn load(spec: &str) -> Result<Arc<dyn Brdf>, MaterialError> {
+    let folder = Path::new(spec);
+    if folder.is_dir() {
+        return Ok(read_fit(folder)?.material()?);
+    }
+    if let Some(name) = spec.strip_prefix("nbrdf:")
+        && !nbrdf::NAMES.contains(&name)
+    {
+        return Err(MaterialError::UnknownMaterial {
+            name: name.to_owned(),
+        });
+    }
+    Ok(source::load(spec)?.into())
+}
+
+/// Spheres of the material under the environment maps side by side, each `size_px` pixels
+/// a side and exposed for itself.
+pub fn spheres(brdf: &dyn Brdf, size_px: usize) -> image::RgbImage {
+    let maps = EnvironmentMap::all();
+    let mut picture = image::RgbImage::new((size_px * maps.len()) as u32, size_px as u32);
+    for (column, map) in maps.iter().enumerate() {
+        let sphere = sphere_image(brdf, map, size_px);
+        let pixels = sphere.to_srgb(sphere.natural_exposure());
+        for (pixel, rgb) in pixels.into_iter().enumerate() {
+            let x = (column * size_px + pixel % size_px) as u32;
+            picture.put_pixel(x, (pixel / size_px) as u32, image::Rgb(rgb));
+        }
+    }
+    picture
+}

@@ -1,0 +1,208 @@
+//! Mean and variance images of a scene file.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use crate::brdf::{Atom, Brdf, BrdfError};
+use crate::config::ConfigError;
+use crate::config::build::BuildError;
+use crate::config::scene::SceneFile;
+use crate::geometry::Mesh;
+use crate::radiance_image::exr::{self, ExrError};
+use crate::transport::polarised::NotPolarisable;
+use crate::transport::{
+    Remainder, RenderOptions, Scene, Steering, render, render_polarised, suited_proposal,
+    truncation_remainder,
+};
+
+/// What to render, and where to.
+#[derive(Clone, Debug)]
+pub struct RenderRequest {
+    /// Scene file with a `[brdf]`.
+    pub scene: PathBuf,
+    /// Image to write; with several lights `X.exr` becomes `X_L000.exr`, `X_L001.exr`, ….
+    pub out: PathBuf,
+    /// Light paths per pixel, 2 or more.
+    pub samples_per_pixel: u32,
+    /// Longest path in surface reflections, 1..=64.
+    pub max_reflections: u32,
+    /// Seed of the light paths.
+    pub seed: u64,
+    /// Follow polarisation, also where the scene file doesn't ask for it.
+    pub polarised: bool,
+}
+
+impl RenderRequest {
+    /// With the renderer's defaults.
+    pub fn new(scene: &Path, out: &Path) -> Self {
+        let options = RenderOptions::default();
+        Self {
+            scene: scene.to_owned(),
+            out: out.to_owned(),
+            samples_per_pixel: options.samples_per_pixel,
+            max_reflections: options.max_reflections,
+            seed: options.seed,
+            polarised: false,
+        }
+    }
+}
+
+/// Why nothing was rendered.
+#[derive(Debug, thiserror::Error)]
+pub enum RenderError {
+    /// The scene file.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// What the scene file describes.
+    #[error(transparent)]
+    Build(#[from] BuildError),
+    /// The file has no `[brdf]`.
+    #[error("{}: [brdf] is missing", path.display())]
+    NoBrdf {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The BRDF could not be loaded.
+    #[error(transparent)]
+    Brdf(#[from] BrdfError),
+    /// Polarisation of this material is not known.
+    #[error(transparent)]
+    Polarisation(#[from] NotPolarisable),
+    /// An image could not be written.
+    #[error(transparent)]
+    Image(#[from] ExrError),
+}
+
+/// A scene that is ready to be rendered.
+pub struct Rendering {
+    /// The file.
+    pub file: SceneFile,
+    /// The scene.
+    pub scene: Scene,
+    /// Facets that are too coarse for the material's highlight.
+    pub coarse_facets: Option<CoarseFacets>,
+    brdf: Arc<dyn Brdf>,
+    request: RenderRequest,
+}
+
+/// Images that were written.
+#[derive(Clone, Debug)]
+pub struct Rendered {
+    /// One per light.
+    pub images: Vec<PathBuf>,
+    /// Whether polarisation was followed.
+    pub polarised: bool,
+    /// Light that longer paths would bring, per light.
+    pub truncation: Vec<Remainder>,
+}
+
+/// Paths per pixel that estimate what the longest path cuts off.
+const TRUNCATION_SAMPLES: u32 = 32;
+
+impl Rendering {
+    /// Reads the scene and its BRDF.
+    ///
+    /// # Errors
+    /// A file that cannot be read, or a scene without a BRDF.
+    pub fn load(request: &RenderRequest) -> Result<Self, RenderError> {
+        let file = SceneFile::load(&request.scene)?;
+        let Some(brdf) = &file.brdf else {
+            return Err(RenderError::NoBrdf {
+                path: request.scene.clone(),
+            });
+        };
+        let scene = file.scene()?;
+        Ok(Self {
+            coarse_facets: CoarseFacets::of(&scene, &brdf.atoms()?),
+            brdf: brdf.load()?,
+            scene,
+            file,
+            request: request.clone(),
+        })
+    }
+
+    /// Renders and writes the images; `progress` is given the number of finished rows of
+    /// pixels, from any thread.
+    ///
+    /// # Errors
+    /// A material whose polarisation is not known, or an image that cannot be written.
+    pub fn run(&self, progress: &(dyn Fn(usize) + Sync)) -> Result<Rendered, RenderError> {
+        let (request, scene, brdf) = (&self.request, &self.scene, &*self.brdf);
+        let polarised = request.polarised || self.file.polarised;
+        let mut options = RenderOptions {
+            samples_per_pixel: request.samples_per_pixel,
+            max_reflections: request.max_reflections,
+            seed: request.seed,
+            steering: Steering::default(),
+            ..RenderOptions::default()
+        };
+        options.proposal = suited_proposal(scene, brdf, &options);
+        let images = match polarised {
+            true => render_polarised(scene, brdf, &options, progress)?,
+            false => render(scene, brdf, &options, progress),
+        };
+        let samples = TRUNCATION_SAMPLES.min(request.samples_per_pixel);
+        let truncation = truncation_remainder(scene, brdf, &options, samples);
+        let mut written = Vec::new();
+        for (light, image) in images.iter().enumerate() {
+            let path = match images.len() {
+                1 => request.out.clone(),
+                _ => numbered(&request.out, light),
+            };
+            exr::write(&path, image)?;
+            written.push(path);
+        }
+        Ok(Rendered {
+            images: written,
+            polarised,
+            truncation,
+        })
+    }
+}
+
+fn numbered(path: &Path, light: usize) -> PathBuf {
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+    path.with_file_name(format!("{stem}_L{light:03}.exr"))
+}
+
+/// Facets that are too coarse for a narrow lobe: they shade with their own normals, and
+/// neighbours differ by more than an eighth of the lobe's roughness, which takes up to a
+/// sixth off its peak.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CoarseFacets {
+    /// Angle between neighbours, radians.
+    pub step_rad: f64,
+    /// Roughness of the narrowest lobe.
+    pub alpha: f64,
+}
+
+impl CoarseFacets {
+    /// The largest angle between neighbours that a lobe of this roughness allows, radians.
+    pub fn allowed_rad(alpha: f64) -> f64 {
+        alpha / 8.0
+    }
+
+    /// Of a scene whose material has these atoms; `None` where the facets are fine enough.
+    pub fn of(scene: &Scene, atoms: &[Atom]) -> Option<Self> {
+        let widths = atoms.iter().filter_map(Atom::alpha);
+        let alpha = widths.fold(f64::INFINITY, f64::min);
+        if !scene.is_flat() || alpha.is_infinite() {
+            return None;
+        }
+        let step_rad = f64::from(scene.sample().facet_step_rad(Mesh::CREASE_RAD));
+        (step_rad > Self::allowed_rad(alpha)).then_some(Self { step_rad, alpha })
+    }
+}
+
+impl fmt::Display for CoarseFacets {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "the sample's facets turn by {:.2}° from one to the next; the narrowest lobe (alpha {}) allows {:.2}°",
+            self.step_rad.to_degrees(),
+            self.alpha,
+            Self::allowed_rad(self.alpha).to_degrees()
+        )
+    }
+}
