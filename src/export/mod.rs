@@ -130,7 +130,7 @@ pub fn export(record: &FitRecord, format: Format, out: &Path) -> Result<Vec<Path
             Ok(vec![out.to_owned()])
         }
         Format::Mitsuba => {
-            let note = record.departure.as_ref().map(|discrepancy| {
+            let note = record.discrepancy.as_ref().map(|discrepancy| {
                 format!(
                     "This is the mixture alone. The fitted BRDF differs from it by a model discrepancy, {:.1} times the usual one of measured materials, which RGL and MERL exports include.",
                     discrepancy.amplitude
@@ -181,7 +181,7 @@ fn summary(record: &FitRecord) -> String {
     } else {
         String::new()
     };
-    let discrepancy = match record.departure {
+    let discrepancy = match record.discrepancy {
         Some(_) => ", with a model discrepancy",
         None => "",
     };

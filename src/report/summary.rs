@@ -128,7 +128,7 @@ pub(super) fn tiles(record: Option<&FitRecord>) -> Vec<Tile> {
     if let Some(worst) = record.worst_reduced_chi_square() {
         tile("Worst reduced χ²", format!("{worst:.2}"), "1 is expected");
     }
-    if let Some(discrepancy) = &record.departure {
+    if let Some(discrepancy) = &record.discrepancy {
         let times = format!("{:.1}×", discrepancy.amplitude);
         tile(
             "Model discrepancy",
