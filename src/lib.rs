@@ -8,14 +8,15 @@
 //!
 //! | floor | modules |
 //! |---|---|
-//! | 0 | [`units`], [`frames`], [`random`], [`shown`], [`radiance_image`], [`interrupt`], [`outside_file`], [`outside_text`], [`outside_table`], [`file_system`], [`whole_file`], [`plot`] |
+//! | 0 | [`units`], [`frames`], [`random`], [`shown`], [`radiance_image`], [`interrupt`], [`outside_file`], [`outside_text`], [`outside_table`], [`file_system`], [`whole_file`], [`plot`], [`progress`] |
 //! | 1 | [`brdf`], [`geometry`] |
 //! | 2 | [`transport`], [`radiometry`] |
 //! | 3 | [`inverse`], [`device`], [`simulation`] |
 //! | 4 | [`config`], [`session`], [`calibration`] |
 //! | 5 | [`capture`], [`evaluate`] |
-//! | 6 | [`report`], [`export`] |
-//! | 7 | [`cli`] |
+//! | 6 | [`workflow`] |
+//! | 7 | [`report`], [`export`] |
+//! | 8 | [`cli`] |
 
 pub mod file_system;
 pub mod frames;
@@ -24,6 +25,7 @@ pub mod outside_file;
 pub mod outside_table;
 pub mod outside_text;
 pub mod plot;
+pub mod progress;
 pub mod radiance_image;
 pub mod random;
 pub mod shown;
@@ -46,6 +48,8 @@ pub mod session;
 
 pub mod capture;
 pub mod evaluate;
+
+pub mod workflow;
 
 pub mod export;
 pub mod report;

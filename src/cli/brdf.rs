@@ -8,7 +8,7 @@ use glam::DVec3;
 use serde::Serialize;
 
 use super::output::{ANOTHER_FILE, check_ending, unwritable, write_json, write_path};
-use super::{CliError, Context, HintExt, fit_folder};
+use super::{CliError, Context, HintExt};
 use crate::brdf::check::{ALBEDO_ANGLES_DEG, PhysicalCheck, check};
 use crate::brdf::chi_square::{ChiSquare, check_lobes};
 use crate::brdf::environment::EnvironmentMap;
@@ -20,6 +20,7 @@ use crate::brdf::{Brdf, BrdfError, Dictionary, Mixture, merl, nbrdf, source, wei
 use crate::export::rgl;
 use crate::inverse::projection::{CellMatrix, EnvironmentMatrix, FIT_AZIMUTHS};
 use crate::out;
+use crate::session::fit_record;
 use crate::{outside_file, outside_table, whole_file};
 
 const SPEC_HELP: &str = "A BRDF is one of: FILE.binary (MERL), FILE.bsdf (RGL), nbrdf:NAME (embedded measured material), \
@@ -146,7 +147,7 @@ pub fn run(args: &BrdfArgs, _context: &Context) -> Result<(), CliError> {
 fn load(spec: &str) -> Result<Arc<dyn Brdf>, CliError> {
     let folder = Path::new(spec);
     if folder.is_dir() {
-        return Ok(fit_folder::read(folder)?.material()?);
+        return Ok(fit_record::find(folder)?.material()?);
     }
     if let Some(name) = spec.strip_prefix("nbrdf:")
         && !nbrdf::NAMES.contains(&name)

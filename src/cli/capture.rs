@@ -8,14 +8,10 @@ use serde_json::json;
 
 use super::capture_progress::Bar;
 use super::capture_records::Records;
-use super::fit_progress::Work;
 use super::output::{write_json, write_path};
 use super::progress::duration;
 use super::rig_choice::RigArg;
-use super::session_rig::{self, session_rig};
-use super::{
-    CliError, Context, HintExt, interrupt, light_choice, open, pipeline, preflight, sharpness,
-};
+use super::{CliError, Context, HintExt, fit, interrupt, light_choice, open, preflight, sharpness};
 use crate::calibration::Library;
 use crate::capture::plan::{LightChoice, Pace, PlanRequest, check_space, plan};
 use crate::capture::reach::StageReach;
@@ -29,11 +25,13 @@ use crate::radiometry::sensor::SensorNoise;
 use crate::session::commit::SystemDisk;
 use crate::session::journal::sha256_hex;
 use crate::session::layout::{CALIBRATION_FOLDER, QUARANTINE_FOLDER};
+use crate::session::rig_files::{rig_files, session_rig};
 use crate::session::{
     CalibrationCopy, Event, ExposureRules, NewSession, PlanRecord, Session, SessionRecord,
     SessionWriter, Versions,
 };
 use crate::units::{Seconds, StageAngles};
+use crate::workflow::{FitWork, work_of};
 
 /// Captures a sample under several lights, then fits and reports it
 ///
@@ -180,7 +178,7 @@ fn start(args: &CaptureArgs, context: &Context) -> Result<(), CliError> {
     preflight::check_lights(config, &planned.lights)?;
     let reserve_bytes = config.capture.disk_reserve_bytes;
     if args.dry_run {
-        let fit = pipeline::work_of(config, &planned.lights)?;
+        let fit = work_of(config, &planned.lights)?;
         print_plan(&planned, &fit, records.sensor_id(), args.json)?;
         return Ok(check_space(&planned, &args.out, reserve_bytes)?);
     }
@@ -232,7 +230,10 @@ fn start(args: &CaptureArgs, context: &Context) -> Result<(), CliError> {
     let calibration: Vec<_> = copies
         .into_iter()
         .map(|(name, _, bytes)| (name, bytes))
-        .chain(session_rig::copies(config)?)
+        .chain(
+            rig_files(config)
+                .hint("`mesh`, `table` and `weights` in the rig file are relative to that file")?,
+        )
         .collect();
     let writer = SessionWriter::create(
         Arc::new(SystemDisk),
@@ -344,10 +345,7 @@ fn carry_out(
         if let Some(signal) = interrupt.signal() {
             return Err(unfitted(signal));
         }
-        pipeline::fit_and_report(&root, context).hint(format!(
-            "the capture is complete; `rig fit {}` fits it",
-            root.display()
-        ))?;
+        fit::fit_and_report(&root, context)?;
     }
     print_result(args, &root, outcome, elapsed_s, bar.spent())
 }
@@ -362,7 +360,7 @@ struct PrintedPlan<'a> {
     #[serde(flatten)]
     plan: &'a PlanRecord,
     /// What the fit will have to do.
-    fit: Work,
+    fit: FitWork,
     /// The record that time and size are estimated by.
     sensor_record: Option<&'a str>,
     /// How they are estimated without one.
@@ -434,7 +432,7 @@ fn print_result(
 /// estimated for a usual sensor, and marked.
 fn print_plan(
     plan: &PlanRecord,
-    fit: &Work,
+    fit: &FitWork,
     sensor_id: Option<&str>,
     as_json: bool,
 ) -> Result<(), CliError> {

@@ -5,6 +5,7 @@
 mod device;
 mod evaluate;
 mod session;
+mod workflow;
 
 use std::error::Error;
 
@@ -13,6 +14,7 @@ use rustix::io::Errno;
 use device::for_device;
 use evaluate::for_evaluate;
 use session::{for_capture, for_fit_record, for_loading, for_record, for_session};
+use workflow::for_workflow;
 
 use crate::brdf::BrdfError;
 use crate::brdf::rgl::RglFault;
@@ -47,6 +49,9 @@ pub fn for_error(error: &(dyn Error + 'static)) -> Option<String> {
 /// A wrapper that shows its inner error as its own hides it from the chain, so
 /// such wrappers are unwrapped here.
 fn for_one(error: &(dyn Error + 'static)) -> Option<String> {
+    if let Some(error) = error.downcast_ref() {
+        return for_workflow(error);
+    }
     if let Some(error) = error.downcast_ref() {
         return Some(for_device(error));
     }

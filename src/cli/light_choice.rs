@@ -7,7 +7,6 @@ use glam::DVec3;
 use nalgebra::DVector;
 
 use super::output::write_json;
-use super::session_rig::session_rig;
 use super::{CliError, Context, HintExt};
 use crate::brdf::Dictionary;
 use crate::capture::CaptureError;
@@ -18,6 +17,7 @@ use crate::inverse::light_selection::{
     PRIOR_MATERIALS, Prospects, SelectionOptions, prior_materials,
 };
 use crate::out;
+use crate::session::rig_files::session_rig;
 use crate::session::{Session, fit_record};
 use crate::transport::Scene;
 use crate::units::StageAngles;

@@ -6,7 +6,6 @@
 //! `pub mod` line and one line in [`commands!`] below.
 
 pub mod bench;
-mod bench_records;
 mod bracket_files;
 pub mod brdf;
 pub mod calibrate;
@@ -15,7 +14,6 @@ mod camera_preview;
 pub mod capture;
 mod capture_progress;
 mod capture_records;
-mod cell_images;
 pub mod completions;
 pub mod demo;
 pub mod devices;
@@ -24,23 +22,20 @@ pub mod error;
 pub mod evaluate;
 pub mod exit;
 pub mod export;
-mod facets;
 pub mod fit;
-mod fit_folder;
-mod fit_memory;
+mod fit_args;
 mod fit_progress;
 pub mod guardian;
 pub mod hints;
 pub mod interrupt;
 pub mod keeper;
-mod lamp_drift;
 pub mod light_choice;
 pub mod merge;
+mod notices;
 pub mod open;
 #[cfg(feature = "serial")]
 mod operator;
 pub mod output;
-pub mod pipeline;
 mod preflight;
 mod preview_server;
 pub mod progress;
@@ -49,15 +44,12 @@ mod repeatability;
 pub mod report;
 pub mod rig_choice;
 pub mod session;
-mod session_images;
-mod session_rig;
 pub mod shape;
 mod shape_inspect;
 mod sharpness;
 pub mod stage;
 pub mod stderr;
 mod trace;
-mod warnings;
 
 use std::ffi::OsString;
 use std::io::IsTerminal;

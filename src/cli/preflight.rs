@@ -1,5 +1,5 @@
-//! What makes a scene not worth measuring, said before anything moves or is rendered: the
-//! facts are [`Visibility`]'s, here are the words and the advice.
+//! What makes a scene not worth measuring, checked before anything moves or is rendered, with
+//! what to do about it.
 
 use super::{CliError, Context};
 use crate::capture::directions::plan_order;
@@ -11,6 +11,9 @@ use crate::geometry::inspect::UNITS;
 use crate::transport::visibility::{Concern, Visibility};
 use crate::transport::{CameraBody, Scene};
 use crate::units::StageAngles;
+use crate::workflow::{
+    DescribedIn, Notice, Observer, SceneConcern, check_scene, extent_in_image, millimetres,
+};
 
 /// Lights within a stage's reach that stand for all of them while none is planned.
 const LIGHTS_LOOKED_AT: usize = 16;
@@ -22,63 +25,35 @@ const SUITS_THE_FIELD: std::ops::RangeInclusive<f64> = 0.05..=3.0;
 /// Refuses a bench whose camera doesn't see the front of the sample. Remarks go to stderr.
 pub(super) fn check_bench(config: &RigConfig, context: &Context) -> Result<(), CliError> {
     let scene = config.geometry.scene(&[])?;
-    remark_on_files(&scene, context);
-    let seen = Visibility::of(&scene);
-    for concern in seen.concerns() {
-        let fact = fact(&concern, &seen);
-        if concern.is_fatal() {
-            return Err(CliError::new(fact).hint(remedy(&concern, &seen, Keys::rig(config))));
-        }
-        context.warn(fact);
-    }
-    Ok(())
+    let surface = &config.geometry.sample.surface;
+    Ok(check_scene(&scene, DescribedIn::Rig, surface, context)?)
 }
 
 /// Refuses lights that reach nothing of what the camera sees.
 pub(super) fn check_lights(config: &RigConfig, lights: &[StageAngles]) -> Result<(), CliError> {
     let seen = Visibility::of(&config.geometry.scene(lights)?);
-    for concern in seen.concerns() {
-        if let Concern::Unlit { light, .. } = concern {
+    for concern in of_rig(&seen, config) {
+        if let Concern::Unlit { light, .. } = concern.concern {
             let fact = format!("{concern} ({})", lights[light]);
-            return Err(CliError::new(fact).hint(remedy(&concern, &seen, Keys::rig(config))));
+            return Err(CliError::new(fact).hint(remedy(&concern)));
         }
-    }
-    Ok(())
-}
-
-/// Refuses a scene of which images can tell nothing; what is worth a remark goes to stderr.
-pub(super) fn check_scene(
-    scene: &Scene,
-    keys: Keys<'_>,
-    context: &Context,
-) -> Result<(), CliError> {
-    remark_on_files(scene, context);
-    let seen = Visibility::of(scene);
-    for concern in seen.concerns() {
-        let (fact, remedy) = (fact(&concern, &seen), remedy(&concern, &seen, keys));
-        if concern.is_fatal() {
-            return Err(CliError::new(fact).hint(remedy));
-        }
-        context.warn(format_args!("{fact}; {remedy}"));
     }
     Ok(())
 }
 
 /// Warns of what is wrong with a scene file's scene, which is rendered all the same.
 pub(super) fn remark_on_scene(scene: &Scene, file: &SceneFile, context: &Context) {
-    remark_on_files(scene, context);
-    let seen = Visibility::of(scene);
-    for concern in seen.concerns() {
-        let remedy = remedy(&concern, &seen, Keys::scene(file));
-        context.warn(format_args!("{}; {remedy}", fact(&concern, &seen)));
-    }
-}
-
-/// What was left out of mesh files, and the like.
-fn remark_on_files(scene: &Scene, context: &Context) {
     for remark in scene.remarks() {
         context.warn(remark);
     }
+    let seen = Visibility::of(scene);
+    for concern in SceneConcern::all(&seen, DescribedIn::Scene, &file.sample.surface) {
+        context.notice(Notice::Scene(&concern));
+    }
+}
+
+fn of_rig(seen: &Visibility, config: &RigConfig) -> Vec<SceneConcern> {
+    SceneConcern::all(seen, DescribedIn::Rig, &config.geometry.sample.surface)
 }
 
 /// What a check of a rig found.
@@ -102,12 +77,12 @@ pub(super) fn outlook(config: &RigConfig) -> Result<Outlook, CliError> {
     let lights = plan_order(&reach, coaxial, LIGHTS_LOOKED_AT, 0.0);
     let scene = config.geometry.scene(&lights)?;
     let seen = Visibility::of(&scene);
-    let mut concerns = seen.concerns();
+    let mut concerns = of_rig(&seen, config);
     if concerns.iter().filter(|c| is_of_a_light(c)).count() < lights.len() {
         concerns.retain(|concern| !is_of_a_light(concern));
     }
     Ok(match concerns.first() {
-        Some(Concern::Unlit { .. }) => Outlook {
+        Some(concern) if is_of_a_light(concern) => Outlook {
             fact: format!(
                 "none of {} lights spread over the stage's reach reaches what the camera sees of the sample",
                 lights.len()
@@ -120,14 +95,14 @@ pub(super) fn outlook(config: &RigConfig) -> Result<Outlook, CliError> {
             }),
         },
         Some(concern) => Outlook {
-            fact: fact(concern, &seen),
+            fact: concern.to_string(),
             concern: Some(Remedied {
-                remedy: remedy(concern, &seen, Keys::rig(config)),
-                is_fatal: concern.is_fatal(),
+                remedy: remedy(concern),
+                is_fatal: concern.concern.is_fatal(),
             }),
         },
         None => Outlook {
-            fact: format!("the sample is in view: {}", place(&seen)),
+            fact: format!("the sample is in view: {}", extent_in_image(&seen)),
             concern: scene.remarks().first().map(|remark| Remedied {
                 remedy: format!("repair the mesh where it was made: {remark}"),
                 is_fatal: false,
@@ -180,116 +155,49 @@ pub(super) fn light_ways(reach: &StageReach, body: Option<CameraBody>) -> Outloo
     Outlook { fact, concern }
 }
 
-fn is_of_a_light(concern: &Concern) -> bool {
-    matches!(concern, Concern::Unlit { .. })
+fn is_of_a_light(concern: &SceneConcern) -> bool {
+    matches!(concern.concern, Concern::Unlit { .. })
 }
 
-fn fact(concern: &Concern, seen: &Visibility) -> String {
-    match concern {
-        Concern::Unlit { .. } => concern.to_string(),
-        _ => format!("{concern}; {}", place(seen)),
+/// The unit in which a mesh so many times the field's length would suit it, if its own does not.
+fn better_unit(surface: &SurfaceSpec, times: f64) -> Option<&'static str> {
+    let SurfaceSpec::Mesh(mesh) = surface else {
+        return None;
+    };
+    if SUITS_THE_FIELD.contains(&times) {
+        return None;
     }
+    let suits = |mm: f64| SUITS_THE_FIELD.contains(&(times * mm / mesh.placement.mm_per_unit));
+    let unit = UNITS.iter().find(|(_, mm)| suits(*mm));
+    unit.map(|(name, _)| *name)
 }
 
-/// The sample's box, in millimetres and in the image, and the field of view.
-fn place(seen: &Visibility) -> String {
-    let [low, high] = seen.bounds_mm;
-    let size = high - low;
-    let [width, height] = seen.resolution_px;
-    let in_image = match seen.projected_px {
-        Some([from, to]) => format!(
-            "x {:.1} to {:.1} and y {:.1} to {:.1} px of an image of {width} × {height} px",
-            from.x, to.x, from.y, to.y
+/// What to do about a concern, in the terms of the file that describes the scene.
+pub(super) fn remedy(concern: &SceneConcern) -> String {
+    let (camera, sample, light) = match concern.file {
+        DescribedIn::Rig => (
+            "[geometry.camera] in the rig file",
+            "[geometry.sample] in the rig file",
+            "leave this light out (`--light AZ,EL` names lights one by one), or correct [geometry.sample_from_stage] in the rig file if the stage stands otherwise",
         ),
-        None => format!(
-            "no place: a part of it is behind the camera, whose image has {width} × {height} px"
+        DescribedIn::Scene => (
+            "[camera] in the scene file",
+            "[sample] in the scene file",
+            "correct the light's direction in the scene file: it points from the sample to the lamp",
         ),
     };
-    format!(
-        "its box of {} × {} × {} mm (x {} to {}, y {} to {}, z {} to {}) appears at {in_image}, the field of view is {} × {} mm",
-        mm(size.x),
-        mm(size.y),
-        mm(size.z),
-        mm(low.x),
-        mm(high.x),
-        mm(low.y),
-        mm(high.y),
-        mm(low.z),
-        mm(high.z),
-        mm(seen.field_mm.x),
-        mm(seen.field_mm.y),
-    )
-}
-
-/// Millimetres with about three digits.
-fn mm(length: f64) -> String {
-    let digits = match length.abs() {
-        1e-6..0.1 => 4,
-        0.1..1.0 => 2,
-        _ => 1,
-    };
-    // No negative zero.
-    format!("{:.digits$}", length + 0.0)
-}
-
-/// How the keys of a file are called, and what it says of the sample's surface.
-#[derive(Clone, Copy)]
-pub(super) struct Keys<'a> {
-    camera: &'static str,
-    sample: &'static str,
-    light: &'static str,
-    surface: &'a SurfaceSpec,
-}
-
-impl<'a> Keys<'a> {
-    /// Of a rig file, or the session made by it.
-    pub(super) fn rig(config: &'a RigConfig) -> Self {
-        Self {
-            camera: "[geometry.camera] in the rig file",
-            sample: "[geometry.sample] in the rig file",
-            light: "leave this light out (`--light AZ,EL` names lights one by one), or correct [geometry.sample_from_stage] in the rig file if the stage stands otherwise",
-            surface: &config.geometry.sample.surface,
-        }
-    }
-
-    /// Of a scene file.
-    pub(super) fn scene(file: &'a SceneFile) -> Self {
-        Self {
-            camera: "[camera] in the scene file",
-            sample: "[sample] in the scene file",
-            light: "correct the light's direction in the scene file: it points from the sample to the lamp",
-            surface: &file.sample.surface,
-        }
-    }
-
-    /// The unit in which a mesh so many times the field's length would suit it, if its own
-    /// does not.
-    fn better_unit(&self, times: f64) -> Option<&'static str> {
-        let SurfaceSpec::Mesh(mesh) = self.surface else {
-            return None;
-        };
-        if SUITS_THE_FIELD.contains(&times) {
-            return None;
-        }
-        let suits = |mm: f64| SUITS_THE_FIELD.contains(&(times * mm / mesh.placement.mm_per_unit));
-        let unit = UNITS.iter().find(|(_, mm)| suits(*mm));
-        unit.map(|(name, _)| *name)
-    }
-}
-
-fn remedy(concern: &Concern, seen: &Visibility, keys: Keys<'_>) -> String {
-    let (camera, sample) = (keys.camera, keys.sample);
-    let better_unit = keys.better_unit(seen.times_the_field());
+    let seen = &concern.seen;
     let [low, high] = seen.bounds_mm;
-    match (concern, keys.surface, better_unit) {
+    let better_unit = better_unit(&concern.surface, seen.times_the_field());
+    match (concern.concern, &concern.surface, better_unit) {
         (
             Concern::OutOfView { .. } | Concern::PartlyInView { .. } | Concern::TooSmall { .. },
             SurfaceSpec::Mesh(_),
             Some(unit),
         ) => format!(
             "the mesh is {} mm across, the view {} mm: if the mesh is in another unit, say so: mesh_unit = \"{unit}\" in {sample}",
-            mm((high - low).max_element()),
-            mm(seen.field_mm.max_element())
+            millimetres((high - low).max_element()),
+            millimetres(seen.field_mm.max_element())
         ),
         (
             Concern::OutOfView { .. } | Concern::PartlyInView { .. },
@@ -320,6 +228,6 @@ fn remedy(concern: &Concern, seen: &Visibility, keys: Keys<'_>) -> String {
         (Concern::FacesAway { .. } | Concern::PartlyFacesAway { .. }, ..) => format!(
             "the sample's front is seen from above: correct position_mm and look_at_mm of {camera}"
         ),
-        (Concern::Unlit { .. }, ..) => keys.light.to_owned(),
+        (Concern::Unlit { .. }, ..) => light.to_owned(),
     }
 }

@@ -3,13 +3,14 @@
 use std::path::{Path, PathBuf};
 
 use super::output::{check_ending, check_writable, write_json, write_path};
-use super::{CliError, Context, HintExt, facets, preflight};
+use super::{CliError, Context, HintExt, preflight};
 use crate::config::scene::SceneFile;
 use crate::radiance_image::exr;
 use crate::transport::{
     Remainder, RenderOptions, Steering, render, render_polarised, suited_proposal,
     truncation_remainder,
 };
+use crate::workflow::coarse_facets;
 
 /// Renders a scene file, one image per light.
 #[derive(clap::Args, Debug)]
@@ -64,7 +65,7 @@ pub fn run(args: &RenderArgs, context: &Context) -> Result<(), CliError> {
     };
     let scene = file.scene()?;
     preflight::remark_on_scene(&scene, &file, context);
-    if let Some(remark) = facets::coarse(&scene, &brdf.atoms()?) {
+    if let Some(remark) = coarse_facets(&scene, &brdf.atoms()?) {
         context.warn(remark);
     }
     let brdf = brdf.load()?;

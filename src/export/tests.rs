@@ -8,7 +8,7 @@ use serde_json::Value;
 use super::*;
 use crate::brdf::departure::{self, Departure};
 use crate::brdf::{Brdf, Dictionary, Mixture};
-use crate::session::fit_record::{AngleCell, AngleTable, AtomRecord, DepartureRecord, FitSettings};
+use crate::session::fit_record::{AngleTable, AtomRecord, DepartureRecord, FitSettings, Interval};
 
 fn record(simulated: bool) -> FitRecord {
     let dictionary = Dictionary::grid42();
@@ -18,7 +18,7 @@ fn record(simulated: bool) -> FitRecord {
         weights[41] = 0.7 - matte;
         weights
     };
-    let cell = AngleCell {
+    let cell = Interval {
         value: [0.5, 0.25, 0.125],
         lower: [0.4, 0.2, 0.1],
         upper: [0.6, 0.3, 0.2],

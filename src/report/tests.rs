@@ -5,7 +5,7 @@ use crate::brdf::departure::Departure;
 use crate::brdf::{Brdf, Dictionary, Mixture};
 use crate::random::{Purpose, stream};
 use crate::session::fit_record::{
-    AngleCell, AngleTable, AtomRecord, ChannelScore, DepartureRecord, FitSettings, Grade,
+    AngleTable, AtomRecord, ChannelScore, DepartureRecord, FitSettings, Grade, Interval,
     MetricScores, ScoreSheet, Timing, TracePoint, Warning,
 };
 
@@ -93,7 +93,7 @@ fn table(brdf: &dyn Brdf) -> AngleTable {
             let (to_light, to_viewer) = figures::directions_at(h, d.min(89.0));
             let value = brdf.eval(to_light, to_viewer).map(f64::from);
             let spread = 0.03 + 0.3 * (h / 90.0).powi(2) + 0.2 * (d / 90.0).powi(4);
-            cells.push(AngleCell {
+            cells.push(Interval {
                 value,
                 lower: value.map(|f| f * (1.0 - spread)),
                 upper: value.map(|f| f * (1.0 + spread)),

@@ -17,6 +17,7 @@
 
 mod bench;
 mod budget;
+mod find;
 mod folder;
 mod tables;
 mod verdict;
@@ -34,14 +35,16 @@ use crate::radiance_image::RadianceImage;
 use crate::radiance_image::exr::ExrError;
 use crate::session::SessionError;
 
+pub use crate::inverse::intervals::Interval;
 pub use bench::{BenchParameter, BenchRecord};
 pub use budget::{BudgetRecord, BudgetRow};
+pub use find::find;
 pub use folder::parse;
 pub use folder::{
     check_folder, commit, encode, next_folder, numbers_in, read, read_images, read_images_in,
     read_in, write,
 };
-pub use tables::{AngleCell, AngleTable};
+pub use tables::AngleTable;
 pub use verdict::{EXPLAINED_CHI_SQUARE, Grade, UNEXPLAINED_CHI_SQUARE, Verdict, Warning};
 
 /// The record itself, written last: a folder without it holds no fit.
@@ -320,6 +323,12 @@ pub enum FitRecordError {
     Exists {
         /// The folder.
         path: PathBuf,
+    },
+    /// The folder holds no fit and is no session that has one.
+    #[error("{} holds no fit (no fit.toml, no fits/)", folder.display())]
+    NoFit {
+        /// The folder.
+        folder: PathBuf,
     },
     /// A text file that does not parse.
     #[error("{}, line {line}: {key}: {fact}", path.display())]

@@ -82,6 +82,10 @@ pub(super) fn for_fit_record(error: &FitRecordError) -> Option<String> {
     match error {
         Io { source, .. } => for_io(source).map(str::to_owned),
         Exists { .. } => Some("nothing was overwritten; choose another folder".into()),
+        NoFit { .. } => Some(
+            "give the folder that `rig fit --out` wrote, or a session that `rig fit` has fitted"
+                .into(),
+        ),
         Syntax { .. } | Value { .. } => {
             Some("the fit was changed by hand or damaged; fit again".into())
         }

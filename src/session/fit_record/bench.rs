@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::inverse::bench::BenchEstimate;
+
 /// What became of a bench that was not exactly known.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BenchRecord {
@@ -34,6 +36,31 @@ pub struct BenchParameter {
     pub deviation: f64,
     /// Its standard deviation as described.
     pub prior_deviation: f64,
+}
+
+/// In the units in which parameters are shown.
+impl From<&BenchEstimate> for BenchRecord {
+    fn from(bench: &BenchEstimate) -> Self {
+        let [residual_described, residual_refined] = bench.reduced_chi2;
+        let shown = bench.parameters.iter().map(|estimated| {
+            let (unit, scale) = estimated.parameter.shown_in();
+            BenchParameter {
+                name: estimated.parameter.to_string(),
+                unit: unit.to_owned(),
+                value: estimated.value * scale,
+                deviation: estimated.deviation * scale,
+                prior_deviation: estimated.prior_deviation * scale,
+            }
+        });
+        Self {
+            rounds: bench.rounds as u32,
+            settled: bench.settled,
+            residual_described,
+            residual_refined,
+            held: bench.held.clone(),
+            parameter: shown.collect(),
+        }
+    }
 }
 
 impl BenchRecord {

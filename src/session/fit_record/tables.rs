@@ -7,6 +7,8 @@ use nalgebra::DVector;
 
 use super::{AtomRecord, FitRecord, FitRecordError, TracePoint, out_of_range};
 use crate::brdf::departure::{self, Departure};
+use crate::inverse::Fit;
+use crate::inverse::intervals::{self, Interval};
 use crate::shown::excerpt;
 
 /// f over a grid of half and difference angles (Rusinkiewicz), at φd = 90°:
@@ -18,25 +20,26 @@ pub struct AngleTable {
     /// Difference angles, degrees in 0..=90, strictly increasing.
     pub theta_d_deg: Vec<f64>,
     /// `theta_h_deg.len() * theta_d_deg.len()` cells, θd fastest.
-    pub cells: Vec<AngleCell>,
-}
-
-/// One cell of an [`AngleTable`].
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct AngleCell {
-    /// The estimate per channel, 1/sr.
-    pub value: [f64; 3],
-    /// Lower end of its 95% interval, 1/sr.
-    pub lower: [f64; 3],
-    /// Upper end of its 95% interval, 1/sr.
-    pub upper: [f64; 3],
-    /// Whether the images say anything about this cell.
-    pub constrained: bool,
+    pub cells: Vec<Interval>,
 }
 
 impl AngleTable {
+    /// Of a fit, at 46 half angles, dense near 0, and 31 difference angles.
+    pub fn of(fit: &Fit) -> Self {
+        let theta_h_deg: Vec<f64> = (0..=45)
+            .map(|i| 90.0 * (f64::from(i) / 45.0).powi(2))
+            .collect();
+        let theta_d_deg: Vec<f64> = (0..=30).map(|j| 3.0 * f64::from(j)).collect();
+        let cells = intervals::table(&fit.material, &fit.draws, &theta_h_deg, &theta_d_deg);
+        Self {
+            theta_h_deg,
+            theta_d_deg,
+            cells,
+        }
+    }
+
     /// The cell of the i-th half angle and the j-th difference angle.
-    pub fn cell(&self, i: usize, j: usize) -> Option<&AngleCell> {
+    pub fn cell(&self, i: usize, j: usize) -> Option<&Interval> {
         if j < self.theta_d_deg.len() {
             self.cells.get(i * self.theta_d_deg.len() + j)
         } else {
@@ -307,7 +310,7 @@ pub(super) fn table_from_csv(path: &Path, csv: &str) -> Result<AngleTable, FitRe
             let fact = format!("{theta_d_deg} breaks the grid of the rows above");
             return Err(row.error("theta_d_deg", fact));
         }
-        table.cells.push(AngleCell {
+        table.cells.push(Interval {
             value: row.channels("f")?,
             lower: row.channels("lower")?,
             upper: row.channels("upper")?,

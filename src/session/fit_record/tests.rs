@@ -21,7 +21,7 @@ pub(super) fn sample() -> FitRecord {
         eta,
         albedo,
     };
-    let cell = AngleCell {
+    let cell = Interval {
         value: [0.1, 0.2, 0.3],
         lower: [0.05, 0.15, 0.25],
         upper: [0.15, 0.25, 0.4],

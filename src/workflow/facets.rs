@@ -6,7 +6,7 @@ use crate::transport::Scene;
 
 /// A remark where facets shade with their own normals and neighbours differ by more than
 /// an eighth of the narrowest lobe's roughness, which takes up to a sixth off its peak.
-pub fn coarse(scene: &Scene, atoms: &[Atom]) -> Option<String> {
+pub fn coarse_facets(scene: &Scene, atoms: &[Atom]) -> Option<String> {
     let widths = atoms.iter().filter_map(Atom::alpha);
     let narrowest = widths.fold(f64::INFINITY, f64::min);
     if !scene.is_flat() || narrowest.is_infinite() {

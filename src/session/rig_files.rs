@@ -2,35 +2,45 @@
 
 use std::path::{Path, PathBuf};
 
-use super::{CliError, HintExt};
+use super::SessionError;
+use super::layout::CALIBRATION_FOLDER;
+use super::record::SessionRecord;
 use crate::brdf::Dictionary;
 use crate::config::reflectance::BrdfSpec;
 use crate::config::view::SurfaceSpec;
 use crate::config::{ConfigError, RigConfig};
 use crate::outside_file;
-use crate::session::SessionRecord;
-use crate::session::layout::CALIBRATION_FOLDER;
 
 /// Largest such file, bytes: what readers of meshes take.
 const LARGEST_FILE_BYTES: u64 = 4 << 30;
 
-/// The files that say what lies under the camera (the meshes of sample and holder, the
-/// holder's reflectance), as files for the session: later fits must see what was captured,
-/// wherever the session lies then.
-pub(super) fn copies(config: &RigConfig) -> Result<Vec<(String, Vec<u8>)>, CliError> {
+/// The files that describe what lies under the camera (the meshes of sample and holder, the
+/// holder's reflectance), by name and content, for a new session: later fits must use what was
+/// captured, wherever the session lies then.
+///
+/// # Errors
+/// A file that cannot be read.
+pub fn rig_files(config: &RigConfig) -> Result<Vec<(String, Vec<u8>)>, SessionError> {
     let mut copies = Vec::new();
     for (name, path) in files(&mut config.clone()) {
-        let bytes = outside_file::read_regular(path, LARGEST_FILE_BYTES)
-            .map_err(|error| CliError::new(format!("{}: {error}", path.display())))
-            .hint("`mesh`, `table` and `weights` in the rig file are relative to that file")?;
+        let bytes = outside_file::read_regular(path, LARGEST_FILE_BYTES).map_err(|source| {
+            SessionError::Io {
+                path: path.clone(),
+                operation: "read",
+                source,
+            }
+        })?;
         copies.push((name, bytes));
     }
     Ok(copies)
 }
 
-/// The session's rig: other relative paths begin where its rig file is, the files under the
-/// camera are the session's copies.
-pub(super) fn session_rig(root: &Path, record: &SessionRecord) -> Result<RigConfig, ConfigError> {
+/// The session's rig: the files under the camera are the session's copies, other relative paths
+/// begin at the rig file's folder.
+///
+/// # Errors
+/// A configuration that this version cannot read.
+pub fn session_rig(root: &Path, record: &SessionRecord) -> Result<RigConfig, ConfigError> {
     let folder = Path::new(&record.rig).parent().unwrap_or(Path::new(""));
     let mut config = RigConfig::parse(&record.rig, folder, &record.config)?;
     for (name, path) in files(&mut config) {

@@ -1,6 +1,5 @@
 //! What a person should know before trusting a fit.
 
-use super::Context;
 use crate::brdf::check;
 use crate::inverse::Fit;
 use crate::inverse::diagnosis::Cause;
@@ -10,7 +9,7 @@ use crate::session::fit_record::{FitRecord, Grade, UNEXPLAINED_CHI_SQUARE, Warni
 
 /// Reasons not to trust a fit, or not in everything, with what most likely made them; the
 /// gravest first.
-pub(super) fn warnings(fit: &Fit, record: &FitRecord) -> Vec<Warning> {
+pub(super) fn of_fit(fit: &Fit, record: &FitRecord) -> Vec<Warning> {
     let mut warnings = Vec::new();
     let mut warn = |grade: Grade, what: String, likely_cause: &str| {
         warnings.push(Warning {
@@ -90,17 +89,6 @@ pub(super) fn warnings(fit: &Fit, record: &FitRecord) -> Vec<Warning> {
     }
     warnings.sort_by_key(|warning| std::cmp::Reverse(warning.grade));
     warnings
-}
-
-/// Says the verdict and its reasons at the terminal.
-pub(super) fn tell(record: &FitRecord, context: &Context) {
-    for Warning {
-        what, likely_cause, ..
-    } in &record.warnings
-    {
-        context.warn_of(what, likely_cause);
-    }
-    context.note(format!("verdict: {}", record.verdict().sentence()));
 }
 
 /// Names the cause of a misfit, or that none can be named; `false` where there is nothing to say.

@@ -1,13 +1,15 @@
-//! Captured images averaged over a scene's cells while they are read: a few rows of all lights
-//! at a time, so that no image is ever in memory whole.
+//! Captured images averaged over a scene's cells while they are read, a few rows of all lights at
+//! a time: no image is ever in memory whole.
 
 use std::io::{Read, Seek};
 use std::path::Path;
 
-use super::{CliError, HintExt, bracket_files, hints};
+use super::WorkflowError;
 use crate::inverse::cells::{AverageError, Averager, Captured, CellOptions, choose};
+use crate::outside_file;
 use crate::radiance_image::RadianceImage;
 use crate::radiance_image::exr::{ExrError, ExrRows};
+use crate::radiometry::frame_file::picture;
 use crate::transport::Scene;
 
 /// Rows that are read together.
@@ -15,12 +17,11 @@ const ROWS: usize = 16;
 
 /// Relative noise that images without a stated variance are taken to have.
 pub const UNSTATED_NOISE: f32 = 0.005;
-/// Radiance over the mean below which that noise is no smaller: nothing is known without any
-/// error.
+/// Radiance over the mean below which that noise gets no smaller.
 const DARK: f32 = 1e-3;
 
 /// An image that is about to be read.
-pub struct Source<R> {
+pub(super) struct Source<R> {
     /// Its rows.
     pub rows: ExrRows<R>,
     /// Its name in messages.
@@ -30,18 +31,18 @@ pub struct Source<R> {
 }
 
 impl<R: Read + Seek> Source<R> {
-    /// Of a reader whose file states variances, or of one whose whole image `again` reads.
+    /// Of `rows`, where the file states variances; else `reopen` opens it once more for its mean.
     ///
     /// # Errors
     /// The image cannot be read.
     pub fn new(
         rows: ExrRows<R>,
         file: String,
-        again: impl FnOnce() -> Result<ExrRows<R>, ExrError>,
+        reopen: impl FnOnce() -> Result<ExrRows<R>, ExrError>,
     ) -> Result<Self, ExrError> {
         let mean_of_unstated = match rows.has_variance() {
             true => None,
-            false => Some(mean_radiance(&mut again()?)?),
+            false => Some(mean_radiance(&mut reopen()?)?),
         };
         Ok(Self {
             rows,
@@ -74,22 +75,25 @@ fn mean_radiance<R: Read + Seek>(rows: &mut ExrRows<R>) -> Result<f32, ExrError>
     }
 }
 
+/// Largest mask, bytes: 250 megapixels of 16-bit RGB, not compressed.
+const LARGEST_MASK_BYTES: u64 = 3 << 29;
+
 /// Averages the images of a scene's lights over its cells, without what is dark in `mask`.
-pub fn average<R: Read + Seek>(
+///
+/// # Errors
+/// An image or mask that cannot be read or has another size, or of which nothing is valid.
+pub(super) fn average<R: Read + Seek>(
     scene: &Scene,
     mut sources: Vec<Source<R>>,
     mask_path: Option<&Path>,
     options: &CellOptions,
-) -> Result<Captured, CliError> {
+) -> Result<Captured, WorkflowError> {
     let resolution_px = scene.camera.resolution_px;
-    let mask = mask_path
-        .map(|path| {
-            bracket_files::read_picture(path, Some(resolution_px))
-                .hint("a mask is a PNG of the images' size, white where pixels are used")
-        })
-        .transpose()?
-        .map(|picture| picture.to_luma8());
+    let mask = mask_path.map(|path| read_mask(path, resolution_px));
+    let mask = mask.transpose()?;
     let mut averager = Averager::new(scene, choose(scene, options), sources.len())?;
+
+    // The same rows of all images at a time.
     let mut first_row = 0;
     while first_row < resolution_px[1] {
         let mut rows = Vec::with_capacity(sources.len());
@@ -101,27 +105,40 @@ pub fn average<R: Read + Seek>(
             break;
         }
         if let Some(mask) = &mask {
-            let used = &mask.as_raw()[first_row * resolution_px[0]..];
+            let used = &mask[first_row * resolution_px[0]..];
             for image in &mut rows {
                 for (valid, used) in image.valid.iter_mut().zip(used) {
-                    *valid &= *used >= 128;
+                    *valid &= used;
                 }
             }
         }
         averager.add(&rows);
         first_row += height;
     }
-    averager.finish().map_err(|error| match error {
-        AverageError::NothingValid { image } => {
-            let masked = mask.as_ref().zip(mask_path).map(|(mask, path)| {
-                let left = mask.as_raw().iter().filter(|used| **used >= 128).count();
-                let part = 100.0 * left as f64 / mask.as_raw().len().max(1) as f64;
-                format!("; --mask {} leaves {part:.1}% of it", path.display())
-            });
-            let masked = masked.unwrap_or_default();
-            let fact = format!("{}: {error}{masked}", sources[image].file);
-            CliError::new(fact).hint(hints::FOR_INVALID_IMAGES)
-        }
+
+    averager.finish().map_err(|source| match source {
+        AverageError::NothingValid { image } => WorkflowError::NothingValid {
+            file: sources.swap_remove(image).file,
+            source,
+            mask: mask.as_ref().zip(mask_path).map(|(mask, path)| {
+                let left = mask.iter().filter(|used| **used).count();
+                let percent = 100.0 * left as f64 / mask.len().max(1) as f64;
+                (path.to_owned(), percent)
+            }),
+        },
         error => error.into(),
     })
+}
+
+/// Which pixels a mask leaves, row by row.
+fn read_mask(path: &Path, resolution_px: [usize; 2]) -> Result<Vec<bool>, WorkflowError> {
+    let failed = |fact: String| WorkflowError::Mask {
+        path: path.to_owned(),
+        fact,
+    };
+    let bytes = outside_file::read_regular(path, LARGEST_MASK_BYTES)
+        .map_err(|error| failed(error.to_string()))?;
+    let mask = picture(&bytes, Some(resolution_px)).map_err(|error| failed(error.to_string()))?;
+    let mask = mask.to_luma8();
+    Ok(mask.as_raw().iter().map(|luma| *luma >= 128).collect())
 }

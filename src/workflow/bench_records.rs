@@ -1,9 +1,10 @@
-//! What records say about the bench itself: its lens and how sharp it is, where its lights
-//! are and how bright. A fit goes by them rather than by the rig file.
+//! The bench as calibration records measured it: lens and sharpness, directions and intensities
+//! of the lights. They take precedence over the rig file.
 
 use std::path::Path;
 
-use super::{CliError, Context};
+use super::WorkflowError;
+use super::notice::{Notice, Observer};
 use crate::calibration::camera::CameraValues;
 use crate::calibration::directions::DirectionsValues;
 use crate::calibration::record::LightsValues;
@@ -17,35 +18,40 @@ use crate::transport::Scene;
 use crate::units::StageAngles;
 
 /// A session's records of its lens and lights.
-pub(super) struct BenchRecords {
+pub struct BenchRecords {
     irradiance: Option<Loaded<LightsValues>>,
     directions: Option<Loaded<DirectionsValues>>,
     focus: Option<Loaded<FocusValues>>,
     camera: Option<Loaded<CameraValues>>,
 }
 
-/// A bench as the rig file and the records together have it.
-pub(super) struct KnownBench {
+/// A bench as the rig file and the records together describe it.
+pub struct KnownBench {
+    /// Camera, lights and sample.
     pub geometry: GeometryConfig,
+    /// How well they are known.
     pub priors: BenchPriors,
     /// The stage's angles as they were read back.
-    places: Vec<StageAngles>,
-    /// How bright the lights are against each other, and over the sample.
+    as_captured: Vec<StageAngles>,
+    /// Intensities of the lights relative to each other, and over the sample.
     intensities: Option<LightsValues>,
 }
 
 impl KnownBench {
     /// The scene with the lamp at each of these angles, in the captured lights' order.
-    pub fn scene(&mut self, angles: &[StageAngles], context: &Context) -> Result<Scene, CliError> {
+    pub fn scene(
+        &mut self,
+        angles: &[StageAngles],
+        observer: &dyn Observer,
+    ) -> Result<Scene, WorkflowError> {
         let mut scene = self.geometry.scene(angles)?;
         if let Some(intensities) = &self.intensities {
-            let left = intensities.shape(&mut scene, &self.places, &mut self.priors);
+            let left = intensities.shape(&mut scene, &self.as_captured, &mut self.priors);
             if left > 0 {
-                context.warn(format_args!(
-                    "intensities of {left} of {} lights were not measured: they count as the mean \
-                     of the others; run `rig calibrate white SESSION` with all of them",
-                    angles.len()
-                ));
+                observer.notice(Notice::UnmeasuredIntensities {
+                    lights: left,
+                    of: angles.len(),
+                });
             }
         }
         Ok(scene)
@@ -54,7 +60,10 @@ impl KnownBench {
 
 impl BenchRecords {
     /// The copies in a session.
-    pub fn load(session: &Path) -> Result<Self, CliError> {
+    ///
+    /// # Errors
+    /// A record that cannot be used.
+    pub fn load(session: &Path) -> Result<Self, WorkflowError> {
         let library = Library::Folder(session.join(CALIBRATION_FOLDER));
         Ok(Self {
             irradiance: library.load(None)?,
@@ -64,8 +73,8 @@ impl BenchRecords {
         })
     }
 
-    /// The same without the irradiance, for who is about to measure it.
-    pub fn without_irradiance(session: &Path) -> Result<Self, CliError> {
+    /// The same without the irradiance, which is about to be measured.
+    pub fn without_irradiance(session: &Path) -> Result<Self, WorkflowError> {
         Ok(Self {
             irradiance: None,
             ..Self::load(session)?
@@ -77,52 +86,47 @@ impl BenchRecords {
         self.irradiance.is_some()
     }
 
-    /// The bench by these records, and the stage's angles as they truly were. Says which
-    /// records it went by.
+    /// The bench by these records; `angles`, as read back from the stage, become those of the
+    /// light as measured. Reports which records were used.
     pub fn apply(
         &self,
         config: &RigConfig,
         angles: &mut [StageAngles],
-        context: &Context,
+        observer: &dyn Observer,
     ) -> KnownBench {
         let as_captured = angles.to_vec();
         let mut geometry = config.geometry.clone();
         let mut priors = config.uncertainty.clone();
         if let Some(loaded) = &self.camera {
-            go_by_lens(loaded, &mut geometry, context);
+            apply_lens(loaded, &mut geometry, observer);
         }
         if let Some(loaded) = &self.irradiance {
             loaded.record.values.apply(&mut geometry);
             loaded.record.values.inform(&mut priors);
-            context.note(format_args!("irradiance by record {}", loaded.record.id));
+            by_record("irradiance", loaded, observer);
         }
         if let Some(loaded) = &self.directions {
-            let unmeasured = loaded.record.values.apply(&mut geometry, angles);
-            match unmeasured {
+            match loaded.record.values.apply(&mut geometry, angles) {
                 0 => {
                     loaded.record.values.inform(&mut priors);
-                    context.note(format_args!(
-                        "light directions by record {}",
-                        loaded.record.id
-                    ));
+                    by_record("light directions", loaded, observer);
                 }
-                // What the rig file says is uncertain by what the rig file says.
-                n => context.warn(format_args!(
-                    "record {} has no direction of {n} of {} lights: the rig file's are believed; \
-                     run `rig calibrate lights` with all of them",
-                    loaded.record.id,
-                    angles.len()
-                )),
+                // Where the rig file's directions are used, so is their uncertainty.
+                unmeasured => observer.notice(Notice::UnmeasuredDirections {
+                    id: &loaded.record.id,
+                    lights: unmeasured,
+                    of: angles.len(),
+                }),
             }
         }
         if let Some(loaded) = &self.focus {
             loaded.record.values.apply(&mut geometry);
-            context.note(format_args!("sharpness by record {}", loaded.record.id));
+            by_record("sharpness", loaded, observer);
         }
         KnownBench {
             geometry,
             priors,
-            places: as_captured,
+            as_captured,
             intensities: self
                 .irradiance
                 .as_ref()
@@ -131,15 +135,23 @@ impl BenchRecords {
     }
 }
 
-/// Gives the geometry the lens of a record, and the camera's place if that was measured.
-pub(super) fn go_by_lens(
+/// Gives the geometry the lens of a record, and the camera's pose if that was measured.
+pub fn apply_lens(
     loaded: &Loaded<CameraValues>,
     geometry: &mut GeometryConfig,
-    context: &Context,
+    observer: &dyn Observer,
 ) {
     match loaded.record.values.apply(geometry) {
-        Ok(()) => context.note(format_args!("lens by record {}", loaded.record.id)),
-        // A record that was checked when it was read folds nothing.
-        Err(folded) => context.warn(format!("record {}: {folded}", loaded.record.id)),
+        Ok(()) => by_record("lens", loaded, observer),
+        // Not of a record that was checked when it was read.
+        Err(folded) => observer.notice(Notice::UnusableLens {
+            id: &loaded.record.id,
+            fact: &folded.to_string(),
+        }),
     }
+}
+
+fn by_record<V>(what: &'static str, loaded: &Loaded<V>, observer: &dyn Observer) {
+    let id = &loaded.record.id;
+    observer.notice(Notice::ByRecord { what, id });
 }

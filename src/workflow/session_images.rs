@@ -1,15 +1,15 @@
-//! A captured session as fits and calibrations start from it: images, where the lamp
-//! stood, where the sample lies.
+//! A captured session as fits and calibrations start from it: images, positions of the stage,
+//! pose of the sample.
 
 use std::path::Path;
 
-use super::session_rig::session_rig;
-use super::{CliError, HintExt};
+use super::WorkflowError;
 use crate::calibration::pose::PoseValues;
 use crate::calibration::{Library, Loaded, record_in};
 use crate::config::RigConfig;
 use crate::radiance_image::RadianceImage;
 use crate::radiance_image::exr::ExrRows;
+use crate::session::rig_files::session_rig;
 use crate::session::{Session, layout};
 use crate::units::StageAngles;
 
@@ -19,57 +19,58 @@ pub(super) struct CapturedSession {
     pub session: Session,
     /// The rig as it was.
     pub config: RigConfig,
-    /// Where the stage stood for each light.
-    pub places: Vec<StageAngles>,
+    /// Angles of the stage for each light, as read back.
+    pub positions: Vec<StageAngles>,
 }
 
 /// A session with all that a calibration by it starts from.
-pub(super) struct SessionImages {
+pub struct SessionImages {
     /// The session.
     pub session: Session,
     /// The rig as it was.
     pub config: RigConfig,
-    /// Where the stage stood for each light.
+    /// Angles of the stage for each light, as read back.
     pub places: Vec<StageAngles>,
     /// The merged image of each light.
     pub captured: Vec<RadianceImage>,
 }
 
 /// Opens a session.
-pub(super) fn captured_session(root: &Path) -> Result<CapturedSession, CliError> {
+pub(super) fn captured_session(root: &Path) -> Result<CapturedSession, WorkflowError> {
     let session = Session::open(root)?;
     let config = session_rig(root, session.record())?;
-    let places = places(&session)?;
+    let positions = positions(&session)?;
     Ok(CapturedSession {
         session,
         config,
-        places,
+        positions,
     })
 }
 
 impl CapturedSession {
-    /// Opens the merged image of each light, once all are known to be whole: only what the
-    /// journal vouches for is fitted.
-    pub fn image_rows(&self, root: &Path) -> Result<Vec<ExrRows>, CliError> {
+    /// Opens the merged image of each light; each must have the checksum that the journal states.
+    pub fn image_rows(&self, root: &Path) -> Result<Vec<ExrRows>, WorkflowError> {
         let size = self.config.geometry.image_camera().resolution_px;
-        let lights = 0..self.places.len() as u32;
+        let lights = 0..self.positions.len() as u32;
         let open = |light: u32| {
             let name = layout::radiance_file(light);
-            self.session
-                .open_file(&name)
-                .map_err(CliError::from)
+            let opened = self.session.open_file(&name).map_err(WorkflowError::from);
+            opened
                 .and_then(|file| Ok(ExrRows::of_file(file, &root.join(&name), Some(size))?))
-                .hint(format!(
-                    "`rig capture --resume {}` takes what is missing and merges the raw frames again",
-                    root.display()
-                ))
+                .map_err(|source| WorkflowError::MergedImage {
+                    session: root.to_owned(),
+                    source: Box::new(source),
+                })
         };
         lights.map(open).collect()
     }
 }
 
 /// The merged images of a session with what is known about them.
-pub(super) fn session_images(root: &Path) -> Result<SessionImages, CliError> {
+///
+/// # Errors
+/// A session that cannot be read, or an image that is missing or damaged.
+pub fn session_images(root: &Path) -> Result<SessionImages, WorkflowError> {
     let captured = captured_session(root)?;
     let rows = captured.image_rows(root)?.into_iter();
     let whole = |mut rows: ExrRows| rows.next_rows(rows.size()[1]);
@@ -77,21 +78,21 @@ pub(super) fn session_images(root: &Path) -> Result<SessionImages, CliError> {
     let CapturedSession {
         session,
         config,
-        places,
+        positions,
     } = captured;
     Ok(SessionImages {
         session,
         config,
-        places,
+        places: positions,
         captured: images,
     })
 }
 
-/// The pose to go by: of the record that is named, else of the session's copy.
+/// The pose of the sample: of the record that is named, else of the session's copy.
 pub(super) fn measured_pose(
     root: &Path,
     named: Option<&Path>,
-) -> Result<Option<PoseValues>, CliError> {
+) -> Result<Option<PoseValues>, WorkflowError> {
     let values = match named {
         Some(path) => Some(record_in(path)?.values),
         None => {
@@ -103,17 +104,17 @@ pub(super) fn measured_pose(
     Ok(values)
 }
 
-/// Where the stage stood for each light, as read back; as planned where no frame tells.
-fn places(session: &Session) -> Result<Vec<StageAngles>, CliError> {
-    let mut places = session.record().plan.lights.clone();
-    let mut known = vec![false; places.len()];
+/// Angles of the stage for each light, as read back; as planned where there is no frame.
+fn positions(session: &Session) -> Result<Vec<StageAngles>, WorkflowError> {
+    let mut positions = session.record().plan.lights.clone();
+    let mut known = vec![false; positions.len()];
     for entry in session.frames() {
         let light = entry.key.light as usize;
-        if light < places.len() && !known[light] {
+        if light < positions.len() && !known[light] {
             let (_, sidecar) = session.read_frame(&entry)?;
-            places[light] = sidecar.stage_position;
+            positions[light] = sidecar.stage_position;
             known[light] = true;
         }
     }
-    Ok(places)
+    Ok(positions)
 }
