@@ -445,7 +445,7 @@ fn the_first_run_is_clean() {
     insta::assert_snapshot!(words, @r"
     captured in N s
     N times the devices' N s (camera N s, stage N s, settling N s), N times exposures (N s), motion and settling alone
-    the material departs from every mixture of rigN, N times as much as measured materials usually do; its f in table.csv and in exports to merl, rgl and pbrt allows for it, weights and an export to mitsuba are the closest mixture
+    the material differs from every mixture of rigN, N times as much as measured materials usually do; its f in table.csv and in exports to merl, rgl and pbrt allows for it, weights and an export to mitsuba are the closest mixture
     verdict: The fit explains the images
     fit: sessions/SESSION/fits/N
     report: sessions/SESSION/report.html

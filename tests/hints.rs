@@ -13,7 +13,7 @@ const ELSEWHERE: &[(&str, &str)] = &[
     // What only hardware, or another user's, says; the errors themselves are made by the
     // drivers' own tests.
     (
-        "`rig devices` says who may open it",
+        "`rig devices` shows which users may open it",
         "a device file of another user",
     ),
     (
@@ -41,7 +41,7 @@ const ELSEWHERE: &[(&str, &str)] = &[
         "a cable that is pulled while no lamp is lit",
     ),
     (
-        "see what the system says of it (`dmesg`)",
+        "see what the kernel reports (`dmesg`)",
         "a driver of the kernel that fails",
     ),
     (
@@ -140,6 +140,19 @@ const ELSEWHERE: &[(&str, &str)] = &[
     (
         "give the new record another id",
         "two records of one second",
+    ),
+    // Fits: `rig fit` on a machine, or with a session, that no test makes.
+    (
+        "free some memory or use a larger machine",
+        "a machine with too little memory",
+    ),
+    (
+        "`--kernel auto` takes the fastest that it has",
+        "a processor without AVX2",
+    ),
+    (
+        "takes what is missing and merges the raw frames again",
+        "a session whose merged images are gone",
     ),
     // Images and scenes.
     (

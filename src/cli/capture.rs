@@ -25,7 +25,7 @@ use crate::radiometry::sensor::SensorNoise;
 use crate::session::commit::SystemDisk;
 use crate::session::journal::sha256_hex;
 use crate::session::layout::{CALIBRATION_FOLDER, QUARANTINE_FOLDER};
-use crate::session::rig_files::{rig_files, session_rig};
+use crate::session::rig::scene_files;
 use crate::session::{
     CalibrationCopy, Event, ExposureRules, NewSession, PlanRecord, Session, SessionRecord,
     SessionWriter, Versions,
@@ -231,7 +231,7 @@ fn start(args: &CaptureArgs, context: &Context) -> Result<(), CliError> {
         .into_iter()
         .map(|(name, _, bytes)| (name, bytes))
         .chain(
-            rig_files(config)
+            scene_files(config)
                 .hint("`mesh`, `table` and `weights` in the rig file are relative to that file")?,
         )
         .collect();
@@ -251,7 +251,7 @@ fn start(args: &CaptureArgs, context: &Context) -> Result<(), CliError> {
 fn resume(args: &CaptureArgs, root: &Path, context: &Context) -> Result<(), CliError> {
     let session = Session::open(root)?;
     let record = session.record().clone();
-    let config = session_rig(root, &record)?;
+    let config = session.rig()?;
     StageReach::of_rig(&config)?.check(&record.plan.lights)?;
     let interrupt = interrupt::listen()?;
     let writer = SessionWriter::resume(Arc::new(SystemDisk), root)?;

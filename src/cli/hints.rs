@@ -38,75 +38,46 @@ pub const FALLBACK: &str = "run it again with --verbose to see what led to it";
 pub fn for_error(error: &(dyn Error + 'static)) -> Option<String> {
     let mut link = Some(error);
     while let Some(error) = link {
-        if let Some(hint) = for_one(error) {
-            return Some(hint);
+        let hint = ADVICE.iter().find_map(|advise| advise(error));
+        if hint.is_some() {
+            return hint;
         }
         link = error.source();
     }
     None
 }
 
-/// A wrapper that shows its inner error as its own hides it from the chain, so
-/// such wrappers are unwrapped here.
-fn for_one(error: &(dyn Error + 'static)) -> Option<String> {
-    if let Some(error) = error.downcast_ref() {
-        return for_workflow(error);
-    }
-    if let Some(error) = error.downcast_ref() {
-        return Some(for_device(error));
-    }
-    if let Some(error) = error.downcast_ref() {
-        return Some(for_config(error));
-    }
-    if let Some(error) = error.downcast_ref() {
-        return Some(for_record(error));
-    }
-    if let Some(error) = error.downcast_ref() {
-        return for_session(error);
-    }
-    if let Some(error) = error.downcast_ref() {
-        return for_images(error);
-    }
-    if let Some(error) = error.downcast_ref() {
-        return for_capture(error);
-    }
-    if let Some(error) = error.downcast_ref() {
-        return for_loading(error);
-    }
-    if let Some(error) = error.downcast_ref() {
-        return for_fit_record(error);
-    }
-    if let Some(error) = error.downcast_ref() {
-        return for_brdf(error);
-    }
-    if let Some(error) = error.downcast_ref() {
-        return for_build(error);
-    }
-    if let Some(error) = error.downcast_ref() {
-        return for_fit(error);
-    }
-    if let Some(error) = error.downcast_ref() {
-        return for_evaluate(error);
-    }
-    if let Some(error) = error.downcast_ref() {
-        return match error {
-            ExportError::Brdf(error) => for_brdf(error),
-            ExportError::Io { source, .. } => for_io(source).map(str::to_owned),
-        };
-    }
-    if let Some(ProcedureError::Device(error)) = error.downcast_ref() {
-        return Some(for_device(error));
-    }
-    if let Some(error) = error.downcast_ref() {
-        return for_exr(error);
-    }
-    if let Some(error) = error.downcast_ref() {
-        return for_mesh(error);
-    }
-    if let Some(error) = error.downcast_ref::<std::io::Error>() {
-        return for_io(error).map(str::to_owned);
-    }
-    None
+/// Advice on one type of error; `None` for any other, and where there is none.
+type Advice = fn(&(dyn Error + 'static)) -> Option<String>;
+
+/// All types with advice. Wrappers whose text is their inner error's hide it from the chain of
+/// sources: their functions unwrap them.
+const ADVICE: &[Advice] = &[
+    |error| of_type(error, for_workflow),
+    |error| of_type(error, for_device),
+    |error| of_type(error, for_config),
+    |error| of_type(error, for_record),
+    |error| of_type(error, for_session),
+    |error| of_type(error, for_images),
+    |error| of_type(error, for_capture),
+    |error| of_type(error, for_loading),
+    |error| of_type(error, for_fit_record),
+    |error| of_type(error, for_brdf),
+    |error| of_type(error, for_build),
+    |error| of_type(error, for_fit),
+    |error| of_type(error, for_evaluate),
+    |error| of_type(error, for_export),
+    |error| of_type(error, for_procedure),
+    |error| of_type(error, for_exr),
+    |error| of_type(error, for_mesh),
+    |error| of_type(error, for_io),
+];
+
+fn of_type<E: Error + 'static, A: Into<Option<String>>>(
+    error: &(dyn Error + 'static),
+    advise: impl Fn(&E) -> A,
+) -> Option<String> {
+    advise(error.downcast_ref()?).into()
 }
 
 const EXPLAINED: &str =
@@ -119,7 +90,7 @@ fn for_config(error: &ConfigError) -> String {
             "rig files and scenes are TOML (https://toml.io), which is UTF-8: save the text in that encoding".into()
         }
         Read { source, .. } => match for_io(source) {
-            Some(hint) if source.kind() != std::io::ErrorKind::NotFound => hint.into(),
+            Some(hint) if source.kind() != std::io::ErrorKind::NotFound => hint,
             _ => "check the path; a bare name is looked for in rig-configs/ and among the built-in rigs".into(),
         },
         Syntax { slip: Some(slip), .. } => for_slip(*slip),
@@ -169,7 +140,7 @@ fn for_brdf(error: &BrdfError) -> Option<String> {
     use BrdfError::*;
     match error {
         UnknownSource { .. } => Some("a file needs its path; names are listed above".into()),
-        Io { source, .. } => for_io(source).map(str::to_owned),
+        Io { source, .. } => for_io(source),
         RglKind {
             kind: RglFault::Spectral { .. },
             ..
@@ -182,16 +153,30 @@ fn for_brdf(error: &BrdfError) -> Option<String> {
                 .into(),
         ),
         File { .. } | Table { .. } => {
-            Some("the file is cut short, damaged, or of another kind than its ending says: get it again, or write it as that format has it".into())
+            Some("the file is cut short, damaged, or of another kind than its ending states: get it again, or write it as that format has it".into())
         }
         Dictionary { .. } | Weights { .. } => None,
+    }
+}
+
+fn for_export(error: &ExportError) -> Option<String> {
+    match error {
+        ExportError::Brdf(error) => for_brdf(error),
+        ExportError::Io { source, .. } => for_io(source),
+    }
+}
+
+fn for_procedure(error: &ProcedureError) -> Option<String> {
+    match error {
+        ProcedureError::Device(error) => Some(for_device(error)),
+        _ => None,
     }
 }
 
 fn for_exr(error: &ExrError) -> Option<String> {
     use ExrError::*;
     match error {
-        Io { source, .. } => for_io(source).map(str::to_owned),
+        Io { source, .. } => for_io(source),
         Format { .. } | Size { .. } => {
             Some("the image is damaged or no OpenEXR file: render or merge it again".into())
         }
@@ -306,7 +291,7 @@ pub(super) fn for_implausible(error: &Implausible) -> &'static str {
             "check that the lamp was lit and the lens uncovered, that the image is in the radiance unit of the scene's irradiance, and that its var.* channels hold variances of the mean"
         }
         TooBright { channel: None, .. } => {
-            "state the irradiance in the unit of the images, in which a white sample shows irradiance/π: a merge's scale is arbitrary (`rig merge` gives electrons per second unless --responsivity says how many of them unit radiance makes); `rig calibrate white` measures it"
+            "state the irradiance in the unit of the images, in which a white sample shows irradiance/π: a merge's scale is arbitrary (`rig merge` gives electrons per second unless --responsivity states how many of them unit radiance makes); `rig calibrate white` measures it"
         }
         TooBright { .. } => {
             "check that channel's irradiance; if the other channels are in another unit as well, state the irradiance in the unit of the images (`rig calibrate white` measures it)"
@@ -314,7 +299,9 @@ pub(super) fn for_implausible(error: &Implausible) -> &'static str {
         Negative { .. } => {
             "check what was subtracted: dark frames of a longer exposure, or an ambient frame with the lamp on"
         }
-        Constant { .. } => "give the image of the sample; a saturated or filled one tells nothing",
+        Constant { .. } => {
+            "give the image of the sample; a saturated or uniform one contains no information"
+        }
         OnePixel { .. } => {
             "mask hot pixels (a mask channel, or --mask), and check that the sample is in the image"
         }
@@ -329,7 +316,7 @@ fn for_mesh(error: &MeshError) -> Option<String> {
     use MeshError::*;
     let hint = match error {
         InFile { error, .. } => return for_mesh(error),
-        Io { source, .. } => return for_io(source).map(str::to_owned),
+        Io { source, .. } => return for_io(source),
         Kind { .. } => {
             "give PLY, OBJ or STL: CAD programs, MeshLab and Blender export them, `rig shape` writes all three"
         }
@@ -367,7 +354,7 @@ fn for_mesh(error: &MeshError) -> Option<String> {
             "reduce it (in MeshLab: Simplification): a pixel need not see many facets"
         }
         NotFinite { .. } => {
-            "the program that wrote the mesh had no place for that vertex: remove the facets around it and export again"
+            "the program that wrote the mesh had no position for that vertex: remove the facets around it and export again"
         }
         TooFar { .. } => {
             "the mesh is in another unit or in far-off axes: `rig shape --inspect FILE` suggests mesh_unit and mesh_to_sample"
@@ -408,34 +395,35 @@ fn distance(a: &str, b: &str) -> usize {
     row[b.len()]
 }
 
-fn for_io(error: &std::io::Error) -> Option<&'static str> {
+fn for_io(error: &std::io::Error) -> Option<String> {
     use std::io::ErrorKind::*;
-    match error.kind() {
-        NotFound => Some("check the path's spelling and the folder the command runs in"),
-        PermissionDenied => Some("check who owns the file and the folder, and their permissions"),
-        StorageFull => Some(
-            "free some space or choose another folder with --out; nothing already written is lost",
-        ),
-        QuotaExceeded => Some(
-            "remove some of your files there (`quota` says what counts), or choose another folder; nothing already written is lost",
-        ),
-        InvalidFilename => Some("shorten the name: most file systems take at most 255 bytes"),
+    let hint = match error.kind() {
+        NotFound => "check the path's spelling and the folder the command runs in",
+        PermissionDenied => "check who owns the file and the folder, and their permissions",
+        StorageFull => {
+            "free some space or choose another folder with --out; nothing already written is lost"
+        }
+        QuotaExceeded => {
+            "remove some of your files there (`quota` lists what counts), or choose another folder; nothing already written is lost"
+        }
+        InvalidFilename => "shorten the name: most file systems take at most 255 bytes",
         // The system's own, of a name that FAT and exFAT don't take.
-        InvalidInput if error.raw_os_error().is_some() => Some(
-            "the file system there may not take this name: on FAT, exFAT and most shares leave out \" * : < > ? \\ | and a dot or space at the end",
-        ),
+        InvalidInput if error.raw_os_error().is_some() => {
+            "the file system there may not take this name: on FAT, exFAT and most shares leave out \" * : < > ? \\ | and a dot or space at the end"
+        }
         InvalidInput => {
-            Some("name a regular file: pipes, sockets and devices are neither read nor replaced")
+            "name a regular file: pipes, sockets and devices are neither read nor replaced"
         }
-        FileTooLarge => Some(
-            "give a file of that size at most; where one is written, the shell's limit (`ulimit -f`) and the file system (FAT: 4 GB) must allow it",
-        ),
-        ReadOnlyFilesystem => Some("choose a folder that can be written"),
+        FileTooLarge => {
+            "give a file of that size at most; where one is written, the shell's limit (`ulimit -f`) and the file system (FAT: 4 GB) must allow it"
+        }
+        ReadOnlyFilesystem => "choose a folder that can be written",
         _ if Errno::from_io_error(error) == Some(Errno::IO) => {
-            Some("the disk or the way to it fails (see `dmesg`): choose another, and try again")
+            "the disk or the connection to it fails (see `dmesg`): choose another, and try again"
         }
-        _ => None,
-    }
+        _ => return None,
+    };
+    Some(hint.to_owned())
 }
 
 #[cfg(test)]

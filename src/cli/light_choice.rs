@@ -17,7 +17,6 @@ use crate::inverse::light_selection::{
     PRIOR_MATERIALS, Prospects, SelectionOptions, prior_materials,
 };
 use crate::out;
-use crate::session::rig_files::session_rig;
 use crate::session::{Session, fit_record};
 use crate::transport::Scene;
 use crate::units::StageAngles;
@@ -84,7 +83,7 @@ pub fn next(root: &Path, json: bool, context: &Context) -> Result<(), CliError> 
     })?;
     let fit = fit_record::read_in(&session, number)?;
     let mixture = fit.mixture()?;
-    let config = session_rig(root, record)?;
+    let config = session.rig()?;
 
     let planned = record.plan.lights.iter().enumerate();
     let mut candidates: Vec<StageAngles> = planned

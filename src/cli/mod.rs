@@ -254,7 +254,7 @@ fn use_color(choice: ColorChoice) -> bool {
     }
 }
 
-/// A defect says so in one line; the backtrace only where RUST_BACKTRACE asks for it.
+/// Reports a defect in one line, with a backtrace only where RUST_BACKTRACE is set.
 fn install_panic_hook() {
     let with_backtrace = std::env::var_os("RUST_BACKTRACE").is_some_and(|value| value != "0");
     std::panic::set_hook(Box::new(move |panic| {

@@ -1,4 +1,4 @@
-//! What the library says while it works: warnings as the program's own, the rest on demand.
+//! Events of the library: warnings are shown as the program's own, the rest on demand.
 
 use std::fmt;
 

@@ -6,6 +6,7 @@ mod diagnosis;
 pub mod experiment;
 mod intervals;
 pub mod lab;
+pub mod score_sheet;
 
 mod accuracy;
 mod atoms;
@@ -29,6 +30,8 @@ mod table_visits;
 mod tables;
 
 use experiment::{EvaluateError, Experiment};
+
+pub use score_sheet::score;
 
 /// All experiments, in the order of `rig evaluate --list`.
 pub static EXPERIMENTS: &[&Experiment] = &[

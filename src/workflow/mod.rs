@@ -28,7 +28,6 @@ mod fit_work;
 mod lamp_drift;
 mod notice;
 mod scene_check;
-mod score_sheet;
 mod session_images;
 mod summary;
 mod warnings;
@@ -43,7 +42,6 @@ pub use fit_session::{fit_session, work_of};
 pub use fit_work::FitWork;
 pub use notice::{Notice, Observer};
 pub use scene_check::{DescribedIn, SceneConcern, check_scene, extent_in_image, millimetres};
-pub use score_sheet::score;
 pub use session_images::{SessionImages, session_images};
 
 use std::path::PathBuf;

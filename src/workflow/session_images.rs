@@ -9,7 +9,6 @@ use crate::calibration::{Library, Loaded, record_in};
 use crate::config::RigConfig;
 use crate::radiance_image::RadianceImage;
 use crate::radiance_image::exr::ExrRows;
-use crate::session::rig_files::session_rig;
 use crate::session::{Session, layout};
 use crate::units::StageAngles;
 
@@ -38,8 +37,8 @@ pub struct SessionImages {
 /// Opens a session.
 pub(super) fn captured_session(root: &Path) -> Result<CapturedSession, WorkflowError> {
     let session = Session::open(root)?;
-    let config = session_rig(root, session.record())?;
-    let positions = positions(&session)?;
+    let config = session.rig()?;
+    let positions = session.stage_positions()?;
     Ok(CapturedSession {
         session,
         config,
@@ -102,19 +101,4 @@ pub(super) fn measured_pose(
         }
     };
     Ok(values)
-}
-
-/// Angles of the stage for each light, as read back; as planned where there is no frame.
-fn positions(session: &Session) -> Result<Vec<StageAngles>, WorkflowError> {
-    let mut positions = session.record().plan.lights.clone();
-    let mut known = vec![false; positions.len()];
-    for entry in session.frames() {
-        let light = entry.key.light as usize;
-        if light < positions.len() && !known[light] {
-            let (_, sidecar) = session.read_frame(&entry)?;
-            positions[light] = sidecar.stage_position;
-            known[light] = true;
-        }
-    }
-    Ok(positions)
 }

@@ -5,9 +5,9 @@ use std::time::Instant;
 
 use super::WorkflowError;
 use super::fit_plan::FitPlan;
-use super::score_sheet::score;
 use crate::brdf::score::SPHERE_SIZE;
 use crate::brdf::{Brdf, Mixture};
+use crate::evaluate::score;
 use crate::inverse::{Channels, Fit, intervals};
 use crate::session::fit_record::{
     AngleTable, AtomRecord, BudgetRecord, DepartureRecord, FitRecord, FitSettings, Timing,

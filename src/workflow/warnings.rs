@@ -1,4 +1,4 @@
-//! What a person should know before trusting a fit.
+//! What speaks against a fit, and its most likely causes.
 
 use crate::brdf::check;
 use crate::inverse::Fit;
@@ -19,12 +19,12 @@ pub(super) fn of_fit(fit: &Fit, record: &FitRecord) -> Vec<Warning> {
         });
     };
 
-    // What the images and the residual say.
+    // By the residual and the images.
     let grave = match record.worst_reduced_chi_square() {
         Some(worst) if worst > UNEXPLAINED_CHI_SQUARE => Grade::Distrust,
         _ => Grade::Reservation,
     };
-    let has_cause = describe_misfit(fit, |what, likely_cause| warn(grave, what, likely_cause));
+    let has_cause = describe_excess(fit, |what, likely_cause| warn(grave, what, likely_cause));
     for finding in &fit.findings {
         if matches!(finding, Finding::Misfit { .. }) && has_cause {
             continue;
@@ -33,7 +33,7 @@ pub(super) fn of_fit(fit: &Fit, record: &FitRecord) -> Vec<Warning> {
         warn(grade, what, likely_cause);
     }
 
-    // How the fit was made.
+    // By how the fit was made.
     for (light, &share) in record.truncation_remainder.iter().enumerate() {
         if share > NOTABLE_REMAINDER {
             warn(
@@ -48,18 +48,18 @@ pub(super) fn of_fit(fit: &Fit, record: &FitRecord) -> Vec<Warning> {
         }
     }
     for (light, &part) in fit.doubted.iter().enumerate() {
-        if part > NOTABLE_DOUBT {
+        if part > NOTABLE_OUTLIERS {
             warn(
                 Grade::Reservation,
                 format!(
-                    "{:.1}% of the values of light {light} are isolated outliers and counted for less",
+                    "{:.1}% of the values of light {light} are isolated outliers and have less weight",
                     100.0 * part
                 ),
                 "dust or scratches on the sample, or hot pixels",
             );
         }
     }
-    // A mixture reflects at most what arrives; what departs from it need not.
+    // A mixture reflects at most what arrives; with a model discrepancy, it may not.
     let excess = || check::check_with(&fit.material, ALBEDO_DIRECTIONS, 0).excess();
     if let Some((albedo, theta_deg, channel)) = (fit.departure > 0.0).then(excess).flatten() {
         let grade = if albedo > IMPOSSIBLE_ALBEDO {
@@ -70,7 +70,7 @@ pub(super) fn of_fit(fit: &Fit, record: &FitRecord) -> Vec<Warning> {
         warn(
             grade,
             format!(
-                "the material, as it departs from the mixture, would reflect {:.0}% of the {} light that arrives at {theta_deg}° from the normal",
+                "the material, with its discrepancy from the mixture, would reflect {:.0}% of the {} light that arrives at {theta_deg}° from the normal",
                 100.0 * albedo,
                 CHANNEL_NAMES[channel]
             ),
@@ -91,8 +91,8 @@ pub(super) fn of_fit(fit: &Fit, record: &FitRecord) -> Vec<Warning> {
     warnings
 }
 
-/// Names the cause of a misfit, or that none can be named; `false` where there is nothing to say.
-fn describe_misfit(fit: &Fit, mut warn: impl FnMut(String, &str)) -> bool {
+/// Describes an excess residual with its cause, or as of no known cause; `false` without excess.
+fn describe_excess(fit: &Fit, mut warn: impl FnMut(String, &str)) -> bool {
     let diagnosis = &fit.diagnosis;
     let deviations = diagnosis.mean_square.sqrt();
     if let Some(cause) = diagnosis.finding() {
@@ -116,7 +116,7 @@ fn describe_misfit(fit: &Fit, mut warn: impl FnMut(String, &str)) -> bool {
             format!(
                 "the images differ from those of the material by {deviations:.1} times what noise and model error allow (root mean square), not as any one fault would"
             ),
-            "a depth or shape that is not the mesh's, light that spreads below the surface, or a material beyond what mixtures and departures hold; the report's residuals show where",
+            "a depth or shape that is not the mesh's, light that spreads below the surface, or a material beyond the mixtures and the model discrepancy; the report's residuals show where",
         );
         true
     } else {
@@ -139,7 +139,7 @@ fn describe(finding: &Finding) -> (Grade, String, &'static str) {
         Finding::NoInformation { channel } => (
             Distrust,
             format!(
-                "the images tell nothing of the material in the {} channel: the result is the prior",
+                "the images contain no information on the material in the {} channel: the result is the prior",
                 CHANNEL_NAMES[channel]
             ),
             "variances as large as the images, too few paths (--spp), or a mask that leaves too little",
@@ -248,8 +248,8 @@ fn factor(ratio: f64) -> String {
 
 /// Light beyond the longest path that a fit should not leave out.
 const NOTABLE_REMAINDER: f64 = 1e-3;
-/// Part of the values that dust may cover unmentioned.
-const NOTABLE_DOUBT: f64 = 0.02;
+/// Outlier fraction up to which dust needs no warning.
+const NOTABLE_OUTLIERS: f64 = 0.02;
 /// Paths per pixel from which independent halves work well.
 const FEW_PATHS: u32 = 128;
 /// Albedo from which a material is no result.
@@ -281,16 +281,16 @@ fn advice(cause: Cause) -> &'static str {
             "stray light from the room or the holder; darken it, or subtract frames taken with the lamp off"
         }
         Cause::ShapeOrPose => {
-            "the sample is not where, or not of the shape that, the scene file says; measure its pose again"
+            "pose or shape of the sample differ from the scene file's; measure its pose again"
         }
         Cause::NonUniform => {
-            "the material differs between places; fit a uniform region alone with --mask"
+            "the material varies over the sample; fit a uniform region alone with --mask"
         }
         Cause::Translucency => {
             "light spreads below the surface, or the image is not sharp; neither is part of the model"
         }
         Cause::Dictionary => {
-            "neither mixtures of the dictionary nor what departs from them holds the material; try another with --dictionary, or more lights"
+            "neither mixtures of the dictionary nor the model discrepancy describe the material; try another with --dictionary, or more lights"
         }
     }
 }

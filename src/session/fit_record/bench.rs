@@ -1,10 +1,10 @@
-//! The bench as a fit refined it, in `fit.toml`.
+//! The nuisance parameters as a fit refined them, in `fit.toml`.
 
 use serde::{Deserialize, Serialize};
 
 use crate::inverse::bench::BenchEstimate;
 
-/// What became of a bench that was not exactly known.
+/// A bench that was not exactly known, as refined.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BenchRecord {
     /// Rounds of refinement.
@@ -17,13 +17,13 @@ pub struct BenchRecord {
     pub residual_described: f64,
     /// The same where the refinement ended.
     pub residual_refined: f64,
-    /// Directions that the images do not tell, by name: held at the description.
+    /// Unobservable combinations, by name: fixed at the description.
     pub held: Vec<String>,
     /// What was refined.
     pub parameter: Vec<BenchParameter>,
 }
 
-/// One difference of the bench from its description.
+/// A nuisance parameter: one difference of the bench from its description.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BenchParameter {
     /// Such as `azimuth of light 0` or `rotation about x`.
