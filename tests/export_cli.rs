@@ -47,7 +47,7 @@ fn write_fit(folder: &Path) {
         reduced_chi_square: vec![[1.0; 3]],
         truncation_remainder: Vec::new(),
         doubted: Vec::new(),
-        departure: None,
+        discrepancy: None,
         termination: "converged".to_owned(),
         trace: Vec::new(),
         timings: Vec::new(),

@@ -199,12 +199,12 @@ pub fn node_near(sin2_h: f32, cos_d: f32) -> u8 {
     (h * THETA_D_DEG.len() + d) as u8
 }
 
-/// A departure: g at each node.
+/// A discrepancy: g at each node.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Departure(pub DVector<f64>);
+pub struct Discrepancy(pub DVector<f64>);
 
-impl Departure {
-    /// No departure.
+impl Discrepancy {
+    /// No discrepancy.
     pub fn none() -> Self {
         Self(DVector::zeros(NODES))
     }
@@ -224,25 +224,25 @@ impl Departure {
 
 /// What departs from a mixture.
 #[derive(Clone, Debug)]
-pub struct Departed {
+pub struct Material {
     /// The mixture.
     pub mixture: Mixture,
     /// In R, G and B.
-    pub departures: [Departure; 3],
+    pub discrepancies: [Discrepancy; 3],
 }
 
-impl Departed {
-    /// What departs from `mixture` by these departures: one per channel, or one for all.
-    pub fn new(mixture: Mixture, departures: &[Departure]) -> Self {
+impl Material {
+    /// What departs from `mixture` by these discrepancies: one per channel, or one for all.
+    pub fn new(mixture: Mixture, discrepancies: &[Discrepancy]) -> Self {
         Self {
             mixture,
-            departures: [0, 1, 2].map(|c| departures[c.min(departures.len() - 1)].clone()),
+            discrepancies: [0, 1, 2].map(|c| discrepancies[c.min(discrepancies.len() - 1)].clone()),
         }
     }
 
     /// A mixture from which nothing departs.
     pub fn nowhere(mixture: Mixture) -> Self {
-        Self::new(mixture, &[Departure::none()])
+        Self::new(mixture, &[Discrepancy::none()])
     }
 
     /// Per channel, f of the mixture of these `atoms` (their values at half and difference
@@ -252,18 +252,18 @@ impl Departed {
         [0, 1, 2].map(|c| {
             let terms = self.mixture.weights()[c].iter().zip(atoms);
             let f: f64 = terms.map(|(weight, atom)| weight * atom).sum();
-            f * self.departures[c].factor_around(around)
+            f * self.discrepancies[c].factor_around(around)
         })
     }
 
     /// The mixture's f as it departs where these are the nodes around.
     #[inline]
     pub fn depart(&self, f: [f32; 3], around: [(usize, f32); 4]) -> [f32; 3] {
-        [0, 1, 2].map(|c| f[c] * self.departures[c].factor_around(around) as f32)
+        [0, 1, 2].map(|c| f[c] * self.discrepancies[c].factor_around(around) as f32)
     }
 }
 
-impl Brdf for Departed {
+impl Brdf for Material {
     fn eval(&self, to_light: Vec3, to_viewer: Vec3) -> [f32; 3] {
         let f = self.mixture.eval(to_light, to_viewer);
         if f == [0.0; 3] {
@@ -274,7 +274,7 @@ impl Brdf for Departed {
 
     fn as_mixture(&self) -> Option<&Mixture> {
         let nowhere = self
-            .departures
+            .discrepancies
             .iter()
             .all(|d| d.0.iter().all(|&g| g == 0.0));
         nowhere.then_some(&self.mixture)
@@ -351,16 +351,16 @@ mod tests {
     fn nodes_around_interpolate() {
         let linear = |h: f64, d: f64| 1.3 - 0.01 * h + 0.02 * d;
         let values = nodes().map(|n| linear(n.theta_h_deg, n.theta_d_deg).ln());
-        let departure = Departure(DVector::from_iterator(NODES, values));
+        let discrepancy = Discrepancy(DVector::from_iterator(NODES, values));
         for (h, d, phi) in [(0.4, 5.0, 1.0), (17.0, 50.0, 2.0), (60.0, 20.0, 0.3)] {
-            assert!((departure.factor(h, d) - linear(h, d)).abs() < 1e-6);
+            assert!((discrepancy.factor(h, d) - linear(h, d)).abs() < 1e-6);
             let angles = HalfDifference {
                 theta_h_rad: f64::to_radians(h),
                 theta_d_rad: f64::to_radians(d),
                 phi_d_rad: phi,
             };
             let (i, o) = angles.to_directions();
-            let found = departure.factor_around(around(i.as_vec3(), o.as_vec3()));
+            let found = discrepancy.factor_around(around(i.as_vec3(), o.as_vec3()));
             assert!((found - linear(h, d)).abs() < 1e-4, "{found}");
         }
     }

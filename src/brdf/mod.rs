@@ -14,7 +14,7 @@ pub mod bivariate;
 pub mod check;
 pub mod chi_square;
 pub mod coat;
-pub mod departure;
+pub mod discrepancy;
 pub mod dictionary;
 pub mod environment;
 pub mod evaluator;

@@ -1,6 +1,6 @@
 //! How far an as-made surface departs from its mesh, and surfaces that do.
 //!
-//! The departure is a smooth random field u(p) with independent Gaussian components and
+//! The discrepancy is a smooth random field u(p) with independent Gaussian components and
 //! the autocorrelation exp(−r²/2ℓ²). Its height above the mesh then has the rms of one
 //! component, and its slope the rms √2 times that over ℓ: the two figures that a
 //! certificate or a comparison with a better scan gives determine the field
@@ -15,7 +15,7 @@ use rayon::prelude::*;
 use super::Mesh;
 use crate::random::Stream;
 
-/// Rms departure of a surface from its mesh.
+/// Rms discrepancy of a surface from its mesh.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FormError {
     height_mm: f64,
@@ -46,12 +46,12 @@ impl FormError {
         self.slope_rad
     }
 
-    /// Length ℓ over which the departure stays alike, mm.
+    /// Length ℓ over which the discrepancy stays alike, mm.
     pub fn correlation_mm(&self) -> f64 {
         SQRT_2 * self.height_mm / self.slope_rad
     }
 
-    /// A random departure of a surface whose triangles have edges of `edge_mm`: a field
+    /// A random discrepancy of a surface whose triangles have edges of `edge_mm`: a field
     /// that changes over less cannot be held by them, so ℓ is at least that long and the
     /// slope, which counts more, is kept.
     pub fn field(&self, edge_mm: f64, numbers: &mut Stream) -> FormField {
@@ -69,7 +69,7 @@ impl FormError {
     }
 }
 
-/// One departure.
+/// One discrepancy.
 pub struct FormField {
     amplitude: f64,
     components: [Vec<Wave>; 3],

@@ -6,7 +6,7 @@ mod brightest;
 pub mod budget;
 pub mod cells;
 pub mod comparison;
-mod departure;
+mod discrepancy;
 pub mod diagnosis;
 mod estimate;
 pub mod exponentiated_gradient;

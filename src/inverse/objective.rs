@@ -17,12 +17,12 @@ use super::cells::Captured;
 use super::simplex::Quadratic;
 use crate::transport::{Cache, Cells, DirectMatrix, Kernel};
 
-mod departed;
+mod discrepancy;
 mod modelled;
 mod noise;
 mod pass;
 
-pub use departed::DepartedModel;
+pub use discrepancy::DiscrepancyModel;
 pub use modelled::Modelled;
 pub use noise::ScoreNoise;
 pub use pass::Linearised;
@@ -57,7 +57,7 @@ pub struct Objective<'a> {
     /// Relative model error τ, 0..=1.
     model_error: f64,
     /// How the material departs from the mixture.
-    departed: Option<&'a DepartedModel>,
+    departed: Option<&'a DiscrepancyModel>,
 }
 
 /// What is compared, `[light][cell]`.

@@ -5,7 +5,7 @@
 //! |---|---|
 //! | `fit.toml` | verdict, dictionary, settings, loss, χ², termination, timings, versions, scores, warnings, remarks, the bench as refined |
 //! | `weights.csv` | one row per atom: what it is, weight and standard deviation per channel |
-//! | `departure.csv` | the model discrepancy: ln of f over the mixture's, over (θh, θd); only where the images give evidence of one |
+//! | `discrepancy.csv` | the model discrepancy: ln of f over the mixture's, over (θh, θd); only where the images give evidence of one |
 //! | `table.csv` | f over (θh, θd) with its 95% interval, and which cells the data constrain |
 //! | `trace.csv` | the loss after each step |
 //! | `rendered_L000.exr` | the images rendered from the fit, mean and variance |
@@ -28,7 +28,7 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use crate::brdf::departure::{self, Departed, Departure};
+use crate::brdf::discrepancy::{self, Material, Discrepancy};
 use crate::brdf::mixture::SUM_TOLERANCE;
 use crate::brdf::{Atom, Brdf, BrdfError, Dictionary, Mixture};
 use crate::radiance_image::RadianceImage;
@@ -49,7 +49,7 @@ pub use verdict::{EXPLAINED_CHI_SQUARE, Grade, UNEXPLAINED_CHI_SQUARE, Verdict, 
 
 /// The record itself, written last: a folder without it holds no fit.
 pub const FIT_FILE: &str = "fit.toml";
-const DEPARTURE_FILE: &str = "departure.csv";
+const DISCREPANCY_FILE: &str = "discrepancy.csv";
 
 /// Version of the folder's layout; a reader refuses any other.
 pub const FORMAT: u32 = 1;
@@ -200,11 +200,11 @@ pub struct ScoreSheet {
 
 /// How the material differs from the mixture of the weights (docs/adr/0032).
 #[derive(Clone, Debug, PartialEq)]
-pub struct DepartureRecord {
+pub struct DiscrepancyRecord {
     /// Size of its discrepancy from every mixture, in units of that of measured materials; above 0.
     pub amplitude: f64,
     /// In R, G and B.
-    pub by_channel: [Departure; 3],
+    pub by_channel: [Discrepancy; 3],
 }
 
 /// Everything that a fit leaves, but its images. Serialised, it is `fit.toml` without its format
@@ -236,7 +236,7 @@ pub struct FitRecord {
     /// Model discrepancy: how the material differs from the mixture of the weights; `None`
     /// where the images give no evidence of any.
     #[serde(default, with = "amplitude")]
-    pub departure: Option<DepartureRecord>,
+    pub discrepancy: Option<DiscrepancyRecord>,
     /// How it was run.
     pub settings: FitSettings,
     /// Versions of the program and of what it ran on, by name.
@@ -280,22 +280,22 @@ pub struct FitRecord {
 mod amplitude {
     use serde::{Deserialize, Deserializer, Serializer};
 
-    use super::{Departure, DepartureRecord};
+    use super::{Discrepancy, DiscrepancyRecord};
 
     pub fn serialize<S: Serializer>(
-        departure: &Option<DepartureRecord>,
+        discrepancy: &Option<DiscrepancyRecord>,
         serializer: S,
     ) -> Result<S::Ok, S::Error> {
-        serializer.serialize_f64(departure.as_ref().map_or(0.0, |d| d.amplitude))
+        serializer.serialize_f64(discrepancy.as_ref().map_or(0.0, |d| d.amplitude))
     }
 
     pub fn deserialize<'de, D: Deserializer<'de>>(
         deserializer: D,
-    ) -> Result<Option<DepartureRecord>, D::Error> {
+    ) -> Result<Option<DiscrepancyRecord>, D::Error> {
         let amplitude = f64::deserialize(deserializer)?;
-        Ok((amplitude != 0.0).then(|| DepartureRecord {
+        Ok((amplitude != 0.0).then(|| DiscrepancyRecord {
             amplitude,
-            by_channel: std::array::from_fn(|_| Departure(Default::default())),
+            by_channel: std::array::from_fn(|_| Discrepancy(Default::default())),
         }))
     }
 }
@@ -307,9 +307,9 @@ impl FitRecord {
     /// As of [`FitRecord::mixture`].
     pub fn material(&self) -> Result<Arc<dyn Brdf>, BrdfError> {
         let mixture = self.mixture()?;
-        Ok(match &self.departure {
+        Ok(match &self.discrepancy {
             None => Arc::new(mixture),
-            Some(departure) => Arc::new(Departed::new(mixture, &departure.by_channel)),
+            Some(discrepancy) => Arc::new(Material::new(mixture, &discrepancy.by_channel)),
         })
     }
 
@@ -448,15 +448,15 @@ fn check(folder: &Path, record: &FitRecord) -> Result<(), FitRecordError> {
         let allowed = "a share per source that sum to 1, and a deviation of 0 or more";
         return Err(out_of_range(&toml, key, value, allowed));
     }
-    if let Some(departure) = &record.departure {
-        let amplitude = departure.amplitude;
+    if let Some(discrepancy) = &record.discrepancy {
+        let amplitude = discrepancy.amplitude;
         if !(amplitude.is_finite() && amplitude > 0.0) {
-            let allowed = "above 0, finite; 0 without departure.csv";
-            return Err(out_of_range(&toml, "departure", amplitude, allowed));
+            let allowed = "above 0, finite; 0 without discrepancy.csv";
+            return Err(out_of_range(&toml, "discrepancy", amplitude, allowed));
         }
-        let csv = folder.join(DEPARTURE_FILE);
-        for (departure, channel) in departure.by_channel.iter().zip(["r", "g", "b"]) {
-            let (rows, nodes) = (departure.0.len(), departure::NODES);
+        let csv = folder.join(DISCREPANCY_FILE);
+        for (discrepancy, channel) in discrepancy.by_channel.iter().zip(["r", "g", "b"]) {
+            let (rows, nodes) = (discrepancy.0.len(), discrepancy::NODES);
             if rows != nodes {
                 return Err(out_of_range(
                     &csv,
@@ -466,7 +466,7 @@ fn check(folder: &Path, record: &FitRecord) -> Result<(), FitRecordError> {
                 ));
             }
             // What measured materials have stays well within.
-            if let Some(bad) = departure.0.iter().find(|g| !(-50.0..=50.0).contains(*g)) {
+            if let Some(bad) = discrepancy.0.iter().find(|g| !(-50.0..=50.0).contains(*g)) {
                 return Err(out_of_range(
                     &csv,
                     format!("ln_factor_{channel}"),

@@ -1,5 +1,5 @@
 //! Light that a material reflects once which departs from a mixture: by how much it differs
-//! from the mixture's, and how it changes with ln f at the nodes of the departure.
+//! from the mixture's, and how it changes with ln f at the nodes of the discrepancy.
 
 use nalgebra::DVector;
 use rayon::prelude::*;
@@ -9,27 +9,27 @@ use super::direct::for_each_seen;
 use super::points::Numbers;
 use super::scene::Scene;
 use crate::brdf::Brdf;
-use crate::brdf::departure::{Departed, NODES, around, modes};
+use crate::brdf::discrepancy::{Material, NODES, around, modes};
 
 /// Rays per pixel, square root. The mixture's own light is known better
 /// ([`super::DirectMatrix`]); here only a factor is needed.
 const STRATA: u32 = 4;
 
 /// Direct reflection of a departed material, per pixel, light and channel.
-pub struct DirectDeparted {
+pub struct DirectDiscrepancy {
     lights: usize,
     /// Over that of the mixture alone, `[(pixel · lights + light) · 3 + channel]`.
     factors: Vec<f32>,
-    /// Derivatives of ln of the departed light by the departure's modes, `[… · modes + mode]`.
+    /// Derivatives of ln of the departed light by the discrepancy's modes, `[… · modes + mode]`.
     by_modes: Vec<f32>,
 }
 
-impl DirectDeparted {
+impl DirectDiscrepancy {
     /// In the `wanted` pixels; factors of 1 and derivatives of 0 elsewhere.
     pub fn new(
         scene: &Scene,
         cells: &Cells,
-        material: &Departed,
+        material: &Material,
         wanted: &[bool],
         seed: u64,
     ) -> Self {
@@ -107,7 +107,7 @@ impl Sum {
 }
 
 /// The sums of a pixel, per light and channel.
-fn look(scene: &Scene, cells: &Cells, material: &Departed, cell: usize, seed: u64) -> Vec<Sum> {
+fn look(scene: &Scene, cells: &Cells, material: &Material, cell: usize, seed: u64) -> Vec<Sum> {
     let lights = scene.lights.len();
     let share = 1.0 / f64::from(STRATA * STRATA);
     let mut sums = vec![Sum::ZERO; lights * 3];
@@ -131,7 +131,7 @@ fn look(scene: &Scene, cells: &Cells, material: &Departed, cell: usize, seed: u6
                     let of_mixture = arriving * f64::from(of_mixture);
                     sum.of_mixture += of_mixture;
                     for (node, part) in around {
-                        let factor = material.departures[c].0[node].exp();
+                        let factor = material.discrepancies[c].0[node].exp();
                         let departed = of_mixture * factor * f64::from(part);
                         sum.departed += departed;
                         sum.nodes[node] += departed;

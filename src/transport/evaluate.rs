@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use super::cache::{Cache, Chunk, Records};
 use super::event::{LaneAtoms, MAX_LIGHTS, Record};
 use super::lanes::{Lanes, Portable};
-use crate::brdf::departure::NODES;
+use crate::brdf::discrepancy::NODES;
 
 /// Which instructions evaluate the cache.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -68,7 +68,7 @@ pub struct CellRows<'a> {
     pub variance: &'a [f32],
     /// `jacobian[half][r · atoms + atom]`.
     pub jacobian: [&'a [f32]; 2],
-    /// Derivatives by ln f at the nodes of a departure, `nodes[half][r · NODES + node]`; empty
+    /// Derivatives by ln f at the nodes of a discrepancy, `nodes[half][r · NODES + node]`; empty
     /// unless asked for.
     pub nodes: [&'a [f32]; 2],
 }
@@ -82,8 +82,8 @@ pub type ChannelWeights<'a> = &'a [&'a [f64]];
 
 /// How a material departs from the mixture in an evaluation.
 #[derive(Clone, Copy, Default)]
-pub struct Departing<'a> {
-    /// Per channel, factors of f at the nodes of [`crate::brdf::departure`]; none where it does
+pub struct NodeFactors<'a> {
+    /// Per channel, factors of f at the nodes of [`crate::brdf::discrepancy`]; none where it does
     /// not depart.
     pub factors: &'a [[f32; NODES]],
     /// Whether derivatives by ln f at the nodes are wanted.
@@ -104,15 +104,15 @@ impl Cache {
         group: impl Fn() -> T + Sync,
         visit: impl Fn(&mut T, &CellRows<'_>) + Sync,
     ) -> Vec<T> {
-        self.evaluate_departed(kernel, weights, &Departing::default(), group, visit)
+        self.evaluate_with_discrepancy(kernel, weights, &NodeFactors::default(), group, visit)
     }
 
     /// [`Cache::evaluate`] for a material that departs from the mixture.
-    pub fn evaluate_departed<T: Send>(
+    pub fn evaluate_with_discrepancy<T: Send>(
         &self,
         kernel: Kernel,
         weights: ChannelWeights<'_>,
-        departing: &Departing<'_>,
+        departing: &NodeFactors<'_>,
         group: impl Fn() -> T + Sync,
         visit: impl Fn(&mut T, &CellRows<'_>) + Sync,
     ) -> Vec<T> {
@@ -148,7 +148,7 @@ impl Cache {
         kernel: Kernel,
         chunks: &[Chunk<R>],
         weights: ChannelWeights<'_>,
-        departing: &Departing<'_>,
+        departing: &NodeFactors<'_>,
         new: &(impl Fn() -> T + Sync),
         visit: &(impl Fn(&mut T, &CellRows<'_>) + Sync),
     ) -> Vec<T> {

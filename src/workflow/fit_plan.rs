@@ -220,10 +220,10 @@ impl FitPlan {
         record.warnings = warnings::of_fit(&fit, &record);
         record.remarks = remarks;
         record.bench = bench.as_ref().map(BenchRecord::from);
-        if fit.departure > 0.0 {
+        if fit.discrepancy > 0.0 {
             observer.notice(Notice::Discrepancy {
                 dictionary: &record.dictionary,
-                amplitude: fit.departure,
+                amplitude: fit.discrepancy,
             });
         }
         let images = FitImages {

@@ -10,7 +10,7 @@ use crate::brdf::{Brdf, Mixture};
 use crate::evaluate::score;
 use crate::inverse::{Channels, Fit, intervals};
 use crate::session::fit_record::{
-    AngleTable, AtomRecord, BudgetRecord, DepartureRecord, FitRecord, FitSettings, Timing,
+    AngleTable, AtomRecord, BudgetRecord, DiscrepancyRecord, FitRecord, FitSettings, Timing,
     TracePoint,
 };
 
@@ -65,9 +65,9 @@ pub(super) fn of_fit(
         reduced_chi_square: fit.comparison.reduced_chi2(),
         truncation_remainder: Vec::new(),
         doubted: fit.doubted.clone(),
-        departure: (fit.departure > 0.0).then(|| DepartureRecord {
-            amplitude: fit.departure,
-            by_channel: fit.material.departures.clone(),
+        discrepancy: (fit.discrepancy > 0.0).then(|| DiscrepancyRecord {
+            amplitude: fit.discrepancy,
+            by_channel: fit.material.discrepancies.clone(),
         }),
         termination: fit.termination.to_string(),
         trace,

@@ -61,7 +61,7 @@ pub(super) fn of_fit(fit: &Fit, record: &FitRecord) -> Vec<Warning> {
     }
     // A mixture reflects at most what arrives; with a model discrepancy, it may not.
     let excess = || check::check_with(&fit.material, ALBEDO_DIRECTIONS, 0).excess();
-    if let Some((albedo, theta_deg, channel)) = (fit.departure > 0.0).then(excess).flatten() {
+    if let Some((albedo, theta_deg, channel)) = (fit.discrepancy > 0.0).then(excess).flatten() {
         let grade = if albedo > IMPOSSIBLE_ALBEDO {
             Grade::Distrust
         } else {

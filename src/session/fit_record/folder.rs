@@ -8,7 +8,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    DEPARTURE_FILE, FIT_FILE, FORMAT, FitImages, FitRecord, FitRecordError, Verdict, check,
+    DISCREPANCY_FILE, FIT_FILE, FORMAT, FitImages, FitRecord, FitRecordError, Verdict, check,
     out_of_range, tables,
 };
 use crate::file_system;
@@ -66,9 +66,9 @@ pub fn encode(
     if !images.cells_csv.is_empty() {
         files.push((CELLS_FILE.to_owned(), images.cells_csv.clone().into_bytes()));
     }
-    if let Some(departure) = &record.departure {
-        let text = tables::departure_to_csv(&departure.by_channel);
-        files.push((DEPARTURE_FILE.to_owned(), text.into_bytes()));
+    if let Some(discrepancy) = &record.discrepancy {
+        let text = tables::discrepancy_to_csv(&discrepancy.by_channel);
+        files.push((DISCREPANCY_FILE.to_owned(), text.into_bytes()));
     }
     for (name, text) in [
         ("weights.csv", tables::weights_to_csv(record)),
@@ -234,9 +234,9 @@ pub fn parse(
         tables::weights_from_csv(&path, &csv)?;
     let (path, csv) = text("table.csv")?;
     record.table = tables::table_from_csv(&path, &csv)?;
-    if let Some(departure) = &mut record.departure {
-        let (path, csv) = text(DEPARTURE_FILE)?;
-        departure.by_channel = tables::departure_from_csv(&path, &csv)?;
+    if let Some(discrepancy) = &mut record.discrepancy {
+        let (path, csv) = text(DISCREPANCY_FILE)?;
+        discrepancy.by_channel = tables::discrepancy_from_csv(&path, &csv)?;
     }
     let (path, csv) = text("trace.csv")?;
     record.trace = tables::trace_from_csv(&path, &csv)?;

@@ -7,7 +7,7 @@ use nalgebra::DVector;
 use serde::de::DeserializeOwned;
 
 use super::{AtomRecord, FitRecord, FitRecordError, TracePoint, out_of_range};
-use crate::brdf::departure::{self, Departure};
+use crate::brdf::discrepancy::{self, Discrepancy};
 use crate::inverse::Fit;
 use crate::inverse::intervals::{self, Interval};
 use crate::shown::excerpt;
@@ -111,7 +111,7 @@ const TABLE_COLUMNS: [&str; 12] = [
     "upper_b",
     "constrained",
 ];
-const DEPARTURE_COLUMNS: [&str; 5] = [
+const DISCREPANCY_COLUMNS: [&str; 5] = [
     "theta_h_deg",
     "theta_d_deg",
     "ln_factor_r",
@@ -165,13 +165,13 @@ pub(super) fn table_to_csv(table: &AngleTable) -> String {
     to_csv(&TABLE_COLUMNS, rows)
 }
 
-pub(super) fn departure_to_csv(departures: &[Departure; 3]) -> String {
-    let rows = departure::nodes().enumerate().map(|(k, node)| {
+pub(super) fn discrepancy_to_csv(discrepancies: &[Discrepancy; 3]) -> String {
+    let rows = discrepancy::nodes().enumerate().map(|(k, node)| {
         let mut cells = vec![exact(&node.theta_h_deg), exact(&node.theta_d_deg)];
-        cells.extend(departures.iter().map(|departure| exact(&departure.0[k])));
+        cells.extend(discrepancies.iter().map(|discrepancy| exact(&discrepancy.0[k])));
         cells
     });
-    to_csv(&DEPARTURE_COLUMNS, rows)
+    to_csv(&DISCREPANCY_COLUMNS, rows)
 }
 
 pub(super) fn trace_to_csv(trace: &[TracePoint]) -> String {
@@ -303,10 +303,10 @@ pub(super) fn table_from_csv(path: &Path, csv: &str) -> Result<AngleTable, FitRe
     Ok(table)
 }
 
-pub(super) fn departure_from_csv(path: &Path, csv: &str) -> Result<[Departure; 3], FitRecordError> {
-    let columns = &DEPARTURE_COLUMNS;
+pub(super) fn discrepancy_from_csv(path: &Path, csv: &str) -> Result<[Discrepancy; 3], FitRecordError> {
+    let columns = &DISCREPANCY_COLUMNS;
     let source = Source { path, columns };
-    let mut nodes = departure::nodes();
+    let mut nodes = discrepancy::nodes();
     let mut by_channel: [Vec<f64>; 3] = Default::default();
     for (line, (angles, ln_factors)) in source.rows::<([f64; 2], [f64; 3])>(csv)? {
         let node = nodes.next();
@@ -322,7 +322,7 @@ pub(super) fn departure_from_csv(path: &Path, csv: &str) -> Result<[Departure; 3
             values.push(value);
         }
     }
-    Ok(by_channel.map(|values| Departure(DVector::from_vec(values))))
+    Ok(by_channel.map(|values| Discrepancy(DVector::from_vec(values))))
 }
 
 pub(super) fn trace_from_csv(path: &Path, csv: &str) -> Result<Vec<TracePoint>, FitRecordError> {
