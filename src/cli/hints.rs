@@ -17,7 +17,7 @@ use session::{for_capture, for_fit_record, for_loading, for_record, for_session}
 use crate::brdf::BrdfError;
 use crate::brdf::rgl::RglFault;
 use crate::calibration::procedure::ProcedureError;
-use crate::config::build::BuildError;
+use crate::config::BuildError;
 use crate::config::{ConfigError, Slip};
 use crate::export::ExportError;
 use crate::geometry::MeshError;

@@ -47,7 +47,7 @@ impl GaussNewton {
         let sets = objective.sets();
         let mut current = objective.linearise(mixture, residual_weights);
         let shares = current.convex_share(ridge::TOWARDS_CONVEXITY);
-        tracing::debug!(?shares, "noise in the loss");
+        log::debug!("shares of noise in the loss: {shares:?}");
         current.add_noise(&shares);
         let mut penalised = ridge.add_to(&current, mixture);
         let mut damping = vec![self.damping; sets];
@@ -68,7 +68,7 @@ impl GaussNewton {
             let mut next = objective.linearise(&candidate, residual_weights);
             next.add_noise(&shares);
             let next_penalised = ridge.add_to(&next, &candidate);
-            tracing::trace!(?damping, ?settled, "candidate");
+            log::trace!("candidate: damping {damping:?}, settled {settled:?}");
             let mut accepted = false;
             let (before, after) = (current, next);
             // A pass holds all sets at one mixture each; a rejected set keeps its old

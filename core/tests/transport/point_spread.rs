@@ -6,9 +6,9 @@ use std::f64::consts::PI;
 use std::sync::Arc;
 
 use glam::{DVec2, Vec3};
-use rig::brdf::{Atom, Dictionary, Mixture};
-use rig::geometry::{Mesh, Shape};
-use rig::transport::{
+use rig_core::brdf::{Atom, Dictionary, Mixture};
+use rig_core::geometry::{Mesh, Shape};
+use rig_core::transport::{
     Cache, CacheOptions, Camera, Cells, DirectMatrix, Kernel, Projection, RenderOptions, Scene,
     Shading, render,
 };

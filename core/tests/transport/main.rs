@@ -6,4 +6,3 @@ mod materials;
 mod point_spread;
 mod references;
 mod statistics;
-mod truth;

@@ -96,7 +96,7 @@ fn the_distributions_have_their_published_values() {
 
 #[test]
 fn normal_deviates_pass_and_others_do_not() {
-    use rig::random::{Purpose, stream};
+    use rig_core::random::{Purpose, stream};
     let mut numbers = stream(11, Purpose::Experiment, 0, 0, 0);
     let z: Vec<f64> = (0..1500).map(|_| numbers.normal()).collect();
     assert!(anderson_darling(&z) > 0.01);

@@ -351,11 +351,8 @@ fn scatter(objective: &Objective<'_>, model: &[ModelImage], image: usize) -> Opt
         (*squares.select_nth_unstable_by(middle, f64::total_cmp).1 / MEDIAN_OF_SQUARE).sqrt()
     };
     let [at_most, beyond_model_error] = [of_image, of_residual].map(median);
-    tracing::debug!(
-        image,
-        at_most,
-        beyond_model_error,
-        "scatter of neighbouring cells"
+    log::debug!(
+        "scatter of neighbouring cells, image {image}: at most {at_most}, beyond the model's error {beyond_model_error}"
     );
     // Noise below the model's error harms nothing, whatever is stated.
     let ratio = if beyond_model_error > NOTABLE_SCATTER {
@@ -409,12 +406,9 @@ fn scale<'a>(values: impl Iterator<Item = &'a Compared>) -> Option<[f64; 2]> {
     let covariance = inverse * scatter * inverse + inverse;
     let slope = Vector2::new(2.0 / a, -1.0 / b);
     let log_std = slope.dot(&(covariance * slope)).sqrt();
-    tracing::debug!(
-        a,
-        b,
-        ratio = a * a / b,
-        log_std,
-        "scale by interreflections"
+    log::debug!(
+        "scale by interreflections: {} (log std {log_std}), from {a} and {b}",
+        a * a / b
     );
     log_std.is_finite().then_some([a * a / b, log_std])
 }

@@ -164,7 +164,11 @@ pub fn refine_bench(
         }
         let prior_loss = round.spectrum.prior_loss(&values);
         let lengths = round.spectrum.values.as_slice();
-        tracing::debug!(taken, chi2 = round.chi2, prior_loss, values = ?values.as_slice(), ?lengths, "bench round");
+        log::debug!(
+            "nuisance parameters, round {taken}: chi2 {}, prior loss {prior_loss}, values {:?}, lengths {lengths:?}",
+            round.chi2,
+            values.as_slice()
+        );
         match best {
             Some(ref mut best)
                 if best.round >= ALL_PATHS
@@ -172,7 +176,7 @@ pub fn refine_bench(
                         .image
                         .is_worse_than(&best.image, prior_loss - best.prior_loss) =>
             {
-                tracing::debug!("too far");
+                log::debug!("the step was too long");
                 // Too far: a quarter of the way from where it was better.
                 best.step *= 0.25;
                 values = &best.values + &best.step;

@@ -15,11 +15,11 @@
 use std::path::{Path, PathBuf};
 
 use glam::{DVec2, DVec3, Vec3};
-use rig::brdf::ggx::{self, Cosines};
-use rig::brdf::{Brdf, Mixture};
-use rig::geometry::{Mesh, files};
-use rig::radiance_image::RadianceImage;
-use rig::transport::{
+use rig_core::brdf::ggx::{self, Cosines};
+use rig_core::brdf::{Brdf, Mixture};
+use rig_core::geometry::{Mesh, files};
+use rig_core::radiance_image::RadianceImage;
+use rig_core::transport::{
     Camera, Light, Projection, Proposal, RenderOptions, Scene, Shading, render, suited_proposal,
 };
 
@@ -61,7 +61,7 @@ pub fn mesh(name: &str) -> Mesh {
     }
     files::read(
         &data(&format!("{name}.ply")),
-        &rig::geometry::Placement::default(),
+        &rig_core::geometry::Placement::default(),
     )
     .unwrap()
 }

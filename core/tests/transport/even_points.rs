@@ -2,10 +2,10 @@
 
 use std::sync::Arc;
 
-use rig::brdf::{Dictionary, Mixture};
-use rig::geometry::Shape;
-use rig::radiance_image::RadianceImage;
-use rig::transport::{RenderOptions, Scene, Shading, render};
+use rig_core::brdf::{Dictionary, Mixture};
+use rig_core::geometry::Shape;
+use rig_core::radiance_image::RadianceImage;
+use rig_core::transport::{RenderOptions, Scene, Shading, render};
 
 use super::references::{above, sun};
 

@@ -1,8 +1,6 @@
 //! What an editor, a keyboard or a habit puts into a TOML file, where the parser says only that
 //! something else was expected.
 
-use unicode_normalization::UnicodeNormalization;
-
 /// Why a document is no TOML, where more is known than what the parser says.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Slip {
@@ -90,14 +88,11 @@ fn slip_of((at, c): (usize, char)) -> Option<(usize, Slip)> {
             Slip::Blank(c)
         }
         c if c.is_whitespace() => Slip::Blank(c),
-        c => {
-            let mut plain = std::iter::once(c).nfkc();
-            let ascii = plain.next().filter(char::is_ascii)?;
-            plain
-                .next()
-                .is_none()
-                .then_some(Slip::Lookalike(c, ascii))?
+        // The full-width forms of East Asian keyboards, in ASCII's order.
+        '\u{ff01}'..='\u{ff5e}' => {
+            Slip::Lookalike(c, char::from_u32(u32::from(c) - 0xff01 + u32::from('!'))?)
         }
+        _ => return None,
     };
     Some((at, slip))
 }

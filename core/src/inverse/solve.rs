@@ -184,7 +184,7 @@ pub(super) fn solve(
             }
             let (pass, _) = ended;
             residual_weights = objective.weights_after(&pass);
-            tracing::debug!(unexplained = ?pass.unexplained, "round");
+            log::debug!("unexplained after a round: {:?}", pass.unexplained);
             ridge = Ridge::after(&pass);
         }
     })?;

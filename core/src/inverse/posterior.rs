@@ -116,7 +116,11 @@ pub(super) fn posterior(
         let objective = objective.departed(&departed);
         let pass = objective.linearise(&mean, weights);
         let left = |pass: &Linearised| pass.unexplained.iter().sum::<f64>();
-        tracing::debug!(before = left(&solved.pass), after = left(&pass), "departed");
+        log::debug!(
+            "unexplained before and after the model discrepancy: {}, {}",
+            left(&solved.pass),
+            left(&pass)
+        );
         if left(&pass) < left(&solved.pass) {
             let at = At {
                 objective: &objective,

@@ -1,7 +1,7 @@
 //! The in-span set: twenty fixed mixtures of `paper42`'s atoms, on which a fit has no
 //! model error and must find the truth.
 //!
-//! The file `tests/data/in_span_paper42.json` is what experiments read ([`set`]);
+//! The file `data/in_span_paper42.json` is what experiments read ([`set`]);
 //! [`draw`] says how it was made, and a test compares the two.
 
 use std::sync::Arc;
@@ -60,7 +60,7 @@ pub struct InSpanFile {
     pub materials: Vec<InSpan>,
 }
 
-const TEXT: &str = include_str!("../../tests/data/in_span_paper42.json");
+const TEXT: &str = include_str!("../../data/in_span_paper42.json");
 const SEED: u64 = 2026;
 const STRATA: [(Stratum, usize); 3] = [
     (Stratum::Narrow, 5),

@@ -1,7 +1,13 @@
 //! Text as the programs of every system save it, made one: UTF-8 with or without a byte order
 //! mark, UTF-16 of either order, and lines that end in LF, CR LF or CR.
 
-use encoding_rs::{Encoding, UTF_8, UTF_16BE, UTF_16LE, WINDOWS_1252};
+/// What Windows-1252 means by the bytes 0x80 to 0x9F, as <https://encoding.spec.whatwg.org>
+/// has it: the five that it leaves open are control characters, as in Latin-1. All others are
+/// the first characters of Unicode.
+const WINDOWS_1252: [char; 32] = [
+    '€', '\u{81}', '‚', 'ƒ', '„', '…', '†', '‡', 'ˆ', '‰', 'Š', '‹', 'Œ', '\u{8d}', 'Ž', '\u{8f}',
+    '\u{90}', '‘', '’', '“', '”', '•', '–', '—', '˜', '™', 'š', '›', 'œ', '\u{9d}', 'ž', 'Ÿ',
+];
 
 /// Bytes that are text in no encoding that is read.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -31,36 +37,55 @@ pub enum NotText {
 /// # Errors
 /// The bytes are neither UTF-8 nor UTF-16 with a byte order mark or two first ASCII characters.
 pub fn decode(bytes: Vec<u8>) -> Result<String, NotText> {
-    let unicode = unicode(&bytes);
-    if unicode == UTF_8 {
-        return match String::from_utf8(bytes) {
+    match utf16_order(&bytes) {
+        Some(order) => utf16(&bytes, order).ok_or(NotText::Utf16),
+        None => match String::from_utf8(bytes) {
             Ok(text) => Ok(plain(&text)),
             Err(error) => Err(not_utf8(error.as_bytes(), error.utf8_error().valid_up_to())),
-        };
-    }
-    let (text, _, damaged) = unicode.decode(&bytes);
-    match damaged {
-        true => Err(NotText::Utf16),
-        false => Ok(plain(&text)),
+        },
     }
 }
 
 /// As [`decode`], but what is not Unicode is taken as Windows-1252, which spreadsheets save and
 /// of which Latin-1 is nearly a part: any bytes are text in it.
 pub fn decode_any(bytes: &[u8]) -> String {
-    let (text, _, damaged) = unicode(bytes).decode(bytes);
-    match damaged {
-        true => plain(&WINDOWS_1252.decode_without_bom_handling(bytes).0),
-        false => plain(&text),
+    let text = match utf16_order(bytes) {
+        Some(order) => utf16(bytes, order),
+        None => str::from_utf8(bytes).ok().map(plain),
+    };
+    text.unwrap_or_else(|| {
+        let text: String = bytes.iter().copied().map(windows_1252).collect();
+        plain(&text)
+    })
+}
+
+/// How two bytes make a unit of UTF-16.
+type Order = fn([u8; 2]) -> u16;
+
+/// The order of UTF-16's bytes by a byte order mark, or by the zeros next to two first ASCII
+/// characters; none where it is another encoding.
+fn utf16_order(bytes: &[u8]) -> Option<Order> {
+    match bytes {
+        [0xFF, 0xFE, ..] | [1..=127, 0, 1..=127, 0, ..] => Some(u16::from_le_bytes),
+        [0xFE, 0xFF, ..] | [0, 1..=127, 0, 1..=127, ..] => Some(u16::from_be_bytes),
+        _ => None,
     }
 }
 
-/// The encoding by a byte order mark, or by the zeros next to two first ASCII characters.
-fn unicode(bytes: &[u8]) -> &'static Encoding {
-    match bytes {
-        [0xFF, 0xFE, ..] | [1..=127, 0, 1..=127, 0, ..] => UTF_16LE,
-        [0xFE, 0xFF, ..] | [0, 1..=127, 0, 1..=127, ..] => UTF_16BE,
-        _ => UTF_8,
+/// None where the bytes are cut or hold halves of characters.
+fn utf16(bytes: &[u8], order: Order) -> Option<String> {
+    let (pairs, []) = bytes.as_chunks() else {
+        return None;
+    };
+    let units = pairs.iter().map(|&pair| order(pair));
+    let text: Result<String, _> = char::decode_utf16(units).collect();
+    Some(plain(&text.ok()?))
+}
+
+fn windows_1252(byte: u8) -> char {
+    match byte {
+        0x80..=0x9F => WINDOWS_1252[usize::from(byte - 0x80)],
+        _ => char::from(byte),
     }
 }
 
@@ -78,12 +103,11 @@ fn not_utf8(bytes: &[u8], at: usize) -> NotText {
         .iter()
         .rposition(|&b| b == b'\n')
         .map_or(0, |n| n + 1);
-    let meant = WINDOWS_1252.decode_without_bom_handling(&bytes[at..=at]).0;
     NotText::Utf8 {
         line: 1 + before.iter().filter(|&&b| b == b'\n').count(),
         column: at - start + 1,
         byte: bytes[at],
-        meant: meant.chars().next().unwrap_or('\u{fffd}'),
+        meant: windows_1252(bytes[at]),
     }
 }
 
@@ -128,6 +152,8 @@ mod tests {
         };
         assert_eq!(error, expected);
         assert_eq!(decode(vec![0xff, 0xfe, b'a']), Err(NotText::Utf16));
+        assert_eq!(decode(vec![0xff, 0xfe, 0, 0xd8]), Err(NotText::Utf16));
+        assert_eq!(decode_any(b"\x80 \x8d \x9f \xff \xe9"), "€ \u{8d} Ÿ ÿ é");
     }
 
     proptest! {

@@ -82,7 +82,7 @@ impl Eliminated {
             .collect();
         normal::blocks_after(at, &fitted, &free, &mut normal);
         let amplitude = amplitude(&normal, at.mixture).min(LARGEST);
-        tracing::debug!(amplitude, "departure");
+        log::debug!("amplitude of the model discrepancy: {amplitude}");
         if amplitude == 0.0 {
             return Vec::new();
         }

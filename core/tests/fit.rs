@@ -6,19 +6,21 @@
 use std::sync::Arc;
 
 use glam::{DVec2, DVec3};
-use rig::brdf::departure::Departed;
-use rig::brdf::score::{brdf_errors, cells};
-use rig::brdf::{Atom, Brdf, Dictionary, Mixture};
-use rig::geometry::shapes::Form;
-use rig::geometry::{FormError, Shape};
-use rig::inverse::budget::{self, Source};
-use rig::inverse::cells::AverageError;
-use rig::inverse::exponentiated_gradient::ExponentiatedGradient;
-use rig::inverse::{
+use rig_core::brdf::departure::Departed;
+use rig_core::brdf::score::{brdf_errors, cells};
+use rig_core::brdf::{Atom, Brdf, Dictionary, Mixture};
+use rig_core::geometry::shapes::Form;
+use rig_core::geometry::{FormError, Shape};
+use rig_core::inverse::budget::{self, Source};
+use rig_core::inverse::cells::AverageError;
+use rig_core::inverse::exponentiated_gradient::ExponentiatedGradient;
+use rig_core::inverse::{
     Captured, CellOptions, Channels, Fit, FitOptions, Optimizer, Refine, fit, intervals,
 };
-use rig::radiance_image::RadianceImage;
-use rig::transport::{Camera, Light, Projection, Proposal, RenderOptions, Scene, Shading, render};
+use rig_core::radiance_image::RadianceImage;
+use rig_core::transport::{
+    Camera, Light, Projection, Proposal, RenderOptions, Scene, Shading, render,
+};
 
 fn scene(shape: Shape, directions: &[DVec3]) -> Scene {
     scene_of(24, shape, directions)

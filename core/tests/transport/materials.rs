@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use rig::brdf::{Atom, Dictionary, Mixture};
+use rig_core::brdf::{Atom, Dictionary, Mixture};
 
 pub fn mixture(atoms: &[(f64, Atom)]) -> Mixture {
     let dictionary = Dictionary::new("test", atoms.iter().map(|a| a.1).collect()).unwrap();

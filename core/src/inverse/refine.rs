@@ -85,7 +85,7 @@ pub(super) fn refine(
         };
         let (next, solved) = again(&Arc::new(larger), &solution)?;
         let (gain, deviation) = gain(&best, &next);
-        tracing::debug!(gain, deviation, "refined");
+        log::debug!("refined atoms: gain {gain}, deviation {deviation}");
         if gain > SIGNIFICANT * deviation {
             (best, solution) = (next, solved);
         }

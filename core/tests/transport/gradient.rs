@@ -10,15 +10,15 @@ use std::sync::Arc;
 
 use glam::{DVec2, DVec3};
 use nalgebra::DVector;
-use rig::brdf::{Atom, Dictionary, Mixture};
-use rig::geometry::Shape;
-use rig::inverse::{
+use rig_core::brdf::{Atom, Dictionary, Mixture};
+use rig_core::geometry::Shape;
+use rig_core::inverse::{
     Captured, Channels,
     objective::{Modelled, Objective},
 };
-use rig::radiance_image::RadianceImage;
-use rig::random::{Purpose, stream};
-use rig::transport::{
+use rig_core::radiance_image::RadianceImage;
+use rig_core::random::{Purpose, stream};
+use rig_core::transport::{
     Cache, CacheOptions, Camera, Cells, DirectMatrix, Kernel, Projection, Proposal, RenderOptions,
     Scene, Shading, render,
 };

@@ -251,7 +251,7 @@ fn said(lack: Option<Lack>, path: &Path) {
         });
         let folder = folder.filter(|folder| !folder.as_os_str().is_empty());
         let folder: PathBuf = folder.unwrap_or(Path::new(".")).into();
-        tracing::warn!("the file system of {} {lack}", folder.display());
+        log::warn!("the file system of {} {lack}", folder.display());
     }
 }
 

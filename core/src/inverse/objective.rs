@@ -303,7 +303,7 @@ impl<'a> Objective<'a> {
     /// was found to have, if that is more than the stated one (docs/adr/0027).
     pub fn weights_after(&self, pass: &Linearised) -> ResidualWeights {
         let found = self.found_error(pass);
-        tracing::debug!(?found, "model error");
+        log::debug!("model error by channel group: {found:?}");
         self.weights_allowing(&pass.model, true, &found)
     }
 

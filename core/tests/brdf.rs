@@ -3,13 +3,13 @@
 use std::sync::Arc;
 
 use glam::DVec3;
-use rig::brdf::check::{check, check_with};
-use rig::brdf::chi_square::{ChiSquare, check_lobes, chi_square};
-use rig::brdf::dictionary::{Atom, Dictionary};
-use rig::brdf::nbrdf::{NAMES, NeuralBrdf};
-use rig::brdf::rgl::RglBrdf;
-use rig::brdf::{Brdf, Mixture, bivariate, ggx, merl};
-use rig::random::{Purpose, stream};
+use rig_core::brdf::check::{check, check_with};
+use rig_core::brdf::chi_square::{ChiSquare, check_lobes, chi_square};
+use rig_core::brdf::dictionary::{Atom, Dictionary};
+use rig_core::brdf::nbrdf::{NAMES, NeuralBrdf};
+use rig_core::brdf::rgl::RglBrdf;
+use rig_core::brdf::{Brdf, Mixture, bivariate, ggx, merl};
+use rig_core::random::{Purpose, stream};
 
 /// Angles of the given direction in the sampler tests, radians: from the normal to grazing.
 const ANGLES: [f64; 5] = [0.0, 0.6, 1.2, 1.5, 1.565];
@@ -137,7 +137,10 @@ fn atoms_are_physical_and_their_samplers_give_their_albedo() {
                 "{atom:?}: {found:?}"
             );
             assert!(found.largest_albedo < 1.005, "{atom:?}: {found:?}");
-            let from = direction(rig::brdf::check::ALBEDO_ANGLES_DEG[4].to_radians(), 0.0);
+            let from = direction(
+                rig_core::brdf::check::ALBEDO_ANGLES_DEG[4].to_radians(),
+                0.0,
+            );
             let (mut sum, mut sum2) = (0.0, 0.0);
             let n = 4000;
             for sample in 0..n {

@@ -1,0 +1,33 @@
+//! The core of `rig`: BRDFs, light transport in concave samples, and the fit of a
+//! dictionary's weights to images of them. It needs no hardware and no system package.
+//!
+//! The modules are floors; a floor imports only from floors below it
+//! (`tests/floors.rs` checks that from the source):
+//!
+//! | floor | modules |
+//! |---|---|
+//! | 0 | [`units`], [`frames`], [`random`], [`shown`], [`radiance_image`], [`outside_file`], [`outside_text`], [`outside_table`], [`file_system`], [`whole_file`] |
+//! | 1 | [`brdf`], [`geometry`] |
+//! | 2 | [`transport`] |
+//! | 3 | [`inverse`] |
+//! | 4 | [`config`] |
+
+pub mod file_system;
+pub mod frames;
+pub mod outside_file;
+pub mod outside_table;
+pub mod outside_text;
+pub mod radiance_image;
+pub mod random;
+pub mod shown;
+pub mod units;
+pub mod whole_file;
+
+pub mod brdf;
+pub mod geometry;
+
+pub mod transport;
+
+pub mod inverse;
+
+pub mod config;
