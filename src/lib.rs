@@ -20,7 +20,7 @@
 
 pub use rig_core::{
     brdf, file_system, frames, geometry, inverse, outside_file, outside_table, outside_text,
-    radiance_image, random, shown, transport, units, whole_file,
+    progress, radiance_image, random, shown, transport, units, whole_file,
 };
 
 pub mod interrupt;

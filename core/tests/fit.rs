@@ -11,9 +11,10 @@ use rig_core::brdf::score::{brdf_errors, cells};
 use rig_core::brdf::{Atom, Brdf, Dictionary, Mixture};
 use rig_core::geometry::shapes::Form;
 use rig_core::geometry::{FormError, Shape};
-use rig_core::inverse::budget::{self, Source};
+use rig_core::inverse::budget::Source;
 use rig_core::inverse::cells::AverageError;
 use rig_core::inverse::exponentiated_gradient::ExponentiatedGradient;
+use rig_core::inverse::variance_shares;
 use rig_core::inverse::{
     Captured, CellOptions, Channels, Fit, FitOptions, Optimizer, Refine, fit, intervals,
 };
@@ -90,7 +91,7 @@ fn images(scene: &Scene, material: &Mixture) -> Vec<RadianceImage> {
         proposal: Proposal::resembling(material, 0.1),
         ..RenderOptions::default()
     };
-    render(scene, material, &options, &|_| {})
+    render(scene, material, &options)
 }
 
 fn options() -> FitOptions {
@@ -147,7 +148,6 @@ fn the_truth_comes_back_through_interreflections() {
             &averaged(&scene, &captured),
             &dictionary,
             &options(),
-            &mut |_| {},
         )
         .unwrap();
         let [error, start] = errors(&fit, &dictionary, &truth);
@@ -193,14 +193,7 @@ fn both_optimisers_lower_the_same_loss() {
     let scene = scene(bowl(96), &lights);
     let run = |optimizer: Optimizer, channels| {
         let options = one_round(optimizer, channels);
-        let fit = fit(
-            &scene,
-            &averaged(&scene, &captured),
-            &dictionary,
-            &options,
-            &mut |_| {},
-        )
-        .unwrap();
+        let fit = fit(&scene, &averaged(&scene, &captured), &dictionary, &options).unwrap();
         let total = |i: usize| -> f64 { fit.trace[i].1.loss.iter().sum() };
         (total(0), total(fit.trace.len() - 1), fit)
     };
@@ -248,14 +241,7 @@ fn the_last_point_is_as_good_as_the_best() {
         Optimizer::ExponentiatedGradient(restless),
     ] {
         let options = one_round(optimizer, Channels::Separate);
-        let fit = fit(
-            &scene,
-            &averaged(&scene, &captured),
-            &dictionary,
-            &options,
-            &mut |_| {},
-        )
-        .unwrap();
+        let fit = fit(&scene, &averaged(&scene, &captured), &dictionary, &options).unwrap();
         let mut rises = 0;
         for set in 0..3 {
             let losses: Vec<f64> = fit.trace.iter().map(|(_, step)| step.loss[set]).collect();
@@ -293,14 +279,7 @@ fn dust_counts_for_less() {
         ..options()
     };
     let [without, with] = [&clean, &dusty].map(|captured| {
-        let fit = fit(
-            &scene,
-            &averaged(&scene, captured),
-            &dictionary,
-            &options,
-            &mut |_| {},
-        )
-        .unwrap();
+        let fit = fit(&scene, &averaged(&scene, captured), &dictionary, &options).unwrap();
         (errors(&fit, &dictionary, &truth)[0], fit.doubted)
     });
     println!("without dust {without:?}, with {with:?} (cube-root error, doubted)");
@@ -361,7 +340,7 @@ fn a_stated_form_error_is_a_part_of_the_budget() {
         proposal: Proposal::resembling(&truth, 0.1),
         ..RenderOptions::default()
     };
-    let captured = render(&scene, &truth, &rendering, &|_| {});
+    let captured = render(&scene, &truth, &rendering);
     let run = |form_error| {
         let mut options = FitOptions {
             form_error,
@@ -370,17 +349,10 @@ fn a_stated_form_error_is_a_part_of_the_budget() {
         };
         options.cache.samples_per_cell = 32;
         options.cache.max_reflections = 3;
-        fit(
-            &scene,
-            &averaged(&scene, &captured),
-            &dictionary,
-            &options,
-            &mut |_| {},
-        )
-        .unwrap()
+        fit(&scene, &averaged(&scene, &captured), &dictionary, &options).unwrap()
     };
     let mesh = |fit: &Fit| {
-        let cell = budget::at(&fit.material, &fit.draws, 10.0, 20.0).unwrap();
+        let cell = variance_shares::at(&fit.material, &fit.draws, 10.0, 20.0).unwrap();
         cell.relative_variance[Source::Mesh as usize]
     };
     let exact = run(None);

@@ -1,7 +1,10 @@
 //! What a fit is going to cost, said before it begins, and how far it is.
 
+use std::sync::{Mutex, PoisonError};
+
 use super::Context;
 use super::progress::StagedBar;
+use crate::progress::Progress;
 
 /// How much a fit does.
 #[derive(Clone, Copy, Debug, serde::Serialize)]
@@ -96,6 +99,11 @@ const USUAL_ROUNDS: f64 = 6.0;
 pub struct FitProgress {
     bar: StagedBar,
     refines_bench: bool,
+    at: Mutex<Position>,
+}
+
+#[derive(Default)]
+struct Position {
     rounds: u32,
     next: usize,
 }
@@ -106,21 +114,27 @@ impl FitProgress {
         Self {
             bar: context.staged_bar(),
             refines_bench,
-            rounds: 0,
-            next: 0,
+            at: Mutex::default(),
         }
     }
 
-    /// A stage begins.
-    pub fn begin(&mut self, stage: &str) {
-        let place = STAGES[self.next..]
+    /// Clears the line.
+    pub fn finish(self) {
+        self.bar.finish();
+    }
+}
+
+impl Progress for FitProgress {
+    fn begin(&self, stage: &str, _: Option<usize>) {
+        let mut at = self.at.lock().unwrap_or_else(PoisonError::into_inner);
+        let place = STAGES[at.next..]
             .iter()
             .position(|(name, _)| *name == stage);
         let done = match place {
             Some(ahead) => {
-                self.next += ahead;
-                let (_, done) = STAGES[self.next];
-                self.next += 1;
+                at.next += ahead;
+                let (_, done) = STAGES[at.next];
+                at.next += 1;
                 if self.refines_bench {
                     ROUNDS_PART + (1.0 - ROUNDS_PART) * done
                 } else {
@@ -129,16 +143,11 @@ impl FitProgress {
             }
             // A round of the refinement: each takes some of what is left.
             None => {
-                self.rounds += 1;
-                let over = f64::from(self.rounds - 1) / USUAL_ROUNDS;
+                at.rounds += 1;
+                let over = f64::from(at.rounds - 1) / USUAL_ROUNDS;
                 ROUNDS_PART * (1.0 - (-over).exp())
             }
         };
         self.bar.at(stage, done);
-    }
-
-    /// Clears the line.
-    pub fn finish(self) {
-        self.bar.finish();
     }
 }

@@ -22,8 +22,10 @@ use crate::inverse::exponentiated_gradient::ExponentiatedGradient;
 use crate::inverse::gauss_newton::GaussNewton;
 use crate::inverse::{
     BenchPriors, Captured, CellOptions, Channels, Fit, FitOptions, Optimizer, Refine,
-    RefineOptions, budget, fit, intervals, plausibility, refine_bench,
+    RefineOptions, budget, fit_with_progress, intervals, plausibility, refine_bench,
+    variance_shares,
 };
+use crate::progress::Progress;
 use crate::report;
 use crate::session::commit::SystemDisk;
 use crate::session::fit_record::{
@@ -324,20 +326,22 @@ impl FitPlan {
         }
         let work = self.work(captured.len(), captured.images.len());
         tracing::info!("{work}");
-        let mut progress = FitProgress::new(context, self.priors.is_some());
-        let mut stage = |stage: &str| progress.begin(stage);
+        let progress = FitProgress::new(context, self.priors.is_some());
         let (dictionary, options) = (
             &self.dictionary,
             &self.bounded([captured.len(), captured.images.len()])?,
         );
         let (fit, bench) = match &self.priors {
-            None => (fit(scene, captured, dictionary, options, &mut stage)?, None),
+            None => (
+                fit_with_progress(scene, captured, dictionary, options, &progress)?,
+                None,
+            ),
             Some(priors) => {
                 let how = RefineOptions::default();
                 let refined = refine_bench(
-                    scene, captured, dictionary, options, priors, &how, &mut stage,
+                    scene, captured, dictionary, options, priors, &how, &progress,
                 )?;
-                let fit = refined.fit(dictionary, options, &mut stage)?;
+                let fit = refined.fit(dictionary, options, &progress)?;
                 (fit, Some(refined.estimate))
             }
         };
@@ -347,9 +351,9 @@ impl FitPlan {
                 fit.samples[0], fit.samples[1]
             ));
         }
-        progress.begin("scoring");
+        progress.begin("scoring", None);
         let mut record = self.describe(&fit, simulated, truth)?;
-        progress.begin("longer paths");
+        progress.begin("longer paths", None);
         let paths = RenderOptions {
             max_reflections: self.options.cache.max_reflections,
             seed: self.options.cache.seed,
@@ -503,7 +507,7 @@ const BUDGET_AT_DEG: [[f64; 2]; 8] = [
 /// Where the interval comes from, at a few angles; `None` without draws.
 fn budget_record(fit: &Fit) -> Option<BudgetRecord> {
     let row = |[theta_h_deg, theta_d_deg]: [f64; 2]| {
-        let cell = budget::at(&fit.material, &fit.draws, theta_h_deg, theta_d_deg)?;
+        let cell = variance_shares::at(&fit.material, &fit.draws, theta_h_deg, theta_d_deg)?;
         let total: f64 = cell.relative_variance.iter().sum();
         let share = cell.relative_variance.iter();
         Some(BudgetRow {

@@ -68,7 +68,7 @@ pub fn photographs(truth: &Scene, seed: u64) -> Vec<RadianceImage> {
         seed,
         ..RenderOptions::default()
     };
-    let mut images = render(truth, &material(), &options, &|_| {});
+    let mut images = render(truth, &material(), &options);
     let mut numbers = stream(seed, Purpose::Experiment, 0, 0, 0);
     for image in &mut images {
         let (width, height) = (image.width, image.height);

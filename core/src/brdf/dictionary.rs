@@ -10,6 +10,7 @@ use super::BrdfError;
 pub use super::atom::Atom;
 use super::evaluator::Evaluator;
 use super::ggx::Cosines;
+use super::half_difference::HalfDifference;
 use crate::shown::{MESSAGE, shortened};
 
 /// A named list of atoms, each with parameters in range.
@@ -206,6 +207,20 @@ impl Dictionary {
         Self {
             name: name.to_owned(),
             atoms,
+        }
+    }
+
+    /// Every atom's f at half and difference angles (degrees) and φd = 90°, 1/sr.
+    pub fn values_at(&self, theta_h_deg: f64, theta_d_deg: f64) -> Vec<f64> {
+        let angles = HalfDifference {
+            theta_h_rad: theta_h_deg.to_radians(),
+            theta_d_rad: theta_d_deg.to_radians(),
+            phi_d_rad: std::f64::consts::FRAC_PI_2,
+        };
+        let (to_light, to_viewer) = angles.to_directions();
+        match Cosines::new(to_light.to_array(), to_viewer.to_array()) {
+            Some(at) => self.atoms.iter().map(|atom| atom.eval(&at)).collect(),
+            None => vec![0.0; self.atoms.len()],
         }
     }
 

@@ -37,6 +37,7 @@ pub use dictionary::{Atom, Dictionary, GridAxes};
 pub use half_difference::HalfDifference;
 pub use lobe_table::LobeTable;
 pub use mixture::Mixture;
+pub use source::load;
 pub use table::TabulatedBrdf;
 
 /// An isotropic BRDF in three colour channels.

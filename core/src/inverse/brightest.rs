@@ -1,13 +1,16 @@
 //! How bright images of a scene can be at most: by direct reflection, what the brightest atom of
 //! a dictionary gives; by interreflection, what a surface that absorbs nothing adds to it.
 
-use super::plausibility::BRIGHTEST;
 use crate::brdf::Dictionary;
 use crate::brdf::atom::cosine_direction;
 use crate::random::{Purpose, Stream, stream};
 use crate::transport::direct::for_each_seen;
 use crate::transport::scene::Surface;
 use crate::transport::{Cells, DirectMatrix, Scene};
+
+/// Above this many times a white sample's radiance no material can be: a mirror of GGX alpha
+/// 0.002 that returns all light to the camera has 1/(4 alpha²) times.
+const BRIGHTEST: f64 = 1e5;
 
 /// Square root of the rays through a cell.
 const STRATA: u32 = 3;

@@ -10,7 +10,6 @@
 
 use nalgebra::{Cholesky, DMatrix, DVector};
 
-use super::intervals::atom_values;
 use super::objective::{Linearised, Objective, ResidualWeights};
 use crate::brdf::Dictionary;
 use crate::brdf::departure::{self, Departure};
@@ -163,7 +162,7 @@ pub(super) fn free_modes(dictionary: &Dictionary, mixture: &DVector<f64>) -> DMa
         .collect();
     let mut rows = DMatrix::<f64>::zeros(used.len(), modes.ncols());
     for (k, node) in departure::nodes().enumerate() {
-        let atoms = atom_values(dictionary, node.theta_h_deg, node.theta_d_deg);
+        let atoms = dictionary.values_at(node.theta_h_deg, node.theta_d_deg);
         let f: f64 = atoms.iter().zip(mixture.iter()).map(|(a, w)| a * w).sum();
         if f <= 0.0 {
             continue;

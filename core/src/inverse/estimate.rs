@@ -9,7 +9,6 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::departure::Eliminated;
-use super::intervals::atom_values;
 use super::projection::{EnvironmentMatrix, ProjectionError};
 use super::solve::per_channel;
 use super::uncertainty::Draws;
@@ -58,7 +57,7 @@ fn departed_from(mixture: Mixture, departed: &Departed) -> Departed {
     let mut other = Departed::nowhere(mixture);
     let nodes = departure::nodes().enumerate().map(|(k, node)| {
         let (h, d) = (node.theta_h_deg, node.theta_d_deg);
-        let atoms = atom_values(other.mixture.dictionary(), h, d);
+        let atoms = other.mixture.dictionary().values_at(h, d);
         let [wanted, there] = [departed, &other].map(|material| material.at(&atoms, h, d));
         [0, 1, 2].map(|c| {
             let g = departed.departures[c].0[k];

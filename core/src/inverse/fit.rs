@@ -11,6 +11,7 @@ use super::diagnosis::{self, Diagnosis, Examined};
 use super::exponentiated_gradient::ExponentiatedGradient;
 use super::findings::{self, Finding, Judged};
 use super::gauss_newton::GaussNewton;
+use super::intervals::{self, Interval};
 use super::objective::{Channels, DepartedModel};
 use super::posterior::{Posterior, posterior};
 use super::projection::ProjectionError;
@@ -23,6 +24,7 @@ use crate::brdf::Atom;
 use crate::brdf::departure::Departed;
 use crate::brdf::dictionary::Dictionary;
 use crate::geometry::FormError;
+use crate::progress::Progress;
 use crate::transport::cache::CacheError;
 use crate::transport::{CacheOptions, Kernel, Scene};
 
@@ -126,6 +128,30 @@ pub struct Fit {
     pub kernel: Kernel,
 }
 
+impl Fit {
+    /// The BRDF found and its 95% interval, at one half and one difference angle (degrees, 0 to
+    /// 90), for light and viewer at right angles to the plane of the half vector (φd = 90°).
+    ///
+    /// ```
+    /// # let (scene, captured) = rig_core::example::captured_bowl();
+    /// use rig_core::{Dictionary, FitOptions, fit};
+    ///
+    /// let found = fit(&scene, &captured, &Dictionary::load("paper42")?, &FitOptions::default())?;
+    /// let f = found.interval(15.0, 10.0);
+    /// println!("{:.4} 1/sr, between {:.4} and {:.4}", f.value[0], f.lower[0], f.upper[0]);
+    /// assert!(f.lower[0] <= f.value[0] && f.value[0] <= f.upper[0]);
+    /// # Ok::<_, Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn interval(&self, theta_h_deg: f64, theta_d_deg: f64) -> Interval {
+        self.intervals(&[theta_h_deg], &[theta_d_deg])[0]
+    }
+
+    /// [`Fit::interval`] on a grid of angles (degrees), the difference angle varying fastest.
+    pub fn intervals(&self, theta_h_deg: &[f64], theta_d_deg: &[f64]) -> Vec<Interval> {
+        intervals::table(&self.material, &self.draws, theta_h_deg, theta_d_deg)
+    }
+}
+
 /// Why a fit failed.
 #[derive(Debug, thiserror::Error)]
 pub enum FitError {
@@ -150,15 +176,24 @@ pub enum FitError {
 }
 
 /// Fits the weights of `dictionary` to the captured image of each light of the scene.
-/// `stage` is told what begins.
 pub fn fit(
     scene: &Scene,
     captured: &Captured,
     dictionary: &Dictionary,
     options: &FitOptions,
-    stage: &mut dyn FnMut(&str),
 ) -> Result<Fit, FitError> {
-    fit_on_bench(scene, captured, dictionary, options, None, stage)
+    fit_with_progress(scene, captured, dictionary, options, &())
+}
+
+/// [`fit`]; `progress` receives its phases.
+pub fn fit_with_progress(
+    scene: &Scene,
+    captured: &Captured,
+    dictionary: &Dictionary,
+    options: &FitOptions,
+    progress: &dyn Progress,
+) -> Result<Fit, FitError> {
+    fit_on_bench(scene, captured, dictionary, options, None, progress)
 }
 
 /// A first solution that only tells later paths where to go has this many times fewer.
@@ -171,23 +206,23 @@ pub(super) fn fit_on_bench(
     dictionary: &Dictionary,
     options: &FitOptions,
     bench: Option<&BenchLinearisation>,
-    stage: &mut dyn FnMut(&str),
+    progress: &dyn Progress,
 ) -> Result<Fit, FitError> {
     check_count(scene, captured.images.len())?;
     let dictionary = Arc::new(dictionary.clone());
     if options.refine == Refine::NONE || options.optimizer == Optimizer::SingleBounce {
-        let (fit, _) = fit_from(scene, captured, &dictionary, None, options, bench, stage)?;
+        let (fit, _) = fit_from(scene, captured, &dictionary, None, options, bench, progress)?;
         return Ok(fit);
     }
     let mut quick = options.clone();
     quick.cache.samples_per_cell = (options.cache.samples_per_cell / QUICKER).max(2);
     let first = {
         // Its paths are gone before the others are traced.
-        let paths = Paths::trace(scene, &captured.cells, &dictionary, None, &quick, stage)?;
+        let paths = Paths::trace(scene, &captured.cells, &dictionary, None, &quick, progress)?;
         let objective = paths.objective(captured, &quick);
-        solve(&paths, &objective, None, &quick, stage)?.solution
+        solve(&paths, &objective, None, &quick, progress)?.solution
     };
-    refine(scene, captured, first, options, bench, stage)
+    refine(scene, captured, first, options, bench, progress)
 }
 
 /// [`fit`] without refinement, from an earlier solution for the same images or from the
@@ -199,12 +234,19 @@ pub(super) fn fit_from(
     earlier: Option<&Solution>,
     options: &FitOptions,
     bench: Option<&BenchLinearisation>,
-    stage: &mut dyn FnMut(&str),
+    progress: &dyn Progress,
 ) -> Result<(Fit, Solution), FitError> {
-    let paths = Paths::trace(scene, &captured.cells, dictionary, earlier, options, stage)?;
+    let paths = Paths::trace(
+        scene,
+        &captured.cells,
+        dictionary,
+        earlier,
+        options,
+        progress,
+    )?;
     let objective = paths.objective(captured, options);
-    let mut solved = solve(&paths, &objective, earlier, options, stage)?;
-    stage("uncertainty");
+    let mut solved = solve(&paths, &objective, earlier, options, progress)?;
+    progress.begin("uncertainty", None);
     let mut timings = std::mem::take(&mut solved.solution.timings);
     let Posterior {
         draws,
@@ -241,7 +283,7 @@ pub(super) fn fit_from(
         (model, comparison)
     });
     let reduced_chi2 = comparison.reduced_chi2();
-    stage("diagnosis");
+    progress.begin("diagnosis", None);
     let diagnosis = timings.time("diagnosis", || {
         diagnosis::examine(&Examined {
             scene,

@@ -7,8 +7,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use super::bench::derivatives::{DerivativeImages, DerivativeOptions};
-use super::bench::refine::AVERAGED;
+use super::bench::derivatives::{AVERAGED, DerivativeImages, DerivativeOptions};
 use super::bench::system::Model;
 use super::objective::ResidualWeights;
 use super::uncertainty::mapped;
@@ -138,7 +137,6 @@ pub(super) mod tests {
     use crate::geometry::Shape;
     use crate::inverse::cells::{Captured, CellOptions};
     use crate::inverse::fit::FitOptions;
-    use crate::inverse::intervals::atom_values;
     use crate::inverse::solve::{Paths, solve};
     use crate::radiance_image::RadianceImage;
     use crate::transport::{Camera, Light, Projection, RenderOptions, Shading, render};
@@ -194,7 +192,7 @@ pub(super) mod tests {
                 proposal: Proposal::resembling(&truth, 0.1),
                 ..RenderOptions::default()
             };
-            render(scene, &truth, &options, &|_| {})
+            render(scene, &truth, &options)
         };
         let mut options = FitOptions {
             rounds: 1,
@@ -202,7 +200,7 @@ pub(super) mod tests {
         };
         options.cache.samples_per_cell = 64;
         options.cache.max_reflections = 3;
-        let quiet = &mut |_: &str| {};
+        let quiet = &();
         let averaged = |images: &[RadianceImage]| {
             Captured::new(&scene, images, &CellOptions::exact()).unwrap()
         };
@@ -212,7 +210,7 @@ pub(super) mod tests {
         let fitted = |images: &[RadianceImage]| {
             let images = averaged(images);
             let objective = paths.objective(&images, &options);
-            solve(&paths, &objective, None, &options, &mut |_| {}).unwrap()
+            solve(&paths, &objective, None, &options, &()).unwrap()
         };
         let base = fitted(&images);
         let images = averaged(&images);
@@ -246,7 +244,7 @@ pub(super) mod tests {
             })
             .collect();
         for [theta_h, theta_d] in [[0.0, 10.0], [10.0, 20.0], [40.0, 30.0]] {
-            let g = DVector::from_vec(atom_values(&dictionary, theta_h, theta_d));
+            let g = DVector::from_vec(dictionary.values_at(theta_h, theta_d));
             let told = g.dot(&(&answer * &covariance[1] * &answer * &g)).sqrt();
             let square = found.iter().map(|x| g.dot(&(x - &base.mixture[1])).powi(2));
             let seen = (square.sum::<f64>() / found.len() as f64).sqrt();

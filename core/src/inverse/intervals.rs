@@ -4,9 +4,6 @@
 
 use super::uncertainty::Draws;
 use crate::brdf::departure::Departed;
-use crate::brdf::dictionary::Dictionary;
-use crate::brdf::ggx::Cosines;
-use crate::brdf::half_difference::HalfDifference;
 use crate::random::{Purpose, stream};
 
 /// f at one pair of angles, per channel, 1/sr.
@@ -30,7 +27,10 @@ pub fn table(
     theta_d_deg: &[f64],
 ) -> Vec<Interval> {
     let cell = |theta_h_deg: f64, theta_d_deg: f64| {
-        let atoms = atom_values(material.mixture.dictionary(), theta_h_deg, theta_d_deg);
+        let atoms = material
+            .mixture
+            .dictionary()
+            .values_at(theta_h_deg, theta_d_deg);
         let values = material.at(&atoms, theta_h_deg, theta_d_deg);
         let mut interval = Interval {
             value: [0.0; 3],
@@ -80,21 +80,6 @@ pub fn table(
     cells
 }
 
-/// Every atom's f at half and difference angles (degrees) and φd = 90°, 1/sr.
-pub fn atom_values(dictionary: &Dictionary, theta_h_deg: f64, theta_d_deg: f64) -> Vec<f64> {
-    let angles = HalfDifference {
-        theta_h_rad: theta_h_deg.to_radians(),
-        theta_d_rad: theta_d_deg.to_radians(),
-        phi_d_rad: std::f64::consts::FRAC_PI_2,
-    };
-    let (to_light, to_viewer) = angles.to_directions();
-    let atoms = dictionary.atoms().iter();
-    match Cosines::new(to_light.to_array(), to_viewer.to_array()) {
-        Some(at) => atoms.map(|atom| atom.eval(&at)).collect(),
-        None => vec![0.0; dictionary.len()],
-    }
-}
-
 /// Standard deviation of ln f that no mixture of a dictionary explains, for a relative
 /// misfit of the images. Images show the material's departures from the dictionary only
 /// where they look; towards grazing angles they look least and dictionaries of
@@ -142,6 +127,7 @@ mod tests {
     use nalgebra::DVector;
 
     use super::*;
+    use crate::brdf::Dictionary;
     use crate::brdf::Mixture;
     use crate::brdf::dictionary::Atom;
 

@@ -29,9 +29,11 @@ mod solve;
 pub mod sparse;
 pub mod trace;
 pub mod uncertainty;
+pub mod variance_shares;
 
 pub use bench::{BenchPriors, RefineOptions, refine_bench};
 pub use cells::{Captured, CellOptions};
-pub use fit::{Fit, FitError, FitOptions, Optimizer, fit};
+pub use fit::{Fit, FitError, FitOptions, Optimizer, fit, fit_with_progress};
+pub use intervals::Interval;
 pub use objective::Channels;
 pub use refine::Refine;

@@ -146,9 +146,6 @@ const LEAST_COSINE: f64 = 0.01;
 /// Below this part of a white sample's radiance an image counts as black, whatever variance
 /// it states: the blackest coatings reflect some 3e-4 of the light.
 const BLACKEST: f64 = 1e-5;
-/// Above this many times a white sample's radiance no material can be: a mirror of GGX alpha
-/// 0.002 that returns all light to the camera has 1/(4 alpha²) times.
-pub(super) const BRIGHTEST: f64 = 1e5;
 /// How much brighter than the brightest material of the dictionary images may be whose
 /// irradiance is known: measured materials are no mixtures, and retroreflect a little.
 const BRIGHTER: f64 = 2.0;

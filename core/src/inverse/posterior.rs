@@ -167,7 +167,6 @@ mod tests {
     use crate::inverse::cells::{Captured, CellOptions};
     use crate::inverse::departure::free_modes;
     use crate::inverse::form::tests::bowl;
-    use crate::inverse::intervals::atom_values;
     use crate::inverse::solve::solve;
     use crate::radiance_image::RadianceImage;
     use crate::transport::{Proposal, RenderOptions, render};
@@ -180,7 +179,7 @@ mod tests {
             proposal: Proposal::tabulating(material, 0.3),
             ..RenderOptions::default()
         };
-        render(scene, material, &options, &|_| {})
+        render(scene, material, &options)
     }
 
     /// Images of a mixture ask for no departure; those of one that departs do, and with what is
@@ -211,10 +210,9 @@ mod tests {
             let captured = photograph(&scene, material);
             let captured = Captured::new(&scene, &captured, &CellOptions::exact()).unwrap();
             let cells = &captured.cells;
-            let paths =
-                Paths::trace(&scene, cells, &dictionary, None, &options, &mut |_| {}).unwrap();
+            let paths = Paths::trace(&scene, cells, &dictionary, None, &options, &()).unwrap();
             let objective = paths.objective(&captured, &options);
-            let solved = solve(&paths, &objective, None, &options, &mut |_| {}).unwrap();
+            let solved = solve(&paths, &objective, None, &options, &()).unwrap();
             posterior(&scene, &paths, &objective, &solved, &options, None).unwrap()
         };
         assert_eq!(found(&truth).departure, 0.0, "a mixture departs");
@@ -227,7 +225,7 @@ mod tests {
             if !(1.0..60.0).contains(&h) || d > 15.0 {
                 continue;
             }
-            let atoms = atom_values(&dictionary, h, d);
+            let atoms = dictionary.values_at(h, d);
             let [truth, mixture, found] =
                 [&departed, &mixture, &found.material].map(|material| material.at(&atoms, h, d)[0]);
             squares[0] += (mixture / truth).ln().powi(2);

@@ -13,6 +13,7 @@ use super::fit::{Fit, FitError, FitOptions, fit_from};
 use super::solve::Solution;
 use crate::brdf::Mixture;
 use crate::brdf::dictionary::{Atom, Dictionary};
+use crate::progress::Progress;
 use crate::transport::{Proposal, Scene};
 
 /// What follows a first fit.
@@ -65,16 +66,18 @@ pub(super) fn refine(
     first: Solution,
     options: &FitOptions,
     bench: Option<&BenchLinearisation>,
-    stage: &mut dyn FnMut(&str),
+    progress: &dyn Progress,
 ) -> Result<Fit, FitError> {
     let base = first.dictionary.clone();
     let mut options = options.clone();
     if let Ok(mixture) = Mixture::new(base.clone(), first.weights.clone()) {
         options.cache.proposal = Proposal::resembling(&mixture, DEFENSIVE);
     }
-    let mut again = |dictionary: &Arc<Dictionary>, before: &Solution| {
+    let again = |dictionary: &Arc<Dictionary>, before: &Solution| {
         let earlier = Some(before);
-        fit_from(scene, captured, dictionary, earlier, &options, bench, stage)
+        fit_from(
+            scene, captured, dictionary, earlier, &options, bench, progress,
+        )
     };
     // Old and new atoms must be compared on the same paths.
     let (mut best, mut solution) = again(&base, &first)?;

@@ -11,6 +11,7 @@ use super::objective::{Linearised, Objective, ResidualWeights};
 use super::ridge::Ridge;
 use super::trace::{Observer, Step, Termination};
 use crate::brdf::dictionary::Dictionary;
+use crate::progress::Progress;
 use crate::transport::{Cache, Cells, DirectMatrix, Guide, Scene};
 
 /// Weights, what they were found with, and how; a later solution of the same images can
@@ -84,10 +85,10 @@ impl Paths {
         dictionary: &Arc<Dictionary>,
         earlier: Option<&Solution>,
         options: &FitOptions,
-        stage: &mut dyn FnMut(&str),
+        progress: &dyn Progress,
     ) -> Result<Self, FitError> {
         let mut timings = earlier.map_or_else(Timings::default, |e| e.timings.clone());
-        stage("direct reflection");
+        progress.begin("direct reflection", None);
         let direct = timings.time("direct", || match earlier {
             Some(earlier) if Arc::ptr_eq(&earlier.dictionary, dictionary) => earlier.direct.clone(),
             _ => {
@@ -95,7 +96,7 @@ impl Paths {
                 Arc::new(DirectMatrix::new(scene, cells, dictionary, strata, seed))
             }
         });
-        stage("tracing paths");
+        progress.begin("tracing paths", None);
         let how = &options.cache;
         let (cache, guide) = timings.time("trace", || {
             let guide = match earlier {
@@ -133,14 +134,14 @@ pub(super) fn solve(
     objective: &Objective<'_>,
     earlier: Option<&Solution>,
     options: &FitOptions,
-    stage: &mut dyn FnMut(&str),
+    progress: &dyn Progress,
 ) -> Result<Solved, FitError> {
     for image in 0..objective.lights() {
         if !objective.compares_any(image) {
             return Err(FitError::NothingToCompare { image });
         }
     }
-    stage("optimising");
+    progress.begin("optimising", None);
     let mut timings = paths.timings.clone();
     let mut recorder = Recorder {
         clock: Instant::now(),

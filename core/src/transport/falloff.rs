@@ -65,7 +65,7 @@ mod tests {
             max_reflections: 1,
             ..RenderOptions::default()
         };
-        let images = render(&scene, &white, &options, &|_| {});
+        let images = render(&scene, &white, &options);
         let cells = Cells::of_pixels(scene.camera.resolution_px);
         let direct = DirectMatrix::new(&scene, &cells, white.dictionary(), 8, 1);
         for pixel in 0..64 {

@@ -45,7 +45,7 @@ pub use lens::{Lens, LensSpec};
 pub use light::Light;
 pub use polarised::render_polarised;
 pub use proposal::Proposal;
-pub use render::{RenderOptions, render, suited_proposal};
+pub use render::{RenderOptions, render, render_with_progress, suited_proposal};
 pub use scene::{Body, Scene, Shading};
 pub use truncation::{Remainder, truncation_remainder};
 pub use visibility::Visibility;

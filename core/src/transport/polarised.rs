@@ -11,6 +11,7 @@ use glam::Vec3;
 use super::render::{Carrier, Event, RenderOptions, render_carrying};
 use super::scene::Scene;
 use crate::brdf::Brdf;
+use crate::progress::Progress;
 use crate::radiance_image::RadianceImage;
 
 /// A material whose polarisation is not known.
@@ -26,7 +27,7 @@ pub fn render_polarised(
     scene: &Scene,
     brdf: &dyn Brdf,
     options: &RenderOptions,
-    progress: &(dyn Fn(usize) + Sync),
+    progress: &dyn Progress,
 ) -> Result<Vec<RadianceImage>, NotPolarisable> {
     let refuse = |what: String| Err(NotPolarisable { what });
     if brdf.as_mixture().is_none() {
@@ -168,8 +169,8 @@ mod tests {
         let sum = |images: Vec<RadianceImage>| -> f64 {
             images[0].mean.iter().map(|p| f64::from(p[0])).sum()
         };
-        let polarised = render_polarised(scene, &brdf, &options, &|_| {}).unwrap();
-        sum(polarised) / sum(render(scene, &brdf, &options, &|_| {}))
+        let polarised = render_polarised(scene, &brdf, &options, &()).unwrap();
+        sum(polarised) / sum(render(scene, &brdf, &options))
     }
 
     /// The normal of a mirror that turns light from direction `to_light` to `to_viewer`.
@@ -247,8 +248,8 @@ mod tests {
                 max_reflections: reflections,
                 ..RenderOptions::default()
             };
-            let scalar = render(&scene, brdf, &options, &|_| {}).remove(0);
-            let polarised = render_polarised(&scene, brdf, &options, &|_| {})
+            let scalar = render(&scene, brdf, &options).remove(0);
+            let polarised = render_polarised(&scene, brdf, &options, &())
                 .unwrap()
                 .remove(0);
             for (a, b) in scalar.mean.iter().zip(&polarised.mean) {
@@ -263,8 +264,8 @@ mod tests {
             max_reflections: 2,
             ..RenderOptions::default()
         };
-        let scalar = render(&scene, &blend, &options, &|_| {}).remove(0);
-        let polarised = render_polarised(&scene, &blend, &options, &|_| {}).unwrap();
+        let scalar = render(&scene, &blend, &options).remove(0);
+        let polarised = render_polarised(&scene, &blend, &options, &()).unwrap();
         for (a, b) in scalar.mean.iter().zip(&polarised[0].mean) {
             assert!(b[0] > 0.0 && b[0] <= 2.0 * a[0], "{a:?} {b:?}");
         }
@@ -276,7 +277,7 @@ mod tests {
         let grey = single(Atom::Lambertian { albedo: 0.5 });
         let mut scene = two_mirrors(Vec3::Z, Vec3::X * 6.0, Vec3::Z, DVec3::Z);
         let refusal = |scene: &Scene, brdf: &dyn Brdf| {
-            render_polarised(scene, brdf, &RenderOptions::default(), &|_| {})
+            render_polarised(scene, brdf, &RenderOptions::default(), &())
                 .unwrap_err()
                 .to_string()
         };

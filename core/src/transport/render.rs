@@ -9,6 +9,7 @@ use super::proposal::Proposal;
 use super::scene::{Scene, Surface};
 use crate::brdf::Brdf;
 use crate::geometry::Ray;
+use crate::progress::Progress;
 use crate::radiance_image::RadianceImage;
 
 /// How to render.
@@ -65,13 +66,17 @@ impl RenderOptions {
     }
 }
 
-/// Renders one image per lamp of the scene. `progress` is told the number of
-/// finished rows of pixels, from any thread.
-pub fn render(
+/// Renders one image per lamp of the scene.
+pub fn render(scene: &Scene, brdf: &dyn Brdf, options: &RenderOptions) -> Vec<RadianceImage> {
+    render_with_progress(scene, brdf, options, &())
+}
+
+/// [`render`], with the rows of pixels as the steps of its progress.
+pub fn render_with_progress(
     scene: &Scene,
     brdf: &dyn Brdf,
     options: &RenderOptions,
-    progress: &(dyn Fn(usize) + Sync),
+    progress: &dyn Progress,
 ) -> Vec<RadianceImage> {
     render_carrying::<[f64; 3]>(scene, brdf, options, progress)
 }
@@ -123,11 +128,11 @@ pub(super) fn render_carrying<C: Carrier>(
     scene: &Scene,
     brdf: &dyn Brdf,
     options: &RenderOptions,
-    progress: &(dyn Fn(usize) + Sync),
+    progress: &dyn Progress,
 ) -> Vec<RadianceImage> {
     let [width, height] = scene.camera.resolution_px;
     let lights = scene.lights.len();
-    let done = std::sync::atomic::AtomicUsize::new(0);
+    progress.begin("rendering", Some(height));
     let continuations = options.continuations(scene);
     let rows: Vec<Vec<PixelSums>> = (0..height)
         .into_par_iter()
@@ -137,7 +142,7 @@ pub(super) fn render_carrying<C: Carrier>(
                     render_pixel::<C>(scene, brdf, options, &continuations, row * width + column)
                 })
                 .collect();
-            progress(done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1);
+            progress.advance(1);
             pixels
         })
         .collect();

@@ -32,7 +32,7 @@ fn image(scrambles: Option<u32>, seed: u64) -> RadianceImage {
         scrambles,
         ..RenderOptions::default()
     };
-    render(&scene, &even, &options, &|_| {}).remove(0)
+    render(&scene, &even, &options).remove(0)
 }
 
 /// Mean over the lit pixels of the squared difference over the variance that both state, and

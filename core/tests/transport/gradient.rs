@@ -383,7 +383,7 @@ fn derivatives_are_differences_of_rendered_images() {
                     seed,
                     ..RenderOptions::default()
                 };
-                render(&scene, &brdf, &options, &|_| {}).remove(0).mean
+                render(&scene, &brdf, &options).remove(0).mean
             };
             let pairs = image(12).into_iter().zip(image(1));
             pairs
@@ -437,7 +437,7 @@ fn cached_paths_give_the_rendered_image() {
             proposal: Proposal::resembling(&truth, 0.1),
             ..RenderOptions::default()
         };
-        let image = render(&scene, &truth, &options, &|_| {}).remove(0);
+        let image = render(&scene, &truth, &options).remove(0);
         let options = CacheOptions {
             samples_per_cell: 1024,
             max_reflections: 8,

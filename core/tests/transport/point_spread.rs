@@ -97,7 +97,7 @@ fn a_slanted_edge_has_the_analytic_spread() {
             seed,
             ..RenderOptions::default()
         };
-        let image = render(&scene, &white(), &options, &|_| {}).remove(0);
+        let image = render(&scene, &white(), &options).remove(0);
         let brdf = white();
         let cells = Cells::of_pixels(scene.camera.resolution_px);
         let direct = DirectMatrix::new(&scene, &cells, brdf.dictionary(), 16, 5);
@@ -150,14 +150,14 @@ fn options(samples_per_pixel: u32, seed: u64) -> RenderOptions {
 #[test]
 fn a_blurred_image_is_the_sharp_one_convolved() {
     let seen = bowl(blurred(above([SIDE; 2]), BLUR_PX));
-    let image = render(&seen, &white(), &options(800, 21), &|_| {}).remove(0);
+    let image = render(&seen, &white(), &options(800, 21)).remove(0);
     let (fine, margin) = (6, 5);
     let wide = SIDE + 2 * margin;
     let mut camera = above([wide * fine; 2]);
     camera.projection = Projection::Orthographic {
         extent_mm: DVec2::splat(2.2 * wide as f64 / SIDE as f64),
     };
-    let sharp = render(&bowl(camera), &white(), &options(16, 22), &|_| {}).remove(0);
+    let sharp = render(&bowl(camera), &white(), &options(16, 22)).remove(0);
     // Part of a pixel's footprint in each fine pixel along one axis: by the normal
     // integral at the middle of fine steps.
     let share = |coarse: usize| -> Vec<f64> {
@@ -202,7 +202,7 @@ fn a_blurred_image_is_the_sharp_one_convolved() {
 fn a_fit_sees_the_same_blur() {
     let scene = bowl(blurred(above([SIDE; 2]), BLUR_PX));
     let brdf = white();
-    let rendered = render(&scene, &brdf, &options(800, 31), &|_| {}).remove(0);
+    let rendered = render(&scene, &brdf, &options(800, 31)).remove(0);
     let cells = Cells::of_pixels(scene.camera.resolution_px);
     let direct = DirectMatrix::new(&scene, &cells, brdf.dictionary(), 32, 6);
     let groups: Vec<Vec<f64>> = (0..8)

@@ -314,7 +314,7 @@ impl Case {
             ..options.clone()
         };
         let scale = f64::from(pilot.samples_per_pixel) / f64::from(self.samples);
-        let pilot = render(scene, &(self.material)(), &pilot, &|_| {}).remove(0);
+        let pilot = render(scene, &(self.material)(), &pilot).remove(0);
         let [width, _] = scene.camera.resolution_px;
         let reliable = |i: usize| {
             let promised = (f64::from(pilot.variance[i][0]) * scale).sqrt();
@@ -430,7 +430,7 @@ fn renders_agree_with_an_independent_renderer() {
     for case in CASES {
         let scene = case.scene();
         let options = case.options(&scene);
-        let image = render(&scene, &(case.material)(), &options, &|_| {}).remove(0);
+        let image = render(&scene, &(case.material)(), &options).remove(0);
         let chosen = case.choose(&scene, &options);
         let a = Agreement::new(&image, &case.reference(), case.groups, &chosen);
         let name = format!("{}_{}", case.mesh, case.name);
@@ -493,7 +493,7 @@ fn the_comparison_has_power() {
         ),
     ];
     for (name, lobe, passes) in lobes {
-        let mut image = render(&scene, &lobe, &options, &|_| {}).remove(0);
+        let mut image = render(&scene, &lobe, &options).remove(0);
         let a = Agreement::new(&image, &reference, case.groups, &chosen);
         println!("{name}: {a:?}");
         let z_passes = a.p_normal > significance() && a.p_chi2 > significance();
@@ -533,7 +533,7 @@ fn lambertian_bowl_agrees_with_the_closed_form() {
             proposal: Proposal::resembling(&brdf, 0.0),
             ..RenderOptions::default()
         };
-        let image = render(&scene, &brdf, &options, &|_| {}).remove(0);
+        let image = render(&scene, &brdf, &options).remove(0);
         let (mut total, mut expected, mut variance) = (0.0, 0.0, 0.0);
         let (mut chi2, mut pixels) = (0.0, 0.0);
         for (i, _) in mask.iter().enumerate().filter(|&(_, &m)| m > 0.0) {

@@ -25,6 +25,9 @@ use crate::transport::points::{Independent, Numbers};
 use crate::transport::scene::Surface;
 use crate::transport::{Cells, Continuations, Proposal, Scene, Steering};
 
+/// Reach over which derivatives by way of other surfaces are averaged, parts of the image's width.
+pub(in crate::inverse) const AVERAGED: f64 = 3.0 / 64.0;
+
 /// How derivative images are traced.
 #[derive(Clone, Debug)]
 pub struct DerivativeOptions {

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use nalgebra::{DMatrix, DVector};
 
-use super::derivatives::{DerivativeImages, DerivativeOptions};
+use super::derivatives::{AVERAGED, DerivativeImages, DerivativeOptions};
 use super::parameters::{Bench, BenchPriors, Parameter};
 use super::spectrum::Spectrum;
 use super::system::{BenchLinearisation, Model, Normal};
@@ -18,6 +18,7 @@ use crate::inverse::objective::{Linearised, Modelled, Objective, ResidualWeights
 use crate::inverse::refine::DEFENSIVE;
 use crate::inverse::solve::{Paths, Solution, solve};
 use crate::inverse::uncertainty::LEAST_SPREAD;
+use crate::progress::Progress;
 use crate::random::{Purpose, stream};
 use crate::transport::{Proposal, Scene};
 
@@ -63,9 +64,6 @@ impl Default for RefineOptions {
 /// The round from which on all paths are traced, and like ones: benches of two rounds can be
 /// compared. Those before have a half of them, a quarter and so on.
 const ALL_PATHS: usize = 3;
-
-/// Reach over which derivatives by way of other surfaces are averaged, parts of the image's width.
-pub(in crate::inverse) const AVERAGED: f64 = 3.0 / 64.0;
 
 /// Mean square of a refused bench over that of the best, up to which it did not lead far off.
 const WITHIN_NOISE: f64 = 1.25;
@@ -118,11 +116,11 @@ impl RefinedBench {
         &self,
         dictionary: &Dictionary,
         options: &FitOptions,
-        stage: &mut dyn FnMut(&str),
+        progress: &dyn Progress,
     ) -> Result<Fit, FitError> {
         let bench = self.linearisation.as_ref();
         let (scene, captured) = (&self.scene, &self.captured);
-        let mut fit = fit_on_bench(scene, captured, dictionary, options, bench, stage)?;
+        let mut fit = fit_on_bench(scene, captured, dictionary, options, bench, progress)?;
         fit.timings.insert(0, ("refine bench", self.seconds));
         Ok(fit)
     }
@@ -130,7 +128,7 @@ impl RefinedBench {
 
 /// Refines the bench within `priors` by the captured image of each light of `scene`, which is
 /// the bench as described, with the weights of `dictionary` free to follow. `options` are
-/// those of the fit that is to come. `stage` is told what begins.
+/// those of the fit that is to come. `progress` hears what begins.
 pub fn refine_bench(
     scene: &Scene,
     captured: &Captured,
@@ -138,7 +136,7 @@ pub fn refine_bench(
     options: &FitOptions,
     priors: &BenchPriors,
     refine: &RefineOptions,
-    stage: &mut dyn FnMut(&str),
+    progress: &dyn Progress,
 ) -> Result<RefinedBench, FitError> {
     check_count(scene, captured.images.len())?;
     let clock = std::time::Instant::now();
@@ -157,7 +155,7 @@ pub fn refine_bench(
     let (mut first_chi2, mut taken, mut settled) = (f64::NAN, 0, false);
     while taken < refine.rounds && !bench.parameters().is_empty() && !settled {
         taken += 1;
-        stage(&format!("refining the bench, round {taken}"));
+        progress.begin(&format!("refining the bench, round {taken}"), None);
         let round = rounds.take(&values, taken, 0)?;
         if first_chi2.is_nan() {
             first_chi2 = round.chi2;
@@ -217,7 +215,7 @@ pub fn refine_bench(
     };
     let mut linearisation = None;
     if best.is_some() {
-        stage("what the refined bench leaves open");
+        progress.begin("what the refined bench leaves open", None);
         let samples = (refine.derivative_samples / 2).max(1);
         let last = rounds.take(&values, taken.max(ALL_PATHS) + 1, samples)?;
         let known = last.spectrum.answering(&last.response);
@@ -369,7 +367,7 @@ impl Rounds<'_> {
             .samples_per_cell
             .saturating_mul(refine.times_paths);
         options.cache.samples_per_cell = (all_paths >> early).max(8);
-        let quiet = &mut |_: &str| {};
+        let quiet = &();
         let paths = Paths::trace(
             &scene,
             &self.captured.cells,

@@ -217,7 +217,7 @@ fn derivatives_are_those_of_independent_renders() {
             proposal: options.proposal.clone(),
             ..RenderOptions::default()
         };
-        render(&bench.scene(values), &brdf, &options, &|_| {})
+        render(&bench.scene(values), &brdf, &options)
     };
     let mut compared = 0;
     for (k, parameter) in bench.parameters().iter().enumerate() {
@@ -337,7 +337,7 @@ fn captured(fine: &Scene, values: &DVector<f64>, brdf: &Mixture) -> Vec<Radiance
         ..RenderOptions::default()
     };
     let scene = Bench::new(fine, &priors()).scene(values);
-    let mut images = render(&scene, brdf, &options, &|_| {});
+    let mut images = render(&scene, brdf, &options);
     let mut numbers = stream(3, Purpose::Experiment, 0, 0, 0);
     for image in &mut images {
         for (mean, variance) in image.mean.iter_mut().zip(&mut image.variance) {
@@ -382,7 +382,7 @@ fn refined(values: &DVector<f64>, size: usize) -> (RefinedBench, Captured, Mixtu
         &options(),
         &priors(),
         &how,
-        &mut |_| {},
+        &(),
     );
     (result.unwrap(), images, brdf)
 }
@@ -431,14 +431,7 @@ fn misplaced_lights_come_back() {
     let z = |k: usize| error(k) / estimate.parameters[k].deviation;
     assert!(rms(&z, 0..15) < 2.0, "{estimate:?}");
     // The spread of the reflectance, over draws with the bench's share and without.
-    let plain = fit(
-        &refined.scene,
-        &images,
-        brdf.dictionary(),
-        &options(),
-        &mut |_| {},
-    )
-    .unwrap();
+    let plain = fit(&refined.scene, &images, brdf.dictionary(), &options()).unwrap();
     let angles = [10.0f64, 30.0, 50.0].map(f64::to_radians);
     let cells: Vec<Vec<f64>> = angles
         .iter()
@@ -466,9 +459,7 @@ fn misplaced_lights_come_back() {
         };
         (cells.iter().map(relative).sum::<f64>() / cells.len() as f64).sqrt()
     };
-    let on_refined = refined
-        .fit(brdf.dictionary(), &options(), &mut |_| {})
-        .unwrap();
+    let on_refined = refined.fit(brdf.dictionary(), &options(), &()).unwrap();
     let [with, without] = [&on_refined.draws, &plain.draws].map(|draws| spread(draws));
     assert!(
         with > without,

@@ -136,7 +136,7 @@ fn a_cells_model_is_the_mean_of_its_pixels() {
         proposal: Proposal::resembling(&material, 0.2),
         ..RenderOptions::default()
     };
-    let mut images = render(&scene, &material, &options, &|_| {});
+    let mut images = render(&scene, &material, &options);
     // Every seventh pixel of one image says nothing.
     for pixel in (0..images[1].valid.len()).step_by(7) {
         images[1].valid[pixel] = false;

@@ -135,7 +135,7 @@ mod tests {
                 proposal: Proposal::resembling(&mixture, 0.3),
                 ..RenderOptions::default()
             };
-            render(&scene, &departed, &options, &|_| {})
+            render(&scene, &departed, &options)
         };
         let (at, step) = ([1.0, -0.5], 0.05);
         let captured = rendered(at);
@@ -144,15 +144,8 @@ mod tests {
         options.cache.samples_per_cell = 4096;
         options.cache.max_reflections = 4;
         let compared = Captured::of_pixels(&captured, |_| true);
-        let paths = Paths::trace(
-            &scene,
-            &compared.cells,
-            &dictionary,
-            None,
-            &options,
-            &mut |_| {},
-        )
-        .unwrap();
+        let paths =
+            Paths::trace(&scene, &compared.cells, &dictionary, None, &options, &()).unwrap();
         let objective = paths.objective(&compared, &options);
         let g = departure(at);
         let departed = Departed::new(mixture.clone(), &[g]);
