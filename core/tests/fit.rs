@@ -6,7 +6,7 @@
 use std::sync::Arc;
 
 use glam::{DVec2, DVec3};
-use rig_core::brdf::departure::Departed;
+use rig_core::brdf::discrepancy::Material;
 use rig_core::brdf::score::{brdf_errors, cells};
 use rig_core::brdf::{Atom, Brdf, Dictionary, Mixture};
 use rig_core::geometry::shapes::Form;
@@ -166,7 +166,7 @@ fn the_truth_comes_back_through_interreflections() {
         );
         // Cells of one fit err together, so fewer than 95% may hold the truth; and hardly
         // any is told much better than by the prior of few atoms (docs/adr/0006).
-        let true_cells = intervals::table(&Departed::nowhere(truth.clone()), &[], &theta, &theta);
+        let true_cells = intervals::table(&Material::from(truth.clone()), &[], &theta, &theta);
         let held = cells.iter().zip(&true_cells).flat_map(|(cell, truth)| {
             (0..3).map(move |c| (cell.lower[c]..=cell.upper[c]).contains(&truth.value[c]))
         });
@@ -301,7 +301,7 @@ fn dust_counts_for_less() {
             &mut |_| {},
         )
         .unwrap();
-        (errors(&fit, &dictionary, &truth)[0], fit.doubted)
+        (errors(&fit, &dictionary, &truth)[0], fit.outlier_fraction)
     });
     println!("without dust {without:?}, with {with:?} (cube-root error, doubted)");
     assert!(with.0 < 0.02 && with.0 < 2.0 * without.0);
@@ -338,7 +338,7 @@ fn images_that_do_not_belong_to_the_scene_are_refused() {
     ));
 }
 
-/// A departure from the mesh that is stated is a part of the budget of its own and leaves
+/// A discrepancy from the mesh that is stated is a part of the budget of its own and leaves
 /// the minimum; none that is not. (How large that part is: `inverse::form`.)
 #[test]
 fn a_stated_form_error_is_a_part_of_the_budget() {

@@ -28,7 +28,7 @@ use crate::report;
 use crate::session::commit::SystemDisk;
 use crate::session::fit_record::{
     self, AngleCell, AngleTable, AtomRecord, BenchParameter, BenchRecord, BudgetRecord, BudgetRow,
-    DepartureRecord, FitImages, FitRecord, FitSettings, Grade, Timing, TracePoint, Warning,
+    DiscrepancyRecord, FitImages, FitRecord, FitSettings, Grade, Timing, TracePoint, Warning,
 };
 use crate::session::{SessionWriter, layout};
 use crate::transport::{Kernel, RenderOptions, Scene, truncation_remainder};
@@ -361,10 +361,10 @@ impl FitPlan {
         record.remarks = remarks;
         record.bench = bench.as_ref().map(bench_record);
         progress.finish();
-        if fit.departure > 0.0 {
+        if fit.discrepancy > 0.0 {
             context.note(format!(
                 "the material departs from every mixture of {}, {:.1} times as much as measured materials usually do; its f in table.csv and in exports to merl, rgl and pbrt allows for it, weights and an export to mitsuba are the closest mixture",
-                record.dictionary, fit.departure
+                record.dictionary, fit.discrepancy
             ));
         }
         Ok((
@@ -450,10 +450,10 @@ impl FitPlan {
                 .map_or(0.0, |(_, step)| step.loss.iter().sum()),
             reduced_chi_square: fit.comparison.reduced_chi2(),
             truncation_remainder: Vec::new(),
-            doubted: fit.doubted.clone(),
-            departure: (fit.departure > 0.0).then(|| DepartureRecord {
-                amplitude: fit.departure,
-                by_channel: fit.material.departures.clone(),
+            outlier_fraction: fit.outlier_fraction.clone(),
+            discrepancy: (fit.discrepancy > 0.0).then(|| DiscrepancyRecord {
+                amplitude: fit.discrepancy,
+                by_channel: fit.material.discrepancies.clone(),
             }),
             termination: fit.termination.to_string(),
             trace: fit

@@ -11,7 +11,7 @@ use super::diagnosis::{self, Diagnosis, Examined};
 use super::exponentiated_gradient::ExponentiatedGradient;
 use super::findings::{self, Finding, Judged};
 use super::gauss_newton::GaussNewton;
-use super::objective::{Channels, DepartedModel};
+use super::objective::{Channels, DiscrepancyModel};
 use super::posterior::{Posterior, posterior};
 use super::projection::ProjectionError;
 use super::refine::{Refine, refine};
@@ -20,8 +20,8 @@ use super::solve::{Paths, Solution, Solved, solve};
 use super::trace::{Step, Termination};
 use super::uncertainty::Draws;
 use crate::brdf::Atom;
-use crate::brdf::departure::Departed;
 use crate::brdf::dictionary::Dictionary;
+use crate::brdf::discrepancy::Material;
 use crate::geometry::FormError;
 use crate::transport::cache::CacheError;
 use crate::transport::{CacheOptions, Kernel, Scene};
@@ -96,14 +96,14 @@ pub struct Fit {
     /// What is reported: a mixture (weights per channel × atoms; equal vectors if shared) of the
     /// dictionary given, or of one with more atoms, and how the material departs from it. Of
     /// Gauss–Newton, of least expected error over the draws (docs/adr/0006, docs/adr/0032).
-    pub material: Departed,
+    pub material: Material,
     /// The single-bounce start of Eq. (13) in the dictionary given, per channel.
     pub start: [Vec<f64>; 3],
     /// Posterior and prior draws per channel.
     pub draws: Vec<Draws>,
     /// How much the material departs from every mixture, in units of what measured materials do
     /// (docs/adr/0032); 0 where the images do not ask for it.
-    pub departure: f64,
+    pub discrepancy: f64,
     /// How the material's images compare with those captured.
     pub comparison: Comparison,
     /// What the residual looks like.
@@ -111,7 +111,7 @@ pub struct Fit {
     /// What else speaks against the fit.
     pub findings: Vec<Finding>,
     /// Part of each light's values that were believed less, as isolated outliers.
-    pub doubted: Vec<f64>,
+    pub outlier_fraction: Vec<f64>,
     /// Loss at every evaluated point, with the seconds since the start.
     pub trace: Vec<(f64, Step)>,
     /// Why the last round ended.
@@ -209,7 +209,7 @@ pub(super) fn fit_from(
     let Posterior {
         draws,
         material,
-        departure,
+        discrepancy,
     } = timings.time("uncertainty", || {
         posterior(scene, &paths, &objective, &solved, options, bench)
     })?;
@@ -221,15 +221,15 @@ pub(super) fn fit_from(
         ..
     } = solved;
     let cache = &paths.cache;
-    let doubted = (0..objective.lights())
-        .map(|light| objective.doubted(&pass.model, light))
+    let outlier_fraction = (0..objective.lights())
+        .map(|light| objective.outlier_fraction(&pass.model, light))
         .collect();
     let departed = timings.time("images", || {
-        (departure > 0.0)
-            .then(|| DepartedModel::of_all(&objective, scene, &material, options.cache.seed))
+        (discrepancy > 0.0)
+            .then(|| DiscrepancyModel::of_all(&objective, scene, &material, options.cache.seed))
     });
     let objective = match &departed {
-        Some(model) => objective.departed(model),
+        Some(model) => objective.with_discrepancy(model),
         None => objective,
     };
     let reported: Vec<_> = (0..objective.sets())
@@ -268,10 +268,10 @@ pub(super) fn fit_from(
         material,
         start: solution.start.clone(),
         draws,
-        departure,
+        discrepancy,
         comparison,
         diagnosis,
-        doubted,
+        outlier_fraction,
         trace: solution.trace.clone(),
         termination,
         timings: solution.timings.0.clone(),
@@ -283,7 +283,7 @@ pub(super) fn fit_from(
 }
 
 /// Weight of the atom that reflects nothing, per channel.
-fn black_weights(material: &Departed) -> [Option<f64>; 3] {
+fn black_weights(material: &Material) -> [Option<f64>; 3] {
     let mixture = &material.mixture;
     let atoms = mixture.dictionary().atoms();
     let black = atoms.iter().position(|atom| *atom == Atom::Black);

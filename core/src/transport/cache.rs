@@ -14,7 +14,7 @@ use super::cells::Cells;
 use super::continuation::{Continuations, Kind, Steering};
 use super::event::{GeneralRecord, GridRecord, Head, LaneAtoms, MAX_LIGHTS, Record};
 use super::guide::Guide;
-use super::points::{Numbers, PathNumbers};
+use super::points::{Sampler, SobolSampler};
 use super::proposal::Proposal;
 use super::scene::{Scene, Surface};
 use crate::brdf::dictionary::Dictionary;
@@ -236,7 +236,7 @@ struct Walk {
     to_viewer: Vec3,
     reflections: u32,
     kind: Kind,
-    numbers: PathNumbers,
+    numbers: SobolSampler,
 }
 
 impl Tracer<'_> {
@@ -327,7 +327,7 @@ impl Tracer<'_> {
         let (scene, atoms, options) = (self.scene, self.atoms, self.options);
         for sample in 0..samples {
             let (numbers, ray) =
-                PathNumbers::begin_in(&scene.camera, self.cells, options.seed, cell, half, sample);
+                SobolSampler::begin_in(&scene.camera, self.cells, options.seed, cell, half, sample);
             let begin = records.len();
             // Up to here the path has contributed; records after it lead nowhere.
             let mut useful = begin;

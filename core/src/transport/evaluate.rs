@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use super::cache::{Cache, Chunk, Records};
 use super::event::{LaneAtoms, MAX_LIGHTS, Record};
 use super::lanes::{Lanes, Portable};
-use crate::brdf::departure::NODES;
+use crate::brdf::discrepancy::NODES;
 
 /// Which instructions evaluate the cache.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -68,7 +68,7 @@ pub struct CellRows<'a> {
     pub variance: &'a [f32],
     /// `jacobian[half][r · atoms + atom]`.
     pub jacobian: [&'a [f32]; 2],
-    /// Derivatives by ln f at the nodes of a departure, `nodes[half][r · NODES + node]`; empty
+    /// Derivatives by ln f at the nodes of a discrepancy, `nodes[half][r · NODES + node]`; empty
     /// unless asked for.
     pub nodes: [&'a [f32]; 2],
 }
@@ -80,11 +80,11 @@ const MAX_GROUPS: usize = 256;
 /// Weights of one mixture per channel; all channels may share one.
 pub type ChannelWeights<'a> = &'a [&'a [f64]];
 
-/// How a material departs from the mixture in an evaluation.
+/// The discrepancy of a material in an evaluation.
 #[derive(Clone, Copy, Default)]
-pub struct Departing<'a> {
-    /// Per channel, factors of f at the nodes of [`crate::brdf::departure`]; none where it does
-    /// not depart.
+pub struct NodeFactors<'a> {
+    /// Per channel, factors of f at the nodes of [`crate::brdf::discrepancy`]; empty
+    /// without discrepancy.
     pub factors: &'a [[f32; NODES]],
     /// Whether derivatives by ln f at the nodes are wanted.
     pub by_node: bool,
@@ -104,15 +104,15 @@ impl Cache {
         group: impl Fn() -> T + Sync,
         visit: impl Fn(&mut T, &CellRows<'_>) + Sync,
     ) -> Vec<T> {
-        self.evaluate_departed(kernel, weights, &Departing::default(), group, visit)
+        self.evaluate_with_discrepancy(kernel, weights, &NodeFactors::default(), group, visit)
     }
 
-    /// [`Cache::evaluate`] for a material that departs from the mixture.
-    pub fn evaluate_departed<T: Send>(
+    /// [`Cache::evaluate`] for a mixture with discrepancy.
+    pub fn evaluate_with_discrepancy<T: Send>(
         &self,
         kernel: Kernel,
         weights: ChannelWeights<'_>,
-        departing: &Departing<'_>,
+        discrepancy: &NodeFactors<'_>,
         group: impl Fn() -> T + Sync,
         visit: impl Fn(&mut T, &CellRows<'_>) + Sync,
     ) -> Vec<T> {
@@ -123,12 +123,22 @@ impl Cache {
         macro_rules! by_channels {
             ($chunks:expr, $b:literal) => {
                 match weights.len() {
-                    1 => {
-                        self.run::<$b, 1, _, _>(kernel, $chunks, weights, departing, &group, &visit)
-                    }
-                    3 => {
-                        self.run::<$b, 3, _, _>(kernel, $chunks, weights, departing, &group, &visit)
-                    }
+                    1 => self.run::<$b, 1, _, _>(
+                        kernel,
+                        $chunks,
+                        weights,
+                        discrepancy,
+                        &group,
+                        &visit,
+                    ),
+                    3 => self.run::<$b, 3, _, _>(
+                        kernel,
+                        $chunks,
+                        weights,
+                        discrepancy,
+                        &group,
+                        &visit,
+                    ),
                     n => panic!("{n} channels of weights; 1 or 3 are possible"),
                 }
             };
@@ -148,11 +158,11 @@ impl Cache {
         kernel: Kernel,
         chunks: &[Chunk<R>],
         weights: ChannelWeights<'_>,
-        departing: &Departing<'_>,
+        discrepancy: &NodeFactors<'_>,
         new: &(impl Fn() -> T + Sync),
         visit: &(impl Fn(&mut T, &CellRows<'_>) + Sync),
     ) -> Vec<T> {
-        let mixture = Mixture::<B, C>::new(&self.atoms, weights, departing.factors);
+        let mixture = Mixture::<B, C>::new(&self.atoms, weights, discrepancy.factors);
         let atoms = self.atoms.atoms();
         let rows = self.lights * C;
         chunks
@@ -162,9 +172,10 @@ impl Cache {
             .map(|group| {
                 let mut accumulator = new();
                 let mut scratch = Scratch::new();
-                let mut sums = [(); 2].map(|()| Sums::<B, C>::new(self.lights, departing.by_node));
+                let mut sums =
+                    [(); 2].map(|()| Sums::<B, C>::new(self.lights, discrepancy.by_node));
                 let mut jacobian = [(); 2].map(|()| vec![0.0; rows * atoms]);
-                let nodes = if departing.by_node { rows * NODES } else { 0 };
+                let nodes = if discrepancy.by_node { rows * NODES } else { 0 };
                 let mut nodes = [(); 2].map(|()| vec![0.0; nodes]);
                 let mut values = [(); 2].map(|()| vec![0.0; rows]);
                 let mut variance = vec![0.0; rows];
@@ -438,12 +449,12 @@ fn sweep<L: Lanes, const B: usize, const C: usize, R: Record<B>>(
         let head = records[i].head();
         let kind = head.kind();
         let scale = head.scale();
-        let departed = &mixture.factors[head.node()];
+        let node_factors = &mixture.factors[head.node()];
         let dot = records[i].dot::<L, C>(&step.unpacked, &weights);
         // About as many records come next: the pixel's other half, or the next pixel.
         L::prefetch(&records[i], n);
         for c in 0..C {
-            let weight = head.weight * departed[c];
+            let weight = head.weight * node_factors[c];
             step.f[c] = L::fused(dot[c], scale, mixture.lambertian[c]);
             let gain = step.f[c] * weight;
             before[c] = L::fused(before[c], factor[c] * kind.later, kind.first);

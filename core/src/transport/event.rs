@@ -11,8 +11,8 @@ use half::f16;
 use half::slice::HalfFloatSliceExt;
 
 use super::lanes::Lanes;
-use crate::brdf::departure;
 use crate::brdf::dictionary::{Dictionary, MAX_ATOMS};
+use crate::brdf::discrepancy;
 use crate::brdf::evaluator::Evaluator;
 use crate::brdf::ggx::{self, Cosines};
 
@@ -29,7 +29,7 @@ pub const MAX_LIGHTS: usize = LIGHT as usize + 1;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Head {
     /// Continuation: cos θ/pdf; connection: irradiance over the lamp's strength. Of a record, its
-    /// last eight bits are the node of the departure that stands for the pair of directions.
+    /// last eight bits are the node of the discrepancy that stands for the pair of directions.
     pub weight: f32,
     /// Exponent of the power of two that multiplies the stored values.
     pub exponent: i8,
@@ -84,7 +84,7 @@ impl Head {
         usize::from(self.tag & LIGHT)
     }
 
-    /// The departure's node ([`departure::node_near`]).
+    /// The discrepancy's node ([`discrepancy::node_near`]).
     #[inline(always)]
     pub fn node(&self) -> usize {
         usize::from(self.weight.to_bits() as u8)
@@ -94,7 +94,7 @@ impl Head {
     #[inline]
     fn at(self, at: &Cosines<f32>) -> Self {
         let bits = self.weight.to_bits().saturating_add(0x80) & !0xff;
-        let node = departure::node_near(at.sin2_h, at.cos_d);
+        let node = discrepancy::node_near(at.sin2_h, at.cos_d);
         Self {
             weight: f32::from_bits(bits | u32::from(node)),
             ..self

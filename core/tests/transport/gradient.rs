@@ -339,7 +339,7 @@ fn a_highlight_does_not_hide_the_dark_beside_it() {
         0.04,
     );
     let modelled = |pixel: usize| Modelled {
-        once: radiance(pixel),
+        direct: radiance(pixel),
         ..Modelled::default()
     };
     let model = (0..PIXELS * PIXELS).map(|pixel| [modelled(pixel); 3]);
