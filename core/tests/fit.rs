@@ -15,7 +15,7 @@ use rig_core::inverse::budget::{self, Source};
 use rig_core::inverse::cells::AverageError;
 use rig_core::inverse::exponentiated_gradient::ExponentiatedGradient;
 use rig_core::inverse::{
-    Captured, CellOptions, Channels, Fit, FitOptions, Optimizer, Refine, fit, intervals,
+    Captured, CellOptions, Channels, Fit, FitOptions, Optimizer, fit, intervals,
 };
 use rig_core::radiance_image::RadianceImage;
 use rig_core::transport::{
@@ -75,9 +75,9 @@ fn truth(dictionary: &Arc<Dictionary>) -> Mixture {
         weights
     };
     let weights = [
-        channel(&[(26, 0.35), (40, 0.5), (41, 0.15)]),
-        channel(&[(21, 0.2), (33, 0.2), (40, 0.5), (41, 0.1)]),
-        channel(&[(28, 0.25), (40, 0.65), (41, 0.1)]),
+        channel(&[(5, 0.35), (24, 0.5), (25, 0.15)]),
+        channel(&[(13, 0.2), (8, 0.2), (24, 0.5), (25, 0.1)]),
+        channel(&[(6, 0.25), (24, 0.65), (25, 0.1)]),
     ];
     Mixture::new(dictionary.clone(), weights).unwrap()
 }
@@ -107,7 +107,7 @@ fn one_round(optimizer: Optimizer, channels: Channels) -> FitOptions {
         optimizer,
         channels,
         rounds: 1,
-        refine: Refine::NONE,
+        adapt_paths: false,
         draws: 20,
         ..options()
     }
@@ -127,7 +127,7 @@ fn averaged(scene: &Scene, images: &[RadianceImage]) -> Captured {
 
 #[test]
 fn the_truth_comes_back_through_interreflections() {
-    let dictionary = Arc::new(Dictionary::grid42());
+    let dictionary = Arc::new(Dictionary::rig26());
     let truth = truth(&dictionary);
     let oblique = DVec3::new(0.5, 0.2, 1.0);
     for (name, shape, fine, lights, limit) in [
@@ -186,7 +186,7 @@ fn the_truth_comes_back_through_interreflections() {
 
 #[test]
 fn both_optimisers_lower_the_same_loss() {
-    let dictionary = Arc::new(Dictionary::grid42());
+    let dictionary = Arc::new(Dictionary::rig26());
     let truth = truth(&dictionary);
     let lights = [DVec3::Z];
     let captured = images(&scene(bowl(192), &lights), &truth);
@@ -234,7 +234,7 @@ fn both_optimisers_lower_the_same_loss() {
 /// with steps so long that the loss rises again and again.
 #[test]
 fn the_last_point_is_as_good_as_the_best() {
-    let dictionary = Arc::new(Dictionary::grid42());
+    let dictionary = Arc::new(Dictionary::rig26());
     let lights = [DVec3::Z];
     let captured = images(&scene(bowl(192), &lights), &truth(&dictionary));
     let scene = scene(bowl(96), &lights);
@@ -276,7 +276,7 @@ fn the_last_point_is_as_good_as_the_best() {
 /// variance tells of: the material is found as without them, and told of.
 #[test]
 fn dust_counts_for_less() {
-    let dictionary = Arc::new(Dictionary::grid42());
+    let dictionary = Arc::new(Dictionary::rig26());
     let truth = truth(&dictionary);
     let lights = [DVec3::Z, DVec3::new(0.5, 0.2, 1.0)];
     let clean = images(&scene(bowl(192), &lights), &truth);
@@ -289,7 +289,7 @@ fn dust_counts_for_less() {
     }
     let scene = scene(bowl(96), &lights);
     let options = FitOptions {
-        refine: Refine::NONE,
+        adapt_paths: false,
         ..options()
     };
     let [without, with] = [&clean, &dusty].map(|captured| {
@@ -365,7 +365,7 @@ fn a_stated_form_error_is_a_part_of_the_budget() {
     let run = |form_error| {
         let mut options = FitOptions {
             form_error,
-            refine: Refine::NONE,
+            adapt_paths: false,
             ..options()
         };
         options.cache.samples_per_cell = 32;

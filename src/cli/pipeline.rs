@@ -21,8 +21,8 @@ use crate::inverse::cells::{BUDGET, choose};
 use crate::inverse::exponentiated_gradient::ExponentiatedGradient;
 use crate::inverse::gauss_newton::GaussNewton;
 use crate::inverse::{
-    BenchPriors, Captured, CellOptions, Channels, Fit, FitOptions, Optimizer, Refine,
-    RefineOptions, budget, fit, intervals, plausibility, refine_bench,
+    BenchPriors, Captured, CellOptions, Channels, Fit, FitOptions, Optimizer, RefineOptions,
+    budget, fit, intervals, plausibility, refine_bench,
 };
 use crate::report;
 use crate::session::commit::SystemDisk;
@@ -37,16 +37,9 @@ use crate::units::StageAngles;
 /// Choices of a fit that the command line may take over from the configuration.
 #[derive(clap::Args, Debug, Clone, Default)]
 pub struct FitArgs {
-    /// rig26 (the default), paper42, grid42, rig42, or a dictionary file
+    /// rig26 (the default), paper42, or a dictionary file
     #[arg(long, value_name = "D")]
     pub dictionary: Option<String>,
-    /// Rounds of new atoms beside the active ones, in finer and finer steps of alpha and eta, 0 to 8
-    #[arg(long, value_name = "ROUNDS", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=8))]
-    pub refine_atoms: u32,
-    /// Trace the paths once, in directions that suit any material, not again where the fitted
-    /// material sends light
-    #[arg(long)]
-    pub fixed_paths: bool,
     /// How the weights are found
     #[arg(long, value_enum)]
     pub optimizer: Option<OptimizerArg>,
@@ -173,10 +166,6 @@ impl FitPlan {
             } else {
                 Channels::Separate
             },
-            refine: Refine {
-                adapt_paths: !args.fixed_paths,
-                rounds: args.refine_atoms,
-            },
             form_error,
             ..FitOptions::default()
         };
@@ -214,12 +203,6 @@ impl FitPlan {
                 "--uncertainty says how well the bench is known, but the bench is not refined",
             )
             .hint("add --refine-bench, or leave --uncertainty out"));
-        }
-        if args.refine_atoms > 0 && args.optimizer == Some(OptimizerArg::SingleBounce) {
-            return Err(CliError::new(
-                "--optimizer single-bounce takes no --refine-atoms: it is one linear programme",
-            )
-            .hint("leave one of them out"));
         }
         let mut priors = uncertainty.clone();
         args.uncertainty.iter().for_each(|d| d.apply(&mut priors));
@@ -433,8 +416,7 @@ impl FitPlan {
                 memory_mib: self
                     .memory_mib
                     .or(Some((options.cache.max_bytes >> 20) as u64)),
-                adapted_paths: Some(options.refine.adapt_paths),
-                refined_atoms: Some(options.refine.rounds),
+                adapted_paths: Some(options.adapt_paths),
                 shared_weights: Some(options.channels == Channels::Shared),
                 model_error: Some(options.model_error),
                 mask: self.mask.as_ref().map(|path| path.display().to_string()),

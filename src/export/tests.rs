@@ -13,7 +13,7 @@ use crate::session::fit_record::{
 };
 
 fn record(simulated: bool) -> FitRecord {
-    let dictionary = Dictionary::grid42();
+    let dictionary = Dictionary::paper42();
     let channel = |gloss: usize, matte: f64| {
         let mut weights = vec![0.0; 42];
         (weights[gloss], weights[40]) = (0.3, matte);
@@ -230,7 +230,7 @@ fn an_unusable_fit_or_place_is_an_error() {
     let mut bad = record(false);
     bad.atoms[0].alpha = None;
     let error = export(&bad, Format::Mitsuba, &folder.path().join("a.xml")).unwrap_err();
-    assert!(error.to_string().contains("grid42"), "{error}");
+    assert!(error.to_string().contains("paper42"), "{error}");
     let nowhere = folder.path().join("missing/a.json");
     let error = export(&record(false), Format::Json, &nowhere).unwrap_err();
     assert!(error.to_string().contains("missing/a.json"), "{error}");

@@ -72,10 +72,10 @@ fn sphere(brdf: &dyn Brdf) -> RadianceImage {
 }
 
 fn mixture(shift: f64) -> Mixture {
-    let dictionary = Dictionary::grid42();
+    let dictionary = Dictionary::paper42();
     let channel = |gloss: f64, matte: f64| {
         let mut weights = vec![0.0; dictionary.len()];
-        (weights[12], weights[22], weights[31]) = (gloss + shift, 0.04, 0.02 - shift / 4.0);
+        (weights[32], weights[12], weights[38]) = (gloss + shift, 0.04, 0.02 - shift / 4.0);
         weights[40] = matte - shift;
         weights[41] = 1.0 - weights.iter().sum::<f64>();
         weights

@@ -121,8 +121,6 @@ pub struct FitSettings {
     pub memory_mib: Option<u64>,
     /// Whether paths were traced again where the first fit's material sends light.
     pub adapted_paths: Option<bool>,
-    /// Rounds of new atoms beside the active ones.
-    pub refined_atoms: Option<u32>,
     /// One set of weights for all channels.
     pub shared_weights: Option<bool>,
     /// Relative error of the model that the weighting allowed for.

@@ -33,7 +33,7 @@ pub mod sphere;
 pub mod table;
 pub mod weights;
 
-pub use dictionary::{Atom, Dictionary, GridAxes};
+pub use dictionary::{Atom, Dictionary};
 pub use half_difference::HalfDifference;
 pub use lobe_table::LobeTable;
 pub use mixture::Mixture;

@@ -14,17 +14,16 @@ use super::gauss_newton::GaussNewton;
 use super::objective::{Channels, DiscrepancyModel};
 use super::posterior::{Posterior, posterior};
 use super::projection::ProjectionError;
-use super::refine::{Refine, refine};
 use super::simplex::SimplexError;
 use super::solve::{Paths, Solution, Solved, solve};
 use super::trace::{Step, Termination};
 use super::uncertainty::Draws;
-use crate::brdf::Atom;
 use crate::brdf::dictionary::Dictionary;
 use crate::brdf::discrepancy::Material;
+use crate::brdf::{Atom, Mixture};
 use crate::geometry::FormError;
 use crate::transport::cache::CacheError;
-use crate::transport::{CacheOptions, Kernel, Scene};
+use crate::transport::{CacheOptions, Kernel, Proposal, Scene};
 
 /// Which optimiser.
 #[derive(Clone, Debug, PartialEq)]
@@ -66,8 +65,9 @@ pub struct FitOptions {
     pub rounds: usize,
     /// Draws from the posterior, 0..=10 000.
     pub draws: usize,
-    /// Paths and atoms beyond the first fit.
-    pub refine: Refine,
+    /// Trace again with directions proposed by a first solution from a quarter of the paths:
+    /// less noise where the material is glossy.
+    pub adapt_paths: bool,
     /// How far the as-made sample departs from the scene's mesh; `None`: not at all.
     pub form_error: Option<FormError>,
     /// Instructions to use.
@@ -84,7 +84,7 @@ impl Default for FitOptions {
             model_error: 0.02,
             rounds: 3,
             draws: 200,
-            refine: Refine::default(),
+            adapt_paths: true,
             form_error: None,
             kernel: Kernel::detect(),
         }
@@ -161,8 +161,10 @@ pub fn fit(
     fit_on_bench(scene, captured, dictionary, options, None, stage)
 }
 
-/// A first solution that only tells later paths where to go has this many times fewer.
+/// The first solution, which only guides later paths, has this many times fewer of them.
 const QUICKER: u32 = 4;
+/// Probability that a continuation of an adapted path follows the default proposal.
+pub(super) const DEFENSIVE: f32 = 0.4;
 
 /// [`fit`] on a bench that is known within what `bench` says, which widens the draws.
 pub(super) fn fit_on_bench(
@@ -175,9 +177,8 @@ pub(super) fn fit_on_bench(
 ) -> Result<Fit, FitError> {
     check_count(scene, captured.images.len())?;
     let dictionary = Arc::new(dictionary.clone());
-    if options.refine == Refine::NONE || options.optimizer == Optimizer::SingleBounce {
-        let (fit, _) = fit_from(scene, captured, &dictionary, None, options, bench, stage)?;
-        return Ok(fit);
+    if !options.adapt_paths || options.optimizer == Optimizer::SingleBounce {
+        return fit_from(scene, captured, &dictionary, None, options, bench, stage);
     }
     let mut quick = options.clone();
     quick.cache.samples_per_cell = (options.cache.samples_per_cell / QUICKER).max(2);
@@ -187,10 +188,15 @@ pub(super) fn fit_on_bench(
         let objective = paths.objective(captured, &quick);
         solve(&paths, &objective, None, &quick, stage)?.solution
     };
-    refine(scene, captured, first, options, bench, stage)
+    let mut options = options.clone();
+    if let Ok(mixture) = Mixture::new(dictionary.clone(), first.weights.clone()) {
+        options.cache.proposal = Proposal::resembling(&mixture, DEFENSIVE);
+    }
+    let first = Some(&first);
+    fit_from(scene, captured, &dictionary, first, &options, bench, stage)
 }
 
-/// [`fit`] without refinement, from an earlier solution for the same images or from the
+/// [`fit`] on paths traced once, from an earlier solution for the same images or from the
 /// single-bounce start.
 pub(super) fn fit_from(
     scene: &Scene,
@@ -200,7 +206,7 @@ pub(super) fn fit_from(
     options: &FitOptions,
     bench: Option<&BenchLinearisation>,
     stage: &mut dyn FnMut(&str),
-) -> Result<(Fit, Solution), FitError> {
+) -> Result<Fit, FitError> {
     let paths = Paths::trace(scene, &captured.cells, dictionary, earlier, options, stage)?;
     let objective = paths.objective(captured, options);
     let mut solved = solve(&paths, &objective, earlier, options, stage)?;
@@ -214,7 +220,7 @@ pub(super) fn fit_from(
         posterior(scene, &paths, &objective, &solved, options, bench)
     })?;
     let Solved {
-        mut solution,
+        solution,
         mixture,
         pass,
         termination,
@@ -262,24 +268,22 @@ pub(super) fn fit_from(
         black: black_weights(&material),
         reduced_chi2: &reduced_chi2,
     });
-    solution.timings = timings;
-    let fit = Fit {
+    Ok(Fit {
         findings,
         material,
-        start: solution.start.clone(),
+        start: solution.start,
         draws,
         discrepancy,
         comparison,
         diagnosis,
         outlier_fraction,
-        trace: solution.trace.clone(),
+        trace: solution.trace,
         termination,
-        timings: solution.timings.0.clone(),
+        timings: timings.0,
         samples: [2 * cache.samples_per_half, cache.samples_requested],
         cache_size: cache.size(),
         kernel: options.kernel,
-    };
-    Ok((fit, solution))
+    })
 }
 
 /// Weight of the atom that reflects nothing, per channel.

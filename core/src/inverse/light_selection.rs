@@ -555,7 +555,7 @@ mod tests {
         let lights = [
             0.0, 120.0, -30.0, 30.0, 50.0, -50.0, 10.0, -10.0, 20.0, 65.0,
         ];
-        let dictionary = Dictionary::grid42();
+        let dictionary = Dictionary::paper42();
         let materials = prior_materials(&dictionary, 2, 5);
         let options = SelectionOptions {
             samples_per_cell: 16,

@@ -55,7 +55,7 @@ impl DirectMatrix {
         strata: u32,
         seed: u64,
     ) -> Self {
-        let atoms = LaneAtoms::new(dictionary, true);
+        let atoms = LaneAtoms::new(dictionary);
         let (n, lights) = (atoms.atoms(), scene.lights.len());
         let rows: Vec<(Vec<f32>, f32, Vec<f32>)> = (0..cells.len())
             .into_par_iter()
@@ -150,7 +150,7 @@ mod tests {
     fn points_in_a_pixel_are_even() {
         let scene = Scene::bowl(64, [24, 24], 2.4);
         let dictionary = Dictionary::paper42();
-        let atoms = LaneAtoms::new(&dictionary, true);
+        let atoms = LaneAtoms::new(&dictionary);
         let cells = Cells::of_pixels(scene.camera.resolution_px);
         let direct =
             [1, 2].map(|seed| DirectMatrix::new(&scene, &cells, &dictionary, STRATA, seed));

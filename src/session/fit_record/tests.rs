@@ -46,7 +46,6 @@ pub(super) fn sample() -> FitRecord {
             samples_requested: Some(512),
             memory_mib: Some(256),
             adapted_paths: Some(true),
-            refined_atoms: Some(2),
             shared_weights: Some(false),
             model_error: Some(0.02),
             mask: Some("mask.png".to_owned()),
