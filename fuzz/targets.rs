@@ -316,7 +316,7 @@ fn fit_folder(bytes: &[u8]) {
                 "fit.toml",
                 "weights.csv",
                 "table.csv",
-                "departure.csv",
+                "discrepancy.csv",
                 "trace.csv",
             ];
             let file = names.iter().position(|known| *known == name);

@@ -67,9 +67,9 @@ shape = { kind = "bowl", radius_mm = 1.0, segments = 48 }
 }
 
 fn sample() -> (Dictionary, Vec<f64>, Mixture) {
-    let dictionary = Dictionary::reference_grid42();
+    let dictionary = Dictionary::paper42();
     let mut weights = vec![0.0; dictionary.len()];
-    for (atom, weight) in [(16, 0.35), (32, 0.15), (40, 0.4), (41, 0.1)] {
+    for (atom, weight) in [(27, 0.35), (34, 0.15), (40, 0.4), (41, 0.1)] {
         weights[atom] = weight;
     }
     let mixture = Mixture::grey(Arc::new(dictionary.clone()), weights.clone()).unwrap();

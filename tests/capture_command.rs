@@ -308,7 +308,7 @@ fn a_holder_is_captured_and_known_to_the_fit() {
         "holder known: {:+.4}, not told: {:+.4}",
         errors[0], errors[1]
     );
-    // Without, gloss and departures have to explain the walls' light.
+    // Without, gloss and discrepancies have to explain the walls' light.
     assert!(errors[0].abs() < 0.02, "{errors:?}");
     assert!(errors[1].abs() > 0.04, "{errors:?}");
 }

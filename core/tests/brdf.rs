@@ -125,7 +125,7 @@ fn measured_materials_are_sampled_by_their_density() {
 /// sample, density and value belong together, the part below the horizon included.
 #[test]
 fn atoms_are_physical_and_their_samplers_give_their_albedo() {
-    for dictionary in [Dictionary::paper42(), Dictionary::grid42()] {
+    for dictionary in [Dictionary::paper42(), Dictionary::rig26()] {
         let dictionary = Arc::new(dictionary);
         for (index, atom) in dictionary.atoms().iter().enumerate() {
             let mut weights = vec![0.0; dictionary.len()];

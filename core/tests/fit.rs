@@ -6,7 +6,7 @@
 use std::sync::Arc;
 
 use glam::{DVec2, DVec3};
-use rig_core::brdf::departure::Departed;
+use rig_core::brdf::discrepancy::Material;
 use rig_core::brdf::score::{brdf_errors, cells};
 use rig_core::brdf::{Atom, Brdf, Dictionary, Mixture};
 use rig_core::geometry::shapes::Form;
@@ -16,7 +16,7 @@ use rig_core::inverse::cells::AverageError;
 use rig_core::inverse::exponentiated_gradient::ExponentiatedGradient;
 use rig_core::inverse::variance_shares;
 use rig_core::inverse::{
-    Captured, CellOptions, Channels, Fit, FitOptions, Optimizer, Refine, fit, intervals,
+    Captured, CellOptions, Channels, Fit, FitOptions, Optimizer, fit, intervals,
 };
 use rig_core::radiance_image::RadianceImage;
 use rig_core::transport::{
@@ -76,9 +76,9 @@ fn truth(dictionary: &Arc<Dictionary>) -> Mixture {
         weights
     };
     let weights = [
-        channel(&[(26, 0.35), (40, 0.5), (41, 0.15)]),
-        channel(&[(21, 0.2), (33, 0.2), (40, 0.5), (41, 0.1)]),
-        channel(&[(28, 0.25), (40, 0.65), (41, 0.1)]),
+        channel(&[(5, 0.35), (24, 0.5), (25, 0.15)]),
+        channel(&[(13, 0.2), (8, 0.2), (24, 0.5), (25, 0.1)]),
+        channel(&[(6, 0.25), (24, 0.65), (25, 0.1)]),
     ];
     Mixture::new(dictionary.clone(), weights).unwrap()
 }
@@ -108,7 +108,7 @@ fn one_round(optimizer: Optimizer, channels: Channels) -> FitOptions {
         optimizer,
         channels,
         rounds: 1,
-        refine: Refine::NONE,
+        adapt_paths: false,
         draws: 20,
         ..options()
     }
@@ -128,7 +128,7 @@ fn averaged(scene: &Scene, images: &[RadianceImage]) -> Captured {
 
 #[test]
 fn the_truth_comes_back_through_interreflections() {
-    let dictionary = Arc::new(Dictionary::grid42());
+    let dictionary = Arc::new(Dictionary::rig26());
     let truth = truth(&dictionary);
     let oblique = DVec3::new(0.5, 0.2, 1.0);
     for (name, shape, fine, lights, limit) in [
@@ -166,7 +166,7 @@ fn the_truth_comes_back_through_interreflections() {
         );
         // Cells of one fit err together, so fewer than 95% may hold the truth; and hardly
         // any is told much better than by the prior of few atoms (docs/adr/0006).
-        let true_cells = intervals::table(&Departed::nowhere(truth.clone()), &[], &theta, &theta);
+        let true_cells = intervals::table(&Material::from(truth.clone()), &[], &theta, &theta);
         let held = cells.iter().zip(&true_cells).flat_map(|(cell, truth)| {
             (0..3).map(move |c| (cell.lower[c]..=cell.upper[c]).contains(&truth.value[c]))
         });
@@ -186,7 +186,7 @@ fn the_truth_comes_back_through_interreflections() {
 
 #[test]
 fn both_optimisers_lower_the_same_loss() {
-    let dictionary = Arc::new(Dictionary::grid42());
+    let dictionary = Arc::new(Dictionary::rig26());
     let truth = truth(&dictionary);
     let lights = [DVec3::Z];
     let captured = images(&scene(bowl(192), &lights), &truth);
@@ -227,7 +227,7 @@ fn both_optimisers_lower_the_same_loss() {
 /// with steps so long that the loss rises again and again.
 #[test]
 fn the_last_point_is_as_good_as_the_best() {
-    let dictionary = Arc::new(Dictionary::grid42());
+    let dictionary = Arc::new(Dictionary::rig26());
     let lights = [DVec3::Z];
     let captured = images(&scene(bowl(192), &lights), &truth(&dictionary));
     let scene = scene(bowl(96), &lights);
@@ -262,7 +262,7 @@ fn the_last_point_is_as_good_as_the_best() {
 /// variance tells of: the material is found as without them, and told of.
 #[test]
 fn dust_counts_for_less() {
-    let dictionary = Arc::new(Dictionary::grid42());
+    let dictionary = Arc::new(Dictionary::rig26());
     let truth = truth(&dictionary);
     let lights = [DVec3::Z, DVec3::new(0.5, 0.2, 1.0)];
     let clean = images(&scene(bowl(192), &lights), &truth);
@@ -275,12 +275,12 @@ fn dust_counts_for_less() {
     }
     let scene = scene(bowl(96), &lights);
     let options = FitOptions {
-        refine: Refine::NONE,
+        adapt_paths: false,
         ..options()
     };
     let [without, with] = [&clean, &dusty].map(|captured| {
         let fit = fit(&scene, &averaged(&scene, captured), &dictionary, &options).unwrap();
-        (errors(&fit, &dictionary, &truth)[0], fit.doubted)
+        (errors(&fit, &dictionary, &truth)[0], fit.outlier_fraction)
     });
     println!("without dust {without:?}, with {with:?} (cube-root error, doubted)");
     assert!(with.0 < 0.02 && with.0 < 2.0 * without.0);
@@ -317,7 +317,7 @@ fn images_that_do_not_belong_to_the_scene_are_refused() {
     ));
 }
 
-/// A departure from the mesh that is stated is a part of the budget of its own and leaves
+/// A discrepancy from the mesh that is stated is a part of the budget of its own and leaves
 /// the minimum; none that is not. (How large that part is: `inverse::form`.)
 #[test]
 fn a_stated_form_error_is_a_part_of_the_budget() {
@@ -344,7 +344,7 @@ fn a_stated_form_error_is_a_part_of_the_budget() {
     let run = |form_error| {
         let mut options = FitOptions {
             form_error,
-            refine: Refine::NONE,
+            adapt_paths: false,
             ..options()
         };
         options.cache.samples_per_cell = 32;

@@ -24,7 +24,7 @@ pub struct ExportArgs {
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum FormatArg {
-    /// Dictionary, weights, departure and the table with its intervals
+    /// Dictionary, weights, discrepancy and the table with its intervals
     Json,
     /// MERL .binary, 90 x 90 x 180 cells
     Merl,

@@ -62,7 +62,7 @@ pub fn run(args: &FitCommandArgs, context: &Context) -> Result<(), CliError> {
             "weight_deviations": record.weight_deviations,
             "verdict": record.verdict(),
             "reduced_chi_square": record.reduced_chi_square,
-            "departure": record.departure.as_ref().map_or(0.0, |d| d.amplitude),
+            "discrepancy": record.discrepancy.as_ref().map_or(0.0, |d| d.amplitude),
             "loss": record.loss,
             "termination": record.termination,
             "score": record.score,

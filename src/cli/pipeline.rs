@@ -21,16 +21,15 @@ use crate::inverse::cells::{BUDGET, choose};
 use crate::inverse::exponentiated_gradient::ExponentiatedGradient;
 use crate::inverse::gauss_newton::GaussNewton;
 use crate::inverse::{
-    BenchPriors, Captured, CellOptions, Channels, Fit, FitOptions, Optimizer, Refine,
-    RefineOptions, budget, fit_with_progress, intervals, plausibility, refine_bench,
-    variance_shares,
+    BenchPriors, Captured, CellOptions, Channels, Fit, FitOptions, Optimizer, RefineOptions,
+    budget, fit_with_progress, intervals, plausibility, refine_bench, variance_shares,
 };
 use crate::progress::Progress;
 use crate::report;
 use crate::session::commit::SystemDisk;
 use crate::session::fit_record::{
     self, AngleCell, AngleTable, AtomRecord, BenchParameter, BenchRecord, BudgetRecord, BudgetRow,
-    DepartureRecord, FitImages, FitRecord, FitSettings, Grade, Timing, TracePoint, Warning,
+    DiscrepancyRecord, FitImages, FitRecord, FitSettings, Grade, Timing, TracePoint, Warning,
 };
 use crate::session::{SessionWriter, layout};
 use crate::transport::{Kernel, RenderOptions, Scene, truncation_remainder};
@@ -39,16 +38,9 @@ use crate::units::StageAngles;
 /// Choices of a fit that the command line may take over from the configuration.
 #[derive(clap::Args, Debug, Clone, Default)]
 pub struct FitArgs {
-    /// rig26 (the default), paper42, grid42, rig42, or a dictionary file
+    /// rig26 (the default), paper42, or a dictionary file
     #[arg(long, value_name = "D")]
     pub dictionary: Option<String>,
-    /// Rounds of new atoms beside the active ones, in finer and finer steps of alpha and eta, 0 to 8
-    #[arg(long, value_name = "ROUNDS", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=8))]
-    pub refine_atoms: u32,
-    /// Trace the paths once, in directions that suit any material, not again where the fitted
-    /// material sends light
-    #[arg(long)]
-    pub fixed_paths: bool,
     /// How the weights are found
     #[arg(long, value_enum)]
     pub optimizer: Option<OptimizerArg>,
@@ -175,10 +167,6 @@ impl FitPlan {
             } else {
                 Channels::Separate
             },
-            refine: Refine {
-                adapt_paths: !args.fixed_paths,
-                rounds: args.refine_atoms,
-            },
             form_error,
             ..FitOptions::default()
         };
@@ -216,12 +204,6 @@ impl FitPlan {
                 "--uncertainty says how well the bench is known, but the bench is not refined",
             )
             .hint("add --refine-bench, or leave --uncertainty out"));
-        }
-        if args.refine_atoms > 0 && args.optimizer == Some(OptimizerArg::SingleBounce) {
-            return Err(CliError::new(
-                "--optimizer single-bounce takes no --refine-atoms: it is one linear programme",
-            )
-            .hint("leave one of them out"));
         }
         let mut priors = uncertainty.clone();
         args.uncertainty.iter().for_each(|d| d.apply(&mut priors));
@@ -365,10 +347,10 @@ impl FitPlan {
         record.remarks = remarks;
         record.bench = bench.as_ref().map(bench_record);
         progress.finish();
-        if fit.departure > 0.0 {
+        if fit.discrepancy > 0.0 {
             context.note(format!(
                 "the material departs from every mixture of {}, {:.1} times as much as measured materials usually do; its f in table.csv and in exports to merl, rgl and pbrt allows for it, weights and an export to mitsuba are the closest mixture",
-                record.dictionary, fit.departure
+                record.dictionary, fit.discrepancy
             ));
         }
         Ok((
@@ -437,8 +419,7 @@ impl FitPlan {
                 memory_mib: self
                     .memory_mib
                     .or(Some((options.cache.max_bytes >> 20) as u64)),
-                adapted_paths: Some(options.refine.adapt_paths),
-                refined_atoms: Some(options.refine.rounds),
+                adapted_paths: Some(options.adapt_paths),
                 shared_weights: Some(options.channels == Channels::Shared),
                 model_error: Some(options.model_error),
                 mask: self.mask.as_ref().map(|path| path.display().to_string()),
@@ -454,10 +435,10 @@ impl FitPlan {
                 .map_or(0.0, |(_, step)| step.loss.iter().sum()),
             reduced_chi_square: fit.comparison.reduced_chi2(),
             truncation_remainder: Vec::new(),
-            doubted: fit.doubted.clone(),
-            departure: (fit.departure > 0.0).then(|| DepartureRecord {
-                amplitude: fit.departure,
-                by_channel: fit.material.departures.clone(),
+            outlier_fraction: fit.outlier_fraction.clone(),
+            discrepancy: (fit.discrepancy > 0.0).then(|| DiscrepancyRecord {
+                amplitude: fit.discrepancy,
+                by_channel: fit.material.discrepancies.clone(),
             }),
             termination: fit.termination.to_string(),
             trace: fit

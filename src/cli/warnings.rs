@@ -48,7 +48,7 @@ pub(super) fn warnings(fit: &Fit, record: &FitRecord) -> Vec<Warning> {
             );
         }
     }
-    for (light, &part) in fit.doubted.iter().enumerate() {
+    for (light, &part) in fit.outlier_fraction.iter().enumerate() {
         if part > NOTABLE_DOUBT {
             warn(
                 Grade::Reservation,
@@ -62,7 +62,7 @@ pub(super) fn warnings(fit: &Fit, record: &FitRecord) -> Vec<Warning> {
     }
     // A mixture reflects at most what arrives; what departs from it need not.
     let excess = || check::check_with(&fit.material, ALBEDO_DIRECTIONS, 0).excess();
-    if let Some((albedo, theta_deg, channel)) = (fit.departure > 0.0).then(excess).flatten() {
+    if let Some((albedo, theta_deg, channel)) = (fit.discrepancy > 0.0).then(excess).flatten() {
         let grade = if albedo > IMPOSSIBLE_ALBEDO {
             Grade::Distrust
         } else {
@@ -128,7 +128,7 @@ fn describe_misfit(fit: &Fit, mut warn: impl FnMut(String, &str)) -> bool {
             format!(
                 "the images differ from those of the material by {deviations:.1} times what noise and model error allow (root mean square), not as any one fault would"
             ),
-            "a depth or shape that is not the mesh's, light that spreads below the surface, or a material beyond what mixtures and departures hold; the report's residuals show where",
+            "a depth or shape that is not the mesh's, light that spreads below the surface, or a material beyond what mixtures and discrepancies hold; the report's residuals show where",
         );
         true
     } else {

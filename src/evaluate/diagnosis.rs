@@ -128,7 +128,7 @@ fn one(lab: &Lab, kind: usize, index: u64) -> Result<Row, EvaluateError> {
         .with("right", f64::from(u8::from(named == expected)))
         .with("mean_square", fit.diagnosis.mean_square)
         .with("correlation", fit.diagnosis.correlation)
-        .with("departure", fit.departure);
+        .with("discrepancy", fit.discrepancy);
     for (cause, part) in Cause::ALL.into_iter().zip(fit.diagnosis.explained) {
         row = row.with(cause.name().replace(' ', "_"), part);
     }

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table, spread};
 use super::lab::{Lab, Sample};
-use crate::brdf::departure::Departed;
+use crate::brdf::discrepancy::Material;
 use crate::brdf::{Dictionary, Mixture};
 use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
 use crate::random::{Purpose, Stream, stream};
@@ -77,9 +77,9 @@ fn one(lab: &Lab, trial: u64, size: usize, sample: Sample) -> Result<Row, Evalua
         }
         whole
     });
-    let whole = Departed {
+    let whole = Material {
         mixture: Mixture::new(lab.dictionary.clone(), whole)?,
-        departures: material.departures,
+        discrepancies: material.discrepancies,
     };
     let figures = lab.score(&whole, &truth);
     Ok(Row::new()

@@ -3,16 +3,16 @@
 use serde_json::{Value, json};
 
 use super::SIMULATED_NOTE;
-use crate::brdf::departure;
-use crate::session::fit_record::{DepartureRecord, FitRecord};
+use crate::brdf::discrepancy;
+use crate::session::fit_record::{DiscrepancyRecord, FitRecord};
 
 /// Version of the document's layout.
 pub const FORMAT: u32 = 1;
 
 /// ln of what f is more than the mixture's, bilinear in its exponential between the angles.
-fn departure(departure: &DepartureRecord) -> Value {
-    let by_channel = departure.by_channel.each_ref().map(|d| d.0.as_slice());
-    let nodes: Vec<Value> = departure::nodes()
+fn discrepancy(discrepancy: &DiscrepancyRecord) -> Value {
+    let by_channel = discrepancy.by_channel.each_ref().map(|d| d.0.as_slice());
+    let nodes: Vec<Value> = discrepancy::nodes()
         .enumerate()
         .map(|(k, node)| {
             json!({
@@ -22,10 +22,10 @@ fn departure(departure: &DepartureRecord) -> Value {
             })
         })
         .collect();
-    json!({ "amplitude": departure.amplitude, "nodes": nodes })
+    json!({ "amplitude": discrepancy.amplitude, "nodes": nodes })
 }
 
-/// Dictionary, weights with their deviations, the departure from their mixture, and the (θh, θd) table with its
+/// Dictionary, weights with their deviations, the discrepancy from their mixture, and the (θh, θd) table with its
 /// 95% interval. BRDF values are in 1/sr, cosine excluded; channels are R, G, B;
 /// table values are indexed [θh][θd][channel].
 pub fn to_json(record: &FitRecord) -> String {
@@ -67,7 +67,7 @@ pub fn to_json(record: &FitRecord) -> String {
         "weight_standard_deviations": record.weight_deviations,
         "weights_note": "weights alone are not identifiable: compare BRDF values, not weights",
         "reduced_chi_square": record.reduced_chi_square,
-        "departure": record.departure.as_ref().map(departure),
+        "discrepancy": record.discrepancy.as_ref().map(discrepancy),
         "verdict": record.verdict(),
         "warnings": record.warnings,
         "table": {

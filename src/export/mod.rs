@@ -2,11 +2,11 @@
 //!
 //! | format | file | exactness |
 //! |---|---|---|
-//! | `json` | dictionary, weights, departure, (θh, θd) table with intervals | exact |
+//! | `json` | dictionary, weights, discrepancy, (θh, θd) table with intervals | exact |
 //! | `merl` | MERL `.binary`, 90 × 90 × 180 cells, with a note beside it | the BRDF at the cells' nodes |
 //! | `rgl` | RGL `.bsdf` in RGB, for Mitsuba 3's `measured` | at its nodes; see [`rgl`] |
 //! | `rgl-spectral` | the same with spectra, for pbrt-v4 and spectral Mitsuba | likewise; the spectra are an assumption |
-//! | `mitsuba` | scene fragment for Mitsuba 3 in an RGB variant | exact but for a departure, which it lacks |
+//! | `mitsuba` | scene fragment for Mitsuba 3 in an RGB variant | exact but for a discrepancy, which it lacks |
 //! | `pbrt` | material for pbrt-v4 and the `rgl-spectral` file it refers to | as that file |
 //!
 //! Exports of simulated sessions say so inside the file, or in the note beside
@@ -77,10 +77,10 @@ pub fn export(record: &FitRecord, format: Format, out: &Path) -> Result<Vec<Path
             Ok(vec![out.to_owned()])
         }
         Format::Mitsuba => {
-            let note = record.departure.as_ref().map(|departure| {
+            let note = record.discrepancy.as_ref().map(|discrepancy| {
                 format!(
                     "The material departs from every mixture, {:.1} times as much as measured ones usually do; this is the closest mixture, and RGL and MERL exports hold what was measured.",
-                    departure.amplitude
+                    discrepancy.amplitude
                 )
             });
             let text = mitsuba::to_xml(&record.mixture()?, record.simulated, note.as_deref());
@@ -128,7 +128,7 @@ fn summary(record: &FitRecord) -> String {
     } else {
         String::new()
     };
-    let departs = match record.departure {
+    let departs = match record.discrepancy {
         Some(_) => ", from which the material departs",
         None => "",
     };

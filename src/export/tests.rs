@@ -6,12 +6,14 @@ use nalgebra::DVector;
 use serde_json::Value;
 
 use super::*;
-use crate::brdf::departure::{self, Departure};
+use crate::brdf::discrepancy::{self, Discrepancy};
 use crate::brdf::{Brdf, Dictionary, Mixture};
-use crate::session::fit_record::{AngleCell, AngleTable, AtomRecord, DepartureRecord, FitSettings};
+use crate::session::fit_record::{
+    AngleCell, AngleTable, AtomRecord, DiscrepancyRecord, FitSettings,
+};
 
 fn record(simulated: bool) -> FitRecord {
-    let dictionary = Dictionary::grid42();
+    let dictionary = Dictionary::paper42();
     let channel = |gloss: usize, matte: f64| {
         let mut weights = vec![0.0; 42];
         (weights[gloss], weights[40]) = (0.3, matte);
@@ -43,8 +45,8 @@ fn record(simulated: bool) -> FitRecord {
         loss: 1.0,
         reduced_chi_square: vec![[1.0; 3]],
         truncation_remainder: Vec::new(),
-        doubted: Vec::new(),
-        departure: None,
+        outlier_fraction: Vec::new(),
+        discrepancy: None,
         termination: "converged".to_owned(),
         trace: Vec::new(),
         timings: Vec::new(),
@@ -65,12 +67,12 @@ fn record(simulated: bool) -> FitRecord {
 /// A fit whose material departs, differently in each channel.
 fn departing() -> FitRecord {
     let by_channel = [0.2, -0.3, 0.5].map(|scale| {
-        let nodes =
-            departure::nodes().map(|n| scale * (0.1 * n.theta_h_deg + 0.03 * n.theta_d_deg).sin());
-        Departure(DVector::from_iterator(departure::NODES, nodes))
+        let nodes = discrepancy::nodes()
+            .map(|n| scale * (0.1 * n.theta_h_deg + 0.03 * n.theta_d_deg).sin());
+        Discrepancy(DVector::from_iterator(discrepancy::NODES, nodes))
     });
     FitRecord {
-        departure: Some(DepartureRecord {
+        discrepancy: Some(DiscrepancyRecord {
             amplitude: 0.8,
             by_channel,
         }),
@@ -80,14 +82,14 @@ fn departing() -> FitRecord {
 
 /// The node's factors make of the weights' mixture the material.
 #[test]
-fn json_holds_the_departure() {
+fn json_holds_the_discrepancy() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("brdf.json");
     let record = departing();
     export(&record, Format::Json, &out).unwrap();
     let document: Value = serde_json::from_slice(&std::fs::read(&out).unwrap()).unwrap();
-    assert_eq!(document["departure"]["amplitude"], 0.8);
-    let node = &document["departure"]["nodes"][40];
+    assert_eq!(document["discrepancy"]["amplitude"], 0.8);
+    let node = &document["discrepancy"]["nodes"][40];
     let angle = |name: &str| node[name].as_f64().unwrap().to_radians();
     let (to_light, to_viewer) = crate::brdf::HalfDifference {
         theta_h_rad: angle("theta_h_deg"),
@@ -108,7 +110,7 @@ fn json_holds_the_departure() {
 
 /// Mitsuba's blends are the closest mixture alone, and say so.
 #[test]
-fn blends_say_that_they_lack_the_departure() {
+fn blends_say_that_they_lack_the_discrepancy() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("a.xml");
     let text = |record: &FitRecord| {
@@ -228,7 +230,7 @@ fn an_unusable_fit_or_place_is_an_error() {
     let mut bad = record(false);
     bad.atoms[0].alpha = None;
     let error = export(&bad, Format::Mitsuba, &folder.path().join("a.xml")).unwrap_err();
-    assert!(error.to_string().contains("grid42"), "{error}");
+    assert!(error.to_string().contains("paper42"), "{error}");
     let nowhere = folder.path().join("missing/a.json");
     let error = export(&record(false), Format::Json, &nowhere).unwrap_err();
     assert!(error.to_string().contains("missing/a.json"), "{error}");

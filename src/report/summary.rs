@@ -129,9 +129,9 @@ pub(super) fn tiles(record: Option<&FitRecord>) -> Vec<Tile> {
     if let Some(worst) = record.worst_reduced_chi_square() {
         tile("Worst reduced χ²", format!("{worst:.2}"), "1 is expected");
     }
-    if let Some(departure) = &record.departure {
-        let times = format!("{:.1}×", departure.amplitude);
-        tile("Departure", times, "from mixtures, 1 is usual");
+    if let Some(discrepancy) = &record.discrepancy {
+        let times = format!("{:.1}×", discrepancy.amplitude);
+        tile("Discrepancy", times, "from mixtures, 1 is usual");
     }
     if !record.table.cells.is_empty() {
         let share = percent(record.table.constrained_share());

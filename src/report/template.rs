@@ -306,7 +306,7 @@ fn fit_view(fit: &FitInput, input: &ReportInput) -> Result<FitView, ReportError>
         constrained_percent: percent(record.table.constrained_share()),
         bars,
         hidden_atoms,
-        departs: record.departure.is_some(),
+        departs: record.discrepancy.is_some(),
         hidden_below_percent: figures::SHOWN_WEIGHT * 100.0,
         trace: figures::trace_plot(&record.trace)?,
         loss: short(record.loss),

@@ -5,7 +5,7 @@
 //! |---|---|
 //! | `fit.toml` | verdict, dictionary, settings, loss, χ², termination, timings, versions, scores, warnings, remarks, the bench as refined |
 //! | `weights.csv` | one row per atom: what it is, weight and standard deviation per channel |
-//! | `departure.csv` | by what f is more than the mixture's, over (θh, θd); only where the images ask for it |
+//! | `discrepancy.csv` | by what f is more than the mixture's, over (θh, θd); only where the images ask for it |
 //! | `table.csv` | f over (θh, θd) with its 95% interval, and which cells the data constrain |
 //! | `trace.csv` | the loss after each step |
 //! | `rendered_L000.exr` | the images rendered from the fit, mean and variance |
@@ -27,7 +27,7 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use crate::brdf::departure::{self, Departed, Departure};
+use crate::brdf::discrepancy::{self, Discrepancy, Material};
 use crate::brdf::mixture::SUM_TOLERANCE;
 use crate::brdf::{Atom, Brdf, BrdfError, Dictionary, Mixture};
 use crate::radiance_image::RadianceImage;
@@ -46,7 +46,9 @@ pub use verdict::{EXPLAINED_CHI_SQUARE, Grade, UNEXPLAINED_CHI_SQUARE, Verdict, 
 
 /// The record itself, written last: a folder without it holds no fit.
 pub const FIT_FILE: &str = "fit.toml";
-const DEPARTURE_FILE: &str = "departure.csv";
+const DISCREPANCY_FILE: &str = "discrepancy.csv";
+/// Its name in fits of versions before 0.2.
+const FORMER_DISCREPANCY_FILE: &str = "discrepancy.csv";
 
 /// Version of the folder's layout; a reader refuses any other.
 pub const FORMAT: u32 = 1;
@@ -119,8 +121,6 @@ pub struct FitSettings {
     pub memory_mib: Option<u64>,
     /// Whether paths were traced again where the first fit's material sends light.
     pub adapted_paths: Option<bool>,
-    /// Rounds of new atoms beside the active ones.
-    pub refined_atoms: Option<u32>,
     /// One set of weights for all channels.
     pub shared_weights: Option<bool>,
     /// Relative error of the model that the weighting allowed for.
@@ -197,11 +197,11 @@ pub struct ScoreSheet {
 
 /// How the material departs from the mixture of the weights (docs/adr/0032).
 #[derive(Clone, Debug, PartialEq)]
-pub struct DepartureRecord {
+pub struct DiscrepancyRecord {
     /// How much it departs from every mixture, in units of what measured materials do; above 0.
     pub amplitude: f64,
     /// In R, G and B.
-    pub by_channel: [Departure; 3],
+    pub by_channel: [Discrepancy; 3],
 }
 
 /// Everything that a fit leaves, but its images.
@@ -229,10 +229,10 @@ pub struct FitRecord {
     /// light; empty where it was not estimated.
     pub truncation_remainder: Vec<f64>,
     /// Part of the compared values that counted for less, as isolated outliers, per light.
-    pub doubted: Vec<f64>,
+    pub outlier_fraction: Vec<f64>,
     /// How the material departs from the mixture of the weights; `None` where the images do
     /// not ask for it.
-    pub departure: Option<DepartureRecord>,
+    pub discrepancy: Option<DiscrepancyRecord>,
     /// Why the optimiser stopped, in words.
     pub termination: String,
     /// The way there.
@@ -263,9 +263,9 @@ impl FitRecord {
     /// As of [`FitRecord::mixture`].
     pub fn material(&self) -> Result<Arc<dyn Brdf>, BrdfError> {
         let mixture = self.mixture()?;
-        Ok(match &self.departure {
+        Ok(match &self.discrepancy {
             None => Arc::new(mixture),
-            Some(departure) => Arc::new(Departed::new(mixture, &departure.by_channel)),
+            Some(discrepancy) => Arc::new(Material::new(mixture, &discrepancy.by_channel)),
         })
     }
 
@@ -398,15 +398,15 @@ fn check(folder: &Path, record: &FitRecord) -> Result<(), FitRecordError> {
         let allowed = "a share per source that sum to 1, and a deviation of 0 or more";
         return Err(out_of_range(&toml, key, value, allowed));
     }
-    if let Some(departure) = &record.departure {
-        let amplitude = departure.amplitude;
+    if let Some(discrepancy) = &record.discrepancy {
+        let amplitude = discrepancy.amplitude;
         if !(amplitude.is_finite() && amplitude > 0.0) {
-            let allowed = "above 0, finite; 0 without departure.csv";
-            return Err(out_of_range(&toml, "departure", amplitude, allowed));
+            let allowed = "above 0, finite; 0 without discrepancy.csv";
+            return Err(out_of_range(&toml, "discrepancy", amplitude, allowed));
         }
-        let csv = folder.join(DEPARTURE_FILE);
-        for (departure, channel) in departure.by_channel.iter().zip(["r", "g", "b"]) {
-            let (rows, nodes) = (departure.0.len(), departure::NODES);
+        let csv = folder.join(DISCREPANCY_FILE);
+        for (discrepancy, channel) in discrepancy.by_channel.iter().zip(["r", "g", "b"]) {
+            let (rows, nodes) = (discrepancy.0.len(), discrepancy::NODES);
             if rows != nodes {
                 return Err(out_of_range(
                     &csv,
@@ -416,7 +416,7 @@ fn check(folder: &Path, record: &FitRecord) -> Result<(), FitRecordError> {
                 ));
             }
             // What measured materials have stays well within.
-            if let Some(bad) = departure.0.iter().find(|g| !(-50.0..=50.0).contains(*g)) {
+            if let Some(bad) = discrepancy.0.iter().find(|g| !(-50.0..=50.0).contains(*g)) {
                 return Err(out_of_range(
                     &csv,
                     format!("ln_factor_{channel}"),

@@ -20,19 +20,6 @@ pub struct Dictionary {
     atoms: Vec<Atom>,
 }
 
-/// The axes of a dictionary whose GGX atoms are all pairs of a few widths and a
-/// few indices: D·G depends on the width alone and F on the index alone, which
-/// makes evaluation separable.
-#[derive(Clone, Debug, PartialEq)]
-pub struct GridAxes {
-    /// Distinct widths, ascending.
-    pub alphas: Vec<f64>,
-    /// Distinct indices, ascending.
-    pub etas: Vec<f64>,
-    /// Atom index of (width a, index e) at `a · etas.len() + e`.
-    pub atom: Vec<usize>,
-}
-
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct DictionaryFile {
@@ -98,32 +85,10 @@ impl Dictionary {
         )
     }
 
-    /// Eight widths from 0.01 to 0.6 in equal ratios by five indices, white
-    /// Lambertian, black: separable, and wide enough for measured materials.
-    pub fn grid42() -> Self {
-        let alphas = [0.01, 0.018, 0.032, 0.058, 0.104, 0.186, 0.334, 0.6];
-        Self::grid("grid42", &alphas, &[1.3, 1.6, 2.4, 5.0, 20.0])
-    }
-
-    /// Eight widths from 0.01 to 1 by five indices, white Lambertian, black, chosen so that
-    /// twelve measured materials are explained best; the others, held out, gain too
-    /// (docs/adr/0013).
-    pub fn rig42() -> Self {
-        let alphas = [0.01, 0.024, 0.058, 0.14, 0.186, 0.25, 0.45, 1.0];
-        Self::grid("rig42", &alphas, &[1.1, 1.3, 1.6, 10.0, 20.0])
-    }
-
     /// GGX and Beckmann lobes, coated and plain white, black: 26 atoms that explain
     /// measured materials better than any of the 42 (docs/adr/0013).
     pub fn rig26() -> Self {
         Self::embedded("rig26", include_str!("../../data/dictionaries/rig26.json"))
-    }
-
-    /// A narrower grid (0.05 to 0.5 by 1.25 to 5) that independent reference
-    /// renders use.
-    pub fn reference_grid42() -> Self {
-        let alphas = [0.05, 0.08, 0.11, 0.15, 0.2, 0.28, 0.4, 0.5];
-        Self::grid("reference-grid42", &alphas, &[1.25, 1.5, 2.0, 3.0, 5.0])
     }
 
     /// What fits use where nothing else is asked for: its mixtures come nearest to measured
@@ -133,8 +98,7 @@ impl Dictionary {
     pub const DEFAULT: &'static str = "rig26";
 
     /// The dictionaries that [`Self::load`] knows by name.
-    pub const NAMES: [&'static str; 5] =
-        ["paper42", "grid42", "rig42", "rig26", "reference-grid42"];
+    pub const NAMES: [&'static str; 2] = ["rig26", "paper42"];
 
     /// By one of [`Self::NAMES`], or from a `.json` or `.toml` file with a list
     /// `atoms` of `{type = "ggx", alpha, eta}`, `{type = "beckmann", alpha, eta}`,
@@ -143,10 +107,7 @@ impl Dictionary {
     pub fn load(name_or_path: &str) -> Result<Self, BrdfError> {
         match name_or_path {
             "paper42" => Ok(Self::paper42()),
-            "grid42" => Ok(Self::grid42()),
-            "rig42" => Ok(Self::rig42()),
             "rig26" => Ok(Self::rig26()),
-            "reference-grid42" => Ok(Self::reference_grid42()),
             path => Self::read(Path::new(path)),
         }
     }
@@ -197,19 +158,6 @@ impl Dictionary {
         Self::parse(name, json, true).expect("an embedded dictionary is valid (tested)")
     }
 
-    /// Width-major grid, then white Lambertian, then black.
-    fn grid(name: &str, alphas: &[f64], etas: &[f64]) -> Self {
-        let mut atoms: Vec<Atom> = alphas
-            .iter()
-            .flat_map(|&alpha| etas.iter().map(move |&eta| Atom::Ggx { alpha, eta }))
-            .collect();
-        atoms.extend([Atom::Lambertian { albedo: 1.0 }, Atom::Black]);
-        Self {
-            name: name.to_owned(),
-            atoms,
-        }
-    }
-
     /// Every atom's f at half and difference angles (degrees) and φd = 90°, 1/sr.
     pub fn values_at(&self, theta_h_deg: f64, theta_d_deg: f64) -> Vec<f64> {
         let angles = HalfDifference {
@@ -252,39 +200,6 @@ impl Dictionary {
             .collect()
     }
 
-    /// The grid of the GGX atoms, if they form a full one without repeats, of at
-    /// most 8 widths by 5 indices (the shape the fast kernel is built for).
-    pub fn grid_axes(&self) -> Option<GridAxes> {
-        let (mut alphas, mut etas) = (Vec::new(), Vec::new());
-        let mut lobes = 0;
-        for atom in &self.atoms {
-            match *atom {
-                Atom::Ggx { alpha, eta } => {
-                    alphas.push(alpha);
-                    etas.push(eta);
-                    lobes += 1;
-                }
-                Atom::Lambertian { .. } | Atom::Black => {}
-                Atom::Beckmann { .. } | Atom::Coated { .. } => return None,
-            }
-        }
-        for axis in [&mut alphas, &mut etas] {
-            axis.sort_by(f64::total_cmp);
-            axis.dedup();
-        }
-        if lobes == 0 || alphas.len() > 8 || etas.len() > 5 || lobes != alphas.len() * etas.len() {
-            return None;
-        }
-        let mut atom = Vec::with_capacity(lobes);
-        for &alpha in &alphas {
-            for &eta in &etas {
-                let wanted = Atom::Ggx { alpha, eta };
-                atom.push(self.atoms.iter().position(|a| *a == wanted)?);
-            }
-        }
-        Some(GridAxes { alphas, etas, atom })
-    }
-
     /// f_r of every atom, 1/sr, zero if either direction is not above the horizon.
     pub fn eval(&self, to_light: Vec3, to_viewer: Vec3) -> Vec<f32> {
         let mut values = vec![0.0; self.len()];
@@ -317,78 +232,21 @@ mod tests {
             .filter_map(|(i, j)| j.map(|j| (i, j)))
             .collect();
         assert_eq!(duplicates, [(33, 0)]);
-        assert!(paper.grid_axes().is_none());
     }
 
     #[test]
-    fn other_lobes_make_no_grid() {
-        let ours = Dictionary::rig26();
+    fn the_default_dictionary_has_no_atom_twice() {
+        let ours = Dictionary::load(Dictionary::DEFAULT).unwrap();
+        assert_eq!(ours, Dictionary::rig26());
         assert_eq!(ours.len(), 26);
         assert_eq!(ours.atoms().iter().filter(|atom| atom.varies()).count(), 24);
         assert!(ours.duplicate_of().iter().all(Option::is_none));
-        assert!(ours.grid_axes().is_none());
-        let single = |atom| Dictionary::new("one", vec![atom]).unwrap().grid_axes();
-        let (alpha, eta) = (0.2, 1.5);
-        assert!(single(Atom::Ggx { alpha, eta }).is_some());
-        assert!(single(Atom::Beckmann { alpha, eta }).is_none());
-    }
-
-    #[test]
-    fn grids_know_their_axes() {
-        for dictionary in [
-            Dictionary::grid42(),
-            Dictionary::rig42(),
-            Dictionary::reference_grid42(),
-        ] {
-            let axes = dictionary.grid_axes().unwrap();
-            assert_eq!((axes.alphas.len(), axes.etas.len()), (8, 5));
-            for (a, &alpha) in axes.alphas.iter().enumerate() {
-                for (e, &eta) in axes.etas.iter().enumerate() {
-                    let atom = dictionary.atoms()[axes.atom[a * 5 + e]];
-                    assert_eq!(atom, Atom::Ggx { alpha, eta });
-                }
-            }
-        }
-    }
-
-    #[test]
-    fn an_incomplete_or_repeated_grid_is_no_grid() {
-        let ggx = |alpha, eta| Atom::Ggx { alpha, eta };
-        let corner = vec![ggx(0.1, 1.5), ggx(0.2, 1.5), ggx(0.1, 2.0)];
-        assert!(
-            Dictionary::new("three of four", corner.clone())
-                .unwrap()
-                .grid_axes()
-                .is_none()
-        );
-        let mut repeated = corner.clone();
-        repeated.push(ggx(0.1, 1.5));
-        assert!(
-            Dictionary::new("repeated", repeated)
-                .unwrap()
-                .grid_axes()
-                .is_none()
-        );
-        let mut full = corner;
-        full.push(ggx(0.2, 2.0));
-        assert_eq!(
-            Dictionary::new("full", full)
-                .unwrap()
-                .grid_axes()
-                .unwrap()
-                .atom,
-            [0, 2, 1, 3]
-        );
     }
 
     #[test]
     fn the_evaluator_is_the_atoms() {
         let at = Cosines::new([0.6, 0.0, 0.8], [-0.48, 0.36, 0.8f32]).unwrap();
-        for dictionary in [
-            Dictionary::paper42(),
-            Dictionary::grid42(),
-            Dictionary::rig26(),
-        ] {
+        for dictionary in [Dictionary::paper42(), Dictionary::rig26()] {
             let mut values = vec![f32::NAN; dictionary.len()];
             dictionary.evaluator().eval(&at, &mut values);
             for (value, atom) in values.iter().zip(dictionary.atoms()) {

@@ -14,8 +14,8 @@ pub mod bivariate;
 pub mod check;
 pub mod chi_square;
 pub mod coat;
-pub mod departure;
 pub mod dictionary;
+pub mod discrepancy;
 pub mod environment;
 pub mod evaluator;
 pub mod ggx;
@@ -33,7 +33,7 @@ pub mod sphere;
 pub mod table;
 pub mod weights;
 
-pub use dictionary::{Atom, Dictionary, GridAxes};
+pub use dictionary::{Atom, Dictionary};
 pub use half_difference::HalfDifference;
 pub use lobe_table::LobeTable;
 pub use mixture::Mixture;

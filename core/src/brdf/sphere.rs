@@ -358,7 +358,7 @@ mod tests {
 
     #[test]
     fn the_matrix_times_weights_is_the_image() {
-        let dictionary = Arc::new(Dictionary::grid42());
+        let dictionary = Arc::new(Dictionary::paper42());
         let map = EnvironmentMap::embedded("city").unwrap();
         let mut weights = vec![0.0; 42];
         (weights[3], weights[22], weights[40], weights[41]) = (0.2, 0.3, 0.4, 0.1);

@@ -215,9 +215,9 @@ mod tests {
     use std::sync::Arc;
 
     fn smooth() -> Mixture {
-        let dictionary = Arc::new(Dictionary::reference_grid42());
+        let dictionary = Arc::new(Dictionary::paper42());
         let mut weights = vec![0.0; 42];
-        (weights[36], weights[40], weights[41]) = (0.5, 0.3, 0.2);
+        (weights[2], weights[40], weights[41]) = (0.5, 0.3, 0.2);
         Mixture::grey(dictionary, weights).unwrap()
     }
 

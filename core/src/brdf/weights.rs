@@ -188,8 +188,8 @@ mod tests {
     proptest! {
         #[test]
         fn no_text_panics(text in "[a-z0-9_,.\n-]{0,200}") {
-            let _ = parse(&text, &Dictionary::grid42());
-            let _ = parse(&format!("atom,kind,weight_r,weight_g,weight_b\n{text}"), &Dictionary::grid42());
+            let _ = parse(&text, &Dictionary::paper42());
+            let _ = parse(&format!("atom,kind,weight_r,weight_g,weight_b\n{text}"), &Dictionary::paper42());
         }
     }
 }

@@ -42,7 +42,7 @@ impl Comparison {
         strength: &[[f64; 3]],
     ) -> Self {
         let images = model.iter().enumerate().map(|(light, modelled)| {
-            let trust = objective.trust(model, light);
+            let trust = objective.robust_weights(model, light);
             let mut image = ComparedImage {
                 captured: CellImage::default(),
                 rendered: CellImage::default(),

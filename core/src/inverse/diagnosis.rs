@@ -11,7 +11,7 @@ use nalgebra::{Cholesky, DMatrix, DVector};
 
 use super::objective::{ModelImage, Objective};
 use crate::brdf::Brdf;
-use crate::brdf::departure::Departed;
+use crate::brdf::discrepancy::Material;
 use crate::transport::Scene;
 
 mod templates;
@@ -134,7 +134,7 @@ pub(super) struct Examined<'a> {
     /// sign of a fault. All atoms of the reported mixture could make almost anything.
     pub mixture: &'a [DVector<f64>],
     /// The material, which may depart from its mixture.
-    pub material: &'a Departed,
+    pub material: &'a Material,
     /// Its images.
     pub model: &'a [ModelImage],
     /// That of the fit's paths.

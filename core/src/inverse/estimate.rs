@@ -8,12 +8,12 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use super::departure::Eliminated;
+use super::discrepancy::Eliminated;
 use super::projection::{EnvironmentMatrix, ProjectionError};
 use super::solve::per_channel;
 use super::uncertainty::Draws;
 use crate::brdf::Mixture;
-use crate::brdf::departure::{self, Departed};
+use crate::brdf::discrepancy::{self, Material};
 
 /// Albedo of what looks black: darker materials count as this bright.
 const BLACK: f64 = 0.02;
@@ -24,19 +24,19 @@ pub(super) fn estimate(
     spheres: &EnvironmentMatrix<'_>,
     center: &[DVector<f64>],
     draws: &[Draws],
-    departure: &[Eliminated],
-) -> Result<Departed, ProjectionError> {
+    discrepancy: &[Eliminated],
+) -> Result<Material, ProjectionError> {
     let dictionary = spheres.dictionary();
     let mean = mean_of_draws(spheres, draws);
     let mixture = Mixture::new(dictionary.clone(), per_channel(&mean))?;
-    if departure.is_empty() {
-        return Ok(Departed::nowhere(mixture));
+    if discrepancy.is_empty() {
+        return Ok(Material::from(mixture));
     }
-    let sets = departure.iter().zip(mean.iter().zip(center));
-    let departures: Vec<_> = sets
-        .map(|(d, (mean, x))| d.departure(&d.modes(&(mean - x))))
+    let sets = discrepancy.iter().zip(mean.iter().zip(center));
+    let discrepancies: Vec<_> = sets
+        .map(|(d, (mean, x))| d.discrepancy(&d.modes(&(mean - x))))
         .collect();
-    let departed = Departed::new(mixture, &departures);
+    let departed = Material::new(mixture, &discrepancies);
     let (_, mut closest) = spheres.of(&departed).floor()?;
     if let [_] = mean[..] {
         let [r, g, b] = closest
@@ -53,14 +53,14 @@ pub(super) fn estimate(
 const APART: f64 = 3.0;
 
 /// `departed` as what departs from another mixture.
-fn departed_from(mixture: Mixture, departed: &Departed) -> Departed {
-    let mut other = Departed::nowhere(mixture);
-    let nodes = departure::nodes().enumerate().map(|(k, node)| {
+fn departed_from(mixture: Mixture, departed: &Material) -> Material {
+    let mut other = Material::from(mixture);
+    let nodes = discrepancy::nodes().enumerate().map(|(k, node)| {
         let (h, d) = (node.theta_h_deg, node.theta_d_deg);
         let atoms = other.mixture.dictionary().values_at(h, d);
         let [wanted, there] = [departed, &other].map(|material| material.at(&atoms, h, d));
         [0, 1, 2].map(|c| {
-            let g = departed.departures[c].0[k];
+            let g = departed.discrepancies[c].0[k];
             let both = wanted[c] > 0.0 && there[c] > 0.0;
             let apart = if both {
                 (wanted[c] / there[c]).ln() - g
@@ -71,8 +71,8 @@ fn departed_from(mixture: Mixture, departed: &Departed) -> Departed {
         })
     });
     let nodes: Vec<[f64; 3]> = nodes.collect();
-    for (c, departure) in other.departures.iter_mut().enumerate() {
-        departure.0 = DVector::from_iterator(nodes.len(), nodes.iter().map(|g| g[c]));
+    for (c, discrepancy) in other.discrepancies.iter_mut().enumerate() {
+        discrepancy.0 = DVector::from_iterator(nodes.len(), nodes.iter().map(|g| g[c]));
     }
     other
 }
@@ -108,7 +108,7 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
-    use crate::brdf::departure::Departure;
+    use crate::brdf::discrepancy::Discrepancy;
     use crate::brdf::environment::EnvironmentMap;
     use crate::brdf::{Atom, Dictionary};
 
@@ -122,7 +122,7 @@ mod tests {
             prior: Vec::new(),
             misfit: 0.0,
             informed: 1,
-            departures: Vec::new(),
+            discrepancies: Vec::new(),
             budget: None,
         }]
     }
@@ -161,14 +161,14 @@ mod tests {
         let dictionary = Arc::new(Dictionary::new("three", atoms).unwrap());
         let mixture =
             |weights: [f64; 3]| Mixture::grey(dictionary.clone(), weights.to_vec()).unwrap();
-        let g = [Departure(DVector::from_element(departure::NODES, 0.3))];
-        let told = |from, wanted| departed_from(mixture(from), &Departed::new(mixture(wanted), &g));
+        let g = [Discrepancy(DVector::from_element(discrepancy::NODES, 0.3))];
+        let told = |from, wanted| departed_from(mixture(from), &Material::new(mixture(wanted), &g));
         let darker = told([0.8, 0.2, 0.0], [0.4, 0.6, 0.0]);
-        for &found in darker.departures[1].0.iter() {
+        for &found in darker.discrepancies[1].0.iter() {
             assert!((found - (0.3 + 0.5f64.ln())).abs() < 1e-6, "{found}");
         }
         let other = told([0.0, 0.5, 0.5], [0.5, 0.0, 0.5]);
-        for &found in other.departures[2].0.iter() {
+        for &found in other.discrepancies[2].0.iter() {
             assert!((found - 0.3).abs() <= APART + 1e-9, "{found}");
         }
     }

@@ -231,7 +231,7 @@ impl Compared {
 }
 
 fn compared(objective: &Objective<'_>, model: &[ModelImage], light: usize) -> Vec<Compared> {
-    let trust = objective.trust(model, light);
+    let trust = objective.robust_weights(model, light);
     let cells = (0..trust.len()).filter(|&p| objective.is_compared(light, p));
     let of_pixel = |cell: usize| {
         let [captured, variance] = objective.captured(light, cell);
@@ -245,8 +245,8 @@ fn compared(objective: &Objective<'_>, model: &[ModelImage], light: usize) -> Ve
                 channel,
                 block,
                 captured: captured[channel],
-                direct: modelled.once,
-                indirect: modelled.again,
+                direct: modelled.direct,
+                indirect: modelled.indirect,
                 noise,
                 variance: noise + allowed,
                 outlier: trust[channel] < 1.0,

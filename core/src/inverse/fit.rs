@@ -12,21 +12,20 @@ use super::exponentiated_gradient::ExponentiatedGradient;
 use super::findings::{self, Finding, Judged};
 use super::gauss_newton::GaussNewton;
 use super::intervals::{self, Interval};
-use super::objective::{Channels, DepartedModel};
+use super::objective::{Channels, DiscrepancyModel};
 use super::posterior::{Posterior, posterior};
 use super::projection::ProjectionError;
-use super::refine::{Refine, refine};
 use super::simplex::SimplexError;
 use super::solve::{Paths, Solution, Solved, solve};
 use super::trace::{Step, Termination};
 use super::uncertainty::Draws;
-use crate::brdf::Atom;
-use crate::brdf::departure::Departed;
 use crate::brdf::dictionary::Dictionary;
+use crate::brdf::discrepancy::Material;
+use crate::brdf::{Atom, Mixture};
 use crate::geometry::FormError;
 use crate::progress::Progress;
 use crate::transport::cache::CacheError;
-use crate::transport::{CacheOptions, Kernel, Scene};
+use crate::transport::{CacheOptions, Kernel, Proposal, Scene};
 
 /// Which optimiser.
 #[derive(Clone, Debug, PartialEq)]
@@ -68,8 +67,9 @@ pub struct FitOptions {
     pub rounds: usize,
     /// Draws from the posterior, 0..=10 000.
     pub draws: usize,
-    /// Paths and atoms beyond the first fit.
-    pub refine: Refine,
+    /// Trace again with directions proposed by a first solution from a quarter of the paths:
+    /// less noise where the material is glossy.
+    pub adapt_paths: bool,
     /// How far the as-made sample departs from the scene's mesh; `None`: not at all.
     pub form_error: Option<FormError>,
     /// Instructions to use.
@@ -86,7 +86,7 @@ impl Default for FitOptions {
             model_error: 0.02,
             rounds: 3,
             draws: 200,
-            refine: Refine::default(),
+            adapt_paths: true,
             form_error: None,
             kernel: Kernel::detect(),
         }
@@ -98,14 +98,14 @@ pub struct Fit {
     /// What is reported: a mixture (weights per channel × atoms; equal vectors if shared) of the
     /// dictionary given, or of one with more atoms, and how the material departs from it. Of
     /// Gauss–Newton, of least expected error over the draws (docs/adr/0006, docs/adr/0032).
-    pub material: Departed,
+    pub material: Material,
     /// The single-bounce start of Eq. (13) in the dictionary given, per channel.
     pub start: [Vec<f64>; 3],
     /// Posterior and prior draws per channel.
     pub draws: Vec<Draws>,
     /// How much the material departs from every mixture, in units of what measured materials do
     /// (docs/adr/0032); 0 where the images do not ask for it.
-    pub departure: f64,
+    pub discrepancy: f64,
     /// How the material's images compare with those captured.
     pub comparison: Comparison,
     /// What the residual looks like.
@@ -113,7 +113,7 @@ pub struct Fit {
     /// What else speaks against the fit.
     pub findings: Vec<Finding>,
     /// Part of each light's values that were believed less, as isolated outliers.
-    pub doubted: Vec<f64>,
+    pub outlier_fraction: Vec<f64>,
     /// Loss at every evaluated point, with the seconds since the start.
     pub trace: Vec<(f64, Step)>,
     /// Why the last round ended.
@@ -196,8 +196,10 @@ pub fn fit_with_progress(
     fit_on_bench(scene, captured, dictionary, options, None, progress)
 }
 
-/// A first solution that only tells later paths where to go has this many times fewer.
+/// The first solution, which only guides later paths, has this many times fewer of them.
 const QUICKER: u32 = 4;
+/// Probability that a continuation of an adapted path follows the default proposal.
+pub(super) const DEFENSIVE: f32 = 0.4;
 
 /// [`fit`] on a bench that is known within what `bench` says, which widens the draws.
 pub(super) fn fit_on_bench(
@@ -210,9 +212,8 @@ pub(super) fn fit_on_bench(
 ) -> Result<Fit, FitError> {
     check_count(scene, captured.images.len())?;
     let dictionary = Arc::new(dictionary.clone());
-    if options.refine == Refine::NONE || options.optimizer == Optimizer::SingleBounce {
-        let (fit, _) = fit_from(scene, captured, &dictionary, None, options, bench, progress)?;
-        return Ok(fit);
+    if !options.adapt_paths || options.optimizer == Optimizer::SingleBounce {
+        return fit_from(scene, captured, &dictionary, None, options, bench, progress);
     }
     let mut quick = options.clone();
     quick.cache.samples_per_cell = (options.cache.samples_per_cell / QUICKER).max(2);
@@ -222,10 +223,23 @@ pub(super) fn fit_on_bench(
         let objective = paths.objective(captured, &quick);
         solve(&paths, &objective, None, &quick, progress)?.solution
     };
-    refine(scene, captured, first, options, bench, progress)
+    let mut options = options.clone();
+    if let Ok(mixture) = Mixture::new(dictionary.clone(), first.weights.clone()) {
+        options.cache.proposal = Proposal::resembling(&mixture, DEFENSIVE);
+    }
+    let first = Some(&first);
+    fit_from(
+        scene,
+        captured,
+        &dictionary,
+        first,
+        &options,
+        bench,
+        progress,
+    )
 }
 
-/// [`fit`] without refinement, from an earlier solution for the same images or from the
+/// [`fit`] on paths traced once, from an earlier solution for the same images or from the
 /// single-bounce start.
 pub(super) fn fit_from(
     scene: &Scene,
@@ -235,7 +249,7 @@ pub(super) fn fit_from(
     options: &FitOptions,
     bench: Option<&BenchLinearisation>,
     progress: &dyn Progress,
-) -> Result<(Fit, Solution), FitError> {
+) -> Result<Fit, FitError> {
     let paths = Paths::trace(
         scene,
         &captured.cells,
@@ -251,27 +265,27 @@ pub(super) fn fit_from(
     let Posterior {
         draws,
         material,
-        departure,
+        discrepancy,
     } = timings.time("uncertainty", || {
         posterior(scene, &paths, &objective, &solved, options, bench)
     })?;
     let Solved {
-        mut solution,
+        solution,
         mixture,
         pass,
         termination,
         ..
     } = solved;
     let cache = &paths.cache;
-    let doubted = (0..objective.lights())
-        .map(|light| objective.doubted(&pass.model, light))
+    let outlier_fraction = (0..objective.lights())
+        .map(|light| objective.outlier_fraction(&pass.model, light))
         .collect();
     let departed = timings.time("images", || {
-        (departure > 0.0)
-            .then(|| DepartedModel::of_all(&objective, scene, &material, options.cache.seed))
+        (discrepancy > 0.0)
+            .then(|| DiscrepancyModel::of_all(&objective, scene, &material, options.cache.seed))
     });
     let objective = match &departed {
-        Some(model) => objective.departed(model),
+        Some(model) => objective.with_discrepancy(model),
         None => objective,
     };
     let reported: Vec<_> = (0..objective.sets())
@@ -304,28 +318,26 @@ pub(super) fn fit_from(
         black: black_weights(&material),
         reduced_chi2: &reduced_chi2,
     });
-    solution.timings = timings;
-    let fit = Fit {
+    Ok(Fit {
         findings,
         material,
-        start: solution.start.clone(),
+        start: solution.start,
         draws,
-        departure,
+        discrepancy,
         comparison,
         diagnosis,
-        doubted,
-        trace: solution.trace.clone(),
+        outlier_fraction,
+        trace: solution.trace,
         termination,
-        timings: solution.timings.0.clone(),
+        timings: timings.0,
         samples: [2 * cache.samples_per_half, cache.samples_requested],
         cache_size: cache.size(),
         kernel: options.kernel,
-    };
-    Ok((fit, solution))
+    })
 }
 
 /// Weight of the atom that reflects nothing, per channel.
-fn black_weights(material: &Departed) -> [Option<f64>; 3] {
+fn black_weights(material: &Material) -> [Option<f64>; 3] {
     let mixture = &material.mixture;
     let atoms = mixture.dictionary().atoms();
     let black = atoms.iter().position(|atom| *atom == Atom::Black);

@@ -3,7 +3,7 @@
 //! Weights alone are not identifiable (atoms overlap); the BRDF they add up to is.
 
 use super::uncertainty::Draws;
-use crate::brdf::departure::Departed;
+use crate::brdf::discrepancy::Material;
 use crate::random::{Purpose, stream};
 
 /// f at one pair of angles, per channel, 1/sr.
@@ -21,7 +21,7 @@ pub struct Interval {
 
 /// Intervals over the grid of half and difference angles (degrees), θd fastest, at φd = 90°.
 pub fn table(
-    material: &Departed,
+    material: &Material,
     draws: &[Draws],
     theta_h_deg: &[f64],
     theta_d_deg: &[f64],
@@ -52,8 +52,8 @@ pub fn table(
                 theta_d_deg.to_bits(),
                 c as u64,
             );
-            let departed = |draw: usize| match set.departures.get(draw) {
-                Some(departure) => departure.factor(theta_h_deg, theta_d_deg),
+            let departed = |draw: usize| match set.discrepancies.get(draw) {
+                Some(discrepancy) => discrepancy.factor(theta_h_deg, theta_d_deg),
                 None => 1.0,
             };
             let mut posterior: Vec<f64> = (0..)
@@ -81,7 +81,7 @@ pub fn table(
 }
 
 /// Standard deviation of ln f that no mixture of a dictionary explains, for a relative
-/// misfit of the images. Images show the material's departures from the dictionary only
+/// misfit of the images. Images show the material's discrepancies from the dictionary only
 /// where they look; towards grazing angles they look least and dictionaries of
 /// microfacet lobes fail most. Calibrated on measured materials (docs/adr/0006).
 pub fn inadequacy(misfit: f64, theta_h_deg: f64, theta_d_deg: f64) -> f64 {
@@ -144,11 +144,11 @@ mod tests {
             prior: (0..=100).map(|i| draw(0.01 * f64::from(i))).collect(),
             misfit: 0.0,
             informed: 1,
-            departures: Vec::new(),
+            discrepancies: Vec::new(),
             budget: None,
         };
         let mixture = Mixture::grey(Arc::new(dictionary), vec![0.5, 0.5]).unwrap();
-        let material = Departed::nowhere(mixture);
+        let material = Material::from(mixture);
         let draws = [set(), set(), set()];
         let cells = table(&material, &draws, &[0.0, 30.0], &[45.0]);
         for cell in &cells {
@@ -163,7 +163,7 @@ mod tests {
             prior: set().prior,
             misfit: 0.0,
             informed: 1,
-            departures: Vec::new(),
+            discrepancies: Vec::new(),
             budget: None,
         }];
         assert!(!table(&material, &wide, &[0.0], &[45.0])[0].constrained);

@@ -380,8 +380,8 @@ fn images_of(
                     let indirect = &rows.jacobian[half][light * n..(light + 1) * n];
                     DVector::from_fn(n, |k, _| f64::from(row[k]) + f64::from(indirect[k]))
                 });
-                let again = 0.5 * (rows.value[0][light] + rows.value[1][light]);
-                let once: f64 = row
+                let indirect = 0.5 * (rows.value[0][light] + rows.value[1][light]);
+                let direct: f64 = row
                     .iter()
                     .zip(weights)
                     .map(|(&d, w)| f64::from(d) * w)
@@ -391,8 +391,8 @@ fn images_of(
                     compared: direct_matrix.coverage[rows.cell] >= 1.0
                         && (lit == 0.0 || lit == 1.0),
                     modelled: Modelled {
-                        once,
-                        again: f64::from(again),
+                        direct,
+                        indirect: f64::from(indirect),
                         variance: f64::from(rows.variance[light]),
                     },
                     rows: derivatives,
@@ -555,7 +555,7 @@ mod tests {
         let lights = [
             0.0, 120.0, -30.0, 30.0, 50.0, -50.0, 10.0, -10.0, 20.0, 65.0,
         ];
-        let dictionary = Dictionary::grid42();
+        let dictionary = Dictionary::paper42();
         let materials = prior_materials(&dictionary, 2, 5);
         let options = SelectionOptions {
             samples_per_cell: 16,

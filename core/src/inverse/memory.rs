@@ -1,14 +1,14 @@
 //! What a fit needs of the machine's memory, known before it begins.
 //!
 //! In addition to the cached paths, whose room is chosen, a fit needs its values, the direct
-//! matrix, what a departure makes of the light, residual weights, modelled values and what a
+//! matrix, what a discrepancy makes of the light, residual weights, modelled values and what a
 //! diagnosis compares, in proportion to the cells under every light; and the sums over
 //! groups of cells, of which there are at most [`GROUPS`]. [`Size::values_bytes`] is an upper
 //! estimate of all of that at its peak, by counted allocations (`tests/fuzz_corpus.rs` counts
 //! again) and by the resident memory of whole fits of up to 512² cells with 1 to 4 lights.
 //! The images themselves are averaged while they are read.
 
-use crate::brdf::departure::modes;
+use crate::brdf::discrepancy::modes;
 
 /// Of program, scene, dictionary and threads, bytes.
 const PROGRAM_BYTES: u64 = 24 << 20;
@@ -16,7 +16,7 @@ const PROGRAM_BYTES: u64 = 24 << 20;
 const PER_VALUE_BYTES: u64 = 800;
 /// Per cell, light and atom: the direct matrix, twice while it is made.
 const PER_ATOM_BYTES: u64 = 8;
-/// Per cell, light and mode of a departure: derivatives in three channels, twice likewise.
+/// Per cell, light and mode of a discrepancy: derivatives in three channels, twice likewise.
 const PER_MODE_BYTES: u64 = 24;
 /// Per cell, light and parameter of a bench that is refined.
 const PER_PARAMETER_BYTES: u64 = 48;

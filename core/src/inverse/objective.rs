@@ -17,12 +17,12 @@ use super::cells::Captured;
 use super::simplex::Quadratic;
 use crate::transport::{Cache, Cells, DirectMatrix, Kernel};
 
-mod departed;
+mod discrepancy;
 mod modelled;
 mod noise;
 mod pass;
 
-pub use departed::DepartedModel;
+pub use discrepancy::DiscrepancyModel;
 pub use modelled::Modelled;
 pub use noise::ScoreNoise;
 pub use pass::Linearised;
@@ -57,7 +57,7 @@ pub struct Objective<'a> {
     /// Relative model error τ, 0..=1.
     model_error: f64,
     /// How the material departs from the mixture.
-    departed: Option<&'a DepartedModel>,
+    departed: Option<&'a DiscrepancyModel>,
 }
 
 /// What is compared, `[light][cell]`.
@@ -325,7 +325,7 @@ impl<'a> Objective<'a> {
     fn as_model(&self) -> Vec<ModelImage> {
         let exact = |value: &[f64; 3]| {
             value.map(|v| Modelled {
-                again: v.max(0.0),
+                indirect: v.max(0.0),
                 ..Modelled::default()
             })
         };
@@ -344,7 +344,7 @@ impl<'a> Objective<'a> {
     ) -> ResidualWeights {
         (0..self.lights())
             .map(|light| {
-                let trust = doubting.then(|| self.trust(model, light));
+                let trust = doubting.then(|| self.robust_weights(model, light));
                 (0..self.cells.len())
                     .map(|cell| {
                         if !self.values.compared[light][cell] {
@@ -373,7 +373,7 @@ impl<'a> Objective<'a> {
     /// How far each value of a light is believed, 0..=1: less than 1 only for isolated
     /// values, which dust makes, and for at most [`MOST_DOUBTED`] of them. Where the
     /// neighbours deviate as well, the model is wrong and must not look right.
-    pub fn trust(&self, model: &[ModelImage], light: usize) -> Vec<[f64; 3]> {
+    pub fn robust_weights(&self, model: &[ModelImage], light: usize) -> Vec<[f64; 3]> {
         let deviation = |p: usize, c: usize| {
             self.values.compared[light][p]
                 .then(|| self.deviation(model, light, p, c))
@@ -425,8 +425,8 @@ impl<'a> Objective<'a> {
     }
 
     /// Part of a light's compared values that are believed less than the others.
-    pub fn doubted(&self, model: &[ModelImage], light: usize) -> f64 {
-        let doubted = self.trust(model, light).into_iter().flatten();
+    pub fn outlier_fraction(&self, model: &[ModelImage], light: usize) -> f64 {
+        let doubted = self.robust_weights(model, light).into_iter().flatten();
         let compared = self.values.compared[light].iter().filter(|&&c| c).count();
         doubted.filter(|&t| t < 1.0).count() as f64 / (3 * compared.max(1)) as f64
     }

@@ -5,16 +5,16 @@ use nalgebra::DVector;
 
 use super::bench::BenchCoupling;
 use super::bench::system::{BenchLinearisation, Model};
-use super::departure::{At, Eliminated};
+use super::discrepancy::{At, Eliminated};
 use super::estimate::{estimate, mean_of_draws};
 use super::fit::{FitError, FitOptions, Optimizer};
 use super::form;
-use super::objective::{DepartedModel, Linearised, Objective};
+use super::objective::{DiscrepancyModel, Linearised, Objective};
 use super::projection::{EnvironmentMatrix, ProjectionError};
 use super::solve::{Paths, Solved, per_channel};
 use super::uncertainty::{self, Adds, Draws};
 use crate::brdf::Mixture;
-use crate::brdf::departure::Departed;
+use crate::brdf::discrepancy::Material;
 use crate::brdf::environment::EnvironmentMap;
 use crate::transport::Scene;
 
@@ -26,9 +26,9 @@ pub(super) struct Posterior {
     /// Per set of weights.
     pub draws: Vec<Draws>,
     /// What to report.
-    pub material: Departed,
-    /// Deviation of its departure in units of what measured materials have; 0 without one.
-    pub departure: f64,
+    pub material: Material,
+    /// Deviation of its discrepancy in units of what measured materials have; 0 without one.
+    pub discrepancy: f64,
 }
 
 /// Around the weights that were `solved` for.
@@ -62,8 +62,8 @@ pub(super) fn posterior(
                 0,
                 seed,
             )),
-            material: Departed::nowhere(material(mixture)?),
-            departure: 0.0,
+            material: Material::from(material(mixture)?),
+            discrepancy: 0.0,
         });
     }
     let model = Model {
@@ -79,22 +79,22 @@ pub(super) fn posterior(
     let draw = |bench: Option<&BenchCoupling>,
                 center: &[DVector<f64>],
                 pass: &Linearised,
-                departure: &[Eliminated]| {
+                discrepancy: &[Eliminated]| {
         let adds = Adds {
             bench,
             form: &form,
             noise: &noise,
-            departure,
+            discrepancy,
         };
         uncertainty::draw(dictionary, center, pass, &adds, options.draws, seed)
     };
     let model_of =
-        |material: &Departed| DepartedModel::of_compared(objective, scene, material, seed);
+        |material: &Material| DiscrepancyModel::of_compared(objective, scene, material, seed);
     let maps = EnvironmentMap::all();
     let spheres = EnvironmentMatrix::new(dictionary.clone(), &maps, SPHERE_PX);
 
     let mut center = mixture.clone();
-    let nothing = model_of(&Departed::nowhere(fitted));
+    let nothing = model_of(&Material::from(fitted));
     let at = At {
         objective,
         direct: &nothing.direct,
@@ -102,18 +102,18 @@ pub(super) fn posterior(
         mixture,
         pass: &solved.pass,
     };
-    let mut departure = Eliminated::first(&at, dictionary);
-    let mut draws = draw(None, &center, &solved.pass, &departure);
-    let mut departed_pass = None;
-    if !departure.is_empty() {
+    let mut discrepancy = Eliminated::first(&at, dictionary);
+    let mut draws = draw(None, &center, &solved.pass, &discrepancy);
+    let mut discrepancy_pass = None;
+    if !discrepancy.is_empty() {
         // Once more, linear around what was found.
         let mean = mean_of_draws(&spheres, &draws);
-        let sets = departure.iter().zip(mean.iter().zip(&center));
+        let sets = discrepancy.iter().zip(mean.iter().zip(&center));
         let modes: Vec<_> = sets.map(|(d, (mean, x))| d.modes(&(mean - x))).collect();
-        let sets = departure.iter().zip(&modes);
-        let departures: Vec<_> = sets.map(|(d, modes)| d.departure(modes)).collect();
-        let departed = model_of(&Departed::new(material(&mean)?, &departures));
-        let objective = objective.departed(&departed);
+        let sets = discrepancy.iter().zip(&modes);
+        let discrepancies: Vec<_> = sets.map(|(d, modes)| d.discrepancy(modes)).collect();
+        let departed = model_of(&Material::new(material(&mean)?, &discrepancies));
+        let objective = objective.with_discrepancy(&departed);
         let pass = objective.linearise(&mean, weights);
         let left = |pass: &Linearised| pass.unexplained.iter().sum::<f64>();
         log::debug!(
@@ -129,31 +129,31 @@ pub(super) fn posterior(
                 pass: &pass,
                 ..at
             };
-            departure = Eliminated::again(&at, &departure, &modes);
-            draws = draw(None, &mean, &pass, &departure);
+            discrepancy = Eliminated::again(&at, &discrepancy, &modes);
+            draws = draw(None, &mean, &pass, &discrepancy);
             center = mean;
-            departed_pass = Some(pass);
+            discrepancy_pass = Some(pass);
         }
     }
     let (material, amplitude) = match options.optimizer {
         Optimizer::GaussNewton(_) => (
-            estimate(&spheres, &center, &draws, &departure)?,
-            departure.first().map_or(0.0, Eliminated::amplitude),
+            estimate(&spheres, &center, &draws, &discrepancy)?,
+            discrepancy.first().map_or(0.0, Eliminated::amplitude),
         ),
         // The others are there to be compared: they report where they end.
-        _ => (Departed::nowhere(material(mixture)?), 0.0),
+        _ => (Material::from(material(mixture)?), 0.0),
     };
     // What the bench leaves open widens the intervals; the material is that of the bench as
     // believed. Averaged over benches it would be darker: weights make no material brighter
     // than white.
     if let Some(bench) = &coupling {
-        let pass = departed_pass.as_ref().unwrap_or(&solved.pass);
-        draws = draw(Some(bench), &center, pass, &departure);
+        let pass = discrepancy_pass.as_ref().unwrap_or(&solved.pass);
+        draws = draw(Some(bench), &center, pass, &discrepancy);
     }
     Ok(Posterior {
         draws: with_misfits(draws),
         material,
-        departure: amplitude,
+        discrepancy: amplitude,
     })
 }
 
@@ -162,10 +162,10 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
-    use crate::brdf::departure::{Departure, modes};
+    use crate::brdf::discrepancy::{Discrepancy, modes};
     use crate::brdf::{Atom, Brdf, Dictionary};
     use crate::inverse::cells::{Captured, CellOptions};
-    use crate::inverse::departure::free_modes;
+    use crate::inverse::discrepancy::free_modes;
     use crate::inverse::form::tests::bowl;
     use crate::inverse::solve::solve;
     use crate::radiance_image::RadianceImage;
@@ -182,10 +182,10 @@ mod tests {
         render(scene, material, &options)
     }
 
-    /// Images of a mixture ask for no departure; those of one that departs do, and with what is
+    /// Images of a mixture ask for no discrepancy; those of one that departs do, and with what is
     /// found f comes closer to the truth where light is reflected once.
     #[test]
-    fn a_departure_is_found_where_there_is_one() {
+    fn a_discrepancy_is_found_where_there_is_one() {
         let scene = bowl(20);
         let atoms = vec![
             Atom::Lambertian { albedo: 1.0 },
@@ -202,8 +202,8 @@ mod tests {
         let free = free_modes(&dictionary, &weights);
         let mut z = DVector::zeros(free.nrows());
         z.rows_mut(0, 4).copy_from_slice(&[1.5, -1.5, 1.5, 1.5]);
-        let g = Departure(modes() * (&free * free.tr_mul(&z)));
-        let departed = Departed::new(truth.clone(), std::slice::from_ref(&g));
+        let g = Discrepancy(modes() * (&free * free.tr_mul(&z)));
+        let departed = Material::new(truth.clone(), std::slice::from_ref(&g));
         let mut options = FitOptions::default();
         options.cache.samples_per_cell = 128;
         let found = |material: &dyn Brdf| {
@@ -215,12 +215,12 @@ mod tests {
             let solved = solve(&paths, &objective, None, &options, &()).unwrap();
             posterior(&scene, &paths, &objective, &solved, &options, None).unwrap()
         };
-        assert_eq!(found(&truth).departure, 0.0, "a mixture departs");
+        assert_eq!(found(&truth).discrepancy, 0.0, "a mixture departs");
         let found = found(&departed);
-        assert!(found.departure > 0.0);
-        let mixture = Departed::nowhere(found.material.mixture.clone());
+        assert!(found.discrepancy > 0.0);
+        let mixture = Material::from(found.material.mixture.clone());
         let mut squares = [0.0, 0.0];
-        for node in crate::brdf::departure::nodes() {
+        for node in crate::brdf::discrepancy::nodes() {
             let (h, d) = (node.theta_h_deg, node.theta_d_deg);
             if !(1.0..60.0).contains(&h) || d > 15.0 {
                 continue;

@@ -493,7 +493,7 @@ mod tests {
 
     #[test]
     fn a_mixture_projects_onto_itself() {
-        let dictionary = Arc::new(Dictionary::grid42());
+        let dictionary = Arc::new(Dictionary::paper42());
         let truth = inside(&dictionary);
         let matrix = CellMatrix::new(dictionary.clone(), 3);
         let cells = score::cells(3);
@@ -549,7 +549,7 @@ mod tests {
                 [0.1, 0.0, 0.0]
             }
         }
-        let matrix = CellMatrix::new(Arc::new(Dictionary::grid42()), 2);
+        let matrix = CellMatrix::new(Arc::new(Dictionary::paper42()), 2);
         let error = matrix.reference_projection(&Red).unwrap_err();
         assert_eq!(
             error.to_string(),

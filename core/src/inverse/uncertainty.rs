@@ -12,10 +12,10 @@ use rayon::prelude::*;
 
 use super::bench::{BenchCoupling, Parameter};
 use super::budget::{Budget, Source};
-use super::departure::Eliminated;
+use super::discrepancy::Eliminated;
 use super::objective::{Linearised, ScoreNoise};
 use super::sparse::SparsePosterior;
-use crate::brdf::departure::Departure;
+use crate::brdf::discrepancy::Discrepancy;
 use crate::brdf::{Atom, Dictionary};
 use crate::random::{Purpose, Stream, stream};
 
@@ -31,7 +31,7 @@ pub struct Draws {
     /// the paths' could; 0: the images tell nothing, and the posterior is the prior.
     pub informed: usize,
     /// How the material departs from each of the posterior draws; empty where it does not.
-    pub departures: Vec<Departure>,
+    pub discrepancies: Vec<Discrepancy>,
     /// Where the posterior's spread comes from, where that is known.
     pub budget: Option<Budget>,
 }
@@ -65,7 +65,7 @@ pub struct Adds<'a> {
     /// What capture and render make of the residual's own scatter; empty where unknown.
     pub noise: &'a [ScoreNoise],
     /// How the material departs from every mixture; empty where it does not.
-    pub departure: &'a [Eliminated],
+    pub discrepancy: &'a [Eliminated],
 }
 
 /// Draws `count` weights for each set around `mixture`.
@@ -119,17 +119,20 @@ fn draw_set(
     } = adjusted_likelihood(mixture, pass, adds, set);
     let posterior = chain(h, b + prior, 0);
     let mut numbers = stream(seed, Purpose::Posterior, set as u64, 2, 0);
-    let departures = adds.departure.get(set).map_or_else(Vec::new, |departure| {
-        let draws = posterior.iter();
-        draws
-            .map(|x| departure.draw(&(x - mixture), &mut numbers))
-            .collect()
-    });
+    let discrepancies = adds
+        .discrepancy
+        .get(set)
+        .map_or_else(Vec::new, |discrepancy| {
+            let draws = posterior.iter();
+            draws
+                .map(|x| discrepancy.draw(&(x - mixture), &mut numbers))
+                .collect()
+        });
     Draws {
         prior: chain(DMatrix::zeros(n, n), prior.clone(), 1),
         misfit: 0.0,
         informed,
-        departures,
+        discrepancies,
         posterior,
         budget,
     }
@@ -154,7 +157,7 @@ fn adjusted_likelihood(
     set: usize,
 ) -> Likelihood {
     let quadratic = &pass.quadratics[set];
-    let (information, scores, score) = match adds.departure.get(set) {
+    let (information, scores, score) = match adds.discrepancy.get(set) {
         Some(d) => (
             d.information.clone(),
             &d.block_scores,
@@ -201,7 +204,7 @@ fn adjusted_likelihood(
     // The fit has made the residuals smaller than the errors.
     let blocks = scores.len() as f64;
     scatter *= blocks / (blocks - 0.5 * kept.len() as f64).max(1.0);
-    let least = match adds.departure {
+    let least = match adds.discrepancy {
         [] => 1.0,
         _ => LEAST_SPREAD,
     };

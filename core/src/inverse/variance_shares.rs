@@ -5,7 +5,7 @@ use nalgebra::DVector;
 use super::budget::{SOURCES, Source};
 use super::intervals::{deviation, inadequacy};
 use super::uncertainty::Draws;
-use crate::brdf::departure::Departed;
+use crate::brdf::discrepancy::Material;
 
 /// Relative variance of f at one pair of angles, mean over the channels.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -18,7 +18,7 @@ pub struct CellBudget {
 
 /// The budget at half and difference angles, degrees; `None` without draws.
 pub fn at(
-    material: &Departed,
+    material: &Material,
     draws: &[Draws],
     theta_h_deg: f64,
     theta_d_deg: f64,
@@ -47,11 +47,12 @@ pub fn at(
             // The draws are of mixtures, the value of what departs.
             *sum += share * variance / (mean * mean) / 3.0;
         }
-        let departures = set.departures.iter();
-        let departures: Vec<f64> = departures
+        let discrepancies = set.discrepancies.iter();
+        let discrepancies: Vec<f64> = discrepancies
             .map(|d| d.factor(theta_h_deg, theta_d_deg).ln())
             .collect();
-        let beyond = inadequacy(set.misfit, theta_h_deg, theta_d_deg).hypot(deviation(&departures));
+        let beyond =
+            inadequacy(set.misfit, theta_h_deg, theta_d_deg).hypot(deviation(&discrepancies));
         cell.relative_variance[Source::Model as usize] += beyond * beyond / 3.0;
     }
     Some(cell)

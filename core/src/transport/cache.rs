@@ -12,9 +12,9 @@ use rayon::prelude::*;
 
 use super::cells::Cells;
 use super::continuation::{Continuations, Kind, Steering};
-use super::event::{GeneralRecord, GridRecord, Head, LaneAtoms, MAX_LIGHTS, Record};
+use super::event::{Head, LaneAtoms, MAX_LIGHTS, Record};
 use super::guide::Guide;
-use super::points::{Numbers, PathNumbers};
+use super::points::{Sampler, SobolSampler};
 use super::proposal::Proposal;
 use super::scene::{Scene, Surface};
 use crate::brdf::dictionary::Dictionary;
@@ -36,8 +36,6 @@ pub struct CacheOptions {
     pub steering: Steering,
     /// Fewer samples are traced if the records would take more than this.
     pub max_bytes: usize,
-    /// Use the separable records where the dictionary is a grid.
-    pub allow_grid: bool,
 }
 
 impl Default for CacheOptions {
@@ -49,7 +47,6 @@ impl Default for CacheOptions {
             proposal: Proposal::default(),
             steering: Steering::default(),
             max_bytes: 512 << 20,
-            allow_grid: true,
         }
     }
 }
@@ -88,29 +85,27 @@ pub enum CacheError {
 pub const CHUNK_CELLS: usize = 32;
 
 /// Records of consecutive cells. Each cell has two independent halves.
-pub struct Chunk<R> {
+pub struct Chunk<const B: usize> {
     /// First cell.
     pub first_cell: usize,
     /// `records[start[2·p + h]..start[2·p + h + 1]]` is half h of the chunk's cell p.
     pub start: Vec<u32>,
     /// All records, path after path.
-    pub records: Vec<R>,
+    pub records: Vec<Record<B>>,
 }
 
-/// Records by layout; general ones by their number of blocks.
+/// Records by their number of blocks of eight atoms that vary with the directions.
 pub enum Records {
-    /// Separable.
-    Grid(Vec<Chunk<GridRecord>>),
-    /// At most 8 GGX atoms.
-    General1(Vec<Chunk<GeneralRecord<1>>>),
+    /// At most 8 atoms.
+    Blocks1(Vec<Chunk<1>>),
     /// At most 16.
-    General2(Vec<Chunk<GeneralRecord<2>>>),
+    Blocks2(Vec<Chunk<2>>),
     /// At most 24.
-    General3(Vec<Chunk<GeneralRecord<3>>>),
+    Blocks3(Vec<Chunk<3>>),
     /// At most 40.
-    General5(Vec<Chunk<GeneralRecord<5>>>),
+    Blocks5(Vec<Chunk<5>>),
     /// At most 64.
-    General8(Vec<Chunk<GeneralRecord<8>>>),
+    Blocks8(Vec<Chunk<8>>),
 }
 
 /// Traced paths of a scene for a dictionary.
@@ -160,7 +155,7 @@ impl Cache {
         if let Some(body) = scene.coloured_body() {
             return Err(CacheError::ColouredBody { body });
         }
-        let atoms = LaneAtoms::new(dictionary, options.allow_grid);
+        let atoms = LaneAtoms::new(dictionary);
         let tracer = Tracer {
             scene,
             cells,
@@ -168,29 +163,24 @@ impl Cache {
             atoms: &atoms,
             options,
         };
-        let (samples_per_half, records) = if atoms.is_grid() {
-            let (n, chunks) = tracer.chunks::<5, GridRecord>();
-            (n, Records::Grid(chunks))
-        } else {
-            macro_rules! general {
-                ($b:literal, $variant:path) => {{
-                    let (n, chunks) = tracer.chunks::<$b, GeneralRecord<$b>>();
-                    (n, $variant(chunks))
-                }};
-            }
-            match atoms.blocks() {
-                0 | 1 => general!(1, Records::General1),
-                2 => general!(2, Records::General2),
-                3 => general!(3, Records::General3),
-                4 | 5 => general!(5, Records::General5),
-                6..=8 => general!(8, Records::General8),
-                blocks => {
-                    return Err(CacheError::TooManyAtoms {
-                        name: dictionary.name().to_owned(),
-                        atoms: blocks * 8,
-                        limit: 64,
-                    });
-                }
+        macro_rules! traced {
+            ($b:literal, $variant:path) => {{
+                let (n, chunks) = tracer.chunks::<$b>();
+                (n, $variant(chunks))
+            }};
+        }
+        let (samples_per_half, records) = match atoms.blocks() {
+            0 | 1 => traced!(1, Records::Blocks1),
+            2 => traced!(2, Records::Blocks2),
+            3 => traced!(3, Records::Blocks3),
+            4 | 5 => traced!(5, Records::Blocks5),
+            6..=8 => traced!(8, Records::Blocks8),
+            blocks => {
+                return Err(CacheError::TooManyAtoms {
+                    name: dictionary.name().to_owned(),
+                    atoms: blocks * 8,
+                    limit: 64,
+                });
             }
         };
         Ok(Self {
@@ -206,17 +196,16 @@ impl Cache {
 
     /// Number of records and the bytes they take.
     pub fn size(&self) -> (usize, usize) {
-        fn count<R>(chunks: &[Chunk<R>]) -> (usize, usize) {
+        fn count<const B: usize>(chunks: &[Chunk<B>]) -> (usize, usize) {
             let records = chunks.iter().map(|c| c.records.len()).sum();
-            (records, records * size_of::<R>())
+            (records, records * size_of::<Record<B>>())
         }
         match &self.records {
-            Records::Grid(c) => count(c),
-            Records::General1(c) => count(c),
-            Records::General2(c) => count(c),
-            Records::General3(c) => count(c),
-            Records::General5(c) => count(c),
-            Records::General8(c) => count(c),
+            Records::Blocks1(c) => count(c),
+            Records::Blocks2(c) => count(c),
+            Records::Blocks3(c) => count(c),
+            Records::Blocks5(c) => count(c),
+            Records::Blocks8(c) => count(c),
         }
     }
 }
@@ -236,22 +225,22 @@ struct Walk {
     to_viewer: Vec3,
     reflections: u32,
     kind: Kind,
-    numbers: PathNumbers,
+    numbers: SobolSampler,
 }
 
 impl Tracer<'_> {
     /// Traces all chunks with as many samples as fit into memory; returns the samples per half.
-    fn chunks<const B: usize, R: Record<B>>(&self) -> (u32, Vec<Chunk<R>>) {
+    fn chunks<const B: usize>(&self) -> (u32, Vec<Chunk<B>>) {
         let options = self.options;
         let mut per_half = (options.samples_per_cell / 2).max(1);
-        let wanted = self.probe::<B, R>() * f64::from(per_half);
+        let wanted = self.probe::<B>() * f64::from(per_half);
         // Aims a little below, as the estimate has an error.
         let room = 0.97 * options.max_bytes as f64;
         if wanted > room {
             per_half = ((f64::from(per_half) * room / wanted) as u32).max(1);
         }
         loop {
-            match self.trace_all::<B, R>(per_half) {
+            match self.trace_all::<B>(per_half) {
                 Some(chunks) => return (per_half, chunks),
                 None => per_half -= per_half.div_ceil(16),
             }
@@ -260,7 +249,7 @@ impl Tracer<'_> {
 
     /// Bytes of records that one sample per half of every cell takes, from a few samples of
     /// cells spread over the image.
-    fn probe<const B: usize, R: Record<B>>(&self) -> f64 {
+    fn probe<const B: usize>(&self) -> f64 {
         const PROBES: usize = 24 * 24;
         let count = self.cells.len();
         let probes = count.min(PROBES);
@@ -273,18 +262,18 @@ impl Tracer<'_> {
                 let mut numbers = stream(self.options.seed, Purpose::Experiment, 0, key, 0);
                 let at = (probe as f64 + numbers.uniform()) / probes as f64;
                 let cell = ((at * count as f64) as usize).min(count - 1);
-                let mut records: Vec<R> = Vec::new();
+                let mut records: Vec<Record<B>> = Vec::new();
                 self.half(cell, 0, samples, &mut records);
                 records.len()
             })
             .sum();
         let probed = probes.max(1) as f64 * f64::from(samples);
-        2.0 * (records * size_of::<R>()) as f64 * count as f64 / probed
+        2.0 * (records * size_of::<Record<B>>()) as f64 * count as f64 / probed
     }
 
     /// Traces all chunks; `None` as soon as they take more memory than allowed (unless
     /// fewer samples are impossible).
-    fn trace_all<const B: usize, R: Record<B>>(&self, per_half: u32) -> Option<Vec<Chunk<R>>> {
+    fn trace_all<const B: usize>(&self, per_half: u32) -> Option<Vec<Chunk<B>>> {
         let cells = self.cells.len();
         let limit = match per_half {
             1 => usize::MAX,
@@ -309,7 +298,7 @@ impl Tracer<'_> {
                     }
                 }
                 chunk.records.shrink_to_fit();
-                let own = chunk.records.len() * size_of::<R>();
+                let own = chunk.records.len() * size_of::<Record<B>>();
                 // The sum passes the limit or not whatever the order: so do all threads agree.
                 (bytes.fetch_add(own, Ordering::Relaxed) + own <= limit).then_some(chunk)
             })
@@ -317,17 +306,17 @@ impl Tracer<'_> {
     }
 
     /// Traces one half, 0 or 1, of a cell's paths.
-    fn half<const B: usize, R: Record<B>>(
+    fn half<const B: usize>(
         &self,
         cell: usize,
         half: u32,
         samples: u32,
-        records: &mut Vec<R>,
+        records: &mut Vec<Record<B>>,
     ) {
         let (scene, atoms, options) = (self.scene, self.atoms, self.options);
         for sample in 0..samples {
             let (numbers, ray) =
-                PathNumbers::begin_in(&scene.camera, self.cells, options.seed, cell, half, sample);
+                SobolSampler::begin_in(&scene.camera, self.cells, options.seed, cell, half, sample);
             let begin = records.len();
             // Up to here the path has contributed; records after it lead nowhere.
             let mut useful = begin;
@@ -370,7 +359,7 @@ impl Tracer<'_> {
                     let Some(weight_back) = back else { break };
                     weight = weight_back;
                 }
-                records.push(R::encode(Head::continuation(weight), atoms, &at));
+                records.push(Record::encode(Head::continuation(weight), atoms, &at));
                 for light in 0..scene.lights.len() {
                     let u = walk.numbers.on_lamp();
                     let Some(connection) = scene.connect(&walk.surface, light, u) else {
@@ -379,7 +368,7 @@ impl Tracer<'_> {
                     let to_light = connection.to_light.to_array();
                     if let Some(at) = Cosines::new(to_light, walk.to_viewer.to_array()) {
                         let head = Head::connection(connection.irradiance, light);
-                        records.push(R::encode(head, atoms, &at));
+                        records.push(Record::encode(head, atoms, &at));
                         useful = records.len();
                     }
                 }
@@ -396,12 +385,12 @@ impl Tracer<'_> {
     /// that led there with `weight`; returns the weight of its continuation to where the
     /// walk is back at the sample, `None` if it ends before.
     #[cold]
-    fn detour<const B: usize, R: Record<B>>(
+    fn detour<const B: usize>(
         &self,
         at: &Cosines<f32>,
         mut weight: f32,
         walk: &mut Walk,
-        records: &mut Vec<R>,
+        records: &mut Vec<Record<B>>,
     ) -> Option<f32> {
         let mut arriving = vec![0.0f32; self.scene.lights.len()];
         let mut follow = || {
@@ -433,7 +422,7 @@ impl Tracer<'_> {
         for (light, &arrived) in arriving.iter().enumerate() {
             if arrived > 0.0 {
                 let head = Head::connection(arrived, light);
-                records.push(R::encode(head, self.atoms, at));
+                records.push(Record::encode(head, self.atoms, at));
             }
         }
         back
@@ -459,7 +448,7 @@ mod tests {
             let cache = Cache::trace(
                 &scene,
                 &Cells::of_pixels(scene.camera.resolution_px),
-                &Dictionary::grid42(),
+                &Dictionary::rig26(),
                 &options,
             )
             .unwrap();

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use super::cells::Cells;
 use super::event::LaneAtoms;
-use super::points::{Numbers, PathNumbers};
+use super::points::{Sampler, SobolSampler};
 use super::scene::{Scene, Surface};
 use crate::brdf::dictionary::Dictionary;
 use crate::brdf::ggx::Cosines;
@@ -35,11 +35,11 @@ pub fn for_each_seen(
     cell: usize,
     strata: u32,
     seed: u64,
-    mut each: impl FnMut(&Surface, Vec3, &mut PathNumbers),
+    mut each: impl FnMut(&Surface, Vec3, &mut SobolSampler),
 ) {
     for sample in 0..strata * strata {
         let (mut numbers, ray) =
-            PathNumbers::begin_in(&scene.camera, cells, seed, cell, PART, sample);
+            SobolSampler::begin_in(&scene.camera, cells, seed, cell, PART, sample);
         if let Some((surface, to_viewer)) = scene.first(&ray).filter(|(hit, _)| hit.is_sample()) {
             each(&surface, to_viewer, &mut numbers);
         }
@@ -55,7 +55,7 @@ impl DirectMatrix {
         strata: u32,
         seed: u64,
     ) -> Self {
-        let atoms = LaneAtoms::new(dictionary, true);
+        let atoms = LaneAtoms::new(dictionary);
         let (n, lights) = (atoms.atoms(), scene.lights.len());
         let rows: Vec<(Vec<f32>, f32, Vec<f32>)> = (0..cells.len())
             .into_par_iter()
@@ -150,7 +150,7 @@ mod tests {
     fn points_in_a_pixel_are_even() {
         let scene = Scene::bowl(64, [24, 24], 2.4);
         let dictionary = Dictionary::paper42();
-        let atoms = LaneAtoms::new(&dictionary, true);
+        let atoms = LaneAtoms::new(&dictionary);
         let cells = Cells::of_pixels(scene.camera.resolution_px);
         let direct =
             [1, 2].map(|seed| DirectMatrix::new(&scene, &cells, &dictionary, STRATA, seed));

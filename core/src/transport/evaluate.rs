@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use super::cache::{Cache, Chunk, Records};
 use super::event::{LaneAtoms, MAX_LIGHTS, Record};
 use super::lanes::{Lanes, Portable};
-use crate::brdf::departure::NODES;
+use crate::brdf::discrepancy::NODES;
 
 /// Which instructions evaluate the cache.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -68,7 +68,7 @@ pub struct CellRows<'a> {
     pub variance: &'a [f32],
     /// `jacobian[half][r · atoms + atom]`.
     pub jacobian: [&'a [f32]; 2],
-    /// Derivatives by ln f at the nodes of a departure, `nodes[half][r · NODES + node]`; empty
+    /// Derivatives by ln f at the nodes of a discrepancy, `nodes[half][r · NODES + node]`; empty
     /// unless asked for.
     pub nodes: [&'a [f32]; 2],
 }
@@ -80,11 +80,11 @@ const MAX_GROUPS: usize = 256;
 /// Weights of one mixture per channel; all channels may share one.
 pub type ChannelWeights<'a> = &'a [&'a [f64]];
 
-/// How a material departs from the mixture in an evaluation.
+/// The discrepancy of a material in an evaluation.
 #[derive(Clone, Copy, Default)]
-pub struct Departing<'a> {
-    /// Per channel, factors of f at the nodes of [`crate::brdf::departure`]; none where it does
-    /// not depart.
+pub struct NodeFactors<'a> {
+    /// Per channel, factors of f at the nodes of [`crate::brdf::discrepancy`]; empty
+    /// without discrepancy.
     pub factors: &'a [[f32; NODES]],
     /// Whether derivatives by ln f at the nodes are wanted.
     pub by_node: bool,
@@ -104,15 +104,15 @@ impl Cache {
         group: impl Fn() -> T + Sync,
         visit: impl Fn(&mut T, &CellRows<'_>) + Sync,
     ) -> Vec<T> {
-        self.evaluate_departed(kernel, weights, &Departing::default(), group, visit)
+        self.evaluate_with_discrepancy(kernel, weights, &NodeFactors::default(), group, visit)
     }
 
-    /// [`Cache::evaluate`] for a material that departs from the mixture.
-    pub fn evaluate_departed<T: Send>(
+    /// [`Cache::evaluate`] for a mixture with discrepancy.
+    pub fn evaluate_with_discrepancy<T: Send>(
         &self,
         kernel: Kernel,
         weights: ChannelWeights<'_>,
-        departing: &Departing<'_>,
+        discrepancy: &NodeFactors<'_>,
         group: impl Fn() -> T + Sync,
         visit: impl Fn(&mut T, &CellRows<'_>) + Sync,
     ) -> Vec<T> {
@@ -124,35 +124,34 @@ impl Cache {
             ($chunks:expr, $b:literal) => {
                 match weights.len() {
                     1 => {
-                        self.run::<$b, 1, _, _>(kernel, $chunks, weights, departing, &group, &visit)
+                        self.run::<$b, 1, _>(kernel, $chunks, weights, discrepancy, &group, &visit)
                     }
                     3 => {
-                        self.run::<$b, 3, _, _>(kernel, $chunks, weights, departing, &group, &visit)
+                        self.run::<$b, 3, _>(kernel, $chunks, weights, discrepancy, &group, &visit)
                     }
                     n => panic!("{n} channels of weights; 1 or 3 are possible"),
                 }
             };
         }
         match &self.records {
-            Records::Grid(c) => by_channels!(c, 5),
-            Records::General1(c) => by_channels!(c, 1),
-            Records::General2(c) => by_channels!(c, 2),
-            Records::General3(c) => by_channels!(c, 3),
-            Records::General5(c) => by_channels!(c, 5),
-            Records::General8(c) => by_channels!(c, 8),
+            Records::Blocks1(c) => by_channels!(c, 1),
+            Records::Blocks2(c) => by_channels!(c, 2),
+            Records::Blocks3(c) => by_channels!(c, 3),
+            Records::Blocks5(c) => by_channels!(c, 5),
+            Records::Blocks8(c) => by_channels!(c, 8),
         }
     }
 
-    fn run<const B: usize, const C: usize, R: Record<B>, T: Send>(
+    fn run<const B: usize, const C: usize, T: Send>(
         &self,
         kernel: Kernel,
-        chunks: &[Chunk<R>],
+        chunks: &[Chunk<B>],
         weights: ChannelWeights<'_>,
-        departing: &Departing<'_>,
+        discrepancy: &NodeFactors<'_>,
         new: &(impl Fn() -> T + Sync),
         visit: &(impl Fn(&mut T, &CellRows<'_>) + Sync),
     ) -> Vec<T> {
-        let mixture = Mixture::<B, C>::new(&self.atoms, weights, departing.factors);
+        let mixture = Mixture::<B, C>::new(&self.atoms, weights, discrepancy.factors);
         let atoms = self.atoms.atoms();
         let rows = self.lights * C;
         chunks
@@ -162,9 +161,10 @@ impl Cache {
             .map(|group| {
                 let mut accumulator = new();
                 let mut scratch = Scratch::new();
-                let mut sums = [(); 2].map(|()| Sums::<B, C>::new(self.lights, departing.by_node));
+                let mut sums =
+                    [(); 2].map(|()| Sums::<B, C>::new(self.lights, discrepancy.by_node));
                 let mut jacobian = [(); 2].map(|()| vec![0.0; rows * atoms]);
-                let nodes = if departing.by_node { rows * NODES } else { 0 };
+                let nodes = if discrepancy.by_node { rows * NODES } else { 0 };
                 let mut nodes = [(); 2].map(|()| vec![0.0; nodes]);
                 let mut values = [(); 2].map(|()| vec![0.0; rows]);
                 let mut variance = vec![0.0; rows];
@@ -304,9 +304,9 @@ impl<const B: usize, const C: usize> Sums<B, C> {
 }
 
 /// What the sweeps over a cell's records leave for each other.
-struct Scratch<U, const C: usize> {
+struct Scratch<const C: usize> {
     /// Per record.
-    steps: Vec<Step<U, C>>,
+    steps: Vec<Step<C>>,
     /// Records that have a share in the light's derivative, and the factor of their
     /// values there.
     share: Vec<(u32, [f32; C])>,
@@ -314,8 +314,7 @@ struct Scratch<U, const C: usize> {
 
 /// What the forward sweep leaves of a record.
 #[derive(Clone, Copy)]
-struct Step<U, const C: usize> {
-    unpacked: U,
+struct Step<const C: usize> {
     /// f of the mixture.
     f: [f32; C],
     /// f · weight, by which a continuation multiplies what comes after it.
@@ -324,7 +323,7 @@ struct Step<U, const C: usize> {
     before: [f32; C],
 }
 
-impl<U: Copy + Default, const C: usize> Scratch<U, C> {
+impl<const C: usize> Scratch<C> {
     fn new() -> Self {
         Self {
             steps: Vec::new(),
@@ -334,10 +333,9 @@ impl<U: Copy + Default, const C: usize> Scratch<U, C> {
 
     /// Room for `n` records.
     #[expect(clippy::type_complexity, reason = "two slices of one scratch space")]
-    fn slices(&mut self, n: usize) -> (&mut [Step<U, C>], &mut [(u32, [f32; C])]) {
+    fn slices(&mut self, n: usize) -> (&mut [Step<C>], &mut [(u32, [f32; C])]) {
         if self.steps.len() < n {
             let step = Step {
-                unpacked: U::default(),
                 f: [0.0; C],
                 gain: [0.0; C],
                 before: [0.0; C],
@@ -350,57 +348,57 @@ impl<U: Copy + Default, const C: usize> Scratch<U, C> {
 }
 
 /// Functions of their own: inlined into every caller they would be compiled many times over.
-fn pass<const B: usize, const C: usize, R: Record<B>>(
+fn pass<const B: usize, const C: usize>(
     kernel: Kernel,
-    records: &[R],
+    records: &[Record<B>],
     mixture: &Mixture<B, C>,
-    scratch: &mut Scratch<R::Unpacked, C>,
+    scratch: &mut Scratch<C>,
     sums: &mut Sums<B, C>,
 ) {
     match kernel {
-        Kernel::Portable => pass_portable::<B, C, R>(records, mixture, scratch, sums),
+        Kernel::Portable => pass_portable::<B, C>(records, mixture, scratch, sums),
         #[cfg(target_arch = "x86_64")]
         // SAFETY: `Cache::evaluate` let only an available kernel pass.
-        Kernel::Avx2 => unsafe { pass_avx2::<B, C, R>(records, mixture, scratch, sums) },
+        Kernel::Avx2 => unsafe { pass_avx2::<B, C>(records, mixture, scratch, sums) },
         #[cfg(target_arch = "x86_64")]
         // SAFETY: as above.
-        Kernel::Avx512 => unsafe { pass_avx512::<B, C, R>(records, mixture, scratch, sums) },
+        Kernel::Avx512 => unsafe { pass_avx512::<B, C>(records, mixture, scratch, sums) },
         #[cfg(not(target_arch = "x86_64"))]
         _ => unreachable!("not available on this architecture"),
     }
 }
 
 #[inline(never)]
-fn pass_portable<const B: usize, const C: usize, R: Record<B>>(
-    records: &[R],
+fn pass_portable<const B: usize, const C: usize>(
+    records: &[Record<B>],
     mixture: &Mixture<B, C>,
-    scratch: &mut Scratch<R::Unpacked, C>,
+    scratch: &mut Scratch<C>,
     sums: &mut Sums<B, C>,
 ) {
-    sweep::<Portable, B, C, R>(records, mixture, scratch, sums);
+    sweep::<Portable, B, C>(records, mixture, scratch, sums);
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,fma,f16c")]
-fn pass_avx2<const B: usize, const C: usize, R: Record<B>>(
-    records: &[R],
+fn pass_avx2<const B: usize, const C: usize>(
+    records: &[Record<B>],
     mixture: &Mixture<B, C>,
-    scratch: &mut Scratch<R::Unpacked, C>,
+    scratch: &mut Scratch<C>,
     sums: &mut Sums<B, C>,
 ) {
-    sweep::<super::lanes::Avx2, B, C, R>(records, mixture, scratch, sums);
+    sweep::<super::lanes::Avx2, B, C>(records, mixture, scratch, sums);
 }
 
 /// The same eight lanes, with the twice as many registers and the masks of AVX-512.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,fma,f16c,avx512f,avx512vl,avx512dq,avx512bw")]
-fn pass_avx512<const B: usize, const C: usize, R: Record<B>>(
-    records: &[R],
+fn pass_avx512<const B: usize, const C: usize>(
+    records: &[Record<B>],
     mixture: &Mixture<B, C>,
-    scratch: &mut Scratch<R::Unpacked, C>,
+    scratch: &mut Scratch<C>,
     sums: &mut Sums<B, C>,
 ) {
-    sweep::<super::lanes::Avx2, B, C, R>(records, mixture, scratch, sums);
+    sweep::<super::lanes::Avx2, B, C>(records, mixture, scratch, sums);
 }
 
 /// Three sweeps without a branch on what a record is, as no processor predicts that:
@@ -412,18 +410,14 @@ fn pass_avx512<const B: usize, const C: usize, R: Record<B>>(
     reason = "only what is inlined here may use the kernel's instructions: loops, not closures"
 )]
 #[inline(always)]
-fn sweep<L: Lanes, const B: usize, const C: usize, R: Record<B>>(
-    records: &[R],
+fn sweep<L: Lanes, const B: usize, const C: usize>(
+    records: &[Record<B>],
     mixture: &Mixture<B, C>,
-    scratch: &mut Scratch<R::Unpacked, C>,
+    scratch: &mut Scratch<C>,
     sums: &mut Sums<B, C>,
 ) {
     let n = records.len();
     let (steps, shares) = scratch.slices(n);
-    for i in 0..n {
-        steps[i].unpacked = records[i].unpack::<L>();
-    }
-
     let mut weights = [[L::splat(0.0); B]; C];
     for c in 0..C {
         for b in 0..B {
@@ -436,20 +430,20 @@ fn sweep<L: Lanes, const B: usize, const C: usize, R: Record<B>>(
     for i in 0..n {
         let step = &mut steps[i];
         let head = records[i].head();
-        let kind = head.kind();
+        let flags = head.flags();
         let scale = head.scale();
-        let departed = &mixture.factors[head.node()];
-        let dot = records[i].dot::<L, C>(&step.unpacked, &weights);
+        let node_factors = &mixture.factors[head.node()];
+        let dot = records[i].dot::<L, C>(&weights);
         // About as many records come next: the pixel's other half, or the next pixel.
         L::prefetch(&records[i], n);
         for c in 0..C {
-            let weight = head.weight * departed[c];
+            let weight = head.weight * node_factors[c];
             step.f[c] = L::fused(dot[c], scale, mixture.lambertian[c]);
             let gain = step.f[c] * weight;
-            before[c] = L::fused(before[c], factor[c] * kind.later, kind.first);
+            before[c] = L::fused(before[c], factor[c] * flags.later, flags.first);
             step.before[c] = before[c] * weight;
             step.gain[c] = gain;
-            factor[c] = L::fused(gain, kind.goes_on, kind.connects);
+            factor[c] = L::fused(gain, flags.goes_on, flags.connects);
         }
     }
 
@@ -465,21 +459,21 @@ fn sweep<L: Lanes, const B: usize, const C: usize, R: Record<B>>(
         for i in (0..n).rev() {
             let step = &steps[i];
             let head = records[i].head();
-            let kind = head.kind();
-            let connects = kind.connects * is_lamp[head.lamp()];
+            let flags = head.flags();
+            let connects = flags.connects * is_lamp[head.lamp()];
             let mut share = [0.0f32; C];
             for c in 0..C {
                 // A path never ends with a continuation: what is after it is its own.
-                let coefficient = step.before[c] * L::fused(after[c], kind.goes_on, connects);
-                let factor = L::fused(step.gain[c], kind.goes_on, kind.connects) * same_path;
+                let coefficient = step.before[c] * L::fused(after[c], flags.goes_on, connects);
+                let factor = L::fused(step.gain[c], flags.goes_on, flags.connects) * same_path;
                 after[c] = L::fused(after[c], factor, step.gain[c] * connects);
-                let total = after[c] * kind.first;
+                let total = after[c] * flags.first;
                 value[c] += total;
                 square[c] = L::fused(total, total, square[c]);
                 lambertian[c] += coefficient;
                 share[c] = coefficient;
             }
-            same_path = kind.later;
+            same_path = flags.later;
             shares[count] = (i as u32, share);
             count += usize::from(share != [0.0; C]);
         }
@@ -490,7 +484,7 @@ fn sweep<L: Lanes, const B: usize, const C: usize, R: Record<B>>(
             let scale = records[i].head().scale();
             for c in 0..C {
                 let share = share[c] * scale;
-                records[i].accumulate(&steps[i].unpacked, share, &mut gradient[c]);
+                records[i].accumulate(share, &mut gradient[c]);
             }
         }
         if let Some(nodes) = by_node.get_mut(light) {
@@ -547,8 +541,8 @@ mod tests {
 
     /// Sum over all pixels of the radiance under each lamp, in f64, by walking the
     /// records: the definition that the kernels must reproduce.
-    fn radiance<const B: usize, R: Record<B>>(
-        chunks: &[Chunk<R>],
+    fn radiance<const B: usize>(
+        chunks: &[Chunk<B>],
         atoms: &LaneAtoms,
         weights: &[f64],
         lights: usize,
@@ -575,7 +569,7 @@ mod tests {
                 }
                 let mut f = lambertian;
                 let mut blocks = [Portable::splat(0.0); B];
-                record.accumulate(&record.unpack::<Portable>(), 1.0, &mut blocks);
+                record.accumulate(1.0, &mut blocks);
                 for (b, block) in blocks.into_iter().enumerate() {
                     let mut values = [0.0; 8];
                     block.store(&mut values);
@@ -597,15 +591,10 @@ mod tests {
     #[test]
     fn jacobian_agrees_with_central_differences() {
         let scene = scene();
-        for (dictionary, allow_grid) in [
-            (Dictionary::grid42(), true),
-            (Dictionary::grid42(), false),
-            (Dictionary::paper42(), true),
-        ] {
+        for dictionary in [Dictionary::rig26(), Dictionary::paper42()] {
             let options = CacheOptions {
                 samples_per_cell: 32,
                 max_reflections: 6,
-                allow_grid,
                 ..CacheOptions::default()
             };
             let cache = Cache::trace(
@@ -622,8 +611,8 @@ mod tests {
             black[n - 1] = 1.0;
             for weights in [vec![1.0 / n as f64; n], single, black] {
                 let walk = |w: &[f64]| match &cache.records {
-                    Records::Grid(c) => radiance(c, &cache.atoms, w, 2),
-                    Records::General5(c) => radiance(c, &cache.atoms, w, 2),
+                    Records::Blocks3(c) => radiance(c, &cache.atoms, w, 2),
+                    Records::Blocks5(c) => radiance(c, &cache.atoms, w, 2),
                     _ => panic!("unexpected layout"),
                 };
                 for &kernel in Kernel::available() {
@@ -699,40 +688,10 @@ mod tests {
         sum
     }
 
-    /// The same paths in either layout: what differs is the rounding to half precision.
-    #[test]
-    fn the_general_layout_agrees_with_the_grid() {
-        let (scene, dictionary) = (scene(), Dictionary::grid42());
-        let weights: Vec<f64> = (0..42).map(|n| f64::from(n + 1) / (21.0 * 43.0)).collect();
-        let [grid, general] = [true, false].map(|allow_grid| {
-            let options = CacheOptions {
-                samples_per_cell: 32,
-                allow_grid,
-                ..CacheOptions::default()
-            };
-            let cache = Cache::trace(
-                &scene,
-                &Cells::of_pixels(scene.camera.resolution_px),
-                &dictionary,
-                &options,
-            )
-            .unwrap();
-            assert_eq!(cache.atoms.is_grid(), allow_grid);
-            totals(&cache, Kernel::detect(), &weights)
-        });
-        for light in 0..2 {
-            let near = |a: f64, b: f64| (a - b).abs() <= 1e-3 * a.abs().max(b.abs());
-            assert!(near(grid.0[light], general.0[light]));
-            for (atom, (&a, &b)) in grid.1[light].iter().zip(&general.1[light]).enumerate() {
-                assert!(near(a, b), "light {light}, atom {atom}: {a} and {b}");
-            }
-        }
-    }
-
     #[test]
     fn results_do_not_depend_on_the_number_of_threads() {
         let scene = scene();
-        let dictionary = Dictionary::grid42();
+        let dictionary = Dictionary::paper42();
         let run = |threads: usize, kernel: Kernel| {
             let pool = rayon::ThreadPoolBuilder::new()
                 .num_threads(threads)

@@ -3,7 +3,7 @@
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::points::PathNumbers;
+use super::points::SobolSampler;
 use super::render::{Carrier, RenderOptions, follow_from};
 use super::scene::{Scene, Surface};
 use crate::brdf::Brdf;
@@ -38,7 +38,7 @@ pub fn indirect(
         for path in 0..number {
             // The ray is known already.
             let (mut numbers, ray) =
-                PathNumbers::begin(&scene.camera, options.seed, index, 0, path);
+                SobolSampler::begin(&scene.camera, options.seed, index, 0, path);
             let carried = <[f64; 3]>::start(ray.direction);
             let begun = (&mut numbers, carried, *place);
             follow_from(

@@ -11,7 +11,7 @@ pub mod camera_body;
 pub mod cells;
 mod continuation;
 pub mod direct;
-pub mod direct_departed;
+pub mod direct_discrepancy;
 pub mod distortion;
 pub mod evaluate;
 pub mod event;

@@ -1,10 +1,10 @@
-//! The numbers of camera paths: independent ones, or points that fill the space of paths more
-//! evenly, so that their mean scatters less.
+//! Samplers: the random numbers of camera paths, independent (Monte Carlo) or quasi-random.
 //!
-//! The places in a cell and the continuations of its paths are points of a Sobol sequence
-//! under a hashed Owen scramble (Burley 2020), four dimensions per reflection. Each point
-//! alone is uniform, so nothing is biased. Parts of a cell's paths have scrambles of their
-//! own and are independent of each other, as cells are.
+//! [`SobolSampler`] draws the positions in a cell and the continuations of its paths from a
+//! Sobol sequence with hashed Owen scrambling (Burley 2020), four dimensions per reflection.
+//! Each point alone is uniform, so estimates are unbiased; together they fill the space of
+//! paths more evenly, so that their mean scatters less. The two halves of a cell's paths, and
+//! different cells, have scrambles of their own and are independent of each other.
 
 use glam::DVec2;
 
@@ -13,25 +13,25 @@ use super::cells::Cells;
 use crate::geometry::Ray;
 use crate::random::{Purpose, Stream, Uniform, stream};
 
-/// The numbers of one path, by what they are for.
-pub trait Numbers: Uniform {
+/// The random numbers of one path, by what they are for.
+pub trait Sampler: Uniform {
     /// Where on an extended lamp a reflection is connected to, in [0, 1)².
     fn on_lamp(&mut self) -> [f32; 2];
     /// Goes on to the next reflection.
     fn advance(&mut self);
 }
 
-/// Independent numbers.
-pub struct Independent {
+/// Independent random numbers.
+pub struct IndependentSampler {
     directions: Stream,
     lamps: Stream,
 }
 
-impl Independent {
+impl IndependentSampler {
     /// Begins path number `sample` of a pixel: its numbers and its ray.
     pub fn begin(camera: &Camera, seed: u64, pixel: usize, sample: u32) -> (Self, Ray) {
-        let (numbers, [place, lens]) = Self::new(seed, pixel as u64, sample);
-        (numbers, camera.ray_of_pixel(pixel, place, lens))
+        let (numbers, [position, lens]) = Self::new(seed, pixel as u64, sample);
+        (numbers, camera.ray_of_pixel(pixel, position, lens))
     }
 
     /// The same of a cell.
@@ -42,33 +42,33 @@ impl Independent {
         cell: usize,
         sample: u32,
     ) -> (Self, Ray) {
-        let (numbers, [place, lens]) = Self::new(seed, cells.key(cell), sample);
-        (numbers, cells.ray(camera, cell, place, lens))
+        let (numbers, [position, lens]) = Self::new(seed, cells.key(cell), sample);
+        (numbers, cells.ray(camera, cell, position, lens))
     }
 
     /// The numbers, and where the path begins in its footprint and on the lens.
     fn new(seed: u64, key: u64, sample: u32) -> (Self, [DVec2; 2]) {
         let key = |purpose| stream(seed, purpose, 0, key, u64::from(sample));
-        let mut position = key(Purpose::PixelPosition);
+        let mut in_pixel = key(Purpose::PixelPosition);
         let mut lamps = key(Purpose::LightAndLens);
-        let place = DVec2::new(position.uniform(), position.uniform());
+        let position = DVec2::new(in_pixel.uniform(), in_pixel.uniform());
         let lens = DVec2::new(lamps.uniform(), lamps.uniform());
         let numbers = Self {
             directions: key(Purpose::PathDirection),
             lamps,
         };
-        (numbers, [place, lens])
+        (numbers, [position, lens])
     }
 }
 
-impl Uniform for Independent {
+impl Uniform for IndependentSampler {
     #[inline]
     fn uniform_f32(&mut self) -> f32 {
         self.directions.uniform_f32()
     }
 }
 
-impl Numbers for Independent {
+impl Sampler for IndependentSampler {
     #[inline]
     fn on_lamp(&mut self) -> [f32; 2] {
         [self.lamps.uniform_f32(), self.lamps.uniform_f32()]
@@ -81,8 +81,8 @@ impl Numbers for Independent {
 /// Points of one sequence; further ones get another scramble.
 const LENGTH: u32 = 1 << 16;
 
-/// The numbers of one path.
-pub struct PathNumbers {
+/// The quasi-random numbers of one path.
+pub struct SobolSampler {
     scramble: u32,
     index: u32,
     /// The next four dimensions.
@@ -94,12 +94,13 @@ pub struct PathNumbers {
     lamps: Stream,
 }
 
-impl PathNumbers {
-    /// Begins the path `index` of a part of a pixel's paths: its numbers and its ray.
+impl SobolSampler {
+    /// Begins the path `index` of a pixel: its numbers and its ray. `part` selects the
+    /// scramble: paths of different parts are independent.
     pub fn begin(camera: &Camera, seed: u64, pixel: usize, part: u32, index: u32) -> (Self, Ray) {
         let mut numbers = Self::new(seed, pixel as u64, part, index);
-        let [place, lens] = numbers.on_sensor();
-        (numbers, camera.ray_of_pixel(pixel, place, lens))
+        let [position, lens] = numbers.on_sensor();
+        (numbers, camera.ray_of_pixel(pixel, position, lens))
     }
 
     /// The same of a cell's paths.
@@ -112,8 +113,8 @@ impl PathNumbers {
         index: u32,
     ) -> (Self, Ray) {
         let mut numbers = Self::new(seed, cells.key(cell), part, index);
-        let [place, lens] = numbers.on_sensor();
-        (numbers, cells.ray(camera, cell, place, lens))
+        let [position, lens] = numbers.on_sensor();
+        (numbers, cells.ray(camera, cell, position, lens))
     }
 
     fn new(seed: u64, pixel: u64, part: u32, index: u32) -> Self {
@@ -139,7 +140,7 @@ impl PathNumbers {
     }
 }
 
-impl Uniform for PathNumbers {
+impl Uniform for SobolSampler {
     #[inline]
     fn uniform_f32(&mut self) -> f32 {
         match self.point.get(self.used) {
@@ -152,7 +153,7 @@ impl Uniform for PathNumbers {
     }
 }
 
-impl Numbers for PathNumbers {
+impl Sampler for SobolSampler {
     #[inline]
     fn on_lamp(&mut self) -> [f32; 2] {
         [self.lamps.uniform_f32(), self.lamps.uniform_f32()]
@@ -170,21 +171,22 @@ impl Numbers for PathNumbers {
     }
 }
 
-/// How much less the mean of a pixel's paths scatters than that of as many independent
-/// ones, over the pixels of an image.
+/// Ratio of the variance of a pixel's mean over quasi-random paths to that over as many
+/// independent ones (Monte Carlo), estimated from the pixels of an image.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Evenness {
+pub struct VarianceReduction {
     ratios: f64,
     pixels: f64,
 }
 
-/// Pixels without gain that are added to an image's: a few pixels tell too little.
-const DOUBT: f64 = 32.0;
+/// Pseudo-count of pixels with ratio 1, which shrinks the estimate towards 1 where an image
+/// has few pixels.
+const PRIOR_PIXELS: f64 = 32.0;
 
-impl Evenness {
-    /// Takes a pixel into account: the variance of the mean that the difference of its
-    /// halves tells, a single draw of it, and the one that the paths' scatter tells as if
-    /// they were independent.
+impl VarianceReduction {
+    /// Adds a pixel: `of_halves` is the variance of its mean as estimated from the difference
+    /// of its two halves (one sample of it), `of_paths` as estimated from the scatter of its
+    /// paths as if they were independent.
     pub fn add(&mut self, of_halves: f64, of_paths: f64) {
         if of_paths > 0.0 {
             self.ratios += of_halves / of_paths;
@@ -192,15 +194,15 @@ impl Evenness {
         }
     }
 
-    /// Takes other pixels into account.
+    /// Adds the pixels of another estimate.
     pub fn join(&mut self, other: &Self) {
         self.ratios += other.ratios;
         self.pixels += other.pixels;
     }
 
-    /// By what the variance of independent paths is to be multiplied.
+    /// The factor for the variance of independent paths, above 0.
     pub fn factor(&self) -> f64 {
-        (DOUBT + self.ratios) / (DOUBT + self.pixels)
+        (PRIOR_PIXELS + self.ratios) / (PRIOR_PIXELS + self.pixels)
     }
 }
 
@@ -215,13 +217,13 @@ mod tests {
     fn numbers_are_uniform_within_and_between_pixels() {
         const CRITICAL: f64 = 50.0;
         let numbers = |pixel, half, index| {
-            let mut numbers = PathNumbers::new(3, pixel, half, index);
-            let [place, lens] = numbers.on_sensor();
+            let mut numbers = SobolSampler::new(3, pixel, half, index);
+            let [position, lens] = numbers.on_sensor();
             numbers.advance();
             let mut next = || f64::from(numbers.uniform_f32());
             [
-                place.x,
-                place.y,
+                position.x,
+                position.y,
                 lens.x,
                 lens.y,
                 next(),
@@ -256,7 +258,7 @@ mod tests {
     /// The halves of one pixel, and further sequences, are independent of each other.
     #[test]
     fn halves_do_not_share_points() {
-        let first = |half, index| PathNumbers::new(1, 7, half, index).on_sensor()[0].x;
+        let first = |half, index| SobolSampler::new(1, 7, half, index).on_sensor()[0].x;
         let mut products = [0.0; 2];
         for index in 0..1024 {
             let centred = [first(0, index), first(1, index), first(0, index + LENGTH)]
@@ -272,14 +274,14 @@ mod tests {
     /// right about the scatter, which is far below that of independent points.
     #[test]
     fn halves_tell_the_scatter_of_their_mean() {
-        let (mut evenness, mut squares, mut of_paths) = (Evenness::default(), 0.0, 0.0);
+        let (mut reduction, mut squares, mut of_paths) = (VarianceReduction::default(), 0.0, 0.0);
         const PIXELS: u32 = 2000;
         for pixel in 0..PIXELS {
             let halves = [0, 1].map(|half| {
                 let values = (0..64).map(|index| {
-                    let mut numbers = PathNumbers::new(2, u64::from(pixel), half, index);
-                    let place = numbers.on_sensor()[0];
-                    place.x * place.y
+                    let mut numbers = SobolSampler::new(2, u64::from(pixel), half, index);
+                    let position = numbers.on_sensor()[0];
+                    position.x * position.y
                 });
                 values.sum::<f64>() / 64.0
             });
@@ -288,16 +290,17 @@ mod tests {
             // E(x²y²) − E(xy)² = 1/9 − 1/16, of 128 paths.
             let independent = (1.0 / 9.0 - 1.0 / 16.0) / 128.0;
             of_paths += independent;
-            evenness.add(0.25 * (halves[0] - halves[1]).powi(2), independent);
+            reduction.add(0.25 * (halves[0] - halves[1]).powi(2), independent);
         }
         let found = squares / of_paths;
         assert!(found < 0.1, "{found}");
-        // DOUBT adds 32 of 2000; chi-square of 2000 has a deviation of 3%.
-        let expected = (DOUBT + f64::from(PIXELS) * found) / (DOUBT + f64::from(PIXELS));
-        let told = evenness.factor();
+        // PRIOR_PIXELS adds 32 of 2000; chi-square of 2000 has a deviation of 3%.
+        let expected =
+            (PRIOR_PIXELS + f64::from(PIXELS) * found) / (PRIOR_PIXELS + f64::from(PIXELS));
+        let estimated = reduction.factor();
         assert!(
-            (told / expected - 1.0).abs() < 0.15,
-            "{told} for {expected}"
+            (estimated / expected - 1.0).abs() < 0.15,
+            "{estimated} for {expected}"
         );
     }
 }

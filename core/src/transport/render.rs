@@ -4,7 +4,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::continuation::{Continuations, Steering};
-use super::points::{Independent, Numbers, PathNumbers};
+use super::points::{IndependentSampler, Sampler, SobolSampler};
 use super::proposal::Proposal;
 use super::scene::{Scene, Surface};
 use crate::brdf::Brdf;
@@ -269,11 +269,11 @@ fn render_pixel<C: Carrier>(
         };
         if options.scrambles.is_some() {
             for index in 0..size {
-                let path = PathNumbers::begin(camera, seed, pixel, group, index);
+                let path = SobolSampler::begin(camera, seed, pixel, group, index);
                 follow::<C, _>(scene, brdf, options, continuations, path, &mut add);
             }
         } else {
-            let path = Independent::begin(camera, seed, pixel, group);
+            let path = IndependentSampler::begin(camera, seed, pixel, group);
             follow::<C, _>(scene, brdf, options, continuations, path, &mut add);
         }
         for (sum, group_sum) in sums.iter_mut().zip(&group_sums) {
@@ -287,10 +287,11 @@ fn render_pixel<C: Carrier>(
     sums
 }
 
-/// Follows a path by its numbers from its ray on and tells `visit` the reflections up to a lamp,
-/// the lamp and what the camera reads of it per unit of the lamp's strength.
+/// Follows a path from its ray on and calls `visit` for each connection to a lamp, with the number
+/// of reflections up to there, the lamp and what the camera measures of it per unit of the lamp's
+/// strength.
 #[inline]
-pub(super) fn follow<C: Carrier, N: Numbers>(
+pub(super) fn follow<C: Carrier, N: Sampler>(
     scene: &Scene,
     brdf: &dyn Brdf,
     options: &RenderOptions,
@@ -311,9 +312,9 @@ pub(super) fn follow<C: Carrier, N: Numbers>(
     }
 }
 
-/// The same from the first place that the camera sees, with the direction towards it.
+/// The same from the first surface point that the camera sees, with the direction towards it.
 #[inline]
-pub(super) fn follow_from<C: Carrier, N: Numbers>(
+pub(super) fn follow_from<C: Carrier, N: Sampler>(
     scene: &Scene,
     brdf: &dyn Brdf,
     options: &RenderOptions,

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::points::Independent;
+use super::points::IndependentSampler;
 use super::render::{RenderOptions, follow};
 use super::scene::Scene;
 use crate::brdf::Brdf;
@@ -59,7 +59,7 @@ pub fn truncation_remainder(
             let first = group as u32 * per_group;
             for &pixel in &pixels {
                 for sample in first..first + per_group {
-                    let path = Independent::begin(&scene.camera, longer.seed, pixel, sample);
+                    let path = IndependentSampler::begin(&scene.camera, longer.seed, pixel, sample);
                     follow::<[f64; 3], _>(
                         scene,
                         brdf,

@@ -8,9 +8,9 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use super::{
-    BenchRecord, BudgetRecord, DEPARTURE_FILE, DepartureRecord, FIT_FILE, FORMAT, FitImages,
-    FitRecord, FitRecordError, FitSettings, ScoreSheet, Timing, Verdict, Warning, check,
-    out_of_range, tables,
+    BenchRecord, BudgetRecord, DISCREPANCY_FILE, DiscrepancyRecord, FIT_FILE, FORMAT,
+    FORMER_DISCREPANCY_FILE, FitImages, FitRecord, FitRecordError, FitSettings, ScoreSheet, Timing,
+    Verdict, Warning, check, out_of_range, tables,
 };
 use crate::file_system;
 use crate::outside_file::read_regular;
@@ -42,10 +42,10 @@ struct FitToml {
     reduced_chi_square: Vec<[f64; 3]>,
     #[serde(default)]
     truncation_remainder: Vec<f64>,
-    #[serde(default)]
-    doubted: Vec<f64>,
-    #[serde(default)]
-    departure: f64,
+    #[serde(default, alias = "doubted")]
+    outlier_fraction: Vec<f64>,
+    #[serde(default, alias = "discrepancy")]
+    discrepancy: f64,
     settings: FitSettings,
     #[serde(default)]
     versions: BTreeMap<String, String>,
@@ -82,9 +82,9 @@ pub fn encode(
     if !images.cells_csv.is_empty() {
         files.push((CELLS_FILE.to_owned(), images.cells_csv.clone().into_bytes()));
     }
-    if let Some(departure) = &record.departure {
-        let text = tables::departure_to_csv(&departure.by_channel);
-        files.push((DEPARTURE_FILE.to_owned(), text.into_bytes()));
+    if let Some(discrepancy) = &record.discrepancy {
+        let text = tables::discrepancy_to_csv(&discrepancy.by_channel);
+        files.push((DISCREPANCY_FILE.to_owned(), text.into_bytes()));
     }
     for (name, text) in [
         ("weights.csv", tables::weights_to_csv(record)),
@@ -240,13 +240,14 @@ pub fn parse(
     let (atoms, weights, weight_deviations) = tables::weights_from_csv(&path, &csv)?;
     let (path, csv) = text("table.csv")?;
     let table = tables::table_from_csv(&path, &csv)?;
-    let departure = if toml.departure == 0.0 {
+    let discrepancy = if toml.discrepancy == 0.0 {
         None
     } else {
-        let (path, csv) = text(DEPARTURE_FILE)?;
-        Some(DepartureRecord {
-            amplitude: toml.departure,
-            by_channel: tables::departure_from_csv(&path, &csv)?,
+        let (path, csv) = text(DISCREPANCY_FILE)
+            .or_else(|error| text(FORMER_DISCREPANCY_FILE).map_err(|_| error))?;
+        Some(DiscrepancyRecord {
+            amplitude: toml.discrepancy,
+            by_channel: tables::discrepancy_from_csv(&path, &csv)?,
         })
     };
     let (path, csv) = text("trace.csv")?;
@@ -261,8 +262,8 @@ pub fn parse(
         loss: toml.loss,
         reduced_chi_square: toml.reduced_chi_square,
         truncation_remainder: toml.truncation_remainder,
-        doubted: toml.doubted,
-        departure,
+        outlier_fraction: toml.outlier_fraction,
+        discrepancy,
         termination: toml.termination,
         trace,
         timings: toml.timing,
@@ -369,8 +370,8 @@ fn to_toml(record: &FitRecord) -> String {
         remarks: record.remarks.clone(),
         reduced_chi_square: record.reduced_chi_square.clone(),
         truncation_remainder: record.truncation_remainder.clone(),
-        doubted: record.doubted.clone(),
-        departure: record.departure.as_ref().map_or(0.0, |d| d.amplitude),
+        outlier_fraction: record.outlier_fraction.clone(),
+        discrepancy: record.discrepancy.as_ref().map_or(0.0, |d| d.amplitude),
         settings: record.settings.clone(),
         versions: record.versions.clone(),
         timing: record.timings.clone(),

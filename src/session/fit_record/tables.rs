@@ -6,7 +6,7 @@ use std::path::Path;
 use nalgebra::DVector;
 
 use super::{AtomRecord, FitRecord, FitRecordError, TracePoint, out_of_range};
-use crate::brdf::departure::{self, Departure};
+use crate::brdf::discrepancy::{self, Discrepancy};
 use crate::shown::excerpt;
 
 /// f over a grid of half and difference angles (Rusinkiewicz), at φd = 90°:
@@ -107,7 +107,7 @@ const TABLE_COLUMNS: [&str; 12] = [
     "upper_b",
     "constrained",
 ];
-const DEPARTURE_COLUMNS: [&str; 5] = [
+const DISCREPANCY_COLUMNS: [&str; 5] = [
     "theta_h_deg",
     "theta_d_deg",
     "ln_factor_r",
@@ -159,12 +159,12 @@ pub(super) fn table_to_csv(table: &AngleTable) -> String {
     csv
 }
 
-pub(super) fn departure_to_csv(departures: &[Departure; 3]) -> String {
-    let mut csv = DEPARTURE_COLUMNS.join(",") + "\n";
-    for (k, node) in departure::nodes().enumerate() {
+pub(super) fn discrepancy_to_csv(discrepancies: &[Discrepancy; 3]) -> String {
+    let mut csv = DISCREPANCY_COLUMNS.join(",") + "\n";
+    for (k, node) in discrepancy::nodes().enumerate() {
         let _ = write!(csv, "{:?},{:?}", node.theta_h_deg, node.theta_d_deg);
-        for departure in departures {
-            let _ = write!(csv, ",{:?}", departure.0[k]);
+        for discrepancy in discrepancies {
+            let _ = write!(csv, ",{:?}", discrepancy.0[k]);
         }
         csv.push('\n');
     }
@@ -318,10 +318,13 @@ pub(super) fn table_from_csv(path: &Path, csv: &str) -> Result<AngleTable, FitRe
     Ok(table)
 }
 
-pub(super) fn departure_from_csv(path: &Path, csv: &str) -> Result<[Departure; 3], FitRecordError> {
-    let mut nodes = departure::nodes();
+pub(super) fn discrepancy_from_csv(
+    path: &Path,
+    csv: &str,
+) -> Result<[Discrepancy; 3], FitRecordError> {
+    let mut nodes = discrepancy::nodes();
     let mut by_channel: [Vec<f64>; 3] = Default::default();
-    each_row(path, csv, &DEPARTURE_COLUMNS, |row| {
+    each_row(path, csv, &DISCREPANCY_COLUMNS, |row| {
         let angles: [f64; 2] = [row.get("theta_h_deg")?, row.get("theta_d_deg")?];
         let node = nodes.next();
         if node.is_none_or(|n| [n.theta_h_deg, n.theta_d_deg] != angles) {
@@ -337,7 +340,7 @@ pub(super) fn departure_from_csv(path: &Path, csv: &str) -> Result<[Departure; 3
         }
         Ok(())
     })?;
-    Ok(by_channel.map(|values| Departure(DVector::from_vec(values))))
+    Ok(by_channel.map(|values| Discrepancy(DVector::from_vec(values))))
 }
 
 pub(super) fn trace_from_csv(path: &Path, csv: &str) -> Result<Vec<TracePoint>, FitRecordError> {

@@ -46,7 +46,6 @@ pub(super) fn sample() -> FitRecord {
             samples_requested: Some(512),
             memory_mib: Some(256),
             adapted_paths: Some(true),
-            refined_atoms: Some(2),
             shared_weights: Some(false),
             model_error: Some(0.02),
             mask: Some("mask.png".to_owned()),
@@ -60,11 +59,11 @@ pub(super) fn sample() -> FitRecord {
         loss: 1.25,
         reduced_chi_square: vec![[1.0, 1.1, 0.9], [1.2, 1.0, 1.0]],
         truncation_remainder: vec![2e-4, 1e-4],
-        doubted: vec![0.0, 0.01],
-        departure: Some(DepartureRecord {
+        outlier_fraction: vec![0.0, 0.01],
+        discrepancy: Some(DiscrepancyRecord {
             amplitude: 0.35,
             by_channel: [0.1, -0.2, 0.0]
-                .map(|g| Departure(nalgebra::DVector::from_element(departure::NODES, g))),
+                .map(|g| Discrepancy(nalgebra::DVector::from_element(discrepancy::NODES, g))),
         }),
         termination: "the step changed no weight by more than 1e-6".to_owned(),
         trace: vec![TracePoint {
@@ -190,14 +189,14 @@ const CORRUPTIONS: &[(&str, &str, &str, &str)] = &[
     ("trace.csv", "0.125", "soon", "seconds"),
     (
         "fit.toml",
-        "departure = 0.35",
-        "departure = -1.0",
-        "departure",
+        "discrepancy = 0.35",
+        "discrepancy = -1.0",
+        "discrepancy",
     ),
-    ("departure.csv", "ln_factor_g", "g", "ln_factor_g"),
-    ("departure.csv", ",0.1,", ",60.0,", "ln_factor_r"),
-    ("departure.csv", "1.0,12.0", "1.0,13.0", "theta_d_deg"),
-    ("departure.csv", "82.0,88.0,0.1,-0.2,0.0\n", "", "rows"),
+    ("discrepancy.csv", "ln_factor_g", "g", "ln_factor_g"),
+    ("discrepancy.csv", ",0.1,", ",60.0,", "ln_factor_r"),
+    ("discrepancy.csv", "1.0,12.0", "1.0,13.0", "theta_d_deg"),
+    ("discrepancy.csv", "82.0,88.0,0.1,-0.2,0.0\n", "", "rows"),
 ];
 
 const FILES: [&str; 5] = [
@@ -205,7 +204,7 @@ const FILES: [&str; 5] = [
     "weights.csv",
     "table.csv",
     "trace.csv",
-    "departure.csv",
+    "discrepancy.csv",
 ];
 
 #[test]
@@ -263,7 +262,7 @@ proptest! {
             cell.constrained = value[0] > 1.0;
         }
         if !scored { record.score = None; }
-        if !departs { record.departure = None; }
+        if !departs { record.discrepancy = None; }
         let home = tempfile::tempdir().unwrap();
         let folder = home.path().join("fit");
         write(&folder, &record, &FitImages::default()).unwrap();

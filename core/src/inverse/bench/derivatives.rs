@@ -21,7 +21,7 @@ use crate::brdf::Brdf;
 use crate::geometry::Mesh;
 use crate::transport::direct::for_each_seen;
 use crate::transport::falloff::Falloff;
-use crate::transport::points::{Independent, Numbers};
+use crate::transport::points::{IndependentSampler, Sampler};
 use crate::transport::scene::Surface;
 use crate::transport::{Cells, Continuations, Proposal, Scene, Steering};
 
@@ -399,7 +399,7 @@ impl<'a> Walk<'a> {
         let scene = &view.scene;
         self.paths += 1;
         let (mut numbers, ray) =
-            Independent::begin_in(&scene.camera, cells, options.seed, cell, sample);
+            IndependentSampler::begin_in(&scene.camera, cells, options.seed, cell, sample);
         let mut throughput = Vec3::ONE;
         let mut kind = continuations.begin();
         let mut next = scene.first(&ray).filter(|(hit, _)| hit.is_sample());

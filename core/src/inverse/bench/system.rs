@@ -95,7 +95,7 @@ impl Normal {
                         }
                         let set = c.min(sets - 1);
                         let r = light * sets + set;
-                        let first = objective.once(cell, light, c, &mixture[set]);
+                        let first = objective.direct_light(cell, light, c, &mixture[set]);
                         let [target, _] = objective.captured(light, cell);
                         let value = [0, 1].map(|h| first + f64::from(rows.value[h][r]));
                         let residual = value.map(|v| target[c] - v);

@@ -55,9 +55,9 @@ fn bowl(segments: u32, size: usize, lights: &[[f64; 2]]) -> Scene {
 
 /// A rough and rather dark material in the dictionary's span, grey: little noise.
 fn material() -> Mixture {
-    let dictionary = Arc::new(Dictionary::grid42());
+    let dictionary = Arc::new(Dictionary::paper42());
     let mut weights = vec![0.0; dictionary.len()];
-    (weights[31], weights[40], weights[41]) = (0.2, 0.3, 0.5);
+    (weights[38], weights[40], weights[41]) = (0.2, 0.3, 0.5);
     Mixture::grey(dictionary, weights).unwrap()
 }
 

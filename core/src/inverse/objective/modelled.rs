@@ -9,9 +9,9 @@ const RARE: f64 = 64.0;
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Modelled {
     /// What was reflected once: a sum over the cell, without render noise.
-    pub once: f64,
+    pub direct: f64,
     /// What was reflected more often: paths.
-    pub again: f64,
+    pub indirect: f64,
     /// Variance that the paths leave.
     pub variance: f64,
 }
@@ -19,7 +19,7 @@ pub struct Modelled {
 impl Modelled {
     /// All reflections together.
     pub fn value(&self) -> f64 {
-        self.once + self.again
+        self.direct + self.indirect
     }
 
     /// Value and render's variance as expected without the paths of the cell itself: those of
@@ -28,15 +28,15 @@ impl Modelled {
     /// bright path of its own is not taken for certain either: one such value could outweigh the
     /// whole image.
     pub(in crate::inverse) fn expected(&self, near: impl Iterator<Item = Self>) -> [f64; 2] {
-        let (mut again, mut variance, mut count) = (0.0, 0.0, 0.0);
+        let (mut indirect, mut variance, mut count) = (0.0, 0.0, 0.0);
         for other in near {
-            again += other.again;
+            indirect += other.indirect;
             variance += other.variance;
             count += 1.0;
         }
         if count > 0.0 {
             let variance = (variance / count).max(self.variance / RARE);
-            [self.once + again / count, variance]
+            [self.direct + indirect / count, variance]
         } else {
             [self.value(), self.variance]
         }
@@ -49,8 +49,8 @@ mod tests {
 
     fn modelled(k: f64) -> Modelled {
         Modelled {
-            once: k,
-            again: 10.0 * k,
+            direct: k,
+            indirect: 10.0 * k,
             variance: 100.0 * k,
         }
     }

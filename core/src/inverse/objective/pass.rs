@@ -7,7 +7,7 @@ use nalgebra::{DMatrix, DVector};
 use super::{ModelImage, Modelled, Objective, ResidualWeights, add_outer};
 use crate::inverse::simplex::Quadratic;
 use crate::transport::CellRows;
-use crate::transport::points::Evenness;
+use crate::transport::points::VarianceReduction;
 
 /// One pass at given mixture weights.
 pub struct Linearised {
@@ -124,14 +124,15 @@ impl Objective<'_> {
                     for c in 0..3 {
                         let set = self.set_of(c);
                         let r = light * sets + set;
-                        let once = self.once(cell, light, c, &mixture[set]);
-                        let again = [0, 1].map(|h| f64::from(rows.value[h][r]));
-                        let halves = again.map(|value| once + value);
+                        let direct = self.direct_light(cell, light, c, &mixture[set]);
+                        let indirect = [0, 1].map(|h| f64::from(rows.value[h][r]));
+                        let halves = indirect.map(|value| direct + value);
                         let variance = f64::from(rows.variance[r]);
-                        part.evenness[light][c].add(0.25 * (again[0] - again[1]).powi(2), variance);
+                        part.reduction[light][c]
+                            .add(0.25 * (indirect[0] - indirect[1]).powi(2), variance);
                         model[light][c] = Modelled {
-                            once,
-                            again: 0.5 * (again[0] + again[1]),
+                            direct,
+                            indirect: 0.5 * (indirect[0] + indirect[1]),
                             variance,
                         };
                         let w = residual_weights[light][cell][c];
@@ -177,7 +178,7 @@ impl Objective<'_> {
     }
 
     /// What is reflected once, over the lamp's strength.
-    pub(in crate::inverse) fn once(
+    pub(in crate::inverse) fn direct_light(
         &self,
         cell: usize,
         light: usize,
@@ -226,7 +227,7 @@ impl Objective<'_> {
                         .or_insert_with(|| DVector::zeros(n)) += score;
                 }
             }
-            for (total, part) in total.evenness.iter_mut().zip(&part.evenness) {
+            for (total, part) in total.reduction.iter_mut().zip(&part.reduction) {
                 for (total, part) in total.iter_mut().zip(part) {
                     total.join(part);
                 }
@@ -243,8 +244,8 @@ impl Objective<'_> {
                 .fill_upper_triangle_with_lower_triangle();
             total.information[set].fill_upper_triangle_with_lower_triangle();
         }
-        for (image, evenness) in model.iter_mut().zip(&total.evenness) {
-            let factors = evenness.map(|channel| channel.factor());
+        for (image, reduction) in model.iter_mut().zip(&total.reduction) {
+            let factors = reduction.map(|channel| channel.factor());
             for cell in image {
                 for (modelled, factor) in cell.iter_mut().zip(factors) {
                     modelled.variance *= factor;
@@ -277,7 +278,7 @@ struct Part {
     scores: Vec<BTreeMap<usize, DVector<f64>>>,
     model: Vec<ModelImage>,
     /// Per light and channel.
-    evenness: Vec<[Evenness; 3]>,
+    reduction: Vec<[VarianceReduction; 3]>,
 }
 
 impl Part {
@@ -290,7 +291,7 @@ impl Part {
             power: vec![0.0; sets],
             scores: vec![Default::default(); sets],
             model: Vec::new(),
-            evenness: vec![[Evenness::default(); 3]; lights],
+            reduction: vec![[VarianceReduction::default(); 3]; lights],
         }
     }
 }

@@ -1,20 +1,20 @@
 //! How the material departs from every mixture, estimated together with the weights.
 //!
 //! Around a fit the images change by J δx + G z, with δx a step of the weights and z the
-//! modes of a smooth departure ([`crate::brdf::departure`]), standard normal a priori times
+//! modes of a smooth discrepancy ([`crate::brdf::discrepancy`]), standard normal a priori times
 //! an amplitude. What z could have made is no evidence about the weights: their information
 //! is the Schur complement F_xx − F_xz (F_zz + Λ)⁻¹ F_zx. The amplitude is the one under which
 //! the images are most probable, and nothing departs unless that is much more probable. As a
-//! departure is not small where light is reflected twice, the images are then taken to be
+//! discrepancy is not small where light is reflected twice, the images are then taken to be
 //! linear once more, around what was found (docs/adr/0032).
 
 use nalgebra::{Cholesky, DMatrix, DVector};
 
 use super::objective::{Linearised, Objective, ResidualWeights};
 use crate::brdf::Dictionary;
-use crate::brdf::departure::{self, Departure};
+use crate::brdf::discrepancy::{self, Discrepancy};
 use crate::random::Stream;
-use crate::transport::direct_departed::DirectDeparted;
+use crate::transport::direct_discrepancy::DirectDiscrepancy;
 
 mod amplitude;
 mod normal;
@@ -22,7 +22,7 @@ mod normal;
 use amplitude::amplitude;
 use normal::Normal;
 
-/// Variance that the equations of the departure grant the images over what their weights
+/// Variance that the equations of the discrepancy grant the images over what their weights
 /// say: they are linear in it, and far from where they were formed the images are not.
 const CAUTION: f64 = 10.0;
 
@@ -33,7 +33,7 @@ const LARGEST: f64 = 1.0;
 /// Weights from which an atom counts as in use.
 const IN_USE: f64 = 1e-3;
 
-/// The departure beside one set of weights.
+/// The discrepancy beside one set of weights.
 pub struct Eliminated {
     /// Modes that no change of the weights in use could make: columns in those of all.
     free: DMatrix<f64>,
@@ -45,11 +45,11 @@ pub struct Eliminated {
     coupling: DMatrix<f64>,
     /// Gᵀ W r, as if nothing departed yet.
     score: DVector<f64>,
-    /// Information of the weights, without what the departure could have made.
+    /// Information of the weights, without what the discrepancy could have made.
     pub information: DMatrix<f64>,
     /// Their score, likewise.
     pub total_score: DVector<f64>,
-    /// Parts of the score by block of cells, of the residual that the departure leaves.
+    /// Parts of the score by block of cells, of the residual that the discrepancy leaves.
     pub block_scores: Vec<DVector<f64>>,
 }
 
@@ -57,8 +57,8 @@ pub struct Eliminated {
 pub struct At<'a> {
     /// The comparison, of what departs from the mixture if something does.
     pub objective: &'a Objective<'a>,
-    /// How the light that is reflected once changes with the departure.
-    pub direct: &'a DirectDeparted,
+    /// How the light that is reflected once changes with the discrepancy.
+    pub direct: &'a DirectDiscrepancy,
     /// What its values weigh.
     pub residual_weights: &'a ResidualWeights,
     /// The weights per set.
@@ -68,7 +68,7 @@ pub struct At<'a> {
 }
 
 impl Eliminated {
-    /// The departure beside each set of weights, around a fit in which nothing departs; nothing
+    /// The discrepancy beside each set of weights, around a fit in which nothing departs; nothing
     /// where the images hardly ask for one.
     pub fn first(at: &At<'_>, dictionary: &Dictionary) -> Vec<Self> {
         let sets = at.mixture.iter();
@@ -99,7 +99,7 @@ impl Eliminated {
             .zip(earlier.iter().zip(modes))
             .map(|((mut normal, free), (earlier, modes))| {
                 normal.scores[0] += &normal.coupling * modes;
-                normal.scores[1] += &normal.departure * modes;
+                normal.scores[1] += &normal.discrepancy * modes;
                 Self::new(normal, free, earlier.amplitude)
             })
             .collect()
@@ -130,9 +130,9 @@ impl Eliminated {
         self.amplitude
     }
 
-    /// The departure with these of the free modes.
-    pub fn departure(&self, modes: &DVector<f64>) -> Departure {
-        Departure(departure::modes() * (&self.free * modes))
+    /// The discrepancy with these of the free modes.
+    pub fn discrepancy(&self, modes: &DVector<f64>) -> Discrepancy {
+        Discrepancy(discrepancy::modes() * (&self.free * modes))
     }
 
     /// What is expected of the free modes where the weights differ by `step` from those that the
@@ -141,27 +141,27 @@ impl Eliminated {
         &self.covariance * (&self.score - self.coupling.tr_mul(step))
     }
 
-    /// A draw of the departure there.
-    pub fn draw(&self, step: &DVector<f64>, numbers: &mut Stream) -> Departure {
+    /// A draw of the discrepancy there.
+    pub fn draw(&self, step: &DVector<f64>, numbers: &mut Stream) -> Discrepancy {
         let mut z = self.modes(step);
         if let Some(root) = Cholesky::new(&self.covariance * CAUTION) {
             let normal = DVector::from_iterator(z.len(), (0..z.len()).map(|_| numbers.normal()));
             z += root.l() * normal;
         }
-        self.departure(&z)
+        self.discrepancy(&z)
     }
 }
 
 /// The modes that no change of the weights in use could make. What both could make would
 /// be shared by the priors alone, far from where the images are linear. As in a projection
-/// on the dictionary by cube roots, a departure is orthogonal to the atoms.
+/// on the dictionary by cube roots, a discrepancy is orthogonal to the atoms.
 pub(super) fn free_modes(dictionary: &Dictionary, mixture: &DVector<f64>) -> DMatrix<f64> {
-    let modes = departure::modes();
+    let modes = discrepancy::modes();
     let used: Vec<usize> = (0..mixture.len())
         .filter(|&k| mixture[k] > IN_USE)
         .collect();
     let mut rows = DMatrix::<f64>::zeros(used.len(), modes.ncols());
-    for (k, node) in departure::nodes().enumerate() {
+    for (k, node) in discrepancy::nodes().enumerate() {
         let atoms = dictionary.values_at(node.theta_h_deg, node.theta_d_deg);
         let f: f64 = atoms.iter().zip(mixture.iter()).map(|(a, w)| a * w).sum();
         if f <= 0.0 {

@@ -3,25 +3,25 @@
 use nalgebra::DVector;
 
 use super::Objective;
-use crate::brdf::departure::{Departed, NODES};
-use crate::transport::direct_departed::DirectDeparted;
-use crate::transport::evaluate::Departing;
+use crate::brdf::discrepancy::{Material, NODES};
+use crate::transport::direct_discrepancy::DirectDiscrepancy;
+use crate::transport::evaluate::NodeFactors;
 use crate::transport::{CellRows, Scene};
 
 /// What makes a model of a mixture one of a material that departs from it.
-pub struct DepartedModel {
+pub struct DiscrepancyModel {
     /// Factors of f at the nodes, per set.
     factors: Vec<[f32; NODES]>,
     /// Light that is reflected once.
-    pub direct: DirectDeparted,
+    pub direct: DirectDiscrepancy,
 }
 
-impl DepartedModel {
+impl DiscrepancyModel {
     /// Of `material`, for the cells that `objective` compares.
     pub fn of_compared(
         objective: &Objective<'_>,
         scene: &Scene,
-        material: &Departed,
+        material: &Material,
         seed: u64,
     ) -> Self {
         let wanted = objective.compared_pixels();
@@ -32,7 +32,7 @@ impl DepartedModel {
     pub fn of_all(
         objective: &Objective<'_>,
         scene: &Scene,
-        material: &Departed,
+        material: &Material,
         seed: u64,
     ) -> Self {
         let wanted = vec![true; objective.cells.len()];
@@ -42,24 +42,24 @@ impl DepartedModel {
     fn new(
         objective: &Objective<'_>,
         scene: &Scene,
-        material: &Departed,
+        material: &Material,
         wanted: &[bool],
         seed: u64,
     ) -> Self {
         let of_set = |set: usize| {
-            let g = &material.departures[set].0;
+            let g = &material.discrepancies[set].0;
             std::array::from_fn(|node| g[node].exp() as f32)
         };
         Self {
             factors: (0..objective.sets()).map(of_set).collect(),
-            direct: DirectDeparted::new(scene, objective.cells, material, wanted, seed),
+            direct: DirectDiscrepancy::new(scene, objective.cells, material, wanted, seed),
         }
     }
 }
 
 impl<'a> Objective<'a> {
     /// The same comparison with the light of a material that departs from the mixture.
-    pub fn departed(&self, model: &'a DepartedModel) -> Self {
+    pub fn with_discrepancy(&self, model: &'a DiscrepancyModel) -> Self {
         Self {
             values: self.values.clone(),
             departed: Some(model),
@@ -67,14 +67,14 @@ impl<'a> Objective<'a> {
         }
     }
 
-    /// What a departure makes of the mixture's light that is reflected once.
+    /// What a discrepancy makes of the mixture's light that is reflected once.
     pub(in crate::inverse) fn once_factor(&self, cell: usize, light: usize, channel: usize) -> f64 {
         self.departed
             .map_or(1.0, |d| f64::from(d.direct.factor(cell, light, channel)))
     }
 
     /// One pass over the paths with the light of `mixture`, or of what departs from it, with the
-    /// derivatives by the departure's nodes if wanted.
+    /// derivatives by the discrepancy's nodes if wanted.
     pub(in crate::inverse) fn evaluate<T: Send>(
         &self,
         mixture: &[DVector<f64>],
@@ -83,12 +83,12 @@ impl<'a> Objective<'a> {
         visit: impl Fn(&mut T, &CellRows<'_>) + Sync,
     ) -> Vec<T> {
         let slices: Vec<&[f64]> = mixture.iter().map(|w| w.as_slice()).collect();
-        let departing = Departing {
+        let departing = NodeFactors {
             factors: self.departed.map_or(&[][..], |d| &d.factors),
             by_node,
         };
         self.cache
-            .evaluate_departed(self.kernel, &slices, &departing, group, visit)
+            .evaluate_with_discrepancy(self.kernel, &slices, &departing, group, visit)
     }
 }
 
@@ -97,7 +97,7 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
-    use crate::brdf::departure::{Departure, modes};
+    use crate::brdf::discrepancy::{Discrepancy, modes};
     use crate::brdf::{Atom, Dictionary, Mixture};
     use crate::inverse::cells::Captured;
     use crate::inverse::fit::FitOptions;
@@ -107,7 +107,7 @@ mod tests {
     use crate::transport::{Proposal, RenderOptions, render};
 
     /// Images and their derivatives by two modes, around a material that departs, against what
-    /// the renderer makes of departures a little to either side: it shares nothing with the
+    /// the renderer makes of discrepancies a little to either side: it shares nothing with the
     /// cache but the table.
     #[test]
     fn images_of_departed_materials_are_as_rendered() {
@@ -121,13 +121,13 @@ mod tests {
         ];
         let dictionary = Arc::new(Dictionary::new("two", atoms).unwrap());
         let mixture = Mixture::grey(dictionary.clone(), vec![0.5, 0.5]).unwrap();
-        let departure = |along: [f64; 2]| {
+        let discrepancy = |along: [f64; 2]| {
             let [a, b] = [0, 1].map(|k| modes().column(k) * along[k]);
-            Departure(a + b)
+            Discrepancy(a + b)
         };
         let rendered = |along: [f64; 2]| {
-            let g = departure(along);
-            let departed = Departed::new(mixture.clone(), &[g]);
+            let g = discrepancy(along);
+            let departed = Material::new(mixture.clone(), &[g]);
             let options = RenderOptions {
                 samples_per_pixel: 8192,
                 max_reflections: 4,
@@ -147,10 +147,10 @@ mod tests {
         let paths =
             Paths::trace(&scene, &compared.cells, &dictionary, None, &options, &()).unwrap();
         let objective = paths.objective(&compared, &options);
-        let g = departure(at);
-        let departed = Departed::new(mixture.clone(), &[g]);
-        let model = DepartedModel::of_compared(&objective, &scene, &departed, 3);
-        let objective = objective.departed(&model);
+        let g = discrepancy(at);
+        let departed = Material::new(mixture.clone(), &[g]);
+        let model = DiscrepancyModel::of_compared(&objective, &scene, &departed, 3);
+        let objective = objective.with_discrepancy(&model);
         let weights = vec![DVector::from_vec(vec![0.5, 0.5]); 3];
 
         // Relative deviations over the compared cells, root mean square.
@@ -186,10 +186,10 @@ mod tests {
             }
         });
         for (light, cell, by_paths) in parts.into_iter().flatten() {
-            let once = model.direct.by_modes(cell, light, 1).iter();
-            let once = DVector::from_iterator(modes().ncols(), once.map(|&v| f64::from(v)));
-            let light_once = objective.once(cell, light, 1, &weights[1]);
-            by_modes[light][cell] = by_paths + light_once * once;
+            let direct = model.direct.by_modes(cell, light, 1).iter();
+            let direct = DVector::from_iterator(modes().ncols(), direct.map(|&v| f64::from(v)));
+            let direct_light = objective.direct_light(cell, light, 1, &weights[1]);
+            by_modes[light][cell] = by_paths + direct_light * direct;
         }
         for mode in 0..2 {
             let [more, less] = [step, -step].map(|step| {

@@ -1,15 +1,15 @@
-//! How much the images ask for a departure.
+//! How much the images ask for a discrepancy.
 
 use nalgebra::{Cholesky, DMatrix, DVector};
 
 use super::normal::Normal;
 use crate::inverse::uncertainty::LEAST_SPREAD;
 
-/// Log probability that the images must gain by a departure.
+/// Log probability that the images must gain by a discrepancy.
 const LEAST_GAIN: f64 = 3.0;
 
 /// The amplitude under which the images are most probable, all sets together, with the
-/// weights in use free to follow the departure; 0 where little is gained by any.
+/// weights in use free to follow the discrepancy; 0 where little is gained by any.
 pub(super) fn amplitude(normal: &[Normal], mixture: &[DVector<f64>]) -> f64 {
     // Per direction that the images tell apart: information and squared score, in units of
     // the score's own scatter.
@@ -31,7 +31,7 @@ pub(super) fn amplitude(normal: &[Normal], mixture: &[DVector<f64>]) -> f64 {
             continue;
         };
         let follow = root.solve(&coupling);
-        let left = &normal.departure - coupling.tr_mul(&follow);
+        let left = &normal.discrepancy - coupling.tr_mul(&follow);
         let eigen = (0.5 * (&left + left.transpose())).symmetric_eigen();
         let along = |weights: &DVector<f64>, modes: &DVector<f64>| {
             let followed = follow.tr_mul(&tangent.tr_mul(weights));

@@ -1,11 +1,11 @@
-//! The normal equations of weights and departure together.
+//! The normal equations of weights and discrepancy together.
 
 use std::collections::BTreeMap;
 
 use nalgebra::{Cholesky, DMatrix, DVector};
 
 use super::{At, CAUTION};
-use crate::brdf::departure::{self, NODES};
+use crate::brdf::discrepancy::{self, NODES};
 use crate::inverse::uncertainty::without_noise;
 
 /// The scores Jᵀ W r of the weights and Gᵀ W r of the modes.
@@ -18,7 +18,7 @@ pub(super) struct Normal {
     /// F_xz, N × M.
     pub coupling: DMatrix<f64>,
     /// F_zz, M × M.
-    pub departure: DMatrix<f64>,
+    pub discrepancy: DMatrix<f64>,
     /// Of all cells.
     pub scores: Scores,
     /// By block of cells.
@@ -30,9 +30,9 @@ pub(super) struct Normal {
 impl Normal {
     /// (F_zz + Λ)⁻¹ for modes of this amplitude.
     pub fn covariance(&self, amplitude: f64) -> DMatrix<f64> {
-        let m = self.departure.nrows();
+        let m = self.discrepancy.nrows();
         let prior = DMatrix::identity(m, m) * (CAUTION / (amplitude * amplitude));
-        Cholesky::new(&self.departure + prior)
+        Cholesky::new(&self.discrepancy + prior)
             .map_or_else(|| DMatrix::zeros(m, m), |root| root.inverse())
     }
 }
@@ -54,7 +54,7 @@ struct Value {
 struct Sums {
     /// Of independent halves, and of the mean of both.
     coupling: [DMatrix<f64>; 2],
-    departure: [DMatrix<f64>; 2],
+    discrepancy: [DMatrix<f64>; 2],
     blocks: Blocks,
 }
 
@@ -94,7 +94,7 @@ impl Sums {
     fn zero(n: usize, m: usize) -> Self {
         Self {
             coupling: [DMatrix::zeros(n, m), DMatrix::zeros(n, m)],
-            departure: [DMatrix::zeros(m, m), DMatrix::zeros(m, m)],
+            discrepancy: [DMatrix::zeros(m, m), DMatrix::zeros(m, m)],
             blocks: Blocks::default(),
         }
     }
@@ -102,13 +102,13 @@ impl Sums {
     fn add(&mut self, value: &Value) {
         let w = value.weight;
         let [[j, k], [a, b]] = [&value.by_weights, &value.by_modes];
-        self.departure[0].ger(0.5 * w, a, b, 1.0);
-        self.departure[0].ger(0.5 * w, b, a, 1.0);
+        self.discrepancy[0].ger(0.5 * w, a, b, 1.0);
+        self.discrepancy[0].ger(0.5 * w, b, a, 1.0);
         self.coupling[0].ger(0.5 * w, j, b, 1.0);
         self.coupling[0].ger(0.5 * w, k, a, 1.0);
         // (a + b)(a + b)ᵀ/4 is half of the above and these.
-        self.departure[1].ger(0.25 * w, a, a, 1.0);
-        self.departure[1].ger(0.25 * w, b, b, 1.0);
+        self.discrepancy[1].ger(0.25 * w, a, a, 1.0);
+        self.discrepancy[1].ger(0.25 * w, b, b, 1.0);
         self.coupling[1].ger(0.25 * w, j, a, 1.0);
         self.coupling[1].ger(0.25 * w, k, b, 1.0);
         self.blocks.add_value(value, value.residual);
@@ -117,7 +117,7 @@ impl Sums {
     fn join(&mut self, other: Self) {
         for k in 0..2 {
             self.coupling[k] += &other.coupling[k];
-            self.departure[k] += &other.departure[k];
+            self.discrepancy[k] += &other.discrepancy[k];
         }
         self.blocks.join(other.blocks);
     }
@@ -126,7 +126,7 @@ impl Sums {
     /// that of the weights by independent halves and by their mean.
     fn normal(mut self, weights: [&DMatrix<f64>; 2], free: &DMatrix<f64>) -> Normal {
         self.coupling[1] = &self.coupling[1] + 0.5 * &self.coupling[0];
-        self.departure[1] = &self.departure[1] + 0.5 * &self.departure[0];
+        self.discrepancy[1] = &self.discrepancy[1] + 0.5 * &self.discrepancy[0];
         let (n, m) = (weights[0].nrows(), free.ncols());
         let joint = |k: usize| {
             let mut joint = DMatrix::zeros(n + m, n + m);
@@ -134,7 +134,7 @@ impl Sums {
             joint.view_mut((0, 0), (n, n)).copy_from(weights[k]);
             joint.view_mut((0, n), (n, m)).copy_from(&coupling);
             joint.view_mut((n, 0), (m, n)).tr_copy_from(&coupling);
-            let modes = free.tr_mul(&self.departure[k]) * free;
+            let modes = free.tr_mul(&self.discrepancy[k]) * free;
             joint.view_mut((n, n), (m, m)).copy_from(&modes);
             joint
         };
@@ -150,7 +150,7 @@ impl Sums {
         Normal {
             information: joint.view((0, 0), (n, n)).into_owned(),
             coupling: joint.view((0, n), (n, m)).into_owned(),
-            departure: joint.view((n, n), (m, m)).into_owned(),
+            discrepancy: joint.view((n, n), (m, m)).into_owned(),
             scores,
             blocks,
             told: told.scores,
@@ -173,7 +173,7 @@ fn told_of(told: &DMatrix<f64>, scores: Vec<Scores>) -> Vec<Scores> {
 
 /// The equations of each set with its `free` modes.
 pub(super) fn equations(at: &At<'_>, free: &[DMatrix<f64>]) -> Vec<Normal> {
-    let (n, m) = (at.objective.atoms(), departure::modes().ncols());
+    let (n, m) = (at.objective.atoms(), discrepancy::modes().ncols());
     let zero = || vec![Sums::zero(n, m); free.len()];
     let parts = over_values(at, zero, |sums, value| sums[value.set].add(value));
     let mut total = zero();
@@ -190,16 +190,16 @@ pub(super) fn equations(at: &At<'_>, free: &[DMatrix<f64>]) -> Vec<Normal> {
 }
 
 /// Sets the scores of weights and free modes by block of cells to those of the residual that small
-/// departures (values of all modes, per set) leave.
+/// discrepancies (values of all modes, per set) leave.
 pub(super) fn blocks_after(
     at: &At<'_>,
-    departures: &[DVector<f64>],
+    discrepancies: &[DVector<f64>],
     free: &[DMatrix<f64>],
     normal: &mut [Normal],
 ) {
     let none = || vec![Blocks::default(); free.len()];
     let parts = over_values(at, none, |blocks, value| {
-        let departed = |half: usize| value.by_modes[half].dot(&departures[value.set]);
+        let departed = |half: usize| value.by_modes[half].dot(&discrepancies[value.set]);
         let residual = [0, 1].map(|half| value.residual[half] - departed(half));
         blocks[value.set].add_value(value, residual);
     });
@@ -221,7 +221,7 @@ fn over_values<T: Send>(
     visit: impl Fn(&mut T, &Value) + Sync,
 ) -> Vec<T> {
     let objective = at.objective;
-    let modes = departure::modes();
+    let modes = discrepancy::modes();
     let (n, m, sets) = (objective.atoms(), modes.ncols(), objective.sets());
     let group = || {
         let value = Value {
@@ -245,19 +245,19 @@ fn over_values<T: Send>(
             value.block = objective.block(cell, light);
             let [a, b] = value.by_weights.each_mut().map(|v| v.as_mut_slice());
             objective.derivatives(rows, light, c, [a, b]);
-            let light_once = objective.once(cell, light, c, &at.mixture[value.set]);
+            let direct_light = objective.direct_light(cell, light, c, &at.mixture[value.set]);
             let [target, _] = objective.captured(light, cell);
             let row = light * sets + value.set;
             for half in 0..2 {
-                value.residual[half] = target[c] - light_once - f64::from(rows.value[half][row]);
+                value.residual[half] = target[c] - direct_light - f64::from(rows.value[half][row]);
                 let by_node = &rows.nodes[half][row * NODES..(row + 1) * NODES];
                 for (node, &by_node) in nodes.iter_mut().zip(by_node) {
                     *node = f64::from(by_node);
                 }
                 modes.tr_mul_to(nodes, &mut value.by_modes[half]);
-                let once = at.direct.by_modes(cell, light, c);
-                for (mode, &once) in value.by_modes[half].iter_mut().zip(once) {
-                    *mode += light_once * f64::from(once);
+                let direct = at.direct.by_modes(cell, light, c);
+                for (mode, &direct) in value.by_modes[half].iter_mut().zip(direct) {
+                    *mode += direct_light * f64::from(direct);
                 }
             }
             visit(sums, value);

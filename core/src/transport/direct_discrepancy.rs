@@ -1,35 +1,35 @@
-//! Light that a material reflects once which departs from a mixture: by how much it differs
-//! from the mixture's, and how it changes with ln f at the nodes of the departure.
+//! Direct reflection by a material with model discrepancy: its ratio to the mixture's, and its
+//! derivatives by the modes of the discrepancy.
 
 use nalgebra::DVector;
 use rayon::prelude::*;
 
 use super::cells::Cells;
 use super::direct::for_each_seen;
-use super::points::Numbers;
+use super::points::Sampler;
 use super::scene::Scene;
 use crate::brdf::Brdf;
-use crate::brdf::departure::{Departed, NODES, around, modes};
+use crate::brdf::discrepancy::{Material, NODES, around, modes};
 
-/// Rays per pixel, square root. The mixture's own light is known better
-/// ([`super::DirectMatrix`]); here only a factor is needed.
+/// Rays per pixel, square root. The mixture's own reflection is computed with more
+/// ([`super::DirectMatrix`]); here only a ratio is needed.
 const STRATA: u32 = 4;
 
-/// Direct reflection of a departed material, per pixel, light and channel.
-pub struct DirectDeparted {
+/// Direct reflection by a material, relative to its mixture's, per pixel, light and channel.
+pub struct DirectDiscrepancy {
     lights: usize,
-    /// Over that of the mixture alone, `[(pixel · lights + light) · 3 + channel]`.
+    /// Ratio to that of the mixture alone, `[(pixel · lights + light) · 3 + channel]`.
     factors: Vec<f32>,
-    /// Derivatives of ln of the departed light by the departure's modes, `[… · modes + mode]`.
+    /// Derivatives of the logarithm of the reflected light by the discrepancy's modes, `[… · modes + mode]`.
     by_modes: Vec<f32>,
 }
 
-impl DirectDeparted {
+impl DirectDiscrepancy {
     /// In the `wanted` pixels; factors of 1 and derivatives of 0 elsewhere.
     pub fn new(
         scene: &Scene,
         cells: &Cells,
-        material: &Departed,
+        material: &Material,
         wanted: &[bool],
         seed: u64,
     ) -> Self {
@@ -41,7 +41,7 @@ impl DirectDeparted {
                 if !wanted[cell] {
                     return (vec![1.0; values], vec![0.0; values * modes().ncols()]);
                 }
-                let sums = look(scene, cells, material, cell, seed);
+                let sums = sums_of(scene, cells, material, cell, seed);
                 let factors = sums.iter().map(Sum::factor).collect();
                 (factors, sums.iter().flat_map(Sum::by_modes).collect())
             })
@@ -58,12 +58,12 @@ impl DirectDeparted {
         (cell * self.lights + light) * 3 + channel
     }
 
-    /// By what the mixture's light is multiplied.
+    /// Ratio of the material's direct reflection to the mixture's.
     pub fn factor(&self, cell: usize, light: usize, channel: usize) -> f32 {
         self.factors[self.index(cell, light, channel)]
     }
 
-    /// The derivative of ln of the light by each mode.
+    /// The derivative of the logarithm of the reflected light by each mode.
     pub fn by_modes(&self, cell: usize, light: usize, channel: usize) -> &[f32] {
         let modes = modes().ncols();
         let start = self.index(cell, light, channel) * modes;
@@ -75,21 +75,21 @@ impl DirectDeparted {
 #[derive(Clone)]
 struct Sum {
     of_mixture: f64,
-    departed: f64,
-    /// The departed, by node.
+    reflected: f64,
+    /// `reflected`, by node of the discrepancy.
     nodes: [f64; NODES],
 }
 
 impl Sum {
     const ZERO: Self = Self {
         of_mixture: 0.0,
-        departed: 0.0,
+        reflected: 0.0,
         nodes: [0.0; NODES],
     };
 
     fn factor(&self) -> f32 {
         if self.of_mixture > 0.0 {
-            (self.departed / self.of_mixture) as f32
+            (self.reflected / self.of_mixture) as f32
         } else {
             1.0
         }
@@ -97,8 +97,8 @@ impl Sum {
 
     fn by_modes(&self) -> Vec<f32> {
         let by_modes = modes().tr_mul(&DVector::from_column_slice(&self.nodes));
-        let scale = if self.departed > 0.0 {
-            1.0 / self.departed
+        let scale = if self.reflected > 0.0 {
+            1.0 / self.reflected
         } else {
             0.0
         };
@@ -107,7 +107,7 @@ impl Sum {
 }
 
 /// The sums of a pixel, per light and channel.
-fn look(scene: &Scene, cells: &Cells, material: &Departed, cell: usize, seed: u64) -> Vec<Sum> {
+fn sums_of(scene: &Scene, cells: &Cells, material: &Material, cell: usize, seed: u64) -> Vec<Sum> {
     let lights = scene.lights.len();
     let share = 1.0 / f64::from(STRATA * STRATA);
     let mut sums = vec![Sum::ZERO; lights * 3];
@@ -131,10 +131,10 @@ fn look(scene: &Scene, cells: &Cells, material: &Departed, cell: usize, seed: u6
                     let of_mixture = arriving * f64::from(of_mixture);
                     sum.of_mixture += of_mixture;
                     for (node, part) in around {
-                        let factor = material.departures[c].0[node].exp();
-                        let departed = of_mixture * factor * f64::from(part);
-                        sum.departed += departed;
-                        sum.nodes[node] += departed;
+                        let factor = material.discrepancies[c].0[node].exp();
+                        let reflected = of_mixture * factor * f64::from(part);
+                        sum.reflected += reflected;
+                        sum.nodes[node] += reflected;
                     }
                 }
             }

@@ -1,8 +1,11 @@
-//! How materials depart from the mixtures of a dictionary: by a smooth random factor.
+//! Model discrepancy: by what a material differs from every mixture of a dictionary.
 //!
-//! ln f = ln f_mixture + g(θh, θd), where g is Gaussian with zero mean, bilinear between the
-//! nodes of a table. Its deviations and lengths resemble those of measured materials about
-//! the mixtures that explain them best (docs/adr/0032).
+//! ln f = ln f_mixture + g(θh, θd), where g is a Gaussian process of mean zero over the half and
+//! the difference angle (θh, θd), tabulated at nodes and linear between them. Its standard
+//! deviation and correlation lengths resemble those of measured materials about the mixtures
+//! that explain them best (docs/adr/0032). [`modes`] is its truncated Karhunen–Loève basis.
+//!
+//! [`Material`] is what a fit reports: a mixture with its discrepancy, itself a [`Brdf`].
 
 use std::sync::OnceLock;
 
@@ -26,7 +29,7 @@ pub const NODES: usize = THETA_H_DEG.len() * THETA_D_DEG.len();
 // A record names its node in eight bits.
 const _: () = assert!(NODES <= 256);
 
-/// Part of the variance that the modes may miss, where g has unit deviation everywhere.
+/// Fraction of the variance that the truncated basis may lack, where g has unit deviation.
 const MISSED: f64 = 0.02;
 
 /// A node of the table.
@@ -36,7 +39,7 @@ pub struct Node {
     pub theta_h_deg: f64,
     /// Difference angle, degrees.
     pub theta_d_deg: f64,
-    /// Its share of the pairs of directions, up to a factor.
+    /// Its share of the measure of all pairs of directions, up to a common factor.
     pub measure: f64,
 }
 
@@ -55,7 +58,7 @@ pub fn nodes() -> impl Iterator<Item = Node> {
     })
 }
 
-/// From half way to the node before to half way to the one after.
+/// From halfway to the previous node to halfway to the next.
 fn cell(axis: &[f64], k: usize) -> [f64; 2] {
     let before = axis[k.saturating_sub(1)];
     let after = axis[(k + 1).min(axis.len() - 1)];
@@ -71,7 +74,7 @@ fn deviation(theta_h_deg: f64, theta_d_deg: f64) -> f64 {
 
 /// Correlation of g at two nodes.
 fn correlation(a: &Node, b: &Node) -> f64 {
-    // Along these axes g changes alike everywhere.
+    // In these coordinates the process is stationary.
     let position = |n: &Node| {
         [
             n.theta_h_deg.sqrt() / 1.2,
@@ -82,8 +85,8 @@ fn correlation(a: &Node, b: &Node) -> f64 {
     (-0.5 * ((a_h - b_h).powi(2) + (a_d - b_d).powi(2))).exp()
 }
 
-/// The modes of g: columns with values at the nodes, which independent standard normal
-/// numbers multiply. A factor that is the same everywhere is left to the weights.
+/// The modes of g: columns of values at the nodes, to be multiplied by independent standard
+/// normal coefficients. A factor common to all angles is projected out: the weights have it.
 pub fn modes() -> &'static DMatrix<f64> {
     static MODES: OnceLock<DMatrix<f64>> = OnceLock::new();
     MODES.get_or_init(|| {
@@ -104,10 +107,10 @@ pub fn modes() -> &'static DMatrix<f64> {
     })
 }
 
-/// Columns whose outer products add up to a covariance but for [`MISSED`].
+/// Columns whose outer products add up to a covariance, except for the fraction [`MISSED`].
 fn principal(covariance: &DMatrix<f64>) -> DMatrix<f64> {
     let scale = covariance.diagonal().map(f64::sqrt);
-    // By the correlation, so that where g is small counts as much.
+    // Of the correlation, so that nodes where g is small count as much.
     let eigen = SymmetricEigen::new(DMatrix::from_fn(NODES, NODES, |i, j| {
         covariance[(i, j)] / (scale[i] * scale[j])
     }));
@@ -129,7 +132,7 @@ fn principal(covariance: &DMatrix<f64>) -> DMatrix<f64> {
     DMatrix::from_columns(&columns)
 }
 
-/// The nodes around a pair of directions (unit, local frame), with their shares.
+/// The four nodes around a pair of directions (unit, local frame) with their bilinear weights.
 #[inline]
 pub fn around(to_light: Vec3, to_viewer: Vec3) -> [(usize, f32); 4] {
     let sum = to_light + to_viewer;
@@ -141,7 +144,7 @@ pub fn around(to_light: Vec3, to_viewer: Vec3) -> [(usize, f32); 4] {
     )
 }
 
-/// The nodes around half and difference angles, with their shares.
+/// The four nodes around half and difference angles with their bilinear weights.
 fn around_angles(theta_h_deg: f64, theta_d_deg: f64) -> [(usize, f32); 4] {
     let segment = |axis: &[f64], x: f64| {
         let k = axis.partition_point(|&n| n <= x).clamp(1, axis.len() - 1) - 1;
@@ -160,9 +163,9 @@ fn around_angles(theta_h_deg: f64, theta_d_deg: f64) -> [(usize, f32); 4] {
     ]
 }
 
-/// One of the nodes around half and difference angles (sin² θh and cos θd), each as often as
-/// is its share, so that sums over many directions are as if all four were used. Chance is
-/// taken from the last digits of the directions.
+/// Stochastic rounding of half and difference angles (given as sin² θh and cos θd) to one of the
+/// four bilinear nodes around them, with probability equal to its weight, so that sums over many
+/// directions are unbiased. The random bits are a hash of the operands.
 #[inline]
 pub fn node_near(sin2_h: f32, cos_d: f32) -> u8 {
     static POSITIONS: OnceLock<[[f32; 257]; 2]> = OnceLock::new();
@@ -191,20 +194,20 @@ pub fn node_near(sin2_h: f32, cos_d: f32) -> u8 {
     let d = between(by_d, (1.0 - cos_d).sqrt());
     let hash = (sin2_h.to_bits() ^ cos_d.to_bits().rotate_left(16)).wrapping_mul(0x9e37_79b9);
     let hash = (hash ^ hash >> 15).wrapping_mul(0x85eb_ca6b);
-    let chance = |bits: u32| f32::from(bits as u16) / 65536.0;
+    let random = |bits: u32| f32::from(bits as u16) / 65536.0;
     let (h, d) = (
-        (h + chance(hash)) as usize,
-        (d + chance(hash >> 16)) as usize,
+        (h + random(hash)) as usize,
+        (d + random(hash >> 16)) as usize,
     );
     (h * THETA_D_DEG.len() + d) as u8
 }
 
-/// A departure: g at each node.
+/// A discrepancy: g at each node, the natural logarithm of a factor.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Departure(pub DVector<f64>);
+pub struct Discrepancy(pub DVector<f64>);
 
-impl Departure {
-    /// No departure.
+impl Discrepancy {
+    /// None: g = 0.
     pub fn none() -> Self {
         Self(DVector::zeros(NODES))
     }
@@ -222,62 +225,83 @@ impl Departure {
     }
 }
 
-/// What departs from a mixture.
+/// A mixture of a dictionary's atoms with its discrepancy: the form of a fitted material.
+///
+/// ```
+/// use std::sync::Arc;
+/// use rig_core::brdf::discrepancy::{Discrepancy, Material, NODES};
+/// use rig_core::brdf::{Brdf, Dictionary, Mixture};
+///
+/// let dictionary = Arc::new(Dictionary::rig26());
+/// let equal = vec![1.0 / 26.0; 26];
+/// let mixture = Mixture::new(dictionary, [equal.clone(), equal.clone(), equal])?;
+/// let plain = Material::from(mixture.clone());
+/// // 10% brighter at all angles, in all channels.
+/// let brighter = Discrepancy(nalgebra::DVector::repeat(NODES, 1.1f64.ln()));
+/// let material = Material::new(mixture, &[brighter]);
+///
+/// let (to_light, to_viewer) = (glam::Vec3::Z, glam::Vec3::new(0.6, 0.0, 0.8));
+/// let ratio = material.eval(to_light, to_viewer)[0] / plain.eval(to_light, to_viewer)[0];
+/// assert!((ratio - 1.1).abs() < 1e-5);
+/// # Ok::<(), rig_core::brdf::BrdfError>(())
+/// ```
 #[derive(Clone, Debug)]
-pub struct Departed {
+pub struct Material {
     /// The mixture.
     pub mixture: Mixture,
-    /// In R, G and B.
-    pub departures: [Departure; 3],
+    /// Of R, G and B.
+    pub discrepancies: [Discrepancy; 3],
 }
 
-impl Departed {
-    /// What departs from `mixture` by these departures: one per channel, or one for all.
-    pub fn new(mixture: Mixture, departures: &[Departure]) -> Self {
+impl Material {
+    /// `mixture` with these discrepancies: one per channel, or one for all.
+    pub fn new(mixture: Mixture, discrepancies: &[Discrepancy]) -> Self {
         Self {
             mixture,
-            departures: [0, 1, 2].map(|c| departures[c.min(departures.len() - 1)].clone()),
+            discrepancies: [0, 1, 2].map(|c| discrepancies[c.min(discrepancies.len() - 1)].clone()),
         }
     }
 
-    /// A mixture from which nothing departs.
-    pub fn nowhere(mixture: Mixture) -> Self {
-        Self::new(mixture, &[Departure::none()])
-    }
-
-    /// Per channel, f of the mixture of these `atoms` (their values at half and difference
-    /// angles, in the dictionary's order) as it departs, 1/sr.
+    /// Per channel, f in 1/sr from the values of the `atoms` (in the dictionary's order) at these
+    /// half and difference angles.
     pub fn at(&self, atoms: &[f64], theta_h_deg: f64, theta_d_deg: f64) -> [f64; 3] {
         let around = around_angles(theta_h_deg, theta_d_deg);
         [0, 1, 2].map(|c| {
             let terms = self.mixture.weights()[c].iter().zip(atoms);
             let f: f64 = terms.map(|(weight, atom)| weight * atom).sum();
-            f * self.departures[c].factor_around(around)
+            f * self.discrepancies[c].factor_around(around)
         })
     }
 
-    /// The mixture's f as it departs where these are the nodes around.
+    /// The mixture's f times the discrepancy's factor between these nodes.
     #[inline]
-    pub fn depart(&self, f: [f32; 3], around: [(usize, f32); 4]) -> [f32; 3] {
-        [0, 1, 2].map(|c| f[c] * self.departures[c].factor_around(around) as f32)
+    fn scaled(&self, f: [f32; 3], around: [(usize, f32); 4]) -> [f32; 3] {
+        [0, 1, 2].map(|c| f[c] * self.discrepancies[c].factor_around(around) as f32)
     }
 }
 
-impl Brdf for Departed {
+/// A mixture without discrepancy.
+impl From<Mixture> for Material {
+    fn from(mixture: Mixture) -> Self {
+        Self::new(mixture, &[Discrepancy::none()])
+    }
+}
+
+impl Brdf for Material {
     fn eval(&self, to_light: Vec3, to_viewer: Vec3) -> [f32; 3] {
         let f = self.mixture.eval(to_light, to_viewer);
         if f == [0.0; 3] {
             return f;
         }
-        self.depart(f, around(to_light, to_viewer))
+        self.scaled(f, around(to_light, to_viewer))
     }
 
     fn as_mixture(&self) -> Option<&Mixture> {
-        let nowhere = self
-            .departures
+        let exact = self
+            .discrepancies
             .iter()
             .all(|d| d.0.iter().all(|&g| g == 0.0));
-        nowhere.then_some(&self.mixture)
+        exact.then_some(&self.mixture)
     }
 }
 
@@ -286,7 +310,7 @@ mod tests {
     use super::*;
     use crate::brdf::HalfDifference;
 
-    /// Half the modes' products are the covariance, but for what a common factor makes.
+    /// The products of the modes are the covariance, without the part of a common factor.
     #[test]
     fn modes_have_the_stated_deviations() {
         let modes = modes();
@@ -351,16 +375,16 @@ mod tests {
     fn nodes_around_interpolate() {
         let linear = |h: f64, d: f64| 1.3 - 0.01 * h + 0.02 * d;
         let values = nodes().map(|n| linear(n.theta_h_deg, n.theta_d_deg).ln());
-        let departure = Departure(DVector::from_iterator(NODES, values));
+        let discrepancy = Discrepancy(DVector::from_iterator(NODES, values));
         for (h, d, phi) in [(0.4, 5.0, 1.0), (17.0, 50.0, 2.0), (60.0, 20.0, 0.3)] {
-            assert!((departure.factor(h, d) - linear(h, d)).abs() < 1e-6);
+            assert!((discrepancy.factor(h, d) - linear(h, d)).abs() < 1e-6);
             let angles = HalfDifference {
                 theta_h_rad: f64::to_radians(h),
                 theta_d_rad: f64::to_radians(d),
                 phi_d_rad: phi,
             };
             let (i, o) = angles.to_directions();
-            let found = departure.factor_around(around(i.as_vec3(), o.as_vec3()));
+            let found = discrepancy.factor_around(around(i.as_vec3(), o.as_vec3()));
             assert!((found - linear(h, d)).abs() < 1e-4, "{found}");
         }
     }
