@@ -136,7 +136,7 @@ pub(super) mod tests {
     use crate::brdf::dictionary::{Atom, Dictionary};
     use crate::geometry::Shape;
     use crate::inverse::cells::{Captured, CellOptions};
-    use crate::inverse::fit::FitOptions;
+    use crate::inverse::options::FitOptions;
     use crate::inverse::solve::{Paths, solve};
     use crate::radiance_image::RadianceImage;
     use crate::transport::{Camera, Light, Projection, RenderOptions, Shading, render};

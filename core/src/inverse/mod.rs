@@ -18,6 +18,7 @@ pub mod intervals;
 pub mod light_selection;
 pub mod memory;
 pub mod objective;
+pub mod options;
 pub mod plausibility;
 mod posterior;
 pub mod projection;
@@ -32,6 +33,7 @@ pub mod variance_shares;
 
 pub use bench::{BenchPriors, RefineOptions, refine_bench};
 pub use cells::{Captured, CellOptions};
-pub use fit::{Fit, FitError, FitOptions, Optimizer, fit, fit_with_progress};
+pub use fit::{Fit, fit, fit_with_progress};
 pub use intervals::Interval;
 pub use objective::Channels;
+pub use options::{FitError, FitOptions, Optimizer};

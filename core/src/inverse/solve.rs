@@ -6,8 +6,8 @@ use std::time::Instant;
 use nalgebra::DVector;
 
 use super::cells::Captured;
-use super::fit::{FitError, FitOptions, Optimizer};
 use super::objective::{Linearised, Objective, ResidualWeights};
+use super::options::{FitError, FitOptions, Optimizer};
 use super::ridge::Ridge;
 use super::trace::{Observer, Step, Termination};
 use crate::brdf::dictionary::Dictionary;

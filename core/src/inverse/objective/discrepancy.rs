@@ -100,9 +100,9 @@ mod tests {
     use crate::brdf::discrepancy::{Discrepancy, modes};
     use crate::brdf::{Atom, Dictionary, Mixture};
     use crate::inverse::cells::Captured;
-    use crate::inverse::fit::FitOptions;
     use crate::inverse::form::tests::bowl;
     use crate::inverse::objective::ModelImage;
+    use crate::inverse::options::FitOptions;
     use crate::inverse::solve::Paths;
     use crate::transport::{Proposal, RenderOptions, render};
 
