@@ -2,6 +2,7 @@
 //! for each kind, by the floor that states it. `tests/hints.rs` holds every row to a test
 //! that runs the program.
 
+mod capture;
 mod device;
 mod evaluate;
 mod session;
@@ -10,6 +11,7 @@ use std::error::Error;
 
 use rustix::io::Errno;
 
+use capture::{for_open, for_prepare};
 use device::for_device;
 use evaluate::for_evaluate;
 use session::{for_capture, for_fit_record, for_loading, for_record, for_session};
@@ -64,6 +66,12 @@ fn for_one(error: &(dyn Error + 'static)) -> Option<String> {
     }
     if let Some(error) = error.downcast_ref() {
         return for_capture(error);
+    }
+    if let Some(error) = error.downcast_ref() {
+        return for_open(error);
+    }
+    if let Some(error) = error.downcast_ref() {
+        return for_prepare(error);
     }
     if let Some(error) = error.downcast_ref() {
         return for_loading(error);

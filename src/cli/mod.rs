@@ -13,10 +13,11 @@ pub mod calibrate;
 pub mod camera;
 mod camera_preview;
 pub mod capture;
+mod capture_notices;
 mod capture_progress;
-mod capture_records;
 mod cell_images;
 pub mod completions;
+pub mod context;
 pub mod demo;
 pub mod devices;
 pub mod doctor;
@@ -37,7 +38,6 @@ mod lamp_drift;
 pub mod light_choice;
 pub mod merge;
 pub mod open;
-#[cfg(feature = "serial")]
 mod operator;
 pub mod output;
 pub mod pipeline;
@@ -50,7 +50,6 @@ pub mod report;
 pub mod rig_choice;
 pub mod session;
 mod session_images;
-mod session_rig;
 pub mod shape;
 mod shape_inspect;
 mod sharpness;
@@ -65,11 +64,10 @@ use std::process::ExitCode;
 
 use clap::{Args, ColorChoice, CommandFactory, FromArgMatches, Parser, Subcommand};
 
+pub use context::Context;
 pub use error::{CliError, HintExt};
 use exit::Exit;
 use output::write_stderr;
-
-use crate::shown::escaped;
 
 /// The table of commands: `Name(arguments) => function`, in the order of `rig --help`.
 macro_rules! commands {
@@ -139,47 +137,6 @@ struct GlobalArgs {
     color: ColorChoice,
 }
 
-/// What every command gets beside its own arguments.
-#[derive(Clone, Debug)]
-pub struct Context {
-    quiet: bool,
-    color: bool,
-}
-
-impl Context {
-    /// A remark for the person at the terminal, on stderr; `--quiet` drops it.
-    pub fn note(&self, text: impl std::fmt::Display) {
-        if !self.quiet {
-            write_stderr(&format!("{}\n", escaped(&text.to_string())));
-        }
-    }
-
-    /// A remark that matters: `warning: …` on stderr, also with `--quiet`.
-    pub fn warn(&self, text: impl std::fmt::Display) {
-        self.warn_lines(&[&text.to_string()]);
-    }
-
-    /// [`Self::warn`] with the likely cause on a line of its own.
-    pub fn warn_of(&self, what: &str, likely_cause: &str) {
-        self.warn_lines(&[what, &format!("  likely: {likely_cause}")]);
-    }
-
-    fn warn_lines(&self, lines: &[&str]) {
-        let (yellow, plain) = if self.color {
-            ("\x1b[1;33m", "\x1b[0m")
-        } else {
-            ("", "")
-        };
-        let lines: Vec<_> = lines.iter().map(|line| escaped(line)).collect();
-        write_stderr(&format!("{yellow}warning:{plain} {}\n", lines.join("\n")));
-    }
-
-    /// Whether to draw progress bars: stderr is a terminal and nobody asked for quiet.
-    pub fn shows_progress(&self) -> bool {
-        !self.quiet && std::io::stderr().is_terminal()
-    }
-}
-
 /// The command line's definition, for parsing, completions and manual pages.
 pub fn definition() -> clap::Command {
     Cli::command()
@@ -212,11 +169,8 @@ fn run(arguments: Vec<OsString>) -> Exit {
         Ok(cli) => cli,
         Err(error) => return report_usage(&error, &subcommand, color),
     };
-    trace::start(&cli.global, color);
-    let context = Context {
-        quiet: cli.global.quiet,
-        color,
-    };
+    trace::start(cli.global.quiet, cli.global.verbose, color);
+    let context = Context::new(cli.global.quiet, color);
     match cli.command.run(&context) {
         Ok(()) => Exit::Done,
         Err(error) => {

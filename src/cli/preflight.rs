@@ -10,7 +10,6 @@ use crate::config::view::SurfaceSpec;
 use crate::geometry::inspect::UNITS;
 use crate::transport::visibility::{Concern, Visibility};
 use crate::transport::{CameraBody, Scene};
-use crate::units::StageAngles;
 
 /// Lights within a stage's reach that stand for all of them while none is planned.
 const LIGHTS_LOOKED_AT: usize = 16;
@@ -19,66 +18,40 @@ const LIGHTS_LOOKED_AT: usize = 16;
 /// that brings a mesh into this range is likely its own.
 const SUITS_THE_FIELD: std::ops::RangeInclusive<f64> = 0.05..=3.0;
 
-/// Refuses a bench whose camera doesn't see the front of the sample. Remarks go to stderr.
-pub(super) fn check_bench(config: &RigConfig, context: &Context) -> Result<(), CliError> {
-    let scene = config.geometry.scene(&[])?;
-    remark_on_files(&scene, context);
-    let seen = Visibility::of(&scene);
-    for concern in seen.concerns() {
-        let fact = fact(&concern, &seen);
-        if concern.is_fatal() {
-            return Err(CliError::new(fact).hint(remedy(&concern, &seen, Keys::rig(config))));
-        }
-        context.warn(fact);
-    }
-    Ok(())
-}
-
-/// Refuses lights that reach nothing of what the camera sees.
-pub(super) fn check_lights(config: &RigConfig, lights: &[StageAngles]) -> Result<(), CliError> {
-    let seen = Visibility::of(&config.geometry.scene(lights)?);
-    for concern in seen.concerns() {
-        if let Concern::Unlit { light, .. } = concern {
-            let fact = format!("{concern} ({})", lights[light]);
-            return Err(CliError::new(fact).hint(remedy(&concern, &seen, Keys::rig(config))));
-        }
-    }
-    Ok(())
-}
-
 /// Refuses a scene of which images can tell nothing; what is worth a remark goes to stderr.
 pub(super) fn check_scene(
     scene: &Scene,
     keys: Keys<'_>,
     context: &Context,
 ) -> Result<(), CliError> {
-    remark_on_files(scene, context);
+    remark_on(scene, keys, context, Concern::is_fatal)
+}
+
+/// Warns of what is wrong with a scene file's scene, which is rendered all the same.
+pub(super) fn remark_on_scene(scene: &Scene, file: &SceneFile, context: &Context) {
+    // None is fatal, so that it cannot fail.
+    drop(remark_on(scene, Keys::scene(file), context, |_| false));
+}
+
+/// Warns of each concern, unless it is fatal.
+fn remark_on(
+    scene: &Scene,
+    keys: Keys<'_>,
+    context: &Context,
+    is_fatal: impl Fn(&Concern) -> bool,
+) -> Result<(), CliError> {
+    for remark in scene.remarks() {
+        context.warn(remark);
+    }
     let seen = Visibility::of(scene);
     for concern in seen.concerns() {
         let (fact, remedy) = (fact(&concern, &seen), remedy(&concern, &seen, keys));
-        if concern.is_fatal() {
+        if is_fatal(&concern) {
             return Err(CliError::new(fact).hint(remedy));
         }
         context.warn(format_args!("{fact}; {remedy}"));
     }
     Ok(())
-}
-
-/// Warns of what is wrong with a scene file's scene, which is rendered all the same.
-pub(super) fn remark_on_scene(scene: &Scene, file: &SceneFile, context: &Context) {
-    remark_on_files(scene, context);
-    let seen = Visibility::of(scene);
-    for concern in seen.concerns() {
-        let remedy = remedy(&concern, &seen, Keys::scene(file));
-        context.warn(format_args!("{}; {remedy}", fact(&concern, &seen)));
-    }
-}
-
-/// What was left out of mesh files, and the like.
-fn remark_on_files(scene: &Scene, context: &Context) {
-    for remark in scene.remarks() {
-        context.warn(remark);
-    }
 }
 
 /// What a check of a rig found.
@@ -184,7 +157,8 @@ fn is_of_a_light(concern: &Concern) -> bool {
     matches!(concern, Concern::Unlit { .. })
 }
 
-fn fact(concern: &Concern, seen: &Visibility) -> String {
+/// The fact, with where the sample appears.
+pub(super) fn fact(concern: &Concern, seen: &Visibility) -> String {
     match concern {
         Concern::Unlit { .. } => concern.to_string(),
         _ => format!("{concern}; {}", place(seen)),
@@ -277,7 +251,8 @@ impl<'a> Keys<'a> {
     }
 }
 
-fn remedy(concern: &Concern, seen: &Visibility, keys: Keys<'_>) -> String {
+/// What to do about it.
+pub(super) fn remedy(concern: &Concern, seen: &Visibility, keys: Keys<'_>) -> String {
     let (camera, sample) = (keys.camera, keys.sample);
     let better_unit = keys.better_unit(seen.times_the_field());
     let [low, high] = seen.bounds_mm;

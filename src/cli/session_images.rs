@@ -3,7 +3,6 @@
 
 use std::path::Path;
 
-use super::session_rig::session_rig;
 use super::{CliError, HintExt};
 use crate::calibration::pose::PoseValues;
 use crate::calibration::{Library, Loaded, record_in};
@@ -38,8 +37,8 @@ pub(super) struct SessionImages {
 /// Opens a session.
 pub(super) fn captured_session(root: &Path) -> Result<CapturedSession, CliError> {
     let session = Session::open(root)?;
-    let config = session_rig(root, session.record())?;
-    let places = places(&session)?;
+    let config = session.rig()?;
+    let places = session.stage_positions()?;
     Ok(CapturedSession {
         session,
         config,
@@ -101,19 +100,4 @@ pub(super) fn measured_pose(
         }
     };
     Ok(values)
-}
-
-/// Where the stage stood for each light, as read back; as planned where no frame tells.
-fn places(session: &Session) -> Result<Vec<StageAngles>, CliError> {
-    let mut places = session.record().plan.lights.clone();
-    let mut known = vec![false; places.len()];
-    for entry in session.frames() {
-        let light = entry.key.light as usize;
-        if light < places.len() && !known[light] {
-            let (_, sidecar) = session.read_frame(&entry)?;
-            places[light] = sidecar.stage_position;
-            known[light] = true;
-        }
-    }
-    Ok(places)
 }

@@ -32,6 +32,7 @@ pub mod journal;
 mod journalled;
 pub mod layout;
 pub mod record;
+pub mod rig;
 mod store;
 pub mod verify;
 
