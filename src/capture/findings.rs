@@ -11,7 +11,7 @@ use crate::calibration::fitness::Concern;
 use crate::calibration::noise::NoiseError;
 use crate::calibration::record::Kind;
 use crate::config::ConfigError;
-use crate::config::build::BuildError;
+use crate::config::BuildError;
 use crate::geometry::FileRemark;
 use crate::session::SessionError;
 use crate::session::fit_record::FitRecordError;

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::Arc;
 
-use crate::config::build::BuildError;
+use crate::config::BuildError;
 use crate::config::stage::StageDriver;
 use crate::config::{CameraDriver, RigConfig};
 use crate::device::described::Description;

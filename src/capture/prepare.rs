@@ -33,7 +33,7 @@ use super::{Capture, CaptureError, Observer, Outcome, RadianceSink, interest};
 use crate::calibration::Library;
 use crate::calibration::depth_of_field::{self, DepthOfField};
 use crate::calibration::slanted_edge::FocusValues;
-use crate::config::build::BuildError;
+use crate::config::BuildError;
 use crate::config::simulation::MaterialSpec;
 use crate::config::{ResolvedRig, RigConfig};
 use crate::interrupt::Interrupt;
