@@ -46,7 +46,7 @@ fn write_fit(folder: &Path) {
         loss: 1.0,
         reduced_chi_square: vec![[1.0; 3]],
         truncation_remainder: Vec::new(),
-        doubted: Vec::new(),
+        outlier_fraction: Vec::new(),
         discrepancy: None,
         termination: "converged".to_owned(),
         trace: Vec::new(),

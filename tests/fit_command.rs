@@ -142,7 +142,6 @@ fn the_record_states_how_the_fit_was_made() {
     assert_eq!(settings.memory_mib, Some(512));
     assert_eq!(settings.shared_weights, Some(false));
     assert_eq!(settings.adapted_paths, Some(true));
-    assert_eq!(settings.refined_atoms, Some(0));
     assert_eq!(settings.model_error, Some(0.02));
     assert_eq!(settings.mask, None);
     assert_eq!(settings.scene.as_deref(), Some("s.toml"));
@@ -150,13 +149,11 @@ fn the_record_states_how_the_fit_was_made() {
     assert!(plain.bench.is_none());
     assert_eq!(plain.remarks, [""; 0]);
 
-    let options = "--mask m.png --shared-weights --model-error 0.05 --fixed-paths --memory 64";
+    let options = "--mask m.png --shared-weights --model-error 0.05 --memory 64";
     let other = fitted(home.path(), options);
     let settings = &other.settings;
     assert_eq!(settings.memory_mib, Some(64));
     assert_eq!(settings.shared_weights, Some(true));
-    assert_eq!(settings.adapted_paths, Some(false));
-    assert_eq!(settings.refined_atoms, Some(1));
     assert_eq!(settings.model_error, Some(0.05));
     assert_eq!(settings.mask.as_deref(), Some("m.png"));
     // The same weights, and nothing compared where the mask is black.
@@ -315,7 +312,7 @@ fn a_fit_beyond_its_memory_is_refused_with_what_would_do() {
         "fit --scene s.toml --image i_L000.exr i_L001.exr --out refused --memory {little}"
     ));
     assert!(said.contains(", or compare fewer cells"), "{said}");
-    let quick = "--spp 2 --optimizer single-bounce --fixed-paths";
+    let quick = "--spp 2 --optimizer single-bounce";
     let done = rig(
         home.path(),
         &format!("{FIT} {quick} --out done --memory {enough}").replace("--spp 32", ""),

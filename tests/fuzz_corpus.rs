@@ -166,12 +166,12 @@ fn memory_of_a_fit(side: usize, lights: usize, dictionary: &Dictionary) -> [f64;
         samples_per_pixel: 32,
         ..RenderOptions::default()
     };
-    let captured = render(&scene, &material, &how, &|_| {});
+    let captured = render(&scene, &material, &how);
     let mut options = FitOptions::default();
     options.cache.samples_per_cell = 2;
     let counted = targets::peak_bytes(|| {
         let images = Captured::of_pixels(&captured, |_| true);
-        drop(fit(&scene, &images, dictionary, &options, &mut |_| {}).unwrap());
+        drop(fit(&scene, &images, dictionary, &options).unwrap());
     });
     let size = Size {
         cells: side * side,

@@ -49,6 +49,34 @@ const ELSEWHERE: &[(&str, &str)] = &[
         "a Zaber device before firmware 6",
     ),
     ("its file system is not mounted `noexec`", "a mount"),
+    (
+        "correct camera.resolution_px in the rig file",
+        "a camera with frames of another size",
+    ),
+    (
+        "`mesh`, `table` and `weights` in the rig file",
+        "a file that goes away while a capture is prepared",
+    ),
+    (
+        "`--lights N` spreads the lights evenly",
+        "a dictionary that paths cannot hold",
+    ),
+    (
+        "before a capture, `rig capture --lights best:N`",
+        "a session that was never fitted",
+    ),
+    (
+        "correct camera.mosaic or camera.format",
+        "a camera with other colour filters",
+    ),
+    (
+        "build it with the feature `serial`",
+        "a program built without it",
+    ),
+    (
+        "build it with the feature `v4l`",
+        "a program built without it",
+    ),
     // What a simulated bench meets in `tests/capture.rs` and `tests/camera_faults.rs`, by
     // the library: minutes of a capture each.
     ("let the lamp warm up", "a lamp that drifts"),

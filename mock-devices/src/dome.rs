@@ -1,4 +1,4 @@
-//! A dome of lights that speaks the dome line protocol (`docs/stages.md` of the
+//! A dome of lights that speaks the dome line protocol (`docs/reference/dome-protocol.md` of the
 //! project) on a pseudo-terminal.
 
 use crate::bench::Bench;

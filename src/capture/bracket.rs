@@ -227,7 +227,7 @@ fn bracket(
     let plan = plan_bracket(noise, &statistics, &limits(rules), &target(rules))?;
     Ok(Decision::Bracket {
         steps: plan.steps,
-        dark_snr: plan.darkest_snr,
+        dark_snr: plan.dark_snr,
         reached: plan.reached,
         clips,
     })
@@ -247,7 +247,7 @@ pub fn limits(rules: &ExposureRules) -> ExposureLimits {
 pub fn target(rules: &ExposureRules) -> BracketTarget {
     BracketTarget {
         peak_fraction: rules.peak_fraction,
-        snr: rules.dark_snr,
+        dark_snr: rules.dark_snr,
         ratio: rules.ratio,
     }
 }

@@ -328,7 +328,7 @@ impl Bench<'_> {
             proposal: Proposal::resembling(&truth, 0.2),
             ..RenderOptions::default()
         };
-        let captured = render(&scene, &truth, &options, &|_| {});
+        let captured = render(&scene, &truth, &options);
         let options = FitOptions::default();
         let cells = CellOptions::new(&dictionary, &BenchPriors::EXACT);
         let captured = Captured::new(&scene, &captured, &cells).map_err(FitError::from)?;
@@ -337,7 +337,7 @@ impl Bench<'_> {
         self.case(
             name,
             self.args.repeat.min(3),
-            || match fit(&scene, &captured, &dictionary, &options, &mut |_| ()) {
+            || match fit(&scene, &captured, &dictionary, &options) {
                 Ok(fit) => records = fit.cache_size.0,
                 Err(error) => failed = Some(error),
             },

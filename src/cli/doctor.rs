@@ -11,7 +11,7 @@ use jiff::Timestamp;
 use rustix::fs::{Access, access};
 use serde::Serialize;
 
-use super::capture_records::CHANGED_ON_PURPOSE;
+use super::capture_notices::CHANGED_ON_PURPOSE;
 use super::output::{write_json, write_line};
 use super::preflight::{self, Outlook};
 use super::rig_choice::RigArg;
@@ -24,12 +24,12 @@ use crate::calibration::record::{
 };
 use crate::calibration::slanted_edge::FocusValues;
 use crate::calibration::{Library, RecordError, Seal};
+use crate::capture::prepare::sample_blur;
 use crate::capture::reach::StageReach;
 use crate::config::stage::StageDriver;
 use crate::config::{CameraDriver, Origin, ResolvedRig};
-use crate::device::command_camera::program;
+use crate::device::discovery;
 use crate::device::dome::DomeWiring;
-use crate::device::{DeviceError, discovery};
 use crate::file_system::{self, Lack};
 
 /// Checks configuration, devices, permissions, disk and calibration
@@ -239,7 +239,7 @@ fn depth_of_field(rig: &ResolvedRig, library: &Library, is_in_view: bool) -> Che
     let focus = library.load::<FocusValues>(named).unwrap_or_default();
     let focus = focus.as_ref().map(|loaded| &loaded.record.values);
     let limit_px = rig.config.capture.blur_limit_px;
-    match sharpness::of_rig(&rig.config, focus) {
+    match sample_blur(&rig.config, focus).map_err(CliError::from) {
         Err(error) => Check::warning(
             name,
             error.fact(),
@@ -247,13 +247,12 @@ fn depth_of_field(rig: &ResolvedRig, library: &Library, is_in_view: bool) -> Che
         ),
         Ok(None) if is_in_view => Check::ok(name, "unlimited: no aperture is stated"),
         Ok(None) => Check::ok(name, "not checked: the camera doesn't see the sample"),
-        Ok(Some(found)) => match sharpness::concern(&found, limit_px) {
-            Some(concern) => {
-                let fact = concern.strip_prefix("depth of field: ").unwrap_or(&concern);
-                Check::warning(name, fact, sharpness::REMEDY)
-            }
-            None => Check::ok(name, sharpness::ends(&found)),
-        },
+        Ok(Some(found)) if found.worst.disc_px > limit_px => {
+            let concern = sharpness::concern(&found, limit_px);
+            let fact = concern.strip_prefix("depth of field: ").unwrap_or(&concern);
+            Check::warning(name, fact, sharpness::REMEDY)
+        }
+        Ok(Some(found)) => Check::ok(name, sharpness::ends(&found)),
     }
 }
 
@@ -289,34 +288,14 @@ fn camera(rig: &ResolvedRig) -> Check {
             "build it with the feature `v4l`",
         ),
         CameraDriver::V4l { device, .. } => device_file("camera", device, "/dev/v4l/by-id"),
-        CameraDriver::Command(command) => {
-            camera_program(command.first().map_or("", String::as_str))
-        }
-        CameraDriver::Folder(folder) => match access(folder, Access::READ_OK | Access::WRITE_OK) {
-            Ok(()) => Check::ok(
-                "camera",
-                format!("files are awaited in {}", folder.display()),
-            ),
-            Err(error) => Check::failed(
-                "camera",
-                format!("{}: {}", folder.display(), std::io::Error::from(error)),
-                "make the folder, readable and writable, or correct camera.folder in the rig file",
-            ),
+        CameraDriver::Described { driver, setting } => match (driver.ready)(setting) {
+            Ok(source) => Check::ok("camera", source),
+            Err(error) => {
+                let remedy = hints::for_error(&error).unwrap_or_default();
+                Check::failed("camera", error.to_string(), remedy)
+            }
         },
     }
-}
-
-/// Whether a program can be run, by its path or found as a shell finds it.
-fn camera_program(name: &str) -> Check {
-    let Some(fault) = program::fault(name) else {
-        return Check::ok("camera", format!("frames come from the program {name}"));
-    };
-    let error = DeviceError::Program {
-        program: name.to_owned(),
-        fault,
-    };
-    let remedy = hints::for_error(&error).unwrap_or_default();
-    Check::failed("camera", error.to_string(), remedy)
 }
 
 fn stage(rig: &ResolvedRig) -> Check {

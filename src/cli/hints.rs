@@ -2,6 +2,7 @@
 //! for each kind, by the floor that states it. `tests/hints.rs` holds every row to a test
 //! that runs the program.
 
+mod capture;
 mod device;
 mod evaluate;
 mod session;
@@ -11,6 +12,7 @@ use std::error::Error;
 
 use rustix::io::Errno;
 
+use capture::{for_open, for_prepare};
 use device::for_device;
 use evaluate::for_evaluate;
 use session::{for_capture, for_fit_record, for_loading, for_record, for_session};
@@ -19,13 +21,13 @@ use workflow::for_workflow;
 use crate::brdf::BrdfError;
 use crate::brdf::rgl::RglFault;
 use crate::calibration::procedure::ProcedureError;
-use crate::config::build::BuildError;
+use crate::config::BuildError;
 use crate::config::{ConfigError, Slip};
 use crate::export::ExportError;
 use crate::geometry::MeshError;
 use crate::geometry::files::Content;
+use crate::inverse::FitError;
 use crate::inverse::cells::AverageError;
-use crate::inverse::fit::FitError;
 use crate::inverse::plausibility::Implausible;
 use crate::radiance_image::exr::ExrError;
 use crate::radiometry::frame_file::FrameFileError;
@@ -60,6 +62,8 @@ const ADVICE: &[Advice] = &[
     |error| of_type(error, for_session),
     |error| of_type(error, for_images),
     |error| of_type(error, for_capture),
+    |error| of_type(error, for_open),
+    |error| of_type(error, for_prepare),
     |error| of_type(error, for_loading),
     |error| of_type(error, for_fit_record),
     |error| of_type(error, for_brdf),

@@ -12,8 +12,8 @@ pub mod calibrate;
 pub mod camera;
 mod camera_preview;
 pub mod capture;
+mod capture_notices;
 mod capture_progress;
-mod capture_records;
 pub mod completions;
 pub mod context;
 pub mod demo;
@@ -34,7 +34,6 @@ pub mod light_choice;
 pub mod merge;
 mod notices;
 pub mod open;
-#[cfg(feature = "serial")]
 mod operator;
 pub mod output;
 mod preflight;

@@ -24,7 +24,9 @@ impl Observer for Context {
             UnmeasuredIntensities { .. } => self.warn(format_args!(
                 "{notice}; run `rig calibrate white SESSION` with all of them"
             )),
-            Scene(concern) => self.warn(format_args!("{notice}; {}", preflight::remedy(concern))),
+            Scene(concern) => {
+                self.warn(format_args!("{notice}; {}", preflight::remedy_of(concern)))
+            }
         }
     }
 }

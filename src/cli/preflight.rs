@@ -1,5 +1,5 @@
-//! What makes a scene not worth measuring, checked before anything moves or is rendered, with
-//! what to do about it.
+//! What makes a scene not worth measuring, said before anything moves or is rendered: the
+//! facts are [`Visibility`]'s, here are the words and the advice.
 
 use super::{CliError, Context};
 use crate::capture::directions::plan_order;
@@ -10,10 +10,7 @@ use crate::config::view::SurfaceSpec;
 use crate::geometry::inspect::UNITS;
 use crate::transport::visibility::{Concern, Visibility};
 use crate::transport::{CameraBody, Scene};
-use crate::units::StageAngles;
-use crate::workflow::{
-    DescribedIn, Notice, Observer, SceneConcern, check_scene, extent_in_image, millimetres,
-};
+use crate::workflow::{DescribedIn, Notice, Observer, SceneConcern, extent_in_image, millimetres};
 
 /// Lights within a stage's reach that stand for all of them while none is planned.
 const LIGHTS_LOOKED_AT: usize = 16;
@@ -21,25 +18,6 @@ const LIGHTS_LOOKED_AT: usize = 16;
 /// How many times the field's width a sample is long that was made for it. Another unit
 /// that brings a mesh into this range is likely its own.
 const SUITS_THE_FIELD: std::ops::RangeInclusive<f64> = 0.05..=3.0;
-
-/// Refuses a bench whose camera doesn't see the front of the sample. Remarks go to stderr.
-pub(super) fn check_bench(config: &RigConfig, context: &Context) -> Result<(), CliError> {
-    let scene = config.geometry.scene(&[])?;
-    let surface = &config.geometry.sample.surface;
-    Ok(check_scene(&scene, DescribedIn::Rig, surface, context)?)
-}
-
-/// Refuses lights that reach nothing of what the camera sees.
-pub(super) fn check_lights(config: &RigConfig, lights: &[StageAngles]) -> Result<(), CliError> {
-    let seen = Visibility::of(&config.geometry.scene(lights)?);
-    for concern in of_rig(&seen, config) {
-        if let Concern::Unlit { light, .. } = concern.concern {
-            let fact = format!("{concern} ({})", lights[light]);
-            return Err(CliError::new(fact).hint(remedy(&concern)));
-        }
-    }
-    Ok(())
-}
 
 /// Warns of what is wrong with a scene file's scene, which is rendered all the same.
 pub(super) fn remark_on_scene(scene: &Scene, file: &SceneFile, context: &Context) {
@@ -50,10 +28,6 @@ pub(super) fn remark_on_scene(scene: &Scene, file: &SceneFile, context: &Context
     for concern in SceneConcern::all(&seen, DescribedIn::Scene, &file.sample.surface) {
         context.notice(Notice::Scene(&concern));
     }
-}
-
-fn of_rig(seen: &Visibility, config: &RigConfig) -> Vec<SceneConcern> {
-    SceneConcern::all(seen, DescribedIn::Rig, &config.geometry.sample.surface)
 }
 
 /// What a check of a rig found.
@@ -77,12 +51,12 @@ pub(super) fn outlook(config: &RigConfig) -> Result<Outlook, CliError> {
     let lights = plan_order(&reach, coaxial, LIGHTS_LOOKED_AT, 0.0);
     let scene = config.geometry.scene(&lights)?;
     let seen = Visibility::of(&scene);
-    let mut concerns = of_rig(&seen, config);
+    let mut concerns = seen.concerns();
     if concerns.iter().filter(|c| is_of_a_light(c)).count() < lights.len() {
         concerns.retain(|concern| !is_of_a_light(concern));
     }
     Ok(match concerns.first() {
-        Some(concern) if is_of_a_light(concern) => Outlook {
+        Some(Concern::Unlit { .. }) => Outlook {
             fact: format!(
                 "none of {} lights spread over the stage's reach reaches what the camera sees of the sample",
                 lights.len()
@@ -95,10 +69,10 @@ pub(super) fn outlook(config: &RigConfig) -> Result<Outlook, CliError> {
             }),
         },
         Some(concern) => Outlook {
-            fact: concern.to_string(),
+            fact: fact(concern, &seen),
             concern: Some(Remedied {
-                remedy: remedy(concern),
-                is_fatal: concern.concern.is_fatal(),
+                remedy: remedy(concern, &seen, Keys::rig(config)),
+                is_fatal: concern.is_fatal(),
             }),
         },
         None => Outlook {
@@ -155,41 +129,77 @@ pub(super) fn light_ways(reach: &StageReach, body: Option<CameraBody>) -> Outloo
     Outlook { fact, concern }
 }
 
-fn is_of_a_light(concern: &SceneConcern) -> bool {
-    matches!(concern.concern, Concern::Unlit { .. })
+fn is_of_a_light(concern: &Concern) -> bool {
+    matches!(concern, Concern::Unlit { .. })
 }
 
-/// The unit in which a mesh so many times the field's length would suit it, if its own does not.
-fn better_unit(surface: &SurfaceSpec, times: f64) -> Option<&'static str> {
-    let SurfaceSpec::Mesh(mesh) = surface else {
-        return None;
-    };
-    if SUITS_THE_FIELD.contains(&times) {
-        return None;
+/// The fact, with where the sample appears.
+pub(super) fn fact(concern: &Concern, seen: &Visibility) -> String {
+    match concern {
+        Concern::Unlit { .. } => concern.to_string(),
+        _ => format!("{concern}; {}", extent_in_image(seen)),
     }
-    let suits = |mm: f64| SUITS_THE_FIELD.contains(&(times * mm / mesh.placement.mm_per_unit));
-    let unit = UNITS.iter().find(|(_, mm)| suits(*mm));
-    unit.map(|(name, _)| *name)
 }
 
-/// What to do about a concern, in the terms of the file that describes the scene.
-pub(super) fn remedy(concern: &SceneConcern) -> String {
-    let (camera, sample, light) = match concern.file {
-        DescribedIn::Rig => (
-            "[geometry.camera] in the rig file",
-            "[geometry.sample] in the rig file",
-            "leave this light out (`--light AZ,EL` names lights one by one), or correct [geometry.sample_from_stage] in the rig file if the stage stands otherwise",
-        ),
-        DescribedIn::Scene => (
-            "[camera] in the scene file",
-            "[sample] in the scene file",
-            "correct the light's direction in the scene file: it points from the sample to the lamp",
-        ),
-    };
-    let seen = &concern.seen;
+/// How the keys of a file are called, and what it says of the sample's surface.
+#[derive(Clone, Copy)]
+pub(super) struct Keys<'a> {
+    camera: &'static str,
+    sample: &'static str,
+    light: &'static str,
+    surface: &'a SurfaceSpec,
+}
+
+impl<'a> Keys<'a> {
+    /// Of a rig file, or the session made by it.
+    pub(super) fn rig(config: &'a RigConfig) -> Self {
+        Self::of(DescribedIn::Rig, &config.geometry.sample.surface)
+    }
+
+    fn of(file: DescribedIn, surface: &'a SurfaceSpec) -> Self {
+        match file {
+            DescribedIn::Rig => Self {
+                camera: "[geometry.camera] in the rig file",
+                sample: "[geometry.sample] in the rig file",
+                light: "leave this light out (`--light AZ,EL` names lights one by one), or correct [geometry.sample_from_stage] in the rig file if the stage stands otherwise",
+                surface,
+            },
+            DescribedIn::Scene => Self {
+                camera: "[camera] in the scene file",
+                sample: "[sample] in the scene file",
+                light: "correct the light's direction in the scene file: it points from the sample to the lamp",
+                surface,
+            },
+        }
+    }
+
+    /// The unit in which a mesh so many times the field's length would suit it, if its own
+    /// does not.
+    fn better_unit(&self, times: f64) -> Option<&'static str> {
+        let SurfaceSpec::Mesh(mesh) = self.surface else {
+            return None;
+        };
+        if SUITS_THE_FIELD.contains(&times) {
+            return None;
+        }
+        let suits = |mm: f64| SUITS_THE_FIELD.contains(&(times * mm / mesh.placement.mm_per_unit));
+        let unit = UNITS.iter().find(|(_, mm)| suits(*mm));
+        unit.map(|(name, _)| *name)
+    }
+}
+
+/// What to do about a concern of a scene.
+pub(super) fn remedy_of(concern: &SceneConcern) -> String {
+    let keys = Keys::of(concern.file, &concern.surface);
+    remedy(&concern.concern, &concern.seen, keys)
+}
+
+/// What to do about it.
+pub(super) fn remedy(concern: &Concern, seen: &Visibility, keys: Keys<'_>) -> String {
+    let (camera, sample) = (keys.camera, keys.sample);
+    let better_unit = keys.better_unit(seen.times_the_field());
     let [low, high] = seen.bounds_mm;
-    let better_unit = better_unit(&concern.surface, seen.times_the_field());
-    match (concern.concern, &concern.surface, better_unit) {
+    match (concern, keys.surface, better_unit) {
         (
             Concern::OutOfView { .. } | Concern::PartlyInView { .. } | Concern::TooSmall { .. },
             SurfaceSpec::Mesh(_),
@@ -228,6 +238,6 @@ pub(super) fn remedy(concern: &SceneConcern) -> String {
         (Concern::FacesAway { .. } | Concern::PartlyFacesAway { .. }, ..) => format!(
             "the sample's front is seen from above: correct position_mm and look_at_mm of {camera}"
         ),
-        (Concern::Unlit { .. }, ..) => light.to_owned(),
+        (Concern::Unlit { .. }, ..) => keys.light.to_owned(),
     }
 }

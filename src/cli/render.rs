@@ -5,9 +5,10 @@ use std::path::{Path, PathBuf};
 use super::output::{check_ending, check_writable, write_json, write_path};
 use super::{CliError, Context, HintExt, preflight};
 use crate::config::scene::SceneFile;
+use crate::progress::Progress;
 use crate::radiance_image::exr;
 use crate::transport::{
-    Remainder, RenderOptions, Steering, render, render_polarised, suited_proposal,
+    Remainder, RenderOptions, Steering, render_polarised, render_with_progress, suited_proposal,
     truncation_remainder,
 };
 use crate::workflow::coarse_facets;
@@ -55,6 +56,15 @@ const TRUNCATION_SAMPLES: u32 = 32;
 /// The least share of the light that is worth a remark if it is cut off.
 const TRUNCATION_REMARK: f64 = 1e-4;
 
+/// A bar over the rows of pixels.
+struct Rows<'a>(&'a indicatif::ProgressBar);
+
+impl Progress for Rows<'_> {
+    fn advance(&self, rows: usize) {
+        self.0.inc(rows as u64);
+    }
+}
+
 /// `rig render`.
 pub fn run(args: &RenderArgs, context: &Context) -> Result<(), CliError> {
     check_ending(&args.out, "exr")?;
@@ -91,13 +101,13 @@ pub fn run(args: &RenderArgs, context: &Context) -> Result<(), CliError> {
         ..RenderOptions::default()
     };
     options.proposal = suited_proposal(&scene, &*brdf, &options);
-    let progress = |rows| bar.set_position(rows as u64);
+    let progress = Rows(&bar);
     let images = if polarised {
         render_polarised(&scene, &*brdf, &options, &progress)
             .map_err(|error| CliError::new(error.to_string()))
             .hint("polarised light needs a [brdf] of GGX, Lambertian and black atoms, for known bodies too")?
     } else {
-        render(&scene, &*brdf, &options, &progress)
+        render_with_progress(&scene, &*brdf, &options, &progress)
     };
     bar.finish_and_clear();
     let truncation =

@@ -3,10 +3,11 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use super::open::{self, PortDriver, Stage};
+use super::open;
 use super::output::write_json;
 use super::rig_choice::RigArg;
 use super::{CliError, Context, interrupt, repeatability};
+use crate::capture::open::{PortDriver, Stage, open_port, open_stage, stop_port, stop_stage};
 use crate::device::{
     DeviceError, LampChannel, LampState, LightStage, StageActivity, StageInfo, StageStatus,
 };
@@ -204,7 +205,7 @@ pub fn run(args: &StageArgs, context: &Context) -> Result<(), CliError> {
             }
             let rig = which.rig.resolve(context)?.config;
             let kinematics = rig.stage.kinematics();
-            let mut open = open::open_stage(&rig)?.guarded()?;
+            let mut open = open_stage(&rig, &open::options(&rig)?)?.guarded()?;
             let found = stoppable(&mut *open.stage, |stage, wishes| {
                 let stopped = wishes.stopped;
                 Ok(repeatability::measure(
@@ -237,13 +238,13 @@ pub fn run(args: &StageArgs, context: &Context) -> Result<(), CliError> {
 
 fn stop(which: &Which, context: &Context) -> Result<(), CliError> {
     let outcome = match &which.port {
-        Some(port) => open::stop_port(which.driver, port, which.baud)?,
+        Some(port) => open::stopped(stop_port(which.driver, port, which.baud))?,
         None => {
             let rig = which.rig.resolve(context)?.config;
             if rig.is_simulated() {
                 "nothing: a simulated stage runs only as long as the command that uses it"
             } else {
-                open::stop_stage(&rig)?
+                open::stopped(stop_stage(&rig))?
             }
         }
     };
@@ -256,8 +257,11 @@ fn stop(which: &Which, context: &Context) -> Result<(), CliError> {
 impl Which {
     fn open(&self, context: &Context) -> Result<Stage, CliError> {
         match &self.port {
-            Some(port) => open::open_port(self.driver, port, self.baud),
-            None => open::open_stage(&self.rig.resolve(context)?.config),
+            Some(port) => Ok(open_port(self.driver, port, self.baud, &open::of_port()?)?),
+            None => {
+                let rig = self.rig.resolve(context)?.config;
+                Ok(open_stage(&rig, &open::options(&rig)?)?)
+            }
         }
     }
 
@@ -272,7 +276,7 @@ impl Which {
         let rig = self.rig.resolve(context)?;
         let kinematics = rig.config.stage.kinematics();
         kinematics.reach(&rig.config.name, target)?;
-        open::open_stage(&rig.config)
+        Ok(open_stage(&rig.config, &open::options(&rig.config)?)?)
     }
 
     fn report(&self, info: &StageInfo, status: &StageStatus) -> Result<(), CliError> {

@@ -15,7 +15,7 @@ pub(super) fn start(quiet: bool, verbose: u8, color: bool) {
     let level = match (quiet, verbose) {
         (true, _) => "error",
         (_, 0) => "warn",
-        (_, 1) => "info,rig=debug",
+        (_, 1) => "info,rig=debug,rig_core=debug",
         _ => "trace",
     };
     let wanted = std::env::var("RUST_LOG").ok();

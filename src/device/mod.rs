@@ -6,6 +6,7 @@
 
 pub mod command_camera;
 pub mod controls;
+pub mod described;
 pub mod discovery;
 pub mod dome;
 mod error;

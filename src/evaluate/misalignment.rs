@@ -98,7 +98,7 @@ fn one(
         frames: 1,
         seed: key(2).bits(),
     };
-    let rendered = render(&true_scene, &*material.brdf, &render_options, &|_| {});
+    let rendered = render(&true_scene, &*material.brdf, &render_options);
     let captured = (0..)
         .zip(&rendered)
         .map(|(light, image)| photographer.take(image, light))
@@ -113,7 +113,7 @@ fn one(
         &options,
         &misaligned::priors(),
         &RefineOptions::default(),
-        &mut |_| {},
+        &(),
     )?;
     let estimate = &refined.estimate;
     let mut row = Row::new()
@@ -122,13 +122,13 @@ fn one(
         .with("shape", sample.name())
         .with("bench", number);
     let known = bench.scene(&truth);
-    let plain = |scene, options: &_| fit(scene, &captured, &lab.dictionary, options, &mut |_| {});
+    let plain = |scene, options: &_| fit(scene, &captured, &lab.dictionary, options);
     type Fitted<'a> = &'a dyn Fn(&FitOptions) -> Result<Fit, FitError>;
     let fits: [(&str, Fitted<'_>); 3] = [
         ("known", &|options| plain(&known, options)),
         ("unrefined", &|options| plain(&described, options)),
         ("refined", &|options| {
-            refined.fit(&lab.dictionary, options, &mut |_| {})
+            refined.fit(&lab.dictionary, options, &())
         }),
     ];
     let mut errors = [0.0; 3];

@@ -130,7 +130,7 @@ fn capture(
         Departure::None => lab.render_truth(&scene, &**brdf),
         Departure::Polarised => {
             let options = lab.truth_options(&scene, &**brdf);
-            render_polarised(&scene, &**brdf, &options, &|_| {})
+            render_polarised(&scene, &**brdf, &options, &())
                 .map_err(|error| EvaluateError::Fact(error.to_string()))?
         }
         Departure::Narrowband => {

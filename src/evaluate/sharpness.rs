@@ -86,7 +86,7 @@ fn one(lab: &Lab, sample: Sample, material: &Material) -> Result<Vec<Row>, Evalu
             seed: key(1),
             ..lab.truth_options(&scene, &*material.brdf)
         };
-        let rendered = render(&scene, &*material.brdf, &options, &|_| {});
+        let rendered = render(&scene, &*material.brdf, &options);
         let photographer = photographer(key(2));
         let captured = (0..)
             .zip(&rendered)
@@ -144,7 +144,7 @@ fn measured(camera: &Camera, samples_per_pixel: u32, seed: u64) -> Result<[f64; 
         seed,
         ..RenderOptions::default()
     };
-    let mut rendered = render(&scene, &white, &options, &|_| {}).remove(0);
+    let mut rendered = render(&scene, &white, &options).remove(0);
     // A pixel that few paths reach does not know its own variance: the widest holds for all.
     let widest = rendered.variance.iter().flatten().copied();
     let widest = widest.fold(0.0, f32::max);

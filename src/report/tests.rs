@@ -72,10 +72,10 @@ fn sphere(brdf: &dyn Brdf) -> RadianceImage {
 }
 
 fn mixture(shift: f64) -> Mixture {
-    let dictionary = Dictionary::grid42();
+    let dictionary = Dictionary::paper42();
     let channel = |gloss: f64, matte: f64| {
         let mut weights = vec![0.0; dictionary.len()];
-        (weights[12], weights[22], weights[31]) = (gloss + shift, 0.04, 0.02 - shift / 4.0);
+        (weights[32], weights[12], weights[38]) = (gloss + shift, 0.04, 0.02 - shift / 4.0);
         weights[40] = matte - shift;
         weights[41] = 1.0 - weights.iter().sum::<f64>();
         weights
@@ -144,7 +144,7 @@ fn record(estimate: &Mixture) -> FitRecord {
         loss: 1.043,
         reduced_chi_square: vec![[1.02, 0.98, 1.04], [1.01, 1.0, 0.97]],
         truncation_remainder: vec![2e-4, 1e-4],
-        doubted: vec![0.0, 0.01],
+        outlier_fraction: vec![0.0, 0.01],
         discrepancy: Some(DiscrepancyRecord {
             amplitude: 0.4,
             by_channel: [0; 3].map(|_| Discrepancy::none()),

@@ -28,7 +28,7 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use crate::brdf::discrepancy::{self, Material, Discrepancy};
+use crate::brdf::discrepancy::{self, Discrepancy, Material};
 use crate::brdf::mixture::SUM_TOLERANCE;
 use crate::brdf::{Atom, Brdf, BrdfError, Dictionary, Mixture};
 use crate::radiance_image::RadianceImage;
@@ -50,6 +50,8 @@ pub use verdict::{EXPLAINED_CHI_SQUARE, Grade, UNEXPLAINED_CHI_SQUARE, Verdict, 
 /// The record itself, written last: a folder without it holds no fit.
 pub const FIT_FILE: &str = "fit.toml";
 const DISCREPANCY_FILE: &str = "discrepancy.csv";
+/// Its name in fits of versions before 0.2.
+const FORMER_DISCREPANCY_FILE: &str = "departure.csv";
 
 /// Version of the folder's layout; a reader refuses any other.
 pub const FORMAT: u32 = 1;
@@ -122,8 +124,6 @@ pub struct FitSettings {
     pub memory_mib: Option<u64>,
     /// Whether paths were traced again where the first fit's material sends light.
     pub adapted_paths: Option<bool>,
-    /// Rounds of new atoms next to the active ones; 0 since version 0.2.
-    pub refined_atoms: Option<u32>,
     /// The same weights for all channels.
     pub shared_weights: Option<bool>,
     /// Relative error of the model that the weighting allowed for.
@@ -231,11 +231,11 @@ pub struct FitRecord {
     #[serde(default)]
     pub truncation_remainder: Vec<f64>,
     /// Outlier fraction: part of the compared values that counted for less, per light.
-    #[serde(default)]
-    pub doubted: Vec<f64>,
+    #[serde(default, alias = "doubted")]
+    pub outlier_fraction: Vec<f64>,
     /// Model discrepancy: how the material differs from the mixture of the weights; `None`
     /// where the images give no evidence of any.
-    #[serde(default, with = "amplitude")]
+    #[serde(default, alias = "departure", with = "amplitude")]
     pub discrepancy: Option<DiscrepancyRecord>,
     /// How it was run.
     pub settings: FitSettings,

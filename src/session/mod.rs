@@ -32,7 +32,7 @@ pub mod journal;
 mod journalled;
 pub mod layout;
 pub mod record;
-pub mod rig;
+pub mod rig_copy;
 mod store;
 pub mod verify;
 

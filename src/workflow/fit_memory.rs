@@ -3,8 +3,6 @@
 use crate::inverse::FitOptions;
 use crate::inverse::memory::{Size, TooLittleMemory, free_bytes};
 
-/// Atoms that a round of refinement may add, about.
-const ATOMS_PER_ROUND: usize = 16;
 /// Nuisance parameters per light, about: the sample's pose, the light's direction and intensity,
 /// stray light in each channel.
 const BENCH_PARAMETERS: usize = 12;
@@ -25,7 +23,7 @@ pub(super) fn bounded(
     let size = Size {
         cells,
         lights,
-        atoms: atoms + ATOMS_PER_ROUND * options.refine.rounds as usize,
+        atoms,
         bench_parameters: if refines_bench { BENCH_PARAMETERS } else { 0 },
     };
     let room = match memory_mib {

@@ -13,10 +13,9 @@ use crate::geometry::FormError;
 use crate::inverse::cells::choose;
 use crate::inverse::exponentiated_gradient::ExponentiatedGradient;
 use crate::inverse::{
-    BenchPriors, Captured, CellOptions, FitOptions, Optimizer, RefineOptions, fit, plausibility,
-    refine_bench,
+    BenchPriors, Captured, CellOptions, FitOptions, Optimizer, RefineOptions, fit_with_progress,
+    plausibility, refine_bench,
 };
-use crate::progress::by_phase;
 use crate::session::fit_record::{BenchRecord, FitImages, FitRecord};
 use crate::transport::{Kernel, RenderOptions, Scene, truncation_remainder};
 
@@ -81,7 +80,7 @@ impl FitPlan {
         set(&mut options.cache.seed, &request.seed);
         set(&mut options.channels, &request.channels);
         set(&mut options.model_error, &request.model_error);
-        set(&mut options.refine.adapt_paths, &request.adapt_paths);
+        set(&mut options.adapt_paths, &request.adapt_paths);
         set(&mut options.kernel, &request.kernel);
         if matches!(options.optimizer, Optimizer::ExponentiatedGradient(_)) {
             options.rounds = 1;
@@ -183,19 +182,20 @@ impl FitPlan {
         observer.notice(Notice::Work(self.work(size[0], size[1])));
 
         // The fit, on a refined bench where that was asked for.
-        let mut stage = by_phase(observer);
         let dictionary = &self.dictionary;
         let (atoms, refines_bench) = (dictionary.len(), self.priors.is_some());
         let options =
             &fit_memory::bounded(&self.options, size, atoms, refines_bench, self.memory_mib)?;
         let (fit, bench) = match &self.priors {
-            None => (fit(scene, captured, dictionary, options, &mut stage)?, None),
+            None => (
+                fit_with_progress(scene, captured, dictionary, options, observer)?,
+                None,
+            ),
             Some(priors) => {
                 let how = RefineOptions::default();
-                let refined = refine_bench(
-                    scene, captured, dictionary, options, priors, &how, &mut stage,
-                )?;
-                let fit = refined.fit(dictionary, options, &mut stage)?;
+                let refined =
+                    refine_bench(scene, captured, dictionary, options, priors, &how, observer)?;
+                let fit = refined.fit(dictionary, options, observer)?;
                 (fit, Some(refined.estimate))
             }
         };

@@ -64,7 +64,7 @@ pub(super) fn of_fit(
         loss: trace.last().map_or(0.0, |last| last.loss),
         reduced_chi_square: fit.comparison.reduced_chi2(),
         truncation_remainder: Vec::new(),
-        doubted: fit.doubted.clone(),
+        outlier_fraction: fit.outlier_fraction.clone(),
         discrepancy: (fit.discrepancy > 0.0).then(|| DiscrepancyRecord {
             amplitude: fit.discrepancy,
             by_channel: fit.material.discrepancies.clone(),
@@ -97,8 +97,7 @@ fn settings(plan: &FitPlan, fit: &Fit) -> FitSettings {
         samples_per_pixel: traced,
         samples_requested: Some(requested),
         memory_mib: plan.memory_mib.or(Some(paths_mib)),
-        adapted_paths: Some(options.refine.adapt_paths),
-        refined_atoms: Some(options.refine.rounds),
+        adapted_paths: Some(options.adapt_paths),
         shared_weights: Some(options.channels == Channels::Shared),
         model_error: Some(options.model_error),
         mask: plan.mask.as_ref().map(|path| path.display().to_string()),

@@ -47,7 +47,7 @@ pub(super) fn of_fit(fit: &Fit, record: &FitRecord) -> Vec<Warning> {
             );
         }
     }
-    for (light, &part) in fit.doubted.iter().enumerate() {
+    for (light, &part) in fit.outlier_fraction.iter().enumerate() {
         if part > NOTABLE_OUTLIERS {
             warn(
                 Grade::Reservation,

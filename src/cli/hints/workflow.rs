@@ -17,7 +17,7 @@ pub(super) fn for_workflow(error: &WorkflowError) -> Option<String> {
             ));
         }
         Mask { .. } => "a mask is a PNG of the images' size, white where pixels are used",
-        Scene(concern) => return Some(preflight::remedy(concern)),
+        Scene(concern) => return Some(preflight::remedy_of(concern)),
         NothingValid { .. } => FOR_INVALID_IMAGES,
         Implausible { source, .. } => for_implausible(source),
         Kernel(_) => "`--kernel auto` takes the fastest that it has",

@@ -168,7 +168,11 @@ pub(super) fn table_to_csv(table: &AngleTable) -> String {
 pub(super) fn discrepancy_to_csv(discrepancies: &[Discrepancy; 3]) -> String {
     let rows = discrepancy::nodes().enumerate().map(|(k, node)| {
         let mut cells = vec![exact(&node.theta_h_deg), exact(&node.theta_d_deg)];
-        cells.extend(discrepancies.iter().map(|discrepancy| exact(&discrepancy.0[k])));
+        cells.extend(
+            discrepancies
+                .iter()
+                .map(|discrepancy| exact(&discrepancy.0[k])),
+        );
         cells
     });
     to_csv(&DISCREPANCY_COLUMNS, rows)
@@ -303,7 +307,10 @@ pub(super) fn table_from_csv(path: &Path, csv: &str) -> Result<AngleTable, FitRe
     Ok(table)
 }
 
-pub(super) fn discrepancy_from_csv(path: &Path, csv: &str) -> Result<[Discrepancy; 3], FitRecordError> {
+pub(super) fn discrepancy_from_csv(
+    path: &Path,
+    csv: &str,
+) -> Result<[Discrepancy; 3], FitRecordError> {
     let columns = &DISCREPANCY_COLUMNS;
     let source = Source { path, columns };
     let mut nodes = discrepancy::nodes();
