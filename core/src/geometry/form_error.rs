@@ -16,6 +16,14 @@ use super::Mesh;
 use crate::random::Stream;
 
 /// Rms departure of a surface from its mesh.
+///
+/// ```
+/// use rig_core::geometry::FormError;
+///
+/// // 10 µm of height, 1° of slope: the surface changes over a few tenths of a millimetre.
+/// let turned = FormError::new(0.01, 1f64.to_radians()).expect("both above 0");
+/// assert!((0.3..2.0).contains(&turned.correlation_mm()));
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FormError {
     height_mm: f64,
