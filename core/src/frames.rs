@@ -23,6 +23,22 @@ pub struct Stage;
 pub struct MeshFile;
 
 /// A rotation and a translation that take coordinates in `Src` to `Dst`.
+///
+/// ```
+/// use glam::DVec3;
+/// use rig_core::frames::{Camera, Rigid, Sample, Stage};
+///
+/// let sample_from_stage: Rigid<Sample, Stage> =
+///     Rigid::from_rotation_vector(DVec3::Z * 90f64.to_radians(), DVec3::new(0.0, 0.0, -2.0));
+/// let camera_from_sample: Rigid<Camera, Sample> =
+///     Rigid::new(glam::DQuat::IDENTITY, DVec3::new(0.0, 0.0, 300.0));
+/// // The types allow this order only.
+/// let camera_from_stage: Rigid<Camera, Stage> = camera_from_sample * sample_from_stage;
+///
+/// let point = camera_from_stage.point(DVec3::X);
+/// assert!(point.distance(DVec3::new(0.0, 1.0, 298.0)) < 1e-12);
+/// assert!(camera_from_stage.inverse().point(point).distance(DVec3::X) < 1e-12);
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rigid<Dst, Src> {
     /// Rotation, applied first.
@@ -82,6 +98,15 @@ impl<A, B, C> Mul<Rigid<B, C>> for Rigid<A, B> {
 /// `sample_from_camera` of a camera at `position_mm` that looks at `target_mm`;
 /// `up` is the direction that points up in the image. `None` if the three are
 /// degenerate (target at the camera, or `up` along the view).
+///
+/// ```
+/// use glam::DVec3;
+/// use rig_core::frames::look_at;
+///
+/// let sample_from_camera = look_at(DVec3::new(0.0, 0.0, 100.0), DVec3::ZERO, DVec3::Y);
+/// let view = sample_from_camera.expect("`up` is not along the view").direction(DVec3::Z);
+/// assert!(view.distance(DVec3::NEG_Z) < 1e-12);
+/// ```
 pub fn look_at(position_mm: DVec3, target_mm: DVec3, up: DVec3) -> Option<Rigid<Sample, Camera>> {
     let forward = (target_mm - position_mm).try_normalize()?;
     let across = forward.cross(up);

@@ -20,7 +20,7 @@ pub enum Purpose {
     Posterior = 6,
     /// Seeds of the paths that tell how images change with the bench.
     BenchDerivative = 16,
-    /// Discrepancies of a surface from its mesh, and the paths that tell what they change.
+    /// Departures of a surface from its mesh, and the paths that tell what they change.
     FormError = 17,
     /// Mirror paths that tell where light comes from.
     Guide = 18,

@@ -32,6 +32,16 @@ impl std::fmt::Display for Seconds {
 /// The direction from the sample towards the lamp is
 /// `(cos el · cos az, cos el · sin az, sin el)` in the stage frame: an
 /// elevation of 90° is straight above the sample.
+///
+/// ```
+/// use glam::DVec3;
+/// use rig_core::units::StageAngles;
+///
+/// let lamp = StageAngles { azimuth_deg: 90.0, elevation_deg: 60.0 };
+/// let to_light = lamp.to_light();
+/// assert!(to_light.distance(DVec3::new(0.0, 0.5, 0.75f64.sqrt())) < 1e-12);
+/// assert!((StageAngles::from_direction(to_light).elevation_deg - 60.0).abs() < 1e-9);
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct StageAngles {
     /// Rotation about the stage's +z axis, degrees.

@@ -11,6 +11,20 @@ use super::ggx::{self, Cosines, Real};
 use super::{beckmann, coat};
 
 /// One entry of a dictionary.
+///
+/// ```
+/// use rig_core::brdf::Atom;
+/// use rig_core::brdf::ggx::Cosines;
+///
+/// let plastic = Atom::Ggx { alpha: 0.2, eta: 1.5 };
+/// assert_eq!((plastic.kind(), plastic.alpha(), plastic.albedo()), ("ggx", Some(0.2), None));
+///
+/// // Light and viewer along the normal: D = 1/(π alpha²), G = 1, F = ((eta − 1)/(eta + 1))².
+/// let normal = [0.0, 0.0, 1.0];
+/// let at = Cosines::<f64>::new(normal, normal).expect("above the horizon");
+/// let expected = 0.04 / (4.0 * std::f64::consts::PI * 0.04);
+/// assert!((plastic.eval(&at) - expected).abs() < 1e-9);
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "type", rename_all = "lowercase")]
 pub enum Atom {

@@ -70,6 +70,14 @@ pub fn check(brdf: &dyn Brdf) -> PhysicalCheck {
 }
 
 /// [`check`] with a choice of the effort: directions per technique of each albedo, and pairs.
+///
+/// ```
+/// use rig_core::brdf::{check, source};
+///
+/// let found = check::check_with(source::load("ggx:0.3,1.5")?.as_ref(), 64, 100);
+/// assert!(found.passes(), "reciprocal, reflects no more than arrives, no bad values");
+/// # Ok::<(), rig_core::brdf::BrdfError>(())
+/// ```
 pub fn check_with(brdf: &dyn Brdf, per_technique: u32, pairs: u64) -> PhysicalCheck {
     let albedo: Vec<[f64; 3]> = ALBEDO_ANGLES_DEG
         .par_iter()

@@ -14,6 +14,21 @@ use super::half_difference::HalfDifference;
 use crate::shown::{MESSAGE, shortened};
 
 /// A named list of atoms, each with parameters in range.
+///
+/// ```
+/// use rig_core::brdf::{Atom, Dictionary};
+///
+/// let usual = Dictionary::load(Dictionary::DEFAULT)?;
+/// assert_eq!((usual.name(), usual.len()), ("rig26", 26));
+///
+/// let own = "atoms = [{ type = 'ggx', alpha = 0.1, eta = 1.5 }, { type = 'black' }]";
+/// let own = Dictionary::parse("own", own, false)?;
+/// assert_eq!(own.atoms()[0], Atom::Ggx { alpha: 0.1, eta: 1.5 });
+///
+/// // Rougher than any surface: refused.
+/// assert!(Dictionary::new("bad", vec![Atom::Ggx { alpha: 2.0, eta: 1.5 }]).is_err());
+/// # Ok::<(), rig_core::brdf::BrdfError>(())
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct Dictionary {
     name: String,

@@ -21,6 +21,17 @@ pub const NAMES: [&str; 4] = ["city", "forest", "studio", "sunset"];
 const MAX_TEXELS: usize = 1 << 26;
 
 /// Incident radiance from every direction, with what is needed to sample it.
+///
+/// ```
+/// use glam::DVec3;
+/// use rig_core::brdf::environment::EnvironmentMap;
+///
+/// let studio = EnvironmentMap::embedded("studio").expect("one of NAMES");
+/// assert_eq!(studio.size(), (128, 64));
+/// // Radiance from above, and the density with which `sample` draws that direction.
+/// let (radiance, density) = studio.look(DVec3::Y);
+/// assert!(radiance[0] > 0.0 && density > 0.0);
+/// ```
 #[derive(Clone, Debug)]
 pub struct EnvironmentMap {
     name: String,

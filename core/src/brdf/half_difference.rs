@@ -7,6 +7,19 @@
 use glam::DVec3;
 
 /// The three angles an isotropic BRDF depends on, radians.
+///
+/// ```
+/// use glam::DVec3;
+/// use rig_core::brdf::HalfDifference;
+///
+/// // A mirror reflection at 40°: the half vector is the normal.
+/// let (sin, cos) = 40f64.to_radians().sin_cos();
+/// let to_light = DVec3::new(sin, 0.0, cos);
+/// let to_viewer = DVec3::new(-sin, 0.0, cos);
+/// let angles = HalfDifference::from_directions(to_light, to_viewer);
+/// assert!(angles.theta_h_rad < 1e-9);
+/// assert!((angles.theta_d_rad.to_degrees() - 40.0).abs() < 1e-9);
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HalfDifference {
     /// Between the normal and the half vector, [0, π/2].

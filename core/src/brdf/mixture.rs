@@ -10,6 +10,22 @@ use super::{Brdf, BrdfError};
 
 /// Dictionary atoms with weights per channel; each channel's weights are
 /// non-negative and sum to one.
+///
+/// ```
+/// use std::sync::Arc;
+/// use rig_core::brdf::{Atom, Dictionary, Mixture};
+///
+/// let atoms = vec![Atom::Lambertian { albedo: 1.0 }, Atom::Black];
+/// let dictionary = Arc::new(Dictionary::new("greys", atoms)?);
+/// // Albedo 0.6 in red, 0.2 in green, 0.1 in blue.
+/// let weights = [0.6, 0.2, 0.1].map(|albedo| vec![albedo, 1.0 - albedo]);
+/// let mixture = Mixture::new(dictionary.clone(), weights)?;
+/// assert_eq!(mixture.weights()[1], [0.2, 0.8]);
+///
+/// // Weights that do not sum to one are refused.
+/// assert!(Mixture::grey(dictionary, vec![0.6, 0.6]).is_err());
+/// # Ok::<(), rig_core::brdf::BrdfError>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct Mixture {
     dictionary: Arc<Dictionary>,

@@ -1,8 +1,52 @@
-//! Reflectance: closed forms, the dictionary and its mixtures, measured
-//! tables, and the checks that they are physical.
+//! Reflectance: closed forms, dictionaries and their mixtures, measured materials, and how far
+//! one BRDF is from another.
 //!
-//! All directions are in the local frame of the surface (+z is the normal) and
-//! point away from it. Values are in 1/sr, cosine excluded, 0 below the horizon.
+//! A BRDF f(i, o) says how much of the irradiance that arrives from direction i leaves as
+//! radiance in direction o. Here every BRDF is isotropic and implements [`Brdf`]. Conventions:
+//!
+//! - Directions are unit vectors in the local frame of the surface (+z is the normal) and point
+//!   away from it, the one to the light as well as the one to the viewer.
+//! - Values are in 1/sr, without the cosine, in R, G and B; 0 where either direction is below
+//!   the horizon. Light with irradiance E on a surface perpendicular to it is reflected as the
+//!   radiance L = f(i, o) · E · cos θi.
+//! - Tables are over the half angle θh (normal to half vector), the difference angle θd (half
+//!   vector to either direction) and φd ([`HalfDifference`]).
+//!
+//! A fit looks for a material as a mixture of the atoms of a [`Dictionary`],
+//!
+//! > f(i, o) = Σₙ wₙ fₙ(i, o), wₙ ≥ 0, Σₙ wₙ = 1 in each channel,
+//!
+//! where an [`Atom`] fₙ is a microfacet lobe, a diffuse surface or black. Radiance that was
+//! reflected once is linear in the weights, after k reflections it is a polynomial of degree k.
+//!
+//! | type or function | what it is |
+//! |---|---|
+//! | [`Dictionary`], [`Atom`] | a list of closed forms, the basis of a fit |
+//! | [`Mixture`] | weights of a dictionary per channel |
+//! | [`discrepancy::Material`] | a mixture and by what a material differs from it: what a fit reports |
+//! | [`TabulatedBrdf`], [`merl`], [`rgl`], [`nbrdf`] | measured materials |
+//! | [`source::load`] | any of these by name or file |
+//! | [`score`], [`sphere`], [`environment`] | errors between BRDFs, and the pictures behind them |
+//! | [`check`] | whether a BRDF is physical |
+//!
+//! ```
+//! use std::sync::Arc;
+//! use glam::Vec3;
+//! use rig_core::brdf::{Brdf, Dictionary, Mixture};
+//!
+//! let dictionary = Arc::new(Dictionary::paper42());
+//! // 30% of a GGX lobe (alpha 0.3, eta 1.45), 50% white Lambertian, the rest black.
+//! let mut weights = vec![0.0; dictionary.len()];
+//! (weights[29], weights[40], weights[41]) = (0.3, 0.5, 0.2);
+//! let material = Mixture::grey(dictionary, weights)?;
+//!
+//! let to_light = Vec3::new(0.5, 0.0, 0.75f32.sqrt());
+//! let mirrored = Vec3::new(-0.5, 0.0, 0.75f32.sqrt());
+//! let [highlight, ..] = material.eval(to_light, mirrored);
+//! let [elsewhere, ..] = material.eval(to_light, to_light);
+//! assert!(highlight > elsewhere && elsewhere > 0.5 / std::f32::consts::PI);
+//! # Ok::<(), rig_core::brdf::BrdfError>(())
+//! ```
 
 use std::path::PathBuf;
 
@@ -41,6 +85,27 @@ pub use source::load;
 pub use table::TabulatedBrdf;
 
 /// An isotropic BRDF in three colour channels.
+///
+/// ```
+/// use glam::Vec3;
+/// use rig_core::brdf::{Brdf, check};
+///
+/// /// Reflects half of the light, evenly, and red only.
+/// struct RedChalk;
+///
+/// impl Brdf for RedChalk {
+///     fn eval(&self, to_light: Vec3, to_viewer: Vec3) -> [f32; 3] {
+///         match to_light.z > 0.0 && to_viewer.z > 0.0 {
+///             true => [0.5 * std::f32::consts::FRAC_1_PI, 0.0, 0.0],
+///             false => [0.0; 3],
+///         }
+///     }
+/// }
+///
+/// let found = check::check_with(&RedChalk, 64, 100);
+/// assert!(found.passes());
+/// assert!((found.largest_albedo - 0.5).abs() < 0.01);
+/// ```
 pub trait Brdf: Send + Sync {
     /// f_r at `to_light` and `to_viewer` (unit, local frame), 1/sr, cosine excluded.
     fn eval(&self, to_light: Vec3, to_viewer: Vec3) -> [f32; 3];

@@ -65,6 +65,18 @@ fn relative(difference: [f64; 3], reference: [f64; 3]) -> PerChannel {
 
 /// Environment error of `estimate` against `truth`; [`SPHERE_SIZE`] for figures that are
 /// compared, smaller for a quick look.
+///
+/// ```
+/// use rig_core::brdf::environment::EnvironmentMap;
+/// use rig_core::brdf::{score, source};
+///
+/// let maps = [EnvironmentMap::embedded("city").expect("one of NAMES")];
+/// let [truth, darker] = ["lambertian:0.5", "lambertian:0.4"].map(source::load);
+/// let error = score::environment_error(darker?.as_ref(), truth?.as_ref(), &maps, 8);
+/// // A fifth less light everywhere.
+/// assert!((error.mean.all - 0.2).abs() < 1e-3);
+/// # Ok::<(), rig_core::brdf::BrdfError>(())
+/// ```
 pub fn environment_error(
     estimate: &dyn Brdf,
     truth: &dyn Brdf,
@@ -222,6 +234,16 @@ pub struct BrdfErrors {
 }
 
 /// Errors of `estimate` against `truth` over `cells`.
+///
+/// ```
+/// use rig_core::brdf::{score, source};
+///
+/// let [truth, darker] = ["lambertian:0.5", "lambertian:0.4"].map(source::load);
+/// let cells = score::cells(3);
+/// let errors = score::brdf_errors(darker?.as_ref(), truth?.as_ref(), &cells);
+/// assert!((errors.relative.all - 0.2).abs() < 1e-5);
+/// # Ok::<(), rig_core::brdf::BrdfError>(())
+/// ```
 pub fn brdf_errors(estimate: &dyn Brdf, truth: &dyn Brdf, cells: &[Cell]) -> BrdfErrors {
     errors_of_values(
         &cosine_weighted(estimate, cells),

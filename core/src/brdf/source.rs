@@ -18,6 +18,20 @@ use super::{Brdf, BrdfError, merl, weights};
 /// | `FILE.binary` | a MERL table |
 /// | `FILE.bsdf` | an isotropic RGL material in RGB |
 /// | `DICTIONARY:WEIGHTS.csv` | a mixture; the dictionary by name or file, the weights as a fit writes them, without what departs from it |
+///
+/// ```
+/// use glam::Vec3;
+/// use rig_core::brdf::source::load;
+///
+/// let chalk = load("lambertian:0.8")?;
+/// let [f, ..] = chalk.eval(Vec3::Z, Vec3::new(0.6, 0.0, 0.8));
+/// assert!((f - 0.8 / std::f32::consts::PI).abs() < 1e-6);
+///
+/// // An unknown name lists the known ones.
+/// let error = load("nbrdf:gold").err().expect("no such material");
+/// assert!(error.to_string().contains("red-plastic"));
+/// # Ok::<(), rig_core::brdf::BrdfError>(())
+/// ```
 pub fn load(spec: &str) -> Result<Box<dyn Brdf>, BrdfError> {
     let unknown = |known: String| BrdfError::UnknownSource {
         spec: spec.to_owned(),

@@ -150,6 +150,18 @@ fn incident(
 }
 
 /// The sphere of `brdf` under `map`, `size` × `size` pixels.
+///
+/// ```
+/// use rig_core::brdf::environment::EnvironmentMap;
+/// use rig_core::brdf::{source, sphere};
+///
+/// let map = EnvironmentMap::embedded("sunset").expect("one of NAMES");
+/// let image = sphere::sphere_image(source::load("ggx:0.1,1.5")?.as_ref(), &map, 8);
+/// // 8-bit sRGB, row by row, white around the sphere.
+/// let pixels = image.to_srgb(image.natural_exposure());
+/// assert_eq!((pixels.len(), pixels[0]), (64, [255; 3]));
+/// # Ok::<(), rig_core::brdf::BrdfError>(())
+/// ```
 pub fn sphere_image(brdf: &dyn Brdf, map: &EnvironmentMap, size: usize) -> SphereImage {
     let mut images = sphere_images(&[brdf], std::slice::from_ref(map), size);
     images.swap_remove(0).swap_remove(0)

@@ -18,6 +18,19 @@ pub const MERL_SHAPE: [usize; 3] = [90, 90, 180];
 /// interpolated in √θh; φd wraps at 180°, so the table is reciprocal by
 /// construction; beyond the last θh and θd node its value is kept. A shape with K = 1
 /// is a bivariate table.
+///
+/// ```
+/// use rig_core::brdf::{Brdf, TabulatedBrdf, source};
+///
+/// let paint = source::load("ggx:0.4,1.5")?;
+/// let table = TabulatedBrdf::from_brdf([90, 90, 1], paint.as_ref());
+///
+/// let (to_light, to_viewer) = (glam::Vec3::Z, glam::Vec3::new(0.6, 0.0, 0.8));
+/// let [exact, ..] = paint.eval(to_light, to_viewer);
+/// let [looked_up, ..] = table.eval(to_light, to_viewer);
+/// assert!((looked_up / exact - 1.0).abs() < 0.01);
+/// # Ok::<(), rig_core::brdf::BrdfError>(())
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct TabulatedBrdf {
     shape: [usize; 3],

@@ -16,6 +16,20 @@ use crate::outside_table;
 use crate::shown::excerpt;
 
 /// The text of `weights.csv`; `deviations` are standard deviations, indexed as the weights.
+///
+/// ```
+/// use std::sync::Arc;
+/// use rig_core::brdf::{Dictionary, Mixture, weights};
+///
+/// let dictionary = Arc::new(Dictionary::rig26());
+/// let mut only_white = vec![0.0; 26];
+/// only_white[24] = 1.0;
+/// let mixture = Mixture::grey(dictionary.clone(), only_white)?;
+///
+/// let csv = weights::to_csv(&mixture, None);
+/// assert_eq!(&weights::parse(&csv, &dictionary)?, mixture.weights());
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub fn to_csv(mixture: &Mixture, deviations: Option<&[Vec<f64>; 3]>) -> String {
     let mut text = String::from("atom,kind,alpha,eta,weight_r,weight_g,weight_b");
     if deviations.is_some() {

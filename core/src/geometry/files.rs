@@ -18,6 +18,20 @@ use crate::{outside_file, whole_file};
 const MAX_BYTES: u64 = 4 << 30;
 
 /// A kind of mesh file.
+///
+/// ```
+/// use rig_core::geometry::files::MeshFormat;
+/// use rig_core::geometry::{Placement, Shape};
+///
+/// let bowl = Shape::Bowl { radius_mm: 10.0, segments: 16 }.mesh()?;
+/// let mut file = Vec::new();
+/// MeshFormat::Stl.write(&bowl, &mut file)?;
+/// // Read as if its unit were the centimetre.
+/// let larger = MeshFormat::Stl.parse(&file, &Placement::scaled(10.0))?;
+/// assert_eq!(larger.triangles.len(), bowl.triangles.len());
+/// assert!((larger.bounds_mm()[0].z + 100.0).abs() < 1e-3);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MeshFormat {
     /// Stanford polygons.

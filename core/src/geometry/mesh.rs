@@ -10,6 +10,19 @@ use crate::shown::{MESSAGE, shortened};
 /// Vertices and triangles of one body. The front of a triangle is the side
 /// from which its corners run counter-clockwise; the BRDF lives there, the
 /// back is black.
+///
+/// ```
+/// use glam::Vec3;
+/// use rig_core::geometry::Mesh;
+///
+/// let corners = vec![Vec3::ZERO, Vec3::X, Vec3::Y];
+/// let facet = Mesh::new(corners.clone(), vec![[0, 1, 2]])?;
+/// assert_eq!(facet.face_normal(0), Vec3::Z);
+///
+/// // A vertex that does not exist is an error.
+/// assert!(Mesh::new(corners, vec![[0, 1, 3]]).is_err());
+/// # Ok::<(), rig_core::geometry::MeshError>(())
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mesh {
     /// Corners, millimetres, sample frame.

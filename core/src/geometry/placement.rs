@@ -6,6 +6,24 @@ use glam::{DQuat, DVec3};
 use crate::frames::{MeshFile, Rigid, Sample};
 
 /// What is done to a file's mesh, in this order: scaled, its facets turned, rotated, moved.
+///
+/// ```
+/// use glam::DVec3;
+/// use rig_core::frames::Rigid;
+/// use rig_core::geometry::Placement;
+/// use rig_core::geometry::placement::{angles_xyz_deg, rotation_xyz};
+///
+/// // A file in inches, turned by 90° about x, then raised by 5 mm.
+/// let rotation = rotation_xyz([90.0, 0.0, 0.0]);
+/// let placement = Placement {
+///     mm_per_unit: 25.4,
+///     sample_from_mesh: Rigid::new(rotation, DVec3::new(0.0, 0.0, 5.0)),
+///     ..Placement::default()
+/// };
+/// let moved = placement.sample_from_mesh.point(DVec3::Y);
+/// assert!(moved.distance(DVec3::new(0.0, 0.0, 6.0)) < 1e-12);
+/// assert!((angles_xyz_deg(rotation)[0] - 90.0).abs() < 1e-9);
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Placement {
     /// Millimetres of one unit of the file's coordinates.

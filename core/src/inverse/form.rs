@@ -1,6 +1,6 @@
 //! What an as-made surface that departs from its mesh adds to the spread of the weights.
 //!
-//! Discrepancies of the stated rms are drawn ([`FormError::field`]) and the images' change d
+//! Departures of the stated rms are drawn ([`FormError::field`]) and the images' change d
 //! with each is traced with shared random numbers. The weights' score changes by JᵀWd;
 //! the second moment of that over the draws is the covariance that the mesh adds, every
 //! product taken between independent halves of the samples (docs/adr/0029).
@@ -16,13 +16,13 @@ use crate::geometry::FormError;
 use crate::random::{Purpose, stream};
 use crate::transport::{Proposal, Scene, Steering};
 
-/// Discrepancies that are drawn: the deviation that they give is itself known within an eighth.
-const DISCREPANCYS: usize = 32;
-/// Discrepancies that are traced together, which bounds the memory.
+/// Departures that are drawn: the deviation that they give is itself known within an eighth.
+const DEPARTURES: usize = 32;
+/// Departures that are traced together, which bounds the memory.
 const TOGETHER: usize = 4;
 /// Direct reflection: square root of the samples per cell.
 const DIRECT_STRATA: u32 = 4;
-/// Paths per cell in each half and for each discrepancy.
+/// Paths per cell in each half and for each departure.
 const SAMPLES_PER_HALF: u32 = 4;
 /// Longest path in surface reflections.
 const REFLECTIONS: u32 = 6;
@@ -51,9 +51,9 @@ pub(super) fn score_covariance(
         average: AVERAGED,
     };
     let mut covariance = vec![DMatrix::zeros(n, n); sets];
-    for first in (0..DISCREPANCYS).step_by(TOGETHER) {
-        let deformed = (first..first + TOGETHER).map(|discrepancy| {
-            let mut numbers = stream(seed, Purpose::FormError, 0, discrepancy as u64, 0);
+    for first in (0..DEPARTURES).step_by(TOGETHER) {
+        let deformed = (first..first + TOGETHER).map(|departure| {
+            let mut numbers = stream(seed, Purpose::FormError, 0, departure as u64, 0);
             let field = error.field(edge_mm, &mut numbers);
             [1.0, -1.0].map(|sign| field.deform(scene.sample(), sign))
         });
@@ -68,8 +68,8 @@ pub(super) fn score_covariance(
         let scores = scores(model, &images, residual_weights, mixture);
         for (covariance, scores) in covariance.iter_mut().zip(scores) {
             for [a, b] in scores {
-                covariance.ger(0.5 / DISCREPANCYS as f64, &a, &b, 1.0);
-                covariance.ger(0.5 / DISCREPANCYS as f64, &b, &a, 1.0);
+                covariance.ger(0.5 / DEPARTURES as f64, &a, &b, 1.0);
+                covariance.ger(0.5 / DEPARTURES as f64, &b, &a, 1.0);
             }
         }
     }
@@ -78,7 +78,7 @@ pub(super) fn score_covariance(
     covariance.into_iter().map(semidefinite).collect()
 }
 
-/// JᵀWd per set, discrepancy and half.
+/// JᵀWd per set, departure and half.
 fn scores(
     model: &Model<'_>,
     images: &DerivativeImages,
@@ -99,10 +99,10 @@ fn scores(
                     let set = c.min(sets - 1);
                     let [a, b] = &mut by_weight;
                     model.objective.derivatives(rows, light, c, [a, b]);
-                    for (discrepancy, _, change) in
+                    for (departure, _, change) in
                         images.at(rows.cell).filter(|(_, l, _)| *l == light)
                     {
-                        for (half, sum) in sums[set][discrepancy].iter_mut().enumerate() {
+                        for (half, sum) in sums[set][departure].iter_mut().enumerate() {
                             let factor = w * f64::from(change.halves[half][c]);
                             for (sum, derivative) in sum.iter_mut().zip(&by_weight[half]) {
                                 *sum += factor * derivative;

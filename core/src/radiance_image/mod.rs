@@ -10,6 +10,24 @@ pub const CHANNEL_NAMES: [&str; 3] = ["red", "green", "blue"];
 
 /// Three channels of radiance with the variance of each value, and which
 /// pixels are trustworthy. Row 0 is the top.
+///
+/// ```
+/// use std::path::Path;
+/// use rig_core::radiance_image::{RadianceImage, exr};
+///
+/// let mut image = RadianceImage::new(4, 3);
+/// image.mean[0] = [0.25, 0.5, 1.0];
+/// image.variance[0] = [1e-4; 3];
+/// image.valid[5] = false;
+///
+/// // `exr::write` and `exr::read` do the same with a file.
+/// let bytes = exr::encode(&image, Path::new("example.exr"))?;
+/// let file = exr::decode(&bytes, Path::new("example.exr"))?;
+/// assert!(file.has_variance);
+/// assert_eq!(file.image.mean[0], image.mean[0]);
+/// assert_eq!(file.image.valid, image.valid);
+/// # Ok::<(), rig_core::radiance_image::exr::ExrError>(())
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct RadianceImage {
     /// Pixels per row.

@@ -109,6 +109,46 @@ pub enum Records {
 }
 
 /// Traced paths of a scene for a dictionary.
+///
+/// ```
+/// # use glam::{DVec2, DVec3};
+/// # use rig_core::geometry::Shape;
+/// # use rig_core::transport::{Camera, Light, Projection, Scene, Shading};
+/// # let camera = Camera::looking_at(
+/// #     [8, 8],
+/// #     Projection::Orthographic { extent_mm: DVec2::splat(16.0) },
+/// #     DVec3::new(0.0, 0.0, 100.0),
+/// #     DVec3::ZERO,
+/// #     DVec3::Y,
+/// # )
+/// # .expect("it looks down");
+/// # let light = Light::Directional {
+/// #     to_light: DVec3::Z,
+/// #     irradiance: [1.0; 3],
+/// #     angular_radius_rad: 0.0,
+/// # };
+/// # let bowl = Shape::Bowl { radius_mm: 10.0, segments: 32 }.mesh()?;
+/// # let scene = Scene::new(bowl, Shading::Smooth, camera, vec![light]);
+/// use rig_core::brdf::{Atom, Dictionary};
+/// use rig_core::transport::{Cache, CacheOptions, Cells, Kernel};
+///
+/// let dictionary = Dictionary::new("greys", vec![Atom::Lambertian { albedo: 1.0 }, Atom::Black])?;
+/// let cells = Cells::of_pixels(scene.camera.resolution_px);
+/// let options = CacheOptions { samples_per_cell: 64, ..CacheOptions::default() };
+/// let cache = Cache::trace(&scene, &cells, &dictionary, &options)?;
+///
+/// // Indirect light of all cells for an albedo, without tracing again.
+/// let indirect = |albedo: f64| -> f32 {
+///     let weights = [albedo, 1.0 - albedo];
+///     let sums = cache.evaluate(Kernel::Portable, &[&weights], || 0.0, |sum, cell| {
+///         *sum += 0.5 * (cell.value[0][0] + cell.value[1][0]);
+///     });
+///     sums.iter().sum()
+/// };
+/// // Light of two reflections grows with the square of the albedo, of more reflections faster.
+/// assert!(indirect(0.8) > 4.0 * indirect(0.4));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub struct Cache {
     /// The records.
     pub records: Records,

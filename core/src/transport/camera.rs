@@ -25,6 +25,26 @@ pub enum Projection {
 }
 
 /// A camera in the sample frame. Row 0 of the image is the top.
+///
+/// ```
+/// use glam::{DVec2, DVec3};
+/// use rig_core::transport::{Camera, Projection};
+///
+/// let camera = Camera::looking_at(
+///     [640, 480],
+///     Projection::Perspective { fov_rad: 30f64.to_radians() },
+///     DVec3::new(0.0, -200.0, 300.0),
+///     DVec3::ZERO,
+///     DVec3::Z,
+/// )
+/// .expect("`up` is not along the view");
+/// // The point it looks at appears in the middle of the image.
+/// let middle = camera.position_px(DVec3::ZERO).expect("in front of the camera");
+/// assert!(middle.distance(DVec2::new(320.0, 240.0)) < 1e-6);
+/// // And the ray of that position meets it.
+/// let (origin, direction) = camera.chief_ray(middle);
+/// assert!(origin.length() < 1e-9 && direction.distance(DVec3::Z) < 1e-9);
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Camera {
     /// Pixels, width × height.

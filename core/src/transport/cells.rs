@@ -95,6 +95,16 @@ impl Cell {
 }
 
 /// Cells of an image, none of which overlap.
+///
+/// ```
+/// use rig_core::transport::Cells;
+/// use rig_core::transport::cells::Cell;
+///
+/// // One cell of 2 × 2 pixels, and one of a single pixel.
+/// let cells = Cells::new([16, 16], vec![Cell::square([4, 4], 2), Cell::square([9, 3], 1)]);
+/// assert_eq!((cells.len(), cells.cell(0).pixels()), (2, 4));
+/// assert_eq!(cells.area(1), 1.0);
+/// ```
 #[derive(Clone, Debug)]
 pub struct Cells {
     resolution_px: [usize; 2],

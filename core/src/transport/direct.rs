@@ -12,6 +12,40 @@ use crate::brdf::dictionary::Dictionary;
 use crate::brdf::ggx::Cosines;
 
 /// Radiance by direct reflection per unit weight and unit lamp strength.
+///
+/// ```
+/// # use glam::{DVec2, DVec3};
+/// # use rig_core::geometry::Shape;
+/// # use rig_core::transport::{Camera, Light, Projection, Scene, Shading};
+/// # let camera = Camera::looking_at(
+/// #     [8, 8],
+/// #     Projection::Orthographic { extent_mm: DVec2::splat(16.0) },
+/// #     DVec3::new(0.0, 0.0, 100.0),
+/// #     DVec3::ZERO,
+/// #     DVec3::Y,
+/// # )
+/// # .expect("it looks down");
+/// # let light = Light::Directional {
+/// #     to_light: DVec3::Z,
+/// #     irradiance: [1.0; 3],
+/// #     angular_radius_rad: 0.0,
+/// # };
+/// # let bowl = Shape::Bowl { radius_mm: 10.0, segments: 32 }.mesh()?;
+/// # let scene = Scene::new(bowl, Shading::Smooth, camera, vec![light]);
+/// use rig_core::brdf::{Atom, Dictionary};
+/// use rig_core::transport::{Cells, DirectMatrix};
+///
+/// let atoms = vec![Atom::Lambertian { albedo: 1.0 }, Atom::Ggx { alpha: 0.3, eta: 1.5 }];
+/// let dictionary = Dictionary::new("two", atoms)?;
+/// let cells = Cells::of_pixels(scene.camera.resolution_px);
+/// let direct = DirectMatrix::new(&scene, &cells, &dictionary, 4, 1);
+/// // Per unit weight: a white bottom under light along its normal has the radiance 1/π, less the
+/// // cosine of the slope within the cell.
+/// let [white, glossy] = *direct.row(3 * 8 + 3, 0) else { panic!("two atoms") };
+/// assert!((0.9..1.0).contains(&(white * std::f32::consts::PI)));
+/// assert!(glossy > 0.0);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub struct DirectMatrix {
     /// `[(cell · lights + light) · atoms + atom]`.
     values: Vec<f32>,

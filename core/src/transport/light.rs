@@ -3,6 +3,21 @@
 use glam::{DVec3, Vec3};
 
 /// A lamp of known place and strength.
+///
+/// ```
+/// use glam::{DVec3, Vec3};
+/// use rig_core::transport::Light;
+///
+/// let bulb = Light::Point {
+///     position_mm: DVec3::new(0.0, 0.0, 200.0),
+///     intensity_mm2: [4e4, 4e4, 3e4],
+/// };
+/// let sample = bulb.sample(Vec3::ZERO, [0.5, 0.5]);
+/// assert_eq!(sample.direction, Vec3::Z);
+/// // Irradiance at 200 mm: intensity / distance².
+/// let irradiance = bulb.strength()[0] * f64::from(sample.relative_irradiance);
+/// assert!((irradiance - 1.0).abs() < 1e-6);
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Light {
     /// Far away: the same direction everywhere.

@@ -1,9 +1,33 @@
-//! How light travels from lamp to camera over the sample: the scene, path
-//! sampling, plain rendering, and the path cache on which a fit evaluates image,
-//! Jacobian and gradient without tracing again.
+//! How light travels from lamp to camera over the sample: scenes, path tracing, and cached paths
+//! on which a fit evaluates images and their derivatives without tracing again.
 //!
-//! Path vertices do not depend on the BRDF when continuations are drawn from a
-//! fixed proposal, so paths are traced once and evaluated for any mixture.
+//! The radiance that a camera measures is a sum over paths x₁ … x_k of surface points between
+//! camera and lamp,
+//!
+//! > L = Σₖ ∫ f(x₁) G₁ · f(x₂) G₂ · … · f(x_k) E(x_k) dx₁ … dx_k,
+//!
+//! with the BRDF f at each reflection, geometric factors G and the irradiance E that the lamp
+//! brings to the last point. In a concave sample paths of many reflections count, and each
+//! reflection is at another pair of angles: one image holds much of the BRDF.
+//!
+//! [`render()`] estimates L by path tracing for one BRDF. A fit needs L and its derivatives for
+//! many. Its trick: the continuations of paths are drawn from a fixed [`Proposal`], not from the
+//! BRDF, so the paths do not depend on it. They are traced once and stored ([`Cache`]) with the
+//! values of all atoms of a dictionary at each reflection; every evaluation for other weights is
+//! a pass over the stored records. Paths of one reflection are linear in the weights and need no
+//! paths at all ([`DirectMatrix`]).
+//!
+//! Conventions: the sample's frame in millimetres ([`crate::frames`]), row 0 of an image at the
+//! top, radiance in the unit of the lamps' irradiance over sr.
+//!
+//! | type or function | what it is |
+//! |---|---|
+//! | [`Scene`] | sample, known [`Body`]s, [`Camera`], [`Light`]s |
+//! | [`render()`], [`RenderOptions`] | images by path tracing, with their variance |
+//! | [`Cells`] | squares of pixels that a fit compares |
+//! | [`DirectMatrix`], [`Cache`] | direct and indirect light of all atoms, for a fit |
+//! | [`Proposal`], [`Steering`], [`points`] | where continuations go, and their random numbers |
+//! | [`Visibility`], [`Remainder`] | whether a scene can be measured, and what long paths add |
 
 pub mod cache;
 pub mod camera;

@@ -11,6 +11,21 @@ use crate::brdf::{Brdf, LobeTable, ggx};
 use crate::random::Uniform;
 
 /// A mixture over directions.
+///
+/// ```
+/// use glam::Vec3;
+/// use rig_core::random::{Purpose, stream};
+/// use rig_core::transport::Proposal;
+///
+/// let proposal = Proposal::default();
+/// let to_viewer = Vec3::new(0.6, 0.0, 0.8);
+/// let mut numbers = stream(1, Purpose::PathDirection, 0, 0, 0);
+/// // `None` where the drawn direction is below the horizon.
+/// if let Some((direction, density)) = proposal.sample(to_viewer, &mut numbers) {
+///     assert!(direction.z > 0.0);
+///     assert!((proposal.pdf(to_viewer, direction) / density - 1.0).abs() < 1e-3);
+/// }
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct Proposal {
     /// Probability of the cosine lobe; all probabilities sum to one.

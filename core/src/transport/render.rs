@@ -67,6 +67,39 @@ impl RenderOptions {
 }
 
 /// Renders one image per lamp of the scene.
+///
+/// ```
+/// # use glam::{DVec2, DVec3};
+/// # use rig_core::geometry::Shape;
+/// # use rig_core::transport::{Camera, Light, Projection, Scene, Shading};
+/// # let camera = Camera::looking_at(
+/// #     [8, 8],
+/// #     Projection::Orthographic { extent_mm: DVec2::splat(16.0) },
+/// #     DVec3::new(0.0, 0.0, 100.0),
+/// #     DVec3::ZERO,
+/// #     DVec3::Y,
+/// # )
+/// # .expect("it looks down");
+/// # let light = Light::Directional {
+/// #     to_light: DVec3::Z,
+/// #     irradiance: [1.0; 3],
+/// #     angular_radius_rad: 0.0,
+/// # };
+/// # let bowl = Shape::Bowl { radius_mm: 10.0, segments: 32 }.mesh()?;
+/// # let scene = Scene::new(bowl, Shading::Smooth, camera, vec![light]);
+/// use rig_core::brdf::source;
+/// use rig_core::transport::{RenderOptions, render};
+///
+/// let options = RenderOptions { samples_per_pixel: 64, ..RenderOptions::default() };
+/// let chalk = source::load("lambertian:0.8")?;
+/// let image = &render(&scene, chalk.as_ref(), &options)[0];
+///
+/// // Direct light alone would be 0.8/π at the bottom; the walls send more there.
+/// let middle = image.mean[3 * image.width + 3][0];
+/// assert!(middle > 0.8 / std::f32::consts::PI);
+/// assert!(image.variance[0][0] >= 0.0);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub fn render(scene: &Scene, brdf: &dyn Brdf, options: &RenderOptions) -> Vec<RadianceImage> {
     render_with_progress(scene, brdf, options, &())
 }

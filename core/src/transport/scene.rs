@@ -35,6 +35,31 @@ pub struct Body {
 
 /// A sample of one uniform material, known bodies, a camera and lamps. Clones share
 /// the surfaces, so that one sample can be seen from many places.
+///
+/// ```
+/// use glam::{DVec2, DVec3};
+/// use rig_core::geometry::Shape;
+/// use rig_core::transport::{Camera, Light, Projection, Scene, Shading, Visibility};
+///
+/// let camera = Camera::looking_at(
+///     [64, 64],
+///     Projection::Orthographic { extent_mm: DVec2::splat(24.0) },
+///     DVec3::new(0.0, 0.0, 100.0),
+///     DVec3::ZERO,
+///     DVec3::Y,
+/// )
+/// .expect("it looks down");
+/// let light = Light::Directional {
+///     to_light: DVec3::new(0.5, 0.0, 1.0).normalize(),
+///     irradiance: [3.0; 3],
+///     angular_radius_rad: 0.0,
+/// };
+/// let bowl = Shape::Bowl { radius_mm: 10.0, segments: 64 }.mesh()?;
+/// let scene = Scene::new(bowl, Shading::Smooth, camera, vec![light]);
+/// // The camera sees the whole sample from the front, and the light reaches it.
+/// assert!(Visibility::of(&scene).concerns().is_empty());
+/// # Ok::<(), rig_core::geometry::MeshError>(())
+/// ```
 #[derive(Clone)]
 pub struct Scene {
     sample: Arc<Mesh>,
