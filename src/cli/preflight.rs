@@ -1,7 +1,8 @@
-//! What makes a scene not worth measuring, said before anything moves or is rendered: the
-//! facts are [`Visibility`]'s, here are the words and the advice.
+//! What makes a scene not worth measuring, reported before anything moves or is rendered:
+//! [`Visibility`] finds the facts, here are their wording and the advice.
 
-use super::{CliError, Context};
+use super::context::Context;
+use super::error::CliError;
 use crate::capture::directions::plan_order;
 use crate::capture::reach::StageReach;
 use crate::config::RigConfig;
@@ -100,7 +101,7 @@ pub(super) fn outlook(config: &RigConfig) -> Result<Outlook, CliError> {
             }),
         },
         None => Outlook {
-            fact: format!("the sample is in view: {}", place(&seen)),
+            fact: format!("the sample is in view: {}", position(&seen)),
             concern: scene.remarks().first().map(|remark| Remedied {
                 remedy: format!("repair the mesh where it was made: {remark}"),
                 is_fatal: false,
@@ -110,7 +111,7 @@ pub(super) fn outlook(config: &RigConfig) -> Result<Outlook, CliError> {
 }
 
 /// What the camera's body leaves of the directions within reach.
-pub(super) fn light_ways(reach: &StageReach, body: Option<CameraBody>) -> Outlook {
+pub(super) fn light_paths(reach: &StageReach, body: Option<CameraBody>) -> Outlook {
     let free_of_concern = |fact: String| Outlook {
         fact,
         concern: None,
@@ -161,12 +162,12 @@ fn is_of_a_light(concern: &Concern) -> bool {
 pub(super) fn fact(concern: &Concern, seen: &Visibility) -> String {
     match concern {
         Concern::Unlit { .. } => concern.to_string(),
-        _ => format!("{concern}; {}", place(seen)),
+        _ => format!("{concern}; {}", position(seen)),
     }
 }
 
 /// The sample's box, in millimetres and in the image, and the field of view.
-fn place(seen: &Visibility) -> String {
+fn position(seen: &Visibility) -> String {
     let [low, high] = seen.bounds_mm;
     let size = high - low;
     let [width, height] = seen.resolution_px;
@@ -176,7 +177,7 @@ fn place(seen: &Visibility) -> String {
             from.x, to.x, from.y, to.y
         ),
         None => format!(
-            "no place: a part of it is behind the camera, whose image has {width} × {height} px"
+            "no position: a part of it is behind the camera, whose image has {width} × {height} px"
         ),
     };
     format!(
@@ -206,7 +207,7 @@ fn mm(length: f64) -> String {
     format!("{:.digits$}", length + 0.0)
 }
 
-/// How the keys of a file are called, and what it says of the sample's surface.
+/// How the keys of a file are called, and what the file states of the sample's surface.
 #[derive(Clone, Copy)]
 pub(super) struct Keys<'a> {
     camera: &'static str,
@@ -285,7 +286,7 @@ pub(super) fn remedy(concern: &Concern, seen: &Visibility, keys: Keys<'_>) -> St
             SurfaceSpec::Mesh(mesh),
             _,
         ) => format!(
-            "`rig shape --inspect {}` says whether the mesh is inside out, which {} mends, or upside down, which mesh_to_sample mends ({sample}); else correct position_mm of {camera}",
+            "`rig shape --inspect {}` shows whether the mesh is inside out, which {} corrects, or upside down, which mesh_to_sample corrects ({sample}); else correct position_mm of {camera}",
             mesh.path.display(),
             match mesh.placement.flip_facets {
                 true => "leaving out flip_facets",
