@@ -191,7 +191,7 @@ fn pixels_of_a_body_are_none_of_the_sample() {
         &CacheOptions::default(),
     )
     .unwrap();
-    let seen = rig::capture::interest::sample_pixels(&grey, &grey.camera);
+    let seen = rig::capture::region_of_interest::sample_pixels(&grey, &grey.camera);
     let radiance: Vec<f32> = cache
         .evaluate(
             Kernel::Portable,

@@ -188,13 +188,13 @@ fn scenes_that_make_no_sense_are_refused_before_anything_moves() {
             "upside down",
             pit(|[x, y, z]| [x, -y, -z], false),
             back,
-            "upside down, which mesh_to_sample mends",
+            "upside down, which mesh_to_sample corrects",
         ),
         (
             "inside out",
             pit(upright, true),
             back,
-            "inside out, which flip_facets = true mends",
+            "inside out, which flip_facets = true corrects",
         ),
         (
             "lit from below",

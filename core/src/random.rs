@@ -57,6 +57,17 @@ fn mix(mut z: u64) -> u64 {
 }
 
 /// The stream of one key.
+///
+/// ```
+/// use rig_core::random::{Purpose, stream};
+///
+/// // Keyed by seed, purpose, light, pixel and sample: the same numbers on any thread.
+/// let mut numbers = stream(7, Purpose::PixelPosition, 0, 1234, 0);
+/// let first = numbers.uniform();
+/// assert!((0.0..1.0).contains(&first));
+/// assert_eq!(stream(7, Purpose::PixelPosition, 0, 1234, 0).uniform(), first);
+/// assert_ne!(stream(7, Purpose::PixelPosition, 0, 1235, 0).uniform(), first);
+/// ```
 pub fn stream(seed: u64, purpose: Purpose, light: u64, pixel: u64, sample: u64) -> Stream {
     let mut state = mix(seed.wrapping_add(0x9e37_79b9_7f4a_7c15));
     for word in [purpose as u64, light, pixel, sample] {

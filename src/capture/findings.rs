@@ -123,7 +123,7 @@ pub enum PrepareError {
     },
     /// The camera's frames have another size.
     #[error(
-        "the camera gives frames of {} x {}, the rig file says {} x {}",
+        "the camera gives frames of {} x {}, the rig file states {} x {}",
         is[0], is[1], stated[0], stated[1]
     )]
     Resolution {

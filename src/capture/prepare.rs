@@ -29,7 +29,7 @@ use super::open::Devices;
 use super::plan::{LightChoice, Pace, PlanRequest, check_space, plan};
 use super::reach::StageReach;
 use super::records::Records;
-use super::{Capture, CaptureError, Observer, Outcome, RadianceSink, interest};
+use super::{Capture, CaptureError, Observer, Outcome, RadianceSink, region_of_interest};
 use crate::calibration::Library;
 use crate::calibration::depth_of_field::{self, DepthOfField};
 use crate::calibration::slanted_edge::FocusValues;
@@ -60,7 +60,7 @@ pub enum Lights {
     Count(usize),
     /// All that keep [`ALL_SPACING_DEG`] between them.
     All,
-    /// This many, 1 to [`light_choice::CANDIDATES`]: those that tell most about a material
+    /// This many, 1 to [`light_choice::CANDIDATES`]: those that are most informative about a material
     /// of which nothing is known.
     Best(usize),
     /// These, in this order.
@@ -333,7 +333,7 @@ pub struct Job {
     devices: Devices,
     session: SessionWriter,
     noise: Arc<SensorNoise>,
-    interest: Vec<bool>,
+    region_of_interest: Vec<bool>,
 }
 
 impl Job {
@@ -345,7 +345,7 @@ impl Job {
     ) -> Result<Self, PrepareError> {
         let scene = config.geometry.scene(&[])?;
         Ok(Self {
-            interest: interest::sample_pixels(&scene, &config.geometry.camera),
+            region_of_interest: region_of_interest::sample_pixels(&scene, &config.geometry.camera),
             noise: Arc::new(noise),
             config,
             devices,
@@ -399,7 +399,7 @@ impl Job {
             position_tolerance_deg: config.stage.position_tolerance_deg(),
             pace: Pace::of_rig(config),
             noise: &self.noise,
-            interest: Some(&self.interest),
+            region_of_interest: Some(&self.region_of_interest),
             sink: Box::new(sink),
             observer,
             interrupt,

@@ -18,7 +18,7 @@ pub enum Outcome {
 pub trait Observer {
     /// Called between frames; should return soon.
     fn observe(&mut self, progress: Progress<'_>);
-    /// A pause was asked for: the lamp is off, the stage stands, every frame is on
+    /// A pause was requested: the lamp is off, the stage stands, every frame is on
     /// the disk. Returns when the capture shall go on.
     fn pause(&mut self) {}
 }

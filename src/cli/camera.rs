@@ -5,9 +5,11 @@ use std::sync::Arc;
 
 use mock_devices::{Illumination, RadianceSource};
 
+use super::context::Context;
+use super::error::CliError;
 use super::output::{write_json, write_path};
 use super::rig_choice::RigArg;
-use super::{CliError, Context, camera_preview, hints, open};
+use super::{camera_preview, hints, open};
 use crate::capture::open::{OpenOptions, open_devices, open_real_camera};
 use crate::config::{CameraDriver, RigConfig};
 use crate::device::controls::{ControlInfo, name_of};
@@ -81,7 +83,7 @@ struct Which {
     /// Pixel format on --device, such as Y12, RG16 or Y16-BE; the deepest raw one if not given
     #[arg(long, value_name = "CODE", requires = "device", value_parser = format_code)]
     format: Option<[u8; 4]>,
-    /// The answer as JSON
+    /// The result as JSON
     #[arg(long)]
     json: bool,
 }
@@ -155,13 +157,13 @@ pub fn run(args: &CameraArgs, context: &Context) -> Result<(), CliError> {
     }
 }
 
-/// Says where the camera applies other settings than were asked for, beyond its steps.
+/// Says where the camera applies other settings than were requested, beyond its steps.
 fn warn_of_other(exposure_ms: f64, gain: f64, applied: CameraSettings, context: &Context) {
     let differs = |asked: f64, is: f64| (is / asked - 1.0).abs() > 0.01;
     let asked = Seconds(exposure_ms * 1e-3);
     if differs(asked.0, applied.exposure.0) || differs(gain, applied.gain) {
         context.warn(format!(
-            "the camera applies {} and gain {} where {asked} and gain {gain} were asked for",
+            "the camera applies {} and gain {} where {asked} and gain {gain} were requested",
             applied.exposure, applied.gain
         ));
     }

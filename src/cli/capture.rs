@@ -7,10 +7,12 @@ use serde_json::json;
 
 use super::capture_notices::{Terminal, advised};
 use super::capture_progress::Bar;
+use super::context::Context;
+use super::error::CliError;
 use super::output::{write_json, write_path};
 use super::progress::duration;
 use super::rig_choice::RigArg;
-use super::{CliError, Context, fit, interrupt, open};
+use super::{fit, interrupt, open};
 use crate::capture::light_choice::{CANDIDATES, Ranking};
 use crate::capture::open::{OpenOptions, open_devices};
 use crate::capture::prepare::{self, CaptureRequest, Job, Lights, Prepared, prepare};
@@ -30,7 +32,7 @@ pub struct CaptureArgs {
     #[command(flatten)]
     rig: RigArg,
     /// How many light directions (around the sample at several heights, past the camera's body);
-    /// `all` that keep 15° between them; or `best:N`, those that tell most about an unknown material
+    /// `all` that keep 15° between them; or `best:N`, those that are most informative about an unknown material
     #[arg(long, value_name = "N|all|best:N", value_parser = parse_lights, required_unless_present_any = ["light", "resume"], conflicts_with_all = ["light", "resume"])]
     lights: Option<Lights>,
     /// One light direction, azimuth and elevation in degrees; may be repeated

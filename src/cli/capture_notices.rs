@@ -2,8 +2,10 @@
 
 use indicatif::ProgressBar;
 
+use super::context::Context;
+use super::error::CliError;
 use super::preflight::{self, Keys};
-use super::{CliError, Context, sharpness};
+use super::sharpness;
 use crate::calibration::fitness::Concern;
 use crate::capture::findings::{Notice, PrepareError};
 use crate::config::RigConfig;

@@ -12,10 +12,12 @@ use rustix::fs::{Access, access};
 use serde::Serialize;
 
 use super::capture_notices::CHANGED_ON_PURPOSE;
+use super::context::Context;
+use super::error::CliError;
 use super::output::{write_json, write_line};
 use super::preflight::{self, Outlook};
 use super::rig_choice::RigArg;
-use super::{CliError, Context, hints, sharpness};
+use super::{hints, sharpness};
 use crate::calibration::camera::CameraValues;
 use crate::calibration::directions::DirectionsValues;
 use crate::calibration::fitness::Concern;
@@ -193,7 +195,7 @@ fn all_checks(rig: &ResolvedRig) -> Vec<Check> {
     let view = verdict_on("view", preflight::outlook(&rig.config));
     let is_in_view = view.verdict != Verdict::Failed;
     checks.push(view);
-    checks.push(light_ways(rig));
+    checks.push(light_paths(rig));
     checks.push(depth_of_field(rig, &library, is_in_view));
     checks
 }
@@ -223,12 +225,12 @@ fn verdict_on(name: &'static str, outlook: Result<Outlook, CliError>) -> Check {
 }
 
 /// Whether the camera's body stands in the way of the lights.
-fn light_ways(rig: &ResolvedRig) -> Check {
+fn light_paths(rig: &ResolvedRig) -> Check {
     let reach = StageReach::of_rig(&rig.config).map_err(CliError::from);
     let body = rig.config.geometry.camera_body;
     verdict_on(
         "light paths",
-        reach.map(|reach| preflight::light_ways(&reach, body)),
+        reach.map(|reach| preflight::light_paths(&reach, body)),
     )
 }
 
@@ -357,7 +359,7 @@ fn watchdog(rig: &ResolvedRig) -> Option<Check> {
             DomeWiring::Line => {
                 return Some(Check::ok(
                     "watchdog",
-                    "the dome says at connection whether it has one; `rig capture` warns where it has not",
+                    "the dome reports at connection whether it has one; `rig capture` warns where it has not",
                 ));
             }
         },
@@ -451,8 +453,9 @@ fn write_rate_mb_s(folder: &Path) -> std::io::Result<f64> {
     Ok(rate)
 }
 
-fn calibration<V: Values>(rig: &ResolvedRig, library: &Library, id: Option<&str>) -> Check {
-    let (name, without) = match V::KIND {
+/// What a kind of record is called, and what its lack means.
+fn named(kind: Kind) -> (&'static str, &'static str) {
+    match kind {
         Kind::Sensor => (
             "sensor",
             "`rig calibrate sensor` measures it; without it the noise is only estimated",
@@ -464,11 +467,11 @@ fn calibration<V: Values>(rig: &ResolvedRig, library: &Library, id: Option<&str>
         ),
         Kind::Lights => (
             "lights",
-            "without it the rig file's irradiance_w_m2 is believed",
+            "without it the rig file's irradiance_w_m2 is used",
         ),
         Kind::Directions => (
             "directions",
-            "without it the rig file's light directions are believed",
+            "without it the rig file's light directions are used",
         ),
         Kind::Response => (
             "response",
@@ -476,19 +479,24 @@ fn calibration<V: Values>(rig: &ResolvedRig, library: &Library, id: Option<&str>
         ),
         Kind::Focus => (
             "focus",
-            "without it the rig file's point spread, focus and aperture are believed",
+            "without it the rig file's point spread, focus and aperture are used",
         ),
-        Kind::Pose => ("pose", "without it the sample lies as the rig file says"),
-        Kind::Camera => ("lens", "without it the lens is as the rig file says"),
+        Kind::Pose => ("pose", "without it the sample lies as the rig file states"),
+        Kind::Camera => ("lens", "without it the lens is as the rig file states"),
         Kind::Lamp => (
             "lamp",
-            "`rig calibrate lamp` finds how long it must warm up; without it nobody knows",
+            "`rig calibrate lamp` finds how long it must warm up; without it that is unknown",
         ),
-    };
+    }
+}
+
+fn calibration<V: Values>(rig: &ResolvedRig, library: &Library, id: Option<&str>) -> Check {
+    let (name, without) = named(V::KIND);
     let failed = |error: RecordError| {
         let remedy = hints::for_error(&error).unwrap_or_else(|| "calibrate anew".to_owned());
         Check::failed(name, error.to_string(), remedy)
     };
+    // The record.
     let loaded = match library.load::<V>(id) {
         Err(error) => return failed(error),
         Ok(None) => {
@@ -502,6 +510,7 @@ fn calibration<V: Values>(rig: &ResolvedRig, library: &Library, id: Option<&str>
     if of_the_camera && let Err(error) = loaded.check_camera(serial, &rig.config.camera) {
         return failed(error);
     }
+    // Its checksum and its age.
     let record = &loaded.record;
     if loaded.seal == Seal::Broken {
         let id = record.id.clone();
@@ -556,7 +565,7 @@ mod tests {
                 "Zaber's protocol has none",
             ),
             (dmx, Verdict::Warning, "a DMX interface has none"),
-            (&dome, Verdict::Ok, "the dome says at connection"),
+            (&dome, Verdict::Ok, "the dome reports at connection"),
         ] {
             let check = check(text).unwrap();
             assert_eq!(check.verdict, verdict, "{fact}");

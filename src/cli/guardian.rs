@@ -7,8 +7,9 @@ use std::sync::atomic::AtomicBool;
 
 use signal_hook::consts::{SIGHUP, SIGINT, SIGQUIT, SIGTERM, SIGTSTP};
 
+use super::context::Context;
+use super::error::CliError;
 use super::output::write_stderr;
-use super::{CliError, Context};
 use crate::device::guardian::{Exchange, Watch, stand_guard};
 
 /// Stops a stage when the process that started this one is gone or gives no sign of life
@@ -21,7 +22,7 @@ pub struct GuardianArgs {
     /// What is sent and expected, in hexadecimal; may be repeated
     #[arg(long, value_name = "BYTES=ANSWER,…")]
     exchange: Vec<Exchange>,
-    /// The stage does not say whether its lamp is lit
+    /// The stage does not report whether its lamp is lit
     #[arg(long)]
     unverified: bool,
 }

@@ -4,7 +4,9 @@
 
 use std::path::PathBuf;
 
-use super::{CliError, Context, guardian};
+use super::context::Context;
+use super::error::CliError;
+use super::guardian;
 use crate::device::command_camera::keep;
 
 /// Ends a camera's program when the process that started this one is gone

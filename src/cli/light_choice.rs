@@ -3,8 +3,9 @@
 use std::path::Path;
 
 use super::capture_notices::Terminal;
+use super::context::Context;
+use super::error::CliError;
 use super::output::write_json;
-use super::{CliError, Context};
 use crate::capture::light_choice;
 use crate::out;
 use crate::session::Session;

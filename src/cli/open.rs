@@ -3,7 +3,7 @@
 use clap::ValueEnum;
 use clap::builder::PossibleValue;
 
-use super::{CliError, HintExt};
+use super::error::{CliError, HintExt};
 use crate::capture::open::{OpenError, OpenOptions, PortDriver, Stopped};
 use crate::config::RigConfig;
 use crate::config::stage::StageDriver;

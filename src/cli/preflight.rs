@@ -1,7 +1,8 @@
-//! What makes a scene not worth measuring, said before anything moves or is rendered: the
-//! facts are [`Visibility`]'s, here are the words and the advice.
+//! What makes a scene not worth measuring, reported before anything moves or is rendered:
+//! [`Visibility`] finds the facts, here are their wording and the advice.
 
-use super::{CliError, Context};
+use super::context::Context;
+use super::error::CliError;
 use crate::capture::directions::plan_order;
 use crate::capture::reach::StageReach;
 use crate::config::RigConfig;
@@ -86,7 +87,7 @@ pub(super) fn outlook(config: &RigConfig) -> Result<Outlook, CliError> {
 }
 
 /// What the camera's body leaves of the directions within reach.
-pub(super) fn light_ways(reach: &StageReach, body: Option<CameraBody>) -> Outlook {
+pub(super) fn light_paths(reach: &StageReach, body: Option<CameraBody>) -> Outlook {
     let free_of_concern = |fact: String| Outlook {
         fact,
         concern: None,
@@ -228,7 +229,7 @@ pub(super) fn remedy(concern: &Concern, seen: &Visibility, keys: Keys<'_>) -> St
             SurfaceSpec::Mesh(mesh),
             _,
         ) => format!(
-            "`rig shape --inspect {}` says whether the mesh is inside out, which {} mends, or upside down, which mesh_to_sample mends ({sample}); else correct position_mm of {camera}",
+            "`rig shape --inspect {}` shows whether the mesh is inside out, which {} corrects, or upside down, which mesh_to_sample corrects ({sample}); else correct position_mm of {camera}",
             mesh.path.display(),
             match mesh.placement.flip_facets {
                 true => "leaving out flip_facets",

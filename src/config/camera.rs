@@ -25,7 +25,7 @@ pub struct CameraConfig {
     pub mosaic: Mosaic,
     /// Analogue gain, a factor; 1 is the camera's lowest.
     pub gain: f64,
-    /// Shortest and longest exposure that may be asked for.
+    /// Shortest and longest exposure that may be requested.
     pub exposure_range: [Seconds; 2],
     /// Smallest step of the exposure.
     pub exposure_step: Seconds,
@@ -73,6 +73,7 @@ enum Kind {
 impl CameraConfig {
     /// Reads the `[camera]` table.
     pub fn read(mut table: Section) -> Result<Self, ConfigError> {
+        // The driver and its own keys.
         let described = DRIVERS
             .iter()
             .map(|driver| (driver.name, Kind::Described(driver)));
@@ -114,7 +115,7 @@ impl CameraConfig {
                 CameraDriver::Described { driver, setting }
             }
         };
-        // A frame that is requested with its settings has no older ones.
+        // Exposures. A frame that is requested with its settings has no older ones.
         let latency_frames = match kind {
             Kind::Described(_) => 0,
             Kind::V4l | Kind::Simulated => 3,
@@ -125,6 +126,7 @@ impl CameraConfig {
             let allowed = format!("at least shortest_ms ({shortest_ms})");
             return Err(table.conflict("longest_ms", longest_ms, &allowed));
         }
+        // The rest.
         let ms = |value: f64| Seconds(value * 1e-3);
         let camera = Self {
             driver,

@@ -132,7 +132,7 @@ impl FitConfig {
 /// the newest valid one of its kind.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CalibrationConfig {
-    /// Folder with one folder per kind; `None`: `calibration/<rig>` beside or
+    /// Folder with one folder per kind; `None`: `calibration/<rig>` next to or
     /// above the rig file, or the records built into the program.
     pub folder: Option<PathBuf>,
     /// Id of the record of the sensor's noise.

@@ -165,7 +165,7 @@ mod tests {
         keys
     }
 
-    /// Every key that the readers ask for, in every variant, stands in a
+    /// Every key that the readers request, in every variant, stands in a
     /// commented file; what a scene file also has (`brdf`, a body's surface) is explained there.
     #[test]
     fn the_commented_files_name_every_key() {
@@ -210,7 +210,7 @@ mod tests {
         );
         for text in texts {
             let mut root = Section::parse("rig.toml", Path::new(""), &text).unwrap();
-            // The tetrahedron refuses `segments`; what it asked for is recorded all the same.
+            // The tetrahedron refuses `segments`; what it read is recorded all the same.
             let _ = RigConfig::read(&mut root, &text);
             asked.extend(root.vocabulary());
         }

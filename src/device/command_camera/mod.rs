@@ -72,7 +72,7 @@ pub struct CameraProgram {
 
 /// How often is looked whether the program has ended.
 const POLL: Duration = Duration::from_millis(5);
-/// So much of what it wrote to stderr is reported: its end tells most.
+/// So much of what it wrote to stderr is reported: its end is most informative.
 const REPORTED_BYTES: u64 = 600;
 
 impl CameraProgram {
