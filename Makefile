@@ -4,12 +4,13 @@
 #   cut at every record and 200 killed at random moments; 200 under a constant lamp; a
 #   session of a camera of five megapixels, and memory of a 20 MP sensor.
 # `make test-vm`: the program against the kernel's own drivers in a virtual machine.
+# `make docs`: the documentation as a site, target/book/index.html.
 # `make test-external`: exports loaded in the programs they are for (tests/external/README.md).
 
 CARGO ?= cargo
 SUDO := $(if $(filter 0,$(shell id -u)),,sudo)
 
-.PHONY: demo test test-long test-vm test-external build deps
+.PHONY: demo docs test test-long test-vm test-external build deps
 
 demo: build
 	target/release/rig demo
@@ -19,6 +20,18 @@ build: deps
 
 test: deps
 	$(CARGO) test --locked --release --workspace
+
+# mdBook is built quickly rather than well: it runs for a second. Its warnings are errors;
+# links and anchors are checked by `cargo test --test docs_links`.
+MDBOOK = $(shell command -v mdbook || echo "$${CARGO_HOME:-$$HOME/.cargo}/bin/mdbook")
+
+docs:
+	@$(MDBOOK) --version >/dev/null 2>&1 || \
+	  CARGO_PROFILE_RELEASE_LTO=off CARGO_PROFILE_RELEASE_CODEGEN_UNITS=16 \
+	  CARGO_PROFILE_RELEASE_OPT_LEVEL=0 \
+	  $(CARGO) install mdbook@0.5.4 --locked --no-default-features --features search
+	@mkdir -p target
+	@$(MDBOOK) build docs 2>&1 | tee target/book.log; ! grep -E 'WARN|ERROR' target/book.log
 
 test-external: build
 	tests/external/run.sh target/release/rig

@@ -9,7 +9,7 @@ samples per pixel, 8 reflections, on the bowl and the corner of `rig bench`.
 Mitsuba renders with `prb` and propagates the gradient of a squared loss back to the
 weights of nested `blendbsdf`s, after one pass that is not measured (it compiles the
 kernels). rig's pass gives image, gradient and the Jacobian of every pixel for all
-42 atoms of grid42, from cached paths; tracing them is listed apart.
+26 atoms of rig26, from cached paths; tracing them is listed apart.
 CPU seconds are those of the whole process, all threads.
 """
 
@@ -33,7 +33,7 @@ SHAPES = {
 }
 ALPHAS = [0.01, 0.018, 0.032, 0.058, 0.104, 0.186, 0.334, 0.6]
 ETAS = [1.3, 1.6, 2.4, 5.0, 20.0]
-# grid42 without black, spread so that the first few differ much.
+# A grid of lobes, spread so that the first few differ much.
 LOBES = [(alpha, eta) for eta in ETAS[::-1] for alpha in ALPHAS[::-1]]
 
 
@@ -156,7 +156,7 @@ def main():
         "variant": arguments.variant,
         "mitsuba": mi.__version__,
         "mitsuba_atoms": arguments.atoms,
-        "rig_atoms": 42,
+        "rig_atoms": 26,
         "load_1min": os.getloadavg()[0],
     }
     if arguments.json:

@@ -49,7 +49,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         }
     }
     let maps = EnvironmentMap::all();
-    let dictionaries: Vec<_> = ["paper42", "grid42", "rig42", "rig26"]
+    let dictionaries: Vec<_> = ["paper42", "rig26"]
         .iter()
         .map(|name| {
             let dictionary = Arc::new(Dictionary::load(name)?);
@@ -57,7 +57,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             Ok((CellMatrix::new(dictionary, AZIMUTHS), spheres))
         })
         .collect::<Result<_, rig::brdf::BrdfError>>()?;
-    println!("| material | paper42 | grid42 | rig42 | rig26 |\n|---|---|---|---|---|");
+    println!("| material | paper42 | rig26 |\n|---|---|---|");
     let cells = score::cells(AZIMUTHS);
     for (name, truth) in &materials {
         let mut row = format!("| {name} |");

@@ -287,7 +287,7 @@ impl Benchmark<'_> {
             proposal: Proposal::resembling(&truth, 0.2),
             ..RenderOptions::default()
         };
-        let captured = render(&scene, &truth, &options, &|_| {});
+        let captured = render(&scene, &truth, &options);
         let options = FitOptions::default();
         let cells = CellOptions::new(&dictionary, &BenchPriors::EXACT);
         let captured = Captured::new(&scene, &captured, &cells).map_err(FitError::from)?;
@@ -296,7 +296,7 @@ impl Benchmark<'_> {
         self.case(
             name,
             self.request.repeat.min(3),
-            || match fit(&scene, &captured, &dictionary, &options, &mut |_| ()) {
+            || match fit(&scene, &captured, &dictionary, &options) {
                 Ok(fit) => records = fit.cache_size.0,
                 Err(error) => failed = Some(error),
             },

@@ -3,42 +3,34 @@
 //! light through all its interreflections and fitting the weights of a BRDF
 //! dictionary.
 //!
-//! The modules are floors; a floor imports only from floors below it
-//! (`tests/floors.rs` checks that from the source):
+//! The core (BRDFs, geometry, transport, the fit) is the crate [`rig_core`]; its modules
+//! are re-exported here, so that one path serves both. The modules of this crate stand on
+//! it; they are floors, and a floor imports only from floors below it (`tests/floors.rs`
+//! checks that from the source):
 //!
 //! | floor | modules |
 //! |---|---|
-//! | 0 | [`units`], [`frames`], [`random`], [`shown`], [`radiance_image`], [`interrupt`], [`outside_file`], [`outside_text`], [`outside_table`], [`file_system`], [`whole_file`], [`plot`] |
-//! | 1 | [`brdf`], [`geometry`] |
-//! | 2 | [`transport`], [`radiometry`] |
-//! | 3 | [`inverse`], [`device`], [`simulation`] |
+//! | 0 | [`interrupt`], [`plot`] |
+//! | 2 | [`radiometry`] |
+//! | 3 | [`device`], [`simulation`] |
 //! | 4 | [`benchmark`], [`scores`], [`config`], [`session`], [`calibration`] |
 //! | 5 | [`capture`], [`evaluate`], [`material`], [`rendering`] |
-//! | 6 | [`report`], [`export`] |
-//! | 7 | [`cli`] |
+//! | 6 | [`workflow`] |
+//! | 7 | [`report`], [`export`] |
+//! | 8 | [`cli`] |
 
-pub mod file_system;
-pub mod frames;
+pub use rig_core::{
+    brdf, file_system, frames, geometry, inverse, outside_file, outside_table, outside_text,
+    progress, radiance_image, random, shown, transport, units, whole_file,
+};
+
 pub mod interrupt;
-pub mod outside_file;
-pub mod outside_table;
-pub mod outside_text;
 #[cfg(feature = "figures")]
 pub mod plot;
-pub mod radiance_image;
-pub mod random;
-pub mod shown;
-pub mod units;
-pub mod whole_file;
-
-pub mod brdf;
-pub mod geometry;
 
 pub mod radiometry;
-pub mod transport;
 
 pub mod device;
-pub mod inverse;
 pub mod simulation;
 
 pub mod benchmark;
@@ -52,6 +44,8 @@ pub mod capture;
 pub mod evaluate;
 pub mod material;
 pub mod rendering;
+
+pub mod workflow;
 
 pub mod export;
 #[cfg(feature = "reports")]

@@ -5,15 +5,16 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use crate::brdf::{Atom, Brdf, BrdfError};
+use crate::config::BuildError;
 use crate::config::ConfigError;
-use crate::config::build::BuildError;
 use crate::config::scene::SceneFile;
 use crate::geometry::Mesh;
+use crate::progress::Progress;
 use crate::radiance_image::exr::{self, ExrError};
 use crate::transport::polarised::NotPolarisable;
 use crate::transport::{
-    Remainder, RenderOptions, Scene, Steering, render, render_polarised, suited_proposal,
-    truncation_remainder,
+    Remainder, RenderOptions, Scene, Steering, render_polarised, render_with_progress,
+    suited_proposal, truncation_remainder,
 };
 
 /// What to render, and where to.
@@ -122,12 +123,11 @@ impl Rendering {
         })
     }
 
-    /// Renders and writes the images; `progress` is given the number of finished rows of
-    /// pixels, from any thread.
+    /// Renders and writes the images; the steps of its progress are rows of pixels.
     ///
     /// # Errors
     /// A material whose polarisation is not known, or an image that cannot be written.
-    pub fn run(&self, progress: &(dyn Fn(usize) + Sync)) -> Result<Rendered, RenderError> {
+    pub fn run(&self, progress: &dyn Progress) -> Result<Rendered, RenderError> {
         let (request, scene, brdf) = (&self.request, &self.scene, &*self.brdf);
         let polarised = request.polarised || self.file.polarised;
         let mut options = RenderOptions {
@@ -140,7 +140,7 @@ impl Rendering {
         options.proposal = suited_proposal(scene, brdf, &options);
         let images = match polarised {
             true => render_polarised(scene, brdf, &options, progress)?,
-            false => render(scene, brdf, &options, progress),
+            false => render_with_progress(scene, brdf, &options, progress),
         };
         let samples = TRUNCATION_SAMPLES.min(request.samples_per_pixel);
         let truncation = truncation_remainder(scene, brdf, &options, samples);

@@ -67,9 +67,9 @@ shape = { kind = "bowl", radius_mm = 1.0, segments = 48 }
 }
 
 fn sample() -> (Dictionary, Vec<f64>, Mixture) {
-    let dictionary = Dictionary::reference_grid42();
+    let dictionary = Dictionary::paper42();
     let mut weights = vec![0.0; dictionary.len()];
-    for (atom, weight) in [(16, 0.35), (32, 0.15), (40, 0.4), (41, 0.1)] {
+    for (atom, weight) in [(27, 0.35), (34, 0.15), (40, 0.4), (41, 0.1)] {
         weights[atom] = weight;
     }
     let mixture = Mixture::grey(Arc::new(dictionary.clone()), weights.clone()).unwrap();
@@ -92,7 +92,7 @@ fn agreement(cached: &Scene, rendered: &Scene) -> (f64, f64) {
         proposal: Proposal::resembling(&mixture, 0.3),
         ..RenderOptions::default()
     };
-    let image = render(rendered, &mixture, &options, &|_| {}).remove(0);
+    let image = render(rendered, &mixture, &options).remove(0);
     let options = CacheOptions {
         samples_per_cell: 2048,
         max_reflections: 6,
@@ -159,7 +159,7 @@ fn an_occluder_shadows_the_sample() {
             max_reflections: 1,
             ..RenderOptions::default()
         };
-        let radiance = |s: &Scene| render(s, &mixture, &options, &|_| {})[0].mean[middle][1];
+        let radiance = |s: &Scene| render(s, &mixture, &options)[0].mean[middle][1];
         assert!(radiance(&open) > 0.05);
         assert_eq!(radiance(&shadowed), 0.0);
         let direct = DirectMatrix::new(&shadowed, &pixels_of(&shadowed), &dictionary, 4, 1);
@@ -191,7 +191,7 @@ fn pixels_of_a_body_are_none_of_the_sample() {
         &CacheOptions::default(),
     )
     .unwrap();
-    let seen = rig::capture::interest::sample_pixels(&grey, &grey.camera);
+    let seen = rig::capture::region_of_interest::sample_pixels(&grey, &grey.camera);
     let radiance: Vec<f32> = cache
         .evaluate(
             Kernel::Portable,
@@ -215,7 +215,7 @@ fn pixels_of_a_body_are_none_of_the_sample() {
 
     // The renderer shows it in its colour: Lambertian, 0.8 and 0.1 under cos 25°.
     let red = scene(&[(&lid, RED)]);
-    let image = render(&red, &mixture, &RenderOptions::default(), &|_| {}).remove(0);
+    let image = render(&red, &mixture, &RenderOptions::default()).remove(0);
     let expected = [0.8, 0.1, 0.1].map(|albedo| albedo * 0.9063 / std::f32::consts::PI);
     let got = image.mean[12 * 24 + 3];
     for channel in 0..3 {

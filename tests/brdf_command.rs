@@ -91,7 +91,7 @@ fn a_projection_shows_the_score_beside_its_floor() {
             "project",
             "lambertian:0.5",
             "--dictionary",
-            "grid42",
+            "rig26",
             "--size",
             "12",
             "--json",
@@ -105,7 +105,7 @@ fn a_projection_shows_the_score_beside_its_floor() {
         let error = answer[part]["environment"]["mean"]["all"].as_f64().unwrap();
         assert!(error < 1e-3, "{part}: {error}");
     }
-    let (code, out, err) = rig(folder.path(), &["check", "grid42:weights.csv"]);
+    let (code, out, err) = rig(folder.path(), &["check", "rig26:weights.csv"]);
     assert_eq!(code, 0, "{err}");
     assert!(
         out.contains("largest albedo        0.50") || out.contains("largest albedo        0.49"),
@@ -114,7 +114,7 @@ fn a_projection_shows_the_score_beside_its_floor() {
     // Another dictionary's weights are not taken for this one's.
     let (code, _, err) = rig(folder.path(), &["check", "paper42:weights.csv"]);
     assert_eq!(code, 1);
-    assert!(err.contains("eta 1.3, in paper42 it is 10"), "{err}");
+    assert!(err.contains("eta 1.8, in paper42 it is 10"), "{err}");
 }
 
 #[test]

@@ -1,10 +1,11 @@
 //! `rig calibrate camera` as the operator meets it: from photographs of a board to a record,
 //! and refusals with advice.
 
-mod small_bench;
+mod command_support;
 
 use std::path::Path;
 
+use command_support::{run, small_bench, text};
 use glam::{DQuat, DVec2, DVec3};
 use rig::frames::Rigid;
 use rig::transport::{Camera, Coefficients, LensSpec, Projection};
@@ -13,16 +14,6 @@ use serde_json::Value;
 const SIZE: [usize; 2] = [160, 120];
 const SQUARES: [f64; 2] = [10.0, 8.0];
 const SQUARE_MM: f64 = 12.0;
-
-fn rig(folder: &Path, arguments: &[&str]) -> std::process::Output {
-    let mut command = assert_cmd::Command::cargo_bin("rig").unwrap();
-    let command = command.current_dir(folder).env_remove("RIG_CONFIG");
-    command.args(arguments).output().unwrap()
-}
-
-fn text(bytes: &[u8]) -> String {
-    String::from_utf8_lossy(bytes).into_owned()
-}
 
 fn truth() -> Camera {
     let from = DVec3::new(3.0, -2.0, 250.0);
@@ -111,7 +102,7 @@ fn a_lens_is_measured_and_kept() {
         arguments.extend(views);
         arguments.extend(["--square", "12", "--json"]);
         arguments.extend(further);
-        rig(at, &arguments)
+        run(at, &arguments)
     };
     let records = at.join("calibration/simulated/camera");
     for (views, further, fact, advice) in [
@@ -150,6 +141,6 @@ fn a_lens_is_measured_and_kept() {
     assert!((number(&found["radial"][0]) + 0.1).abs() < 0.02, "{found}");
     assert!(records.join("lens.toml").is_file());
     assert!(at.join("calibration/simulated/plots/lens.svg").is_file());
-    let status = text(&rig(at, &["calibrate", "status"]).stdout);
+    let status = text(&run(at, &["calibrate", "status"]).stdout);
     assert!(status.contains("focal length"), "{status}");
 }

@@ -300,7 +300,7 @@ fn a_holder_is_captured_and_known_to_the_fit() {
     let scene = config.geometry.scene(lights).unwrap();
     let dictionary = Arc::new(Dictionary::rig26());
     let images = Captured::new(&scene, &images, &CellOptions::default()).unwrap();
-    let fit = fit(&scene, &images, &dictionary, &options, &mut |_| {}).unwrap();
+    let fit = fit(&scene, &images, &dictionary, &options).unwrap();
     let untold = intervals::table(&fit.material, &[], &[halves[at_40_deg]], &[0.0])[0].value[1];
 
     let errors = [known, untold].map(|f| f / (0.8 / std::f64::consts::PI) - 1.0);
@@ -445,7 +445,7 @@ fn the_first_run_is_clean() {
     insta::assert_snapshot!(words, @r"
     captured in N s
     N times the devices' N s (camera N s, stage N s, settling N s), N times exposures (N s), motion and settling alone
-    the material departs from every mixture of rigN, N times as much as measured materials usually do; its f in table.csv and in exports to merl, rgl and pbrt allows for it, weights and an export to mitsuba are the closest mixture
+    the material differs from every mixture of rigN, N times as much as measured materials usually do; its f in table.csv and in exports to merl, rgl and pbrt allows for it, weights and an export to mitsuba are the closest mixture
     verdict: The fit explains the images
     fit: sessions/SESSION/fits/N
     report: sessions/SESSION/report.html

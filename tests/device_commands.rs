@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 mod command_support;
 
-use command_support::rig_file_on_port;
+use command_support::{rig_file_on_port, text};
 use mock_devices::bench::{Bench, BenchConfig};
 use mock_devices::clock::Clock;
 use rustix::process::Signal;
@@ -37,10 +37,6 @@ fn firmware() -> (GrblSimulator, String) {
 /// A rig file for a stage on this port.
 fn rig_file(port: &str) -> (tempfile::TempDir, String) {
     rig_file_on_port(include_str!("../rig-configs/grbl-arm-v4l2.toml"), port)
-}
-
-fn text(bytes: &[u8]) -> String {
-    String::from_utf8_lossy(bytes).into_owned()
 }
 
 /// Code 1, nothing on stdout, one line of fact, a blank line, a hint.
@@ -301,7 +297,7 @@ fn a_camera_is_described_and_a_frame_is_written_once() {
     let longest = run(&[&["camera", "grab", "--rig", "simulated"][..], &asked].concat());
     assert_eq!(longest.status.code(), Some(0));
     let told = text(&longest.stderr);
-    assert!(told.contains("were asked for"), "{told}");
+    assert!(told.contains("were requested"), "{told}");
 }
 
 #[test]

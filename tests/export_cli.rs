@@ -46,7 +46,7 @@ fn write_fit(folder: &Path) {
         loss: 1.0,
         reduced_chi_square: vec![[1.0; 3]],
         truncation_remainder: Vec::new(),
-        doubted: Vec::new(),
+        outlier_fraction: Vec::new(),
         discrepancy: None,
         termination: "converged".to_owned(),
         trace: Vec::new(),
@@ -101,7 +101,7 @@ fn a_fit_is_a_brdf_by_its_folder() {
         assert!(done.status.success(), "{}", stderr(&done));
         String::from_utf8(done.stdout).unwrap()
     };
-    // Nothing departs in it: it is the mixture of its weights.
+    // Without discrepancy, it is the mixture of its weights.
     assert_eq!(eval("fit"), eval("paper42:fit/weights.csv"));
 }
 
@@ -132,7 +132,10 @@ fn failures_are_one_line_and_a_hint() {
             "possible values: json, merl, rgl, rgl-spectral, mitsuba, pbrt",
         ),
         (&["report", "empty"], "empty is not a session"),
-        (&["brdf", "check", "empty"], "empty holds no fit"),
+        (
+            &["brdf", "check", "empty"],
+            "give the folder that `rig fit --out` wrote, or a session",
+        ),
         (
             &[
                 "export",

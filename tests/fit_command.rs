@@ -1,5 +1,5 @@
-//! `rig fit` on images of a described scene: what its options do, and what the fit's record
-//! says of them.
+//! `rig fit` on images of a described scene: what its options do, and how the fit's record
+//! states them.
 
 use std::path::Path;
 use std::process::{Command, Output};
@@ -78,7 +78,7 @@ fn fitted(folder: &Path, options: &str) -> FitRecord {
 }
 
 /// Of a bowl under lamps that are described 25% too bright, with a scale of which nothing is
-/// known: what tells it is how strong the interreflections are.
+/// known: it follows from how strong the interreflections are.
 #[test]
 fn a_free_common_scale_is_found() {
     let light = |to_light: &str| {
@@ -125,7 +125,7 @@ fn a_free_common_scale_is_found() {
 }
 
 #[test]
-fn the_record_says_how_the_fit_was_made() {
+fn the_record_states_how_the_fit_was_made() {
     let home = photographed();
     let mut mask = GrayImage::from_pixel(16, 16, Luma([255]));
     for y in 0..16 {
@@ -142,7 +142,6 @@ fn the_record_says_how_the_fit_was_made() {
     assert_eq!(settings.memory_mib, Some(512));
     assert_eq!(settings.shared_weights, Some(false));
     assert_eq!(settings.adapted_paths, Some(true));
-    assert_eq!(settings.refined_atoms, Some(0));
     assert_eq!(settings.model_error, Some(0.02));
     assert_eq!(settings.mask, None);
     assert_eq!(settings.scene.as_deref(), Some("s.toml"));
@@ -150,16 +149,14 @@ fn the_record_says_how_the_fit_was_made() {
     assert!(plain.bench.is_none());
     assert_eq!(plain.remarks, [""; 0]);
 
-    let options = "--mask m.png --shared-weights --model-error 0.05 --fixed-paths --memory 64 --refine-atoms 1";
+    let options = "--mask m.png --shared-weights --model-error 0.05 --memory 64";
     let other = fitted(home.path(), options);
     let settings = &other.settings;
     assert_eq!(settings.memory_mib, Some(64));
     assert_eq!(settings.shared_weights, Some(true));
-    assert_eq!(settings.adapted_paths, Some(false));
-    assert_eq!(settings.refined_atoms, Some(1));
     assert_eq!(settings.model_error, Some(0.05));
     assert_eq!(settings.mask.as_deref(), Some("m.png"));
-    // One set of weights, and nothing compared where the mask is black.
+    // The same weights, and nothing compared where the mask is black.
     assert_eq!(other.weights[0], other.weights[2]);
     assert_ne!(plain.weights[0], plain.weights[2]);
     let residual = home
@@ -174,7 +171,7 @@ fn the_record_says_how_the_fit_was_made() {
     assert!(sums[0] == 0.0 && sums[1] > 0.0, "{sums:?}");
 }
 
-/// What was said at the terminal is in the record too, and speaks neither for nor against it.
+/// Remarks at the terminal are in the record too, without effect on its verdict.
 #[test]
 fn remarks_stay_with_the_fit() {
     let home = photographed();
@@ -202,7 +199,7 @@ fn remarks_stay_with_the_fit() {
 }
 
 /// Another program's image, which states no variance, is fitted with an assumed one, and the
-/// record says which image that was.
+/// record names that image.
 #[test]
 fn noise_that_no_image_states_is_remarked_on() {
     let home = photographed();
@@ -263,20 +260,25 @@ fn other_optimisers_and_a_refined_bench() {
 #[test]
 fn options_that_would_do_nothing_are_refused() {
     let home = photographed();
-    for (options, said) in [
-        ("--uncertainty light_deg=0.5", "the bench is not refined"),
+    for (options, fact, hint) in [
         (
-            "--optimizer single-bounce --refine-atoms 2",
-            "takes no --refine-atoms",
+            "--uncertainty light_deg=0.5",
+            "the bench is not refined",
+            "add --refine-bench, or leave --uncertainty out",
         ),
-        ("--refine-bench --uncertainty light=0.5", "light_deg"),
-        ("--mask gone.png", "gone.png"),
+        ("--refine-bench --uncertainty light=0.5", "light_deg", ""),
+        (
+            "--mask gone.png",
+            "gone.png",
+            "a mask is a PNG of the images' size",
+        ),
     ] {
         let done = rig(home.path(), &format!("{FIT} --out no {options}"));
         let stderr = String::from_utf8_lossy(&done.stderr);
         assert_eq!(done.status.code(), Some(1), "{options}: {stderr}");
-        assert!(stderr.contains(said), "{options}: {stderr}");
-        assert!(stderr.contains("\n\nhint: "), "{options}: {stderr}");
+        assert!(stderr.contains(fact), "{options}: {stderr}");
+        let (_, advice) = stderr.split_once("\n\nhint: ").unwrap();
+        assert!(advice.contains(hint), "{options}: {stderr}");
         assert!(!home.path().join("no").exists());
     }
     let done = rig(home.path(), "render --scene s.toml --out i.png");
@@ -305,7 +307,12 @@ fn a_fit_beyond_its_memory_is_refused_with_what_would_do() {
     let enough: u64 = enough.unwrap().parse().unwrap();
     assert!((17..256).contains(&enough), "{said}");
     assert!(!home.path().join("refused").exists());
-    let quick = "--spp 2 --optimizer single-bounce --fixed-paths";
+    let little = enough - 1;
+    let said = refused(&format!(
+        "fit --scene s.toml --image i_L000.exr i_L001.exr --out refused --memory {little}"
+    ));
+    assert!(said.contains(", or compare fewer cells"), "{said}");
+    let quick = "--spp 2 --optimizer single-bounce";
     let done = rig(
         home.path(),
         &format!("{FIT} {quick} --out done --memory {enough}").replace("--spp 32", ""),

@@ -1,6 +1,6 @@
-//! The floors of the house, read from the source: a module imports only from
-//! floors below its own, modules of one floor never in a circle, and some words
-//! stay out of some rooms.
+//! The floors of both crates, read from the source: a module imports only from
+//! floors below its own, modules of one floor and files of one module never in a
+//! circle, and some words stay out of some modules.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -171,14 +171,13 @@ fn circle(edges: &BTreeMap<String, BTreeSet<String>>) -> Option<Vec<String>> {
         .find_map(|start| follow(edges, &mut vec![start.clone()]))
 }
 
-fn source_root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("src")
-}
+/// The crates that have floors, by the folders of their sources.
+const CRATES: [&str; 2] = ["core/src", "src"];
 
-/// Every file below `src`: the module it belongs to, its path, its text.
+/// Every file of a crate: the module it belongs to, its path in the crate's source, its text.
 /// `lib.rs` and `main.rs` stand above all floors.
-fn files() -> Vec<(String, PathBuf, String)> {
-    let root = source_root();
+fn files(source_folder: &str) -> Vec<(String, PathBuf, String)> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join(source_folder);
     let mut folders = vec![root.clone()];
     let mut files = Vec::new();
     while let Some(folder) = folders.pop() {
@@ -202,32 +201,38 @@ fn files() -> Vec<(String, PathBuf, String)> {
     files
 }
 
-fn house() -> BTreeMap<String, u32> {
-    floors(&std::fs::read_to_string(source_root().join("lib.rs")).unwrap())
+/// Floor by module of a crate.
+fn house(source_folder: &str) -> BTreeMap<String, u32> {
+    let lib = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join(source_folder)
+        .join("lib.rs");
+    floors(&std::fs::read_to_string(lib).unwrap())
 }
 
 #[test]
 fn every_module_has_a_floor_and_imports_only_from_below() {
-    let floors = house();
-    let mut wrong = Vec::new();
-    let mut edges: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
-    for (module, path, source) in files() {
-        assert!(
-            floors.contains_key(&module),
-            "{module} is missing in the table of src/lib.rs"
-        );
-        let (facts, sideways) = violations(&floors, &module, &source);
-        wrong.extend(
-            facts
-                .into_iter()
-                .map(|fact| format!("{}: {fact}", path.display())),
-        );
-        edges.entry(module).or_default().extend(sideways);
+    for source_folder in CRATES {
+        let floors = house(source_folder);
+        let mut wrong = Vec::new();
+        let mut edges: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
+        for (module, path, source) in files(source_folder) {
+            assert!(
+                floors.contains_key(&module),
+                "{module} is missing in the table of {source_folder}/lib.rs"
+            );
+            let (facts, sideways) = violations(&floors, &module, &source);
+            wrong.extend(
+                facts
+                    .into_iter()
+                    .map(|fact| format!("{}: {fact}", path.display())),
+            );
+            edges.entry(module).or_default().extend(sideways);
+        }
+        assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+        assert_eq!(circle(&edges), None, "imports in a circle on one floor");
+        let without_files: Vec<_> = floors.keys().filter(|m| !edges.contains_key(*m)).collect();
+        assert!(without_files.is_empty(), "no modules: {without_files:?}");
     }
-    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
-    assert_eq!(circle(&edges), None, "imports in a circle on one floor");
-    let without_files: Vec<_> = floors.keys().filter(|m| !edges.contains_key(*m)).collect();
-    assert!(without_files.is_empty(), "no modules: {without_files:?}");
 }
 
 #[test]
@@ -238,7 +243,7 @@ fn some_words_stay_out_of_some_rooms() {
         ("mock_devices", &["device", "simulation", "config", "cli"]),
     ];
     const NEVER: &[(&str, &str)] = &[("transport", "device")];
-    for (module, path, source) in files() {
+    for (module, path, source) in CRATES.into_iter().flat_map(files) {
         let code = code(&source);
         let words: BTreeSet<_> = code
             .split(|c: char| !c.is_alphanumeric() && c != '_')
@@ -260,7 +265,10 @@ fn some_words_stay_out_of_some_rooms() {
 /// The checks themselves see what they must.
 #[test]
 fn an_upward_import_or_a_circle_would_be_found() {
-    let floors = house();
+    let floors = BTreeMap::from(
+        [("units", 0), ("brdf", 1), ("transport", 2), ("session", 4)]
+            .map(|(module, floor)| (module.to_owned(), floor)),
+    );
     let wrong = |module: &str, source: &str| violations(&floors, module, source).0;
     const UPWARD: &[&str] = &[
         "use crate::session::Session;",

@@ -1,26 +1,11 @@
 //! `rig calibrate focus` from capture to record on the simulated rig, whose lens is less sharp
 //! than its rig file says.
 
-mod small_bench;
+mod command_support;
 
-use std::path::{Path, PathBuf};
 
+use command_support::{changed, good, printed_session, run, small_bench, text};
 use serde_json::Value;
-
-fn rig(folder: &Path, arguments: &[&str]) -> std::process::Output {
-    let mut command = assert_cmd::Command::cargo_bin("rig").unwrap();
-    let command = command.current_dir(folder).env_remove("RIG_CONFIG");
-    command.args(arguments).output().unwrap()
-}
-
-fn text(bytes: &[u8]) -> String {
-    String::from_utf8_lossy(bytes).into_owned()
-}
-
-fn good(output: std::process::Output) -> std::process::Output {
-    assert!(output.status.success(), "{}", text(&output.stderr));
-    output
-}
 
 const POINT_SPREAD_PX: f64 = 0.8;
 const OBJECT_NA: f64 = 0.06;
@@ -44,12 +29,10 @@ fn target(height_mm: f64) -> String {
 fn workplace(heights_mm: &[f64]) -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
-    let shape = small_bench::rig_file();
     let lens = format!(
         "[simulation.lens]\npoint_spread_px = {POINT_SPREAD_PX}\nobject_na = {OBJECT_NA}\nfocus_mm = {FOCUS_MM}\n"
     );
-    let mut common = shape.clone();
-    for (key, new) in [
+    let changes = [
         ("[simulation.lens]\n", lens.as_str()),
         ("timing = \"realistic\"", "timing = \"instant\""),
         (
@@ -63,10 +46,8 @@ fn workplace(heights_mm: &[f64]) -> tempfile::TempDir {
         ("max_reflections = 32", "max_reflections = 1"),
         ("pose_error_mm = 0.02", "pose_error_mm = 0.0"),
         ("pose_error_deg = 0.1", "pose_error_deg = 0.0"),
-    ] {
-        assert!(common.contains(key), "{key}");
-        common = common.replacen(key, new, 1);
-    }
+    ];
+    let common = changed(small_bench::rig_file(), &changes);
     std::fs::write(at.join("rig.toml"), &common).unwrap();
     let (before, after) = common.split_once("[geometry.sample]").unwrap();
     let (_, after) = after.split_once("# Where the stage's axes are").unwrap();
@@ -84,10 +65,6 @@ fn workplace(heights_mm: &[f64]) -> tempfile::TempDir {
     folder
 }
 
-fn session(output: &std::process::Output) -> PathBuf {
-    PathBuf::from(text(&output.stdout).lines().last().unwrap())
-}
-
 #[test]
 fn a_lens_is_measured_and_captures_go_by_it() {
     let heights_mm = [-9.0, -1.0, 6.0];
@@ -97,7 +74,7 @@ fn a_lens_is_measured_and_captures_go_by_it() {
         .map(|i| {
             let rig_file = format!("target{i}.toml");
             let arguments = ["capture", "--rig", &rig_file, "--light", "0,90", "--no-fit"];
-            let session = session(&good(rig(at, &arguments)));
+            let session = printed_session(&good(run(at, &arguments)));
             session.display().to_string()
         })
         .collect();
@@ -105,7 +82,7 @@ fn a_lens_is_measured_and_captures_go_by_it() {
         let mut arguments = vec!["calibrate", "focus", "--json"];
         arguments.extend(sessions.iter().map(String::as_str));
         arguments.extend(more);
-        rig(at, &arguments)
+        run(at, &arguments)
     };
     // Heights that are not those of the edges' images.
     let few = focus(&["--heights=-9,-1"]);
@@ -137,17 +114,17 @@ fn a_lens_is_measured_and_captures_go_by_it() {
     check(&found["lens"]["focus_mm"], FOCUS_MM, 1.0);
     check(&found["lens"]["object_na"], OBJECT_NA, 0.01);
     assert!(at.join("calibration/simulated/plots/lens.svg").exists());
-    let status = text(&good(rig(at, &["calibrate", "status"])).stdout);
+    let status = text(&good(run(at, &["calibrate", "status"])).stdout);
     assert!(status.contains("focus     ok"), "{status}");
 
     // The bowl is deeper than the depth of field, which is said; a session gets its copy.
-    let planned = good(rig(at, &["capture", "--lights", "2", "--dry-run"]));
+    let planned = good(run(at, &["capture", "--lights", "2", "--dry-run"]));
     let warning = text(&planned.stderr);
     assert!(
         warning.contains("depth of field") && warning.contains("heights from"),
         "{warning}"
     );
-    let doctor = text(&rig(at, &["doctor"]).stdout);
+    let doctor = text(&run(at, &["doctor"]).stdout);
     assert!(doctor.contains("warning  depth of field"), "{doctor}");
     let arguments = [
         "capture",
@@ -157,7 +134,7 @@ fn a_lens_is_measured_and_captures_go_by_it() {
         "0,90",
         "--no-fit",
     ];
-    let captured = good(rig(at, &arguments));
-    let copy = session(&captured).join("calibration/focus/lens.toml");
+    let captured = good(run(at, &arguments));
+    let copy = printed_session(&captured).join("calibration/focus/lens.toml");
     assert!(at.join(copy).exists());
 }

@@ -19,9 +19,9 @@ use rig::radiance_image::exr;
 use rig::radiometry::sensor::SensorNoise;
 use rig::random::{Purpose, Stream, stream};
 use rig::report::CapturedInput;
-use rig::session::{FrameTimes, Sidecar};
+use rig::session::Sidecar;
 use rig::transport::{Camera, Light, Projection, RenderOptions, Scene, Shading, render};
-use rig::units::{Seconds, StageAngles};
+use rig::units::Seconds;
 
 /// One test at a time: what another allocates would count as well.
 fn alone() -> MutexGuard<'static, ()> {
@@ -166,12 +166,12 @@ fn memory_of_a_fit(side: usize, lights: usize, dictionary: &Dictionary) -> [f64;
         samples_per_pixel: 32,
         ..RenderOptions::default()
     };
-    let captured = render(&scene, &material, &how, &|_| {});
+    let captured = render(&scene, &material, &how);
     let mut options = FitOptions::default();
     options.cache.samples_per_cell = 2;
     let counted = targets::peak_bytes(|| {
         let images = Captured::of_pixels(&captured, |_| true);
-        drop(fit(&scene, &images, dictionary, &options, &mut |_| {}).unwrap());
+        drop(fit(&scene, &images, dictionary, &options).unwrap());
     });
     let size = Size {
         cells: side * side,
@@ -220,42 +220,19 @@ fn raw_frame(size: [usize; 2], kind: FrameKind, exposure_s: f64) -> (RawFrame, S
         exposure: Seconds(exposure_s),
         gain: 1.0,
     };
-    let angles = StageAngles {
-        azimuth_deg: 0.0,
-        elevation_deg: 45.0,
+    let key = FrameKey {
+        light: 0,
+        exposure: 0,
+        repeat: 0,
+        kind,
+    };
+    let lamp = match kind {
+        FrameKind::Light => LampState::On(LampChannel(0)),
+        _ => LampState::Off,
     };
     let sidecar = Sidecar {
-        key: FrameKey {
-            light: 0,
-            exposure: 0,
-            repeat: 0,
-            kind,
-        },
-        pilot: false,
-        lamp: match kind {
-            FrameKind::Light => LampState::On(LampChannel(0)),
-            _ => LampState::Off,
-        },
-        requested: settings,
-        applied: settings,
-        black_level_dn: 64.0,
-        bit_depth: 12,
         mosaic: Mosaic::Rggb,
-        camera_serial: String::new(),
-        stage_target: angles,
-        stage_position: angles,
-        frames_discarded: 0,
-        exposure_ratio: None,
-        lamp_ratio_std: None,
-        time: FrameTimes {
-            utc: String::new(),
-            monotonic_s: Seconds(0.0),
-            device_s: None,
-            device_sequence: None,
-            sensor_c: None,
-            lamp_c: None,
-            retakes: Default::default(),
-        },
+        ..Sidecar::of_frame(key, lamp, settings)
     };
     (frame, sidecar)
 }

@@ -13,7 +13,7 @@ const ELSEWHERE: &[(&str, &str)] = &[
     // What only hardware, or another user's, says; the errors themselves are made by the
     // drivers' own tests.
     (
-        "`rig devices` says who may open it",
+        "`rig devices` shows which users may open it",
         "a device file of another user",
     ),
     (
@@ -41,7 +41,7 @@ const ELSEWHERE: &[(&str, &str)] = &[
         "a cable that is pulled while no lamp is lit",
     ),
     (
-        "see what the system says of it (`dmesg`)",
+        "see what the kernel reports (`dmesg`)",
         "a driver of the kernel that fails",
     ),
     (
@@ -49,6 +49,34 @@ const ELSEWHERE: &[(&str, &str)] = &[
         "a Zaber device before firmware 6",
     ),
     ("its file system is not mounted `noexec`", "a mount"),
+    (
+        "correct camera.resolution_px in the rig file",
+        "a camera with frames of another size",
+    ),
+    (
+        "`mesh`, `table` and `weights` in the rig file",
+        "a file that goes away while a capture is prepared",
+    ),
+    (
+        "`--lights N` spreads the lights evenly",
+        "a dictionary that paths cannot hold",
+    ),
+    (
+        "before a capture, `rig capture --lights best:N`",
+        "a session that was never fitted",
+    ),
+    (
+        "correct camera.mosaic or camera.format",
+        "a camera with other colour filters",
+    ),
+    (
+        "build it with the feature `serial`",
+        "a program built without it",
+    ),
+    (
+        "build it with the feature `v4l`",
+        "a program built without it",
+    ),
     // What a simulated bench meets in `tests/capture.rs` and `tests/camera_faults.rs`, by
     // the library: minutes of a capture each.
     ("let the lamp warm up", "a lamp that drifts"),
@@ -140,6 +168,19 @@ const ELSEWHERE: &[(&str, &str)] = &[
     (
         "give the new record another id",
         "two records of one second",
+    ),
+    // Fits: `rig fit` on a machine, or with a session, that no test makes.
+    (
+        "free some memory or use a larger machine",
+        "a machine with too little memory",
+    ),
+    (
+        "`--kernel auto` takes the fastest that it has",
+        "a processor without AVX2",
+    ),
+    (
+        "takes what is missing and merges the raw frames again",
+        "a session whose merged images are gone",
     ),
     // Images and scenes.
     (

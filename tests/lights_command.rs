@@ -1,33 +1,17 @@
 //! `rig calibrate lights` from capture to fit on the simulated rig, whose stage stands
 //! elsewhere than its rig file says.
 
-mod small_bench;
+mod command_support;
 
 use std::path::{Path, PathBuf};
 
+use command_support::{good, run, small_bench_with, text};
 use serde_json::Value;
-
-fn rig(folder: &Path, arguments: &[&str]) -> std::process::Output {
-    let mut command = assert_cmd::Command::cargo_bin("rig").unwrap();
-    let command = command.current_dir(folder).env_remove("RIG_CONFIG");
-    command.args(arguments).output().unwrap()
-}
-
-fn text(bytes: &[u8]) -> String {
-    String::from_utf8_lossy(bytes).into_owned()
-}
-
-fn good(output: std::process::Output) -> std::process::Output {
-    assert!(output.status.success(), "{}", text(&output.stderr));
-    output
-}
 
 /// The simulated rig with a glossy sphere on it, and a stage that is turned by 0.8° and
 /// counts elevations from -0.6°.
 fn workplace() -> tempfile::TempDir {
-    let folder = tempfile::tempdir().unwrap();
-    let mut text = small_bench::rig_file();
-    for (key, new) in [
+    small_bench_with(&[
         ("kind = \"bowl\"", "kind = \"sphere\""),
         ("extent_mm = [22.0, 22.0]", "extent_mm = [26.0, 26.0]"),
         // No highlight on a pixel that is known to be hot.
@@ -59,14 +43,7 @@ fn workplace() -> tempfile::TempDir {
         // At 45° the stage cannot come from below, so that its play would show.
         ("backlash = 0.2", "backlash = 0.0"),
         ("positioning = 0.05", "positioning = 0.02"),
-    ] {
-        assert!(text.contains(key), "{key}");
-        text = text.replace(key, new);
-    }
-    std::fs::write(folder.path().join("rig.toml"), text).unwrap();
-    // Records of its own, so that the built-in ones are copied first.
-    small_bench::put_records(folder.path());
-    folder
+    ])
 }
 
 /// Nine directions under which the sphere's highlights miss the pixels that are known to be hot.
@@ -77,7 +54,7 @@ const LIGHTS: [&str; 9] = [
 fn capture(at: &Path, lights: &[&str]) -> PathBuf {
     let mut arguments = vec!["capture", "--sample", "sphere", "--no-fit"];
     arguments.extend(lights.iter().flat_map(|angles| ["--light", angles]));
-    let output = good(rig(at, &arguments));
+    let output = good(run(at, &arguments));
     at.join(text(&output.stdout).lines().last().unwrap())
 }
 
@@ -101,7 +78,7 @@ fn a_stage_is_found_where_it_truly_stands_and_a_fit_goes_by_it() {
     ] {
         let mut all = vec!["calibrate", "lights", session];
         all.extend(arguments);
-        let refused = rig(at, &all);
+        let refused = run(at, &all);
         let said = text(&refused.stderr);
         assert_eq!(refused.status.code(), Some(1), "{said}");
         assert!(
@@ -111,7 +88,7 @@ fn a_stage_is_found_where_it_truly_stands_and_a_fit_goes_by_it() {
         assert!(!records.exists(), "{said}");
     }
 
-    let output = good(rig(
+    let output = good(run(
         at,
         &[
             "calibrate",
@@ -152,13 +129,13 @@ fn a_stage_is_found_where_it_truly_stands_and_a_fit_goes_by_it() {
             "{figure:?}"
         );
     }
-    let status = text(&good(rig(at, &["calibrate", "status"])).stdout);
+    let status = text(&good(run(at, &["calibrate", "status"])).stdout);
     assert!(status.contains("9 lights, each within"), "{status}");
 
     // A second record of the name is refused; the first stays.
     let record = records.join("one.toml");
     let bytes = std::fs::read(&record).unwrap();
-    let again = rig(
+    let again = run(
         at,
         &[
             "calibrate",
@@ -182,7 +159,7 @@ fn a_stage_is_found_where_it_truly_stands_and_a_fit_goes_by_it() {
     std::fs::write(lights.join("white.toml"), white).unwrap();
     let next = capture(at, &LIGHTS[..2]);
     assert!(next.join("calibration/directions/one.toml").is_file());
-    let fitted = good(rig(
+    let fitted = good(run(
         at,
         &[
             "fit",

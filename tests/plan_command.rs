@@ -59,15 +59,15 @@ fn bad_input_is_refused_before_anything_moves() {
         (&["capture", "--light", "0"], "--light"),
         (
             &["capture", "--light", "0,60", "--light", "0,60"],
-            "--light names the direction",
+            "the light direction azimuth 0.000°",
         ),
         (
             &["capture", "--light", "10,60", "--light", "370,60"],
-            "--light names one direction twice",
+            "is named twice, also as",
         ),
         (
             &["capture", "--light", "0,90", "--light", "120,90"],
-            "--light names one direction twice",
+            "is named twice, also as",
         ),
         (
             &["capture", "--lights", "1", "--sample", "../x"],
@@ -88,6 +88,9 @@ fn bad_input_is_refused_before_anything_moves() {
         assert_eq!(text(&output.stdout), "", "{arguments:?}");
         no_session(&folder);
     }
+    let twice = ["capture", "--light", "0,60", "--light", "0,60"];
+    let hint = "name each direction once; how well";
+    assert!(text(&run(&folder, &twice).stderr).contains(hint));
     let red = "mesh = \"holder.stl\"\nbrdf = { mixture = [ { weight = [1.0, 0.5, 0.5], lambertian = { albedo = 0.5 } }, \
         { weight = [0.0, 0.5, 0.5], black = {} } ] }";
     let coloured = workplace(|text| with_body(&text, red));
@@ -185,13 +188,13 @@ fn scenes_that_make_no_sense_are_refused_before_anything_moves() {
             "upside down",
             pit(|[x, y, z]| [x, -y, -z], false),
             back,
-            "upside down, which mesh_to_sample mends",
+            "upside down, which mesh_to_sample corrects",
         ),
         (
             "inside out",
             pit(upright, true),
             back,
-            "inside out, which flip_facets = true mends",
+            "inside out, which flip_facets = true corrects",
         ),
         (
             "lit from below",
@@ -430,10 +433,10 @@ fn a_dry_run_without_records_marks_its_estimates() {
     assert_eq!(plan["estimated"], mark);
     assert!(plan["sensor_record"].is_null());
     assert!(plan["estimated_s"].as_f64().unwrap() > 1.0);
-    assert_refused(
-        &run(&folder, &["capture", "--lights", "2"]),
-        "there is no sensor record",
-    );
+    let refused = run(&folder, &["capture", "--lights", "2"]);
+    assert_refused(&refused, "there is no sensor record");
+    let hint = "measure the sensor once with `rig calibrate sensor`";
+    assert!(text(&refused.stderr).contains(hint));
     no_session(&folder);
     let known = run(workplace(|text| text), &[&dry[..], &["--json"]].concat());
     let plan: serde_json::Value = serde_json::from_slice(&known.stdout).unwrap();

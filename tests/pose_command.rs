@@ -1,54 +1,17 @@
 //! `rig calibrate pose` as the operator meets it: from a session to a record, and what
 //! status says of it.
 
-mod small_bench;
+mod command_support;
 
 use std::path::Path;
 
+use command_support::{good, json, printed_session, run, small_bench_with, text};
 use serde_json::Value;
-
-fn rig(folder: &Path) -> assert_cmd::Command {
-    let mut command = assert_cmd::Command::cargo_bin("rig").unwrap();
-    command.current_dir(folder);
-    command
-}
-
-fn json(command: &mut assert_cmd::Command) -> Value {
-    let output = command.output().unwrap();
-    assert!(
-        output.status.success(),
-        "{}",
-        String::from_utf8_lossy(&output.stderr)
-    );
-    serde_json::from_slice(&output.stdout).unwrap()
-}
-
-/// A folder with the simulated rig, changed so, and records of its sensor.
-fn workplace(changes: &[(&str, &str)]) -> tempfile::TempDir {
-    let folder = tempfile::tempdir().unwrap();
-    let mut text = small_bench::rig_file();
-    for (key, new) in changes {
-        assert!(text.contains(key), "{key}");
-        text = text.replace(key, new);
-    }
-    std::fs::write(folder.path().join("rig.toml"), text).unwrap();
-    small_bench::put_records(folder.path());
-    folder
-}
 
 /// Captures and returns the session's folder.
 fn capture(at: &Path, lights: &str) -> String {
-    let captured = rig(at)
-        .args(["capture", "--lights", lights, "--no-fit"])
-        .output()
-        .unwrap();
-    assert!(
-        captured.status.success(),
-        "{}",
-        String::from_utf8_lossy(&captured.stderr)
-    );
-    let session = String::from_utf8(captured.stdout).unwrap();
-    session.lines().last().unwrap().to_owned()
+    let captured = good(run(at, &["capture", "--lights", lights, "--no-fit"]));
+    printed_session(&captured).display().to_string()
 }
 
 fn number(value: &Value) -> f64 {
@@ -62,14 +25,17 @@ const OWN_DEG: f64 = 0.15;
 /// The simulated bench's sample lies within what the record says of where it truly is.
 #[test]
 fn a_pose_is_measured_and_kept() {
-    let folder = workplace(&[
+    let folder = small_bench_with(&[
         ("\"realistic\"", "\"instant\""),
         ("samples_per_pixel = 384", "samples_per_pixel = 192"),
     ]);
     let at = folder.path();
     let library = at.join("calibration/simulated");
     let session = &capture(at, "3");
-    let found = json(rig(at).args(["calibrate", "pose", session, "--id", "p", "--json"]));
+    let found = json(run(
+        at,
+        &["calibrate", "pose", session, "--id", "p", "--json"],
+    ));
     assert!(library.join("pose/p.toml").is_file());
     assert!(library.join("plots/p.svg").is_file());
     // Seed, position and orientation errors stand in the rig file.
@@ -97,33 +63,27 @@ fn a_pose_is_measured_and_kept() {
         let error = number(&found["translation_mm"][axis]) - translation_mm[axis];
         assert!(error.abs() < 0.034, "{axis}: {error} mm");
     }
-    let status = json(rig(at).args(["calibrate", "status", "--json"]));
+    let status = json(run(at, &["calibrate", "status", "--json"]));
     let records = status["records"].as_array().unwrap();
     let pose = records.iter().find(|line| line["kind"] == "pose").unwrap();
     assert_eq!(pose["state"], "good");
 
     // The same name again: refused, and the record is as it was.
     let before = std::fs::read(library.join("pose/p.toml")).unwrap();
-    rig(at)
-        .args(["calibrate", "pose", session, "--id", "p"])
-        .assert()
-        .code(1);
+    let again = run(at, &["calibrate", "pose", session, "--id", "p"]);
+    assert_eq!(again.status.code(), Some(1));
     assert_eq!(std::fs::read(library.join("pose/p.toml")).unwrap(), before);
 
     // The bench's material has no grain, so that a second capture is one of a turned sample.
     let other = capture(at, "3");
     let turned = format!("{other}=90");
     let arguments = ["calibrate", "pose", session, "--rotate", &turned];
-    let tested = rig(at).args(arguments).output().unwrap();
-    let said = String::from_utf8_lossy(&tested.stdout).into_owned();
-    assert!(tested.status.success(), "{said}");
+    let said = text(&good(run(at, &arguments)).stdout);
     for what in ["uniformity: passed", "isotropy: passed"] {
         assert!(said.contains(what), "{said}");
     }
-    rig(at)
-        .args(["calibrate", "pose", session, "--rotate", "nowhere"])
-        .assert()
-        .code(1);
+    let missing = run(at, &["calibrate", "pose", session, "--rotate", "nowhere"]);
+    assert_eq!(missing.status.code(), Some(1));
 }
 
 /// A bench whose sample, lens and stage all stand otherwise than its rig file says: with
@@ -131,7 +91,7 @@ fn a_pose_is_measured_and_kept() {
 #[test]
 fn a_pose_goes_by_the_records_of_lens_and_lights() {
     let lens = "principal_point_px = [34.5, 30.5]\nradial = [0.02, 0.0, 0.0]\n";
-    let folder = workplace(&[
+    let folder = small_bench_with(&[
         ("\"realistic\"", "\"instant\""),
         ("samples_per_pixel = 384", "samples_per_pixel = 192"),
         ("pose_error_mm = 0.02", "pose_error_mm = 0.25"),
@@ -176,12 +136,9 @@ fn a_pose_goes_by_the_records_of_lens_and_lights() {
         at.join(session).join("calibration/camera/c.toml").is_file(),
         "no copy"
     );
-    let measured = rig(at)
-        .args(["calibrate", "pose", session, "--id", "p", "--json"])
-        .output()
-        .unwrap();
-    let said = String::from_utf8_lossy(&measured.stderr).into_owned();
-    assert!(measured.status.success(), "{said}");
+    let arguments = ["calibrate", "pose", session, "--id", "p", "--json"];
+    let measured = good(run(at, &arguments));
+    let said = text(&measured.stderr);
     assert!(said.contains("light directions by record d"), "{said}");
     assert!(said.contains("lens by record c"), "{said}");
     let found: Value = serde_json::from_slice(&measured.stdout).unwrap();

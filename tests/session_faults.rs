@@ -216,8 +216,8 @@ fn records_that_contradict_each_other_are_named() {
     let folder = workplace(|text| text);
     let whole = one_light(&folder);
     for (number, (change, fact)) in [
-        (longer, "the journal says 18446744073709551615"),
-        (shorter, "bytes, the journal says"),
+        (longer, "the journal records 18446744073709551615"),
+        (shorter, "bytes, the journal records"),
         (second_stop, "a second stop"),
         (early_stop, "a stop before any frame"),
         (frame_twice, "frame L000_E00_R00_light a second time"),

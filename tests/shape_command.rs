@@ -162,7 +162,7 @@ fn polarised_light_is_asked_for_in_either_way_and_refused_where_unknown() {
     let measured = "table = \"paper.bsdf\"";
     let paper = concat!(
         env!("CARGO_MANIFEST_DIR"),
-        "/tests/data/brdf/paper_white_rgb.bsdf"
+        "/core/tests/data/brdf/paper_white_rgb.bsdf"
     );
     std::fs::copy(paper, folder.path().join("paper.bsdf")).unwrap();
     let render = |scene: String, more: &str| {

@@ -508,12 +508,12 @@ fn who_answers_on_a_port_is_named() {
         (
             "echo:Unknown command: \"?\"",
             "that is a 3D printer's firmware",
-            "this firmware is not spoken to",
+            "this firmware is not supported",
         ),
         (
             "{\"r\":{},\"f\":[1,0,10]}",
             "that is TinyG",
-            "this firmware is not spoken to",
+            "this firmware is not supported",
         ),
     ] {
         let simulator = saying(report);

@@ -1,26 +1,12 @@
 //! `rig calibrate white` on a session of several lights, whose strengths are those of the
 //! rig file.
 
-mod small_bench;
+mod command_support;
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
+use command_support::{changed, good, run, small_bench, text};
 use serde_json::Value;
-
-fn rig(folder: &Path, arguments: &[&str]) -> std::process::Output {
-    let mut command = assert_cmd::Command::cargo_bin("rig").unwrap();
-    let command = command.current_dir(folder).env_remove("RIG_CONFIG");
-    command.args(arguments).output().unwrap()
-}
-
-fn text(bytes: &[u8]) -> String {
-    String::from_utf8_lossy(bytes).into_owned()
-}
-
-fn good(output: std::process::Output) -> std::process::Output {
-    assert!(output.status.success(), "{}", text(&output.stderr));
-    output
-}
 
 /// The simulated rig with a white plate on it, and no errors of its pose and stage.
 fn workplace() -> tempfile::TempDir {
@@ -32,8 +18,7 @@ fn workplace() -> tempfile::TempDir {
         "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\nelement face 2\nproperty list uchar int vertex_indices\nend_header\n-30 -30 0\n30 -30 0\n30 30 0\n-30 30 0\n3 0 1 2\n3 0 2 3\n",
     )
     .unwrap();
-    let mut rig = small_bench::rig_file();
-    for (key, new) in [
+    let changes = [
         ("timing = \"realistic\"", "timing = \"instant\""),
         (
             "material = \"nbrdf:dark-red-paint\"",
@@ -49,10 +34,8 @@ fn workplace() -> tempfile::TempDir {
         ("backlash = 0.2", "backlash = 0.0"),
         ("positioning = 0.05", "positioning = 0.0"),
         ("homing = 0.02", "homing = 0.0"),
-    ] {
-        assert!(rig.contains(key), "{key}");
-        rig = rig.replacen(key, new, 1);
-    }
+    ];
+    let rig = changed(small_bench::rig_file(), &changes);
     let (before, after) = rig.split_once("[geometry.sample]").unwrap();
     let (_, after) = after.split_once("# Where the stage's axes are").unwrap();
     let sample = format!("[geometry.sample]\nmesh = {plate:?}\n\n#");
@@ -68,14 +51,14 @@ fn lights_of_a_session_are_compared() {
     let capture = [
         "capture", "--light", "0,60", "--light", "120,50", "--no-fit",
     ];
-    let captured = good(rig(at, &capture));
+    let captured = good(run(at, &capture));
     let session = PathBuf::from(text(&captured.stdout).lines().last().unwrap());
     let session = session.display().to_string();
     let white = |more: &[&str]| {
         let mut arguments = vec!["calibrate", "white", session.as_str(), "--json"];
         arguments.extend(["--reflectance-std", "0.005", "--reflectance"]);
         arguments.extend(more);
-        rig(at, &arguments)
+        run(at, &arguments)
     };
     for refused in [
         ["99", "--height=0"],
@@ -117,6 +100,6 @@ fn lights_of_a_session_are_compared() {
             "{value} for {irradiance}"
         );
     }
-    let status = text(&good(rig(at, &["calibrate", "status"])).stdout);
+    let status = text(&good(run(at, &["calibrate", "status"])).stdout);
     assert!(status.contains("lights    ok"), "{status}");
 }

@@ -144,7 +144,6 @@ fn linearise(bencher: Bencher, shape: &str) {
             seed: 3,
             ..RenderOptions::default()
         },
-        &|_| {},
     );
     let captured = Captured::of_pixels(&captured, |_| true);
     let objective = Objective::new(

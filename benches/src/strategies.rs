@@ -325,7 +325,7 @@ mod tests {
                         proposal: proposal.clone(),
                         ..RenderOptions::default()
                     };
-                    render(&scene, &brdf, &options, &|_| {}).remove(0)
+                    render(&scene, &brdf, &options).remove(0)
                 };
                 let (all, direct) = (image(8), image(1));
                 let pairs = all.mean.iter().zip(&direct.mean);

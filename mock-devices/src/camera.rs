@@ -81,7 +81,7 @@ pub struct MockFrame {
     pub illumination: Illumination,
     /// Whether the stage turned during the exposure (by more than 1e-6 degrees).
     pub moved: bool,
-    /// Frames that are missing before it, counted from the moment it was asked for.
+    /// Frames that are missing before it, counted from the moment it was requested.
     pub lost: u64,
     /// Whether the transfer says of itself that it went wrong.
     pub damaged: bool,
@@ -311,6 +311,7 @@ impl SimulatedCamera {
         key: FrameKey,
         since_s: f64,
     ) -> Result<MockFrame, MockCameraError> {
+        // Which frame.
         self.check()?;
         let clock = self.bench.clock().clone();
         if self.faults.take(|p| &mut p.stall) {
@@ -330,6 +331,7 @@ impl SimulatedCamera {
             _ => self.next_frame(),
         };
         self.last = Some((sequence, start_s, settings));
+        // What the sensor sees meanwhile.
         let end_s = start_s + settings.exposure_s;
         // In real time the scene is rendered during the exposure, from what the
         // bench is going to do, and once more only if something else happened.
@@ -354,6 +356,7 @@ impl SimulatedCamera {
                 sensor: pixels,
             });
         }
+        // Its counts, and what spoils them.
         let noise = NoiseKey {
             seed: self.config.noise_seed,
             frame: key,

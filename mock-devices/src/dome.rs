@@ -1,4 +1,4 @@
-//! A dome of lights that speaks the dome line protocol (`docs/stages.md` of the
+//! A dome of lights that speaks the dome line protocol (`docs/reference/dome-protocol.md` of the
 //! project) on a pseudo-terminal.
 
 use crate::bench::Bench;
@@ -14,7 +14,7 @@ pub struct DomeConfig {
     pub channels: u8,
     /// Silence of the host after which all lights go off, seconds; 0: never. Default 2.
     pub watchdog_s: f64,
-    /// What it says of its temperature, degrees Celsius; `None`: older firmware, which does
+    /// What it reports of its temperature, degrees Celsius; `None`: older firmware, which does
     /// not know the request. Default 31.5.
     pub temperature_c: Option<f64>,
 }
@@ -81,7 +81,7 @@ impl DomeSimulator {
         self.port.board().config.temperature_c = Some(temperature_c);
     }
 
-    /// How many requests of this kind it has heard.
+    /// How many requests of this kind it has received.
     pub fn requests(&self, kind: &str) -> usize {
         let firmware = self.port.board();
         firmware.heard.iter().filter(|heard| *heard == kind).count()

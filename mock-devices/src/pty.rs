@@ -43,7 +43,7 @@ pub(crate) fn open_pty() -> io::Result<(File, PathBuf)> {
 pub(crate) trait Board: Send + 'static {
     /// Takes bytes from the host and gives what it answers.
     fn receive(&mut self, bytes: &[u8], now_s: f64) -> Vec<u8>;
-    /// Time passes; gives what it says by itself.
+    /// Time passes; gives what it reports by itself.
     fn step(&mut self, now_s: f64) -> Vec<u8>;
     /// On a clock that jumps: the time to jump to once the host has been answered.
     fn jump_to_s(&self) -> Option<f64>;

@@ -39,15 +39,16 @@ pub struct PilotRound {
 }
 
 impl PilotRound {
-    /// Reads one frame per channel; `interest` selects the sample's pixels.
+    /// Reads one frame per channel; `region_of_interest` selects the sample's pixels.
     pub fn read(
         noise: &SensorNoise,
         exposure_s: f64,
         frames: &[&[u16]],
-        interest: Option<&[bool]>,
+        region_of_interest: Option<&[bool]>,
     ) -> Self {
         let options = PilotOptions::default();
-        let read = |frame: &&[u16]| read_pilot(noise, exposure_s, &[frame], interest, &options);
+        let read =
+            |frame: &&[u16]| read_pilot(noise, exposure_s, &[frame], region_of_interest, &options);
         Self {
             exposure_s,
             readings: frames.iter().map(read).collect(),
@@ -77,14 +78,15 @@ impl PilotRound {
 
 /// Whether a frame with the lamp on is brighter than one without it at the same
 /// exposure, beyond five standard deviations of the sum over the pixels of
-/// `interest`.
+/// `region_of_interest`.
 pub fn shows_light(
     noise: &SensorNoise,
     lit: &[u16],
     unlit: &[u16],
-    interest: Option<&[bool]>,
+    region_of_interest: Option<&[bool]>,
 ) -> bool {
-    let wanted = |pixel: usize| interest.is_none_or(|mask| mask.get(pixel) == Some(&true));
+    let wanted =
+        |pixel: usize| region_of_interest.is_none_or(|mask| mask.get(pixel) == Some(&true));
     let (mut excess_dn, mut variance_dn2) = (0.0, 0.0);
     for (_, (&lit, &unlit)) in lit
         .iter()
@@ -227,7 +229,7 @@ fn bracket(
     let plan = plan_bracket(noise, &statistics, &limits(rules), &target(rules))?;
     Ok(Decision::Bracket {
         steps: plan.steps,
-        dark_snr: plan.darkest_snr,
+        dark_snr: plan.dark_snr,
         reached: plan.reached,
         clips,
     })
@@ -247,7 +249,7 @@ pub fn limits(rules: &ExposureRules) -> ExposureLimits {
 pub fn target(rules: &ExposureRules) -> BracketTarget {
     BracketTarget {
         peak_fraction: rules.peak_fraction,
-        snr: rules.dark_snr,
+        dark_snr: rules.dark_snr,
         ratio: rules.ratio,
     }
 }

@@ -20,7 +20,7 @@ use crate::units::{Seconds, StageAngles};
 const POLL: Duration = Duration::from_millis(20);
 /// How often a lost camera is looked for.
 const RETURN_POLL: Seconds = Seconds(0.5);
-/// What a driver's reply may still take once a stop was asked for.
+/// What a driver's reply may still take once a stop was requested.
 const REPLY_GRACE: Duration = Duration::from_secs(1);
 /// How long a stage's driver may take to notice that it was stopped.
 const LET_GO: Duration = Duration::from_secs(2);
@@ -49,7 +49,7 @@ pub(super) struct Devices {
     lamp_c: Option<(f64, Instant)>,
 }
 
-/// What the devices said last; `None` where they have not been told yet.
+/// What the devices said last; `None` where they have not received a command yet.
 #[derive(Clone, Copy, Debug, Default)]
 struct Known {
     homed: bool,
@@ -209,7 +209,7 @@ impl Devices {
         self.stage_within(REPLY_GRACE, job).await
     }
 
-    /// A command to the stage that may take this long after a stop was asked for.
+    /// A command to the stage that may take this long after a stop was requested.
     async fn stage_within<T: Send + 'static>(
         &mut self,
         grace: Duration,
@@ -316,7 +316,7 @@ impl Devices {
     }
 
     /// Lamp off, then the reference switches are sought with the steps counted;
-    /// `None` where the stage cannot tell, or was not moved in this run.
+    /// `None` where the stage cannot measure it, or was not moved in this run.
     pub(super) async fn check_reference(&mut self) -> Result<Option<ReferenceCheck>, CaptureError> {
         if !self.known.homed {
             return Ok(None);
@@ -378,7 +378,7 @@ impl Devices {
     }
 
     /// The lamp's temperature, °C, read again where the last reading is old; `None` where
-    /// the stage does not say.
+    /// the stage does not report.
     pub(super) async fn lamp_c(&mut self) -> Result<Option<f64>, CaptureError> {
         if let Some((_, read)) = self.lamp_c
             && read.elapsed() >= READING_HOLDS
@@ -389,7 +389,7 @@ impl Devices {
         Ok(self.lamp_c.map(|(lamp_c, _)| lamp_c))
     }
 
-    /// The sensor's temperature at the last frame, °C; `None` where the camera does not say.
+    /// The sensor's temperature at the last frame, °C; `None` where the camera does not report.
     pub(super) fn sensor_c(&self) -> Option<f64> {
         self.sensor_c
     }

@@ -12,7 +12,7 @@ use crate::units::StageAngles;
 /// Brightest over darkest level of interest of the scene that estimates assume.
 const USUAL_CONTRAST: f64 = 100.0;
 /// Rounds of pilot frames: one in the middle of the camera's range, one near what the
-/// sample asks for.
+/// sample requests.
 const PILOT_ROUNDS: f64 = 2.0;
 /// Getting up to speed, coming from the side that every target is approached from, and
 /// being seen to stand, seconds of each move.

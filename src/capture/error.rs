@@ -43,7 +43,7 @@ pub enum CaptureError {
     },
     /// More lights than the stage has distinct directions.
     #[error(
-        "{wanted} lights were asked for, and the stage reaches {reachable}{}",
+        "{wanted} lights were requested, and the stage reaches {reachable}{}",
         blocked_as_text(*blocked)
     )]
     TooManyLights {
@@ -122,7 +122,7 @@ pub enum CaptureError {
         explained: f64,
     },
     /// After a new homing the signal is not what the light's frames from before lead to
-    /// expect, and those cannot tell whether the light has moved.
+    /// expect, and those cannot show whether the light has moved.
     #[error(
         "light {light}: since the stage was homed anew, the images show {ratio:.3} of the signal \
          that the frames before lead to expect"
@@ -142,7 +142,7 @@ pub enum CaptureError {
         light: u32,
         /// Which.
         part: crate::device::temperature::Part,
-        /// As the device says.
+        /// As the device reports.
         temperature_c: f64,
         /// Of the rig file.
         limit_c: f64,

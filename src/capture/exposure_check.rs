@@ -1,4 +1,4 @@
-//! Whether an exposure was what the camera says, from two frames of one scene.
+//! Whether an exposure was what the camera reports, from two frames of one scene.
 
 use std::fmt;
 

@@ -144,49 +144,20 @@ impl BracketSink for RadianceSink {
 mod tests {
     use super::*;
     use crate::device::{CameraSettings, FrameKey, LampChannel};
-    use crate::session::FrameTimes;
-    use crate::units::{Seconds, StageAngles};
-
-    const ANGLES: StageAngles = StageAngles {
-        azimuth_deg: 0.0,
-        elevation_deg: 90.0,
-    };
+    use crate::units::Seconds;
 
     fn sidecar(kind: FrameKind, lamp: LampState) -> Sidecar {
+        let key = FrameKey {
+            light: 2,
+            exposure: 0,
+            repeat: 0,
+            kind,
+        };
         let settings = CameraSettings {
             exposure: Seconds(0.5),
             gain: 1.0,
         };
-        Sidecar {
-            key: FrameKey {
-                light: 2,
-                exposure: 0,
-                repeat: 0,
-                kind,
-            },
-            pilot: false,
-            lamp,
-            requested: settings,
-            applied: settings,
-            black_level_dn: 64.0,
-            bit_depth: 12,
-            mosaic: Mosaic::None,
-            camera_serial: String::new(),
-            stage_target: ANGLES,
-            stage_position: ANGLES,
-            frames_discarded: 0,
-            exposure_ratio: None,
-            lamp_ratio_std: None,
-            time: FrameTimes {
-                utc: String::new(),
-                monotonic_s: Seconds(0.0),
-                device_s: None,
-                device_sequence: None,
-                sensor_c: None,
-                lamp_c: None,
-                retakes: Default::default(),
-            },
-        }
+        Sidecar::of_frame(key, lamp, settings)
     }
 
     /// Each lamp channel lands in the colour that it measures, less the room's light.

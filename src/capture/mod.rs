@@ -1,5 +1,8 @@
 //! A capture: planned as data, then carried out on a camera and a stage.
 //!
+//! - [`prepare`]: a capture as a program does it, from a rig file to a session;
+//! - [`open`]: the devices of a rig file;
+//! - [`records`], [`light_choice`]: calibration records it uses; the lights that are most informative;
 //! - [`reach`]: where light can come from: the stage's limits, the camera's shadow;
 //! - [`directions`]: which light directions, from what is within reach;
 //! - [`plan`]: the whole plan with its estimates and checks, before anything moves;
@@ -22,11 +25,16 @@ mod disk;
 pub mod duration;
 mod error;
 pub mod exposure_check;
-pub mod interest;
+pub mod findings;
+pub mod light_choice;
 mod merge_sink;
+pub mod open;
 pub mod plan;
+pub mod prepare;
 mod progress;
 pub mod reach;
+pub mod records;
+pub mod region_of_interest;
 pub mod return_check;
 pub mod run;
 mod spent;

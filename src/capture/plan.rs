@@ -9,8 +9,8 @@ use super::CaptureError;
 use super::directions::plan_order;
 use super::duration::Expected;
 use super::reach::StageReach;
-use crate::device::LampChannel;
-use crate::device::temperature::TemperatureLimits;
+use crate::config::RigConfig;
+use crate::device::{CameraInfo, LampChannel};
 use crate::radiometry::sensor::SensorNoise;
 use crate::session::commit::free_bytes;
 use crate::session::{ExposureRules, PlanRecord};
@@ -36,26 +36,8 @@ pub struct PlanRequest {
     pub reach: StageReach,
     /// Unit direction from the sample to the camera in the stage's frame.
     pub coaxial: DVec3,
-    /// Lamp channels, lit one after the other.
-    pub channels: Vec<LampChannel>,
-    /// Analogue gain.
-    pub gain: f64,
-    /// Exposures and averaging.
-    pub exposure: ExposureRules,
-    /// Wait after a move.
-    pub settle: Seconds,
-    /// Wait after the lamp was switched.
-    pub lamp_settle: Seconds,
-    /// Wait with the lamp on before the first light.
-    pub lamp_warm_up: Seconds,
-    /// Frames thrown away after a change of the camera's settings.
-    pub settings_latency_frames: u32,
-    /// Whether the first light is visited again after the last one.
-    pub revisit_first: bool,
-    /// How far the stage may stand from where it was sent, degrees.
-    pub stage_tolerance_deg: f64,
-    /// Temperatures above which the capture is suspended.
-    pub limits: TemperatureLimits,
+    /// The plan but for its lights and estimates.
+    pub rules: PlanRecord,
     /// Width and height of a frame, pixels.
     pub resolution_px: [u32; 2],
     /// How fast things go, for the estimate.
@@ -75,6 +57,91 @@ pub struct Pace {
     pub view: Seconds,
 }
 
+/// A simulated bench computes for so long what a light shows, on two processors.
+const SIMULATED_VIEW: Seconds = Seconds(2.0);
+
+impl Pace {
+    /// Of a rig.
+    pub fn of_rig(rig: &RigConfig) -> Self {
+        let (stage_deg_s, homing) = rig.stage.pace();
+        let simulation = rig.simulation.as_ref();
+        Self {
+            stage_deg_s,
+            homing,
+            frame_interval: Seconds(simulation.map_or(1.0 / 30.0, |s| s.camera.frame_interval_s)),
+            view: simulation.map_or(Seconds(0.0), |_| SIMULATED_VIEW),
+        }
+    }
+}
+
+impl PlanRequest {
+    /// Lights of a rig, by the rules of its rig file.
+    pub fn of_rig(rig: &RigConfig, reach: StageReach, lights: LightChoice) -> Self {
+        let capture = &rig.capture;
+        let [shortest_s, longest_s] = capture.exposure_range;
+        let step_s = rig.camera.exposure_step;
+        // On a bench whose clock jumps, nothing needs to settle.
+        let wait = |time: Seconds| match rig.is_instant() {
+            true => Seconds(0.0),
+            false => time,
+        };
+        let exposure = ExposureRules {
+            pilot_s: pilot(shortest_s, longest_s, step_s),
+            shortest_s,
+            longest_s,
+            step_s,
+            peak_fraction: capture.peak_fraction,
+            dark_snr: capture.dark_snr,
+            ratio: capture.exposure_ratio,
+            max_frames: capture.max_frames,
+            ambient: capture.ambient,
+            dark_frames: capture.dark_frames,
+        };
+        let channels = 0..rig.stage.measures.len() as u8;
+        let rules = PlanRecord {
+            channels: channels.map(LampChannel).collect(),
+            gain: rig.camera.gain,
+            exposure,
+            settle_s: wait(capture.settle),
+            lamp_settle_s: wait(capture.lamp_settle),
+            lamp_warm_up_s: wait(capture.lamp_warm_up),
+            settings_latency_frames: rig.camera.settings_latency_frames,
+            revisit_first: capture
+                .revisit_first
+                .unwrap_or(rig.stage.driver_name() != "manual"),
+            stage_tolerance_deg: rig.stage.position_tolerance_deg().unwrap_or(0.0),
+            limits: rig.limits.temperature,
+            estimated_s: Seconds(0.0),
+            estimated_bytes: 0,
+            lights: Vec::new(),
+        };
+        Self {
+            lights,
+            reach,
+            coaxial: rig.geometry.coaxial(),
+            rules,
+            resolution_px: rig.camera.resolution_px,
+            pace: Pace::of_rig(rig),
+        }
+    }
+
+    /// Narrows the exposures to those of the camera that is connected.
+    pub fn narrow_to(&mut self, camera: &CameraInfo) {
+        let rules = &mut self.rules.exposure;
+        let [shortest, longest] = camera.exposure_range;
+        rules.shortest_s = Seconds(rules.shortest_s.0.max(shortest.0));
+        rules.longest_s = Seconds(rules.longest_s.0.min(longest.0).max(rules.shortest_s.0));
+        rules.step_s = Seconds(rules.step_s.0.max(camera.exposure_step.0));
+        rules.pilot_s = pilot(rules.shortest_s, rules.longest_s, rules.step_s);
+    }
+}
+
+/// The exposure in the middle of a range, as ratios go, on the camera's step.
+fn pilot(shortest: Seconds, longest: Seconds, step: Seconds) -> Seconds {
+    let middle_s = (shortest.0 * longest.0).sqrt();
+    Seconds((middle_s / step.0).round().max(1.0) * step.0)
+}
+
 /// PNG overhead and sidecar of one frame, bytes.
 const FRAME_OVERHEAD_BYTES: u64 = 2048;
 /// Mean, variance (32 bits each for three colours) and mask of a merged pixel, bytes.
@@ -87,7 +154,7 @@ const MERGED_PIXEL_BYTES: u64 = 28;
 /// rules that make no sense.
 pub fn plan(request: &PlanRequest, noise: &SensorNoise) -> Result<PlanRecord, CaptureError> {
     let lights = choose_lights(request)?;
-    if request.channels.is_empty() {
+    if request.rules.channels.is_empty() {
         return Err(CaptureError::Empty {
             what: "lamp channel",
         });
@@ -95,19 +162,9 @@ pub fn plan(request: &PlanRequest, noise: &SensorNoise) -> Result<PlanRecord, Ca
     let [width, height] = request.resolution_px.map(u64::from);
     let pixels = width * height;
     let mut planned = PlanRecord {
-        channels: request.channels.clone(),
-        gain: request.gain,
-        exposure: request.exposure,
-        settle_s: request.settle,
-        lamp_settle_s: request.lamp_settle,
-        lamp_warm_up_s: request.lamp_warm_up,
-        settings_latency_frames: request.settings_latency_frames,
-        revisit_first: request.revisit_first && lights.len() > 1,
-        stage_tolerance_deg: request.stage_tolerance_deg,
-        limits: request.limits,
-        estimated_s: Seconds(0.0),
-        estimated_bytes: 0,
+        revisit_first: request.rules.revisit_first && lights.len() > 1,
         lights,
+        ..request.rules.clone()
     };
     let expected = Expected::of(&planned, pixels, &request.pace, noise)?;
     let lights = planned.lights.len();
@@ -167,33 +224,39 @@ pub fn check_space(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::device::temperature::TemperatureLimits;
 
     fn request(lights: LightChoice) -> PlanRequest {
         PlanRequest {
             lights,
             reach: StageReach::of_angles([-170.0, 170.0], [10.0, 85.0]),
             coaxial: DVec3::Z,
-            channels: (0..3).map(LampChannel).collect(),
-            gain: 1.0,
-            exposure: ExposureRules {
-                pilot_s: Seconds(0.01),
-                shortest_s: Seconds(1e-4),
-                longest_s: Seconds(1.0),
-                step_s: Seconds(1e-4),
-                peak_fraction: 0.7,
-                dark_snr: 20.0,
-                ratio: 4.0,
-                max_frames: 8,
-                ambient: true,
-                dark_frames: 2,
+            rules: PlanRecord {
+                channels: (0..3).map(LampChannel).collect(),
+                gain: 1.0,
+                exposure: ExposureRules {
+                    pilot_s: Seconds(0.01),
+                    shortest_s: Seconds(1e-4),
+                    longest_s: Seconds(1.0),
+                    step_s: Seconds(1e-4),
+                    peak_fraction: 0.7,
+                    dark_snr: 20.0,
+                    ratio: 4.0,
+                    max_frames: 8,
+                    ambient: true,
+                    dark_frames: 2,
+                },
+                settle_s: Seconds(0.5),
+                lamp_settle_s: Seconds(0.05),
+                lamp_warm_up_s: Seconds(0.0),
+                settings_latency_frames: 2,
+                revisit_first: false,
+                stage_tolerance_deg: 0.05,
+                limits: TemperatureLimits::default(),
+                estimated_s: Seconds(0.0),
+                estimated_bytes: 0,
+                lights: Vec::new(),
             },
-            settle: Seconds(0.5),
-            lamp_settle: Seconds(0.05),
-            lamp_warm_up: Seconds(0.0),
-            settings_latency_frames: 2,
-            revisit_first: false,
-            stage_tolerance_deg: 0.05,
-            limits: TemperatureLimits::default(),
             resolution_px: [64, 48],
             pace: Pace {
                 stage_deg_s: 20.0,
@@ -202,6 +265,13 @@ mod tests {
                 view: Seconds(0.0),
             },
         }
+    }
+
+    /// The same, with the first light visited again.
+    fn revisiting(lights: LightChoice) -> PlanRequest {
+        let mut request = request(lights);
+        request.rules.revisit_first = true;
+        request
     }
 
     fn noise() -> SensorNoise {
@@ -220,17 +290,10 @@ mod tests {
             "one light lies there twice"
         );
         assert!(two.estimated_s.0 > 10.0 + 2.0 * 0.5 && four.estimated_s.0 > two.estimated_s.0);
-        let again = PlanRequest {
-            revisit_first: true,
-            ..request(LightChoice::Count(2))
-        };
-        let again = plan(&again, &noise()).unwrap();
+        let again = plan(&revisiting(LightChoice::Count(2)), &noise()).unwrap();
         assert!(again.revisit_first && again.estimated_s.0 > two.estimated_s.0);
-        let alone = PlanRequest {
-            revisit_first: true,
-            ..request(LightChoice::Count(1))
-        };
-        assert!(!plan(&alone, &noise()).unwrap().revisit_first);
+        let alone = plan(&revisiting(LightChoice::Count(1)), &noise()).unwrap();
+        assert!(!alone.revisit_first);
         // At least a pilot and one exposure of each channel, and one without lamp.
         assert!(two.estimated_bytes > 2 * (7 * 2 + 28) * 64 * 48);
     }

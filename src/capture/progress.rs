@@ -1,4 +1,4 @@
-//! How a capture ends, and what it says meanwhile.
+//! How a capture ends, and what it reports meanwhile.
 
 use super::Spent;
 use crate::device::{FrameKey, LampState};
@@ -14,13 +14,17 @@ pub enum Outcome {
     Interrupted,
 }
 
-/// Hears what a capture is doing.
+/// Is informed of what a capture is doing; `()` ignores it.
 pub trait Observer {
     /// Called between frames; should return soon.
     fn observe(&mut self, progress: Progress<'_>);
-    /// A pause was asked for: the lamp is off, the stage stands, every frame is on
+    /// A pause was requested: the lamp is off, the stage stands, every frame is on
     /// the disk. Returns when the capture shall go on.
     fn pause(&mut self) {}
+}
+
+impl Observer for () {
+    fn observe(&mut self, _: Progress<'_>) {}
 }
 
 /// What a capture is doing.
@@ -60,7 +64,7 @@ pub enum Progress<'a> {
         /// Part of the whole capture that is done, 0 to 1.
         done: f64,
     },
-    /// How long the rest will take; said before anything moves, and before every frame.
+    /// How long the rest will take; reported before anything moves, and before every frame.
     Left(Seconds),
     /// All frames of a light are taken.
     LightDone {

@@ -4,8 +4,8 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::CaptureError;
+use crate::config::BuildError;
 use crate::config::RigConfig;
-use crate::config::build::BuildError;
 use crate::config::geometry::GeometryConfig;
 use crate::device::kinematics::{AxisMap, Kinematics, Mechanism, TwoAxes};
 use crate::transport::{CameraShadow, Obstruction};

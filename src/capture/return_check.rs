@@ -48,6 +48,7 @@ pub fn change(
     earlier: Exposed<'_>,
     later: Exposed<'_>,
 ) -> Option<Change> {
+    // Pixels that are well exposed in both.
     let ratio = signal_ratio(noise, earlier, later)?;
     let range_dn = noise.usable_range_dn();
     let height = earlier.counts.len().min(later.counts.len()) / width.max(1);
@@ -60,6 +61,7 @@ pub fn change(
         };
         !is_hot && within(earlier) && within(later)
     };
+    // Their squared relative change beyond noise, and the squared slopes of the earlier image.
     let scale = ratio.ratio * later.exposure_s / earlier.exposure_s;
     let (mut pixels, mut excess, mut excess_variance) = (0.0, 0.0, 0.0);
     let (mut slopes, mut gradient) = (0.0, 0.0);
@@ -104,6 +106,7 @@ pub fn change(
             }
         }
     }
+    // Means, and what a turn of the light would change.
     if pixels < MIN_PIXELS || slopes < MIN_PIXELS {
         return None;
     }

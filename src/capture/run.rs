@@ -47,7 +47,7 @@ pub struct Capture<'a> {
     /// The sensor as calibrated.
     pub noise: &'a SensorNoise,
     /// The sample's pixels, row by row; `None`: all pixels count as sample.
-    pub interest: Option<&'a [bool]>,
+    pub region_of_interest: Option<&'a [bool]>,
     /// Merges each bracket.
     pub sink: Box<dyn BracketSink>,
     /// Hears of the progress.
@@ -92,7 +92,7 @@ impl Capture<'_> {
             lights: session.record().plan.lights.len(),
             plan: session.record().plan.clone(),
             noise: self.noise,
-            interest: self.interest,
+            region_of_interest: self.region_of_interest,
             observer: self.observer,
             interrupt: self.interrupt,
             devices,
@@ -156,7 +156,7 @@ struct Run<'a> {
     plan: PlanRecord,
     lights: usize,
     noise: &'a SensorNoise,
-    interest: Option<&'a [bool]>,
+    region_of_interest: Option<&'a [bool]>,
     observer: &'a mut dyn Observer,
     interrupt: Interrupt,
     devices: Devices,
@@ -229,6 +229,7 @@ impl Run<'_> {
     /// Pilots, the bracket with its ambient frames, dark frames, and the first
     /// exposure once more.
     async fn one_light(&mut self, light: u32) -> Result<(), CaptureError> {
+        // Pilot frames until a bracket can be planned.
         self.merger.begin(light).await?;
         self.clock.begin_light();
         let channels = self.plan.channels.clone();
@@ -272,6 +273,7 @@ impl Run<'_> {
                 }
             }
         };
+        // The bracket: at each exposure all channels, then ambient and dark frames.
         let rules = self.plan.exposure;
         let dark_frames = if self.has_shutter(light).await? {
             rules.dark_frames
@@ -309,6 +311,7 @@ impl Run<'_> {
                 }
             }
         }
+        // Checks of the exposure and of the lamp.
         let last = first + steps.len() as u32;
         if !is_shown {
             self.prove_exposure(light, last + 1, &latest).await?;
@@ -347,11 +350,16 @@ impl Run<'_> {
         let taken: Vec<&Taken> = latest.iter().flatten().collect();
         let frames: Vec<&[u16]> = taken.iter().map(|t| t.frame.counts.as_slice()).collect();
         let applied_s = taken.first().map_or(exposure_s, |t| t.exposure_s);
-        let pilot = PilotRound::read(self.noise, applied_s, &frames, self.interest);
+        let pilot = PilotRound::read(self.noise, applied_s, &frames, self.region_of_interest);
         let is_lit = match &unlit {
             None => true,
             Some(unlit) => frames.iter().any(|lit| {
-                bracket::shows_light(self.noise, lit, &unlit.frame.counts, self.interest)
+                bracket::shows_light(
+                    self.noise,
+                    lit,
+                    &unlit.frame.counts,
+                    self.region_of_interest,
+                )
             }),
         };
         Ok((pilot, is_lit))

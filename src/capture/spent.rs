@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use serde::Serialize;
 
-/// Time by what was waited for, seconds. Writing and merging run beside it.
+/// Time by what was waited for, seconds. Writing and merging run at the same time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Spent {
     /// From the first command to the last merge.

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use clap::{Args, Subcommand};
 
 use super::output::{ANOTHER_FILE, check_ending, unwritable, write_json, write_path};
-use super::{CliError, Context, HintExt, fit_folder};
+use super::{CliError, Context, HintExt};
 use crate::brdf::check::ALBEDO_ANGLES_DEG;
 use crate::brdf::{Brdf, BrdfError, Dictionary, nbrdf, score};
 use crate::export::{self, ExportError, TableFormat};
@@ -15,7 +15,7 @@ use crate::out;
 use crate::whole_file;
 
 const SPEC_HELP: &str = "A BRDF is one of: FILE.binary (MERL), FILE.bsdf (RGL), nbrdf:NAME (embedded measured material), \
-FIT (the folder of a fit, or a session: its latest), DICTIONARY:WEIGHTS.csv (a mixture, as a fit or a projection writes it; DICTIONARY is paper42, grid42, rig42, rig26, reference-grid42 or a .json or .toml file), \
+FIT (the folder of a fit, or a session: its latest), DICTIONARY:WEIGHTS.csv (a mixture, as a fit or a projection writes it; DICTIONARY is rig26, paper42 or a .json or .toml file), \
 ggx:ALPHA,ETA, lambertian:ALBEDO.";
 
 /// Evaluates, checks, compares, draws and converts BRDFs
@@ -55,7 +55,7 @@ enum BrdfCommand {
     Project {
         /// The BRDF
         brdf: String,
-        /// paper42, grid42, rig42, rig26, reference-grid42, or a .json or .toml file
+        /// rig26, paper42, or a .json or .toml file
         #[arg(long, default_value = Dictionary::DEFAULT)]
         dictionary: String,
         /// Pixels per side of the spheres, 8 to 512; published figures use 128
@@ -141,7 +141,7 @@ fn load(spec: &str) -> Result<Arc<dyn Brdf>, CliError> {
 
 fn advise(error: MaterialError) -> CliError {
     match error {
-        MaterialError::Fit(error) => fit_folder::advise(error),
+        MaterialError::Fit(error) => error.into(),
         MaterialError::Brdf(error) => match &error {
             BrdfError::UnknownSource { .. }
             | BrdfError::Dictionary { .. }

@@ -5,9 +5,12 @@ use std::sync::Arc;
 
 use mock_devices::{Illumination, RadianceSource};
 
+use super::context::Context;
+use super::error::CliError;
 use super::output::{write_json, write_path};
 use super::rig_choice::RigArg;
-use super::{CliError, Context, camera_preview, hints, open};
+use super::{camera_preview, hints, open};
+use crate::capture::open::{OpenOptions, open_devices, open_real_camera};
 use crate::config::{CameraDriver, RigConfig};
 use crate::device::controls::{ControlInfo, name_of};
 use crate::device::pixel_format::{FORMAT_NAME, fourcc_of_name};
@@ -80,7 +83,7 @@ struct Which {
     /// Pixel format on --device, such as Y12, RG16 or Y16-BE; the deepest raw one if not given
     #[arg(long, value_name = "CODE", requires = "device", value_parser = format_code)]
     format: Option<[u8; 4]>,
-    /// The answer as JSON
+    /// The result as JSON
     #[arg(long)]
     json: bool,
 }
@@ -154,13 +157,13 @@ pub fn run(args: &CameraArgs, context: &Context) -> Result<(), CliError> {
     }
 }
 
-/// Says where the camera applies other settings than were asked for, beyond its steps.
+/// Says where the camera applies other settings than were requested, beyond its steps.
 fn warn_of_other(exposure_ms: f64, gain: f64, applied: CameraSettings, context: &Context) {
     let differs = |asked: f64, is: f64| (is / asked - 1.0).abs() > 0.01;
     let asked = Seconds(exposure_ms * 1e-3);
     if differs(asked.0, applied.exposure.0) || differs(gain, applied.gain) {
         context.warn(format!(
-            "the camera applies {} and gain {} where {asked} and gain {gain} were asked for",
+            "the camera applies {} and gain {} where {asked} and gain {gain} were requested",
             applied.exposure, applied.gain
         ));
     }
@@ -313,7 +316,7 @@ impl Which {
         }
         let rig = self.rig.resolve(context)?.config;
         match &rig.simulation {
-            None => open::open_real_camera(&rig),
+            None => Ok(open_real_camera(&rig, &open::of_port()?)?),
             Some(_) => open_simulated(&rig),
         }
     }
@@ -352,25 +355,22 @@ fn open_device(_: &str, _: Option<[u8; 4]>, _: bool) -> Result<Box<dyn Camera>, 
 
 #[cfg(not(feature = "v4l"))]
 fn without_v4l() -> CliError {
-    CliError::new("this program was built without Video4Linux")
-        .hint("build it with the feature `v4l`")
+    crate::capture::open::OpenError::NoVideo4Linux.into()
 }
 
 /// The simulated camera on a bench whose lamp is off, as it is while nobody
 /// uses its stage: the room's light alone.
 fn open_simulated(rig: &RigConfig) -> Result<Box<dyn Camera>, CliError> {
-    let source = || -> Result<Arc<dyn RadianceSource>, CliError> {
-        Ok(Arc::new(Room {
-            resolution_px: rig.camera.resolution_px,
-            radiance_w_m2_sr: rig
-                .simulation
-                .as_ref()
-                .map_or(0.0, |simulation| simulation.ambient_w_m2_sr)
-                as f32,
-        }))
+    let simulation = rig.simulation.as_ref();
+    let room = Room {
+        resolution_px: rig.camera.resolution_px,
+        radiance_w_m2_sr: simulation.map_or(0.0, |s| s.ambient_w_m2_sr) as f32,
     };
-    let devices = open::open_devices(rig, &[], source)?;
-    Ok(devices.camera)
+    let options = OpenOptions {
+        sees: Some(Arc::new(room)),
+        ..OpenOptions::default()
+    };
+    Ok(open_devices(rig, &options)?.camera)
 }
 
 /// What a simulated camera sees while the lamp is off.

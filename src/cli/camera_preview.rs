@@ -5,9 +5,10 @@ use std::time::Instant;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
 
+use super::context::Context;
+use super::error::{CliError, HintExt};
 use super::output::write_json;
 use super::preview_server::{PreviewServer, Shown};
-use super::{CliError, Context, HintExt};
 use crate::device::retake::{Retakes, grab_right};
 use crate::device::{Camera, CameraInfo, CameraSettings, FrameKey, FrameKind, RawFrame};
 use crate::out;

@@ -6,8 +6,9 @@ use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressState, ProgressStyle};
 
+use super::context::Context;
+use super::interrupt;
 use super::progress::duration;
-use super::{Context, interrupt};
 use crate::capture::{Observer, Progress, Spent};
 use crate::device::{FrameKind, LampState};
 use crate::units::Seconds;

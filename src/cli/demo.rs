@@ -3,7 +3,8 @@
 use std::path::PathBuf;
 
 use super::capture::{self, CaptureArgs};
-use super::{CliError, Context};
+use super::context::Context;
+use super::error::CliError;
 
 /// Captures four lights on the simulated rig, then merges, fits and reports
 ///

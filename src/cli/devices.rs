@@ -2,8 +2,9 @@
 
 use std::path::Path;
 
+use super::context::Context;
+use super::error::CliError;
 use super::output::write_json;
-use super::{CliError, Context};
 use crate::device::discovery::{DeviceKind, FoundDevice, ReservedFor, find_devices};
 use crate::out;
 

@@ -11,11 +11,13 @@ use jiff::Timestamp;
 use rustix::fs::{Access, access};
 use serde::Serialize;
 
-use super::capture_records::CHANGED_ON_PURPOSE;
+use super::capture_notices::CHANGED_ON_PURPOSE;
+use super::context::Context;
+use super::error::CliError;
 use super::output::{write_json, write_line};
 use super::preflight::{self, Outlook};
 use super::rig_choice::RigArg;
-use super::{CliError, Context, hints, sharpness};
+use super::{hints, sharpness};
 use crate::calibration::camera::CameraValues;
 use crate::calibration::directions::DirectionsValues;
 use crate::calibration::fitness::Concern;
@@ -24,12 +26,12 @@ use crate::calibration::record::{
 };
 use crate::calibration::slanted_edge::FocusValues;
 use crate::calibration::{Library, RecordError, Seal};
+use crate::capture::prepare::sample_blur;
 use crate::capture::reach::StageReach;
 use crate::config::stage::StageDriver;
 use crate::config::{CameraDriver, Origin, ResolvedRig};
-use crate::device::command_camera::program;
+use crate::device::discovery;
 use crate::device::dome::DomeWiring;
-use crate::device::{DeviceError, discovery};
 use crate::file_system::{self, Lack};
 
 /// Checks configuration, devices, permissions, disk and calibration
@@ -193,7 +195,7 @@ fn all_checks(rig: &ResolvedRig) -> Vec<Check> {
     let view = verdict_on("view", preflight::outlook(&rig.config));
     let is_in_view = view.verdict != Verdict::Failed;
     checks.push(view);
-    checks.push(light_ways(rig));
+    checks.push(light_paths(rig));
     checks.push(depth_of_field(rig, &library, is_in_view));
     checks
 }
@@ -223,12 +225,12 @@ fn verdict_on(name: &'static str, outlook: Result<Outlook, CliError>) -> Check {
 }
 
 /// Whether the camera's body stands in the way of the lights.
-fn light_ways(rig: &ResolvedRig) -> Check {
+fn light_paths(rig: &ResolvedRig) -> Check {
     let reach = StageReach::of_rig(&rig.config).map_err(CliError::from);
     let body = rig.config.geometry.camera_body;
     verdict_on(
         "light paths",
-        reach.map(|reach| preflight::light_ways(&reach, body)),
+        reach.map(|reach| preflight::light_paths(&reach, body)),
     )
 }
 
@@ -239,7 +241,7 @@ fn depth_of_field(rig: &ResolvedRig, library: &Library, is_in_view: bool) -> Che
     let focus = library.load::<FocusValues>(named).unwrap_or_default();
     let focus = focus.as_ref().map(|loaded| &loaded.record.values);
     let limit_px = rig.config.capture.blur_limit_px;
-    match sharpness::of_rig(&rig.config, focus) {
+    match sample_blur(&rig.config, focus).map_err(CliError::from) {
         Err(error) => Check::warning(
             name,
             error.fact(),
@@ -247,13 +249,12 @@ fn depth_of_field(rig: &ResolvedRig, library: &Library, is_in_view: bool) -> Che
         ),
         Ok(None) if is_in_view => Check::ok(name, "unlimited: no aperture is stated"),
         Ok(None) => Check::ok(name, "not checked: the camera doesn't see the sample"),
-        Ok(Some(found)) => match sharpness::concern(&found, limit_px) {
-            Some(concern) => {
-                let fact = concern.strip_prefix("depth of field: ").unwrap_or(&concern);
-                Check::warning(name, fact, sharpness::REMEDY)
-            }
-            None => Check::ok(name, sharpness::ends(&found)),
-        },
+        Ok(Some(found)) if found.worst.disc_px > limit_px => {
+            let concern = sharpness::concern(&found, limit_px);
+            let fact = concern.strip_prefix("depth of field: ").unwrap_or(&concern);
+            Check::warning(name, fact, sharpness::REMEDY)
+        }
+        Ok(Some(found)) => Check::ok(name, sharpness::ends(&found)),
     }
 }
 
@@ -289,34 +290,14 @@ fn camera(rig: &ResolvedRig) -> Check {
             "build it with the feature `v4l`",
         ),
         CameraDriver::V4l { device, .. } => device_file("camera", device, "/dev/v4l/by-id"),
-        CameraDriver::Command(command) => {
-            camera_program(command.first().map_or("", String::as_str))
-        }
-        CameraDriver::Folder(folder) => match access(folder, Access::READ_OK | Access::WRITE_OK) {
-            Ok(()) => Check::ok(
-                "camera",
-                format!("files are awaited in {}", folder.display()),
-            ),
-            Err(error) => Check::failed(
-                "camera",
-                format!("{}: {}", folder.display(), std::io::Error::from(error)),
-                "make the folder, readable and writable, or correct camera.folder in the rig file",
-            ),
+        CameraDriver::Described { driver, setting } => match (driver.ready)(setting) {
+            Ok(source) => Check::ok("camera", source),
+            Err(error) => {
+                let remedy = hints::for_error(&error).unwrap_or_default();
+                Check::failed("camera", error.to_string(), remedy)
+            }
         },
     }
-}
-
-/// Whether a program can be run, by its path or found as a shell finds it.
-fn camera_program(name: &str) -> Check {
-    let Some(fault) = program::fault(name) else {
-        return Check::ok("camera", format!("frames come from the program {name}"));
-    };
-    let error = DeviceError::Program {
-        program: name.to_owned(),
-        fault,
-    };
-    let remedy = hints::for_error(&error).unwrap_or_default();
-    Check::failed("camera", error.to_string(), remedy)
 }
 
 fn stage(rig: &ResolvedRig) -> Check {
@@ -378,7 +359,7 @@ fn watchdog(rig: &ResolvedRig) -> Option<Check> {
             DomeWiring::Line => {
                 return Some(Check::ok(
                     "watchdog",
-                    "the dome says at connection whether it has one; `rig capture` warns where it has not",
+                    "the dome reports at connection whether it has one; `rig capture` warns where it has not",
                 ));
             }
         },
@@ -472,8 +453,9 @@ fn write_rate_mb_s(folder: &Path) -> std::io::Result<f64> {
     Ok(rate)
 }
 
-fn calibration<V: Values>(rig: &ResolvedRig, library: &Library, id: Option<&str>) -> Check {
-    let (name, without) = match V::KIND {
+/// What a kind of record is called, and what its lack means.
+fn named(kind: Kind) -> (&'static str, &'static str) {
+    match kind {
         Kind::Sensor => (
             "sensor",
             "`rig calibrate sensor` measures it; without it the noise is only estimated",
@@ -485,11 +467,11 @@ fn calibration<V: Values>(rig: &ResolvedRig, library: &Library, id: Option<&str>
         ),
         Kind::Lights => (
             "lights",
-            "without it the rig file's irradiance_w_m2 is believed",
+            "without it the rig file's irradiance_w_m2 is used",
         ),
         Kind::Directions => (
             "directions",
-            "without it the rig file's light directions are believed",
+            "without it the rig file's light directions are used",
         ),
         Kind::Response => (
             "response",
@@ -497,19 +479,24 @@ fn calibration<V: Values>(rig: &ResolvedRig, library: &Library, id: Option<&str>
         ),
         Kind::Focus => (
             "focus",
-            "without it the rig file's point spread, focus and aperture are believed",
+            "without it the rig file's point spread, focus and aperture are used",
         ),
-        Kind::Pose => ("pose", "without it the sample lies as the rig file says"),
-        Kind::Camera => ("lens", "without it the lens is as the rig file says"),
+        Kind::Pose => ("pose", "without it the sample lies as the rig file states"),
+        Kind::Camera => ("lens", "without it the lens is as the rig file states"),
         Kind::Lamp => (
             "lamp",
-            "`rig calibrate lamp` finds how long it must warm up; without it nobody knows",
+            "`rig calibrate lamp` finds how long it must warm up; without it that is unknown",
         ),
-    };
+    }
+}
+
+fn calibration<V: Values>(rig: &ResolvedRig, library: &Library, id: Option<&str>) -> Check {
+    let (name, without) = named(V::KIND);
     let failed = |error: RecordError| {
         let remedy = hints::for_error(&error).unwrap_or_else(|| "calibrate anew".to_owned());
         Check::failed(name, error.to_string(), remedy)
     };
+    // The record.
     let loaded = match library.load::<V>(id) {
         Err(error) => return failed(error),
         Ok(None) => {
@@ -523,6 +510,7 @@ fn calibration<V: Values>(rig: &ResolvedRig, library: &Library, id: Option<&str>
     if of_the_camera && let Err(error) = loaded.check_camera(serial, &rig.config.camera) {
         return failed(error);
     }
+    // Its checksum and its age.
     let record = &loaded.record;
     if loaded.seal == Seal::Broken {
         let id = record.id.clone();
@@ -577,7 +565,7 @@ mod tests {
                 "Zaber's protocol has none",
             ),
             (dmx, Verdict::Warning, "a DMX interface has none"),
-            (&dome, Verdict::Ok, "the dome says at connection"),
+            (&dome, Verdict::Ok, "the dome reports at connection"),
         ] {
             let check = check(text).unwrap();
             assert_eq!(check.verdict, verdict, "{fact}");

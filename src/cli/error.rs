@@ -40,7 +40,7 @@ impl CliError {
         }
     }
 
-    /// Whoever reads stdout went away: nothing is left to say, and nothing failed.
+    /// The reader of stdout has gone: nothing is left to write, and nothing failed.
     pub(super) fn stdout_closed() -> Self {
         Self {
             exit: Exit::Done,

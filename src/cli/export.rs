@@ -4,9 +4,9 @@ use std::path::PathBuf;
 
 use clap::ValueEnum;
 
-use super::{CliError, Context, fit_folder, output};
+use super::{CliError, Context, output};
 use crate::export::{self, Format};
-use crate::session::fit_record::Verdict;
+use crate::session::fit_record::{self, Verdict};
 
 /// Writes a fitted BRDF for other programs.
 #[derive(clap::Args, Debug)]
@@ -40,7 +40,7 @@ enum FormatArg {
 
 /// `rig export`.
 pub fn run(args: &ExportArgs, context: &Context) -> Result<(), CliError> {
-    let record = fit_folder::read(&args.dir)?;
+    let record = fit_record::find(&args.dir)?;
     let format = match args.format {
         FormatArg::Json => Format::Json,
         FormatArg::Merl => Format::Merl,

@@ -1,14 +1,15 @@
 //! `rig fit`: weights and error bars from images.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
-use super::cell_images::{Source, UNSTATED_NOISE};
-use super::pipeline::{FitArgs, FitPlan, fit_session};
-use super::preflight::{Keys, check_scene};
-use super::{CliError, Context, output, warnings};
-use crate::config::scene::SceneFile;
-use crate::radiance_image::exr::ExrRows;
-use crate::session::fit_record;
+use super::fit_args::FitArgs;
+use super::fit_progress::FitProgress;
+use super::{CliError, Context, HintExt, output};
+use crate::report;
+use crate::session::commit::SystemDisk;
+use crate::session::{SessionWriter, layout};
+use crate::workflow::{FitOutcome, FitRequest, ImageFit, fit_images, fit_session};
 
 /// Fits a BRDF to a session, or to images of a described scene.
 #[derive(clap::Args, Debug)]
@@ -27,8 +28,7 @@ pub struct FitCommandArgs {
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Record of the sample's pose, by `rig calibrate pose` (default: the session's copy, if
-    /// its rig file named one); its covariance takes the place of rotation_deg and
-    /// translation_mm
+    /// its rig file named one); its covariance replaces rotation_deg and translation_mm
     #[arg(long, value_name = "RECORD", conflicts_with = "scene")]
     pose: Option<PathBuf>,
     /// The result as JSON
@@ -40,11 +40,19 @@ pub struct FitCommandArgs {
 
 /// `rig fit`.
 pub fn run(args: &FitCommandArgs, context: &Context) -> Result<(), CliError> {
-    let folder = match (&args.session, &args.scene, &args.out) {
-        (Some(session), _, _) => fit_session(session, &args.fit, args.pose.as_deref(), context)?,
+    let request = FitRequest {
+        pose: args.pose.clone(),
+        ..args.fit.request()
+    };
+    let outcome = match (&args.session, &args.scene, &args.out) {
+        (Some(session), _, _) => fit(session, &request, context)?,
         (None, Some(scene), Some(out)) => {
-            fit_scene(args, scene, out, context)?;
-            out.clone()
+            let images = &args.image;
+            let files = ImageFit { scene, images, out };
+            let progress = FitProgress::new(context);
+            let outcome = fit_images(files, &request, &progress)?;
+            progress.finish(&outcome.record);
+            outcome
         }
         _ => {
             return Err(CliError::new(
@@ -52,64 +60,55 @@ pub fn run(args: &FitCommandArgs, context: &Context) -> Result<(), CliError> {
             ));
         }
     };
-    if args.json {
-        let record = fit_record::read(&folder)?;
-        return output::write_json(&serde_json::json!({
-            "fit": folder.display().to_string(),
-            "dictionary": record.dictionary,
-            "atoms": record.atoms,
-            "weights": record.weights,
-            "weight_deviations": record.weight_deviations,
-            "verdict": record.verdict(),
-            "reduced_chi_square": record.reduced_chi_square,
-            "discrepancy": record.discrepancy.as_ref().map_or(0.0, |d| d.amplitude),
-            "loss": record.loss,
-            "termination": record.termination,
-            "score": record.score,
-            "timings": record.timings,
-            "warnings": record.warnings,
-            "remarks": record.remarks,
-            "bench": record.bench,
-        }));
+    if !args.json {
+        return output::write_path(&outcome.folder);
     }
-    output::write_path(&folder)
+    let record = &outcome.record;
+    output::write_json(&serde_json::json!({
+        "fit": outcome.folder.display().to_string(),
+        "dictionary": record.dictionary,
+        "atoms": record.atoms,
+        "weights": record.weights,
+        "weight_deviations": record.weight_deviations,
+        "verdict": record.verdict(),
+        "reduced_chi_square": record.reduced_chi_square,
+        "discrepancy": record.discrepancy.as_ref().map_or(0.0, |d| d.amplitude),
+        "loss": record.loss,
+        "termination": record.termination,
+        "score": record.score,
+        "timings": record.timings,
+        "warnings": record.warnings,
+        "remarks": record.remarks,
+        "bench": record.bench,
+    }))
 }
 
-fn fit_scene(
-    args: &FitCommandArgs,
-    path: &std::path::Path,
-    out: &std::path::Path,
-    context: &Context,
-) -> Result<(), CliError> {
-    let file = SceneFile::load(path)?;
-    fit_record::check_folder(out)?;
-    let plan = FitPlan::new(&args.fit, None, &file.uncertainty, file.sample.form_error)?;
-    let scene = file.scene()?;
-    let size = Some(scene.camera.resolution_px);
-    let (mut sources, mut remarks) = (Vec::new(), Vec::new());
-    for path in &args.image {
-        let open = || ExrRows::open(path, size);
-        let source = open().and_then(|rows| Source::new(rows, path.display().to_string(), open));
-        let source = source?;
-        if source.mean_of_unstated.is_some() {
-            let remark = format!(
-                "{}: no variance is stated; a relative noise of {UNSTATED_NOISE} is assumed",
-                path.display()
-            );
-            context.note(&remark);
-            remarks.push(remark);
-        }
-        sources.push(source);
-    }
-    check_scene(&scene, Keys::scene(&file), context)?;
-    let captured = plan.average(&scene, sources)?;
-    let name = |image: usize| args.image[image].display().to_string();
-    plan.check_images(&scene, &captured, name)?;
-    let (mut record, images) = plan.run(&scene, &captured, false, None, context)?;
-    record.remarks.extend(remarks);
-    record.settings.scene = Some(path.display().to_string());
-    record.settings.images = args.image.iter().map(|i| i.display().to_string()).collect();
-    fit_record::write(out, &record, &images)?;
-    warnings::tell(&record, context);
+/// Fits a session and prints the verdict.
+fn fit(session: &Path, request: &FitRequest, context: &Context) -> Result<FitOutcome, CliError> {
+    let progress = FitProgress::new(context);
+    let outcome = fit_session(session, request, &progress)?;
+    progress.finish(&outcome.record);
+    Ok(outcome)
+}
+
+/// Fits a captured session with the rig file's choices and writes its report.
+pub(super) fn fit_and_report(session: &Path, context: &Context) -> Result<(), CliError> {
+    let again = format!(
+        "the capture is complete; `rig fit {}` fits it",
+        session.display()
+    );
+    let outcome = fit(session, &FitRequest::default(), context).hint(&again)?;
+    context.note(format!("fit: {}", outcome.folder.display()));
+    let report = write_report(session).hint(&again)?;
+    context.note(format!("report: {}", report.display()));
     Ok(())
+}
+
+/// Writes the session's report and returns its path.
+fn write_report(root: &Path) -> Result<PathBuf, CliError> {
+    let html = report::render(&report::load::load(root, None)?)?;
+    let mut session = SessionWriter::open(Arc::new(SystemDisk), root)?;
+    session.commit_file(layout::REPORT_FILE, html.as_bytes())?;
+    session.refresh_manifest()?;
+    Ok(root.join(layout::REPORT_FILE))
 }

@@ -1,17 +1,16 @@
 //! `rig guardian`, hidden: the process that [`guardian`](crate::device::guardian)
-//! speaks of. Its standard input is the socket, its standard output the port.
+//! describes. Its standard input is the socket, its standard output the port.
 
 use std::os::fd::AsFd;
-use std::process::Command;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use signal_hook::consts::{SIGHUP, SIGINT, SIGQUIT, SIGTERM, SIGTSTP};
 
+use super::context::Context;
+use super::error::CliError;
 use super::output::write_stderr;
-use super::{CliError, Context};
-use crate::device::guardian::{Exchange, GuardedStage, Watch, stand_guard};
-use crate::device::{DeviceError, LightStage};
+use crate::device::guardian::{Exchange, Watch, stand_guard};
 
 /// Stops a stage when the process that started this one is gone or gives no sign of life
 #[derive(clap::Args, Debug)]
@@ -23,7 +22,7 @@ pub struct GuardianArgs {
     /// What is sent and expected, in hexadecimal; may be repeated
     #[arg(long, value_name = "BYTES=ANSWER,…")]
     exchange: Vec<Exchange>,
-    /// The stage does not say whether its lamp is lit
+    /// The stage does not report whether its lamp is lit
     #[arg(long)]
     unverified: bool,
 }
@@ -35,7 +34,7 @@ pub fn run(args: &GuardianArgs, context: &Context) -> Result<(), CliError> {
     let link = std::io::stdin().as_fd().try_clone_to_owned()?;
     let name = &args.port;
     let done = if args.unverified {
-        "has told it to turn off, which this stage does not confirm"
+        "has sent it the command to turn off, which this stage does not confirm"
     } else {
         "has turned it off and ended all motion"
     };
@@ -68,17 +67,4 @@ pub(super) fn outlive_signals() -> std::io::Result<()> {
         signal_hook::flag::register(signal, Arc::new(AtomicBool::new(false)))?;
     }
     Ok(())
-}
-
-/// The stage with a guardian beside it, this program once more.
-pub fn guarded(stage: Box<dyn LightStage>) -> Result<Box<dyn LightStage>, DeviceError> {
-    let program = std::env::current_exe().map_err(|source| DeviceError::Io {
-        device: "this program's file".to_owned(),
-        source,
-    })?;
-    GuardedStage::guard(stage, |port| {
-        let mut command = Command::new(program);
-        command.args(["guardian", "--port", port]);
-        command
-    })
 }

@@ -2,30 +2,36 @@
 //! for each kind, by the floor that states it. `tests/hints.rs` holds every row to a test
 //! that runs the program.
 
+mod capture;
 mod device;
 #[cfg(feature = "experiments")]
 mod evaluate;
 mod session;
+mod workflow;
 
 use std::error::Error;
 
 use rustix::io::Errno;
 
+use capture::{for_open, for_prepare};
 use device::for_device;
 #[cfg(feature = "experiments")]
 use evaluate::for_evaluate;
+#[cfg(feature = "reports")]
+use session::for_loading;
 use session::{for_capture, for_fit_record, for_record, for_session};
+use workflow::for_workflow;
 
 use crate::brdf::BrdfError;
 use crate::brdf::rgl::RglFault;
 use crate::calibration::procedure::ProcedureError;
-use crate::config::build::BuildError;
+use crate::config::BuildError;
 use crate::config::{ConfigError, Slip};
 use crate::export::ExportError;
 use crate::geometry::MeshError;
 use crate::geometry::files::Content;
+use crate::inverse::FitError;
 use crate::inverse::cells::AverageError;
-use crate::inverse::fit::FitError;
 use crate::inverse::plausibility::Implausible;
 use crate::radiance_image::exr::ExrError;
 use crate::radiometry::frame_file::FrameFileError;
@@ -40,83 +46,52 @@ pub const FALLBACK: &str = "run it again with --verbose to see what led to it";
 pub fn for_error(error: &(dyn Error + 'static)) -> Option<String> {
     let mut link = Some(error);
     while let Some(error) = link {
-        if let Some(hint) = for_one(error) {
-            return Some(hint);
+        let hint = ADVICE.iter().find_map(|advise| advise(error));
+        if hint.is_some() {
+            return hint;
         }
         link = error.source();
     }
     None
 }
 
-/// A wrapper that shows its inner error as its own hides it from the chain, so
-/// such wrappers are unwrapped here.
-fn for_one(error: &(dyn Error + 'static)) -> Option<String> {
-    if let Some(error) = error.downcast_ref() {
-        return Some(for_device(error));
-    }
-    if let Some(error) = error.downcast_ref() {
-        return Some(for_config(error));
-    }
-    if let Some(error) = error.downcast_ref() {
-        return Some(for_record(error));
-    }
-    if let Some(error) = error.downcast_ref() {
-        return for_session(error);
-    }
-    if let Some(error) = error.downcast_ref() {
-        return for_images(error);
-    }
-    if let Some(error) = error.downcast_ref() {
-        return for_capture(error);
-    }
+/// Advice on one type of error; `None` for any other, and where there is none.
+type Advice = fn(&(dyn Error + 'static)) -> Option<String>;
+
+/// All types with advice. Wrappers whose text is their inner error's hide it from the chain of
+/// sources: their functions unwrap them.
+const ADVICE: &[Advice] = &[
+    |error| of_type(error, for_workflow),
+    |error| of_type(error, for_device),
+    |error| of_type(error, for_config),
+    |error| of_type(error, for_record),
+    |error| of_type(error, for_session),
+    |error| of_type(error, for_images),
+    |error| of_type(error, for_capture),
+    |error| of_type(error, for_open),
+    |error| of_type(error, for_prepare),
     #[cfg(feature = "reports")]
-    if let Some(error) = error.downcast_ref() {
-        return match error {
-            ReportError::Load(error) => session::for_loading(error),
-            ReportError::Session(error) => for_session(error),
-            ReportError::Io { source, .. } => for_io(source).map(str::to_owned),
-            ReportError::Plot(_) | ReportError::Template(_) => None,
-        };
-    }
+    |error| of_type(error, for_report),
     #[cfg(feature = "reports")]
-    if let Some(error) = error.downcast_ref() {
-        return session::for_loading(error);
-    }
-    if let Some(error) = error.downcast_ref() {
-        return for_fit_record(error);
-    }
-    if let Some(error) = error.downcast_ref() {
-        return for_brdf(error);
-    }
-    if let Some(error) = error.downcast_ref() {
-        return for_build(error);
-    }
-    if let Some(error) = error.downcast_ref() {
-        return for_fit(error);
-    }
+    |error| of_type(error, for_loading),
+    |error| of_type(error, for_fit_record),
+    |error| of_type(error, for_brdf),
+    |error| of_type(error, for_build),
+    |error| of_type(error, for_fit),
     #[cfg(feature = "experiments")]
-    if let Some(error) = error.downcast_ref() {
-        return for_evaluate(error);
-    }
-    if let Some(error) = error.downcast_ref() {
-        return match error {
-            ExportError::Brdf(error) => for_brdf(error),
-            ExportError::Io { source, .. } => for_io(source).map(str::to_owned),
-        };
-    }
-    if let Some(ProcedureError::Device(error)) = error.downcast_ref() {
-        return Some(for_device(error));
-    }
-    if let Some(error) = error.downcast_ref() {
-        return for_exr(error);
-    }
-    if let Some(error) = error.downcast_ref() {
-        return for_mesh(error);
-    }
-    if let Some(error) = error.downcast_ref::<std::io::Error>() {
-        return for_io(error).map(str::to_owned);
-    }
-    None
+    |error| of_type(error, for_evaluate),
+    |error| of_type(error, for_export),
+    |error| of_type(error, for_procedure),
+    |error| of_type(error, for_exr),
+    |error| of_type(error, for_mesh),
+    |error| of_type(error, for_io),
+];
+
+fn of_type<E: Error + 'static, A: Into<Option<String>>>(
+    error: &(dyn Error + 'static),
+    advise: impl Fn(&E) -> A,
+) -> Option<String> {
+    advise(error.downcast_ref()?).into()
 }
 
 const EXPLAINED: &str =
@@ -129,7 +104,7 @@ fn for_config(error: &ConfigError) -> String {
             "rig files and scenes are TOML (https://toml.io), which is UTF-8: save the text in that encoding".into()
         }
         Read { source, .. } => match for_io(source) {
-            Some(hint) if source.kind() != std::io::ErrorKind::NotFound => hint.into(),
+            Some(hint) if source.kind() != std::io::ErrorKind::NotFound => hint,
             _ => "check the path; a bare name is looked for in rig-configs/ and among the built-in rigs".into(),
         },
         Syntax { slip: Some(slip), .. } => for_slip(*slip),
@@ -179,7 +154,7 @@ fn for_brdf(error: &BrdfError) -> Option<String> {
     use BrdfError::*;
     match error {
         UnknownSource { .. } => Some("a file needs its path; names are listed above".into()),
-        Io { source, .. } => for_io(source).map(str::to_owned),
+        Io { source, .. } => for_io(source),
         RglKind {
             kind: RglFault::Spectral { .. },
             ..
@@ -192,16 +167,30 @@ fn for_brdf(error: &BrdfError) -> Option<String> {
                 .into(),
         ),
         File { .. } | Table { .. } => {
-            Some("the file is cut short, damaged, or of another kind than its ending says: get it again, or write it as that format has it".into())
+            Some("the file is cut short, damaged, or of another kind than its ending states: get it again, or write it as that format has it".into())
         }
         Dictionary { .. } | Weights { .. } => None,
+    }
+}
+
+fn for_export(error: &ExportError) -> Option<String> {
+    match error {
+        ExportError::Brdf(error) => for_brdf(error),
+        ExportError::Io { source, .. } => for_io(source),
+    }
+}
+
+fn for_procedure(error: &ProcedureError) -> Option<String> {
+    match error {
+        ProcedureError::Device(error) => Some(for_device(error)),
+        _ => None,
     }
 }
 
 fn for_exr(error: &ExrError) -> Option<String> {
     use ExrError::*;
     match error {
-        Io { source, .. } => for_io(source).map(str::to_owned),
+        Io { source, .. } => for_io(source),
         Format { .. } | Size { .. } => {
             Some("the image is damaged or no OpenEXR file: render or merge it again".into())
         }
@@ -316,7 +305,7 @@ pub(super) fn for_implausible(error: &Implausible) -> &'static str {
             "check that the lamp was lit and the lens uncovered, that the image is in the radiance unit of the scene's irradiance, and that its var.* channels hold variances of the mean"
         }
         TooBright { channel: None, .. } => {
-            "state the irradiance in the unit of the images, in which a white sample shows irradiance/π: a merge's scale is arbitrary (`rig merge` gives electrons per second unless --responsivity says how many of them unit radiance makes); `rig calibrate white` measures it"
+            "state the irradiance in the unit of the images, in which a white sample shows irradiance/π: a merge's scale is arbitrary (`rig merge` gives electrons per second unless --responsivity states how many of them unit radiance makes); `rig calibrate white` measures it"
         }
         TooBright { .. } => {
             "check that channel's irradiance; if the other channels are in another unit as well, state the irradiance in the unit of the images (`rig calibrate white` measures it)"
@@ -324,7 +313,9 @@ pub(super) fn for_implausible(error: &Implausible) -> &'static str {
         Negative { .. } => {
             "check what was subtracted: dark frames of a longer exposure, or an ambient frame with the lamp on"
         }
-        Constant { .. } => "give the image of the sample; a saturated or filled one tells nothing",
+        Constant { .. } => {
+            "give the image of the sample; a saturated or uniform one contains no information"
+        }
         OnePixel { .. } => {
             "mask hot pixels (a mask channel, or --mask), and check that the sample is in the image"
         }
@@ -339,7 +330,7 @@ fn for_mesh(error: &MeshError) -> Option<String> {
     use MeshError::*;
     let hint = match error {
         InFile { error, .. } => return for_mesh(error),
-        Io { source, .. } => return for_io(source).map(str::to_owned),
+        Io { source, .. } => return for_io(source),
         Kind { .. } => {
             "give PLY, OBJ or STL: CAD programs, MeshLab and Blender export them, `rig shape` writes all three"
         }
@@ -377,7 +368,7 @@ fn for_mesh(error: &MeshError) -> Option<String> {
             "reduce it (in MeshLab: Simplification): a pixel need not see many facets"
         }
         NotFinite { .. } => {
-            "the program that wrote the mesh had no place for that vertex: remove the facets around it and export again"
+            "the program that wrote the mesh had no position for that vertex: remove the facets around it and export again"
         }
         TooFar { .. } => {
             "the mesh is in another unit or in far-off axes: `rig shape --inspect FILE` suggests mesh_unit and mesh_to_sample"
@@ -404,34 +395,45 @@ fn nearest<'a>(word: &str, known: &'a [String]) -> Option<&'a str> {
         .map(|(_, other)| other.as_str())
 }
 
-fn for_io(error: &std::io::Error) -> Option<&'static str> {
-    use std::io::ErrorKind::*;
-    match error.kind() {
-        NotFound => Some("check the path's spelling and the folder the command runs in"),
-        PermissionDenied => Some("check who owns the file and the folder, and their permissions"),
-        StorageFull => Some(
-            "free some space or choose another folder with --out; nothing already written is lost",
-        ),
-        QuotaExceeded => Some(
-            "remove some of your files there (`quota` says what counts), or choose another folder; nothing already written is lost",
-        ),
-        InvalidFilename => Some("shorten the name: most file systems take at most 255 bytes"),
-        // The system's own, of a name that FAT and exFAT don't take.
-        InvalidInput if error.raw_os_error().is_some() => Some(
-            "the file system there may not take this name: on FAT, exFAT and most shares leave out \" * : < > ? \\ | and a dot or space at the end",
-        ),
-        InvalidInput => {
-            Some("name a regular file: pipes, sockets and devices are neither read nor replaced")
-        }
-        FileTooLarge => Some(
-            "give a file of that size at most; where one is written, the shell's limit (`ulimit -f`) and the file system (FAT: 4 GB) must allow it",
-        ),
-        ReadOnlyFilesystem => Some("choose a folder that can be written"),
-        _ if Errno::from_io_error(error) == Some(Errno::IO) => {
-            Some("the disk or the way to it fails (see `dmesg`): choose another, and try again")
-        }
-        _ => None,
+#[cfg(feature = "reports")]
+fn for_report(error: &ReportError) -> Option<String> {
+    match error {
+        ReportError::Load(error) => for_loading(error),
+        ReportError::Session(error) => for_session(error),
+        ReportError::Io { source, .. } => for_io(source),
+        ReportError::Plot(_) | ReportError::Template(_) => None,
     }
+}
+
+fn for_io(error: &std::io::Error) -> Option<String> {
+    use std::io::ErrorKind::*;
+    let hint = match error.kind() {
+        NotFound => "check the path's spelling and the folder the command runs in",
+        PermissionDenied => "check who owns the file and the folder, and their permissions",
+        StorageFull => {
+            "free some space or choose another folder with --out; nothing already written is lost"
+        }
+        QuotaExceeded => {
+            "remove some of your files there (`quota` lists what counts), or choose another folder; nothing already written is lost"
+        }
+        InvalidFilename => "shorten the name: most file systems take at most 255 bytes",
+        // The system's own, of a name that FAT and exFAT don't take.
+        InvalidInput if error.raw_os_error().is_some() => {
+            "the file system there may not take this name: on FAT, exFAT and most shares leave out \" * : < > ? \\ | and a dot or space at the end"
+        }
+        InvalidInput => {
+            "name a regular file: pipes, sockets and devices are neither read nor replaced"
+        }
+        FileTooLarge => {
+            "give a file of that size at most; where one is written, the shell's limit (`ulimit -f`) and the file system (FAT: 4 GB) must allow it"
+        }
+        ReadOnlyFilesystem => "choose a folder that can be written",
+        _ if Errno::from_io_error(error) == Some(Errno::IO) => {
+            "the disk or the connection to it fails (see `dmesg`): choose another, and try again"
+        }
+        _ => return None,
+    };
+    Some(hint.to_owned())
 }
 
 #[cfg(test)]

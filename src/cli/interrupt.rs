@@ -8,8 +8,10 @@
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGTSTP};
 use signal_hook::low_level::emulate_default_handler;
 
+use super::context::Context;
+use super::error::CliError;
 use super::output::write_stderr;
-use super::{CliError, Context, stderr};
+use super::stderr;
 use crate::interrupt::{Interrupt, Signal};
 
 /// Starts to listen; from now on the command must poll what this returns.

@@ -3,9 +3,10 @@
 //! that the system closes then.
 
 use std::path::PathBuf;
-use std::process::Command;
 
-use super::{CliError, Context, guardian};
+use super::context::Context;
+use super::error::CliError;
+use super::guardian;
 use crate::device::command_camera::keep;
 
 /// Ends a camera's program when the process that started this one is gone
@@ -20,11 +21,4 @@ pub struct KeeperArgs {
 pub fn run(args: &KeeperArgs, _: &Context) -> Result<(), CliError> {
     guardian::outlive_signals()?;
     Ok(keep(std::io::stdin().lock(), &args.folder)?)
-}
-
-/// This program once more, as the keeper of a camera's program.
-pub fn command() -> Result<Command, CliError> {
-    let mut command = Command::new(std::env::current_exe()?);
-    command.arg("keeper");
-    Ok(command)
 }

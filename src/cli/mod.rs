@@ -6,17 +6,16 @@
 //! `pub mod` line and one line in [`commands!`] below.
 
 pub mod bench;
-mod bench_records;
 mod bracket_files;
 pub mod brdf;
 pub mod calibrate;
 pub mod camera;
 mod camera_preview;
 pub mod capture;
+mod capture_notices;
 mod capture_progress;
-mod capture_records;
-mod cell_images;
 pub mod completions;
+pub mod context;
 pub mod demo;
 pub mod devices;
 pub mod doctor;
@@ -25,23 +24,19 @@ pub mod error;
 pub mod evaluate;
 pub mod exit;
 pub mod export;
-mod facets;
 pub mod fit;
-mod fit_folder;
-mod fit_memory;
+mod fit_args;
 mod fit_progress;
 pub mod guardian;
 pub mod hints;
 pub mod interrupt;
 pub mod keeper;
-mod lamp_drift;
 pub mod light_choice;
 pub mod merge;
+mod notices;
 pub mod open;
-#[cfg(feature = "serial")]
 mod operator;
 pub mod output;
-pub mod pipeline;
 mod preflight;
 mod preview_server;
 pub mod progress;
@@ -51,15 +46,12 @@ mod repeatability;
 pub mod report;
 pub mod rig_choice;
 pub mod session;
-mod session_images;
-mod session_rig;
 pub mod shape;
 mod shape_inspect;
 mod sharpness;
 pub mod stage;
 pub mod stderr;
 mod trace;
-mod warnings;
 
 use std::ffi::OsString;
 use std::io::IsTerminal;
@@ -67,11 +59,10 @@ use std::process::ExitCode;
 
 use clap::{Args, ColorChoice, CommandFactory, FromArgMatches, Parser, Subcommand};
 
+pub use context::Context;
 pub use error::{CliError, HintExt};
 use exit::Exit;
 use output::write_stderr;
-
-use crate::shown::escaped;
 
 /// The table of commands: `Name(arguments) => function`, in the order of `rig --help`.
 macro_rules! commands {
@@ -143,47 +134,6 @@ struct GlobalArgs {
     color: ColorChoice,
 }
 
-/// What every command gets beside its own arguments.
-#[derive(Clone, Debug)]
-pub struct Context {
-    quiet: bool,
-    color: bool,
-}
-
-impl Context {
-    /// A remark for the person at the terminal, on stderr; `--quiet` drops it.
-    pub fn note(&self, text: impl std::fmt::Display) {
-        if !self.quiet {
-            write_stderr(&format!("{}\n", escaped(&text.to_string())));
-        }
-    }
-
-    /// A remark that matters: `warning: …` on stderr, also with `--quiet`.
-    pub fn warn(&self, text: impl std::fmt::Display) {
-        self.warn_lines(&[&text.to_string()]);
-    }
-
-    /// [`Self::warn`] with the likely cause on a line of its own.
-    pub fn warn_of(&self, what: &str, likely_cause: &str) {
-        self.warn_lines(&[what, &format!("  likely: {likely_cause}")]);
-    }
-
-    fn warn_lines(&self, lines: &[&str]) {
-        let (yellow, plain) = if self.color {
-            ("\x1b[1;33m", "\x1b[0m")
-        } else {
-            ("", "")
-        };
-        let lines: Vec<_> = lines.iter().map(|line| escaped(line)).collect();
-        write_stderr(&format!("{yellow}warning:{plain} {}\n", lines.join("\n")));
-    }
-
-    /// Whether to draw progress bars: stderr is a terminal and nobody asked for quiet.
-    pub fn shows_progress(&self) -> bool {
-        !self.quiet && std::io::stderr().is_terminal()
-    }
-}
-
 /// The command line's definition, for parsing, completions and manual pages.
 pub fn definition() -> clap::Command {
     Cli::command()
@@ -216,11 +166,8 @@ fn run(arguments: Vec<OsString>) -> Exit {
         Ok(cli) => cli,
         Err(error) => return report_usage(&error, &subcommand, color),
     };
-    trace::start(&cli.global, color);
-    let context = Context {
-        quiet: cli.global.quiet,
-        color,
-    };
+    trace::start(cli.global.quiet, cli.global.verbose, color);
+    let context = Context::new(cli.global.quiet, color);
     match cli.command.run(&context) {
         Ok(()) => Exit::Done,
         Err(error) => {
@@ -310,7 +257,7 @@ fn use_color(choice: ColorChoice) -> bool {
     }
 }
 
-/// A defect says so in one line; the backtrace only where RUST_BACKTRACE asks for it.
+/// Reports a defect in one line, with a backtrace only where RUST_BACKTRACE is set.
 fn install_panic_hook() {
     let with_backtrace = std::env::var_os("RUST_BACKTRACE").is_some_and(|value| value != "0");
     std::panic::set_hook(Box::new(move |panic| {

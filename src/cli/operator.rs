@@ -2,12 +2,12 @@
 
 use std::io::{BufRead, IsTerminal};
 
-use super::CliError;
+use super::error::CliError;
 use super::output::write_stderr;
 use crate::device::manual::{Operator, Request};
 use crate::device::{LampChannel, LampState};
 
-/// Asks on stderr, hears on stdin.
+/// Asks on stderr, receives on stdin.
 pub struct Terminal(());
 
 impl Terminal {
@@ -16,10 +16,10 @@ impl Terminal {
         if std::io::stdin().is_terminal() && std::io::stderr().is_terminal() {
             return Ok(Self(()));
         }
-        Err(
-            CliError::new("a manual stage asks its operator, and stdin or stderr is no terminal")
-                .hint("run it in a terminal, without redirecting stdin or stderr"),
+        Err(CliError::new(
+            "a manual stage needs its operator at a terminal, and stdin or stderr is no terminal",
         )
+        .hint("run it in a terminal, without redirecting stdin or stderr"))
     }
 }
 

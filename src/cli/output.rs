@@ -9,8 +9,9 @@ use std::fmt::Arguments;
 use std::io::{ErrorKind, IsTerminal, Write};
 use std::path::Path;
 
+use super::error::CliError;
+use super::hints;
 use super::stderr::{self, Worth};
-use super::{CliError, hints};
 use crate::shown::{escaped, is_obeyed};
 use crate::whole_file;
 

@@ -1,7 +1,8 @@
-//! What makes a scene not worth measuring, said before anything moves or is rendered: the
-//! facts are [`Visibility`]'s, here are the words and the advice.
+//! What makes a scene not worth measuring, reported before anything moves or is rendered:
+//! [`Visibility`] finds the facts, here are their wording and the advice.
 
-use super::{CliError, Context};
+use super::context::Context;
+use super::error::CliError;
 use crate::capture::directions::plan_order;
 use crate::capture::reach::StageReach;
 use crate::config::RigConfig;
@@ -10,7 +11,7 @@ use crate::config::view::SurfaceSpec;
 use crate::geometry::inspect::UNITS;
 use crate::transport::visibility::{Concern, Visibility};
 use crate::transport::{CameraBody, Scene};
-use crate::units::StageAngles;
+use crate::workflow::{DescribedIn, Notice, Observer, SceneConcern, extent_in_image, millimetres};
 
 /// Lights within a stage's reach that stand for all of them while none is planned.
 const LIGHTS_LOOKED_AT: usize = 16;
@@ -19,65 +20,14 @@ const LIGHTS_LOOKED_AT: usize = 16;
 /// that brings a mesh into this range is likely its own.
 const SUITS_THE_FIELD: std::ops::RangeInclusive<f64> = 0.05..=3.0;
 
-/// Refuses a bench whose camera doesn't see the front of the sample. Remarks go to stderr.
-pub(super) fn check_bench(config: &RigConfig, context: &Context) -> Result<(), CliError> {
-    let scene = config.geometry.scene(&[])?;
-    remark_on_files(&scene, context);
-    let seen = Visibility::of(&scene);
-    for concern in seen.concerns() {
-        let fact = fact(&concern, &seen);
-        if concern.is_fatal() {
-            return Err(CliError::new(fact).hint(remedy(&concern, &seen, Keys::rig(config))));
-        }
-        context.warn(fact);
-    }
-    Ok(())
-}
-
-/// Refuses lights that reach nothing of what the camera sees.
-pub(super) fn check_lights(config: &RigConfig, lights: &[StageAngles]) -> Result<(), CliError> {
-    let seen = Visibility::of(&config.geometry.scene(lights)?);
-    for concern in seen.concerns() {
-        if let Concern::Unlit { light, .. } = concern {
-            let fact = format!("{concern} ({})", lights[light]);
-            return Err(CliError::new(fact).hint(remedy(&concern, &seen, Keys::rig(config))));
-        }
-    }
-    Ok(())
-}
-
-/// Refuses a scene of which images can tell nothing; what is worth a remark goes to stderr.
-pub(super) fn check_scene(
-    scene: &Scene,
-    keys: Keys<'_>,
-    context: &Context,
-) -> Result<(), CliError> {
-    remark_on_files(scene, context);
-    let seen = Visibility::of(scene);
-    for concern in seen.concerns() {
-        let (fact, remedy) = (fact(&concern, &seen), remedy(&concern, &seen, keys));
-        if concern.is_fatal() {
-            return Err(CliError::new(fact).hint(remedy));
-        }
-        context.warn(format_args!("{fact}; {remedy}"));
-    }
-    Ok(())
-}
-
 /// Warns of what is wrong with a scene file's scene, which is rendered all the same.
 pub(super) fn remark_on_scene(scene: &Scene, file: &SceneFile, context: &Context) {
-    remark_on_files(scene, context);
-    let seen = Visibility::of(scene);
-    for concern in seen.concerns() {
-        let remedy = remedy(&concern, &seen, Keys::scene(file));
-        context.warn(format_args!("{}; {remedy}", fact(&concern, &seen)));
-    }
-}
-
-/// What was left out of mesh files, and the like.
-fn remark_on_files(scene: &Scene, context: &Context) {
     for remark in scene.remarks() {
         context.warn(remark);
+    }
+    let seen = Visibility::of(scene);
+    for concern in SceneConcern::all(&seen, DescribedIn::Scene, &file.sample.surface) {
+        context.notice(Notice::Scene(&concern));
     }
 }
 
@@ -127,7 +77,7 @@ pub(super) fn outlook(config: &RigConfig) -> Result<Outlook, CliError> {
             }),
         },
         None => Outlook {
-            fact: format!("the sample is in view: {}", place(&seen)),
+            fact: format!("the sample is in view: {}", extent_in_image(&seen)),
             concern: scene.remarks().first().map(|remark| Remedied {
                 remedy: format!("repair the mesh where it was made: {remark}"),
                 is_fatal: false,
@@ -137,7 +87,7 @@ pub(super) fn outlook(config: &RigConfig) -> Result<Outlook, CliError> {
 }
 
 /// What the camera's body leaves of the directions within reach.
-pub(super) fn light_ways(reach: &StageReach, body: Option<CameraBody>) -> Outlook {
+pub(super) fn light_paths(reach: &StageReach, body: Option<CameraBody>) -> Outlook {
     let free_of_concern = |fact: String| Outlook {
         fact,
         concern: None,
@@ -184,52 +134,12 @@ fn is_of_a_light(concern: &Concern) -> bool {
     matches!(concern, Concern::Unlit { .. })
 }
 
-fn fact(concern: &Concern, seen: &Visibility) -> String {
+/// The fact, with where the sample appears.
+pub(super) fn fact(concern: &Concern, seen: &Visibility) -> String {
     match concern {
         Concern::Unlit { .. } => concern.to_string(),
-        _ => format!("{concern}; {}", place(seen)),
+        _ => format!("{concern}; {}", extent_in_image(seen)),
     }
-}
-
-/// The sample's box, in millimetres and in the image, and the field of view.
-fn place(seen: &Visibility) -> String {
-    let [low, high] = seen.bounds_mm;
-    let size = high - low;
-    let [width, height] = seen.resolution_px;
-    let in_image = match seen.projected_px {
-        Some([from, to]) => format!(
-            "x {:.1} to {:.1} and y {:.1} to {:.1} px of an image of {width} × {height} px",
-            from.x, to.x, from.y, to.y
-        ),
-        None => format!(
-            "no place: a part of it is behind the camera, whose image has {width} × {height} px"
-        ),
-    };
-    format!(
-        "its box of {} × {} × {} mm (x {} to {}, y {} to {}, z {} to {}) appears at {in_image}, the field of view is {} × {} mm",
-        mm(size.x),
-        mm(size.y),
-        mm(size.z),
-        mm(low.x),
-        mm(high.x),
-        mm(low.y),
-        mm(high.y),
-        mm(low.z),
-        mm(high.z),
-        mm(seen.field_mm.x),
-        mm(seen.field_mm.y),
-    )
-}
-
-/// Millimetres with about three digits.
-fn mm(length: f64) -> String {
-    let digits = match length.abs() {
-        1e-6..0.1 => 4,
-        0.1..1.0 => 2,
-        _ => 1,
-    };
-    // No negative zero.
-    format!("{:.digits$}", length + 0.0)
 }
 
 /// How the keys of a file are called, and what it says of the sample's surface.
@@ -244,21 +154,23 @@ pub(super) struct Keys<'a> {
 impl<'a> Keys<'a> {
     /// Of a rig file, or the session made by it.
     pub(super) fn rig(config: &'a RigConfig) -> Self {
-        Self {
-            camera: "[geometry.camera] in the rig file",
-            sample: "[geometry.sample] in the rig file",
-            light: "leave this light out (`--light AZ,EL` names lights one by one), or correct [geometry.sample_from_stage] in the rig file if the stage stands otherwise",
-            surface: &config.geometry.sample.surface,
-        }
+        Self::of(DescribedIn::Rig, &config.geometry.sample.surface)
     }
 
-    /// Of a scene file.
-    pub(super) fn scene(file: &'a SceneFile) -> Self {
-        Self {
-            camera: "[camera] in the scene file",
-            sample: "[sample] in the scene file",
-            light: "correct the light's direction in the scene file: it points from the sample to the lamp",
-            surface: &file.sample.surface,
+    fn of(file: DescribedIn, surface: &'a SurfaceSpec) -> Self {
+        match file {
+            DescribedIn::Rig => Self {
+                camera: "[geometry.camera] in the rig file",
+                sample: "[geometry.sample] in the rig file",
+                light: "leave this light out (`--light AZ,EL` names lights one by one), or correct [geometry.sample_from_stage] in the rig file if the stage stands otherwise",
+                surface,
+            },
+            DescribedIn::Scene => Self {
+                camera: "[camera] in the scene file",
+                sample: "[sample] in the scene file",
+                light: "correct the light's direction in the scene file: it points from the sample to the lamp",
+                surface,
+            },
         }
     }
 
@@ -277,7 +189,14 @@ impl<'a> Keys<'a> {
     }
 }
 
-fn remedy(concern: &Concern, seen: &Visibility, keys: Keys<'_>) -> String {
+/// What to do about a concern of a scene.
+pub(super) fn remedy_of(concern: &SceneConcern) -> String {
+    let keys = Keys::of(concern.file, &concern.surface);
+    remedy(&concern.concern, &concern.seen, keys)
+}
+
+/// What to do about it.
+pub(super) fn remedy(concern: &Concern, seen: &Visibility, keys: Keys<'_>) -> String {
     let (camera, sample) = (keys.camera, keys.sample);
     let better_unit = keys.better_unit(seen.times_the_field());
     let [low, high] = seen.bounds_mm;
@@ -288,8 +207,8 @@ fn remedy(concern: &Concern, seen: &Visibility, keys: Keys<'_>) -> String {
             Some(unit),
         ) => format!(
             "the mesh is {} mm across, the view {} mm: if the mesh is in another unit, say so: mesh_unit = \"{unit}\" in {sample}",
-            mm((high - low).max_element()),
-            mm(seen.field_mm.max_element())
+            millimetres((high - low).max_element()),
+            millimetres(seen.field_mm.max_element())
         ),
         (
             Concern::OutOfView { .. } | Concern::PartlyInView { .. },
@@ -310,7 +229,7 @@ fn remedy(concern: &Concern, seen: &Visibility, keys: Keys<'_>) -> String {
             SurfaceSpec::Mesh(mesh),
             _,
         ) => format!(
-            "`rig shape --inspect {}` says whether the mesh is inside out, which {} mends, or upside down, which mesh_to_sample mends ({sample}); else correct position_mm of {camera}",
+            "`rig shape --inspect {}` shows whether the mesh is inside out, which {} corrects, or upside down, which mesh_to_sample corrects ({sample}); else correct position_mm of {camera}",
             mesh.path.display(),
             match mesh.placement.flip_facets {
                 true => "leaving out flip_facets",

@@ -1,17 +1,17 @@
-//! Progress on stderr, silent where nobody watches.
+//! Progress on stderr, hidden where stderr is no terminal.
 
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
-use super::Context;
+use super::context::Context;
 use super::stderr::Drawing;
 
 /// Drawings per second at most.
 const RATE_HZ: u8 = 20;
 
 impl Context {
-    /// What bars draw on: stderr through its queue, or nothing where nobody watches.
+    /// What bars draw on: stderr through its queue, or nothing where progress is hidden.
     pub fn draw_target(&self) -> ProgressDrawTarget {
         if !self.shows_progress() {
             return ProgressDrawTarget::hidden();
@@ -38,7 +38,7 @@ impl Context {
         }
     }
 
-    /// A spinner whose message says what is being done.
+    /// A spinner whose message names what is being done.
     pub fn spinner(&self) -> ProgressBar {
         if !self.shows_progress() {
             return ProgressBar::hidden();
@@ -52,7 +52,7 @@ impl Context {
 
 /// Steps of a bar that is fed with parts of the whole.
 const STEPS: u64 = 1000;
-/// Before this part of the whole is done, the pace says nothing.
+/// Part of the whole before which the remaining time cannot be estimated.
 const LEAST_DONE: f64 = 0.02;
 
 /// A bar that is fed with the name of a stage and the part of the whole that is done.
@@ -76,7 +76,7 @@ impl StagedBar {
     }
 }
 
-/// What a bar says: the time left once the pace is known.
+/// The text of a bar, with the time left once the pace is known.
 fn staged(stage: &str, done: f64, elapsed_s: f64) -> String {
     if done < LEAST_DONE {
         return stage.to_owned();
@@ -100,7 +100,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn times_are_said_in_two_units_at_most() {
+    fn times_have_two_units_at_most() {
         for (seconds, text) in [
             (-3.0, "0 s"),
             (46.6, "47 s"),

@@ -3,9 +3,11 @@
 use std::path::{Path, PathBuf};
 
 use super::output::{check_ending, check_writable, write_json, write_path};
-use super::{CliError, Context, facets, preflight};
+use super::{CliError, Context, preflight};
+use crate::progress::Progress;
 use crate::rendering::{RenderError, RenderRequest, Rendering};
 use crate::transport::{Remainder, RenderOptions};
+use crate::workflow::remark_on_facets;
 
 /// Renders a scene file, one image per light.
 #[derive(clap::Args, Debug)]
@@ -47,6 +49,15 @@ struct Answer {
 /// The least share of the light that is worth a remark if it is cut off.
 const TRUNCATION_REMARK: f64 = 1e-4;
 
+/// A bar over the rows of pixels.
+struct Rows<'a>(&'a indicatif::ProgressBar);
+
+impl Progress for Rows<'_> {
+    fn advance(&self, rows: usize) {
+        self.0.inc(rows as u64);
+    }
+}
+
 /// `rig render`.
 pub fn run(args: &RenderArgs, context: &Context) -> Result<(), CliError> {
     check_ending(&args.out, "exr")?;
@@ -61,7 +72,7 @@ pub fn run(args: &RenderArgs, context: &Context) -> Result<(), CliError> {
     let rendering = Rendering::load(&request).map_err(advise)?;
     preflight::remark_on_scene(&rendering.scene, &rendering.file, context);
     if let Some(found) = &rendering.coarse_facets {
-        context.warn(facets::remark(found));
+        context.warn(remark_on_facets(found));
     }
     let folder = args
         .out
@@ -77,7 +88,7 @@ pub fn run(args: &RenderArgs, context: &Context) -> Result<(), CliError> {
     check_writable(&args.out)?;
     // The work.
     let bar = context.bar(rendering.scene.camera.resolution_px[1] as u64, "rows");
-    let rendered = rendering.run(&|rows| bar.set_position(rows as u64));
+    let rendered = rendering.run(&Rows(&bar));
     bar.finish_and_clear();
     let rendered = rendered.map_err(advise)?;
     for (light, cut) in rendered.truncation.iter().enumerate() {

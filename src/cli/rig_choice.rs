@@ -2,7 +2,8 @@
 
 use std::path::Path;
 
-use super::{CliError, Context};
+use super::context::Context;
+use super::error::CliError;
 use crate::config::{Origin, ResolvedRig, Surroundings, resolve_rig};
 use crate::device::discovery::usb_devices;
 
@@ -16,7 +17,7 @@ pub struct RigArg {
 }
 
 impl RigArg {
-    /// The rig; says so on stderr when the simulated one stands in.
+    /// The rig; a note on stderr where the simulated one stands in.
     pub fn resolve(&self, context: &Context) -> Result<ResolvedRig, CliError> {
         let rig = resolve_rig(self.rig.as_deref(), &Surroundings::of_process(), || {
             usb_devices(Path::new("/"))

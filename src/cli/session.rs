@@ -4,8 +4,9 @@ use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
+use super::context::Context;
+use super::error::{CliError, HintExt};
 use super::output::{write_json, write_line};
-use super::{CliError, Context, HintExt};
 use crate::out;
 use crate::session::layout::{self, JOURNAL_FILE, SESSION_FILE};
 use crate::session::verify::{Summary, verify};

@@ -3,10 +3,13 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use super::open::{self, PortDriver, Stage};
+use super::context::Context;
+use super::error::CliError;
+use super::open;
 use super::output::write_json;
 use super::rig_choice::RigArg;
-use super::{CliError, Context, interrupt, repeatability};
+use super::{interrupt, repeatability};
+use crate::capture::open::{PortDriver, Stage, open_port, open_stage, stop_port, stop_stage};
 use crate::device::{
     DeviceError, LampChannel, LampState, LightStage, StageActivity, StageInfo, StageStatus,
 };
@@ -69,7 +72,7 @@ enum Action {
         )]
         elevation: Option<f64>,
     },
-    /// Homes again and again, and says how well the switches are found
+    /// Homes repeatedly and reports how well the switches are found
     ///
     /// After each homing the stage drives away and back to its switches with the
     /// steps counted; where they are found differs by the errors of two homings,
@@ -81,7 +84,7 @@ enum Action {
         #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(2..=1000))]
         cycles: u32,
     },
-    /// Asks what the stage is doing
+    /// Reports what the stage is doing
     Status(Which),
     /// Stops motion and lamp now
     Stop(Which),
@@ -95,13 +98,13 @@ struct Which {
     /// Serial port of a stage without a rig file
     #[arg(long, value_name = "PATH", conflicts_with = "rig")]
     port: Option<String>,
-    /// What speaks on --port
+    /// Protocol of the controller on --port
     #[arg(long, value_enum, default_value_t = PortDriver::Grbl, requires = "port")]
     driver: PortDriver,
     /// Bits per second on --port
     #[arg(long, default_value_t = 115_200, requires = "port")]
     baud: u32,
-    /// The answer as JSON
+    /// The result as JSON
     #[arg(long)]
     json: bool,
 }
@@ -141,7 +144,7 @@ pub fn run(args: &StageArgs, context: &Context) -> Result<(), CliError> {
                 elevation_deg: *elevation,
             };
             let mut open = which.open_to_reach(target, context)?.guarded()?;
-            context.note("homing first: a stage that was just connected doesn't know where it is");
+            context.note("homing first: the position is unknown after connecting");
             let status = stoppable(&mut *open.stage, |stage, _| {
                 stage.home()?;
                 stage.move_to(target)?;
@@ -162,70 +165,9 @@ pub fn run(args: &StageArgs, context: &Context) -> Result<(), CliError> {
                 azimuth_deg,
                 elevation_deg,
             });
-            let mut open = match target {
-                Some(target) => which.open_to_reach(target, context)?,
-                None => which.open(context)?,
-            }
-            .guarded()?;
-            let status = stoppable(&mut *open.stage, |stage, wishes| {
-                if *home || target.is_some() {
-                    stage.home()?;
-                }
-                if let Some(target) = target {
-                    stage.move_to(target)?;
-                }
-                stage.set_lamp(*lamp).map_err(while_lit)?;
-                if *lamp != LampState::Off {
-                    context.note(match seconds {
-                        Some(seconds) => format!("lit for {seconds} s or until Ctrl-C"),
-                        None => "lit until Ctrl-C".to_owned(),
-                    });
-                    keep_lit(stage, *lamp, *seconds, wishes)?;
-                    stage.set_lamp(LampState::Off).map_err(while_lit)?;
-                    if wishes.interrupt.take_pause() {
-                        suspend_dark(context);
-                    }
-                }
-                Ok(stage.status()?)
-            });
-            match status {
-                Err(error) if error.fact().contains("locked") => {
-                    Err(error.hint("make sure that the stage is free to move, then add --home"))
-                }
-                status => which.report(open.stage.info(), &status?),
-            }
+            light(which, *lamp, *seconds, *home, target, context)
         }
-        Action::Repeatability { which, cycles } => {
-            if which.port.is_some() {
-                return Err(
-                    CliError::new("--port does not say how far the stage may move")
-                        .hint("describe the stage in a rig file and name it with --rig"),
-                );
-            }
-            let rig = which.rig.resolve(context)?.config;
-            let kinematics = rig.stage.kinematics();
-            let mut open = open::open_stage(&rig)?.guarded()?;
-            let found = stoppable(&mut *open.stage, |stage, wishes| {
-                let stopped = wishes.stopped;
-                Ok(repeatability::measure(
-                    stage,
-                    &kinematics,
-                    *cycles,
-                    stopped,
-                    context,
-                )?)
-            })?;
-            let found = found.ok_or_else(|| {
-                let driver = &open.stage.info().driver;
-                CliError::new(format!("a {driver} stage cannot tell where it finds its switches"))
-                    .hint("Zaber stages can; for others, compare images of a mark after each `rig stage home`")
-            })?;
-            found.report(
-                open.stage.info(),
-                repeatability::unit(&kinematics),
-                which.json,
-            )
-        }
+        Action::Repeatability { which, cycles } => repeat_homing(which, *cycles, context),
         Action::Status(which) => {
             let mut open = which.open(context)?;
             let status = open.stage.status()?;
@@ -235,15 +177,93 @@ pub fn run(args: &StageArgs, context: &Context) -> Result<(), CliError> {
     }
 }
 
+/// Switches the lamp and keeps it lit as long as wanted.
+fn light(
+    which: &Which,
+    lamp: LampState,
+    seconds: Option<f64>,
+    home: bool,
+    target: Option<StageAngles>,
+    context: &Context,
+) -> Result<(), CliError> {
+    let mut open = match target {
+        Some(target) => which.open_to_reach(target, context)?,
+        None => which.open(context)?,
+    }
+    .guarded()?;
+    let status = stoppable(&mut *open.stage, |stage, wishes| {
+        if home || target.is_some() {
+            stage.home()?;
+        }
+        if let Some(target) = target {
+            stage.move_to(target)?;
+        }
+        stage.set_lamp(lamp).map_err(while_lit)?;
+        if lamp != LampState::Off {
+            context.note(match seconds {
+                Some(seconds) => format!("lit for {seconds} s or until Ctrl-C"),
+                None => "lit until Ctrl-C".to_owned(),
+            });
+            keep_lit(stage, lamp, seconds, wishes)?;
+            stage.set_lamp(LampState::Off).map_err(while_lit)?;
+            if wishes.interrupt.take_pause() {
+                suspend_dark(context);
+            }
+        }
+        Ok(stage.status()?)
+    });
+    match status {
+        Err(error) if error.fact().contains("locked") => {
+            Err(error.hint("make sure that the stage is free to move, then add --home"))
+        }
+        status => which.report(open.stage.info(), &status?),
+    }
+}
+
+/// Measures how well the reference switches are found.
+fn repeat_homing(which: &Which, cycles: u32, context: &Context) -> Result<(), CliError> {
+    if which.port.is_some() {
+        return Err(
+            CliError::new("--port does not say how far the stage may move")
+                .hint("describe the stage in a rig file and name it with --rig"),
+        );
+    }
+    let rig = which.rig.resolve(context)?.config;
+    let kinematics = rig.stage.kinematics();
+    let mut open = open_stage(&rig, &open::options(&rig)?)?.guarded()?;
+    let found = stoppable(&mut *open.stage, |stage, wishes| {
+        let stopped = wishes.stopped;
+        Ok(repeatability::measure(
+            stage,
+            &kinematics,
+            cycles,
+            stopped,
+            context,
+        )?)
+    })?;
+    let found = found.ok_or_else(|| {
+        let driver = &open.stage.info().driver;
+        CliError::new(format!(
+            "a {driver} stage cannot tell where it finds its switches"
+        ))
+        .hint("Zaber stages can; for others, compare images of a mark after each `rig stage home`")
+    })?;
+    found.report(
+        open.stage.info(),
+        repeatability::unit(&kinematics),
+        which.json,
+    )
+}
+
 fn stop(which: &Which, context: &Context) -> Result<(), CliError> {
     let outcome = match &which.port {
-        Some(port) => open::stop_port(which.driver, port, which.baud)?,
+        Some(port) => open::stopped(stop_port(which.driver, port, which.baud))?,
         None => {
             let rig = which.rig.resolve(context)?.config;
             if rig.is_simulated() {
                 "nothing: a simulated stage runs only as long as the command that uses it"
             } else {
-                open::stop_stage(&rig)?
+                open::stopped(stop_stage(&rig))?
             }
         }
     };
@@ -256,8 +276,11 @@ fn stop(which: &Which, context: &Context) -> Result<(), CliError> {
 impl Which {
     fn open(&self, context: &Context) -> Result<Stage, CliError> {
         match &self.port {
-            Some(port) => open::open_port(self.driver, port, self.baud),
-            None => open::open_stage(&self.rig.resolve(context)?.config),
+            Some(port) => Ok(open_port(self.driver, port, self.baud, &open::of_port()?)?),
+            None => {
+                let rig = self.rig.resolve(context)?.config;
+                Ok(open_stage(&rig, &open::options(&rig)?)?)
+            }
         }
     }
 
@@ -272,7 +295,7 @@ impl Which {
         let rig = self.rig.resolve(context)?;
         let kinematics = rig.config.stage.kinematics();
         kinematics.reach(&rig.config.name, target)?;
-        open::open_stage(&rig.config)
+        Ok(open_stage(&rig.config, &open::options(&rig.config)?)?)
     }
 
     fn report(&self, info: &StageInfo, status: &StageStatus) -> Result<(), CliError> {
@@ -307,7 +330,7 @@ impl Which {
 
 /// How often signals are looked at.
 const LOOK: Duration = Duration::from_millis(20);
-/// How often a stage whose lamp is lit is asked whether it is there.
+/// How often a stage whose lamp is lit is queried.
 const ASK: Duration = Duration::from_secs(1);
 
 /// Runs `act` while another thread waits for a signal, to stop the stage then.
@@ -352,11 +375,11 @@ fn stoppable<T>(
     }
 }
 
-/// What was asked for by signals.
+/// What was requested by signals.
 struct Wishes<'a> {
     /// The stage was stopped.
     stopped: &'a AtomicBool,
-    /// Knows of a wish to pause, which nobody else hears.
+    /// Knows of a request to pause, which nothing else handles.
     interrupt: &'a Interrupt,
 }
 
@@ -378,7 +401,7 @@ fn while_lit(error: DeviceError) -> CliError {
     }
 }
 
-/// Waits until the time is over, a signal has stopped the stage or asks for a pause.
+/// Waits until the time is over, a signal has stopped the stage or requests a pause.
 /// Asks the stage meanwhile whether it is there and the lamp lit.
 fn keep_lit(
     stage: &mut dyn LightStage,

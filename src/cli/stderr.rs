@@ -1,10 +1,10 @@
 //! stderr, written by a thread of its own from a bounded queue.
 //!
 //! A terminal after Ctrl-S, a pager that is not scrolled or a stalled ssh
-//! connection takes no bytes. Whoever has something to say only puts it into the
-//! queue and goes on: nothing that happens to stderr may hold the thread that
-//! drives a bench whose lamp is lit. What does not fit is dropped, progress first
-//! and remarks last, and the number of lost messages is said once there is room.
+//! connection takes no bytes. Threads only put their messages into the queue and
+//! go on: nothing that happens to stderr may hold the thread that drives a bench
+//! whose lamp is lit. What does not fit is dropped, progress first and remarks
+//! last, and the number of lost messages is reported once there is room.
 
 use std::collections::VecDeque;
 use std::io::{self, Write};
@@ -17,7 +17,7 @@ use crate::shown;
 
 /// How long a program that ends waits for stderr to take what is left.
 pub const LAST_WORDS: Duration = Duration::from_secs(1);
-/// How long stdout waits for what was said on stderr before, so that a terminal
+/// How long stdout waits for earlier messages on stderr, so that a terminal
 /// shows both in their order.
 const IN_ORDER: Duration = Duration::from_millis(100);
 
@@ -146,7 +146,7 @@ pub fn flush(longest: Duration) {
     }
 }
 
-/// Lets stderr take what was said, unless it takes nothing.
+/// Waits shortly until stderr has taken all messages, unless it takes none.
 pub fn flush_in_order() {
     if let Some(queue) = queue()
         && !queue.state().is_stuck

@@ -1,4 +1,4 @@
-//! What the library says while it works: warnings as the program's own, the rest on demand.
+//! Events of the library: warnings are shown as the program's own, the rest on demand.
 
 use std::fmt;
 
@@ -8,18 +8,18 @@ use tracing_subscriber::fmt::format::Writer;
 use tracing_subscriber::fmt::{FmtContext, FormatEvent, FormatFields};
 use tracing_subscriber::registry::LookupSpan;
 
-use super::{GlobalArgs, stderr};
+use super::stderr;
 
 /// Shows warnings; with --verbose or RUST_LOG more, each with its time and module.
-pub(super) fn start(global: &GlobalArgs, color: bool) {
-    let level = match (global.quiet, global.verbose) {
+pub(super) fn start(quiet: bool, verbose: u8, color: bool) {
+    let level = match (quiet, verbose) {
         (true, _) => "error",
         (_, 0) => "warn",
-        (_, 1) => "info,rig=debug",
+        (_, 1) => "info,rig=debug,rig_core=debug",
         _ => "trace",
     };
     let wanted = std::env::var("RUST_LOG").ok();
-    let shows_places = wanted.is_some() || global.verbose > 0;
+    let shows_places = wanted.is_some() || verbose > 0;
     let filter = wanted.unwrap_or_else(|| level.to_owned());
     let subscriber = tracing_subscriber::fmt()
         .with_env_filter(EnvFilter::new(filter))

@@ -1,101 +1,21 @@
-//! From what files say to what is traced: meshes read, scenes assembled.
+//! From what rig files say to what is traced: the believed scene and the simulated truth.
 
-use std::path::Path;
 use std::sync::Arc;
 
 use super::RigConfig;
 use super::geometry::GeometryConfig;
-use super::reflectance::BrdfSpec;
-use super::scene::SceneFile;
 use super::simulation::MaterialSpec;
-use super::view::{BodySpec, SampleSpec, SurfaceSpec};
-use crate::brdf::{Atom, Brdf, BrdfError, Dictionary, Mixture, source, weights};
-use crate::geometry::{Mesh, MeshError, Shape};
+use crate::brdf::{Brdf, BrdfError, source};
+use crate::config::{BuildError, load_bodies};
 use crate::simulation::{Truth, TruthSource};
-use crate::transport::{Body, Camera, CameraShadow, Light, Scene, Shading};
+use crate::transport::{CameraShadow, Scene};
 use crate::units::StageAngles;
-
-/// Why a scene cannot be built from a valid description.
-#[derive(Debug, thiserror::Error)]
-pub enum BuildError {
-    /// The surface.
-    #[error(transparent)]
-    Mesh(#[from] MeshError),
-    /// The material.
-    #[error(transparent)]
-    Brdf(#[from] BrdfError),
-    /// A thing beside the sample whose channels differ.
-    #[error("geometry.body[{body}] is coloured; only grey bodies can stand beside a sample")]
-    ColouredBody {
-        /// Index from 0.
-        body: usize,
-    },
-}
-
-impl SurfaceSpec {
-    /// The surface, to be shaded so; a shape with `segments` facets around if given, else
-    /// with its own.
-    pub fn mesh(&self, shading: Shading, segments: Option<u32>) -> Result<Mesh, BuildError> {
-        match self {
-            SurfaceSpec::Shape(shape) => Ok(with_segments(shape, segments).mesh()?),
-            SurfaceSpec::Mesh(spec) => Ok(spec.load(shading)?),
-        }
-    }
-}
-
-fn with_segments(shape: &Shape, wanted: Option<u32>) -> Shape {
-    let mut shape = shape.clone();
-    if let Some(wanted) = wanted {
-        match &mut shape {
-            Shape::Bowl { segments, .. }
-            | Shape::Sphere { segments, .. }
-            | Shape::Cap { segments, .. }
-            | Shape::Groove { segments, .. }
-            | Shape::Designed { segments, .. } => *segments = wanted.next_multiple_of(4),
-            Shape::Tetrahedron { .. } => {}
-        }
-    }
-    shape
-}
-
-impl SampleSpec {
-    /// The scene of this sample.
-    fn scene(
-        &self,
-        bodies: Vec<Body>,
-        camera: Camera,
-        lights: Vec<Light>,
-    ) -> Result<Scene, BuildError> {
-        Ok(Scene::with_bodies(
-            self.surface.mesh(self.shading, None)?,
-            self.shading,
-            bodies,
-            camera,
-            lights,
-        ))
-    }
-}
-
-impl BodySpec {
-    /// The body, its mesh and tables read.
-    fn load(&self) -> Result<Body, BuildError> {
-        Ok(Body {
-            mesh: self.surface.mesh(self.shading, None)?,
-            shading: self.shading,
-            brdf: self.brdf.load()?,
-        })
-    }
-}
-
-fn load_all(bodies: &[BodySpec]) -> Result<Vec<Body>, BuildError> {
-    bodies.iter().map(BodySpec::load).collect()
-}
 
 impl GeometryConfig {
     /// The scene as the fit believes it, with the lamp at each of these angles.
     pub fn scene(&self, angles: &[StageAngles]) -> Result<Scene, BuildError> {
         let lights = angles.iter().map(|&a| self.light(a)).collect();
-        let bodies = load_all(&self.bodies)?;
+        let bodies = load_bodies(&self.bodies)?;
         let scene = self.sample.scene(bodies, self.image_camera(), lights)?;
         match scene.coloured_body() {
             Some(body) => Err(BuildError::ColouredBody { body }),
@@ -110,48 +30,6 @@ impl GeometryConfig {
         };
         Ok(Some(CameraShadow::new(&self.scene(&[])?, body)))
     }
-}
-
-impl SceneFile {
-    /// The scene with its meshes read.
-    pub fn scene(&self) -> Result<Scene, BuildError> {
-        self.sample
-            .scene(load_all(&self.bodies)?, self.camera, self.lights.clone())
-    }
-}
-
-impl BrdfSpec {
-    /// The atoms that have weight, or could have; none of a table.
-    pub fn atoms(&self) -> Result<Vec<Atom>, BrdfError> {
-        Ok(match self {
-            BrdfSpec::Mixture(parts) => parts.iter().map(|p| p.atom).collect(),
-            BrdfSpec::Dictionary { dictionary, .. } => {
-                load_dictionary(dictionary)?.atoms().to_vec()
-            }
-            BrdfSpec::Table(_) => Vec::new(),
-        })
-    }
-
-    /// The BRDF, its tables read.
-    pub fn load(&self) -> Result<Arc<dyn Brdf>, BrdfError> {
-        Ok(match self {
-            BrdfSpec::Mixture(parts) => {
-                let atoms = parts.iter().map(|p| p.atom).collect();
-                let dictionary = Dictionary::new("mixture", atoms)?;
-                let weights = std::array::from_fn(|c| parts.iter().map(|p| p.weight[c]).collect());
-                Arc::new(Mixture::new(Arc::new(dictionary), weights)?)
-            }
-            BrdfSpec::Dictionary {
-                dictionary,
-                weights: file,
-            } => Arc::new(weights::read(file, Arc::new(load_dictionary(dictionary)?))?),
-            BrdfSpec::Table(path) => source::load(&path.display().to_string())?.into(),
-        })
-    }
-}
-
-fn load_dictionary(name_or_path: &Path) -> Result<Dictionary, BrdfError> {
-    Dictionary::load(&name_or_path.to_string_lossy())
 }
 
 impl MaterialSpec {
@@ -180,7 +58,7 @@ impl RigConfig {
             mesh: (geometry.sample.surface)
                 .mesh(geometry.sample.shading, Some(simulation.segments))?,
             shading: geometry.sample.shading,
-            bodies: load_all(&geometry.bodies)?,
+            bodies: load_bodies(&geometry.bodies)?,
             camera,
             mosaic: self.camera.mosaic,
             light: Box::new(move |angles| geometry.light(angles)),

@@ -1,10 +1,11 @@
 //! The `[camera]` table of a rig file: the device, not where it stands.
 
-use std::path::PathBuf;
+use std::ffi::{OsStr, OsString};
 
 use super::ConfigError;
 use super::reader::Section;
 use crate::device::controls::TemperatureControl;
+use crate::device::described::{DRIVERS, Driver};
 use crate::device::pixel_format::{FORMAT_NAME, fourcc_of_name};
 use crate::device::{Mosaic, controls};
 use crate::units::Seconds;
@@ -24,7 +25,7 @@ pub struct CameraConfig {
     pub mosaic: Mosaic,
     /// Analogue gain, a factor; 1 is the camera's lowest.
     pub gain: f64,
-    /// Shortest and longest exposure that may be asked for.
+    /// Shortest and longest exposure that may be requested.
     pub exposure_range: [Seconds; 2],
     /// Smallest step of the exposure.
     pub exposure_step: Seconds,
@@ -53,37 +54,33 @@ pub enum CameraDriver {
         /// deepest raw one.
         format: Option<[u8; 4]>,
     },
-    /// A program that is run for each frame.
-    Command(
-        /// Program and arguments, see [`crate::device::command_camera`].
-        Vec<String>,
-    ),
-    /// A folder in which files appear.
-    Folder(PathBuf),
+    /// A camera that cannot be queried, see [`crate::device::described`].
+    Described {
+        /// Its driver.
+        driver: &'static Driver,
+        /// The value of the driver's own key.
+        setting: OsString,
+    },
 }
 
 #[derive(Clone, Copy)]
 enum Kind {
     Simulated,
     V4l,
-    Command,
-    Folder,
+    Described(&'static Driver),
 }
 
 impl CameraConfig {
     /// Reads the `[camera]` table.
     pub fn read(mut table: Section) -> Result<Self, ConfigError> {
-        let kind = table
-            .choice(
-                "driver",
-                &[
-                    ("v4l", Kind::V4l),
-                    ("command", Kind::Command),
-                    ("folder", Kind::Folder),
-                    ("simulated", Kind::Simulated),
-                ],
-            )?
-            .required()?;
+        // The driver and its own keys.
+        let described = DRIVERS
+            .iter()
+            .map(|driver| (driver.name, Kind::Described(driver)));
+        let mut drivers = vec![("v4l", Kind::V4l)];
+        drivers.extend(described);
+        drivers.push(("simulated", Kind::Simulated));
+        let kind = table.choice("driver", &drivers)?.required()?;
         let mut wanted_controls = Vec::new();
         let mut return_timeout = Seconds(0.0);
         let mut temperature = None;
@@ -104,14 +101,23 @@ impl CameraConfig {
                         .optional(),
                 }
             }
-            Kind::Command => {
-                CameraDriver::Command(table.parsed("command", COMMAND, command)?.required()?)
+            Kind::Described(driver) => {
+                let accepted = |text: &str| {
+                    let text: &OsStr = text.as_ref();
+                    (driver.accepts)(text).then(|| text.to_owned())
+                };
+                let setting = match driver.is_path {
+                    true => table.path(driver.key)?.required()?.into_os_string(),
+                    false => table
+                        .parsed(driver.key, driver.allowed, accepted)?
+                        .required()?,
+                };
+                CameraDriver::Described { driver, setting }
             }
-            Kind::Folder => CameraDriver::Folder(table.path("folder")?.required()?),
         };
-        // A frame that is asked for with its settings has no older ones.
+        // Exposures. A frame that is requested with its settings has no older ones.
         let latency_frames = match kind {
-            Kind::Command | Kind::Folder => 0,
+            Kind::Described(_) => 0,
             Kind::V4l | Kind::Simulated => 3,
         };
         let shortest_ms = table.number("shortest_ms", 1e-3..=1e6)?.or(0.05);
@@ -120,6 +126,7 @@ impl CameraConfig {
             let allowed = format!("at least shortest_ms ({shortest_ms})");
             return Err(table.conflict("longest_ms", longest_ms, &allowed));
         }
+        // The rest.
         let ms = |value: f64| Seconds(value * 1e-3);
         let camera = Self {
             driver,
@@ -169,12 +176,4 @@ fn parse_controls(text: &str) -> Option<Vec<(u32, i64)>> {
             Some((controls::id_of(name.trim())?, value.trim().parse().ok()?))
         })
         .collect()
-}
-
-const COMMAND: &str = "a program with its arguments, among them {exposure_s} and {output}";
-
-fn command(text: &str) -> Option<Vec<String>> {
-    let words: Vec<String> = text.split_whitespace().map(str::to_owned).collect();
-    let has = |key: &str| words.iter().skip(1).any(|word| word.contains(key));
-    (has("{exposure_s}") && has("{output}")).then_some(words)
 }

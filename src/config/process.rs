@@ -14,7 +14,7 @@ use crate::units::Seconds;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CaptureConfig {
     /// Signal-to-noise ratio that dark pixels of the sample reach after the merge.
-    pub snr: f64,
+    pub dark_snr: f64,
     /// Shortest and longest exposure of a bracket.
     pub exposure_range: [Seconds; 2],
     /// Largest ratio of neighbouring exposures.
@@ -56,7 +56,7 @@ impl CaptureConfig {
             return Err(table.conflict("longest_ms", longest_ms, &allowed));
         }
         let capture = Self {
-            snr: table.number("snr", 1.0..=1e4)?.or(20.0),
+            dark_snr: table.number("snr", 1.0..=1e4)?.or(20.0),
             exposure_range: [Seconds(shortest_ms * 1e-3), Seconds(longest_ms * 1e-3)],
             exposure_ratio: table.number("exposure_ratio", 1.2..=64.0)?.or(4.0),
             peak_fraction: table.number("peak_fraction", 0.1..=0.95)?.or(0.7),
@@ -132,7 +132,7 @@ impl FitConfig {
 /// the newest valid one of its kind.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CalibrationConfig {
-    /// Folder with one folder per kind; `None`: `calibration/<rig>` beside or
+    /// Folder with one folder per kind; `None`: `calibration/<rig>` next to or
     /// above the rig file, or the records built into the program.
     pub folder: Option<PathBuf>,
     /// Id of the record of the sensor's noise.

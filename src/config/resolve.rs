@@ -58,7 +58,7 @@ pub enum Origin {
     Fallback,
 }
 
-/// Where to look, besides what was asked.
+/// Where to look, besides the request.
 #[derive(Clone, Debug)]
 pub struct Surroundings {
     /// The value of RIG_CONFIG; empty counts as absent.
@@ -77,7 +77,7 @@ impl Surroundings {
     }
 }
 
-/// The rig that was asked for; else RIG_CONFIG's; else `./rig.toml`; else the
+/// The rig that was requested; else RIG_CONFIG's; else `./rig.toml`; else the
 /// simulated one, unless `real_devices` finds any.
 ///
 /// `asked` is a file (it has a `/` or ends in `.toml`) or a name in

@@ -8,7 +8,7 @@ use super::geometry::GeometryConfig;
 use super::limits::LimitsConfig;
 use super::process::{CalibrationConfig, CaptureConfig, FitConfig};
 use super::reader::Section;
-use super::simulation::SimulationConfig;
+use super::simulation::{SimulationConfig, Timing};
 use super::stage::StageConfig;
 use super::view::with_lens;
 use crate::inverse::BenchPriors;
@@ -56,6 +56,12 @@ impl RigConfig {
     /// Whether its devices are simulated.
     pub fn is_simulated(&self) -> bool {
         self.simulation.is_some()
+    }
+
+    /// Whether it is simulated with a clock that jumps instead of waiting.
+    pub fn is_instant(&self) -> bool {
+        let simulation = self.simulation.as_ref();
+        simulation.is_some_and(|simulation| simulation.timing == Timing::Instant)
     }
 
     pub(super) fn read(root: &mut Section, text: &str) -> Result<Self, ConfigError> {
@@ -159,7 +165,7 @@ mod tests {
         keys
     }
 
-    /// Every key that the readers ask for, in every variant, stands in a
+    /// Every key that the readers request, in every variant, stands in a
     /// commented file; what a scene file also has (`brdf`, a body's surface) is explained there.
     #[test]
     fn the_commented_files_name_every_key() {
@@ -204,7 +210,7 @@ mod tests {
         );
         for text in texts {
             let mut root = Section::parse("rig.toml", Path::new(""), &text).unwrap();
-            // The tetrahedron refuses `segments`; what it asked for is recorded all the same.
+            // The tetrahedron refuses `segments`; what it read is recorded all the same.
             let _ = RigConfig::read(&mut root, &text);
             asked.extend(root.vocabulary());
         }
@@ -248,6 +254,12 @@ mod tests {
         assert_eq!(grbl.lamp_off, ["M5", "M9"]);
         assert_eq!(grbl.kinematics.first.position(-180.0), 0.0);
         assert_eq!(rig.text, simulated());
+    }
+
+    #[test]
+    fn the_shipped_rig_sees_the_sample_along_the_zenith() {
+        let rig = parse(simulated()).unwrap();
+        assert!((rig.geometry.coaxial() - glam::DVec3::Z).length() < 1e-9);
     }
 
     #[test]

@@ -34,7 +34,7 @@ pub mod id {
     pub const ANALOGUE_GAIN: u32 = 0x009e_0903;
 }
 
-/// Controls that a rig file can name, beside any by its number.
+/// Controls that a rig file can name, in addition to any by its number.
 const NAMES: &[(&str, u32)] = &[
     ("brightness", 0x0098_0900),
     ("contrast", 0x0098_0901),
@@ -229,7 +229,7 @@ pub fn set_manual(
     Ok(())
 }
 
-/// Sets the controls that a rig file asks for, each within its range.
+/// Sets the controls that a rig file requests, each within its range.
 ///
 /// # Errors
 /// [`DeviceError::Refused`] where the camera lacks one or its range does not

@@ -19,7 +19,7 @@ pub enum DeviceKind {
     Serial,
 }
 
-/// A device file and what the system says of it.
+/// A device file and what the system reports of it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct FoundDevice {
     /// Camera or serial port.
@@ -29,7 +29,7 @@ pub struct FoundDevice {
     pub path: PathBuf,
     /// The node itself, e.g. `/dev/ttyUSB0`.
     pub node: PathBuf,
-    /// What it is, as the device or the driver says; empty if neither does.
+    /// What it is, as the device or the driver reports; empty if neither does.
     pub model: String,
     /// The device's own serial number; empty if it has none.
     pub serial: String,

@@ -141,7 +141,7 @@ pub enum DeviceError {
         /// The alarm code and its meaning.
         reason: String,
     },
-    /// A move was asked for while the position is unknown.
+    /// A move was requested while the position is unknown.
     #[error("{device} has not been homed since {since}, so its position is unknown")]
     NotHomed {
         /// Path or name.
@@ -179,7 +179,7 @@ pub enum DeviceError {
         /// The system's error.
         source: std::io::Error,
     },
-    /// The guardian has taken the stage over, because it had heard nothing from this
+    /// The guardian has taken the stage over, because it had received nothing from this
     /// process for longer than was announced.
     #[error(
         "{device}: the program gave no sign of life for longer than it had announced, \

@@ -9,67 +9,74 @@ use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant, SystemTime};
 
+use rustix::fs::{Access, access};
+
+use super::described::{DescribedCamera, Driver, FrameSource, Wanted, io_error};
 use super::retake::FrameFault;
-use super::{
-    Camera, CameraInfo, CameraSettings, DeviceError, FrameKey, RawFrame, image_file, outside,
-};
+use super::{CameraInfo, DeviceError, RawFrame, image_file};
 use crate::units::Seconds;
 
-/// The folder and what its files hold.
-#[derive(Clone, Debug, PartialEq)]
-pub struct FolderConfig {
-    /// Where the files appear.
-    pub folder: PathBuf,
-    /// The camera as the rig file describes it: nobody can be asked.
-    pub info: CameraInfo,
-    /// How long a file may take beyond the exposure.
-    pub timeout: Seconds,
-    /// A file that has not changed for so long is taken to be whole.
-    pub stable: Seconds,
-}
+/// `camera.driver = "folder"`.
+pub const DRIVER: Driver = Driver {
+    name: "folder",
+    key: "folder",
+    allowed: "a path",
+    is_path: true,
+    accepts: |_| true,
+    ready: |path| {
+        let access = access(path, Access::READ_OK | Access::WRITE_OK);
+        let name = path.to_string_lossy().into_owned();
+        match access {
+            Ok(()) => Ok(format!("files are awaited in {name}")),
+            Err(error) => Err(io_error(name, error.into())),
+        }
+    },
+    open: |path, description| {
+        let folder = FrameFolder::new(PathBuf::from(path), FILE_IS_STABLE)?;
+        let info = CameraInfo {
+            model: folder.name(),
+            ..description.info
+        };
+        Ok(Box::new(DescribedCamera::new(
+            folder,
+            info,
+            description.timeout,
+        )))
+    },
+};
 
-/// A folder as a camera.
+/// A file that has not changed for so long is read.
+const FILE_IS_STABLE: Seconds = Seconds(0.5);
+
+/// A folder in which frames appear.
 #[derive(Clone, Debug)]
-pub struct FolderCamera {
-    config: FolderConfig,
-    settings: Option<CameraSettings>,
-    requests: u64,
+pub struct FrameFolder {
+    path: PathBuf,
+    /// A file that has not changed for so long is taken to be whole.
+    stable: Seconds,
 }
 
 /// The file that says what is wanted.
 pub const REQUEST_FILE: &str = "rig-request.json";
 /// How often the folder is looked at.
 const POLL: Duration = Duration::from_millis(50);
-/// What tells one state of a file from another: length, time, and number on its file
+/// What distinguishes one state of a file from another: length, time, and number on its file
 /// system, because the times of some go in steps of two seconds.
 type State = (u64, Option<SystemTime>, u64);
 
-impl FolderCamera {
-    /// A camera of this configuration.
+impl FrameFolder {
+    /// A folder in which a file that has not changed for `stable` is taken to be whole.
     ///
     /// # Errors
     /// If the folder cannot be read.
-    pub fn new(config: FolderConfig) -> Result<Self, DeviceError> {
-        let camera = Self {
-            config,
-            settings: None,
-            requests: 0,
-        };
-        camera.files()?;
-        Ok(camera)
-    }
-
-    fn device(&self) -> String {
-        self.config.folder.display().to_string()
+    pub fn new(path: PathBuf, stable: Seconds) -> Result<Self, DeviceError> {
+        let folder = Self { path, stable };
+        folder.files()?;
+        Ok(folder)
     }
 
     fn io_error(&self, source: std::io::Error) -> DeviceError {
-        let device = self.device();
-        match source.kind() {
-            std::io::ErrorKind::NotFound => DeviceError::NotFound { device },
-            std::io::ErrorKind::PermissionDenied => DeviceError::PermissionDenied { device },
-            _ => DeviceError::Io { device, source },
-        }
+        io_error(self.name(), source)
     }
 
     /// The image files of the folder.
@@ -81,7 +88,7 @@ impl FolderCamera {
         &self,
         is_wanted: fn(&Path) -> bool,
     ) -> Result<BTreeMap<PathBuf, State>, DeviceError> {
-        let entries = std::fs::read_dir(&self.config.folder).map_err(|e| self.io_error(e))?;
+        let entries = std::fs::read_dir(&self.path).map_err(|e| self.io_error(e))?;
         let state = |path: PathBuf| {
             // A file that is gone again is no file.
             let meta = std::fs::metadata(&path)
@@ -97,89 +104,41 @@ impl FolderCamera {
             .collect())
     }
 
-    /// Says what is wanted: whole at any moment, by renaming.
-    fn request(&self, settings: CameraSettings) -> std::io::Result<()> {
+    /// Writes what is wanted: whole at any moment, by renaming.
+    fn request(&self, wanted: &Wanted) -> std::io::Result<()> {
         let request = serde_json::json!({
-            "number": self.requests,
-            "exposure_s": settings.exposure.0,
-            "gain": settings.gain,
+            "number": wanted.number,
+            "exposure_s": wanted.settings.exposure.0,
+            "gain": wanted.settings.gain,
         });
         // Other programs, perhaps of other users, read it.
         let file = tempfile::Builder::new()
             .permissions(Permissions::from_mode(0o666))
-            .tempfile_in(&self.config.folder)?;
+            .tempfile_in(&self.path)?;
         std::fs::write(file.path(), format!("{request}\n"))?;
-        file.persist(self.config.folder.join(REQUEST_FILE))?;
+        file.persist(self.path.join(REQUEST_FILE))?;
         Ok(())
     }
-
-    fn read(&self, path: &Path) -> Result<RawFrame, FrameFault> {
-        image_file::read(
-            path,
-            self.config.info.resolution_px,
-            self.config.info.bit_depth,
-        )
-    }
 }
 
-impl Camera for FolderCamera {
-    fn info(&self) -> &CameraInfo {
-        &self.config.info
+impl FrameSource for FrameFolder {
+    const SENT: &'static str = "a request for a frame; its files cannot be read";
+
+    fn name(&self) -> String {
+        self.path.display().to_string()
     }
 
-    /// Nothing can be read back, so that only the images show whether the
-    /// settings were applied.
-    fn configure(&mut self, requested: CameraSettings) -> Result<CameraSettings, DeviceError> {
-        let applied = CameraSettings {
-            exposure: super::nearest_exposure(&self.config.info, requested.exposure),
-            gain: requested.gain,
-        };
-        self.settings = Some(applied);
-        Ok(applied)
-    }
-
-    fn set_shutter(&mut self, _open: bool) -> Result<bool, DeviceError> {
-        Ok(false)
-    }
-
-    fn grab(&mut self, _key: FrameKey) -> Result<RawFrame, DeviceError> {
-        let settings = self.settings.ok_or_else(|| DeviceError::Refused {
-            device: self.device(),
-            command: "a frame".to_owned(),
-            reason: "it is not configured".to_owned(),
-        })?;
-        self.requests += 1;
-        let timeout = Seconds(settings.exposure.0 + self.config.timeout.0);
-        let device = self.device();
-        let camera = self.clone();
-        let sent = "a request for a frame; its files cannot be read";
-        outside::frame_within(device, timeout, sent, move || {
-            camera.next_file(settings, timeout)
-        })
-    }
-
-    fn longest_frame(&self, exposure: Seconds) -> Seconds {
-        Seconds(exposure.0 + self.config.timeout.0 + 2.0 * outside::HANDOVER.as_secs_f64())
-    }
-}
-
-impl FolderCamera {
-    /// Asks for a frame and waits for its file.
-    fn next_file(
-        &self,
-        settings: CameraSettings,
-        timeout: Seconds,
-    ) -> Result<RawFrame, DeviceError> {
-        let deadline = Instant::now() + timeout.to_duration();
+    /// Writes the request and waits for the frame's file.
+    fn take(&self, wanted: &Wanted) -> Result<RawFrame, DeviceError> {
         let old = self.files()?;
         let old_others = self.files_that(image_file::has_other_ending)?;
-        self.request(settings)
-            .map_err(|error| self.io_error(error))?;
-        let wanted = format!("a frame of {} at gain {}", settings.exposure, settings.gain);
-        tracing::info!("waiting for {wanted} in {}", self.device());
+        self.request(wanted).map_err(|error| self.io_error(error))?;
+        let settings = wanted.settings;
+        let sent = format!("a frame of {} at gain {}", settings.exposure, settings.gain);
+        tracing::info!("waiting for {sent} in {}", self.name());
         let mut seen: BTreeMap<PathBuf, (State, Instant)> = BTreeMap::new();
         let mut fault = None;
-        while Instant::now() < deadline {
+        while Instant::now() < wanted.deadline {
             for (path, state) in self.files()? {
                 if old.get(&path) == Some(&state) {
                     continue;
@@ -188,10 +147,10 @@ impl FolderCamera {
                 if *last != state {
                     (*last, *since) = (state, Instant::now());
                 }
-                if since.elapsed() < self.config.stable.to_duration() {
+                if since.elapsed() < self.stable.to_duration() {
                     continue;
                 }
-                match self.read(&path) {
+                match wanted.read(&path) {
                     Ok(frame) => return Ok(frame),
                     // Its program may only have paused; looked at again when it changes
                     // or has stood still for as long once more.
@@ -203,7 +162,7 @@ impl FolderCamera {
             }
             std::thread::sleep(POLL);
         }
-        let device = self.device();
+        let device = self.name();
         let others = self.files_that(image_file::has_other_ending)?;
         let is_new = |(path, state): &(&PathBuf, &State)| old_others.get(*path) != Some(*state);
         let other = others.iter().find(is_new).map(|(path, _)| {
@@ -221,8 +180,8 @@ impl FolderCamera {
             Some(fault) => DeviceError::BadFrame { device, fault },
             None => DeviceError::NoReply {
                 device,
-                timeout,
-                sent: wanted,
+                timeout: wanted.timeout,
+                sent,
             },
         })
     }
@@ -231,41 +190,14 @@ impl FolderCamera {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::device::{FrameKind, Mosaic};
+    use crate::device::Camera;
+    use crate::device::described::tests::{KEY, configured};
     use image::{ImageBuffer, Luma};
     use std::io::Write;
 
-    const KEY: FrameKey = FrameKey {
-        light: 0,
-        exposure: 0,
-        repeat: 0,
-        kind: FrameKind::Light,
-    };
-
-    fn camera(folder: &Path, timeout_s: f64) -> FolderCamera {
-        let mut camera = FolderCamera::new(FolderConfig {
-            folder: folder.to_owned(),
-            info: CameraInfo {
-                driver: "folder".to_owned(),
-                model: "folder".to_owned(),
-                serial: String::new(),
-                resolution_px: [4, 2],
-                bit_depth: 12,
-                mosaic: Mosaic::None,
-                exposure_range: [Seconds(0.001), Seconds(30.0)],
-                exposure_step: Seconds(0.001),
-            },
-            timeout: Seconds(timeout_s),
-            stable: Seconds(0.2),
-        })
-        .unwrap();
-        camera
-            .configure(CameraSettings {
-                exposure: Seconds(0.05),
-                gain: 1.0,
-            })
-            .unwrap();
-        camera
+    fn camera(folder: &Path, timeout_s: f64) -> DescribedCamera<FrameFolder> {
+        let folder = FrameFolder::new(folder.to_owned(), Seconds(0.2)).unwrap();
+        configured(folder, timeout_s, 0.05, 1.0)
     }
 
     fn png(level: u16) -> Vec<u8> {
@@ -276,7 +208,7 @@ mod tests {
         bytes.into_inner()
     }
 
-    /// Waits until the camera has asked, then acts in the folder.
+    /// Waits for the request, then acts in the folder.
     fn after_request(
         folder: &Path,
         act: impl FnOnce(&Path) + Send + 'static,

@@ -20,7 +20,7 @@ pub struct PreviousFrame {
 }
 
 impl PreviousFrame {
-    /// Since when nothing has changed, for a frame that is asked for `now`; `None`
+    /// Since when nothing has changed, for a frame that is requested `now`; `None`
     /// where something may have.
     pub fn unchanged_since(self, key: FrameKey, now: Seconds) -> Option<Seconds> {
         let repeats = FrameKey {

@@ -222,7 +222,7 @@ mod tests {
     use super::*;
     use std::sync::Mutex;
 
-    /// Does what it is told until it no longer wants to.
+    /// Does what it is asked to until it no longer wants to.
     #[derive(Default)]
     struct Scripted {
         asked: Mutex<Vec<Request>>,

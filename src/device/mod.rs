@@ -2,10 +2,11 @@
 //! per protocol.
 //!
 //! Drivers block; each is owned by one thread. A driver returns what happened
-//! (read back from the device), never what was asked.
+//! (read back from the device), never what was requested.
 
 pub mod command_camera;
 pub mod controls;
+pub mod described;
 pub mod discovery;
 pub mod dome;
 mod error;
@@ -23,6 +24,8 @@ pub mod pixel_format;
 pub mod retake;
 #[cfg(feature = "serial")]
 pub mod serial_line;
+#[cfg(feature = "serial")]
+mod shared_line;
 #[cfg(feature = "serial")]
 pub mod simulated;
 pub mod simulated_camera;
@@ -56,7 +59,7 @@ pub enum LampState {
     On(LampChannel),
 }
 
-/// What the stage is doing, as it says itself.
+/// What the stage is doing, as it reports itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum StageActivity {
@@ -115,7 +118,7 @@ impl ReferenceCheck {
     }
 }
 
-/// What a stage is told, by how long it may take.
+/// What a stage does, by how long it may take.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StageStep {
     /// Seeking the reference switches.
@@ -124,8 +127,24 @@ pub enum StageStep {
     Move,
     /// Switching the lamp.
     Lamp,
-    /// Saying what it does.
-    Question,
+    /// Reporting its state.
+    Query,
+}
+
+impl StageStep {
+    /// How long it takes at most on two axes: `homing` and `whole` are the time-outs of a
+    /// homing and of a move over all of the travel, `reply` that of a reply, of which a query
+    /// takes `replies`.
+    #[cfg(feature = "serial")]
+    fn longest(self, homing: Duration, whole: Duration, reply: Duration, replies: u32) -> Duration {
+        match self {
+            Self::Home => homing + 2 * replies * reply,
+            // To where the approach begins, and on.
+            Self::Move => 2 * (2 * whole + replies * reply + Duration::from_secs(1)),
+            Self::Lamp => 4 * reply,
+            Self::Query => replies * reply,
+        }
+    }
 }
 
 /// A lamp on a movable (or switchable) mount.
@@ -142,9 +161,9 @@ pub trait LightStage: Send {
     fn move_to(&mut self, target: StageAngles) -> Result<StageAngles, DeviceError>;
     /// Switches the lamp and returns the state the device reports.
     fn set_lamp(&mut self, lamp: LampState) -> Result<LampState, DeviceError>;
-    /// Asks the device.
+    /// Queries the device.
     fn status(&mut self) -> Result<StageStatus, DeviceError>;
-    /// The lamp's temperature now, °C; `None` where the device does not say. A reading
+    /// The lamp's temperature now, °C; `None` where the device does not report. A reading
     /// that fails is none: nothing depends on it but a limit.
     fn temperature_c(&mut self) -> Option<f64> {
         None
@@ -163,7 +182,7 @@ pub trait LightStage: Send {
     fn longest(&self, step: StageStep) -> Duration {
         match step {
             StageStep::Home | StageStep::Move => Duration::from_secs(600),
-            StageStep::Lamp | StageStep::Question => Duration::from_secs(10),
+            StageStep::Lamp | StageStep::Query => Duration::from_secs(10),
         }
     }
     /// Who watches over the thread that uses this stage; by default nobody.
@@ -179,7 +198,7 @@ pub trait LightStage: Send {
 
 /// Stops a stage without its driver's thread.
 pub trait StopHandle: Send {
-    /// Motion halted at once and lamp off, both as the device then says itself.
+    /// Motion halted at once and lamp off, both as the device then reports itself.
     /// Afterwards the position is unknown.
     fn stop(&mut self) -> Result<(), DeviceError>;
 }
@@ -269,7 +288,7 @@ pub trait Camera: Send {
     /// The next frame that begins after this call. A frame that is not right is
     /// [`DeviceError::BadFrame`]; [`retake::grab_right`] takes it again.
     fn grab(&mut self, key: FrameKey) -> Result<RawFrame, DeviceError>;
-    /// The sensor's temperature now, °C; `None` where the device does not say. A reading
+    /// The sensor's temperature now, °C; `None` where the device does not report. A reading
     /// that fails is none.
     fn temperature_c(&mut self) -> Option<f64> {
         None
@@ -300,7 +319,7 @@ pub trait Camera: Send {
     }
 }
 
-/// The exposure of the camera's range and step that is nearest to the one asked for.
+/// The exposure of the camera's range and step that is nearest to the one requested.
 fn nearest_exposure(info: &CameraInfo, wanted: Seconds) -> Seconds {
     let [shortest, longest] = info.exposure_range;
     let steps = (wanted.0 / info.exposure_step.0).round();

@@ -9,7 +9,7 @@ pub const MAX_WRONG: u32 = 4;
 /// So many waits in a row may end without a frame; each costs a whole time-out.
 pub const MAX_MISSING: u32 = 2;
 
-/// Why a frame is not the one that was asked for.
+/// Why a frame is not the one that was requested.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FrameFault {
     /// The driver marks it so.
@@ -39,8 +39,8 @@ pub enum FrameFault {
         /// Width and height of the camera.
         expected: [u32; 2],
     },
-    /// It began before it was asked for, so that lamp and settings may be older.
-    #[error("it began before it was asked for")]
+    /// It began before it was requested, so that lamp and settings may be older.
+    #[error("it began before it was requested")]
     Late,
 }
 
@@ -57,7 +57,7 @@ pub struct Retakes {
     /// Frames of another size.
     #[serde(skip_serializing_if = "is_zero")]
     pub wrong_size: u32,
-    /// Frames that had begun before they were asked for.
+    /// Frames that had begun before they were requested.
     #[serde(skip_serializing_if = "is_zero")]
     pub late: u32,
     /// Waits that ended without a frame.

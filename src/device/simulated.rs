@@ -36,7 +36,7 @@ pub struct SimulatedConfig {
     pub sensor: SensorConfig,
     /// The camera around it.
     pub camera: CameraConfig,
-    /// The serial number that the camera says it has.
+    /// The serial number that the camera reports.
     pub camera_serial: String,
     /// Colour filters that the radiance source has accounted for.
     pub mosaic: Mosaic,

@@ -10,6 +10,8 @@ use super::{
 };
 use crate::units::Seconds;
 
+pub use mock_devices::RadianceSource;
+
 /// The simulated camera behind the [`Camera`] trait.
 pub struct SimulatedCamera {
     camera: MockCamera,

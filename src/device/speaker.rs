@@ -1,6 +1,6 @@
 //! Who answers on a serial port, as far as one line tells.
 
-/// A kind of controller, by what it says.
+/// A kind of controller, by what it reports.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Speaker {
     /// GRBL or a relative.

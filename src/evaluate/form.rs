@@ -9,8 +9,9 @@ use super::lab::materials::Class;
 use super::lab::{Lab, Sample};
 use crate::brdf::Brdf;
 use crate::geometry::FormError;
-use crate::inverse::budget::{self, Source};
+use crate::inverse::budget::Source;
 use crate::inverse::intervals::Interval;
+use crate::inverse::variance_shares;
 use crate::inverse::{FitOptions, fit, intervals};
 use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
 
@@ -142,12 +143,12 @@ fn trials(lab: &Lab, error: Option<FormError>, index: u64) -> Result<[Trial; 2],
             form_error,
             ..options(lab, index)
         };
-        let fit = fit(&scene, &captured, &lab.dictionary, &options, &mut |_| {})?;
+        let fit = fit(&scene, &captured, &lab.dictionary, &options)?;
         let (theta_h, theta_d) = (theta_h_deg(), theta_d_deg());
         let (material, draws) = (&fit.material, &fit.draws);
         let cells = intervals::table(material, draws, &theta_h, &theta_d);
         let [theta_h, theta_d] = SHARE_AT_DEG;
-        let budget = budget::at(material, draws, theta_h, theta_d);
+        let budget = variance_shares::at(material, draws, theta_h, theta_d);
         let share = budget.map_or(0.0, |cell| {
             let total: f64 = cell.relative_variance.iter().sum();
             cell.relative_variance[Source::Mesh as usize] / total.max(f64::MIN_POSITIVE)

@@ -220,7 +220,7 @@ fn rendered() -> Result<Vec<RadianceImage>, EvaluateError> {
         ..RenderOptions::default()
     };
     options.proposal = suited_proposal(&scene, brdf.as_ref(), &options);
-    Ok(render(&scene, brdf.as_ref(), &options, &|_| {}))
+    Ok(render(&scene, brdf.as_ref(), &options))
 }
 
 /// The image at another size, without interpolation, with noise.

@@ -90,7 +90,7 @@ pub(super) fn capture(
     };
     let mut options = lab.truth_options(truth, brdf);
     options.seed = options.seed.wrapping_add(index << 20);
-    let mut images = crate::transport::render(truth, brdf, &options, &|_| {});
+    let mut images = crate::transport::render(truth, brdf, &options);
     let photographer = Photographer {
         bit_depth: 12,
         full_well_e: 10_000.0,
@@ -238,10 +238,10 @@ fn trial(lab: &Lab, class: Class, known: Known, index: u64) -> Result<Trial, Eva
     let images = capture(lab, sample, &*brdf, Some(&Defect::Misaligned(truth)), index)?;
     let (dictionary, options) = (&lab.dictionary, options(lab, index));
     let images = average(&described, &images, dictionary)?;
-    let quiet = &mut |_: &str| {};
+    let quiet = &();
     let fit = match known {
-        Known::Exactly => fit(&scene, &images, dictionary, &options, quiet)?,
-        Known::Described => fit(&described, &images, dictionary, &options, quiet)?,
+        Known::Exactly => fit(&scene, &images, dictionary, &options)?,
+        Known::Described => fit(&described, &images, dictionary, &options)?,
         Known::Refined => {
             let (priors, refine) = (misaligned::priors(), RefineOptions::default());
             refine_bench(

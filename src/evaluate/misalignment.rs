@@ -93,7 +93,7 @@ fn one(
         frames: 1,
         seed: key(2).bits(),
     };
-    let rendered = render(&true_scene, &*material.brdf, &render_options, &|_| {});
+    let rendered = render(&true_scene, &*material.brdf, &render_options);
     let captured = (0..)
         .zip(&rendered)
         .map(|(light, image)| photographer.take(image, light))
@@ -109,7 +109,7 @@ fn one(
         &options,
         &misaligned::priors(),
         &RefineOptions::default(),
-        &mut |_| {},
+        &(),
     )?;
     let estimate = &refined.estimate;
     let mut row = Row::new()
@@ -118,13 +118,13 @@ fn one(
         .with("shape", sample.name())
         .with("bench", number);
     let known = bench.scene(&truth);
-    let plain = |scene, options: &_| fit(scene, &captured, &lab.dictionary, options, &mut |_| {});
+    let plain = |scene, options: &_| fit(scene, &captured, &lab.dictionary, options);
     type Fitted<'a> = &'a dyn Fn(&FitOptions) -> Result<Fit, FitError>;
     let fits: [(&str, Fitted<'_>); 3] = [
         ("known", &|options| plain(&known, options)),
         ("unrefined", &|options| plain(&described, options)),
         ("refined", &|options| {
-            refined.fit(&lab.dictionary, options, &mut |_| {})
+            refined.fit(&lab.dictionary, options, &())
         }),
     ];
     // Their errors, also up to a common factor of the albedo.

@@ -7,7 +7,7 @@ use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table, quan
 use super::lab::{Lab, Material, Sample, of_materials};
 use crate::inverse::exponentiated_gradient::ExponentiatedGradient;
 use crate::inverse::gauss_newton::GaussNewton;
-use crate::inverse::{FitOptions, Optimizer, Refine};
+use crate::inverse::{FitOptions, Optimizer};
 use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
 
 /// One objective and one start, several optimisers.
@@ -67,7 +67,7 @@ fn compare(lab: &Lab, material: &Arc<Material>, sample: Sample) -> Result<Vec<Ro
             optimizer,
             rounds: 1,
             // One loss for all, on the same paths.
-            refine: Refine::NONE,
+            adapt_paths: false,
             // Where the optimisers themselves end.
             draws: 0,
             ..lab.fit_options()

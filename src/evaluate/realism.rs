@@ -131,7 +131,7 @@ fn capture(
         Deviation::None => lab.render_truth(&scene, &**brdf),
         Deviation::Polarised => {
             let options = lab.truth_options(&scene, &**brdf);
-            render_polarised(&scene, &**brdf, &options, &|_| {})
+            render_polarised(&scene, &**brdf, &options, &())
                 .map_err(|error| EvaluateError::Fact(error.to_string()))?
         }
         Deviation::Narrowband => {

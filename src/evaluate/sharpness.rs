@@ -81,7 +81,7 @@ fn one(lab: &Lab, material: &Arc<Material>, sample: Sample) -> Result<Vec<Row>, 
             seed: key(1),
             ..lab.truth_options(&scene, &*material.brdf)
         };
-        let rendered = render(&scene, &*material.brdf, &options, &|_| {});
+        let rendered = render(&scene, &*material.brdf, &options);
         let photographer = photographer(key(2));
         let captured = (0..)
             .zip(&rendered)
@@ -139,7 +139,7 @@ fn measured(camera: &Camera, samples_per_pixel: u32, seed: u64) -> Result<[f64; 
         seed,
         ..RenderOptions::default()
     };
-    let mut rendered = render(&scene, &white, &options, &|_| {}).remove(0);
+    let mut rendered = render(&scene, &white, &options).remove(0);
     // Few paths give a pixel no reliable variance: the largest is used for all.
     let widest = rendered.variance.iter().flatten().copied();
     let widest = widest.fold(0.0, f32::max);

@@ -47,7 +47,7 @@ pub fn to_json(record: &FitRecord) -> String {
         })
         .collect();
     let table = &record.table;
-    let rows = |of: fn(&crate::session::fit_record::AngleCell) -> Value| -> Vec<Vec<Value>> {
+    let rows = |of: fn(&crate::session::fit_record::Interval) -> Value| -> Vec<Vec<Value>> {
         let row = |cells: &[_]| cells.iter().map(of).collect();
         table
             .cells

@@ -172,7 +172,7 @@ mod tests {
     /// is the weight again.
     #[test]
     fn shares_and_reflectances_give_the_weights_back() {
-        let dictionary = Arc::new(Dictionary::grid42());
+        let dictionary = Arc::new(Dictionary::paper42());
         let spread = |first: usize| {
             let mut weights = vec![0.0; 42];
             (weights[first], weights[40], weights[41]) = (0.6, 0.3, 0.1);

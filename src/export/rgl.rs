@@ -237,7 +237,7 @@ mod tests {
     use crate::random::{Purpose, stream};
 
     fn mixture(parts: &[(usize, f64)]) -> Mixture {
-        let dictionary = Arc::new(Dictionary::grid42());
+        let dictionary = Arc::new(Dictionary::paper42());
         let channel = |shift: f64| {
             let mut weights = vec![0.0; 42];
             for &(atom, weight) in parts {
@@ -252,10 +252,10 @@ mod tests {
     /// Atoms and weights: matte, broad, narrow, narrow on matte, many.
     const MATERIALS: [&[(usize, f64)]; 5] = [
         &[(40, 0.6)],
-        &[(36, 1.0)],
-        &[(4, 1.0)],
-        &[(1, 0.7), (40, 0.3)],
-        &[(1, 0.3), (12, 0.1), (23, 0.1), (30, 0.1), (40, 0.3)],
+        &[(31, 1.0)],
+        &[(0, 1.0)],
+        &[(32, 0.7), (40, 0.3)],
+        &[(32, 0.3), (21, 0.1), (12, 0.1), (3, 0.1), (40, 0.3)],
     ];
 
     /// By the reader, which was checked against another program: f·cos θo at pairs of

@@ -8,17 +8,19 @@ use serde_json::Value;
 use super::*;
 use crate::brdf::discrepancy::{self, Discrepancy};
 use crate::brdf::{Brdf, Dictionary, Mixture};
-use crate::session::fit_record::{AngleCell, AngleTable, AtomRecord, DiscrepancyRecord, FitSettings};
+use crate::session::fit_record::{
+    AngleTable, AtomRecord, DiscrepancyRecord, FitSettings, Interval,
+};
 
 fn record(simulated: bool) -> FitRecord {
-    let dictionary = Dictionary::grid42();
+    let dictionary = Dictionary::paper42();
     let channel = |gloss: usize, matte: f64| {
         let mut weights = vec![0.0; 42];
         (weights[gloss], weights[40]) = (0.3, matte);
         weights[41] = 0.7 - matte;
         weights
     };
-    let cell = AngleCell {
+    let cell = Interval {
         value: [0.5, 0.25, 0.125],
         lower: [0.4, 0.2, 0.1],
         upper: [0.6, 0.3, 0.2],
@@ -43,7 +45,7 @@ fn record(simulated: bool) -> FitRecord {
         loss: 1.0,
         reduced_chi_square: vec![[1.0; 3]],
         truncation_remainder: Vec::new(),
-        doubted: Vec::new(),
+        outlier_fraction: Vec::new(),
         discrepancy: None,
         termination: "converged".to_owned(),
         trace: Vec::new(),
@@ -65,8 +67,8 @@ fn record(simulated: bool) -> FitRecord {
 /// A fit with a model discrepancy that differs between the channels.
 fn with_discrepancy() -> FitRecord {
     let by_channel = [0.2, -0.3, 0.5].map(|scale| {
-        let nodes =
-            discrepancy::nodes().map(|n| scale * (0.1 * n.theta_h_deg + 0.03 * n.theta_d_deg).sin());
+        let nodes = discrepancy::nodes()
+            .map(|n| scale * (0.1 * n.theta_h_deg + 0.03 * n.theta_d_deg).sin());
         Discrepancy(DVector::from_iterator(discrepancy::NODES, nodes))
     });
     FitRecord {
@@ -228,7 +230,7 @@ fn an_unusable_fit_or_place_is_an_error() {
     let mut bad = record(false);
     bad.atoms[0].alpha = None;
     let error = export(&bad, Format::Mitsuba, &folder.path().join("a.xml")).unwrap_err();
-    assert!(error.to_string().contains("grid42"), "{error}");
+    assert!(error.to_string().contains("paper42"), "{error}");
     let nowhere = folder.path().join("missing/a.json");
     let error = export(&record(false), Format::Json, &nowhere).unwrap_err();
     assert!(error.to_string().contains("missing/a.json"), "{error}");

@@ -4,7 +4,6 @@
 mod angles;
 mod check;
 mod errors;
-mod fit_folder;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -12,19 +11,19 @@ use std::sync::Arc;
 pub use angles::{Angles, Evaluated, evaluate, parse_angles, read_angles};
 pub use check::{MaterialCheck, SAMPLER_ANGLES_DEG, check_material};
 pub use errors::{Errors, Projected, compare, project};
-pub use fit_folder::{FitFolderError, read_fit};
 
 use crate::brdf::environment::EnvironmentMap;
 use crate::brdf::sphere::sphere_image;
 use crate::brdf::{Brdf, BrdfError, nbrdf, source};
 use crate::inverse::projection::ProjectionError;
+use crate::session::fit_record::{self, FitRecordError};
 
 /// Why nothing could be done with a BRDF.
 #[derive(Debug, thiserror::Error)]
 pub enum MaterialError {
     /// The fit that should give it.
     #[error(transparent)]
-    Fit(#[from] FitFolderError),
+    Fit(#[from] FitRecordError),
     /// The file or name that should give it.
     #[error(transparent)]
     Brdf(#[from] BrdfError),
@@ -66,7 +65,7 @@ pub const DRAWN_SPHERE_PX: usize = 256;
 pub fn load(spec: &str) -> Result<Arc<dyn Brdf>, MaterialError> {
     let folder = Path::new(spec);
     if folder.is_dir() {
-        return Ok(read_fit(folder)?.material()?);
+        return Ok(fit_record::find(folder)?.material()?);
     }
     if let Some(name) = spec.strip_prefix("nbrdf:")
         && !nbrdf::NAMES.contains(&name)

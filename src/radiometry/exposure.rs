@@ -64,7 +64,7 @@ pub struct BracketTarget {
     pub peak_fraction: f64,
     /// Signal-to-noise ratio of the darkest level of interest (and of
     /// everything brighter) after the merge; > 0; default 20.
-    pub snr: f64,
+    pub dark_snr: f64,
     /// Largest ratio of neighbouring exposures; > 1; default 4.
     pub ratio: f64,
 }
@@ -73,7 +73,7 @@ impl Default for BracketTarget {
     fn default() -> Self {
         Self {
             peak_fraction: 0.7,
-            snr: 20.0,
+            dark_snr: 20.0,
             ratio: 4.0,
         }
     }
@@ -96,7 +96,7 @@ pub struct BracketPlan {
     /// Expected signal-to-noise ratio at the darkest level of interest, if as
     /// many ambient or dark frames are taken at the longest exposure as light
     /// frames.
-    pub darkest_snr: f64,
+    pub dark_snr: f64,
     /// Whether the target is reached at every level; if not, the camera's
     /// longest exposure or the largest number of frames is in the way.
     pub reached: bool,
@@ -183,7 +183,7 @@ pub fn read_pilot(
 
 /// Plans a bracket: the shortest exposure keeps the brightest pixel below
 /// `target.peak_fraction` of the usable range; exposures then grow by at most
-/// `target.ratio` until the darkest level of interest reaches `target.snr`,
+/// `target.ratio` until the darkest level of interest reaches `target.dark_snr`,
 /// with frames averaged where one does not suffice. Every level in between gets
 /// the target from the longest exposure in which it is not clipped.
 ///
@@ -207,10 +207,11 @@ pub fn plan_bracket(
         });
     }
     let shortest_s = limits.round_down(peak_e / brightest_e_s);
-    let longest_s = if snr(noise, pilot.darkest_e_s, shortest_s, 1) >= target.snr {
+    let longest_s = if snr(noise, pilot.darkest_e_s, shortest_s, 1) >= target.dark_snr {
         shortest_s
     } else {
-        let needed_s = exposure_for_snr(noise, pilot.darkest_e_s, target.snr, limits.longest_s);
+        let needed_s =
+            exposure_for_snr(noise, pilot.darkest_e_s, target.dark_snr, limits.longest_s);
         limits.round_up(needed_s).max(shortest_s)
     };
     let octaves = (longest_s / shortest_s).ln() / target.ratio.ln();
@@ -233,22 +234,22 @@ pub fn plan_bracket(
             None => pilot.darkest_e_s,
         };
         let enough = (1..=limits.max_frames)
-            .find(|&frames| snr(noise, level_e_s, exposure_s, frames) >= target.snr);
+            .find(|&frames| snr(noise, level_e_s, exposure_s, frames) >= target.dark_snr);
         reached &= enough.is_some();
         steps.push(BracketStep {
             exposure_s,
             frames: enough.unwrap_or(limits.max_frames),
         });
     }
-    let darkest_snr = steps
+    let dark_snr = steps
         .iter()
         .map(|step| snr(noise, pilot.darkest_e_s, step.exposure_s, step.frames).powi(2))
         .sum::<f64>()
         .sqrt();
     Ok(BracketPlan {
         steps,
-        darkest_snr,
-        reached: reached || darkest_snr >= target.snr,
+        dark_snr,
+        reached: reached || dark_snr >= target.dark_snr,
     })
 }
 
@@ -355,7 +356,12 @@ fn check(
             target.peak_fraction > 0.0 && target.peak_fraction < 1.0,
             "(0, 1)",
         ),
-        ("snr", target.snr, positive(target.snr), "> 0"),
+        (
+            "dark_snr",
+            target.dark_snr,
+            positive(target.dark_snr),
+            "> 0",
+        ),
         (
             "ratio",
             target.ratio,
@@ -407,7 +413,7 @@ mod tests {
                         darkest_e_s: brightest_e_s / range,
                     };
                     let target = BracketTarget {
-                        snr: snr_wanted,
+                        dark_snr: snr_wanted,
                         ..BracketTarget::default()
                     };
                     let plan = plan_bracket(&noise, &pilot, &limits, &target).unwrap();
@@ -425,7 +431,7 @@ mod tests {
                         let steps = step.exposure_s / limits.step_s;
                         assert!((steps - steps.round()).abs() < 1e-6, "{case}");
                     }
-                    assert!(!plan.reached || plan.darkest_snr >= snr_wanted, "{case}");
+                    assert!(!plan.reached || plan.dark_snr >= snr_wanted, "{case}");
                 }
             }
         }
@@ -451,10 +457,7 @@ mod tests {
         };
         let plan = plan_bracket(&sensor(), &pilot, &limits(), &BracketTarget::default()).unwrap();
         assert!(!plan.reached);
-        assert!(
-            plan.darkest_snr < 20.0 && plan.darkest_snr > 0.1,
-            "{plan:?}"
-        );
+        assert!(plan.dark_snr < 20.0 && plan.dark_snr > 0.1, "{plan:?}");
         assert_eq!(plan.steps.last().unwrap().frames, 16);
         assert_eq!(plan.steps.last().unwrap().exposure_s, 1.0);
     }

@@ -8,7 +8,7 @@ use crate::plot::{
     Axis, Bar, BarRow, Chart, HeatMap, HeatMaps, Lobe, Mark, Picture, PlotError, Series, bars,
     chart, heat_maps, polar,
 };
-use crate::session::fit_record::{AngleCell, AngleTable, FitRecord, TracePoint};
+use crate::session::fit_record::{AngleTable, FitRecord, Interval, TracePoint};
 
 /// Angles of incidence of the polar plots, degrees from the normal.
 pub const POLAR_THETA_I_DEG: [f64; 3] = [0.0, 30.0, 60.0];
@@ -63,7 +63,7 @@ pub fn directions_at(theta_h_deg: f64, theta_d_deg: f64) -> (Vec3, Vec3) {
 }
 
 /// The cell nearest to a pair of angles.
-fn nearest(table: &AngleTable, theta_h_deg: f64, theta_d_deg: f64) -> Option<&AngleCell> {
+fn nearest(table: &AngleTable, theta_h_deg: f64, theta_d_deg: f64) -> Option<&Interval> {
     table.cell(
         nearest_index(&table.theta_h_deg, theta_h_deg)?,
         nearest_index(&table.theta_d_deg, theta_d_deg)?,
@@ -256,13 +256,13 @@ pub fn table_maps(table: &AngleTable) -> Result<Option<[String; 2]>, PlotError> 
         return Ok(None);
     }
     // What is mapped, and in which colours.
-    let value = |cell: &AngleCell| log(cell.value.iter().sum::<f64>() / 3.0);
-    let width = |cell: &AngleCell| {
+    let value = |cell: &Interval| log(cell.value.iter().sum::<f64>() / 3.0);
+    let width = |cell: &Interval| {
         let relative =
             (0..3).map(|c| (cell.upper[c] - cell.lower[c]) / 2.0 / cell.value[c].max(SMALLEST));
         (relative.sum::<f64>() / 3.0).max(1e-9).log10()
     };
-    let picture = |scale: &std::ops::Range<f64>, of: &dyn Fn(&AngleCell) -> f64| {
+    let picture = |scale: &std::ops::Range<f64>, of: &dyn Fn(&Interval) -> f64| {
         Picture::from_fn(SIDE_PX, SIDE_PX, |x, y| {
             let across = (x as f64 + 0.5) / SIDE_PX as f64;
             let theta_d_deg = 90.0 * (1.0 - (y as f64 + 0.5) / SIDE_PX as f64);
@@ -281,7 +281,7 @@ pub fn table_maps(table: &AngleTable) -> Result<Option<[String; 2]>, PlotError> 
     let map = |title: &str,
                bar_label: &str,
                scale: std::ops::Range<f64>,
-               of: &dyn Fn(&AngleCell) -> f64| {
+               of: &dyn Fn(&Interval) -> f64| {
         let map = HeatMap {
             title: String::new(),
             picture: picture(&scale, of),
@@ -297,7 +297,7 @@ pub fn table_maps(table: &AngleTable) -> Result<Option<[String; 2]>, PlotError> 
         heat_maps("table", &maps).inline(title)
     };
     // The maps' scales end at the values themselves, to use all colours.
-    let exact = |of: &dyn Fn(&AngleCell) -> f64| {
+    let exact = |of: &dyn Fn(&Interval) -> f64| {
         let values = || table.cells.iter().filter(|cell| cell.constrained).map(of);
         let high = values().fold(f64::MIN, f64::max);
         let low = values().fold(f64::MAX, f64::min).max(high - MAP_DECADES);

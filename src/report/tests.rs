@@ -5,7 +5,7 @@ use crate::brdf::discrepancy::Discrepancy;
 use crate::brdf::{Brdf, Dictionary, Mixture};
 use crate::random::{Purpose, stream};
 use crate::session::fit_record::{
-    AngleCell, AngleTable, AtomRecord, ChannelScore, DiscrepancyRecord, FitSettings, Grade,
+    AngleTable, AtomRecord, ChannelScore, DiscrepancyRecord, FitSettings, Grade, Interval,
     MetricScores, ScoreSheet, Timing, TracePoint, Warning,
 };
 
@@ -72,10 +72,10 @@ fn sphere(brdf: &dyn Brdf) -> RadianceImage {
 }
 
 fn mixture(shift: f64) -> Mixture {
-    let dictionary = Dictionary::grid42();
+    let dictionary = Dictionary::paper42();
     let channel = |gloss: f64, matte: f64| {
         let mut weights = vec![0.0; dictionary.len()];
-        (weights[12], weights[22], weights[31]) = (gloss + shift, 0.04, 0.02 - shift / 4.0);
+        (weights[32], weights[12], weights[38]) = (gloss + shift, 0.04, 0.02 - shift / 4.0);
         weights[40] = matte - shift;
         weights[41] = 1.0 - weights.iter().sum::<f64>();
         weights
@@ -93,7 +93,7 @@ fn table(brdf: &dyn Brdf) -> AngleTable {
             let (to_light, to_viewer) = figures::directions_at(h, d.min(89.0));
             let value = brdf.eval(to_light, to_viewer).map(f64::from);
             let spread = 0.03 + 0.3 * (h / 90.0).powi(2) + 0.2 * (d / 90.0).powi(4);
-            cells.push(AngleCell {
+            cells.push(Interval {
                 value,
                 lower: value.map(|f| f * (1.0 - spread)),
                 upper: value.map(|f| f * (1.0 + spread)),
@@ -144,7 +144,7 @@ fn record(estimate: &Mixture) -> FitRecord {
         loss: 1.043,
         reduced_chi_square: vec![[1.02, 0.98, 1.04], [1.01, 1.0, 0.97]],
         truncation_remainder: vec![2e-4, 1e-4],
-        doubted: vec![0.0, 0.01],
+        outlier_fraction: vec![0.0, 0.01],
         discrepancy: Some(DiscrepancyRecord {
             amplitude: 0.4,
             by_channel: [0; 3].map(|_| Discrepancy::none()),

@@ -31,7 +31,7 @@ pub trait Disk: Send + Sync {
     fn sync_file(&self, path: &Path) -> io::Result<()>;
     /// Gives a file or folder its new name, in one step where the file system has one.
     fn rename(&self, from: &Path, to: &Path) -> io::Result<()>;
-    /// Waits until a folder's names are on the medium, as far as the file system says.
+    /// Waits until a folder's names are on the medium, as far as the file system reports.
     fn sync_dir(&self, path: &Path) -> io::Result<()>;
     /// Bytes that this process may still write where this folder is.
     fn free_bytes(&self, folder: &Path) -> io::Result<u64> {
@@ -102,7 +102,7 @@ pub fn temporary_name(path: &Path) -> PathBuf {
 ///
 /// # Errors
 /// [`SessionError::Exists`] with [`Replace::Never`] where a file has its name
-/// already; otherwise what the file system says. What was written under
+/// already; otherwise what the file system reports. What was written under
 /// temporary names is removed then, as far as the disk lets it.
 pub fn commit_files(
     disk: &dyn Disk,

@@ -47,7 +47,7 @@ pub enum SessionError {
         source: io::Error,
     },
     /// A file holds other bytes than the journal says.
-    #[error("{} has SHA-256 {actual}, the journal says {expected}", path.display())]
+    #[error("{} has SHA-256 {actual}, the journal records {expected}", path.display())]
     Checksum {
         /// The file.
         path: PathBuf,
@@ -57,7 +57,7 @@ pub enum SessionError {
         actual: String,
     },
     /// A file has another length than the journal says.
-    #[error("{} has {actual_bytes} bytes, the journal says {expected_bytes}", path.display())]
+    #[error("{} has {actual_bytes} bytes, the journal records {expected_bytes}", path.display())]
     Length {
         /// The file.
         path: PathBuf,
@@ -71,7 +71,7 @@ pub enum SessionError {
     Link {
         /// The link.
         path: PathBuf,
-        /// Where it leads, as it says.
+        /// Where it leads, as it reports.
         target: PathBuf,
     },
     /// A value of `session.toml` is outside its range.

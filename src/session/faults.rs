@@ -89,7 +89,7 @@ impl FaultyDisk {
         }
     }
 
-    /// How many operations were asked for so far.
+    /// How many operations were requested so far.
     pub fn operations(&self) -> u64 {
         self.count.load(Ordering::SeqCst)
     }

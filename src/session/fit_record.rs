@@ -5,7 +5,7 @@
 //! |---|---|
 //! | `fit.toml` | verdict, dictionary, settings, loss, χ², termination, timings, versions, scores, warnings, remarks, the bench as refined |
 //! | `weights.csv` | one row per atom: what it is, weight and standard deviation per channel |
-//! | `discrepancy.csv` | by what f is more than the mixture's, over (θh, θd); only where the images ask for it |
+//! | `discrepancy.csv` | the model discrepancy: ln of f over the mixture's, over (θh, θd); only where the images give evidence of one |
 //! | `table.csv` | f over (θh, θd) with its 95% interval, and which cells the data constrain |
 //! | `trace.csv` | the loss after each step |
 //! | `rendered_L000.exr` | the images rendered from the fit, mean and variance |
@@ -17,6 +17,7 @@
 
 mod bench;
 mod budget;
+mod find;
 mod folder;
 mod tables;
 mod verdict;
@@ -27,27 +28,31 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use crate::brdf::discrepancy::{self, Material, Discrepancy};
+use crate::brdf::discrepancy::{self, Discrepancy, Material};
 use crate::brdf::mixture::SUM_TOLERANCE;
 use crate::brdf::{Atom, Brdf, BrdfError, Dictionary, Mixture};
 use crate::radiance_image::RadianceImage;
 use crate::radiance_image::exr::ExrError;
 use crate::session::SessionError;
 
+pub use crate::inverse::intervals::Interval;
 pub use crate::scores::{ChannelScore, MetricScores, ScoreSheet};
 pub use bench::{BenchParameter, BenchRecord};
 pub use budget::{BudgetRecord, BudgetRow};
+pub use find::find;
 pub use folder::parse;
 pub use folder::{
     check_folder, commit, encode, next_folder, numbers_in, read, read_images, read_images_in,
     read_in, write,
 };
-pub use tables::{AngleCell, AngleTable};
+pub use tables::AngleTable;
 pub use verdict::{EXPLAINED_CHI_SQUARE, Grade, UNEXPLAINED_CHI_SQUARE, Verdict, Warning};
 
 /// The record itself, written last: a folder without it holds no fit.
 pub const FIT_FILE: &str = "fit.toml";
 const DISCREPANCY_FILE: &str = "discrepancy.csv";
+/// Its name in fits of versions before 0.2.
+const FORMER_DISCREPANCY_FILE: &str = "departure.csv";
 
 /// Version of the folder's layout; a reader refuses any other.
 pub const FORMAT: u32 = 1;
@@ -120,9 +125,7 @@ pub struct FitSettings {
     pub memory_mib: Option<u64>,
     /// Whether paths were traced again where the first fit's material sends light.
     pub adapted_paths: Option<bool>,
-    /// Rounds of new atoms beside the active ones.
-    pub refined_atoms: Option<u32>,
-    /// One set of weights for all channels.
+    /// The same weights for all channels.
     pub shared_weights: Option<bool>,
     /// Relative error of the model that the weighting allowed for.
     pub model_error: Option<f64>,
@@ -161,65 +164,106 @@ pub struct Timing {
     pub seconds: f64,
 }
 
-/// How the material departs from the mixture of the weights (docs/adr/0032).
+/// How the material differs from the mixture of the weights (docs/adr/0032).
 #[derive(Clone, Debug, PartialEq)]
 pub struct DiscrepancyRecord {
-    /// How much it departs from every mixture, in units of what measured materials do; above 0.
+    /// Size of its discrepancy from every mixture, in units of that of measured materials; above 0.
     pub amplitude: f64,
     /// In R, G and B.
     pub by_channel: [Discrepancy; 3],
 }
 
-/// Everything that a fit leaves, but its images.
-#[derive(Clone, Debug, PartialEq)]
+/// Everything that a fit leaves, but its images. Serialised, it is `fit.toml` without its format
+/// and verdict: what is in tables of its own is left out.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct FitRecord {
     /// The images come from a simulated bench.
+    #[serde(skip_serializing)]
     pub simulated: bool,
     /// Name of the dictionary.
     pub dictionary: String,
-    /// Its N atoms, in order.
-    pub atoms: Vec<AtomRecord>,
-    /// Per channel R, G, B: N weights, each ≥ 0, that sum to 1. Not identifiable
-    /// one by one: different weights can give the same BRDF.
-    pub weights: [Vec<f64>; 3],
-    /// Standard deviation of each weight, same shape.
-    pub weight_deviations: [Vec<f64>; 3],
-    /// How it was run.
-    pub settings: FitSettings,
     /// Final value of the objective, dimensionless.
     pub loss: f64,
+    /// Why the optimiser stopped, in words.
+    pub termination: String,
+    /// What to know of how the fit was made that is neither for nor against it.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub remarks: Vec<String>,
     /// χ² per degree of freedom, per light and channel; isolated outliers count in it as they
     /// did in the fit.
     pub reduced_chi_square: Vec<[f64; 3]>,
-    /// Light that paths longer than the longest followed would bring, over all light, per
-    /// light; empty where it was not estimated.
+    /// Light of paths longer than the longest that was followed, over all light, per light;
+    /// empty where it was not estimated.
+    #[serde(default)]
     pub truncation_remainder: Vec<f64>,
-    /// Part of the compared values that counted for less, as isolated outliers, per light.
-    pub doubted: Vec<f64>,
-    /// How the material departs from the mixture of the weights; `None` where the images do
-    /// not ask for it.
+    /// Outlier fraction: part of the compared values that counted for less, per light.
+    #[serde(default, alias = "doubted")]
+    pub outlier_fraction: Vec<f64>,
+    /// Model discrepancy: how the material differs from the mixture of the weights; `None`
+    /// where the images give no evidence of any.
+    #[serde(default, alias = "departure", with = "amplitude")]
     pub discrepancy: Option<DiscrepancyRecord>,
-    /// Why the optimiser stopped, in words.
-    pub termination: String,
-    /// The way there.
-    pub trace: Vec<TracePoint>,
-    /// Wall time by stage.
-    pub timings: Vec<Timing>,
+    /// How it was run.
+    pub settings: FitSettings,
     /// Versions of the program and of what it ran on, by name.
+    #[serde(default)]
     pub versions: BTreeMap<String, String>,
-    /// The fit beside the truth; `None` where no truth is known.
-    pub score: Option<ScoreSheet>,
-    /// The BRDF with its interval over (θh, θd).
-    pub table: AngleTable,
+    /// Wall time by stage.
+    #[serde(default, rename = "timing")]
+    pub timings: Vec<Timing>,
     /// Reasons not to trust the fit, or not in everything, the gravest first; empty if none
     /// were found.
+    #[serde(default, rename = "warning")]
     pub warnings: Vec<Warning>,
-    /// What to know of how the fit was made that speaks neither for nor against it.
-    pub remarks: Vec<String>,
-    /// The bench as refined; `None` where it was taken as exactly known.
+    /// The fit compared with the truth; `None` where no truth is known.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub score: Option<ScoreSheet>,
+    /// The nuisance parameters as refined; `None` where the bench was taken as exactly known.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub bench: Option<BenchRecord>,
-    /// Where the interval comes from; `None` without draws.
+    /// Where the interval comes from; `None` without posterior samples.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub budget: Option<BudgetRecord>,
+    /// Its N atoms, in order.
+    #[serde(skip)]
+    pub atoms: Vec<AtomRecord>,
+    /// Per channel R, G, B: N weights, each ≥ 0, that sum to 1. Not identifiable
+    /// one by one: different weights can give the same BRDF.
+    #[serde(skip)]
+    pub weights: [Vec<f64>; 3],
+    /// Standard deviation of each weight, same shape.
+    #[serde(skip)]
+    pub weight_deviations: [Vec<f64>; 3],
+    /// The optimiser's steps.
+    #[serde(skip)]
+    pub trace: Vec<TracePoint>,
+    /// The BRDF with its interval over (θh, θd).
+    #[serde(skip)]
+    pub table: AngleTable,
+}
+
+/// A discrepancy as `fit.toml` has it: its amplitude, 0 for none. Its table is a file.
+mod amplitude {
+    use serde::{Deserialize, Deserializer, Serializer};
+
+    use super::{Discrepancy, DiscrepancyRecord};
+
+    pub fn serialize<S: Serializer>(
+        discrepancy: &Option<DiscrepancyRecord>,
+        serializer: S,
+    ) -> Result<S::Ok, S::Error> {
+        serializer.serialize_f64(discrepancy.as_ref().map_or(0.0, |d| d.amplitude))
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(
+        deserializer: D,
+    ) -> Result<Option<DiscrepancyRecord>, D::Error> {
+        let amplitude = f64::deserialize(deserializer)?;
+        Ok((amplitude != 0.0).then(|| DiscrepancyRecord {
+            amplitude,
+            by_channel: std::array::from_fn(|_| Discrepancy(Default::default())),
+        }))
+    }
 }
 
 impl FitRecord {
@@ -235,7 +279,7 @@ impl FitRecord {
         })
     }
 
-    /// The mixture of the weights: the one closest to the fitted BRDF where that departs from all.
+    /// The mixture of the weights: the closest one where the fitted BRDF differs from all.
     ///
     /// # Errors
     /// Atoms that the program doesn't know or whose parameters are out of range.
@@ -243,7 +287,7 @@ impl FitRecord {
         let atoms: Option<Vec<Atom>> = self.atoms.iter().map(AtomRecord::atom).collect();
         let atoms = atoms.ok_or_else(|| BrdfError::Dictionary {
             name: self.dictionary.clone(),
-            fact: "an atom is neither a complete ggx nor lambertian nor black".to_owned(),
+            fact: "an atom is of an unknown kind or lacks a parameter".to_owned(),
         })?;
         let dictionary = Dictionary::new(self.dictionary.clone(), atoms)?;
         Mixture::new(Arc::new(dictionary), self.weights.clone())
@@ -286,6 +330,12 @@ pub enum FitRecordError {
     Exists {
         /// The folder.
         path: PathBuf,
+    },
+    /// The folder holds no fit and is no session that has one.
+    #[error("{} holds no fit (no fit.toml, no fits/)", folder.display())]
+    NoFit {
+        /// The folder.
+        folder: PathBuf,
     },
     /// A text file that does not parse.
     #[error("{}, line {line}: {key}: {fact}", path.display())]

@@ -21,7 +21,7 @@ pub struct Sidecar {
     pub pilot: bool,
     /// As the stage read it back.
     pub lamp: LampState,
-    /// Settings asked for.
+    /// Settings requested.
     pub requested: CameraSettings,
     /// Settings read back from the camera.
     pub applied: CameraSettings,
@@ -35,7 +35,7 @@ pub struct Sidecar {
     pub camera_serial: String,
     /// Where the stage was sent.
     pub stage_target: StageAngles,
-    /// Where it says it is.
+    /// Where it reports it is.
     pub stage_position: StageAngles,
     /// Frames thrown away after the last change of settings, before this one.
     pub frames_discarded: u32,
@@ -53,6 +53,42 @@ pub struct Sidecar {
     pub time: FrameTimes,
 }
 
+impl Sidecar {
+    /// Of a frame that another program has taken, as the merge needs it: at the zenith, by a
+    /// sensor of 12 bits without colour filters and a black level of 64 DN, as requested.
+    pub fn of_frame(key: FrameKey, lamp: LampState, settings: CameraSettings) -> Self {
+        let zenith = StageAngles {
+            azimuth_deg: 0.0,
+            elevation_deg: 90.0,
+        };
+        Self {
+            key,
+            pilot: false,
+            lamp,
+            requested: settings,
+            applied: settings,
+            black_level_dn: 64.0,
+            bit_depth: 12,
+            mosaic: Mosaic::None,
+            camera_serial: String::new(),
+            stage_target: zenith,
+            stage_position: zenith,
+            frames_discarded: 0,
+            exposure_ratio: None,
+            lamp_ratio_std: None,
+            time: FrameTimes {
+                utc: String::new(),
+                monotonic_s: Seconds(0.0),
+                device_s: None,
+                device_sequence: None,
+                sensor_c: None,
+                lamp_c: None,
+                retakes: Retakes::default(),
+            },
+        }
+    }
+}
+
 /// When a frame was taken, the device's running number, and what disturbed it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -67,10 +103,10 @@ pub struct FrameTimes {
     /// The device's running number, where it has one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub device_sequence: Option<u64>,
-    /// Temperature of the sensor when it arrived, °C, where the camera says.
+    /// Temperature of the sensor when it arrived, °C, where the camera reports.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sensor_c: Option<f64>,
-    /// Temperature of the lamp, °C, where the stage says; at most some seconds old.
+    /// Temperature of the lamp, °C, where the stage reports; at most some seconds old.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub lamp_c: Option<f64>,
     /// What went wrong before the frame was right.

@@ -179,7 +179,7 @@ pub fn decode(line: &[u8]) -> Result<Record, String> {
     let actual = format!("{:08x}", crc32fast::hash(json));
     if actual.as_bytes() != crc {
         let stated = String::from_utf8_lossy(crc);
-        return Err(format!("the CRC is {actual}, the line says {stated}"));
+        return Err(format!("the CRC is {actual}, the line records {stated}"));
     }
     serde_json::from_slice(json).map_err(|e| e.to_string())
 }
@@ -288,7 +288,7 @@ impl Journal {
         })
     }
 
-    /// What a person is told of it.
+    /// What a person reads of it.
     pub fn suspicion(&self) -> Option<String> {
         self.steps_lost().map(|[first, second]| {
             format!(

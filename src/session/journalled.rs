@@ -1,4 +1,4 @@
-//! Files that the journal vouches for, read as it says that they are: regular files
+//! Files that the journal vouches for, read as it states them: regular files
 //! inside the session, of the length and the SHA-256 of their record.
 
 use std::collections::BTreeSet;

@@ -4,7 +4,7 @@
 //! <UTC 20261121T023400Z>_<sample>_<short id>/
 //!   session.toml      plan, configuration, versions, seed, calibration; written once
 //!   journal.jsonl     append-only records, each with its CRC, fsynced
-//!   raw/L003_E02_R00_light.png    16-bit counts, immutable; .toml beside it: how it was taken
+//!   raw/L003_E02_R00_light.png    16-bit counts, immutable; .toml next to it: how it was taken
 //!   calibration/      copies of what was used
 //!   derived/radiance_L003.exr     merged radiance; can be made again
 //!   fits/<n>/         one folder per fit
@@ -32,6 +32,7 @@ pub mod journal;
 mod journalled;
 pub mod layout;
 pub mod record;
+pub mod rig_copy;
 mod store;
 pub mod verify;
 

@@ -51,6 +51,7 @@ impl SessionRecord {
             value,
             allowed,
         };
+        // Numbers within a range.
         let ranges: [(&str, f64, RangeInclusive<f64>); 16] = [
             ("gain", plan.gain, 1.0..=1000.0),
             ("settle_s", plan.settle_s.0, 0.0..=60.0),
@@ -88,6 +89,7 @@ impl SessionRecord {
                 return Err(refused(key, value.to_string(), allowed));
             }
         }
+        // Angles, temperatures, channels.
         for (index, light) in plan.lights.iter().enumerate() {
             if !(light.azimuth_deg.is_finite() && light.elevation_deg.is_finite()) {
                 let key = format!("lights[{index}]");

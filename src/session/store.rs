@@ -142,7 +142,7 @@ impl Session {
             return Err(SessionError::malformed(
                 &sidecar_path,
                 format!(
-                    "it describes {:?}, the journal says {:?}",
+                    "it describes {:?}, the journal records {:?}",
                     sidecar.key, entry.key
                 ),
             ));
@@ -252,7 +252,7 @@ pub struct SessionWriter {
 
 impl SessionWriter {
     /// Makes a session: everything up to the start record is written in a hidden
-    /// folder beside it, which then gets the session's name. A failure leaves
+    /// folder next to it, which then gets the session's name. A failure leaves
     /// no session.
     ///
     /// # Errors
@@ -403,7 +403,7 @@ impl SessionWriter {
     /// Whether a file could be added: asked before work whose result is added at its end.
     ///
     /// # Errors
-    /// What the file system says of the journal, or of a new file in `folder`, which may
+    /// What the file system reports of the journal, or of a new file in `folder`, which may
     /// have to be made.
     pub fn check_writable(&self, folder: &str) -> Result<(), SessionError> {
         let path = self.root.join(JOURNAL_FILE);

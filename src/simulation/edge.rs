@@ -68,7 +68,7 @@ pub fn photograph(camera: &Camera, height_mm: f64, tilt_rad: f64) -> Vec<f64> {
         .collect()
 }
 
-/// The same with noise of the light itself beside a constant one: values and variances.
+/// The same with noise of the light itself in addition to a constant one: values and variances.
 pub fn noisy(truth: &[f64], seed: u64) -> (Vec<f64>, Vec<f64>) {
     let noisy = |(pixel, &v): (usize, &f64)| {
         let mut random = stream(seed, Purpose::Experiment, 1, pixel as u64, 0);

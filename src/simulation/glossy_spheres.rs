@@ -26,7 +26,7 @@ pub struct GlossySpheres {
     pub lamps_mm: Vec<DVec3>,
     /// GGX roughness of the coat.
     pub roughness: f64,
-    /// Radiance beside the spheres.
+    /// Radiance next to the spheres.
     pub background: f64,
     /// Standard deviation of the blur, pixels.
     pub blur_px: f64,

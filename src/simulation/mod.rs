@@ -75,7 +75,7 @@ const INTERREFLECTION_STEP_DEG: f64 = 0.1;
 /// Renders the truth on demand and remembers it by lamp position.
 pub struct TruthSource {
     truth: Truth,
-    /// What it takes to render, made when first asked for.
+    /// What it takes to render, made when first requested.
     studio: OnceLock<Studio>,
     /// Held while something is rendered, so that nothing is rendered twice.
     known: Mutex<Known>,

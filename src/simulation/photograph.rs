@@ -53,6 +53,7 @@ impl Photographer {
         light: u32,
         channel: usize,
     ) -> Result<crate::radiometry::plane::MergedPlane, MergeError> {
+        // The brightest level that shall not be saturated.
         let radiance: Vec<f32> = image.mean.iter().map(|rgb| rgb[channel]).collect();
         let mut lit: Vec<f32> = radiance.iter().copied().filter(|&r| r > 0.0).collect();
         lit.sort_by(f32::total_cmp);
@@ -60,6 +61,7 @@ impl Photographer {
         let at = (quantile * lit.len().saturating_sub(1) as f64) as usize;
         let bright = f64::from(lit.get(at).copied().unwrap_or(1.0));
 
+        // The sensor, as it is and as it is calibrated.
         let black_level_dn = 16.0;
         let full_scale_dn = (1u64 << self.bit_depth) as f64 - 1.0;
         let gain_dn_per_e = (full_scale_dn - black_level_dn) / self.full_well_e;
@@ -87,6 +89,8 @@ impl Photographer {
             )
         };
         let sensor = SensorModel::new(config);
+
+        // The bracket.
         let shortest_s = 0.85 * self.full_well_e / bright;
         let mut merge = BracketMerge::new(&noise, Mosaic::None, image.width, image.height)?;
         for exposure in 0..self.exposures {

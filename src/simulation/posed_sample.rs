@@ -53,9 +53,9 @@ pub fn telecentric() -> Projection {
 
 /// A glossy mixture of which the alignment knows nothing.
 fn material() -> Mixture {
-    let dictionary = Arc::new(Dictionary::grid42());
+    let dictionary = Arc::new(Dictionary::paper42());
     let mut weights = vec![0.0; dictionary.len()];
-    (weights[12], weights[31], weights[40], weights[41]) = (0.2, 0.2, 0.4, 0.2);
+    (weights[32], weights[38], weights[40], weights[41]) = (0.2, 0.2, 0.4, 0.2);
     Mixture::grey(dictionary, weights).expect("weights of the dictionary's length")
 }
 
@@ -68,7 +68,7 @@ pub fn photographs(truth: &Scene, seed: u64) -> Vec<RadianceImage> {
         seed,
         ..RenderOptions::default()
     };
-    let mut images = render(truth, &material(), &options, &|_| {});
+    let mut images = render(truth, &material(), &options);
     let mut numbers = stream(seed, Purpose::Experiment, 0, 0, 0);
     for image in &mut images {
         let (width, height) = (image.width, image.height);

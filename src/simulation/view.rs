@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use super::interreflection::{Grid, Value, direct};
 use crate::brdf::Brdf;
 use crate::transport::Scene;
-use crate::transport::points::{Numbers, PathNumbers};
+use crate::transport::points::{Sampler, SobolSampler};
 use crate::transport::scene::Surface;
 
 /// Points of a pixel where the image is smooth, where it changes, and where the edge of a
@@ -124,7 +124,7 @@ impl View<'_> {
         };
         for point in 0..points {
             let (mut numbers, ray) =
-                PathNumbers::begin(&scene.camera, self.seed, pixel, u32::MAX, point);
+                SobolSampler::begin(&scene.camera, self.seed, pixel, u32::MAX, point);
             let mut radiance = [0.0f32; 3];
             if let Some((surface, to_viewer)) = scene.first(&ray) {
                 radiance = direct(scene, self.brdf, &surface, to_viewer, numbers.on_lamp());

@@ -669,7 +669,7 @@ fn run(
             view: Seconds(0.0),
         },
         noise: &noise(),
-        interest: None,
+        region_of_interest: None,
         sink: Box::new(SumSink::default()),
         observer: &mut heard,
         interrupt,

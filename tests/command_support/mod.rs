@@ -12,7 +12,7 @@ use rig::session::Journal;
 use tempfile::TempDir;
 
 #[path = "../small_bench/mod.rs"]
-mod small_bench;
+pub mod small_bench;
 
 /// A folder with a rig file of the small simulated bench whose truth is rendered
 /// quickly; `change` is applied to its text.
@@ -78,6 +78,45 @@ pub fn rig(folder: impl AsRef<Path>, arguments: &[&str]) -> Command {
 /// Likewise, run to its end.
 pub fn run(folder: impl AsRef<Path>, arguments: &[&str]) -> Output {
     rig(folder.as_ref(), arguments).output().unwrap()
+}
+
+/// The output of a command that must succeed.
+#[track_caller]
+pub fn good(output: Output) -> Output {
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    output
+}
+
+/// The JSON that a command must print.
+#[track_caller]
+pub fn json(output: Output) -> serde_json::Value {
+    serde_json::from_slice(&good(output).stdout).unwrap()
+}
+
+/// The session that a capture has printed, as it is printed.
+pub fn printed_session(output: &Output) -> PathBuf {
+    PathBuf::from(text(&output.stdout).lines().last().unwrap())
+}
+
+/// The text with parts replaced that must be in it.
+#[track_caller]
+pub fn changed(mut text: String, changes: &[(&str, &str)]) -> String {
+    for (old, new) in changes {
+        assert!(text.contains(old), "{old}");
+        text = text.replace(old, new);
+    }
+    text
+}
+
+/// A folder with the rig file of the small simulated bench, parts of it replaced, and the
+/// records of its sensor.
+#[track_caller]
+pub fn small_bench_with(changes: &[(&str, &str)]) -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let text = changed(small_bench::rig_file(), changes);
+    fs::write(folder.path().join("rig.toml"), text).unwrap();
+    small_bench::put_records(folder.path());
+    folder
 }
 
 /// For people to read.

@@ -300,11 +300,11 @@ def main():
         image = folder / "image.exr"
         rig("render", "--scene", scene, "--out", image, "--spp", 64, "--seed", 3)
         fit = folder / "fit"
-        rig("fit", "--scene", scene, "--image", image, "--out", fit, "--dictionary", "grid42", "--spp", 64)
+        rig("fit", "--scene", scene, "--image", image, "--out", fit, "--dictionary", "paper42", "--spp", 64)
         # Every format is compared with the weights' mixture, from which this fit must not depart.
-        departure = tomllib.loads((fit / "fit.toml").read_text())["departure"]
-        check("departure from the mixture", departure, 0.0)
-        spec = f"grid42:{fit / 'weights.csv'}"
+        discrepancy = tomllib.loads((fit / "fit.toml").read_text())["discrepancy"]
+        check("discrepancy from the mixture", discrepancy, 0.0)
+        spec = f"paper42:{fit / 'weights.csv'}"
         for format, name in [
             ("mitsuba", "a.xml"),
             ("rgl", "a.bsdf"),

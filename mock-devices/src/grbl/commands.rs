@@ -14,6 +14,7 @@ impl Firmware {
     ) -> Result<VecDeque<Action>, u8> {
         let cause = || Cause::Line(format!("${command}"));
         let mut actions = VecDeque::new();
+        // Also while it moves or is locked.
         match command.as_bytes() {
             [] => {
                 let help =
@@ -59,6 +60,7 @@ impl Firmware {
                 self.mode = Mode::Check;
             }
             [b'$' | b'G' | b'C' | b'X', ..] => return Err(3),
+            // Only while it stands.
             _ if !self.idle() && self.mode != Mode::Alarm => return Err(8),
             b"#" => self.say(cause(), self.parameters()),
             b"I" => self.say(cause(), self.build_info()),
@@ -95,6 +97,7 @@ impl Firmware {
                 actions = self.plan_line(line, false)?;
                 self.startup[usize::from(index - b'0')] = line.to_owned();
             }
+            // A setting: `$number=value`.
             _ => {
                 let (number, rest) = gcode::read_number(command).ok_or(2_u8)?;
                 let rest = rest.strip_prefix('=').ok_or(3_u8)?;

@@ -6,7 +6,7 @@ use crate::pty::{Board, Port};
 use std::io;
 use std::path::Path;
 
-/// What it says. Lines are without their ends.
+/// What it reports. Lines are without their ends.
 #[derive(Clone, Debug)]
 pub struct Dialect {
     /// At its start.

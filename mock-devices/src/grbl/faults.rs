@@ -67,7 +67,7 @@ pub(super) enum Cause {
     Line(String),
     StatusQuery,
     Banner,
-    /// Alarms and messages that nobody asked for.
+    /// Alarms and messages that nobody requested.
     Push,
 }
 

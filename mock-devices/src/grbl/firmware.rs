@@ -469,6 +469,7 @@ impl Firmware {
             }
             return true;
         };
+        // What is left of the action.
         let still = match action {
             Action::Synchronise => (!self.planner.is_empty()).then_some(Action::Synchronise),
             Action::Spindle(spindle, speed) => {
@@ -552,6 +553,7 @@ impl Firmware {
                 return true;
             }
         };
+        // Whether the line must wait.
         let waits = still
             .as_ref()
             .is_some_and(|action| !matches!(action, Action::DwellUntil(end_s) if *end_s <= now_s));

@@ -42,7 +42,7 @@ pub(super) enum Program {
     End(u8),
 }
 
-/// What a block says; `None` where it says nothing.
+/// What a block means; `None` where it means nothing.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Block {
     pub motion: Option<Motion>,
@@ -102,6 +102,7 @@ pub(super) fn parse(line: &str) -> Result<Block, u8> {
         groups |= bit;
         if taken { Err(21) } else { Ok(()) }
     };
+    // Word by word; each letter and group once.
     let mut rest = line;
     while let Some(letter) = rest.chars().next() {
         if !letter.is_ascii_uppercase() {
@@ -149,6 +150,7 @@ pub(super) fn parse(line: &str) -> Result<Block, u8> {
             }
         }
     }
+    // What the words must not be together.
     let word = |letter: char| words >> (letter as u32 - 'A' as u32) & 1 == 1;
     // Nothing in this subset uses I, J, K or R: left over.
     if "IJKR".chars().any(word) {

@@ -59,6 +59,7 @@ impl Firmware {
         let block = gcode::parse(line)?;
         let mut modal = self.modal.clone();
         let mut actions = VecDeque::new();
+        // A jog: nothing but a move.
         if jog {
             if block.not_for_jog {
                 return Err(16);
@@ -86,6 +87,7 @@ impl Firmware {
             });
             return Ok(actions);
         }
+        // Modes, and whether they allow the motion.
         modal.inches = block.inches.unwrap_or(modal.inches);
         modal.relative = block.relative.unwrap_or(modal.relative);
         modal.plane = block.plane.unwrap_or(modal.plane);
@@ -108,6 +110,7 @@ impl Firmware {
             return Err(30);
         }
 
+        // Spindle, coolant, dwell.
         let speed = block.speed.unwrap_or(modal.speed);
         let spindle = block.spindle.unwrap_or(modal.spindle);
         let lit = spindle != Spindle::Off;
@@ -131,6 +134,7 @@ impl Firmware {
             actions.push_back(Action::Synchronise);
             actions.push_back(Action::Dwell(block.p.unwrap_or(0.0)));
         }
+        // Offsets of the coordinates.
         let mut new_offset = None;
         if let Some(coordinates) = block.coordinates {
             modal.coordinates = coordinates;
@@ -175,6 +179,7 @@ impl Firmware {
             self.offsets[index] = offset;
             self.refresh.wco_changed();
         }
+        // The motion.
         if moves {
             let to = self.target(&block, &modal);
             modal.position = to;
@@ -192,6 +197,7 @@ impl Firmware {
                 });
             }
         }
+        // The program's flow.
         match block.program {
             Some(Program::Pause) => {
                 actions.push_back(Action::Synchronise);

@@ -296,7 +296,7 @@ impl Board {
             return;
         };
         if !self.open {
-            self.outgoing.clear(); // nobody listens to the line
+            self.outgoing.clear(); // nothing reads the line
             return;
         }
         while let Some((due_s, bytes)) = self.outgoing.front_mut() {

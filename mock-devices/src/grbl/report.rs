@@ -1,4 +1,4 @@
-//! What the firmware says when asked.
+//! What the firmware reports when asked.
 
 use super::firmware::{Firmware, Mode};
 use super::gcode::{Coolant, Motion, Spindle};
@@ -74,6 +74,7 @@ impl Firmware {
 
     /// The line that answers `?`.
     pub(super) fn status_report(&mut self, now_s: f64) -> String {
+        // State and position.
         let settings = &self.config.settings;
         let machine = self.planner.position(now_s);
         let wco = self.work_offset();
@@ -89,6 +90,7 @@ impl Firmware {
             state += &format!(":{}", self.bench.alarm().unwrap_or(11));
         }
         let mut text = format!("<{state}|{shown}");
+        // Buffers, speeds, switches.
         if settings.status_mask & 2 == 2 {
             let blocks = self.planner.free();
             text += &format!("|Bf:{blocks},{}", RX_BYTES - self.rx.len().min(RX_BYTES));
@@ -99,6 +101,7 @@ impl Firmware {
         if !pins.is_empty() {
             text += &format!("|Pn:{pins}");
         }
+        // Offsets and accessories, every so many reports.
         let busy = usize::from(
             !matches!(
                 self.mode,

@@ -49,7 +49,7 @@ pub struct Stall;
 
 /// What is plugged in.
 pub trait UsbDevice: Send + 'static {
-    /// What it says of itself.
+    /// What it reports of itself.
     fn descriptors(&self) -> &Descriptors;
     /// Answers a request of its class.
     fn control(&mut self, setup: Setup, data: &[u8]) -> Result<Vec<u8>, Stall>;

@@ -30,7 +30,7 @@ const HEADER: usize = 48;
 /// EPIPE and ECONNRESET, as the kernel says them.
 const STALLED: i32 = -32;
 const CANCELLED: i32 = -104;
-/// The kernel never asks for more at once.
+/// The kernel never requests more at once.
 const MOST_BYTES: usize = 1 << 20;
 /// How often a device with nothing to say is asked again.
 const ASK_AGAIN_MS: i64 = 1;
@@ -283,7 +283,7 @@ mod tests {
         let submit = |number, to_host, endpoint, length| {
             [SUBMIT, number, 0, to_host, endpoint, 0, length, 0, 0, 0]
         };
-        // Two requests of the class: the first is cut to what was asked for.
+        // Two requests of the class: the first is cut to what was requested.
         ask(
             &mut host,
             submit(1, 1, 0, 3),

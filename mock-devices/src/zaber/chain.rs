@@ -7,7 +7,7 @@ use crate::bench::Bench;
 use crate::motion::{Piece, Position, line};
 use crate::pty::Board;
 
-/// The bench is told of two axes in motion as straight ways this short, seconds.
+/// The bench is informed of two axes in motion as straight ways this short, seconds.
 const SLICE_S: f64 = 0.005;
 /// Longest line that is kept; a longer one is dropped.
 const LONGEST_LINE: usize = 200;

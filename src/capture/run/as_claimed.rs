@@ -1,4 +1,4 @@
-//! A frame as it was asked for, from a camera that may go away or ignore its
+//! A frame as it was requested, from a camera that may go away or ignore its
 //! settings.
 
 use super::Run;
@@ -48,6 +48,7 @@ impl Run<'_> {
         applied: CameraSettings,
         reference: Reference<'_>,
     ) -> Result<(RawFrame, Option<SignalRatio>), CaptureError> {
+        // The frame to compare with, and what a new homing may have changed since.
         let same_exposure = |taken: &Taken| (taken.exposure_s - applied.exposure.0).abs() <= 1e-9;
         let before = match reference {
             Reference::Exposure(taken) if shot.key.repeat > 0 || same_exposure(taken) => None,
@@ -57,6 +58,7 @@ impl Run<'_> {
             }
         };
         let granted = before.map_or(0.0, |before| self.granted(shot.key.light, before.homing));
+        // Frames until one agrees, or patience is over.
         let mut sent_again = false;
         let mut patience = self.plan.settings_latency_frames + PATIENCE_FRAMES;
         loop {

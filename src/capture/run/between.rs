@@ -1,4 +1,4 @@
-//! What comes between the frames: a pause, a stop that was asked for, a disk that
+//! What comes between the frames: a pause, a stop that was requested, a disk that
 //! fills, a device that becomes hot, a lamp that drifts.
 
 use super::Run;
@@ -14,7 +14,7 @@ use crate::session::Event;
 const SIDECAR_BYTES: u64 = 4096;
 
 /// Frames of one exposure, and how well more of their kind would compare with them where
-/// they tell least.
+/// they show least.
 pub(super) struct Kept {
     frames: Vec<Taken>,
     worst: SignalRatio,

@@ -23,7 +23,7 @@ impl Run<'_> {
         pairs.any(|(earlier, later)| self.is_shown(earlier, later))
     }
 
-    /// One frame at half or twice the exposure of the channel that tells most, for
+    /// One frame at half or twice the exposure of the channel of most signal, for
     /// a light whose frames have shown no change of exposure. `round` numbers it.
     pub(super) async fn prove_exposure(
         &mut self,

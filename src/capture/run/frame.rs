@@ -42,7 +42,7 @@ pub(super) enum Reference<'a> {
     Exposure(&'a Taken),
     /// The channel's frame at the same exposure: is the lamp what it was?
     Lamp(&'a Taken),
-    /// Likewise after all lights: it is told and nothing is refused.
+    /// Likewise after all lights: it is reported and nothing is refused.
     Revisit(&'a Taken),
 }
 
@@ -161,6 +161,7 @@ impl Run<'_> {
         shot: Shot,
         reference: Reference<'_>,
     ) -> Result<(RawFrame, Sidecar), CaptureError> {
+        // Settings travel to the camera while the stage moves.
         let requested = CameraSettings {
             exposure: shot.exposure,
             gain: self.plan.gain,
@@ -187,6 +188,7 @@ impl Run<'_> {
             lamp: shot.lamp,
             done: self.clock.done(),
         });
+        // Lamp, temperatures, shutter.
         self.devices
             .lamp(shot.lamp, self.plan.lamp_settle_s)
             .await?;
@@ -198,6 +200,7 @@ impl Run<'_> {
         if changed {
             self.discarded = latency;
         }
+        // The frame.
         let (frame, ratio) = self.grab_as_claimed(shot, applied, reference).await?;
         let now_s = self.clock.now_s();
         self.clock.took(shot.exposure.0, shot.lamp, !stands, now_s);
@@ -210,6 +213,7 @@ impl Run<'_> {
             let text = format!("frame {name} was taken again: {retakes}");
             self.warn(shot.key.light, text).await?;
         }
+        // How it was taken.
         let sidecar = Sidecar {
             key: shot.key,
             pilot: shot.pilot,

@@ -30,7 +30,7 @@ impl Run<'_> {
         Ok(())
     }
 
-    /// The frames of the first light that tell most of the lamp, from the disk: a run that
+    /// The frames of the first light that are most informative about the lamp, from the disk: a run that
     /// was interrupted has them nowhere else.
     async fn first_light(&mut self) -> Result<Option<Kept>, CaptureError> {
         self.disk.settle().await?;

@@ -14,11 +14,11 @@ use crate::calibration::mirror_sphere::Grey;
 use crate::calibration::record::Settings;
 use crate::cli::bracket_files;
 use crate::cli::output::{write_json, write_path};
-use crate::cli::session_images::session_images;
 use crate::cli::{CliError, Context};
 use crate::config::geometry::GeometryConfig;
 use crate::radiance_image::exr;
 use crate::transport::{Camera, Projection};
+use crate::workflow::session_images;
 
 #[derive(clap::Args, Debug)]
 pub(super) struct CameraArgs {

@@ -12,9 +12,9 @@ use crate::calibration::slanted_edge::{Edge, EdgeError, FocusValues, Lens, fit_e
 use crate::calibration::white::Region;
 use crate::calibration::{Library, depth_of_field};
 use crate::cli::output::{write_json, write_path};
-use crate::cli::session_images::session_images;
 use crate::cli::{CliError, Context};
 use crate::radiance_image::{RadianceImage, exr};
+use crate::workflow::session_images;
 
 #[derive(clap::Args, Debug)]
 pub(super) struct FocusArgs {

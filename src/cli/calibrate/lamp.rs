@@ -12,6 +12,7 @@ use crate::calibration::figures;
 use crate::calibration::lamp::LampFit;
 use crate::calibration::lamp_watch::{Watch, WatchOptions};
 use crate::calibration::record::LampValues;
+use crate::capture::open::open_devices;
 use crate::cli::output::{write_json, write_path};
 use crate::cli::{CliError, Context, HintExt, open};
 use crate::device::{LampChannel, LampState};
@@ -92,8 +93,7 @@ pub(super) fn run(args: &LampArgs, context: &Context) -> Result<(), CliError> {
             context.note(
                 "a white card where the lamp lights it evenly, no other light, the lamp cold",
             );
-            let unlit = || Err(CliError::new("the rig is not simulated"));
-            let devices = open::open_devices(config, &[], unlit)?;
+            let devices = open_devices(config, &open::options(config)?)?;
             let (mut stage, mut camera) = (devices.stage, devices.camera);
             let watchdog = stage.watchdog();
             let mut switch = |on: bool| {

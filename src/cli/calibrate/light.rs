@@ -10,6 +10,7 @@ use mock_devices::clock::Clock;
 use mock_devices::sensor::{SensorConfig, SensorModel};
 use mock_devices::{Illumination, RadianceSource};
 
+use crate::capture::open::open_real_camera;
 use crate::cli::CliError;
 use crate::cli::output::write_stderr;
 use crate::config::{CameraConfig, RigConfig};
@@ -65,7 +66,7 @@ pub(super) fn open_switched_camera(
     other: f64,
 ) -> Result<Switched, CliError> {
     let Some(sensor) = simulated_sensor(rig) else {
-        return Ok((crate::cli::open::open_real_camera(rig)?, None));
+        return Ok((open_real_camera(rig, &crate::cli::open::of_port()?)?, None));
     };
     let is_on = Arc::new(AtomicBool::new(true));
     let camera = uniformly_lit(&rig.camera, sensor, [radiance, other], is_on.clone());

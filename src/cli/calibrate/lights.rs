@@ -14,15 +14,14 @@ use crate::calibration::mirror_sphere::outline::Stated;
 use crate::calibration::mirror_sphere::{Circle, Sphere, SphereError, spheres_in};
 use crate::calibration::mirror_sphere::{Grey, locate_all};
 use crate::calibration::stage_directions::{self, StageFitError};
-use crate::cli::bench_records::go_by_lens;
 use crate::cli::output::{write_json, write_path};
-use crate::cli::session_images::{SessionImages, session_images};
 use crate::cli::{CliError, Context};
 use crate::config::RigConfig;
 use crate::device::kinematics::{Kinematics, Mechanism};
 use crate::radiance_image::{RadianceImage, exr};
 use crate::session::layout::CALIBRATION_FOLDER;
 use crate::units::StageAngles;
+use crate::workflow::{SessionImages, apply_lens, session_images};
 
 #[derive(clap::Args, Debug)]
 pub(super) struct LightsArgs {
@@ -99,7 +98,7 @@ pub(super) fn run(args: &LightsArgs, context: &Context) -> Result<(), CliError> 
         _ => Library::of_rig(&rig).load(rig.config.calibration.camera.as_deref())?,
     };
     if let Some(lens) = &lens {
-        go_by_lens(lens, &mut pictures.config.geometry, context);
+        apply_lens(lens, &mut pictures.config.geometry, context);
     }
     let geometry = &pictures.config.geometry;
     let stated = Stated {

@@ -9,10 +9,9 @@ use super::target::{CommonArgs, Target};
 use crate::calibration::Library;
 use crate::calibration::pose::{PoseError, PoseOptions, PoseValues, find};
 use crate::calibration::record::Settings;
-use crate::cli::bench_records::BenchRecords;
 use crate::cli::output::{write_json, write_path};
-use crate::cli::session_images::session_images;
 use crate::cli::{CliError, Context};
+use crate::workflow::{BenchRecords, session_images};
 
 #[derive(clap::Args, Debug)]
 pub(super) struct PoseArgs {

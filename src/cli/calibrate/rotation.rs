@@ -6,11 +6,10 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use crate::calibration::rotation::{ChiSquare, RotationError, RotationTest, Turn, compare};
-use crate::cli::bench_records::BenchRecords;
 use crate::cli::output::write_json;
-use crate::cli::session_images::session_images;
 use crate::cli::{CliError, Context};
 use crate::out;
+use crate::workflow::{BenchRecords, session_images};
 
 /// A session, and by how much the sample was turned for it.
 #[derive(Clone, Debug, PartialEq)]

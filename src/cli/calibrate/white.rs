@@ -10,11 +10,10 @@ use crate::calibration::Library;
 use crate::calibration::record::{LightsValues, Measured};
 use crate::calibration::white::{Region, WhiteStandard, irradiance};
 use crate::calibration::white_lights::{LightIntensity, WhiteLights};
-use crate::cli::bench_records::BenchRecords;
 use crate::cli::output::{write_json, write_path};
-use crate::cli::session_images::session_images;
 use crate::cli::{CliError, Context, HintExt};
 use crate::radiance_image::exr;
+use crate::workflow::{BenchRecords, session_images};
 
 #[derive(clap::Args, Debug)]
 pub(super) struct WhiteArgs {

@@ -13,7 +13,7 @@ pub(super) fn for_device(error: &DeviceError) -> String {
             "check the path in the rig file or on the command line: nothing of that name is there (`rig devices` lists what is connected)"
         }
         PermissionDenied { device } if device.starts_with("/dev/") => {
-            "`rig devices` says who may open it: where that is a group, add yourself to it (`sudo usermod -aG dialout,video $USER`), then log in again"
+            "`rig devices` shows which users may open it: where that is a group, add yourself to it (`sudo usermod -aG dialout,video $USER`), then log in again"
         }
         PermissionDenied { .. } => "check who owns the file and its folder, and their permissions",
         Busy { device } => {
@@ -28,7 +28,7 @@ pub(super) fn for_device(error: &DeviceError) -> String {
             "check the baud rate, and that the port belongs to this device (`rig devices`)"
         }
         WrongKind { .. } => "name another: `rig devices` lists the cameras and serial ports",
-        OtherProtocol { speaks, .. } => for_speaker(*speaks),
+        OtherProtocol { speaks, .. } => for_firmware_family(*speaks),
         Firmware { fault, .. } => for_firmware(fault),
         Program { program, fault } => return for_program(program, fault),
         NoImages { .. } => {
@@ -59,19 +59,19 @@ pub(super) fn for_device(error: &DeviceError) -> String {
             "the variable TMPDIR names that folder (without it, it is /tmp): name one that exists and can be written"
         }
         Relieved { .. } => {
-            "find out what stopped the program or kept it from running (`kill -STOP`, a debugger, too little memory): its guardian says whether the lamp went off; Ctrl-Z pauses a capture, and an interrupted one continues with `rig capture --resume`"
+            "find out what stopped the program or kept it from running (`kill -STOP`, a debugger, too little memory): its guardian reports whether the lamp went off; Ctrl-Z pauses a capture, and an interrupted one continues with `rig capture --resume`"
         }
         Unguarded { .. } => {
             "leave the process `rig guardian` alone, which turns the lamp off where this program cannot; an interrupted capture continues with `rig capture --resume`"
         }
         Io { .. } => {
-            "see what the system says of it (`dmesg`), and whether it is what the rig file says; `rig doctor` checks that"
+            "see what the kernel reports (`dmesg`), and whether it is the device that the rig file names; `rig doctor` checks that"
         }
     };
     hint.to_owned()
 }
 
-fn for_speaker(speaks: Speaker) -> &'static str {
+fn for_firmware_family(speaks: Speaker) -> &'static str {
     match speaks {
         Speaker::Grbl => {
             "name it as what it is: driver = \"grbl\" in the rig file's [stage] table, or --driver grbl"
@@ -80,7 +80,7 @@ fn for_speaker(speaks: Speaker) -> &'static str {
             "name it as what it is: driver = \"zaber\" in the rig file's [stage] table, or --driver zaber"
         }
         Speaker::Marlin | Speaker::Smoothie | Speaker::TinyG => {
-            "this firmware is not spoken to: put GRBL 1.1, grblHAL or FluidNC on the board, or take another port (`rig devices`)"
+            "this firmware is not supported: put GRBL 1.1, grblHAL or FluidNC on the board, or take another port (`rig devices`)"
         }
     }
 }
@@ -115,7 +115,7 @@ fn for_firmware(fault: &FirmwareFault) -> &'static str {
         Held(_) => "see why it was held, then `rig stage home`, which resets it",
         Asleep => "`rig stage home` resets it and wakes it",
         Configuration(_) => {
-            "correct the controller's configuration file (FluidNC: `$SS` shows what it said of it at its start), then restart it"
+            "correct the controller's configuration file (FluidNC: `$SS` shows its messages at start-up), then restart it"
         }
         Unsupported { .. } => {
             "take commands in the rig file that this firmware has, or build it with these: M7 of GRBL needs ENABLE_M7 in its config.h"

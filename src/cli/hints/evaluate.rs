@@ -29,7 +29,7 @@ pub(super) fn for_evaluate(error: &EvaluateError) -> Option<String> {
         }
         NoMaterial { .. } => "name one with --materials",
         SameName { .. } => "name each material once; files of one name need another",
-        Io { source, .. } => return for_io(source).map(str::to_owned),
+        Io { source, .. } => return for_io(source),
         // Those with a source of their own are asked for it; these have it folded in.
         Brdf(error) => return for_brdf(error),
         Fit(error) => return for_fit(error),

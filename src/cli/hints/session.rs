@@ -18,10 +18,10 @@ pub(super) fn for_session(error: &SessionError) -> Option<String> {
             "nothing that was journalled is lost; free some space and try again".into()
         }
         OverQuota { .. } => {
-            "nothing that was journalled is lost; remove some of your files there (`quota` says what counts), or use another disk, and try again".into()
+            "nothing that was journalled is lost; remove some of your files there (`quota` lists what counts), or use another disk, and try again".into()
         }
-        // What is not the system's own says that a file is no file.
-        Io { source, .. } if source.raw_os_error().is_some() || source.kind() != std::io::ErrorKind::InvalidInput => return for_io(source).map(str::to_owned),
+        // Of other sources than the system, it means that the path is no regular file.
+        Io { source, .. } if source.raw_os_error().is_some() || source.kind() != std::io::ErrorKind::InvalidInput => return for_io(source),
         Link { .. } => {
             "put a copy of what it leads to in the link's place, so that the session holds its own files: `rig session verify` then checks them".into()
         }
@@ -82,8 +82,12 @@ pub(super) fn for_loading(error: &LoadError) -> Option<String> {
 pub(super) fn for_fit_record(error: &FitRecordError) -> Option<String> {
     use FitRecordError::*;
     match error {
-        Io { source, .. } => for_io(source).map(str::to_owned),
+        Io { source, .. } => for_io(source),
         Exists { .. } => Some("nothing was overwritten; choose another folder".into()),
+        NoFit { .. } => Some(
+            "give the folder that `rig fit --out` wrote, or a session that `rig fit` has fitted"
+                .into(),
+        ),
         Syntax { .. } | Value { .. } => {
             Some("the fit was changed by hand or damaged; fit again".into())
         }

@@ -1,9 +1,10 @@
-//! A camera behind a program: it is run once per frame, told the exposure and
+//! A camera behind a program: it is run once per frame, given the exposure and
 //! where to put the file, and must have written it when it ends.
 
 pub mod program;
 mod workplace;
 
+use std::ffi::OsStr;
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::os::unix::process::{CommandExt, ExitStatusExt};
@@ -15,135 +16,92 @@ use std::time::{Duration, Instant};
 use rustix::process::{Pid, Signal, kill_process_group};
 
 use self::workplace::Workplace;
+use super::described::{DescribedCamera, Driver, FrameSource, Wanted, io_error};
 use super::retake::FrameFault;
-use super::{
-    Camera, CameraInfo, CameraSettings, DeviceError, FrameKey, RawFrame, image_file, outside,
-};
-use crate::units::Seconds;
+use super::{CameraInfo, DeviceError, RawFrame};
 
 pub use self::workplace::keep;
 
-/// What the program is and what its files hold.
-#[derive(Clone, Debug, PartialEq)]
-pub struct CommandConfig {
+/// `camera.driver = "command"`.
+pub const DRIVER: Driver = Driver {
+    name: "command",
+    key: "command",
+    allowed: "a program with its arguments, among them {exposure_s} and {output}",
+    is_path: false,
+    accepts: |text| {
+        let words = words(text);
+        let has = |key: &str| words.iter().skip(1).any(|word| word.contains(key));
+        has("{exposure_s}") && has("{output}")
+    },
+    ready: |text| {
+        let program = words(text).swap_remove(0);
+        match program::fault(&program) {
+            None => Ok(format!("frames come from the program {program}")),
+            Some(fault) => Err(DeviceError::Program { program, fault }),
+        }
+    },
+    open: |text, description| {
+        let program = CameraProgram::new(words(text), description.keeper)?;
+        let model = program.name();
+        let info = CameraInfo {
+            model,
+            ..description.info
+        };
+        Ok(Box::new(DescribedCamera::new(
+            program,
+            info,
+            description.timeout,
+        )))
+    },
+};
+
+fn words(text: &OsStr) -> Vec<String> {
+    let text = text.to_string_lossy();
+    text.split_whitespace().map(str::to_owned).collect()
+}
+
+/// A program that takes frames.
+#[derive(Clone, Debug)]
+pub struct CameraProgram {
     /// Program and arguments. In arguments `{exposure_s}`, `{gain}` and
     /// `{output}` stand for the exposure in seconds, the gain as a factor and
     /// the path to write, which ends in `.tif`.
-    pub command: Vec<String>,
-    /// The camera as the rig file describes it: nobody can be asked.
-    pub info: CameraInfo,
-    /// How long the program, and reading its file, may take beyond the exposure.
-    pub timeout: Seconds,
-}
-
-/// A camera that is a program.
-#[derive(Debug)]
-pub struct CommandCamera {
-    config: CommandConfig,
-    settings: Option<CameraSettings>,
+    command: Vec<String>,
     workplace: Arc<Workplace>,
 }
 
 /// How often is looked whether the program has ended.
 const POLL: Duration = Duration::from_millis(5);
-/// So much of what it wrote to stderr is told: its end says most.
-const TOLD_BYTES: u64 = 600;
-impl CommandCamera {
-    /// A camera of this configuration. The program is not run yet. `keeper` is to
+/// So much of what it wrote to stderr is reported: its end is most informative.
+const REPORTED_BYTES: u64 = 600;
+
+impl CameraProgram {
+    /// A program with its arguments. It is not run yet. `keeper` is to
     /// call [`keep`] with its standard input and its last argument, a folder that is
     /// added: it ends the program where this process cannot. Without one a program
     /// goes on when this process is killed.
     ///
     /// # Errors
     /// If there can be no temporary folder or the keeper cannot be started.
-    pub fn new(config: CommandConfig, keeper: Option<Command>) -> Result<Self, DeviceError> {
+    pub fn new(command: Vec<String>, keeper: Option<Command>) -> Result<Self, DeviceError> {
         Ok(Self {
-            config,
-            settings: None,
+            command,
             workplace: Arc::new(Workplace::new(keeper)?),
         })
     }
 
-    fn program(&self) -> String {
-        self.config.command.first().cloned().unwrap_or_default()
-    }
-}
-
-/// One frame, taken on a thread that can be abandoned.
-struct Job {
-    config: CommandConfig,
-    settings: CameraSettings,
-    workplace: Arc<Workplace>,
-    timeout: Seconds,
-    deadline: Instant,
-}
-
-impl Job {
     /// Arguments with their values, program first.
-    fn filled_in(&self, output: &Path) -> Vec<String> {
+    fn filled_in(&self, wanted: &Wanted, output: &Path) -> Vec<String> {
         let fill = |word: &String| {
-            word.replace("{exposure_s}", &self.settings.exposure.0.to_string())
-                .replace("{gain}", &self.settings.gain.to_string())
+            word.replace("{exposure_s}", &wanted.settings.exposure.0.to_string())
+                .replace("{gain}", &wanted.settings.gain.to_string())
                 .replace("{output}", &output.display().to_string())
         };
-        self.config.command.iter().map(fill).collect()
-    }
-
-    /// Runs the program and reads its file.
-    fn take(self, device: String) -> Result<RawFrame, DeviceError> {
-        let place = self.workplace.place()?;
-        let output = place.path().join("frame.tif");
-        let words = self.filled_in(&output);
-        let unrunnable = |fault| DeviceError::Program {
-            program: device.clone(),
-            fault,
-        };
-        let ended = self.run(&words).map_err(|error| match error {
-            RunError::Start(error) => match program::fault_of(&device, &error) {
-                Some(fault) => unrunnable(fault),
-                None => io_error(&device, error),
-            },
-            RunError::Other(error) => io_error(&device, error),
-        })?;
-        let refused = |reason: String| DeviceError::Refused {
-            device: device.clone(),
-            command: words[1..].join(" "),
-            reason: reason + &and_said(&ended.said),
-        };
-        match ended.status {
-            None => Err(DeviceError::NoReply {
-                device,
-                timeout: self.timeout,
-                sent: words[1..].join(" ") + &and_said(&ended.said),
-            }),
-            Some(status) if !status.success() => Err(match status.code() {
-                Some(code) => match program::fault_at_end(&device, code, &ended.said) {
-                    Some(fault) => unrunnable(fault),
-                    None => refused(format!("it ended with exit code {code}")),
-                },
-                None => refused(format!(
-                    "signal {} ended it",
-                    status.signal().unwrap_or_default()
-                )),
-            }),
-            Some(_) if !output.exists() => Err(refused("it wrote no file".to_owned())),
-            Some(_) => {
-                let info = &self.config.info;
-                image_file::read(&output, info.resolution_px, info.bit_depth).map_err(|fault| {
-                    let fault = match fault {
-                        FrameFault::Undecodable(what) => {
-                            FrameFault::Undecodable(what + &and_said(&ended.said))
-                        }
-                        other => other,
-                    };
-                    DeviceError::BadFrame { device, fault }
-                })
-            }
-        }
+        self.command.iter().map(fill).collect()
     }
 
     /// Runs the program to its end, or ends it and all that it started.
-    fn run(&self, words: &[String]) -> Result<Ended, RunError> {
+    fn run(&self, words: &[String], deadline: Instant) -> Result<Ended, RunError> {
         let mut errors = self.workplace.scratch()?;
         let none = || RunError::Start(std::io::ErrorKind::NotFound.into());
         let (program, arguments) = words.split_first().ok_or_else(none)?;
@@ -162,7 +120,7 @@ impl Job {
             if let Some(status) = running.0.try_wait()? {
                 break Some(status);
             }
-            if Instant::now() >= self.deadline {
+            if Instant::now() >= deadline {
                 break None;
             }
             std::thread::sleep(POLL);
@@ -170,17 +128,69 @@ impl Job {
         drop(running);
         Ok(Ended {
             status,
-            said: end_of(&mut errors)?,
+            stderr: end_of(&mut errors)?,
         })
     }
 }
 
-fn io_error(device: &str, source: std::io::Error) -> DeviceError {
-    let device = device.to_owned();
-    match source.kind() {
-        std::io::ErrorKind::NotFound => DeviceError::NotFound { device },
-        std::io::ErrorKind::PermissionDenied => DeviceError::PermissionDenied { device },
-        _ => DeviceError::Io { device, source },
+impl FrameSource for CameraProgram {
+    const SENT: &'static str = "a frame, whose file could not be read";
+
+    fn name(&self) -> String {
+        self.command.first().cloned().unwrap_or_default()
+    }
+
+    /// Runs the program and reads its file.
+    fn take(&self, wanted: &Wanted) -> Result<RawFrame, DeviceError> {
+        let device = self.name();
+        let place = self.workplace.place()?;
+        let output = place.path().join("frame.tif");
+        let words = self.filled_in(wanted, &output);
+        let unrunnable = |fault| DeviceError::Program {
+            program: device.clone(),
+            fault,
+        };
+        let ended = self
+            .run(&words, wanted.deadline)
+            .map_err(|error| match error {
+                RunError::Start(error) => match program::fault_of(&device, &error) {
+                    Some(fault) => unrunnable(fault),
+                    None => io_error(device.clone(), error),
+                },
+                RunError::Other(error) => io_error(device.clone(), error),
+            })?;
+        let refused = |reason: String| DeviceError::Refused {
+            device: device.clone(),
+            command: words[1..].join(" "),
+            reason: reason + &and_wrote(&ended.stderr),
+        };
+        match ended.status {
+            None => Err(DeviceError::NoReply {
+                device,
+                timeout: wanted.timeout,
+                sent: words[1..].join(" ") + &and_wrote(&ended.stderr),
+            }),
+            Some(status) if !status.success() => Err(match status.code() {
+                Some(code) => match program::fault_at_end(&device, code, &ended.stderr) {
+                    Some(fault) => unrunnable(fault),
+                    None => refused(format!("it ended with exit code {code}")),
+                },
+                None => refused(format!(
+                    "signal {} ended it",
+                    status.signal().unwrap_or_default()
+                )),
+            }),
+            Some(_) if !output.exists() => Err(refused("it wrote no file".to_owned())),
+            Some(_) => wanted.read(&output).map_err(|fault| {
+                let fault = match fault {
+                    FrameFault::Undecodable(what) => {
+                        FrameFault::Undecodable(what + &and_wrote(&ended.stderr))
+                    }
+                    other => other,
+                };
+                DeviceError::BadFrame { device, fault }
+            }),
+        }
     }
 }
 
@@ -201,7 +211,7 @@ impl From<std::io::Error> for RunError {
 /// How the program ended (`None`: it had to be), and the end of its stderr.
 struct Ended {
     status: Option<ExitStatus>,
-    said: String,
+    stderr: String,
 }
 
 /// Ends the program's whole process group when dropped.
@@ -218,9 +228,9 @@ impl Drop for Running<'_> {
 
 fn end_of(errors: &mut File) -> std::io::Result<String> {
     let length = errors.seek(SeekFrom::End(0))?;
-    errors.seek(SeekFrom::Start(length.saturating_sub(TOLD_BYTES)))?;
+    errors.seek(SeekFrom::Start(length.saturating_sub(REPORTED_BYTES)))?;
     let mut bytes = Vec::new();
-    errors.take(TOLD_BYTES).read_to_end(&mut bytes)?;
+    errors.take(REPORTED_BYTES).read_to_end(&mut bytes)?;
     let text = String::from_utf8_lossy(&bytes);
     let lines: Vec<&str> = text
         .lines()
@@ -230,76 +240,25 @@ fn end_of(errors: &mut File) -> std::io::Result<String> {
     Ok(lines.join("; "))
 }
 
-/// What the program said, to be put after something else.
-fn and_said(said: &str) -> String {
-    if said.is_empty() {
+/// What the program wrote to stderr, to be put after something else.
+fn and_wrote(text: &str) -> String {
+    if text.is_empty() {
         String::new()
     } else {
-        format!(", and it wrote: {said}")
-    }
-}
-
-impl Camera for CommandCamera {
-    fn info(&self) -> &CameraInfo {
-        &self.config.info
-    }
-
-    /// The program is told the values with each frame; nothing can be read back,
-    /// so that only the images show whether they were applied.
-    fn configure(&mut self, requested: CameraSettings) -> Result<CameraSettings, DeviceError> {
-        let applied = CameraSettings {
-            exposure: super::nearest_exposure(&self.config.info, requested.exposure),
-            gain: requested.gain,
-        };
-        self.settings = Some(applied);
-        Ok(applied)
-    }
-
-    fn set_shutter(&mut self, _open: bool) -> Result<bool, DeviceError> {
-        Ok(false)
-    }
-
-    fn grab(&mut self, _key: FrameKey) -> Result<RawFrame, DeviceError> {
-        let settings = self.settings.ok_or_else(|| DeviceError::Refused {
-            device: self.program(),
-            command: "a frame".to_owned(),
-            reason: "it is not configured".to_owned(),
-        })?;
-        let timeout = Seconds(settings.exposure.0 + self.config.timeout.0);
-        let job = Job {
-            config: self.config.clone(),
-            settings,
-            workplace: Arc::clone(&self.workplace),
-            timeout,
-            deadline: Instant::now() + timeout.to_duration(),
-        };
-        let device = self.program();
-        let its_device = device.clone();
-        let sent = "a frame, whose file could not be read";
-        outside::frame_within(device, timeout, sent, move || job.take(its_device))
-    }
-
-    fn longest_frame(&self, exposure: Seconds) -> Seconds {
-        Seconds(exposure.0 + self.config.timeout.0 + 2.0 * outside::HANDOVER.as_secs_f64())
+        format!(", and it wrote: {text}")
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::device::{FrameKind, Mosaic, ProgramFault};
+    use crate::device::described::tests::{KEY, configured};
+    use crate::device::{Camera, ProgramFault};
     use image::{ImageBuffer, Luma};
-
-    const KEY: FrameKey = FrameKey {
-        light: 0,
-        exposure: 0,
-        repeat: 0,
-        kind: FrameKind::Light,
-    };
 
     /// A camera whose program is this shell script; `$1` is the exposure, `$2`
     /// the gain, `$3` the output, `$4` a folder with the image `good.tif`.
-    fn camera(folder: &Path, script: &str, timeout_s: f64) -> CommandCamera {
+    fn camera(folder: &Path, script: &str, timeout_s: f64) -> DescribedCamera<CameraProgram> {
         let path = folder.join("camera.sh");
         std::fs::write(&path, script).unwrap();
         let image = ImageBuffer::from_fn(4, 2, |x, y| Luma([(100 * y + x) as u16]));
@@ -313,43 +272,23 @@ mod tests {
         ];
         let mut command = words.map(str::to_owned).to_vec();
         command.push(folder.display().to_string());
-        let config = CommandConfig {
-            command,
-            info: CameraInfo {
-                driver: "command".to_owned(),
-                model: "sh".to_owned(),
-                serial: String::new(),
-                resolution_px: [4, 2],
-                bit_depth: 12,
-                mosaic: Mosaic::None,
-                exposure_range: [Seconds(0.001), Seconds(30.0)],
-                exposure_step: Seconds(0.001),
-            },
-            timeout: Seconds(timeout_s),
-        };
-        let mut camera = CommandCamera::new(config, None).unwrap();
-        camera
-            .configure(CameraSettings {
-                exposure: Seconds(0.0251),
-                gain: 2.0,
-            })
-            .unwrap();
-        camera
+        let program = CameraProgram::new(command, None).unwrap();
+        configured(program, timeout_s, 0.0251, 2.0)
     }
 
     #[test]
-    fn the_program_is_told_the_settings_and_its_file_is_read() {
+    fn the_program_gets_the_settings_and_its_file_is_read() {
         let folder = tempfile::tempdir().unwrap();
-        let script = "echo $1 $2 > $4/told; cp $4/good.tif $3";
+        let script = "echo $1 $2 > $4/got; cp $4/good.tif $3";
         let mut camera = camera(folder.path(), script, 20.0);
         let frame = camera.grab(KEY).unwrap();
         assert_eq!(frame.counts, [0, 1, 2, 3, 100, 101, 102, 103]);
-        let told = std::fs::read_to_string(folder.path().join("told")).unwrap();
-        assert_eq!(told, "0.025 2\n");
+        let got = std::fs::read_to_string(folder.path().join("got")).unwrap();
+        assert_eq!(got, "0.025 2\n");
     }
 
     #[test]
-    fn failures_come_with_what_the_program_said() {
+    fn failures_come_with_what_the_program_wrote() {
         let folder = tempfile::tempdir().unwrap();
         let error = |script: &str| {
             camera(folder.path(), script, 20.0)
@@ -378,16 +317,22 @@ mod tests {
             said.contains("frame.tif: ") && said.ends_with("it wrote: half"),
             "{said}"
         );
-        let mut missing = camera(folder.path(), "", 20.0);
-        missing.config.command = vec!["/no/such/program".to_owned()];
+        let of = |program: String| {
+            configured(
+                CameraProgram::new(vec![program], None).unwrap(),
+                20.0,
+                0.1,
+                1.0,
+            )
+            .grab(KEY)
+        };
         let is_missing = |fault: &ProgramFault| matches!(fault, ProgramFault::Missing { .. });
         assert!(matches!(
-            missing.grab(KEY),
+            of("/no/such/program".to_owned()),
             Err(DeviceError::Program { fault, .. }) if is_missing(&fault)
         ));
-        missing.config.command = vec![folder.path().join("good.tif").display().to_string()];
         assert!(matches!(
-            missing.grab(KEY),
+            of(folder.path().join("good.tif").display().to_string()),
             Err(DeviceError::Program {
                 fault: ProgramFault::NotExecutable { .. },
                 ..

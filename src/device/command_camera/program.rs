@@ -36,7 +36,7 @@ pub fn fault_of(name: &str, error: &std::io::Error) -> Option<ProgramFault> {
 }
 
 /// Why a program that ran ended with this code without having begun its work, where its
-/// file or its last words tell.
+/// file or its last lines show.
 pub fn fault_at_end(name: &str, code: i32, said: &str) -> Option<ProgramFault> {
     let is_of_loader = [
         "error while loading shared libraries",

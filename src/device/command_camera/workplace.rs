@@ -98,7 +98,7 @@ fn temporary(source: std::io::Error) -> DeviceError {
     }
 }
 
-/// The keeper: hears which program runs, until the other end is closed; then ends
+/// The keeper: is told which program runs, until the other end is closed; then ends
 /// that program with all it has started, and removes the folder.
 pub fn keep(pipe: impl BufRead, folder: &Path) -> std::io::Result<()> {
     let mut running = None;

@@ -77,7 +77,7 @@ impl DomeLine {
 
     fn info(&self, timeout: Duration) -> Result<Info, DeviceError> {
         let data = self.ask("info", timeout)?;
-        info(&data).ok_or_else(|| self.line.garbled(&data, "what a dome says of itself"))
+        info(&data).ok_or_else(|| self.line.garbled(&data, "what a dome reports of itself"))
     }
 }
 
@@ -105,7 +105,9 @@ impl LightPort for DomeLine {
             Some(State::Off) => Ok(ReadBack::Off),
             Some(State::Driven { lit, shines: true }) => Ok(ReadBack::Lit(lit)),
             Some(State::Driven { lit, shines: false }) => Ok(ReadBack::Dark(lit)),
-            None => Err(self.line.garbled(&data, "what a dome says of its lights")),
+            None => Err(self
+                .line
+                .garbled(&data, "what a dome reports of its lights")),
         }
     }
 
@@ -142,14 +144,14 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Lets a dome with a watchdog hear something while the driver is busy
+/// Lets a dome with a watchdog receive something while the driver is busy
 /// elsewhere. Ends when it is dropped.
 pub struct KeepAlive {
     stop: Arc<(Mutex<bool>, Condvar)>,
 }
 
 impl KeepAlive {
-    /// Asks for the state at this interval as long as the port is there.
+    /// Requests the state at this interval as long as the port is there.
     pub fn start(port: Weak<dyn LightPort>, interval: Duration) -> std::io::Result<Self> {
         let stop = Arc::new((Mutex::new(false), Condvar::new()));
         let its_stop = stop.clone();

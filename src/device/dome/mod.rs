@@ -1,5 +1,5 @@
 //! Light domes: many lights that stand still, one lit at a time, over the
-//! dome line protocol (docs/stages.md) or over DMX512 behind an Enttec DMX USB
+//! dome line protocol (docs/reference/dome-protocol.md) or over DMX512 behind an Enttec DMX USB
 //! Pro or a compatible interface.
 
 #[cfg(feature = "serial")]

@@ -22,7 +22,7 @@ pub enum Line {
     Unknown(String),
 }
 
-/// What a dome says of itself.
+/// What a dome reports of itself.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Info {
     /// Number of lights.
@@ -35,7 +35,7 @@ pub struct Info {
     pub firmware: String,
 }
 
-/// What a dome says of its lights.
+/// What a dome reports of its lights.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum State {
     /// All off.

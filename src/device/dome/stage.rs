@@ -23,20 +23,20 @@ pub trait LightPort: Send + Sync {
     fn identify(&self, timeout: Duration) -> Result<Found, DeviceError>;
     /// Lights one, all others off.
     fn show(&self, lit: Option<Lit>) -> Result<(), DeviceError>;
-    /// What the dome says of its lights.
+    /// What the dome reports of its lights.
     fn read_back(&self) -> Result<ReadBack, DeviceError>;
-    /// How warm the lights are, °C, where the dome says.
+    /// How warm the lights are, °C, where the dome reports.
     fn temperature_c(&self) -> Result<Option<f64>, DeviceError> {
         Ok(None)
     }
     /// How often the dome has said that it has restarted.
     fn restarts(&self) -> u64;
-    /// All off, sent at once, also beside a request that is under way.
+    /// All off, sent at once, also while a request is under way.
     fn off_now(&self) -> Result<(), DeviceError>;
     /// What another process sends to turn all off, whatever was under way, and
     /// what confirms it.
     fn off_exchanges(&self) -> Vec<Exchange>;
-    /// Whether the dome says which lights are lit.
+    /// Whether the dome reports which lights are lit.
     fn reports_lights(&self) -> bool;
 }
 
@@ -44,13 +44,13 @@ pub trait LightPort: Send + Sync {
 pub struct Found {
     /// Version.
     pub firmware: String,
-    /// Number of lights and of colour channels, where the dome says.
+    /// Number of lights and of colour channels, where the dome reports.
     pub lights: Option<(usize, u8)>,
     /// Silence after which it turns its lights off.
     pub watchdog: Option<Duration>,
 }
 
-/// What a dome says of its lights.
+/// What a dome reports of its lights.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ReadBack {
     /// All off.
@@ -74,7 +74,7 @@ pub struct DomeStage {
     chosen: Option<usize>,
     lamp: Option<LampState>,
     unhomed_since: Option<String>,
-    /// Stops from beside, and how many of them are accounted for.
+    /// Stops from another thread, and how many of them are accounted for.
     stops: Arc<AtomicU64>,
     stops_seen: u64,
     restarts_seen: u64,

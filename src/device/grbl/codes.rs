@@ -110,7 +110,7 @@ fn error_of_fluidnc(code: u16) -> Option<&'static str> {
         110 => "a password is needed",
         120 => "the controller is used over another connection",
         130 => "the jog was cancelled",
-        150..=152 => "the configuration file is faulty; what it says at its start tells where",
+        150..=152 => "the configuration file is faulty; the messages at its start name the place",
         41..=255 => "not in FluidNC's list",
         _ => return None,
     })

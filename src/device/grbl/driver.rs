@@ -114,12 +114,12 @@ impl GrblStage {
     }
 
     fn refused(&self, command: &str, reason: &str) -> DeviceError {
-        self.link.refused(command, reason)
+        self.link.line().refused(command, reason)
     }
 
     fn alarm(&self, (cause, reason): (AlarmCause, String)) -> DeviceError {
         DeviceError::Alarm {
-            device: self.link.device().to_owned(),
+            device: self.link.line().device().to_owned(),
             cause,
             reason,
         }
@@ -181,7 +181,7 @@ impl GrblStage {
 
     fn not_homed(&self, since: String) -> DeviceError {
         DeviceError::NotHomed {
-            device: self.link.device().to_owned(),
+            device: self.link.line().device().to_owned(),
             since,
         }
     }
@@ -199,7 +199,7 @@ impl GrblStage {
         if line.len() > LONGEST_COMMAND || !printable {
             return Err(self.refused(line, "not a line of at most 79 printable characters"));
         }
-        tracing::trace!(device = self.link.device(), line, "sent");
+        tracing::trace!(device = self.link.line().device(), line, "sent");
         let restarts = self.link.known().restarts;
         // Late answers to something else would count as this line's.
         while self.link.receive(Instant::now())?.is_some() {}
@@ -254,7 +254,7 @@ impl GrblStage {
         Err(self.not_homed(since.unwrap_or_else(|| "the firmware restarted".to_owned())))
     }
 
-    /// A fresh status report. It has no side effects, so it is asked for again
+    /// A fresh status report. It has no side effects, so it is requested again
     /// when the answer is lost or damaged.
     fn report(&self) -> Result<StatusReport, DeviceError> {
         let restarts = self.link.known().restarts;
@@ -313,6 +313,7 @@ impl GrblStage {
 
     /// Drives in a straight line and waits until the stage stands there.
     fn drive(&mut self, from: Pose, to: Pose) -> Result<Pose, DeviceError> {
+        // The command, and how long it may take.
         let [first, second] = self.config.kinematics.axes();
         let line = format!(
             "G21 G90 G94 G53 G1 {}{:.4} {}{:.4} F{:.1}",
@@ -329,6 +330,7 @@ impl GrblStage {
         self.check_homed()?;
         self.in_motion = true;
         self.command(&line, self.reply_timeout())?;
+        // Status reports until the stage stands.
         let start = Instant::now();
         let mut pause = Duration::from_millis(1);
         let mut idle_elsewhere: Option<Instant> = None;
@@ -377,7 +379,7 @@ impl GrblStage {
     fn not_applied(&self, what: &str, is: Pose, wanted: Pose) -> DeviceError {
         let text = |pose| self.config.kinematics.angles(pose).to_string();
         DeviceError::NotApplied {
-            device: self.link.device().to_owned(),
+            device: self.link.line().device().to_owned(),
             what: what.to_owned(),
             is: text(is),
             wanted: text(wanted),
@@ -527,7 +529,7 @@ impl LightStage for GrblStage {
 
     fn move_to(&mut self, target: StageAngles) -> Result<StageAngles, DeviceError> {
         let kinematics = self.config.kinematics;
-        let device = self.link.device().to_owned();
+        let device = self.link.line().device().to_owned();
         let wanted = kinematics
             .solve(target)
             .ok_or_else(|| DeviceError::OutOfReach {
@@ -575,7 +577,7 @@ impl LightStage for GrblStage {
                 Ok(lamp)
             }
             (_, Some(outputs)) => Err(DeviceError::NotApplied {
-                device: self.link.device().to_owned(),
+                device: self.link.line().device().to_owned(),
                 what: "the lamp's outputs".to_owned(),
                 is: format!("{outputs:?} at S{}", known.speed.unwrap_or(0.0)),
                 wanted: format!("{expected:?} ({})", commands.join("; ")),
@@ -603,7 +605,7 @@ impl LightStage for GrblStage {
 
     fn port_stop(&self) -> Result<Option<PortStop>, DeviceError> {
         Ok(Some(PortStop {
-            port: self.link.duplicate()?,
+            port: self.link.line().duplicate()?,
             name: self.config.port.clone(),
             exchanges: vec![
                 Exchange::new(&[HOLD], &[]),
@@ -611,24 +613,18 @@ impl LightStage for GrblStage {
                 Exchange::new(&[STATUS], STANDING),
             ],
             reports_lamp: true,
-            gate: self.link.gate(),
+            gate: self.link.line().gate(),
         }))
     }
 
     fn longest(&self, step: StageStep) -> Duration {
         let reply = self.reply_timeout();
-        let drive = || {
-            let [first, second] = self.config.kinematics.axes();
-            let from = Pose([first.min, second.min]);
-            let whole = self.duration(from, Pose([first.max, second.max]));
-            2 * whole + 2 * reply + Duration::from_secs(1)
-        };
+        let [from, to] = self.config.kinematics.whole_travel();
+        let whole = self.duration(from, to);
+        let homing = self.config.homing_timeout.to_duration();
         match step {
-            StageStep::Home => self.config.homing_timeout.to_duration() + 4 * reply,
-            // To where the approach begins, and on.
-            StageStep::Move => 2 * drive() + reply,
-            StageStep::Lamp => 4 * reply,
-            StageStep::Question => 2 * reply,
+            StageStep::Move => step.longest(homing, whole, reply, 2) + reply,
+            step => step.longest(homing, whole, reply, 2),
         }
     }
 }

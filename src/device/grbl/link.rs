@@ -1,16 +1,14 @@
 //! The line to a GRBL controller: bytes out, replies in, never waiting without
-//! end, and what follows from replies that nobody asked for.
+//! end, and what follows from unsolicited replies.
 
-use std::os::fd::OwnedFd;
-use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use super::codes;
 use super::protocol::{
     Accessories, Dialect, LONGEST_LINE, MachineState, Reply, StatusReport, machine_state, parse,
 };
-use crate::device::guardian::Gate;
-use crate::device::serial_line::{LineReader, SerialLine, printable};
+use crate::device::serial_line::printable;
+use crate::device::shared_line::{Knowledge, SharedLine};
 use crate::device::{AlarmCause, DeviceError, FirmwareFault, Speaker};
 
 /// Real-time command: report the status.
@@ -20,15 +18,10 @@ pub const HOLD: u8 = b'!';
 /// Real-time command: restart the firmware at once; all outputs go off.
 pub const RESET: u8 = 0x18;
 
-/// An open line. Shared by the driver and its stop handles: any of them may
-/// write real-time bytes at any moment, and whoever reads keeps [`Known`] true.
-pub struct Link {
-    line: SerialLine,
-    known: Mutex<Known>,
-    heard: Condvar,
-}
+/// An open line to a controller.
+pub type Link = SharedLine<Known>;
 
-/// What the replies so far say about the controller.
+/// What the replies so far report about the controller.
 #[derive(Clone, Debug)]
 pub struct Known {
     /// Why the position is unknown; `None` while it is known.
@@ -51,128 +44,44 @@ pub struct Known {
     pub speed: Option<f64>,
     /// What the machine is doing by the last report since the last restart.
     pub state: Option<MachineState>,
-    /// A restart that is wanted, so that its banner is told as what caused it.
+    /// A restart that is wanted, so that its banner is reported as what caused it.
     pub restart_cause: Option<String>,
 }
 
-impl Link {
+impl Knowledge for Known {
+    fn unhomed_since(&mut self) -> &mut Option<String> {
+        &mut self.unhomed_since
+    }
+}
+
+impl SharedLine<Known> {
     /// Opens and configures the port. Nothing is sent.
     pub fn open(path: &str, baud: u32) -> Result<Self, DeviceError> {
-        Ok(Self {
-            line: SerialLine::open(path, baud)?.of(Speaker::Grbl),
-            known: Mutex::new(Known {
-                unhomed_since: Some("it was connected".to_owned()),
-                alarm: None,
-                dialect: Dialect::default(),
-                needs_reset: false,
-                restarts: 0,
-                reports: 0,
-                work_offset: None,
-                accessories: None,
-                speed: None,
-                state: None,
-                restart_cause: None,
-            }),
-            heard: Condvar::new(),
-        })
-    }
-
-    /// The port's path.
-    pub fn device(&self) -> &str {
-        self.line.device()
-    }
-
-    /// The open port once more, for another process.
-    pub fn duplicate(&self) -> Result<OwnedFd, DeviceError> {
-        self.line.duplicate()
-    }
-
-    /// What the port asks before each write.
-    pub fn gate(&self) -> Gate {
-        self.line.gate()
-    }
-
-    /// What is known now.
-    pub fn known(&self) -> MutexGuard<'_, Known> {
-        self.known.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// The position is unknown from now on.
-    pub fn forget_position(&self, since: &str) {
-        self.known().unhomed_since = Some(since.to_owned());
-    }
-
-    /// Sends bytes.
-    pub fn send(&self, bytes: &[u8]) -> Result<(), DeviceError> {
-        self.line.send(bytes).map_err(|error| self.lost(error))
+        let known = Known {
+            unhomed_since: Some("it was connected".to_owned()),
+            alarm: None,
+            dialect: Dialect::default(),
+            needs_reset: false,
+            restarts: 0,
+            reports: 0,
+            work_offset: None,
+            accessories: None,
+            speed: None,
+            state: None,
+            restart_cause: None,
+        };
+        Self::with(path, baud, Speaker::Grbl, known)
     }
 
     /// The next reply, or `None` if none came in time.
     pub fn receive(&self, deadline: Instant) -> Result<Option<Reply>, DeviceError> {
-        self.receive_from(self.line.reader(), deadline)
+        self.read(LONGEST_LINE, deadline, Known::note)
     }
 
     /// Like [`receive`](Self::receive), but gives way at once to another reader.
     pub fn try_receive(&self, deadline: Instant) -> Result<(), DeviceError> {
-        let Some(reader) = self.line.try_reader() else {
-            let known = self.known();
-            let wait = deadline.saturating_duration_since(Instant::now());
-            let _unused = self.heard.wait_timeout(known, wait);
-            return Ok(());
-        };
-        self.receive_from(reader, deadline).map(drop)
-    }
-
-    /// What a reply says is noted before another reader has its turn.
-    fn receive_from(
-        &self,
-        mut reader: LineReader,
-        deadline: Instant,
-    ) -> Result<Option<Reply>, DeviceError> {
-        let line = reader.line(LONGEST_LINE, deadline);
-        let Some(line) = line.map_err(|error| self.lost(error))? else {
-            return Ok(None);
-        };
-        let reply = parse(&line);
-        self.note(&reply);
-        Ok(Some(reply))
-    }
-
-    /// Every reply changes what is known, whoever it was for.
-    fn note(&self, reply: &Reply) {
-        let mut known = self.known();
-        match reply {
-            Reply::Banner { dialect, .. } => {
-                known.dialect = *dialect;
-                known.restarts += 1;
-                let cause = known.restart_cause.clone();
-                let cause = cause.unwrap_or_else(|| "the firmware restarted by itself".to_owned());
-                known.unhomed_since = Some(cause);
-                known.needs_reset = false;
-                known.accessories = None;
-                known.state = None;
-                known.work_offset = None;
-            }
-            Reply::Alarm(code) => {
-                let (cause, reason) = codes::alarm(known.dialect, code);
-                if known.restart_cause.is_none() {
-                    known.unhomed_since = Some(reason.clone());
-                }
-                known.alarm = Some((cause, reason));
-                // Either the firmware is deaf to all but a reset or its banner follows.
-                known.needs_reset = true;
-            }
-            Reply::Status(report) => known.note_report(report),
-            // All that is read of it: whether it stands.
-            Reply::OldStatus(text) => {
-                known.reports += 1;
-                known.state = text[1..].split(',').next().and_then(machine_state);
-            }
-            Reply::Info { key, text } if key == "VER" => known.dialect = Dialect::of(text),
-            _ => {}
-        }
-        drop(known);
-        self.heard.notify_all();
+        let reply = self.read_or_wait(LONGEST_LINE, deadline, Known::note);
+        reply.map(drop)
     }
 
     /// Reads and drops what has come already, until it is quiet for a moment.
@@ -190,7 +99,7 @@ impl Link {
     }
 
     /// Restarts the firmware and waits for its banner, which it sends with all
-    /// outputs off and all motion ended. Works beside another reader.
+    /// outputs off and all motion ended. Another reader may be at work.
     pub fn restart(
         &self,
         brake_first: bool,
@@ -234,24 +143,19 @@ impl Link {
     pub fn no_reply(&self, sent: &[u8], timeout: Duration) -> DeviceError {
         let sent = printable(sent);
         self.distrust(&format!("{sent:?} was not answered"));
-        self.line.no_reply(&sent, timeout)
+        self.line().no_reply(&sent, timeout)
     }
 
     /// The error for an answer that the protocol does not allow.
     pub fn garbled(&self, answer: &str, expected: &str) -> DeviceError {
         self.distrust("an answer was garbled");
-        self.line.garbled(answer, expected)
-    }
-
-    /// The error for a command that is not taken.
-    pub fn refused(&self, command: &str, reason: &str) -> DeviceError {
-        self.line.refused(command, reason)
+        self.line().garbled(answer, expected)
     }
 
     /// The error for a firmware that is not as it must be.
     pub fn firmware(&self, fault: FirmwareFault) -> DeviceError {
         DeviceError::Firmware {
-            device: self.device().to_owned(),
+            device: self.line().device().to_owned(),
             fault,
         }
     }
@@ -261,17 +165,45 @@ impl Link {
         known.needs_reset = true;
         known.unhomed_since.get_or_insert_with(|| since.to_owned());
     }
-
-    /// A port that went away takes the position with it.
-    fn lost(&self, error: DeviceError) -> DeviceError {
-        if matches!(error, DeviceError::Disconnected { .. }) {
-            self.forget_position("it was disconnected");
-        }
-        error
-    }
 }
 
 impl Known {
+    /// Every reply changes what is known, whoever it was for.
+    fn note(&mut self, line: &[u8]) -> Reply {
+        let reply = parse(line);
+        match &reply {
+            Reply::Banner { dialect, .. } => {
+                self.dialect = *dialect;
+                self.restarts += 1;
+                let cause = self.restart_cause.clone();
+                let cause = cause.unwrap_or_else(|| "the firmware restarted by itself".to_owned());
+                self.unhomed_since = Some(cause);
+                self.needs_reset = false;
+                self.accessories = None;
+                self.state = None;
+                self.work_offset = None;
+            }
+            Reply::Alarm(code) => {
+                let (cause, reason) = codes::alarm(self.dialect, code);
+                if self.restart_cause.is_none() {
+                    self.unhomed_since = Some(reason.clone());
+                }
+                self.alarm = Some((cause, reason));
+                // Either the firmware takes nothing but a reset or its banner follows.
+                self.needs_reset = true;
+            }
+            Reply::Status(report) => self.note_report(report),
+            // All that is read of it: whether it stands.
+            Reply::OldStatus(text) => {
+                self.reports += 1;
+                self.state = text[1..].split(',').next().and_then(machine_state);
+            }
+            Reply::Info { key, text } if key == "VER" => self.dialect = Dialect::of(text),
+            _ => {}
+        }
+        reply
+    }
+
     fn note_report(&mut self, report: &StatusReport) {
         self.reports += 1;
         self.state = Some(report.state);

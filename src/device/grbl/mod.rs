@@ -14,7 +14,7 @@ mod tests;
 #[cfg(feature = "serial")]
 pub use driver::{GrblStage, stop_port};
 
-use super::kinematics::{AxisMap, Mechanism, TwoAxes};
+use super::kinematics::TwoAxes;
 use crate::units::Seconds;
 
 /// A GRBL stage as its driver needs it.
@@ -46,26 +46,15 @@ pub struct GrblConfig {
 }
 
 impl GrblConfig {
-    /// A stage of which only the port is known: it can be asked, homed and
+    /// A stage of which only the port is known: it can be queried, homed and
     /// stopped. X and Y count as azimuth and elevation in degrees, without limits;
     /// there is no lamp but `M5` and `M9` turn it off.
     pub fn of_port(port: &str, baud: u32) -> Self {
-        let unlimited = AxisMap {
-            scale: 1.0,
-            offset: 0.0,
-            min: f64::NEG_INFINITY,
-            max: f64::INFINITY,
-        };
         Self {
             port: port.to_owned(),
             baud,
             axes: ['X', 'Y'],
-            kinematics: TwoAxes {
-                mechanism: Mechanism::Rotary,
-                first: unlimited,
-                second: unlimited,
-                approach: 0.0,
-            },
+            kinematics: TwoAxes::unlimited(),
             feed_per_min: 1000.0,
             lamp_off: vec!["M5".to_owned(), "M9".to_owned()],
             lamp_on: Vec::new(),

@@ -1,4 +1,4 @@
-//! What a GRBL 1.1 controller says, line by line (`interface.md` of its
+//! What a GRBL 1.1 controller reports, line by line (`interface.md` of its
 //! documentation). Pure functions: any bytes in, a reply out.
 
 /// One line from the controller.
@@ -16,7 +16,7 @@ pub enum Reply {
     OldStatus(String),
     /// The firmware has (re)started.
     Banner {
-        /// Its version, or its name where it says none.
+        /// Its version, or its name where it reports none.
         version: String,
         /// How it counts.
         dialect: Dialect,
@@ -63,7 +63,7 @@ pub enum Dialect {
 }
 
 impl Dialect {
-    /// By what a firmware says of itself.
+    /// By what a firmware reports of itself.
     pub fn of(text: &str) -> Self {
         match text.contains("FluidNC") {
             true => Self::FluidNc,
@@ -142,7 +142,7 @@ pub const LONGEST_LINE: usize = 256;
 /// Reads a line without its line end.
 pub fn parse(line: &[u8]) -> Reply {
     let text = String::from_utf8_lossy(line);
-    // A line that echoes what it hears may begin with the request for a report.
+    // A line that echoes what it receives may begin with the request for a report.
     let text = text.trim().trim_start_matches(['?', '!', '~']);
     match text {
         "" => return Reply::Empty,
@@ -188,7 +188,7 @@ fn known(text: &str) -> Option<Reply> {
         let first = value.split_whitespace().next().unwrap_or("");
         return match number_in(first) {
             Some(value) => Some(Reply::Setting { number, value }),
-            // GRBL 1.1's are all numbers; grblHAL has names and addresses beside them.
+            // GRBL 1.1's are all numbers; grblHAL has names and addresses as well.
             None if is_hal_setting(number) => Some(Reply::Info {
                 key: format!("${number}"),
                 text: value.to_owned(),

@@ -13,7 +13,7 @@ use crate::device::{
 };
 use crate::units::{Seconds, StageAngles};
 
-/// A guardian that has been told to end takes no longer.
+/// A guardian that has been dismissed takes no longer.
 const END: Duration = Duration::from_secs(2 * DEADLINE.as_secs() + 2);
 /// A stop from another thread takes no longer.
 const STOP: Duration = Duration::from_secs(20);
@@ -21,7 +21,7 @@ const STOP: Duration = Duration::from_secs(20);
 const CAMERA: Duration = Duration::from_secs(20);
 
 /// A stage whose guardian lives as long as it does. When it is dropped and the
-/// stage does not say that its lamp is off and that it stands, the guardian
+/// stage does not report that its lamp is off and that it stands, the guardian
 /// stops it.
 pub struct GuardedStage {
     /// Always there until the drop.
@@ -87,7 +87,7 @@ impl GuardedStage {
             .stage
             .as_deref_mut()
             .expect("it is there until the drop");
-        if step != StageStep::Question {
+        if step != StageStep::Query {
             self.watchdog.set_at_risk(true);
         }
         let under_way = self.watchdog.step(stage.longest(step));
@@ -117,7 +117,7 @@ impl GuardedStage {
         stands && is_off
     }
 
-    /// Its state at the end. A lamp that the stage says nothing of is turned off first:
+    /// Its state at the end. A lamp that the stage reports nothing of is turned off first:
     /// who lit it, and whether, is not known.
     fn last_status(&mut self) -> Result<StageStatus, DeviceError> {
         let status = self.status()?;
@@ -196,11 +196,11 @@ impl LightStage for GuardedStage {
     }
 
     fn status(&mut self) -> Result<StageStatus, DeviceError> {
-        self.step(StageStep::Question, |stage| stage.status())
+        self.step(StageStep::Query, |stage| stage.status())
     }
 
     fn temperature_c(&mut self) -> Option<f64> {
-        let read = self.step(StageStep::Question, |stage| Ok(stage.temperature_c()));
+        let read = self.step(StageStep::Query, |stage| Ok(stage.temperature_c()));
         read.ok().flatten()
     }
 
@@ -241,7 +241,7 @@ struct GuardedStop {
 impl StopHandle for GuardedStop {
     fn stop(&mut self) -> Result<(), DeviceError> {
         if let Err(DeviceError::Relieved { .. }) = self.watchdog.check() {
-            // The guardian does it, and says itself whether it was confirmed.
+            // The guardian does it, and reports itself whether it was confirmed.
             return Ok(());
         }
         let _step = self.watchdog.step(STOP);

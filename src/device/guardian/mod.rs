@@ -97,7 +97,7 @@ pub struct PortStop {
     pub name: String,
     /// In this order.
     pub exchanges: Vec<Exchange>,
-    /// Whether the stage says if its lamp is lit. Otherwise what it confirms is
+    /// Whether the stage reports if its lamp is lit. Otherwise what it confirms is
     /// that it was told.
     pub reports_lamp: bool,
     /// What the driver asks before each of its writes.

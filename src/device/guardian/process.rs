@@ -188,7 +188,7 @@ mod tests {
         (program, link)
     }
 
-    /// What the device heard, and how the watch ended. `answer` is the device's
+    /// What the device received, and how the watch ended. `answer` is the device's
     /// to each byte.
     fn watch(messages: &[Message], answer: fn(u8) -> &'static [u8]) -> (Vec<u8>, Watch) {
         let (port, mut device) = UnixStream::pair().unwrap();

@@ -23,7 +23,7 @@ const ANSWER: Duration = Duration::from_secs(2);
 /// Waits are announced in parts no longer than this.
 const PART: Duration = Duration::from_millis(500);
 
-/// The thread that works tells its guardian here that it lives, and hears here
+/// The thread that works reports to its guardian here that it lives, and learns here
 /// whether the guardian does. Clones are the same watchdog. Where a stage has no
 /// guardian (simulated, or moved by hand) nobody listens.
 #[derive(Clone, Default)]
@@ -97,7 +97,7 @@ impl Watchdog {
         }
     }
 
-    /// Whether a guardian listens.
+    /// Whether a guardian watches.
     pub fn is_kept(&self) -> bool {
         self.0.is_some()
     }
@@ -208,7 +208,7 @@ impl Shared {
         });
     }
 
-    /// Whether it was heard will show when the guardian is asked next.
+    /// Whether it was received will show when the guardian is asked next.
     fn say(&self, message: Message) {
         drop((&self.link).write(&message.to_bytes()));
     }

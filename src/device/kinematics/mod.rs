@@ -52,7 +52,7 @@ impl Kinematics {
     }
 
     /// Distance of the lamp from the stage's centre when light comes from this
-    /// direction, mm; `None` where the mechanism does not say or not reach.
+    /// direction, mm; `None` where the mechanism does not determine it or not reach.
     pub fn lamp_distance_mm(&self, target: StageAngles) -> Option<f64> {
         match self {
             Self::TwoAxes(axes) => axes.lamp(axes.solve(target)?).1,

@@ -53,6 +53,30 @@ pub struct TwoAxes {
 }
 
 impl TwoAxes {
+    /// Rotary axes of which nothing is known: coordinates count as degrees, without limits.
+    pub fn unlimited() -> Self {
+        let axis = AxisMap {
+            scale: 1.0,
+            offset: 0.0,
+            min: f64::NEG_INFINITY,
+            max: f64::INFINITY,
+        };
+        Self {
+            mechanism: Mechanism::Rotary,
+            first: axis,
+            second: axis,
+            approach: 0.0,
+        }
+    }
+
+    /// From the lower limit of both axes to the upper.
+    pub fn whole_travel(&self) -> [Pose; 2] {
+        [
+            Pose([self.first.min, self.second.min]),
+            Pose([self.first.max, self.second.max]),
+        ]
+    }
+
     /// Both axes.
     pub fn axes(&self) -> [&AxisMap; 2] {
         [&self.first, &self.second]

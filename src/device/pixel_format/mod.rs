@@ -228,7 +228,7 @@ impl PixelFormat {
     /// (0: without gaps).
     ///
     /// # Errors
-    /// If `bytes` (those that the driver says it used) hold no whole image.
+    /// If `bytes` (those that the driver reports as used) hold no whole image.
     pub fn decode(
         &self,
         bytes: &[u8],

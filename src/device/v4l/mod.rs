@@ -130,6 +130,7 @@ impl V4lCamera {
         if config.device.contains('\0') {
             return Err(failed(io::ErrorKind::NotFound.into()));
         }
+        // The node, which must give images.
         let device = Device::with_path(&config.device).map_err(failed)?;
         let capabilities = device.query_caps().map_err(|error| {
             if error.raw_os_error() == Some(NOT_THIS_KIND) {
@@ -149,6 +150,7 @@ impl V4lCamera {
                     .map(|node| node.display().to_string()),
             });
         }
+        // The camera, by its serial number.
         let serial = discovery::serial_of_camera(Path::new("/"), Path::new(&config.device));
         if let Some(wanted) = &config.serial
             && serial.as_ref() != Some(wanted)
@@ -160,6 +162,7 @@ impl V4lCamera {
                 wanted: wanted.clone(),
             });
         }
+        // Format and controls.
         let (format, resolution_px, stride) = negotiation::set_format(&device, &config)?;
         let exposure = range_of(&device, id::EXPOSURE_ABSOLUTE).map_err(failed)?;
         if exposure.is_none() && !config.any_exposure {
@@ -191,6 +194,7 @@ impl V4lCamera {
                 Some((found.id, wanted.unit_c))
             }
         };
+        // What it can do.
         let info = CameraInfo {
             driver: "v4l".to_owned(),
             model: capabilities.card,
@@ -414,6 +418,7 @@ impl Camera for V4lCamera {
         };
         // NaN where nobody knows it: 0 then.
         let exposure = Seconds(exposure.0.max(0.0));
+        // Since when neither lamp nor settings have changed.
         let asked = monotonic_now();
         let previous = self.previous.take();
         let since = previous
@@ -422,6 +427,7 @@ impl Camera for V4lCamera {
         // A frame may be under way, and then the next takes its time.
         let timeout = Seconds(2.0 * exposure.0 + self.config.frame_timeout.0);
         let deadline = Instant::now() + timeout.to_duration();
+        // Frames until one has begun after that.
         let mut losses = LossCounter::new(asked, exposure);
         let mut untimed = 0;
         while Instant::now() < deadline {
@@ -450,6 +456,7 @@ impl Camera for V4lCamera {
                 device: self.config.device.clone(),
                 fault,
             };
+            // The frame itself.
             if meta.flags.contains(Flags::ERROR) {
                 return Err(bad_frame(FrameFault::Damaged));
             }

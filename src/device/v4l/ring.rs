@@ -88,7 +88,7 @@ fn truly_stamped(mut meta: Metadata, stamps_arrival: bool) -> Metadata {
 }
 
 /// Whether a frame began after `since` (CLOCK_MONOTONIC). `None` if the buffer
-/// does not say.
+/// does not report.
 pub(super) fn began_after(meta: &Metadata, exposure: Seconds, since: Seconds) -> Option<bool> {
     let (start_s, _) = span_s(meta, exposure)?;
     Some(start_s >= since.0)

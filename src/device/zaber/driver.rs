@@ -513,20 +513,9 @@ impl LightStage for ZaberStage {
     }
 
     fn longest(&self, step: StageStep) -> Duration {
-        let reply = self.reply_timeout();
-        let drive = || {
-            let [first, second] = self.config.kinematics.axes();
-            let from = Pose([first.min, second.min]);
-            let whole = self.duration(from, Pose([first.max, second.max]));
-            2 * whole + 4 * reply + Duration::from_secs(1)
-        };
-        match step {
-            StageStep::Home => self.config.homing_timeout.to_duration() + 8 * reply,
-            // To where the approach begins, and on.
-            StageStep::Move => 2 * drive(),
-            StageStep::Lamp => 4 * reply,
-            StageStep::Question => 4 * reply,
-        }
+        let [from, to] = self.config.kinematics.whole_travel();
+        let homing = self.config.homing_timeout.to_duration();
+        step.longest(homing, self.duration(from, to), self.reply_timeout(), 4)
     }
 
     fn stop_handle(&self) -> Result<Box<dyn StopHandle>, DeviceError> {
@@ -546,7 +535,7 @@ impl Drop for ZaberStage {
     }
 }
 
-/// Stops a [`ZaberStage`] beside its driver.
+/// Stops a [`ZaberStage`] without its driver.
 struct ZaberStop {
     link: Weak<Link>,
     axes: [AxisAddress; 2],
@@ -576,7 +565,7 @@ impl StopHandle for ZaberStop {
     }
 }
 
-/// Motion first, then the lamp; both are asked for even where one fails, and
+/// Motion first, then the lamp; both are requested even where one fails, and
 /// verified by what the devices then say.
 fn stop(
     link: &Link,

@@ -1,76 +1,58 @@
 //! The line to a chain of Zaber devices: requests out, replies in by their
-//! message id, and what follows from flags that nobody asked for.
+//! message id, and what follows from unsolicited flags.
 
-use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use super::codes::{self, Trust};
 use super::protocol::{LONGEST_LINE, Message, Reply, command, parse};
-use crate::device::serial_line::SerialLine;
+use crate::device::shared_line::{Knowledge, SharedLine};
 use crate::device::{DeviceError, Speaker};
 
-/// How long another reader may go on before one looks for oneself.
+/// How long another reader may go on before this one tries.
 const LOOK: Duration = Duration::from_millis(20);
 /// Message ids go round: 0 to 99.
 const IDS: u8 = 100;
 
-/// An open chain, shared by the driver and its stop handles: everyone may ask
-/// at any moment, and whoever reads delivers to all.
-pub struct Link {
-    line: SerialLine,
-    known: Mutex<Known>,
-    heard: Condvar,
-}
+/// An open chain of devices.
+pub type Link = SharedLine<Known>;
 
-/// What the replies so far say about the stage.
+/// What the replies so far report about the stage.
 #[derive(Clone, Debug)]
 pub struct Known {
     /// Why the position is unknown; `None` while it is known.
     pub unhomed_since: Option<String>,
     /// The fault that was reported last, until homing succeeds.
     pub fault: Option<String>,
-    /// How often it was stopped from beside.
+    /// How often it was stopped by another thread.
     pub stops: u64,
     next_id: u8,
-    /// Replies that nobody has taken yet, the oldest first.
+    /// Replies that were not taken yet, the oldest first.
     inbox: Vec<Reply>,
     /// The last line that made no sense.
     damaged: Option<String>,
 }
 
-impl Link {
+impl Knowledge for Known {
+    fn unhomed_since(&mut self) -> &mut Option<String> {
+        &mut self.unhomed_since
+    }
+}
+
+impl SharedLine<Known> {
     /// Opens and configures the port. Nothing is sent.
     pub fn open(path: &str, baud: u32) -> Result<Self, DeviceError> {
-        Ok(Self {
-            line: SerialLine::open(path, baud)?.of(Speaker::Zaber),
-            known: Mutex::new(Known {
-                unhomed_since: Some("it was connected".to_owned()),
-                fault: None,
-                stops: 0,
-                next_id: 0,
-                inbox: Vec::new(),
-                damaged: None,
-            }),
-            heard: Condvar::new(),
-        })
+        let known = Known {
+            unhomed_since: Some("it was connected".to_owned()),
+            fault: None,
+            stops: 0,
+            next_id: 0,
+            inbox: Vec::new(),
+            damaged: None,
+        };
+        Self::with(path, baud, Speaker::Zaber, known)
     }
 
-    /// The port and its errors.
-    pub fn line(&self) -> &SerialLine {
-        &self.line
-    }
-
-    /// What is known now.
-    pub fn known(&self) -> MutexGuard<'_, Known> {
-        self.known.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// The position is unknown from now on.
-    pub fn forget_position(&self, since: &str) {
-        self.known().unhomed_since = Some(since.to_owned());
-    }
-
-    /// Asks `attempts` times at most until the reply comes: more than once only
+    /// Sends a request `attempts` times at most until the reply comes: more than once only
     /// what may be done twice. A rejection is an error.
     pub fn ask(
         &self,
@@ -83,7 +65,13 @@ impl Link {
         self.known().damaged = None;
         for _ in 0..attempts {
             let id = self.new_id();
-            self.send(&command(device, axis, id, words))?;
+            let request = command(device, axis, id, words);
+            tracing::trace!(
+                device = self.line().device(),
+                text = request.trim_end(),
+                "sent"
+            );
+            self.send(request.as_bytes())?;
             let deadline = Instant::now() + timeout / attempts;
             if let Some(reply) = self.wait_for(device, id, deadline)? {
                 if reply.accepted {
@@ -91,7 +79,7 @@ impl Link {
                 }
                 let reason = codes::rejection(&reply.data);
                 return Err(self
-                    .line
+                    .line()
                     .refused(&format!("/{device} {axis} {words}"), &reason));
             }
         }
@@ -103,9 +91,9 @@ impl Link {
         });
         Err(match damaged {
             Some(text) => self
-                .line
+                .line()
                 .garbled(&text, "a reply of the Zaber ASCII protocol"),
-            None => self.line.no_reply(&sent, timeout),
+            None => self.line().no_reply(&sent, timeout),
         })
     }
 
@@ -116,12 +104,6 @@ impl Link {
         // What came a hundred requests late answers nothing.
         known.inbox.retain(|reply| reply.id != Some(id));
         id
-    }
-
-    fn send(&self, text: &str) -> Result<(), DeviceError> {
-        tracing::trace!(device = self.line.device(), text = text.trim_end(), "sent");
-        let sent = self.line.send(text.as_bytes());
-        sent.map_err(|error| self.lost(error))
     }
 
     fn wait_for(
@@ -145,53 +127,32 @@ impl Link {
             if now >= deadline {
                 return Ok(None);
             }
-            match self.line.try_reader() {
-                Some(mut reader) => {
-                    let line = reader.line(LONGEST_LINE, deadline.min(now + LOOK));
-                    if let Some(line) = line.map_err(|error| self.lost(error))? {
-                        self.note(parse(&line));
-                    }
-                }
-                None => {
-                    let _unused = self.heard.wait_timeout(self.known(), LOOK);
-                }
-            }
+            self.read_or_wait(LONGEST_LINE, deadline.min(now + LOOK), Known::note)?;
         }
-    }
-
-    /// Every line changes what is known, whoever it was for.
-    fn note(&self, message: Message) {
-        let mut known = self.known();
-        match message {
-            Message::Reply(reply) => {
-                known.note_flag(reply.flag.as_deref());
-                known.inbox.push(reply);
-                let surplus = known.inbox.len().saturating_sub(usize::from(IDS));
-                known.inbox.drain(..surplus);
-            }
-            Message::Alert(alert) => known.note_flag(alert.flag.as_deref()),
-            Message::Info => {}
-            Message::Unknown(text) => known.damaged = Some(text),
-        }
-        drop(known);
-        self.heard.notify_all();
     }
 
     fn distrust(&self, since: &str) {
         let mut known = self.known();
         known.unhomed_since.get_or_insert_with(|| since.to_owned());
     }
-
-    /// A port that went away takes the position with it.
-    fn lost(&self, error: DeviceError) -> DeviceError {
-        if matches!(error, DeviceError::Disconnected { .. }) {
-            self.forget_position("it was disconnected");
-        }
-        error
-    }
 }
 
 impl Known {
+    /// Every line changes what is known, whoever it was for.
+    fn note(&mut self, line: &[u8]) {
+        match parse(line) {
+            Message::Reply(reply) => {
+                self.note_flag(reply.flag.as_deref());
+                self.inbox.push(reply);
+                let surplus = self.inbox.len().saturating_sub(usize::from(IDS));
+                self.inbox.drain(..surplus);
+            }
+            Message::Alert(alert) => self.note_flag(alert.flag.as_deref()),
+            Message::Info => {}
+            Message::Unknown(text) => self.damaged = Some(text),
+        }
+    }
+
     fn note_flag(&mut self, flag: Option<&str>) {
         let Some(flag) = flag else {
             return;

@@ -14,7 +14,7 @@ mod tests;
 #[cfg(feature = "serial")]
 pub use driver::{ZaberStage, stop_port};
 
-use super::kinematics::{AxisMap, Mechanism, TwoAxes};
+use super::kinematics::TwoAxes;
 use crate::units::Seconds;
 
 /// Where an axis is on the chain.
@@ -90,24 +90,13 @@ pub struct ZaberConfig {
 
 impl ZaberConfig {
     /// Axes 1 and 2 of device 1, of which only the port is known: they can be
-    /// asked, homed and stopped. There is no lamp.
+    /// queried, homed and stopped. There is no lamp.
     pub fn of_port(port: &str, baud: u32) -> Self {
-        let unlimited = AxisMap {
-            scale: 1.0,
-            offset: 0.0,
-            min: f64::NEG_INFINITY,
-            max: f64::INFINITY,
-        };
         Self {
             port: port.to_owned(),
             baud,
             axes: [1, 2].map(|axis| AxisAddress { device: 1, axis }),
-            kinematics: TwoAxes {
-                mechanism: Mechanism::Rotary,
-                first: unlimited,
-                second: unlimited,
-                approach: 0.0,
-            },
+            kinematics: TwoAxes::unlimited(),
             speed_per_s: 20.0,
             lamp: Vec::new(),
             connect_timeout: Seconds(5.0),

@@ -11,7 +11,7 @@ pub enum Message {
     Reply(Reply),
     /// Said by itself: a motion has ended, a limit was hit.
     Alert(Alert),
-    /// Additional text, which this program never asks for.
+    /// Additional text, which this program never requests.
     Info,
     /// Nothing that the protocol knows, or a wrong checksum.
     Unknown(String),
@@ -32,7 +32,7 @@ pub struct Reply {
     pub busy: bool,
     /// The most important warning flag, two letters.
     pub flag: Option<String>,
-    /// What was asked for.
+    /// What was requested.
     pub data: String,
 }
 

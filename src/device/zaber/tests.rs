@@ -7,6 +7,7 @@ use mock_devices::clock::Clock;
 use mock_devices::zaber::{LampWiring, ZaberSimulator};
 
 use super::*;
+use crate::device::kinematics::{AxisMap, Mechanism};
 use crate::device::{DeviceError, LampChannel, LampState, LightStage, StageActivity, guardian};
 use crate::units::StageAngles;
 

@@ -180,7 +180,7 @@ pub enum EvaluateError {
     Simplex(#[from] crate::inverse::simplex::SimplexError),
     /// A fit.
     #[error(transparent)]
-    Fit(#[from] crate::inverse::fit::FitError),
+    Fit(#[from] crate::inverse::FitError),
     /// Paths.
     #[error(transparent)]
     Cache(#[from] crate::transport::cache::CacheError),

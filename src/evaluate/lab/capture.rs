@@ -31,7 +31,7 @@ impl Lab {
 
     /// Images of a scene with the truth's seed and number of paths.
     pub fn render_truth(&self, scene: &Scene, brdf: &dyn Brdf) -> Vec<RadianceImage> {
-        render(scene, brdf, &self.truth_options(scene, brdf), &|_| {})
+        render(scene, brdf, &self.truth_options(scene, brdf))
     }
 
     /// Options of a render of the truth.
@@ -90,7 +90,7 @@ impl Lab {
         options: &FitOptions,
     ) -> Result<Estimate, EvaluateError> {
         let captured = average(scene, captured, dictionary)?;
-        let fit = fit(scene, &captured, dictionary, options, &mut |_| {})?;
+        let fit = fit(scene, &captured, dictionary, options)?;
         Ok(Estimate {
             start: Mixture::new(dictionary.clone(), fit.start.clone())?,
             fit,

@@ -92,35 +92,18 @@ fn frame(repeat: u32, exposure: f64, pilot: bool) -> (RawFrame, Sidecar) {
         timestamp: None,
     };
     let place = plan().lights[0];
+    let key = FrameKey {
+        light: 0,
+        exposure: (exposure * 1e3) as u32,
+        repeat,
+        kind: FrameKind::Light,
+    };
     let sidecar = Sidecar {
-        key: FrameKey {
-            light: 0,
-            exposure: (exposure * 1e3) as u32,
-            repeat,
-            kind: FrameKind::Light,
-        },
         pilot,
-        lamp: LampState::On(LampChannel(0)),
-        requested: settings,
-        applied: settings,
-        black_level_dn: 64.0,
-        bit_depth: 12,
-        mosaic: Mosaic::None,
-        camera_serial: String::new(),
         stage_target: place,
         stage_position: place,
         frames_discarded: 2,
-        exposure_ratio: None,
-        lamp_ratio_std: None,
-        time: FrameTimes {
-            utc: "2026-11-21T02:34:00Z".into(),
-            monotonic_s: Seconds(1.0),
-            device_s: None,
-            device_sequence: None,
-            sensor_c: None,
-            lamp_c: None,
-            retakes: Default::default(),
-        },
+        ..Sidecar::of_frame(key, LampState::On(LampChannel(0)), settings)
     };
     (raw, sidecar)
 }

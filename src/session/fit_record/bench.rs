@@ -1,8 +1,10 @@
-//! The bench as a fit refined it, in `fit.toml`.
+//! The nuisance parameters as a fit refined them, in `fit.toml`.
 
 use serde::{Deserialize, Serialize};
 
-/// What became of a bench that was not exactly known.
+use crate::inverse::bench::BenchEstimate;
+
+/// A bench that was not exactly known, as refined.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BenchRecord {
     /// Rounds of refinement.
@@ -15,13 +17,13 @@ pub struct BenchRecord {
     pub residual_described: f64,
     /// The same where the refinement ended.
     pub residual_refined: f64,
-    /// Directions that the images do not tell, by name: held at the description.
+    /// Unobservable combinations, by name: fixed at the description.
     pub held: Vec<String>,
     /// What was refined.
     pub parameter: Vec<BenchParameter>,
 }
 
-/// One difference of the bench from its description.
+/// A nuisance parameter: one difference of the bench from its description.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BenchParameter {
     /// Such as `azimuth of light 0` or `rotation about x`.
@@ -34,6 +36,31 @@ pub struct BenchParameter {
     pub deviation: f64,
     /// Its standard deviation as described.
     pub prior_deviation: f64,
+}
+
+/// In the units in which parameters are shown.
+impl From<&BenchEstimate> for BenchRecord {
+    fn from(bench: &BenchEstimate) -> Self {
+        let [residual_described, residual_refined] = bench.reduced_chi2;
+        let shown = bench.parameters.iter().map(|estimated| {
+            let (unit, scale) = estimated.parameter.shown_in();
+            BenchParameter {
+                name: estimated.parameter.to_string(),
+                unit: unit.to_owned(),
+                value: estimated.value * scale,
+                deviation: estimated.deviation * scale,
+                prior_deviation: estimated.prior_deviation * scale,
+            }
+        });
+        Self {
+            rounds: bench.rounds as u32,
+            settled: bench.settled,
+            residual_described,
+            residual_refined,
+            held: bench.held.clone(),
+            parameter: shown.collect(),
+        }
+    }
 }
 
 impl BenchRecord {

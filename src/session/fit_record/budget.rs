@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::inverse::{Fit, budget, variance_shares};
+
 /// The error budget at a few angles.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BudgetRecord {
@@ -26,7 +28,42 @@ pub struct BudgetRow {
     pub share: Vec<f64>,
 }
 
+/// Half and difference angles of the error budget, degrees.
+const ANGLES_DEG: [[f64; 2]; 8] = [
+    [0.0, 10.0],
+    [5.0, 10.0],
+    [15.0, 10.0],
+    [40.0, 10.0],
+    [0.0, 50.0],
+    [5.0, 50.0],
+    [15.0, 50.0],
+    [40.0, 50.0],
+];
+
 impl BudgetRecord {
+    /// Of a fit; `None` without posterior samples.
+    pub fn of(fit: &Fit) -> Option<Self> {
+        let row = |[theta_h_deg, theta_d_deg]: [f64; 2]| {
+            let cell = variance_shares::at(&fit.material, &fit.draws, theta_h_deg, theta_d_deg)?;
+            let total: f64 = cell.relative_variance.iter().sum();
+            let share = cell.relative_variance.iter();
+            Some(BudgetRow {
+                theta_h_deg,
+                theta_d_deg,
+                value: cell.value,
+                relative_std: total.sqrt(),
+                share: share
+                    .map(|v| if total > 0.0 { v / total } else { 0.0 })
+                    .collect(),
+            })
+        };
+        let row: Vec<BudgetRow> = ANGLES_DEG.into_iter().filter_map(row).collect();
+        (!row.is_empty()).then(|| Self {
+            sources: budget::Source::ALL.map(|s| s.name().to_owned()).to_vec(),
+            row,
+        })
+    }
+
     /// The first figure that cannot be, with its key.
     pub(super) fn bad_value(&self) -> Option<(String, f64)> {
         self.row.iter().enumerate().find_map(|(k, row)| {

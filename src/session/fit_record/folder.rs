@@ -1,22 +1,22 @@
 //! Writing and reading a fit's folder, in a session or outside.
 
-use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    BenchRecord, BudgetRecord, DISCREPANCY_FILE, DiscrepancyRecord, FIT_FILE, FORMAT, FitImages,
-    FitRecord, FitRecordError, FitSettings, ScoreSheet, Timing, Verdict, Warning, check,
-    out_of_range, tables,
+    DISCREPANCY_FILE, FIT_FILE, FORMAT, FORMER_DISCREPANCY_FILE, FitImages, FitRecord,
+    FitRecordError, Verdict, check, out_of_range, tables,
 };
 use crate::file_system;
 use crate::outside_file::read_regular;
 use crate::radiance_image::exr;
 use crate::session::layout::FITS_FOLDER;
 use crate::session::{Session, SessionWriter};
+use crate::shown::{self, MESSAGE, excerpt, shortened};
 use crate::whole_file;
 
 /// The compared cells of every light.
@@ -24,38 +24,22 @@ const CELLS_FILE: &str = "cells.csv";
 
 /// Tables of a fit have some thousand rows.
 const LARGEST_FILE_BYTES: u64 = 64 << 20;
-use crate::shown::{self, MESSAGE, excerpt, shortened};
 
-/// The part of the record that is `fit.toml`.
-#[derive(Serialize, Deserialize)]
-struct FitToml {
+/// `fit.toml`: the record with its version, and with the verdict for readers, which follows
+/// from the rest.
+#[derive(Serialize)]
+struct FitToml<'a> {
     format: u32,
     simulated: bool,
-    /// For readers; it follows from what else is in the record.
-    #[serde(default, skip_deserializing)]
-    verdict: Option<Verdict>,
-    dictionary: String,
-    loss: f64,
-    termination: String,
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    remarks: Vec<String>,
-    reduced_chi_square: Vec<[f64; 3]>,
-    #[serde(default)]
-    truncation_remainder: Vec<f64>,
-    #[serde(default)]
-    doubted: Vec<f64>,
-    #[serde(default)]
-    discrepancy: f64,
-    settings: FitSettings,
-    #[serde(default)]
-    versions: BTreeMap<String, String>,
-    #[serde(default)]
-    timing: Vec<Timing>,
-    #[serde(default)]
-    warning: Vec<Warning>,
-    score: Option<ScoreSheet>,
-    bench: Option<BenchRecord>,
-    budget: Option<BudgetRecord>,
+    verdict: Verdict,
+    #[serde(flatten)]
+    record: &'a FitRecord,
+}
+
+/// The version alone, which decides whether the rest can be read.
+#[derive(Deserialize)]
+struct Version {
+    format: u32,
 }
 
 /// The fit's files by name, `fit.toml` last.
@@ -162,7 +146,7 @@ pub fn write(folder: &Path, record: &FitRecord, images: &FitImages) -> Result<()
     }
     file_system::sync_folder(partial.path()).map_err(io(partial.path()))?;
     make_readable(partial.path());
-    // Not every file system puts one folder in the place of another. One with files in it
+    // Not every file system can rename a folder onto another. One with files in it
     // stays, and stops the rename.
     drop(std::fs::remove_dir(folder));
     file_system::rename(partial.path(), folder).map_err(io(folder))?;
@@ -235,45 +219,28 @@ pub fn parse(
         }
     };
     let (toml_path, toml_text) = text(FIT_FILE)?;
-    let toml = from_toml(&toml_path, &toml_text)?;
+    let Version { format } = from_toml(&toml_path, &toml_text)?;
+    if format != FORMAT {
+        return Err(out_of_range(
+            &toml_path,
+            "format",
+            format,
+            &FORMAT.to_string(),
+        ));
+    }
+    let mut record: FitRecord = from_toml(&toml_path, &toml_text)?;
     let (path, csv) = text("weights.csv")?;
-    let (atoms, weights, weight_deviations) = tables::weights_from_csv(&path, &csv)?;
+    (record.atoms, record.weights, record.weight_deviations) =
+        tables::weights_from_csv(&path, &csv)?;
     let (path, csv) = text("table.csv")?;
-    let table = tables::table_from_csv(&path, &csv)?;
-    let discrepancy = if toml.discrepancy == 0.0 {
-        None
-    } else {
-        let (path, csv) = text(DISCREPANCY_FILE)?;
-        Some(DiscrepancyRecord {
-            amplitude: toml.discrepancy,
-            by_channel: tables::discrepancy_from_csv(&path, &csv)?,
-        })
-    };
+    record.table = tables::table_from_csv(&path, &csv)?;
+    if let Some(discrepancy) = &mut record.discrepancy {
+        let (path, csv) = text(DISCREPANCY_FILE)
+            .or_else(|error| text(FORMER_DISCREPANCY_FILE).map_err(|_| error))?;
+        discrepancy.by_channel = tables::discrepancy_from_csv(&path, &csv)?;
+    }
     let (path, csv) = text("trace.csv")?;
-    let trace = tables::trace_from_csv(&path, &csv)?;
-    let record = FitRecord {
-        simulated: toml.simulated,
-        dictionary: toml.dictionary,
-        atoms,
-        weights,
-        weight_deviations,
-        settings: toml.settings,
-        loss: toml.loss,
-        reduced_chi_square: toml.reduced_chi_square,
-        truncation_remainder: toml.truncation_remainder,
-        doubted: toml.doubted,
-        discrepancy,
-        termination: toml.termination,
-        trace,
-        timings: toml.timing,
-        versions: toml.versions,
-        score: toml.score,
-        table,
-        warnings: toml.warning,
-        remarks: toml.remarks,
-        bench: toml.bench,
-        budget: toml.budget,
-    };
+    record.trace = tables::trace_from_csv(&path, &csv)?;
     check(folder, &record)?;
     Ok(record)
 }
@@ -362,28 +329,14 @@ fn to_toml(record: &FitRecord) -> String {
     let toml = FitToml {
         format: FORMAT,
         simulated: record.simulated,
-        verdict: Some(record.verdict()),
-        dictionary: record.dictionary.clone(),
-        loss: record.loss,
-        termination: record.termination.clone(),
-        remarks: record.remarks.clone(),
-        reduced_chi_square: record.reduced_chi_square.clone(),
-        truncation_remainder: record.truncation_remainder.clone(),
-        doubted: record.doubted.clone(),
-        discrepancy: record.discrepancy.as_ref().map_or(0.0, |d| d.amplitude),
-        settings: record.settings.clone(),
-        versions: record.versions.clone(),
-        timing: record.timings.clone(),
-        warning: record.warnings.clone(),
-        score: record.score.clone(),
-        bench: record.bench.clone(),
-        budget: record.budget.clone(),
+        verdict: record.verdict(),
+        record,
     };
     toml::to_string(&toml).expect("plain data with string keys is always TOML")
 }
 
-fn from_toml(path: &Path, text: &str) -> Result<FitToml, FitRecordError> {
-    let toml: FitToml = toml::from_str(text).map_err(|error| {
+fn from_toml<T: DeserializeOwned>(path: &Path, text: &str) -> Result<T, FitRecordError> {
+    toml::from_str(text).map_err(|error| {
         let at = error.span().map_or(0, |span| span.start.min(text.len()));
         let before = text.get(..at).unwrap_or_default();
         let line = before.matches('\n').count() + 1;
@@ -398,15 +351,5 @@ fn from_toml(path: &Path, text: &str) -> Result<FitToml, FitRecordError> {
             key: excerpt(if key.is_empty() { "document" } else { key }).into_owned(),
             fact: shortened(&shown::line(error.message()), MESSAGE).into_owned(),
         }
-    })?;
-    if toml.format == FORMAT {
-        Ok(toml)
-    } else {
-        Err(out_of_range(
-            path,
-            "format",
-            toml.format,
-            &FORMAT.to_string(),
-        ))
-    }
+    })
 }

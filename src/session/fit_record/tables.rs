@@ -1,12 +1,15 @@
 //! The fit's CSV files: weights, the (θh, θd) table, the trace.
 
-use std::fmt::Write;
 use std::path::Path;
 
+use csv::{DeserializeErrorKind, ErrorKind, ReaderBuilder, StringRecord, Trim, Writer};
 use nalgebra::DVector;
+use serde::de::DeserializeOwned;
 
 use super::{AtomRecord, FitRecord, FitRecordError, TracePoint, out_of_range};
 use crate::brdf::discrepancy::{self, Discrepancy};
+use crate::inverse::Fit;
+use crate::inverse::intervals::{self, Interval};
 use crate::shown::excerpt;
 
 /// f over a grid of half and difference angles (Rusinkiewicz), at φd = 90°:
@@ -18,25 +21,26 @@ pub struct AngleTable {
     /// Difference angles, degrees in 0..=90, strictly increasing.
     pub theta_d_deg: Vec<f64>,
     /// `theta_h_deg.len() * theta_d_deg.len()` cells, θd fastest.
-    pub cells: Vec<AngleCell>,
-}
-
-/// One cell of an [`AngleTable`].
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct AngleCell {
-    /// The estimate per channel, 1/sr.
-    pub value: [f64; 3],
-    /// Lower end of its 95% interval, 1/sr.
-    pub lower: [f64; 3],
-    /// Upper end of its 95% interval, 1/sr.
-    pub upper: [f64; 3],
-    /// Whether the images say anything about this cell.
-    pub constrained: bool,
+    pub cells: Vec<Interval>,
 }
 
 impl AngleTable {
+    /// Of a fit, at 46 half angles, dense near 0, and 31 difference angles.
+    pub fn of(fit: &Fit) -> Self {
+        let theta_h_deg: Vec<f64> = (0..=45)
+            .map(|i| 90.0 * (f64::from(i) / 45.0).powi(2))
+            .collect();
+        let theta_d_deg: Vec<f64> = (0..=30).map(|j| 3.0 * f64::from(j)).collect();
+        let cells = intervals::table(&fit.material, &fit.draws, &theta_h_deg, &theta_d_deg);
+        Self {
+            theta_h_deg,
+            theta_d_deg,
+            cells,
+        }
+    }
+
     /// The cell of the i-th half angle and the j-th difference angle.
-    pub fn cell(&self, i: usize, j: usize) -> Option<&AngleCell> {
+    pub fn cell(&self, i: usize, j: usize) -> Option<&Interval> {
         if j < self.theta_d_deg.len() {
             self.cells.get(i * self.theta_d_deg.len() + j)
         } else {
@@ -116,183 +120,169 @@ const DISCREPANCY_COLUMNS: [&str; 5] = [
 ];
 const TRACE_COLUMNS: [&str; 3] = ["step", "loss", "seconds"];
 
-fn optional(value: Option<f64>) -> String {
-    value.map(|x| format!("{x:?}")).unwrap_or_default()
+/// A table of comma-separated values; numbers are written so that they are read back exactly.
+fn to_csv(columns: &[&str], rows: impl Iterator<Item = Vec<String>>) -> String {
+    let mut writer = Writer::from_writer(Vec::new());
+    let header = columns.iter().map(|&name| name.to_owned()).collect();
+    for row in std::iter::once(header).chain(rows) {
+        writer
+            .write_record(row)
+            .expect("rows as long as the header, written to memory");
+    }
+    let bytes = writer.into_inner().expect("written to memory");
+    String::from_utf8(bytes).expect("made of texts")
+}
+
+fn exact(value: &f64) -> String {
+    format!("{value:?}")
 }
 
 pub(super) fn weights_to_csv(record: &FitRecord) -> String {
-    let mut csv = WEIGHT_COLUMNS.join(",") + "\n";
-    for (row, atom) in record.atoms.iter().enumerate() {
-        let kind: String = atom
-            .kind
-            .chars()
-            .filter(|c| !",\n\r".contains(*c))
-            .collect();
-        let (alpha, eta, albedo) = (
-            optional(atom.alpha),
-            optional(atom.eta),
-            optional(atom.albedo),
-        );
-        let _ = write!(csv, "{},{kind},{alpha},{eta},{albedo}", atom.index);
-        for values in record.weights.iter().chain(&record.weight_deviations) {
-            let _ = write!(csv, ",{:?}", values[row]);
-        }
-        csv.push('\n');
-    }
-    csv
+    let rows = record.atoms.iter().enumerate().map(|(row, atom)| {
+        let parameters = [&atom.alpha, &atom.eta, &atom.albedo];
+        let parameters = parameters.map(|value| value.as_ref().map_or(String::new(), exact));
+        let values = record.weights.iter().chain(&record.weight_deviations);
+        let mut cells = vec![atom.index.to_string(), atom.kind.clone()];
+        cells.extend(parameters);
+        cells.extend(values.map(|values| exact(&values[row])));
+        cells
+    });
+    to_csv(&WEIGHT_COLUMNS, rows)
 }
 
 pub(super) fn table_to_csv(table: &AngleTable) -> String {
-    let mut csv = TABLE_COLUMNS.join(",") + "\n";
-    for (i, theta_h_deg) in table.theta_h_deg.iter().enumerate() {
-        for (j, theta_d_deg) in table.theta_d_deg.iter().enumerate() {
-            let Some(cell) = table.cell(i, j) else {
-                continue;
-            };
-            let _ = write!(csv, "{theta_h_deg:?},{theta_d_deg:?}");
-            for value in [cell.value, cell.lower, cell.upper].as_flattened() {
-                let _ = write!(csv, ",{value:?}");
-            }
-            let _ = writeln!(csv, ",{}", cell.constrained);
-        }
-    }
-    csv
+    let columns = table.theta_d_deg.len();
+    let rows = table.cells.iter().enumerate().map(|(k, cell)| {
+        let values = [cell.value, cell.lower, cell.upper];
+        let mut cells = vec![
+            exact(&table.theta_h_deg[k / columns]),
+            exact(&table.theta_d_deg[k % columns]),
+        ];
+        cells.extend(values.as_flattened().iter().map(exact));
+        cells.push(cell.constrained.to_string());
+        cells
+    });
+    to_csv(&TABLE_COLUMNS, rows)
 }
 
 pub(super) fn discrepancy_to_csv(discrepancies: &[Discrepancy; 3]) -> String {
-    let mut csv = DISCREPANCY_COLUMNS.join(",") + "\n";
-    for (k, node) in discrepancy::nodes().enumerate() {
-        let _ = write!(csv, "{:?},{:?}", node.theta_h_deg, node.theta_d_deg);
-        for discrepancy in discrepancies {
-            let _ = write!(csv, ",{:?}", discrepancy.0[k]);
-        }
-        csv.push('\n');
-    }
-    csv
+    let rows = discrepancy::nodes().enumerate().map(|(k, node)| {
+        let mut cells = vec![exact(&node.theta_h_deg), exact(&node.theta_d_deg)];
+        cells.extend(
+            discrepancies
+                .iter()
+                .map(|discrepancy| exact(&discrepancy.0[k])),
+        );
+        cells
+    });
+    to_csv(&DISCREPANCY_COLUMNS, rows)
 }
 
 pub(super) fn trace_to_csv(trace: &[TracePoint]) -> String {
-    let mut csv = TRACE_COLUMNS.join(",") + "\n";
-    for point in trace {
-        let _ = writeln!(csv, "{},{:?},{:?}", point.step, point.loss, point.seconds);
-    }
-    csv
+    let rows = trace.iter().map(|point| {
+        let seconds = exact(&point.seconds);
+        vec![point.step.to_string(), exact(&point.loss), seconds]
+    });
+    to_csv(&TRACE_COLUMNS, rows)
 }
 
-/// One line of a CSV file, its cells found by the column's name.
-struct Row<'a> {
+/// A file that is being read, for errors.
+struct Source<'a> {
     path: &'a Path,
-    line: usize,
-    header: &'a [&'a str],
-    cells: Vec<&'a str>,
+    columns: &'a [&'a str],
 }
 
-impl Row<'_> {
-    fn error(&self, column: &str, fact: String) -> FitRecordError {
+impl Source<'_> {
+    fn error(&self, line: u64, key: &str, fact: String) -> FitRecordError {
         FitRecordError::Syntax {
             path: self.path.to_path_buf(),
-            line: self.line,
-            key: column.to_owned(),
+            line: line as usize,
+            key: key.to_owned(),
             fact,
         }
     }
 
-    fn text(&self, column: &str) -> Result<&str, FitRecordError> {
-        let at = self.header.iter().position(|name| *name == column);
-        at.and_then(|at| self.cells.get(at))
-            .copied()
-            .ok_or_else(|| self.error(column, "the column is missing".to_owned()))
+    /// A cell that is not what its column needs.
+    fn unfit(&self, line: u64, record: &StringRecord, kind: &ErrorKind) -> FitRecordError {
+        let error = match kind {
+            ErrorKind::Deserialize { err, .. } => Some(err),
+            _ => None,
+        };
+        let field = error.and_then(|error| error.field()).unwrap_or_default() as usize;
+        let wanted = match error.map(|error| error.kind()) {
+            Some(DeserializeErrorKind::ParseFloat(_)) => "a number",
+            Some(DeserializeErrorKind::ParseBool(_)) => "true or false",
+            _ => "a whole number",
+        };
+        let text = excerpt(record.get(field).unwrap_or_default());
+        let key = self.columns.get(field).unwrap_or(&"row");
+        self.error(line, key, format!("{text:?} is not {wanted}"))
     }
 
-    fn get<T: std::str::FromStr>(&self, column: &str) -> Result<T, FitRecordError> {
-        let text = self.text(column)?;
-        text.parse().map_err(|_| {
-            let wanted = std::any::type_name::<T>();
-            let wanted = match wanted {
-                "f64" => "a number",
-                "bool" => "true or false",
-                _ => "a whole number",
-            };
-            self.error(column, format!("{:?} is not {wanted}", excerpt(text)))
-        })
-    }
-
-    fn optional(&self, column: &str) -> Result<Option<f64>, FitRecordError> {
-        match self.text(column)? {
-            "" => Ok(None),
-            _ => self.get(column).map(Some),
+    /// The rows with their lines, whose cells have the columns' order.
+    fn rows<T: DeserializeOwned>(&self, csv: &str) -> Result<Vec<(u64, T)>, FitRecordError> {
+        let mut reader = ReaderBuilder::new()
+            .trim(Trim::All)
+            .flexible(true)
+            .from_reader(csv.as_bytes());
+        let unreadable = |error: csv::Error| self.error(1, "table", error.to_string());
+        let header = reader.headers().map_err(unreadable)?;
+        let at = |(k, name): (usize, &&str)| header.get(k) == Some(*name);
+        if let Some(missing) = (0..).zip(self.columns).position(|column| !at(column)) {
+            let fact = format!("column {} is not this one", missing + 1);
+            return Err(self.error(1, self.columns[missing], fact));
         }
-    }
-
-    fn channels(&self, prefix: &str) -> Result<[f64; 3], FitRecordError> {
-        let channel = |name: &str| self.get(&format!("{prefix}_{name}"));
-        Ok([channel("r")?, channel("g")?, channel("b")?])
-    }
-}
-
-fn each_row<'a>(
-    path: &'a Path,
-    csv: &'a str,
-    columns: &[&str],
-    mut use_row: impl FnMut(Row) -> Result<(), FitRecordError>,
-) -> Result<(), FitRecordError> {
-    let mut lines = csv.lines();
-    let header: Vec<_> = lines
-        .next()
-        .unwrap_or_default()
-        .split(',')
-        .map(str::trim)
-        .collect();
-    let row = |line, cells| Row {
-        path,
-        line,
-        header: &header,
-        cells,
-    };
-    if let Some(missing) = columns.iter().find(|column| !header.contains(column)) {
-        return Err(row(1, Vec::new()).error(missing, "the column is missing".to_owned()));
-    }
-    for (index, text) in lines
-        .enumerate()
-        .filter(|(_, text)| !text.trim().is_empty())
-    {
-        let row = row(index + 2, text.split(',').map(str::trim).collect());
-        if row.cells.len() != header.len() {
-            let fact = format!("{} cells, the header has {}", row.cells.len(), header.len());
-            return Err(row.error("row", fact));
+        let mut rows = Vec::new();
+        for record in reader.records() {
+            let record = record.map_err(unreadable)?;
+            let line = record.position().map_or(0, |position| position.line());
+            if record.len() != self.columns.len() {
+                let fact = format!(
+                    "{} cells, the header has {}",
+                    record.len(),
+                    self.columns.len()
+                );
+                return Err(self.error(line, "row", fact));
+            }
+            let row = record.deserialize(None);
+            let row = row.map_err(|error| self.unfit(line, &record, error.kind()));
+            rows.push((line, row?));
         }
-        use_row(row)?;
+        Ok(rows)
     }
-    Ok(())
 }
 
 type Weights = (Vec<AtomRecord>, [Vec<f64>; 3], [Vec<f64>; 3]);
 
+/// Index, kind, parameters, weights and deviations of an atom.
+type WeightRow = (usize, String, [Option<f64>; 3], [f64; 3], [f64; 3]);
+
 pub(super) fn weights_from_csv(path: &Path, csv: &str) -> Result<Weights, FitRecordError> {
+    let columns = &WEIGHT_COLUMNS;
     let (mut atoms, mut weights, mut deviations): Weights = Default::default();
-    each_row(path, csv, &WEIGHT_COLUMNS, |row| {
+    for (_, row) in (Source { path, columns }).rows::<WeightRow>(csv)? {
+        let (index, kind, [alpha, eta, albedo], weight, deviation) = row;
         atoms.push(AtomRecord {
-            index: row.get("atom")?,
-            kind: row.text("kind")?.to_owned(),
-            alpha: row.optional("alpha")?,
-            eta: row.optional("eta")?,
-            albedo: row.optional("albedo")?,
+            index,
+            kind,
+            alpha,
+            eta,
+            albedo,
         });
-        let (weight, deviation) = (row.channels("weight")?, row.channels("sd")?);
         for channel in 0..3 {
             weights[channel].push(weight[channel]);
             deviations[channel].push(deviation[channel]);
         }
-        Ok(())
-    })?;
+    }
     Ok((atoms, weights, deviations))
 }
 
 pub(super) fn table_from_csv(path: &Path, csv: &str) -> Result<AngleTable, FitRecordError> {
+    let columns = &TABLE_COLUMNS;
+    let source = Source { path, columns };
     let mut table = AngleTable::default();
-    each_row(path, csv, &TABLE_COLUMNS, |row| {
-        let theta_h_deg: f64 = row.get("theta_h_deg")?;
-        let theta_d_deg: f64 = row.get("theta_d_deg")?;
+    for (line, row) in source.rows::<([f64; 2], [[f64; 3]; 3], bool)>(csv)? {
+        let ([theta_h_deg, theta_d_deg], [value, lower, upper], constrained) = row;
         if table.theta_h_deg.last() != Some(&theta_h_deg) {
             table.theta_h_deg.push(theta_h_deg);
         }
@@ -305,24 +295,27 @@ pub(super) fn table_from_csv(path: &Path, csv: &str) -> Result<AngleTable, FitRe
             table.cells.len() == (table.theta_h_deg.len() - 1) * table.theta_d_deg.len();
         if table.theta_d_deg[at] != theta_d_deg || (at == 0) != first_of_row {
             let fact = format!("{theta_d_deg} breaks the grid of the rows above");
-            return Err(row.error("theta_d_deg", fact));
+            return Err(source.error(line, "theta_d_deg", fact));
         }
-        table.cells.push(AngleCell {
-            value: row.channels("f")?,
-            lower: row.channels("lower")?,
-            upper: row.channels("upper")?,
-            constrained: row.get("constrained")?,
+        table.cells.push(Interval {
+            value,
+            lower,
+            upper,
+            constrained,
         });
-        Ok(())
-    })?;
+    }
     Ok(table)
 }
 
-pub(super) fn discrepancy_from_csv(path: &Path, csv: &str) -> Result<[Discrepancy; 3], FitRecordError> {
+pub(super) fn discrepancy_from_csv(
+    path: &Path,
+    csv: &str,
+) -> Result<[Discrepancy; 3], FitRecordError> {
+    let columns = &DISCREPANCY_COLUMNS;
+    let source = Source { path, columns };
     let mut nodes = discrepancy::nodes();
     let mut by_channel: [Vec<f64>; 3] = Default::default();
-    each_row(path, csv, &DISCREPANCY_COLUMNS, |row| {
-        let angles: [f64; 2] = [row.get("theta_h_deg")?, row.get("theta_d_deg")?];
+    for (line, (angles, ln_factors)) in source.rows::<([f64; 2], [f64; 3])>(csv)? {
         let node = nodes.next();
         if node.is_none_or(|n| [n.theta_h_deg, n.theta_d_deg] != angles) {
             let wanted = node.map_or_else(
@@ -330,25 +323,17 @@ pub(super) fn discrepancy_from_csv(path: &Path, csv: &str) -> Result<[Discrepanc
                 |n| format!("{}, {}", n.theta_h_deg, n.theta_d_deg),
             );
             let fact = format!("{}, {} where {wanted} belongs", angles[0], angles[1]);
-            return Err(row.error("theta_h_deg, theta_d_deg", fact));
+            return Err(source.error(line, "theta_h_deg, theta_d_deg", fact));
         }
-        for (values, value) in by_channel.iter_mut().zip(row.channels("ln_factor")?) {
+        for (values, value) in by_channel.iter_mut().zip(ln_factors) {
             values.push(value);
         }
-        Ok(())
-    })?;
+    }
     Ok(by_channel.map(|values| Discrepancy(DVector::from_vec(values))))
 }
 
 pub(super) fn trace_from_csv(path: &Path, csv: &str) -> Result<Vec<TracePoint>, FitRecordError> {
-    let mut trace = Vec::new();
-    each_row(path, csv, &TRACE_COLUMNS, |row| {
-        trace.push(TracePoint {
-            step: row.get("step")?,
-            loss: row.get("loss")?,
-            seconds: row.get("seconds")?,
-        });
-        Ok(())
-    })?;
-    Ok(trace)
+    let columns = &TRACE_COLUMNS;
+    let rows = (Source { path, columns }).rows::<TracePoint>(csv)?;
+    Ok(rows.into_iter().map(|(_, point)| point).collect())
 }

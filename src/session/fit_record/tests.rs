@@ -21,7 +21,7 @@ pub(super) fn sample() -> FitRecord {
         eta,
         albedo,
     };
-    let cell = AngleCell {
+    let cell = Interval {
         value: [0.1, 0.2, 0.3],
         lower: [0.05, 0.15, 0.25],
         upper: [0.15, 0.25, 0.4],
@@ -46,7 +46,6 @@ pub(super) fn sample() -> FitRecord {
             samples_requested: Some(512),
             memory_mib: Some(256),
             adapted_paths: Some(true),
-            refined_atoms: Some(2),
             shared_weights: Some(false),
             model_error: Some(0.02),
             mask: Some("mask.png".to_owned()),
@@ -60,7 +59,7 @@ pub(super) fn sample() -> FitRecord {
         loss: 1.25,
         reduced_chi_square: vec![[1.0, 1.1, 0.9], [1.2, 1.0, 1.0]],
         truncation_remainder: vec![2e-4, 1e-4],
-        doubted: vec![0.0, 0.01],
+        outlier_fraction: vec![0.0, 0.01],
         discrepancy: Some(DiscrepancyRecord {
             amplitude: 0.35,
             by_channel: [0.1, -0.2, 0.0]

@@ -1,4 +1,4 @@
-//! Whether a fit is to be believed: one verdict, the same at the terminal, in `fit.toml`, in
+//! Whether a fit can be trusted: one verdict, the same at the terminal, in `fit.toml`, in
 //! JSON and in the report.
 
 use serde::{Deserialize, Serialize};

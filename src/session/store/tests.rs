@@ -100,35 +100,16 @@ fn frame(repeat: u32) -> (RawFrame, Sidecar) {
         sequence: None,
         timestamp: None,
     };
+    let key = FrameKey {
+        light: 0,
+        exposure: 1,
+        repeat,
+        kind: FrameKind::Light,
+    };
     let sidecar = Sidecar {
-        key: FrameKey {
-            light: 0,
-            exposure: 1,
-            repeat,
-            kind: FrameKind::Light,
-        },
-        pilot: false,
-        lamp: LampState::On(LampChannel(0)),
-        requested: settings,
-        applied: settings,
-        black_level_dn: 64.0,
-        bit_depth: 12,
-        mosaic: Mosaic::None,
         camera_serial: "s".into(),
-        stage_target: ANGLES,
-        stage_position: ANGLES,
         frames_discarded: 2,
-        exposure_ratio: None,
-        lamp_ratio_std: None,
-        time: FrameTimes {
-            utc: "2026-11-21T02:34:00Z".into(),
-            monotonic_s: Seconds(1.0),
-            device_s: None,
-            device_sequence: Some(4),
-            sensor_c: None,
-            lamp_c: None,
-            retakes: Default::default(),
-        },
+        ..Sidecar::of_frame(key, LampState::On(LampChannel(0)), settings)
     };
     (raw, sidecar)
 }

@@ -55,7 +55,7 @@ impl GrblStage {
         })
     }
 
-    /// A version before 1.1 has been heard; which one, it says itself.
+    /// A version before 1.1 has answered; which one, it reports itself.
     pub(super) fn old_by_status(&self) -> DeviceError {
         let deadline = Instant::now() + VERSION_PATIENCE;
         if let Err(error) = self.link.send(b"$I\n") {

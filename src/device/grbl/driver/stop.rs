@@ -29,9 +29,9 @@ impl StopHandle for GrblStop {
     }
 }
 
-/// Asks after a restart what the machine does and which outputs are on. It may
+/// Queries after a restart what the machine does and which outputs are on. It may
 /// be the driver that reads the answers. A build that never reports its outputs
-/// has said with its banner that it began anew.
+/// has reported with its banner that it began anew.
 fn confirm_stopped(link: &Link) -> Result<(), DeviceError> {
     for _ in 0..REPORTS_WITH_OUTPUTS {
         link.send(&[STATUS])?;
@@ -55,7 +55,7 @@ fn confirm_stopped(link: &Link) -> Result<(), DeviceError> {
         return Ok(());
     }
     Err(DeviceError::NotApplied {
-        device: link.device().to_owned(),
+        device: link.line().device().to_owned(),
         what: "its state".to_owned(),
         is: match known.state {
             Some(state) => format!("{state:?} with {outputs:?}"),

@@ -212,7 +212,7 @@ proptest! {
         prop_assert!((is - was).abs() < 1e-3);
     }
 
-    /// A reached pose is told as the target was written, a small way off it.
+    /// A reached pose is reported as the target was written, a small way off it.
     #[test]
     fn what_was_reached_is_told_in_the_target_s_words(
         stage in stages(),

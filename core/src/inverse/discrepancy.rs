@@ -1,0 +1,185 @@
+//! How the material departs from every mixture, estimated together with the weights.
+//!
+//! Around a fit the images change by J δx + G z, with δx a step of the weights and z the
+//! modes of a smooth discrepancy ([`crate::brdf::discrepancy`]), standard normal a priori times
+//! an amplitude. What z could have made is no evidence about the weights: their information
+//! is the Schur complement F_xx − F_xz (F_zz + Λ)⁻¹ F_zx. The amplitude is the one under which
+//! the images are most probable, and nothing departs unless that is much more probable. As a
+//! discrepancy is not small where light is reflected twice, the images are then taken to be
+//! linear once more, around what was found (docs/adr/0032).
+
+use nalgebra::{Cholesky, DMatrix, DVector};
+
+use super::objective::{Linearised, Objective, ResidualWeights};
+use crate::brdf::Dictionary;
+use crate::brdf::discrepancy::{self, Discrepancy};
+use crate::random::Stream;
+use crate::transport::direct_discrepancy::DirectDiscrepancy;
+
+mod amplitude;
+mod normal;
+
+use amplitude::amplitude;
+use normal::Normal;
+
+/// Variance that the equations of the discrepancy grant the images over what their weights
+/// say: they are linear in it, and far from where they were formed the images are not.
+const CAUTION: f64 = 10.0;
+
+/// Largest amplitude: what measured materials have. Images that are not linear ask for more, and
+/// what they then get is not near enough to be linear around.
+const LARGEST: f64 = 1.0;
+
+/// Weights from which an atom counts as in use.
+const IN_USE: f64 = 1e-3;
+
+/// The discrepancy beside one set of weights.
+pub struct Eliminated {
+    /// Modes that no change of the weights in use could make: columns in those of all.
+    free: DMatrix<f64>,
+    /// Deviation of each a priori.
+    amplitude: f64,
+    /// (F_zz + Λ)⁻¹.
+    covariance: DMatrix<f64>,
+    /// F_xz.
+    coupling: DMatrix<f64>,
+    /// Gᵀ W r, as if nothing departed yet.
+    score: DVector<f64>,
+    /// Information of the weights, without what the discrepancy could have made.
+    pub information: DMatrix<f64>,
+    /// Their score, likewise.
+    pub total_score: DVector<f64>,
+    /// Parts of the score by block of cells, of the residual that the discrepancy leaves.
+    pub block_scores: Vec<DVector<f64>>,
+}
+
+/// Where the images are taken to be linear.
+pub struct At<'a> {
+    /// The comparison, of what departs from the mixture if something does.
+    pub objective: &'a Objective<'a>,
+    /// How the light that is reflected once changes with the discrepancy.
+    pub direct: &'a DirectDiscrepancy,
+    /// What its values weigh.
+    pub residual_weights: &'a ResidualWeights,
+    /// The weights per set.
+    pub mixture: &'a [DVector<f64>],
+    /// The pass at them.
+    pub pass: &'a Linearised,
+}
+
+impl Eliminated {
+    /// The discrepancy beside each set of weights, around a fit in which nothing departs; nothing
+    /// where the images hardly ask for one.
+    pub fn first(at: &At<'_>, dictionary: &Dictionary) -> Vec<Self> {
+        let sets = at.mixture.iter();
+        let free: Vec<_> = sets.map(|x| free_modes(dictionary, x)).collect();
+        let mut normal = normal::equations(at, &free);
+        let fitted: Vec<DVector<f64>> = normal
+            .iter()
+            .zip(&free)
+            .map(|(normal, free)| free * (normal.covariance(1.0) * &normal.scores[1]))
+            .collect();
+        normal::blocks_after(at, &fitted, &free, &mut normal);
+        let amplitude = amplitude(&normal, at.mixture).min(LARGEST);
+        log::debug!("amplitude of the model discrepancy: {amplitude}");
+        if amplitude == 0.0 {
+            return Vec::new();
+        }
+        let sets = normal.into_iter().zip(free);
+        sets.map(|(normal, free)| Self::new(normal, free, amplitude))
+            .collect()
+    }
+
+    /// The same around a mixture from which the material departs in `at` by these `modes`, as
+    /// [`Eliminated::modes`] of `earlier` gave them.
+    pub fn again(at: &At<'_>, earlier: &[Self], modes: &[DVector<f64>]) -> Vec<Self> {
+        let free: Vec<_> = earlier.iter().map(|e| e.free.clone()).collect();
+        let sets = normal::equations(at, &free).into_iter();
+        sets.zip(free)
+            .zip(earlier.iter().zip(modes))
+            .map(|((mut normal, free), (earlier, modes))| {
+                normal.scores[0] += &normal.coupling * modes;
+                normal.scores[1] += &normal.discrepancy * modes;
+                Self::new(normal, free, earlier.amplitude)
+            })
+            .collect()
+    }
+
+    fn new(normal: Normal, free: DMatrix<f64>, amplitude: f64) -> Self {
+        let covariance = normal.covariance(amplitude);
+        let through = &normal.coupling * &covariance;
+        let left = |[weights, modes]: &[DVector<f64>; 2]| weights - &through * modes;
+        let information = &normal.information - &through * normal.coupling.transpose();
+        Self {
+            information: 0.5 * (&information + information.transpose()),
+            total_score: left(&normal.scores),
+            block_scores: normal.blocks.iter().map(left).collect(),
+            free,
+            amplitude,
+            covariance,
+            coupling: normal.coupling,
+            score: {
+                let [_, modes] = normal.scores;
+                modes
+            },
+        }
+    }
+
+    /// Deviation of the modes a priori: 1 is what measured materials have.
+    pub fn amplitude(&self) -> f64 {
+        self.amplitude
+    }
+
+    /// The discrepancy with these of the free modes.
+    pub fn discrepancy(&self, modes: &DVector<f64>) -> Discrepancy {
+        Discrepancy(discrepancy::modes() * (&self.free * modes))
+    }
+
+    /// What is expected of the free modes where the weights differ by `step` from those that the
+    /// images were linear around.
+    pub fn modes(&self, step: &DVector<f64>) -> DVector<f64> {
+        &self.covariance * (&self.score - self.coupling.tr_mul(step))
+    }
+
+    /// A draw of the discrepancy there.
+    pub fn draw(&self, step: &DVector<f64>, numbers: &mut Stream) -> Discrepancy {
+        let mut z = self.modes(step);
+        if let Some(root) = Cholesky::new(&self.covariance * CAUTION) {
+            let normal = DVector::from_iterator(z.len(), (0..z.len()).map(|_| numbers.normal()));
+            z += root.l() * normal;
+        }
+        self.discrepancy(&z)
+    }
+}
+
+/// The modes that no change of the weights in use could make. What both could make would
+/// be shared by the priors alone, far from where the images are linear. As in a projection
+/// on the dictionary by cube roots, a discrepancy is orthogonal to the atoms.
+pub(super) fn free_modes(dictionary: &Dictionary, mixture: &DVector<f64>) -> DMatrix<f64> {
+    let modes = discrepancy::modes();
+    let used: Vec<usize> = (0..mixture.len())
+        .filter(|&k| mixture[k] > IN_USE)
+        .collect();
+    let mut rows = DMatrix::<f64>::zeros(used.len(), modes.ncols());
+    for (k, node) in discrepancy::nodes().enumerate() {
+        let atoms = dictionary.values_at(node.theta_h_deg, node.theta_d_deg);
+        let f: f64 = atoms.iter().zip(mixture.iter()).map(|(a, w)| a * w).sum();
+        if f <= 0.0 {
+            continue;
+        }
+        let weight = node.measure * f.powf(2.0 / 3.0);
+        for (row, &atom) in used.iter().enumerate() {
+            let mut row = rows.row_mut(row);
+            row += weight * atoms[atom] / f * modes.row(k);
+        }
+    }
+    for mut row in rows.row_iter_mut() {
+        let norm = row.norm().max(1e-12);
+        row /= norm;
+    }
+    let eigen = rows.tr_mul(&rows).symmetric_eigen();
+    let free: Vec<usize> = (0..modes.ncols())
+        .filter(|&m| eigen.eigenvalues[m] < 1e-3)
+        .collect();
+    eigen.eigenvectors.select_columns(&free)
+}

@@ -1,0 +1,256 @@
+//! What an as-made surface that departs from its mesh adds to the spread of the weights.
+//!
+//! Departures of the stated rms are drawn ([`FormError::field`]) and the images' change d
+//! with each is traced with shared random numbers. The weights' score changes by JᵀWd;
+//! the second moment of that over the draws is the covariance that the mesh adds, every
+//! product taken between independent halves of the samples (docs/adr/0029).
+
+use nalgebra::{DMatrix, DVector};
+
+use super::bench::derivatives::{AVERAGED, DerivativeImages, DerivativeOptions};
+use super::bench::system::Model;
+use super::objective::ResidualWeights;
+use super::uncertainty::mapped;
+use crate::brdf::Mixture;
+use crate::geometry::FormError;
+use crate::random::{Purpose, stream};
+use crate::transport::{Proposal, Scene, Steering};
+
+/// Departures that are drawn: the deviation that they give is itself known within an eighth.
+const DEPARTURES: usize = 32;
+/// Departures that are traced together, which bounds the memory.
+const TOGETHER: usize = 4;
+/// Direct reflection: square root of the samples per cell.
+const DIRECT_STRATA: u32 = 4;
+/// Paths per cell in each half and for each departure.
+const SAMPLES_PER_HALF: u32 = 4;
+/// Longest path in surface reflections.
+const REFLECTIONS: u32 = 6;
+
+/// Covariance of the score per set of weights, N × N each, at `mixture`, whose BRDF is
+/// `material`.
+pub(super) fn score_covariance(
+    model: &Model<'_>,
+    scene: &Scene,
+    error: &FormError,
+    residual_weights: &ResidualWeights,
+    mixture: &[DVector<f64>],
+    material: &Mixture,
+    seed: u64,
+) -> Vec<DMatrix<f64>> {
+    let (n, sets) = (model.objective.atoms(), model.objective.sets());
+    let wanted = model.objective.compared_pixels();
+    let edge_mm = scene.sample().mean_edge_mm();
+    let options = DerivativeOptions {
+        samples_per_half: SAMPLES_PER_HALF,
+        max_reflections: REFLECTIONS,
+        seed: stream(seed, Purpose::FormError, 1, 0, 0).bits(),
+        proposal: Proposal::resembling(material, 0.3),
+        steering: Steering::NONE,
+        direct_strata: DIRECT_STRATA,
+        average: AVERAGED,
+    };
+    let mut covariance = vec![DMatrix::zeros(n, n); sets];
+    for first in (0..DEPARTURES).step_by(TOGETHER) {
+        let deformed = (first..first + TOGETHER).map(|departure| {
+            let mut numbers = stream(seed, Purpose::FormError, 0, departure as u64, 0);
+            let field = error.field(edge_mm, &mut numbers);
+            [1.0, -1.0].map(|sign| field.deform(scene.sample(), sign))
+        });
+        let images = DerivativeImages::of_shapes(
+            scene,
+            model.objective.cells(),
+            deformed.collect(),
+            material,
+            &wanted,
+            &options,
+        );
+        let scores = scores(model, &images, residual_weights, mixture);
+        for (covariance, scores) in covariance.iter_mut().zip(scores) {
+            for [a, b] in scores {
+                covariance.ger(0.5 / DEPARTURES as f64, &a, &b, 1.0);
+                covariance.ger(0.5 / DEPARTURES as f64, &b, &a, 1.0);
+            }
+        }
+    }
+    // What is below 0 is the paths' noise.
+    let semidefinite = |covariance| mapped(covariance, |v| v.max(0.0));
+    covariance.into_iter().map(semidefinite).collect()
+}
+
+/// JᵀWd per set, departure and half.
+fn scores(
+    model: &Model<'_>,
+    images: &DerivativeImages,
+    residual_weights: &ResidualWeights,
+    mixture: &[DVector<f64>],
+) -> Vec<Vec<[DVector<f64>; 2]>> {
+    let (n, sets) = (model.objective.atoms(), model.objective.sets());
+    let none = || vec![vec![[DVector::zeros(n), DVector::zeros(n)]; TOGETHER]; sets];
+    let parts = model
+        .objective
+        .evaluate(mixture, false, none, |sums, rows| {
+            let mut by_weight = [vec![0.0; n], vec![0.0; n]];
+            for (light, residual_weights) in residual_weights.iter().enumerate() {
+                for (c, &w) in residual_weights[rows.cell].iter().enumerate() {
+                    if w <= 0.0 {
+                        continue;
+                    }
+                    let set = c.min(sets - 1);
+                    let [a, b] = &mut by_weight;
+                    model.objective.derivatives(rows, light, c, [a, b]);
+                    for (departure, _, change) in
+                        images.at(rows.cell).filter(|(_, l, _)| *l == light)
+                    {
+                        for (half, sum) in sums[set][departure].iter_mut().enumerate() {
+                            let factor = w * f64::from(change.halves[half][c]);
+                            for (sum, derivative) in sum.iter_mut().zip(&by_weight[half]) {
+                                *sum += factor * derivative;
+                            }
+                        }
+                    }
+                }
+            }
+        });
+    let mut total = none();
+    for part in parts {
+        for (sum, part) in total
+            .iter_mut()
+            .flatten()
+            .flatten()
+            .zip(part.iter().flatten().flatten())
+        {
+            *sum += part;
+        }
+    }
+    total
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use std::sync::Arc;
+
+    use glam::{DVec2, DVec3};
+
+    use super::*;
+    use crate::brdf::dictionary::{Atom, Dictionary};
+    use crate::geometry::Shape;
+    use crate::inverse::cells::{Captured, CellOptions};
+    use crate::inverse::options::FitOptions;
+    use crate::inverse::solve::{Paths, solve};
+    use crate::radiance_image::RadianceImage;
+    use crate::transport::{Camera, Light, Projection, RenderOptions, Shading, render};
+
+    /// A bowl under two lights, photographed with this many cells per side.
+    pub(in crate::inverse) fn bowl(cells: usize) -> Scene {
+        let projection = Projection::Orthographic {
+            extent_mm: DVec2::splat(2.2),
+        };
+        let above = DVec3::new(0.0, 0.0, 5.0);
+        let resolution_px = [cells; 2];
+        let camera =
+            Camera::looking_at(resolution_px, projection, above, DVec3::ZERO, DVec3::Y).unwrap();
+        let shape = Shape::Bowl {
+            radius_mm: 1.0,
+            segments: 48,
+        };
+        let lights = [DVec3::Z, DVec3::new(0.4, 0.1, 1.0)].map(|to_light| Light::Directional {
+            to_light: to_light.normalize(),
+            irradiance: [1.0; 3],
+            angular_radius_rad: 0.0,
+        });
+        Scene::new(
+            shape.mesh().unwrap(),
+            Shading::Smooth,
+            camera,
+            lights.to_vec(),
+        )
+    }
+
+    /// Fits of samples that depart by the stated error scatter as the covariance says,
+    /// at several angles. The images are made by the renderer, which shares nothing with
+    /// the derivatives but the field; their noise is common and cancels.
+    #[test]
+    fn fits_of_deformed_samples_scatter_as_predicted() {
+        let atoms = vec![
+            Atom::Lambertian { albedo: 1.0 },
+            Atom::Ggx {
+                alpha: 0.3,
+                eta: 1.5,
+            },
+            Atom::Black,
+        ];
+        let dictionary = Arc::new(Dictionary::new("three", atoms).unwrap());
+        let weights = std::array::from_fn(|_| vec![0.4, 0.4, 0.2]);
+        let truth = Mixture::new(dictionary.clone(), weights).unwrap();
+        let scene = bowl(12);
+        let photograph = |scene: &Scene| -> Vec<RadianceImage> {
+            let options = RenderOptions {
+                samples_per_pixel: 64,
+                max_reflections: 3,
+                seed: 71,
+                proposal: Proposal::resembling(&truth, 0.1),
+                ..RenderOptions::default()
+            };
+            render(scene, &truth, &options)
+        };
+        let mut options = FitOptions {
+            rounds: 1,
+            ..FitOptions::default()
+        };
+        options.cache.samples_per_cell = 64;
+        options.cache.max_reflections = 3;
+        let quiet = &();
+        let averaged = |images: &[RadianceImage]| {
+            Captured::new(&scene, images, &CellOptions::exact()).unwrap()
+        };
+        let images = photograph(&scene);
+        let cells = averaged(&images).cells;
+        let paths = Paths::trace(&scene, &cells, &dictionary, None, &options, quiet).unwrap();
+        let fitted = |images: &[RadianceImage]| {
+            let images = averaged(images);
+            let objective = paths.objective(&images, &options);
+            solve(&paths, &objective, None, &options, &()).unwrap()
+        };
+        let base = fitted(&images);
+        let images = averaged(&images);
+        let objective = paths.objective(&images, &options);
+        let model = Model {
+            objective: &objective,
+            cache: &paths.cache,
+        };
+        let error = FormError::new(0.004, 1f64.to_radians()).unwrap();
+        let covariance = score_covariance(
+            &model,
+            &scene,
+            &error,
+            &base.residual_weights,
+            &base.mixture,
+            &truth,
+            5,
+        );
+        // Steps that keep the sum: two directions.
+        let tangent = DMatrix::from_row_slice(3, 2, &[1.0, 0.0, 0.0, 1.0, -1.0, -1.0]);
+        let information = tangent.tr_mul(&base.pass.information[1]) * &tangent;
+        let answer = &tangent * information.try_inverse().unwrap() * tangent.transpose();
+
+        let edge_mm = scene.sample().mean_edge_mm();
+        let found: Vec<DVector<f64>> = (0..16)
+            .map(|k| {
+                let mut numbers = stream(9, Purpose::Experiment, 0, k, 0);
+                let field = error.field(edge_mm, &mut numbers);
+                let made = scene.deformed(field.deform(scene.sample(), 1.0));
+                fitted(&photograph(&made)).mixture[1].clone()
+            })
+            .collect();
+        for [theta_h, theta_d] in [[0.0, 10.0], [10.0, 20.0], [40.0, 30.0]] {
+            let g = DVector::from_vec(dictionary.values_at(theta_h, theta_d));
+            let told = g.dot(&(&answer * &covariance[1] * &answer * &g)).sqrt();
+            let square = found.iter().map(|x| g.dot(&(x - &base.mixture[1])).powi(2));
+            let seen = (square.sum::<f64>() / found.len() as f64).sqrt();
+            println!("{theta_h}, {theta_d}: told {told:.3e}, seen {seen:.3e}");
+            // Either is known within a fifth.
+            assert!((0.6..1.7).contains(&(told / seen)), "{told} for {seen}");
+        }
+    }
+}

@@ -1,0 +1,208 @@
+//! The comparison with a material that departs from the mixtures (docs/adr/0032).
+
+use nalgebra::DVector;
+
+use super::Objective;
+use crate::brdf::discrepancy::{Material, NODES};
+use crate::transport::direct_discrepancy::DirectDiscrepancy;
+use crate::transport::evaluate::NodeFactors;
+use crate::transport::{CellRows, Scene};
+
+/// What makes a model of a mixture one of a material that departs from it.
+pub struct DiscrepancyModel {
+    /// Factors of f at the nodes, per set.
+    factors: Vec<[f32; NODES]>,
+    /// Light that is reflected once.
+    pub direct: DirectDiscrepancy,
+}
+
+impl DiscrepancyModel {
+    /// Of `material`, for the cells that `objective` compares.
+    pub fn of_compared(
+        objective: &Objective<'_>,
+        scene: &Scene,
+        material: &Material,
+        seed: u64,
+    ) -> Self {
+        let wanted = objective.compared_pixels();
+        Self::new(objective, scene, material, &wanted, seed)
+    }
+
+    /// Of `material`, for all cells.
+    pub fn of_all(
+        objective: &Objective<'_>,
+        scene: &Scene,
+        material: &Material,
+        seed: u64,
+    ) -> Self {
+        let wanted = vec![true; objective.cells.len()];
+        Self::new(objective, scene, material, &wanted, seed)
+    }
+
+    fn new(
+        objective: &Objective<'_>,
+        scene: &Scene,
+        material: &Material,
+        wanted: &[bool],
+        seed: u64,
+    ) -> Self {
+        let of_set = |set: usize| {
+            let g = &material.discrepancies[set].0;
+            std::array::from_fn(|node| g[node].exp() as f32)
+        };
+        Self {
+            factors: (0..objective.sets()).map(of_set).collect(),
+            direct: DirectDiscrepancy::new(scene, objective.cells, material, wanted, seed),
+        }
+    }
+}
+
+impl<'a> Objective<'a> {
+    /// The same comparison with the light of a material that departs from the mixture.
+    pub fn with_discrepancy(&self, model: &'a DiscrepancyModel) -> Self {
+        Self {
+            values: self.values.clone(),
+            departed: Some(model),
+            ..*self
+        }
+    }
+
+    /// What a discrepancy makes of the mixture's light that is reflected once.
+    pub(in crate::inverse) fn once_factor(&self, cell: usize, light: usize, channel: usize) -> f64 {
+        self.departed
+            .map_or(1.0, |d| f64::from(d.direct.factor(cell, light, channel)))
+    }
+
+    /// One pass over the paths with the light of `mixture`, or of what departs from it, with the
+    /// derivatives by the discrepancy's nodes if wanted.
+    pub(in crate::inverse) fn evaluate<T: Send>(
+        &self,
+        mixture: &[DVector<f64>],
+        by_node: bool,
+        group: impl Fn() -> T + Sync,
+        visit: impl Fn(&mut T, &CellRows<'_>) + Sync,
+    ) -> Vec<T> {
+        let slices: Vec<&[f64]> = mixture.iter().map(|w| w.as_slice()).collect();
+        let departing = NodeFactors {
+            factors: self.departed.map_or(&[][..], |d| &d.factors),
+            by_node,
+        };
+        self.cache
+            .evaluate_with_discrepancy(self.kernel, &slices, &departing, group, visit)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::brdf::discrepancy::{Discrepancy, modes};
+    use crate::brdf::{Atom, Dictionary, Mixture};
+    use crate::inverse::cells::Captured;
+    use crate::inverse::form::tests::bowl;
+    use crate::inverse::objective::ModelImage;
+    use crate::inverse::options::FitOptions;
+    use crate::inverse::solve::Paths;
+    use crate::transport::{Proposal, RenderOptions, render};
+
+    /// Images and their derivatives by two modes, around a material that departs, against what
+    /// the renderer makes of discrepancies a little to either side: it shares nothing with the
+    /// cache but the table.
+    #[test]
+    fn images_of_departed_materials_are_as_rendered() {
+        let scene = bowl(8);
+        let atoms = vec![
+            Atom::Lambertian { albedo: 1.0 },
+            Atom::Ggx {
+                alpha: 0.3,
+                eta: 3.0,
+            },
+        ];
+        let dictionary = Arc::new(Dictionary::new("two", atoms).unwrap());
+        let mixture = Mixture::grey(dictionary.clone(), vec![0.5, 0.5]).unwrap();
+        let discrepancy = |along: [f64; 2]| {
+            let [a, b] = [0, 1].map(|k| modes().column(k) * along[k]);
+            Discrepancy(a + b)
+        };
+        let rendered = |along: [f64; 2]| {
+            let g = discrepancy(along);
+            let departed = Material::new(mixture.clone(), &[g]);
+            let options = RenderOptions {
+                samples_per_pixel: 8192,
+                max_reflections: 4,
+                seed: 5,
+                proposal: Proposal::resembling(&mixture, 0.3),
+                ..RenderOptions::default()
+            };
+            render(&scene, &departed, &options)
+        };
+        let (at, step) = ([1.0, -0.5], 0.05);
+        let captured = rendered(at);
+
+        let mut options = FitOptions::default();
+        options.cache.samples_per_cell = 4096;
+        options.cache.max_reflections = 4;
+        let compared = Captured::of_pixels(&captured, |_| true);
+        let paths =
+            Paths::trace(&scene, &compared.cells, &dictionary, None, &options, &()).unwrap();
+        let objective = paths.objective(&compared, &options);
+        let g = discrepancy(at);
+        let departed = Material::new(mixture.clone(), &[g]);
+        let model = DiscrepancyModel::of_compared(&objective, &scene, &departed, 3);
+        let objective = objective.with_discrepancy(&model);
+        let weights = vec![DVector::from_vec(vec![0.5, 0.5]); 3];
+
+        // Relative deviations over the compared cells, root mean square.
+        let compare = |told: &dyn Fn(usize, usize) -> f64, seen: &dyn Fn(usize, usize) -> f64| {
+            let (mut square, mut error) = (0.0, 0.0);
+            for (light, cell) in (0..2).flat_map(|l| (0..64).map(move |p| (l, p))) {
+                if objective.is_compared(light, cell) {
+                    let seen = seen(light, cell);
+                    square += seen * seen;
+                    error += (told(light, cell) - seen).powi(2);
+                }
+            }
+            (error / square).sqrt()
+        };
+        let modelled: Vec<ModelImage> = objective.modelled(&weights);
+        let error = compare(&|l, p| modelled[l][p][1].value(), &|l, p| {
+            f64::from(captured[l].mean[p][1])
+        });
+        println!("images: {error:.4}");
+        assert!(error < 0.01, "images: {error}");
+
+        let mut by_modes = vec![vec![DVector::zeros(modes().ncols()); 64]; 2];
+        let none = Vec::new;
+        let parts = objective.evaluate(&weights, true, none, |rows: &mut Vec<_>, cell| {
+            for light in 0..2 {
+                let row = (light * 3 + 1) * NODES;
+                let nodes = (0..NODES).map(|k| {
+                    let of_half = |half: usize| f64::from(cell.nodes[half][row + k]);
+                    0.5 * (of_half(0) + of_half(1))
+                });
+                let nodes = DVector::from_iterator(NODES, nodes);
+                rows.push((light, cell.cell, modes().tr_mul(&nodes)));
+            }
+        });
+        for (light, cell, by_paths) in parts.into_iter().flatten() {
+            let direct = model.direct.by_modes(cell, light, 1).iter();
+            let direct = DVector::from_iterator(modes().ncols(), direct.map(|&v| f64::from(v)));
+            let direct_light = objective.direct_light(cell, light, 1, &weights[1]);
+            by_modes[light][cell] = by_paths + direct_light * direct;
+        }
+        for mode in 0..2 {
+            let [more, less] = [step, -step].map(|step| {
+                let mut to = at;
+                to[mode] += step;
+                rendered(to)
+            });
+            let seen = |l: usize, p: usize| {
+                f64::from(more[l].mean[p][1] - less[l].mean[p][1]) / (2.0 * step)
+            };
+            let error = compare(&|l, p| by_modes[l][p][mode], &seen);
+            println!("mode {mode}: {error:.4}");
+            assert!(error < 0.03, "mode {mode}: {error}");
+        }
+    }
+}

@@ -1,0 +1,100 @@
+//! What a fit can be asked for, and why it may fail.
+
+use super::cells::AverageError;
+use super::exponentiated_gradient::ExponentiatedGradient;
+use super::gauss_newton::GaussNewton;
+use super::objective::Channels;
+use super::projection::ProjectionError;
+use super::simplex::SimplexError;
+use crate::geometry::FormError;
+use crate::transport::cache::CacheError;
+use crate::transport::{CacheOptions, Kernel};
+
+/// Which optimiser.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Optimizer {
+    /// Gauss–Newton on the simplex.
+    GaussNewton(GaussNewton),
+    /// The paper's exponentiated gradient with Adam steps.
+    ExponentiatedGradient(ExponentiatedGradient),
+    /// The convex baseline of Eq. 13: the least squares that takes all light as reflected
+    /// once.
+    SingleBounce,
+}
+
+impl Optimizer {
+    /// Name as on the command line.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Optimizer::GaussNewton(_) => "gauss-newton",
+            Optimizer::ExponentiatedGradient(_) => "exponentiated-gradient",
+            Optimizer::SingleBounce => "single-bounce",
+        }
+    }
+}
+
+/// Everything that a fit can be told.
+#[derive(Clone, Debug)]
+pub struct FitOptions {
+    /// Paths: samples per cell, longest path, seed, memory.
+    pub cache: CacheOptions,
+    /// Direct reflection: square root of the samples per cell, 1..=64.
+    pub direct_strata: u32,
+    /// How the weights are found.
+    pub optimizer: Optimizer,
+    /// Weights of their own per channel, or shared.
+    pub channels: Channels,
+    /// Relative error of the model that the weighting allows for, 0..=1.
+    pub model_error: f64,
+    /// Rounds of residual weights, 1..=10.
+    pub rounds: usize,
+    /// Draws from the posterior, 0..=10 000.
+    pub draws: usize,
+    /// Trace again with directions proposed by a first solution from a quarter of the paths:
+    /// less noise where the material is glossy.
+    pub adapt_paths: bool,
+    /// How far the as-made sample departs from the scene's mesh; `None`: not at all.
+    pub form_error: Option<FormError>,
+    /// Instructions to use.
+    pub kernel: Kernel,
+}
+
+impl Default for FitOptions {
+    fn default() -> Self {
+        Self {
+            cache: CacheOptions::default(),
+            direct_strata: 10,
+            optimizer: Optimizer::GaussNewton(GaussNewton::default()),
+            channels: Channels::Separate,
+            model_error: 0.02,
+            rounds: 3,
+            draws: 200,
+            adapt_paths: true,
+            form_error: None,
+            kernel: Kernel::detect(),
+        }
+    }
+}
+
+/// Why a fit failed.
+#[derive(Debug, thiserror::Error)]
+pub enum FitError {
+    /// Images of another number or size, or with nothing to compare.
+    #[error(transparent)]
+    Average(#[from] AverageError),
+    /// Nothing to compare.
+    #[error("no cell of image {image} lies away from the edges of its light's shadow")]
+    NothingToCompare {
+        /// Index of the image.
+        image: usize,
+    },
+    /// The paths.
+    #[error(transparent)]
+    Cache(#[from] CacheError),
+    /// The quadratic programme.
+    #[error(transparent)]
+    Simplex(#[from] SimplexError),
+    /// The weights closest to what the material departs to.
+    #[error(transparent)]
+    Projection(#[from] ProjectionError),
+}

@@ -1,0 +1,239 @@
+//! What the images leave open around a fit: draws of the weights and of how the material
+//! departs from their mixture, and the material to report.
+
+use nalgebra::DVector;
+
+use super::bench::BenchCoupling;
+use super::bench::system::{BenchLinearisation, Model};
+use super::discrepancy::{At, Eliminated};
+use super::estimate::{estimate, mean_of_draws};
+use super::form;
+use super::objective::{DiscrepancyModel, Linearised, Objective};
+use super::options::{FitError, FitOptions, Optimizer};
+use super::projection::{EnvironmentMatrix, ProjectionError};
+use super::solve::{Paths, Solved, per_channel};
+use super::uncertainty::{self, Adds, Draws};
+use crate::brdf::Mixture;
+use crate::brdf::discrepancy::Material;
+use crate::brdf::environment::EnvironmentMap;
+use crate::transport::Scene;
+
+/// Pixels per side of the spheres that say how materials look.
+const SPHERE_PX: usize = 24;
+
+/// What the images leave open.
+pub(super) struct Posterior {
+    /// Per set of weights.
+    pub draws: Vec<Draws>,
+    /// What to report.
+    pub material: Material,
+    /// Deviation of its discrepancy in units of what measured materials have; 0 without one.
+    pub discrepancy: f64,
+}
+
+/// Around the weights that were `solved` for.
+pub(super) fn posterior(
+    scene: &Scene,
+    paths: &Paths,
+    objective: &Objective<'_>,
+    solved: &Solved,
+    options: &FitOptions,
+    bench: Option<&BenchLinearisation>,
+) -> Result<Posterior, FitError> {
+    let (dictionary, seed) = (&paths.dictionary, options.cache.seed);
+    let (mixture, weights) = (&solved.mixture, &solved.residual_weights);
+    let material = |sets: &[DVector<f64>]| -> Result<Mixture, ProjectionError> {
+        Ok(Mixture::new(dictionary.clone(), per_channel(sets))?)
+    };
+    let misfits = objective.misfit(&solved.pass.model);
+    let with_misfits = |mut draws: Vec<Draws>| {
+        for (draws, misfit) in draws.iter_mut().zip(&misfits) {
+            draws.misfit = *misfit;
+        }
+        draws
+    };
+    if options.draws == 0 {
+        return Ok(Posterior {
+            draws: with_misfits(uncertainty::draw(
+                dictionary,
+                mixture,
+                &solved.pass,
+                &Adds::default(),
+                0,
+                seed,
+            )),
+            material: Material::from(material(mixture)?),
+            discrepancy: 0.0,
+        });
+    }
+    let model = Model {
+        objective,
+        cache: &paths.cache,
+    };
+    let fitted = material(mixture)?;
+    let coupling = bench.map(|b| b.coupling(&model, weights, mixture));
+    let noise = objective.score_noise(mixture, weights, &solved.pass.model);
+    let form = options.form_error.as_ref().map_or_else(Vec::new, |error| {
+        form::score_covariance(&model, scene, error, weights, mixture, &fitted, seed)
+    });
+    let draw = |bench: Option<&BenchCoupling>,
+                center: &[DVector<f64>],
+                pass: &Linearised,
+                discrepancy: &[Eliminated]| {
+        let adds = Adds {
+            bench,
+            form: &form,
+            noise: &noise,
+            discrepancy,
+        };
+        uncertainty::draw(dictionary, center, pass, &adds, options.draws, seed)
+    };
+    let model_of =
+        |material: &Material| DiscrepancyModel::of_compared(objective, scene, material, seed);
+    let maps = EnvironmentMap::all();
+    let spheres = EnvironmentMatrix::new(dictionary.clone(), &maps, SPHERE_PX);
+
+    let mut center = mixture.clone();
+    let nothing = model_of(&Material::from(fitted));
+    let at = At {
+        objective,
+        direct: &nothing.direct,
+        residual_weights: weights,
+        mixture,
+        pass: &solved.pass,
+    };
+    let mut discrepancy = Eliminated::first(&at, dictionary);
+    let mut draws = draw(None, &center, &solved.pass, &discrepancy);
+    let mut discrepancy_pass = None;
+    if !discrepancy.is_empty() {
+        // Once more, linear around what was found.
+        let mean = mean_of_draws(&spheres, &draws);
+        let sets = discrepancy.iter().zip(mean.iter().zip(&center));
+        let modes: Vec<_> = sets.map(|(d, (mean, x))| d.modes(&(mean - x))).collect();
+        let sets = discrepancy.iter().zip(&modes);
+        let discrepancies: Vec<_> = sets.map(|(d, modes)| d.discrepancy(modes)).collect();
+        let departed = model_of(&Material::new(material(&mean)?, &discrepancies));
+        let objective = objective.with_discrepancy(&departed);
+        let pass = objective.linearise(&mean, weights);
+        let left = |pass: &Linearised| pass.unexplained.iter().sum::<f64>();
+        log::debug!(
+            "unexplained before and after the model discrepancy: {}, {}",
+            left(&solved.pass),
+            left(&pass)
+        );
+        if left(&pass) < left(&solved.pass) {
+            let at = At {
+                objective: &objective,
+                direct: &departed.direct,
+                mixture: &mean,
+                pass: &pass,
+                ..at
+            };
+            discrepancy = Eliminated::again(&at, &discrepancy, &modes);
+            draws = draw(None, &mean, &pass, &discrepancy);
+            center = mean;
+            discrepancy_pass = Some(pass);
+        }
+    }
+    let (material, amplitude) = match options.optimizer {
+        Optimizer::GaussNewton(_) => (
+            estimate(&spheres, &center, &draws, &discrepancy)?,
+            discrepancy.first().map_or(0.0, Eliminated::amplitude),
+        ),
+        // The others are there to be compared: they report where they end.
+        _ => (Material::from(material(mixture)?), 0.0),
+    };
+    // What the bench leaves open widens the intervals; the material is that of the bench as
+    // believed. Averaged over benches it would be darker: weights make no material brighter
+    // than white.
+    if let Some(bench) = &coupling {
+        let pass = discrepancy_pass.as_ref().unwrap_or(&solved.pass);
+        draws = draw(Some(bench), &center, pass, &discrepancy);
+    }
+    Ok(Posterior {
+        draws: with_misfits(draws),
+        material,
+        discrepancy: amplitude,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::brdf::discrepancy::{Discrepancy, modes};
+    use crate::brdf::{Atom, Brdf, Dictionary};
+    use crate::inverse::cells::{Captured, CellOptions};
+    use crate::inverse::discrepancy::free_modes;
+    use crate::inverse::form::tests::bowl;
+    use crate::inverse::solve::solve;
+    use crate::radiance_image::RadianceImage;
+    use crate::transport::{Proposal, RenderOptions, render};
+
+    fn photograph(scene: &Scene, material: &dyn Brdf) -> Vec<RadianceImage> {
+        let options = RenderOptions {
+            samples_per_pixel: 1024,
+            max_reflections: 8,
+            seed: 71,
+            proposal: Proposal::tabulating(material, 0.3),
+            ..RenderOptions::default()
+        };
+        render(scene, material, &options)
+    }
+
+    /// Images of a mixture ask for no discrepancy; those of one that departs do, and with what is
+    /// found f comes closer to the truth where light is reflected once.
+    #[test]
+    fn a_discrepancy_is_found_where_there_is_one() {
+        let scene = bowl(20);
+        let atoms = vec![
+            Atom::Lambertian { albedo: 1.0 },
+            Atom::Ggx {
+                alpha: 0.3,
+                eta: 3.0,
+            },
+            Atom::Black,
+        ];
+        let dictionary = Arc::new(Dictionary::new("three", atoms).unwrap());
+        let truth = Mixture::grey(dictionary.clone(), vec![0.4, 0.4, 0.2]).unwrap();
+        let weights = DVector::from_column_slice(&truth.weights()[0]);
+        // Of the widest modes, what the weights cannot make.
+        let free = free_modes(&dictionary, &weights);
+        let mut z = DVector::zeros(free.nrows());
+        z.rows_mut(0, 4).copy_from_slice(&[1.5, -1.5, 1.5, 1.5]);
+        let g = Discrepancy(modes() * (&free * free.tr_mul(&z)));
+        let departed = Material::new(truth.clone(), std::slice::from_ref(&g));
+        let mut options = FitOptions::default();
+        options.cache.samples_per_cell = 128;
+        let found = |material: &dyn Brdf| {
+            let captured = photograph(&scene, material);
+            let captured = Captured::new(&scene, &captured, &CellOptions::exact()).unwrap();
+            let cells = &captured.cells;
+            let paths = Paths::trace(&scene, cells, &dictionary, None, &options, &()).unwrap();
+            let objective = paths.objective(&captured, &options);
+            let solved = solve(&paths, &objective, None, &options, &()).unwrap();
+            posterior(&scene, &paths, &objective, &solved, &options, None).unwrap()
+        };
+        assert_eq!(found(&truth).discrepancy, 0.0, "a mixture departs");
+        let found = found(&departed);
+        assert!(found.discrepancy > 0.0);
+        let mixture = Material::from(found.material.mixture.clone());
+        let mut squares = [0.0, 0.0];
+        for node in crate::brdf::discrepancy::nodes() {
+            let (h, d) = (node.theta_h_deg, node.theta_d_deg);
+            if !(1.0..60.0).contains(&h) || d > 15.0 {
+                continue;
+            }
+            let atoms = dictionary.values_at(h, d);
+            let [truth, mixture, found] =
+                [&departed, &mixture, &found.material].map(|material| material.at(&atoms, h, d)[0]);
+            squares[0] += (mixture / truth).ln().powi(2);
+            squares[1] += (found / truth).ln().powi(2);
+        }
+        let left = (squares[1] / squares[0]).sqrt();
+        println!("{:.3} of the error {:.3} is left", left, squares[0].sqrt());
+        // As the equations are cautious, a part remains; 0.69 here.
+        assert!(left < 0.8, "{left} of {}", squares[0].sqrt());
+    }
+}

@@ -1,0 +1,398 @@
+//! What the images leave open: draws from an approximate posterior of the weights.
+//!
+//! Around the fit the log-likelihood is quadratic, with the information F of independent
+//! halves of the paths and the score g. Noise is not all that the residual holds: model
+//! error is common to neighbouring cells, and paths have heavy tails. The score's
+//! covariance is therefore taken from the scores of blocks of cells, and the
+//! likelihood rescaled to it in the directions that F tells apart (a sandwich). The
+//! prior holds that few atoms are used ([`super::sparse`]); docs/adr/0006.
+
+use nalgebra::{DMatrix, DVector, SymmetricEigen};
+use rayon::prelude::*;
+
+use super::bench::{BenchCoupling, Parameter};
+use super::budget::{Budget, Source};
+use super::discrepancy::Eliminated;
+use super::objective::{Linearised, ScoreNoise};
+use super::sparse::SparsePosterior;
+use crate::brdf::discrepancy::Discrepancy;
+use crate::brdf::{Atom, Dictionary};
+use crate::random::{Purpose, Stream, stream};
+
+/// Draws of one set of weights, and of the prior alone.
+pub struct Draws {
+    /// Posterior draws, each on the simplex.
+    pub posterior: Vec<DVector<f64>>,
+    /// Prior draws, each on the simplex.
+    pub prior: Vec<DVector<f64>>,
+    /// Relative error of the images that the mixture leaves beyond noise, 0 or more.
+    pub misfit: f64,
+    /// Directions of the space of weights in which the images say more than their noise and
+    /// the paths' could; 0: the images tell nothing, and the posterior is the prior.
+    pub informed: usize,
+    /// How the material departs from each of the posterior draws; empty where it does not.
+    pub discrepancies: Vec<Discrepancy>,
+    /// Where the posterior's spread comes from, where that is known.
+    pub budget: Option<Budget>,
+}
+
+/// Concentration of a Dirichlet prior that a quadratic can see through its variance.
+pub(super) const CONCENTRATION: f64 = 0.15;
+
+/// Atoms that a material uses a priori, on average.
+const EXPECTED_ATOMS: f64 = 5.0;
+
+/// Slope of the log prior density along the weight of black: materials absorb. A priori black
+/// then has 0.39 of the weight in paper42 and 0.46 in rig26; in reference projections of
+/// measured materials it has 0.35 (docs/adr/0006).
+const ABSORPTION: f64 = 6.0;
+
+/// Steps of the chain per set of weights.
+const STEPS: usize = 20_000;
+
+/// Least variance of the score over what F says, where the material may depart from every
+/// mixture: what of that is common to all cells scatters no block. Calibrated by coverage; for
+/// weights from which nothing is found to depart 1 is enough.
+pub const LEAST_SPREAD: f64 = 3.0;
+
+/// What makes the score scatter beside the residual, per set of weights.
+#[derive(Default)]
+pub struct Adds<'a> {
+    /// What an uncertain bench adds.
+    pub bench: Option<&'a BenchCoupling>,
+    /// Covariance that a surface adds which departs from its mesh; empty where none is stated.
+    pub form: &'a [DMatrix<f64>],
+    /// What capture and render make of the residual's own scatter; empty where unknown.
+    pub noise: &'a [ScoreNoise],
+    /// How the material departs from every mixture; empty where it does not.
+    pub discrepancy: &'a [Eliminated],
+}
+
+/// Draws `count` weights for each set around `mixture`.
+pub fn draw(
+    dictionary: &Dictionary,
+    mixture: &[DVector<f64>],
+    pass: &Linearised,
+    adds: &Adds<'_>,
+    count: usize,
+    seed: u64,
+) -> Vec<Draws> {
+    let prior = prior_slope(dictionary);
+    (0..mixture.len())
+        .into_par_iter()
+        .map(|set| draw_set(&mixture[set], &prior, pass, adds, set, count, seed))
+        .collect()
+}
+
+/// Slope of the log prior density along each weight, beside what [`super::sparse`] holds.
+fn prior_slope(dictionary: &Dictionary) -> DVector<f64> {
+    let slope = |atom: &Atom| match atom {
+        Atom::Black => ABSORPTION,
+        _ => 0.0,
+    };
+    DVector::from_iterator(dictionary.len(), dictionary.atoms().iter().map(slope))
+}
+
+fn draw_set(
+    mixture: &DVector<f64>,
+    prior: &DVector<f64>,
+    pass: &Linearised,
+    adds: &Adds<'_>,
+    set: usize,
+    count: usize,
+    seed: u64,
+) -> Draws {
+    let n = mixture.len();
+    let chain = |h, b, purpose| {
+        if count == 0 {
+            return Vec::new();
+        }
+        let mut numbers = stream(seed, Purpose::Posterior, set as u64, purpose, 0);
+        let expected = EXPECTED_ATOMS.min(0.5 * n as f64);
+        SparsePosterior::new(h, b, expected).draw(mixture, count, STEPS, &mut numbers)
+    };
+    let Likelihood {
+        h,
+        b,
+        informed,
+        budget,
+    } = adjusted_likelihood(mixture, pass, adds, set);
+    let posterior = chain(h, b + prior, 0);
+    let mut numbers = stream(seed, Purpose::Posterior, set as u64, 2, 0);
+    let discrepancies = adds
+        .discrepancy
+        .get(set)
+        .map_or_else(Vec::new, |discrepancy| {
+            let draws = posterior.iter();
+            draws
+                .map(|x| discrepancy.draw(&(x - mixture), &mut numbers))
+                .collect()
+        });
+    Draws {
+        prior: chain(DMatrix::zeros(n, n), prior.clone(), 1),
+        misfit: 0.0,
+        informed,
+        discrepancies,
+        posterior,
+        budget,
+    }
+}
+
+/// Quadratic log-likelihood −½ xᵀHx + bᵀx.
+struct Likelihood {
+    h: DMatrix<f64>,
+    b: DVector<f64>,
+    /// Rank of `h`: directions that the images tell apart from noise.
+    informed: usize,
+    /// What makes the score scatter, where the noise is known.
+    budget: Option<Budget>,
+}
+
+/// The likelihood whose score scatters as the blocks' does, and, where the `noise` is known,
+/// what makes it scatter.
+fn adjusted_likelihood(
+    mixture: &DVector<f64>,
+    pass: &Linearised,
+    adds: &Adds<'_>,
+    set: usize,
+) -> Likelihood {
+    let quadratic = &pass.quadratics[set];
+    let (information, scores, score) = match adds.discrepancy.get(set) {
+        Some(d) => (
+            d.information.clone(),
+            &d.block_scores,
+            d.total_score.clone(),
+        ),
+        None => {
+            let scores = &pass.block_scores[set];
+            let information = without_noise(&pass.information[set], &quadratic.h).information;
+            let none = DVector::zeros(mixture.len());
+            (
+                information,
+                scores,
+                scores.iter().fold(none, |sum, s| sum + s),
+            )
+        }
+    };
+    let eigen = SymmetricEigen::new(information);
+    let largest = eigen.eigenvalues.max();
+    let kept: Vec<usize> = (0..mixture.len())
+        .filter(|&k| eigen.eigenvalues[k] > (1e-7 * largest).max(1.0))
+        .collect();
+    if kept.is_empty() {
+        return Likelihood {
+            h: DMatrix::zeros(mixture.len(), mixture.len()),
+            b: DVector::zeros(mixture.len()),
+            informed: 0,
+            budget: None,
+        };
+    }
+    let vectors = eigen.eigenvectors.select_columns(&kept);
+    let scales = DVector::from_iterator(
+        kept.len(),
+        kept.iter().map(|&k| eigen.eigenvalues[k].sqrt()),
+    );
+    let root = &vectors * DMatrix::from_diagonal(&scales);
+    let inverse = &vectors * DMatrix::from_diagonal(&scales.map(|s| 1.0 / s));
+
+    // Covariance of the score where F has unit eigenvalues.
+    let mut scatter = DMatrix::<f64>::zeros(kept.len(), kept.len());
+    for score in scores {
+        let z = inverse.tr_mul(score);
+        scatter.ger(1.0, &z, &z, 1.0);
+    }
+    // The fit has made the residuals smaller than the errors.
+    let blocks = scores.len() as f64;
+    scatter *= blocks / (blocks - 0.5 * kept.len() as f64).max(1.0);
+    let least = match adds.discrepancy {
+        [] => 1.0,
+        _ => LEAST_SPREAD,
+    };
+    let mut scatter = mapped(scatter, |v| v.max(least));
+    let whitened = |m: &DMatrix<f64>| inverse.tr_mul(m) * &inverse;
+    if let Some(bench) = adds.bench {
+        scatter += above_noise(whitened(&bench.covariance(set)));
+    }
+    let form = adds.form.get(set).map(whitened);
+    if let Some(form) = &form {
+        scatter += form;
+    }
+    let budget = adds.noise.get(set).map(|noise| {
+        let mut known = vec![
+            (Source::CaptureNoise, whitened(&noise.captured)),
+            (Source::RenderNoise, whitened(&noise.rendered)),
+        ];
+        known.extend(form.map(|form| (Source::Mesh, form)));
+        let of = |source: Source| {
+            move |parameter: Parameter| match parameter {
+                Parameter::Rotation(_) | Parameter::Translation(_) => source == Source::Pose,
+                Parameter::LightAzimuth(_) | Parameter::LightElevation(_) => {
+                    source == Source::LightDirections
+                }
+                Parameter::Intensity(_) | Parameter::StrayLight(_) => source == Source::Intensities,
+            }
+        };
+        for source in [Source::Pose, Source::LightDirections, Source::Intensities] {
+            if let Some(bench) = adds.bench {
+                known.push((source, above_noise(whitened(&bench.part(set, of(source))))));
+            }
+        }
+        Budget::new(&root, &scatter, &known)
+    });
+    let weight = mapped(scatter, |v| 1.0 / v);
+    let h = &root * &weight * root.transpose();
+    // The likelihood's own score, which the fit's prior and share of noise leave nonzero.
+    let b = &h * mixture + &root * (&weight * inverse.tr_mul(&score));
+    Likelihood {
+        h,
+        b,
+        informed: kept.len(),
+        budget,
+    }
+}
+
+/// A symmetric matrix with its eigenvalues changed.
+pub(super) fn mapped(matrix: DMatrix<f64>, change: impl Fn(f64) -> f64) -> DMatrix<f64> {
+    let eigen = SymmetricEigen::new(matrix);
+    &eigen.eigenvectors
+        * DMatrix::from_diagonal(&eigen.eigenvalues.map(change))
+        * eigen.eigenvectors.transpose()
+}
+
+/// A covariance of independent halves without what their noise alone could have made: its
+/// eigenvalues that are no larger than the most negative one.
+fn above_noise(covariance: DMatrix<f64>) -> DMatrix<f64> {
+    let least = covariance.symmetric_eigenvalues().min();
+    mapped(covariance, |v| if v > -least { v } else { 0.0 })
+}
+
+/// `information` of independent halves without the directions that the paths' noise
+/// alone could have made. `full` is JᵀWJ of the halves' mean: the difference of the two
+/// is the noise. Relative to it, an eigenvalue no larger than the most negative one says
+/// nothing.
+pub(super) fn without_noise(information: &DMatrix<f64>, full: &DMatrix<f64>) -> Told {
+    let noise = full - information;
+    let eigen = SymmetricEigen::new(0.5 * (&noise + noise.transpose()));
+    let largest = eigen.eigenvalues.max().max(1e-9);
+    let scales = eigen
+        .eigenvalues
+        .map(|v| (v.max(0.0) + 1e-12 * largest + 1e-6).sqrt());
+    let root = &eigen.eigenvectors * DMatrix::from_diagonal(&scales);
+    let inverse = &eigen.eigenvectors * DMatrix::from_diagonal(&scales.map(|s| 1.0 / s));
+    let relative = inverse.tr_mul(information) * &inverse;
+    let relative = SymmetricEigen::new(0.5 * (&relative + relative.transpose()));
+    let threshold = (-relative.eigenvalues.min()).max(0.0);
+    let kept: Vec<usize> = (0..relative.eigenvalues.len())
+        .filter(|&k| relative.eigenvalues[k] > threshold)
+        .collect();
+    let vectors = relative.eigenvectors.select_columns(&kept);
+    let values = DVector::from_iterator(kept.len(), kept.iter().map(|&k| relative.eigenvalues[k]));
+    let root = root * &vectors;
+    Told {
+        information: &root * DMatrix::from_diagonal(&values) * root.transpose(),
+        scores: &root * (inverse * vectors).transpose(),
+    }
+}
+
+/// What is told apart from the paths' noise.
+pub(super) struct Told {
+    pub information: DMatrix<f64>,
+    /// Takes from a score what it says of the other directions, which is noise.
+    pub scores: DMatrix<f64>,
+}
+
+/// One draw of a symmetric Dirichlet distribution.
+pub(super) fn dirichlet(n: usize, numbers: &mut Stream) -> DVector<f64> {
+    // Γ(a) for a < 1 is Γ(a + 1) · U^(1/a); in logarithms, so that tiny ones survive.
+    let logs: Vec<f64> = (0..n)
+        .map(|_| {
+            gamma_above_one(CONCENTRATION + 1.0, numbers).ln()
+                + (1.0 - numbers.uniform()).ln() / CONCENTRATION
+        })
+        .collect();
+    let largest = logs.iter().fold(f64::NEG_INFINITY, |m, &v| m.max(v));
+    let x = DVector::from_iterator(n, logs.iter().map(|l| (l - largest).exp()));
+    let sum = x.sum();
+    x / sum
+}
+
+/// Gamma variate of shape ≥ 1 (Marsaglia & Tsang 2000).
+fn gamma_above_one(shape: f64, numbers: &mut Stream) -> f64 {
+    let d = shape - 1.0 / 3.0;
+    let c = 1.0 / (9.0 * d).sqrt();
+    loop {
+        let x = numbers.normal();
+        let v = (1.0 + c * x).powi(3);
+        if v > 0.0 && (1.0 - numbers.uniform()).ln() < 0.5 * x * x + d - d * v + d * v.ln() {
+            return d * v;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_noise_could_have_made_is_left_out() {
+        let turn = nalgebra::Rotation3::from_euler_angles(0.3, 0.7, -0.2).into_inner();
+        let of = |values: [f64; 3]| {
+            let m = turn * nalgebra::Matrix3::from_diagonal(&values.into()) * turn.transpose();
+            DMatrix::from_fn(3, 3, |i, j| m[(i, j)])
+        };
+        let told = above_noise(of([9.0, -2.0, 1.5]));
+        assert!((told - of([9.0, 0.0, 0.0])).norm() < 1e-12);
+        let sure = of([9.0, 2.0, 0.5]);
+        assert!((above_noise(sure.clone()) - sure).norm() < 1e-12);
+    }
+
+    /// Mean weight of black in prior draws, against the sum over the sizes of sets with and
+    /// without it (0.394, 0.463), each with the mean of exp(slope · x) over Beta(1, k − 1).
+    #[test]
+    fn materials_absorb_a_priori() {
+        for (dictionary, expected) in [(Dictionary::paper42(), 0.394), (Dictionary::rig26(), 0.463)]
+        {
+            let n = dictionary.len();
+            let black = |a: &Atom| *a == Atom::Black;
+            let black = dictionary.atoms().iter().position(black).unwrap();
+            let slope = prior_slope(&dictionary);
+            assert_eq!(slope.sum(), ABSORPTION, "only black");
+            let prior = SparsePosterior::new(DMatrix::zeros(n, n), slope, EXPECTED_ATOMS);
+            let mut numbers = stream(6, Purpose::Posterior, 0, 0, 0);
+            let start = DVector::from_element(n, 1.0 / n as f64);
+            let draws = prior.draw(&start, 20_000, 100_000, &mut numbers);
+            let mean = draws.iter().map(|x| x[black]).sum::<f64>() / draws.len() as f64;
+            assert!(
+                (mean - expected).abs() < 0.03,
+                "{}: {mean}",
+                dictionary.name()
+            );
+        }
+    }
+
+    /// Mean 1/n and variance (1/n)(1 − 1/n)/(a n + 1) of a symmetric Dirichlet.
+    #[test]
+    fn dirichlet_has_its_moments() {
+        let n = 10;
+        let mut numbers = stream(1, Purpose::Posterior, 0, 0, 0);
+        let count = 40_000;
+        let (mut sum, mut square) = (0.0, 0.0);
+        for _ in 0..count {
+            let x = dirichlet(n, &mut numbers);
+            assert!((x.sum() - 1.0).abs() < 1e-12);
+            sum += x[3];
+            square += x[3] * x[3];
+        }
+        let mean = sum / f64::from(count);
+        let variance = square / f64::from(count) - mean * mean;
+        let expected = 0.1 * 0.9 / (CONCENTRATION * n as f64 + 1.0);
+        assert!(
+            (mean - 0.1).abs() < 5.0 * (expected / f64::from(count)).sqrt(),
+            "mean {mean}"
+        );
+        assert!(
+            (variance / expected - 1.0).abs() < 0.06,
+            "variance {variance} for {expected}"
+        );
+    }
+}

@@ -1,0 +1,59 @@
+//! What share each source has in the variance of f, at one pair of angles.
+
+use nalgebra::DVector;
+
+use super::budget::{SOURCES, Source};
+use super::intervals::{deviation, inadequacy};
+use super::uncertainty::Draws;
+use crate::brdf::discrepancy::Material;
+
+/// Relative variance of f at one pair of angles, mean over the channels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CellBudget {
+    /// f, mean over the channels, 1/sr.
+    pub value: f64,
+    /// Variance of f over f² by source, in the order of [`Source::ALL`].
+    pub relative_variance: [f64; SOURCES],
+}
+
+/// The budget at half and difference angles, degrees; `None` without draws.
+pub fn at(
+    material: &Material,
+    draws: &[Draws],
+    theta_h_deg: f64,
+    theta_d_deg: f64,
+) -> Option<CellBudget> {
+    let dictionary = material.mixture.dictionary();
+    let atoms = DVector::from_vec(dictionary.values_at(theta_h_deg, theta_d_deg));
+    let values = material.at(atoms.as_slice(), theta_h_deg, theta_d_deg);
+    let mut cell = CellBudget {
+        value: 0.0,
+        relative_variance: [0.0; SOURCES],
+    };
+    for (c, value) in values.into_iter().enumerate() {
+        let set = draws.get(c.min(draws.len().checked_sub(1)?))?;
+        let budget = set.budget.as_ref()?;
+        let drawn: Vec<f64> = set.posterior.iter().map(|x| x.dot(&atoms)).collect();
+        let count = drawn.len() as f64;
+        let mean = drawn.iter().sum::<f64>() / count;
+        if count < 2.0 || value <= 0.0 || mean <= 0.0 {
+            return None;
+        }
+        let variance = drawn.iter().map(|f| (f - mean).powi(2)).sum::<f64>() / (count - 1.0);
+        // The draws differ in their sum nowhere: shares look at what differs.
+        let shares = budget.shares(&atoms.add_scalar(-atoms.mean()));
+        cell.value += value / 3.0;
+        for (sum, share) in cell.relative_variance.iter_mut().zip(shares) {
+            // The draws are of mixtures, the value of what departs.
+            *sum += share * variance / (mean * mean) / 3.0;
+        }
+        let discrepancies = set.discrepancies.iter();
+        let discrepancies: Vec<f64> = discrepancies
+            .map(|d| d.factor(theta_h_deg, theta_d_deg).ln())
+            .collect();
+        let beyond =
+            inadequacy(set.misfit, theta_h_deg, theta_d_deg).hypot(deviation(&discrepancies));
+        cell.relative_variance[Source::Model as usize] += beyond * beyond / 3.0;
+    }
+    Some(cell)
+}

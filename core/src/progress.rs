@@ -1,0 +1,44 @@
+//! How far long work is, for whoever wants to show it: one trait for every function that
+//! takes more than a moment. `&()` shows nothing.
+
+/// Receives the progress of work; its methods may be called from any thread.
+///
+/// ```
+/// use std::sync::Mutex;
+/// use rig_core::Progress;
+///
+/// #[derive(Default)]
+/// struct Phases(Mutex<Vec<String>>);
+///
+/// impl Progress for Phases {
+///     fn begin(&self, phase: &str, _: Option<usize>) {
+///         self.0.lock().unwrap().push(phase.to_owned());
+///     }
+/// }
+///
+/// fn work(progress: &dyn Progress) {
+///     progress.begin("tracing paths", Some(2));
+///     progress.advance(1);
+///     progress.advance(1);
+/// }
+///
+/// work(&());
+/// let phases = Phases::default();
+/// work(&phases);
+/// assert_eq!(*phases.0.lock().unwrap(), ["tracing paths"]);
+/// ```
+pub trait Progress: Sync {
+    /// A phase begins, and the one before has ended. `steps` is the number of its equal steps,
+    /// where it is known.
+    fn begin(&self, phase: &str, steps: Option<usize>) {
+        let _ = (phase, steps);
+    }
+
+    /// So many more steps of the phase are done.
+    fn advance(&self, steps: usize) {
+        let _ = steps;
+    }
+}
+
+/// Shows nothing.
+impl Progress for () {}

@@ -1,0 +1,719 @@
+//! One pass over the cached paths: image and per-pixel Jacobian for given weights.
+//!
+//! Along a path, light gathered after record i is R; a continuation turns it into
+//! f·g·R, a connection adds f·w. The derivative with respect to atom n is the sum
+//! over records of (product of all factors before) · f_n · (what follows), formed
+//! from prefix products and the suffix R: no division by f, so a vertex where the
+//! current mixture is black still contributes (docs/adr/0002).
+
+use rayon::prelude::*;
+
+use super::cache::{Cache, Chunk, Records};
+use super::event::{LaneAtoms, MAX_LIGHTS, Record};
+use super::lanes::{Lanes, Portable};
+use crate::brdf::discrepancy::NODES;
+
+/// Which instructions evaluate the cache.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kernel {
+    /// Plain Rust; the same numbers on every machine.
+    Portable,
+    /// AVX2 with FMA and F16C.
+    Avx2,
+    /// AVX-512 (F, VL, DQ, BW) besides.
+    Avx512,
+}
+
+impl Kernel {
+    /// The fastest that this processor has.
+    pub fn detect() -> Self {
+        *Self::available().last().unwrap_or(&Kernel::Portable)
+    }
+
+    /// Those that this processor has, the fastest last.
+    pub fn available() -> &'static [Self] {
+        const ALL: [Kernel; 3] = [Kernel::Portable, Kernel::Avx2, Kernel::Avx512];
+        #[cfg(target_arch = "x86_64")]
+        let count = {
+            use std::arch::is_x86_feature_detected as has;
+            let avx2 = has!("avx2") && has!("fma") && has!("f16c");
+            let avx512 =
+                has!("avx512f") && has!("avx512vl") && has!("avx512dq") && has!("avx512bw");
+            1 + usize::from(avx2) + usize::from(avx2 && avx512)
+        };
+        #[cfg(not(target_arch = "x86_64"))]
+        let count = 1;
+        &ALL[..count]
+    }
+}
+
+impl std::fmt::Display for Kernel {
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        out.write_str(match self {
+            Kernel::Portable => "portable",
+            Kernel::Avx2 => "avx2",
+            Kernel::Avx512 => "avx512",
+        })
+    }
+}
+
+/// One cell's multiple-reflection radiance per unit lamp strength: values and
+/// derivatives of both halves. Row `r = light · channels + channel`.
+pub struct CellRows<'a> {
+    /// The cell.
+    pub cell: usize,
+    /// `value[half][r]`.
+    pub value: [&'a [f32]; 2],
+    /// Variance of the mean of both halves, per row.
+    pub variance: &'a [f32],
+    /// `jacobian[half][r · atoms + atom]`.
+    pub jacobian: [&'a [f32]; 2],
+    /// Derivatives by ln f at the nodes of a discrepancy, `nodes[half][r · NODES + node]`; empty
+    /// unless asked for.
+    pub nodes: [&'a [f32]; 2],
+}
+
+/// Most accumulators of one evaluation: enough to keep many threads busy, few enough to be
+/// kept until all are there.
+const MAX_GROUPS: usize = 256;
+
+/// Weights of one mixture per channel; all channels may share one.
+pub type ChannelWeights<'a> = &'a [&'a [f64]];
+
+/// The discrepancy of a material in an evaluation.
+#[derive(Clone, Copy, Default)]
+pub struct NodeFactors<'a> {
+    /// Per channel, factors of f at the nodes of [`crate::brdf::discrepancy`]; empty
+    /// without discrepancy.
+    pub factors: &'a [[f32; NODES]],
+    /// Whether derivatives by ln f at the nodes are wanted.
+    pub by_node: bool,
+}
+
+impl Cache {
+    /// Evaluates every cell for `weights` (1 or 3 channels × atoms). `group` makes
+    /// an accumulator for each group of cells, `visit` adds a cell to it; the
+    /// accumulators come back in the order of the cells, whatever the threads did.
+    ///
+    /// # Panics
+    /// For a kernel that is not among [`Kernel::available`].
+    pub fn evaluate<T: Send>(
+        &self,
+        kernel: Kernel,
+        weights: ChannelWeights<'_>,
+        group: impl Fn() -> T + Sync,
+        visit: impl Fn(&mut T, &CellRows<'_>) + Sync,
+    ) -> Vec<T> {
+        self.evaluate_with_discrepancy(kernel, weights, &NodeFactors::default(), group, visit)
+    }
+
+    /// [`Cache::evaluate`] for a mixture with discrepancy.
+    pub fn evaluate_with_discrepancy<T: Send>(
+        &self,
+        kernel: Kernel,
+        weights: ChannelWeights<'_>,
+        discrepancy: &NodeFactors<'_>,
+        group: impl Fn() -> T + Sync,
+        visit: impl Fn(&mut T, &CellRows<'_>) + Sync,
+    ) -> Vec<T> {
+        assert!(
+            Kernel::available().contains(&kernel),
+            "this processor lacks kernel {kernel}"
+        );
+        macro_rules! by_channels {
+            ($chunks:expr, $b:literal) => {
+                match weights.len() {
+                    1 => {
+                        self.run::<$b, 1, _>(kernel, $chunks, weights, discrepancy, &group, &visit)
+                    }
+                    3 => {
+                        self.run::<$b, 3, _>(kernel, $chunks, weights, discrepancy, &group, &visit)
+                    }
+                    n => panic!("{n} channels of weights; 1 or 3 are possible"),
+                }
+            };
+        }
+        match &self.records {
+            Records::Blocks1(c) => by_channels!(c, 1),
+            Records::Blocks2(c) => by_channels!(c, 2),
+            Records::Blocks3(c) => by_channels!(c, 3),
+            Records::Blocks5(c) => by_channels!(c, 5),
+            Records::Blocks8(c) => by_channels!(c, 8),
+        }
+    }
+
+    fn run<const B: usize, const C: usize, T: Send>(
+        &self,
+        kernel: Kernel,
+        chunks: &[Chunk<B>],
+        weights: ChannelWeights<'_>,
+        discrepancy: &NodeFactors<'_>,
+        new: &(impl Fn() -> T + Sync),
+        visit: &(impl Fn(&mut T, &CellRows<'_>) + Sync),
+    ) -> Vec<T> {
+        let mixture = Mixture::<B, C>::new(&self.atoms, weights, discrepancy.factors);
+        let atoms = self.atoms.atoms();
+        let rows = self.lights * C;
+        chunks
+            .par_chunks(chunks.len().div_ceil(MAX_GROUPS).max(1))
+            // Groups differ in size: whoever is done takes the next.
+            .with_max_len(1)
+            .map(|group| {
+                let mut accumulator = new();
+                let mut scratch = Scratch::new();
+                let mut sums =
+                    [(); 2].map(|()| Sums::<B, C>::new(self.lights, discrepancy.by_node));
+                let mut jacobian = [(); 2].map(|()| vec![0.0; rows * atoms]);
+                let nodes = if discrepancy.by_node { rows * NODES } else { 0 };
+                let mut nodes = [(); 2].map(|()| vec![0.0; nodes]);
+                let mut values = [(); 2].map(|()| vec![0.0; rows]);
+                let mut variance = vec![0.0; rows];
+                for records in group {
+                    for p in 0..records.start.len() / 2 {
+                        for half in 0..2 {
+                            let range = records.start[2 * p + half] as usize
+                                ..records.start[2 * p + half + 1] as usize;
+                            pass(
+                                kernel,
+                                &records.records[range],
+                                &mixture,
+                                &mut scratch,
+                                &mut sums[half],
+                            );
+                            sums[half].rows(
+                                &self.atoms,
+                                self.samples_per_half,
+                                &mut values[half],
+                                &mut jacobian[half],
+                            );
+                            sums[half].by_node(self.samples_per_half, &mut nodes[half]);
+                        }
+                        let n = 2.0 * self.samples_per_half as f32;
+                        for (r, out) in variance.iter_mut().enumerate() {
+                            let mean = 0.5 * (values[0][r] + values[1][r]);
+                            let square = (sums[0].square(r) + sums[1].square(r)) / n;
+                            *out = ((square - mean * mean) / (n - 1.0)).max(0.0);
+                        }
+                        visit(
+                            &mut accumulator,
+                            &CellRows {
+                                cell: records.first_cell + p,
+                                value: [&values[0], &values[1]],
+                                variance: &variance,
+                                jacobian: [&jacobian[0], &jacobian[1]],
+                                nodes: [&nodes[0], &nodes[1]],
+                            },
+                        );
+                    }
+                }
+                accumulator
+            })
+            .collect()
+    }
+}
+
+/// Weights in lane order.
+struct Mixture<const B: usize, const C: usize> {
+    lanes: [[[f32; 8]; B]; C],
+    lambertian: [f32; C],
+    /// Of f, by the node of a record.
+    factors: [[f32; C]; 256],
+}
+
+impl<const B: usize, const C: usize> Mixture<B, C> {
+    fn new(atoms: &LaneAtoms, weights: ChannelWeights<'_>, factors: &[[f32; NODES]]) -> Self {
+        let mut mixture = Self {
+            lanes: [[[0.0; 8]; B]; C],
+            lambertian: [0.0; C],
+            factors: [[1.0; C]; 256],
+        };
+        for (c, factors) in factors.iter().enumerate().take(C) {
+            for (all, factor) in mixture.factors.iter_mut().zip(factors) {
+                all[c] = *factor;
+            }
+        }
+        for (c, weights) in weights.iter().enumerate().take(C) {
+            (mixture.lanes[c], mixture.lambertian[c]) = atoms.lane_weights::<B>(weights);
+        }
+        mixture
+    }
+}
+
+/// Sums over the paths of one half of a cell, per light.
+struct Sums<const B: usize, const C: usize>(
+    Vec<LightSums<B, C>>,
+    /// By ln f at the nodes, per light; empty unless asked for.
+    Vec<[[f32; C]; 256]>,
+);
+
+/// Sums under one light, per channel.
+#[derive(Clone, Copy)]
+struct LightSums<const B: usize, const C: usize> {
+    value: [f32; C],
+    square: [f32; C],
+    lambertian: [f32; C],
+    gradient: [[[f32; 8]; B]; C],
+}
+
+impl<const B: usize, const C: usize> Sums<B, C> {
+    fn new(lights: usize, by_node: bool) -> Self {
+        let sums = vec![
+            LightSums {
+                value: [0.0; C],
+                square: [0.0; C],
+                lambertian: [0.0; C],
+                gradient: [[[0.0; 8]; B]; C],
+            };
+            lights
+        ];
+        let nodes = if by_node { lights } else { 0 };
+        Self(sums, vec![[[0.0; C]; 256]; nodes])
+    }
+
+    fn square(&self, row: usize) -> f32 {
+        self.0[row / C].square[row % C]
+    }
+
+    /// Means over the samples by ln f at the nodes.
+    fn by_node(&self, samples: u32, out: &mut [f32]) {
+        let scale = 1.0 / samples as f32;
+        let rows = self
+            .1
+            .iter()
+            .flat_map(|nodes| (0..C).map(move |c| (nodes, c)));
+        for (out, (nodes, c)) in out.chunks_mut(NODES).zip(rows) {
+            for (out, node) in out.iter_mut().zip(nodes) {
+                *out = node[c] * scale;
+            }
+        }
+    }
+
+    /// Means over the samples, in the dictionary's order.
+    fn rows(&self, atoms: &LaneAtoms, samples: u32, values: &mut [f32], rows: &mut [f32]) {
+        let scale = 1.0 / samples as f32;
+        let n = atoms.atoms();
+        for (light, sums) in self.0.iter().enumerate() {
+            for c in 0..C {
+                let r = light * C + c;
+                values[r] = sums.value[c] * scale;
+                let row = &mut rows[r * n..(r + 1) * n];
+                atoms.atom_row(&sums.gradient[c], sums.lambertian[c], scale, row);
+            }
+        }
+    }
+}
+
+/// What the sweeps over a cell's records leave for each other.
+struct Scratch<const C: usize> {
+    /// Per record.
+    steps: Vec<Step<C>>,
+    /// Records that have a share in the light's derivative, and the factor of their
+    /// values there.
+    share: Vec<(u32, [f32; C])>,
+}
+
+/// What the forward sweep leaves of a record.
+#[derive(Clone, Copy)]
+struct Step<const C: usize> {
+    /// f of the mixture.
+    f: [f32; C],
+    /// f · weight, by which a continuation multiplies what comes after it.
+    gain: [f32; C],
+    /// Weight times the product of all gains before it on its path.
+    before: [f32; C],
+}
+
+impl<const C: usize> Scratch<C> {
+    fn new() -> Self {
+        Self {
+            steps: Vec::new(),
+            share: Vec::new(),
+        }
+    }
+
+    /// Room for `n` records.
+    #[expect(clippy::type_complexity, reason = "two slices of one scratch space")]
+    fn slices(&mut self, n: usize) -> (&mut [Step<C>], &mut [(u32, [f32; C])]) {
+        if self.steps.len() < n {
+            let step = Step {
+                f: [0.0; C],
+                gain: [0.0; C],
+                before: [0.0; C],
+            };
+            self.steps.resize(n, step);
+            self.share.resize(n, (0, [0.0; C]));
+        }
+        (&mut self.steps[..n], &mut self.share[..n])
+    }
+}
+
+/// Functions of their own: inlined into every caller they would be compiled many times over.
+fn pass<const B: usize, const C: usize>(
+    kernel: Kernel,
+    records: &[Record<B>],
+    mixture: &Mixture<B, C>,
+    scratch: &mut Scratch<C>,
+    sums: &mut Sums<B, C>,
+) {
+    match kernel {
+        Kernel::Portable => pass_portable::<B, C>(records, mixture, scratch, sums),
+        #[cfg(target_arch = "x86_64")]
+        // SAFETY: `Cache::evaluate` let only an available kernel pass.
+        Kernel::Avx2 => unsafe { pass_avx2::<B, C>(records, mixture, scratch, sums) },
+        #[cfg(target_arch = "x86_64")]
+        // SAFETY: as above.
+        Kernel::Avx512 => unsafe { pass_avx512::<B, C>(records, mixture, scratch, sums) },
+        #[cfg(not(target_arch = "x86_64"))]
+        _ => unreachable!("not available on this architecture"),
+    }
+}
+
+#[inline(never)]
+fn pass_portable<const B: usize, const C: usize>(
+    records: &[Record<B>],
+    mixture: &Mixture<B, C>,
+    scratch: &mut Scratch<C>,
+    sums: &mut Sums<B, C>,
+) {
+    sweep::<Portable, B, C>(records, mixture, scratch, sums);
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,fma,f16c")]
+fn pass_avx2<const B: usize, const C: usize>(
+    records: &[Record<B>],
+    mixture: &Mixture<B, C>,
+    scratch: &mut Scratch<C>,
+    sums: &mut Sums<B, C>,
+) {
+    sweep::<super::lanes::Avx2, B, C>(records, mixture, scratch, sums);
+}
+
+/// The same eight lanes, with the twice as many registers and the masks of AVX-512.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,fma,f16c,avx512f,avx512vl,avx512dq,avx512bw")]
+fn pass_avx512<const B: usize, const C: usize>(
+    records: &[Record<B>],
+    mixture: &Mixture<B, C>,
+    scratch: &mut Scratch<C>,
+    sums: &mut Sums<B, C>,
+) {
+    sweep::<super::lanes::Avx2, B, C>(records, mixture, scratch, sums);
+}
+
+/// Three sweeps without a branch on what a record is, as no processor predicts that:
+/// forward for f and the products before each record, backward per light for what is
+/// gathered after it, and over the records that have a share for the derivatives.
+/// What a record is enters as factors of 0 and 1.
+#[expect(
+    clippy::needless_range_loop,
+    reason = "only what is inlined here may use the kernel's instructions: loops, not closures"
+)]
+#[inline(always)]
+fn sweep<L: Lanes, const B: usize, const C: usize>(
+    records: &[Record<B>],
+    mixture: &Mixture<B, C>,
+    scratch: &mut Scratch<C>,
+    sums: &mut Sums<B, C>,
+) {
+    let n = records.len();
+    let (steps, shares) = scratch.slices(n);
+    let mut weights = [[L::splat(0.0); B]; C];
+    for c in 0..C {
+        for b in 0..B {
+            weights[c][b] = L::load(&mixture.lanes[c][b]);
+        }
+    }
+    let mut before = [0.0f32; C];
+    // By what the record before multiplies the product.
+    let mut factor = [0.0f32; C];
+    for i in 0..n {
+        let step = &mut steps[i];
+        let head = records[i].head();
+        let flags = head.flags();
+        let scale = head.scale();
+        let node_factors = &mixture.factors[head.node()];
+        let dot = records[i].dot::<L, C>(&weights);
+        // About as many records come next: the pixel's other half, or the next pixel.
+        L::prefetch(&records[i], n);
+        for c in 0..C {
+            let weight = head.weight * node_factors[c];
+            step.f[c] = L::fused(dot[c], scale, mixture.lambertian[c]);
+            let gain = step.f[c] * weight;
+            before[c] = L::fused(before[c], factor[c] * flags.later, flags.first);
+            step.before[c] = before[c] * weight;
+            step.gain[c] = gain;
+            factor[c] = L::fused(gain, flags.goes_on, flags.connects);
+        }
+    }
+
+    let mut is_lamp = [0.0f32; MAX_LIGHTS];
+    let Sums(by_atom, by_node) = sums;
+    for (light, sums) in by_atom.iter_mut().enumerate() {
+        is_lamp[light] = 1.0;
+        let mut count = 0;
+        let (mut value, mut square, mut lambertian) = ([0.0f32; C], [0.0f32; C], [0.0f32; C]);
+        let mut after = [0.0f32; C];
+        // 0 where the record before is the last of its path.
+        let mut same_path = 0.0;
+        for i in (0..n).rev() {
+            let step = &steps[i];
+            let head = records[i].head();
+            let flags = head.flags();
+            let connects = flags.connects * is_lamp[head.lamp()];
+            let mut share = [0.0f32; C];
+            for c in 0..C {
+                // A path never ends with a continuation: what is after it is its own.
+                let coefficient = step.before[c] * L::fused(after[c], flags.goes_on, connects);
+                let factor = L::fused(step.gain[c], flags.goes_on, flags.connects) * same_path;
+                after[c] = L::fused(after[c], factor, step.gain[c] * connects);
+                let total = after[c] * flags.first;
+                value[c] += total;
+                square[c] = L::fused(total, total, square[c]);
+                lambertian[c] += coefficient;
+                share[c] = coefficient;
+            }
+            same_path = flags.later;
+            shares[count] = (i as u32, share);
+            count += usize::from(share != [0.0; C]);
+        }
+        is_lamp[light] = 0.0;
+        let mut gradient = [[L::splat(0.0); B]; C];
+        for &(i, share) in &shares[..count] {
+            let i = i as usize;
+            let scale = records[i].head().scale();
+            for c in 0..C {
+                let share = share[c] * scale;
+                records[i].accumulate(share, &mut gradient[c]);
+            }
+        }
+        if let Some(nodes) = by_node.get_mut(light) {
+            nodes.fill([0.0; C]);
+            for &(i, share) in &shares[..count] {
+                let i = i as usize;
+                let node = &mut nodes[records[i].head().node()];
+                for c in 0..C {
+                    node[c] = L::fused(share[c], steps[i].f[c], node[c]);
+                }
+            }
+        }
+        for c in 0..C {
+            for b in 0..B {
+                gradient[c][b].store(&mut sums.gradient[c][b]);
+            }
+        }
+        (sums.value, sums.square, sums.lambertian) = (value, square, lambertian);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::brdf::dictionary::Dictionary;
+    use crate::geometry::Shape;
+    use crate::transport::{CacheOptions, Camera, Cells, Light, Projection, Scene, Shading};
+    use glam::{DVec2, DVec3};
+
+    fn scene() -> Scene {
+        let mesh = Shape::Bowl {
+            radius_mm: 1.0,
+            segments: 32,
+        }
+        .mesh()
+        .unwrap();
+        let camera = Camera::looking_at(
+            [8, 8],
+            Projection::Orthographic {
+                extent_mm: DVec2::splat(2.2),
+            },
+            DVec3::new(0.0, 0.0, 5.0),
+            DVec3::ZERO,
+            DVec3::Y,
+        )
+        .unwrap();
+        let light = |x: f64| Light::Directional {
+            to_light: DVec3::new(x, 0.1, 1.0).normalize(),
+            irradiance: [1.0; 3],
+            angular_radius_rad: 0.0,
+        };
+        Scene::new(mesh, Shading::Flat, camera, vec![light(0.0), light(0.4)])
+    }
+
+    /// Sum over all pixels of the radiance under each lamp, in f64, by walking the
+    /// records: the definition that the kernels must reproduce.
+    fn radiance<const B: usize>(
+        chunks: &[Chunk<B>],
+        atoms: &LaneAtoms,
+        weights: &[f64],
+        lights: usize,
+    ) -> Vec<f64> {
+        // Weights in f64: the kernels' own are rounded to f32.
+        let mut exact = vec![0.0f64; B * 8];
+        let mut lambertian = 0.0;
+        for (n, &weight) in weights.iter().enumerate() {
+            let mut unit = vec![0.0; atoms.atoms()];
+            unit[n] = 1.0;
+            let (one, constant) = atoms.lane_weights::<B>(&unit);
+            for (sum, value) in exact.iter_mut().zip(one.iter().flatten()) {
+                *sum += f64::from(*value) * weight;
+            }
+            lambertian += f64::from(constant) * weight;
+        }
+        let mut total = vec![0.0; lights];
+        for record_list in chunks.iter().map(|c| &c.records) {
+            let mut throughput = 1.0;
+            for record in record_list {
+                let head = record.head();
+                if head.is_first() {
+                    throughput = 1.0;
+                }
+                let mut f = lambertian;
+                let mut blocks = [Portable::splat(0.0); B];
+                record.accumulate(1.0, &mut blocks);
+                for (b, block) in blocks.into_iter().enumerate() {
+                    let mut values = [0.0; 8];
+                    block.store(&mut values);
+                    for i in 0..8 {
+                        f += f64::from(values[i]) * f64::from(head.scale()) * exact[b * 8 + i];
+                    }
+                }
+                match head.light() {
+                    Some(light) => total[light] += throughput * f * f64::from(head.weight),
+                    None => throughput *= f * f64::from(head.weight),
+                }
+            }
+        }
+        total
+    }
+
+    /// Central differences of the f64 walk against the kernels' Jacobian, summed over
+    /// the pixels, also with all weight on one atom (where the others' f is not a factor).
+    #[test]
+    fn jacobian_agrees_with_central_differences() {
+        let scene = scene();
+        for dictionary in [Dictionary::rig26(), Dictionary::paper42()] {
+            let options = CacheOptions {
+                samples_per_cell: 32,
+                max_reflections: 6,
+                ..CacheOptions::default()
+            };
+            let cache = Cache::trace(
+                &scene,
+                &Cells::of_pixels(scene.camera.resolution_px),
+                &dictionary,
+                &options,
+            )
+            .unwrap();
+            let n = dictionary.len();
+            let mut single = vec![0.0; n];
+            single[7] = 1.0;
+            let mut black = vec![0.0; n];
+            black[n - 1] = 1.0;
+            for weights in [vec![1.0 / n as f64; n], single, black] {
+                let walk = |w: &[f64]| match &cache.records {
+                    Records::Blocks3(c) => radiance(c, &cache.atoms, w, 2),
+                    Records::Blocks5(c) => radiance(c, &cache.atoms, w, 2),
+                    _ => panic!("unexpected layout"),
+                };
+                for &kernel in Kernel::available() {
+                    let (values, gradient) = totals(&cache, kernel, &weights);
+                    let expected = walk(&weights);
+                    for light in 0..2 {
+                        let scale = expected[light].abs().max(1e-12);
+                        assert!(
+                            (values[light] - expected[light]).abs() <= 1e-5 * scale,
+                            "{} {kernel}: {} for {}",
+                            dictionary.name(),
+                            values[light],
+                            expected[light]
+                        );
+                    }
+                    let step = 1e-5;
+                    let mut worst: f64 = 0.0;
+                    let largest = gradient
+                        .iter()
+                        .flatten()
+                        .fold(0.0f64, |m, v| m.max(v.abs()));
+                    for atom in 0..n {
+                        let (mut up, mut down) = (weights.clone(), weights.clone());
+                        up[atom] += step;
+                        down[atom] -= step;
+                        let (up, down) = (walk(&up), walk(&down));
+                        for light in 0..2 {
+                            let difference = (up[light] - down[light]) / (2.0 * step);
+                            let error = (gradient[light][atom] - difference).abs();
+                            worst =
+                                worst.max(error / difference.abs().max(1e-2 * largest).max(1e-2));
+                        }
+                    }
+                    assert!(
+                        worst < 1e-4,
+                        "{} {kernel}: worst {worst}",
+                        dictionary.name()
+                    );
+                }
+            }
+        }
+    }
+
+    /// Sums over pixels and samples of value and Jacobian per light.
+    fn totals(cache: &Cache, kernel: Kernel, weights: &[f64]) -> (Vec<f64>, Vec<Vec<f64>>) {
+        let n = weights.len();
+        let samples = f64::from(cache.samples_per_half);
+        let parts = cache.evaluate(
+            kernel,
+            &[weights],
+            || (vec![0.0; 2], vec![vec![0.0; n]; 2]),
+            |(values, gradient), rows| {
+                for half in 0..2 {
+                    for light in 0..2 {
+                        values[light] += samples * f64::from(rows.value[half][light]);
+                        let jacobian = &rows.jacobian[half][light * n..][..n];
+                        for (sum, &row) in gradient[light].iter_mut().zip(jacobian) {
+                            *sum += samples * f64::from(row);
+                        }
+                    }
+                }
+            },
+        );
+        let mut sum = (vec![0.0; 2], vec![vec![0.0; n]; 2]);
+        for (values, gradient) in parts {
+            for light in 0..2 {
+                sum.0[light] += values[light];
+                for (sum, part) in sum.1[light].iter_mut().zip(&gradient[light]) {
+                    *sum += part;
+                }
+            }
+        }
+        sum
+    }
+
+    #[test]
+    fn results_do_not_depend_on_the_number_of_threads() {
+        let scene = scene();
+        let dictionary = Dictionary::paper42();
+        let run = |threads: usize, kernel: Kernel| {
+            let pool = rayon::ThreadPoolBuilder::new()
+                .num_threads(threads)
+                .build()
+                .unwrap();
+            pool.install(|| {
+                let options = CacheOptions {
+                    samples_per_cell: 16,
+                    ..CacheOptions::default()
+                };
+                let cache = Cache::trace(
+                    &scene,
+                    &Cells::of_pixels(scene.camera.resolution_px),
+                    &dictionary,
+                    &options,
+                )
+                .unwrap();
+                totals(&cache, kernel, &vec![1.0 / 42.0; 42])
+            })
+        };
+        for &kernel in Kernel::available() {
+            assert_eq!(run(1, kernel), run(3, kernel), "{kernel}");
+        }
+    }
+}

@@ -1,0 +1,124 @@
+//! Quantities whose unit would otherwise be a guess at the call site.
+//!
+//! Only what crosses floors is a type; inside a function a suffixed name
+//! (`theta_h_rad`, `radiance_w_m2_sr`) is enough.
+
+use serde::{Deserialize, Serialize};
+
+/// A duration of light collection or of waiting, in seconds.
+#[derive(Clone, Copy, Debug, PartialEq, PartialOrd, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Seconds(pub f64);
+
+impl Seconds {
+    /// The same duration for `std` timers; negative and non-finite values become zero.
+    pub fn to_duration(self) -> std::time::Duration {
+        std::time::Duration::try_from_secs_f64(self.0).unwrap_or_default()
+    }
+}
+
+impl std::fmt::Display for Seconds {
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        if self.0.abs() < 1.0 {
+            write!(out, "{:.3} ms", self.0 * 1e3)
+        } else {
+            write!(out, "{:.3} s", self.0)
+        }
+    }
+}
+
+/// Where a light stage points its lamp, in degrees, in the stage's own axes.
+///
+/// The direction from the sample towards the lamp is
+/// `(cos el · cos az, cos el · sin az, sin el)` in the stage frame: an
+/// elevation of 90° is straight above the sample.
+///
+/// ```
+/// use glam::DVec3;
+/// use rig_core::units::StageAngles;
+///
+/// let lamp = StageAngles { azimuth_deg: 90.0, elevation_deg: 60.0 };
+/// let to_light = lamp.to_light();
+/// assert!(to_light.distance(DVec3::new(0.0, 0.5, 0.75f64.sqrt())) < 1e-12);
+/// assert!((StageAngles::from_direction(to_light).elevation_deg - 60.0).abs() < 1e-9);
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct StageAngles {
+    /// Rotation about the stage's +z axis, degrees.
+    pub azimuth_deg: f64,
+    /// Height above the stage's xy plane, degrees.
+    pub elevation_deg: f64,
+}
+
+impl StageAngles {
+    /// Unit vector from the sample towards the lamp, stage frame.
+    pub fn to_light(self) -> glam::DVec3 {
+        let (sin_az, cos_az) = self.azimuth_deg.to_radians().sin_cos();
+        let (sin_el, cos_el) = self.elevation_deg.to_radians().sin_cos();
+        glam::DVec3::new(cos_el * cos_az, cos_el * sin_az, sin_el)
+    }
+
+    /// The angles whose [`Self::to_light`] is `direction` (any length > 0).
+    /// Straight up has azimuth 0.
+    pub fn from_direction(direction: glam::DVec3) -> Self {
+        let d = direction.normalize();
+        let horizontal = d.x.hypot(d.y);
+        let azimuth_deg = if horizontal < 1e-12 {
+            0.0
+        } else {
+            d.y.atan2(d.x).to_degrees()
+        };
+        Self {
+            azimuth_deg,
+            elevation_deg: d.z.atan2(horizontal).to_degrees(),
+        }
+    }
+}
+
+impl std::fmt::Display for StageAngles {
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(
+            out,
+            "azimuth {:.3}°, elevation {:.3}°",
+            self.azimuth_deg, self.elevation_deg
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn stage_angles_and_directions_are_inverse() {
+        for (azimuth_deg, elevation_deg) in
+            [(0.0, 0.0), (35.0, 60.0), (-120.0, 12.5), (180.0, 89.0)]
+        {
+            let back = StageAngles::from_direction(
+                StageAngles {
+                    azimuth_deg,
+                    elevation_deg,
+                }
+                .to_light(),
+            );
+            assert!(
+                (back.azimuth_deg - azimuth_deg).abs() < 1e-9,
+                "azimuth {azimuth_deg}"
+            );
+            assert!(
+                (back.elevation_deg - elevation_deg).abs() < 1e-9,
+                "elevation {elevation_deg}"
+            );
+        }
+    }
+
+    #[test]
+    fn straight_up_is_plus_z() {
+        let up = StageAngles {
+            azimuth_deg: 77.0,
+            elevation_deg: 90.0,
+        }
+        .to_light();
+        assert!((up - glam::DVec3::Z).length() < 1e-12);
+    }
+}

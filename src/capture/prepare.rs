@@ -1,0 +1,504 @@
+//! A capture from a rig file to a session: planned and checked while nothing moves, begun on
+//! devices, resumed from its folder.
+//!
+//! ```no_run
+//! use rig::capture::open::{OpenOptions, open_devices};
+//! use rig::capture::prepare::{CaptureRequest, Lights, prepare};
+//! use rig::config::{Surroundings, resolve_rig};
+//! use rig::interrupt::Interrupt;
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! let rig = resolve_rig(Some("simulated"), &Surroundings::of_process(), Vec::new)?;
+//! let request = CaptureRequest::new(Lights::Count(4), "sessions");
+//! let prepared = prepare(&rig, &request, &mut |notice| eprintln!("{notice:?}"))?;
+//! println!("{} lights take {}", prepared.plan().lights.len(), prepared.plan().estimated_s);
+//! let devices = open_devices(&rig.config, &OpenOptions::default())?;
+//! let job = prepared.begin(devices, &mut |_| ())?;
+//! println!("{}", job.root().display());
+//! job.run(&mut (), Interrupt::new())?;
+//! # Ok(())
+//! # }
+//! ```
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use super::findings::{Notice, PrepareError};
+use super::light_choice::{self, Ranking};
+use super::open::Devices;
+use super::plan::{LightChoice, Pace, PlanRequest, check_space, plan};
+use super::reach::StageReach;
+use super::records::Records;
+use super::{Capture, CaptureError, Observer, Outcome, RadianceSink, region_of_interest};
+use crate::calibration::Library;
+use crate::calibration::depth_of_field::{self, DepthOfField};
+use crate::calibration::slanted_edge::FocusValues;
+use crate::config::BuildError;
+use crate::config::simulation::MaterialSpec;
+use crate::config::{ResolvedRig, RigConfig};
+use crate::interrupt::Interrupt;
+use crate::radiometry::sensor::SensorNoise;
+use crate::session::commit::SystemDisk;
+use crate::session::journal::sha256_hex;
+use crate::session::layout::{CALIBRATION_FOLDER, session_name};
+use crate::session::rig_copy::scene_files;
+use crate::session::{
+    CalibrationCopy, Event, NewSession, PlanRecord, Session, SessionRecord, SessionWriter, Versions,
+};
+use crate::transport::visibility::{Concern, Visibility};
+use crate::units::StageAngles;
+
+/// Angle that [`Lights::All`] keeps between two lights, degrees.
+pub const ALL_SPACING_DEG: f64 = 15.0;
+/// Directions closer than this are one, radians: 0.001°.
+const SAME_LIGHT_RAD: f64 = 1.7e-5;
+
+/// Which light directions are wanted.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Lights {
+    /// This many, spread evenly.
+    Count(usize),
+    /// All that keep [`ALL_SPACING_DEG`] between them.
+    All,
+    /// This many, 1 to [`light_choice::CANDIDATES`]: those that are most informative about a material
+    /// of which nothing is known.
+    Best(usize),
+    /// These, in this order.
+    Listed(Vec<StageAngles>),
+}
+
+/// What is to be captured.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CaptureRequest {
+    /// Under which lights.
+    pub lights: Lights,
+    /// Name of the sample: letters, digits, dots, hyphens, underscores. `None`: the material's
+    /// name on a simulated rig, else `sample`.
+    pub sample: Option<String>,
+    /// The folder that receives the session's folder.
+    pub folder: PathBuf,
+    /// Nothing will be captured: without a record the noise of a usual sensor is taken for
+    /// the estimates.
+    pub only_plan: bool,
+}
+
+impl CaptureRequest {
+    /// A sample without a name.
+    pub fn new(lights: Lights, folder: impl Into<PathBuf>) -> Self {
+        Self {
+            lights,
+            sample: None,
+            folder: folder.into(),
+            only_plan: false,
+        }
+    }
+}
+
+/// A capture that is planned and checked.
+pub struct Prepared<'a> {
+    rig: &'a ResolvedRig,
+    sample: String,
+    folder: PathBuf,
+    records: Records,
+    noise: SensorNoise,
+    request: PlanRequest,
+    plan: PlanRecord,
+    ranking: Option<Ranking>,
+}
+
+/// Plans a capture and checks what can be checked without a device: calibration records,
+/// what the camera sees of the sample, what the lights reach. Remarks go to `notice`.
+///
+/// # Errors
+/// What refuses the capture.
+pub fn prepare<'a>(
+    rig: &'a ResolvedRig,
+    request: &CaptureRequest,
+    notice: &mut dyn FnMut(Notice<'_>),
+) -> Result<Prepared<'a>, PrepareError> {
+    let config = &rig.config;
+    // Calibration records.
+    let records = Records::load(&Library::of_rig(rig), config)?;
+    records.check(config, jiff::Timestamp::now(), notice);
+
+    // What the camera sees.
+    check_view(config, notice)?;
+    let blur = sample_blur(config, records.focus())?;
+    let limit_px = config.capture.blur_limit_px;
+    if let Some(blur) = blur.filter(|blur| blur.worst.disc_px > limit_px) {
+        notice(Notice::Blur { blur, limit_px });
+    }
+    let noise = match (request.only_plan, records.sensor_id()) {
+        (true, None) => SensorNoise::usual(config.camera.bit_depth, config.camera.gain),
+        _ => records.noise(config)?,
+    };
+
+    // The lights and the plan.
+    let reach = StageReach::of_rig(config)?;
+    let mut ranking = None;
+    let lights = match &request.lights {
+        Lights::Count(count) => LightChoice::Count(*count),
+        Lights::All => LightChoice::Spacing(ALL_SPACING_DEG),
+        Lights::Best(count) => {
+            let found = light_choice::best(config, &reach, *count, notice)?;
+            let lights = found.best.iter().map(|ranked| ranked.light).collect();
+            ranking = Some(found);
+            LightChoice::Listed(lights)
+        }
+        Lights::Listed(lights) => {
+            check_each_once(lights)?;
+            LightChoice::Listed(lights.clone())
+        }
+    };
+    let plan_request = PlanRequest::of_rig(config, reach, lights);
+    let planned = plan(&plan_request, &noise)?;
+    check_lights(config, &planned.lights)?;
+    Ok(Prepared {
+        rig,
+        sample: request
+            .sample
+            .clone()
+            .unwrap_or_else(|| sample_name(config)),
+        folder: request.folder.clone(),
+        records,
+        noise,
+        request: plan_request,
+        plan: planned,
+        ranking,
+    })
+}
+
+impl Prepared<'_> {
+    /// The plan, by the rig file's description of the camera.
+    pub fn plan(&self) -> &PlanRecord {
+        &self.plan
+    }
+
+    /// Of [`Lights::Best`]: what each light is expected to leave unknown.
+    pub fn ranking(&self) -> Option<&Ranking> {
+        self.ranking.as_ref()
+    }
+
+    /// Id of the sensor record that the estimates are made by.
+    pub fn sensor_id(&self) -> Option<&str> {
+        self.records.sensor_id()
+    }
+
+    /// Whether the disk has room for the session.
+    ///
+    /// # Errors
+    /// [`CaptureError::NotEnoughSpace`].
+    pub fn check_space(&self) -> Result<(), CaptureError> {
+        let reserve_bytes = self.rig.config.capture.disk_reserve_bytes;
+        check_space(&self.plan, &self.folder, reserve_bytes)
+    }
+
+    /// Whether the sample's name can be that of a session.
+    ///
+    /// # Errors
+    /// [`SessionError::SampleName`](crate::session::SessionError::SampleName).
+    pub fn check_name(&self) -> Result<(), PrepareError> {
+        let now = jiff::Timestamp::now();
+        session_name(now, &self.sample, &short_id(now))?;
+        Ok(())
+    }
+
+    /// Makes the session on these devices. Nothing has moved afterwards either.
+    ///
+    /// # Errors
+    /// The camera is not the rig file's, or the session cannot be written.
+    pub fn begin(
+        mut self,
+        mut devices: Devices,
+        notice: &mut dyn FnMut(Notice<'_>),
+    ) -> Result<Job, PrepareError> {
+        // The plan for the camera that is connected.
+        let config = &self.rig.config;
+        let camera = devices.camera.info().clone();
+        let (is, stated) = (camera.resolution_px, config.camera.resolution_px);
+        if is != stated {
+            return Err(PrepareError::Resolution { is, stated });
+        }
+        let sensor_c = devices.camera.temperature_c();
+        self.records.check_temperature(config, sensor_c, notice);
+        let of_rig_file = self.request.rules.exposure;
+        self.request.narrow_to(&camera);
+        if self.request.rules.exposure != of_rig_file {
+            self.plan = plan(&self.request, &self.noise)?;
+        }
+
+        // The session, with copies of all that it depends on.
+        let created = jiff::Timestamp::now();
+        let copies = self.records.copies();
+        let record = SessionRecord {
+            sample: self.sample,
+            created_utc: created.strftime("%Y-%m-%dT%H:%M:%SZ").to_string(),
+            simulated: config.is_simulated(),
+            true_material: true_material(config),
+            seed: (config.simulation.as_ref()).map_or(config.fit.seed, |s| s.seed),
+            rig: self.rig.file.clone(),
+            config: config.text.clone(),
+            versions: Versions {
+                rig: env!("CARGO_PKG_VERSION").to_owned(),
+                camera,
+                stage: devices.stage.info().clone(),
+            },
+            plan: self.plan,
+            calibration: copies
+                .iter()
+                .filter(|copy| copy.is_record)
+                .map(|copy| CalibrationCopy {
+                    id: copy.name.trim_end_matches(".toml").to_owned(),
+                    file: format!("{CALIBRATION_FOLDER}/{}", copy.name),
+                    sha256: sha256_hex(&copy.bytes),
+                })
+                .collect(),
+        };
+        let records = copies.into_iter().map(|copy| (copy.name, copy.bytes));
+        let calibration: Vec<_> = records.chain(scene_files(config)?).collect();
+        let session = SessionWriter::create(
+            Arc::new(SystemDisk),
+            &NewSession {
+                parent: &self.folder,
+                created,
+                short_id: &short_id(created),
+                record: &record,
+                calibration: &calibration,
+            },
+        )?;
+        Job::new(config.clone(), devices, session, self.noise)
+    }
+}
+
+/// An interrupted session that is ready to go on.
+pub struct Interrupted {
+    config: RigConfig,
+    session: SessionWriter,
+    noise: SensorNoise,
+    begun: Vec<(StageAngles, bool)>,
+}
+
+/// Opens an interrupted session for writing. Files that no journal record names are moved
+/// to its quarantine.
+///
+/// # Errors
+/// The session or its copies of the calibration cannot be used, or another process has it.
+pub fn resume(root: &Path) -> Result<Interrupted, PrepareError> {
+    let session = Session::open(root)?;
+    let config = session.rig()?;
+    StageReach::of_rig(&config)?.check(&session.record().plan.lights)?;
+    let begun = session.begun_lights();
+    let session = SessionWriter::resume(Arc::new(SystemDisk), root)?;
+    let copies = Library::Folder(root.join(CALIBRATION_FOLDER));
+    Ok(Interrupted {
+        noise: Records::noise_of_copies(&copies, &config)?,
+        config,
+        session,
+        begun,
+    })
+}
+
+impl Interrupted {
+    /// The rig as it was.
+    pub fn rig(&self) -> &RigConfig {
+        &self.config
+    }
+
+    /// For [`OpenOptions::begun`](super::open::OpenOptions::begun).
+    pub fn begun(&self) -> &[(StageAngles, bool)] {
+        &self.begun
+    }
+
+    /// Whether files were moved to the quarantine just now.
+    pub fn has_quarantined(&self) -> bool {
+        let last = self.session.journal().records.last();
+        matches!(
+            last.map(|record| &record.event),
+            Some(Event::Resume { quarantined: 1.. })
+        )
+    }
+
+    /// Goes on with these devices.
+    ///
+    /// # Errors
+    /// The scene cannot be built.
+    pub fn go_on(self, devices: Devices) -> Result<Job, PrepareError> {
+        Job::new(self.config, devices, self.session, self.noise)
+    }
+}
+
+/// A capture with its session and its devices: all that remains is to run it.
+pub struct Job {
+    config: RigConfig,
+    devices: Devices,
+    session: SessionWriter,
+    noise: Arc<SensorNoise>,
+    region_of_interest: Vec<bool>,
+}
+
+impl Job {
+    fn new(
+        config: RigConfig,
+        devices: Devices,
+        session: SessionWriter,
+        noise: SensorNoise,
+    ) -> Result<Self, PrepareError> {
+        let scene = config.geometry.scene(&[])?;
+        Ok(Self {
+            region_of_interest: region_of_interest::sample_pixels(&scene, &config.geometry.camera),
+            noise: Arc::new(noise),
+            config,
+            devices,
+            session,
+        })
+    }
+
+    /// The session's folder.
+    pub fn root(&self) -> &Path {
+        self.session.root()
+    }
+
+    /// The rig.
+    pub fn rig(&self) -> &RigConfig {
+        &self.config
+    }
+
+    /// Whether the lamp stays on when the computer or the cable fails.
+    pub fn lacks_watchdog(&self) -> bool {
+        !self.config.is_simulated() && !self.devices.stage.info().has_watchdog
+    }
+
+    /// Captures and merges what the session does not hold yet. However it ends, the lamp is
+    /// off; a session that was not finished can be resumed.
+    ///
+    /// # Errors
+    /// What the capture met that it cannot go on with.
+    pub fn run(
+        self,
+        observer: &mut dyn Observer,
+        interrupt: Interrupt,
+    ) -> Result<Outcome, CaptureError> {
+        let Devices {
+            stage,
+            camera,
+            bench,
+        } = self.devices;
+        let config = &self.config;
+        let colours = config.stage.measures.iter().map(|m| m.colours()).collect();
+        let sink = RadianceSink::new(
+            Arc::clone(&self.noise),
+            config.camera.mosaic,
+            colours,
+            self.session.root().to_owned(),
+        );
+        let outcome = Capture {
+            camera,
+            stage,
+            session: self.session,
+            reserve_bytes: config.capture.disk_reserve_bytes,
+            position_tolerance_deg: config.stage.position_tolerance_deg(),
+            pace: Pace::of_rig(config),
+            noise: &self.noise,
+            region_of_interest: Some(&self.region_of_interest),
+            sink: Box::new(sink),
+            observer,
+            interrupt,
+        }
+        .run();
+        // The simulated firmware ends after its stage.
+        drop(bench);
+        outcome
+    }
+}
+
+/// Refuses a bench whose camera does not see the front of the sample.
+fn check_view(config: &RigConfig, notice: &mut dyn FnMut(Notice<'_>)) -> Result<(), PrepareError> {
+    let scene = config.geometry.scene(&[])?;
+    for remark in scene.remarks() {
+        notice(Notice::File(remark));
+    }
+    let seen = Visibility::of(&scene);
+    for concern in seen.concerns() {
+        if concern.is_fatal() {
+            let seen = Box::new(seen);
+            return Err(PrepareError::View { concern, seen });
+        }
+        notice(Notice::View {
+            concern: &concern,
+            seen: &seen,
+        });
+    }
+    Ok(())
+}
+
+/// Refuses lights that reach nothing of what the camera sees.
+fn check_lights(config: &RigConfig, lights: &[StageAngles]) -> Result<(), PrepareError> {
+    let seen = Visibility::of(&config.geometry.scene(lights)?);
+    for concern in seen.concerns() {
+        if let Concern::Unlit { light, .. } = concern {
+            return Err(PrepareError::Unlit {
+                concern,
+                angles: lights[light],
+                seen: Box::new(seen),
+            });
+        }
+    }
+    Ok(())
+}
+
+/// Refuses a direction that is named twice: its light would count as two.
+fn check_each_once(lights: &[StageAngles]) -> Result<(), PrepareError> {
+    for (number, &second) in lights.iter().enumerate() {
+        let is_same =
+            |first: &&StageAngles| first.to_light().distance(second.to_light()) < SAME_LIGHT_RAD;
+        if let Some(&first) = lights[..number].iter().find(is_same) {
+            return Err(PrepareError::SameLight { first, second });
+        }
+    }
+    Ok(())
+}
+
+/// How far a rig's lens blurs the sample, by the record of its focus where there is one.
+/// `None` where no aperture is known or the camera does not see the sample.
+///
+/// # Errors
+/// The scene cannot be built.
+pub fn sample_blur(
+    config: &RigConfig,
+    focus: Option<&FocusValues>,
+) -> Result<Option<DepthOfField>, BuildError> {
+    let mut geometry = config.geometry.clone();
+    if let Some(focus) = focus {
+        focus.apply(&mut geometry);
+    }
+    if geometry.camera.object_na <= 0.0 {
+        return Ok(None);
+    }
+    let scene = geometry.scene(&[])?;
+    Ok(depth_of_field::over_sample(
+        &scene,
+        config.capture.blur_limit_px,
+    ))
+}
+
+fn true_material(config: &RigConfig) -> Option<String> {
+    let simulation = config.simulation.as_ref()?;
+    Some(match &simulation.material {
+        MaterialSpec::Bundled { source, name } => format!("{source}:{name}"),
+        MaterialSpec::Brdf(_) => "the rig file's simulation.brdf".to_owned(),
+    })
+}
+
+/// The bundled material's name on a simulated rig, else `sample`.
+fn sample_name(config: &RigConfig) -> String {
+    match config.simulation.as_ref().map(|s| &s.material) {
+        Some(MaterialSpec::Bundled { name, .. }) => name.clone(),
+        _ => "sample".to_owned(),
+    }
+}
+
+/// Six hexadecimal digits that distinguish sessions begun in one second.
+fn short_id(created: jiff::Timestamp) -> String {
+    let key = format!("{} {}", created.as_nanosecond(), std::process::id());
+    sha256_hex(key.as_bytes())[..6].to_owned()
+}

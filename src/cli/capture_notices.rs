@@ -1,0 +1,87 @@
+//! What is found while a capture is prepared, in words for the terminal, with what to do.
+
+use indicatif::ProgressBar;
+
+use super::context::Context;
+use super::error::CliError;
+use super::preflight::{self, Keys};
+use super::sharpness;
+use crate::calibration::fitness::Concern;
+use crate::capture::findings::{Notice, PrepareError};
+use crate::config::RigConfig;
+
+/// What else to do about a record that does not match its checksum.
+pub(super) const CHANGED_ON_PURPOSE: &str =
+    ", or remove the record's line `checksum` if it was changed on purpose";
+
+/// Shows notices as they come: warnings, and a spinner while directions are compared.
+pub(super) struct Terminal<'a> {
+    context: &'a Context,
+    spinner: Option<ProgressBar>,
+}
+
+impl<'a> Terminal<'a> {
+    /// On stderr.
+    pub(super) fn new(context: &'a Context) -> Self {
+        Self {
+            context,
+            spinner: None,
+        }
+    }
+
+    pub(super) fn show(&mut self, notice: Notice<'_>) {
+        self.finish();
+        let text = match notice {
+            Notice::Comparing { directions } => {
+                let spinner = self.context.spinner();
+                spinner.set_message(format!("comparing {directions} light directions"));
+                self.spinner = Some(spinner);
+                return;
+            }
+            Notice::Record { kind, concern } => {
+                let otherwise = match concern {
+                    Concern::Changed { .. } => CHANGED_ON_PURPOSE,
+                    _ => "",
+                };
+                let (kind, command) = (kind.folder(), kind.command());
+                format!("{kind}: {concern}; run `rig calibrate {command}`{otherwise}")
+            }
+            Notice::Temperature(concern) => {
+                format!("{concern}; let the camera warm up as it had then, or calibrate anew")
+            }
+            Notice::WarmUp { needed_s, stated_s } => format!(
+                "lamp: it takes {needed_s:.0} s to warm up and capture.lamp_warm_up_s is \
+                 {stated_s:.0}; set it to {:.0}",
+                needed_s.ceil()
+            ),
+            Notice::File(remark) => remark.to_string(),
+            Notice::View { concern, seen } => preflight::fact(concern, seen),
+            Notice::Blur { blur, limit_px } => {
+                let concern = sharpness::concern(&blur, limit_px);
+                format!("{concern}; {}", sharpness::REMEDY)
+            }
+        };
+        self.context.warn(text);
+    }
+
+    /// Ends the spinner.
+    pub(super) fn finish(&mut self) {
+        if let Some(spinner) = self.spinner.take() {
+            spinner.finish_and_clear();
+        }
+    }
+}
+
+/// The error with the advice that needs the rig file.
+pub(super) fn advised(error: PrepareError, rig: &RigConfig) -> CliError {
+    let keys = Keys::rig(rig);
+    match &error {
+        PrepareError::View { concern, seen } => CliError::new(preflight::fact(concern, seen))
+            .hint(preflight::remedy(concern, seen, keys)),
+        PrepareError::Unlit { concern, seen, .. } => {
+            let remedy = preflight::remedy(concern, seen, keys);
+            CliError::from(error).hint(remedy)
+        }
+        _ => error.into(),
+    }
+}

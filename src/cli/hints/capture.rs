@@ -1,0 +1,42 @@
+//! Advice on opening devices and preparing a capture.
+
+use crate::capture::findings::PrepareError;
+use crate::capture::open::OpenError;
+
+pub(super) fn for_open(error: &OpenError) -> Option<String> {
+    Some(match error {
+        OpenError::Mosaic { .. } => "correct camera.mosaic or camera.format in the rig file".into(),
+        OpenError::NoSerial => "build it with the feature `serial`".into(),
+        OpenError::NoVideo4Linux => "build it with the feature `v4l`".into(),
+        OpenError::Device(_)
+        | OpenError::Scene(_)
+        | OpenError::Simulated { .. }
+        | OpenError::NoOperator => return None,
+    })
+}
+
+pub(super) fn for_prepare(error: &PrepareError) -> Option<String> {
+    Some(match error {
+        PrepareError::SceneFile(_) => {
+            "`mesh`, `table` and `weights` in the rig file are relative to that file".into()
+        }
+        PrepareError::NoSensorRecord { .. } => {
+            "measure the sensor once with `rig calibrate sensor`".into()
+        }
+        PrepareError::SameLight { .. } => {
+            "name each direction once; how well a light repeats, `rig stage repeatability` tells"
+                .into()
+        }
+        PrepareError::Resolution { .. } => {
+            "correct camera.resolution_px in the rig file; `rig camera info` shows what the camera offers".into()
+        }
+        PrepareError::LightSelection(_) => {
+            "`--lights N` spreads the lights evenly with any dictionary".into()
+        }
+        PrepareError::NoFit { .. } => {
+            "`rig fit SESSION` makes one; before a capture, `rig capture --lights best:N` chooses"
+                .into()
+        }
+        _ => return None,
+    })
+}

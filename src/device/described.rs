@@ -1,0 +1,213 @@
+//! Cameras that cannot be queried: the rig file describes them, and a program or a person
+//! takes each frame with the settings that it is given.
+//!
+//! A driver is a [`FrameSource`], in a file of its own with a [`Driver`] that names it in rig
+//! files, and a line in [`DRIVERS`].
+
+use std::ffi::OsStr;
+use std::path::Path;
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+use super::retake::FrameFault;
+use super::{
+    Camera, CameraInfo, CameraSettings, DeviceError, FrameKey, RawFrame, command_camera,
+    folder_camera, image_file, nearest_exposure, outside,
+};
+use crate::units::Seconds;
+
+/// Every driver of this kind.
+pub const DRIVERS: &[Driver] = &[command_camera::DRIVER, folder_camera::DRIVER];
+
+/// A driver as rig files name it.
+#[derive(Debug)]
+pub struct Driver {
+    /// Value of `camera.driver`.
+    pub name: &'static str,
+    /// The one key of `[camera]` that is this driver's own.
+    pub key: &'static str,
+    /// What the key may be, as errors state it.
+    pub allowed: &'static str,
+    /// Whether the key is a path, relative to the rig file.
+    pub is_path: bool,
+    /// Whether the driver takes this value of the key.
+    pub accepts: fn(&OsStr) -> bool,
+    /// Where frames come from by this value, for a person; or why none can.
+    pub ready: fn(&OsStr) -> Result<String, DeviceError>,
+    /// Makes the camera of a value that it accepts.
+    pub open: fn(&OsStr, Description) -> Result<Box<dyn Camera>, DeviceError>,
+}
+
+impl PartialEq for Driver {
+    fn eq(&self, other: &Self) -> bool {
+        self.name == other.name
+    }
+}
+
+/// What a rig file says of such a camera, and what its driver may start.
+pub struct Description {
+    /// The camera; the driver states the model.
+    pub info: CameraInfo,
+    /// How long a frame may take beyond its exposure.
+    pub timeout: Seconds,
+    /// A process that ends the camera's program when this one is gone, see
+    /// [`command_camera::keep`].
+    pub keeper: Option<Command>,
+}
+
+/// The frame that is wanted.
+#[derive(Clone, Debug)]
+pub struct Wanted {
+    /// Counted from 1.
+    pub number: u64,
+    /// Exposure and gain to take it with.
+    pub settings: CameraSettings,
+    /// Exposure and time-out together.
+    pub timeout: Seconds,
+    /// When that is over.
+    pub deadline: Instant,
+    resolution_px: [u32; 2],
+    bit_depth: u32,
+}
+
+impl Wanted {
+    /// Reads the image file that holds it.
+    ///
+    /// # Errors
+    /// The file is not such a frame.
+    pub fn read(&self, path: &Path) -> Result<RawFrame, FrameFault> {
+        image_file::read(path, self.resolution_px, self.bit_depth)
+    }
+}
+
+/// How such a camera's frames are taken.
+pub trait FrameSource: Clone + Send + 'static {
+    /// What a frame that never comes was a reply to.
+    const SENT: &'static str;
+
+    /// What errors call the camera.
+    fn name(&self) -> String;
+
+    /// Takes a frame and returns by its deadline. It runs on a thread that is abandoned
+    /// where a file system does not respond.
+    ///
+    /// # Errors
+    /// No frame, or not one of this camera.
+    fn take(&self, wanted: &Wanted) -> Result<RawFrame, DeviceError>;
+}
+
+/// A camera that cannot be queried.
+#[derive(Clone, Debug)]
+pub struct DescribedCamera<S> {
+    source: S,
+    info: CameraInfo,
+    timeout: Seconds,
+    settings: Option<CameraSettings>,
+    frames: u64,
+}
+
+impl<S: FrameSource> DescribedCamera<S> {
+    /// A camera with these properties, whose frames may take `timeout` beyond their exposure.
+    pub fn new(source: S, info: CameraInfo, timeout: Seconds) -> Self {
+        Self {
+            source,
+            info,
+            timeout,
+            settings: None,
+            frames: 0,
+        }
+    }
+}
+
+impl<S: FrameSource> Camera for DescribedCamera<S> {
+    fn info(&self) -> &CameraInfo {
+        &self.info
+    }
+
+    /// The values go with each frame; nothing can be read back, so that only the images
+    /// show whether they were applied.
+    fn configure(&mut self, requested: CameraSettings) -> Result<CameraSettings, DeviceError> {
+        let applied = CameraSettings {
+            exposure: nearest_exposure(&self.info, requested.exposure),
+            gain: requested.gain,
+        };
+        self.settings = Some(applied);
+        Ok(applied)
+    }
+
+    fn set_shutter(&mut self, _open: bool) -> Result<bool, DeviceError> {
+        Ok(false)
+    }
+
+    fn grab(&mut self, _key: FrameKey) -> Result<RawFrame, DeviceError> {
+        let device = self.source.name();
+        let settings = self.settings.ok_or_else(|| DeviceError::Refused {
+            device: device.clone(),
+            command: "a frame".to_owned(),
+            reason: "it is not configured".to_owned(),
+        })?;
+        self.frames += 1;
+        let timeout = Seconds(settings.exposure.0 + self.timeout.0);
+        let wanted = Wanted {
+            number: self.frames,
+            settings,
+            timeout,
+            deadline: Instant::now() + timeout.to_duration(),
+            resolution_px: self.info.resolution_px,
+            bit_depth: self.info.bit_depth,
+        };
+        let source = self.source.clone();
+        outside::frame_within(device, timeout, S::SENT, move || source.take(&wanted))
+    }
+
+    fn longest_frame(&self, exposure: Seconds) -> Seconds {
+        let handovers = 2 * outside::HANDOVER;
+        Seconds(exposure.0 + self.timeout.0 + Duration::as_secs_f64(&handovers))
+    }
+}
+
+/// A failure of the system, by what it means for a device.
+pub(super) fn io_error(device: String, source: std::io::Error) -> DeviceError {
+    match source.kind() {
+        std::io::ErrorKind::NotFound => DeviceError::NotFound { device },
+        std::io::ErrorKind::PermissionDenied => DeviceError::PermissionDenied { device },
+        _ => DeviceError::Io { device, source },
+    }
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+    use crate::device::{FrameKind, Mosaic};
+
+    /// Any frame.
+    pub const KEY: FrameKey = FrameKey {
+        light: 0,
+        exposure: 0,
+        repeat: 0,
+        kind: FrameKind::Light,
+    };
+
+    /// A camera of 4 × 2 pixels and 12 bits, configured to `exposure_s` and `gain`.
+    pub fn configured<S: FrameSource>(
+        source: S,
+        timeout_s: f64,
+        exposure_s: f64,
+        gain: f64,
+    ) -> DescribedCamera<S> {
+        let info = CameraInfo {
+            driver: "described".to_owned(),
+            model: source.name(),
+            serial: String::new(),
+            resolution_px: [4, 2],
+            bit_depth: 12,
+            mosaic: Mosaic::None,
+            exposure_range: [Seconds(0.001), Seconds(30.0)],
+            exposure_step: Seconds(0.001),
+        };
+        let mut camera = DescribedCamera::new(source, info, Seconds(timeout_s));
+        let exposure = Seconds(exposure_s);
+        camera.configure(CameraSettings { exposure, gain }).unwrap();
+        camera
+    }
+}

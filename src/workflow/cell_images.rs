@@ -1,0 +1,144 @@
+//! Captured images averaged over a scene's cells while they are read, a few rows of all lights at
+//! a time: no image is ever in memory whole.
+
+use std::io::{Read, Seek};
+use std::path::Path;
+
+use super::WorkflowError;
+use crate::inverse::cells::{AverageError, Averager, Captured, CellOptions, choose};
+use crate::outside_file;
+use crate::radiance_image::RadianceImage;
+use crate::radiance_image::exr::{ExrError, ExrRows};
+use crate::radiometry::frame_file::picture;
+use crate::transport::Scene;
+
+/// Rows that are read together.
+const ROWS: usize = 16;
+
+/// Relative noise that images without a stated variance are taken to have.
+pub const UNSTATED_NOISE: f32 = 0.005;
+/// Radiance over the mean below which that noise gets no smaller.
+const DARK: f32 = 1e-3;
+
+/// An image that is about to be read.
+pub(super) struct Source<R> {
+    /// Its rows.
+    pub rows: ExrRows<R>,
+    /// Its name in messages.
+    pub file: String,
+    /// Mean radiance, where the file states no variance.
+    pub mean_of_unstated: Option<f32>,
+}
+
+impl<R: Read + Seek> Source<R> {
+    /// Of `rows`, where the file states variances; else `reopen` opens it once more for its mean.
+    ///
+    /// # Errors
+    /// The image cannot be read.
+    pub fn new(
+        rows: ExrRows<R>,
+        file: String,
+        reopen: impl FnOnce() -> Result<ExrRows<R>, ExrError>,
+    ) -> Result<Self, ExrError> {
+        let mean_of_unstated = match rows.has_variance() {
+            true => None,
+            false => Some(mean_radiance(&mut reopen()?)?),
+        };
+        Ok(Self {
+            rows,
+            file,
+            mean_of_unstated,
+        })
+    }
+
+    fn next_rows(&mut self) -> Result<RadianceImage, ExrError> {
+        let mut rows = self.rows.next_rows(ROWS)?;
+        if let Some(mean) = self.mean_of_unstated {
+            for (variance, radiance) in rows.variance.iter_mut().zip(&rows.mean) {
+                *variance = radiance.map(|m| (UNSTATED_NOISE * m.abs().max(DARK * mean)).powi(2));
+            }
+        }
+        Ok(rows)
+    }
+}
+
+fn mean_radiance<R: Read + Seek>(rows: &mut ExrRows<R>) -> Result<f32, ExrError> {
+    let (mut sum, mut count) = (0.0f64, 0usize);
+    loop {
+        let rows = rows.next_rows(ROWS)?;
+        if rows.height == 0 {
+            return Ok((sum / count.max(1) as f64) as f32);
+        }
+        let values = rows.mean.iter().flatten().filter(|v| v.is_finite());
+        sum += values.map(|v| f64::from(v.abs())).sum::<f64>();
+        count += 3 * rows.mean.len();
+    }
+}
+
+/// Largest mask, bytes: 250 megapixels of 16-bit RGB, not compressed.
+const LARGEST_MASK_BYTES: u64 = 3 << 29;
+
+/// Averages the images of a scene's lights over its cells, without what is dark in `mask`.
+///
+/// # Errors
+/// An image or mask that cannot be read or has another size, or of which nothing is valid.
+pub(super) fn average<R: Read + Seek>(
+    scene: &Scene,
+    mut sources: Vec<Source<R>>,
+    mask_path: Option<&Path>,
+    options: &CellOptions,
+) -> Result<Captured, WorkflowError> {
+    let resolution_px = scene.camera.resolution_px;
+    let mask = mask_path.map(|path| read_mask(path, resolution_px));
+    let mask = mask.transpose()?;
+    let mut averager = Averager::new(scene, choose(scene, options), sources.len())?;
+
+    // The same rows of all images at a time.
+    let mut first_row = 0;
+    while first_row < resolution_px[1] {
+        let mut rows = Vec::with_capacity(sources.len());
+        for source in &mut sources {
+            rows.push(source.next_rows()?);
+        }
+        let height = rows.first().map_or(0, |rows| rows.height);
+        if height == 0 {
+            break;
+        }
+        if let Some(mask) = &mask {
+            let used = &mask[first_row * resolution_px[0]..];
+            for image in &mut rows {
+                for (valid, used) in image.valid.iter_mut().zip(used) {
+                    *valid &= used;
+                }
+            }
+        }
+        averager.add(&rows);
+        first_row += height;
+    }
+
+    averager.finish().map_err(|source| match source {
+        AverageError::NothingValid { image } => WorkflowError::NothingValid {
+            file: sources.swap_remove(image).file,
+            source,
+            mask: mask.as_ref().zip(mask_path).map(|(mask, path)| {
+                let left = mask.iter().filter(|used| **used).count();
+                let percent = 100.0 * left as f64 / mask.len().max(1) as f64;
+                (path.to_owned(), percent)
+            }),
+        },
+        error => error.into(),
+    })
+}
+
+/// Which pixels a mask leaves, row by row.
+fn read_mask(path: &Path, resolution_px: [usize; 2]) -> Result<Vec<bool>, WorkflowError> {
+    let failed = |fact: String| WorkflowError::Mask {
+        path: path.to_owned(),
+        fact,
+    };
+    let bytes = outside_file::read_regular(path, LARGEST_MASK_BYTES)
+        .map_err(|error| failed(error.to_string()))?;
+    let mask = picture(&bytes, Some(resolution_px)).map_err(|error| failed(error.to_string()))?;
+    let mask = mask.to_luma8();
+    Ok(mask.as_raw().iter().map(|luma| *luma >= 128).collect())
+}

@@ -1,0 +1,116 @@
+//! Fitting a captured session.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use super::cell_images::Source;
+use super::fit_plan::FitPlan;
+use super::notice::{Notice, Observer};
+use super::scene_check::{DescribedIn, check_scene};
+use super::session_images::{CapturedSession, captured_session, measured_pose};
+use super::{BenchRecords, FitOutcome, FitRequest, FitWork, WorkflowError, lamp_drift};
+use crate::config::RigConfig;
+use crate::inverse::bench::with_sample_at;
+use crate::session::commit::SystemDisk;
+use crate::session::fit_record::{self, Grade, Warning};
+use crate::session::{SessionWriter, layout};
+use crate::units::StageAngles;
+
+/// Fits a session's merged images, on the bench as rig file and calibration records describe
+/// it, into the session's next `fits/<n>`.
+///
+/// # Errors
+/// A session, record, image or choice that cannot be used; images that cannot be the scene's;
+/// too little memory; a disk that takes no more. Nothing is written then.
+pub fn fit_session(
+    root: &Path,
+    request: &FitRequest,
+    observer: &dyn Observer,
+) -> Result<FitOutcome, WorkflowError> {
+    // Before a fit that may take hours, and released until it is there.
+    SessionWriter::open(Arc::new(SystemDisk), root)?.check_writable(layout::FITS_FOLDER)?;
+    let captured = captured_session(root)?;
+    let images = captured.image_rows(root)?;
+    let CapturedSession {
+        session,
+        config,
+        mut positions,
+    } = captured;
+
+    // The bench as measured, and how well it is known.
+    let records = BenchRecords::load(root)?;
+    let is_scale_described = !config.is_simulated() && !records.has_irradiance();
+    if is_scale_described {
+        observer.notice(Notice::ScaleAsDescribed);
+    }
+    let mut bench = records.apply(&config, &mut positions, observer);
+    let mut scene = bench.scene(&positions, observer)?;
+    let mut uncertainty = bench.priors;
+    if let Some(pose) = measured_pose(root, request.pose.as_deref())? {
+        let [rotation_rad, translation_mm] = pose.pose();
+        scene = with_sample_at(scene, rotation_rad, translation_mm);
+        uncertainty.pose_covariance = Some(pose.covariance_rad_mm());
+    }
+    let drift = session.lamp_drift()?;
+    uncertainty.intensity = match uncertainty.intensity {
+        known if known > 0.0 => known.hypot(drift.of_intensities()),
+        exact => exact,
+    };
+    let sample = &config.geometry.sample;
+    let plan = FitPlan::new(request, Some(&config.fit), &uncertainty, sample.form_error)?;
+    check_scene(&scene, DescribedIn::Rig, &sample.surface, observer)?;
+
+    // The images, and the truth where the bench is simulated.
+    let sources = (0..).zip(images).map(|(light, rows)| Source {
+        rows,
+        file: root
+            .join(layout::radiance_file(light))
+            .display()
+            .to_string(),
+        mean_of_unstated: None,
+    });
+    let captured = plan.average(&scene, sources.collect())?;
+    let truth = match &config.simulation {
+        Some(simulation) => Some(simulation.material.load()?),
+        None => None,
+    };
+    let record = session.record();
+    let name = record.true_material.as_deref();
+    let name = name.unwrap_or("simulated material");
+    let truth = truth.as_ref().map(|brdf| (name, &**brdf));
+
+    // The fit, and what the session adds to what is to be known of it.
+    let (mut fit, images) = plan.run(&scene, &captured, record.simulated, truth, observer)?;
+    if is_scale_described {
+        fit.remarks.push(Notice::ScaleAsDescribed.to_string());
+    }
+    fit.warnings
+        .extend(session.journal().suspicion().map(|what| Warning {
+            what,
+            likely_cause: "an axis that slipped or was blocked: the fit takes the lights to be where they were asked for; capture anew".to_owned(),
+            grade: Grade::Reservation,
+        }));
+    if let Some(remark) = lamp_drift::remark(&drift) {
+        observer.notice(Notice::Remark(&remark));
+        fit.remarks.push(remark);
+    }
+    let mut writer = SessionWriter::open(Arc::new(SystemDisk), root)?;
+    let folder = fit_record::commit(&mut writer, &fit, &images)?;
+    writer.refresh_manifest()?;
+    Ok(FitOutcome {
+        folder,
+        record: fit,
+    })
+}
+
+/// How much a fit without any request will have to do, of images under these lights.
+///
+/// # Errors
+/// A rig whose scene cannot be built.
+pub fn work_of(config: &RigConfig, lights: &[StageAngles]) -> Result<FitWork, WorkflowError> {
+    let form_error = config.geometry.sample.form_error;
+    let request = FitRequest::default();
+    let plan = FitPlan::new(&request, Some(&config.fit), &config.uncertainty, form_error)?;
+    let scene = config.geometry.scene(lights)?;
+    Ok(plan.work(plan.cells_of(&scene), lights.len()))
+}

@@ -1,0 +1,58 @@
+//! What the program does as functions of the library: fitting a captured session, fitting
+//! images of a described scene. Each has its own request and result types and reports what
+//! happens meanwhile to an [`Observer`]; the command line only parses, shows and advises.
+//!
+//! ```no_run
+//! use std::path::Path;
+//! use rig::workflow::{FitRequest, fit_session};
+//!
+//! let request = FitRequest {
+//!     samples_per_cell: Some(256),
+//!     ..FitRequest::default()
+//! };
+//! let outcome = fit_session(Path::new("sessions/red-plastic"), &request, &())?;
+//! println!("{:?}: {:?}", outcome.folder, outcome.record.verdict());
+//! # Ok::<(), rig::workflow::WorkflowError>(())
+//! ```
+
+mod bench_records;
+mod cell_images;
+mod error;
+mod facets;
+mod fit_images;
+mod fit_memory;
+mod fit_plan;
+mod fit_request;
+mod fit_session;
+mod fit_work;
+mod lamp_drift;
+mod notice;
+mod scene_check;
+mod session_images;
+mod summary;
+mod warnings;
+
+pub use bench_records::{BenchRecords, KnownBench, apply_lens};
+pub use cell_images::UNSTATED_NOISE;
+pub use error::WorkflowError;
+pub use facets::{coarse_facets, remark_on_facets};
+pub use fit_images::{ImageFit, fit_images};
+pub use fit_request::FitRequest;
+pub use fit_session::{fit_session, work_of};
+pub use fit_work::FitWork;
+pub use notice::{Notice, Observer};
+pub use scene_check::{DescribedIn, SceneConcern, check_scene, extent_in_image, millimetres};
+pub use session_images::{SessionImages, session_images};
+
+use std::path::PathBuf;
+
+use crate::session::fit_record::FitRecord;
+
+/// A fit that was written.
+#[derive(Clone, Debug)]
+pub struct FitOutcome {
+    /// The folder that holds it.
+    pub folder: PathBuf,
+    /// What it holds, but its images.
+    pub record: FitRecord,
+}

@@ -1,0 +1,110 @@
+//! What a workflow reports while it runs.
+
+use std::fmt;
+
+use super::scene_check::SceneConcern;
+use super::{FitWork, UNSTATED_NOISE};
+use crate::progress::Progress;
+
+/// A fact that is worth knowing before the result is there.
+#[derive(Clone, Copy, Debug)]
+pub enum Notice<'a> {
+    /// The bench is taken from a calibration record, not from the rig file.
+    ByRecord {
+        /// What the record measured, such as `irradiance`.
+        what: &'static str,
+        /// The record.
+        id: &'a str,
+    },
+    /// The lens of a record cannot be used.
+    UnusableLens {
+        /// The record.
+        id: &'a str,
+        /// Why.
+        fact: &'a str,
+    },
+    /// A record of light directions lacks some of the lights.
+    UnmeasuredDirections {
+        /// The record.
+        id: &'a str,
+        /// Lights without a measured direction.
+        lights: usize,
+        /// All lights.
+        of: usize,
+    },
+    /// A record of the irradiance lacks some of the lights.
+    UnmeasuredIntensities {
+        /// Lights without a measured intensity.
+        lights: usize,
+        /// All lights.
+        of: usize,
+    },
+    /// The irradiance is only as stated in the rig file.
+    ScaleAsDescribed,
+    /// What the scene's files had to be relieved of.
+    OfScene(&'a str),
+    /// Something of the scene makes it hard to measure.
+    Scene(&'a SceneConcern),
+    /// An image states no variance.
+    AssumedNoise {
+        /// The image.
+        file: &'a str,
+    },
+    /// A fact that the fit's record keeps among its remarks.
+    Remark(&'a str),
+    /// How much the fit is going to do.
+    Work(FitWork),
+    /// The material differs from every mixture of the dictionary.
+    Discrepancy {
+        /// The dictionary.
+        dictionary: &'a str,
+        /// How much, in units of what measured materials usually do.
+        amplitude: f64,
+    },
+}
+
+impl fmt::Display for Notice<'_> {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        use Notice::*;
+        match *self {
+            ByRecord { what, id } => write!(out, "{what} by record {id}"),
+            UnusableLens { id, fact } => write!(out, "record {id}: {fact}"),
+            UnmeasuredDirections { id, lights, of } => write!(
+                out,
+                "record {id} has no direction of {lights} of {of} lights: those of the rig file are used"
+            ),
+            UnmeasuredIntensities { lights, of } => write!(
+                out,
+                "intensities of {lights} of {of} lights were not measured: they count as the mean of the others"
+            ),
+            ScaleAsDescribed => out.write_str(
+                "no record of the irradiance: the BRDF's scale, its albedo, is as good as irradiance_w_m2 in the rig file",
+            ),
+            OfScene(text) | Remark(text) => out.write_str(text),
+            Scene(concern) => concern.fmt(out),
+            AssumedNoise { file } => write!(
+                out,
+                "{file}: no variance is stated; a relative noise of {UNSTATED_NOISE} is assumed"
+            ),
+            Work(work) => work.fmt(out),
+            Discrepancy {
+                dictionary,
+                amplitude,
+            } => write!(
+                out,
+                "the material differs from every mixture of {dictionary}, {amplitude:.1} times as much as measured materials usually do; its f in table.csv and in exports to merl, rgl and pbrt allows for it, weights and an export to mitsuba are the closest mixture"
+            ),
+        }
+    }
+}
+
+/// Receives the notices and the progress of a workflow; `()` ignores them.
+pub trait Observer: Progress {
+    /// A fact that is worth knowing now.
+    fn notice(&self, notice: Notice<'_>) {
+        let _ = notice;
+    }
+}
+
+/// Ignores everything.
+impl Observer for () {}

@@ -1,0 +1,296 @@
+//! What speaks against a fit, and its most likely causes.
+
+use crate::brdf::check;
+use crate::inverse::Fit;
+use crate::inverse::diagnosis::Cause;
+use crate::inverse::findings::{Finding, Flip};
+use crate::radiance_image::CHANNEL_NAMES;
+use crate::session::fit_record::{FitRecord, Grade, UNEXPLAINED_CHI_SQUARE, Warning};
+
+/// Reasons not to trust a fit, or not in everything, with what most likely made them; the
+/// gravest first.
+pub(super) fn of_fit(fit: &Fit, record: &FitRecord) -> Vec<Warning> {
+    let mut warnings = Vec::new();
+    let mut warn = |grade: Grade, what: String, likely_cause: &str| {
+        warnings.push(Warning {
+            what,
+            likely_cause: likely_cause.to_owned(),
+            grade,
+        });
+    };
+
+    // By the residual and the images.
+    let grave = match record.worst_reduced_chi_square() {
+        Some(worst) if worst > UNEXPLAINED_CHI_SQUARE => Grade::Distrust,
+        _ => Grade::Reservation,
+    };
+    let has_cause = describe_excess(fit, |what, likely_cause| warn(grave, what, likely_cause));
+    for finding in &fit.findings {
+        if matches!(finding, Finding::Misfit { .. }) && has_cause {
+            continue;
+        }
+        let (grade, what, likely_cause) = describe(finding);
+        warn(grade, what, likely_cause);
+    }
+
+    // By how the fit was made.
+    for (light, &share) in record.truncation_remainder.iter().enumerate() {
+        if share > NOTABLE_REMAINDER {
+            warn(
+                Grade::Reservation,
+                format!(
+                    "paths of more than {} reflections, which were not followed, hold {:.2}% of the light (light {light})",
+                    record.settings.max_reflections,
+                    100.0 * share
+                ),
+                "--max-reflections is too small for so bright a material in so deep a shape",
+            );
+        }
+    }
+    for (light, &part) in fit.outlier_fraction.iter().enumerate() {
+        if part > NOTABLE_OUTLIERS {
+            warn(
+                Grade::Reservation,
+                format!(
+                    "{:.1}% of the values of light {light} are isolated outliers and have less weight",
+                    100.0 * part
+                ),
+                "dust or scratches on the sample, or hot pixels",
+            );
+        }
+    }
+    // A mixture reflects at most what arrives; with a model discrepancy, it may not.
+    let excess = || check::check_with(&fit.material, ALBEDO_DIRECTIONS, 0).excess();
+    if let Some((albedo, theta_deg, channel)) = (fit.discrepancy > 0.0).then(excess).flatten() {
+        let grade = if albedo > IMPOSSIBLE_ALBEDO {
+            Grade::Distrust
+        } else {
+            Grade::Reservation
+        };
+        warn(
+            grade,
+            format!(
+                "the material, with its discrepancy from the mixture, would reflect {:.0}% of the {} light that arrives at {theta_deg}° from the normal",
+                100.0 * albedo,
+                CHANNEL_NAMES[channel]
+            ),
+            "angles that the images show little of, or intensities that are off; capture more lights, or render the mixture alone (rig export --format mitsuba)",
+        );
+    }
+    if fit.samples[0] < FEW_PATHS {
+        warn(
+            Grade::Reservation,
+            format!(
+                "{} paths per cell were followed; below {FEW_PATHS} the paths' noise can steer the fit",
+                fit.samples[0]
+            ),
+            "--spp or --memory is small",
+        );
+    }
+    warnings.sort_by_key(|warning| std::cmp::Reverse(warning.grade));
+    warnings
+}
+
+/// Describes an excess residual with its cause, or as of no known cause; `false` without excess.
+fn describe_excess(fit: &Fit, mut warn: impl FnMut(String, &str)) -> bool {
+    let diagnosis = &fit.diagnosis;
+    let deviations = diagnosis.mean_square.sqrt();
+    if let Some(cause) = diagnosis.finding() {
+        let part = Cause::ALL
+            .into_iter()
+            .zip(diagnosis.explained)
+            .find(|(c, _)| *c == cause)
+            .map_or(0.0, |(_, part)| {
+                100.0 * (part / diagnosis.mean_square).clamp(0.0, 1.0)
+            });
+        warn(
+            format!(
+                "the images differ from those of the material by {deviations:.1} times what noise and model error allow (root mean square), {part:.0}% of it as {} would",
+                looks_like(cause)
+            ),
+            advice(cause),
+        );
+        true
+    } else if diagnosis.is_unexplained() {
+        warn(
+            format!(
+                "the images differ from those of the material by {deviations:.1} times what noise and model error allow (root mean square), not as any one fault would"
+            ),
+            "a depth or shape that is not the mesh's, light that spreads below the surface, or a material beyond the mixtures and the model discrepancy; the report's residuals show where",
+        );
+        true
+    } else {
+        false
+    }
+}
+
+/// What a finding means for the result, the fact, and its most likely cause.
+fn describe(finding: &Finding) -> (Grade, String, &'static str) {
+    use Grade::{Distrust, Reservation};
+    // Beyond this much, either way, a factor is no inaccuracy.
+    let by_factor = |ratio: f64, limit: f64| {
+        if ratio.ln().abs() > limit.ln() {
+            Distrust
+        } else {
+            Reservation
+        }
+    };
+    match *finding {
+        Finding::NoInformation { channel } => (
+            Distrust,
+            format!(
+                "the images contain no information on the material in the {} channel: the result is the prior",
+                CHANNEL_NAMES[channel]
+            ),
+            "variances as large as the images, too few paths (--spp), or a mask that leaves too little",
+        ),
+        Finding::DarkChannel { image, channel } => (
+            Reservation,
+            format!(
+                "image {image} shows no light above its noise in the {} channel",
+                CHANNEL_NAMES[channel]
+            ),
+            "a lamp or filter without this colour; the material's values there are upper limits",
+        ),
+        Finding::Misfit { mean_square } => (
+            if mean_square > UNEXPLAINED_CHI_SQUARE {
+                Distrust
+            } else {
+                Reservation
+            },
+            format!(
+                "the images differ from those of the material by {:.1} times what noise and model error allow (root mean square of the worst image and channel)",
+                mean_square.sqrt()
+            ),
+            "few values that are far off, such as glare or dust, or variances that are stated too small; the report's residuals show where",
+        ),
+        Finding::Unexplained { image, share } => (
+            Distrust,
+            format!(
+                "{:.0}% of the light of image {image} is not where the material puts it",
+                100.0 * share.min(9.99)
+            ),
+            "an image of something else, or a scene file whose camera, lights or sample are not those of the images",
+        ),
+        Finding::NoStructure { image } => (
+            Distrust,
+            format!(
+                "image {image} shows no shading of the sample: the same radiance in all pixels explains it as well"
+            ),
+            "an image of noise or of an evenly lit surface, or a scene file that is not of this image",
+        ),
+        Finding::Scatter { image, ratio } => (
+            by_factor(ratio, IMPOSSIBLE_SCATTER),
+            format!(
+                "neighbouring pixels of image {image} scatter by {} times the standard deviation that its variance states",
+                factor(ratio)
+            ),
+            if ratio > 1.0 {
+                "a variance that leaves out noise, such as that of the mean of several frames, or one in another unit"
+            } else {
+                "a variance in another unit, a standard deviation in its place, or images that were smoothed"
+            },
+        ),
+        Finding::TooBright { channel, ratio } => (
+            by_factor(ratio, IMPOSSIBLE_BRIGHTNESS),
+            format!(
+                "in the {} channel the images are {} times as bright as the brightest material that resembles them: it would reflect more light than arrives",
+                CHANNEL_NAMES[channel],
+                factor(ratio)
+            ),
+            "an irradiance or radiance in another unit, or not divided by the exposure; `rig calibrate white` measures the scale",
+        ),
+        Finding::Scale {
+            channel,
+            ratio,
+            log_std,
+        } => (
+            by_factor(ratio, IMPOSSIBLE_SCALE),
+            format!(
+                "in the {} channel direct light and interreflections agree if the irradiance is {} (± {:.0}%) times the stated one",
+                CHANNEL_NAMES[channel],
+                factor(ratio),
+                100.0 * log_std
+            ),
+            "an irradiance in another unit or of another lamp; `rig calibrate white` measures it, and --refine-bench --uncertainty common_intensity=1 fits it",
+        ),
+        Finding::Exchanged { image, light, flip } => (
+            Distrust,
+            format!(
+                "image {image} looks like that of light {light}{}",
+                match flip {
+                    Flip::None => "",
+                    Flip::Horizontal => " with left and right exchanged",
+                    Flip::Vertical => " with top and bottom exchanged",
+                    Flip::HalfTurn => " turned by 180°",
+                }
+            ),
+            match flip {
+                Flip::None => "images that are not in the order of the scene's lights",
+                _ => {
+                    "images that were mirrored or turned, or a camera whose `up` or side is another"
+                }
+            },
+        ),
+    }
+}
+
+/// Two significant digits.
+fn factor(ratio: f64) -> String {
+    match ratio.abs().log10().floor() {
+        magnitude if magnitude >= 4.0 => format!("{ratio:.1e}"),
+        magnitude => {
+            let digits = (1.0 - magnitude).max(0.0) as usize;
+            format!("{ratio:.digits$}")
+        }
+    }
+}
+
+/// Light beyond the longest path that a fit should not leave out.
+const NOTABLE_REMAINDER: f64 = 1e-3;
+/// Outlier fraction up to which dust needs no warning.
+const NOTABLE_OUTLIERS: f64 = 0.02;
+/// Paths per pixel from which independent halves work well.
+const FEW_PATHS: u32 = 128;
+/// Albedo from which a material is no result.
+const IMPOSSIBLE_ALBEDO: f64 = 1.2;
+/// Scatter of neighbouring pixels over the stated one, either way, that no noise model is off by.
+const IMPOSSIBLE_SCATTER: f64 = 10.0;
+/// Brightness over the brightest material's that no inaccuracy of the irradiance explains.
+const IMPOSSIBLE_BRIGHTNESS: f64 = 1.25;
+/// Factor between irradiances, either way, that no inaccuracy explains.
+const IMPOSSIBLE_SCALE: f64 = 1.5;
+/// Directions per technique that an albedo takes.
+const ALBEDO_DIRECTIONS: u32 = 1024;
+
+/// What the residual looks like, by cause.
+fn looks_like(cause: Cause) -> &'static str {
+    match cause {
+        Cause::StrayLight => "stray light",
+        Cause::ShapeOrPose => "a wrong shape or pose",
+        Cause::NonUniform => "a material that varies",
+        Cause::Translucency => "translucency or blur",
+        Cause::Dictionary => "a material beyond the dictionary",
+    }
+}
+
+/// What to look at, by cause.
+fn advice(cause: Cause) -> &'static str {
+    match cause {
+        Cause::StrayLight => {
+            "stray light from the room or the holder; darken it, or subtract frames taken with the lamp off"
+        }
+        Cause::ShapeOrPose => {
+            "pose or shape of the sample differ from the scene file's; measure its pose again"
+        }
+        Cause::NonUniform => {
+            "the material varies over the sample; fit a uniform region alone with --mask"
+        }
+        Cause::Translucency => {
+            "light spreads below the surface, or the image is not sharp; neither is part of the model"
+        }
+        Cause::Dictionary => {
+            "neither mixtures of the dictionary nor the model discrepancy describe the material; try another with --dictionary, or more lights"
+        }
+    }
+}
