@@ -8,7 +8,7 @@
 //!
 //! | floor | modules |
 //! |---|---|
-//! | 0 | [`units`], [`frames`], [`random`], [`shown`], [`radiance_image`], [`interrupt`], [`outside_file`], [`outside_text`], [`outside_table`], [`file_system`], [`whole_file`], [`plot`] |
+//! | 0 | [`units`], [`frames`], [`random`], [`shown`], [`statistics`], [`least_squares`], [`checksum`], [`radiance_image`], [`interrupt`], [`outside_file`], [`outside_text`], [`outside_table`], [`file_system`], [`whole_file`], [`plot`] |
 //! | 1 | [`brdf`], [`geometry`] |
 //! | 2 | [`transport`], [`radiometry`] |
 //! | 3 | [`inverse`], [`device`], [`simulation`] |
@@ -17,9 +17,11 @@
 //! | 6 | [`report`], [`export`] |
 //! | 7 | [`cli`] |
 
+pub mod checksum;
 pub mod file_system;
 pub mod frames;
 pub mod interrupt;
+pub mod least_squares;
 pub mod outside_file;
 pub mod outside_table;
 pub mod outside_text;
@@ -27,6 +29,7 @@ pub mod plot;
 pub mod radiance_image;
 pub mod random;
 pub mod shown;
+pub mod statistics;
 pub mod units;
 pub mod whole_file;
 
