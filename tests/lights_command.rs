@@ -82,7 +82,7 @@ fn capture(at: &Path, lights: &[&str]) -> PathBuf {
 }
 
 #[test]
-fn a_stage_is_found_where_it_truly_stands_and_a_fit_goes_by_it() {
+fn a_stage_is_found_where_it_truly_stands_and_a_fit_uses_it() {
     let folder = workplace();
     let at = folder.path();
     let session = capture(at, &LIGHTS);
@@ -102,13 +102,13 @@ fn a_stage_is_found_where_it_truly_stands_and_a_fit_goes_by_it() {
         let mut all = vec!["calibrate", "lights", session];
         all.extend(arguments);
         let refused = rig(at, &all);
-        let said = text(&refused.stderr);
-        assert_eq!(refused.status.code(), Some(1), "{said}");
+        let stderr = text(&refused.stderr);
+        assert_eq!(refused.status.code(), Some(1), "{stderr}");
         assert!(
-            said.contains(fact) && said.contains("hint:") && said.contains(advice),
-            "{said}"
+            stderr.contains(fact) && stderr.contains("hint:") && stderr.contains(advice),
+            "{stderr}"
         );
-        assert!(!records.exists(), "{said}");
+        assert!(!records.exists(), "{stderr}");
     }
 
     let output = good(rig(
@@ -193,9 +193,12 @@ fn a_stage_is_found_where_it_truly_stands_and_a_fit_goes_by_it() {
             "2",
         ],
     ));
-    let said = text(&fitted.stderr);
-    assert!(said.contains("light directions by record one"), "{said}");
-    assert!(said.contains("irradiance by record white"), "{said}");
+    let stderr = text(&fitted.stderr);
+    assert!(
+        stderr.contains("light directions by record one"),
+        "{stderr}"
+    );
+    assert!(stderr.contains("irradiance by record white"), "{stderr}");
     let few = "warning: 2 paths per cell were followed";
-    assert!(said.contains(few), "{said}");
+    assert!(stderr.contains(few), "{stderr}");
 }

@@ -11,7 +11,7 @@ use crate::config::geometry::GeometryConfig;
 use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
 use crate::units::StageAngles;
 
-/// The photon transfer curve with its fit, and how far counts depart from
+/// The photon transfer curve with its fit, and how far counts deviate from
 /// proportionality.
 pub fn photon_transfer(fit: &SensorFit) -> Figure {
     let values = &fit.values;
@@ -50,14 +50,14 @@ pub fn photon_transfer(fit: &SensorFit) -> Figure {
             dots("not in the fit", 2, false),
         ],
     };
-    let counted = departures(fit, |p| p.counted_dn);
-    let corrected = departures(fit, |p| p.signal_dn);
+    let counted = deviations(fit, |p| p.counted_dn);
+    let corrected = deviations(fit, |p| p.signal_dn);
     let all = counted.iter().chain(&corrected);
     let widest = all.map(|p| p[1].abs()).fold(0.5, f64::max);
     let linearity = Chart {
         title: "Linearity".to_owned(),
         x: Axis::linear(0.0..1.05 * top_dn, "signal above black (DN)"),
-        y: Axis::linear(-1.2 * widest..1.2 * widest, "departure from its mean (%)"),
+        y: Axis::linear(-1.2 * widest..1.2 * widest, "deviation from its mean (%)"),
         series: vec![
             Series::new("", 0, Mark::Line, vec![[0.0, 0.0], [1.05 * top_dn, 0.0]]),
             Series::new("counts over exposure", 3, Mark::Points, counted),
@@ -69,7 +69,7 @@ pub fn photon_transfer(fit: &SensorFit) -> Figure {
 
 /// Signal over exposure less its mean over the fitted flats, percent, up to
 /// saturation; from a twentieth of it, below which black level and noise rule.
-fn departures(fit: &SensorFit, signal_dn: fn(&TransferPoint) -> f64) -> Vec<[f64; 2]> {
+fn deviations(fit: &SensorFit, signal_dn: fn(&TransferPoint) -> f64) -> Vec<[f64; 2]> {
     let values = &fit.values;
     let usable_dn = values.saturation_dn - values.black_level_dn.value;
     let dark_dn_s = values.dark_current_e_s.value * values.gain_dn_per_e.value;

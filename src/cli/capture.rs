@@ -20,6 +20,7 @@ use crate::calibration::Library;
 use crate::capture::plan::{LightChoice, Pace, PlanRequest, check_space, plan};
 use crate::capture::reach::StageReach;
 use crate::capture::{Capture, Outcome, RadianceSink, Spent, interest};
+use crate::checksum::sha256_hex;
 use crate::config::RigConfig;
 use crate::config::simulation::{MaterialSpec, Timing};
 use crate::device::{CameraInfo, LampChannel};
@@ -27,7 +28,6 @@ use crate::interrupt::Signal;
 use crate::out;
 use crate::radiometry::sensor::SensorNoise;
 use crate::session::commit::SystemDisk;
-use crate::session::journal::sha256_hex;
 use crate::session::layout::{CALIBRATION_FOLDER, QUARANTINE_FOLDER};
 use crate::session::{
     CalibrationCopy, Event, ExposureRules, NewSession, PlanRecord, Session, SessionRecord,

@@ -1,5 +1,5 @@
-//! What is said of a lamp that drifted during a capture: a remark on the bench, not a
-//! verdict on the fit.
+//! The remark on a lamp that drifted during a capture: on the bench, not a verdict on the
+//! fit.
 
 use crate::session::LampDrift;
 use crate::session::drift::FALSE_ALARM_RATE;

@@ -1,29 +1,19 @@
-//! Whether the camera's depth of field covers the sample, said before a capture.
+//! Advice on the camera's depth of field over the sample.
 
 use super::CliError;
 use crate::calibration::depth_of_field::{self, DepthOfField};
 use crate::calibration::slanted_edge::FocusValues;
 use crate::config::RigConfig;
 
-/// The sample's blur on a rig, by its record of focus where there is one. `None` where
-/// no aperture is known or the camera does not see the sample.
+/// See [`depth_of_field::of_rig`].
 pub(super) fn of_rig(
     config: &RigConfig,
     focus: Option<&FocusValues>,
 ) -> Result<Option<DepthOfField>, CliError> {
-    let mut geometry = config.geometry.clone();
-    if let Some(focus) = focus {
-        focus.apply(&mut geometry);
-    }
-    if geometry.camera.object_na <= 0.0 {
-        return Ok(None);
-    }
-    let scene = geometry.scene(&[])?;
-    let limit_px = config.capture.blur_limit_px;
-    Ok(depth_of_field::over_sample(&scene, limit_px))
+    Ok(depth_of_field::of_rig(config, focus)?)
 }
 
-/// What there is to say against it; `None` where the whole sample is sharp enough.
+/// What speaks against a capture; `None` where the whole sample is sharp enough.
 pub(super) fn concern(found: &DepthOfField, limit_px: f64) -> Option<String> {
     if found.worst.disc_px <= limit_px {
         return None;

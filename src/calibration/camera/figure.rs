@@ -18,7 +18,7 @@ pub fn figure(fit: &CameraFit, resolution_px: [usize; 2]) -> Figure {
     };
     let far = of(true).map(|r| r.off_px.abs().max_element());
     let far = 1.1 * far.fold(0.01, f64::max);
-    let places = Chart {
+    let positions = Chart {
         title: format!("{} views of the board", fit.views),
         x: Axis::linear(0.0..width, "column (px)"),
         y: Axis::linear(0.0..height, "row from below (px)"),
@@ -45,5 +45,5 @@ pub fn figure(fit: &CameraFit, resolution_px: [usize; 2]) -> Figure {
             ]
         }),
     };
-    charts("camera", 3, &[places, offs, outwards])
+    charts("camera", 3, &[positions, offs, outwards])
 }

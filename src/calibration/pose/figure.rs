@@ -1,9 +1,9 @@
-//! A pose as a figure: where edges were compared, and what shift each place still shows.
+//! A pose as a figure: where edges were compared, and what shift each patch still shows.
 
 use super::{PoseEstimate, ResidualShift};
 use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
 
-/// Shifts, in pixels, above which places are marked apart.
+/// Shifts, in pixels, above which patches are marked apart.
 const CLASSES_PX: [f64; 2] = [0.1, 0.3];
 
 /// The patches in the image of `resolution_px`, and their shifts with error bars.
@@ -27,18 +27,18 @@ pub fn figure(found: &PoseEstimate, resolution_px: [usize; 2]) -> Figure {
             .enumerate()
             .filter(move |(_, s)| class(s) == wanted)
     };
-    let places = (0..3).map(|k| {
+    let patches = (0..3).map(|k| {
         // Row 0 is the top.
         let points = of(k)
             .map(|(_, s)| [s.at_px[0], height - s.at_px[1]])
             .collect();
         Series::new(&labels[k], k, Mark::Dots, points)
     });
-    let places = Chart {
+    let patches = Chart {
         title: "Where edges were compared".to_owned(),
         x: Axis::linear(0.0..width, "column (px)"),
         y: Axis::linear(0.0..height, "row from below (px)"),
-        series: places.collect(),
+        series: patches.collect(),
     };
     let far = found.shifts.iter().map(|s| s.shift_px.abs() + s.std_px);
     let far = 1.1 * far.fold(0.1, f64::max).min(2.0);
@@ -59,5 +59,5 @@ pub fn figure(found: &PoseEstimate, resolution_px: [usize; 2]) -> Figure {
         y: Axis::linear(-far..far, "shift (px)"),
         series: shifts.collect(),
     };
-    charts("pose", 2, &[places, shifts])
+    charts("pose", 2, &[patches, shifts])
 }

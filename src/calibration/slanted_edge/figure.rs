@@ -70,7 +70,7 @@ pub fn figure(edges: &[Edge], found: &Fitted) -> Figure {
 }
 
 /// Width of the Gaussian with the variance of point spread and disc, at a height between
-/// and beside the edges.
+/// and next to the edges.
 fn model(edges: &[Edge], found: &Fitted, height_mm: f64) -> f64 {
     let n = edges.len() as f64;
     let mean = |of: &dyn Fn(&Edge) -> f64| edges.iter().map(of).sum::<f64>() / n;

@@ -13,9 +13,10 @@ mod settings;
 mod statistics;
 mod table;
 
+pub use crate::statistics::quantile;
 pub use run::{Done, Outcome, Run, run};
 pub use settings::{Overrides, Scale, Settings};
-pub use statistics::{Spread, quantile, spread};
+pub use statistics::{Spread, spread};
 pub use table::{Row, Table, Value};
 
 use std::path::PathBuf;
