@@ -10,7 +10,7 @@
 //!
 //! | floor | modules |
 //! |---|---|
-//! | 0 | [`interrupt`], [`plot`] |
+//! | 0 | [`interrupt`], [`checksum`], [`plot`] |
 //! | 2 | [`radiometry`] |
 //! | 3 | [`device`], [`simulation`] |
 //! | 4 | [`benchmark`], [`scores`], [`config`], [`session`], [`calibration`] |
@@ -20,10 +20,12 @@
 //! | 8 | [`cli`] |
 
 pub use rig_core::{
-    brdf, file_system, frames, geometry, inverse, outside_file, outside_table, outside_text,
-    progress, radiance_image, random, shown, transport, units, whole_file,
+    brdf, file_system, frames, geometry, inverse, least_squares, outside_file, outside_table,
+    outside_text, progress, radiance_image, random, shown, statistics, transport, units,
+    whole_file,
 };
 
+pub mod checksum;
 pub mod interrupt;
 #[cfg(feature = "figures")]
 pub mod plot;

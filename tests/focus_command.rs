@@ -3,7 +3,6 @@
 
 mod command_support;
 
-
 use command_support::{changed, good, printed_session, run, small_bench, text};
 use serde_json::Value;
 
@@ -40,7 +39,7 @@ fn workplace(heights_mm: &[f64]) -> tempfile::TempDir {
             "brdf = { mixture = [ { weight = 1.0, lambertian = { albedo = 0.8 } } ] }",
         ),
         ("samples_per_pixel = 384", "samples_per_pixel = 600"),
-        // What is beside the target is black: nothing is gained by waiting for its light.
+        // The surroundings of the target are black: nothing is gained by waiting for its light.
         ("snr = 20.0", "snr = 1.0"),
         ("max_frames = 16", "max_frames = 2"),
         ("max_reflections = 32", "max_reflections = 1"),
@@ -66,7 +65,7 @@ fn workplace(heights_mm: &[f64]) -> tempfile::TempDir {
 }
 
 #[test]
-fn a_lens_is_measured_and_captures_go_by_it() {
+fn a_lens_is_measured_and_captures_use_it() {
     let heights_mm = [-9.0, -1.0, 6.0];
     let folder = workplace(&heights_mm);
     let at = folder.path();
@@ -92,12 +91,12 @@ fn a_lens_is_measured_and_captures_go_by_it() {
         "{}",
         text(&few.stderr)
     );
-    let beside = focus(&["--heights=-9,-1,6", "--region", "40,4,20,20"]);
-    assert_eq!(beside.status.code(), Some(1));
+    let outside = focus(&["--heights=-9,-1,6", "--region", "40,4,20,20"]);
+    assert_eq!(outside.status.code(), Some(1));
     assert!(
-        text(&beside.stderr).contains("hint:"),
+        text(&outside.stderr).contains("hint:"),
         "{}",
-        text(&beside.stderr)
+        text(&outside.stderr)
     );
     assert!(!at.join("calibration/simulated/focus").exists());
 

@@ -78,7 +78,7 @@ fn a_folder_of_photographs_becomes_a_response_and_radiance() {
 /// Linear frames whose names state the exposures: the report's ratios are 1, and
 /// a mosaic keeps its size only if asked.
 #[test]
-fn names_state_exposures_and_the_report_says_how_they_agree() {
+fn names_state_exposures_and_the_report_shows_how_they_agree() {
     let folder = tempfile::tempdir().unwrap();
     for (name, dn) in [("a_2ms.png", 100), ("b_8ms.png", 400)] {
         write_grey(&folder.path().join(name), 20, vec![64 + dn; 400]);

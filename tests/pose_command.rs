@@ -89,7 +89,7 @@ fn a_pose_is_measured_and_kept() {
 /// A bench whose sample, lens and stage all stand otherwise than its rig file says: with
 /// records of lens and directions the pose is found.
 #[test]
-fn a_pose_goes_by_the_records_of_lens_and_lights() {
+fn a_pose_uses_the_records_of_lens_and_lights() {
     let lens = "principal_point_px = [34.5, 30.5]\nradial = [0.02, 0.0, 0.0]\n";
     let folder = small_bench_with(&[
         ("\"realistic\"", "\"instant\""),

@@ -186,7 +186,7 @@ impl Case {
         dn.round().clamp(0.0, FULL_SCALE_DN) as u16
     }
 
-    fn believed(&self, flat: FlatField) -> SensorNoise {
+    fn noise_model(&self, flat: FlatField) -> SensorNoise {
         SensorNoise {
             black_level_spread_dn: self.black_spread_dn,
             dark_current_e_s: self.dark_e_s,
@@ -219,7 +219,7 @@ impl Case {
                 .collect(),
             std_dev: vec![self.flat_std as f32; truth.len()],
         };
-        let noise = self.believed(flat);
+        let noise = self.noise_model(flat);
         let height = truth.len() / SIDE;
         let mut merge = BracketMerge::new(&noise, Mosaic::None, SIDE, height).unwrap();
         let mut frame = 0;

@@ -239,7 +239,7 @@ fn whatever_is_damaged_is_said_and_what_can_be_made_again_is() {
     }
     assert_done(&run(folder, VERIFY));
     let manifest = fs::read_to_string(w.join(layout::MANIFEST_FILE)).unwrap();
-    let report = rig::session::journal::sha256_hex(&fs::read(w.join(layout::REPORT_FILE)).unwrap());
+    let report = rig::checksum::sha256_hex(&fs::read(w.join(layout::REPORT_FILE)).unwrap());
     assert!(manifest.contains(&format!("{report}  {}", layout::REPORT_FILE)));
 }
 

@@ -6,7 +6,7 @@
 //!
 //! | floor | modules |
 //! |---|---|
-//! | 0 | [`units`], [`frames`], [`random`], [`shown`], [`radiance_image`], [`outside_file`], [`outside_text`], [`outside_table`], [`file_system`], [`whole_file`], [`progress`] |
+//! | 0 | [`units`], [`frames`], [`random`], [`shown`], [`radiance_image`], [`outside_file`], [`outside_text`], [`outside_table`], [`file_system`], [`whole_file`], [`progress`], [`statistics`], [`least_squares`] |
 //! | 1 | [`brdf`], [`geometry`] |
 //! | 2 | [`transport`] |
 //! | 3 | [`inverse`] |
@@ -15,6 +15,7 @@
 
 pub mod file_system;
 pub mod frames;
+pub mod least_squares;
 pub mod outside_file;
 pub mod outside_table;
 pub mod outside_text;
@@ -22,6 +23,7 @@ pub mod progress;
 pub mod radiance_image;
 pub mod random;
 pub mod shown;
+pub mod statistics;
 pub mod units;
 pub mod whole_file;
 

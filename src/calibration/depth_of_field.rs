@@ -1,11 +1,13 @@
-//! Whether the depth of field covers the sample: how far what the camera sees of it is
-//! blurred by being out of focus.
+//! Whether the depth of field covers the sample: the defocus blur over the sample in view.
 
 use glam::DVec2;
 
+use super::slanted_edge::FocusValues;
+use crate::config::BuildError;
+use crate::config::RigConfig;
 use crate::transport::{Camera, Scene};
 
-/// Blur of a place on the sample.
+/// Blur at a point of the sample.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Blur {
     /// Height above the sample's datum, millimetres.
@@ -17,26 +19,46 @@ pub struct Blur {
 /// What the camera sees of the sample, by its sharpness.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DepthOfField {
-    /// The lowest and the highest place in view.
+    /// At the lowest and the highest point in view.
     pub ends: [Blur; 2],
-    /// The most blurred place.
+    /// At the most blurred point.
     pub worst: Blur,
-    /// Part of the places in view that are blurred by more than the limit.
+    /// Part of the points in view that are blurred by more than the limit.
     pub beyond: f64,
-    /// Heights between which nothing is, on the camera's axis; `None` where the lens has
+    /// Heights between which nothing is blurred by more, on the camera's axis; `None` where the lens has
     /// no aperture.
     pub sharp_mm: Option<[f64; 2]>,
 }
 
-/// Places looked at along the longer side of the image.
-const PLACES: usize = 96;
+/// Points sampled along the longer side of the image.
+const POINTS: usize = 96;
 
-/// Looks over the sample through the middles of a grid of pixels. `None` where the camera
-/// does not see it.
+/// The blur of a rig's sample, with its record of focus where there is one. `None` where
+/// no aperture is known or the camera does not see the sample.
+///
+/// # Errors
+/// The rig file's scene cannot be built.
+pub fn of_rig(
+    rig: &RigConfig,
+    focus: Option<&FocusValues>,
+) -> Result<Option<DepthOfField>, BuildError> {
+    let mut geometry = rig.geometry.clone();
+    if let Some(focus) = focus {
+        focus.apply(&mut geometry);
+    }
+    if geometry.camera.object_na <= 0.0 {
+        return Ok(None);
+    }
+    let scene = geometry.scene(&[])?;
+    Ok(over_sample(&scene, rig.capture.blur_limit_px))
+}
+
+/// The blur at points of the sample through the middles of a grid of pixels. `None` where
+/// the camera does not see it.
 pub fn over_sample(scene: &Scene, limit_px: f64) -> Option<DepthOfField> {
     let camera = &scene.camera;
     let [width, height] = camera.resolution_px;
-    let step = width.max(height).div_ceil(PLACES);
+    let step = width.max(height).div_ceil(POINTS);
     let mut seen: Vec<Blur> = Vec::new();
     for y in (0..height).step_by(step) {
         for x in (0..width).step_by(step) {
@@ -45,10 +67,10 @@ pub fn over_sample(scene: &Scene, limit_px: f64) -> Option<DepthOfField> {
             let Some((surface, _)) = scene.first(&ray).filter(|(s, _)| s.is_sample()) else {
                 continue;
             };
-            let place = surface.origin_mm.as_dvec3();
-            let depth_mm = camera.sample_from_camera.inverse().point(place).z;
+            let point = surface.origin_mm.as_dvec3();
+            let depth_mm = camera.sample_from_camera.inverse().point(point).z;
             seen.push(Blur {
-                height_mm: place.z,
+                height_mm: point.z,
                 disc_px: 2.0 * camera.defocus_mm(depth_mm) * px_per_mm(camera, at, depth_mm),
             });
         }

@@ -1,5 +1,4 @@
-//! Where the lights of a bench are: what `rig calibrate lights` found, and how the
-//! geometry of a rig file goes by it.
+//! The record of the directions of a bench's lights, and the geometry of a rig file with it.
 
 use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
@@ -18,7 +17,7 @@ use crate::units::StageAngles;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DirectionsValues {
-    /// Standard deviation of a light about what this record says, each of its two angles,
+    /// Standard deviation of a light about this record's, each of its two angles,
     /// independent between lights, degrees.
     pub light_std_deg: f64,
     /// Standard uncertainty that all lights share, as a turn about each axis, degrees.
@@ -249,7 +248,7 @@ impl LightsValues {
             std = std.max(found.uneven);
             scene.falloffs[k] = found.falloff();
         }
-        // What was not measured differs as the measured ones do, or as the rig file says.
+        // What was not measured varies as the measured ones do, or as the rig file states.
         priors.intensity = match unmeasured {
             0 => std.max(1e-4),
             _ => priors.intensity.max(std),
@@ -276,10 +275,10 @@ mod tests {
         }
     }
 
-    /// What a fit then believes is what was measured, with axes and without; a record
+    /// What a fit then uses is what was measured, with axes and without; a record
     /// survives its file.
     #[test]
-    fn a_bench_stands_where_its_record_says() {
+    fn a_bench_follows_its_record() {
         let rig = RigConfig::parse("rig", Path::new(""), BUILT_IN[0].1).unwrap();
         let truth = DQuat::from_scaled_axis(DVec3::new(0.01, -0.02, 0.05));
         let (angles, found) = stage_directions::tests::measured(5, truth, 0.03, 0.0);

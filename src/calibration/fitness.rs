@@ -1,4 +1,4 @@
-//! Whether a record may be gone by today, on this camera, at this gain.
+//! Whether a record may be used today, on this camera, at this gain.
 
 use jiff::Timestamp;
 
@@ -18,7 +18,7 @@ pub enum Concern {
         /// The record.
         id: String,
     },
-    /// It says itself that its time is over.
+    /// Its own date of expiry has passed.
     #[error("record {id} was valid until {until}")]
     Expired {
         /// The record.
@@ -65,7 +65,7 @@ impl Kind {
             Kind::Scale => 180.0,
             Kind::Flat | Kind::Directions | Kind::Focus => 90.0,
             Kind::Lights | Kind::Lamp => 30.0,
-            // Until somebody touches the sample.
+            // Until the sample is touched.
             Kind::Pose => 7.0,
         }
     }
@@ -93,7 +93,7 @@ impl Kind {
 }
 
 impl<V> Loaded<V> {
-    /// What speaks against going by this record now; nothing if it fits. An
+    /// What speaks against using this record now; nothing if it fits. An
     /// empty `serial` (the camera has none) matches every record.
     fn concerns(&self, serial: &str, camera: &CameraConfig, now: Timestamp) -> Vec<Concern> {
         let record = &self.record;
@@ -204,8 +204,8 @@ mod tests {
         assert_eq!(warmer(&loaded, Some(40.9)), None);
         assert_eq!(warmer(&loaded, Some(21.1)), None);
         for now_c in [41.1, 20.9] {
-            let said = warmer(&loaded, Some(now_c)).unwrap();
-            assert!(said.contains("31.0 °C"), "{said}");
+            let text = warmer(&loaded, Some(now_c)).unwrap();
+            assert!(text.contains("31.0 °C"), "{text}");
         }
         loaded.record.valid_until = Some(later(30).to_string());
         assert!(facts(&loaded, "SIM-0001", later(29)).is_empty());

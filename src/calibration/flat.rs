@@ -1,9 +1,10 @@
 //! The flat field: relative response of each pixel, from many frames of a
 //! steady uniform light and as many dark frames at the same exposure.
 
-use super::pixel_map::{grey_counts, grey_png, sha256};
+use super::pixel_map::{grey_counts, grey_png};
 use super::record::{FlatValues, MapFile, Measured};
 use super::sensor::Exposed;
+use crate::checksum::sha256_hex;
 use crate::radiometry::sensor::{FlatField, SensorNoise};
 
 /// Frames of one exposure, summed.
@@ -29,6 +30,26 @@ pub struct FlatFit {
     /// Other light over the light itself, where it was measured. Its uncertainty
     /// is that of the black level common to all pixels.
     pub ambient: Option<Measured>,
+}
+
+impl FlatFit {
+    /// Electrons per second for unit radiance, under a light of this radiance, with the
+    /// sensor's gain (DN per electron).
+    pub fn responsivity_e_s(&self, radiance: Measured, gain: Measured) -> Measured {
+        let value = self.rate_e_s / radiance.value;
+        let relative = (radiance.std / radiance.value).hypot(gain.std / gain.value);
+        Measured {
+            value,
+            std: value * relative,
+        }
+    }
+
+    /// Standard deviation of the response between pixels, relative.
+    pub fn nonuniformity(&self) -> f64 {
+        let response = &self.flat.response;
+        let squares = response.iter().map(|&r| f64::from(r - 1.0).powi(2));
+        (squares.sum::<f64>() / response.len().max(1) as f64).sqrt()
+    }
 }
 
 #[derive(Clone, Debug)]
@@ -213,7 +234,7 @@ impl Sum {
     }
 }
 
-/// A flat field as a 16-bit grey PNG, and what its record says; the checksum
+/// A flat field as a 16-bit grey PNG, and its record's values; the checksum
 /// belongs to these bytes. Responses of 2 and more become 2.
 ///
 /// # Errors
@@ -241,7 +262,7 @@ pub fn to_map(
     let values = FlatValues {
         map: MapFile {
             file: file.to_owned(),
-            sha256: sha256(&png),
+            sha256: sha256_hex(&png),
         },
         response_per_count: RESPONSE_PER_COUNT,
         std: (square / flat.std_dev.len().max(1) as f64 + rounding).sqrt(),

@@ -4,6 +4,7 @@
 use nalgebra::{DMatrix, DVector, Matrix4, Vector4};
 
 use super::record::{Flicker, LampValues, Measured};
+use crate::statistics::{STD_OVER_MAD, median};
 
 /// One mean level of the scene.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -238,6 +239,7 @@ impl Warming {
         }
         let covariance = normal.try_inverse().unwrap_or_else(Matrix4::zeros) * noise2;
         let std = |i: usize| covariance[(i, i)].max(0.0).sqrt();
+        // Whether there was a warm-up at all.
         let warm = c[0];
         let missing = Measured {
             value: -c[2] / warm,
@@ -301,10 +303,8 @@ impl Warming {
             .windows(2)
             .map(|pair| (pair[1] - pair[0]).abs())
             .collect();
-        let mut sorted = steps.clone();
-        sorted.sort_by(f64::total_cmp);
-        let median = sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
-        let limit = JUMP.max(JUMP_SIGMA * 1.4826 * median);
+        let typical = median(steps.iter().copied()).unwrap_or(0.0);
+        let limit = JUMP.max(JUMP_SIGMA * STD_OVER_MAD * typical);
         let largest = (0..steps.len()).max_by(|&a, &b| steps[a].total_cmp(&steps[b]));
         if let Some(at) = largest
             && steps[at] > limit

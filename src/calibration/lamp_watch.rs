@@ -21,6 +21,15 @@ pub struct WatchOptions {
     pub discard: u32,
 }
 
+impl WatchOptions {
+    /// Usual duration, minutes.
+    pub const MINUTES: f64 = 30.0;
+    /// Usual time between two levels, seconds.
+    pub const INTERVAL_S: f64 = 5.0;
+    /// Usual frames of a burst.
+    pub const BURST: u32 = 64;
+}
+
 /// What stops a watch.
 #[derive(Debug, thiserror::Error)]
 pub enum WatchError {

@@ -3,11 +3,11 @@
 use std::path::{Path, PathBuf};
 
 use jiff::Timestamp;
-use sha2::{Digest, Sha256};
 
 use super::built_in;
 use super::record::{BadValue, Kind, Record, Values};
 use super::seal::{self, Seal};
+use crate::checksum::sha256_hex;
 use crate::config::{CameraConfig, ResolvedRig};
 use crate::shown::{MESSAGE, excerpt, shortened};
 use crate::{outside_file, whole_file};
@@ -28,7 +28,7 @@ pub enum Library {
 
 type BuiltInFiles = &'static [(&'static str, &'static [u8])];
 
-/// A record that is valid and whose files are what it says.
+/// A record that is valid and whose files match its checksums.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Loaded<V> {
     /// The record.
@@ -70,10 +70,10 @@ pub enum RecordError {
         file: String,
         /// Line, from 1.
         line: usize,
-        /// What the parser says.
+        /// The parser's message.
         problem: String,
     },
-    /// A value outside its range, or one that contradicts the file's place.
+    /// A value outside its range, or one that contradicts the file's folder or name.
     #[error("{file}: `{key}` is {value}, but must be {allowed}")]
     Invalid {
         /// Path or name.
@@ -85,7 +85,7 @@ pub enum RecordError {
         /// What may stand there.
         allowed: String,
     },
-    /// A map holds other bytes than the record says.
+    /// A map's checksum is not the record's.
     #[error("{file} has SHA-256 {actual}, its record says {expected}")]
     Checksum {
         /// The map.
@@ -119,8 +119,8 @@ pub enum RecordError {
 
 impl Library {
     /// The rig's library: the folder its file names; else `calibration/<rig>`
-    /// beside the rig file, above it, or in the working folder. The simulated rig has
-    /// what is built in besides.
+    /// next to the rig file, above it, or in the working folder. The simulated rig has
+    /// the built-in ones in addition.
     pub fn of_rig(rig: &ResolvedRig) -> Self {
         if let Some(folder) = &rig.config.calibration.folder {
             return Self::Folder(folder.clone());
@@ -152,7 +152,7 @@ impl Library {
         })
     }
 
-    /// Where it is, in words.
+    /// Where it is, for messages.
     pub fn place(&self) -> String {
         match self {
             Self::Folder(folder) | Self::Before(folder, _) => folder.display().to_string(),
@@ -284,14 +284,14 @@ impl Library {
             Self::BuiltIn(_) => Seal::Whole,
             _ => seal,
         };
-        let sha256 = hex_sha256(&bytes);
+        let sha256 = sha256_hex(&bytes);
         let mut files = vec![(name, bytes)];
         for map in record.values.maps() {
             let file = part.file_name(V::KIND, &map.file);
             let bytes = part
                 .read(V::KIND, &map.file)?
                 .ok_or_else(|| io_error(Path::new(&file), std::io::ErrorKind::NotFound.into()))?;
-            let actual = hex_sha256(&bytes);
+            let actual = sha256_hex(&bytes);
             if !actual.eq_ignore_ascii_case(&map.sha256) {
                 return Err(RecordError::Checksum {
                     file,
@@ -345,7 +345,7 @@ pub fn record_in<V: Values>(path: &Path) -> Result<Record<V>, RecordError> {
     parse(&bytes, &id, &path.display().to_string()).map(|(record, _)| record)
 }
 
-/// A record from its file's bytes, and what its checksum says; `file` is for messages.
+/// A record from its file's bytes, and whether its checksum holds; `file` is for messages.
 ///
 /// # Errors
 /// The bytes are no valid record of this kind and id.
@@ -478,11 +478,6 @@ fn io_error(path: &Path, source: std::io::Error) -> RecordError {
         file: path.display().to_string(),
         source,
     }
-}
-
-pub(super) fn hex_sha256(bytes: &[u8]) -> String {
-    let digest = Sha256::digest(bytes);
-    digest.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 #[cfg(test)]

@@ -13,6 +13,7 @@ pub mod flat;
 pub mod lamp;
 pub mod lamp_watch;
 mod library;
+pub mod measurement;
 pub mod mirror_sphere;
 pub mod noise;
 pub mod pixel_map;
@@ -24,6 +25,7 @@ mod seal;
 pub mod sensor;
 pub mod slanted_edge;
 pub mod stage_directions;
+pub mod status;
 pub mod white;
 pub mod white_lights;
 

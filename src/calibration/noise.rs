@@ -18,7 +18,7 @@ pub enum NoiseError {
     Dark(#[from] MapError),
 }
 
-/// What merge and exposure planning believe of a sensor, from its records.
+/// The noise model for merge and exposure planning, from a sensor's records.
 /// Without a scale, radiances are in electrons per second.
 ///
 /// # Errors

@@ -1,8 +1,9 @@
-//! One number per pixel as a 16-bit grey PNG beside a record.
+//! One number per pixel as a 16-bit grey PNG next to a record.
 
 use serde::{Deserialize, Serialize};
 
 use super::record::{BadValue, MapFile, bad};
+use crate::checksum::sha256_hex;
 use crate::radiometry::frame_file::picture;
 
 /// A map whose value at a pixel is `lowest + per_count × count`.
@@ -53,7 +54,7 @@ impl PixelMap {
             per_count,
             map: MapFile {
                 file: file.to_owned(),
-                sha256: sha256(&png),
+                sha256: sha256_hex(&png),
             },
         };
         Ok((map, png))
@@ -85,7 +86,7 @@ impl PixelMap {
     }
 }
 
-/// Rows of `width` counts as a PNG; in words, why not.
+/// Rows of `width` counts as a PNG; or the reason why not.
 pub(super) fn grey_png(counts: Vec<u16>, width: usize) -> Result<Vec<u8>, String> {
     let height = counts.len() / width.max(1);
     let fills = counts.len() == width * height;
@@ -100,17 +101,11 @@ pub(super) fn grey_png(counts: Vec<u16>, width: usize) -> Result<Vec<u8>, String
     Ok(png.into_inner())
 }
 
-/// The counts of a PNG of this size; in words, why not.
+/// The counts of a PNG of this size; or the reason why not.
 pub(super) fn grey_counts(png: &[u8], resolution_px: [u32; 2]) -> Result<Vec<u16>, String> {
     let size = resolution_px.map(|side| side as usize);
     let image = picture(png, Some(size)).map_err(|error| error.to_string())?;
     Ok(image.into_luma16().into_raw())
-}
-
-pub(super) fn sha256(bytes: &[u8]) -> String {
-    use sha2::Digest;
-    let digest = sha2::Sha256::digest(bytes);
-    digest.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! Taking the frames of a sensor calibration with a camera that looks at a
+//! Taking the frames of a sensor calibration with a camera in front of a
 //! steady, uniform light, such as an integrating sphere or a lit diffuser.
 
 use super::flat::{FlatError, FlatFit, FlatFrames};
@@ -23,11 +23,18 @@ pub struct ProcedureOptions {
     pub flat_level: f64,
 }
 
+impl ProcedureOptions {
+    /// Usual frames per exposure of a photon transfer.
+    pub const FRAMES: u32 = 16;
+    /// Usual frames of a flat field.
+    pub const FLAT_FRAMES: u32 = 64;
+}
+
 impl Default for ProcedureOptions {
     fn default() -> Self {
         Self {
             gain: 1.0,
-            frames: 16,
+            frames: Self::FRAMES,
             discard: 3,
             longest_s: 2.0,
             flat_level: 0.6,

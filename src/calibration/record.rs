@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::pixel_map::PixelMap;
 use crate::radiometry::linearity::Linearity;
+use crate::radiometry::response::Response;
 
 /// What a record is about; also the name of its folder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -162,13 +163,13 @@ pub trait Values: Serialize + DeserializeOwned {
     const KIND: Kind;
     /// Whether a bench can have them.
     fn check(&self) -> Result<(), BadValue>;
-    /// Files beside the record that belong to it.
+    /// Files next to the record that belong to it.
     fn maps(&self) -> Vec<&MapFile> {
         Vec::new()
     }
 }
 
-/// A file beside the record.
+/// A file next to the record.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MapFile {
@@ -200,7 +201,7 @@ pub struct SensorValues {
     pub saturation_dn: f64,
     /// Counts above this are not proportional to light, DN.
     pub linear_max_dn: f64,
-    /// Largest departure from proportionality below `linear_max_dn`, relative,
+    /// Largest deviation from proportionality below `linear_max_dn`, relative,
     /// before any correction.
     pub linearity_error: f64,
     /// ... and after the correction; absent where there is none.
@@ -219,8 +220,8 @@ pub struct SensorValues {
     pub dark_pattern: Option<DarkPatternValues>,
 }
 
-/// Each pixel's departure from the sensor's mean darkness (DSNU), as far as the
-/// dark frames tell it from noise.
+/// Each pixel's deviation from the sensor's mean darkness (DSNU), as far as the
+/// dark frames determine it above noise.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DarkPatternValues {
@@ -399,9 +400,29 @@ pub struct ResponseCurve {
     pub ln_exposure: Vec<f64>,
     /// Standard uncertainty of each.
     pub ln_std: Vec<f64>,
-    /// Lowest count that speaks of light; 0 in records that do not state it.
+    /// Lowest count that depends on light; 0 in records that do not state it.
     #[serde(default)]
     pub darkest: u8,
+}
+
+impl From<Response> for ResponseCurve {
+    fn from(response: Response) -> Self {
+        Self {
+            ln_exposure: response.ln_exposure,
+            ln_std: response.ln_std,
+            darkest: response.darkest,
+        }
+    }
+}
+
+impl From<ResponseCurve> for Response {
+    fn from(curve: ResponseCurve) -> Self {
+        Self {
+            ln_exposure: curve.ln_exposure,
+            ln_std: curve.ln_std,
+            darkest: curve.darkest,
+        }
+    }
 }
 
 impl Values for ResponseValues {

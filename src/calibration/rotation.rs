@@ -8,16 +8,16 @@
 
 use glam::{DQuat, DVec2, DVec3};
 
-use crate::calibration::mirror_sphere::gauss::normal_integral;
 use crate::geometry::{Bvh, Ray};
 use crate::radiance_image::RadianceImage;
+use crate::statistics::{chi2_tail, median};
 use crate::transport::Scene;
 
 /// Rings of equal area about the axis, and sectors of each.
 const RINGS: usize = 2;
 const SECTORS: usize = 8;
 const REGIONS: usize = RINGS * SECTORS;
-/// A region with fewer pixels says nothing.
+/// A region with fewer pixels is not compared.
 const LEAST_PIXELS: usize = 6;
 /// A region this much darker than the brightest under its light is in shadow.
 const DARK: f64 = 0.02;
@@ -80,7 +80,7 @@ pub struct ChiSquare {
     pub p: f64,
 }
 
-/// What turning a sample tells.
+/// Whether a sample is uniform and isotropic.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RotationTest {
     /// Whether all regions are of one material.
@@ -94,6 +94,12 @@ pub struct RotationTest {
 }
 
 impl RotationTest {
+    /// Usual relative standard deviation of a region's radiance when a sample is seated
+    /// again.
+    pub const REPEATABILITY: f64 = 0.01;
+    /// Usual chance that a good sample fails.
+    pub const SIGNIFICANCE: f64 = 0.01;
+
     /// Whether neither test rejects the sample, at this significance for both together.
     pub fn passes(&self, significance: f64) -> bool {
         self.uniformity.p.min(self.isotropy.p) >= 0.5 * significance
@@ -181,6 +187,7 @@ fn test(
                 .sum::<f64>()
                 / turns
         };
+        // The lights under which each region is lit and in view.
         let brightest = |light: usize| (0..REGIONS).map(|r| mean(light, r)).fold(0.0, f64::max);
         let cells: Vec<Vec<usize>> = (0..REGIONS)
             .map(|region| {
@@ -202,14 +209,13 @@ fn test(
         // The lamp may have changed between sessions: the median ratio is its.
         let scales: Vec<f64> = (0..sums.len())
             .map(|turn| {
-                let mut ratios: Vec<f64> = (0..REGIONS)
-                    .flat_map(|r| cells[r].iter().map(move |&l| (l, r)))
-                    .map(|(l, r)| at(turn, l, r).value / mean(l, r))
-                    .collect();
-                ratios.sort_by(f64::total_cmp);
-                ratios[ratios.len() / 2].max(1e-12)
+                let compared = (0..REGIONS).flat_map(|r| cells[r].iter().map(move |&l| (l, r)));
+                let ratios = compared.map(|(l, r)| at(turn, l, r).value / mean(l, r));
+                median(ratios).unwrap_or(1.0).max(1e-12)
             })
             .collect();
+        // χ² and degrees of freedom: of a region's mean over the lights (uniformity), and
+        // of the lights about that mean (isotropy).
         let mut sums2 = [[0.0f64; 2]; 2];
         for (region, lights) in cells.iter().enumerate().filter(|(_, l)| !l.is_empty()) {
             for (turn, scale) in scales.iter().enumerate() {
@@ -242,7 +248,7 @@ fn test(
         let own = sums2.map(|[value, freedom]| ChiSquare {
             value,
             freedom,
-            p: (3.0 * exceeded(value, freedom)).min(1.0),
+            p: (3.0 * chi2_tail(value, freedom)).min(1.0),
         });
         worst = Some(match worst {
             None => own,
@@ -258,17 +264,6 @@ fn test(
         difference: (squares / f64::max(count, 1.0)).sqrt(),
         compared: compared / 3 / sums.len(),
     })
-}
-
-/// Chance that χ² exceeds a value, by Wilson and Hilferty's approximation; 1 without degrees
-/// of freedom.
-fn exceeded(value: f64, freedom: f64) -> f64 {
-    if freedom < 0.5 {
-        return 1.0;
-    }
-    let spread = 2.0 / (9.0 * freedom);
-    let z = ((value / freedom).cbrt() - (1.0 - spread)) / spread.sqrt();
-    1.0 - normal_integral(z)
 }
 
 /// What each pixel's middle sees.

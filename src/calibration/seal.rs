@@ -4,11 +4,11 @@
 //! not as text, so that comments and blanks may change. It is no signature: whoever changes a
 //! record on purpose removes that line.
 
-use super::library::hex_sha256;
+use crate::checksum::sha256_hex;
 
 const BEGIN: &str = "checksum = \"";
 
-/// What a record's checksum says.
+/// Whether a record's checksum holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Seal {
     /// The values are those that were measured.
@@ -56,7 +56,7 @@ fn checksum(text: &str) -> Result<String, toml::de::Error> {
     let values: toml::Table = toml::from_str(text)?;
     let mut canonical = String::new();
     write_table(&values, &mut canonical);
-    Ok(hex_sha256(canonical.as_bytes()))
+    Ok(sha256_hex(canonical.as_bytes()))
 }
 
 fn write_table(table: &toml::Table, out: &mut String) {

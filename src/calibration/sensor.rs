@@ -8,9 +8,13 @@
 
 mod darkness;
 mod linearity;
+mod saturation;
+mod variance_line;
 
 use self::darkness::Darkness;
 use self::linearity::{LinearLevel, LinearityFit};
+use self::saturation::Saturation;
+use self::variance_line::VarianceLine;
 use super::pixel_map::{MapError, NamedBytes, PixelMap};
 use super::record::{DarkPatternValues, Measured, SensorValues};
 use crate::radiometry::linearity::Linearity;
@@ -57,20 +61,20 @@ pub enum SensorFitError {
     },
     /// The counts do not follow the light.
     #[error(
-        "counts depart by {error:.1}% from proportionality to light; at most {allowed:.0}% can be corrected"
+        "counts deviate by {error:.1}% from proportionality to light; at most {allowed:.0}% can be corrected"
     )]
     NotLinear {
-        /// Largest departure, percent.
+        /// Largest deviation, percent.
         error: f64,
         /// Limit, percent.
         allowed: f64,
     },
     /// The counts follow the light by no smooth curve.
     #[error(
-        "counts depart by up to {error:.1}% from any smooth curve below 70% of saturation; at most {allowed:.0}% can be accepted"
+        "counts deviate by up to {error:.1}% from any smooth curve below 70% of saturation; at most {allowed:.0}% can be accepted"
     )]
     NotSmooth {
-        /// Largest departure, percent.
+        /// Largest deviation, percent.
         error: f64,
         /// Limit, percent.
         allowed: f64,
@@ -122,7 +126,7 @@ pub struct TransferPoint {
     pub fitted: bool,
 }
 
-/// Each pixel's departure from the mean darkness.
+/// Each pixel's deviation from the mean darkness.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DarkFit {
     /// Offset from the black level, DN.
@@ -258,6 +262,7 @@ impl PhotonTransfer {
             at_least("frames at an exposure", level.frames as usize, 2)?;
         }
 
+        // Darkness: black level and dark current, and how pixels scatter about them.
         let darkness = Darkness::fit(&dark);
         let hot = darkness.hot_pixels();
         let cold: Vec<usize> = (0..hot.len()).filter(|&p| !hot[p]).collect();
@@ -266,6 +271,7 @@ impl PhotonTransfer {
         let (slope, slope_spread) = darkness.statistics(&darkness.slope_dn_s, &cold, 1);
         let black_dn = black.value;
 
+        // The transfer curve as counted: signal and temporal variance of each level.
         let saturation = Saturation::find(&flats, &cold, bit_depth)?;
         let usable_dn = saturation.count_dn - black_dn;
         let levels: Vec<&Level> = dark.iter().chain(&flats).copied().collect();
@@ -289,6 +295,7 @@ impl PhotonTransfer {
             .iter()
             .filter(|p| p.fitted && p.exposed == Exposed::Flat);
         at_least("flats below 70% of saturation", fitted_flats.count(), 4)?;
+        // Linearity, and the variance line of the corrected curve.
         let lit: Vec<LinearLevel> = levels
             .iter()
             .zip(&counted)
@@ -308,7 +315,7 @@ impl PhotonTransfer {
         if !grows {
             return Err(SensorFitError::NoPhotonNoise { slope: line.slope });
         }
-        // What the curve of the counts leaves open, gain and read noise do too.
+        // Gain and read noise; the uncertainty of the linearity adds to theirs.
         let by_bend = |of: fn(&VarianceLine) -> f64| {
             let per_coefficient = [0, 1].map(|i| {
                 let step = bend.linearity.covariance[i][i].sqrt().max(1e-9);
@@ -333,6 +340,7 @@ impl PhotonTransfer {
             value: (x.value / gain.value).max(0.0),
             std: (x.std / gain.value).hypot(x.value * gain.std / gain.value.powi(2)),
         };
+        // The dark pattern, and everything in electrons.
         let dark = darkness.pattern(
             [black.value, slope.value],
             [black_spread.value, slope_spread.value],
@@ -407,7 +415,7 @@ impl Level {
         pixels.iter().map(|&p| self.pixel_mean(p)).sum::<f64>() / pixels.len() as f64
     }
 
-    /// What this level of flats says of linearity: `point` is its mean.
+    /// Linearity at this level of flats: `point` is its mean.
     fn linear_level(&self, point: &TransferPoint, pixels: &[usize], dark_dn_s: f64) -> LinearLevel {
         let frames = f64::from(self.frames);
         let noise_dn2 = point.variance_dn2 / pixels.len() as f64;
@@ -448,120 +456,5 @@ impl Level {
             .sum();
         let shared = between_frames * pixels.len() as f64;
         (about_pixel_means - shared).max(0.0) / self.freedom(pixels)
-    }
-}
-
-/// Where counts stop growing.
-struct Saturation {
-    plateau_dn: f64,
-    plateau_std_dn: f64,
-    count_dn: f64,
-}
-
-impl Saturation {
-    /// The plateau is the brightest level, if its noise has collapsed to less
-    /// than half of the largest (beyond the peak of the curve noise is clipped);
-    /// counts within four standard deviations of it are not trusted.
-    fn find(flats: &[&Level], cold: &[usize], bit_depth: u32) -> Result<Self, SensorFitError> {
-        let variances: Vec<f64> = flats.iter().map(|l| l.temporal_variance(cold)).collect();
-        let largest = variances.iter().copied().fold(0.0, f64::max);
-        let top = flats.len() - 1;
-        let plateau_dn = flats[top].mean_over(cold);
-        if variances[top] > 0.5 * largest || largest <= 0.0 {
-            return Err(SensorFitError::NeverSaturates {
-                brightest_dn: plateau_dn,
-            });
-        }
-        let spatial: f64 = cold
-            .iter()
-            .map(|&p| (flats[top].pixel_mean(p) - plateau_dn).powi(2))
-            .sum::<f64>()
-            / cold.len() as f64;
-        let deviation = (spatial + variances[top]).sqrt();
-        let full_scale_dn = ((1u64 << bit_depth.clamp(1, 16)) - 1) as f64;
-        Ok(Self {
-            plateau_dn,
-            plateau_std_dn: deviation,
-            count_dn: (plateau_dn - 4.0 * deviation).floor().min(full_scale_dn),
-        })
-    }
-}
-
-/// Variance against signal: a straight line whose slope is the gain.
-struct VarianceLine {
-    at_zero: f64,
-    at_zero_std: f64,
-    slope: f64,
-    slope_std: f64,
-    covariance: f64,
-    reduced_chi2: f64,
-}
-
-impl VarianceLine {
-    /// Weighted least squares; the weights come from the line of the round
-    /// before, since measured variances would favour low ones. A black level that is off
-    /// by `black_std_dn` moves the line along the signal.
-    fn fit(curve: &mut [TransferPoint], freedom: &[f64], black_std_dn: f64) -> Self {
-        let mut expected: Vec<f64> = curve.iter().map(|p| p.variance_dn2.max(1e-3)).collect();
-        let mut line = None;
-        for _ in 0..4 {
-            let (mut s0, mut s1, mut s2, mut r0, mut r1) = (0.0, 0.0, 0.0, 0.0, 0.0);
-            for ((point, &f), &e) in curve.iter().zip(freedom).zip(&expected) {
-                if !point.fitted {
-                    continue;
-                }
-                let w = f / (2.0 * e * e);
-                s0 += w;
-                s1 += w * point.signal_dn;
-                s2 += w * point.signal_dn.powi(2);
-                r0 += w * point.variance_dn2;
-                r1 += w * point.variance_dn2 * point.signal_dn;
-            }
-            let determinant = s0 * s2 - s1 * s1;
-            let at_zero = (s2 * r0 - s1 * r1) / determinant;
-            let slope = (s0 * r1 - s1 * r0) / determinant;
-            let mut chi2 = 0.0;
-            let mut points = 0.0;
-            for ((point, &f), e) in curve.iter_mut().zip(freedom).zip(&mut expected) {
-                *e = (at_zero + slope * point.signal_dn).max(1e-3);
-                point.variance_std_dn2 = *e * (2.0 / f).sqrt();
-                if point.fitted {
-                    chi2 += ((point.variance_dn2 - *e) / point.variance_std_dn2).powi(2);
-                    points += 1.0;
-                }
-            }
-            line = Some(Self {
-                at_zero,
-                at_zero_std: (s2 / determinant).sqrt().hypot(slope * black_std_dn),
-                slope,
-                slope_std: (s0 / determinant).sqrt(),
-                covariance: -s1 / determinant,
-                reduced_chi2: chi2 / f64::max(points - 2.0, 1.0),
-            });
-        }
-        line.expect("the loop runs")
-    }
-
-    /// Standard deviation of the read noise: what remains at zero signal
-    /// without quantisation. Below 0.24 DN² rounding hides it, and 0.40 DN is
-    /// its upper limit (EMVA 1288, 6.5), given with an uncertainty of its half.
-    fn read_noise_e(&self) -> Measured {
-        if self.at_zero < 0.24 {
-            return Measured {
-                value: 0.40 / self.slope,
-                std: 0.20 / self.slope,
-            };
-        }
-        let sigma_dn = (self.at_zero - 1.0 / 12.0).sqrt();
-        // σ_e = σ_dn(v) / K with v and K correlated by the fit.
-        let by_v = 0.5 / (sigma_dn * self.slope);
-        let by_k = -sigma_dn / self.slope.powi(2);
-        let variance = (by_v * self.at_zero_std).powi(2)
-            + (by_k * self.slope_std).powi(2)
-            + 2.0 * by_v * by_k * self.covariance;
-        Measured {
-            value: sigma_dn / self.slope,
-            std: variance.max(0.0).sqrt(),
-        }
     }
 }

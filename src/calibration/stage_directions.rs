@@ -1,13 +1,14 @@
-//! How a stage stands, from the directions of several of its lights: least squares over
-//! its orientation and the zero of its elevation.
+//! A stage's orientation and the zero of its elevation, from the directions of several of
+//! its lights, by least squares.
 
 use glam::{DQuat, DVec3};
-use nalgebra::{DMatrix, DVector, Matrix2, Matrix4, Vector4};
+use nalgebra::{DMatrix, DVector, Matrix2, Matrix4};
 
 use super::mirror_sphere::light::{FoundLight, tangents};
+use crate::least_squares::{self, Equations, Options, Problem};
 use crate::units::StageAngles;
 
-/// Why measured directions tell nothing about a stage.
+/// Why measured directions do not determine a stage.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum StageFitError {
     /// Three lights at least have as many angles as there are unknowns, and more.
@@ -29,12 +30,12 @@ pub enum StageFitError {
         angles: StageAngles,
         /// From the rig file.
         off_deg: f64,
-        /// Less what remains.
+        /// By how much a common turn reduces that.
         explained_deg: f64,
     },
 }
 
-/// How a stage stands.
+/// A stage's orientation and its uncertainty.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StageFit {
     /// Rotation from stage to sample.
@@ -55,6 +56,13 @@ const PRIOR_RAD: f64 = 0.35;
 /// Residuals above this are no stage's positioning errors, radians.
 const MOST_RESIDUAL_RAD: f64 = 0.05;
 const LEAST_LIGHTS: usize = 4;
+/// The last step moves no unknown by more than some 1e-10 of its uncertainty.
+const STEPS: Options = Options {
+    rounds: 60,
+    damping: 0.0,
+    least_relative_gain: 0.0,
+    least_gain: 1e-20,
+};
 
 /// Fits a stage to its lights: `angles` as the stage reported them, in the order of
 /// `found`. `with_offset`: whether its elevation may have an unknown zero.
@@ -74,29 +82,32 @@ pub fn fit(
             needed: LEAST_LIGHTS,
         });
     }
-    let mut stage = StageFit {
+    let shared = found.iter().map(|f| f.shared.ncols()).max().unwrap_or(0);
+    let mut problem = Directions {
+        configured,
+        angles,
+        found,
+        with_offset,
+        scatter_rad: 0.0,
+    };
+    let start = Orientation {
         sample_from_stage: configured,
         elevation_offset_rad: 0.0,
-        covariance: Matrix4::zeros(),
-        scatter_rad: 0.0,
-        residual_rad: 0.0,
+        shared: DVector::zeros(shared),
     };
-    for _ in 0..60 {
-        let system = System::of(&stage, configured, angles, found, with_offset);
-        let step = system.step();
-        stage.sample_from_stage = (DQuat::from_scaled_axis(DVec3::new(step[0], step[1], step[2]))
-            * stage.sample_from_stage)
-            .normalize();
-        stage.elevation_offset_rad += step[3];
-        stage.covariance = system.covariance();
-        stage.residual_rad = (system.residual.norm_squared() / (2 * lights) as f64).sqrt();
-        let scatter_rad = system.scatter();
-        let still = (scatter_rad - stage.scatter_rad).abs() < 1e-8;
-        stage.scatter_rad = scatter_rad;
-        if step.norm() < 1e-12 && still {
-            break;
-        }
-    }
+    let at = least_squares::minimise(&mut problem, start, &STEPS).point;
+    let covariance = problem.linearise(&at).covariance();
+    let squares = found.iter().zip(angles).flat_map(|(found, angles)| {
+        let off = found.to_light - at.to_light(*angles);
+        tangents(found.to_light).map(|across| across.dot(off).powi(2))
+    });
+    let stage = StageFit {
+        sample_from_stage: at.sample_from_stage,
+        elevation_offset_rad: at.elevation_offset_rad,
+        covariance: covariance.map_or_else(Matrix4::zeros, |c| c.fixed_view::<4, 4>(0, 0).into()),
+        scatter_rad: problem.scatter_rad,
+        residual_rad: (squares.sum::<f64>() / (2 * lights) as f64).sqrt(),
+    };
     for (light, (angles, found)) in angles.iter().zip(found).enumerate() {
         let remaining = stage.to_light(*angles).angle_between(found.to_light);
         if remaining > MOST_RESIDUAL_RAD {
@@ -113,8 +124,23 @@ pub fn fit(
 }
 
 impl StageFit {
-    /// Where the light is when the stage reports these angles, sample frame.
+    /// Direction to the light when the stage reports these angles, sample frame.
     pub fn to_light(&self, angles: StageAngles) -> DVec3 {
+        self.sample_from_stage * offset(angles, self.elevation_offset_rad).to_light()
+    }
+}
+
+/// The unknowns.
+#[derive(Clone)]
+struct Orientation {
+    sample_from_stage: DQuat,
+    elevation_offset_rad: f64,
+    /// The unit normal variables of the spheres that all lights share.
+    shared: DVector<f64>,
+}
+
+impl Orientation {
+    fn to_light(&self, angles: StageAngles) -> DVec3 {
         self.sample_from_stage * offset(angles, self.elevation_offset_rad).to_light()
     }
 }
@@ -127,45 +153,49 @@ pub fn offset(angles: StageAngles, elevation_offset_rad: f64) -> StageAngles {
     }
 }
 
-/// The linearised problem: orientation and offset, and the spheres' numbers as unit normals.
-struct System {
-    jacobian: DMatrix<f64>,
-    residual: DVector<f64>,
-    /// Covariance of each light's own measurement, rad².
-    own: Vec<Matrix2<f64>>,
-    /// Precision of the unknowns before any light, and what it pulls towards.
-    prior: DVector<f64>,
-    pull: DVector<f64>,
+/// The lights of a stage.
+struct Directions<'a> {
+    configured: DQuat,
+    angles: &'a [StageAngles],
+    found: &'a [FoundLight],
+    with_offset: bool,
+    /// Standard deviation of a light about the stage's model, found along with it.
     scatter_rad: f64,
 }
 
-impl System {
-    fn of(
-        stage: &StageFit,
-        configured: DQuat,
-        angles: &[StageAngles],
-        found: &[FoundLight],
-        with_offset: bool,
-    ) -> Self {
-        let lights = angles.len().min(found.len());
-        let shared = found.iter().map(|f| f.shared.ncols()).max().unwrap_or(0);
-        let mut jacobian = DMatrix::zeros(2 * lights, 4 + shared);
-        let mut residual = DVector::zeros(2 * lights);
-        for (light, (angles, found)) in angles.iter().zip(found).enumerate() {
-            let expected = stage.to_light(*angles);
-            const STEP: f64 = 1e-6;
-            let raised = StageFit {
-                elevation_offset_rad: stage.elevation_offset_rad + STEP,
-                ..stage.clone()
-            };
+impl Directions<'_> {
+    fn lights(&self) -> impl Iterator<Item = (&StageAngles, &FoundLight)> {
+        self.angles.iter().zip(self.found)
+    }
+
+    /// Measured less expected direction along both tangents, a pair of rows per light.
+    fn residual(&self, at: &Orientation) -> DVector<f64> {
+        let rows = self.lights().flat_map(|(angles, found)| {
+            let off = found.to_light - at.to_light(*angles);
+            let columns = found.shared.ncols();
+            let shared = &found.shared * at.shared.rows(0, columns);
+            let across = tangents(found.to_light);
+            [0, 1].map(|a| across[a].dot(off) - shared[a])
+        });
+        DVector::from_vec(rows.collect())
+    }
+
+    fn jacobian(&self, at: &Orientation) -> DMatrix<f64> {
+        const STEP: f64 = 1e-6;
+        let raised = Orientation {
+            elevation_offset_rad: at.elevation_offset_rad + STEP,
+            ..at.clone()
+        };
+        let mut jacobian = DMatrix::zeros(2 * self.lights().count(), 4 + at.shared.len());
+        for (light, (angles, found)) in self.lights().enumerate() {
+            let expected = at.to_light(*angles);
             let by_offset = (raised.to_light(*angles) - expected) / STEP;
             for (a, across) in tangents(found.to_light).into_iter().enumerate() {
                 let row = 2 * light + a;
-                residual[row] = across.dot(found.to_light - expected);
                 for (axis, unit) in DVec3::AXES.into_iter().enumerate() {
                     jacobian[(row, axis)] = across.dot(unit.cross(expected));
                 }
-                if with_offset {
+                if self.with_offset {
                     jacobian[(row, 3)] = across.dot(by_offset);
                 }
                 for column in 0..found.shared.ncols() {
@@ -173,80 +203,53 @@ impl System {
                 }
             }
         }
-        let turned = (stage.sample_from_stage * configured.conjugate()).to_scaled_axis();
-        let mut prior = DVector::from_element(4 + shared, 1.0);
-        let mut pull = DVector::zeros(4 + shared);
-        let now = [turned.x, turned.y, turned.z, stage.elevation_offset_rad];
-        for (unknown, now) in now.into_iter().enumerate() {
-            prior[unknown] = 1.0 / (PRIOR_RAD * PRIOR_RAD);
-            pull[unknown] = -now * prior[unknown];
+        jacobian
+    }
+
+    /// Precision of the unknowns before any light, and by how much they are off its mean.
+    fn prior(&self, at: &Orientation) -> [DVector<f64>; 2] {
+        let turned = (at.sample_from_stage * self.configured.conjugate()).to_scaled_axis();
+        let mut off = DVector::zeros(4 + at.shared.len());
+        off.rows_mut(0, 3).copy_from_slice(&turned.to_array());
+        off[3] = at.elevation_offset_rad;
+        off.rows_mut(4, at.shared.len()).copy_from(&at.shared);
+        let mut precision = DVector::from_element(off.len(), 1.0);
+        precision.rows_mut(0, 4).fill(PRIOR_RAD.powi(-2));
+        if !self.with_offset {
+            precision[3] = 1e18;
         }
-        if !with_offset {
-            prior[3] = 1e18;
-        }
-        Self {
-            jacobian,
-            residual,
-            own: found.iter().map(|f| f.own).collect(),
-            prior,
-            pull,
-            scatter_rad: stage.scatter_rad,
-        }
+        [precision, off]
     }
 
-    /// Jᵀ W for weights of the measurements and the scatter.
-    fn weighted(&self, scatter_rad: f64) -> DMatrix<f64> {
-        let mut weighted = self.jacobian.transpose();
-        for (light, own) in self.own.iter().enumerate() {
-            let covariance = own + Matrix2::identity() * (scatter_rad * scatter_rad + 1e-16);
-            let weight = covariance.try_inverse().unwrap_or(Matrix2::zeros());
-            let columns = weighted.columns(2 * light, 2) * weight;
-            weighted.columns_mut(2 * light, 2).copy_from(&columns);
-        }
-        weighted
+    /// Inverse covariance of each light's direction, with a scatter.
+    fn weights(&self, scatter_rad: f64) -> Vec<Matrix2<f64>> {
+        let weight = |(_, found): (_, &FoundLight)| {
+            let covariance = found.own + Matrix2::identity() * (scatter_rad * scatter_rad + 1e-16);
+            covariance.try_inverse().unwrap_or(Matrix2::zeros())
+        };
+        self.lights().map(weight).collect()
     }
 
-    fn normal(&self, weighted: &DMatrix<f64>) -> DMatrix<f64> {
-        weighted * &self.jacobian + DMatrix::from_diagonal(&self.prior)
-    }
-
-    fn solve(&self, weighted: &DMatrix<f64>) -> DVector<f64> {
-        let right = weighted * &self.residual + &self.pull;
-        let solver = self.normal(weighted).cholesky();
-        solver.map_or_else(|| right.map(|_| 0.0), |c| c.solve(&right))
-    }
-
-    fn step(&self) -> Vector4<f64> {
-        let solution = self.solve(&self.weighted(self.scatter_rad));
-        Vector4::from_iterator(solution.iter().copied())
-    }
-
-    fn covariance(&self) -> Matrix4<f64> {
-        let normal = self.normal(&self.weighted(self.scatter_rad));
-        let inverse = normal.try_inverse();
-        inverse.map_or_else(Matrix4::zeros, |i| i.fixed_view::<4, 4>(0, 0).into())
-    }
-
-    /// The scatter for which the residuals after the fit have a χ² of their number
-    /// (Mandel and Paule): by bisection, from 0.
-    fn scatter(&self) -> f64 {
-        let sought =
-            self.jacobian.ncols().min(4) as f64 - f64::from(u8::from(self.prior[3] > 1e17));
-        let freedom = (self.residual.len() as f64 - sought).max(1.0);
+    /// The scatter for which the residuals after a step have a χ² of their number (Mandel
+    /// and Paule, 1970): by bisection, from 0.
+    fn scatter(&self, at: &Orientation) -> f64 {
+        let residual = self.residual(at);
+        let jacobian = self.jacobian(at);
+        let prior = self.prior(at);
+        let sought = 3.0 + f64::from(u8::from(self.with_offset));
+        let freedom = (residual.len() as f64 - sought).max(1.0);
         let excess = |scatter_rad: f64| {
-            let weighted = self.weighted(scatter_rad);
-            let solution = self.solve(&weighted);
-            let left = &self.residual - &self.jacobian * &solution;
-            let mut chi2 = 0.0;
-            for (light, own) in self.own.iter().enumerate() {
-                let covariance = own + Matrix2::identity() * (scatter_rad * scatter_rad + 1e-16);
-                let left = left.fixed_rows::<2>(2 * light);
-                let solved = covariance
-                    .try_inverse()
-                    .map_or(0.0, |w| (left.transpose() * w * left)[(0, 0)]);
-                chi2 += solved;
-            }
-            chi2 - freedom
+            let weights = self.weights(scatter_rad);
+            let equations = equations(&jacobian, &residual, &weights, &prior);
+            let step = equations
+                .normal
+                .cholesky()
+                .map(|c| c.solve(&equations.right));
+            let left = match step {
+                Some(step) => &residual - &jacobian * step,
+                None => residual.clone(),
+            };
+            chi2(&left, &weights) - freedom
         };
         if excess(0.0) <= 0.0 {
             return 0.0;
@@ -263,13 +266,71 @@ impl System {
     }
 }
 
+fn chi2(residual: &DVector<f64>, weights: &[Matrix2<f64>]) -> f64 {
+    let of_light = |(light, weight): (usize, &Matrix2<f64>)| {
+        let own = residual.fixed_rows::<2>(2 * light);
+        (own.transpose() * weight * own)[(0, 0)]
+    };
+    weights.iter().enumerate().map(of_light).sum()
+}
+
+fn equations(
+    jacobian: &DMatrix<f64>,
+    residual: &DVector<f64>,
+    weights: &[Matrix2<f64>],
+    [precision, off]: &[DVector<f64>; 2],
+) -> Equations {
+    let mut weighted = jacobian.transpose();
+    for (light, weight) in weights.iter().enumerate() {
+        let columns = weighted.columns(2 * light, 2) * weight;
+        weighted.columns_mut(2 * light, 2).copy_from(&columns);
+    }
+    Equations {
+        normal: &weighted * jacobian + DMatrix::from_diagonal(precision),
+        right: &weighted * residual - precision.component_mul(off),
+        cost: chi2(residual, weights) + precision.component_mul(off).dot(off),
+    }
+}
+
+impl Problem for Directions<'_> {
+    type Point = Orientation;
+
+    fn linearise(&mut self, at: &Orientation) -> Equations {
+        self.scatter_rad = self.scatter(at);
+        let weights = self.weights(self.scatter_rad);
+        equations(
+            &self.jacobian(at),
+            &self.residual(at),
+            &weights,
+            &self.prior(at),
+        )
+    }
+
+    fn cost(&self, at: &Orientation) -> f64 {
+        let [precision, off] = self.prior(at);
+        let weights = self.weights(self.scatter_rad);
+        chi2(&self.residual(at), &weights) + precision.component_mul(&off).dot(&off)
+    }
+
+    fn moved(&self, from: &Orientation, step: &DVector<f64>) -> Orientation {
+        let turn = DQuat::from_scaled_axis(DVec3::new(step[0], step[1], step[2]));
+        Orientation {
+            sample_from_stage: (turn * from.sample_from_stage).normalize(),
+            elevation_offset_rad: from.elevation_offset_rad + step[3],
+            shared: &from.shared + step.rows(4, from.shared.len()),
+        }
+    }
+}
+
 #[cfg(test)]
 pub(super) mod tests {
+    use nalgebra::Vector4;
+
     use super::*;
     use crate::random::{Purpose, stream};
 
     /// Lights of a stage that stands at `truth` with an elevation offset, measured with
-    /// noise of their own, a place of the sphere that they share, and a scatter.
+    /// noise of their own, a position of the sphere that they share, and a scatter.
     pub(crate) fn measured(
         seed: u64,
         truth: DQuat,
@@ -277,7 +338,7 @@ pub(super) mod tests {
         scatter_rad: f64,
     ) -> (Vec<StageAngles>, Vec<FoundLight>) {
         let mut random = stream(seed, Purpose::Experiment, 3, 0, 0);
-        let place: [f64; 3] = std::array::from_fn(|_| random.normal());
+        let shift: [f64; 3] = std::array::from_fn(|_| random.normal());
         let mut angles = Vec::new();
         let mut found = Vec::new();
         for k in 0..16 {
@@ -298,7 +359,7 @@ pub(super) mod tests {
             });
             let mut light = true_light;
             for (a, across) in across.into_iter().enumerate() {
-                let common: f64 = (0..3).map(|i| shared[(a, i)] * place[i]).sum();
+                let common: f64 = (0..3).map(|i| shared[(a, i)] * shift[i]).sum();
                 let noise = own_rad * random.normal() + scatter_rad * random.normal();
                 light += across * (common + noise);
             }

@@ -18,6 +18,13 @@ pub struct WhiteStandard {
     pub incidence_std_rad: f64,
 }
 
+impl WhiteStandard {
+    /// Usual angle between the standard's normal and the lamp, degrees (45°/0°).
+    pub const INCIDENCE_DEG: f64 = 45.0;
+    /// Usual standard uncertainty of that angle, degrees.
+    pub const INCIDENCE_STD_DEG: f64 = 0.1;
+}
+
 /// Part of an image, pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Region {
@@ -74,7 +81,7 @@ pub enum WhiteError {
         /// Part of the pixels.
         percent: f64,
     },
-    /// No light to speak of.
+    /// Hardly any light.
     #[error("the region is dark: {mean:.3e} with a standard deviation of {std:.1e}")]
     Dark {
         /// Mean radiance.
@@ -87,7 +94,7 @@ pub enum WhiteError {
         "the region's quarters differ by {percent:.1}% from their mean; an evenly lit standard has less than 5%"
     )]
     Uneven {
-        /// Largest departure.
+        /// Largest deviation.
         percent: f64,
     },
 }

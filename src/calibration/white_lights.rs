@@ -1,5 +1,5 @@
-//! What a diffuse standard, captured under several lights, says of each: its intensity
-//! against the others', and how evenly it lights the place of the sample.
+//! Each light of a bench from a diffuse standard captured under all of them: its intensity
+//! against the others', and how evenly it lights the sample's position.
 
 use glam::{DVec2, DVec3};
 use nalgebra::{Matrix6, Vector6};
@@ -20,7 +20,7 @@ pub struct LightIntensity {
     pub stage_deg: [f64; 2],
     /// Irradiance for R, G and B over the mean of all lights'.
     pub relative: [Measured; 3],
-    /// How it differs over the sample beyond what the light's place says: factor
+    /// How it differs over the sample beyond what the light's position explains: factor
     /// 1 + s·(x, y) + c·(x², xy, y²), per millimetre and per square millimetre.
     pub slope_per_mm: [f64; 2],
     /// See `slope_per_mm`.
@@ -49,10 +49,10 @@ impl LightIntensity {
     }
 }
 
-/// How far a stage may come back beside where it was.
+/// How far from its earlier position a stage may return.
 const SAME_LIGHT_DEG: f64 = 0.3;
 
-/// A standard in the place of the sample, under several lights.
+/// A standard in place of the sample, under several lights.
 pub struct WhiteLights<'a> {
     /// The camera of the images.
     pub camera: &'a Camera,
@@ -66,6 +66,11 @@ pub struct WhiteLights<'a> {
     pub direction_std: f64,
     /// The lights as the rig has them, and the angles they are known by.
     pub lights: &'a [(Light, StageAngles)],
+}
+
+impl WhiteLights<'_> {
+    /// Usual standard deviation of the radiance factor between directions, relative.
+    pub const DIRECTION_STD: f64 = 0.01;
 }
 
 /// What was found.
@@ -128,15 +133,16 @@ impl WhiteLights<'_> {
         })
     }
 
-    /// Irradiance across a light of unit strength at its place on the standard times the
-    /// cosine there.
+    /// Irradiance of a light of unit strength at a point of the standard: across the light,
+    /// times the cosine there.
     fn expected(&self, light: &Light, place: DVec3) -> f64 {
         let sample = light.sample(place.as_vec3(), [0.5; 2]);
         f64::from(sample.relative_irradiance) * f64::from(sample.direction.z).max(0.0)
     }
 
     fn one(&self, light: &Light, image: &RadianceImage) -> Result<One, WhiteError> {
-        // As an evenly lit standard: what its light's place explains is taken out first.
+        // As an evenly lit standard: the falloff that the light's position explains is taken
+        // out first.
         let (left, top) = (self.region.x, self.region.y);
         let mut flat = RadianceImage::new(image.width, image.height);
         flat.valid.clone_from(&image.valid);
@@ -163,6 +169,7 @@ impl WhiteLights<'_> {
                 flat.variance[pixel] = image.variance[pixel].map(|v| v / (factor * factor) as f32);
             }
         }
+        // What remains over the standard, as a polynomial.
         let (falloff, spread) = self.falloff(&flat, &places);
         if spread.is_infinite() {
             // Too few pixels for a polynomial are too few for a standard.
@@ -187,6 +194,7 @@ impl WhiteLights<'_> {
             }
         }
         let uneven = self.uneven(&flat, &places);
+        // The intensity.
         let above = DVec3::new(0.0, 0.0, self.height_mm).as_vec3();
         let towards = light.sample(above, [0.5; 2]);
         let cosine = f64::from(towards.direction.z).clamp(-1.0, 1.0);
@@ -210,7 +218,7 @@ impl WhiteLights<'_> {
         })
     }
 
-    /// The place of the standard that a sensor position sees.
+    /// The point of the standard that a sensor position sees.
     fn place(&self, at_px: DVec2) -> Option<DVec3> {
         let (origin, direction) = self.camera.chief_ray(at_px);
         let to_sample = &self.camera.sample_from_camera;
@@ -219,7 +227,7 @@ impl WhiteLights<'_> {
         (t.is_finite() && t > 0.0).then(|| from + along * t)
     }
 
-    /// Pixels well inside the standard: place, green radiance or the channels' mean, variance.
+    /// Pixels well inside the standard: position, green radiance or the channels' mean, variance.
     fn inner<'p>(
         &self,
         image: &'p RadianceImage,
@@ -281,7 +289,7 @@ impl WhiteLights<'_> {
         let spread = (pixels * factor.inverse()[(0, 0)]).sqrt();
         let even = found[0];
         if even <= 0.0 || !even.is_finite() {
-            // Dark: that is said of the standard as a whole.
+            // Dark: reported for the standard as a whole.
             return (Falloff::default(), spread);
         }
         let falloff = Falloff {

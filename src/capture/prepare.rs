@@ -33,13 +33,13 @@ use super::{Capture, CaptureError, Observer, Outcome, RadianceSink, region_of_in
 use crate::calibration::Library;
 use crate::calibration::depth_of_field::{self, DepthOfField};
 use crate::calibration::slanted_edge::FocusValues;
+use crate::checksum::sha256_hex;
 use crate::config::BuildError;
 use crate::config::simulation::MaterialSpec;
 use crate::config::{ResolvedRig, RigConfig};
 use crate::interrupt::Interrupt;
 use crate::radiometry::sensor::SensorNoise;
 use crate::session::commit::SystemDisk;
-use crate::session::journal::sha256_hex;
 use crate::session::layout::{CALIBRATION_FOLDER, session_name};
 use crate::session::rig_copy::scene_files;
 use crate::session::{

@@ -4,24 +4,21 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::bracket_files::{self, BracketFile, Distinct, read_frame, same_kind};
 use super::output::{write_json, write_path};
 use super::rig_choice::RigArg;
-use super::{CliError, Context, HintExt};
+use super::{CliError, Context, HintExt, bracket_files};
 use crate::calibration::noise::sensor_noise;
-use crate::calibration::record::{
-    FlatValues, ResponseCurve, ResponseValues, ScaleValues, SensorValues,
-};
+use crate::calibration::record::{FlatValues, ResponseValues, ScaleValues, SensorValues};
 use crate::calibration::{Library, record_in};
-use crate::radiance_image::RadianceImage;
-use crate::radiance_image::exr;
 use crate::radiometry::agreement::ExposureAgreement;
+use crate::radiometry::bracket_files::read_frame;
+use crate::radiometry::bracket_merge::{
+    self, BracketMergeError, CountModel, MergeRequest, check_mosaic,
+};
 use crate::radiometry::frame_file::{FrameFile, Tone};
 use crate::radiometry::mosaic::Mosaic;
-use crate::radiometry::plane::MergedPlane;
 use crate::radiometry::response::Response;
 use crate::radiometry::sensor::SensorNoise;
-use crate::radiometry::stack::{Band, Stack};
 
 /// Merges an exposure bracket into a radiance image with variance and mask
 ///
@@ -43,7 +40,7 @@ pub struct MergeArgs {
     #[arg(long, value_name = "EXR", default_value = "radiance.exr")]
     out: PathBuf,
     /// Colour filters over the sensor: none, rggb, grbg, gbrg or bggr; cells become RGB pixels
-    #[arg(long, value_name = "ORDER", default_value = "none", value_parser = parse_mosaic)]
+    #[arg(long, value_name = "ORDER", default_value = "none")]
     mosaic: Mosaic,
     /// Keep the resolution of a mosaic: a colour that a pixel did not measure is the mean of its
     /// nearest neighbours (default: a cell of 2 x 2 becomes one pixel, nothing is interpolated)
@@ -82,172 +79,73 @@ pub struct MergeArgs {
     responsivity: Option<f64>,
 }
 
-fn parse_mosaic(text: &str) -> Result<Mosaic, String> {
-    match text {
-        "none" => Ok(Mosaic::None),
-        "rggb" => Ok(Mosaic::Rggb),
-        "grbg" => Ok(Mosaic::Grbg),
-        "gbrg" => Ok(Mosaic::Gbrg),
-        "bggr" => Ok(Mosaic::Bggr),
-        _ => Err("none, rggb, grbg, gbrg or bggr".into()),
-    }
-}
-
 /// `rig merge`.
 pub fn run(args: &MergeArgs, context: &Context) -> Result<(), CliError> {
-    let frames = bracket_files::find(&args.frames, args.exposures.as_deref(), context)?;
-    let first_path = frames[0].path.as_path();
-    let first = read_frame(first_path)?;
-    if args.mosaic != Mosaic::None && first.planes.len() != 1 {
-        return Err(CliError::new(format!(
-            "{} has {} channels, but a mosaic is one grey channel",
-            first_path.display(),
-            first.planes.len()
-        ))
-        .hint("leave --mosaic out for frames that are RGB already"));
-    }
+    let files = bracket_files::find(&args.frames, args.exposures.as_deref(), context)?;
+    let first_path = files[0].path.as_path();
+    let first = read_frame(first_path).map_err(bracket_files::advised)?;
+    check_mosaic(first_path, &first, args.mosaic).map_err(advised)?;
     let model = match &args.response {
-        Some(path) => Model::Response(responses(path, first_path, &first)?),
-        None => Model::Linear(Box::new(args.noise(context, first_path, &first)?)),
-    };
-    if let Model::Linear(noise) = &model {
-        noise.check(first.width * first.height).hint(
-            "--gain, --read-noise, --black-level, --saturation and --bit-depth describe the sensor",
-        )?;
-    }
-    let stack = gather(args, &model, &frames, &first)?;
-    match &model {
-        Model::Linear(noise) => merge_linear(args, context, &stack, noise, &first),
-        Model::Response(responses) => merge_response(args, context, &stack, responses, &first),
-    }
-}
-
-/// What turns counts into radiance.
-enum Model {
-    /// Raw counts of a sensor with this noise.
-    Linear(Box<SensorNoise>),
-    /// 8-bit counts through a response per channel.
-    Response(Vec<Response>),
-}
-
-/// All frames, checked, on disk.
-fn gather(
-    args: &MergeArgs,
-    model: &Model,
-    frames: &[BracketFile],
-    first: &FrameFile,
-) -> Result<Stack, CliError> {
-    let folder = args.out.parent().filter(|p| !p.as_os_str().is_empty());
-    let folder = folder.unwrap_or(Path::new("."));
-    let mut stack =
-        Stack::new(folder, first.width, first.height, first.planes.len()).hint(DISK_HINT)?;
-    let bits = match model {
-        Model::Linear(noise) => noise.bit_depth,
-        Model::Response(_) => first.bits,
-    };
-    let full_scale_dn = ((1u32 << bits) - 1) as u16;
-    let mut distinct = Distinct::default();
-    for BracketFile {
-        path,
-        role,
-        exposure_s,
-    } in frames
-    {
-        let frame = read_frame(path)?;
-        same_kind((&frames[0].path, first), (path, &frame))?;
-        distinct.add(path, &frame)?;
-        let largest = frame.planes.iter().flatten().max().copied().unwrap_or(0);
-        if largest > full_scale_dn {
-            return Err(CliError::new(format!(
-                "{} has a count of {largest}, but {bits} bits end at {full_scale_dn}",
-                path.display(),
-            ))
-            .hint("set --bit-depth to the significant bits of a count"));
+        Some(path) => {
+            let record = record_in::<ResponseValues>(path)?;
+            let curves = record.values.channels.into_iter().map(Response::from);
+            CountModel::Response(curves.collect())
         }
-        stack
-            .add(*role, *exposure_s, &frame.planes)
-            .hint(DISK_HINT)?;
-    }
-    Ok(stack)
-}
-
-fn merge_linear(
-    args: &MergeArgs,
-    context: &Context,
-    stack: &Stack,
-    noise: &SensorNoise,
-    first: &FrameFile,
-) -> Result<(), CliError> {
-    let size = match args.mosaic {
-        Mosaic::None => [first.width, first.height],
-        _ if args.full_resolution => [first.width, first.height],
-        _ => [first.width / 2, first.height / 2],
+        None => {
+            let noise = args.noise(context, first_path, &first)?;
+            noise.check(first.width * first.height).hint(SENSOR_HINT)?;
+            CountModel::Linear(Box::new(noise))
+        }
     };
-    let margin = usize::from(args.full_resolution);
-    let mut bands = stack.bands(noise, args.mosaic, margin);
-    let mut masked = 0;
-    exr::write_rows(&args.out, size[0], size[1], || {
-        let band = bands.next_band().hint(BRACKET_HINT)?;
-        let band = band.ok_or_else(|| CliError::new("the frames have no more rows"))?;
-        let image = args.image(&band)?;
-        masked += image.valid.iter().filter(|&&valid| !valid).count();
-        Ok::<_, CliError>(image)
-    })?;
-    let agreement = bands.agreement();
-    for steps in &agreement {
+    let merged = bracket_merge::merge(&MergeRequest {
+        files: &files,
+        model: &model,
+        mosaic: args.mosaic,
+        full_resolution: args.full_resolution,
+        out: &args.out,
+    })
+    .map_err(advised)?;
+    for steps in &merged.agreement {
         warn(steps, context);
     }
-    args.finish(context, size, masked, agreement)
-}
-
-fn merge_response(
-    args: &MergeArgs,
-    context: &Context,
-    stack: &Stack,
-    responses: &[Response],
-    first: &FrameFile,
-) -> Result<(), CliError> {
-    let (mut at, mut masked) = (0, 0);
-    exr::write_rows(&args.out, first.width, first.height, || {
-        let rows = at..(at + stack.band_rows()).min(first.height);
-        at = rows.end;
-        let image = to_image(&stack.through_response(responses, rows).hint(BRACKET_HINT)?)?;
-        masked += image.valid.iter().filter(|&&valid| !valid).count();
-        Ok::<_, CliError>(image)
-    })?;
-    args.finish(context, [first.width, first.height], masked, Vec::new())
-}
-
-fn responses(path: &Path, frame: &Path, first: &FrameFile) -> Result<Vec<Response>, CliError> {
-    let record = record_in::<ResponseValues>(path)?;
-    if first.bits != 8 || record.values.channels.len() != first.planes.len() {
-        return Err(CliError::new(format!(
-            "{} has {} channels of 8 bits, but {} has {} of {} bits",
-            path.display(),
-            record.values.channels.len(),
-            frame.display(),
-            first.planes.len(),
-            first.bits
-        ))
-        .hint("a response belongs to frames of the camera that it was found with"));
+    let [width, height] = merged.size;
+    if merged.masked_pixels > 0 {
+        context.note(format_args!(
+            "{} of {} pixels are masked: clipped in every exposure, hot, or moving",
+            merged.masked_pixels,
+            width * height
+        ));
     }
-    let curve = |curve: ResponseCurve| Response {
-        ln_exposure: curve.ln_exposure,
-        ln_std: curve.ln_std,
-        darkest: curve.darkest,
-    };
-    Ok(record.values.channels.into_iter().map(curve).collect())
+    if !args.json {
+        return write_path(&args.out);
+    }
+    write_json(&MergeReport {
+        image: args.out.display().to_string(),
+        width,
+        height,
+        masked_pixels: merged.masked_pixels,
+        channels: merged.agreement,
+    })
 }
 
-fn to_image(planes: &[MergedPlane]) -> Result<RadianceImage, CliError> {
-    let image = match planes {
-        [red, green, blue] => MergedPlane::to_rgb([red, green, blue]),
-        [grey] => Some(grey.to_grey()),
-        _ => None,
+/// What to do about a bracket that cannot be merged.
+fn advised(error: BracketMergeError) -> CliError {
+    use BracketMergeError::*;
+    let hint = match error {
+        Files(error) => return bracket_files::advised(error),
+        Image(error) => return error.into(),
+        ColouredMosaic { .. } => "leave --mosaic out for frames that are RGB already",
+        OtherResponse { .. } => "a response belongs to frames of the camera that it was found with",
+        Count { .. } => "set --bit-depth to the significant bits of a count",
+        Channels => return CliError::new(error),
+        Disk(_) => DISK_HINT,
+        Merge(_) => BRACKET_HINT,
     };
-    image.ok_or_else(|| CliError::new("the frames have neither one channel nor three"))
+    CliError::from(error).hint(hint)
 }
 
+const SENSOR_HINT: &str =
+    "--gain, --read-noise, --black-level, --saturation and --bit-depth describe the sensor";
 const DISK_HINT: &str = "frames wait in the folder of --out while they are merged: make room \
     there, or choose another folder";
 const RESPONSE_HINT: &str = "find the camera's response with `rig calibrate response`, then give \
@@ -264,7 +162,7 @@ struct MergeReport {
     channels: Vec<Vec<ExposureAgreement>>,
 }
 
-/// A frame whose signal departs from the others' prediction by more than this
+/// A frame whose signal differs from the others' prediction by more than this
 /// part is reported: a wrong exposure, or counts that are not linear.
 const RATIO_WARNING: f64 = 0.01;
 /// A change of the light over the frames of one exposure beyond this is reported.
@@ -301,44 +199,6 @@ fn warn(steps: &[ExposureAgreement], context: &Context) {
 }
 
 impl MergeArgs {
-    fn finish(
-        &self,
-        context: &Context,
-        [width, height]: [usize; 2],
-        masked_pixels: usize,
-        channels: Vec<Vec<ExposureAgreement>>,
-    ) -> Result<(), CliError> {
-        if masked_pixels > 0 {
-            context.note(format_args!(
-                "{masked_pixels} of {} pixels are masked: clipped in every exposure, hot, or moving",
-                width * height
-            ));
-        }
-        if !self.json {
-            return write_path(&self.out);
-        }
-        write_json(&MergeReport {
-            image: self.out.display().to_string(),
-            width,
-            height,
-            masked_pixels,
-            channels,
-        })
-    }
-
-    /// The image of a band without its margins.
-    fn image(&self, band: &Band) -> Result<RadianceImage, CliError> {
-        let image = match band.planes.as_slice() {
-            [grey] if self.full_resolution => grey.demosaiced(self.mosaic),
-            [grey] => grey.binned(self.mosaic),
-            planes => to_image(planes)?,
-        };
-        if !self.full_resolution {
-            return Ok(image);
-        }
-        Ok(image.rows(band.above..band.above + band.rows))
-    }
-
     /// The sensor from the rig's records where --rig is given, and the options.
     fn noise(
         &self,

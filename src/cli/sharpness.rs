@@ -1,4 +1,4 @@
-//! Whether the camera's depth of field covers the sample, said before a capture.
+//! Advice on the camera's depth of field over the sample.
 
 use crate::calibration::depth_of_field::DepthOfField;
 

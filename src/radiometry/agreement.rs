@@ -1,6 +1,6 @@
 //! Whether the frames of a bracket agree: exposures with the shorter ones,
 //! repeats with each other. Something that moved shows as groups of pixels that
-//! depart far beyond their noise; a wrong exposure time or a drifting lamp shows
+//! deviate far beyond their noise; a wrong exposure time or a drifting lamp shows
 //! everywhere.
 //!
 //! All are sums over pixels, so those of bands of rows add up.
@@ -26,7 +26,7 @@ pub struct ExposureAgreement {
     /// Mean squared deviation from that prediction over its variance; about 1
     /// if the noise model holds. 0 for the shortest.
     pub reduced_chi2: f64,
-    /// Pixels, in groups, that depart from the shorter exposures or from earlier
+    /// Pixels, in groups, that deviate from the shorter exposures or from earlier
     /// frames of this one although most do not: something moved there, or the
     /// light changed by more than 5% between frames.
     pub moved_pixels: usize,
@@ -37,11 +37,11 @@ pub struct ExposureAgreement {
     pub drift_std: f64,
 }
 
-/// A pixel departs where it differs by this many standard deviations ...
+/// A pixel deviates where it differs by this many standard deviations ...
 const DEPARTURE_SIGMA: f64 = 5.0;
 /// ... and by what this relative error of the light, times them, explains.
 const TOLERATED: f64 = 0.01;
-/// So many of a pixel and its eight neighbours depart together where something moved.
+/// So many of a pixel and its eight neighbours deviate together where something moved.
 const GROUP: usize = 3;
 /// Repeats are compared where all of them together stay below this part of the
 /// usable range.
@@ -54,9 +54,9 @@ fn beyond(difference_dn: f64, variance_dn2: f64, signal_dn: f64, gain_dn_per_e: 
     difference_dn * difference_dn > DEPARTURE_SIGMA.powi(2) * (variance_dn2 + tolerated_dn2)
 }
 
-/// Whether an exposure departs from what the shorter ones predict. Beyond the
+/// Whether an exposure deviates from what the shorter ones predict. Beyond the
 /// usable range, counts and predictions are only known to be there.
-pub(super) fn departs(noise: &SensorNoise, level: &Level, agreement: &Agreement) -> bool {
+pub(super) fn deviates(noise: &SensorNoise, level: &Level, agreement: &Agreement) -> bool {
     let usable_dn = noise.usable_range_dn();
     let signal_dn = match level.clipped {
         true => usable_dn,
@@ -83,7 +83,7 @@ pub(super) struct RepeatSum {
 
 impl RepeatSum {
     /// Adds a pixel's count, `sum_dn` being that of the `earlier` frames. Returns
-    /// whether the pixel departs. Which pixels are summed is decided from all
+    /// whether the pixel deviates. Which pixels are summed is decided from all
     /// frames together, so that the choice favours neither side.
     pub fn add(
         &mut self,
@@ -142,7 +142,7 @@ impl Sums {
     }
 }
 
-/// What the pixels of one light exposure say.
+/// Sums over the pixels of one light exposure.
 #[derive(Clone, Debug, Default)]
 pub(super) struct ExposureTally {
     exposure_s: f64,
@@ -151,7 +151,7 @@ pub(super) struct ExposureTally {
     pub repeats: Vec<RepeatSum>,
     pub moved_pixels: usize,
     seen: usize,
-    departing: usize,
+    deviating: usize,
     steady: Sums,
     unsteady: Sums,
 }
@@ -167,13 +167,13 @@ impl ExposureTally {
     }
 
     /// Takes in a pixel; `step` is how the exposure agreed with the shorter ones.
-    pub fn take_in(&mut self, departs: bool, step: Option<(&Level, &Agreement)>) {
+    pub fn take_in(&mut self, deviates: bool, step: Option<(&Level, &Agreement)>) {
         self.seen += 1;
-        self.departing += usize::from(departs);
+        self.deviating += usize::from(deviates);
         if let Some((level, agreement)) = step
             && agreement.share == 1.0
         {
-            let sums = if departs {
+            let sums = if deviates {
                 &mut self.unsteady
             } else {
                 &mut self.steady
@@ -192,7 +192,7 @@ impl ExposureTally {
     pub fn add(&mut self, other: &Self) {
         self.moved_pixels += other.moved_pixels;
         self.seen += other.seen;
-        self.departing += other.departing;
+        self.deviating += other.deviating;
         self.steady.add(&other.steady);
         self.unsteady.add(&other.unsteady);
         for (mine, theirs) in self.repeats.iter_mut().zip(&other.repeats) {
@@ -202,16 +202,16 @@ impl ExposureTally {
         }
     }
 
-    /// Whether the exposure as a whole departs, so that single pixels prove
+    /// Whether the exposure as a whole deviates, so that single pixels prove
     /// nothing: most do, or the others are off together.
-    pub fn departs_everywhere(&self) -> bool {
+    pub fn deviates_everywhere(&self) -> bool {
         let off = |(ratio, std): (f64, f64)| (ratio - 1.0).abs() > TOLERATED + 3.0 * std;
-        2 * self.departing > self.seen || self.steady.ratio().is_some_and(off)
+        2 * self.deviating > self.seen || self.steady.ratio().is_some_and(off)
     }
 
     pub fn agreement(&self) -> ExposureAgreement {
         let mut sums = self.steady;
-        if self.departs_everywhere() {
+        if self.deviates_everywhere() {
             sums.add(&self.unsteady);
         }
         let (signal_ratio, signal_ratio_std) = sums.ratio().unwrap_or((1.0, 0.0));
@@ -261,25 +261,25 @@ impl ExposureTally {
     }
 }
 
-/// Bit of an exposure in a pixel's set of departing exposures.
+/// Bit of an exposure in a pixel's set of deviating exposures.
 pub(super) fn bit(exposure: usize) -> u16 {
     1 << exposure.min(15)
 }
 
-/// The exposures of which a pixel departs together with its neighbours (`step`
+/// The exposures of which a pixel deviates together with its neighbours (`step`
 /// pixels away), of those in `trusted`.
 pub(super) fn moved(
-    departing: &[u16],
+    deviating: &[u16],
     width: usize,
     [x, y]: [usize; 2],
     step: usize,
     trusted: u16,
 ) -> u16 {
-    let here = departing[y * width + x] & trusted;
+    let here = deviating[y * width + x] & trusted;
     if here == 0 {
         return 0;
     }
-    let height = departing.len() / width;
+    let height = deviating.len() / width;
     let mut counts = [0; 16];
     let around = |at: usize, limit: usize| {
         [at.checked_sub(step), Some(at), at.checked_add(step)]
@@ -289,7 +289,7 @@ pub(super) fn moved(
     };
     for row in around(y, height) {
         for column in around(x, width) {
-            let there = departing[row * width + column] & here;
+            let there = deviating[row * width + column] & here;
             for (bit, count) in counts.iter_mut().enumerate() {
                 *count += usize::from(there >> bit & 1);
             }

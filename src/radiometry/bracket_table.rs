@@ -1,4 +1,4 @@
-//! The table that says which frame of a bracket had which exposure: CSV with
+//! The table of the exposures of a bracket's frames: CSV with
 //! the columns file, exposure, and optionally role.
 
 use std::collections::HashSet;
@@ -100,7 +100,7 @@ fn named_columns(row: &Row) -> Option<Columns> {
         .iter()
         .find_map(|(name, unit_s)| Some((row.column(name)?, *unit_s)))?;
     let file = FILE_NAMES.iter().find_map(|name| row.column(name));
-    // `exposure_s` in the second place was enough of a name.
+    // `exposure_s` in the second column was enough of a name.
     let file = file.unwrap_or(0);
     Some(Columns {
         file,
@@ -153,7 +153,7 @@ fn bracket_row(row: &Row, columns: &Columns) -> Result<BracketRow, String> {
 /// Compared are Unicode's composed forms, `\` is `/`, and case counts only where it decides.
 ///
 /// # Errors
-/// No row has the frame's name, or several that say different things.
+/// No row has the frame's name, or several with different exposures.
 pub fn row_of<'a>(rows: &'a [BracketRow], frame: &Path) -> Result<&'a BracketRow, NoRow> {
     let frame = key(&frame.to_string_lossy());
     let folded = frame.to_lowercase();
@@ -175,7 +175,7 @@ pub fn row_of<'a>(rows: &'a [BracketRow], frame: &Path) -> Result<&'a BracketRow
     Err(NoRow::None)
 }
 
-/// Why a table says nothing of a frame.
+/// Why a table has no exposure for a frame.
 #[derive(Clone, Debug, PartialEq)]
 pub enum NoRow {
     /// Nothing has its name.

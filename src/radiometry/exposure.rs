@@ -2,7 +2,7 @@
 
 use super::sensor::SensorNoise;
 
-/// What pilot frames say about a scene, in electrons per second at the sensor,
+/// Statistics of pilot frames of a scene, in electrons per second at the sensor,
 /// lamp and room light together, dark current excluded.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PilotStatistics {
@@ -24,13 +24,13 @@ pub enum PilotReading {
     },
 }
 
-/// Which pixels a pilot looks at, and which are dark but still of interest.
+/// Which pixels of a pilot are used, and which are dark but still of interest.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PilotOptions {
     /// The darkest level of interest is this quantile of the pixels; [0, 1]; default 0.05.
     pub darkest_quantile: f64,
     /// ... but never below this fraction of the brightest, so that an empty
-    /// background does not ask for endless exposures; (0, 1]; default 1/2000.
+    /// background does not need endless exposures; (0, 1]; default 1/2000.
     pub darkest_fraction: f64,
 }
 
@@ -313,6 +313,7 @@ fn check(
     target: &BracketTarget,
 ) -> Result<(), PlanError> {
     let positive = |x: f64| x.is_finite() && x > 0.0;
+    // Name, value, whether it is allowed, what is.
     let cases = [
         (
             "brightest_e_s",
@@ -450,7 +451,7 @@ mod tests {
     }
 
     #[test]
-    fn an_unreachable_target_is_said() {
+    fn an_unreachable_target_is_reported() {
         let pilot = PilotStatistics {
             brightest_e_s: 1e4,
             darkest_e_s: 1.0,

@@ -22,7 +22,7 @@ pub struct CameraNote {
     pub orientation: Option<u32>,
 }
 
-/// EXIF data that cannot be gone by.
+/// EXIF data that cannot be used.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum NoteError {
     /// Two statements of the exposure, too far apart for rounding.
@@ -32,7 +32,7 @@ pub enum NoteError {
     Contradiction {
         /// The tag ExposureTime, seconds.
         exposure_s: f64,
-        /// What says otherwise.
+        /// The contradicting entry.
         what: &'static str,
         /// Its value, seconds.
         other_s: f64,
@@ -59,7 +59,7 @@ mod tag {
 }
 
 impl CameraNote {
-    /// What the EXIF data of a JPEG, TIFF, BigTIFF or PNG say, in their own directory or in the
+    /// The EXIF data of a JPEG, TIFF, BigTIFF or PNG, in their own directory or in the
     /// first one (as TIFF/EP and scientific programs have it). Fields of 0/0 are unknown.
     pub fn read(bytes: &[u8]) -> Self {
         let mut reader = exif::Reader::new();
@@ -106,7 +106,7 @@ impl CameraNote {
             values
         };
         let mut first = |number| known(number).first().copied();
-        // A camera that cannot say its speed in 16 bits says 65535, and has another tag for it.
+        // A camera whose speed does not fit 16 bits writes 65535, and has another tag for it.
         let iso = match first(tag::ISO) {
             Some(65535.0) => first(tag::RECOMMENDED_INDEX),
             iso => iso,

@@ -14,7 +14,7 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-use super::agreement::{ExposureTally, RepeatSum, bit, departs, moved};
+use super::agreement::{ExposureTally, RepeatSum, bit, deviates, moved};
 use super::mosaic::Mosaic;
 use super::neighbourhood::{AMBIENT, DARK, LIT, Neighbourhood, POOL_RADIUS, PixelRates};
 use super::plane::MergedPlane;
@@ -89,13 +89,13 @@ struct ExposureSum {
     clipped: Vec<bool>,
     /// Light frames after the first against the earlier ones.
     repeats: Vec<RepeatSum>,
-    /// Whether a pixel departs in any of them; empty where there are none.
+    /// Whether a pixel deviates in any of them; empty where there are none.
     unsteady: Vec<bool>,
 }
 
 /// Rows on each side of a band that its pixels are compared with.
 pub(super) fn halo_rows(mosaic: Mosaic) -> usize {
-    // A moved pixel asks its neighbours, and those ask theirs.
+    // A moved pixel depends on its neighbours, and those on theirs.
     (1 + POOL_RADIUS as usize) * mosaic.period()
 }
 
@@ -195,7 +195,7 @@ impl<N: Borrow<SensorNoise>> BracketMerge<N> {
         Ok(plane)
     }
 
-    /// Merges the band, and says how its light exposures agree, shortest first.
+    /// Merges the band, and returns how its light exposures agree, shortest first.
     pub(super) fn finish_band(mut self) -> Result<(MergedPlane, Vec<ExposureTally>), MergeError> {
         self.exposures
             .sort_by(|a, b| a.exposure_s.total_cmp(&b.exposure_s));
@@ -208,6 +208,7 @@ impl<N: Borrow<SensorNoise>> BracketMerge<N> {
         if bracket.light.is_empty() {
             return Err(MergeError::NoLightFrame);
         }
+        // First pass: each pixel's rates by itself; second: with its neighbours'.
         let mut first = vec![PixelRates::default(); self.width * self.height];
         first
             .par_iter_mut()
@@ -238,6 +239,7 @@ impl<N: Borrow<SensorNoise>> BracketMerge<N> {
             })
             .collect();
 
+        // How the exposures agree.
         let mut tallies = bracket.tallies();
         for (tally, exposure) in tallies.iter_mut().zip(&bracket.light) {
             tally.repeats.clone_from(&exposure.repeats);
@@ -248,9 +250,10 @@ impl<N: Borrow<SensorNoise>> BracketMerge<N> {
             }
         }
         let trusted = (0..tallies.len())
-            .filter(|&e| !tallies[e].departs_everywhere())
+            .filter(|&e| !tallies[e].deviates_everywhere())
             .fold(0, |set, e| set | bit(e));
-        let departing: Vec<u16> = lines.iter().flat_map(|l| l.departing.clone()).collect();
+        let deviating: Vec<u16> = lines.iter().flat_map(|l| l.deviating.clone()).collect();
+        // The plane, without what moved.
         let mut plane = MergedPlane {
             width,
             height: self.rows.len(),
@@ -264,7 +267,7 @@ impl<N: Borrow<SensorNoise>> BracketMerge<N> {
             plane.variance.extend(line.variance);
             for (x, valid) in line.valid.into_iter().enumerate() {
                 let step = self.mosaic.period();
-                let moved = moved(&departing, width, [x, y], step, trusted);
+                let moved = moved(&deviating, width, [x, y], step, trusted);
                 for (exposure, tally) in tallies.iter_mut().enumerate() {
                     let counts = valid && self.counted.contains(&y);
                     tally.moved_pixels += usize::from(counts && moved & bit(exposure) != 0);
@@ -300,8 +303,8 @@ struct Line {
     mean: Vec<f32>,
     variance: Vec<f32>,
     valid: Vec<bool>,
-    /// Per pixel the exposures that depart from the shorter ones.
-    departing: Vec<u16>,
+    /// Per pixel the exposures that deviate from the shorter ones.
+    deviating: Vec<u16>,
     tallies: Vec<ExposureTally>,
 }
 
@@ -311,7 +314,7 @@ impl Line {
             mean: Vec::with_capacity(width),
             variance: Vec::with_capacity(width),
             valid: Vec::with_capacity(width),
-            departing: Vec::with_capacity(width),
+            deviating: Vec::with_capacity(width),
             tallies: bracket.tallies(),
         }
     }
@@ -387,13 +390,13 @@ impl Bracket<'_> {
         counts: bool,
         line: &mut Line,
     ) {
-        let mut departing = 0;
-        let mut watch = |index: usize, departs: bool, step: Option<(&Level, &Agreement)>| {
-            if departs {
-                departing |= bit(index);
+        let mut deviating = 0;
+        let mut watch = |index: usize, deviates: bool, step: Option<(&Level, &Agreement)>| {
+            if deviates {
+                deviating |= bit(index);
             }
             if counts && usable {
-                line.tallies[index].take_in(departs, step);
+                line.tallies[index].take_in(deviates, step);
             }
         };
         watch(0, self.light[0].is_unsteady(pixel), None);
@@ -402,16 +405,16 @@ impl Bracket<'_> {
             self.noise,
             Some(expected[LIT]),
             |index, level, agreement| {
-                let departs =
-                    self.light[index].is_unsteady(pixel) || departs(self.noise, level, &agreement);
-                watch(index, departs, Some((level, &agreement)));
+                let deviates =
+                    self.light[index].is_unsteady(pixel) || deviates(self.noise, level, &agreement);
+                watch(index, deviates, Some((level, &agreement)));
             },
         );
         let (mean, variance) = lit.map_or((0.0, 0.0), |lit| self.radiance(pixel, &lit, expected));
         line.mean.push(mean as f32);
         line.variance.push(variance as f32);
         line.valid.push(usable);
-        line.departing.push(departing);
+        line.deviating.push(deviating);
     }
 
     /// Radiance and variance of one pixel from its lit rate.

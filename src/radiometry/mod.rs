@@ -2,6 +2,8 @@
 //! take, and how a bracket becomes one radiance with its variance.
 
 pub mod agreement;
+pub mod bracket_files;
+pub mod bracket_merge;
 pub mod bracket_table;
 pub mod exposure;
 pub mod frame_exposure;

@@ -1,5 +1,7 @@
 //! Colour filter arrays: which colour a sensor pixel sees.
 
+use std::str::FromStr;
+
 use serde::{Deserialize, Serialize};
 
 /// The order of colour filters over the sensor, by its first two pixels of the first two rows.
@@ -14,6 +16,22 @@ pub enum Mosaic {
     Grbg,
     Gbrg,
     Bggr,
+}
+
+impl FromStr for Mosaic {
+    type Err = &'static str;
+
+    /// `none`, or the letters of the first cell.
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        match text {
+            "none" => Ok(Self::None),
+            "rggb" => Ok(Self::Rggb),
+            "grbg" => Ok(Self::Grbg),
+            "gbrg" => Ok(Self::Gbrg),
+            "bggr" => Ok(Self::Bggr),
+            _ => Err("none, rggb, grbg, gbrg or bggr"),
+        }
+    }
 }
 
 impl Mosaic {
@@ -53,6 +71,7 @@ mod tests {
                 .map(|&(x, y)| ['r', 'g', 'b'][mosaic.channel(x, y).unwrap()])
                 .collect();
             assert_eq!(spelled, name);
+            assert_eq!(name.parse(), Ok(mosaic));
         }
         assert_eq!(Mosaic::None.channel(3, 5), None);
     }

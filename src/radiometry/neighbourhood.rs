@@ -1,4 +1,4 @@
-//! What the pixels around one let expect of it, so that its own noise hardly
+//! Expectation of a pixel from those around it, so that its own noise hardly
 //! enters its weights.
 
 use super::rate::Expectation;
@@ -26,16 +26,16 @@ pub(super) struct Neighbourhood<'a> {
     pub step: usize,
 }
 
-/// Neighbours this many places away on each side are pooled ...
+/// Neighbours this many pixels away on each side are pooled ...
 pub(super) const POOL_RADIUS: isize = 2;
 /// ... if they lie within this many standard deviations of the pixel.
 const POOL_AGREEMENT: f32 = 4.0;
 
-/// ... and speak for it if at least this many do.
+/// ... and replace it if at least this many do.
 const POOL_QUORUM: f64 = 6.0;
 
 impl Neighbourhood<'_> {
-    /// What the neighbours that agree with a pixel let expect of its rates, so
+    /// Expectation of a pixel's rates from the neighbours that agree with it, so
     /// that its own noise hardly enters its weights.
     pub fn expectations(&self, x: usize, y: usize) -> [Expectation; 3] {
         let centre = &self.rates[y * self.width + x];

@@ -125,7 +125,7 @@ impl MergedPlane {
                         if let Some(channel) = mosaic.channel(column, row)
                             && self.valid[near]
                         {
-                            // 0: itself, 1: beside it, 2: across the corner.
+                            // 0: itself, 1: next to it, 2: across the corner.
                             let distance = row.abs_diff(y) + column.abs_diff(x);
                             sums[channel][distance] += self.mean[near];
                             variances[channel][distance] += self.variance[near];

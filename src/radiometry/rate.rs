@@ -4,7 +4,7 @@
 //! `y = offset + K·t·rate + noise`, where the pixel's own offset is shared by
 //! all its frames, lit or not. The estimator follows the exposures from the
 //! shortest to the longest and keeps the rate *given* the offset, together with
-//! what the frames say about the offset; the two are put together at the end.
+//! the frames' own estimate of the offset; the two are put together at the end.
 //! This is generalised least squares over all frames with every correlation
 //! that the common offset and the common reference frames make.
 

@@ -21,7 +21,7 @@ pub struct SensorNoise {
     pub black_level_dn: f64,
     /// Standard deviation of the black level between pixels, DN; 0 means that
     /// every pixel has the same. The merge estimates each pixel's own level as
-    /// far as the frames tell it.
+    /// far as the frames determine it.
     pub black_level_spread_dn: f64,
     /// Counts at or above this are clipped, DN.
     pub saturation_dn: f64,
@@ -47,7 +47,7 @@ pub struct SensorNoise {
     pub hot_pixels: Option<Vec<bool>>,
 }
 
-/// Each pixel's departure from the mean darkness, row by row. The spreads of the
+/// Each pixel's deviation from the mean darkness, row by row. The spreads of the
 /// noise model are then those of what remains unknown.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DarkPattern {
@@ -152,6 +152,7 @@ impl SensorNoise {
                 allowed: format!("{bracket}{low}, {high}]"),
             })
         };
+        // Numbers.
         range("bit_depth", f64::from(self.bit_depth), 1.0, 16.0, false)?;
         let full_scale_dn = (1u64 << self.bit_depth) as f64 - 1.0;
         range("gain_dn_per_e", self.gain_dn_per_e, 0.0, 1e9, true)?;
@@ -207,6 +208,7 @@ impl SensorNoise {
                 allowed: "those whose signal grows with every count".to_owned(),
             });
         }
+        // Maps.
         if let Some(hot) = &self.hot_pixels {
             map_size("hot-pixel map", hot.len(), pixels)?;
         }

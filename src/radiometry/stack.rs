@@ -42,7 +42,7 @@ const BAND_BYTES: usize = 64 << 20;
 const PIXEL_BYTES: usize = 64;
 const EXPOSURE_BYTES: usize = 8;
 
-/// Of the system's errors, a full disk in the words of all messages.
+/// The system's error; a full disk as in all messages.
 fn reason(error: &std::io::Error) -> String {
     match error.kind() {
         std::io::ErrorKind::StorageFull => "no space left".to_owned(),
@@ -155,7 +155,7 @@ impl Stack {
         responses: &[Response],
         rows: Range<usize>,
     ) -> Result<Vec<MergedPlane>, StackError> {
-        // A pixel asks its neighbours.
+        // A pixel depends on its neighbours.
         let (top, bottom) = (
             rows.start.saturating_sub(1),
             (rows.end + 1).min(self.height),

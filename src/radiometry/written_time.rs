@@ -12,7 +12,7 @@ const UNITS: [(&[&str], f64); 3] = [
     (&["s", "sec", "secs", "second", "seconds"], 1.0),
 ];
 
-/// Endings of frames that are not part of what a name says.
+/// Endings of frames that are not part of the name.
 const ENDINGS: [&str; 5] = ["png", "tif", "tiff", "jpg", "jpeg"];
 
 /// A name that may state more than one exposure.
@@ -32,7 +32,7 @@ fn listed(readings_s: &[f64]) -> String {
 /// `unit_s` is the unit where it has none. Seconds, finite and > 0.
 ///
 /// # Errors
-/// In words, after the field: it is no such thing, or could be either of two.
+/// For messages, after the field: it is no such thing, or could be either of two.
 pub fn seconds(text: &str, unit_s: f64) -> Result<f64, String> {
     let text: String = text.nfkc().collect();
     let letters = text.trim_end_matches(|c: char| c.is_alphabetic()).len();
@@ -159,7 +159,7 @@ fn unit_after(text: &[char], end: usize) -> Option<(f64, usize)> {
     (alone && clear).then_some((unit(&word)?, after))
 }
 
-/// What the number from `start` to `end` says of the exposure, seconds: nothing, one thing, or
+/// What the number from `start` to `end` may mean as an exposure, seconds: nothing, one thing, or
 /// several.
 fn statement(text: &[char], start: usize, end: usize) -> Vec<f64> {
     let Some((unit_s, after)) = unit_after(text, end) else {
@@ -329,8 +329,8 @@ mod tests {
             let error = from_name(name).unwrap_err();
             assert_eq!(error.readings_s, readings_s, "{name}");
         }
-        let said = from_name("img_2s5.png").unwrap_err().to_string();
-        assert_eq!(said, "its name may mean an exposure of 2 s or 2.5 s");
+        let text = from_name("img_2s5.png").unwrap_err().to_string();
+        assert_eq!(text, "its name may mean an exposure of 2 s or 2.5 s");
     }
 
     #[test]

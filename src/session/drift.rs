@@ -8,6 +8,7 @@ use std::fmt;
 
 use super::{Event, Session, SessionError};
 use crate::device::FrameKind;
+use crate::statistics::two_sided_normal_quantile;
 
 /// Number of the round in which the first light is visited again; brackets have far fewer.
 pub const REVISIT_ROUND: u32 = 1000;
@@ -68,16 +69,7 @@ impl LampDrift {
     pub fn significant_beyond(&self) -> f64 {
         let known = self.changes.iter().filter(|c| c.std_dev.is_some()).count();
         let each = -f64::exp_m1(f64::ln_1p(-FALSE_ALARM_RATE) / known.max(1) as f64);
-        // Bisection: the tail falls with the number of standard deviations.
-        let (mut low, mut high) = (0.0, 10.0);
-        for _ in 0..60 {
-            let middle: f64 = 0.5 * (low + high);
-            match libm::erfc(middle / std::f64::consts::SQRT_2) > each {
-                true => low = middle,
-                false => high = middle,
-            }
-        }
-        high
+        two_sided_normal_quantile(each)
     }
 
     /// The changes that are significant and matter, the largest first.

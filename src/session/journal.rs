@@ -15,10 +15,10 @@ use std::io::ErrorKind;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
-use sha2::{Digest, Sha256};
 
 use super::SessionError;
 use super::layout::{self, JOURNAL_FILE};
+use crate::checksum::sha256_hex;
 use crate::device::FrameKey;
 use crate::outside_file::read_regular;
 
@@ -48,15 +48,6 @@ impl FileDigest {
             sha256: sha256_hex(bytes),
         }
     }
-}
-
-/// SHA-256 (FIPS 180-4) in lowercase hexadecimal.
-pub fn sha256_hex(bytes: &[u8]) -> String {
-    hex(&Sha256::digest(bytes))
-}
-
-pub(crate) fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// What happened.

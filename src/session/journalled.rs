@@ -9,8 +9,9 @@ use std::path::{Path, PathBuf};
 use sha2::{Digest, Sha256};
 
 use super::SessionError;
-use super::journal::{FileDigest, Journal, hex};
+use super::journal::{FileDigest, Journal};
 use super::layout::{DERIVED_FOLDER, FITS_FOLDER, JOURNAL_FILE, QUARANTINE_FOLDER, RAW_FOLDER};
+use crate::checksum::hex;
 use crate::outside_file::open_regular;
 
 /// Files beyond this are checked but not read into memory.

@@ -4,14 +4,22 @@
 //! The pattern looks the same turned by 180°, so errors of the model move no corner.
 
 use glam::DVec2;
-use nalgebra::{Matrix2, SMatrix, SVector};
+use nalgebra::{DMatrix, DVector, Matrix2, SMatrix, SVector};
 
 use crate::calibration::mirror_sphere::Grey;
-use crate::calibration::mirror_sphere::gauss::{normal_density, normal_integral};
+use crate::least_squares::{self, Equations, Options, Problem};
+use crate::statistics::{normal_cdf, normal_density};
 
 /// Middle (2), directions of the edges (2), blur, level, contrast, change of the light (2).
 const NUMBERS: usize = 9;
-const ROUNDS: usize = 30;
+type Numbers = SVector<f64, NUMBERS>;
+/// The last step moves a corner by some 1e-4 of its uncertainty.
+const STEPS: Options = Options {
+    rounds: 30,
+    damping: 1e-3,
+    least_relative_gain: 1e-10,
+    least_gain: 0.0,
+};
 /// Part of a corner's contrast that the pattern must explain.
 const LEAST_EXPLAINED: f64 = 0.8;
 /// Systematic error of a corner, pixels: sampling, blur that is not round.
@@ -50,7 +58,9 @@ struct Fitted {
     covariance: Matrix2<f64>,
 }
 
+/// Fits the pattern to the pixels around `start_px`.
 fn fit(image: &Grey, start_px: DVec2, angles_rad: [f64; 2], radius_px: f64) -> Option<Fitted> {
+    // The pixels around, fading out towards the edge of a disc.
     let middle = start_px.floor();
     let reach = radius_px.ceil();
     let low = middle - reach;
@@ -77,12 +87,13 @@ fn fit(image: &Grey, start_px: DVec2, angles_rad: [f64; 2], radius_px: f64) -> O
     if pixels.len() < 3 * NUMBERS {
         return None;
     }
+    // The start: level and contrast from mean and scatter.
     let weights: f64 = pixels.iter().map(|p| p.weight).sum();
     let mean = pixels.iter().map(|p| p.weight * p.value).sum::<f64>() / weights;
     let off2 = |p: &Pixel| p.weight * (p.value - mean).powi(2);
     let total: f64 = pixels.iter().map(off2).sum();
     let spread = (total / weights).sqrt();
-    let mut numbers = SVector::<f64, NUMBERS>::from_column_slice(&[
+    let mut numbers = Numbers::from_column_slice(&[
         start_px.x,
         start_px.y,
         angles_rad[0],
@@ -94,53 +105,30 @@ fn fit(image: &Grey, start_px: DVec2, angles_rad: [f64; 2], radius_px: f64) -> O
         0.0,
     ]);
     // Which of the quarters is bright follows from the image.
-    let along = |numbers: &SVector<f64, NUMBERS>| {
+    let along = |numbers: &Numbers| {
         let dot = |p: &Pixel| p.weight * (value(numbers, p.at).0 - mean) * (p.value - mean);
         pixels.iter().map(dot).sum::<f64>()
     };
     if along(&numbers) < 0.0 {
         numbers[6] = -numbers[6];
     }
-    let mut damping = 1e-3;
-    let (mut normal, mut right, mut squares) = system(&numbers, &pixels);
-    let mut settled = false;
-    for _ in 0..ROUNDS {
-        let mut damped = normal;
-        for i in 0..NUMBERS {
-            damped[(i, i)] *= 1.0 + damping;
-        }
-        let step = damped.cholesky()?.solve(&right);
-        let mut next = numbers + step;
-        next[4] = next[4].clamp(0.2, radius_px);
-        let (n, r, s) = system(&next, &pixels);
-        if s < squares {
-            (numbers, normal, right, squares) = (next, n, r, s);
-            damping *= 0.1;
-            if step.fixed_rows::<2>(0).norm() < 1e-5 {
-                settled = true;
-                break;
-            }
-        } else {
-            damping *= 10.0;
-            if damping > 1e8 {
-                settled = true;
-                break;
-            }
-        }
-    }
-    if !settled || squares > (1.0 - LEAST_EXPLAINED) * total {
+    let mut pattern = Pattern { pixels, radius_px };
+    let found = least_squares::minimise(&mut pattern, numbers, &STEPS);
+    let numbers = found.point;
+    let equations = pattern.linearise(&numbers);
+    if !found.settled || equations.cost > (1.0 - LEAST_EXPLAINED) * total {
         return None;
     }
-    let count = pixels.len() as f64;
-    let noise2 = squares / weights * count / (count - NUMBERS as f64);
-    let inverse = normal.cholesky()?.inverse();
-    // The weights are not those of the noise.
+    // The covariance. The weights are not those of the noise.
+    let count = pattern.pixels.len() as f64;
+    let noise2 = equations.cost / weights * count / (count - NUMBERS as f64);
     let mut scatter = SMatrix::<f64, NUMBERS, NUMBERS>::zeros();
-    for pixel in &pixels {
+    for pixel in &pattern.pixels {
         let (_, by) = value(&numbers, pixel.at);
         scatter += by * by.transpose() * pixel.weight.powi(2);
     }
-    let covariance = inverse * scatter * inverse * noise2;
+    let scatter = DMatrix::from_column_slice(NUMBERS, NUMBERS, scatter.as_slice());
+    let covariance = equations.sandwich(&scatter)? * noise2;
     let own = covariance.fixed_view::<2, 2>(0, 0) + Matrix2::identity() * FLOOR_PX.powi(2);
     Some(Fitted {
         at_px: DVec2::new(numbers[0], numbers[1]),
@@ -155,14 +143,14 @@ struct Pixel {
     weight: f64,
 }
 
-/// The model at one place, and its derivatives.
-fn value(numbers: &SVector<f64, NUMBERS>, at: DVec2) -> (f64, SVector<f64, NUMBERS>) {
+/// The model at one position in the image, and its derivatives.
+fn value(numbers: &Numbers, at: DVec2) -> (f64, Numbers) {
     let offset = at - DVec2::new(numbers[0], numbers[1]);
     let blur = numbers[4];
     let edge = |angle: f64| {
         let along = DVec2::from_angle(angle);
         let u = along.perp_dot(offset) / blur;
-        let step = 2.0 * normal_integral(u) - 1.0;
+        let step = 2.0 * normal_cdf(u) - 1.0;
         (along, u, step, 2.0 * normal_density(u))
     };
     let (a, ua, sa, da) = edge(numbers[2]);
@@ -172,7 +160,7 @@ fn value(numbers: &SVector<f64, NUMBERS>, at: DVec2) -> (f64, SVector<f64, NUMBE
     let pattern = numbers[5] + numbers[6] * sa * sb;
     let by_ua = light * numbers[6] * da * sb;
     let by_ub = light * numbers[6] * sa * db;
-    let mut by = SVector::<f64, NUMBERS>::zeros();
+    let mut by = Numbers::zeros();
     // The distance from an edge along `a` is aₓ·dy − a_y·dx.
     by[0] = (by_ua * a.y + by_ub * b.y) / blur - pattern * slope.x;
     by[1] = -(by_ua * a.x + by_ub * b.x) / blur - pattern * slope.y;
@@ -186,20 +174,43 @@ fn value(numbers: &SVector<f64, NUMBERS>, at: DVec2) -> (f64, SVector<f64, NUMBE
     (light * pattern, by)
 }
 
-type System = (SMatrix<f64, NUMBERS, NUMBERS>, SVector<f64, NUMBERS>, f64);
+/// Two crossing edges, and the pixels to which they are fitted.
+struct Pattern {
+    pixels: Vec<Pixel>,
+    radius_px: f64,
+}
 
-fn system(numbers: &SVector<f64, NUMBERS>, pixels: &[Pixel]) -> System {
-    let mut normal = SMatrix::zeros();
-    let mut right = SVector::zeros();
-    let mut squares = 0.0;
-    for pixel in pixels {
-        let (model, by) = value(numbers, pixel.at);
-        let off = pixel.value - model;
-        normal += by * by.transpose() * pixel.weight;
-        right += by * (off * pixel.weight);
-        squares += pixel.weight * off * off;
+impl Problem for Pattern {
+    type Point = Numbers;
+
+    fn linearise(&mut self, at: &Numbers) -> Equations {
+        let mut normal = SMatrix::<f64, NUMBERS, NUMBERS>::zeros();
+        let mut right = Numbers::zeros();
+        let mut cost = 0.0;
+        for pixel in &self.pixels {
+            let (model, by) = value(at, pixel.at);
+            let off = pixel.value - model;
+            normal += by * by.transpose() * pixel.weight;
+            right += by * (off * pixel.weight);
+            cost += pixel.weight * off * off;
+        }
+        Equations {
+            normal: DMatrix::from_column_slice(NUMBERS, NUMBERS, normal.as_slice()),
+            right: DVector::from_column_slice(right.as_slice()),
+            cost,
+        }
     }
-    (normal, right, squares)
+
+    fn cost(&self, at: &Numbers) -> f64 {
+        let square = |p: &Pixel| p.weight * (p.value - value(at, p.at).0).powi(2);
+        self.pixels.iter().map(square).sum()
+    }
+
+    fn moved(&self, from: &Numbers, step: &DVector<f64>) -> Numbers {
+        let mut next = from + Numbers::from_column_slice(step.as_slice());
+        next[4] = next[4].clamp(0.2, self.radius_px);
+        next
+    }
 }
 
 #[cfg(test)]
@@ -208,9 +219,7 @@ mod tests {
 
     #[test]
     fn the_derivatives_are_those_of_the_model() {
-        let numbers = SVector::<f64, NUMBERS>::from_column_slice(&[
-            5.2, 4.9, 0.3, 1.7, 0.9, 2.0, 0.7, 0.02, -0.03,
-        ]);
+        let numbers = Numbers::from_column_slice(&[5.2, 4.9, 0.3, 1.7, 0.9, 2.0, 0.7, 0.02, -0.03]);
         let at = DVec2::new(6.1, 4.2);
         let (_, by) = value(&numbers, at);
         for k in 0..NUMBERS {

@@ -9,7 +9,7 @@ const NEAR: f64 = 0.3;
 /// Corners from which a walk is tried.
 const SEEDS: usize = 12;
 
-/// A found corner: place and the directions of its two edges (radians).
+/// A found corner: position and the directions of its two edges (radians).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Candidate {
     /// Pixels.
@@ -20,9 +20,9 @@ pub struct Candidate {
     pub response: f64,
 }
 
-/// The largest connected part of a board: for each of the board's places (column, row; in a
+/// The largest connected part of a board: for each of the board's nodes (column, row; in a
 /// right-handed system seen from its front, so that rows count upwards) the index of the
-/// candidate. Places count from 0.
+/// candidate. Nodes count from 0.
 pub fn label(candidates: &[Candidate]) -> HashMap<[i32; 2], usize> {
     let mut order: Vec<usize> = (0..candidates.len()).collect();
     order.sort_by(|a, b| {
@@ -41,10 +41,10 @@ pub fn label(candidates: &[Candidate]) -> HashMap<[i32; 2], usize> {
             break;
         }
     }
-    let low = |i: usize| best.keys().map(|place| place[i]).min().unwrap_or(0);
+    let low = |i: usize| best.keys().map(|node| node[i]).min().unwrap_or(0);
     let [column, row] = [low(0), low(1)];
     best.into_iter()
-        .map(|(place, index)| ([place[0] - column, place[1] - row], index))
+        .map(|(node, index)| ([node[0] - column, node[1] - row], index))
         .collect()
 }
 
@@ -57,9 +57,9 @@ fn walk(candidates: &[Candidate], seed: usize) -> HashMap<[i32; 2], usize> {
     labels.insert([0, 0], seed);
     taken[seed] = true;
     let mut queue = VecDeque::from([([0, 0], seed, steps)]);
-    while let Some((place, from, steps)) = queue.pop_front() {
+    while let Some((node, from, steps)) = queue.pop_front() {
         for (axis, sign) in [(0, 1), (0, -1), (1, 1), (1, -1)] {
-            let mut next = place;
+            let mut next = node;
             next[axis] += sign;
             if labels.contains_key(&next) {
                 continue;

@@ -2,7 +2,7 @@
 //! and distortion, with their covariance.
 //!
 //! Corners are found by the ChESS detector, placed to hundredths of a pixel by a fit of two
-//! crossing edges each, and explained together: camera and the board's place in each view
+//! crossing edges each, and explained together: camera and the board's pose in each view
 //! by Levenberg–Marquardt from Zhang's start, wrong corners losing their weight.
 
 mod bundle;
@@ -11,6 +11,7 @@ mod corner;
 mod figure;
 mod grid;
 pub mod model;
+mod result;
 mod start;
 mod values;
 mod views;
@@ -23,6 +24,7 @@ pub use self::bundle::{CameraOptions, calibrate};
 pub use self::figure::figure;
 pub use self::model::Terms;
 pub use self::values::{CameraPose, CameraValues, LensModel};
+use crate::config::geometry::GeometryConfig;
 use crate::frames::{self, Rigid, Sample};
 use crate::transport::{Camera, LensSpec, Projection};
 
@@ -35,26 +37,38 @@ pub struct Board {
     pub square_mm: f64,
     /// Standard uncertainty of that, common to all squares, millimetres.
     pub square_std_mm: f64,
-    /// Standard uncertainty of its tilt where it is said to lie flat, degrees.
+    /// Standard uncertainty of its tilt where it is laid flat, degrees.
     pub tilt_std_deg: f64,
 }
 
 impl Board {
+    /// Usual standard uncertainty of the tilt of a board that is laid flat, degrees.
+    pub const TILT_STD_DEG: f64 = 0.5;
+
     /// Inner corners along its two sides.
     pub fn corners(&self) -> [i32; 2] {
         self.squares.map(|n| n as i32 - 1)
     }
 
-    /// Place of a corner on the board, from its middle, millimetres: x along its columns, y
+    /// Position of a corner on the board, from its middle, millimetres: x along its columns, y
     /// along its rows, z out of its front.
-    pub fn place_mm(&self, place: [i32; 2]) -> DVec2 {
+    pub fn corner_mm(&self, node: [i32; 2]) -> DVec2 {
         let [columns, rows] = self.corners();
         let at = |i: i32, n: i32| (f64::from(i) - 0.5 * f64::from(n - 1)) * self.square_mm;
-        DVec2::new(at(place[0], columns), at(place[1], rows))
+        DVec2::new(at(node[0], columns), at(node[1], rows))
     }
 }
 
-/// Why views of a board say nothing about the lens.
+/// The camera whose pixels an image of this size has, the sensor's or those of merged
+/// images; and the sensor's pixels along one side of one of these.
+pub fn described(geometry: &GeometryConfig, size_px: [usize; 2]) -> (Camera, usize) {
+    match size_px == geometry.camera.resolution_px {
+        true => (geometry.camera, 1),
+        false => (geometry.image_camera(), geometry.cell_px),
+    }
+}
+
+/// Why views of a board do not determine the lens.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum CameraError {
     /// A board or image for which nothing can be found.
@@ -110,7 +124,7 @@ pub enum CameraError {
         /// Needed.
         needed: f64,
     },
-    /// Focal length and distance cannot be told apart.
+    /// Focal length and distance cannot be distinguished.
     #[error("the board's tilts differ by at most {found_deg:.1}°, {needed_deg:.0}° are needed")]
     SameTilt {
         /// Largest angle between the board's normals in two views.
@@ -148,12 +162,12 @@ pub struct Residual {
     pub used: bool,
 }
 
-/// What views of a board say.
+/// A camera fitted to views of a board.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CameraFit {
     /// The lens.
     pub projection: Projection,
-    /// How it departs from an ideal one.
+    /// Its deviation from an ideal one.
     pub lens: LensSpec,
     /// Names of the numbers that were found, in the order of the covariance.
     pub names: Vec<&'static str>,

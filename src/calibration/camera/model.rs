@@ -1,4 +1,4 @@
-//! A camera by its numbers, for the fit: unknown ones first, the others as they are held.
+//! A camera by its numbers, for the fit: unknown ones first, the fixed ones after them.
 
 use glam::{DMat3, DVec2, DVec3};
 
@@ -66,8 +66,8 @@ impl Model {
         self.telecentric
     }
 
-    /// The numbers that are sought: of a telecentric camera the principal point is not told
-    /// apart from a tangential distortion, and held.
+    /// The numbers that are sought: of a telecentric camera the principal point cannot be
+    /// distinguished from a tangential distortion, and is fixed.
     pub fn sought(&self, terms: Terms) -> Vec<Number> {
         let distortion: &[usize] = match terms {
             Terms::None => &[],

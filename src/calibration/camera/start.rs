@@ -58,7 +58,7 @@ fn normalised(points: impl Iterator<Item = DVec2> + Clone) -> (Vec<DVec2>, DMat3
 
 /// Focal length in pixels, for square pixels and the principal point in the image's middle:
 /// the board's axes are at right angles and of one length in every view. `None` where the
-/// views do not tell.
+/// views do not determine it.
 pub fn focal_px(homographies: &[DMat3], middle_px: DVec2) -> Option<f64> {
     let to_middle = DMat3::from_cols(DVec3::X, DVec3::Y, (-middle_px).extend(1.0));
     let (mut squares, mut products) = (0.0, 0.0);

@@ -34,7 +34,7 @@ fn photograph(
 fn options(least_views: usize) -> CameraOptions {
     CameraOptions {
         terms: Terms::Usual,
-        least_views,
+        least_views: Some(least_views),
         datum: Some(0),
     }
 }
@@ -172,7 +172,7 @@ fn a_telecentric_lens_is_recovered_within_its_uncertainty() {
 
 /// Each refusal names its reason; a spoilt corner is left out.
 #[test]
-fn views_that_say_nothing_are_refused_by_name() {
+fn unusable_views_are_refused_by_name() {
     let truth = perspective();
     let start = described(Projection::Perspective { fov_rad: 0.5 });
     let mut numbers = stream(1, Purpose::Experiment, 22, 0, 0);

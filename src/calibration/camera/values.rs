@@ -1,4 +1,4 @@
-//! What a record of a camera holds, and how the geometry of a rig file goes by it.
+//! A camera's record, and the geometry of a rig file with it.
 
 use glam::{DQuat, DVec2, DVec3};
 use serde::{Deserialize, Serialize};
@@ -27,7 +27,7 @@ pub struct CameraValues {
     pub radial: [f64; 3],
     /// p₁, p₂, the same.
     pub tangential: [f64; 2],
-    /// What was found rather than held: fx, fy (mx, my), cx, cy, k1, k2, k3, p1, p2.
+    /// What was fitted, not fixed: fx, fy (mx, my), cx, cy, k1, k2, k3, p1, p2.
     pub found: Vec<String>,
     /// Covariance of these, one row each.
     pub covariance: Vec<Vec<f64>>,

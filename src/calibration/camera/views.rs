@@ -8,7 +8,7 @@ use super::grid::{Candidate, label};
 use super::{Board, CameraError};
 use crate::calibration::mirror_sphere::Grey;
 
-/// Fewer corners than these say nothing of a view.
+/// A view with fewer corners than these is not used.
 const LEAST_CORNERS: usize = 12;
 /// Half the side of the pixels around a corner that are fitted, over a square's side.
 const RADIUS: f64 = 0.45;
@@ -22,7 +22,7 @@ const TAIL: f64 = 0.01;
 pub struct Seen {
     /// Column and row of the corner on the board; without offset where not all of the board
     /// is in view.
-    pub place: [i32; 2],
+    pub node: [i32; 2],
     /// Where it is in the image.
     pub corner: Corner,
 }
@@ -32,7 +32,7 @@ pub struct Seen {
 pub struct View {
     /// The corners.
     pub seen: Vec<Seen>,
-    /// Whether the board is in view along both sides, so that places are its own.
+    /// Whether the board is in view along both sides, so that nodes are its own.
     pub whole: bool,
 }
 
@@ -50,7 +50,7 @@ pub fn find(image: &Grey, board: &Board, index: usize) -> Result<View, CameraErr
         if labels.len() < LEAST_CORNERS {
             continue;
         }
-        let extent = |i: usize| labels.keys().map(|place| place[i]).max().unwrap_or(0) + 1;
+        let extent = |i: usize| labels.keys().map(|node| node[i]).max().unwrap_or(0) + 1;
         let extents = [extent(0), extent(1)];
         let [long, short] = sorted(board.corners());
         let [wide, narrow] = sorted(extents);
@@ -61,24 +61,24 @@ pub fn find(image: &Grey, board: &Board, index: usize) -> Result<View, CameraErr
                 stated: [long, short],
             });
         }
-        // The board's columns run along its longer side where that can be told.
+        // The board's columns run along its longer side where the sides differ.
         let turned = extents[0] > extents[1] && board.corners()[0] < board.corners()[1]
             || extents[0] < extents[1] && board.corners()[0] > board.corners()[1];
         let whole = [wide, narrow] == [long, short];
-        let mut places: Vec<_> = labels.into_iter().collect();
-        places.sort();
-        let at = |place: [i32; 2]| {
-            places
+        let mut nodes: Vec<_> = labels.into_iter().collect();
+        nodes.sort();
+        let at = |node: [i32; 2]| {
+            nodes
                 .iter()
-                .find(|(other, _)| *other == place)
+                .find(|(other, _)| *other == node)
                 .map(|(_, index)| candidates[*index].at_px)
         };
         let mut seen = Vec::new();
-        for (place, index) in &places {
+        for (node, index) in &nodes {
             let candidate = candidates[*index];
             let mut shortest = f64::INFINITY;
             for (x, y) in [(1, 0), (-1, 0), (0, 1), (0, -1)] {
-                if let Some(other) = at([place[0] + x, place[1] + y]) {
+                if let Some(other) = at([node[0] + x, node[1] + y]) {
                     shortest = shortest.min(other.distance(candidate.at_px));
                 }
             }
@@ -91,11 +91,11 @@ pub fn find(image: &Grey, board: &Board, index: usize) -> Result<View, CameraErr
             let corner = refine(image, candidate.at_px, candidate.angles_rad, radius);
             if let Some(corner) = corner {
                 // A quarter turn keeps the system right-handed.
-                let place = match turned {
-                    true => [place[1], extents[0] - 1 - place[0]],
-                    false => *place,
+                let node = match turned {
+                    true => [node[1], extents[0] - 1 - node[0]],
+                    false => *node,
                 };
-                seen.push(Seen { place, corner });
+                seen.push(Seen { node, corner });
             }
         }
         if seen.len() >= LEAST_CORNERS {

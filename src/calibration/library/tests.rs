@@ -41,7 +41,7 @@ fn what_was_added_is_loaded_and_the_newest_wins() {
     library.add(&older, &[]).unwrap();
     let loaded = library.load::<ScaleValues>(None).unwrap().unwrap();
     assert_eq!(loaded.record, newer);
-    assert_eq!(loaded.sha256, hex_sha256(&loaded.files[0].1));
+    assert_eq!(loaded.sha256, sha256_hex(&loaded.files[0].1));
     let named = library.load::<ScaleValues>(Some("c")).unwrap().unwrap();
     assert_eq!(named.record, older);
     assert!(matches!(
@@ -59,7 +59,7 @@ fn maps_are_checked_against_their_sha256() {
     let (folder, library) = library();
     let map = MapFile {
         file: "f.png".into(),
-        sha256: hex_sha256(b"pixels"),
+        sha256: sha256_hex(b"pixels"),
     };
     let flat = FlatValues {
         map,

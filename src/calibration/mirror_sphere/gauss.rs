@@ -1,15 +1,4 @@
-//! The edge of a sphere behind a blur: a step, and the fall of its shading towards the
-//! limb.
-
-/// The normal distribution's density.
-pub fn normal_density(z: f64) -> f64 {
-    (-0.5 * z * z).exp() / (2.0 * std::f64::consts::PI).sqrt()
-}
-
-/// The normal distribution's integral up to `z`.
-pub fn normal_integral(z: f64) -> f64 {
-    0.5 * libm::erfc(-z / std::f64::consts::SQRT_2)
-}
+//! The fall of a sphere's shading towards its limb, behind a blur.
 
 /// √(1 − (1 − d/R)²) for a distance d inside the limb, 0 outside, blurred: the height of a
 /// sphere over its radius, which the shading of a diffuse one follows.
@@ -55,9 +44,9 @@ impl Limb {
 
     /// The blurred height at a distance inside the limb, pixels.
     pub fn at(&self, distance_px: f64) -> f64 {
-        let place = ((distance_px - self.first_px) / self.step_px).max(0.0);
-        let index = (place as usize).min(self.values.len().saturating_sub(2));
-        let part = (place - index as f64).min(1.0);
+        let position = ((distance_px - self.first_px) / self.step_px).max(0.0);
+        let index = (position as usize).min(self.values.len().saturating_sub(2));
+        let part = (position - index as f64).min(1.0);
         self.values[index] * (1.0 - part) + self.values[index + 1] * part
     }
 }

@@ -4,6 +4,7 @@
 use glam::{DMat2, DVec2};
 
 use super::{Circle, Grey, Sphere, SphereError};
+use crate::statistics::{STD_OVER_MAD, median};
 
 /// Where a highlight is in the image.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -139,7 +140,7 @@ fn brightest(image: &Grey, disc: &[usize], allowed: impl Fn(usize) -> bool) -> O
 /// Moments of what stands out in a window.
 struct Spot {
     middle: DVec2,
-    /// What the middle is wrong by, as far as this window tells.
+    /// Error of the middle, estimated from this window.
     shift: DVec2,
     window_px: f64,
     /// Windowed second moments about the middle, of the light's sum.
@@ -305,9 +306,8 @@ impl Plane {
                 break;
             }
             plane = Self::through(&kept);
-            let mut off: Vec<f64> = kept.iter().map(|(o, v)| (v - plane.at(*o)).abs()).collect();
-            off.sort_by(f64::total_cmp);
-            let scatter = 1.4826 * off[off.len() / 2];
+            let off = kept.iter().map(|(o, v)| (v - plane.at(*o)).abs());
+            let scatter = STD_OVER_MAD * median(off).unwrap_or(0.0);
             plane.variance = scatter * scatter / kept.len() as f64;
             let before = kept.len();
             kept.retain(|(o, v)| (v - plane.at(*o)).abs() <= 4.0 * scatter + 1e-300);

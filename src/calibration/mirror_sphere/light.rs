@@ -6,6 +6,7 @@ use nalgebra::{DMatrix, DVector, Matrix2, Matrix2x3, Vector3};
 
 use super::highlight::Highlight;
 use super::{Sphere, SphereError, mm_per_px};
+use crate::least_squares::{self, Equations, Options, Problem};
 use crate::transport::Camera;
 
 /// What is known of a lamp's distance from the point that its direction is stated for.
@@ -19,7 +20,7 @@ pub enum Distance {
     Unknown,
 }
 
-/// A light as its highlights tell, sample frame.
+/// A light found from its highlights, sample frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FoundLight {
     /// Unit vector from the reference point towards the light.
@@ -74,7 +75,7 @@ fn mirrored(camera: &Camera, centre: DVec3, radius: f64, at_px: DVec2) -> Option
     Some((point, direction - normal * (2.0 * direction.dot(normal))))
 }
 
-/// A mirrored ray in the sample's frame, with its derivatives by the highlight's place (2)
+/// A mirrored ray in the sample's frame, with its derivatives by the highlight's position (2)
 /// and the sphere's numbers (3).
 struct MirroredRay {
     point: DVec3,
@@ -117,6 +118,128 @@ fn ray(camera: &Camera, sphere: &Sphere, highlight: &Highlight) -> Option<Mirror
     })
 }
 
+/// The lamp as it is sought: direction from the reference point, and inverse distance.
+#[derive(Clone, Copy)]
+struct Lamp {
+    direction: DVec3,
+    inverse: f64,
+}
+
+/// The rays of one lamp.
+struct Rays<'a> {
+    rays: &'a [MirroredRay],
+    spheres: &'a [Sphere],
+    highlights: &'a [Highlight],
+    reference_mm: DVec3,
+    /// Inverse distance and its standard uncertainty, 1/mm, where it is sought.
+    stated: Option<[f64; 2]>,
+    /// Inverse covariances of the rays at the last linearisation.
+    weight: DMatrix<f64>,
+}
+
+/// Unit of inverse distances, 1/mm, so that all unknowns are of the size of angles.
+const INVERSE_UNIT: f64 = 1.0 / 100.0;
+
+/// The last step moves no unknown by more than some 1e-10 of its uncertainty.
+const STEPS: Options = Options {
+    rounds: 30,
+    damping: 0.0,
+    least_relative_gain: 0.0,
+    least_gain: 1e-20,
+};
+
+impl Rays<'_> {
+    fn unknowns(&self) -> usize {
+        2 + usize::from(self.stated.is_some())
+    }
+
+    /// Direction from a point on a sphere to the lamp.
+    fn expected(&self, lamp: &Lamp, point: DVec3) -> DVec3 {
+        (lamp.direction - (point - self.reference_mm) * lamp.inverse).normalize()
+    }
+
+    /// Residuals along two tangents per ray, then that of the stated distance.
+    fn residual(&self, lamp: &Lamp) -> DVector<f64> {
+        let off = self.rays.iter().flat_map(|ray| {
+            let here = self.expected(lamp, ray.point);
+            tangents(here).map(|across| across.dot(ray.direction - here))
+        });
+        let stated = self.stated.iter();
+        let distance = stated.map(|[stated, _]| (stated - lamp.inverse) / INVERSE_UNIT);
+        DVector::from_vec(off.chain(distance).collect())
+    }
+
+    fn jacobian(&self, lamp: &Lamp) -> DMatrix<f64> {
+        const STEP: f64 = 1e-6;
+        let unknowns = self.unknowns();
+        let rows = 2 * self.rays.len() + unknowns - 2;
+        let mut jacobian = DMatrix::zeros(rows, unknowns);
+        for (k, ray) in self.rays.iter().enumerate() {
+            let here = self.expected(lamp, ray.point);
+            let across = tangents(here);
+            for unknown in 0..unknowns {
+                let mut step = DVector::zeros(unknowns);
+                step[unknown] = STEP;
+                let by = (self.expected(&self.moved(lamp, &step), ray.point) - here) / STEP;
+                for a in 0..2 {
+                    jacobian[(2 * k + a, unknown)] = across[a].dot(by);
+                }
+            }
+        }
+        if self.stated.is_some() {
+            jacobian[(rows - 1, 2)] = 1.0;
+        }
+        jacobian
+    }
+
+    /// Inverse covariances of the rows.
+    fn weight_at(&self, lamp: &Lamp) -> DMatrix<f64> {
+        let rows = 2 * self.rays.len() + self.unknowns() - 2;
+        let mut weight = DMatrix::zeros(rows, rows);
+        for (k, ray) in self.rays.iter().enumerate() {
+            let across = tangents(self.expected(lamp, ray.point));
+            let share = sphere_share(ray, &self.spheres[k], across);
+            let covariance =
+                highlight_covariance(ray, &self.highlights[k], across) + share * share.transpose();
+            let inverse = covariance.try_inverse().unwrap_or(Matrix2::zeros());
+            weight.view_mut((2 * k, 2 * k), (2, 2)).copy_from(&inverse);
+        }
+        if let Some([_, std]) = self.stated {
+            weight[(rows - 1, rows - 1)] = (INVERSE_UNIT / std).powi(2);
+        }
+        weight
+    }
+}
+
+impl Problem for Rays<'_> {
+    type Point = Lamp;
+
+    fn linearise(&mut self, at: &Lamp) -> Equations {
+        self.weight = self.weight_at(at);
+        let jacobian = self.jacobian(at);
+        let weighted = jacobian.transpose() * &self.weight;
+        Equations {
+            right: &weighted * self.residual(at),
+            normal: weighted * jacobian,
+            cost: self.cost(at),
+        }
+    }
+
+    fn cost(&self, at: &Lamp) -> f64 {
+        let residual = self.residual(at);
+        (&self.weight * &residual).dot(&residual)
+    }
+
+    fn moved(&self, from: &Lamp, step: &DVector<f64>) -> Lamp {
+        let [azimuth, elevation] = tangents(from.direction);
+        let by_distance = step.get(2).map_or(0.0, |step| step * INVERSE_UNIT);
+        Lamp {
+            direction: (from.direction + azimuth * step[0] + elevation * step[1]).normalize(),
+            inverse: from.inverse + by_distance,
+        }
+    }
+}
+
 /// Finds the light of image number `index` from one highlight per sphere. Its direction is
 /// stated for `reference_mm` (sample frame): the middle of the light stage.
 ///
@@ -130,6 +253,7 @@ pub fn locate(
     distance: Distance,
     index: usize,
 ) -> Result<FoundLight, SphereError> {
+    // What cannot determine a light.
     let impossible = |what, value: String, allowed| SphereError::Impossible {
         what,
         value,
@@ -154,85 +278,40 @@ pub fn locate(
         let allowed = "on the sphere";
         return Err(impossible("a highlight", "outside".to_owned(), allowed));
     };
-    let (stated, stated_std) = match distance {
+    let (inverse, stated) = match distance {
         Distance::Infinite => (0.0, None),
-        Distance::Stated(mm, std) => (1.0 / mm, Some((std / (mm * mm)).max(1e-12))),
-        Distance::Unknown => (0.0, Some(f64::INFINITY)),
-    };
-    let mut direction = rays.iter().map(|r| r.direction).sum::<DVec3>().normalize();
-    let mut inverse = stated;
-    // So that all unknowns are of the size of angles.
-    let scale = 1.0 / 100.0;
-    let free = usize::from(stated_std.is_some());
-    let unknowns = 2 + free;
-    let rows = 2 * rays.len() + free;
-    let expected = |direction: DVec3, inverse: f64, point: DVec3| {
-        (direction - (point - reference_mm) * inverse).normalize()
-    };
-    let mut last = None;
-    for _ in 0..30 {
-        let axes = tangents(direction);
-        let mut jacobian = DMatrix::zeros(rows, unknowns);
-        let mut residual = DVector::zeros(rows);
-        let mut weight = DMatrix::zeros(rows, rows);
-        for (k, (ray, highlight)) in rays.iter().zip(highlights).enumerate() {
-            let here = expected(direction, inverse, ray.point);
-            let across = tangents(here);
-            let pull = ray.direction - here;
-            const STEP: f64 = 1e-6;
-            let changed = [
-                expected((direction + axes[0] * STEP).normalize(), inverse, ray.point),
-                expected((direction + axes[1] * STEP).normalize(), inverse, ray.point),
-                expected(direction, inverse + STEP * scale, ray.point),
-            ];
-            for (a, across) in across.iter().enumerate() {
-                residual[2 * k + a] = across.dot(pull);
-                for (unknown, changed) in changed.iter().enumerate().take(unknowns) {
-                    jacobian[(2 * k + a, unknown)] = across.dot(*changed - here) / STEP;
-                }
-            }
-            let covariance = highlight_covariance(ray, highlight, across)
-                + sphere_share(ray, &spheres[k], across)
-                    * sphere_share(ray, &spheres[k], across).transpose();
-            let inverse = covariance.try_inverse().unwrap_or(Matrix2::zeros());
-            weight.view_mut((2 * k, 2 * k), (2, 2)).copy_from(&inverse);
+        Distance::Stated(mm, std) => {
+            let std = (std / (mm * mm)).max(1e-12);
+            (1.0 / mm, Some([1.0 / mm, std]))
         }
-        if let Some(std) = stated_std {
-            let row = rows - 1;
-            jacobian[(row, 2)] = 1.0;
-            residual[row] = (stated - inverse) / scale;
-            weight[(row, row)] = (scale / std).powi(2);
-        }
-        let weighted = jacobian.transpose() * &weight;
-        let Some(solver) = (&weighted * &jacobian).cholesky() else {
-            let allowed = "enough to tell the distance";
-            return Err(impossible(
-                "the distance between the spheres",
-                "0".to_owned(),
-                allowed,
-            ));
-        };
-        let gain = solver.solve(&weighted);
-        let step = &gain * &residual;
-        let chi2 = (residual.transpose() * &weight * &residual)[(0, 0)];
-        direction = (direction + axes[0] * step[0] + axes[1] * step[1]).normalize();
-        if free == 1 {
-            inverse += step[2] * scale;
-        }
-        let variance = solver.inverse();
-        last = Some((gain, chi2, variance));
-        if step.norm() < 1e-12 {
-            break;
-        }
-    }
-    let Some((gain, chi2, variance)) = last else {
-        return Err(impossible("the light", "nowhere".to_owned(), "somewhere"));
+        Distance::Unknown => (0.0, Some([0.0, f64::INFINITY])),
     };
-    let inverse_std = if free == 1 {
-        variance[(2, 2)].sqrt() * scale
-    } else {
-        0.0
+    // The lamp that fits all rays best.
+    let mut problem = Rays {
+        rays: &rays,
+        spheres,
+        highlights,
+        reference_mm,
+        stated,
+        weight: DMatrix::zeros(0, 0),
     };
+    let direction = rays.iter().map(|r| r.direction).sum::<DVec3>().normalize();
+    let start = Lamp { direction, inverse };
+    let lamp = least_squares::minimise(&mut problem, start, &STEPS).point;
+    let equations = problem.linearise(&lamp);
+    let Some(variance) = equations.covariance() else {
+        let allowed = "enough to determine the distance";
+        let what = "the distance between the spheres";
+        return Err(impossible(what, "0".to_owned(), allowed));
+    };
+    let gain = &variance * problem.jacobian(&lamp).transpose() * &problem.weight;
+    let Lamp { direction, inverse } = lamp;
+    let chi2 = equations.cost;
+    let inverse_std = match stated {
+        Some(_) => variance[(2, 2)].sqrt() * INVERSE_UNIT,
+        None => 0.0,
+    };
+    // Whether it is one lamp before the spheres.
     // One ray too many in one direction: a single number must be zero.
     let miss = if rays.len() > 1 { chi2.sqrt() } else { 0.0 };
     let behind = inverse < -5.0 * inverse_std.max(1e-9);
@@ -247,18 +326,20 @@ pub fn locate(
             deviations,
         });
     }
+    // The uncertainty: of this image alone, and that of the spheres.
     let mut own = Matrix2::zeros();
     let mut shared = DMatrix::zeros(2, 3 * rays.len());
     for (k, (ray, highlight)) in rays.iter().zip(highlights).enumerate() {
-        let across = tangents(expected(direction, inverse, ray.point));
+        let across = tangents(problem.expected(&lamp, ray.point));
         let gain = Matrix2::from_fn(|i, j| gain[(i, 2 * k + j)]);
         own += gain * highlight_covariance(ray, highlight, across) * gain.transpose();
         let share = gain * sphere_share(ray, &spheres[k], across);
         shared.view_mut((0, 3 * k), (2, 3)).copy_from(&share);
     }
-    if let Some(std) = stated_std.filter(|std| std.is_finite()) {
-        let column = Matrix2::from_fn(|i, j| gain[(i, rows - 1)] * gain[(j, rows - 1)]);
-        own += column * (std / scale).powi(2);
+    if let Some([_, std]) = stated.filter(|[_, std]| std.is_finite()) {
+        let last = gain.ncols() - 1;
+        let column = Matrix2::from_fn(|i, j| gain[(i, last)] * gain[(j, last)]);
+        own += column * (std / INVERSE_UNIT).powi(2);
     }
     Ok(FoundLight {
         to_light: direction,

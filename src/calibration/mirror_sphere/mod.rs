@@ -5,10 +5,12 @@
 pub(super) mod gauss;
 pub mod highlight;
 pub mod light;
+pub mod lights;
 pub mod outline;
 pub mod search;
 
 use glam::{DVec2, DVec3};
+use image::DynamicImage;
 use nalgebra::{Matrix3, Vector3};
 
 use self::light::{Distance, FoundLight};
@@ -17,7 +19,7 @@ use super::record::Measured;
 use crate::radiance_image::RadianceImage;
 use crate::transport::{Camera, Projection};
 
-/// Why a picture of a mirror sphere tells nothing about the light. Pixels count from the
+/// Why an image of a mirror sphere does not determine the light. Pixels count from the
 /// top left corner.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum SphereError {
@@ -101,7 +103,7 @@ pub enum SphereError {
         /// The difference over its noise.
         deviations: f64,
     },
-    /// Pixels of the highlight say nothing.
+    /// Pixels of the highlight are clipped.
     #[error(
         "the highlight at ({x:.0}, {y:.0}) in image {image} is saturated or masked in {pixels} of its pixels"
     )]
@@ -136,7 +138,7 @@ pub enum SphereError {
     NotOneLamp {
         /// Which image, from 0.
         image: usize,
-        /// Misfit over its standard uncertainty.
+        /// Residual over its standard uncertainty.
         deviations: f64,
     },
 }
@@ -152,7 +154,7 @@ pub struct Grey {
     pub value: Vec<f64>,
     /// Its variance.
     pub variance: Vec<f64>,
-    /// Whether the pixel says anything.
+    /// Whether the pixel was measured.
     pub valid: Vec<bool>,
 }
 
@@ -166,6 +168,19 @@ impl Grey {
             value: image.mean.iter().map(sum).collect(),
             variance: image.variance.iter().map(sum).collect(),
             valid: image.valid.clone(),
+        }
+    }
+
+    /// A picture's luminance, 0 to 1, without noise.
+    pub fn of_picture(picture: &DynamicImage) -> Self {
+        let luma = picture.to_luma32f();
+        let value: Vec<f64> = luma.as_raw().iter().map(|v| f64::from(*v)).collect();
+        Self {
+            width: luma.width() as usize,
+            height: luma.height() as usize,
+            variance: vec![0.0; value.len()],
+            valid: vec![true; value.len()],
+            value,
         }
     }
 
@@ -192,7 +207,7 @@ impl Grey {
     }
 }
 
-/// A sphere as its outline in the image says, in the camera's frame.
+/// A sphere found from its outline in the image, in the camera's frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sphere {
     /// Middle, millimetres. A telecentric camera doesn't see its z, which is as stated.
@@ -360,7 +375,7 @@ fn lit_limb(images: &[Grey], circle: &Circle) -> Grey {
     sum
 }
 
-/// Highlights nearer to the sphere's middle than this part of its radius say little about
+/// Highlights nearer to the sphere's middle than this part of its radius hardly depend on
 /// the side from which the light comes.
 const LEAST_OFFSET: f64 = 0.03;
 
@@ -369,8 +384,8 @@ const LEAST_RADIUS_PX: f64 = 10.0;
 /// A stated distance is taken as known within this part of it.
 const STATED_DISTANCE_STD: f64 = 0.02;
 
-/// Every image's light, and the lamp's distance where two spheres tell it. `stated_mm`: the
-/// distance by which a single sphere goes, `None` for parallel light.
+/// Every image's light, and the lamp's distance where two spheres determine it. `stated_mm`:
+/// the distance that is assumed with a single sphere, `None` for parallel light.
 ///
 /// # Errors
 /// See [`SphereError`].
@@ -411,13 +426,13 @@ pub fn locate_all(
         .map(|f| f.inverse_distance[0] * f.inverse_distance[1].powi(-2))
         .sum::<f64>()
         / weights.sum::<f64>();
-    // The spheres' places err for all lights together: no better than one light's.
+    // Errors of the spheres' positions are common to all lights: no better than one light's.
     let squares = free.iter().map(|f| f.inverse_distance[1].powi(2));
     let std = (squares.sum::<f64>() / free.len().max(1) as f64).sqrt();
     let moves = stated_mm.iter().flatten().count() == stated_mm.len()
         && stated_mm.windows(2).any(|pair| pair[0] != pair[1]);
     if inverse < 5.0 * std || moves {
-        // Too far to tell, or another distance for every light.
+        // Too far to be determined, or another distance for every light.
         return Ok((all(&by_stated)?, None));
     }
     let distance = Measured {

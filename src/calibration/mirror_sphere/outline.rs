@@ -4,10 +4,11 @@
 use glam::DVec3;
 use nalgebra::{DMatrix, DVector, Vector3};
 
-use super::gauss::{Limb, normal_density, normal_integral};
+use super::gauss::Limb;
 use super::search::inside;
 use super::{Circle, Grey, Sphere, SphereError, mm_per_px, project};
 use crate::frames::{Rigid, Sample};
+use crate::statistics::{CHI2_1_MEDIAN, median, normal_cdf, normal_density};
 use crate::transport::{Camera, Projection};
 
 /// What is known of a sphere before it is seen.
@@ -27,7 +28,7 @@ const LINEAR: usize = 3 * HARMONICS;
 /// Middle, radius or distance, and blur.
 const SHAPE: usize = 4;
 const ROUNDS: usize = 60;
-/// Parts of the ring whose misfits count as independent.
+/// Sectors of the ring whose residuals count as independent.
 const SECTORS: usize = 36;
 /// Half the width of the ring that is compared, over the radius, and at least and at most
 /// these pixels.
@@ -85,7 +86,7 @@ pub fn fit(
     Ok(sphere)
 }
 
-/// A sphere of the circle's place and size.
+/// A sphere of the circle's position and size.
 fn start(camera: &Camera, stated: &Stated, circle: &Circle) -> Sphere {
     let (origin, direction) = camera.chief_ray(circle.centre_px);
     let (centre_mm, radius_mm) = match camera.projection {
@@ -189,7 +190,7 @@ impl Fit<'_> {
     }
 
     /// Distance inside the limb, pixels, and angle around the middle.
-    fn place(&self, centre: DVec3, radius: f64, pixel: &Pixel) -> (f64, f64) {
+    fn position(&self, centre: DVec3, radius: f64, pixel: &Pixel) -> (f64, f64) {
         let (origin, direction) = self.camera.chief_ray(pixel.position_px);
         let offset = origin - centre;
         let nearest = offset - direction * offset.dot(direction);
@@ -211,10 +212,10 @@ impl Fit<'_> {
         let limb = Limb::new(2.0 * reach_px, radius_px, blur_px);
         let mut basis = DMatrix::zeros(ring.len(), LINEAR);
         for (row, pixel) in ring.iter().enumerate() {
-            let (distance, angle) = self.place(centre, radius, pixel);
+            let (distance, angle) = self.position(centre, radius, pixel);
             // A blurred disc's edge lies inside of the disc's, by its curvature.
             let z = distance / blur_px - 0.5 * blur_px / radius_px;
-            let step = normal_integral(z);
+            let step = normal_cdf(z);
             // The distance from the axis over the radius, which light from the side follows.
             let side =
                 (1.0 - distance / radius_px) * step - blur_px / radius_px * normal_density(z);
@@ -235,7 +236,9 @@ impl Fit<'_> {
     }
 
     /// Gauss–Newton steps on shape and linear part together, the latter solved exactly
-    /// each time.
+    /// each time. Pixels, variance floor and weights change with every step, so that there
+    /// is no common cost by which [`crate::least_squares`] could accept or reject one; steps
+    /// are limited to a pixel instead.
     fn solve(&mut self, widening: f64) -> Result<(), SphereError> {
         for round in 0..ROUNDS {
             let system = self.system(widening)?;
@@ -322,12 +325,9 @@ impl Fit<'_> {
                 .map_or_else(|| self.unfitted("it has no contrast"), Ok)?;
             residual = &values - &basis * &linear;
             // A robust estimate of the scatter that the pixels' noise leaves unexplained.
-            let mut squares: Vec<f64> = residual.iter().map(|r| r * r).collect();
-            squares.sort_by(f64::total_cmp);
-            let scatter2 = squares[squares.len() / 2] / 0.4549;
-            let mut noise: Vec<f64> = ring.iter().map(|p| p.variance).collect();
-            noise.sort_by(f64::total_cmp);
-            let noise2 = noise[noise.len() / 2];
+            let squares = residual.iter().map(|r| r * r);
+            let scatter2 = median(squares).unwrap_or(0.0) / CHI2_1_MEDIAN;
+            let noise2 = median(ring.iter().map(|p| p.variance)).unwrap_or(0.0);
             self.floor2 = (scatter2 - noise2).max(1e-4 * scatter2).max(1e-24);
         }
         let jacobian = self.jacobian(&basis, &linear, &ring, reach_px);

@@ -4,6 +4,7 @@
 use glam::DVec2;
 
 use super::{Circle, Grey, SphereError};
+use crate::statistics::order_statistic;
 
 /// Images are searched at about this size at most, pixels.
 const SEARCH_PX: usize = 480;
@@ -133,17 +134,10 @@ fn edges(image: &Small) -> Vec<(DVec2, DVec2)> {
             gradients.push((middle, gradient));
         }
     }
-    let mut strengths: Vec<f64> = gradients.iter().map(|g| g.1.length()).collect();
-    strengths.sort_by(f64::total_cmp);
-    let quantile = |part: f64| {
-        let last = strengths.len().saturating_sub(1);
-        strengths
-            .get((part * last as f64) as usize)
-            .copied()
-            .unwrap_or(0.0)
-    };
+    let strength =
+        |p: f64| order_statistic(gradients.iter().map(|g| g.1.length()), p).unwrap_or(0.0);
     // Above the noise of the even half of the image, and no more than a tenth of it.
-    let least = (3.0 * quantile(0.5)).max(0.2 * quantile(0.97)).max(1e-12);
+    let least = (3.0 * strength(0.5)).max(0.2 * strength(0.97)).max(1e-12);
     gradients
         .into_iter()
         .filter(|(_, gradient)| gradient.length() >= least)
@@ -151,7 +145,7 @@ fn edges(image: &Small) -> Vec<(DVec2, DVec2)> {
         .collect()
 }
 
-/// The places with most votes for one radius, each with the part of its circle that voted.
+/// The centres with most votes for one radius, each with the part of its circle that voted.
 fn peaks(
     image: &Small,
     edges: &[(DVec2, DVec2)],
@@ -164,8 +158,8 @@ fn peaks(
     let mut votes = vec![0f32; width * height];
     for (middle, direction) in edges {
         for sign in [-1.0, 1.0] {
-            let place = *middle + *direction * (sign * radius_px) + DVec2::splat(pad as f64);
-            let (x, y) = (place.x.floor(), place.y.floor());
+            let vote = *middle + *direction * (sign * radius_px) + DVec2::splat(pad as f64);
+            let (x, y) = (vote.x.floor(), vote.y.floor());
             if x >= 1.0 && y >= 1.0 && x < (width - 1) as f64 && y < (height - 1) as f64 {
                 votes[y as usize * width + x as usize] += 1.0;
             }
@@ -185,10 +179,10 @@ fn peaks(
         }
     }
     for _ in 0..count {
-        let Some((place, &most)) = sums.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1)) else {
+        let Some((peak, &most)) = sums.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1)) else {
             break;
         };
-        let centre = DVec2::new((place % width) as f64, (place / width) as f64)
+        let centre = DVec2::new((peak % width) as f64, (peak / width) as f64)
             + DVec2::splat(0.5 - pad as f64);
         // An edge is about two pixels wide.
         let visible = f64::from(most) / (2.0 * std::f64::consts::TAU * radius_px);
@@ -200,7 +194,7 @@ fn peaks(
             },
         ));
         let far = radius_px as isize;
-        let (px, py) = ((place % width) as isize, (place / width) as isize);
+        let (px, py) = ((peak % width) as isize, (peak / width) as isize);
         for y in (py - far).max(0)..=(py + far).min(height as isize - 1) {
             for x in (px - far).max(0)..=(px + far).min(width as isize - 1) {
                 sums[y as usize * width + x as usize] = 0.0;

@@ -77,7 +77,7 @@ fn directions_are_recovered_within_their_uncertainty() {
 /// Two spheres under a lamp 300 mm away, seen in perspective: its distance and, from the
 /// middle of the stage, its direction, though neither sphere is there.
 #[test]
-fn two_spheres_tell_how_far_the_lamp_is() {
+fn two_spheres_determine_the_distance_of_the_lamp() {
     for seed in 0..3 {
         let near = GlossySpheres::under_a_near_lamp(seed);
         let (found, distance) = lights(&near, seed, None).unwrap();
@@ -132,7 +132,7 @@ fn a_distorting_lens_is_undone() {
 }
 
 #[test]
-fn pictures_that_tell_nothing_are_refused_by_name() {
+fn unusable_pictures_are_refused_by_name() {
     let good = GlossySpheres::under_six_lights(1);
     let refused = |change: &dyn Fn(&mut GlossySpheres)| {
         let mut bench = good.clone();

@@ -1,9 +1,12 @@
 //! The sample's pose from the images of a session, by Gauss–Newton from coarse pixels
-//! to fine ones within what the rig file says about the bench.
+//! to fine ones within the rig file's uncertainty. The step comes from a truncated
+//! spectrum and the blur is eliminated, so that [`crate::least_squares`] does not fit here.
 
 use nalgebra::{DMatrix, DVector};
 
-use super::patches::{LARGEST_BLUR_PX2, Pair, PatchWord, SIDE, Target, listen, needed, with_edges};
+use super::patches::{
+    LARGEST_BLUR_PX2, Pair, PatchEquations, SIDE, Target, accumulate_patches, needed, with_edges,
+};
 use super::regions::{Grid, Sight};
 use super::search::{WIDEST_DEG, search};
 use super::{PoseError, PoseEstimate, PoseOptions, ResidualShift};
@@ -213,14 +216,14 @@ fn factors(scene: &Scene, priors: &BenchPriors, options: &PoseOptions) -> Vec<us
     factors
 }
 
-/// Root mean square way of the mesh's corners in the image against the description, in
+/// Root mean square shift of the mesh's corners in the image against the description, in
 /// the camera's pixels.
 fn moved_px(bench: &Bench, values: &DVector<f64>) -> f64 {
     let described = bench.scene(&DVector::zeros(values.len()));
     let moved = bench.scene(values);
     let corners = &described.sample().positions_mm;
     let every = (corners.len() / 500).max(1);
-    let ways: Vec<f64> = corners
+    let squares: Vec<f64> = corners
         .iter()
         .step_by(every)
         .filter_map(|p| {
@@ -228,7 +231,7 @@ fn moved_px(bench: &Bench, values: &DVector<f64>) -> f64 {
             Some(a?.distance_squared(b?))
         })
         .collect();
-    (ways.iter().sum::<f64>() / ways.len().max(1) as f64).sqrt()
+    (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt()
 }
 
 struct Aligner<'a> {
@@ -243,7 +246,7 @@ struct Aligner<'a> {
 /// Where the rounds on one size of pixels ended.
 struct Level {
     grid: Grid,
-    words: Vec<PatchWord>,
+    patches: Vec<PatchEquations>,
     sum: Sum,
     settled: bool,
 }
@@ -259,7 +262,8 @@ struct Views {
 struct Sum {
     spectrum: Spectrum,
     score: DVector<f64>,
-    /// Information of blur and bench together, and of the blur, with its prior.
+    /// Information of blur and the other parameters together, and of the blur, with its
+    /// prior.
     to_blur: DVector<f64>,
     blur_information: f64,
     blur_score: f64,
@@ -280,7 +284,7 @@ impl Aligner<'_> {
                 away_px = 0.0;
             }
             let base = self.sight.parts(&scene, grid, &views.wanted, factor as u64);
-            let words = listen(
+            let patches = accumulate_patches(
                 grid,
                 &targets,
                 &views.patches,
@@ -289,14 +293,14 @@ impl Aligner<'_> {
                 self.bench.parameters(),
                 self.blur_px2,
             );
-            let sum = self.sum(&words);
+            let sum = self.sum(&patches);
             let step = sum.spectrum.step(&self.values, &sum.score);
             let settled = sum.spectrum.length(&step) < SETTLED;
             tracing::debug!(factor, round, values = ?self.values.as_slice(), step = ?step.as_slice(), blur = self.blur_px2, "pose round");
             if settled || round >= self.options.rounds {
                 let level = Level {
                     grid,
-                    words,
+                    patches,
                     sum,
                     settled,
                 };
@@ -313,7 +317,7 @@ impl Aligner<'_> {
         [self.images[0].width, self.images[0].height]
     }
 
-    /// The patches with edges, and how the regions in them change with the bench.
+    /// The patches with edges, and how the regions in them change with the parameters.
     fn views(&self, grid: Grid) -> Result<Views, PoseError> {
         let seed = grid.factor as u64;
         let scene = self.bench.scene(&self.values);
@@ -391,25 +395,25 @@ impl Aligner<'_> {
         (unit * step_px / moved.max(1e-9)).min(largest)
     }
 
-    fn sum(&self, words: &[PatchWord]) -> Sum {
+    fn sum(&self, patches: &[PatchEquations]) -> Sum {
         let n = self.values.len();
         let mut information = DMatrix::zeros(n + 1, n + 1);
-        for word in words {
-            information += &word.information;
+        for patch in patches {
+            information += &patch.information;
         }
         let to_blur = information.view((0, n), (n, 1)).column(0).into_owned();
         let blur_information = information[(n, n)] + BLUR_PX2[1].powi(-2);
         let own =
             information.view((0, 0), (n, n)) - &to_blur * to_blur.transpose() / blur_information;
-        let mut block_scores: Vec<DVector<f64>> = words
+        let mut block_scores: Vec<DVector<f64>> = patches
             .iter()
-            .map(|word| word.score.rows(0, n) - &to_blur * (word.score[n] / blur_information))
+            .map(|patch| patch.score.rows(0, n) - &to_blur * (patch.score[n] / blur_information))
             .collect();
         // The estimate has made the patches' scores smaller than their errors.
         let spectrum = Spectrum::new(&self.bench, &(0.5 * (&own + own.transpose())));
-        let told = spectrum.values.iter().filter(|v| **v >= HELD_BELOW).count();
-        let count = words.len() as f64;
-        let grow = (count / (count - told as f64).max(1.0)).sqrt();
+        let determined = spectrum.values.iter().filter(|v| **v >= HELD_BELOW).count();
+        let count = patches.len() as f64;
+        let grow = (count / (count - determined as f64).max(1.0)).sqrt();
         let prior_pull = (BLUR_PX2[0] - self.blur_px2) * BLUR_PX2[1].powi(-2);
         let score = block_scores
             .iter()
@@ -421,7 +425,7 @@ impl Aligner<'_> {
         Sum {
             spectrum: spectrum.widened(&block_scores, 1.0),
             score,
-            blur_score: words.iter().map(|w| w.score[n]).sum::<f64>() + prior_pull,
+            blur_score: patches.iter().map(|p| p.score[n]).sum::<f64>() + prior_pull,
             to_blur,
             blur_information,
         }
@@ -437,15 +441,16 @@ impl Aligner<'_> {
         let pose: Vec<usize> = (0..parameters.len())
             .filter(|&k| parameters[k].light().is_none())
             .collect();
+        // Whether the images show the sample's edges where they are predicted.
         let spectrum = &level.sum.spectrum;
         let deviations = spectrum.deviations();
-        let told = pose
+        let determined = pose
             .iter()
             .any(|&k| deviations[k] < 0.5 * self.bench.prior_deviation(k));
-        let [chi2, freedom] = [0, 1].map(|i| level.words.iter().map(|w| w.chi2[i]).sum::<f64>());
-        let plain: f64 = level.words.iter().map(|w| w.chi2_plain).sum();
+        let [chi2, freedom] = [0, 1].map(|i| level.patches.iter().map(|p| p.chi2[i]).sum::<f64>());
+        let plain: f64 = level.patches.iter().map(|p| p.chi2_plain).sum();
         let explained = 1.0 - (chi2 - freedom).max(0.0) / (plain - freedom).max(1e-9);
-        if !told || plain < LEAST_CONTRAST * freedom {
+        if !determined || plain < LEAST_CONTRAST * freedom {
             return Err(PoseError::NoEdges);
         }
         if explained < LEAST_EXPLAINED {
@@ -453,6 +458,7 @@ impl Aligner<'_> {
                 percent: 100.0 * explained.max(0.0),
             });
         }
+        // Whether the pose is within the rig file's uncertainty.
         for &k in &pose {
             let deviations = self.values[k].abs() / self.bench.prior_deviation(k);
             if deviations > TOO_FAR {
@@ -465,6 +471,7 @@ impl Aligner<'_> {
                 });
             }
         }
+        // The pose with its covariance, the lights marginalised.
         let root = spectrum.posterior_root();
         let all = &root * root.transpose();
         let pixel = |v: f64| v * (factor * factor) as f64;
@@ -492,24 +499,29 @@ impl Aligner<'_> {
         })
     }
 
-    /// What each patch would still move, along the direction that it sees best.
+    /// By how much each patch would still move the sample, along the direction that it
+    /// determines best.
     fn shifts(&self, level: &Level) -> Vec<ResidualShift> {
-        let places: Vec<usize> = (0..self.values.len())
+        let translations: Vec<usize> = (0..self.values.len())
             .filter(|&k| matches!(self.bench.parameters()[k], Parameter::Translation(_)))
             .collect();
         let mut unit = DVector::zeros(self.values.len());
-        let shift = |word: &PatchWord| -> Option<ResidualShift> {
-            let own = DMatrix::from_fn(3, 3, |i, j| word.information[(places[i], places[j])]);
+        let shift = |patch: &PatchEquations| -> Option<ResidualShift> {
+            let own = DMatrix::from_fn(3, 3, |i, j| {
+                patch.information[(translations[i], translations[j])]
+            });
             let eigen = own.symmetric_eigen();
             let best = eigen.eigenvalues.imax();
             let information = eigen.eigenvalues[best];
             let direction = eigen.eigenvectors.column(best);
-            let score: f64 = (0..3).map(|i| direction[i] * word.score[places[i]]).sum();
+            let score: f64 = (0..3)
+                .map(|i| direction[i] * patch.score[translations[i]])
+                .sum();
             for i in 0..3 {
-                unit[places[i]] = direction[i];
+                unit[translations[i]] = direction[i];
             }
             let px_per_mm = moved_px(&self.bench, &unit);
-            let [x, y] = word
+            let [x, y] = patch
                 .at
                 .map(|i| (i + SIDE / 2) as f64 * level.grid.factor as f64);
             (information > 0.0).then(|| ResidualShift {
@@ -518,7 +530,7 @@ impl Aligner<'_> {
                 std_px: px_per_mm / information.sqrt(),
             })
         };
-        level.words.iter().filter_map(shift).collect()
+        level.patches.iter().filter_map(shift).collect()
     }
 }
 

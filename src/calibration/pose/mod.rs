@@ -3,17 +3,17 @@
 //! The material is not known yet, so nothing is assumed of it but that the radiance of
 //! each smooth, evenly lit region changes gently. Regions are predicted from mesh,
 //! camera and lights by casting rays; in small patches of the images where regions meet,
-//! the radiance of each region is eliminated, and what remains tells where outline,
+//! the radiance of each region is eliminated, and what remains determines where outline,
 //! creases and edges of cast shadows are. Pose, directions of the lights and blur are
 //! found together by Gauss–Newton within the rig file's uncertainty; directions are
-//! then marginalised. Which of the six numbers the images do not tell is found from the
-//! spectrum of the information and held at the prior (docs/adr/0009).
+//! then marginalised. Which of the six numbers the images do not determine is found from the
+//! spectrum of the information; those stay at the prior (docs/adr/0009).
 //!
 //! | file | what it does |
 //! |---|---|
 //! | `pieces` | the mesh taken apart at creases |
-//! | `regions` | what each pixel looks at |
-//! | `patches` | images against regions, and how that changes with the pose |
+//! | `regions` | what each pixel sees |
+//! | `patches` | normal equations from small patches of the images |
 //! | `align` | the rounds, from coarse pixels to fine |
 //! | `search` | where to begin if the description is far off |
 //! | `values` | what the record holds |
@@ -49,17 +49,22 @@ pub struct PoseOptions {
     pub rounds: usize,
 }
 
+impl PoseOptions {
+    /// Usual [`Self::widest_px`].
+    pub const WIDEST_PX: u32 = 512;
+}
+
 impl Default for PoseOptions {
     fn default() -> Self {
         Self {
             subsamples: 5,
-            widest_px: 512,
+            widest_px: Self::WIDEST_PX as usize,
             rounds: 12,
         }
     }
 }
 
-/// A pose against the description, with what the images say about it.
+/// A pose against the description, with its uncertainty.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PoseEstimate {
     /// Rotation about x, y and z (vector, radians), then translation (mm): the sample is
@@ -69,7 +74,7 @@ pub struct PoseEstimate {
     pub covariance: [[f64; 6]; 6],
     /// Their standard deviations before the images.
     pub prior: [f64; 6],
-    /// What the images do not tell, by name: held at the description.
+    /// What the images do not determine, by name: as described.
     pub held: Vec<String>,
     /// Variance of the images' blur beyond the pixels themselves, square pixels.
     pub blur_px2: Measured,

@@ -1,10 +1,9 @@
-//! How images and predicted regions agree, patch by patch, and how that changes with
-//! the pose.
+//! Normal equations of the pose from small patches of the images.
 //!
 //! Within a patch every region's radiance is a plane of its own, lit ones with a term
-//! in the cosine to the light besides. These coefficients stand for whatever the
-//! material does and are eliminated; what is left to tell about the pose is where
-//! regions meet: outline, creases, edges of cast shadows.
+//! in the cosine to the light in addition. These coefficients stand for whatever the
+//! material does and are eliminated; the pose is determined by where regions meet:
+//! outline, creases, edges of cast shadows.
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use rayon::prelude::*;
@@ -23,7 +22,7 @@ const FEW_PX: f32 = 6.0;
 /// A patch has an edge where two regions show at least this many pixels.
 const LEAST_PX: f32 = 4.0;
 
-/// One light's image: grey radiance, and the reciprocal of its variance (0: says nothing).
+/// One light's image: grey radiance, and the reciprocal of its variance (0: not used).
 pub struct Target {
     /// Mean of the channels.
     pub mean: Vec<f64>,
@@ -44,9 +43,10 @@ pub struct Pair {
     pub across: f64,
 }
 
-/// What one patch says. Parameters are the bench's, then the blur's variance.
+/// Normal equations of one patch. Parameters are those of pose and lights, then the
+/// variance of the blur.
 #[derive(Clone)]
-pub struct PatchWord {
+pub struct PatchEquations {
     /// First pixel of the grid: column, row.
     pub at: [usize; 2],
     /// JᵀWJ.
@@ -104,8 +104,8 @@ fn labels(grid: Grid, parts: &Parts, light: usize, [x, y]: [usize; 2]) -> Vec<(u
     found
 }
 
-/// What all patches say with the blur at `blur_px2`.
-pub fn listen(
+/// Normal equations of each patch, linearised at `base` with the blur at `blur_px2`.
+pub fn accumulate_patches(
     grid: Grid,
     targets: &[Target],
     patches: &[[usize; 2]],
@@ -113,10 +113,10 @@ pub fn listen(
     pairs: &[Pair],
     parameters: &[Parameter],
     blur_px2: f64,
-) -> Vec<PatchWord> {
+) -> Vec<PatchEquations> {
     let unknowns = parameters.len() + 1;
-    let word = |&at: &[usize; 2]| {
-        let mut word = PatchWord {
+    let patch = |&at: &[usize; 2]| {
+        let mut sum = PatchEquations {
             at,
             information: DMatrix::zeros(unknowns, unknowns),
             score: DVector::zeros(unknowns),
@@ -128,11 +128,11 @@ pub fn listen(
             let Some(fit) = basis.fit(grid, base, target, blur_px2) else {
                 continue;
             };
-            word.chi2[0] += fit.chi2;
-            word.chi2[1] += fit.freedom;
-            word.chi2_plain += fit.chi2_plain;
-            // What the regions cannot explain counts as noise.
-            let trust = (fit.freedom / fit.chi2.max(1e-300)).min(1.0);
+            sum.chi2[0] += fit.chi2;
+            sum.chi2[1] += fit.freedom;
+            sum.chi2_plain += fit.chi2_plain;
+            // Residuals beyond the noise lower the patch's weight.
+            let weight = (fit.freedom / fit.chi2.max(1e-300)).min(1.0);
             let mut jacobian = DMatrix::zeros(SIDE * SIDE, unknowns);
             let change = |to: DMatrix<f64>, from: DMatrix<f64>, across: f64| {
                 fit.beyond(&((to - from) * &fit.coefficients / across))
@@ -149,12 +149,12 @@ pub fn listen(
             let ends = [-0.1, 0.1].map(|d| (blur_px2 + d).clamp(0.0, LARGEST_BLUR_PX2));
             let [from, to] = ends.map(|v| basis.columns(grid, base, v));
             jacobian.set_column(unknowns - 1, &change(to, from, ends[1] - ends[0]));
-            word.information += trust * jacobian.tr_mul(&jacobian);
-            word.score += trust * jacobian.tr_mul(&fit.residual);
+            sum.information += weight * jacobian.tr_mul(&jacobian);
+            sum.score += weight * jacobian.tr_mul(&fit.residual);
         }
-        word
+        sum
     };
-    patches.par_iter().map(word).collect()
+    patches.par_iter().map(patch).collect()
 }
 
 /// The functions whose sum a patch's radiance is, under one light.
@@ -213,9 +213,9 @@ impl Basis {
             };
             let coverage = inside(coverage);
             if plane {
-                let place = |i: usize| i as f64 - 0.5 * (SIDE - 1) as f64;
-                columns.push(coverage.map_with_location(|i, _, c| c * place(i % SIDE)));
-                columns.push(coverage.map_with_location(|i, _, c| c * place(i / SIDE)));
+                let offset = |i: usize| i as f64 - 0.5 * (SIDE - 1) as f64;
+                columns.push(coverage.map_with_location(|i, _, c| c * offset(i % SIDE)));
+                columns.push(coverage.map_with_location(|i, _, c| c * offset(i / SIDE)));
                 if is_lit(label) {
                     columns.push(inside(cosine));
                 }

@@ -7,7 +7,7 @@ use crate::geometry::Mesh;
 use crate::geometry::topology::{Groups, Topology};
 
 /// For each triangle the number of its piece, from 0. Triangles belong together where
-/// they share an edge, by the places of its ends, at less than [`Mesh::CREASE_RAD`].
+/// they share an edge, by the positions of its ends, at less than [`Mesh::CREASE_RAD`].
 pub fn smooth_pieces(mesh: &Mesh) -> Vec<u32> {
     let mut groups = Groups::new(mesh.triangles.len());
     for [one, two] in Topology::of(&mesh.positions_mm, &mesh.triangles).pairs() {

@@ -1,4 +1,4 @@
-//! What each pixel looks at: which piece of the sample, lit or in shadow, and how
+//! What each pixel sees: which piece of the sample, lit or in shadow, and how
 //! steeply the light falls there. From geometry alone; no reflectance is assumed.
 
 use glam::{DVec2, Vec3};
@@ -10,7 +10,7 @@ use crate::geometry::{Bvh, Mesh, Ray};
 use crate::random::{Purpose, stream};
 use crate::transport::{Scene, footprint};
 
-/// Beside the sample.
+/// Next to the sample.
 pub const BACKGROUND: u32 = 0;
 /// The back of the sample.
 const BACK: u32 = 1;
@@ -59,7 +59,7 @@ impl Grid {
     }
 }
 
-/// The sample, ready to be looked at.
+/// The sample with what ray queries need.
 pub struct Sight<'a> {
     mesh: &'a Mesh,
     bvh: Bvh,
@@ -89,7 +89,7 @@ impl<'a> Sight<'a> {
     }
 
     /// For each pixel of the grid, and within it each light of `scene`, the regions seen;
-    /// nothing where a pixel is not `wanted`. The rays' places in a pixel depend on the
+    /// nothing where a pixel is not `wanted`. The rays' positions in a pixel depend on the
     /// pixel and `seed` alone, so that scenes which differ a little differ smoothly.
     pub fn parts(
         &self,
@@ -159,7 +159,7 @@ impl<'a> Sight<'a> {
         vec![BLACK; scene.lights.len()]
     }
 
-    /// What the ray through a place of the image, the camera's pixels, sees under each light.
+    /// What the ray through a point of the image, the camera's pixels, sees under each light.
     pub fn look(&self, scene: &Scene, position_px: DVec2, seen: &mut [Seen]) {
         seen.fill(BLACK);
         let ray = scene.camera.ray(position_px, DVec2::ZERO);

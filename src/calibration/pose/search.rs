@@ -95,8 +95,8 @@ fn rotation_rad(number: usize) -> DVec3 {
     );
     let cube = (0..).map(|i| (step * f64::from(i)).fract() * 2.0 - DVec3::ONE);
     let ball = cube.filter(|v| v.length() <= 1.0);
-    let place = std::iter::once(DVec3::ZERO).chain(ball).nth(number);
-    place.unwrap_or_default() * WIDEST_DEG.to_radians()
+    let point = std::iter::once(DVec3::ZERO).chain(ball).nth(number);
+    point.unwrap_or_default() * WIDEST_DEG.to_radians()
 }
 
 /// The images on pixels of one size.

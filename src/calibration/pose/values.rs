@@ -16,7 +16,7 @@ pub struct PoseValues {
     pub translation_mm: [f64; 3],
     /// Covariance of rotation (degrees), then translation (millimetres).
     pub covariance: [[f64; 6]; 6],
-    /// What the images did not tell, by name: as the rig file has it.
+    /// What the images do not determine, by name: as the rig file has it.
     pub held: Vec<String>,
     /// Blur of the images, standard deviation, pixels.
     pub blur_px: Measured,
@@ -36,7 +36,7 @@ impl PoseValues {
         let shifts = &found.shifts;
         let mean_square =
             |f: &dyn Fn(&super::ResidualShift) -> f64| -> f64 { shifts.iter().map(f).sum::<f64>() };
-        // Patches count by what they know.
+        // Patches are weighted by their information.
         let weights = mean_square(&|s| s.std_px.powi(-2));
         let squares = mean_square(&|s| (s.shift_px / s.std_px).powi(2));
         Self {

@@ -4,6 +4,7 @@ use nalgebra::{Matrix2, Vector2};
 
 use super::{DarkFit, Level};
 use crate::calibration::record::Measured;
+use crate::statistics::{STD_OVER_MAD, median};
 
 /// Dark current this many standard deviations above the median makes a pixel hot.
 const HOT_SIGMA: f64 = 8.0;
@@ -73,16 +74,16 @@ impl Darkness {
     }
 
     pub fn hot_pixels(&self) -> Vec<bool> {
-        let middle = median(&self.slope_dn_s);
-        let deviations: Vec<f64> = self.slope_dn_s.iter().map(|s| (s - middle).abs()).collect();
-        // 1.4826 times the median deviation is the standard deviation of a normal.
-        let sigma = 1.4826 * median(&deviations);
+        let slopes = || self.slope_dn_s.iter().copied();
+        let middle = median(slopes()).unwrap_or(0.0);
+        let deviation = median(slopes().map(|s| (s - middle).abs()));
+        let sigma = STD_OVER_MAD * deviation.unwrap_or(0.0);
         let floor = self.covariance[1][1].sqrt();
         let limit = middle + HOT_SIGMA * sigma.max(floor);
         self.slope_dn_s.iter().map(|&s| s > limit).collect()
     }
 
-    /// Each pixel's departure from the means, `means` and `spreads` being those of
+    /// Each pixel's deviation from the means, `means` and `spreads` being those of
     /// offset (DN) and slope (DN/s): the likeliest where pixels are spread normally
     /// and their measurements have noise. In electrons by `gain_dn_per_e`; 0 at hot
     /// pixels. Also the covariance of what remains unknown.
@@ -100,7 +101,7 @@ impl Darkness {
             .try_inverse()
             .map_or_else(Matrix2::zeros, |inverse| prior * inverse);
         let remaining = prior - kept * prior;
-        let departure = |p: usize| {
+        let deviation = |p: usize| {
             let measured =
                 Vector2::new(self.offset_dn[p] - means[0], self.slope_dn_s[p] - means[1]);
             if hot[p] {
@@ -109,11 +110,11 @@ impl Darkness {
                 kept * measured
             }
         };
-        let departures: Vec<Vector2<f64>> = (0..hot.len()).map(departure).collect();
+        let deviations: Vec<Vector2<f64>> = (0..hot.len()).map(deviation).collect();
         let cross = remaining[(0, 1)] / gain_dn_per_e;
         DarkFit {
-            offset_dn: departures.iter().map(|d| d[0]).collect(),
-            dark_current_e_s: departures.iter().map(|d| d[1] / gain_dn_per_e).collect(),
+            offset_dn: deviations.iter().map(|d| d[0]).collect(),
+            dark_current_e_s: deviations.iter().map(|d| d[1] / gain_dn_per_e).collect(),
             covariance: [
                 [remaining[(0, 0)], cross],
                 [cross, remaining[(1, 1)] / gain_dn_per_e.powi(2)],
@@ -158,10 +159,4 @@ impl Darkness {
             },
         )
     }
-}
-
-fn median(values: &[f64]) -> f64 {
-    let mut sorted = values.to_vec();
-    sorted.sort_unstable_by(f64::total_cmp);
-    sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)
 }

@@ -6,16 +6,16 @@ use nalgebra::{Matrix4, Vector4};
 use super::{FIT_UP_TO, SensorFitError, at_least};
 use crate::radiometry::linearity::Linearity;
 
-/// Largest departure from proportionality that a smooth correction may remove.
+/// Largest deviation from proportionality that a smooth correction may remove.
 const MAX_ERROR: f64 = 0.03;
-/// A level departs from the corrected curve beyond this.
+/// A level off the corrected curve by more than this is not linear.
 const LINEAR_WITHIN: f64 = 0.01;
-/// Departures count from this part of saturation up; black level and noise rule below.
+/// Deviations count from this part of saturation up; black level and noise rule below.
 const FROM: f64 = 0.05;
 /// A level so near saturation that noise clips is left out: its mean is lower.
 const CLIP_SIGMAS: f64 = 4.0;
-/// Levels that reach this part of saturation speak for all of it.
-const SPEAKS_FOR_ALL: f64 = 0.8;
+/// Levels up to this part of saturation represent all of it.
+const REPRESENTS_ALL: f64 = 0.8;
 
 /// One exposure of flats.
 #[derive(Clone, Copy, Debug)]
@@ -44,7 +44,7 @@ pub(super) struct LinearityFit {
     pub highest_dn: f64,
     /// Whether it holds up to saturation.
     pub is_whole: bool,
-    /// Largest relative departure from proportionality before the correction.
+    /// Largest relative deviation from proportionality before the correction.
     pub error: f64,
     /// ... and after it.
     pub residual: f64,
@@ -70,6 +70,7 @@ impl LinearityFit {
         let seen = low.iter().filter(|l| l.signal_dn > from_dn).count();
         at_least("flats from 5% to 70% of saturation", seen, 2)?;
 
+        // A first curve, and the brighter levels that follow it.
         let first = Curve::fit(low, black_std_dn, usable_dn);
         let brightest = low.last().copied().unwrap_or(levels[0]);
         let clips = |l: &LinearLevel| {
@@ -79,17 +80,18 @@ impl LinearityFit {
         let above: Vec<&LinearLevel> = levels[low.len()..].iter().filter(|l| !clips(l)).collect();
         let follow = above
             .iter()
-            .take_while(|l| first.departure(l).abs() <= LINEAR_WITHIN)
+            .take_while(|l| first.deviation(l).abs() <= LINEAR_WITHIN)
             .count();
         let used: Vec<LinearLevel> = low
             .iter()
             .chain(above[..follow].iter().copied())
             .copied()
             .collect();
+        // The curve through all of them, before and after the correction.
         let curve = Curve::fit(&used, black_std_dn, usable_dn);
-        let largest = |departure: &dyn Fn(&LinearLevel) -> f64| {
+        let largest = |deviation: &dyn Fn(&LinearLevel) -> f64| {
             let counted = used.iter().filter(|l| l.signal_dn > from_dn);
-            counted.map(|l| departure(l).abs()).fold(0.0, f64::max)
+            counted.map(|l| deviation(l).abs()).fold(0.0, f64::max)
         };
         let rate = |l: &LinearLevel| (l.signal_dn - l.dark_dn) / l.exposure_s;
         let reference = low
@@ -99,7 +101,8 @@ impl LinearityFit {
             .sum::<f64>()
             / seen as f64;
         let error = largest(&|l| rate(l) / reference - 1.0);
-        let residual = largest(&|l| curve.departure(l));
+        let residual = largest(&|l| curve.deviation(l));
+        // Whether it can be corrected.
         let percent = |part: f64| 100.0 * part;
         let grows = curve.linearity.grows_up_to(usable_dn);
         if error > MAX_ERROR || !grows {
@@ -118,7 +121,7 @@ impl LinearityFit {
         Ok(Self {
             linearity: curve.linearity,
             highest_dn,
-            is_whole: follow == above.len() && highest_dn >= SPEAKS_FOR_ALL * usable_dn,
+            is_whole: follow == above.len() && highest_dn >= REPRESENTS_ALL * usable_dn,
             error,
             residual,
         })
@@ -127,7 +130,7 @@ impl LinearityFit {
 
 /// The solution of `y − d = s t − c₁ y u − c₂ y u² + δ` over levels of signal y,
 /// dark signal d and exposure t, by weighted least squares: s is the light, δ
-/// what the black level is off, held by its uncertainty. Errors of the y on the
+/// what the black level is off, constrained by its uncertainty. Errors of the y on the
 /// right are c times smaller than those on the left and neglected.
 struct Curve {
     linearity: Linearity,
@@ -191,7 +194,7 @@ impl Curve {
     }
 
     /// Corrected signal over that of the exposure, less 1.
-    fn departure(&self, level: &LinearLevel) -> f64 {
+    fn deviation(&self, level: &LinearLevel) -> f64 {
         let corrected_dn = self.linearity.proportional_dn(level.signal_dn);
         let expected_dn = self.light_dn_s * level.exposure_s;
         (corrected_dn - level.dark_dn - self.black_error_dn) / expected_dn - 1.0

@@ -1,5 +1,5 @@
-//! One lens for all edges: Gauss–Newton over point spread, focus and aperture, with each
-//! edge's place, turn, levels and shading beside them.
+//! One lens for all edges: least squares over point spread, focus and aperture, together
+//! with each edge's offset, turn, levels and shading.
 
 use glam::DVec2;
 use nalgebra::{DMatrix, DVector, Matrix3};
@@ -7,6 +7,7 @@ use nalgebra::{DMatrix, DVector, Matrix3};
 use super::EdgeError;
 use super::locate::{Edge, EdgePixel};
 use super::profile::{Blur, Profile};
+use crate::least_squares::{self, Equations, Options, Problem};
 
 /// What makes edges blurred.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -42,16 +43,16 @@ pub struct EdgeFit {
     pub fitted: Vec<[f64; 2]>,
 }
 
-/// What the edges say.
+/// The lens that the edges show.
 #[derive(Clone, Debug)]
 pub struct Fitted {
     /// The lens.
     pub lens: Lens,
-    /// Covariance of spread (px²), focus (mm) and squared tangent; zero where held.
+    /// Covariance of spread (px²), focus (mm) and squared tangent; zero where fixed.
     pub covariance: Matrix3<f64>,
     /// Sum of squared residuals over their variance, per degree of freedom.
     pub reduced_chi2: f64,
-    /// Whether focus and aperture were fitted, not held.
+    /// Whether focus and aperture were fitted, not fixed.
     pub defocus: bool,
     /// By edge.
     pub edges: Vec<EdgeFit>,
@@ -59,9 +60,16 @@ pub struct Fitted {
 
 /// Different heights from which focus and aperture are fitted.
 pub const HEIGHTS_FOR_DEFOCUS: usize = 3;
-/// Least gain in χ² by which two more parameters count as seen.
+/// Least gain in χ² for which focus and aperture count as determined.
 const SEEN: f64 = 16.0;
-const MOST_ROUNDS: usize = 40;
+/// The last step gains less χ² than 1% of a parameter's uncertainty is worth: where the
+/// profile is rough there may be no more.
+const STEPS: Options = Options {
+    rounds: 40,
+    damping: 0.0,
+    least_relative_gain: 0.0,
+    least_gain: 1e-4,
+};
 const LENS: usize = 3;
 const OWN: usize = 8;
 const LEAST_SPREAD_PX2: f64 = 0.01;
@@ -70,50 +78,47 @@ const MOST_DEVIATIONS: f64 = 5.0;
 const MOST_OFF: f64 = 0.03;
 
 /// Fits the lens. Focus and aperture are fitted from edges at three or more heights, else
-/// held at `stated`. The covariance is scaled up, parameter by parameter, where residuals
+/// fixed at `stated`. The covariance is scaled up, parameter by parameter, where residuals
 /// exceed the noise.
 ///
 /// # Errors
 /// [`EdgeError::Unfitted`] where nothing settles, [`EdgeError::NotTheModel`] where edges
 /// look otherwise.
 pub fn fit_edges(edges: &[Edge], stated: Lens) -> Result<Fitted, EdgeError> {
+    // Each edge by itself: a Gaussian's width and its uncertainty.
     let mut own = Vec::new();
-    let mut ways = Vec::new();
+    let mut shapes = Vec::new();
     for edge in edges {
-        let mut start = Way::new(std::slice::from_ref(edge), stated);
-        start.lens = Lens {
+        let lens = Lens {
             spread_px2: 0.5,
             focus_mm: edge.depth_mm,
             tangent2: 0.0,
         };
-        let [noise, observed] = start.settle([true, false, false])?;
+        let mut alone = EdgesFit::new(std::slice::from_ref(edge), lens);
+        let [noise, observed] = alone.settle([true, false, false])?;
         let variance = noise[(0, 0)].max(observed[(0, 0)]);
-        own.push([start.lens.spread_px2, variance.max(0.0).sqrt()]);
-        ways.push(start);
+        own.push([alone.at.lens.spread_px2, variance.max(0.0).sqrt()]);
+        shapes.extend(alone.at.shapes);
     }
+    // All edges with one lens, with and without defocus.
     let mut heights: Vec<f64> = edges.iter().map(|e| e.depth_mm).collect();
     heights.sort_by(f64::total_cmp);
     heights.dedup_by(|a, b| (*a - *b).abs() < 1e-6);
     let defocus = heights.len() >= HEIGHTS_FOR_DEFOCUS;
-    let mut all = Way::new(edges, stated);
-    all.own = ways.iter().flat_map(|way| way.own.clone()).collect();
+    let mut all = EdgesFit::new(edges, stated);
+    all.at.shapes = shapes;
     if defocus {
-        all.lens = parabola(edges, &own).unwrap_or(stated);
+        all.at.lens = parabola(edges, &own).unwrap_or(stated);
     } else {
-        all.lens.spread_px2 = own.iter().map(|o| o[0]).fold(0.5, f64::min).max(0.05);
+        all.at.lens.spread_px2 = own.iter().map(|o| o[0]).fold(0.5, f64::min).max(0.05);
     }
     let [mut covariance, observed] = match defocus {
         false => all.settle([true, false, false])?,
         true => {
-            let mut sharp = Way::new(
-                edges,
-                Lens {
-                    tangent2: 0.0,
-                    ..stated
-                },
-            );
-            sharp.own.clone_from(&all.own);
-            sharp.lens.spread_px2 = own.iter().map(|o| o[0]).sum::<f64>() / own.len() as f64;
+            let mut sharp = EdgesFit::new(edges, stated);
+            sharp.at.shapes.clone_from(&all.at.shapes);
+            sharp.at.lens.tangent2 = 0.0;
+            sharp.at.lens.spread_px2 = own.iter().map(|o| o[0]).sum::<f64>() / own.len() as f64;
             sharp.settle([true, false, false])?;
             let flat = EdgeError::NoDefocus {
                 nearest_mm: heights[0],
@@ -126,15 +131,16 @@ pub fn fit_edges(edges: &[Edge], stated: Lens) -> Result<Fitted, EdgeError> {
             found
         }
     };
-    let freedom = all.values() - all.own.len() * OWN - if defocus { LENS } else { 1 };
+    // Goodness of the fit, and what it adds to the uncertainty.
+    let freedom = all.values() - edges.len() * OWN - if defocus { LENS } else { 1 };
     let reduced_chi2 = all.chi2() / freedom.max(1) as f64;
-    // Residuals beyond noise lie where the edge is, which is where the lens is told.
+    // Residuals beyond noise lie at the edge, which is what determines the lens.
     let wider = [0, 1, 2].map(|i| {
         let ratio = observed[(i, i)] / covariance[(i, i)].max(f64::MIN_POSITIVE);
         ratio.max(reduced_chi2).max(1.0).sqrt()
     });
     covariance = Matrix3::from_fn(|i, j| wider[i] * wider[j] * covariance[(i, j)]);
-    let percent = 100.0 * all.off();
+    let percent = 100.0 * all.relative_residual();
     if reduced_chi2.sqrt() > MOST_DEVIATIONS && percent > 100.0 * MOST_OFF {
         let deviations = reduced_chi2.sqrt();
         return Err(EdgeError::NotTheModel {
@@ -142,14 +148,14 @@ pub fn fit_edges(edges: &[Edge], stated: Lens) -> Result<Fitted, EdgeError> {
             percent,
         });
     }
-    let described = edges.iter().zip(&all.own).zip(&own);
+    let described = edges.iter().zip(&all.at.shapes).zip(&own);
     Ok(Fitted {
-        lens: all.lens,
+        lens: all.at.lens,
         covariance,
         reduced_chi2,
         defocus,
         edges: described
-            .map(|((edge, place), own)| all.describe(edge, place, *own))
+            .map(|((edge, shape), own)| all.describe(edge, shape, *own))
             .collect(),
     })
 }
@@ -182,7 +188,7 @@ fn parabola(edges: &[Edge], own: &[[f64; 2]]) -> Option<Lens> {
 
 /// An edge's own parameters.
 #[derive(Clone, Copy, Debug)]
-struct Own {
+struct Shape {
     /// Shift across and turn against where the edge was found.
     offset_px: f64,
     turn: f64,
@@ -191,25 +197,36 @@ struct Own {
     planes: [f64; 6],
 }
 
-/// The state of an iteration.
-struct Way<'a> {
-    edges: &'a [Edge],
+/// All parameters: the lens', and each edge's own.
+#[derive(Clone, Debug)]
+struct Parameters {
     lens: Lens,
-    own: Vec<Own>,
+    shapes: Vec<Shape>,
 }
 
-impl<'a> Way<'a> {
+/// The edges, the parameters found so far, and which of the lens' are free.
+struct EdgesFit<'a> {
+    edges: &'a [Edge],
+    at: Parameters,
+    free: [bool; LENS],
+}
+
+impl<'a> EdgesFit<'a> {
     fn new(edges: &'a [Edge], lens: Lens) -> Self {
-        let own = edges.iter().map(|edge| {
+        let shapes = edges.iter().map(|edge| {
             let [dark, bright] = edge.levels;
-            Own {
+            Shape {
                 offset_px: 0.0,
                 turn: 0.0,
                 planes: [dark, 0.0, 0.0, bright - dark, 0.0, 0.0],
             }
         });
-        let own = own.collect();
-        Self { edges, lens, own }
+        let shapes = shapes.collect();
+        Self {
+            edges,
+            at: Parameters { lens, shapes },
+            free: [true; LENS],
+        }
     }
 
     fn values(&self) -> usize {
@@ -220,108 +237,51 @@ impl<'a> Way<'a> {
         Profile::new(&lens.blur(edge), edge.reach_px + 3.0)
     }
 
-    /// Sum of squared residuals over the pixels' variances.
     fn chi2(&self) -> f64 {
-        let parts = self.edges.iter().zip(&self.own).map(|(edge, own)| {
-            let profile = self.profile(edge, &self.lens);
-            let pixels = edge.pixels.iter();
-            pixels
-                .map(|p| own.residual(edge, &profile, p).powi(2) / p.variance)
-                .sum::<f64>()
-        });
-        parts.sum()
+        self.cost(&self.at)
     }
 
     /// Root mean square residual over the contrast.
-    fn off(&self) -> f64 {
-        let parts = self.edges.iter().zip(&self.own).map(|(edge, own)| {
-            let profile = self.profile(edge, &self.lens);
+    fn relative_residual(&self) -> f64 {
+        let parts = self.edges.iter().zip(&self.at.shapes).map(|(edge, shape)| {
+            let profile = self.profile(edge, &self.at.lens);
             let contrast = edge.levels[1] - edge.levels[0];
             let pixels = edge.pixels.iter();
             pixels
-                .map(|p| (own.residual(edge, &profile, p) / contrast).powi(2))
+                .map(|p| (shape.residual(edge, &profile, p) / contrast).powi(2))
                 .sum::<f64>()
         });
         (parts.sum::<f64>() / self.values().max(1) as f64).sqrt()
     }
 
-    /// Steps until nothing moves; returns the lens's covariance by the pixels' noise, and by
-    /// the residuals where they are.
+    /// Fits all parameters, of the lens the `free` ones; returns the lens' covariance from
+    /// the pixels' noise, and from the residuals as they are.
     fn settle(&mut self, free: [bool; LENS]) -> Result<[Matrix3<f64>; 2], EdgeError> {
-        let mut chi2 = self.chi2();
-        for _ in 0..MOST_ROUNDS {
-            let Equations {
-                matrix, gradient, ..
-            } = self.normal_equations(free);
-            let factor = matrix
-                .cholesky()
-                .ok_or(EdgeError::Unfitted("the images do not determine the lens"))?;
-            let step = factor.solve(&gradient);
-            let mut part = 1.0;
-            let (lens, own) = (self.lens, self.own.clone());
-            let (expected, before) = (step.dot(&gradient), chi2);
-            loop {
-                self.move_by(&(&step * part), lens, &own);
-                let next = self.chi2();
-                if next <= chi2 + 1e-9 * chi2.abs() {
-                    chi2 = next;
-                    break;
-                }
-                part *= 0.5;
-                if part < 1e-6 {
-                    (self.lens, self.own) = (lens, own.clone());
-                    break;
-                }
-            }
-            // Where the profile is rough, a step may promise more than there is to gain.
-            if expected < 1e-4 || before - chi2 < 1e-4 * part {
-                let Equations {
-                    matrix, scatter, ..
-                } = self.normal_equations(free);
-                let inverse = matrix
-                    .cholesky()
-                    .ok_or(EdgeError::Unfitted("the images do not determine the lens"))?
-                    .inverse();
-                let observed = &inverse * scatter * &inverse;
-                return Ok([inverse, observed].map(|full| {
-                    Matrix3::from_fn(|i, j| {
-                        if free[i] && free[j] {
-                            full[(i, j)]
-                        } else {
-                            0.0
-                        }
-                    })
-                }));
-            }
+        self.free = free;
+        let start = self.at.clone();
+        let found = least_squares::minimise(self, start, &STEPS);
+        if !found.settled {
+            return Err(EdgeError::Unfitted("the iteration does not settle"));
         }
-        Err(EdgeError::Unfitted("the iteration does not settle"))
-    }
-
-    fn move_by(&mut self, step: &DVector<f64>, lens: Lens, own: &[Own]) {
-        self.lens = Lens {
-            spread_px2: (lens.spread_px2 + step[0])
-                .clamp(0.2 * lens.spread_px2, 5.0 * lens.spread_px2)
-                .max(LEAST_SPREAD_PX2),
-            focus_mm: lens.focus_mm + step[1],
-            tangent2: (lens.tangent2 + step[2]).max(0.1 * lens.tangent2),
+        self.at = found.point;
+        let (equations, scatter) = self.equations(&self.at);
+        let covariances = [equations.covariance(), equations.sandwich(&scatter)];
+        let [Some(noise), Some(observed)] = covariances else {
+            return Err(EdgeError::Unfitted("the images do not determine the lens"));
         };
-        for (k, (to, from)) in self.own.iter_mut().zip(own).enumerate() {
-            let at = LENS + OWN * k;
-            to.offset_px = from.offset_px + step[at].clamp(-1.0, 1.0);
-            to.turn = from.turn + step[at + 1].clamp(-0.05, 0.05);
-            for (i, plane) in to.planes.iter_mut().enumerate() {
-                *plane = from.planes[i] + step[at + 2 + i];
-            }
-        }
+        let free = |i: usize, j: usize| f64::from(self.free[i] && self.free[j]);
+        Ok([noise, observed].map(|full| Matrix3::from_fn(|i, j| free(i, j) * full[(i, j)])))
     }
 
-    /// The linear equations of a step.
-    fn normal_equations(&self, free: [bool; LENS]) -> Equations {
+    /// The normal equations, and the covariance of their right side by the residuals.
+    fn equations(&self, at: &Parameters) -> (Equations, DMatrix<f64>) {
         let size = LENS + OWN * self.edges.len();
         let mut matrix = DMatrix::zeros(size, size);
         let mut scatter = DMatrix::zeros(size, size);
         let mut right = DVector::zeros(size);
-        let lens = self.lens;
+        let mut cost = 0.0;
+        let (lens, free) = (at.lens, self.free);
+        // Derivatives by the lens are central differences of the profile.
         let steps = [
             0.02 * lens.spread_px2.max(0.05),
             1e-3 * depth_span(self.edges).max(0.1),
@@ -336,14 +296,14 @@ impl<'a> Way<'a> {
             }
             other
         };
-        for (k, (edge, own)) in self.edges.iter().zip(&self.own).enumerate() {
+        for (k, (edge, own)) in self.edges.iter().zip(&at.shapes).enumerate() {
             let profile = self.profile(edge, &lens);
             let others: Vec<Option<[Profile; 2]>> = (0..LENS)
                 .map(|i| {
                     free[i].then(|| [steps[i], -steps[i]].map(|h| self.profile(edge, &moved(i, h))))
                 })
                 .collect();
-            let at = |i: usize| {
+            let column = |i: usize| {
                 if i < LENS {
                     i
                 } else {
@@ -351,9 +311,9 @@ impl<'a> Way<'a> {
                 }
             };
             for pixel in &edge.pixels {
-                let place = own.place(edge, pixel);
-                let [value, slope] = profile.at(place.across);
-                let [_, bright] = own.levels(place.off);
+                let at = own.position(edge, pixel);
+                let [value, slope] = profile.at(at.across);
+                let [_, bright] = own.levels(at.off);
                 let mut row = [0.0; LENS + OWN];
                 for (i, other) in others.iter().enumerate() {
                     if let Some([more, less]) = other {
@@ -361,29 +321,31 @@ impl<'a> Way<'a> {
                             2 => moved(2, steps[2]).tangent2 - moved(2, -steps[2]).tangent2,
                             _ => 2.0 * steps[i],
                         };
-                        let difference = more.at(place.across)[0] - less.at(place.across)[0];
+                        let difference = more.at(at.across)[0] - less.at(at.across)[0];
                         row[i] = bright * difference / h;
                     }
                 }
                 row[LENS] = -bright * slope;
-                row[LENS + 1] = bright * slope * place.along;
-                let plane = [1.0, place.off.x, place.off.y];
+                row[LENS + 1] = bright * slope * at.along;
+                let plane = [1.0, at.off.x, at.off.y];
                 for i in 0..3 {
                     row[LENS + 2 + i] = plane[i];
                     row[LENS + 5 + i] = plane[i] * value;
                 }
                 let residual = own.residual(edge, &profile, pixel);
                 let weight = 1.0 / pixel.variance;
+                cost += weight * residual * residual;
                 for i in 0..LENS + OWN {
-                    right[at(i)] += weight * row[i] * residual;
+                    right[column(i)] += weight * row[i] * residual;
                     for j in 0..=i {
                         let product = weight * row[i] * row[j];
-                        matrix[(at(i), at(j))] += product;
-                        scatter[(at(i), at(j))] += product * weight * residual * residual;
+                        matrix[(column(i), column(j))] += product;
+                        scatter[(column(i), column(j))] += product * weight * residual * residual;
                     }
                 }
             }
         }
+        // A fixed parameter doesn't move.
         for (i, free) in free.into_iter().enumerate() {
             if !free {
                 matrix[(i, i)] = 1.0;
@@ -391,19 +353,20 @@ impl<'a> Way<'a> {
         }
         matrix.fill_upper_triangle_with_lower_triangle();
         scatter.fill_upper_triangle_with_lower_triangle();
-        Equations {
-            matrix,
-            gradient: right,
-            scatter,
-        }
+        let equations = Equations {
+            normal: matrix,
+            right,
+            cost,
+        };
+        (equations, scatter)
     }
 
-    fn describe(&self, edge: &Edge, own: &Own, width: [f64; 2]) -> EdgeFit {
-        let profile = self.profile(edge, &self.lens);
+    fn describe(&self, edge: &Edge, own: &Shape, width: [f64; 2]) -> EdgeFit {
+        let profile = self.profile(edge, &self.at.lens);
         let measured = edge.pixels.iter().map(|pixel| {
-            let place = own.place(edge, pixel);
-            let [dark, bright] = own.levels(place.off);
-            [place.across, (pixel.value - dark) / bright]
+            let at = own.position(edge, pixel);
+            let [dark, bright] = own.levels(at.off);
+            [at.across, (pixel.value - dark) / bright]
         });
         let steps = (2.0 * edge.reach_px * 4.0) as i32;
         let fitted = (0..=steps).map(|i| {
@@ -419,13 +382,51 @@ impl<'a> Way<'a> {
     }
 }
 
-/// Of one step.
-struct Equations {
-    matrix: DMatrix<f64>,
-    /// The right side.
-    gradient: DVector<f64>,
-    /// Of the right side, by the residuals themselves.
-    scatter: DMatrix<f64>,
+impl Problem for EdgesFit<'_> {
+    type Point = Parameters;
+
+    fn linearise(&mut self, at: &Parameters) -> Equations {
+        self.equations(at).0
+    }
+
+    /// Sum of squared residuals over the pixels' variances.
+    fn cost(&self, at: &Parameters) -> f64 {
+        let parts = self.edges.iter().zip(&at.shapes).map(|(edge, shape)| {
+            let profile = self.profile(edge, &at.lens);
+            let pixels = edge.pixels.iter();
+            pixels
+                .map(|p| shape.residual(edge, &profile, p).powi(2) / p.variance)
+                .sum::<f64>()
+        });
+        parts.sum()
+    }
+
+    fn moved(&self, from: &Parameters, step: &DVector<f64>) -> Parameters {
+        let Lens {
+            spread_px2,
+            focus_mm,
+            tangent2,
+        } = from.lens;
+        let lens = Lens {
+            spread_px2: (spread_px2 + step[0])
+                .clamp(0.2 * spread_px2, 5.0 * spread_px2)
+                .max(LEAST_SPREAD_PX2),
+            focus_mm: focus_mm + step[1],
+            tangent2: (tangent2 + step[2]).max(0.1 * tangent2),
+        };
+        let shapes = from.shapes.iter().enumerate().map(|(k, shape)| {
+            let step = step.rows(LENS + OWN * k, OWN);
+            Shape {
+                offset_px: shape.offset_px + step[0].clamp(-1.0, 1.0),
+                turn: shape.turn + step[1].clamp(-0.05, 0.05),
+                planes: std::array::from_fn(|i| shape.planes[i] + step[2 + i]),
+            }
+        });
+        Parameters {
+            lens,
+            shapes: shapes.collect(),
+        }
+    }
 }
 
 fn depth_span(edges: &[Edge]) -> f64 {
@@ -433,19 +434,19 @@ fn depth_span(edges: &[Edge]) -> f64 {
     depths().fold(f64::MIN, f64::max) - depths().fold(f64::MAX, f64::min)
 }
 
-/// Where a pixel is, seen from the edge.
-struct Place {
+/// A pixel's position relative to the edge.
+struct Position {
     across: f64,
     along: f64,
     /// From the edge's point, over the reach, so that all parameters are alike in size.
     off: DVec2,
 }
 
-impl Own {
-    fn place(&self, edge: &Edge, pixel: &EdgePixel) -> Place {
+impl Shape {
+    fn position(&self, edge: &Edge, pixel: &EdgePixel) -> Position {
         let off = pixel.at_px - edge.point_px;
         let normal = DVec2::from_angle(self.turn).rotate(edge.normal);
-        Place {
+        Position {
             across: off.dot(normal) - self.offset_px,
             along: off.dot(normal.perp()),
             off: off / edge.reach_px,
@@ -462,8 +463,8 @@ impl Own {
     }
 
     fn residual(&self, edge: &Edge, profile: &Profile, pixel: &EdgePixel) -> f64 {
-        let place = self.place(edge, pixel);
-        let [dark, bright] = self.levels(place.off);
-        pixel.value - dark - bright * profile.at(place.across)[0]
+        let at = self.position(edge, pixel);
+        let [dark, bright] = self.levels(at.off);
+        pixel.value - dark - bright * profile.at(at.across)[0]
     }
 }

@@ -1,13 +1,14 @@
-//! Finding a straight edge in an image, and the pixels beside it.
+//! Finding a straight edge in an image, and the pixels around it.
 
 use glam::{DVec2, DVec3};
 
 use super::{EdgeError, LEAST_SIDE_PX};
 use crate::calibration::mirror_sphere::Grey;
 use crate::calibration::white::Region;
+use crate::statistics::median;
 use crate::transport::Camera;
 
-/// A straight edge and what the pixels beside it show.
+/// A straight edge and the pixels around it.
 #[derive(Clone, Debug)]
 pub struct Edge {
     /// Which image, from 0.
@@ -18,7 +19,7 @@ pub struct Edge {
     pub depth_mm: f64,
     /// Pixels per millimetre across the view there.
     pub px_per_mm: f64,
-    /// A place on the edge, pixels from the image's top left corner.
+    /// A point on the edge, pixels from the image's top left corner.
     pub point_px: DVec2,
     /// Unit vector across it, towards the brighter side.
     pub normal: DVec2,
@@ -72,6 +73,7 @@ pub fn locate(
     camera: &Camera,
     height_mm: f64,
 ) -> Result<Edge, EdgeError> {
+    // Image and region.
     let found = [grey.width, grey.height];
     if found != camera.resolution_px {
         let camera = camera.resolution_px;
@@ -92,6 +94,7 @@ pub fn locate(
     if !inside || region.width.min(region.height) < LEAST_SIDE_PX {
         return Err(EdgeError::Region { image, region });
     }
+    // The line, and the pixels near it.
     let changes = changes(grey, region);
     let line = line(&changes);
     let reach_px = (5.0 * line.width_px + 3.0).clamp(6.0, 24.0);
@@ -122,6 +125,7 @@ pub fn locate(
             });
         }
     }
+    // Whether there are enough.
     let length = near.len() as f64 / (2.0 * reach_px);
     let too_few = near.len() < LEAST_PIXELS || length < LEAST_LENGTH_PX;
     let part = masked as f64 / (near.len() + masked).max(1) as f64;
@@ -137,6 +141,7 @@ pub fn locate(
             length,
         });
     }
+    // Contrast, from the darker to the brighter side, and straightness.
     let mut levels = sides.map(|[sum, count]| sum / count);
     let mut normal = line.normal;
     if levels[0] > levels[1] {
@@ -158,6 +163,7 @@ pub fn locate(
         let percent = 100.0 * line.straight;
         return Err(EdgeError::NotStraight { image, percent });
     }
+    // Depth, scale and tilt.
     let (depth_mm, px_per_mm) =
         scale(camera, line.point, height_mm).ok_or(EdgeError::Height { image, height_mm })?;
     let edge = Edge {
@@ -178,7 +184,7 @@ pub fn locate(
     Ok(edge)
 }
 
-/// Distance along the axis of the place that a sensor position sees at a height, and
+/// Distance along the axis of the point that a sensor position sees at a height, and
 /// pixels per millimetre across the view there.
 fn scale(camera: &Camera, at_px: DVec2, height_mm: f64) -> Option<(f64, f64)> {
     let (origin, direction) = camera.chief_ray(at_px);
@@ -232,10 +238,7 @@ fn changes(grey: &Grey, region: Region) -> Vec<Change> {
         }
     }
     // Most of the image is not edge: its gradients are the noise's.
-    let mut all: Vec<f64> = changes.iter().map(|c| c.weight).collect();
-    if !all.is_empty() {
-        let middle = all.len() / 2;
-        let noise = *all.select_nth_unstable_by(middle, f64::total_cmp).1;
+    if let Some(noise) = median(changes.iter().map(|c| c.weight)) {
         for change in &mut changes {
             change.weight = (change.weight - 6.0 * noise).max(0.0);
         }
@@ -252,7 +255,7 @@ struct Line {
     straight: f64,
 }
 
-/// The line along which the changes lie, by their directions first, then by their places.
+/// The line along which the changes lie, by their directions first, then by their positions.
 fn line(changes: &[Change]) -> Line {
     let total: f64 = changes.iter().map(|c| c.weight).sum();
     let tensor = |of: &dyn Fn(&Change) -> (f64, DVec2)| {

@@ -1,5 +1,5 @@
 //! How sharp the camera is: its point spread in focus, where that focus is, and how fast
-//! points beside it blur, from images of a straight edge at known heights (after the
+//! points off it blur, from images of a straight edge at known heights (after the
 //! slanted-edge method of ISO 12233, with the edge's profile fitted by a model).
 
 #[cfg(feature = "figures")]
@@ -15,11 +15,100 @@ pub use fit::{EdgeFit, Fitted, Lens, fit_edges};
 pub use locate::{Edge, locate};
 pub use values::{FocusValues, LensValues, MeasuredEdge};
 
+use super::mirror_sphere::Grey;
 use super::white::Region;
+use crate::transport::Camera;
 
-/// Why an image of an edge tells nothing about the lens. Images count from 0.
+/// Edges at known heights, and the images that show them.
+#[derive(Clone, Copy, Debug)]
+pub struct FocusRequest<'a> {
+    /// One image for all edges, or one for each.
+    pub images: &'a [Grey],
+    /// The part of its image in which each edge is: none (all of it), one for all, or one
+    /// for each.
+    pub regions: &'a [Region],
+    /// Height of each edge above the sample's datum, millimetres.
+    pub heights_mm: &'a [f64],
+    /// Standard uncertainty that all heights share, millimetres.
+    pub height_std_mm: f64,
+    /// The camera as described.
+    pub camera: &'a Camera,
+    /// The sensor's pixels along one side of an image's pixel.
+    pub cell_px: usize,
+}
+
+/// Measures point spread, focus and aperture from edges.
+///
+/// # Errors
+/// See [`EdgeError`].
+pub fn measure(request: &FocusRequest) -> Result<(Vec<Edge>, Fitted, FocusValues), EdgeError> {
+    let &FocusRequest {
+        images,
+        regions,
+        heights_mm,
+        camera,
+        ..
+    } = request;
+    check_counts(images.len(), regions.len(), heights_mm.len())?;
+    let edge = |(i, &height_mm): (usize, &f64)| {
+        let image = i.min(images.len() - 1);
+        let region = regions.get(i).or(regions.first()).copied();
+        locate(image, &images[image], region, camera, height_mm)
+    };
+    let edges: Vec<Edge> = heights_mm
+        .iter()
+        .enumerate()
+        .map(edge)
+        .collect::<Result<_, _>>()?;
+    let tangent = camera.object_na / (1.0 - camera.object_na.powi(2)).sqrt();
+    let stated = Lens {
+        spread_px2: 0.25,
+        focus_mm: camera.focus_mm,
+        tangent2: tangent * tangent,
+    };
+    let found = fit_edges(&edges, stated)?;
+    let values = FocusValues::new(&edges, &found, request.cell_px, request.height_std_mm);
+    Ok((edges, found, values))
+}
+
+/// Whether so many images and regions can show edges at so many heights.
+///
+/// # Errors
+/// [`EdgeError::Counts`], [`EdgeError::OneImage`].
+pub fn check_counts(images: usize, regions: usize, heights: usize) -> Result<(), EdgeError> {
+    let serve = |n: usize| n == 1 || n == heights;
+    if !serve(images) || !(serve(regions) || regions == 0) {
+        return Err(EdgeError::Counts {
+            images,
+            regions,
+            heights,
+        });
+    }
+    if images == 1 && heights > 1 && regions != heights {
+        return Err(EdgeError::OneImage { heights });
+    }
+    Ok(())
+}
+
+/// Why images of edges do not determine the lens. Images count from 0.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum EdgeError {
+    /// Images or regions that cannot be assigned to heights.
+    #[error("{images} images and {regions} regions were named for {heights} heights")]
+    Counts {
+        /// Images.
+        images: usize,
+        /// Regions.
+        regions: usize,
+        /// Heights.
+        heights: usize,
+    },
+    /// One image, and one region of it, for several heights.
+    #[error("one image cannot show {heights} heights at the same position")]
+    OneImage {
+        /// Heights.
+        heights: usize,
+    },
     /// Not the camera's image.
     #[error("image {image} has {found:?} pixels, the camera {camera:?}")]
     Size {
@@ -103,7 +192,7 @@ pub enum EdgeError {
     /// The iteration does not settle, or the data determine nothing.
     #[error("the edges' profiles could not be fitted: {0}")]
     Unfitted(&'static str),
-    /// Focus and aperture cannot be told.
+    /// Focus and aperture are not determined.
     #[error(
         "the edges are as sharp at {nearest_mm:.2} mm from the camera as at {farthest_mm:.2} mm, or the blur between does not follow a lens"
     )]

@@ -31,7 +31,7 @@ const BOX: [[f64; 2]; 3] = [
 ];
 
 impl Profile {
-    /// For places up to `reach_px` from the edge.
+    /// For distances up to `reach_px` from the edge.
     pub fn new(blur: &Blur, reach_px: f64) -> Self {
         let (sin, cos) = blur.tilt_rad.sin_cos();
         let (long, short) = (cos.abs().max(sin.abs()), cos.abs().min(sin.abs()));
@@ -75,7 +75,7 @@ impl Profile {
     }
 }
 
-/// Places across and weights of a disc seen along an edge: Chebyshev's second rule, exact
+/// Positions across and weights of a disc seen along an edge: Chebyshev's second rule, exact
 /// for polynomials of a degree below twice their number. The wider the disc against the
 /// pixel, the more of them.
 fn disc_nodes(radius_px: f64) -> Vec<[f64; 2]> {
@@ -95,7 +95,8 @@ fn disc_nodes(radius_px: f64) -> Vec<[f64; 2]> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::f64::consts::{SQRT_2, TAU};
+    use crate::statistics::normal_cdf;
+    use std::f64::consts::TAU;
 
     /// Against a plain sum over the pixel's square and the disc.
     #[test]
@@ -115,7 +116,7 @@ mod tests {
                     for (r, phi) in places().flat_map(|r| places().map(move |p| (r, p * TAU))) {
                         let off = radius * r.sqrt() * phi.cos();
                         let place = t + x * tilt_rad.cos() + y * tilt_rad.sin() + off;
-                        sum += 0.5 * (1.0 + libm::erf(place / sigma / SQRT_2));
+                        sum += normal_cdf(place / sigma);
                         count += 1;
                     }
                 }

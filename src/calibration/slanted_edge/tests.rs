@@ -76,7 +76,7 @@ fn a_lens_is_recovered_within_its_uncertainty() {
 /// One height tells the point spread where focus and aperture are known; a binned
 /// mosaic's pixel is two of the sensor's.
 #[test]
-fn one_edge_tells_the_spread_alone() {
+fn one_edge_determines_the_spread_alone() {
     let camera = telecentric();
     let truth = photograph(&camera, -1.5, 0.2);
     let mut chi2 = 0.0;

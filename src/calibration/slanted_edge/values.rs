@@ -1,4 +1,4 @@
-//! The record of a camera's sharpness, and how geometry goes by it.
+//! The record of a camera's sharpness, and the geometry with it.
 
 use serde::{Deserialize, Serialize};
 
@@ -22,7 +22,7 @@ pub struct FocusValues {
     pub edges: Vec<MeasuredEdge>,
 }
 
-/// Where a lens is sharp and how fast it blurs beside that.
+/// Where a lens is sharp, and its aperture.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LensValues {

@@ -8,16 +8,13 @@ use serde::Serialize;
 use super::target::{CommonArgs, Target};
 use crate::calibration::Library;
 use crate::calibration::camera::{
-    Board, CameraError, CameraOptions, CameraValues, Terms, calibrate,
+    Board, CameraError, CameraOptions, CameraValues, Terms, calibrate, described,
 };
 use crate::calibration::mirror_sphere::Grey;
-use crate::calibration::record::Settings;
 use crate::cli::bracket_files;
 use crate::cli::output::{write_json, write_path};
 use crate::cli::{CliError, Context};
-use crate::config::geometry::GeometryConfig;
 use crate::radiance_image::exr;
-use crate::transport::{Camera, Projection};
 use crate::workflow::session_images;
 
 #[derive(clap::Args, Debug)]
@@ -39,7 +36,7 @@ pub(super) struct CameraArgs {
     square_std: f64,
     /// Standard uncertainty of the tilt of a board that lies flat before a telecentric lens
     /// (degrees; 0 to 10)
-    #[arg(long, value_name = "DEG", default_value_t = 0.5)]
+    #[arg(long, value_name = "DEG", default_value_t = Board::TILT_STD_DEG)]
     tilt_std: f64,
     /// Which terms of the distortion are sought
     #[arg(long, value_name = "TERMS", value_enum, default_value_t = Distortion::Usual)]
@@ -132,18 +129,16 @@ pub(super) fn run(args: &CameraArgs, context: &Context) -> Result<(), CliError> 
     for view in &args.views {
         images.push(read(view)?);
     }
-    let (described, cell_px) = camera_of(geometry, &images[0]);
-    let telecentric = matches!(described.projection, Projection::Orthographic { .. });
+    let (described, cell_px) = described(geometry, [images[0].width, images[0].height]);
     let board = Board {
         squares: args.squares,
         square_mm: args.square,
         square_std_mm: args.square_std,
         tilt_std_deg: args.tilt_std,
     };
-    let least = args.least_views.unwrap_or(if telecentric { 1 } else { 3 });
     let options = CameraOptions {
         terms: args.distortion.terms(),
-        least_views: least as usize,
+        least_views: args.least_views.map(|n| n as usize),
         datum: args.datum.map(|view| view as usize - 1),
     };
     let bar = context.spinner();
@@ -158,13 +153,9 @@ pub(super) fn run(args: &CameraArgs, context: &Context) -> Result<(), CliError> 
         context.warn(missed.to_string());
     }
     let values = CameraValues::new(&fit, &described, cell_px);
-    let mut target = Target::new(&rig.config, Library::of_rig(&rig), &args.common, context)?;
     let names: Vec<_> = args.views.iter().map(|v| v.display().to_string()).collect();
-    target.source = names.join(", ");
-    target.settings = Settings {
-        resolution_px: Some(rig.config.camera.resolution_px),
-        ..Settings::default()
-    };
+    let target = Target::new(&rig.config, Library::of_rig(&rig), &args.common, context)?
+        .from_files(names.join(", "), rig.config.camera.resolution_px);
     let [columns, rows] = args.squares;
     let method = format!(
         "{} views of a board of {columns} x {rows} squares of {} mm, corners within {:.3} px",
@@ -196,15 +187,6 @@ pub(super) fn run(args: &CameraArgs, context: &Context) -> Result<(), CliError> 
     write_path(&path)
 }
 
-/// The camera whose pixels an image has: the sensor's or those of merged images; with the
-/// sensor's pixels along one side of one of these.
-fn camera_of(geometry: &GeometryConfig, image: &Grey) -> (Camera, usize) {
-    match [image.width, image.height] == geometry.camera.resolution_px {
-        true => (geometry.camera, 1),
-        false => (geometry.image_camera(), geometry.cell_px),
-    }
-}
-
 fn read(path: &Path) -> Result<Grey, CliError> {
     if path.is_dir() {
         let images: Vec<Grey> = session_images(path)?
@@ -220,13 +202,5 @@ fn read(path: &Path) -> Result<Grey, CliError> {
     if ending.to_string_lossy().split(':').next() == Some("exr") {
         return Ok(Grey::of(&exr::read(path)?.image));
     }
-    let frame = bracket_files::read_picture(path, None)?.to_luma32f();
-    let value: Vec<f64> = frame.as_raw().iter().map(|v| f64::from(*v)).collect();
-    Ok(Grey {
-        width: frame.width() as usize,
-        height: frame.height() as usize,
-        variance: vec![0.0; value.len()],
-        valid: vec![true; value.len()],
-        value,
-    })
+    Ok(Grey::of_picture(&bracket_files::read_picture(path, None)?))
 }

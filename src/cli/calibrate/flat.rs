@@ -9,9 +9,9 @@ use super::light::{
 };
 use super::target::{CommonArgs, Target};
 use super::{procedure_options, progress};
-use crate::calibration::flat::{FlatFit, to_map};
+use crate::calibration::flat::to_map;
 use crate::calibration::noise::sensor_noise;
-use crate::calibration::procedure::Bench;
+use crate::calibration::procedure::{Bench, ProcedureOptions};
 use crate::calibration::record::{FlatValues, Kind, Measured, ScaleValues, SensorValues};
 use crate::calibration::{Library, Loaded};
 use crate::cli::output::{write_json, write_path};
@@ -23,7 +23,7 @@ pub(super) struct FlatArgs {
     #[command(flatten)]
     common: CommonArgs,
     /// Flats and dark frames, each (1 to 65536); the map's noise falls with their root
-    #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=65_536))]
+    #[arg(long, value_name = "N", default_value_t = ProcedureOptions::FLAT_FRAMES, value_parser = clap::value_parser!(u32).range(1..=65_536))]
     frames: u32,
     /// Subtract frames with the light switched off and the room as it is, instead of dark ones
     #[arg(long)]
@@ -63,11 +63,13 @@ pub(super) fn run(args: &FlatArgs, context: &Context) -> Result<(), CliError> {
             })
             .hint("run `rig calibrate sensor` first")?,
     };
+    // The sensor's noise.
     let serial = rig.config.camera.serial.as_deref().unwrap_or_default();
     sensor.check_camera(serial, &rig.config.camera)?;
     let resolution_px = rig.config.camera.resolution_px;
     let noise = sensor_noise(&sensor, None, None, resolution_px)?;
     let options = procedure_options(&rig.config.camera, args.frames);
+    // The light, real or simulated, and the frames under it.
     let certified = args.radiance.zip(args.radiance_std);
     let true_radiance = certified.map_or(UNIFORM_RADIANCE, |(radiance, std)| {
         // A simulated light differs from its certificate as a real one does.
@@ -92,16 +94,14 @@ pub(super) fn run(args: &FlatArgs, context: &Context) -> Result<(), CliError> {
         true => bench.with_switch(&mut switch),
         false => bench,
     };
-    let FlatFit {
-        flat,
-        rate_e_s,
-        ambient,
-    } = bench.flat_field(&noise).hint(LIGHT_HINT)?;
+    let fit = bench.flat_field(&noise).hint(LIGHT_HINT)?;
+    let ambient = fit.ambient;
     bar.finish_and_clear();
-    target.settings.sensor_c = camera.temperature_c();
+    target.measurement.settings.sensor_c = camera.temperature_c();
 
-    let map_file = format!("{}.png", target.id(Kind::Flat));
-    let (values, png) = to_map(&flat, resolution_px[0] as usize, &map_file)?;
+    // The records.
+    let map_file = format!("{}.png", target.measurement.id(Kind::Flat));
+    let (values, png) = to_map(&fit.flat, resolution_px[0] as usize, &map_file)?;
     let values = FlatValues { ambient, ..values };
     let std = values.std;
     let unlit = if args.ambient { "ambient" } else { "dark" };
@@ -109,10 +109,8 @@ pub(super) fn run(args: &FlatArgs, context: &Context) -> Result<(), CliError> {
     let path = target.add::<FlatValues>(values, &method, &[(&map_file, &png)])?;
 
     let gain = sensor.record.values.gain_dn_per_e;
-    let responsivity_e_s = certified.map(|(radiance, radiance_std)| Measured {
-        value: rate_e_s / radiance,
-        std: rate_e_s / radiance * (radiance_std / radiance).hypot(gain.std / gain.value),
-    });
+    let responsivity_e_s =
+        certified.map(|(value, std)| fit.responsivity_e_s(Measured { value, std }, gain));
     let scale = match responsivity_e_s {
         None => None,
         Some(responsivity_e_s) => {
@@ -120,8 +118,8 @@ pub(super) fn run(args: &FlatArgs, context: &Context) -> Result<(), CliError> {
             Some(target.add(ScaleValues { responsivity_e_s }, method, &[])?)
         }
     };
-    let variance = flat.response.iter().map(|&r| f64::from(r - 1.0).powi(2));
-    let nonuniformity = (variance.sum::<f64>() / flat.response.len().max(1) as f64).sqrt();
+    // What was found.
+    let nonuniformity = fit.nonuniformity();
     context.note(format_args!(
         "response varies by {:.2}% between pixels, known to {:.3}%",
         100.0 * nonuniformity,

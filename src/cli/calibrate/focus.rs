@@ -7,8 +7,9 @@ use serde::Serialize;
 use super::target::{CommonArgs, Target};
 use super::white::parse_region;
 use crate::calibration::mirror_sphere::Grey;
-use crate::calibration::record::Settings;
-use crate::calibration::slanted_edge::{Edge, EdgeError, FocusValues, Lens, fit_edges, locate};
+use crate::calibration::slanted_edge::{
+    EdgeError, FocusRequest, FocusValues, check_counts, measure,
+};
 use crate::calibration::white::Region;
 use crate::calibration::{Library, depth_of_field};
 use crate::cli::output::{write_json, write_path};
@@ -34,7 +35,7 @@ pub(super) struct FocusArgs {
     /// once for each height
     #[arg(long, value_name = "X,Y,WIDTH,HEIGHT", value_parser = parse_region)]
     region: Vec<Region>,
-    /// Which light's image of a session is looked at
+    /// Which light's image of a session is used
     #[arg(long, value_name = "N", default_value_t = 0)]
     light: usize,
 }
@@ -64,50 +65,28 @@ struct FocusReport<'a> {
 }
 
 pub(super) fn run(args: &FocusArgs, context: &Context) -> Result<(), CliError> {
-    let counts = [args.input.len(), args.region.len()];
     let wanted = args.heights.len();
-    let [images_fit, regions_fit] = counts.map(|n| n == 1 || n == wanted);
-    if !images_fit || !(regions_fit || args.region.is_empty()) {
-        return Err(CliError::new(format!(
-            "{} images and {} regions were named for {wanted} heights",
-            counts[0], counts[1]
-        ))
-        .hint("name one image, and with --region one part of it, per height; one image or one region may serve for all"));
-    }
-    if counts[0] == 1 && wanted > 1 && counts[1] != wanted {
-        return Err(CliError::new(format!(
-            "one image cannot show {wanted} heights at the same place"
-        ))
-        .hint("name with --region where each edge is, in the order of the heights"));
-    }
+    check_counts(args.input.len(), args.region.len(), wanted).map_err(advised)?;
     let rig = args.common.rig.resolve(context)?;
     let camera = rig.config.geometry.image_camera();
     let mut images = Vec::new();
     for path in &args.input {
         images.push(Grey::of(&read(path, args.light, &rig.config.name)?));
     }
-    let mut edges: Vec<Edge> = Vec::new();
-    for (i, &height_mm) in args.heights.iter().enumerate() {
-        let image = i.min(images.len() - 1);
-        let region = args.region.get(i).or(args.region.first()).copied();
-        edges.push(locate(image, &images[image], region, &camera, height_mm).map_err(advised)?);
-    }
-    let tangent = camera.object_na / (1.0 - camera.object_na.powi(2)).sqrt();
-    let stated = Lens {
-        spread_px2: 0.25,
-        focus_mm: camera.focus_mm,
-        tangent2: tangent * tangent,
+    // Edges and lens.
+    let request = FocusRequest {
+        images: &images,
+        regions: &args.region,
+        heights_mm: &args.heights,
+        height_std_mm: args.height_std,
+        camera: &camera,
+        cell_px: rig.config.geometry.cell_px,
     };
-    let found = fit_edges(&edges, stated).map_err(advised)?;
-    let cell_px = rig.config.geometry.cell_px;
-    let values = FocusValues::new(&edges, &found, cell_px, args.height_std);
-    let mut target = Target::new(&rig.config, Library::of_rig(&rig), &args.common, context)?;
+    let (edges, found, values) = measure(&request).map_err(advised)?;
+    // The record.
     let names: Vec<_> = args.input.iter().map(|p| p.display().to_string()).collect();
-    target.source = names.join(", ");
-    target.settings = Settings {
-        resolution_px: Some(rig.config.camera.resolution_px),
-        ..Settings::default()
-    };
+    let target = Target::new(&rig.config, Library::of_rig(&rig), &args.common, context)?
+        .from_files(names.join(", "), rig.config.camera.resolution_px);
     let method = format!(
         "profiles of {wanted} slanted edge(s) at heights from {} to {} mm",
         args.heights.iter().copied().fold(f64::INFINITY, f64::min),
@@ -144,7 +123,7 @@ pub(super) fn run(args: &FocusArgs, context: &Context) -> Result<(), CliError> {
             ));
         }
         None => context.note(
-            "focus and aperture stay as the rig file has them: edges at three heights tell them",
+            "focus and aperture stay as the rig file has them: edges at three heights determine them",
         ),
     }
     if args.common.json {
@@ -188,6 +167,12 @@ fn read(path: &Path, light: usize, rig: &str) -> Result<RadianceImage, CliError>
 /// What to do about edges that cannot be used.
 fn advised(error: EdgeError) -> CliError {
     let hint = match &error {
+        EdgeError::Counts { .. } => {
+            "name one image, and with --region one part of it, per height; one image or one region may serve for all"
+        }
+        EdgeError::OneImage { .. } => {
+            "name with --region where each edge is, in the order of the heights"
+        }
         EdgeError::Size { .. } => "the images must be of the rig file's camera, without cropping",
         EdgeError::Region { .. } => "name with --region a part of the image around the edge",
         EdgeError::Contrast { .. } => {
@@ -207,7 +192,7 @@ fn advised(error: EdgeError) -> CliError {
             "check --heights, and position_mm in the rig file's [geometry.camera]"
         }
         EdgeError::NoDefocus { .. } => {
-            "spread the heights further, beyond the sample's depth; or give one height alone, which tells the point spread"
+            "spread the heights further, beyond the sample's depth; or give one height alone, which determines the point spread"
         }
         EdgeError::Unfitted(_) => "give more light, more of the edge, or heights further apart",
         EdgeError::NotTheModel { .. } => {

@@ -22,16 +22,16 @@ pub(super) struct LampArgs {
     #[command(flatten)]
     common: CommonArgs,
     /// How long the lamp is watched (minutes; 2 to 240)
-    #[arg(long, value_name = "MIN", default_value_t = 30.0)]
+    #[arg(long, value_name = "MIN", default_value_t = WatchOptions::MINUTES)]
     minutes: f64,
     /// Time between two levels (seconds; 0.1 to 60)
-    #[arg(long, value_name = "S", default_value_t = 5.0)]
+    #[arg(long, value_name = "S", default_value_t = WatchOptions::INTERVAL_S)]
     interval: f64,
     /// Which channel of the lamp
     #[arg(long, value_name = "N", default_value_t = 0)]
     channel: u8,
     /// Frames in quick succession at each of four exposures, for flicker (16 to 4096)
-    #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u32).range(16..=4096))]
+    #[arg(long, value_name = "N", default_value_t = WatchOptions::BURST, value_parser = clap::value_parser!(u32).range(16..=4096))]
     burst: u32,
 }
 
@@ -55,6 +55,7 @@ pub(super) fn run(args: &LampArgs, context: &Context) -> Result<(), CliError> {
                 .hint(format!("it must be a number from {low} to {high}")));
         }
     }
+    // The rig, and where the record goes.
     let rig = args.common.rig.resolve(context)?;
     let config = &rig.config;
     let channels = config.stage.measures.len();
@@ -74,6 +75,7 @@ pub(super) fn run(args: &LampArgs, context: &Context) -> Result<(), CliError> {
         burst: args.burst,
         discard: config.camera.settings_latency_frames + 1,
     };
+    // The lamp, watched.
     let bar = super::progress(context, 1000);
     let mut progress = |part: f64| bar.set_position((1000.0 * part) as u64);
     let fit: LampFit = match lamp_bench(config, args.channel) {
@@ -86,7 +88,7 @@ pub(super) fn run(args: &LampArgs, context: &Context) -> Result<(), CliError> {
                 &mut progress,
             );
             let fit = watch.run(&options).hint(SCENE_HINT)?;
-            target.settings.sensor_c = bench.camera.temperature_c();
+            target.measurement.settings.sensor_c = bench.camera.temperature_c();
             fit
         }
         None => {
@@ -108,12 +110,13 @@ pub(super) fn run(args: &LampArgs, context: &Context) -> Result<(), CliError> {
             };
             let mut watch = Watch::new(camera.as_mut(), &mut switch, &mut wait, &mut progress);
             let fit = watch.run(&options).hint(SCENE_HINT)?;
-            target.settings.sensor_c = camera.temperature_c();
-            target.settings.lamp_c = stage.temperature_c();
+            target.measurement.settings.sensor_c = camera.temperature_c();
+            target.measurement.settings.lamp_c = stage.temperature_c();
             fit
         }
     };
     bar.finish_and_clear();
+    // The record.
     let method = format!(
         "levels every {} s for {} min after switching on, bursts of {} frames, channel {}",
         args.interval, args.minutes, args.burst, args.channel
@@ -121,6 +124,7 @@ pub(super) fn run(args: &LampArgs, context: &Context) -> Result<(), CliError> {
     let path = target.add(fit.values.clone(), &method, &[])?;
     #[cfg(feature = "figures")]
     target.draw(&figures::lamp(&fit), &path, context)?;
+    // What was found.
     let v = &fit.values;
     context.note(format_args!(
         "let it warm up for {:.0} s (capture.lamp_warm_up_s = {:.0}); then it drifts by {:.2} ± \

@@ -23,8 +23,7 @@ pub(super) const UNIFORM_RADIANCE: f64 = 0.4;
 pub(super) const LIGHT_HINT: &str = "point the camera at a steady, uniform light that saturates it within two \
     seconds but not in its shortest exposure; nothing was kept";
 
-/// Asks the operator where the camera has no shutter; without a terminal there
-/// is nobody to ask.
+/// Asks the operator where the camera has no shutter; `false` without a terminal.
 pub(super) fn ask_to_cover(cover: bool) -> bool {
     let what = if cover { "Cover" } else { "Uncover" };
     ask(&format!("{what} the lens"))

@@ -10,14 +10,16 @@ use crate::calibration::Library;
 use crate::calibration::directions::DirectionsValues;
 #[cfg(feature = "figures")]
 use crate::calibration::figures;
+use crate::calibration::mirror_sphere::lights::{
+    DirectionsError, DirectionsRequest, MeasuredDirections, measure,
+};
 use crate::calibration::mirror_sphere::outline::Stated;
-use crate::calibration::mirror_sphere::{Circle, Sphere, SphereError, spheres_in};
-use crate::calibration::mirror_sphere::{Grey, locate_all};
-use crate::calibration::stage_directions::{self, StageFitError};
+use crate::calibration::mirror_sphere::{Circle, Grey, Sphere, SphereError};
+use crate::calibration::stage_directions::StageFitError;
 use crate::cli::output::{write_json, write_path};
 use crate::cli::{CliError, Context};
 use crate::config::RigConfig;
-use crate::device::kinematics::{Kinematics, Mechanism};
+use crate::device::kinematics::Kinematics;
 use crate::radiance_image::{RadianceImage, exr};
 use crate::session::layout::CALIBRATION_FOLDER;
 use crate::units::StageAngles;
@@ -91,6 +93,7 @@ struct Pictures {
 }
 
 pub(super) fn run(args: &LightsArgs, context: &Context) -> Result<(), CliError> {
+    // The images, and the bench with its measured lens.
     let rig = args.common.rig.resolve(context)?;
     let mut pictures = read(&args.input, &rig.config)?;
     let lens = match args.input.as_slice() {
@@ -113,15 +116,24 @@ pub(super) fn run(args: &LightsArgs, context: &Context) -> Result<(), CliError> 
         )),
         None => None,
     };
-    let spheres = spheres_in(
-        &images,
-        outline.as_ref(),
-        camera,
-        &stated,
-        &args.near,
-        args.spheres as usize,
-    )
+    // Spheres and lights.
+    let found = measure(&DirectionsRequest {
+        geometry,
+        kinematics: &pictures.config.stage.kinematics(),
+        angles: &pictures.angles,
+        images: &images,
+        outline: outline.as_ref(),
+        stated,
+        near: &args.near,
+        spheres: args.spheres as usize,
+    })
     .map_err(advised)?;
+    let MeasuredDirections {
+        spheres,
+        lights,
+        stage,
+        values,
+    } = found;
     for sphere in &spheres {
         let circle = sphere.circle;
         context.note(format_args!(
@@ -133,39 +145,19 @@ pub(super) fn run(args: &LightsArgs, context: &Context) -> Result<(), CliError> 
             sphere.blur_px
         ));
     }
-    let stage_centre = geometry.sample_from_stage.translation_mm;
-    let stated_mm: Vec<Option<f64>> = pictures
-        .angles
-        .iter()
-        .map(|&a| distance_mm(&pictures.config, a))
-        .collect();
-    let (found, distance) =
-        locate_all(camera, &spheres, &images, stage_centre, &stated_mm).map_err(advised)?;
-    let stage = match pictures.config.stage.kinematics() {
-        Kinematics::FixedLights(_) => None,
-        Kinematics::TwoAxes(axes) => Some(
-            stage_directions::fit(
-                geometry.sample_from_stage.rotation,
-                &pictures.angles,
-                &found,
-                axes.mechanism == Mechanism::Rotary,
-            )
-            .map_err(stage_advised)?,
-        ),
-    };
-    let values = DirectionsValues::new(&pictures.angles, &found, stage.as_ref(), distance);
+    // The record.
     let mut target = Target::new(&rig.config, Library::of_rig(&rig), &args.common, context)?;
-    target.source = pictures.source;
+    target.measurement.source = pictures.source;
     let method = format!(
         "highlights of {} lights on {} mirror sphere(s) of radius {} mm",
-        found.len(),
+        lights.len(),
         spheres.len(),
         args.radius
     );
     let path = target.add(values.clone(), &method, &[])?;
     #[cfg(feature = "figures")]
     target.draw(
-        &figures::light_directions(geometry, &pictures.angles, &found, stage.as_ref()),
+        &figures::light_directions(geometry, &pictures.angles, &lights, stage.as_ref()),
         &path,
         context,
     )?;
@@ -177,7 +169,7 @@ pub(super) fn run(args: &LightsArgs, context: &Context) -> Result<(), CliError> 
             stage.elevation_offset_deg, stage.scatter_deg
         ));
     }
-    if let Some(distance) = distance {
+    if let Some(distance) = values.distance_mm {
         context.note(format_args!(
             "the lamp is {:.1} ± {:.1} mm away",
             distance.value, distance.std
@@ -200,16 +192,6 @@ fn sphere_report(sphere: &Sphere) -> SphereReport {
         radius_mm: sphere.radius_mm,
         blur_px: sphere.blur_px,
     }
-}
-
-/// The lamp's distance that the rig file states for these angles; `None`: parallel light.
-fn distance_mm(config: &RigConfig, angles: StageAngles) -> Option<f64> {
-    let light = &config.geometry.light;
-    let by_stage = light
-        .mechanism
-        .as_ref()
-        .and_then(|m| m.lamp_distance_mm(angles));
-    by_stage.or(light.distance_mm)
 }
 
 fn read(input: &[PathBuf], rig: &RigConfig) -> Result<Pictures, CliError> {
@@ -246,7 +228,7 @@ fn of_session(root: &Path, rig: &RigConfig) -> Result<Pictures, CliError> {
 fn of_files(files: &[PathBuf], rig: &RigConfig) -> Result<Pictures, CliError> {
     let Kinematics::FixedLights(lights) = rig.stage.kinematics() else {
         return Err(
-            CliError::new("images alone do not say where a stage with axes stood")
+            CliError::new("images alone do not state the angles of a stage with axes")
                 .hint("capture the sphere with `rig capture` and name the session"),
         );
     };
@@ -272,8 +254,15 @@ fn of_files(files: &[PathBuf], rig: &RigConfig) -> Result<Pictures, CliError> {
     })
 }
 
-/// What to do about a sphere that cannot be used.
-fn advised(error: SphereError) -> CliError {
+/// What to do about images that do not determine the lights.
+fn advised(error: DirectionsError) -> CliError {
+    match error {
+        DirectionsError::Sphere(error) => sphere_advised(error),
+        DirectionsError::Stage(error) => stage_advised(error),
+    }
+}
+
+fn sphere_advised(error: SphereError) -> CliError {
     use SphereError::*;
     let hint = match &error {
         Impossible { .. } => "correct the value",

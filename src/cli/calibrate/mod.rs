@@ -46,7 +46,7 @@ enum What {
     ///
     /// Photograph a still scene with at least three exposures, with everything manual.
     Response(response::ResponseArgs),
-    /// Measures how the lamp warms up, drifts and flickers, and says how long to wait for it
+    /// Measures how the lamp warms up, drifts and flickers, and how long to wait for it
     ///
     /// The camera looks at a white card that the lamp lights, without other light. The lamp must
     /// be cold.
@@ -63,19 +63,19 @@ enum What {
     /// Finds the lens' focal length or magnification, principal point and distortion from views
     /// of a checkerboard
     ///
-    /// Show the board in several places and, unless the lens is telecentric, tilted by 20 to 40
+    /// Show the board at several positions and, unless the lens is telecentric, tilted by 20 to 40
     /// degrees in several directions.
     Camera(camera::CameraArgs),
     /// Finds where the sample truly lies, by aligning its mesh to the images of a session
     ///
-    /// Nothing is assumed of its material. The fit goes by the pose with `rig fit --pose`.
+    /// Nothing is assumed of its material. `rig fit --pose` uses the pose.
     Pose(pose::PoseArgs),
     /// Finds the camera's point spread, focus and aperture, from images of a straight, slightly
     /// tilted edge at known heights
     ///
-    /// Put a target with a sharp edge (a printed or cut one, dark beside bright) across the
+    /// Put a target with a sharp edge (a printed or cut one, dark next to bright) across the
     /// camera's axis, at three heights or more over the depth of the sample. Fits of later
-    /// captures go by what is found.
+    /// captures use what is found.
     Focus(focus::FocusArgs),
     /// Shows every record in force, with its age, what speaks against it and what to run
     Status(status::StatusArgs),

@@ -8,7 +8,7 @@ use super::rotation;
 use super::target::{CommonArgs, Target};
 use crate::calibration::Library;
 use crate::calibration::pose::{PoseError, PoseOptions, PoseValues, find};
-use crate::calibration::record::Settings;
+use crate::calibration::rotation::RotationTest;
 use crate::cli::output::{write_json, write_path};
 use crate::cli::{CliError, Context};
 use crate::workflow::{BenchRecords, session_images};
@@ -21,7 +21,7 @@ pub(super) struct PoseArgs {
     #[arg(value_name = "SESSION")]
     session: PathBuf,
     /// Wider images are binned to at most this many pixels across (32 to 4096); more takes longer
-    #[arg(long, value_name = "PX", default_value_t = 512, value_parser = clap::value_parser!(u32).range(32..=4096))]
+    #[arg(long, value_name = "PX", default_value_t = PoseOptions::WIDEST_PX, value_parser = clap::value_parser!(u32).range(32..=4096))]
     widest: u32,
     /// Tests instead whether the sample is uniform and isotropic: further sessions with the same
     /// lights, for which it was turned counterclockwise about its axis by so many degrees
@@ -29,10 +29,10 @@ pub(super) struct PoseArgs {
     rotate: Vec<rotation::TurnedSession>,
     /// Relative standard deviation of a region's radiance when the sample is seated again, for
     /// --rotate (1e-4 to 0.5)
-    #[arg(long, value_name = "R", default_value_t = 0.01, value_parser = fraction)]
+    #[arg(long, value_name = "R", default_value_t = RotationTest::REPEATABILITY, value_parser = fraction)]
     repeatability: f64,
     /// Chance that a good sample fails, for --rotate (1e-4 to 0.5)
-    #[arg(long, value_name = "ALPHA", default_value_t = 0.01, value_parser = fraction)]
+    #[arg(long, value_name = "ALPHA", default_value_t = RotationTest::SIGNIFICANCE, value_parser = fraction)]
     significance: f64,
 }
 
@@ -56,7 +56,7 @@ struct PoseReport {
 fn hint(error: &PoseError) -> &'static str {
     match error {
         PoseError::OutsideView { .. } => {
-            "the camera's view or the sample's place in [geometry] is wrong; correct position_mm, \
+            "the camera's view or the sample's position in [geometry] is wrong; correct position_mm, \
              look_at_mm, extent_mm or the mesh"
         }
         PoseError::NoEdges | PoseError::TooSmall => {
@@ -90,6 +90,7 @@ pub(super) fn run(args: &PoseArgs, context: &Context) -> Result<(), CliError> {
             context,
         );
     }
+    // The session, and the bench as its records have it.
     let rig = args.common.rig.resolve(context)?;
     let mut session = session_images(&args.session)?;
     if session.config.name != rig.config.name {
@@ -99,11 +100,12 @@ pub(super) fn run(args: &PoseArgs, context: &Context) -> Result<(), CliError> {
         ))
         .hint("name the session's rig with --rig"));
     }
-    // The lens and the lights as they were measured: shadows tell the tilt only as well as
+    // The lens and the lights as they were measured: shadows determine the tilt only as well as
     // the lights are known.
     let bench =
         BenchRecords::load(&args.session)?.apply(&session.config, &mut session.places, context);
     let scene = bench.geometry.scene(&session.places)?;
+    // The pose.
     let options = PoseOptions {
         widest_px: args.widest as usize,
         ..PoseOptions::default()
@@ -116,13 +118,11 @@ pub(super) fn run(args: &PoseArgs, context: &Context) -> Result<(), CliError> {
         let hint = hint(&error);
         CliError::new(error.to_string()).hint(format!("{hint}; nothing was kept"))
     })?;
+    // The record.
     let values = PoseValues::new(&found);
-    let mut target = Target::new(&rig.config, Library::of_rig(&rig), &args.common, context)?;
-    target.source = format!("session {}", args.session.display());
-    target.settings = Settings {
-        resolution_px: Some(session.config.camera.resolution_px),
-        ..Settings::default()
-    };
+    let source = format!("session {}", args.session.display());
+    let target = Target::new(&rig.config, Library::of_rig(&rig), &args.common, context)?
+        .from_files(source, session.config.camera.resolution_px);
     let method = format!(
         "edges of {} patches in {} images, {} rounds",
         values.patches,
@@ -151,7 +151,7 @@ pub(super) fn run(args: &PoseArgs, context: &Context) -> Result<(), CliError> {
     }
     if !values.held.is_empty() {
         context.note(format_args!(
-            "not told by the images and left as the rig file has it: {}",
+            "not determined by the images and left as the rig file has it: {}",
             values.held.join(", ")
         ));
     }
@@ -160,7 +160,9 @@ pub(super) fn run(args: &PoseArgs, context: &Context) -> Result<(), CliError> {
          pose = \"{}\" in the rig file's [calibration]",
         args.session.display(),
         path.display(),
-        target.id(crate::calibration::record::Kind::Pose)
+        target
+            .measurement
+            .id(crate::calibration::record::Kind::Pose)
     ));
     if args.common.json {
         return write_json(&PoseReport {

@@ -1,5 +1,5 @@
-//! `rig calibrate response`: which exposure each count of a camera stands for
-//! that is not linear.
+//! `rig calibrate response`: the exposure that each count of a camera that is not linear
+//! stands for.
 
 use std::path::PathBuf;
 
@@ -11,13 +11,14 @@ use super::white::parse_region;
 use crate::calibration::Library;
 #[cfg(feature = "figures")]
 use crate::calibration::figures;
-use crate::calibration::record::{ResponseCurve, ResponseValues, Settings};
+use crate::calibration::record::{ResponseCurve, ResponseValues};
 use crate::calibration::white::Region;
-use crate::cli::bracket_files::{self, BracketFile, Distinct, read_frame, same_kind};
+use crate::cli::bracket_files;
 use crate::cli::output::{write_json, write_path};
 use crate::cli::{CliError, Context, HintExt};
+use crate::radiometry::bracket_files::{BracketFile, FrameReader};
 use crate::radiometry::frame_file::FrameFile;
-use crate::radiometry::response::{BracketSamples, Response, debevec, robertson};
+use crate::radiometry::response::{Estimator, ResponseOptions, responses};
 
 #[derive(clap::Args, Debug)]
 pub(super) struct ResponseArgs {
@@ -30,17 +31,17 @@ pub(super) struct ResponseArgs {
     /// (default: EXIF data or file names)
     #[arg(long, value_name = "CSV")]
     exposures: Option<PathBuf>,
-    /// Estimator
-    #[arg(long, value_enum, default_value_t = Method::Debevec)]
-    method: Method,
+    /// Estimator (default: debevec)
+    #[arg(long, value_enum)]
+    method: Option<Method>,
     /// Weight of the curve's smoothness (default 10 for debevec, 30 for robertson)
     #[arg(long, value_name = "L")]
     smoothness: Option<f64>,
-    /// The part of the frames that is gone by, without margins and captions (pixels; default: all)
+    /// The part of the frames that is used, without margins and captions (pixels; default: all)
     #[arg(long, value_name = "X,Y,WIDTH,HEIGHT", value_parser = parse_region)]
     region: Option<Region>,
-    /// Largest number of pixels that are looked at
-    #[arg(long, value_name = "N", default_value_t = 4096, value_parser = clap::value_parser!(u32).range(100..=1_000_000))]
+    /// Largest number of pixels that are used
+    #[arg(long, value_name = "N", default_value_t = ResponseOptions::SAMPLES, value_parser = clap::value_parser!(u32).range(100..=1_000_000))]
     samples: u32,
 }
 
@@ -53,21 +54,10 @@ enum Method {
 }
 
 impl Method {
-    fn name(self) -> &'static str {
+    fn estimator(self) -> Estimator {
         match self {
-            Self::Debevec => "Debevec-Malik",
-            Self::Robertson => "Robertson",
-        }
-    }
-
-    fn solve(
-        self,
-        samples: &BracketSamples,
-        smoothness: Option<f64>,
-    ) -> Result<Response, crate::radiometry::response::ResponseError> {
-        match self {
-            Self::Debevec => debevec(samples, smoothness.unwrap_or(10.0)),
-            Self::Robertson => robertson(samples, smoothness.unwrap_or(30.0)),
+            Self::Debevec => Estimator::Debevec,
+            Self::Robertson => Estimator::Robertson,
         }
     }
 }
@@ -108,56 +98,47 @@ pub(super) fn run(args: &ResponseArgs, context: &Context) -> Result<(), CliError
     }
     let rig = args.common.rig.resolve(context)?;
     let files = bracket_files::find(&args.frames, args.exposures.as_deref(), context)?;
+    // The frames.
     let first_path = files[0].path.as_path();
-    let first = read_frame(first_path)?;
-    if first.bits != 8 {
-        return Err(CliError::new(format!(
-            "{} has {} bits, and a response is of 8",
-            first_path.display(),
-            first.bits
-        ))
-        .hint("cameras that give more bits are linear: `rig calibrate sensor`"));
-    }
+    let mut reader = FrameReader::default();
+    let mut size_px = [0, 0];
     let mut frames = Vec::with_capacity(files.len());
-    let mut distinct = Distinct::default();
     for BracketFile { path, .. } in &files {
-        let frame = read_frame(path)?;
-        same_kind((first_path, &first), (path, &frame))?;
-        distinct.add(path, &frame)?;
+        let frame = reader.read(path).map_err(bracket_files::advised)?;
+        if frame.bits != 8 {
+            return Err(CliError::new(format!(
+                "{} has {} bits, and a response is of 8",
+                path.display(),
+                frame.bits
+            ))
+            .hint("cameras that give more bits are linear: `rig calibrate sensor`"));
+        }
+        size_px = [frame.width as u32, frame.height as u32];
         frames.push(match args.region {
             Some(region) => inside(region, &frame)?,
             None => frame,
         });
     }
+    // The curves.
     let exposures_s: Vec<f64> = files.iter().map(|file| file.exposure_s).collect();
-    let channels = (0..first.planes.len())
-        .map(|channel| {
-            let counts: Vec<&[u16]> = frames
-                .iter()
-                .map(|f| f.planes[channel].as_slice())
-                .collect();
-            let samples =
-                BracketSamples::on_grid(exposures_s.clone(), &counts, args.samples as usize);
-            let curve = args.method.solve(&samples, args.smoothness)?;
-            Ok(ResponseCurve {
-                ln_exposure: curve.ln_exposure,
-                ln_std: curve.ln_std,
-                darkest: curve.darkest,
-            })
-        })
-        .collect::<Result<Vec<_>, CliError>>()
-        .hint(SCENE_HINT)?;
-    let values = ResponseValues { channels };
-    let mut target = Target::new(&rig.config, Library::of_rig(&rig), &args.common, context)?;
-    target.source = format!("{} frames, {} first", files.len(), first_path.display());
-    target.settings = Settings {
-        bit_depth: Some(8),
-        resolution_px: Some([first.width as u32, first.height as u32]),
-        ..Settings::default()
+    let defaults = ResponseOptions::default();
+    let options = ResponseOptions {
+        estimator: args.method.map_or(defaults.estimator, Method::estimator),
+        smoothness: args.smoothness,
+        samples: args.samples as usize,
     };
+    let curves = responses(&frames, &exposures_s, &options).hint(SCENE_HINT)?;
+    let values = ResponseValues {
+        channels: curves.into_iter().map(ResponseCurve::from).collect(),
+    };
+    // The record.
+    let source = format!("{} frames, {} first", files.len(), first_path.display());
+    let mut target = Target::new(&rig.config, Library::of_rig(&rig), &args.common, context)?
+        .from_files(source, size_px);
+    target.measurement.settings.bit_depth = Some(8);
     let method = format!(
         "{}, {} exposures of {} to {} s",
-        args.method.name(),
+        options.estimator.name(),
         exposures_s.len(),
         exposures_s.iter().copied().fold(f64::INFINITY, f64::min),
         exposures_s.iter().copied().fold(0.0, f64::max),

@@ -88,6 +88,7 @@ pub(super) fn run(
     let mut session = session_images(first)?;
     let bench = BenchRecords::load(first)?.apply(&session.config, &mut session.places, context);
     let scene = bench.geometry.scene(&session.places)?;
+    // The turned sessions, under the same lights.
     let mut turned = Vec::new();
     for other in others {
         let images = session_images(&other.root)?;
@@ -105,6 +106,7 @@ pub(super) fn run(
         }
         turned.push((other.angle_deg, images.captured));
     }
+    // The comparison.
     let mut turns = vec![Turn {
         angle_deg: 0.0,
         images: &session.captured,

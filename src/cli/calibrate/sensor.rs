@@ -8,7 +8,7 @@ use super::{procedure_options, progress};
 use crate::calibration::Library;
 #[cfg(feature = "figures")]
 use crate::calibration::figures;
-use crate::calibration::procedure::Bench;
+use crate::calibration::procedure::{Bench, ProcedureOptions};
 use crate::calibration::record::{Kind, SensorValues};
 use crate::calibration::sensor::TransferPoint;
 use crate::cli::output::{write_json, write_path};
@@ -19,7 +19,7 @@ pub(super) struct SensorArgs {
     #[command(flatten)]
     common: CommonArgs,
     /// Frames at each exposure (2 to 4096); the gain's uncertainty falls with its root
-    #[arg(long, value_name = "N", default_value_t = 16, value_parser = clap::value_parser!(u32).range(2..=4096))]
+    #[arg(long, value_name = "N", default_value_t = ProcedureOptions::FRAMES, value_parser = clap::value_parser!(u32).range(2..=4096))]
     frames: u32,
 }
 
@@ -68,14 +68,14 @@ pub(super) fn run(args: &SensorArgs, context: &Context) -> Result<(), CliError> 
     .photon_transfer()
     .hint(LIGHT_HINT)?;
     bar.finish_and_clear();
-    target.settings.sensor_c = camera.temperature_c();
+    target.measurement.settings.sensor_c = camera.temperature_c();
     let fit = transfer.solve(width, bit_depth).hint(LIGHT_HINT)?;
     let levels = fit.curve.len();
     let method = format!(
         "photon transfer (EMVA 1288), {levels} exposures of {} frames, reduced chi-square {:.3}",
         args.frames, fit.reduced_chi2
     );
-    let id = target.id(Kind::Sensor);
+    let id = target.measurement.id(Kind::Sensor);
     let (dark, maps) = fit.dark.to_values(width, &id)?;
     let values = SensorValues {
         dark_pattern: Some(dark),

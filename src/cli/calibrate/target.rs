@@ -5,7 +5,8 @@ use std::path::PathBuf;
 use jiff::Timestamp;
 
 use crate::calibration::Library;
-use crate::calibration::record::{Kind, Record, Settings, Values};
+use crate::calibration::measurement::Measurement;
+use crate::calibration::record::{Settings, Values};
 use crate::cli::rig_choice::RigArg;
 use crate::cli::{CliError, Context, HintExt};
 use crate::config::RigConfig;
@@ -35,24 +36,16 @@ pub(super) struct CommonArgs {
 }
 
 /// Where the records of one calibration go, and what they have in common.
-pub(super) struct Target<'a> {
-    rig: &'a RigConfig,
+pub(super) struct Target {
     pub library: Library,
-    id: Option<&'a str>,
-    date: Timestamp,
-    valid_days: Option<u32>,
-    device_serial: String,
-    /// What the values are found from.
-    pub source: String,
-    /// Settings to which they belong.
-    pub settings: Settings,
+    pub measurement: Measurement,
 }
 
-impl<'a> Target<'a> {
+impl Target {
     pub fn new(
-        rig: &'a RigConfig,
+        rig: &RigConfig,
         library: Library,
-        args: &'a CommonArgs,
+        args: &CommonArgs,
         context: &Context,
     ) -> Result<Self, CliError> {
         let library = match (&args.out, library) {
@@ -69,43 +62,33 @@ impl<'a> Target<'a> {
             (None, folder) => folder,
         };
         if let Library::Folder(folder) = &library {
-            // Before devices work for what could not be kept.
+            // Before devices take what could not be kept.
             whole_file::check_folder(folder)
                 .map_err(|error| CliError::new(format!("{}: {error}", folder.display())))
                 .hint(
                     "records are kept there; make the folder writable, or name another with --out",
                 )?;
         }
+        let measurement = Measurement::on(rig);
         Ok(Self {
-            rig,
             library,
-            id: args.id.as_deref(),
-            date: args.date.unwrap_or_else(Timestamp::now),
-            valid_days: args.valid_days,
-            device_serial: rig.camera.serial.clone().unwrap_or_default(),
-            source: match rig.is_simulated() {
-                true => "rig calibrate, on the simulated bench".to_owned(),
-                false => "rig calibrate".to_owned(),
-            },
-            settings: Settings {
-                gain: Some(rig.camera.gain),
-                bit_depth: Some(rig.camera.bit_depth),
-                resolution_px: Some(rig.camera.resolution_px),
-                ..Settings::default()
+            measurement: Measurement {
+                id: args.id.clone(),
+                date: args.date.unwrap_or(measurement.date),
+                valid_days: args.valid_days,
+                ..measurement
             },
         })
     }
 
-    pub fn id(&self, kind: Kind) -> String {
-        match self.id {
-            Some(id) => id.to_owned(),
-            None => format!("{}-{}", self.date.strftime("%Y%m%dT%H%M%SZ"), kind.folder()),
-        }
-    }
-
-    fn after(&self, days: u32) -> String {
-        let until = self.date + jiff::SignedDuration::from_hours(24 * i64::from(days));
-        until.strftime("%Y-%m-%dT%H:%M:%SZ").to_string()
+    /// The same for values from files, of any gain and bit depth.
+    pub fn from_files(mut self, source: String, resolution_px: [u32; 2]) -> Self {
+        self.measurement.source = source;
+        self.measurement.settings = Settings {
+            resolution_px: Some(resolution_px),
+            ..Settings::default()
+        };
+        self
     }
 
     pub fn add<V: Values>(
@@ -114,24 +97,13 @@ impl<'a> Target<'a> {
         method: &str,
         maps: &[(&str, &[u8])],
     ) -> Result<PathBuf, CliError> {
-        let record = Record {
-            id: self.id(V::KIND),
-            kind: V::KIND,
-            rig: self.rig.name.clone(),
-            device_serial: self.device_serial.clone(),
-            date: self.date.strftime("%Y-%m-%dT%H:%M:%SZ").to_string(),
-            valid_until: self.valid_days.map(|days| self.after(days)),
-            method: method.to_owned(),
-            source: self.source.clone(),
-            settings: self.settings,
-            values,
-        };
+        let record = self.measurement.record(values, method);
         self.library
             .add(&record, maps)?
             .ok_or_else(|| CliError::new("the built-in records cannot be added to"))
     }
 
-    /// Draws a figure into the folder `plots` beside the records, named as the
+    /// Draws a figure into the folder `plots` next to the records, named as the
     /// record: SVG and PNG.
     #[cfg(feature = "figures")]
     pub fn draw(

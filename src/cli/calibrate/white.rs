@@ -31,10 +31,10 @@ pub(super) struct WhiteArgs {
     reflectance_std: f64,
     /// Angle between the standard's normal and the lamp (degrees; 0 to 85); of a session each
     /// light's own is taken
-    #[arg(long, value_name = "DEG", default_value_t = 45.0)]
+    #[arg(long, value_name = "DEG", default_value_t = WhiteStandard::INCIDENCE_DEG)]
     incidence: f64,
     /// Standard uncertainty of that angle (degrees)
-    #[arg(long, value_name = "DEG", default_value_t = 0.1)]
+    #[arg(long, value_name = "DEG", default_value_t = WhiteStandard::INCIDENCE_STD_DEG)]
     incidence_std: f64,
     /// Where the standard is in the image (pixels; default: all of it)
     #[arg(long, value_name = "X,Y,WIDTH,HEIGHT", value_parser = parse_region)]
@@ -49,7 +49,7 @@ pub(super) struct WhiteArgs {
     height: f64,
     /// How much the radiance factor differs between the lights' directions (standard deviation,
     /// relative; sessions only)
-    #[arg(long, value_name = "S", default_value_t = 0.01)]
+    #[arg(long, value_name = "S", default_value_t = WhiteLights::DIRECTION_STD)]
     direction_std: f64,
 }
 
@@ -105,7 +105,7 @@ pub(super) fn run(args: &WhiteArgs, context: &Context) -> Result<(), CliError> {
     };
     let found = irradiance(&image, args.region.unwrap_or(whole), &standard).hint(HINT)?;
     let mut target = Target::new(&rig.config, Library::of_rig(&rig), &args.common, context)?;
-    target.source = args.image.display().to_string();
+    target.measurement.source = args.image.display().to_string();
     let method = format!(
         "diffuse standard of reflectance {} ± {} at {} degrees",
         args.reflectance, args.reflectance_std, args.incidence
@@ -117,7 +117,7 @@ pub(super) fn run(args: &WhiteArgs, context: &Context) -> Result<(), CliError> {
     let path = target.add(values, &method, &[])?;
     let [red, green, blue] = found.map(|m| m.value);
     context.note(format_args!(
-        "fits of later captures go by an irradiance of {red:.6}, {green:.6}, {blue:.6} W/m², known \
+        "fits of later captures use an irradiance of {red:.6}, {green:.6}, {blue:.6} W/m², known \
          to {:.2}%",
         100.0 * found[0].std / found[0].value
     ));
@@ -146,6 +146,7 @@ fn of_session(args: &WhiteArgs, context: &Context) -> Result<(), CliError> {
             )));
         }
     }
+    // The session, and the bench with its measured lens and lights.
     let rig = args.common.rig.resolve(context)?;
     let mut session = session_images(&args.image)?;
     if session.config.name != rig.config.name {
@@ -167,6 +168,7 @@ fn of_session(args: &WhiteArgs, context: &Context) -> Result<(), CliError> {
     let lights: Vec<_> = places
         .map(|(&there, at)| (geometry.light(there), at))
         .collect();
+    // The standard under every light.
     let camera = geometry.image_camera();
     let [width, height] = camera.resolution_px;
     let white = WhiteLights {
@@ -199,7 +201,7 @@ fn of_session(args: &WhiteArgs, context: &Context) -> Result<(), CliError> {
         lights: found.lights,
     };
     let mut target = Target::new(&rig.config, Library::of_rig(&rig), &args.common, context)?;
-    target.source = format!("session {}", args.image.display());
+    target.measurement.source = format!("session {}", args.image.display());
     let method = format!(
         "diffuse standard of reflectance {} ± {} under {} lights",
         args.reflectance,
@@ -212,7 +214,7 @@ fn of_session(args: &WhiteArgs, context: &Context) -> Result<(), CliError> {
         (low.min(m.value), high.max(m.value))
     });
     context.note(format_args!(
-        "fits of later captures go by the lights' intensities, from {low:.4} to {high:.4} of \
+        "fits of later captures use the lights' intensities, from {low:.4} to {high:.4} of \
          their mean, known to {:.2}%, and by how unevenly each lights the sample",
         100.0 * green().map(|m| m.std / m.value).fold(0.0, f64::max)
     ));

@@ -48,7 +48,7 @@ fn one(
     };
     let options = CameraOptions {
         terms: Terms::Usual,
-        least_views: views,
+        least_views: Some(views),
         datum: Some(0),
     };
     let (fit, _) = calibrate(&images, &start, &board, &options).map_err(failed)?;

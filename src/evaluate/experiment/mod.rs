@@ -14,10 +14,11 @@ mod settings;
 mod statistics;
 mod table;
 
+pub use crate::statistics::quantile;
 pub use panels::{Medians, Scatter, doublings};
 pub use run::{Done, Outcome, Run, run};
 pub use settings::{Overrides, Scale, Settings};
-pub use statistics::{Spread, quantile, spread};
+pub use statistics::{Spread, spread};
 pub(crate) use table::csv_text;
 pub use table::{Row, Table, Value};
 

@@ -1,6 +1,7 @@
 //! What many figures have in common.
 
 use crate::random::{Purpose, stream};
+use crate::statistics::quantile;
 
 /// Mean and median with 95% confidence.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -44,27 +45,12 @@ pub fn spread(values: &[f64]) -> Option<Spread> {
     })
 }
 
-/// The `p` quantile, 0..=1, linear between order statistics; NaN without values.
-pub fn quantile(values: &[f64], p: f64) -> f64 {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    let Some(last) = sorted.len().checked_sub(1) else {
-        return f64::NAN;
-    };
-    let at = p.clamp(0.0, 1.0) * last as f64;
-    let low = at.floor() as usize;
-    let high = (low + 1).min(last);
-    sorted[low] + (at - low as f64) * (sorted[high] - sorted[low])
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn quantiles_lie_between_order_statistics() {
-        assert_eq!(quantile(&[3.0, 1.0, 2.0, 10.0], 0.5), 2.5);
-        assert_eq!(quantile(&[3.0, 1.0, 2.0], 1.0), 3.0);
+    fn equal_values_have_no_spread() {
         let spread = spread(&[1.0, 1.0, 1.0]).unwrap();
         assert_eq!(spread.mean_95, [1.0, 1.0]);
     }

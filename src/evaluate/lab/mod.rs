@@ -11,11 +11,10 @@ mod synthetic;
 
 use std::sync::{Arc, LazyLock, OnceLock};
 
-use sha2::{Digest, Sha256};
-
 use super::experiment::{EvaluateError, Experiment, Overrides, Settings};
 use crate::brdf::Dictionary;
 use crate::brdf::environment::EnvironmentMap;
+use crate::checksum::sha256_hex;
 use crate::inverse::projection::{CellMatrix, EnvironmentMatrix};
 use crate::transport::Kernel;
 
@@ -91,9 +90,5 @@ impl Lab {
 
 /// The first 12 digits of a SHA-256.
 fn short_hash(bytes: &[u8]) -> String {
-    Sha256::digest(bytes)
-        .iter()
-        .take(6)
-        .map(|byte| format!("{byte:02x}"))
-        .collect()
+    sha256_hex(bytes)[..12].to_owned()
 }

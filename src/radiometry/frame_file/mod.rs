@@ -25,14 +25,14 @@ pub struct FrameFile {
     pub bits: u32,
     /// One plane (grey) or three (red, green, blue), row by row each.
     pub planes: Vec<Vec<u16>>,
-    /// What the file says of how its counts follow the light.
+    /// How its counts follow the light, as far as the file states it.
     pub tone: Tone,
 }
 
-/// How counts follow the light, as far as a file says it.
+/// How counts follow the light, as far as a file states it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Tone {
-    /// Nothing is said.
+    /// Nothing is stated.
     Unstated,
     /// A PNG's counts are those of sRGB or of another gamma.
     Gamma,
@@ -63,7 +63,7 @@ impl FrameFile {
     }
 }
 
-/// A frame that cannot be used; says what is wrong with it.
+/// Why a frame cannot be used.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum FrameFileError {
     /// Another format.
@@ -85,7 +85,7 @@ pub enum FrameFileError {
         count: usize,
         /// What they are.
         what: &'static str,
-        /// Their sizes in pixels, in words.
+        /// Their sizes in pixels.
         sizes: String,
     },
     /// Another size than that of the camera.
@@ -99,7 +99,7 @@ pub enum FrameFileError {
     /// More pixels than any sensor has.
     #[error("it declares {} x {} pixels; at most {MOST_PIXELS} are read", .0[0], .0[1])]
     TooLarge([usize; 2]),
-    /// What its decoder says.
+    /// Its decoder's error.
     #[error("{0}")]
     Damaged(String),
 }
@@ -122,7 +122,7 @@ fn most_bytes(file: &[u8]) -> u64 {
     file.len() as u64 * MAX_COMPRESSION + (1 << 16)
 }
 
-/// Decodes a PNG, TIFF or JPEG, whichever its first bytes say it is: grey or RGB of 8 to 16 bits.
+/// Decodes a PNG, TIFF or JPEG, recognised by its first bytes: grey or RGB of 8 to 16 bits.
 ///
 /// # Errors
 /// Another format, damaged, larger than its bytes can hold, or other pixels than counts: with
@@ -305,7 +305,7 @@ mod tests {
     }
 
     #[test]
-    fn other_formats_are_told_by_their_first_bytes() {
+    fn other_formats_are_recognised_by_their_first_bytes() {
         let image = DynamicImage::ImageRgb8(
             image::RgbImage::from_raw(8, 8, [[90u8, 120, 200]; 64].concat()).unwrap(),
         );

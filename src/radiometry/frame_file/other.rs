@@ -3,7 +3,7 @@
 /// The kind of a camera's raw file that is no TIFF, or only nearly one; `None` for others.
 pub(super) fn camera_raw(bytes: &[u8]) -> Option<&'static str> {
     let begins = |with: &[u8]| bytes.starts_with(with);
-    let at = |place: usize, what: &[u8]| bytes.get(place..).is_some_and(|b| b.starts_with(what));
+    let at = |offset: usize, what: &[u8]| bytes.get(offset..).is_some_and(|b| b.starts_with(what));
     match bytes {
         _ if at(8, b"CR\x02") => Some("Canon CR2"),
         _ if at(4, b"ftypcrx ") => Some("Canon CR3"),
@@ -16,10 +16,10 @@ pub(super) fn camera_raw(bytes: &[u8]) -> Option<&'static str> {
     }
 }
 
-/// What else a file is, with its article; `None` where nobody here knows.
+/// What else a file is, with its article; `None` where it is not recognised.
 pub(super) fn kind(bytes: &[u8]) -> Option<&'static str> {
     let begins = |with: &[u8]| bytes.starts_with(with);
-    let at = |place: usize, what: &[u8]| bytes.get(place..).is_some_and(|b| b.starts_with(what));
+    let at = |offset: usize, what: &[u8]| bytes.get(offset..).is_some_and(|b| b.starts_with(what));
     match bytes {
         [] => Some("an empty file"),
         _ if begins(b"SIMPLE  =") => Some("a FITS image"),

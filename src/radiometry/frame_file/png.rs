@@ -63,7 +63,7 @@ pub(super) fn decode(bytes: &[u8], size: Option<[usize; 2]>) -> Result<FrameFile
     })
 }
 
-/// What the pixels are, in words.
+/// What the pixels are, for messages.
 fn samples(info: &Info) -> String {
     let bits = info.bit_depth as u32;
     match info.color_type {

@@ -123,7 +123,7 @@ fn directories(reader: &mut Reader) -> Result<Vec<Directory>, FrameFileError> {
     Ok(directories)
 }
 
-/// ImageJ keeps large stacks as one page, and says in words how many images it is.
+/// ImageJ keeps large stacks as one page, and states in its description how many images it is.
 fn images_of_imagej(reader: &mut Reader) -> usize {
     let text = reader.get_tag_ascii_string(Tag::ImageDescription);
     let text = text.unwrap_or_default();

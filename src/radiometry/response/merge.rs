@@ -9,6 +9,7 @@ use rayon::prelude::*;
 
 use super::{COUNTS, Response};
 use crate::radiometry::plane::MergedPlane;
+use crate::statistics::{STD_OVER_MAD, median};
 
 /// Predicted counts outside of this range have no weight: near black, rounding
 /// and the camera's processing rule; near white, clipping.
@@ -63,7 +64,7 @@ impl<'a> ResponseMerge<'a> {
         }
     }
 
-    /// Whether a predicted count tells light.
+    /// Whether a predicted count depends on light.
     fn usable(&self, predicted: f64) -> bool {
         USABLE.contains(&predicted) && predicted >= f64::from(self.response.darkest)
     }
@@ -91,7 +92,7 @@ impl<'a> ResponseMerge<'a> {
         self.beyond(pixel, noise_dn)
     }
 
-    /// Darker than all frames can tell: the longest, with its uncertainty.
+    /// Darker than all frames can measure: the longest, with its uncertainty.
     /// Brighter: the shortest, and not valid.
     fn beyond(&self, pixel: usize, noise_dn: f64) -> (f64, f64, bool) {
         let by_exposure = |a: &&(f64, &[u16]), b: &&(f64, &[u16])| a.0.total_cmp(&b.0);
@@ -128,27 +129,22 @@ impl<'a> ResponseMerge<'a> {
     }
 
     /// Standard deviation of a count about what the merged radiance predicts,
-    /// from the median of the absolute deviations, so that what moved has no say.
+    /// from the median of the absolute deviations, so that what moved has no weight.
     fn noise_dn(&self, first: &[f64]) -> f64 {
         let stride = (first.len() / 4096).max(1);
-        let mut deviations: Vec<f64> = (0..first.len())
-            .step_by(stride)
-            .flat_map(|pixel| {
-                self.frames.iter().filter_map(move |&(exposure_s, counts)| {
-                    let predicted = self.response.count(first[pixel] * exposure_s);
-                    let usable = self.usable(predicted) && counts[pixel] < WHITE;
-                    usable.then(|| (f64::from(counts[pixel]) - predicted).abs())
-                })
+        let deviations = (0..first.len()).step_by(stride).flat_map(|pixel| {
+            self.frames.iter().filter_map(move |&(exposure_s, counts)| {
+                let predicted = self.response.count(first[pixel] * exposure_s);
+                let usable = self.usable(predicted) && counts[pixel] < WHITE;
+                usable.then(|| (f64::from(counts[pixel]) - predicted).abs())
             })
-            .collect();
-        if deviations.is_empty() {
+        });
+        let Some(median) = median(deviations) else {
             return 1.0;
-        }
-        let middle = deviations.len() / 2;
-        let (_, median, _) = deviations.select_nth_unstable_by(middle, f64::total_cmp);
+        };
         let n = self.frames.len() as f64;
         // One degree of freedom per pixel went into its radiance.
         let lost = (n / f64::max(n - 1.0, 1.0)).sqrt();
-        (1.4826 * *median * lost).max(ROUNDING_DN)
+        (STD_OVER_MAD * median * lost).max(ROUNDING_DN)
     }
 }

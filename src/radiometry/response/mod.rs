@@ -18,6 +18,8 @@ use std::ops::RangeInclusive;
 
 use nalgebra::{DMatrix, DVector};
 
+use super::frame_file::FrameFile;
+
 /// Counts of 8 bits.
 pub const COUNTS: usize = 256;
 /// The count at which the relative exposure is 1.
@@ -40,15 +42,95 @@ pub struct Response {
     pub ln_exposure: Vec<f64>,
     /// Standard uncertainty of each logarithm from the scatter of the samples.
     pub ln_std: Vec<f64>,
-    /// Lowest count that speaks of light: those below, where the curve is a guess, are the
+    /// Lowest count that depends on light: those below, where the curve is a guess, are the
     /// camera's or scanner's black.
     pub darkest: u8,
+}
+
+/// How a response is estimated.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Estimator {
+    /// Debevec and Malik (1997).
+    #[default]
+    Debevec,
+    /// Robertson, Borman and Stevenson (2003).
+    Robertson,
+}
+
+impl Estimator {
+    /// The authors.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Debevec => "Debevec-Malik",
+            Self::Robertson => "Robertson",
+        }
+    }
+
+    /// Weight of the curve's smoothness where none is chosen.
+    pub const fn default_smoothness(self) -> f64 {
+        match self {
+            Self::Debevec => 10.0,
+            Self::Robertson => 30.0,
+        }
+    }
+}
+
+/// How the responses of a bracket are estimated.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ResponseOptions {
+    /// The estimator.
+    pub estimator: Estimator,
+    /// Weight of the curve's smoothness, > 0; `None`: the estimator's own.
+    pub smoothness: Option<f64>,
+    /// Largest number of pixels that are used, on a grid over the frames.
+    pub samples: usize,
+}
+
+impl ResponseOptions {
+    /// Usual [`Self::samples`].
+    pub const SAMPLES: u32 = 4096;
+}
+
+impl Default for ResponseOptions {
+    fn default() -> Self {
+        Self {
+            estimator: Estimator::default(),
+            smoothness: None,
+            samples: Self::SAMPLES as usize,
+        }
+    }
+}
+
+/// The response of each channel of 8-bit frames of one still scene, with these exposures
+/// (seconds).
+///
+/// # Errors
+/// Frames that do not make a curve, see [`ResponseError`].
+pub fn responses(
+    frames: &[FrameFile],
+    exposures_s: &[f64],
+    options: &ResponseOptions,
+) -> Result<Vec<Response>, ResponseError> {
+    let estimator = options.estimator;
+    let smoothness = options.smoothness;
+    let smoothness = smoothness.unwrap_or(estimator.default_smoothness());
+    let channels = frames.first().map_or(0, |frame| frame.planes.len());
+    let response = |channel: usize| {
+        let counts = frames.iter().map(|f| f.planes[channel].as_slice());
+        let counts: Vec<&[u16]> = counts.collect();
+        let samples = BracketSamples::on_grid(exposures_s.to_vec(), &counts, options.samples);
+        match estimator {
+            Estimator::Debevec => debevec(&samples, smoothness),
+            Estimator::Robertson => robertson(&samples, smoothness),
+        }
+    };
+    (0..channels).map(response).collect()
 }
 
 /// Why samples do not make a response.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ResponseError {
-    /// One exposure says nothing of a curve.
+    /// One exposure does not determine a curve.
     #[error("{found} different exposures, and at least {MIN_EXPOSURES} are needed")]
     TooFewExposures {
         /// How many there are.
@@ -115,7 +197,7 @@ impl BracketSamples {
         }
     }
 
-    /// Checks that a curve can be had, drops the pixels that say nothing of it, and tells
+    /// Checks that a curve can be had, drops the pixels that do not constrain it, and returns
     /// which counts do.
     ///
     /// # Errors

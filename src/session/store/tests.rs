@@ -4,10 +4,11 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use crate::checksum::sha256_hex;
 use crate::device::*;
 use crate::session::commit::SystemDisk;
 use crate::session::faults::{Fault, FaultyDisk, UnsyncedDisk};
-use crate::session::journal::{Event, sha256_hex};
+use crate::session::journal::Event;
 use crate::session::verify::verify;
 use crate::session::*;
 use crate::units::{Seconds, StageAngles};

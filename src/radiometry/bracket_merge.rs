@@ -1,0 +1,255 @@
+//! From the files of a bracket to a radiance image on disk, in bands of rows, so that
+//! neither frames nor image stand in memory whole.
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+use super::agreement::ExposureAgreement;
+use super::bracket_files::{BracketError, BracketFile, FrameReader};
+use super::frame_file::FrameFile;
+use super::mosaic::Mosaic;
+use super::plane::MergedPlane;
+use super::response::Response;
+use super::sensor::SensorNoise;
+use super::stack::{Band, Stack, StackError};
+use crate::radiance_image::RadianceImage;
+use crate::radiance_image::exr::{self, ExrError};
+
+/// How counts become radiance.
+#[derive(Clone, Debug)]
+pub enum CountModel {
+    /// Raw counts, proportional to light, of a sensor with this noise.
+    Linear(Box<SensorNoise>),
+    /// 8-bit counts through a response curve per channel.
+    Response(Vec<Response>),
+}
+
+/// A merge to be done.
+#[derive(Clone, Debug)]
+pub struct MergeRequest<'a> {
+    /// The frames, at least one.
+    pub files: &'a [BracketFile],
+    /// What counts mean.
+    pub model: &'a CountModel,
+    /// Colour filters over the sensor; [`Mosaic::None`] with response curves.
+    pub mosaic: Mosaic,
+    /// Whether a mosaic keeps its resolution: colours that a pixel did not measure are then
+    /// means of its nearest neighbours; else a cell of 2 × 2 becomes one pixel.
+    pub full_resolution: bool,
+    /// The radiance image to be written (OpenEXR). The frames wait in its folder.
+    pub out: &'a Path,
+}
+
+/// A merged bracket.
+#[derive(Clone, Debug)]
+pub struct Merged {
+    /// Pixels per row, rows.
+    pub size: [usize; 2],
+    /// Pixels without a valid value: clipped in every exposure, hot, or moving.
+    pub masked_pixels: usize,
+    /// How the exposures agree, per channel of the frames, shortest first; empty with
+    /// response curves.
+    pub agreement: Vec<Vec<ExposureAgreement>>,
+}
+
+/// Why a bracket cannot be merged.
+#[derive(Debug, thiserror::Error)]
+pub enum BracketMergeError {
+    /// Files that do not make a bracket.
+    #[error(transparent)]
+    Files(#[from] BracketError),
+    /// A mosaic of frames in colour.
+    #[error("{} has {channels} channels, but a mosaic is one grey channel", path.display())]
+    ColouredMosaic {
+        /// The frame.
+        path: PathBuf,
+        /// Its channels.
+        channels: usize,
+    },
+    /// A response of other frames.
+    #[error("the response has {curves} channels of 8 bits, but {} has {channels} of {bits} bits", path.display())]
+    OtherResponse {
+        /// The frame.
+        path: PathBuf,
+        /// Channels of the response.
+        curves: usize,
+        /// Channels of the frame.
+        channels: usize,
+        /// Its bits.
+        bits: u32,
+    },
+    /// A count beyond the sensor's full scale.
+    #[error("{} has a count of {count}, but {bits} bits end at {full_scale}", path.display())]
+    Count {
+        /// The frame.
+        path: PathBuf,
+        /// Its largest count.
+        count: u16,
+        /// Significant bits.
+        bits: u32,
+        /// Largest count of these.
+        full_scale: u16,
+    },
+    /// Neither one channel nor three.
+    #[error("the frames have neither one channel nor three")]
+    Channels,
+    /// The frames cannot be kept on disk.
+    #[error(transparent)]
+    Disk(StackError),
+    /// The frames cannot be merged.
+    #[error(transparent)]
+    Merge(StackError),
+    /// The image cannot be written.
+    #[error(transparent)]
+    Image(#[from] ExrError),
+}
+
+/// Merges a bracket and writes its radiance image.
+///
+/// # Errors
+/// See [`BracketMergeError`].
+pub fn merge(request: &MergeRequest) -> Result<Merged, BracketMergeError> {
+    let (stack, [width, height]) = gather(request)?;
+    let mut masked_pixels = 0;
+    let mut count = |image: RadianceImage| {
+        masked_pixels += image.valid.iter().filter(|&&valid| !valid).count();
+        Ok::<_, BracketMergeError>(image)
+    };
+    let size = match request.mosaic {
+        _ if request.full_resolution => [width, height],
+        Mosaic::None => [width, height],
+        _ => [width / 2, height / 2],
+    };
+    let agreement = match request.model {
+        CountModel::Linear(noise) => {
+            let margin = usize::from(request.full_resolution);
+            let mut bands = stack.bands(noise, request.mosaic, margin);
+            exr::write_rows(request.out, size[0], size[1], || {
+                let band = bands.next_band().map_err(BracketMergeError::Merge)?;
+                let no_more = || io::Error::from(io::ErrorKind::UnexpectedEof).into();
+                let band = band.ok_or_else(|| BracketMergeError::Merge(no_more()))?;
+                count(image_of(request, &band)?)
+            })?;
+            bands.agreement()
+        }
+        CountModel::Response(responses) => {
+            let mut at = 0;
+            exr::write_rows(request.out, width, height, || {
+                let rows = at..(at + stack.band_rows()).min(height);
+                at = rows.end;
+                let planes = stack.through_response(responses, rows);
+                count(to_image(&planes.map_err(BracketMergeError::Merge)?)?)
+            })?;
+            Vec::new()
+        }
+    };
+    Ok(Merged {
+        size,
+        masked_pixels,
+        agreement,
+    })
+}
+
+/// Whether a frame can be merged with this mosaic.
+///
+/// # Errors
+/// [`BracketMergeError::ColouredMosaic`].
+pub fn check_mosaic(
+    path: &Path,
+    frame: &FrameFile,
+    mosaic: Mosaic,
+) -> Result<(), BracketMergeError> {
+    match (mosaic, frame.planes.len()) {
+        (Mosaic::None, _) | (_, 1) => Ok(()),
+        (_, channels) => Err(BracketMergeError::ColouredMosaic {
+            path: path.to_owned(),
+            channels,
+        }),
+    }
+}
+
+/// All frames, checked, on disk; and their size.
+fn gather(request: &MergeRequest) -> Result<(Stack, [usize; 2]), BracketMergeError> {
+    let folder = request.out.parent();
+    let folder = folder.filter(|p| !p.as_os_str().is_empty());
+    let folder = folder.unwrap_or(Path::new("."));
+    let mut reader = FrameReader::default();
+    let mut gathered: Option<(Stack, [usize; 2])> = None;
+    for BracketFile {
+        path,
+        role,
+        exposure_s,
+    } in request.files
+    {
+        let frame = reader.read(path)?;
+        let (stack, _) = match &mut gathered {
+            Some(gathered) => gathered,
+            None => {
+                check_first(request, path, &frame)?;
+                let (size, channels) = ([frame.width, frame.height], frame.planes.len());
+                let stack = Stack::new(folder, size[0], size[1], channels);
+                gathered.insert((stack.map_err(BracketMergeError::Disk)?, size))
+            }
+        };
+        let bits = match request.model {
+            CountModel::Linear(noise) => noise.bit_depth,
+            CountModel::Response(_) => frame.bits,
+        };
+        let full_scale = ((1u32 << bits) - 1) as u16;
+        let count = frame.planes.iter().flatten().max().copied().unwrap_or(0);
+        if count > full_scale {
+            return Err(BracketMergeError::Count {
+                path: path.clone(),
+                count,
+                bits,
+                full_scale,
+            });
+        }
+        stack
+            .add(*role, *exposure_s, &frame.planes)
+            .map_err(BracketMergeError::Disk)?;
+    }
+    gathered.ok_or(BracketMergeError::Channels)
+}
+
+fn check_first(
+    request: &MergeRequest,
+    path: &Path,
+    frame: &FrameFile,
+) -> Result<(), BracketMergeError> {
+    check_mosaic(path, frame, request.mosaic)?;
+    let channels = frame.planes.len();
+    match request.model {
+        CountModel::Response(curves) if frame.bits != 8 || curves.len() != channels => {
+            Err(BracketMergeError::OtherResponse {
+                path: path.to_owned(),
+                curves: curves.len(),
+                channels,
+                bits: frame.bits,
+            })
+        }
+        _ => Ok(()),
+    }
+}
+
+/// The image of a band without its margins.
+fn image_of(request: &MergeRequest, band: &Band) -> Result<RadianceImage, BracketMergeError> {
+    let image = match band.planes.as_slice() {
+        [grey] if request.full_resolution => grey.demosaiced(request.mosaic),
+        [grey] => grey.binned(request.mosaic),
+        planes => to_image(planes)?,
+    };
+    if !request.full_resolution {
+        return Ok(image);
+    }
+    Ok(image.rows(band.above..band.above + band.rows))
+}
+
+fn to_image(planes: &[MergedPlane]) -> Result<RadianceImage, BracketMergeError> {
+    let image = match planes {
+        [red, green, blue] => MergedPlane::to_rgb([red, green, blue]),
+        [grey] => Some(grey.to_grey()),
+        _ => None,
+    };
+    image.ok_or(BracketMergeError::Channels)
+}
