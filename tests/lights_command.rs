@@ -79,7 +79,7 @@ fn a_stage_is_found_where_it_truly_stands_and_a_fit_uses_it() {
         let mut all = vec!["calibrate", "lights", session];
         all.extend(arguments);
         let refused = run(at, &all);
-        let said = text(&refused.said);
+        let said = text(&refused.stderr);
         assert_eq!(refused.status.code(), Some(1), "{said}");
         assert!(
             said.contains(fact) && said.contains("hint:") && said.contains(advice),
@@ -170,11 +170,8 @@ fn a_stage_is_found_where_it_truly_stands_and_a_fit_uses_it() {
             "2",
         ],
     ));
-    let said = text(&fitted.said);
-    assert!(
-        said.contains("light directions by record one"),
-        "{said}"
-    );
+    let said = text(&fitted.stderr);
+    assert!(said.contains("light directions by record one"), "{said}");
     assert!(said.contains("irradiance by record white"), "{said}");
     let few = "warning: 2 paths per cell were followed";
     assert!(said.contains(few), "{said}");

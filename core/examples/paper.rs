@@ -358,7 +358,7 @@ pub fn capture(truth: &Mixture, size_px: usize) -> Result<Vec<Vec<f64>>, Box<dyn
         seed: 71,
         ..RenderOptions::default()
     };
-    let images = render(&bowl(192, size_px)?, truth, &options, &|_| {});
+    let images = render(&bowl(192, size_px)?, truth, &options);
     let red = |image: RadianceImage| image.mean.iter().map(|rgb| f64::from(rgb[0])).collect();
     Ok(images.into_iter().map(red).collect())
 }

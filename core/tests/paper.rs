@@ -98,7 +98,7 @@ fn the_image_is_the_renderers() {
             proposal: sampling.q,
             ..RenderOptions::default()
         };
-        let images = render(&known.scene, &brdf, &options, &|_| {});
+        let images = render(&known.scene, &brdf, &options);
         for (rows, image) in theirs.iter_mut().zip(images) {
             rows.push(image.mean.iter().map(|rgb| f64::from(rgb[0])).collect());
         }

@@ -45,10 +45,8 @@ fn one(
 ) -> Result<Vec<Row>, EvaluateError> {
     let estimate = lab.measure(sample, lights, &material.brdf)?;
     let start = lab.score(&estimate.start, &*material.brdf);
-    let row = Row::new()
-        .with("material", material.name.as_str())
-        .with("class", material.class.name())
-        .with("shape", sample.name())
+    let row = material
+        .row(sample)
         .with("lights", lights)
         .with("paths_per_pixel", estimate.fit.samples[0])
         .with("reduced_chi2", estimate.mean_reduced_chi2())

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::defects::Defect;
 use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table, quantile};
-use super::lab::capture::average;
+use super::lab::capture::{SENSOR, average};
 use super::lab::materials::{Class, Material};
 use super::lab::{Lab, Sample, misaligned};
 use crate::brdf::{Brdf, HalfDifference, Mixture};
@@ -92,12 +92,9 @@ pub(super) fn capture(
     options.seed = options.seed.wrapping_add(index << 20);
     let mut images = crate::transport::render(truth, brdf, &options);
     let photographer = Photographer {
-        bit_depth: 12,
-        full_well_e: 10_000.0,
-        read_noise_e: 2.4,
         exposures: 3,
-        frames: 1,
         seed: lab.settings.seed.wrapping_add(index),
+        ..SENSOR
     };
     (0..)
         .zip(&mut images)

@@ -41,10 +41,8 @@ fn one(
     (sample, lights): (Sample, usize),
 ) -> Result<Vec<Row>, EvaluateError> {
     let estimate = lab.measure(sample, lights, &material.brdf)?;
-    let row = Row::new()
-        .with("material", material.name.as_str())
-        .with("class", material.class.name())
-        .with("shape", sample.name())
+    let row = material
+        .row(sample)
         .with("lights", lights)
         .with("paths_per_pixel", estimate.fit.samples[0]);
     Ok(vec![

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Scatter, Table};
-use super::lab::capture::average;
+use super::lab::capture::{SENSOR, average, photograph};
 use super::lab::{Lab, Material, Sample, misaligned, of_materials};
 use crate::brdf::score::environment_error_up_to_factor;
 use crate::inverse::bench::Parameter;
@@ -86,18 +86,11 @@ fn one(
         ..render_options
     };
     let photographer = Photographer {
-        bit_depth: 12,
-        full_well_e: 10_000.0,
-        read_noise_e: 2.4,
-        exposures: 4,
-        frames: 1,
         seed: key(2).bits(),
+        ..SENSOR
     };
     let rendered = render(&true_scene, &*material.brdf, &render_options);
-    let captured = (0..)
-        .zip(&rendered)
-        .map(|(light, image)| photographer.take(image, light))
-        .collect::<Result<Vec<_>, _>>()?;
+    let captured = photograph(&photographer, &rendered)?;
 
     // Fits on the true bench, on the described one, and on the refined one.
     let captured = average(&described, &captured, &lab.dictionary)?;
@@ -112,11 +105,7 @@ fn one(
         &(),
     )?;
     let estimate = &refined.estimate;
-    let mut row = Row::new()
-        .with("material", material.name.as_str())
-        .with("class", material.class.name())
-        .with("shape", sample.name())
-        .with("bench", number);
+    let mut row = material.row(sample).with("bench", number);
     let known = bench.scene(&truth);
     let plain = |scene, options: &_| fit(scene, &captured, &lab.dictionary, options);
     type Fitted<'a> = &'a dyn Fn(&FitOptions) -> Result<Fit, FitError>;

@@ -4,7 +4,7 @@ use std::sync::{Arc, OnceLock};
 
 use glam::DVec3;
 
-use super::experiment::{Case, EvaluateError, Experiment, Medians, Row, Scale, Table};
+use super::experiment::{Case, EvaluateError, Experiment, Medians, Scale, Table};
 use super::lab::{Lab, Sample};
 use crate::inverse::FitOptions;
 use crate::inverse::intervals::{self, Interval};
@@ -177,10 +177,8 @@ fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
                         };
                         let estimate =
                             lab.fit_with(&scene, &captured, &lab.dictionary, &options)?;
-                        let row = Row::new()
-                            .with("material", material.name.as_str())
-                            .with("class", material.class.name())
-                            .with("shape", sample.name())
+                        let row = material
+                            .row(sample)
                             .with("rule", rule.name())
                             .with("lights", lights.len())
                             .with("expected_variance_left", remaining);

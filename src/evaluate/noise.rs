@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use super::experiment::{Case, EvaluateError, Experiment, Medians, Row, Scale, Table, doublings};
+use super::lab::capture::photograph;
 use super::lab::{Lab, Material, Sample, of_materials};
 use crate::plot::{Axis, Chart, Figure, charts};
 use crate::simulation::photograph::Photographer;
@@ -60,10 +61,7 @@ fn one(lab: &Lab, material: &Arc<Material>, sample: Sample) -> Result<Vec<Row>, 
                 frames: 1,
                 seed: lab.settings.seed,
             };
-            let taken = (0..)
-                .zip(&captured)
-                .map(|(light, image)| photographer.take(image, light))
-                .collect::<Result<Vec<_>, _>>()?;
+            let taken = photograph(&photographer, &captured)?;
             let estimate = lab.fit_scene(&scene, &taken)?;
             let scores = lab.score_row(&estimate.fit.material, material)?;
             let ratio = scores.number("environment_error").map(|e| e / noise_free);

@@ -6,6 +6,7 @@ use std::path::Path;
 use glam::DVec3;
 
 use super::experiment::{Case, EvaluateError, Experiment, Medians, Row, Scale, Table, doublings};
+use super::lab::capture::{SENSOR, photograph};
 use super::lab::{Lab, Material};
 use crate::capture::directions::plan_order;
 use crate::capture::reach::StageReach;
@@ -172,18 +173,13 @@ fn one(
         true_lights.collect(),
     );
     let photographer = Photographer {
-        bit_depth: 12,
         full_well_e: 10_500.0,
-        read_noise_e: 2.4,
-        exposures: 4,
         frames: 2,
         seed,
+        ..SENSOR
     };
     let rendered = lab.render_truth(&truth, &*material.brdf);
-    let captured = (0..)
-        .zip(&rendered)
-        .map(|(light, image)| photographer.take(image, light))
-        .collect::<Result<Vec<_>, _>>()?;
+    let captured = photograph(&photographer, &rendered)?;
     let estimate = lab.fit_scene(&believed, &captured)?;
     lab.score_row(&estimate.fit.material, material)
 }

@@ -27,10 +27,7 @@ fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
 
 fn one(lab: &Lab, material: &Arc<Material>, sample: Sample) -> Result<Vec<Row>, EvaluateError> {
     let estimate = lab.measure(sample, 1, &material.brdf)?;
-    let row = Row::new()
-        .with("material", material.name.as_str())
-        .with("class", material.class.name())
-        .with("shape", sample.name());
+    let row = material.row(sample);
     let start = lab.score(&estimate.start, &*material.brdf);
     Ok(vec![
         row.and(lab.score_row(&estimate.fit.material, material)?)

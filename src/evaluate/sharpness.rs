@@ -6,6 +6,7 @@ use std::sync::Arc;
 use glam::Vec3;
 
 use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Scatter, Table};
+use super::lab::capture::{SENSOR, photograph};
 use super::lab::{Lab, Material, Sample, of_materials};
 use crate::brdf::{Atom, Dictionary, Mixture};
 use crate::calibration::mirror_sphere::Grey;
@@ -54,14 +55,7 @@ fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
 }
 
 fn photographer(seed: u64) -> Photographer {
-    Photographer {
-        bit_depth: 12,
-        full_well_e: 10_000.0,
-        read_noise_e: 2.4,
-        exposures: 4,
-        frames: 1,
-        seed,
-    }
+    Photographer { seed, ..SENSOR }
 }
 
 fn one(lab: &Lab, material: &Arc<Material>, sample: Sample) -> Result<Vec<Row>, EvaluateError> {
@@ -82,11 +76,7 @@ fn one(lab: &Lab, material: &Arc<Material>, sample: Sample) -> Result<Vec<Row>, 
             ..lab.truth_options(&scene, &*material.brdf)
         };
         let rendered = render(&scene, &*material.brdf, &options);
-        let photographer = photographer(key(2));
-        let captured = (0..)
-            .zip(&rendered)
-            .map(|(light, image)| photographer.take(image, light))
-            .collect::<Result<Vec<_>, _>>()?;
+        let captured = photograph(&photographer(key(2)), &rendered)?;
         let fitted = lab
             .fit_scene(&spread(&believed, believed_px), &captured)?
             .fit;
@@ -98,10 +88,8 @@ fn one(lab: &Lab, material: &Arc<Material>, sample: Sample) -> Result<Vec<Row>, 
     let stated = error(SPREAD_PX, SPREAD_PX)?;
     let measured = error(SPREAD_PX, measured_px)?;
     Ok(vec![
-        Row::new()
-            .with("material", material.name.as_str())
-            .with("class", material.class.name())
-            .with("shape", sample.name())
+        material
+            .row(sample)
             .with("spread_px", SPREAD_PX)
             .with("measured_px", measured_px)
             .with("measured_std_px", measured_std_px)

@@ -1,62 +1,27 @@
 //! The error budget: a table of shares, and the same as bars.
 
-use serde::Serialize;
+use minijinja::context;
+use minijinja::value::Value;
 
+use super::template::values;
 use crate::plot::{Axis, Bar, BarRow, PlotError, bars, page_color};
 use crate::session::fit_record::BudgetRecord;
 
-/// Rows for the template.
-#[derive(Serialize)]
-pub struct BudgetView {
-    sources: Vec<SourceView>,
-    rows: Vec<BudgetRowView>,
-    svg: String,
-}
-
-#[derive(Serialize)]
-struct SourceView {
-    name: String,
-    color: &'static str,
-}
-
-#[derive(Serialize)]
-struct BudgetRowView {
-    angles: String,
-    value: String,
-    relative_std: String,
-    shares: Vec<String>,
-}
-
-impl BudgetView {
-    /// Of a fit's record.
-    ///
-    /// # Errors
-    /// The bars could not be drawn.
-    pub fn of(record: &BudgetRecord) -> Result<Self, PlotError> {
-        let rows = record.row.iter().map(|row| BudgetRowView {
-            angles: angles(row.theta_h_deg, row.theta_d_deg),
-            value: format!("{:.3e}", row.value).replace('-', "−"),
-            relative_std: format!("{:.2} %", 100.0 * row.relative_std),
-            shares: row
-                .share
-                .iter()
-                .map(|s| format!("{:.1} %", 100.0 * s))
-                .collect(),
-        });
-        let sources = record
-            .sources
-            .iter()
-            .enumerate()
-            .map(|(n, name)| SourceView {
-                name: name.clone(),
-                color: page_color(n),
-            });
-        Ok(Self {
-            sources: sources.collect(),
-            rows: rows.collect(),
-            svg: figure(record)?,
-        })
-    }
+/// The table and the bars.
+pub(super) fn budget_view(record: &BudgetRecord) -> Result<Value, PlotError> {
+    Ok(context! {
+        sources => values(record.sources.iter().enumerate(), |(n, name)| context! {
+            name,
+            color => page_color(n),
+        }),
+        rows => values(&record.row, |row| context! {
+            angles => angles(row.theta_h_deg, row.theta_d_deg),
+            value => format!("{:.3e}", row.value).replace('-', "−"),
+            relative_std => format!("{:.2} %", 100.0 * row.relative_std),
+            shares => values(&row.share, |s| format!("{:.1} %", 100.0 * s).into()),
+        }),
+        svg => figure(record)?,
+    })
 }
 
 fn angles(theta_h_deg: f64, theta_d_deg: f64) -> String {

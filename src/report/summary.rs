@@ -1,32 +1,10 @@
 //! The head of the page: verdict, key figures, scores.
 
-use serde::Serialize;
+use minijinja::context;
+use minijinja::value::Value;
 
+use super::template::value;
 use crate::session::fit_record::{ChannelScore, FitRecord, MetricScores, Verdict};
-
-#[derive(Serialize)]
-pub(super) struct VerdictView {
-    class: &'static str,
-    sign: &'static str,
-    title: String,
-    text: String,
-}
-
-#[derive(Serialize)]
-pub(super) struct Tile {
-    label: &'static str,
-    value: String,
-    note: &'static str,
-}
-
-#[derive(Serialize)]
-pub(super) struct ScoreRow {
-    metric: &'static str,
-    estimate: &'static str,
-    values: Vec<String>,
-    first: bool,
-    own: bool,
-}
 
 /// Three significant digits.
 pub(super) fn short(value: f64) -> String {
@@ -46,13 +24,13 @@ pub(super) fn percent(value: f64) -> String {
     format!("{} %", short(value * 100.0))
 }
 
-pub(super) fn verdict_view(record: Option<&FitRecord>) -> VerdictView {
+pub(super) fn verdict_view(record: Option<&FitRecord>) -> Value {
     let Some(record) = record else {
-        return VerdictView {
-            class: "none",
-            sign: "–",
-            title: "No fit yet: this session holds captured images only".to_owned(),
-            text: "“rig fit” adds the material’s BRDF to this report.".to_owned(),
+        return context! {
+            class => "none",
+            sign => "–",
+            title => "No fit yet: this session has captured images only",
+            text => "“rig fit” adds the material’s BRDF to this report.",
         };
     };
     let verdict = record.verdict();
@@ -86,20 +64,17 @@ pub(super) fn verdict_view(record: Option<&FitRecord>) -> VerdictView {
     } else {
         text += " No truth is known for this sample, so neither is the error of the BRDF itself.";
     }
-    VerdictView {
-        class,
-        sign,
-        title: title.to_owned(),
-        text,
-    }
+    context! { class, sign, title, text }
 }
 
-pub(super) fn tiles(record: Option<&FitRecord>) -> Vec<Tile> {
+pub(super) fn tiles(record: Option<&FitRecord>) -> Vec<Value> {
     let Some(record) = record else {
         return Vec::new();
     };
     let mut tiles = Vec::new();
-    let mut tile = |label, value, note| tiles.push(Tile { label, value, note });
+    let mut tile = |label: &str, value: String, note: &str| {
+        tiles.push(context! { label, value, note });
+    };
     if let Some(score) = &record.score {
         let errors = &score.environment_error;
         tile(
@@ -143,21 +118,16 @@ pub(super) fn tiles(record: Option<&FitRecord>) -> Vec<Tile> {
     tiles
 }
 
-pub(super) fn score_rows(record: Option<&FitRecord>) -> Vec<ScoreRow> {
+pub(super) fn score_rows(record: Option<&FitRecord>) -> Vec<Value> {
     let Some(score) = record.and_then(|record| record.score.as_ref()) else {
         return Vec::new();
     };
     let mut rows = Vec::new();
-    let mut add = |metric, scores: &MetricScores| {
-        let mut row = |estimate, score: &ChannelScore, first, own| {
+    let mut add = |metric: &str, scores: &MetricScores| {
+        let mut row = |estimate: &str, score: &ChannelScore, first: bool, own: bool| {
             let [r, g, b] = score.channels;
-            rows.push(ScoreRow {
-                metric,
-                estimate,
-                values: [r, g, b, score.overall].map(percent).into(),
-                first,
-                own,
-            });
+            let values = value([r, g, b, score.overall].map(percent));
+            rows.push(context! { metric, estimate, values, first, own });
         };
         row("this fit", &scores.estimate, true, true);
         row(

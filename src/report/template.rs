@@ -1,141 +1,45 @@
 //! From the report's input to the values of its template.
 
+use minijinja::value::{Serde, Value};
+use minijinja::{Environment, UndefinedBehavior, context};
 use serde::Serialize;
 
-use super::budget::BudgetView;
+use super::budget::budget_view;
 use super::images;
-use super::summary::{
-    ScoreRow, Tile, VerdictView, percent, score_rows, short, tiles, verdict_view,
-};
+use super::summary::{percent, score_rows, short, tiles, verdict_view};
 use super::{FitInput, LightInput, ReportError, ReportInput, SphereInput, figures};
 use crate::plot::Picture;
 use crate::plot::colors::diverging;
 use crate::radiance_image::RadianceImage;
-use crate::session::fit_record::{BenchRecord, EXPLAINED_CHI_SQUARE, Warning};
+use crate::session::fit_record::{BenchRecord, EXPLAINED_CHI_SQUARE};
 
-#[derive(Serialize)]
-struct Page<'a> {
-    sample: &'a str,
-    session: &'a str,
-    captured: &'a str,
-    simulated: bool,
-    incomplete: &'a Option<String>,
-    light_count: usize,
-    verdict: VerdictView,
-    tiles: Vec<Tile>,
-    warnings: &'a [Warning],
-    remarks: &'a [String],
-    truth: Option<&'a str>,
-    spheres: Vec<SphereView>,
-    scores: Vec<ScoreRow>,
-    lights: Vec<LightView>,
-    residual_bar: String,
-    residual_range: u32,
-    fit: Option<FitView>,
-    provenance: Vec<GroupView<'a>>,
+/// Anything that serde understands, as the template takes it.
+pub(super) fn value(of: impl Serialize) -> Value {
+    Value::from(Serde(of))
 }
 
-#[derive(Serialize)]
-struct SphereView {
-    map: String,
-    estimate: String,
-    truth: Option<String>,
-    difference: Option<String>,
-    difference_percent: u32,
+/// Each of them by `view`.
+pub(super) fn values<T>(all: impl IntoIterator<Item = T>, view: impl Fn(T) -> Value) -> Value {
+    all.into_iter().map(view).collect()
 }
 
-#[derive(Serialize)]
-struct LightView {
-    name: String,
-    place: Option<String>,
-    captured: Option<String>,
-    rendered: Option<String>,
-    residuals: Vec<Named>,
-    white: String,
-    size: String,
-    exposures: Vec<Vec<String>>,
-    snr: Option<[String; 3]>,
-    snr_low: Option<[String; 3]>,
-    unusable: Option<String>,
-    chi_square: Option<Vec<Judged>>,
-}
-
-#[derive(Serialize)]
-struct Named {
-    name: &'static str,
-    uri: String,
-}
-
-#[derive(Serialize)]
-struct Judged {
-    text: String,
-    bad: bool,
-}
-
-#[derive(Serialize)]
-struct FitView {
-    name: String,
-    dictionary: String,
-    atoms: usize,
-    polar: Vec<Figure>,
-    slices: Vec<Figure>,
-    maps: Option<[String; 2]>,
-    constrained_percent: String,
-    bars: String,
-    hidden_atoms: usize,
-    has_discrepancy: bool,
-    hidden_below_percent: f64,
-    trace: Option<String>,
-    loss: String,
-    steps: u64,
-    termination: String,
-    timings: Vec<(String, String)>,
-    bench: Option<BenchView>,
-    budget: Option<BudgetView>,
-}
-
-/// The refined bench.
-#[derive(Serialize)]
-struct BenchView {
-    /// Name, correction with its standard deviation, the one before, unit.
-    rows: Vec<[String; 4]>,
-    fixed: Vec<String>,
-    rounds: u32,
-    settled: bool,
-}
-
-impl BenchView {
-    fn of(bench: &BenchRecord) -> Self {
-        Self {
-            rounds: bench.rounds,
-            settled: bench.settled,
-            fixed: bench.held.clone(),
-            rows: bench
-                .parameter
-                .iter()
-                .map(|p| {
-                    [
-                        p.name.clone(),
-                        format!("{:.4} ± {:.4}", p.value + 0.0, p.deviation).replace('-', "−"),
-                        short(p.prior_deviation),
-                        p.unit.clone(),
-                    ]
-                })
-                .collect(),
-        }
+/// The refined bench; rows have name, correction with its standard deviation, the one
+/// before, and unit.
+fn bench_view(bench: &BenchRecord) -> Value {
+    let rows = bench.parameter.iter().map(|p| {
+        [
+            p.name.clone(),
+            format!("{:.4} ± {:.4}", p.value + 0.0, p.deviation).replace('-', "−"),
+            short(p.prior_deviation),
+            p.unit.clone(),
+        ]
+    });
+    context! {
+        rounds => bench.rounds,
+        settled => bench.settled,
+        fixed => value(&bench.held),
+        rows => value(rows.collect::<Vec<_>>()),
     }
-}
-
-#[derive(Serialize)]
-struct Figure {
-    caption: String,
-    svg: String,
-}
-
-#[derive(Serialize)]
-struct GroupView<'a> {
-    title: &'a str,
-    entries: &'a [(String, String)],
 }
 
 pub(super) fn render(input: &ReportInput) -> Result<String, ReportError> {
@@ -145,45 +49,38 @@ pub(super) fn render(input: &ReportInput) -> Result<String, ReportError> {
         .as_ref()
         .map(|fit| fit_view(fit, input))
         .transpose()?;
-    let page = Page {
-        sample: &input.sample,
-        session: &input.session,
-        captured: &input.captured,
-        simulated: input.simulated,
-        incomplete: &input.incomplete,
-        light_count: input.lights.len(),
-        verdict: verdict_view(record),
-        tiles: tiles(record),
-        warnings: record.map_or(&[], |record| &record.warnings),
-        remarks: record.map_or(&[], |record| &record.remarks),
-        truth: input.truth.as_ref().map(|truth| truth.name.as_str()),
-        spheres: input.spheres.iter().map(sphere_view).collect(),
-        scores: score_rows(record),
-        lights: (0..input.lights.len())
-            .map(|n| light_view(n, &input.lights[n], input.fit.as_ref()))
-            .collect(),
-        residual_bar: figures::residual_bar(),
-        residual_range: images::RESIDUAL_RANGE as u32,
-        fit,
-        provenance: input
-            .provenance
-            .iter()
-            .map(|group| GroupView {
-                title: &group.title,
-                entries: &group.entries,
-            })
-            .collect(),
+    let lights = input.lights.iter().enumerate();
+    let page = context! {
+        sample => &input.sample,
+        session => &input.session,
+        captured => &input.captured,
+        simulated => input.simulated,
+        incomplete => value(&input.incomplete),
+        light_count => input.lights.len(),
+        verdict => verdict_view(record),
+        tiles => tiles(record),
+        warnings => value(record.map(|record| &record.warnings)),
+        remarks => value(record.map(|record| &record.remarks)),
+        truth => value(input.truth.as_ref().map(|truth| &truth.name)),
+        spheres => values(&input.spheres, sphere_view),
+        scores => score_rows(record),
+        lights => values(lights, |(n, light)| light_view(n, light, input.fit.as_ref())),
+        residual_bar => figures::residual_bar(),
+        residual_range => images::RESIDUAL_RANGE as u32,
+        fit => value(fit),
+        provenance => values(&input.provenance, |group| context! {
+            title => &group.title,
+            entries => value(&group.entries),
+        }),
     };
-    let mut environment = minijinja::Environment::new();
-    environment.set_undefined_behavior(minijinja::UndefinedBehavior::Strict);
+    let mut environment = Environment::new();
+    environment.set_undefined_behavior(UndefinedBehavior::Strict);
     environment.add_template("report.html", include_str!("report.html.j2"))?;
-    Ok(environment
-        .get_template("report.html")?
-        .render(minijinja::value::Serde(&page))?)
+    Ok(environment.get_template("report.html")?.render(page)?)
 }
 
 /// Spheres are shown on the truth's exposure; the difference in per cent of white.
-fn sphere_view(sphere: &SphereInput) -> SphereView {
+fn sphere_view(sphere: &SphereInput) -> Value {
     const DIFFERENCE_RANGE: f32 = 0.2;
     let white = images::white_level(sphere.truth.as_ref().unwrap_or(&sphere.estimate));
     let uri = |image: &RadianceImage| images::tone_mapped(image, white).data_uri();
@@ -202,64 +99,64 @@ fn sphere_view(sphere: &SphereInput) -> SphereView {
         };
         Picture::from_fn(estimate.width, estimate.height, pixel).data_uri()
     };
-    SphereView {
-        map: sphere.map.clone(),
-        estimate: uri(&sphere.estimate),
-        truth: sphere.truth.as_ref().map(uri),
-        difference: sphere.truth.as_ref().map(difference),
-        difference_percent: (DIFFERENCE_RANGE * 100.0) as u32,
+    context! {
+        map => &sphere.map,
+        estimate => uri(&sphere.estimate),
+        truth => value(sphere.truth.as_ref().map(uri)),
+        difference => value(sphere.truth.as_ref().map(difference)),
+        difference_percent => (DIFFERENCE_RANGE * 100.0) as u32,
     }
 }
 
-fn light_view(position: usize, light: &LightInput, fit: Option<&FitInput>) -> LightView {
+fn light_view(position: usize, light: &LightInput, fit: Option<&FitInput>) -> Value {
     let rendered = fit.and_then(|fit| fit.images.rendered.get(position));
     let residual = fit.and_then(|fit| fit.images.residual.get(position));
     let captured = light.captured.as_ref();
+    // Captured and rendered images share one exposure.
     let white = captured
         .map(|captured| captured.white)
         .or(rendered.map(images::white_level))
         .unwrap_or(1.0);
     let uri = |image: &RadianceImage| images::tone_mapped(image, white).data_uri();
-    let names = ["red", "green", "blue"];
-    let named = |channel: usize, image: &RadianceImage| Named {
-        name: names[channel],
-        uri: images::residual(image, channel).data_uri(),
-    };
+    let place = light.place.map(|place| {
+        // Adding zero turns −0 into 0.
+        let (azimuth, elevation) = (place.azimuth_deg + 0.0, place.elevation_deg + 0.0);
+        format!("azimuth {azimuth:.1}°, elevation {elevation:.1}°").replace('-', "−")
+    });
+    let size = captured
+        .map(|captured| captured.size_px)
+        .or(rendered.map(|image| [image.width, image.height]))
+        .map(|[width, height]| format!("{width} × {height} pixels"));
+    let channels = || (0..).zip(["red", "green", "blue"]);
+    let residuals = residual
+        .into_iter()
+        .flat_map(|image| channels().map(move |(channel, name)| (image, channel, name)));
     let quality = captured.map(|captured| &captured.signal_to_noise);
+    let whole = |ratios: [f64; 3]| ratios.map(|x| format!("{x:.0}"));
+    let unusable = captured.map(|captured| {
+        let [width, height] = captured.size_px;
+        let share = captured.unusable as f64 / (width * height).max(1) as f64;
+        format!("{} ({:.1} %)", captured.unusable, share * 100.0)
+    });
     let chi_square = fit.and_then(|fit| fit.record.reduced_chi_square.get(position));
-    LightView {
-        name: format!("L{:03}", light.index),
-        place: light.place.map(|place| {
-            // Adding zero turns −0 into 0.
-            let (azimuth, elevation) = (place.azimuth_deg + 0.0, place.elevation_deg + 0.0);
-            format!("azimuth {azimuth:.1}°, elevation {elevation:.1}°").replace('-', "−")
+    context! {
+        name => format!("L{:03}", light.index),
+        place => value(place),
+        captured => value(captured.map(|captured| uri(&captured.picture))),
+        rendered => value(rendered.map(uri)),
+        residuals => values(residuals, |(image, channel, name)| context! {
+            name,
+            uri => images::residual(image, channel).data_uri(),
         }),
-        captured: captured.map(|captured| uri(&captured.picture)),
-        rendered: rendered.map(uri),
-        residuals: residual.map_or(Vec::new(), |image| {
-            (0..3).map(|c| named(c, image)).collect()
-        }),
-        white: short(f64::from(white)),
-        size: captured
-            .map(|captured| captured.size_px)
-            .or(rendered.map(|image| [image.width, image.height]))
-            .map_or(String::new(), |[width, height]| {
-                format!("{width} × {height} pixels")
-            }),
-        exposures: exposures(light),
-        snr: quality.map(|quality| quality.median.map(|x| format!("{x:.0}"))),
-        snr_low: quality.map(|quality| quality.low.map(|x| format!("{x:.0}"))),
-        unusable: captured.map(|captured| {
-            let [width, height] = captured.size_px;
-            let share = captured.unusable as f64 / (width * height).max(1) as f64;
-            format!("{} ({:.1} %)", captured.unusable, share * 100.0)
-        }),
-        chi_square: chi_square.map(|values| {
-            let judge = |value: &f64| Judged {
-                text: format!("{value:.2}"),
-                bad: *value > EXPLAINED_CHI_SQUARE,
-            };
-            values.iter().map(judge).collect()
+        white => short(f64::from(white)),
+        size => size.unwrap_or_default(),
+        exposures => value(exposures(light)),
+        snr => value(quality.map(|quality| whole(quality.median))),
+        snr_low => value(quality.map(|quality| whole(quality.low))),
+        unusable => value(unusable),
+        chi_square => values(chi_square.into_iter().flatten(), |value| context! {
+            text => format!("{value:.2}"),
+            bad => *value > EXPLAINED_CHI_SQUARE,
         }),
     }
 }
@@ -281,42 +178,35 @@ fn exposures(light: &LightInput) -> Vec<Vec<String>> {
     channels.iter().map(line).collect()
 }
 
-fn fit_view(fit: &FitInput, input: &ReportInput) -> Result<FitView, ReportError> {
+fn fit_view(fit: &FitInput, input: &ReportInput) -> Result<Value, ReportError> {
     let record = &fit.record;
     let truth = input.truth.as_ref().map(|truth| &*truth.brdf);
+    let figure = |(caption, svg): (String, String)| context! { caption, svg };
     let polar = figures::polar_plots(&*fit.estimate, truth, &record.table)?;
     let captions = figures::POLAR_THETA_I_DEG.map(|angle| format!("light at θi = {angle}°"));
+    let slices = figures::slices(&record.table, truth)?.into_iter();
+    let slices = slices.map(|(angle, svg)| (format!("θd = {angle}°"), svg));
     let (bars, hidden_atoms) = figures::weight_bars(record)?;
-    Ok(FitView {
-        name: fit.name.clone(),
-        dictionary: record.dictionary.clone(),
-        atoms: record.atoms.len(),
-        polar: std::iter::zip(captions, polar)
-            .map(|(caption, svg)| Figure { caption, svg })
-            .collect(),
-        slices: figures::slices(&record.table, truth)?
-            .into_iter()
-            .map(|(angle, svg)| Figure {
-                caption: format!("θd = {angle}°"),
-                svg,
-            })
-            .collect(),
-        maps: figures::table_maps(&record.table)?,
-        constrained_percent: percent(record.table.constrained_share()),
+    let timings = record.timings.iter();
+    let timings = timings.map(|timing| (&timing.stage, format!("{:.2} s", timing.seconds)));
+    Ok(context! {
+        name => &fit.name,
+        dictionary => &record.dictionary,
+        atoms => record.atoms.len(),
+        polar => values(std::iter::zip(captions, polar), figure),
+        slices => values(slices, figure),
+        maps => value(figures::table_maps(&record.table)?),
+        constrained_percent => percent(record.table.constrained_share()),
         bars,
         hidden_atoms,
-        has_discrepancy: record.discrepancy.is_some(),
-        hidden_below_percent: figures::SHOWN_WEIGHT * 100.0,
-        trace: figures::trace_plot(&record.trace)?,
-        loss: short(record.loss),
-        steps: record.trace.last().map_or(0, |point| point.step),
-        termination: record.termination.clone(),
-        timings: record
-            .timings
-            .iter()
-            .map(|timing| (timing.stage.clone(), format!("{:.2} s", timing.seconds)))
-            .collect(),
-        bench: record.bench.as_ref().map(BenchView::of),
-        budget: record.budget.as_ref().map(BudgetView::of).transpose()?,
+        has_discrepancy => record.discrepancy.is_some(),
+        hidden_below_percent => figures::SHOWN_WEIGHT * 100.0,
+        trace => value(figures::trace_plot(&record.trace)?),
+        loss => short(record.loss),
+        steps => record.trace.last().map_or(0, |point| point.step),
+        termination => &record.termination,
+        timings => value(timings.collect::<Vec<_>>()),
+        bench => value(record.bench.as_ref().map(bench_view)),
+        budget => value(record.budget.as_ref().map(budget_view).transpose()?),
     })
 }

@@ -146,38 +146,38 @@ impl Settings {
             &experiment.full
         };
         // Options that the experiment has no use for.
-        let check = |setting, given: bool, has: bool| {
-            if given && !has {
-                return Err(EvaluateError::Unused {
-                    experiment: experiment.name,
-                    setting,
-                });
-            }
-            Ok(())
-        };
         let o = overrides;
-        check(
-            "resolution",
-            o.resolution_px.is_some(),
-            scale.resolution_px > 0,
-        )?;
-        check(
-            "spp",
-            o.samples_per_pixel.is_some(),
-            scale.samples_per_pixel > 0,
-        )?;
-        check(
-            "truth-spp",
-            o.truth_samples_per_pixel.is_some(),
-            scale.truth_samples_per_pixel > 0,
-        )?;
-        check("sphere", o.sphere_px.is_some(), scale.sphere_px > 0)?;
-        check("lights", o.lights.is_some(), scale.lights > 0)?;
-        check(
-            "materials",
-            o.materials.is_some(),
-            !scale.materials.is_empty(),
-        )?;
+        let options = [
+            (
+                "resolution",
+                o.resolution_px.is_some(),
+                scale.resolution_px > 0,
+            ),
+            (
+                "spp",
+                o.samples_per_pixel.is_some(),
+                scale.samples_per_pixel > 0,
+            ),
+            (
+                "truth-spp",
+                o.truth_samples_per_pixel.is_some(),
+                scale.truth_samples_per_pixel > 0,
+            ),
+            ("sphere", o.sphere_px.is_some(), scale.sphere_px > 0),
+            ("lights", o.lights.is_some(), scale.lights > 0),
+            (
+                "materials",
+                o.materials.is_some(),
+                !scale.materials.is_empty(),
+            ),
+        ];
+        let unused = options.into_iter().find(|&(_, given, has)| given && !has);
+        if let Some((setting, ..)) = unused {
+            return Err(EvaluateError::Unused {
+                experiment: experiment.name,
+                setting,
+            });
+        }
         // The truth's paths change in proportion to the fit's.
         let truth_samples_per_pixel = match (o.truth_samples_per_pixel, o.samples_per_pixel) {
             (Some(n), _) => n,

@@ -10,6 +10,7 @@ use crate::brdf::{Brdf, Dictionary, Mixture};
 use crate::evaluate::experiment::EvaluateError;
 use crate::inverse::{BenchPriors, Captured, CellOptions, Fit, FitError, FitOptions, fit};
 use crate::radiance_image::RadianceImage;
+use crate::simulation::photograph::Photographer;
 use crate::transport::{
     CacheOptions, Light, RenderOptions, Scene, Steering, render, suited_proposal,
 };
@@ -108,6 +109,27 @@ impl Lab {
         let captured = self.capture(sample, &lights, &**brdf)?;
         self.fit(sample, &lights, &captured)
     }
+}
+
+/// A 12-bit sensor that takes a bracket of four exposures.
+pub const SENSOR: Photographer = Photographer {
+    bit_depth: 12,
+    full_well_e: 10_000.0,
+    read_noise_e: 2.4,
+    exposures: 4,
+    frames: 1,
+    seed: 0,
+};
+
+/// Rendered images as a sensor sees them.
+pub fn photograph(
+    photographer: &Photographer,
+    rendered: &[RadianceImage],
+) -> Result<Vec<RadianceImage>, EvaluateError> {
+    (0..)
+        .zip(rendered)
+        .map(|(light, image)| Ok(photographer.take(image, light)?))
+        .collect()
 }
 
 /// Images averaged over the cells that a fit of this dictionary compares.

@@ -3,10 +3,10 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use super::{short_hash, synthetic};
+use super::{Sample, short_hash, synthetic};
 use crate::brdf::nbrdf::NAMES;
 use crate::brdf::{Brdf, BrdfError, in_span, source};
-use crate::evaluate::experiment::EvaluateError;
+use crate::evaluate::experiment::{EvaluateError, Row};
 
 /// Where a material comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -42,6 +42,16 @@ pub struct Material {
     pub brdf: Arc<dyn Brdf>,
     /// Its index among the run's materials.
     pub(super) index: usize,
+}
+
+impl Material {
+    /// The columns that name a measurement of it from a sample.
+    pub fn row(&self, sample: Sample) -> Row {
+        Row::new()
+            .with("material", self.name.as_str())
+            .with("class", self.class.name())
+            .with("shape", sample.name())
+    }
 }
 
 /// Targets that networks describe badly: mirrors far darker than real ones. They are
