@@ -103,7 +103,7 @@ impl Cell {
 /// // One cell of 2 × 2 pixels, and one of a single pixel.
 /// let cells = Cells::new([16, 16], vec![Cell::square([4, 4], 2), Cell::square([9, 3], 1)]);
 /// assert_eq!((cells.len(), cells.cell(0).pixels()), (2, 4));
-/// assert_eq!(cells.area(1), 1.0);
+/// assert_eq!(cells.at(glam::DVec2::new(9.5, 3.5)), Some(1));
 /// ```
 #[derive(Clone, Debug)]
 pub struct Cells {
