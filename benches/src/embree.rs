@@ -67,7 +67,7 @@ struct QueryArguments {
     minimum_width: f32,
 }
 
-/// How an Embree scene is built and asked.
+/// How an Embree scene is built and queried.
 #[derive(Clone, Copy, Debug)]
 pub struct Mode {
     /// `RTC_SCENE_FLAG_ROBUST`.

@@ -71,7 +71,7 @@ fn is_one_of(error: &io::Error, errnos: &[Errno]) -> bool {
 /// Waits until a file's bytes are on the medium, as far as the file system says.
 ///
 /// # Errors
-/// What the system says of the medium (an input or output error, no space left).
+/// The system's error about the medium (input or output, no space left).
 pub fn sync_file(file: &File, path: &Path) -> io::Result<()> {
     said(sync(file, &[])?, path);
     Ok(())
@@ -132,7 +132,7 @@ fn file_lock(file: &File) -> Result<Option<Lack>, TryLockError> {
 /// or an empty folder has it.
 ///
 /// # Errors
-/// What the system says; what stood there is there again.
+/// The system's error; the former file is there again.
 pub fn rename(from: &Path, to: &Path) -> io::Result<()> {
     said(file_rename(from, to)?, to);
     Ok(())
@@ -159,7 +159,7 @@ fn file_rename(from: &Path, to: &Path) -> io::Result<Option<Lack>> {
         call::rename(&aside, to)?;
         return Err(error);
     }
-    // One that stays is in nobody's way.
+    // One that stays does no harm.
     drop(std::fs::remove_file(&aside));
     Ok(Some(Lack::Replace))
 }
@@ -202,7 +202,7 @@ pub fn free_bytes(folder: &Path) -> io::Result<u64> {
 /// lacking; nothing stays behind.
 ///
 /// # Errors
-/// What the system says where something fails that nothing can replace.
+/// The system's error where something fails that nothing can replace.
 pub fn probe(folder: &Path) -> io::Result<Vec<Lack>> {
     let scratch = |name: &str| -> io::Result<(File, tempfile::TempPath)> {
         let file = tempfile::Builder::new()

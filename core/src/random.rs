@@ -1,5 +1,5 @@
 //! Keyed random streams: the numbers depend on (seed, purpose, light, pixel,
-//! sample) alone, never on the thread that asks, so that every result is
+//! sample) alone, never on the thread, so that every result is
 //! bit-identical for any number of threads.
 
 /// What a stream is for; distinct purposes never share numbers.
@@ -18,13 +18,13 @@ pub enum Purpose {
     Experiment = 5,
     /// Bootstrap or posterior draws.
     Posterior = 6,
-    /// Seeds of the paths that tell how images change with the bench.
+    /// Seeds of the paths for the derivatives of images by the bench's parameters.
     BenchDerivative = 16,
-    /// Departures of a surface from its mesh, and the paths that tell what they change.
+    /// Deviations of a surface from its mesh, and the paths that measure their effect.
     FormError = 17,
-    /// Mirror paths that tell where light comes from.
+    /// Mirror paths of the photon guide.
     Guide = 18,
-    /// Scrambles of the evenly spread points of paths.
+    /// Scrambles of the quasi-random points of paths.
     PathPoints = 19,
 }
 

@@ -1,4 +1,4 @@
-//! Files that appear whole: written beside their place, then renamed into it.
+//! Files that appear whole: written under another name in the same folder, then renamed.
 
 use std::io::{self, BufWriter, Seek, Write};
 use std::os::unix::fs::PermissionsExt;

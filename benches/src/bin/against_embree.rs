@@ -1,4 +1,4 @@
-//! Ray queries of rig beside Embree 4 in one run, on one thread, in turns:
+//! Ray queries of rig and of Embree 4 in one run, on one thread, in turns:
 //! `EMBREE_LIBRARY=… cargo run --release --bin against-embree [--json] [--verbose]`.
 
 use std::hint::black_box;

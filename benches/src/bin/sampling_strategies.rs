@@ -1,4 +1,4 @@
-//! Noise at equal time of the ways to find paths: the tables of
+//! Noise at equal time of several path sampling strategies: the tables of
 //! docs/measurements/sampling.md. `cargo run --release --bin sampling-strategies`.
 
 use std::error::Error;

@@ -4,7 +4,7 @@
 //! Light that the interface sends back into the matter is scattered again; as nothing is
 //! absorbed, all that enters leaves, so the directional albedo is T(θi), and with the
 //! interface's own reflection everything returns. Reciprocal. The usual model of smooth
-//! plastic and paint; the matter's colour is the weight beside a black atom.
+//! plastic and paint; the matter's colour is its weight, next to that of a black atom.
 
 use super::ggx::{Real, fresnel};
 

@@ -106,7 +106,7 @@ impl Dictionary {
         Self::embedded("rig26", include_str!("../../data/dictionaries/rig26.json"))
     }
 
-    /// What fits use where nothing else is asked for: its mixtures come nearest to measured
+    /// What fits use by default: its mixtures come nearest to measured
     /// materials, with the fewest atoms. Fits with four lights are as good as with paper42, with
     /// one light paper42's are better (docs/adr/0013). Experiments that repeat the paper's use
     /// paper42.

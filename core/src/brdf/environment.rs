@@ -162,11 +162,11 @@ impl EnvironmentMap {
     /// Radiance R, G, B from a direction (unit), bilinear between texel centres, and the
     /// density of [`Self::sample`] there, per solid angle, 1/sr.
     pub fn look(&self, direction: DVec3) -> ([f32; 3], f64) {
-        self.at(Place::of(direction))
+        self.at(MapPosition::of(direction))
     }
 
-    /// [`Self::look`] at a place that was found once for several maps.
-    pub fn at(&self, Place { u, v }: Place) -> ([f32; 3], f64) {
+    /// [`Self::look`] at a [`MapPosition`], which is the same on all maps.
+    pub fn at(&self, MapPosition { u, v }: MapPosition) -> ([f32; 3], f64) {
         (self.radiance_at(u, v), self.density_at(u, v))
     }
 
@@ -233,12 +233,12 @@ impl EnvironmentMap {
 
 /// Where a direction lies on every map.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Place {
+pub struct MapPosition {
     u: f64,
     v: f64,
 }
 
-impl Place {
+impl MapPosition {
     /// Of a unit direction.
     pub fn of(direction: DVec3) -> Self {
         let (u, v) = coordinates(direction);

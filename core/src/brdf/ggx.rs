@@ -64,7 +64,7 @@ impl Real for f64 {
     }
 }
 
-/// All that an isotropic microfacet lobe asks about a pair of directions.
+/// All that an isotropic microfacet lobe needs of a pair of directions.
 ///
 /// sin² θh is kept instead of cos θh: near the mirror direction the cosine
 /// rounds to 1 and narrow lobes lose their shape.

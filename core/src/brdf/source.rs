@@ -17,7 +17,7 @@ use super::{Brdf, BrdfError, merl, weights};
 /// | `lambertian:ALBEDO`, `ggx:ALPHA,ETA` | one atom |
 /// | `FILE.binary` | a MERL table |
 /// | `FILE.bsdf` | an isotropic RGL material in RGB |
-/// | `DICTIONARY:WEIGHTS.csv` | a mixture; the dictionary by name or file, the weights as a fit writes them, without what departs from it |
+/// | `DICTIONARY:WEIGHTS.csv` | a mixture; the dictionary by name or file, the weights as a fit writes them, without the model discrepancy |
 ///
 /// ```
 /// use glam::Vec3;

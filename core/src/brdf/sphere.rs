@@ -14,7 +14,7 @@ use rayon::prelude::*;
 
 use super::Brdf;
 use super::dictionary::Dictionary;
-use super::environment::{EnvironmentMap, Place};
+use super::environment::{EnvironmentMap, MapPosition};
 use super::ggx::Cosines;
 use super::quadrature::{self, TECHNIQUES};
 use crate::random::{Purpose, stream};
@@ -121,10 +121,10 @@ fn incident(
         };
         let of_lobes =
             f64::from(PER_TECHNIQUE) * TECHNIQUES as f64 * quadrature::density(viewer, local);
-        let place = Place::of(world);
+        let position = MapPosition::of(world);
         arriving.clear();
         arriving.extend(served.map(|map| {
-            let (radiance, map_density) = maps[map].at(place);
+            let (radiance, map_density) = maps[map].at(position);
             let scale = (local.z / (of_lobes + f64::from(FROM_MAP) * map_density)) as f32;
             Arriving {
                 map,

@@ -1,4 +1,4 @@
-//! What a mesh file says, in its own order and unit, and how it becomes a [`Mesh`].
+//! The content of a mesh file, in its own order and unit, and how it becomes a [`Mesh`].
 //!
 //! Programs leave behind facets without area, facets twice, vertices that nothing uses and
 //! normals that are none. All formats are tidied here, so that they take the same.
@@ -10,7 +10,7 @@ use glam::{DVec3, Vec3};
 use super::mesh::{MAX_TRIANGLES, Mesh, face_normal, has_area};
 use super::mesh_error::{FileRemark, MeshError, MeshRemark};
 use super::placement::Placement;
-use super::topology::{Topology, places};
+use super::topology::{Topology, welded};
 use super::triangulate::{Cut, MAX_CORNERS, triangulate};
 
 /// The number of a normal where a corner has none.
@@ -85,11 +85,11 @@ impl Draft {
 
     /// The middle of the box around the corners, in the file's unit; the origin of none.
     pub fn middle(&self) -> DVec3 {
-        let places = self
+        let positions = self
             .corners
             .iter()
             .filter_map(|c| self.vertices.get(c.vertex as usize));
-        let finite = places.filter(|p| p.is_finite());
+        let finite = positions.filter(|p| p.is_finite());
         let [low, high] = finite.fold([DVec3::INFINITY, DVec3::NEG_INFINITY], |[low, high], p| {
             [low.min(*p), high.max(*p)]
         });
@@ -113,13 +113,13 @@ impl Draft {
         let positions_mm: Vec<Vec3> = self
             .vertices
             .iter()
-            .map(|&place| placement.point(place).as_vec3())
+            .map(|&position| placement.point(position).as_vec3())
             .collect();
         let triangles = self.triangles();
         let triangles = self.tidied(triangles, &positions_mm)?;
         let shaded = self.are_normals_usable(&triangles);
 
-        // A vertex for each place and normal that is used, in the file's order.
+        // A vertex for each position and normal that is used, in the file's order.
         let key = |corner: Corner| Corner {
             normal: if shaded { corner.normal } else { NO_NORMAL },
             ..corner
@@ -180,7 +180,7 @@ impl Draft {
     fn not_finite(&self, vertex: u32) -> MeshError {
         let line = self.broken_lines.iter().find(|(of, _)| *of == vertex);
         MeshError::NotFinite {
-            place: match line {
+            location: match line {
                 Some((_, line)) => format!("line {line}: vertex {vertex}"),
                 None => format!("vertex {vertex}"),
             },
@@ -191,7 +191,7 @@ impl Draft {
     fn triangles(&mut self) -> Vec<[Corner; 3]> {
         let mut triangles = Vec::with_capacity(self.ends.len());
         let (mut flat, mut crossing) = (0, 0);
-        let (mut places, mut cut) = (Vec::new(), Vec::new());
+        let (mut positions, mut cut) = (Vec::new(), Vec::new());
         let mut start = 0;
         for &end in &self.ends {
             let mut corners = self.corners[start..end].to_vec();
@@ -204,10 +204,10 @@ impl Draft {
                 triangles.push([a, b, c]);
                 continue;
             }
-            places.clear();
-            places.extend(corners.iter().map(|c| self.vertices[c.vertex as usize]));
+            positions.clear();
+            positions.extend(corners.iter().map(|c| self.vertices[c.vertex as usize]));
             cut.clear();
-            match triangulate(&places, &mut cut) {
+            match triangulate(&positions, &mut cut) {
                 Cut::Whole => {}
                 Cut::Crossing => crossing += 1,
                 Cut::NoArea => flat += 1,
@@ -248,12 +248,12 @@ impl Draft {
                 None => self.remarks.push(MeshRemark::NoArea { facets: flat }),
             }
         }
-        let place = places(positions_mm);
+        let welded = welded(positions_mm);
         let (mut doubled, mut two_sided) = (0, 0);
         let mut known: HashSet<[u32; 3]> = HashSet::with_capacity(triangles.len());
         triangles.retain(|t| {
-            let [a, b, c] = t.map(|corner| place[corner.vertex as usize]);
-            // Begun at its smallest place, which leaves the sense of rotation.
+            let [a, b, c] = t.map(|corner| welded[corner.vertex as usize]);
+            // Begun at its smallest position, which leaves the sense of rotation.
             let smallest = a.min(b).min(c);
             let front = match smallest {
                 _ if smallest == a => [a, b, c],

@@ -1,4 +1,4 @@
-//! Mesh files of all kinds, told apart by the end of their names.
+//! Mesh files of all kinds; the end of the name selects the format.
 //!
 //! The files carry no unit and have axes of their own; a [`Placement`] says what theirs are.
 //! Whatever the format, a mesh that comes out has been tidied and passed [`Mesh::new`];
@@ -64,7 +64,7 @@ impl MeshFormat {
         self.draft(bytes)?.mesh(placement)
     }
 
-    /// What a file's bytes say.
+    /// The content of a file, from its bytes.
     fn draft(self, bytes: &[u8]) -> Result<Draft, MeshError> {
         self.check_content(bytes)?;
         match self {

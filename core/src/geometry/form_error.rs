@@ -1,10 +1,10 @@
-//! How far an as-made surface departs from its mesh, and surfaces that do.
+//! Form error: how far an as-made surface deviates from its mesh, and random surfaces that do.
 //!
-//! The departure is a smooth random field u(p) with independent Gaussian components and
+//! The deviation is a smooth random field u(p) with independent Gaussian components and
 //! the autocorrelation exp(−r²/2ℓ²). Its height above the mesh then has the rms of one
 //! component, and its slope the rms √2 times that over ℓ: the two figures that a
 //! certificate or a comparison with a better scan gives determine the field
-//! (docs/adr/0029). It is a function of place alone, so no crack opens where corners are
+//! (docs/adr/0029). It is a function of position alone, so no crack opens where corners are
 //! stored twice, and along the surface it moves nothing but creases.
 
 use std::f64::consts::{SQRT_2, TAU};
@@ -15,7 +15,7 @@ use rayon::prelude::*;
 use super::Mesh;
 use crate::random::Stream;
 
-/// Rms departure of a surface from its mesh.
+/// Rms deviation of a surface from its mesh.
 ///
 /// ```
 /// use rig_core::geometry::FormError;
@@ -54,12 +54,12 @@ impl FormError {
         self.slope_rad
     }
 
-    /// Length ℓ over which the departure stays alike, mm.
+    /// Length ℓ over which the deviation stays alike (correlation length), mm.
     pub fn correlation_mm(&self) -> f64 {
         SQRT_2 * self.height_mm / self.slope_rad
     }
 
-    /// A random departure of a surface whose triangles have edges of `edge_mm`: a field
+    /// A random deviation of a surface whose triangles have edges of `edge_mm`: a field
     /// that changes over less cannot be held by them, so ℓ is at least that long and the
     /// slope, which counts more, is kept.
     pub fn field(&self, edge_mm: f64, numbers: &mut Stream) -> FormField {
@@ -77,7 +77,7 @@ impl FormError {
     }
 }
 
-/// One departure.
+/// One random deviation.
 pub struct FormField {
     amplitude: f64,
     components: [Vec<Wave>; 3],
@@ -89,14 +89,14 @@ struct Wave {
 }
 
 impl FormField {
-    /// The displacement at a place, mm, and its gradient (columns: by x, y and z).
-    pub fn at(&self, place_mm: DVec3) -> (DVec3, DMat3) {
+    /// The displacement at a position, mm, and its gradient (columns: by x, y and z).
+    pub fn at(&self, position_mm: DVec3) -> (DVec3, DMat3) {
         let mut value = [0.0; 3];
         let mut gradient = [DVec3::ZERO; 3];
         for ((value, gradient), waves) in value.iter_mut().zip(&mut gradient).zip(&self.components)
         {
             for wave in waves {
-                let (sin, cos) = (wave.per_mm.dot(place_mm) + wave.phase).sin_cos();
+                let (sin, cos) = (wave.per_mm.dot(position_mm) + wave.phase).sin_cos();
                 *value += self.amplitude * cos;
                 *gradient -= self.amplitude * sin * wave.per_mm;
             }
@@ -110,14 +110,14 @@ impl FormField {
     pub fn deform(&self, mesh: &Mesh, factor: f64) -> Mesh {
         let moved = mesh.positions_mm.par_iter().enumerate().map(|(k, p)| {
             let (displacement, gradient) = self.at(p.as_dvec3());
-            let place = (p.as_dvec3() + factor * displacement).as_vec3();
+            let position = (p.as_dvec3() + factor * displacement).as_vec3();
             // Normals go by the inverse transpose of the map's derivative.
             let normal = mesh.normals.as_ref().map(|normals| {
                 let stretch = DMat3::IDENTITY + factor * gradient;
                 let normal = stretch.inverse().transpose() * normals[k].as_dvec3();
                 normal.normalize_or(normals[k].as_dvec3()).as_vec3()
             });
-            (place, normal)
+            (position, normal)
         });
         let (positions_mm, normals): (Vec<_>, Vec<_>) = moved.unzip();
         Mesh {

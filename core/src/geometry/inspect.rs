@@ -35,7 +35,7 @@ const LEAST_FACE: f64 = 0.01;
 /// Facets that turn by less are of one plane, radians.
 const COPLANAR_RAD: f32 = 1e-3;
 
-/// What a mesh file holds. Lengths are in the file's unit, places on its axes.
+/// What a mesh file holds. Lengths are in the file's unit, positions on its axes.
 #[derive(Clone, Debug, Serialize)]
 pub struct Inspection {
     /// Vertices that facets use.
@@ -59,7 +59,7 @@ pub struct Inspection {
     /// Edges of more than two facets.
     pub crowded_edges: usize,
     /// Whether fronts are on the wrong side: within a body, or outside a hollow. `None` where
-    /// nothing tells.
+    /// it cannot be determined.
     pub is_inside_out: Option<bool>,
     /// The hollow, where there is one with a plane rim.
     pub hollow: Option<Hollow>,
@@ -108,7 +108,7 @@ pub struct Suggestion {
     pub size_mm: f64,
     /// Whether facets must be turned.
     pub flip_facets: bool,
-    /// About the fixed axes x, y, z in this order; `None` where nothing tells.
+    /// About the fixed axes x, y, z in this order; `None` where it cannot be determined.
     pub rotate_deg: Option<[f64; 3]>,
     /// Then.
     pub translate_mm: Option<[f64; 3]>,
@@ -359,7 +359,7 @@ fn hole_in_a_plane(mesh: &Mesh, topology: &Topology) -> Option<Opening> {
             .filter(|l| vector(l.normal).dot(front) < 0.0);
         for mut hole in holes.filter(|_| is_outermost) {
             hole.normal = front.to_array();
-            // By area, then place: the same for any order of the table.
+            // By area, then position: the same for any order of the table.
             let key = |o: &Opening| (o.area, o.centre);
             if best.as_ref().is_none_or(|best| key(&hole) > key(best)) {
                 best = Some(hole);

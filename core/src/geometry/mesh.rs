@@ -31,7 +31,7 @@ pub struct Mesh {
     pub triangles: Vec<[u32; 3]>,
     /// Unit normals per corner, for smooth shading, where known.
     pub normals: Option<Vec<Vec3>>,
-    /// What there is to say about the file that it was read from.
+    /// Remarks about the file that it was read from.
     pub remarks: Vec<FileRemark>,
 }
 
@@ -66,8 +66,8 @@ impl Mesh {
             });
         }
         if let Some(vertex) = positions_mm.iter().position(|p| !p.is_finite()) {
-            let place = format!("vertex {vertex}");
-            return Err(MeshError::NotFinite { place });
+            let location = format!("vertex {vertex}");
+            return Err(MeshError::NotFinite { location });
         }
         let distances = positions_mm.iter().map(|p| p.abs().max_element());
         if let Some((vertex, distance_mm)) =

@@ -13,7 +13,7 @@ pub enum MeshError {
         /// The system's error.
         source: std::io::Error,
     },
-    /// The file's name does not tell its format.
+    /// The file's name does not end like that of a known format.
     #[error("{path}: the file name does not end in .ply, .obj or .stl")]
     Kind {
         /// The file.
@@ -42,18 +42,18 @@ pub enum MeshError {
         what: String,
     },
     /// A word that should be a number is none.
-    #[error("{place}: \"{word}\" is not a number")]
+    #[error("{location}: \"{word}\" is not a number")]
     Number {
         /// Line of the file.
-        place: String,
+        location: String,
         /// The word.
         word: String,
     },
     /// A number is written with a decimal comma.
-    #[error("{place}: \"{word}\" has a decimal comma")]
+    #[error("{location}: \"{word}\" has a decimal comma")]
     DecimalComma {
         /// Line of the file.
-        place: String,
+        location: String,
         /// The word.
         word: String,
     },
@@ -78,10 +78,10 @@ pub enum MeshError {
         limit: usize,
     },
     /// A coordinate of a corner is NaN or infinite.
-    #[error("{place} has a coordinate that is not finite, and a facet uses it")]
+    #[error("{location} has a coordinate that is not finite, and a facet uses it")]
     NotFinite {
         /// Index from 0, and the line where it is known.
-        place: String,
+        location: String,
     },
     /// A coordinate is so large that rays lose their precision.
     #[error(
@@ -171,7 +171,7 @@ pub enum MeshRemark {
     },
     /// Normals that point backwards.
     #[error(
-        "the file's normals point to the backs of its facets and are turned: the order of a facet's corners tells its front"
+        "the file's normals point to the backs of its facets and are turned: the order of a facet's corners defines its front"
     )]
     NormalsTurned,
     /// A binary file that goes on after its facets.
@@ -199,7 +199,7 @@ pub enum MeshRemark {
     /// A text without its last line.
     #[error("the file ends after a whole facet but without \"endsolid\": it may be cut short")]
     NoEnd,
-    /// Edges that stay sharp though smooth shading is asked for.
+    /// Edges that stay sharp although smooth shading was requested.
     #[error(
         "{edges} of {all} edges turn by {least_deg:.1}° or more, up to {most_deg:.1}°, and stay creases: crease_deg is {crease_deg}"
     )]

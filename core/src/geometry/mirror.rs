@@ -54,7 +54,7 @@ impl Shape {
     }
 }
 
-/// Sends a ray down at each `x_mm`, a little beside the plane y = 0, where facets meet.
+/// Sends a ray down at each `x_mm`, at a small offset from the plane y = 0, where facets meet.
 fn trace(mesh: &Mesh, x_mm: &[f32]) -> MirrorCheck {
     let bvh = Bvh::new(mesh);
     let [low, high] = mesh.bounds_mm();
@@ -88,7 +88,7 @@ fn trace(mesh: &Mesh, x_mm: &[f32]) -> MirrorCheck {
         }
         if reflections == 2 {
             check.returned_after_two += 1;
-            // An arc cosine would not tell a hundredth of a degree from none.
+            // An arc cosine could not resolve a hundredth of a degree.
             let across = ray.direction.truncate().length();
             let deviation_deg = across.atan2(ray.direction.z).to_degrees();
             check.worst_deviation_deg = check.worst_deviation_deg.max(deviation_deg);

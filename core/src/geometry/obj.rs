@@ -20,7 +20,7 @@ pub fn parse(bytes: &[u8], placement: &Placement) -> Result<Mesh, MeshError> {
     draft(bytes)?.mesh(placement)
 }
 
-/// What a file's bytes say.
+/// The content of a file, from its bytes.
 pub(super) fn draft(bytes: &[u8]) -> Result<Draft, MeshError> {
     let mut file = File::default();
     // A line that ends in a backslash goes on in the next one.
@@ -81,12 +81,12 @@ impl File {
         match keyword.as_str() {
             // A weight or a colour may follow.
             "v" => {
-                let place = DVec3::from_array(vector(words, number)?);
-                if !place.is_finite() {
+                let position = DVec3::from_array(vector(words, number)?);
+                if !position.is_finite() {
                     let vertex = self.draft.vertices.len() as u32;
                     self.draft.broken_lines.push((vertex, number));
                 }
-                self.draft.vertices.push(place);
+                self.draft.vertices.push(position);
             }
             "vn" => {
                 let normal = vector(words, number)?.map(|n| n as f32);

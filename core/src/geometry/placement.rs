@@ -1,4 +1,4 @@
-//! How a mesh file's coordinates become the sample's: unit, place, and which side is
+//! How a mesh file's coordinates become the sample's: unit, position, and which side is
 //! the front.
 
 use glam::{DQuat, DVec3};
@@ -55,11 +55,11 @@ impl Placement {
 
     /// A point of the file, millimetres, sample frame. Without rotation or translation a
     /// coordinate is its product with the unit, to the last bit.
-    pub(super) fn point(&self, place: DVec3) -> DVec3 {
-        let place_mm = place * self.mm_per_unit;
+    pub(super) fn point(&self, position: DVec3) -> DVec3 {
+        let position_mm = position * self.mm_per_unit;
         match self.sample_from_mesh == Rigid::identity() {
-            true => place_mm,
-            false => self.sample_from_mesh.point(place_mm),
+            true => position_mm,
+            false => self.sample_from_mesh.point(position_mm),
         }
     }
 }

@@ -8,7 +8,7 @@ use super::draft::{Corner, Draft, NO_NORMAL};
 use super::mesh::{Mesh, MeshError};
 use super::mesh_error::MeshRemark;
 use super::placement::Placement;
-use super::ply_header::{self, Element, Encoding, Kind, Property};
+use super::ply_header::{self, Element, Encoding, Property, Scalar};
 use super::text;
 
 /// The mesh of a file's bytes: polygons and triangle strips. Declared counts are never
@@ -20,7 +20,7 @@ pub fn parse(bytes: &[u8], placement: &Placement) -> Result<Mesh, MeshError> {
     draft(bytes)?.mesh(placement)
 }
 
-/// What a file's bytes say.
+/// The content of a file, from its bytes.
 pub(super) fn draft(bytes: &[u8]) -> Result<Draft, MeshError> {
     let bytes = text::decoded(bytes);
     let header = ply_header::parse(&bytes)?;
@@ -30,7 +30,7 @@ pub(super) fn draft(bytes: &[u8]) -> Result<Draft, MeshError> {
         Encoding::BigEndian => Body::Binary(header.body, true),
     };
     let names = |axis: &str| {
-        let is_named = |p: &Property| matches!(p, Property::Scalar(name, _) if name == axis);
+        let is_named = |p: &Property| matches!(p, Property::Single(name, _) if name == axis);
         let vertices = header.elements.iter().filter(|e| e.name == "vertex");
         vertices.flat_map(|e| &e.properties).any(is_named)
     };
@@ -75,7 +75,7 @@ enum Body<'a> {
 
 impl Body<'_> {
     /// The next number; `None` at the end.
-    fn next(&mut self, kind: Kind) -> Result<Option<f64>, MeshError> {
+    fn next(&mut self, kind: Scalar) -> Result<Option<f64>, MeshError> {
         let (bytes, big) = match self {
             Body::Ascii(words) => return words.next(),
             Body::Binary(bytes, big) => (bytes, *big),
@@ -93,16 +93,16 @@ impl Body<'_> {
             }};
         }
         Ok(Some(match kind {
-            Kind::I8 => take!(i8),
-            Kind::U8 => take!(u8),
-            Kind::I16 => take!(i16),
-            Kind::U16 => take!(u16),
-            Kind::I32 => take!(i32),
-            Kind::U32 => take!(u32),
-            Kind::I64 => take!(i64),
-            Kind::U64 => take!(u64),
-            Kind::F32 => take!(f32),
-            Kind::F64 => take!(f64),
+            Scalar::I8 => take!(i8),
+            Scalar::U8 => take!(u8),
+            Scalar::I16 => take!(i16),
+            Scalar::U16 => take!(u16),
+            Scalar::I32 => take!(i32),
+            Scalar::U32 => take!(u32),
+            Scalar::I64 => take!(i64),
+            Scalar::U64 => take!(u64),
+            Scalar::F32 => take!(f32),
+            Scalar::F64 => take!(f64),
         }))
     }
 }
@@ -159,13 +159,13 @@ struct Reader<'a> {
 }
 
 impl Reader<'_> {
-    /// Reads one row of an element; of a vertex its place and normal, of a face or a strip its
+    /// Reads one row of an element; of a vertex its position and normal, of a face or a strip its
     /// corners, of anything else nothing.
     fn row(&mut self, element: &Element, row: usize) -> Result<(), MeshError> {
         let mut vertex = [[f64::NAN; 3]; 2];
         for property in &element.properties {
             match property {
-                Property::Scalar(name, kind) => {
+                Property::Single(name, kind) => {
                     let value = self.next(*kind, element, row)?;
                     match name.as_str() {
                         "x" => vertex[0][0] = value,
@@ -197,22 +197,22 @@ impl Reader<'_> {
         }
     }
 
-    fn next(&mut self, kind: Kind, element: &Element, row: usize) -> Result<f64, MeshError> {
+    fn next(&mut self, kind: Scalar, element: &Element, row: usize) -> Result<f64, MeshError> {
         let number = self.body.next(kind)?;
         number.ok_or_else(|| MeshError::CutShort {
             what: format!("it ends in {} {row} of {}", element.name, element.count),
         })
     }
 
-    fn vertex(&mut self, [place, normal]: [[f64; 3]; 2]) {
-        let place = DVec3::from_array(place);
+    fn vertex(&mut self, [position, normal]: [[f64; 3]; 2]) {
+        let position = DVec3::from_array(position);
         if let Body::Ascii(words) = &self.body
-            && !place.is_finite()
+            && !position.is_finite()
         {
             let vertex = self.draft.vertices.len() as u32;
             self.draft.broken_lines.push((vertex, words.line));
         }
-        self.draft.vertices.push(place);
+        self.draft.vertices.push(position);
         if self.has_normals {
             let normal = normal.map(|n| n as f32);
             self.draft.normals.push(Vec3::from_array(normal));
@@ -221,7 +221,7 @@ impl Reader<'_> {
 
     fn list(
         &mut self,
-        [count, kind]: [Kind; 2],
+        [count, kind]: [Scalar; 2],
         of: Use,
         element: &Element,
         row: usize,

@@ -6,7 +6,7 @@ use crate::shown::excerpt;
 
 /// How one number is stored.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Kind {
+pub enum Scalar {
     I8,
     U8,
     I16,
@@ -19,19 +19,19 @@ pub enum Kind {
     F64,
 }
 
-impl Kind {
+impl Scalar {
     fn parse(name: &str) -> Result<Self, MeshError> {
         Ok(match name.to_ascii_lowercase().as_str() {
-            "char" | "int8" => Kind::I8,
-            "uchar" | "uint8" => Kind::U8,
-            "short" | "int16" => Kind::I16,
-            "ushort" | "uint16" => Kind::U16,
-            "int" | "int32" => Kind::I32,
-            "uint" | "uint32" => Kind::U32,
-            "int64" | "long" => Kind::I64,
-            "uint64" | "ulong" => Kind::U64,
-            "float" | "float32" => Kind::F32,
-            "double" | "float64" => Kind::F64,
+            "char" | "int8" => Scalar::I8,
+            "uchar" | "uint8" => Scalar::U8,
+            "short" | "int16" => Scalar::I16,
+            "ushort" | "uint16" => Scalar::U16,
+            "int" | "int32" => Scalar::I32,
+            "uint" | "uint32" => Scalar::U32,
+            "int64" | "long" => Scalar::I64,
+            "uint64" | "ulong" => Scalar::U64,
+            "float" | "float32" => Scalar::F32,
+            "double" | "float64" => Scalar::F64,
             _ => {
                 return Err(MeshError::format(format!(
                     "{:?} is no type of a property",
@@ -44,9 +44,9 @@ impl Kind {
 
 /// What each row of an element holds. Names are in small letters.
 pub enum Property {
-    Scalar(String, Kind),
+    Single(String, Scalar),
     /// The kinds of its count and of its items.
-    List(String, Kind, Kind),
+    List(String, Scalar, Scalar),
 }
 
 /// Rows of one form.
@@ -64,7 +64,7 @@ pub enum Encoding {
     BigEndian,
 }
 
-/// What the header says, and where the body begins.
+/// The content of the header, and where the body begins.
 pub struct Header<'a> {
     pub encoding: Encoding,
     pub elements: Vec<Element>,
@@ -161,12 +161,12 @@ fn property(words: &[&str]) -> Result<Property, MeshError> {
     match words {
         [list, count, kind, name] if list.eq_ignore_ascii_case("list") => Ok(Property::List(
             name.to_ascii_lowercase(),
-            Kind::parse(count)?,
-            Kind::parse(kind)?,
+            Scalar::parse(count)?,
+            Scalar::parse(kind)?,
         )),
-        [kind, name] => Ok(Property::Scalar(
+        [kind, name] => Ok(Property::Single(
             name.to_ascii_lowercase(),
-            Kind::parse(kind)?,
+            Scalar::parse(kind)?,
         )),
         _ => Err(MeshError::format(format!(
             "property {:?} is not a type and a name",
@@ -180,7 +180,7 @@ fn check_vertices(elements: &[Element]) -> Result<(), MeshError> {
         return Ok(());
     };
     for axis in ["x", "y", "z"] {
-        let given = |p: &Property| matches!(p, Property::Scalar(name, _) if name == axis);
+        let given = |p: &Property| matches!(p, Property::Single(name, _) if name == axis);
         if !vertex.properties.iter().any(given) {
             return Err(MeshError::format(format!("the vertices have no {axis}")));
         }

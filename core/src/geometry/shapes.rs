@@ -16,9 +16,9 @@ use super::mesh::{Mesh, MeshError};
 /// use rig_core::geometry::Shape;
 ///
 /// // A corner of a room: three mutually orthogonal facets, apex at z = −depth.
-/// let corner = Shape::Tetrahedron { radius_mm: 20.0, depth_mm: 20.0 * 0.5f64.sqrt() }.mesh()?;
+/// let corner = Shape::Tetrahedron { radius_mm: 20.0, depth_mm: 20.0 * 0.5f32.sqrt() }.mesh()?;
 /// assert_eq!(corner.triangles.len(), 3);
-/// assert!(corner.face_normal(0).dot(corner.face_normal(1)).abs() < 1e-6);
+/// assert!(corner.face_normal(0).dot(corner.face_normal(1)).abs() < 1e-5);
 /// # Ok::<(), rig_core::geometry::MeshError>(())
 /// ```
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -22,7 +22,7 @@ impl Mesh {
             .map(|t| self.face_normal(t))
             .collect();
 
-        // Corners at one place belong together across every edge that is no crease.
+        // Corners at one position belong together across every edge that is no crease.
         let mut groups = Groups::new(3 * self.triangles.len());
         let (mut all, mut sharp) = (0, 0);
         let (mut least, mut most) = (f32::INFINITY, 0.0f32);
@@ -48,17 +48,17 @@ impl Mesh {
         let (mut positions_mm, mut sums) = (Vec::new(), Vec::new());
         let mut triangles = self.triangles.clone();
         for (facet, corners) in triangles.iter_mut().enumerate() {
-            let places = self.corners(facet);
+            let positions = self.corners(facet);
             for k in 0..3 {
                 let root = groups.root((3 * facet + k) as u32) as usize;
                 if vertex_of[root] == u32::MAX {
                     vertex_of[root] = positions_mm.len() as u32;
-                    positions_mm.push(places[k]);
+                    positions_mm.push(positions[k]);
                     sums.push(Vec3::ZERO);
                 }
                 corners[k] = vertex_of[root];
-                let [along, back] = [places[(k + 1) % 3], places[(k + 2) % 3]]
-                    .map(|other| (other - places[k]).normalize_or_zero());
+                let [along, back] = [positions[(k + 1) % 3], positions[(k + 2) % 3]]
+                    .map(|other| (other - positions[k]).normalize_or_zero());
                 let angle = along.cross(back).length().atan2(along.dot(back));
                 sums[corners[k] as usize] += fronts[facet] * angle;
             }

@@ -1,7 +1,7 @@
 //! STL: binary (80 bytes of any text, a count, 50 bytes per triangle, little-endian)
 //! and ascii (3D Systems, "StereoLithography Interface Specification", 1989).
 //!
-//! The format shares no vertices; corners at exactly equal places become one. The
+//! The format shares no vertices; corners at exactly equal positions become one. The
 //! front follows from the order of the corners; the stored normals are passed over, and so
 //! are the two bytes after each binary facet, in which some programs keep a colour.
 
@@ -29,7 +29,7 @@ pub fn parse(bytes: &[u8], placement: &Placement) -> Result<Mesh, MeshError> {
     draft(bytes)?.mesh(placement)
 }
 
-/// What a file's bytes say.
+/// The content of a file, from its bytes.
 pub(super) fn draft(bytes: &[u8]) -> Result<Draft, MeshError> {
     let mut weld = Weld::default();
     let text = decoded(bytes);
@@ -148,8 +148,8 @@ fn ascii(bytes: &[u8], weld: &mut Weld) -> Result<(), MeshError> {
                     words.next_if(|next| next.eq_ignore_ascii_case("loop"));
                 }
                 "vertex" if in_loop => {
-                    let place = DVec3::from_array(vector(&mut words, number)?);
-                    corners.push((place, Some(number)));
+                    let position = DVec3::from_array(vector(&mut words, number)?);
+                    corners.push((position, Some(number)));
                 }
                 "endloop" if in_loop => {
                     if corners.len() < 3 {
@@ -186,7 +186,7 @@ fn ascii(bytes: &[u8], weld: &mut Weld) -> Result<(), MeshError> {
     Ok(())
 }
 
-/// Facets whose corners at exactly equal places are one vertex.
+/// Facets whose corners at exactly equal positions are one vertex.
 #[derive(Default)]
 struct Weld {
     draft: Draft,

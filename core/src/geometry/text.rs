@@ -65,13 +65,19 @@ pub fn number(word: &str, line: usize) -> Result<f64, MeshError> {
     {
         return Ok(f64::NAN);
     }
-    let place = format!("line {line}");
+    let location = format!("line {line}");
     let shown = excerpt(word).to_string();
     let with_point = word.replacen(',', ".", 1);
     if with_point != word && with_point.parse::<f64>().is_ok() {
-        return Err(MeshError::DecimalComma { place, word: shown });
+        return Err(MeshError::DecimalComma {
+            location,
+            word: shown,
+        });
     }
-    Err(MeshError::Number { place, word: shown })
+    Err(MeshError::Number {
+        location,
+        word: shown,
+    })
 }
 
 /// The next three numbers.

@@ -1,4 +1,4 @@
-//! Which facets meet in which edges, by the places of the edges' ends: files repeat
+//! Which facets meet in which edges, by the positions of the edges' ends: files repeat
 //! vertices where normals or colours differ.
 
 use std::collections::HashMap;
@@ -21,7 +21,7 @@ pub struct Side {
 }
 
 impl Side {
-    /// The places from which and to which it runs.
+    /// The positions from which and to which it runs.
     pub fn ends(&self) -> [u32; 2] {
         match self.is_back {
             true => [self.high, self.low],
@@ -32,19 +32,19 @@ impl Side {
 
 /// Facets and their edges.
 pub struct Topology {
-    /// By vertex, the first vertex at the same place.
-    pub place: Vec<u32>,
+    /// By vertex, the first vertex at the same position.
+    pub welded: Vec<u32>,
     sides: Vec<Side>,
 }
 
 impl Topology {
     /// Of triangles over these positions.
     pub fn of(positions: &[Vec3], triangles: &[[u32; 3]]) -> Self {
-        let place = places(positions);
+        let welded = welded(positions);
         let mut sides: Vec<Side> = Vec::with_capacity(3 * triangles.len());
         for (facet, corners) in (0..).zip(triangles) {
             for corner in 0..3 {
-                let [a, b] = [corner, (corner + 1) % 3].map(|k| place[corners[k] as usize]);
+                let [a, b] = [corner, (corner + 1) % 3].map(|k| welded[corners[k] as usize]);
                 sides.push(Side {
                     low: a.min(b),
                     high: a.max(b),
@@ -55,7 +55,7 @@ impl Topology {
             }
         }
         sides.sort_unstable();
-        Self { place, sides }
+        Self { welded, sides }
     }
 
     /// The sides of each edge.
@@ -83,7 +83,7 @@ impl Topology {
         self.edges().filter(|edge| edge.len() > 2).count()
     }
 
-    /// The edges of one facet joined to chains of places, each closed where it can be; they
+    /// The edges of one facet joined to chains of positions, each closed where it can be; they
     /// run as their facets do.
     pub fn borders(&self) -> Vec<Vec<u32>> {
         let open = self.edges().filter(|edge| edge.len() == 1);
@@ -133,15 +133,15 @@ pub fn chains(edges: impl Iterator<Item = [u32; 2]>) -> Vec<Vec<u32>> {
     chains
 }
 
-/// By vertex, the first vertex at exactly the same place.
-pub fn places(positions: &[Vec3]) -> Vec<u32> {
+/// By vertex, the first vertex at exactly the same position.
+pub fn welded(positions: &[Vec3]) -> Vec<u32> {
     let mut first_at = HashMap::with_capacity(positions.len());
-    let place = |(vertex, p): (u32, &Vec3)| {
-        // Adding 0 makes −0 and 0 one place.
+    let position = |(vertex, p): (u32, &Vec3)| {
+        // Adding 0 makes −0 and 0 one position.
         let key = (*p + Vec3::ZERO).to_array().map(f32::to_bits);
         *first_at.entry(key).or_insert(vertex)
     };
-    (0..).zip(positions).map(place).collect()
+    (0..).zip(positions).map(position).collect()
 }
 
 /// Sets that are joined step by step.

@@ -9,7 +9,7 @@ use std::ops::Range;
 pub const CHANNEL_NAMES: [&str; 3] = ["red", "green", "blue"];
 
 /// Three channels of radiance with the variance of each value, and which
-/// pixels are trustworthy. Row 0 is the top.
+/// pixels are valid. Row 0 is the top.
 ///
 /// ```
 /// use std::path::Path;
@@ -38,7 +38,7 @@ pub struct RadianceImage {
     pub mean: Vec<[f32; 3]>,
     /// Variance of each mean, same unit squared.
     pub variance: Vec<[f32; 3]>,
-    /// `false` where the pixel says nothing (saturated in every exposure, hot).
+    /// `false` where the pixel holds no information (saturated in every exposure, hot).
     pub valid: Vec<bool>,
 }
 

@@ -1,7 +1,7 @@
 //! Paths of two and more reflections, traced once and kept as records.
 //!
-//! Only reflections at the sample get a record. What happens at known bodies on the
-//! way is a constant: it is folded into the weight of the record before, so that
+//! Only reflections at the sample get a record. What known bodies reflect in between
+//! is a constant: it is folded into the weight of the record before, so that
 //! light which comes to the sample by way of a holder is a connection like any other.
 
 use std::sync::Arc;
@@ -11,7 +11,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::cells::Cells;
-use super::continuation::{Continuations, Kind, Steering};
+use super::continuation::{Continuations, PathMode, Steering};
 use super::event::{Head, LaneAtoms, MAX_LIGHTS, Record};
 use super::guide::Guide;
 use super::points::{Sampler, SobolSampler};
@@ -62,7 +62,7 @@ pub enum CacheError {
     },
     /// More atoms that vary with the directions than the kernels take.
     #[error(
-        "dictionary {name} has {atoms} atoms beside white and black; at most {limit} can be cached"
+        "dictionary {name} has {atoms} atoms besides white and black; at most {limit} can be cached"
     )]
     TooManyAtoms {
         /// The dictionary.
@@ -73,7 +73,7 @@ pub enum CacheError {
         limit: usize,
     },
     /// A known body whose channels differ; the records' weights have one for all.
-    #[error("body {body} is coloured; only grey bodies can stand beside a sample that is fitted")]
+    #[error("body {body} is coloured; only grey bodies can stand next to a sample that is fitted")]
     ColouredBody {
         /// Index from 0.
         body: usize,
@@ -162,7 +162,7 @@ pub struct Cache {
     pub cells: usize,
     /// Strength of each lamp per channel.
     pub strength: Vec<[f64; 3]>,
-    /// Paths per cell that were asked for; more than twice `samples_per_half` if
+    /// Paths per cell that were requested; more than twice `samples_per_half` if
     /// memory did not suffice.
     pub samples_requested: u32,
 }
@@ -264,7 +264,7 @@ struct Walk {
     surface: Surface,
     to_viewer: Vec3,
     reflections: u32,
-    kind: Kind,
+    mode: PathMode,
     numbers: SobolSampler,
 }
 
@@ -323,7 +323,7 @@ impl Tracer<'_> {
         let starts: Vec<usize> = (0..cells).step_by(CHUNK_CELLS).collect();
         starts
             .into_par_iter()
-            // Chunks differ in cost: whoever is done takes the next.
+            // Chunks differ in cost: a thread that is done takes the next.
             .with_max_len(1)
             .map(|first_cell| {
                 let mut chunk = Chunk {
@@ -358,7 +358,7 @@ impl Tracer<'_> {
             let (numbers, ray) =
                 SobolSampler::begin_in(&scene.camera, self.cells, options.seed, cell, half, sample);
             let begin = records.len();
-            // Up to here the path has contributed; records after it lead nowhere.
+            // Up to here the path has contributed; records after it reach no lamp.
             let mut useful = begin;
             let Some((surface, to_viewer)) = scene.first(&ray).filter(|(hit, _)| hit.is_sample())
             else {
@@ -368,13 +368,13 @@ impl Tracer<'_> {
                 surface,
                 to_viewer,
                 reflections: 1,
-                kind: self.continuations.begin(),
+                mode: self.continuations.begin(),
                 numbers,
             };
             while walk.reflections < options.max_reflections {
                 walk.numbers.advance();
                 let Some((direction, pdf)) = self.continuations.draw(
-                    &mut walk.kind,
+                    &mut walk.mode,
                     &walk.surface,
                     walk.to_viewer,
                     &mut walk.numbers,
@@ -421,7 +421,7 @@ impl Tracer<'_> {
     }
 
     /// Follows a walk that has come to a known body until it is back at the sample.
-    /// Lamps that the bodies see on the way become connections of the reflection `at`
+    /// Lamps that light those bodies become connections of the reflection `at`
     /// that led there with `weight`; returns the weight of its continuation to where the
     /// walk is back at the sample, `None` if it ends before.
     #[cold]

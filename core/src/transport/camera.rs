@@ -51,7 +51,7 @@ pub struct Camera {
     pub resolution_px: [usize; 2],
     /// The lens.
     pub projection: Projection,
-    /// How it departs from an ideal one in front of the image's middle.
+    /// How it differs from an ideal one in front of the image's middle.
     pub lens: Lens,
     /// Pose: the camera looks along its +z, x right, y down.
     pub sample_from_camera: Rigid<Sample, frames::Camera>,
@@ -114,17 +114,17 @@ impl Camera {
     pub fn in_footprint(&self, corner_px: DVec2, u: DVec2) -> DVec2 {
         corner_px
             + DVec2::new(
-                footprint::place(u.x, self.point_spread_px),
-                footprint::place(u.y, self.point_spread_px),
+                footprint::position(u.x, self.point_spread_px),
+                footprint::position(u.y, self.point_spread_px),
             )
     }
 
-    /// The ray that begins in the footprint of a pixel (its index, row by row), at a place and
+    /// The ray that begins in the footprint of a pixel (its index, row by row), at a position and
     /// a point of the lens that uniform numbers in [0, 1)² choose.
-    pub fn ray_of_pixel(&self, pixel: usize, place: DVec2, lens: DVec2) -> Ray {
+    pub fn ray_of_pixel(&self, pixel: usize, position: DVec2, lens: DVec2) -> Ray {
         let width = self.resolution_px[0];
         let corner = DVec2::new((pixel % width) as f64, (pixel / width) as f64);
-        self.ray(self.in_footprint(corner, place), lens)
+        self.ray(self.in_footprint(corner, position), lens)
     }
 
     /// Radius of the disc into which a point at this distance along the camera's axis is

@@ -1,4 +1,4 @@
-//! The camera's housing and lens as something that stands in the light's way.
+//! The camera's housing and lens as an obstacle between lamp and sample.
 
 use std::f64::consts::TAU;
 
@@ -89,13 +89,13 @@ impl std::fmt::Display for Obstruction {
     }
 }
 
-/// A camera's body, and the places of the sample that it must not keep light from.
+/// A camera's body, and the positions of the sample that it must not keep light from.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CameraShadow {
     camera: Camera,
     body: CameraBody,
     /// What the camera sees of the sample, camera frame.
-    places_mm: Vec<DVec3>,
+    positions_mm: Vec<DVec3>,
     /// A ball around them, camera frame.
     middle_mm: DVec3,
     reach_mm: f64,
@@ -116,31 +116,33 @@ impl CameraShadow {
         let [width, height] = camera.resolution_px.map(|side| side as f64);
         let step_px = width.max(height) / PLACES as f64;
         let [columns, rows] = [width, height].map(|side| (side / step_px).ceil() as usize);
-        let mut places_mm = Vec::new();
-        for place in 0..columns * rows {
-            let cell = DVec2::new((place % columns) as f64, (place / columns) as f64);
+        let mut positions_mm = Vec::new();
+        for position in 0..columns * rows {
+            let cell = DVec2::new((position % columns) as f64, (position / columns) as f64);
             let at_px = ((cell + 0.5) * step_px).min(DVec2::new(width, height));
             let hit = scene.first(&camera.ray(at_px, DVec2::ZERO));
             if let Some((surface, _)) = hit.filter(|(surface, _)| surface.is_sample()) {
-                places_mm.push(to_camera.point(surface.origin_mm.as_dvec3()));
+                positions_mm.push(to_camera.point(surface.origin_mm.as_dvec3()));
             }
         }
-        let (low, high) = places_mm.iter().fold(
+        let (low, high) = positions_mm.iter().fold(
             (DVec3::INFINITY, DVec3::NEG_INFINITY),
-            |(low, high), place| (low.min(*place), high.max(*place)),
+            |(low, high), position| (low.min(*position), high.max(*position)),
         );
         let middle_mm = 0.5 * (low + high);
-        let farthest = places_mm.iter().map(|place| place.distance(middle_mm));
+        let farthest = positions_mm
+            .iter()
+            .map(|position| position.distance(middle_mm));
         Self {
             reach_mm: farthest.fold(0.0, f64::max),
             camera,
             body,
-            places_mm,
+            positions_mm,
             middle_mm,
         }
     }
 
-    /// What is in this light's way; `None` where all that the camera sees of the sample is
+    /// What obstructs this light; `None` where all that the camera sees of the sample is
     /// free towards all of the lamp.
     pub fn obstruction(&self, light: &Light) -> Option<Obstruction> {
         if self.is_in_view(light) {
@@ -159,7 +161,7 @@ impl CameraShadow {
         (cut > 0).then_some(Obstruction::Shadow { part })
     }
 
-    /// Whether anything is in this light's way: [`Self::obstruction`] without its part.
+    /// Whether anything obstructs this light: [`Self::obstruction`] without its part.
     pub fn blocks(&self, light: &Light) -> bool {
         let is_cut = || {
             self.cuts(light, &self.lamp_offsets(light))
@@ -168,14 +170,14 @@ impl CameraShadow {
         self.is_in_view(light) || (!self.is_far_from(light) && is_cut())
     }
 
-    /// For every line from a place to a point of the lamp, whether the body cuts it.
+    /// For every line from a position to a point of the lamp, whether the body cuts it.
     fn cuts(&self, light: &Light, offsets: &[DVec2]) -> impl Iterator<Item = bool> {
-        self.places_mm.iter().flat_map(move |&place| {
-            let (direction, distance_mm) = self.towards(light, place);
+        self.positions_mm.iter().flat_map(move |&position| {
+            let (direction, distance_mm) = self.towards(light, position);
             let (x, y) = direction.any_orthonormal_pair();
             offsets.iter().map(move |offset| {
                 let to_lamp = (direction + x * offset.x + y * offset.y).normalize();
-                self.body.meets(place, to_lamp, distance_mm)
+                self.body.meets(position, to_lamp, distance_mm)
             })
         })
     }
@@ -186,7 +188,7 @@ impl CameraShadow {
             return false;
         };
         let lamp = self.camera.sample_from_camera.inverse().point(position_mm);
-        let depths = self.places_mm.iter().map(|place| place.z);
+        let depths = self.positions_mm.iter().map(|position| position.z);
         let lowest_mm = depths.fold(f64::NEG_INFINITY, f64::max);
         let [width, height] = self.camera.resolution_px.map(|side| side as f64);
         let is_inside = |at: DVec2| (0.0..width).contains(&at.x) && (0.0..height).contains(&at.y);
@@ -194,7 +196,7 @@ impl CameraShadow {
             && self.camera.position_of_px(lamp).is_some_and(is_inside)
     }
 
-    /// Whether the body is clear of every line from the places to the lamp because a larger
+    /// Whether the body is clear of every line from the positions to the lamp because a larger
     /// one is of the line from their middle.
     fn is_far_from(&self, light: &Light) -> bool {
         let CameraBody {
@@ -213,13 +215,13 @@ impl CameraShadow {
         !wider.meets(self.middle_mm, direction, distance_mm)
     }
 
-    /// Unit direction and distance of the lamp's middle from a place, camera frame.
-    fn towards(&self, light: &Light, place_mm: DVec3) -> (DVec3, f64) {
+    /// Unit direction and distance of the lamp's middle from a position, camera frame.
+    fn towards(&self, light: &Light, from_mm: DVec3) -> (DVec3, f64) {
         let to_camera = self.camera.sample_from_camera.inverse();
         match *light {
             Light::Directional { to_light, .. } => (to_camera.direction(to_light), f64::INFINITY),
             Light::Point { position_mm, .. } => {
-                let offset = to_camera.point(position_mm) - place_mm;
+                let offset = to_camera.point(position_mm) - from_mm;
                 (offset.normalize(), offset.length())
             }
         }
@@ -373,7 +375,7 @@ mod tests {
         }
     }
 
-    /// The shadow of lamps near and far, wide and small, against rays cast from other places
+    /// The shadow of lamps near and far, wide and small, against rays cast from other positions
     /// than the ones it looks at, at a mesh of the body, towards random points of the lamp.
     #[test]
     fn the_shadow_is_that_of_rays_cast_at_a_mesh() {

@@ -72,20 +72,20 @@ impl Cell {
     }
 
     /// Sensor position that the uniform numbers `u` in [0, 1)² choose in the cell's footprint.
-    fn place_px(&self, u: DVec2, point_spread_px: f64) -> DVec2 {
+    fn position_px(&self, u: DVec2, point_spread_px: f64) -> DVec2 {
         let [x, y] = self.corner_px.map(f64::from);
         let corner = DVec2::new(x, y);
         match &self.part {
             None => {
                 let side = f64::from(self.side_px);
-                let along = |u| side * footprint::place(u, point_spread_px / side);
+                let along = |u| side * footprint::position(u, point_spread_px / side);
                 corner + DVec2::new(along(u.x), along(u.y))
             }
             // One number chooses the pixel and, by what is left of it, the column within.
             Some(part) => {
                 let at = u.x * part.len() as f64;
                 let pixel = (at as usize).min(part.len() - 1);
-                let within = |u| footprint::place(u, point_spread_px);
+                let within = |u| footprint::position(u, point_spread_px);
                 let [dx, dy] = part[pixel].map(f64::from);
                 let column = (at - pixel as f64).clamp(0.0, 1.0 - f64::EPSILON);
                 corner + DVec2::new(dx + within(column), dy + within(u.y))
@@ -103,7 +103,7 @@ impl Cell {
 /// // One cell of 2 × 2 pixels, and one of a single pixel.
 /// let cells = Cells::new([16, 16], vec![Cell::square([4, 4], 2), Cell::square([9, 3], 1)]);
 /// assert_eq!((cells.len(), cells.cell(0).pixels()), (2, 4));
-/// assert_eq!(cells.area(1), 1.0);
+/// assert_eq!(cells.at(glam::DVec2::new(9.5, 3.5)), Some(1));
 /// ```
 #[derive(Clone, Debug)]
 pub struct Cells {
@@ -224,8 +224,8 @@ impl Cells {
     }
 
     /// The cell whose square covers a sensor position, pixels from the top left corner.
-    pub fn at(&self, place_px: DVec2) -> Option<usize> {
-        let at = place_px.to_array().map(f64::floor);
+    pub fn at(&self, position_px: DVec2) -> Option<usize> {
+        let at = position_px.to_array().map(f64::floor);
         let pixel = at.iter().all(|&v| v >= 0.0).then(|| at.map(|v| v as u32))?;
         let cell = self.index.covering(&self.cells, pixel)?;
         Some(cell as usize)
@@ -251,11 +251,11 @@ impl Cells {
         u64::from(y) * self.resolution_px[0] as u64 + u64::from(x)
     }
 
-    /// The ray that begins in a cell's footprint, at a place and a point of the lens that
+    /// The ray that begins in a cell's footprint, at a position and a point of the lens that
     /// uniform numbers in [0, 1)² choose.
-    pub fn ray(&self, camera: &Camera, cell: usize, place: DVec2, lens: DVec2) -> Ray {
-        let place_px = self.cells[cell].place_px(place, camera.point_spread_px);
-        camera.ray(place_px, lens)
+    pub fn ray(&self, camera: &Camera, cell: usize, position: DVec2, lens: DVec2) -> Ray {
+        let position_px = self.cells[cell].position_px(position, camera.point_spread_px);
+        camera.ray(position_px, lens)
     }
 
     /// Middle of a cell over the width of the image; row 0 is the top.
@@ -315,7 +315,7 @@ mod tests {
         assert_eq!(cells.around(3).collect::<Vec<_>>(), [0, 1, 2, 4, 5]);
     }
 
-    /// The mean over the places is the mean over the pixels' footprints, also of a part.
+    /// The mean over the positions is the mean over the pixels' footprints, also of a part.
     #[test]
     fn places_are_those_of_the_pixels() {
         let offsets = vec![[0, 0], [1, 0], [2, 0], [0, 2], [2, 2]];
@@ -326,7 +326,7 @@ mod tests {
             let mut found = [DVec2::ZERO; 2];
             for k in 0..n * n {
                 let u = DVec2::new(f64::from(k % n), f64::from(k / n)) + 0.5;
-                let at = cell.place_px(u / f64::from(n), spread);
+                let at = cell.position_px(u / f64::from(n), spread);
                 found[0] += at;
                 found[1] += at * at;
             }

@@ -56,10 +56,10 @@ pub struct Continuations<'a> {
     guide: Option<Arc<Guide>>,
 }
 
-/// How probable it is, after what was drawn, that a path draws anew from all parts each
-/// time, and that it keeps to each of them.
+/// Posterior probabilities, given the directions drawn so far, that a path draws from the whole
+/// mixture each time (`anew`) or keeps to one of its parts (`keeps`).
 #[derive(Clone, Copy, Debug)]
-pub struct Kind {
+pub struct PathMode {
     anew: f32,
     keeps: [f32; PARTS],
 }
@@ -82,9 +82,9 @@ impl<'a> Continuations<'a> {
 
     /// A path at its beginning.
     #[inline]
-    pub fn begin(&self) -> Kind {
+    pub fn begin(&self) -> PathMode {
         let constant = self.steering.constant;
-        Kind {
+        PathMode {
             anew: 1.0 - constant,
             keeps: self.probabilities.map(|probability| constant * probability),
         }
@@ -96,7 +96,7 @@ impl<'a> Continuations<'a> {
     #[inline]
     pub fn draw(
         &self,
-        kind: &mut Kind,
+        mode: &mut PathMode,
         surface: &Surface,
         to_viewer: Vec3,
         numbers: &mut impl Uniform,
@@ -111,9 +111,9 @@ impl<'a> Continuations<'a> {
                 (local, guided * arrivals.pdf(direction))
             }
             _ => {
-                let mut parts = kind.keeps;
+                let mut parts = mode.keeps;
                 for (part, probability) in parts.iter_mut().zip(self.probabilities) {
-                    *part += kind.anew * probability;
+                    *part += mode.anew * probability;
                 }
                 let local = self.proposal.draw(&parts, to_viewer, numbers)?;
                 let arriving = arrivals.map_or(0.0, |a| guided * a.pdf(surface.world(local)));
@@ -126,14 +126,14 @@ impl<'a> Continuations<'a> {
         let densities = self.proposal.densities(to_viewer, local);
         let anew = mixed(&self.probabilities, &densities);
         let density = |proposed: f32| arriving + (1.0 - guided) * proposed;
-        kind.anew *= density(anew);
-        let mut pdf = kind.anew;
-        for (keeps, proposed) in kind.keeps.iter_mut().zip(densities) {
+        mode.anew *= density(anew);
+        let mut pdf = mode.anew;
+        for (keeps, proposed) in mode.keeps.iter_mut().zip(densities) {
             *keeps *= density(proposed);
             pdf += *keeps;
         }
-        kind.anew /= pdf;
-        kind.keeps.iter_mut().for_each(|keeps| *keeps /= pdf);
+        mode.anew /= pdf;
+        mode.keeps.iter_mut().for_each(|keeps| *keeps /= pdf);
         Some((local, pdf))
     }
 }

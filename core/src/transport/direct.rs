@@ -57,12 +57,13 @@ pub struct DirectMatrix {
     atoms: usize,
 }
 
-/// The part of a cell's points that is none of its paths'.
-const PART: u32 = u32::MAX;
+/// Scramble index of the points of direct reflection, distinct from those of both halves of the
+/// paths.
+const DIRECT_SCRAMBLE: u32 = u32::MAX;
 
-/// Shows `each` where `strata`² rays through a cell meet the sample, with the direction to
-/// the viewer and the numbers for the lamps. Their places are evenly spread points: what the
-/// sum misses is no render noise that a fit is told of, so there should be little of it.
+/// Calls `each` where `strata`² rays through a cell meet the sample, with the direction to
+/// the viewer and the sampler for the lamps. The rays are quasi-random points: the error of the
+/// sum is not part of the render noise that a fit knows of, so it should be small.
 pub fn for_each_seen(
     scene: &Scene,
     cells: &Cells,
@@ -73,7 +74,7 @@ pub fn for_each_seen(
 ) {
     for sample in 0..strata * strata {
         let (mut numbers, ray) =
-            SobolSampler::begin_in(&scene.camera, cells, seed, cell, PART, sample);
+            SobolSampler::begin_in(&scene.camera, cells, seed, cell, DIRECT_SCRAMBLE, sample);
         if let Some((surface, to_viewer)) = scene.first(&ray).filter(|(hit, _)| hit.is_sample()) {
             each(&surface, to_viewer, &mut numbers);
         }
@@ -164,9 +165,11 @@ mod tests {
         for sample in 0..STRATA * STRATA {
             let mut numbers = stream(seed, Purpose::Experiment, 0, pixel as u64, sample.into());
             let cell = DVec2::new((sample % STRATA).into(), (sample / STRATA).into());
-            let place = cell + DVec2::new(numbers.uniform(), numbers.uniform());
-            let place = place / f64::from(STRATA);
-            let ray = scene.camera.ray_of_pixel(pixel, place, DVec2::splat(0.5));
+            let position = cell + DVec2::new(numbers.uniform(), numbers.uniform());
+            let position = position / f64::from(STRATA);
+            let ray = scene
+                .camera
+                .ray_of_pixel(pixel, position, DVec2::splat(0.5));
             let seen = scene.first(&ray);
             if let Some((surface, to_viewer)) = &seen
                 && let Some(lamp) = scene.connect(surface, 0, [0.5; 2])

@@ -69,7 +69,7 @@ pub struct CellRows<'a> {
     /// `jacobian[half][r · atoms + atom]`.
     pub jacobian: [&'a [f32]; 2],
     /// Derivatives by ln f at the nodes of a discrepancy, `nodes[half][r · NODES + node]`; empty
-    /// unless asked for.
+    /// unless requested.
     pub nodes: [&'a [f32]; 2],
 }
 
@@ -156,7 +156,7 @@ impl Cache {
         let rows = self.lights * C;
         chunks
             .par_chunks(chunks.len().div_ceil(MAX_GROUPS).max(1))
-            // Groups differ in size: whoever is done takes the next.
+            // Groups differ in size: a thread that is done takes the next.
             .with_max_len(1)
             .map(|group| {
                 let mut accumulator = new();
@@ -242,7 +242,7 @@ impl<const B: usize, const C: usize> Mixture<B, C> {
 /// Sums over the paths of one half of a cell, per light.
 struct Sums<const B: usize, const C: usize>(
     Vec<LightSums<B, C>>,
-    /// By ln f at the nodes, per light; empty unless asked for.
+    /// By ln f at the nodes, per light; empty unless requested.
     Vec<[[f32; C]; 256]>,
 );
 

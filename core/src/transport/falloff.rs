@@ -1,9 +1,9 @@
-//! How the irradiance of a lamp differs over the sample from what its place and strength
+//! How the irradiance of a lamp differs over the sample from what its position and strength
 //! say: a low-order polynomial.
 
 use glam::Vec3;
 
-/// Factor on a lamp's irradiance: 1 + s·(x, y) + c·(x², xy, y²), of places in the sample's
+/// Factor on a lamp's irradiance: 1 + s·(x, y) + c·(x², xy, y²), of positions in the sample's
 /// frame. The default is even light.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Falloff {
@@ -14,10 +14,10 @@ pub struct Falloff {
 }
 
 impl Falloff {
-    /// The factor at a place, at least 0.
+    /// The factor at a position, at least 0.
     #[inline]
-    pub fn at(&self, place_mm: Vec3) -> f32 {
-        let [x, y] = [place_mm.x, place_mm.y].map(f64::from);
+    pub fn at(&self, position_mm: Vec3) -> f32 {
+        let [x, y] = [position_mm.x, position_mm.y].map(f64::from);
         let ([a, b], [c, d, e]) = (self.slope_per_mm, self.curve_per_mm2);
         (1.0 + a * x + b * y + c * x * x + d * x * y + e * y * y).max(0.0) as f32
     }

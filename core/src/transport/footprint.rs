@@ -7,13 +7,13 @@ use std::sync::LazyLock;
 /// Where along one axis, pixels from the pixel's own corner, the quantile `u` in [0, 1) of
 /// its footprint lies, for a point spread of standard deviation `sigma_px` ≥ 0.
 ///
-/// Uniform numbers, stratified or not, become places distributed as the footprint, so that
+/// Uniform numbers, stratified or not, become positions distributed as the footprint, so that
 /// the mean over them is the pixel's value. Without a spread it is `u` itself.
-pub fn place(u: f64, sigma_px: f64) -> f64 {
+pub fn position(u: f64, sigma_px: f64) -> f64 {
     if sigma_px <= 0.0 {
         return u;
     }
-    // Newton on the cumulative distribution, kept between bounds that hold the place.
+    // Newton on the cumulative distribution, kept between bounds that hold the position.
     let reach = 0.5 + FARTHEST * sigma_px;
     let (mut low, mut high) = (-reach, reach);
     let mut x = u - 0.5;
@@ -104,7 +104,7 @@ mod tests {
     use super::*;
 
     /// The distribution against a plain sum of normal integrals over the square, and the
-    /// places against the distribution.
+    /// positions against the distribution.
     #[test]
     fn places_are_quantiles_of_square_and_gaussian() {
         for sigma in [0.02, 0.3, 1.0, 2.5] {
@@ -119,7 +119,7 @@ mod tests {
                 assert!((below - expected).abs() < 1e-5, "{sigma} {x}: {below}");
             }
             for u in [0.0, 1e-12, 1e-3, 0.25, 0.5, 0.77, 0.999, 1.0 - 1e-12] {
-                let [below, _] = distribution(place(u, sigma) - 0.5, sigma);
+                let [below, _] = distribution(position(u, sigma) - 0.5, sigma);
                 assert!((below - u).abs() < 1e-8, "{sigma} {u}: {below}");
             }
         }
@@ -144,7 +144,7 @@ mod tests {
     #[test]
     fn without_a_spread_nothing_changes() {
         for u in [0.0, 0.123_456_789, 1.0 - f64::EPSILON] {
-            assert_eq!(place(u, 0.0).to_bits(), u.to_bits());
+            assert_eq!(position(u, 0.0).to_bits(), u.to_bits());
         }
     }
 }

@@ -1,10 +1,10 @@
-//! Where the lamps' light arrives by way of mirrors.
+//! Photon guide: from where the lamps' light arrives after mirror reflections.
 //!
 //! A wide lobe at one reflection and a narrow one at the next, which must face the lamp, is
 //! a chain that continuations drawn from the reflectance almost never find, and the few
 //! that do are outliers. Mirror paths sent from the lamps beforehand mark the directions
-//! that lead there (photon-guided sampling, Jensen 1995), and how these turn with the place,
-//! by paths beside them (ray differentials, Igehy 1999); continuations are drawn from them
+//! that lead there (photon-guided sampling, Jensen 1995), and how these turn with the position,
+//! by neighbouring paths (ray differentials, Igehy 1999); continuations are drawn from them
 //! as well, with a known density (docs/adr/0030). The material's weights play no part, so
 //! cached paths stay valid while the fit moves.
 
@@ -32,17 +32,17 @@ const MOST_CELLS: f32 = 128.0;
 const MOST_LOBES: usize = 24;
 /// Directions nearer than this, seen from the middle of a cell, are one, radians.
 const APART_RAD: f32 = 0.008;
-/// Width of a direction that is known at every place, radians: what half-vectors within
+/// Width of a direction that is known at every position, radians: what half-vectors within
 /// the narrowest lobe of the dictionaries make of it.
 const NARROWEST_RAD: f32 = 0.006;
 /// A direction is drawn from lobes of several widths, each this many times as wide as the
 /// one before, for reflectances of every width.
 const WIDER: f32 = 3.0;
 const WIDTHS: i32 = 3;
-/// Distance of the paths beside a mirror path, over the side of a cell.
+/// Distance of the neighbouring paths from a mirror path, over the side of a cell.
 const BESIDE: f32 = 0.25;
-/// Paths beside that arrive nearer than this to one line with the path, as a sine, tell
-/// nothing across it.
+/// Neighbouring paths that arrive nearer than this to one line with the path, as a sine, hold
+/// no information across it.
 const LEAST_SINE: f32 = 0.002;
 /// A direction that turns by more over a cell, radians, is not followed.
 const MOST_TURN_RAD: f32 = 0.6;
@@ -50,7 +50,7 @@ const MOST_TURN_RAD: f32 = 0.6;
 /// from where it comes.
 const SPREAD: f32 = 0.5;
 
-/// Directions from which light arrives, by place on the sample.
+/// Directions from which light arrives, by position on the sample.
 pub struct Guide {
     low_mm: Vec3,
     cell_mm: f32,
@@ -64,9 +64,9 @@ pub struct Guide {
 #[derive(Clone, Copy, Debug)]
 struct Lobe {
     /// Where it arrived.
-    place_mm: Vec3,
+    position_mm: Vec3,
     towards: Vec3,
-    /// What the direction changes by per millimetre that the place moves.
+    /// What the direction changes by per millimetre that the position moves.
     turn: Mat3,
     /// Square of the least width.
     alpha2: f32,
@@ -76,8 +76,8 @@ struct Lobe {
 
 impl Lobe {
     #[inline]
-    fn towards_from(&self, place_mm: Vec3) -> Vec3 {
-        (self.towards + self.turn * (place_mm - self.place_mm)).normalize()
+    fn towards_from(&self, position_mm: Vec3) -> Vec3 {
+        (self.towards + self.turn * (position_mm - self.position_mm)).normalize()
     }
 }
 
@@ -142,7 +142,7 @@ impl Guide {
             return arrivals;
         };
         let mut from = connection.to_light;
-        let mut beside = self.beside(scene, triangle, at).map(|surface| {
+        let mut neighbours = self.neighbours(scene, triangle, at).map(|surface| {
             let lamp = scene.lights[light].sample(surface.origin_mm, on_lamp);
             Some((surface, surface.local(lamp.direction)))
         });
@@ -156,35 +156,35 @@ impl Guide {
             let Some(next) = mirror((surface, from)) else {
                 break;
             };
-            beside = beside.map(|path| path.and_then(mirror));
-            let place_mm = next.0.origin_mm;
-            let (turn, width_rad) = match self.turn(next, beside) {
+            neighbours = neighbours.map(|path| path.and_then(mirror));
+            let position_mm = next.0.origin_mm;
+            let (turn, width_rad) = match self.turn(next, neighbours) {
                 Some(turn) => (turn, NARROWEST_RAD),
                 None => {
-                    let distance_mm = place_mm.distance(surface.origin_mm);
+                    let distance_mm = position_mm.distance(surface.origin_mm);
                     let spread_rad = SPREAD * self.cell_mm / distance_mm.max(self.cell_mm);
                     (Mat3::ZERO, spread_rad)
                 }
             };
             let lobe = Lobe {
-                place_mm,
+                position_mm,
                 towards: next.0.world(next.1),
                 turn,
                 alpha2: width_rad * width_rad,
                 share,
             };
-            arrivals.push((self.cell(place_mm), lobe));
+            arrivals.push((self.cell(position_mm), lobe));
             (surface, from) = next;
             share *= FAINTER;
         }
         arrivals
     }
 
-    /// Two points of a triangle beside one at barycentric coordinates `at`, in directions
+    /// Two points of a triangle next to one at barycentric coordinates `at`, in directions
     /// that differ: towards the two corners that are not the nearest.
-    fn beside(&self, scene: &Scene, triangle: u32, at: [f32; 2]) -> [Surface; 2] {
+    fn neighbours(&self, scene: &Scene, triangle: u32, at: [f32; 2]) -> [Surface; 2] {
         const CORNERS: [[f32; 2]; 3] = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]];
-        let place_mm = scene.surface(triangle, at).origin_mm;
+        let position_mm = scene.surface(triangle, at).origin_mm;
         let corners_mm = scene.sample().corners(triangle as usize);
         let weights = [1.0 - at[0] - at[1], at[0], at[1]];
         let nearest = (0..3)
@@ -192,7 +192,7 @@ impl Guide {
             .unwrap_or(0);
         [1, 2].map(|next| {
             let corner = (nearest + next) % 3;
-            let away_mm = corners_mm[corner].distance(place_mm);
+            let away_mm = corners_mm[corner].distance(position_mm);
             let step = (BESIDE * self.cell_mm / away_mm).min(0.5);
             let moved = |k: usize| at[k] + step * (CORNERS[corner][k] - at[k]);
             scene.surface(triangle, [moved(0), moved(1)])
@@ -200,9 +200,9 @@ impl Guide {
     }
 
     /// What the direction in which light arrives changes by per millimetre, from where and
-    /// how it arrives on the paths beside; `None` if they don't tell, or that is too much.
-    fn turn(&self, (surface, back): End, beside: [Option<End>; 2]) -> Option<Mat3> {
-        let [a, b] = beside;
+    /// how it arrives on the neighbouring paths; `None` if they don't determine it, or it is too much.
+    fn turn(&self, (surface, back): End, neighbours: [Option<End>; 2]) -> Option<Mat3> {
+        let [a, b] = neighbours;
         let differences = |(other, other_back): End| {
             let towards = surface.world(back);
             let moved_mm = other.origin_mm - surface.origin_mm;
@@ -215,7 +215,7 @@ impl Guide {
         if area <= LEAST_SINE * sides {
             return None;
         }
-        // The vectors that tell how much of each step a move in their plane is.
+        // The dual basis: how much of each step a move in their plane is.
         let normal = across / area;
         let (along_a, along_b) = (move_b.cross(normal) / area, normal.cross(move_a) / area);
         let turn = outer(turn_a, along_a) + outer(turn_b, along_b);
@@ -225,7 +225,7 @@ impl Guide {
     }
 
     /// Keeps the arrivals by cell, one of each direction; where there are too many, some
-    /// that are spread evenly over lamps and places.
+    /// that are spread evenly over lamps and positions.
     fn keep(&mut self, arrivals: &[(usize, Lobe)]) {
         let mut order: Vec<usize> = (0..arrivals.len()).collect();
         order.sort_by_key(|&k| arrivals[k].0);
@@ -272,8 +272,10 @@ impl Guide {
         self.low_mm + (at.as_vec3() + 0.5) * self.cell_mm
     }
 
-    fn cell(&self, place_mm: Vec3) -> usize {
-        let at = ((place_mm - self.low_mm) / self.cell_mm).floor().as_ivec3();
+    fn cell(&self, position_mm: Vec3) -> usize {
+        let at = ((position_mm - self.low_mm) / self.cell_mm)
+            .floor()
+            .as_ivec3();
         let at = at.clamp(IVec3::ZERO, self.cells - IVec3::ONE);
         ((at.z * self.cells.y + at.y) * self.cells.x + at.x) as usize
     }
@@ -286,7 +288,7 @@ impl Guide {
         let fours = &self.fours[self.start[cell] as usize..self.start[cell + 1] as usize];
         (!fours.is_empty()).then_some(Arrivals {
             fours,
-            place_mm: surface.origin_mm,
+            position_mm: surface.origin_mm,
         })
     }
 }
@@ -295,12 +297,12 @@ fn outer(column: Vec3, row: Vec3) -> Mat3 {
     Mat3::from_cols(column * row.x, column * row.y, column * row.z)
 }
 
-/// A density over directions of the sample's frame, at one place.
+/// A density over directions of the sample's frame, at one position.
 #[derive(Clone, Copy)]
 pub struct Arrivals<'a> {
     /// At least one.
     fours: &'a [Four],
-    place_mm: Vec3,
+    position_mm: Vec3,
 }
 
 impl Arrivals<'_> {
@@ -326,7 +328,7 @@ impl Arrivals<'_> {
         let cos = (1.0 + tan2).sqrt().recip();
         let sin = (tan2 / (1.0 + tan2)).sqrt();
         let (sin_phi, cos_phi) = (std::f32::consts::TAU * numbers.uniform_f32()).sin_cos();
-        let towards = lobe.towards_from(self.place_mm);
+        let towards = lobe.towards_from(self.position_mm);
         let (tangent, bitangent) = towards.any_orthonormal_pair();
         (tangent * cos_phi + bitangent * sin_phi) * sin + towards * cos
     }
@@ -336,7 +338,7 @@ impl Arrivals<'_> {
     pub fn pdf(&self, direction: Vec3) -> f32 {
         let parts = self.fours.iter();
         let sum: Vec4 = parts
-            .map(|four| four.density(self.place_mm, direction))
+            .map(|four| four.density(self.position_mm, direction))
             .sum();
         sum.element_sum() * std::f32::consts::FRAC_1_PI / WIDTHS as f32
     }
@@ -356,7 +358,7 @@ mod tests {
         all.filter(|lobe| lobe.share > 0.0).collect()
     }
 
-    /// The first surface below a place of the bowl's opening.
+    /// The first surface below a position of the bowl's opening.
     fn below(scene: &Scene, x_mm: f32, y_mm: f32) -> Surface {
         let ray = crate::geometry::Ray {
             origin_mm: Vec3::new(x_mm, y_mm, 5.0),
@@ -366,7 +368,7 @@ mod tests {
         scene.first(&ray).unwrap().0
     }
 
-    /// χ² tests around one direction at four places, in rings that widen by half each and
+    /// χ² tests around one direction at four positions, in rings that widen by half each and
     /// eight sectors, and what lies outside; family significance 1% (Šidák).
     #[test]
     fn the_density_belongs_to_the_samples() {
@@ -383,7 +385,7 @@ mod tests {
             let narrowest = |a: &&Lobe, b: &&Lobe| a.alpha2.total_cmp(&b.alpha2);
             let lobes = lobes(&arrivals);
             let lobe = lobes.iter().min_by(narrowest).unwrap();
-            let axis = lobe.towards_from(arrivals.place_mm);
+            let axis = lobe.towards_from(arrivals.position_mm);
             let (tangent, bitangent) = axis.any_orthonormal_pair();
             let mut observed = vec![0.0; RINGS * SECTORS + 1];
             let mut numbers = stream(4, Purpose::Experiment, 0, 0, 0);
@@ -453,15 +455,15 @@ mod tests {
         const ROUGHLY_RAD: f32 = 0.05; // at the far side of a cell where directions turn fast
         let scene = Scene::bowl(64, [64; 2], 2.0); // more pixels make a finer guide
         let guide = Guide::new(&scene, 1);
-        let (mut places, mut missed, mut followed, mut elsewhere) = (0, 0, 0, 0);
+        let (mut positions, mut missed, mut followed, mut elsewhere) = (0, 0, 0, 0);
         for k in 0..400 {
             let b = 0.4 + 0.002 * k as f32;
             let (sin, cos) = (0.7 * k as f32).sin_cos();
-            let place = |angle: f32| {
+            let position = |angle: f32| {
                 let r = angle.sin();
                 Vec3::new(r * cos, r * sin, -angle.cos())
             };
-            let surface = below(&scene, place(b).x, place(b).y);
+            let surface = below(&scene, position(b).x, position(b).y);
             let Some(arrivals) = guide.around(&surface) else {
                 continue;
             };
@@ -470,19 +472,19 @@ mod tests {
                     let n = n as f32;
                     [-1.0, 1.0].map(|side| {
                         let t = (n * PI + side * b) / (2.0 * n + 1.0);
-                        (place(b + side * (PI - 2.0 * t)) - place(b)).normalize()
+                        (position(b + side * (PI - 2.0 * t)) - position(b)).normalize()
                     })
                 })
                 .collect();
             let sought: Vec<Vec3> = lobes(&arrivals)
                 .iter()
                 .filter(|lobe| lobe.alpha2 <= NARROWEST_RAD * NARROWEST_RAD)
-                .map(|lobe| lobe.towards_from(arrivals.place_mm))
+                .map(|lobe| lobe.towards_from(arrivals.position_mm))
                 .collect();
             let is_among = |a: &Vec3, all: &[Vec3], near_rad: f32| {
                 all.iter().any(|b| a.angle_between(*b) < near_rad)
             };
-            places += 1;
+            positions += 1;
             missed += expected[..2]
                 .iter()
                 .filter(|e| !is_among(e, &sought, NEAR_RAD))
@@ -493,8 +495,8 @@ mod tests {
                 .filter(|s| !is_among(s, &expected, ROUGHLY_RAD))
                 .count();
         }
-        assert!(places > 390, "{places}");
-        assert!(10 * missed < 2 * places, "{missed} of {}", 2 * places);
+        assert!(positions > 390, "{positions}");
+        assert!(10 * missed < 2 * positions, "{missed} of {}", 2 * positions);
         assert!(10 * elsewhere < followed, "{elsewhere} of {followed}");
     }
 }

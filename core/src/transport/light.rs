@@ -2,7 +2,7 @@
 
 use glam::{DVec3, Vec3};
 
-/// A lamp of known place and strength.
+/// A lamp of known position and strength.
 ///
 /// ```
 /// use glam::{DVec3, Vec3};

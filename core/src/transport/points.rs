@@ -130,7 +130,7 @@ impl SobolSampler {
         }
     }
 
-    /// Where the path begins in the pixel and on the lens, in [0, 1)² each; asked for first.
+    /// Where the path begins in the pixel and on the lens, in [0, 1)² each; the first numbers of a path.
     fn on_sensor(&mut self) -> [DVec2; 2] {
         self.advance();
         [(); 2].map(|()| {

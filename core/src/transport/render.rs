@@ -114,7 +114,7 @@ pub fn render_with_progress(
     render_carrying::<[f64; 3]>(scene, brdf, options, progress)
 }
 
-/// What a camera path gathers on its way towards the lamps: the factors between the
+/// What a camera path accumulates towards the lamps: the factors between the
 /// camera's reading and light that arrives at the end of the path.
 pub(super) trait Carrier {
     /// At the camera, looking along `direction`.
@@ -355,7 +355,7 @@ pub(super) fn follow_from<C: Carrier, N: Sampler>(
     (numbers, mut carried, first): (&mut N, C, (Surface, Vec3)),
     mut visit: impl FnMut(u32, usize, [f64; 3]),
 ) {
-    let mut kind = continuations.begin();
+    let mut mode = continuations.begin();
     let mut next = Some(first);
     let mut reflections = 0;
     while let Some((surface, to_viewer)) = next {
@@ -381,7 +381,7 @@ pub(super) fn follow_from<C: Carrier, N: Sampler>(
             break;
         }
         numbers.advance();
-        let drawn = continuations.draw(&mut kind, &surface, to_viewer, numbers);
+        let drawn = continuations.draw(&mut mode, &surface, to_viewer, numbers);
         let Some((direction, pdf)) = drawn else {
             break;
         };

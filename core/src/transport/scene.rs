@@ -34,7 +34,7 @@ pub struct Body {
 }
 
 /// A sample of one uniform material, known bodies, a camera and lamps. Clones share
-/// the surfaces, so that one sample can be seen from many places.
+/// the surfaces, so that one sample can be seen from many positions.
 ///
 /// ```
 /// use glam::{DVec2, DVec3};
@@ -75,7 +75,7 @@ pub struct Scene {
     pub camera: Camera,
     /// The lamps; images are rendered one per lamp.
     pub lights: Vec<Light>,
-    /// How their irradiance differs over the sample beyond what their places say; lamps
+    /// How their irradiance differs over the sample beyond what their positions imply; lamps
     /// beyond its length are even.
     pub falloffs: Vec<Falloff>,
 }
@@ -232,7 +232,7 @@ impl Scene {
         &self.sample
     }
 
-    /// What there is to say about the files of its surfaces.
+    /// Remarks about the files of its surfaces.
     pub fn remarks(&self) -> &[FileRemark] {
         &self.remarks
     }
@@ -294,14 +294,14 @@ impl Scene {
         Some((self.surface(hit.triangle, hit.barycentric), is_front))
     }
 
-    /// Whether anything lies between a point of the sample, on whichever side, and a place in
+    /// Whether anything lies between a point of the sample, on whichever side, and a position in
     /// this direction and distance.
-    pub(super) fn is_blocked(&self, place: &Surface, direction: Vec3, distance_mm: f32) -> bool {
-        let normal = place.face_normal;
+    pub(super) fn is_blocked(&self, position: &Surface, direction: Vec3, distance_mm: f32) -> bool {
+        let normal = position.face_normal;
         let origin_mm = match normal.dot(direction) >= 0.0 {
-            true => place.origin_mm,
+            true => position.origin_mm,
             // Twice: from just off the front to just off the back.
-            false => offset_origin(offset_origin(place.origin_mm, -normal), -normal),
+            false => offset_origin(offset_origin(position.origin_mm, -normal), -normal),
         };
         self.bvh.any(&Ray {
             origin_mm,

@@ -47,7 +47,7 @@ pub struct Visibility {
     /// Width and height of what the image shows at the depth of the sample's middle,
     /// millimetres; zero where that is behind the camera.
     pub field_mm: DVec2,
-    /// Part of the sample, as it appears from the camera's place, that is within the image.
+    /// Part of the sample, as it appears from the camera's position, that is within the image.
     pub in_view: f64,
     /// Pixels of the image that show the sample, from whichever side.
     pub covered_px: f64,
@@ -141,8 +141,11 @@ impl Visibility {
             _ => (DVec2::ZERO, DVec2::new(width, height)),
         };
         let mut seen = Seen::new(scene.lights.len());
-        for place in 0..GRID * GRID {
-            let at = DVec2::new((place % GRID) as f64 + 0.5, (place / GRID) as f64 + 0.5);
+        for position in 0..GRID * GRID {
+            let at = DVec2::new(
+                (position % GRID) as f64 + 0.5,
+                (position / GRID) as f64 + 0.5,
+            );
             seen.look(scene, corner + size * at / GRID as f64);
         }
         Self {
@@ -157,7 +160,7 @@ impl Visibility {
         }
     }
 
-    /// What there is to say against the scene, the fatal before the remarkable.
+    /// Concerns about the scene, the fatal ones first.
     pub fn concerns(&self) -> Vec<Concern> {
         let image_px = self.resolution_px.iter().product::<usize>() as f64;
         let filled = self.covered_px / image_px;
@@ -315,21 +318,21 @@ fn in_view(scene: &Scene) -> f64 {
         while (point as f64 + 0.5) * whole < covered * POINTS as f64 && point < POINTS {
             let surface = scene.surface(triangle as u32, evenly(point));
             point += 1;
-            let place = surface.origin_mm.as_dvec3();
+            let position = surface.origin_mm.as_dvec3();
             let (to_camera, distance_mm) = match camera.projection {
                 Projection::Orthographic { .. } => (-ahead, f32::INFINITY),
                 Projection::Perspective { .. } => {
-                    let away = pose.translation_mm - place;
+                    let away = pose.translation_mm - position;
                     (away.normalize_or_zero(), away.length() as f32)
                 }
             };
             let cosine = f64::from(mesh.face_normal(triangle).dot(to_camera.as_vec3()));
-            let is_ahead = (place - pose.translation_mm).dot(ahead) > 0.0;
+            let is_ahead = (position - pose.translation_mm).dot(ahead) > 0.0;
             if is_ahead && scene.is_blocked(&surface, to_camera.as_vec3(), distance_mm) {
                 continue;
             }
             all += cosine.abs();
-            if shows(camera, place) {
+            if shows(camera, position) {
                 within += cosine.abs();
             }
         }

@@ -2,7 +2,7 @@
 //!
 //! Per pixel, means of independent groups of paths and their scatter; z through Student's
 //! distribution as in [`super::references`]. A score summed over all reflections but the
-//! last is what the tests must notice: an atom beside black makes each order of reflection
+//! last is what the tests must notice: an atom next to black makes each order of reflection
 //! a power of its weight, so leaving the last factor's score out takes value/weight off the
 //! derivative.
 
@@ -111,7 +111,7 @@ fn without_last(groups: &[[Vec<f64>; 2]], weight: f64) -> Vec<Vec<f64>> {
 }
 
 /// A hemisphere seen from above within its rim, under coaxial light, and the dictionary of
-/// one grey atom beside black.
+/// one grey atom next to black.
 fn grey_bowl(pixels: usize) -> (Scene, Arc<Dictionary>) {
     let camera = Camera::looking_at(
         [pixels, pixels],
@@ -177,7 +177,7 @@ fn the_gradient_of_the_loss_is_unbiased() {
     let mixture = [DVector::from_vec(vec![rho, 1.0 - rho])];
     let [multiple, derivative] = grey_bowl_radiance(rho, 12);
     let direct = DirectMatrix::new(&scene, &pixels_of(&scene), &dictionary, 16, 3);
-    // Paths so rare and bright as by the default proposal would ask for many more seeds.
+    // Paths so rare and bright as by the default proposal would need many more seeds.
     let truth = Arc::new(Dictionary::clone(&dictionary));
     let truth = Mixture::grey(truth, vec![rho, 1.0 - rho]).unwrap();
     let proposal = Proposal::resembling(&truth, 0.05);
@@ -310,7 +310,7 @@ fn the_error_of_the_model_is_found_below_the_noise() {
     }
 }
 
-/// Columns of a highlight beside columns a thousand times as dark, without noise of paths:
+/// Columns of a highlight next to columns a thousand times as dark, without noise of paths:
 /// each value weighs by its own light and its own variance, also along the edge.
 #[test]
 fn a_highlight_does_not_hide_the_dark_beside_it() {

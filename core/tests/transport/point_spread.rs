@@ -54,14 +54,14 @@ fn half_plane(tilt_rad: f64) -> Mesh {
 /// mean over the pixel's square of the normal integral across the edge.
 fn edge_spread(tilt_rad: f64, [x, y]: [usize; 2], pixels: usize, sigma_px: f64) -> f64 {
     let steps = 40;
-    let place = |cell: usize, i: usize| cell as f64 + (i as f64 + 0.5) / f64::from(steps);
+    let position = |cell: usize, i: usize| cell as f64 + (i as f64 + 0.5) / f64::from(steps);
     let (sin, cos) = tilt_rad.sin_cos();
     let half = 0.5 * pixels as f64;
     let mut sum = 0.0;
     for i in 0..steps as usize {
         for j in 0..steps as usize {
             // The image's rows run down, against the sample's y.
-            let (across, up) = (place(x, i) - half, half - place(y, j));
+            let (across, up) = (position(x, i) - half, half - position(y, j));
             sum += normal_cdf((across * cos + up * sin) / sigma_px);
         }
     }
@@ -146,7 +146,7 @@ fn options(samples_per_pixel: u32, seed: u64) -> RenderOptions {
 }
 
 /// Silhouettes, creases, edges of shadows and interreflections alike, and light from
-/// beside the image's field.
+/// outside the image's field.
 #[test]
 fn a_blurred_image_is_the_sharp_one_convolved() {
     let seen = bowl(blurred(above([SIDE; 2]), BLUR_PX));

@@ -3,7 +3,7 @@
 //! Per pixel z = (ours − reference)/√(σ² + se² + floor²), with the floor of 1e-3 of the
 //! reference where a crease or a silhouette crosses the pixel (the reference's own
 //! single-precision ray offset); the reference's se comes from few groups of paths, so z is
-//! taken through Student's distribution. Two tests ask whether the z are standard normal,
+//! taken through Student's distribution. Two tests check whether the z are standard normal,
 //! Anderson–Darling and χ²; a third whether the image's mean is within 3 standard errors
 //! plus 2e-4. Family significance 1% over all cases and both tests of z (Šidák).
 //!
@@ -502,7 +502,7 @@ fn the_comparison_has_power() {
             passes,
             "{name}: {a:?}"
         );
-        assert_eq!(z_passes, passes, "the z alone tell {name}: {a:?}");
+        assert_eq!(z_passes, passes, "the z alone decide {name}: {a:?}");
         if passes {
             image.variance.iter_mut().flatten().for_each(|v| *v *= 0.6);
             let a = Agreement::new(&image, &reference, case.groups, &chosen);

@@ -142,8 +142,8 @@ impl<'a> Sight<'a> {
                 let x = (f64::from(column) + numbers.uniform()) / f64::from(n);
                 let y = (f64::from(row) + numbers.uniform()) / f64::from(n);
                 look(
-                    footprint::place(x, spread),
-                    footprint::place(y, spread),
+                    footprint::position(x, spread),
+                    footprint::position(y, spread),
                     &mut seen,
                 );
                 for (parts, seen) in parts.iter_mut().zip(&seen) {

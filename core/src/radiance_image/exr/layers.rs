@@ -54,7 +54,7 @@ pub(super) fn split(path: &Path) -> (PathBuf, Option<String>) {
 }
 
 /// The image that is meant: the one of this name, or the only one. Where a part has channels
-/// without a layer's name, its other layers are not asked.
+/// without a layer's name, its other layers are not read.
 ///
 /// # Errors
 /// There is none, or none of that name, or more than one.

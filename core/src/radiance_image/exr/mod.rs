@@ -17,7 +17,7 @@ use super::RadianceImage;
 pub use rows::ExrRows;
 pub use write::{encode, encode_rows, write, write_rows};
 
-/// What a file says about radiance.
+/// The radiance image of a file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RadianceFile {
     /// The image. Without variances in the file they are 0 here; without a mask
@@ -43,7 +43,7 @@ pub enum ExrError {
     Format {
         /// The file.
         file: PathBuf,
-        /// What the decoder says.
+        /// The message of the decoder.
         problem: String,
     },
     /// The file ends before its image does.
@@ -53,7 +53,7 @@ pub enum ExrError {
         file: PathBuf,
         /// Its length.
         bytes: u64,
-        /// The least length that its header and its table of blocks ask for.
+        /// The least length that its header and its table of blocks need.
         needed: u64,
     },
     /// Another size than that of the camera whose image it should be.
@@ -104,12 +104,12 @@ pub enum ExrError {
         /// Their names, joined by commas.
         known: String,
     },
-    /// No image of the name that was asked for.
+    /// No image of the requested name.
     #[error("{file} holds no image named {layer:?}; it holds {}", if known.is_empty() { "none" } else { known })]
     NoSuchLayer {
         /// The file.
         file: PathBuf,
-        /// As asked for.
+        /// As requested.
         layer: String,
         /// The names that it has, joined by commas.
         known: String,
@@ -161,12 +161,12 @@ const MASK: &str = "mask";
 
 /// Most bytes that one byte becomes: by Deflate, and more than by the other methods.
 const MAX_EXPANSION: u64 = 1032;
-/// Most pixels that a byte stands for where nobody knows the image's size: above the 37 of a
+/// Most pixels that a byte stands for where the image's size is not known in advance: above the 37 of a
 /// black image with variance and mask as [`write()`] writes it.
 const MOST_PER_BYTE: u64 = 64;
 /// Images up to this many pixels may be better compressed than that: a few dozen megabytes.
 const SMALL_PIXELS: u64 = 1 << 20;
-/// Most pixels of an image whose size nobody knows.
+/// Most pixels of an image whose size is not known in advance.
 const MOST_PIXELS: u64 = 1 << 28;
 /// Largest file, bytes: that many pixels of seven floats.
 const MOST_BYTES: u64 = 7 << 30;

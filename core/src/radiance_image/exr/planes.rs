@@ -74,7 +74,7 @@ impl Planes {
     }
 
     /// Puts a block's samples where they belong in `band`, whose first row is `first_row`
-    /// of the image. False where the block has another length than its size asks for.
+    /// of the image. False where the block has another length than its size needs.
     pub fn put(
         &self,
         block: &UncompressedBlock,
@@ -146,7 +146,7 @@ pub(super) fn sample_bytes(channel: &ChannelDescription) -> usize {
     channel.sample_type.bytes_per_sample()
 }
 
-/// What says nothing is invalid and 0: values that are not finite, variances below 0.
+/// Pixels without information become invalid and 0: values that are not finite, variances below 0.
 pub(super) fn drop_meaningless(band: &mut RadianceImage) {
     let pixels = band
         .mean

@@ -232,8 +232,8 @@ impl<R: Read + Seek> ExrRows<R> {
     }
 
     fn decode_block(&mut self, offset: u64) -> Result<UncompressedBlock, ExrError> {
-        let place = self.source.stream_position();
-        if place.map_err(|source| io_error(&self.file, source))? != offset {
+        let position = self.source.stream_position();
+        if position.map_err(|source| io_error(&self.file, source))? != offset {
             let sought = self.source.seek(SeekFrom::Start(offset));
             sought.map_err(|source| io_error(&self.file, source))?;
         }
@@ -270,7 +270,10 @@ fn read_error<R: Seek>(
 ) -> ExrError {
     match error {
         exr::error::Error::Io(source) => io_error(path, source),
-        _ if source.stream_position().is_ok_and(|place| place >= bytes) => {
+        _ if source
+            .stream_position()
+            .is_ok_and(|position| position >= bytes) =>
+        {
             cut_short(path, bytes, bytes + 1)
         }
         error => not_read(path, error),
@@ -350,26 +353,26 @@ fn offset_tables<R: Read + Seek>(
             .map(|&entry| u64::from_le_bytes(entry))
             .collect();
         // An entry of 0 is a block that was never written.
-        let places = blocks_begin..=blocks_begin + longest;
+        let positions = blocks_begin..=blocks_begin + longest;
         if table
             .iter()
-            .any(|entry| *entry != 0 && !places.contains(entry))
+            .any(|entry| *entry != 0 && !positions.contains(entry))
         {
             return Err(format_error(path, "its table of blocks points elsewhere"));
         }
         tables.push(table);
     }
     for (header, table) in meta.headers.iter().zip(&tables) {
-        // A block begins with its place (after its layer, where there are several) and
+        // A block begins with its position (after its layer, where there are several) and
         // the number of bytes that follow.
         let layer = if meta.requirements.is_multilayer() {
             4
         } else {
             0
         };
-        let place = if header.blocks.has_tiles() { 16 } else { 4 };
+        let position = if header.blocks.has_tiles() { 16 } else { 4 };
         let last = table.iter().copied().max().unwrap_or(blocks_begin);
-        let mut end = last + layer + place + 4;
+        let mut end = last + layer + position + 4;
         if end <= bytes {
             let mut length = [0; 4];
             source.seek(SeekFrom::Start(end - 4)).map_err(io)?;

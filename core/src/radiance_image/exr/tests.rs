@@ -268,13 +268,14 @@ fn the_display_window_is_the_image() {
     assert!(matches!(error, ExrError::Windows { .. }), "{error}");
 }
 
-/// A file of 2 x 1 pixels whose channels all hold the number of their part and place.
+/// A file of 2 x 1 pixels whose channels all hold the number of their part and position.
 fn parts(parts: &[(&str, &[&str])]) -> Vec<u8> {
     let layer = |(number, (name, channels)): (usize, &(&str, &[&str]))| {
-        let value = |place: usize| (10 * number + place) as f32;
+        let value = |position: usize| (10 * number + position) as f32;
         let channels = channels.iter().enumerate();
-        let channels = channels
-            .map(|(place, name)| AnyChannel::new(*name, FlatSamples::F32(vec![value(place); 2])));
+        let channels = channels.map(|(position, name)| {
+            AnyChannel::new(*name, FlatSamples::F32(vec![value(position); 2]))
+        });
         let channels = AnyChannels::sort(channels.collect());
         let attributes = LayerAttributes::named(*name);
         Layer::new((2, 1), attributes, Encoding::SMALL_LOSSLESS, channels)

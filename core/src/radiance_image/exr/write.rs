@@ -1,5 +1,4 @@
-//! Radiance images are written: whole ones, and such as are made from the top, some
-//! rows at a time.
+//! Writing radiance images: whole ones, and such as are made from the top, some rows at a time.
 
 use std::io::{Cursor, Seek, Write};
 use std::ops::Range;
@@ -118,28 +117,29 @@ fn put_rows<E: From<ExrError>>(
     let mut failed = None;
     let blocks = |meta: MetaData, chunks: &mut ChunkWriter<_>| {
         let list = &meta.headers[0].channels;
-        let mut block_of = |place: BlockIndex| -> exr::error::Result<UncompressedBlock> {
-            let end = place.pixel_position.1 + place.pixel_size.1;
-            rows.advance(place.pixel_position.1..end).map_err(|error| {
-                failed = Some(error);
-                exr::error::Error::Aborted
-            })?;
-            Ok(UncompressedBlock::from_lines(list, place, |line| {
+        let mut block_of = |position: BlockIndex| -> exr::error::Result<UncompressedBlock> {
+            let end = position.pixel_position.1 + position.pixel_size.1;
+            rows.advance(position.pixel_position.1..end)
+                .map_err(|error| {
+                    failed = Some(error);
+                    exr::error::Error::Aborted
+                })?;
+            Ok(UncompressedBlock::from_lines(list, position, |line| {
                 let at = (line.location.position.1 - rows.first) * width;
                 let name = names[line.location.channel];
                 let samples = line.write_samples(|x| sample(&rows.held, at + x, name));
                 debug_assert!(samples.is_ok(), "a line of the block's own length");
             }))
         };
-        let places = exr::block::enumerate_ordered_header_block_indices(&meta.headers);
+        let positions = exr::block::enumerate_ordered_header_block_indices(&meta.headers);
         if let Some(mut compressor) = ParallelBlocksCompressor::new(&meta, chunks) {
-            for (index, place) in places {
-                compressor.add_block_to_compression_queue(index, block_of(place)?)?;
+            for (index, position) in positions {
+                compressor.add_block_to_compression_queue(index, block_of(position)?)?;
             }
         } else {
             let mut compressor = SequentialBlocksCompressor::new(&meta, chunks);
-            for (index, place) in places {
-                compressor.compress_block(index, block_of(place)?)?;
+            for (index, position) in positions {
+                compressor.compress_block(index, block_of(position)?)?;
             }
         }
         Ok(())
@@ -175,7 +175,7 @@ struct RowQueue<'a, F> {
 }
 
 impl<F> RowQueue<'_, F> {
-    /// Forgets the rows above these and asks for more until these are held.
+    /// Drops the rows above these and fetches more until these are in memory.
     fn advance<E: From<ExrError>>(&mut self, rows: Range<usize>) -> Result<(), E>
     where
         F: FnMut() -> Result<RadianceImage, E>,

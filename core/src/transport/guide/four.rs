@@ -1,4 +1,4 @@
-//! Four lobes side by side: continuations ask for the density of all lobes of a cell, and
+//! Four lobes side by side: continuations need the density of all lobes of a cell, and
 //! four at a time cost little more than one.
 
 use glam::{Mat3, Vec3, Vec4};
@@ -11,7 +11,7 @@ type Vectors = [Vec4; 3];
 /// Up to four lobes; those that are missing have no share.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Four {
-    place_mm: Vectors,
+    position_mm: Vectors,
     towards: Vectors,
     /// By column.
     turn: [Vectors; 3],
@@ -23,7 +23,7 @@ impl Four {
     /// One to four lobes.
     pub fn new(lobes: &[Lobe]) -> Self {
         let nothing = Lobe {
-            place_mm: Vec3::ZERO,
+            position_mm: Vec3::ZERO,
             towards: Vec3::Z,
             turn: Mat3::ZERO,
             alpha2: 1.0,
@@ -34,7 +34,7 @@ impl Four {
         let vectors =
             |of: &dyn Fn(&Lobe) -> Vec3| [0, 1, 2].map(|axis| each(&|lobe| of(lobe)[axis]));
         Self {
-            place_mm: vectors(&|lobe| lobe.place_mm),
+            position_mm: vectors(&|lobe| lobe.position_mm),
             towards: vectors(&|lobe| lobe.towards),
             turn: [0, 1, 2].map(|column| vectors(&|lobe| lobe.turn.col(column))),
             alpha2: each(&|lobe| lobe.alpha2),
@@ -54,7 +54,7 @@ impl Four {
         let vector = |of: &Vectors| Vec3::from_array(of.map(|component| component[lane]));
         let [x, y, z] = &self.turn;
         Lobe {
-            place_mm: vector(&self.place_mm),
+            position_mm: vector(&self.position_mm),
             towards: vector(&self.towards),
             turn: Mat3::from_cols(vector(x), vector(y), vector(z)),
             alpha2: self.alpha2[lane],
@@ -66,8 +66,8 @@ impl Four {
     /// With t where a lobe comes from, not of unit length, p = t·d and q = |t × d|², a width
     /// has the density α² cos / (α² cos² + sin²)² / π = α² p |t|³ / (α² p² + q)² / π.
     #[inline]
-    pub fn density(&self, place_mm: Vec3, direction: Vec3) -> Vec4 {
-        let moved = [0, 1, 2].map(|axis| Vec4::splat(place_mm[axis]) - self.place_mm[axis]);
+    pub fn density(&self, position_mm: Vec3, direction: Vec3) -> Vec4 {
+        let moved = [0, 1, 2].map(|axis| Vec4::splat(position_mm[axis]) - self.position_mm[axis]);
         let [tx, ty, tz] = [0, 1, 2].map(|axis| {
             let [x, y, z] = &self.turn;
             self.towards[axis] + x[axis] * moved[0] + y[axis] * moved[1] + z[axis] * moved[2]
@@ -104,7 +104,7 @@ mod tests {
         let mut vector = || Vec3::from_array([0; 3].map(|_| numbers.normal() as f32));
         let lobes: Vec<Lobe> = (0..3)
             .map(|k| Lobe {
-                place_mm: vector(),
+                position_mm: vector(),
                 towards: vector().normalize(),
                 turn: 0.1 * Mat3::from_cols(vector(), vector(), vector()),
                 alpha2: [3.6e-5, 0.01, 0.2][k],
@@ -114,11 +114,11 @@ mod tests {
         let four = Four::new(&lobes);
         for (lane, lobe) in lobes.iter().enumerate() {
             for apart in [0.0, 0.003, 0.02, 0.3, 1.4, 1.8, std::f32::consts::PI] {
-                let place_mm = lobe.place_mm + 0.3 * vector();
-                let towards = lobe.towards_from(place_mm);
+                let position_mm = lobe.position_mm + 0.3 * vector();
+                let towards = lobe.towards_from(position_mm);
                 let direction =
                     towards * apart.cos() + towards.any_orthonormal_vector() * apart.sin();
-                let density = four.density(place_mm, direction)[lane];
+                let density = four.density(position_mm, direction)[lane];
                 let (sin, cos) = f64::from(apart).sin_cos();
                 let widths: f64 = (0..WIDTHS)
                     .map(|k| f64::from(lobe.alpha2) * f64::from(WIDER).powi(2 * k))
