@@ -22,6 +22,7 @@
 //! checks every byte. All writing goes through [`commit::Disk`], so that a test
 //! can fail each operation ([`faults`]).
 
+pub mod captured_rig;
 pub mod commit;
 pub mod drift;
 mod error;
@@ -32,7 +33,6 @@ pub mod journal;
 mod journalled;
 pub mod layout;
 pub mod record;
-pub mod rig_copy;
 mod store;
 pub mod verify;
 
