@@ -14,6 +14,7 @@
 //! | `pieces` | the mesh taken apart at creases |
 //! | `regions` | what each pixel sees |
 //! | `patches` | normal equations from small patches of the images |
+//! | `pyramid` | images on coarse and fine pixels |
 //! | `align` | the rounds, from coarse pixels to fine |
 //! | `search` | where to begin if the description is far off |
 //! | `values` | what the record holds |
@@ -24,6 +25,7 @@ mod align;
 mod figure;
 mod patches;
 mod pieces;
+mod pyramid;
 mod regions;
 mod search;
 mod values;
