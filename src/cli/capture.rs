@@ -25,10 +25,9 @@ use crate::radiometry::sensor::SensorNoise;
 use crate::session::commit::SystemDisk;
 use crate::session::journal::sha256_hex;
 use crate::session::layout::{CALIBRATION_FOLDER, QUARANTINE_FOLDER};
-use crate::session::rig::scene_files;
 use crate::session::{
     CalibrationCopy, Event, ExposureRules, NewSession, PlanRecord, Session, SessionRecord,
-    SessionWriter, Versions,
+    SessionWriter, Versions, scene_files,
 };
 use crate::units::{Seconds, StageAngles};
 use crate::workflow::{FitWork, work_of};

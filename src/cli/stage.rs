@@ -13,6 +13,7 @@ use crate::device::{
 use crate::interrupt::{Interrupt, StopLevel};
 use crate::out;
 use crate::units::StageAngles;
+use crate::workflow::measure_repeatability;
 
 /// Controls the light stage directly
 ///
@@ -207,7 +208,7 @@ pub fn run(args: &StageArgs, context: &Context) -> Result<(), CliError> {
             let mut open = open::open_stage(&rig)?.guarded()?;
             let found = stoppable(&mut *open.stage, |stage, wishes| {
                 let stopped = wishes.stopped;
-                Ok(repeatability::measure(
+                Ok(measure_repeatability(
                     stage,
                     &kinematics,
                     *cycles,
@@ -220,11 +221,7 @@ pub fn run(args: &StageArgs, context: &Context) -> Result<(), CliError> {
                 CliError::new(format!("a {driver} stage cannot tell where it finds its switches"))
                     .hint("Zaber stages can; for others, compare images of a mark after each `rig stage home`")
             })?;
-            found.report(
-                open.stage.info(),
-                repeatability::unit(&kinematics),
-                which.json,
-            )
+            repeatability::report(&found, open.stage.info(), &kinematics, which.json)
         }
         Action::Status(which) => {
             let mut open = which.open(context)?;

@@ -427,6 +427,8 @@ fn out_of_range(
 fn check(folder: &Path, record: &FitRecord) -> Result<(), FitRecordError> {
     let toml = folder.join(FIT_FILE);
     let csv = folder.join("weights.csv");
+
+    // fit.toml.
     if !record.loss.is_finite() {
         return Err(out_of_range(&toml, "loss", record.loss, "a finite number"));
     }
@@ -448,6 +450,8 @@ fn check(folder: &Path, record: &FitRecord) -> Result<(), FitRecordError> {
         let allowed = "a share per source that sum to 1, and a deviation of 0 or more";
         return Err(out_of_range(&toml, key, value, allowed));
     }
+
+    // The model discrepancy and its table.
     if let Some(departure) = &record.departure {
         let amplitude = departure.amplitude;
         if !(amplitude.is_finite() && amplitude > 0.0) {
@@ -476,6 +480,8 @@ fn check(folder: &Path, record: &FitRecord) -> Result<(), FitRecordError> {
             }
         }
     }
+
+    // Atoms and weights.
     let atoms = record.atoms.len();
     for (row, atom) in record.atoms.iter().enumerate() {
         if atom.index != row {

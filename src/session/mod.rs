@@ -32,7 +32,7 @@ pub mod journal;
 mod journalled;
 pub mod layout;
 pub mod record;
-pub mod rig;
+pub(crate) mod rig;
 mod store;
 pub mod verify;
 
@@ -41,5 +41,6 @@ pub use error::SessionError;
 pub use frame::{FrameTimes, Sidecar};
 pub use journal::{Event, FileDigest, Journal, Record};
 pub use record::{CalibrationCopy, ExposureRules, PlanRecord, SessionRecord, Versions};
+pub use rig::{SceneFileError, scene_files};
 pub(crate) use store::utc_now;
 pub use store::{FrameEntry, NewSession, Session, SessionState, SessionWriter};
