@@ -115,12 +115,13 @@ pub struct FitSettings {
     pub optimizer: String,
     /// Camera paths per cell, as traced.
     pub samples_per_pixel: u64,
-    /// Camera paths per cell that were asked for: more than were traced where memory did not
-    /// suffice. Optional, as is all below that has `None` or nothing.
+    /// Camera paths per cell as requested: more than were traced where memory did not suffice.
+    /// Optional, as is everything below that may be `None` or empty.
     pub samples_requested: Option<u64>,
     /// Memory that cached paths might take, MiB.
     pub memory_mib: Option<u64>,
-    /// Whether paths were traced again where the first fit's material sends light.
+    /// Whether paths were traced again in the directions in which the first fit's material
+    /// reflects.
     pub adapted_paths: Option<bool>,
     /// Rounds of new atoms next to the active ones; 0 since version 0.2.
     pub refined_atoms: Option<u32>,
