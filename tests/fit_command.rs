@@ -3,9 +3,13 @@
 
 use std::path::Path;
 use std::process::{Command, Output};
+use std::sync::Mutex;
 
 use image::{GrayImage, Luma};
+use rig::progress::Progress;
 use rig::session::fit_record::{self, FitRecord};
+use rig::transport::Kernel;
+use rig::workflow::{FitRequest, ImageFit, Notice, Observer, fit_images};
 
 const SCENE: &str = r#"
 [camera]
@@ -169,6 +173,49 @@ fn the_record_states_how_the_fit_was_made() {
         pixels.map(|p| residual.mean[p][0].abs()).sum::<f32>()
     });
     assert!(sums[0] == 0.0 && sums[1] > 0.0, "{sums:?}");
+}
+
+/// Phases and notices, one line each.
+#[derive(Default)]
+struct Seen(Mutex<Vec<String>>);
+
+impl Progress for Seen {
+    fn begin(&self, phase: &str, _: Option<usize>) {
+        self.0.lock().unwrap().push(phase.to_owned());
+    }
+}
+
+impl Observer for Seen {
+    fn notice(&self, notice: Notice<'_>) {
+        self.0.lock().unwrap().push(notice.to_string());
+    }
+}
+
+#[test]
+fn the_library_fits_as_the_command_does() {
+    let home = photographed();
+    let by_command = fitted(home.path(), "");
+    let images = ["i_L000.exr", "i_L001.exr"].map(|name| home.path().join(name));
+    let files = ImageFit {
+        scene: &home.path().join("s.toml"),
+        images: &images,
+        out: &home.path().join("by-library"),
+    };
+    let request = FitRequest {
+        samples_per_cell: Some(32),
+        kernel: Some(Kernel::Portable),
+        ..FitRequest::default()
+    };
+    let seen = Seen::default();
+    let outcome = fit_images(files, &request, &seen).unwrap();
+    assert_eq!(outcome.record.weights, by_command.weights);
+    assert_eq!(outcome.record.table, by_command.table);
+    assert_eq!(fit_record::find(&outcome.folder).unwrap(), outcome.record);
+    let seen = seen.0.into_inner().unwrap();
+    for line in ["tracing paths", "uncertainty"] {
+        assert!(seen.iter().any(|seen| seen == line), "{seen:?}");
+    }
+    assert!(seen[0].contains("32 light paths each"), "{seen:?}");
 }
 
 /// Remarks at the terminal are in the record too, without effect on its verdict.

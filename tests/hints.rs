@@ -175,6 +175,10 @@ const ELSEWHERE: &[(&str, &str)] = &[
         "a machine with too little memory",
     ),
     (
+        ", or compare fewer cells",
+        "a fit that is too large for the memory allowed",
+    ),
+    (
         "`--kernel auto` takes the fastest that it has",
         "a processor without AVX2",
     ),

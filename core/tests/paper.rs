@@ -256,7 +256,6 @@ fn the_result_is_that_of_the_fit() {
         &Captured::of_pixels(&images, |_| true),
         &known.dictionary,
         &options,
-        &mut |_| {},
     )
     .unwrap();
     let sampling = Sampling {

@@ -39,9 +39,9 @@ use crate::config::simulation::MaterialSpec;
 use crate::config::{ResolvedRig, RigConfig};
 use crate::interrupt::Interrupt;
 use crate::radiometry::sensor::SensorNoise;
-use crate::session::captured_rig::scene_files;
 use crate::session::commit::SystemDisk;
 use crate::session::layout::{CALIBRATION_FOLDER, session_name};
+use crate::session::scene_files;
 use crate::session::{
     CalibrationCopy, Event, NewSession, PlanRecord, Session, SessionRecord, SessionWriter, Versions,
 };

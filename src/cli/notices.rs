@@ -12,7 +12,9 @@ impl Observer for Context {
         use Notice::*;
         match notice {
             Work(work) => tracing::info!("{work}"),
-            ByRecord { .. } | AssumedNoise { .. } | Discrepancy { .. } => self.note(notice),
+            ByRecord { .. } | AssumedNoise { .. } | HomingCycle { .. } | Discrepancy { .. } => {
+                self.note(notice);
+            }
             ScaleAsDescribed => self.note(format_args!(
                 "{notice}; `rig calibrate white` measures it; where it is unknown, \
                  --refine-bench --uncertainty common_intensity=1 allows for that"

@@ -23,7 +23,7 @@ macro_rules! out {
     };
 }
 
-/// What [`out!`](crate::out) calls. Names and what devices say are shown [`escaped`], also in
+/// What [`out!`](crate::out) calls. Names and texts of devices are shown [`escaped`], also in
 /// a pipe, which may end in a pager.
 pub fn write_line(text: Arguments<'_>) -> Result<(), CliError> {
     write_bytes(format!("{}\n", escaped(&text.to_string())).as_bytes())
@@ -52,7 +52,7 @@ pub fn write_bytes(bytes: &[u8]) -> Result<(), CliError> {
 pub const ANOTHER_FILE: &str = "choose a file in a folder that exists and can be written";
 
 /// Refuses a file whose name has not this ending: one of another kind would be replaced by a
-/// slip, and programs that go by endings would not read it.
+/// slip, and programs that rely on endings would not read it.
 pub fn check_ending(path: &Path, ending: &str) -> Result<(), CliError> {
     if path
         .extension()
@@ -71,7 +71,7 @@ pub fn check_writable(path: &Path) -> Result<(), CliError> {
     whole_file::check_writable(path).map_err(|error| unwritable(path, &error))
 }
 
-/// A result that cannot be written, with the advice that belongs to why.
+/// A result that cannot be written, with advice by its cause.
 pub fn unwritable(path: &Path, error: &std::io::Error) -> CliError {
     let hint = hints::for_error(error).filter(|_| error.kind() != ErrorKind::NotFound);
     CliError::new(format!("{}: {error}", path.display()))

@@ -16,6 +16,7 @@ use crate::device::{
 use crate::interrupt::{Interrupt, StopLevel};
 use crate::out;
 use crate::units::StageAngles;
+use crate::workflow::measure_repeatability;
 
 /// Controls the light stage directly
 ///
@@ -233,7 +234,7 @@ fn repeat_homing(which: &Which, cycles: u32, context: &Context) -> Result<(), Cl
     let mut open = open_stage(&rig, &open::options(&rig)?)?.guarded()?;
     let found = stoppable(&mut *open.stage, |stage, wishes| {
         let stopped = wishes.stopped;
-        Ok(repeatability::measure(
+        Ok(measure_repeatability(
             stage,
             &kinematics,
             cycles,
@@ -248,11 +249,7 @@ fn repeat_homing(which: &Which, cycles: u32, context: &Context) -> Result<(), Cl
         ))
         .hint("Zaber stages can; for others, compare images of a mark after each `rig stage home`")
     })?;
-    found.report(
-        open.stage.info(),
-        repeatability::unit(&kinematics),
-        which.json,
-    )
+    repeatability::report(&found, open.stage.info(), &kinematics, which.json)
 }
 
 fn stop(which: &Which, context: &Context) -> Result<(), CliError> {

@@ -131,7 +131,7 @@ fn queue() -> Option<&'static Queue> {
     })
 }
 
-/// Says something. Never waits; a closed stderr is ignored.
+/// Writes a message. Never waits; a closed stderr is ignored.
 pub fn write(text: &str, worth: Worth) {
     match queue() {
         Some(queue) => queue.put(text, worth),

@@ -118,12 +118,13 @@ pub struct FitSettings {
     pub optimizer: String,
     /// Camera paths per cell, as traced.
     pub samples_per_pixel: u64,
-    /// Camera paths per cell that were asked for: more than were traced where memory did not
-    /// suffice. Optional, as is all below that has `None` or nothing.
+    /// Camera paths per cell as requested: more than were traced where memory did not suffice.
+    /// Optional, as is everything below that may be `None` or empty.
     pub samples_requested: Option<u64>,
     /// Memory that cached paths might take, MiB.
     pub memory_mib: Option<u64>,
-    /// Whether paths were traced again where the first fit's material sends light.
+    /// Whether paths were traced again in the directions in which the first fit's material
+    /// reflects.
     pub adapted_paths: Option<bool>,
     /// The same weights for all channels.
     pub shared_weights: Option<bool>,
@@ -393,6 +394,8 @@ fn out_of_range(
 fn check(folder: &Path, record: &FitRecord) -> Result<(), FitRecordError> {
     let toml = folder.join(FIT_FILE);
     let csv = folder.join("weights.csv");
+
+    // fit.toml.
     if !record.loss.is_finite() {
         return Err(out_of_range(&toml, "loss", record.loss, "a finite number"));
     }
@@ -414,6 +417,8 @@ fn check(folder: &Path, record: &FitRecord) -> Result<(), FitRecordError> {
         let allowed = "a share per source that sum to 1, and a deviation of 0 or more";
         return Err(out_of_range(&toml, key, value, allowed));
     }
+
+    // The model discrepancy and its table.
     if let Some(discrepancy) = &record.discrepancy {
         let amplitude = discrepancy.amplitude;
         if !(amplitude.is_finite() && amplitude > 0.0) {
@@ -442,6 +447,8 @@ fn check(folder: &Path, record: &FitRecord) -> Result<(), FitRecordError> {
             }
         }
     }
+
+    // Atoms and weights.
     let atoms = record.atoms.len();
     for (row, atom) in record.atoms.iter().enumerate() {
         if atom.index != row {

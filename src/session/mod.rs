@@ -22,7 +22,7 @@
 //! checks every byte. All writing goes through [`commit::Disk`], so that a test
 //! can fail each operation ([`faults`]).
 
-pub mod captured_rig;
+pub(crate) mod captured_rig;
 pub mod commit;
 pub mod drift;
 mod error;
@@ -36,6 +36,7 @@ pub mod record;
 mod store;
 pub mod verify;
 
+pub use captured_rig::{SceneFileError, scene_files};
 pub use drift::{LampDrift, REVISIT_ROUND};
 pub use error::SessionError;
 pub use frame::{FrameTimes, Sidecar};

@@ -13,15 +13,15 @@ pub struct FitWork {
     pub refines_bench: bool,
 }
 
-/// Processor time of a fit by `docs/measurements/size.md`: of all, and of each path from a cell
-/// with its connection to each light, seconds.
+/// Processor time of a fit as measured in `docs/measurements/size.md`, seconds: fixed, of each
+/// path from a cell, and of each of its connections to a light.
 const FIXED_CPU_S: f64 = 0.7;
 const PATH_CPU_S: f64 = 6.0e-6;
 const CONNECTION_CPU_S: f64 = 1.7e-6;
-/// Refining the bench over the fit itself, likewise.
+/// Time of a refinement of the bench over that of the fit itself.
 const REFINING: f64 = 9.0;
-/// Memory by the same measurements: of the program, of each cell, and of each path from a cell
-/// to a light, bytes.
+/// Memory by the same measurements, bytes: fixed, of each cell, and of each path from a cell to
+/// a light.
 const FIXED_BYTES: f64 = 25e6;
 const CELL_BYTES: f64 = 18e3;
 const PATH_BYTES: f64 = 78.0;
@@ -29,7 +29,7 @@ const PATH_BYTES: f64 = 78.0;
 const REFINING_MEMORY: f64 = 3.2;
 
 impl FitWork {
-    /// Processor time that it takes, about, seconds.
+    /// Estimated processor time, seconds.
     pub fn expected_cpu_s(&self) -> f64 {
         let paths = self.cells as f64 * f64::from(self.paths_per_cell);
         let each = PATH_CPU_S + CONNECTION_CPU_S * self.lights as f64;
@@ -42,7 +42,7 @@ impl FitWork {
         fit_s + refining_s
     }
 
-    /// Memory that it holds at its peak, about, bytes.
+    /// Estimated memory at its peak, bytes.
     pub fn expected_bytes(&self) -> f64 {
         let paths = self.lights as f64 * f64::from(self.paths_per_cell);
         let fit = self.cells as f64 * (CELL_BYTES + paths * PATH_BYTES);

@@ -1,5 +1,5 @@
 //! What the program does as functions of the library: fitting a captured session, fitting
-//! images of a described scene. Each has its own request and result types and reports what
+//! images of a described scene, measuring how well a stage homes. Each has its own request and result types and reports what
 //! happens meanwhile to an [`Observer`]; the command line only parses, shows and advises.
 //!
 //! ```no_run
@@ -27,6 +27,7 @@ mod fit_session;
 mod fit_work;
 mod lamp_drift;
 mod notice;
+mod repeatability;
 mod scene_check;
 mod session_images;
 mod summary;
@@ -41,6 +42,7 @@ pub use fit_request::FitRequest;
 pub use fit_session::{fit_session, work_of};
 pub use fit_work::FitWork;
 pub use notice::{Notice, Observer};
+pub use repeatability::{Repeatability, measure_repeatability};
 pub use scene_check::{DescribedIn, SceneConcern, check_scene, extent_in_image, millimetres};
 pub use session_images::{SessionImages, session_images};
 

@@ -41,7 +41,7 @@ pub enum Notice<'a> {
     },
     /// The irradiance is only as stated in the rig file.
     ScaleAsDescribed,
-    /// What the scene's files had to be relieved of.
+    /// A defect of the scene's files that was left out, such as a degenerate facet.
     OfScene(&'a str),
     /// Something of the scene makes it hard to measure.
     Scene(&'a SceneConcern),
@@ -52,6 +52,15 @@ pub enum Notice<'a> {
     },
     /// A fact that the fit's record keeps among its remarks.
     Remark(&'a str),
+    /// A cycle of repeated homing is done.
+    HomingCycle {
+        /// From 1.
+        cycle: u32,
+        /// All cycles.
+        of: u32,
+        /// Position found minus expected, of both axes, degrees or mm.
+        off: [f64; 2],
+    },
     /// How much the fit is going to do.
     Work(FitWork),
     /// The material differs from every mixture of the dictionary.
@@ -85,6 +94,11 @@ impl fmt::Display for Notice<'_> {
             AssumedNoise { file } => write!(
                 out,
                 "{file}: no variance is stated; a relative noise of {UNSTATED_NOISE} is assumed"
+            ),
+            HomingCycle { cycle, of, off } => write!(
+                out,
+                "cycle {cycle} of {of}: off by {:.4} and {:.4}",
+                off[0], off[1]
             ),
             Work(work) => work.fmt(out),
             Discrepancy {

@@ -27,6 +27,8 @@ pub(super) fn of_fit(
 ) -> Result<FitRecord, WorkflowError> {
     let mixture = &fit.material.mixture;
     let dictionary = mixture.dictionary();
+
+    // The comparison with the truth takes time of its own.
     let clock = Instant::now();
     let score = match truth {
         Some((name, brdf)) => {
@@ -44,6 +46,8 @@ pub(super) fn of_fit(
         None => None,
     };
     let scoring = ("score", clock.elapsed().as_secs_f64());
+
+    // The optimiser's steps; the last one's loss is the fit's.
     let trace: Vec<TracePoint> = (0..)
         .zip(&fit.trace)
         .map(|(step, (seconds, point))| TracePoint {
@@ -52,6 +56,7 @@ pub(super) fn of_fit(
             seconds: *seconds,
         })
         .collect();
+
     let atoms = dictionary.atoms().iter().enumerate();
     let timings = fit.timings.iter().copied().chain([scoring]);
     Ok(FitRecord {

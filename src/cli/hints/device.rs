@@ -6,6 +6,7 @@ use crate::device::{AlarmCause, DeviceError, FirmwareFault, ProgramFault, Speake
 pub(super) fn for_device(error: &DeviceError) -> String {
     use DeviceError::*;
     let hint = match error {
+        // Opening the device.
         NotFound { device } if device.starts_with("/dev/") => {
             "run `rig devices` to see what is connected; name ports by /dev/serial/by-id, which survives replugging"
         }
@@ -27,6 +28,7 @@ pub(super) fn for_device(error: &DeviceError) -> String {
         Garbled { .. } => {
             "check the baud rate, and that the port belongs to this device (`rig devices`)"
         }
+        // Its kind, firmware and program.
         WrongKind { .. } => "name another: `rig devices` lists the cameras and serial ports",
         OtherProtocol { speaks, .. } => for_firmware_family(*speaks),
         Firmware { fault, .. } => for_firmware(fault),
@@ -41,8 +43,9 @@ pub(super) fn for_device(error: &DeviceError) -> String {
             "plug it into a port of another USB controller, without a hub, and end the streams of other cameras; one that asks for more than it needs is cured by `sudo rmmod uvcvideo && sudo modprobe uvcvideo quirks=128`"
         }
         BadFrame { fault, .. } => for_frame(fault),
+        // Its answers to commands.
         Refused { .. } => {
-            "check the rig file against what the device accepts: `rig stage status`, `rig camera info` and `rig camera controls` ask it"
+            "check the rig file against what the device accepts: `rig stage status`, `rig camera info` and `rig camera controls` show that"
         }
         Alarm { cause, .. } => for_alarm(*cause),
         NotHomed { .. } => "run `rig stage home` first",
@@ -52,6 +55,7 @@ pub(super) fn for_device(error: &DeviceError) -> String {
         NotApplied { .. } => {
             "the device has another range or step; `rig camera info` and `rig stage status` show what it accepts"
         }
+        // Failures while it works.
         Disconnected { .. } => {
             "check the cable and the USB hub's power, then `rig doctor`; an interrupted capture continues with `rig capture --resume`"
         }

@@ -11,11 +11,11 @@ pub struct BenchRecord {
     pub rounds: u32,
     /// Whether the last step was within the remaining uncertainty.
     pub settled: bool,
-    /// Mean squared residual, in variances, on the bench as described. It is estimated
-    /// without bias and can be slightly negative; with a quarter of the paths, whose noise is
-    /// part of the variances, so that more paths would say no less.
+    /// Mean squared residual over its variance, on the bench as described. The estimate is
+    /// unbiased and can be slightly negative. It uses a quarter of the paths; their noise is
+    /// part of the variances.
     pub residual_described: f64,
-    /// The same where the refinement ended.
+    /// The same on the refined bench.
     pub residual_refined: f64,
     /// Unobservable combinations, by name: fixed at the description.
     pub held: Vec<String>,
