@@ -3,8 +3,6 @@
 
 mod command_support;
 
-use std::path::{Path, PathBuf};
-
 use command_support::{changed, good, printed_session, run, small_bench, text};
 use serde_json::Value;
 

@@ -5,7 +5,7 @@ mod command_support;
 
 use std::path::{Path, PathBuf};
 
-use command_support::{good, printed_session, run, small_bench_with, text};
+use command_support::{good, run, small_bench_with, text};
 use serde_json::Value;
 
 /// The simulated rig with a glossy sphere on it, and a stage that is turned by 0.8° and

@@ -3,7 +3,7 @@
 
 mod command_support;
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use command_support::{changed, good, run, small_bench, text};
 use serde_json::Value;
