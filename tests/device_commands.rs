@@ -241,7 +241,7 @@ fn a_killed_program_leaves_no_light_of_a_dome_lit() {
             built_in,
             packets.path(),
             packets.bench(),
-            "told it to turn off",
+            "sent it the command to turn off",
         ),
     ] {
         let (_folder, file) = rig_file_on_port(built_in, &port.display().to_string());

@@ -58,7 +58,7 @@ const ELSEWHERE: &[(&str, &str)] = &[
         "a file that goes away while a capture is prepared",
     ),
     (
-        "`--lights N` spreads the lights evenly",
+        "spreads the lights evenly with any dictionary",
         "a dictionary that paths cannot hold",
     ),
     (

@@ -31,7 +31,7 @@ pub(super) fn for_prepare(error: &PrepareError) -> Option<String> {
             "correct camera.resolution_px in the rig file; `rig camera info` shows what the camera offers".into()
         }
         PrepareError::LightSelection(_) => {
-            "`--lights N` spreads the lights evenly with any dictionary".into()
+            "a plain number after --lights spreads the lights evenly with any dictionary".into()
         }
         PrepareError::NoFit { .. } => {
             "`rig fit SESSION` makes one; before a capture, `rig capture --lights best:N` chooses"
