@@ -80,7 +80,7 @@ fn with_discrepancy() -> FitRecord {
 
 /// The node's factors make of the weights' mixture the material.
 #[test]
-fn json_holds_the_departure() {
+fn json_has_the_discrepancy() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("brdf.json");
     let record = with_discrepancy();
@@ -108,7 +108,7 @@ fn json_holds_the_departure() {
 
 /// Mitsuba's blends are the mixture alone, with a note of that.
 #[test]
-fn blends_say_that_they_lack_the_departure() {
+fn blends_have_a_note_that_they_lack_the_discrepancy() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("a.xml");
     let text = |record: &FitRecord| {
@@ -120,7 +120,7 @@ fn blends_say_that_they_lack_the_departure() {
 }
 
 #[test]
-fn json_holds_the_whole_brdf() {
+fn json_has_the_whole_brdf() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("brdf.json");
     let record = record(true);
