@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use glam::{DVec2, DVec3};
 use serde::Serialize;
 
-use super::experiment::{EvaluateError, csv_text};
+use super::experiment::{EvaluateError, Row, Table};
 use crate::brdf::source;
 use crate::geometry::Shape;
 use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
@@ -337,38 +337,23 @@ fn peak_memory_mb(status: &Path) -> Option<f64> {
 
 /// A line per case under a header; times in s, memory in MB.
 fn to_csv(costs: &[Cost]) -> String {
-    let header = [
-        "varied",
-        "width_px",
-        "height_px",
-        "lights",
-        "cells",
-        "paths",
-        "threads",
-        "refined",
-        "cpu_s",
-        "wall_s",
-        "memory_mb",
-    ];
-    let mut records = vec![header.map(str::to_owned).to_vec()];
-    records.extend(costs.iter().map(|cost| {
+    let row = |cost: &Cost| {
         let case = &cost.case;
-        let [width, height] = case.resolution_px;
-        vec![
-            case.varied.to_owned(),
-            width.to_string(),
-            height.to_string(),
-            case.lights.to_string(),
-            case.cells.to_string(),
-            case.paths.to_string(),
-            case.threads.to_string(),
-            case.refined.to_string(),
-            format!("{:.2}", cost.cpu_s),
-            format!("{:.2}", cost.wall_s),
-            format!("{:.0}", cost.memory_mb),
-        ]
-    }));
-    csv_text(&records)
+        Row::new()
+            .with("varied", case.varied)
+            .with("width_px", case.resolution_px[0])
+            .with("height_px", case.resolution_px[1])
+            .with("lights", case.lights)
+            .with("cells", case.cells)
+            .with("paths", case.paths)
+            .with("threads", case.threads)
+            .with("refined", case.refined.to_string())
+            .with("cpu_s", format!("{:.2}", cost.cpu_s))
+            .with("wall_s", format!("{:.2}", cost.wall_s))
+            .with("memory_mb", format!("{:.0}", cost.memory_mb))
+    };
+    let rows = costs.iter().map(row).collect();
+    Table { rows }.to_csv()
 }
 
 /// Processor time and memory over pixels, cells, paths and lights, each on logarithmic axes.

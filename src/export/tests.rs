@@ -82,7 +82,7 @@ fn with_discrepancy() -> FitRecord {
 
 /// The node's factors make of the weights' mixture the material.
 #[test]
-fn json_holds_the_discrepancy() {
+fn json_has_the_discrepancy() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("brdf.json");
     let record = with_discrepancy();
@@ -110,7 +110,7 @@ fn json_holds_the_discrepancy() {
 
 /// Mitsuba's blends are the mixture alone, with a note of that.
 #[test]
-fn blends_say_that_they_lack_the_discrepancy() {
+fn blends_have_a_note_that_they_lack_the_discrepancy() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("a.xml");
     let text = |record: &FitRecord| {
@@ -122,7 +122,7 @@ fn blends_say_that_they_lack_the_discrepancy() {
 }
 
 #[test]
-fn json_holds_the_whole_brdf() {
+fn json_has_the_whole_brdf() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("brdf.json");
     let record = record(true);

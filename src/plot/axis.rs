@@ -4,6 +4,8 @@ use std::ops::Range;
 
 use plotters::coord::ranged1d::{KeyPointHint, NoDefaultFormatting, Ranged, ValueFormatter};
 
+use super::canvas::text_width;
+
 /// One axis: its range, and the positions and labels of its ticks.
 #[derive(Clone, Debug)]
 pub struct Axis {
@@ -92,6 +94,12 @@ impl Axis {
     /// Whether it has neither ticks nor a label.
     pub(super) fn is_bare(&self) -> bool {
         self.ticks.is_empty() && self.label.is_empty()
+    }
+
+    /// About how wide its longest tick label is, CSS pixels.
+    pub(super) fn tick_width(&self) -> f64 {
+        let widths = self.ticks.iter().map(|(_, text)| text_width(text));
+        widths.fold(0.0, f64::max)
     }
 
     /// A value, or the end of the axis that is nearest to it.

@@ -4,7 +4,7 @@ use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, VPos};
 
 use super::axis::Axis;
-use super::canvas::{Figure, INK, draw, draw_axes, palette, stroke, text_style, units};
+use super::canvas::{Figure, INK, draw, draw_axes, palette, stroke, text_style, text_width, units};
 
 /// One bar, of one part or of several end to end.
 #[derive(Clone, Debug)]
@@ -26,8 +26,10 @@ pub struct BarRow {
     pub bars: Vec<Bar>,
 }
 
-/// Rows of bars `row_px` CSS pixels high, their labels in `label_px` at the left.
-pub fn bars(name: &str, x: &Axis, [row_px, label_px]: [f64; 2], rows: &[BarRow]) -> Figure {
+/// Rows of bars `row_px` CSS pixels high, their labels at the left.
+pub fn bars(name: &str, x: &Axis, row_px: f64, rows: &[BarRow]) -> Figure {
+    let labels = rows.iter().map(|row| text_width(&row.label));
+    let label_px = labels.fold(50.0, f64::max) + 16.0;
     let size_px = [640.0, row_px * rows.len() as f64 + 56.0];
     draw(name, size_px, |root, _| {
         let y = Axis::bare(rows.len() as f64..0.0);

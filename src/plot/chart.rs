@@ -184,7 +184,7 @@ fn draw_chart(area: &Area, panel: &Chart) -> Result<(), DrawError> {
         .margin_top(units(top_px))
         .margin_right(units(16.0))
         .x_label_area_size(units(40.0))
-        .y_label_area_size(units(58.0))
+        .y_label_area_size(units((panel.y.tick_width() + 26.0).max(58.0)))
         .build_cartesian_2d(panel.x.clone(), panel.y.clone())?;
     draw_axes(&mut plot, [&panel.x, &panel.y], true)?;
     // Bands and error bars are below all curves.

@@ -49,5 +49,5 @@ fn figure(record: &BudgetRecord) -> Result<String, PlotError> {
         })
         .collect();
     let x = Axis::linear(0.0..1.14 * longest, "standard deviation, % of f");
-    bars("budget", &x, [26.0, 70.0], &rows).inline("error budget")
+    bars("budget", &x, 26.0, &rows).inline("error budget")
 }

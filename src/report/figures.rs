@@ -357,7 +357,7 @@ pub fn weight_bars(record: &FitRecord) -> Result<(String, usize), PlotError> {
         .collect();
     let hidden = record.atoms.len() - rows.len();
     let x = Axis::linear(0.0..(longest * 1.04).min(1.1), "weight");
-    let figure = bars("weights", &x, [34.0, 140.0], &rows);
+    let figure = bars("weights", &x, 34.0, &rows);
     Ok((figure.inline("mixture weights")?, hidden))
 }
 

@@ -5,8 +5,8 @@ use crate::brdf::discrepancy::Discrepancy;
 use crate::brdf::{Brdf, Dictionary, Mixture};
 use crate::random::{Purpose, stream};
 use crate::session::fit_record::{
-    AngleTable, AtomRecord, ChannelScore, DiscrepancyRecord, FitSettings, Grade, Interval,
-    MetricScores, ScoreSheet, Timing, TracePoint, Warning,
+    AngleTable, AtomRecord, BudgetRecord, BudgetRow, ChannelScore, DiscrepancyRecord, FitSettings,
+    Grade, Interval, MetricScores, ScoreSheet, Timing, TracePoint, Warning,
 };
 
 const WIDTH: usize = 48;
@@ -176,7 +176,20 @@ fn record(estimate: &Mixture) -> FitRecord {
         warnings: Vec::new(),
         remarks: Vec::new(),
         bench: None,
-        budget: None,
+        budget: Some(BudgetRecord {
+            sources: ["noise", "paths", "model", "prior"]
+                .map(str::to_owned)
+                .into(),
+            row: [(5.0, 10.0, 0.02), (40.0, 45.0, 0.008), (70.0, 10.0, 0.05)]
+                .map(|(theta_h_deg, theta_d_deg, relative_std)| BudgetRow {
+                    theta_h_deg,
+                    theta_d_deg,
+                    value: 0.12,
+                    relative_std,
+                    share: vec![0.4, 0.1, 0.3, 0.2],
+                })
+                .into(),
+        }),
     }
 }
 
@@ -295,6 +308,7 @@ fn a_whole_session_has_every_section() {
         "brdf",
         "weights",
         "optimisation",
+        "budget",
         "provenance",
     ] {
         assert!(html.contains(&format!("id=\"{id}\"")), "section {id}");
@@ -319,7 +333,9 @@ fn a_whole_session_has_every_section() {
         html.matches("data:image/png;base64,").count(),
         10 + 6 + 4 + 2
     );
-    assert_eq!(html.matches("<svg").count(), 3 + 3 + 2 + 1 + 1);
+    // Polar plots, slices, maps, weights, loss and budget.
+    assert_eq!(html.matches("<svg").count(), 3 + 3 + 2 + 1 + 1 + 1);
+    assert!(html.contains("0.80 %") && html.contains("40.0 %"), "budget");
     assert!(html.len() < 2_000_000, "{} bytes", html.len());
 }
 

@@ -19,7 +19,6 @@ pub use panels::{Medians, Scatter, doublings};
 pub use run::{Done, Outcome, Run, run};
 pub use settings::{Overrides, Scale, Settings};
 pub use statistics::{Spread, spread};
-pub(crate) use table::csv_text;
 pub use table::{Row, Table, Value};
 
 use std::path::PathBuf;

@@ -184,29 +184,24 @@ impl Table {
     /// as in JSON.
     pub fn to_csv(&self) -> String {
         let columns = self.columns();
-        let mut records = vec![columns.iter().map(|c| (*c).to_owned()).collect()];
-        records.extend(self.rows.iter().map(|row| {
+        let mut writer = csv::Writer::from_writer(Vec::new());
+        // Writing records of one length into memory cannot fail.
+        let mut write = |record: Vec<String>| {
+            let written = writer.write_record(record);
+            debug_assert!(written.is_ok());
+        };
+        write(columns.iter().map(|&column| column.to_owned()).collect());
+        for row in &self.rows {
             let field = |column: &&str| match row.get(column) {
                 Some(Value::Text(text)) => text.clone(),
                 Some(Value::Missing(())) | None => String::new(),
                 Some(value) => serde_json::to_string(value).unwrap_or_default(),
             };
-            columns.iter().map(field).collect()
-        }));
-        csv_text(&records)
+            write(columns.iter().map(field).collect());
+        }
+        let bytes = writer.into_inner().unwrap_or_default();
+        String::from_utf8(bytes).unwrap_or_default()
     }
-}
-
-/// Records as RFC 4180 with single line feeds.
-pub(crate) fn csv_text(records: &[Vec<String>]) -> String {
-    let mut writer = csv::Writer::from_writer(Vec::new());
-    for record in records {
-        // Writing records of one length into memory cannot fail.
-        let written = writer.write_record(record);
-        debug_assert!(written.is_ok());
-    }
-    let bytes = writer.into_inner().unwrap_or_default();
-    String::from_utf8(bytes).unwrap_or_default()
 }
 
 #[cfg(test)]
