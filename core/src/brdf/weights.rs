@@ -77,6 +77,7 @@ pub fn read(path: &Path, dictionary: Arc<Dictionary>) -> Result<Mixture, BrdfErr
 pub fn parse(text: &str, dictionary: &Dictionary) -> Result<[Vec<f64>; 3], String> {
     let rows = outside_table::rows(text).map_err(|error| error.to_string())?;
     let (header, rows) = rows.split_first().ok_or("the file is empty")?;
+    // The columns.
     let column = |name: &str| {
         header
             .column(name)
@@ -90,6 +91,7 @@ pub fn parse(text: &str, dictionary: &Dictionary) -> Result<[Vec<f64>; 3], Strin
         column("weight_b")?,
     ];
     let shape_columns = (column("alpha").ok(), column("eta").ok());
+    // One atom a row, which must be the dictionary's.
     let mut weights = [0, 1, 2].map(|_| vec![f64::NAN; dictionary.len()]);
     for row in rows {
         let line = row.line;
@@ -127,6 +129,7 @@ pub fn parse(text: &str, dictionary: &Dictionary) -> Result<[Vec<f64>; 3], Strin
                 ));
             }
         }
+        // Its weights, once.
         for (channel, &column) in weights.iter_mut().zip(&weight_columns) {
             if !channel[index].is_nan() {
                 return Err(format!("line {line}: atom {index} stands twice"));
@@ -135,6 +138,7 @@ pub fn parse(text: &str, dictionary: &Dictionary) -> Result<[Vec<f64>; 3], Strin
                 .map_err(|error| format!("line {line}: the weight {error}"))?;
         }
     }
+    // All atoms must be there.
     if let Some(missing) = weights[0].iter().position(|w| w.is_nan()) {
         return Err(format!(
             "atom {missing} of {} is missing",

@@ -154,6 +154,7 @@ fn of(mesh: &Mesh, middle: DVec3) -> Inspection {
         let corners: Vec<DVec3> = chain.iter().map(|&v| at(v)).collect();
         Opening::of(&corners)
     };
+    // Openings, the widest first, and the enclosed volume with its sign.
     let borders = topology.borders();
     let is_closed = borders.is_empty();
     let mut openings: Vec<Opening> = borders.iter().filter_map(opening).collect();
@@ -169,11 +170,13 @@ fn of(mesh: &Mesh, middle: DVec3) -> Inspection {
     let seat = hole_in_a_plane(mesh, &topology).or_else(|| openings.first().cloned());
     let bulk = centroid(mesh);
     let hollow = seat.and_then(|rim| Hollow::of(mesh, rim, bulk));
+    // Which side the fronts are on.
     let is_inside_out = match (&hollow, is_closed) {
         (_, true) => Some(volume < 0.0),
         (Some(hollow), false) => Some(vector(hollow.rim.normal).dot(vector(hollow.axis)) < 0.0),
         (None, false) => None,
     };
+    // The unit by the size, and the placement by the rim.
     let [low, high] = mesh.bounds_mm().map(|corner| corner.as_dvec3());
     let size = (high - low).max_element();
     let (mesh_unit, mm) = unit_of(size);
@@ -205,6 +208,7 @@ fn of(mesh: &Mesh, middle: DVec3) -> Inspection {
         )),
         _ => None,
     };
+    // In the file's coordinates, which the mesh has without `middle`.
     openings.truncate(8);
     let moved = |mut opening: Opening| {
         opening.centre = (vector(opening.centre) + middle).to_array();

@@ -95,6 +95,7 @@ pub fn parse(bytes: &[u8]) -> Result<Header<'_>, MeshError> {
             true => &rest[line.len() + 1..],
             false => after,
         };
+        // What the line declares; comments and unknown lines are skipped.
         let text = String::from_utf8_lossy(line);
         let words: Vec<&str> = text.split_ascii_whitespace().collect();
         let keyword = words.first().map(|word| word.to_ascii_lowercase());

@@ -371,6 +371,7 @@ impl Tracer<'_> {
                 mode: self.continuations.begin(),
                 numbers,
             };
+            // Continue the path; each reflection stores its continuation and its connections.
             while walk.reflections < options.max_reflections {
                 walk.numbers.advance();
                 let Some((direction, pdf)) = self.continuations.draw(
@@ -389,6 +390,7 @@ impl Tracer<'_> {
                 };
                 (walk.surface, walk.to_viewer) = next;
                 walk.reflections += 1;
+                // Known bodies in between are followed here and end up in the weight.
                 let mut weight = direction.z / pdf;
                 if !walk.surface.is_sample() {
                     let before = records.len();

@@ -159,6 +159,7 @@ impl Cache {
             // Groups differ in size: a thread that is done takes the next.
             .with_max_len(1)
             .map(|group| {
+                // Room for one cell, used again for all of the group.
                 let mut accumulator = new();
                 let mut scratch = Scratch::new();
                 let mut sums =
@@ -188,6 +189,7 @@ impl Cache {
                             );
                             sums[half].by_node(self.samples_per_half, &mut nodes[half]);
                         }
+                        // Variance of the mean over both halves' paths.
                         let n = 2.0 * self.samples_per_half as f32;
                         for (r, out) in variance.iter_mut().enumerate() {
                             let mean = 0.5 * (values[0][r] + values[1][r]);
@@ -418,6 +420,7 @@ fn sweep<L: Lanes, const B: usize, const C: usize>(
 ) {
     let n = records.len();
     let (steps, shares) = scratch.slices(n);
+    // Forward: f at each record, and the product of all factors before it on its path.
     let mut weights = [[L::splat(0.0); B]; C];
     for c in 0..C {
         for b in 0..B {
@@ -447,6 +450,7 @@ fn sweep<L: Lanes, const B: usize, const C: usize>(
         }
     }
 
+    // Backward, lamp by lamp: the light gathered after each record, and each record's share.
     let mut is_lamp = [0.0f32; MAX_LIGHTS];
     let Sums(by_atom, by_node) = sums;
     for (light, sums) in by_atom.iter_mut().enumerate() {
@@ -478,6 +482,7 @@ fn sweep<L: Lanes, const B: usize, const C: usize>(
             count += usize::from(share != [0.0; C]);
         }
         is_lamp[light] = 0.0;
+        // Derivatives by the atoms' weights: the shares times the atoms' values.
         let mut gradient = [[L::splat(0.0); B]; C];
         for &(i, share) in &shares[..count] {
             let i = i as usize;
@@ -487,6 +492,7 @@ fn sweep<L: Lanes, const B: usize, const C: usize>(
                 records[i].accumulate(share, &mut gradient[c]);
             }
         }
+        // Derivatives by ln f at the nodes of the discrepancy.
         if let Some(nodes) = by_node.get_mut(light) {
             nodes.fill([0.0; C]);
             for &(i, share) in &shares[..count] {

@@ -96,6 +96,7 @@ fn put_rows<E: From<ExrError>>(
     next_rows: impl FnMut() -> Result<RadianceImage, E>,
 ) -> Result<(), E> {
     let [width, height] = size;
+    // The header.
     let mut names: Vec<&'static str> = [&COLOURS[..], &VARIANCES, &[MASK]].concat();
     names.sort_unstable(); // as the format has it
     let channels = names
@@ -107,6 +108,7 @@ fn put_rows<E: From<ExrError>>(
             BlockDescription::ScanLines,
             LineOrder::Increasing,
         );
+    // Blocks in the order of the file, compressed by all processors where that is possible.
     let mut rows = RowQueue {
         next_rows,
         path,
