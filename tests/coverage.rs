@@ -1,7 +1,7 @@
 //! Small versions of the coverage and diagnosis studies: 8 captures of 16 × 16 pixels.
 //! `make test-long` runs the full ones.
 
-use rig::evaluate::experiment::{Overrides, Table};
+use rig::evaluate::experiment::{Overrides, Settings, Table};
 use rig::evaluate::lab::Lab;
 
 fn table(name: &str) -> Table {
@@ -10,7 +10,8 @@ fn table(name: &str) -> Table {
         quick: true,
         ..Overrides::default()
     };
-    let lab = Lab::new(experiment, &overrides).unwrap();
+    let settings = Settings::new(experiment, &overrides).unwrap();
+    let lab = Lab::new(settings, overrides.portable).unwrap();
     let mut rows = Vec::new();
     for case in (experiment.cases)(&lab).unwrap() {
         rows.extend(case.run(&lab).unwrap());

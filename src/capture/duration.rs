@@ -2,7 +2,7 @@
 
 use super::CaptureError;
 use super::bracket;
-use super::plan::Pace;
+use super::pace::Pace;
 use crate::device::LampState;
 use crate::radiometry::exposure::{BracketStep, PilotStatistics, plan_bracket};
 use crate::radiometry::sensor::SensorNoise;

@@ -29,6 +29,7 @@ pub mod findings;
 pub mod light_choice;
 mod merge_sink;
 pub mod open;
+mod pace;
 pub mod plan;
 pub mod prepare;
 mod progress;

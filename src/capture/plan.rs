@@ -8,6 +8,7 @@ use glam::DVec3;
 use super::CaptureError;
 use super::directions::plan_order;
 use super::duration::Expected;
+pub use super::pace::Pace;
 use super::reach::StageReach;
 use crate::config::RigConfig;
 use crate::device::{CameraInfo, LampChannel};
@@ -42,36 +43,6 @@ pub struct PlanRequest {
     pub resolution_px: [u32; 2],
     /// How fast things go, for the estimate.
     pub pace: Pace,
-}
-
-/// How fast the devices are, for the estimate only.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Pace {
-    /// Speed of the stage, degrees per second; > 0.
-    pub stage_deg_s: f64,
-    /// Time to home.
-    pub homing: Seconds,
-    /// Time between frames where the exposure is shorter.
-    pub frame_interval: Seconds,
-    /// What a simulated bench computes before a light's first frame; 0 of real ones.
-    pub view: Seconds,
-}
-
-/// A simulated bench computes for so long what a light shows, on two processors.
-const SIMULATED_VIEW: Seconds = Seconds(2.0);
-
-impl Pace {
-    /// Of a rig.
-    pub fn of_rig(rig: &RigConfig) -> Self {
-        let (stage_deg_s, homing) = rig.stage.pace();
-        let simulation = rig.simulation.as_ref();
-        Self {
-            stage_deg_s,
-            homing,
-            frame_interval: Seconds(simulation.map_or(1.0 / 30.0, |s| s.camera.frame_interval_s)),
-            view: simulation.map_or(Seconds(0.0), |_| SIMULATED_VIEW),
-        }
-    }
 }
 
 impl PlanRequest {

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use super::interrupt::end_on_signal;
 use super::{CliError, Context, light_choice, output};
-use crate::evaluate::experiment::{Overrides, Run, run as run_experiment};
+use crate::evaluate::experiment::{Overrides, Run, Settings, run as run_experiment};
 use crate::evaluate::lab::Lab;
 use crate::evaluate::{EXPERIMENTS, find};
 use crate::out;
@@ -106,7 +106,8 @@ pub fn run(args: &EvaluateArgs, context: &Context) -> Result<(), CliError> {
         quick: args.quick,
         portable: args.portable,
     };
-    let lab = Lab::new(experiment, &overrides)?;
+    let settings = Settings::new(experiment, &overrides)?;
+    let lab = Lab::new(settings, overrides.portable)?;
     // Finished cases are on disk already: the run may end at any moment.
     let shown = folder.display().to_string();
     end_on_signal(context, move |signal| {

@@ -2,7 +2,7 @@
 //! takes each frame with the settings that it is given.
 //!
 //! A driver is a [`FrameSource`], in a file of its own with a [`Driver`] that names it in rig
-//! files, and a line in [`DRIVERS`].
+//! files, and a line in [`DRIVERS`](super::described_drivers::DRIVERS).
 
 use std::ffi::OsStr;
 use std::path::Path;
@@ -11,13 +11,10 @@ use std::time::{Duration, Instant};
 
 use super::retake::FrameFault;
 use super::{
-    Camera, CameraInfo, CameraSettings, DeviceError, FrameKey, RawFrame, command_camera,
-    folder_camera, image_file, nearest_exposure, outside,
+    Camera, CameraInfo, CameraSettings, DeviceError, FrameKey, RawFrame, image_file,
+    nearest_exposure, outside,
 };
 use crate::units::Seconds;
-
-/// Every driver of this kind.
-pub const DRIVERS: &[Driver] = &[command_camera::DRIVER, folder_camera::DRIVER];
 
 /// A driver as rig files name it.
 #[derive(Debug)]

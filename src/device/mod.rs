@@ -7,6 +7,7 @@
 pub mod command_camera;
 pub mod controls;
 pub mod described;
+pub mod described_drivers;
 pub mod discovery;
 pub mod dome;
 mod error;

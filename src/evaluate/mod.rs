@@ -2,6 +2,7 @@
 
 mod defects;
 mod diagnosis;
+mod error;
 pub mod experiment;
 mod intervals;
 pub mod lab;

@@ -3,7 +3,7 @@
 use minijinja::context;
 use minijinja::value::Value;
 
-use super::template::values;
+use super::value::values;
 use crate::plot::{Axis, Bar, BarRow, PlotError, bars, page_color};
 use crate::session::fit_record::BudgetRecord;
 

@@ -13,6 +13,7 @@ pub mod images;
 pub mod load;
 mod summary;
 mod template;
+mod value;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

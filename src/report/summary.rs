@@ -3,7 +3,7 @@
 use minijinja::context;
 use minijinja::value::Value;
 
-use super::template::value;
+use super::value::value;
 use crate::session::fit_record::{ChannelScore, FitRecord, MetricScores, Verdict};
 
 /// Three significant digits.

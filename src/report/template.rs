@@ -1,27 +1,17 @@
 //! From the report's input to the values of its template.
 
-use minijinja::value::{Serde, Value};
+use minijinja::value::Value;
 use minijinja::{Environment, UndefinedBehavior, context};
-use serde::Serialize;
 
 use super::budget::budget_view;
 use super::images;
 use super::summary::{percent, score_rows, short, tiles, verdict_view};
+use super::value::{value, values};
 use super::{FitInput, LightInput, ReportError, ReportInput, SphereInput, figures};
 use crate::plot::Picture;
 use crate::plot::colors::diverging;
 use crate::radiance_image::RadianceImage;
 use crate::session::fit_record::{BenchRecord, EXPLAINED_CHI_SQUARE};
-
-/// Anything that serde understands, as the template takes it.
-pub(super) fn value(of: impl Serialize) -> Value {
-    Value::from(Serde(of))
-}
-
-/// Each of them by `view`.
-pub(super) fn values<T>(all: impl IntoIterator<Item = T>, view: impl Fn(T) -> Value) -> Value {
-    all.into_iter().map(view).collect()
-}
 
 /// The refined bench; rows have name, correction with its standard deviation, the one
 /// before, and unit.

@@ -5,19 +5,15 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use super::cell_images::{self, Source};
-use super::notice::{Notice, Observer};
-use super::{FitRequest, FitWork, WorkflowError, coarse_facets, fit_memory, summary, warnings};
-use crate::brdf::{Brdf, Dictionary};
+use super::notice::Observer;
+use super::{FitRequest, FitWork, WorkflowError};
+use crate::brdf::Dictionary;
 use crate::config::process;
 use crate::geometry::FormError;
 use crate::inverse::cells::choose;
 use crate::inverse::exponentiated_gradient::ExponentiatedGradient;
-use crate::inverse::{
-    BenchPriors, Captured, CellOptions, FitOptions, Optimizer, RefineOptions, fit_with_progress,
-    plausibility, refine_bench,
-};
-use crate::session::fit_record::{BenchRecord, FitImages, FitRecord};
-use crate::transport::{Kernel, RenderOptions, Scene, truncation_remainder};
+use crate::inverse::{BenchPriors, Captured, CellOptions, FitOptions, Optimizer, plausibility};
+use crate::transport::{Kernel, Scene};
 
 /// What is fitted and how, by configuration and request together.
 pub(super) struct FitPlan {
@@ -27,13 +23,10 @@ pub(super) struct FitPlan {
     /// Memory of the whole fit, MiB, if it is limited.
     pub memory_mib: Option<u64>,
     /// How well the bench is known; `None`: exactly.
-    priors: Option<BenchPriors>,
+    pub priors: Option<BenchPriors>,
     /// Most cells, if chosen.
     cells: Option<usize>,
 }
-
-/// Paths per pixel that the estimate of the truncated light takes.
-const TRUNCATION_SAMPLES: u32 = 32;
 
 impl FitPlan {
     /// The request over `config`'s choices over the defaults, on a bench that is known within
@@ -156,82 +149,6 @@ impl FitPlan {
                 source,
             }),
         }
-    }
-
-    /// Fits and describes the result. `truth`: name and BRDF, where known.
-    ///
-    /// # Errors
-    /// Too little memory, or equations without a solution.
-    pub fn run(
-        &self,
-        scene: &Scene,
-        captured: &Captured,
-        simulated: bool,
-        truth: Option<(&str, &dyn Brdf)>,
-        observer: &dyn Observer,
-    ) -> Result<(FitRecord, FitImages), WorkflowError> {
-        let mut remarks: Vec<String> = scene.remarks().iter().map(ToString::to_string).collect();
-        let mut remark = |text: String| {
-            observer.notice(Notice::Remark(&text));
-            remarks.push(text);
-        };
-        if let Some(coarse) = coarse_facets(scene, self.dictionary.atoms()) {
-            remark(coarse);
-        }
-        let size = [captured.len(), captured.images.len()];
-        observer.notice(Notice::Work(self.work(size[0], size[1])));
-
-        // The fit, on a refined bench where that was asked for.
-        let dictionary = &self.dictionary;
-        let (atoms, refines_bench) = (dictionary.len(), self.priors.is_some());
-        let options =
-            &fit_memory::bounded(&self.options, size, atoms, refines_bench, self.memory_mib)?;
-        let (fit, bench) = match &self.priors {
-            None => (
-                fit_with_progress(scene, captured, dictionary, options, observer)?,
-                None,
-            ),
-            Some(priors) => {
-                let how = RefineOptions::default();
-                let refined =
-                    refine_bench(scene, captured, dictionary, options, priors, &how, observer)?;
-                let fit = refined.fit(dictionary, options, observer)?;
-                (fit, Some(refined.estimate))
-            }
-        };
-        if fit.samples[0] < fit.samples[1] {
-            remark(format!(
-                "{} of {} paths per cell were traced: more do not fit into the memory given",
-                fit.samples[0], fit.samples[1]
-            ));
-        }
-
-        // What it comes to.
-        observer.begin("scoring", None);
-        let mut record = summary::of_fit(self, &fit, simulated, truth)?;
-        observer.begin("longer paths", None);
-        let paths = RenderOptions {
-            max_reflections: self.options.cache.max_reflections,
-            seed: self.options.cache.seed,
-            ..RenderOptions::default()
-        };
-        let remainder = truncation_remainder(scene, &fit.material, &paths, TRUNCATION_SAMPLES);
-        record.truncation_remainder = remainder.iter().map(|r| r.share).collect();
-        record.warnings = warnings::of_fit(&fit, &record);
-        record.remarks = remarks;
-        record.bench = bench.as_ref().map(BenchRecord::from);
-        if fit.discrepancy > 0.0 {
-            observer.notice(Notice::Discrepancy {
-                dictionary: &record.dictionary,
-                amplitude: fit.discrepancy,
-            });
-        }
-        let images = FitImages {
-            rendered: fit.comparison.rendered(),
-            residual: fit.comparison.residual(),
-            cells_csv: fit.comparison.to_csv(),
-        };
-        Ok((record, images))
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use super::scene_check::SceneConcern;
+use super::scene_concern::SceneConcern;
 use super::{FitWork, UNSTATED_NOISE};
 use crate::progress::Progress;
 

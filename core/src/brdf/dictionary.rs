@@ -9,6 +9,7 @@ use serde::Deserialize;
 use super::BrdfError;
 pub use super::atom::Atom;
 use super::evaluator::Evaluator;
+pub use super::evaluator::MAX_ATOMS;
 use super::ggx::Cosines;
 use super::half_difference::HalfDifference;
 use crate::shown::{MESSAGE, shortened};
@@ -43,9 +44,6 @@ struct DictionaryFile {
     source: Option<String>,
     atoms: Vec<Atom>,
 }
-
-/// Most atoms a dictionary may have.
-pub const MAX_ATOMS: usize = 256;
 
 impl Dictionary {
     /// From atoms, at least one and at most [`MAX_ATOMS`]; parameters out of range

@@ -2,9 +2,11 @@
 //! distribution and width, each Fresnel factor and each coat once per distinct index.
 
 use super::atom::{Atom, Diffuse, Distribution, Facets};
-use super::dictionary::MAX_ATOMS;
 use super::ggx::{self, Cosines};
 use super::{beckmann, coat};
+
+/// Most atoms a dictionary may have.
+pub const MAX_ATOMS: usize = 256;
 
 /// Evaluates several atoms at once.
 #[derive(Clone, Debug)]

@@ -10,6 +10,7 @@ use std::path::Path;
 
 use super::draft::Draft;
 use super::mesh::{Mesh, MeshError};
+use super::mesh_error::Content;
 use super::placement::Placement;
 use super::{obj, ply, stl};
 use crate::{outside_file, whole_file};
@@ -100,31 +101,6 @@ impl MeshFormat {
             Self::Obj => obj::write(mesh, out),
             Self::Stl => stl::write(mesh, out),
         }
-    }
-}
-
-/// What a file is by its first bytes; each shows as its name.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Content {
-    /// A kind of mesh that is read.
-    Mesh(&'static str),
-    /// Something that holds the mesh.
-    Packed(&'static str),
-    /// What a download gives in place of the file.
-    WebPage,
-    /// What a checkout without Git LFS gives in place of the file.
-    LfsPointer,
-    /// A kind that is not read.
-    Other(&'static str),
-}
-
-impl std::fmt::Display for Content {
-    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        out.write_str(match self {
-            Self::Mesh(name) | Self::Packed(name) | Self::Other(name) => name,
-            Self::WebPage => "a web page",
-            Self::LfsPointer => "a pointer of Git LFS",
-        })
     }
 }
 

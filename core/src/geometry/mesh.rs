@@ -3,7 +3,7 @@
 use glam::Vec3;
 
 use super::mesh_error::FileRemark;
-pub use super::mesh_error::MeshError;
+pub use super::mesh_error::{MAX_DISTANCE_MM, MeshError};
 use super::topology::Topology;
 use crate::shown::{MESSAGE, shortened};
 
@@ -46,9 +46,6 @@ impl MeshError {
 
 /// Most triangles that a mesh may have.
 pub const MAX_TRIANGLES: usize = 20_000_000;
-
-/// Largest coordinate that a mesh may have, millimetres.
-pub const MAX_DISTANCE_MM: f32 = 1e7;
 
 impl Mesh {
     /// Checks indices, coordinates and areas. Edges may be shared by any number of triangles:

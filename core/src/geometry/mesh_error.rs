@@ -1,6 +1,32 @@
 //! What can be wrong with a mesh, and what is worth a remark though it can be used.
 
-use super::files::Content;
+/// Largest coordinate that a mesh may have, millimetres.
+pub const MAX_DISTANCE_MM: f32 = 1e7;
+
+/// What a file is by its first bytes; each shows as its name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Content {
+    /// A kind of mesh that is read.
+    Mesh(&'static str),
+    /// Something that holds the mesh.
+    Packed(&'static str),
+    /// What a download gives in place of the file.
+    WebPage,
+    /// What a checkout without Git LFS gives in place of the file.
+    LfsPointer,
+    /// A kind that is not read.
+    Other(&'static str),
+}
+
+impl std::fmt::Display for Content {
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        out.write_str(match self {
+            Self::Mesh(name) | Self::Packed(name) | Self::Other(name) => name,
+            Self::WebPage => "a web page",
+            Self::LfsPointer => "a pointer of Git LFS",
+        })
+    }
+}
 
 /// Why a mesh cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -86,7 +112,7 @@ pub enum MeshError {
     /// A coordinate is so large that rays lose their precision.
     #[error(
         "vertex {vertex} lies {distance_mm} mm from the origin; at most {} mm are supported",
-        super::mesh::MAX_DISTANCE_MM
+        MAX_DISTANCE_MM
     )]
     TooFar {
         /// Index from 0.

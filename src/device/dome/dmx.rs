@@ -4,7 +4,7 @@ use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use super::Lit;
-use super::stage::{Found, LightPort, ReadBack};
+use super::port::{Found, LightPort, ReadBack};
 use super::widget::{Label, SLOTS, START, message, packet, serial_number, take_message, version};
 use crate::device::DeviceError;
 use crate::device::guardian::Exchange;

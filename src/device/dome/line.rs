@@ -4,8 +4,8 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::{Duration, Instant};
 
 use super::Lit;
+use super::port::{Found, LightPort, ReadBack};
 use super::protocol::{self, Info, LONGEST_LINE, Line, State, info, parse, request, state};
-use super::stage::{Found, LightPort, ReadBack};
 use crate::device::DeviceError;
 use crate::device::guardian::Exchange;
 use crate::device::serial_line::SerialLine;

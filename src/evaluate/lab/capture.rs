@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use super::{Lab, Sample};
 use crate::brdf::{Brdf, Dictionary, Mixture};
-use crate::evaluate::experiment::EvaluateError;
+use crate::evaluate::error::EvaluateError;
 use crate::inverse::{BenchPriors, Captured, CellOptions, Fit, FitError, FitOptions, fit};
 use crate::radiance_image::RadianceImage;
 use crate::simulation::photograph::Photographer;

@@ -6,7 +6,8 @@ use std::sync::Arc;
 use super::{Sample, short_hash, synthetic};
 use crate::brdf::nbrdf::NAMES;
 use crate::brdf::{Brdf, BrdfError, in_span, source};
-use crate::evaluate::experiment::{EvaluateError, Row};
+use crate::evaluate::error::EvaluateError;
+use crate::evaluate::experiment::table::Row;
 
 /// Where a material comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

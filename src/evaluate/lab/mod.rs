@@ -11,7 +11,8 @@ mod synthetic;
 
 use std::sync::{Arc, LazyLock, OnceLock};
 
-use super::experiment::{EvaluateError, Experiment, Overrides, Settings};
+use super::error::EvaluateError;
+use super::experiment::settings::Settings;
 use crate::brdf::Dictionary;
 use crate::brdf::environment::EnvironmentMap;
 use crate::checksum::sha256_hex;
@@ -44,15 +45,14 @@ pub struct Lab {
 }
 
 impl Lab {
-    /// Loads what `experiment` needs with the command line's changes.
-    pub fn new(experiment: &Experiment, overrides: &Overrides) -> Result<Self, EvaluateError> {
-        let mut settings = Settings::new(experiment, overrides)?;
+    /// Loads what `settings` name; `portable`: for the kernel that every processor has.
+    pub fn new(mut settings: Settings, portable: bool) -> Result<Self, EvaluateError> {
         let dictionary = Arc::new(Dictionary::load(&settings.dictionary)?);
         let atoms = serde_json::to_vec(dictionary.atoms()).unwrap_or_default();
         settings.dictionary = format!("{} ({})", dictionary.name(), short_hash(&atoms));
         let materials = materials::load_all(&settings.materials)?;
         settings.materials = materials.iter().map(|m| m.identity.clone()).collect();
-        let kernel = if overrides.portable {
+        let kernel = if portable {
             Kernel::Portable
         } else {
             Kernel::detect()

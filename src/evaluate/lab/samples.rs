@@ -3,7 +3,7 @@
 
 use glam::{DVec2, DVec3};
 
-use crate::evaluate::experiment::EvaluateError;
+use crate::evaluate::error::EvaluateError;
 use crate::geometry::Shape;
 use crate::geometry::shapes::Form;
 use crate::transport::{Camera, Light, Projection, Scene, Shading};
