@@ -2,7 +2,6 @@
 //! than its rig file says.
 
 mod command_support;
-
 use command_support::{changed, good, printed_session, run, small_bench, text};
 use serde_json::Value;
 

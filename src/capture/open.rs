@@ -10,7 +10,7 @@ use crate::config::stage::StageDriver;
 use crate::config::{CameraDriver, RigConfig};
 use crate::device::described::Description;
 use crate::device::guardian::GuardedStage;
-use crate::device::manual::{ManualStage, Operator};
+use crate::device::manual::Operator;
 use crate::device::simulated_camera::RadianceSource;
 use crate::device::{Camera, CameraInfo, DeviceError, LightStage, Mosaic};
 use crate::units::StageAngles;
@@ -213,8 +213,10 @@ pub use stages::{stop_port, stop_stage};
 #[cfg(feature = "serial")]
 mod stages {
     use super::*;
+    use crate::config::stage::StageDriver;
     use crate::device::dome::{self, DomeStage, DomeWiring};
     use crate::device::grbl::{self, GrblConfig, GrblStage};
+    use crate::device::manual::ManualStage;
     use crate::device::simulated::SimulatedBench;
     use crate::device::zaber::{self, ZaberConfig, ZaberStage};
 

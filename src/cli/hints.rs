@@ -29,7 +29,7 @@ use crate::config::BuildError;
 use crate::config::{ConfigError, Slip};
 use crate::export::ExportError;
 use crate::geometry::MeshError;
-use crate::geometry::files::Content;
+use crate::geometry::mesh_error::Content;
 use crate::inverse::FitError;
 use crate::inverse::cells::AverageError;
 use crate::inverse::plausibility::Implausible;

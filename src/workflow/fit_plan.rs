@@ -5,7 +5,6 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use super::cell_images::{self, Source};
-use super::notice::Observer;
 use super::{FitRequest, FitWork, WorkflowError};
 use crate::brdf::Dictionary;
 use crate::config::process;

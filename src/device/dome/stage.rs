@@ -8,8 +8,7 @@ use super::dmx::DmxPort;
 use super::line::{DomeLine, KeepAlive};
 use super::port::{LightPort, ReadBack};
 use super::{DomeConfig, DomeWiring, Lit};
-use crate::device::guardian::{Exchange, PortStop};
-use crate::device::serial_line::SerialLine;
+use crate::device::guardian::PortStop;
 use crate::device::{
     DeviceError, LampChannel, LampState, LightStage, StageActivity, StageInfo, StageStatus,
     StageStep, StopHandle,
