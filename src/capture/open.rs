@@ -6,7 +6,6 @@ use std::process::Command;
 use std::sync::Arc;
 
 use crate::config::BuildError;
-use crate::config::stage::StageDriver;
 use crate::config::{CameraDriver, RigConfig};
 use crate::device::described::Description;
 use crate::device::guardian::GuardedStage;
