@@ -1,7 +1,18 @@
-//! `rig` measures how a material reflects light: images of a concave sample of
-//! known shape, taken under a few known lights, are explained by following
-//! light through all its interreflections and fitting the weights of a BRDF
-//! dictionary.
+//! `rig` measures how a material reflects light: images of a concave sample of known shape,
+//! taken under a few known lights, are explained by following light through all its
+//! interreflections and fitting the weights of a BRDF dictionary. What the program does, this
+//! library does; the command line ([`cli`]) parses, shows and advises.
+//!
+//! | to | see |
+//! |---|---|
+//! | capture a sample by a rig file, simulated or real | [`capture::prepare`], [`capture::open`] |
+//! | fit a captured session, or images of a scene | [`workflow::fit_session`], [`workflow::fit_images`] |
+//! | read sessions and fits | [`session::Session`], [`session::fit_record`] |
+//! | merge exposure brackets into radiance | [`radiometry`] |
+//! | calibrate camera, lights, lens, pose | [`calibration`] |
+//! | write a material for other programs | [`export`] |
+//! | drive a camera or stage | [`device`] |
+//! | simulate the bench | [`simulation`], [`device::simulated`] |
 //!
 //! The core (BRDFs, geometry, transport, the fit) is the crate [`rig_core`]; its modules
 //! are re-exported here, so that one path serves both. The modules of this crate stand on
@@ -54,3 +65,8 @@ pub mod export;
 pub mod report;
 
 pub mod cli;
+
+/// The program of README.md, which runs as a test.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

@@ -235,6 +235,132 @@ fn every_module_has_a_floor_and_imports_only_from_below() {
     }
 }
 
+/// A file as a module's path: `["brdf", "merl"]`; `mod.rs` is its folder.
+fn module_path(path: &Path) -> Vec<String> {
+    let without_ending = path.with_extension("");
+    let parts = without_ending
+        .iter()
+        .map(|part| part.to_str().unwrap().to_owned());
+    parts.filter(|part| part != "mod").collect()
+}
+
+/// The paths that `use` and other code name, each from `crate`, `self` or `super` on, groups
+/// written out.
+fn named_paths(code: &str) -> Vec<Vec<String>> {
+    fn written_out(text: &str, before: &[String], found: &mut Vec<Vec<String>>) {
+        let text = text.trim_start();
+        if let Some(group) = text.strip_prefix('{') {
+            members(group)
+                .into_iter()
+                .for_each(|member| written_out(member, before, found));
+            return;
+        }
+        let name = identifier(text);
+        let path: Vec<_> = before.iter().cloned().chain([name.clone()]).collect();
+        match text[name.len()..].trim_start().strip_prefix("::") {
+            Some(rest) if !name.is_empty() => written_out(rest, &path, found),
+            _ => found.push(path),
+        }
+    }
+    let mut found = Vec::new();
+    for root in ["crate", "self", "super"] {
+        for (at, _) in code.match_indices(&format!("{root}::")) {
+            let before = code[..at].chars().next_back();
+            if !before.is_some_and(|c| c.is_alphanumeric() || "_$:".contains(c)) {
+                written_out(&code[at..], &[], &mut found);
+            }
+        }
+    }
+    found
+}
+
+/// The files that a file imports from; what holds it (`mod.rs` and above) and what it holds
+/// do not count.
+fn imported_files(
+    own: &[String],
+    code: &str,
+    all: &BTreeSet<Vec<String>>,
+) -> BTreeSet<Vec<String>> {
+    let mut imported = BTreeSet::new();
+    for path in named_paths(code) {
+        let mut at = if path[0] == "crate" {
+            Vec::new()
+        } else {
+            own.to_vec()
+        };
+        for part in &path {
+            match part.as_str() {
+                "crate" | "self" => {}
+                "super" => drop(at.pop()),
+                _ => {
+                    at.push(part.clone());
+                    if !all.contains(&at) {
+                        at.pop();
+                        break;
+                    }
+                }
+            }
+        }
+        if !own.starts_with(&at) && !at.starts_with(own) {
+            imported.insert(at);
+        }
+    }
+    imported
+}
+
+/// What comes before a file's own tests.
+fn without_tests(code: &str) -> &str {
+    code.split("#[cfg(test)]\nmod ").next().unwrap_or(code)
+}
+
+#[test]
+fn no_files_import_each_other_in_a_circle() {
+    for source_folder in CRATES {
+        let files: BTreeMap<Vec<String>, String> = files(source_folder)
+            .into_iter()
+            .filter(|(_, path, _)| !path.ends_with("tests.rs"))
+            .map(|(_, path, source)| (module_path(&path), code(&source)))
+            .collect();
+        let all: BTreeSet<_> = files.keys().cloned().collect();
+        let shown = |path: &[String]| path.join("::");
+        let edges: BTreeMap<String, BTreeSet<String>> = files
+            .iter()
+            .map(|(path, code)| {
+                let imported = imported_files(path, without_tests(code), &all);
+                (
+                    shown(path),
+                    imported.iter().map(|path| shown(path)).collect(),
+                )
+            })
+            .collect();
+        assert!(
+            edges.values().map(BTreeSet::len).sum::<usize>() > 100,
+            "{source_folder}"
+        );
+        assert_eq!(circle(&without_leaves(edges)), None, "{source_folder}");
+    }
+}
+
+/// The part of a graph in which a circle may lie: whatever imports nothing of the rest is
+/// taken out until nothing is left to take.
+fn without_leaves(
+    mut edges: BTreeMap<String, BTreeSet<String>>,
+) -> BTreeMap<String, BTreeSet<String>> {
+    loop {
+        let leaves: Vec<_> = edges
+            .iter()
+            .filter(|(_, to)| !to.iter().any(|to| edges.contains_key(to)))
+            .map(|(from, _)| from.clone())
+            .collect();
+        if leaves.is_empty() {
+            return edges;
+        }
+        for leaf in leaves {
+            edges.remove(&leaf);
+        }
+    }
+}
+
 #[test]
 fn some_words_stay_out_of_some_rooms() {
     /// A word of code, and the modules that may know it; tests may know any.
@@ -260,6 +386,42 @@ fn some_words_stay_out_of_some_rooms() {
             assert!(allowed, "{path}: {room} may not know {word}");
         }
     }
+}
+
+#[test]
+fn a_circle_of_files_would_be_found() {
+    let path = |text: &str| -> Vec<String> { text.split("::").map(str::to_owned).collect() };
+    let all: BTreeSet<_> = ["a", "a::b", "a::c", "a::c::d", "e"].map(path).into();
+    for (own, code, expected) in [
+        ("a::b", "use super::c::{self, Thing};", vec!["a::c"]),
+        (
+            "a::b",
+            "use crate::a::{c::{d::X}, c::Y};",
+            vec!["a::c", "a::c::d"],
+        ),
+        (
+            "a::b",
+            "use super::{Thing, shown}; fn f() { crate::e::g() }",
+            vec!["e"],
+        ),
+        ("a::c", "use self::d::X; use super::b;", vec!["a::b"]),
+        (
+            "a::c::d",
+            "use super::Thing; use super::super::b::Thing;",
+            vec!["a::b"],
+        ),
+    ] {
+        let found = imported_files(&path(own), code, &all);
+        assert_eq!(
+            found,
+            expected.into_iter().map(path).collect(),
+            "{own}: {code}"
+        );
+    }
+    let edges = [("a", "b"), ("b", "c"), ("c", "b"), ("d", "a")]
+        .map(|(from, to)| (from.to_owned(), BTreeSet::from([to.to_owned()])));
+    let left = without_leaves(edges.into());
+    assert_eq!(circle(&left).map(|along| along.len()), Some(2));
 }
 
 /// The checks themselves see what they must.

@@ -127,7 +127,7 @@ impl<V> Loaded<V> {
         concerns
     }
 
-    /// As [`Self::concerns`]; a simulated bench does not age.
+    /// As `concerns`; a simulated bench does not age.
     pub fn concerns_on(
         &self,
         is_simulated: bool,

@@ -67,7 +67,7 @@ impl Candidate {
 }
 
 /// Directions in the order in which they should be taken: first the one whose angle to the
-/// camera's axis is nearest to [`FIRST_DEG`], then always the one with the largest gap to
+/// camera's axis is nearest to `FIRST_DEG`, then always the one with the largest gap to
 /// those before, where the gap counts by preference. `coaxial` is the unit direction from the
 /// sample to the camera in the stage's frame. Ends after `count` directions, or where every
 /// other one is nearer than `min_spacing_deg` to one chosen before.

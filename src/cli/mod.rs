@@ -3,7 +3,7 @@
 //!
 //! A command is a file with `pub struct XArgs` (`clap::Args`) and
 //! `pub fn run(args: &XArgs, context: &Context) -> Result<(), CliError>`, a
-//! `pub mod` line and one line in [`commands!`] below.
+//! `pub mod` line and one line in `commands!` below.
 
 pub mod bench;
 mod bracket_files;

@@ -48,7 +48,7 @@ pub struct Description {
     /// How long a frame may take beyond its exposure.
     pub timeout: Seconds,
     /// A process that ends the camera's program when this one is gone, see
-    /// [`command_camera::keep`].
+    /// `command_camera::keep`.
     pub keeper: Option<Command>,
 }
 

@@ -27,7 +27,7 @@ fn discrepancy(discrepancy: &DiscrepancyRecord) -> Value {
 
 /// Dictionary, weights with their deviations, the model discrepancy (`discrepancy`), and the (θh, θd) table with its
 /// 95% interval. BRDF values are in 1/sr, cosine excluded; channels are R, G, B;
-/// table values are indexed [θh][θd][channel].
+/// table values are indexed `[θh][θd][channel]`.
 pub fn to_json(record: &FitRecord) -> String {
     let atoms: Vec<Value> = record
         .atoms

@@ -1,7 +1,7 @@
 //! The report of a session: one self-contained HTML file that can be read on a
 //! phone and printed, with the verdict first.
 //!
-//! [`write`] makes a session's report. [`ReportInput`] is plain data, loaded from disk
+//! [`write()`] makes a session's report. [`ReportInput`] is plain data, loaded from disk
 //! by [`load::load`] or made by a test; [`render`] turns it into the page. Parts that a
 //! session does not have (no fit yet, no known truth) are named as missing, never left
 //! out silently.

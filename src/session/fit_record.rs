@@ -11,7 +11,7 @@
 //! | `rendered_L000.exr` | the images rendered from the fit, mean and variance |
 //! | `residual_L000.exr` | (captured − rendered) in standard deviations |
 //!
-//! [`write`] makes a folder that appears whole or not at all; [`commit`] adds
+//! [`write()`] makes a folder that appears whole or not at all; [`commit`] adds
 //! the files to a session, each journalled, `fit.toml` last: a folder without it
 //! is no fit.
 

@@ -371,7 +371,7 @@ impl<'a> Objective<'a> {
     }
 
     /// How far each value of a light is believed, 0..=1: less than 1 only for isolated
-    /// values, which dust makes, and for at most [`MOST_DOUBTED`] of them. Where the
+    /// values, which dust makes, and for at most `MOST_DOUBTED` of them. Where the
     /// neighbours deviate as well, the model is wrong and must not look right.
     pub fn robust_weights(&self, model: &[ModelImage], light: usize) -> Vec<[f64; 3]> {
         let deviation = |p: usize, c: usize| {

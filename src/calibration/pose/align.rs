@@ -48,7 +48,7 @@ pub fn align(
 }
 
 /// As [`align`]; where the description is too far off for that, the pose is searched for
-/// first, within [`WIDEST_DEG`] and a field's width, and the stated uncertainty of the pose
+/// first, within `WIDEST_DEG` and a field's width, and the stated uncertainty of the pose
 /// gives way to that range.
 ///
 /// # Errors

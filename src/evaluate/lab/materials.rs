@@ -65,7 +65,7 @@ pub const MIRRORS: [&str; 3] = ["aluminium", "brass", "chrome"];
 /// |---|---|
 /// | `bundled` | all embedded measured materials but [`MIRRORS`] |
 /// | `mirrors` | [`MIRRORS`] |
-/// | `synthetic` | all of [`synthetic`] |
+/// | `synthetic` | all of `synthetic` |
 /// | `synthetic:NAME` | one of them |
 /// | `in-span` | the twenty of [`in_span::set`] |
 /// | `in-span:NN` | one of them |

@@ -100,7 +100,7 @@ pub fn commit(
     Ok(folder)
 }
 
-/// Whether [`write`] could write this folder: asked before the fit, which may take hours.
+/// Whether [`write()`] could write this folder: asked before the fit, which may take hours.
 ///
 /// # Errors
 /// [`FitRecordError::Exists`], or the system's error.

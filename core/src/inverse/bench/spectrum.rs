@@ -73,7 +73,7 @@ impl Spectrum {
     /// they vanish the farther. With A the response, S the scores' covariance and T the trust,
     /// 0 along what is held, all in units of the prior, the estimate p solves T s(p) = p, and
     /// p − p_true has the covariance (1 + TA)⁻¹ (TST + 1) (1 + TA)⁻ᵀ, and at most
-    /// [`WORST_VARIANCE`] along any direction.
+    /// `WORST_VARIANCE` along any direction.
     pub fn answering(&self, response: &DMatrix<f64>) -> Self {
         let n = self.values.len();
         let where_told = |of: &DVector<f64>| {

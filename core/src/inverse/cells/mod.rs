@@ -3,7 +3,7 @@
 //! The radiance of a cell tells a lobe's shape as long as the half and difference angles inside
 //! differ by little against the lobe. So the grid follows from the scene alone: squares are
 //! halved where these angles vary most, under any of the lights and after up to two mirror
-//! reflections, until they vary little or the budget is spent ([`probe`] looks). All lights
+//! reflections, until they vary little or the budget is spent (`probe.rs`). All lights
 //! share one grid, because they share the paths from the camera. Edges of shadows and
 //! silhouettes are left out, not resolved: an error of pose or light direction far below a pixel
 //! changes the radiance there by any amount.
