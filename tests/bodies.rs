@@ -113,7 +113,7 @@ fn agreement(cached: &Scene, rendered: &Scene) -> (f64, f64) {
         let (ours, theirs) = (f64::from(value) + once, f64::from(image.mean[i][0]));
         let spread = f64::from(variance) + f64::from(image.variance[i][0]);
         if direct.coverage[i] >= 1.0 && spread > 0.0 && spread.sqrt() < 0.1 * theirs {
-            // What is left of the footprint's quadrature, as in tests/transport.rs.
+            // What is left of the footprint's quadrature, as in core/tests/transport.
             chi2 += (ours - theirs).powi(2) / (spread + (2e-3 * theirs).powi(2));
             n += 1.0;
         }

@@ -35,7 +35,7 @@ fn select(values: &mut [f64], index: usize) -> Option<f64> {
 /// The `p` quantile (0 to 1), linear between order statistics; NaN without values.
 ///
 /// ```
-/// assert_eq!(rig::statistics::quantile(&[3.0, 1.0, 2.0, 10.0], 0.5), 2.5);
+/// assert_eq!(rig_core::statistics::quantile(&[3.0, 1.0, 2.0, 10.0], 0.5), 2.5);
 /// ```
 pub fn quantile(values: &[f64], p: f64) -> f64 {
     let mut sorted = values.to_vec();

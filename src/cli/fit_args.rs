@@ -16,10 +16,6 @@ use crate::workflow::FitRequest;
 pub struct FitArgs {
     #[arg(long, value_name = "D", help = dictionary_help())]
     dictionary: Option<String>,
-    /// Trace the paths once, in directions that suit any material, not again where the fitted
-    /// material sends light
-    #[arg(long)]
-    fixed_paths: bool,
     /// How the weights are found
     #[arg(long, value_enum)]
     optimizer: Option<OptimizerArg>,
@@ -142,7 +138,6 @@ impl FitArgs {
             seed: self.seed,
             channels: self.shared_weights.then_some(Channels::Shared),
             model_error: self.model_error,
-            adapt_paths: self.fixed_paths.then_some(false),
             mask: self.mask.clone(),
             cells: self.cells.map(|cells| cells as usize),
             memory_mib: self.memory,

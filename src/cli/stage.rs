@@ -419,7 +419,7 @@ fn keep_lit(
             if status.lamp.is_some_and(|is| is != lamp) && !wishes.stopped.load(Ordering::Acquire) {
                 let port = &stage.info().port;
                 return Err(CliError::new(format!("{port}: the lamp is no longer lit")).hint(
-                    "the controller may have restarted, or somebody stopped it: check its supply and `rig stage status`",
+                    "the controller may have restarted, or it was stopped: check its supply and `rig stage status`",
                 ));
             }
         }

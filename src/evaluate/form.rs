@@ -18,7 +18,7 @@ use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
 /// Coverage against the slope error of the sample.
 pub static FORM: Experiment = Experiment {
     name: "form",
-    shows: "Coverage of the 95% intervals where the sample deviates from its mesh by a form and a slope error (correlated over 0.4 mm of 2 mm), which the fit's model does not include (not told) or includes (told), and the mesh's share of the variance",
+    shows: "Coverage of the 95% intervals where the sample deviates from its mesh by a form and a slope error (correlated over 0.4 mm of 2 mm), which the fit's model does not include (not stated) or includes (stated), and the mesh's share of the variance",
     full: Scale {
         resolution_px: 16,
         samples_per_pixel: 256,
@@ -51,7 +51,7 @@ const CORRELATION_MM: f64 = 0.4;
 const SHARE_AT_DEG: [f64; 2] = [5.0, 10.0];
 
 /// Whether the fit's model includes the form error, as in tables.
-const TOLD: [&str; 2] = ["not told", "told"];
+const STATED: [&str; 2] = ["not stated", "stated"];
 
 fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
     of_class(lab, Class::InSpan)?;
@@ -96,8 +96,8 @@ fn coverage(lab: &Lab, slope_deg: f64) -> Result<Vec<Row>, EvaluateError> {
         .map(|index| trials(lab, error, index))
         .collect::<Result<Vec<_>, EvaluateError>>()?;
     Ok((0..2)
-        .map(|told| {
-            let all = || trials.iter().flat_map(|t| t[told].each());
+        .map(|stated| {
+            let all = || trials.iter().flat_map(|t| t[stated].each());
             let covers = |(truth, [lower, upper], _): &(f64, [f64; 2], bool)| {
                 (*lower..=*upper).contains(truth)
             };
@@ -107,11 +107,11 @@ fn coverage(lab: &Lab, slope_deg: f64) -> Result<Vec<Row>, EvaluateError> {
                 .collect();
             let (count, constrained) = (all().count() as f64, all().filter(|t| t.2).count());
             let covered_there = all().filter(|t| t.2).filter(covers).count() as f64;
-            let share: f64 = trials.iter().map(|t| t[told].share).sum();
+            let share: f64 = trials.iter().map(|t| t[stated].share).sum();
             Row::new()
                 .with("slope_error_deg", slope_deg)
                 .with("form_error_mm", height_mm)
-                .with("fit", TOLD[told])
+                .with("fit", STATED[stated])
                 .with("captures", captures as f64)
                 .with("coverage", all().filter(covers).count() as f64 / count)
                 .with("constrained", constrained as f64 / count)
@@ -163,14 +163,14 @@ fn trials(lab: &Lab, error: Option<FormError>, index: u64) -> Result<[Trial; 2],
 }
 
 fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
-    let series = TOLD.iter().enumerate().map(|(color, told)| {
+    let series = STATED.iter().enumerate().map(|(color, stated)| {
         let points = SLOPES_DEG.into_iter().filter_map(|slope| {
             let here = table.figures("coverage", |row| {
-                row.text("fit") == *told && row.number("slope_error_deg") == Some(slope)
+                row.text("fit") == *stated && row.number("slope_error_deg") == Some(slope)
             });
             Some([slope, *here.first()?])
         });
-        Series::new(told, color, Mark::Points, points.collect())
+        Series::new(stated, color, Mark::Points, points.collect())
     });
     let chart = Chart {
         title: "bowl".to_owned(),

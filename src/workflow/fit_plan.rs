@@ -72,7 +72,6 @@ impl FitPlan {
         set(&mut options.cache.seed, &request.seed);
         set(&mut options.channels, &request.channels);
         set(&mut options.model_error, &request.model_error);
-        set(&mut options.adapt_paths, &request.adapt_paths);
         set(&mut options.kernel, &request.kernel);
         if matches!(options.optimizer, Optimizer::ExponentiatedGradient(_)) {
             options.rounds = 1;

@@ -25,9 +25,6 @@ pub struct FitRequest {
     pub channels: Option<Channels>,
     /// Relative error of the model that the weighting allows for, 0..=1.
     pub model_error: Option<f64>,
-    /// Whether paths are traced again in the directions in which the first fit's material
-    /// reflects.
-    pub adapt_paths: Option<bool>,
     /// PNG of the images' size: only pixels that are white in it are compared.
     pub mask: Option<PathBuf>,
     /// Most cells of the images that are compared, within

@@ -20,7 +20,7 @@ pub enum BuildError {
     #[error(transparent)]
     Brdf(#[from] BrdfError),
     /// A thing beside the sample whose channels differ.
-    #[error("geometry.body[{body}] is coloured; only grey bodies can stand beside a sample")]
+    #[error("geometry.body[{body}] is coloured; only grey bodies can stand next to a sample")]
     ColouredBody {
         /// Index from 0.
         body: usize,

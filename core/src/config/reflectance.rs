@@ -66,7 +66,7 @@ impl BrdfSpec {
                 return Err(table.missing("mixture", "a list of atoms, or `dictionary` or `table`"));
             }
             _ => {
-                let many = "beside `dictionary` or `table`";
+                let many = "next to `dictionary` or `table`";
                 return Err(table.conflict("mixture", many, "one of the three alone"));
             }
         };

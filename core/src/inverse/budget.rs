@@ -54,7 +54,7 @@ impl Source {
             Source::LightDirections => "light directions",
             Source::Intensities => "intensities",
             Source::Model => "model",
-            Source::Prior => "not told by the images",
+            Source::Prior => "not constrained by the images",
         }
     }
 }

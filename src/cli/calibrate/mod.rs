@@ -77,7 +77,7 @@ enum What {
     /// camera's axis, at three heights or more over the depth of the sample. Fits of later
     /// captures use what is found.
     Focus(focus::FocusArgs),
-    /// Shows every record in force, with its age, what speaks against it and what to run
+    /// Shows every record in force, with its age, reasons to doubt it and what to run
     Status(status::StatusArgs),
 }
 

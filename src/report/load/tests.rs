@@ -242,7 +242,7 @@ fn a_stray_fit_is_not_seen_and_an_edited_one_is_refused() {
     std::fs::write(&weights, text.replace("0.5", "0.50")).unwrap();
     let error = load_with(&root, None, 8).err().unwrap().to_string();
     assert!(
-        error.contains("weights.csv") && error.contains("the journal says"),
+        error.contains("weights.csv") && error.contains("the journal records"),
         "{error}"
     );
 }
