@@ -1,6 +1,11 @@
 //! Writes a fitted material for other programs: `cargo run --release --example export -- FIT
 //! OUT`, where FIT is the folder of a fit, or a session (its newest fit); OUT.binary is a MERL
 //! table, OUT.xml a Mitsuba 3 scene fragment.
+#![allow(
+    clippy::print_stdout,
+    clippy::print_stderr,
+    reason = "a program that prints its result"
+)]
 
 use std::path::{Path, PathBuf};
 

@@ -1,6 +1,11 @@
 //! Measures a material from radiance images: `cargo run --release --example measure_files --
 //! SCENE.toml OUT IMAGE.exr…`, one image for each light of the scene, in its order. Without
 //! arguments the images are made first: a bowl of red plastic under one light.
+#![allow(
+    clippy::print_stdout,
+    clippy::print_stderr,
+    reason = "a program that prints its result"
+)]
 
 use std::path::{Path, PathBuf};
 

@@ -2,6 +2,11 @@
 //! --lights 2` does: `cargo run --release --example simulate_capture -- FOLDER`. The stage is
 //! GRBL firmware on a pseudo-terminal, the frames come from a sensor model; the drivers are
 //! those of a real bench. Takes about a minute.
+#![allow(
+    clippy::print_stdout,
+    clippy::print_stderr,
+    reason = "a program that prints its result"
+)]
 
 use std::path::PathBuf;
 

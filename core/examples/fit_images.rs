@@ -1,6 +1,11 @@
 //! Fits a dictionary to images of a scene: `cargo run --release -p rig-core --example fit_images
 //! -- SCENE.toml IMAGE.exr…`, one image per light of the scene. Without arguments the images
 //! are rendered of a measured material, and the fit is compared with it.
+#![allow(
+    clippy::print_stdout,
+    clippy::print_stderr,
+    reason = "a program that prints its result"
+)]
 
 use std::path::{Path, PathBuf};
 

@@ -2,6 +2,11 @@
 //! once: `cargo run --release -p rig-core --example render -- SCENE.toml MATERIAL OUT`, one
 //! image `OUT_L000.exr`, … for each light. Without arguments, the example's bowl in white
 //! plastic.
+#![allow(
+    clippy::print_stdout,
+    clippy::print_stderr,
+    reason = "a program that prints its result"
+)]
 
 use std::path::{Path, PathBuf};
 

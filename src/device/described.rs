@@ -16,6 +16,9 @@ use super::{
 };
 use crate::units::Seconds;
 
+/// Opens a camera by what the rig file's setting names.
+pub type Open = fn(&OsStr, Description) -> Result<Box<dyn Camera>, DeviceError>;
+
 /// A driver as rig files name it.
 #[derive(Debug)]
 pub struct Driver {
@@ -32,7 +35,7 @@ pub struct Driver {
     /// Where frames come from by this value, for a person; or why none can.
     pub ready: fn(&OsStr) -> Result<String, DeviceError>,
     /// Makes the camera of a value that it accepts.
-    pub open: fn(&OsStr, Description) -> Result<Box<dyn Camera>, DeviceError>,
+    pub open: Open,
 }
 
 impl PartialEq for Driver {

@@ -334,7 +334,6 @@ impl<const C: usize> Scratch<C> {
     }
 
     /// Room for `n` records.
-    #[expect(clippy::type_complexity, reason = "two slices of one scratch space")]
     fn slices(&mut self, n: usize) -> (&mut [Step<C>], &mut [(u32, [f32; C])]) {
         if self.steps.len() < n {
             let step = Step {

@@ -155,7 +155,7 @@ pub(super) fn run(args: &CameraArgs, context: &Context) -> Result<(), CliError> 
     let values = CameraValues::new(&fit, &described, cell_px);
     let names: Vec<_> = args.views.iter().map(|v| v.display().to_string()).collect();
     let target = Target::new(&rig.config, Library::of_rig(&rig), &args.common, context)?
-        .from_files(names.join(", "), rig.config.camera.resolution_px);
+        .measured_from(names.join(", "), rig.config.camera.resolution_px);
     let [columns, rows] = args.squares;
     let method = format!(
         "{} views of a board of {columns} x {rows} squares of {} mm, corners within {:.3} px",

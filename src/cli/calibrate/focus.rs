@@ -86,7 +86,7 @@ pub(super) fn run(args: &FocusArgs, context: &Context) -> Result<(), CliError> {
     // The record.
     let names: Vec<_> = args.input.iter().map(|p| p.display().to_string()).collect();
     let target = Target::new(&rig.config, Library::of_rig(&rig), &args.common, context)?
-        .from_files(names.join(", "), rig.config.camera.resolution_px);
+        .measured_from(names.join(", "), rig.config.camera.resolution_px);
     let method = format!(
         "profiles of {wanted} slanted edge(s) at heights from {} to {} mm",
         args.heights.iter().copied().fold(f64::INFINITY, f64::min),

@@ -122,7 +122,7 @@ pub(super) fn run(args: &PoseArgs, context: &Context) -> Result<(), CliError> {
     let values = PoseValues::new(&found);
     let source = format!("session {}", args.session.display());
     let target = Target::new(&rig.config, Library::of_rig(&rig), &args.common, context)?
-        .from_files(source, session.config.camera.resolution_px);
+        .measured_from(source, session.config.camera.resolution_px);
     let method = format!(
         "edges of {} patches in {} images, {} rounds",
         values.patches,

@@ -134,7 +134,7 @@ pub(super) fn run(args: &ResponseArgs, context: &Context) -> Result<(), CliError
     // The record.
     let source = format!("{} frames, {} first", files.len(), first_path.display());
     let mut target = Target::new(&rig.config, Library::of_rig(&rig), &args.common, context)?
-        .from_files(source, size_px);
+        .measured_from(source, size_px);
     target.measurement.settings.bit_depth = Some(8);
     let method = format!(
         "{}, {} exposures of {} to {} s",

@@ -82,7 +82,7 @@ impl Target {
     }
 
     /// The same for values from files, of any gain and bit depth.
-    pub fn from_files(mut self, source: String, resolution_px: [u32; 2]) -> Self {
+    pub fn measured_from(mut self, source: String, resolution_px: [u32; 2]) -> Self {
         self.measurement.source = source;
         self.measurement.settings = Settings {
             resolution_px: Some(resolution_px),

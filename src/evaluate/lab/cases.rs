@@ -5,13 +5,16 @@ use std::sync::Arc;
 use super::{Lab, Material};
 use crate::evaluate::experiment::{Case, EvaluateError, Row};
 
+/// Measures a material with one variant of an experiment.
+type Work<V> = fn(&Lab, &Arc<Material>, V) -> Result<Vec<Row>, EvaluateError>;
+
 /// A case for every material with every variant of the measurement, called
 /// `material/variant`.
 pub fn of_materials<V: Copy + Send + Sync + 'static>(
     lab: &Lab,
     variants: &[V],
     name: impl Fn(V) -> String,
-    work: fn(&Lab, &Arc<Material>, V) -> Result<Vec<Row>, EvaluateError>,
+    work: Work<V>,
 ) -> Vec<Case> {
     let mut cases = Vec::new();
     for material in &lab.materials {
