@@ -1,14 +1,10 @@
 //! `rig fit`: weights and error bars from images.
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 use super::fit_args::FitArgs;
 use super::fit_progress::FitProgress;
 use super::{CliError, Context, HintExt, output};
-use crate::report;
-use crate::session::commit::SystemDisk;
-use crate::session::{SessionWriter, layout};
 use crate::workflow::{FitOutcome, FitRequest, ImageFit, fit_images, fit_session};
 
 /// Fits a BRDF to a session, or to images of a described scene.
@@ -99,16 +95,11 @@ pub(super) fn fit_and_report(session: &Path, context: &Context) -> Result<(), Cl
     );
     let outcome = fit(session, &FitRequest::default(), context).hint(&again)?;
     context.note(format!("fit: {}", outcome.folder.display()));
-    let report = write_report(session).hint(&again)?;
-    context.note(format!("report: {}", report.display()));
+    #[cfg(feature = "reports")]
+    {
+        let request = crate::report::ReportRequest::of(session);
+        let written = crate::report::write(&request).hint(&again)?;
+        context.note(format!("report: {}", written.path.display()));
+    }
     Ok(())
-}
-
-/// Writes the session's report and returns its path.
-fn write_report(root: &Path) -> Result<PathBuf, CliError> {
-    let html = report::render(&report::load::load(root, None)?)?;
-    let mut session = SessionWriter::open(Arc::new(SystemDisk), root)?;
-    session.commit_file(layout::REPORT_FILE, html.as_bytes())?;
-    session.refresh_manifest()?;
-    Ok(root.join(layout::REPORT_FILE))
 }

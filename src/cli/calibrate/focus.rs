@@ -82,6 +82,10 @@ pub(super) fn run(args: &FocusArgs, context: &Context) -> Result<(), CliError> {
         camera: &camera,
         cell_px: rig.config.geometry.cell_px,
     };
+    #[cfg_attr(
+        not(feature = "figures"),
+        expect(unused_variables, reason = "drawn alone")
+    )]
     let (edges, found, values) = measure(&request).map_err(advised)?;
     // The record.
     let names: Vec<_> = args.input.iter().map(|p| p.display().to_string()).collect();

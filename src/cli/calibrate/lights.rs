@@ -128,6 +128,10 @@ pub(super) fn run(args: &LightsArgs, context: &Context) -> Result<(), CliError> 
         spheres: args.spheres as usize,
     })
     .map_err(advised)?;
+    #[cfg_attr(
+        not(feature = "figures"),
+        expect(unused_variables, reason = "drawn alone")
+    )]
     let MeasuredDirections {
         spheres,
         lights,

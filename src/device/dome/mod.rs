@@ -6,6 +6,7 @@
 mod dmx;
 #[cfg(feature = "serial")]
 mod line;
+#[cfg(feature = "serial")]
 mod port;
 pub mod protocol;
 #[cfg(feature = "serial")]
