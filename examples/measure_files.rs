@@ -41,13 +41,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         table.theta_d_deg[0]
     );
     let columns = table.theta_d_deg.len();
-    for (theta_h_deg, f) in table
+    let rows = table
         .theta_h_deg
         .iter()
-        .zip(table.cells.iter().step_by(columns))
-    {
+        .zip(table.cells.iter().step_by(columns));
+    for (theta_h_deg, f) in rows.step_by(5) {
         println!(
-            "  {theta_h_deg:4}° {:9.4} [{:.4}, {:.4}]",
+            "  half angle {theta_h_deg:5.1}° {:9.4} [{:.4}, {:.4}]",
             f.value[0], f.lower[0], f.upper[0]
         );
     }

@@ -1,7 +1,7 @@
 //! Renders a scene in a material and says how much of the light has met the surface more than
 //! once: `cargo run --release -p rig-core --example render -- SCENE.toml MATERIAL OUT`, one
-//! image `OUT_L000.exr`, … for each light. Without arguments, the example's bowl in white
-//! plastic.
+//! image `OUT_L000.exr`, … for each light. Without arguments, the example's bowl in matte
+//! white.
 #![allow(
     clippy::print_stdout,
     clippy::print_stderr,
@@ -28,7 +28,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut arguments = std::env::args().skip(1);
     let bowl = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/bowl.toml");
     let scene_file = arguments.next().map_or(bowl, PathBuf::from);
-    let material = arguments.next().unwrap_or("nbrdf:white-acrylic".to_owned());
+    let material = arguments
+        .next()
+        .unwrap_or("nbrdf:white-diffuse-bball".to_owned());
     let out = arguments.next();
 
     let scene = SceneFile::load(&scene_file)?.scene()?;
