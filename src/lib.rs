@@ -24,7 +24,7 @@
 //! | 0 | [`interrupt`], [`checksum`], [`plot`] |
 //! | 2 | [`radiometry`] |
 //! | 3 | [`device`], [`simulation`] |
-//! | 4 | [`benchmark`], [`scores`], [`config`], [`session`], [`calibration`] |
+//! | 4 | [`benchmark`], [`config`], [`session`], [`calibration`] |
 //! | 5 | [`capture`], [`evaluate`], [`material`], [`rendering`] |
 //! | 6 | [`workflow`] |
 //! | 7 | [`report`], [`export`] |
@@ -32,7 +32,7 @@
 
 pub use rig_core::{
     brdf, file_system, frames, geometry, inverse, least_squares, outside_file, outside_table,
-    outside_text, progress, radiance_image, random, shown, statistics, transport, units,
+    outside_text, progress, radiance_image, random, scores, shown, statistics, transport, units,
     whole_file,
 };
 
@@ -49,7 +49,6 @@ pub mod simulation;
 pub mod benchmark;
 pub mod calibration;
 pub mod config;
-pub mod scores;
 pub mod session;
 
 pub mod capture;

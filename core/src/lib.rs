@@ -66,7 +66,7 @@
 //! | 1 | [`brdf`], [`geometry`] |
 //! | 2 | [`transport`] |
 //! | 3 | [`inverse`] |
-//! | 4 | [`config`] |
+//! | 4 | [`config`], [`scores`] |
 //! | 5 | [`example`] |
 
 pub mod file_system;
@@ -91,6 +91,7 @@ pub mod transport;
 pub mod inverse;
 
 pub mod config;
+pub mod scores;
 
 pub mod example;
 
