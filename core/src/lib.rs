@@ -32,7 +32,7 @@
 //! | describe camera and lights | [`SceneFile`], [`Scene`], [`Camera`], [`Light`] |
 //! | render | [`render()`], [`RenderOptions`] |
 //! | fit | [`Captured`], [`fit()`], [`FitOptions`], [`Fit`] |
-//! | show how far long work is | [`Progress`] |
+//! | show how far long work is | [`Progress`], [`transport::render_with_progress`], [`inverse::fit_with_progress`] |
 //! | try something | [`example`] |
 //!
 //! ```

@@ -17,7 +17,7 @@
 /// }
 ///
 /// fn work(progress: &dyn Progress) {
-///     progress.begin("tracing paths", Some(2));
+///     progress.begin("rendering", Some(2));
 ///     progress.advance(1);
 ///     progress.advance(1);
 /// }
@@ -25,7 +25,7 @@
 /// work(&());
 /// let phases = Phases::default();
 /// work(&phases);
-/// assert_eq!(*phases.0.lock().unwrap(), ["tracing paths"]);
+/// assert_eq!(*phases.0.lock().unwrap(), ["rendering"]);
 /// ```
 pub trait Progress: Sync {
     /// A phase begins, and the one before has ended. `steps` is the number of its equal steps,

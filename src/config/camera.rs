@@ -108,7 +108,13 @@ impl CameraConfig {
                     (driver.accepts)(text).then(|| text.to_owned())
                 };
                 let setting = match driver.is_path {
-                    true => table.path(driver.key)?.required()?.into_os_string(),
+                    true => {
+                        let path = table.path(driver.key)?.required()?;
+                        if !(driver.accepts)(path.as_os_str()) {
+                            return Err(table.conflict(driver.key, path.display(), driver.allowed));
+                        }
+                        path.into_os_string()
+                    }
                     false => table
                         .parsed(driver.key, driver.allowed, accepted)?
                         .required()?,

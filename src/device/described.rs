@@ -32,7 +32,8 @@ pub struct Driver {
     pub is_path: bool,
     /// Whether the driver takes this value of the key.
     pub accepts: fn(&OsStr) -> bool,
-    /// Where frames come from by this value, for a person; or why none can.
+    /// Where frames come from by this value, for a person; or why none can, as far as it
+    /// shows without opening the camera: whether a file is there, a program can be run.
     pub ready: fn(&OsStr) -> Result<String, DeviceError>,
     /// Makes the camera of a value that it accepts.
     pub open: Open,

@@ -91,7 +91,9 @@ pub fn fit(
     fit_with_progress(scene, captured, dictionary, options, &())
 }
 
-/// [`fit`]; `progress` receives its phases.
+/// [`fit`]; `progress` receives its phases, without a number of steps. Direct reflection,
+/// paths and optimisation come twice: a first solution by fewer paths guides those of the
+/// second.
 pub fn fit_with_progress(
     scene: &Scene,
     captured: &Captured,
