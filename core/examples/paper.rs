@@ -1,5 +1,5 @@
 //! "Towards Reflectometry from Interreflections" (Shem-Tov, Bangaru, Levin, Gkioulekas):
-//! its algorithm on one page, to be read beside the paper. Equation and section numbers are
+//! its algorithm on one page, to be read next to the paper. Equation and section numbers are
 //! the paper's.
 //!
 //! ```sh

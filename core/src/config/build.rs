@@ -19,7 +19,7 @@ pub enum BuildError {
     /// The material.
     #[error(transparent)]
     Brdf(#[from] BrdfError),
-    /// A thing beside the sample whose channels differ.
+    /// A body next to the sample whose channels differ.
     #[error("geometry.body[{body}] is coloured; only grey bodies can stand next to a sample")]
     ColouredBody {
         /// Index from 0.

@@ -33,7 +33,7 @@ const LARGEST: f64 = 1.0;
 /// Weights from which an atom counts as in use.
 const IN_USE: f64 = 1e-3;
 
-/// The discrepancy beside one set of weights.
+/// The discrepancy from the mixture of one set of weights.
 pub struct Eliminated {
     /// Modes that no change of the weights in use could make: columns in those of all.
     free: DMatrix<f64>,
@@ -68,7 +68,7 @@ pub struct At<'a> {
 }
 
 impl Eliminated {
-    /// The discrepancy beside each set of weights, around a fit in which nothing departs; nothing
+    /// The discrepancy from the mixture of each set of weights, around a fit in which nothing departs; nothing
     /// where the images hardly ask for one.
     pub fn first(at: &At<'_>, dictionary: &Dictionary) -> Vec<Self> {
         let sets = at.mixture.iter();
