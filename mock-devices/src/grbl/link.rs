@@ -198,7 +198,9 @@ impl Board {
             self.open = false;
             self.outgoing.clear();
             std::thread::sleep(Duration::from_millis(1));
-        } else if !hung_up && !self.open {
+        } else if !self.open {
+            // Bytes from a port that was hung up a moment ago: it has been
+            // opened since, and their answer has a reader.
             self.open = true;
             self.heard_s = now_s;
             if self.boots_on_open {
