@@ -30,6 +30,13 @@ const CAUTION: f64 = 10.0;
 /// what they then get is not near enough to be linear around.
 const LARGEST: f64 = 1.0;
 
+/// Mean square of the modes over their variance a priori up to which they count as found: a sum of
+/// some forty squares of standard normal numbers exceeds twice its mean once in 10⁴ times.
+const MOST_LIKELY_SQUARE: f64 = 2.0;
+
+/// Largest caution: nothing is left of the modes then.
+const MOST_CAUTION: f64 = 1e9;
+
 /// Weights from which an atom counts as in use.
 const IN_USE: f64 = 1e-3;
 
@@ -39,6 +46,8 @@ pub struct Eliminated {
     free: DMatrix<f64>,
     /// Deviation of each a priori.
     amplitude: f64,
+    /// Variance that the equations grant the images over what their weights say.
+    caution: f64,
     /// (F_zz + Λ)⁻¹.
     covariance: DMatrix<f64>,
     /// F_xz.
@@ -77,7 +86,7 @@ impl Eliminated {
         let fitted: Vec<DVector<f64>> = normal
             .iter()
             .zip(&free)
-            .map(|(normal, free)| free * (normal.covariance(1.0) * &normal.scores[1]))
+            .map(|(normal, free)| free * (normal.covariance(1.0, CAUTION) * &normal.scores[1]))
             .collect();
         normal::blocks_after(at, &fitted, &free, &mut normal);
         let amplitude = amplitude(&normal, at.mixture).min(LARGEST);
@@ -106,7 +115,18 @@ impl Eliminated {
     }
 
     fn new(normal: Normal, free: DMatrix<f64>, amplitude: f64) -> Self {
-        let covariance = normal.covariance(amplitude);
+        // Images far from linear in the modes ask for more than the modes can be.
+        let most = MOST_LIKELY_SQUARE * amplitude * amplitude * normal.scores[1].len() as f64;
+        let mut caution = CAUTION;
+        let covariance = loop {
+            let covariance = normal.covariance(amplitude, caution);
+            let modes = &covariance * &normal.scores[1];
+            if modes.norm_squared() <= most || caution > MOST_CAUTION {
+                break covariance;
+            }
+            caution *= 2.0;
+        };
+        log::debug!("caution {caution}");
         let through = &normal.coupling * &covariance;
         let left = |[weights, modes]: &[DVector<f64>; 2]| weights - &through * modes;
         let information = &normal.information - &through * normal.coupling.transpose();
@@ -116,6 +136,7 @@ impl Eliminated {
             block_scores: normal.blocks.iter().map(left).collect(),
             free,
             amplitude,
+            caution,
             covariance,
             coupling: normal.coupling,
             score: {
@@ -144,7 +165,7 @@ impl Eliminated {
     /// A draw of the discrepancy there.
     pub fn draw(&self, step: &DVector<f64>, numbers: &mut Stream) -> Discrepancy {
         let mut z = self.modes(step);
-        if let Some(root) = Cholesky::new(&self.covariance * CAUTION) {
+        if let Some(root) = Cholesky::new(&self.covariance * self.caution) {
             let normal = DVector::from_iterator(z.len(), (0..z.len()).map(|_| numbers.normal()));
             z += root.l() * normal;
         }

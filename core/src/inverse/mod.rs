@@ -1,6 +1,7 @@
 //! From images to weights: the objective, the simplex, the optimisers and what
 //! they can say about their own error.
 
+mod average;
 pub mod bench;
 mod brightest;
 pub mod budget;

@@ -62,6 +62,16 @@ impl Timings {
         result
     }
 
+    /// Adds those of another run.
+    pub fn add(&mut self, others: &Self) {
+        for &(name, seconds) in &others.0 {
+            match self.0.iter_mut().find(|(known, _)| *known == name) {
+                Some((_, total)) => *total += seconds,
+                None => self.0.push((name, seconds)),
+            }
+        }
+    }
+
     fn total(&self) -> f64 {
         self.0.iter().map(|(_, seconds)| seconds).sum()
     }

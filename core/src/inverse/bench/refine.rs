@@ -139,6 +139,9 @@ pub fn refine_bench(
     progress: &dyn Progress,
 ) -> Result<RefinedBench, FitError> {
     check_count(scene, captured.images.len())?;
+    // Where a part of the dictionary makes an estimate of its own, it does for the bench.
+    let part = dictionary.first_part().map(Arc::new);
+    let dictionary = part.as_ref().unwrap_or(dictionary);
     let clock = std::time::Instant::now();
     let bench = Bench::new(scene, priors);
     let mut rounds = Rounds {

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use nalgebra::{Cholesky, DMatrix, DVector};
 
-use super::{At, CAUTION};
+use super::At;
 use crate::brdf::discrepancy::{self, NODES};
 use crate::inverse::uncertainty::without_noise;
 
@@ -28,10 +28,10 @@ pub(super) struct Normal {
 }
 
 impl Normal {
-    /// (F_zz + Λ)⁻¹ for modes of this amplitude.
-    pub fn covariance(&self, amplitude: f64) -> DMatrix<f64> {
+    /// (F_zz + Λ)⁻¹ for modes of this amplitude, with this caution.
+    pub fn covariance(&self, amplitude: f64, caution: f64) -> DMatrix<f64> {
         let m = self.discrepancy.nrows();
-        let prior = DMatrix::identity(m, m) * (CAUTION / (amplitude * amplitude));
+        let prior = DMatrix::identity(m, m) * (caution / (amplitude * amplitude));
         Cholesky::new(&self.discrepancy + prior)
             .map_or_else(|| DMatrix::zeros(m, m), |root| root.inverse())
     }
