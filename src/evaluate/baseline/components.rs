@@ -112,6 +112,8 @@ pub struct Components<'a> {
     tables: Vec<&'a TabulatedBrdf>,
     /// V: columns × components, by falling singular value.
     right: DMatrix<f64>,
+    /// Σ², squares of the singular values.
+    squares: DVector<f64>,
 }
 
 impl<'a> Components<'a> {
@@ -121,6 +123,7 @@ impl<'a> Components<'a> {
         let mut components = Self {
             shape,
             right: DMatrix::zeros(3 * tables.len(), 0),
+            squares: DVector::zeros(0),
             tables,
         };
         let columns = 3 * components.tables.len();
@@ -142,12 +145,19 @@ impl<'a> Components<'a> {
         let least = RANK_TOLERANCE * order.first().map_or(0.0, |&k| eigen.eigenvalues[k]);
         order.retain(|&k| eigen.eigenvalues[k] > least);
         components.right = eigen.eigenvectors.select_columns(&order);
+        components.squares = eigen.eigenvalues.select_rows(&order);
         components
     }
 
     /// Number of training columns: materials times channels.
     pub fn columns(&self) -> usize {
         self.right.nrows()
+    }
+
+    /// Squares of the singular values, falling: sums over the grid of a scaled component's
+    /// squares.
+    pub fn squares(&self) -> &DVector<f64> {
+        &self.squares
     }
 
     /// The entries of all nodes of one θh; `None` below the horizon.

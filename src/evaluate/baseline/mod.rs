@@ -116,7 +116,7 @@ fn one(
     let table_error = lab.score(&table, truth).environment;
     let mut rows = Vec::new();
     for (variant, samples) in VARIANTS.into_iter().enumerate() {
-        let measured = measurement(&components, samples, lab);
+        let measured = measurement(&components, samples, ridge, lab);
         let values = noisy_values(lab, variant, material, &measured.pairs);
         let at = components.rows(&measured.pairs);
         let estimate = components.reconstruct(&at, &values, ridge)?;
@@ -144,12 +144,18 @@ fn one(
 /// Pairs of directions with what chose them.
 struct Measurement {
     pairs: Vec<Pair>,
+    /// Of single directions alone.
     condition_number: Option<f64>,
     /// Angles between light and camera; empty for single directions.
     lights_deg: String,
 }
 
-fn measurement(components: &Components<'_>, samples: Samples, lab: &Lab) -> Measurement {
+fn measurement(
+    components: &Components<'_>,
+    samples: Samples,
+    ridge: f64,
+    lab: &Lab,
+) -> Measurement {
     match samples {
         Samples::Directions(count) => {
             let choice = best_pairs(components, count, lab.settings.seed);
@@ -160,13 +166,13 @@ fn measurement(components: &Components<'_>, samples: Samples, lab: &Lab) -> Meas
             }
         }
         Samples::SphereImages(images) => {
-            let choice = best_lights(components, images);
+            let choice = best_lights(components, images, ridge);
             let size = lab.settings.resolution_px;
             let image = |&angle: &f64| sphere_pairs(size, angle);
-            let shown: Vec<String> = choice.chosen.iter().map(f64::to_string).collect();
+            let shown: Vec<String> = choice.angles_deg.iter().map(f64::to_string).collect();
             Measurement {
-                pairs: choice.chosen.iter().flat_map(image).collect(),
-                condition_number: Some(choice.condition_number),
+                pairs: choice.angles_deg.iter().flat_map(image).collect(),
+                condition_number: None,
                 lights_deg: shown.join(" "),
             }
         }
