@@ -62,14 +62,19 @@ impl<'a> Objective<'a> {
     pub fn with_discrepancy(&self, model: &'a DiscrepancyModel) -> Self {
         Self {
             values: self.values.clone(),
-            departed: Some(model),
+            discrepancy: Some(model),
             ..*self
         }
     }
 
     /// What a discrepancy makes of the mixture's light that is reflected once.
-    pub(in crate::inverse) fn once_factor(&self, cell: usize, light: usize, channel: usize) -> f64 {
-        self.departed
+    pub(in crate::inverse) fn direct_factor(
+        &self,
+        cell: usize,
+        light: usize,
+        channel: usize,
+    ) -> f64 {
+        self.discrepancy
             .map_or(1.0, |d| f64::from(d.direct.factor(cell, light, channel)))
     }
 
@@ -84,7 +89,7 @@ impl<'a> Objective<'a> {
     ) -> Vec<T> {
         let slices: Vec<&[f64]> = mixture.iter().map(|w| w.as_slice()).collect();
         let departing = NodeFactors {
-            factors: self.departed.map_or(&[][..], |d| &d.factors),
+            factors: self.discrepancy.map_or(&[][..], |d| &d.factors),
             by_node,
         };
         self.cache
@@ -110,7 +115,7 @@ mod tests {
     /// the renderer makes of discrepancies a little to either side: it shares nothing with the
     /// cache but the table.
     #[test]
-    fn images_of_departed_materials_are_as_rendered() {
+    fn images_of_discrepancy_materials_are_as_rendered() {
         let scene = bowl(8);
         let atoms = vec![
             Atom::Lambertian { albedo: 1.0 },
@@ -127,7 +132,7 @@ mod tests {
         };
         let rendered = |along: [f64; 2]| {
             let g = discrepancy(along);
-            let departed = Material::new(mixture.clone(), &[g]);
+            let discrepancy = Material::new(mixture.clone(), &[g]);
             let options = RenderOptions {
                 samples_per_pixel: 8192,
                 max_reflections: 4,
@@ -135,7 +140,7 @@ mod tests {
                 proposal: Proposal::resembling(&mixture, 0.3),
                 ..RenderOptions::default()
             };
-            render(&scene, &departed, &options)
+            render(&scene, &discrepancy, &options)
         };
         let (at, step) = ([1.0, -0.5], 0.05);
         let captured = rendered(at);
@@ -148,8 +153,8 @@ mod tests {
             Paths::trace(&scene, &compared.cells, &dictionary, None, &options, &()).unwrap();
         let objective = paths.objective(&compared, &options);
         let g = discrepancy(at);
-        let departed = Material::new(mixture.clone(), &[g]);
-        let model = DiscrepancyModel::of_compared(&objective, &scene, &departed, 3);
+        let discrepancy = Material::new(mixture.clone(), &[g]);
+        let model = DiscrepancyModel::of_compared(&objective, &scene, &discrepancy, 3);
         let objective = objective.with_discrepancy(&model);
         let weights = vec![DVector::from_vec(vec![0.5, 0.5]); 3];
 
