@@ -1,7 +1,7 @@
 //! What a fit cannot explain, and what would explain it.
 //!
 //! Every cause that is considered has images of its own: what the residual would look like to
-//! first order if that were wrong. The residual of the material, as it departs from its mixture,
+//! first order if that were wrong. The residual of the material, with its discrepancy,
 //! in standard deviations of noise and model error, is regressed on them after the part that
 //! other weights could make has been taken out of both. What is left to say is how much of the
 //! mean square residual each cause accounts for (docs/adr/0010).
@@ -28,7 +28,7 @@ pub enum Cause {
     ShapeOrPose,
     /// The material differs between places.
     NonUniform,
-    /// Light leaves beside where it entered, or the image is blurred.
+    /// Light leaves at some distance from where it entered, or the image is blurred.
     Translucency,
     /// The material reflects as no mixture of the dictionary does.
     Dictionary,
@@ -73,8 +73,8 @@ pub struct Diagnosis {
     /// Mean product of the residuals of neighbouring cells over `mean_square`: 0 for
     /// noise, towards 1 for smooth structure.
     pub correlation: f64,
-    /// Whether the material departs from every mixture, which is a sign of the dictionary: no
-    /// fault of the bench was found to ask for it.
+    /// Whether the material has a discrepancy from every mixture, a sign of the dictionary: no
+    /// fault of the bench was found to cause one.
     pub departs: bool,
 }
 
@@ -85,7 +85,7 @@ const NOTABLE_MEAN_SQUARE: f64 = 1.1;
 /// Part of the mean square residual from which a fault of bench or sample is named.
 const NOTABLE_PART: f64 = 0.25;
 
-/// Part from which the dictionary is named where nothing departs: it has the most images and
+/// Part from which the dictionary is named without a discrepancy: it has the most images and
 /// explains a little of anything.
 const NOTABLE_DICTIONARY_PART: f64 = 0.5;
 
@@ -285,7 +285,7 @@ fn accounted_for(gram: &DMatrix<f64>, known: usize, template: &[usize], z: usize
     let inverse = regularised_inverse(&pick(&atoms, &atoms));
     let freed = Marginal::new(&pick(&both, &both), &pick(&both, &atoms), &inverse).information;
     let k = template.len();
-    // A template that other weights can make says nothing.
+    // A template that other weights can make is no evidence.
     let own: Vec<usize> = (0..k)
         .filter(|&i| freed[(i, i)] > 1e-4 * gram[(template[i], template[i])])
         .collect();
@@ -322,7 +322,7 @@ mod tests {
         }
     }
 
-    /// The dictionary explains a little of anything, so it must lead unless the material departs;
+    /// The dictionary explains a little of anything, so it must lead unless there is a discrepancy;
     /// what nothing explains is said to be so, and what noise explains is nothing.
     #[test]
     fn the_leading_cause_is_named() {

@@ -1,10 +1,10 @@
-//! How the material departs from every mixture, estimated together with the weights.
+//! The model discrepancy: ln f beyond every mixture, estimated together with the weights.
 //!
 //! Around a fit the images change by J δx + G z, with δx a step of the weights and z the
 //! modes of a smooth discrepancy ([`crate::brdf::discrepancy`]), standard normal a priori times
 //! an amplitude. What z could have made is no evidence about the weights: their information
 //! is the Schur complement F_xx − F_xz (F_zz + Λ)⁻¹ F_zx. The amplitude is the one under which
-//! the images are most probable, and nothing departs unless that is much more probable. As a
+//! the images are most probable, and there is none unless that is much more probable. As a
 //! discrepancy is not small where light is reflected twice, the images are then taken to be
 //! linear once more, around what was found (docs/adr/0032).
 
@@ -44,7 +44,7 @@ pub struct Eliminated {
     covariance: DMatrix<f64>,
     /// F_xz.
     coupling: DMatrix<f64>,
-    /// Gᵀ W r, as if nothing departed yet.
+    /// Gᵀ W r around no discrepancy.
     score: DVector<f64>,
     /// Information of the weights, without what the discrepancy could have made.
     pub information: DMatrix<f64>,
@@ -56,7 +56,7 @@ pub struct Eliminated {
 
 /// Where the images are taken to be linear.
 pub struct LinearizationPoint<'a> {
-    /// The comparison, of what departs from the mixture if something does.
+    /// The comparison, with the discrepancy applied.
     pub objective: &'a Objective<'a>,
     /// How the light that is reflected once changes with the discrepancy.
     pub direct: &'a DirectDiscrepancy,
@@ -69,8 +69,8 @@ pub struct LinearizationPoint<'a> {
 }
 
 impl Eliminated {
-    /// The discrepancy from the mixture of each set of weights, around a fit in which nothing departs; nothing
-    /// where the images hardly ask for one.
+    /// The discrepancy from the mixture of each set of weights, around a fit without one; empty
+    /// where the evidence for one is small.
     pub fn first(at: &LinearizationPoint<'_>, dictionary: &Dictionary) -> Vec<Self> {
         let sets = at.mixture.iter();
         let free: Vec<_> = sets.map(|x| free_modes(dictionary, x)).collect();

@@ -1,4 +1,4 @@
-//! What an as-made surface that departs from its mesh adds to the spread of the weights.
+//! What the form error of an as-made surface adds to the covariance of the score.
 //!
 //! Deformations of the stated rms are drawn ([`FormError::field`]) and the images' change d
 //! with each is traced with shared random numbers. The weights' score changes by JᵀWd;
@@ -149,7 +149,7 @@ pub(super) mod tests {
         )
     }
 
-    /// Fits of samples that depart by the stated error scatter as the covariance says,
+    /// Fits of samples with the stated form error scatter as the covariance says,
     /// at several angles. The images are made by the renderer, which shares nothing with
     /// the derivatives but the field; their noise is common and cancels.
     #[test]

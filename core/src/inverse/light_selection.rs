@@ -196,7 +196,7 @@ impl Prospects {
     }
 
     /// Up to `count` candidates beyond those `taken`, best first: each is the one that
-    /// leaves the least variance beside all before it.
+    /// leaves the least variance together with all before it.
     pub fn greedy(&self, taken: &[usize], count: usize) -> Vec<Choice> {
         let mut used = vec![false; self.candidates];
         taken.iter().for_each(|&light| used[light] = true);

@@ -4,7 +4,7 @@
 //! | item | rule |
 //! |---|---|
 //! | [`NormalEquations`] | sym(J_Aᵀ W J_B) and ½ (J_Aᵀ W r_B + J_Bᵀ W r_A) of independent halves of the paths |
-//! | [`above_noise`], [`Signal`] | what an indefinite product of halves says beyond Monte Carlo noise |
+//! | [`above_noise`], [`Signal`] | an indefinite product of halves without Monte Carlo noise |
 //! | [`Marginal`] | the Schur complement |
 //! | [`scatter`] | the filling of a sandwich covariance: Σ s sᵀ over blocks of cells |
 

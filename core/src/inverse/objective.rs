@@ -5,8 +5,8 @@
 //! Residual and derivative come from independent halves of the paths, so that
 //! the render's own noise biases neither the loss nor its gradient. Each value is
 //! weighted by 1/(σ²_captured + σ²_rendered + (τ I)²), the last term standing for
-//! what no mixture of the dictionary can explain; what paths say of I and σ_rendered is
-//! taken from the cell's neighbours, because a weight that follows a cell's own noise
+//! what no mixture of the dictionary can explain; I and σ_rendered as estimated by paths are
+//! those of the cell's neighbours, because a weight that follows a cell's own noise
 //! pulls the fit low ([`Modelled`]).
 
 use nalgebra::DVector;
@@ -64,7 +64,7 @@ pub struct Objective<'a> {
     kernel: Kernel,
     /// Relative model error τ, 0..=1.
     model_error: f64,
-    /// How the material departs from the mixture.
+    /// The model discrepancy, where there is one.
     discrepancy: Option<&'a DiscrepancyModel>,
 }
 

@@ -1,4 +1,4 @@
-//! What the images say about a bench against what its description says.
+//! Information of the images about the nuisance parameters, in units of their prior.
 //!
 //! In units of the prior (p = L q, prior covariance L Lᵀ) the information is A = LᵀSL;
 //! along an eigenvector with value λ the posterior variance is 1/(1 + λ) of the
@@ -49,7 +49,7 @@ impl Spectrum {
         }
     }
 
-    /// Less sure by what the scores of blocks of pixels scatter: errors of the model are
+    /// Inflates the covariance by the between-block variance of the score (cluster-robust): errors of the model are
     /// correlated between pixels, and the paths' noise between lights and channels. At least
     /// `least` times what independent noise would, 1 or more: some of it is common to all
     /// blocks.

@@ -1,4 +1,4 @@
-//! How much the images ask for a discrepancy.
+//! The amplitude of the discrepancy by empirical Bayes.
 
 use nalgebra::{Cholesky, DMatrix, DVector};
 

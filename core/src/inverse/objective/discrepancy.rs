@@ -1,4 +1,4 @@
-//! The comparison with a material that departs from the mixtures (docs/adr/0032).
+//! The comparison with a material that has a model discrepancy (docs/adr/0032).
 
 use nalgebra::DVector;
 
@@ -8,7 +8,7 @@ use crate::transport::direct_discrepancy::DirectDiscrepancy;
 use crate::transport::evaluate::NodeFactors;
 use crate::transport::{CellRows, Scene};
 
-/// What makes a model of a mixture one of a material that departs from it.
+/// The discrepancy as it changes the images of a mixture.
 pub struct DiscrepancyModel {
     /// Factors of f at the nodes, per set.
     factors: Vec<[f32; NODES]>,
@@ -58,7 +58,7 @@ impl DiscrepancyModel {
 }
 
 impl<'a> Objective<'a> {
-    /// The same comparison with the light of a material that departs from the mixture.
+    /// The same comparison with the discrepancy applied.
     pub fn with_discrepancy(&self, model: &'a DiscrepancyModel) -> Self {
         Self {
             values: self.values.clone(),
@@ -78,7 +78,7 @@ impl<'a> Objective<'a> {
             .map_or(1.0, |d| f64::from(d.direct.factor(cell, light, channel)))
     }
 
-    /// One pass over the paths with the light of `mixture`, or of what departs from it, with the
+    /// One pass over the paths with the light of `mixture` and its discrepancy, if any, with the
     /// derivatives by the discrepancy's nodes if wanted.
     pub(in crate::inverse) fn evaluate<T: Send>(
         &self,
@@ -111,7 +111,7 @@ mod tests {
     use crate::inverse::solve::Paths;
     use crate::transport::{Proposal, RenderOptions, render};
 
-    /// Images and their derivatives by two modes, around a material that departs, against what
+    /// Images and their derivatives by two modes, around a material with a discrepancy, against what
     /// the renderer makes of discrepancies a little to either side: it shares nothing with the
     /// cache but the table.
     #[test]

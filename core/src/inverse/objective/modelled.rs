@@ -1,4 +1,4 @@
-//! What a model says of a value, and what a residual's weight may know of it.
+//! A modelled value, and the part of it on which a residual's weight may depend.
 
 /// A value whose own paths scatter by more than this many times the variance of the
 /// neighbours' holds a rare bright path and counts for less. Far above what a weight that
