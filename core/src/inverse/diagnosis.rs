@@ -295,12 +295,12 @@ fn accounted_for(gram: &DMatrix<f64>, known: usize, template: &[usize], z: usize
 }
 
 /// Inverse of inner products, scaled to a unit diagonal with a ridge: columns can be nearly
-/// equal.
+/// equal. Zero for a column that is zero, as that of black is.
 fn regularised_inverse(matrix: &DMatrix<f64>) -> DMatrix<f64> {
     let n = matrix.nrows();
     let scale = matrix
         .diagonal()
-        .map(|d| 1.0 / d.max(f64::MIN_POSITIVE).sqrt());
+        .map(|d| if d > 0.0 { 1.0 / d.sqrt() } else { 0.0 });
     let scaled = DMatrix::from_fn(n, n, |i, j| {
         let ridge = if i == j { 1e-6 } else { 0.0 };
         matrix[(i, j)] * scale[i] * scale[j] + ridge
@@ -320,6 +320,24 @@ mod tests {
             correlation: 0.0,
             departs: false,
         }
+    }
+
+    /// Columns: an atom, black, a template, the residual 2 · atom + 3 · template. Freed of the
+    /// atom the template accounts for 9 times its own part orthogonal to it.
+    #[test]
+    fn a_template_accounts_for_its_part_in_the_residual() {
+        let rows = DMatrix::from_row_slice(
+            3,
+            4,
+            &[
+                1.0, 0.0, 1.0, 5.0, //
+                0.0, 0.0, 2.0, 6.0, //
+                0.0, 0.0, 1.0, 3.0,
+            ],
+        );
+        let gram = rows.tr_mul(&rows);
+        let explained = accounted_for(&gram, 2, &[2], 3);
+        assert!((explained / 45.0 - 1.0).abs() < 1e-4, "{explained}");
     }
 
     /// The dictionary explains a little of anything, so it must lead unless there is a discrepancy;
