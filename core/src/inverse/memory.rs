@@ -86,7 +86,7 @@ impl Size {
             + PER_MODE_BYTES * modes
             + PER_PARAMETER_BYTES * self.bench_parameters as u64;
         // Two matrices of each kind, for three channels, in double precision.
-        let per_group = 48 * (atoms * atoms + atoms * modes + modes * modes);
+        let per_group = 48 * (atoms + modes).pow(2);
         let groups = GROUPS.min((self.cells as u64).div_ceil(GROUP_CELLS));
         let values = self.values().saturating_mul(per_value);
         values.saturating_add(groups * per_group)

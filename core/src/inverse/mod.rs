@@ -18,6 +18,7 @@ pub mod gauss_newton;
 pub mod intervals;
 pub mod light_selection;
 pub mod memory;
+mod normal_equations;
 pub mod objective;
 pub mod options;
 pub mod plausibility;

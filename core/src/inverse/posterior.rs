@@ -5,8 +5,8 @@ use nalgebra::DVector;
 use rayon::prelude::*;
 
 use super::bench::BenchCoupling;
-use super::bench::system::{BenchLinearisation, Model};
-use super::discrepancy::{At, Eliminated};
+use super::bench::system::BenchLinearisation;
+use super::discrepancy::{Eliminated, LinearizationPoint};
 use super::estimate::{estimate, mean_of_draws};
 use super::form;
 use super::intervals::inadequacy;
@@ -107,15 +107,11 @@ pub(super) fn posterior(
             discrepancy: 0.0,
         });
     }
-    let model = Model {
-        objective,
-        cache: &paths.cache,
-    };
     let fitted = material(mixture)?;
-    let coupling = bench.map(|b| b.coupling(&model, weights, mixture));
+    let coupling = bench.map(|b| b.coupling(objective, weights, mixture));
     let noise = objective.score_noise(mixture, weights, &solved.pass.model);
     let form = options.form_error.as_ref().map_or_else(Vec::new, |error| {
-        form::score_covariance(&model, scene, error, weights, mixture, &fitted, seed)
+        form::score_covariance(objective, scene, error, weights, mixture, &fitted, seed)
     });
     let draw = |bench: Option<&BenchCoupling>,
                 center: &[DVector<f64>],
@@ -136,7 +132,7 @@ pub(super) fn posterior(
 
     let mut center = mixture.clone();
     let nothing = model_of(&Material::from(fitted));
-    let at = At {
+    let at = LinearizationPoint {
         objective,
         direct: &nothing.direct,
         residual_weights: weights,
@@ -163,7 +159,7 @@ pub(super) fn posterior(
             left(&pass)
         );
         if left(&pass) < left(&solved.pass) {
-            let at = At {
+            let at = LinearizationPoint {
                 objective: &objective,
                 direct: &departed.direct,
                 mixture: &mean,
