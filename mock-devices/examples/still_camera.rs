@@ -1,5 +1,6 @@
 //! A simulated still camera behind PTP/IP before an evenly lit card, for trying `gphoto2`:
-//! prints the value of gphoto2's option `--port` and runs until it is ended.
+//! prints the value of gphoto2's option `--port` and runs until it is ended. An argument is
+//! the number of files that it has room for.
 
 use std::sync::Arc;
 
@@ -34,7 +35,11 @@ fn main() -> std::io::Result<()> {
         SensorModel::new(SensorConfig::typical(SIZE, 1)),
         Arc::new(Card),
     );
-    let server = PtpServer::start(Body::new(BodyConfig::default(), camera))?;
+    let mut body = BodyConfig::default();
+    if let Some(room) = std::env::args().nth(1) {
+        body.room = room.parse().map_err(std::io::Error::other)?;
+    }
+    let server = PtpServer::start(Body::new(body, camera))?;
     println!("{}", server.port());
     loop {
         std::thread::park();
