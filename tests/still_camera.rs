@@ -315,12 +315,7 @@ fn a_body_that_fails_is_reported_as_what_it_does() {
     faults.inject(BodyFault::KeepSpeed(1));
     let error = camera.configure(settings(0.1, 1.0)).unwrap_err();
     assert!(matches!(error, DeviceError::NotApplied { .. }), "{error}");
-    // No room, no file.
     camera.configure(settings(0.1, 1.0)).unwrap();
-    faults.inject(BodyFault::StorageFull);
-    let error = camera.grab(KEY).unwrap_err();
-    assert!(matches!(error, DeviceError::Refused { .. }), "{error}");
-    faults.clear();
     // Gone, and back.
     faults.inject(BodyFault::Gone);
     let error = camera.grab(KEY).unwrap_err();
@@ -349,6 +344,18 @@ fn a_body_that_does_not_answer_ends_with_the_time_limit() {
     let error = camera.grab(KEY).unwrap_err();
     assert!(matches!(error, DeviceError::NoReply { .. }), "{error}");
     assert!(began.elapsed() < Duration::from_secs(6));
+}
+
+/// gphoto2 waits for a frame that the body has refused to take.
+#[test]
+fn a_body_without_room_for_a_file_ends_with_the_time_limit() {
+    let bench = before_a_card(body_config());
+    let body = format!("port = {}", bench.server.port());
+    let mut camera = (gphoto2::DRIVER.open)(body.as_ref(), description(&bench.rig, 2.0)).unwrap();
+    camera.configure(settings(0.02, 1.0)).unwrap();
+    bench.server.faults().inject(BodyFault::StorageFull);
+    let error = camera.grab(KEY).unwrap_err();
+    assert!(matches!(error, DeviceError::NoReply { .. }), "{error}");
 }
 
 #[test]

@@ -192,13 +192,13 @@ impl Gphoto {
                 },
             };
         }
-        // "Could not find the requested device", "I/O problem", "Unspecified error".
+        // No device there, or the connection broke. While a frame is taken gphoto2 names no
+        // number.
         if has(&[
             "-52:",
             "-105:",
             "-7:",
-            "-1:",
-            "-34:",
+            "error occurred in the io-library",
             "No camera found",
             "Could not detect",
         ]) {
