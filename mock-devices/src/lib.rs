@@ -13,6 +13,7 @@ pub mod dome;
 pub mod grbl;
 pub mod motion;
 pub mod proxy;
+pub mod ptp;
 pub mod sensor;
 pub mod usb;
 pub mod zaber;

@@ -14,6 +14,7 @@ mod error;
 pub mod even_light;
 pub mod folder_camera;
 pub mod frame_row;
+pub mod gphoto2;
 pub mod grbl;
 pub mod guardian;
 pub mod image_file;
