@@ -25,6 +25,10 @@ const ELSEWHERE: &[(&str, &str)] = &[
         "a bench that is connected",
     ),
     (
+        "end the other program that has the camera",
+        "a camera on the network that another program controls",
+    ),
+    (
         "raw counts need an uncompressed format",
         "a camera without raw formats",
     ),

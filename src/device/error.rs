@@ -24,6 +24,12 @@ pub enum DeviceError {
         /// Path or name.
         device: String,
     },
+    /// Another program controls a camera on the network.
+    #[error("{device} is controlled by another program")]
+    Controlled {
+        /// Name or address.
+        device: String,
+    },
     /// No answer in time.
     #[error("{device} did not answer within {timeout} (sent {sent:?})")]
     NoReply {

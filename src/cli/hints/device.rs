@@ -22,6 +22,9 @@ pub(super) fn for_device(error: &DeviceError) -> String {
                 "`fuser -v {device}` names the process that holds it; end that one first"
             );
         }
+        Controlled { .. } => {
+            "end the other program that has the camera, on this machine or another one; after a crash the camera is free again within its heartbeat time-out, mostly 3 s"
+        }
         NoReply { .. } => {
             "check power and cable, and that driver and baud rate are this device's; `rig devices` shows whether it is still there; a slow camera needs a longer camera.frame_timeout_s"
         }
