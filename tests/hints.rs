@@ -37,6 +37,10 @@ const ELSEWHERE: &[(&str, &str)] = &[
         "a system with gphoto2 and without LibRaw",
     ),
     (
+        "end the other program that has the camera",
+        "a camera on the network that another program controls",
+    ),
+    (
         "raw counts need an uncompressed format",
         "a camera without raw formats",
     ),

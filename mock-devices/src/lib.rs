@@ -10,6 +10,7 @@ pub mod camera;
 pub mod clock;
 pub mod dmx;
 pub mod dome;
+pub mod gige;
 pub mod grbl;
 pub mod motion;
 pub mod proxy;

@@ -8,4 +8,6 @@ pub const DRIVERS: &[Driver] = &[
     command_camera::DRIVER,
     folder_camera::DRIVER,
     gphoto2::DRIVER,
+    #[cfg(feature = "genicam")]
+    super::genicam::DRIVER,
 ];

@@ -30,6 +30,12 @@ pub enum DeviceError {
         /// Port as gphoto2 names it.
         device: String,
     },
+    /// Another program controls a camera on the network.
+    #[error("{device} is controlled by another program")]
+    Controlled {
+        /// Name or address.
+        device: String,
+    },
     /// No answer in time.
     #[error("{device} did not answer within {timeout} (sent {sent:?})")]
     NoReply {

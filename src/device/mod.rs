@@ -14,6 +14,8 @@ mod error;
 pub mod even_light;
 pub mod folder_camera;
 pub mod frame_row;
+#[cfg(feature = "genicam")]
+pub mod genicam;
 pub mod gphoto2;
 pub mod grbl;
 pub mod guardian;

@@ -25,6 +25,9 @@ pub(super) fn for_device(error: &DeviceError) -> String {
         Claimed { .. } => {
             "desktops claim cameras to show their files: `gio mount -s gphoto2` lets go of it, and `systemctl --user mask --now gvfs-gphoto2-volume-monitor` keeps it so; else end the other program (`lsof /dev/bus/usb/*/*` lists them)"
         }
+        Controlled { .. } => {
+            "end the other program that has the camera, on this machine or another one; after a crash the camera is free again within its heartbeat time-out, mostly 3 s"
+        }
         NoReply { .. } => {
             "check power and cable, and that driver and baud rate are this device's; `rig devices` shows whether it is still there; a slow camera needs a longer camera.frame_timeout_s"
         }
