@@ -10,7 +10,7 @@
 CARGO ?= cargo
 SUDO := $(if $(filter 0,$(shell id -u)),,sudo)
 
-.PHONY: demo docs test test-long test-vm test-external build deps
+.PHONY: demo docs test test-long test-vm test-external build deps deps-test
 
 demo: build
 	target/release/rig demo
@@ -18,7 +18,7 @@ demo: build
 build: deps
 	$(CARGO) build --locked --release
 
-test: deps
+test: deps-test
 	$(CARGO) test --locked --release --workspace
 
 # mdBook is built quickly rather than well: it runs for a second. Its warnings are errors;
@@ -56,6 +56,12 @@ test-long: build
 
 # What the build needs from the system: a C compiler to link, libclang for the
 # Video4Linux bindings. Nothing happens if it is there.
+# The clients of the simulated still camera.
+TEST_DEPS := gphoto2 libraw-bin
+
+deps-test:
+	@$(MAKE) --no-print-directory deps EXTRA_DEPS="$(TEST_DEPS)"
+
 deps:
 	@command -v $(CARGO) >/dev/null || { \
 	  echo "error: cargo was not found" >&2; echo >&2; \
@@ -67,6 +73,10 @@ deps:
 	  command -v cc >/dev/null || missing="$$missing build-essential"; \
 	  dpkg-query -W -f='$${Status}' libclang-dev 2>/dev/null | grep -q 'ok installed' \
 	    || missing="$$missing libclang-dev"; \
+	  for package in $(EXTRA_DEPS); do \
+	    dpkg-query -W -f='$${Status}' $$package 2>/dev/null | grep -q 'ok installed' \
+	      || missing="$$missing $$package"; \
+	  done; \
 	  if [ -n "$$missing" ]; then \
 	    $(SUDO) apt-get update && \
 	    $(SUDO) env DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends $$missing; \
