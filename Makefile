@@ -54,14 +54,14 @@ test-long: build
 	target/release/rig evaluate intervals --out target/long/intervals
 	target/release/rig evaluate diagnosis --out target/long/diagnosis
 
-# What the build needs from the system: a C compiler to link, libclang for the
-# Video4Linux bindings. Nothing happens if it is there.
 # The clients of the simulated still camera.
 TEST_DEPS := gphoto2 libraw-bin
 
 deps-test:
 	@$(MAKE) --no-print-directory deps EXTRA_DEPS="$(TEST_DEPS)"
 
+# What the build needs from the system: a C compiler to link, libclang for the
+# Video4Linux bindings. Nothing happens if it is there.
 deps:
 	@command -v $(CARGO) >/dev/null || { \
 	  echo "error: cargo was not found" >&2; echo >&2; \
