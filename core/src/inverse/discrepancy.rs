@@ -128,7 +128,7 @@ impl Eliminated {
         let mut noise_inflation = NOISE_INFLATION;
         let covariance = loop {
             let covariance = joint.covariance(amplitude, noise_inflation);
-            let modes = &covariance * &of_modes;
+            let modes = &covariance * of_modes;
             if modes.norm_squared() <= most || noise_inflation > MAX_NOISE_INFLATION {
                 break covariance;
             }
