@@ -270,7 +270,7 @@ mod tests {
         TabulatedBrdf::tabulate(SHAPE, |a: HalfDifference| {
             let peak = gloss * (-(a.theta_h_rad as f32 / width).powi(2)).exp();
             let rise = 1.0 + (a.theta_d_rad as f32).powi(3);
-            albedo.map(|albedo| albedo / 3.14 + peak * rise)
+            albedo.map(|albedo| albedo / std::f32::consts::PI + peak * rise)
         })
     }
 
