@@ -184,7 +184,7 @@ mod tests {
         };
         Posterior {
             draws: vec![set(), set(), set()],
-            material: Material::new(mixture, &[g.clone()]),
+            material: Material::new(mixture, std::slice::from_ref(&g)),
             discrepancy: 1.0,
         }
     }
