@@ -8,7 +8,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::bench::derivatives::{AVERAGED, DerivativeImages, DerivativeOptions};
-use super::normal_equations::above_noise;
+use super::normal_equations::with_eigenvalues;
 use super::objective::{Objective, ResidualWeights};
 use crate::brdf::Mixture;
 use crate::geometry::FormError;
@@ -72,7 +72,9 @@ pub(super) fn score_covariance(
             }
         }
     }
-    covariance.into_iter().map(above_noise).collect()
+    // As it widens the intervals, noise in it errs to the safe side: only what is below 0 goes.
+    let semidefinite = |covariance| with_eigenvalues(covariance, |v| v.max(0.0));
+    covariance.into_iter().map(semidefinite).collect()
 }
 
 /// JᵀWd per group, deformation and half.
