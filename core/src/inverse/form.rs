@@ -8,7 +8,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::bench::derivatives::{AVERAGED, DerivativeImages, DerivativeOptions};
-use super::normal_equations::above_noise;
+use super::normal_equations::with_eigenvalues;
 use super::objective::{Objective, ResidualWeights};
 use crate::brdf::Mixture;
 use crate::geometry::FormError;
@@ -72,7 +72,10 @@ pub(super) fn score_covariance(
             }
         }
     }
-    covariance.into_iter().map(above_noise).collect()
+    // Not the rule of `above_noise`: a slight form error would vanish in whole, and eigenvalues
+    // that are noise make intervals a little wider, not narrower.
+    let positive = |covariance| with_eigenvalues(covariance, |v| v.max(0.0));
+    covariance.into_iter().map(positive).collect()
 }
 
 /// JᵀWd per group, deformation and half.
