@@ -72,9 +72,10 @@ pub(super) fn score_covariance(
             }
         }
     }
-    // As it widens the intervals, noise in it errs to the safe side: only what is below 0 goes.
-    let semidefinite = |covariance| with_eigenvalues(covariance, |v| v.max(0.0));
-    covariance.into_iter().map(semidefinite).collect()
+    // Not the rule of `above_noise`: a slight form error would vanish in whole, and eigenvalues
+    // that are noise make intervals a little wider, not narrower.
+    let positive = |covariance| with_eigenvalues(covariance, |v| v.max(0.0));
+    covariance.into_iter().map(positive).collect()
 }
 
 /// JᵀWd per group, deformation and half.
