@@ -19,7 +19,7 @@ use rayon::prelude::*;
 
 use super::discrepancy::{Discrepancy, Material, NODES, covariance, node_weights};
 use super::ggx::Cosines;
-use super::{Atom, Dictionary, quadrature};
+use super::{Dictionary, quadrature};
 
 /// Angles of incidence at which the albedo is bounded, degrees: the difference angles of the
 /// nodes, between which a narrow lobe's albedo is about linear, and some between them.
@@ -77,9 +77,9 @@ impl EnergyBound {
             }
         }
         // Where a lobe's atom exceeds 1 by the quadrature's own error, it counts as 1.
-        for (atom, mut column) in dictionary.atoms().iter().zip(part.column_iter_mut()) {
+        for mut column in part.column_iter_mut() {
             let albedo = column.sum();
-            if albedo > LARGEST_ALBEDO && *atom != Atom::Black {
+            if albedo > LARGEST_ALBEDO {
                 column *= LARGEST_ALBEDO / albedo;
             }
         }
@@ -152,7 +152,7 @@ mod tests {
 
     use super::*;
     use crate::brdf::check::check_with;
-    use crate::brdf::{Mixture, discrepancy::nodes};
+    use crate::brdf::{Atom, Mixture, discrepancy::nodes};
     use crate::random::{Purpose, stream};
 
     fn material(dictionary: &Arc<Dictionary>, seed: u64, strength: f64) -> Material {

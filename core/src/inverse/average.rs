@@ -8,6 +8,8 @@
 //! 1999) with equal model probabilities, and with a variance between the models that is not
 //! Δ²/4, as for two models of which one is right, but Δ², as for two of many.
 
+use std::sync::Arc;
+
 use nalgebra::DVector;
 
 use super::posterior::Posterior;
@@ -30,7 +32,6 @@ pub(super) fn averaged(
     seed: u64,
 ) -> Result<Posterior, BrdfError> {
     let dictionary = whole.material.mixture.dictionary().clone();
-    let n = dictionary.len();
     let part = in_whole(part, &dictionary)?;
     let [a, b] = [&whole.material, &part.material];
 
@@ -42,63 +43,51 @@ pub(super) fn averaged(
     let mixture = Mixture::new(dictionary, weights)?;
     let mean = Material::from(mixture);
     let tables = Tables::new(a, b, &mean);
-    let departs = whole.discrepancy > 0.0 || part.discrepancy > 0.0;
-    let material = match departs {
-        true => Material::new(mean.mixture, &tables.mean),
+    let discrepancy = whole.discrepancy.max(part.discrepancy);
+    let material = if discrepancy > 0.0 {
+        Material::new(mean.mixture, &tables.mean)
+    } else {
         // Of two mixtures, the mean in f: it is one, and differs little.
-        false => mean,
+        mean
     };
 
     // Samples of both in turn, spread along the difference.
-    let Posterior { draws: of_part, .. } = part;
-    let sets = whole.draws.len();
-    let draws = whole.draws.into_iter().zip(of_part).enumerate();
-    let draws = draws.map(|(set, (whole, part))| {
-        let mut numbers = stream(seed, Purpose::Posterior, set as u64, 3, 0);
+    let groups = whole.draws.len();
+    let samples = whole.draws.into_iter().zip(part.draws).enumerate();
+    let samples = samples.map(|(group, (whole, part))| {
+        let mut numbers = stream(seed, Purpose::Posterior, group as u64, 3, 0);
         // Of weights shared by the channels, the middle one.
-        let difference = &tables.difference[if sets == 1 { 1 } else { set }];
+        let difference = &tables.difference[if groups == 1 { 1 } else { group }];
         let count = whole.posterior.len().min(part.posterior.len());
-        let mut pooled = Draws {
-            posterior: Vec::with_capacity(count),
-            discrepancies: Vec::with_capacity(count),
+        let in_turn = (0..count).map(|sample| {
+            let of = if sample % 2 == 0 { &whole } else { &part };
+            let without = Discrepancy::none;
+            let mut g = of
+                .discrepancies
+                .get(sample)
+                .cloned()
+                .unwrap_or_else(without);
+            g.0.axpy(ALONG_DIFFERENCE * numbers.normal(), difference, 1.0);
+            (of.posterior[sample].clone(), g)
+        });
+        let (posterior, discrepancies) = in_turn.unzip();
+        Draws {
+            posterior,
+            discrepancies,
             misfit: 0.5 * (whole.misfit + part.misfit),
             informed: whole.informed.max(part.informed),
             ..whole
-        };
-        for sample in 0..count {
-            let from = if sample % 2 == 0 {
-                &whole.posterior
-            } else {
-                &part.posterior
-            };
-            let discrepancies = if sample % 2 == 0 {
-                &whole.discrepancies
-            } else {
-                &part.discrepancies
-            };
-            let mut g = match discrepancies.get(sample) {
-                Some(discrepancy) => discrepancy.0.clone(),
-                None => DVector::zeros(discrepancy::NODES),
-            };
-            g.axpy(ALONG_DIFFERENCE * numbers.normal(), difference, 1.0);
-            pooled.posterior.push(from[sample].clone());
-            pooled.discrepancies.push(Discrepancy(g));
         }
-        pooled
     });
-    debug_assert!(material.mixture.weights()[0].len() == n);
     Ok(Posterior {
-        draws: draws.collect(),
+        draws: samples.collect(),
         material,
-        discrepancy: whole.discrepancy.max(part.discrepancy),
+        discrepancy,
     })
 }
 
 /// What was found with the first atoms of `dictionary`, as of all of them.
-fn in_whole(
-    part: Posterior,
-    dictionary: &std::sync::Arc<Dictionary>,
-) -> Result<Posterior, BrdfError> {
+fn in_whole(part: Posterior, dictionary: &Arc<Dictionary>) -> Result<Posterior, BrdfError> {
     let padded = |weights: &[f64]| {
         let mut weights = weights.to_vec();
         weights.resize(dictionary.len(), 0.0);
@@ -114,14 +103,14 @@ fn in_whole(
     } = part.material;
     let weights = mixture.weights().each_ref().map(|weights| padded(weights));
     let mixture = Mixture::new(dictionary.clone(), weights)?;
-    let draws = part.draws.into_iter().map(|set| Draws {
-        posterior: samples(set.posterior),
-        prior: samples(set.prior),
+    let groups = part.draws.into_iter().map(|group| Draws {
+        posterior: samples(group.posterior),
+        prior: samples(group.prior),
         budget: None,
-        ..set
+        ..group
     });
     Ok(Posterior {
-        draws: draws.collect(),
+        draws: groups.collect(),
         material: Material {
             mixture,
             discrepancies,
@@ -165,8 +154,6 @@ impl Tables {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-
     use super::*;
     use crate::brdf::Atom;
     use crate::brdf::discrepancy::NODES;

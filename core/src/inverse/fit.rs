@@ -144,7 +144,7 @@ pub(super) fn fit_on_bench(
     } = find(dictionary.clone())?;
     let mut timings = solved.solution.timings;
     if let Some((of_part, of_part_timings)) = part {
-        timings.add(&of_part_timings);
+        timings.join(&of_part_timings);
         posterior =
             averaged(posterior, of_part, options.cache.seed).map_err(ProjectionError::from)?;
     }

@@ -54,21 +54,21 @@ impl Timings {
     pub fn time<T>(&mut self, name: &'static str, stage: impl FnOnce() -> T) -> T {
         let clock = Instant::now();
         let result = stage();
-        let seconds = clock.elapsed().as_secs_f64();
-        match self.0.iter_mut().find(|(known, _)| *known == name) {
-            Some((_, total)) => *total += seconds,
-            None => self.0.push((name, seconds)),
-        }
+        self.add(name, clock.elapsed().as_secs_f64());
         result
     }
 
     /// Adds those of another run.
-    pub fn add(&mut self, others: &Self) {
+    pub fn join(&mut self, others: &Self) {
         for &(name, seconds) in &others.0 {
-            match self.0.iter_mut().find(|(known, _)| *known == name) {
-                Some((_, total)) => *total += seconds,
-                None => self.0.push((name, seconds)),
-            }
+            self.add(name, seconds);
+        }
+    }
+
+    fn add(&mut self, name: &'static str, seconds: f64) {
+        match self.0.iter_mut().find(|(known, _)| *known == name) {
+            Some((_, total)) => *total += seconds,
+            None => self.0.push((name, seconds)),
         }
     }
 
