@@ -3,11 +3,13 @@
 use std::sync::Arc;
 
 use glam::{DVec2, DVec3, Vec3};
+use rig_core::bench_priors::BenchPriors;
 use rig_core::brdf::discrepancy::Material;
 use rig_core::brdf::ggx::{self, Cosines};
 use rig_core::brdf::{Brdf, Dictionary, Mixture, check, nbrdf, source};
+use rig_core::cells::{Captured, CellOptions};
 use rig_core::geometry::Shape;
-use rig_core::inverse::{BenchPriors, Captured, CellOptions, FitOptions, fit};
+use rig_core::inverse::{FitOptions, fit};
 use rig_core::random::{Purpose, stream};
 use rig_core::transport::{
     Camera, Light, Projection, RenderOptions, Scene, Shading, render, suited_proposal,

@@ -9,15 +9,14 @@ use glam::{DVec2, DVec3};
 use rig_core::brdf::discrepancy::Material;
 use rig_core::brdf::score::{brdf_errors, cells};
 use rig_core::brdf::{Atom, Brdf, Dictionary, Mixture};
+use rig_core::cells::AverageError;
+use rig_core::cells::{Captured, CellOptions};
 use rig_core::geometry::shapes::Form;
 use rig_core::geometry::{FormError, Shape};
 use rig_core::inverse::budget::Source;
-use rig_core::inverse::cells::AverageError;
 use rig_core::inverse::exponentiated_gradient::ExponentiatedGradient;
 use rig_core::inverse::variance_shares;
-use rig_core::inverse::{
-    Captured, CellOptions, Channels, Fit, FitOptions, Optimizer, fit, intervals,
-};
+use rig_core::inverse::{Channels, Fit, FitOptions, Optimizer, fit, intervals};
 use rig_core::radiance_image::RadianceImage;
 use rig_core::transport::{
     Camera, Light, Projection, Proposal, RenderOptions, Scene, Shading, render,

@@ -4,7 +4,8 @@ use super::fit_plan::FitPlan;
 use super::notice::{Notice, Observer};
 use super::{WorkflowError, coarse_facets, fit_memory, summary, warnings};
 use crate::brdf::Brdf;
-use crate::inverse::{Captured, RefineOptions, fit_with_progress, refine_bench};
+use crate::cells::Captured;
+use crate::inverse::{RefineOptions, fit_with_progress, refine_bench};
 use crate::session::fit_record::{BenchRecord, FitImages, FitRecord};
 use crate::transport::{RenderOptions, Scene, truncation_remainder};
 

@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-use super::cells::CellImage;
 use super::objective::{ModelImage, Objective};
+use crate::cells::CellImage;
 use crate::radiance_image::RadianceImage;
 use crate::transport::Cells;
 

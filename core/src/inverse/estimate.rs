@@ -9,11 +9,11 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::discrepancy::Eliminated;
-use super::projection::{EnvironmentMatrix, ProjectionError};
 use super::solve::per_channel;
 use super::uncertainty::Draws;
 use crate::brdf::Mixture;
 use crate::brdf::discrepancy::{self, Material};
+use crate::brdf::projection::{EnvironmentMatrix, ProjectionError};
 
 /// Albedo of what looks black: darker materials count as this bright.
 const BLACK: f64 = 0.02;

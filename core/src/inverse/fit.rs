@@ -6,7 +6,6 @@ use nalgebra::DVector;
 
 use super::average::averaged;
 use super::bench::system::BenchLinearisation;
-use super::cells::{Captured, check_count};
 use super::comparison::Comparison;
 use super::diagnosis::{self, Diagnosis, Examined};
 use super::findings::{self, Finding, Judged};
@@ -14,13 +13,14 @@ use super::intervals::{self, Interval};
 use super::objective::DiscrepancyModel;
 use super::options::{FitError, FitOptions, Optimizer};
 use super::posterior::{Posterior, posterior};
-use super::projection::ProjectionError;
 use super::solve::{Paths, Solved, solve};
 use super::trace::{Step, Termination};
 use super::uncertainty::Draws;
 use crate::brdf::dictionary::Dictionary;
 use crate::brdf::discrepancy::Material;
+use crate::brdf::projection::ProjectionError;
 use crate::brdf::{Atom, Mixture};
+use crate::cells::{Captured, check_count};
 use crate::progress::Progress;
 use crate::transport::{Kernel, Proposal, Scene};
 

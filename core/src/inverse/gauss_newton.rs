@@ -6,8 +6,8 @@ use nalgebra::DVector;
 
 use super::objective::{Linearised, Objective, ResidualWeights};
 use super::ridge::{self, Ridge};
-use super::simplex::{self, SimplexError};
 use super::trace::{Observer, Step, Termination};
+use crate::simplex::{self, SimplexError};
 
 /// When to stop, how to damp.
 #[derive(Clone, Debug, PartialEq)]

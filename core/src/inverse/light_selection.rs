@@ -19,13 +19,13 @@ use std::sync::Arc;
 use nalgebra::{Cholesky, DMatrix, DVector, SymmetricEigen};
 use rayon::prelude::*;
 
-use super::cells::{Captured, CellImage, CellOptions, Grid, choose};
 use super::normal_equations::{above_noise, add_product};
 use super::objective::{Channels, ModelImage, Objective};
 use super::uncertainty::{CONCENTRATION, dirichlet};
 use crate::brdf::Dictionary;
 use crate::brdf::ggx::Cosines;
 use crate::brdf::score::cells;
+use crate::cells::{Captured, CellImage, CellOptions, Grid, choose};
 use crate::random::{Purpose, stream};
 use crate::transport::cache::CacheError;
 use crate::transport::{Cache, CacheOptions, Cells, DirectMatrix, Kernel, Scene};

@@ -13,9 +13,9 @@ use nalgebra::DVector;
 
 use std::sync::Arc;
 
-use super::cells::Captured;
 use super::normal_equations::add_outer;
-use super::simplex::Quadratic;
+use crate::cells::Captured;
+use crate::simplex::Quadratic;
 use crate::transport::{Cache, Cells, DirectMatrix, Kernel};
 
 mod compared;

@@ -1,12 +1,12 @@
 //! What a fit can be asked for, and why it may fail.
 
-use super::cells::AverageError;
 use super::exponentiated_gradient::ExponentiatedGradient;
 use super::gauss_newton::GaussNewton;
 use super::objective::Channels;
-use super::projection::ProjectionError;
-use super::simplex::SimplexError;
+use crate::brdf::projection::ProjectionError;
+use crate::cells::AverageError;
 use crate::geometry::FormError;
+use crate::simplex::SimplexError;
 use crate::transport::cache::CacheError;
 use crate::transport::{CacheOptions, Kernel};
 

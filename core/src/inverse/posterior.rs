@@ -12,13 +12,13 @@ use super::form;
 use super::intervals::inadequacy;
 use super::objective::{DiscrepancyModel, Linearised, Objective};
 use super::options::{FitError, FitOptions, Optimizer};
-use super::projection::{EnvironmentMatrix, ProjectionError};
 use super::solve::{Paths, Solved, per_channel};
 use super::uncertainty::{self, Adds, Draws};
 use crate::brdf::Mixture;
 use crate::brdf::discrepancy::{self, Discrepancy, Material};
 use crate::brdf::energy::EnergyBound;
 use crate::brdf::environment::EnvironmentMap;
+use crate::brdf::projection::{EnvironmentMatrix, ProjectionError};
 use crate::random::{Purpose, stream};
 use crate::transport::Scene;
 
@@ -201,7 +201,7 @@ mod tests {
     use super::*;
     use crate::brdf::discrepancy::modes;
     use crate::brdf::{Atom, Brdf, Dictionary};
-    use crate::inverse::cells::{Captured, CellOptions};
+    use crate::cells::{Captured, CellOptions};
     use crate::inverse::discrepancy::free_modes;
     use crate::inverse::form::tests::bowl;
     use crate::inverse::solve::solve;

@@ -8,7 +8,7 @@
 use nalgebra::DVector;
 
 use super::objective::{Linearised, Objective};
-use super::simplex::Quadratic;
+use crate::simplex::Quadratic;
 
 /// ρ where the model explains the images, in units of χ².
 const MIN_RIDGE: f64 = 300.0;

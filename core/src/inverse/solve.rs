@@ -5,12 +5,12 @@ use std::time::Instant;
 
 use nalgebra::DVector;
 
-use super::cells::Captured;
 use super::objective::{Linearised, Objective, ResidualWeights};
 use super::options::{FitError, FitOptions, Optimizer};
 use super::ridge::Ridge;
 use super::trace::{Observer, Step, Termination};
 use crate::brdf::dictionary::Dictionary;
+use crate::cells::Captured;
 use crate::progress::Progress;
 use crate::transport::{Cache, Cells, DirectMatrix, Guide, Scene};
 

@@ -1,6 +1,6 @@
 //! What an optimiser tells while it works.
 
-use super::simplex::Quadratic;
+use crate::simplex::Quadratic;
 
 /// One evaluated point.
 #[derive(Clone, Debug, PartialEq)]

@@ -11,9 +11,10 @@ use super::pyramid::{factors, moved_px, target};
 use super::regions::{Grid, Sight};
 use super::search::{WIDEST_DEG, search};
 use super::{PoseError, PoseEstimate, PoseOptions, ResidualShift};
+use crate::bench_priors::BenchPriors;
 use crate::calibration::record::Measured;
 use crate::inverse::bench::spectrum::{HELD_BELOW, Spectrum};
-use crate::inverse::bench::{Bench, BenchPriors, Parameter};
+use crate::inverse::bench::{Bench, Parameter};
 use crate::radiance_image::RadianceImage;
 use crate::transport::Scene;
 

@@ -6,12 +6,13 @@ use std::sync::Arc;
 use nalgebra::{DMatrix, DVector};
 
 use super::derivatives::{AVERAGED, DerivativeImages, DerivativeOptions};
-use super::parameters::{Bench, BenchPriors, Parameter};
+use super::parameters::{Bench, Parameter};
 use super::spectrum::Spectrum;
 use super::system::{BenchLinearisation, Columns};
+use crate::bench_priors::BenchPriors;
 use crate::brdf::dictionary::Dictionary;
 use crate::brdf::mixture::Mixture;
-use crate::inverse::cells::{Captured, check_count};
+use crate::cells::{Captured, check_count};
 use crate::inverse::fit::{DEFENSIVE, Fit, fit_on_bench};
 use crate::inverse::gauss_newton::GaussNewton;
 use crate::inverse::normal_equations::LEAST_SCATTER;
@@ -397,7 +398,7 @@ impl Rounds<'_> {
             std::array::from_fn(|c| mixture[c.min(mixture.len() - 1)].iter().copied().collect());
         // The simplex programme keeps the sum to rounding.
         let material = Mixture::new(self.dictionary.clone(), per_channel)
-            .map_err(|_| crate::inverse::simplex::SimplexError::NotConvex)?;
+            .map_err(|_| crate::simplex::SimplexError::NotConvex)?;
         let derivatives = self.derivatives(values, &material, &wanted, samples_per_half, round);
         let instruments = Columns {
             bench: self.bench,

@@ -6,15 +6,17 @@ use glam::{DVec2, DVec3};
 use nalgebra::{DMatrix, DVector};
 
 use super::derivatives::{DerivativeImages, DerivativeOptions};
-use super::parameters::{Axis, Bench, BenchPriors, Parameter};
+use super::parameters::{Axis, Bench, Parameter};
 use super::spectrum::Spectrum;
 use super::{RefineOptions, RefinedBench, refine_bench};
+use crate::bench_priors::BenchPriors;
 use crate::brdf::ggx::Cosines;
 use crate::brdf::half_difference::HalfDifference;
 use crate::brdf::{Dictionary, Mixture};
+use crate::cells::{Captured, CellOptions};
 use crate::frames::{Rigid, Sample};
 use crate::geometry::Shape;
-use crate::inverse::{Captured, CellOptions, Channels, FitOptions, fit};
+use crate::inverse::{Channels, FitOptions, fit};
 use crate::radiance_image::RadianceImage;
 use crate::random::{Purpose, stream};
 use crate::transport::{

@@ -104,7 +104,7 @@ mod tests {
     use super::*;
     use crate::brdf::discrepancy::{Discrepancy, modes};
     use crate::brdf::{Atom, Dictionary, Mixture};
-    use crate::inverse::cells::Captured;
+    use crate::cells::Captured;
     use crate::inverse::form::tests::bowl;
     use crate::inverse::objective::ModelImage;
     use crate::inverse::options::FitOptions;

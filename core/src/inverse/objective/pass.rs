@@ -4,7 +4,7 @@ use nalgebra::{DMatrix, DVector};
 
 use super::{ModelImage, Modelled, Objective, ResidualWeights};
 use crate::inverse::normal_equations::NormalEquations;
-use crate::inverse::simplex::Quadratic;
+use crate::simplex::Quadratic;
 use crate::transport::CellRows;
 use crate::transport::points::VarianceReduction;
 

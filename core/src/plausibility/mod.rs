@@ -5,9 +5,12 @@
 //! What the images are measured against is a white sample: the direct reflection of a
 //! Lambertian surface of albedo 1 in the same place, under the same lights.
 
-use super::brightest::brightest;
-use super::cells::{Captured, CellImage};
+mod brightest;
+
+use brightest::brightest;
+
 use crate::brdf::{Atom, Dictionary};
+use crate::cells::{Captured, CellImage};
 use crate::radiance_image::CHANNEL_NAMES;
 use crate::transport::{Cells, DirectMatrix, Scene};
 
@@ -179,7 +182,7 @@ fn white_radiance(scene: &Scene, cells: &Cells) -> Option<Vec<Vec<f64>>> {
 }
 
 /// Refuses images that cannot be those of the scene. What needs a fit to be seen is left to
-/// [`super::findings`]. `log_std` is the standard deviation of the natural logarithm of the
+/// [`crate::inverse::findings`]. `log_std` is the standard deviation of the natural logarithm of the
 /// stated irradiance, 0 where it is exact.
 ///
 /// # Errors

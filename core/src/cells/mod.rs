@@ -13,12 +13,12 @@ mod probe;
 
 use std::collections::BinaryHeap;
 
-use super::bench::BenchPriors;
+use crate::bench_priors::BenchPriors;
 use crate::brdf::{Atom, Dictionary};
 use crate::transport::Scene;
 use crate::transport::cells::{Cell, FIELD_PARTS};
 
-pub(super) use captured::check_count;
+pub(crate) use captured::check_count;
 pub use captured::{AverageError, Averager, Captured, CellImage};
 use probe::{Lattice, Level};
 

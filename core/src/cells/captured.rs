@@ -80,7 +80,7 @@ impl Captured {
     /// Images of another number or size, or nothing in them to compare.
     ///
     /// ```
-    /// # use rig_core::inverse::cells::{Captured, CellOptions};
+    /// # use rig_core::cells::{Captured, CellOptions};
     /// # fn of(scene: &rig_core::transport::Scene, images: &[rig_core::radiance_image::RadianceImage]) {
     /// let captured = Captured::new(scene, images, &CellOptions::default());
     /// # let _ = captured;
