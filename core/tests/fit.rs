@@ -108,7 +108,7 @@ fn one_round(optimizer: Optimizer, channels: Channels) -> FitOptions {
         channels,
         rounds: 1,
         adapt_paths: false,
-        draws: 20,
+        posterior_samples: 20,
         ..options()
     }
 }
@@ -151,7 +151,7 @@ fn the_truth_comes_back_through_interreflections() {
         .unwrap();
         let [error, start] = errors(&fit, &dictionary, &truth);
         let theta: Vec<f64> = (0..9).map(|i| 10.0 * f64::from(i)).collect();
-        let cells = intervals::table(&fit.material, &fit.draws, &theta, &theta);
+        let cells = intervals::table(&fit.material, &fit.posterior_samples, &theta, &theta);
         let constrained = cells.iter().filter(|c| c.constrained).count();
         println!(
             "{name}: cube-root error {error:.4}, start {start:.4}, constrained {constrained} of {}, chi2 {:?}",
@@ -351,7 +351,7 @@ fn a_stated_form_error_is_a_part_of_the_budget() {
         fit(&scene, &averaged(&scene, &captured), &dictionary, &options).unwrap()
     };
     let mesh = |fit: &Fit| {
-        let cell = variance_shares::at(&fit.material, &fit.draws, 10.0, 20.0).unwrap();
+        let cell = variance_shares::at(&fit.material, &fit.posterior_samples, 10.0, 20.0).unwrap();
         cell.relative_variance[Source::Mesh as usize]
     };
     let exact = run(None);

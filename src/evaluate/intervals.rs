@@ -120,7 +120,7 @@ pub(super) fn capture(
 /// Options of the fit of one capture: other paths for each.
 pub(super) fn options(lab: &Lab, index: u64) -> FitOptions {
     let mut options = FitOptions {
-        draws: FitOptions::default().draws,
+        posterior_samples: FitOptions::default().posterior_samples,
         ..lab.fit_options()
     };
     options.cache.seed = lab.settings.seed.wrapping_add(index);
@@ -248,7 +248,7 @@ fn trial(lab: &Lab, class: Class, known: Known, index: u64) -> Result<Trial, Eva
         }
     };
     let (theta_h, theta_d) = (theta_h_deg(), theta_d_deg());
-    let cells = intervals::table(&fit.material, &fit.draws, &theta_h, &theta_d);
+    let cells = intervals::table(&fit.material, &fit.posterior_samples, &theta_h, &theta_d);
     Ok((values(&*brdf), cells))
 }
 

@@ -147,7 +147,7 @@ fn one(
         .with("unrefined_over_known", unrefined / known)
         .with("refined_over_known", refined / known)
         .with("rounds", estimate.rounds)
-        .with("held", estimate.held.join("; "));
+        .with("held", estimate.fixed.join("; "));
     // Root mean squares by kind: errors before and after in prior deviations, and after in
     // stated deviations.
     type Belongs = fn(&Parameter) -> bool;

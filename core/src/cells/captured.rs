@@ -265,7 +265,7 @@ impl Averager {
         }
     }
 
-    /// Adds the next row, which is the one `at` of those held.
+    /// Adds the next row, which is the one `at` of those kept.
     fn add_row(&mut self, at: usize) {
         let y = self.next;
         self.next += 1;

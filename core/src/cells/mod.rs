@@ -1,6 +1,6 @@
 //! Which parts of the images a fit compares: cells as large as the scene allows.
 //!
-//! The radiance of a cell tells a lobe's shape as long as the half and difference angles inside
+//! The radiance of a cell shows a lobe's shape as long as the half and difference angles inside
 //! differ by little against the lobe. So the grid follows from the scene alone: squares are
 //! halved where these angles vary most, under any of the lights and after up to two mirror
 //! reflections, until they vary little or the budget is spent (`probe.rs`). All lights
@@ -27,7 +27,7 @@ use probe::{Lattice, Level};
 pub struct CellOptions {
     /// Most cells, within [`BUDGET`]; edges may take a few more.
     pub budget: usize,
-    /// Roughness α of the narrowest lobe that is to be told from wider ones.
+    /// Roughness α of the narrowest lobe that is to be distinguished from wider ones.
     pub narrowest_alpha: f64,
     /// How well pose and lights are known, which says how wide edges are.
     pub known: BenchPriors,
@@ -80,7 +80,7 @@ const NARROWEST_ALPHA: f64 = 0.01;
 /// Parts of the image's width that a cell is at most wide: what a diagnosis must see varies
 /// no faster.
 const LARGEST: usize = 32;
-/// Variation of the angles within a cell, in widths of the narrowest lobe that it can tell,
+/// Variation of the angles within a cell, in widths of the narrowest lobe that it can resolve,
 /// below which it is not halved.
 const EVEN: f64 = 0.5;
 

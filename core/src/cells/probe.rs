@@ -15,10 +15,10 @@ const MOST_POINTS: usize = 768;
 /// and how much each counts: less light comes by way of more.
 const REFLECTIONS: [f32; 3] = [1.0, 0.5, 0.25];
 /// Change of the difference angle that counts like a change of the half angle by the width of
-/// the narrowest lobe that can be told there, radians.
+/// the narrowest lobe that can be resolved there, radians.
 const DIFFERENCE_RAD: f32 = 0.17;
 /// Most that a change between neighbouring points counts: at a crease it says nothing of how
-/// much finer cells would tell.
+/// much finer cells would show.
 const MOST_CHANGE: f32 = 1.0;
 /// Half width of what is left out at an edge, in standard deviations of where the edge is.
 const EDGE_DEVIATIONS: f64 = 1.5;

@@ -120,7 +120,7 @@ pub(super) struct Judged<'a> {
     pub objective: &'a Objective<'a>,
     /// The material's images.
     pub model: &'a [ModelImage],
-    /// Per set of weights: directions in which the images say more than noise could; `None`
+    /// Per channel group: directions in which the images have more information than noise could feign; `None`
     /// where no posterior was sought.
     pub informed: Vec<Option<usize>>,
     /// Per channel: weight of black in the reported mixture; `None` without such an atom.
@@ -136,7 +136,7 @@ pub(super) struct Judged<'a> {
 /// only approximate.
 pub const EXPLAINED_MEAN_SQUARE: f64 = 1.3;
 /// A channel of an image is dark below this many standard deviations of its sum.
-const LIT: f64 = 5.0;
+const SIGNIFICANT_DEVIATIONS: f64 = 5.0;
 /// Part of the light that the model may put elsewhere.
 const TOLERATED_SHARE: f64 = 0.4;
 /// Relative scatter that a model's image must have before one without any is remarkable.
@@ -176,14 +176,14 @@ pub(super) fn find(judged: &Judged<'_>) -> Vec<Finding> {
     let values: Vec<Vec<Compared>> = (0..objective.lights())
         .map(|light| compared(objective, model, light))
         .collect();
-    let misfit = judged.reduced_chi2.iter().flatten();
-    let misfit = misfit.fold(0.0, |worst: f64, &chi2| worst.max(chi2));
-    if misfit > EXPLAINED_MEAN_SQUARE {
+    let excess_error = judged.reduced_chi2.iter().flatten();
+    let excess_error = excess_error.fold(0.0, |worst: f64, &chi2| worst.max(chi2));
+    if excess_error > EXPLAINED_MEAN_SQUARE {
         for image in 0..values.len() {
             found.extend(exchanged(objective, model, image));
         }
         found.push(Finding::Misfit {
-            mean_square: misfit,
+            mean_square: excess_error,
         });
     }
     for (image, values) in values.iter().enumerate() {
@@ -246,12 +246,12 @@ impl Compared {
 }
 
 fn compared(objective: &Objective<'_>, model: &[ModelImage], light: usize) -> Vec<Compared> {
-    let trust = objective.robust_weights(model, light);
-    let cells = (0..trust.len()).filter(|&p| objective.is_compared(light, p));
+    let robust_weight = objective.robust_weights(model, light);
+    let cells = (0..robust_weight.len()).filter(|&p| objective.is_compared(light, p));
     let of_pixel = |cell: usize| {
         let [captured, variance] = objective.captured(light, cell);
         let block = objective.block(cell, light);
-        let trust = trust[cell];
+        let robust_weight = robust_weight[cell];
         (0..3).map(move |channel| {
             let modelled = model[light][cell][channel];
             let noise = variance[channel] + modelled.variance;
@@ -264,7 +264,7 @@ fn compared(objective: &Objective<'_>, model: &[ModelImage], light: usize) -> Ve
                 indirect: modelled.indirect,
                 noise,
                 variance: noise + allowed,
-                outlier: trust[channel] < 1.0,
+                outlier: robust_weight[channel] < 1.0,
             }
         })
     };
@@ -278,7 +278,7 @@ fn dark_channels(values: &[Compared], image: usize) -> Vec<Finding> {
             let [sum, noise] = of_channel.fold([0.0, 0.0], |[sum, noise], v| {
                 [sum + v.captured, noise + v.noise]
             });
-            sum <= LIT * f64::sqrt(noise)
+            sum <= SIGNIFICANT_DEVIATIONS * f64::sqrt(noise)
         })
         .map(|channel| Finding::DarkChannel { image, channel })
         .collect()
@@ -390,7 +390,7 @@ fn brightness<'a>(values: impl Iterator<Item = &'a Compared>) -> f64 {
 }
 
 /// Irradiance by the images over the stated one, and the standard uncertainty of its
-/// logarithm; `None` where too little is interreflected to tell.
+/// logarithm; `None` where too little is interreflected.
 ///
 /// If the irradiance is s times the stated one, direct light of a material of reflectance ρ is
 /// sρD and light reflected twice sρ²I. Fitted with the irradiance as stated, with a reflectance

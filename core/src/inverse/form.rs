@@ -2,7 +2,7 @@
 //!
 //! Deformations of the stated rms are drawn ([`FormError::field`]) and the images' change d
 //! with each is traced with shared random numbers. The weights' score changes by JᵀWd;
-//! the second moment of that over the draws is the covariance that the mesh adds, every
+//! the second moment of that over the samples is the covariance that the mesh adds, every
 //! product taken between independent halves of the samples (docs/adr/0029).
 
 use nalgebra::{DMatrix, DVector};
@@ -26,7 +26,7 @@ const SAMPLES_PER_HALF: u32 = 4;
 /// Longest path in surface reflections.
 const REFLECTIONS: u32 = 6;
 
-/// Covariance of the score per set of weights, N × N each, at `mixture`, whose BRDF is
+/// Covariance of the score per channel group, N × N each, at `mixture`, whose BRDF is
 /// `material`.
 pub(super) fn score_covariance(
     objective: &Objective<'_>,
@@ -37,7 +37,7 @@ pub(super) fn score_covariance(
     material: &Mixture,
     seed: u64,
 ) -> Vec<DMatrix<f64>> {
-    let (n, sets) = (objective.atoms(), objective.sets());
+    let (n, groups) = (objective.atoms(), objective.groups());
     let wanted = objective.compared_pixels();
     let edge_mm = scene.sample().mean_edge_mm();
     let options = DerivativeOptions {
@@ -49,7 +49,7 @@ pub(super) fn score_covariance(
         direct_strata: DIRECT_STRATA,
         average: AVERAGED,
     };
-    let mut covariance = vec![DMatrix::zeros(n, n); sets];
+    let mut covariance = vec![DMatrix::zeros(n, n); groups];
     for first in (0..DEFORMATIONS).step_by(TOGETHER) {
         let deformed = (first..first + TOGETHER).map(|deformation| {
             let mut numbers = stream(seed, Purpose::FormError, 0, deformation as u64, 0);
@@ -85,12 +85,12 @@ fn scores(
     residual_weights: &ResidualWeights,
     mixture: &[DVector<f64>],
 ) -> Vec<Vec<[DVector<f64>; 2]>> {
-    let (n, sets) = (objective.atoms(), objective.sets());
+    let (n, groups) = (objective.atoms(), objective.groups());
     objective.accumulate(
         mixture,
         residual_weights,
         false,
-        || vec![vec![[DVector::zeros(n), DVector::zeros(n)]; TOGETHER]; sets],
+        || vec![vec![[DVector::zeros(n), DVector::zeros(n)]; TOGETHER]; groups],
         |sums, value| {
             let changes = images.at(value.cell);
             for (deformation, _, change) in changes.filter(|(_, l, _)| *l == value.light) {
@@ -226,12 +226,15 @@ pub(super) mod tests {
             .collect();
         for [theta_h, theta_d] in [[0.0, 10.0], [10.0, 20.0], [40.0, 30.0]] {
             let g = DVector::from_vec(dictionary.values_at(theta_h, theta_d));
-            let told = g.dot(&(&answer * &covariance[1] * &answer * &g)).sqrt();
+            let predicted = g.dot(&(&answer * &covariance[1] * &answer * &g)).sqrt();
             let square = found.iter().map(|x| g.dot(&(x - &base.mixture[1])).powi(2));
             let seen = (square.sum::<f64>() / found.len() as f64).sqrt();
-            println!("{theta_h}, {theta_d}: told {told:.3e}, seen {seen:.3e}");
+            println!("{theta_h}, {theta_d}: predicted {predicted:.3e}, seen {seen:.3e}");
             // Either is known within a fifth.
-            assert!((0.6..1.7).contains(&(told / seen)), "{told} for {seen}");
+            assert!(
+                (0.6..1.7).contains(&(predicted / seen)),
+                "{predicted} for {seen}"
+            );
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Draws from a posterior on the simplex whose prior holds that few atoms are used.
+//! Samples of a posterior on the simplex whose prior holds that few atoms are used.
 //!
 //! A priori each atom is used with the same probability, and the weights of those in
 //! use are uniform on their simplex. The likelihood is a Gaussian. A Metropolis chain
@@ -50,7 +50,7 @@ impl SparsePosterior {
         }
     }
 
-    /// `count` draws out of a chain of `steps` that begins around `start` (on the
+    /// `count` samples out of a chain of `steps` that begins around `start` (on the
     /// simplex); the first fifth is thrown away.
     pub fn draw(
         &self,
@@ -62,7 +62,7 @@ impl SparsePosterior {
         let n = self.b.len();
         let mut state = begin(start);
         let burn = steps / 5;
-        let mut draws = Vec::with_capacity(count);
+        let mut samples = Vec::with_capacity(count);
         for step in 0..steps {
             for _ in 0..LOCAL_MOVES {
                 match index(3, numbers) {
@@ -72,14 +72,14 @@ impl SparsePosterior {
                 }
             }
             self.jump(&mut state, numbers);
-            if step >= burn && (step - burn) * count >= draws.len() * (steps - burn) {
+            if step >= burn && (step - burn) * count >= samples.len() * (steps - burn) {
                 let mut x = DVector::zeros(n);
                 let weights = state.used.iter().zip(&state.x);
                 weights.for_each(|(&k, &v)| x[k] = v);
-                draws.push(x);
+                samples.push(x);
             }
         }
-        draws
+        samples
     }
 
     /// What moving weight to `gains` from `loses` does to the log-likelihood: slope and
@@ -376,17 +376,17 @@ mod tests {
         let expected = [1, 2, 3].map(|i| sums[i] / sums[0]);
         let mut numbers = stream(4, Purpose::Posterior, 0, 0, 0);
         let start = DVector::from_vec(vec![0.5, 0.3, 0.2]);
-        let draws = posterior.draw(&start, 40_000, 400_000, &mut numbers);
-        let n = draws.len() as f64;
+        let samples = posterior.draw(&start, 40_000, 400_000, &mut numbers);
+        let n = samples.len() as f64;
         let found = [
-            draws.iter().map(|x| x[0]).sum::<f64>() / n,
-            draws.iter().map(|x| x[0] * x[0]).sum::<f64>() / n,
-            draws.iter().filter(|x| x[2] == 0.0).count() as f64 / n,
+            samples.iter().map(|x| x[0]).sum::<f64>() / n,
+            samples.iter().map(|x| x[0] * x[0]).sum::<f64>() / n,
+            samples.iter().filter(|x| x[2] == 0.0).count() as f64 / n,
         ];
         for (found, expected) in found.iter().zip(expected) {
             assert!((found - expected).abs() < 0.02, "{found} for {expected}");
         }
-        for x in &draws {
+        for x in &samples {
             assert!((x.sum() - 1.0).abs() < 1e-9 && x.min() >= 0.0);
         }
     }
@@ -410,9 +410,9 @@ mod tests {
         };
         let mut numbers = stream(5, Purpose::Posterior, 0, 0, 0);
         let start = DVector::from_element(n, 1.0 / n as f64);
-        let draws = posterior.draw(&start, 20_000, 200_000, &mut numbers);
+        let samples = posterior.draw(&start, 20_000, 200_000, &mut numbers);
         let mean = |f: &dyn Fn(&DVector<f64>) -> f64| -> f64 {
-            draws.iter().map(f).sum::<f64>() / draws.len() as f64
+            samples.iter().map(f).sum::<f64>() / samples.len() as f64
         };
         let used = mean(&|x| x.iter().filter(|&&w| w > 0.0).count() as f64);
         let wanted = mean_of(&|k| k);

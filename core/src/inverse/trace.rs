@@ -1,4 +1,4 @@
-//! What an optimiser tells while it works.
+//! What an optimiser reports while it works.
 
 use crate::simplex::Quadratic;
 
@@ -7,7 +7,7 @@ use crate::simplex::Quadratic;
 pub struct Step {
     /// The optimiser's name.
     pub optimizer: &'static str,
-    /// Loss ½ rᵀWr per set, with the prior where there is one. Estimated without bias, so
+    /// Loss ½ rᵀWr per channel group, with the prior where there is one. Estimated without bias, so
     /// it can be slightly negative.
     pub loss: Vec<f64>,
 }

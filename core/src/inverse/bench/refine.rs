@@ -15,7 +15,7 @@ use crate::brdf::mixture::Mixture;
 use crate::cells::{Captured, check_count};
 use crate::inverse::fit::{DEFENSIVE, Fit, fit_on_bench};
 use crate::inverse::gauss_newton::GaussNewton;
-use crate::inverse::normal_equations::LEAST_SCATTER;
+use crate::inverse::normal_equations::MIN_SCATTER;
 use crate::inverse::objective::{Linearised, Modelled, Objective, ResidualWeights};
 use crate::inverse::options::{FitError, FitOptions, Optimizer};
 use crate::inverse::solve::{Paths, Solution, solve};
@@ -26,10 +26,10 @@ use crate::transport::{Proposal, Scene};
 /// How a bench is refined.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RefineOptions {
-    /// Most rounds, 2..=20; the first does not know how far the scores can be trusted.
+    /// Most rounds, 2..=20; the first does not know the scatter of the scores.
     pub rounds: usize,
     /// Paths per cell of a round's fit over those of the final fit, 1..=64, as far as they fit
-    /// into its memory. What tells the intensities' common scale from albedo is lost in the
+    /// into its memory. The difference between the intensities' common scale and albedo is lost in the
     /// noise of fewer. The first round has a quarter, the second half of them.
     pub times_paths: u32,
     /// Direct reflection of a round: square root of the samples per cell, 1..=64. Noise of
@@ -87,8 +87,8 @@ pub struct Estimated {
 pub struct BenchEstimate {
     /// All parameters that were not taken as exactly known.
     pub parameters: Vec<Estimated>,
-    /// What the images do not tell, by name: held at the prior.
-    pub held: Vec<String>,
+    /// Directions that the images leave open, by name: fixed at the prior.
+    pub fixed: Vec<String>,
     /// Rounds that were taken.
     pub rounds: usize,
     /// Whether the last step was short, and not because longer parts of it led far off.
@@ -112,7 +112,7 @@ pub struct RefinedBench {
 }
 
 impl RefinedBench {
-    /// Fits the weights of `dictionary` on this bench; the draws know what it leaves open.
+    /// Fits the weights of `dictionary` on this bench; the samples know what it leaves open.
     pub fn fit(
         &self,
         dictionary: &Dictionary,
@@ -212,7 +212,7 @@ pub fn refine_bench(
     let without_stray_light = bench.without_stray_light(captured, &values);
     let mut estimate = BenchEstimate {
         parameters: Vec::new(),
-        held: Vec::new(),
+        fixed: Vec::new(),
         rounds: taken,
         settled,
         reduced_chi2: [first_chi2; 2],
@@ -225,7 +225,7 @@ pub fn refine_bench(
         let known = last.spectrum.sandwich(&last.response);
         let deviations = known.deviations();
         estimate.reduced_chi2[1] = last.chi2;
-        estimate.held = last.spectrum.held(&bench);
+        estimate.fixed = last.spectrum.fixed(&bench);
         estimate.parameters = (0..bench.parameters().len())
             .map(|k| Estimated {
                 parameter: bench.parameters()[k],
@@ -427,7 +427,7 @@ impl Rounds<'_> {
             spectrum: if round == 1 {
                 spectrum
             } else {
-                spectrum.widened(&reduced.block_scores, LEAST_SCATTER)
+                spectrum.widened(&reduced.block_scores, MIN_SCATTER)
             },
             score: reduced.score,
             response: reduced.response,
