@@ -72,9 +72,9 @@ impl FitPlan {
         };
         let remainder = truncation_remainder(scene, &fit.material, &paths, TRUNCATION_SAMPLES);
         record.truncation_remainder = remainder.iter().map(|r| r.share).collect();
+        record.bench = bench.as_ref().map(BenchRecord::from);
         record.warnings = warnings::of_fit(&fit, &record);
         record.remarks = remarks;
-        record.bench = bench.as_ref().map(BenchRecord::from);
         if fit.discrepancy > 0.0 {
             observer.notice(Notice::Discrepancy {
                 dictionary: &record.dictionary,
