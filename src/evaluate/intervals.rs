@@ -7,7 +7,7 @@ use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table, quan
 use super::lab::capture::{SENSOR, average};
 use super::lab::materials::{Class, Material};
 use super::lab::{Lab, Sample, misaligned};
-use crate::brdf::{Brdf, HalfDifference, Mixture};
+use crate::brdf::{Brdf, Dictionary, HalfDifference, Mixture};
 use crate::inverse::intervals::{self, Interval};
 use crate::inverse::{FitOptions, RefineOptions, fit, refine_bench};
 use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
@@ -26,6 +26,7 @@ pub static INTERVALS: Experiment = Experiment {
         truth_samples_per_pixel: 1024,
         lights: 2,
         materials: &["in-span", "bundled"],
+        dictionary: Dictionary::DEFAULT,
         ..Scale::NONE
     },
     quick: Scale {
@@ -34,6 +35,7 @@ pub static INTERVALS: Experiment = Experiment {
         truth_samples_per_pixel: 512,
         lights: 2,
         materials: &["in-span", "bundled"],
+        dictionary: Dictionary::DEFAULT,
         ..Scale::NONE
     },
     cases,
@@ -63,9 +65,10 @@ impl Known {
         }
     }
 
-    /// Captures per class of materials; in the small version fewer, a refined one costs ten.
+    /// Captures per class of materials; fewer refined ones, one of which costs ten others.
     fn captures(self, quick: bool) -> u64 {
         match (quick, self) {
+            (false, Self::Refined) => 100,
             (false, _) => 200,
             (true, Self::Refined) => 2,
             (true, _) => 8,

@@ -225,4 +225,4 @@ fn edge_level(lattice: &Lattice) -> usize {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

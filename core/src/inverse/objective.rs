@@ -528,3 +528,6 @@ fn is_smooth(direct: &DirectMatrix, cell: usize, light: usize) -> bool {
     direct.coverage[cell] >= 1.0 - EDGE_FRACTION
         && (lit <= EDGE_FRACTION || lit >= 1.0 - EDGE_FRACTION)
 }
+
+#[cfg(test)]
+mod tests;

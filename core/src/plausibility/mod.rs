@@ -182,7 +182,7 @@ fn white_radiance(scene: &Scene, cells: &Cells) -> Option<Vec<Vec<f64>>> {
 }
 
 /// Refuses images that cannot be those of the scene. What needs a fit to be seen is left to
-/// [`crate::inverse::findings`]. `log_std` is the standard deviation of the natural logarithm of the
+/// the findings of one. `log_std` is the standard deviation of the natural logarithm of the
 /// stated irradiance, 0 where it is exact.
 ///
 /// # Errors
