@@ -79,10 +79,10 @@ const NARROWEST_ALPHA: f64 = 0.01;
 
 /// Parts of the image's width that a cell is at most wide: what a diagnosis must see varies
 /// no faster.
-const LARGEST: usize = 32;
+const MIN_CELLS_ACROSS: usize = 32;
 /// Variation of the angles within a cell, in widths of the narrowest lobe that it can resolve,
 /// below which it is not halved.
-const EVEN: f64 = 0.5;
+const HALVING_VARIATION: f64 = 0.5;
 
 /// The cells of a scene, in the order of their first pixels, and what is known of each.
 #[derive(Clone, Debug)]
@@ -120,7 +120,7 @@ pub fn choose(scene: &Scene, options: &CellOptions) -> Grid {
             } else if 2 * u64::from(of.valid) >= whole {
                 count += 1;
                 let variation = of.variation(square.level);
-                if square.level > 0 && variation > EVEN {
+                if square.level > 0 && variation > HALVING_VARIATION {
                     heap.push(Candidate {
                         gain: variation * variation * f64::from(1u32 << square.level),
                         square,
@@ -211,7 +211,7 @@ impl Eq for Candidate {}
 
 /// The level of the largest squares: larger ones where the budget asks for it.
 fn root_level(lattice: &Lattice, levels: &[Level], budget: usize) -> usize {
-    let points = lattice.size[0] as usize / LARGEST;
+    let points = lattice.size[0] as usize / MIN_CELLS_ACROSS;
     let usual = (points.max(1).ilog2() as usize).min(levels.len() - 1);
     let fits = |&level: &usize| 2 * levels[level].seen() <= budget;
     (usual..levels.len()).find(fits).unwrap_or(levels.len() - 1)

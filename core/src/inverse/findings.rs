@@ -145,7 +145,7 @@ const NOTABLE_SHADING: f64 = 0.05;
 /// reported.
 const NOTABLE_SCATTER: f64 = 3.0;
 /// Weight of black below which a material is as bright as materials are.
-const BRIGHT: f64 = 0.05;
+const MAX_BLACK_WEIGHT: f64 = 0.05;
 /// How much brighter the images may be then.
 const NOTABLE_BRIGHTNESS: f64 = 1.1;
 /// How much brighter they may be than a material that could still be brighter: only one whose
@@ -158,9 +158,9 @@ const NOTABLE_SCALE: f64 = 1.25;
 /// interpolation between angles are wrong by.
 const NOTABLE_ALBEDO: f64 = 1.02;
 /// By how many of its standard uncertainties the logarithm of that factor must differ from 0.
-const SURE_SCALE: f64 = 4.0;
+const SCALE_DEVIATIONS: f64 = 4.0;
 /// An image looks like another's if what a scaled copy of that leaves is so much less.
-const LOOKS_LIKE: f64 = 0.5;
+const EXCHANGE_RESIDUAL_RATIO: f64 = 0.5;
 
 /// Everything found, the gravest kind first.
 pub(super) fn find(judged: &Judged<'_>) -> Vec<Finding> {
@@ -197,7 +197,7 @@ pub(super) fn find(judged: &Judged<'_>) -> Vec<Finding> {
             found.push(Finding::Bounded { channel, albedo });
         }
         let of_channel = || values.iter().flatten().filter(|v| v.channel == channel);
-        let bright = judged.black[channel].is_none_or(|black| black < BRIGHT);
+        let bright = judged.black[channel].is_none_or(|black| black < MAX_BLACK_WEIGHT);
         let ratio = brightness(of_channel());
         let limit = if bright {
             NOTABLE_BRIGHTNESS
@@ -208,7 +208,7 @@ pub(super) fn find(judged: &Judged<'_>) -> Vec<Finding> {
             found.push(Finding::TooBright { channel, ratio });
         }
         if let Some([ratio, log_std]) = scale(of_channel())
-            && ratio.ln().abs() > (SURE_SCALE * log_std).max(NOTABLE_SCALE.ln())
+            && ratio.ln().abs() > (SCALE_DEVIATIONS * log_std).max(NOTABLE_SCALE.ln())
         {
             found.push(Finding::Scale {
                 channel,
@@ -442,7 +442,7 @@ fn exchanged(objective: &Objective<'_>, model: &[ModelImage], image: usize) -> O
         }
     }
     let (left, light, flip) = best;
-    (left < LOOKS_LIKE * own).then_some(Finding::Exchanged { image, light, flip })
+    (left < EXCHANGE_RESIDUAL_RATIO * own).then_some(Finding::Exchanged { image, light, flip })
 }
 
 /// Part of an image's square that a scaled copy of a light's model, turned over, leaves: 1 − cos².

@@ -18,7 +18,7 @@ use crate::transport::{Proposal, Scene, Steering};
 /// Deformations that are drawn: the deviation that they give is itself known within an eighth.
 const DEFORMATIONS: usize = 32;
 /// Deformations that are traced together, which bounds the memory.
-const TOGETHER: usize = 4;
+const BATCH: usize = 4;
 /// Direct reflection: square root of the samples per cell.
 const DIRECT_STRATA: u32 = 4;
 /// Paths per cell in each half and for each deformation.
@@ -50,8 +50,8 @@ pub(super) fn score_covariance(
         average: AVERAGED,
     };
     let mut covariance = vec![DMatrix::zeros(n, n); groups];
-    for first in (0..DEFORMATIONS).step_by(TOGETHER) {
-        let deformed = (first..first + TOGETHER).map(|deformation| {
+    for first in (0..DEFORMATIONS).step_by(BATCH) {
+        let deformed = (first..first + BATCH).map(|deformation| {
             let mut numbers = stream(seed, Purpose::FormError, 0, deformation as u64, 0);
             let field = error.field(edge_mm, &mut numbers);
             [1.0, -1.0].map(|sign| field.deform(scene.sample(), sign))
@@ -90,7 +90,7 @@ fn scores(
         mixture,
         residual_weights,
         false,
-        || vec![vec![[DVector::zeros(n), DVector::zeros(n)]; TOGETHER]; groups],
+        || vec![vec![[DVector::zeros(n), DVector::zeros(n)]; BATCH]; groups],
         |sums, value| {
             let changes = images.at(value.cell);
             for (deformation, _, change) in changes.filter(|(_, l, _)| *l == value.light) {

@@ -13,7 +13,7 @@ use super::segment::Segment;
 use crate::random::Stream;
 
 /// Most atoms in use at once.
-const MOST: usize = 14;
+const MAX_ATOMS_IN_USE: usize = 14;
 
 /// Precision added to the Gaussian that weights are proposed from, which keeps directions
 /// without information near the simplex. It does not change the posterior.
@@ -117,7 +117,7 @@ impl SparsePosterior {
             self.log_odds + ways.ln() + mass
         };
         if numbers.uniform() < 0.5 {
-            if k == MOST.min(n) {
+            if k == MAX_ATOMS_IN_USE.min(n) {
                 return;
             }
             let mut joins = index(n, numbers);
@@ -225,24 +225,24 @@ struct Proposal {
     /// Atoms.
     k: usize,
     /// Lower triangular root of the precision.
-    factor: [[f64; MOST]; MOST],
+    factor: [[f64; MAX_ATOMS_IN_USE]; MAX_ATOMS_IN_USE],
     /// The mean, left-multiplied by the root's transpose.
-    y: [f64; MOST],
+    y: [f64; MAX_ATOMS_IN_USE],
 }
 
 impl Proposal {
     /// `None` for no atoms, too many, or atoms without any precision.
     fn new(posterior: &SparsePosterior, used: &[usize]) -> Option<Self> {
         let k = used.len();
-        if k == 0 || k > MOST {
+        if k == 0 || k > MAX_ATOMS_IN_USE {
             return None;
         }
         let m = k - 1;
         let last = used[m];
         let h = |i: usize, j: usize| posterior.h[(i, j)];
         let b = &posterior.b;
-        let mut factor = [[0.0f64; MOST]; MOST];
-        let mut y = [0.0f64; MOST];
+        let mut factor = [[0.0f64; MAX_ATOMS_IN_USE]; MAX_ATOMS_IN_USE];
+        let mut y = [0.0f64; MAX_ATOMS_IN_USE];
         for s in 0..m {
             let i = used[s];
             for t in 0..=s {
@@ -306,7 +306,7 @@ impl Proposal {
 fn begin(start: &DVector<f64>) -> State {
     let mut used: Vec<usize> = (0..start.len()).filter(|&k| start[k] > 0.0).collect();
     used.sort_by(|&a, &b| start[b].total_cmp(&start[a]));
-    used.truncate(MOST);
+    used.truncate(MAX_ATOMS_IN_USE);
     let sum: f64 = used.iter().map(|&k| start[k]).sum();
     let x = used.iter().map(|&k| start[k] / sum).collect();
     State { used, x }
@@ -401,11 +401,11 @@ mod tests {
         let odds = posterior.log_odds.exp();
         // Ways to use k atoms, each with the odds.
         let mut mass = vec![1.0];
-        for k in 1..=MOST {
+        for k in 1..=MAX_ATOMS_IN_USE {
             mass.push(mass[k - 1] * odds * (n + 1 - k) as f64 / k as f64);
         }
         let mean_of = |f: &dyn Fn(f64) -> f64| -> f64 {
-            let terms = (1..=MOST).map(|k| mass[k] * f(k as f64));
+            let terms = (1..=MAX_ATOMS_IN_USE).map(|k| mass[k] * f(k as f64));
             terms.sum::<f64>() / mass[1..].iter().sum::<f64>()
         };
         let mut numbers = stream(5, Purpose::Posterior, 0, 0, 0);

@@ -64,10 +64,10 @@ impl Default for RefineOptions {
 
 /// The round from which on all paths are traced, and like ones: benches of two rounds can be
 /// compared. Those before have a half of them, a quarter and so on.
-const ALL_PATHS: usize = 3;
+const FIRST_FULL_ROUND: usize = 3;
 
 /// Mean square of a refused bench over that of the best, up to which it did not lead far off.
-const WITHIN_NOISE: f64 = 1.25;
+const MAX_CHI_SQUARE_RATIO: f64 = 1.25;
 
 /// A refined parameter.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -173,7 +173,7 @@ pub fn refine_bench(
         );
         match best {
             Some(ref mut best)
-                if best.round >= ALL_PATHS
+                if best.round >= FIRST_FULL_ROUND
                     && round
                         .image
                         .is_worse_than(&best.image, prior_loss - best.prior_loss) =>
@@ -184,7 +184,7 @@ pub fn refine_bench(
                 values = &best.values + &best.step;
                 if best.spectrum.length(&best.step) < refine.settled {
                     // Where it led far off, it is short only because it was refused.
-                    settled = round.chi2 < WITHIN_NOISE * best.chi2;
+                    settled = round.chi2 < MAX_CHI_SQUARE_RATIO * best.chi2;
                     break;
                 }
             }
@@ -221,7 +221,7 @@ pub fn refine_bench(
     if best.is_some() {
         progress.begin("what the refined bench leaves open", None);
         let samples = (refine.derivative_samples / 2).max(1);
-        let last = rounds.take(&values, taken.max(ALL_PATHS) + 1, samples)?;
+        let last = rounds.take(&values, taken.max(FIRST_FULL_ROUND) + 1, samples)?;
         let known = last.spectrum.sandwich(&last.response);
         let deviations = known.deviations();
         estimate.reduced_chi2[1] = last.chi2;
@@ -365,7 +365,7 @@ impl Rounds<'_> {
         if let Some((material, _)) = &self.followed {
             options.cache.proposal = Proposal::resembling(material, DEFENSIVE);
         }
-        let early = ALL_PATHS.saturating_sub(round);
+        let early = FIRST_FULL_ROUND.saturating_sub(round);
         let all_paths = options
             .cache
             .samples_per_cell
