@@ -363,7 +363,7 @@ fn another_body_or_another_size_is_refused() {
     let bench = before_a_card(BodyConfig::default());
     let error = open(&bench.server, &bench.rig).err().unwrap();
     assert!(
-        matches!(&error, DeviceError::NotApplied { what, is, .. } if what == "the serial number" && is == "S0001"),
+        matches!(&error, DeviceError::OtherCamera { is, .. } if is == "S0001"),
         "{error}"
     );
     let bench = before_a_card(body_config());
