@@ -98,6 +98,8 @@ fn info() -> CameraInfo {
 fn record_of_it() -> SessionRecord {
     let mut record = record();
     record.versions.camera = info();
+    // A frame that is requested with its settings has no older ones.
+    record.plan.settings_latency_frames = 0;
     record
 }
 
