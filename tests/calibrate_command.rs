@@ -80,8 +80,8 @@ fn records_figures_and_status() {
     for part in [
         "SIMULATED",
         "system gain",
-        "μ_e.sat",
-        "PRNU₁₂₈₈",
+        "μ<sub>e.sat</sub>",
+        "PRNU<sub>1288</sub>",
         "quantum efficiency",
         "<svg",
     ] {

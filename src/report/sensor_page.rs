@@ -49,8 +49,10 @@ impl SensorPage<'_> {
         let plot = figures::photon_transfer(self.fit);
         let plot = plot.inline("Photon transfer curve and linearity")?;
         let row = |row: Row| {
+            let (symbol, subscript) = parts(row.symbol);
             context! {
-                symbol => row.symbol,
+                symbol,
+                subscript,
                 name => row.name,
                 value => row.value,
                 section => row.section,
@@ -61,7 +63,10 @@ impl SensorPage<'_> {
             camera => &self.camera,
             simulated => self.simulated,
             measured => values(self.measured(), row),
-            absent => values(self.absent(), |(symbol, name, note)| context! { symbol, name, note }),
+            absent => values(self.absent(), |(symbol, name, note)| {
+                let (symbol, subscript) = parts(symbol);
+                context! { symbol, subscript, name, note }
+            }),
             plot => Value::from(plot),
             conditions => value(self.conditions()),
             version => env!("CARGO_PKG_VERSION"),
@@ -149,7 +154,7 @@ impl SensorPage<'_> {
                 "",
             ),
             row(
-                "DSNU₁₂₈₈",
+                "DSNU_1288",
                 "dark signal nonuniformity",
                 with_std(f.dsnu_e, "e⁻"),
                 "4, 8",
@@ -165,7 +170,7 @@ impl SensorPage<'_> {
         ];
         if let Some(prnu) = f.prnu {
             rows.push(row(
-                "PRNU₁₂₈₈",
+                "PRNU_1288",
                 "photo response nonuniformity",
                 with_std(percent(prnu), "%"),
                 "4, 8",
@@ -175,7 +180,7 @@ impl SensorPage<'_> {
         rows.push(row("LE", "linearity error", format!("{:.3} %", 100.0 * linearity.mean), "6.7", &format!(
             "mean of absolute deviations at {} exposures from 5% to 95% of saturation, which lie between {:+.3}% and {:+.3}%; before the correction that the record holds",
             linearity.levels, 100.0 * linearity.lowest, 100.0 * linearity.highest
-        )));
+        ).replace('-', "−")));
         let temperature = self
             .settings
             .sensor_c
@@ -200,7 +205,7 @@ impl SensorPage<'_> {
             ),
             ("R", "responsivity", "likewise"),
             (
-                "μ_p.min, μ_p.sat",
+                "μ_p",
                 "threshold and saturation in photons",
                 "likewise; both are stated in electrons",
             ),
@@ -221,7 +226,7 @@ impl SensorPage<'_> {
             ),
         ];
         if let Some(why) = self.figures.prnu_absent {
-            rows.push(("PRNU₁₂₈₈", "photo response nonuniformity", why));
+            rows.push(("PRNU_1288", "photo response nonuniformity", why));
         }
         rows
     }
@@ -248,6 +253,11 @@ impl SensorPage<'_> {
     }
 }
 
+/// A symbol and what stands below it, after the first `_`.
+fn parts(symbol: &str) -> (&str, &str) {
+    symbol.split_once('_').unwrap_or((symbol, ""))
+}
+
 fn percent(m: Measured) -> Measured {
     Measured {
         value: 100.0 * m.value,
@@ -269,7 +279,7 @@ fn with_std(m: Measured, unit: &str) -> String {
         false => 3,
     };
     let text = format!("{:.decimals$} ± {:.decimals$} {unit}", m.value, m.std);
-    text.trim_end().to_owned()
+    text.trim_end().replace('-', "−")
 }
 
 #[cfg(test)]
