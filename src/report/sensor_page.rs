@@ -92,6 +92,7 @@ impl SensorPage<'_> {
             true => "upper limit: rounding to whole counts hides the noise",
             false => "without that of rounding",
         };
+        // Gain, noise, range, nonuniformity of darkness.
         let mut rows = vec![
             row(
                 "K",
@@ -168,6 +169,7 @@ impl SensorPage<'_> {
                 "from each pixel's line over dark exposures",
             ),
         ];
+        // Nonuniformity of the response, where it can be stated.
         if let Some(prnu) = f.prnu {
             rows.push(row(
                 "PRNU_1288",
@@ -177,10 +179,21 @@ impl SensorPage<'_> {
                 &format!("{at}; includes the unevenness of the light"),
             ));
         }
-        rows.push(row("LE", "linearity error", format!("{:.3} %", 100.0 * linearity.mean), "6.7", &format!(
-            "mean of absolute deviations at {} exposures from 5% to 95% of saturation, which lie between {:+.3}% and {:+.3}%; before the correction that the record holds",
-            linearity.levels, 100.0 * linearity.lowest, 100.0 * linearity.highest
-        ).replace('-', "−")));
+        // Linearity and dark current.
+        let deviations = format!(
+            "mean of absolute deviations at {} exposures from 5% to 95% of saturation, which lie \
+             between {:+.3}% and {:+.3}%; before the correction that the record holds",
+            linearity.levels,
+            100.0 * linearity.lowest,
+            100.0 * linearity.highest
+        );
+        rows.push(row(
+            "LE",
+            "linearity error",
+            format!("{:.3} %", 100.0 * linearity.mean),
+            "6.7",
+            &deviations.replace('-', "−"),
+        ));
         let temperature = self
             .settings
             .sensor_c
