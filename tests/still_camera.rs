@@ -391,6 +391,7 @@ fn a_body_that_fails_is_reported_as_what_it_does() {
         // Afterwards it works again.
         faults.clear();
         camera.reconnect().unwrap();
+        camera.configure(settings(0.02, 1.0)).unwrap();
         assert!(camera.grab(KEY).is_ok(), "{name}");
     }
 }
