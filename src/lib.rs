@@ -69,3 +69,8 @@ pub mod cli;
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 struct Readme;
+
+/// The driver of docs/adding-a-driver.md, likewise.
+#[cfg(doctest)]
+#[doc = include_str!("../docs/adding-a-driver.md")]
+struct AddingADriver;

@@ -1,6 +1,6 @@
 //! What goes wrong at a device; facts only.
 
-use super::{Speaker, retake};
+use super::{AnswerFault, Speaker, retake};
 use crate::units::{Seconds, StageAngles};
 
 /// What went wrong at a device; facts only.
@@ -83,6 +83,24 @@ pub enum DeviceError {
         program: String,
         /// What is the case.
         fault: ProgramFault,
+    },
+    /// What a camera's program reports of a frame is not what may stand there.
+    #[error("{program}: {fault}")]
+    Answer {
+        /// As the rig file names it.
+        program: String,
+        /// What is wrong with it.
+        fault: AnswerFault,
+    },
+    /// Another camera than the one that is wanted.
+    #[error("{device} is the camera {is:?}, and {wanted:?} is wanted")]
+    OtherCamera {
+        /// Path, port or name.
+        device: String,
+        /// Serial number that it reports.
+        is: String,
+        /// Serial number of the rig file, or of the frames before.
+        wanted: String,
     },
     /// A node of a camera that gives no images, such as that of its metadata.
     #[error("{device} gives no images{}", other_node(image_node.as_deref()))]
