@@ -29,6 +29,14 @@ const ELSEWHERE: &[(&str, &str)] = &[
         "a camera on the network that another program controls",
     ),
     (
+        "lists what the camera has: resolution_px must be there",
+        "a webcam without such frames",
+    ),
+    (
+        "which sees the mark of damaged frames",
+        "a kernel that hands damaged frames over",
+    ),
+    (
         "raw counts need an uncompressed format",
         "a camera without raw formats",
     ),

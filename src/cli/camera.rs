@@ -10,7 +10,7 @@ use super::error::CliError;
 use super::output::{write_json, write_path};
 use super::rig_choice::RigArg;
 use super::{camera_preview, hints, open};
-use crate::capture::open::{OpenOptions, open_devices, open_real_camera};
+use crate::capture::open::{OpenOptions, open_camera_for_a_look, open_devices};
 use crate::config::{CameraDriver, RigConfig};
 use crate::device::controls::{ControlInfo, name_of};
 use crate::device::pixel_format::{FORMAT_NAME, fourcc_of_name};
@@ -328,7 +328,7 @@ impl Which {
         }
         let rig = self.rig.resolve(context)?.config;
         match &rig.simulation {
-            None => Ok(open_real_camera(&rig, &open::of_port()?)?),
+            None => Ok(open_camera_for_a_look(&rig, &open::of_port()?)?),
             Some(_) => open_simulated(&rig),
         }
     }

@@ -121,6 +121,14 @@ pub enum DeviceError {
         /// Four-character codes of the formats.
         offered: Vec<String>,
     },
+    /// A webcam that its library cannot use, or not safely.
+    #[error("{device}: {fault}")]
+    Webcam {
+        /// Path or name.
+        device: String,
+        /// What is the case.
+        fault: WebcamFault,
+    },
     /// The system has no room for the stream on the camera's bus.
     #[error(
         "{device}: its USB bus has no bandwidth left for a stream of {width} × {height} pixels"
@@ -331,6 +339,30 @@ pub enum FirmwareFault {
         command: String,
         /// The error's number and meaning.
         reason: String,
+    },
+}
+
+/// Why a webcam cannot be used through nokhwa.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum WebcamFault {
+    /// Not these frames.
+    #[error("nokhwa gets no YUYV frames of {width} × {height} pixels from it: {said}")]
+    NoFormat {
+        /// Pixels per row.
+        width: u32,
+        /// Rows.
+        height: u32,
+        /// The library's own message.
+        said: String,
+    },
+    /// Damaged frames would look like whole ones.
+    #[error(
+        "uvcvideo hands damaged frames over (its parameter nodrop is {nodrop:?}, not 0), \
+         and nokhwa does not report which are"
+    )]
+    DamageUnseen {
+        /// The parameter's value; empty where it cannot be read.
+        nodrop: String,
     },
 }
 

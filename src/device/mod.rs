@@ -23,6 +23,8 @@ pub mod image_file;
 pub mod kinematics;
 pub mod lit_card;
 pub mod manual;
+#[cfg(any(feature = "v4l", feature = "webcam"))]
+pub mod manual_settings;
 pub mod outside;
 pub mod pixel_format;
 pub mod retake;
@@ -35,9 +37,13 @@ pub mod simulated;
 pub mod simulated_camera;
 mod speaker;
 pub mod stated;
+#[cfg(any(feature = "v4l", feature = "webcam"))]
+mod system_error;
 pub mod temperature;
 #[cfg(feature = "v4l")]
 pub mod v4l;
+#[cfg(feature = "webcam")]
+pub mod webcam;
 pub mod zaber;
 
 use std::time::Duration;
@@ -46,7 +52,7 @@ use crate::units::{Seconds, StageAngles};
 use serde::{Deserialize, Serialize};
 
 pub use self::command_camera::AnswerFault;
-pub use self::error::{AlarmCause, DeviceError, FirmwareFault, ProgramFault};
+pub use self::error::{AlarmCause, DeviceError, FirmwareFault, ProgramFault, WebcamFault};
 pub use self::speaker::Speaker;
 pub use self::stated::Stated;
 pub use crate::radiometry::mosaic::Mosaic;

@@ -1,7 +1,9 @@
 //! Advice on stages and cameras.
 
 use crate::device::retake::FrameFault;
-use crate::device::{AlarmCause, AnswerFault, DeviceError, FirmwareFault, ProgramFault, Speaker};
+use crate::device::{
+    AlarmCause, AnswerFault, DeviceError, FirmwareFault, ProgramFault, Speaker, WebcamFault,
+};
 
 pub(super) fn for_device(error: &DeviceError) -> String {
     use DeviceError::*;
@@ -49,6 +51,7 @@ pub(super) fn for_device(error: &DeviceError) -> String {
         Compressed { .. } => {
             "raw counts need an uncompressed format: take another camera, or one whose own program writes raw frames (camera.driver = \"command\" or \"folder\")"
         }
+        Webcam { device, fault } => return for_webcam(device, fault),
         NoBandwidth { .. } => {
             "plug it into a port of another USB controller, without a hub, and end the streams of other cameras; one that asks for more than it needs is cured by `sudo rmmod uvcvideo && sudo modprobe uvcvideo quirks=128`"
         }
@@ -83,6 +86,19 @@ pub(super) fn for_device(error: &DeviceError) -> String {
         }
     };
     hint.to_owned()
+}
+
+fn for_webcam(device: &str, fault: &WebcamFault) -> String {
+    match fault {
+        WebcamFault::NoFormat {
+            width, height, ..
+        } => format!(
+            "`v4l2-ctl -d {device} --list-formats-ext` lists what the camera has: resolution_px must be there under YUYV, and a camera that is set to another format is set to this one by `v4l2-ctl -d {device} --set-fmt-video=width={width},height={height},pixelformat=YUYV`; camera.driver = \"v4l\" reads more formats"
+        ),
+        WebcamFault::DamageUnseen { .. } => {
+            "take camera.driver = \"v4l\", which sees the mark of damaged frames, or let the kernel discard them: `echo 0 | sudo tee /sys/module/uvcvideo/parameters/nodrop`, then plug the camera in anew".to_owned()
+        }
+    }
 }
 
 fn for_firmware_family(speaks: Speaker) -> &'static str {
