@@ -10,7 +10,7 @@
 CARGO ?= cargo
 SUDO := $(if $(filter 0,$(shell id -u)),,sudo)
 
-.PHONY: demo docs test test-long test-vm test-external build deps
+.PHONY: demo docs test test-long test-vm test-external build deps deps-genicam
 
 demo: build
 	target/release/rig demo
@@ -54,6 +54,12 @@ test-long: build
 	target/release/rig evaluate intervals --out target/long/intervals
 	target/release/rig evaluate diagnosis --out target/long/diagnosis
 
+# What the feature `genicam` needs: `make deps EXTRA_DEPS="$(GENICAM_DEPS)"`.
+GENICAM_DEPS := libaravis-dev libusb-1.0-0-dev aravis-tools-cli
+
+deps-genicam:
+	@$(MAKE) deps EXTRA_DEPS="$(GENICAM_DEPS)"
+
 # What the build needs from the system: a C compiler to link, libclang for the
 # Video4Linux bindings. Nothing happens if it is there.
 deps:
@@ -67,6 +73,10 @@ deps:
 	  command -v cc >/dev/null || missing="$$missing build-essential"; \
 	  dpkg-query -W -f='$${Status}' libclang-dev 2>/dev/null | grep -q 'ok installed' \
 	    || missing="$$missing libclang-dev"; \
+	  for package in $(EXTRA_DEPS); do \
+	    dpkg-query -W -f='$${Status}' $$package 2>/dev/null | grep -q 'ok installed' \
+	      || missing="$$missing $$package"; \
+	  done; \
 	  if [ -n "$$missing" ]; then \
 	    $(SUDO) apt-get update && \
 	    $(SUDO) env DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends $$missing; \
