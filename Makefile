@@ -10,7 +10,7 @@
 CARGO ?= cargo
 SUDO := $(if $(filter 0,$(shell id -u)),,sudo)
 
-.PHONY: demo docs test test-long test-vm test-external build deps deps-genicam
+.PHONY: demo docs test test-long test-vm test-external build deps deps-test deps-genicam
 
 demo: build
 	target/release/rig demo
@@ -18,7 +18,7 @@ demo: build
 build: deps
 	$(CARGO) build --locked --release
 
-test: deps
+test: deps-test
 	$(CARGO) test --locked --release --workspace
 
 # mdBook is built quickly rather than well: it runs for a second. Its warnings are errors;
@@ -59,6 +59,12 @@ GENICAM_DEPS := libaravis-dev libusb-1.0-0-dev aravis-tools-cli
 
 deps-genicam:
 	@$(MAKE) deps EXTRA_DEPS="$(GENICAM_DEPS)"
+
+# The clients of the simulated still camera.
+TEST_DEPS := gphoto2 libraw-bin
+
+deps-test:
+	@$(MAKE) --no-print-directory deps EXTRA_DEPS="$(TEST_DEPS)"
 
 # What the build needs from the system: a C compiler to link, libclang for the
 # Video4Linux bindings. Nothing happens if it is there.

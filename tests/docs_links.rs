@@ -111,3 +111,37 @@ fn documents_that_the_source_names_exist() {
     }
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
+
+/// Each `file.rs` `item` of the page on the statistical model, an item of that file.
+#[test]
+fn items_that_the_model_names_exist() {
+    let text = fs::read_to_string(root().join("docs/model.md")).unwrap();
+    let (mut found, mut wrong) = (0, Vec::new());
+    let code: Vec<&str> = text.split('`').collect();
+    for pair in code.windows(3).skip(1).step_by(2) {
+        let [file, between, item] = pair else {
+            continue;
+        };
+        if !file.ends_with(".rs") || !between.trim().is_empty() {
+            continue;
+        }
+        found += 1;
+        let source = fs::read_to_string(root().join("core/src/inverse").join(file));
+        let source = source.unwrap_or_default();
+        let defined = ["fn", "struct", "enum", "const"].iter().any(|kind| {
+            let start = format!("{kind} {item}");
+            source.match_indices(&start).any(|(at, _)| {
+                let next = source[at + start.len()..].chars().next();
+                next.is_some_and(|c| !c.is_alphanumeric() && c != '_')
+            })
+        });
+        if !defined {
+            wrong.push(format!("{file}: {item}"));
+        }
+    }
+    assert!(
+        found > 30 && wrong.is_empty(),
+        "{found}: {}",
+        wrong.join("\n")
+    );
+}

@@ -172,6 +172,67 @@ fn visits_of_the_table_are_as_the_paper_says() {
     assert_eq!((mirror("designed"), mirror("bowl")), (6, 0));
 }
 
+/// The outside method, learned without the material: more samples, less error, and what a
+/// dictionary reaches stands next to it.
+#[test]
+fn the_outside_method_is_scored_like_a_fit() {
+    let folder = tempfile::tempdir().unwrap();
+    let words = "evaluate baseline --quick --materials nbrdf:pvc,nbrdf:green-latex --only pvc --json --out b";
+    let (code, stdout, stderr) = rig(folder.path(), words);
+    assert_eq!(code, Some(0), "{stderr}");
+    assert!(stderr.contains("1 other case is open"), "{stderr}");
+    let json: Value = serde_json::from_str(&stdout).unwrap();
+    let rows = json["rows"].as_array().unwrap();
+    let row = |samples: &str| rows.iter().find(|row| row["samples"] == samples).unwrap();
+    let error = |samples: &str| row(samples)["environment_error"].as_f64().unwrap();
+    assert_eq!(rows.len(), 7);
+    // 25 other materials of three channels, and a ridge in proportion to the published one.
+    for row in rows {
+        assert_eq!(
+            (&row["material"], &row["ridge"]),
+            (&"pvc".into(), &10.0.into())
+        );
+        let of = |column: &str| row[column].as_f64().unwrap();
+        assert!(of("floor") <= of("reference_projection"));
+        let ratio = of("environment_error") / of("reference_projection");
+        assert!((ratio / of("ratio_to_reference") - 1.0).abs() < 1e-9);
+    }
+    assert_eq!(row("20 directions")["components"], 20);
+    // As many components as there are values, at most the 74 that 75 columns span.
+    for row in rows {
+        let of = |column: &str| row[column].as_u64().unwrap();
+        assert_eq!(of("components"), of("observations").min(74), "{row}");
+    }
+    assert_eq!(row("all directions")["components"], 74);
+    let angles = |samples: &str| {
+        row(samples)["lights_deg"]
+            .as_str()
+            .unwrap()
+            .split(' ')
+            .count()
+    };
+    assert_eq!(
+        (angles("1 sphere image"), angles("2 sphere images")),
+        (1, 2)
+    );
+    assert!(error("all directions") < error("20 directions"));
+    assert!(error("20 directions") < error("1 direction"));
+    assert!(
+        error("2 sphere images") < 0.3,
+        "{}",
+        error("2 sphere images")
+    );
+    assert!(!folder.path().join("b/baseline.svg").exists());
+
+    // The other material later, to a table of both with a figure.
+    let (code, _, stderr) = rig(folder.path(), &words.replace(" --only pvc", ""));
+    assert_eq!(code, Some(0), "{stderr}");
+    assert!(stderr.contains("1 case was finished before"), "{stderr}");
+    let csv = read(&folder.path().join("b/table.csv"));
+    assert_eq!(csv.lines().count(), 15);
+    assert!(read(&folder.path().join("b/baseline.svg")).contains("sphere image"));
+}
+
 #[test]
 fn what_is_wrong_is_said_before_anything_is_written() {
     let folder = tempfile::tempdir().unwrap();

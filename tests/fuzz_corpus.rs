@@ -187,7 +187,12 @@ fn memory_of_a_fit(side: usize, lights: usize, dictionary: &Dictionary) -> [f64;
 #[test]
 fn the_memory_of_a_fit_is_estimated_from_above_and_closely() {
     let _turn = alone();
-    for (lights, dictionary) in [(1, Dictionary::rig26()), (3, Dictionary::paper42())] {
+    let dictionaries = [
+        Dictionary::rig26(),
+        Dictionary::paper42(),
+        Dictionary::rig65(),
+    ];
+    for (lights, dictionary) in [1, 3, 2].into_iter().zip(dictionaries) {
         let [small, large] = [24, 48].map(|side| memory_of_a_fit(side, lights, &dictionary));
         println!(
             "{lights} lights, {}: {small:?} and {large:?} bytes, counted and estimated",

@@ -43,7 +43,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     };
 
     // The images are averaged over cells as large as the scene's angles allow, then fitted.
-    let dictionary = Dictionary::load("rig26")?;
+    let dictionary = Dictionary::load("rig65")?;
     let captured = Captured::new(&scene, &images, &CellOptions::default())?;
     let options = FitOptions::default();
     let found = inverse::fit_with_progress(&scene, &captured, &dictionary, &options, &Phases)?;

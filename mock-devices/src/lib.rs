@@ -14,6 +14,7 @@ pub mod gige;
 pub mod grbl;
 pub mod motion;
 pub mod proxy;
+pub mod ptp;
 pub mod sensor;
 pub mod usb;
 pub mod zaber;

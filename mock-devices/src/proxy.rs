@@ -242,20 +242,29 @@ mod tests {
             Self(file.unwrap())
         }
 
-        /// What comes back within a moment of silence.
-        fn ask(&mut self, line: &str) -> String {
+        /// What comes back: at least as many bytes as awaited, until a moment of silence.
+        fn ask(&mut self, line: &str, awaited: usize) -> String {
             self.0.write_all(line.as_bytes()).unwrap();
             let mut heard = Vec::new();
-            let patience = Timespec {
-                tv_sec: 0,
-                tv_nsec: 200_000_000,
-            };
-            while poll(&mut [PollFd::new(&self.0, PollFlags::IN)], Some(&patience)).unwrap() > 0 {
+            loop {
+                let patience = match heard.len() < awaited {
+                    true => Timespec {
+                        tv_sec: 10,
+                        tv_nsec: 0,
+                    },
+                    false => Timespec {
+                        tv_sec: 0,
+                        tv_nsec: 200_000_000,
+                    },
+                };
+                let mut fds = [PollFd::new(&self.0, PollFlags::IN)];
+                if poll(&mut fds, Some(&patience)).unwrap() == 0 {
+                    return String::from_utf8(heard).unwrap();
+                }
                 let mut buffer = [0; 256];
                 let count = self.0.read(&mut buffer).unwrap();
                 heard.extend(&buffer[..count]);
             }
-            String::from_utf8(heard).unwrap()
         }
     }
 
@@ -268,7 +277,7 @@ mod tests {
         let mut host = Host::open(proxy.path());
         // The exclusive-or of "3 off" is 0x7c.
         let request = "3 off*7C\n";
-        let whole = host.ask(request);
+        let whole = host.ask(request, "3 ok*00\r\n".len());
         assert!(
             whole.starts_with("3 ok*") && whole.ends_with("\r\n"),
             "{whole:?}"
@@ -280,10 +289,10 @@ mod tests {
             (Damage::Delay(Duration::from_millis(50)), whole.clone()),
         ] {
             proxy.damage_times("3", damage, 1);
-            assert_eq!(host.ask(request), expected, "{damage:?}");
+            assert_eq!(host.ask(request, expected.len()), expected, "{damage:?}");
         }
         proxy.damage("", Damage::Garble);
-        let garbled = host.ask(request);
+        let garbled = host.ask(request, whole.len());
         assert_eq!(garbled.len(), whole.len());
         assert!(!garbled.contains("ok"), "{garbled:?}");
         proxy.clear();
@@ -291,6 +300,6 @@ mod tests {
         assert!(!proxy.path().exists());
         assert!(host.0.write_all(b"x").is_err());
         proxy.plug_in().unwrap();
-        assert_eq!(Host::open(proxy.path()).ask(request), whole);
+        assert_eq!(Host::open(proxy.path()).ask(request, whole.len()), whole);
     }
 }

@@ -15,7 +15,7 @@ use crate::out;
 use crate::whole_file;
 
 const SPEC_HELP: &str = "A BRDF is one of: FILE.binary (MERL), FILE.bsdf (RGL), nbrdf:NAME (embedded measured material), \
-FIT (the folder of a fit, or a session: its latest), DICTIONARY:WEIGHTS.csv (a mixture, as a fit or a projection writes it; DICTIONARY is rig26, paper42 or a .json or .toml file), \
+FIT (the folder of a fit, or a session: its latest), DICTIONARY:WEIGHTS.csv (a mixture, as a fit or a projection writes it; DICTIONARY is rig65, rig26, paper42 or a .json or .toml file), \
 ggx:ALPHA,ETA, lambertian:ALBEDO.";
 
 /// Evaluates, checks, compares, draws and converts BRDFs
@@ -55,7 +55,7 @@ enum BrdfCommand {
     Project {
         /// The BRDF
         brdf: String,
-        /// rig26, paper42, or a .json or .toml file
+        /// rig65, rig26, paper42, or a .json or .toml file
         #[arg(long, default_value = Dictionary::DEFAULT)]
         dictionary: String,
         /// Pixels per side of the spheres, 8 to 512; published figures use 128

@@ -196,6 +196,7 @@ mod tests {
         for other in [
             "driver = \"command\"\ncommand = \"photo {exposure_s} {output}\"",
             "driver = \"folder\"\nfolder = \"in\"",
+            "driver = \"gphoto2\"\nbody = \"port = any\"",
         ] {
             texts.push(simulated().replacen("driver = \"simulated\"", other, 1));
         }
@@ -293,7 +294,7 @@ mod tests {
             (
                 "driver = \"simulated\"",
                 "driver = \"nikon\"",
-                "`camera.driver` is \"nikon\", but must be \"v4l\" or \"command\" or \"folder\" or \"simulated\"",
+                "`camera.driver` is \"nikon\", but must be \"v4l\" or \"command\" or \"folder\" or \"gphoto2\" or \"simulated\"",
             ),
             (
                 "axis = \"Y\"",

@@ -24,6 +24,12 @@ pub enum DeviceError {
         /// Path or name.
         device: String,
     },
+    /// Another program has claimed the camera's USB interface.
+    #[error("another program has claimed the camera at {device}")]
+    Claimed {
+        /// Port as gphoto2 names it.
+        device: String,
+    },
     /// Another program controls a camera on the network.
     #[error("{device} is controlled by another program")]
     Controlled {

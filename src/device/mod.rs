@@ -16,6 +16,7 @@ pub mod folder_camera;
 pub mod frame_row;
 #[cfg(feature = "genicam")]
 pub mod genicam;
+pub mod gphoto2;
 pub mod grbl;
 pub mod guardian;
 pub mod image_file;

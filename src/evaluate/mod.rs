@@ -9,6 +9,7 @@ pub mod lab;
 
 mod accuracy;
 mod atoms;
+mod baseline;
 mod calibration;
 mod dictionary_size;
 mod form;
@@ -34,6 +35,7 @@ use experiment::{EvaluateError, Experiment};
 pub static EXPERIMENTS: &[&Experiment] = &[
     &atoms::ATOMS,
     &accuracy::ACCURACY,
+    &baseline::BASELINE,
     &shapes::SHAPES,
     &dictionary_size::DICTIONARY_SIZE,
     &light_count::LIGHT_COUNT,

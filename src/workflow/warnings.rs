@@ -1,6 +1,5 @@
 //! What speaks against a fit, and its most likely causes.
 
-use crate::brdf::check;
 use crate::inverse::Fit;
 use crate::inverse::diagnosis::Cause;
 use crate::inverse::findings::{Finding, Flip};
@@ -58,24 +57,6 @@ pub(super) fn of_fit(fit: &Fit, record: &FitRecord) -> Vec<Warning> {
                 "dust or scratches on the sample, or hot pixels",
             );
         }
-    }
-    // A mixture reflects at most what arrives; with a model discrepancy, it may not.
-    let excess = || check::check_with(&fit.material, ALBEDO_DIRECTIONS, 0).excess();
-    if let Some((albedo, theta_deg, channel)) = (fit.discrepancy > 0.0).then(excess).flatten() {
-        let grade = if albedo > IMPOSSIBLE_ALBEDO {
-            Grade::Distrust
-        } else {
-            Grade::Reservation
-        };
-        warn(
-            grade,
-            format!(
-                "the material, with its discrepancy from the mixture, would reflect {:.0}% of the {} light that arrives at {theta_deg}° from the normal",
-                100.0 * albedo,
-                CHANNEL_NAMES[channel]
-            ),
-            "angles that the images show little of, or intensities that are off; capture more lights, or render the mixture alone (rig export --format mitsuba)",
-        );
     }
     if fit.samples[0] < FEW_PATHS {
         warn(
@@ -214,6 +195,15 @@ fn describe(finding: &Finding) -> (Grade, String, &'static str) {
             ),
             "an irradiance in another unit or of another lamp; `rig calibrate white` measures it, and --refine-bench --uncertainty common_intensity=1 fits it",
         ),
+        Finding::Bounded { channel, albedo } => (
+            by_factor(albedo, IMPOSSIBLE_ALBEDO),
+            format!(
+                "the images ask for a material that reflects up to {:.0}% of the {} light that arrives; it was bounded to 100%",
+                100.0 * albedo,
+                CHANNEL_NAMES[channel]
+            ),
+            "intensities that are stated too low, or angles that the images show little of; `rig calibrate white` measures the scale, more lights show more angles",
+        ),
         Finding::Exchanged { image, light, flip } => (
             Distrust,
             format!(
@@ -252,7 +242,7 @@ const NOTABLE_REMAINDER: f64 = 1e-3;
 const NOTABLE_OUTLIERS: f64 = 0.02;
 /// Paths per pixel from which independent halves work well.
 const FEW_PATHS: u32 = 128;
-/// Albedo from which a material is no result.
+/// Albedo before the bound from which a material is no result.
 const IMPOSSIBLE_ALBEDO: f64 = 1.2;
 /// Scatter of neighbouring pixels over the stated one, either way, that no noise model is off by.
 const IMPOSSIBLE_SCATTER: f64 = 10.0;
@@ -260,8 +250,6 @@ const IMPOSSIBLE_SCATTER: f64 = 10.0;
 const IMPOSSIBLE_BRIGHTNESS: f64 = 1.25;
 /// Factor between irradiances, either way, that no inaccuracy explains.
 const IMPOSSIBLE_SCALE: f64 = 1.5;
-/// Directions per technique that an albedo takes.
-const ALBEDO_DIRECTIONS: u32 = 1024;
 
 /// What the residual looks like, by cause.
 fn looks_like(cause: Cause) -> &'static str {

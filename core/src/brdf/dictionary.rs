@@ -20,7 +20,7 @@ use crate::shown::{MESSAGE, shortened};
 /// use rig_core::brdf::{Atom, Dictionary};
 ///
 /// let usual = Dictionary::load(Dictionary::DEFAULT)?;
-/// assert_eq!((usual.name(), usual.len()), ("rig26", 26));
+/// assert_eq!((usual.name(), usual.len()), ("rig65", 65));
 ///
 /// let own = "atoms = [{ type = 'ggx', alpha = 0.1, eta = 1.5 }, { type = 'black' }]";
 /// let own = Dictionary::parse("own", own, false)?;
@@ -34,6 +34,8 @@ use crate::shown::{MESSAGE, shortened};
 pub struct Dictionary {
     name: String,
     atoms: Vec<Atom>,
+    /// See [`Self::first_part`].
+    averaged_with_first: Option<usize>,
 }
 
 #[derive(Deserialize)]
@@ -42,6 +44,7 @@ struct DictionaryFile {
     name: Option<String>,
     #[allow(dead_code, reason = "a note for the reader of the file")]
     source: Option<String>,
+    averaged_with_first: Option<usize>,
     atoms: Vec<Atom>,
 }
 
@@ -85,6 +88,36 @@ impl Dictionary {
         Ok(Self {
             name,
             atoms: checked,
+            averaged_with_first: None,
+        })
+    }
+
+    /// The same, of whose first `count` atoms fits make a second estimate ([`Self::first_part`]);
+    /// `count` is 1 to one less than all.
+    pub fn averaged_with_first(self, count: usize) -> Result<Self, BrdfError> {
+        if !(1..self.len()).contains(&count) {
+            return Err(BrdfError::Dictionary {
+                fact: format!(
+                    "averaged_with_first is {count}, allowed is 1 to {}",
+                    self.len() - 1
+                ),
+                name: self.name,
+            });
+        }
+        Ok(Self {
+            averaged_with_first: Some(count),
+            ..self
+        })
+    }
+
+    /// The first atoms as a dictionary of their own, where fits are to estimate the material by
+    /// these alone as well and average both estimates (docs/adr/0039).
+    pub fn first_part(&self) -> Option<Self> {
+        let count = self.averaged_with_first?;
+        Some(Self {
+            name: format!("the first {count} of {}", self.name),
+            atoms: self.atoms[..count].to_vec(),
+            averaged_with_first: None,
         })
     }
 
@@ -104,23 +137,28 @@ impl Dictionary {
         Self::embedded("rig26", include_str!("../../data/dictionaries/rig26.json"))
     }
 
-    /// What fits use by default: its mixtures come nearest to measured
-    /// materials, with the fewest atoms. Fits with four lights are as good as with paper42, with
-    /// one light paper42's are better (docs/adr/0013). Experiments that repeat the paper's use
-    /// paper42.
-    pub const DEFAULT: &'static str = "rig26";
+    /// All atoms of paper42 and of rig26, the former also on their own: the average of both
+    /// estimates is better than either dictionary's, with one light and with four
+    /// (docs/adr/0039).
+    pub fn rig65() -> Self {
+        Self::embedded("rig65", include_str!("../../data/dictionaries/rig65.json"))
+    }
+
+    /// What fits use by default. Experiments that repeat the paper's use paper42.
+    pub const DEFAULT: &'static str = "rig65";
 
     /// The dictionaries that [`Self::load`] knows by name.
-    pub const NAMES: [&'static str; 2] = ["rig26", "paper42"];
+    pub const NAMES: [&'static str; 3] = ["rig65", "rig26", "paper42"];
 
     /// By one of [`Self::NAMES`], or from a `.json` or `.toml` file with a list
     /// `atoms` of `{type = "ggx", alpha, eta}`, `{type = "beckmann", alpha, eta}`,
     /// `{type = "coated", eta}`, `{type = "lambertian", albedo}` or `{type = "black"}`,
-    /// and optionally `name` and `source`.
+    /// and optionally `name`, `source` and `averaged_with_first` ([`Self::first_part`]).
     pub fn load(name_or_path: &str) -> Result<Self, BrdfError> {
         match name_or_path {
             "paper42" => Ok(Self::paper42()),
             "rig26" => Ok(Self::rig26()),
+            "rig65" => Ok(Self::rig65()),
             path => Self::read(Path::new(path)),
         }
     }
@@ -164,7 +202,11 @@ impl Dictionary {
             name: default_name.to_owned(),
             fact: shortened(&fact, MESSAGE).into_owned(),
         })?;
-        Self::new(file.name.as_deref().unwrap_or(default_name), file.atoms)
+        let dictionary = Self::new(file.name.as_deref().unwrap_or(default_name), file.atoms)?;
+        match file.averaged_with_first {
+            Some(count) => dictionary.averaged_with_first(count),
+            None => Ok(dictionary),
+        }
     }
 
     fn embedded(name: &str, json: &str) -> Self {
@@ -250,10 +292,27 @@ mod tests {
     #[test]
     fn the_default_dictionary_has_no_atom_twice() {
         let ours = Dictionary::load(Dictionary::DEFAULT).unwrap();
-        assert_eq!(ours, Dictionary::rig26());
-        assert_eq!(ours.len(), 26);
-        assert_eq!(ours.atoms().iter().filter(|atom| atom.varies()).count(), 24);
-        assert!(ours.duplicate_of().iter().all(Option::is_none));
+        assert_eq!(ours, Dictionary::rig65());
+        // But for the pair that the paper's has.
+        let twice = ours.duplicate_of().iter().flatten().count();
+        assert_eq!(twice, 1);
+        let rig26 = Dictionary::rig26();
+        assert!(rig26.duplicate_of().iter().all(Option::is_none));
+    }
+
+    #[test]
+    fn the_default_holds_both_others_and_averages_with_the_papers() {
+        let all = Dictionary::rig65();
+        let [paper, ours] = [Dictionary::paper42(), Dictionary::rig26()];
+        let part = all.first_part().unwrap();
+        assert_eq!(part.atoms(), paper.atoms());
+        assert!(part.first_part().is_none());
+        assert!(ours.atoms().iter().all(|atom| all.atoms().contains(atom)));
+        assert!(all.len() == 65 && all.len() < paper.len() + ours.len());
+        for count in [0, 65] {
+            let refused = Dictionary::rig65().averaged_with_first(count).unwrap_err();
+            assert!(refused.to_string().contains("1 to 64"), "{refused}");
+        }
     }
 
     #[test]

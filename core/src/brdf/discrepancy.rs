@@ -85,25 +85,44 @@ fn correlation(a: &Node, b: &Node) -> f64 {
     (-0.5 * ((a_h - b_h).powi(2) + (a_d - b_d).powi(2))).exp()
 }
 
+/// Covariance of g at the nodes, a factor common to all angles included.
+pub(super) fn covariance() -> DMatrix<f64> {
+    let nodes: Vec<Node> = nodes().collect();
+    let deviations: Vec<f64> = nodes
+        .iter()
+        .map(|n| deviation(n.theta_h_deg, n.theta_d_deg))
+        .collect();
+    DMatrix::from_fn(NODES, NODES, |i, j| {
+        deviations[i] * deviations[j] * correlation(&nodes[i], &nodes[j])
+    })
+}
+
 /// The modes of g: columns of values at the nodes, to be multiplied by independent standard
 /// normal coefficients. A factor common to all angles is projected out: the weights have it.
 pub fn modes() -> &'static DMatrix<f64> {
     static MODES: OnceLock<DMatrix<f64>> = OnceLock::new();
     MODES.get_or_init(|| {
         let nodes: Vec<Node> = nodes().collect();
-        let deviations: Vec<f64> = nodes
-            .iter()
-            .map(|n| deviation(n.theta_h_deg, n.theta_d_deg))
-            .collect();
-        let covariance = DMatrix::from_fn(NODES, NODES, |i, j| {
-            deviations[i] * deviations[j] * correlation(&nodes[i], &nodes[j])
-        });
+        let covariance = covariance();
         let inner = |n: &Node| n.theta_h_deg < 70.0 && n.theta_d_deg < 72.0;
         let everywhere =
             DVector::from_iterator(NODES, nodes.iter().map(|n| f64::from(u8::from(inner(n)))));
         let along = &covariance * &everywhere;
         let covariance = &covariance - &along * along.transpose() / everywhere.dot(&along);
         principal(&covariance)
+    })
+}
+
+/// The modes of a field of unit standard deviation at every node, correlated as g is.
+pub fn standard_modes() -> &'static DMatrix<f64> {
+    static MODES: OnceLock<DMatrix<f64>> = OnceLock::new();
+    MODES.get_or_init(|| {
+        let nodes: Vec<Node> = nodes().collect();
+        let modes = principal(&DMatrix::from_fn(NODES, NODES, |i, j| {
+            correlation(&nodes[i], &nodes[j])
+        }));
+        let deviation = DVector::from_iterator(NODES, modes.row_iter().map(|row| row.norm()));
+        DMatrix::from_fn(NODES, modes.ncols(), |i, j| modes[(i, j)] / deviation[i])
     })
 }
 
@@ -134,7 +153,7 @@ fn principal(covariance: &DMatrix<f64>) -> DMatrix<f64> {
 
 /// The four nodes around a pair of directions (unit, local frame) with their bilinear weights.
 #[inline]
-pub fn around(to_light: Vec3, to_viewer: Vec3) -> [(usize, f32); 4] {
+pub fn node_weights(to_light: Vec3, to_viewer: Vec3) -> [(usize, f32); 4] {
     let sum = to_light + to_viewer;
     let theta_h = sum.x.hypot(sum.y).atan2(sum.z);
     let theta_d = (to_light - to_viewer).length().atan2(sum.length());
@@ -293,7 +312,7 @@ impl Brdf for Material {
         if f == [0.0; 3] {
             return f;
         }
-        self.scaled(f, around(to_light, to_viewer))
+        self.scaled(f, node_weights(to_light, to_viewer))
     }
 
     fn as_mixture(&self) -> Option<&Mixture> {
@@ -384,7 +403,7 @@ mod tests {
                 phi_d_rad: phi,
             };
             let (i, o) = angles.to_directions();
-            let found = discrepancy.factor_around(around(i.as_vec3(), o.as_vec3()));
+            let found = discrepancy.factor_around(node_weights(i.as_vec3(), o.as_vec3()));
             assert!((found - linear(h, d)).abs() < 1e-4, "{found}");
         }
     }

@@ -60,6 +60,7 @@ pub mod chi_square;
 pub mod coat;
 pub mod dictionary;
 pub mod discrepancy;
+pub mod energy;
 pub mod environment;
 pub mod evaluator;
 pub mod ggx;

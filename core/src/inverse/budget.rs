@@ -9,6 +9,8 @@
 
 use nalgebra::{DMatrix, DVector};
 
+use super::normal_equations::WEIGHT_PRIOR_DEVIATION;
+
 /// What makes an estimate uncertain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Source {
@@ -68,9 +70,6 @@ pub struct Budget {
     parts: [DMatrix<f64>; SOURCES],
 }
 
-/// Deviation of a weight before any image, as the bench's refinement takes it.
-const WEIGHT_DEVIATION: f64 = 0.06;
-
 impl Budget {
     /// From the scatter of the scores where F is the identity: `root` is N × M with
     /// F = root rootᵀ; `scatter` is all of it, M × M, positive definite; `known` are parts
@@ -82,7 +81,7 @@ impl Budget {
     ) -> Self {
         let n = root.nrows();
         let mut parts: [DMatrix<f64>; SOURCES] = std::array::from_fn(|_| DMatrix::zeros(n, n));
-        let precision = WEIGHT_DEVIATION.powi(-2);
+        let precision = WEIGHT_PRIOR_DEVIATION.powi(-2);
         let m = scatter.nrows();
         let weight = scatter.clone().cholesky();
         let weight = weight.map_or_else(|| DMatrix::identity(m, m), |c| c.inverse());

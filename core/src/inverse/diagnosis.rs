@@ -1,7 +1,7 @@
 //! What a fit cannot explain, and what would explain it.
 //!
 //! Every cause that is considered has images of its own: what the residual would look like to
-//! first order if that were wrong. The residual of the material, as it departs from its mixture,
+//! first order if that were wrong. The residual of the material, with its discrepancy,
 //! in standard deviations of noise and model error, is regressed on them after the part that
 //! other weights could make has been taken out of both. What is left to say is how much of the
 //! mean square residual each cause accounts for (docs/adr/0010).
@@ -9,6 +9,7 @@
 use glam::DVec2;
 use nalgebra::{Cholesky, DMatrix, DVector};
 
+use super::normal_equations::{IN_USE, Marginal, add_outer};
 use super::objective::{ModelImage, Objective};
 use crate::brdf::Brdf;
 use crate::brdf::discrepancy::Material;
@@ -27,7 +28,7 @@ pub enum Cause {
     ShapeOrPose,
     /// The material differs between places.
     NonUniform,
-    /// Light leaves beside where it entered, or the image is blurred.
+    /// Light leaves at some distance from where it entered, or the image is blurred.
     Translucency,
     /// The material reflects as no mixture of the dictionary does.
     Dictionary,
@@ -57,7 +58,7 @@ impl Cause {
 
 /// Standard deviations beyond which a value counts as this much: a few cells on the peak
 /// of a narrow lobe, or dust, are not what the images look like.
-const WILD: f64 = 4.0;
+const MAX_DEVIATION: f64 = 4.0;
 
 /// How well the images are explained.
 #[derive(Clone, Debug, PartialEq)]
@@ -72,8 +73,8 @@ pub struct Diagnosis {
     /// Mean product of the residuals of neighbouring cells over `mean_square`: 0 for
     /// noise, towards 1 for smooth structure.
     pub correlation: f64,
-    /// Whether the material departs from every mixture, which is a sign of the dictionary: no
-    /// fault of the bench was found to ask for it.
+    /// Whether the material has a discrepancy from every mixture, a sign of the dictionary: no
+    /// fault of the bench was found to cause one.
     pub departs: bool,
 }
 
@@ -84,7 +85,7 @@ const NOTABLE_MEAN_SQUARE: f64 = 1.1;
 /// Part of the mean square residual from which a fault of bench or sample is named.
 const NOTABLE_PART: f64 = 0.25;
 
-/// Part from which the dictionary is named where nothing departs: it has the most images and
+/// Part from which the dictionary is named without a discrepancy: it has the most images and
 /// explains a little of anything.
 const NOTABLE_DICTIONARY_PART: f64 = 0.5;
 
@@ -151,7 +152,8 @@ pub(super) fn examine(fit: &Examined<'_>) -> Diagnosis {
         ..
     } = fit;
     let cells = objective.cells();
-    let (lights, atoms, sets) = (objective.lights(), objective.atoms(), objective.sets());
+    let (lights, atoms) = (objective.lights(), objective.atoms());
+    let group = |channel| objective.channels().group(channel);
     let Scatter {
         mean_square,
         correlation,
@@ -171,61 +173,59 @@ pub(super) fn examine(fit: &Examined<'_>) -> Diagnosis {
     let angles = first_angles(scene, cells);
     let active: Vec<Vec<usize>> = mixture
         .iter()
-        .map(|w| (0..atoms).filter(|&k| w[k] > ACTIVE).collect())
+        .map(|w| (0..atoms).filter(|&k| w[k] > IN_USE).collect())
         .collect();
     // Columns: active atoms, the templates of all causes, the residual.
     let sizes = [lights, SHAPES, FIELDS, BLURS.len(), ANGLES];
     let templates: usize = sizes.iter().sum();
     let columns: Vec<usize> = active.iter().map(|a| a.len() + templates + 1).collect();
     let none = || -> Vec<_> {
-        (0..3)
-            .map(|c| DMatrix::zeros(columns[c.min(sets - 1)], columns[c.min(sets - 1)]))
-            .collect()
+        let columns = (0..3).map(|c| columns[group(c)]);
+        columns.map(|n| DMatrix::zeros(n, n)).collect()
     };
-    let parts = objective.evaluate(mixture, false, none, |grams, rows| {
-        let cell = rows.cell;
-        let middle_px = cells.cell(cell).middle_px();
-        let at = 2.0 * middle_px / resolution_px - DVec2::ONE;
-        let mut by_weight = [vec![0.0; atoms], vec![0.0; atoms]];
-        for light in (0..lights).filter(|&l| objective.is_compared(l, cell)) {
-            for (c, gram) in grams.iter_mut().enumerate() {
-                let Some((z, sigma)) = objective.deviation(model, light, cell, c) else {
-                    continue;
-                };
-                let set = c.min(sets - 1);
-                let value = model[light][cell][c].value();
-                let [first, second] = &mut by_weight;
-                objective.derivatives(rows, light, c, [first, second]);
-                let mut row = Vec::with_capacity(columns[set]);
-                row.extend(active[set].iter().map(|&k| 0.5 * (first[k] + second[k])));
-                row.extend((0..lights).map(|l| f64::from(u8::from(l == light))));
-                row.extend(displaced.iter().map(|d| d[light * cells.len() + cell][c]));
-                row.extend(fields(at).map(|f| f * value));
-                row.extend(BLURS.map(|radius| {
-                    blurred(cells, cell, radius, |k| model[light][k][c].value()) - value
-                }));
-                row.extend(angles[light * cells.len() + cell].map(|f| f * value));
-                row.iter_mut().for_each(|v| *v /= sigma);
-                row.push(z.clamp(-WILD, WILD));
-                for j in 0..row.len() {
-                    for i in j..row.len() {
-                        gram[(i, j)] += row[i] * row[j];
-                    }
-                }
+    let mut grams: Vec<DMatrix<f64>> = objective.accumulate(
+        mixture,
+        &objective.inverse_variances(model),
+        false,
+        none,
+        |grams, value| {
+            let (cell, light, c) = (value.cell, value.light, value.channel);
+            let middle_px = cells.cell(cell).middle_px();
+            let at = 2.0 * middle_px / resolution_px - DVec2::ONE;
+            let modelled = model[light][cell][c].value();
+            let [first, second] = value.by_weights;
+            let mut row = Vec::with_capacity(columns[value.group]);
+            let active = active[value.group].iter();
+            row.extend(active.map(|&k| 0.5 * (first[k] + second[k])));
+            row.extend((0..lights).map(|l| f64::from(u8::from(l == light))));
+            row.extend(displaced.iter().map(|d| d[light * cells.len() + cell][c]));
+            row.extend(fields(at).map(|f| f * modelled));
+            row.extend(BLURS.map(|radius| {
+                blurred(cells, cell, radius, |k| model[light][k][c].value()) - modelled
+            }));
+            row.extend(angles[light * cells.len() + cell].map(|f| f * modelled));
+            let Some((z, sigma)) = objective.deviation(model, light, cell, c) else {
+                return;
+            };
+            row.iter_mut().for_each(|v| *v /= sigma);
+            row.push(z.clamp(-MAX_DEVIATION, MAX_DEVIATION));
+            add_outer(&mut grams[c], &row, 1.0);
+        },
+        |total, part| {
+            for (sum, part) in total.iter_mut().zip(part) {
+                *sum += part;
             }
-        }
-    });
+        },
+    );
     let mut explained = [0.0; 5];
-    for c in 0..3 {
-        let set = c.min(sets - 1);
-        let mut gram = DMatrix::zeros(columns[set], columns[set]);
-        parts.iter().for_each(|p| gram += &p[c]);
+    for (c, gram) in grams.iter_mut().enumerate() {
+        let set = group(c);
         gram.fill_upper_triangle_with_lower_triangle();
         let first = active[set].len();
         let mut from = first;
         for (explained, &size) in explained.iter_mut().zip(&sizes) {
             let template: Vec<usize> = (from..from + size).collect();
-            *explained += accounted_for(&gram, first, &template, columns[set] - 1) - size as f64;
+            *explained += accounted_for(gram, first, &template, columns[set] - 1) - size as f64;
             from += size;
         }
     }
@@ -254,7 +254,7 @@ fn scatter(objective: &Objective<'_>, model: &[ModelImage]) -> Scatter {
             let z = objective
                 .deviation(model, light, cell, c)
                 .map_or(0.0, |d| d.0);
-            z.clamp(-WILD, WILD)
+            z.clamp(-MAX_DEVIATION, MAX_DEVIATION)
         };
         for cell in (0..cells.len()).filter(|&p| objective.is_compared(light, p)) {
             count += 3;
@@ -275,45 +275,38 @@ fn scatter(objective: &Objective<'_>, model: &[ModelImage]) -> Scatter {
     }
 }
 
-/// Weight above which an atom counts as part of the fit.
-const ACTIVE: f64 = 1e-6;
-
 /// Squared length of the projection of column `z` on the template columns, both freed
 /// of columns `0..known`; from the columns' inner products.
 fn accounted_for(gram: &DMatrix<f64>, known: usize, template: &[usize], z: usize) -> f64 {
-    let solve = |rows: &[usize], rhs: &DMatrix<f64>, matrix: &DMatrix<f64>| -> DMatrix<f64> {
-        // Scaled to a unit diagonal, with a ridge: columns can be nearly equal.
-        let n = rows.len();
-        let scale: Vec<f64> = (0..n)
-            .map(|i| 1.0 / matrix[(i, i)].max(f64::MIN_POSITIVE).sqrt())
-            .collect();
-        let scaled = DMatrix::from_fn(n, n, |i, j| {
-            let ridge = if i == j { 1e-6 } else { 0.0 };
-            matrix[(i, j)] * scale[i] * scale[j] + ridge
-        });
-        let mut x = DMatrix::from_fn(n, rhs.ncols(), |i, j| rhs[(i, j)] * scale[i]);
-        match Cholesky::new(scaled) {
-            Some(factor) => factor.solve_mut(&mut x),
-            None => x.fill(0.0),
-        }
-        DMatrix::from_fn(n, rhs.ncols(), |i, j| x[(i, j)] * scale[i])
-    };
     let atoms: Vec<usize> = (0..known).collect();
     let pick =
         |a: &[usize], b: &[usize]| DMatrix::from_fn(a.len(), b.len(), |i, j| gram[(a[i], b[j])]);
     let both: Vec<usize> = template.iter().copied().chain([z]).collect();
-    let cross = pick(&atoms, &both);
-    let freed =
-        pick(&both, &both) - cross.transpose() * solve(&atoms, &cross, &pick(&atoms, &atoms));
+    let inverse = regularised_inverse(&pick(&atoms, &atoms));
+    let freed = Marginal::new(&pick(&both, &both), &pick(&both, &atoms), &inverse).information;
     let k = template.len();
-    // A template that other weights can make says nothing.
+    // A template that other weights can make is no evidence.
     let own: Vec<usize> = (0..k)
         .filter(|&i| freed[(i, i)] > 1e-4 * gram[(template[i], template[i])])
         .collect();
     let matrix = DMatrix::from_fn(own.len(), own.len(), |i, j| freed[(own[i], own[j])]);
-    let rhs = DMatrix::from_fn(own.len(), 1, |i, _| freed[(own[i], k)]);
-    let x = solve(&own, &rhs, &matrix);
-    (rhs.transpose() * x)[(0, 0)]
+    let rhs = DVector::from_fn(own.len(), |i, _| freed[(own[i], k)]);
+    rhs.dot(&(regularised_inverse(&matrix) * &rhs))
+}
+
+/// Inverse of inner products, scaled to a unit diagonal with a ridge: columns can be nearly
+/// equal. Zero for a column that is zero, as that of black is.
+fn regularised_inverse(matrix: &DMatrix<f64>) -> DMatrix<f64> {
+    let n = matrix.nrows();
+    let scale = matrix
+        .diagonal()
+        .map(|d| if d > 0.0 { 1.0 / d.sqrt() } else { 0.0 });
+    let scaled = DMatrix::from_fn(n, n, |i, j| {
+        let ridge = if i == j { 1e-6 } else { 0.0 };
+        matrix[(i, j)] * scale[i] * scale[j] + ridge
+    });
+    let inverse = Cholesky::new(scaled).map_or_else(|| DMatrix::zeros(n, n), |c| c.inverse());
+    DMatrix::from_fn(n, n, |i, j| inverse[(i, j)] * scale[i] * scale[j])
 }
 
 #[cfg(test)]
@@ -329,7 +322,25 @@ mod tests {
         }
     }
 
-    /// The dictionary explains a little of anything, so it must lead unless the material departs;
+    /// Columns: an atom, black, a template, the residual 2 · atom + 3 · template. Freed of the
+    /// atom the template accounts for 9 times its own part orthogonal to it.
+    #[test]
+    fn a_template_accounts_for_its_part_in_the_residual() {
+        let rows = DMatrix::from_row_slice(
+            3,
+            4,
+            &[
+                1.0, 0.0, 1.0, 5.0, //
+                0.0, 0.0, 2.0, 6.0, //
+                0.0, 0.0, 1.0, 3.0,
+            ],
+        );
+        let gram = rows.tr_mul(&rows);
+        let explained = accounted_for(&gram, 2, &[2], 3);
+        assert!((explained / 45.0 - 1.0).abs() < 1e-4, "{explained}");
+    }
+
+    /// The dictionary explains a little of anything, so it must lead unless there is a discrepancy;
     /// what nothing explains is said to be so, and what noise explains is nothing.
     #[test]
     fn the_leading_cause_is_named() {

@@ -1,15 +1,16 @@
-//! How the material departs from every mixture, estimated together with the weights.
+//! The model discrepancy: ln f beyond every mixture, estimated together with the weights.
 //!
 //! Around a fit the images change by J δx + G z, with δx a step of the weights and z the
 //! modes of a smooth discrepancy ([`crate::brdf::discrepancy`]), standard normal a priori times
 //! an amplitude. What z could have made is no evidence about the weights: their information
 //! is the Schur complement F_xx − F_xz (F_zz + Λ)⁻¹ F_zx. The amplitude is the one under which
-//! the images are most probable, and nothing departs unless that is much more probable. As a
+//! the images are most probable, and there is none unless that is much more probable. As a
 //! discrepancy is not small where light is reflected twice, the images are then taken to be
 //! linear once more, around what was found (docs/adr/0032).
 
 use nalgebra::{Cholesky, DMatrix, DVector};
 
+use super::normal_equations::Marginal;
 use super::objective::{Linearised, Objective, ResidualWeights};
 use crate::brdf::Dictionary;
 use crate::brdf::discrepancy::{self, Discrepancy};
@@ -20,18 +21,25 @@ mod amplitude;
 mod normal;
 
 use amplitude::amplitude;
-use normal::Normal;
+use normal::Joint;
 
 /// Variance that the equations of the discrepancy grant the images over what their weights
 /// say: they are linear in it, and far from where they were formed the images are not.
-const CAUTION: f64 = 10.0;
+const NOISE_INFLATION: f64 = 10.0;
 
 /// Largest amplitude: what measured materials have. Images that are not linear ask for more, and
 /// what they then get is not near enough to be linear around.
-const LARGEST: f64 = 1.0;
+const MAX_AMPLITUDE: f64 = 1.0;
+
+/// Mean square of the modes over their variance a priori up to which they count as found: a sum of
+/// some forty squares of standard normal numbers exceeds twice its mean once in 10⁴ times.
+const MAX_MEAN_SQUARE: f64 = 2.0;
+
+/// Largest inflation of the noise: nothing is left of the modes then.
+const MAX_NOISE_INFLATION: f64 = 1e9;
 
 /// Weights from which an atom counts as in use.
-const IN_USE: f64 = 1e-3;
+const SIGNIFICANT_WEIGHT: f64 = 1e-3;
 
 /// The discrepancy from the mixture of one set of weights.
 pub struct Eliminated {
@@ -39,11 +47,13 @@ pub struct Eliminated {
     free: DMatrix<f64>,
     /// Deviation of each a priori.
     amplitude: f64,
+    /// Variance that the equations grant the images over what their weights say.
+    noise_inflation: f64,
     /// (F_zz + Λ)⁻¹.
     covariance: DMatrix<f64>,
     /// F_xz.
     coupling: DMatrix<f64>,
-    /// Gᵀ W r, as if nothing departed yet.
+    /// Gᵀ W r around no discrepancy.
     score: DVector<f64>,
     /// Information of the weights, without what the discrepancy could have made.
     pub information: DMatrix<f64>,
@@ -54,8 +64,8 @@ pub struct Eliminated {
 }
 
 /// Where the images are taken to be linear.
-pub struct At<'a> {
-    /// The comparison, of what departs from the mixture if something does.
+pub struct LinearizationPoint<'a> {
+    /// The comparison, with the discrepancy applied.
     pub objective: &'a Objective<'a>,
     /// How the light that is reflected once changes with the discrepancy.
     pub direct: &'a DirectDiscrepancy,
@@ -68,60 +78,75 @@ pub struct At<'a> {
 }
 
 impl Eliminated {
-    /// The discrepancy from the mixture of each set of weights, around a fit in which nothing departs; nothing
-    /// where the images hardly ask for one.
-    pub fn first(at: &At<'_>, dictionary: &Dictionary) -> Vec<Self> {
+    /// The discrepancy from the mixture of each set of weights, around a fit without one; empty
+    /// where the evidence for one is small.
+    pub fn first(at: &LinearizationPoint<'_>, dictionary: &Dictionary) -> Vec<Self> {
         let sets = at.mixture.iter();
         let free: Vec<_> = sets.map(|x| free_modes(dictionary, x)).collect();
-        let mut normal = normal::equations(at, &free);
-        let fitted: Vec<DVector<f64>> = normal
+        let mut joint = normal::equations(at, &free);
+        let fitted: Vec<DVector<f64>> = joint
             .iter()
             .zip(&free)
-            .map(|(normal, free)| free * (normal.covariance(1.0) * &normal.scores[1]))
+            .map(|(joint, free)| {
+                let modes = joint.score.rows_range(joint.weights..);
+                free * (joint.covariance(1.0, NOISE_INFLATION) * modes)
+            })
             .collect();
-        normal::blocks_after(at, &fitted, &free, &mut normal);
-        let amplitude = amplitude(&normal, at.mixture).min(LARGEST);
+        normal::blocks_after(at, &fitted, &free, &mut joint);
+        let amplitude = amplitude(&joint, at.mixture).min(MAX_AMPLITUDE);
         log::debug!("amplitude of the model discrepancy: {amplitude}");
         if amplitude == 0.0 {
             return Vec::new();
         }
-        let sets = normal.into_iter().zip(free);
-        sets.map(|(normal, free)| Self::new(normal, free, amplitude))
+        let sets = joint.into_iter().zip(free);
+        sets.map(|(joint, free)| Self::new(joint, free, amplitude))
             .collect()
     }
 
-    /// The same around a mixture from which the material departs in `at` by these `modes`, as
+    /// The same around a mixture whose discrepancy in `at` has these `modes`, as
     /// [`Eliminated::modes`] of `earlier` gave them.
-    pub fn again(at: &At<'_>, earlier: &[Self], modes: &[DVector<f64>]) -> Vec<Self> {
+    pub fn again(
+        at: &LinearizationPoint<'_>,
+        earlier: &[Self],
+        modes: &[DVector<f64>],
+    ) -> Vec<Self> {
         let free: Vec<_> = earlier.iter().map(|e| e.free.clone()).collect();
         let sets = normal::equations(at, &free).into_iter();
         sets.zip(free)
             .zip(earlier.iter().zip(modes))
-            .map(|((mut normal, free), (earlier, modes))| {
-                normal.scores[0] += &normal.coupling * modes;
-                normal.scores[1] += &normal.discrepancy * modes;
-                Self::new(normal, free, earlier.amplitude)
+            .map(|((mut joint, free), (earlier, modes))| {
+                joint.score += joint.information.columns_range(joint.weights..) * modes;
+                Self::new(joint, free, earlier.amplitude)
             })
             .collect()
     }
 
-    fn new(normal: Normal, free: DMatrix<f64>, amplitude: f64) -> Self {
-        let covariance = normal.covariance(amplitude);
-        let through = &normal.coupling * &covariance;
-        let left = |[weights, modes]: &[DVector<f64>; 2]| weights - &through * modes;
-        let information = &normal.information - &through * normal.coupling.transpose();
+    fn new(joint: Joint, free: DMatrix<f64>, amplitude: f64) -> Self {
+        // Images far from linear in the modes ask for more than the modes can be.
+        let of_modes = joint.score.rows_range(joint.weights..);
+        let most = MAX_MEAN_SQUARE * amplitude * amplitude * of_modes.len() as f64;
+        let mut noise_inflation = NOISE_INFLATION;
+        let covariance = loop {
+            let covariance = joint.covariance(amplitude, noise_inflation);
+            let modes = &covariance * of_modes;
+            if modes.norm_squared() <= most || noise_inflation > MAX_NOISE_INFLATION {
+                break covariance;
+            }
+            noise_inflation *= 2.0;
+        };
+        log::debug!("the discrepancy's noise is inflated by {noise_inflation}");
+        let [weights, coupling, _] = joint.parts();
+        let marginal = Marginal::new(&weights, &coupling, &covariance);
         Self {
-            information: 0.5 * (&information + information.transpose()),
-            total_score: left(&normal.scores),
-            block_scores: normal.blocks.iter().map(left).collect(),
+            total_score: marginal.score(&joint.score),
+            block_scores: joint.blocks.iter().map(|s| marginal.score(s)).collect(),
+            information: marginal.information,
             free,
             amplitude,
+            noise_inflation,
             covariance,
-            coupling: normal.coupling,
-            score: {
-                let [_, modes] = normal.scores;
-                modes
-            },
+            coupling,
+            score: joint.score.rows_range(joint.weights..).into_owned(),
         }
     }
 
@@ -144,7 +169,7 @@ impl Eliminated {
     /// A draw of the discrepancy there.
     pub fn draw(&self, step: &DVector<f64>, numbers: &mut Stream) -> Discrepancy {
         let mut z = self.modes(step);
-        if let Some(root) = Cholesky::new(&self.covariance * CAUTION) {
+        if let Some(root) = Cholesky::new(&self.covariance * self.noise_inflation) {
             let normal = DVector::from_iterator(z.len(), (0..z.len()).map(|_| numbers.normal()));
             z += root.l() * normal;
         }
@@ -158,7 +183,7 @@ impl Eliminated {
 pub(super) fn free_modes(dictionary: &Dictionary, mixture: &DVector<f64>) -> DMatrix<f64> {
     let modes = discrepancy::modes();
     let used: Vec<usize> = (0..mixture.len())
-        .filter(|&k| mixture[k] > IN_USE)
+        .filter(|&k| mixture[k] > SIGNIFICANT_WEIGHT)
         .collect();
     let mut rows = DMatrix::<f64>::zeros(used.len(), modes.ncols());
     for (k, node) in discrepancy::nodes().enumerate() {

@@ -96,6 +96,13 @@ pub enum Finding {
         /// Standard uncertainty of its natural logarithm.
         log_std: f64,
     },
+    /// The images ask for a material that reflects more than arrives; it was bounded.
+    Bounded {
+        /// 0 to 2.
+        channel: usize,
+        /// Largest directional albedo before, above 1.
+        albedo: f64,
+    },
     /// An image looks like that of another light, or turned over.
     Exchanged {
         /// Index of the image.
@@ -118,6 +125,8 @@ pub(super) struct Judged<'a> {
     pub informed: Vec<Option<usize>>,
     /// Per channel: weight of black in the reported mixture; `None` without such an atom.
     pub black: [Option<f64>; 3],
+    /// Per channel: largest directional albedo of the material before it was bounded.
+    pub albedo: [f64; 3],
     /// Mean square residual in variances, per light and channel.
     pub reduced_chi2: &'a [[f64; 3]],
 }
@@ -145,6 +154,9 @@ const IMPOSSIBLE_BRIGHTNESS: f64 = 2.0;
 /// Factor between the irradiance stated and the one that interreflections ask for, either way.
 /// Of measured materials on a bowl whose irradiance is known it was 0.95 to 1.10 (docs/adr/0034).
 const NOTABLE_SCALE: f64 = 1.25;
+/// Directional albedo that the material may have before it is bounded: what posterior and
+/// interpolation between angles are wrong by.
+const NOTABLE_ALBEDO: f64 = 1.02;
 /// By how many of its standard uncertainties the logarithm of that factor must differ from 0.
 const SURE_SCALE: f64 = 4.0;
 /// An image looks like another's if what a scaled copy of that leaves is so much less.
@@ -180,7 +192,10 @@ pub(super) fn find(judged: &Judged<'_>) -> Vec<Finding> {
         found.extend(without_structure(values, image));
         found.extend(scatter(objective, model, image));
     }
-    for channel in 0..3 {
+    for (channel, &albedo) in judged.albedo.iter().enumerate() {
+        if albedo > NOTABLE_ALBEDO {
+            found.push(Finding::Bounded { channel, albedo });
+        }
         let of_channel = || values.iter().flatten().filter(|v| v.channel == channel);
         let bright = judged.black[channel].is_none_or(|black| black < BRIGHT);
         let ratio = brightness(of_channel());

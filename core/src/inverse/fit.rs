@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use nalgebra::DVector;
 
+use super::average::averaged;
 use super::bench::system::BenchLinearisation;
 use super::cells::{Captured, check_count};
 use super::comparison::Comparison;
@@ -13,7 +14,8 @@ use super::intervals::{self, Interval};
 use super::objective::DiscrepancyModel;
 use super::options::{FitError, FitOptions, Optimizer};
 use super::posterior::{Posterior, posterior};
-use super::solve::{Paths, Solution, Solved, solve};
+use super::projection::ProjectionError;
+use super::solve::{Paths, Solved, solve};
 use super::trace::{Step, Termination};
 use super::uncertainty::Draws;
 use crate::brdf::dictionary::Dictionary;
@@ -119,74 +121,45 @@ pub(super) fn fit_on_bench(
     progress: &dyn Progress,
 ) -> Result<Fit, FitError> {
     check_count(scene, captured.images.len())?;
-    let dictionary = Arc::new(dictionary.clone());
-    if !options.adapt_paths || options.optimizer == Optimizer::SingleBounce {
-        return fit_from(scene, captured, &dictionary, None, options, bench, progress);
-    }
-    let mut quick = options.clone();
-    quick.cache.samples_per_cell = (options.cache.samples_per_cell / QUICKER).max(2);
-    let first = {
-        // Its paths are gone before the others are traced.
-        let paths = Paths::trace(scene, &captured.cells, &dictionary, None, &quick, progress)?;
-        let objective = paths.objective(captured, &quick);
-        solve(&paths, &objective, None, &quick, progress)?.solution
+    let find = |dictionary: Dictionary| {
+        let dictionary = Arc::new(dictionary);
+        find(scene, captured, &dictionary, options, bench, progress)
     };
-    let mut options = options.clone();
-    if let Ok(mixture) = Mixture::new(dictionary.clone(), first.weights.clone()) {
-        options.cache.proposal = Proposal::resembling(&mixture, DEFENSIVE);
-    }
-    let first = Some(&first);
-    fit_from(
-        scene,
-        captured,
-        &dictionary,
-        first,
-        &options,
-        bench,
-        progress,
-    )
-}
 
-/// [`fit`] on paths traced once, from an earlier solution for the same images or from the
-/// single-bounce start.
-pub(super) fn fit_from(
-    scene: &Scene,
-    captured: &Captured,
-    dictionary: &Arc<Dictionary>,
-    earlier: Option<&Solution>,
-    options: &FitOptions,
-    bench: Option<&BenchLinearisation>,
-    progress: &dyn Progress,
-) -> Result<Fit, FitError> {
-    let paths = Paths::trace(
-        scene,
-        &captured.cells,
-        dictionary,
-        earlier,
-        options,
-        progress,
-    )?;
-    let objective = paths.objective(captured, options);
-    let mut solved = solve(&paths, &objective, earlier, options, progress)?;
-    progress.begin("uncertainty", None);
-    let mut timings = std::mem::take(&mut solved.solution.timings);
+    // The estimate, or the average of two.
+    let averages = options.draws > 0 && matches!(options.optimizer, Optimizer::GaussNewton(_));
+    let part = match dictionary.first_part().filter(|_| averages) {
+        Some(part) => {
+            let Found {
+                posterior, solved, ..
+            } = find(part)?;
+            Some((posterior, solved.solution.timings))
+        }
+        None => None,
+    };
+    let Found {
+        paths,
+        solved,
+        mut posterior,
+    } = find(dictionary.clone())?;
+    let mut timings = solved.solution.timings;
+    if let Some((of_part, of_part_timings)) = part {
+        timings.join(&of_part_timings);
+        posterior =
+            averaged(posterior, of_part, options.cache.seed).map_err(ProjectionError::from)?;
+    }
+    let albedo = timings.time("uncertainty", || posterior.be_physical(options.cache.seed));
     let Posterior {
         draws,
         material,
         discrepancy,
-    } = timings.time("uncertainty", || {
-        posterior(scene, &paths, &objective, &solved, options, bench)
-    })?;
-    let Solved {
-        solution,
-        mixture,
-        pass,
-        termination,
-        ..
-    } = solved;
+    } = posterior;
+
+    // Its images.
+    let objective = paths.objective(captured, options);
     let cache = &paths.cache;
     let outlier_fraction = (0..objective.lights())
-        .map(|light| objective.outlier_fraction(&pass.model, light))
+        .map(|light| objective.outlier_fraction(&solved.pass.model, light))
         .collect();
     let departed = timings.time("images", || {
         (discrepancy > 0.0)
@@ -205,12 +178,14 @@ pub(super) fn fit_from(
         (model, comparison)
     });
     let reduced_chi2 = comparison.reduced_chi2();
+
+    // What speaks against it.
     progress.begin("diagnosis", None);
     let diagnosis = timings.time("diagnosis", || {
         diagnosis::examine(&Examined {
             scene,
             objective: &objective,
-            mixture: &mixture,
+            mixture: &solved.mixture,
             material: &material,
             model: &model,
             seed: options.cache.seed,
@@ -224,23 +199,74 @@ pub(super) fn fit_from(
             .map(|set| (!set.posterior.is_empty()).then_some(set.informed))
             .collect(),
         black: black_weights(&material),
+        albedo,
         reduced_chi2: &reduced_chi2,
     });
     Ok(Fit {
         findings,
         material,
-        start: solution.start,
+        start: solved.solution.start,
         draws,
         discrepancy,
         comparison,
         diagnosis,
         outlier_fraction,
-        trace: solution.trace,
-        termination,
+        trace: solved.solution.trace,
+        termination: solved.termination,
         timings: timings.0,
         samples: [2 * cache.samples_per_half, cache.samples_requested],
         cache_size: cache.size(),
         kernel: options.kernel,
+    })
+}
+
+/// An estimate by one dictionary, with the paths that it was found on.
+struct Found {
+    paths: Paths,
+    solved: Solved,
+    posterior: Posterior,
+}
+
+/// Estimates the material: a first solution by fewer paths guides those of the second.
+fn find(
+    scene: &Scene,
+    captured: &Captured,
+    dictionary: &Arc<Dictionary>,
+    options: &FitOptions,
+    bench: Option<&BenchLinearisation>,
+    progress: &dyn Progress,
+) -> Result<Found, FitError> {
+    let cells = &captured.cells;
+    let mut options = options.clone();
+    let mut first = None;
+    if options.adapt_paths && options.optimizer != Optimizer::SingleBounce {
+        let mut quick = options.clone();
+        quick.cache.samples_per_cell = (options.cache.samples_per_cell / QUICKER).max(2);
+        let solution = {
+            // Its paths are gone before the others are traced.
+            let paths = Paths::trace(scene, cells, dictionary, None, &quick, progress)?;
+            let objective = paths.objective(captured, &quick);
+            solve(&paths, &objective, None, &quick, progress)?.solution
+        };
+        if let Ok(mixture) = Mixture::new(dictionary.clone(), solution.weights.clone()) {
+            options.cache.proposal = Proposal::resembling(&mixture, DEFENSIVE);
+        }
+        first = Some(solution);
+    }
+    let first = first.as_ref();
+    let paths = Paths::trace(scene, cells, dictionary, first, &options, progress)?;
+    let objective = paths.objective(captured, &options);
+    let mut solved = solve(&paths, &objective, first, &options, progress)?;
+    progress.begin("uncertainty", None);
+    let mut timings = std::mem::take(&mut solved.solution.timings);
+    let posterior = timings.time("uncertainty", || {
+        posterior(scene, &paths, &objective, &solved, &options, bench)
+    })?;
+    solved.solution.timings = timings;
+    Ok(Found {
+        paths,
+        solved,
+        posterior,
     })
 }
 

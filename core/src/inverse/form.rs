@@ -1,6 +1,6 @@
-//! What an as-made surface that departs from its mesh adds to the spread of the weights.
+//! What the form error of an as-made surface adds to the covariance of the score.
 //!
-//! Departures of the stated rms are drawn ([`FormError::field`]) and the images' change d
+//! Deformations of the stated rms are drawn ([`FormError::field`]) and the images' change d
 //! with each is traced with shared random numbers. The weights' score changes by JᵀWd;
 //! the second moment of that over the draws is the covariance that the mesh adds, every
 //! product taken between independent halves of the samples (docs/adr/0029).
@@ -8,21 +8,20 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::bench::derivatives::{AVERAGED, DerivativeImages, DerivativeOptions};
-use super::bench::system::Model;
-use super::objective::ResidualWeights;
-use super::uncertainty::mapped;
+use super::normal_equations::with_eigenvalues;
+use super::objective::{Objective, ResidualWeights};
 use crate::brdf::Mixture;
 use crate::geometry::FormError;
 use crate::random::{Purpose, stream};
 use crate::transport::{Proposal, Scene, Steering};
 
-/// Departures that are drawn: the deviation that they give is itself known within an eighth.
-const DEPARTURES: usize = 32;
-/// Departures that are traced together, which bounds the memory.
+/// Deformations that are drawn: the deviation that they give is itself known within an eighth.
+const DEFORMATIONS: usize = 32;
+/// Deformations that are traced together, which bounds the memory.
 const TOGETHER: usize = 4;
 /// Direct reflection: square root of the samples per cell.
 const DIRECT_STRATA: u32 = 4;
-/// Paths per cell in each half and for each departure.
+/// Paths per cell in each half and for each deformation.
 const SAMPLES_PER_HALF: u32 = 4;
 /// Longest path in surface reflections.
 const REFLECTIONS: u32 = 6;
@@ -30,7 +29,7 @@ const REFLECTIONS: u32 = 6;
 /// Covariance of the score per set of weights, N × N each, at `mixture`, whose BRDF is
 /// `material`.
 pub(super) fn score_covariance(
-    model: &Model<'_>,
+    objective: &Objective<'_>,
     scene: &Scene,
     error: &FormError,
     residual_weights: &ResidualWeights,
@@ -38,8 +37,8 @@ pub(super) fn score_covariance(
     material: &Mixture,
     seed: u64,
 ) -> Vec<DMatrix<f64>> {
-    let (n, sets) = (model.objective.atoms(), model.objective.sets());
-    let wanted = model.objective.compared_pixels();
+    let (n, sets) = (objective.atoms(), objective.sets());
+    let wanted = objective.compared_pixels();
     let edge_mm = scene.sample().mean_edge_mm();
     let options = DerivativeOptions {
         samples_per_half: SAMPLES_PER_HALF,
@@ -51,79 +50,65 @@ pub(super) fn score_covariance(
         average: AVERAGED,
     };
     let mut covariance = vec![DMatrix::zeros(n, n); sets];
-    for first in (0..DEPARTURES).step_by(TOGETHER) {
-        let deformed = (first..first + TOGETHER).map(|departure| {
-            let mut numbers = stream(seed, Purpose::FormError, 0, departure as u64, 0);
+    for first in (0..DEFORMATIONS).step_by(TOGETHER) {
+        let deformed = (first..first + TOGETHER).map(|deformation| {
+            let mut numbers = stream(seed, Purpose::FormError, 0, deformation as u64, 0);
             let field = error.field(edge_mm, &mut numbers);
             [1.0, -1.0].map(|sign| field.deform(scene.sample(), sign))
         });
         let images = DerivativeImages::of_shapes(
             scene,
-            model.objective.cells(),
+            objective.cells(),
             deformed.collect(),
             material,
             &wanted,
             &options,
         );
-        let scores = scores(model, &images, residual_weights, mixture);
+        let scores = scores(objective, &images, residual_weights, mixture);
         for (covariance, scores) in covariance.iter_mut().zip(scores) {
             for [a, b] in scores {
-                covariance.ger(0.5 / DEPARTURES as f64, &a, &b, 1.0);
-                covariance.ger(0.5 / DEPARTURES as f64, &b, &a, 1.0);
+                covariance.ger(0.5 / DEFORMATIONS as f64, &a, &b, 1.0);
+                covariance.ger(0.5 / DEFORMATIONS as f64, &b, &a, 1.0);
             }
         }
     }
-    // What is below 0 is the paths' noise.
-    let semidefinite = |covariance| mapped(covariance, |v| v.max(0.0));
-    covariance.into_iter().map(semidefinite).collect()
+    // Not the rule of `above_noise`: a slight form error would vanish in whole, and eigenvalues
+    // that are noise make intervals a little wider, not narrower.
+    let positive = |covariance| with_eigenvalues(covariance, |v| v.max(0.0));
+    covariance.into_iter().map(positive).collect()
 }
 
-/// JᵀWd per set, departure and half.
+/// JᵀWd per group, deformation and half.
 fn scores(
-    model: &Model<'_>,
+    objective: &Objective<'_>,
     images: &DerivativeImages,
     residual_weights: &ResidualWeights,
     mixture: &[DVector<f64>],
 ) -> Vec<Vec<[DVector<f64>; 2]>> {
-    let (n, sets) = (model.objective.atoms(), model.objective.sets());
-    let none = || vec![vec![[DVector::zeros(n), DVector::zeros(n)]; TOGETHER]; sets];
-    let parts = model
-        .objective
-        .evaluate(mixture, false, none, |sums, rows| {
-            let mut by_weight = [vec![0.0; n], vec![0.0; n]];
-            for (light, residual_weights) in residual_weights.iter().enumerate() {
-                for (c, &w) in residual_weights[rows.cell].iter().enumerate() {
-                    if w <= 0.0 {
-                        continue;
-                    }
-                    let set = c.min(sets - 1);
-                    let [a, b] = &mut by_weight;
-                    model.objective.derivatives(rows, light, c, [a, b]);
-                    for (departure, _, change) in
-                        images.at(rows.cell).filter(|(_, l, _)| *l == light)
-                    {
-                        for (half, sum) in sums[set][departure].iter_mut().enumerate() {
-                            let factor = w * f64::from(change.halves[half][c]);
-                            for (sum, derivative) in sum.iter_mut().zip(&by_weight[half]) {
-                                *sum += factor * derivative;
-                            }
-                        }
+    let (n, sets) = (objective.atoms(), objective.sets());
+    objective.accumulate(
+        mixture,
+        residual_weights,
+        false,
+        || vec![vec![[DVector::zeros(n), DVector::zeros(n)]; TOGETHER]; sets],
+        |sums, value| {
+            let changes = images.at(value.cell);
+            for (deformation, _, change) in changes.filter(|(_, l, _)| *l == value.light) {
+                for (half, sum) in sums[value.group][deformation].iter_mut().enumerate() {
+                    let factor = value.weight * f64::from(change.halves[half][value.channel]);
+                    for (sum, derivative) in sum.iter_mut().zip(value.by_weights[half]) {
+                        *sum += factor * derivative;
                     }
                 }
             }
-        });
-    let mut total = none();
-    for part in parts {
-        for (sum, part) in total
-            .iter_mut()
-            .flatten()
-            .flatten()
-            .zip(part.iter().flatten().flatten())
-        {
-            *sum += part;
-        }
-    }
-    total
+        },
+        |total, part| {
+            let total = total.iter_mut().flatten().flatten();
+            for (sum, part) in total.zip(part.into_iter().flatten().flatten()) {
+                *sum += part;
+            }
+        },
+    )
 }
 
 #[cfg(test)]
@@ -167,7 +152,7 @@ pub(super) mod tests {
         )
     }
 
-    /// Fits of samples that depart by the stated error scatter as the covariance says,
+    /// Fits of samples with the stated form error scatter as the covariance says,
     /// at several angles. The images are made by the renderer, which shares nothing with
     /// the derivatives but the field; their noise is common and cancels.
     #[test]
@@ -215,13 +200,9 @@ pub(super) mod tests {
         let base = fitted(&images);
         let images = averaged(&images);
         let objective = paths.objective(&images, &options);
-        let model = Model {
-            objective: &objective,
-            cache: &paths.cache,
-        };
         let error = FormError::new(0.004, 1f64.to_radians()).unwrap();
         let covariance = score_covariance(
-            &model,
+            &objective,
             &scene,
             &error,
             &base.residual_weights,

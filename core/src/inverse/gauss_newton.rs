@@ -21,7 +21,7 @@ pub struct GaussNewton {
 }
 
 /// A change of ½χ² that no experiment could tell from noise.
-const SETTLED: f64 = 0.5;
+const NEGLIGIBLE_LOSS: f64 = 0.5;
 
 impl Default for GaussNewton {
     fn default() -> Self {
@@ -83,12 +83,12 @@ impl GaussNewton {
                 if new <= old {
                     accepted = true;
                     damping[set] = (damping[set] * 0.1).max(1e-9);
-                    settled[set] = old - new < self.tolerance * scale + SETTLED;
+                    settled[set] = old - new < self.tolerance * scale + NEGLIGIBLE_LOSS;
                 } else {
                     verdicts[set] = false;
                     damping[set] *= 10.0;
                     settled[set] =
-                        new - old < self.tolerance * scale + SETTLED || damping[set] > 1e3;
+                        new - old < self.tolerance * scale + NEGLIGIBLE_LOSS || damping[set] > 1e3;
                 }
             }
             for set in 0..sets {

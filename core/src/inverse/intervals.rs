@@ -4,7 +4,6 @@
 
 use super::uncertainty::Draws;
 use crate::brdf::discrepancy::Material;
-use crate::random::{Purpose, stream};
 
 /// f at one pair of angles, per channel, 1/sr.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -44,23 +43,13 @@ pub fn table(
                 (interval.value[c], interval.lower[c], interval.upper[c]) = (value, value, value);
                 continue;
             };
-            let spread = inadequacy(set.misfit, theta_h_deg, theta_d_deg);
-            let mut numbers = stream(
-                0,
-                Purpose::Posterior,
-                theta_h_deg.to_bits(),
-                theta_d_deg.to_bits(),
-                c as u64,
-            );
             let departed = |draw: usize| match set.discrepancies.get(draw) {
                 Some(discrepancy) => discrepancy.factor(theta_h_deg, theta_d_deg),
                 None => 1.0,
             };
             let mut posterior: Vec<f64> = (0..)
                 .zip(&set.posterior)
-                .map(|(draw, x)| {
-                    f(x.as_slice()) * departed(draw) * (spread * numbers.normal()).exp()
-                })
+                .map(|(draw, x)| f(x.as_slice()) * departed(draw))
                 .collect();
             let prior: Vec<f64> = set.prior.iter().map(|x| f(x.as_slice())).collect();
             interval.constrained &= deviation(&posterior) < 0.5 * deviation(&prior);

@@ -14,11 +14,14 @@
 //! Lights are added one by one, each time the one that leaves the least variance
 //! (docs/adr/0017).
 
+use std::sync::Arc;
+
 use nalgebra::{Cholesky, DMatrix, DVector, SymmetricEigen};
 use rayon::prelude::*;
 
-use super::cells::{CellOptions, choose};
-use super::objective::Modelled;
+use super::cells::{Captured, CellImage, CellOptions, Grid, choose};
+use super::normal_equations::{above_noise, add_product};
+use super::objective::{Channels, ModelImage, Objective};
 use super::uncertainty::{CONCENTRATION, dirichlet};
 use crate::brdf::Dictionary;
 use crate::brdf::ggx::Cosines;
@@ -74,7 +77,7 @@ const CELLS: usize = 500;
 /// Azimuths φd of the cells: materials change little with it.
 const AZIMUTHS: usize = 3;
 /// Keeps dark cells from counting without bound, 1/sr.
-const FAINT: f64 = 1e-3;
+const REFLECTANCE_FLOOR: f64 = 1e-3;
 
 /// Weights of plausible materials: draws of a symmetric Dirichlet distribution.
 pub fn prior_materials(dictionary: &Dictionary, count: usize, seed: u64) -> Vec<DVector<f64>> {
@@ -149,11 +152,12 @@ impl Prospects {
         for batch in lights.chunks(BATCH) {
             scene.lights = batch.to_vec();
             let grid = choose(&scene, &grid_options);
-            let cells = Cells::new(grid.resolution_px, grid.cells);
-            let direct = DirectMatrix::new(&scene, &cells, dictionary, DIRECT_STRATA, options.seed);
+            let captured = unknown_images(&scene, grid);
+            let cells = &*captured.cells;
+            let direct = DirectMatrix::new(&scene, cells, dictionary, DIRECT_STRATA, options.seed);
             let cache = Cache::trace(
                 &scene,
-                &cells,
+                cells,
                 dictionary,
                 &CacheOptions {
                     samples_per_cell: options.samples_per_cell,
@@ -162,13 +166,12 @@ impl Prospects {
                     ..CacheOptions::default()
                 },
             )?;
+            let shared = Channels::Shared;
+            let (kernel, error) = (options.kernel, options.model_error);
+            let objective = Objective::new(&cache, &direct, &captured, shared, kernel, error);
             for (roots, weights) in roots.iter_mut().zip(materials) {
-                let images = images_of(&cache, &direct, weights, options.kernel);
-                let new: Vec<_> = images
-                    .par_iter()
-                    .map(|image| root(&information(image, &cells, options)))
-                    .collect();
-                roots.extend(new);
+                let information = information(&objective, weights, options);
+                roots.extend(information.into_iter().map(root));
             }
         }
         let prior = prior_covariance(dictionary.len());
@@ -193,7 +196,7 @@ impl Prospects {
     }
 
     /// Up to `count` candidates beyond those `taken`, best first: each is the one that
-    /// leaves the least variance beside all before it.
+    /// leaves the least variance together with all before it.
     pub fn greedy(&self, taken: &[usize], count: usize) -> Vec<Choice> {
         let mut used = vec![false; self.candidates];
         taken.iter().for_each(|&light| used[light] = true);
@@ -309,16 +312,31 @@ fn update(covariance: &mut DMatrix<f64>, root: &DMatrix<f64>) {
     }
 }
 
-/// R with R Rᵀ the nearest positive semidefinite matrix, without its null space.
-fn root(information: &DMatrix<f64>) -> DMatrix<f64> {
-    let eigen = SymmetricEigen::new(information.clone());
+/// Images that are not taken yet, over the cells of a scene.
+fn unknown_images(scene: &Scene, grid: Grid) -> Captured {
+    let none = CellImage {
+        mean: vec![[0.0; 3]; grid.cells.len()],
+        variance: vec![[0.0; 3]; grid.cells.len()],
+    };
+    Captured {
+        images: vec![none; scene.lights.len()],
+        cells: Arc::new(Cells::new(grid.resolution_px, grid.cells)),
+        edges: grid.edges,
+        outliers: 0,
+    }
+}
+
+/// R with R Rᵀ the information above Monte Carlo noise, without its null space.
+fn root(information: DMatrix<f64>) -> DMatrix<f64> {
+    let n = information.nrows();
+    let eigen = SymmetricEigen::new(above_noise(information));
     let largest = eigen.eigenvalues.max();
-    let columns: Vec<DVector<f64>> = (0..eigen.eigenvalues.len())
+    let columns: Vec<DVector<f64>> = (0..n)
         .filter(|&k| eigen.eigenvalues[k] > 1e-10 * largest)
         .map(|k| eigen.eigenvectors.column(k) * eigen.eigenvalues[k].sqrt())
         .collect();
     match columns.is_empty() {
-        true => DMatrix::zeros(information.nrows(), 0),
+        true => DMatrix::zeros(n, 0),
         false => DMatrix::from_columns(&columns),
     }
 }
@@ -342,7 +360,7 @@ fn metric(dictionary: &Dictionary, weights: &DVector<f64>) -> DMatrix<f64> {
             continue;
         };
         let atoms = DVector::from_iterator(n, dictionary.atoms().iter().map(|a| a.eval(&at)));
-        let f = atoms.dot(weights) + FAINT;
+        let f = atoms.dot(weights) + REFLECTANCE_FLOOR;
         let solid_angle = f64::from(cell.solid_angle);
         // (d∛(cos·f)/df)² = cos^(2/3) f^(−4/3) / 9.
         let weight = solid_angle * at.cos_i.powf(2.0 / 3.0) * f.powf(-4.0 / 3.0) / 9.0;
@@ -353,92 +371,59 @@ fn metric(dictionary: &Dictionary, weights: &DVector<f64>) -> DMatrix<f64> {
     metric / total
 }
 
-/// One cell's mean value and derivatives of both halves.
-struct Value {
-    /// Whether a fit would compare it: wholly on the sample, and no edge of a shadow.
-    compared: bool,
-    modelled: Modelled,
-    rows: [DVector<f64>; 2],
-}
-
-/// All cells under each light of the cache.
-fn images_of(
-    cache: &Cache,
-    direct_matrix: &DirectMatrix,
+/// Information of each light's image about the weights: sym(J_Aᵀ W J_B), scaled to the number
+/// of independent values. Values are compared and weighed as in a fit: a residual's weight comes
+/// from the cell's neighbours, since one whose paths missed the light would count as certain.
+fn information(
+    objective: &Objective<'_>,
     weights: &DVector<f64>,
-    kernel: Kernel,
-) -> Vec<Vec<Value>> {
+    options: &SelectionOptions,
+) -> Vec<DMatrix<f64>> {
+    let (cells, mixture) = (objective.cells(), std::slice::from_ref(weights));
+    // Each counts by the part of the field that it covers.
+    let field: usize = cells.resolution_px().iter().product();
+    let per_pixel = options.independent_values / field as f64;
+    let of_light = |(light, image): (usize, &ModelImage)| {
+        let values = image.iter().map(|cell| cell[0].value());
+        let lit = values.clone().filter(|&value| value > 0.0).count();
+        let mean = values.sum::<f64>() / lit.max(1) as f64;
+        let noise = (options.noise * mean).powi(2);
+        let weight = |cell: usize| {
+            let compared = |&other: &usize| objective.is_compared(light, other);
+            if mean <= 0.0 || !compared(&cell) {
+                return [0.0; 3];
+            }
+            let near = cells.around(cell).filter(compared);
+            let [value, rendered] = image[cell][0].expected(near.map(|other| image[other][0]));
+            let variance = (options.model_error * value).powi(2) + rendered + noise;
+            let scale = per_pixel * cells.cell(cell).pixels() as f64;
+            // One channel: a lamp's colour is not known.
+            [scale / variance, 0.0, 0.0]
+        };
+        (0..cells.len()).map(weight).collect()
+    };
+    let model = objective.modelled(mixture);
+    let residual_weights: Vec<_> = model.iter().enumerate().map(of_light).collect();
     let n = weights.len();
-    let parts = cache.evaluate(
-        kernel,
-        &[weights.as_slice()],
-        Vec::new,
-        |part: &mut Vec<Vec<Value>>, rows| {
-            let of = |light: usize| {
-                let row = direct_matrix.row(rows.cell, light);
-                let derivatives = [0, 1].map(|half: usize| {
-                    let indirect = &rows.jacobian[half][light * n..(light + 1) * n];
-                    DVector::from_fn(n, |k, _| f64::from(row[k]) + f64::from(indirect[k]))
-                });
-                let indirect = 0.5 * (rows.value[0][light] + rows.value[1][light]);
-                let direct: f64 = row
-                    .iter()
-                    .zip(weights)
-                    .map(|(&d, w)| f64::from(d) * w)
-                    .sum();
-                let lit = direct_matrix.lit(rows.cell, light);
-                Value {
-                    compared: direct_matrix.coverage[rows.cell] >= 1.0
-                        && (lit == 0.0 || lit == 1.0),
-                    modelled: Modelled {
-                        direct,
-                        indirect: f64::from(indirect),
-                        variance: f64::from(rows.variance[light]),
-                    },
-                    rows: derivatives,
-                }
-            };
-            part.push((0..cache.lights).map(of).collect());
+    let mut all = objective.accumulate(
+        mixture,
+        &residual_weights,
+        false,
+        || vec![DMatrix::zeros(n, n); objective.lights()],
+        |sums, value| {
+            let [a, b] = value.by_weights;
+            add_product(&mut sums[value.light], a, b, value.weight);
+        },
+        |total, part| {
+            for (sum, part) in total.iter_mut().zip(part) {
+                *sum += part;
+            }
         },
     );
-    let mut images: Vec<Vec<Value>> = (0..cache.lights).map(|_| Vec::new()).collect();
-    for cell in parts.into_iter().flatten() {
-        for (image, value) in images.iter_mut().zip(cell) {
-            image.push(value);
-        }
+    for sum in &mut all {
+        sum.fill_upper_triangle_with_lower_triangle();
     }
-    images
-}
-
-/// Of one image: sym(J_Aᵀ W J_B) of independent halves, scaled to the number of
-/// independent values. Like the fit's, a residual's weight comes from the pixel's
-/// neighbours: a pixel whose paths missed the light would otherwise count as certain.
-fn information(image: &[Value], cells: &Cells, options: &SelectionOptions) -> DMatrix<f64> {
-    let values = || image.iter().map(|pixel| pixel.modelled.value());
-    let lit = values().filter(|&value| value > 0.0).count();
-    let mean = values().sum::<f64>() / lit.max(1) as f64;
-    let n = image.first().map_or(0, |pixel| pixel.rows[0].len());
-    let mut sum = DMatrix::zeros(n, n);
-    if mean <= 0.0 {
-        return sum;
-    }
-    let floor = (options.noise * mean).powi(2);
-    // Each counts by the part of the field that it covers.
-    let field = [0, 1].map(|k| cells.resolution_px()[k] as f64);
-    let per_pixel = options.independent_values / (field[0] * field[1]);
-    for (at, pixel) in image.iter().enumerate().filter(|(_, p)| p.compared) {
-        let scale = per_pixel * cells.cell(at).pixels() as f64;
-        let near = cells.around(at).filter(|&other| image[other].compared);
-        let near = near.map(|other| image[other].modelled);
-        let [value, rendered] = pixel.modelled.expected(near);
-        let variance = (options.model_error * value).powi(2) + rendered + floor;
-        let [a, b] = &pixel.rows;
-        // The lower triangle of (a bᵀ + b aᵀ)/2.
-        sum.syger(0.5 * scale / variance, a, b, 1.0);
-        sum.syger(0.5 * scale / variance, b, a, 1.0);
-    }
-    sum.fill_upper_triangle_with_lower_triangle();
-    sum
+    all
 }
 
 #[cfg(test)]

@@ -24,7 +24,7 @@ const PER_PARAMETER_BYTES: u64 = 48;
 const GROUPS: u64 = 256;
 const GROUP_CELLS: u64 = 32;
 /// A record of a cached reflection, bytes, at most for the dictionaries of the program.
-const RECORD_BYTES: u64 = 96;
+const RECORD_BYTES: u64 = 144;
 /// Reflections beyond the first that a path of a bowl has, about, over all cells.
 const REFLECTIONS: u64 = 1;
 /// Fewest paths per cell: one in each half.
@@ -85,8 +85,9 @@ impl Size {
             + PER_ATOM_BYTES * atoms
             + PER_MODE_BYTES * modes
             + PER_PARAMETER_BYTES * self.bench_parameters as u64;
-        // Two matrices of each kind, for three channels, in double precision.
-        let per_group = 48 * (atoms * atoms + atoms * modes + modes * modes);
+        // Two matrices for three channels in double precision, and a third of that for scores and
+        // the matrices of what was summed before.
+        let per_group = 64 * (atoms + modes).pow(2);
         let groups = GROUPS.min((self.cells as u64).div_ceil(GROUP_CELLS));
         let values = self.values().saturating_mul(per_value);
         values.saturating_add(groups * per_group)

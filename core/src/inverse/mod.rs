@@ -1,6 +1,7 @@
 //! From images to weights: the objective, the simplex, the optimisers and what
 //! they can say about their own error.
 
+mod average;
 pub mod bench;
 mod brightest;
 pub mod budget;
@@ -17,6 +18,7 @@ pub mod gauss_newton;
 pub mod intervals;
 pub mod light_selection;
 pub mod memory;
+mod normal_equations;
 pub mod objective;
 pub mod options;
 pub mod plausibility;

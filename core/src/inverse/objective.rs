@@ -5,23 +5,26 @@
 //! Residual and derivative come from independent halves of the paths, so that
 //! the render's own noise biases neither the loss nor its gradient. Each value is
 //! weighted by 1/(σ²_captured + σ²_rendered + (τ I)²), the last term standing for
-//! what no mixture of the dictionary can explain; what paths say of I and σ_rendered is
-//! taken from the cell's neighbours, because a weight that follows a cell's own noise
+//! what no mixture of the dictionary can explain; I and σ_rendered as estimated by paths are
+//! those of the cell's neighbours, because a weight that follows a cell's own noise
 //! pulls the fit low ([`Modelled`]).
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DVector;
 
 use std::sync::Arc;
 
 use super::cells::Captured;
+use super::normal_equations::add_outer;
 use super::simplex::Quadratic;
 use crate::transport::{Cache, Cells, DirectMatrix, Kernel};
 
+mod compared;
 mod discrepancy;
 mod modelled;
 mod noise;
 mod pass;
 
+pub use compared::Value;
 pub use discrepancy::DiscrepancyModel;
 pub use modelled::Modelled;
 pub use noise::ScoreNoise;
@@ -37,12 +40,17 @@ pub enum Channels {
 }
 
 impl Channels {
-    /// Number of weight sets.
+    /// Number of channel groups, each with weights of its own.
     pub fn sets(self) -> usize {
         match self {
             Channels::Separate => 3,
             Channels::Shared => 1,
         }
+    }
+
+    /// The channel group of R, G or B, whose weights make it.
+    pub fn group(self, channel: usize) -> usize {
+        channel.min(self.sets() - 1)
     }
 }
 
@@ -56,8 +64,8 @@ pub struct Objective<'a> {
     kernel: Kernel,
     /// Relative model error τ, 0..=1.
     model_error: f64,
-    /// How the material departs from the mixture.
-    departed: Option<&'a DiscrepancyModel>,
+    /// The model discrepancy, where there is one.
+    discrepancy: Option<&'a DiscrepancyModel>,
 }
 
 /// What is compared, `[light][cell]`.
@@ -72,13 +80,13 @@ struct Values {
 
 /// Deviation, in standard deviations and in typical deviations of the neighbours, from
 /// which a value counts for less.
-const DOUBTFUL: f64 = 4.0;
+const OUTLIER_DEVIATIONS: f64 = 4.0;
 
 /// No captured variance counts as less than this part of the usual one around it.
-const LEAST_OF_NEAR: f64 = 0.01;
+const VARIANCE_FLOOR: f64 = 0.01;
 
 /// Part of the values that may count for less.
-const MOST_DOUBTED: f64 = 0.05;
+const MOST_OUTLIERS: f64 = 0.05;
 
 /// Modelled radiance, `[cell][channel]`.
 pub type ModelImage = Vec<[Modelled; 3]>;
@@ -127,7 +135,7 @@ impl<'a> Objective<'a> {
             channels,
             kernel,
             model_error,
-            departed: None,
+            discrepancy: None,
         }
     }
 
@@ -136,9 +144,14 @@ impl<'a> Objective<'a> {
         self.cache.atoms.atoms()
     }
 
-    /// Number of weight sets.
+    /// Number of channel groups, each with weights of its own.
     pub fn sets(&self) -> usize {
         self.channels.sets()
+    }
+
+    /// Which channels share weights.
+    pub fn channels(&self) -> Channels {
+        self.channels
     }
 
     /// Number of lamps.
@@ -216,6 +229,23 @@ impl<'a> Objective<'a> {
         })
     }
 
+    /// 1/σ² of each compared value as [`Self::deviation`] has it.
+    pub(super) fn inverse_variances(&self, model: &[ModelImage]) -> ResidualWeights {
+        let weight = |light: usize, cell: usize| match self.is_compared(light, cell) {
+            true => std::array::from_fn(|c| {
+                let deviation = self.deviation(model, light, cell, c);
+                deviation.map_or(0.0, |(_, sigma)| sigma.powi(-2))
+            }),
+            false => [0.0; 3],
+        };
+        let image = |light| {
+            (0..self.cells.len())
+                .map(|cell| weight(light, cell))
+                .collect()
+        };
+        (0..self.lights()).map(image).collect()
+    }
+
     /// Relative error that a model leaves beyond what the noise of capture and render
     /// explains, per set: root of the mean over the values, weighted as the fit weighs them.
     pub fn misfit(&self, model: &[ModelImage]) -> Vec<f64> {
@@ -231,7 +261,7 @@ impl<'a> Objective<'a> {
                     let noise = noise / (sigma * sigma);
                     // A few wild values are dust, not the material.
                     let excess = z.powi(2).min(25.0) - noise;
-                    let sum = &mut sums[self.set_of(c)];
+                    let sum = &mut sums[self.channels.group(c)];
                     sum[0] += excess;
                     sum[1] += (modelled.value() / sigma).powi(2);
                     sum[2] += excess * excess;
@@ -259,11 +289,9 @@ impl<'a> Objective<'a> {
         ]
     }
 
-    fn set_of(&self, channel: usize) -> usize {
-        match self.channels {
-            Channels::Separate => channel,
-            Channels::Shared => 0,
-        }
+    /// Strength of a lamp, by which radiances are divided.
+    pub(super) fn strength(&self, light: usize) -> [f64; 3] {
+        self.cache.strength[light]
     }
 
     /// Weights from a model, with the stated model error; the captured images themselves,
@@ -339,12 +367,12 @@ impl<'a> Objective<'a> {
     fn weights_allowing(
         &self,
         model: &[ModelImage],
-        doubting: bool,
+        robust: bool,
         model_error: &[f64],
     ) -> ResidualWeights {
         (0..self.lights())
             .map(|light| {
-                let trust = doubting.then(|| self.robust_weights(model, light));
+                let robust_weight = robust.then(|| self.robust_weights(model, light));
                 (0..self.cells.len())
                     .map(|cell| {
                         if !self.values.compared[light][cell] {
@@ -358,11 +386,16 @@ impl<'a> Objective<'a> {
                             let near = near.map(|other| model[light][other][c]);
                             let [intensity, rendered] = model[light][cell][c].expected(near);
                             let captured = self.values.variance[light][cell][c]
-                                .max(LEAST_OF_NEAR * self.near_variance(light, cell, c));
-                            let model = (model_error[self.set_of(c)] * intensity).powi(2) / area;
+                                .max(VARIANCE_FLOOR * self.near_variance(light, cell, c));
+                            let model =
+                                (model_error[self.channels.group(c)] * intensity).powi(2) / area;
                             let total = captured + rendered + model;
-                            let trust = trust.as_ref().map_or(1.0, |t| t[cell][c]);
-                            if total > 0.0 { trust / total } else { 0.0 }
+                            let robust_weight = robust_weight.as_ref().map_or(1.0, |t| t[cell][c]);
+                            if total > 0.0 {
+                                robust_weight / total
+                            } else {
+                                0.0
+                            }
                         })
                     })
                     .collect()
@@ -371,7 +404,7 @@ impl<'a> Objective<'a> {
     }
 
     /// How far each value of a light is believed, 0..=1: less than 1 only for isolated
-    /// values, which dust makes, and for at most `MOST_DOUBTED` of them. Where the
+    /// values, which dust makes, and for at most `MOST_OUTLIERS` of them. Where the
     /// neighbours deviate as well, the model is wrong and must not look right.
     pub fn robust_weights(&self, model: &[ModelImage], light: usize) -> Vec<[f64; 3]> {
         let deviation = |p: usize, c: usize| {
@@ -380,13 +413,13 @@ impl<'a> Objective<'a> {
                 .flatten()
                 .map(|d| d.0.abs())
         };
-        let mut trust = vec![[1.0; 3]; self.cells.len()];
-        let mut doubted = Vec::new();
+        let mut robust_weight = vec![[1.0; 3]; self.cells.len()];
+        let mut outliers = Vec::new();
         let mut compared = 0;
         for (p, c) in (0..self.cells.len()).flat_map(|p| [(p, 0), (p, 1), (p, 2)]) {
             let Some(z) = deviation(p, c) else { continue };
             compared += 1;
-            if z <= DOUBTFUL {
+            if z <= OUTLIER_DEVIATIONS {
                 continue;
             }
             let mut two_around = self.two_around(p);
@@ -401,17 +434,17 @@ impl<'a> Objective<'a> {
             } else {
                 *around.select_nth_unstable_by(middle, f64::total_cmp).1
             };
-            let limit = DOUBTFUL * typical.max(1.0);
+            let limit = OUTLIER_DEVIATIONS * typical.max(1.0);
             if z > limit {
-                doubted.push((z / limit, p, c));
+                outliers.push((z / limit, p, c));
             }
         }
-        doubted.sort_by(|a, b| b.0.total_cmp(&a.0));
-        doubted.truncate((MOST_DOUBTED * f64::from(compared)) as usize);
-        for (excess, p, c) in doubted {
-            trust[p][c] = excess.powi(-2);
+        outliers.sort_by(|a, b| b.0.total_cmp(&a.0));
+        outliers.truncate((MOST_OUTLIERS * f64::from(compared)) as usize);
+        for (excess, p, c) in outliers {
+            robust_weight[p][c] = excess.powi(-2);
         }
-        trust
+        robust_weight
     }
 
     /// The cells that touch one or its neighbours.
@@ -426,9 +459,9 @@ impl<'a> Objective<'a> {
 
     /// Part of a light's compared values that are believed less than the others.
     pub fn outlier_fraction(&self, model: &[ModelImage], light: usize) -> f64 {
-        let doubted = self.robust_weights(model, light).into_iter().flatten();
+        let outliers = self.robust_weights(model, light).into_iter().flatten();
         let compared = self.values.compared[light].iter().filter(|&&c| c).count();
-        doubted.filter(|&t| t < 1.0).count() as f64 / (3 * compared.max(1)) as f64
+        outliers.filter(|&t| t < 1.0).count() as f64 / (3 * compared.max(1)) as f64
     }
 
     /// Median captured variance of a compared cell and its neighbours. Of the whole image
@@ -461,7 +494,7 @@ impl<'a> Objective<'a> {
                 for (c, &w) in weights.iter().enumerate() {
                     if w > 0.0 {
                         let target = self.values.target[light][cell][c];
-                        let sum = &mut quadratics[self.set_of(c)];
+                        let sum = &mut quadratics[self.channels.group(c)];
                         add_outer(&mut sum.h, &row, w);
                         sum.g
                             .iter_mut()
@@ -485,28 +518,13 @@ impl<'a> Objective<'a> {
 }
 
 /// Part of a footprint that may show something else, or lie in another light.
-const TOLERATED: f32 = 0.01;
+const EDGE_FRACTION: f32 = 0.01;
 
 /// Whether a cell shows nothing but the sample, all lit or all in shadow: along silhouettes and
 /// edges of shadows an error of the pose or of the light's direction that is far below a pixel
 /// changes the radiance by any amount.
 fn is_smooth(direct: &DirectMatrix, cell: usize, light: usize) -> bool {
     let lit = direct.lit(cell, light);
-    direct.coverage[cell] >= 1.0 - TOLERATED && (lit <= TOLERATED || lit >= 1.0 - TOLERATED)
-}
-
-/// Lower triangle of `h += w · v vᵀ`.
-fn add_outer(h: &mut DMatrix<f64>, v: &[f64], w: f64) {
-    let n = v.len();
-    let data = h.as_mut_slice();
-    for j in 0..n {
-        let scale = w * v[j];
-        if scale != 0.0 {
-            let column = &mut data[j * n + j..(j + 1) * n];
-            column
-                .iter_mut()
-                .zip(&v[j..])
-                .for_each(|(h, &x)| *h += scale * x);
-        }
-    }
+    direct.coverage[cell] >= 1.0 - EDGE_FRACTION
+        && (lit <= EDGE_FRACTION || lit >= 1.0 - EDGE_FRACTION)
 }

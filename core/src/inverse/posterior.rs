@@ -2,20 +2,24 @@
 //! departs from their mixture, and the material to report.
 
 use nalgebra::DVector;
+use rayon::prelude::*;
 
 use super::bench::BenchCoupling;
-use super::bench::system::{BenchLinearisation, Model};
-use super::discrepancy::{At, Eliminated};
+use super::bench::system::BenchLinearisation;
+use super::discrepancy::{Eliminated, LinearizationPoint};
 use super::estimate::{estimate, mean_of_draws};
 use super::form;
+use super::intervals::inadequacy;
 use super::objective::{DiscrepancyModel, Linearised, Objective};
 use super::options::{FitError, FitOptions, Optimizer};
 use super::projection::{EnvironmentMatrix, ProjectionError};
 use super::solve::{Paths, Solved, per_channel};
 use super::uncertainty::{self, Adds, Draws};
 use crate::brdf::Mixture;
-use crate::brdf::discrepancy::Material;
+use crate::brdf::discrepancy::{self, Discrepancy, Material};
+use crate::brdf::energy::EnergyBound;
 use crate::brdf::environment::EnvironmentMap;
+use crate::random::{Purpose, stream};
 use crate::transport::Scene;
 
 /// Pixels per side of the spheres that say how materials look.
@@ -29,6 +33,43 @@ pub(super) struct Posterior {
     pub material: Material,
     /// Deviation of its discrepancy in units of what measured materials have; 0 without one.
     pub discrepancy: f64,
+}
+
+impl Posterior {
+    /// Gives each sample its error that no dictionary explains ([`inadequacy`]), and bounds samples
+    /// and material by energy conservation. Returns the largest directional albedo that the
+    /// material had before, per channel.
+    pub fn be_physical(&mut self, seed: u64) -> [f64; 3] {
+        if self.discrepancy == 0.0 && self.draws.iter().all(|set| set.posterior.is_empty()) {
+            return [0.0; 3]; // a mixture
+        }
+        let energy = EnergyBound::new(self.material.mixture.dictionary());
+        let (material, albedo) = energy.bound(&self.material);
+        self.material = material;
+        let nodes: Vec<_> = discrepancy::nodes().collect();
+        let fields = discrepancy::standard_modes();
+        self.draws
+            .par_iter_mut()
+            .enumerate()
+            .for_each(|(set, of_set)| {
+                let mut numbers = stream(seed, Purpose::Posterior, set as u64, 4, 0);
+                let deviations = DVector::from_iterator(
+                    nodes.len(),
+                    nodes
+                        .iter()
+                        .map(|n| inadequacy(of_set.misfit, n.theta_h_deg, n.theta_d_deg)),
+                );
+                of_set
+                    .discrepancies
+                    .resize_with(of_set.posterior.len(), Discrepancy::none);
+                for (x, g) in of_set.posterior.iter().zip(&mut of_set.discrepancies) {
+                    let normal = DVector::from_fn(fields.ncols(), |_, _| numbers.normal());
+                    g.0 += deviations.component_mul(&(fields * normal));
+                    *g = energy.bounded(x.as_slice(), g);
+                }
+            });
+        albedo
+    }
 }
 
 /// Around the weights that were `solved` for.
@@ -66,15 +107,11 @@ pub(super) fn posterior(
             discrepancy: 0.0,
         });
     }
-    let model = Model {
-        objective,
-        cache: &paths.cache,
-    };
     let fitted = material(mixture)?;
-    let coupling = bench.map(|b| b.coupling(&model, weights, mixture));
+    let coupling = bench.map(|b| b.coupling(objective, weights, mixture));
     let noise = objective.score_noise(mixture, weights, &solved.pass.model);
     let form = options.form_error.as_ref().map_or_else(Vec::new, |error| {
-        form::score_covariance(&model, scene, error, weights, mixture, &fitted, seed)
+        form::score_covariance(objective, scene, error, weights, mixture, &fitted, seed)
     });
     let draw = |bench: Option<&BenchCoupling>,
                 center: &[DVector<f64>],
@@ -95,7 +132,7 @@ pub(super) fn posterior(
 
     let mut center = mixture.clone();
     let nothing = model_of(&Material::from(fitted));
-    let at = At {
+    let at = LinearizationPoint {
         objective,
         direct: &nothing.direct,
         residual_weights: weights,
@@ -122,7 +159,7 @@ pub(super) fn posterior(
             left(&pass)
         );
         if left(&pass) < left(&solved.pass) {
-            let at = At {
+            let at = LinearizationPoint {
                 objective: &objective,
                 direct: &departed.direct,
                 mixture: &mean,
@@ -162,7 +199,7 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
-    use crate::brdf::discrepancy::{Discrepancy, modes};
+    use crate::brdf::discrepancy::modes;
     use crate::brdf::{Atom, Brdf, Dictionary};
     use crate::inverse::cells::{Captured, CellOptions};
     use crate::inverse::discrepancy::free_modes;

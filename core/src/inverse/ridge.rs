@@ -11,11 +11,11 @@ use super::objective::{Linearised, Objective};
 use super::simplex::Quadratic;
 
 /// ρ where the model explains the images, in units of χ².
-const LEAST: f64 = 300.0;
+const MIN_RIDGE: f64 = 300.0;
 
 /// Curvature in every direction that the prior has in any fit and that counts towards the
 /// convexity of the loss (docs/adr/0003).
-pub const TOWARDS_CONVEXITY: f64 = LEAST / 10.0;
+pub const TOWARDS_CONVEXITY: f64 = MIN_RIDGE / 10.0;
 
 /// What ρ gains with each unit of χ² that the model leaves unexplained: what no mixture
 /// explains pulls on all weights, and its covariance is that of the pulls.
@@ -28,7 +28,7 @@ pub struct Ridge(Vec<f64>);
 impl Ridge {
     /// For a first fit, when nothing is known of what the model explains.
     pub fn first(objective: &Objective<'_>) -> Self {
-        Self(vec![LEAST; objective.sets()])
+        Self(vec![MIN_RIDGE; objective.sets()])
     }
 
     /// After a fit that ended with `pass`.
@@ -36,7 +36,7 @@ impl Ridge {
         Self(
             pass.unexplained
                 .iter()
-                .map(|unexplained| LEAST + PER_UNEXPLAINED * unexplained.max(0.0))
+                .map(|unexplained| MIN_RIDGE + PER_UNEXPLAINED * unexplained.max(0.0))
                 .collect(),
         )
     }

@@ -54,12 +54,22 @@ impl Timings {
     pub fn time<T>(&mut self, name: &'static str, stage: impl FnOnce() -> T) -> T {
         let clock = Instant::now();
         let result = stage();
-        let seconds = clock.elapsed().as_secs_f64();
+        self.add(name, clock.elapsed().as_secs_f64());
+        result
+    }
+
+    /// Adds those of another run.
+    pub fn join(&mut self, others: &Self) {
+        for &(name, seconds) in &others.0 {
+            self.add(name, seconds);
+        }
+    }
+
+    fn add(&mut self, name: &'static str, seconds: f64) {
         match self.0.iter_mut().find(|(known, _)| *known == name) {
             Some((_, total)) => *total += seconds,
             None => self.0.push((name, seconds)),
         }
-        result
     }
 
     fn total(&self) -> f64 {

@@ -13,6 +13,7 @@ use rayon::prelude::*;
 use super::bench::{BenchCoupling, Parameter};
 use super::budget::{Budget, Source};
 use super::discrepancy::Eliminated;
+use super::normal_equations::{LEAST_SCATTER, Signal, above_noise, scatter, with_eigenvalues};
 use super::objective::{Linearised, ScoreNoise};
 use super::sparse::SparsePosterior;
 use crate::brdf::discrepancy::Discrepancy;
@@ -50,17 +51,12 @@ const ABSORPTION: f64 = 6.0;
 /// Steps of the chain per set of weights.
 const STEPS: usize = 20_000;
 
-/// Least variance of the score over what F says, where the material may depart from every
-/// mixture: what of that is common to all cells scatters no block. Calibrated by coverage; for
-/// weights from which nothing is found to depart 1 is enough.
-pub const LEAST_SPREAD: f64 = 3.0;
-
 /// What makes the score scatter beside the residual, per set of weights.
 #[derive(Default)]
 pub struct Adds<'a> {
     /// What an uncertain bench adds.
     pub bench: Option<&'a BenchCoupling>,
-    /// Covariance that a surface adds which departs from its mesh; empty where none is stated.
+    /// Covariance that a surface adds which deviates from its mesh; empty where none is stated.
     pub form: &'a [DMatrix<f64>],
     /// What capture and render make of the residual's own scatter; empty where unknown.
     pub noise: &'a [ScoreNoise],
@@ -165,7 +161,7 @@ fn adjusted_likelihood(
         ),
         None => {
             let scores = &pass.block_scores[set];
-            let information = without_noise(&pass.information[set], &quadratic.h).information;
+            let information = Signal::new(&pass.information[set], &quadratic.h).information;
             let none = DVector::zeros(mixture.len());
             (
                 information,
@@ -196,19 +192,15 @@ fn adjusted_likelihood(
     let inverse = &vectors * DMatrix::from_diagonal(&scales.map(|s| 1.0 / s));
 
     // Covariance of the score where F has unit eigenvalues.
-    let mut scatter = DMatrix::<f64>::zeros(kept.len(), kept.len());
-    for score in scores {
-        let z = inverse.tr_mul(score);
-        scatter.ger(1.0, &z, &z, 1.0);
-    }
+    let mut scatter = scatter(&inverse, scores);
     // The fit has made the residuals smaller than the errors.
     let blocks = scores.len() as f64;
     scatter *= blocks / (blocks - 0.5 * kept.len() as f64).max(1.0);
     let least = match adds.discrepancy {
         [] => 1.0,
-        _ => LEAST_SPREAD,
+        _ => LEAST_SCATTER,
     };
-    let mut scatter = mapped(scatter, |v| v.max(least));
+    let mut scatter = with_eigenvalues(scatter, |v| v.max(least));
     let whitened = |m: &DMatrix<f64>| inverse.tr_mul(m) * &inverse;
     if let Some(bench) = adds.bench {
         scatter += above_noise(whitened(&bench.covariance(set)));
@@ -239,7 +231,7 @@ fn adjusted_likelihood(
         }
         Budget::new(&root, &scatter, &known)
     });
-    let weight = mapped(scatter, |v| 1.0 / v);
+    let weight = with_eigenvalues(scatter, |v| 1.0 / v);
     let h = &root * &weight * root.transpose();
     // The likelihood's own score, which the fit's prior and share of noise leave nonzero.
     let b = &h * mixture + &root * (&weight * inverse.tr_mul(&score));
@@ -249,56 +241,6 @@ fn adjusted_likelihood(
         informed: kept.len(),
         budget,
     }
-}
-
-/// A symmetric matrix with its eigenvalues changed.
-pub(super) fn mapped(matrix: DMatrix<f64>, change: impl Fn(f64) -> f64) -> DMatrix<f64> {
-    let eigen = SymmetricEigen::new(matrix);
-    &eigen.eigenvectors
-        * DMatrix::from_diagonal(&eigen.eigenvalues.map(change))
-        * eigen.eigenvectors.transpose()
-}
-
-/// A covariance of independent halves without what their noise alone could have made: its
-/// eigenvalues that are no larger than the most negative one.
-fn above_noise(covariance: DMatrix<f64>) -> DMatrix<f64> {
-    let least = covariance.symmetric_eigenvalues().min();
-    mapped(covariance, |v| if v > -least { v } else { 0.0 })
-}
-
-/// `information` of independent halves without the directions that the paths' noise
-/// alone could have made. `full` is JᵀWJ of the halves' mean: the difference of the two
-/// is the noise. Relative to it, an eigenvalue no larger than the most negative one says
-/// nothing.
-pub(super) fn without_noise(information: &DMatrix<f64>, full: &DMatrix<f64>) -> Told {
-    let noise = full - information;
-    let eigen = SymmetricEigen::new(0.5 * (&noise + noise.transpose()));
-    let largest = eigen.eigenvalues.max().max(1e-9);
-    let scales = eigen
-        .eigenvalues
-        .map(|v| (v.max(0.0) + 1e-12 * largest + 1e-6).sqrt());
-    let root = &eigen.eigenvectors * DMatrix::from_diagonal(&scales);
-    let inverse = &eigen.eigenvectors * DMatrix::from_diagonal(&scales.map(|s| 1.0 / s));
-    let relative = inverse.tr_mul(information) * &inverse;
-    let relative = SymmetricEigen::new(0.5 * (&relative + relative.transpose()));
-    let threshold = (-relative.eigenvalues.min()).max(0.0);
-    let kept: Vec<usize> = (0..relative.eigenvalues.len())
-        .filter(|&k| relative.eigenvalues[k] > threshold)
-        .collect();
-    let vectors = relative.eigenvectors.select_columns(&kept);
-    let values = DVector::from_iterator(kept.len(), kept.iter().map(|&k| relative.eigenvalues[k]));
-    let root = root * &vectors;
-    Told {
-        information: &root * DMatrix::from_diagonal(&values) * root.transpose(),
-        scores: &root * (inverse * vectors).transpose(),
-    }
-}
-
-/// What is told apart from the paths' noise.
-pub(super) struct Told {
-    pub information: DMatrix<f64>,
-    /// Takes from a score what it says of the other directions, which is noise.
-    pub scores: DMatrix<f64>,
 }
 
 /// One draw of a symmetric Dirichlet distribution.
@@ -332,19 +274,6 @@ fn gamma_above_one(shape: f64, numbers: &mut Stream) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn what_noise_could_have_made_is_left_out() {
-        let turn = nalgebra::Rotation3::from_euler_angles(0.3, 0.7, -0.2).into_inner();
-        let of = |values: [f64; 3]| {
-            let m = turn * nalgebra::Matrix3::from_diagonal(&values.into()) * turn.transpose();
-            DMatrix::from_fn(3, 3, |i, j| m[(i, j)])
-        };
-        let told = above_noise(of([9.0, -2.0, 1.5]));
-        assert!((told - of([9.0, 0.0, 0.0])).norm() < 1e-12);
-        let sure = of([9.0, 2.0, 0.5]);
-        assert!((above_noise(sure.clone()) - sure).norm() < 1e-12);
-    }
 
     /// Mean weight of black in prior draws, against the sum over the sizes of sets with and
     /// without it (0.394, 0.463), each with the mean of exp(slope · x) over Beta(1, k − 1).

@@ -3,7 +3,7 @@
 use nalgebra::DVector;
 
 use super::budget::{SOURCES, Source};
-use super::intervals::{deviation, inadequacy};
+use super::intervals::deviation;
 use super::uncertainty::Draws;
 use crate::brdf::discrepancy::Material;
 
@@ -51,8 +51,7 @@ pub fn at(
         let discrepancies: Vec<f64> = discrepancies
             .map(|d| d.factor(theta_h_deg, theta_d_deg).ln())
             .collect();
-        let beyond =
-            inadequacy(set.misfit, theta_h_deg, theta_d_deg).hypot(deviation(&discrepancies));
+        let beyond = deviation(&discrepancies);
         cell.relative_variance[Source::Model as usize] += beyond * beyond / 3.0;
     }
     Some(cell)

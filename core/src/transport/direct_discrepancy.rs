@@ -9,7 +9,7 @@ use super::direct::for_each_seen;
 use super::points::Sampler;
 use super::scene::Scene;
 use crate::brdf::Brdf;
-use crate::brdf::discrepancy::{Material, NODES, around, modes};
+use crate::brdf::discrepancy::{Material, NODES, modes, node_weights};
 
 /// Rays per pixel, square root. The mixture's own reflection is computed with more
 /// ([`super::DirectMatrix`]); here only a ratio is needed.
@@ -124,7 +124,7 @@ fn sums_of(scene: &Scene, cells: &Cells, material: &Material, cell: usize, seed:
                     continue;
                 };
                 let of_mixture = material.mixture.eval(lamp.to_light, to_viewer);
-                let around = around(lamp.to_light, to_viewer);
+                let around = node_weights(lamp.to_light, to_viewer);
                 let sums = &mut sums[light * 3..light * 3 + 3];
                 for (c, (sum, of_mixture)) in sums.iter_mut().zip(of_mixture).enumerate() {
                     let arriving = share * f64::from(lamp.irradiance);

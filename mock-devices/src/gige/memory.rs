@@ -197,7 +197,8 @@ impl Memory {
             PACKET_SIZE,
             STREAM_ADDRESS,
         ];
-        if !is_feature && !(bytes.len() == 4 && registers.contains(&at)) {
+        let is_register = bytes.len() == 4 && registers.contains(&at);
+        if !(is_feature || is_register) {
             return Err(match (at as usize) < self.bytes.len() {
                 true => Status::WriteProtect,
                 false => Status::InvalidAddress,

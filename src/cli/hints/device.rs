@@ -22,6 +22,9 @@ pub(super) fn for_device(error: &DeviceError) -> String {
                 "`fuser -v {device}` names the process that holds it; end that one first"
             );
         }
+        Claimed { .. } => {
+            "desktops claim cameras to show their files: `gio mount -s gphoto2` lets go of it, and `systemctl --user mask --now gvfs-gphoto2-volume-monitor` keeps it so; else end the other program (`lsof /dev/bus/usb/*/*` lists them)"
+        }
         Controlled { .. } => {
             "end the other program that has the camera, on this machine or another one; after a crash the camera is free again within its heartbeat time-out, mostly 3 s"
         }
@@ -171,6 +174,12 @@ fn for_frame(fault: &FrameFault) -> &'static str {
 fn for_program(program: &str, fault: &ProgramFault) -> String {
     use ProgramFault::*;
     let hint = match fault {
+        Missing { .. } if program == "gphoto2" => {
+            "install it (on Debian and Ubuntu `sudo apt install gphoto2`)"
+        }
+        Missing { .. } if ["unprocessed_raw", "raw-identify"].contains(&program) => {
+            "install LibRaw's programs (on Debian and Ubuntu `sudo apt install libraw-bin`)"
+        }
         Missing {
             looked_in_path: true,
         } => "install it, or give its path in camera.command of the rig file",

@@ -1,25 +1,22 @@
 //! A camera behind a program: it is run once per frame, given the exposure and
 //! where to put the file, and must have written it when it ends.
 
+mod kept;
 pub mod program;
 mod workplace;
 
 use std::ffi::OsStr;
-use std::fs::File;
-use std::io::{Read, Seek, SeekFrom};
-use std::os::unix::process::{CommandExt, ExitStatusExt};
+use std::os::unix::process::ExitStatusExt;
 use std::path::Path;
-use std::process::{Child, Command, ExitStatus, Stdio};
+use std::process::Command;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
 
-use rustix::process::{Pid, Signal, kill_process_group};
-
-use self::workplace::Workplace;
-use super::described::{DescribedCamera, Driver, FrameSource, Wanted, io_error};
+use super::described::{DescribedCamera, Driver, FrameSource, Wanted};
 use super::retake::FrameFault;
 use super::{CameraInfo, DeviceError, RawFrame};
 
+pub(super) use self::kept::Ended;
+pub(super) use self::workplace::Workplace;
 pub use self::workplace::keep;
 
 /// `camera.driver = "command"`.
@@ -70,10 +67,8 @@ pub struct CameraProgram {
     workplace: Arc<Workplace>,
 }
 
-/// How often is looked whether the program has ended.
-const POLL: Duration = Duration::from_millis(5);
 /// So much of what it wrote to stderr is reported: its end is most informative.
-const REPORTED_BYTES: u64 = 600;
+const REPORTED_BYTES: usize = 600;
 
 impl CameraProgram {
     /// A program with its arguments. It is not run yet. `keeper` is to
@@ -99,38 +94,6 @@ impl CameraProgram {
         };
         self.command.iter().map(fill).collect()
     }
-
-    /// Runs the program to its end, or ends it and all that it started.
-    fn run(&self, words: &[String], deadline: Instant) -> Result<Ended, RunError> {
-        let mut errors = self.workplace.scratch()?;
-        let none = || RunError::Start(std::io::ErrorKind::NotFound.into());
-        let (program, arguments) = words.split_first().ok_or_else(none)?;
-        let child = Command::new(program)
-            .args(arguments)
-            .stdin(Stdio::null())
-            .stdout(Stdio::null())
-            .stderr(errors.try_clone()?)
-            // Apart from the terminal's signals, and to be ended as a whole.
-            .process_group(0)
-            .spawn()
-            .map_err(RunError::Start)?;
-        self.workplace.runs(Some(Pid::from_child(&child)));
-        let mut running = Running(child, &self.workplace);
-        let status = loop {
-            if let Some(status) = running.0.try_wait()? {
-                break Some(status);
-            }
-            if Instant::now() >= deadline {
-                break None;
-            }
-            std::thread::sleep(POLL);
-        };
-        drop(running);
-        Ok(Ended {
-            status,
-            stderr: end_of(&mut errors)?,
-        })
-    }
 }
 
 impl FrameSource for CameraProgram {
@@ -150,28 +113,23 @@ impl FrameSource for CameraProgram {
             program: device.clone(),
             fault,
         };
-        let ended = self
-            .run(&words, wanted.deadline)
-            .map_err(|error| match error {
-                RunError::Start(error) => match program::fault_of(&device, &error) {
-                    Some(fault) => unrunnable(fault),
-                    None => io_error(device.clone(), error),
-                },
-                RunError::Other(error) => io_error(device.clone(), error),
-            })?;
+        let mut command = Command::new(&device);
+        command.args(words.iter().skip(1));
+        let ended = self.workplace.run(command, wanted.deadline)?;
+        let stderr = end_of(&ended.stderr);
         let refused = |reason: String| DeviceError::Refused {
             device: device.clone(),
             command: words[1..].join(" "),
-            reason: reason + &and_wrote(&ended.stderr),
+            reason: reason + &and_wrote(&stderr),
         };
         match ended.status {
             None => Err(DeviceError::NoReply {
                 device,
                 timeout: wanted.timeout,
-                sent: words[1..].join(" ") + &and_wrote(&ended.stderr),
+                sent: words[1..].join(" ") + &and_wrote(&stderr),
             }),
             Some(status) if !status.success() => Err(match status.code() {
-                Some(code) => match program::fault_at_end(&device, code, &ended.stderr) {
+                Some(code) => match program::fault_at_end(&device, code, &stderr) {
                     Some(fault) => unrunnable(fault),
                     None => refused(format!("it ended with exit code {code}")),
                 },
@@ -184,7 +142,7 @@ impl FrameSource for CameraProgram {
             Some(_) => wanted.read(&output).map_err(|fault| {
                 let fault = match fault {
                     FrameFault::Undecodable(what) => {
-                        FrameFault::Undecodable(what + &and_wrote(&ended.stderr))
+                        FrameFault::Undecodable(what + &and_wrote(&stderr))
                     }
                     other => other,
                 };
@@ -194,50 +152,18 @@ impl FrameSource for CameraProgram {
     }
 }
 
-/// What running a program met.
-enum RunError {
-    /// It did not start.
-    Start(std::io::Error),
-    /// Anything else.
-    Other(std::io::Error),
-}
-
-impl From<std::io::Error> for RunError {
-    fn from(error: std::io::Error) -> Self {
-        Self::Other(error)
+/// The end of a text, its lines in one.
+fn end_of(text: &str) -> String {
+    let mut start = text.len().saturating_sub(REPORTED_BYTES);
+    while !text.is_char_boundary(start) {
+        start += 1;
     }
-}
-
-/// How the program ended (`None`: it had to be), and the end of its stderr.
-struct Ended {
-    status: Option<ExitStatus>,
-    stderr: String,
-}
-
-/// Ends the program's whole process group when dropped.
-struct Running<'a>(Child, &'a Workplace);
-
-impl Drop for Running<'_> {
-    fn drop(&mut self) {
-        // Fails where the program and all its children have ended already.
-        let _ = kill_process_group(Pid::from_child(&self.0), Signal::KILL);
-        let _ = self.0.wait();
-        self.1.runs(None);
-    }
-}
-
-fn end_of(errors: &mut File) -> std::io::Result<String> {
-    let length = errors.seek(SeekFrom::End(0))?;
-    errors.seek(SeekFrom::Start(length.saturating_sub(REPORTED_BYTES)))?;
-    let mut bytes = Vec::new();
-    errors.take(REPORTED_BYTES).read_to_end(&mut bytes)?;
-    let text = String::from_utf8_lossy(&bytes);
-    let lines: Vec<&str> = text
+    let lines: Vec<&str> = text[start..]
         .lines()
         .map(str::trim)
-        .filter(|l| !l.is_empty())
+        .filter(|line| !line.is_empty())
         .collect();
-    Ok(lines.join("; "))
+    lines.join("; ")
 }
 
 /// What the program wrote to stderr, to be put after something else.
@@ -255,6 +181,9 @@ mod tests {
     use crate::device::described::tests::{KEY, configured};
     use crate::device::{Camera, ProgramFault};
     use image::{ImageBuffer, Luma};
+    use std::time::{Duration, Instant};
+
+    const POLL: Duration = Duration::from_millis(5);
 
     /// A camera whose program is this shell script; `$1` is the exposure, `$2`
     /// the gain, `$3` the output, `$4` a folder with the image `good.tif`.

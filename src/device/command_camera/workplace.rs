@@ -20,7 +20,7 @@ const END: Duration = Duration::from_secs(1);
 
 /// The folder, which is removed with this.
 #[derive(Debug)]
-pub(super) struct Workplace {
+pub(in crate::device) struct Workplace {
     folder: TempDir,
     keeper: Option<Mutex<Child>>,
 }
@@ -28,7 +28,7 @@ pub(super) struct Workplace {
 impl Workplace {
     /// A new folder in the temporary one. `keeper` is to call [`keep`] with its
     /// standard input and the folder, which is added as its last argument.
-    pub(super) fn new(keeper: Option<Command>) -> Result<Self, DeviceError> {
+    pub(in crate::device) fn new(keeper: Option<Command>) -> Result<Self, DeviceError> {
         let folder = tempfile::Builder::new()
             .prefix("rig-camera-")
             .tempdir()
@@ -55,17 +55,17 @@ impl Workplace {
     }
 
     /// A folder of its own for a frame, removed with the result.
-    pub(super) fn place(&self) -> Result<TempDir, DeviceError> {
+    pub(in crate::device) fn place(&self) -> Result<TempDir, DeviceError> {
         TempDir::new_in(self.folder.path()).map_err(temporary)
     }
 
     /// A file that nobody else sees.
-    pub(super) fn scratch(&self) -> std::io::Result<File> {
+    pub(in crate::device) fn scratch(&self) -> std::io::Result<File> {
         tempfile::tempfile_in(self.folder.path())
     }
 
     /// Which program is running now, leader of its process group; `None`: none.
-    pub(super) fn runs(&self, program: Option<Pid>) {
+    pub(in crate::device) fn runs(&self, program: Option<Pid>) {
         if let Some(keeper) = &self.keeper {
             let mut keeper = keeper.lock().unwrap_or_else(PoisonError::into_inner);
             let number = program.map_or(0, |pid| pid.as_raw_nonzero().get());

@@ -5,7 +5,7 @@
 //! The two halves of the samples step in opposite directions: each half is an
 //! independent estimate, and their mean is a central difference. A light that moves
 //! leaves the camera's paths as they are, so all lights' steps share one set of them.
-//! Direct reflection, which says most, is a central difference of dense quadratures over
+//! Direct reflection, which has most of the information, is a central difference of dense quadratures over
 //! the cells' footprints, without noise and the same for both halves.
 //!
 //! Whatever multiplies the residual, it vanishes on average at the true bench: a

@@ -7,7 +7,7 @@
 //! | `parameters` | what may differ, how well it is known, the scene with the differences |
 //! | `derivatives` | how the images change with each, by tracing shared random numbers again |
 //! | `system` | normal equations of weights and bench together, the weights eliminated |
-//! | `spectrum` | what the images say against the prior; what they cannot say, by name |
+//! | `spectrum` | information of the images in units of the prior; unobservable directions, by name |
 //! | `refine` | the rounds, and the fit at the refined bench |
 
 pub mod derivatives;

@@ -8,16 +8,16 @@ use nalgebra::{DMatrix, DVector};
 use super::derivatives::{AVERAGED, DerivativeImages, DerivativeOptions};
 use super::parameters::{Bench, BenchPriors, Parameter};
 use super::spectrum::Spectrum;
-use super::system::{BenchLinearisation, Model, Normal};
+use super::system::{BenchLinearisation, Columns};
 use crate::brdf::dictionary::Dictionary;
 use crate::brdf::mixture::Mixture;
 use crate::inverse::cells::{Captured, check_count};
 use crate::inverse::fit::{DEFENSIVE, Fit, fit_on_bench};
 use crate::inverse::gauss_newton::GaussNewton;
+use crate::inverse::normal_equations::LEAST_SCATTER;
 use crate::inverse::objective::{Linearised, Modelled, Objective, ResidualWeights};
 use crate::inverse::options::{FitError, FitOptions, Optimizer};
 use crate::inverse::solve::{Paths, Solution, solve};
-use crate::inverse::uncertainty::LEAST_SPREAD;
 use crate::progress::Progress;
 use crate::random::{Purpose, stream};
 use crate::transport::{Proposal, Scene};
@@ -139,6 +139,9 @@ pub fn refine_bench(
     progress: &dyn Progress,
 ) -> Result<RefinedBench, FitError> {
     check_count(scene, captured.images.len())?;
+    // Where a part of the dictionary makes an estimate of its own, it does for the bench.
+    let part = dictionary.first_part().map(Arc::new);
+    let dictionary = part.as_ref().unwrap_or(dictionary);
     let clock = std::time::Instant::now();
     let bench = Bench::new(scene, priors);
     let mut rounds = Rounds {
@@ -218,7 +221,7 @@ pub fn refine_bench(
         progress.begin("what the refined bench leaves open", None);
         let samples = (refine.derivative_samples / 2).max(1);
         let last = rounds.take(&values, taken.max(ALL_PATHS) + 1, samples)?;
-        let known = last.spectrum.answering(&last.response);
+        let known = last.spectrum.sandwich(&last.response);
         let deviations = known.deviations();
         estimate.reduced_chi2[1] = last.chi2;
         estimate.held = last.spectrum.held(&bench);
@@ -396,18 +399,16 @@ impl Rounds<'_> {
         let material = Mixture::new(self.dictionary.clone(), per_channel)
             .map_err(|_| crate::inverse::simplex::SimplexError::NotConvex)?;
         let derivatives = self.derivatives(values, &material, &wanted, samples_per_half, round);
-        let model = Model {
-            objective: &objective,
-            cache: &paths.cache,
+        let instruments = Columns {
+            bench: self.bench,
+            derivatives: &derivatives,
         };
-        let normal = Normal::new(
-            &model,
-            self.bench,
-            &derivatives,
+        let reduced = instruments.reduced(
+            &objective,
             &residual_weights,
             &mixture,
+            &solved.pass.information,
         );
-        let reduced = normal.reduced(&solved.pass.information, &mixture);
         let spectrum = Spectrum::new(self.bench, &reduced.information);
         self.before = Some(solved.solution);
         let image = Compared::new(&objective, &solved.pass, residual_weights);
@@ -425,7 +426,7 @@ impl Rounds<'_> {
             spectrum: if round == 1 {
                 spectrum
             } else {
-                spectrum.widened(&reduced.block_scores, LEAST_SPREAD)
+                spectrum.widened(&reduced.block_scores, LEAST_SCATTER)
             },
             score: reduced.score,
             response: reduced.response,

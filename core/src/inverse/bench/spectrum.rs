@@ -1,4 +1,4 @@
-//! What the images say about a bench against what its description says.
+//! Information of the images about the nuisance parameters, in units of their prior.
 //!
 //! In units of the prior (p = L q, prior covariance L Lᵀ) the information is A = LᵀSL;
 //! along an eigenvector with value λ the posterior variance is 1/(1 + λ) of the
@@ -9,6 +9,7 @@
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
 use super::parameters::{Bench, Parameter};
+use crate::inverse::normal_equations::scatter;
 
 /// λ below which a direction is held: the posterior's deviation would be above 87% of
 /// the prior's.
@@ -48,16 +49,12 @@ impl Spectrum {
         }
     }
 
-    /// Less sure by what the scores of blocks of pixels scatter: errors of the model are
+    /// Inflates the covariance by the between-block variance of the score (cluster-robust): errors of the model are
     /// correlated between pixels, and the paths' noise between lights and channels. At least
     /// `least` times what independent noise would, 1 or more: some of it is common to all
     /// blocks.
     pub fn widened(mut self, block_scores: &[DVector<f64>], least: f64) -> Self {
-        let mut scatter = DVector::<f64>::zeros(self.values.len());
-        for score in block_scores {
-            let along = self.vectors.tr_mul(&self.root.tr_mul(score));
-            scatter += along.component_mul(&along);
-        }
+        let scatter = scatter(&(&self.root * &self.vectors), block_scores).diagonal();
         for (i, &scatter) in scatter.iter().enumerate() {
             let scatter = scatter.max(least * self.values[i]);
             if scatter > 0.0 {
@@ -74,7 +71,7 @@ impl Spectrum {
     /// 0 along what is held, all in units of the prior, the estimate p solves T s(p) = p, and
     /// p − p_true has the covariance (1 + TA)⁻¹ (TST + 1) (1 + TA)⁻ᵀ, and at most
     /// `WORST_VARIANCE` along any direction.
-    pub fn answering(&self, response: &DMatrix<f64>) -> Self {
+    pub fn sandwich(&self, response: &DMatrix<f64>) -> Self {
         let n = self.values.len();
         let where_told = |of: &DVector<f64>| {
             of.zip_map(

@@ -8,60 +8,34 @@
 //! their two factors from independent halves of the samples, so that noise in
 //! neither of them counts as information.
 //!
-//! The bench's scores ask with derivatives Z of direct reflection (docs/adr/0009), Zᵀ W r:
-//! they scatter by ZᵀZ, and answer to a bench that is off by ZᵀJ_p, all reflections.
-//! So where the bench's scores are made free of the weights, F_pp is ZᵀZ and F_pw is ZᵀJ_w.
-
-use std::collections::BTreeMap;
+//! The estimating equations of the nuisance parameters are Zᵀ W r = 0, with the derivatives Z of
+//! direct light as instruments (docs/adr/0009): their covariance is ZᵀWZ, their sensitivity to
+//! the parameters ZᵀWJ_p. So where the weights are marginalised, F_pp is ZᵀZ and F_pw is ZᵀJ_w.
 
 use nalgebra::{DMatrix, DVector};
 
 use super::derivatives::{Derivative, DerivativeImages};
 use super::parameters::{Bench, Parameter};
 use super::spectrum::Spectrum;
-use crate::inverse::objective::{Objective, ResidualWeights};
-use crate::transport::Cache;
+use crate::inverse::normal_equations::{
+    IN_USE, Marginal, Scores, WEIGHT_PRIOR_DEVIATION, add_cross,
+};
+use crate::inverse::objective::{Objective, ResidualWeights, Value};
 
-/// Deviation of a weight before any image, which keeps F_ww invertible where atoms
-/// are alike; that of the posterior's prior.
-const WEIGHT_DEVIATION: f64 = 0.06;
-
-/// What the objective is made of.
-pub struct Model<'a> {
-    /// The comparison.
-    pub objective: &'a Objective<'a>,
-    /// Its paths.
-    pub cache: &'a Cache,
+/// How the images change with the P nuisance parameters.
+pub struct Columns<'a> {
+    /// The parameters.
+    pub bench: &'a Bench,
+    /// Derivatives by those that are geometric.
+    pub derivatives: &'a DerivativeImages,
 }
 
-/// The bench's part of the normal equations; P parameters, N atoms.
-pub struct Normal {
-    /// ZᵀZ, P × P.
-    information: DMatrix<f64>,
-    /// ZᵀJ_p, P × P.
-    response: DMatrix<f64>,
-    /// ZᵀJ_w per weight set, P × N.
-    asked: Vec<DMatrix<f64>>,
-    /// F_pw per weight set, P × N, twice: from independent halves of the samples.
-    coupling: Vec<[DMatrix<f64>; 2]>,
-    /// Scores per block of cells, all lights together: they share the paths, and so
-    /// their noise.
-    blocks: BTreeMap<usize, Scores>,
-}
-
-/// Zᵀ W r of the bench and Jᵀ W r of each weight set.
-#[derive(Clone)]
-struct Scores {
-    bench: DVector<f64>,
-    weights: Vec<DVector<f64>>,
-}
-
-/// The bench's information and score with the weights eliminated.
+/// Information and score of the nuisance parameters, the weights marginalised.
 pub struct Reduced {
     /// P × P.
     pub information: DMatrix<f64>,
-    /// How the score answers to the bench by all reflections, P × P: the information, where
-    /// the derivatives are of direct reflection alone.
+    /// Sensitivity of the score to the parameters by all reflections, P × P: the information,
+    /// where the derivatives are of direct light alone.
     pub response: DMatrix<f64>,
     /// P.
     pub score: DVector<f64>,
@@ -69,157 +43,132 @@ pub struct Reduced {
     pub block_scores: Vec<DVector<f64>>,
 }
 
-impl Normal {
-    /// Sums over all compared cells at `mixture`.
-    pub fn new(
-        model: &Model<'_>,
-        bench: &Bench,
-        derivatives: &DerivativeImages,
+impl Columns<'_> {
+    /// Derivatives of a value by the parameters, of either half: `of` takes that by a geometric
+    /// one from its derivatives.
+    fn rows(
+        &self,
+        objective: &Objective<'_>,
+        value: &Value<'_>,
+        of: impl Fn(&Derivative, usize) -> [f32; 3],
+    ) -> [DVector<f64>; 2] {
+        let parameters = self.bench.parameters();
+        [0, 1].map(|half| {
+            let mut row = DVector::zeros(parameters.len());
+            for (k, light, derivative) in self.derivatives.at(value.cell) {
+                if light == value.light {
+                    row[k] = f64::from(of(derivative, half)[value.channel]);
+                }
+            }
+            for (k, parameter) in parameters.iter().enumerate() {
+                match *parameter {
+                    Parameter::Intensity(l) if l == value.light => row[k] = value.model[half],
+                    Parameter::StrayLight(l) if l == value.light => {
+                        row[k] = 1.0 / objective.strength(value.light)[value.channel];
+                    }
+                    _ => {}
+                }
+            }
+            row
+        })
+    }
+
+    /// The equations of the parameters at `mixture`, with the weights in use marginalised;
+    /// `information` is F_ww per group.
+    pub fn reduced(
+        &self,
+        objective: &Objective<'_>,
         residual_weights: &ResidualWeights,
         mixture: &[DVector<f64>],
-    ) -> Self {
-        let (objective, cache) = (model.objective, model.cache);
-        let (n, sets) = (objective.atoms(), objective.sets());
-        let parameters = bench.parameters();
-        let parts = objective.evaluate(
+        information: &[DMatrix<f64>],
+    ) -> Reduced {
+        let (n, groups) = (objective.atoms(), objective.sets());
+        let p = self.bench.parameters().len();
+        // ZᵀWZ, ZᵀWJ_p, ZᵀWJ_w of all groups, and scores of Z and of the weights.
+        let zero = || {
+            let matrices = [p, p, groups * n].map(|columns| DMatrix::zeros(p, columns));
+            (matrices, Scores::zero(p + groups * n))
+        };
+        let ([own, response, coupling], scores) = objective.accumulate(
             mixture,
+            residual_weights,
             false,
-            || Self::zero(parameters.len(), n, sets),
-            |sum, rows| {
-                let cell = rows.cell;
-                for (light, residual_weights) in residual_weights.iter().enumerate() {
-                    for c in 0..3 {
-                        let w = residual_weights[cell][c];
-                        if w <= 0.0 {
-                            continue;
-                        }
-                        let set = c.min(sets - 1);
-                        let r = light * sets + set;
-                        let first = objective.direct_light(cell, light, c, &mixture[set]);
-                        let [target, _] = objective.captured(light, cell);
-                        let value = [0, 1].map(|h| first + f64::from(rows.value[h][r]));
-                        let residual = value.map(|v| target[c] - v);
-                        let mut by_weight = [DVector::zeros(n), DVector::zeros(n)];
-                        let halves = by_weight.each_mut().map(|half| half.as_mut_slice());
-                        objective.derivatives(rows, light, c, halves);
-                        let row = |h: usize, of: fn(&Derivative, usize) -> [f32; 3]| {
-                            let mut row = DVector::zeros(parameters.len());
-                            for (k, l, derivative) in derivatives.at(cell) {
-                                if l == light {
-                                    row[k] = f64::from(of(derivative, h)[c]);
-                                }
-                            }
-                            for (k, parameter) in parameters.iter().enumerate() {
-                                match *parameter {
-                                    Parameter::Intensity(l) if l == light => row[k] = value[h],
-                                    Parameter::StrayLight(l) if l == light => {
-                                        row[k] = 1.0 / cache.strength[light][c];
-                                    }
-                                    _ => {}
-                                }
-                            }
-                            row
-                        };
-                        let asked = [0, 1].map(|h| row(h, |derivative, _| derivative.direct));
-                        let by_bench = [0, 1].map(|h| row(h, |derivative, h| derivative.halves[h]));
-                        let block = sum
-                            .blocks
-                            .entry(objective.block(cell, 0))
-                            .or_insert_with(|| Scores::zero(parameters.len(), n, sets));
-                        for h in 0..2 {
-                            let (a, b) = (h, 1 - h);
-                            sum.information.ger(0.5 * w, &asked[a], &asked[b], 1.0);
-                            sum.response.ger(0.5 * w, &asked[a], &by_bench[b], 1.0);
-                            sum.asked[set].ger(0.5 * w, &asked[a], &by_weight[b], 1.0);
-                            sum.coupling[set][h].ger(w, &by_bench[a], &by_weight[b], 1.0);
-                            block.bench.axpy(0.5 * w * residual[b], &asked[a], 1.0);
-                            block.weights[set].axpy(0.5 * w * residual[b], &by_weight[a], 1.0);
-                        }
-                    }
+            zero,
+            |([own, response, coupling], scores), value| {
+                let z = self.rows(objective, value, |d, _| d.direct);
+                let all = self.rows(objective, value, |d, half| d.halves[half]);
+                let from = value.group * n;
+                let mut weights = [0, 1].map(|_| DVector::zeros(groups * n));
+                for (row, by_weights) in weights.iter_mut().zip(value.by_weights) {
+                    row.rows_mut(from, n).copy_from_slice(by_weights);
                 }
+                add_cross(own, &z, &z, value.weight);
+                add_cross(response, &z, &all, value.weight);
+                add_cross(coupling, &z, &weights, value.weight);
+                let rows = [0, 1].map(|half| {
+                    let row = z[half].iter().chain(&weights[half]);
+                    row.copied().collect::<Vec<f64>>()
+                });
+                let rows = rows.each_ref().map(Vec::as_slice);
+                // Blocks of all lights together: they share the paths, and so their noise.
+                let block = objective.block(value.cell, 0);
+                scores.add(block, value.weight, rows, value.residual);
+            },
+            |(total, scores), (part, part_scores)| {
+                total.iter_mut().zip(part).for_each(|(t, p)| *t += p);
+                scores.join(&part_scores);
             },
         );
-        let mut total = Self::zero(parameters.len(), n, sets);
-        for part in parts {
-            total.information += part.information;
-            total.response += part.response;
-            for (sum, part) in total.asked.iter_mut().zip(&part.asked) {
-                *sum += part;
-            }
-            let couplings = total.coupling.iter_mut().flatten();
-            for (sum, part) in couplings.zip(part.coupling.iter().flatten()) {
-                *sum += part;
-            }
-            for (block, scores) in part.blocks {
-                total
-                    .blocks
-                    .entry(block)
-                    .or_insert_with(|| Scores::zero(parameters.len(), n, sets))
-                    .add(&scores);
-            }
+        let mut inverse = DMatrix::zeros(groups * n, groups * n);
+        for (group, (mixture, information)) in mixture.iter().zip(information).enumerate() {
+            let at = (group * n, group * n);
+            let on_face = inverse_on_face(information, mixture);
+            inverse.view_mut(at, (n, n)).copy_from(&on_face);
         }
-        total
-    }
-
-    fn zero(parameters: usize, atoms: usize, sets: usize) -> Self {
-        Self {
-            information: DMatrix::zeros(parameters, parameters),
-            response: DMatrix::zeros(parameters, parameters),
-            asked: vec![DMatrix::zeros(parameters, atoms); sets],
-            coupling: vec![[(); 2].map(|()| DMatrix::zeros(parameters, atoms)); sets],
-            blocks: BTreeMap::new(),
-        }
-    }
-
-    /// Eliminates the weights that are above zero in `mixture`; `information` is F_ww per set.
-    pub fn reduced(&self, information: &[DMatrix<f64>], mixture: &[DVector<f64>]) -> Reduced {
-        // G = F_pw F_ww⁻¹ per set, so that S = F_pp − G F_wp and g = g_p − G g_w.
-        let gains: Vec<DMatrix<f64>> = mixture
+        let marginal = Marginal::new(&own, &coupling, &inverse);
+        // F_wp, by symmetry of the halves.
+        let by_parameters = self.couplings(objective, residual_weights, mixture);
+        let response = by_parameters
             .iter()
-            .zip(information)
-            .zip(&self.asked)
-            .map(|((mixture, information), asked)| asked * inverse_on_face(information, mixture))
-            .collect();
-        let (mut own, mut response) = (self.information.clone(), self.response.clone());
-        for ((gain, asked), [a, b]) in gains.iter().zip(&self.asked).zip(&self.coupling) {
-            own -= gain * asked.transpose();
-            response -= 0.5 * gain * (a + b).transpose();
-        }
-        let block_scores: Vec<DVector<f64>> = self
-            .blocks
-            .values()
-            .map(|scores| {
-                let mut own = scores.bench.clone();
-                for (gain, weights) in gains.iter().zip(&scores.weights) {
-                    own -= gain * weights;
-                }
-                own
-            })
-            .collect();
+            .enumerate()
+            .fold(response, |sum, (group, [a, b])| {
+                sum - 0.5 * marginal.gain.columns(group * n, n) * (a + b)
+            });
         Reduced {
-            information: 0.5 * (&own + own.transpose()),
             response,
-            score: block_scores
-                .iter()
-                .fold(DVector::zeros(own.nrows()), |sum, s| sum + s),
-            block_scores,
-        }
-    }
-}
-
-impl Scores {
-    fn zero(parameters: usize, atoms: usize, sets: usize) -> Self {
-        Self {
-            bench: DVector::zeros(parameters),
-            weights: vec![DVector::zeros(atoms); sets],
+            score: marginal.score(&scores.total),
+            block_scores: scores.each(|s| marginal.score(s)),
+            information: marginal.information,
         }
     }
 
-    fn add(&mut self, other: &Self) {
-        self.bench += &other.bench;
-        for (sum, other) in self.weights.iter_mut().zip(&other.weights) {
-            *sum += other;
-        }
+    /// F_wp per group, N × P, from either pair of independent halves.
+    fn couplings(
+        &self,
+        objective: &Objective<'_>,
+        residual_weights: &ResidualWeights,
+        mixture: &[DVector<f64>],
+    ) -> Vec<[DMatrix<f64>; 2]> {
+        let none = || DMatrix::zeros(objective.atoms(), self.bench.parameters().len());
+        objective.accumulate(
+            mixture,
+            residual_weights,
+            false,
+            || vec![[none(), none()]; objective.sets()],
+            |sums, value| {
+                let rows = self.rows(objective, value, |d, half| d.halves[half]);
+                for (half, sum) in sums[value.group].iter_mut().enumerate() {
+                    let by_weights = DVector::from_column_slice(value.by_weights[1 - half]);
+                    sum.ger(value.weight, &by_weights, &rows[half], 1.0);
+                }
+            },
+            |total, part| {
+                let total = total.iter_mut().flatten();
+                total
+                    .zip(part.into_iter().flatten())
+                    .for_each(|(t, p)| *t += p);
+            },
+        )
     }
 }
 
@@ -227,10 +176,10 @@ impl Scores {
 /// at zero, with the weights' prior; N × N, zero outside the face.
 fn inverse_on_face(information: &DMatrix<f64>, mixture: &DVector<f64>) -> DMatrix<f64> {
     let n = mixture.len();
-    let free: Vec<usize> = (0..n).filter(|&k| mixture[k] > 1e-9).collect();
+    let free: Vec<usize> = (0..n).filter(|&k| mixture[k] > IN_USE).collect();
     let m = free.len();
     let eigen = DMatrix::from_fn(m, m, |i, j| information[(free[i], free[j])]).symmetric_eigen();
-    let precision = WEIGHT_DEVIATION.powi(-2);
+    let precision = WEIGHT_PRIOR_DEVIATION.powi(-2);
     let inverse = eigen.eigenvalues.map(|v| 1.0 / (v.max(0.0) + precision));
     let vectors = &eigen.eigenvectors;
     let mut face = vectors * DMatrix::from_diagonal(&inverse) * vectors.transpose();
@@ -261,24 +210,21 @@ pub struct BenchLinearisation {
 }
 
 impl BenchLinearisation {
-    /// What the bench adds at a fit's final point.
+    /// What the nuisance parameters add at a fit's final point.
     pub fn coupling(
         &self,
-        model: &Model<'_>,
+        objective: &Objective<'_>,
         residual_weights: &ResidualWeights,
         mixture: &[DVector<f64>],
     ) -> BenchCoupling {
-        let normal = Normal::new(
-            model,
-            &self.bench,
-            &self.derivatives,
-            residual_weights,
-            mixture,
-        );
+        let columns = Columns {
+            bench: &self.bench,
+            derivatives: &self.derivatives,
+        };
+        let to_weights = columns.couplings(objective, residual_weights, mixture);
         let root = self.spectrum.posterior_root();
-        let to_weights = |halves: &[DMatrix<f64>; 2]| halves.each_ref().map(DMatrix::transpose);
         BenchCoupling {
-            to_weights: normal.coupling.iter().map(to_weights).collect(),
+            to_weights,
             covariance: &root * root.transpose(),
             parameters: self.bench.parameters().to_vec(),
         }

@@ -315,7 +315,7 @@ fn what_the_scores_answer_decides_what_is_known() {
     information[(0, 0)] = 24.0 / (sigma * sigma);
     let spectrum = Spectrum::new(&bench, &information);
     let known = |part: f64| {
-        let answering = spectrum.answering(&(part * &information));
+        let answering = spectrum.sandwich(&(part * &information));
         let deviations = answering.deviations();
         assert!((deviations[3] - bench.prior_deviation(3)).abs() < 1e-12);
         assert_eq!(answering.held(&bench).len(), n - 1);
@@ -323,7 +323,7 @@ fn what_the_scores_answer_decides_what_is_known() {
     };
     assert!((known(1.0) - 0.2).abs() < 1e-9);
     assert!((known(0.5) - 5.0 / 13.0).abs() < 1e-9);
-    let wrong = spectrum.answering(&(-0.03 * &information)).deviations();
+    let wrong = spectrum.sandwich(&(-0.03 * &information)).deviations();
     assert!((wrong[0] / sigma - 2f64.sqrt()).abs() < 1e-9);
 }
 

@@ -1,22 +1,23 @@
-//! How much the images ask for a discrepancy.
+//! The amplitude of the discrepancy by empirical Bayes.
 
 use nalgebra::{Cholesky, DMatrix, DVector};
 
-use super::normal::Normal;
-use crate::inverse::uncertainty::LEAST_SPREAD;
+use super::normal::Joint;
+use crate::inverse::normal_equations::{IN_USE, LEAST_SCATTER, Marginal, scatter};
 
-/// Log probability that the images must gain by a discrepancy.
-const LEAST_GAIN: f64 = 3.0;
+/// Log evidence that a discrepancy must gain over none: a Bayes factor of 20, the usual limit of
+/// strong evidence.
+const LEAST_LOG_EVIDENCE: f64 = 3.0;
 
-/// The amplitude under which the images are most probable, all sets together, with the
-/// weights in use free to follow the discrepancy; 0 where little is gained by any.
-pub(super) fn amplitude(normal: &[Normal], mixture: &[DVector<f64>]) -> f64 {
-    // Per direction that the images tell apart: information and squared score, in units of
-    // the score's own scatter.
+/// The amplitude of most evidence (empirical Bayes), all groups together, with the weights in
+/// use free to follow the discrepancy; 0 where little is gained by any.
+pub(super) fn amplitude(joint: &[Joint], mixture: &[DVector<f64>]) -> f64 {
+    // Per direction of the modes: information and squared score, in units of the score's own
+    // scatter.
     let mut directions = Vec::new();
-    for (normal, mixture) in normal.iter().zip(mixture) {
+    for (joint, mixture) in joint.iter().zip(mixture) {
         let n = mixture.len();
-        let used: Vec<usize> = (0..n).filter(|&k| mixture[k] > 0.0).collect();
+        let used: Vec<usize> = (0..n).filter(|&k| mixture[k] > IN_USE).collect();
         let Some((&last, others)) = used.split_last() else {
             continue;
         };
@@ -24,28 +25,26 @@ pub(super) fn amplitude(normal: &[Normal], mixture: &[DVector<f64>]) -> f64 {
         let tangent = DMatrix::from_fn(n, others.len(), |row, column| {
             f64::from(i8::from(row == others[column]) - i8::from(row == last))
         });
-        let own = tangent.tr_mul(&normal.information) * &tangent;
-        let own = own + DMatrix::identity(others.len(), others.len());
-        let coupling = tangent.tr_mul(&normal.coupling);
-        let Some(root) = Cholesky::new(own) else {
+        let [weights, coupling, modes] = joint.parts();
+        let own = tangent.tr_mul(&weights) * &tangent;
+        let Some(root) = Cholesky::new(own + DMatrix::identity(others.len(), others.len())) else {
             continue;
         };
-        let follow = root.solve(&coupling);
-        let left = &normal.discrepancy - coupling.tr_mul(&follow);
-        let eigen = (0.5 * (&left + left.transpose())).symmetric_eigen();
-        let along = |weights: &DVector<f64>, modes: &DVector<f64>| {
-            let followed = follow.tr_mul(&tangent.tr_mul(weights));
-            eigen.eigenvectors.tr_mul(&(modes - followed))
-        };
-        let score = along(&normal.scores[0], &normal.scores[1]);
-        let mut scatter = DVector::zeros(score.len());
-        for [weights, modes] in &normal.blocks {
-            scatter += along(weights, modes).map(|v| v * v);
-        }
+        let marginal = Marginal::new(&modes, &coupling.tr_mul(&tangent), &root.inverse());
+        let eigen = marginal.information.symmetric_eigen();
+        // From joint scores to scores along the directions.
+        let m = modes.nrows();
+        let mut along = DMatrix::zeros(n + m, m);
+        along
+            .rows_mut(0, n)
+            .copy_from(&(&tangent * marginal.gain.transpose() * -&eigen.eigenvectors));
+        along.rows_mut(n, m).copy_from(&eigen.eigenvectors);
+        let score = along.tr_mul(&joint.score);
+        let scatter = scatter(&along, &joint.blocks).diagonal();
         for m in 0..score.len() {
             let information = eigen.eigenvalues[m];
-            if information > LEAST_SPREAD {
-                let spread = (scatter[m] / information).max(LEAST_SPREAD);
+            if information > LEAST_SCATTER {
+                let spread = (scatter[m] / information).max(LEAST_SCATTER);
                 directions.push([information / spread, (score[m] / spread).powi(2)]);
             }
         }
@@ -60,6 +59,6 @@ pub(super) fn amplitude(normal: &[Normal], mixture: &[DVector<f64>]) -> f64 {
     };
     let candidates = (0..24).map(|k| 0.05 * 1.15f64.powi(k));
     let best = candidates.max_by(|a, b| gain(*a).total_cmp(&gain(*b)));
-    best.filter(|&amplitude| gain(amplitude) > LEAST_GAIN)
+    best.filter(|&amplitude| gain(amplitude) > LEAST_LOG_EVIDENCE)
         .unwrap_or(0.0)
 }

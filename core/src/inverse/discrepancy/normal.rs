@@ -1,267 +1,147 @@
 //! The normal equations of weights and discrepancy together.
 
-use std::collections::BTreeMap;
-
 use nalgebra::{Cholesky, DMatrix, DVector};
 
-use super::{At, CAUTION};
+use super::LinearizationPoint;
 use crate::brdf::discrepancy::{self, NODES};
-use crate::inverse::uncertainty::without_noise;
+use crate::inverse::normal_equations::{NormalEquations, Scores, Signal};
+use crate::inverse::objective::Value;
 
-/// The scores Jᵀ W r of the weights and Gᵀ W r of the modes.
-type Scores = [DVector<f64>; 2];
-
-/// Normal equations of one set: x its weights, z the free modes.
-pub(super) struct Normal {
-    /// F_xx, N × N.
+/// Normal equations of one channel group: N weights x, then the M free modes z.
+pub(super) struct Joint {
+    /// Number of weights.
+    pub weights: usize,
+    /// F, above Monte Carlo noise.
     pub information: DMatrix<f64>,
-    /// F_xz, N × M.
-    pub coupling: DMatrix<f64>,
-    /// F_zz, M × M.
-    pub discrepancy: DMatrix<f64>,
     /// Of all cells.
-    pub scores: Scores,
+    pub score: DVector<f64>,
     /// By block of cells.
-    pub blocks: Vec<Scores>,
-    /// Takes noise out of scores of both.
-    told: DMatrix<f64>,
+    pub blocks: Vec<DVector<f64>>,
+    /// Removes noise from scores.
+    projector: DMatrix<f64>,
 }
 
-impl Normal {
-    /// (F_zz + Λ)⁻¹ for modes of this amplitude.
-    pub fn covariance(&self, amplitude: f64) -> DMatrix<f64> {
-        let m = self.discrepancy.nrows();
-        let prior = DMatrix::identity(m, m) * (CAUTION / (amplitude * amplitude));
-        Cholesky::new(&self.discrepancy + prior)
-            .map_or_else(|| DMatrix::zeros(m, m), |root| root.inverse())
-    }
-}
-
-/// One compared value.
-struct Value {
-    set: usize,
-    block: usize,
-    weight: f64,
-    /// Derivatives by the weights and by all modes, by either half of the paths.
-    by_weights: [DVector<f64>; 2],
-    by_modes: [DVector<f64>; 2],
-    /// Captured − model.
-    residual: [f64; 2],
-}
-
-/// Sums over the values of a set, all modes.
-#[derive(Clone)]
-struct Sums {
-    /// Of independent halves, and of the mean of both.
-    coupling: [DMatrix<f64>; 2],
-    discrepancy: [DMatrix<f64>; 2],
-    blocks: Blocks,
-}
-
-/// Scores by block of cells, all modes.
-#[derive(Clone, Default)]
-struct Blocks(BTreeMap<usize, Scores>);
-
-impl Blocks {
-    fn add(&mut self, block: usize, [weights, modes]: [&DVector<f64>; 2], factor: f64) {
-        let none = || [weights, modes].map(|v| DVector::zeros(v.len()));
-        let scores = self.0.entry(block).or_insert_with(none);
-        scores[0].axpy(factor, weights, 1.0);
-        scores[1].axpy(factor, modes, 1.0);
-    }
-
-    /// What a value adds whose `residual` is this: every product between independent halves.
-    fn add_value(&mut self, value: &Value, residual: [f64; 2]) {
-        for (half, other) in [(0, 1), (1, 0)] {
-            let by = [&value.by_weights[half], &value.by_modes[half]];
-            self.add(value.block, by, 0.5 * value.weight * residual[other]);
-        }
-    }
-
-    fn join(&mut self, other: Self) {
-        for (block, [weights, modes]) in other.0 {
-            self.add(block, [&weights, &modes], 1.0);
-        }
-    }
-
-    fn of_free(self, free: &DMatrix<f64>) -> Vec<Scores> {
-        let scores = self.0.into_values();
-        scores.map(|[x, z]| [x, free.tr_mul(&z)]).collect()
-    }
-}
-
-impl Sums {
-    fn zero(n: usize, m: usize) -> Self {
+impl Joint {
+    fn new(equations: &NormalEquations, free: &DMatrix<f64>, weights: usize) -> Self {
+        let map = onto_free(weights, free);
+        let free = |matrix: &DMatrix<f64>| map.tr_mul(matrix) * &map;
+        let signal = Signal::new(&free(&equations.information), &free(&equations.full));
+        let blocks = equations.scores.each(|s| &signal.projector * map.tr_mul(s));
+        let none = DVector::zeros(map.ncols());
         Self {
-            coupling: [DMatrix::zeros(n, m), DMatrix::zeros(n, m)],
-            discrepancy: [DMatrix::zeros(m, m), DMatrix::zeros(m, m)],
-            blocks: Blocks::default(),
-        }
-    }
-
-    fn add(&mut self, value: &Value) {
-        let w = value.weight;
-        let [[j, k], [a, b]] = [&value.by_weights, &value.by_modes];
-        self.discrepancy[0].ger(0.5 * w, a, b, 1.0);
-        self.discrepancy[0].ger(0.5 * w, b, a, 1.0);
-        self.coupling[0].ger(0.5 * w, j, b, 1.0);
-        self.coupling[0].ger(0.5 * w, k, a, 1.0);
-        // (a + b)(a + b)ᵀ/4 is half of the above and these.
-        self.discrepancy[1].ger(0.25 * w, a, a, 1.0);
-        self.discrepancy[1].ger(0.25 * w, b, b, 1.0);
-        self.coupling[1].ger(0.25 * w, j, a, 1.0);
-        self.coupling[1].ger(0.25 * w, k, b, 1.0);
-        self.blocks.add_value(value, value.residual);
-    }
-
-    fn join(&mut self, other: Self) {
-        for k in 0..2 {
-            self.coupling[k] += &other.coupling[k];
-            self.discrepancy[k] += &other.discrepancy[k];
-        }
-        self.blocks.join(other.blocks);
-    }
-
-    /// With what the paths' noise alone could have made taken out of the information, given
-    /// that of the weights by independent halves and by their mean.
-    fn normal(mut self, weights: [&DMatrix<f64>; 2], free: &DMatrix<f64>) -> Normal {
-        self.coupling[1] = &self.coupling[1] + 0.5 * &self.coupling[0];
-        self.discrepancy[1] = &self.discrepancy[1] + 0.5 * &self.discrepancy[0];
-        let (n, m) = (weights[0].nrows(), free.ncols());
-        let joint = |k: usize| {
-            let mut joint = DMatrix::zeros(n + m, n + m);
-            let coupling = &self.coupling[k] * free;
-            joint.view_mut((0, 0), (n, n)).copy_from(weights[k]);
-            joint.view_mut((0, n), (n, m)).copy_from(&coupling);
-            joint.view_mut((n, 0), (m, n)).tr_copy_from(&coupling);
-            let modes = free.tr_mul(&self.discrepancy[k]) * free;
-            joint.view_mut((n, n), (m, m)).copy_from(&modes);
-            joint
-        };
-        let told = without_noise(&joint(0), &joint(1));
-        let joint = told.information;
-        let blocks = told_of(&told.scores, self.blocks.of_free(free));
-        let mut scores = [DVector::zeros(n), DVector::zeros(m)];
-        for block in &blocks {
-            for (sum, score) in scores.iter_mut().zip(block) {
-                *sum += score;
-            }
-        }
-        Normal {
-            information: joint.view((0, 0), (n, n)).into_owned(),
-            coupling: joint.view((0, n), (n, m)).into_owned(),
-            discrepancy: joint.view((n, n), (m, m)).into_owned(),
-            scores,
+            weights,
+            information: signal.information,
+            score: blocks.iter().fold(none, |sum, s| sum + s),
             blocks,
-            told: told.scores,
+            projector: signal.projector,
         }
     }
-}
 
-/// What scores say in the directions that are told apart.
-fn told_of(told: &DMatrix<f64>, scores: Vec<Scores>) -> Vec<Scores> {
-    let of = |[x, z]: Scores| {
-        let both = DVector::from_iterator(x.len() + z.len(), x.iter().chain(&z).copied());
-        let both = told * both;
+    /// F_xx, F_xz and F_zz.
+    pub fn parts(&self) -> [DMatrix<f64>; 3] {
+        let (n, m) = (self.weights, self.score.len() - self.weights);
+        let part = |from, shape| self.information.view(from, shape).into_owned();
         [
-            both.rows(0, x.len()).into_owned(),
-            both.rows(x.len(), z.len()).into_owned(),
+            part((0, 0), (n, n)),
+            part((0, n), (n, m)),
+            part((n, n), (m, m)),
         ]
-    };
-    scores.into_iter().map(of).collect()
+    }
+
+    /// (F_zz + Λ)⁻¹ for modes of this amplitude, in images whose noise counts as this many times
+    /// its variance.
+    pub fn covariance(&self, amplitude: f64, noise_inflation: f64) -> DMatrix<f64> {
+        let [.., modes] = self.parts();
+        let m = modes.nrows();
+        let prior = DMatrix::identity(m, m) * (noise_inflation / (amplitude * amplitude));
+        Cholesky::new(modes + prior).map_or_else(|| DMatrix::zeros(m, m), |root| root.inverse())
+    }
 }
 
-/// The equations of each set with its `free` modes.
-pub(super) fn equations(at: &At<'_>, free: &[DMatrix<f64>]) -> Vec<Normal> {
-    let (n, m) = (at.objective.atoms(), discrepancy::modes().ncols());
-    let zero = || vec![Sums::zero(n, m); free.len()];
-    let parts = over_values(at, zero, |sums, value| sums[value.set].add(value));
-    let mut total = zero();
-    for part in parts {
-        for (total, part) in total.iter_mut().zip(part) {
-            total.join(part);
-        }
-    }
-    let pass = at.pass;
-    let known = pass.information.iter().zip(&pass.quadratics);
-    let sets = total.into_iter().zip(known).zip(free);
-    sets.map(|((sums, (halves, mean)), free)| sums.normal([halves, &mean.h], free))
+/// (x, z) ↦ (x, `free` z).
+fn onto_free(weights: usize, free: &DMatrix<f64>) -> DMatrix<f64> {
+    let mut map = DMatrix::zeros(weights + free.nrows(), weights + free.ncols());
+    map.fill_diagonal(1.0);
+    let (rows, columns) = free.shape();
+    map.view_mut((weights, weights), (rows, columns))
+        .copy_from(free);
+    map
+}
+
+/// The equations of each group with its `free` modes.
+pub(super) fn equations(at: &LinearizationPoint<'_>, free: &[DMatrix<f64>]) -> Vec<Joint> {
+    let k = at.objective.atoms() + discrepancy::modes().ncols();
+    let equations = over_values(
+        at,
+        || NormalEquations::zero(k),
+        |sums, value, rows| sums.add(value.block, value.weight, rows, value.residual),
+        |total, part| total.join(&part),
+    );
+    let equations = equations.into_iter().map(NormalEquations::complete);
+    let groups = equations.zip(free);
+    groups
+        .map(|(equations, free)| Joint::new(&equations, free, at.objective.atoms()))
         .collect()
 }
 
-/// Sets the scores of weights and free modes by block of cells to those of the residual that small
-/// discrepancies (values of all modes, per set) leave.
+/// Sets the scores by block of cells to those of the residual that small discrepancies (values
+/// of all modes, per group) leave.
 pub(super) fn blocks_after(
-    at: &At<'_>,
+    at: &LinearizationPoint<'_>,
     discrepancies: &[DVector<f64>],
     free: &[DMatrix<f64>],
-    normal: &mut [Normal],
+    joint: &mut [Joint],
 ) {
-    let none = || vec![Blocks::default(); free.len()];
-    let parts = over_values(at, none, |blocks, value| {
-        let departed = |half: usize| value.by_modes[half].dot(&discrepancies[value.set]);
-        let residual = [0, 1].map(|half| value.residual[half] - departed(half));
-        blocks[value.set].add_value(value, residual);
-    });
-    let mut total = none();
-    for part in parts {
-        for (total, part) in total.iter_mut().zip(part) {
-            total.join(part);
-        }
-    }
-    for ((normal, blocks), free) in normal.iter_mut().zip(total).zip(free) {
-        normal.blocks = told_of(&normal.told, blocks.of_free(free));
+    let n = at.objective.atoms();
+    let scores = over_values(
+        at,
+        || Scores::zero(n + discrepancy::modes().ncols()),
+        |sums, value, rows| {
+            let discrepancy = &discrepancies[value.group];
+            let residual = [0, 1].map(|half| {
+                let change = rows[half][n..].iter().zip(discrepancy.iter());
+                value.residual[half] - change.map(|(d, z)| d * z).sum::<f64>()
+            });
+            sums.add(value.block, value.weight, rows, residual);
+        },
+        |total, part| total.join(&part),
+    );
+    for ((joint, scores), free) in joint.iter_mut().zip(scores).zip(free) {
+        let map = onto_free(n, free);
+        joint.blocks = scores.each(|s| &joint.projector * map.tr_mul(s));
     }
 }
 
-/// Visits every compared value, by groups of cells.
+/// Sums per group over the values with the derivatives by the weights and all modes.
 fn over_values<T: Send>(
-    at: &At<'_>,
-    group: impl Fn() -> T + Sync,
-    visit: impl Fn(&mut T, &Value) + Sync,
+    at: &LinearizationPoint<'_>,
+    zero: impl Fn() -> T + Sync,
+    visit: impl Fn(&mut T, &Value<'_>, [&[f64]; 2]) + Sync,
+    join: impl Fn(&mut T, T),
 ) -> Vec<T> {
-    let objective = at.objective;
     let modes = discrepancy::modes();
-    let (n, m, sets) = (objective.atoms(), modes.ncols(), objective.sets());
-    let group = || {
-        let value = Value {
-            set: 0,
-            block: 0,
-            weight: 0.0,
-            by_weights: [DVector::zeros(n), DVector::zeros(n)],
-            by_modes: [DVector::zeros(m), DVector::zeros(m)],
-            residual: [0.0; 2],
-        };
-        (group(), value, DVector::zeros(NODES))
-    };
-    let parts = objective.evaluate(at.mixture, true, group, |(sums, value, nodes), rows| {
-        let cell = rows.cell;
-        for (light, c) in (0..objective.lights()).flat_map(|l| [(l, 0), (l, 1), (l, 2)]) {
-            value.weight = at.residual_weights[light][cell][c];
-            if value.weight <= 0.0 {
-                continue;
+    at.objective.accumulate(
+        at.mixture,
+        at.residual_weights,
+        true,
+        || at.mixture.iter().map(|_| zero()).collect::<Vec<_>>(),
+        |sums, value| {
+            let direct = at.direct.by_modes(value.cell, value.light, value.channel);
+            let rows = [0, 1].map(|half| {
+                let nodes = value.by_nodes[half].iter().map(|&v| f64::from(v));
+                let indirect = modes.tr_mul(&DVector::from_iterator(NODES, nodes));
+                let both = indirect.iter().zip(direct);
+                let by_modes = both.map(|(i, &d)| i + value.direct * f64::from(d));
+                let by_weights = value.by_weights[half].iter().copied();
+                by_weights.chain(by_modes).collect::<Vec<f64>>()
+            });
+            let rows = rows.each_ref().map(Vec::as_slice);
+            visit(&mut sums[value.group], value, rows);
+        },
+        |total, part| {
+            for (total, part) in total.iter_mut().zip(part) {
+                join(total, part);
             }
-            value.set = c.min(sets - 1);
-            value.block = objective.block(cell, light);
-            let [a, b] = value.by_weights.each_mut().map(|v| v.as_mut_slice());
-            objective.derivatives(rows, light, c, [a, b]);
-            let direct_light = objective.direct_light(cell, light, c, &at.mixture[value.set]);
-            let [target, _] = objective.captured(light, cell);
-            let row = light * sets + value.set;
-            for half in 0..2 {
-                value.residual[half] = target[c] - direct_light - f64::from(rows.value[half][row]);
-                let by_node = &rows.nodes[half][row * NODES..(row + 1) * NODES];
-                for (node, &by_node) in nodes.iter_mut().zip(by_node) {
-                    *node = f64::from(by_node);
-                }
-                modes.tr_mul_to(nodes, &mut value.by_modes[half]);
-                let direct = at.direct.by_modes(cell, light, c);
-                for (mode, &direct) in value.by_modes[half].iter_mut().zip(direct) {
-                    *mode += direct_light * f64::from(direct);
-                }
-            }
-            visit(sums, value);
-        }
-    });
-    parts.into_iter().map(|(sums, ..)| sums).collect()
+        },
+    )
 }

@@ -1,4 +1,4 @@
-//! The comparison with a material that departs from the mixtures (docs/adr/0032).
+//! The comparison with a material that has a model discrepancy (docs/adr/0032).
 
 use nalgebra::DVector;
 
@@ -8,7 +8,7 @@ use crate::transport::direct_discrepancy::DirectDiscrepancy;
 use crate::transport::evaluate::NodeFactors;
 use crate::transport::{CellRows, Scene};
 
-/// What makes a model of a mixture one of a material that departs from it.
+/// The discrepancy as it changes the images of a mixture.
 pub struct DiscrepancyModel {
     /// Factors of f at the nodes, per set.
     factors: Vec<[f32; NODES]>,
@@ -58,22 +58,27 @@ impl DiscrepancyModel {
 }
 
 impl<'a> Objective<'a> {
-    /// The same comparison with the light of a material that departs from the mixture.
+    /// The same comparison with the discrepancy applied.
     pub fn with_discrepancy(&self, model: &'a DiscrepancyModel) -> Self {
         Self {
             values: self.values.clone(),
-            departed: Some(model),
+            discrepancy: Some(model),
             ..*self
         }
     }
 
     /// What a discrepancy makes of the mixture's light that is reflected once.
-    pub(in crate::inverse) fn once_factor(&self, cell: usize, light: usize, channel: usize) -> f64 {
-        self.departed
+    pub(in crate::inverse) fn direct_factor(
+        &self,
+        cell: usize,
+        light: usize,
+        channel: usize,
+    ) -> f64 {
+        self.discrepancy
             .map_or(1.0, |d| f64::from(d.direct.factor(cell, light, channel)))
     }
 
-    /// One pass over the paths with the light of `mixture`, or of what departs from it, with the
+    /// One pass over the paths with the light of `mixture` and its discrepancy, if any, with the
     /// derivatives by the discrepancy's nodes if wanted.
     pub(in crate::inverse) fn evaluate<T: Send>(
         &self,
@@ -84,7 +89,7 @@ impl<'a> Objective<'a> {
     ) -> Vec<T> {
         let slices: Vec<&[f64]> = mixture.iter().map(|w| w.as_slice()).collect();
         let departing = NodeFactors {
-            factors: self.departed.map_or(&[][..], |d| &d.factors),
+            factors: self.discrepancy.map_or(&[][..], |d| &d.factors),
             by_node,
         };
         self.cache
@@ -106,11 +111,11 @@ mod tests {
     use crate::inverse::solve::Paths;
     use crate::transport::{Proposal, RenderOptions, render};
 
-    /// Images and their derivatives by two modes, around a material that departs, against what
+    /// Images and their derivatives by two modes, around a material with a discrepancy, against what
     /// the renderer makes of discrepancies a little to either side: it shares nothing with the
     /// cache but the table.
     #[test]
-    fn images_of_departed_materials_are_as_rendered() {
+    fn images_of_discrepancy_materials_are_as_rendered() {
         let scene = bowl(8);
         let atoms = vec![
             Atom::Lambertian { albedo: 1.0 },
@@ -127,7 +132,7 @@ mod tests {
         };
         let rendered = |along: [f64; 2]| {
             let g = discrepancy(along);
-            let departed = Material::new(mixture.clone(), &[g]);
+            let discrepancy = Material::new(mixture.clone(), &[g]);
             let options = RenderOptions {
                 samples_per_pixel: 8192,
                 max_reflections: 4,
@@ -135,7 +140,7 @@ mod tests {
                 proposal: Proposal::resembling(&mixture, 0.3),
                 ..RenderOptions::default()
             };
-            render(&scene, &departed, &options)
+            render(&scene, &discrepancy, &options)
         };
         let (at, step) = ([1.0, -0.5], 0.05);
         let captured = rendered(at);
@@ -148,8 +153,8 @@ mod tests {
             Paths::trace(&scene, &compared.cells, &dictionary, None, &options, &()).unwrap();
         let objective = paths.objective(&compared, &options);
         let g = discrepancy(at);
-        let departed = Material::new(mixture.clone(), &[g]);
-        let model = DiscrepancyModel::of_compared(&objective, &scene, &departed, 3);
+        let discrepancy = Material::new(mixture.clone(), &[g]);
+        let model = DiscrepancyModel::of_compared(&objective, &scene, &discrepancy, 3);
         let objective = objective.with_discrepancy(&model);
         let weights = vec![DVector::from_vec(vec![0.5, 0.5]); 3];
 

@@ -1,9 +1,9 @@
-//! What a model says of a value, and what a residual's weight may know of it.
+//! A modelled value, and the part of it on which a residual's weight may depend.
 
 /// A value whose own paths scatter by more than this many times the variance of the
 /// neighbours' holds a rare bright path and counts for less. Far above what a weight that
 /// follows its own noise would need to pull the fit low.
-const RARE: f64 = 64.0;
+const RARE_PATH_RATIO: f64 = 64.0;
 
 /// A modelled value, radiance over lamp strength.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -35,7 +35,7 @@ impl Modelled {
             count += 1.0;
         }
         if count > 0.0 {
-            let variance = (variance / count).max(self.variance / RARE);
+            let variance = (variance / count).max(self.variance / RARE_PATH_RATIO);
             [self.direct + indirect / count, variance]
         } else {
             [self.value(), self.variance]
@@ -71,7 +71,11 @@ mod tests {
             variance: 1.0,
             ..Modelled::default()
         };
-        for (own, expected) in [(1.0, 1.0), (RARE, 1.0), (4.0 * RARE, 4.0)] {
+        for (own, expected) in [
+            (1.0, 1.0),
+            (RARE_PATH_RATIO, 1.0),
+            (4.0 * RARE_PATH_RATIO, 4.0),
+        ] {
             let value = Modelled {
                 variance: own,
                 ..ordinary

@@ -3,8 +3,8 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use super::pass::add_product;
 use super::{ModelImage, Objective, ResidualWeights};
+use crate::inverse::normal_equations::add_product;
 
 /// Covariance of the score Jᵀ W r per set by what makes the residual scatter, N × N each.
 #[derive(Clone, Debug)]
@@ -23,42 +23,31 @@ impl Objective<'_> {
         residual_weights: &ResidualWeights,
         model: &[ModelImage],
     ) -> Vec<ScoreNoise> {
-        let (n, sets, lights) = (self.atoms(), self.sets(), self.lights());
+        let (n, sets) = (self.atoms(), self.sets());
         let none = || ScoreNoise {
             captured: DMatrix::zeros(n, n),
             rendered: DMatrix::zeros(n, n),
         };
-        let parts = self.evaluate(
+        let mut total = self.accumulate(
             mixture,
+            residual_weights,
             false,
             || vec![none(); sets],
-            |sums, rows| {
-                let cell = rows.cell;
-                let mut derivatives = [vec![0.0; n], vec![0.0; n]];
-                for light in 0..lights {
-                    for c in 0..3 {
-                        let set = self.set_of(c);
-                        let w = residual_weights[light][cell][c];
-                        if w <= 0.0 {
-                            continue;
-                        }
-                        let [a, b] = &mut derivatives;
-                        self.derivatives(rows, light, c, [a, b]);
-                        let captured = w * w * self.values.variance[light][cell][c];
-                        let rendered = w * w * model[light][cell][c].variance;
-                        add_product(&mut sums[set].captured, a, b, captured);
-                        add_product(&mut sums[set].rendered, a, b, rendered);
-                    }
+            |sums, value| {
+                let [a, b] = value.by_weights;
+                let square = value.weight * value.weight;
+                let rendered = model[value.light][value.cell][value.channel].variance;
+                let sum = &mut sums[value.group];
+                add_product(&mut sum.captured, a, b, square * value.variance);
+                add_product(&mut sum.rendered, a, b, square * rendered);
+            },
+            |total, part| {
+                for (sum, part) in total.iter_mut().zip(part) {
+                    sum.captured += part.captured;
+                    sum.rendered += part.rendered;
                 }
             },
         );
-        let mut total = vec![none(); sets];
-        for part in parts {
-            for (sum, part) in total.iter_mut().zip(part) {
-                sum.captured += part.captured;
-                sum.rendered += part.rendered;
-            }
-        }
         for sum in &mut total {
             sum.captured.fill_upper_triangle_with_lower_triangle();
             sum.rendered.fill_upper_triangle_with_lower_triangle();

@@ -1,10 +1,9 @@
 //! One pass over the cached paths: image, loss, gradient and Gauss–Newton matrix.
 
-use std::collections::BTreeMap;
-
 use nalgebra::{DMatrix, DVector};
 
-use super::{ModelImage, Modelled, Objective, ResidualWeights, add_outer};
+use super::{ModelImage, Modelled, Objective, ResidualWeights};
+use crate::inverse::normal_equations::NormalEquations;
 use crate::inverse::simplex::Quadratic;
 use crate::transport::CellRows;
 use crate::transport::points::VarianceReduction;
@@ -111,73 +110,44 @@ impl Objective<'_> {
         residual_weights: &ResidualWeights,
     ) -> Linearised {
         let (n, sets, lights) = (self.atoms(), self.sets(), self.lights());
-        let parts = self.evaluate(
-            mixture,
-            false,
-            || Part::new(n, sets, lights),
-            |part, rows| {
-                let cell = rows.cell;
-                let mut model = vec![[Modelled::default(); 3]; lights];
-                let mut derivatives = [vec![0.0; n], vec![0.0; n]];
-                let mut row_mean = vec![0.0; n];
-                for light in 0..lights {
-                    for c in 0..3 {
-                        let set = self.set_of(c);
-                        let r = light * sets + set;
-                        let direct = self.direct_light(cell, light, c, &mixture[set]);
-                        let indirect = [0, 1].map(|h| f64::from(rows.value[h][r]));
-                        let halves = indirect.map(|value| direct + value);
-                        let variance = f64::from(rows.variance[r]);
-                        part.reduction[light][c]
-                            .add(0.25 * (indirect[0] - indirect[1]).powi(2), variance);
-                        model[light][c] = Modelled {
-                            direct,
-                            indirect: 0.5 * (indirect[0] + indirect[1]),
-                            variance,
-                        };
-                        let w = residual_weights[light][cell][c];
-                        if w <= 0.0 {
-                            continue;
-                        }
-                        let [row_a, row_b] = &mut derivatives;
-                        self.derivatives(rows, light, c, [row_a, row_b]);
-                        for (mean, (a, b)) in row_mean.iter_mut().zip(row_a.iter().zip(&*row_b)) {
-                            *mean = 0.5 * (a + b);
-                        }
-                        let target = self.values.target[light][cell][c];
-                        let residual = halves.map(|m| m - target);
-                        let q = &mut part.quadratics[set];
-                        add_outer(&mut q.h, &row_mean, w);
-                        add_product(&mut part.information[set], row_a, row_b, w);
-                        let block = self.block(cell, light);
-                        let score = part.scores[set]
-                            .entry(block)
-                            .or_insert_with(|| DVector::zeros(n));
-                        for k in 0..n {
-                            let descent =
-                                -0.5 * w * (row_a[k] * residual[1] + row_b[k] * residual[0]);
-                            q.g[k] += descent;
-                            score[k] += descent;
-                        }
-                        q.c += 0.5 * w * residual[0] * residual[1];
-                        part.unexplained[set] +=
-                            w * (residual[0] * residual[1] - self.values.variance[light][cell][c]);
-                        part.power[set] += w * halves[0] * halves[1];
-                        let difference = residual[0] - residual[1];
-                        let noise = &mut part.noise[set];
-                        for k in 0..n {
-                            noise.g[k] -= 0.25 * w * (row_a[k] - row_b[k]) * difference;
-                        }
-                        noise.c += 0.125 * w * difference * difference;
-                    }
+        let group = || (Part::new(n, sets, lights), self.row_pair());
+        let parts = self.evaluate(mixture, false, group, |(part, pair), rows| {
+            let mut model = vec![[Modelled::default(); 3]; lights];
+            for (light, c) in (0..lights).flat_map(|l| [(l, 0), (l, 1), (l, 2)]) {
+                let group = self.channels.group(c);
+                let r = light * sets + group;
+                let indirect = [0, 1].map(|h| f64::from(rows.value[h][r]));
+                let variance = f64::from(rows.variance[r]);
+                part.reduction[light][c].add(0.25 * (indirect[0] - indirect[1]).powi(2), variance);
+                model[light][c] = Modelled {
+                    direct: self.direct_light(rows.cell, light, c, &mixture[group]),
+                    indirect: 0.5 * (indirect[0] + indirect[1]),
+                    variance,
+                };
+            }
+            part.model.push(model);
+            self.visit_cell(rows, mixture, residual_weights, pair, |value| {
+                let (w, residual) = (value.weight, value.residual);
+                let sums = &mut part.groups[value.group];
+                sums.equations
+                    .add(value.block, w, value.by_weights, residual);
+                let product = residual[0] * residual[1];
+                sums.loss += 0.5 * w * product;
+                sums.unexplained += w * (product - value.variance);
+                sums.power += w * value.model[0] * value.model[1];
+                let difference = residual[0] - residual[1];
+                let [a, b] = value.by_weights;
+                for (g, (a, b)) in sums.noise.g.iter_mut().zip(a.iter().zip(b)) {
+                    *g += 0.25 * w * (a - b) * difference;
                 }
-                part.model.push(model);
-            },
-        );
+                sums.noise.c += 0.125 * w * difference * difference;
+            });
+        });
+        let parts = parts.into_iter().map(|(part, _)| part).collect();
         self.gather(parts)
     }
 
-    /// What is reflected once, over the lamp's strength.
+    /// Direct light, over the lamp's strength.
     pub(in crate::inverse) fn direct_light(
         &self,
         cell: usize,
@@ -187,7 +157,7 @@ impl Objective<'_> {
     ) -> f64 {
         let direct = self.direct.row(cell, light).iter();
         let terms = direct.zip(mixture).map(|(&d, w)| f64::from(d) * w);
-        terms.sum::<f64>() * self.once_factor(cell, light, channel)
+        terms.sum::<f64>() * self.direct_factor(cell, light, channel)
     }
 
     /// Derivatives of one value by the weights of its set, with the paths of each half.
@@ -198,9 +168,12 @@ impl Objective<'_> {
         channel: usize,
         halves: [&mut [f64]; 2],
     ) {
-        let (n, row) = (self.atoms(), light * self.sets() + self.set_of(channel));
+        let (n, row) = (
+            self.atoms(),
+            light * self.sets() + self.channels.group(channel),
+        );
         let direct = self.direct.row(rows.cell, light);
-        let factor = self.once_factor(rows.cell, light, channel);
+        let factor = self.direct_factor(rows.cell, light, channel);
         for (half, jacobian) in halves.into_iter().zip(rows.jacobian) {
             let indirect = &jacobian[row * n..(row + 1) * n];
             for (sum, (&d, &i)) in half.iter_mut().zip(direct.iter().zip(indirect)) {
@@ -212,37 +185,25 @@ impl Objective<'_> {
     fn gather(&self, parts: Vec<Part>) -> Linearised {
         let (n, sets) = (self.atoms(), self.sets());
         let mut total = Part::new(n, sets, self.lights());
-        let mut model = vec![Vec::with_capacity(self.values.target[0].len()); self.lights()];
+        let mut model = vec![Vec::with_capacity(self.cells.len()); self.lights()];
         for part in parts {
-            for set in 0..sets {
-                total.quadratics[set].add_scaled(1.0, &part.quadratics[set]);
-                total.information[set] += &part.information[set];
-                total.noise[set].g += &part.noise[set].g;
-                total.noise[set].c += part.noise[set].c;
-                total.unexplained[set] += part.unexplained[set];
-                total.power[set] += part.power[set];
-                for (block, score) in &part.scores[set] {
-                    *total.scores[set]
-                        .entry(*block)
-                        .or_insert_with(|| DVector::zeros(n)) += score;
-                }
+            for (total, part) in total.groups.iter_mut().zip(&part.groups) {
+                total.equations.join(&part.equations);
+                total.loss += part.loss;
+                total.noise.g += &part.noise.g;
+                total.noise.c += part.noise.c;
+                total.unexplained += part.unexplained;
+                total.power += part.power;
             }
-            for (total, part) in total.reduction.iter_mut().zip(&part.reduction) {
-                for (total, part) in total.iter_mut().zip(part) {
-                    total.join(part);
-                }
+            let reductions = part.reduction.iter().flatten();
+            for (total, part) in total.reduction.iter_mut().flatten().zip(reductions) {
+                total.join(part);
             }
             for cell in part.model {
-                for (light, value) in cell.into_iter().enumerate() {
-                    model[light].push(value);
+                for (image, value) in model.iter_mut().zip(cell) {
+                    image.push(value);
                 }
             }
-        }
-        for set in 0..sets {
-            total.quadratics[set]
-                .h
-                .fill_upper_triangle_with_lower_triangle();
-            total.information[set].fill_upper_triangle_with_lower_triangle();
         }
         for (image, reduction) in model.iter_mut().zip(&total.reduction) {
             let factors = reduction.map(|channel| channel.factor());
@@ -252,61 +213,63 @@ impl Objective<'_> {
                 }
             }
         }
-        Linearised {
-            noise: total.noise,
-            unexplained: total.unexplained,
-            power: total.power,
-            quadratics: total.quadratics,
-            information: total.information,
+        let mut pass = Linearised {
+            quadratics: Vec::with_capacity(sets),
+            information: Vec::with_capacity(sets),
+            noise: Vec::with_capacity(sets),
             model,
-            block_scores: total
-                .scores
-                .into_iter()
-                .map(|s| s.into_values().collect())
-                .collect(),
+            unexplained: Vec::with_capacity(sets),
+            power: Vec::with_capacity(sets),
+            block_scores: Vec::with_capacity(sets),
+        };
+        for sums in total.groups {
+            let equations = sums.equations.complete();
+            pass.quadratics.push(Quadratic {
+                h: equations.full,
+                g: equations.scores.total,
+                c: sums.loss,
+            });
+            pass.information.push(equations.information);
+            pass.noise.push(sums.noise);
+            pass.unexplained.push(sums.unexplained);
+            pass.power.push(sums.power);
+            pass.block_scores
+                .push(equations.scores.blocks.into_values().collect());
         }
+        pass
     }
 }
 
 /// Sums over a group of cells.
 struct Part {
-    quadratics: Vec<Quadratic>,
-    information: Vec<DMatrix<f64>>,
-    noise: Vec<Noise>,
-    unexplained: Vec<f64>,
-    power: Vec<f64>,
-    scores: Vec<BTreeMap<usize, DVector<f64>>>,
+    groups: Vec<Sums>,
     model: Vec<ModelImage>,
     /// Per light and channel.
     reduction: Vec<[VarianceReduction; 3]>,
 }
 
-impl Part {
-    fn new(n: usize, sets: usize, lights: usize) -> Self {
-        Self {
-            quadratics: vec![Quadratic::zero(n); sets],
-            information: vec![DMatrix::zeros(n, n); sets],
-            noise: vec![Noise::zero(n); sets],
-            unexplained: vec![0.0; sets],
-            power: vec![0.0; sets],
-            scores: vec![Default::default(); sets],
-            model: Vec::new(),
-            reduction: vec![[VarianceReduction::default(); 3]; lights],
-        }
-    }
+/// Sums over the values of a channel group.
+struct Sums {
+    equations: NormalEquations,
+    loss: f64,
+    noise: Noise,
+    unexplained: f64,
+    power: f64,
 }
 
-/// Lower triangle of `h += w · ½ (a bᵀ + b aᵀ)`.
-pub(super) fn add_product(h: &mut DMatrix<f64>, a: &[f64], b: &[f64], w: f64) {
-    let n = a.len();
-    let data = h.as_mut_slice();
-    for j in 0..n {
-        let (wa, wb) = (0.5 * w * a[j], 0.5 * w * b[j]);
-        if wa != 0.0 || wb != 0.0 {
-            let column = &mut data[j * n + j..(j + 1) * n];
-            for (h, (&x, &y)) in column.iter_mut().zip(a[j..].iter().zip(&b[j..])) {
-                *h += wa * y + wb * x;
-            }
+impl Part {
+    fn new(n: usize, groups: usize, lights: usize) -> Self {
+        let none = |_| Sums {
+            equations: NormalEquations::zero(n),
+            loss: 0.0,
+            noise: Noise::zero(n),
+            unexplained: 0.0,
+            power: 0.0,
+        };
+        Self {
+            groups: (0..groups).map(none).collect(),
+            model: Vec::new(),
+            reduction: vec![[VarianceReduction::default(); 3]; lights],
         }
     }
 }

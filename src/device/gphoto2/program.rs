@@ -1,0 +1,331 @@
+//! The program `gphoto2`: what it is asked, and what its output means.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+use crate::device::command_camera::Workplace;
+use crate::device::{DeviceError, ProgramFault};
+use crate::units::Seconds;
+
+/// The program.
+pub(super) const GPHOTO2: &str = "gphoto2";
+/// So long may a question about settings take, and setting them.
+pub(super) const SETTINGS_TIME: Duration = Duration::from_secs(20);
+/// A body that is busy is asked again after this, so many times.
+const BUSY_PAUSE: Duration = Duration::from_millis(300);
+const BUSY_TRIES: u32 = 5;
+/// libgphoto2's driver for bodies on a network, which detection does not find.
+const NETWORK_DRIVER: &str = "PTP/IP Camera";
+
+/// A setting of the body, as gphoto2 prints it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Setting {
+    pub(super) is_read_only: bool,
+    pub(super) current: String,
+    pub(super) choices: Vec<String>,
+}
+
+/// `gphoto2` for one body.
+#[derive(Clone, Debug)]
+pub(super) struct Gphoto {
+    /// The body's port, as gphoto2 names it.
+    pub(super) port: String,
+}
+
+/// Bodies that gphoto2 detects: model and port.
+pub(super) fn detect(workplace: &Workplace) -> Result<Vec<(String, String)>, DeviceError> {
+    let mut command = Command::new(GPHOTO2);
+    command.env("LC_ALL", "C").arg("--auto-detect");
+    let ended = workplace.run(command, Instant::now() + SETTINGS_TIME)?;
+    Ok(parse_detected(&ended.stdout))
+}
+
+/// The table of `gphoto2 --auto-detect`: two columns below a line of dashes.
+pub(super) fn parse_detected(text: &str) -> Vec<(String, String)> {
+    text.lines()
+        .skip_while(|line| !line.starts_with("---"))
+        .skip(1)
+        .filter_map(|line| {
+            let (model, port) = line.trim_end().rsplit_once(' ')?;
+            Some((model.trim().to_owned(), port.to_owned()))
+        })
+        .collect()
+}
+
+impl Gphoto {
+    /// The names of all settings, whole paths.
+    pub(super) fn names(&self, workplace: &Workplace) -> Result<Vec<String>, DeviceError> {
+        let text = self.run(workplace, &["--list-config"], SETTINGS_TIME)?;
+        let paths = text.lines().filter(|line| line.starts_with('/'));
+        Ok(paths.map(str::to_owned).collect())
+    }
+
+    /// These settings, in their order.
+    pub(super) fn get(
+        &self,
+        workplace: &Workplace,
+        names: &[&str],
+    ) -> Result<Vec<Setting>, DeviceError> {
+        let arguments: Vec<&str> = names
+            .iter()
+            .flat_map(|&name| ["--get-config", name])
+            .collect();
+        let text = self.run(workplace, &arguments, SETTINGS_TIME)?;
+        let settings = parse_settings(&text);
+        if settings.len() != names.len() {
+            return Err(DeviceError::Garbled {
+                device: self.port.clone(),
+                answer: text.chars().take(200).collect(),
+                expected: format!("the settings {}", names.join(", ")),
+            });
+        }
+        Ok(settings)
+    }
+
+    /// Sets these, in their order, and returns them as they are afterwards.
+    pub(super) fn set(
+        &self,
+        workplace: &Workplace,
+        values: &[(&str, &str)],
+    ) -> Result<Vec<Setting>, DeviceError> {
+        let assignments: Vec<String> = values
+            .iter()
+            .map(|(name, value)| format!("{name}={value}"))
+            .collect();
+        let arguments: Vec<&str> = assignments
+            .iter()
+            .flat_map(|assignment| ["--set-config-value", assignment])
+            .collect();
+        self.run(workplace, &arguments, SETTINGS_TIME)?;
+        let names: Vec<&str> = values.iter().map(|(name, _)| *name).collect();
+        self.get(workplace, &names)
+    }
+
+    /// Takes a frame into `folder` and returns its raw file; the body keeps none.
+    pub(super) fn capture(
+        &self,
+        workplace: &Workplace,
+        folder: &Path,
+        time: Duration,
+    ) -> Result<PathBuf, DeviceError> {
+        let pattern = folder.join("frame.%C");
+        let pattern = pattern.to_string_lossy();
+        let arguments = [
+            "--capture-image-and-download",
+            "--force-overwrite",
+            "--filename",
+            &pattern,
+        ];
+        let text = self.run(workplace, &arguments, time)?;
+        let is_developed = |path: &Path| {
+            let ending = path.extension().and_then(|ending| ending.to_str());
+            ending.is_some_and(|ending| {
+                ["jpg", "jpeg", "heic", "heif", "hif"]
+                    .contains(&ending.to_ascii_lowercase().as_str())
+            })
+        };
+        let files = std::fs::read_dir(folder).into_iter().flatten().flatten();
+        let files: Vec<PathBuf> = files.map(|entry| entry.path()).collect();
+        let raw = files.iter().find(|path| !is_developed(path));
+        raw.cloned().ok_or_else(|| DeviceError::Refused {
+            device: self.port.clone(),
+            command: "--capture-image-and-download".to_owned(),
+            reason: match files.is_empty() {
+                true => format!("no file came: {}", one_line(&text)),
+                false => "it gave a JPEG file and no raw file".to_owned(),
+            },
+        })
+    }
+
+    /// Runs gphoto2; a busy body is asked again.
+    fn run(
+        &self,
+        workplace: &Workplace,
+        arguments: &[&str],
+        time: Duration,
+    ) -> Result<String, DeviceError> {
+        let deadline = Instant::now() + time;
+        let mut tries = 0;
+        loop {
+            let mut command = Command::new(GPHOTO2);
+            // Its messages are read, so they are not to be translated.
+            command.env("LC_ALL", "C").args(["--port", &self.port]);
+            if self.port.starts_with("ptpip:") {
+                command.args(["--camera", NETWORK_DRIVER]);
+            }
+            command.args(arguments);
+            let ended = workplace.run(command, deadline)?;
+            let complaint = complaint(&ended.stderr);
+            let Some(status) = ended.status else {
+                return Err(DeviceError::NoReply {
+                    device: self.port.clone(),
+                    timeout: Seconds(time.as_secs_f64()),
+                    sent: arguments.join(" "),
+                });
+            };
+            // Some failures end with code 0.
+            if status.success() && complaint.is_empty() {
+                return Ok(ended.stdout);
+            }
+            tries += 1;
+            if is_busy(&complaint) && tries < BUSY_TRIES && Instant::now() < deadline {
+                std::thread::sleep(BUSY_PAUSE);
+                continue;
+            }
+            return Err(self.error(arguments, &complaint, status.code()));
+        }
+    }
+
+    /// What a complaint of gphoto2 means.
+    fn error(&self, arguments: &[&str], complaint: &str, code: Option<i32>) -> DeviceError {
+        let device = self.port.clone();
+        let has = |words: &[&str]| words.iter().any(|word| complaint.contains(word));
+        if has(&["Could not claim", "-53:"]) {
+            return DeviceError::Claimed { device };
+        }
+        if has(&["error while loading shared libraries"]) {
+            return DeviceError::Program {
+                program: GPHOTO2.to_owned(),
+                fault: ProgramFault::NoLibrary {
+                    said: complaint.to_owned(),
+                },
+            };
+        }
+        // No device there, or the connection broke. While a frame is taken gphoto2 names no
+        // number.
+        if has(&[
+            "-52:",
+            "-105:",
+            "-7:",
+            "error occurred in the io-library",
+            "No camera found",
+            "Could not detect",
+        ]) {
+            return DeviceError::Disconnected { device };
+        }
+        DeviceError::Refused {
+            device,
+            command: arguments.join(" "),
+            reason: match complaint {
+                "" => format!("gphoto2 ended with code {}", code.unwrap_or_default()),
+                complaint => complaint.to_owned(),
+            },
+        }
+    }
+}
+
+fn is_busy(complaint: &str) -> bool {
+    ["Device Busy", "-110:", "I/O in progress"]
+        .iter()
+        .any(|words| complaint.contains(words))
+}
+
+/// What gphoto2 wrote to stderr, without the advice on debugging that it appends.
+fn complaint(stderr: &str) -> String {
+    let text = stderr
+        .split("For debugging messages")
+        .next()
+        .unwrap_or_default();
+    let lines = text.lines().map(str::trim);
+    let told: Vec<&str> = lines
+        .filter(|line| !line.is_empty() && *line != "*** Error ***")
+        .collect();
+    told.join("; ")
+}
+
+fn one_line(text: &str) -> String {
+    let lines: Vec<&str> = text.lines().map(str::trim).collect();
+    lines.join("; ").chars().take(300).collect()
+}
+
+/// The blocks of `gphoto2 --get-config`, each up to its line `END`.
+pub(super) fn parse_settings(text: &str) -> Vec<Setting> {
+    let mut settings = Vec::new();
+    let mut setting = None;
+    for line in text.lines() {
+        if line.starts_with("Label:") {
+            setting = Some(Setting {
+                is_read_only: false,
+                current: String::new(),
+                choices: Vec::new(),
+            });
+        }
+        let Some(open) = &mut setting else { continue };
+        if let Some(value) = line.strip_prefix("Readonly:") {
+            open.is_read_only = value.trim() == "1";
+        } else if let Some(value) = line.strip_prefix("Current:") {
+            value.trim().clone_into(&mut open.current);
+        } else if let Some(value) = line.strip_prefix("Choice:") {
+            // `Choice: 3 1/250`.
+            let numbered = value.trim().split_once(' ');
+            open.choices
+                .extend(numbered.map(|(_, value)| value.trim().to_owned()));
+        } else if line == "END" {
+            settings.extend(setting.take());
+        }
+    }
+    settings
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn detected_bodies_are_listed() {
+        let text = "Model                          Port            \n\
+            ----------------------------------------------------------\n\
+            Canon EOS 5D Mark IV           usb:001,004     \n\
+            Nikon DSC D850                 usb:001,005     \n";
+        let detected = parse_detected(text);
+        assert_eq!(
+            detected[0],
+            ("Canon EOS 5D Mark IV".to_owned(), "usb:001,004".to_owned())
+        );
+        assert_eq!(detected[1].1, "usb:001,005");
+        assert!(parse_detected("no table").is_empty());
+    }
+
+    #[test]
+    fn settings_are_read_with_their_choices() {
+        let text = "Label: Shutter Speed\nReadonly: 0\nType: RADIO\nCurrent: 1/60\n\
+            Choice: 0 bulb\nChoice: 1 1/60\nEND\nLabel: Serial Number\nReadonly: 1\n\
+            Type: TEXT\nCurrent: 42 A\nEND\n";
+        let settings = parse_settings(text);
+        assert_eq!(settings[0].choices, ["bulb", "1/60"]);
+        assert_eq!(settings[0].current, "1/60");
+        assert!(settings[1].is_read_only && settings[1].current == "42 A");
+    }
+
+    #[test]
+    fn complaints_are_told_apart() {
+        let gphoto = Gphoto {
+            port: "usb:001,004".to_owned(),
+        };
+        let error = |text: &str| gphoto.error(&["--list-config"], &complaint(text), Some(1));
+        let claimed = "\n*** Error ***\nAn error occurred in the io-library ('Could not claim the USB device'): Could not claim interface 0 (Device or resource busy).\n*** Error (-53: 'Could not claim the USB device') ***\n\nFor debugging messages, please use";
+        assert!(matches!(error(claimed), DeviceError::Claimed { .. }));
+        let gone = "*** Error: No camera found. ***\n\n";
+        assert!(matches!(error(gone), DeviceError::Disconnected { .. }));
+        let other =
+            "*** Error ***\nshutterspeed not found in configuration tree.\n*** Error (-1 'x')\n";
+        match error(other) {
+            DeviceError::Refused { reason, .. } => {
+                assert!(reason.contains("not found"), "{reason}")
+            }
+            other => panic!("{other}"),
+        }
+        assert!(is_busy("PTP Device Busy") && !is_busy(&complaint(claimed)));
+    }
+
+    proptest! {
+        #[test]
+        fn any_output_is_read(text in "(Label:|Current:|Choice: |END|[a-z0-9 \n]){0,30}") {
+            let ends = text.lines().filter(|line| *line == "END").count();
+            prop_assert!(parse_settings(&text).len() <= ends);
+            parse_detected(&text);
+        }
+    }
+}

@@ -1,0 +1,379 @@
+//! Still cameras: the driver, Debian's own `gphoto2` and LibRaw's programs, and a simulated
+//! body behind PTP/IP that looks at the simulated bench.
+
+#[path = "small_bench/mod.rs"]
+mod small_bench;
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use mock_devices::camera::{CameraConfig, SimulatedCamera};
+use mock_devices::ptp::{Body, BodyConfig, BodyFault, PtpServer};
+use mock_devices::sensor::SensorModel;
+use mock_devices::{Illumination, RadianceSource};
+use rig::capture::open::Devices;
+use rig::capture::prepare::{CaptureRequest, Lights, prepare};
+use rig::config::{ResolvedRig, Surroundings, resolve_rig};
+use rig::device::described::Description;
+use rig::device::retake::{Retakes, grab_right};
+use rig::device::simulated::SimulatedBench;
+use rig::device::{
+    Camera, CameraInfo, CameraSettings, DeviceError, FrameKey, FrameKind, Mosaic, gphoto2,
+};
+use rig::interrupt::Interrupt;
+use rig::radiance_image::{RadianceImage, exr};
+use rig::units::Seconds;
+
+const SERIAL: &str = "SIM-0001";
+const KEY: FrameKey = FrameKey {
+    light: 0,
+    exposure: 0,
+    repeat: 0,
+    kind: FrameKind::Light,
+};
+
+/// Of the frames of a still camera: none has older settings.
+fn at_once(config: &CameraConfig) -> CameraConfig {
+    CameraConfig {
+        settings_latency_frames: 0,
+        has_shutter: false,
+        noise_seed: config.noise_seed + 1,
+        ..config.clone()
+    }
+}
+
+/// A body that looks at this scene, on the bench's clock and under its lamp.
+fn body_at(
+    bench: &SimulatedBench,
+    scene: Arc<dyn RadianceSource>,
+    config: BodyConfig,
+) -> PtpServer {
+    let camera = SimulatedCamera::new(
+        at_once(&bench.config().camera),
+        bench.bench().clone(),
+        SensorModel::new(bench.config().sensor.clone()),
+        scene,
+    );
+    PtpServer::start(Body::new(config, camera)).unwrap()
+}
+
+fn body_config() -> BodyConfig {
+    BodyConfig {
+        serial: SERIAL.to_owned(),
+        ..BodyConfig::default()
+    }
+}
+
+fn description(rig: &ResolvedRig, timeout_s: f64) -> Description {
+    let camera = &rig.config.camera;
+    Description {
+        info: CameraInfo {
+            driver: "gphoto2".to_owned(),
+            model: String::new(),
+            serial: SERIAL.to_owned(),
+            resolution_px: camera.resolution_px,
+            bit_depth: camera.bit_depth,
+            mosaic: Mosaic::None,
+            exposure_range: camera.exposure_range,
+            exposure_step: camera.exposure_step,
+        },
+        timeout: Seconds(timeout_s),
+        keeper: None,
+    }
+}
+
+fn open(server: &PtpServer, rig: &ResolvedRig) -> Result<Box<dyn Camera>, DeviceError> {
+    let body = format!("port = {}; f-number = f/8", server.port());
+    (gphoto2::DRIVER.open)(body.as_ref(), description(rig, 30.0))
+}
+
+/// The small simulated bench whose clock jumps, with records of its sensor.
+fn small_rig(folder: &Path) -> ResolvedRig {
+    let mut text = small_bench::rig_file();
+    for (key, value) in [
+        (
+            "\nsettings_latency_frames = 2",
+            "\nsettings_latency_frames = 0",
+        ),
+        ("\nshortest_ms = 0.05", "\nshortest_ms = 1.0"),
+        ("\nshortest_ms = 0.1", "\nshortest_ms = 1.0"),
+    ] {
+        assert!(text.contains(key), "{key}");
+        text = text.replacen(key, value, 1);
+    }
+    let at = text.find("# \"instant\" (motion").unwrap();
+    let line = text[at..].find("\ntiming = ").map(|found| at + found);
+    match line {
+        Some(start) => {
+            let end = start + 1 + text[start + 1..].find('\n').unwrap();
+            text.replace_range(start..end, "\ntiming = \"instant\"");
+        }
+        None => text.insert_str(at, "timing = \"instant\"\n"),
+    }
+    let path = folder.join("bench.toml");
+    std::fs::write(&path, text).unwrap();
+    small_bench::put_records(folder);
+    let name = path.to_str().unwrap();
+    resolve_rig(Some(name), &Surroundings::of_process(), Vec::new).unwrap()
+}
+
+fn bench_of(rig: &ResolvedRig) -> SimulatedBench {
+    SimulatedBench::start(rig.config.simulated_bench().unwrap()).unwrap()
+}
+
+fn images_below(folder: &Path) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            found.extend(images_below(&path));
+        } else if path.extension().is_some_and(|ending| ending == "exr") {
+            found.push(path);
+        }
+    }
+    found.sort();
+    found
+}
+
+/// Captures two lights with this camera and returns their radiance images.
+fn capture(rig: &ResolvedRig, folder: &str, devices: Devices) -> Vec<RadianceImage> {
+    let request = CaptureRequest::new(Lights::Count(2), folder);
+    let prepared = prepare(rig, &request, &mut |_| ()).unwrap();
+    let job = prepared.begin(devices, &mut |_| ()).unwrap();
+    let root = job.root().to_owned();
+    job.run(&mut (), Interrupt::new()).unwrap();
+    let images = images_below(&root);
+    images
+        .iter()
+        .map(|path| exr::read(path).unwrap().image)
+        .collect()
+}
+
+/// Two lights, captured through the programs and through a camera in memory: the images of
+/// the same scene differ by noise alone. Of the pixels' differences over their standard
+/// deviations the mean square is 1 within what 2 × 64 × 64 pixels and the lamp's own
+/// differences from visit to visit allow, and the mean of the ratio is 1 within 0.5%.
+#[test]
+fn a_capture_through_gphoto2_equals_one_in_memory() {
+    let folder = tempfile::tempdir().unwrap();
+    let rig = small_rig(folder.path());
+    let at = |name: &str| folder.path().join(name).display().to_string();
+    let scene = || rig.config.truth().unwrap().unwrap();
+    // Through the programs.
+    let bench = bench_of(&rig);
+    let server = body_at(&bench, scene(), body_config());
+    let stage = Box::new(bench.open_stage().unwrap());
+    let camera = open(&server, &rig).unwrap();
+    let began = Instant::now();
+    let through = capture(&rig, &at("still"), Devices::new(stage, camera));
+    println!("through gphoto2: {:.1} s", began.elapsed().as_secs_f64());
+    assert_eq!(server.objects(), 0, "the body keeps no file");
+    drop(server);
+    // In memory.
+    let bench = bench_of(&rig);
+    let stage = Box::new(bench.open_stage().unwrap());
+    let camera = Box::new(bench.open_camera(scene()));
+    let began = Instant::now();
+    let memory = capture(&rig, &at("memory"), Devices::new(stage, camera));
+    println!("in memory: {:.1} s", began.elapsed().as_secs_f64());
+    // The images.
+    assert_eq!((through.len(), memory.len()), (2, 2));
+    for (light, (a, b)) in through.iter().zip(&memory).enumerate() {
+        let (mut squares, mut sums, mut values) = (0.0, [0.0; 2], 0.0);
+        for pixel in 0..a.mean.len() {
+            if !a.valid[pixel] || !b.valid[pixel] {
+                continue;
+            }
+            for colour in 0..3 {
+                let [x, y] = [a, b].map(|image| f64::from(image.mean[pixel][colour]));
+                let variances = [a, b].map(|image| f64::from(image.variance[pixel][colour]));
+                squares += (x - y).powi(2) / (variances[0] + variances[1]);
+                sums[0] += x;
+                sums[1] += y;
+                values += 1.0;
+            }
+        }
+        let (chi, ratio) = (squares / values, sums[0] / sums[1]);
+        println!("light {light}: mean square {chi:.3} over {values}, ratio {ratio:.5}");
+        assert!(values > 0.9 * 3.0 * 64.0 * 64.0);
+        assert!((ratio - 1.0).abs() < 0.005, "light {light}: {ratio}");
+        assert!((0.8..1.3).contains(&chi), "light {light}: {chi}");
+    }
+}
+
+/// A card that is lit evenly whatever the lamp does.
+struct Card([u32; 2]);
+
+impl RadianceSource for Card {
+    fn resolution_px(&self) -> [u32; 2] {
+        self.0
+    }
+    fn radiance(&self, _: &Illumination) -> Arc<Vec<f32>> {
+        Arc::new(vec![0.05; (self.0[0] * self.0[1]) as usize])
+    }
+}
+
+struct Bench {
+    rig: ResolvedRig,
+    _bench: SimulatedBench,
+    server: PtpServer,
+    _folder: tempfile::TempDir,
+}
+
+fn before_a_card(config: BodyConfig) -> Bench {
+    let folder = tempfile::tempdir().unwrap();
+    let rig = small_rig(folder.path());
+    let bench = bench_of(&rig);
+    let server = body_at(&bench, Arc::new(Card([64, 64])), config);
+    Bench {
+        rig,
+        _bench: bench,
+        server,
+        _folder: folder,
+    }
+}
+
+fn settings(exposure_s: f64, gain: f64) -> CameraSettings {
+    let exposure = Seconds(exposure_s);
+    CameraSettings { exposure, gain }
+}
+
+fn mean(counts: &[u16]) -> f64 {
+    counts
+        .iter()
+        .map(|&count| f64::from(count) - 64.0)
+        .sum::<f64>()
+        / counts.len() as f64
+}
+
+#[test]
+fn speeds_are_chosen_from_the_list_and_read_back_from_the_file() {
+    let bench = before_a_card(body_config());
+    let mut camera = open(&bench.server, &bench.rig).unwrap();
+    let info = camera.info().clone();
+    assert_eq!(
+        (info.model.as_str(), info.serial.as_str()),
+        ("Still Camera", SERIAL)
+    );
+    assert_eq!(info.exposure_range, [Seconds(0.001), Seconds(2.0)]);
+    // 18 ms are not listed; 1/60 s is, as 0.0167 s, and its file states 1/60 s.
+    let applied = camera.configure(settings(0.018, 1.0)).unwrap();
+    assert!(
+        (applied.exposure.0 - 1.0 / 60.0).abs() < 1e-9,
+        "{applied:?}"
+    );
+    let at_60 = mean(&camera.grab(KEY).unwrap().counts);
+    let applied = camera.configure(settings(1.0 / 15.0, 1.0)).unwrap();
+    assert!(
+        (applied.exposure.0 - 1.0 / 15.0).abs() < 1e-9,
+        "{applied:?}"
+    );
+    let at_15 = mean(&camera.grab(KEY).unwrap().counts);
+    assert!((at_15 / at_60 - 4.0).abs() < 0.05, "{at_60} {at_15}");
+    // The gain is a sensitivity of the list.
+    let applied = camera.configure(settings(1.0 / 60.0, 2.1)).unwrap();
+    assert_eq!(applied.gain, 2.0);
+    let doubled = mean(&camera.grab(KEY).unwrap().counts);
+    assert!((doubled / at_60 - 2.0).abs() < 0.03, "{at_60} {doubled}");
+}
+
+#[test]
+fn a_body_that_fails_is_reported_as_what_it_does() {
+    let bench = before_a_card(body_config());
+    let faults = bench.server.faults();
+    let mut camera = open(&bench.server, &bench.rig).unwrap();
+    camera.configure(settings(0.02, 1.0)).unwrap();
+    let grab = |camera: &mut Box<dyn Camera>| {
+        let mut retakes = Retakes::default();
+        let frame = grab_right(camera.as_mut(), KEY, &mut retakes);
+        (frame, retakes)
+    };
+    // Busy: asked again.
+    faults.inject(BodyFault::Busy(2));
+    camera.configure(settings(0.05, 1.0)).unwrap();
+    // A file that states another exposure once: settings sent and frame taken again; for good:
+    // an error.
+    faults.inject(BodyFault::WrongExif(1));
+    assert!(grab(&mut camera).0.is_ok());
+    faults.inject(BodyFault::WrongExif(9));
+    let error = grab(&mut camera).0.unwrap_err();
+    assert!(
+        matches!(&error, DeviceError::NotApplied { what, .. } if what.contains("exposure in the raw file")),
+        "{error}"
+    );
+    faults.clear();
+    // A file that is cut on its way: taken again.
+    faults.inject(BodyFault::CutFile(1));
+    let (frame, retakes) = grab(&mut camera);
+    assert!(frame.is_ok());
+    assert_eq!(retakes.damaged, 1);
+    // A speed that is refused, or accepted and not taken.
+    faults.inject(BodyFault::RefuseSpeed(1));
+    let error = camera.configure(settings(0.1, 1.0)).unwrap_err();
+    assert!(matches!(error, DeviceError::Refused { .. }), "{error}");
+    faults.inject(BodyFault::KeepSpeed(1));
+    let error = camera.configure(settings(0.1, 1.0)).unwrap_err();
+    assert!(matches!(error, DeviceError::NotApplied { .. }), "{error}");
+    camera.configure(settings(0.1, 1.0)).unwrap();
+    // Gone, and back.
+    faults.inject(BodyFault::Gone);
+    let error = camera.grab(KEY).unwrap_err();
+    assert!(matches!(error, DeviceError::Disconnected { .. }), "{error}");
+    assert!(matches!(
+        camera.reconnect(),
+        Err(DeviceError::Disconnected { .. })
+    ));
+    faults.clear();
+    camera.reconnect().unwrap();
+    assert!(camera.grab(KEY).is_ok());
+}
+
+#[test]
+fn a_body_that_does_not_answer_ends_with_the_time_limit() {
+    let bench = before_a_card(body_config());
+    let body = format!("port = {}", bench.server.port());
+    let slow = description(&bench.rig, 2.0);
+    let mut camera = (gphoto2::DRIVER.open)(body.as_ref(), slow).unwrap();
+    camera.configure(settings(0.02, 1.0)).unwrap();
+    bench
+        .server
+        .faults()
+        .inject(BodyFault::Slow(Duration::from_secs(8)));
+    let began = Instant::now();
+    let error = camera.grab(KEY).unwrap_err();
+    assert!(matches!(error, DeviceError::NoReply { .. }), "{error}");
+    assert!(began.elapsed() < Duration::from_secs(6));
+}
+
+/// gphoto2 waits for a frame that the body has refused to take.
+#[test]
+fn a_body_without_room_for_a_file_ends_with_the_time_limit() {
+    let bench = before_a_card(body_config());
+    let body = format!("port = {}", bench.server.port());
+    let mut camera = (gphoto2::DRIVER.open)(body.as_ref(), description(&bench.rig, 2.0)).unwrap();
+    camera.configure(settings(0.02, 1.0)).unwrap();
+    bench.server.faults().inject(BodyFault::StorageFull);
+    let error = camera.grab(KEY).unwrap_err();
+    assert!(matches!(error, DeviceError::NoReply { .. }), "{error}");
+}
+
+#[test]
+fn another_body_or_another_size_is_refused() {
+    let bench = before_a_card(BodyConfig::default());
+    let error = open(&bench.server, &bench.rig).err().unwrap();
+    assert!(
+        matches!(&error, DeviceError::NotApplied { what, is, .. } if what == "the serial number" && is == "S0001"),
+        "{error}"
+    );
+    let bench = before_a_card(body_config());
+    let body = format!("port = {}", bench.server.port());
+    let mut larger = description(&bench.rig, 20.0);
+    larger.info.resolution_px = [128, 64];
+    let mut camera = (gphoto2::DRIVER.open)(body.as_ref(), larger).unwrap();
+    let error = camera.configure(settings(0.02, 1.0)).unwrap_err();
+    assert!(matches!(error, DeviceError::BadFrame { .. }), "{error}");
+    let unlisted = format!("port = {}; f-number = f/64", bench.server.port());
+    let opened = (gphoto2::DRIVER.open)(unlisted.as_ref(), description(&bench.rig, 20.0));
+    assert!(opened.is_err());
+}
