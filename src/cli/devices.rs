@@ -4,13 +4,17 @@ use std::path::Path;
 
 use super::context::Context;
 use super::error::CliError;
+use super::hints;
 use super::output::write_json;
+use crate::device::described::{Driver, FoundCamera};
+use crate::device::described_drivers::DRIVERS;
 use crate::device::discovery::{DeviceKind, FoundDevice, ReservedFor, find_devices};
 use crate::out;
 
 /// Lists cameras and serial ports, also those without permission, and why
 ///
-/// Nothing is opened: opening a port resets many controllers.
+/// Nothing is opened, because opening a port resets many controllers. Cameras on a network and
+/// still cameras are listed by the drivers that are installed.
 #[derive(clap::Args, Debug)]
 pub struct DevicesArgs {
     /// The list as JSON
@@ -20,29 +24,116 @@ pub struct DevicesArgs {
 
 /// `rig devices`.
 pub fn run(args: &DevicesArgs, context: &Context) -> Result<(), CliError> {
-    let found: Vec<Listed> = find_devices(Path::new("/"))
+    let nodes = find_devices(Path::new("/"))
         .into_iter()
-        .map(|device| Listed {
-            remedy: remedy(&device),
-            device,
-        })
-        .collect();
-    if args.json {
-        return write_json(&found);
+        .map(|device| Listed::Node(ListedNode::from(device)));
+    let mut listed: Vec<Listed> = nodes.collect();
+    for driver in DRIVERS {
+        match (driver.find)() {
+            Ok(found) => listed.extend(
+                found
+                    .into_iter()
+                    .map(|camera| Listed::Camera(ListedCamera::new(driver, camera))),
+            ),
+            Err(error) => context.warn(format!(
+                "cameras of the driver {} could not be listed: {error}",
+                driver.name
+            )),
+        }
     }
-    if found.is_empty() {
+    if args.json {
+        return write_json(&listed);
+    }
+    if listed.is_empty() {
         context.note("no camera and no USB serial port is connected");
     }
-    found.iter().try_for_each(print)
+    listed.iter().try_for_each(|listed| match listed {
+        Listed::Node(node) => print_node(node),
+        Listed::Camera(camera) => print_camera(camera),
+    })
+}
+
+/// A line of the list.
+#[derive(serde::Serialize)]
+#[serde(untagged)]
+enum Listed {
+    Node(ListedNode),
+    Camera(ListedCamera),
+}
+
+/// A camera that has no device file of its own, as its driver lists it.
+#[derive(serde::Serialize)]
+struct ListedCamera {
+    kind: DeviceKind,
+    driver: &'static str,
+    /// Value of the driver's key in a rig file.
+    address: String,
+    model: String,
+    serial: String,
+    #[serde(skip)]
+    key: &'static str,
+    accessible: bool,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    problem: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    remedy: Option<String>,
+}
+
+impl ListedCamera {
+    fn new(driver: &Driver, camera: FoundCamera) -> Self {
+        let problem = camera.problem.as_ref();
+        Self {
+            kind: DeviceKind::Camera,
+            driver: driver.name,
+            key: driver.key,
+            accessible: problem.is_none(),
+            remedy: problem.and_then(|problem| hints::for_error(problem)),
+            problem: problem.map(ToString::to_string),
+            address: camera.address,
+            model: camera.model,
+            serial: camera.serial,
+        }
+    }
+}
+
+fn print_camera(camera: &ListedCamera) -> Result<(), CliError> {
+    let mut line = format!("camera  {}  {}", camera.driver, camera.model);
+    if !camera.serial.is_empty() {
+        line += &format!("  serial number {}", camera.serial);
+    }
+    out!("{line}")?;
+    let ListedCamera {
+        driver,
+        key,
+        address,
+        ..
+    } = camera;
+    out!("        driver = \"{driver}\", {key} = \"{address}\"")?;
+    if let Some(problem) = &camera.problem {
+        out!("        cannot be opened: {problem}")?;
+    }
+    match &camera.remedy {
+        Some(remedy) => out!("        -> {remedy}"),
+        None => Ok(()),
+    }
 }
 
 /// A device, and what to do where it cannot be used.
 #[derive(serde::Serialize)]
-struct Listed {
+struct ListedNode {
     #[serde(flatten)]
     device: FoundDevice,
     #[serde(skip_serializing_if = "Option::is_none")]
     remedy: Option<String>,
+}
+
+impl From<FoundDevice> for ListedNode {
+    fn from(device: FoundDevice) -> Self {
+        Self {
+            remedy: remedy(&device),
+            device,
+        }
+    }
 }
 
 fn remedy(device: &FoundDevice) -> Option<String> {
@@ -67,7 +158,7 @@ fn remedy(device: &FoundDevice) -> Option<String> {
     })
 }
 
-fn print(listed: &Listed) -> Result<(), CliError> {
+fn print_node(listed: &ListedNode) -> Result<(), CliError> {
     let device = &listed.device;
     let kind = match device.kind {
         DeviceKind::Camera => "camera",
@@ -133,11 +224,7 @@ mod tests {
         };
         let busy = device(None, None, Some(holder));
         assert!(said(busy.clone()).contains("process 77"));
-        let listed = Listed {
-            remedy: remedy(&busy),
-            device: busy,
-        };
-        let json = serde_json::to_value(listed).unwrap();
+        let json = serde_json::to_value(ListedNode::from(busy)).unwrap();
         assert_eq!(json["in_use_by"]["name"], "cheese");
         assert_eq!(json["remedy"], "end process 77 first");
     }

@@ -37,6 +37,27 @@ pub struct Driver {
     pub ready: fn(&OsStr) -> Result<String, DeviceError>,
     /// Makes the camera of a value that it accepts.
     pub open: Open,
+    /// The cameras that this driver can see now, without taking control of any; none where
+    /// its program or library is not installed.
+    pub find: fn() -> Result<Vec<FoundCamera>, DeviceError>,
+}
+
+/// A camera that a driver sees.
+#[derive(Debug)]
+pub struct FoundCamera {
+    /// The value of the driver's key that opens this camera.
+    pub address: String,
+    /// Its model, as it reports it; empty where it does not.
+    pub model: String,
+    /// Its serial number; empty where it shows only once the camera is opened.
+    pub serial: String,
+    /// Why it cannot be opened.
+    pub problem: Option<DeviceError>,
+}
+
+/// For drivers whose cameras cannot be looked for: programs and folders.
+pub fn find_none() -> Result<Vec<FoundCamera>, DeviceError> {
+    Ok(Vec::new())
 }
 
 impl PartialEq for Driver {

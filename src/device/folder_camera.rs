@@ -11,7 +11,7 @@ use std::time::{Duration, Instant, SystemTime};
 
 use rustix::fs::{Access, access};
 
-use super::described::{DescribedCamera, Driver, FrameSource, Wanted, io_error};
+use super::described::{DescribedCamera, Driver, FrameSource, Wanted, find_none, io_error};
 use super::retake::FrameFault;
 use super::{CameraInfo, DeviceError, RawFrame, image_file};
 use crate::units::Seconds;
@@ -43,6 +43,7 @@ pub const DRIVER: Driver = Driver {
             description.timeout,
         )))
     },
+    find: find_none,
 };
 
 /// A file that has not changed for so long is read.

@@ -11,7 +11,7 @@ use std::path::Path;
 use std::process::Command;
 use std::sync::Arc;
 
-use super::described::{DescribedCamera, Driver, FrameSource, Wanted};
+use super::described::{DescribedCamera, Driver, FrameSource, Wanted, find_none};
 use super::retake::FrameFault;
 use super::{CameraInfo, DeviceError, RawFrame};
 
@@ -50,6 +50,7 @@ pub const DRIVER: Driver = Driver {
             description.timeout,
         )))
     },
+    find: find_none,
 };
 
 fn words(text: &OsStr) -> Vec<String> {

@@ -14,7 +14,7 @@ use aravis::{
     Buffer, BufferStatus, CameraExt, CameraExtManual, GvDevice, GvStreamOption, Stream, StreamExt,
 };
 
-use super::described::{Description, Driver};
+use super::described::{Description, Driver, find_none};
 use super::retake::FrameFault;
 use super::{Camera, CameraInfo, CameraSettings, DeviceError, FrameKey, RawFrame};
 use crate::units::Seconds;
@@ -33,6 +33,7 @@ pub const DRIVER: Driver = Driver {
         let name = text.to_string_lossy();
         Ok(Box::new(GenicamCamera::open(&name, &description)?))
     },
+    find: find_none,
 };
 
 /// How long a camera that was unplugged, or lost to another program, is waited for.

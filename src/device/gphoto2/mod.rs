@@ -18,7 +18,7 @@ use self::program::{GPHOTO2, Gphoto, SETTINGS_TIME};
 use self::raw_file::{RAW_IDENTIFY, RawReader, Stated, UNPROCESSED_RAW};
 use self::speeds::Speed;
 use super::command_camera::{Workplace, program as program_file};
-use super::described::{Description, Driver};
+use super::described::{Description, Driver, FoundCamera};
 use super::{Camera, CameraInfo, CameraSettings, DeviceError, FrameKey, RawFrame};
 use crate::units::Seconds;
 
@@ -39,6 +39,7 @@ pub const DRIVER: Driver = Driver {
         Ok("frames come from gphoto2".to_owned())
     },
     open: |text, description| Ok(Box::new(StillCamera::open(text, description)?)),
+    find: detected,
 };
 
 /// How long a body that went away is waited for during a capture.
@@ -46,16 +47,19 @@ const RETURNS_WITHIN: Seconds = Seconds(30.0);
 /// Names that makers give the shutter speed.
 const SPEED_NAMES: [&str; 3] = ["shutterspeed", "shutterspeed2", "exptime"];
 
-/// Cameras that gphoto2 detects, model and port, without opening any; none where the program
-/// is not installed.
-///
-/// # Errors
-/// If the program cannot be run.
-pub fn detected() -> Result<Vec<(String, String)>, DeviceError> {
-    match program_file::fault(GPHOTO2) {
-        Some(_) => Ok(Vec::new()),
-        None => program::detect(&Workplace::new(None)?),
+/// The bodies that gphoto2 detects on USB, without opening any.
+fn detected() -> Result<Vec<FoundCamera>, DeviceError> {
+    if program_file::fault(GPHOTO2).is_some() {
+        return Ok(Vec::new());
     }
+    let bodies = program::detect(&Workplace::new(None)?)?;
+    let found = bodies.into_iter().map(|(model, port)| FoundCamera {
+        address: format!("port={port}"),
+        model,
+        serial: String::new(),
+        problem: None,
+    });
+    Ok(found.collect())
 }
 
 /// A still camera.
