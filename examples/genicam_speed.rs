@@ -2,10 +2,7 @@
 //! is triggered (a simulated GigE Vision device through libaravis) and with one that runs
 //! freely (the simulated camera in memory), on the same simulated bench in real time:
 //! `cargo run --release --features genicam --example genicam_speed [LIGHTS]`.
-#![allow(
-    clippy::print_stdout,
-    reason = "a program that prints its result"
-)]
+#![allow(clippy::print_stdout, reason = "a program that prints its result")]
 
 use std::net::Ipv4Addr;
 use std::sync::Arc;
@@ -50,15 +47,25 @@ fn main() -> Result<(), Any> {
             rig = resolve_rig(Some("simulated"), &surroundings, Vec::new)?;
         }
         let spent = capture(&rig, lights, is_triggered)?;
-        let camera = if is_triggered { "triggered" } else { "free-running" };
-        println!("{camera}: {lights} lights in {:.1} s, {spent}", spent.wall_s);
+        let camera = if is_triggered {
+            "triggered"
+        } else {
+            "free-running"
+        };
+        println!(
+            "{camera}: {lights} lights in {:.1} s, {spent}",
+            spent.wall_s
+        );
     }
     Ok(())
 }
 
 fn capture(rig: &ResolvedRig, lights: usize, is_triggered: bool) -> Result<Spent, Any> {
     // The bench and its camera.
-    let simulated = rig.config.simulated_bench().ok_or("the rig is not simulated")?;
+    let simulated = rig
+        .config
+        .simulated_bench()
+        .ok_or("the rig is not simulated")?;
     let bench = SimulatedBench::start(simulated)?;
     let scene = rig.config.truth()?.ok_or("the rig has no true scene")?;
     let address = Ipv4Addr::new(127, 0, 0, 91);

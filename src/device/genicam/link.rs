@@ -38,6 +38,8 @@ pub struct Link {
     /// Its features.
     pub features: Features,
     is_acquiring: bool,
+    /// The size of packets is chosen.
+    is_tuned: bool,
 }
 
 impl Link {
@@ -72,10 +74,11 @@ impl Link {
             camera,
             features,
             is_acquiring: false,
+            is_tuned: false,
         })
     }
 
-    /// Lets frames be triggered; opens the stream at the first time.
+    /// Lets frames be triggered; opens the stream where there is none.
     ///
     /// # Errors
     /// There is no stream, or the camera refuses.
@@ -97,6 +100,12 @@ impl Link {
         Ok(())
     }
 
+    /// Closes the stream, so that nothing that is still on its way, or is sent again, arrives
+    /// in the next one.
+    pub fn close_stream(&mut self) {
+        self.stream = None;
+    }
+
     /// Ends what is under way.
     ///
     /// # Errors
@@ -109,9 +118,11 @@ impl Link {
         Ok(())
     }
 
-    fn open_stream(&self) -> Result<Stream, DeviceError> {
+    fn open_stream(&mut self) -> Result<Stream, DeviceError> {
         let features = &self.features;
-        if let Some(network) = features.device.downcast_ref::<GvDevice>() {
+        if let Some(network) = features.device.downcast_ref::<GvDevice>()
+            && !self.is_tuned
+        {
             // A raw socket needs rights that programs rarely have, and sees no packets of
             // the loopback device.
             network.set_stream_options(GvStreamOption::PACKET_SOCKET_DISABLED);
@@ -122,6 +133,7 @@ impl Link {
             };
             // The size that it has stays.
             tuned.unwrap_or_else(|error| tracing::debug!("packet size: {error}"));
+            self.is_tuned = true;
         }
         let stream = self.camera.create_stream();
         let stream = stream.map_err(|error| features.failed("a stream", &error))?;

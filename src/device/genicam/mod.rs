@@ -64,8 +64,10 @@ pub struct GenicamCamera {
 struct LastFrame {
     /// Of the last frame; `None` where the next one's is not known.
     number: Option<u64>,
-    /// A frame that began then or earlier was not the one that is requested, ns.
-    start_ns: u64,
+    /// When the last frame began, ns.
+    start_ns: Option<u64>,
+    /// The camera's clock after a frame that failed, ns: what began earlier is that one.
+    failed_ns: Option<u64>,
 }
 
 impl GenicamCamera {
@@ -108,11 +110,9 @@ impl GenicamCamera {
     fn settle(&mut self, link: &mut Link) -> Result<(), DeviceError> {
         if self.is_disturbed {
             link.stop()?;
-            let now_ns = link.clock_ns().unwrap_or(0);
-            self.last = LastFrame {
-                number: None,
-                start_ns: self.last.start_ns.max(now_ns),
-            };
+            link.close_stream();
+            self.last.number = None;
+            self.last.failed_ns = link.clock_ns();
         }
         link.start()
     }
@@ -149,7 +149,8 @@ impl GenicamCamera {
         }
         // Which frame. Numbers run on without gaps, from 65 535 to 1 on old links.
         let (number, start_ns) = (buffer.frame_id(), buffer.timestamp());
-        if start_ns <= self.last.start_ns {
+        let is_old = self.last.start_ns.is_some_and(|last| start_ns <= last);
+        if is_old || self.last.failed_ns.is_some_and(|failed| start_ns < failed) {
             return Err(self.bad_frame(FrameFault::Late));
         }
         if let Some(last) = self.last.number {
@@ -157,7 +158,8 @@ impl GenicamCamera {
         }
         self.last = LastFrame {
             number: Some(number),
-            start_ns,
+            start_ns: Some(start_ns),
+            failed_ns: None,
         };
         // Its size and format.
         let found = [buffer.image_width(), buffer.image_height()].map(|side| side as u32);
