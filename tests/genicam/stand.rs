@@ -166,7 +166,7 @@ impl Stand {
                 exposure_range: camera.exposure_range,
                 exposure_step: camera.exposure_step,
             },
-            timeout: Seconds(1.0),
+            timeout: Seconds(4.0),
             keeper: None,
         }
     }
