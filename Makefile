@@ -10,7 +10,7 @@
 CARGO ?= cargo
 SUDO := $(if $(filter 0,$(shell id -u)),,sudo)
 
-.PHONY: demo docs test test-long test-vm test-external build deps deps-test
+.PHONY: demo docs test test-long test-vm test-external build deps deps-test deps-genicam
 
 demo: build
 	target/release/rig demo
@@ -18,8 +18,11 @@ demo: build
 build: deps
 	$(CARGO) build --locked --release
 
+# Features beyond the default ones, such as `rig/genicam`.
+FEATURES ?=
+
 test: deps-test
-	$(CARGO) test --locked --release --workspace
+	$(CARGO) test --locked --release --workspace --features "$(FEATURES)"
 
 # mdBook is built quickly rather than well: it runs for a second. Its warnings are errors;
 # links and anchors are checked by `cargo test --test docs_links`.
@@ -54,6 +57,12 @@ test-long: build
 	  -- --nocapture large_sensor
 	target/release/rig evaluate intervals --out target/long/intervals
 	target/release/rig evaluate diagnosis --out target/long/diagnosis
+
+# What the feature `genicam` needs.
+GENICAM_DEPS := libaravis-dev libusb-1.0-0-dev
+
+deps-genicam:
+	@$(MAKE) deps EXTRA_DEPS="$(GENICAM_DEPS)"
 
 # The clients of the simulated still camera.
 TEST_DEPS := gphoto2 libraw-bin

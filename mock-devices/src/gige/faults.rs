@@ -1,6 +1,7 @@
 //! What goes wrong at the device and on its network.
 
 use std::sync::{Arc, Mutex};
+use std::time::Duration;
 
 use crate::clock::lock;
 use crate::random::stream;
@@ -12,7 +13,12 @@ struct Faults {
     late: u32,
     halved: u32,
     silent: u32,
+    other_format: u32,
+    delay: Option<Duration>,
+    stuck_exposure_us: Option<f64>,
     ignores_exposure: bool,
+    locks_settings: bool,
+    forgets_controller: bool,
     is_held: bool,
     is_gone: bool,
 }
@@ -42,9 +48,34 @@ impl GigeFaults {
         lock(&self.0).silent = frames;
     }
 
+    /// So many frames come in another pixel format than the one that was set.
+    pub fn change_format(&self, frames: u32) {
+        lock(&self.0).other_format = frames;
+    }
+
+    /// The next frame is so long on its way.
+    pub fn delay_frame(&self, by: Duration) {
+        lock(&self.0).delay = Some(by);
+    }
+
+    /// It exposes for so long whatever its register is set to, microseconds; `None`: it obeys.
+    pub fn stick_exposure(&self, exposure_us: Option<f64>) {
+        lock(&self.0).stuck_exposure_us = exposure_us;
+    }
+
+    /// Whether the exposure can only be set while no acquisition is under way.
+    pub fn lock_settings(&self, locks: bool) {
+        lock(&self.0).locks_settings = locks;
+    }
+
     /// Whether it confirms exposures and keeps the one that it has.
     pub fn ignore_exposure(&self, ignores: bool) {
         lock(&self.0).ignores_exposure = ignores;
+    }
+
+    /// It takes its controller for gone, as after a silence longer than the heartbeat time-out.
+    pub fn forget_controller(&self) {
+        lock(&self.0).forgets_controller = true;
     }
 
     /// Whether another controller has it.
@@ -61,11 +92,32 @@ impl GigeFaults {
         lock(&self.0).ignores_exposure
     }
 
+    pub(super) fn locks_settings(&self) -> bool {
+        lock(&self.0).locks_settings
+    }
+
+    pub(super) fn stuck_exposure_us(&self) -> Option<f64> {
+        lock(&self.0).stuck_exposure_us
+    }
+
+    pub(super) fn changes_format(&self) -> bool {
+        due(&mut lock(&self.0).other_format)
+    }
+
+    pub(super) fn delays_frame(&self) -> Option<Duration> {
+        lock(&self.0).delay.take()
+    }
+
+    pub(super) fn forgets_controller(&self) -> bool {
+        std::mem::take(&mut lock(&self.0).forgets_controller)
+    }
+
     pub(super) fn is_held(&self) -> bool {
         lock(&self.0).is_held
     }
 
-    pub(super) fn is_gone(&self) -> bool {
+    /// Whether it is unplugged.
+    pub fn is_gone(&self) -> bool {
         lock(&self.0).is_gone
     }
 

@@ -10,7 +10,8 @@ pub const CONTROL: u32 = 0x0a00;
 pub const HEARTBEAT: u32 = 0x0938;
 /// Command to latch the clock, and where it then is.
 pub const TIMESTAMP_CONTROL: u32 = 0x0944;
-const TIMESTAMP_LATCHED: u32 = 0x0948;
+/// The latched clock, ticks, eight bytes.
+pub const TIMESTAMP_LATCHED: u32 = 0x0948;
 /// The controller's port of the stream.
 pub const STREAM_PORT: u32 = 0x0d00;
 /// Size of a packet, and the bit that asks for a test packet.

@@ -31,6 +31,7 @@ use crate::clock::lock;
 const TICK: Duration = Duration::from_millis(20);
 /// Values of the register of the control privilege: exclusive, and with others reading.
 const CONTROLLED: u32 = 0b11;
+const CONTROL_WITH_READERS: u32 = 0b10;
 
 /// What the threads share.
 struct Shared {
@@ -82,9 +83,8 @@ impl GigeCamera {
             exposer,
             identity,
         });
-        // Commands to this address, and where nobody else takes them, to everybody.
-        let mut sockets = vec![control];
-        sockets.extend(UdpSocket::bind((Ipv4Addr::BROADCAST, gvcp::PORT)));
+        // Commands to this address, and those to every device.
+        let sockets = vec![control, broadcasts()?];
         let mut threads = Vec::new();
         for socket in sockets {
             socket.set_read_timeout(Some(TICK))?;
@@ -106,6 +106,16 @@ impl GigeCamera {
     pub fn is_controlled(&self) -> bool {
         self.shared.lock().controller.is_some()
     }
+}
+
+/// A socket that gets what is sent to every device, next to those of other devices here.
+fn broadcasts() -> io::Result<UdpSocket> {
+    use rustix::net::{AddressFamily, SocketType, bind, socket, sockopt::set_socket_reuseaddr};
+    let all = socket(AddressFamily::INET, SocketType::DGRAM, None)?;
+    set_socket_reuseaddr(&all, true)?;
+    let address = SocketAddr::from((Ipv4Addr::BROADCAST, gvcp::PORT));
+    bind(&all, &address)?;
+    Ok(UdpSocket::from(all))
 }
 
 impl Drop for GigeCamera {
@@ -166,7 +176,8 @@ impl Shared {
         let is_gone = self.faults.is_gone();
         let silent = state.heard.elapsed().as_millis();
         let is_late = silent > u128::from(state.memory.get(memory::HEARTBEAT));
-        if is_gone || (state.controller.is_some() && is_late) {
+        let is_forgotten = self.faults.forgets_controller();
+        if is_gone || is_forgotten || (state.controller.is_some() && is_late) {
             state.controller = None;
             state.memory.put(memory::CONTROL, 0);
             state.memory.put(memory::STREAM_PORT, 0);
@@ -227,6 +238,11 @@ impl Shared {
     fn measure(&self, state: &mut State) {
         let temperature_c = self.exposer.temperature_c();
         state.memory.put_float(memory::TEMPERATURE, temperature_c);
+        let privilege = match (self.faults.is_held(), state.controller) {
+            (false, None) => 0,
+            _ => CONTROL_WITH_READERS,
+        };
+        state.memory.put(memory::CONTROL, privilege);
     }
 
     fn write(
@@ -248,6 +264,9 @@ impl Shared {
         }
         if at == memory::EXPOSURE && self.faults.ignores_exposure() {
             return Ok(());
+        }
+        if at == memory::EXPOSURE && self.faults.locks_settings() && state.streaming.runs() {
+            return Err(Status::WriteProtect);
         }
         if at == memory::EXPOSURE && state.memory.get(memory::EXPOSURE_AUTO) != 0 {
             return Err(Status::WriteProtect);

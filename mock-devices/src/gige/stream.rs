@@ -3,6 +3,7 @@
 use std::collections::VecDeque;
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
 use std::ops::RangeInclusive;
+use std::time::Duration;
 
 use super::exposing::Settings;
 use super::gvsp::Image;
@@ -12,10 +13,15 @@ use super::{Shared, State, TICK, pixels};
 /// So many frames can be sent once more.
 const KEPT: usize = 4;
 
+/// So many bytes are sent without a pause.
+const BURST: usize = 64 * 1024;
+
 /// Where the stream stands.
 #[derive(Debug, Default)]
 pub(super) struct Streaming {
     runs: bool,
+    /// How many acquisitions were started: what is exposed in one is not sent in the next.
+    acquisitions: u32,
     triggers: u32,
     block: u16,
     /// Frames whose packets can be sent again, by number.
@@ -26,6 +32,7 @@ impl Streaming {
     pub(super) fn start(&mut self) {
         *self = Self {
             runs: true,
+            acquisitions: self.acquisitions + 1,
             ..Self::default()
         };
     }
@@ -33,6 +40,10 @@ impl Streaming {
     pub(super) fn stop(&mut self) {
         self.runs = false;
         self.triggers = 0;
+    }
+
+    pub(super) fn runs(&self) -> bool {
+        self.runs
     }
 
     /// A trigger during a frame is lost, as on real cameras; before it, it waits.
@@ -76,17 +87,23 @@ impl Shared {
                 let waited = self.changed.wait_timeout(state, TICK);
                 state = waited.unwrap_or_else(std::sync::PoisonError::into_inner).0;
             };
+            let exposure_us = self.faults.stuck_exposure_us();
             let settings = Settings {
-                exposure_s: state.memory.float(memory::EXPOSURE) * 1e-6,
+                exposure_s: exposure_us.unwrap_or(state.memory.float(memory::EXPOSURE)) * 1e-6,
                 gain: 10_f64.powf(state.memory.float(memory::GAIN) / 20.0),
                 black_dn: state.memory.float(memory::BLACK_LEVEL),
             };
             let format = pixels::of_code(state.memory.get(memory::PIXEL_FORMAT));
             let size_px = [memory::WIDTH, memory::HEIGHT].map(|at| state.memory.get(at));
+            let acquisition = state.streaming.acquisitions;
             drop(state);
             // The frame, and what happens to it.
             let (timestamp, counts) = self.exposer.expose(settings);
             let Some(format) = format else { continue };
+            let format = match self.faults.changes_format() {
+                true => pixels::FORMATS[0],
+                false => format,
+            };
             let mut image = Image {
                 block: 0,
                 timestamp,
@@ -106,8 +123,15 @@ impl Shared {
             }
             // To the controller, if there still is one.
             let mut state = self.lock();
-            if state.streaming.runs && !self.faults.is_gone() {
-                self.send(&mut state, socket, &mut image);
+            let is_wanted = state.streaming.runs && state.streaming.acquisitions == acquisition;
+            if is_wanted && !self.faults.is_gone() {
+                image.block = state.streaming.next_block();
+                if let Some(delay) = self.faults.delays_frame() {
+                    drop(state);
+                    std::thread::sleep(delay);
+                    state = self.lock();
+                }
+                self.send(&mut state, socket, &image);
             }
             drop(state);
             before = Some(image);
@@ -117,8 +141,7 @@ impl Shared {
         }
     }
 
-    fn send(&self, state: &mut State, socket: &UdpSocket, image: &mut Image) {
-        image.block = state.streaming.next_block();
+    fn send(&self, state: &mut State, socket: &UdpSocket, image: &Image) {
         let Some(to) = destination(&state.memory) else {
             return;
         };
@@ -135,14 +158,17 @@ impl Shared {
     }
 
     fn send_all(&self, socket: &UdpSocket, to: SocketAddr, packets: &[Vec<u8>]) {
-        for (number, packet) in packets.iter().enumerate() {
+        let mut sent = 0;
+        for packet in packets {
             if !self.faults.loses_packet() {
                 // As on a network, a packet may be lost.
                 let _ = socket.send_to(packet, to);
             }
             // The receiver's buffer is finite.
-            if number % 32 == 31 {
-                std::thread::sleep(std::time::Duration::from_micros(50));
+            sent += packet.len();
+            if sent > BURST {
+                sent = 0;
+                std::thread::sleep(Duration::from_micros(100));
             }
         }
     }

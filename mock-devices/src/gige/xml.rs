@@ -72,6 +72,7 @@ pub fn description([width, height]: [u32; 2]) -> String {
     nodes.integer("GevSCPHostPort", at::STREAM_PORT, 65_535, "RW");
     nodes.integer("GevSCDA", at::STREAM_ADDRESS, u32::MAX, "RW");
     nodes.command("GevTimestampControlLatch", at::TIMESTAMP_CONTROL, 2);
+    nodes.long("GevTimestampValue", at::TIMESTAMP_LATCHED);
     nodes.masked("GevSCPSPacketSize", at::PACKET_SIZE, [16, 31], 65_535);
     nodes.masked("GevSCPSFireTestPacket", at::PACKET_SIZE, [0, 0], 1);
     nodes.masked("GevSCPSDoNotFragment", at::PACKET_SIZE, [1, 1], 1);
@@ -121,6 +122,13 @@ impl Nodes {
             "<Integer Name=\"{name}\"><pValue>{name}Reg</pValue><Min>0</Min><Max>{most}</Max>\
              <Inc>1</Inc></Integer>"
         );
+        self.add(name, &register, &feature);
+    }
+
+    /// Eight bytes, read only.
+    fn long(&mut self, name: &str, address: u32) {
+        let register = register("IntReg", &format!("{name}Reg"), address, 8, "RO", UNSIGNED);
+        let feature = format!("<Integer Name=\"{name}\"><pValue>{name}Reg</pValue></Integer>");
         self.add(name, &register, &feature);
     }
 

@@ -1,10 +1,15 @@
 //! Features of a GenICam camera: set, and read back as the camera has them.
 
 use aravis::glib;
-use aravis::glib::object::Cast;
-use aravis::{Device, DeviceExt, GcFloatExt};
+use aravis::glib::object::{Cast, ObjectExt};
+use aravis::{
+    Device, DeviceExt, GcBoolean, GcEnumeration, GcFloat, GcFloatExt, GcInteger, GvDevice,
+};
 
 use crate::device::DeviceError;
+
+/// Register of a GigE Vision device that states whether a program controls it.
+pub const CONTROL_PRIVILEGE: u64 = 0x0a00;
 
 /// A camera's features with the name by which errors call it.
 pub struct Features {
@@ -41,9 +46,22 @@ impl Features {
             }
             // Control is lost after a pause longer than the heartbeat time-out; the capture
             // then opens the camera anew.
-            Some(Kind::NotController) => DeviceError::Disconnected { device },
+            Some(Kind::NotController | Kind::ProtocolErrorAccessDenied) if !self.has_control() => {
+                DeviceError::Disconnected { device }
+            }
             _ => self.refused(command, error),
         }
+    }
+
+    /// Whether this process controls the camera, as the camera reports it. On USB the
+    /// process that has claimed the interface does.
+    pub fn has_control(&self) -> bool {
+        let Some(network) = self.device.downcast_ref::<GvDevice>() else {
+            return true;
+        };
+        let register = self.device.read_register(CONTROL_PRIVILEGE);
+        let privilege = register.map_or(0, |(_, value)| value);
+        network.is_controller() && privilege & 0b11 != 0
     }
 
     /// Executes a command.
@@ -115,6 +133,24 @@ impl Features {
         self.float(feature)
     }
 
+    /// Sets an integer to its least value and reads it back.
+    ///
+    /// # Errors
+    /// It is refused, or another value stays.
+    pub fn set_lowest(&self, feature: &str) -> Result<(), DeviceError> {
+        let failed = |error| self.failed(feature, &error);
+        let (lowest, _) = self
+            .device
+            .integer_feature_bounds(feature)
+            .map_err(failed)?;
+        let set = self.device.set_integer_feature_value(feature, lowest);
+        set.map_err(failed)?;
+        match self.integer(feature)? {
+            is if is == lowest => Ok(()),
+            is => Err(self.not_applied(feature, is, &lowest.to_string())),
+        }
+    }
+
     /// Least and greatest value of a float.
     ///
     /// # Errors
@@ -134,7 +170,7 @@ impl Features {
     /// Unit of a float, empty where none is stated.
     pub fn unit(&self, feature: &str) -> String {
         let node = self.device.feature(feature);
-        let float = node.and_then(|node| node.dynamic_cast::<aravis::GcFloat>().ok());
+        let float = node.and_then(|node| node.dynamic_cast::<GcFloat>().ok());
         let unit = float.and_then(|float| float.unit());
         unit.map(|unit| unit.to_string()).unwrap_or_default()
     }
@@ -146,6 +182,53 @@ impl Features {
     pub fn integer(&self, feature: &str) -> Result<i64, DeviceError> {
         let read = self.device.integer_feature_value(feature);
         read.map_err(|error| self.failed(feature, &error))
+    }
+
+    /// Sets a feature of any type to a value of the rig file and reads it back.
+    ///
+    /// # Errors
+    /// The camera does not have it, it is refused, or a value stays that differs by more than
+    /// the feature's step.
+    pub fn set(&self, feature: &str, value: &str) -> Result<(), DeviceError> {
+        let command = format!("{feature} = {value}");
+        let node = self.device.feature(feature).filter(|_| self.has(feature));
+        let Some(node) = node else {
+            return Err(self.refused(&command, "the camera has no such feature now"));
+        };
+        let no_value = |wanted: &str| self.refused(&command, format!("it needs {wanted}"));
+        let failed = |error| self.failed(&command, &error);
+        if node.is::<GcEnumeration>() {
+            self.choose(feature, value)?;
+        } else if node.is::<GcBoolean>() {
+            let wanted = value.parse().map_err(|_| no_value("true or false"))?;
+            let set = self.device.set_boolean_feature_value(feature, wanted);
+            set.map_err(failed)?;
+            let is = self.device.boolean_feature_value(feature).map_err(failed)?;
+            if is != wanted {
+                return Err(self.not_applied(feature, is, value));
+            }
+        } else if node.is::<GcFloat>() {
+            let wanted = value.parse().map_err(|_| no_value("a number"))?;
+            let set = self.device.set_float_feature_value(feature, wanted);
+            set.map_err(failed)?;
+            let is = self.float(feature)?;
+            let step = self.step(feature).unwrap_or(0.0);
+            if (is - wanted).abs() > step.max(1e-6 * wanted.abs()) {
+                return Err(self.not_applied(feature, is, value));
+            }
+        } else if node.is::<GcInteger>() {
+            let wanted: i64 = value.parse().map_err(|_| no_value("a whole number"))?;
+            let set = self.device.set_integer_feature_value(feature, wanted);
+            set.map_err(failed)?;
+            let is = self.integer(feature)?;
+            let step = self.device.integer_feature_increment(feature).unwrap_or(1);
+            if is.abs_diff(wanted) >= step.max(1).unsigned_abs() {
+                return Err(self.not_applied(feature, is, value));
+            }
+        } else {
+            return Err(self.refused(&command, "it is neither a number nor a choice"));
+        }
+        Ok(())
     }
 
     /// A text, empty where it cannot be read.
@@ -163,7 +246,8 @@ impl Features {
         names.iter().map(|name| name.to_string()).collect()
     }
 
-    fn not_applied(&self, what: &str, is: impl ToString, wanted: &str) -> DeviceError {
+    /// Another value stays than the one that was set.
+    pub fn not_applied(&self, what: &str, is: impl ToString, wanted: &str) -> DeviceError {
         DeviceError::NotApplied {
             device: self.name.clone(),
             what: what.to_owned(),

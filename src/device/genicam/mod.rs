@@ -4,244 +4,164 @@
 //! it. Each frame is triggered by software, so that it begins after it was requested and none
 //! is thrown away. Names of features are those of the Standard Features Naming Convention.
 
+mod choice;
 mod features;
+mod find;
+mod link;
 pub mod pixels;
+mod settings;
 
+use std::ffi::OsStr;
 use std::time::{Duration, Instant};
 
-use aravis::glib::object::Cast;
-use aravis::{
-    Buffer, BufferStatus, CameraExt, CameraExtManual, GvDevice, GvStreamOption, Stream, StreamExt,
-};
+use aravis::{Buffer, BufferStatus};
 
-use super::described::{Description, Driver, find_none};
+use self::choice::Choice;
+use self::link::Link;
+use self::pixels::PixelFormat;
+use super::described::{Description, Driver};
 use super::retake::FrameFault;
 use super::{Camera, CameraInfo, CameraSettings, DeviceError, FrameKey, RawFrame};
 use crate::units::Seconds;
-use features::Features;
-use pixels::PixelFormat;
 
 /// `camera.driver = "genicam"`.
 pub const DRIVER: Driver = Driver {
     name: "genicam",
     key: "device",
-    allowed: "vendor and serial number as `Basler-12345678`, or the camera's IP address",
+    allowed: choice::ALLOWED,
     is_path: false,
-    accepts: |text| text.to_str().is_some_and(|text| !text.trim().is_empty()),
+    accepts: |text| Choice::parse(&text.to_string_lossy()).is_some(),
     ready: |text| Ok(format!("GenICam camera {}", text.to_string_lossy())),
-    open: |text, description| {
-        let name = text.to_string_lossy();
-        Ok(Box::new(GenicamCamera::open(&name, &description)?))
-    },
-    find: find_none,
+    open: |text, description| Ok(Box::new(GenicamCamera::open(text, description)?)),
+    find: find::find,
 };
 
 /// How long a camera that was unplugged, or lost to another program, is waited for.
 const RETURN_TIMEOUT: Seconds = Seconds(30.0);
-/// Buffers of the stream. Each frame is requested alone, so that one would do; the others
-/// take what a camera sends that was not requested.
-const BUFFERS: usize = 4;
-/// Size of a packet on this machine's own loopback, bytes.
-const LOOPBACK_PACKET: i64 = 9000;
-const EXPOSURE: &str = "ExposureTime";
-const GAIN: &str = "Gain";
-const US: f64 = 1e-6;
+/// Aravis sends a command five times, 0.5 s each, before it gives a camera up; a frame may
+/// need one before its trigger, the trigger, and one after its time-out.
+const COMMANDS_PER_FRAME: Seconds = Seconds(3.0 * 5.0 * 0.5);
+/// The camera is sought anew in the same step if giving it up took less.
+const PATIENCE: Duration = Duration::from_secs(4);
 
 /// A camera that waits for triggers.
 pub struct GenicamCamera {
-    /// As the rig file names it.
-    device: String,
+    choice: Choice,
     info: CameraInfo,
     timeout: Seconds,
     format: PixelFormat,
-    /// First of the two, because it is dropped first.
-    stream: Option<Stream>,
-    camera: aravis::Camera,
-    features: Features,
+    /// `None` while it is sought.
+    link: Option<Link>,
     settings: Option<CameraSettings>,
-    /// Number and start of the last frame.
-    last: Option<(u64, u64)>,
+    last: LastFrame,
+    /// An earlier frame did not come whole and may still be on its way.
+    is_disturbed: bool,
     frames_lost: u64,
 }
 
+/// What the next frame is compared with.
+#[derive(Clone, Copy, Debug, Default)]
+struct LastFrame {
+    /// Of the last frame; `None` where the next one's is not known.
+    number: Option<u64>,
+    /// When the last frame began, ns.
+    start_ns: Option<u64>,
+    /// The camera's clock after a frame that failed, ns: what began earlier is that one.
+    failed_ns: Option<u64>,
+}
+
 impl GenicamCamera {
-    /// Opens the camera that `device` names, takes control and sets its format. No frame is
+    /// Opens the camera that the rig file names, takes control and prepares it. No frame is
     /// taken.
-    ///
-    /// # Errors
-    /// It is not there, another program controls it, or it is not what the description says.
-    pub fn open(device: &str, description: &Description) -> Result<Self, DeviceError> {
-        // The camera, and control of it.
-        let camera = aravis::Camera::new(Some(device)).map_err(|_| DeviceError::NotFound {
-            device: device.to_owned(),
+    fn open(text: &OsStr, description: Description) -> Result<Self, DeviceError> {
+        let text = text.to_string_lossy();
+        let choice = Choice::parse(&text).ok_or_else(|| DeviceError::NotFound {
+            device: text.to_string(),
         })?;
-        let features = camera.device().map(|device_object| Features {
-            device: device_object,
-            name: device.to_owned(),
-        });
-        let features = features.ok_or_else(|| DeviceError::NotFound {
-            device: device.to_owned(),
-        })?;
-        if let Some(network) = features.device.downcast_ref::<GvDevice>()
-            && !network.is_controller()
-        {
-            return Err(DeviceError::Controlled {
-                device: device.to_owned(),
-            });
-        }
-        // Which one.
-        let serial = features.text("DeviceSerialNumber");
-        let wanted = &description.info.serial;
-        if !wanted.is_empty() && *wanted != serial {
-            return Err(DeviceError::NotApplied {
-                device: device.to_owned(),
-                what: "the camera's serial number".to_owned(),
-                is: serial,
-                wanted: wanted.clone(),
-            });
-        }
-        // Format and size.
-        let info = &description.info;
-        let offered = features.choices("PixelFormat");
-        let format = pixels::best_of(&offered, info.bit_depth, info.mosaic);
-        let format = format.ok_or_else(|| {
-            let wanted = format!("{} bits, filters {:?}", info.bit_depth, info.mosaic);
-            features.refused(&wanted, format!("it offers {}", offered.join(", ")))
-        })?;
-        features.choose("PixelFormat", format.name)?;
-        let size = [features.integer("Width")?, features.integer("Height")?];
-        if size != info.resolution_px.map(i64::from) {
-            return Err(DeviceError::NotApplied {
-                device: device.to_owned(),
-                what: "the size of a frame".to_owned(),
-                is: format!("{} × {}", size[0], size[1]),
-                wanted: format!("{} × {}", info.resolution_px[0], info.resolution_px[1]),
-            });
-        }
-        if !features.has(EXPOSURE) {
-            return Err(features.refused(EXPOSURE, "the camera has no such feature"));
-        }
-        // What it can do.
-        let range = features.bounds(EXPOSURE)?.map(|us| Seconds(us * US));
-        let info = CameraInfo {
-            model: features.text("DeviceModelName"),
-            serial,
-            exposure_range: range,
-            exposure_step: Seconds(features.step(EXPOSURE).unwrap_or(1.0) * US),
-            ..info.clone()
-        };
+        let link = Link::open(&choice.name)?;
+        let (info, format) = settings::prepare(&link.features, &choice, &description.info)?;
         Ok(Self {
-            device: device.to_owned(),
+            choice,
             info,
             timeout: description.timeout,
             format,
-            stream: None,
-            camera,
-            features,
+            link: Some(link),
             settings: None,
-            last: None,
+            last: LastFrame::default(),
+            is_disturbed: false,
             frames_lost: 0,
         })
     }
 
-    /// Everything manual, a frame at each trigger.
-    fn set_manual(&self) -> Result<(), DeviceError> {
-        let features = &self.features;
-        for automatic in [
-            "ExposureAuto",
-            "GainAuto",
-            "BlackLevelAuto",
-            "BalanceWhiteAuto",
-        ] {
-            features.choose(automatic, "Off")?;
+    fn gone(&self) -> DeviceError {
+        DeviceError::Disconnected {
+            device: self.choice.name.clone(),
         }
-        features.switch_off("GammaEnable")?;
-        features.choose("ExposureMode", "Timed")?;
-        features.choose("AcquisitionMode", "Continuous")?;
-        features.choose("TriggerSelector", "FrameStart")?;
-        let is_triggered = features.choose("TriggerSource", "Software")?
-            && features.choose("TriggerMode", "On")?;
-        match is_triggered {
-            true => Ok(()),
-            false => Err(features.refused(
-                "TriggerSource = Software",
-                "the camera cannot be triggered by software",
-            )),
-        }
-    }
-
-    /// Gain as a factor of the camera's lowest. Cameras state decibels, or a factor without
-    /// a unit whose lowest is 1.
-    fn set_gain(&self, factor: f64) -> Result<f64, DeviceError> {
-        let features = &self.features;
-        if !features.has(GAIN) {
-            return match factor == 1.0 {
-                true => Ok(1.0),
-                false => Err(features.refused(GAIN, "the camera has no gain, so only 1")),
-            };
-        }
-        let [lowest, _] = features.bounds(GAIN)?;
-        match features.unit(GAIN).as_str() {
-            "dB" | "" if lowest < 0.5 => {
-                let db = features.set_float(GAIN, lowest + 20.0 * factor.log10())?;
-                Ok(10_f64.powf((db - lowest) / 20.0))
-            }
-            _ if lowest > 0.0 => Ok(features.set_float(GAIN, lowest * factor)? / lowest),
-            unit => {
-                let reason = format!("its unit is {unit:?}, neither dB nor a factor");
-                Err(features.refused(GAIN, reason))
-            }
-        }
-    }
-
-    /// Opens the stream once; the device sends where it says.
-    fn start(&mut self) -> Result<(), DeviceError> {
-        let features = &self.features;
-        let failed = |error| features.failed("a stream", &error);
-        if self.stream.is_none() {
-            if let Some(network) = features.device.downcast_ref::<GvDevice>() {
-                // A raw socket needs rights that programs rarely have, and sees no packets of
-                // the loopback device.
-                network.set_stream_options(GvStreamOption::PACKET_SOCKET_DISABLED);
-                let address = features.integer("GevCurrentIPAddress").unwrap_or(0);
-                let tuned = match address >> 24 == 127 {
-                    true => network.set_packet_size(LOOPBACK_PACKET as i32),
-                    false => network.auto_packet_size(),
-                };
-                // The size that it has stays.
-                tuned.unwrap_or_else(|error| tracing::debug!("packet size: {error}"));
-            }
-            let stream = self.camera.create_stream().map_err(failed)?;
-            let bytes = features.integer("PayloadSize")?;
-            for _ in 0..BUFFERS {
-                stream.push_buffer(Buffer::new_allocate(bytes.max(1) as usize));
-            }
-            self.stream = Some(stream);
-        }
-        features.execute("AcquisitionStart")
     }
 
     fn bad_frame(&self, fault: FrameFault) -> DeviceError {
         DeviceError::BadFrame {
-            device: self.device.clone(),
+            device: self.choice.name.clone(),
             fault,
         }
     }
 
-    /// What a frame holds; `None` where it is not the one that was requested.
+    /// Ends what is still under way; nothing that began before now counts.
+    fn settle(&mut self, link: &mut Link) -> Result<(), DeviceError> {
+        if self.is_disturbed {
+            link.stop()?;
+            link.close_stream();
+            self.last.number = None;
+            self.last.failed_ns = link.clock_ns();
+        }
+        link.start()
+    }
+
+    fn take(&mut self, link: &mut Link) -> Result<RawFrame, DeviceError> {
+        let settings = self.settings.ok_or_else(|| {
+            let reason = "it is not configured";
+            link.features.refused("a frame", reason)
+        })?;
+        self.settle(link)?;
+        self.is_disturbed = true;
+        let timeout = Seconds(settings.exposure.0 + self.timeout.0);
+        let deadline = Instant::now() + timeout.to_duration();
+        let taken = link.take(deadline, |buffer| self.read(buffer))?;
+        if let Some(frame) = taken {
+            self.is_disturbed = false;
+            return Ok(frame);
+        }
+        // Whether it is still there, and this process' own.
+        match link.features.has_control() {
+            false => Err(self.gone()),
+            true => Err(DeviceError::NoReply {
+                device: self.choice.name.clone(),
+                timeout,
+                sent: "TriggerSoftware".to_owned(),
+            }),
+        }
+    }
+
+    /// What a buffer holds, if that is the frame that was requested.
     fn read(&mut self, buffer: &Buffer) -> Result<RawFrame, DeviceError> {
-        let (number, start_ns) = (buffer.frame_id(), buffer.timestamp());
         if buffer.status() != BufferStatus::Success {
             return Err(self.bad_frame(FrameFault::Damaged));
         }
-        // Numbers run on without gaps, from 65 535 to 1 on old links.
-        if let Some((last, last_ns)) = self.last {
-            if start_ns <= last_ns {
-                return Err(self.bad_frame(FrameFault::Late));
-            }
+        // Which frame. Numbers run on without gaps, from 65 535 to 1 on old links.
+        let (number, start_ns) = (buffer.frame_id(), buffer.timestamp());
+        let is_old = self.last.start_ns.is_some_and(|last| start_ns <= last);
+        if is_old || self.last.failed_ns.is_some_and(|failed| start_ns < failed) {
+            return Err(self.bad_frame(FrameFault::Late));
+        }
+        if let Some(last) = self.last.number {
             self.frames_lost += number.saturating_sub(last + 1);
         }
-        self.last = Some((number, start_ns));
+        self.last = LastFrame {
+            number: Some(number),
+            start_ns: Some(start_ns),
+            failed_ns: None,
+        };
+        // Its size and format.
         let found = [buffer.image_width(), buffer.image_height()].map(|side| side as u32);
         let pixels = found[0] as usize * found[1] as usize;
         if found != self.info.resolution_px {
@@ -255,6 +175,7 @@ impl GenicamCamera {
             let fault = format!("its pixel format is not {}", self.format.name);
             return Err(self.bad_frame(FrameFault::Undecodable(fault)));
         }
+        // Its counts.
         let bytes = buffer.image_data();
         let counts = self.format.decode(&bytes, pixels, self.info.bit_depth);
         let counts = counts.map_err(|fault| self.bad_frame(fault))?;
@@ -266,6 +187,20 @@ impl GenicamCamera {
             timestamp: Some(Seconds(start_ns as f64 * 1e-9)),
         })
     }
+
+    /// Does something with the link. Where the camera is gone, its settings are unknown.
+    fn with_link<T>(
+        &mut self,
+        act: impl FnOnce(&mut Self, &mut Link) -> Result<T, DeviceError>,
+    ) -> Result<T, DeviceError> {
+        let mut link = self.link.take().ok_or_else(|| self.gone())?;
+        let result = act(self, &mut link);
+        self.link = Some(link);
+        if let Err(DeviceError::Disconnected { .. }) = &result {
+            self.settings = None;
+        }
+        result
+    }
 }
 
 impl Camera for GenicamCamera {
@@ -275,23 +210,18 @@ impl Camera for GenicamCamera {
 
     fn configure(&mut self, requested: CameraSettings) -> Result<CameraSettings, DeviceError> {
         self.settings = None;
-        // Some cameras take settings only between acquisitions.
-        if self.stream.is_some() {
-            self.features.execute("AcquisitionStop")?;
-        }
-        self.set_manual()?;
-        let gain = self.set_gain(requested.gain)?;
-        let exposure_us = self
-            .features
-            .set_float(EXPOSURE, requested.exposure.0 / US)?;
-        let settings = CameraSettings {
-            exposure: Seconds(exposure_us * US),
-            gain,
-        };
-        self.last = None;
-        self.start()?;
-        self.settings = Some(settings);
-        Ok(settings)
+        let applied = self.with_link(|_, link| {
+            match settings::apply(&link.features, requested) {
+                // Some cameras take settings only between acquisitions.
+                Err(DeviceError::Refused { .. }) => {
+                    link.stop()?;
+                    settings::apply(&link.features, requested)
+                }
+                applied => applied,
+            }
+        })?;
+        self.settings = Some(applied);
+        Ok(applied)
     }
 
     /// Cameras have no shutter that GenICam could close.
@@ -300,42 +230,12 @@ impl Camera for GenicamCamera {
     }
 
     fn grab(&mut self, _: FrameKey) -> Result<RawFrame, DeviceError> {
-        let (Some(settings), Some(stream)) = (self.settings, self.stream.clone()) else {
-            let reason = "it is not configured";
-            return Err(self.features.refused("a frame", reason));
-        };
-        // What nobody requested goes back.
-        while let Some(buffer) = stream.try_pop_buffer() {
-            stream.push_buffer(buffer);
-        }
-        let timeout = Seconds(settings.exposure.0 + self.timeout.0);
-        let deadline = Instant::now() + timeout.to_duration();
-        self.features.execute("TriggerSoftware")?;
-        let left = deadline.saturating_duration_since(Instant::now());
-        let popped =
-            stream.timeout_pop_buffer(left.max(Duration::from_millis(1)).as_micros() as u64);
-        match popped {
-            Some(buffer) => {
-                let frame = self.read(&buffer);
-                stream.push_buffer(buffer);
-                frame
-            }
-            None => {
-                // Whether it is still there.
-                self.features.integer("PayloadSize")?;
-                Err(DeviceError::NoReply {
-                    device: self.device.clone(),
-                    timeout,
-                    sent: "TriggerSoftware".to_owned(),
-                })
-            }
-        }
+        self.with_link(Self::take)
     }
 
     fn temperature_c(&mut self) -> Option<f64> {
-        let feature = "DeviceTemperature";
-        let has = self.features.has(feature);
-        has.then(|| self.features.float(feature).ok()).flatten()
+        let link = self.link.as_ref()?;
+        settings::temperature_c(&link.features)
     }
 
     fn frames_lost(&self) -> u64 {
@@ -343,8 +243,7 @@ impl Camera for GenicamCamera {
     }
 
     fn longest_frame(&self, exposure: Seconds) -> Seconds {
-        // The trigger and the question whether the camera is there have time-outs of their own.
-        Seconds(exposure.0.max(0.0) + self.timeout.0 + 10.0)
+        Seconds(exposure.0.max(0.0) + self.timeout.0 + COMMANDS_PER_FRAME.0)
     }
 
     fn may_return_within(&self) -> Seconds {
@@ -352,19 +251,28 @@ impl Camera for GenicamCamera {
     }
 
     fn reconnect(&mut self) -> Result<(), DeviceError> {
-        let gone = |_| DeviceError::Disconnected {
-            device: self.device.clone(),
+        self.settings = None;
+        // Control that this process still has would keep it from taking control again. A
+        // camera that does not answer takes its time.
+        let began = Instant::now();
+        self.link = None;
+        if began.elapsed() > PATIENCE {
+            return Err(self.gone());
+        }
+        let link = match Link::open(&self.choice.name) {
+            Ok(link) => link,
+            // It may still come back.
+            Err(DeviceError::NotFound { .. } | DeviceError::Controlled { .. }) => {
+                return Err(self.gone());
+            }
+            Err(error) => return Err(error),
         };
-        let description = Description {
-            info: self.info.clone(),
-            timeout: self.timeout,
-            keeper: None,
-        };
-        self.stream = None;
-        let again = Self::open(&self.device, &description).map_err(gone)?;
-        let frames_lost = self.frames_lost;
-        *self = again;
-        self.frames_lost = frames_lost;
+        let (info, format) = settings::prepare(&link.features, &self.choice, &self.info)?;
+        (self.info, self.format) = (info, format);
+        self.link = Some(link);
+        // Its clock may have begun anew.
+        self.last = LastFrame::default();
+        self.is_disturbed = false;
         Ok(())
     }
 }

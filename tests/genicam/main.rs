@@ -1,0 +1,11 @@
+//! `driver = "genicam"`: libaravis against a simulated GigE Vision device that looks at the
+//! simulated bench, over loopback, and against Aravis' own fake camera.
+
+#[path = "../command_support/mod.rs"]
+mod support;
+
+mod captures;
+mod driver;
+mod listing;
+mod program;
+mod stand;
