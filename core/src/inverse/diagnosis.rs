@@ -17,7 +17,9 @@ use crate::transport::Scene;
 
 mod templates;
 
-use templates::{ANGLES, BLURS, FIELDS, SHAPES, blurred, displaced_images, fields, first_angles};
+use templates::{
+    ANGLES, BLURS, FIELDS, SHAPES, blur_unit, blurred, displaced_images, fields, first_angles,
+};
 
 /// What can be wrong with a sample or a bench.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -170,6 +172,7 @@ pub(super) fn examine(fit: &Examined<'_>) -> Diagnosis {
     }
     let resolution_px = DVec2::from_array(cells.resolution_px().map(|n| n as f64));
     let displaced = displaced_images(fit);
+    let blur_unit = blur_unit(cells);
     let angles = first_angles(scene, cells);
     let active: Vec<Vec<usize>> = mixture
         .iter()
@@ -201,7 +204,9 @@ pub(super) fn examine(fit: &Examined<'_>) -> Diagnosis {
             row.extend(displaced.iter().map(|d| d[light * cells.len() + cell][c]));
             row.extend(fields(at).map(|f| f * modelled));
             row.extend(BLURS.map(|radius| {
-                blurred(cells, cell, radius, |k| model[light][k][c].value()) - modelled
+                blurred(cells, cell, radius * blur_unit, |k| {
+                    model[light][k][c].value()
+                }) - modelled
             }));
             row.extend(angles[light * cells.len() + cell].map(|f| f * modelled));
             let Some((z, sigma)) = objective.deviation(model, light, cell, c) else {
