@@ -40,7 +40,8 @@ test-external: build
 	tests/external/run.sh target/release/rig
 
 # Cameras and serial ports as the kernel shows them; needs root or sudo once, for apt.
-test-vm: build
+test-vm: deps
+	$(CARGO) build --locked --release --features webcam
 	$(CARGO) build --locked --release --package mock-devices --example usb_devices
 	tests/vm/run.sh target/release/rig target/release/examples/usb_devices
 

@@ -21,7 +21,7 @@ use rig::brdf::score::Cell;
 use rig::brdf::sphere::{SphereMatrix, sphere_image, sphere_matrix};
 use rig::brdf::{Atom, Dictionary, score};
 use rig::evaluate::lab::materials::MIRRORS;
-use rig::inverse::simplex::{Quadratic, SimplexError};
+use rig::simplex::{Quadratic, SimplexError};
 
 const TRAINING: [&str; 12] = [
     "alum-bronze",

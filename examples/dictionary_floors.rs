@@ -10,9 +10,9 @@ use std::sync::Arc;
 
 use rig::brdf::environment::EnvironmentMap;
 use rig::brdf::nbrdf::{NAMES, NeuralBrdf};
+use rig::brdf::projection::{CellMatrix, EnvironmentMatrix};
 use rig::brdf::table::TabulatedBrdf;
 use rig::brdf::{Brdf, Dictionary, score, source};
-use rig::inverse::projection::{CellMatrix, EnvironmentMatrix};
 
 /// Azimuths of the cells: isotropic materials change little with φd.
 const AZIMUTHS: usize = 4;

@@ -9,11 +9,13 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 use serde::Serialize;
 use serde_json::{Value, json};
 
+use crate::bench_priors::BenchPriors;
 use crate::brdf::{BrdfError, Dictionary, Mixture};
+use crate::cells::{Captured, CellOptions};
 use crate::frames::Rigid;
 use crate::geometry::bvh::offset_origin;
 use crate::geometry::{Bvh, Mesh, MeshError, Ray, Shape};
-use crate::inverse::{BenchPriors, Captured, CellOptions, FitError, FitOptions, fit};
+use crate::inverse::{FitError, FitOptions, fit};
 use crate::random::{Purpose, stream};
 use crate::transport::cache::CacheError;
 use crate::transport::{

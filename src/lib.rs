@@ -31,9 +31,9 @@
 //! | 8 | [`cli`] |
 
 pub use rig_core::{
-    brdf, file_system, frames, geometry, inverse, least_squares, outside_file, outside_table,
-    outside_text, progress, radiance_image, random, scores, shown, statistics, transport, units,
-    whole_file,
+    bench_priors, brdf, cells, file_system, frames, geometry, inverse, least_squares, outside_file,
+    outside_table, outside_text, plausibility, progress, radiance_image, random, scores, shown,
+    simplex, statistics, transport, units, whole_file,
 };
 
 pub mod checksum;
@@ -69,3 +69,8 @@ pub mod cli;
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 struct Readme;
+
+/// The driver of docs/adding-a-driver.md, likewise.
+#[cfg(doctest)]
+#[doc = include_str!("../docs/adding-a-driver.md")]
+struct AddingADriver;

@@ -74,9 +74,50 @@ fn records_figures_and_status() {
             "{figure:?}"
         );
     }
+    // The figures of EMVA 1288, in one file that needs no other.
+    let page = at.join("calibration/simulated/plots/one.html");
+    let page = std::fs::read_to_string(page).unwrap();
+    for part in [
+        "SIMULATED",
+        "system gain",
+        "μ<sub>e.sat</sub>",
+        "PRNU<sub>1288</sub>",
+        "quantum efficiency",
+        "<svg",
+    ] {
+        assert!(page.contains(part), "{part}");
+    }
+    for outside in ["http://", "https://", "src="] {
+        assert!(!page.contains(outside), "{outside}");
+    }
     let shown = rig(at).args(["calibrate", "status"]).output().unwrap();
     let shown = String::from_utf8(shown.stdout).unwrap();
     assert!(shown.contains("sensor    ok"), "{shown}");
+
+    // The same as JSON, of a measurement of fewer frames.
+    let two = [
+        "calibrate",
+        "sensor",
+        "--id",
+        "two",
+        "--frames",
+        "8",
+        "--json",
+    ];
+    let two = json(&rig(at).args(two).output().unwrap());
+    let figures = &two["emva1288"];
+    let value = |key: &str| figures[key]["value"].as_f64().unwrap();
+    assert_eq!(
+        figures["system_gain_dn_per_e"],
+        two["values"]["gain_dn_per_e"]
+    );
+    let ratio = value("saturation_capacity_e") / value("sensitivity_threshold_e");
+    assert!(
+        (value("dynamic_range") / ratio - 1.0).abs() < 1e-9,
+        "{figures}"
+    );
+    assert!((0.003..0.012).contains(&value("prnu")), "{figures}");
+    std::fs::remove_file(at.join("calibration/simulated/sensor/two.toml")).unwrap();
 
     // A record of the same name is never replaced.
     let record = at.join("calibration/simulated/sensor/one.toml");

@@ -9,8 +9,9 @@ use command_support::{
     assert_refused, rig, run, session_of, shipped_workplace, text, with_body, workplace,
 };
 use rig::brdf::Dictionary;
+use rig::cells::{Captured, CellOptions};
 use rig::config::RigConfig;
-use rig::inverse::{Captured, CellOptions, FitOptions, fit, intervals};
+use rig::inverse::{FitOptions, fit, intervals};
 use rig::radiance_image::exr;
 use rig::session::commit::SystemDisk;
 use rig::session::{

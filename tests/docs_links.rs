@@ -126,7 +126,8 @@ fn items_that_the_model_names_exist() {
             continue;
         }
         found += 1;
-        let source = fs::read_to_string(root().join("core/src/inverse").join(file));
+        let in_folder = |folder: &str| fs::read_to_string(root().join(folder).join(file));
+        let source = in_folder("core/src/inverse").or_else(|_| in_folder("core/src"));
         let source = source.unwrap_or_default();
         let defined = ["fn", "struct", "enum", "const"].iter().any(|kind| {
             let start = format!("{kind} {item}");

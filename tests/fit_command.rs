@@ -7,7 +7,7 @@ use std::sync::Mutex;
 
 use image::{GrayImage, Luma};
 use rig::progress::Progress;
-use rig::session::fit_record::{self, FitRecord};
+use rig::session::fit_record::{self, FitRecord, Grade, Verdict};
 use rig::transport::Kernel;
 use rig::workflow::{FitRequest, ImageFit, Notice, Observer, fit_images};
 
@@ -114,6 +114,7 @@ fn a_free_common_scale_is_found() {
     );
     assert!(done.status.success(), "{done:?}");
     let record = fit_record::read(&home.path().join("fit")).unwrap();
+    assert_eq!(scale_reservation(&record), None);
     let bench = record.bench.unwrap();
     assert!(bench.settled);
     assert_eq!(bench.parameter.len(), 4);
@@ -286,7 +287,7 @@ fn other_optimisers_and_a_refined_bench() {
         home.path(),
         "--refine-bench --uncertainty intensity=0.01 --uncertainty stray_light=0.001",
     );
-    let bench = refined.bench.unwrap();
+    let bench = refined.bench.as_ref().unwrap();
     let names: Vec<&str> = bench.parameter.iter().map(|p| p.name.as_str()).collect();
     for name in [
         "azimuth of light 0",
@@ -302,6 +303,41 @@ fn other_optimisers_and_a_refined_bench() {
         assert!(p.value.abs() < 5.0 * p.prior_deviation, "{p:?}");
         assert!(p.deviation <= 1.001 * p.prior_deviation, "{p:?}");
     }
+    assert_eq!(scale_reservation(&refined), None);
+}
+
+/// What a fit says of a scale that it does not know.
+fn scale_reservation(fit: &FitRecord) -> Option<&str> {
+    let mut warnings = fit.warnings.iter();
+    let warning = warnings.find(|w| w.what.contains("irradiance is known within"))?;
+    assert_eq!(warning.grade, Grade::Reservation);
+    assert!(warning.likely_cause.contains("rig calibrate white"));
+    Some(&warning.what)
+}
+
+/// A sphere has no interreflection: a darker lamp and a brighter material make the same images.
+#[test]
+fn a_scale_that_nothing_shows_is_a_reservation() {
+    let home = tempfile::tempdir().unwrap();
+    let scene = SCENE
+        .replace(
+            "{ kind = \"bowl\", radius_mm = 1.0, segments = 48 }",
+            "{ kind = \"sphere\", radius_mm = 1.0, segments = 48 }",
+        )
+        .replace(
+            "intensity = 0.0",
+            "intensity = 0.01\ncommon_intensity = 1.0",
+        );
+    std::fs::write(home.path().join("s.toml"), scene).unwrap();
+    let done = rig(
+        home.path(),
+        "render --scene s.toml --out i.exr --spp 128 --seed 5",
+    );
+    assert!(done.status.success(), "{done:?}");
+    let fit = fitted(home.path(), "--refine-bench");
+    let what = scale_reservation(&fit);
+    assert!(what.is_some(), "{:?} {:?}", fit.bench, fit.warnings);
+    assert_ne!(fit.verdict(), Verdict::Explains);
 }
 
 #[test]

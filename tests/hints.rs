@@ -25,20 +25,16 @@ const ELSEWHERE: &[(&str, &str)] = &[
         "a bench that is connected",
     ),
     (
-        "desktops claim cameras to show their files",
-        "a still camera on USB that a desktop holds",
-    ),
-    (
-        "install it (on Debian and Ubuntu `sudo apt install gphoto2`)",
-        "a system without gphoto2",
-    ),
-    (
-        "install LibRaw's programs (on Debian and Ubuntu",
-        "a system with gphoto2 and without LibRaw",
-    ),
-    (
         "end the other program that has the camera",
         "a camera on the network that another program controls",
+    ),
+    (
+        "lists what the camera has: resolution_px must be there",
+        "a webcam without such frames",
+    ),
+    (
+        "which sees the mark of damaged frames",
+        "a kernel that hands damaged frames over",
     ),
     (
         "raw counts need an uncompressed format",

@@ -4,7 +4,10 @@
 #[path = "small_bench/mod.rs"]
 mod small_bench;
 
+use std::collections::BTreeSet;
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -278,55 +281,241 @@ fn speeds_are_chosen_from_the_list_and_read_back_from_the_file() {
     assert!((doubled / at_60 - 2.0).abs() < 0.03, "{at_60} {doubled}");
 }
 
+/// During what a fault happens.
+#[derive(Clone, Copy)]
+enum During {
+    /// A change of the shutter speed.
+    Settings,
+    /// A frame.
+    Frame,
+}
+
+/// What comes of it: nothing but time; a frame that is taken again; an error.
+enum Outcome {
+    GoesOn,
+    TakenAgain,
+    Error(fn(&DeviceError) -> bool),
+}
+
+/// Faults of the body, by their names in docs/faults.md.
+const FAULTS: [(&str, BodyFault, During, Outcome); 7] = [
+    (
+        "the body is busy",
+        BodyFault::Busy(2),
+        During::Settings,
+        Outcome::GoesOn,
+    ),
+    (
+        "a file states another exposure, once",
+        BodyFault::WrongExif(1),
+        During::Frame,
+        Outcome::GoesOn,
+    ),
+    (
+        "a file is cut on its way",
+        BodyFault::CutFile(1),
+        During::Frame,
+        Outcome::TakenAgain,
+    ),
+    (
+        "files state another exposure for good",
+        BodyFault::WrongExif(u32::MAX),
+        During::Frame,
+        Outcome::Error(
+            |error| matches!(error, DeviceError::NotApplied { what, .. } if what.contains("exposure in the raw file")),
+        ),
+    ),
+    (
+        "a speed is refused",
+        BodyFault::RefuseSpeed(1),
+        During::Settings,
+        Outcome::Error(|error| matches!(error, DeviceError::Refused { .. })),
+    ),
+    (
+        "a speed is accepted and not taken",
+        BodyFault::KeepSpeed(1),
+        During::Settings,
+        Outcome::Error(|error| matches!(error, DeviceError::NotApplied { .. })),
+    ),
+    (
+        "switched off, or out of reach",
+        BodyFault::Gone,
+        During::Frame,
+        Outcome::Error(|error| matches!(error, DeviceError::Disconnected { .. })),
+    ),
+];
+
+/// Rows of that table that have a test of their own below.
+const OTHERS: [&str; 6] = [
+    "the body does not answer",
+    "no room for a file",
+    "another serial number",
+    "another size of frame",
+    "another program has claimed the camera",
+    "`gphoto2` or LibRaw's programs are missing",
+];
+
 #[test]
 fn a_body_that_fails_is_reported_as_what_it_does() {
     let bench = before_a_card(body_config());
     let faults = bench.server.faults();
     let mut camera = open(&bench.server, &bench.rig).unwrap();
-    camera.configure(settings(0.02, 1.0)).unwrap();
-    let grab = |camera: &mut Box<dyn Camera>| {
+    // Frames of both speeds, so that no other frame is taken for one of them.
+    for exposure_s in [0.05, 0.02] {
+        camera.configure(settings(exposure_s, 1.0)).unwrap();
+    }
+    for (name, fault, during, outcome) in FAULTS {
+        camera.configure(settings(0.02, 1.0)).unwrap();
+        faults.inject(fault);
         let mut retakes = Retakes::default();
-        let frame = grab_right(camera.as_mut(), KEY, &mut retakes);
-        (frame, retakes)
-    };
-    // Busy: asked again.
-    faults.inject(BodyFault::Busy(2));
-    camera.configure(settings(0.05, 1.0)).unwrap();
-    // A file that states another exposure once: settings sent and frame taken again; for good:
-    // an error.
-    faults.inject(BodyFault::WrongExif(1));
-    assert!(grab(&mut camera).0.is_ok());
-    faults.inject(BodyFault::WrongExif(9));
-    let error = grab(&mut camera).0.unwrap_err();
+        let result = match during {
+            During::Settings => camera.configure(settings(0.05, 1.0)).map(drop),
+            During::Frame => grab_right(camera.as_mut(), KEY, &mut retakes).map(drop),
+        };
+        let expected = Retakes {
+            damaged: u32::from(matches!(outcome, Outcome::TakenAgain)),
+            ..Retakes::default()
+        };
+        assert_eq!(retakes, expected, "{name}");
+        match (outcome, result) {
+            (Outcome::Error(is_expected), Err(error)) => {
+                assert!(is_expected(&error), "{name}: {error}");
+            }
+            (Outcome::Error(_), Ok(())) => panic!("{name}: no error"),
+            (_, result) => result.unwrap_or_else(|error| panic!("{name}: {error}")),
+        }
+        if fault == BodyFault::Gone {
+            let error = camera.reconnect().unwrap_err();
+            assert!(matches!(error, DeviceError::Disconnected { .. }), "{error}");
+        }
+        // Afterwards it works again.
+        faults.clear();
+        camera.reconnect().unwrap();
+        camera.configure(settings(0.02, 1.0)).unwrap();
+        assert!(camera.grab(KEY).is_ok(), "{name}");
+    }
+}
+
+#[test]
+fn the_table_in_the_docs_has_these_rows() {
+    let text = include_str!("../docs/faults.md");
+    let (_, section) = text.split_once("\n## Still camera\n").unwrap();
+    let section = section.split("\n## ").next().unwrap();
+    let rows: BTreeSet<&str> = section
+        .lines()
+        .filter_map(|line| line.strip_prefix("| ")?.split(" | ").next())
+        .filter(|&name| name != "fault")
+        .collect();
+    let cases = FAULTS.iter().map(|(name, ..)| *name).chain(OTHERS);
+    assert_eq!(rows, cases.collect());
+}
+
+/// The program `rig` with a still camera, in a folder whose `bin` alone is in `PATH`.
+struct Tethered(tempfile::TempDir);
+
+impl Tethered {
+    /// With these of the system's programs, and `gphoto2` as a shell script where one is given.
+    fn new(installed: &[&str], gphoto2: Option<&str>) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let bin = folder.path().join("bin");
+        std::fs::create_dir(&bin).unwrap();
+        for program in installed {
+            let real = Path::new("/usr/bin").join(program);
+            std::os::unix::fs::symlink(real, bin.join(program)).unwrap();
+        }
+        if let Some(script) = gphoto2 {
+            let path = bin.join("gphoto2");
+            std::fs::write(&path, format!("#!/bin/sh\n{script}\n")).unwrap();
+            std::fs::set_permissions(&path, PermissionsExt::from_mode(0o755)).unwrap();
+        }
+        Self(folder)
+    }
+
+    /// stdout and stderr of `rig` with these arguments, the rig file's body at `port`.
+    fn rig(&self, arguments: &str, port: &str) -> String {
+        let text = include_str!("outside/shared/program-camera.toml");
+        let command = "driver = \"command\"\ncommand = \"./camera {output} {exposure_s}\"";
+        assert!(text.contains(command));
+        let body = format!("driver = \"gphoto2\"\nserial = \"{SERIAL}\"\nbody = \"port = {port}\"");
+        let file = self.0.path().join("still.toml");
+        std::fs::write(&file, text.replace(command, &body)).unwrap();
+        let output = Command::new(env!("CARGO_BIN_EXE_rig"))
+            .args(arguments.split(' '))
+            .current_dir(self.0.path())
+            .env("PATH", self.0.path().join("bin"))
+            .env_remove("RIG_CONFIG")
+            .output()
+            .unwrap();
+        [output.stdout, output.stderr]
+            .map(|text| String::from_utf8_lossy(&text).into_owned())
+            .concat()
+    }
+}
+
+const GRAB: &str = "camera grab --rig still.toml --exposure-ms 20 --out frame.png";
+const LIBRAW: [&str; 2] = ["unprocessed_raw", "raw-identify"];
+
+#[test]
+fn missing_programs_and_a_camera_that_is_claimed_come_with_the_remedy() {
+    let claimed = "echo \"*** Error (-53: 'Could not claim the USB device') ***\" >&2; exit 1";
+    for (tethered, fact, hint) in [
+        (
+            Tethered::new(&[], None),
+            "gphoto2: there is no such program in PATH",
+            "install it (on Debian and Ubuntu `sudo apt install gphoto2`)",
+        ),
+        (
+            Tethered::new(&["gphoto2"], None),
+            "unprocessed_raw: there is no such program in PATH",
+            "install LibRaw's programs (on Debian and Ubuntu `sudo apt install libraw-bin`)",
+        ),
+        (
+            Tethered::new(&LIBRAW, Some(claimed)),
+            "another program has claimed the camera at usb:001,004",
+            "desktops claim cameras to show their files: `gio mount -s gphoto2`",
+        ),
+    ] {
+        let said = tethered.rig(GRAB, "usb:001,004");
+        assert!(said.contains(fact) && said.contains(hint), "{said}");
+    }
+}
+
+#[test]
+fn another_body_than_the_rig_file_names_comes_with_the_remedy() {
+    let bench = before_a_card(BodyConfig::default());
+    let tethered = Tethered::new(&["gphoto2", LIBRAW[0], LIBRAW[1]], None);
+    let said = tethered.rig(GRAB, &bench.server.port());
+    let fact = format!("is the camera \"S0001\", and {SERIAL:?} is wanted");
+    assert!(said.contains(&fact), "{said}");
     assert!(
-        matches!(&error, DeviceError::NotApplied { what, .. } if what.contains("exposure in the raw file")),
-        "{error}"
+        said.contains("connect the camera of that serial number"),
+        "{said}"
     );
-    faults.clear();
-    // A file that is cut on its way: taken again.
-    faults.inject(BodyFault::CutFile(1));
-    let (frame, retakes) = grab(&mut camera);
-    assert!(frame.is_ok());
-    assert_eq!(retakes.damaged, 1);
-    // A speed that is refused, or accepted and not taken.
-    faults.inject(BodyFault::RefuseSpeed(1));
-    let error = camera.configure(settings(0.1, 1.0)).unwrap_err();
-    assert!(matches!(error, DeviceError::Refused { .. }), "{error}");
-    faults.inject(BodyFault::KeepSpeed(1));
-    let error = camera.configure(settings(0.1, 1.0)).unwrap_err();
-    assert!(matches!(error, DeviceError::NotApplied { .. }), "{error}");
-    camera.configure(settings(0.1, 1.0)).unwrap();
-    // Gone, and back.
-    faults.inject(BodyFault::Gone);
-    let error = camera.grab(KEY).unwrap_err();
-    assert!(matches!(error, DeviceError::Disconnected { .. }), "{error}");
-    assert!(matches!(
-        camera.reconnect(),
-        Err(DeviceError::Disconnected { .. })
-    ));
-    faults.clear();
-    camera.reconnect().unwrap();
-    assert!(camera.grab(KEY).is_ok());
+}
+
+/// `gphoto2 --auto-detect` does not look for bodies on a network, so that a script is its
+/// place here.
+#[test]
+fn rig_devices_lists_bodies_with_the_lines_of_a_rig_file() {
+    let table =
+        "echo 'Model                          Port'; echo '----------------------------------'
+echo 'Canon EOS 5D Mark IV           usb:001,004'";
+    let said = Tethered::new(&[], Some(table)).rig("devices", "any");
+    assert!(
+        said.contains("camera  gphoto2  Canon EOS 5D Mark IV"),
+        "{said}"
+    );
+    assert!(
+        said.contains("driver = \"gphoto2\", body = \"port=usb:001,004\""),
+        "{said}"
+    );
+    let said = Tethered::new(&[], Some(table)).rig("devices --json", "any");
+    assert!(
+        said.contains("\"driver\": \"gphoto2\"") || said.contains("\"driver\":\"gphoto2\""),
+        "{said}"
+    );
+    let none = Tethered::new(&[], None).rig("devices", "any");
+    assert!(!none.contains("gphoto2"), "{none}");
 }
 
 #[test]
@@ -363,7 +552,7 @@ fn another_body_or_another_size_is_refused() {
     let bench = before_a_card(BodyConfig::default());
     let error = open(&bench.server, &bench.rig).err().unwrap();
     assert!(
-        matches!(&error, DeviceError::NotApplied { what, is, .. } if what == "the serial number" && is == "S0001"),
+        matches!(&error, DeviceError::OtherCamera { is, .. } if is == "S0001"),
         "{error}"
     );
     let bench = before_a_card(body_config());

@@ -5,8 +5,9 @@ use std::sync::Arc;
 use divan::{Bencher, black_box};
 use rig::brdf::{Dictionary, Mixture};
 use rig::geometry::{Bvh, Mesh};
-use rig::inverse::simplex::Quadratic;
-use rig::inverse::{Captured, Channels, objective::Objective};
+use rig::simplex::Quadratic;
+use rig::cells::Captured;
+use rig::inverse::{Channels, objective::Objective};
 use rig::random::{Purpose, stream};
 use rig::transport::{
     Cache, CacheOptions, Cells, DirectMatrix, Kernel, Proposal, RenderOptions, Scene, render,

@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use crate::brdf;
+use crate::cells::{Captured, CellOptions};
 use crate::config::scene::SceneFile;
-use crate::inverse::{Captured, CellOptions};
 use crate::radiance_image::RadianceImage;
 use crate::transport::{RenderOptions, Scene, render};
 

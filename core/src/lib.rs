@@ -62,13 +62,15 @@
 //!
 //! | floor | modules |
 //! |---|---|
-//! | 0 | [`units`], [`frames`], [`random`], [`shown`], [`radiance_image`], [`outside_file`], [`outside_text`], [`outside_table`], [`file_system`], [`whole_file`], [`progress`], [`statistics`], [`least_squares`] |
+//! | 0 | [`units`], [`frames`], [`random`], [`shown`], [`radiance_image`], [`outside_file`], [`outside_text`], [`outside_table`], [`file_system`], [`whole_file`], [`progress`], [`statistics`], [`least_squares`], [`simplex`], [`bench_priors`] |
 //! | 1 | [`brdf`], [`geometry`] |
 //! | 2 | [`transport`] |
-//! | 3 | [`inverse`] |
-//! | 4 | [`config`], [`scores`] |
-//! | 5 | [`example`] |
+//! | 3 | [`cells`], [`plausibility`] |
+//! | 4 | [`inverse`] |
+//! | 5 | [`config`], [`scores`] |
+//! | 6 | [`example`] |
 
+pub mod bench_priors;
 pub mod file_system;
 pub mod frames;
 pub mod least_squares;
@@ -79,6 +81,7 @@ pub mod progress;
 pub mod radiance_image;
 pub mod random;
 pub mod shown;
+pub mod simplex;
 pub mod statistics;
 pub mod units;
 pub mod whole_file;
@@ -88,6 +91,9 @@ pub mod geometry;
 
 pub mod transport;
 
+pub mod cells;
+pub mod plausibility;
+
 pub mod inverse;
 
 pub mod config;
@@ -95,10 +101,12 @@ pub mod scores;
 
 pub mod example;
 
+pub use bench_priors::BenchPriors;
 pub use brdf::{Brdf, Dictionary, Mixture};
+pub use cells::{Captured, CellOptions};
 pub use config::scene::SceneFile;
 pub use geometry::{Mesh, Shape};
-pub use inverse::{Captured, CellOptions, Fit, FitOptions, Interval, fit};
+pub use inverse::{Fit, FitOptions, Interval, fit};
 pub use progress::Progress;
 pub use radiance_image::RadianceImage;
 pub use transport::{Camera, Light, RenderOptions, Scene, Shading, render};

@@ -6,10 +6,10 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use crate::brdf::environment::EnvironmentMap;
+use crate::brdf::projection::{CellMatrix, EnvironmentMatrix, ProjectionError};
 use crate::brdf::score::{self, BrdfErrors, PerChannel};
 use crate::brdf::sphere::SphereImage;
 use crate::brdf::{Brdf, Dictionary, Mixture};
-use crate::inverse::projection::{CellMatrix, EnvironmentMatrix, ProjectionError};
 
 /// One error, by channel and over all three.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

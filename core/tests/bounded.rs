@@ -3,11 +3,13 @@
 use std::sync::Arc;
 
 use glam::{DVec2, DVec3, Vec3};
+use rig_core::bench_priors::BenchPriors;
 use rig_core::brdf::discrepancy::Material;
 use rig_core::brdf::ggx::{self, Cosines};
 use rig_core::brdf::{Brdf, Dictionary, Mixture, check, nbrdf, source};
+use rig_core::cells::{Captured, CellOptions};
 use rig_core::geometry::Shape;
-use rig_core::inverse::{BenchPriors, Captured, CellOptions, FitOptions, fit};
+use rig_core::inverse::{FitOptions, fit};
 use rig_core::random::{Purpose, stream};
 use rig_core::transport::{
     Camera, Light, Projection, RenderOptions, Scene, Shading, render, suited_proposal,
@@ -102,13 +104,14 @@ fn no_images_make_a_material_that_reflects_more_than_arrives() {
             let found = fit(&scene, &captured, &dictionary, &options).unwrap();
             assert_physical(&found.material, &case);
             let shared = found.material.mixture.dictionary();
-            for sample in (0..options.draws).step_by(67) {
+            for sample in (0..options.posterior_samples).step_by(67) {
                 let weights = [0, 1, 2].map(|c| {
-                    let x = &found.draws[c].posterior[sample];
+                    let x = &found.posterior_samples[c].posterior[sample];
                     x.as_slice().to_vec()
                 });
                 let mixture = Mixture::new(shared.clone(), weights).unwrap();
-                let discrepancies = [0, 1, 2].map(|c| found.draws[c].discrepancies[sample].clone());
+                let discrepancies =
+                    [0, 1, 2].map(|c| found.posterior_samples[c].discrepancies[sample].clone());
                 let sample = Material::new(mixture, &discrepancies);
                 assert_physical(&sample, &case);
             }

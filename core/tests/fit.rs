@@ -9,15 +9,14 @@ use glam::{DVec2, DVec3};
 use rig_core::brdf::discrepancy::Material;
 use rig_core::brdf::score::{brdf_errors, cells};
 use rig_core::brdf::{Atom, Brdf, Dictionary, Mixture};
+use rig_core::cells::AverageError;
+use rig_core::cells::{Captured, CellOptions};
 use rig_core::geometry::shapes::Form;
 use rig_core::geometry::{FormError, Shape};
 use rig_core::inverse::budget::Source;
-use rig_core::inverse::cells::AverageError;
 use rig_core::inverse::exponentiated_gradient::ExponentiatedGradient;
 use rig_core::inverse::variance_shares;
-use rig_core::inverse::{
-    Captured, CellOptions, Channels, Fit, FitOptions, Optimizer, fit, intervals,
-};
+use rig_core::inverse::{Channels, Fit, FitOptions, Optimizer, fit, intervals};
 use rig_core::radiance_image::RadianceImage;
 use rig_core::transport::{
     Camera, Light, Projection, Proposal, RenderOptions, Scene, Shading, render,
@@ -109,7 +108,7 @@ fn one_round(optimizer: Optimizer, channels: Channels) -> FitOptions {
         channels,
         rounds: 1,
         adapt_paths: false,
-        draws: 20,
+        posterior_samples: 20,
         ..options()
     }
 }
@@ -152,7 +151,7 @@ fn the_truth_comes_back_through_interreflections() {
         .unwrap();
         let [error, start] = errors(&fit, &dictionary, &truth);
         let theta: Vec<f64> = (0..9).map(|i| 10.0 * f64::from(i)).collect();
-        let cells = intervals::table(&fit.material, &fit.draws, &theta, &theta);
+        let cells = intervals::table(&fit.material, &fit.posterior_samples, &theta, &theta);
         let constrained = cells.iter().filter(|c| c.constrained).count();
         println!(
             "{name}: cube-root error {error:.4}, start {start:.4}, constrained {constrained} of {}, chi2 {:?}",
@@ -352,7 +351,7 @@ fn a_stated_form_error_is_a_part_of_the_budget() {
         fit(&scene, &averaged(&scene, &captured), &dictionary, &options).unwrap()
     };
     let mesh = |fit: &Fit| {
-        let cell = variance_shares::at(&fit.material, &fit.draws, 10.0, 20.0).unwrap();
+        let cell = variance_shares::at(&fit.material, &fit.posterior_samples, 10.0, 20.0).unwrap();
         cell.relative_variance[Source::Mesh as usize]
     };
     let exact = run(None);

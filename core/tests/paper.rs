@@ -7,8 +7,9 @@ use nalgebra::DVector;
 use rig_core::brdf::environment::EnvironmentMap;
 use rig_core::brdf::score::environment_error;
 use rig_core::brdf::{Brdf, Mixture};
+use rig_core::cells::Captured;
 use rig_core::inverse::objective::Objective;
-use rig_core::inverse::{Captured, Channels, FitOptions};
+use rig_core::inverse::{Channels, FitOptions};
 use rig_core::radiance_image::RadianceImage;
 use rig_core::transport::{
     Cache, CacheOptions, Cells, DirectMatrix, Kernel, Projection, Proposal, RenderOptions, render,

@@ -139,7 +139,9 @@ impl<'a> Watch<'a> {
             let frames = (0..options.burst)
                 .map(|_| self.grab(FrameKind::Light))
                 .collect::<Result<Vec<_>, _>>()?;
-            lit.push((applied_s, frames));
+            let stated = self.camera.stated_with_frame();
+            let exposure_s = stated.exposure.map_or(applied_s, |exposure| exposure.0);
+            lit.push((exposure_s, frames));
         }
         (self.lamp)(false)?;
         let dark_dn = self.dark_dn(exposure_s, options)?;

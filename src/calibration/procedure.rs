@@ -257,6 +257,12 @@ impl<'a> Bench<'a> {
         Ok(applied.exposure.0)
     }
 
+    /// Exposure of the last frame, s: as reported with it, else as it was set.
+    fn exposure_of_frame_s(&self, applied_s: f64) -> f64 {
+        let stated = self.camera.stated_with_frame();
+        stated.exposure.map_or(applied_s, |exposure| exposure.0)
+    }
+
     fn grab(&mut self, exposed: Exposed) -> Result<Vec<u16>, ProcedureError> {
         self.taken += 1;
         let key = FrameKey {
@@ -295,7 +301,7 @@ impl<'a> Bench<'a> {
         }
         for _ in 0..frames {
             let counts = self.grab(exposed)?;
-            add(applied_s, &counts)?;
+            add(self.exposure_of_frame_s(applied_s), &counts)?;
             (self.progress)();
         }
         Ok(())
@@ -311,6 +317,7 @@ impl<'a> Bench<'a> {
             self.grab(exposed)?;
         }
         let mut counts = self.grab(exposed)?;
+        let applied_s = self.exposure_of_frame_s(applied_s);
         counts.sort_unstable();
         let median = counts.get(counts.len() / 2).copied().unwrap_or(0);
         Ok((applied_s, median))

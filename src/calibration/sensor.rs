@@ -7,6 +7,7 @@
 //! lamp does no harm); what differs between pixels stays out of them.
 
 mod darkness;
+pub mod emva1288;
 mod linearity;
 mod saturation;
 mod variance_line;

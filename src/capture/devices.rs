@@ -11,7 +11,7 @@ use crate::device::guardian::Watchdog;
 use crate::device::retake::{Retakes, grab_right};
 use crate::device::{
     Camera, CameraInfo, CameraSettings, DeviceError, FrameKey, LampState, LightStage, RawFrame,
-    ReferenceCheck, StageInfo, StageStatus, StopHandle,
+    ReferenceCheck, StageInfo, StageStatus, Stated, StopHandle,
 };
 use crate::interrupt::{Interrupt, StopLevel};
 use crate::units::{Seconds, StageAngles};
@@ -45,6 +45,8 @@ pub(super) struct Devices {
     spent: Spent,
     camera_is_lost: bool,
     sensor_c: Option<f64>,
+    /// What the camera reported with the last frame.
+    stated: Stated,
     /// The lamp's temperature, °C, and when it was read.
     lamp_c: Option<(f64, Instant)>,
 }
@@ -133,6 +135,7 @@ impl Devices {
             spent: Spent::default(),
             camera_is_lost: false,
             sensor_c: None,
+            stated: Stated::default(),
             lamp_c: None,
         })
     }
@@ -394,6 +397,11 @@ impl Devices {
         self.sensor_c
     }
 
+    /// What the camera reported with the last frame.
+    pub(super) fn stated(&self) -> &Stated {
+        &self.stated
+    }
+
     fn stage_differs(
         &self,
         what: &str,
@@ -503,10 +511,12 @@ impl Devices {
         let grab = move |camera: &mut dyn Camera| {
             let mut retakes = Retakes::default();
             let frame = grab_right(camera, key, &mut retakes);
-            Ok((frame, retakes, camera.temperature_c()))
+            let sensor_c = camera.temperature_c();
+            Ok((frame, retakes, sensor_c, camera.stated_with_frame()))
         };
-        let (frame, retakes, sensor_c) = self.camera(grab).await?;
+        let (frame, retakes, sensor_c, stated) = self.camera(grab).await?;
         self.sensor_c = sensor_c;
+        self.stated = stated;
         self.retakes.add(retakes);
         if let Some((_, applied)) = self.known.settings {
             self.spent.exposures_s += applied.exposure.0;

@@ -364,11 +364,31 @@ mod stages {
     }
 }
 
-/// Opens the camera of a rig whose devices are real.
+/// Opens the camera of a rig whose devices are real, to measure with it.
+///
+/// # Errors
+/// As [`open_devices`]; also where its exposure cannot be set.
+pub fn open_real_camera(
+    rig: &RigConfig,
+    options: &OpenOptions,
+) -> Result<Box<dyn Camera>, OpenError> {
+    let camera = open_camera_for_a_look(rig, options)?;
+    match camera.info().exposure_range[0].0.is_nan() {
+        false => Ok(camera),
+        true => Err(OpenError::Device(DeviceError::Refused {
+            device: camera.info().model.clone(),
+            command: "a measurement".to_owned(),
+            reason: "the camera has no control for its exposure".to_owned(),
+        })),
+    }
+}
+
+/// Opens the camera of a rig whose devices are real; exposures of one without a control for
+/// them are NaN.
 ///
 /// # Errors
 /// As [`open_devices`].
-pub fn open_real_camera(
+pub fn open_camera_for_a_look(
     rig: &RigConfig,
     options: &OpenOptions,
 ) -> Result<Box<dyn Camera>, OpenError> {

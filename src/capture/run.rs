@@ -82,6 +82,7 @@ impl Capture<'_> {
         let merger = Merger::spawn(self.sink, &disk)?;
         let held: HashMap<FrameKey, FrameEntry> =
             session.frames().map(|entry| (entry.key, entry)).collect();
+        let camera_serial = serial_of_frames(&session)?;
         let plan = &session.record().plan;
         let [width, height] = devices.camera_info.resolution_px.map(u64::from);
         let expected = Expected::of(plan, width * height, &self.pace, self.noise)?;
@@ -101,6 +102,7 @@ impl Capture<'_> {
             reserve_bytes: self.reserve_bytes,
             merger,
             held,
+            camera_serial,
             session,
             position_tolerance_deg: self.position_tolerance_deg,
             position: None,
@@ -140,6 +142,16 @@ fn check_camera(found: &CameraInfo, expected: &CameraInfo) -> Result<(), Capture
     Ok(())
 }
 
+/// The serial number in the sidecars of a session that was begun; `None`: it has no frames,
+/// or they state none.
+fn serial_of_frames(session: &Session) -> Result<Option<String>, CaptureError> {
+    let Some(first) = session.frames().next() else {
+        return Ok(None);
+    };
+    let (_, sidecar) = session.read_frame(&first)?;
+    Ok((!sidecar.camera_serial.is_empty()).then_some(sidecar.camera_serial))
+}
+
 /// Lights whose frames are all there but whose merged image is not.
 fn missing_radiance(session: &Session) -> Vec<u32> {
     let files = session.journal().files();
@@ -167,6 +179,8 @@ struct Run<'a> {
     merger: Merger,
     /// Frames that were journalled before this run.
     held: HashMap<FrameKey, FrameEntry>,
+    /// Serial number of the camera that took the session's frames, once it is known.
+    camera_serial: Option<String>,
     session: Session,
     /// As in [`Capture`].
     position_tolerance_deg: Option<f64>,

@@ -10,12 +10,12 @@ use super::error::CliError;
 use super::output::{write_json, write_path};
 use super::rig_choice::RigArg;
 use super::{camera_preview, hints, open};
-use crate::capture::open::{OpenOptions, open_devices, open_real_camera};
+use crate::capture::open::{OpenOptions, open_camera_for_a_look, open_devices};
 use crate::config::{CameraDriver, RigConfig};
 use crate::device::controls::{ControlInfo, name_of};
 use crate::device::pixel_format::{FORMAT_NAME, fourcc_of_name};
 use crate::device::retake::{Retakes, grab_right};
-use crate::device::{Camera, CameraInfo, CameraSettings, FrameKey, FrameKind, RawFrame};
+use crate::device::{Camera, CameraInfo, CameraSettings, FrameKey, FrameKind, RawFrame, Stated};
 use crate::out;
 use crate::session::frame::encode_png;
 use crate::units::Seconds;
@@ -125,13 +125,15 @@ pub fn run(args: &CameraArgs, context: &Context) -> Result<(), CliError> {
             warn_of_other(*exposure_ms, *gain, settings, context);
             let mut retakes = Retakes::default();
             let frame = grab(&mut *camera, *discard, &mut retakes)?;
+            let stated = camera.stated_with_frame();
             if let Some(path) = out {
                 write_png(path, &frame)?;
             }
             let taken = Taken {
-                settings,
+                settings: stated.settings(settings),
                 frame: &frame,
                 retakes,
+                stated,
             };
             report(which, out.as_deref(), camera.info(), &taken)
         }
@@ -211,6 +213,7 @@ struct Taken<'a> {
     settings: CameraSettings,
     frame: &'a RawFrame,
     retakes: Retakes,
+    stated: Stated,
 }
 
 fn grab(
@@ -272,6 +275,7 @@ fn report(
         settings,
         frame,
         retakes,
+        stated,
     } = taken;
     let saturation = ((1_u32 << info.bit_depth.min(16)) - 1) as u16;
     let saturated = frame.counts.iter().filter(|&&c| c >= saturation).count();
@@ -291,6 +295,8 @@ fn report(
             "maximum_dn": most,
             "saturated_pixels": saturated,
             "retakes": retakes,
+            "serial": stated.serial,
+            "sensor_c": stated.sensor_c,
         }));
     }
     let exposure = match settings.exposure {
@@ -299,6 +305,12 @@ fn report(
     };
     out!("settings  {exposure}, gain {}", settings.gain)?;
     out!("counts    {least} to {most}, mean {mean:.1} DN, {saturated} pixels saturated")?;
+    if let Some(serial) = &stated.serial {
+        out!("camera    serial number {serial}")?;
+    }
+    if let Some(sensor_c) = stated.sensor_c {
+        out!("sensor    {sensor_c:.1} °C")?;
+    }
     if !retakes.is_none() {
         out!("retaken   frames {retakes}")?;
     }
@@ -316,7 +328,7 @@ impl Which {
         }
         let rig = self.rig.resolve(context)?.config;
         match &rig.simulation {
-            None => Ok(open_real_camera(&rig, &open::of_port()?)?),
+            None => Ok(open_camera_for_a_look(&rig, &open::of_port()?)?),
             Some(_) => open_simulated(&rig),
         }
     }

@@ -36,7 +36,8 @@ pub struct EvaluateArgs {
     /// Materials: bundled, mirrors, synthetic, in-span, nbrdf:NAME, synthetic:NAME, in-span:NN, or files (.binary, .bsdf, …)
     #[arg(long, value_name = "M", num_args = 1.., value_delimiter = ',')]
     materials: Option<Vec<String>>,
-    /// paper42 (the default), rig65, rig26, or a dictionary file
+    /// paper42, rig65, rig26, or a dictionary file; by default rig65 where the experiment measures
+    /// what a fit gives by default, else paper42
     #[arg(long, value_name = "D")]
     dictionary: Option<String>,
     /// Pixels per side of the captured images, 4 to 4096

@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use crate::brdf::Dictionary;
+use crate::cells::{BUDGET, DEFAULT_CELLS};
 use crate::config::uncertainty::Deviation;
-use crate::inverse::cells::{BUDGET, DEFAULT_CELLS};
 use crate::inverse::exponentiated_gradient::ExponentiatedGradient;
 use crate::inverse::gauss_newton::GaussNewton;
 use crate::inverse::{Channels, FitOptions, Optimizer};

@@ -25,14 +25,14 @@ use workflow::for_workflow;
 use crate::brdf::BrdfError;
 use crate::brdf::rgl::RglFault;
 use crate::calibration::procedure::ProcedureError;
+use crate::cells::AverageError;
 use crate::config::BuildError;
 use crate::config::{ConfigError, Slip};
 use crate::export::ExportError;
 use crate::geometry::MeshError;
 use crate::geometry::mesh_error::Content;
 use crate::inverse::FitError;
-use crate::inverse::cells::AverageError;
-use crate::inverse::plausibility::Implausible;
+use crate::plausibility::Implausible;
 use crate::radiance_image::exr::ExrError;
 use crate::radiometry::frame_file::FrameFileError;
 #[cfg(feature = "reports")]

@@ -11,7 +11,7 @@ use super::reader::Section;
 use super::simulation::{SimulationConfig, Timing};
 use super::stage::StageConfig;
 use super::view::with_lens;
-use crate::inverse::BenchPriors;
+use crate::bench_priors::BenchPriors;
 
 /// A rig file, parsed and valid.
 #[derive(Clone, Debug, PartialEq)]

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 
 use super::retake::FrameFault;
 use super::{
-    Camera, CameraInfo, CameraSettings, DeviceError, FrameKey, RawFrame, image_file,
+    Camera, CameraInfo, CameraSettings, DeviceError, FrameKey, RawFrame, Stated, image_file,
     nearest_exposure, outside,
 };
 use crate::units::Seconds;
@@ -88,8 +88,10 @@ pub struct Wanted {
     pub timeout: Seconds,
     /// When that is over.
     pub deadline: Instant,
-    resolution_px: [u32; 2],
-    bit_depth: u32,
+    /// Width and height that the frame must have, pixels.
+    pub resolution_px: [u32; 2],
+    /// Significant bits that a count may have.
+    pub bit_depth: u32,
 }
 
 impl Wanted {
@@ -99,6 +101,23 @@ impl Wanted {
     /// The file is not such a frame.
     pub fn read(&self, path: &Path) -> Result<RawFrame, FrameFault> {
         image_file::read(path, self.resolution_px, self.bit_depth)
+    }
+}
+
+/// A frame and what was reported with it.
+#[derive(Clone, Debug)]
+pub struct Taken {
+    /// The counts.
+    pub frame: RawFrame,
+    /// What the source reports; nothing, where it cannot.
+    pub stated: Stated,
+}
+
+impl From<RawFrame> for Taken {
+    /// A frame with which nothing is reported.
+    fn from(frame: RawFrame) -> Self {
+        let stated = Stated::default();
+        Self { frame, stated }
     }
 }
 
@@ -115,7 +134,7 @@ pub trait FrameSource: Clone + Send + 'static {
     ///
     /// # Errors
     /// No frame, or not one of this camera.
-    fn take(&self, wanted: &Wanted) -> Result<RawFrame, DeviceError>;
+    fn take(&self, wanted: &Wanted) -> Result<Taken, DeviceError>;
 }
 
 /// A camera that cannot be queried.
@@ -126,6 +145,10 @@ pub struct DescribedCamera<S> {
     timeout: Seconds,
     settings: Option<CameraSettings>,
     frames: u64,
+    /// Reported with the last frame.
+    stated: Stated,
+    /// Serial number that frames must have: the rig file's, or that of the first frame.
+    serial: String,
 }
 
 impl<S: FrameSource> DescribedCamera<S> {
@@ -133,11 +156,33 @@ impl<S: FrameSource> DescribedCamera<S> {
     pub fn new(source: S, info: CameraInfo, timeout: Seconds) -> Self {
         Self {
             source,
+            serial: info.serial.clone(),
             info,
             timeout,
             settings: None,
             frames: 0,
+            stated: Stated::default(),
         }
+    }
+}
+
+impl<S: FrameSource> DescribedCamera<S> {
+    /// One camera takes all frames: that of the rig file's serial number, or the first.
+    fn check_serial(&mut self, stated: &Stated) -> Result<(), DeviceError> {
+        let Some(is) = &stated.serial else {
+            return Ok(());
+        };
+        if self.serial.is_empty() {
+            self.serial.clone_from(is);
+        }
+        if self.serial == *is {
+            return Ok(());
+        }
+        Err(DeviceError::OtherCamera {
+            device: self.source.name(),
+            is: is.clone(),
+            wanted: self.serial.clone(),
+        })
     }
 }
 
@@ -146,8 +191,8 @@ impl<S: FrameSource> Camera for DescribedCamera<S> {
         &self.info
     }
 
-    /// The values go with each frame; nothing can be read back, so that only the images
-    /// show whether they were applied.
+    /// The values go with each frame; what the source reports with the frame shows whether
+    /// they were applied, and where it reports nothing, the images alone.
     fn configure(&mut self, requested: CameraSettings) -> Result<CameraSettings, DeviceError> {
         let applied = CameraSettings {
             exposure: nearest_exposure(&self.info, requested.exposure),
@@ -179,7 +224,28 @@ impl<S: FrameSource> Camera for DescribedCamera<S> {
             bit_depth: self.info.bit_depth,
         };
         let source = self.source.clone();
-        outside::frame_within(device, timeout, S::SENT, move || source.take(&wanted))
+        let requested = wanted.settings;
+        let sent = S::SENT;
+        let taken = outside::frame_within(device, timeout, sent, move || source.take(&wanted))?;
+        self.check_serial(&taken.stated)?;
+        let step = self.info.exposure_step;
+        taken
+            .stated
+            .check(requested, step)
+            .map_err(|fault| DeviceError::BadFrame {
+                device: self.source.name(),
+                fault,
+            })?;
+        self.stated = taken.stated;
+        Ok(taken.frame)
+    }
+
+    fn stated_with_frame(&self) -> Stated {
+        self.stated.clone()
+    }
+
+    fn temperature_c(&mut self) -> Option<f64> {
+        self.stated.sensor_c
     }
 
     fn longest_frame(&self, exposure: Seconds) -> Seconds {

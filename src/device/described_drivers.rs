@@ -10,4 +10,6 @@ pub const DRIVERS: &[Driver] = &[
     gphoto2::DRIVER,
     #[cfg(feature = "genicam")]
     super::genicam::DRIVER,
+    #[cfg(feature = "webcam")]
+    super::webcam::DRIVER,
 ];

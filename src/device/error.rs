@@ -1,6 +1,6 @@
 //! What goes wrong at a device; facts only.
 
-use super::{Speaker, retake};
+use super::{AnswerFault, Speaker, retake};
 use crate::units::{Seconds, StageAngles};
 
 /// What went wrong at a device; facts only.
@@ -84,6 +84,24 @@ pub enum DeviceError {
         /// What is the case.
         fault: ProgramFault,
     },
+    /// What a camera's program reports of a frame is not what may stand there.
+    #[error("{program}: {fault}")]
+    Answer {
+        /// As the rig file names it.
+        program: String,
+        /// What is wrong with it.
+        fault: AnswerFault,
+    },
+    /// Another camera than the one that is wanted.
+    #[error("{device} is the camera {is:?}, and {wanted:?} is wanted")]
+    OtherCamera {
+        /// Path, port or name.
+        device: String,
+        /// Serial number that it reports.
+        is: String,
+        /// Serial number of the rig file, or of the frames before.
+        wanted: String,
+    },
     /// A node of a camera that gives no images, such as that of its metadata.
     #[error("{device} gives no images{}", other_node(image_node.as_deref()))]
     NoImages {
@@ -102,6 +120,14 @@ pub enum DeviceError {
         device: String,
         /// Four-character codes of the formats.
         offered: Vec<String>,
+    },
+    /// A webcam that its library cannot use, or not safely.
+    #[error("{device}: {fault}")]
+    Webcam {
+        /// Path or name.
+        device: String,
+        /// What is the case.
+        fault: WebcamFault,
     },
     /// The system has no room for the stream on the camera's bus.
     #[error(
@@ -313,6 +339,30 @@ pub enum FirmwareFault {
         command: String,
         /// The error's number and meaning.
         reason: String,
+    },
+}
+
+/// Why a webcam cannot be used through nokhwa.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum WebcamFault {
+    /// Not these frames.
+    #[error("nokhwa gets no YUYV frames of {width} × {height} pixels from it: {said}")]
+    NoFormat {
+        /// Pixels per row.
+        width: u32,
+        /// Rows.
+        height: u32,
+        /// The library's own message.
+        said: String,
+    },
+    /// Damaged frames would look like whole ones.
+    #[error(
+        "uvcvideo hands damaged frames over (its parameter nodrop is {nodrop:?}, not 0), \
+         and nokhwa does not report which are"
+    )]
+    DamageUnseen {
+        /// The parameter's value; empty where it cannot be read.
+        nodrop: String,
     },
 }
 

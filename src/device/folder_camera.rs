@@ -11,9 +11,9 @@ use std::time::{Duration, Instant, SystemTime};
 
 use rustix::fs::{Access, access};
 
-use super::described::{DescribedCamera, Driver, FrameSource, Wanted, find_none, io_error};
+use super::described::{DescribedCamera, Driver, FrameSource, Taken, Wanted, find_none, io_error};
 use super::retake::FrameFault;
-use super::{CameraInfo, DeviceError, RawFrame, image_file};
+use super::{CameraInfo, DeviceError, image_file};
 use crate::units::Seconds;
 
 /// `camera.driver = "folder"`.
@@ -130,7 +130,7 @@ impl FrameSource for FrameFolder {
     }
 
     /// Writes the request and waits for the frame's file.
-    fn take(&self, wanted: &Wanted) -> Result<RawFrame, DeviceError> {
+    fn take(&self, wanted: &Wanted) -> Result<Taken, DeviceError> {
         let old = self.files()?;
         let old_others = self.files_that(image_file::has_other_ending)?;
         self.request(wanted).map_err(|error| self.io_error(error))?;
@@ -152,7 +152,7 @@ impl FrameSource for FrameFolder {
                     continue;
                 }
                 match wanted.read(&path) {
-                    Ok(frame) => return Ok(frame),
+                    Ok(frame) => return Ok(frame.into()),
                     // Its program may only have paused; looked at again when it changes
                     // or has stood still for as long once more.
                     Err(wrong) => {

@@ -23,6 +23,8 @@ pub mod image_file;
 pub mod kinematics;
 pub mod lit_card;
 pub mod manual;
+#[cfg(any(feature = "v4l", feature = "webcam"))]
+pub mod manual_settings;
 pub mod outside;
 pub mod pixel_format;
 pub mod retake;
@@ -34,9 +36,14 @@ mod shared_line;
 pub mod simulated;
 pub mod simulated_camera;
 mod speaker;
+pub mod stated;
+#[cfg(any(feature = "v4l", feature = "webcam"))]
+mod system_error;
 pub mod temperature;
 #[cfg(feature = "v4l")]
 pub mod v4l;
+#[cfg(feature = "webcam")]
+pub mod webcam;
 pub mod zaber;
 
 use std::time::Duration;
@@ -44,8 +51,10 @@ use std::time::Duration;
 use crate::units::{Seconds, StageAngles};
 use serde::{Deserialize, Serialize};
 
-pub use self::error::{AlarmCause, DeviceError, FirmwareFault, ProgramFault};
+pub use self::command_camera::AnswerFault;
+pub use self::error::{AlarmCause, DeviceError, FirmwareFault, ProgramFault, WebcamFault};
 pub use self::speaker::Speaker;
+pub use self::stated::Stated;
 pub use crate::radiometry::mosaic::Mosaic;
 
 /// Which part of the lamp is lit. A lamp of one colour has one channel.
@@ -292,6 +301,11 @@ pub trait Camera: Send {
     /// The next frame that begins after this call. A frame that is not right is
     /// [`DeviceError::BadFrame`]; [`retake::grab_right`] takes it again.
     fn grab(&mut self, key: FrameKey) -> Result<RawFrame, DeviceError>;
+    /// What the camera reported with the last frame of [`grab`](Self::grab), where it does
+    /// so: that frame's settings are these and not those that `configure` returned.
+    fn stated_with_frame(&self) -> Stated {
+        Stated::default()
+    }
     /// The sensor's temperature now, °C; `None` where the device does not report. A reading
     /// that fails is none.
     fn temperature_c(&mut self) -> Option<f64> {

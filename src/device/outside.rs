@@ -4,22 +4,22 @@
 use std::sync::mpsc;
 use std::time::Duration;
 
-use super::{DeviceError, RawFrame};
+use super::DeviceError;
 use crate::units::Seconds;
 
 /// What handing a result over may take beyond the time that the work itself is given.
 pub const HANDOVER: Duration = Duration::from_millis(200);
 
-/// A camera's frame by `work`, which ends by itself within `timeout` unless a file holds it up.
+/// A camera's frame, with what belongs to it, by `work`, which ends by itself within `timeout` unless a file holds it up.
 ///
 /// # Errors
 /// Those of `work`; [`DeviceError::NoReply`] to what was `sent` where it took longer.
-pub fn frame_within(
+pub fn frame_within<T: Send + 'static>(
     device: String,
     timeout: Seconds,
     sent: &str,
-    work: impl FnOnce() -> Result<RawFrame, DeviceError> + Send + 'static,
-) -> Result<RawFrame, DeviceError> {
+    work: impl FnOnce() -> Result<T, DeviceError> + Send + 'static,
+) -> Result<T, DeviceError> {
     match within(timeout.to_duration() + HANDOVER, work) {
         Ok(Some(taken)) => taken,
         Ok(None) => Err(DeviceError::NoReply {

@@ -39,6 +39,16 @@ pub enum FrameFault {
         /// Width and height of the camera.
         expected: [u32; 2],
     },
+    /// The camera reports another exposure or gain for it.
+    #[error("the camera reports {what} {is} for it, and {wanted} was requested")]
+    Settings {
+        /// `exposure` or `gain`.
+        what: &'static str,
+        /// As reported.
+        is: String,
+        /// As requested, with what it may differ by.
+        wanted: String,
+    },
     /// It began before it was requested, so that lamp and settings may be older.
     #[error("it began before it was requested")]
     Late,
@@ -63,7 +73,8 @@ pub struct Retakes {
     /// Waits that ended without a frame.
     #[serde(skip_serializing_if = "is_zero")]
     pub missing: u32,
-    /// Settings that the camera confirmed and the images contradicted.
+    /// Settings that the camera confirmed and the images contradicted, or that it reported
+    /// as others with the frame.
     #[serde(skip_serializing_if = "is_zero")]
     pub exposure_ignored: u32,
     /// Times that the camera was gone and came back.
@@ -98,6 +109,7 @@ impl Retakes {
                 self.damaged += 1;
             }
             FrameFault::Size { .. } => self.wrong_size += 1,
+            FrameFault::Settings { .. } => self.exposure_ignored += 1,
             FrameFault::Late => self.late += 1,
         }
     }

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table, quantile};
 use super::lab::{Lab, Material, Sample, of_materials};
+use crate::brdf::Dictionary;
 use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
 
 /// The concave shapes and numbers of lights.
@@ -23,10 +24,12 @@ pub static ACCURACY: Experiment = Experiment {
         materials: &["bundled", "in-span"],
         samples_per_pixel: 256,
         truth_samples_per_pixel: 1024,
+        dictionary: Dictionary::DEFAULT,
         ..Scale::SINGLE_IMAGE
     },
     quick: Scale {
         materials: &["nbrdf:pvc", "in-span:01"],
+        dictionary: Dictionary::DEFAULT,
         ..Scale::QUICK_IMAGE
     },
     cases,

@@ -9,7 +9,7 @@ use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table};
 use super::intervals::{capture, material, of_class, options};
 use super::lab::materials::Class;
 use super::lab::{Lab, Sample};
-use crate::brdf::Brdf;
+use crate::brdf::{Brdf, Dictionary};
 use crate::inverse::diagnosis::Cause;
 use crate::plot::Figure;
 
@@ -23,6 +23,7 @@ pub static DIAGNOSIS: Experiment = Experiment {
         truth_samples_per_pixel: 512,
         lights: 2,
         materials: &["in-span", "bundled"],
+        dictionary: Dictionary::DEFAULT,
         ..Scale::NONE
     },
     quick: Scale {
@@ -31,6 +32,7 @@ pub static DIAGNOSIS: Experiment = Experiment {
         truth_samples_per_pixel: 256,
         lights: 2,
         materials: &["in-span", "bundled"],
+        dictionary: Dictionary::DEFAULT,
         ..Scale::NONE
     },
     cases,

@@ -105,10 +105,10 @@ pub enum EvaluateError {
     Brdf(#[from] crate::brdf::BrdfError),
     /// A projection.
     #[error(transparent)]
-    Projection(#[from] crate::inverse::projection::ProjectionError),
+    Projection(#[from] crate::brdf::projection::ProjectionError),
     /// A quadratic programme.
     #[error(transparent)]
-    Simplex(#[from] crate::inverse::simplex::SimplexError),
+    Simplex(#[from] crate::simplex::SimplexError),
     /// A fit.
     #[error(transparent)]
     Fit(#[from] crate::inverse::FitError),

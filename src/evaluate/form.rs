@@ -145,7 +145,7 @@ fn trials(lab: &Lab, error: Option<FormError>, index: u64) -> Result<[Trial; 2],
         };
         let fit = fit(&scene, &captured, &lab.dictionary, &options)?;
         let (theta_h, theta_d) = (theta_h_deg(), theta_d_deg());
-        let (material, draws) = (&fit.material, &fit.draws);
+        let (material, draws) = (&fit.material, &fit.posterior_samples);
         let cells = intervals::table(material, draws, &theta_h, &theta_d);
         let [theta_h, theta_d] = SHARE_AT_DEG;
         let budget = variance_shares::at(material, draws, theta_h, theta_d);

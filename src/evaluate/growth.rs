@@ -82,7 +82,7 @@ fn cases(threads: usize) -> Vec<Case> {
         varied: "pixels",
         resolution_px: USUAL,
         lights: 4,
-        cells: crate::inverse::cells::DEFAULT_CELLS,
+        cells: crate::cells::DEFAULT_CELLS,
         paths: defaults.samples_per_cell,
         threads,
         refined: false,
@@ -442,7 +442,7 @@ mod tests {
         for case in cases(2) {
             let changes = [
                 case.resolution_px != USUAL,
-                case.cells != crate::inverse::cells::DEFAULT_CELLS,
+                case.cells != crate::cells::DEFAULT_CELLS,
                 case.lights != 4,
                 case.threads != 2,
                 case.refined,

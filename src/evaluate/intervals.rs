@@ -7,7 +7,7 @@ use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table, quan
 use super::lab::capture::{SENSOR, average};
 use super::lab::materials::{Class, Material};
 use super::lab::{Lab, Sample, misaligned};
-use crate::brdf::{Brdf, HalfDifference, Mixture};
+use crate::brdf::{Brdf, Dictionary, HalfDifference, Mixture};
 use crate::inverse::intervals::{self, Interval};
 use crate::inverse::{FitOptions, RefineOptions, fit, refine_bench};
 use crate::plot::{Axis, Chart, Figure, Mark, Series, charts};
@@ -26,6 +26,7 @@ pub static INTERVALS: Experiment = Experiment {
         truth_samples_per_pixel: 1024,
         lights: 2,
         materials: &["in-span", "bundled"],
+        dictionary: Dictionary::DEFAULT,
         ..Scale::NONE
     },
     quick: Scale {
@@ -34,6 +35,7 @@ pub static INTERVALS: Experiment = Experiment {
         truth_samples_per_pixel: 512,
         lights: 2,
         materials: &["in-span", "bundled"],
+        dictionary: Dictionary::DEFAULT,
         ..Scale::NONE
     },
     cases,
@@ -63,9 +65,10 @@ impl Known {
         }
     }
 
-    /// Captures per class of materials; in the small version fewer, a refined one costs ten.
+    /// Captures per class of materials; fewer refined ones, one of which costs ten others.
     fn captures(self, quick: bool) -> u64 {
         match (quick, self) {
+            (false, Self::Refined) => 100,
             (false, _) => 200,
             (true, Self::Refined) => 2,
             (true, _) => 8,
@@ -120,7 +123,7 @@ pub(super) fn capture(
 /// Options of the fit of one capture: other paths for each.
 pub(super) fn options(lab: &Lab, index: u64) -> FitOptions {
     let mut options = FitOptions {
-        draws: FitOptions::default().draws,
+        posterior_samples: FitOptions::default().posterior_samples,
         ..lab.fit_options()
     };
     options.cache.seed = lab.settings.seed.wrapping_add(index);
@@ -248,7 +251,7 @@ fn trial(lab: &Lab, class: Class, known: Known, index: u64) -> Result<Trial, Eva
         }
     };
     let (theta_h, theta_d) = (theta_h_deg(), theta_d_deg());
-    let cells = intervals::table(&fit.material, &fit.draws, &theta_h, &theta_d);
+    let cells = intervals::table(&fit.material, &fit.posterior_samples, &theta_h, &theta_d);
     Ok((values(&*brdf), cells))
 }
 

@@ -28,6 +28,7 @@ mod shapes;
 mod sharpness;
 mod table_visits;
 mod tables;
+mod tolerance;
 
 use experiment::{EvaluateError, Experiment};
 
@@ -53,6 +54,7 @@ pub static EXPERIMENTS: &[&Experiment] = &[
     &diagnosis::DIAGNOSIS,
     &misalignment::MISALIGNMENT,
     &form::FORM,
+    &tolerance::TOLERANCE,
     &sharpness::SHARPNESS,
     &calibration::CALIBRATION,
 ];

@@ -172,7 +172,7 @@ fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
                         let captured = lab.capture(sample, &lights, &*material.brdf)?;
                         let scene = sample.scene(lab.settings.resolution_px, lights.clone())?;
                         let options = FitOptions {
-                            draws: POSTERIOR_SAMPLES,
+                            posterior_samples: POSTERIOR_SAMPLES,
                             ..lab.fit_options()
                         };
                         let estimate =
@@ -184,7 +184,12 @@ fn cases(lab: &Lab) -> Result<Vec<Case>, EvaluateError> {
                             .with("expected_variance_left", remaining);
                         let fit = &estimate.fit;
                         let (theta_h, theta_d) = table_angles();
-                        let table = intervals::table(&fit.material, &fit.draws, &theta_h, &theta_d);
+                        let table = intervals::table(
+                            &fit.material,
+                            &fit.posterior_samples,
+                            &theta_h,
+                            &theta_d,
+                        );
                         let row = row.and(lab.score_row(&estimate.fit.material, &material)?);
                         Ok(vec![row.with("interval_width", width(&table))])
                     }));

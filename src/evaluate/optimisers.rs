@@ -69,7 +69,7 @@ fn compare(lab: &Lab, material: &Arc<Material>, sample: Sample) -> Result<Vec<Ro
             // One loss for all, on the same paths.
             adapt_paths: false,
             // Where the optimisers themselves end.
-            draws: 0,
+            posterior_samples: 0,
             ..lab.fit_options()
         };
         let estimate = lab.fit_with(&scene, &captured, &lab.dictionary, &options)?;

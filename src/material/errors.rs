@@ -6,9 +6,9 @@ use serde::Serialize;
 
 use super::MaterialError;
 use crate::brdf::environment::EnvironmentMap;
+use crate::brdf::projection::{CellMatrix, EnvironmentMatrix, FIT_AZIMUTHS};
 use crate::brdf::score::{self, BrdfErrors, EnvironmentError};
 use crate::brdf::{Brdf, Dictionary, Mixture, weights};
-use crate::inverse::projection::{CellMatrix, EnvironmentMatrix, FIT_AZIMUTHS};
 
 /// Azimuths φd of the cells: all that a MERL table has.
 const AZIMUTHS: usize = 180;

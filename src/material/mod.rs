@@ -13,9 +13,9 @@ pub use check::{MaterialCheck, SAMPLER_ANGLES_DEG, check_material};
 pub use errors::{Errors, Projected, compare, project};
 
 use crate::brdf::environment::EnvironmentMap;
+use crate::brdf::projection::ProjectionError;
 use crate::brdf::sphere::sphere_image;
 use crate::brdf::{Brdf, BrdfError, nbrdf, source};
-use crate::inverse::projection::ProjectionError;
 use crate::session::fit_record::{self, FitRecordError};
 
 /// Why nothing could be done with a BRDF.

@@ -11,6 +11,7 @@ mod captured;
 pub mod figures;
 pub mod images;
 pub mod load;
+pub mod sensor_page;
 mod summary;
 mod template;
 mod value;

@@ -5,6 +5,7 @@ use std::path::Path;
 
 use super::WorkflowError;
 use super::notice::{Notice, Observer};
+use crate::bench_priors::BenchPriors;
 use crate::calibration::camera::CameraValues;
 use crate::calibration::directions::DirectionsValues;
 use crate::calibration::record::LightsValues;
@@ -12,7 +13,6 @@ use crate::calibration::slanted_edge::FocusValues;
 use crate::calibration::{Library, Loaded};
 use crate::config::RigConfig;
 use crate::config::geometry::GeometryConfig;
-use crate::inverse::BenchPriors;
 use crate::session::layout::CALIBRATION_FOLDER;
 use crate::transport::Scene;
 use crate::units::StageAngles;

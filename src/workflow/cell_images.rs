@@ -5,7 +5,7 @@ use std::io::{Read, Seek};
 use std::path::Path;
 
 use super::WorkflowError;
-use crate::inverse::cells::{AverageError, Averager, Captured, CellOptions, choose};
+use crate::cells::{AverageError, Averager, Captured, CellOptions, choose};
 use crate::outside_file;
 use crate::radiance_image::RadianceImage;
 use crate::radiance_image::exr::{ExrError, ExrRows};

@@ -4,14 +4,14 @@ use std::path::PathBuf;
 
 use super::SceneConcern;
 use crate::brdf::BrdfError;
+use crate::brdf::projection::ProjectionError;
 use crate::calibration::RecordError;
+use crate::cells::AverageError;
 use crate::config::BuildError;
 use crate::config::ConfigError;
 use crate::inverse::FitError;
-use crate::inverse::cells::AverageError;
 use crate::inverse::memory::TooLittleMemory;
-use crate::inverse::plausibility::Implausible;
-use crate::inverse::projection::ProjectionError;
+use crate::plausibility::Implausible;
 use crate::radiance_image::exr::ExrError;
 use crate::session::SessionError;
 use crate::session::fit_record::FitRecordError;

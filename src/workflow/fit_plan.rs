@@ -6,12 +6,15 @@ use std::sync::Arc;
 
 use super::cell_images::{self, Source};
 use super::{FitRequest, FitWork, WorkflowError};
+use crate::bench_priors::BenchPriors;
 use crate::brdf::Dictionary;
+use crate::cells::choose;
+use crate::cells::{Captured, CellOptions};
 use crate::config::process;
 use crate::geometry::FormError;
-use crate::inverse::cells::choose;
 use crate::inverse::exponentiated_gradient::ExponentiatedGradient;
-use crate::inverse::{BenchPriors, Captured, CellOptions, FitOptions, Optimizer, plausibility};
+use crate::inverse::{FitOptions, Optimizer};
+use crate::plausibility;
 use crate::transport::{Kernel, Scene};
 
 /// What is fitted and how, by configuration and request together.

@@ -28,7 +28,7 @@ pub struct FitRequest {
     /// PNG of the images' size: only pixels that are white in it are compared.
     pub mask: Option<PathBuf>,
     /// Most cells of the images that are compared, within
-    /// [`BUDGET`](crate::inverse::cells::BUDGET).
+    /// [`BUDGET`](crate::cells::BUDGET).
     pub cells: Option<usize>,
     /// Memory that the whole fit may take, MiB. `None`: what the cells need and
     /// [`CacheOptions::max_bytes`](crate::transport::CacheOptions) for paths, as far as the

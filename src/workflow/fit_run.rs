@@ -4,7 +4,8 @@ use super::fit_plan::FitPlan;
 use super::notice::{Notice, Observer};
 use super::{WorkflowError, coarse_facets, fit_memory, summary, warnings};
 use crate::brdf::Brdf;
-use crate::inverse::{Captured, RefineOptions, fit_with_progress, refine_bench};
+use crate::cells::Captured;
+use crate::inverse::{RefineOptions, fit_with_progress, refine_bench};
 use crate::session::fit_record::{BenchRecord, FitImages, FitRecord};
 use crate::transport::{RenderOptions, Scene, truncation_remainder};
 
@@ -71,9 +72,9 @@ impl FitPlan {
         };
         let remainder = truncation_remainder(scene, &fit.material, &paths, TRUNCATION_SAMPLES);
         record.truncation_remainder = remainder.iter().map(|r| r.share).collect();
+        record.bench = bench.as_ref().map(BenchRecord::from);
         record.warnings = warnings::of_fit(&fit, &record);
         record.remarks = remarks;
-        record.bench = bench.as_ref().map(BenchRecord::from);
         if fit.discrepancy > 0.0 {
             observer.notice(Notice::Discrepancy {
                 dictionary: &record.dictionary,

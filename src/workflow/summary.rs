@@ -64,7 +64,7 @@ pub(super) fn of_fit(
         dictionary: dictionary.name().to_owned(),
         atoms: atoms.map(|(i, atom)| AtomRecord::new(i, atom)).collect(),
         weights: mixture.weights().clone(),
-        weight_deviations: intervals::weight_deviations(&fit.draws, dictionary.len()),
+        weight_deviations: intervals::weight_deviations(&fit.posterior_samples, dictionary.len()),
         settings: settings(plan, fit),
         loss: trace.last().map_or(0.0, |last| last.loss),
         reduced_chi_square: fit.comparison.reduced_chi2(),

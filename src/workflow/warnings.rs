@@ -4,7 +4,7 @@ use crate::inverse::Fit;
 use crate::inverse::diagnosis::Cause;
 use crate::inverse::findings::{Finding, Flip};
 use crate::radiance_image::CHANNEL_NAMES;
-use crate::session::fit_record::{FitRecord, Grade, UNEXPLAINED_CHI_SQUARE, Warning};
+use crate::session::fit_record::{BenchRecord, FitRecord, Grade, UNEXPLAINED_CHI_SQUARE, Warning};
 
 /// Reasons not to trust a fit, or not in everything, with what most likely made them; the
 /// gravest first.
@@ -33,6 +33,18 @@ pub(super) fn of_fit(fit: &Fit, record: &FitRecord) -> Vec<Warning> {
     }
 
     // By how the fit was made.
+    if let Some(deviation) = record.bench.as_ref().and_then(common_scale_deviation)
+        && deviation > NOTABLE_SCALE_DEVIATION
+    {
+        warn(
+            Grade::Reservation,
+            format!(
+                "the irradiance is known within ±{:.0}% after the fit, and f as a whole no better",
+                100.0 * deviation
+            ),
+            "images that show little interreflection, by which alone a fit finds the scale; `rig calibrate white` measures it",
+        );
+    }
     for (light, &share) in record.truncation_remainder.iter().enumerate() {
         if share > NOTABLE_REMAINDER {
             warn(
@@ -236,6 +248,18 @@ fn factor(ratio: f64) -> String {
     }
 }
 
+/// Standard deviation of the intensities' common scale, relative, where the bench was refined with
+/// unknown intensities: that of the light known best, which a common error cannot exceed.
+fn common_scale_deviation(bench: &BenchRecord) -> Option<f64> {
+    let intensities = bench.parameter.iter();
+    let intensities = intensities.filter(|parameter| parameter.name.starts_with("intensity"));
+    intensities
+        .map(|intensity| intensity.deviation)
+        .min_by(f64::total_cmp)
+}
+
+/// Standard deviation of the common scale up to which it needs no warning.
+const NOTABLE_SCALE_DEVIATION: f64 = 0.1;
 /// Light beyond the longest path that a fit should not leave out.
 const NOTABLE_REMAINDER: f64 = 1e-3;
 /// Outlier fraction up to which dust needs no warning.

@@ -621,6 +621,11 @@ pub fn capture(bench: &Bench, session: SessionWriter) -> (Result<Outcome, Captur
     run(bench, camera, stage, session)
 }
 
+/// The camera in memory, to be put behind another one.
+pub fn camera_in_memory(bench: &Bench) -> Box<dyn Camera> {
+    Box::new(Cam(bench.clone(), camera_of(bench.world().size)))
+}
+
 /// Likewise with another camera that looks at the bench.
 pub fn capture_with_camera(
     bench: &Bench,

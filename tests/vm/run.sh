@@ -7,7 +7,7 @@ here=$(cd "$(dirname "$0")" && pwd)
 work=$here/../../target/vm
 rig=$(realpath "$1") usb_devices=$(realpath "$2")
 shift 2
-scenarios=${*:-vivid uvc serial ftdi capture}
+scenarios=${*:-vivid uvc webcam serial ftdi capture}
 mkdir -p "$work"
 work=$(cd "$work" && pwd)
 

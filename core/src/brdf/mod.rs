@@ -70,6 +70,7 @@ pub mod lobe_table;
 pub mod merl;
 pub mod mixture;
 pub mod nbrdf;
+pub mod projection;
 pub mod quadrature;
 pub mod rgl;
 pub mod score;

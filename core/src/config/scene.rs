@@ -6,7 +6,7 @@ use super::ConfigError;
 use super::reader::Section;
 use super::reflectance::BrdfSpec;
 use super::view::{BodySpec, SampleSpec, take_bodies, take_camera};
-use crate::inverse::BenchPriors;
+use crate::bench_priors::BenchPriors;
 use crate::transport::{Camera, Light};
 
 /// A scene file, valid but with its meshes and tables still unread.

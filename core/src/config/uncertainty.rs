@@ -5,7 +5,7 @@ use std::ops::RangeInclusive;
 
 use super::ConfigError;
 use super::reader::Section;
-use crate::inverse::BenchPriors;
+use crate::bench_priors::BenchPriors;
 
 /// A key, what it may be, how many internal units its unit is, and where it goes.
 struct Key {

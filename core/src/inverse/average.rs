@@ -13,17 +13,17 @@ use std::sync::Arc;
 use nalgebra::DVector;
 
 use super::posterior::Posterior;
-use super::uncertainty::Draws;
+use super::uncertainty::PosteriorSamples;
 use crate::brdf::discrepancy::{self, Discrepancy, Material};
 use crate::brdf::{BrdfError, Dictionary, Mixture};
 use crate::random::{Purpose, stream};
 
 /// Standard deviation along Δ that samples have in addition to the ±Δ/2 between the estimates:
 /// together 1.
-const ALONG_DIFFERENCE: f64 = 0.866;
+const DIFFERENCE_DEVIATION: f64 = 0.866;
 
 /// Most that the estimates differ in ln f, so that one that is absurd does not decide.
-const LARGEST_DIFFERENCE: f64 = 3.0;
+const MAX_DIFFERENCE: f64 = 3.0;
 
 /// The average of what was found with the whole dictionary and with its first atoms alone.
 pub(super) fn averaged(
@@ -52,8 +52,12 @@ pub(super) fn averaged(
     };
 
     // Samples of both in turn, spread along the difference.
-    let groups = whole.draws.len();
-    let samples = whole.draws.into_iter().zip(part.draws).enumerate();
+    let groups = whole.posterior_samples.len();
+    let samples = whole
+        .posterior_samples
+        .into_iter()
+        .zip(part.posterior_samples)
+        .enumerate();
     let samples = samples.map(|(group, (whole, part))| {
         let mut numbers = stream(seed, Purpose::Posterior, group as u64, 3, 0);
         // Of weights shared by the channels, the middle one.
@@ -67,20 +71,20 @@ pub(super) fn averaged(
                 .get(sample)
                 .cloned()
                 .unwrap_or_else(without);
-            g.0.axpy(ALONG_DIFFERENCE * numbers.normal(), difference, 1.0);
+            g.0.axpy(DIFFERENCE_DEVIATION * numbers.normal(), difference, 1.0);
             (of.posterior[sample].clone(), g)
         });
         let (posterior, discrepancies) = in_turn.unzip();
-        Draws {
+        PosteriorSamples {
             posterior,
             discrepancies,
-            misfit: 0.5 * (whole.misfit + part.misfit),
+            excess_error: 0.5 * (whole.excess_error + part.excess_error),
             informed: whole.informed.max(part.informed),
             ..whole
         }
     });
     Ok(Posterior {
-        draws: samples.collect(),
+        posterior_samples: samples.collect(),
         material,
         discrepancy,
     })
@@ -103,14 +107,17 @@ fn in_whole(part: Posterior, dictionary: &Arc<Dictionary>) -> Result<Posterior, 
     } = part.material;
     let weights = mixture.weights().each_ref().map(|weights| padded(weights));
     let mixture = Mixture::new(dictionary.clone(), weights)?;
-    let groups = part.draws.into_iter().map(|group| Draws {
-        posterior: samples(group.posterior),
-        prior: samples(group.prior),
-        budget: None,
-        ..group
-    });
+    let groups = part
+        .posterior_samples
+        .into_iter()
+        .map(|group| PosteriorSamples {
+            posterior: samples(group.posterior),
+            prior: samples(group.prior),
+            budget: None,
+            ..group
+        });
     Ok(Posterior {
-        draws: groups.collect(),
+        posterior_samples: groups.collect(),
         material: Material {
             mixture,
             discrepancies,
@@ -141,7 +148,7 @@ impl Tables {
                     mean[c][k] =
                         0.5 * (a[c] / reference[c]).ln() + 0.5 * (b[c] / reference[c]).ln();
                     let apart = (a[c] / b[c]).ln();
-                    difference[c][k] = apart.clamp(-LARGEST_DIFFERENCE, LARGEST_DIFFERENCE);
+                    difference[c][k] = apart.clamp(-MAX_DIFFERENCE, MAX_DIFFERENCE);
                 }
             }
         }
@@ -161,16 +168,16 @@ mod tests {
     fn posterior(dictionary: &Arc<Dictionary>, weights: Vec<f64>, g: f64) -> Posterior {
         let mixture = Mixture::grey(dictionary.clone(), weights.clone()).unwrap();
         let g = Discrepancy(DVector::from_element(NODES, g));
-        let set = || Draws {
+        let group = || PosteriorSamples {
             posterior: vec![DVector::from_column_slice(&weights); 400],
             prior: Vec::new(),
-            misfit: 0.0,
+            excess_error: 0.0,
             informed: 1,
             discrepancies: vec![g.clone(); 400],
             budget: None,
         };
         Posterior {
-            draws: vec![set(), set(), set()],
+            posterior_samples: vec![group(), group(), group()],
             material: Material::new(mixture, std::slice::from_ref(&g)),
             discrepancy: 1.0,
         }
@@ -194,11 +201,15 @@ mod tests {
         let at = whole.values_at(30.0, 20.0);
         let f = found.material.at(&at, 30.0, 20.0);
         assert!(f.iter().all(|f| (f * pi - 0.2).abs() < 1e-6), "{f:?}");
-        let set = &found.draws[2];
-        let logs = set.posterior.iter().zip(&set.discrepancies).map(|(x, g)| {
-            let f: f64 = x.iter().zip(&at).map(|(x, f)| x * f).sum();
-            (pi * f * g.factor(30.0, 20.0)).ln()
-        });
+        let group = &found.posterior_samples[2];
+        let logs = group
+            .posterior
+            .iter()
+            .zip(&group.discrepancies)
+            .map(|(x, g)| {
+                let f: f64 = x.iter().zip(&at).map(|(x, f)| x * f).sum();
+                (pi * f * g.factor(30.0, 20.0)).ln()
+            });
         let logs: Vec<f64> = logs.collect();
         let mean = logs.iter().sum::<f64>() / logs.len() as f64;
         let square = logs.iter().map(|v| (v - mean).powi(2)).sum::<f64>();

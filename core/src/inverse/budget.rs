@@ -4,7 +4,7 @@
 //! information, H the curvature of the likelihood as the scatter S of the scores has
 //! adjusted it, and Λ the precision of a weight before any image. S is a sum over
 //! sources, and so (H + Λ)⁻¹ = Σₖ A Sₖ Aᵀ + (H + Λ)⁻¹ Λ (H + Λ)⁻¹; the last term is
-//! what the images do not tell. The draws know the simplex besides: their variance of f
+//! what the images leave open. The samples also respect the simplex: their variance of f
 //! is divided in these proportions.
 
 use nalgebra::{DMatrix, DVector};
@@ -20,7 +20,7 @@ pub enum Source {
     RenderNoise,
     /// Where the sample lies.
     Pose,
-    /// How far the as-made sample departs from its mesh.
+    /// Deviation of the as-made sample from its mesh.
     Mesh,
     /// Directions of the lights.
     LightDirections,
@@ -29,7 +29,7 @@ pub enum Source {
     /// Residuals beyond noise: what no mixture, mesh or cell of the model explains, and
     /// the least that is allowed for it.
     Model,
-    /// What the images do not tell.
+    /// What the images leave open.
     Prior,
 }
 
@@ -64,7 +64,7 @@ impl Source {
 /// Number of sources.
 pub const SOURCES: usize = Source::ALL.len();
 
-/// Covariance of one set of weights by source, N × N each, in the order of [`Source::ALL`].
+/// Covariance of one channel group by source, N × N each, in the order of [`Source::ALL`].
 #[derive(Clone, Debug)]
 pub struct Budget {
     parts: [DMatrix<f64>; SOURCES],

@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-use super::cells::CellImage;
 use super::objective::{ModelImage, Objective};
+use crate::cells::CellImage;
 use crate::radiance_image::RadianceImage;
 use crate::transport::Cells;
 
@@ -42,7 +42,7 @@ impl Comparison {
         strength: &[[f64; 3]],
     ) -> Self {
         let images = model.iter().enumerate().map(|(light, modelled)| {
-            let trust = objective.robust_weights(model, light);
+            let robust_weight = objective.robust_weights(model, light);
             let mut image = ComparedImage {
                 captured: CellImage::default(),
                 rendered: CellImage::default(),
@@ -67,7 +67,7 @@ impl Comparison {
                     deviation.filter(|_| compared).map_or(0.0, |(z, _)| z)
                 });
                 for c in 0..3 {
-                    image.reduced_chi2[c] += trust[cell][c] * residual[c] * residual[c];
+                    image.reduced_chi2[c] += robust_weight[cell][c] * residual[c] * residual[c];
                 }
                 image.residual.push(residual);
                 image.compared.push(compared);

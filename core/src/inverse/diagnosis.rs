@@ -17,7 +17,9 @@ use crate::transport::Scene;
 
 mod templates;
 
-use templates::{ANGLES, BLURS, FIELDS, SHAPES, blurred, displaced_images, fields, first_angles};
+use templates::{
+    ANGLES, BLURS, FIELDS, SHAPES, blur_unit, blurred, displaced_images, fields, first_angles,
+};
 
 /// What can be wrong with a sample or a bench.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -75,7 +77,7 @@ pub struct Diagnosis {
     pub correlation: f64,
     /// Whether the material has a discrepancy from every mixture, a sign of the dictionary: no
     /// fault of the bench was found to cause one.
-    pub departs: bool,
+    pub has_discrepancy: bool,
 }
 
 /// Below this mean square residual nothing is named: the noise and the model explain the
@@ -97,7 +99,7 @@ const UNEXPLAINED_MEAN_SQUARE: f64 = 1.3;
 const DICTIONARY_LEAD: f64 = 1.25;
 
 impl Diagnosis {
-    /// The most likely cause of a misfit, if there is one (docs/adr/0010 has the rates).
+    /// The most likely cause of an excess error, if there is one (docs/adr/0010 has the rates).
     pub fn finding(&self) -> Option<Cause> {
         if self.mean_square < NOTABLE_MEAN_SQUARE {
             return None;
@@ -107,7 +109,7 @@ impl Diagnosis {
             .iter()
             .zip(self.explained)
             .max_by(|a, b| a.1.total_cmp(&b.1))?;
-        let [lead, notable] = if self.departs {
+        let [lead, notable] = if self.has_discrepancy {
             [1.0, NOTABLE_PART]
         } else {
             [DICTIONARY_LEAD, NOTABLE_DICTIONARY_PART]
@@ -131,10 +133,10 @@ pub(super) struct Examined<'a> {
     pub scene: &'a Scene,
     /// The comparison, with the light of the material.
     pub objective: &'a Objective<'a>,
-    /// The weights of least loss per set, few of them above zero: what they could make is no
+    /// The weights of least loss per channel group, few of them above zero: what they could make is no
     /// sign of a fault. All atoms of the reported mixture could make almost anything.
     pub mixture: &'a [DVector<f64>],
-    /// The material, which may depart from its mixture.
+    /// The material, a mixture with or without a discrepancy.
     pub material: &'a Material,
     /// Its images.
     pub model: &'a [ModelImage],
@@ -159,17 +161,18 @@ pub(super) fn examine(fit: &Examined<'_>) -> Diagnosis {
         correlation,
         count,
     } = scatter(objective, model);
-    let departs = fit.material.as_mixture().is_none();
+    let has_discrepancy = fit.material.as_mixture().is_none();
     if mean_square < NOTABLE_MEAN_SQUARE {
         return Diagnosis {
             mean_square,
             explained: [0.0; 5],
             correlation,
-            departs,
+            has_discrepancy,
         };
     }
     let resolution_px = DVec2::from_array(cells.resolution_px().map(|n| n as f64));
     let displaced = displaced_images(fit);
+    let blur_unit = blur_unit(cells);
     let angles = first_angles(scene, cells);
     let active: Vec<Vec<usize>> = mixture
         .iter()
@@ -201,7 +204,9 @@ pub(super) fn examine(fit: &Examined<'_>) -> Diagnosis {
             row.extend(displaced.iter().map(|d| d[light * cells.len() + cell][c]));
             row.extend(fields(at).map(|f| f * modelled));
             row.extend(BLURS.map(|radius| {
-                blurred(cells, cell, radius, |k| model[light][k][c].value()) - modelled
+                blurred(cells, cell, radius * blur_unit, |k| {
+                    model[light][k][c].value()
+                }) - modelled
             }));
             row.extend(angles[light * cells.len() + cell].map(|f| f * modelled));
             let Some((z, sigma)) = objective.deviation(model, light, cell, c) else {
@@ -219,13 +224,13 @@ pub(super) fn examine(fit: &Examined<'_>) -> Diagnosis {
     );
     let mut explained = [0.0; 5];
     for (c, gram) in grams.iter_mut().enumerate() {
-        let set = group(c);
+        let group = group(c);
         gram.fill_upper_triangle_with_lower_triangle();
-        let first = active[set].len();
+        let first = active[group].len();
         let mut from = first;
         for (explained, &size) in explained.iter_mut().zip(&sizes) {
             let template: Vec<usize> = (from..from + size).collect();
-            *explained += accounted_for(gram, first, &template, columns[set] - 1) - size as f64;
+            *explained += accounted_for(gram, first, &template, columns[group] - 1) - size as f64;
             from += size;
         }
     }
@@ -233,7 +238,7 @@ pub(super) fn examine(fit: &Examined<'_>) -> Diagnosis {
         mean_square,
         explained: explained.map(|e| e / count),
         correlation,
-        departs,
+        has_discrepancy,
     }
 }
 
@@ -318,7 +323,7 @@ mod tests {
             mean_square,
             explained,
             correlation: 0.0,
-            departs: false,
+            has_discrepancy: false,
         }
     }
 
@@ -351,11 +356,11 @@ mod tests {
         assert!(!pose.is_unexplained() && !lobe.is_unexplained());
         let unclear = diagnosis(1.5, [0.1, 0.2, 0.1, 0.0, 0.4]);
         assert!(unclear.finding().is_none() && unclear.is_unexplained());
-        let departing = Diagnosis {
-            departs: true,
+        let with_discrepancy = Diagnosis {
+            has_discrepancy: true,
             ..pose
         };
-        assert_eq!(departing.finding(), Some(Cause::Dictionary));
+        assert_eq!(with_discrepancy.finding(), Some(Cause::Dictionary));
         let noise = diagnosis(1.0, [0.6, 0.0, 0.0, 0.0, 0.0]);
         assert!(noise.finding().is_none() && !noise.is_unexplained());
     }

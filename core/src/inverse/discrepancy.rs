@@ -41,7 +41,7 @@ const MAX_NOISE_INFLATION: f64 = 1e9;
 /// Weights from which an atom counts as in use.
 const SIGNIFICANT_WEIGHT: f64 = 1e-3;
 
-/// The discrepancy from the mixture of one set of weights.
+/// The discrepancy from the mixture of one channel group.
 pub struct Eliminated {
     /// Modes that no change of the weights in use could make: columns in those of all.
     free: DMatrix<f64>,
@@ -71,18 +71,18 @@ pub struct LinearizationPoint<'a> {
     pub direct: &'a DirectDiscrepancy,
     /// What its values weigh.
     pub residual_weights: &'a ResidualWeights,
-    /// The weights per set.
+    /// The weights per channel group.
     pub mixture: &'a [DVector<f64>],
     /// The pass at them.
     pub pass: &'a Linearised,
 }
 
 impl Eliminated {
-    /// The discrepancy from the mixture of each set of weights, around a fit without one; empty
+    /// The discrepancy from the mixture of each channel group, around a fit without one; empty
     /// where the evidence for one is small.
     pub fn first(at: &LinearizationPoint<'_>, dictionary: &Dictionary) -> Vec<Self> {
-        let sets = at.mixture.iter();
-        let free: Vec<_> = sets.map(|x| free_modes(dictionary, x)).collect();
+        let groups = at.mixture.iter();
+        let free: Vec<_> = groups.map(|x| free_modes(dictionary, x)).collect();
         let mut joint = normal::equations(at, &free);
         let fitted: Vec<DVector<f64>> = joint
             .iter()
@@ -98,8 +98,9 @@ impl Eliminated {
         if amplitude == 0.0 {
             return Vec::new();
         }
-        let sets = joint.into_iter().zip(free);
-        sets.map(|(joint, free)| Self::new(joint, free, amplitude))
+        let groups = joint.into_iter().zip(free);
+        groups
+            .map(|(joint, free)| Self::new(joint, free, amplitude))
             .collect()
     }
 
@@ -111,8 +112,9 @@ impl Eliminated {
         modes: &[DVector<f64>],
     ) -> Vec<Self> {
         let free: Vec<_> = earlier.iter().map(|e| e.free.clone()).collect();
-        let sets = normal::equations(at, &free).into_iter();
-        sets.zip(free)
+        let groups = normal::equations(at, &free).into_iter();
+        groups
+            .zip(free)
             .zip(earlier.iter().zip(modes))
             .map(|((mut joint, free), (earlier, modes))| {
                 joint.score += joint.information.columns_range(joint.weights..) * modes;

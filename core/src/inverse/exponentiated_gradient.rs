@@ -49,12 +49,12 @@ impl ExponentiatedGradient {
         observer: &mut dyn Observer,
     ) -> (Linearised, Termination) {
         let n = objective.atoms();
-        let sets = objective.sets();
+        let groups = objective.groups();
         for w in mixture.iter_mut() {
             w.apply(|x| *x = *x * (1.0 - self.uniform_share) + self.uniform_share / n as f64);
         }
-        let mut first = vec![DVector::<f64>::zeros(n); sets];
-        let mut second = vec![DVector::<f64>::zeros(n); sets];
+        let mut first = vec![DVector::<f64>::zeros(n); groups];
+        let mut second = vec![DVector::<f64>::zeros(n); groups];
         let mut best: Vec<(f64, DVector<f64>)> =
             mixture.iter().map(|w| (f64::INFINITY, w.clone())).collect();
         let mut shares = Vec::new();
@@ -66,26 +66,26 @@ impl ExponentiatedGradient {
             pass.add_noise(&shares);
             let penalised = ridge.add_to(&pass, mixture);
             observer.step(&Step::of(&penalised, "exponentiated-gradient"));
-            for set in 0..sets {
-                let q = &penalised[set];
-                if q.c < best[set].0 {
-                    best[set] = (q.c, mixture[set].clone());
+            for group in 0..groups {
+                let q = &penalised[group];
+                if q.c < best[group].0 {
+                    best[group] = (q.c, mixture[group].clone());
                 }
-                let (m, v) = (&mut first[set], &mut second[set]);
+                let (m, v) = (&mut first[group], &mut second[group]);
                 let correction1 = 1.0 - self.beta1.powi(step as i32);
                 let correction2 = 1.0 - self.beta2.powi(step as i32);
                 // Adam's steps all have one length; what is common to all atoms, which the
                 // sum to one takes back, would leave nothing else of them.
-                let common = q.g.dot(&mixture[set]);
+                let common = q.g.dot(&mixture[group]);
                 for k in 0..n {
                     let gradient = common - q.g[k];
                     m[k] = self.beta1 * m[k] + (1.0 - self.beta1) * gradient;
                     v[k] = self.beta2 * v[k] + (1.0 - self.beta2) * gradient * gradient;
                     let rate = (m[k] / correction1) / ((v[k] / correction2).sqrt() + 1e-300);
-                    mixture[set][k] *= (-self.rate * rate).exp();
+                    mixture[group][k] *= (-self.rate * rate).exp();
                 }
-                let sum = mixture[set].sum();
-                mixture[set] /= sum;
+                let sum = mixture[group].sum();
+                mixture[group] /= sum;
             }
         }
         for (w, (_, x)) in mixture.iter_mut().zip(best) {

@@ -120,7 +120,7 @@ pub(super) struct Judged<'a> {
     pub objective: &'a Objective<'a>,
     /// The material's images.
     pub model: &'a [ModelImage],
-    /// Per set of weights: directions in which the images say more than noise could; `None`
+    /// Per channel group: directions in which the images have more information than noise could feign; `None`
     /// where no posterior was sought.
     pub informed: Vec<Option<usize>>,
     /// Per channel: weight of black in the reported mixture; `None` without such an atom.
@@ -136,7 +136,7 @@ pub(super) struct Judged<'a> {
 /// only approximate.
 pub const EXPLAINED_MEAN_SQUARE: f64 = 1.3;
 /// A channel of an image is dark below this many standard deviations of its sum.
-const LIT: f64 = 5.0;
+const SIGNIFICANT_DEVIATIONS: f64 = 5.0;
 /// Part of the light that the model may put elsewhere.
 const TOLERATED_SHARE: f64 = 0.4;
 /// Relative scatter that a model's image must have before one without any is remarkable.
@@ -145,7 +145,7 @@ const NOTABLE_SHADING: f64 = 0.05;
 /// reported.
 const NOTABLE_SCATTER: f64 = 3.0;
 /// Weight of black below which a material is as bright as materials are.
-const BRIGHT: f64 = 0.05;
+const MAX_BLACK_WEIGHT: f64 = 0.05;
 /// How much brighter the images may be then.
 const NOTABLE_BRIGHTNESS: f64 = 1.1;
 /// How much brighter they may be than a material that could still be brighter: only one whose
@@ -158,9 +158,9 @@ const NOTABLE_SCALE: f64 = 1.25;
 /// interpolation between angles are wrong by.
 const NOTABLE_ALBEDO: f64 = 1.02;
 /// By how many of its standard uncertainties the logarithm of that factor must differ from 0.
-const SURE_SCALE: f64 = 4.0;
+const SCALE_DEVIATIONS: f64 = 4.0;
 /// An image looks like another's if what a scaled copy of that leaves is so much less.
-const LOOKS_LIKE: f64 = 0.5;
+const EXCHANGE_RESIDUAL_RATIO: f64 = 0.5;
 
 /// Everything found, the gravest kind first.
 pub(super) fn find(judged: &Judged<'_>) -> Vec<Finding> {
@@ -176,14 +176,14 @@ pub(super) fn find(judged: &Judged<'_>) -> Vec<Finding> {
     let values: Vec<Vec<Compared>> = (0..objective.lights())
         .map(|light| compared(objective, model, light))
         .collect();
-    let misfit = judged.reduced_chi2.iter().flatten();
-    let misfit = misfit.fold(0.0, |worst: f64, &chi2| worst.max(chi2));
-    if misfit > EXPLAINED_MEAN_SQUARE {
+    let excess_error = judged.reduced_chi2.iter().flatten();
+    let excess_error = excess_error.fold(0.0, |worst: f64, &chi2| worst.max(chi2));
+    if excess_error > EXPLAINED_MEAN_SQUARE {
         for image in 0..values.len() {
             found.extend(exchanged(objective, model, image));
         }
         found.push(Finding::Misfit {
-            mean_square: misfit,
+            mean_square: excess_error,
         });
     }
     for (image, values) in values.iter().enumerate() {
@@ -197,7 +197,7 @@ pub(super) fn find(judged: &Judged<'_>) -> Vec<Finding> {
             found.push(Finding::Bounded { channel, albedo });
         }
         let of_channel = || values.iter().flatten().filter(|v| v.channel == channel);
-        let bright = judged.black[channel].is_none_or(|black| black < BRIGHT);
+        let bright = judged.black[channel].is_none_or(|black| black < MAX_BLACK_WEIGHT);
         let ratio = brightness(of_channel());
         let limit = if bright {
             NOTABLE_BRIGHTNESS
@@ -208,7 +208,7 @@ pub(super) fn find(judged: &Judged<'_>) -> Vec<Finding> {
             found.push(Finding::TooBright { channel, ratio });
         }
         if let Some([ratio, log_std]) = scale(of_channel())
-            && ratio.ln().abs() > (SURE_SCALE * log_std).max(NOTABLE_SCALE.ln())
+            && ratio.ln().abs() > (SCALE_DEVIATIONS * log_std).max(NOTABLE_SCALE.ln())
         {
             found.push(Finding::Scale {
                 channel,
@@ -246,12 +246,12 @@ impl Compared {
 }
 
 fn compared(objective: &Objective<'_>, model: &[ModelImage], light: usize) -> Vec<Compared> {
-    let trust = objective.robust_weights(model, light);
-    let cells = (0..trust.len()).filter(|&p| objective.is_compared(light, p));
+    let robust_weight = objective.robust_weights(model, light);
+    let cells = (0..robust_weight.len()).filter(|&p| objective.is_compared(light, p));
     let of_pixel = |cell: usize| {
         let [captured, variance] = objective.captured(light, cell);
         let block = objective.block(cell, light);
-        let trust = trust[cell];
+        let robust_weight = robust_weight[cell];
         (0..3).map(move |channel| {
             let modelled = model[light][cell][channel];
             let noise = variance[channel] + modelled.variance;
@@ -264,7 +264,7 @@ fn compared(objective: &Objective<'_>, model: &[ModelImage], light: usize) -> Ve
                 indirect: modelled.indirect,
                 noise,
                 variance: noise + allowed,
-                outlier: trust[channel] < 1.0,
+                outlier: robust_weight[channel] < 1.0,
             }
         })
     };
@@ -278,7 +278,7 @@ fn dark_channels(values: &[Compared], image: usize) -> Vec<Finding> {
             let [sum, noise] = of_channel.fold([0.0, 0.0], |[sum, noise], v| {
                 [sum + v.captured, noise + v.noise]
             });
-            sum <= LIT * f64::sqrt(noise)
+            sum <= SIGNIFICANT_DEVIATIONS * f64::sqrt(noise)
         })
         .map(|channel| Finding::DarkChannel { image, channel })
         .collect()
@@ -390,7 +390,7 @@ fn brightness<'a>(values: impl Iterator<Item = &'a Compared>) -> f64 {
 }
 
 /// Irradiance by the images over the stated one, and the standard uncertainty of its
-/// logarithm; `None` where too little is interreflected to tell.
+/// logarithm; `None` where too little is interreflected.
 ///
 /// If the irradiance is s times the stated one, direct light of a material of reflectance ρ is
 /// sρD and light reflected twice sρ²I. Fitted with the irradiance as stated, with a reflectance
@@ -442,7 +442,7 @@ fn exchanged(objective: &Objective<'_>, model: &[ModelImage], image: usize) -> O
         }
     }
     let (left, light, flip) = best;
-    (left < LOOKS_LIKE * own).then_some(Finding::Exchanged { image, light, flip })
+    (left < EXCHANGE_RESIDUAL_RATIO * own).then_some(Finding::Exchanged { image, light, flip })
 }
 
 /// Part of an image's square that a scaled copy of a light's model, turned over, leaves: 1 − cos².

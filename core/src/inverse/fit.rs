@@ -6,7 +6,6 @@ use nalgebra::DVector;
 
 use super::average::averaged;
 use super::bench::system::BenchLinearisation;
-use super::cells::{Captured, check_count};
 use super::comparison::Comparison;
 use super::diagnosis::{self, Diagnosis, Examined};
 use super::findings::{self, Finding, Judged};
@@ -14,27 +13,28 @@ use super::intervals::{self, Interval};
 use super::objective::DiscrepancyModel;
 use super::options::{FitError, FitOptions, Optimizer};
 use super::posterior::{Posterior, posterior};
-use super::projection::ProjectionError;
 use super::solve::{Paths, Solved, solve};
 use super::trace::{Step, Termination};
-use super::uncertainty::Draws;
+use super::uncertainty::PosteriorSamples;
 use crate::brdf::dictionary::Dictionary;
 use crate::brdf::discrepancy::Material;
+use crate::brdf::projection::ProjectionError;
 use crate::brdf::{Atom, Mixture};
+use crate::cells::{Captured, check_count};
 use crate::progress::Progress;
 use crate::transport::{Kernel, Proposal, Scene};
 
 /// What a fit leaves.
 pub struct Fit {
     /// What is reported: a mixture (weights per channel × atoms; equal vectors if shared) of the
-    /// dictionary given, or of one with more atoms, and how the material departs from it. Of
-    /// Gauss–Newton, of least expected error over the draws (docs/adr/0006, docs/adr/0032).
+    /// dictionary given, or of one with more atoms, and the discrepancy from it. Of
+    /// Gauss–Newton, of least expected error over the samples (docs/adr/0006, docs/adr/0032).
     pub material: Material,
     /// The single-bounce start of Eq. (13) in the dictionary given, per channel.
     pub start: [Vec<f64>; 3],
-    /// Posterior and prior draws per channel.
-    pub draws: Vec<Draws>,
-    /// How much the material departs from every mixture, in units of what measured materials do
+    /// Posterior and prior samples per channel.
+    pub posterior_samples: Vec<PosteriorSamples>,
+    /// Amplitude of the model discrepancy, in units of that of measured materials
     /// (docs/adr/0032); 0 where the images do not ask for it.
     pub discrepancy: f64,
     /// How the material's images compare with those captured.
@@ -79,7 +79,12 @@ impl Fit {
 
     /// [`Fit::interval`] on a grid of angles (degrees), the difference angle varying fastest.
     pub fn intervals(&self, theta_h_deg: &[f64], theta_d_deg: &[f64]) -> Vec<Interval> {
-        intervals::table(&self.material, &self.draws, theta_h_deg, theta_d_deg)
+        intervals::table(
+            &self.material,
+            &self.posterior_samples,
+            theta_h_deg,
+            theta_d_deg,
+        )
     }
 }
 
@@ -107,11 +112,11 @@ pub fn fit_with_progress(
 }
 
 /// The first solution, which only guides later paths, has this many times fewer of them.
-const QUICKER: u32 = 4;
+const PRELIMINARY_DIVISOR: u32 = 4;
 /// Probability that a continuation of an adapted path follows the default proposal.
 pub(super) const DEFENSIVE: f32 = 0.4;
 
-/// [`fit`] on a bench that is known within what `bench` says, which widens the draws.
+/// [`fit`] on a bench that is known within what `bench` says, which widens the samples.
 pub(super) fn fit_on_bench(
     scene: &Scene,
     captured: &Captured,
@@ -127,7 +132,8 @@ pub(super) fn fit_on_bench(
     };
 
     // The estimate, or the average of two.
-    let averages = options.draws > 0 && matches!(options.optimizer, Optimizer::GaussNewton(_));
+    let averages =
+        options.posterior_samples > 0 && matches!(options.optimizer, Optimizer::GaussNewton(_));
     let part = match dictionary.first_part().filter(|_| averages) {
         Some(part) => {
             let Found {
@@ -150,7 +156,7 @@ pub(super) fn fit_on_bench(
     }
     let albedo = timings.time("uncertainty", || posterior.be_physical(options.cache.seed));
     let Posterior {
-        draws,
+        posterior_samples,
         material,
         discrepancy,
     } = posterior;
@@ -161,16 +167,16 @@ pub(super) fn fit_on_bench(
     let outlier_fraction = (0..objective.lights())
         .map(|light| objective.outlier_fraction(&solved.pass.model, light))
         .collect();
-    let departed = timings.time("images", || {
+    let with_discrepancy = timings.time("images", || {
         (discrepancy > 0.0)
             .then(|| DiscrepancyModel::of_all(&objective, scene, &material, options.cache.seed))
     });
-    let objective = match &departed {
+    let objective = match &with_discrepancy {
         Some(model) => objective.with_discrepancy(model),
         None => objective,
     };
-    let reported: Vec<_> = (0..objective.sets())
-        .map(|set| DVector::from_column_slice(&material.mixture.weights()[set]))
+    let reported: Vec<_> = (0..objective.groups())
+        .map(|group| DVector::from_column_slice(&material.mixture.weights()[group]))
         .collect();
     let (model, comparison) = timings.time("images", || {
         let model = objective.modelled(&reported);
@@ -194,9 +200,9 @@ pub(super) fn fit_on_bench(
     let findings = findings::find(&Judged {
         objective: &objective,
         model: &model,
-        informed: draws
+        informed: posterior_samples
             .iter()
-            .map(|set| (!set.posterior.is_empty()).then_some(set.informed))
+            .map(|group| (!group.posterior.is_empty()).then_some(group.informed))
             .collect(),
         black: black_weights(&material),
         albedo,
@@ -206,7 +212,7 @@ pub(super) fn fit_on_bench(
         findings,
         material,
         start: solved.solution.start,
-        draws,
+        posterior_samples,
         discrepancy,
         comparison,
         diagnosis,
@@ -241,7 +247,8 @@ fn find(
     let mut first = None;
     if options.adapt_paths && options.optimizer != Optimizer::SingleBounce {
         let mut quick = options.clone();
-        quick.cache.samples_per_cell = (options.cache.samples_per_cell / QUICKER).max(2);
+        quick.cache.samples_per_cell =
+            (options.cache.samples_per_cell / PRELIMINARY_DIVISOR).max(2);
         let solution = {
             // Its paths are gone before the others are traced.
             let paths = Paths::trace(scene, cells, dictionary, None, &quick, progress)?;

@@ -2,7 +2,7 @@
 //!
 //! Deformations of the stated rms are drawn ([`FormError::field`]) and the images' change d
 //! with each is traced with shared random numbers. The weights' score changes by JᵀWd;
-//! the second moment of that over the draws is the covariance that the mesh adds, every
+//! the second moment of that over the samples is the covariance that the mesh adds, every
 //! product taken between independent halves of the samples (docs/adr/0029).
 
 use nalgebra::{DMatrix, DVector};
@@ -18,7 +18,7 @@ use crate::transport::{Proposal, Scene, Steering};
 /// Deformations that are drawn: the deviation that they give is itself known within an eighth.
 const DEFORMATIONS: usize = 32;
 /// Deformations that are traced together, which bounds the memory.
-const TOGETHER: usize = 4;
+const BATCH: usize = 4;
 /// Direct reflection: square root of the samples per cell.
 const DIRECT_STRATA: u32 = 4;
 /// Paths per cell in each half and for each deformation.
@@ -26,7 +26,7 @@ const SAMPLES_PER_HALF: u32 = 4;
 /// Longest path in surface reflections.
 const REFLECTIONS: u32 = 6;
 
-/// Covariance of the score per set of weights, N × N each, at `mixture`, whose BRDF is
+/// Covariance of the score per channel group, N × N each, at `mixture`, whose BRDF is
 /// `material`.
 pub(super) fn score_covariance(
     objective: &Objective<'_>,
@@ -37,7 +37,7 @@ pub(super) fn score_covariance(
     material: &Mixture,
     seed: u64,
 ) -> Vec<DMatrix<f64>> {
-    let (n, sets) = (objective.atoms(), objective.sets());
+    let (n, groups) = (objective.atoms(), objective.groups());
     let wanted = objective.compared_pixels();
     let edge_mm = scene.sample().mean_edge_mm();
     let options = DerivativeOptions {
@@ -49,9 +49,9 @@ pub(super) fn score_covariance(
         direct_strata: DIRECT_STRATA,
         average: AVERAGED,
     };
-    let mut covariance = vec![DMatrix::zeros(n, n); sets];
-    for first in (0..DEFORMATIONS).step_by(TOGETHER) {
-        let deformed = (first..first + TOGETHER).map(|deformation| {
+    let mut covariance = vec![DMatrix::zeros(n, n); groups];
+    for first in (0..DEFORMATIONS).step_by(BATCH) {
+        let deformed = (first..first + BATCH).map(|deformation| {
             let mut numbers = stream(seed, Purpose::FormError, 0, deformation as u64, 0);
             let field = error.field(edge_mm, &mut numbers);
             [1.0, -1.0].map(|sign| field.deform(scene.sample(), sign))
@@ -85,12 +85,12 @@ fn scores(
     residual_weights: &ResidualWeights,
     mixture: &[DVector<f64>],
 ) -> Vec<Vec<[DVector<f64>; 2]>> {
-    let (n, sets) = (objective.atoms(), objective.sets());
+    let (n, groups) = (objective.atoms(), objective.groups());
     objective.accumulate(
         mixture,
         residual_weights,
         false,
-        || vec![vec![[DVector::zeros(n), DVector::zeros(n)]; TOGETHER]; sets],
+        || vec![vec![[DVector::zeros(n), DVector::zeros(n)]; BATCH]; groups],
         |sums, value| {
             let changes = images.at(value.cell);
             for (deformation, _, change) in changes.filter(|(_, l, _)| *l == value.light) {
@@ -119,8 +119,8 @@ pub(super) mod tests {
 
     use super::*;
     use crate::brdf::dictionary::{Atom, Dictionary};
+    use crate::cells::{Captured, CellOptions};
     use crate::geometry::Shape;
-    use crate::inverse::cells::{Captured, CellOptions};
     use crate::inverse::options::FitOptions;
     use crate::inverse::solve::{Paths, solve};
     use crate::radiance_image::RadianceImage;
@@ -226,12 +226,15 @@ pub(super) mod tests {
             .collect();
         for [theta_h, theta_d] in [[0.0, 10.0], [10.0, 20.0], [40.0, 30.0]] {
             let g = DVector::from_vec(dictionary.values_at(theta_h, theta_d));
-            let told = g.dot(&(&answer * &covariance[1] * &answer * &g)).sqrt();
+            let predicted = g.dot(&(&answer * &covariance[1] * &answer * &g)).sqrt();
             let square = found.iter().map(|x| g.dot(&(x - &base.mixture[1])).powi(2));
             let seen = (square.sum::<f64>() / found.len() as f64).sqrt();
-            println!("{theta_h}, {theta_d}: told {told:.3e}, seen {seen:.3e}");
+            println!("{theta_h}, {theta_d}: predicted {predicted:.3e}, seen {seen:.3e}");
             // Either is known within a fifth.
-            assert!((0.6..1.7).contains(&(told / seen)), "{told} for {seen}");
+            assert!(
+                (0.6..1.7).contains(&(predicted / seen)),
+                "{predicted} for {seen}"
+            );
         }
     }
 }

@@ -1,8 +1,8 @@
-//! From draws of the weights to an interval for f at every (θh, θd).
+//! From samples of the weights to an interval for f at every (θh, θd).
 //!
 //! Weights alone are not identifiable (atoms overlap); the BRDF they add up to is.
 
-use super::uncertainty::Draws;
+use super::uncertainty::PosteriorSamples;
 use crate::brdf::discrepancy::Material;
 
 /// f at one pair of angles, per channel, 1/sr.
@@ -10,7 +10,7 @@ use crate::brdf::discrepancy::Material;
 pub struct Interval {
     /// As reported.
     pub value: [f64; 3],
-    /// 2.5% quantile of the posterior draws, never above `value`.
+    /// 2.5% quantile of the posterior samples, never above `value`.
     pub lower: [f64; 3],
     /// 97.5% quantile, never below `value`.
     pub upper: [f64; 3],
@@ -21,7 +21,7 @@ pub struct Interval {
 /// Intervals over the grid of half and difference angles (degrees), θd fastest, at φd = 90°.
 pub fn table(
     material: &Material,
-    draws: &[Draws],
+    posterior_samples: &[PosteriorSamples],
     theta_h_deg: &[f64],
     theta_d_deg: &[f64],
 ) -> Vec<Interval> {
@@ -39,19 +39,21 @@ pub fn table(
         };
         for (c, value) in values.into_iter().enumerate() {
             let f = |w: &[f64]| -> f64 { w.iter().zip(&atoms).map(|(w, f)| w * f).sum() };
-            let Some(set) = draws.get(c.min(draws.len().saturating_sub(1))) else {
+            let Some(group) =
+                posterior_samples.get(c.min(posterior_samples.len().saturating_sub(1)))
+            else {
                 (interval.value[c], interval.lower[c], interval.upper[c]) = (value, value, value);
                 continue;
             };
-            let departed = |draw: usize| match set.discrepancies.get(draw) {
+            let factor = |draw: usize| match group.discrepancies.get(draw) {
                 Some(discrepancy) => discrepancy.factor(theta_h_deg, theta_d_deg),
                 None => 1.0,
             };
             let mut posterior: Vec<f64> = (0..)
-                .zip(&set.posterior)
-                .map(|(draw, x)| f(x.as_slice()) * departed(draw))
+                .zip(&group.posterior)
+                .map(|(draw, x)| f(x.as_slice()) * factor(draw))
                 .collect();
-            let prior: Vec<f64> = set.prior.iter().map(|x| f(x.as_slice())).collect();
+            let prior: Vec<f64> = group.prior.iter().map(|x| f(x.as_slice())).collect();
             interval.constrained &= deviation(&posterior) < 0.5 * deviation(&prior);
             posterior.sort_by(f64::total_cmp);
             interval.value[c] = value;
@@ -70,27 +72,29 @@ pub fn table(
 }
 
 /// Standard deviation of ln f that no mixture of a dictionary explains, for a relative
-/// misfit of the images. Images show the material's discrepancies from the dictionary only
+/// excess error of the images. Images show the material's discrepancies from the dictionary only
 /// where they look; towards grazing angles they look least and dictionaries of
 /// microfacet lobes fail most. Calibrated on measured materials (docs/adr/0006).
-pub fn inadequacy(misfit: f64, theta_h_deg: f64, theta_d_deg: f64) -> f64 {
+pub fn unexplained_deviation(excess_error: f64, theta_h_deg: f64, theta_d_deg: f64) -> f64 {
     let grazing = 0.03 * (theta_d_deg / 25.0).exp() + 0.35 * (theta_h_deg / 85.0).powi(6);
     let peak = 0.04 * (-theta_h_deg / 3.0).exp();
-    INADEQUACY * (misfit / TYPICAL_MISFIT).min(1.0) * (grazing + peak)
+    DEVIATION_PER_MEDIAN * (excess_error / TYPICAL_EXCESS_ERROR).min(1.0) * (grazing + peak)
 }
 
 /// Deviations of ln f over the median error that the angles' part describes.
-const INADEQUACY: f64 = 2.0;
-/// Relative misfit of the images of measured materials.
-const TYPICAL_MISFIT: f64 = 0.01;
+const DEVIATION_PER_MEDIAN: f64 = 2.0;
+/// Relative excess error of the images of measured materials.
+const TYPICAL_EXCESS_ERROR: f64 = 0.01;
 
-/// Standard deviation of each weight over the posterior draws, per channel.
-pub fn weight_deviations(draws: &[Draws], atoms: usize) -> [Vec<f64>; 3] {
-    std::array::from_fn(|c| match draws.get(c.min(draws.len().saturating_sub(1))) {
-        None => vec![0.0; atoms],
-        Some(set) => (0..atoms)
-            .map(|n| deviation(&set.posterior.iter().map(|x| x[n]).collect::<Vec<_>>()))
-            .collect(),
+/// Standard deviation of each weight over the posterior samples, per channel.
+pub fn weight_deviations(posterior_samples: &[PosteriorSamples], atoms: usize) -> [Vec<f64>; 3] {
+    std::array::from_fn(|c| {
+        match posterior_samples.get(c.min(posterior_samples.len().saturating_sub(1))) {
+            None => vec![0.0; atoms],
+            Some(group) => (0..atoms)
+                .map(|n| deviation(&group.posterior.iter().map(|x| x[n]).collect::<Vec<_>>()))
+                .collect(),
+        }
     })
 }
 
@@ -126,20 +130,20 @@ mod tests {
         let dictionary =
             Dictionary::new("two", vec![Atom::Lambertian { albedo: 1.0 }, Atom::Black]).unwrap();
         let draw = |w: f64| DVector::from_vec(vec![w, 1.0 - w]);
-        let set = || Draws {
+        let group = || PosteriorSamples {
             posterior: (0..=100)
                 .map(|i| draw(0.4 + 0.002 * f64::from(i)))
                 .collect(),
             prior: (0..=100).map(|i| draw(0.01 * f64::from(i))).collect(),
-            misfit: 0.0,
+            excess_error: 0.0,
             informed: 1,
             discrepancies: Vec::new(),
             budget: None,
         };
         let mixture = Mixture::grey(Arc::new(dictionary), vec![0.5, 0.5]).unwrap();
         let material = Material::from(mixture);
-        let draws = [set(), set(), set()];
-        let cells = table(&material, &draws, &[0.0, 30.0], &[45.0]);
+        let posterior_samples = [group(), group(), group()];
+        let cells = table(&material, &posterior_samples, &[0.0, 30.0], &[45.0]);
         for cell in &cells {
             let pi = std::f64::consts::PI;
             assert!((cell.value[1] - 0.5 / pi).abs() < 1e-7);
@@ -147,15 +151,15 @@ mod tests {
             assert!((cell.upper[1] - 0.595 / pi).abs() < 1e-9, "{cell:?}");
             assert!(cell.constrained);
         }
-        let wide = [Draws {
-            posterior: set().prior,
-            prior: set().prior,
-            misfit: 0.0,
+        let wide = [PosteriorSamples {
+            posterior: group().prior,
+            prior: group().prior,
+            excess_error: 0.0,
             informed: 1,
             discrepancies: Vec::new(),
             budget: None,
         }];
         assert!(!table(&material, &wide, &[0.0], &[45.0])[0].constrained);
-        assert!((weight_deviations(&draws, 2)[0][0] - 0.0586).abs() < 1e-3);
+        assert!((weight_deviations(&posterior_samples, 2)[0][0] - 0.0586).abs() < 1e-3);
     }
 }

@@ -1,8 +1,8 @@
-//! Which light directions would tell most about a BRDF that is not known yet.
+//! Which light directions would add most information on a BRDF that is not known yet.
 //!
 //! A light's image adds the Fisher information Jᵀ W J about the mixture weights. Both
 //! J and the residual weights W depend on the material, so they are computed for a few
-//! plausible ones (draws of a Dirichlet distribution, or the current estimate), at a coarse
+//! plausible ones (samples of a Dirichlet distribution, or the current estimate), at a coarse
 //! resolution. To each belongs a Gaussian posterior: the prior's covariance, updated
 //! by the information of the lights taken. What counts is the expected squared
 //! error of the BRDF: tr(M C), where M sums a aᵀ over the (θh, θd, φd) cells of the
@@ -19,13 +19,13 @@ use std::sync::Arc;
 use nalgebra::{Cholesky, DMatrix, DVector, SymmetricEigen};
 use rayon::prelude::*;
 
-use super::cells::{Captured, CellImage, CellOptions, Grid, choose};
 use super::normal_equations::{above_noise, add_product};
 use super::objective::{Channels, ModelImage, Objective};
 use super::uncertainty::{CONCENTRATION, dirichlet};
 use crate::brdf::Dictionary;
 use crate::brdf::ggx::Cosines;
 use crate::brdf::score::cells;
+use crate::cells::{Captured, CellImage, CellOptions, Grid, choose};
 use crate::random::{Purpose, stream};
 use crate::transport::cache::CacheError;
 use crate::transport::{Cache, CacheOptions, Cells, DirectMatrix, Kernel, Scene};
@@ -79,7 +79,7 @@ const AZIMUTHS: usize = 3;
 /// Keeps dark cells from counting without bound, 1/sr.
 const REFLECTANCE_FLOOR: f64 = 1e-3;
 
-/// Weights of plausible materials: draws of a symmetric Dirichlet distribution.
+/// Weights of plausible materials: samples of a symmetric Dirichlet distribution.
 pub fn prior_materials(dictionary: &Dictionary, count: usize, seed: u64) -> Vec<DVector<f64>> {
     (0..count)
         .map(|k| {
@@ -89,7 +89,7 @@ pub fn prior_materials(dictionary: &Dictionary, count: usize, seed: u64) -> Vec<
         .collect()
 }
 
-/// What each candidate light would tell, for each plausible material.
+/// The information of each candidate light, for each plausible material.
 pub struct Prospects {
     candidates: usize,
     materials: Vec<Prospect>,
@@ -287,7 +287,7 @@ impl Prospects {
     }
 }
 
-/// C R and the Cholesky factor of I + Rᵀ C R; `None` where R tells nothing.
+/// C R and the Cholesky factor of I + Rᵀ C R; `None` where R has no information.
 fn gain(
     covariance: &DMatrix<f64>,
     root: &DMatrix<f64>,

@@ -3,9 +3,7 @@
 
 mod average;
 pub mod bench;
-mod brightest;
 pub mod budget;
-pub mod cells;
 pub mod comparison;
 pub mod diagnosis;
 mod discrepancy;
@@ -21,20 +19,16 @@ pub mod memory;
 mod normal_equations;
 pub mod objective;
 pub mod options;
-pub mod plausibility;
 mod posterior;
-pub mod projection;
 pub mod ridge;
 mod segment;
-pub mod simplex;
 mod solve;
 pub mod sparse;
 pub mod trace;
 pub mod uncertainty;
 pub mod variance_shares;
 
-pub use bench::{BenchPriors, RefineOptions, refine_bench};
-pub use cells::{Captured, CellOptions};
+pub use bench::{RefineOptions, refine_bench};
 pub use fit::{Fit, fit, fit_with_progress};
 pub use intervals::Interval;
 pub use objective::Channels;

@@ -23,7 +23,7 @@ pub(super) const IN_USE: f64 = 1e-9;
 /// Least variance of a score over its information where model error is common to all cells, and
 /// so scatters no block: with a discrepancy, and of nuisance parameters. Calibrated by the
 /// coverage of intervals of measured materials; weights without a discrepancy need 1.
-pub const LEAST_SCATTER: f64 = 3.0;
+pub const MIN_SCATTER: f64 = 3.0;
 
 /// A score Jᵀ W r of K unknowns, ½ (J_Aᵀ W r_B + J_Bᵀ W r_A), and its parts by block of cells.
 #[derive(Clone, Debug)]

@@ -13,9 +13,9 @@ use nalgebra::DVector;
 
 use std::sync::Arc;
 
-use super::cells::Captured;
 use super::normal_equations::add_outer;
-use super::simplex::Quadratic;
+use crate::cells::Captured;
+use crate::simplex::Quadratic;
 use crate::transport::{Cache, Cells, DirectMatrix, Kernel};
 
 mod compared;
@@ -35,13 +35,13 @@ pub use pass::Linearised;
 pub enum Channels {
     /// Weights of their own for R, G and B.
     Separate,
-    /// One set of weights for all three.
+    /// One channel group for all three.
     Shared,
 }
 
 impl Channels {
     /// Number of channel groups, each with weights of its own.
-    pub fn sets(self) -> usize {
+    pub fn groups(self) -> usize {
         match self {
             Channels::Separate => 3,
             Channels::Shared => 1,
@@ -50,7 +50,7 @@ impl Channels {
 
     /// The channel group of R, G or B, whose weights make it.
     pub fn group(self, channel: usize) -> usize {
-        channel.min(self.sets() - 1)
+        channel.min(self.groups() - 1)
     }
 }
 
@@ -86,7 +86,7 @@ const OUTLIER_DEVIATIONS: f64 = 4.0;
 const VARIANCE_FLOOR: f64 = 0.01;
 
 /// Part of the values that may count for less.
-const MOST_OUTLIERS: f64 = 0.05;
+const MAX_OUTLIER_FRACTION: f64 = 0.05;
 
 /// Modelled radiance, `[cell][channel]`.
 pub type ModelImage = Vec<[Modelled; 3]>;
@@ -145,8 +145,8 @@ impl<'a> Objective<'a> {
     }
 
     /// Number of channel groups, each with weights of its own.
-    pub fn sets(&self) -> usize {
-        self.channels.sets()
+    pub fn groups(&self) -> usize {
+        self.channels.groups()
     }
 
     /// Which channels share weights.
@@ -247,9 +247,9 @@ impl<'a> Objective<'a> {
     }
 
     /// Relative error that a model leaves beyond what the noise of capture and render
-    /// explains, per set: root of the mean over the values, weighted as the fit weighs them.
-    pub fn misfit(&self, model: &[ModelImage]) -> Vec<f64> {
-        let mut sums = vec![[0.0; 3]; self.sets()];
+    /// explains, per channel group: root of the mean over the values, weighted as the fit weighs them.
+    pub fn excess_error(&self, model: &[ModelImage]) -> Vec<f64> {
+        let mut sums = vec![[0.0; 3]; self.groups()];
         for light in 0..self.lights() {
             for cell in (0..model[light].len()).filter(|&p| self.values.compared[light][p]) {
                 for c in 0..3 {
@@ -259,7 +259,7 @@ impl<'a> Objective<'a> {
                     let modelled = model[light][cell][c];
                     let noise = self.values.variance[light][cell][c] + modelled.variance;
                     let noise = noise / (sigma * sigma);
-                    // A few wild values are dust, not the material.
+                    // A few extreme values are dust, not the material.
                     let excess = z.powi(2).min(25.0) - noise;
                     let sum = &mut sums[self.channels.group(c)];
                     sum[0] += excess;
@@ -297,7 +297,7 @@ impl<'a> Objective<'a> {
     /// Weights from a model, with the stated model error; the captured images themselves,
     /// without noise, stand in for the first one.
     pub fn weights(&self, model: Option<&[ModelImage]>) -> ResidualWeights {
-        let model_error = vec![self.model_error; self.sets()];
+        let model_error = vec![self.model_error; self.groups()];
         match model {
             Some(model) => self.weights_allowing(model, true, &model_error),
             None => self.weights_allowing(&self.as_model(), false, &model_error),
@@ -322,7 +322,7 @@ impl<'a> Objective<'a> {
         }
         let found = match earlier {
             Some(pass) => self.found_error(pass),
-            None => vec![self.model_error; self.sets()],
+            None => vec![self.model_error; self.groups()],
         };
         self.weights_allowing(&model, earlier.is_some(), &found)
     }
@@ -341,10 +341,10 @@ impl<'a> Objective<'a> {
         self.linearise(mixture, &unweighed).model
     }
 
-    /// The stated model error or the one found, per set.
+    /// The stated model error or the one found, per channel group.
     fn found_error(&self, pass: &Linearised) -> Vec<f64> {
-        (0..self.sets())
-            .map(|set| pass.relative_error(set).max(self.model_error))
+        (0..self.groups())
+            .map(|group| pass.relative_error(group).max(self.model_error))
             .collect()
     }
 
@@ -404,7 +404,7 @@ impl<'a> Objective<'a> {
     }
 
     /// How far each value of a light is believed, 0..=1: less than 1 only for isolated
-    /// values, which dust makes, and for at most `MOST_OUTLIERS` of them. Where the
+    /// values, which dust makes, and for at most `MAX_OUTLIER_FRACTION` of them. Where the
     /// neighbours deviate as well, the model is wrong and must not look right.
     pub fn robust_weights(&self, model: &[ModelImage], light: usize) -> Vec<[f64; 3]> {
         let deviation = |p: usize, c: usize| {
@@ -440,7 +440,7 @@ impl<'a> Objective<'a> {
             }
         }
         outliers.sort_by(|a, b| b.0.total_cmp(&a.0));
-        outliers.truncate((MOST_OUTLIERS * f64::from(compared)) as usize);
+        outliers.truncate((MAX_OUTLIER_FRACTION * f64::from(compared)) as usize);
         for (excess, p, c) in outliers {
             robust_weight[p][c] = excess.powi(-2);
         }
@@ -478,11 +478,11 @@ impl<'a> Objective<'a> {
         *values.select_nth_unstable_by(middle, f64::total_cmp).1
     }
 
-    /// The direct part alone, which is linear: its least-squares quadratic per set,
+    /// The direct part alone, which is linear: its least-squares quadratic per channel group,
     /// Eq. (13) of the paper with the rendering under light m (docs/adr/0002).
     pub fn single_bounce(&self, residual_weights: &ResidualWeights) -> Vec<Quadratic> {
         let n = self.atoms();
-        let mut quadratics = vec![Quadratic::zero(n); self.sets()];
+        let mut quadratics = vec![Quadratic::zero(n); self.groups()];
         for (light, weights) in residual_weights.iter().enumerate() {
             for (cell, weights) in weights.iter().enumerate() {
                 let row: Vec<f64> = self
@@ -528,3 +528,6 @@ fn is_smooth(direct: &DirectMatrix, cell: usize, light: usize) -> bool {
     direct.coverage[cell] >= 1.0 - EDGE_FRACTION
         && (lit <= EDGE_FRACTION || lit >= 1.0 - EDGE_FRACTION)
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,12 +1,12 @@
 //! What a fit can be asked for, and why it may fail.
 
-use super::cells::AverageError;
 use super::exponentiated_gradient::ExponentiatedGradient;
 use super::gauss_newton::GaussNewton;
 use super::objective::Channels;
-use super::projection::ProjectionError;
-use super::simplex::SimplexError;
+use crate::brdf::projection::ProjectionError;
+use crate::cells::AverageError;
 use crate::geometry::FormError;
+use crate::simplex::SimplexError;
 use crate::transport::cache::CacheError;
 use crate::transport::{CacheOptions, Kernel};
 
@@ -33,7 +33,7 @@ impl Optimizer {
     }
 }
 
-/// Everything that a fit can be told.
+/// All options of a fit.
 #[derive(Clone, Debug)]
 pub struct FitOptions {
     /// Paths: samples per cell, longest path, seed, memory.
@@ -48,12 +48,12 @@ pub struct FitOptions {
     pub model_error: f64,
     /// Rounds of residual weights, 1..=10.
     pub rounds: usize,
-    /// Draws from the posterior, 0..=10 000.
-    pub draws: usize,
+    /// Samples of the posterior, 0..=10 000.
+    pub posterior_samples: usize,
     /// Trace again with directions proposed by a first solution from a quarter of the paths:
     /// less noise where the material is glossy.
     pub adapt_paths: bool,
-    /// How far the as-made sample departs from the scene's mesh; `None`: not at all.
+    /// Deviation of the as-made sample from the scene's mesh; `None`: not at all.
     pub form_error: Option<FormError>,
     /// Instructions to use.
     pub kernel: Kernel,
@@ -68,7 +68,7 @@ impl Default for FitOptions {
             channels: Channels::Separate,
             model_error: 0.02,
             rounds: 3,
-            draws: 200,
+            posterior_samples: 200,
             adapt_paths: true,
             form_error: None,
             kernel: Kernel::detect(),
@@ -94,7 +94,7 @@ pub enum FitError {
     /// The quadratic programme.
     #[error(transparent)]
     Simplex(#[from] SimplexError),
-    /// The weights closest to what the material departs to.
+    /// The weights of the mixture closest to the material.
     #[error(transparent)]
     Projection(#[from] ProjectionError),
 }

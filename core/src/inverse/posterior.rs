@@ -1,5 +1,5 @@
-//! What the images leave open around a fit: draws of the weights and of how the material
-//! departs from their mixture, and the material to report.
+//! What the images leave open around a fit: samples of the weights and of the
+//! discrepancy from their mixture, and the material to report.
 
 use nalgebra::DVector;
 use rayon::prelude::*;
@@ -7,18 +7,18 @@ use rayon::prelude::*;
 use super::bench::BenchCoupling;
 use super::bench::system::BenchLinearisation;
 use super::discrepancy::{Eliminated, LinearizationPoint};
-use super::estimate::{estimate, mean_of_draws};
+use super::estimate::{estimate, mean_of_samples};
 use super::form;
-use super::intervals::inadequacy;
+use super::intervals::unexplained_deviation;
 use super::objective::{DiscrepancyModel, Linearised, Objective};
 use super::options::{FitError, FitOptions, Optimizer};
-use super::projection::{EnvironmentMatrix, ProjectionError};
 use super::solve::{Paths, Solved, per_channel};
-use super::uncertainty::{self, Adds, Draws};
+use super::uncertainty::{self, Adds, PosteriorSamples};
 use crate::brdf::Mixture;
 use crate::brdf::discrepancy::{self, Discrepancy, Material};
 use crate::brdf::energy::EnergyBound;
 use crate::brdf::environment::EnvironmentMap;
+use crate::brdf::projection::{EnvironmentMatrix, ProjectionError};
 use crate::random::{Purpose, stream};
 use crate::transport::Scene;
 
@@ -27,8 +27,8 @@ const SPHERE_PX: usize = 24;
 
 /// What the images leave open.
 pub(super) struct Posterior {
-    /// Per set of weights.
-    pub draws: Vec<Draws>,
+    /// Per channel group.
+    pub posterior_samples: Vec<PosteriorSamples>,
     /// What to report.
     pub material: Material,
     /// Deviation of its discrepancy in units of what measured materials have; 0 without one.
@@ -36,11 +36,16 @@ pub(super) struct Posterior {
 }
 
 impl Posterior {
-    /// Gives each sample its error that no dictionary explains ([`inadequacy`]), and bounds samples
+    /// Gives each sample its error that no dictionary explains ([`unexplained_deviation`]), and bounds samples
     /// and material by energy conservation. Returns the largest directional albedo that the
     /// material had before, per channel.
     pub fn be_physical(&mut self, seed: u64) -> [f64; 3] {
-        if self.discrepancy == 0.0 && self.draws.iter().all(|set| set.posterior.is_empty()) {
+        if self.discrepancy == 0.0
+            && self
+                .posterior_samples
+                .iter()
+                .all(|group| group.posterior.is_empty())
+        {
             return [0.0; 3]; // a mixture
         }
         let energy = EnergyBound::new(self.material.mixture.dictionary());
@@ -48,16 +53,16 @@ impl Posterior {
         self.material = material;
         let nodes: Vec<_> = discrepancy::nodes().collect();
         let fields = discrepancy::standard_modes();
-        self.draws
+        self.posterior_samples
             .par_iter_mut()
             .enumerate()
-            .for_each(|(set, of_set)| {
-                let mut numbers = stream(seed, Purpose::Posterior, set as u64, 4, 0);
+            .for_each(|(group, of_set)| {
+                let mut numbers = stream(seed, Purpose::Posterior, group as u64, 4, 0);
                 let deviations = DVector::from_iterator(
                     nodes.len(),
-                    nodes
-                        .iter()
-                        .map(|n| inadequacy(of_set.misfit, n.theta_h_deg, n.theta_d_deg)),
+                    nodes.iter().map(|n| {
+                        unexplained_deviation(of_set.excess_error, n.theta_h_deg, n.theta_d_deg)
+                    }),
                 );
                 of_set
                     .discrepancies
@@ -83,19 +88,19 @@ pub(super) fn posterior(
 ) -> Result<Posterior, FitError> {
     let (dictionary, seed) = (&paths.dictionary, options.cache.seed);
     let (mixture, weights) = (&solved.mixture, &solved.residual_weights);
-    let material = |sets: &[DVector<f64>]| -> Result<Mixture, ProjectionError> {
-        Ok(Mixture::new(dictionary.clone(), per_channel(sets))?)
+    let material = |groups: &[DVector<f64>]| -> Result<Mixture, ProjectionError> {
+        Ok(Mixture::new(dictionary.clone(), per_channel(groups))?)
     };
-    let misfits = objective.misfit(&solved.pass.model);
-    let with_misfits = |mut draws: Vec<Draws>| {
-        for (draws, misfit) in draws.iter_mut().zip(&misfits) {
-            draws.misfit = *misfit;
+    let excess_errors = objective.excess_error(&solved.pass.model);
+    let with_excess_errors = |mut posterior_samples: Vec<PosteriorSamples>| {
+        for (posterior_samples, excess_error) in posterior_samples.iter_mut().zip(&excess_errors) {
+            posterior_samples.excess_error = *excess_error;
         }
-        draws
+        posterior_samples
     };
-    if options.draws == 0 {
+    if options.posterior_samples == 0 {
         return Ok(Posterior {
-            draws: with_misfits(uncertainty::draw(
+            posterior_samples: with_excess_errors(uncertainty::draw(
                 dictionary,
                 mixture,
                 &solved.pass,
@@ -123,7 +128,14 @@ pub(super) fn posterior(
             noise: &noise,
             discrepancy,
         };
-        uncertainty::draw(dictionary, center, pass, &adds, options.draws, seed)
+        uncertainty::draw(
+            dictionary,
+            center,
+            pass,
+            &adds,
+            options.posterior_samples,
+            seed,
+        )
     };
     let model_of =
         |material: &Material| DiscrepancyModel::of_compared(objective, scene, material, seed);
@@ -140,17 +152,17 @@ pub(super) fn posterior(
         pass: &solved.pass,
     };
     let mut discrepancy = Eliminated::first(&at, dictionary);
-    let mut draws = draw(None, &center, &solved.pass, &discrepancy);
+    let mut posterior_samples = draw(None, &center, &solved.pass, &discrepancy);
     let mut discrepancy_pass = None;
     if !discrepancy.is_empty() {
         // Once more, linear around what was found.
-        let mean = mean_of_draws(&spheres, &draws);
-        let sets = discrepancy.iter().zip(mean.iter().zip(&center));
-        let modes: Vec<_> = sets.map(|(d, (mean, x))| d.modes(&(mean - x))).collect();
-        let sets = discrepancy.iter().zip(&modes);
-        let discrepancies: Vec<_> = sets.map(|(d, modes)| d.discrepancy(modes)).collect();
-        let departed = model_of(&Material::new(material(&mean)?, &discrepancies));
-        let objective = objective.with_discrepancy(&departed);
+        let mean = mean_of_samples(&spheres, &posterior_samples);
+        let groups = discrepancy.iter().zip(mean.iter().zip(&center));
+        let modes: Vec<_> = groups.map(|(d, (mean, x))| d.modes(&(mean - x))).collect();
+        let groups = discrepancy.iter().zip(&modes);
+        let discrepancies: Vec<_> = groups.map(|(d, modes)| d.discrepancy(modes)).collect();
+        let with_discrepancy = model_of(&Material::new(material(&mean)?, &discrepancies));
+        let objective = objective.with_discrepancy(&with_discrepancy);
         let pass = objective.linearise(&mean, weights);
         let left = |pass: &Linearised| pass.unexplained.iter().sum::<f64>();
         log::debug!(
@@ -161,20 +173,20 @@ pub(super) fn posterior(
         if left(&pass) < left(&solved.pass) {
             let at = LinearizationPoint {
                 objective: &objective,
-                direct: &departed.direct,
+                direct: &with_discrepancy.direct,
                 mixture: &mean,
                 pass: &pass,
                 ..at
             };
             discrepancy = Eliminated::again(&at, &discrepancy, &modes);
-            draws = draw(None, &mean, &pass, &discrepancy);
+            posterior_samples = draw(None, &mean, &pass, &discrepancy);
             center = mean;
             discrepancy_pass = Some(pass);
         }
     }
     let (material, amplitude) = match options.optimizer {
         Optimizer::GaussNewton(_) => (
-            estimate(&spheres, &center, &draws, &discrepancy)?,
+            estimate(&spheres, &center, &posterior_samples, &discrepancy)?,
             discrepancy.first().map_or(0.0, Eliminated::amplitude),
         ),
         // The others are there to be compared: they report where they end.
@@ -185,10 +197,10 @@ pub(super) fn posterior(
     // than white.
     if let Some(bench) = &coupling {
         let pass = discrepancy_pass.as_ref().unwrap_or(&solved.pass);
-        draws = draw(Some(bench), &center, pass, &discrepancy);
+        posterior_samples = draw(Some(bench), &center, pass, &discrepancy);
     }
     Ok(Posterior {
-        draws: with_misfits(draws),
+        posterior_samples: with_excess_errors(posterior_samples),
         material,
         discrepancy: amplitude,
     })
@@ -201,7 +213,7 @@ mod tests {
     use super::*;
     use crate::brdf::discrepancy::modes;
     use crate::brdf::{Atom, Brdf, Dictionary};
-    use crate::inverse::cells::{Captured, CellOptions};
+    use crate::cells::{Captured, CellOptions};
     use crate::inverse::discrepancy::free_modes;
     use crate::inverse::form::tests::bowl;
     use crate::inverse::solve::solve;
@@ -219,7 +231,7 @@ mod tests {
         render(scene, material, &options)
     }
 
-    /// Images of a mixture ask for no discrepancy; those of one that departs do, and with what is
+    /// Images of a mixture show no discrepancy; those of a material with one do, and with what is
     /// found f comes closer to the truth where light is reflected once.
     #[test]
     fn a_discrepancy_is_found_where_there_is_one() {
@@ -240,7 +252,7 @@ mod tests {
         let mut z = DVector::zeros(free.nrows());
         z.rows_mut(0, 4).copy_from_slice(&[1.5, -1.5, 1.5, 1.5]);
         let g = Discrepancy(modes() * (&free * free.tr_mul(&z)));
-        let departed = Material::new(truth.clone(), std::slice::from_ref(&g));
+        let with_discrepancy = Material::new(truth.clone(), std::slice::from_ref(&g));
         let mut options = FitOptions::default();
         options.cache.samples_per_cell = 128;
         let found = |material: &dyn Brdf| {
@@ -252,8 +264,12 @@ mod tests {
             let solved = solve(&paths, &objective, None, &options, &()).unwrap();
             posterior(&scene, &paths, &objective, &solved, &options, None).unwrap()
         };
-        assert_eq!(found(&truth).discrepancy, 0.0, "a mixture departs");
-        let found = found(&departed);
+        assert_eq!(
+            found(&truth).discrepancy,
+            0.0,
+            "a mixture has a discrepancy"
+        );
+        let found = found(&with_discrepancy);
         assert!(found.discrepancy > 0.0);
         let mixture = Material::from(found.material.mixture.clone());
         let mut squares = [0.0, 0.0];
@@ -263,8 +279,8 @@ mod tests {
                 continue;
             }
             let atoms = dictionary.values_at(h, d);
-            let [truth, mixture, found] =
-                [&departed, &mixture, &found.material].map(|material| material.at(&atoms, h, d)[0]);
+            let [truth, mixture, found] = [&with_discrepancy, &mixture, &found.material]
+                .map(|material| material.at(&atoms, h, d)[0]);
             squares[0] += (mixture / truth).ln().powi(2);
             squares[1] += (found / truth).ln().powi(2);
         }

@@ -1,4 +1,4 @@
-//! A prior that spreads weight over atoms where the images do not tell them apart.
+//! A prior that spreads weight over atoms where the images cannot distinguish them.
 //!
 //! Near-equal atoms, and atoms that differ only at angles that no path visits, leave the
 //! least squares a valley whose lowest corner follows noise and model error. ½ ρ |w|² is
@@ -8,7 +8,7 @@
 use nalgebra::DVector;
 
 use super::objective::{Linearised, Objective};
-use super::simplex::Quadratic;
+use crate::simplex::Quadratic;
 
 /// ρ where the model explains the images, in units of χ².
 const MIN_RIDGE: f64 = 300.0;
@@ -19,16 +19,16 @@ pub const TOWARDS_CONVEXITY: f64 = MIN_RIDGE / 10.0;
 
 /// What ρ gains with each unit of χ² that the model leaves unexplained: what no mixture
 /// explains pulls on all weights, and its covariance is that of the pulls.
-const PER_UNEXPLAINED: f64 = 1.0;
+const RIDGE_PER_EXCESS: f64 = 1.0;
 
-/// Strength of the prior per set of weights.
+/// Strength of the prior per channel group.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Ridge(Vec<f64>);
 
 impl Ridge {
     /// For a first fit, when nothing is known of what the model explains.
     pub fn first(objective: &Objective<'_>) -> Self {
-        Self(vec![MIN_RIDGE; objective.sets()])
+        Self(vec![MIN_RIDGE; objective.groups()])
     }
 
     /// After a fit that ended with `pass`.
@@ -36,7 +36,7 @@ impl Ridge {
         Self(
             pass.unexplained
                 .iter()
-                .map(|unexplained| MIN_RIDGE + PER_UNEXPLAINED * unexplained.max(0.0))
+                .map(|unexplained| MIN_RIDGE + RIDGE_PER_EXCESS * unexplained.max(0.0))
                 .collect(),
         )
     }

@@ -5,12 +5,12 @@ use std::time::Instant;
 
 use nalgebra::DVector;
 
-use super::cells::Captured;
 use super::objective::{Linearised, Objective, ResidualWeights};
 use super::options::{FitError, FitOptions, Optimizer};
 use super::ridge::Ridge;
 use super::trace::{Observer, Step, Termination};
 use crate::brdf::dictionary::Dictionary;
+use crate::cells::Captured;
 use crate::progress::Progress;
 use crate::transport::{Cache, Cells, DirectMatrix, Guide, Scene};
 
@@ -36,7 +36,7 @@ pub(super) struct Solution {
 /// A solution with what says how sure it is.
 pub(super) struct Solved {
     pub solution: Solution,
-    /// The weights per set.
+    /// The weights per channel group.
     pub mixture: Vec<DVector<f64>>,
     /// The pass at them.
     pub pass: Linearised,
@@ -227,7 +227,7 @@ fn begin(
 ) -> Result<(Vec<DVector<f64>>, [Vec<f64>; 3], ResidualWeights), FitError> {
     let residual_weights = objective.weights(None);
     let n = objective.atoms();
-    let even = vec![DVector::from_element(n, 1.0 / n as f64); objective.sets()];
+    let even = vec![DVector::from_element(n, 1.0 / n as f64); objective.groups()];
     let even = objective.modelled(&even);
     let Some(earlier) = earlier else {
         let quadratics = objective.single_bounce(&residual_weights);
@@ -237,7 +237,7 @@ fn begin(
         return Ok((mixture, start, objective.first_weights(None, &even)));
     };
     let embedded = earlier.weights_in(&paths.dictionary).map(DVector::from_vec);
-    let mixture: Vec<_> = embedded.into_iter().take(objective.sets()).collect();
+    let mixture: Vec<_> = embedded.into_iter().take(objective.groups()).collect();
     let pass = objective.linearise(&mixture, &residual_weights);
     Ok((
         mixture,
@@ -264,8 +264,8 @@ impl Solution {
 }
 
 /// Weights of the sets as those of R, G and B.
-pub(super) fn per_channel(sets: &[DVector<f64>]) -> [Vec<f64>; 3] {
-    std::array::from_fn(|c| sets[c.min(sets.len() - 1)].iter().copied().collect())
+pub(super) fn per_channel(groups: &[DVector<f64>]) -> [Vec<f64>; 3] {
+    std::array::from_fn(|c| groups[c.min(groups.len() - 1)].iter().copied().collect())
 }
 
 struct Recorder {

@@ -1,4 +1,4 @@
-//! Draws from a posterior on the simplex whose prior holds that few atoms are used.
+//! Samples of a posterior on the simplex whose prior holds that few atoms are used.
 //!
 //! A priori each atom is used with the same probability, and the weights of those in
 //! use are uniform on their simplex. The likelihood is a Gaussian. A Metropolis chain
@@ -13,7 +13,7 @@ use super::segment::Segment;
 use crate::random::Stream;
 
 /// Most atoms in use at once.
-const MOST: usize = 14;
+const MAX_ATOMS_IN_USE: usize = 14;
 
 /// Precision added to the Gaussian that weights are proposed from, which keeps directions
 /// without information near the simplex. It does not change the posterior.
@@ -50,7 +50,7 @@ impl SparsePosterior {
         }
     }
 
-    /// `count` draws out of a chain of `steps` that begins around `start` (on the
+    /// `count` samples out of a chain of `steps` that begins around `start` (on the
     /// simplex); the first fifth is thrown away.
     pub fn draw(
         &self,
@@ -62,7 +62,7 @@ impl SparsePosterior {
         let n = self.b.len();
         let mut state = begin(start);
         let burn = steps / 5;
-        let mut draws = Vec::with_capacity(count);
+        let mut samples = Vec::with_capacity(count);
         for step in 0..steps {
             for _ in 0..LOCAL_MOVES {
                 match index(3, numbers) {
@@ -72,14 +72,14 @@ impl SparsePosterior {
                 }
             }
             self.jump(&mut state, numbers);
-            if step >= burn && (step - burn) * count >= draws.len() * (steps - burn) {
+            if step >= burn && (step - burn) * count >= samples.len() * (steps - burn) {
                 let mut x = DVector::zeros(n);
                 let weights = state.used.iter().zip(&state.x);
                 weights.for_each(|(&k, &v)| x[k] = v);
-                draws.push(x);
+                samples.push(x);
             }
         }
-        draws
+        samples
     }
 
     /// What moving weight to `gains` from `loses` does to the log-likelihood: slope and
@@ -117,7 +117,7 @@ impl SparsePosterior {
             self.log_odds + ways.ln() + mass
         };
         if numbers.uniform() < 0.5 {
-            if k == MOST.min(n) {
+            if k == MAX_ATOMS_IN_USE.min(n) {
                 return;
             }
             let mut joins = index(n, numbers);
@@ -225,24 +225,24 @@ struct Proposal {
     /// Atoms.
     k: usize,
     /// Lower triangular root of the precision.
-    factor: [[f64; MOST]; MOST],
+    factor: [[f64; MAX_ATOMS_IN_USE]; MAX_ATOMS_IN_USE],
     /// The mean, left-multiplied by the root's transpose.
-    y: [f64; MOST],
+    y: [f64; MAX_ATOMS_IN_USE],
 }
 
 impl Proposal {
     /// `None` for no atoms, too many, or atoms without any precision.
     fn new(posterior: &SparsePosterior, used: &[usize]) -> Option<Self> {
         let k = used.len();
-        if k == 0 || k > MOST {
+        if k == 0 || k > MAX_ATOMS_IN_USE {
             return None;
         }
         let m = k - 1;
         let last = used[m];
         let h = |i: usize, j: usize| posterior.h[(i, j)];
         let b = &posterior.b;
-        let mut factor = [[0.0f64; MOST]; MOST];
-        let mut y = [0.0f64; MOST];
+        let mut factor = [[0.0f64; MAX_ATOMS_IN_USE]; MAX_ATOMS_IN_USE];
+        let mut y = [0.0f64; MAX_ATOMS_IN_USE];
         for s in 0..m {
             let i = used[s];
             for t in 0..=s {
@@ -306,7 +306,7 @@ impl Proposal {
 fn begin(start: &DVector<f64>) -> State {
     let mut used: Vec<usize> = (0..start.len()).filter(|&k| start[k] > 0.0).collect();
     used.sort_by(|&a, &b| start[b].total_cmp(&start[a]));
-    used.truncate(MOST);
+    used.truncate(MAX_ATOMS_IN_USE);
     let sum: f64 = used.iter().map(|&k| start[k]).sum();
     let x = used.iter().map(|&k| start[k] / sum).collect();
     State { used, x }
@@ -376,17 +376,17 @@ mod tests {
         let expected = [1, 2, 3].map(|i| sums[i] / sums[0]);
         let mut numbers = stream(4, Purpose::Posterior, 0, 0, 0);
         let start = DVector::from_vec(vec![0.5, 0.3, 0.2]);
-        let draws = posterior.draw(&start, 40_000, 400_000, &mut numbers);
-        let n = draws.len() as f64;
+        let samples = posterior.draw(&start, 40_000, 400_000, &mut numbers);
+        let n = samples.len() as f64;
         let found = [
-            draws.iter().map(|x| x[0]).sum::<f64>() / n,
-            draws.iter().map(|x| x[0] * x[0]).sum::<f64>() / n,
-            draws.iter().filter(|x| x[2] == 0.0).count() as f64 / n,
+            samples.iter().map(|x| x[0]).sum::<f64>() / n,
+            samples.iter().map(|x| x[0] * x[0]).sum::<f64>() / n,
+            samples.iter().filter(|x| x[2] == 0.0).count() as f64 / n,
         ];
         for (found, expected) in found.iter().zip(expected) {
             assert!((found - expected).abs() < 0.02, "{found} for {expected}");
         }
-        for x in &draws {
+        for x in &samples {
             assert!((x.sum() - 1.0).abs() < 1e-9 && x.min() >= 0.0);
         }
     }
@@ -401,18 +401,18 @@ mod tests {
         let odds = posterior.log_odds.exp();
         // Ways to use k atoms, each with the odds.
         let mut mass = vec![1.0];
-        for k in 1..=MOST {
+        for k in 1..=MAX_ATOMS_IN_USE {
             mass.push(mass[k - 1] * odds * (n + 1 - k) as f64 / k as f64);
         }
         let mean_of = |f: &dyn Fn(f64) -> f64| -> f64 {
-            let terms = (1..=MOST).map(|k| mass[k] * f(k as f64));
+            let terms = (1..=MAX_ATOMS_IN_USE).map(|k| mass[k] * f(k as f64));
             terms.sum::<f64>() / mass[1..].iter().sum::<f64>()
         };
         let mut numbers = stream(5, Purpose::Posterior, 0, 0, 0);
         let start = DVector::from_element(n, 1.0 / n as f64);
-        let draws = posterior.draw(&start, 20_000, 200_000, &mut numbers);
+        let samples = posterior.draw(&start, 20_000, 200_000, &mut numbers);
         let mean = |f: &dyn Fn(&DVector<f64>) -> f64| -> f64 {
-            draws.iter().map(f).sum::<f64>() / draws.len() as f64
+            samples.iter().map(f).sum::<f64>() / samples.len() as f64
         };
         let used = mean(&|x| x.iter().filter(|&&w| w > 0.0).count() as f64);
         let wanted = mean_of(&|k| k);

@@ -1,13 +1,13 @@
-//! What an optimiser tells while it works.
+//! What an optimiser reports while it works.
 
-use super::simplex::Quadratic;
+use crate::simplex::Quadratic;
 
 /// One evaluated point.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Step {
     /// The optimiser's name.
     pub optimizer: &'static str,
-    /// Loss ½ rᵀWr per set, with the prior where there is one. Estimated without bias, so
+    /// Loss ½ rᵀWr per channel group, with the prior where there is one. Estimated without bias, so
     /// it can be slightly negative.
     pub loss: Vec<f64>,
 }

@@ -4,7 +4,7 @@
 //! halves of the paths and the score g. Noise is not all that the residual holds: model
 //! error is common to neighbouring cells, and paths have heavy tails. The score's
 //! covariance is therefore taken from the scores of blocks of cells, and the
-//! likelihood rescaled to it in the directions that F tells apart (a sandwich). The
+//! likelihood rescaled to it in the directions in which F has information (a sandwich). The
 //! prior holds that few atoms are used ([`super::sparse`]); docs/adr/0006.
 
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
@@ -13,25 +13,25 @@ use rayon::prelude::*;
 use super::bench::{BenchCoupling, Parameter};
 use super::budget::{Budget, Source};
 use super::discrepancy::Eliminated;
-use super::normal_equations::{LEAST_SCATTER, Signal, above_noise, scatter, with_eigenvalues};
+use super::normal_equations::{MIN_SCATTER, Signal, above_noise, scatter, with_eigenvalues};
 use super::objective::{Linearised, ScoreNoise};
 use super::sparse::SparsePosterior;
 use crate::brdf::discrepancy::Discrepancy;
 use crate::brdf::{Atom, Dictionary};
 use crate::random::{Purpose, Stream, stream};
 
-/// Draws of one set of weights, and of the prior alone.
-pub struct Draws {
-    /// Posterior draws, each on the simplex.
+/// Samples of one channel group, and of the prior alone.
+pub struct PosteriorSamples {
+    /// Posterior samples, each on the simplex.
     pub posterior: Vec<DVector<f64>>,
-    /// Prior draws, each on the simplex.
+    /// Prior samples, each on the simplex.
     pub prior: Vec<DVector<f64>>,
     /// Relative error of the images that the mixture leaves beyond noise, 0 or more.
-    pub misfit: f64,
-    /// Directions of the space of weights in which the images say more than their noise and
-    /// the paths' could; 0: the images tell nothing, and the posterior is the prior.
+    pub excess_error: f64,
+    /// Directions of the space of weights in which the images have more information than
+    /// their noise and the paths' could feign; 0: none at all, and the posterior is the prior.
     pub informed: usize,
-    /// How the material departs from each of the posterior draws; empty where it does not.
+    /// The model discrepancy of each posterior sample; empty where there is none.
     pub discrepancies: Vec<Discrepancy>,
     /// Where the posterior's spread comes from, where that is known.
     pub budget: Option<Budget>,
@@ -46,12 +46,12 @@ const EXPECTED_ATOMS: f64 = 5.0;
 /// Slope of the log prior density along the weight of black: materials absorb. A priori black
 /// then has 0.39 of the weight in paper42 and 0.46 in rig26; in reference projections of
 /// measured materials it has 0.35 (docs/adr/0006).
-const ABSORPTION: f64 = 6.0;
+const BLACK_LOG_PRIOR_SLOPE: f64 = 6.0;
 
-/// Steps of the chain per set of weights.
+/// Steps of the chain per channel group.
 const STEPS: usize = 20_000;
 
-/// What makes the score scatter beside the residual, per set of weights.
+/// What makes the score scatter in addition to the residual, per channel group.
 #[derive(Default)]
 pub struct Adds<'a> {
     /// What an uncertain bench adds.
@@ -60,11 +60,11 @@ pub struct Adds<'a> {
     pub form: &'a [DMatrix<f64>],
     /// What capture and render make of the residual's own scatter; empty where unknown.
     pub noise: &'a [ScoreNoise],
-    /// How the material departs from every mixture; empty where it does not.
+    /// The model discrepancy; empty where there is none.
     pub discrepancy: &'a [Eliminated],
 }
 
-/// Draws `count` weights for each set around `mixture`.
+/// Draws `count` weights for each channel group around `mixture`.
 pub fn draw(
     dictionary: &Dictionary,
     mixture: &[DVector<f64>],
@@ -72,38 +72,38 @@ pub fn draw(
     adds: &Adds<'_>,
     count: usize,
     seed: u64,
-) -> Vec<Draws> {
+) -> Vec<PosteriorSamples> {
     let prior = prior_slope(dictionary);
     (0..mixture.len())
         .into_par_iter()
-        .map(|set| draw_set(&mixture[set], &prior, pass, adds, set, count, seed))
+        .map(|group| sample_group(&mixture[group], &prior, pass, adds, group, count, seed))
         .collect()
 }
 
-/// Slope of the log prior density along each weight, beside what [`super::sparse`] holds.
+/// Slope of the log prior density along each weight, in addition to the prior of [`super::sparse`].
 fn prior_slope(dictionary: &Dictionary) -> DVector<f64> {
     let slope = |atom: &Atom| match atom {
-        Atom::Black => ABSORPTION,
+        Atom::Black => BLACK_LOG_PRIOR_SLOPE,
         _ => 0.0,
     };
     DVector::from_iterator(dictionary.len(), dictionary.atoms().iter().map(slope))
 }
 
-fn draw_set(
+fn sample_group(
     mixture: &DVector<f64>,
     prior: &DVector<f64>,
     pass: &Linearised,
     adds: &Adds<'_>,
-    set: usize,
+    group: usize,
     count: usize,
     seed: u64,
-) -> Draws {
+) -> PosteriorSamples {
     let n = mixture.len();
     let chain = |h, b, purpose| {
         if count == 0 {
             return Vec::new();
         }
-        let mut numbers = stream(seed, Purpose::Posterior, set as u64, purpose, 0);
+        let mut numbers = stream(seed, Purpose::Posterior, group as u64, purpose, 0);
         let expected = EXPECTED_ATOMS.min(0.5 * n as f64);
         SparsePosterior::new(h, b, expected).draw(mixture, count, STEPS, &mut numbers)
     };
@@ -112,21 +112,21 @@ fn draw_set(
         b,
         informed,
         budget,
-    } = adjusted_likelihood(mixture, pass, adds, set);
+    } = adjusted_likelihood(mixture, pass, adds, group);
     let posterior = chain(h, b + prior, 0);
-    let mut numbers = stream(seed, Purpose::Posterior, set as u64, 2, 0);
+    let mut numbers = stream(seed, Purpose::Posterior, group as u64, 2, 0);
     let discrepancies = adds
         .discrepancy
-        .get(set)
+        .get(group)
         .map_or_else(Vec::new, |discrepancy| {
-            let draws = posterior.iter();
-            draws
+            let posterior_samples = posterior.iter();
+            posterior_samples
                 .map(|x| discrepancy.draw(&(x - mixture), &mut numbers))
                 .collect()
         });
-    Draws {
+    PosteriorSamples {
         prior: chain(DMatrix::zeros(n, n), prior.clone(), 1),
-        misfit: 0.0,
+        excess_error: 0.0,
         informed,
         discrepancies,
         posterior,
@@ -138,7 +138,7 @@ fn draw_set(
 struct Likelihood {
     h: DMatrix<f64>,
     b: DVector<f64>,
-    /// Rank of `h`: directions that the images tell apart from noise.
+    /// Rank of `h`: directions in which the images exceed noise.
     informed: usize,
     /// What makes the score scatter, where the noise is known.
     budget: Option<Budget>,
@@ -150,18 +150,18 @@ fn adjusted_likelihood(
     mixture: &DVector<f64>,
     pass: &Linearised,
     adds: &Adds<'_>,
-    set: usize,
+    group: usize,
 ) -> Likelihood {
-    let quadratic = &pass.quadratics[set];
-    let (information, scores, score) = match adds.discrepancy.get(set) {
+    let quadratic = &pass.quadratics[group];
+    let (information, scores, score) = match adds.discrepancy.get(group) {
         Some(d) => (
             d.information.clone(),
             &d.block_scores,
             d.total_score.clone(),
         ),
         None => {
-            let scores = &pass.block_scores[set];
-            let information = Signal::new(&pass.information[set], &quadratic.h).information;
+            let scores = &pass.block_scores[group];
+            let information = Signal::new(&pass.information[group], &quadratic.h).information;
             let none = DVector::zeros(mixture.len());
             (
                 information,
@@ -198,18 +198,18 @@ fn adjusted_likelihood(
     scatter *= blocks / (blocks - 0.5 * kept.len() as f64).max(1.0);
     let least = match adds.discrepancy {
         [] => 1.0,
-        _ => LEAST_SCATTER,
+        _ => MIN_SCATTER,
     };
     let mut scatter = with_eigenvalues(scatter, |v| v.max(least));
     let whitened = |m: &DMatrix<f64>| inverse.tr_mul(m) * &inverse;
     if let Some(bench) = adds.bench {
-        scatter += above_noise(whitened(&bench.covariance(set)));
+        scatter += above_noise(whitened(&bench.covariance(group)));
     }
-    let form = adds.form.get(set).map(whitened);
+    let form = adds.form.get(group).map(whitened);
     if let Some(form) = &form {
         scatter += form;
     }
-    let budget = adds.noise.get(set).map(|noise| {
+    let budget = adds.noise.get(group).map(|noise| {
         let mut known = vec![
             (Source::CaptureNoise, whitened(&noise.captured)),
             (Source::RenderNoise, whitened(&noise.rendered)),
@@ -226,7 +226,10 @@ fn adjusted_likelihood(
         };
         for source in [Source::Pose, Source::LightDirections, Source::Intensities] {
             if let Some(bench) = adds.bench {
-                known.push((source, above_noise(whitened(&bench.part(set, of(source))))));
+                known.push((
+                    source,
+                    above_noise(whitened(&bench.part(group, of(source)))),
+                ));
             }
         }
         Budget::new(&root, &scatter, &known)
@@ -275,7 +278,7 @@ fn gamma_above_one(shape: f64, numbers: &mut Stream) -> f64 {
 mod tests {
     use super::*;
 
-    /// Mean weight of black in prior draws, against the sum over the sizes of sets with and
+    /// Mean weight of black in prior samples, against the sum over the sizes of sets with and
     /// without it (0.394, 0.463), each with the mean of exp(slope · x) over Beta(1, k − 1).
     #[test]
     fn materials_absorb_a_priori() {
@@ -285,12 +288,13 @@ mod tests {
             let black = |a: &Atom| *a == Atom::Black;
             let black = dictionary.atoms().iter().position(black).unwrap();
             let slope = prior_slope(&dictionary);
-            assert_eq!(slope.sum(), ABSORPTION, "only black");
+            assert_eq!(slope.sum(), BLACK_LOG_PRIOR_SLOPE, "only black");
             let prior = SparsePosterior::new(DMatrix::zeros(n, n), slope, EXPECTED_ATOMS);
             let mut numbers = stream(6, Purpose::Posterior, 0, 0, 0);
             let start = DVector::from_element(n, 1.0 / n as f64);
-            let draws = prior.draw(&start, 20_000, 100_000, &mut numbers);
-            let mean = draws.iter().map(|x| x[black]).sum::<f64>() / draws.len() as f64;
+            let posterior_samples = prior.draw(&start, 20_000, 100_000, &mut numbers);
+            let mean = posterior_samples.iter().map(|x| x[black]).sum::<f64>()
+                / posterior_samples.len() as f64;
             assert!(
                 (mean - expected).abs() < 0.03,
                 "{}: {mean}",

@@ -4,7 +4,7 @@ use nalgebra::DVector;
 
 use super::budget::{SOURCES, Source};
 use super::intervals::deviation;
-use super::uncertainty::Draws;
+use super::uncertainty::PosteriorSamples;
 use crate::brdf::discrepancy::Material;
 
 /// Relative variance of f at one pair of angles, mean over the channels.
@@ -16,10 +16,10 @@ pub struct CellBudget {
     pub relative_variance: [f64; SOURCES],
 }
 
-/// The budget at half and difference angles, degrees; `None` without draws.
+/// The budget at half and difference angles, degrees; `None` without samples.
 pub fn at(
     material: &Material,
-    draws: &[Draws],
+    posterior_samples: &[PosteriorSamples],
     theta_h_deg: f64,
     theta_d_deg: f64,
 ) -> Option<CellBudget> {
@@ -31,23 +31,23 @@ pub fn at(
         relative_variance: [0.0; SOURCES],
     };
     for (c, value) in values.into_iter().enumerate() {
-        let set = draws.get(c.min(draws.len().checked_sub(1)?))?;
-        let budget = set.budget.as_ref()?;
-        let drawn: Vec<f64> = set.posterior.iter().map(|x| x.dot(&atoms)).collect();
+        let group = posterior_samples.get(c.min(posterior_samples.len().checked_sub(1)?))?;
+        let budget = group.budget.as_ref()?;
+        let drawn: Vec<f64> = group.posterior.iter().map(|x| x.dot(&atoms)).collect();
         let count = drawn.len() as f64;
         let mean = drawn.iter().sum::<f64>() / count;
         if count < 2.0 || value <= 0.0 || mean <= 0.0 {
             return None;
         }
         let variance = drawn.iter().map(|f| (f - mean).powi(2)).sum::<f64>() / (count - 1.0);
-        // The draws differ in their sum nowhere: shares look at what differs.
+        // All samples have the same sum, so the shares are of the differences.
         let shares = budget.shares(&atoms.add_scalar(-atoms.mean()));
         cell.value += value / 3.0;
         for (sum, share) in cell.relative_variance.iter_mut().zip(shares) {
-            // The draws are of mixtures, the value of what departs.
+            // The samples are mixtures; the value includes the discrepancy.
             *sum += share * variance / (mean * mean) / 3.0;
         }
-        let discrepancies = set.discrepancies.iter();
+        let discrepancies = group.discrepancies.iter();
         let discrepancies: Vec<f64> = discrepancies
             .map(|d| d.factor(theta_h_deg, theta_d_deg).ln())
             .collect();

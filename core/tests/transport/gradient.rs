@@ -11,9 +11,10 @@ use std::sync::Arc;
 use glam::{DVec2, DVec3};
 use nalgebra::DVector;
 use rig_core::brdf::{Atom, Dictionary, Mixture};
+use rig_core::cells::Captured;
 use rig_core::geometry::Shape;
 use rig_core::inverse::{
-    Captured, Channels,
+    Channels,
     objective::{Modelled, Objective},
 };
 use rig_core::radiance_image::RadianceImage;

@@ -11,9 +11,10 @@ use super::pyramid::{factors, moved_px, target};
 use super::regions::{Grid, Sight};
 use super::search::{WIDEST_DEG, search};
 use super::{PoseError, PoseEstimate, PoseOptions, ResidualShift};
+use crate::bench_priors::BenchPriors;
 use crate::calibration::record::Measured;
-use crate::inverse::bench::spectrum::{HELD_BELOW, Spectrum};
-use crate::inverse::bench::{Bench, BenchPriors, Parameter};
+use crate::inverse::bench::spectrum::{MIN_INFORMATION, Spectrum};
+use crate::inverse::bench::{Bench, Parameter};
 use crate::radiance_image::RadianceImage;
 use crate::transport::Scene;
 
@@ -362,7 +363,11 @@ impl Aligner<'_> {
             .collect();
         // The estimate has made the patches' scores smaller than their errors.
         let spectrum = Spectrum::new(&self.bench, &(0.5 * (&own + own.transpose())));
-        let determined = spectrum.values.iter().filter(|v| **v >= HELD_BELOW).count();
+        let determined = spectrum
+            .values
+            .iter()
+            .filter(|v| **v >= MIN_INFORMATION)
+            .count();
         let count = patches.len() as f64;
         let grow = (count / (count - determined as f64).max(1.0)).sqrt();
         let prior_pull = (BLUR_PX2[0] - self.blur_px2) * BLUR_PX2[1].powi(-2);
@@ -432,7 +437,7 @@ impl Aligner<'_> {
             covariance: std::array::from_fn(|i| std::array::from_fn(|j| all[(pose[i], pose[j])])),
             prior: std::array::from_fn(|i| self.bench.prior_deviation(pose[i])),
             held: spectrum
-                .held(&self.bench)
+                .fixed(&self.bench)
                 .into_iter()
                 .filter(|name| !name.contains("light"))
                 .collect(),

@@ -5,7 +5,8 @@ use nalgebra::DVector;
 use super::PoseOptions;
 use super::patches::{SIDE, Target};
 use super::regions::Grid;
-use crate::inverse::bench::{Bench, BenchPriors};
+use crate::bench_priors::BenchPriors;
+use crate::inverse::bench::Bench;
 use crate::radiance_image::RadianceImage;
 use crate::transport::Scene;
 

@@ -4,10 +4,10 @@ use glam::{DVec2, DVec3};
 use nalgebra::{Matrix6, Vector6};
 
 use super::*;
+use crate::bench_priors::BenchPriors;
 use crate::calibration::record::Values;
 use crate::frames::{Rigid, Sample};
 use crate::geometry::Shape;
-use crate::inverse::BenchPriors;
 use crate::inverse::bench::with_sample_at;
 use crate::radiance_image::RadianceImage;
 use crate::random::{Purpose, stream};

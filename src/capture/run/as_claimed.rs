@@ -49,7 +49,10 @@ impl Run<'_> {
         reference: Reference<'_>,
     ) -> Result<(RawFrame, Option<SignalRatio>), CaptureError> {
         // The frame to compare with, and what a new homing may have changed since.
-        let same_exposure = |taken: &Taken| (taken.exposure_s - applied.exposure.0).abs() <= 1e-9;
+        let same_exposure = |taken: &Taken| {
+            let same = |a: f64, b: f64| (a - b).abs() <= 1e-9;
+            same(taken.exposure_s, applied.exposure.0) || same(taken.requested_s, shot.exposure.0)
+        };
         let before = match reference {
             Reference::Exposure(taken) if shot.key.repeat > 0 || same_exposure(taken) => None,
             Reference::None => None,
@@ -65,7 +68,7 @@ impl Run<'_> {
             let frame = self.devices.grab(shot.key).await?;
             let claimed = Exposed {
                 counts: &frame.counts,
-                exposure_s: applied.exposure.0,
+                exposure_s: self.devices.stated().settings(applied).exposure.0,
             };
             let Some(found) =
                 before.and_then(|before| signal_ratio(self.noise, before.exposed(), claimed))

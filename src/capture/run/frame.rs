@@ -202,6 +202,8 @@ impl Run<'_> {
         }
         // The frame.
         let (frame, ratio) = self.grab_as_claimed(shot, applied, reference).await?;
+        let applied = self.devices.stated().settings(applied);
+        let camera_serial = self.check_serial()?;
         let now_s = self.clock.now_s();
         self.clock.took(shot.exposure.0, shot.lamp, !stands, now_s);
         let sensor_c = self.devices.sensor_c();
@@ -223,7 +225,7 @@ impl Run<'_> {
             black_level_dn: self.noise.black_level_dn,
             bit_depth: self.devices.camera_info.bit_depth,
             mosaic: self.devices.camera_info.mosaic,
-            camera_serial: self.devices.camera_info.serial.clone(),
+            camera_serial,
             stage_target: self.plan.lights[shot.key.light as usize],
             stage_position,
             frames_discarded: self.discarded,
@@ -242,6 +244,24 @@ impl Run<'_> {
             },
         };
         Ok((frame, sidecar))
+    }
+
+    /// Serial number of the camera that took the last frame, as it was reported with the
+    /// frame or at the connection: all frames of a session are of one camera.
+    fn check_serial(&mut self) -> Result<String, CaptureError> {
+        let Some(found) = &self.devices.stated().serial else {
+            return Ok(self.devices.camera_info.serial.clone());
+        };
+        let found = found.clone();
+        let expected = self.camera_serial.get_or_insert_with(|| found.clone());
+        if *expected == found {
+            return Ok(found);
+        }
+        Err(CaptureError::OtherCamera {
+            what: "serial number",
+            expected: expected.clone(),
+            found,
+        })
     }
 
     /// The stage stands at the light, homed before its first move.

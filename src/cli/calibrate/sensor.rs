@@ -11,8 +11,11 @@ use crate::calibration::figures;
 use crate::calibration::procedure::{Bench, ProcedureOptions};
 use crate::calibration::record::{Kind, SensorValues};
 use crate::calibration::sensor::TransferPoint;
+use crate::calibration::sensor::emva1288::Emva1288;
 use crate::cli::output::{write_json, write_path};
 use crate::cli::{CliError, Context, HintExt};
+#[cfg(feature = "reports")]
+use crate::report::sensor_page::SensorPage;
 
 #[derive(clap::Args, Debug)]
 pub(super) struct SensorArgs {
@@ -28,6 +31,7 @@ struct SensorReport<'a> {
     record: String,
     values: &'a SensorValues,
     reduced_chi2: f64,
+    emva1288: &'a Emva1288,
     curve: Vec<CurvePoint>,
 }
 
@@ -59,8 +63,9 @@ pub(super) fn run(args: &SensorArgs, context: &Context) -> Result<(), CliError> 
     let mut target = Target::new(&rig.config, Library::of_rig(&rig), &args.common, context)?;
     let options = procedure_options(&rig.config.camera, args.frames);
     let mut camera = open_camera(&rig.config, UNIFORM_RADIANCE)?;
-    let bit_depth = camera.info().bit_depth;
-    let width = camera.info().resolution_px[0] as usize;
+    let info = camera.info().clone();
+    let bit_depth = info.bit_depth;
+    let width = info.resolution_px[0] as usize;
     let bar = progress(context, Bench::photon_transfer_frames(&options));
     let transfer = Bench::new(camera.as_mut(), options, &mut ask_to_cover, &mut || {
         bar.inc(1);
@@ -87,6 +92,23 @@ pub(super) fn run(args: &SensorArgs, context: &Context) -> Result<(), CliError> 
     let path = target.add(values, &method, &maps)?;
     #[cfg(feature = "figures")]
     target.draw(&figures::photon_transfer(&fit), &path, context)?;
+    let emva1288 = transfer.emva1288(&fit, rig.config.camera.mosaic);
+    #[cfg(feature = "reports")]
+    target.put_page(
+        &SensorPage {
+            camera: format!("{} {}", info.model, info.serial).trim().to_owned(),
+            simulated: rig.config.is_simulated(),
+            record: id,
+            method,
+            date: target.measurement.date.to_string(),
+            settings: target.measurement.settings,
+            fit: &fit,
+            figures: &emva1288,
+        }
+        .render()?,
+        &path,
+        context,
+    )?;
     let v = &fit.values;
     context.note(format_args!(
         "gain {:.4} ± {:.4} DN/e⁻, read noise {:.3} ± {:.3} e⁻, black level {:.2} DN, \
@@ -110,6 +132,7 @@ pub(super) fn run(args: &SensorArgs, context: &Context) -> Result<(), CliError> 
         record: path.display().to_string(),
         values: v,
         reduced_chi2: fit.reduced_chi2,
+        emva1288: &emva1288,
         curve: fit.curve.iter().map(CurvePoint::from).collect(),
     })
 }

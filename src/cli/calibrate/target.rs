@@ -103,6 +103,25 @@ impl Target {
             .ok_or_else(|| CliError::new("the built-in records cannot be added to"))
     }
 
+    /// Puts a page into the folder `plots` next to the records, named as the record.
+    #[cfg(feature = "reports")]
+    pub fn put_page(
+        &self,
+        html: &str,
+        record: &std::path::Path,
+        context: &Context,
+    ) -> Result<(), CliError> {
+        let Library::Folder(folder) = &self.library else {
+            return Ok(());
+        };
+        let stem = record.file_stem().unwrap_or_default().to_string_lossy();
+        let path = folder.join("plots").join(format!("{stem}.html"));
+        whole_file::replace(&path, |out| out.write_all(html.as_bytes()))
+            .map_err(|error| CliError::new(format!("{}: {error}", path.display())))?;
+        context.note(format_args!("EMVA 1288 figures: {}", path.display()));
+        Ok(())
+    }
+
     /// Draws a figure into the folder `plots` next to the records, named as the
     /// record: SVG and PNG.
     #[cfg(feature = "figures")]

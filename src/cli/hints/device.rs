@@ -1,7 +1,9 @@
 //! Advice on stages and cameras.
 
 use crate::device::retake::FrameFault;
-use crate::device::{AlarmCause, DeviceError, FirmwareFault, ProgramFault, Speaker};
+use crate::device::{
+    AlarmCause, AnswerFault, DeviceError, FirmwareFault, ProgramFault, Speaker, WebcamFault,
+};
 
 pub(super) fn for_device(error: &DeviceError) -> String {
     use DeviceError::*;
@@ -39,12 +41,17 @@ pub(super) fn for_device(error: &DeviceError) -> String {
         OtherProtocol { speaks, .. } => for_firmware_family(*speaks),
         Firmware { fault, .. } => for_firmware(fault),
         Program { program, fault } => return for_program(program, fault),
+        Answer { fault, .. } => for_answer(fault),
+        OtherCamera { .. } => {
+            "connect the camera of that serial number; where the other one is meant, name it in camera.serial of the rig file and calibrate it (`rig calibrate sensor`), because records belong to one camera"
+        }
         NoImages { .. } => {
             "name the first node of the camera, whose name ends in index0: `rig devices` lists it"
         }
         Compressed { .. } => {
             "raw counts need an uncompressed format: take another camera, or one whose own program writes raw frames (camera.driver = \"command\" or \"folder\")"
         }
+        Webcam { device, fault } => return for_webcam(device, fault),
         NoBandwidth { .. } => {
             "plug it into a port of another USB controller, without a hub, and end the streams of other cameras; one that asks for more than it needs is cured by `sudo rmmod uvcvideo && sudo modprobe uvcvideo quirks=128`"
         }
@@ -79,6 +86,19 @@ pub(super) fn for_device(error: &DeviceError) -> String {
         }
     };
     hint.to_owned()
+}
+
+fn for_webcam(device: &str, fault: &WebcamFault) -> String {
+    match fault {
+        WebcamFault::NoFormat {
+            width, height, ..
+        } => format!(
+            "`v4l2-ctl -d {device} --list-formats-ext` lists what the camera has: resolution_px must be there under YUYV, and a camera that is set to another format is set to this one by `v4l2-ctl -d {device} --set-fmt-video=width={width},height={height},pixelformat=YUYV`; camera.driver = \"v4l\" reads more formats"
+        ),
+        WebcamFault::DamageUnseen { .. } => {
+            "take camera.driver = \"v4l\", which sees the mark of damaged frames, or let the kernel discard them: `echo 0 | sudo tee /sys/module/uvcvideo/parameters/nodrop`, then plug the camera in anew".to_owned()
+        }
+    }
 }
 
 fn for_firmware_family(speaks: Speaker) -> &'static str {
@@ -165,8 +185,29 @@ fn for_frame(fault: &FrameFault) -> &'static str {
         FrameFault::Undecodable(_) => {
             "see whether the file or the frame is whole, and whether bit_depth in the rig file is the camera's"
         }
+        FrameFault::Settings { what: "gain", .. } => {
+            "set camera.gain in the rig file to a gain that the camera has, and pass {gain} on to it in camera.command, its automatic gain switched off"
+        }
+        FrameFault::Settings { .. } => {
+            "pass {exposure_s} on to the camera in camera.command, its automatic exposure switched off; where it only rounds, camera.step_ms in the rig file must be its step, and shortest_ms and longest_ms its range"
+        }
         FrameFault::Damaged | FrameFault::Late => {
             "check the cable, and that nothing else shares the camera's USB bus"
+        }
+    }
+}
+
+/// What a camera's program may report stands in docs/cameras.md.
+fn for_answer(fault: &AnswerFault) -> &'static str {
+    match fault {
+        AnswerFault::Malformed(_) => {
+            "the program must print one JSON object as the last thing on stdout, such as {\"exposure_s\": 0.02, \"gain\": 1.0}; a line for people must not begin with {, and belongs on stderr"
+        }
+        AnswerFault::UnknownKey(_) => {
+            "the keys are exposure_s, gain, serial and sensor_c; a key of the program's own begins with _"
+        }
+        AnswerFault::Range { .. } => {
+            "exposure_s is in seconds (not ms or µs), gain a factor (not dB or ISO), sensor_c in °C; leave out what the camera does not report"
         }
     }
 }

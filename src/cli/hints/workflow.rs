@@ -1,8 +1,8 @@
 //! Advice on fits that could not be made.
 
 use super::{FOR_INVALID_IMAGES, for_implausible};
+use crate::cells::BUDGET;
 use crate::cli::preflight;
-use crate::inverse::cells::BUDGET;
 use crate::inverse::memory::TooLittleMemory;
 use crate::workflow::WorkflowError;
 

@@ -1,6 +1,8 @@
 //! A camera behind a program: it is run once per frame, given the exposure and
-//! where to put the file, and must have written it when it ends.
+//! where to put the file, and must have written it when it ends. It may report on its
+//! standard output what exposure, gain, serial number and temperature the frame had.
 
+mod answer;
 mod kept;
 pub mod program;
 mod workplace;
@@ -11,10 +13,11 @@ use std::path::Path;
 use std::process::Command;
 use std::sync::Arc;
 
-use super::described::{DescribedCamera, Driver, FrameSource, Wanted, find_none};
+use super::described::{DescribedCamera, Driver, FrameSource, Taken, Wanted, find_none};
 use super::retake::FrameFault;
-use super::{CameraInfo, DeviceError, RawFrame};
+use super::{CameraInfo, DeviceError};
 
+pub use self::answer::AnswerFault;
 pub(super) use self::kept::Ended;
 pub(super) use self::workplace::Workplace;
 pub use self::workplace::keep;
@@ -104,8 +107,8 @@ impl FrameSource for CameraProgram {
         self.command.first().cloned().unwrap_or_default()
     }
 
-    /// Runs the program and reads its file.
-    fn take(&self, wanted: &Wanted) -> Result<RawFrame, DeviceError> {
+    /// Runs the program, and reads its file and its answer.
+    fn take(&self, wanted: &Wanted) -> Result<Taken, DeviceError> {
         let device = self.name();
         let place = self.workplace.place()?;
         let output = place.path().join("frame.tif");
@@ -140,15 +143,23 @@ impl FrameSource for CameraProgram {
                 )),
             }),
             Some(_) if !output.exists() => Err(refused("it wrote no file".to_owned())),
-            Some(_) => wanted.read(&output).map_err(|fault| {
-                let fault = match fault {
-                    FrameFault::Undecodable(what) => {
-                        FrameFault::Undecodable(what + &and_wrote(&stderr))
-                    }
-                    other => other,
-                };
-                DeviceError::BadFrame { device, fault }
-            }),
+            Some(_) => {
+                let frame = wanted.read(&output).map_err(|fault| {
+                    let fault = match fault {
+                        FrameFault::Undecodable(what) => {
+                            FrameFault::Undecodable(what + &and_wrote(&stderr))
+                        }
+                        other => other,
+                    };
+                    let device = device.clone();
+                    DeviceError::BadFrame { device, fault }
+                })?;
+                let stated = answer::parse(&ended.stdout).map_err(|fault| DeviceError::Answer {
+                    program: device,
+                    fault,
+                })?;
+                Ok(Taken { frame, stated })
+            }
         }
     }
 }
@@ -180,7 +191,8 @@ fn and_wrote(text: &str) -> String {
 mod tests {
     use super::*;
     use crate::device::described::tests::{KEY, configured};
-    use crate::device::{Camera, ProgramFault};
+    use crate::device::{Camera, ProgramFault, Stated};
+    use crate::units::Seconds;
     use image::{ImageBuffer, Luma};
     use std::time::{Duration, Instant};
 
@@ -215,6 +227,48 @@ mod tests {
         assert_eq!(frame.counts, [0, 1, 2, 3, 100, 101, 102, 103]);
         let got = std::fs::read_to_string(folder.path().join("got")).unwrap();
         assert_eq!(got, "0.025 2\n");
+    }
+
+    #[test]
+    fn what_the_program_reports_goes_with_the_frame() {
+        let folder = tempfile::tempdir().unwrap();
+        let of = |answer: &str| {
+            let script = format!("cp $4/good.tif $3; echo warming up; echo '{answer}'");
+            let mut camera = camera(folder.path(), &script, 20.0);
+            let frame = camera.grab(KEY);
+            (frame.map(|_| camera.stated_with_frame()), camera)
+        };
+        // 25 ms at gain 2 were requested, in steps of 1 ms.
+        let (stated, mut whole) = of(r#"{"exposure_s": 0.0256, "serial": "A 3", "sensor_c": 31}"#);
+        let stated = stated.unwrap();
+        assert_eq!(stated.exposure, Some(Seconds(0.0256)));
+        assert_eq!(stated.serial.as_deref(), Some("A 3"));
+        assert_eq!(whole.temperature_c(), Some(31.0));
+        let mut none = of("saved").1;
+        assert_eq!(none.temperature_c(), None);
+        assert_eq!(none.stated_with_frame(), Stated::default());
+        // Another exposure or gain is a wrong frame, another camera an error at once.
+        for wrong in [r#"{"exposure_s": 0.0271}"#, r#"{"gain": 1.0}"#] {
+            let error = of(wrong).0.unwrap_err();
+            assert!(
+                matches!(
+                    &error,
+                    DeviceError::BadFrame {
+                        fault: FrameFault::Settings { .. },
+                        ..
+                    }
+                ),
+                "{wrong}: {error}"
+            );
+        }
+        let script = r#"cp $4/good.tif $3; echo "{\"serial\": \"$(date +%N)\"}""#;
+        let mut swapped = camera(folder.path(), script, 20.0);
+        swapped.grab(KEY).unwrap();
+        assert!(matches!(
+            swapped.grab(KEY),
+            Err(DeviceError::OtherCamera { .. })
+        ));
+        assert!(matches!(of("{\"gain\"").0, Err(DeviceError::Answer { .. })));
     }
 
     #[test]

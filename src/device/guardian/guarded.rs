@@ -9,7 +9,7 @@ use std::time::Duration;
 use super::{DEADLINE, PortStop, Watchdog};
 use crate::device::{
     Camera, CameraInfo, CameraSettings, DeviceError, FrameKey, LampState, LightStage, RawFrame,
-    ReferenceCheck, StageActivity, StageInfo, StageStatus, StageStep, StopHandle,
+    ReferenceCheck, StageActivity, StageInfo, StageStatus, StageStep, Stated, StopHandle,
 };
 use crate::units::{Seconds, StageAngles};
 
@@ -303,6 +303,10 @@ impl Camera for GuardedCamera {
     fn grab(&mut self, key: FrameKey) -> Result<RawFrame, DeviceError> {
         let longest = self.longest_frame(self.exposure).to_duration();
         self.step(longest, |camera| camera.grab(key))
+    }
+
+    fn stated_with_frame(&self) -> Stated {
+        self.camera.stated_with_frame()
     }
 
     fn temperature_c(&mut self) -> Option<f64> {

@@ -16,11 +16,13 @@ use v4l::Device;
 use v4l::buffer::Flags;
 use v4l::capability::Flags as Capability;
 
-use super::controls::{self, ControlInfo, ControlPort, TemperatureControl, id};
+use super::controls::{self, ControlInfo, ControlPort, TemperatureControl};
 use super::discovery::{self, DeviceKind};
 use super::frame_row::PreviousFrame;
+use super::manual_settings::ManualSettings;
 use super::pixel_format::PixelFormat;
 use super::retake::FrameFault;
+use super::system_error::{device_error, stream_error};
 use super::{Camera, CameraInfo, CameraSettings, DeviceError, FrameKey, RawFrame};
 use crate::units::Seconds;
 use ring::{BUFFERS, LossCounter, Ring, began_after, monotonic_now, timestamp};
@@ -74,12 +76,6 @@ impl V4lConfig {
     }
 }
 
-/// Unit of `EXPOSURE_ABSOLUTE`, seconds.
-const EXPOSURE_UNIT_S: f64 = 100e-6;
-/// A USB cable pulled shows as this error number (ENODEV).
-const NO_SUCH_DEVICE: i32 = 19;
-/// A request that a USB device stalls shows as this one (EPIPE).
-const STALLED: i32 = 32;
 /// ENOTTY: what answers is no Video4Linux device.
 const NOT_THIS_KIND: i32 = 25;
 
@@ -95,29 +91,12 @@ pub struct V4lCamera {
     device: Device,
     format: PixelFormat,
     stride: u32,
-    /// Absent where it cannot be set.
-    exposure: Option<Range>,
-    gain: Option<Gain>,
+    manual: ManualSettings,
     /// Id, and °C per count.
     temperature: Option<(u32, f64)>,
     settings: Option<CameraSettings>,
     previous: Option<PreviousFrame>,
     frames_lost: u64,
-}
-
-/// An integer control's range.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Range {
-    minimum: i64,
-    maximum: i64,
-    step: i64,
-}
-
-/// The control that sets the gain.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Gain {
-    id: u32,
-    range: Range,
 }
 
 impl V4lCamera {
@@ -164,23 +143,13 @@ impl V4lCamera {
         }
         // Format and controls.
         let (format, resolution_px, stride) = negotiation::set_format(&device, &config)?;
-        let exposure = range_of(&device, id::EXPOSURE_ABSOLUTE).map_err(failed)?;
-        if exposure.is_none() && !config.any_exposure {
+        let manual = ManualSettings::of(&device).map_err(failed)?;
+        if !manual.has_exposure() && !config.any_exposure {
             return Err(DeviceError::Refused {
                 device: config.device.clone(),
                 command: "EXPOSURE_ABSOLUTE".to_owned(),
                 reason: "the camera has no such control, so exposures cannot be set".to_owned(),
             });
-        }
-        let seconds = |steps: Option<i64>| {
-            Seconds(steps.map_or(f64::NAN, |steps| steps as f64 * EXPOSURE_UNIT_S))
-        };
-        let mut gain = None;
-        for id in [id::ANALOGUE_GAIN, id::GAIN] {
-            if gain.is_none() {
-                let range = range_of(&device, id).map_err(failed)?;
-                gain = range.map(|range| Gain { id, range });
-            }
         }
         let temperature = match &config.temperature {
             None => None,
@@ -195,6 +164,7 @@ impl V4lCamera {
             }
         };
         // What it can do.
+        let (exposure_range, exposure_step) = manual.exposures();
         let info = CameraInfo {
             driver: "v4l".to_owned(),
             model: capabilities.card,
@@ -202,11 +172,8 @@ impl V4lCamera {
             resolution_px,
             bit_depth: format.bits,
             mosaic: format.mosaic,
-            exposure_range: [
-                seconds(exposure.map(|range| range.minimum.max(1))),
-                seconds(exposure.map(|range| range.maximum)),
-            ],
-            exposure_step: seconds(exposure.map(|range| range.step)),
+            exposure_range,
+            exposure_step,
         };
         Ok(Self {
             config,
@@ -215,8 +182,7 @@ impl V4lCamera {
             device,
             format,
             stride,
-            exposure,
-            gain,
+            manual,
             temperature,
             settings: None,
             previous: None,
@@ -229,23 +195,12 @@ impl V4lCamera {
         self.format
     }
 
-    fn error(&self, error: io::Error) -> DeviceError {
-        device_error(&self.config.device, error)
-    }
-
     fn refused(&self, command: &str, reason: String) -> DeviceError {
         DeviceError::Refused {
             device: self.config.device.clone(),
             command: command.to_owned(),
             reason,
         }
-    }
-
-    fn set(&self, id: u32, value: i64, what: &str) -> Result<i64, DeviceError> {
-        controls::set(&self.device, id, value).map_err(|error| match error.raw_os_error() {
-            Some(STALLED) => self.refused(what, "it stalls this request".to_owned()),
-            _ => self.error(error),
-        })
     }
 
     /// The same camera, wherever it is plugged in now.
@@ -293,73 +248,6 @@ pub fn controls_of(device: &str) -> Result<Vec<ControlInfo>, DeviceError> {
     controls::list(&port).map_err(failed)
 }
 
-fn range_of(port: &dyn ControlPort, id: u32) -> io::Result<Option<Range>> {
-    let control = port.query(id)?;
-    Ok(control.map(|control| Range {
-        minimum: control.minimum,
-        maximum: control.maximum,
-        step: control.step,
-    }))
-}
-
-impl Range {
-    /// The allowed value nearest to `wanted`.
-    fn nearest(self, wanted: f64) -> i64 {
-        let steps = ((wanted - self.minimum as f64) / self.step as f64).round();
-        let last = (self.maximum - self.minimum) / self.step;
-        // A float becomes the nearest integer, and NaN 0.
-        self.minimum + (steps as i64).clamp(0, last.max(0)) * self.step
-    }
-}
-
-impl Gain {
-    /// The raw value of a gain factor, 1 being the lowest. A control that begins
-    /// at 0 has no known unit, so that only its lowest value is a known factor.
-    fn raw(self, factor: f64) -> Option<i64> {
-        if self.range.minimum > 0 {
-            Some(self.range.nearest(factor * self.range.minimum as f64))
-        } else {
-            (factor == 1.0).then_some(self.range.minimum)
-        }
-    }
-
-    fn factor(self, raw: i64) -> Option<f64> {
-        if self.range.minimum > 0 {
-            Some(raw as f64 / self.range.minimum as f64)
-        } else {
-            (raw == self.range.minimum).then_some(1.0)
-        }
-    }
-}
-
-fn device_error(device: &str, error: io::Error) -> DeviceError {
-    let device = device.to_owned();
-    const BUSY: i32 = 16;
-    match (error.raw_os_error(), error.kind()) {
-        (Some(NO_SUCH_DEVICE), _) => DeviceError::Disconnected { device },
-        (Some(BUSY), _) => DeviceError::Busy { device },
-        (_, io::ErrorKind::NotFound) => DeviceError::NotFound { device },
-        (_, io::ErrorKind::PermissionDenied) => DeviceError::PermissionDenied { device },
-        _ => DeviceError::Io {
-            device,
-            source: error,
-        },
-    }
-}
-
-/// A stream that does not start: ENOSPC speaks of the bus, not of a disk.
-fn stream_error(device: &str, [width, height]: [u32; 2], error: io::Error) -> DeviceError {
-    const NO_BANDWIDTH: i32 = 28;
-    match error.raw_os_error() {
-        Some(NO_BANDWIDTH) => DeviceError::NoBandwidth {
-            device: device.to_owned(),
-            width,
-            height,
-        },
-        _ => device_error(device, error),
-    }
-}
-
 impl Camera for V4lCamera {
     fn info(&self) -> &CameraInfo {
         &self.info
@@ -370,38 +258,10 @@ impl Camera for V4lCamera {
         self.previous = None;
         let name = &self.config.device;
         let failed = |error| device_error(name, error);
-        controls::set_manual(&self.device, name, &failed)?;
-        controls::set_wanted(&self.device, name, &self.config.controls, &failed)?;
-        let gain = match self.gain {
-            None if requested.gain == 1.0 => 1.0,
-            None => {
-                let reason = "the camera has no gain control, so only 1".to_owned();
-                return Err(self.refused(&format!("gain {}", requested.gain), reason));
-            }
-            Some(control) => {
-                let command = format!("gain {}", requested.gain);
-                let unknown = || {
-                    let reason = "the unit of its gain is unknown, so only 1 (the lowest)";
-                    self.refused(&command, reason.to_owned())
-                };
-                let raw = control.raw(requested.gain).ok_or_else(unknown)?;
-                let applied = self.set(control.id, raw, &command)?;
-                control.factor(applied).ok_or_else(unknown)?
-            }
-        };
-        let exposure_s = match self.exposure {
-            None => f64::NAN,
-            Some(range) => {
-                let steps = range.nearest(requested.exposure.0 / EXPOSURE_UNIT_S);
-                let what = format!("exposure {}", requested.exposure);
-                let applied = self.set(id::EXPOSURE_ABSOLUTE, steps, &what)?;
-                applied as f64 * EXPOSURE_UNIT_S
-            }
-        };
-        let settings = CameraSettings {
-            exposure: Seconds(exposure_s),
-            gain,
-        };
+        let wanted = &self.config.controls;
+        let settings = self
+            .manual
+            .apply(&self.device, name, wanted, requested, &failed)?;
         self.settings = Some(settings);
         Ok(settings)
     }
@@ -517,42 +377,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn values_are_rounded_to_the_controls_range() {
-        let range = Range {
-            minimum: 3,
-            maximum: 2047,
-            step: 2,
-        };
-        for (wanted, nearest) in [
-            (0.0, 3),
-            (5.9, 5),
-            (6.1, 7),
-            (1e12, 2047),
-            (f64::INFINITY, 2047),
-            (f64::NAN, 3),
-        ] {
-            assert_eq!(range.nearest(wanted), nearest, "{wanted}");
-        }
-    }
-
-    #[test]
-    fn a_gain_without_a_unit_is_only_1() {
-        let gain = |minimum| Gain {
-            id: id::GAIN,
-            range: Range {
-                minimum,
-                maximum: 1000,
-                step: 1,
-            },
-        };
-        assert_eq!(gain(64).raw(2.5), Some(160));
-        assert_eq!(gain(64).factor(160), Some(2.5));
-        assert_eq!(gain(0).raw(1.0), Some(0));
-        assert_eq!(gain(0).raw(2.0), None);
-        assert_eq!(gain(0).factor(5), None);
-    }
-
-    #[test]
     fn what_opening_meets_becomes_a_fact() {
         let open = |device: &str| V4lCamera::open(V4lConfig::of_device(device)).map(drop);
         let folder = tempfile::tempdir().unwrap();
@@ -561,13 +385,5 @@ mod tests {
         assert!(matches!(open("a\0b"), Err(DeviceError::NotFound { .. })));
         std::fs::write(&file, "").unwrap();
         assert!(matches!(open(&file), Err(DeviceError::WrongKind { .. })));
-        let gone = device_error("x", io::Error::from_raw_os_error(19));
-        assert!(matches!(gone, DeviceError::Disconnected { .. }));
-        let full = stream_error("x", [640, 480], io::Error::from_raw_os_error(28));
-        assert!(matches!(full, DeviceError::NoBandwidth { .. }), "{full}");
-        let gone = stream_error("x", [640, 480], io::Error::from_raw_os_error(19));
-        assert!(matches!(gone, DeviceError::Disconnected { .. }));
-        let busy = device_error("x", io::Error::from_raw_os_error(16));
-        assert!(matches!(busy, DeviceError::Busy { .. }));
     }
 }

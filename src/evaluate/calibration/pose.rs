@@ -3,10 +3,10 @@
 use glam::DVec3;
 
 use super::{EvaluateError, Recovered, failed};
+use crate::bench_priors::BenchPriors;
 use crate::calibration::pose::{PoseOptions, align};
 use crate::calibration::record::Measured;
 use crate::geometry::Shape;
-use crate::inverse::BenchPriors;
 use crate::inverse::bench::with_sample_at;
 use crate::random::{Purpose, stream};
 use crate::simulation::posed_sample::{bowl, corner, photographs, scene, telecentric};

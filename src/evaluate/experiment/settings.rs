@@ -24,6 +24,8 @@ pub struct Scale {
     pub azimuths: usize,
     /// Specs of [`super::super::lab::materials`].
     pub materials: &'static [&'static str],
+    /// Dictionary of the fits, by name.
+    pub dictionary: &'static str,
 }
 
 impl Scale {
@@ -36,6 +38,7 @@ impl Scale {
         sphere_px: 0,
         azimuths: 0,
         materials: &[],
+        dictionary: PAPER,
     };
 
     /// One image, as published: 64 × 64 pixels, the spheres of the environment error.
@@ -47,6 +50,7 @@ impl Scale {
         sphere_px: 128,
         azimuths: 9,
         materials: &["bundled", "synthetic"],
+        dictionary: PAPER,
     };
 
     /// One image of a camera's own size. The fit compares cells, over which the true images'
@@ -67,6 +71,7 @@ impl Scale {
         sphere_px: 24,
         azimuths: 3,
         materials: &["nbrdf:blue-acrylic", "nbrdf:pvc", "synthetic:cream-satin"],
+        dictionary: PAPER,
     };
 }
 
@@ -131,8 +136,9 @@ pub struct Settings {
 /// Longest path in surface reflections of every experiment, truth and fit alike.
 pub const MAX_REFLECTIONS: u32 = 16;
 
-/// Dictionary of every experiment unless another is given: the paper's.
-pub const DICTIONARY: &str = "paper42";
+/// Dictionary of the experiments that repeat the paper's, unless another is given. Those that
+/// measure what users get have [`Dictionary::DEFAULT`](crate::brdf::Dictionary::DEFAULT).
+pub const PAPER: &str = "paper42";
 /// Seed unless another is given.
 pub const SEED: u64 = 1;
 
@@ -201,7 +207,7 @@ impl Settings {
             dictionary: o
                 .dictionary
                 .clone()
-                .unwrap_or_else(|| DICTIONARY.to_owned()),
+                .unwrap_or_else(|| scale.dictionary.to_owned()),
             materials: o
                 .materials
                 .clone()

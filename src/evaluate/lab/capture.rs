@@ -6,9 +6,11 @@
 use std::sync::Arc;
 
 use super::{Lab, Sample};
+use crate::bench_priors::BenchPriors;
 use crate::brdf::{Brdf, Dictionary, Mixture};
+use crate::cells::{Captured, CellOptions};
 use crate::evaluate::error::EvaluateError;
-use crate::inverse::{BenchPriors, Captured, CellOptions, Fit, FitError, FitOptions, fit};
+use crate::inverse::{Fit, FitError, FitOptions, fit};
 use crate::radiance_image::RadianceImage;
 use crate::simulation::photograph::Photographer;
 use crate::transport::{

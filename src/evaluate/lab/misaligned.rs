@@ -2,7 +2,7 @@
 
 use nalgebra::DVector;
 
-use crate::inverse::BenchPriors;
+use crate::bench_priors::BenchPriors;
 use crate::inverse::bench::{Bench, Parameter};
 use crate::random::Stream;
 use crate::transport::Scene;

@@ -15,8 +15,8 @@ use super::error::EvaluateError;
 use super::experiment::settings::Settings;
 use crate::brdf::Dictionary;
 use crate::brdf::environment::EnvironmentMap;
+use crate::brdf::projection::{CellMatrix, EnvironmentMatrix};
 use crate::checksum::sha256_hex;
-use crate::inverse::projection::{CellMatrix, EnvironmentMatrix};
 use crate::transport::Kernel;
 
 pub use cases::of_materials;

@@ -57,7 +57,7 @@ impl From<&BenchEstimate> for BenchRecord {
             settled: bench.settled,
             residual_described,
             residual_refined,
-            held: bench.held.clone(),
+            held: bench.fixed.clone(),
             parameter: shown.collect(),
         }
     }

@@ -44,7 +44,12 @@ impl BudgetRecord {
     /// Of a fit; `None` without posterior samples.
     pub fn of(fit: &Fit) -> Option<Self> {
         let row = |[theta_h_deg, theta_d_deg]: [f64; 2]| {
-            let cell = variance_shares::at(&fit.material, &fit.draws, theta_h_deg, theta_d_deg)?;
+            let cell = variance_shares::at(
+                &fit.material,
+                &fit.posterior_samples,
+                theta_h_deg,
+                theta_d_deg,
+            )?;
             let total: f64 = cell.relative_variance.iter().sum();
             let share = cell.relative_variance.iter();
             Some(BudgetRow {

@@ -31,7 +31,12 @@ impl AngleTable {
             .map(|i| 90.0 * (f64::from(i) / 45.0).powi(2))
             .collect();
         let theta_d_deg: Vec<f64> = (0..=30).map(|j| 3.0 * f64::from(j)).collect();
-        let cells = intervals::table(&fit.material, &fit.draws, &theta_h_deg, &theta_d_deg);
+        let cells = intervals::table(
+            &fit.material,
+            &fit.posterior_samples,
+            &theta_h_deg,
+            &theta_d_deg,
+        );
         Self {
             theta_h_deg,
             theta_d_deg,

@@ -6,15 +6,16 @@ use std::sync::Arc;
 use nalgebra::{DMatrix, DVector};
 
 use super::derivatives::{AVERAGED, DerivativeImages, DerivativeOptions};
-use super::parameters::{Bench, BenchPriors, Parameter};
+use super::parameters::{Bench, Parameter};
 use super::spectrum::Spectrum;
 use super::system::{BenchLinearisation, Columns};
+use crate::bench_priors::BenchPriors;
 use crate::brdf::dictionary::Dictionary;
 use crate::brdf::mixture::Mixture;
-use crate::inverse::cells::{Captured, check_count};
+use crate::cells::{Captured, check_count};
 use crate::inverse::fit::{DEFENSIVE, Fit, fit_on_bench};
 use crate::inverse::gauss_newton::GaussNewton;
-use crate::inverse::normal_equations::LEAST_SCATTER;
+use crate::inverse::normal_equations::MIN_SCATTER;
 use crate::inverse::objective::{Linearised, Modelled, Objective, ResidualWeights};
 use crate::inverse::options::{FitError, FitOptions, Optimizer};
 use crate::inverse::solve::{Paths, Solution, solve};
@@ -25,10 +26,10 @@ use crate::transport::{Proposal, Scene};
 /// How a bench is refined.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RefineOptions {
-    /// Most rounds, 2..=20; the first does not know how far the scores can be trusted.
+    /// Most rounds, 2..=20; the first does not know the scatter of the scores.
     pub rounds: usize,
     /// Paths per cell of a round's fit over those of the final fit, 1..=64, as far as they fit
-    /// into its memory. What tells the intensities' common scale from albedo is lost in the
+    /// into its memory. The difference between the intensities' common scale and albedo is lost in the
     /// noise of fewer. The first round has a quarter, the second half of them.
     pub times_paths: u32,
     /// Direct reflection of a round: square root of the samples per cell, 1..=64. Noise of
@@ -63,10 +64,10 @@ impl Default for RefineOptions {
 
 /// The round from which on all paths are traced, and like ones: benches of two rounds can be
 /// compared. Those before have a half of them, a quarter and so on.
-const ALL_PATHS: usize = 3;
+const FIRST_FULL_ROUND: usize = 3;
 
 /// Mean square of a refused bench over that of the best, up to which it did not lead far off.
-const WITHIN_NOISE: f64 = 1.25;
+const MAX_CHI_SQUARE_RATIO: f64 = 1.25;
 
 /// A refined parameter.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -86,8 +87,8 @@ pub struct Estimated {
 pub struct BenchEstimate {
     /// All parameters that were not taken as exactly known.
     pub parameters: Vec<Estimated>,
-    /// What the images do not tell, by name: held at the prior.
-    pub held: Vec<String>,
+    /// Directions that the images leave open, by name: fixed at the prior.
+    pub fixed: Vec<String>,
     /// Rounds that were taken.
     pub rounds: usize,
     /// Whether the last step was short, and not because longer parts of it led far off.
@@ -111,7 +112,7 @@ pub struct RefinedBench {
 }
 
 impl RefinedBench {
-    /// Fits the weights of `dictionary` on this bench; the draws know what it leaves open.
+    /// Fits the weights of `dictionary` on this bench; the samples know what it leaves open.
     pub fn fit(
         &self,
         dictionary: &Dictionary,
@@ -172,7 +173,7 @@ pub fn refine_bench(
         );
         match best {
             Some(ref mut best)
-                if best.round >= ALL_PATHS
+                if best.round >= FIRST_FULL_ROUND
                     && round
                         .image
                         .is_worse_than(&best.image, prior_loss - best.prior_loss) =>
@@ -183,7 +184,7 @@ pub fn refine_bench(
                 values = &best.values + &best.step;
                 if best.spectrum.length(&best.step) < refine.settled {
                     // Where it led far off, it is short only because it was refused.
-                    settled = round.chi2 < WITHIN_NOISE * best.chi2;
+                    settled = round.chi2 < MAX_CHI_SQUARE_RATIO * best.chi2;
                     break;
                 }
             }
@@ -211,7 +212,7 @@ pub fn refine_bench(
     let without_stray_light = bench.without_stray_light(captured, &values);
     let mut estimate = BenchEstimate {
         parameters: Vec::new(),
-        held: Vec::new(),
+        fixed: Vec::new(),
         rounds: taken,
         settled,
         reduced_chi2: [first_chi2; 2],
@@ -220,11 +221,11 @@ pub fn refine_bench(
     if best.is_some() {
         progress.begin("what the refined bench leaves open", None);
         let samples = (refine.derivative_samples / 2).max(1);
-        let last = rounds.take(&values, taken.max(ALL_PATHS) + 1, samples)?;
+        let last = rounds.take(&values, taken.max(FIRST_FULL_ROUND) + 1, samples)?;
         let known = last.spectrum.sandwich(&last.response);
         let deviations = known.deviations();
         estimate.reduced_chi2[1] = last.chi2;
-        estimate.held = last.spectrum.held(&bench);
+        estimate.fixed = last.spectrum.fixed(&bench);
         estimate.parameters = (0..bench.parameters().len())
             .map(|k| Estimated {
                 parameter: bench.parameters()[k],
@@ -364,7 +365,7 @@ impl Rounds<'_> {
         if let Some((material, _)) = &self.followed {
             options.cache.proposal = Proposal::resembling(material, DEFENSIVE);
         }
-        let early = ALL_PATHS.saturating_sub(round);
+        let early = FIRST_FULL_ROUND.saturating_sub(round);
         let all_paths = options
             .cache
             .samples_per_cell
@@ -397,7 +398,7 @@ impl Rounds<'_> {
             std::array::from_fn(|c| mixture[c.min(mixture.len() - 1)].iter().copied().collect());
         // The simplex programme keeps the sum to rounding.
         let material = Mixture::new(self.dictionary.clone(), per_channel)
-            .map_err(|_| crate::inverse::simplex::SimplexError::NotConvex)?;
+            .map_err(|_| crate::simplex::SimplexError::NotConvex)?;
         let derivatives = self.derivatives(values, &material, &wanted, samples_per_half, round);
         let instruments = Columns {
             bench: self.bench,
@@ -426,7 +427,7 @@ impl Rounds<'_> {
             spectrum: if round == 1 {
                 spectrum
             } else {
-                spectrum.widened(&reduced.block_scores, LEAST_SCATTER)
+                spectrum.widened(&reduced.block_scores, MIN_SCATTER)
             },
             score: reduced.score,
             response: reduced.response,

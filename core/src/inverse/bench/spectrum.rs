@@ -2,7 +2,7 @@
 //!
 //! In units of the prior (p = L q, prior covariance L Lᵀ) the information is A = LᵀSL;
 //! along an eigenvector with value λ the posterior variance is 1/(1 + λ) of the
-//! prior's. Directions with small λ are held at the prior: depth under a telecentric
+//! prior's. Directions with small λ are fixed at the prior: depth under a telecentric
 //! camera, a bowl's rotation about its axis, translation along an extrusion, intensity
 //! against albedo. They are found, not listed, and named after the fact.
 
@@ -11,17 +11,17 @@ use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use super::parameters::{Bench, Parameter};
 use crate::inverse::normal_equations::scatter;
 
-/// λ below which a direction is held: the posterior's deviation would be above 87% of
+/// λ below which a direction is fixed: the posterior's deviation would be above 87% of
 /// the prior's.
-pub const HELD_BELOW: f64 = 1.0 / 3.0;
+pub const MIN_INFORMATION: f64 = 1.0 / 3.0;
 
 /// Longest step along one direction, in prior deviations: the images are not linear
 /// in the bench beyond.
-const LONGEST_STEP: f64 = 2.0;
+const MAX_STEP: f64 = 2.0;
 
 /// Variance of an estimate over the prior's where its scores answer to the bench the wrong way
 /// round: it ends anywhere within the prior, as the truth does.
-const WORST_VARIANCE: f64 = 2.0;
+const MAX_VARIANCE: f64 = 2.0;
 
 /// Eigenvalues and directions of the information in units of the prior.
 #[derive(Clone, Debug)]
@@ -29,7 +29,7 @@ pub struct Spectrum {
     /// λ of each direction; below 0 where the estimate is worse than the prior.
     pub values: DVector<f64>,
     /// Fraction of the images' word that counts along each direction.
-    trust: DVector<f64>,
+    attenuation: DVector<f64>,
     /// Directions as columns, in units of the prior.
     vectors: DMatrix<f64>,
     /// L.
@@ -42,7 +42,7 @@ impl Spectrum {
         let root = bench.prior_root().clone();
         let eigen = SymmetricEigen::new(root.transpose() * information * &root);
         Self {
-            trust: DVector::repeat(eigen.eigenvalues.len(), 1.0),
+            attenuation: DVector::repeat(eigen.eigenvalues.len(), 1.0),
             values: eigen.eigenvalues.map(|v| v.max(0.0)),
             vectors: eigen.eigenvectors,
             root,
@@ -58,8 +58,8 @@ impl Spectrum {
         for (i, &scatter) in scatter.iter().enumerate() {
             let scatter = scatter.max(least * self.values[i]);
             if scatter > 0.0 {
-                self.trust[i] = self.values[i] / scatter;
-                self.values[i] *= self.trust[i];
+                self.attenuation[i] = self.values[i] / scatter;
+                self.values[i] *= self.attenuation[i];
             }
         }
         self
@@ -67,33 +67,36 @@ impl Spectrum {
 
     /// What is known where the estimate's scores, whose information this is, answer to the bench
     /// by `response`, P × P, instead: where they answer less, noise has moved the place where
-    /// they vanish the farther. With A the response, S the scores' covariance and T the trust,
-    /// 0 along what is held, all in units of the prior, the estimate p solves T s(p) = p, and
+    /// they vanish the farther. With A the response, S the scores' covariance and T the attenuation,
+    /// 0 along what is fixed, all in units of the prior, the estimate p solves T s(p) = p, and
     /// p − p_true has the covariance (1 + TA)⁻¹ (TST + 1) (1 + TA)⁻ᵀ, and at most
-    /// `WORST_VARIANCE` along any direction.
+    /// `MAX_VARIANCE` along any direction.
     pub fn sandwich(&self, response: &DMatrix<f64>) -> Self {
         let n = self.values.len();
-        let where_told = |of: &DVector<f64>| {
+        let where_observed = |of: &DVector<f64>| {
             of.zip_map(
                 &self.values,
-                |own, v| if v < HELD_BELOW { 0.0 } else { own },
+                |own, v| if v < MIN_INFORMATION { 0.0 } else { own },
             )
         };
-        let (trust, noise) = (where_told(&self.trust), where_told(&self.values));
+        let (attenuation, noise) = (
+            where_observed(&self.attenuation),
+            where_observed(&self.values),
+        );
         let along = &self.root * &self.vectors;
         let answer = along.tr_mul(response) * &along;
-        let pull = DMatrix::identity(n, n) + DMatrix::from_diagonal(&trust) * answer;
+        let pull = DMatrix::identity(n, n) + DMatrix::from_diagonal(&attenuation) * answer;
         let noise = DMatrix::from_diagonal(&noise.add_scalar(1.0));
         // Singular where a score answers just so that nothing holds the estimate.
         let covariance = match pull.try_inverse() {
             Some(inverse) => &inverse * noise * inverse.transpose(),
-            None => WORST_VARIANCE * DMatrix::identity(n, n),
+            None => MAX_VARIANCE * DMatrix::identity(n, n),
         };
         let eigen = SymmetricEigen::new(0.5 * (&covariance + covariance.transpose()));
-        let variances = eigen.eigenvalues.map(|v| v.min(WORST_VARIANCE));
+        let variances = eigen.eigenvalues.map(|v| v.min(MAX_VARIANCE));
         Self {
             values: variances.map(|variance| 1.0 / variance - 1.0),
-            trust: DVector::repeat(n, 1.0),
+            attenuation: DVector::repeat(n, 1.0),
             vectors: &self.vectors * eigen.eigenvectors,
             root: self.root.clone(),
         }
@@ -105,11 +108,11 @@ impl Spectrum {
         let at = self.whitened(values);
         let push = self.vectors.tr_mul(&self.root.tr_mul(score));
         let step = DVector::from_fn(at.len(), |i, _| {
-            if self.values[i] < HELD_BELOW {
+            if self.values[i] < MIN_INFORMATION {
                 return -at[i];
             }
-            let own = (self.trust[i] * push[i] - at[i]) / (1.0 + self.values[i]);
-            own.clamp(-LONGEST_STEP, LONGEST_STEP)
+            let own = (self.attenuation[i] * push[i] - at[i]) / (1.0 + self.values[i]);
+            own.clamp(-MAX_STEP, MAX_STEP)
         });
         &self.root * (&self.vectors * step)
     }
@@ -139,17 +142,19 @@ impl Spectrum {
         root.row_iter().map(|row| row.norm()).collect()
     }
 
-    /// Names of the directions that are held at the prior.
-    pub fn held(&self, bench: &Bench) -> Vec<String> {
+    /// Names of the directions that are fixed at the prior.
+    pub fn fixed(&self, bench: &Bench) -> Vec<String> {
         let parameters = bench.parameters();
         let n = parameters.len();
-        let held: Vec<usize> = (0..n).filter(|&i| self.values[i] < HELD_BELOW).collect();
-        if held.is_empty() {
+        let fixed: Vec<usize> = (0..n)
+            .filter(|&i| self.values[i] < MIN_INFORMATION)
+            .collect();
+        if fixed.is_empty() {
             return Vec::new();
         }
-        // Coordinates in the basis of the held directions.
-        let basis = DMatrix::from_fn(n, held.len(), |i, j| self.vectors[(i, held[j])]);
-        let mut rest = DMatrix::identity(held.len(), held.len());
+        // Coordinates in the basis of the fixed directions.
+        let basis = DMatrix::from_fn(n, fixed.len(), |i, j| self.vectors[(i, fixed[j])]);
+        let mut rest = DMatrix::identity(fixed.len(), fixed.len());
         let mut names = Vec::new();
         let mut name = |direction: &DVector<f64>, rest: &mut DMatrix<f64>, text: &str| {
             let q = self.to_prior_units(direction);

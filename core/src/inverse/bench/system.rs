@@ -82,7 +82,7 @@ impl Columns<'_> {
         mixture: &[DVector<f64>],
         information: &[DMatrix<f64>],
     ) -> Reduced {
-        let (n, groups) = (objective.atoms(), objective.sets());
+        let (n, groups) = (objective.atoms(), objective.groups());
         let p = self.bench.parameters().len();
         // ZᵀWZ, ZᵀWJ_p, ZᵀWJ_w of all groups, and scores of Z and of the weights.
         let zero = || {
@@ -154,7 +154,7 @@ impl Columns<'_> {
             mixture,
             residual_weights,
             false,
-            || vec![[none(), none()]; objective.sets()],
+            || vec![[none(), none()]; objective.groups()],
             |sums, value| {
                 let rows = self.rows(objective, value, |d, half| d.halves[half]);
                 for (half, sum) in sums[value.group].iter_mut().enumerate() {
@@ -235,7 +235,7 @@ impl BenchLinearisation {
 /// its estimate, the weights' score changes by −F_wp p; p is drawn from its posterior,
 /// which has the weights eliminated, so that both together are drawn from the joint one.
 pub struct BenchCoupling {
-    /// F_wp per set, N × P, from independent halves.
+    /// F_wp per channel group, N × P, from independent halves.
     to_weights: Vec<[DMatrix<f64>; 2]>,
     /// The bench's posterior covariance, P × P.
     covariance: DMatrix<f64>,
@@ -247,14 +247,14 @@ impl BenchCoupling {
     /// factors from independent halves: of one matrix with itself the noise of the derivatives
     /// would be counted as spread, the more the more lights there are. What noise is left can
     /// make it indefinite.
-    pub fn covariance(&self, set: usize) -> DMatrix<f64> {
-        self.part(set, |_| true)
+    pub fn covariance(&self, group: usize) -> DMatrix<f64> {
+        self.part(group, |_| true)
     }
 
     /// The part of some parameters in it; what they share with others counts half. Parts
     /// of all parameters sum to the whole.
-    pub fn part(&self, set: usize, of: impl Fn(Parameter) -> bool) -> DMatrix<f64> {
-        let [first, second] = &self.to_weights[set];
+    pub fn part(&self, group: usize, of: impl Fn(Parameter) -> bool) -> DMatrix<f64> {
+        let [first, second] = &self.to_weights[group];
         let own = |whole: &DMatrix<f64>| {
             let mut own = whole.clone();
             for (k, parameter) in self.parameters.iter().enumerate() {

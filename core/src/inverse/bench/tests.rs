@@ -6,15 +6,17 @@ use glam::{DVec2, DVec3};
 use nalgebra::{DMatrix, DVector};
 
 use super::derivatives::{DerivativeImages, DerivativeOptions};
-use super::parameters::{Axis, Bench, BenchPriors, Parameter};
+use super::parameters::{Axis, Bench, Parameter};
 use super::spectrum::Spectrum;
 use super::{RefineOptions, RefinedBench, refine_bench};
+use crate::bench_priors::BenchPriors;
 use crate::brdf::ggx::Cosines;
 use crate::brdf::half_difference::HalfDifference;
 use crate::brdf::{Dictionary, Mixture};
+use crate::cells::{Captured, CellOptions};
 use crate::frames::{Rigid, Sample};
 use crate::geometry::Shape;
-use crate::inverse::{Captured, CellOptions, Channels, FitOptions, fit};
+use crate::inverse::{Channels, FitOptions, fit};
 use crate::radiance_image::RadianceImage;
 use crate::random::{Purpose, stream};
 use crate::transport::{
@@ -77,15 +79,15 @@ fn camera_and_lights_move_as_if_the_sample_did() {
     let described = bowl(16, 8, &[[30.0, 50.0], [0.0, 90.0]]);
     let bench = Bench::new(&described, &priors());
     let mut values = DVector::zeros(bench.parameters().len());
-    let set = |values: &mut DVector<f64>, parameter: Parameter, value: f64| {
+    let group = |values: &mut DVector<f64>, parameter: Parameter, value: f64| {
         let at = bench.parameters().iter().position(|p| *p == parameter);
         values[at.unwrap()] = value;
     };
-    set(&mut values, Parameter::LightElevation(0), 1f64.to_radians());
-    set(&mut values, Parameter::Intensity(1), 0.1);
-    set(&mut values, Parameter::Rotation(Axis::Y), 0.02);
-    set(&mut values, Parameter::Translation(Axis::X), 0.3);
-    set(&mut values, Parameter::Translation(Axis::Z), -0.1);
+    group(&mut values, Parameter::LightElevation(0), 1f64.to_radians());
+    group(&mut values, Parameter::Intensity(1), 0.1);
+    group(&mut values, Parameter::Rotation(Axis::Y), 0.02);
+    group(&mut values, Parameter::Translation(Axis::X), 0.3);
+    group(&mut values, Parameter::Translation(Axis::Z), -0.1);
     let moved = bench.scene(&values);
     let pose: Rigid<Sample, Sample> =
         Rigid::from_rotation_vector(DVec3::new(0.0, 0.02, 0.0), DVec3::new(0.3, 0.0, -0.1));
@@ -249,7 +251,7 @@ fn derivatives_are_those_of_independent_renders() {
                     })
                 });
                 // Few paths jump over an edge, but those count much: the spread of the
-                // renders tells more of that than any pixel's.
+                // renders has more information on that than any pixel's.
                 let expected = found.iter().sum::<f64>() / 3.0;
                 let spread = found
                     .iter()
@@ -292,12 +294,12 @@ fn a_step_follows_the_images_where_they_tell_and_the_prior_elsewhere() {
     let deviations = spectrum.deviations();
     assert!((deviations[0] - 0.1 * sigma).abs() < 1e-9 * sigma);
     assert!((deviations[3] - bench.prior_deviation(3)).abs() < 1e-12);
-    assert_eq!(spectrum.held(&bench).len(), n - 1);
+    assert_eq!(spectrum.fixed(&bench).len(), n - 1);
     // Scores that scatter a hundred times as much as noise would are believed that much less.
-    let mut wild = DVector::zeros(n);
-    wild[0] = (100.0 * information[(0, 0)]).sqrt();
-    let doubtful = spectrum.clone().widened(&[wild], 1.0);
-    assert!((doubtful.deviations()[0] / sigma - (1.0f64 / 1.99).sqrt()).abs() < 1e-6);
+    let mut outlying = DVector::zeros(n);
+    outlying[0] = (100.0 * information[(0, 0)]).sqrt();
+    let widened = spectrum.clone().widened(&[outlying], 1.0);
+    assert!((widened.deviations()[0] / sigma - (1.0f64 / 1.99).sqrt()).abs() < 1e-6);
     // What scatters no more than noise is still believed a third.
     let calm = spectrum.widened(&[], 3.0);
     assert!((calm.deviations()[0] / sigma - 1.0 / 34f64.sqrt()).abs() < 1e-6);
@@ -318,7 +320,7 @@ fn what_the_scores_answer_decides_what_is_known() {
         let answering = spectrum.sandwich(&(part * &information));
         let deviations = answering.deviations();
         assert!((deviations[3] - bench.prior_deviation(3)).abs() < 1e-12);
-        assert_eq!(answering.held(&bench).len(), n - 1);
+        assert_eq!(answering.fixed(&bench).len(), n - 1);
         deviations[0] / sigma
     };
     assert!((known(1.0) - 0.2).abs() < 1e-9);
@@ -355,7 +357,7 @@ fn options() -> FitOptions {
     let mut options = FitOptions {
         channels: Channels::Shared,
         model_error: 0.005,
-        draws: 60,
+        posterior_samples: 60,
         ..FitOptions::default()
     };
     options.cache.samples_per_cell = 192;
@@ -388,8 +390,8 @@ fn refined(values: &DVector<f64>, size: usize) -> (RefinedBench, Captured, Mixtu
 }
 
 /// On a bench that is as described, nothing moves by more than 3.5 of its stated
-/// deviations (15 parameters), and what a bowl under a telecentric camera cannot tell is
-/// held and named.
+/// deviations (15 parameters), and what a bowl under a telecentric camera leaves open is
+/// fixed and named.
 #[test]
 fn a_known_bench_stays_and_a_bowl_does_not_tell_depth_or_its_turn() {
     let n = 3 * 2 + 3 + 6;
@@ -403,15 +405,15 @@ fn a_known_bench_stays_and_a_bowl_does_not_tell_depth_or_its_turn() {
     }
     for name in ["rotation about z", "translation along z"] {
         assert!(
-            estimate.held.iter().any(|held| held == name),
+            estimate.fixed.iter().any(|fixed| fixed == name),
             "{name} is not among {:?}",
-            estimate.held
+            estimate.fixed
         );
     }
 }
 
 /// Lights that are off by about their prior come back closer, within what is stated; the
-/// draws know what the bench leaves open.
+/// samples know what the bench leaves open.
 #[test]
 fn misplaced_lights_come_back() {
     let (size, off) = (20, 0.012);
@@ -430,7 +432,7 @@ fn misplaced_lights_come_back() {
     assert!(rms(&error, 0..6) < 0.75 * off, "{estimate:?}");
     let z = |k: usize| error(k) / estimate.parameters[k].deviation;
     assert!(rms(&z, 0..15) < 2.0, "{estimate:?}");
-    // The spread of the reflectance, over draws with the bench's share and without.
+    // The spread of the reflectance, over samples with the bench's share and without.
     let plain = fit(&refined.scene, &images, brdf.dictionary(), &options()).unwrap();
     let angles = [10.0f64, 30.0, 50.0].map(f64::to_radians);
     let cells: Vec<Vec<f64>> = angles
@@ -449,10 +451,10 @@ fn misplaced_lights_come_back() {
             Some(atoms.iter().map(|atom| atom.eval(&at)).collect())
         })
         .collect();
-    let spread = |draws: &[crate::inverse::uncertainty::Draws]| {
+    let spread = |posterior_samples: &[crate::inverse::uncertainty::PosteriorSamples]| {
         let relative = |atoms: &Vec<f64>| {
             let f = |x: &DVector<f64>| -> f64 { x.iter().zip(atoms).map(|(w, f)| w * f).sum() };
-            let values: Vec<f64> = draws[0].posterior.iter().map(f).collect();
+            let values: Vec<f64> = posterior_samples[0].posterior.iter().map(f).collect();
             let mean = values.iter().sum::<f64>() / values.len() as f64;
             let square = values.iter().map(|v| (v / mean - 1.0).powi(2));
             square.sum::<f64>() / values.len() as f64
@@ -460,7 +462,8 @@ fn misplaced_lights_come_back() {
         (cells.iter().map(relative).sum::<f64>() / cells.len() as f64).sqrt()
     };
     let on_refined = refined.fit(brdf.dictionary(), &options(), &()).unwrap();
-    let [with, without] = [&on_refined.draws, &plain.draws].map(|draws| spread(draws));
+    let [with, without] = [&on_refined.posterior_samples, &plain.posterior_samples]
+        .map(|posterior_samples| spread(posterior_samples));
     assert!(
         with > without,
         "{with} with the bench's share, {without} without"

@@ -15,8 +15,8 @@ pub(super) const FIELDS: usize = 9;
 pub(super) const ANGLES: usize = 10;
 /// Displacements of the sample whose images are compared.
 pub(super) const SHAPES: usize = 9;
-/// Radii of blur, parts of the image's width.
-pub(super) const BLURS: [f64; 2] = [0.7 / FIELD_PARTS, 1.5 / FIELD_PARTS];
+/// Radii of blur, in units of [`blur_unit`].
+pub(super) const BLURS: [f64; 2] = [0.7, 1.5];
 
 /// Low-order fields over the image.
 pub(super) fn fields(at: DVec2) -> [f64; FIELDS] {
@@ -142,6 +142,18 @@ pub(super) fn displaced_images(fit: &Examined<'_>) -> Vec<Vec<[f64; 3]>> {
 
 /// Displacement over the sample's size; angle in radians; relative scale.
 const STEP: f64 = 2e-3;
+
+/// Unit of the radii of blur, part of the image's width: that of [`FIELD_PARTS`], or the side of
+/// half of the cells where they are larger, because a blur within a cell is not seen.
+pub(super) fn blur_unit(cells: &Cells) -> f64 {
+    let mut sides: Vec<u32> = (0..cells.len()).map(|k| cells.cell(k).side_px).collect();
+    let middle = sides.len() / 2;
+    let side_px = match sides.is_empty() {
+        true => 0,
+        false => *sides.select_nth_unstable(middle).1,
+    };
+    (f64::from(side_px) / cells.resolution_px()[0] as f64).max(1.0 / FIELD_PARTS)
+}
 
 /// The mean around a cell under a Gaussian of this radius, parts of the image's width.
 pub(super) fn blurred(

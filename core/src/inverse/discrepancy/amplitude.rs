@@ -3,11 +3,11 @@
 use nalgebra::{Cholesky, DMatrix, DVector};
 
 use super::normal::Joint;
-use crate::inverse::normal_equations::{IN_USE, LEAST_SCATTER, Marginal, scatter};
+use crate::inverse::normal_equations::{IN_USE, MIN_SCATTER, Marginal, scatter};
 
 /// Log evidence that a discrepancy must gain over none: a Bayes factor of 20, the usual limit of
 /// strong evidence.
-const LEAST_LOG_EVIDENCE: f64 = 3.0;
+const MIN_LOG_EVIDENCE: f64 = 3.0;
 
 /// The amplitude of most evidence (empirical Bayes), all groups together, with the weights in
 /// use free to follow the discrepancy; 0 where little is gained by any.
@@ -43,8 +43,8 @@ pub(super) fn amplitude(joint: &[Joint], mixture: &[DVector<f64>]) -> f64 {
         let scatter = scatter(&along, &joint.blocks).diagonal();
         for m in 0..score.len() {
             let information = eigen.eigenvalues[m];
-            if information > LEAST_SCATTER {
-                let spread = (scatter[m] / information).max(LEAST_SCATTER);
+            if information > MIN_SCATTER {
+                let spread = (scatter[m] / information).max(MIN_SCATTER);
                 directions.push([information / spread, (score[m] / spread).powi(2)]);
             }
         }
@@ -59,6 +59,6 @@ pub(super) fn amplitude(joint: &[Joint], mixture: &[DVector<f64>]) -> f64 {
     };
     let candidates = (0..24).map(|k| 0.05 * 1.15f64.powi(k));
     let best = candidates.max_by(|a, b| gain(*a).total_cmp(&gain(*b)));
-    best.filter(|&amplitude| gain(amplitude) > LEAST_LOG_EVIDENCE)
+    best.filter(|&amplitude| gain(amplitude) > MIN_LOG_EVIDENCE)
         .unwrap_or(0.0)
 }

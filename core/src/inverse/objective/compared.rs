@@ -75,7 +75,7 @@ impl Objective<'_> {
         pair: &mut [Vec<f64>; 2],
         mut visit: impl FnMut(&Value<'_>),
     ) {
-        let (cell, groups) = (rows.cell, self.sets());
+        let (cell, groups) = (rows.cell, self.groups());
         for (light, weights) in residual_weights.iter().enumerate() {
             for (channel, &weight) in weights[cell].iter().enumerate() {
                 if weight <= 0.0 {

@@ -10,7 +10,7 @@ use crate::transport::{CellRows, Scene};
 
 /// The discrepancy as it changes the images of a mixture.
 pub struct DiscrepancyModel {
-    /// Factors of f at the nodes, per set.
+    /// Factors of f at the nodes, per channel group.
     factors: Vec<[f32; NODES]>,
     /// Light that is reflected once.
     pub direct: DirectDiscrepancy,
@@ -46,12 +46,12 @@ impl DiscrepancyModel {
         wanted: &[bool],
         seed: u64,
     ) -> Self {
-        let of_set = |set: usize| {
-            let g = &material.discrepancies[set].0;
+        let of_set = |group: usize| {
+            let g = &material.discrepancies[group].0;
             std::array::from_fn(|node| g[node].exp() as f32)
         };
         Self {
-            factors: (0..objective.sets()).map(of_set).collect(),
+            factors: (0..objective.groups()).map(of_set).collect(),
             direct: DirectDiscrepancy::new(scene, objective.cells, material, wanted, seed),
         }
     }
@@ -88,12 +88,12 @@ impl<'a> Objective<'a> {
         visit: impl Fn(&mut T, &CellRows<'_>) + Sync,
     ) -> Vec<T> {
         let slices: Vec<&[f64]> = mixture.iter().map(|w| w.as_slice()).collect();
-        let departing = NodeFactors {
+        let factors = NodeFactors {
             factors: self.discrepancy.map_or(&[][..], |d| &d.factors),
             by_node,
         };
         self.cache
-            .evaluate_with_discrepancy(self.kernel, &slices, &departing, group, visit)
+            .evaluate_with_discrepancy(self.kernel, &slices, &factors, group, visit)
     }
 }
 
@@ -104,7 +104,7 @@ mod tests {
     use super::*;
     use crate::brdf::discrepancy::{Discrepancy, modes};
     use crate::brdf::{Atom, Dictionary, Mixture};
-    use crate::inverse::cells::Captured;
+    use crate::cells::Captured;
     use crate::inverse::form::tests::bowl;
     use crate::inverse::objective::ModelImage;
     use crate::inverse::options::FitOptions;
@@ -159,13 +159,14 @@ mod tests {
         let weights = vec![DVector::from_vec(vec![0.5, 0.5]); 3];
 
         // Relative deviations over the compared cells, root mean square.
-        let compare = |told: &dyn Fn(usize, usize) -> f64, seen: &dyn Fn(usize, usize) -> f64| {
+        let compare = |predicted: &dyn Fn(usize, usize) -> f64,
+                       seen: &dyn Fn(usize, usize) -> f64| {
             let (mut square, mut error) = (0.0, 0.0);
             for (light, cell) in (0..2).flat_map(|l| (0..64).map(move |p| (l, p))) {
                 if objective.is_compared(light, cell) {
                     let seen = seen(light, cell);
                     square += seen * seen;
-                    error += (told(light, cell) - seen).powi(2);
+                    error += (predicted(light, cell) - seen).powi(2);
                 }
             }
             (error / square).sqrt()

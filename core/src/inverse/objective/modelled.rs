@@ -24,7 +24,7 @@ impl Modelled {
 
     /// Value and render's variance as expected without the paths of the cell itself: those of
     /// its neighbours, or its own where there are none. The light that was reflected once is the
-    /// cell's own: next to a highlight the neighbours' would hide what a dark cell tells. A rare
+    /// cell's own: next to a highlight the neighbours' would hide the information of a dark cell. A rare
     /// bright path of its own is not taken for certain either: one such value could outweigh the
     /// whole image.
     pub(in crate::inverse) fn expected(&self, near: impl Iterator<Item = Self>) -> [f64; 2] {

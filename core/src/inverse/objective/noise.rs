@@ -6,7 +6,7 @@ use nalgebra::{DMatrix, DVector};
 use super::{ModelImage, Objective, ResidualWeights};
 use crate::inverse::normal_equations::add_product;
 
-/// Covariance of the score Jᵀ W r per set by what makes the residual scatter, N × N each.
+/// Covariance of the score Jᵀ W r per channel group by what makes the residual scatter, N × N each.
 #[derive(Clone, Debug)]
 pub struct ScoreNoise {
     /// Noise of the captured images.
@@ -23,7 +23,7 @@ impl Objective<'_> {
         residual_weights: &ResidualWeights,
         model: &[ModelImage],
     ) -> Vec<ScoreNoise> {
-        let (n, sets) = (self.atoms(), self.sets());
+        let (n, groups) = (self.atoms(), self.groups());
         let none = || ScoreNoise {
             captured: DMatrix::zeros(n, n),
             rendered: DMatrix::zeros(n, n),
@@ -32,7 +32,7 @@ impl Objective<'_> {
             mixture,
             residual_weights,
             false,
-            || vec![none(); sets],
+            || vec![none(); groups],
             |sums, value| {
                 let [a, b] = value.by_weights;
                 let square = value.weight * value.weight;

@@ -4,7 +4,7 @@ use nalgebra::{DMatrix, DVector};
 
 use super::{ModelImage, Modelled, Objective, ResidualWeights};
 use crate::inverse::normal_equations::NormalEquations;
-use crate::inverse::simplex::Quadratic;
+use crate::simplex::Quadratic;
 use crate::transport::CellRows;
 use crate::transport::points::VarianceReduction;
 
@@ -23,7 +23,7 @@ pub struct Linearised {
     /// Per set: Σ w (r_A r_B − σ²_captured), which the noise of neither capture nor render
     /// makes: what the model leaves unexplained, as a part of χ².
     pub unexplained: Vec<f64>,
-    /// Σ w I² per set, by which a relative error of the model counts as a part of χ².
+    /// Σ w I² per channel group, by which a relative error of the model counts as a part of χ².
     pub power: Vec<f64>,
     /// Per set and block of cells of one light: Jᵀ W r.
     pub block_scores: Vec<Vec<DVector<f64>>>,
@@ -47,16 +47,16 @@ impl Noise {
 
 impl Linearised {
     /// Relative error of the model, root mean square, that leaves as much unexplained.
-    pub fn relative_error(&self, set: usize) -> f64 {
-        let power = self.power[set];
+    pub fn relative_error(&self, group: usize) -> f64 {
+        let power = self.power[group];
         if power > 0.0 {
-            (self.unexplained[set] / power).max(0.0).sqrt()
+            (self.unexplained[group] / power).max(0.0).sqrt()
         } else {
             0.0
         }
     }
 
-    /// The least share of the noise's energy, per set, that makes the loss convex around
+    /// The least share of the noise's energy, per channel group, that makes the loss convex around
     /// this point together with a prior of curvature `prior` in every direction. Without it
     /// ½ r_AᵀWr_B has directions of negative curvature where paths are few, and its minimum
     /// is whatever the noise makes of them; with all of it the loss is ½ rᵀWr of the mean
@@ -69,7 +69,7 @@ impl Linearised {
             .collect()
     }
 
-    /// Adds a share of the noise's energy, per set, to loss and gradient.
+    /// Adds a share of the noise's energy, per channel group, to loss and gradient.
     pub fn add_noise(&mut self, shares: &[f64]) {
         for ((q, noise), share) in self.quadratics.iter_mut().zip(&self.noise).zip(shares) {
             q.g.axpy(*share, &noise.g, 1.0);
@@ -94,28 +94,28 @@ fn convex_share(full: &DMatrix<f64>, information: &DMatrix<f64>, prior: f64) -> 
         .find(|share| {
             let blend = &information * (1.0 - share) + &full * *share;
             let least = blend.symmetric_eigenvalues().min();
-            least >= -CONVEX
+            least >= -CONVEXITY_TOLERANCE
         })
         .unwrap_or(1.0)
 }
 
 /// Least eigenvalue, atoms scaled to unit curvature, that rounding may leave.
-const CONVEX: f64 = 1e-9;
+const CONVEXITY_TOLERANCE: f64 = 1e-9;
 
 impl Objective<'_> {
-    /// Image, loss, gradient and Gauss–Newton matrix at `mixture` (one vector per set).
+    /// Image, loss, gradient and Gauss–Newton matrix at `mixture` (one vector per channel group).
     pub fn linearise(
         &self,
         mixture: &[DVector<f64>],
         residual_weights: &ResidualWeights,
     ) -> Linearised {
-        let (n, sets, lights) = (self.atoms(), self.sets(), self.lights());
-        let group = || (Part::new(n, sets, lights), self.row_pair());
+        let (n, groups, lights) = (self.atoms(), self.groups(), self.lights());
+        let group = || (Part::new(n, groups, lights), self.row_pair());
         let parts = self.evaluate(mixture, false, group, |(part, pair), rows| {
             let mut model = vec![[Modelled::default(); 3]; lights];
             for (light, c) in (0..lights).flat_map(|l| [(l, 0), (l, 1), (l, 2)]) {
                 let group = self.channels.group(c);
-                let r = light * sets + group;
+                let r = light * groups + group;
                 let indirect = [0, 1].map(|h| f64::from(rows.value[h][r]));
                 let variance = f64::from(rows.variance[r]);
                 part.reduction[light][c].add(0.25 * (indirect[0] - indirect[1]).powi(2), variance);
@@ -170,7 +170,7 @@ impl Objective<'_> {
     ) {
         let (n, row) = (
             self.atoms(),
-            light * self.sets() + self.channels.group(channel),
+            light * self.groups() + self.channels.group(channel),
         );
         let direct = self.direct.row(rows.cell, light);
         let factor = self.direct_factor(rows.cell, light, channel);
@@ -183,8 +183,8 @@ impl Objective<'_> {
     }
 
     fn gather(&self, parts: Vec<Part>) -> Linearised {
-        let (n, sets) = (self.atoms(), self.sets());
-        let mut total = Part::new(n, sets, self.lights());
+        let (n, groups) = (self.atoms(), self.groups());
+        let mut total = Part::new(n, groups, self.lights());
         let mut model = vec![Vec::with_capacity(self.cells.len()); self.lights()];
         for part in parts {
             for (total, part) in total.groups.iter_mut().zip(&part.groups) {
@@ -214,13 +214,13 @@ impl Objective<'_> {
             }
         }
         let mut pass = Linearised {
-            quadratics: Vec::with_capacity(sets),
-            information: Vec::with_capacity(sets),
-            noise: Vec::with_capacity(sets),
+            quadratics: Vec::with_capacity(groups),
+            information: Vec::with_capacity(groups),
+            noise: Vec::with_capacity(groups),
             model,
-            unexplained: Vec::with_capacity(sets),
-            power: Vec::with_capacity(sets),
-            block_scores: Vec::with_capacity(sets),
+            unexplained: Vec::with_capacity(groups),
+            power: Vec::with_capacity(groups),
+            block_scores: Vec::with_capacity(groups),
         };
         for sums in total.groups {
             let equations = sums.equations.complete();

@@ -1,6 +1,6 @@
 //! Which parts of the images a fit compares: cells as large as the scene allows.
 //!
-//! The radiance of a cell tells a lobe's shape as long as the half and difference angles inside
+//! The radiance of a cell shows a lobe's shape as long as the half and difference angles inside
 //! differ by little against the lobe. So the grid follows from the scene alone: squares are
 //! halved where these angles vary most, under any of the lights and after up to two mirror
 //! reflections, until they vary little or the budget is spent (`probe.rs`). All lights
@@ -13,12 +13,12 @@ mod probe;
 
 use std::collections::BinaryHeap;
 
-use super::bench::BenchPriors;
+use crate::bench_priors::BenchPriors;
 use crate::brdf::{Atom, Dictionary};
 use crate::transport::Scene;
 use crate::transport::cells::{Cell, FIELD_PARTS};
 
-pub(super) use captured::check_count;
+pub(crate) use captured::check_count;
 pub use captured::{AverageError, Averager, Captured, CellImage};
 use probe::{Lattice, Level};
 
@@ -27,7 +27,7 @@ use probe::{Lattice, Level};
 pub struct CellOptions {
     /// Most cells, within [`BUDGET`]; edges may take a few more.
     pub budget: usize,
-    /// Roughness α of the narrowest lobe that is to be told from wider ones.
+    /// Roughness α of the narrowest lobe that is to be distinguished from wider ones.
     pub narrowest_alpha: f64,
     /// How well pose and lights are known, which says how wide edges are.
     pub known: BenchPriors,
@@ -79,10 +79,10 @@ const NARROWEST_ALPHA: f64 = 0.01;
 
 /// Parts of the image's width that a cell is at most wide: what a diagnosis must see varies
 /// no faster.
-const LARGEST: usize = 32;
-/// Variation of the angles within a cell, in widths of the narrowest lobe that it can tell,
+const MIN_CELLS_ACROSS: usize = 32;
+/// Variation of the angles within a cell, in widths of the narrowest lobe that it can resolve,
 /// below which it is not halved.
-const EVEN: f64 = 0.5;
+const HALVING_VARIATION: f64 = 0.5;
 
 /// The cells of a scene, in the order of their first pixels, and what is known of each.
 #[derive(Clone, Debug)]
@@ -120,7 +120,7 @@ pub fn choose(scene: &Scene, options: &CellOptions) -> Grid {
             } else if 2 * u64::from(of.valid) >= whole {
                 count += 1;
                 let variation = of.variation(square.level);
-                if square.level > 0 && variation > EVEN {
+                if square.level > 0 && variation > HALVING_VARIATION {
                     heap.push(Candidate {
                         gain: variation * variation * f64::from(1u32 << square.level),
                         square,
@@ -211,7 +211,7 @@ impl Eq for Candidate {}
 
 /// The level of the largest squares: larger ones where the budget asks for it.
 fn root_level(lattice: &Lattice, levels: &[Level], budget: usize) -> usize {
-    let points = lattice.size[0] as usize / LARGEST;
+    let points = lattice.size[0] as usize / MIN_CELLS_ACROSS;
     let usual = (points.max(1).ilog2() as usize).min(levels.len() - 1);
     let fits = |&level: &usize| 2 * levels[level].seen() <= budget;
     (usual..levels.len()).find(fits).unwrap_or(levels.len() - 1)
@@ -225,4 +225,4 @@ fn edge_level(lattice: &Lattice) -> usize {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

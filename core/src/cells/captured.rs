@@ -80,7 +80,7 @@ impl Captured {
     /// Images of another number or size, or nothing in them to compare.
     ///
     /// ```
-    /// # use rig_core::inverse::cells::{Captured, CellOptions};
+    /// # use rig_core::cells::{Captured, CellOptions};
     /// # fn of(scene: &rig_core::transport::Scene, images: &[rig_core::radiance_image::RadianceImage]) {
     /// let captured = Captured::new(scene, images, &CellOptions::default());
     /// # let _ = captured;
@@ -189,12 +189,12 @@ pub struct Averager {
 
 /// Sides of cells, pixels, from which on a single pixel that differs from those around it is
 /// dust or a defect: in smaller ones it may be a highlight.
-const LEAST_SIDE_PX: u32 = 4;
+const MIN_OUTLIER_SIDE_PX: u32 = 4;
 /// How far a pixel must differ from the median around it, in standard deviations of noise and
 /// in spreads of the eight pixels around it.
-const OUTLYING: f32 = 8.0;
+const OUTLIER_DEVIATIONS: f32 = 8.0;
 /// The same as a part of the median: what a smooth image varies by between neighbours.
-const LEAST_DIFFERENCE: f32 = 0.05;
+const MIN_OUTLIER_CONTRAST: f32 = 0.05;
 
 impl Averager {
     /// For the images of a scene's lights, over its cells.
@@ -265,7 +265,7 @@ impl Averager {
         }
     }
 
-    /// Adds the next row, which is the one `at` of those held.
+    /// Adds the next row, which is the one `at` of those kept.
     fn add_row(&mut self, at: usize) {
         let y = self.next;
         self.next += 1;
@@ -282,7 +282,7 @@ impl Averager {
                     *invalid += usize::from(!valid);
                     all_valid &= valid;
                 }
-                if all_valid && cell.side_px >= LEAST_SIDE_PX {
+                if all_valid && cell.side_px >= MIN_OUTLIER_SIDE_PX {
                     let mut lights = 0..self.sums.len();
                     if lights.any(|light| is_outlying(&self.rows, at, light, column)) {
                         self.outliers += 1;
@@ -395,7 +395,8 @@ fn is_outlying(
         let noise = row.variance[column][c].max(0.0).sqrt();
         // Most pixels are like the one next to them.
         let neighbour = row.mean[column.saturating_sub(1)][c];
-        if (value - neighbour).abs() <= (0.5 * OUTLYING * noise).max(0.5 * LEAST_DIFFERENCE * value)
+        if (value - neighbour).abs()
+            <= (0.5 * OUTLIER_DEVIATIONS * noise).max(0.5 * MIN_OUTLIER_CONTRAST * value)
         {
             return false;
         }
@@ -418,7 +419,8 @@ fn is_outlying(
         let median = near[count / 2];
         // Without the outermost on either side, of which one may be dust as well.
         let spread = near[count - 2] - near[1];
-        let limit = (OUTLYING * noise.max(spread)).max(LEAST_DIFFERENCE * median.abs());
+        let limit =
+            (OUTLIER_DEVIATIONS * noise.max(spread)).max(MIN_OUTLIER_CONTRAST * median.abs());
         (value - median).abs() > limit
     })
 }

@@ -11,12 +11,12 @@ use std::sync::Arc;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-use super::simplex::{Quadratic, SimplexError};
 use crate::brdf::environment::EnvironmentMap;
 use crate::brdf::ggx::Cosines;
 use crate::brdf::score::{self, Cell, EnvironmentError, PerChannel};
 use crate::brdf::sphere::{SphereImage, sphere_images, sphere_matrices};
 use crate::brdf::{Brdf, BrdfError, Dictionary, Mixture};
+use crate::simplex::{Quadratic, SimplexError};
 
 /// Azimuths of the cells a projection is fitted on (scores use MERL's 180).
 pub const FIT_AZIMUTHS: usize = 36;

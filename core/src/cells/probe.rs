@@ -10,21 +10,21 @@ use crate::transport::cells::{Cell, FIELD_PARTS};
 use crate::transport::scene::Surface;
 
 /// Most lattice points along the longer side of an image.
-const MOST_POINTS: usize = 768;
+const MAX_POINTS: usize = 768;
 /// Reflections at which the half angle is looked at, the first and after mirror reflections,
 /// and how much each counts: less light comes by way of more.
 const REFLECTIONS: [f32; 3] = [1.0, 0.5, 0.25];
 /// Change of the difference angle that counts like a change of the half angle by the width of
-/// the narrowest lobe that can be told there, radians.
+/// the narrowest lobe that can be resolved there, radians.
 const DIFFERENCE_RAD: f32 = 0.17;
 /// Most that a change between neighbouring points counts: at a crease it says nothing of how
-/// much finer cells would tell.
-const MOST_CHANGE: f32 = 1.0;
+/// much finer cells would show.
+const MAX_CHANGE: f32 = 1.0;
 /// Half width of what is left out at an edge, in standard deviations of where the edge is.
 const EDGE_DEVIATIONS: f64 = 1.5;
 /// Most that is left out, in 64ths of the image's width, of which one is left out at least: what
 /// a mesh says of an edge is no better known.
-const WIDEST_EDGE: f64 = 4.0;
+const MAX_EDGE_WIDTH: f64 = 4.0;
 /// Standard deviations of the point spread beyond which an edge is not seen.
 const SPREAD_DEVIATIONS: f64 = 3.0;
 
@@ -119,7 +119,7 @@ impl Lattice {
     pub fn look(scene: &Scene, options: &CellOptions) -> Self {
         let resolution_px = scene.camera.resolution_px;
         let longest = resolution_px[0].max(resolution_px[1]);
-        let step_px = longest.div_ceil(MOST_POINTS).next_power_of_two() as u32;
+        let step_px = longest.div_ceil(MAX_POINTS).next_power_of_two() as u32;
         let size = resolution_px.map(|n| (n as u32).div_ceil(step_px));
         let narrowest = narrowest_alpha(scene, options);
         let rows: Vec<Vec<Seen>> = (0..size[1])
@@ -243,7 +243,7 @@ fn edge_widths_px(scene: &Scene, options: &CellOptions) -> [f64; 2] {
     let field_px = scene.camera.resolution_px[0] as f64 / FIELD_PARTS;
     [pose_px, shadow_px].map(|deviation| {
         let width_px = 0.5 + EDGE_DEVIATIONS * deviation + spread_px;
-        width_px.clamp(field_px, WIDEST_EDGE * field_px)
+        width_px.clamp(field_px, MAX_EDGE_WIDTH * field_px)
     })
 }
 
@@ -321,9 +321,9 @@ fn change(here: &Seen, next: &Seen, compared: impl Fn(usize) -> bool) -> f32 {
         for (weight, (a, b)) in weights.zip(a.iter().zip(b)) {
             let change = match (a.is_nan(), b.is_nan()) {
                 (true, true) => 0.0,
-                (false, false) => (a - b).abs().min(MOST_CHANGE),
+                (false, false) => (a - b).abs().min(MAX_CHANGE),
                 // An edge of what is reached by way of mirrors.
-                _ => MOST_CHANGE,
+                _ => MAX_CHANGE,
             };
             largest = largest.max(weight * change);
         }

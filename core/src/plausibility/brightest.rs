@@ -10,15 +10,15 @@ use crate::transport::{Cells, DirectMatrix, Scene};
 
 /// Above this many times a white sample's radiance no material can be: a mirror of GGX alpha
 /// 0.002 that returns all light to the camera has 1/(4 alpha²) times.
-const BRIGHTEST: f64 = 1e5;
+const MAX_RADIANCE_RATIO: f64 = 1e5;
 
 /// Square root of the rays through a cell.
 const STRATA: u32 = 3;
 /// Longest path through a hollow, reflections.
-const LONGEST: u32 = 64;
+const MAX_REFLECTIONS: u32 = 64;
 /// Where an atom is this many times as bright as white, camera and light are each other's mirror
 /// images, and a narrower lobe than any atom's could be brighter still.
-const MIRRORED: f64 = 3.0;
+const MIRROR_RATIO: f64 = 3.0;
 
 /// Mean radiance over the cells of the brightest material, per unit of the light's strength and
 /// light. `white` is that of a white Lambertian sample by direct reflection.
@@ -38,8 +38,8 @@ pub(super) fn brightest(
             }
         }
         let brightest = means.into_iter().fold(white[light], f64::max);
-        match brightest > MIRRORED * white[light] {
-            true => BRIGHTEST * white[light],
+        match brightest > MIRROR_RATIO * white[light] {
+            true => MAX_RADIANCE_RATIO * white[light],
             false => brightest * gains[light],
         }
     };
@@ -57,7 +57,7 @@ fn gains(scene: &Scene, cells: &Cells) -> Vec<f64> {
                 *sum = [sum[0] + direct, sum[1] + direct];
             }
             let mut place = *surface;
-            for _ in 1..LONGEST {
+            for _ in 1..MAX_REFLECTIONS {
                 let direction = cosine_direction([numbers.uniform(), numbers.uniform()]);
                 let Some((next, _)) = scene.next(&place, direction.as_vec3()) else {
                     break;

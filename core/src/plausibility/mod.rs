@@ -5,9 +5,12 @@
 //! What the images are measured against is a white sample: the direct reflection of a
 //! Lambertian surface of albedo 1 in the same place, under the same lights.
 
-use super::brightest::brightest;
-use super::cells::{Captured, CellImage};
+mod brightest;
+
+use brightest::brightest;
+
 use crate::brdf::{Atom, Dictionary};
+use crate::cells::{Captured, CellImage};
 use crate::radiance_image::CHANNEL_NAMES;
 use crate::transport::{Cells, DirectMatrix, Scene};
 
@@ -142,19 +145,19 @@ impl Implausible {
 
 /// A light must bring this part of its irradiance to the visible surface on average: of a
 /// flat sample, one that stands 0.6° above its horizon.
-const LEAST_COSINE: f64 = 0.01;
+const MIN_MEAN_COSINE: f64 = 0.01;
 /// Below this part of a white sample's radiance an image counts as black, whatever variance
 /// it states: the blackest coatings reflect some 3e-4 of the light.
-const BLACKEST: f64 = 1e-5;
+const MIN_RADIANCE_RATIO: f64 = 1e-5;
 /// How much brighter than the brightest material of the dictionary images may be whose
 /// irradiance is known: measured materials are no mixtures, and retroreflect a little.
-const BRIGHTER: f64 = 2.0;
+const MAX_BRIGHTNESS_RATIO: f64 = 2.0;
 /// A channel counts as too bright alone where the others are below this part of it.
-const ALONE: f64 = 0.2;
+const OTHER_CHANNELS_RATIO: f64 = 0.2;
 /// By how many of its standard deviations a stated irradiance may be wrong.
-const SURE: f64 = 2.0;
+const IRRADIANCE_DEVIATIONS: f64 = 2.0;
 /// Standard deviations by which light must stand out of noise, and negative values below 0.
-const SIGNIFICANT: f64 = 5.0;
+const SIGNIFICANT_DEVIATIONS: f64 = 5.0;
 /// Part of the values that may be significantly negative, or without variance.
 const TOLERATED_SHARE: f64 = 0.1;
 /// Part of the light that one pixel may hold. A highlight of the narrowest lobe lies in one or
@@ -179,7 +182,7 @@ fn white_radiance(scene: &Scene, cells: &Cells) -> Option<Vec<Vec<f64>>> {
 }
 
 /// Refuses images that cannot be those of the scene. What needs a fit to be seen is left to
-/// [`super::findings`]. `log_std` is the standard deviation of the natural logarithm of the
+/// the findings of one. `log_std` is the standard deviation of the natural logarithm of the
 /// stated irradiance, 0 where it is exact.
 ///
 /// # Errors
@@ -196,12 +199,12 @@ pub fn check(
     };
     for (light, white) in white.iter().enumerate() {
         let mean_cosine = std::f64::consts::PI * mean(white) / reference_irradiance(scene, light);
-        if mean_cosine < LEAST_COSINE {
+        if mean_cosine < MIN_MEAN_COSINE {
             return Err(Implausible::NotLit { light, mean_cosine });
         }
     }
     let means: Vec<f64> = white.iter().map(|white| mean(white)).collect();
-    let allowed = BRIGHTER * (SURE * log_std).exp();
+    let allowed = MAX_BRIGHTNESS_RATIO * (IRRADIANCE_DEVIATIONS * log_std).exp();
     let brightest = brightest(scene, &captured.cells, dictionary, &means);
     for (light, image) in captured.images.iter().enumerate() {
         let strength = scene.lights[light].strength();
@@ -243,7 +246,7 @@ fn check_brightness(
         let mean = (values.iter().sum::<f64>() - highest) / count;
         let noise = of_channel(&image.variance).iter().sum::<f64>().sqrt() / count;
         ratios[channel] = mean / brightest[channel];
-        sure[channel] = mean - SIGNIFICANT * noise > allowed * brightest[channel];
+        sure[channel] = mean - SIGNIFICANT_DEVIATIONS * noise > allowed * brightest[channel];
     }
     let Some(worst) = (0..3)
         .filter(|&channel| sure[channel])
@@ -251,7 +254,7 @@ fn check_brightness(
     else {
         return Ok(());
     };
-    let is_alone = (0..3).all(|c| c == worst || ratios[c] < ALONE * ratios[worst]);
+    let is_alone = (0..3).all(|c| c == worst || ratios[c] < OTHER_CHANNELS_RATIO * ratios[worst]);
     Err(Implausible::TooBright {
         image: index,
         channel: is_alone.then_some(worst),
@@ -326,12 +329,13 @@ impl Values<'_> {
         let average = total / count;
 
         // How bright, against noise and against white.
-        let share = self.share(|mean, variance| mean < -SIGNIFICANT * variance.sqrt());
+        let share = self.share(|mean, variance| mean < -SIGNIFICANT_DEVIATIONS * variance.sqrt());
         let magnitude: f64 = self.image.mean.iter().flatten().map(|v| v.abs()).sum();
         if share > TOLERATED_SHARE && magnitude - total > 2.0 * TOLERATED_SHARE * magnitude {
             return Err(Implausible::Negative { image, share });
         }
-        if total <= SIGNIFICANT * variance.sqrt() || average < BLACKEST * white {
+        if total <= SIGNIFICANT_DEVIATIONS * variance.sqrt() || average < MIN_RADIANCE_RATIO * white
+        {
             return Err(Implausible::NoLight {
                 image,
                 mean: average,
