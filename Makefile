@@ -59,7 +59,7 @@ test-long: build
 	target/release/rig evaluate diagnosis --out target/long/diagnosis
 
 # What the feature `genicam` needs.
-GENICAM_DEPS := libaravis-dev libusb-1.0-0-dev
+GENICAM_DEPS := libaravis-dev libusb-1.0-0-dev aravis-tools-cli
 
 deps-genicam:
 	@$(MAKE) deps EXTRA_DEPS="$(GENICAM_DEPS)"

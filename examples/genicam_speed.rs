@@ -12,7 +12,7 @@ use mock_devices::sensor::SensorModel;
 use rig::capture::open::Devices;
 use rig::capture::prepare::{CaptureRequest, Lights, prepare};
 use rig::capture::{Observer, Progress, Spent};
-use rig::config::{BUILT_IN, ResolvedRig, RigConfig, Surroundings, resolve_rig};
+use rig::config::{BUILT_IN, ResolvedRig, Surroundings, resolve_rig};
 use rig::device::described::Description;
 use rig::device::simulated::SimulatedBench;
 use rig::device::{CameraInfo, Mosaic, genicam};
@@ -39,7 +39,9 @@ fn main() -> Result<(), Any> {
         None => 4,
     };
     for is_triggered in [true, false] {
-        let spent = capture(&quick_bench(is_triggered)?, lights, is_triggered)?;
+        let folder = tempfile::tempdir()?;
+        let rig = quick_bench(folder.path(), is_triggered)?;
+        let spent = capture(&rig, lights, is_triggered)?;
         let camera = if is_triggered {
             "triggered"
         } else {
@@ -53,25 +55,51 @@ fn main() -> Result<(), Any> {
     Ok(())
 }
 
-/// The simulated bench with a truth that is rendered in less than a frame takes. A frame that
-/// is triggered has no older settings.
-fn quick_bench(is_triggered: bool) -> Result<ResolvedRig, Any> {
-    let (name, text) = BUILT_IN[0];
-    let rig = resolve_rig(Some(name), &Surroundings::of_process(), Vec::new)?;
-    let (real, simulation) = text.split_once("[simulation]").ok_or("no simulation")?;
-    let quick = simulation.lines().map(|line| match line.split_once(" = ") {
-        Some(("samples_per_pixel", _)) => "samples_per_pixel = 2\n".to_owned(),
-        Some(("max_reflections", _)) => "max_reflections = 2\n".to_owned(),
-        Some(("segments", _)) => "segments = 32\n".to_owned(),
-        _ => format!("{line}\n"),
-    });
-    let quick: String = quick.collect();
-    let text = format!("{real}[simulation]{quick}");
-    let mut config = RigConfig::parse(name, Path::new(""), &text)?;
-    if is_triggered {
-        config.camera.settings_latency_frames = 0;
+/// The simulated bench with a camera of 64 × 64 pixels, whose simulation and scene take less
+/// time than a frame, in this folder with the records of its sensor. A frame that is triggered
+/// has no older settings.
+fn quick_bench(folder: &Path, is_triggered: bool) -> Result<ResolvedRig, Any> {
+    // The rig file.
+    let (real, simulation) = BUILT_IN[0]
+        .1
+        .split_once("[simulation]")
+        .ok_or("simulation")?;
+    let mut text = format!("{real}[simulation]");
+    for line in simulation.lines() {
+        let key = line.split_once(" = ").map(|(key, _)| key);
+        text += match key {
+            Some("samples_per_pixel") => "samples_per_pixel = 2",
+            Some("max_reflections") => "max_reflections = 2",
+            Some("segments") => "segments = 32",
+            _ => line,
+        };
+        text += "\n";
     }
-    Ok(ResolvedRig { config, ..rig })
+    for (key, small) in [
+        ("\nresolution_px = [640, 480]", "\nresolution_px = [64, 64]"),
+        ("\nextent_mm = [29.3, 22.0]", "\nextent_mm = [22.0, 22.0]"),
+        ("\npoint_spread_px = 0.5", "\npoint_spread_px = 0.0"),
+    ] {
+        text = text.replacen(key, small, 1);
+    }
+    let file = folder.join("rig.toml");
+    std::fs::write(&file, text)?;
+    // The records.
+    let records = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/small_bench/calibration");
+    for kind in ["sensor", "flat", "scale"] {
+        let to = folder.join("calibration/simulated").join(kind);
+        std::fs::create_dir_all(&to)?;
+        for entry in std::fs::read_dir(records.join(kind))? {
+            let entry = entry?;
+            std::fs::copy(entry.path(), to.join(entry.file_name()))?;
+        }
+    }
+    let file = file.display().to_string();
+    let mut rig = resolve_rig(Some(&file), &Surroundings::of_process(), Vec::new)?;
+    if is_triggered {
+        rig.config.camera.settings_latency_frames = 0;
+    }
+    Ok(rig)
 }
 
 fn capture(rig: &ResolvedRig, lights: usize, is_triggered: bool) -> Result<Spent, Any> {

@@ -1,5 +1,6 @@
 //! `driver = "genicam"`: libaravis against a simulated GigE Vision device that looks at the
 //! simulated bench, over loopback, and against Aravis' own fake camera.
+#![allow(clippy::print_stdout, reason = "figures, next to the tests' names")]
 
 #[path = "../command_support/mod.rs"]
 mod support;
