@@ -294,7 +294,7 @@ mod tests {
             (
                 "driver = \"simulated\"",
                 "driver = \"nikon\"",
-                "`camera.driver` is \"nikon\", but must be \"v4l\" or \"command\" or \"folder\" or \"gphoto2\" or \"simulated\"",
+                "`camera.driver` is \"nikon\", but must be \"v4l\" or \"command\" or \"folder\" or \"gphoto2\"",
             ),
             (
                 "axis = \"Y\"",

@@ -79,8 +79,8 @@ mod tests {
         };
         for (stated, expected) in [
             (Stated::default(), None),
-            (of(0.021, 2.02), None),
-            (of(0.019, 1.98), None),
+            (of(0.021, 2.019), None),
+            (of(0.019, 1.981), None),
             (of(0.0211, 2.0), Some("exposure")),
             (of(0.0, 2.0), Some("exposure")),
             (of(0.02, 2.03), Some("gain")),
