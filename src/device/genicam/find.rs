@@ -2,13 +2,13 @@
 
 use std::net::{Ipv4Addr, UdpSocket};
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use aravis::{GvInterface, InterfaceExt, UvInterface};
 use rustix::fs::{Access, AtFlags, CWD, accessat};
 
 use super::features::CONTROL_PRIVILEGE;
-use super::link::lists;
 use crate::device::DeviceError;
 use crate::device::described::FoundCamera;
 
@@ -18,6 +18,13 @@ const GVCP_PORT: u16 = 3956;
 const REPLY: Duration = Duration::from_millis(300);
 /// Status of an answer: the memory may not even be read, because control is exclusive.
 const ACCESS_DENIED: [u8; 2] = [0x80, 0x06];
+
+/// Aravis' lists of interfaces and cameras are the process' own.
+static LISTS: Mutex<()> = Mutex::new(());
+
+pub(super) fn lists() -> MutexGuard<'static, ()> {
+    LISTS.lock().unwrap_or_else(PoisonError::into_inner)
+}
 
 /// A camera as Aravis lists it.
 pub(super) struct Listed {

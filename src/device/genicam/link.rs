@@ -1,6 +1,5 @@
 //! A camera under this process' control: opened, its stream, its clock.
 
-use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use aravis::glib::object::Cast;
@@ -22,13 +21,6 @@ const LOOPBACK_PACKET: i32 = 9000;
 const HEARTBEAT: Duration = Duration::from_secs(3);
 /// A camera whose heartbeat time-out is longer is not waited for any longer.
 const LONGEST_WAIT: Duration = Duration::from_secs(8);
-
-/// Aravis' lists of interfaces and cameras are the process' own.
-static LISTS: Mutex<()> = Mutex::new(());
-
-pub(super) fn lists() -> MutexGuard<'static, ()> {
-    LISTS.lock().unwrap_or_else(PoisonError::into_inner)
-}
 
 /// A camera that this process controls.
 pub struct Link {
@@ -200,7 +192,7 @@ fn not_found(name: &str) -> DeviceError {
 
 /// Opens by name or address, else by a serial number of the list.
 fn open_camera(name: &str) -> Result<aravis::Camera, DeviceError> {
-    let _lists = lists();
+    let _lists = find::lists();
     let mut opened = aravis::Camera::new(Some(name));
     let mut listed = None;
     if opened.is_err() {
