@@ -1,6 +1,7 @@
 //! The camera's rows of the fault matrix (docs/faults.md), each scripted on the
 //! simulated camera in the middle of a capture.
 
+mod camera_support;
 #[path = "capture_support/mod.rs"]
 mod support;
 
@@ -10,6 +11,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
+use camera_support::documented_faults;
 use mock_devices::bench::{Bench as MockBench, BenchConfig};
 use mock_devices::camera::{
     CameraConfig, CameraFault, CameraFaults, SimulatedCamera as MockCamera,
@@ -359,14 +361,7 @@ fn a_camera_that_never_obeys_is_found_where_one_exposure_is_enough() {
 
 #[test]
 fn the_table_in_the_docs_has_these_rows() {
-    let text = include_str!("../docs/faults.md");
-    let (_, section) = text.split_once("\n## Camera\n").unwrap();
-    let section = section.split("\n## ").next().unwrap();
-    let rows: BTreeSet<&str> = section
-        .lines()
-        .filter_map(|line| line.strip_prefix("| ")?.split(" | ").next())
-        .filter(|&name| name != "fault")
-        .collect();
+    let rows: BTreeSet<&str> = documented_faults("Camera").collect();
     let passing = PASSING.iter().map(|(name, ..)| *name);
     let cases: BTreeSet<&str> = passing
         .chain(LASTING.iter().map(|(name, ..)| *name))

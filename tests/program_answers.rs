@@ -2,6 +2,7 @@
 //! "A program that answers" in docs/faults.md. The answers' own form is tested in
 //! `command_camera`, and by the program in `tests/outside/programs/answers`.
 
+mod camera_support;
 #[path = "capture_support/mod.rs"]
 mod support;
 
@@ -9,6 +10,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
+use camera_support::documented_faults;
 use rig::capture::{CaptureError, Outcome};
 use rig::device::described::{DescribedCamera, FrameSource, Taken, Wanted};
 use rig::device::retake::{FrameFault, Retakes};
@@ -278,14 +280,7 @@ fn a_session_is_not_resumed_with_another_camera() {
 
 #[test]
 fn the_table_in_the_docs_has_these_rows() {
-    let text = include_str!("../docs/faults.md");
-    let (_, section) = text.split_once("\n## A program that answers\n").unwrap();
-    let section = section.split("\n## ").next().unwrap();
-    let rows: BTreeSet<&str> = section
-        .lines()
-        .filter_map(|line| line.strip_prefix("| ")?.split(" | ").next())
-        .filter(|&name| name != "fault")
-        .collect();
+    let rows: BTreeSet<&str> = documented_faults("A program that answers").collect();
     let cases = LASTING.iter().map(|(name, ..)| *name).chain([ON_RESUME]);
     assert_eq!(rows, cases.collect());
 }

@@ -1,6 +1,7 @@
 //! Still cameras: the driver, Debian's own `gphoto2` and LibRaw's programs, and a simulated
 //! body behind PTP/IP that looks at the simulated bench.
 
+mod camera_support;
 #[path = "small_bench/mod.rs"]
 mod small_bench;
 
@@ -11,6 +12,7 @@ use std::process::Command;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use camera_support::{assert_same_within_noise, documented_faults};
 use mock_devices::camera::{CameraConfig, SimulatedCamera};
 use mock_devices::ptp::{Body, BodyConfig, BodyFault, PtpServer};
 use mock_devices::sensor::SensorModel;
@@ -181,28 +183,7 @@ fn a_capture_through_gphoto2_equals_one_in_memory() {
     let memory = capture(&rig, &at("memory"), Devices::new(stage, camera));
     println!("in memory: {:.1} s", began.elapsed().as_secs_f64());
     // The images.
-    assert_eq!((through.len(), memory.len()), (2, 2));
-    for (light, (a, b)) in through.iter().zip(&memory).enumerate() {
-        let (mut squares, mut sums, mut values) = (0.0, [0.0; 2], 0.0);
-        for pixel in 0..a.mean.len() {
-            if !a.valid[pixel] || !b.valid[pixel] {
-                continue;
-            }
-            for colour in 0..3 {
-                let [x, y] = [a, b].map(|image| f64::from(image.mean[pixel][colour]));
-                let variances = [a, b].map(|image| f64::from(image.variance[pixel][colour]));
-                squares += (x - y).powi(2) / (variances[0] + variances[1]);
-                sums[0] += x;
-                sums[1] += y;
-                values += 1.0;
-            }
-        }
-        let (chi, ratio) = (squares / values, sums[0] / sums[1]);
-        println!("light {light}: mean square {chi:.3} over {values}, ratio {ratio:.5}");
-        assert!(values > 0.9 * 3.0 * 64.0 * 64.0);
-        assert!((ratio - 1.0).abs() < 0.005, "light {light}: {ratio}");
-        assert!((0.8..1.3).contains(&chi), "light {light}: {chi}");
-    }
+    assert_same_within_noise(&through, &memory);
 }
 
 /// A card that is lit evenly whatever the lamp does.
@@ -398,14 +379,7 @@ fn a_body_that_fails_is_reported_as_what_it_does() {
 
 #[test]
 fn the_table_in_the_docs_has_these_rows() {
-    let text = include_str!("../docs/faults.md");
-    let (_, section) = text.split_once("\n## Still camera\n").unwrap();
-    let section = section.split("\n## ").next().unwrap();
-    let rows: BTreeSet<&str> = section
-        .lines()
-        .filter_map(|line| line.strip_prefix("| ")?.split(" | ").next())
-        .filter(|&name| name != "fault")
-        .collect();
+    let rows: BTreeSet<&str> = documented_faults("Still camera").collect();
     let cases = FAULTS.iter().map(|(name, ..)| *name).chain(OTHERS);
     assert_eq!(rows, cases.collect());
 }

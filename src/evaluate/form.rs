@@ -145,10 +145,10 @@ fn trials(lab: &Lab, error: Option<FormError>, index: u64) -> Result<[Trial; 2],
         };
         let fit = fit(&scene, &captured, &lab.dictionary, &options)?;
         let (theta_h, theta_d) = (theta_h_deg(), theta_d_deg());
-        let (material, draws) = (&fit.material, &fit.posterior_samples);
-        let cells = intervals::table(material, draws, &theta_h, &theta_d);
+        let (material, samples) = (&fit.material, &fit.posterior_samples);
+        let cells = intervals::table(material, samples, &theta_h, &theta_d);
         let [theta_h, theta_d] = SHARE_AT_DEG;
-        let budget = variance_shares::at(material, draws, theta_h, theta_d);
+        let budget = variance_shares::at(material, samples, theta_h, theta_d);
         let share = budget.map_or(0.0, |cell| {
             let total: f64 = cell.relative_variance.iter().sum();
             cell.relative_variance[Source::Mesh as usize] / total.max(f64::MIN_POSITIVE)

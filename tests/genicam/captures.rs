@@ -14,6 +14,7 @@ use rig::interrupt::Interrupt;
 use rig::radiance_image::{RadianceImage, exr};
 use rig::session::{Session, verify};
 
+use crate::camera_support::{assert_same_within_noise, documented_faults};
 use crate::stand::Stand;
 
 /// Captures two lights; the session's folder and how it ended.
@@ -45,34 +46,6 @@ fn images(root: &Path) -> Vec<RadianceImage> {
     found.sort();
     let read = |path: &PathBuf| exr::read(path).unwrap().image;
     found.iter().map(read).collect()
-}
-
-/// Images of the same scene that differ by noise alone: of the pixels' differences over their
-/// standard deviations the mean square is 1 within what 2 × 64 × 64 pixels and the lamp's own
-/// differences from visit to visit allow, and the ratio of their sums is 1 within 0.5%.
-fn assert_same_within_noise(through: &[RadianceImage], memory: &[RadianceImage]) {
-    assert_eq!((through.len(), memory.len()), (2, 2));
-    for (light, (a, b)) in through.iter().zip(memory).enumerate() {
-        let (mut squares, mut sums, mut values) = (0.0, [0.0; 2], 0.0);
-        for pixel in 0..a.mean.len() {
-            if !a.valid[pixel] || !b.valid[pixel] {
-                continue;
-            }
-            for colour in 0..3 {
-                let [x, y] = [a, b].map(|image| f64::from(image.mean[pixel][colour]));
-                let variances = [a, b].map(|image| f64::from(image.variance[pixel][colour]));
-                squares += (x - y).powi(2) / (variances[0] + variances[1]);
-                sums[0] += x;
-                sums[1] += y;
-                values += 1.0;
-            }
-        }
-        let (chi, ratio) = (squares / values, sums[0] / sums[1]);
-        println!("light {light}: mean square {chi:.3} over {values}, ratio {ratio:.5}");
-        assert!(values > 0.9 * 3.0 * 64.0 * 64.0);
-        assert!((ratio - 1.0).abs() < 0.005, "light {light}: {ratio}");
-        assert!((0.8..1.3).contains(&chi), "light {light}: {chi}");
-    }
 }
 
 #[test]
@@ -248,14 +221,7 @@ fn what_stays_ends_with_the_lamp_off_and_the_frames_kept() {
 /// Each row of the documents' table is a case here, in `driver.rs` or in `program.rs`.
 #[test]
 fn the_table_in_the_docs_has_these_rows() {
-    let text = include_str!("../../docs/faults.md");
-    let (_, section) = text.split_once("\n## GenICam cameras\n").unwrap();
-    let section = section.split("\n## ").next().unwrap();
-    let rows = section
-        .lines()
-        .filter_map(|line| line.strip_prefix("| ")?.split(" | ").next())
-        .filter(|&name| name != "fault");
-    let mut rows: Vec<&str> = rows.collect();
+    let mut rows: Vec<&str> = documented_faults("GenICam cameras").collect();
     let passing = PASSING.iter().map(|(name, ..)| *name);
     let mut cases: Vec<&str> = passing
         .chain(LASTING.iter().map(|(name, ..)| *name))

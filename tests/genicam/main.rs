@@ -2,6 +2,8 @@
 //! simulated bench, over loopback, and against Aravis' own fake camera.
 #![allow(clippy::print_stdout, reason = "figures, next to the tests' names")]
 
+#[path = "../camera_support/mod.rs"]
+mod camera_support;
 #[path = "../command_support/mod.rs"]
 mod support;
 

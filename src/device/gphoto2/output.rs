@@ -33,10 +33,10 @@ pub(super) fn complaint(stderr: &str) -> String {
         .next()
         .unwrap_or_default();
     let lines = text.lines().map(str::trim);
-    let told: Vec<&str> = lines
+    let messages: Vec<&str> = lines
         .filter(|line| !line.is_empty() && *line != "*** Error ***")
         .collect();
-    told.join("; ")
+    messages.join("; ")
 }
 
 pub(super) fn one_line(text: &str) -> String {

@@ -116,7 +116,7 @@ fn rate_for(rates: &[u32], longest: Seconds) -> Option<u32> {
     fastest.or_else(|| rates.iter().copied().min())
 }
 
-/// Refuses a camera whose damaged frames cannot be told from whole ones.
+/// Refuses a camera whose damaged frames cannot be distinguished from whole ones.
 fn check_damage(address: &str, number: u32) -> Result<(), DeviceError> {
     let driver = format!("/sys/class/video4linux/video{number}/device/driver");
     let driver = std::fs::canonicalize(driver).unwrap_or_default();
