@@ -28,7 +28,8 @@
 //! | 5 | [`capture`], [`evaluate`], [`material`], [`rendering`] |
 //! | 6 | [`workflow`] |
 //! | 7 | [`report`], [`export`] |
-//! | 8 | [`cli`] |
+//! | 8 | `console` |
+//! | 9 | [`cli`] |
 
 pub use rig_core::{
     bench_priors, brdf, cells, file_system, frames, geometry, inverse, least_squares, outside_file,
@@ -62,6 +63,9 @@ pub mod workflow;
 pub mod export;
 #[cfg(feature = "reports")]
 pub mod report;
+
+#[cfg(feature = "console")]
+pub mod console;
 
 pub mod cli;
 

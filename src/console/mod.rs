@@ -1,0 +1,10 @@
+//! The bench in a browser: one server for the operator's page, for everything that the
+//! page shows, and for the buttons on it.
+//!
+//! - [`hub`]: what is published to every page, newest state only.
+//!
+//! Work that the command line can do is done by it: a capture or a fit that is started from
+//! the page is `rig capture` or `rig fit` as a process of its own, so that nothing that
+//! happens to the console can harm it.
+
+pub mod hub;
