@@ -263,6 +263,12 @@ impl Cells {
         self.cells[cell].middle_px() / self.resolution_px[0] as f64
     }
 
+    /// Side of the largest cells, part of the image's width; 0 without cells.
+    pub fn largest_side(&self) -> f64 {
+        let side_px = self.index.sides_px.last().copied().unwrap_or(0);
+        f64::from(side_px) / self.resolution_px[0] as f64
+    }
+
     /// Area of a cell over that of a pixel at 64 pixels across the field of view.
     pub fn area(&self, cell: usize) -> f64 {
         let scale = FIELD_PARTS / self.resolution_px[0] as f64;

@@ -1,5 +1,7 @@
 //! What the images would look like, to first order, if something were wrong.
 
+use std::f64::consts::SQRT_2;
+
 use glam::{DVec2, DVec3};
 
 use super::Examined;
@@ -155,20 +157,76 @@ pub(super) fn blur_unit(cells: &Cells) -> f64 {
     (f64::from(side_px) / cells.resolution_px()[0] as f64).max(1.0 / FIELD_PARTS)
 }
 
-/// The mean around a cell under a Gaussian of this radius, parts of the image's width.
+/// What a cell would show under a Gaussian blur of this radius, part of the image's width. All
+/// pixels that no cell covers are black: light that is spread beyond the sample is lost to it.
 pub(super) fn blurred(
     cells: &Cells,
     cell: usize,
     radius: f64,
     value: impl Fn(usize) -> f64,
 ) -> f64 {
-    let middle = cells.middle(cell);
-    let (mut sum, mut total) = (0.0, 0.0);
-    for other in cells.within(cell, 2.5 * radius) {
-        let distance2 = cells.middle(other).distance_squared(middle);
-        let weight = cells.area(other) * (-0.5 * distance2 / (radius * radius)).exp();
-        sum += weight * value(other);
-        total += weight;
+    let [width, height] = cells.resolution_px();
+    let radius_px = radius * width as f64;
+    let middle_px = cells.cell(cell).middle_px();
+    // Part of the Gaussian in an interval of pixels.
+    let along = |middle: f64, from: f64, to: f64| {
+        let below = |at: f64| libm::erf((at - middle) / (radius_px * SQRT_2));
+        0.5 * (below(to) - below(from))
+    };
+    let inside = |corner: DVec2, size: DVec2| {
+        let end = corner + size;
+        along(middle_px.x, corner.x, end.x) * along(middle_px.y, corner.y, end.y)
+    };
+    let reach = BLUR_REACH * radius + cells.largest_side();
+    let near = cells.within(cell, reach).map(|other| {
+        let other_cell = cells.cell(other);
+        let side_px = f64::from(other_cell.side_px);
+        let corner_px = other_cell.middle_px() - 0.5 * side_px;
+        // Cells at the silhouette are not whole squares.
+        let covered = other_cell.pixels() as f64 / (side_px * side_px);
+        covered * inside(corner_px, DVec2::splat(side_px)) * value(other)
+    });
+    // What lies beyond the image is not known to be black.
+    near.sum::<f64>() / inside(DVec2::ZERO, DVec2::new(width as f64, height as f64))
+}
+
+/// Standard deviations of a Gaussian that count.
+const BLUR_REACH: f64 = 3.0;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::transport::cells::Cell;
+
+    /// Along a line of light that ends, half of it is left at the end and nearly all of it
+    /// inside, whatever the cells' sizes; at the image's border nothing is lost.
+    #[test]
+    fn a_blur_loses_light_to_what_no_cell_covers() {
+        let mut squares: Vec<Cell> = (0..8)
+            .flat_map(|y| (0..32).map(move |x| Cell::square([x, y], 1)))
+            .filter(|cell| cell.middle_px().x > 8.0)
+            .collect();
+        squares.extend(
+            (0..16)
+                .map(|k| Cell::square([2 * k, 8], 2))
+                .filter(|cell| cell.middle_px().x > 8.0),
+        );
+        squares.extend(
+            (0..8)
+                .map(|k| Cell::square([4 * k, 10], 4))
+                .filter(|cell| cell.middle_px().x > 8.0),
+        );
+        let cells = Cells::new([32, 14], squares);
+        let radius_px = 1.5;
+        for k in 0..cells.len() {
+            let x = cells.cell(k).middle_px().x;
+            let is = blurred(&cells, k, radius_px / 32.0, |_| 2.0);
+            let should = 1.0 + libm::erf((x - 8.0) / (radius_px * SQRT_2));
+            assert!(
+                (is - should).abs() < 0.006,
+                "{:?}: {is} for {should}",
+                cells.cell(k)
+            );
+        }
     }
-    sum / total
 }
