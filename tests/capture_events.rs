@@ -429,7 +429,7 @@ fn capture_in_memory(world: impl FnOnce(&mut bench::World)) -> Vec<CaptureEvent>
 /// The library itself: whatever ends a run, the end is the last event, and says why.
 #[test]
 fn the_end_is_the_last_event_and_has_the_reason() {
-    let events = capture_in_memory(|world| world.fail_at_grab = Some(9));
+    let events = capture_in_memory(|world| world.fail_at_grab = Some(25));
     let Some(CaptureEvent::Ended { outcome, error, .. }) = events.last() else {
         panic!("{events:?}");
     };
@@ -440,7 +440,7 @@ fn the_end_is_the_last_event_and_has_the_reason() {
     let ends = |event: &&CaptureEvent| matches!(event, CaptureEvent::Ended { .. });
     assert_eq!(events.iter().filter(ends).count(), 1);
 
-    let events = capture_in_memory(|world| world.pause_at_grab = Some(9));
+    let events = capture_in_memory(|world| world.pause_at_grab = Some(25));
     let at = |wanted| position(&events, wanted);
     assert_eq!(at(&CaptureEvent::Paused) + 1, at(&CaptureEvent::Continued));
     // Every frame that was taken before was reported before.
