@@ -16,6 +16,8 @@ mod capture_events;
 mod capture_notices;
 mod capture_progress;
 pub mod completions;
+#[cfg(feature = "console")]
+pub mod console;
 pub mod context;
 pub mod demo;
 pub mod devices;
@@ -83,6 +85,8 @@ macro_rules! commands {
 commands! {
     Demo(demo::DemoArgs) => demo::run,
     Capture(capture::CaptureArgs) => capture::run,
+    #[cfg(feature = "console")]
+    Console(console::ConsoleArgs) => console::run,
     Session(session::SessionArgs) => session::run,
     Devices(devices::DevicesArgs) => devices::run,
     Doctor(doctor::DoctorArgs) => doctor::run,

@@ -4,6 +4,7 @@
 //! - [`hub`]: what is published to every page, newest state only.
 //! - [`server`]: listening, who is let in, the stream of events, the page's files.
 //! - [`jobs`]: captures, fits and exports as processes of this program, and short commands.
+//! - [`facts`]: what a page learns about the rig.
 //! - [`control`]: which page controls the bench.
 //!
 //! Work that the command line can do is done by it: a capture or a fit that is started from
@@ -11,6 +12,7 @@
 //! happens to the console can harm it.
 
 pub mod control;
+pub mod facts;
 pub mod hub;
 pub mod jobs;
 pub mod refusal;
