@@ -2,9 +2,17 @@
 //! page shows, and for the buttons on it.
 //!
 //! - [`hub`]: what is published to every page, newest state only.
+//! - [`beneath`]: files below a folder that nothing leads out of.
+//! - [`picture`]: frames as pictures.
+//! - [`catalogue`]: the sessions of a folder.
+//! - [`fault`]: what went wrong, with advice.
 //!
 //! Work that the command line can do is done by it: a capture or a fit that is started from
 //! the page is `rig capture` or `rig fit` as a process of its own, so that nothing that
 //! happens to the console can harm it.
 
+pub mod beneath;
+pub mod catalogue;
+pub mod fault;
 pub mod hub;
+pub mod picture;
