@@ -6,6 +6,8 @@
 //! - [`picture`]: frames as pictures.
 //! - [`catalogue`]: the sessions of a folder.
 //! - [`fault`]: what went wrong, with advice.
+//! - [`server`]: listening, who is let in, the stream of events, the page's files.
+//! - [`control`]: which page controls the bench.
 //!
 //! Work that the command line can do is done by it: a capture or a fit that is started from
 //! the page is `rig capture` or `rig fit` as a process of its own, so that nothing that
@@ -13,6 +15,11 @@
 
 pub mod beneath;
 pub mod catalogue;
+pub mod control;
 pub mod fault;
 pub mod hub;
+pub mod hub;
 pub mod picture;
+pub mod refusal;
+pub mod request;
+pub mod server;
