@@ -8,6 +8,7 @@
 //! - [`catalogue`]: the sessions of a folder.
 //! - [`fault`]: what went wrong, with advice.
 //! - [`server`]: listening, who is let in, the stream of events, the page's files.
+//! - [`jobs`]: captures, fits and exports as processes of this program, and short commands.
 //! - [`control`]: which page controls the bench.
 //!
 //! Work that the command line can do is done by it: a capture or a fit that is started from
@@ -21,6 +22,7 @@ pub mod catalogue;
 pub mod control;
 pub mod fault;
 pub mod hub;
+pub mod jobs;
 pub mod picture;
 pub mod refusal;
 pub mod request;
