@@ -24,13 +24,12 @@ export function startBench(view) {
   const lamps = lampPanel();
   const why = h("p", { class: "why" });
   view.append(
-    why,
     h(
       "div",
-      { class: "bench-grid" },
-      live.picture,
-      h("div", { class: "stack side" }, connection.element, settings.element, live.figures),
-      h("div", { class: "stack stage-side" }, stage.element, lamps.element),
+      { class: "stack" },
+      why,
+      connection.element,
+      h("div", { class: "bench-grid" }, h("div", { class: "stack" }, live.picture, live.figures), h("div", { class: "stack" }, settings.element, stage.element, lamps.element)),
     ),
   );
   const show = () => {
@@ -50,7 +49,7 @@ function connectionPanel() {
   const status = h("p", { role: "status" });
   const error = h("p", { class: "error", role: "alert" });
   button.addEventListener("click", () => attempt(state.bench?.connected ? "api/bench/disconnect" : "api/bench/connect"));
-  const element = panel("Devices", {}, h("div", { class: "row" }, button, status), error);
+  const element = panel("Devices", { class: "devices" }, button, status, error);
   function show(reason) {
     const bench = state.bench;
     const busy = bench?.busy === "connecting";
@@ -75,8 +74,8 @@ function settingsPanel() {
     event.preventDefault();
     attempt("api/bench/exposure", { exposure_ms: time.valueAsNumber, gain: gain.valueAsNumber });
   });
-  const half = h("button", { type: "button", "aria-label": "Halve the exposure" }, "½×");
-  const twice = h("button", { type: "button", "aria-label": "Double the exposure" }, "2×");
+  const half = h("button", { type: "button", "aria-label": "½× the exposure" }, "½×");
+  const twice = h("button", { type: "button", "aria-label": "2× the exposure" }, "2×");
   for (const [button, factor] of [[half, 0.5], [twice, 2]]) {
     button.addEventListener("click", () => {
       const camera = state.bench?.camera;
@@ -148,6 +147,11 @@ function stagePanel() {
     const unknown = off ?? (position ? null : "The position is unknown: home the stage first.");
     gate(home, off);
     for (const control of [azimuth, elevation, go]) gate(control, unknown);
+    // The fields begin with where the lamp is; what was typed stays.
+    if (position && azimuth.value === "" && elevation.value === "") {
+      azimuth.value = Number(position.azimuth_deg.toFixed(1));
+      elevation.value = Number(position.elevation_deg.toFixed(1));
+    }
     facts(list, [
       ["Position", position ? direction(position.azimuth_deg, position.elevation_deg) : bench?.connected ? "unknown until homed" : "–"],
       ["State", busy ?? bench?.stage?.activity ?? "–"],

@@ -11,7 +11,7 @@ import { badge, latest } from "./verdict.js";
 export function comparePart() {
   const sides = [side("Left"), side("Right")];
   const table = h("div", { class: "compare-pictures" });
-  const element = h("div", {}, h("p", {}, h("a", { href: "#sessions" }, "← All sessions")), h("h3", {}, "Two fits side by side"), h("div", { class: "two even" }, sides.map((one) => one.element)), table);
+  const element = h("div", { class: "stack" }, h("p", {}, h("a", { href: "#sessions" }, "← All sessions")), h("h3", {}, "Two fits side by side"), h("div", { class: "two even" }, sides.map((one) => one.element)), table);
 
   async function load(names) {
     try {

@@ -23,7 +23,7 @@ function at(azimuth, elevation) {
 export function hemisphere(label, { onpick, help } = {}) {
   const layer = s("g", {});
   const cursor = s("g", { class: "cursor" }, s("circle", { r: 7 }), s("path", { d: "M-11 0H-4M4 0H11M0 -11V-4M0 4V11" }));
-  const drawing = s("svg", { viewBox: "-122 -122 244 244", class: "hemisphere", role: onpick ? "application" : "img", "aria-label": label }, layer);
+  const drawing = s("svg", { viewBox: "-130 -122 260 244", class: "hemisphere", role: onpick ? "application" : "img", "aria-label": label }, layer);
   const reading = h("p", { class: "fine reading", "aria-live": onpick ? "polite" : "off" }, help ?? "");
   const element = h("div", { class: "directions" }, drawing, reading);
   let aim = [0, 60];
@@ -91,7 +91,7 @@ function ground({ range }) {
   const labels = [
     s("text", { ...corner, x: R + 11, y: 4 }, "0°"),
     s("text", { ...corner, x: 0, y: -R - 6 }, "90°"),
-    s("text", { ...corner, x: -R - 11, y: 4 }, "180"),
+    s("text", { ...corner, x: -R - 14, y: 4 }, "180°"),
     s("text", { ...corner, x: 0, y: R + 15 }, degrees(-90)),
     ...[30, 60].map((elevation) => s("text", { class: "axis", x: 3, y: at(0, elevation)[0] - 3 }, degrees(elevation))),
   ];

@@ -63,6 +63,7 @@ export function livePanels() {
   }
 
   let connected = false;
+  let looking = false;
   function show() {
     const bench = state.bench;
     const figures = bench?.connected ? bench.view : null;
@@ -72,6 +73,7 @@ export function livePanels() {
       else view.clear();
       reset();
     }
+    view.look(looking && connected);
     say(empty, connected ? (figures ? "" : "Waiting for the first frame …") : "The camera is not connected.");
     if (figures && figures.number !== number) {
       number = figures.number;
@@ -97,8 +99,8 @@ export function livePanels() {
   return {
     picture: pictureElement,
     figures: figuresElement,
-    look(on_) {
-      view.look(on_);
+    look(shown) {
+      looking = shown;
       show();
     },
   };
@@ -159,7 +161,7 @@ function figurePanels() {
   const again = h("button", { type: "button", class: "quiet", onclick: reset }, "Reset best");
   const element = h(
     "div",
-    { class: "stack" },
+    { class: "two" },
     panel("Sharpness", {}, h("div", { class: "row" }, sharpness, best, again), trend, h("p", { class: "fine" }, "Turn the focus until it is highest. It compares frames of one scene at one exposure.")),
     panel("Counts", {}, none, counts.element, list),
   );

@@ -20,7 +20,7 @@ export function preparePart() {
   const records = recordsPanel();
   const element = h(
     "div",
-    {},
+    { class: "stack" },
     h("div", { class: "two" }, form.element, form.planElement),
     h("div", { class: "two" }, checks.element, records.element),
   );

@@ -24,6 +24,8 @@ const STATES = {
   failed: "Failed",
 };
 const ENDED = ["complete", "interrupted", "failed"];
+/** What a frame is taken for. */
+const KINDS = { light: "lamp on", ambient: "lamp off", dark: "dark frame", bias: "bias frame", flat: "flat field" };
 const LIGHT_STATES = { "to-come": "to come", now: "now", done: "done" };
 
 /** The name of a session's folder. */
@@ -37,7 +39,7 @@ export function runningPart(onleave) {
   const frame = framePanel();
   const lights = lightsPanel();
   const warnings = warningsPanel();
-  const element = h("div", {}, heading.element, h("div", { class: "two" }, h("div", { class: "stack" }, frame.element), h("div", { class: "stack" }, lights.element, warnings.element)));
+  const element = h("div", { class: "stack" }, heading.element, h("div", { class: "two" }, h("div", { class: "stack" }, frame.element), h("div", { class: "stack" }, lights.element, warnings.element)));
   const parts = [heading, frame, lights, warnings];
   const show = () => {
     for (const part of parts) part.show(state.capture, state.job);
@@ -88,7 +90,7 @@ function progressPanel(onleave) {
     doing.dataset.state = phase;
     if (lastState !== null && lastState !== phase && [...ENDED, "paused", "fitting"].includes(phase)) announce(STATES[phase]);
     lastState = phase;
-    const done = fitting ? (job?.progress?.done ?? null) : (capture?.done ?? 0);
+    const done = fitting ? (job?.progress?.done ?? null) : capture?.state === "complete" ? 1 : (capture?.done ?? 0);
     if (Number.isFinite(done)) bar.value = done;
     else bar.removeAttribute("value");
     say(share, Number.isFinite(done) ? `${Math.floor(100 * done)} %` : "");
@@ -149,7 +151,7 @@ function framePanel() {
     counts.show(frame?.figures ?? null);
     const channels = state.console?.rig?.channels ?? [];
     facts(list, frame ? [
-      ["Frame", `light ${frame.light}, ${frame.kind}`],
+      ["Frame", `light ${frame.light}, ${KINDS[frame.kind] ?? frame.kind}`],
       ["Lamp", frame.lamp === null || frame.lamp === undefined ? "off" : (channels[frame.lamp] ?? `channel ${frame.lamp}`)],
       ["Exposure", exposure(frame.exposure_s)],
     ] : []);

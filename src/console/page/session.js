@@ -41,9 +41,9 @@ export function warningList(warnings) {
 
 /** The part of the view; `load(name)` shows a session. */
 export function sessionPart() {
-  const content = h("div");
+  const content = h("div", { class: "stack" });
   const work = workPanel();
-  const element = h("div", {}, h("p", {}, h("a", { href: "#sessions" }, "← All sessions")), content, work.element);
+  const element = h("div", { class: "stack" }, h("p", {}, h("a", { href: "#sessions" }, "← All sessions")), content, work.element);
   let shown = null;
   async function load(name) {
     if (name !== shown) content.replaceChildren(h("p", { class: "fine" }, "Loading …"));
@@ -164,7 +164,7 @@ function workPanel() {
   const logBox = h("details", {}, h("summary", {}, "What the program says"), log);
   const progress = h("div", { class: "panel work" }, status, bar, download, logBox);
   const why = h("p", { class: "why" });
-  const element = h("div", {}, progress, why, h("div", { class: "two" }, panel("Fit again", {}, fitForm), panel("Export", {}, exportForm)));
+  const element = h("div", { class: "stack" }, progress, why, h("div", { class: "two" }, panel("Fit again", {}, fitForm), panel("Export", {}, exportForm)));
 
   function show(shown) {
     if (shown) session = shown;

@@ -16,8 +16,12 @@ export function startSetup(view) {
   const form = h("form", { class: "stack-form" }, questions, h("div", { class: "row" }, write, again), why, error);
   const result = h("div", { role: "status" });
   view.append(
-    panel("A rig file of your own", {}, h("p", {}, "Answer what rig cannot find out by itself. It writes a commented rig file, and never replaces one that is there."), form),
-    result,
+    h(
+      "div",
+      { class: "stack narrow" },
+      panel("A rig file of your own", {}, h("p", {}, "Answer what rig cannot find out by itself. It writes a commented rig file, and never replaces one that is there."), form),
+      result,
+    ),
   );
   let asked = [];
   let loaded = false;
