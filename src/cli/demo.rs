@@ -14,9 +14,13 @@ pub struct DemoArgs {
     /// Folder that receives the session's folder
     #[arg(long, value_name = "DIR", default_value = "sessions")]
     out: PathBuf,
+    /// Each event as a JSON line on stdout, for other programs, instead of the path
+    #[arg(long)]
+    events: bool,
 }
 
 /// `rig demo`.
 pub fn run(args: &DemoArgs, context: &Context) -> Result<(), CliError> {
-    capture::run(&CaptureArgs::on_simulated_rig(4, args.out.clone()), context)
+    let capture = CaptureArgs::on_simulated_rig(4, args.out.clone(), args.events);
+    capture::run(&capture, context)
 }

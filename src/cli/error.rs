@@ -92,24 +92,9 @@ impl<E: Error + Send + Sync + 'static> From<E> for CliError {
     fn from(error: E) -> Self {
         Self {
             hint: hints::for_error(&error).or_else(|| Some(hints::FALLBACK.to_owned())),
-            ..Self::new(facts(&error))
+            ..Self::new(shown::with_causes(&error))
         }
     }
-}
-
-/// The error and its causes, outermost first, joined by `: `. A cause that its
-/// parent already quotes is not repeated.
-fn facts(error: &(dyn Error + 'static)) -> String {
-    let mut text = shown::line(&error.to_string());
-    let mut cause = error.source();
-    while let Some(error) = cause {
-        let fact = shown::line(&error.to_string());
-        if !text.ends_with(&fact) {
-            text = format!("{text}: {fact}");
-        }
-        cause = error.source();
-    }
-    text
 }
 
 /// Advice given where the error is raised.

@@ -12,6 +12,7 @@ pub mod calibrate;
 pub mod camera;
 mod camera_preview;
 pub mod capture;
+mod capture_events;
 mod capture_notices;
 mod capture_progress;
 pub mod completions;
@@ -52,6 +53,7 @@ mod sharpness;
 pub mod stage;
 pub mod stderr;
 mod trace;
+mod write_queue;
 
 use std::ffi::OsString;
 use std::io::IsTerminal;

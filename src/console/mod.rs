@@ -2,9 +2,17 @@
 //! page shows, and for the buttons on it.
 //!
 //! - [`hub`]: what is published to every page, newest state only.
+//! - [`server`]: listening, who is let in, the stream of events, the page's files.
+//! - [`jobs`]: captures, fits and exports as processes of this program, and short commands.
+//! - [`control`]: which page controls the bench.
 //!
 //! Work that the command line can do is done by it: a capture or a fit that is started from
 //! the page is `rig capture` or `rig fit` as a process of its own, so that nothing that
 //! happens to the console can harm it.
 
+pub mod control;
 pub mod hub;
+pub mod jobs;
+pub mod refusal;
+pub mod request;
+pub mod server;

@@ -41,6 +41,11 @@ pub fn frame_stem(key: FrameKey) -> String {
     )
 }
 
+/// A frame's image, e.g. `raw/L003_E02_R00_light.png`.
+pub fn image_file(key: FrameKey) -> String {
+    format!("{RAW_FOLDER}/{}.png", frame_stem(key))
+}
+
 /// The merged radiance of one light direction, e.g. `derived/radiance_L003.exr`.
 pub fn radiance_file(light: u32) -> String {
     format!("{DERIVED_FOLDER}/radiance_L{light:03}.exr")
