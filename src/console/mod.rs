@@ -2,6 +2,10 @@
 //! page shows, and for the buttons on it.
 //!
 //! - [`hub`]: what is published to every page, newest state only.
+//! - [`beneath`]: files below a folder that nothing leads out of.
+//! - [`picture`]: frames as pictures.
+//! - [`catalogue`]: the sessions of a folder.
+//! - [`fault`]: what went wrong, with advice.
 //! - [`server`]: listening, who is let in, the stream of events, the page's files.
 //! - [`jobs`]: captures, fits and exports as processes of this program, and short commands.
 //! - [`control`]: which page controls the bench.
@@ -10,9 +14,13 @@
 //! the page is `rig capture` or `rig fit` as a process of its own, so that nothing that
 //! happens to the console can harm it.
 
+pub mod beneath;
+pub mod catalogue;
 pub mod control;
+pub mod fault;
 pub mod hub;
 pub mod jobs;
+pub mod picture;
 pub mod refusal;
 pub mod request;
 pub mod server;
