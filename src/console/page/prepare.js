@@ -138,8 +138,9 @@ function captureForm() {
     say(status, "Planning …");
     try {
       const answer = await act("api/plan", body(), mine.signal);
-      plan = answer.plan;
       say(command, answer.command);
+      if (answer.error) throw Object.assign(new Error(answer.error), { hint: answer.hint });
+      plan = answer.plan;
       say(status, wanted ? "Dry run: nothing was opened and nothing moved." : "");
     } catch (error) {
       if (error.name === "AbortError") return;

@@ -9,6 +9,7 @@ import { announce, capital } from "./notices.js";
 import { picture } from "./picture.js";
 import { surroundings } from "./reach.js";
 import { link, secondsSince, state, watch } from "./stream.js";
+import { badge } from "./verdict.js";
 
 const PICTURE_MS = 500;
 const STATES = {
@@ -61,6 +62,7 @@ export function runningPart(onleave) {
 function progressPanel(onleave) {
   const title = h("h3", { class: "headline" });
   const doing = h("p", { class: "doing", role: "status" });
+  const verdict = h("p");
   const bar = h("progress", { max: "1", "aria-label": "Progress of the capture" });
   const share = h("span", { class: "share" });
   const list = h("dl", { class: "facts across" });
@@ -75,7 +77,7 @@ function progressPanel(onleave) {
   const open = h("a", { class: "button primary", id: "open-session" }, "Open the session");
   const next = h("button", { type: "button", id: "next", onclick: onleave }, "New capture");
   const error = h("p", { class: "error", role: "alert" });
-  const element = h("section", { class: "panel" }, title, doing, h("div", { class: "progress-row" }, bar, share), list, h("div", { class: "row" }, pause, go_on, finish, halt, resume, open, next), why, error);
+  const element = h("section", { class: "panel" }, title, doing, verdict, h("div", { class: "progress-row" }, bar, share), list, h("div", { class: "row" }, pause, go_on, finish, halt, resume, open, next), why, error);
 
   let lastState = null;
   function show(capture, job) {
@@ -85,7 +87,10 @@ function progressPanel(onleave) {
     const fitting = capture?.state === "fitting";
     say(title, capture?.sample || name || "Capture");
     const phase = paused ? "paused" : (capture?.state ?? "preparing");
-    const fit = fitting && job?.progress?.stage ? `: ${job.progress.stage}` : "";
+    const stage = capture?.fit_stage ?? job?.progress?.stage;
+    const fit = fitting && stage ? `: ${stage}` : "";
+    verdict.hidden = !(ENDED.includes(phase) && capture?.verdict);
+    redraw(verdict, capture?.verdict ?? null, () => (capture?.verdict ? [badge({ verdict: capture.verdict })] : []));
     say(doing, job?.state === "ending" && running ? "Stopping after this frame" : `${STATES[phase] ?? capital(phase)}${fit}`);
     doing.dataset.state = phase;
     if (lastState !== null && lastState !== phase && [...ENDED, "paused", "fitting"].includes(phase)) announce(STATES[phase]);
@@ -108,8 +113,8 @@ function progressPanel(onleave) {
     gate(finish, reason ?? (job?.state === "ending" ? "The capture is ending." : null));
     gate(resume, reason);
     say(why, reason ? `${reason} STOP works from every page.` : "");
-    const failure = ended && job?.kind === "capture" && (job.state === "failed" || capture?.state === "failed") ? (job.log ?? []).slice(-3).join(" · ") : "";
-    say(error, failure);
+    const failed = ended && (capture?.state === "failed" || (job?.kind === "capture" && job.state === "failed"));
+    say(error, failed ? capital(capture?.error ?? (job?.log ?? []).slice(-3).join(" · ")) : "");
     tick(capture);
   }
 
@@ -120,6 +125,7 @@ function progressPanel(onleave) {
     facts(list, [
       ["Time left", running && Number.isFinite(left) && capture.state !== "fitting" ? (left > 0 ? span(left) : "a moment") : null],
       ["Lights", lights.length ? `${lights.filter((light) => light.state === "done").length} of ${lights.length} done` : null],
+      ["Drift over the session", Number.isFinite(capture?.drift_percent) ? drift(capture.drift_percent, capture.drift_u_percent ?? NaN) : null],
       ["Disk free", Number.isFinite(capture?.disk_free_bytes) ? bytes(capture.disk_free_bytes) : null],
       ["Session", sessionName(capture?.session) || null],
     ]);

@@ -1,9 +1,9 @@
 // One session: verdict, report, pictures, its fits, fit again, export.
 
 import { ask } from "./api.js";
-import { facts, field, gate, h, panel, redraw, say } from "./dom.js";
+import { by, facts, field, gate, h, panel, redraw, say } from "./dom.js";
 import { when } from "./format.js";
-import { attempt, blocked } from "./header.js";
+import { attempt, blocked, capturing } from "./header.js";
 import { announce, complain } from "./notices.js";
 import { state, watch } from "./stream.js";
 import { badge, latest, quality } from "./verdict.js";
@@ -74,6 +74,7 @@ function details(session) {
     ["Captured", when(session.began)],
     ["Lights", String(session.lights)],
     ["Bench", session.simulated ? "simulated" : null],
+    ["True material", session.material ?? null],
     ["Latest fit", quality(fit)],
     ["Folder", session.name],
   ]);
@@ -84,12 +85,13 @@ function details(session) {
       h("h3", { class: "headline" }, session.sample || session.name),
       h("p", { class: "verdict" }, badge(fit), " ", fit?.verdict_text ? `${fit.verdict_text}.` : "This session has not been fitted."),
       list,
+      session.error ? h("p", { class: "error" }, `${session.error.error}${session.error.hint ? ` – ${session.error.hint}` : ""}`) : null,
       session.warnings?.length ? warningList(session.warnings) : null,
       h(
         "div",
         { class: "row" },
         report ? h("a", { class: "button primary", id: "report", href: report, target: "_blank", rel: "noopener" }, "Open the report") : null,
-        session.complete ? null : resume,
+        session.complete || session.error ? null : resume,
       ),
       report ? reportFrame(report) : null,
     ),
@@ -114,7 +116,8 @@ function fitPanel(session, fit, first) {
     "details",
     { class: "panel fit", open: first },
     h("summary", {}, h("h3", {}, `Fit ${fit.name}`), " ", badge(fit), " ", h("span", { class: "fine" }, quality(fit))),
-    warningList(fit.warnings),
+    fit.error ? h("p", { class: "error" }, fit.error.error) : warningList(fit.warnings),
+    fit.remarks?.length ? h("ul", { class: "warnings" }, fit.remarks.map((remark) => h("li", { class: "fine" }, remark))) : null,
     fit.pictures?.length ? gallery(session, fit.pictures) : null,
     h("details", {}, h("summary", {}, "Settings"), settings),
   );
@@ -162,7 +165,8 @@ function workPanel() {
   const download = h("a", { class: "button primary", id: "download", download: true }, "Download");
   const log = h("pre", { class: "log", tabindex: "0", "aria-label": "Log" });
   const logBox = h("details", {}, h("summary", {}, "What the program says"), log);
-  const progress = h("div", { class: "panel work" }, status, bar, download, logBox);
+  const halt = h("button", { type: "button", id: "stop-job", onclick: () => attempt("api/jobs/stop") }, "Stop this job");
+  const progress = h("div", { class: "panel work" }, status, bar, halt, download, logBox);
   const why = h("p", { class: "why" });
   const element = h("div", { class: "stack" }, progress, why, h("div", { class: "two" }, panel("Fit again", {}, fitForm), panel("Export", {}, exportForm)));
 
@@ -173,6 +177,8 @@ function workPanel() {
     const fits = [...(session.fits ?? [])].reverse();
     redraw(which, fits.map((one) => one.name), () => fits.map((one) => h("option", { value: one.name }, `fit ${one.name}, ${one.dictionary ?? ""}`)));
     const job = state.job;
+    const resume = by("resume-session");
+    if (resume) gate(resume, blocked() ?? (capturing() ? "A capture is running." : null));
     const busy = job && ["running", "paused", "ending"].includes(job.state) ? `A ${job.kind} is running.` : null;
     const reason = blocked() ?? busy;
     gate(fit, reason ?? (session.complete ? null : "The session is not complete."));
@@ -190,6 +196,7 @@ function workPanel() {
     const name = job.kind === "fit" ? "Fit" : "Export";
     say(status, running ? `${name}${stage} …` : job.state === "done" ? `${name} done.` : `${name} ${job.state}.`);
     bar.hidden = !running;
+    halt.hidden = !running;
     if (Number.isFinite(job.progress?.done)) bar.value = job.progress.done;
     else bar.removeAttribute("value");
     download.hidden = !(job.kind === "export" && job.state === "done" && job.download);

@@ -96,9 +96,11 @@ function card(session, ticked, tick) {
   box.checked = ticked.includes(session.name);
   box.disabled = !fit;
   box.addEventListener("change", () => tick(session.name, box.checked));
+  const lights = `${session.lights} ${session.lights === 1 ? "light" : "lights"}`;
   const facts = [
-    `${session.lights} ${session.lights === 1 ? "light" : "lights"}`,
-    session.simulated ? "simulated" : null,
+    session.complete || session.lights_finished == null ? lights : `${session.lights_finished} of ${lights} captured`,
+    session.simulated ? `simulated${session.material ? `: ${session.material}` : ""}` : null,
+    session.suspect ? "the stage lost steps" : null,
     session.fits?.length > 1 ? `${session.fits.length} fits` : null,
     quality(fit) === "–" ? null : quality(fit),
   ].filter(Boolean);
@@ -112,6 +114,6 @@ function card(session, ticked, tick) {
       h("h4", {}, h("a", { href: `#sessions/${encodeURIComponent(session.name)}` }, session.sample || session.name)),
       h("p", { class: "fine" }, when(session.began), " · ", facts.join(" · ")),
     ),
-    session.complete ? badge(fit) : h("span", { class: "badge incomplete" }, "not complete"),
+    session.error ? h("span", { class: "badge incomplete", title: session.error.error }, "can’t be read") : session.complete ? badge(fit) : h("span", { class: "badge incomplete" }, "not complete"),
   );
 }
