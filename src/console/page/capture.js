@@ -1,5 +1,6 @@
 // The capture view: the form before a capture, or the one that is running or has ended.
 
+import { by } from "./dom.js";
 import { preparePart } from "./prepare.js";
 import { runningPart } from "./running.js";
 import { capturing } from "./header.js";
@@ -22,8 +23,11 @@ export function startCapture(view) {
     const capture = state.capture;
     const left = capture && !capturing() && sessionStorage.getItem(LEFT) === capture.session;
     const during = capturing() || (capture !== null && !left);
-    running.element.hidden = !during;
-    prepare.element.hidden = during;
+    const [now, before] = during ? [running, prepare] : [prepare, running];
+    const focused = before.element.contains(document.activeElement);
+    now.element.hidden = false;
+    before.element.hidden = true;
+    if (focused) by("capture-title").focus({ preventScroll: true });
     running.look(shown && during);
     prepare.look(shown && !during);
   }

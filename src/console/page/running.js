@@ -40,7 +40,7 @@ export function runningPart(onleave) {
   const frame = framePanel();
   const lights = lightsPanel();
   const warnings = warningsPanel();
-  const element = h("div", { class: "stack" }, heading.element, h("div", { class: "two" }, h("div", { class: "stack" }, frame.element), h("div", { class: "stack" }, lights.element, warnings.element)));
+  const element = h("div", { class: "stack during" }, heading.element, h("div", { class: "two" }, h("div", { class: "stack" }, frame.element), h("div", { class: "stack" }, lights.element, warnings.element)));
   const parts = [heading, frame, lights, warnings];
   const show = () => {
     for (const part of parts) part.show(state.capture, state.job);
@@ -100,12 +100,16 @@ function progressPanel(onleave) {
     else bar.removeAttribute("value");
     say(share, Number.isFinite(done) ? `${Math.floor(100 * done)} %` : "");
     const ended = !running;
+    const focused = document.activeElement;
     for (const control of [pause, go_on, finish, halt]) control.hidden = ended;
     pause.hidden ||= paused;
     go_on.hidden ||= !paused;
     resume.hidden = !(ended && capture && ["interrupted", "failed"].includes(capture.state) && name);
     open.hidden = !(ended && name);
     next.hidden = !ended;
+    // Whoever pressed a button that is gone stands on the next one.
+    const buttons = [pause, go_on, finish, halt, open, resume, next];
+    if (buttons.includes(focused) && focused.hidden) buttons.find((button) => !button.hidden)?.focus();
     if (name) open.setAttribute("href", `#sessions/${encodeURIComponent(name)}`);
     const reason = blocked();
     gate(pause, reason ?? (job?.state === "ending" ? "The capture is ending." : null));
