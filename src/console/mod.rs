@@ -3,6 +3,7 @@
 //!
 //! - [`hub`]: what is published to every page, newest state only.
 //! - [`beneath`]: files below a folder that nothing leads out of.
+//! - [`bench`]: camera and stage held open while nothing is captured.
 //! - [`picture`]: frames as pictures.
 //! - [`catalogue`]: the sessions of a folder.
 //! - [`fault`]: what went wrong, with advice.
@@ -14,7 +15,9 @@
 //! the page is `rig capture` or `rig fit` as a process of its own, so that nothing that
 //! happens to the console can harm it.
 
+pub mod bench;
 pub mod beneath;
+mod blocking;
 pub mod catalogue;
 pub mod control;
 pub mod fault;

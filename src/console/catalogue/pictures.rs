@@ -8,8 +8,8 @@ use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
 use serde::Serialize;
 
-use super::files::FileError;
-use super::row::{EntryError, read_fit};
+use super::row::read_fit;
+use super::served::FileError;
 use crate::brdf::environment::EnvironmentMap;
 use crate::brdf::source;
 use crate::brdf::sphere::sphere_images;
@@ -257,12 +257,6 @@ fn encode(picture: &Picture) -> Result<Vec<u8>, image::ImageError> {
         ExtendedColorType::Rgba8,
     )?;
     Ok(png)
-}
-
-impl From<crate::session::fit_record::FitRecordError> for FileError {
-    fn from(error: crate::session::fit_record::FitRecordError) -> Self {
-        Self::Entry(EntryError::Fit(error))
-    }
 }
 
 #[cfg(test)]

@@ -91,7 +91,7 @@ pub fn session(folder: &Path, sample: &str, began: &str) -> String {
 }
 
 /// With a fit of two lights and a report, its capture ended.
-fn fitted_session(folder: &Path) -> String {
+pub fn fitted_session(folder: &Path) -> String {
     let name = session(folder, "bowl", "2026-11-21T02:34:00Z");
     let mut writer = SessionWriter::open(Arc::new(SystemDisk), &folder.join(&name)).unwrap();
     let image = || {
@@ -213,7 +213,7 @@ fn nothing_outside_the_folder_and_nothing_by_a_link_is_read() {
     let catalogue = Catalogue::new(&folder, Advisor::silent());
 
     let report = catalogue.file(&name, "report.html").unwrap();
-    assert_eq!(report.shown, files::Shown::Page);
+    assert_eq!(report.shown, served::Shown::Page);
     assert_eq!(
         *catalogue.file(&name, "exports/brdf.json").unwrap().bytes,
         b"{}"

@@ -13,5 +13,7 @@ pub mod levels;
 pub mod live;
 pub mod outline;
 pub mod peaking;
+mod routes;
 
 pub use jpeg::{Counts, LARGEST_PX, Marks, PictureError, jpeg, quantised};
+pub use routes::{frame_routes, outline_routes};

@@ -64,7 +64,9 @@ struct Noise {
 
 impl Noise {
     /// From second differences along rows, which a slope doesn't enter: their median is that
-    /// of pixels without an edge, as long as these are most.
+    /// of pixels without an edge, as long as these are most. Where nearly all pixels of a
+    /// brightness lie on edges they are not, and the noise of brighter ones is the limit,
+    /// because noise grows with brightness.
     fn of(frame: &RawFrame, step: usize) -> Self {
         let (width, pixels) = (frame.width as usize, frame.counts.len());
         let largest_dn = frame.counts.iter().copied().max().unwrap_or(0);
@@ -72,14 +74,16 @@ impl Noise {
         // Odd, so that pixels of all colour filters are among them.
         let stride = (pixels / NOISE_SAMPLES) | 1;
         for at in (step..pixels.saturating_sub(step)).step_by(stride) {
-            if !(step..width.saturating_sub(step)).contains(&(at % width)) {
+            let near = [at - step, at, at + step].map(|index| frame.counts[index]);
+            // Saturated pixels have no noise.
+            let is_inside = (step..width.saturating_sub(step)).contains(&(at % width));
+            if !is_inside || near.contains(&largest_dn) {
                 continue;
             }
-            let count = |index: usize| f32::from(frame.counts[index]);
-            let second = count(at - step) - 2.0 * count(at) + count(at + step);
-            found[class(frame.counts[at], largest_dn)].push(second.abs());
+            let [before, here, after] = near.map(f32::from);
+            found[class(near[1], largest_dn)].push((before - 2.0 * here + after).abs());
         }
-        let mut known = found.map(|mut values| {
+        let known = found.map(|mut values| {
             if values.len() < LEAST_IN_CLASS {
                 return None;
             }
@@ -89,15 +93,25 @@ impl Noise {
             let sigma = median / MEDIAN_OF_GAUSSIAN / 6f32.sqrt();
             Some(sigma.max(LEAST_NOISE_DN))
         });
-        // Classes without enough pixels take the noise of the next darker one, or of the
-        // darkest that is known.
-        let darkest = known.iter().flatten().next().copied();
-        let mut last = darkest.unwrap_or(LEAST_NOISE_DN);
-        for noise in &mut known {
-            last = *noise.get_or_insert(last);
+        // Never more than that of brighter classes.
+        let mut by_class = [None; CLASSES];
+        let mut limit = None;
+        for at in (0..CLASSES).rev() {
+            limit = [limit, known[at]].into_iter().flatten().reduce(f32::min);
+            by_class[at] = limit;
         }
+        // Brighter ones than any that is known: photon noise grows with the square root, in
+        // which the classes are equally wide.
+        let brightest = (0..CLASSES).rev().find(|&at| by_class[at].is_some());
+        let of_brightest = brightest.and_then(|at| by_class[at]);
+        let by_class = std::array::from_fn(|at| {
+            by_class[at].unwrap_or_else(|| {
+                let grown = (at + 1) as f32 / (brightest.unwrap_or(at) + 1) as f32;
+                of_brightest.unwrap_or(LEAST_NOISE_DN) * grown
+            })
+        });
         Self {
-            by_class: known.map(|noise| noise.unwrap_or(LEAST_NOISE_DN)),
+            by_class,
             largest_dn,
         }
     }
@@ -159,17 +173,19 @@ mod tests {
         }
     }
 
-    /// Neighbours of another colour differ everywhere.
+    /// Neighbours of another colour differ everywhere; those of the same colour on edges.
     #[test]
     fn the_pattern_of_colour_filters_is_no_edge() {
-        let mut frame = edge(4.0);
-        for (at, count) in frame.counts.iter_mut().enumerate() {
-            if (at / SIZE + at) % 2 == 0 {
-                *count /= 3;
+        for (blur_px, is_sharp) in [(0.5, true), (8.0, false)] {
+            let mut frame = edge(blur_px);
+            for (at, count) in frame.counts.iter_mut().enumerate() {
+                if (at / SIZE + at) % 2 == 0 {
+                    *count /= 3;
+                }
             }
+            let (on_edge, elsewhere) = marked(&frame, Mosaic::Rggb);
+            assert_eq!((on_edge >= SIZE / 4, elsewhere), (is_sharp, 0), "{on_edge}");
         }
-        assert_eq!(marked(&frame, Mosaic::Rggb), (0, 0));
-        assert!(marked(&frame, Mosaic::None).1 > 0);
     }
 
     #[test]
