@@ -29,6 +29,7 @@ mod fit_args;
 mod fit_progress;
 pub mod guardian;
 pub mod hints;
+pub mod init;
 pub mod interrupt;
 pub mod keeper;
 pub mod light_choice;
@@ -81,6 +82,7 @@ macro_rules! commands {
 commands! {
     Demo(demo::DemoArgs) => demo::run,
     Capture(capture::CaptureArgs) => capture::run,
+    Init(init::InitArgs) => init::run,
     Session(session::SessionArgs) => session::run,
     Devices(devices::DevicesArgs) => devices::run,
     Doctor(doctor::DoctorArgs) => doctor::run,
