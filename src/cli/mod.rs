@@ -30,6 +30,7 @@ mod fit_args;
 mod fit_progress;
 pub mod guardian;
 pub mod hints;
+pub mod init;
 pub mod interrupt;
 pub mod keeper;
 pub mod light_choice;
@@ -83,6 +84,7 @@ macro_rules! commands {
 commands! {
     Demo(demo::DemoArgs) => demo::run,
     Capture(capture::CaptureArgs) => capture::run,
+    Init(init::InitArgs) => init::run,
     Session(session::SessionArgs) => session::run,
     Devices(devices::DevicesArgs) => devices::run,
     Doctor(doctor::DoctorArgs) => doctor::run,
