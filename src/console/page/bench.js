@@ -9,6 +9,24 @@ import { announce, complain } from "./notices.js";
 import { surroundings, unreachable } from "./reach.js";
 import { now, state, watch } from "./stream.js";
 
+/** What keeps the bench from taking another command. */
+const BUSY = {
+  connecting: "The devices are being opened.",
+  homing: "The stage is homing.",
+  moving: "The stage is moving.",
+  switching: "The lamp is being switched.",
+  stopping: "Motion and lamp are being stopped.",
+  disconnecting: "The devices are being closed.",
+};
+
+/** Why camera and stage can't be used now, or null. */
+function notReady(reason) {
+  const bench = state.bench;
+  if (reason) return reason;
+  if (!bench?.connected) return "Connect first.";
+  return bench.busy ? (BUSY[bench.busy] ?? `The bench is ${bench.busy}.`) : null;
+}
+
 /** Why the devices can't be used now, or null. */
 function unavailable() {
   if (capturing()) return "A capture is running: camera and stage belong to it.";
@@ -55,7 +73,7 @@ function connectionPanel() {
     const busy = bench?.busy === "connecting";
     say(button, bench?.connected ? "Disconnect" : busy ? "Connecting …" : "Connect");
     button.classList.toggle("primary", !bench?.connected);
-    gate(button, reason ?? (busy ? "The devices are being opened." : null));
+    gate(button, reason ?? BUSY[bench?.busy] ?? (bench?.lent_to ? `The devices are in use by ${bench.lent_to}.` : null));
     const camera = bench?.camera;
     say(status, bench?.connected ? (camera ? `${camera.model}${camera.serial ? `, serial ${camera.serial}` : ""}` : "Connected") : "Not connected");
     const failed = bench?.error;
@@ -92,21 +110,20 @@ function settingsPanel() {
     const settings = bench?.settings;
     // What the camera applied replaces what was typed, but never while somebody types.
     const key = settings ? `${settings.exposure_s} ${settings.gain}` : null;
-    if (key !== known && settings && !form.contains(document.activeElement)) {
+    if (key !== known && Number.isFinite(settings?.exposure_s) && !form.contains(document.activeElement)) {
       time.value = digits(settings.exposure_s * 1e3, 5).replace(/(\.\d*?)0+$/, "$1").replace(/\.$/, "");
       gain.value = String(settings.gain);
       known = key;
     }
-    const off = reason ?? (bench?.connected ? null : "Connect first.");
+    const off = reason ?? (bench?.connected ? (Number.isFinite(settings?.exposure_s) ? null : "The exposure of this camera cannot be set.") : "Connect first.");
     for (const control of [time, gain, set, half, twice]) gate(control, off);
     const limits = bench?.camera?.exposure_range_s;
-    say(range, settings && limits ? `Applied: ${exposure(settings.exposure_s)}. Allowed: ${exposure(limits[0])} to ${exposure(limits[1])}.` : "");
+    say(range, limits && Number.isFinite(settings?.exposure_s) && Number.isFinite(limits[0]) ? `Applied: ${exposure(settings.exposure_s)}. Allowed: ${exposure(limits[0])} to ${exposure(limits[1])}.` : "");
   }
   return { element: panel("Exposure", {}, form, range), show };
 }
 
 function stagePanel() {
-  let target = null;
   const azimuth = h("input", { type: "number", min: "-180", max: "360", step: "any", inputmode: "decimal", required: true });
   const elevation = h("input", { type: "number", min: "0", max: "90", step: "any", inputmode: "decimal", required: true });
   const go = h("button", { type: "submit" }, "Move");
@@ -125,9 +142,8 @@ function stagePanel() {
   async function move(azimuth_deg, elevation_deg) {
     const outside = unreachable(azimuth_deg, elevation_deg);
     if (outside) return complain(new Error(outside));
-    target = { azimuth_deg, elevation_deg };
     announce(`Moving to ${direction(azimuth_deg, elevation_deg)}`);
-    if (!(await attempt("api/bench/move", target))) target = null;
+    await attempt("api/bench/move", { azimuth_deg, elevation_deg });
   }
   form.addEventListener("submit", (event) => {
     event.preventDefault();
@@ -135,15 +151,12 @@ function stagePanel() {
   });
   const element = panel("Stage", {}, list, map.element, form);
 
-  let wasBusy = false;
   function show(reason) {
     const bench = state.bench;
     element.hidden = state.console?.mode === "camera" || state.console?.rig?.has_stage === false;
     const position = bench?.stage?.position ?? null;
     const busy = bench?.busy ?? null;
-    if (wasBusy && busy === null) target = null;
-    wasBusy = busy !== null;
-    const off = reason ?? (bench?.connected ? (busy ? `The stage is ${busy}.` : null) : "Connect first.");
+    const off = notReady(reason);
     const unknown = off ?? (position ? null : "The position is unknown: home the stage first.");
     gate(home, off);
     for (const control of [azimuth, elevation, go]) gate(control, unknown);
@@ -156,7 +169,7 @@ function stagePanel() {
       ["Position", position ? direction(position.azimuth_deg, position.elevation_deg) : bench?.connected ? "unknown until homed" : "–"],
       ["State", busy ?? bench?.stage?.activity ?? "–"],
     ]);
-    map.show({ ...surroundings(), position, target, lamp: bench?.stage?.lamp != null, blocked: unknown });
+    map.show({ ...surroundings(), position, target: bench?.stage?.target ?? null, lamp: bench?.stage?.lamp != null, blocked: unknown });
   }
   return { element, show };
 }
@@ -175,7 +188,7 @@ function lampPanel() {
     element.hidden = state.console?.mode === "camera" || channels.length === 0;
     redraw(buttons, channels, () => channels.map((name, i) => h("button", { type: "button", class: "toggle", onclick: () => light(i) }, name)));
     const lit = bench?.stage?.lamp ?? null;
-    const off = reason ?? (bench?.connected ? (bench.busy ? `The stage is ${bench.busy}.` : null) : "Connect first.");
+    const off = notReady(reason);
     [...buttons.children].forEach((button, i) => {
       button.setAttribute("aria-pressed", String(lit === i));
       gate(button, off);
