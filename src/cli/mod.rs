@@ -32,6 +32,7 @@ mod fit_args;
 mod fit_progress;
 pub mod guardian;
 pub mod hints;
+pub mod init;
 pub mod interrupt;
 pub mod keeper;
 pub mod light_choice;
@@ -87,6 +88,7 @@ commands! {
     Capture(capture::CaptureArgs) => capture::run,
     #[cfg(feature = "console")]
     Console(console::ConsoleArgs) => console::run,
+    Init(init::InitArgs) => init::run,
     Session(session::SessionArgs) => session::run,
     Devices(devices::DevicesArgs) => devices::run,
     Doctor(doctor::DoctorArgs) => doctor::run,

@@ -6,6 +6,7 @@
 //! - [`bench`]: camera and stage held open while nothing is captured.
 //! - [`picture`]: frames as pictures.
 //! - [`catalogue`]: the sessions of a folder.
+//! - [`frames`]: the last captured frame.
 //! - [`fault`]: what went wrong, with advice.
 //! - [`server`]: listening, who is let in, the stream of events, the page's files.
 //! - [`jobs`]: captures, fits and exports as processes of this program, and short commands.
@@ -23,6 +24,7 @@ pub mod catalogue;
 pub mod control;
 pub mod facts;
 pub mod fault;
+pub mod frames;
 pub mod hub;
 pub mod jobs;
 pub mod picture;

@@ -228,11 +228,12 @@ impl Jobs {
         Some((PathBuf::from(capture.session.as_ref()?), frame))
     }
 
-    /// What was measured in the frame of this number, if it is still the newest.
+    /// What was measured in the frame of this number, once, if it is still the newest.
     pub fn set_frame_figures(&self, number: u64, figures: Value) {
         let mut shown = locked(&self.0.shown);
         let frame = shown.capture.as_mut().and_then(|c| c.frame.as_mut());
-        if let Some(frame) = frame.filter(|frame| frame.number == number) {
+        let is_new = |frame: &&mut StoredFrame| frame.number == number && frame.figures.is_none();
+        if let Some(frame) = frame.filter(is_new) {
             frame.figures = Some(figures);
             drop(shown);
             self.publish();
@@ -287,7 +288,8 @@ impl Jobs {
             let mut shown = locked(&self.0.shown);
             shown.job = JobState::begun(&work, line.clone(), process.pid());
             if work.kind == Kind::Capture {
-                shown.capture = Some(CaptureState::default());
+                let before = shown.capture.as_ref().map_or(0, CaptureState::stored);
+                shown.capture = Some(CaptureState::after_frames(before));
             }
         }
         self.publish();
