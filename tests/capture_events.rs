@@ -412,6 +412,31 @@ fn a_capture_that_cannot_begin_ends_without_a_session() {
     }
 }
 
+#[cfg(feature = "console")]
+#[test]
+fn options_of_the_console_need_it() {
+    let folder = tempfile::tempdir().unwrap();
+    for arguments in [
+        &["capture", "--lights", "2", "--port", "8080"][..],
+        &["demo", "--listen", "127.0.0.1"],
+    ] {
+        let output = run(folder.path(), arguments);
+        assert_fails(
+            &output,
+            1,
+            "--listen, --port and --host-name are of the console",
+            "add --console, or leave them out",
+        );
+    }
+    for other in ["--events", "--json", "--dry-run"] {
+        let output = run(
+            folder.path(),
+            &["capture", "--lights", "2", "--console", other],
+        );
+        assert_fails(&output, 1, "cannot be used with", "explains the arguments");
+    }
+}
+
 fn capture_in_memory(world: impl FnOnce(&mut bench::World)) -> Vec<CaptureEvent> {
     let folder = tempfile::tempdir().unwrap();
     let disk = Arc::new(UnsyncedDisk);
