@@ -25,7 +25,10 @@ struct Time(Option<Spent>);
 
 impl Observer for Time {
     fn observe(&mut self, progress: Progress<'_>) {
-        if let Progress::Ended(spent) = progress {
+        if let Progress::Ended {
+            spent: Some(spent), ..
+        } = progress
+        {
             self.0 = Some(spent);
         }
     }

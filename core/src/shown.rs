@@ -2,6 +2,7 @@
 //! bounded length, and with nothing in it that a terminal obeys or that reorders a line.
 
 use std::borrow::Cow;
+use std::error::Error;
 
 /// Characters of a quoted piece of input: a word, a key, a name.
 pub const PIECE: usize = 80;
@@ -34,6 +35,21 @@ pub fn line(text: &str) -> String {
         joined.push_str(word);
     }
     without_middle(escaped(&joined)).into_owned()
+}
+
+/// The error and its causes as one [`line`] each, outermost first, joined by `: `. A cause
+/// that its parent already quotes is not repeated.
+pub fn with_causes(error: &(dyn Error + 'static)) -> String {
+    let mut text = line(&error.to_string());
+    let mut cause = error.source();
+    while let Some(error) = cause {
+        let fact = line(&error.to_string());
+        if !text.ends_with(&fact) {
+            text = format!("{text}: {fact}");
+        }
+        cause = error.source();
+    }
+    text
 }
 
 /// Control characters, line and paragraph separators, and marks that reorder a line (bidi

@@ -7,6 +7,7 @@ use std::time::Duration;
 use tokio::sync::{mpsc, oneshot};
 
 use super::CaptureError;
+use super::progress::StoredFrame;
 use crate::device::RawFrame;
 use crate::device::guardian::Watchdog;
 use crate::session::{Event, SessionWriter, Sidecar, layout};
@@ -56,16 +57,22 @@ pub(super) struct Disk {
 }
 
 impl Disk {
+    /// Starts the thread; also returns the frames that it has journalled, as they come.
     pub(super) fn spawn(
         mut session: SessionWriter,
         watchdog: Watchdog,
-    ) -> Result<Self, CaptureError> {
+    ) -> Result<(Self, mpsc::UnboundedReceiver<StoredFrame>), CaptureError> {
         let (jobs, mut inbox) = mpsc::channel(WRITE_QUEUE);
+        let (journalled, stored) = mpsc::unbounded_channel();
         let end = spawn("disk", move || {
             while let Some(job) = inbox.blocking_recv() {
                 match job {
                     DiskJob::Event(event) => session.record(event)?,
-                    DiskJob::Frame(frame, sidecar) => session.commit_frame(&frame, &sidecar)?,
+                    DiskJob::Frame(frame, sidecar) => {
+                        session.commit_frame(&frame, &sidecar)?;
+                        // Where nobody reports frames any more, the run has ended.
+                        drop(journalled.send(stored_frame(&sidecar)));
+                    }
                     DiskJob::Radiance(light, bytes) => {
                         session.commit_file(&layout::radiance_file(light), &bytes)?;
                     }
@@ -82,11 +89,12 @@ impl Disk {
             }
             Ok(())
         })?;
-        Ok(Self {
+        let disk = Self {
             jobs,
             watchdog,
             end: Some(end),
-        })
+        };
+        Ok((disk, stored))
     }
 
     pub(super) async fn record(&mut self, event: Event) -> Result<(), CaptureError> {
@@ -158,6 +166,17 @@ impl Place {
     /// Hands the frame over. Whether it got to the disk, the next call will tell.
     pub(super) fn frame(self, frame: Arc<RawFrame>, sidecar: Sidecar) {
         self.0.send(DiskJob::Frame(frame, Box::new(sidecar)));
+    }
+}
+
+fn stored_frame(sidecar: &Sidecar) -> StoredFrame {
+    StoredFrame {
+        key: sidecar.key,
+        pilot: sidecar.pilot,
+        exposure: sidecar.applied.exposure,
+        lamp: sidecar.lamp,
+        file: layout::image_file(sidecar.key),
+        retakes: sidecar.time.retakes.total(),
     }
 }
 

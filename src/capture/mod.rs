@@ -10,7 +10,8 @@
 //! - [`bracket`]: which exposures a light needs, decided from its pilot frames;
 //! - [`exposure_check`]: whether an exposure was what it claims, from the images;
 //! - [`return_check`]: whether the lamp is back where it was, from the images;
-//! - [`run`]: the execution, interruptible and resumable.
+//! - [`run`]: the execution, interruptible and resumable;
+//! - [`events`]: what it reports meanwhile, in a form for other programs.
 //!
 //! Every decision during a run is a pure function of the plan and of the frames
 //! taken so far. A resumed run therefore decides what the uninterrupted one
@@ -24,6 +25,7 @@ pub mod directions;
 mod disk;
 pub mod duration;
 mod error;
+pub mod events;
 pub mod exposure_check;
 pub mod findings;
 pub mod light_choice;
@@ -44,6 +46,6 @@ mod worker;
 pub use disk::{BracketSink, SinkError, WRITE_QUEUE};
 pub use error::CaptureError;
 pub use merge_sink::RadianceSink;
-pub use progress::{Observer, Outcome, Progress};
+pub use progress::{DriftSpan, Observer, Outcome, Progress, StoredFrame};
 pub use run::Capture;
 pub use spent::Spent;

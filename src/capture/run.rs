@@ -7,12 +7,14 @@ mod exposure_proof;
 mod frame;
 mod returned;
 mod revisit;
+mod stored;
 
 use std::collections::HashMap;
 use std::sync::Arc;
+use std::time::Instant;
 
 use self::frame::{Reference, Shot, Taken};
-use super::CaptureError;
+use self::stored::Stored;
 use super::bracket::{self, Decision, PilotRound};
 use super::clock::Clock;
 use super::devices::Devices;
@@ -20,12 +22,15 @@ use super::disk::{BracketSink, Disk, Merger};
 use super::duration::Expected;
 use super::plan::Pace;
 use super::progress::{Observer, Outcome, Progress};
+use super::{CaptureError, Spent};
 use crate::device::temperature::Part;
 use crate::device::{Camera, CameraInfo, FrameKey, FrameKind, LightStage};
 use crate::interrupt::Interrupt;
 use crate::radiometry::exposure::BracketStep;
 use crate::radiometry::sensor::SensorNoise;
-use crate::session::{Event, FrameEntry, PlanRecord, Session, SessionWriter, commit, layout};
+use crate::session::{
+    Event, FrameEntry, PlanRecord, Session, SessionRecord, SessionWriter, commit, layout,
+};
 use crate::units::{Seconds, StageAngles};
 
 /// Everything that a capture needs. The session was created, or opened by
@@ -50,21 +55,64 @@ pub struct Capture<'a> {
     pub region_of_interest: Option<&'a [bool]>,
     /// Merges each bracket.
     pub sink: Box<dyn BracketSink>,
-    /// Hears of the progress.
+    /// Is informed of the progress.
     pub observer: &'a mut dyn Observer,
-    /// Asked between frames, and while waiting.
+    /// Polled between frames, and while waiting.
     pub interrupt: Interrupt,
 }
 
 impl Capture<'_> {
     /// Carries out the plan. On every way out the lamp is off; where the session
-    /// was not finished, it can be resumed.
-    pub fn run(mut self) -> Result<Outcome, CaptureError> {
+    /// was not finished, it can be resumed. The observer is informed of the end last,
+    /// whatever it is.
+    ///
+    /// # Errors
+    /// What the capture met that it cannot continue with.
+    pub fn run(self) -> Result<Outcome, CaptureError> {
+        let began = Instant::now();
+        let root = self.session.root().to_owned();
+        let observer = self.observer;
+        let mut spent = None;
+        let run = Capture {
+            camera: self.camera,
+            stage: self.stage,
+            session: self.session,
+            reserve_bytes: self.reserve_bytes,
+            position_tolerance_deg: self.position_tolerance_deg,
+            pace: self.pace,
+            noise: self.noise,
+            region_of_interest: self.region_of_interest,
+            sink: self.sink,
+            observer: &mut *observer,
+            interrupt: self.interrupt,
+        };
+        let result = run.to_its_end(&mut spent);
+        observer.observe(Progress::Ended {
+            session: &root,
+            result: result.as_ref().copied(),
+            elapsed: Seconds(began.elapsed().as_secs_f64()),
+            spent,
+        });
+        result
+    }
+
+    /// Also returns where the time went, once devices were used.
+    fn to_its_end(mut self, spent: &mut Option<Spent>) -> Result<Outcome, CaptureError> {
         let session = Session::open(self.session.root())?;
+        let SessionRecord { sample, plan, .. } = session.record();
+        self.observer.observe(Progress::Begun {
+            session: session.root(),
+            sample,
+            lights: &plan.lights,
+            channels: &plan.channels,
+        });
         check_camera(self.camera.info(), &session.record().versions.camera)?;
         if session.journal().is_complete() && missing_radiance(&session).is_empty() {
             if !session.root().join(layout::MANIFEST_FILE).exists() {
                 self.session.write_manifest()?;
+            }
+            for light in 0..plan.lights.len() as u32 {
+                self.observer.observe(Progress::LightDone { light });
             }
             return Ok(Outcome::Complete);
         }
@@ -72,15 +120,19 @@ impl Capture<'_> {
             .enable_time()
             .build()
             .map_err(CaptureError::Thread)?
-            .block_on(self.run_async(session))
+            .block_on(self.run_async(session, spent))
     }
 
-    async fn run_async(self, session: Session) -> Result<Outcome, CaptureError> {
+    async fn run_async(
+        self,
+        session: Session,
+        spent: &mut Option<Spent>,
+    ) -> Result<Outcome, CaptureError> {
         let devices = Devices::new(self.camera, self.stage, self.interrupt.clone())?;
         let room = self.session.disk();
-        let disk = Disk::spawn(self.session, devices.watchdog())?;
+        let (disk, stored) = Disk::spawn(self.session, devices.watchdog())?;
         let merger = Merger::spawn(self.sink, &disk)?;
-        let held: HashMap<FrameKey, FrameEntry> =
+        let present: HashMap<FrameKey, FrameEntry> =
             session.frames().map(|entry| (entry.key, entry)).collect();
         let camera_serial = serial_of_frames(&session)?;
         let plan = &session.record().plan;
@@ -98,10 +150,11 @@ impl Capture<'_> {
             interrupt: self.interrupt,
             devices,
             disk,
+            stored: Stored::new(stored),
             room,
             reserve_bytes: self.reserve_bytes,
             merger,
-            held,
+            present,
             camera_serial,
             session,
             position_tolerance_deg: self.position_tolerance_deg,
@@ -110,12 +163,12 @@ impl Capture<'_> {
             witnesses: Vec::new(),
             granted: None,
             discarded: 0,
-            unproven_told: false,
-            warm_told: Vec::new(),
+            unproven_reported: false,
+            warm_reported: Vec::new(),
             clock,
         };
         let result = run.all_lights().await;
-        run.leave(result).await
+        run.leave(result, spent).await
     }
 }
 
@@ -173,12 +226,14 @@ struct Run<'a> {
     interrupt: Interrupt,
     devices: Devices,
     disk: Disk,
-    /// Asked for its free space.
+    /// What the disk has journalled.
+    stored: Stored,
+    /// Reports its free space.
     room: Arc<dyn commit::Disk>,
     reserve_bytes: u64,
     merger: Merger,
     /// Frames that were journalled before this run.
-    held: HashMap<FrameKey, FrameEntry>,
+    present: HashMap<FrameKey, FrameEntry>,
     /// Serial number of the camera that took the session's frames, once it is known.
     camera_serial: Option<String>,
     session: Session,
@@ -195,17 +250,17 @@ struct Run<'a> {
     position: Option<(u32, StageAngles)>,
     /// Frames thrown away since the settings changed.
     discarded: u32,
-    /// Whether it was said that the images cannot show the exposure.
-    unproven_told: bool,
-    /// Parts of which it was said that they are nearly too hot.
-    warm_told: Vec<Part>,
+    /// Whether it was reported that the images cannot show the exposure.
+    unproven_reported: bool,
+    /// Parts of which it was reported that they are nearly too hot.
+    warm_reported: Vec<Part>,
     clock: Clock,
 }
 
 impl Run<'_> {
     async fn all_lights(&mut self) -> Result<(), CaptureError> {
-        if !self.held.is_empty() {
-            let frames = self.held.len();
+        if !self.present.is_empty() {
+            let frames = self.present.len();
             self.observer.observe(Progress::Resumed { frames });
         }
         self.observer
@@ -336,7 +391,7 @@ impl Run<'_> {
         self.merger.finish_bracket().await
     }
 
-    /// One frame per channel, and one without the lamp to tell its light from
+    /// One frame per channel, and one without the lamp to distinguish its light from
     /// the room's; whether any channel shows light.
     async fn pilot_round(
         &mut self,
@@ -416,11 +471,11 @@ impl Run<'_> {
         self.disk.record(Event::Warning { light, text }).await
     }
 
-    /// Whether the camera can take dark frames. It is not asked where none are
+    /// Whether the camera can take dark frames. It is not tried where none are
     /// wanted or the session holds some of this light already.
     async fn has_shutter(&mut self, light: u32) -> Result<bool, CaptureError> {
         let is_dark = |key: &FrameKey| key.light == light && key.kind == FrameKind::Dark;
-        if self.plan.exposure.dark_frames == 0 || self.held.keys().any(is_dark) {
+        if self.plan.exposure.dark_frames == 0 || self.present.keys().any(is_dark) {
             return Ok(true);
         }
         self.devices.shutter(true).await

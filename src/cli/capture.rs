@@ -5,6 +5,9 @@ use std::time::Instant;
 
 use serde_json::json;
 
+#[cfg(feature = "console")]
+use super::capture_console::ConsoleOptions;
+use super::capture_events::EventLines;
 use super::capture_notices::{Terminal, advised};
 use super::capture_progress::Bar;
 use super::context::Context;
@@ -20,7 +23,7 @@ use crate::capture::{Outcome, Spent};
 use crate::interrupt::{Interrupt, Signal};
 use crate::out;
 use crate::session::Session;
-use crate::session::layout::QUARANTINE_FOLDER;
+use crate::session::layout::{QUARANTINE_FOLDER, SESSIONS_FOLDER};
 use crate::units::StageAngles;
 use crate::workflow::{FitWork, work_of};
 
@@ -42,7 +45,7 @@ pub struct CaptureArgs {
     #[arg(
         long,
         value_name = "DIR",
-        default_value = SESSIONS,
+        default_value = SESSIONS_FOLDER,
         conflicts_with = "resume"
     )]
     out: PathBuf,
@@ -51,6 +54,7 @@ pub struct CaptureArgs {
     sample: Option<String>,
     /// Prints the plan with its estimates; nothing is opened and nothing moves
     #[arg(long, conflicts_with = "resume")]
+    #[cfg_attr(feature = "console", arg(conflicts_with = "console"))]
     dry_run: bool,
     /// Go on with an interrupted session; plan and configuration are in it
     #[arg(long, value_name = "SESSION", conflicts_with = "rig")]
@@ -60,15 +64,20 @@ pub struct CaptureArgs {
     no_fit: bool,
     /// The plan (with --dry-run) or the result as JSON
     #[arg(long)]
+    #[cfg_attr(feature = "console", arg(conflicts_with = "console"))]
     json: bool,
+    /// Each event as a JSON line on stdout, for other programs; a reader that is slow or gone
+    /// holds nothing up
+    #[arg(long, conflicts_with_all = ["json", "dry_run"])]
+    events: bool,
+    #[cfg(feature = "console")]
+    #[command(flatten)]
+    console: ConsoleOptions,
 }
 
-/// Folder of the sessions where `--out` names no other.
-pub(super) const SESSIONS: &str = "sessions";
-
 impl CaptureArgs {
-    /// `--rig simulated --lights COUNT --out OUT`.
-    pub fn on_simulated_rig(count: usize, out: PathBuf) -> Self {
+    /// `--rig simulated --lights COUNT --out OUT`, with or without `--events`.
+    pub fn on_simulated_rig(count: usize, out: PathBuf, events: bool) -> Self {
         Self {
             rig: RigArg {
                 rig: Some("simulated".to_owned()),
@@ -81,6 +90,9 @@ impl CaptureArgs {
             resume: None,
             no_fit: false,
             json: false,
+            events,
+            #[cfg(feature = "console")]
+            console: ConsoleOptions::default(),
         }
     }
 }
@@ -119,13 +131,34 @@ fn parse_angles(text: &str) -> Result<StageAngles, String> {
 
 /// `rig capture`.
 pub fn run(args: &CaptureArgs, context: &Context) -> Result<(), CliError> {
-    match &args.resume {
-        Some(root) => resume(args, root, context),
-        None => start(args, context),
+    #[cfg(feature = "console")]
+    if args.console.is_wanted()? {
+        return args.console.run(std::env::args_os().skip(1), context);
+    }
+    let lines = args.events.then(EventLines::start).transpose()?;
+    let lines = lines.as_ref();
+    let begun = match &args.resume {
+        Some(root) => resume(root, context, lines).map(Some),
+        None => start(args, context, lines),
+    };
+    match begun {
+        Ok(Some((job, interrupt))) => carry_out(args, job, interrupt, context, lines),
+        Ok(None) => Ok(()),
+        Err(error) => {
+            if let Some(lines) = lines {
+                lines.not_begun(&error);
+            }
+            Err(error)
+        }
     }
 }
 
-fn start(args: &CaptureArgs, context: &Context) -> Result<(), CliError> {
+/// A new session with its devices; `None` after a dry run.
+fn start(
+    args: &CaptureArgs,
+    context: &Context,
+    lines: Option<&EventLines>,
+) -> Result<Option<(Job, Interrupt)>, CliError> {
     // The plan, while nothing moves.
     let rig = args.rig.resolve(context)?;
     let request = CaptureRequest {
@@ -137,7 +170,7 @@ fn start(args: &CaptureArgs, context: &Context) -> Result<(), CliError> {
         folder: args.out.clone(),
         only_plan: args.dry_run,
     };
-    let mut terminal = Terminal::new(context);
+    let mut terminal = Terminal::new(context, lines);
     let prepared = prepare(&rig, &request, &mut |notice| terminal.show(notice));
     terminal.finish();
     let prepared = prepared.map_err(|error| advised(error, &rig.config))?;
@@ -147,7 +180,8 @@ fn start(args: &CaptureArgs, context: &Context) -> Result<(), CliError> {
     if args.dry_run {
         let fit = work_of(&rig.config, &prepared.plan().lights)?;
         print_plan(&prepared, &fit, args.json)?;
-        return Ok(prepared.check_space()?);
+        prepared.check_space()?;
+        return Ok(None);
     }
     prepared.check_space()?;
     prepared.check_name()?;
@@ -156,25 +190,38 @@ fn start(args: &CaptureArgs, context: &Context) -> Result<(), CliError> {
     let interrupt = interrupt::listen()?;
     let devices = open_devices(&rig.config, &open::options(&rig.config)?)?;
     let job = prepared.begin(devices, &mut |notice| terminal.show(notice))?;
-    carry_out(args, job, interrupt, context)
+    Ok(Some((job, interrupt)))
 }
 
-fn resume(args: &CaptureArgs, root: &Path, context: &Context) -> Result<(), CliError> {
+/// An interrupted session with its devices.
+fn resume(
+    root: &Path,
+    context: &Context,
+    lines: Option<&EventLines>,
+) -> Result<(Job, Interrupt), CliError> {
     let interrupt = interrupt::listen()?;
     let interrupted = prepare::resume(root)?;
     if interrupted.has_quarantined() {
         let quarantine = root.join(QUARANTINE_FOLDER);
-        context.warn(format!(
+        let text = format!(
             "files that no journal record vouches for were moved to {}",
             quarantine.display()
-        ));
+        );
+        warn(context, lines, &text);
     }
     let options = OpenOptions {
         begun: interrupted.begun().to_vec(),
         ..open::options(interrupted.rig())?
     };
     let devices = open_devices(interrupted.rig(), &options)?;
-    carry_out(args, interrupted.go_on(devices)?, interrupt, context)
+    Ok((interrupted.go_on(devices)?, interrupt))
+}
+
+fn warn(context: &Context, lines: Option<&EventLines>, text: &str) {
+    context.warn(text);
+    if let Some(lines) = lines {
+        lines.warn(text);
+    }
 }
 
 /// Captures, then fits and reports; prints the session's folder.
@@ -183,18 +230,19 @@ fn carry_out(
     job: Job,
     interrupt: Interrupt,
     context: &Context,
+    lines: Option<&EventLines>,
 ) -> Result<(), CliError> {
     // The capture.
     let root = job.root().to_owned();
     let is_instant = job.rig().is_instant();
     let began = Instant::now();
     if job.lacks_watchdog() {
-        context.warn(
-            "the stage's firmware has no watchdog: if the computer or the cable fails, the lamp stays on",
-        );
+        let text = "the stage's firmware has no watchdog: if the computer or the cable fails, the lamp stays on";
+        warn(context, lines, text);
     }
-    let mut bar = Bar::new(context);
-    let captured = job.run(&mut bar, interrupt.clone());
+    let mut observers = (lines, Bar::new(context));
+    let captured = job.run(&mut observers, interrupt.clone());
+    let (_, bar) = observers;
     bar.finish();
     let elapsed_s = began.elapsed().as_secs_f64();
 
@@ -221,12 +269,12 @@ fn carry_out(
 
     // The fit.
     if !args.no_fit {
-        let unfitted = unfitted(args, &root);
+        let unfitted = unfitted(args, &root, lines);
         interrupt::end_on_signal(context, unfitted.clone())?;
         if let Some(signal) = interrupt.signal() {
             return Err(unfitted(signal));
         }
-        fit::fit_and_report(&root, context)?;
+        fit::fit_and_report(&root, context, lines)?;
     }
     print_result(args, &root, outcome, elapsed_s, bar.spent())
 }
@@ -249,21 +297,29 @@ struct PrintedPlan<'a> {
     estimated: Option<&'static str>,
 }
 
-/// What a signal during the fit says: the capture itself is done.
+/// What a signal during the fit leads to: the capture itself is done.
 fn unfitted(
     args: &CaptureArgs,
     root: &Path,
+    lines: Option<&EventLines>,
 ) -> impl Fn(Signal) -> CliError + Clone + Send + 'static {
-    let (root, prints_path) = (root.to_owned(), !args.json);
+    let (root, prints_path) = (root.to_owned(), !args.json && !args.events);
+    let lines = lines.cloned();
     move |signal| {
         if prints_path {
-            // Whoever reads stdout may be gone; the signal is what counts.
+            // The reader of stdout may be gone; the signal is what counts.
             drop(write_path(&root));
         }
         let root = root.display();
-        CliError::interrupted(signal, "the fit was interrupted; the capture is complete").hint(
-            format!("`rig fit {root}` and `rig report {root}` do the rest"),
-        )
+        let error =
+            CliError::interrupted(signal, "the fit was interrupted; the capture is complete").hint(
+                format!("`rig fit {root}` and `rig report {root}` do the rest"),
+            );
+        if let Some(lines) = &lines {
+            lines.fit_failed(&error);
+            lines.flush();
+        }
+        error
     }
 }
 
@@ -288,6 +344,9 @@ fn print_result(
     elapsed_s: f64,
     spent: Option<Spent>,
 ) -> Result<(), CliError> {
+    if args.events {
+        return Ok(());
+    }
     if args.json {
         let summary = Session::open(root)?.summary();
         return write_json(&json!({

@@ -2,6 +2,7 @@
 
 use indicatif::ProgressBar;
 
+use super::capture_events::EventLines;
 use super::context::Context;
 use super::error::CliError;
 use super::preflight::{self, Keys};
@@ -17,14 +18,16 @@ pub(super) const CHANGED_ON_PURPOSE: &str =
 /// Shows notices as they come: warnings, and a spinner while directions are compared.
 pub(super) struct Terminal<'a> {
     context: &'a Context,
+    lines: Option<&'a EventLines>,
     spinner: Option<ProgressBar>,
 }
 
 impl<'a> Terminal<'a> {
-    /// On stderr.
-    pub(super) fn new(context: &'a Context) -> Self {
+    /// On stderr, and warnings among the events.
+    pub(super) fn new(context: &'a Context, lines: Option<&'a EventLines>) -> Self {
         Self {
             context,
+            lines,
             spinner: None,
         }
     }
@@ -61,6 +64,9 @@ impl<'a> Terminal<'a> {
                 format!("{concern}; {}", sharpness::REMEDY)
             }
         };
+        if let Some(lines) = self.lines {
+            lines.warn(&text);
+        }
         self.context.warn(text);
     }
 

@@ -1,4 +1,4 @@
-//! What a person sees of a capture while it runs.
+//! What a capture shows at the terminal while it runs.
 
 use std::fmt::Write;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -13,7 +13,7 @@ use crate::capture::{Observer, Progress, Spent};
 use crate::device::{FrameKind, LampState};
 use crate::units::Seconds;
 
-/// A bar on stderr, or nothing where nobody watches; warnings always.
+/// A bar on stderr, or nothing where that is no terminal; warnings always.
 pub struct Bar<'a> {
     context: &'a Context,
     bar: ProgressBar,
@@ -21,7 +21,7 @@ pub struct Bar<'a> {
     spent: Option<Spent>,
 }
 
-/// How long the rest takes, as last said, and when: counted down while nothing is said.
+/// How long the rest takes, as last reported, and when: counted down until the next report.
 #[derive(Clone, Default)]
 struct Left(Arc<Mutex<Option<(Seconds, Instant)>>>);
 
@@ -33,8 +33,8 @@ impl Left {
 
     fn text(&self) -> String {
         let left = *self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        left.map_or(String::new(), |(left, said)| {
-            let left_s = left.0 - said.elapsed().as_secs_f64();
+        left.map_or(String::new(), |(left, reported)| {
+            let left_s = left.0 - reported.elapsed().as_secs_f64();
             format!("{} left", duration(left_s))
         })
     }
@@ -92,12 +92,19 @@ impl Observer for Bar<'_> {
                 self.bar
                     .set_message(format!("light {light}: moving to {target}"));
             }
-            Progress::Planned { .. } | Progress::LightDone { .. } => {}
+            Progress::Begun { .. }
+            | Progress::Planned { .. }
+            | Progress::Stored(_)
+            | Progress::Drift { .. }
+            | Progress::LightDone { .. }
+            | Progress::Paused
+            | Progress::Continued => {}
             Progress::Frame {
                 key,
                 exposure,
                 lamp,
                 done,
+                ..
             } => {
                 self.bar.set_position((done * LENGTH as f64) as u64);
                 let what = match (key.kind, lamp) {
@@ -113,7 +120,7 @@ impl Observer for Bar<'_> {
                 self.bar.set_message("merging");
                 self.left.set(None);
             }
-            Progress::Ended(spent) => self.spent = Some(spent),
+            Progress::Ended { spent, .. } => self.spent = spent,
             Progress::Warning(text) => self.bar.suspend(|| self.context.warn(text)),
         }
     }

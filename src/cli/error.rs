@@ -49,6 +49,16 @@ impl CliError {
         }
     }
 
+    /// Another process has stated what happened; this one ends as it did.
+    #[cfg(feature = "console")]
+    pub(super) fn stated(exit: Exit) -> Self {
+        Self {
+            exit,
+            quiet: true,
+            ..Self::new("stated before")
+        }
+    }
+
     /// The same error with this advice instead of any other.
     pub fn hint(mut self, hint: impl Display) -> Self {
         self.hint = Some(shown::line(&hint.to_string()));
@@ -92,24 +102,9 @@ impl<E: Error + Send + Sync + 'static> From<E> for CliError {
     fn from(error: E) -> Self {
         Self {
             hint: hints::for_error(&error).or_else(|| Some(hints::FALLBACK.to_owned())),
-            ..Self::new(facts(&error))
+            ..Self::new(shown::with_causes(&error))
         }
     }
-}
-
-/// The error and its causes, outermost first, joined by `: `. A cause that its
-/// parent already quotes is not repeated.
-fn facts(error: &(dyn Error + 'static)) -> String {
-    let mut text = shown::line(&error.to_string());
-    let mut cause = error.source();
-    while let Some(error) = cause {
-        let fact = shown::line(&error.to_string());
-        if !text.ends_with(&fact) {
-            text = format!("{text}: {fact}");
-        }
-        cause = error.source();
-    }
-    text
 }
 
 /// Advice given where the error is raised.

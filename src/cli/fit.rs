@@ -2,9 +2,11 @@
 
 use std::path::{Path, PathBuf};
 
+use super::capture_events::EventLines;
 use super::fit_args::FitArgs;
 use super::fit_progress::FitProgress;
 use super::{CliError, Context, HintExt, output};
+use crate::capture::events::CaptureEvent;
 use crate::workflow::{FitOutcome, FitRequest, ImageFit, fit_images, fit_session};
 
 /// Fits a BRDF to a session, or to images of a described scene.
@@ -30,32 +32,74 @@ pub struct FitCommandArgs {
     /// The result as JSON
     #[arg(long)]
     json: bool,
+    /// Each event as a JSON line on stdout, for other programs, instead of the path
+    #[arg(long, conflicts_with = "json")]
+    events: bool,
     #[command(flatten)]
     fit: FitArgs,
 }
 
 /// `rig fit`.
 pub fn run(args: &FitCommandArgs, context: &Context) -> Result<(), CliError> {
+    let lines = args.events.then(EventLines::start).transpose()?;
+    let outcome = reported(lines.as_ref(), || {
+        fit_what_is_named(args, context, lines.as_ref())
+    })?;
+    if let Some(lines) = &lines {
+        lines.send(fitted(&outcome, None));
+        return Ok(());
+    }
+    print(args, &outcome)
+}
+
+/// The outcome of `fit`, whose failure is an event as well.
+fn reported<T>(
+    lines: Option<&EventLines>,
+    fit: impl FnOnce() -> Result<T, CliError>,
+) -> Result<T, CliError> {
+    fit().inspect_err(|error| {
+        if let Some(lines) = lines {
+            lines.fit_failed(error);
+        }
+    })
+}
+
+fn fitted(outcome: &FitOutcome, report: Option<&Path>) -> CaptureEvent {
+    let text = |path: &Path| path.to_string_lossy().into_owned();
+    CaptureEvent::Fitted {
+        verdict: outcome.record.verdict(),
+        fit: text(&outcome.folder),
+        report: report.map(text),
+    }
+}
+
+fn fit_what_is_named(
+    args: &FitCommandArgs,
+    context: &Context,
+    lines: Option<&EventLines>,
+) -> Result<FitOutcome, CliError> {
     let request = FitRequest {
         pose: args.pose.clone(),
         ..args.fit.request()
     };
-    let outcome = match (&args.session, &args.scene, &args.out) {
-        (Some(session), _, _) => fit(session, &request, context)?,
+    match (&args.session, &args.scene, &args.out) {
+        (Some(session), _, _) => fit(session, &request, context, lines),
         (None, Some(scene), Some(out)) => {
             let images = &args.image;
             let files = ImageFit { scene, images, out };
-            let progress = FitProgress::new(context);
+            let progress = FitProgress::new(context, lines);
             let outcome = fit_images(files, &request, &progress)?;
             progress.finish(&outcome.record);
-            outcome
+            Ok(outcome)
         }
-        _ => {
-            return Err(CliError::new(
-                "neither a session nor a scene with --out is given",
-            ));
-        }
-    };
+        _ => Err(CliError::new(
+            "neither a session nor a scene with --out is given",
+        )),
+    }
+}
+
+/// Prints the result: its folder, or all of it.
+fn print(args: &FitCommandArgs, outcome: &FitOutcome) -> Result<(), CliError> {
     if !args.json {
         return output::write_path(&outcome.folder);
     }
@@ -80,26 +124,50 @@ pub fn run(args: &FitCommandArgs, context: &Context) -> Result<(), CliError> {
 }
 
 /// Fits a session and prints the verdict.
-fn fit(session: &Path, request: &FitRequest, context: &Context) -> Result<FitOutcome, CliError> {
-    let progress = FitProgress::new(context);
+fn fit(
+    session: &Path,
+    request: &FitRequest,
+    context: &Context,
+    lines: Option<&EventLines>,
+) -> Result<FitOutcome, CliError> {
+    let progress = FitProgress::new(context, lines);
     let outcome = fit_session(session, request, &progress)?;
     progress.finish(&outcome.record);
     Ok(outcome)
 }
 
 /// Fits a captured session with the rig file's choices and writes its report.
-pub(super) fn fit_and_report(session: &Path, context: &Context) -> Result<(), CliError> {
+pub(super) fn fit_and_report(
+    session: &Path,
+    context: &Context,
+    lines: Option<&EventLines>,
+) -> Result<(), CliError> {
     let again = format!(
         "the capture is complete; `rig fit {}` fits it",
         session.display()
     );
-    let outcome = fit(session, &FitRequest::default(), context).hint(&again)?;
-    context.note(format!("fit: {}", outcome.folder.display()));
-    #[cfg(feature = "reports")]
-    {
-        let request = crate::report::ReportRequest::of(session);
-        let written = crate::report::write(&request).hint(&again)?;
-        context.note(format!("report: {}", written.path.display()));
+    let (outcome, report) = reported(lines, || {
+        let outcome = fit(session, &FitRequest::default(), context, lines).hint(&again)?;
+        context.note(format!("fit: {}", outcome.folder.display()));
+        let report = report(session, context).hint(&again)?;
+        Ok((outcome, report))
+    })?;
+    if let Some(lines) = lines {
+        lines.send(fitted(&outcome, report.as_deref()));
     }
     Ok(())
+}
+
+/// Writes the report; where this program can.
+#[cfg(feature = "reports")]
+fn report(session: &Path, context: &Context) -> Result<Option<PathBuf>, CliError> {
+    let request = crate::report::ReportRequest::of(session);
+    let written = crate::report::write(&request)?;
+    context.note(format!("report: {}", written.path.display()));
+    Ok(Some(written.path))
+}
+
+#[cfg(not(feature = "reports"))]
+fn report(_: &Path, _: &Context) -> Result<Option<PathBuf>, CliError> {
+    Ok(None)
 }

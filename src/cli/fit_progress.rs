@@ -3,7 +3,9 @@
 use std::sync::{Mutex, PoisonError};
 
 use super::Context;
+use super::capture_events::EventLines;
 use super::progress::StagedBar;
+use crate::capture::events::CaptureEvent;
 use crate::progress::Progress;
 use crate::session::fit_record::{FitRecord, Warning};
 use crate::workflow::{Notice, Observer};
@@ -30,6 +32,7 @@ const USUAL_ROUNDS: f64 = 6.0;
 /// A bar that follows a fit's phases, with the notices in between.
 pub struct FitProgress<'a> {
     context: &'a Context,
+    lines: Option<&'a EventLines>,
     bar: StagedBar,
     reached: Mutex<Reached>,
 }
@@ -42,10 +45,11 @@ struct Reached {
 }
 
 impl<'a> FitProgress<'a> {
-    /// At the beginning.
-    pub fn new(context: &'a Context) -> Self {
+    /// At the beginning; phases are also reported to `lines`.
+    pub(super) fn new(context: &'a Context, lines: Option<&'a EventLines>) -> Self {
         Self {
             context,
+            lines,
             bar: context.staged_bar(),
             reached: Mutex::default(),
         }
@@ -91,7 +95,14 @@ impl Reached {
 impl Progress for FitProgress<'_> {
     fn begin(&self, phase: &str, _: Option<usize>) {
         let mut reached = self.reached.lock().unwrap_or_else(PoisonError::into_inner);
-        self.bar.at(phase, reached.part_over(phase));
+        let done = reached.part_over(phase);
+        self.bar.at(phase, done);
+        if let Some(lines) = self.lines {
+            lines.send(CaptureEvent::Fit {
+                stage: phase.to_owned(),
+                done,
+            });
+        }
     }
 }
 

@@ -16,7 +16,7 @@ const SHOWN: usize = 5;
 /// Prints the directions that would add most to a fitted session, best first.
 pub fn next(root: &Path, json: bool, context: &Context) -> Result<(), CliError> {
     let session = Session::open(root)?;
-    let mut terminal = Terminal::new(context);
+    let mut terminal = Terminal::new(context, None);
     let found = light_choice::next(&session, SHOWN, &mut |notice| terminal.show(notice))?;
     terminal.finish();
     if json {

@@ -81,7 +81,12 @@ pub fn unwritable(path: &Path, error: &std::io::Error) -> CliError {
 /// Writes `value` as indented JSON and a line end to stdout.
 pub fn write_json(value: &impl serde::Serialize) -> Result<(), CliError> {
     let text = serde_json::to_string_pretty(value)?;
-    // JSON escapes most of what a terminal obeys, and the rest stands in texts alone.
+    write_bytes(json_for_terminals(&text).as_bytes())
+}
+
+/// JSON and a line end. JSON escapes most of what a terminal obeys; the rest, which stands in
+/// texts alone, is escaped here.
+pub(super) fn json_for_terminals(text: &str) -> String {
     let mut shown = String::with_capacity(text.len() + 1);
     for c in text.chars() {
         match c {
@@ -91,7 +96,7 @@ pub fn write_json(value: &impl serde::Serialize) -> Result<(), CliError> {
         }
     }
     shown.push('\n');
-    write_bytes(shown.as_bytes())
+    shown
 }
 
 /// Writes text to stderr without waiting; a closed stderr is ignored.

@@ -13,6 +13,7 @@ pub mod dome;
 mod error;
 pub mod even_light;
 pub mod folder_camera;
+pub mod frame_figures;
 pub mod frame_row;
 #[cfg(feature = "genicam")]
 pub mod genicam;

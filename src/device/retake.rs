@@ -103,6 +103,12 @@ impl Retakes {
         self.reconnected += other.reconnected;
     }
 
+    /// How often something went wrong.
+    pub fn total(&self) -> u32 {
+        let frames = self.dropped + self.damaged + self.wrong_size + self.late;
+        frames + self.missing + self.exposure_ignored + self.reconnected
+    }
+
     fn count(&mut self, fault: &FrameFault) {
         match fault {
             FrameFault::Damaged | FrameFault::Undecodable(_) | FrameFault::NotRaw { .. } => {

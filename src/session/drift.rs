@@ -127,7 +127,7 @@ impl fmt::Display for LampChange {
 
 /// Relative standard uncertainty that the stage's tolerance makes between two visits: where
 /// each ends anywhere within it, on a surface that the light meets at 45°.
-fn of_revisit(tolerance_deg: f64) -> f64 {
+pub(crate) fn of_revisit(tolerance_deg: f64) -> f64 {
     tolerance_deg.to_radians() * (2.0f64 / 3.0).sqrt()
 }
 

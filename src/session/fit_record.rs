@@ -487,4 +487,4 @@ fn check(folder: &Path, record: &FitRecord) -> Result<(), FitRecordError> {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

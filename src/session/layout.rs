@@ -18,6 +18,8 @@ pub const RAW_FOLDER: &str = "raw";
 pub const CALIBRATION_FOLDER: &str = "calibration";
 /// What can be made again from the raw frames.
 pub const DERIVED_FOLDER: &str = "derived";
+/// Where sessions go unless another folder is named, below the working folder.
+pub const SESSIONS_FOLDER: &str = "sessions";
 /// One numbered folder per fit.
 pub const FITS_FOLDER: &str = "fits";
 /// The report that a person reads.
@@ -39,6 +41,11 @@ pub fn frame_stem(key: FrameKey) -> String {
         "L{:03}_E{:02}_R{:02}_{kind}",
         key.light, key.exposure, key.repeat
     )
+}
+
+/// A frame's image, e.g. `raw/L003_E02_R00_light.png`.
+pub fn image_file(key: FrameKey) -> String {
+    format!("{RAW_FOLDER}/{}.png", frame_stem(key))
 }
 
 /// The merged radiance of one light direction, e.g. `derived/radiance_L003.exr`.

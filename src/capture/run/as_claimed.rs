@@ -65,7 +65,8 @@ impl Run<'_> {
         let mut sent_again = false;
         let mut patience = self.plan.settings_latency_frames + PATIENCE_FRAMES;
         loop {
-            let frame = self.devices.grab(shot.key).await?;
+            let grabbed = self.devices.grab(shot.key);
+            let frame = self.stored.report_during(self.observer, grabbed).await?;
             let claimed = Exposed {
                 counts: &frame.counts,
                 exposure_s: self.devices.stated().settings(applied).exposure.0,

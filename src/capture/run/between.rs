@@ -4,6 +4,7 @@
 use super::Run;
 use super::frame::{Reference, Shot, Taken};
 use crate::capture::exposure_check::{SignalRatio, signal_ratio};
+use crate::capture::progress::Progress;
 use crate::capture::{CaptureError, WRITE_QUEUE};
 use crate::device::ReferenceCheck;
 use crate::device::temperature::{Part, Warmth};
@@ -45,7 +46,10 @@ impl Run<'_> {
         self.position = None;
         self.disk.record(Event::Paused).await?;
         self.disk.settle().await?;
+        self.stored.report(self.observer);
+        self.observer.observe(Progress::Paused);
         self.observer.pause();
+        self.observer.observe(Progress::Continued);
         self.clock.forget_until(self.clock.now_s());
         self.disk.record(Event::Continued).await
     }
@@ -93,7 +97,7 @@ impl Run<'_> {
         Ok(())
     }
 
-    /// Whether a part is cool enough to go on; said once where it nearly is not.
+    /// Whether a part is cool enough to continue; reported once where it nearly is not.
     pub(super) async fn check_temperature(
         &mut self,
         light: u32,
@@ -105,9 +109,9 @@ impl Run<'_> {
         };
         match self.plan.limits.judge(part, temperature_c) {
             Warmth::Fine => Ok(()),
-            Warmth::Near(_) if self.warm_told.contains(&part) => Ok(()),
+            Warmth::Near(_) if self.warm_reported.contains(&part) => Ok(()),
             Warmth::Near(limit_c) => {
-                self.warm_told.push(part);
+                self.warm_reported.push(part);
                 let text = format!(
                     "light {light}: the {part} has {temperature_c:.1} °C; above {limit_c} °C the capture is suspended"
                 );

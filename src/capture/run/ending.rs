@@ -1,9 +1,9 @@
 //! How a run ends: lamp off first, then the disk.
 
 use super::Run;
-use crate::capture::CaptureError;
 use crate::capture::disk::Merger;
 use crate::capture::progress::{Outcome, Progress};
+use crate::capture::{CaptureError, Spent};
 use crate::interrupt::{Interrupt, StopLevel};
 
 impl Run<'_> {
@@ -11,17 +11,20 @@ impl Run<'_> {
     pub(super) async fn leave(
         self,
         result: Result<(), CaptureError>,
+        spent: &mut Option<Spent>,
     ) -> Result<Outcome, CaptureError> {
         let Self {
             mut devices,
             disk,
+            mut stored,
             merger,
             observer,
             interrupt,
             clock,
             ..
         } = self;
-        let mut spent = devices.spent();
+        // Lamp and devices.
+        let mut of_devices = devices.spent();
         let result = match result {
             // The devices have not failed: they end in good order.
             Ok(())
@@ -42,13 +45,15 @@ impl Run<'_> {
         let result = match result {
             Ok(()) => {
                 observer.observe(Progress::Merging);
-                wait_for_merges(merger, &interrupt).await
+                let merged = wait_for_merges(merger, &interrupt);
+                stored.report_during(observer, merged).await
             }
             stopped => stopped,
         };
-        spent.wall_s = clock.now_s();
-        observer.observe(Progress::Ended(spent));
-        match result {
+        of_devices.wall_s = clock.now_s();
+        *spent = Some(of_devices);
+        // The disk.
+        let result = match result {
             Ok(()) => disk.finish().await.map(|()| Outcome::Complete),
             Err(stop @ (CaptureError::Interrupted | CaptureError::StoppedNow)) => disk
                 .leave(stop.to_string())
@@ -59,7 +64,9 @@ impl Run<'_> {
                 drop(disk.leave(error.to_string()).await);
                 Err(error)
             }
-        }
+        };
+        stored.report(observer);
+        result
     }
 }
 

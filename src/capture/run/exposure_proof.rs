@@ -53,8 +53,8 @@ impl Run<'_> {
             let taken = self.take(shot, Some(&before).into()).await?;
             is_shown = self.is_shown(&before, &taken);
         }
-        if !is_shown && !self.unproven_told {
-            self.unproven_told = true;
+        if !is_shown && !self.unproven_reported {
+            self.unproven_reported = true;
             let text = format!(
                 "light {light}: the images cannot show whether the camera obeys its exposure"
             );

@@ -6,11 +6,20 @@ use std::sync::Arc;
 use super::Run;
 use crate::capture::CaptureError;
 use crate::capture::exposure_check::Exposed;
-use crate::capture::progress::Progress;
+use crate::capture::progress::{DriftSpan, Progress};
 use crate::device::temperature::Part;
 use crate::device::{CameraSettings, FrameKey, FrameKind, LampChannel, LampState, RawFrame};
-use crate::session::{Event, FrameTimes, Sidecar, layout, utc_now};
+use crate::session::{Event, FrameTimes, Sidecar, drift, layout, utc_now};
 use crate::units::{Seconds, StageAngles};
+
+/// Number of an exposure that becomes no file, less the lamp's channel: frames of one number
+/// follow each other under one lamp.
+pub(super) const NOT_KEPT: u32 = u32::MAX - 1;
+
+/// Whether a frame becomes a file.
+fn is_kept(key: FrameKey) -> bool {
+    key.exposure < NOT_KEPT - u32::from(u8::MAX)
+}
 
 /// One frame to take.
 #[derive(Clone, Copy, Debug)]
@@ -25,7 +34,7 @@ pub(super) struct Shot {
 #[derive(Clone)]
 pub(super) struct Taken {
     pub(super) frame: Arc<RawFrame>,
-    /// Asked for.
+    /// Requested.
     pub(super) requested_s: f64,
     /// Read back.
     pub(super) exposure_s: f64,
@@ -121,7 +130,7 @@ impl Run<'_> {
         shot: Shot,
         reference: Reference<'_>,
     ) -> Result<Taken, CaptureError> {
-        let (frame, sidecar, homing) = match self.held.get(&shot.key) {
+        let (frame, sidecar, homing) = match self.present.get(&shot.key) {
             Some(entry) => {
                 let (frame, sidecar) = self.session.read_frame(entry)?;
                 check_same(&shot, &sidecar)?;
@@ -139,6 +148,7 @@ impl Run<'_> {
                 (frame, sidecar, self.homing)
             }
         };
+        self.report_drift(&shot, reference, &sidecar, homing);
         let exposure_s = sidecar.applied.exposure.0;
         if !sidecar.pilot {
             self.merger.add(Arc::clone(&frame), sidecar).await?;
@@ -153,6 +163,39 @@ impl Run<'_> {
             self.keep_as_witness(shot, &taken);
         }
         Ok(taken)
+    }
+
+    /// What a frame that compares the lamp with itself shows.
+    fn report_drift(
+        &mut self,
+        shot: &Shot,
+        reference: Reference<'_>,
+        sidecar: &Sidecar,
+        homing: u32,
+    ) {
+        let (before, span) = match reference {
+            Reference::Lamp(before) => (before, DriftSpan::Light),
+            Reference::Revisit(before) => (before, DriftSpan::Session),
+            Reference::None | Reference::Exposure(_) => return,
+        };
+        let (LampState::On(channel), Some(ratio), Some(of_noise)) =
+            (shot.lamp, sidecar.exposure_ratio, sidecar.lamp_ratio_std)
+        else {
+            return;
+        };
+        let has_moved = span == DriftSpan::Session || before.homing != homing;
+        let of_stage = if has_moved {
+            drift::of_revisit(self.plan.stage_tolerance_deg)
+        } else {
+            0.0
+        };
+        self.observer.observe(Progress::Drift {
+            light: shot.key.light,
+            channel,
+            span,
+            relative: ratio - 1.0,
+            uncertainty: of_noise.hypot(of_stage),
+        });
     }
 
     /// Brings stage, lamp and camera into the shot's state and takes the frame.
@@ -180,12 +223,15 @@ impl Run<'_> {
         let latency = self.plan.settings_latency_frames;
         let change = self.devices.begin_settings(requested, latency, discards);
         let stage_position = self.go_to(shot.key.light).await?;
+        self.stored.report(self.observer);
         self.observer
             .observe(Progress::Left(Seconds(self.clock.left_s())));
         self.observer.observe(Progress::Frame {
             key: shot.key,
             exposure: shot.exposure,
             lamp: shot.lamp,
+            pilot: shot.pilot,
+            kept: is_kept(shot.key),
             done: self.clock.done(),
         });
         // Lamp, temperatures, shutter.
@@ -275,22 +321,24 @@ impl Run<'_> {
         self.devices.lamp(LampState::Off, Seconds(0.0)).await?;
         if !self.devices.is_homed() {
             self.observer.observe(Progress::Homing);
-            self.devices.home().await?;
+            let homed = self.devices.home();
+            self.stored.report_during(self.observer, homed).await?;
             self.clock.homed(self.clock.now_s());
             self.homing += 1;
             self.granted = None;
             self.disk.record(Event::Homed).await?;
         }
         self.observer.observe(Progress::Moving { light, target });
-        let position = self.devices.move_to(target).await?;
+        let moved = self.devices.move_to(target);
+        let position = self.stored.report_during(self.observer, moved).await?;
         self.devices.pause(self.plan.settle_s).await?;
         if self.position.is_none()
             && self.plan.lamp_warm_up_s.0 > 0.0
             && let Some(&channel) = self.plan.channels.first()
         {
-            self.devices
-                .lamp(LampState::On(channel), self.plan.lamp_warm_up_s)
-                .await?;
+            let warm_up_s = self.plan.lamp_warm_up_s;
+            let warmed = self.devices.lamp(LampState::On(channel), warm_up_s);
+            self.stored.report_during(self.observer, warmed).await?;
         }
         self.position = Some((light, position));
         self.disk

@@ -2,16 +2,12 @@
 //! interruption or a pause.
 
 use super::Run;
-use super::frame::{Reference, Shot, Taken};
+use super::frame::{NOT_KEPT, Reference, Shot, Taken};
 use crate::capture::CaptureError;
 use crate::capture::exposure_check::{Exposed, REFUSED};
 use crate::capture::return_check::change;
 use crate::device::{FrameKey, LampChannel, LampState};
 use crate::units::Seconds;
-
-/// Number of an exposure that becomes no file, less the lamp's channel: frames of one number
-/// follow each other under one lamp.
-const NOT_KEPT: u32 = u32::MAX - 1;
 
 impl Run<'_> {
     /// Keeps the latest lit frame of each channel at the light under way.
@@ -60,7 +56,7 @@ impl Run<'_> {
     }
 
     /// By how much, relative, the signal is off from that of a frame from before; `None`
-    /// where the frames do not tell.
+    /// where the frames show too little.
     async fn changed(
         &mut self,
         kept: &Shot,

@@ -3,7 +3,7 @@ use proptest::prelude::*;
 use super::*;
 
 /// A small record with every optional part, for the tests of this module.
-pub(super) fn sample() -> FitRecord {
+pub(crate) fn sample() -> FitRecord {
     let score = |estimate: f64| ChannelScore {
         channels: [estimate, estimate * 1.5, estimate * 2.0],
         overall: estimate * 1.4,

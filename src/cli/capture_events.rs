@@ -1,0 +1,105 @@
+//! `--events`: what a capture and its fit report, as JSON lines on stdout for other programs.
+//!
+//! Nothing that the reader does holds the capture up: a thread of its own writes the lines
+//! from a bounded queue. Frames about to be taken and the time left are dropped first, the
+//! end of the capture last.
+
+use std::fs::File;
+use std::io;
+use std::os::fd::AsFd;
+
+use super::error::CliError;
+use super::output::json_for_terminals;
+use super::stderr::LAST_WORDS;
+use super::write_queue::WriteQueue;
+use crate::capture::events::{CaptureEvent, Ending, Stamped};
+use crate::capture::{Observer, Progress};
+
+/// Room for events that a later one supersedes, bytes.
+const SUPERSEDED: usize = 1 << 18;
+/// For the others.
+const USUAL: usize = 1 << 19;
+/// For the few that a reader cannot do without.
+const ESSENTIAL: usize = USUAL + (1 << 16);
+
+/// The lines; when it is dropped, the reader gets a second to take what waits.
+#[derive(Clone)]
+pub(super) struct EventLines(&'static WriteQueue);
+
+impl EventLines {
+    /// Of this process's stdout, which nothing else may write to from now on.
+    pub(super) fn start() -> Result<Self, CliError> {
+        let stdout = File::from(io::stdout().as_fd().try_clone_to_owned()?);
+        let dropped = |count| line(CaptureEvent::Dropped { count });
+        Ok(Self(WriteQueue::start("events", stdout, dropped)?))
+    }
+
+    /// Puts an event into the queue. Never waits.
+    pub(super) fn send(&self, event: CaptureEvent) {
+        let room = room_of(&event);
+        self.0.put(&line(event), room, true);
+    }
+
+    /// A warning that the capture itself does not report.
+    pub(super) fn warn(&self, text: &str) {
+        let text = text.to_owned();
+        self.send(CaptureEvent::Warning { text });
+    }
+
+    /// The end of a capture that did not begin.
+    pub(super) fn not_begun(&self, error: &CliError) {
+        self.send(CaptureEvent::Ended {
+            outcome: Ending::Failed,
+            session: None,
+            elapsed_s: 0.0,
+            error: Some(error.fact().to_owned()),
+        });
+    }
+
+    /// The end of a fit that was made in vain.
+    pub(super) fn fit_failed(&self, error: &CliError) {
+        self.send(CaptureEvent::FitFailed {
+            error: error.fact().to_owned(),
+            hint: error.advice().map(str::to_owned),
+        });
+    }
+
+    /// Waits until the reader has taken everything, a second at most; not at all where it
+    /// has taken nothing for so long.
+    pub(super) fn flush(&self) {
+        self.0.flush(LAST_WORDS);
+    }
+}
+
+impl Drop for EventLines {
+    fn drop(&mut self) {
+        self.flush();
+    }
+}
+
+impl Observer for &EventLines {
+    fn observe(&mut self, progress: Progress<'_>) {
+        self.send(progress.into());
+    }
+
+    /// The reader gets the news of the pause before this process is suspended.
+    fn pause(&mut self) {
+        self.0.flush_unless_stuck(LAST_WORDS);
+    }
+}
+
+fn line(event: CaptureEvent) -> String {
+    let text = serde_json::to_string(&Stamped::now(event)).expect("events have only string keys");
+    json_for_terminals(&text)
+}
+
+fn room_of(event: &CaptureEvent) -> usize {
+    use CaptureEvent::*;
+    match event {
+        Frame { .. } | Left { .. } | Fit { .. } => SUPERSEDED,
+        Begun { .. } | Paused | Continued | Ended { .. } | Fitted { .. } | FitFailed { .. } => {
+            ESSENTIAL
+        }
+        _ => USUAL,
+    }
+}

@@ -1,0 +1,134 @@
+//! Everything that a page shows of one session.
+
+use std::collections::BTreeMap;
+
+use serde::Serialize;
+
+use super::list::Catalogue;
+use super::pictures::{self, Named};
+use super::row::{self, EntryError, FitRow, Row, entry_fault, read_fit};
+use crate::session::fit_record::{self, FitRecord, Warning};
+use crate::session::{Event, Session, SessionState};
+
+/// A session in full.
+#[derive(Debug, Serialize)]
+pub struct Detail {
+    /// As in the list.
+    #[serde(flatten)]
+    pub row: Row<FitDetail>,
+    /// Pictures of what was captured.
+    pub pictures: Vec<Named>,
+    /// What is to be known of the capture.
+    pub warnings: Vec<String>,
+}
+
+/// A fit in full.
+#[derive(Debug, Serialize)]
+pub struct FitDetail {
+    /// As in the list.
+    #[serde(flatten)]
+    pub row: FitRow,
+    /// Reasons not to trust it, the gravest first.
+    pub warnings: Vec<Warning>,
+    /// What to know of it that is neither for nor against it.
+    pub remarks: Vec<String>,
+    /// How it was run, in words.
+    pub settings: BTreeMap<&'static str, String>,
+    /// Its pictures.
+    pub pictures: Vec<Named>,
+}
+
+impl Catalogue {
+    /// A session in full; one that cannot be read has its error and little else.
+    ///
+    /// # Errors
+    /// There is no such folder, or the name leaves the catalogue's.
+    pub fn detail(&self, name: &str) -> Result<Detail, EntryError> {
+        let session = match row::open(self.folder(), name) {
+            Ok(session) => session,
+            Err(error @ EntryError::File(_)) => return Err(error),
+            Err(error) => {
+                return Ok(Detail {
+                    row: Row::failed(name, entry_fault(&error, self.advisor())),
+                    pictures: Vec::new(),
+                    warnings: Vec::new(),
+                });
+            }
+        };
+        let fits = fit_record::numbers_in(&session);
+        let fit = |number| match read_fit(&session, number) {
+            Ok(record) => fit_detail(&session, number, &record),
+            Err(error) => FitDetail {
+                row: FitRow::failed(number, entry_fault(&error, self.advisor())),
+                warnings: Vec::new(),
+                remarks: Vec::new(),
+                settings: BTreeMap::new(),
+                pictures: Vec::new(),
+            },
+        };
+        Ok(Detail {
+            row: Row::of(&session, name, fits.into_iter().map(fit).collect()),
+            pictures: pictures::of_session(&session),
+            warnings: warnings(&session),
+        })
+    }
+}
+
+fn fit_detail(session: &Session, number: u32, record: &FitRecord) -> FitDetail {
+    FitDetail {
+        row: FitRow::of(number, record),
+        warnings: record.warnings.clone(),
+        remarks: record.remarks.clone(),
+        settings: settings(record),
+        pictures: pictures::of_fit(session, number),
+    }
+}
+
+fn settings(record: &FitRecord) -> BTreeMap<&'static str, String> {
+    let of = &record.settings;
+    let yes_no = |is: bool| if is { "yes" } else { "no" }.to_owned();
+    let entries = [
+        ("Dictionary", Some(record.dictionary.clone())),
+        ("Optimiser", Some(of.optimizer.clone())),
+        ("Paths per cell", Some(of.samples_per_pixel.to_string())),
+        (
+            "Longest path (reflections)",
+            Some(of.max_reflections.to_string()),
+        ),
+        ("Seed", Some(of.seed.to_string())),
+        (
+            "Same weights for all channels",
+            of.shared_weights.map(yes_no),
+        ),
+        (
+            "Relative model error allowed for",
+            of.model_error.map(|error| error.to_string()),
+        ),
+        (
+            "Nuisance parameters refined",
+            Some(yes_no(record.bench.is_some())),
+        ),
+        ("End of the optimisation", Some(record.termination.clone())),
+    ];
+    let known = entries.into_iter();
+    known
+        .filter_map(|(key, value)| Some((key, value?)))
+        .collect()
+}
+
+/// What the journal says against a capture.
+fn warnings(session: &Session) -> Vec<String> {
+    let mut warnings: Vec<String> = session.journal().suspicion().into_iter().collect();
+    if session.state() == SessionState::Interrupted {
+        let events = session.journal().records.iter().rev();
+        let mut reasons = events.filter_map(|record| match &record.event {
+            Event::Interrupted { reason } => Some(reason.as_str()),
+            _ => None,
+        });
+        warnings.push(match reasons.next() {
+            Some(reason) => format!("the capture was interrupted: {reason}"),
+            None => "the capture has not ended".to_owned(),
+        });
+    }
+    warnings
+}

@@ -1,0 +1,144 @@
+//! Which files of a session a page may read, and as what.
+
+use std::sync::Arc;
+
+use super::list::Catalogue;
+use super::pictures::{self, PictureOf};
+use super::row;
+use super::served::{FileError, Served, Shown};
+use crate::console::beneath;
+use crate::session::layout::{FITS_FOLDER, REPORT_FILE};
+
+/// The folder of a session's exports.
+pub const EXPORTS_FOLDER: &str = "exports";
+/// A MERL table has 35 MB, a spectral one up to some 100 MB.
+const LARGEST_FILE_BYTES: u64 = 512 << 20;
+
+const PLAIN: &str = "text/plain; charset=utf-8";
+const BYTES: &str = "application/octet-stream";
+
+/// Files of a fit that may be read.
+const OF_A_FIT: &[&str] = &[
+    "fit.toml",
+    "weights.csv",
+    "table.csv",
+    "trace.csv",
+    "cells.csv",
+    "discrepancy.csv",
+];
+
+/// Endings of exports, with what they are.
+const EXPORTS: &[(&str, &str)] = &[
+    ("json", "application/json"),
+    ("binary", BYTES),
+    ("bsdf", BYTES),
+    ("xml", PLAIN),
+    ("pbrt", PLAIN),
+    ("txt", PLAIN),
+];
+
+/// What may be read under a name.
+#[derive(Debug, PartialEq, Eq)]
+enum Allowed {
+    File(&'static str, Shown),
+    Picture(PictureOf),
+}
+
+/// By the name alone: whether there is such a file is found out later.
+fn allowed(file: &str) -> Option<Allowed> {
+    if file == REPORT_FILE {
+        return Some(Allowed::File("text/html; charset=utf-8", Shown::Page));
+    }
+    if let Some(picture) = PictureOf::parse(file) {
+        return Some(Allowed::Picture(picture));
+    }
+    let (folder, name) = file.rsplit_once('/')?;
+    if folder == EXPORTS_FOLDER {
+        let (_, ending) = name.rsplit_once('.')?;
+        let export = EXPORTS.iter().find(|(of, _)| *of == ending)?;
+        return Some(Allowed::File(export.1, Shown::Download));
+    }
+    let number = folder.strip_prefix(FITS_FOLDER)?.strip_prefix('/')?;
+    number.parse::<u32>().ok()?;
+    OF_A_FIT
+        .contains(&name)
+        .then_some(Allowed::File(PLAIN, Shown::Inline))
+}
+
+impl Catalogue {
+    /// A file of a session: one that is there, or a picture that is made of its images.
+    /// Takes up to some seconds for a picture that is not known yet.
+    ///
+    /// # Errors
+    /// See [`FileError`].
+    pub fn file(&self, session: &str, file: &str) -> Result<Served, FileError> {
+        let not_shown = || FileError::NotShown {
+            file: file.to_owned(),
+        };
+        row::check_name(session)?;
+        match allowed(file).ok_or_else(not_shown)? {
+            Allowed::File(kind, shown) => {
+                let path = row::path(session, file);
+                let bytes = beneath::read(self.folder(), &path, LARGEST_FILE_BYTES)?;
+                Ok(Served {
+                    kind,
+                    shown,
+                    bytes: Arc::new(bytes),
+                })
+            }
+            Allowed::Picture(picture) => self.kept_or(session, file, || {
+                let open = row::open(self.folder(), session)?;
+                Ok(Served {
+                    kind: "image/png",
+                    shown: Shown::Inline,
+                    bytes: Arc::new(pictures::png(&open, picture)?),
+                })
+            }),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_decide_what_is_shown() {
+        use Shown::*;
+        for (file, shown) in [
+            ("report.html", Page),
+            ("fits/0/fit.toml", Inline),
+            ("fits/12/table.csv", Inline),
+            ("exports/brdf.binary", Download),
+            ("exports/brdf.binary.txt", Download),
+        ] {
+            match allowed(file) {
+                Some(Allowed::File(_, as_what)) => assert_eq!(as_what, shown, "{file}"),
+                other => panic!("{file}: {other:?}"),
+            }
+        }
+        for file in ["fits/0/residual_L000.png", "fits/0/spheres.png"] {
+            assert!(matches!(allowed(file), Some(Allowed::Picture(_))), "{file}");
+        }
+        for file in [
+            "",
+            "session.toml",
+            "journal.jsonl",
+            "raw/L000_E00_R00_light.png",
+            "report.html/",
+            "REPORT.HTML",
+            "sub/report.html",
+            "fits/x/fit.toml",
+            "fits/0/fit.toml.bak",
+            "fits/0/../1/fit.toml",
+            "fits/0/secret.csv",
+            "exports/run.sh",
+            "exports/page.html",
+            "exports/deep/brdf.binary",
+            "exports/binary",
+            "calibration/sensor.toml",
+        ] {
+            assert_eq!(allowed(file), None, "{file}");
+        }
+    }
+}

@@ -1,0 +1,294 @@
+//! The list of sessions, kept in memory.
+
+use std::collections::{HashMap, VecDeque};
+use std::fs::FileType;
+use std::io;
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use super::row::Row;
+use super::served::Served;
+use crate::console::fault::{Advisor, Fault};
+use crate::session::layout::{JOURNAL_FILE, REPORT_FILE, SESSION_FILE};
+
+/// Pictures that are kept after they were made.
+const KEPT_PICTURES: usize = 64;
+
+/// Which file it was, and in which state: inode, length, time of the last change in ns.
+pub(super) type FileStamp = Option<[i128; 3]>;
+/// The files by which a session changes. Everything that is added to a session is
+/// journalled.
+pub(super) type Stamp = [FileStamp; 3];
+
+/// The sessions of one folder. A session is read anew only when its journal, `session.toml`
+/// or report has changed.
+#[derive(Debug)]
+pub struct Catalogue {
+    folder: PathBuf,
+    advisor: Advisor,
+    known: Mutex<HashMap<String, (Stamp, Arc<Row>)>>,
+    pictures: Mutex<VecDeque<KeptPicture>>,
+}
+
+/// A picture that was made of a session's images.
+#[derive(Debug)]
+struct KeptPicture {
+    session: String,
+    file: String,
+    stamp: Stamp,
+    served: Served,
+}
+
+impl Catalogue {
+    /// Of the sessions in this folder, which need not exist yet.
+    pub fn new(folder: impl Into<PathBuf>, advisor: Advisor) -> Self {
+        Self {
+            folder: folder.into(),
+            advisor,
+            known: Mutex::default(),
+            pictures: Mutex::default(),
+        }
+    }
+
+    /// The folder.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// Who advises on errors.
+    pub fn advisor(&self) -> &Advisor {
+        &self.advisor
+    }
+
+    /// The sessions that a search finds (all, if it has no words), newest first; folders that
+    /// cannot be read are among them, with their error. Requests wait for one another.
+    ///
+    /// # Errors
+    /// The folder itself cannot be read. One that does not exist has no sessions.
+    pub fn list(&self, search: &str) -> io::Result<Vec<Arc<Row>>> {
+        let entries = match std::fs::read_dir(&self.folder) {
+            Ok(entries) => entries,
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
+            Err(error) => return Err(error),
+        };
+        let mut known = lock(&self.known);
+        let mut before = std::mem::take(&mut *known);
+        let mut rows = Vec::new();
+        for entry in entries {
+            let Ok(entry) = entry else { continue };
+            // Hidden: also a session that is being made.
+            let name = entry.file_name();
+            if name.as_encoded_bytes().starts_with(b".") {
+                continue;
+            }
+            let Ok(kind) = entry.file_type() else {
+                continue;
+            };
+            let row = match name.to_str() {
+                Some(name) if kind.is_dir() => {
+                    let stamp = stamp(&self.folder.join(name));
+                    let row = match before.remove(name) {
+                        Some((then, row)) if then == stamp => row,
+                        _ => Arc::new(Row::read(&self.folder, name, &self.advisor)),
+                    };
+                    known.insert(name.to_owned(), (stamp, Arc::clone(&row)));
+                    row
+                }
+                _ => match unreadable(kind) {
+                    Some(fact) => Arc::new(Row::failed(&name.to_string_lossy(), Fault::new(fact))),
+                    None => continue,
+                },
+            };
+            rows.push(row);
+        }
+        drop(known);
+        rows.retain(|row| row.matches(search));
+        rows.sort_by(|a, b| (&b.began, &b.name).cmp(&(&a.began, &a.name)));
+        Ok(rows)
+    }
+
+    /// A file that was made of this session's images in its present state, or else what
+    /// `make` makes.
+    ///
+    /// # Errors
+    /// Those of `make`.
+    pub(super) fn kept_or<E>(
+        &self,
+        session: &str,
+        file: &str,
+        make: impl FnOnce() -> Result<Served, E>,
+    ) -> Result<Served, E> {
+        let stamp = stamp(&self.folder.join(session));
+        // Held while it is made: pictures are made one at a time.
+        let mut pictures = lock(&self.pictures);
+        let is_it = |kept: &&KeptPicture| {
+            kept.session == session && kept.file == file && kept.stamp == stamp
+        };
+        if let Some(kept) = pictures.iter().find(is_it) {
+            return Ok(kept.served.clone());
+        }
+        let served = make()?;
+        if pictures.len() >= KEPT_PICTURES {
+            pictures.pop_front();
+        }
+        pictures.push_back(KeptPicture {
+            session: session.to_owned(),
+            file: file.to_owned(),
+            stamp,
+            served: served.clone(),
+        });
+        Ok(served)
+    }
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Why something in the folder that is no folder of a readable name is no session; `None`
+/// for files, which nobody takes for one.
+fn unreadable(kind: FileType) -> Option<&'static str> {
+    if kind.is_symlink() {
+        Some("it is a symbolic link, which is not followed")
+    } else if kind.is_dir() {
+        Some("its name is no Unicode text")
+    } else {
+        None
+    }
+}
+
+fn stamp(session: &Path) -> Stamp {
+    [JOURNAL_FILE, SESSION_FILE, REPORT_FILE].map(|name| {
+        let found = session.join(name).symlink_metadata().ok()?;
+        let changed_ns = i128::from(found.mtime()) * 1_000_000_000 + i128::from(found.mtime_nsec());
+        Some([found.ino().into(), found.len().into(), changed_ns])
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::os::unix::ffi::OsStrExt;
+    use std::os::unix::fs::symlink;
+    use std::time::Instant;
+
+    use super::*;
+    use crate::console::catalogue::tests::{fitted_session, session};
+
+    fn names(rows: &[Arc<Row>]) -> Vec<&str> {
+        rows.iter().map(|row| row.name.as_str()).collect()
+    }
+
+    #[test]
+    fn broken_and_foreign_folders_hide_no_session() {
+        let outside = tempfile::tempdir().unwrap();
+        let folder = outside.path().join("sessions");
+        let catalogue = Catalogue::new(&folder, Advisor::silent());
+        assert!(catalogue.list("").unwrap().is_empty(), "no folder yet");
+        let old = session(&folder, "bowl", "2026-11-21T02:34:00Z");
+        let new = session(&folder, "cup", "2026-11-22T02:34:00Z");
+
+        // Half-written, emptied, foreign, named badly, hidden, files, links.
+        let half = session(&folder, "half", "2026-11-23T02:34:00Z");
+        std::fs::write(folder.join(&half).join(SESSION_FILE), "sample = ").unwrap();
+        let emptied = session(&folder, "emptied", "2026-11-24T02:34:00Z");
+        std::fs::write(folder.join(&emptied).join(JOURNAL_FILE), "").unwrap();
+        std::fs::create_dir(folder.join("photos")).unwrap();
+        std::fs::create_dir(folder.join(std::ffi::OsStr::from_bytes(b"b\xffd"))).unwrap();
+        std::fs::create_dir(folder.join(".hidden.part")).unwrap();
+        std::fs::write(folder.join("note.txt"), "a note").unwrap();
+        symlink(folder.join(&old), folder.join("link")).unwrap();
+        let linked = session(&folder, "linked", "2026-11-20T02:34:00Z");
+        let journal = folder.join(&linked).join(JOURNAL_FILE);
+        std::fs::rename(&journal, outside.path().join("journal")).unwrap();
+        symlink(outside.path().join("journal"), &journal).unwrap();
+
+        let rows = catalogue.list("").unwrap();
+        assert_eq!(
+            names(&rows),
+            [
+                &emptied,
+                &half,
+                &new,
+                &old,
+                &linked,
+                "photos",
+                "link",
+                "b\u{fffd}d"
+            ]
+        );
+        let error = |name: &str| {
+            let row = rows.iter().find(|row| row.name == name).unwrap();
+            row.error.as_ref().map(|fault| fault.error.as_str())
+        };
+        assert_eq!((error(&old), error(&new)), (None, None));
+        for (name, fact) in [
+            (half.as_str(), "session.toml"),
+            (&emptied, "journal"),
+            ("photos", "neither session.toml nor journal.jsonl"),
+            ("link", "symbolic link"),
+            (&linked, "symbolic link"),
+            ("b\u{fffd}d", "no Unicode"),
+        ] {
+            assert!(
+                error(name).unwrap().contains(fact),
+                "{name}: {:?}",
+                error(name)
+            );
+        }
+        assert_eq!(names(&catalogue.list("cup").unwrap()), [&new]);
+    }
+
+    #[test]
+    fn a_session_is_read_again_when_it_has_changed() {
+        let folder = tempfile::tempdir().unwrap();
+        let name = session(folder.path(), "bowl", "2026-11-21T02:34:00Z");
+        let catalogue = Catalogue::new(folder.path(), Advisor::silent());
+        let first = catalogue.list("").unwrap().remove(0);
+        let again = catalogue.list("").unwrap().remove(0);
+        assert!(Arc::ptr_eq(&first, &again) && !first.report);
+        std::fs::write(
+            folder.path().join(&name).join(REPORT_FILE),
+            "<!doctype html>",
+        )
+        .unwrap();
+        assert!(catalogue.list("").unwrap().remove(0).report);
+        std::fs::remove_dir_all(folder.path().join(&name)).unwrap();
+        assert!(catalogue.list("").unwrap().is_empty());
+        assert!(lock(&catalogue.known).is_empty());
+    }
+
+    /// Without waiting for the disk, as the making of sessions does.
+    fn copy(from: &Path, to: &Path) {
+        std::fs::create_dir(to).unwrap();
+        for entry in std::fs::read_dir(from).unwrap().flatten() {
+            let to = to.join(entry.file_name());
+            match entry.file_type().unwrap().is_dir() {
+                true => copy(&entry.path(), &to),
+                false => drop(std::fs::copy(entry.path(), to).unwrap()),
+            }
+        }
+    }
+
+    /// 500 sessions with a fit; the times are printed with `--nocapture`.
+    #[test]
+    fn many_sessions_are_listed_from_memory() {
+        let folder = tempfile::tempdir().unwrap();
+        let first = fitted_session(folder.path());
+        for at in 1..500 {
+            copy(
+                &folder.path().join(&first),
+                &folder.path().join(format!("{at}_bowl")),
+            );
+        }
+        let catalogue = Catalogue::new(folder.path(), Advisor::silent());
+        let start = Instant::now();
+        assert_eq!(catalogue.list("").unwrap().len(), 500);
+        let first = start.elapsed();
+        let start = Instant::now();
+        assert_eq!(catalogue.list("bowl").unwrap().len(), 500);
+        let again = start.elapsed();
+        println!("500 sessions: first {first:?}, again {again:?}");
+        assert!(2 * again < first, "{again:?} and {first:?} at first");
+    }
+}

@@ -1,0 +1,245 @@
+//! Sessions on the disk, whole and hostile.
+
+use std::os::unix::fs::symlink;
+use std::path::Path;
+use std::sync::Arc;
+
+use super::*;
+use crate::console::fault::Advisor;
+use crate::device::*;
+use crate::radiance_image::RadianceImage;
+use crate::session::commit::SystemDisk;
+use crate::session::fit_record::{self, FitImages, Verdict};
+use crate::session::layout::session_name;
+use crate::session::*;
+use crate::units::{Seconds, StageAngles};
+
+fn record(sample: &str, began: &str) -> SessionRecord {
+    let light = StageAngles {
+        azimuth_deg: 10.0,
+        elevation_deg: 80.0,
+    };
+    SessionRecord {
+        sample: sample.to_owned(),
+        created_utc: began.to_owned(),
+        simulated: true,
+        true_material: Some("ggx:0.1,1.5".to_owned()),
+        seed: 7,
+        rig: "simulated".to_owned(),
+        config: String::new(),
+        versions: Versions {
+            rig: "0.1.0".to_owned(),
+            camera: CameraInfo {
+                driver: "simulated".to_owned(),
+                model: "m".to_owned(),
+                serial: "s".to_owned(),
+                resolution_px: [4, 3],
+                bit_depth: 12,
+                mosaic: Mosaic::None,
+                exposure_range: [Seconds(1e-4), Seconds(1.0)],
+                exposure_step: Seconds(1e-4),
+            },
+            stage: StageInfo {
+                driver: "grbl".to_owned(),
+                firmware: "1.1h".to_owned(),
+                port: "/dev/x".to_owned(),
+                has_watchdog: false,
+            },
+        },
+        plan: PlanRecord {
+            channels: vec![LampChannel(0)],
+            gain: 1.0,
+            exposure: ExposureRules {
+                pilot_s: Seconds(0.002),
+                shortest_s: Seconds(0.001),
+                longest_s: Seconds(1.0),
+                step_s: Seconds(0.0001),
+                peak_fraction: 0.7,
+                dark_snr: 20.0,
+                ratio: 4.0,
+                max_frames: 4,
+                ambient: true,
+                dark_frames: 2,
+            },
+            settle_s: Seconds(0.1),
+            lamp_settle_s: Seconds(0.0),
+            lamp_warm_up_s: Seconds(0.0),
+            settings_latency_frames: 2,
+            revisit_first: false,
+            stage_tolerance_deg: 0.0,
+            limits: Default::default(),
+            estimated_s: Seconds(12.0),
+            estimated_bytes: 1000,
+            lights: vec![light; 2],
+        },
+        calibration: Vec::new(),
+    }
+}
+
+/// Makes an interrupted session in the folder and returns its name.
+pub fn session(folder: &Path, sample: &str, began: &str) -> String {
+    let new = NewSession {
+        parent: folder,
+        created: began.parse().unwrap(),
+        short_id: "0f3a",
+        record: &record(sample, began),
+        calibration: &[],
+    };
+    let writer = SessionWriter::create(Arc::new(SystemDisk), &new).unwrap();
+    drop(writer);
+    session_name(began.parse().unwrap(), sample, "0f3a").unwrap()
+}
+
+/// With a fit of two lights and a report, its capture ended.
+pub fn fitted_session(folder: &Path) -> String {
+    let name = session(folder, "bowl", "2026-11-21T02:34:00Z");
+    let mut writer = SessionWriter::open(Arc::new(SystemDisk), &folder.join(&name)).unwrap();
+    let image = || {
+        let mut image = RadianceImage::new(6, 4);
+        image.mean.fill([1.0, -2.0, 0.5]);
+        image
+    };
+    let images = FitImages {
+        rendered: vec![image(), image()],
+        residual: vec![image(), image()],
+        cells_csv: String::new(),
+    };
+    fit_record::commit(&mut writer, &fit_record::tests::sample(), &images).unwrap();
+    writer
+        .commit_file("report.html", b"<!doctype html>report")
+        .unwrap();
+    writer.finish().unwrap();
+    name
+}
+
+#[test]
+fn a_session_is_shown_with_its_fits_and_pictures() {
+    let folder = tempfile::tempdir().unwrap();
+    let name = fitted_session(folder.path());
+    let catalogue = Catalogue::new(folder.path(), Advisor::silent());
+    let row = catalogue.list("").unwrap().remove(0);
+    assert!(row.complete && row.report && row.error.is_none(), "{row:?}");
+    let [fit] = row.fits.as_slice() else {
+        panic!("{row:?}");
+    };
+    let sample = fit_record::tests::sample();
+    assert_eq!(fit.verdict, Some(sample.verdict()));
+    assert_eq!(
+        (fit.name.as_str(), fit.chi2),
+        ("0", sample.worst_reduced_chi_square())
+    );
+    assert!(fit.environment_error.is_some_and(|error| error > 0.0));
+
+    let detail = serde_json::to_value(catalogue.detail(&name).unwrap()).unwrap();
+    assert_eq!(detail["name"], name.as_str());
+    let fits = detail["fits"].as_array().unwrap();
+    assert_eq!(fits.len(), 1, "{detail}");
+    assert_eq!(fits[0]["dictionary"], "paper42");
+    assert_eq!(fits[0]["settings"]["Seed"], "7");
+    assert!(!fits[0]["warnings"].as_array().unwrap().is_empty());
+    let pictures = fits[0]["pictures"].as_array().unwrap();
+    assert_eq!(pictures.len(), 5, "{pictures:?}");
+    let mut sizes = Vec::new();
+    for picture in pictures {
+        let served = catalogue
+            .file(&name, picture["name"].as_str().unwrap())
+            .unwrap();
+        let picture = image::load_from_memory(&served.bytes).unwrap();
+        sizes.push((picture.width(), picture.height()));
+    }
+    // R, G and B of 6 pixels, each with a gap of 4.
+    assert_eq!(sizes[1..], [(30, 4), (6, 4), (30, 4), (6, 4)]);
+    assert!(sizes[0].0 > 256 && sizes[0].1 == 2 * 132, "{sizes:?}");
+    // Made once.
+    let residual = || {
+        catalogue
+            .file(&name, "fits/0/residual_L000.png")
+            .unwrap()
+            .bytes
+    };
+    assert!(Arc::ptr_eq(&residual(), &residual()));
+}
+
+#[test]
+fn a_damaged_fit_is_shown_with_its_error_next_to_the_others() {
+    let folder = tempfile::tempdir().unwrap();
+    let name = fitted_session(folder.path());
+    let root = folder.path().join(&name);
+    let mut writer = SessionWriter::open(Arc::new(SystemDisk), &root).unwrap();
+    let record = fit_record::tests::sample();
+    fit_record::commit(&mut writer, &record, &FitImages::default()).unwrap();
+    drop(writer);
+    std::fs::write(root.join("fits/0/fit.toml"), "format = 1\n").unwrap();
+    let catalogue = Catalogue::new(folder.path(), Advisor::silent());
+    let row = catalogue.list("").unwrap().remove(0);
+    assert_eq!(row.fits.len(), 2);
+    assert!(row.fits[0].error.is_some() && row.fits[0].verdict.is_none());
+    assert!(row.fits[1].error.is_none());
+    assert!(row.fits[1].verdict >= Some(Verdict::Explains));
+    // So is one that a link leads elsewhere.
+    std::fs::rename(
+        root.join("fits/1/fit.toml"),
+        folder.path().join("elsewhere"),
+    )
+    .unwrap();
+    symlink(
+        folder.path().join("elsewhere"),
+        root.join("fits/1/fit.toml"),
+    )
+    .unwrap();
+    let detail = catalogue.detail(&name).unwrap();
+    let fault = detail.row.fits[1].row.error.as_ref().unwrap();
+    assert!(fault.error.contains("symbolic link"), "{fault:?}");
+}
+
+#[test]
+fn nothing_outside_the_folder_and_nothing_by_a_link_is_read() {
+    let outside = tempfile::tempdir().unwrap();
+    let folder = outside.path().join("sessions");
+    let name = fitted_session(&folder);
+    let other = fitted_session(&outside.path().join("others"));
+    std::fs::write(outside.path().join("report.html"), "secret").unwrap();
+    std::fs::create_dir_all(folder.join(&name).join("exports")).unwrap();
+    std::fs::write(folder.join(&name).join("exports/brdf.json"), "{}").unwrap();
+    let secret = outside.path().join("report.html");
+    symlink(&secret, folder.join(&name).join("exports/x.json")).unwrap();
+    symlink(
+        outside.path().join("others").join(&other),
+        folder.join("link"),
+    )
+    .unwrap();
+    std::fs::create_dir(folder.join("plain")).unwrap();
+    symlink(&secret, folder.join("plain/report.html")).unwrap();
+    let catalogue = Catalogue::new(&folder, Advisor::silent());
+
+    let report = catalogue.file(&name, "report.html").unwrap();
+    assert_eq!(report.shown, served::Shown::Page);
+    assert_eq!(
+        *catalogue.file(&name, "exports/brdf.json").unwrap().bytes,
+        b"{}"
+    );
+    for (session, file) in [
+        ("..", "report.html"),
+        ("", "report.html"),
+        (".", "report.html"),
+        (".hidden", "report.html"),
+        ("../others", "report.html"),
+        ("/etc", "report.html"),
+        ("link", "report.html"),
+        ("plain", "report.html"),
+        ("none", "report.html"),
+        ("link", "fits/0/spheres.png"),
+        (&name, "exports/x.json"),
+        (&name, "exports/../../x.json"),
+        (&name, "../report.html"),
+        (&name, "session.toml"),
+        (&name, "fits/9/spheres.png"),
+        (&name, "fits/0/residual_L007.png"),
+    ] {
+        let error = catalogue.file(session, file).unwrap_err();
+        assert!(error.is_missing(), "{session} {file}: {error}");
+    }
+    for session in ["..", "", "link", "none", "../others", "a/b", "\0"] {
+        assert!(catalogue.detail(session).is_err(), "{session:?}");
+    }
+}

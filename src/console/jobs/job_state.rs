@@ -1,0 +1,134 @@
+//! The topic `job`: the process that runs, or the last one.
+
+use std::os::unix::process::ExitStatusExt;
+use std::process::ExitStatus;
+
+use serde::Serialize;
+use serde_json::{Value, json};
+
+use super::Work;
+use super::log::Log;
+use crate::capture::events::CaptureEvent;
+
+/// What a job is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Kind {
+    /// `rig capture`.
+    Capture,
+    /// `rig fit`.
+    Fit,
+    /// `rig export`.
+    Export,
+}
+
+impl Kind {
+    /// In a sentence.
+    pub fn what(self) -> &'static str {
+        match self {
+            Kind::Capture => "a capture",
+            Kind::Fit => "a fit",
+            Kind::Export => "an export",
+        }
+    }
+}
+
+/// How far it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum State {
+    /// It works.
+    Running,
+    /// It stands, with the lamp off.
+    Paused,
+    /// It was asked to stop.
+    Ending,
+    /// It ended well.
+    Done,
+    /// It ended with an error.
+    Failed,
+    /// It was stopped.
+    Interrupted,
+}
+
+/// A job as the page shows it.
+#[derive(Clone, Debug, Default)]
+pub(super) struct JobState {
+    pub kind: Option<Kind>,
+    pub state: Option<State>,
+    pub log: Log,
+    pub result: Option<String>,
+    command: Option<String>,
+    pid: Option<u32>,
+    began: Option<String>,
+    exit: Option<i32>,
+    session: Option<String>,
+    download: Option<String>,
+    progress: Option<Value>,
+    verdict: Option<Value>,
+}
+
+impl JobState {
+    pub fn begun(work: &Work, command: String, pid: u32) -> Self {
+        Self {
+            kind: Some(work.kind),
+            state: Some(State::Running),
+            command: Some(command),
+            pid: Some(pid),
+            began: Some(format!("{:.3}", jiff::Timestamp::now())),
+            session: work.session.clone(),
+            download: work.download.clone(),
+            ..Self::default()
+        }
+    }
+
+    pub fn apply(&mut self, event: &CaptureEvent) {
+        match event {
+            CaptureEvent::Paused if self.state == Some(State::Running) => {
+                self.state = Some(State::Paused);
+            }
+            CaptureEvent::Continued if self.state == Some(State::Paused) => {
+                self.state = Some(State::Running);
+            }
+            CaptureEvent::Fit { stage, done } => {
+                self.progress = Some(json!({"stage": stage, "done": done}));
+            }
+            CaptureEvent::Fitted { verdict, .. } => self.verdict = Some(json!(verdict)),
+            _ => {}
+        }
+    }
+
+    pub fn end(&mut self, status: Option<ExitStatus>) {
+        self.log.finish();
+        // As a shell shows it.
+        let code = status.and_then(|is| is.code().or_else(|| is.signal().map(|s| 128 + s)));
+        self.exit = code;
+        self.pid = None;
+        self.progress = None;
+        self.state = Some(match code {
+            Some(0) => State::Done,
+            Some(129 | 130 | 137 | 143) => State::Interrupted,
+            _ => State::Failed,
+        });
+        if self.state != Some(State::Done) {
+            self.download = None;
+        }
+    }
+
+    pub fn json(&self) -> Value {
+        json!({
+            "kind": self.kind,
+            "command": self.command,
+            "pid": self.pid,
+            "began": self.began,
+            "state": self.state,
+            "exit": self.exit,
+            "session": self.session,
+            "download": self.download,
+            "verdict": self.verdict,
+            "log": self.log.lines().collect::<Vec<_>>(),
+            "result": self.result,
+            "progress": self.progress,
+        })
+    }
+}

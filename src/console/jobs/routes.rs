@@ -1,0 +1,243 @@
+//! Addresses of the console that start, steer and query commands of the program.
+
+use std::ffi::OsString;
+use std::time::Duration;
+
+use axum::Json;
+use axum::Router;
+use axum::extract::State;
+use axum::http::StatusCode;
+use axum::routing::{get, post};
+use serde::Deserialize;
+use serde_json::{Value, json};
+
+use super::job_state::Kind;
+use super::{Answer, JobError, Jobs, QueryError, Work, is_session, shown};
+use crate::console::control::Controlled;
+use crate::console::refusal::Refusal;
+use crate::console::request::Asked;
+use crate::session::layout::session_name;
+
+/// A short command has so long.
+const SHORT: Duration = Duration::from_secs(30);
+/// A plan of the best lights compares many.
+const PLANNING: Duration = Duration::from_secs(120);
+/// Lights that may be listed one by one.
+const MOST_LIGHTS: usize = 500;
+
+/// The form of a capture.
+#[derive(Clone, Debug, Default, Deserialize)]
+pub struct CaptureForm {
+    sample: Option<String>,
+    lights: Option<String>,
+    #[serde(default)]
+    light: Vec<String>,
+    fit: Option<bool>,
+}
+
+impl CaptureForm {
+    /// The command line, without the program's name. Values stand behind `=` and are never
+    /// read as options; whether they are right decides the command itself.
+    fn arguments(&self, jobs: &Jobs) -> Result<Vec<OsString>, Refusal> {
+        let program = jobs.program();
+        let texts = self.light.iter().chain(&self.lights).chain(&self.sample);
+        if let Some(bad) = texts
+            .clone()
+            .find(|text| text.chars().any(char::is_control))
+        {
+            return Err(Refusal::bad(format!("{bad:?} has control characters")));
+        }
+        if self.light.len() > MOST_LIGHTS {
+            return Err(Refusal::bad(format!("more than {MOST_LIGHTS} lights")));
+        }
+        if let Some(sample) = &self.sample {
+            session_name(jiff::Timestamp::now(), sample, "")
+                .map_err(|error| Refusal::bad(error.to_string()))?;
+        }
+        let mut arguments = vec!["capture".into(), option("--rig=", &program.rig)];
+        arguments.push(option("--out=", &program.folder));
+        arguments.extend(self.sample.iter().map(|sample| option("--sample=", sample)));
+        arguments.extend(self.lights.iter().map(|lights| option("--lights=", lights)));
+        arguments.extend(self.light.iter().map(|light| option("--light=", light)));
+        if self.fit == Some(false) {
+            arguments.push("--no-fit".into());
+        }
+        Ok(arguments)
+    }
+}
+
+/// `--name=value` as one argument.
+fn option(name: &str, value: impl AsRef<std::ffi::OsStr>) -> OsString {
+    let mut whole = OsString::from(name);
+    whole.push(value);
+    whole
+}
+
+impl From<JobError> for Refusal {
+    fn from(error: JobError) -> Self {
+        let status = match error {
+            JobError::Busy(_) | JobError::Ending | JobError::Devices { .. } => StatusCode::CONFLICT,
+            JobError::Begin { .. } => StatusCode::INTERNAL_SERVER_ERROR,
+        };
+        let fact = error.to_string();
+        match error {
+            JobError::Devices { hint, .. } => Refusal::new(status, fact).hint(hint),
+            _ => Refusal::new(status, fact),
+        }
+    }
+}
+
+impl From<QueryError> for Refusal {
+    fn from(error: QueryError) -> Self {
+        let status = match error {
+            QueryError::Begin { .. } => StatusCode::INTERNAL_SERVER_ERROR,
+            QueryError::Slow { .. } => StatusCode::GATEWAY_TIMEOUT,
+            QueryError::Failed { .. } => StatusCode::UNPROCESSABLE_ENTITY,
+        };
+        let fact = error.to_string();
+        match error {
+            QueryError::Failed { hint, .. } => Refusal::new(status, fact).hint(hint),
+            _ => Refusal::new(status, fact),
+        }
+    }
+}
+
+/// The addresses of jobs and short commands.
+pub fn routes(jobs: Jobs) -> Router {
+    Router::new()
+        .route("/api/doctor", get(doctor))
+        .route("/api/calibrations", get(calibrations))
+        .route("/api/devices", get(devices))
+        .route("/api/setup", get(questions).post(set_up))
+        .route("/api/plan", post(plan))
+        .route("/api/capture/start", post(start))
+        .route("/api/capture/resume", post(resume))
+        .route("/api/capture/pause", post(pause))
+        .route("/api/capture/continue", post(go_on))
+        .route("/api/capture/finish", post(finish))
+        .route("/api/capture/stop", post(stop))
+        .route("/api/jobs/stop", post(stop))
+        .with_state(jobs)
+}
+
+type Done = Result<Json<Value>, Refusal>;
+type Accepted = Result<(StatusCode, Json<Value>), Refusal>;
+
+fn accepted(answer: Value) -> Accepted {
+    Ok((StatusCode::ACCEPTED, Json(answer)))
+}
+
+async fn shown_json(jobs: &Jobs, arguments: Vec<OsString>) -> Done {
+    Ok(Json(jobs.ask(arguments, Vec::new(), SHORT).await?.value))
+}
+
+async fn doctor(State(jobs): State<Jobs>) -> Done {
+    let rig = option("--rig=", &jobs.program().rig);
+    shown_json(&jobs, vec!["doctor".into(), rig, "--json".into()]).await
+}
+
+async fn calibrations(State(jobs): State<Jobs>) -> Done {
+    let rig = option("--rig=", &jobs.program().rig);
+    let arguments = ["calibrate".into(), "status".into(), rig, "--json".into()];
+    shown_json(&jobs, arguments.into()).await
+}
+
+async fn devices(State(jobs): State<Jobs>) -> Done {
+    shown_json(&jobs, ["devices", "--json"].map(OsString::from).into()).await
+}
+
+async fn questions(State(jobs): State<Jobs>) -> Done {
+    let arguments = ["init", "--questions", "--json"].map(OsString::from);
+    shown_json(&jobs, arguments.into()).await
+}
+
+#[derive(Deserialize)]
+struct SetUp {
+    answers: serde_json::Map<String, Value>,
+}
+
+async fn set_up(State(jobs): State<Jobs>, _: Controlled, Asked(form): Asked<SetUp>) -> Done {
+    let arguments = ["init", "--answers=-", "--json"].map(OsString::from);
+    let answers = Value::Object(form.answers).to_string().into_bytes();
+    let answer = jobs.ask(arguments.into(), answers, SHORT).await?;
+    match answer.failure {
+        None => Ok(Json(answer.value)),
+        Some((fact, hint)) => Err(Refusal::new(StatusCode::UNPROCESSABLE_ENTITY, fact).hint(hint)),
+    }
+}
+
+async fn plan(State(jobs): State<Jobs>, Asked(form): Asked<CaptureForm>) -> Done {
+    let mut arguments = form.arguments(&jobs)?;
+    let command = shown("rig", &arguments);
+    arguments.extend(["--dry-run".into(), "--json".into()]);
+    let Answer { value, failure } = jobs.ask(arguments, Vec::new(), PLANNING).await?;
+    let (error, hint) = failure.map_or((None, None), |(fact, hint)| (Some(fact), hint));
+    Ok(Json(
+        json!({"command": command, "plan": value, "error": error, "hint": hint}),
+    ))
+}
+
+/// Starts a capture; closing the devices may take a moment, so on another thread.
+async fn capture(jobs: Jobs, work: Work) -> Accepted {
+    let started = tokio::task::spawn_blocking(move || jobs.start(work)).await;
+    let command = started.map_err(|_| Refusal::failed("internal error"))??;
+    accepted(json!({"command": command}))
+}
+
+async fn start(
+    State(jobs): State<Jobs>,
+    _: Controlled,
+    Asked(form): Asked<CaptureForm>,
+) -> Accepted {
+    let work = Work {
+        hidden: vec!["--events".into()],
+        ..Work::new(Kind::Capture, form.arguments(&jobs)?)
+    };
+    capture(jobs, work).await
+}
+
+#[derive(Deserialize)]
+struct Resumed {
+    session: String,
+}
+
+async fn resume(State(jobs): State<Jobs>, _: Controlled, Asked(form): Asked<Resumed>) -> Accepted {
+    let folder = &jobs.program().folder;
+    if !is_session(folder, &form.session) {
+        return Err(Refusal::missing("there is no such session"));
+    }
+    let session = option("--resume=", folder.join(&form.session));
+    let work = Work {
+        hidden: vec!["--events".into()],
+        session: Some(form.session),
+        ..Work::new(Kind::Capture, vec!["capture".into(), session])
+    };
+    capture(jobs, work).await
+}
+
+/// Only a capture can be paused or ended in good order.
+fn of_capture(jobs: &Jobs, act: impl FnOnce(&Jobs)) -> Accepted {
+    if !jobs.is_capturing() {
+        return Err(Refusal::conflict("no capture is running"));
+    }
+    act(jobs);
+    accepted(json!({}))
+}
+
+async fn pause(State(jobs): State<Jobs>, _: Controlled, _: Asked<Value>) -> Accepted {
+    of_capture(&jobs, Jobs::pause)
+}
+
+async fn go_on(State(jobs): State<Jobs>, _: Controlled, _: Asked<Value>) -> Accepted {
+    of_capture(&jobs, Jobs::resume)
+}
+
+async fn finish(State(jobs): State<Jobs>, _: Controlled, _: Asked<Value>) -> Accepted {
+    of_capture(&jobs, Jobs::finish)
+}
+
+/// By anyone, at any time.
+async fn stop(State(jobs): State<Jobs>) -> Accepted {
+    jobs.stop();
+    accepted(json!({}))
+}

@@ -1,0 +1,224 @@
+//! The one server of the program: it listens, lets in whoever has the token, and hands the
+//! requests to the routes of the console's parts.
+//!
+//! It runs in a thread of its own. Nothing that a client does holds up any other thread.
+
+mod connections;
+mod events;
+mod gate;
+mod hosts;
+mod pages;
+mod patient;
+mod token;
+
+use std::net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket};
+use std::sync::Arc;
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use axum::Router;
+use axum::http::StatusCode;
+use serde_json::Value;
+use tokio::sync::oneshot;
+
+use self::connections::{Inside, accept};
+use self::events::Viewers;
+use self::gate::Gate;
+use self::hosts::Hosts;
+use self::token::Token;
+use super::control::{self, Control};
+use super::hub::Hub;
+use super::refusal::Refusal;
+
+/// How often the age of the control is published anew.
+const CONTROL_TICK: Duration = Duration::from_secs(5);
+/// Threads for work that waits (files, child processes).
+const BLOCKING_THREADS: usize = 8;
+
+/// Where to listen, and under which names the server is reached.
+#[derive(Clone, Debug)]
+pub struct ListenOptions {
+    /// Port 0 takes a free one.
+    pub address: SocketAddr,
+    /// Names besides the address itself, such as that of a TLS proxy in front.
+    pub host_names: Vec<String>,
+}
+
+impl Default for ListenOptions {
+    /// A free port of this machine alone.
+    fn default() -> Self {
+        Self {
+            address: (Ipv4Addr::LOCALHOST, 0).into(),
+            host_names: Vec::new(),
+        }
+    }
+}
+
+/// Why there is no server.
+#[derive(Debug, thiserror::Error)]
+pub enum ServerError {
+    /// The address cannot be listened at.
+    #[error("{address}: {source}")]
+    Listen {
+        /// The address.
+        address: SocketAddr,
+        /// The system's error.
+        source: std::io::Error,
+    },
+    /// No token could be made.
+    #[error("no random numbers for a token: {0}")]
+    Token(#[source] getrandom::Error),
+    /// The server's thread could not begin.
+    #[error("the server cannot begin: {0}")]
+    Begin(#[source] std::io::Error),
+}
+
+/// What the server serves.
+#[derive(Debug)]
+pub struct Parts {
+    /// What the pages are shown.
+    pub hub: Hub,
+    /// Which page controls.
+    pub control: Control,
+    /// The topic `console`, without the number of viewers.
+    pub facts: Value,
+    /// The addresses of the other parts, such as `/api/bench/stop`.
+    pub routes: Router,
+}
+
+/// A server that listens and does not answer yet.
+#[derive(Debug)]
+pub struct Server {
+    listener: std::net::TcpListener,
+    address: SocketAddr,
+    gate: Gate,
+}
+
+impl Server {
+    /// Listens, with a new token.
+    ///
+    /// # Errors
+    /// If the address is taken or may not be used, or the system has no random numbers.
+    pub fn bind(options: &ListenOptions) -> Result<Self, ServerError> {
+        let failed = |source| ServerError::Listen {
+            address: options.address,
+            source,
+        };
+        let listener = std::net::TcpListener::bind(options.address).map_err(failed)?;
+        listener.set_nonblocking(true).map_err(failed)?;
+        let address = listener.local_addr().map_err(failed)?;
+        let gate = Gate {
+            token: Token::random().map_err(ServerError::Token)?,
+            hosts: Hosts::new(address, &options.host_names),
+        };
+        Ok(Self {
+            listener,
+            address,
+            gate,
+        })
+    }
+
+    /// Where it listens.
+    pub fn socket_address(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// The page's address, token included: whoever has it has the bench.
+    pub fn address(&self) -> String {
+        let ip = match self.address.ip() {
+            ip if ip.is_unspecified() => own_address(ip).unwrap_or(ip),
+            ip => ip,
+        };
+        let reached = SocketAddr::new(ip, self.address.port());
+        format!("http://{reached}/{}/", self.gate.token.reveal())
+    }
+
+    /// Answers from now on, in a thread of its own.
+    ///
+    /// # Errors
+    /// If the system gives no thread or no event queue.
+    pub fn start(self, parts: Parts) -> Result<Running, ServerError> {
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_all()
+            .max_blocking_threads(BLOCKING_THREADS)
+            .build()
+            .map_err(ServerError::Begin)?;
+        let viewers = Viewers::new(parts.hub, parts.facts);
+        let nothing = || async { Refusal::missing("there is no such address") };
+        let other_method =
+            || async { Refusal::new(StatusCode::METHOD_NOT_ALLOWED, "not with this method") };
+        let inside = Inside {
+            gate: Arc::new(self.gate),
+            control: parts.control.clone(),
+            routes: pages::routes()
+                .merge(events::routes(viewers))
+                .merge(control::routes(parts.control.clone()))
+                .merge(parts.routes)
+                .fallback(nothing)
+                .method_not_allowed_fallback(other_method),
+        };
+        let (stop, stopped) = oneshot::channel::<()>();
+        let serving = move || {
+            runtime.block_on(async {
+                // It has been bound, so nothing can fail but the system as a whole.
+                let Ok(listener) = tokio::net::TcpListener::from_std(self.listener) else {
+                    return;
+                };
+                tokio::select! {
+                    () = accept(listener, inside) => {}
+                    () = tick(parts.control) => {}
+                    _ = stopped => {}
+                }
+            });
+            // What a handler still waits for ends by itself.
+            runtime.shutdown_background();
+        };
+        let thread = std::thread::Builder::new()
+            .name("console".to_owned())
+            .spawn(serving)
+            .map_err(ServerError::Begin)?;
+        Ok(Running {
+            stop: Some(stop),
+            thread: Some(thread),
+        })
+    }
+}
+
+async fn tick(control: Control) {
+    loop {
+        tokio::time::sleep(CONTROL_TICK).await;
+        if control.silence().is_some() {
+            control.publish();
+        }
+    }
+}
+
+/// The address that other machines reach this one at: that of the interface of the default
+/// route. Nothing is sent.
+fn own_address(unspecified: IpAddr) -> Option<IpAddr> {
+    // Addresses that are reserved for documents (RFC 5737, RFC 3849).
+    let elsewhere = match unspecified {
+        IpAddr::V4(_) => "192.0.2.1:9",
+        IpAddr::V6(_) => "[2001:db8::1]:9",
+    };
+    let socket = UdpSocket::bind((unspecified, 0)).ok()?;
+    socket.connect(elsewhere).ok()?;
+    let ip = socket.local_addr().ok()?.ip();
+    (!ip.is_unspecified()).then_some(ip)
+}
+
+/// A server that answers; it stops when this is dropped.
+#[derive(Debug)]
+pub struct Running {
+    stop: Option<oneshot::Sender<()>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        drop(self.stop.take());
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
