@@ -29,6 +29,23 @@ pub const BUILT_IN: &[(&str, &str)] = &[
     ),
 ];
 
+/// Simulated benches on which calibrations are rehearsed, built into the program as well
+/// (docs/calibration.md). Those whose sample is a mesh file are found in `rig-configs/` alone.
+const REHEARSALS: &[(&str, &str)] = &[
+    (
+        "rehearsal-flat",
+        include_str!("../../rig-configs/rehearsal-flat.toml"),
+    ),
+    (
+        "rehearsal-ball",
+        include_str!("../../rig-configs/rehearsal-ball.toml"),
+    ),
+    (
+        "rehearsal-tile",
+        include_str!("../../rig-configs/rehearsal-tile.toml"),
+    ),
+];
+
 /// The folder that is searched for rigs by name.
 const FOLDER: &str = "rig-configs";
 
@@ -140,7 +157,8 @@ fn from_file(path: &Path, origin: Origin) -> Result<ResolvedRig, ConfigError> {
 }
 
 fn built_in(name: &str, origin: Origin) -> Option<Result<ResolvedRig, ConfigError>> {
-    let (_, text) = BUILT_IN.iter().find(|(known, _)| *known == name)?;
+    let mut all = BUILT_IN.iter().chain(REHEARSALS);
+    let (_, text) = all.find(|(known, _)| *known == name)?;
     let file = format!("built-in {name}.toml");
     Some(
         RigConfig::parse(&file, Path::new(""), text).map(|config| ResolvedRig {
@@ -156,6 +174,7 @@ fn built_in(name: &str, origin: Origin) -> Option<Result<ResolvedRig, ConfigErro
 fn known(folder: &Path) -> Vec<String> {
     let mut names: Vec<_> = BUILT_IN
         .iter()
+        .chain(REHEARSALS)
         .map(|(name, _)| (*name).to_owned())
         .collect();
     let entries = std::fs::read_dir(folder.join(FOLDER)).into_iter().flatten();
@@ -223,7 +242,7 @@ mod tests {
         assert_eq!(name(Some("arm"), Some("elsewhere.toml")), "arm");
         assert!(matches!(
             resolve(Some("amr"), None, &[]),
-            Err(ConfigError::UnknownRig { known, .. }) if known == ["arm", "dmx-dome-v4l2", "grbl-arm-v4l2", "simulated", "simulated-5mp-bayer", "zaber-gantry-v4l2"]
+            Err(ConfigError::UnknownRig { known, .. }) if known == ["arm", "dmx-dome-v4l2", "grbl-arm-v4l2", "rehearsal-ball", "rehearsal-flat", "rehearsal-tile", "simulated", "simulated-5mp-bayer", "zaber-gantry-v4l2"]
         ));
         std::fs::write(folder.path().join("rig.toml"), "broken").unwrap();
         assert!(matches!(
@@ -238,7 +257,7 @@ mod tests {
 
     #[test]
     fn built_in_rigs_are_valid() {
-        for (name, text) in BUILT_IN {
+        for (name, text) in BUILT_IN.iter().chain(REHEARSALS) {
             RigConfig::parse(name, Path::new(""), text).unwrap_or_else(|error| panic!("{error}"));
         }
     }

@@ -27,6 +27,9 @@ const HALVINGS: u32 = 3;
 const RAYS: usize = 4;
 /// Most that a surface may turn within a square, radians, whatever the material.
 const TURN_RAD: f32 = 0.14;
+/// A lobe whose half is narrower is a mirror's, radians. A ball of 100 pixels turns by 0.02
+/// within one.
+const MIRROR_RAD: f32 = 0.02;
 /// Surfaces that turn by more are two, radians.
 const CREASE_RAD: f32 = 0.5;
 /// How far a node's normal may be from a place's for it to count there, radians.
@@ -76,6 +79,8 @@ pub(super) fn direct(
 /// Where the interreflection is followed.
 pub(super) struct Grid {
     nodes: Vec<Node>,
+    /// Half the width of the material's lobe, radians; 1 where it has none.
+    lobe_rad: f32,
     /// Side of the finest square, pixels.
     finest_px: usize,
     /// Finest squares per row.
@@ -101,7 +106,8 @@ impl Grid {
         let coarsest_px = 1 << (width / ACROSS).max(1).ilog2();
         let finest_px = (coarsest_px >> HALVINGS).max(1);
         let [columns, rows] = [width, height].map(|n| n.div_ceil(finest_px));
-        let turn_rad = TURN_RAD.min(0.5 * half_width_rad(brdf));
+        let lobe_rad = half_width_rad(brdf);
+        let turn_rad = TURN_RAD.min(0.5 * lobe_rad);
         let across = width.div_ceil(coarsest_px);
         let down = height.div_ceil(coarsest_px);
         let coarse: Vec<Vec<Leaf>> = (0..across * down)
@@ -115,6 +121,7 @@ impl Grid {
             .collect();
         let mut grid = Self {
             nodes: Vec::new(),
+            lobe_rad,
             finest_px,
             columns,
             squares: vec![Square::default(); columns * rows],
@@ -193,6 +200,11 @@ impl Grid {
             }
         }
         near.fit(values)
+    }
+
+    /// Whether the material is a mirror: a lobe that a curved sample shows within a pixel.
+    pub(super) fn is_of_a_mirror(&self) -> bool {
+        self.lobe_rad < MIRROR_RAD
     }
 
     /// Whether any node stands within some pixels of a position.

@@ -3,6 +3,7 @@
 
 use glam::{DMat2, DVec2};
 
+use super::clipped::Core;
 use super::{Circle, Grey, Sphere, SphereError};
 use crate::statistics::{STD_OVER_MAD, median};
 
@@ -33,7 +34,7 @@ const ROUNDS: usize = 100;
 /// Finds the highlight on a sphere in image number `index`.
 ///
 /// # Errors
-/// There is none, it is saturated, or there are two.
+/// There is none, too much of it is saturated, or there are two.
 pub fn find(image: &Grey, sphere: &Sphere, index: usize) -> Result<Highlight, SphereError> {
     let circle = sphere.circle;
     let disc = disc(image, &circle);
@@ -47,25 +48,26 @@ pub fn find(image: &Grey, sphere: &Sphere, index: usize) -> Result<Highlight, Sp
     let Some(peak) = brightest(image, &disc, |_| true) else {
         return Err(missing(0.0, 0.0));
     };
-    // Clipped pixels are invalid: the brightest valid one then lies at their edge.
-    let clipped = |around: DVec2, radius: f64| {
-        let near = |p: &&usize| position(image, **p).distance(around) <= radius;
-        disc.iter()
-            .filter(near)
-            .filter(|&&p| !image.valid[p])
-            .count()
-    };
     let saturated = |around: DVec2, pixels: usize| SphereError::Saturated {
         image: index,
         x: around.x,
         y: around.y,
         pixels,
     };
-    match clipped(position(image, peak), 2.3) {
-        0 => {}
-        pixels => return Err(saturated(position(image, peak), pixels)),
-    }
-    let spot = Spot::follow(image, sphere, &disc, position(image, peak));
+    // Clipped pixels are invalid: the brightest valid one then lies at their edge.
+    let at_peak = image.position(peak);
+    let core = Core::at(image, &circle, at_peak, 2.3)
+        .map_err(|refused| saturated(at_peak, refused.pixels))?;
+    let filled = core.as_ref().map(|core| core.filled(image));
+    let image = filled.as_ref().unwrap_or(image);
+    let clipped = |around: DVec2, radius: f64| {
+        let near = |p: &&usize| image.position(**p).distance(around) <= radius;
+        disc.iter()
+            .filter(near)
+            .filter(|&&p| !image.valid[p])
+            .count()
+    };
+    let spot = Spot::follow(image, sphere, &disc, at_peak);
     if spot.contrast < LEAST.0 || spot.deviations() < LEAST.1 {
         return Err(missing(spot.contrast, spot.deviations()));
     }
@@ -74,9 +76,9 @@ pub fn find(image: &Grey, sphere: &Sphere, index: usize) -> Result<Highlight, Sp
         pixels => return Err(saturated(spot.middle, pixels)),
     }
     let apart = 3.5 * spot.window_px + 2.0;
-    let far = |p: usize| position(image, p).distance(spot.middle) > apart;
+    let far = |p: usize| image.position(p).distance(spot.middle) > apart;
     if let Some(second) = brightest(image, &disc, far) {
-        let other = Spot::follow(image, sphere, &disc, position(image, second));
+        let other = Spot::follow(image, sphere, &disc, image.position(second));
         let stays = other.middle.distance(spot.middle) > apart - 1.0;
         if stays
             && other.contrast > LEAST.0
@@ -91,25 +93,21 @@ pub fn find(image: &Grey, sphere: &Sphere, index: usize) -> Result<Highlight, Sp
             });
         }
     }
-    Ok(spot.highlight(sphere))
-}
-
-pub(super) fn position(image: &Grey, pixel: usize) -> DVec2 {
-    DVec2::new(
-        (pixel % image.width) as f64 + 0.5,
-        (pixel / image.width) as f64 + 0.5,
-    )
+    let mut found = spot.highlight(sphere);
+    let cut_px = core.map_or(0.0, |core| core.std_px());
+    found.covariance_px2 += DMat2::from_diagonal(DVec2::splat(cut_px * cut_px));
+    Ok(found)
 }
 
 /// Roughly where a sphere is brightest.
 pub(super) fn brightest_on(image: &Grey, circle: &Circle) -> Option<DVec2> {
     let brightest = brightest(image, &disc(image, circle), |_| true)?;
-    Some(position(image, brightest))
+    Some(image.position(brightest))
 }
 
 fn disc(image: &Grey, circle: &Circle) -> Vec<usize> {
     let inside =
-        |&p: &usize| position(image, p).distance(circle.centre_px) < OUTERMOST * circle.radius_px;
+        |&p: &usize| image.position(p).distance(circle.centre_px) < OUTERMOST * circle.radius_px;
     (0..image.value.len()).filter(inside).collect()
 }
 
@@ -194,7 +192,7 @@ impl Spot {
         let mut first = DVec2::ZERO;
         let mut peak: f64 = 0.0;
         for &p in disc {
-            let offset = position(image, p) - middle;
+            let offset = image.position(p) - middle;
             let far2 = offset.length_squared() / (window_px * window_px);
             if far2 > 12.0 || !image.valid[p] {
                 continue;
@@ -291,7 +289,7 @@ impl Plane {
         let ring: Vec<(DVec2, f64)> = disc
             .iter()
             .filter(|&&p| image.valid[p])
-            .map(|&p| (position(image, p) - middle, image.value[p]))
+            .map(|&p| (image.position(p) - middle, image.value[p]))
             .filter(|(offset, _)| (near..far).contains(&offset.length()))
             .collect();
         let mut kept = ring;

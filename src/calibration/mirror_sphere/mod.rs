@@ -2,6 +2,7 @@
 //! each highlight are found in the image, and a ray mirrored at the sphere points to the
 //! light. With two spheres two such rays meet at the lamp.
 
+mod clipped;
 pub(super) mod gauss;
 pub mod highlight;
 pub mod light;
@@ -103,9 +104,9 @@ pub enum SphereError {
         /// The difference over its noise.
         deviations: f64,
     },
-    /// Pixels of the highlight are clipped.
+    /// Too many pixels of the highlight are clipped, or not those of its core.
     #[error(
-        "the highlight at ({x:.0}, {y:.0}) in image {image} is saturated or masked in {pixels} of its pixels"
+        "the highlight at ({x:.0}, {y:.0}) in image {image} is saturated or masked in {pixels} of its pixels, more than a round core"
     )]
     Saturated {
         /// Which image, from 0.
@@ -182,6 +183,14 @@ impl Grey {
             valid: vec![true; value.len()],
             value,
         }
+    }
+
+    /// Middle of a pixel, from the top left corner.
+    fn position(&self, pixel: usize) -> DVec2 {
+        DVec2::new(
+            (pixel % self.width) as f64 + 0.5,
+            (pixel / self.width) as f64 + 0.5,
+        )
     }
 
     /// The mean of images of one size; what is invalid in one is left out of the mean,
@@ -359,7 +368,7 @@ fn lit_limb(images: &[Grey], circle: &Circle) -> Grey {
     let plain = sides.iter().flatten().count() < 3;
     for (image, side) in images.iter().zip(&sides) {
         for pixel in 0..sum.value.len() {
-            let place = highlight::position(image, pixel) - circle.centre_px;
+            let place = image.position(pixel) - circle.centre_px;
             let weight = match side {
                 _ if plain => 1.0,
                 None => continue,

@@ -272,7 +272,7 @@ fn sphere_advised(error: SphereError) -> CliError {
         Impossible { .. } => "correct the value",
         Size { .. } => "the images must be of the rig file's camera, without cropping",
         NoOutline { .. } => {
-            "put a background behind the sphere that is clearly darker or brighter than its rim, check --radius and the camera's scale, or say with --near X,Y,R where the sphere is"
+            "put a background behind the sphere that is clearly darker or brighter than its rim (a polished ball into a hole of a white card, halfway), check --radius and the camera's scale, or say with --near X,Y,R where the sphere is"
         }
         OutsideView { .. } => {
             "move the sphere or the camera until the whole sphere is in the image"

@@ -171,7 +171,7 @@ fn of_the_lens() -> Vec<Question> {
         .default("telecentric")
         .help("how wide the image sees; `rig calibrate camera` measures it later"),
         number("field_width_mm", "Width of the field of view at the sample", "mm", [0.1, 5000.0])
-            .default(30.0)
+            .default(36.0)
             .help("telecentric: width of the sensor over the magnification; else measured with a ruler in the sample's position")
             .when("lens", &["telecentric", "field-of-view"]),
         number("focal_mm", "Focal length", "mm", [1.0, 1000.0])

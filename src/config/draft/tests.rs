@@ -247,7 +247,7 @@ fn bad_answers_are_named_with_value_and_range() {
         ),
         (
             &[("sample_radius_mm", "12")],
-            "`sample_radius_mm` is 12, but must be such that the sample (12 mm from its middle) is within 9.38 mm",
+            "`sample_radius_mm` is 12, but must be such that the sample (12 mm from its middle) is within 11.25 mm",
         ),
         (
             &[("sample_shape", "groove"), ("groove_width_mm", "30")],
