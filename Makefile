@@ -3,6 +3,7 @@
 # `make test-long`: coverage of the intervals and rates of warnings, in full; captures
 #   cut at every record and 200 killed at random moments; 200 under a constant lamp; a
 #   session of a camera of five megapixels, and memory of a 20 MP sensor.
+# `make test-console`: the operator's console in a browser (tests/console/README.md).
 # `make test-vm`: the program against the kernel's own drivers in a virtual machine.
 # `make docs`: the documentation as a site, target/book/index.html.
 # `make test-external`: exports loaded in the programs they are for (tests/external/README.md).
@@ -10,7 +11,7 @@
 CARGO ?= cargo
 SUDO := $(if $(filter 0,$(shell id -u)),,sudo)
 
-.PHONY: demo docs test test-long test-vm test-external build deps deps-test deps-genicam
+.PHONY: demo docs test test-long test-vm test-external test-console console-pictures build deps deps-test deps-genicam
 
 demo: build
 	target/release/rig demo
@@ -38,6 +39,19 @@ docs:
 
 test-external: build
 	tests/external/run.sh target/release/rig
+
+# A browser and Node 18.20 or newer. npm installs what the lock file states.
+CONSOLE_DEPS := $(if $(shell command -v chromium),,chromium) $(if $(shell command -v node),,nodejs) \
+  $(if $(shell command -v npm),,npm)
+
+test-console:
+	@$(MAKE) --no-print-directory deps EXTRA_DEPS="$(CONSOLE_DEPS)"
+	$(CARGO) build --locked --release
+	cd tests/console && npm ci --no-audit --no-fund && node --test
+
+# The pictures of docs/console.md, made anew.
+console-pictures: build
+	cd tests/console && npm ci --no-audit --no-fund && node pictures.mjs ../../docs/images
 
 # Cameras and serial ports as the kernel shows them; needs root or sudo once, for apt.
 test-vm: deps

@@ -70,16 +70,7 @@ fn paused_and_continued(folder: &Path) -> (PathBuf, Output) {
     let (child, root) = begin_two(folder, 14);
     let pid = Pid::from_child(&child);
     kill_process(pid, Signal::TSTP).unwrap();
-    let stat = format!("/proc/{}/stat", child.id());
-    let is_stopped = || {
-        let stat = std::fs::read_to_string(&stat).unwrap();
-        stat.rsplit(')').next().unwrap().trim().starts_with('T')
-    };
-    let began = Instant::now();
-    while !is_stopped() {
-        assert!(began.elapsed() < Duration::from_secs(60));
-        std::thread::sleep(Duration::from_millis(5));
-    }
+    wait_until_stopped(&child);
     let last = Journal::read(&root).unwrap().records.pop().unwrap();
     assert_eq!(last.event, Event::Paused);
     kill_process(pid, Signal::CONT).unwrap();
@@ -116,30 +107,6 @@ fn a_light_that_is_not_back_where_it_was_is_refused() {
     }
     // The next homing, of another process, finds them where the first one did.
     finish(folder.path(), &root);
-}
-
-/// Journalled files with their contents, but for what differs between any two
-/// captures: times and the simulated stage's port.
-fn content(root: &Path) -> BTreeMap<String, String> {
-    let session = Session::open(root).unwrap();
-    let files = session.journal().files().into_iter();
-    files
-        .filter(|file| file.path != layout::MANIFEST_FILE)
-        .map(|file| {
-            let bytes = std::fs::read(root.join(&file.path)).unwrap();
-            let is_text = file.path.starts_with("raw/") && file.path.ends_with(".toml");
-            let said = if is_text || file.path == layout::SESSION_FILE {
-                let text = String::from_utf8(bytes).unwrap();
-                let text = text.split("[time]").next().unwrap_or("").to_owned();
-                let changes = ["created_utc", "port = "];
-                let same = |line: &&str| !changes.iter().any(|key| line.starts_with(key));
-                text.lines().filter(same).collect()
-            } else {
-                file.sha256.clone()
-            };
-            (file.path.clone(), said)
-        })
-        .collect()
 }
 
 /// Over several lights, and back to the first one.

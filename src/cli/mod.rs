@@ -18,6 +18,8 @@ mod capture_events;
 mod capture_notices;
 mod capture_progress;
 pub mod completions;
+#[cfg(feature = "console")]
+pub mod console;
 pub mod context;
 pub mod demo;
 pub mod devices;
@@ -32,6 +34,7 @@ mod fit_args;
 mod fit_progress;
 pub mod guardian;
 pub mod hints;
+pub mod init;
 pub mod interrupt;
 pub mod keeper;
 pub mod light_choice;
@@ -84,6 +87,9 @@ macro_rules! commands {
 commands! {
     Demo(demo::DemoArgs) => demo::run,
     Capture(capture::CaptureArgs) => capture::run,
+    #[cfg(feature = "console")]
+    Console(console::ConsoleArgs) => console::run,
+    Init(init::InitArgs) => init::run,
     Session(session::SessionArgs) => session::run,
     Devices(devices::DevicesArgs) => devices::run,
     Doctor(doctor::DoctorArgs) => doctor::run,

@@ -3,6 +3,7 @@
 
 mod build;
 pub mod camera;
+pub mod draft;
 pub mod geometry;
 pub mod limits;
 pub mod process;

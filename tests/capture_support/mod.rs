@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 
+use rig::capture::events::CaptureEvent;
 use rig::capture::plan::Pace;
 use rig::capture::{BracketSink, Capture, CaptureError, Observer, Outcome, Progress};
 use rig::device::*;
@@ -482,9 +483,10 @@ impl BracketSink for SumSink {
     }
 }
 
-/// Keeps what was said.
+/// Keeps what was reported.
 #[derive(Default)]
 pub struct Heard {
+    pub events: Vec<CaptureEvent>,
     pub warnings: Vec<String>,
     pub done: Vec<f64>,
     pub resumed: usize,
@@ -504,10 +506,13 @@ fn hang() -> ! {
 
 impl Observer for Heard {
     fn observe(&mut self, progress: Progress<'_>) {
+        self.events.push(progress.into());
         match progress {
             Progress::Warning(text) => self.warnings.push(text.to_owned()),
             // One that only compares the light after a new homing becomes no file.
-            Progress::Frame { key, done, .. } if key.exposure < u32::MAX / 2 => {
+            Progress::Frame {
+                done, kept: true, ..
+            } => {
                 self.done.push(done);
                 assert!(self.panic_at_frame != Some(self.done.len()), "a defect");
                 if self.hang_at_frame == Some(self.done.len()) {

@@ -3,12 +3,13 @@
 // Each test uses some of it.
 #![allow(dead_code)]
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
-use rig::session::Journal;
+use rig::session::{Journal, Session, layout};
 use tempfile::TempDir;
 
 #[path = "../small_bench/mod.rs"]
@@ -234,5 +235,43 @@ pub fn begin(
         assert!(child.try_wait().unwrap().is_none(), "it ended by itself");
         assert!(began.elapsed() < Duration::from_secs(120), "it takes long");
         std::thread::sleep(Duration::from_millis(2));
+    }
+}
+
+/// Journalled files with their contents, but for what differs between any two
+/// captures: times and the simulated stage's port.
+pub fn content(root: &Path) -> BTreeMap<String, String> {
+    let session = Session::open(root).unwrap();
+    let files = session.journal().files().into_iter();
+    files
+        .filter(|file| file.path != layout::MANIFEST_FILE)
+        .map(|file| {
+            let bytes = fs::read(root.join(&file.path)).unwrap();
+            let is_text = file.path.starts_with("raw/") && file.path.ends_with(".toml");
+            let compared = if is_text || file.path == layout::SESSION_FILE {
+                let text = String::from_utf8(bytes).unwrap();
+                let text = text.split("[time]").next().unwrap_or("").to_owned();
+                let changes = ["created_utc", "port = "];
+                let same = |line: &&str| !changes.iter().any(|key| line.starts_with(key));
+                text.lines().filter(same).collect()
+            } else {
+                file.sha256.clone()
+            };
+            (file.path.clone(), compared)
+        })
+        .collect()
+}
+
+/// Waits until the process is suspended.
+pub fn wait_until_stopped(child: &Child) {
+    let stat = format!("/proc/{}/stat", child.id());
+    let is_stopped = || {
+        let stat = fs::read_to_string(&stat).unwrap();
+        stat.rsplit(')').next().unwrap().trim().starts_with('T')
+    };
+    let began = Instant::now();
+    while !is_stopped() {
+        assert!(began.elapsed() < Duration::from_secs(60));
+        std::thread::sleep(Duration::from_millis(5));
     }
 }

@@ -1,0 +1,116 @@
+//! What to do with a new rig file: the calibrations, in the order in which each finds what it
+//! needs.
+
+use std::path::Path;
+
+use serde::Serialize;
+
+use super::bench::{Draft, Lens, Stage};
+
+/// A step, as a command line. What stands in capitals is to be filled in.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Step {
+    /// The command.
+    pub command: String,
+    /// What it is for, and what it needs.
+    pub purpose: &'static str,
+}
+
+impl Draft {
+    /// The steps for this bench, whose rig file this is.
+    pub(super) fn next(&self, file: &Path) -> Vec<Step> {
+        let moves = matches!(self.stage, Stage::Grbl { .. } | Stage::Zaber { .. });
+        let is_telecentric = matches!(self.lens, Lens::Telecentric { .. });
+        let rig = match file == Path::new("rig.toml") {
+            true => String::new(),
+            false => format!(" --rig {}", shell_word(&file.display().to_string())),
+        };
+        let mut steps = Vec::new();
+        let mut step = |command: &str, purpose| {
+            steps.push(Step {
+                command: command.replace("@", &rig),
+                purpose,
+            });
+        };
+        step(
+            "rig doctor@",
+            "checks the file, the devices, permissions and the view",
+        );
+        step(
+            "rig camera preview@",
+            "live picture: put the sample in the middle, focus, close the aperture",
+        );
+        if moves {
+            step(
+                "rig stage home@",
+                "finds the axes' zero; keep the emergency stop at hand",
+            );
+        }
+        step(
+            "rig calibrate sensor@",
+            "before an even, steady light: noise, full well, linearity; a capture needs it",
+        );
+        step(
+            "rig calibrate flat@",
+            "before the same light: response of each pixel",
+        );
+        step(
+            "rig calibrate lamp@",
+            "lamp cold, on a white card: warm-up, drift, flicker",
+        );
+        step(
+            match is_telecentric {
+                true => "rig calibrate camera VIEW.exr… --squares N,M --square MM@",
+                false => "rig calibrate camera VIEWS… --squares N,M --square MM@",
+            },
+            match is_telecentric {
+                true => "magnification and distortion, from a checkerboard that lies flat",
+                false => {
+                    "focal length and distortion, from six or more views of a checkerboard, tilted"
+                }
+            },
+        );
+        step(
+            "rig calibrate focus LOW.exr MIDDLE.exr HIGH.exr --heights=MM,MM,MM@",
+            "sharpness over the sample's depth, from a slanted edge",
+        );
+        step(
+            "rig capture --lights 12 --sample sphere --no-fit@",
+            "a glossy sphere in the sample's position",
+        );
+        step(
+            "rig calibrate lights SESSION --radius MM@",
+            "where the lights are, from that session",
+        );
+        step(
+            "rig capture --lights 8 --sample white --no-fit@",
+            "a white standard in the sample's position",
+        );
+        step(
+            "rig calibrate white SESSION --reflectance R --reflectance-std U@",
+            "irradiance of each light, from that session",
+        );
+        step(
+            "rig capture --lights 4 --sample NAME --dry-run@",
+            "the plan, its time and its disk space",
+        );
+        step(
+            "rig capture --lights 4 --sample NAME@",
+            "the first sample, fitted and reported",
+        );
+        step(
+            "rig calibrate pose SESSION@",
+            "where the sample lay; then `rig fit SESSION --pose RECORD --refine-bench`",
+        );
+        steps
+    }
+}
+
+/// A word that a shell takes as it is.
+fn shell_word(text: &str) -> String {
+    let plain = |b: u8| b.is_ascii_alphanumeric() || b"/._-+,:=".contains(&b);
+    match !text.is_empty() && text.bytes().all(plain) {
+        true => text.to_owned(),
+        false => format!("'{}'", text.replace('\'', "'\\''")),
+    }
+}

@@ -1,0 +1,102 @@
+// What is always in reach: the rig's name, the connection, who controls, STOP.
+
+import { act, viewer } from "./api.js";
+import { by, gate, say } from "./dom.js";
+import { span } from "./format.js";
+import { announce, complain } from "./notices.js";
+import { link, state, watch } from "./stream.js";
+
+const PING_MS = 5000;
+
+/** True where this page controls the bench. */
+export function controls() {
+  return state.control?.viewer === viewer();
+}
+
+/** Why this page may do nothing now, or null. A bench that nobody controls is taken by acting. */
+export function blocked() {
+  const { kind } = link();
+  if (kind === "connecting") return "There is no connection to the console.";
+  const holder = state.control?.viewer ?? null;
+  if (holder !== null && holder !== viewer()) return "Another page controls the bench. Press “Take control” to use it from here.";
+  return null;
+}
+
+/** True while a capture is running or paused, so that the bench belongs to it. */
+export function capturing() {
+  const job = state.job;
+  return job?.kind === "capture" && ["running", "paused", "ending"].includes(job.state);
+}
+
+/** Runs an action and shows what it failed with. Returns null then. */
+export async function attempt(address, body) {
+  try {
+    return await act(address, body);
+  } catch (error) {
+    complain(error);
+    return null;
+  }
+}
+
+async function stop() {
+  const button = by("stop");
+  button.classList.add("pressed");
+  announce("STOP sent");
+  const requests = [act("api/bench/stop")];
+  if (capturing()) requests.push(act("api/capture/stop"));
+  const outcomes = await Promise.allSettled(requests);
+  const failed = outcomes.find((outcome) => outcome.status === "rejected");
+  // Which of the two had something to stop doesn't matter; that neither did must be shown.
+  if (failed && (requests.length === 1 || outcomes.every((outcome) => outcome.status === "rejected"))) complain(failed.reason);
+  setTimeout(() => button.classList.remove("pressed"), 600);
+}
+
+function showRig() {
+  const rig = state.console?.rig;
+  if (!rig) return;
+  say(by("rig-name"), rig.name);
+  by("simulated").hidden = !rig.simulated;
+  document.title = `${rig.name} – rig console`;
+  document.body.classList.toggle("camera-alone", state.console.mode === "camera");
+}
+
+function showLink() {
+  const { kind, silent_s } = link();
+  const text = {
+    live: "live",
+    connecting: silent_s > 5 ? `no connection for ${span(silent_s)}, trying again` : "connecting",
+    stale: `stale: nothing heard for ${span(silent_s)}`,
+    paused: "paused while hidden",
+  }[kind];
+  say(by("link-text"), text);
+  by("link").dataset.kind = kind;
+  showControl();
+}
+
+function showControl() {
+  const holder = state.control?.viewer ?? null;
+  const viewers = state.console?.viewers ?? 1;
+  const others = viewers > 1 ? ` · ${viewers} pages open` : "";
+  const mine = holder !== null && holder === viewer();
+  const text = mine ? "This page controls" : holder === null ? "Nobody controls" : "Another page controls";
+  say(by("control-text"), text + others);
+  by("control").dataset.mine = mine ? "yes" : "no";
+  const take = by("take");
+  say(take, mine ? "Release control" : "Take control");
+  gate(take, link().kind === "connecting" ? "There is no connection to the console." : null);
+}
+
+/** Wires the header. */
+export function startHeader() {
+  by("stop").addEventListener("click", stop);
+  by("take").addEventListener("click", async () => {
+    const address = controls() ? "api/control/release" : "api/control/take";
+    if (await attempt(address)) announce(address.endsWith("take") ? "This page controls the bench" : "Control released");
+  });
+  watch(["console"], showRig);
+  watch(["console", "control"], showControl);
+  watch(["link"], showLink);
+  setInterval(() => {
+    if (controls()) act("api/control/ping").catch(() => {});
+  }, PING_MS);
+}

@@ -1,0 +1,150 @@
+// From boxes to a bench: the questions of `rig init` as a form, then what to calibrate.
+
+import { act, ask } from "./api.js";
+import { copyButton, gate, h, panel, say } from "./dom.js";
+import { blocked } from "./header.js";
+import { announce, capital, complain } from "./notices.js";
+import { watch } from "./stream.js";
+
+/** Builds the view; the returned function shows and hides it. */
+export function startSetup(view) {
+  const questions = h("div", { class: "questions" });
+  const write = h("button", { type: "submit", class: "primary", id: "write-rig" }, "Write the rig file");
+  const again = h("button", { type: "button", class: "quiet", onclick: () => load(true) }, "Look for devices again");
+  const why = h("p", { class: "why" });
+  const error = h("p", { class: "error", role: "alert" });
+  const form = h("form", { class: "stack-form" }, questions, h("div", { class: "row" }, write, again), why, error);
+  const result = h("div", { role: "status" });
+  view.append(
+    h(
+      "div",
+      { class: "stack narrow" },
+      panel("A rig file of your own", {}, h("p", {}, "Answer what rig cannot find out by itself. It writes a commented rig file, and never replaces one that is there."), form),
+      result,
+    ),
+  );
+  let asked = [];
+  let loaded = false;
+
+  async function load(anew) {
+    if (loaded && !anew) return;
+    loaded = true;
+    gate(again, "Looking for devices …");
+    try {
+      const given = answers();
+      asked = await ask("api/setup");
+      questions.replaceChildren(...asked.map((question) => entry(question, given[question.key])));
+      arrange();
+    } catch (failure) {
+      loaded = false;
+      complain(failure);
+    }
+    gate(again, null);
+  }
+
+  /** What was typed so far, by key; questions that are not asked are left out. */
+  function answers() {
+    const given = {};
+    for (const question of asked) {
+      const input = form.elements[`q-${question.key}`];
+      if (!input || !isAsked(question)) continue;
+      const text = question.kind === "choice" && question.others && input.value === "" ? (form.elements[`q-${question.key}-other`]?.value ?? "") : input.value;
+      if (text === "") continue;
+      given[question.key] = question.kind === "number" ? Number(text) : question.kind === "yes-no" ? text === "yes" : text;
+    }
+    return given;
+  }
+
+  function isAsked(question) {
+    if (!question.when) return true;
+    const on = asked.find((one) => one.key === question.when.key);
+    if (!on || !isAsked(on)) return false;
+    const value = form.elements[`q-${on.key}`]?.value;
+    return [question.when.is].flat().map(String).includes(String(value));
+  }
+
+  /** Shows the questions that are asked, and the field for another value. */
+  function arrange() {
+    asked.forEach((question, i) => {
+      const box = questions.children[i];
+      const on = isAsked(question);
+      box.hidden = !on;
+      for (const input of box.querySelectorAll("input, select")) input.disabled = !on;
+      const other = box.querySelector(".other");
+      if (other) {
+        other.hidden = form.elements[`q-${question.key}`].value !== "";
+        other.querySelector("input").disabled = !on || other.hidden;
+      }
+    });
+  }
+
+  form.addEventListener("input", arrange);
+  form.addEventListener("submit", async (event) => {
+    event.preventDefault();
+    say(error, "");
+    gate(write, "Writing …");
+    try {
+      const { file, next = [], steps = null } = await act("api/setup", { answers: answers() });
+      result.replaceChildren(done(file, steps ?? next.map((command) => ({ command, purpose: null }))));
+      result.scrollIntoView({ block: "nearest" });
+      announce(`${file} was written`);
+    } catch (failure) {
+      say(error, `${capital(failure.message)}${failure.hint ? ` – ${failure.hint}` : ""}`);
+    }
+    show();
+  });
+  function show() {
+    const reason = blocked();
+    gate(write, reason);
+    say(why, reason ?? "");
+  }
+  watch(["control", "link"], show);
+  return (on) => {
+    if (on) load(false);
+    show();
+  };
+}
+
+/** A question with its control, its help and its unit. */
+function entry(question, given) {
+  const id = `q-${question.key}`;
+  const help = question.help ? h("p", { class: "fine", id: `${id}-help` }, question.help) : null;
+  const about = { id, name: id, "aria-describedby": help ? `${id}-help` : null };
+  const value = given ?? question.default ?? null;
+  const limits = Number.isFinite(question.least) && Number.isFinite(question.most) ? `, ${question.least} to ${question.most}` : "";
+  const label = h("label", { for: id }, capital(question.title), question.unit ? h("span", { class: "fine" }, ` (${question.unit}${limits})`) : limits ? h("span", { class: "fine" }, ` (${limits.slice(2)})`) : null);
+  return h("div", { class: "question" }, label, help, control(question, about, value));
+}
+
+function control(question, about, value) {
+  if (question.kind === "choice") {
+    const options = (question.choices ?? []).map((choice) => h("option", { value: choice.value }, choice.label));
+    if (question.others) options.push(h("option", { value: "" }, "something else"));
+    const select = h("select", about, options);
+    const known = (question.choices ?? []).some((choice) => choice.value === value);
+    if (value !== null) select.value = known ? value : "";
+    if (!question.others) return select;
+    const other = h("input", { type: "text", name: `${about.name}-other`, "aria-label": `${question.title}: something else`, required: question.default === null });
+    if (value !== null && !known) other.value = value;
+    return h("div", {}, select, h("div", { class: "other" }, other));
+  }
+  if (question.kind === "yes-no") {
+    const yes = value === true || value === "yes";
+    return h("select", about, h("option", { value: "yes", selected: yes }, "yes"), h("option", { value: "no", selected: !yes }, "no"));
+  }
+  const number = question.kind === "number";
+  const input = h("input", { ...about, type: number ? "number" : "text", step: number ? (question.whole ? "1" : "any") : null, min: number ? question.least : null, max: number ? question.most : null, inputmode: number ? "decimal" : null, required: question.default === null || question.default === undefined, autocomplete: "off" });
+  if (value !== null) input.value = value;
+  return input;
+}
+
+/** The file that was written, and what comes next, in order. */
+function done(file, steps) {
+  return panel(
+    "Written",
+    {},
+    h("p", {}, h("code", {}, file)),
+    h("h4", {}, "What to calibrate next, in this order"),
+    h("ol", { class: "steps" }, steps.map(({ command, purpose }) => h("li", {}, purpose ? h("p", {}, capital(purpose)) : null, h("div", { class: "copy" }, h("code", { class: "command", tabindex: "0" }, command), copyButton(() => command, command))))),
+  );
+}

@@ -1,0 +1,78 @@
+// The console does no harm: a session captured under it, with pages that look and one that
+// has stalled, is the one that is captured without it.
+
+import assert from "node:assert/strict";
+import { readFile, readdir } from "node:fs/promises";
+import net from "node:net";
+import path from "node:path";
+import { after, before, test } from "node:test";
+import { openPage, rig, sessionOf, startBrowser, startCapture, startConsole, until, untilCapture, workplace } from "./bench.mjs";
+
+let place, desk, browser;
+before(async () => {
+  place = await workplace({ timing: "instant" });
+  [desk, browser] = await Promise.all([startConsole(place.folder), startBrowser()]);
+});
+after(async () => {
+  await browser?.close();
+  await desk?.stop();
+  await place?.remove();
+});
+
+/** A client that asks for the events, and for pictures, and never reads an answer. */
+function stalled(address, query) {
+  const url = new URL(address);
+  return new Promise((resolve, reject) => {
+    const socket = net.connect({ host: url.hostname, port: url.port }, () => {
+      socket.pause();
+      socket.write(`GET ${url.pathname}${query} HTTP/1.1\r\nHost: ${url.host}\r\n\r\n`, () => resolve(socket));
+    });
+    socket.on("error", reject);
+  });
+}
+
+/** Every file of a session by name, without what differs between any two captures: times, and what is derived from them. */
+async function content(session) {
+  const files = new Map();
+  for (const entry of await readdir(session, { recursive: true, withFileTypes: true })) {
+    if (!entry.isFile()) continue;
+    const file = path.join(entry.parentPath ?? entry.path, entry.name);
+    const name = path.relative(session, file);
+    const bytes = await readFile(file);
+    if (name === "manifest-sha256.txt") continue; // sums of the files below
+    if (name === "journal.jsonl") files.set(name, journal(bytes.toString()));
+    else if (name.endsWith(".toml")) files.set(name, withoutTimes(bytes.toString()));
+    else files.set(name, bytes.toString("base64"));
+  }
+  return files;
+}
+
+function withoutTimes(text) {
+  return text.split("\n").filter((line) => !/^(created_utc|utc|monotonic_s|device_s) = /.test(line)).join("\n");
+}
+
+/** The events without their times, and without the sums of files that hold times. */
+function journal(text) {
+  const lines = text.trim().split("\n").map((line) => JSON.parse(line).record);
+  return lines.map((record) => JSON.stringify(record, (key, value) => (["utc", "sha256", "bytes", "monotonic_s", "elapsed_s"].includes(key) ? undefined : value))).join("\n");
+}
+
+test("a session is the same byte for byte but for times, stalled clients or none", async () => {
+  const page = await openPage(browser, desk.address, "#capture");
+  const stuck = await Promise.all([...Array(6).keys()].map((i) => stalled(desk.address, `api/events?viewer=stalled-${i}`)));
+  await startCapture(page, { sample: "same", lights: 2 });
+  await untilCapture(page, "complete");
+  await until(page, "the last frame is shown", () => document.querySelector(".picture img.there")?.checkVisibility());
+  const watched = await content(await sessionOf(place.folder, "same"));
+  for (const socket of stuck) socket.destroy();
+
+  const alone = await workplace({ timing: "instant" });
+  await rig(alone.folder, "capture", "--rig", "rig.toml", "--sample", "same", "--lights", "2", "--no-fit", "--quiet");
+  const plain = await content(await sessionOf(alone.folder, "same"));
+  await alone.remove();
+
+  assert.deepEqual([...watched.keys()].sort(), [...plain.keys()].sort());
+  assert.ok([...plain.keys()].some((name) => name.startsWith("raw/") && name.endsWith(".png")), "no frames");
+  for (const [name, bytes] of plain) assert.ok(watched.get(name) === bytes, `${name} differs`);
+  assert.deepEqual(page.complaints, []);
+});

@@ -1,0 +1,55 @@
+// Screenshots for docs/console.md: pictures.mjs FOLDER
+
+import { statSync } from "node:fs";
+import path from "node:path";
+import { LAPTOP, PHONE, openPage, press, startBrowser, startCapture, startConsole, until, untilCapture, workplace } from "./bench.mjs";
+
+const MOST_BYTES = 200e3;
+const folder = process.argv[2];
+const place = await workplace({ pixels: 480 });
+const [desk, browser] = await Promise.all([startConsole(place.folder), startBrowser()]);
+
+/** A PNG of the window, checked against the size that the documentation allows. */
+async function shoot(page, name, about = {}) {
+  const file = path.join(folder, `console-${name}.png`);
+  await page.screenshot({ path: file, ...about });
+  const { size } = statSync(file);
+  if (size > MOST_BYTES) throw new Error(`${file} has ${size} bytes, more than ${MOST_BYTES}`);
+  console.log(`${file}: ${size} bytes`);
+}
+
+try {
+  const page = await openPage(browser, desk.address, "#bench", { ...LAPTOP, height: 1000 });
+  await press(page, "#view-bench .devices button");
+  await until(page, "the stage can be homed", () => [...document.querySelectorAll("#view-bench button")].some((one) => one.textContent === "Home" && !one.disabled));
+  const click = (text) => page.evaluate((wanted) => [...document.querySelectorAll("#view-bench button")].find((one) => one.textContent === wanted).click(), text);
+  const enabled = (text) => until(page, `${text} can be pressed`, (wanted) => [...document.querySelectorAll("#view-bench button")].some((one) => one.textContent === wanted && !one.disabled), text);
+  await click("Home");
+  await enabled("Move");
+  await page.focus("#view-bench .hemisphere");
+  for (const key of ["ArrowLeft", "ArrowLeft", "ArrowLeft", "ArrowLeft", "ArrowLeft", "ArrowLeft", "Enter"]) await page.keyboard.press(key);
+  await until(page, "the stage moves", () => document.querySelector("#view-bench").innerText.includes("azimuth 30°, elevation 60°"));
+  await enabled("green");
+  await click("green");
+  await until(page, "the lamp is on", () => document.querySelector("#view-bench").innerText.includes("On: green"));
+  await page.evaluate(() => document.activeElement.blur());
+  await new Promise((resolve) => setTimeout(resolve, 4000));
+  await shoot(page, "bench");
+
+  await startCapture(page, { sample: "red-paint", lights: 4, fit: true });
+  await until(page, "the second light is captured", () => document.querySelector('.lights tr:nth-child(2)')?.classList.contains("now") && document.querySelector(".picture img.there"));
+  await new Promise((resolve) => setTimeout(resolve, 2500));
+  await shoot(page, "during");
+  const phone = await openPage(browser, desk.address, "#capture", { ...PHONE, deviceScaleFactor: 1 });
+  await until(phone, "the last frame is shown", () => document.querySelector("#view-capture .picture img.there"));
+  await shoot(phone, "phone");
+  await untilCapture(page, "complete");
+  await press(page, "#open-session");
+  await until(page, "the pictures are there", () => [...document.querySelectorAll("#view-sessions img")].length > 0 && [...document.querySelectorAll("#view-sessions details[open] img")].slice(0, 6).every((image) => image.complete));
+  await new Promise((resolve) => setTimeout(resolve, 1500));
+  await shoot(page, "after");
+} finally {
+  await browser.close();
+  await desk.stop();
+  await place.remove();
+}
