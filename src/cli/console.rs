@@ -13,7 +13,6 @@ use qrcode::render::unicode::Dense1x2;
 use rustix::process::Signal as Sent;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGTSTP};
 
-use super::capture::SESSIONS;
 use super::context::Context;
 use super::error::{CliError, HintExt};
 use super::exit::Exit;
@@ -34,6 +33,7 @@ use crate::console::server::{ListenOptions, Parts, Running, Server};
 use crate::interrupt::Signal;
 use crate::out;
 use crate::session::Session;
+use crate::session::layout::SESSIONS_FOLDER;
 
 /// The bench in a browser: live picture, capture, progress, results
 ///
@@ -44,7 +44,7 @@ pub struct ConsoleArgs {
     #[command(flatten)]
     rig: RigArg,
     /// Folder of the sessions
-    #[arg(long, value_name = "DIR", default_value = SESSIONS)]
+    #[arg(long, value_name = "DIR", default_value = SESSIONS_FOLDER)]
     out: PathBuf,
     #[command(flatten)]
     listen: ListenArgs,
@@ -164,7 +164,7 @@ impl Subject {
         Ok(Self {
             named: name_of(&rig, &resolved),
             rig: resolved,
-            folder: folder.unwrap_or_else(|| SESSIONS.into()),
+            folder: folder.unwrap_or_else(|| SESSIONS_FOLDER.into()),
         })
     }
 
