@@ -49,6 +49,16 @@ impl CliError {
         }
     }
 
+    /// Another process has stated what happened; this one ends as it did.
+    #[cfg(feature = "console")]
+    pub(super) fn stated(exit: Exit) -> Self {
+        Self {
+            exit,
+            quiet: true,
+            ..Self::new("stated before")
+        }
+    }
+
     /// The same error with this advice instead of any other.
     pub fn hint(mut self, hint: impl Display) -> Self {
         self.hint = Some(shown::line(&hint.to_string()));

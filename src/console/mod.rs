@@ -6,9 +6,11 @@
 //! - [`bench`]: camera and stage held open while nothing is captured.
 //! - [`picture`]: frames as pictures.
 //! - [`catalogue`]: the sessions of a folder.
+//! - [`frames`]: the last captured frame.
 //! - [`fault`]: what went wrong, with advice.
 //! - [`server`]: listening, who is let in, the stream of events, the page's files.
 //! - [`jobs`]: captures, fits and exports as processes of this program, and short commands.
+//! - [`facts`]: what a page learns about the rig.
 //! - [`control`]: which page controls the bench.
 //!
 //! Work that the command line can do is done by it: a capture or a fit that is started from
@@ -20,7 +22,9 @@ pub mod beneath;
 mod blocking;
 pub mod catalogue;
 pub mod control;
+pub mod facts;
 pub mod fault;
+pub mod frames;
 pub mod hub;
 pub mod jobs;
 pub mod picture;

@@ -120,7 +120,7 @@ pub enum LightState {
 /// A frame on the disk.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct StoredFrame {
-    /// Counts the frames of this run up, from 1.
+    /// Counts the frames up that captures of this console have stored, from 1.
     pub number: u64,
     /// Index of the light.
     pub light: u32,
@@ -140,6 +140,19 @@ pub struct StoredFrame {
 }
 
 impl CaptureState {
+    /// A capture that begins after so many frames of others.
+    pub fn after_frames(stored: u64) -> Self {
+        Self {
+            stored,
+            ..Self::default()
+        }
+    }
+
+    /// Frames that were stored, those of captures before included.
+    pub fn stored(&self) -> u64 {
+        self.stored
+    }
+
     /// What an event changes.
     pub fn apply(&mut self, stamped: Stamped) {
         use CaptureEvent::*;
@@ -478,9 +491,13 @@ mod tests {
             frame("stored", 99, json!({"file": "x", "retakes": 0})),
         ];
         events.extend((0..200).map(|n| json!({"event": "warning", "text": n.to_string()})));
-        let state = after(&events);
+        let mut state = after(&events);
         assert_eq!(state.warnings.len(), MOST_WARNINGS);
         assert_eq!(state.warnings.last().unwrap(), "199");
-        assert_eq!(state.frame.unwrap().number, 1);
+        assert_eq!(state.frame.take().unwrap().number, 1);
+        let mut next = CaptureState::after_frames(state.stored());
+        let event = frame("stored", 0, json!({"file": "x", "retakes": 0, "at": "t"}));
+        next.apply(serde_json::from_value(event).unwrap());
+        assert_eq!(next.frame.unwrap().number, 2);
     }
 }

@@ -49,8 +49,14 @@ const LONGEST_EVENT: u64 = 1 << 20;
 /// the lamp off.
 const KILL_AFTER: Duration = Duration::from_secs(10);
 
-/// Closes the devices that the console holds itself: lamp off, ports free.
-pub type Release = Arc<dyn Fn() + Send + Sync>;
+/// Closes the devices that the console holds itself, lamp off, until what it returns is
+/// dropped.
+pub type Lend = Arc<dyn Fn() -> Result<Loan, JobError> + Send + Sync>;
+/// While it lasts the devices are the job's.
+pub type Loan = Box<dyn Send>;
+/// Is told of each frame that a capture has on the disk: its session's folder, and its file
+/// in that.
+pub type Stored = Arc<dyn Fn(&Path, &str) + Send + Sync>;
 
 /// What all jobs have in common.
 #[derive(Clone, Debug)]
@@ -103,6 +109,14 @@ pub enum JobError {
     /// The console is ending.
     #[error("the console is ending")]
     Ending,
+    /// The console's own bench does not let go of the devices.
+    #[error("{fact}")]
+    Devices {
+        /// Why.
+        fact: String,
+        /// What to do about it.
+        hint: Option<String>,
+    },
     /// The system did not start it.
     #[error("{command}: {source}")]
     Begin {
@@ -120,7 +134,8 @@ pub struct Jobs(Arc<Shared>);
 struct Shared {
     program: Program,
     hub: Hub,
-    release: OnceLock<Release>,
+    lend: OnceLock<Lend>,
+    stored: OnceLock<Stored>,
     queries: tokio::sync::Semaphore,
     run: Mutex<Run>,
     ended: Condvar,
@@ -136,6 +151,8 @@ struct Run {
     first_stop: Option<Instant>,
     /// Signals that came before the process was there.
     waiting: Vec<Signal>,
+    /// The devices are the job's.
+    loan: Option<Loan>,
     is_closed: bool,
     last_exit: Option<ExitStatus>,
 }
@@ -167,7 +184,8 @@ impl Jobs {
         let jobs = Self(Arc::new(Shared {
             program,
             hub,
-            release: OnceLock::new(),
+            lend: OnceLock::new(),
+            stored: OnceLock::new(),
             queries: tokio::sync::Semaphore::new(QUERIES),
             run: Mutex::default(),
             ended: Condvar::new(),
@@ -177,9 +195,14 @@ impl Jobs {
         jobs
     }
 
-    /// Called before a capture starts; once.
-    pub fn release_before_capture(&self, release: Release) {
-        let _ = self.0.release.set(release);
+    /// Called before each capture.
+    pub fn lend_devices(&self, lend: Lend) {
+        let _ = self.0.lend.set(lend);
+    }
+
+    /// Called with each frame of a capture.
+    pub fn watch_frames(&self, stored: Stored) {
+        let _ = self.0.stored.set(stored);
     }
 
     /// What all jobs have in common.
@@ -205,11 +228,12 @@ impl Jobs {
         Some((PathBuf::from(capture.session.as_ref()?), frame))
     }
 
-    /// What was measured in the frame of this number, if it is still the newest.
+    /// What was measured in the frame of this number, once, if it is still the newest.
     pub fn set_frame_figures(&self, number: u64, figures: Value) {
         let mut shown = locked(&self.0.shown);
         let frame = shown.capture.as_mut().and_then(|c| c.frame.as_mut());
-        if let Some(frame) = frame.filter(|frame| frame.number == number) {
+        let is_new = |frame: &&mut StoredFrame| frame.number == number && frame.figures.is_none();
+        if let Some(frame) = frame.filter(is_new) {
             frame.figures = Some(figures);
             drop(shown);
             self.publish();
@@ -236,39 +260,45 @@ impl Jobs {
         let line = shown("rig", &work.arguments);
 
         // The process. A capture needs the devices that the console may hold.
-        if work.kind == Kind::Capture
-            && let Some(release) = self.0.release.get()
-        {
-            release();
-        }
-        let began = self.spawn(&work);
-        let (process, stdout, stderr) = match began {
-            Ok(began) => began,
-            Err(source) => {
+        let lend = self.0.lend.get().filter(|_| work.kind == Kind::Capture);
+        let begun = lend.map(|lend| lend()).transpose().and_then(|loan| {
+            let failed = |source| JobError::Begin {
+                command: line.clone(),
+                source,
+            };
+            Ok((loan, self.spawn(&work).map_err(failed)?))
+        });
+        let (loan, (process, stdout, stderr)) = match begun {
+            Ok(begun) => begun,
+            Err(error) => {
                 locked(&self.0.run).kind = None;
                 self.0.ended.notify_all();
-                let command = line;
-                return Err(JobError::Begin { command, source });
+                return Err(error);
             }
         };
+        // It can be reached from now on; what was asked of it meanwhile comes first.
+        {
+            let mut run = locked(&self.0.run);
+            let waiting = std::mem::take(&mut run.waiting);
+            process.send(&waiting);
+            run.process = Some(process.clone());
+            run.loan = loan;
+        }
         {
             let mut shown = locked(&self.0.shown);
             shown.job = JobState::begun(&work, line.clone(), process.pid());
             if work.kind == Kind::Capture {
-                shown.capture = Some(CaptureState::default());
+                let before = shown.capture.as_ref().map_or(0, CaptureState::stored);
+                shown.capture = Some(CaptureState::after_frames(before));
             }
         }
         self.publish();
 
-        // Its threads; then whatever was asked of it meanwhile.
+        // Its threads.
         let (sender, heard) = sync_channel(1000);
         self.watch(&process, stdout, stderr, sender);
         let jobs = self.clone();
         std::thread::spawn(move || jobs.follow(&heard));
-        let mut run = locked(&self.0.run);
-        let waiting = std::mem::take(&mut run.waiting);
-        process.send(&waiting);
-        run.process = Some(process);
         Ok(line)
     }
 
@@ -332,7 +362,7 @@ impl Jobs {
             loop {
                 match next {
                     Ok(Heard::Ended(status)) => ended = Some(status),
-                    Ok(heard) => locked(&self.0.shown).hear(heard),
+                    Ok(heard) => self.hear(heard),
                     Err(RecvTimeoutError::Timeout) => break,
                     Err(RecvTimeoutError::Disconnected) => break,
                 }
@@ -356,6 +386,20 @@ impl Jobs {
         }
     }
 
+    fn hear(&self, heard: Heard) {
+        let mut shown = locked(&self.0.shown);
+        let is_frame = matches!(&heard, Heard::Event(stamped)
+            if matches!(stamped.event, CaptureEvent::Stored { .. }));
+        shown.hear(heard);
+        drop(shown);
+        if is_frame
+            && let Some(stored) = self.0.stored.get()
+            && let Some((session, frame)) = self.last_frame()
+        {
+            stored(&session, &frame.file);
+        }
+    }
+
     fn end(&self, status: Option<ExitStatus>) {
         locked(&self.0.shown).end(status);
         self.publish();
@@ -364,7 +408,9 @@ impl Jobs {
         run.kind = None;
         run.process = None;
         run.last_exit = status;
+        let loan = run.loan.take();
         drop(run);
+        drop(loan);
         self.0.ended.notify_all();
         announce_sessions(&changed);
     }
@@ -388,6 +434,11 @@ impl Jobs {
             };
         }
         run.last_exit
+    }
+
+    /// What the last job printed as its result.
+    pub fn result(&self) -> Option<String> {
+        locked(&self.0.shown).job.result.clone()
     }
 
     /// No job starts any more.

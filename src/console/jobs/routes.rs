@@ -76,10 +76,14 @@ fn option(name: &str, value: impl AsRef<std::ffi::OsStr>) -> OsString {
 impl From<JobError> for Refusal {
     fn from(error: JobError) -> Self {
         let status = match error {
-            JobError::Busy(_) | JobError::Ending => StatusCode::CONFLICT,
+            JobError::Busy(_) | JobError::Ending | JobError::Devices { .. } => StatusCode::CONFLICT,
             JobError::Begin { .. } => StatusCode::INTERNAL_SERVER_ERROR,
         };
-        Refusal::new(status, error.to_string())
+        let fact = error.to_string();
+        match error {
+            JobError::Devices { hint, .. } => Refusal::new(status, fact).hint(hint),
+            _ => Refusal::new(status, fact),
+        }
     }
 }
 

@@ -50,13 +50,17 @@ fn a_jobs_events_messages_and_end_are_published() {
          echo '{{\"event\":\"ended\",\"at\":\"2026-11-27T08:00:09Z\",\"outcome\":\"complete\",\"session\":\"sessions/s\",\"elapsed_s\":9.0,\"error\":null}}'"
     ));
     assert_eq!(topic(&hub, "capture"), Value::Null);
-    let released = Arc::new(Mutex::new(0));
-    let counted = released.clone();
-    jobs.release_before_capture(Arc::new(move || *counted.lock().unwrap() += 1));
+    // The devices are the capture's as long as the other end of the channel is there.
+    let (loan, lent) = std::sync::mpsc::channel::<()>();
+    let loan = Mutex::new(Some(loan));
+    jobs.lend_devices(Arc::new(move || Ok(Box::new(loan.lock().unwrap().take()))));
     let line = jobs.start(work(Kind::Capture, &["capture", "--sample=a b"]));
     assert_eq!(line.unwrap(), "rig capture '--sample=a b'");
     assert!(jobs.wait().unwrap().success());
-    assert_eq!(*released.lock().unwrap(), 1);
+    assert_eq!(
+        lent.try_recv(),
+        Err(std::sync::mpsc::TryRecvError::Disconnected)
+    );
     let capture = topic(&hub, "capture");
     assert_eq!(capture["state"], "complete");
     assert!(capture["disk_free_bytes"].as_u64().unwrap() > 0);
@@ -94,6 +98,15 @@ fn there_is_one_job_at_a_time_and_none_at_the_end() {
     std::fs::remove_file(&jobs.program().path).unwrap();
     let refused = jobs.start(work(Kind::Fit, &["fit"])).unwrap_err();
     assert!(refused.to_string().starts_with("rig fit: "), "{refused}");
+    assert_eq!(jobs.running(), None);
+    jobs.lend_devices(Arc::new(|| {
+        Err(JobError::Devices {
+            fact: "the stage is moving".to_owned(),
+            hint: None,
+        })
+    }));
+    let refused = jobs.start(work(Kind::Capture, &["capture"])).unwrap_err();
+    assert_eq!(refused.to_string(), "the stage is moving");
     assert_eq!(jobs.running(), None);
 }
 
@@ -174,8 +187,16 @@ fn a_session_is_a_folder_of_the_folder() {
 fn figures_are_kept_for_the_frame_that_they_are_of() {
     let stored = r#"echo '{"event":"stored","at":"t","light":0,"exposure":0,"repeat":0,"kind":"light","pilot":false,"exposure_s":0.1,"lamp":0,"file":"raw/a.png","retakes":0}'"#;
     let (_folder, jobs, hub) = jobs(&format!("{BEGUN}\n{stored}"));
+    let (told, frames) = std::sync::mpsc::channel();
+    jobs.watch_frames(Arc::new(move |session, file| {
+        told.send((session.to_owned(), file.to_owned())).unwrap();
+    }));
     jobs.start(work(Kind::Capture, &["capture"])).unwrap();
     jobs.wait();
+    assert_eq!(
+        frames.try_recv().unwrap(),
+        (PathBuf::from("sessions/s"), "raw/a.png".to_owned())
+    );
     let (session, frame) = jobs.last_frame().unwrap();
     assert_eq!(
         (session, frame.file.as_str()),

@@ -1,0 +1,465 @@
+//! `rig console`: the bench in a browser; also around a capture that is started with it.
+
+use std::ffi::OsString;
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::os::fd::OwnedFd;
+use std::path::{Path, PathBuf};
+use std::process::ExitStatus;
+use std::sync::mpsc;
+
+use qrcode::QrCode;
+use qrcode::render::unicode::Dense1x2;
+use rustix::process::Signal as Sent;
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGTSTP};
+
+use super::capture::SESSIONS;
+use super::context::Context;
+use super::error::{CliError, HintExt};
+use super::exit::Exit;
+use super::output::{write_path, write_stderr};
+use super::rig_choice::RigArg;
+use super::{definition, interrupt};
+use crate::config::{Origin, ResolvedRig, RigConfig};
+use crate::console::control::Control;
+use crate::console::facts::{Mode, facts};
+use crate::console::hub::Hub;
+use crate::console::jobs::{self, Jobs, Kind, Program, Work};
+use crate::console::server::{ListenOptions, Parts, Running, Server};
+use crate::interrupt::Signal;
+use crate::out;
+use crate::session::Session;
+
+/// The bench in a browser: live picture, capture, progress, results
+///
+/// stdout's line is the page's address. Whoever has it controls the bench. Ctrl-C ends the
+/// console, and a capture that runs, in good order.
+#[derive(clap::Args, Debug)]
+pub struct ConsoleArgs {
+    #[command(flatten)]
+    rig: RigArg,
+    /// Folder of the sessions
+    #[arg(long, value_name = "DIR", default_value = SESSIONS)]
+    out: PathBuf,
+    #[command(flatten)]
+    listen: ListenArgs,
+}
+
+/// Where a console listens.
+#[derive(clap::Args, Debug, Clone, Default)]
+#[command(next_help_heading = "Console")]
+pub struct ListenArgs {
+    /// Address to listen at (default 127.0.0.1: this machine alone); other machines reach
+    /// 0.0.0.0 or the machine's own, over a connection that is not encrypted
+    #[arg(long, value_name = "IP[:PORT]", value_parser = parse_listen)]
+    listen: Option<(IpAddr, Option<u16>)>,
+    /// Port to listen at (default: a free one)
+    #[arg(long, value_name = "PORT")]
+    port: Option<u16>,
+    /// Name that browsers reach the console by, such as that of a TLS proxy; may be repeated
+    #[arg(long, value_name = "NAME")]
+    host_name: Vec<String>,
+}
+
+impl ListenArgs {
+    /// For the server.
+    pub fn options(&self) -> Result<ListenOptions, CliError> {
+        let (ip, named) = self.listen.unwrap_or((Ipv4Addr::LOCALHOST.into(), None));
+        if let (Some(port), Some(other)) = (named, self.port)
+            && port != other
+        {
+            let fact = format!("--listen names port {port} and --port {other}");
+            return Err(CliError::new(fact).hint("give the port once"));
+        }
+        let port = named.or(self.port).unwrap_or(0);
+        Ok(ListenOptions {
+            address: SocketAddr::new(ip, port),
+            host_names: self.host_name.clone(),
+        })
+    }
+}
+
+fn parse_listen(text: &str) -> Result<(IpAddr, Option<u16>), String> {
+    if let Ok(address) = text.parse::<SocketAddr>() {
+        return Ok((address.ip(), Some(address.port())));
+    }
+    let bare = text
+        .strip_prefix('[')
+        .and_then(|text| text.strip_suffix(']'));
+    let ip = bare.unwrap_or(text).parse();
+    ip.map(|ip| (ip, None))
+        .map_err(|_| "an IP address, e.g. 0.0.0.0 or 192.168.1.5:8080 or [::1]:8080".to_owned())
+}
+
+/// `rig console`.
+pub fn run(args: &ConsoleArgs, context: &Context) -> Result<(), CliError> {
+    let rig = args.rig.resolve(context)?;
+    let named = name_of(&args.rig, &rig);
+    let bench = Bench {
+        config: rig.config,
+        file: rig.file,
+        named,
+        folder: args.out.clone(),
+    };
+    let console = Console::start(&bench, &args.listen, context)?;
+    console.stay(None, context)
+}
+
+/// The console around a capture, as `rig capture --console` is: `arguments` are those of the
+/// capture without what belongs to the console (`capture --rig R --lights 4`).
+///
+/// The capture has this terminal; the console stays when it has ended, and ends as it did.
+pub fn run_with_capture(
+    arguments: Vec<OsString>,
+    listen: &ListenArgs,
+    context: &Context,
+) -> Result<(), CliError> {
+    let bench = Bench::of_capture(&arguments, context)?;
+    let console = Console::start(&bench, listen, context)?;
+    let events = OsString::from("--events");
+    let work = Work {
+        hidden: vec![events.clone()],
+        at_terminal: true,
+        ..Work::new(
+            Kind::Capture,
+            arguments.into_iter().filter(|a| *a != events).collect(),
+        )
+    };
+    console.stay(Some(work), context)
+}
+
+/// What a console is about.
+struct Bench {
+    config: RigConfig,
+    /// As messages call its file.
+    file: String,
+    /// As `--rig` takes it.
+    named: String,
+    folder: PathBuf,
+}
+
+impl Bench {
+    /// That of a capture with these arguments.
+    fn of_capture(arguments: &[OsString], context: &Context) -> Result<Self, CliError> {
+        let whole = std::iter::once(OsString::from("rig")).chain(arguments.iter().cloned());
+        let matches = definition().try_get_matches_from(whole)?;
+        let (_, matches) = matches
+            .subcommand()
+            .ok_or_else(|| CliError::new("no capture to show"))?;
+        if let Ok(Some(root)) = matches.try_get_one::<PathBuf>("resume") {
+            return Self::of_session(root);
+        }
+        let rig = matches.try_get_one::<String>("rig").ok().flatten();
+        let rig = RigArg { rig: rig.cloned() };
+        let resolved = rig.resolve(context)?;
+        let folder = matches
+            .try_get_one::<PathBuf>("out")
+            .ok()
+            .flatten()
+            .cloned();
+        Ok(Self {
+            named: name_of(&rig, &resolved),
+            config: resolved.config,
+            file: resolved.file,
+            folder: folder.unwrap_or_else(|| SESSIONS.into()),
+        })
+    }
+
+    /// That of a session, which has its own rig.
+    fn of_session(root: &Path) -> Result<Self, CliError> {
+        let session = Session::open(root)?;
+        let record = session.record();
+        let file = record.rig.clone();
+        let bare = file.strip_prefix("built-in ");
+        let named = bare.and_then(|name| name.strip_suffix(".toml"));
+        let parent = root.parent().filter(|parent| *parent != Path::new(""));
+        Ok(Self {
+            config: RigConfig::parse(&file, Path::new(""), &record.config)?,
+            named: named.unwrap_or(&file).to_owned(),
+            folder: parent.unwrap_or(Path::new(".")).to_owned(),
+            file,
+        })
+    }
+}
+
+/// The rig as `--rig` takes it, so that each command line names it.
+fn name_of(asked: &RigArg, resolved: &ResolvedRig) -> String {
+    let environment = || std::env::var("RIG_CONFIG").unwrap_or_default();
+    match (&asked.rig, resolved.origin) {
+        (Some(rig), _) => rig.clone(),
+        (None, Origin::Environment) => environment(),
+        (None, Origin::WorkingFolder) => resolved.file.clone(),
+        (None, _) => "simulated".to_owned(),
+    }
+}
+
+/// What wakes the console's main thread.
+enum Woken {
+    Signal(i32),
+    JobEnded,
+}
+
+/// A console that answers.
+struct Console {
+    jobs: Jobs,
+    _server: Running,
+}
+
+impl Console {
+    /// Listens, answers, and shows the address.
+    fn start(bench: &Bench, listen: &ListenArgs, context: &Context) -> Result<Self, CliError> {
+        let options = listen.options()?;
+        let server = bind(&options, context)?;
+        let hub = Hub::default();
+        let control = Control::new(hub.clone());
+        let program = Program {
+            path: std::env::current_exe()?,
+            rig: bench.named.clone(),
+            folder: bench.folder.clone(),
+        };
+        let jobs = Jobs::new(program, hub.clone());
+        let address = server.address();
+        let running = server.start(Parts {
+            hub,
+            control,
+            facts: facts(&bench.config, &bench.file, &bench.folder, Mode::Bench),
+            routes: jobs::routes(jobs.clone()),
+        })?;
+        show_address(&address, context)?;
+        Ok(Self {
+            jobs,
+            _server: running,
+        })
+    }
+
+    /// Runs `work`, if any, and stays until a signal ends the console.
+    fn stay(self, work: Option<Work>, context: &Context) -> Result<(), CliError> {
+        // Signals and the ends of jobs wake this thread.
+        let (wake, woken) = mpsc::channel();
+        let mut signals = signal_hook::iterator::Signals::new([SIGINT, SIGTERM, SIGHUP, SIGTSTP])?;
+        let has_terminal = terminal().is_some();
+        let caught = wake.clone();
+        std::thread::Builder::new()
+            .name("signals".into())
+            .spawn(move || {
+                for number in signals.forever() {
+                    if caught.send(Woken::Signal(number)).is_err() {
+                        return;
+                    }
+                }
+            })?;
+        let mut captured = None;
+        let is_capture = work.is_some();
+        if let Some(work) = work {
+            self.jobs.start(work)?;
+            self.wait_for_job(&wake)?;
+        } else {
+            context.note("Ctrl-C ends the console");
+        }
+
+        // Until a signal has ended the console and the job has ended.
+        let mut ending: Option<Signal> = None;
+        while let Ok(woken) = woken.recv() {
+            match woken {
+                Woken::JobEnded => {
+                    if is_capture && captured.is_none() {
+                        captured = Some(self.jobs.wait());
+                        if let Some(session) = self.jobs.result() {
+                            // Whoever reads stdout may be gone; pages may not be.
+                            drop(write_path(Path::new(&session)));
+                        }
+                        if ending.is_none() {
+                            context.note("the console stays; Ctrl-C ends it");
+                        }
+                    }
+                    if ending.is_some() && self.jobs.running().is_none() {
+                        break;
+                    }
+                }
+                Woken::Signal(SIGTSTP) => interrupt::suspend(),
+                Woken::Signal(number) => {
+                    let signal = Signal::from_number(number).unwrap_or(Signal::Terminate);
+                    self.jobs.close();
+                    if ending.is_none() {
+                        let Some(kind) = self.jobs.running() else {
+                            ending = Some(signal);
+                            break;
+                        };
+                        context.note(format!(
+                            "{} is running: the console ends when it has stopped",
+                            kind.what()
+                        ));
+                        self.wait_for_job(&wake)?;
+                    }
+                    ending = Some(signal);
+                    if !reaches_children(number, has_terminal) {
+                        self.jobs.send(&[sent(signal)]);
+                    }
+                }
+            }
+        }
+        match (captured, ending) {
+            (Some(status), _) => as_it_ended(status),
+            (None, Some(signal)) => Err(CliError::stated(Exit::Signal(signal))),
+            (None, None) => Ok(()),
+        }
+    }
+
+    /// Wakes the main thread when no job runs.
+    fn wait_for_job(&self, wake: &mpsc::Sender<Woken>) -> std::io::Result<()> {
+        let (jobs, wake) = (self.jobs.clone(), wake.clone());
+        std::thread::Builder::new()
+            .name("job".into())
+            .spawn(move || {
+                jobs.wait();
+                // The main thread may have ended meanwhile.
+                let _ = wake.send(Woken::JobEnded);
+            })?;
+        Ok(())
+    }
+}
+
+/// Listens; says so if others can reach it.
+pub(super) fn bind(options: &ListenOptions, context: &Context) -> Result<Server, CliError> {
+    let server = Server::bind(options).hint(
+        "choose another --port, or 0 for a free one; --listen takes an address of this machine",
+    )?;
+    if !server.socket_address().ip().is_loopback() {
+        context.warn(
+            "the connection is not encrypted: whoever shares the network can read the address \
+             and control the bench with it; put the console behind a TLS proxy (docs/console.md)",
+        );
+    }
+    Ok(server)
+}
+
+/// The page's address on stdout, and as a QR code at a terminal.
+pub(super) fn show_address(address: &str, context: &Context) -> Result<(), CliError> {
+    out!("{address}")?;
+    if context.shows_progress()
+        && let Some(picture) = qr_code(address)
+    {
+        write_stderr(&picture);
+    }
+    Ok(())
+}
+
+/// Black on white whatever the terminal's colours, as phones read it; `None` where the
+/// terminal is too narrow.
+fn qr_code(address: &str) -> Option<String> {
+    let code = QrCode::new(address).ok()?;
+    let picture = code
+        .render::<Dense1x2>()
+        .dark_color(Dense1x2::Light)
+        .light_color(Dense1x2::Dark)
+        .quiet_zone(true)
+        .build();
+    let width = picture.lines().map(|line| line.chars().count()).max()?;
+    let columns = rustix::termios::tcgetwinsize(std::io::stderr()).map_or(80, |size| size.ws_col);
+    if columns > 0 && width > usize::from(columns) {
+        return None;
+    }
+    let lines = picture.lines();
+    Some(
+        lines
+            .map(|line| format!("\x1b[30;107m{line}\x1b[0m\n"))
+            .collect(),
+    )
+}
+
+/// The controlling terminal, if there is one.
+fn terminal() -> Option<OwnedFd> {
+    use rustix::fs::{Mode, OFlags};
+    let flags = OFlags::RDONLY | OFlags::NOCTTY | OFlags::CLOEXEC | OFlags::NONBLOCK;
+    rustix::fs::open("/dev/tty", flags, Mode::empty()).ok()
+}
+
+/// Whether a signal has come from the terminal, which sends it to the job as well: passed on,
+/// it would count twice.
+fn reaches_children(number: i32, had_terminal: bool) -> bool {
+    let is_in_front = || {
+        let group = terminal().and_then(|tty| rustix::termios::tcgetpgrp(tty).ok());
+        group == Some(rustix::process::getpgrp())
+    };
+    match number {
+        SIGINT => is_in_front(),
+        SIGHUP => had_terminal,
+        _ => false,
+    }
+}
+
+fn sent(signal: Signal) -> Sent {
+    match signal {
+        Signal::Interrupt => Sent::INT,
+        Signal::Terminate => Sent::TERM,
+        Signal::HangUp => Sent::HUP,
+    }
+}
+
+/// The capture has stated how it ended; the console ends alike.
+fn as_it_ended(status: Option<ExitStatus>) -> Result<(), CliError> {
+    let exit = match status.and_then(|status| status.code()) {
+        Some(0) => return Ok(()),
+        Some(2) => Exit::Internal,
+        Some(code) => match Signal::from_number(code - 128) {
+            Some(signal) => Exit::Signal(signal),
+            None => Exit::Failed,
+        },
+        None => {
+            let how = status.map_or_else(|| "unknown".to_owned(), |status| status.to_string());
+            return Err(CliError::new(format!("the capture's process ended: {how}")).hint(
+                "`rig session list` shows its session; `rig capture --resume SESSION` continues it",
+            ));
+        }
+    };
+    Err(CliError::stated(exit))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_address_has_a_port_or_takes_a_free_one() {
+        let options = |listen: &str, port| {
+            ListenArgs {
+                listen: Some(parse_listen(listen).unwrap()),
+                port,
+                host_name: Vec::new(),
+            }
+            .options()
+            .map(|options| options.address.to_string())
+        };
+        assert_eq!(options("0.0.0.0", None).unwrap(), "0.0.0.0:0");
+        assert_eq!(options("0.0.0.0", Some(80)).unwrap(), "0.0.0.0:80");
+        assert_eq!(options("10.0.0.5:8080", None).unwrap(), "10.0.0.5:8080");
+        assert_eq!(options("[::1]:1", Some(1)).unwrap(), "[::1]:1");
+        assert_eq!(options("[::]", None).unwrap(), "[::]:0");
+        assert!(options("10.0.0.5:8080", Some(1)).is_err());
+        let default = ListenArgs::default().options().unwrap().address;
+        assert!(default.ip().is_loopback() && default.port() == 0);
+        for bad in ["", "localhost", "0.0.0.0:", "0.0.0.0:99999", "[::1", ":80"] {
+            assert!(parse_listen(bad).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn the_code_is_black_on_white_with_a_margin() {
+        let picture = qr_code("http://127.0.0.1:8080/abc/").unwrap();
+        let lines: Vec<_> = picture.lines().collect();
+        assert!(lines.iter().all(|line| line.starts_with("\x1b[30;107m")));
+        let margin = lines[0].trim_start_matches("\x1b[30;107m");
+        assert!(margin.starts_with("    ") && margin.trim_end_matches("\x1b[0m").trim().is_empty());
+        assert!(picture.contains('█') && picture.contains('▀'));
+    }
+
+    #[test]
+    fn the_console_ends_as_its_capture_did() {
+        use std::os::unix::process::ExitStatusExt;
+        let exit = |raw| as_it_ended(Some(ExitStatus::from_raw(raw))).map_err(|e| e.exit());
+        assert_eq!(exit(0), Ok(()));
+        assert_eq!(exit(1 << 8), Err(Exit::Failed));
+        assert_eq!(exit(2 << 8), Err(Exit::Internal));
+        assert_eq!(exit(130 << 8), Err(Exit::Signal(Signal::Interrupt)));
+        assert_eq!(exit(9), Err(Exit::Failed), "killed");
+    }
+}

@@ -1,0 +1,839 @@
+//! What a hostile or broken client sends to the console, as bytes on its socket: each gets
+//! its refusal, and the next request of the page is answered.
+
+#![cfg(feature = "console")]
+
+mod command_support;
+mod console_support;
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::io::{Read, Write};
+use std::net::{Ipv4Addr, SocketAddr, TcpStream, UdpSocket};
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use console_support::{Answer, Console};
+use rustix::process::Signal;
+use serde_json::json;
+use tempfile::TempDir;
+
+/// A folder with sessions, one of them a link to elsewhere, and a secret outside.
+fn workplace() -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let sessions = folder.path().join("sessions");
+    fs::create_dir_all(sessions.join("real")).unwrap();
+    fs::write(folder.path().join("secret.txt"), "the secret").unwrap();
+    fs::write(folder.path().join("report.html"), "the secret").unwrap();
+    fs::create_dir(folder.path().join("elsewhere")).unwrap();
+    fs::write(folder.path().join("elsewhere/report.html"), "the secret").unwrap();
+    std::os::unix::fs::symlink("../elsewhere", sessions.join("link")).unwrap();
+    std::os::unix::fs::symlink("../../secret.txt", sessions.join("real/report.html")).unwrap();
+    folder
+}
+
+fn start(folder: &Path) -> Console {
+    Console::start(folder, &["console", "--rig", "simulated", "-vv"])
+}
+
+/// `{T}` is the token, `{H}` the host.
+const HEAD: &str = "Host: {H}\r\n";
+const ACTION: &str = "Host: {H}\r\nContent-Type: application/json\r\nX-Rig-Viewer: a\r\n";
+
+/// Name, request, what it may come to; 0: the connection is closed without an answer.
+type Row = (&'static str, Vec<u8>, &'static [u16]);
+
+fn get(name: &'static str, path: &str, headers: &str, expected: &'static [u16]) -> Row {
+    let request = format!("GET {path} HTTP/1.1\r\n{headers}\r\n");
+    (name, request.into_bytes(), expected)
+}
+
+fn post(name: &'static str, path: &str, body: &str, expected: &'static [u16]) -> Row {
+    with(name, path, ACTION, body, expected)
+}
+
+fn with(
+    name: &'static str,
+    path: &str,
+    headers: &str,
+    body: &str,
+    expected: &'static [u16],
+) -> Row {
+    let length = body.len();
+    let request =
+        format!("POST /{{T}}{path} HTTP/1.1\r\n{headers}Content-Length: {length}\r\n\r\n{body}");
+    (name, request.into_bytes(), expected)
+}
+
+fn raw(name: &'static str, request: impl AsRef<[u8]>, expected: &'static [u16]) -> Row {
+    (name, request.as_ref().to_vec(), expected)
+}
+
+/// Who may not come in at all, and whoever has the token and comes from elsewhere.
+fn strangers(console: &Console) -> Vec<Row> {
+    let token = &console.token;
+    let flipped: String = token
+        .chars()
+        .map(|c| match c.is_ascii_lowercase() {
+            true => c.to_ascii_uppercase(),
+            false => c.to_ascii_lowercase(),
+        })
+        .collect();
+    let first = token.as_bytes()[0];
+    let port = console.port;
+    let page = "/{T}/";
+    let stop = "/api/capture/stop";
+    let action = |more: &str| format!("{ACTION}{more}\r\n");
+    vec![
+        get("no token", "/", HEAD, &[404]),
+        get(
+            "an action without token",
+            "/api/events?viewer=a",
+            HEAD,
+            &[404],
+        ),
+        get(
+            "another token",
+            &format!("/{}/", "A".repeat(43)),
+            HEAD,
+            &[404],
+        ),
+        get(
+            "a prefix of the token",
+            &format!("/{}/", &token[..42]),
+            HEAD,
+            &[404],
+        ),
+        get("the token and more", "/{T}A/", HEAD, &[404]),
+        get(
+            "the token in other case",
+            &format!("/{flipped}/"),
+            HEAD,
+            &[404],
+        ),
+        get(
+            "the token percent-encoded",
+            &format!("/%{first:02X}{}/", &token[1..]),
+            HEAD,
+            &[404],
+        ),
+        get("the token in the query", "/?token={T}", HEAD, &[404]),
+        get(
+            "the token in a cookie",
+            "/",
+            &format!("{HEAD}Cookie: token={{T}}\r\n"),
+            &[404],
+        ),
+        get("the token after another segment", "/x/{T}/", HEAD, &[404]),
+        get("two slashes before it", "//{T}/", HEAD, &[404]),
+        get("a foreign Host", page, "Host: evil.example\r\n", &[403]),
+        get("no Host", page, "", &[403]),
+        get("two Hosts", page, &format!("{HEAD}{HEAD}"), &[403]),
+        get(
+            "a name that was rebound to this address",
+            page,
+            &format!("Host: rebound.example:{port}\r\n"),
+            &[403],
+        ),
+        get("a Host with a user", page, "Host: x@{H}\r\n", &[400, 403]),
+        get(
+            "a Host with another port",
+            page,
+            "Host: 127.0.0.1:1\r\n",
+            &[403],
+        ),
+        get(
+            "another loopback address",
+            page,
+            &format!("Host: 127.0.0.2:{port}\r\n"),
+            &[403],
+        ),
+        get(
+            "an address in absolute form",
+            "http://{H}/{T}/",
+            HEAD,
+            &[400],
+        ),
+        get(
+            "a foreign Origin on GET",
+            page,
+            &format!("{HEAD}Origin: http://evil.example\r\n"),
+            &[403],
+        ),
+        get(
+            "a picture embedded elsewhere",
+            "/{T}/api/live.jpg",
+            &format!("{HEAD}Sec-Fetch-Site: cross-site\r\nSec-Fetch-Mode: no-cors\r\n"),
+            &[403],
+        ),
+        with(
+            "a foreign Origin",
+            stop,
+            &action("Origin: http://evil.example"),
+            "{}",
+            &[403],
+        ),
+        with(
+            "the origin null",
+            stop,
+            &action("Origin: null"),
+            "{}",
+            &[403],
+        ),
+        with(
+            "an encrypted origin of no name",
+            stop,
+            &action("Origin: https://{H}"),
+            "{}",
+            &[403],
+        ),
+        with(
+            "two Origins",
+            stop,
+            &action("Origin: http://{H}\r\nOrigin: http://{H}"),
+            "{}",
+            &[403],
+        ),
+        with(
+            "another site's form",
+            stop,
+            &action("Sec-Fetch-Site: cross-site"),
+            "{}",
+            &[403],
+        ),
+        with(
+            "a site next door",
+            stop,
+            &action("Sec-Fetch-Site: same-site"),
+            "{}",
+            &[403],
+        ),
+        with(
+            "a form's content type",
+            stop,
+            "Host: {H}\r\nX-Rig-Viewer: a\r\nContent-Type: application/x-www-form-urlencoded\r\n",
+            "a=1",
+            &[415],
+        ),
+        with(
+            "text as content type",
+            stop,
+            "Host: {H}\r\nX-Rig-Viewer: a\r\nContent-Type: text/plain\r\n",
+            "{}",
+            &[415],
+        ),
+        with(
+            "no content type",
+            stop,
+            "Host: {H}\r\nX-Rig-Viewer: a\r\n",
+            "{}",
+            &[415],
+        ),
+        with(
+            "no viewer",
+            stop,
+            "Host: {H}\r\nContent-Type: application/json\r\n",
+            "{}",
+            &[400],
+        ),
+        with(
+            "a viewer with a blank",
+            stop,
+            "Host: {H}\r\nContent-Type: application/json\r\nX-Rig-Viewer: a b\r\n",
+            "{}",
+            &[400],
+        ),
+        with(
+            "two viewers",
+            stop,
+            &action("X-Rig-Viewer: b"),
+            "{}",
+            &[400],
+        ),
+        get("a stream without viewer", "/{T}/api/events", HEAD, &[400]),
+        get(
+            "a stream of a viewer with markup",
+            "/{T}/api/events?viewer=%3Cscript%3E",
+            HEAD,
+            &[400],
+        ),
+    ]
+}
+
+/// Paths that lead elsewhere, methods that are none.
+fn paths_and_methods() -> Vec<Row> {
+    let gone: &[u16] = &[400, 403, 404];
+    let mut rows: Vec<Row> = [
+        ("traversal", "/../secret.txt"),
+        ("traversal below sessions", "/sessions/../../secret.txt"),
+        (
+            "traversal in a session's name",
+            "/sessions/..%2F..%2Fsecret.txt/report.html",
+        ),
+        (
+            "traversal percent-encoded",
+            "/sessions/%2e%2e/%2e%2e/secret.txt",
+        ),
+        (
+            "traversal in a file's name",
+            "/sessions/real/..%2F..%2F..%2Fsecret.txt",
+        ),
+        (
+            "traversal encoded twice",
+            "/sessions/real/%252e%252e%252fsecret.txt",
+        ),
+        (
+            "traversal with backslashes",
+            "/sessions/real/..%5C..%5Csecret.txt",
+        ),
+        ("an absolute path", "/sessions//etc/passwd"),
+        (
+            "an absolute path, encoded",
+            "/sessions/real/%2Fetc%2Fpasswd",
+        ),
+        ("a path with NUL", "/sessions/real/report.html%00.png"),
+        ("overlong UTF-8", "/sessions/%c0%ae%c0%ae/secret.txt"),
+        (
+            "a session that is a symbolic link",
+            "/sessions/link/report.html",
+        ),
+        (
+            "a file that is a symbolic link",
+            "/sessions/real/report.html",
+        ),
+        ("the folder itself", "/sessions/"),
+        ("details of a linked session", "/api/sessions/link"),
+        ("details of elsewhere", "/api/sessions/..%2Felsewhere"),
+        ("a file that is not served", "/page/index.html"),
+    ]
+    .into_iter()
+    .map(|(name, path)| get(name, &format!("/{{T}}{path}"), HEAD, gone))
+    .collect();
+    let method = |name: &'static str, method: &str, expected: &'static [u16]| {
+        let request = format!("{method} /{{T}}/api/capture/stop HTTP/1.1\r\n{ACTION}\r\n");
+        (name, request.into_bytes(), expected)
+    };
+    rows.extend([
+        method("GET for an action", "GET", &[405]),
+        method("HEAD for an action", "HEAD", &[405]),
+        method("PUT", "PUT", &[405]),
+        method("DELETE", "DELETE", &[405]),
+        method("OPTIONS, a preflight", "OPTIONS", &[405]),
+        method("TRACE", "TRACE", &[405]),
+        method("a method that is none", "BREW", &[405]),
+        raw(
+            "CONNECT",
+            "CONNECT {H} HTTP/1.1\r\nHost: {H}\r\n\r\n",
+            &[400, 404],
+        ),
+        raw(
+            "the asterisk",
+            "OPTIONS * HTTP/1.1\r\nHost: {H}\r\n\r\n",
+            &[404],
+        ),
+        post("POST for the page", "/", "{}", &[405]),
+        post(
+            "resume of elsewhere",
+            "/api/capture/resume",
+            r#"{"session": "../elsewhere"}"#,
+            &[404],
+        ),
+        post(
+            "resume of a link",
+            "/api/capture/resume",
+            r#"{"session": "link"}"#,
+            &[404],
+        ),
+        post(
+            "resume of an option",
+            "/api/capture/resume",
+            r#"{"session": "--help"}"#,
+            &[404],
+        ),
+    ]);
+    rows
+}
+
+/// Heads and bodies that are too long, cut short, or meant to be read in two ways.
+fn forms() -> Vec<Row> {
+    let stop = "/api/capture/stop";
+    let x = |count: usize| "x".repeat(count);
+    let many: String = (0..1000).map(|n| format!("X-{n}: y\r\n")).collect();
+    let length = |length: &str| {
+        format!("POST /{{T}}{stop} HTTP/1.1\r\n{ACTION}Content-Length: {length}\r\n\r\n{{}}")
+    };
+    // The second request is the smuggled one.
+    let both = format!(
+        "POST /{{T}}{stop} HTTP/1.1\r\n{ACTION}Content-Length: 5\r\nTransfer-Encoding: chunked\r\n\r\n\
+         0\r\n\r\nGET /{{T}}/ HTTP/1.1\r\nHost: {{H}}\r\n\r\n"
+    );
+    let pipelined = "GET /{T}/nothing HTTP/1.1\r\nHost: {H}\r\n\r\n".repeat(3);
+    vec![
+        get(
+            "a huge header",
+            "/{T}/",
+            &format!("{HEAD}X: {}\r\n", x(1 << 20)),
+            &[431, 0],
+        ),
+        get(
+            "a thousand headers",
+            "/{T}/",
+            &format!("{HEAD}{many}"),
+            &[431, 0],
+        ),
+        get(
+            "a very long path",
+            &format!("/{{T}}/{}", x(60_000)),
+            HEAD,
+            &[414, 431, 0],
+        ),
+        get(
+            "a very long path without token",
+            &format!("/{}", x(12_000)),
+            HEAD,
+            &[404, 414, 431],
+        ),
+        raw(
+            "a body that is announced as huge",
+            length("100000000"),
+            &[413],
+        ),
+        with("a huge body", stop, ACTION, &x(1 << 20), &[413]),
+        raw("a length that is negative", length("-1"), &[400]),
+        raw("a length that is no number", length("2a"), &[400]),
+        raw(
+            "a length beyond any number",
+            length("99999999999999999999999"),
+            &[400],
+        ),
+        raw("two lengths", length("2\r\nContent-Length: 3"), &[400]),
+        raw(
+            "a body in chunks",
+            format!(
+                "POST /{{T}}{stop} HTTP/1.1\r\n{ACTION}Transfer-Encoding: chunked\r\n\r\n2\r\n{{}}\r\n0\r\n\r\n"
+            ),
+            &[411],
+        ),
+        raw("a length and chunks", both, &[400, 411]),
+        raw(
+            "an encoding that is none",
+            format!(
+                "POST /{{T}}{stop} HTTP/1.1\r\n{ACTION}Transfer-Encoding: xchunked\r\n\r\n{{}}"
+            ),
+            &[400, 411],
+        ),
+        raw("three requests at once", pipelined, &[404]),
+        raw("a body that stops before its end", length("50"), &[408]),
+        raw(
+            "Expect and no body",
+            format!(
+                "POST /{{T}}{stop} HTTP/1.1\r\n{ACTION}Expect: 100-continue\r\nContent-Length: 2\r\n\r\n"
+            ),
+            &[100],
+        ),
+        raw("HTTP/0.9", "GET /{T}/\r\n\r\n", &[400]),
+        raw("HTTP/2", "PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n", &[400, 0]),
+        raw(
+            "HTTP/1.0 without Host",
+            "GET /{T}/ HTTP/1.0\r\n\r\n",
+            &[403],
+        ),
+        raw(
+            "a TLS greeting",
+            b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03\r\n\r\n",
+            &[400],
+        ),
+        raw("bytes of no protocol", [0xff; 4096], &[400, 431, 0]),
+        raw("nothing but line ends", "\r\n".repeat(9000), &[400, 431, 0]),
+        raw(
+            "a header without colon",
+            "GET /{T}/ HTTP/1.1\r\nHost: {H}\r\nnonsense\r\n\r\n",
+            &[400],
+        ),
+        raw(
+            "a folded header",
+            "GET /{T}/ HTTP/1.1\r\nHost: {H}\r\nX: a\r\n b\r\n\r\n",
+            &[400, 200],
+        ),
+        raw(
+            "a header with NUL",
+            "GET /{T}/ HTTP/1.1\r\nHost: {H}\r\nX: a\0b\r\n\r\n",
+            &[400],
+        ),
+        raw(
+            "a blank before the colon",
+            "GET /{T}/ HTTP/1.1\r\nHost : {H}\r\n\r\n",
+            &[400],
+        ),
+    ]
+}
+
+/// Bodies of actions that are no JSON, or ask for something else than they seem to.
+fn bodies() -> Vec<Row> {
+    let plan = "/api/plan";
+    let sample = |name: &'static str, sample: &str, expected| {
+        let body = json!({"sample": sample, "lights": "1"}).to_string();
+        post(name, plan, &body, expected)
+    };
+    let nested = format!("{}{}", "[".repeat(30_000), "]".repeat(30_000));
+    let utf8 = b"POST /{T}/api/plan HTTP/1.1\r\nHost: {H}\r\nContent-Type: application/json\r\n\
+        X-Rig-Viewer: a\r\nContent-Length: 14\r\n\r\n{\"sample\":\"\xff\xfe\"}";
+    vec![
+        sample("a sample with a line end", "a\r\nX-Injected: 1", &[400]),
+        sample(
+            "a sample for a shell",
+            "$(touch pwned); `touch pwned` & | > pwned",
+            &[400],
+        ),
+        sample("a sample that is an option", "--help", &[400]),
+        sample("a sample that is a path", "../../pwned", &[400]),
+        sample("a sample with NUL", "a\0b", &[400]),
+        sample("a sample that is too long", &"a".repeat(5000), &[400]),
+        post(
+            "lights that are an option",
+            plan,
+            r#"{"lights": "--help"}"#,
+            &[422],
+        ),
+        post(
+            "lights for a shell",
+            plan,
+            r#"{"lights": "1; touch pwned"}"#,
+            &[422],
+        ),
+        post(
+            "lights without end",
+            plan,
+            r#"{"lights": "99999999999999999999"}"#,
+            &[422],
+        ),
+        post(
+            "a light that is an option",
+            plan,
+            r#"{"light": ["--out=pwned"]}"#,
+            &[422],
+        ),
+        post(
+            "a light that is no number",
+            plan,
+            r#"{"light": ["NaN,inf"]}"#,
+            &[422],
+        ),
+        post("nothing to capture", plan, "{}", &[422]),
+        post("JSON that is nested without end", plan, &nested, &[400]),
+        post(
+            "objects that are nested without end",
+            plan,
+            &r#"{"a":"#.repeat(10_000),
+            &[400],
+        ),
+        post("NaN", plan, r#"{"light": [NaN]}"#, &[400]),
+        post("a number beyond all", plan, r#"{"light": [1e400]}"#, &[400]),
+        post("another type", plan, r#"{"lights": 4}"#, &[400]),
+        post(
+            "a key twice",
+            plan,
+            r#"{"lights": "1", "lights": "2"}"#,
+            &[400],
+        ),
+        post("no JSON", plan, "lights=4", &[400]),
+        post("no body", plan, "", &[400]),
+        post("two values", plan, "{}{}", &[400]),
+        raw("no UTF-8", utf8, &[400]),
+        post("pause without capture", "/api/capture/pause", "{}", &[409]),
+        post("an action that is none", "/api/../api/plan", "{}", &[404]),
+    ]
+}
+
+#[track_caller]
+fn assert_page_is_there(console: &Console, after: &str) {
+    let answer = console.get("/");
+    assert_eq!(answer.status, 200, "after {after}: {answer:?}");
+    assert!(answer.text().contains("<!doctype html>"), "after {after}");
+}
+
+#[test]
+fn every_attack_is_refused_and_the_page_is_there_afterwards() {
+    let folder = workplace();
+    let console = start(folder.path());
+    let tables = [strangers(&console), paths_and_methods(), forms(), bodies()];
+    let rows: Vec<Row> = tables.into_iter().flatten().collect();
+    let names: BTreeSet<_> = rows.iter().map(|row| row.0).collect();
+    assert!(
+        names.len() == rows.len() && rows.len() >= 90,
+        "{}",
+        rows.len()
+    );
+    for (name, request, expected) in &rows {
+        // Requests that are no text have nothing to fill in but what is.
+        let mut filled = Vec::new();
+        for part in request.split_inclusive(|&b| b == b'}') {
+            match std::str::from_utf8(part) {
+                Ok(text) => filled.extend_from_slice(console.filled(text).as_bytes()),
+                Err(_) => filled.extend_from_slice(part),
+            }
+        }
+        let answer = console.exchange(&filled);
+        assert!(expected.contains(&answer.status), "{name}: {answer:?}");
+        let text = answer.text();
+        assert!(
+            !text.contains("the secret") && !text.contains("root:"),
+            "{name}: {text}"
+        );
+        assert!(!answer.head.to_lowercase().contains("x-injected"), "{name}");
+        // One answer, whatever came after the request.
+        let answers = text.matches("HTTP/1.1 ").count();
+        assert!(
+            answers == 0 || *name == "Expect and no body",
+            "{name}: {text}"
+        );
+        if answer.status == 404 && !request.windows(5).any(|part| part == b"/{T}/") {
+            assert_eq!(text, "", "{name}: whoever has no token learns nothing");
+        }
+        assert_page_is_there(&console, name);
+    }
+    assert!(!folder.path().join("pwned").exists());
+    let left = fs::read_dir(folder.path().join("sessions"))
+        .unwrap()
+        .count();
+    assert_eq!(left, 2, "nothing was captured");
+
+    // Nothing secret is in the log, however much is logged.
+    let log = console.stderr();
+    assert!(
+        log.contains("TRACE") || log.contains("DEBUG") || !log.is_empty(),
+        "{log}"
+    );
+    assert!(!log.contains(&console.token[..20]), "{log}");
+    assert!(!log.contains("internal error"), "{log}");
+}
+
+#[test]
+fn the_page_carries_the_headers_that_keep_others_out() {
+    let folder = workplace();
+    let console = start(folder.path());
+    for path in ["/", "/api/nothing", "/api/doctor"] {
+        let head = console.get(path).head.to_lowercase();
+        for header in [
+            "content-security-policy: default-src 'none'; script-src 'self'; style-src 'self'; \
+             img-src 'self' blob: data:; connect-src 'self'; frame-src 'self'; base-uri 'none'; \
+             form-action 'none'; frame-ancestors 'none'",
+            "cross-origin-resource-policy: same-origin",
+            "cross-origin-opener-policy: same-origin",
+            "referrer-policy: no-referrer",
+            "x-content-type-options: nosniff",
+            "cache-control: no-store",
+        ] {
+            assert!(head.contains(header), "{path}: {header}: {head}");
+        }
+        assert!(!head.contains("access-control-allow"), "{path}: {head}");
+    }
+    let stranger = console.exchange(b"GET /x HTTP/1.1\r\nHost: x\r\n\r\n");
+    assert!(stranger.head.contains("cache-control: no-store") && stranger.body.is_empty());
+}
+
+#[test]
+fn slow_clients_are_cut_off_and_hold_nobody_up() {
+    let folder = workplace();
+    let console = start(folder.path());
+    // One byte of the head at a time.
+    let began = Instant::now();
+    let mut slow = console.connect();
+    let head = console.filled("GET /{T}/ HTTP/1.1\r\nHost: {H}\r\nX: ");
+    slow.write_all(head.as_bytes()).unwrap();
+    let mut beside = Duration::ZERO;
+    loop {
+        let asked = Instant::now();
+        assert_page_is_there(&console, "a slow head");
+        beside = beside.max(asked.elapsed());
+        if slow.write_all(b"x").is_err() || began.elapsed() > Duration::from_secs(8) {
+            break;
+        }
+        std::thread::sleep(Duration::from_millis(500));
+    }
+    let mut rest = Vec::new();
+    let _ = slow.read_to_end(&mut rest);
+    let text = String::from_utf8_lossy(&rest);
+    assert!(!text.contains(" 200 "), "{text}");
+    assert!(began.elapsed() < Duration::from_secs(20), "it is cut off");
+    assert!(beside < Duration::from_secs(4), "{beside:?}");
+}
+
+#[test]
+fn five_hundred_open_connections_keep_nobody_out() {
+    let folder = workplace();
+    let console = start(folder.path());
+    let partial = console.filled("GET /{T}/ HTTP/1.1\r\nHost: {H}\r\n");
+    for first in [&b""[..], partial.as_bytes()] {
+        let held: Vec<TcpStream> = (0..500)
+            .map(|_| {
+                let mut stream = console.connect();
+                let _ = stream.write_all(first);
+                stream
+            })
+            .collect();
+        let began = Instant::now();
+        assert_page_is_there(&console, "500 connections, while they are open");
+        assert!(
+            began.elapsed() < Duration::from_secs(10),
+            "{:?}",
+            began.elapsed()
+        );
+        let open = fs::read_dir(format!("/proc/{}/fd", console.child.id())).unwrap();
+        let open = open.count();
+        assert!(open < 100, "{open} files are open");
+        drop(held);
+        assert_page_is_there(&console, "500 connections");
+    }
+}
+
+#[test]
+fn streams_are_bounded_and_one_that_stalls_holds_nobody_up() {
+    let folder = workplace();
+    let console = start(folder.path());
+    // Nobody reads any of them.
+    let mut streams: Vec<_> = (0..30).map(|n| console.events(&format!("v{n}"))).collect();
+    let statuses: Vec<_> = streams.iter_mut().map(|stream| stream.status()).collect();
+    let served = statuses.iter().filter(|s| s.contains(" 200 ")).count();
+    let refused = statuses.iter().filter(|s| s.contains(" 503 ")).count();
+    assert_eq!((served, refused), (24, 6), "{statuses:?}");
+    for n in 0..100 {
+        let answer = console.post("a", "/api/control/take", &json!({}));
+        assert_eq!(answer.status, 200, "{n}");
+    }
+    assert_page_is_there(&console, "streams that nobody reads");
+    // A viewer that comes again replaces its own stream; one that leaves makes room.
+    let mut again = console.events("v0");
+    assert!(again.status().contains(" 200 "));
+    again.wait_for("console", |console| console["viewers"] == 24);
+    streams.truncate(20);
+    again.wait_for("console", |console| console["viewers"].as_u64() < Some(24));
+    assert!(console.events("w").status().contains(" 200 "));
+}
+
+#[test]
+fn one_viewer_controls_and_anyone_can_stop() {
+    let folder = workplace();
+    let console = start(folder.path());
+    let start = |viewer| {
+        console
+            .post(viewer, "/api/capture/pause", &json!({}))
+            .status
+    };
+    // The first action takes control, although there is nothing to pause.
+    assert_eq!(start("a"), 409);
+    let mut events = console.events("b");
+    events.wait_for("control", |control| control["viewer"] == "a");
+    let refused = console.post("b", "/api/capture/start", &json!({"lights": "1"}));
+    assert_eq!(refused.status, 409);
+    assert_eq!(refused.json()["error"], "another page controls the bench");
+    assert_eq!(
+        console.post("b", "/api/capture/stop", &json!({})).status,
+        202
+    );
+    let ping =
+        |viewer| console.post(viewer, "/api/control/ping", &json!({})).json()["controls"].clone();
+    assert_eq!((ping("a"), ping("b")), (json!(true), json!(false)));
+    console.post("b", "/api/control/take", &json!({}));
+    events.wait_for("control", |control| control["viewer"] == "b");
+    assert_eq!((ping("a"), ping("b")), (json!(false), json!(true)));
+    console.post("b", "/api/control/release", &json!({}));
+    events.wait_for("control", |control| control["viewer"].is_null());
+}
+
+#[test]
+fn without_listen_no_other_address_reaches_it() {
+    let folder = workplace();
+    let console = start(folder.path());
+    let reach = |ip: Ipv4Addr| {
+        let address = SocketAddr::from((ip, console.port));
+        TcpStream::connect_timeout(&address, Duration::from_secs(5))
+    };
+    assert!(reach(Ipv4Addr::LOCALHOST).is_ok());
+    assert!(reach(Ipv4Addr::new(127, 0, 0, 2)).is_err());
+    // This machine's own address, where it has one.
+    let socket = UdpSocket::bind("0.0.0.0:0").unwrap();
+    if socket.connect("192.0.2.1:9").is_ok()
+        && let SocketAddr::V4(own) = socket.local_addr().unwrap()
+        && !own.ip().is_loopback()
+    {
+        assert!(reach(*own.ip()).is_err(), "{own}");
+    }
+}
+
+#[test]
+fn with_listen_others_reach_it_by_address_and_are_warned_of() {
+    let folder = workplace();
+    let arguments = [
+        "console",
+        "--rig",
+        "simulated",
+        "--listen",
+        "0.0.0.0",
+        "--host-name",
+        "bench.lab",
+    ];
+    let console = Console::start(folder.path(), &arguments);
+    assert!(console.stderr().contains("the connection is not encrypted"));
+    let host = |host: &str| {
+        let request = format!("GET /{{T}}/ HTTP/1.1\r\nHost: {host}\r\n\r\n");
+        console.exchange(console.filled(&request).as_bytes()).status
+    };
+    assert_eq!((host("{H}"), host("bench.lab")), (200, 200));
+    assert_eq!((host("evil.example"), host("10.0.0.1:1")), (403, 403));
+    // The page behind a TLS proxy, which passes its own name on.
+    let proxied = |origin: &str| {
+        let head = format!("{}Origin: {origin}\r\n", ACTION.replace("{H}", "bench.lab"));
+        let (_, request, _) = with("", "/api/control/ping", &head, "{}", &[]);
+        let request = String::from_utf8(request).unwrap();
+        console.exchange(console.filled(&request).as_bytes()).status
+    };
+    assert_eq!(
+        (
+            proxied("https://bench.lab"),
+            proxied("https://evil.example")
+        ),
+        (200, 403)
+    );
+}
+
+#[test]
+fn without_a_job_a_signal_ends_it_at_once() {
+    for (signal, code) in [(Signal::INT, 130), (Signal::TERM, 143), (Signal::HUP, 129)] {
+        let folder = workplace();
+        let mut console = start(folder.path());
+        let _looks_on: Answer = console.get("/");
+        let _stream = console.events("a");
+        let began = Instant::now();
+        console.send(signal);
+        assert_eq!(console.wait(), Some(code), "{}", console.stderr());
+        assert!(began.elapsed() < Duration::from_secs(10));
+        assert!(!console.stderr().contains("error:"), "{}", console.stderr());
+    }
+}
+
+#[test]
+fn an_address_that_is_taken_or_elsewhere_is_refused() {
+    let folder = workplace();
+    let console = start(folder.path());
+    let port = console.port.to_string();
+    let hint = "choose another --port, or 0 for a free one";
+    for (arguments, fact) in [
+        (["--port", port.as_str()], "Address already in use"),
+        (["--listen", "203.0.113.7"], "203.0.113.7:0: "),
+    ] {
+        let all = [&["console", "--rig", "simulated"], &arguments[..]].concat();
+        let output = command_support::run(folder.path(), &all);
+        command_support::assert_fails(&output, 1, fact, hint);
+    }
+    let output = command_support::run(
+        folder.path(),
+        &["console", "--listen", "127.0.0.1:1", "--port", "2"],
+    );
+    command_support::assert_fails(
+        &output,
+        1,
+        "--listen names port 1 and --port 2",
+        "give the port once",
+    );
+}
