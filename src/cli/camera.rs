@@ -11,8 +11,9 @@ use super::output::{write_json, write_path};
 use super::rig_choice::RigArg;
 use super::{camera_preview, hints, open};
 use crate::capture::open::{OpenOptions, open_camera_for_a_look, open_devices};
-use crate::config::{CameraDriver, RigConfig};
+use crate::config::{CameraDriver, ResolvedRig, RigConfig};
 use crate::device::controls::{ControlInfo, name_of};
+use crate::device::frame_figures::FrameFigures;
 use crate::device::pixel_format::{FORMAT_NAME, fourcc_of_name};
 use crate::device::retake::{Retakes, grab_right};
 use crate::device::{Camera, CameraInfo, CameraSettings, FrameKey, FrameKind, RawFrame, Stated};
@@ -53,7 +54,8 @@ enum Action {
     Controls(Which),
     /// Shows live pictures on a page for this machine alone, to focus and frame
     ///
-    /// stdout's line is the page's address. With --json one frame's figures instead.
+    /// stdout's line is the page's address, whose last part is a secret: whoever has it sees
+    /// the page. With --json one frame's figures instead.
     Preview {
         #[command(flatten)]
         which: Which,
@@ -73,8 +75,8 @@ enum Action {
 }
 
 /// Which camera.
-#[derive(clap::Args, Debug)]
-struct Which {
+#[derive(clap::Args, Debug, Clone)]
+pub(super) struct Which {
     #[command(flatten)]
     rig: RigArg,
     /// A Video4Linux device without a rig file
@@ -145,18 +147,29 @@ pub fn run(args: &CameraArgs, context: &Context) -> Result<(), CliError> {
             port,
             discard,
         } => {
-            let mut camera = which.open(context, true)?;
-            let settings = camera.configure(CameraSettings {
+            let wanted = CameraSettings {
                 exposure: Seconds(exposure_ms * 1e-3),
                 gain: *gain,
-            })?;
+            };
+            let mut camera = which.open(context, true)?;
+            let settings = camera.configure(wanted)?;
             warn_of_other(*exposure_ms, *gain, settings, context);
             if which.json {
-                return camera_preview::measure(&mut *camera, settings, *discard);
+                return measure(&mut *camera, settings, *discard);
             }
-            camera_preview::serve(camera, settings, *port, context)
+            camera_preview::serve(which, camera, wanted, *port, context)
         }
     }
+}
+
+/// One frame's figures as JSON on stdout.
+fn measure(
+    camera: &mut dyn Camera,
+    settings: CameraSettings,
+    discard: u32,
+) -> Result<(), CliError> {
+    let frame = grab(camera, discard, &mut Retakes::default())?;
+    write_json(&FrameFigures::of(&frame, camera.info(), settings))
 }
 
 /// Says where the camera applies other settings than were requested, beyond its steps.
@@ -321,8 +334,20 @@ fn report(
 }
 
 impl Which {
+    /// The rig whose camera it is; `None` for a device without one.
+    pub(super) fn resolved(&self, context: &Context) -> Result<Option<ResolvedRig>, CliError> {
+        match self.device {
+            Some(_) => Ok(None),
+            None => self.rig.resolve(context).map(Some),
+        }
+    }
+
     /// With `preview` also in a format that is good for nothing else.
-    fn open(&self, context: &Context, preview: bool) -> Result<Box<dyn Camera>, CliError> {
+    pub(super) fn open(
+        &self,
+        context: &Context,
+        preview: bool,
+    ) -> Result<Box<dyn Camera>, CliError> {
         if let Some(device) = &self.device {
             return open_device(device, self.format, preview);
         }
