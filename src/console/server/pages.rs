@@ -79,6 +79,10 @@ mod tests {
         let mut served: Vec<_> = FILES.iter().map(|(name, _)| (*name).to_owned()).collect();
         served.sort();
         assert_eq!(served, there);
-        assert!(served.iter().all(|name| !kind(name).starts_with("application/")));
+        assert!(
+            served
+                .iter()
+                .all(|name| !kind(name).starts_with("application/"))
+        );
     }
 }
