@@ -1,10 +1,14 @@
 //! `rig camera` as a command: figures, the preview's page, and cameras that are
 //! programs or folders.
 
+#[cfg(feature = "console")]
 use std::io::{BufRead, BufReader, Read, Write};
+#[cfg(feature = "console")]
 use std::net::TcpStream;
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::Command;
+#[cfg(feature = "console")]
+use std::process::{Child, Stdio};
 
 use image::{ImageBuffer, Luma};
 use serde_json::Value;
@@ -79,8 +83,10 @@ fn one_measurement_as_json() {
 }
 
 /// Ends the program whatever happens to the test.
+#[cfg(feature = "console")]
 struct Preview(Child);
 
+#[cfg(feature = "console")]
 impl Drop for Preview {
     fn drop(&mut self) {
         let _ = self.0.kill();
@@ -88,19 +94,23 @@ impl Drop for Preview {
     }
 }
 
+#[cfg(feature = "console")]
 fn get(address: &str, path: &str) -> (String, Vec<u8>) {
-    let mut client = TcpStream::connect(address).unwrap();
-    write!(client, "GET {path} HTTP/1.1\r\nHost: {address}\r\n\r\n").unwrap();
+    let (host, token) = address.split_once('/').unwrap();
+    let token = token.trim_end_matches('/');
+    let mut client = TcpStream::connect(host).unwrap();
+    let request =
+        format!("GET /{token}{path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n");
+    client.write_all(request.as_bytes()).unwrap();
     let mut bytes = Vec::new();
     client.read_to_end(&mut bytes).unwrap();
-    let end = bytes
-        .windows(4)
-        .position(|four| four == b"\r\n\r\n")
-        .unwrap();
+    let end = bytes.windows(4).position(|four| four == b"\r\n\r\n");
+    let end = end.unwrap();
     let head = String::from_utf8_lossy(&bytes[..end]).into_owned();
     (head, bytes.split_off(end + 4))
 }
 
+#[cfg(feature = "console")]
 #[test]
 fn the_preview_is_a_page_with_picture_and_figures() {
     let folder = tempfile::tempdir().unwrap();
@@ -117,37 +127,52 @@ fn the_preview_is_a_page_with_picture_and_figures() {
     BufReader::new(child.stdout.take().unwrap())
         .read_line(&mut line)
         .unwrap();
-    let _preview = Preview(child);
-    let address = line
-        .trim()
-        .strip_prefix("http://")
-        .unwrap()
-        .trim_end_matches('/');
+    let mut preview = Preview(child);
+    let address = line.trim().strip_prefix("http://").unwrap();
     assert!(address.starts_with("127.0.0.1:"), "{address}");
     let deadline = std::time::Instant::now() + std::time::Duration::from_secs(60);
-    let (head, picture) = loop {
-        let (head, picture) = get(address, "/frame.png");
-        if head.starts_with("HTTP/1.1 200") || std::time::Instant::now() > deadline {
-            break (head, picture);
+    let picture = loop {
+        let (head, picture) = get(address, "/api/live.jpg");
+        if head.starts_with("HTTP/1.1 200") {
+            assert!(head.contains("image/jpeg"), "{head}");
+            break picture;
         }
+        assert!(head.starts_with("HTTP/1.1 204"), "{head}");
+        assert!(std::time::Instant::now() < deadline, "no picture");
         std::thread::sleep(std::time::Duration::from_millis(20));
     };
-    assert!(head.contains("image/png"), "{head}");
     let picture = image::load_from_memory(&picture).unwrap().to_rgb8();
     assert_eq!(picture.dimensions(), (6, 4));
-    // White or red, the saturated pixel; grey by the square root, the others.
-    assert_eq!(picture.get_pixel(0, 0).0, [255; 3]);
-    let grey = (255.0 * f64::sqrt(800.0 / 4095.0)).round() as u8;
-    assert_eq!(picture.get_pixel(1, 0).0, [grey; 3]);
-    let figures: Value = serde_json::from_slice(&get(address, "/figures.json").1).unwrap();
-    assert_eq!(
-        (
-            figures["width"].as_u64(),
-            figures["clipped_pixels"].as_u64()
-        ),
-        (Some(6), Some(1))
-    );
+    // The page is there for whoever has the token, and the sample's outline goes with it.
     assert!(get(address, "/").1.starts_with(b"<!doctype html>"));
+    let outline: Value = serde_json::from_slice(&get(address, "/api/outline").1).unwrap();
+    assert_eq!(
+        (outline["width"].as_u64(), outline["height"].as_u64()),
+        (Some(6), Some(4))
+    );
+    let (host, _) = address.split_once('/').unwrap();
+    assert!(
+        get(&format!("{host}/guessed/"), "/")
+            .0
+            .starts_with("HTTP/1.1 404")
+    );
+    // There is no stage, and no folder of sessions.
+    assert!(get(address, "/api/sessions").0.starts_with("HTTP/1.1 404"));
+
+    // Ctrl-C ends it.
+    let pid = rustix::process::Pid::from_child(&preview.0);
+    rustix::process::kill_process(pid, rustix::process::Signal::INT).unwrap();
+    assert_eq!(preview.0.wait().unwrap().code(), Some(130));
+}
+
+#[cfg(not(feature = "console"))]
+#[test]
+fn without_the_console_there_is_no_page() {
+    let folder = tempfile::tempdir().unwrap();
+    rig_file(folder.path(), PROGRAM);
+    let (code, _, stderr) = rig(&["camera", "preview"], folder.path());
+    assert_eq!(code, 1);
+    assert!(stderr.contains("built without the console"), "{stderr}");
 }
 
 #[test]

@@ -62,6 +62,10 @@ const ELSEWHERE: &[(&str, &str)] = &[
     ),
     ("its file system is not mounted `noexec`", "a mount"),
     (
+        "the stage may still move, and its lamp be lit",
+        "a stop that a stage does not confirm, with the console's unit tests",
+    ),
+    (
         "correct camera.resolution_px in the rig file",
         "a camera with frames of another size",
     ),

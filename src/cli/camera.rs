@@ -11,8 +11,9 @@ use super::output::{write_json, write_path};
 use super::rig_choice::RigArg;
 use super::{camera_preview, hints, open};
 use crate::capture::open::{OpenOptions, open_camera_for_a_look, open_devices};
-use crate::config::{CameraDriver, RigConfig};
+use crate::config::{CameraDriver, ResolvedRig, RigConfig};
 use crate::device::controls::{ControlInfo, name_of};
+use crate::device::frame_figures::FrameFigures;
 use crate::device::pixel_format::{FORMAT_NAME, fourcc_of_name};
 use crate::device::retake::{Retakes, grab_right};
 use crate::device::{Camera, CameraInfo, CameraSettings, FrameKey, FrameKind, RawFrame, Stated};
@@ -53,7 +54,8 @@ enum Action {
     Controls(Which),
     /// Shows live pictures on a page for this machine alone, to focus and frame
     ///
-    /// stdout's line is the page's address. With --json one frame's figures instead.
+    /// stdout's line is the page's address, whose last part is a secret: whoever has it sees
+    /// the page. With --json one frame's figures instead.
     Preview {
         #[command(flatten)]
         which: Which,
@@ -73,7 +75,7 @@ enum Action {
 }
 
 /// Which camera.
-#[derive(clap::Args, Debug)]
+#[derive(clap::Args, Debug, Clone)]
 struct Which {
     #[command(flatten)]
     rig: RigArg,
@@ -145,18 +147,36 @@ pub fn run(args: &CameraArgs, context: &Context) -> Result<(), CliError> {
             port,
             discard,
         } => {
-            let mut camera = which.open(context, true)?;
-            let settings = camera.configure(CameraSettings {
+            let wanted = CameraSettings {
                 exposure: Seconds(exposure_ms * 1e-3),
                 gain: *gain,
-            })?;
+            };
+            let mut camera = which.open(context, true)?;
+            let settings = camera.configure(wanted)?;
             warn_of_other(*exposure_ms, *gain, settings, context);
             if which.json {
-                return camera_preview::measure(&mut *camera, settings, *discard);
+                return measure(&mut *camera, settings, *discard);
             }
-            camera_preview::serve(camera, settings, *port, context)
+            let (of, quiet) = (which.clone(), context.clone());
+            let shown = camera_preview::Shown {
+                camera,
+                reopen: Box::new(move || of.open(&quiet, true)),
+                rig: which.resolved(context)?,
+                settings: wanted,
+            };
+            camera_preview::serve(shown, *port, context)
         }
     }
+}
+
+/// One frame's figures as JSON on stdout.
+fn measure(
+    camera: &mut dyn Camera,
+    settings: CameraSettings,
+    discard: u32,
+) -> Result<(), CliError> {
+    let frame = grab(camera, discard, &mut Retakes::default())?;
+    write_json(&FrameFigures::of(&frame, camera.info(), settings))
 }
 
 /// Says where the camera applies other settings than were requested, beyond its steps.
@@ -321,6 +341,14 @@ fn report(
 }
 
 impl Which {
+    /// The rig whose camera it is; `None` for a device without one.
+    fn resolved(&self, context: &Context) -> Result<Option<ResolvedRig>, CliError> {
+        match self.device {
+            Some(_) => Ok(None),
+            None => self.rig.resolve(context).map(Some),
+        }
+    }
+
     /// With `preview` also in a format that is good for nothing else.
     fn open(&self, context: &Context, preview: bool) -> Result<Box<dyn Camera>, CliError> {
         if let Some(device) = &self.device {

@@ -63,6 +63,8 @@ type Advice = fn(&(dyn Error + 'static)) -> Option<String>;
 const ADVICE: &[Advice] = &[
     |error| of_type(error, for_workflow),
     |error| of_type(error, for_device),
+    #[cfg(feature = "console")]
+    |error| of_type(error, for_unstopped),
     |error| of_type(error, for_config),
     |error| of_type(error, for_record),
     |error| of_type(error, for_session),
@@ -92,6 +94,12 @@ fn of_type<E: Error + 'static, A: Into<Option<String>>>(
     advise: impl Fn(&E) -> A,
 ) -> Option<String> {
     advise(error.downcast_ref()?).into()
+}
+
+/// The error is of a device, and its own advice would be the wrong one.
+#[cfg(feature = "console")]
+fn for_unstopped(_: &crate::console::bench::Unstopped) -> String {
+    "use the emergency stop: the stage may still move, and its lamp be lit".to_owned()
 }
 
 const EXPLAINED: &str =

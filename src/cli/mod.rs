@@ -6,6 +6,8 @@
 //! `pub mod` line and one line in `commands!` below.
 
 pub mod bench;
+#[cfg(feature = "console")]
+mod bench_ports;
 mod bracket_files;
 pub mod brdf;
 pub mod calibrate;
@@ -44,7 +46,6 @@ pub mod open;
 mod operator;
 pub mod output;
 mod preflight;
-mod preview_server;
 pub mod progress;
 pub mod render;
 mod repeatability;

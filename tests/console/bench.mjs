@@ -95,10 +95,24 @@ export async function openPage(browser, address, view = "", size = LAPTOP) {
     // Answers with a status above 400 are what some tests provoke.
     if (message.type() === "error" && !message.text().includes("status of 4")) page.complaints.push(message.text());
   });
+  if (process.env.PAGE_FROM_SOURCE) await serveFromSource(page, address);
   await page.setViewport(size);
   await page.goto(address + view, { waitUntil: "load" });
   await until(page, "the page is live", () => document.querySelector("#link").dataset.kind === "live");
   return page;
+}
+
+/** Answers requests for the page's own files from the source tree, so that work on them needs no build. */
+async function serveFromSource(page, address) {
+  const kinds = { ".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml" };
+  await page.setRequestInterception(true);
+  page.on("request", async (request) => {
+    const name = request.url().startsWith(address) ? request.url().slice(address.length).split(/[?#]/)[0] || "index.html" : "";
+    const kind = name.includes("/") ? undefined : kinds[path.extname(name)];
+    if (!kind) return request.continue();
+    const body = await readFile(path.join(ROOT, "src/console/page", name));
+    request.respond({ contentType: kind, body });
+  });
 }
 
 /** Waits until this is true in the page. Puppeteer's own function needs `eval`, which the page forbids. */

@@ -83,7 +83,7 @@ test("the stage is moved and lit by the page", async () => {
   await (await button("Home")).evaluate((element) => element.click());
   await enabled("Move");
   // The hemisphere by the keyboard: from its first aim, azimuth 0° and elevation 60°, 5° up.
-  await page.focus("#view-bench .hemisphere");
+  await page.$eval("#view-bench .hemisphere", (map) => map.focus());
   await page.keyboard.press("ArrowUp");
   await page.keyboard.press("Enter");
   await until(page, "the stage has moved", () => document.querySelector("#view-bench .facts dd")?.textContent.includes("elevation 65°") || [...document.querySelectorAll("#view-bench dd")].some((one) => one.textContent === "azimuth 0°, elevation 65°"));

@@ -26,7 +26,7 @@ try {
   const enabled = (text) => until(page, `${text} can be pressed`, (wanted) => [...document.querySelectorAll("#view-bench button")].some((one) => one.textContent === wanted && !one.disabled), text);
   await click("Home");
   await enabled("Move");
-  await page.focus("#view-bench .hemisphere");
+  await page.$eval("#view-bench .hemisphere", (map) => map.focus());
   for (const key of ["ArrowLeft", "ArrowLeft", "ArrowLeft", "ArrowLeft", "ArrowLeft", "ArrowLeft", "Enter"]) await page.keyboard.press(key);
   await until(page, "the stage moves", () => document.querySelector("#view-bench").innerText.includes("azimuth 30°, elevation 60°"));
   await enabled("green");

@@ -199,7 +199,7 @@ impl Bench {
 
     fn send(&self, command: Command) {
         // A thread that has ended holds nothing that could obey.
-        drop(lock(&self.commands).send(command));
+        let _ = lock(&self.commands).send(command);
     }
 
     fn act(&self, action: Action, busy: Busy) -> Result<(), Fault> {

@@ -9,8 +9,10 @@ use super::served::{FileError, Served, Shown};
 use crate::console::beneath;
 use crate::session::layout::{FITS_FOLDER, REPORT_FILE};
 
-/// The folder of a session's exports.
+/// Under which a page finds the exports of a session.
 pub const EXPORTS_FOLDER: &str = "exports";
+/// Where they are, next to the sessions: a folder for each.
+pub const EXPORTS_ROOT: &str = ".exports";
 /// A MERL table has 35 MB, a spectral one up to some 100 MB.
 const LARGEST_FILE_BYTES: u64 = 512 << 20;
 
@@ -78,7 +80,10 @@ impl Catalogue {
         row::check_name(session)?;
         match allowed(file).ok_or_else(not_shown)? {
             Allowed::File(kind, shown) => {
-                let path = row::path(session, file);
+                let path = match file.strip_prefix(EXPORTS_FOLDER) {
+                    Some(export) => format!("{EXPORTS_ROOT}/{session}{export}"),
+                    None => row::path(session, file),
+                };
                 let bytes = beneath::read(self.folder(), &path, LARGEST_FILE_BYTES)?;
                 Ok(Served {
                     kind,

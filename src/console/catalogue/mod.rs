@@ -6,8 +6,9 @@
 //! - [`detail`]: everything that a page shows of one session;
 //! - [`files`]: which files of a session may be read; [`served`]: what a page gets;
 //! - [`pictures`]: images of a session as PNG;
-//! - [`routes()`]: the addresses.
+//! - [`routes()`] and [`action_routes`]: the addresses.
 
+mod actions;
 pub mod detail;
 pub mod files;
 mod list;
@@ -18,5 +19,6 @@ pub mod served;
 #[cfg(test)]
 mod tests;
 
+pub use actions::action_routes;
 pub use list::Catalogue;
 pub use routes::routes;

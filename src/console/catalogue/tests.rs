@@ -199,10 +199,11 @@ fn nothing_outside_the_folder_and_nothing_by_a_link_is_read() {
     let name = fitted_session(&folder);
     let other = fitted_session(&outside.path().join("others"));
     std::fs::write(outside.path().join("report.html"), "secret").unwrap();
-    std::fs::create_dir_all(folder.join(&name).join("exports")).unwrap();
-    std::fs::write(folder.join(&name).join("exports/brdf.json"), "{}").unwrap();
+    let exports = folder.join(files::EXPORTS_ROOT).join(&name);
+    std::fs::create_dir_all(&exports).unwrap();
+    std::fs::write(exports.join("brdf.json"), "{}").unwrap();
     let secret = outside.path().join("report.html");
-    symlink(&secret, folder.join(&name).join("exports/x.json")).unwrap();
+    symlink(&secret, exports.join("x.json")).unwrap();
     symlink(
         outside.path().join("others").join(&other),
         folder.join("link"),

@@ -7,6 +7,8 @@ import { announce, complain } from "./notices.js";
 import { link, state, watch } from "./stream.js";
 
 const PING_MS = 5000;
+/** A page that controls and was silent for longer is replaced by whoever acts. */
+const SILENT_S = 30;
 
 /** True where this page controls the bench. */
 export function controls() {
@@ -18,14 +20,23 @@ export function blocked() {
   const { kind } = link();
   if (kind === "connecting") return "There is no connection to the console.";
   const holder = state.control?.viewer ?? null;
-  if (holder !== null && holder !== viewer()) return "Another page controls the bench. Press “Take control” to use it from here.";
+  if (holder !== null && holder !== viewer() && !silent()) return "Another page controls the bench. Press “Take control” to use it from here.";
   return null;
+}
+
+/** True where the page that controls has fallen silent. */
+function silent() {
+  return (state.control?.age_s ?? 0) > SILENT_S;
 }
 
 /** True while a capture is running or paused, so that the bench belongs to it. */
 export function capturing() {
-  const job = state.job;
-  return job?.kind === "capture" && ["running", "paused", "ending"].includes(job.state);
+  return state.job?.kind === "capture" && working();
+}
+
+/** True while any job is under way. */
+function working() {
+  return ["running", "paused", "ending"].includes(state.job?.state);
 }
 
 /** Runs an action and shows what it failed with. Returns null then. */
@@ -43,7 +54,7 @@ async function stop() {
   button.classList.add("pressed");
   announce("STOP sent");
   const requests = [act("api/bench/stop")];
-  if (capturing()) requests.push(act("api/capture/stop"));
+  if (working()) requests.push(act("api/capture/stop"));
   const outcomes = await Promise.allSettled(requests);
   const failed = outcomes.find((outcome) => outcome.status === "rejected");
   // Which of the two had something to stop doesn't matter; that neither did must be shown.
@@ -78,7 +89,7 @@ function showControl() {
   const viewers = state.console?.viewers ?? 1;
   const others = viewers > 1 ? ` · ${viewers} pages open` : "";
   const mine = holder !== null && holder === viewer();
-  const text = mine ? "This page controls" : holder === null ? "Nobody controls" : "Another page controls";
+  const text = mine ? "This page controls" : holder === null ? "Nobody controls" : silent() ? `Another page controls, silent for ${span(state.control.age_s)}` : "Another page controls";
   say(by("control-text"), text + others);
   by("control").dataset.mine = mine ? "yes" : "no";
   const take = by("take");

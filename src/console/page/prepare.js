@@ -123,12 +123,12 @@ function captureForm() {
     );
     listed.hidden = choice() !== "listed";
     clearTimeout(timer);
-    timer = setTimeout(() => ask_plan(false), WAIT_MS);
+    timer = setTimeout(() => askPlan(false), WAIT_MS);
     say(command, composed(body()));
     show();
   }
 
-  async function ask_plan(wanted) {
+  async function askPlan(wanted) {
     request?.abort();
     request = null;
     if (incomplete()) return say(status, "");
@@ -164,7 +164,7 @@ function captureForm() {
   }
 
   form.addEventListener("input", changed);
-  dry.addEventListener("click", () => ask_plan(true));
+  dry.addEventListener("click", () => askPlan(true));
   form.addEventListener("submit", async (event) => {
     event.preventDefault();
     gate(start, "Starting …");
@@ -173,7 +173,7 @@ function captureForm() {
   });
   watch(["console", "control", "job", "link"], show);
   changed();
-  return { element, planElement, plan: ask_plan, show };
+  return { element, planElement, plan: askPlan, show };
 }
 
 /** The angle between two directions, degrees. */

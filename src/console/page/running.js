@@ -69,7 +69,7 @@ function progressPanel(onleave) {
   const why = h("p", { class: "why" });
   const command = (label, address, about = {}) => h("button", { type: "button", ...about, onclick: () => attempt(`api/capture/${address}`) }, label);
   const pause = command("Pause", "pause", { id: "pause" });
-  const go_on = command("Continue", "continue", { id: "continue", class: "primary" });
+  const goOn = command("Continue", "continue", { id: "continue", class: "primary" });
   const finish = command("Stop after this frame", "finish", { id: "finish" });
   const halt = command("STOP now", "stop", { id: "stop-now", class: "danger" });
   const resume = h("button", { type: "button", id: "resume", class: "primary" }, "Resume");
@@ -77,7 +77,7 @@ function progressPanel(onleave) {
   const open = h("a", { class: "button primary", id: "open-session" }, "Open the session");
   const next = h("button", { type: "button", id: "next", onclick: onleave }, "New capture");
   const error = h("p", { class: "error", role: "alert" });
-  const element = h("section", { class: "panel" }, title, doing, verdict, h("div", { class: "progress-row" }, bar, share), list, h("div", { class: "row" }, pause, go_on, finish, halt, resume, open, next), why, error);
+  const element = h("section", { class: "panel" }, title, doing, verdict, h("div", { class: "progress-row" }, bar, share), list, h("div", { class: "row" }, pause, goOn, finish, halt, resume, open, next), why, error);
 
   let lastState = null;
   function show(capture, job) {
@@ -101,19 +101,19 @@ function progressPanel(onleave) {
     say(share, Number.isFinite(done) ? `${Math.floor(100 * done)} %` : "");
     const ended = !running;
     const focused = document.activeElement;
-    for (const control of [pause, go_on, finish, halt]) control.hidden = ended;
+    for (const control of [pause, goOn, finish, halt]) control.hidden = ended;
     pause.hidden ||= paused;
-    go_on.hidden ||= !paused;
+    goOn.hidden ||= !paused;
     resume.hidden = !(ended && capture && ["interrupted", "failed"].includes(capture.state) && name);
     open.hidden = !(ended && name);
     next.hidden = !ended;
     // Whoever pressed a button that is gone stands on the next one.
-    const buttons = [pause, go_on, finish, halt, open, resume, next];
+    const buttons = [pause, goOn, finish, halt, open, resume, next];
     if (buttons.includes(focused) && focused.hidden) buttons.find((button) => !button.hidden)?.focus();
     if (name) open.setAttribute("href", `#sessions/${encodeURIComponent(name)}`);
     const reason = blocked();
     gate(pause, reason ?? (job?.state === "ending" ? "The capture is ending." : null));
-    gate(go_on, reason);
+    gate(goOn, reason);
     gate(finish, reason ?? (job?.state === "ending" ? "The capture is ending." : null));
     gate(resume, reason);
     say(why, reason ? `${reason} STOP works from every page.` : "");

@@ -30,6 +30,13 @@ export function startSessions(view) {
     else one.load(first);
   }
   watch(["sessions"], show);
+  // A job that has ended has left a fit, an export or a session.
+  let working = null;
+  watch(["job"], () => {
+    const before = working;
+    working = state.job?.state ?? null;
+    if (before !== null && before !== working && !["running", "paused", "ending"].includes(working)) show();
+  });
   return (on, rest) => {
     shown = on;
     if (on) path = rest;

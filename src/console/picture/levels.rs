@@ -4,7 +4,7 @@ use serde::Serialize;
 
 use crate::calibration::record::SensorValues;
 use crate::calibration::{Library, Loaded};
-use crate::config::ResolvedRig;
+use crate::config::{CameraConfig, ResolvedRig};
 
 /// Gains that differ by less, relatively, are one.
 const SAME_GAIN: f64 = 1e-3;
@@ -25,7 +25,7 @@ pub struct SensorLevels {
 pub struct SensorRecords {
     library: Library,
     named: Option<String>,
-    serial: String,
+    camera: CameraConfig,
 }
 
 impl SensorRecords {
@@ -34,7 +34,7 @@ impl SensorRecords {
         Self {
             library: Library::of_rig(rig),
             named: rig.config.calibration.sensor.clone(),
-            serial: rig.config.camera.serial.clone().unwrap_or_default(),
+            camera: rig.config.camera.clone(),
         }
     }
 
@@ -51,9 +51,14 @@ impl SensorRecords {
     }
 
     fn belongs(&self, loaded: &Loaded<SensorValues>, gain: f64) -> bool {
-        let record = &loaded.record;
-        let own = record.settings.gain;
-        record.device_serial == self.serial
+        let own = loaded.record.settings.gain;
+        let serial = self.camera.serial.as_deref().unwrap_or_default();
+        // The gain is that of the live picture, which may not be the rig file's.
+        let camera = CameraConfig {
+            gain: own.unwrap_or(gain),
+            ..self.camera.clone()
+        };
+        loaded.check_camera(serial, &camera).is_ok()
             && own.is_none_or(|own| (own - gain).abs() <= SAME_GAIN * own)
     }
 }
