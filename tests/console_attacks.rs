@@ -600,10 +600,7 @@ fn every_attack_is_refused_and_the_page_is_there_afterwards() {
 
     // Nothing secret is in the log, however much is logged.
     let log = console.stderr();
-    assert!(
-        log.contains("TRACE") || log.contains("DEBUG") || !log.is_empty(),
-        "{log}"
-    );
+    assert!(log.contains("Ctrl-C ends the console"), "{log}");
     assert!(!log.contains(&console.token[..20]), "{log}");
     assert!(!log.contains("internal error"), "{log}");
 }

@@ -391,8 +391,8 @@ pub(super) fn show_address(address: &str, context: &Context) -> Result<(), CliEr
     Ok(())
 }
 
-/// Black on white whatever the terminal's colours, as phones read it; `None` where the
-/// terminal is too narrow.
+/// Black on white whatever the terminal's colours, as phones read it: light modules are
+/// white blocks, dark ones the black background. `None` where the terminal is too narrow.
 fn qr_code(address: &str) -> Option<String> {
     let code = QrCode::new(address).ok()?;
     let picture = code
@@ -409,7 +409,7 @@ fn qr_code(address: &str) -> Option<String> {
     let lines = picture.lines();
     Some(
         lines
-            .map(|line| format!("\x1b[30;107m{line}\x1b[0m\n"))
+            .map(|line| format!("\x1b[97;40m{line}\x1b[0m\n"))
             .collect(),
     )
 }
@@ -493,11 +493,17 @@ mod tests {
     #[test]
     fn the_code_is_black_on_white_with_a_margin() {
         let picture = qr_code("http://127.0.0.1:8080/abc/").unwrap();
-        let lines: Vec<_> = picture.lines().collect();
-        assert!(lines.iter().all(|line| line.starts_with("\x1b[30;107m")));
-        let margin = lines[0].trim_start_matches("\x1b[30;107m");
-        assert!(margin.starts_with("    ") && margin.trim_end_matches("\x1b[0m").trim().is_empty());
-        assert!(picture.contains('█') && picture.contains('▀'));
+        let lines: Vec<Vec<char>> = picture
+            .lines()
+            .map(|line| {
+                let line = line.strip_prefix("\x1b[97;40m").unwrap();
+                line.strip_suffix("\x1b[0m").unwrap().chars().collect()
+            })
+            .collect();
+        assert!(lines[0].iter().all(|&c| c == '█'), "the margin is white");
+        // The ring of the first finder pattern is black, its inside white, its core black.
+        let first: String = lines[2][..12].iter().collect();
+        assert_eq!(first, "████ ▄▄▄▄▄ █");
     }
 
     #[test]
