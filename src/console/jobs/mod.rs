@@ -149,6 +149,8 @@ struct Run {
     kind: Option<Kind>,
     process: Option<Arc<Process>>,
     first_stop: Option<Instant>,
+    /// Counts the requests to pause.
+    pauses: u64,
     /// Signals that came before the process was there.
     waiting: Vec<Signal>,
     /// The devices are the job's.
@@ -458,6 +460,7 @@ impl Jobs {
 
     /// Pauses the capture, as Ctrl-Z does: lamp off, stage standing.
     pub fn pause(&self) {
+        locked(&self.0.run).pauses += 1;
         self.send(&[Signal::TSTP]);
     }
 
@@ -488,15 +491,21 @@ impl Jobs {
     }
 
     /// A paused process takes no signal but this; it may be about to suspend itself, so it
-    /// is repeated.
+    /// is repeated, unless another pause is requested meanwhile.
     fn wake(&self) {
         self.send(&[Signal::CONT]);
-        let process = locked(&self.0.run).process.clone();
+        let run = locked(&self.0.run);
+        let (process, pauses) = (run.process.clone(), run.pauses);
+        drop(run);
+        let jobs = self.clone();
         std::thread::spawn(move || {
             for pause_ms in [50, 200, 750] {
                 std::thread::sleep(Duration::from_millis(pause_ms));
-                if let Some(process) = &process {
-                    process.send(&[Signal::CONT]);
+                // Held, so that no pause comes in between.
+                let run = locked(&jobs.0.run);
+                match &process {
+                    Some(process) if run.pauses == pauses => process.send(&[Signal::CONT]),
+                    _ => return,
                 }
             }
         });
