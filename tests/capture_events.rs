@@ -412,6 +412,31 @@ fn a_capture_that_cannot_begin_ends_without_a_session() {
     }
 }
 
+#[cfg(feature = "console")]
+#[test]
+fn options_of_the_console_need_it() {
+    let folder = tempfile::tempdir().unwrap();
+    for arguments in [
+        &["capture", "--lights", "2", "--port", "8080"][..],
+        &["demo", "--listen", "127.0.0.1"],
+    ] {
+        let output = run(folder.path(), arguments);
+        assert_fails(
+            &output,
+            1,
+            "--listen, --port and --host-name are of the console",
+            "add --console, or leave them out",
+        );
+    }
+    for other in ["--events", "--json", "--dry-run"] {
+        let output = run(
+            folder.path(),
+            &["capture", "--lights", "2", "--console", other],
+        );
+        assert_fails(&output, 1, "cannot be used with", "explains the arguments");
+    }
+}
+
 fn capture_in_memory(world: impl FnOnce(&mut bench::World)) -> Vec<CaptureEvent> {
     let folder = tempfile::tempdir().unwrap();
     let disk = Arc::new(UnsyncedDisk);
@@ -429,7 +454,7 @@ fn capture_in_memory(world: impl FnOnce(&mut bench::World)) -> Vec<CaptureEvent>
 /// The library itself: whatever ends a run, the end is the last event, and says why.
 #[test]
 fn the_end_is_the_last_event_and_has_the_reason() {
-    let events = capture_in_memory(|world| world.fail_at_grab = Some(9));
+    let events = capture_in_memory(|world| world.fail_at_grab = Some(25));
     let Some(CaptureEvent::Ended { outcome, error, .. }) = events.last() else {
         panic!("{events:?}");
     };
@@ -440,7 +465,7 @@ fn the_end_is_the_last_event_and_has_the_reason() {
     let ends = |event: &&CaptureEvent| matches!(event, CaptureEvent::Ended { .. });
     assert_eq!(events.iter().filter(ends).count(), 1);
 
-    let events = capture_in_memory(|world| world.pause_at_grab = Some(9));
+    let events = capture_in_memory(|world| world.pause_at_grab = Some(25));
     let at = |wanted| position(&events, wanted);
     assert_eq!(at(&CaptureEvent::Paused) + 1, at(&CaptureEvent::Continued));
     // Every frame that was taken before was reported before.

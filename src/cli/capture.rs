@@ -5,6 +5,8 @@ use std::time::Instant;
 
 use serde_json::json;
 
+#[cfg(feature = "console")]
+use super::capture_console::ConsoleOptions;
 use super::capture_events::EventLines;
 use super::capture_notices::{Terminal, advised};
 use super::capture_progress::Bar;
@@ -21,7 +23,7 @@ use crate::capture::{Outcome, Spent};
 use crate::interrupt::{Interrupt, Signal};
 use crate::out;
 use crate::session::Session;
-use crate::session::layout::QUARANTINE_FOLDER;
+use crate::session::layout::{QUARANTINE_FOLDER, SESSIONS_FOLDER};
 use crate::units::StageAngles;
 use crate::workflow::{FitWork, work_of};
 
@@ -43,7 +45,7 @@ pub struct CaptureArgs {
     #[arg(
         long,
         value_name = "DIR",
-        default_value = SESSIONS,
+        default_value = SESSIONS_FOLDER,
         conflicts_with = "resume"
     )]
     out: PathBuf,
@@ -52,6 +54,7 @@ pub struct CaptureArgs {
     sample: Option<String>,
     /// Prints the plan with its estimates; nothing is opened and nothing moves
     #[arg(long, conflicts_with = "resume")]
+    #[cfg_attr(feature = "console", arg(conflicts_with = "console"))]
     dry_run: bool,
     /// Go on with an interrupted session; plan and configuration are in it
     #[arg(long, value_name = "SESSION", conflicts_with = "rig")]
@@ -61,15 +64,16 @@ pub struct CaptureArgs {
     no_fit: bool,
     /// The plan (with --dry-run) or the result as JSON
     #[arg(long)]
+    #[cfg_attr(feature = "console", arg(conflicts_with = "console"))]
     json: bool,
     /// Each event as a JSON line on stdout, for other programs; a reader that is slow or gone
     /// holds nothing up
     #[arg(long, conflicts_with_all = ["json", "dry_run"])]
     events: bool,
+    #[cfg(feature = "console")]
+    #[command(flatten)]
+    console: ConsoleOptions,
 }
-
-/// Folder of the sessions where `--out` names no other.
-pub(super) const SESSIONS: &str = "sessions";
 
 impl CaptureArgs {
     /// `--rig simulated --lights COUNT --out OUT`, with or without `--events`.
@@ -87,6 +91,8 @@ impl CaptureArgs {
             no_fit: false,
             json: false,
             events,
+            #[cfg(feature = "console")]
+            console: ConsoleOptions::default(),
         }
     }
 }
@@ -125,6 +131,10 @@ fn parse_angles(text: &str) -> Result<StageAngles, String> {
 
 /// `rig capture`.
 pub fn run(args: &CaptureArgs, context: &Context) -> Result<(), CliError> {
+    #[cfg(feature = "console")]
+    if args.console.is_wanted()? {
+        return args.console.run(std::env::args_os().skip(1), context);
+    }
     let lines = args.events.then(EventLines::start).transpose()?;
     let lines = lines.as_ref();
     let begun = match &args.resume {

@@ -5,29 +5,35 @@ use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
 use std::process::ExitStatus;
-use std::sync::mpsc;
+use std::sync::{Arc, mpsc};
+use std::time::Duration;
 
 use qrcode::QrCode;
 use qrcode::render::unicode::Dense1x2;
 use rustix::process::Signal as Sent;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGTSTP};
 
-use super::capture::SESSIONS;
 use super::context::Context;
 use super::error::{CliError, HintExt};
 use super::exit::Exit;
 use super::output::{write_path, write_stderr};
 use super::rig_choice::RigArg;
-use super::{definition, interrupt};
+use super::{bench_ports, definition, interrupt};
 use crate::config::{Origin, ResolvedRig, RigConfig};
+use crate::console::bench::{self, Bench};
+use crate::console::catalogue::{self, Catalogue};
 use crate::console::control::Control;
 use crate::console::facts::{Mode, facts};
+use crate::console::fault::Fault;
+use crate::console::frames;
 use crate::console::hub::Hub;
-use crate::console::jobs::{self, Jobs, Kind, Program, Work};
+use crate::console::jobs::{self, JobError, Jobs, Kind, Program, Work};
+use crate::console::picture::outline_routes;
 use crate::console::server::{ListenOptions, Parts, Running, Server};
 use crate::interrupt::Signal;
 use crate::out;
 use crate::session::Session;
+use crate::session::layout::SESSIONS_FOLDER;
 
 /// The bench in a browser: live picture, capture, progress, results
 ///
@@ -38,7 +44,7 @@ pub struct ConsoleArgs {
     #[command(flatten)]
     rig: RigArg,
     /// Folder of the sessions
-    #[arg(long, value_name = "DIR", default_value = SESSIONS)]
+    #[arg(long, value_name = "DIR", default_value = SESSIONS_FOLDER)]
     out: PathBuf,
     #[command(flatten)]
     listen: ListenArgs,
@@ -90,17 +96,18 @@ fn parse_listen(text: &str) -> Result<(IpAddr, Option<u16>), String> {
         .map_err(|_| "an IP address, e.g. 0.0.0.0 or 192.168.1.5:8080 or [::1]:8080".to_owned())
 }
 
+/// The devices are closed in this time, or the guardian sees to the lamp.
+const CLOSING: Duration = Duration::from_secs(15);
+
 /// `rig console`.
 pub fn run(args: &ConsoleArgs, context: &Context) -> Result<(), CliError> {
     let rig = args.rig.resolve(context)?;
-    let named = name_of(&args.rig, &rig);
-    let bench = Bench {
-        config: rig.config,
-        file: rig.file,
-        named,
+    let subject = Subject {
+        named: name_of(&args.rig, &rig),
+        rig,
         folder: args.out.clone(),
     };
-    let console = Console::start(&bench, &args.listen, context)?;
+    let console = Console::start(&subject, &args.listen, context)?;
     console.stay(None, context)
 }
 
@@ -113,8 +120,8 @@ pub fn run_with_capture(
     listen: &ListenArgs,
     context: &Context,
 ) -> Result<(), CliError> {
-    let bench = Bench::of_capture(&arguments, context)?;
-    let console = Console::start(&bench, listen, context)?;
+    let subject = Subject::of_capture(&arguments, context)?;
+    let console = Console::start(&subject, listen, context)?;
     let events = OsString::from("--events");
     let work = Work {
         hidden: vec![events.clone()],
@@ -128,16 +135,14 @@ pub fn run_with_capture(
 }
 
 /// What a console is about.
-struct Bench {
-    config: RigConfig,
-    /// As messages call its file.
-    file: String,
+struct Subject {
+    rig: ResolvedRig,
     /// As `--rig` takes it.
     named: String,
     folder: PathBuf,
 }
 
-impl Bench {
+impl Subject {
     /// That of a capture with these arguments.
     fn of_capture(arguments: &[OsString], context: &Context) -> Result<Self, CliError> {
         let whole = std::iter::once(OsString::from("rig")).chain(arguments.iter().cloned());
@@ -158,9 +163,8 @@ impl Bench {
             .cloned();
         Ok(Self {
             named: name_of(&rig, &resolved),
-            config: resolved.config,
-            file: resolved.file,
-            folder: folder.unwrap_or_else(|| SESSIONS.into()),
+            rig: resolved,
+            folder: folder.unwrap_or_else(|| SESSIONS_FOLDER.into()),
         })
     }
 
@@ -173,10 +177,14 @@ impl Bench {
         let named = bare.and_then(|name| name.strip_suffix(".toml"));
         let parent = root.parent().filter(|parent| *parent != Path::new(""));
         Ok(Self {
-            config: RigConfig::parse(&file, Path::new(""), &record.config)?,
             named: named.unwrap_or(&file).to_owned(),
             folder: parent.unwrap_or(Path::new(".")).to_owned(),
-            file,
+            rig: ResolvedRig {
+                config: RigConfig::parse(&file, Path::new(""), &record.config)?,
+                origin: Origin::Argument,
+                folder: Path::new(&file).parent().map(Path::to_owned),
+                file,
+            },
         })
     }
 }
@@ -201,32 +209,68 @@ enum Woken {
 /// A console that answers.
 struct Console {
     jobs: Jobs,
+    bench: Bench,
     _server: Running,
+}
+
+impl Drop for Console {
+    /// Lamp off, devices closed.
+    fn drop(&mut self) {
+        self.bench.end(CLOSING);
+    }
 }
 
 impl Console {
     /// Listens, answers, and shows the address.
-    fn start(bench: &Bench, listen: &ListenArgs, context: &Context) -> Result<Self, CliError> {
+    fn start(subject: &Subject, listen: &ListenArgs, context: &Context) -> Result<Self, CliError> {
+        let Subject { rig, named, folder } = subject;
         let options = listen.options()?;
         let server = bind(&options, context)?;
+
+        // The console's parts.
         let hub = Hub::default();
         let control = Control::new(hub.clone());
         let program = Program {
             path: std::env::current_exe()?,
-            rig: bench.named.clone(),
-            folder: bench.folder.clone(),
+            rig: named.clone(),
+            folder: folder.clone(),
         };
         let jobs = Jobs::new(program, hub.clone());
+        let bench = Bench::new(hub.clone(), bench_ports::of_rig(rig, &control))?;
+        let catalogue = Arc::new(Catalogue::new(folder, bench_ports::advisor()));
+
+        // A capture gets the devices that the bench holds.
+        let lender = bench.clone();
+        jobs.lend_devices(Arc::new(move || {
+            let devices = |fault: Fault| JobError::Devices {
+                fact: fault.error,
+                hint: fault.hint,
+            };
+            let loan = lender.lend("a capture", CLOSING).map_err(devices)?;
+            Ok(Box::new(loan) as jobs::Loan)
+        }));
+
+        // The server.
+        let routes = jobs::routes(jobs.clone())
+            .merge(bench::routes(bench.clone()))
+            .merge(frames::routes(&jobs))
+            .merge(outline_routes(
+                Some(rig.config.clone()),
+                bench_ports::advisor(),
+            ))
+            .merge(catalogue::routes(catalogue))
+            .merge(catalogue::action_routes(jobs.clone()));
         let address = server.address();
         let running = server.start(Parts {
             hub,
             control,
-            facts: facts(&bench.config, &bench.file, &bench.folder, Mode::Bench),
-            routes: jobs::routes(jobs.clone()),
+            facts: facts(&rig.config, &rig.file, folder, Mode::Bench),
+            routes,
         })?;
         show_address(&address, context)?;
         Ok(Self {
             jobs,
+            bench,
             _server: running,
         })
     }
@@ -275,7 +319,11 @@ impl Console {
                         break;
                     }
                 }
-                Woken::Signal(SIGTSTP) => interrupt::suspend(),
+                Woken::Signal(SIGTSTP) => {
+                    // The lamp must not stay on while nobody watches over it.
+                    drop(self.bench.lend("nobody: the console is suspended", CLOSING));
+                    interrupt::suspend();
+                }
                 Woken::Signal(number) => {
                     let signal = Signal::from_number(number).unwrap_or(Signal::Terminate);
                     self.jobs.close();

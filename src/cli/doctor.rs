@@ -149,7 +149,7 @@ impl Check {
 fn all_checks(rig: &ResolvedRig) -> Vec<Check> {
     let mut checks = vec![configuration(rig), camera(rig), stage(rig)];
     checks.extend(watchdog(rig));
-    let sessions = Path::new(super::capture::SESSIONS);
+    let sessions = Path::new(crate::session::layout::SESSIONS_FOLDER);
     let place = match sessions.is_dir() {
         true => sessions,
         false => Path::new("."),

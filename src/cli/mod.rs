@@ -14,6 +14,8 @@ pub mod calibrate;
 pub mod camera;
 mod camera_preview;
 pub mod capture;
+#[cfg(feature = "console")]
+mod capture_console;
 mod capture_events;
 mod capture_notices;
 mod capture_progress;

@@ -18,6 +18,8 @@ pub const RAW_FOLDER: &str = "raw";
 pub const CALIBRATION_FOLDER: &str = "calibration";
 /// What can be made again from the raw frames.
 pub const DERIVED_FOLDER: &str = "derived";
+/// Where sessions go unless another folder is named, below the working folder.
+pub const SESSIONS_FOLDER: &str = "sessions";
 /// One numbered folder per fit.
 pub const FITS_FOLDER: &str = "fits";
 /// The report that a person reads.

@@ -8,8 +8,8 @@
 use crate::device::RawFrame;
 use crate::radiometry::mosaic::Mosaic;
 
-/// A step over two pixels counts from so many standard deviations of one pixel's noise on:
-/// six of the difference of two.
+/// What a step over two pixels has beyond the slope around it counts from so many standard
+/// deviations of one pixel's noise on: nearly six of its own.
 const STEP_SIGMAS: f32 = 8.5;
 /// Part of the whole step that must lie within two pixels: that of an edge which a Gaussian
 /// of 1.2 pixels blurs.
@@ -23,7 +23,7 @@ const CLASSES: usize = 32;
 /// Pixels that are looked at for the noise, about.
 const NOISE_SAMPLES: usize = 200_000;
 /// Fewer pixels than this in a class say nothing of its noise.
-const LEAST_IN_CLASS: usize = 50;
+const LEAST_IN_CLASS: usize = 200;
 /// The median of the absolute values of a Gaussian, in standard deviations.
 const MEDIAN_OF_GAUSSIAN: f32 = 0.674_5;
 
@@ -42,11 +42,13 @@ pub fn sharp_blocks(frame: &RawFrame, mosaic: Mosaic, block: usize) -> Vec<bool>
                 let at = y * width + x;
                 let difference = |distance: usize| {
                     let count = |index: usize| f32::from(frame.counts[index]);
-                    (count(at + distance * stride) - count(at - distance * stride)).abs()
+                    count(at + distance * stride) - count(at - distance * stride)
                 };
-                let near = difference(step);
-                if near > STEP_SIGMAS * noise.at(frame.counts[at])
-                    && near >= SHARP_PART * difference(reach)
+                let (near, far) = (difference(step), difference(reach));
+                // What a slope as wide as the whole step has of it is no edge.
+                let excess = (near - far / WIDE as f32).abs();
+                if excess > STEP_SIGMAS * noise.at(frame.counts[at])
+                    && near.abs() >= SHARP_PART * far.abs()
                 {
                     sharp[y / block * columns + x / block] = true;
                 }
