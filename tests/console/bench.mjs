@@ -98,7 +98,7 @@ export async function openPage(browser, address, view = "", size = LAPTOP) {
   if (process.env.PAGE_FROM_SOURCE) await serveFromSource(page, address);
   await page.setViewport(size);
   await page.goto(address + view, { waitUntil: "load" });
-  await until(page, "the page is live", () => document.querySelector("#link").dataset.kind === "live");
+  await until(page, "the page is live", () => document.querySelector("#link").dataset.kind === "live" && document.title !== "rig console");
   return page;
 }
 
@@ -145,10 +145,21 @@ export function untilCapture(page, ...states) {
   return until(page, `the capture is ${states.join(" or ")}`, (wanted) => wanted.includes(document.querySelector(".doing")?.dataset.state), states);
 }
 
-/** Fills the form and starts a capture. */
+/** Closes the pages of a test, so that none holds control in the next one. */
+export async function closePages(browser) {
+  await Promise.all((await browser.pages()).slice(1).map((page) => page.close()));
+}
+
+/** Fills the form and starts a capture; the page takes control and leaves the capture before. */
 export async function startCapture(page, { sample, lights = 1, fit = false }) {
   await page.evaluate(() => (location.hash = "#capture"));
-  await until(page, "the form is there", () => document.querySelector("#sample")?.checkVisibility());
+  if ((await page.$eval("#control", (control) => control.dataset.mine)) === "no") await press(page, "#take");
+  await until(page, "this page controls", () => document.querySelector("#control").dataset.mine === "yes");
+  await until(page, "the form is there", () => {
+    const next = document.querySelector("#next");
+    if (next.checkVisibility()) next.click();
+    return document.querySelector("#sample").checkVisibility();
+  });
   await page.$eval("#sample", (input) => (input.value = ""));
   await page.type("#sample", sample);
   await page.$eval("#lights", (input, value) => (input.value = value), String(lights));

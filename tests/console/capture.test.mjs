@@ -3,14 +3,15 @@
 import assert from "node:assert/strict";
 import { access } from "node:fs/promises";
 import path from "node:path";
-import { after, before, test } from "node:test";
-import { openPage, press, rig, sessionOf, startBrowser, startCapture, startConsole, textOf, until, untilCapture, workplace } from "./bench.mjs";
+import { after, afterEach, before, test } from "node:test";
+import { closePages, openPage, press, rig, sessionOf, startBrowser, startCapture, startConsole, textOf, until, untilCapture, workplace } from "./bench.mjs";
 
 let place, desk, browser;
 before(async () => {
   place = await workplace();
   [desk, browser] = await Promise.all([startConsole(place.folder), startBrowser()]);
 });
+afterEach(() => closePages(browser));
 after(async () => {
   await browser?.close();
   await desk?.stop();
@@ -45,7 +46,6 @@ test("a capture goes from the form to the report", async () => {
 
 test("paused, reloaded and continued, a capture ends whole", async () => {
   const page = await openPage(browser, desk.address, "#capture");
-  await press(page, "#next");
   await startCapture(page, { sample: "paused", lights: 2 });
   await untilCapture(page, "exposing");
   await press(page, "#pause");
@@ -62,8 +62,6 @@ test("paused, reloaded and continued, a capture ends whole", async () => {
 
 test("stopped after a frame, a capture is resumed to its end", async () => {
   const page = await openPage(browser, desk.address, "#capture");
-  await press(page, "#take");
-  await press(page, "#next");
   await startCapture(page, { sample: "finished", lights: 1 });
   await untilCapture(page, "exposing");
   await press(page, "#finish");
@@ -76,8 +74,6 @@ test("stopped after a frame, a capture is resumed to its end", async () => {
 
 test("STOP ends a capture from a page that does not control", async () => {
   const page = await openPage(browser, desk.address, "#capture");
-  await press(page, "#take");
-  await press(page, "#next");
   await startCapture(page, { sample: "stopped", lights: 2 });
   await untilCapture(page, "exposing");
   const other = await openPage(browser, desk.address, "#sessions");

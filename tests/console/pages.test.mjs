@@ -4,8 +4,8 @@
 import assert from "node:assert/strict";
 import { readFile } from "node:fs/promises";
 import { createRequire } from "node:module";
-import { after, before, test } from "node:test";
-import { LAPTOP, PHONE, openPage, press, startBrowser, startConsole, textOf, until, untilCapture, workplace } from "./bench.mjs";
+import { after, afterEach, before, test } from "node:test";
+import { LAPTOP, PHONE, closePages, openPage, press, startBrowser, startConsole, textOf, until, untilCapture, workplace } from "./bench.mjs";
 
 const VIEWS = ["#bench", "#capture", "#sessions", "#setup"];
 const axe = await readFile(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
@@ -15,6 +15,7 @@ before(async () => {
   place = await workplace();
   [desk, browser] = await Promise.all([startConsole(place.folder), startBrowser()]);
 });
+afterEach(() => closePages(browser));
 after(async () => {
   await browser?.close();
   await desk?.stop();
@@ -52,7 +53,6 @@ test("no view has a violation of accessibility, scrolls sideways or hides STOP",
     }
   }
   assert.deepEqual(page.complaints, []);
-  await page.close();
 });
 
 test("of two pages one controls, and the other takes it over", async () => {
@@ -70,7 +70,6 @@ test("of two pages one controls, and the other takes it over", async () => {
   await press(second, "#take");
   await until(first, "nobody controls", () => document.querySelector("#control-text").textContent.startsWith("Nobody controls"));
   assert.deepEqual([...first.complaints, ...second.complaints], []);
-  await Promise.all([first.close(), second.close()]);
 });
 
 test("the stage is moved and lit by the page", async () => {
@@ -93,7 +92,6 @@ test("the stage is moved and lit by the page", async () => {
   await press(page, "#stop");
   await until(page, "STOP has put the lamp out", () => document.querySelector("#view-bench").innerText.includes("Off."));
   assert.deepEqual(page.complaints, []);
-  await page.close();
 });
 
 test("the keyboard alone starts a capture and stops it", async () => {
@@ -117,5 +115,4 @@ test("the keyboard alone starts a capture and stops it", async () => {
   await page.keyboard.press("Enter");
   await untilCapture(page, "interrupted");
   assert.deepEqual(page.complaints, []);
-  await page.close();
 });

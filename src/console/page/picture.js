@@ -4,6 +4,8 @@
 import { h } from "./dom.js";
 
 const GIVE_UP_MS = 10000;
+/** Until the first one is there. */
+const RETRY_MS = 1000;
 
 /**
  * A picture. `address(n)` is where the n-th is; `interval_ms` the least time between two.
@@ -30,7 +32,8 @@ export function picture(alt, address, interval_ms) {
     try {
       number += 1;
       const response = await fetch(address(number), { signal: request.signal, cache: "no-store" });
-      if (response.ok && response.status !== 204) await replace(await response.blob(), response);
+      if (response.status === 204) setTimeout(again, RETRY_MS);
+      else if (response.ok) await replace(await response.blob(), response);
     } catch {
       // The next picture may come; how old this one is stands below it.
     } finally {
@@ -57,15 +60,17 @@ export function picture(alt, address, interval_ms) {
     onshown(Number(response.headers.get("X-Rig-Number")), [next.naturalWidth, next.naturalHeight]);
   }
 
+  function again() {
+    wanted = true;
+    schedule();
+  }
+
   function schedule() {
     if (!looking || !wanted || timer !== null) return;
     timer = setTimeout(fetchOne, Math.max(0, lastAt + interval_ms - performance.now()));
   }
 
-  document.addEventListener("visibilitychange", () => {
-    wanted = true;
-    schedule();
-  });
+  document.addEventListener("visibilitychange", again);
   return {
     element: image,
     /** Starts or stops fetching. */
@@ -77,10 +82,7 @@ export function picture(alt, address, interval_ms) {
       schedule();
     },
     /** There is a newer one, or the same with other marks. */
-    newer() {
-      wanted = true;
-      schedule();
-    },
+    newer: again,
     /** Nothing to show any more. */
     clear() {
       image.classList.remove("there");
