@@ -62,7 +62,7 @@ const ELSEWHERE: &[(&str, &str)] = &[
     ),
     ("its file system is not mounted `noexec`", "a mount"),
     (
-        "the stage may still move, and its lamp be lit",
+        "it may still move, and its lamp be lit",
         "a stop that a stage does not confirm, with the console's unit tests",
     ),
     (

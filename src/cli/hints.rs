@@ -99,7 +99,8 @@ fn of_type<E: Error + 'static, A: Into<Option<String>>>(
 /// The error is of a device, and its own advice would be the wrong one.
 #[cfg(feature = "console")]
 fn for_unstopped(_: &crate::console::bench::Unstopped) -> String {
-    "use the emergency stop: the stage may still move, and its lamp be lit".to_owned()
+    "stop the stage at its supply or by its emergency stop: it may still move, and its lamp be lit"
+        .to_owned()
 }
 
 const EXPLAINED: &str =

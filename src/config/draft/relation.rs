@@ -44,7 +44,14 @@ fn lens(answers: &Answers) -> Outcome {
         }
     }
     if answers.text("lens")? == "telecentric" {
-        return None;
+        let [across, down] = field_mm(answers)?;
+        let allowed = format!(
+            "such that the field, {across} × {down} mm by the frame's shape, has sides from 0.001 to 10000 mm"
+        );
+        let holds = [across, down]
+            .iter()
+            .all(|side| (1e-3..=1e4).contains(side));
+        return Some(must("field_width_mm", holds, across, allowed));
     }
     let angle = field_of_view(answers)?;
     let allowed =

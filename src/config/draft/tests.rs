@@ -296,7 +296,7 @@ fn bad_answers_are_named_with_value_and_range() {
 
 /// A relation is checked as soon as its answers are there.
 #[test]
-fn a_session_is_told_at_once() {
+fn a_broken_relation_is_named_at_once() {
     let questions = questions(&Found::default());
     let mut so_far = answers(&[
         ("stage", "grbl"),
