@@ -86,7 +86,7 @@ impl Capture<'_> {
             observer: &mut *observer,
             interrupt: self.interrupt,
         };
-        let result = run.to_its_end(&mut spent);
+        let result = run.until_ended(&mut spent);
         observer.observe(Progress::Ended {
             session: &root,
             result: result.as_ref().copied(),
@@ -97,7 +97,7 @@ impl Capture<'_> {
     }
 
     /// Also returns where the time went, once devices were used.
-    fn to_its_end(mut self, spent: &mut Option<Spent>) -> Result<Outcome, CaptureError> {
+    fn until_ended(mut self, spent: &mut Option<Spent>) -> Result<Outcome, CaptureError> {
         let session = Session::open(self.session.root())?;
         let SessionRecord { sample, plan, .. } = session.record();
         self.observer.observe(Progress::Begun {

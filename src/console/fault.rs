@@ -33,8 +33,7 @@ pub struct Advisor(Arc<Advise>);
 type Advise = dyn Fn(&(dyn Error + 'static)) -> Option<String> + Send + Sync;
 
 impl Advisor {
-    /// From a function that knows the advice on an error, as that of the command line
-
+    /// From a function that knows the advice on an error, as that of the command line.
     pub fn new(
         advise: impl Fn(&(dyn Error + 'static)) -> Option<String> + Send + Sync + 'static,
     ) -> Self {

@@ -322,12 +322,16 @@ impl Jobs {
         let (done, both_done) = sync_channel(2);
         let (events, ended) = (sender.clone(), done.clone());
         std::thread::spawn(move || {
-            stdout.map(|stdout| read_events(stdout, &events));
+            if let Some(stdout) = stdout {
+                read_events(stdout, &events);
+            }
             let _ = ended.send(());
         });
         let messages = sender.clone();
         std::thread::spawn(move || {
-            stderr.map(|stderr| read_messages(stderr, &messages));
+            if let Some(stderr) = stderr {
+                read_messages(stderr, &messages);
+            }
             let _ = done.send(());
         });
         let process = process.clone();

@@ -143,7 +143,7 @@ mod tests {
         let counts = (0..SIZE * SIZE).map(|at| {
             let distance_px = (at % SIZE) as f64 + 0.5 - SIZE as f64 / 2.0;
             let part = 0.5 + 0.5 * libm::erf(distance_px / blur_px / std::f64::consts::SQRT_2);
-            let is_dimmed = mosaic != Mosaic::None && (at / SIZE + at) % 2 == 0;
+            let is_dimmed = mosaic != Mosaic::None && (at / SIZE + at).is_multiple_of(2);
             let mean = (400.0 + 2000.0 * part) / if is_dimmed { 3.0 } else { 1.0 };
             let noise = (0.2 * mean + 9.0).sqrt() * numbers.normal();
             (mean + noise).round() as u16
