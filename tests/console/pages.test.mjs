@@ -44,7 +44,7 @@ test("no view has a violation of accessibility, scrolls sideways or hides STOP",
     await page.setViewport(size);
     for (const view of VIEWS) {
       await page.evaluate((hash) => (location.hash = hash), view);
-      await until(page, `${view} is filled`, (hash) => document.querySelector(`#view-${hash.slice(1)} .panel`)?.checkVisibility(), view);
+      await until(page, `${view} is filled`, (hash) => [...document.querySelectorAll(`#view-${hash.slice(1)} .panel`)].some((panel) => panel.checkVisibility()), view);
       await until(page, "nothing is being loaded", () => ![...document.querySelectorAll(".loaded")].some((part) => part.innerText.includes("Checking")));
       assert.deepEqual(await violations(page), [], `${view} at ${size.width} px`);
       assert.equal(await page.evaluate(() => document.documentElement.scrollWidth - document.documentElement.clientWidth), 0, `${view} at ${size.width} px scrolls sideways`);
