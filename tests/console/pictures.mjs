@@ -33,7 +33,9 @@ try {
   await click("green");
   await until(page, "the lamp is on", () => document.querySelector("#view-bench").innerText.includes("On: green"));
   await page.evaluate(() => document.activeElement.blur());
-  await new Promise((resolve) => setTimeout(resolve, 4000));
+  // The simulated bench renders the light's new direction first.
+  await until(page, "the lit sample is shown", () => Number(document.querySelector("#view-bench .two").innerText.match(/mean (\d+)/)?.[1]) > 150 && !document.querySelector("#view-bench .picture").classList.contains("stale"));
+  await new Promise((resolve) => setTimeout(resolve, 1500));
   await shoot(page, "bench");
 
   await startCapture(page, { sample: "red-paint", lights: 4, fit: true });
