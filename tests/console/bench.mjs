@@ -19,25 +19,23 @@ export const PHONE = { width: 390, height: 844, isMobile: true, hasTouch: true }
 
 /**
  * A folder with a rig file of the simulated bench, whose truth is rendered quickly.
- * `timing`: "instant", or "realistic" for tests that act in mid-capture; `pixels` a side.
+ * `timing`: "instant", or "realistic" for tests that act in mid-capture; `small`: 64 × 64 pixels.
  */
-export async function workplace({ timing = "realistic", pixels = 64 } = {}) {
+export async function workplace({ timing = "realistic", small = true } = {}) {
   const folder = await mkdtemp(path.join(tmpdir(), "rig-console-"));
   const text = await readFile(path.join(ROOT, "rig-configs/simulated.toml"), "utf8");
   const changes = {
-    resolution_px: `[${pixels}, ${pixels}]`,
-    extent_mm: "[22.0, 22.0]",
-    point_spread_px: "0.0",
-    samples_per_pixel: "2",
-    max_reflections: "2",
+    samples_per_pixel: small ? "2" : "16",
+    max_reflections: small ? "2" : "8",
     timing: `"${timing}"`,
+    ...(small ? { resolution_px: "[64, 64]", extent_mm: "[22.0, 22.0]", point_spread_px: "0.0" } : {}),
   };
   const lines = text.split("\n").map((line) => {
     const [key] = line.split(" = ");
     return key in changes ? `${key} = ${changes[key]}` : line;
   });
   await writeFile(path.join(folder, "rig.toml"), lines.join("\n"));
-  if (pixels === 64) {
+  if (small) {
     for (const kind of ["sensor", "flat", "scale"]) {
       await cp(path.join(ROOT, "tests/small_bench/calibration", kind), path.join(folder, "calibration/simulated", kind), { recursive: true });
     }

@@ -44,7 +44,7 @@ test("no view has a violation of accessibility, scrolls sideways or hides STOP",
     await page.setViewport(size);
     for (const view of VIEWS) {
       await page.evaluate((hash) => (location.hash = hash), view);
-      await until(page, `${view} is filled`, (hash) => document.querySelector(`#view-${hash.slice(1)} .panel`)?.checkVisibility(), view);
+      await until(page, `${view} is filled`, (hash) => [...document.querySelectorAll(`#view-${hash.slice(1)} .panel`)].some((panel) => panel.checkVisibility()), view);
       await until(page, "nothing is being loaded", () => ![...document.querySelectorAll(".loaded")].some((part) => part.innerText.includes("Checking")));
       assert.deepEqual(await violations(page), [], `${view} at ${size.width} px`);
       assert.equal(await page.evaluate(() => document.documentElement.scrollWidth - document.documentElement.clientWidth), 0, `${view} at ${size.width} px scrolls sideways`);
@@ -85,7 +85,7 @@ test("the stage is moved and lit by the page", async () => {
   await page.$eval("#view-bench .hemisphere", (map) => map.focus());
   await page.keyboard.press("ArrowUp");
   await page.keyboard.press("Enter");
-  await until(page, "the stage has moved", () => document.querySelector("#view-bench .facts dd")?.textContent.includes("elevation 65°") || [...document.querySelectorAll("#view-bench dd")].some((one) => one.textContent === "azimuth 0°, elevation 65°"));
+  await until(page, "the stage has moved", () => [...document.querySelectorAll("#view-bench dd")].some((one) => one.textContent === "azimuth 0°, elevation 65°"));
   await enabled("red");
   await (await button("red")).evaluate((element) => element.click());
   await until(page, "the lamp is on", () => document.querySelector('#view-bench [aria-pressed="true"].toggle') && document.querySelector("#view-bench").innerText.includes("On: red"));

@@ -6,7 +6,7 @@ import { LAPTOP, PHONE, openPage, press, startBrowser, startCapture, startConsol
 
 const MOST_BYTES = 200e3;
 const folder = process.argv[2];
-const place = await workplace({ pixels: 480 });
+const place = await workplace({ small: false });
 const [desk, browser] = await Promise.all([startConsole(place.folder), startBrowser()]);
 
 /** A PNG of the window, checked against the size that the documentation allows. */
@@ -28,12 +28,14 @@ try {
   await enabled("Move");
   await page.$eval("#view-bench .hemisphere", (map) => map.focus());
   for (const key of ["ArrowLeft", "ArrowLeft", "ArrowLeft", "ArrowLeft", "ArrowLeft", "ArrowLeft", "Enter"]) await page.keyboard.press(key);
-  await until(page, "the stage moves", () => document.querySelector("#view-bench").innerText.includes("azimuth 30°, elevation 60°"));
+  await until(page, "the stage moves", () => [...document.querySelectorAll("#view-bench dd")].some((one) => one.textContent === "azimuth 30°, elevation 60°"));
   await enabled("green");
   await click("green");
   await until(page, "the lamp is on", () => document.querySelector("#view-bench").innerText.includes("On: green"));
   await page.evaluate(() => document.activeElement.blur());
-  await new Promise((resolve) => setTimeout(resolve, 4000));
+  // The simulated bench renders the light's new direction first.
+  await until(page, "the lit sample is shown", () => Number(document.querySelector("#view-bench .two").innerText.match(/mean (\d+)/)?.[1]) > 150 && !document.querySelector("#view-bench .picture").classList.contains("stale"));
+  await new Promise((resolve) => setTimeout(resolve, 1500));
   await shoot(page, "bench");
 
   await startCapture(page, { sample: "red-paint", lights: 4, fit: true });
@@ -45,7 +47,7 @@ try {
   await shoot(phone, "phone");
   await untilCapture(page, "complete");
   await press(page, "#open-session");
-  await until(page, "the pictures are there", () => [...document.querySelectorAll("#view-sessions img")].length > 0 && [...document.querySelectorAll("#view-sessions details[open] img")].slice(0, 6).every((image) => image.complete));
+  await until(page, "the spheres are there", () => document.querySelector("#view-sessions details[open] img")?.naturalWidth > 0);
   await new Promise((resolve) => setTimeout(resolve, 1500));
   await shoot(page, "after");
 } finally {

@@ -108,7 +108,7 @@ export function startSetup(view) {
 /** A question with its control, its help and its unit. */
 function entry(question, given) {
   const id = `q-${question.key}`;
-  const help = question.help ? h("p", { class: "fine", id: `${id}-help` }, question.help) : null;
+  const help = question.help ? h("p", { class: "fine", id: `${id}-help` }, `${capital(question.help).replace(/\.$/, "")}.`) : null;
   const about = { id, name: id, "aria-describedby": help ? `${id}-help` : null };
   const value = given ?? question.default ?? null;
   const limits = Number.isFinite(question.least) && Number.isFinite(question.most) ? `, ${question.least} to ${question.most}` : "";
