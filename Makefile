@@ -11,7 +11,7 @@
 CARGO ?= cargo
 SUDO := $(if $(filter 0,$(shell id -u)),,sudo)
 
-.PHONY: demo docs test test-long test-vm test-external test-console console-pictures build deps deps-test deps-genicam
+.PHONY: demo docs test test-long test-vm test-external test-console console-pictures build deps deps-test deps-console deps-genicam
 
 demo: build
 	target/release/rig demo
@@ -44,9 +44,10 @@ test-external: build
 CONSOLE_DEPS := $(if $(shell command -v chromium),,chromium) $(if $(shell command -v node),,nodejs) \
   $(if $(shell command -v npm),,npm)
 
-test-console:
+deps-console:
 	@$(MAKE) --no-print-directory deps EXTRA_DEPS="$(CONSOLE_DEPS)"
-	$(CARGO) build --locked --release
+
+test-console: deps-console build
 	cd tests/console && npm ci --no-audit --no-fund && node --test
 
 # The pictures of docs/console.md, made anew.
