@@ -76,7 +76,7 @@ fn a_capture_from_the_form_is_followed_to_its_end() {
 
 #[test]
 fn a_capture_is_paused_and_stopped_by_buttons_and_can_be_resumed() {
-    let folder = workplace(|text| text.replace("timing = \"instant\"", "timing = \"real\""));
+    let folder = workplace(|text| text.replace("timing = \"instant\"", "timing = \"realistic\""));
     let console = console(folder.path());
     let act = |viewer, action: &str| {
         let answer = console.post(viewer, &format!("/api/capture/{action}"), &json!({}));
@@ -115,7 +115,7 @@ fn a_capture_is_paused_and_stopped_by_buttons_and_can_be_resumed() {
 
 #[test]
 fn a_console_that_is_ended_passes_it_on_and_waits() {
-    let folder = workplace(|text| text.replace("timing = \"instant\"", "timing = \"real\""));
+    let folder = workplace(|text| text.replace("timing = \"instant\"", "timing = \"realistic\""));
     let mut console = console(folder.path());
     let mut events = console.events("a");
     assert_eq!(console.post("a", "/api/capture/start", &form()).status, 202);

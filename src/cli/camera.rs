@@ -76,7 +76,7 @@ enum Action {
 
 /// Which camera.
 #[derive(clap::Args, Debug, Clone)]
-pub(super) struct Which {
+struct Which {
     #[command(flatten)]
     rig: RigArg,
     /// A Video4Linux device without a rig file
@@ -157,7 +157,14 @@ pub fn run(args: &CameraArgs, context: &Context) -> Result<(), CliError> {
             if which.json {
                 return measure(&mut *camera, settings, *discard);
             }
-            camera_preview::serve(which, camera, wanted, *port, context)
+            let (of, quiet) = (which.clone(), context.clone());
+            let shown = camera_preview::Shown {
+                camera,
+                reopen: Box::new(move || of.open(&quiet, true)),
+                rig: which.resolved(context)?,
+                settings: wanted,
+            };
+            camera_preview::serve(shown, *port, context)
         }
     }
 }
@@ -335,7 +342,7 @@ fn report(
 
 impl Which {
     /// The rig whose camera it is; `None` for a device without one.
-    pub(super) fn resolved(&self, context: &Context) -> Result<Option<ResolvedRig>, CliError> {
+    fn resolved(&self, context: &Context) -> Result<Option<ResolvedRig>, CliError> {
         match self.device {
             Some(_) => Ok(None),
             None => self.rig.resolve(context).map(Some),
@@ -343,11 +350,7 @@ impl Which {
     }
 
     /// With `preview` also in a format that is good for nothing else.
-    pub(super) fn open(
-        &self,
-        context: &Context,
-        preview: bool,
-    ) -> Result<Box<dyn Camera>, CliError> {
+    fn open(&self, context: &Context, preview: bool) -> Result<Box<dyn Camera>, CliError> {
         if let Some(device) = &self.device {
             return open_device(device, self.format, preview);
         }

@@ -1,31 +1,35 @@
 //! `rig camera preview`: the console with a bench of a camera alone.
 
-use super::camera::Which;
 use super::context::Context;
 use super::error::CliError;
+use crate::config::ResolvedRig;
 use crate::device::{Camera, CameraSettings};
+
+/// The camera to be shown.
+#[cfg_attr(not(feature = "console"), allow(dead_code))]
+pub(super) struct Shown {
+    /// Open.
+    pub(super) camera: Box<dyn Camera>,
+    /// Opens it anew, where a page connects again.
+    pub(super) reopen: Reopen,
+    /// The rig whose camera it is, if it is one's.
+    pub(super) rig: Option<ResolvedRig>,
+    /// Requested of it.
+    pub(super) settings: CameraSettings,
+}
+
+/// Opens a camera.
+pub(super) type Reopen = Box<dyn Fn() -> Result<Box<dyn Camera>, CliError> + Send + Sync>;
 
 /// Shows the camera's pictures until a signal ends it.
 #[cfg(feature = "console")]
-pub(super) fn serve(
-    which: &Which,
-    camera: Box<dyn Camera>,
-    settings: CameraSettings,
-    port: u16,
-    context: &Context,
-) -> Result<(), CliError> {
-    console::serve(which, camera, settings, port, context)
+pub(super) fn serve(shown: Shown, port: u16, context: &Context) -> Result<(), CliError> {
+    console::serve(shown, port, context)
 }
 
 /// There is no page without the console.
 #[cfg(not(feature = "console"))]
-pub(super) fn serve(
-    _: &Which,
-    _: Box<dyn Camera>,
-    _: CameraSettings,
-    _: u16,
-    _: &Context,
-) -> Result<(), CliError> {
+pub(super) fn serve(_: Shown, _: u16, _: &Context) -> Result<(), CliError> {
     let fact = "this program was built without the console, which shows the pictures";
     Err(CliError::new(fact).hint("build it with the feature `console`, or take --json"))
 }
@@ -42,7 +46,6 @@ mod console {
     use super::super::error::HintExt;
     use super::super::interrupt;
     use super::*;
-    use crate::config::ResolvedRig;
     use crate::console::bench::{self, Bench, BenchPorts, Opened};
     use crate::console::control::Control;
     use crate::console::hub::Hub;
@@ -57,13 +60,7 @@ mod console {
     /// The camera is closed in this time, or the process ends without.
     const CLOSING: Duration = Duration::from_secs(15);
 
-    pub(super) fn serve(
-        which: &Which,
-        camera: Box<dyn Camera>,
-        settings: CameraSettings,
-        port: u16,
-        context: &Context,
-    ) -> Result<(), CliError> {
+    pub(super) fn serve(shown: Shown, port: u16, context: &Context) -> Result<(), CliError> {
         let interrupt = interrupt::listen()?;
         let options = ListenOptions {
             address: (Ipv4Addr::LOCALHOST, port).into(),
@@ -72,15 +69,14 @@ mod console {
         let server = Server::bind(&options).hint("choose another --port, or 0 for a free one")?;
 
         // A bench of the camera alone, which is open already.
-        let rig = which.resolved(context)?;
         let hub = Hub::default();
         let control = Control::new(hub.clone());
-        let facts = facts(rig.as_ref(), camera.info().model.as_str());
-        let ports = ports(which, rig.as_ref(), camera, settings, context);
+        let facts = facts(shown.rig.as_ref(), shown.camera.info().model.as_str());
+        let config = shown.rig.as_ref().map(|rig| rig.config.clone());
+        let ports = ports(shown);
         let bench = Bench::new(hub.clone(), ports)?;
         // The first page finds its picture; it cannot fail before.
         drop(bench.connect());
-        let config = rig.map(|rig| rig.config);
         let address = server.address();
         let routes = bench::routes(bench.clone()).merge(outline_routes(config, advisor()));
         let running = server.start(Parts {
@@ -93,17 +89,17 @@ mod console {
         context.note("the page is for this machine alone; Ctrl-C ends it");
 
         // Until a signal ends it. Errors are for who sits at the terminal, too.
-        let mut shown = None;
+        let mut warned = None;
         while interrupt.level() == StopLevel::Continue {
             if interrupt.take_pause() {
                 interrupt::suspend();
             }
             let error = bench.state().error;
-            if error != shown {
+            if error != warned {
                 if let Some(fault) = &error {
                     context.warn(&fault.error);
                 }
-                shown = error;
+                warned = error;
             }
             std::thread::sleep(LOOK);
         }
@@ -114,22 +110,21 @@ mod console {
     }
 
     /// The camera that is open serves the first connection; later ones open it anew.
-    fn ports(
-        which: &Which,
-        rig: Option<&ResolvedRig>,
-        camera: Box<dyn Camera>,
-        settings: CameraSettings,
-        context: &Context,
-    ) -> BenchPorts {
-        let (which, context) = (which.clone(), context.clone());
+    fn ports(shown: Shown) -> BenchPorts {
+        let Shown {
+            camera,
+            reopen,
+            rig,
+            settings,
+        } = shown;
         let first = Mutex::new(Some(camera));
-        let records = rig.map(SensorRecords::of);
+        let records = rig.as_ref().map(SensorRecords::of);
         BenchPorts {
             open: Box::new(move || {
                 let first = first.lock().ok().and_then(|mut first| first.take());
                 let camera = match first {
                     Some(camera) => camera,
-                    None => which.open(&context, true).map_err(fault)?,
+                    None => reopen().map_err(fault)?,
                 };
                 Ok(Opened::Camera(camera))
             }),

@@ -8,15 +8,14 @@ use std::process::ExitStatus;
 use std::sync::{Arc, mpsc};
 use std::time::Duration;
 
-use qrcode::QrCode;
-use qrcode::render::unicode::Dense1x2;
 use rustix::process::Signal as Sent;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGTSTP};
 
+use super::console_address::show_address;
 use super::context::Context;
 use super::error::{CliError, HintExt};
 use super::exit::Exit;
-use super::output::{write_path, write_stderr};
+use super::output::write_path;
 use super::rig_choice::RigArg;
 use super::{bench_ports, definition, interrupt};
 use crate::config::{Origin, ResolvedRig, RigConfig};
@@ -31,7 +30,6 @@ use crate::console::jobs::{self, JobError, Jobs, Kind, Program, Work};
 use crate::console::picture::outline_routes;
 use crate::console::server::{ListenOptions, Parts, Running, Server};
 use crate::interrupt::Signal;
-use crate::out;
 use crate::session::Session;
 use crate::session::layout::SESSIONS_FOLDER;
 
@@ -380,40 +378,6 @@ pub(super) fn bind(options: &ListenOptions, context: &Context) -> Result<Server,
     Ok(server)
 }
 
-/// The page's address on stdout, and as a QR code at a terminal.
-pub(super) fn show_address(address: &str, context: &Context) -> Result<(), CliError> {
-    out!("{address}")?;
-    if context.shows_progress()
-        && let Some(picture) = qr_code(address)
-    {
-        write_stderr(&picture);
-    }
-    Ok(())
-}
-
-/// Black on white whatever the terminal's colours, as phones read it; `None` where the
-/// terminal is too narrow.
-fn qr_code(address: &str) -> Option<String> {
-    let code = QrCode::new(address).ok()?;
-    let picture = code
-        .render::<Dense1x2>()
-        .dark_color(Dense1x2::Light)
-        .light_color(Dense1x2::Dark)
-        .quiet_zone(true)
-        .build();
-    let width = picture.lines().map(|line| line.chars().count()).max()?;
-    let columns = rustix::termios::tcgetwinsize(std::io::stderr()).map_or(80, |size| size.ws_col);
-    if columns > 0 && width > usize::from(columns) {
-        return None;
-    }
-    let lines = picture.lines();
-    Some(
-        lines
-            .map(|line| format!("\x1b[30;107m{line}\x1b[0m\n"))
-            .collect(),
-    )
-}
-
 /// The controlling terminal, if there is one.
 fn terminal() -> Option<OwnedFd> {
     use rustix::fs::{Mode, OFlags};
@@ -488,16 +452,6 @@ mod tests {
         for bad in ["", "localhost", "0.0.0.0:", "0.0.0.0:99999", "[::1", ":80"] {
             assert!(parse_listen(bad).is_err(), "{bad}");
         }
-    }
-
-    #[test]
-    fn the_code_is_black_on_white_with_a_margin() {
-        let picture = qr_code("http://127.0.0.1:8080/abc/").unwrap();
-        let lines: Vec<_> = picture.lines().collect();
-        assert!(lines.iter().all(|line| line.starts_with("\x1b[30;107m")));
-        let margin = lines[0].trim_start_matches("\x1b[30;107m");
-        assert!(margin.starts_with("    ") && margin.trim_end_matches("\x1b[0m").trim().is_empty());
-        assert!(picture.contains('█') && picture.contains('▀'));
     }
 
     #[test]

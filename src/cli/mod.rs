@@ -22,6 +22,8 @@ mod capture_progress;
 pub mod completions;
 #[cfg(feature = "console")]
 pub mod console;
+#[cfg(feature = "console")]
+mod console_address;
 pub mod context;
 pub mod demo;
 pub mod devices;

@@ -11,10 +11,10 @@ mod job_state;
 mod log;
 mod process;
 mod query;
+mod reading;
 mod routes;
 
 use std::ffi::OsString;
-use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitStatus, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
@@ -32,8 +32,9 @@ pub use self::routes::routes;
 
 use self::job_state::JobState;
 use self::process::Process;
+use self::reading::{Heard, read_events, read_messages};
 use super::hub::Hub;
-use crate::capture::events::{CaptureEvent, Stamped};
+use crate::capture::events::CaptureEvent;
 use crate::file_system::free_bytes;
 
 /// States are published so often at most.
@@ -43,8 +44,6 @@ const DISK: Duration = Duration::from_secs(2);
 /// What a job has printed before its end is awaited for so long: another process may have
 /// inherited its pipes.
 const LAST_WORDS: Duration = Duration::from_secs(2);
-/// An event is at most so long (bytes).
-const LONGEST_EVENT: u64 = 1 << 20;
 /// A job that is stopped again so long after the first time is killed; the guardian turns
 /// the lamp off.
 const KILL_AFTER: Duration = Duration::from_secs(10);
@@ -149,6 +148,8 @@ struct Run {
     kind: Option<Kind>,
     process: Option<Arc<Process>>,
     first_stop: Option<Instant>,
+    /// Counts the requests to pause.
+    pauses: u64,
     /// Signals that came before the process was there.
     waiting: Vec<Signal>,
     /// The devices are the job's.
@@ -162,15 +163,6 @@ struct Run {
 struct Shown {
     job: JobState,
     capture: Option<CaptureState>,
-}
-
-/// What the threads of a job report.
-enum Heard {
-    Event(Box<Stamped>),
-    /// A line on stdout that is no event.
-    Result(String),
-    Message(Vec<u8>),
-    Ended(Option<ExitStatus>),
 }
 
 fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -458,6 +450,7 @@ impl Jobs {
 
     /// Pauses the capture, as Ctrl-Z does: lamp off, stage standing.
     pub fn pause(&self) {
+        locked(&self.0.run).pauses += 1;
         self.send(&[Signal::TSTP]);
     }
 
@@ -488,15 +481,21 @@ impl Jobs {
     }
 
     /// A paused process takes no signal but this; it may be about to suspend itself, so it
-    /// is repeated.
+    /// is repeated, unless another pause is requested meanwhile.
     fn wake(&self) {
         self.send(&[Signal::CONT]);
-        let process = locked(&self.0.run).process.clone();
+        let run = locked(&self.0.run);
+        let (process, pauses) = (run.process.clone(), run.pauses);
+        drop(run);
+        let jobs = self.clone();
         std::thread::spawn(move || {
             for pause_ms in [50, 200, 750] {
                 std::thread::sleep(Duration::from_millis(pause_ms));
-                if let Some(process) = &process {
-                    process.send(&[Signal::CONT]);
+                // Held, so that no pause comes in between.
+                let run = locked(&jobs.0.run);
+                match &process {
+                    Some(process) if run.pauses == pauses => process.send(&[Signal::CONT]),
+                    _ => return,
                 }
             }
         });
@@ -584,57 +583,6 @@ pub fn announce_sessions(hub: &Hub) {
     static CHANGES: AtomicU64 = AtomicU64::new(0);
     let count = CHANGES.fetch_add(1, Ordering::Relaxed) + 1;
     hub.publish("sessions", serde_json::json!({"changed": count}));
-}
-
-fn read_events(stdout: impl Read, sender: &SyncSender<Heard>) {
-    let mut reader = BufReader::new(stdout);
-    let mut line = Vec::new();
-    loop {
-        line.clear();
-        match reader
-            .by_ref()
-            .take(LONGEST_EVENT)
-            .read_until(b'\n', &mut line)
-        {
-            Ok(0) | Err(_) => return,
-            Ok(_) => {}
-        }
-        let text = String::from_utf8_lossy(&line);
-        let text = text.trim();
-        let heard = match serde_json::from_str::<Stamped>(text) {
-            Ok(stamped) => {
-                let result = match &stamped.event {
-                    CaptureEvent::Fitted { fit, .. } => Some(fit.clone()),
-                    CaptureEvent::Ended { session, .. } => session.clone(),
-                    _ => None,
-                };
-                if let Some(result) = result
-                    && sender.send(Heard::Result(result)).is_err()
-                {
-                    return;
-                }
-                Heard::Event(Box::new(stamped))
-            }
-            // An event of another version, or the end of one that was too long.
-            Err(_) if text.is_empty() || text.starts_with('{') => continue,
-            Err(_) => Heard::Result(text.to_owned()),
-        };
-        if sender.send(heard).is_err() {
-            return;
-        }
-    }
-}
-
-fn read_messages(mut stderr: impl Read, sender: &SyncSender<Heard>) {
-    let mut bytes = [0; 4096];
-    while let Ok(count @ 1..) = stderr.read(&mut bytes) {
-        if sender
-            .send(Heard::Message(bytes[..count].to_vec()))
-            .is_err()
-        {
-            return;
-        }
-    }
 }
 
 /// Whether a name is that of a session's folder, not a path to elsewhere; the folder itself

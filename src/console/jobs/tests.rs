@@ -135,6 +135,11 @@ fn a_capture_is_paused_continued_and_stopped_even_while_it_is_paused() {
     let (_folder, jobs, hub) = begin("1");
     jobs.resume();
     wait_until(|| state(&hub) == "running");
+    // A pause that follows at once holds.
+    jobs.pause();
+    wait_until(|| state(&hub) == "paused");
+    std::thread::sleep(Duration::from_millis(1200));
+    assert_eq!(state(&hub), "paused");
     jobs.finish();
     assert_eq!(state(&hub), "ending");
     assert_eq!(jobs.wait().unwrap().code(), Some(130));
