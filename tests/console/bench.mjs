@@ -11,7 +11,8 @@ import puppeteer from "puppeteer-core";
 const ROOT = fileURLToPath(new URL("../../", import.meta.url));
 const RIG = path.resolve(ROOT, process.env.RIG ?? "target/release/rig");
 const CHROMIUM = process.env.CHROMIUM ?? "/usr/bin/chromium";
-const PATIENCE_MS = 60000;
+/** A fit takes a quarter of a minute of a whole core. */
+const PATIENCE_MS = 180000;
 
 /** Sizes of windows. */
 export const LAPTOP = { width: 1280, height: 800 };
