@@ -26,6 +26,8 @@ pub(crate) mod captured_rig;
 pub mod commit;
 pub mod drift;
 mod error;
+#[cfg(test)]
+pub(crate) mod example;
 pub mod faults;
 pub mod fit_record;
 pub mod frame;

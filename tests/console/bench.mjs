@@ -2,6 +2,7 @@
 
 import { execFile, spawn } from "node:child_process";
 import { cp, mkdtemp, readFile, readdir, rm, writeFile } from "node:fs/promises";
+import { createRequire } from "node:module";
 import { tmpdir } from "node:os";
 import path from "node:path";
 import { fileURLToPath } from "node:url";
@@ -13,6 +14,8 @@ const RIG = path.resolve(ROOT, process.env.RIG ?? "target/release/rig");
 const CHROMIUM = process.env.CHROMIUM ?? "/usr/bin/chromium";
 /** A fit takes a quarter of a minute of a whole core. */
 const PATIENCE_MS = 180000;
+
+const axe = await readFile(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
 
 /** Sizes of windows. */
 export const LAPTOP = { width: 1280, height: 800 };
@@ -173,4 +176,10 @@ export async function sessionOf(folder, sample) {
   const found = names.filter((name) => name.includes(`_${sample}_`));
   if (found.length !== 1) throw new Error(`${found.length} sessions of ${sample} among ${names.join(", ")}`);
   return path.join(folder, "sessions", found[0]);
+}
+
+/** What axe finds inaccessible on the page as it is. */
+export async function violations(page) {
+  await page.evaluate(axe);
+  return page.evaluate(async () => (await globalThis.axe.run()).violations.map(({ id, nodes }) => `${id}: ${nodes.map((node) => node.html.slice(0, 120)).join(" | ")}`));
 }

@@ -2,13 +2,10 @@
 // two pages of which one controls.
 
 import assert from "node:assert/strict";
-import { readFile } from "node:fs/promises";
-import { createRequire } from "node:module";
 import { after, afterEach, before, test } from "node:test";
-import { LAPTOP, PHONE, closePages, openPage, press, startBrowser, startConsole, textOf, until, untilCapture, workplace } from "./bench.mjs";
+import { LAPTOP, PHONE, closePages, openPage, press, startBrowser, startConsole, textOf, until, untilCapture, violations, workplace } from "./bench.mjs";
 
 const VIEWS = ["#bench", "#capture", "#sessions", "#setup"];
-const axe = await readFile(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
 
 let place, desk, browser;
 before(async () => {
@@ -21,12 +18,6 @@ after(async () => {
   await desk?.stop();
   await place?.remove();
 });
-
-async function violations(page) {
-  await page.evaluate(axe);
-  const found = await page.evaluate(async () => (await globalThis.axe.run()).violations.map(({ id, nodes }) => `${id}: ${nodes.map((node) => node.html.slice(0, 120)).join(" | ")}`));
-  return found;
-}
 
 async function inReach(page) {
   return page.evaluate(() => {

@@ -15,64 +15,11 @@ use crate::session::*;
 use crate::units::{Seconds, StageAngles};
 
 fn record(sample: &str, began: &str) -> SessionRecord {
-    let light = StageAngles {
-        azimuth_deg: 10.0,
-        elevation_deg: 80.0,
-    };
     SessionRecord {
         sample: sample.to_owned(),
         created_utc: began.to_owned(),
-        simulated: true,
         true_material: Some("ggx:0.1,1.5".to_owned()),
-        seed: 7,
-        rig: "simulated".to_owned(),
-        config: String::new(),
-        versions: Versions {
-            rig: "0.1.0".to_owned(),
-            camera: CameraInfo {
-                driver: "simulated".to_owned(),
-                model: "m".to_owned(),
-                serial: "s".to_owned(),
-                resolution_px: [4, 3],
-                bit_depth: 12,
-                mosaic: Mosaic::None,
-                exposure_range: [Seconds(1e-4), Seconds(1.0)],
-                exposure_step: Seconds(1e-4),
-            },
-            stage: StageInfo {
-                driver: "grbl".to_owned(),
-                firmware: "1.1h".to_owned(),
-                port: "/dev/x".to_owned(),
-                has_watchdog: false,
-            },
-        },
-        plan: PlanRecord {
-            channels: vec![LampChannel(0)],
-            gain: 1.0,
-            exposure: ExposureRules {
-                pilot_s: Seconds(0.002),
-                shortest_s: Seconds(0.001),
-                longest_s: Seconds(1.0),
-                step_s: Seconds(0.0001),
-                peak_fraction: 0.7,
-                dark_snr: 20.0,
-                ratio: 4.0,
-                max_frames: 4,
-                ambient: true,
-                dark_frames: 2,
-            },
-            settle_s: Seconds(0.1),
-            lamp_settle_s: Seconds(0.0),
-            lamp_warm_up_s: Seconds(0.0),
-            settings_latency_frames: 2,
-            revisit_first: false,
-            stage_tolerance_deg: 0.0,
-            limits: Default::default(),
-            estimated_s: Seconds(12.0),
-            estimated_bytes: 1000,
-            lights: vec![light; 2],
-        },
-        calibration: Vec::new(),
+        ..example::record()
     }
 }
 

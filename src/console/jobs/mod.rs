@@ -399,7 +399,7 @@ impl Jobs {
     fn end(&self, status: Option<ExitStatus>) {
         locked(&self.0.shown).end(status);
         self.publish();
-        let changed = self.0.hub.clone();
+        announce_sessions(&self.0.hub);
         let mut run = locked(&self.0.run);
         run.kind = None;
         run.process = None;
@@ -408,7 +408,6 @@ impl Jobs {
         drop(run);
         drop(loan);
         self.0.ended.notify_all();
-        announce_sessions(&changed);
     }
 
     fn publish(&self) {

@@ -72,7 +72,7 @@ function progressPanel(onleave) {
   const goOn = command("Continue", "continue", { id: "continue", class: "primary" });
   const finish = command("Stop after this frame", "finish", { id: "finish" });
   const halt = command("STOP now", "stop", { id: "stop-now", class: "danger" });
-  const resume = h("button", { type: "button", id: "resume", class: "primary" }, "Resume");
+  const resume = h("button", { type: "button", id: "resume", class: "primary" }, "Resume, then fit");
   resume.addEventListener("click", () => attempt("api/capture/resume", { session: sessionName(state.capture?.session) }));
   const open = h("a", { class: "button primary", id: "open-session" }, "Open the session");
   const next = h("button", { type: "button", id: "next", onclick: onleave }, "New capture");

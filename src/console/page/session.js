@@ -65,7 +65,7 @@ export function sessionPart() {
 function details(session) {
   const fit = latest(session);
   const report = session.report ? fileOf(session.name, "report.html") : null;
-  const resume = h("button", { type: "button", class: "primary", id: "resume-session" }, "Resume the capture");
+  const resume = h("button", { type: "button", class: "primary", id: "resume-session" }, "Resume the capture, then fit");
   resume.addEventListener("click", async () => {
     if (await attempt("api/capture/resume", { session: session.name })) location.hash = "#capture";
   });

@@ -10,73 +10,32 @@ use crate::units::Seconds;
 
 fn plan() -> PlanRecord {
     PlanRecord {
-        channels: vec![LampChannel(0)],
-        gain: 1.0,
-        exposure: ExposureRules {
-            pilot_s: Seconds(0.002),
-            shortest_s: Seconds(0.001),
-            longest_s: Seconds(1.0),
-            step_s: Seconds(0.0001),
-            peak_fraction: 0.7,
-            dark_snr: 20.0,
-            ratio: 4.0,
-            max_frames: 4,
-            ambient: true,
-            dark_frames: 2,
-        },
-        settle_s: Seconds(0.1),
-        lamp_warm_up_s: Seconds(0.0),
-        lamp_settle_s: Seconds(0.0),
-        settings_latency_frames: 2,
-        revisit_first: false,
-        stage_tolerance_deg: 0.0,
-        limits: Default::default(),
-        estimated_s: Seconds(12.0),
-        estimated_bytes: 1000,
         lights: [80.0, 60.0]
             .map(|elevation_deg| StageAngles {
                 azimuth_deg: 10.0,
                 elevation_deg,
             })
             .into(),
+        ..example::plan()
     }
 }
 
 fn record(true_material: Option<&str>) -> SessionRecord {
-    SessionRecord {
+    let mut record = SessionRecord {
         sample: "red-plastic".into(),
-        created_utc: "2026-11-21T02:34:00Z".into(),
-        simulated: true,
         true_material: true_material.map(str::to_owned),
-        seed: 7,
-        rig: "simulated".into(),
         config: "[camera]\ndriver = \"simulated\"\n".into(),
-        versions: Versions {
-            rig: "0.1.0".into(),
-            camera: CameraInfo {
-                driver: "simulated".into(),
-                model: "bench".into(),
-                serial: String::new(),
-                resolution_px: [4, 3],
-                bit_depth: 12,
-                mosaic: Mosaic::None,
-                exposure_range: [Seconds(1e-4), Seconds(1.0)],
-                exposure_step: Seconds(1e-4),
-            },
-            stage: StageInfo {
-                driver: "grbl".into(),
-                firmware: "1.1h".into(),
-                port: "/dev/x".into(),
-                has_watchdog: false,
-            },
-        },
         plan: plan(),
         calibration: vec![CalibrationCopy {
             id: "sensor".into(),
             file: "calibration/sensor.toml".into(),
             sha256: "ab12".into(),
         }],
-    }
+        ..example::record()
+    };
+    record.versions.camera.model = "bench".into();
+    record.versions.camera.serial = String::new();
+    record
 }
 
 fn frame(repeat: u32, exposure: f64, pilot: bool) -> (RawFrame, Sidecar) {

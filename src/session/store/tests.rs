@@ -18,64 +18,6 @@ const ANGLES: StageAngles = StageAngles {
     elevation_deg: 80.0,
 };
 
-fn record() -> SessionRecord {
-    SessionRecord {
-        sample: "bowl".into(),
-        created_utc: "2026-11-21T02:34:00Z".into(),
-        simulated: true,
-        true_material: Some("red plastic".into()),
-        seed: 7,
-        rig: "simulated".into(),
-        config: "[camera]\nname = \"x\"\n".into(),
-        versions: Versions {
-            rig: "0.1.0".into(),
-            camera: CameraInfo {
-                driver: "simulated".into(),
-                model: "m".into(),
-                serial: "s".into(),
-                resolution_px: [4, 3],
-                bit_depth: 12,
-                mosaic: Mosaic::None,
-                exposure_range: [Seconds(1e-4), Seconds(1.0)],
-                exposure_step: Seconds(1e-4),
-            },
-            stage: StageInfo {
-                driver: "grbl".into(),
-                firmware: "1.1h".into(),
-                port: "/dev/x".into(),
-                has_watchdog: false,
-            },
-        },
-        plan: PlanRecord {
-            channels: vec![LampChannel(0)],
-            gain: 1.0,
-            exposure: ExposureRules {
-                pilot_s: Seconds(0.002),
-                shortest_s: Seconds(0.001),
-                longest_s: Seconds(1.0),
-                step_s: Seconds(0.0001),
-                peak_fraction: 0.7,
-                dark_snr: 20.0,
-                ratio: 4.0,
-                max_frames: 4,
-                ambient: true,
-                dark_frames: 2,
-            },
-            settle_s: Seconds(0.1),
-            lamp_settle_s: Seconds(0.0),
-            lamp_warm_up_s: Seconds(0.0),
-            settings_latency_frames: 2,
-            revisit_first: false,
-            stage_tolerance_deg: 0.0,
-            limits: Default::default(),
-            estimated_s: Seconds(12.0),
-            estimated_bytes: 1000,
-            lights: vec![ANGLES; 2],
-        },
-        calibration: vec![],
-    }
-}
-
 fn create(disk: Arc<dyn commit::Disk>, parent: &Path) -> Result<SessionWriter, SessionError> {
     SessionWriter::create(
         disk,
@@ -83,7 +25,7 @@ fn create(disk: Arc<dyn commit::Disk>, parent: &Path) -> Result<SessionWriter, S
             parent,
             created: jiff::Timestamp::UNIX_EPOCH,
             short_id: "0f3a9c",
-            record: &record(),
+            record: &example::record(),
             calibration: &[("sensor.toml".into(), b"gain = 1".to_vec())],
         },
     )
@@ -148,7 +90,7 @@ fn what_is_committed_is_read_and_verified() {
     drop(writer);
 
     let session = Session::open(&root).unwrap();
-    assert_eq!(session.record(), &record());
+    assert_eq!(session.record(), &example::record());
     assert_eq!(session.state(), SessionState::Complete);
     let entries: Vec<_> = session.frames().collect();
     assert_eq!(entries.len(), 3);

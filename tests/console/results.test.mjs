@@ -1,0 +1,62 @@
+// What a capture has led to: found again, fitted again, compared and exported.
+
+import assert from "node:assert/strict";
+import path from "node:path";
+import { after, before, test } from "node:test";
+import { PHONE, openPage, press, rig, sessionOf, startBrowser, startConsole, textOf, until, violations, workplace } from "./bench.mjs";
+
+let place, desk, browser, name;
+before(async () => {
+  place = await workplace({ timing: "instant" });
+  await rig(place.folder, "capture", "--rig", "rig.toml", "--sample", "cup", "--lights", "1", "--quiet");
+  await rig(place.folder, "capture", "--rig", "rig.toml", "--sample", "plate", "--lights", "1", "--no-fit", "--quiet");
+  name = path.basename(await sessionOf(place.folder, "cup"));
+  [desk, browser] = await Promise.all([startConsole(place.folder), startBrowser()]);
+});
+after(async () => {
+  await browser?.close();
+  await desk?.stop();
+  await place?.remove();
+});
+
+test("a session is found, fitted again, compared and exported", async () => {
+  const page = await openPage(browser, desk.address, "#sessions");
+  const cards = () => page.$$eval("#view-sessions .card", (all) => all.map((card) => card.innerText));
+  await until(page, "both sessions are listed", () => document.querySelectorAll("#view-sessions .card").length === 2);
+  await page.type("#search", "cup");
+  await until(page, "one is found", () => document.querySelectorAll("#view-sessions .card").length === 1);
+  assert.match((await cards())[0], /cup/);
+
+  // Fitted again with another dictionary.
+  await page.evaluate((hash) => (location.hash = hash), `#sessions/${name}`);
+  await until(page, "its fit is shown", () => document.querySelectorAll("#view-sessions .fit").length === 1);
+  assert.deepEqual(await violations(page), []);
+  await page.select("#dictionary", "paper42");
+  await press(page, "#fit-again");
+  await until(page, "the fit's progress is shown", () => document.querySelector("#stop-job").checkVisibility());
+  await until(page, "the second fit is shown", () => document.querySelectorAll("#view-sessions .fit").length === 2);
+  await until(page, "its pictures are loaded", () => [...document.querySelectorAll("#view-sessions .fit[open] img")].some((img) => img.naturalWidth > 0));
+
+  // Exported.
+  await page.select("#export-format", "merl");
+  await press(page, "#export");
+  await until(page, "the file is offered", () => document.querySelector("#download").checkVisibility());
+  const file = await page.evaluate(async () => {
+    const answer = await fetch(document.querySelector("#download").href);
+    return { status: answer.status, kind: answer.headers.get("content-disposition"), bytes: (await answer.arrayBuffer()).byteLength };
+  });
+  // MERL: three sizes and 3 x 90 x 90 x 180 doubles.
+  assert.deepEqual([file.status, file.bytes], [200, 12 + 3 * 90 * 90 * 180 * 8]);
+  assert.match(file.kind, /attachment/);
+
+  // Side by side.
+  await page.evaluate((hash) => (location.hash = hash), `#sessions/compare/${encodeURIComponent(`${name}:0`)}/${encodeURIComponent(`${name}:1`)}`);
+  await until(page, "both fits are shown", () => [...document.querySelectorAll(".compare-pictures .pair")].some((pair) => pair.querySelectorAll("img").length === 2));
+  const dictionaries = await page.$$eval("section[aria-label=Left], section[aria-label=Right]", (sides) => sides.map((side) => side.innerText.match(/Dictionary\s+(\S+)/)?.[1]));
+  assert.deepEqual(dictionaries, ["rig65", "paper42"]);
+  assert.deepEqual(await violations(page), []);
+  await page.setViewport(PHONE);
+  assert.equal(await page.evaluate(() => document.documentElement.scrollWidth - document.documentElement.clientWidth), 0, "the comparison scrolls sideways");
+  assert.match(await textOf(page, "section[aria-label=Right]"), /χ²/);
+  assert.deepEqual(page.complaints, []);
+});
