@@ -9,12 +9,15 @@ fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
 }
 
+/// Folders of what is built, captured or installed.
+const NOT_OURS: [&str; 3] = ["node_modules", "sessions", "target"];
+
 /// Files below `folder` whose names end in one of `endings`, without built or unpacked ones.
 fn files(folder: &Path, endings: &[&str], found: &mut Vec<PathBuf>) {
     for entry in fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();
         let name = path.file_name().unwrap().to_string_lossy().into_owned();
-        if path.is_dir() && !name.starts_with('.') && name != "target" && name != "sessions" {
+        if path.is_dir() && !name.starts_with('.') && !NOT_OURS.contains(&name.as_str()) {
             files(&path, endings, found);
         } else if path.is_file() && endings.iter().any(|ending| name.ends_with(ending)) {
             found.push(path);

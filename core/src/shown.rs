@@ -37,7 +37,7 @@ pub fn line(text: &str) -> String {
     without_middle(escaped(&joined)).into_owned()
 }
 
-/// The error and its causes as one [`line`] each, outermost first, joined by `: `. A cause
+/// The error and its causes as one [`line()`] each, outermost first, joined by `: `. A cause
 /// that its parent already quotes is not repeated.
 pub fn with_causes(error: &(dyn Error + 'static)) -> String {
     let mut text = line(&error.to_string());

@@ -1,4 +1,4 @@
-//! stderr, through a [queue](WriteQueue) with a thread of its own: nothing that happens to
+//! stderr, through a queue with a thread of its own: nothing that happens to
 //! stderr holds the thread that drives a bench. Where it takes nothing, progress is dropped
 //! first and remarks last, and the number of lost messages is reported once there is room.
 

@@ -3,7 +3,7 @@
 //!
 //! - [`hub`]: what is published to every page, newest state only.
 //! - [`beneath`]: files below a folder that nothing leads out of.
-//! - [`bench`]: camera and stage held open while nothing is captured.
+//! - [`mod@bench`]: camera and stage held open while nothing is captured.
 //! - [`picture`]: frames as pictures.
 //! - [`catalogue`]: the sessions of a folder.
 //! - [`frames`]: the last captured frame.

@@ -6,13 +6,11 @@ use std::sync::Arc;
 
 use super::*;
 use crate::console::fault::Advisor;
-use crate::device::*;
 use crate::radiance_image::RadianceImage;
 use crate::session::commit::SystemDisk;
 use crate::session::fit_record::{self, FitImages, Verdict};
 use crate::session::layout::session_name;
 use crate::session::*;
-use crate::units::{Seconds, StageAngles};
 
 fn record(sample: &str, began: &str) -> SessionRecord {
     SessionRecord {

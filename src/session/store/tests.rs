@@ -11,12 +11,7 @@ use crate::session::faults::{Fault, FaultyDisk, UnsyncedDisk};
 use crate::session::journal::Event;
 use crate::session::verify::verify;
 use crate::session::*;
-use crate::units::{Seconds, StageAngles};
-
-const ANGLES: StageAngles = StageAngles {
-    azimuth_deg: 10.0,
-    elevation_deg: 80.0,
-};
+use crate::units::Seconds;
 
 fn create(disk: Arc<dyn commit::Disk>, parent: &Path) -> Result<SessionWriter, SessionError> {
     SessionWriter::create(
