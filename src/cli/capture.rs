@@ -270,10 +270,7 @@ fn carry_out(
     // The fit.
     if !args.no_fit {
         let unfitted = unfitted(args, &root, lines);
-        interrupt::end_on_signal(context, unfitted.clone())?;
-        if let Some(signal) = interrupt.signal() {
-            return Err(unfitted(signal));
-        }
+        interrupt::end_on_signal(context, &interrupt, unfitted)?;
         fit::fit_and_report(&root, context, lines)?;
     }
     print_result(args, &root, outcome, elapsed_s, bar.spent())

@@ -394,7 +394,10 @@ fn reaches_children(number: i32, had_terminal: bool) -> bool {
     };
     match number {
         SIGINT => is_in_front(),
-        SIGHUP => had_terminal,
+        // The kernel tells the leader of a session alone.
+        SIGHUP => {
+            had_terminal && rustix::process::getsid(None).ok() != Some(rustix::process::getpid())
+        }
         _ => false,
     }
 }

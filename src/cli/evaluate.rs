@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use super::interrupt::end_on_signal;
+use super::interrupt::{end_on_signal, listen};
 use super::{CliError, Context, light_choice, output};
 use crate::evaluate::experiment::{Overrides, Run, Settings, run as run_experiment};
 use crate::evaluate::lab::Lab;
@@ -111,7 +111,7 @@ pub fn run(args: &EvaluateArgs, context: &Context) -> Result<(), CliError> {
     let lab = Lab::new(settings, overrides.portable)?;
     // Finished cases are on disk already: the run may end at any moment.
     let shown = folder.display().to_string();
-    end_on_signal(context, move |signal| {
+    end_on_signal(context, &listen()?, move |signal| {
         CliError::interrupted(signal, format!("stopped; {shown} keeps what is finished"))
             .hint("the same command completes it")
     })?;

@@ -196,12 +196,14 @@ impl<'a> Session<'a> {
         write_stderr(&shown(question));
         loop {
             write_stderr(&prompt(question));
-            let mut line = String::new();
-            let read = stdin().lock().read_line(&mut line);
+            let mut line = Vec::new();
+            let read = stdin().lock().read_until(b'\n', &mut line);
             if !read.is_ok_and(|bytes| bytes > 0) {
                 return Err(CliError::new("the input ended before all questions were answered")
                     .hint("nothing was written; run it again and answer each, Enter takes the default"));
             }
+            // Bytes of another encoding are no reason to lose the answers before.
+            let line = String::from_utf8_lossy(&line);
             let given = match (line.trim(), &question.default) {
                 ("", Some(default)) => Ok(default.clone()),
                 (text, _) => question.typed(text),

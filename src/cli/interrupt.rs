@@ -5,6 +5,8 @@
 //! Only commands that hold hardware or a session listen; every other command
 //! keeps the system's default and ends at once.
 
+use std::time::Duration;
+
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGTSTP};
 use signal_hook::low_level::emulate_default_handler;
 
@@ -51,34 +53,40 @@ pub fn suspend() {
     drop(emulate_default_handler(SIGTSTP));
 }
 
-/// For a command that has listened and now holds nothing that must be ended in
-/// good order: the next signal ends the program at once, with this error.
+/// For a command that holds nothing that must be ended in good order: a signal, also one that
+/// was heard before, ends the program at once, with this error.
 pub fn end_on_signal(
     context: &Context,
+    interrupt: &Interrupt,
     error: impl Fn(Signal) -> CliError + Send + 'static,
 ) -> Result<(), CliError> {
-    let mut signals = signal_hook::iterator::Signals::new([SIGINT, SIGTERM, SIGHUP, SIGTSTP])?;
     let color = context.color;
+    let interrupt = interrupt.clone();
     std::thread::Builder::new()
         .name("end on signal".into())
         .spawn(move || {
-            for number in signals.forever() {
-                let Some(signal) = Signal::from_number(number) else {
+            loop {
+                if let Some(signal) = interrupt.signal() {
+                    let error = error(signal);
+                    write_stderr(&error.render(color));
+                    stderr::flush(stderr::LAST_WORDS);
+                    std::process::exit(error.exit().code().into());
+                }
+                if interrupt.take_pause() {
                     suspend();
-                    continue;
-                };
-                let error = error(signal);
-                write_stderr(&error.render(color));
-                stderr::flush(stderr::LAST_WORDS);
-                std::process::exit(error.exit().code().into());
+                }
+                std::thread::sleep(LOOK);
             }
         })?;
     Ok(())
 }
 
+/// So often [`end_on_signal`] looks whether there was a signal.
+const LOOK: Duration = Duration::from_millis(20);
+
 #[cfg(test)]
 mod tests {
-    use std::time::{Duration, Instant};
+    use std::time::Instant;
 
     use super::*;
     use crate::interrupt::StopLevel;

@@ -105,9 +105,12 @@ impl JobState {
         self.exit = code;
         self.pid = None;
         self.progress = None;
+        // Killed as asked for by STOP, or by the system, for want of memory for instance.
+        let was_ending = self.state == Some(State::Ending);
         self.state = Some(match code {
             Some(0) => State::Done,
-            Some(129 | 130 | 137 | 143) => State::Interrupted,
+            Some(129 | 130 | 143) => State::Interrupted,
+            Some(137) if was_ending => State::Interrupted,
             _ => State::Failed,
         });
         if self.state != Some(State::Done) {

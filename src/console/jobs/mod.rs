@@ -135,7 +135,7 @@ struct Shared {
     hub: Hub,
     lend: OnceLock<Lend>,
     stored: OnceLock<Stored>,
-    queries: tokio::sync::Semaphore,
+    queries: Arc<tokio::sync::Semaphore>,
     run: Mutex<Run>,
     ended: Condvar,
     shown: Mutex<Shown>,
@@ -178,7 +178,7 @@ impl Jobs {
             hub,
             lend: OnceLock::new(),
             stored: OnceLock::new(),
-            queries: tokio::sync::Semaphore::new(QUERIES),
+            queries: Arc::new(tokio::sync::Semaphore::new(QUERIES)),
             run: Mutex::default(),
             ended: Condvar::new(),
             shown: Mutex::default(),
@@ -535,9 +535,14 @@ impl Jobs {
         limit: Duration,
     ) -> Result<Answer, QueryError> {
         let jobs = self.clone();
-        // The semaphore is never closed.
-        let _one_of_two = self.0.queries.acquire().await.ok();
-        let asked = tokio::task::spawn_blocking(move || jobs.query(&arguments, &stdin, limit));
+        // The semaphore is never closed. The command keeps its place also when the page that
+        // asked is gone.
+        let one_of_two = self.0.queries.clone().acquire_owned().await.ok();
+        let asked = tokio::task::spawn_blocking(move || {
+            let answer = jobs.query(&arguments, &stdin, limit);
+            drop(one_of_two);
+            answer
+        });
         asked.await.unwrap_or_else(|_| {
             Err(QueryError::Failed {
                 fact: "internal error".to_owned(),

@@ -148,7 +148,20 @@ async fn devices(State(jobs): State<Jobs>) -> Done {
 
 async fn questions(State(jobs): State<Jobs>) -> Done {
     let arguments = ["init", "--questions", "--json"].map(OsString::from);
-    shown_json(&jobs, arguments.into()).await
+    let Json(mut questions) = shown_json(&jobs, arguments.into()).await?;
+    for question in questions.as_array_mut().into_iter().flatten() {
+        if let Some(choices) = question.get_mut("choices").and_then(Value::as_array_mut) {
+            choices.retain(|choice| !is_program(choice.get("value")));
+        }
+    }
+    Ok(Json(questions))
+}
+
+/// Whether a camera is a program of the operator's: only the terminal may name one, because
+/// every later command runs it.
+fn is_program(camera: Option<&Value>) -> bool {
+    let named = camera.and_then(Value::as_str).unwrap_or_default();
+    named.trim_start().to_lowercase().starts_with("command")
 }
 
 #[derive(Deserialize)]
@@ -157,6 +170,11 @@ struct SetUp {
 }
 
 async fn set_up(State(jobs): State<Jobs>, _: Controlled, Asked(form): Asked<SetUp>) -> Done {
+    if is_program(form.answers.get("camera")) {
+        let fact = "camera = \"command\": a page may not name a program";
+        let hint = "run `rig init` at the terminal";
+        return Err(Refusal::new(StatusCode::UNPROCESSABLE_ENTITY, fact).hint(Some(hint.into())));
+    }
     let arguments = ["init", "--answers=-", "--json"].map(OsString::from);
     let answers = Value::Object(form.answers).to_string().into_bytes();
     let answer = jobs.ask(arguments.into(), answers, SHORT).await?;

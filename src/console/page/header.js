@@ -53,12 +53,10 @@ async function stop() {
   const button = by("stop");
   button.classList.add("pressed");
   announce("STOP sent");
-  const requests = [act("api/bench/stop")];
-  if (working()) requests.push(act("api/capture/stop"));
-  const outcomes = await Promise.allSettled(requests);
+  // Both, always: what this page last heard of a capture may be old.
+  const outcomes = await Promise.allSettled([act("api/capture/stop"), act("api/bench/stop")]);
   const failed = outcomes.find((outcome) => outcome.status === "rejected");
-  // Which of the two had something to stop doesn't matter; that neither did must be shown.
-  if (failed && (requests.length === 1 || outcomes.every((outcome) => outcome.status === "rejected"))) complain(failed.reason);
+  if (failed) complain(failed.reason);
   setTimeout(() => button.classList.remove("pressed"), 600);
 }
 

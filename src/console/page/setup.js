@@ -4,7 +4,7 @@ import { act, ask } from "./api.js";
 import { copyButton, gate, h, panel, say } from "./dom.js";
 import { blocked } from "./header.js";
 import { announce, capital, complain } from "./notices.js";
-import { watch } from "./stream.js";
+import { state, watch } from "./stream.js";
 
 /** Builds the view; the returned function shows and hides it. */
 export function startSetup(view) {
@@ -144,6 +144,7 @@ function done(file, steps) {
     "Written",
     {},
     h("p", {}, h("code", {}, file)),
+    h("p", {}, `This console still works with ${state.console?.rig?.file ?? "the rig that it began with"}: end it (Ctrl-C at its terminal) and start rig console again to use the new file.`),
     h("h4", {}, "What to calibrate next, in this order"),
     h("ol", { class: "steps" }, steps.map(({ command, purpose }) => h("li", {}, purpose ? h("p", {}, capital(purpose)) : null, h("div", { class: "copy" }, h("code", { class: "command", tabindex: "0" }, command), copyButton(() => command, command))))),
   );
