@@ -47,9 +47,9 @@ async function content(session) {
   return files;
 }
 
-/** Without times, the camera's count of frames, which runs with time, and the number of the pseudo-terminal behind which the simulated stage is. */
+/** Without times, what runs with time (the count of frames, the temperatures), and the number of the pseudo-terminal behind which the simulated stage is. */
 function withoutTimes(text) {
-  return text.split("\n").filter((line) => !/^(created_utc|utc|monotonic_s|device_s|device_sequence|port) = /.test(line)).join("\n");
+  return text.split("\n").filter((line) => !/^(created_utc|utc|monotonic_s|device_s|device_sequence|sensor_c|lamp_c|port) = /.test(line)).join("\n");
 }
 
 /**
