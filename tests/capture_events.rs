@@ -12,8 +12,9 @@ use std::process::{Output, Stdio};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use rig::capture::DriftSpan;
 use rig::capture::Outcome;
-use rig::capture::events::{CaptureEvent, Ending, FrameEvent, Span, Stamped};
+use rig::capture::events::{CaptureEvent, Ending, FrameEvent, Stamped};
 use rig::session::faults::UnsyncedDisk;
 use rig::session::{Event, Journal, Session, drift};
 use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
@@ -146,8 +147,8 @@ fn a_capture_reports_all_that_happens_in_its_order() {
     let changes = session.lamp_drift().unwrap().changes;
     let recorded = changes.iter().map(|change| {
         let (light, span) = match change.span {
-            drift::Span::WithinLight(light) => (light, Span::Light),
-            drift::Span::OverSession => (0, Span::Session),
+            drift::Span::WithinLight(light) => (light, DriftSpan::Light),
+            drift::Span::OverSession => (0, DriftSpan::Session),
         };
         (
             light,

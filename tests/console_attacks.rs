@@ -132,11 +132,11 @@ fn slow_clients_are_cut_off_and_hold_nobody_up() {
     let mut slow = console.connect();
     let head = console.filled("GET /{T}/ HTTP/1.1\r\nHost: {H}\r\nX: ");
     slow.write_all(head.as_bytes()).unwrap();
-    let mut beside = Duration::ZERO;
+    let mut slowest = Duration::ZERO;
     loop {
         let asked = Instant::now();
         assert_page_is_there(&console, "a slow head");
-        beside = beside.max(asked.elapsed());
+        slowest = slowest.max(asked.elapsed());
         if slow.write_all(b"x").is_err() || began.elapsed() > Duration::from_secs(8) {
             break;
         }
@@ -147,7 +147,7 @@ fn slow_clients_are_cut_off_and_hold_nobody_up() {
     let text = String::from_utf8_lossy(&rest);
     assert!(!text.contains(" 200 "), "{text}");
     assert!(began.elapsed() < Duration::from_secs(20), "it is cut off");
-    assert!(beside < Duration::from_secs(4), "{beside:?}");
+    assert!(slowest < Duration::from_secs(4), "{slowest:?}");
 }
 
 #[test]
@@ -200,6 +200,33 @@ fn streams_are_bounded_and_one_that_stalls_holds_nobody_up() {
     streams.truncate(20);
     again.wait_for("console", |console| console["viewers"].as_u64() < Some(24));
     assert!(console.events("w").status().contains(" 200 "));
+}
+
+/// A program in a rig file is run by every later command, so that the token would be worth a
+/// shell.
+#[test]
+fn no_page_names_a_program() {
+    let folder = workplace();
+    let console = start(folder.path());
+    for camera in ["command", " Command", "command touch pwned"] {
+        let answers = json!({"camera": camera, "camera_address": "touch pwned", "stage": "manual"});
+        let refused = console.post("a", "/api/setup", &json!({"answers": answers}));
+        assert_eq!(refused.status, 422, "{camera}");
+        let error = refused.json()["error"].to_string();
+        assert!(error.contains("may not name a program"), "{error}");
+    }
+    assert!(!folder.path().join("rig.toml").exists());
+    let questions = console.get("/api/setup").json();
+    let cameras = questions.as_array().unwrap().iter();
+    let cameras = cameras.filter(|question| question["key"] == "camera");
+    let choices: Vec<_> = cameras
+        .map(|question| question["choices"].clone())
+        .collect();
+    assert!(choices[0].as_array().is_some_and(|all| !all.is_empty()));
+    assert!(
+        !choices[0].to_string().contains("\"command\""),
+        "{choices:?}"
+    );
 }
 
 #[test]

@@ -354,6 +354,13 @@ impl Terminal {
         self.wait_for("] ");
         self.enter(line);
     }
+
+    /// Waits for a refusal, then answers the question anew.
+    fn correct(&mut self, refusal: &str, line: &str) {
+        self.wait_for(refusal);
+        self.wait_for("] ");
+        self.enter(line);
+    }
 }
 
 /// Defaults by Enter, a choice by its number, bad answers asked again with the range, and a
@@ -364,16 +371,18 @@ fn a_session_at_a_terminal() {
     let at = folder.path();
     let mut terminal = Terminal::start(at, &["init"]);
     terminal.answer("Name of the bench", "My Bench");
-    terminal.wait_for("My Bench is not possible: it must be 1 to 40 of a-z, 0-9 and -");
-    terminal.wait_for("] ");
-    terminal.enter("attic");
+    terminal.correct(
+        "My Bench is not possible: it must be 1 to 40 of a-z, 0-9 and -",
+        "attic",
+    );
     terminal.answer("Camera", "v4l /dev/v4l/by-id/usb-none-video-index0");
     terminal.answer("Width of a frame", "640");
     terminal.answer("Height of a frame", "480");
     terminal.answer("Significant bits", "20");
-    terminal.wait_for("20 is not possible: it must be a whole number from 8 to 16 (bits)");
-    terminal.wait_for("] ");
-    terminal.enter("12");
+    terminal.correct(
+        "20 is not possible: it must be a whole number from 8 to 16 (bits)",
+        "12",
+    );
     terminal.answer("Colour filters", "1");
     terminal.answer("Lens", "");
     terminal.answer("Width of the field of view", "30");
@@ -381,9 +390,7 @@ fn a_session_at_a_terminal() {
     terminal.answer("stand in the lamp's way", "no");
     terminal.answer("Shape of the sample", "2");
     terminal.answer("Radius of the sample", "14");
-    terminal.wait_for("14 is not possible: it must be such that the sample (14 mm from its middle) is within 11.25 mm");
-    terminal.wait_for("] ");
-    terminal.enter("9");
+    terminal.correct("14 is not possible: it must be such that the sample (14 mm from its middle) is within 11.25 mm", "9");
     terminal.answer("Stage that brings", "5");
     for title in [
         "Distance from the lamp",

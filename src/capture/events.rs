@@ -5,11 +5,11 @@
 use serde::{Deserialize, Serialize};
 
 use super::progress::{DriftSpan, Outcome, Progress};
-use crate::device::{FrameKind, LampChannel, LampState};
+use crate::device::{FrameKey, FrameKind, LampChannel, LampState};
 use crate::session::fit_record::Verdict;
 use crate::session::utc_now;
 use crate::shown::with_causes;
-use crate::units::StageAngles;
+use crate::units::{Seconds, StageAngles};
 
 /// An event, and when it was reported: one line of the stream.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -97,7 +97,7 @@ pub enum CaptureEvent {
         /// Number of the lamp channel.
         channel: LampChannel,
         /// Between which frames.
-        span: Span,
+        span: DriftSpan,
         /// Change of the signal, 0.01 for 1%.
         relative: f64,
         /// Its standard uncertainty, likewise.
@@ -188,16 +188,6 @@ pub struct FrameEvent {
     pub lamp: Option<LampChannel>,
 }
 
-/// Between which frames the lamp is compared with itself.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Span {
-    /// A light's first frames and its last.
-    Light,
-    /// The first light's first frames and those of its second visit at the end.
-    Session,
-}
-
 /// How a capture ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -220,10 +210,20 @@ impl Stamped {
     }
 }
 
-fn lit(lamp: LampState) -> Option<LampChannel> {
-    match lamp {
-        LampState::Off => None,
-        LampState::On(channel) => Some(channel),
+impl FrameEvent {
+    fn new(key: FrameKey, pilot: bool, exposure: Seconds, lamp: LampState) -> Self {
+        Self {
+            light: key.light,
+            exposure: key.exposure,
+            repeat: key.repeat,
+            kind: key.kind,
+            pilot,
+            exposure_s: exposure.0,
+            lamp: match lamp {
+                LampState::Off => None,
+                LampState::On(channel) => Some(channel),
+            },
+        }
     }
 }
 
@@ -272,28 +272,12 @@ impl From<Progress<'_>> for CaptureEvent {
                 kept,
                 done,
             } => Self::Frame {
-                frame: FrameEvent {
-                    light: key.light,
-                    exposure: key.exposure,
-                    repeat: key.repeat,
-                    kind: key.kind,
-                    pilot,
-                    exposure_s: exposure.0,
-                    lamp: lit(lamp),
-                },
+                frame: FrameEvent::new(key, pilot, exposure, lamp),
                 kept,
                 done,
             },
             Progress::Stored(stored) => Self::Stored {
-                frame: FrameEvent {
-                    light: stored.key.light,
-                    exposure: stored.key.exposure,
-                    repeat: stored.key.repeat,
-                    kind: stored.key.kind,
-                    pilot: stored.pilot,
-                    exposure_s: stored.exposure.0,
-                    lamp: lit(stored.lamp),
-                },
+                frame: FrameEvent::new(stored.key, stored.pilot, stored.exposure, stored.lamp),
                 file: stored.file.clone(),
                 retakes: stored.retakes,
             },
@@ -307,10 +291,7 @@ impl From<Progress<'_>> for CaptureEvent {
             } => Self::Drift {
                 light,
                 channel,
-                span: match span {
-                    DriftSpan::Light => Span::Light,
-                    DriftSpan::Session => Span::Session,
-                },
+                span,
                 relative,
                 uncertainty,
             },
@@ -347,9 +328,7 @@ mod tests {
     use super::*;
     use crate::capture::CaptureError;
     use crate::capture::progress::StoredFrame;
-    use crate::device::FrameKey;
     use crate::radiometry::exposure::BracketStep;
-    use crate::units::Seconds;
 
     fn json(event: CaptureEvent) -> serde_json::Value {
         let stamped = Stamped {

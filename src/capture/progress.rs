@@ -3,6 +3,8 @@
 
 use std::path::Path;
 
+use serde::{Deserialize, Serialize};
+
 use super::{CaptureError, Spent};
 use crate::device::{FrameKey, LampChannel, LampState};
 use crate::radiometry::exposure::BracketStep;
@@ -58,7 +60,8 @@ impl<A: Observer, B: Observer> Observer for (A, B) {
 }
 
 /// Between which frames the lamp is compared with itself.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum DriftSpan {
     /// A light's first frames and its last.
     Light,

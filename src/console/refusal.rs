@@ -1,9 +1,10 @@
-//! What a request that is refused gets: a status, the fact, and advice where there is some.
+//! What an action answers: that it is accepted, or a status, the fact, and advice where there
+//! is some.
 
 use axum::Json;
 use axum::http::StatusCode;
 use axum::response::{IntoResponse, Response};
-use serde_json::json;
+use serde_json::{Value, json};
 
 /// A refused or failed request: `{"error": fact, "hint": advice or null}`.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -14,6 +15,14 @@ pub struct Refusal {
     pub error: String,
     /// What to do about it.
     pub hint: Option<String>,
+}
+
+/// What an action answers; what comes of it is published.
+pub type Accepted = Result<(StatusCode, Json<Value>), Refusal>;
+
+/// 202 with this answer.
+pub fn accepted(answer: Value) -> Accepted {
+    Ok((StatusCode::ACCEPTED, Json(answer)))
 }
 
 impl Refusal {

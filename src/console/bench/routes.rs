@@ -1,12 +1,12 @@
 //! The bench's addresses.
 
+use axum::Router;
 use axum::extract::rejection::QueryRejection;
 use axum::extract::{Query, State};
 use axum::http::header::CONTENT_TYPE;
 use axum::http::{HeaderName, StatusCode};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
-use axum::{Json, Router};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
@@ -15,7 +15,7 @@ use crate::console::blocking::blocking;
 use crate::console::control::Controlled;
 use crate::console::fault::Fault;
 use crate::console::picture::Marks;
-use crate::console::refusal::Refusal;
+use crate::console::refusal::{Accepted, Refusal, accepted};
 use crate::console::request::{Asked, Viewer};
 use crate::device::{CameraSettings, LampChannel};
 use crate::units::{Seconds, StageAngles};
@@ -37,23 +37,20 @@ pub fn routes(bench: Bench) -> Router {
         .with_state(bench)
 }
 
-type Accepted = Result<(StatusCode, Json<Value>), Refusal>;
-
-/// What comes of it is published.
-fn accepted(outcome: Result<(), Fault>) -> Accepted {
+fn begun(outcome: Result<(), Fault>) -> Accepted {
     match outcome {
-        Ok(()) => Ok((StatusCode::ACCEPTED, Json(json!({})))),
+        Ok(()) => accepted(json!({})),
         Err(Fault { error, hint }) => Err(Refusal::conflict(error).hint(hint)),
     }
 }
 
 async fn connect(State(bench): State<Bench>, _: Controlled, _: Asked<Value>) -> Accepted {
-    accepted(bench.connect())
+    begun(bench.connect())
 }
 
 async fn disconnect(State(bench): State<Bench>, _: Controlled, _: Asked<Value>) -> Accepted {
     bench.disconnect();
-    accepted(Ok(()))
+    begun(Ok(()))
 }
 
 #[derive(Deserialize)]
@@ -68,14 +65,14 @@ async fn exposure(
     _: Controlled,
     Asked(wanted): Asked<Exposure>,
 ) -> Accepted {
-    accepted(bench.set_exposure(CameraSettings {
+    begun(bench.set_exposure(CameraSettings {
         exposure: Seconds(wanted.exposure_ms * 1e-3),
         gain: wanted.gain,
     }))
 }
 
 async fn home(State(bench): State<Bench>, _: Controlled, _: Asked<Value>) -> Accepted {
-    accepted(bench.home())
+    begun(bench.home())
 }
 
 async fn move_to(
@@ -83,7 +80,7 @@ async fn move_to(
     _: Controlled,
     Asked(target): Asked<StageAngles>,
 ) -> Accepted {
-    accepted(bench.move_to(target))
+    begun(bench.move_to(target))
 }
 
 #[derive(Deserialize)]
@@ -93,13 +90,13 @@ struct Lamp {
 }
 
 async fn lamp(State(bench): State<Bench>, _: Controlled, Asked(lamp): Asked<Lamp>) -> Accepted {
-    accepted(bench.set_lamp(lamp.channel))
+    begun(bench.set_lamp(lamp.channel))
 }
 
 /// By any page, whichever controls.
 async fn stop(State(bench): State<Bench>, _: Viewer, _: Asked<Value>) -> Accepted {
     bench.stop();
-    accepted(Ok(()))
+    begun(Ok(()))
 }
 
 #[derive(Deserialize)]

@@ -216,6 +216,18 @@ fn wait_for(bench: &Bench, what: &str, is: impl Fn(&State) -> bool) -> State {
     }
 }
 
+/// Connected, with the lamp on, in the middle of a move.
+fn lit_and_moving(world: &Arc<World>) -> Bench {
+    let bench = connected(world);
+    bench.set_lamp(Some(LampChannel(0))).unwrap();
+    wait_for(&bench, "lit", |state| {
+        state.busy.is_none() && World::is(&world.lit)
+    });
+    bench.move_to(TARGET).unwrap();
+    wait_for(&bench, "moving", |state| state.busy == Some(Busy::Moving));
+    bench
+}
+
 #[track_caller]
 fn connected(world: &Arc<World>) -> Bench {
     let bench = bench(world);
@@ -284,13 +296,7 @@ fn a_page_connects_sees_switches_and_disconnects() {
 #[test]
 fn a_stop_waits_behind_no_move_and_the_picture_goes_on() {
     let world = Arc::<World>::default();
-    let bench = connected(&world);
-    bench.set_lamp(Some(LampChannel(0))).unwrap();
-    wait_for(&bench, "lit", |state| {
-        state.busy.is_none() && World::is(&world.lit)
-    });
-    bench.move_to(TARGET).unwrap();
-    wait_for(&bench, "moving", |state| state.busy == Some(Busy::Moving));
+    let bench = lit_and_moving(&world);
     assert!(bench.home().is_err(), "one action at a time");
     let before = picture_number(&bench);
     wait_for(&bench, "going on", |_| picture_number(&bench) > before + 2);
@@ -392,13 +398,7 @@ fn lent_devices_are_closed_and_stay_so() {
 #[test]
 fn the_end_closes_the_devices_whatever_they_do() {
     let world = Arc::<World>::default();
-    let bench = connected(&world);
-    bench.set_lamp(Some(LampChannel(0))).unwrap();
-    wait_for(&bench, "lit", |state| {
-        state.busy.is_none() && World::is(&world.lit)
-    });
-    bench.move_to(TARGET).unwrap();
-    wait_for(&bench, "moving", |state| state.busy == Some(Busy::Moving));
+    let bench = lit_and_moving(&world);
     let began = Instant::now();
     assert!(bench.end(PATIENCE));
     assert!(

@@ -6,12 +6,11 @@
 use std::ffi::OsString;
 use std::path::PathBuf;
 
+use axum::Router;
 use axum::extract::{Path, State};
-use axum::http::StatusCode;
 use axum::routing::post;
-use axum::{Json, Router};
 use serde::Deserialize;
-use serde_json::{Value, json};
+use serde_json::json;
 
 use super::files::{EXPORTS_FOLDER, EXPORTS_ROOT};
 use super::row::check_name;
@@ -19,7 +18,7 @@ use crate::console::beneath;
 use crate::console::blocking::blocking;
 use crate::console::control::Controlled;
 use crate::console::jobs::{Jobs, Kind, Work};
-use crate::console::refusal::Refusal;
+use crate::console::refusal::{Accepted, Refusal, accepted};
 use crate::console::request::Asked;
 use crate::export::Format;
 use crate::session::layout::FITS_FOLDER;
@@ -31,8 +30,6 @@ pub fn action_routes(jobs: Jobs) -> Router {
         .route("/api/sessions/{name}/export", post(export))
         .with_state(jobs)
 }
-
-type Accepted = Result<(StatusCode, Json<Value>), Refusal>;
 
 /// Options of a fit. Whether their values are right decides `rig fit`.
 #[derive(Debug, Default, Deserialize)]
@@ -152,7 +149,7 @@ async fn start(
         jobs.start(work).map_err(Refusal::from)
     });
     let command = command.await??;
-    Ok((StatusCode::ACCEPTED, Json(json!({"command": command}))))
+    accepted(json!({"command": command}))
 }
 
 /// The folder of a session that no link leads to.

@@ -3,7 +3,8 @@
 use serde::Serialize;
 use serde_json::Value;
 
-use crate::capture::events::{CaptureEvent, Ending, FrameEvent, Span, Stamped};
+use crate::capture::DriftSpan;
+use crate::capture::events::{CaptureEvent, Ending, FrameEvent, Stamped};
 use crate::device::FrameKind;
 use crate::session::fit_record::Verdict;
 
@@ -325,11 +326,13 @@ impl CaptureState {
         }
     }
 
-    fn drift(&mut self, light: u32, span: Span, percent: f64, u_percent: f64) {
+    fn drift(&mut self, light: u32, span: DriftSpan, percent: f64, u_percent: f64) {
         let (drift, uncertainty) = match (span, self.lights.get_mut(light as usize)) {
-            (Span::Session, _) => (&mut self.drift_percent, &mut self.drift_u_percent),
-            (Span::Light, Some(light)) => (&mut light.drift_percent, &mut light.drift_u_percent),
-            (Span::Light, None) => return,
+            (DriftSpan::Session, _) => (&mut self.drift_percent, &mut self.drift_u_percent),
+            (DriftSpan::Light, Some(light)) => {
+                (&mut light.drift_percent, &mut light.drift_u_percent)
+            }
+            (DriftSpan::Light, None) => return,
         };
         if drift.is_none_or(|largest| percent.abs() > largest.abs()) {
             *drift = Some(percent);

@@ -53,7 +53,7 @@ const KILL_AFTER: Duration = Duration::from_secs(10);
 pub type Lend = Arc<dyn Fn() -> Result<Loan, JobError> + Send + Sync>;
 /// While it lasts the devices are the job's.
 pub type Loan = Box<dyn Send>;
-/// Is told of each frame that a capture has on the disk: its session's folder, and its file
+/// Called with each frame that a capture has on the disk: its session's folder, and its file
 /// in that.
 pub type Stored = Arc<dyn Fn(&Path, &str) + Send + Sync>;
 

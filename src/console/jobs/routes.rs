@@ -13,8 +13,9 @@ use serde_json::{Value, json};
 
 use super::job_state::Kind;
 use super::{Answer, JobError, Jobs, QueryError, Work, is_session, shown};
+use crate::console::blocking::blocking;
 use crate::console::control::Controlled;
-use crate::console::refusal::Refusal;
+use crate::console::refusal::{Accepted, Refusal, accepted};
 use crate::console::request::Asked;
 use crate::session::layout::session_name;
 
@@ -121,11 +122,6 @@ pub fn routes(jobs: Jobs) -> Router {
 }
 
 type Done = Result<Json<Value>, Refusal>;
-type Accepted = Result<(StatusCode, Json<Value>), Refusal>;
-
-fn accepted(answer: Value) -> Accepted {
-    Ok((StatusCode::ACCEPTED, Json(answer)))
-}
 
 async fn shown_json(jobs: &Jobs, arguments: Vec<OsString>) -> Done {
     Ok(Json(jobs.ask(arguments, Vec::new(), SHORT).await?.value))
@@ -197,8 +193,7 @@ async fn plan(State(jobs): State<Jobs>, Asked(form): Asked<CaptureForm>) -> Done
 
 /// Starts a capture; closing the devices may take a moment, so on another thread.
 async fn capture(jobs: Jobs, work: Work) -> Accepted {
-    let started = tokio::task::spawn_blocking(move || jobs.start(work)).await;
-    let command = started.map_err(|_| Refusal::failed("internal error"))??;
+    let command = blocking(move || jobs.start(work)).await??;
     accepted(json!({"command": command}))
 }
 

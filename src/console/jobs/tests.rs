@@ -192,9 +192,9 @@ fn a_session_is_a_folder_of_the_folder() {
 fn figures_are_kept_for_the_frame_that_they_are_of() {
     let stored = r#"echo '{"event":"stored","at":"t","light":0,"exposure":0,"repeat":0,"kind":"light","pilot":false,"exposure_s":0.1,"lamp":0,"file":"raw/a.png","retakes":0}'"#;
     let (_folder, jobs, hub) = jobs(&format!("{BEGUN}\n{stored}"));
-    let (told, frames) = std::sync::mpsc::channel();
+    let (sender, frames) = std::sync::mpsc::channel();
     jobs.watch_frames(Arc::new(move |session, file| {
-        told.send((session.to_owned(), file.to_owned())).unwrap();
+        sender.send((session.to_owned(), file.to_owned())).unwrap();
     }));
     jobs.start(work(Kind::Capture, &["capture"])).unwrap();
     jobs.wait();

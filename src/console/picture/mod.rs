@@ -1,4 +1,4 @@
-//! Raw frames as pictures for the eye, and what a page draws on them.
+//! Raw frames as pictures to look at, and what a page draws on them.
 //!
 //! - [`jpeg()`]: a frame as a JPEG of at most [`LARGEST_PX`] pixels a side;
 //! - [`peaking`]: where a frame is in focus;
