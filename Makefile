@@ -6,6 +6,9 @@
 # `make test-console`: the operator's console in a browser (tests/console/README.md).
 # `make test-vm`: the program against the kernel's own drivers in a virtual machine.
 # `make docs`: the documentation as a site, target/book/index.html.
+# `make deb`: the Debian package, target/debian/rig-reflectometry_*.deb (docs/install.md).
+# `make test-deb`: that package in a fresh Debian root; needs root or sudo.
+# `make release`: everything that a release consists of, in target/release-VERSION; publishes nothing.
 # `make test-external`: exports loaded in the programs they are for (tests/external/README.md).
 
 CARGO ?= cargo
@@ -36,6 +39,17 @@ docs:
 	  $(CARGO) install mdbook@0.5.4 --locked --no-default-features --features search
 	@mkdir -p target
 	@$(MDBOOK) build docs 2>&1 | tee target/book.log; ! grep -E 'WARN|ERROR' target/book.log
+
+deb: build docs
+	@$(MAKE) --no-print-directory deps EXTRA_DEPS="binutils dpkg-dev"
+	packaging/deb.sh target/release/rig
+
+test-deb: deb
+	@$(MAKE) --no-print-directory deps EXTRA_DEPS="mmdebstrap"
+	$(SUDO) packaging/try-deb.sh target/debian/rig-reflectometry_*.deb
+
+release:
+	packaging/release.sh
 
 test-external: build
 	tests/external/run.sh target/release/rig
