@@ -20,6 +20,7 @@ mount --make-rslave "$root/dev"
 
 step "apt install"
 cp "$deb" "$root/tmp/rig.deb"
+inside apt-get update -qq
 inside apt-get install -qq --no-install-recommends /tmp/rig.deb
 inside useradd --create-home --shell /bin/bash researcher
 
@@ -37,15 +38,15 @@ inside udevadm test --action=add /sys/class/mem/null >"$root/tmp/udev.log" 2>&1 
 grep 'Reading rules file: /usr/lib/udev/rules.d/70-rig.rules' "$root/tmp/udev.log" || fail "udev does not read 70-rig.rules"
 ! grep '70-rig.rules:' "$root/tmp/udev.log" || fail "udev objects to the rules"
 
-step "a whole measurement on the simulated bench, as an ordinary user"
-as_user "rig demo --out sessions" | tail -n 3
-as_user "ls sessions/*/report.html"
-
 step "Debian's own rig"
 inside apt-get install --yes --simulate rig | grep -E '^(Remv|Inst) rig' ||
   fail "apt would install both"
 inside sh -c 'cd /tmp && apt-get download rig && ! dpkg --install rig_*.deb' 2>&1 | grep -i conflict ||
   fail "dpkg would install both"
+
+step "a whole measurement on the simulated bench, as an ordinary user"
+as_user "rig demo --out sessions" | tail -n 3
+as_user "ls sessions/*/report.html"
 
 step "removed"
 inside apt-get purge --yes rig-reflectometry >/dev/null
