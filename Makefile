@@ -6,12 +6,13 @@
 # `make test-console`: the operator's console in a browser (tests/console/README.md).
 # `make test-vm`: the program against the kernel's own drivers in a virtual machine.
 # `make docs`: the documentation as a site, target/book/index.html.
+# `make python`: the Python package as a wheel, installed into a fresh environment, its tests.
 # `make test-external`: exports loaded in the programs they are for (tests/external/README.md).
 
 CARGO ?= cargo
 SUDO := $(if $(filter 0,$(shell id -u)),,sudo)
 
-.PHONY: demo docs test test-long test-vm test-external test-console console-pictures build deps deps-test deps-console deps-genicam
+.PHONY: demo docs python python-wheel test test-long test-vm test-external test-console console-pictures build deps deps-test deps-console deps-genicam
 
 demo: build
 	target/release/rig demo
@@ -37,8 +38,27 @@ docs:
 	@mkdir -p target
 	@$(MDBOOK) build docs 2>&1 | tee target/book.log; ! grep -E 'WARN|ERROR' target/book.log
 
-test-external: build
-	tests/external/run.sh target/release/rig
+test-external: build python-wheel
+	tests/external/run.sh target/release/rig target/wheels/rig_reflectometry-*.whl
+
+# The package is compared with the program that RIG names.
+PYTHON ?= python3
+RIG ?= target/release/rig
+PYTHON_VENV := target/python-venv
+PYTHON_FRESH := target/python-fresh
+
+# maturin, in an environment of its own; of several wheels only the newest is kept.
+python-wheel:
+	@[ -x $(PYTHON_VENV)/bin/maturin ] || $(PYTHON) -m venv $(PYTHON_VENV)
+	@$(PYTHON_VENV)/bin/pip install --quiet maturin==1.16.0
+	@rm -f target/wheels/rig_reflectometry-*.whl
+	$(PYTHON_VENV)/bin/maturin build --quiet --release --locked --manifest-path python/Cargo.toml
+
+python: python-wheel
+	@[ -x $(RIG) ] || $(MAKE) --no-print-directory build
+	@rm -rf $(PYTHON_FRESH) && $(PYTHON) -m venv $(PYTHON_FRESH)
+	@$(PYTHON_FRESH)/bin/pip install --quiet "$$(echo target/wheels/rig_reflectometry-*.whl)[test]"
+	RIG=$(RIG) $(PYTHON_FRESH)/bin/python -m pytest -q python/tests
 
 # A browser and Node 18.20 or newer. npm installs what the lock file states.
 CONSOLE_DEPS := $(if $(shell command -v chromium),,chromium) $(if $(shell command -v node),,nodejs) \
