@@ -42,7 +42,7 @@ pub trait Progress: Sync {
         let _ = steps;
     }
 
-    /// Work goes on within a phase whose steps are not counted; called often.
+    /// Work goes on within a step, or a phase whose steps are not counted; called often.
     fn pulse(&self) {}
 }
 

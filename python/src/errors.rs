@@ -7,6 +7,7 @@ use std::io;
 use pyo3::prelude::*;
 use rig::brdf::BrdfError;
 use rig::calibration::RecordError;
+use rig::cells::AverageError;
 use rig::config::{BuildError, ConfigError};
 use rig::export::ExportError;
 use rig::material::MaterialError;
@@ -155,7 +156,10 @@ impl From<WorkflowError> for Fault {
             FitRecord(error) => error.into(),
             MergedImage { .. } => Self::of(&error, Kind::SessionError),
             Scene(_) => Self::of(&error, Kind::SceneError),
-            Mask { .. } | Kernel(_) | UnusedUncertainty => Self::of(&error, Kind::InputError),
+            Average(AverageError::ImageCount { .. } | AverageError::ImageSize { .. })
+            | Mask { .. }
+            | Kernel(_)
+            | UnusedUncertainty => Self::of(&error, Kind::InputError),
             _ => Self::of(&error, Kind::FitError),
         }
     }

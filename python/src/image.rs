@@ -52,6 +52,9 @@ pub fn image_record(
 
 /// Images for a fit: each a RadianceImage, an array of means, or a file.
 pub fn images_of(images: &Bound<'_, PyAny>) -> PyResult<Vec<NamedImage>> {
+    if images.extract::<PathBuf>().is_ok() {
+        return Err(input("images is a single path; a list of them is needed").into());
+    }
     let mut named = Vec::new();
     for (index, image) in images.try_iter()?.enumerate() {
         let image = image?;

@@ -118,7 +118,7 @@ impl Scene {
         within("max_reflections", max_reflections, 1..=64)?;
         let brdf = match (brdf, &self.file.brdf) {
             (Some(brdf), _) => brdf.inner().clone(),
-            (None, Some(spec)) => spec.load().map_err(Fault::from)?,
+            (None, Some(own)) => work::detached(py, || own.load())?.map_err(Fault::from)?,
             (None, None) => {
                 let message = format!("{} has no [brdf] table, and no brdf is given", self.name);
                 return Err(input(message).into());

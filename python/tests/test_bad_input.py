@@ -123,6 +123,9 @@ def test_images(scene, images):
         ([np.zeros((0, 20, 3)), images[1]], "0 × 20 pixels"),
         ([images[0].mean.astype(complex), images[1]], "real numbers"),
         ([object(), images[1]], "of type object"),
+        (images[:1], "1 images for 2 lights"),
+        ([images[0].mean[:8], images[1].mean], "image 0 is 20 × 8"),
+        ("image.exr", "a list of them is needed"),
     ]
     for bad, said in cases:
         with pytest.raises(rig.InputError, match=said):
@@ -131,13 +134,8 @@ def test_images(scene, images):
     valid = np.ones((16, 20), bool)
     valid[5, 6] = False
     assert rig.fit(scene, changed(images, mean=nan, valid=valid), **QUICK).loss > 0
-    for bad, said in [
-        (images[:1], "1 images for 2 lights"),
-        ([images[0].mean[:8], images[1].mean], "20 × 8"),
-        ([np.zeros((16, 20, 3))] * 2, ""),
-    ]:
-        with pytest.raises(rig.FitError, match=said):
-            rig.fit(scene, bad, **QUICK)
+    with pytest.raises(rig.FitError):
+        rig.fit(scene, [np.zeros((16, 20, 3))] * 2, **QUICK)
 
 
 def test_choices_of_a_fit(scene, images, tmp_path):
