@@ -9,12 +9,13 @@
 # `make deb`: the Debian package, target/debian/rig-reflectometry_*.deb (docs/install.md).
 # `make test-deb`: that package in a fresh Debian root; needs root or sudo.
 # `make release`: everything that a release consists of, in target/release-VERSION; publishes nothing.
+# `make python`: the Python package as a wheel, installed into a fresh environment, its tests.
 # `make test-external`: exports loaded in the programs they are for (tests/external/README.md).
 
 CARGO ?= cargo
 SUDO := $(if $(filter 0,$(shell id -u)),,sudo)
 
-.PHONY: demo docs test test-long test-vm test-external test-console console-pictures build deps deps-test deps-console deps-genicam
+.PHONY: deb demo docs python python-wheel release test test-deb test-long test-vm test-external test-console console-pictures build deps deps-test deps-console deps-genicam
 
 demo: build
 	target/release/rig demo
@@ -51,8 +52,27 @@ test-deb: deb
 release:
 	packaging/release.sh
 
-test-external: build
-	tests/external/run.sh target/release/rig
+test-external: build python-wheel
+	tests/external/run.sh target/release/rig target/wheels/rig_reflectometry-*.whl
+
+# The package is compared with the program that RIG names.
+PYTHON ?= python3
+RIG ?= target/release/rig
+PYTHON_VENV := target/python-venv
+PYTHON_FRESH := target/python-fresh
+
+# maturin, in an environment of its own; of several wheels only the newest is kept.
+python-wheel:
+	@[ -x $(PYTHON_VENV)/bin/maturin ] || $(PYTHON) -m venv $(PYTHON_VENV)
+	@$(PYTHON_VENV)/bin/pip install --quiet maturin==1.16.0
+	@rm -f target/wheels/rig_reflectometry-*.whl
+	$(PYTHON_VENV)/bin/maturin build --quiet --release --locked --manifest-path python/Cargo.toml
+
+python: python-wheel
+	@[ -x $(RIG) ] || $(MAKE) --no-print-directory build
+	@rm -rf $(PYTHON_FRESH) && $(PYTHON) -m venv $(PYTHON_FRESH)
+	@$(PYTHON_FRESH)/bin/pip install --quiet "$$(echo target/wheels/rig_reflectometry-*.whl)[test]"
+	RIG=$(RIG) $(PYTHON_FRESH)/bin/python -m pytest -q python/tests
 
 # A browser and Node 18.20 or newer. npm installs what the lock file states.
 CONSOLE_DEPS := $(if $(shell command -v chromium),,chromium) $(if $(shell command -v node),,nodejs) \

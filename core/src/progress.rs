@@ -3,6 +3,9 @@
 
 /// Receives the progress of work; its methods may be called from any thread.
 ///
+/// A receiver that wants the work to end unwinds from any of them, by
+/// [`std::panic::resume_unwind`]: nothing is written then, and whoever began the work catches it.
+///
 /// ```
 /// use std::sync::Mutex;
 /// use rig_core::Progress;
@@ -38,6 +41,9 @@ pub trait Progress: Sync {
     fn advance(&self, steps: usize) {
         let _ = steps;
     }
+
+    /// Work goes on within a step, or a phase whose steps are not counted; called often.
+    fn pulse(&self) {}
 }
 
 /// Shows nothing.

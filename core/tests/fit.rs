@@ -3,7 +3,9 @@
 //!
 //! The images are rendered with other paths and a finer mesh than the fit uses.
 
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use glam::{DVec2, DVec3};
 use rig_core::brdf::discrepancy::Material;
@@ -11,12 +13,14 @@ use rig_core::brdf::score::{brdf_errors, cells};
 use rig_core::brdf::{Atom, Brdf, Dictionary, Mixture};
 use rig_core::cells::AverageError;
 use rig_core::cells::{Captured, CellOptions};
+use rig_core::example;
 use rig_core::geometry::shapes::Form;
 use rig_core::geometry::{FormError, Shape};
 use rig_core::inverse::budget::Source;
 use rig_core::inverse::exponentiated_gradient::ExponentiatedGradient;
 use rig_core::inverse::variance_shares;
-use rig_core::inverse::{Channels, Fit, FitOptions, Optimizer, fit, intervals};
+use rig_core::inverse::{Channels, Fit, FitOptions, Optimizer, fit, fit_with_progress, intervals};
+use rig_core::progress::Progress;
 use rig_core::radiance_image::RadianceImage;
 use rig_core::transport::{
     Camera, Light, Projection, Proposal, RenderOptions, Scene, Shading, render,
@@ -370,4 +374,52 @@ fn a_stated_form_error_is_a_part_of_the_budget() {
         mesh(&notable),
         mesh(&slight)
     );
+}
+
+/// Counts pulses; unwinds at the one that is the last to be wanted.
+struct Unwanted {
+    pulses: AtomicUsize,
+    last: usize,
+}
+
+/// What it unwinds with.
+struct Ended;
+
+impl Progress for Unwanted {
+    fn pulse(&self) {
+        if self.pulses.fetch_add(1, Ordering::Relaxed) == self.last {
+            resume_unwind(Box::new(Ended));
+        }
+    }
+}
+
+#[test]
+fn a_receiver_of_progress_can_end_a_fit() {
+    let (scene, captured) = example::captured_bowl();
+    let dictionary = Dictionary::paper42();
+    let options = FitOptions {
+        posterior_samples: 0,
+        ..options()
+    };
+    let fit =
+        |progress: &Unwanted| fit_with_progress(&scene, &captured, &dictionary, &options, progress);
+    let wanted = Unwanted {
+        pulses: AtomicUsize::new(0),
+        last: usize::MAX,
+    };
+    fit(&wanted).unwrap();
+    let pulses = wanted.pulses.into_inner();
+
+    // In the first group of cells, from one of many threads; and in the optimiser's last step.
+    for last in [0, pulses - 1] {
+        let unwanted = Unwanted {
+            pulses: AtomicUsize::new(0),
+            last,
+        };
+        let end = catch_unwind(AssertUnwindSafe(|| fit(&unwanted))).err();
+        assert!(
+            end.is_some_and(|end| end.is::<Ended>()),
+            "pulse {last} of {pulses}"
+        );
+    }
 }

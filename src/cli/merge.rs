@@ -13,7 +13,7 @@ use crate::calibration::{Library, record_in};
 use crate::radiometry::agreement::ExposureAgreement;
 use crate::radiometry::bracket_files::read_frame;
 use crate::radiometry::bracket_merge::{
-    self, BracketMergeError, CountModel, MergeRequest, check_mosaic,
+    self, BracketMergeError, CountModel, MergeRequest, check_linear, check_mosaic,
 };
 use crate::radiometry::frame_file::{FrameFile, Tone};
 use crate::radiometry::mosaic::Mosaic;
@@ -97,14 +97,14 @@ pub fn run(args: &MergeArgs, context: &Context) -> Result<(), CliError> {
             CountModel::Linear(Box::new(noise))
         }
     };
-    let merged = bracket_merge::merge(&MergeRequest {
+    let request = MergeRequest {
         files: &files,
         model: &model,
         mosaic: args.mosaic,
         full_resolution: args.full_resolution,
         out: &args.out,
-    })
-    .map_err(advised)?;
+    };
+    let merged = bracket_merge::merge(&request, &()).map_err(advised)?;
     for steps in &merged.agreement {
         warn(steps, context);
     }
@@ -135,6 +135,7 @@ fn advised(error: BracketMergeError) -> CliError {
         Files(error) => return bracket_files::advised(error),
         Image(error) => return error.into(),
         ColouredMosaic { .. } => "leave --mosaic out for frames that are RGB already",
+        Jpeg { .. } => RESPONSE_HINT,
         OtherResponse { .. } => "a response belongs to frames of the camera that it was found with",
         Count { .. } => "set --bit-depth to the significant bits of a count",
         Channels => return CliError::new(error),
@@ -206,21 +207,14 @@ impl MergeArgs {
         path: &Path,
         frame: &FrameFile,
     ) -> Result<SensorNoise, CliError> {
-        match frame.tone {
-            Tone::Jpeg => {
-                return Err(CliError::new(format!(
-                    "{} is a JPEG, whose counts are not proportional to light",
-                    path.display()
-                ))
-                .hint(RESPONSE_HINT));
-            }
-            Tone::Gamma => context.warn(format_args!(
+        check_linear(path, frame).map_err(advised)?;
+        if frame.tone == Tone::Gamma {
+            context.warn(format_args!(
                 "{}: the PNG says that its counts are sRGB or have another gamma, and they are \
                  merged as proportional to light: if a camera or converter has bent them, \
                  {RESPONSE_HINT}",
                 path.display()
-            )),
-            Tone::Unstated => {}
+            ));
         }
         let mut noise = if self.rig.rig.is_some() {
             self.recorded_noise(context, frame)?

@@ -6,12 +6,13 @@ use std::path::{Path, PathBuf};
 
 use super::agreement::ExposureAgreement;
 use super::bracket_files::{BracketError, BracketFile, FrameReader};
-use super::frame_file::FrameFile;
+use super::frame_file::{FrameFile, Tone};
 use super::mosaic::Mosaic;
 use super::plane::MergedPlane;
 use super::response::Response;
 use super::sensor::SensorNoise;
 use super::stack::{Band, Stack, StackError};
+use crate::progress::Progress;
 use crate::radiance_image::RadianceImage;
 use crate::radiance_image::exr::{self, ExrError};
 
@@ -66,6 +67,12 @@ pub enum BracketMergeError {
         /// Its channels.
         channels: usize,
     },
+    /// Raw counts are asked of a format that bends them.
+    #[error("{} is a JPEG, whose counts are not proportional to light", path.display())]
+    Jpeg {
+        /// The frame.
+        path: PathBuf,
+    },
     /// A response of other frames.
     #[error("the response has {curves} channels of 8 bits, but {} has {channels} of {bits} bits", path.display())]
     OtherResponse {
@@ -104,14 +111,17 @@ pub enum BracketMergeError {
     Image(#[from] ExrError),
 }
 
-/// Merges a bracket and writes its radiance image.
+/// Merges a bracket and writes its radiance image; the steps of its progress are frames, then
+/// rows of pixels.
 ///
 /// # Errors
 /// See [`BracketMergeError`].
-pub fn merge(request: &MergeRequest) -> Result<Merged, BracketMergeError> {
-    let (stack, [width, height]) = gather(request)?;
+pub fn merge(request: &MergeRequest, progress: &dyn Progress) -> Result<Merged, BracketMergeError> {
+    progress.begin("reading frames", Some(request.files.len()));
+    let (stack, [width, height]) = gather(request, progress)?;
     let mut masked_pixels = 0;
     let mut count = |image: RadianceImage| {
+        progress.advance(image.height);
         masked_pixels += image.valid.iter().filter(|&&valid| !valid).count();
         Ok::<_, BracketMergeError>(image)
     };
@@ -120,6 +130,7 @@ pub fn merge(request: &MergeRequest) -> Result<Merged, BracketMergeError> {
         Mosaic::None => [width, height],
         _ => [width / 2, height / 2],
     };
+    progress.begin("merging", Some(size[1]));
     let agreement = match request.model {
         CountModel::Linear(noise) => {
             let margin = usize::from(request.full_resolution);
@@ -168,8 +179,24 @@ pub fn check_mosaic(
     }
 }
 
+/// Whether a frame's counts can be proportional to light.
+///
+/// # Errors
+/// [`BracketMergeError::Jpeg`].
+pub fn check_linear(path: &Path, frame: &FrameFile) -> Result<(), BracketMergeError> {
+    match frame.tone {
+        Tone::Jpeg => Err(BracketMergeError::Jpeg {
+            path: path.to_owned(),
+        }),
+        Tone::Gamma | Tone::Unstated => Ok(()),
+    }
+}
+
 /// All frames, checked, on disk; and their size.
-fn gather(request: &MergeRequest) -> Result<(Stack, [usize; 2]), BracketMergeError> {
+fn gather(
+    request: &MergeRequest,
+    progress: &dyn Progress,
+) -> Result<(Stack, [usize; 2]), BracketMergeError> {
     let folder = request.out.parent();
     let folder = folder.filter(|p| !p.as_os_str().is_empty());
     let folder = folder.unwrap_or(Path::new("."));
@@ -208,6 +235,7 @@ fn gather(request: &MergeRequest) -> Result<(Stack, [usize; 2]), BracketMergeErr
         stack
             .add(*role, *exposure_s, &frame.planes)
             .map_err(BracketMergeError::Disk)?;
+        progress.advance(1);
     }
     gathered.ok_or(BracketMergeError::Channels)
 }

@@ -1,5 +1,5 @@
 //! Captured images averaged over a scene's cells while they are read, a few rows of all lights at
-//! a time: no image is ever in memory whole.
+//! a time: no image of a file is ever in memory whole.
 
 use std::io::{Read, Seek};
 use std::path::Path;
@@ -20,27 +20,62 @@ pub const UNSTATED_NOISE: f32 = 0.005;
 /// Radiance over the mean below which that noise gets no smaller.
 const DARK: f32 = 1e-3;
 
+/// An image, from its first row to its last.
+pub(super) trait Rows {
+    /// The next rows, at most so many; fewer at the end, none after it.
+    fn next_rows(&mut self, count: usize) -> Result<RadianceImage, ExrError>;
+}
+
+impl<R: Read + Seek> Rows for ExrRows<R> {
+    fn next_rows(&mut self, count: usize) -> Result<RadianceImage, ExrError> {
+        ExrRows::next_rows(self, count)
+    }
+}
+
+/// The rows of an image in memory.
+pub(super) struct MemoryRows<'a> {
+    image: &'a RadianceImage,
+    next: usize,
+}
+
+impl<'a> MemoryRows<'a> {
+    /// From the first on.
+    pub fn of(image: &'a RadianceImage) -> Self {
+        Self { image, next: 0 }
+    }
+}
+
+impl Rows for MemoryRows<'_> {
+    fn next_rows(&mut self, count: usize) -> Result<RadianceImage, ExrError> {
+        let end = self.image.height.min(self.next.saturating_add(count));
+        let rows = self.image.rows(self.next..end);
+        self.next = end;
+        Ok(rows)
+    }
+}
+
 /// An image that is about to be read.
 pub(super) struct Source<R> {
     /// Its rows.
-    pub rows: ExrRows<R>,
+    pub rows: R,
     /// Its name in messages.
     pub file: String,
-    /// Mean radiance, where the file states no variance.
+    /// Mean radiance, where no variance is stated.
     pub mean_of_unstated: Option<f32>,
 }
 
-impl<R: Read + Seek> Source<R> {
-    /// Of `rows`, where the file states variances; else `reopen` opens it once more for its mean.
+impl<R: Rows> Source<R> {
+    /// Of `rows`, where variances are stated; else `reopen` begins it once more for its mean.
     ///
     /// # Errors
     /// The image cannot be read.
     pub fn new(
-        rows: ExrRows<R>,
+        rows: R,
         file: String,
-        reopen: impl FnOnce() -> Result<ExrRows<R>, ExrError>,
+        has_variance: bool,
+        reopen: impl FnOnce() -> Result<R, ExrError>,
     ) -> Result<Self, ExrError> {
-        let mean_of_unstated = match rows.has_variance() {
+        let mean_of_unstated = match has_variance {
             true => None,
             false => Some(mean_radiance(&mut reopen()?)?),
         };
@@ -62,7 +97,7 @@ impl<R: Read + Seek> Source<R> {
     }
 }
 
-fn mean_radiance<R: Read + Seek>(rows: &mut ExrRows<R>) -> Result<f32, ExrError> {
+fn mean_radiance(rows: &mut impl Rows) -> Result<f32, ExrError> {
     let (mut sum, mut count) = (0.0f64, 0usize);
     loop {
         let rows = rows.next_rows(ROWS)?;
@@ -82,7 +117,7 @@ const LARGEST_MASK_BYTES: u64 = 3 << 29;
 ///
 /// # Errors
 /// An image or mask that cannot be read or has another size, or of which nothing is valid.
-pub(super) fn average<R: Read + Seek>(
+pub(super) fn average<R: Rows>(
     scene: &Scene,
     mut sources: Vec<Source<R>>,
     mask_path: Option<&Path>,

@@ -1,16 +1,19 @@
-//! Fitting image files of a described scene.
+//! Fitting images of a described scene: files, or images in memory.
 
 use std::path::Path;
 
-use super::cell_images::Source;
+use super::cell_images::{MemoryRows, Rows, Source};
 use super::fit_plan::FitPlan;
 use super::notice::{Notice, Observer};
 use super::scene_check::check_scene;
 use super::scene_concern::DescribedIn;
 use super::{FitOutcome, FitRequest, WorkflowError};
+use crate::cells::AverageError;
 use crate::config::scene::SceneFile;
+use crate::radiance_image::RadianceImage;
 use crate::radiance_image::exr::ExrRows;
-use crate::session::fit_record;
+use crate::session::fit_record::{self, FitImages, FitRecord};
+use crate::transport::Scene;
 
 /// The files of such a fit.
 #[derive(Clone, Copy, Debug)]
@@ -35,29 +38,20 @@ pub fn fit_images<P: AsRef<Path>>(
 ) -> Result<FitOutcome, WorkflowError> {
     let file = SceneFile::load(files.scene)?;
     fit_record::check_folder(files.out)?;
-    let sample = &file.sample;
-    let plan = FitPlan::new(request, None, &file.uncertainty, sample.form_error)?;
+    let plan = plan(&file, request)?;
     let scene = file.scene()?;
 
     // Opened before the work, so that a missing one ends it at once.
     let names = files.images.iter().map(AsRef::as_ref);
     let names: Vec<String> = names.map(|path| path.display().to_string()).collect();
-    let (mut sources, mut remarks) = (Vec::new(), Vec::new());
+    let mut sources = Vec::new();
     for (path, name) in files.images.iter().zip(&names) {
         let open = || ExrRows::open(path.as_ref(), Some(scene.camera.resolution_px));
-        let source = Source::new(open()?, name.clone(), open)?;
-        if source.mean_of_unstated.is_some() {
-            let notice = Notice::AssumedNoise { file: name };
-            observer.notice(notice);
-            remarks.push(notice.to_string());
-        }
-        sources.push(source);
+        let rows = open()?;
+        let has_variance = rows.has_variance();
+        sources.push(Source::new(rows, name.clone(), has_variance, open)?);
     }
-    check_scene(&scene, DescribedIn::Scene, &sample.surface, observer)?;
-
-    let captured = plan.average(&scene, sources)?;
-    let (mut record, images) = plan.run(&scene, &captured, false, None, observer)?;
-    record.remarks.extend(remarks);
+    let (mut record, images) = fit(&file, &scene, &plan, sources, observer)?;
     record.settings.scene = Some(files.scene.display().to_string());
     record.settings.images = names;
     fit_record::write(files.out, &record, &images)?;
@@ -65,4 +59,77 @@ pub fn fit_images<P: AsRef<Path>>(
         folder: files.out.to_owned(),
         record,
     })
+}
+
+/// An image in memory.
+#[derive(Clone, Debug)]
+pub struct NamedImage {
+    /// Its name in messages and in the record.
+    pub name: String,
+    /// The image.
+    pub image: RadianceImage,
+    /// Whether its variances are stated; else they are ignored, and a relative noise of
+    /// [`UNSTATED_NOISE`](super::UNSTATED_NOISE) is assumed.
+    pub has_variance: bool,
+}
+
+/// Fits images in memory, one per light of the scene, in its order. The result is that of
+/// [`fit_images`] by files of the same content, and nothing is written.
+///
+/// # Errors
+/// As [`fit_images`].
+pub fn fit_images_in_memory(
+    file: &SceneFile,
+    images: &[NamedImage],
+    request: &FitRequest,
+    observer: &dyn Observer,
+) -> Result<(FitRecord, FitImages), WorkflowError> {
+    let plan = plan(file, request)?;
+    let scene = file.scene()?;
+    let expected = scene.camera.resolution_px;
+    let mut sources = Vec::new();
+    for (index, NamedImage { name, image, .. }) in images.iter().enumerate() {
+        let (width, height) = (image.width, image.height);
+        if [width, height] != expected {
+            let error = AverageError::ImageSize {
+                image: index,
+                width,
+                height,
+                expected,
+            };
+            return Err(error.into());
+        }
+        let rows = || MemoryRows::of(image);
+        let has_variance = images[index].has_variance;
+        let source = Source::new(rows(), name.clone(), has_variance, || Ok(rows()))?;
+        sources.push(source);
+    }
+    let (mut record, fit_images) = fit(file, &scene, &plan, sources, observer)?;
+    record.settings.images = images.iter().map(|image| image.name.clone()).collect();
+    Ok((record, fit_images))
+}
+
+fn plan(file: &SceneFile, request: &FitRequest) -> Result<FitPlan, WorkflowError> {
+    FitPlan::new(request, None, &file.uncertainty, file.sample.form_error)
+}
+
+fn fit<R: Rows>(
+    file: &SceneFile,
+    scene: &Scene,
+    plan: &FitPlan,
+    sources: Vec<Source<R>>,
+    observer: &dyn Observer,
+) -> Result<(FitRecord, FitImages), WorkflowError> {
+    let mut remarks = Vec::new();
+    let unstated = sources.iter().filter(|s| s.mean_of_unstated.is_some());
+    for Source { file, .. } in unstated {
+        let notice = Notice::AssumedNoise { file };
+        observer.notice(notice);
+        remarks.push(notice.to_string());
+    }
+    check_scene(scene, DescribedIn::Scene, &file.sample.surface, observer)?;
+    let captured = plan.average(scene, sources)?;
+    let (mut record, images) = plan.run(scene, &captured, false, None, observer)?;
+    record.remarks.extend(remarks);
+    Ok((record, images))
 }

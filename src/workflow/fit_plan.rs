@@ -1,10 +1,9 @@
 //! A fit from the averaged images of a scene to its record.
 
-use std::io::{Read, Seek};
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use super::cell_images::{self, Source};
+use super::cell_images::{self, Rows, Source};
 use super::{FitRequest, FitWork, WorkflowError};
 use crate::bench_priors::BenchPriors;
 use crate::brdf::Dictionary;
@@ -128,7 +127,7 @@ impl FitPlan {
     ///
     /// # Errors
     /// An image or a mask that cannot be read, images that do not belong to the scene.
-    pub fn average<R: Read + Seek>(
+    pub fn average<R: Rows>(
         &self,
         scene: &Scene,
         images: Vec<Source<R>>,

@@ -39,7 +39,7 @@ pub use bench_records::{BenchRecords, KnownBench, apply_lens};
 pub use cell_images::UNSTATED_NOISE;
 pub use error::WorkflowError;
 pub use facets::{coarse_facets, remark_on_facets};
-pub use fit_images::{ImageFit, fit_images};
+pub use fit_images::{ImageFit, NamedImage, fit_images, fit_images_in_memory};
 pub use fit_request::FitRequest;
 pub use fit_session::{fit_session, work_of};
 pub use fit_work::FitWork;

@@ -1,5 +1,5 @@
 #!/bin/sh
-# Exports loaded in the programs they are for: run.sh RIG_BINARY
+# Exports loaded in the programs they are for, and the notebooks: run.sh RIG_BINARY WHEEL
 # Fails where Mitsuba cannot be had, unless ALLOW_SKIP=1.
 set -eu
 here=$(dirname "$0")
@@ -17,3 +17,7 @@ skip() {
 "$venv/bin/python" "$here/mitsuba_export.py" "$1"
 "$venv/bin/python" "$here/mitsuba_render.py" "$1"
 "$venv/bin/python" "$here/mitsuba_images.py" "$1"
+
+# The notebooks, with the wheel as it is now.
+"$venv/bin/pip" install --quiet --force-reinstall --no-deps "$2"
+RIG=$(realpath "$1") "$venv/bin/python" -m pytest -q --nbmake "$here/../../python/notebooks"

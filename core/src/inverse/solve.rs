@@ -113,7 +113,8 @@ impl Paths {
                 Some(earlier) => earlier.guide.clone(),
                 None => how.steering.guide(scene, how.seed),
             };
-            let cache = Cache::trace_guided(scene, cells, dictionary, how, guide.clone())?;
+            let cache =
+                Cache::trace_guided(scene, cells, dictionary, how, guide.clone(), progress)?;
             Ok::<_, FitError>((cache, guide))
         })?;
         Ok(Self {
@@ -156,6 +157,7 @@ pub(super) fn solve(
     let mut recorder = Recorder {
         clock: Instant::now(),
         before_s: timings.total(),
+        progress,
         trace: earlier.map_or_else(Vec::new, |e| e.trace.clone()),
     };
     let (mut mixture, start, mut residual_weights) =
@@ -268,15 +270,17 @@ pub(super) fn per_channel(groups: &[DVector<f64>]) -> [Vec<f64>; 3] {
     std::array::from_fn(|c| groups[c.min(groups.len() - 1)].iter().copied().collect())
 }
 
-struct Recorder {
+struct Recorder<'a> {
     clock: Instant,
     /// Seconds that went by before.
     before_s: f64,
+    progress: &'a dyn Progress,
     trace: Vec<(f64, Step)>,
 }
 
-impl Observer for Recorder {
+impl Observer for Recorder<'_> {
     fn step(&mut self, step: &Step) {
+        self.progress.pulse();
         let elapsed_s = self.before_s + self.clock.elapsed().as_secs_f64();
         self.trace.push((elapsed_s, step.clone()));
     }

@@ -19,6 +19,7 @@ use super::proposal::Proposal;
 use super::scene::{Scene, Surface};
 use crate::brdf::dictionary::Dictionary;
 use crate::brdf::ggx::Cosines;
+use crate::progress::Progress;
 use crate::random::{Purpose, stream};
 
 /// How paths are traced and kept.
@@ -177,16 +178,18 @@ impl Cache {
         options: &CacheOptions,
     ) -> Result<Self, CacheError> {
         let guide = options.steering.guide(scene, options.seed);
-        Self::trace_guided(scene, cells, dictionary, options, guide)
+        Self::trace_guided(scene, cells, dictionary, options, guide, &())
     }
 
-    /// [`Cache::trace`] with the guide that [`Steering::guide`] gave for the same scene.
+    /// [`Cache::trace`] with the guide that [`Steering::guide`] gave for the same scene;
+    /// `progress` receives a [pulse](Progress::pulse) for each group of cells.
     pub fn trace_guided(
         scene: &Scene,
         cells: &Cells,
         dictionary: &Dictionary,
         options: &CacheOptions,
         guide: Option<Arc<Guide>>,
+        progress: &dyn Progress,
     ) -> Result<Self, CacheError> {
         let lights = scene.lights.len();
         if lights > MAX_LIGHTS {
@@ -202,6 +205,7 @@ impl Cache {
             continuations: Continuations::new(&options.proposal, options.steering, guide),
             atoms: &atoms,
             options,
+            progress,
         };
         macro_rules! traced {
             ($b:literal, $variant:path) => {{
@@ -257,6 +261,7 @@ struct Tracer<'a> {
     continuations: Continuations<'a>,
     atoms: &'a LaneAtoms,
     options: &'a CacheOptions,
+    progress: &'a dyn Progress,
 }
 
 /// The end of a path that is being traced, and its random numbers.
@@ -326,6 +331,7 @@ impl Tracer<'_> {
             // Chunks differ in cost: a thread that is done takes the next.
             .with_max_len(1)
             .map(|first_cell| {
+                self.progress.pulse();
                 let mut chunk = Chunk {
                     first_cell,
                     start: vec![0],

@@ -172,6 +172,7 @@ pub(super) fn render_carrying<C: Carrier>(
         .map(|row| {
             let pixels = (0..width)
                 .map(|column| {
+                    progress.pulse();
                     render_pixel::<C>(scene, brdf, options, &continuations, row * width + column)
                 })
                 .collect();

@@ -1,0 +1,378 @@
+//! Fits: made from images, read from folders, looked at, exported.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use numpy::PyArrayDyn;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use rig::export::{self, Format};
+use rig::session::Session;
+use rig::session::fit_record::{self, BudgetRecord, FitImages, FitRecord, Interval};
+use rig::workflow::fit_images_in_memory;
+
+use crate::arrays;
+use crate::brdf::{Brdf, atom_record, by_channel};
+use crate::errors::{Fault, input};
+use crate::image::{image_record, images_of};
+use crate::records::{plain, record};
+use crate::scene::Scene;
+use crate::{fit_options, work};
+
+/// Where the images of a fit are.
+enum Images {
+    Memory(Box<FitImages>),
+    Folder(PathBuf),
+    Session { root: PathBuf, number: u32 },
+}
+
+/// A BRDF found from images, with its uncertainty and what speaks against it. Immutable.
+///
+/// Made by rig.fit, Session.fit and Fit.load.
+#[pyclass(frozen, module = "rig_reflectometry")]
+pub struct Fit {
+    record: FitRecord,
+    images: Images,
+    name: String,
+}
+
+impl Fit {
+    /// A fit of a session.
+    pub fn in_session(session: &Session, number: u32) -> Result<Self, Fault> {
+        let record = fit_record::read_in(session, number)?;
+        let root = session.root().to_owned();
+        let name = format!("{}, fit {number}", session.record().sample);
+        Ok(Self {
+            record,
+            images: Images::Session { root, number },
+            name,
+        })
+    }
+
+    fn load_images(&self) -> Result<FitImages, Fault> {
+        Ok(match &self.images {
+            Images::Memory(images) => (**images).clone(),
+            Images::Folder(folder) => fit_record::read_images(folder)?,
+            Images::Session { root, number } => {
+                fit_record::read_images_in(&Session::open(root)?, *number)?
+            }
+        })
+    }
+}
+
+#[pymethods]
+impl Fit {
+    /// Read a fit from its folder (`rig fit --out`, Fit.save), from SESSION/fits/NUMBER, or from
+    /// a session (its latest).
+    ///
+    /// Raises NoFitError for a folder without a fit, SessionError or FileError for a damaged one.
+    #[staticmethod]
+    fn load(py: Python<'_>, folder: PathBuf) -> PyResult<Self> {
+        let name = folder.display().to_string();
+        let record = py
+            .detach(|| fit_record::find(&folder))
+            .map_err(Fault::from)?;
+        let images = match in_session(&folder) {
+            Some((root, number)) => Images::Session { root, number },
+            None => Images::Folder(folder),
+        };
+        Ok(Self {
+            record,
+            images,
+            name,
+        })
+    }
+
+    /// The fitted BRDF, with its model discrepancy.
+    #[getter]
+    fn brdf(&self) -> PyResult<Brdf> {
+        let material = self.record.material().map_err(Fault::from)?;
+        Ok(Brdf::new(material, self.name.clone()))
+    }
+
+    /// The mixture of the weights: the closest one, where the fitted BRDF differs from all.
+    #[getter]
+    fn mixture(&self) -> PyResult<Brdf> {
+        let mixture = self.record.mixture().map_err(Fault::from)?;
+        Ok(Brdf::new(
+            Arc::new(mixture),
+            format!("mixture of {}", self.name),
+        ))
+    }
+
+    /// Name of the dictionary.
+    #[getter]
+    fn dictionary(&self) -> &str {
+        &self.record.dictionary
+    }
+
+    /// Its N atoms, list[Atom].
+    #[getter]
+    fn atoms(&self, py: Python<'_>) -> PyResult<Vec<Py<PyAny>>> {
+        let mixture = self.record.mixture().map_err(Fault::from)?;
+        let atoms = mixture.dictionary().atoms().iter();
+        atoms.map(|atom| atom_record(py, atom)).collect()
+    }
+
+    /// Weights in R, G and B, (3, N) float64. Not identifiable one by one: see table.
+    #[getter]
+    fn weights<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+        by_channel(py, &self.record.weights)
+    }
+
+    /// Standard deviation of each weight, (3, N) float64.
+    #[getter]
+    fn weight_deviations<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+        by_channel(py, &self.record.weight_deviations)
+    }
+
+    /// f with its 95% interval over half and difference angle; see Table.
+    #[getter]
+    fn table(&self, py: Python<'_>) -> PyResult<Py<PyAny>> {
+        let table = &self.record.table;
+        let size = [table.theta_h_deg.len(), table.theta_d_deg.len()];
+        let layer = |of: fn(&Interval) -> [f64; 3]| {
+            arrays::triples(py, table.cells.iter().map(of).collect(), &size)
+        };
+        let constrained = table.cells.iter().map(|cell| cell.constrained).collect();
+        record!(
+            py,
+            "Table",
+            theta_h_deg = arrays::array(py, table.theta_h_deg.clone(), &size[..1])?,
+            theta_d_deg = arrays::array(py, table.theta_d_deg.clone(), &size[1..])?,
+            value = layer(|cell| cell.value)?,
+            lower = layer(|cell| cell.lower)?,
+            upper = layer(|cell| cell.upper)?,
+            constrained = arrays::array(py, constrained, &size)?,
+        )
+    }
+
+    /// "explains", "reservations" or "not-to-be-trusted".
+    #[getter]
+    fn verdict(&self, py: Python<'_>) -> PyResult<Py<PyAny>> {
+        Ok(plain(py, &self.record.verdict())?.unbind())
+    }
+
+    /// Reasons not to trust the fit, or not in everything, the gravest first; list[FitWarning].
+    #[getter]
+    fn warnings(&self, py: Python<'_>) -> PyResult<Vec<Py<PyAny>>> {
+        let warnings = self.record.warnings.iter();
+        warnings
+            .map(|warning| {
+                record!(
+                    py,
+                    "FitWarning",
+                    what = &warning.what,
+                    likely_cause = &warning.likely_cause,
+                    grade = plain(py, &warning.grade)?,
+                )
+            })
+            .collect()
+    }
+
+    /// What to know of how the fit was made, list[str].
+    #[getter]
+    fn remarks(&self) -> Vec<String> {
+        self.record.remarks.clone()
+    }
+
+    /// χ² per degree of freedom, (lights, 3) float64; about 1 where the material explains the
+    /// images.
+    #[getter]
+    fn reduced_chi_square<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+        let values = self.record.reduced_chi_square.clone();
+        let lights = values.len();
+        arrays::triples(py, values, &[lights])
+    }
+
+    /// Final value of the objective, dimensionless.
+    #[getter]
+    fn loss(&self) -> f64 {
+        self.record.loss
+    }
+
+    /// The loss after each step of the optimiser, (steps,) float64.
+    #[getter]
+    fn trace<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+        let losses: Vec<f64> = self.record.trace.iter().map(|point| point.loss).collect();
+        let steps = losses.len();
+        arrays::array(py, losses, &[steps])
+    }
+
+    /// Size of the model discrepancy, in units of what measured materials usually have; 0 where
+    /// the images give no evidence of one.
+    #[getter]
+    fn discrepancy(&self) -> f64 {
+        let discrepancy = self.record.discrepancy.as_ref();
+        discrepancy.map_or(0.0, |discrepancy| discrepancy.amplitude)
+    }
+
+    /// Where the interval comes from, at a few angles; see Budget. None without an interval.
+    #[getter]
+    fn budget(&self, py: Python<'_>) -> PyResult<Option<Py<PyAny>>> {
+        let budget = self.record.budget.as_ref();
+        budget.map(|budget| budget_record(py, budget)).transpose()
+    }
+
+    /// Everything of fit.toml that has no attribute of its own (settings, timings, scores, bench
+    /// as refined, versions), as dictionaries.
+    #[getter]
+    fn record<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        plain(py, &self.record)
+    }
+
+    /// Whether the images came from a simulated bench.
+    #[getter]
+    fn simulated(&self) -> bool {
+        self.record.simulated
+    }
+
+    /// Images rendered from the fit, one RadianceImage per light, of at most 512 pixels a side.
+    fn rendered(&self, py: Python<'_>) -> PyResult<Vec<Py<PyAny>>> {
+        let images = py.detach(|| self.load_images())?.rendered;
+        let records = images
+            .into_iter()
+            .map(|image| image_record(py, image, true));
+        records.collect()
+    }
+
+    /// Captured minus rendered, in standard deviations, likewise.
+    fn residual(&self, py: Python<'_>) -> PyResult<Vec<Py<PyAny>>> {
+        let images = py.detach(|| self.load_images())?.residual;
+        let records = images
+            .into_iter()
+            .map(|image| image_record(py, image, false));
+        records.collect()
+    }
+
+    /// Write the fit's folder, as `rig fit --out` does; it must not exist, or be empty, and
+    /// appears whole or not at all. Raises FileError.
+    fn save(&self, py: Python<'_>, folder: PathBuf) -> PyResult<()> {
+        py.detach(|| {
+            let images = self.load_images()?;
+            fit_record::write(&folder, &self.record, &images)?;
+            Ok::<_, Fault>(())
+        })?;
+        Ok(())
+    }
+
+    /// Write the BRDF for another program, as `rig export` does; returns the files written.
+    ///
+    /// format: "json", "merl", "rgl", "rgl-spectral", "mitsuba" or "pbrt".
+    fn export(&self, py: Python<'_>, path: PathBuf, format: &str) -> PyResult<Vec<PathBuf>> {
+        let format = match format {
+            "json" => Format::Json,
+            "merl" => Format::Merl,
+            "rgl" => Format::Rgl,
+            "rgl-spectral" => Format::RglSpectral,
+            "mitsuba" => Format::Mitsuba,
+            "pbrt" => Format::Pbrt,
+            _ => {
+                let known = "json, merl, rgl, rgl-spectral, mitsuba or pbrt";
+                return Err(input(format!("format is {format:?}, but must be {known}")).into());
+            }
+        };
+        let written = work::detached(py, || export::export(&self.record, format, &path))?;
+        Ok(written.map_err(Fault::from)?)
+    }
+
+    fn __repr__(&self) -> String {
+        let verdict = self.record.verdict().sentence();
+        format!("<Fit {}: {verdict}>", self.name)
+    }
+}
+
+/// Session and number where `folder` is a session, or SESSION/fits/NUMBER.
+fn in_session(folder: &std::path::Path) -> Option<(PathBuf, u32)> {
+    if let Ok(session) = Session::open(folder) {
+        let latest = fit_record::numbers_in(&session).pop()?;
+        return Some((folder.to_owned(), latest));
+    }
+    let folder = folder.canonicalize().ok()?;
+    let number = folder.file_name()?.to_str()?.parse().ok()?;
+    let root = folder.parent()?.parent()?;
+    let session = Session::open(root).ok()?;
+    let is_there = fit_record::numbers_in(&session).contains(&number);
+    is_there.then(|| (root.to_owned(), number))
+}
+
+fn budget_record(py: Python<'_>, budget: &BudgetRecord) -> PyResult<Py<PyAny>> {
+    let rows = budget.row.len();
+    let column = |of: fn(&fit_record::BudgetRow) -> f64| {
+        arrays::array(py, budget.row.iter().map(of).collect(), &[rows])
+    };
+    let share: Vec<f64> = budget
+        .row
+        .iter()
+        .flat_map(|row| row.share.clone())
+        .collect();
+    record!(
+        py,
+        "Budget",
+        sources = budget.sources.clone(),
+        theta_h_deg = column(|row| row.theta_h_deg)?,
+        theta_d_deg = column(|row| row.theta_d_deg)?,
+        value = column(|row| row.value)?,
+        relative_std = column(|row| row.relative_std)?,
+        share = arrays::array(py, share, &[rows, budget.sources.len()])?,
+    )
+}
+
+/// Fit a BRDF to images of a scene; the result of `rig fit --scene`.
+///
+/// scene: a Scene, or the path of its file.
+/// images: one per light of the scene, in its order: RadianceImage, an array of mean radiances
+///     (rows, columns, 3), or an OpenEXR file. Without a variance a relative noise of 0.5% is
+///     assumed. Arrays are copied.
+/// dictionary: "rig65" (the default), "rig26", "paper42" or a dictionary file.
+/// optimizer: "gauss-newton" (the default), "exponentiated-gradient", "single-bounce".
+/// samples_per_cell: light paths, 2 to 65536. max_reflections: 2 to 64. seed: of the paths.
+/// shared_weights: the same weights for all channels. model_error: 0 to 1.
+/// mask: PNG of the images' size, white where pixels are compared.
+/// cells: most cells that are compared. memory_mib: for the whole fit.
+/// kernel: "portable", "avx2", "avx512" or "auto".
+/// refine_bench: refine lights and pose too, within the scene file's uncertainty, of which
+///     uncertainty, a dictionary such as {"light_deg": 0.5}, replaces values.
+/// out: folder in which to keep the fit, as Fit.save.
+/// progress: called as progress(phase, done, total); total is None.
+///
+/// Raises InputError for arrays and choices that cannot be used, SceneError, FitError for images
+/// that cannot be the scene's and for too little memory, MissingFileError or FileError.
+#[pyfunction]
+#[pyo3(
+    signature = (scene, images, *, out = None, progress = None, **options),
+    text_signature = "(scene, images, *, dictionary=None, optimizer=None, samples_per_cell=None, max_reflections=None, seed=None, shared_weights=None, model_error=None, mask=None, cells=None, memory_mib=None, kernel=None, refine_bench=None, uncertainty=None, out=None, progress=None)"
+)]
+pub fn fit(
+    py: Python<'_>,
+    scene: &Bound<'_, PyAny>,
+    images: &Bound<'_, PyAny>,
+    out: Option<PathBuf>,
+    progress: Option<Py<PyAny>>,
+    options: Option<&Bound<'_, PyDict>>,
+) -> PyResult<Fit> {
+    let scene = Scene::of(scene)?;
+    let scene = scene.get();
+    let request = fit_options::request("fit", options)?;
+    if let Some(out) = &out {
+        fit_record::check_folder(out).map_err(Fault::from)?;
+    }
+    let images = images_of(images)?;
+    let fitted = work::interruptible(py, progress, |progress| {
+        fit_images_in_memory(scene.file(), &images, &request, progress)
+    })?;
+    let (mut record, images) = fitted.map_err(Fault::from)?;
+    record.settings.scene = Some(scene.name().to_owned());
+    let name = match &out {
+        Some(folder) => {
+            fit_record::write(folder, &record, &images).map_err(Fault::from)?;
+            folder.display().to_string()
+        }
+        None => format!("of {}", scene.name()),
+    };
+    Ok(Fit {
+        record,
+        images: Images::Memory(Box::new(images)),
+        name,
+    })
+}

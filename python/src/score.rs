@@ -1,0 +1,45 @@
+//! Errors between BRDFs, as Python's Errors.
+
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use rig::brdf::score::PerChannel;
+use rig::material::Errors;
+
+use crate::errors::{Fault, input};
+use crate::records::record;
+
+/// Pixels a side of a sphere, checked.
+pub fn sphere_size(size: usize) -> Result<usize, Fault> {
+    match size {
+        8..=512 => Ok(size),
+        _ => Err(input(format!("size is {size}, but must be from 8 to 512"))),
+    }
+}
+
+/// Python's Errors.
+pub fn errors_record(py: Python<'_>, errors: &Errors) -> PyResult<Py<PyAny>> {
+    let maps = PyDict::new(py);
+    for (map, error) in &errors.environment.maps {
+        maps.set_item(map, error)?;
+    }
+    record!(
+        py,
+        "Errors",
+        environment = per_channel(py, &errors.environment.mean)?,
+        maps = maps,
+        brdf = per_channel(py, &errors.brdf.relative)?,
+        cube_root = per_channel(py, &errors.brdf.cube_root)?,
+    )
+}
+
+fn per_channel(py: Python<'_>, error: &PerChannel) -> PyResult<Py<PyAny>> {
+    let [red, green, blue] = error.channels;
+    record!(
+        py,
+        "PerChannel",
+        all = error.all,
+        red = red,
+        green = green,
+        blue = blue,
+    )
+}

@@ -1,0 +1,105 @@
+"""Scenes, renders and fits: the program's numbers, and their shapes."""
+
+import csv
+
+import numpy as np
+import pytest
+from conftest import QUICK, QUICK_ARGUMENTS
+
+import rig_reflectometry as rig
+
+
+def same_pixels(a, b):
+    return np.array_equal(a.mean, b.mean) and np.array_equal(a.variance, b.variance)
+
+
+def test_renders_are_those_of_the_program(program, scene, scene_file, images, tmp_path):
+    assert (scene.shape, scene.lights) == ((16, 20), 2)
+    program("render", "--scene", scene_file, "--out", tmp_path / "i.exr", "--spp", 64)
+    for light, image in enumerate(images):
+        written = rig.RadianceImage.load(tmp_path / f"i_L{light:03}.exr")
+        assert image.mean.shape == (16, 20, 3) and same_pixels(image, written)
+
+
+def test_images_survive_a_file(images, tmp_path):
+    valid = np.ones((16, 20), bool)
+    valid[3, 4] = False
+    masked = rig.RadianceImage(images[0].mean, images[0].variance, valid)
+    masked.save(tmp_path / "i.exr")
+    loaded = rig.RadianceImage.load(tmp_path / "i.exr")
+    assert np.array_equal(loaded.valid, valid) and not loaded.mean[3, 4].any()
+    assert np.array_equal(loaded.mean[valid], images[0].mean[valid])
+
+
+def test_fits_are_those_of_the_program(program, scene_file, images, quick_fit, tmp_path):
+    files = [tmp_path / f"{light}.exr" for light in range(2)]
+    for image, file in zip(images, files, strict=True):
+        image.save(file)
+    out = tmp_path / "program"
+    arguments = ["--scene", scene_file, "--image", *files, "--out", out, *QUICK_ARGUMENTS]
+    program("fit", *arguments)
+    quick_fit.save(tmp_path / "package")
+    for name in ["weights.csv", "table.csv"]:
+        assert (out / name).read_bytes() == (tmp_path / "package" / name).read_bytes()
+    from_program = rig.Fit.load(out)
+    assert np.array_equal(from_program.weights, quick_fit.weights)
+    assert from_program.loss == quick_fit.loss
+    assert (from_program.verdict, from_program.warnings) == (quick_fit.verdict, quick_fit.warnings)
+    for ours, theirs in zip(quick_fit.rendered(), from_program.rendered(), strict=True):
+        assert same_pixels(ours, theirs)
+    # By files, without a variance, as the program reads them.
+    bare = [tmp_path / f"bare-{light}.exr" for light in range(2)]
+    for image, file in zip(images, bare, strict=True):
+        write_without_variance(program, image, file)
+    by_arrays = rig.fit(scene_file, [image.mean for image in images], **QUICK)
+    assert any("no variance is stated" in remark for remark in by_arrays.remarks)
+    by_files = rig.fit(scene_file, bare, **QUICK)
+    assert np.array_equal(by_files.weights, by_arrays.weights)
+
+
+def write_without_variance(program, image, file):
+    """The means alone. The package always writes variances, so three channels are renamed."""
+    image.save(file)
+    data = file.read_bytes()
+    for channel in [b"var.R", b"var.G", b"var.B"]:
+        assert data.count(channel) == 1
+        data = data.replace(channel, channel.replace(b"var", b"vac"))
+    file.write_bytes(data)
+
+
+def test_a_fit_has_arrays_of_the_stated_shapes(quick_fit):
+    fit = quick_fit
+    assert fit.dictionary == "paper42" and len(fit.atoms) == 42
+    assert fit.weights.shape == fit.weight_deviations.shape == (3, 42)
+    np.testing.assert_allclose(fit.weights.sum(axis=1), 1)
+    table = fit.table
+    assert table.value.shape == (46, 31, 3) and table.constrained.shape == (46, 31)
+    assert (table.lower <= table.value).all() and (table.value <= table.upper).all()
+    at_40 = fit.brdf.table(table.theta_h_deg[30:31], table.theta_d_deg[:5])
+    np.testing.assert_allclose(at_40[0], table.value[30, :5], rtol=1e-3)
+    budget = fit.budget
+    assert budget.share.shape == (len(budget.value), len(budget.sources))
+    np.testing.assert_allclose(budget.share.sum(axis=1), 1)
+    assert fit.reduced_chi_square.shape == (2, 3) and fit.trace[-1] == fit.loss
+    assert fit.record["settings"]["optimizer"] == "gauss-newton"
+    assert fit.residual()[0].variance is None
+
+
+def test_a_fit_is_found_in_its_folder_and_written_once(quick_fit, tmp_path):
+    quick_fit.save(tmp_path / "fit")
+    table = (tmp_path / "fit/table.csv").read_text().splitlines()
+    row = next(csv.DictReader(table))
+    assert float(row["f_r"]) == quick_fit.table.value[0, 0, 0]
+    with pytest.raises(rig.FileError, match="not empty"):
+        quick_fit.save(tmp_path / "fit")
+    wi = [0.6, 0, 0.8]
+    assert np.array_equal(rig.Brdf.load(tmp_path / "fit")(wi, wi), quick_fit.brdf(wi, wi))
+
+
+def test_exports_are_those_of_the_program(program, quick_fit, tmp_path):
+    quick_fit.save(tmp_path / "fit")
+    for format, ending in [("json", "json"), ("mitsuba", "xml"), ("rgl", "bsdf")]:
+        ours, theirs = tmp_path / f"ours.{ending}", tmp_path / f"theirs.{ending}"
+        assert list(map(str, quick_fit.export(ours, format))) == [str(ours)]
+        program("export", tmp_path / "fit", "--format", format, "--out", theirs)
+        assert ours.read_bytes() == theirs.read_bytes()
