@@ -5,7 +5,8 @@ use rayon::prelude::*;
 
 use super::residuals::Target;
 use super::{COUNT, LIMITS, Model, Parameters, ParametricBrdf};
-use crate::brdf::Brdf;
+use crate::brdf::environment::EnvironmentMap;
+use crate::brdf::{Brdf, score};
 use crate::least_squares::{Equations, Options, Problem, minimise};
 
 /// Why there is no fit.
@@ -59,6 +60,8 @@ const FUZZ: [usize; 4] = [12, 13, 14, 15];
 const START_ROUGHNESS: [f64; 3] = [0.15, 0.35, 0.65];
 /// Metalness from which it is sought.
 const START_METALNESS: [f64; 2] = [0.02, 0.9];
+/// Pixels a side of the spheres by which candidates are chosen.
+const SMALL_SPHERE: usize = 20;
 /// A layer more must lower the sum of squares by this part.
 const LEAST_GAIN: f64 = 0.03;
 
@@ -85,9 +88,12 @@ pub fn fit(brdf: &dyn Brdf, model: Model) -> Result<Fitted, FitError> {
     if target.is_black() {
         return Err(FitError::Black);
     }
+    let maps = EnvironmentMap::all();
     let search = Search {
         target: &target,
         model,
+        brdf,
+        maps: &maps,
     };
     let mut base: Vec<usize> = BASE.into_iter().chain([METALNESS, ROUGHNESS]).collect();
     let mut extensions: Vec<usize> = vec![IOR];
@@ -129,9 +135,14 @@ pub fn fit(brdf: &dyn Brdf, model: Model) -> Result<Fitted, FitError> {
             coated(ground).iter().map(fuzzy).collect()
         }),
     ];
+    // A layer stays that lowers both measures.
+    let mut error = search.environment_error(&found.1);
     for candidate in with {
         if candidate.0 < (1.0 - LEAST_GAIN) * found.0 {
-            found = candidate;
+            let with_layer = search.environment_error(&candidate.1);
+            if with_layer < error {
+                (found, error) = (candidate, with_layer);
+            }
         }
     }
     Ok(Fitted {
@@ -187,9 +198,18 @@ fn fuzzy(ground: &Parameters) -> Parameters {
 struct Search<'a> {
     target: &'a Target,
     model: Model,
+    brdf: &'a dyn Brdf,
+    maps: &'a [EnvironmentMap],
 }
 
 impl Search<'_> {
+    /// By small spheres.
+    fn environment_error(&self, parameters: &Parameters) -> f64 {
+        let model = ParametricBrdf::new(self.model, parameters);
+        let error = score::environment_error(&model, self.brdf, self.maps, SMALL_SPHERE);
+        error.mean.all
+    }
+
     /// Minima from each start, with their sums of squares, the least first.
     fn from_each(&self, starts: &[Parameters], free: &[usize]) -> Vec<(f64, Parameters)> {
         let mut found: Vec<(f64, Parameters)> = starts

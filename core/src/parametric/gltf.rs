@@ -17,7 +17,9 @@ pub struct Gltf {
     fuzz: (f64, Charlie, Curve),
     coat: Lobe,
     base: Lobe,
-    /// Reflectance of the dielectric at normal incidence.
+    /// Share of the dielectric's reflection, at all angles.
+    specular_weight: f64,
+    /// Its reflectance at normal incidence without that share.
     f0: [f64; 3],
 }
 
@@ -26,6 +28,7 @@ impl Gltf {
     pub fn new(parameters: &Parameters) -> Self {
         let p = parameters;
         let (fuzz_weight, _) = p.fuzz_weight_and_color();
+        let (specular_weight, specular_color) = p.specular_weight_and_color();
         let fibres = Charlie::new(p.fuzz_roughness);
         let albedo = match fuzz_weight > 0.0 {
             true => fibres.albedo(),
@@ -36,7 +39,8 @@ impl Gltf {
             fuzz: (fuzz_weight, fibres, albedo),
             coat: Lobe::of_roughness(p.coat_roughness),
             base: Lobe::of_roughness(p.roughness),
-            f0: p.specular_color.map(|tint| tint * f0_from_ior(p.ior)),
+            specular_weight,
+            f0: specular_color.map(|tint| tint * f0_from_ior(p.ior)),
         }
     }
 
@@ -62,10 +66,11 @@ impl Gltf {
         let lobe = self.base.value(at);
         let share = schlick_share(at.cos_d);
         let brightest = self.f0.into_iter().fold(0.0, f64::max);
-        let passed = 1.0 - (brightest + share * (1.0 - brightest));
+        let passed = 1.0 - self.specular_weight * (brightest + share * (1.0 - brightest));
+        let lobe_of_glass = self.specular_weight * lobe;
         [0, 1, 2].map(|c| {
             let metal = lobe * schlick(p.base_color[c], at.cos_d);
-            let glass = lobe * (self.f0[c] + share * (1.0 - self.f0[c]));
+            let glass = lobe_of_glass * (self.f0[c] + share * (1.0 - self.f0[c]));
             let dielectric = glass + passed * p.base_color[c] * FRAC_1_PI;
             let base = p.metalness * metal + (1.0 - p.metalness) * dielectric;
             p.fuzz[c] * sheen + coat + left * base

@@ -18,7 +18,7 @@ use crate::brdf::ggx;
 pub struct OpenPbr {
     parameters: Parameters,
     fuzz: (f64, [f64; 3], Microfiber),
-    coat: Layer,
+    coat: Option<Layer>,
     base: Layer,
     diffuse: RoughDiffuse,
 }
@@ -70,7 +70,7 @@ impl OpenPbr {
         Self {
             parameters: *p,
             fuzz: (fuzz_weight, fuzz_color, Microfiber::new(p.fuzz_roughness)),
-            coat: Layer::new(p.coat_roughness, COAT_IOR),
+            coat: (p.coat_weight > 0.0).then(|| Layer::new(p.coat_roughness, COAT_IOR)),
             base: Layer::new(mix(p.roughness, blurred.powf(0.25)), mix(p.ior, below)),
             diffuse: RoughDiffuse::new(p.diffuse_roughness),
         }
@@ -88,8 +88,7 @@ impl OpenPbr {
             left -= fuzz_weight * fibres.albedo(cos_o);
         }
         let mut coat = 0.0;
-        if p.coat_weight > 0.0 {
-            let layer = &self.coat;
+        if let Some(layer) = &self.coat {
             let fresnel = ggx::fresnel(layer.ior, at.cos_d);
             coat = Layer::value(layer.lobe.value(at), layer.lost.at(cos_o), fresnel);
             coat *= p.coat_weight * left;

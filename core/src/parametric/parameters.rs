@@ -130,18 +130,27 @@ impl Parameters {
 
     /// The share of the surface under fibres, and their colour with the largest value 1.
     pub fn fuzz_weight_and_color(&self) -> (f64, [f64; 3]) {
-        let weight = self.fuzz.into_iter().fold(0.0, f64::max);
-        if weight > 0.0 {
-            (weight, self.fuzz.map(|value| value / weight))
-        } else {
-            (0.0, [1.0; 3])
-        }
+        weight_and_color(self.fuzz)
+    }
+
+    /// The specular colour as a weight and a colour with the largest value 1.
+    pub fn specular_weight_and_color(&self) -> (f64, [f64; 3]) {
+        weight_and_color(self.specular_color)
     }
 
     /// With every value rounded to `digits` decimals, as a file holds them.
     pub fn rounded(self, digits: i32) -> Self {
         let scale = 10f64.powi(digits);
         Self::from_array(self.to_array().map(|value| (value * scale).round() / scale))
+    }
+}
+
+fn weight_and_color(product: [f64; 3]) -> (f64, [f64; 3]) {
+    let weight = product.into_iter().fold(0.0, f64::max);
+    if weight > 0.0 {
+        (weight, product.map(|value| value / weight))
+    } else {
+        (0.0, [1.0; 3])
     }
 }
 

@@ -19,9 +19,8 @@ use crate::brdf::ggx;
 pub struct Principled {
     parameters: Parameters,
     fuzz: (f64, [f64; 3], Microfiber),
-    coat: Lobe,
-    /// Mean reflectance of the coat's visible facets.
-    coat_reflects: Curve,
+    /// The coat, and the mean reflectance of its visible facets.
+    coat: Option<(Lobe, Curve)>,
     base: Lobe,
     /// Light lost between the base's facets over light that is not.
     lost: Curve,
@@ -37,8 +36,11 @@ impl Principled {
     pub fn new(parameters: &Parameters) -> Self {
         let p = parameters;
         let (fuzz_weight, fuzz_color) = p.fuzz_weight_and_color();
-        let coat = Lobe::of_roughness(p.coat_roughness);
-        let (coat_bare, coat_reflected) = coat.albedo(|cos_d| ggx::fresnel(COAT_IOR, cos_d));
+        let coat = (p.coat_weight > 0.0).then(|| {
+            let coat = Lobe::of_roughness(p.coat_roughness);
+            let (bare, reflected) = coat.albedo(|cos_d| ggx::fresnel(COAT_IOR, cos_d));
+            (coat, Curve::new(|cos| reflected.at(cos) / bare.at(cos)))
+        });
         let base = Lobe::of_roughness(p.roughness);
         let (bare, weighted_share) = base.albedo(|cos_d| dielectric_share(p.ior, cos_d));
         let mean_bare = bare.mean();
@@ -50,7 +52,6 @@ impl Principled {
             parameters: *p,
             fuzz: (fuzz_weight, fuzz_color, Microfiber::new(p.fuzz_roughness)),
             coat,
-            coat_reflects: Curve::new(|cos| coat_reflected.at(cos) / coat_bare.at(cos)),
             base,
             lost: Curve::new(|cos| (1.0 - bare.at(cos)) / bare.at(cos)),
             metal_returns: [0, 1, 2]
@@ -75,9 +76,9 @@ impl Principled {
             left -= fuzz_weight * fibres.albedo(cos_o);
         }
         let mut coat = 0.0;
-        if p.coat_weight > 0.0 {
-            coat = left * p.coat_weight * ggx::fresnel(COAT_IOR, at.cos_d) * self.coat.value(at);
-            left *= 1.0 - p.coat_weight * self.coat_reflects.at(cos_o);
+        if let Some((lobe, reflects)) = &self.coat {
+            coat = left * p.coat_weight * ggx::fresnel(COAT_IOR, at.cos_d) * lobe.value(at);
+            left *= 1.0 - p.coat_weight * reflects.at(cos_o);
         }
         // The base.
         let (lobe, lost) = (self.base.value(at), self.lost.at(cos_o));

@@ -35,7 +35,7 @@ impl Microfiber {
         let floor = y * (0.000654023 + (-0.0207818 + 0.119681 * y) * y)
             / (1.26264 + y * (-1.92021 + y));
         let z = (x - centre) / width;
-        (-0.5 * z * z).exp() / (width * (2.0 * PI).sqrt()) + floor
+        ((-0.5 * z * z).exp() / (width * (2.0 * PI).sqrt()) + floor).max(0.0)
     }
 
     /// f, 1/sr.

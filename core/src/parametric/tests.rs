@@ -44,8 +44,8 @@ fn metal_at_normal_incidence_by_hand() {
         let f = value(model, &metal, DVec3::Z, DVec3::Z);
         for (f, f0) in f.into_iter().zip([0.8, 0.5, 0.2]) {
             let by_hand = f0 / (4.0 * PI * 0.0625);
-            // Light given back between facets is below 2% of a lobe of this width.
-            assert!(f >= by_hand * (1.0 - 1e-9) && f < by_hand * 1.02, "{model:?}: {f} {by_hand}");
+            // A lobe of this width loses 8% between facets, which is given back.
+            assert!(f >= by_hand * (1.0 - 1e-9) && f < by_hand * 1.1, "{model:?}: {f} {by_hand}");
         }
     }
 }
@@ -66,7 +66,7 @@ fn smooth_glass_reflects_by_fresnels_equations() {
     };
     let (light, viewer) = (direction(30.0, 0.0), direction(30.0, 180.0));
     let lobe = ggx::eval(0.09, 1.6, &Directions::new(light, viewer).unwrap().at);
-    for (model, allowed) in [(Model::OpenPbr, 0.005), (Model::Principled, 0.005), (Model::Gltf, 0.03)] {
+    for (model, allowed) in [(Model::OpenPbr, 0.005), (Model::Principled, 0.005), (Model::Gltf, 0.05)] {
         let [with_ground, bare, _] = value(model, &glass, light, viewer);
         // Correlated and separable masking are the same within a thousandth here.
         assert!((bare / lobe - 1.0).abs() < allowed, "{model:?}: {bare} {lobe}");
@@ -95,7 +95,7 @@ fn white_furnace() {
                     assert!(seen < 1.015, "{what}");
                     // Principled attenuates the ground by more than a rough lobe reflects.
                     let least = match model {
-                        Model::Gltf => 0.4,
+                        Model::Gltf => 0.25,
                         Model::Principled if metalness == 0.0 => 0.9,
                         _ => 0.985,
                     };
