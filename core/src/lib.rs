@@ -65,7 +65,7 @@
 //! |---|---|
 //! | 0 | [`units`], [`frames`], [`random`], [`shown`], [`radiance_image`], [`outside_file`], [`outside_text`], [`outside_table`], [`file_system`], [`whole_file`], [`progress`], [`statistics`], [`least_squares`], [`simplex`], [`bench_priors`] |
 //! | 1 | [`brdf`], [`geometry`] |
-//! | 2 | [`transport`], [`parametric`] |
+//! | 2 | [`parametric`], [`transport`] |
 //! | 3 | [`cells`], [`plausibility`] |
 //! | 4 | [`inverse`] |
 //! | 5 | [`config`], [`scores`] |

@@ -187,12 +187,11 @@ fn for_export(error: &ExportError) -> Option<String> {
     match error {
         ExportError::Brdf(error) => for_brdf(error),
         ExportError::Io { source, .. } => for_io(source),
-        ExportError::Model(ModelFitError::NotFinite) => Some(
-            "`rig brdf check` counts the values that are no numbers: get the file again".into(),
+        // No reader hands such values on.
+        ExportError::Model(ModelFitError::NotFinite) => None,
+        ExportError::Model(ModelFitError::Black) => Some(
+            "a black material needs no file: set the base colour to 0 and the index of refraction to 1 in the program".into(),
         ),
-        ExportError::Model(ModelFitError::Black) => {
-            Some("a black material needs no file: set the base colour to 0 and the index of refraction to 1 in the program".into())
-        }
         #[cfg(feature = "figures")]
         ExportError::Picture(_) => None,
     }

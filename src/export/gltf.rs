@@ -178,11 +178,12 @@ impl Sphere {
         let axis = |c: usize, of: fn(f32, f32) -> f32| {
             self.positions().map(|p| p[c]).reduce(of).unwrap_or_default()
         };
+        let least = [0, 1, 2].map(|c| axis(c, f32::min));
+        let largest = [0, 1, 2].map(|c| axis(c, f32::max));
         json!([
             {
                 "bufferView": 0, "componentType": F32, "count": count, "type": "VEC3",
-                "min": [0, 1, 2].map(|c| axis(c, f32::min)),
-                "max": [0, 1, 2].map(|c| axis(c, f32::max)),
+                "min": least, "max": largest,
             },
             { "bufferView": 1, "componentType": F32, "count": count, "type": "VEC3" },
             { "bufferView": 2, "componentType": U16, "count": self.indices.len(), "type": "SCALAR" },

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use crate::brdf::Brdf;
+use crate::brdf::environment::EnvironmentMap;
 use crate::brdf::score;
 use crate::parametric::{self, FitError, Fitted, LEAST_ROUGHNESS, Loss, Model, Parameters};
 
@@ -90,8 +91,11 @@ impl AsModel {
         };
         let loss = Loss::of(&fitted.brdf(), brdf, score::SPHERE_SIZE);
         let has_extensions = fitted.core != fitted.parameters;
-        let without_extensions = has_extensions
-            .then(|| Loss::of(&fitted.core_brdf(), brdf, score::SPHERE_SIZE).error());
+        let without_extensions = has_extensions.then(|| {
+            let (core, maps) = (fitted.core_brdf(), EnvironmentMap::all());
+            let error = score::environment_error(&core, brdf, &maps, score::SPHERE_SIZE);
+            error.mean.all
+        });
         Ok(Self {
             format,
             fitted,
