@@ -112,15 +112,31 @@ fn json_of_glb(glb: &[u8]) -> serde_json::Value {
 fn a_fit_becomes_the_material_of_other_programs() {
     let home = tempfile::tempdir().unwrap();
     write_fit(&home.path().join("fit"));
-    for (format, file) in [("openpbr", "a b.mtlx"), ("blender", "a.py"), ("gltf", "a.glb")] {
-        let done = rig(&["export", "fit", "--format", format, "--out", file], home.path());
+    for (format, file) in [
+        ("openpbr", "a b.mtlx"),
+        ("blender", "a.py"),
+        ("gltf", "a.glb"),
+    ] {
+        let done = rig(
+            &["export", "fit", "--format", format, "--out", file],
+            home.path(),
+        );
         let said = stderr(&done);
         assert!(done.status.success(), "{said}");
-        assert_eq!(String::from_utf8(done.stdout).unwrap(), format!("{file}\n{file}.png\n"));
-        assert!(said.contains("environment error") && said.contains("worst at θh"), "{said}");
+        assert_eq!(
+            String::from_utf8(done.stdout).unwrap(),
+            format!("{file}\n{file}.png\n")
+        );
+        assert!(
+            said.contains("environment error") && said.contains("worst at θh"),
+            "{said}"
+        );
         let bytes = std::fs::read(home.path().join(file)).unwrap();
         let text = String::from_utf8_lossy(&bytes);
-        assert!(text.contains("SIMULATED") && text.contains("environment error"), "{format}");
+        assert!(
+            text.contains("SIMULATED") && text.contains("environment error"),
+            "{format}"
+        );
         let picture = image::open(home.path().join(format!("{file}.png"))).unwrap();
         assert!(picture.width() > 400 && picture.height() > 500);
     }
@@ -131,10 +147,18 @@ fn a_fit_becomes_the_material_of_other_programs() {
     assert_eq!(elements[0].1["colorspace"], "lin_rec709");
     assert_eq!(elements[1].0, "open_pbr_surface");
     let (kind, material) = &elements[elements.len() - 2];
-    assert_eq!((kind.as_str(), material["name"].as_str()), ("surfacematerial", "a_b"));
-    assert_eq!(elements[elements.len() - 1].1["nodename"], elements[1].1["name"]);
+    assert_eq!(
+        (kind.as_str(), material["name"].as_str()),
+        ("surfacematerial", "a_b")
+    );
+    assert_eq!(
+        elements[elements.len() - 1].1["nodename"],
+        elements[1].1["name"]
+    );
     let input = |name: &str| {
-        let with_name = |(_, a): &&(String, BTreeMap<String, String>)| a.get("name").map(String::as_str) == Some(name);
+        let with_name = |(_, a): &&(String, BTreeMap<String, String>)| {
+            a.get("name").map(String::as_str) == Some(name)
+        };
         elements.iter().find(with_name).unwrap().1["value"].clone()
     };
     let roughness: f64 = input("specular_roughness").parse().unwrap();
@@ -147,16 +171,30 @@ fn a_fit_becomes_the_material_of_other_programs() {
     let core = &material["pbrMetallicRoughness"];
     assert_eq!(core["baseColorFactor"].as_array().unwrap().len(), 4);
     assert_eq!(material["extras"]["simulated"], true);
-    let used: Vec<&str> = json["extensionsUsed"].as_array().into_iter().flatten().filter_map(|e| e.as_str()).collect();
+    let used: Vec<&str> = json["extensionsUsed"]
+        .as_array()
+        .into_iter()
+        .flatten()
+        .filter_map(|e| e.as_str())
+        .collect();
     let own = material["extensions"].as_object();
     assert_eq!(own.map_or(0, serde_json::Map::len), used.len());
-    assert!(used.iter().all(|extension| own.unwrap().contains_key(*extension)), "{used:?}");
+    assert!(
+        used.iter()
+            .all(|extension| own.unwrap().contains_key(*extension)),
+        "{used:?}"
+    );
     let error = |key: &str| material["extras"][key].as_f64();
     assert!(error("environmentError").unwrap() > 0.0);
 
     // Blender: the sockets of the Principled BSDF since 4.0.
     let script = std::fs::read_to_string(home.path().join("a.py")).unwrap();
-    for socket in ["Specular IOR Level", "Coat Weight", "Sheen Tint", "Specular Tint"] {
+    for socket in [
+        "Specular IOR Level",
+        "Coat Weight",
+        "Sheen Tint",
+        "Specular Tint",
+    ] {
         assert!(script.contains(&format!("\"{socket}\": ")), "{socket}");
     }
 }
@@ -165,10 +203,16 @@ fn a_fit_becomes_the_material_of_other_programs() {
 #[test]
 fn a_black_material_is_not_exported() {
     let home = tempfile::tempdir().unwrap();
-    let done = rig(&["brdf", "convert", "lambertian:0", "--out", "x.glb"], home.path());
+    let done = rig(
+        &["brdf", "convert", "lambertian:0", "--out", "x.glb"],
+        home.path(),
+    );
     assert_eq!(done.status.code(), Some(1));
     let said = stderr(&done);
-    assert!(said.contains("nothing to export: the BRDF reflects nothing"), "{said}");
+    assert!(
+        said.contains("nothing to export: the BRDF reflects nothing"),
+        "{said}"
+    );
     assert!(said.contains("set the base colour to 0"), "{said}");
     assert!(!home.path().join("x.glb").exists());
 }

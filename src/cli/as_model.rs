@@ -37,7 +37,11 @@ pub fn convert(
 ) -> Result<(), CliError> {
     let exported = if Path::new(spec).is_dir() {
         // A fit: the file says where it comes from.
-        export::export(&fit_record::find(Path::new(spec))?, Format::Model(format), out)
+        export::export(
+            &fit_record::find(Path::new(spec))?,
+            Format::Model(format),
+            out,
+        )
     } else {
         let subject = Subject {
             brdf: load(spec)?.as_ref(),

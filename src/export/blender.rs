@@ -60,7 +60,8 @@ pub fn to_script(material: &AsModel, subject: &Subject<'_>) -> String {
         let _ = writeln!(script, "# {line}");
     }
     script += "#\n# For the Principled BSDF of Blender 4.0 and later. Run it in the Text Editor, or with\n";
-    script += "# `blender --python FILE`; then choose the material for an object. Colours are linear,\n";
+    script +=
+        "# `blender --python FILE`; then choose the material for an object. Colours are linear,\n";
     script += "# with the primaries of Rec. 709, Blender's default working space.\n\n";
     script += "import bpy\n\n";
     let quoted = |text: &str| format!("\"{}\"", text.replace('\\', "\\\\").replace('"', "\\\""));

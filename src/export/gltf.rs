@@ -29,7 +29,11 @@ pub fn to_glb(material: &AsModel, subject: &Subject<'_>) -> Vec<u8> {
         (*b"JSON", padded(json.into_bytes(), b' ')),
         (*b"BIN\0", padded(sphere.bytes(), 0)),
     ];
-    let length = 12 + chunks.iter().map(|(_, bytes)| 8 + bytes.len()).sum::<usize>();
+    let length = 12
+        + chunks
+            .iter()
+            .map(|(_, bytes)| 8 + bytes.len())
+            .sum::<usize>();
     let word = |value: usize| (value as u32).to_le_bytes();
     let mut file = Vec::with_capacity(length);
     file.extend(b"glTF");
@@ -176,7 +180,10 @@ impl Sphere {
     fn accessors(&self) -> Value {
         let count = self.normals.len();
         let axis = |c: usize, of: fn(f32, f32) -> f32| {
-            self.positions().map(|p| p[c]).reduce(of).unwrap_or_default()
+            self.positions()
+                .map(|p| p[c])
+                .reduce(of)
+                .unwrap_or_default()
         };
         let least = [0, 1, 2].map(|c| axis(c, f32::min));
         let largest = [0, 1, 2].map(|c| axis(c, f32::max));

@@ -15,7 +15,11 @@ pub fn to_xml(material: &AsModel, subject: &Subject<'_>) -> String {
     let inputs = [
         ("base_weight", "float", float(1.0)),
         ("base_color", "color3", color(p.base_color)),
-        ("base_diffuse_roughness", "float", float(p.diffuse_roughness)),
+        (
+            "base_diffuse_roughness",
+            "float",
+            float(p.diffuse_roughness),
+        ),
         ("base_metalness", "float", float(p.metalness)),
         ("specular_weight", "float", float(1.0)),
         ("specular_color", "color3", color(p.specular_color)),
@@ -35,7 +39,10 @@ pub fn to_xml(material: &AsModel, subject: &Subject<'_>) -> String {
     for line in subject.lines(material) {
         let _ = writeln!(xml, "<!-- {} -->", line.replace("--", "- -"));
     }
-    let _ = writeln!(xml, "<materialx version=\"1.39\" colorspace=\"lin_rec709\">");
+    let _ = writeln!(
+        xml,
+        "<materialx version=\"1.39\" colorspace=\"lin_rec709\">"
+    );
     let _ = writeln!(
         xml,
         "  <open_pbr_surface name=\"{name}_surface\" type=\"surfaceshader\">"

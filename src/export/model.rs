@@ -208,13 +208,19 @@ mod tests {
             ..Parameters::default()
         };
         let said = limits(&limited).join("\n");
-        assert!(said.contains("in R, B") && said.contains("the least allowed"), "{said}");
+        assert!(
+            said.contains("in R, B") && said.contains("the least allowed"),
+            "{said}"
+        );
         assert!(limits(&Parameters::default()).is_empty());
     }
 
     #[test]
     fn endings_name_formats() {
-        assert_eq!(ModelFormat::of(Path::new("a/b.mtlx")), Some(ModelFormat::OpenPbr));
+        assert_eq!(
+            ModelFormat::of(Path::new("a/b.mtlx")),
+            Some(ModelFormat::OpenPbr)
+        );
         assert_eq!(ModelFormat::of(Path::new("b.glb")), Some(ModelFormat::Gltf));
         assert_eq!(ModelFormat::of(Path::new("b.binary")), None);
     }

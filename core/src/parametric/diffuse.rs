@@ -92,7 +92,10 @@ mod tests {
                         weight * light.z * at.of_color(1.0)
                     })
                     .sum();
-                assert!((reflected - 1.0).abs() < 4e-3, "{roughness} {theta}: {reflected}");
+                assert!(
+                    (reflected - 1.0).abs() < 4e-3,
+                    "{roughness} {theta}: {reflected}"
+                );
             }
         }
     }

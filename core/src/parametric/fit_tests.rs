@@ -5,7 +5,10 @@ const MODELS: [Model; 3] = [Model::OpenPbr, Model::Principled, Model::Gltf];
 
 fn difference(a: &Parameters, b: &Parameters, which: &[usize]) -> f64 {
     let (a, b) = (a.to_array(), b.to_array());
-    which.iter().map(|&k| (a[k] - b[k]).abs()).fold(0.0, f64::max)
+    which
+        .iter()
+        .map(|&k| (a[k] - b[k]).abs())
+        .fold(0.0, f64::max)
 }
 
 /// A material made from a model is found again.

@@ -62,7 +62,10 @@ mod tests {
     fn mean(fresnel: impl Fn(f64) -> f64) -> f64 {
         let n = 20_000;
         let at = |k: usize| (k as f64 + 0.5) / f64::from(n);
-        (0..n as usize).map(|k| 2.0 * at(k) * fresnel(at(k))).sum::<f64>() / f64::from(n)
+        (0..n as usize)
+            .map(|k| 2.0 * at(k) * fresnel(at(k)))
+            .sum::<f64>()
+            / f64::from(n)
     }
 
     #[test]

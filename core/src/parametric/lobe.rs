@@ -18,7 +18,9 @@ impl Curve {
     /// From a function of that cosine, (0, 1].
     pub fn new(f: impl Fn(f64) -> f64) -> Self {
         let last = (NODES - 1) as f64;
-        Self(std::array::from_fn(|k| f((k as f64 / last).powi(2).max(1e-4))))
+        Self(std::array::from_fn(|k| {
+            f((k as f64 / last).powi(2).max(1e-4))
+        }))
     }
 
     /// The same value everywhere.
@@ -93,8 +95,7 @@ impl Lobe {
         let alpha = self.alpha;
         let viewer = [(1.0 - cos_o * cos_o).max(0.0).sqrt(), 0.0, cos_o];
         // 1/G1 = 1 + Λ.
-        let inverse_masking =
-            move |cos: f64| 0.5 / (cos * ggx::masking_over_two_cos(alpha, cos));
+        let inverse_masking = move |cos: f64| 0.5 / (cos * ggx::masking_over_two_cos(alpha, cos));
         let of_viewer = inverse_masking(cos_o);
         (0..FACETS).filter_map(move |k| {
             let light =
@@ -131,8 +132,14 @@ mod tests {
                     want[1] += reflected * ggx::fresnel(1.5, at.cos_d);
                 }
                 let got = [bare.at(viewer.z), glass.at(viewer.z)];
-                assert!((got[0] - want[0]).abs() < 0.012, "{alpha} {theta} {got:?} {want:?}");
-                assert!((got[1] - want[1]).abs() < 0.006, "{alpha} {theta} {got:?} {want:?}");
+                assert!(
+                    (got[0] - want[0]).abs() < 0.012,
+                    "{alpha} {theta} {got:?} {want:?}"
+                );
+                assert!(
+                    (got[1] - want[1]).abs() < 0.006,
+                    "{alpha} {theta} {got:?} {want:?}"
+                );
             }
         }
     }

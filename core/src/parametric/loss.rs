@@ -10,7 +10,9 @@ use crate::brdf::sphere::{SphereImage, sphere_images};
 use crate::brdf::{Brdf, HalfDifference};
 
 /// Half and difference angles at which the two are compared, degrees.
-const THETA_H_DEG: [f64; 11] = [0.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0, 75.0];
+const THETA_H_DEG: [f64; 11] = [
+    0.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0, 75.0,
+];
 const THETA_D_DEG: [f64; 9] = [0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0];
 /// Azimuths over which is averaged.
 const AZIMUTHS: usize = 6;
@@ -139,7 +141,10 @@ fn albedo(model: &dyn Brdf, material: &dyn Brdf) -> Vec<AlbedoPair> {
             let (sin, cos) = theta_deg.to_radians().sin_cos();
             let mean = |brdf: &dyn Brdf| {
                 let to_light = DVec3::new(sin, 0.0, cos);
-                directional_albedo(brdf, to_light, PER_TECHNIQUE).iter().sum::<f64>() / 3.0
+                directional_albedo(brdf, to_light, PER_TECHNIQUE)
+                    .iter()
+                    .sum::<f64>()
+                    / 3.0
             };
             AlbedoPair {
                 theta_deg,

@@ -120,8 +120,7 @@ fn nodes() -> impl Iterator<Item = Node> {
     (0..n_h * n_d * n_phi).filter_map(move |k| {
         let middle = |index: usize, count: usize| (index as f64 + 0.5) / count as f64;
         let angles = HalfDifference {
-            theta_h_rad: std::f64::consts::FRAC_PI_2
-                * middle(k / (n_d * n_phi), n_h).powi(2),
+            theta_h_rad: std::f64::consts::FRAC_PI_2 * middle(k / (n_d * n_phi), n_h).powi(2),
             theta_d_rad: THETA_D_DEG.to_radians() * middle(k / n_phi % n_d, n_d),
             // The other half turn swaps light and viewer: by symmetry it is in these, too.
             phi_d_rad: std::f64::consts::PI * middle(k % n_phi, n_phi),

@@ -32,8 +32,8 @@ impl Microfiber {
         let width = y * (0.0206607 + 1.58491 * y) / (0.0379424 + y * (1.32227 + y));
         let centre =
             y * (-0.193854 + y * (-1.14885 + y * (1.7932 - 0.95943 * y * y))) / (0.046391 + y);
-        let floor = y * (0.000654023 + (-0.0207818 + 0.119681 * y) * y)
-            / (1.26264 + y * (-1.92021 + y));
+        let floor =
+            y * (0.000654023 + (-0.0207818 + 0.119681 * y) * y) / (1.26264 + y * (-1.92021 + y));
         let z = (x - centre) / width;
         ((-0.5 * z * z).exp() / (width * (2.0 * PI).sqrt()) + floor).max(0.0)
     }
@@ -136,11 +136,17 @@ mod tests {
                 let fibres = Microfiber::new(roughness);
                 let want = albedo(|to| fibres.value(to), theta);
                 let got = fibres.albedo(theta.cos());
-                assert!((got - want).abs() < 0.01 * want, "{roughness} {theta}: {got} {want}");
+                assert!(
+                    (got - want).abs() < 0.01 * want,
+                    "{roughness} {theta}: {got} {want}"
+                );
                 let charlie = Charlie::new(roughness);
                 let want = albedo(|to| charlie.value(to), theta);
                 let got = charlie.albedo().at(theta.cos());
-                assert!((got - want).abs() < 0.02, "{roughness} {theta}: {got} {want}");
+                assert!(
+                    (got - want).abs() < 0.02,
+                    "{roughness} {theta}: {got} {want}"
+                );
             }
         }
     }

@@ -45,7 +45,10 @@ fn metal_at_normal_incidence_by_hand() {
         for (f, f0) in f.into_iter().zip([0.8, 0.5, 0.2]) {
             let by_hand = f0 / (4.0 * PI * 0.0625);
             // A lobe of this width loses 8% between facets, which is given back.
-            assert!(f >= by_hand * (1.0 - 1e-9) && f < by_hand * 1.1, "{model:?}: {f} {by_hand}");
+            assert!(
+                f >= by_hand * (1.0 - 1e-9) && f < by_hand * 1.1,
+                "{model:?}: {f} {by_hand}"
+            );
         }
     }
 }
@@ -66,13 +69,23 @@ fn smooth_glass_reflects_by_fresnels_equations() {
     };
     let (light, viewer) = (direction(30.0, 0.0), direction(30.0, 180.0));
     let lobe = ggx::eval(0.09, 1.6, &Directions::new(light, viewer).unwrap().at);
-    for (model, allowed) in [(Model::OpenPbr, 0.005), (Model::Principled, 0.005), (Model::Gltf, 0.05)] {
+    for (model, allowed) in [
+        (Model::OpenPbr, 0.005),
+        (Model::Principled, 0.005),
+        (Model::Gltf, 0.05),
+    ] {
         let [with_ground, bare, _] = value(model, &glass, light, viewer);
         // Correlated and separable masking are the same within a thousandth here.
-        assert!((bare / lobe - 1.0).abs() < allowed, "{model:?}: {bare} {lobe}");
+        assert!(
+            (bare / lobe - 1.0).abs() < allowed,
+            "{model:?}: {bare} {lobe}"
+        );
         let ground = (1.0 - reflectance) * 0.5 * FRAC_1_PI;
         let got = with_ground - bare;
-        assert!((got / ground - 1.0).abs() < 0.02, "{model:?}: {got} {ground}");
+        assert!(
+            (got / ground - 1.0).abs() < 0.02,
+            "{model:?}: {got} {ground}"
+        );
     }
 }
 
@@ -128,16 +141,28 @@ fn white_furnace() {
 #[test]
 fn corners_of_the_limits_are_materials() {
     for pattern in 0u32..64 {
-        let corner = std::array::from_fn(|k| LIMITS[k][((pattern * 2_654_435_761) >> (k + 5) & 1) as usize]);
+        let corner =
+            std::array::from_fn(|k| LIMITS[k][((pattern * 2_654_435_761) >> (k + 5) & 1) as usize]);
         let parameters = Parameters::from_array(corner);
         for model in MODELS {
             let brdf = ParametricBrdf::new(model, &parameters);
             for theta_deg in [0.0, 60.0, 89.9] {
-                let f = value(model, &parameters, direction(theta_deg, 10.0), direction(40.0, 190.0));
-                assert!(f.iter().all(|f| f.is_finite() && *f >= 0.0), "{parameters:?} {f:?}");
+                let f = value(
+                    model,
+                    &parameters,
+                    direction(theta_deg, 10.0),
+                    direction(40.0, 190.0),
+                );
+                assert!(
+                    f.iter().all(|f| f.is_finite() && *f >= 0.0),
+                    "{parameters:?} {f:?}"
+                );
             }
             let albedo = directional_albedo(&brdf, direction(50.0, 0.0), 64);
-            assert!(albedo.iter().all(|a| *a < 1.25), "{model:?} {parameters:?} {albedo:?}");
+            assert!(
+                albedo.iter().all(|a| *a < 1.25),
+                "{model:?} {parameters:?} {albedo:?}"
+            );
         }
     }
     let below = ParametricBrdf::new(Model::Gltf, &Parameters::default());
