@@ -147,7 +147,7 @@ fn bad_input_is_one_line_and_a_hint() {
         (&["project", "lambertian:0.5", "--size", "4"], "8 to 512"),
         (
             &["convert", "lambertian:0.5", "--out", "x.merl"],
-            "neither a .binary nor a .bsdf",
+            "the name ends in none of .binary",
         ),
         (
             &["convert", "lambertian:0.5", "--out", "no/folder/x.binary"],

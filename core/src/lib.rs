@@ -28,6 +28,7 @@
 //! | to | see |
 //! |---|---|
 //! | load, evaluate, compare BRDFs | [`brdf`], [`brdf::load`], [`brdf::score`] |
+//! | turn one into a material of OpenPBR, Blender or glTF | [`parametric`] |
 //! | make or read a sample's shape | [`Shape`], [`Mesh`] |
 //! | describe camera and lights | [`SceneFile`], [`Scene`], [`Camera`], [`Light`] |
 //! | render | [`render()`], [`RenderOptions`] |
@@ -64,7 +65,7 @@
 //! |---|---|
 //! | 0 | [`units`], [`frames`], [`random`], [`shown`], [`radiance_image`], [`outside_file`], [`outside_text`], [`outside_table`], [`file_system`], [`whole_file`], [`progress`], [`statistics`], [`least_squares`], [`simplex`], [`bench_priors`] |
 //! | 1 | [`brdf`], [`geometry`] |
-//! | 2 | [`transport`] |
+//! | 2 | [`parametric`], [`transport`] |
 //! | 3 | [`cells`], [`plausibility`] |
 //! | 4 | [`inverse`] |
 //! | 5 | [`config`], [`scores`] |
@@ -89,6 +90,7 @@ pub mod whole_file;
 pub mod brdf;
 pub mod geometry;
 
+pub mod parametric;
 pub mod transport;
 
 pub mod cells;

@@ -6,10 +6,10 @@ use std::sync::Arc;
 use clap::{Args, Subcommand};
 
 use super::output::{ANOTHER_FILE, check_ending, unwritable, write_json, write_path};
-use super::{CliError, Context, HintExt};
+use super::{CliError, Context, HintExt, as_model};
 use crate::brdf::check::ALBEDO_ANGLES_DEG;
 use crate::brdf::{Brdf, BrdfError, Dictionary, nbrdf, score};
-use crate::export::{self, ExportError, TableFormat};
+use crate::export::{self, ExportError, ModelFormat, TableFormat};
 use crate::material::{self, Angles, Errors, Evaluated, MaterialError};
 use crate::out;
 use crate::whole_file;
@@ -94,13 +94,13 @@ enum BrdfCommand {
         #[arg(long, default_value_t = material::DRAWN_SPHERE_PX, value_parser = sphere_size)]
         size: usize,
     },
-    /// Writes a MERL table of 90 x 90 x 180 cells, or an RGL file
+    /// Writes a MERL table of 90 x 90 x 180 cells, an RGL file, or the nearest material of another program's model
     #[command(after_help = SPEC_HELP)]
     Convert {
         /// The BRDF
         brdf: String,
         /// The file; its ending chooses the format
-        #[arg(long, value_name = "FILE.binary|FILE.bsdf")]
+        #[arg(long, value_name = "FILE.binary|.bsdf|.mtlx|.py|.glb")]
         out: PathBuf,
     },
 }
@@ -113,7 +113,7 @@ fn sphere_size(text: &str) -> Result<usize, String> {
 }
 
 /// Runs `rig brdf`.
-pub fn run(args: &BrdfArgs, _context: &Context) -> Result<(), CliError> {
+pub fn run(args: &BrdfArgs, context: &Context) -> Result<(), CliError> {
     match &args.command {
         BrdfCommand::Eval { brdf, angles, json } => eval(brdf, angles, *json),
         BrdfCommand::Check { brdf, json } => run_check(brdf, *json),
@@ -131,11 +131,14 @@ pub fn run(args: &BrdfArgs, _context: &Context) -> Result<(), CliError> {
             json,
         } => compare(estimate, truth, *size, *json),
         BrdfCommand::Plot { brdf, out, size } => plot(brdf, out, *size),
-        BrdfCommand::Convert { brdf, out } => convert(brdf, out),
+        BrdfCommand::Convert { brdf, out } => match ModelFormat::of(out) {
+            Some(format) => as_model::convert(brdf, format, out, context),
+            None => convert(brdf, out),
+        },
     }
 }
 
-fn load(spec: &str) -> Result<Arc<dyn Brdf>, CliError> {
+pub(super) fn load(spec: &str) -> Result<Arc<dyn Brdf>, CliError> {
     material::load(spec).map_err(advise)
 }
 
@@ -300,10 +303,10 @@ fn plot(spec: &str, path: &Path, size: usize) -> Result<(), CliError> {
 fn convert(spec: &str, path: &Path) -> Result<(), CliError> {
     let format = TableFormat::of(path).ok_or_else(|| {
         CliError::new(format!(
-            "{}: neither a .binary nor a .bsdf name",
+            "{}: the name ends in none of .binary, .bsdf, .mtlx, .py, .glb",
             path.display()
         ))
-        .hint("MERL tables end in .binary, RGL files in .bsdf; `rig export` writes other formats of a fit")
+        .hint("MERL tables end in .binary, RGL files in .bsdf, OpenPBR in .mtlx, scripts for Blender in .py, glTF in .glb; `rig export` writes other formats of a fit")
     })?;
     export::table(load(spec)?.as_ref(), spec, format, path).map_err(|error| match error {
         ExportError::Io { path, source } => unwritable(&path, &source),

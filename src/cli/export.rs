@@ -4,8 +4,8 @@ use std::path::PathBuf;
 
 use clap::ValueEnum;
 
-use super::{CliError, Context, output};
-use crate::export::{self, Format};
+use super::{CliError, Context, as_model, output};
+use crate::export::{self, Format, ModelFormat};
 use crate::session::fit_record::{self, Verdict};
 
 /// Writes a fitted BRDF for other programs.
@@ -36,6 +36,13 @@ enum FormatArg {
     Mitsuba,
     /// Material for pbrt-v4, with the .bsdf it refers to
     Pbrt,
+    /// OpenPBR in MaterialX (.mtlx), the nearest of that model; what it loses is printed and drawn
+    #[value(name = "openpbr")]
+    OpenPbr,
+    /// Script that makes the material in Blender 4.0 and later (.py), likewise
+    Blender,
+    /// Sphere of the material in binary glTF 2.0 (.glb), likewise
+    Gltf,
 }
 
 /// `rig export`.
@@ -48,6 +55,9 @@ pub fn run(args: &ExportArgs, context: &Context) -> Result<(), CliError> {
         FormatArg::RglSpectral => Format::RglSpectral,
         FormatArg::Mitsuba => Format::Mitsuba,
         FormatArg::Pbrt => Format::Pbrt,
+        FormatArg::OpenPbr => Format::Model(ModelFormat::OpenPbr),
+        FormatArg::Blender => Format::Model(ModelFormat::Blender),
+        FormatArg::Gltf => Format::Model(ModelFormat::Gltf),
     };
     let ending = format.ending();
     let path = args.out.clone();
@@ -63,8 +73,5 @@ pub fn run(args: &ExportArgs, context: &Context) -> Result<(), CliError> {
             None => record.verdict().sentence().to_owned(),
         });
     }
-    for file in export::export(&record, format, &path)? {
-        output::write_path(&file)?;
-    }
-    Ok(())
+    as_model::show(&export::export(&record, format, &path)?, context)
 }

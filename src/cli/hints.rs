@@ -32,6 +32,7 @@ use crate::export::ExportError;
 use crate::geometry::MeshError;
 use crate::geometry::mesh_error::Content;
 use crate::inverse::FitError;
+use crate::parametric::FitError as ModelFitError;
 use crate::plausibility::Implausible;
 use crate::radiance_image::exr::ExrError;
 use crate::radiometry::frame_file::FrameFileError;
@@ -186,6 +187,13 @@ fn for_export(error: &ExportError) -> Option<String> {
     match error {
         ExportError::Brdf(error) => for_brdf(error),
         ExportError::Io { source, .. } => for_io(source),
+        // No reader hands such values on.
+        ExportError::Model(ModelFitError::NotFinite) => None,
+        ExportError::Model(ModelFitError::Black) => Some(
+            "a black material needs no file: set the base colour to 0 and the index of refraction to 1 in the program".into(),
+        ),
+        #[cfg(feature = "figures")]
+        ExportError::Picture(_) => None,
     }
 }
 

@@ -5,6 +5,7 @@
 //! `pub fn run(args: &XArgs, context: &Context) -> Result<(), CliError>`, a
 //! `pub mod` line and one line in `commands!` below.
 
+mod as_model;
 pub mod bench;
 #[cfg(feature = "console")]
 mod bench_ports;

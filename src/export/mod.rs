@@ -8,13 +8,22 @@
 //! | `rgl-spectral` | the same with spectra, for pbrt-v4 and spectral Mitsuba | likewise; the spectra are an assumption |
 //! | `mitsuba` | scene fragment for Mitsuba 3 in an RGB variant | the mixture exactly; a model discrepancy is left out |
 //! | `pbrt` | material for pbrt-v4 and the `rgl-spectral` file it refers to | as that file |
+//! | `openpbr` | OpenPBR in MaterialX | the nearest of that model, with its loss stated |
+//! | `blender` | script for Blender's Principled BSDF | likewise |
+//! | `gltf` | sphere in binary glTF | likewise |
 //!
 //! Exports of simulated sessions say so inside the file, or in that note
 //! where the format has no room.
 
+pub mod blender;
+#[cfg(feature = "figures")]
+mod comparison;
 mod facets;
+pub mod gltf;
 pub mod json;
+pub mod materialx;
 pub mod mitsuba;
+mod model;
 pub mod pbrt;
 pub mod rgl;
 mod spectrum;
@@ -23,7 +32,10 @@ mod warp;
 
 use std::path::{Path, PathBuf};
 
+pub use model::{AsModel, LARGEST_ERROR, ModelFormat};
+
 use crate::brdf::{Brdf, BrdfError, merl};
+use crate::parametric::FitError;
 use crate::session::fit_record::FitRecord;
 use crate::whole_file;
 
@@ -42,6 +54,8 @@ pub enum Format {
     Mitsuba,
     /// A material for pbrt-v4, with its `.bsdf`.
     Pbrt,
+    /// A material in another program's own model.
+    Model(ModelFormat),
 }
 
 impl Format {
@@ -53,6 +67,7 @@ impl Format {
             Self::Rgl | Self::RglSpectral => "bsdf",
             Self::Mitsuba => "xml",
             Self::Pbrt => "pbrt",
+            Self::Model(format) => format.ending(),
         }
     }
 }
@@ -103,6 +118,13 @@ pub enum ExportError {
     /// The fit's atoms make no BRDF, or the table could not be written.
     #[error(transparent)]
     Brdf(#[from] BrdfError),
+    /// No model comes near.
+    #[error("nothing to export: {0}")]
+    Model(#[from] FitError),
+    /// The picture.
+    #[cfg(feature = "figures")]
+    #[error(transparent)]
+    Picture(#[from] crate::plot::PlotError),
     /// The system refused.
     #[error("{}: {source}", path.display())]
     Io {
@@ -117,18 +139,23 @@ pub enum ExportError {
 pub const SIMULATED_NOTE: &str =
     "SIMULATED: made from images of a simulated bench; no physical sample was measured";
 
-/// Writes the fit as `out` and returns the files made, `out` first. A file of
-/// that name is replaced, whole or not at all.
+/// What an export left.
+#[derive(Debug)]
+pub struct Exported {
+    /// The files made, the one asked for first.
+    pub files: Vec<PathBuf>,
+    /// How a program's own model holds the material, where that is the format.
+    pub model: Option<AsModel>,
+}
+
+/// Writes the fit as `out`. A file of that name is replaced, whole or not at all.
 ///
 /// # Errors
 /// An unusable fit, or the system's error.
-pub fn export(record: &FitRecord, format: Format, out: &Path) -> Result<Vec<PathBuf>, ExportError> {
+pub fn export(record: &FitRecord, format: Format, out: &Path) -> Result<Exported, ExportError> {
+    let mut files = vec![out.to_owned()];
     match format {
-        Format::Json => {
-            let text = json::to_json(record);
-            replace(out, text.as_bytes())?;
-            Ok(vec![out.to_owned()])
-        }
+        Format::Json => replace(out, json::to_json(record).as_bytes())?,
         Format::Mitsuba => {
             let note = record.discrepancy.as_ref().map(|discrepancy| {
                 format!(
@@ -138,28 +165,103 @@ pub fn export(record: &FitRecord, format: Format, out: &Path) -> Result<Vec<Path
             });
             let text = mitsuba::to_xml(&record.mixture()?, record.simulated, note.as_deref());
             replace(out, text.as_bytes())?;
-            Ok(vec![out.to_owned()])
         }
         Format::Merl => {
             merl::write(out, &*record.material()?)?;
-            let mut name = out.as_os_str().to_owned();
-            name.push(".txt");
-            let note = PathBuf::from(name);
+            let note = with_ending_added(out, "txt");
             replace(&note, merl_note(record).as_bytes())?;
-            Ok(vec![out.to_owned(), note])
+            files.push(note);
         }
         Format::Rgl | Format::RglSpectral => {
             replace(out, &rgl_bytes(record, format == Format::RglSpectral)?)?;
-            Ok(vec![out.to_owned()])
         }
         Format::Pbrt => {
             let bsdf = out.with_extension("spectral.bsdf");
             replace(&bsdf, &rgl_bytes(record, true)?)?;
             let name = bsdf.file_name().unwrap_or_default().to_string_lossy();
             replace(out, pbrt::to_text(&name, record.simulated).as_bytes())?;
-            Ok(vec![out.to_owned(), bsdf])
+            files.push(bsdf);
+        }
+        Format::Model(format) => {
+            let subject = Subject {
+                brdf: &*record.material()?,
+                description: &summary(record),
+                simulated: record.simulated,
+                out,
+            };
+            return subject.export(format);
         }
     }
+    Ok(Exported { files, model: None })
+}
+
+/// A material that becomes another program's.
+#[derive(Clone, Copy)]
+pub struct Subject<'a> {
+    /// The material.
+    pub brdf: &'a dyn Brdf,
+    /// Where it comes from, in a sentence that the file will hold.
+    pub description: &'a str,
+    /// Whether it was measured on a simulated bench.
+    pub simulated: bool,
+    /// The file to write; the material has its name.
+    pub out: &'a Path,
+}
+
+impl Subject<'_> {
+    /// Writes the nearest material of a program's model, and next to it the picture that
+    /// compares both, `FILE.png`.
+    ///
+    /// # Errors
+    /// A BRDF that no model comes near, or the system's error.
+    pub fn export(&self, format: ModelFormat) -> Result<Exported, ExportError> {
+        let model = AsModel::of(self.brdf, format)?;
+        let bytes = match format {
+            ModelFormat::OpenPbr => materialx::to_xml(&model, self).into_bytes(),
+            ModelFormat::Blender => blender::to_script(&model, self).into_bytes(),
+            ModelFormat::Gltf => gltf::to_glb(&model, self),
+        };
+        #[cfg_attr(not(feature = "figures"), expect(unused_mut))]
+        let mut files = vec![self.out.to_owned()];
+        #[cfg(feature = "figures")]
+        {
+            let picture = with_ending_added(self.out, "png");
+            replace(&picture, &comparison::to_png(&model)?)?;
+            files.push(picture);
+        }
+        replace(self.out, &bytes)?;
+        Ok(Exported {
+            files,
+            model: Some(model),
+        })
+    }
+
+    /// The file's name as programs take names: letters, digits, underscores.
+    fn identifier(&self) -> String {
+        let stem = self.out.file_stem().unwrap_or_default().to_string_lossy();
+        let plain = |c: char| if c.is_ascii_alphanumeric() { c } else { '_' };
+        let name: String = stem.chars().map(plain).collect();
+        match name.chars().next() {
+            Some(first) if first.is_ascii_alphabetic() => name,
+            _ => format!("material_{name}"),
+        }
+    }
+
+    /// What the file says of itself: where it comes from, and what it lost.
+    fn lines(&self, model: &AsModel) -> Vec<String> {
+        let one_line = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
+        let mut lines = vec![one_line(self.description)];
+        lines.extend(model.statements());
+        lines
+    }
+}
+
+/// `a.b` with `c` gives `a.b.c`.
+fn with_ending_added(path: &Path, ending: &str) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(".");
+    name.push(ending);
+    PathBuf::from(name)
 }
 
 fn rgl_bytes(record: &FitRecord, spectral: bool) -> Result<Vec<u8>, ExportError> {

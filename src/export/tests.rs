@@ -126,7 +126,7 @@ fn json_has_the_whole_brdf() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("brdf.json");
     let record = record(true);
-    let files = export(&record, Format::Json, &out).unwrap();
+    let files = export(&record, Format::Json, &out).unwrap().files;
     assert_eq!(files, std::slice::from_ref(&out));
     let document: Value = serde_json::from_slice(&std::fs::read(&out).unwrap()).unwrap();
     assert_eq!(document["simulated"], true);
@@ -151,7 +151,7 @@ fn a_merl_file_is_read_back_exactly() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("x.binary");
     let record = with_discrepancy();
-    let files = export(&record, Format::Merl, &out).unwrap();
+    let files = export(&record, Format::Merl, &out).unwrap().files;
     assert_eq!(files, [out.clone(), folder.path().join("x.binary.txt")]);
     assert!(
         std::fs::read_to_string(&files[1])
@@ -215,7 +215,7 @@ fn only_simulated_exports_are_marked() {
     ] {
         for simulated in [true, false] {
             let out = folder.path().join(name);
-            for file in export(&record(simulated), format, &out).unwrap() {
+            for file in export(&record(simulated), format, &out).unwrap().files {
                 let bytes = std::fs::read(&file).unwrap();
                 let marked = bytes.windows(9).any(|window| window == b"SIMULATED");
                 assert_eq!(marked, simulated, "{}", file.display());

@@ -1,0 +1,89 @@
+use super::*;
+use crate::brdf::source;
+
+const MODELS: [Model; 3] = [Model::OpenPbr, Model::Principled, Model::Gltf];
+
+fn difference(a: &Parameters, b: &Parameters, which: &[usize]) -> f64 {
+    let (a, b) = (a.to_array(), b.to_array());
+    which
+        .iter()
+        .map(|&k| (a[k] - b[k]).abs())
+        .fold(0.0, f64::max)
+}
+
+/// A material made from a model is found again.
+#[test]
+fn a_models_own_material_is_recovered() {
+    let plastic = Parameters {
+        base_color: [0.6, 0.1, 0.05],
+        roughness: 0.4,
+        ..Parameters::default()
+    };
+    let metal = Parameters {
+        base_color: [0.9, 0.6, 0.3],
+        metalness: 1.0,
+        roughness: 0.3,
+        ..Parameters::default()
+    };
+    let cases = MODELS.map(|model| (model, plastic));
+    for (model, truth) in cases.into_iter().chain([(Model::Gltf, metal)]) {
+        let found = fit(&ParametricBrdf::new(model, &truth), model).unwrap();
+        assert!(found.difference < 2e-3, "{model:?} {found:?}");
+        let which = [0, 1, 2, METALNESS, ROUGHNESS];
+        let off = difference(&found.parameters, &truth, &which);
+        assert!(off < 0.02, "{model:?}: {off} {found:?}");
+    }
+}
+
+/// Two lobes need the coat.
+#[test]
+fn a_coat_is_found() {
+    let truth = Parameters {
+        base_color: [0.5, 0.3, 0.1],
+        metalness: 0.7,
+        roughness: 0.6,
+        coat_weight: 0.8,
+        coat_roughness: 0.15,
+        ..Parameters::default()
+    };
+    let model = Model::OpenPbr;
+    let found = fit(&ParametricBrdf::new(model, &truth), model).unwrap();
+    let p = found.parameters;
+    assert!(found.difference < 3e-3, "{found:?}");
+    assert!((p.coat_weight - 0.8).abs() < 0.05, "{p:?}");
+    assert!((p.coat_roughness - 0.15).abs() < 0.01, "{p:?}");
+}
+
+/// No start is nearer to a measured material than what is found from all of them.
+#[test]
+fn a_fit_is_never_worse_than_its_starts() {
+    let paint = source::load("nbrdf:blue-metallic-paint").unwrap();
+    let target = Target::of(paint.as_ref());
+    for model in [Model::Principled, Model::Gltf] {
+        let found = fit(paint.as_ref(), model).unwrap();
+        let of = |p: &Parameters| {
+            let squares = target.residuals(model, p);
+            let sum: f64 = squares.iter().map(|r| r * r).sum();
+            (sum / target.len() as f64).sqrt()
+        };
+        assert!((of(&found.parameters) - found.difference).abs() < 1e-9);
+        for start in starts(&target) {
+            assert!(found.difference < of(&start), "{model:?} {start:?}");
+        }
+        // The extensions of glTF improve what viewers without them show.
+        assert!(found.difference <= of(&found.core) + 1e-12);
+    }
+}
+
+#[test]
+fn what_has_no_values_has_no_fit() {
+    struct Broken;
+    impl Brdf for Broken {
+        fn eval(&self, _: glam::Vec3, _: glam::Vec3) -> [f32; 3] {
+            [f32::NAN; 3]
+        }
+    }
+    assert_eq!(fit(&Broken, Model::Gltf), Err(FitError::NotFinite));
+    let black = source::load("lambertian:0").unwrap();
+    assert_eq!(fit(black.as_ref(), Model::Gltf), Err(FitError::Black));
+}
