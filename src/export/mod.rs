@@ -7,11 +7,13 @@
 //! | `rgl` | RGL `.bsdf` in RGB, for Mitsuba 3's `measured` | at its nodes; see [`rgl`] |
 //! | `rgl-spectral` | the same with spectra, for pbrt-v4 and spectral Mitsuba | likewise; the spectra are an assumption |
 //! | `mitsuba` | scene fragment for Mitsuba 3 in an RGB variant | the mixture exactly; a model discrepancy is left out |
+//! | [`birdf`] | universal BRDF JSON of the European BRDF projects | the constrained cells, with intervals |
 //! | `pbrt` | material for pbrt-v4 and the `rgl-spectral` file it refers to | as that file |
 //!
 //! Exports of simulated sessions say so inside the file, or in that note
 //! where the format has no room.
 
+pub mod birdf;
 mod facets;
 pub mod json;
 pub mod mitsuba;
@@ -103,6 +105,9 @@ pub enum ExportError {
     /// The fit's atoms make no BRDF, or the table could not be written.
     #[error(transparent)]
     Brdf(#[from] BrdfError),
+    /// No cell of the table is constrained by the images: nothing was measured.
+    #[error("the images constrain no cell of the fit's table: there is no measured value to write")]
+    NothingConstrained,
     /// The system refused.
     #[error("{}: {source}", path.display())]
     Io {
