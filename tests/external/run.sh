@@ -17,3 +17,4 @@ skip() {
 "$venv/bin/python" "$here/mitsuba_export.py" "$1"
 "$venv/bin/python" "$here/mitsuba_render.py" "$1"
 "$venv/bin/python" "$here/mitsuba_images.py" "$1"
+"$venv/bin/python" "$here/birdf.py" "$1"
