@@ -241,15 +241,15 @@ fn a_certificates_figures_are_the_fits_and_its_squares_add() {
     assert_eq!(contributions.len(), 6);
     for (n, &(shown_total, total)) in combined.iter().enumerate() {
         assert!(
-            (shown_total / (100.0 * total) - 1.0).abs() < 5e-4,
-            "four digits"
+            (shown_total / (100.0 * total) - 1.0).abs() < 5e-3,
+            "three digits"
         );
         let column = || contributions.iter().skip(n).step_by(2);
         let squares: f64 = column().map(|c| c.1 * c.1).sum();
         assert!((squares.sqrt() / total - 1.0).abs() < 1e-12);
         // Also the printed ones, within their rounding.
         let printed: f64 = column().map(|c| c.0 * c.0).sum();
-        assert!((printed.sqrt() / shown_total - 1.0).abs() < 1e-3);
+        assert!((printed.sqrt() / shown_total - 1.0).abs() < 1e-2);
     }
 
     // What a reader must find.

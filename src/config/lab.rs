@@ -1,5 +1,5 @@
 //! The `[lab]` table: who measures, and what of the instrument no device tells. Results that
-//! others read state it ([`export::birdf`](crate::export::birdf), the certificate).
+//! others read state it: the universal BRDF JSON, the certificate.
 
 use super::ConfigError;
 use super::reader::Section;

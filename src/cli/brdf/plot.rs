@@ -73,6 +73,7 @@ fn angle_deg(text: &str) -> Result<f64, String> {
 fn channel_letters(text: &str) -> Result<String, String> {
     let is_letter = |c: char| "rgb".contains(c);
     let mut letters: Vec<char> = text.chars().collect();
+    letters.sort_unstable();
     letters.dedup();
     match text.chars().all(is_letter)
         && (1..=3).contains(&text.len())

@@ -4,7 +4,7 @@ use minijinja::value::Value;
 use minijinja::{Environment, UndefinedBehavior, context};
 
 use super::CertificateError;
-use super::budget::{Budget, Evaluation};
+use super::budget::Budget;
 use crate::checksum::sha256_hex;
 use crate::report::figures;
 use crate::report::value::{value, values};
@@ -218,7 +218,7 @@ fn validity(result: &StatedResult) -> Value {
 }
 
 fn budget_view(budget: &Budget) -> Value {
-    let percent = |relative: f64| significant(100.0 * relative);
+    let percent = |relative: f64| digits(100.0 * relative, 3);
     let largest: Vec<f64> = (0..budget.columns.len())
         .map(|n| {
             budget
@@ -242,10 +242,6 @@ fn budget_view(budget: &Budget) -> Value {
         sources => values(&budget.sources, |source| context! {
             name => &source.name,
             evaluation => source.evaluation.letter(),
-            distribution => match source.evaluation {
-                Evaluation::A => "normal",
-                Evaluation::B => "posterior samples",
-            },
             contributions => values(source.contribution.iter().enumerate(), |(n, part)| context! {
                 shown => percent(*part),
                 exact => format!("{part:?}"),
@@ -281,15 +277,21 @@ fn checksums(result: &StatedResult) -> Result<Vec<(String, String)>, SessionErro
 }
 
 /// Four significant digits.
-pub(super) fn significant(value: f64) -> String {
+fn significant(value: f64) -> String {
+    digits(value, 4)
+}
+
+/// So many significant digits.
+fn digits(value: f64, count: i32) -> String {
     if value == 0.0 || !value.is_finite() {
         return format!("{value}");
     }
     let magnitude = value.abs().log10().floor() as i32;
-    if (-3..4).contains(&magnitude) {
-        let digits = (3 - magnitude).max(0) as usize;
-        format!("{value:.digits$}")
+    if (-3..count).contains(&magnitude) {
+        let decimals = (count - 1 - magnitude).max(0) as usize;
+        format!("{value:.decimals$}")
     } else {
-        format!("{value:.3e}").replace('-', "−")
+        let decimals = count.max(1) as usize - 1;
+        format!("{value:.decimals$e}").replace('-', "−")
     }
 }
