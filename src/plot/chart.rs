@@ -250,6 +250,10 @@ fn draw_interval(plot: &mut Plot, panel: &Chart, series: &Series) -> Result<(), 
 }
 
 fn draw_points(plot: &mut Plot, panel: &Chart, series: &Series) -> Result<(), DrawError> {
+    // Of an entry of the legend alone.
+    if series.points.is_empty() {
+        return Ok(());
+    }
     let color = palette(series.color);
     let points = series.points.iter();
     let points = points.map(|&[x, y]| (panel.x.inside(x), panel.y.inside(y)));

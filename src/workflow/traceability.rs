@@ -50,12 +50,13 @@ impl Traceability {
                 relative_std,
                 sha256: copy.sha256.clone(),
             };
-            // Records of other kinds are none of the scale.
-            if let Some(record) = of_kind::<LightsValues>(&bytes, &copy.id) {
+            // A copy is named by kind and id; records of other kinds are none of the scale.
+            let id = copy.id.rsplit('/').next().unwrap_or(&copy.id);
+            if let Some(record) = of_kind::<LightsValues>(&bytes, id) {
                 let values = record.values.irradiance_w_m2;
                 let largest = values.into_iter().map(relative).fold(0.0, f64::max);
                 found.irradiance = Some(reference(without_values(record), largest));
-            } else if let Some(record) = of_kind::<ScaleValues>(&bytes, &copy.id) {
+            } else if let Some(record) = of_kind::<ScaleValues>(&bytes, id) {
                 let std = relative(record.values.responsivity_e_s);
                 found.radiance = Some(reference(without_values(record), std));
             }

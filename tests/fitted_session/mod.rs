@@ -139,7 +139,10 @@ pub fn session(parent: &Path, fit: &FitRecord, lab: &str, complete: bool) -> Pat
         created: "2026-11-21T02:34:00Z".parse().unwrap(),
         short_id: "0f3a9c",
         record: &record,
-        calibration: &[("lights.toml".to_owned(), LIGHTS.into())],
+        calibration: &[(
+            "lights/20261101T100000Z-lights.toml".to_owned(),
+            LIGHTS.into(),
+        )],
     };
     let mut writer = SessionWriter::create(Arc::new(SystemDisk), &new).unwrap();
     writer
@@ -236,8 +239,8 @@ fn record(simulated: bool, lab: &str) -> SessionRecord {
             }],
         },
         calibration: vec![CalibrationCopy {
-            id: "20261101T100000Z-lights".to_owned(),
-            file: "calibration/lights.toml".to_owned(),
+            id: "lights/20261101T100000Z-lights".to_owned(),
+            file: "calibration/lights/20261101T100000Z-lights.toml".to_owned(),
             sha256: rig::checksum::sha256_hex(LIGHTS.as_bytes()),
         }],
     }

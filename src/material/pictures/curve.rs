@@ -9,6 +9,10 @@ use crate::session::fit_record::lookup::SMALLEST;
 
 /// Logarithmic scales show at most so many powers of ten below the largest value.
 const MOST_DECADES: f64 = 4.0;
+/// A band widens the scale by at most so many at either end.
+const BAND_DECADES: f64 = 0.5;
+/// Room at either end.
+const MARGIN_DECADES: f64 = 0.1;
 
 /// A piece of a curve that is constrained throughout, or nowhere.
 pub(super) struct Piece {
@@ -60,20 +64,26 @@ pub(super) fn pieces(
     pieces
 }
 
-/// Powers of ten around all curves and what of their bands is not far below.
+/// Powers of ten around all curves, with what of the constrained bands is not far from them.
 pub(super) fn decades<'a>(pieces: impl Iterator<Item = &'a Piece> + Clone) -> Range<f64> {
     let values = pieces
         .clone()
         .flat_map(|piece| piece.points.iter().map(|p| p[1]));
-    let upper = pieces.flat_map(|piece| piece.band.iter().map(|b| b[2]));
-    let high = values.clone().chain(upper).fold(f64::MIN, f64::max);
-    let low = values.fold(f64::MAX, f64::min);
+    let (mut low, mut high) = values.fold((f64::MAX, f64::MIN), |(low, high), value| {
+        (low.min(value), high.max(value))
+    });
     if low > high {
         return -3.0..0.0;
     }
-    let end = (high - 0.02).floor() + 1.0;
-    let start = low.floor().max(end - MOST_DECADES).min(end - 2.0);
-    start..end
+    // Intervals that reach further are cut off: they would flatten everything else.
+    let [lowest, highest] = [low - BAND_DECADES, high + BAND_DECADES];
+    let constrained = pieces.filter(|piece| piece.constrained);
+    for band in constrained.flat_map(|piece| &piece.band) {
+        low = low.min(band[1].max(lowest));
+        high = high.max(band[2].min(highest));
+    }
+    let end = high + MARGIN_DECADES;
+    (low - MARGIN_DECADES).max(end - MOST_DECADES)..end
 }
 
 #[cfg(test)]
@@ -120,6 +130,9 @@ mod tests {
         let log_f = (0.5 / std::f64::consts::PI).log10();
         assert!((low - log_f - 0.5f64.log10()).abs() < 1e-6);
         assert!((high - log_f - 2f64.log10()).abs() < 1e-6);
-        assert_eq!(decades(pieces.iter()), -2.0..0.0);
+        // The grey piece's band does not count, and the other's as a whole: it is narrow.
+        let scale = decades(pieces.iter());
+        assert!((scale.start - (log_f + 0.5f64.log10() - 0.1)).abs() < 1e-6);
+        assert!((scale.end - (log_f + 2f64.log10() + 0.1)).abs() < 1e-6);
     }
 }
