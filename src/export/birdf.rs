@@ -245,12 +245,9 @@ fn provenance(result: &StatedResult) -> Value {
 fn instrumentation(result: &StatedResult) -> Value {
     let facts = &result.config.lab.instrument;
     let bands: Option<Vec<[f64; 2]>> = facts.band_nm.iter().copied().collect();
-    let (Some(bands), Some([from, to]), Some(power_w), false) = (
-        bands,
-        facts.camera_band_nm,
-        facts.lamp_power_w,
-        result.record.simulated,
-    ) else {
+    let (Some(bands), Some([from, to]), Some(power_w)) =
+        (bands, facts.camera_band_nm, facts.lamp_power_w)
+    else {
         return json!("NA");
     };
     let (camera, stage) = (
