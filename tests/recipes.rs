@@ -56,6 +56,24 @@ fn every_recipe_does_what_it_says() {
     ] {
         assert_eq!(starts(name), start, "{name}");
     }
+    // There and back: RGL's values at the horizon, f·cos θ over cos θ, are not spread.
+    let done = Command::new(programs.join("rig"))
+        .args([
+            "brdf",
+            "compare",
+            "back.binary",
+            "red.binary",
+            "--size",
+            "12",
+            "--json",
+        ])
+        .current_dir(home.path())
+        .output()
+        .unwrap();
+    let lost: serde_json::Value = serde_json::from_slice(&done.stdout).unwrap();
+    let lost = lost["environment"]["mean"]["all"].as_f64().unwrap();
+    assert!(lost < 0.03, "{lost}");
+
     let errors = std::fs::read(home.path().join("errors.json")).unwrap();
     let errors: serde_json::Value = serde_json::from_slice(&errors).unwrap();
     assert!(errors["albedo"][0]["difference"][2].is_number(), "{errors}");

@@ -13,6 +13,7 @@
 //! Exports of simulated sessions say so inside the file, or in that note
 //! where the format has no room.
 
+mod above_horizon;
 pub mod birdf;
 mod facets;
 pub mod json;
@@ -24,6 +25,8 @@ mod tensor_file;
 mod warp;
 
 use std::path::{Path, PathBuf};
+
+use above_horizon::AboveHorizon;
 
 use crate::brdf::{Brdf, BrdfError, merl};
 use crate::session::fit_record::FitRecord;
@@ -79,8 +82,9 @@ impl TableFormat {
     }
 }
 
-/// Writes any BRDF, called `name`, as a table. A file of that name is replaced, whole or
-/// not at all.
+/// Writes any BRDF, called `name`, as a table. A file of the name `out` is replaced, whole or
+/// not at all. Of an RGL file (by its name), MERL's nodes within 1.1° of the horizon take the
+/// values there.
 ///
 /// # Errors
 /// The system's error.
@@ -91,6 +95,9 @@ pub fn table(
     out: &Path,
 ) -> Result<(), ExportError> {
     match format {
+        TableFormat::Merl if TableFormat::of(Path::new(name)) == Some(TableFormat::Rgl) => {
+            Ok(merl::write(out, &AboveHorizon(brdf))?)
+        }
         TableFormat::Merl => Ok(merl::write(out, brdf)?),
         TableFormat::Rgl => {
             let description = format!("{name}, by rig {}", env!("CARGO_PKG_VERSION"));
