@@ -1,5 +1,7 @@
 //! `rig brdf`, run as a user does.
 
+mod fitted_session;
+
 use std::path::Path;
 
 use assert_cmd::Command;
@@ -161,6 +163,59 @@ fn bad_input_is_one_line_and_a_hint() {
             &["eval", "--brdf", "lambertian:0.5", "--angles", "none.csv"],
             "none.csv",
         ),
+        (
+            &[
+                "plot",
+                "ggx:0.1,1.5",
+                "--kind",
+                "difference",
+                "--out",
+                "x.png",
+            ],
+            "a difference needs two BRDFs",
+        ),
+        (
+            &[
+                "plot",
+                "ggx:0.1,1.5",
+                "--kind",
+                "lobes",
+                "--angles",
+                "15,95",
+                "--out",
+                "x.svg",
+            ],
+            "allowed are 0 to 89 degrees",
+        ),
+        (
+            &[
+                "plot",
+                "ggx:0.1,1.5",
+                "--kind",
+                "slices",
+                "--channels",
+                "rgr",
+                "--out",
+                "x.svg",
+            ],
+            "the letters r, g and b",
+        ),
+        (
+            &[
+                "plot",
+                "ggx:0.1,1.5",
+                "gold",
+                "--kind",
+                "lobes",
+                "--out",
+                "x.svg",
+            ],
+            "\"gold\" is no BRDF",
+        ),
+        (
+            &["compare", "ggx:0.1,1.5", "ggx:0.2,1.5", "--constrained"],
+            "neither ggx:0.1,1.5 nor ggx:0.2,1.5 is a fit",
+        ),
     ] {
         let (code, out, err) = rig(folder.path(), arguments);
         assert_eq!((code, out.as_str()), (1, ""), "{arguments:?}: {err}");
@@ -233,4 +288,62 @@ fn cells_without_a_value_are_counted() {
         assert_eq!(found, code, "{said}: {out}{err}");
         assert!(format!("{out}{err}").contains(said), "{said}: {out}{err}");
     }
+}
+
+/// A fit's band and its grey part are in the picture, and nothing of a BRDF without a table.
+#[test]
+fn brdfs_are_drawn_over_each_other() {
+    let home = tempfile::tempdir().unwrap();
+    let fit = fitted_session::fit(false);
+    let root = fitted_session::session(home.path(), &fit, "", true);
+    let session = root.to_str().unwrap();
+    let drawn = |arguments: &[&str]| {
+        let arguments = [&["plot"], arguments, &["--out", "x.svg"]].concat();
+        let (code, out, err) = rig(home.path(), &arguments);
+        assert_eq!((code, out.as_str()), (0, "x.svg\n"), "{err}");
+        std::fs::read_to_string(home.path().join("x.svg")).unwrap()
+    };
+    let (grey, band) = ("#a6a6a6", "95% interval of a fit");
+    for more in [
+        &["--kind", "lobes"] as &[&str],
+        &["--kind", "lobes", "--axes", "cartesian"],
+        &["--kind", "slices", "--angles", "10,80"],
+    ] {
+        let svg = drawn(&[&[session, "ggx:0.2,1.5"], more].concat());
+        assert!(svg.contains(grey) && svg.contains(band), "{more:?}");
+        assert!(svg.contains("ggx:0.2,1.5") && svg.contains("green"));
+        let svg = drawn(&[&["ggx:0.3,1.5", "ggx:0.2,1.5"], more].concat());
+        assert!(!svg.contains(grey) && !svg.contains(band), "{more:?}");
+    }
+    assert!(drawn(&["ggx:0.3,1.5", "--kind", "slices"]).contains("blue of ggx:0.3,1.5"));
+    let spheres = drawn(&["ggx:0.3,1.5", "ggx:0.3,1.5", "--size", "8"]);
+    assert!(spheres.contains("off by 0.0%") && spheres.contains("reference"));
+    let ratios = drawn(&[session, "ggx:0.2,1.5", "--kind", "difference"]);
+    assert!(ratios.contains("f over f of ggx:0.2,1.5"));
+}
+
+#[test]
+fn errors_that_can_be_pictured() {
+    let home = tempfile::tempdir().unwrap();
+    let arguments = ["compare", "lambertian:0.4", "lambertian:0.5", "--size", "8"];
+    let (code, out, err) = rig(home.path(), &arguments);
+    assert_eq!(code, 0, "{err}");
+    assert!(
+        out.contains("at  45°                  -0.10") && out.contains("-20.0%"),
+        "{out}"
+    );
+    // Over the constrained part of a fit: of the peaks those that it holds.
+    let fit = fitted_session::fit(false);
+    let root = fitted_session::session(home.path(), &fit, "", true);
+    let root = root.to_str().unwrap();
+    let (_, out, err) = rig(
+        home.path(),
+        &["compare", root, "lambertian:0.5", "--constrained", "--json"],
+    );
+    let found: serde_json::Value = serde_json::from_str(&out).unwrap_or_else(|_| panic!("{err}"));
+    let share = found["share"].as_f64().unwrap();
+    // 1 − cos θh of the half vectors, up to midway between 40° and 54.4°.
+    assert!((0.2..0.4).contains(&share), "{share}");
+    assert_eq!(found["peak"].as_array().unwrap().len(), 3);
+    assert!(found.get("environment").is_none());
 }

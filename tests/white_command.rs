@@ -75,8 +75,20 @@ fn lights_of_a_session_are_compared() {
     }
     assert!(!at.join("calibration/simulated/lights").exists());
 
-    let found = good(white(&["0.99", "--id", "both", "--direction-std", "0.001"]));
+    let known = [
+        "--direction-std",
+        "0.001",
+        "--certificate",
+        "PTB 4711, 2026-03-01",
+    ];
+    let found = good(white(&[&["0.99", "--id", "both"], &known[..]].concat()));
     let found: Value = serde_json::from_slice(&found.stdout).unwrap();
+    let record = at.join(found["record"].as_str().unwrap());
+    let record = std::fs::read_to_string(record).unwrap();
+    assert!(
+        record.contains("; standard's certificate PTB 4711, 2026-03-01"),
+        "{record}"
+    );
     let check = |measured: &Value, truth: f64, most_std: f64| {
         let [value, std] = ["value", "std"].map(|key| measured[key].as_f64().unwrap());
         assert!(

@@ -1,11 +1,12 @@
 //! How far an estimate is from a known truth, next to what its dictionary could reach:
-//! environment error, BRDF error and cube-root BRDF error.
+//! environment error, BRDF error and cube-root BRDF error; and as albedo and height of the peak.
 
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
 use crate::brdf::environment::EnvironmentMap;
+use crate::brdf::plain_error::{PlainErrors, plain_errors};
 use crate::brdf::projection::{CellMatrix, EnvironmentMatrix, ProjectionError};
 use crate::brdf::score::{self, BrdfErrors, PerChannel};
 use crate::brdf::sphere::SphereImage;
@@ -44,6 +45,9 @@ pub struct ScoreSheet {
     pub brdf_error: MetricScores,
     /// The same cells, mean |∛a − ∛b| over mean ∛b with a = cos θi f.
     pub brdf_cube_root_error: Option<MetricScores>,
+    /// The fit's errors as albedo and as height of the peak.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub plain: Option<PlainErrors>,
 }
 
 /// Azimuths φd of the BRDF errors' cells: isotropic materials change little with φd, and
@@ -101,6 +105,7 @@ pub fn score(
     // BRDF errors.
     let scored = score::cells(AZIMUTHS);
     let errors = |brdf: &dyn Brdf| score::brdf_errors(brdf, truth, &scored);
+    let plain = plain_errors(estimate, truth);
     let [estimate, reference, start] = [estimate, &reference, start].map(errors);
     let metric = |of: fn(&BrdfErrors) -> &PerChannel, floor: &Mixture| MetricScores {
         estimate: channels(of(&estimate)),
@@ -113,6 +118,7 @@ pub fn score(
         environment_error,
         brdf_error: metric(|e| &e.relative, &relative_floor),
         brdf_cube_root_error: Some(metric(|e| &e.cube_root, &cube_root_floor)),
+        plain: Some(plain),
     })
 }
 

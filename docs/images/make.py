@@ -92,6 +92,11 @@ def main():
     save(report.crop((0, 2225, 900, 2655)), "residuals.png", 256)
     save(report.crop((0, 4550, 900, 4795)), "slices.png", 256)
 
+    # Its fit over the truth.
+    run("brdf", "plot", str(session), "nbrdf:dark-red-paint", "--kind", "lobes", "--out", "lobes.png")
+    lobes = Image.open(work / "lobes.png")
+    save(lobes.resize((1300, lobes.height * 1300 // lobes.width), Image.Resampling.LANCZOS), "lobes.png", 64)
+
     # Three exposures of one bracket under the first lamp channel: 1.2, 13 and 134 ms.
     bracket = [f"{session}/raw/L000_E{e}_R00_light.png" for e in ("08", "16", "24")]
     save(side_by_side([raw_frame(p) for p in bracket], background="#888"), "bracket.png", 64)

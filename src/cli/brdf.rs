@@ -1,12 +1,15 @@
 //! `rig brdf`: BRDFs from files and names, looked at, checked, compared, converted.
 
+mod compare;
+mod plot;
+
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use clap::{Args, Subcommand};
 
-use super::output::{ANOTHER_FILE, check_ending, unwritable, write_json, write_path};
-use super::{CliError, Context, HintExt, as_model};
+use super::output::{unwritable, write_json, write_path};
+use super::{CliError, Context, as_model};
 use crate::brdf::check::ALBEDO_ANGLES_DEG;
 use crate::brdf::{Brdf, BrdfError, Dictionary, nbrdf, score};
 use crate::export::{self, ExportError, ModelFormat, TableFormat};
@@ -18,9 +21,25 @@ const SPEC_HELP: &str = "A BRDF is one of: FILE.binary (MERL), FILE.bsdf (RGL), 
 FIT (the folder of a fit, or a session: its latest), DICTIONARY:WEIGHTS.csv (a mixture, as a fit or a projection writes it; DICTIONARY is rig65, rig26, paper42 or a .json or .toml file), \
 ggx:ALPHA,ETA, lambertian:ALBEDO.";
 
+const EXAMPLES: &str = "Examples:
+  rig brdf convert gold.binary --out gold.bsdf               MERL to RGL, for Mitsuba and pbrt
+  rig brdf convert gold.bsdf --out gold.binary               RGL to MERL
+  rig brdf compare SESSION nbrdf:red-plastic                 how far a fit is from a material
+  rig brdf plot SESSION nbrdf:red-plastic --kind lobes --out lobes.png
+
+Recipes for these and more: docs/recipes.md.";
+
+const CONVERT_HELP: &str = "Examples:
+  rig brdf convert gold.binary --out gold.bsdf      MERL to RGL
+  rig brdf convert gold.bsdf --out gold.binary      RGL to MERL
+  rig brdf convert SESSION --out sample.binary      a fit to MERL
+
+Either way the values at the file's nodes are exact; between them they are interpolated. What a \
+conversion loses stands in docs/recipes.md, and `rig brdf compare NEW OLD` measures it.";
+
 /// Evaluates, checks, compares, draws and converts BRDFs
 #[derive(Args, Debug)]
-#[command(after_help = SPEC_HELP)]
+#[command(after_help = format!("{EXAMPLES}\n\n{SPEC_HELP}"))]
 pub struct BrdfArgs {
     #[command(subcommand)]
     command: BrdfCommand,
@@ -68,34 +87,11 @@ enum BrdfCommand {
         #[arg(long)]
         json: bool,
     },
-    /// Prints the errors of an estimate against a truth
-    #[command(after_help = SPEC_HELP)]
-    Compare {
-        /// The BRDF to score
-        estimate: String,
-        /// The true BRDF
-        truth: String,
-        /// Pixels per side of the spheres, 8 to 512; published figures use 128
-        #[arg(long, default_value_t = score::SPHERE_SIZE, value_parser = sphere_size)]
-        size: usize,
-        /// JSON instead of a table
-        #[arg(long)]
-        json: bool,
-    },
-    /// Draws spheres of the material under the four environment maps, as a PNG
-    #[command(after_help = SPEC_HELP)]
-    Plot {
-        /// The BRDF
-        brdf: String,
-        /// The picture
-        #[arg(long, value_name = "FILE.png")]
-        out: PathBuf,
-        /// Pixels per side of each sphere, 8 to 512
-        #[arg(long, default_value_t = material::DRAWN_SPHERE_PX, value_parser = sphere_size)]
-        size: usize,
-    },
-    /// Writes a MERL table of 90 x 90 x 180 cells, an RGL file, or the nearest material of another program's model
-    #[command(after_help = SPEC_HELP)]
+    Compare(compare::CompareArgs),
+    Plot(plot::PlotArgs),
+    /// Converts any BRDF to a file: MERL to RGL, RGL to MERL, a fit to either, or to the nearest
+    /// material of another program's model
+    #[command(after_help = format!("{CONVERT_HELP}\n\n{SPEC_HELP}"))]
     Convert {
         /// The BRDF
         brdf: String,
@@ -124,13 +120,8 @@ pub fn run(args: &BrdfArgs, context: &Context) -> Result<(), CliError> {
             out,
             json,
         } => project(brdf, dictionary, *size, out.as_deref(), *json),
-        BrdfCommand::Compare {
-            estimate,
-            truth,
-            size,
-            json,
-        } => compare(estimate, truth, *size, *json),
-        BrdfCommand::Plot { brdf, out, size } => plot(brdf, out, *size),
+        BrdfCommand::Compare(args) => compare::run(args),
+        BrdfCommand::Plot(args) => plot::run(args),
         BrdfCommand::Convert { brdf, out } => match ModelFormat::of(out) {
             Some(format) => as_model::convert(brdf, format, out, context),
             None => convert(brdf, out),
@@ -239,17 +230,18 @@ fn run_check(spec: &str, json: bool) -> Result<(), CliError> {
 }
 
 fn print_scores(name: &str, scores: &Errors) -> Result<(), CliError> {
-    let line = |what: &str, error: &score::PerChannel| {
-        let [r, g, b] = error.channels;
-        out!(
-            "  {what:<12} {:>8.4}   {r:>8.4} {g:>8.4} {b:>8.4}",
-            error.all
-        )
-    };
     out!("{name}")?;
-    line("environment", &scores.environment.mean)?;
-    line("BRDF", &scores.brdf.relative)?;
-    line("cube root", &scores.brdf.cube_root)
+    score_line("environment", &scores.environment.mean)?;
+    score_line("BRDF", &scores.brdf.relative)?;
+    score_line("cube root", &scores.brdf.cube_root)
+}
+
+fn score_line(what: &str, error: &score::PerChannel) -> Result<(), CliError> {
+    let [r, g, b] = error.channels;
+    out!(
+        "  {what:<12} {:>8.4}   {r:>8.4} {g:>8.4} {b:>8.4}",
+        error.all
+    )
 }
 
 const SCORE_HEADER: &str = "  error             all          R        G        B";
@@ -279,25 +271,6 @@ fn project(
     out!("{SCORE_HEADER}")?;
     print_scores("reference projection", &answer.reference_projection)?;
     print_scores("floor of each score", &answer.floor)
-}
-
-fn compare(estimate: &str, truth: &str, size: usize, json: bool) -> Result<(), CliError> {
-    let (a, b) = (load(estimate)?, load(truth)?);
-    let scores = material::compare(a.as_ref(), b.as_ref(), size);
-    if json {
-        return write_json(&scores);
-    }
-    out!("{SCORE_HEADER}")?;
-    print_scores(&format!("{estimate} against {truth}"), &scores)
-}
-
-fn plot(spec: &str, path: &Path, size: usize) -> Result<(), CliError> {
-    check_ending(path, "png")?;
-    material::spheres(load(spec)?.as_ref(), size)
-        .save(path)
-        .map_err(|error| CliError::new(format!("{}: {error}", path.display())))
-        .hint(ANOTHER_FILE)?;
-    write_path(path)
 }
 
 fn convert(spec: &str, path: &Path) -> Result<(), CliError> {

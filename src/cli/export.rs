@@ -5,8 +5,9 @@ use std::path::PathBuf;
 use clap::ValueEnum;
 
 use super::{CliError, Context, as_model, output};
-use crate::export::{self, Format, ModelFormat};
-use crate::session::fit_record::{self, Verdict};
+use crate::export::{self, ExportError, Format, ModelFormat};
+use crate::session::fit_record::{self, FitRecord, Verdict};
+use crate::workflow::{StatedResult, StatedResultError};
 
 /// Writes a fitted BRDF for other programs.
 #[derive(clap::Args, Debug)]
@@ -43,12 +44,15 @@ enum FormatArg {
     Blender,
     /// Sphere of the material in binary glTF 2.0 (.glb), likewise
     Gltf,
+    /// Universal BRDF JSON of the European BRDF projects (BiRD), with expanded uncertainty;
+    /// of a fitted session
+    Birdf,
 }
 
 /// `rig export`.
 pub fn run(args: &ExportArgs, context: &Context) -> Result<(), CliError> {
-    let record = fit_record::find(&args.dir)?;
     let format = match args.format {
+        FormatArg::Birdf => return birdf(args, context),
         FormatArg::Json => Format::Json,
         FormatArg::Merl => Format::Merl,
         FormatArg::Rgl => Format::Rgl,
@@ -63,6 +67,50 @@ pub fn run(args: &ExportArgs, context: &Context) -> Result<(), CliError> {
     let path = args.out.clone();
     let path = path.unwrap_or_else(|| PathBuf::from(format!("brdf.{ending}")));
     output::check_ending(&path, ending)?;
+    let record = fit_record::find(&args.dir)?;
+    warn_of(&record, context);
+    as_model::show(&export::export(&record, format, &path)?, context)
+}
+
+/// Writes the universal BRDF JSON of a fitted session.
+fn birdf(args: &ExportArgs, context: &Context) -> Result<(), CliError> {
+    let path = args.out.clone();
+    let path = path.unwrap_or_else(|| PathBuf::from("birdf.json"));
+    output::check_ending(&path, "json")?;
+    let result = StatedResult::load(&args.dir, None).map_err(stated_result_error)?;
+    warn_of(&result.record, context);
+    let lacking = result.config.lab.missing();
+    if !lacking.is_empty() {
+        context.note(format!(
+            "the format wants {}, which [lab] of the session's rig file does not state: \"{}\" stands there",
+            lacking.join(", "),
+            export::birdf::NOT_STATED
+        ));
+    }
+    export::birdf::write(&result, &path).map_err(|error| match error {
+        ExportError::Io { path, source } => output::unwritable(&path, &source),
+        error => error.into(),
+    })?;
+    output::write_path(&path)
+}
+
+/// Advice where a result cannot be stated to others.
+pub(super) fn stated_result_error(error: StatedResultError) -> CliError {
+    match error {
+        StatedResultError::NoSession { .. } => {
+            CliError::from(error).hint("`rig fit SESSION` fits a captured session; give that")
+        }
+        StatedResultError::NoSuchFit { .. } => {
+            CliError::from(error).hint("leave --fit out to take the latest")
+        }
+        StatedResultError::Fit(error) => error.into(),
+        StatedResultError::Session(error) => error.into(),
+        StatedResultError::Config(error) => error.into(),
+    }
+}
+
+/// What whoever takes the export must know.
+fn warn_of(record: &FitRecord, context: &Context) {
     if record.simulated {
         context.warn("this BRDF comes from a simulated bench; the export is marked as simulated");
     }
@@ -73,5 +121,4 @@ pub fn run(args: &ExportArgs, context: &Context) -> Result<(), CliError> {
             None => record.verdict().sentence().to_owned(),
         });
     }
-    as_model::show(&export::export(&record, format, &path)?, context)
 }

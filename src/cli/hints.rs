@@ -186,6 +186,10 @@ fn for_brdf(error: &BrdfError) -> Option<String> {
 fn for_export(error: &ExportError) -> Option<String> {
     match error {
         ExportError::Brdf(error) => for_brdf(error),
+        ExportError::NothingConstrained => Some(
+            "capture the sample under more lights; `rig report SESSION` shows what the images constrain"
+                .into(),
+        ),
         ExportError::Io { source, .. } => for_io(source),
         // No reader hands such values on.
         ExportError::Model(ModelFitError::NotFinite) => None,

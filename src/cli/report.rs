@@ -1,13 +1,16 @@
-//! `rig report`: a session as one HTML file.
+//! `rig report`: a session as one HTML file, or a certificate of it as two pages.
 
 use std::path::PathBuf;
 
-use super::output::{unwritable, write_path};
-use super::{CliError, Context};
+use super::output::{check_writable, unwritable, write_path};
+use super::{CliError, Context, HintExt};
+use crate::report::certificate::browser::Browser;
+use crate::report::certificate::{self, CertificateError, CertificateRequest};
 use crate::report::load::LoadError;
 use crate::report::{self, ReportError, ReportRequest};
+use crate::whole_file;
 
-/// Writes a session's report: one HTML file that needs no other.
+/// Writes a session's report: one HTML file that needs no other, or a certificate.
 #[derive(clap::Args, Debug)]
 pub struct ReportArgs {
     /// The session's folder
@@ -19,10 +22,17 @@ pub struct ReportArgs {
     /// Writes here instead of report.html in the session
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
+    /// A certificate of measurement instead: two A4 pages, as .pdf where this machine has a
+    /// browser that prints, else as .html; here, unless --out names a file
+    #[arg(long)]
+    certificate: bool,
 }
 
 /// `rig report`.
 pub fn run(args: &ReportArgs, context: &Context) -> Result<(), CliError> {
+    if args.certificate {
+        return certificate(args, context);
+    }
     let request = ReportRequest {
         session: args.session.clone(),
         fit: args.fit,
@@ -38,6 +48,79 @@ pub fn run(args: &ReportArgs, context: &Context) -> Result<(), CliError> {
         context.note("the session has no fit yet; `rig fit SESSION` makes one");
     }
     write_path(&written.path)
+}
+
+/// Writes a certificate, as PDF where a browser can.
+fn certificate(args: &ReportArgs, context: &Context) -> Result<(), CliError> {
+    // Which file, and whether it can be made at all.
+    let ends_in = |ending: &str| {
+        let ending_of = |path: &PathBuf| {
+            path.extension()
+                .is_some_and(|e| e.eq_ignore_ascii_case(ending))
+        };
+        args.out.as_ref().map(ending_of)
+    };
+    let browser = Browser::find();
+    let is_pdf = ends_in("pdf").unwrap_or(browser.is_some());
+    if !is_pdf && ends_in("html") == Some(false) {
+        let path = args.out.clone().unwrap_or_default();
+        return Err(CliError::new(format!(
+            "{}: a certificate is a .html or a .pdf file",
+            path.display()
+        ))
+        .hint("for instance --out certificate.pdf"));
+    }
+    let path = args.out.clone();
+    let path = path.unwrap_or_else(|| certificate::default_file(is_pdf).to_owned());
+    check_writable(&path)?;
+    let no_browser = || {
+        CliError::new("no browser that prints was found (chromium, google-chrome)")
+            .hint("write a .html file and print it from any browser, or install chromium")
+    };
+    let browser = match is_pdf {
+        true => Some(browser.ok_or_else(no_browser)?),
+        false => None,
+    };
+
+    // The pages.
+    let request = CertificateRequest {
+        session: args.session.clone(),
+        fit: args.fit,
+        reproducibility: None,
+    };
+    let html = certificate::certificate(&request).map_err(refused)?;
+    let bytes = match &browser {
+        Some(browser) => browser
+            .print(&html)
+            .hint("write a .html file instead and print it from any browser")?,
+        None => html.into_bytes(),
+    };
+    whole_file::replace(&path, |file| file.write_all(&bytes))
+        .map_err(|error| unwritable(&path, &error))?;
+    if browser.is_none() {
+        context.note("print it from a browser (Ctrl-P, A4, without headers and footers)");
+    }
+    write_path(&path)
+}
+
+fn refused(error: CertificateError) -> CliError {
+    let hint = match &error {
+        CertificateError::NotTrusted { .. } => {
+            "`rig report SESSION` shows why; a certificate is made of a fit that explains its images"
+        }
+        CertificateError::NotWhole { .. } => {
+            "`rig session verify SESSION` lists what is wrong; `rig capture --resume SESSION` completes a capture"
+        }
+        CertificateError::NoBudget { .. } => "`rig fit SESSION` makes a new fit, with a budget",
+        _ => {
+            return match error {
+                CertificateError::Result(error) => super::export::stated_result_error(error),
+                CertificateError::Session(error) => error.into(),
+                error => error.into(),
+            };
+        }
+    };
+    CliError::from(error).hint(hint)
 }
 
 fn advise(error: LoadError) -> CliError {

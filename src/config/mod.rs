@@ -5,6 +5,7 @@ mod build;
 pub mod camera;
 pub mod draft;
 pub mod geometry;
+pub mod lab;
 pub mod limits;
 pub mod process;
 mod resolve;

@@ -5,6 +5,7 @@ use std::path::Path;
 use super::ConfigError;
 use super::camera::{CameraConfig, CameraDriver};
 use super::geometry::GeometryConfig;
+use super::lab::LabConfig;
 use super::limits::LimitsConfig;
 use super::process::{CalibrationConfig, CaptureConfig, FitConfig};
 use super::reader::Section;
@@ -34,6 +35,8 @@ pub struct RigConfig {
     pub uncertainty: BenchPriors,
     /// Which calibration records belong to it.
     pub calibration: CalibrationConfig,
+    /// Who measures.
+    pub lab: LabConfig,
     /// The simulated bench; there if and only if the devices are simulated.
     pub simulation: Option<SimulationConfig>,
     /// The file's text as it was read, for the session.
@@ -113,6 +116,7 @@ impl RigConfig {
             fit: FitConfig::read(root.section_or_empty("fit")?)?,
             uncertainty: super::uncertainty::read(root.section_or_empty("uncertainty")?)?,
             calibration: CalibrationConfig::read(root.section_or_empty("calibration")?)?,
+            lab: LabConfig::read(root.section_or_empty("lab")?)?,
             simulation,
             text: text.to_owned(),
         };

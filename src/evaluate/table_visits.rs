@@ -5,6 +5,7 @@ use glam::DVec2;
 use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table};
 use super::lab::{Lab, Sample};
 use crate::brdf::HalfDifference;
+use crate::plot::colors::sequential;
 use crate::plot::{Axis, Figure, HeatMap, HeatMaps, heat_maps};
 use crate::random::{Purpose, stream};
 use crate::transport::{Proposal, Scene};
@@ -147,6 +148,7 @@ fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
         // Row 0 is the top.
         y: Axis::with_step(0.0..90.0, 30.0, "half angle θh / °").reversed(),
         scale: Axis::decades(0.0..most, "visits"),
+        colors: sequential,
         maps: &maps,
     };
     Ok(vec![heat_maps("table-visits", &all)])

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use super::experiment::{Case, EvaluateError, Experiment, Row, Scale, Table};
 use super::lab::{Lab, Material, Sample, of_materials};
 use crate::brdf::{Brdf, bivariate};
+use crate::plot::colors::sequential;
 use crate::plot::{Axis, Figure, HeatMap, HeatMaps, heat_maps};
 
 /// Truth, reference projection and estimates.
@@ -98,6 +99,7 @@ fn figures(_: &Lab, table: &Table) -> Result<Vec<Figure>, EvaluateError> {
         // Row 0 is the top.
         y: Axis::with_ticks(0.0..1.0, half.into(), "half angle θh").reversed(),
         scale: Axis::decades(range, "f / sr⁻¹"),
+        colors: sequential,
         maps: &maps,
     };
     Ok(vec![heat_maps("tables", &all)])

@@ -7,6 +7,7 @@
 //! | `rgl` | RGL `.bsdf` in RGB, for Mitsuba 3's `measured` | at its nodes; see [`rgl`] |
 //! | `rgl-spectral` | the same with spectra, for pbrt-v4 and spectral Mitsuba | likewise; the spectra are an assumption |
 //! | `mitsuba` | scene fragment for Mitsuba 3 in an RGB variant | the mixture exactly; a model discrepancy is left out |
+//! | [`birdf`] | universal BRDF JSON of the European BRDF projects | the constrained cells, with intervals |
 //! | `pbrt` | material for pbrt-v4 and the `rgl-spectral` file it refers to | as that file |
 //! | `openpbr` | OpenPBR in MaterialX | the nearest of that model, with its loss stated |
 //! | `blender` | script for Blender's Principled BSDF | likewise |
@@ -15,6 +16,8 @@
 //! Exports of simulated sessions say so inside the file, or in that note
 //! where the format has no room.
 
+mod above_horizon;
+pub mod birdf;
 pub mod blender;
 #[cfg(feature = "figures")]
 mod comparison;
@@ -32,6 +35,7 @@ mod warp;
 
 use std::path::{Path, PathBuf};
 
+use above_horizon::AboveHorizon;
 pub use model::{AsModel, LARGEST_ERROR, ModelFormat};
 
 use crate::brdf::{Brdf, BrdfError, merl};
@@ -92,8 +96,9 @@ impl TableFormat {
     }
 }
 
-/// Writes any BRDF, called `name`, as a table. A file of that name is replaced, whole or
-/// not at all.
+/// Writes any BRDF, called `name`, as a table. A file of the name `out` is replaced, whole or
+/// not at all. Of an RGL file (by its name), MERL's nodes within 1.1° of the horizon take the
+/// values there.
 ///
 /// # Errors
 /// The system's error.
@@ -104,6 +109,9 @@ pub fn table(
     out: &Path,
 ) -> Result<(), ExportError> {
     match format {
+        TableFormat::Merl if TableFormat::of(Path::new(name)) == Some(TableFormat::Rgl) => {
+            Ok(merl::write(out, &AboveHorizon(brdf))?)
+        }
         TableFormat::Merl => Ok(merl::write(out, brdf)?),
         TableFormat::Rgl => {
             let description = format!("{name}, by rig {}", env!("CARGO_PKG_VERSION"));
@@ -125,6 +133,9 @@ pub enum ExportError {
     #[cfg(feature = "figures")]
     #[error(transparent)]
     Picture(#[from] crate::plot::PlotError),
+    /// No cell of the table is constrained by the images: nothing was measured.
+    #[error("the images constrain no cell of the fit's table: there is no measured value to write")]
+    NothingConstrained,
     /// The system refused.
     #[error("{}: {source}", path.display())]
     Io {

@@ -11,7 +11,7 @@ use crate::brdf::score::{self, BrdfErrors, EnvironmentError};
 use crate::brdf::{Brdf, Dictionary, Mixture, weights};
 
 /// Azimuths φd of the cells: all that a MERL table has.
-const AZIMUTHS: usize = 180;
+pub(super) const AZIMUTHS: usize = 180;
 
 /// Errors of one BRDF against the truth.
 #[derive(Serialize)]

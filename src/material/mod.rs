@@ -1,16 +1,24 @@
 //! What can be done with one BRDF from a file, a name or a fit: evaluate it, check it,
-//! compare it with another, project it onto a dictionary, draw it on spheres.
+//! compare it with another, project it onto a dictionary, draw it alone or over others.
 
 mod angles;
 mod check;
+mod comparison;
 mod errors;
+mod named;
+#[cfg(feature = "figures")]
+pub mod pictures;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 pub use angles::{Angles, Evaluated, evaluate, parse_angles, read_angles};
 pub use check::{MaterialCheck, SAMPLER_ANGLES_DEG, check_material};
-pub use errors::{Errors, Projected, compare, project};
+pub use comparison::{
+    Comparison, ConstrainedComparison, ConstrainedError, compare, compare_constrained,
+};
+pub use errors::{Errors, Projected, project};
+pub use named::Named;
 
 use crate::brdf::environment::EnvironmentMap;
 use crate::brdf::projection::ProjectionError;

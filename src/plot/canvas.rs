@@ -37,7 +37,7 @@ const PALETTE_START: u8 = 16;
 /// Placeholder, colour in files, colour in pages. The palette is Okabe and Ito's, distinct
 /// also without full colour vision; black last. Pages have variables of their own for
 /// blue, red and green, which stand for the channels.
-const COLORS: [(RGBColor, &str, &str); 11] = [
+const COLORS: [(RGBColor, &str, &str); 12] = [
     (INK, "#1a1a1a", "var(--ink)"),
     (MUTED, "#4d4d4d", "var(--muted)"),
     (GRID, "#dedede", "var(--grid)"),
@@ -49,11 +49,16 @@ const COLORS: [(RGBColor, &str, &str); 11] = [
     (palette(5), "#56b4e9", "#56b4e9"),
     (palette(6), "#8c6d1f", "#a58a3d"),
     (palette(7), "#000000", "var(--ink)"),
+    (palette(NEUTRAL), "#a6a6a6", "var(--muted)"),
 ];
+
+/// In place of an index into the palette: grey, for what does not count.
+pub const NEUTRAL: usize = usize::MAX;
 
 /// Placeholder of a colour of the palette.
 pub(super) const fn palette(index: usize) -> RGBColor {
-    RGBColor(PALETTE_START + (index % 8) as u8, 0, 0)
+    let entry = if index == NEUTRAL { 8 } else { index % 8 };
+    RGBColor(PALETTE_START + entry as u8, 0, 0)
 }
 
 /// The colour that an entry of the palette has in a page, as CSS.

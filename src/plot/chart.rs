@@ -21,6 +21,8 @@ pub enum Mark {
     Dashed,
     /// Discs alone.
     Dots,
+    /// Nothing but the interval; in a legend, a filled box.
+    Band,
     /// Nothing but the interval; in a legend, text alone.
     None,
 }
@@ -88,23 +90,47 @@ pub fn charts(name: &str, columns: usize, panels: &[Chart]) -> Figure {
     let columns = columns.clamp(1, panels.len().max(1));
     let rows = panels.len().div_ceil(columns);
     let [width_px, panels_px] = [columns as f64 * PANEL_PX[0], rows as f64 * PANEL_PX[1]];
-    let legend = wrap(&entries(panels), width_px - 32.0);
-    let size_px = [width_px, panels_px + LINE_PX * legend.len() as f64 + 8.0];
+    let legend = Legend::new(entries(panels), width_px);
+    let size_px = [width_px, panels_px + legend.height_px()];
     draw(name, size_px, |root, _| {
         let (upper, lower) = root.split_vertically(units(panels_px));
         for (area, panel) in upper.split_evenly((rows, columns)).iter().zip(panels) {
             draw_chart(area, panel)?;
         }
-        for (row, line) in legend.iter().enumerate() {
+        legend.draw(&lower)
+    })
+}
+
+/// What the curves are, in lines below the panels.
+pub(super) struct Legend<'a> {
+    lines: Vec<Vec<&'a Series>>,
+    width_px: f64,
+}
+
+impl<'a> Legend<'a> {
+    /// Of these series, in a figure this wide.
+    pub fn new(series: Vec<&'a Series>, width_px: f64) -> Self {
+        Self {
+            lines: wrap(&series, width_px - 32.0),
+            width_px,
+        }
+    }
+
+    pub fn height_px(&self) -> f64 {
+        LINE_PX * self.lines.len() as f64 + 8.0
+    }
+
+    pub fn draw(&self, area: &Area) -> Result<(), DrawError> {
+        for (row, line) in self.lines.iter().enumerate() {
             let total_px: f64 = line.iter().map(|series| entry_width(series)).sum();
-            let mut x_px = 0.5 * (width_px - total_px);
+            let mut x_px = 0.5 * (self.width_px - total_px);
             for series in line {
-                draw_entry(&lower, [x_px, LINE_PX * (row as f64 + 0.5)], series)?;
+                draw_entry(area, [x_px, LINE_PX * (row as f64 + 0.5)], series)?;
                 x_px += entry_width(series);
             }
         }
         Ok(())
-    })
+    }
 }
 
 /// The series of the legend.
@@ -159,6 +185,13 @@ fn draw_entry(area: &Area, [x_px, y_px]: [f64; 2], series: &Series) -> Result<()
             units(5.0),
             stroke(color, 1.5),
         ))?,
+        Mark::Band => {
+            let corners = [
+                (at(0.0).0, units(y_px - 6.0)),
+                (ends[1].0, units(y_px + 6.0)),
+            ];
+            area.draw(&Rectangle::new(corners, color.mix(0.25).filled()))?;
+        }
         Mark::Dots | Mark::None => {}
     }
     let disc_px = match series.mark {
@@ -217,6 +250,10 @@ fn draw_interval(plot: &mut Plot, panel: &Chart, series: &Series) -> Result<(), 
 }
 
 fn draw_points(plot: &mut Plot, panel: &Chart, series: &Series) -> Result<(), DrawError> {
+    // Of an entry of the legend alone.
+    if series.points.is_empty() {
+        return Ok(());
+    }
     let color = palette(series.color);
     let points = series.points.iter();
     let points = points.map(|&[x, y]| (panel.x.inside(x), panel.y.inside(y)));
@@ -227,7 +264,7 @@ fn draw_points(plot: &mut Plot, panel: &Chart, series: &Series) -> Result<(), Dr
         Mark::Dashed => {
             plot.draw_series(dashes(points.clone(), color))?;
         }
-        Mark::Dots | Mark::None => {}
+        Mark::Dots | Mark::Band | Mark::None => {}
     }
     if matches!(series.mark, Mark::Points | Mark::Dots) {
         plot.draw_series(points.map(|at| Circle::new(at, units(3.0), color.filled())))?;

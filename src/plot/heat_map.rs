@@ -41,8 +41,10 @@ pub struct HeatMaps<'a> {
     pub x: Axis,
     /// Vertical axis, upwards.
     pub y: Axis,
-    /// The scale of [`sequential`]'s colours.
+    /// The scale of the colours.
     pub scale: Axis,
+    /// The colours from the scale's start to its end, 0..=1.
+    pub colors: fn(f32) -> [u8; 3],
     /// The maps.
     pub maps: &'a [HeatMap],
 }
@@ -84,7 +86,7 @@ pub fn heat_maps(name: &str, all: &HeatMaps) -> Figure {
             let plot = over(area, margins_px, [&all.x, y], images, &map.picture)?;
             draw_title(area, &plot, &map.title)?;
         }
-        let colors = (0..128).map(|n| sequential(1.0 - n as f32 / 127.0));
+        let colors = (0..128).map(|n| (all.colors)(1.0 - n as f32 / 127.0));
         let margins_px = [top_px, 8.0, LEFT_PX];
         let bar = Picture::opaque(1, colors);
         let axes = [&Axis::bare(0.0..1.0), &all.scale];

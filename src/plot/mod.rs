@@ -16,11 +16,11 @@ mod polar;
 
 pub use axis::Axis;
 pub use bars::{Bar, BarRow, bars};
-pub use canvas::{Figure, page_color};
+pub use canvas::{Figure, NEUTRAL, page_color};
 pub use chart::{Chart, Mark, Series, chart, charts};
 pub use heat_map::{HeatMap, HeatMaps, heat_maps};
 pub use picture::{Picture, Tile, pictures};
-pub use polar::{Lobe, polar};
+pub use polar::{Lobe, PolarPanel, polar, polars};
 
 /// Why a figure could not be drawn.
 #[derive(Debug, thiserror::Error)]

@@ -8,6 +8,7 @@ use crate::plot::{
     Axis, Bar, BarRow, Chart, HeatMap, HeatMaps, Lobe, Mark, Picture, PlotError, Series, bars,
     chart, heat_maps, polar,
 };
+use crate::session::fit_record::lookup::{SMALLEST, nearest_index};
 use crate::session::fit_record::{AngleTable, FitRecord, Interval, TracePoint};
 
 /// Angles of incidence of the polar plots, degrees from the normal.
@@ -22,8 +23,6 @@ const BLACK: usize = 7;
 /// CSS pixels.
 const THIRD_PX: [f64; 2] = [352.0, 256.0];
 const HALF_PX: [f64; 2] = [500.0, 280.0];
-/// Values below this are drawn as this, 1/sr.
-const SMALLEST: f64 = 1e-6;
 /// Logarithmic scales show at most so many powers of ten below the largest value.
 const MOST_DECADES: f64 = 4.0;
 /// The same of the table's maps.
@@ -60,59 +59,6 @@ pub fn directions_at(theta_h_deg: f64, theta_d_deg: f64) -> (Vec3, Vec3) {
         )
     };
     (along(1.0), along(-1.0))
-}
-
-/// The cell nearest to a pair of angles.
-fn nearest(table: &AngleTable, theta_h_deg: f64, theta_d_deg: f64) -> Option<&Interval> {
-    table.cell(
-        nearest_index(&table.theta_h_deg, theta_h_deg)?,
-        nearest_index(&table.theta_d_deg, theta_d_deg)?,
-    )
-}
-
-fn nearest_index(angles: &[f64], angle: f64) -> Option<usize> {
-    let right = angles.partition_point(|x| *x < angle);
-    let candidates = [
-        right.checked_sub(1),
-        (right < angles.len()).then_some(right),
-    ];
-    let distance = |index: &usize| (angles[*index] - angle).abs();
-    candidates
-        .into_iter()
-        .flatten()
-        .min_by(|a, b| distance(a).total_cmp(&distance(b)))
-}
-
-/// Position of `angle` between two grid angles: index of the left one and the part of the way.
-fn between(angles: &[f64], angle: f64) -> Option<(usize, f64)> {
-    let last = angles.len().checked_sub(2)?;
-    let left = angles
-        .partition_point(|x| *x <= angle)
-        .saturating_sub(1)
-        .min(last);
-    let part = (angle - angles[left]) / (angles[left + 1] - angles[left]);
-    Some((left, part.clamp(0.0, 1.0)))
-}
-
-/// log10 of lower/f and upper/f of one channel, interpolated in the table. Away
-/// from φd = 90° the interval is taken to be as wide, relatively, as there.
-fn relative_interval(
-    table: &AngleTable,
-    angles_deg: (f64, f64),
-    channel: usize,
-) -> Option<(f64, f64)> {
-    let (i, u) = between(&table.theta_h_deg, angles_deg.0)?;
-    let (j, v) = between(&table.theta_d_deg, angles_deg.1)?;
-    let mut sum = (0.0, 0.0);
-    for (di, wi) in [(0, 1.0 - u), (1, u)] {
-        for (dj, wj) in [(0, 1.0 - v), (1, v)] {
-            let cell = table.cell(i + di, j + dj)?;
-            let value = log(cell.value[channel]);
-            sum.0 += wi * wj * (log(cell.lower[channel]) - value);
-            sum.1 += wi * wj * (log(cell.upper[channel]) - value);
-        }
-    }
-    Some(sum)
 }
 
 /// One figure per angle of [`POLAR_THETA_I_DEG`], all on the same scale.
@@ -154,7 +100,7 @@ pub fn polar_plots(
                         // In the plane of incidence both half and difference angle are simple.
                         let theta_h_deg = (angle - theta_i_deg).abs() / 2.0;
                         let theta_d_deg = (angle + theta_i_deg).abs() / 2.0;
-                        let (low, high) = relative_interval(table, (theta_h_deg, theta_d_deg), c)?;
+                        let [low, high] = table.relative_interval([theta_h_deg, theta_d_deg], c)?;
                         Some((*angle, values[c] + low, values[c] + high))
                     });
                     Lobe {
@@ -266,7 +212,7 @@ pub fn table_maps(table: &AngleTable) -> Result<Option<[String; 2]>, PlotError> 
         Picture::from_fn(SIDE_PX, SIDE_PX, |x, y| {
             let across = (x as f64 + 0.5) / SIDE_PX as f64;
             let theta_d_deg = 90.0 * (1.0 - (y as f64 + 0.5) / SIDE_PX as f64);
-            match nearest(table, 90.0 * across * across, theta_d_deg) {
+            match table.nearest(90.0 * across * across, theta_d_deg) {
                 Some(cell) if cell.constrained => {
                     let part = (of(cell) - scale.start) / (scale.end - scale.start);
                     let [r, g, b] = sequential(part as f32);
@@ -292,6 +238,7 @@ pub fn table_maps(table: &AngleTable) -> Result<Option<[String; 2]>, PlotError> 
             x: Axis::half_angles("half angle θh"),
             y: Axis::with_step(0.0..90.0, 15.0, "difference angle θd / °"),
             scale: Axis::decades(scale, bar_label),
+            colors: sequential,
             maps: &[map],
         };
         heat_maps("table", &maps).inline(title)
@@ -423,17 +370,5 @@ mod tests {
         assert_eq!(decades([-9.0, 0.4].into_iter()), -3.0..1.0);
         assert_eq!(decades([0.4].into_iter()), -1.0..1.0);
         assert_eq!(decades(std::iter::empty()), -3.0..0.0);
-    }
-
-    #[test]
-    fn nearest_and_between() {
-        let angles = [0.0, 10.0, 30.0];
-        assert_eq!(
-            [-1.0, 4.0, 21.0, 99.0].map(|x| nearest_index(&angles, x)),
-            [0, 0, 2, 2].map(Some)
-        );
-        assert_eq!(between(&angles, 15.0), Some((1, 0.25)));
-        assert_eq!(between(&angles, 99.0), Some((1, 1.0)));
-        assert_eq!(between(&angles[..1], 0.0), None);
     }
 }

@@ -8,6 +8,7 @@
 
 mod budget;
 mod captured;
+pub mod certificate;
 pub mod figures;
 pub mod images;
 pub mod load;

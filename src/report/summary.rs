@@ -82,6 +82,13 @@ pub(super) fn tiles(record: Option<&FitRecord>) -> Vec<Value> {
             percent(errors.estimate.overall),
             "environment error",
         );
+        if let Some(plain) = &score.plain {
+            let signed = |value: f64, digits: usize| format!("{value:+.digits$}").replace('-', "−");
+            let albedo = signed(plain.worst_albedo(), 3);
+            tile("Albedo", albedo, "off by, at worst of 8°, 45°, 75°");
+            let peak = format!("{} %", signed(100.0 * plain.worst_peak(), 0));
+            tile("Peak", peak, "off by, in the mirror direction");
+        }
         tile(
             "Dictionary floor",
             percent(errors.floor.overall),

@@ -171,6 +171,7 @@ fn record(estimate: &Mixture) -> FitRecord {
             environment_error: metric(0.048),
             brdf_error: metric(0.11),
             brdf_cube_root_error: Some(metric(0.062)),
+            plain: None,
         }),
         table: table(estimate),
         warnings: Vec::new(),

@@ -17,8 +17,10 @@
 
 mod bench;
 mod budget;
+pub mod coverage;
 mod find;
 mod folder;
+pub mod lookup;
 mod tables;
 mod verdict;
 
@@ -39,7 +41,7 @@ pub use crate::inverse::intervals::Interval;
 pub use crate::scores::{ChannelScore, MetricScores, ScoreSheet};
 pub use bench::{BenchParameter, BenchRecord};
 pub use budget::{BudgetRecord, BudgetRow};
-pub use find::find;
+pub use find::{find, find_in_session};
 pub use folder::parse;
 pub use folder::{
     check_folder, commit, encode, next_folder, numbers_in, read, read_images, read_images_in,

@@ -32,7 +32,9 @@ mod repeatability;
 mod scene_check;
 mod scene_concern;
 mod session_images;
+mod stated_result;
 mod summary;
+mod traceability;
 mod warnings;
 
 pub use bench_records::{BenchRecords, KnownBench, apply_lens};
@@ -48,6 +50,8 @@ pub use repeatability::{Repeatability, measure_repeatability};
 pub use scene_check::check_scene;
 pub use scene_concern::{DescribedIn, SceneConcern, extent_in_image, millimetres};
 pub use session_images::{SessionImages, session_images};
+pub use stated_result::{StatedResult, StatedResultError};
+pub use traceability::{Reference, Traceability};
 
 use std::path::PathBuf;
 

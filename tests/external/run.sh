@@ -41,3 +41,4 @@ for material in red-plastic light-brown-fabric silver-paint; do
     "$1" brdf convert "nbrdf:$material" --out "$validator/$material.glb" > /dev/null
 done
 node "$here/gltf_validate.mjs" "$validator" "$validator"/*.glb
+"$venv/bin/python" "$here/birdf.py" "$1"

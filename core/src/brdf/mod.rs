@@ -27,6 +27,7 @@
 //! | [`TabulatedBrdf`], [`merl`], [`rgl`], [`nbrdf`] | measured materials |
 //! | [`source::load`] | any of these by name or file |
 //! | [`score`], [`sphere`], [`environment`] | errors between BRDFs, and the pictures behind them |
+//! | [`plain_error`] | the same as albedo and height of the peak |
 //! | [`check`] | whether a BRDF is physical |
 //!
 //! ```
@@ -70,6 +71,7 @@ pub mod lobe_table;
 pub mod merl;
 pub mod mixture;
 pub mod nbrdf;
+pub mod plain_error;
 pub mod projection;
 pub mod quadrature;
 pub mod rgl;

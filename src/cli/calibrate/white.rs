@@ -29,6 +29,10 @@ pub(super) struct WhiteArgs {
     /// Its standard uncertainty (a certificate's expanded uncertainty is usually twice that)
     #[arg(long, value_name = "U")]
     reflectance_std: f64,
+    /// The certificate's number, laboratory and date: named as the source in the record and in
+    /// every certificate that rests on it
+    #[arg(long, value_name = "TEXT", value_parser = certificate)]
+    certificate: Option<String>,
     /// Angle between the standard's normal and the lamp (degrees; 0 to 85); of a session each
     /// light's own is taken
     #[arg(long, value_name = "DEG", default_value_t = WhiteStandard::INCIDENCE_DEG)]
@@ -51,6 +55,24 @@ pub(super) struct WhiteArgs {
     /// relative; sessions only)
     #[arg(long, value_name = "S", default_value_t = WhiteLights::DIRECTION_STD)]
     direction_std: f64,
+}
+
+impl WhiteArgs {
+    /// What the record was found from: the images, and the certificate where it is named.
+    fn source(&self, images: &str) -> String {
+        match &self.certificate {
+            Some(certificate) => format!("{images}; standard's certificate {certificate}"),
+            None => images.to_owned(),
+        }
+    }
+}
+
+fn certificate(text: &str) -> Result<String, String> {
+    let text = text.trim();
+    match (1..=200).contains(&text.chars().count()) && !text.contains(char::is_control) {
+        true => Ok(text.to_owned()),
+        false => Err("allowed are 1 to 200 characters on one line".to_owned()),
+    }
 }
 
 pub(super) fn parse_region(text: &str) -> Result<Region, String> {
@@ -105,7 +127,7 @@ pub(super) fn run(args: &WhiteArgs, context: &Context) -> Result<(), CliError> {
     };
     let found = irradiance(&image, args.region.unwrap_or(whole), &standard).hint(HINT)?;
     let mut target = Target::new(&rig.config, Library::of_rig(&rig), &args.common, context)?;
-    target.measurement.source = args.image.display().to_string();
+    target.measurement.source = args.source(&args.image.display().to_string());
     let method = format!(
         "diffuse standard of reflectance {} ± {} at {} degrees",
         args.reflectance, args.reflectance_std, args.incidence
@@ -201,7 +223,7 @@ fn of_session(args: &WhiteArgs, context: &Context) -> Result<(), CliError> {
         lights: found.lights,
     };
     let mut target = Target::new(&rig.config, Library::of_rig(&rig), &args.common, context)?;
-    target.measurement.source = format!("session {}", args.image.display());
+    target.measurement.source = args.source(&format!("session {}", args.image.display()));
     let method = format!(
         "diffuse standard of reflectance {} ± {} under {} lights",
         args.reflectance,

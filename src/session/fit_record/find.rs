@@ -13,11 +13,23 @@ use crate::session::layout::{FITS_FOLDER, JOURNAL_FILE};
 /// # Errors
 /// A folder without a fit, or a fit that is damaged.
 pub fn find(folder: &Path) -> Result<FitRecord, FitRecordError> {
+    match find_in_session(folder)? {
+        Some((session, number)) => read_in(&session, number),
+        None => read(folder),
+    }
+}
+
+/// The session and the number of the fit that `folder` names: a session (its latest fit), or
+/// `SESSION/fits/NUMBER`. `None` for a fit outside any session.
+///
+/// # Errors
+/// A folder without a fit, or a session that is damaged.
+pub fn find_in_session(folder: &Path) -> Result<Option<(Session, u32)>, FitRecordError> {
     if let Some((root, number)) = fit_of_session(folder) {
-        return read_in(&Session::open(&root)?, number);
+        return Ok(Some((Session::open(&root)?, number)));
     }
     if folder.join(FIT_FILE).exists() {
-        return read(folder);
+        return Ok(None);
     }
     let nothing = || FitRecordError::NoFit {
         folder: folder.to_owned(),
@@ -27,7 +39,7 @@ pub fn find(folder: &Path) -> Result<FitRecord, FitRecordError> {
     }
     let session = Session::open(folder)?;
     let latest = numbers_in(&session).pop().ok_or_else(nothing)?;
-    read_in(&session, latest)
+    Ok(Some((session, latest)))
 }
 
 /// Session and number where `folder` is `SESSION/fits/NUMBER`.

@@ -81,6 +81,10 @@ pub(crate) fn sample() -> FitRecord {
             environment_error: metric,
             brdf_error: metric,
             brdf_cube_root_error: None,
+            plain: Some(crate::brdf::plain_error::PlainErrors {
+                albedo: Vec::new(),
+                peak: Vec::new(),
+            }),
         }),
         table: AngleTable {
             theta_h_deg: vec![0.0, 45.0],
