@@ -125,3 +125,76 @@ impl Catalogue {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::catalogue::tests::{add_fit, session};
+    use crate::fault::Advisor;
+    use crate::session::fit_record::tests::sample as record;
+    use crate::session::fit_record::{BudgetRow, FitRecord, Grade, Warning};
+
+    /// A fit whose error budget has this value at one pair of angles.
+    fn fit(value: f64, dictionary: &str) -> FitRecord {
+        FitRecord {
+            dictionary: dictionary.to_owned(),
+            warnings: Vec::new(),
+            budget: Some(BudgetRecord {
+                sources: vec!["capture noise".to_owned()],
+                row: vec![BudgetRow {
+                    theta_h_deg: 0.0,
+                    theta_d_deg: 10.0,
+                    value,
+                    relative_std: 0.01,
+                    share: vec![1.0],
+                }],
+            }),
+            ..record()
+        }
+    }
+
+    #[test]
+    fn the_latest_trusted_fit_of_each_session_is_compared() {
+        let folder = tempfile::tempdir().unwrap();
+        let folder = folder.path();
+        let day = |day: u32| format!("2026-11-{day}T02:34:00Z");
+        // Two fits of which the second is not to be trusted; one fit; none; one without budget.
+        let first = session(folder, "cup", &day(21));
+        add_fit(folder, &first, &fit(1.0, "rig65"));
+        let mut bad = fit(9.0, "rig65");
+        bad.warnings.push(Warning {
+            what: "a second material".to_owned(),
+            likely_cause: "dirt".to_owned(),
+            grade: Grade::Distrust,
+        });
+        add_fit(folder, &first, &bad);
+        let second = session(folder, "cup", &day(22));
+        add_fit(folder, &second, &fit(1.2, "paper42"));
+        let third = session(folder, "cup", &day(23));
+        let fourth = session(folder, "cup", &day(24));
+        let without = FitRecord {
+            budget: None,
+            ..fit(1.0, "rig65")
+        };
+        add_fit(folder, &fourth, &without);
+        session(folder, "bowl", &day(25));
+
+        let catalogue = Catalogue::new(folder, Advisor::silent());
+        let found = catalogue.repeats(None).unwrap();
+        let [cup] = found.as_slice() else {
+            panic!("{found:?}");
+        };
+        let compared: Vec<_> = cup.repeats.iter().map(|r| r.session.clone()).collect();
+        assert_eq!(compared, [first, second]);
+        let left_out: Vec<_> = cup.left_out.iter().map(|one| one.session.clone()).collect();
+        assert_eq!(left_out, [third, fourth]);
+        assert_eq!(cup.differences, ["dictionaries: paper42, rig65"]);
+        let found = cup.reproducibility().unwrap();
+        assert!((found.row[0].mean - 1.1).abs() < 1e-9, "{found:?}");
+        // A sample that is named has its answer even with one session.
+        let bowl = &catalogue.repeats(Some("bowl")).unwrap()[0];
+        assert_eq!(bowl.left_out[0].why, "it has no fit");
+        assert!(bowl.reproducibility().is_err());
+        assert!(catalogue.repeats(Some("pot")).unwrap().is_empty());
+    }
+}

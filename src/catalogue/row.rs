@@ -17,7 +17,7 @@ pub struct Row<F = FitRow> {
     pub name: String,
     /// The sample's name.
     pub sample: Option<String>,
-    /// The true material of a simulated sample, else what the operator has noted of it.
+    /// What the operator has noted of the material, else the true one of a simulated sample.
     pub material: Option<String>,
     /// What the operator has noted otherwise.
     pub comment: Option<String>,
@@ -194,8 +194,8 @@ impl<F> Row<F> {
         Self {
             name: name.to_owned(),
             sample: Some(summary.sample),
-            material: (record.true_material.as_ref())
-                .or(record.material.as_ref())
+            material: (record.material.as_ref())
+                .or(record.true_material.as_ref())
                 .cloned(),
             comment: record.comment.clone(),
             began: Some(summary.created_utc),

@@ -32,6 +32,13 @@ pub fn session(folder: &Path, sample: &str, began: &str) -> String {
     session_name(began.parse().unwrap(), sample, "0f3a").unwrap()
 }
 
+/// Adds a fit without images to a session.
+pub fn add_fit(folder: &Path, session: &str, record: &fit_record::FitRecord) {
+    let root = folder.join(session);
+    let mut writer = SessionWriter::open(Arc::new(SystemDisk), &root).unwrap();
+    fit_record::commit(&mut writer, record, &FitImages::default()).unwrap();
+}
+
 /// With a fit of two lights and a report, its capture ended.
 pub fn fitted_session(folder: &Path) -> String {
     let name = session(folder, "bowl", "2026-11-21T02:34:00Z");

@@ -1,6 +1,6 @@
 //! `rig capture --queue`: sample after sample, asked for at the terminal or by a pipe.
 
-use std::io::BufRead;
+use std::io::{BufRead, IsTerminal};
 use std::path::Path;
 
 use serde_json::json;
@@ -59,7 +59,7 @@ pub(super) fn run(request: &QueueRequest<'_>, context: &Context) -> Result<(), C
         return print(request, &queue);
     }
     let interrupt = interrupt::listen()?;
-    let mut work = Work {
+    let work = Work {
         request,
         plans,
         interrupt,
@@ -79,6 +79,7 @@ pub(super) fn run(request: &QueueRequest<'_>, context: &Context) -> Result<(), C
     print(request, &queue)?;
     match queue.left() {
         0 => {}
+        1 => context.note(format!("1 capture is left; {GO_ON}")),
         left => context.note(format!("{left} captures are left; {GO_ON}")),
     }
     let failed = |run: &&Entry| matches!(&run.state, RunState::Done { error: Some(_), .. });
@@ -94,57 +95,45 @@ pub(super) fn run(request: &QueueRequest<'_>, context: &Context) -> Result<(), C
     }
 }
 
-/// A sample with the lights that were planned for it.
+/// What was planned for a choice of lights.
 struct Plan {
-    sample: String,
-    lights: Lights,
+    chosen: Lights,
+    /// The directions that it came to.
+    listed: Lights,
+    seconds: f64,
+    bytes: u64,
 }
 
-/// Plans what is left, before anybody carries samples: each different choice of lights once.
+/// Plans what is to be captured, before anybody carries samples: each different choice of
+/// lights once.
 fn check(
     request: &QueueRequest<'_>,
     queue: &Queue,
     context: &Context,
 ) -> Result<Vec<Plan>, CliError> {
-    let mut known: Vec<(Lights, Lights, f64, u64)> = Vec::new();
-    let (mut plans, mut captures, mut seconds, mut bytes) = (Vec::new(), 0, 0.0, 0);
+    let mut plans: Vec<Plan> = Vec::new();
+    let (mut captures, mut seconds, mut bytes) = (0, 0.0, 0);
     for (number, sample) in queue.samples().iter().enumerate() {
-        let chosen = sample.lights.clone().or_else(|| request.lights.clone());
-        let Some(chosen) = chosen else {
-            let file = request.file.display();
-            let fact = format!(
-                "{file}: `sample[{number}].lights` is missing, and the command names no lights"
-            );
+        let of_sample = format!("{}: `sample[{number}].lights`", request.file.display());
+        let Some(chosen) = lights_of(sample, request) else {
+            let fact = format!("{of_sample} is missing, and the command names no lights");
             return Err(CliError::new(fact)
                 .hint("add `lights = 8` to the sample, or --lights 8 to the command for all samples without"));
         };
-        let at = match known.iter().position(|(of, ..)| *of == chosen) {
-            Some(at) => at,
-            None => {
-                let asked = CaptureRequest {
-                    only_plan: request.only_plan,
-                    ..CaptureRequest::new(chosen.clone(), request.folder)
-                };
-                let mut terminal = Terminal::new(context, None);
-                let prepared = prepare(request.rig, &asked, &mut |notice| terminal.show(notice));
-                terminal.finish();
-                let prepared = prepared.map_err(|error| advised(error, &request.rig.config))?;
-                prepared.check_space()?;
-                let plan = prepared.plan();
-                let listed = Lights::Listed(plan.lights.clone());
-                known.push((chosen, listed, plan.estimated_s.0, plan.estimated_bytes));
-                known.len() - 1
-            }
-        };
-        let (_, listed, each_s, each_bytes) = &known[at];
+        if !plans.iter().any(|plan| plan.chosen == chosen) {
+            let planned = plan(request, chosen.clone(), context).map_err(|error| {
+                let hint = error.advice().map(str::to_owned);
+                let error = CliError::new(format!("{of_sample}: {}", error.fact()));
+                hint.into_iter().fold(error, CliError::hint)
+            });
+            plans.push(planned?);
+        }
         let left = queue.left_of(sample);
         captures += left;
-        seconds += left as f64 * each_s;
-        bytes += left as u64 * each_bytes;
-        plans.push(Plan {
-            sample: sample.name.clone(),
-            lights: listed.clone(),
-        });
+        for plan in plans.iter().filter(|plan| plan.chosen == chosen) {
+            seconds += left as f64 * plan.seconds;
+            bytes += left as u64 * plan.bytes;
+        }
     }
     if captures > 0 {
         let (samples, time, bytes) = (queue.samples().len(), duration(seconds), size(bytes));
@@ -153,6 +142,30 @@ fn check(
         ));
     }
     Ok(plans)
+}
+
+/// The lights that are wanted for a sample.
+fn lights_of(sample: &Sample, request: &QueueRequest<'_>) -> Option<Lights> {
+    sample.lights.clone().or_else(|| request.lights.clone())
+}
+
+fn plan(request: &QueueRequest<'_>, chosen: Lights, context: &Context) -> Result<Plan, CliError> {
+    let asked = CaptureRequest {
+        only_plan: request.only_plan,
+        ..CaptureRequest::new(chosen.clone(), request.folder)
+    };
+    let mut terminal = Terminal::new(context, None);
+    let prepared = prepare(request.rig, &asked, &mut |notice| terminal.show(notice));
+    terminal.finish();
+    let prepared = prepared.map_err(|error| advised(error, &request.rig.config))?;
+    prepared.check_space()?;
+    let planned = prepared.plan();
+    Ok(Plan {
+        chosen,
+        listed: Lights::Listed(planned.lights.clone()),
+        seconds: planned.estimated_s.0,
+        bytes: planned.estimated_bytes,
+    })
 }
 
 /// What every step needs. Each returns whether the queue goes on.
@@ -166,7 +179,7 @@ struct Work<'a> {
 impl Work<'_> {
     /// Asks for a sample and captures it.
     fn next(
-        &mut self,
+        &self,
         queue: &mut Queue,
         sample: &Sample,
         run: usize,
@@ -206,7 +219,7 @@ impl Work<'_> {
     }
 
     /// Goes on with an interrupted capture, if the operator wants to.
-    fn resume(&mut self, queue: &mut Queue, sample: &str, root: &Path) -> Result<bool, CliError> {
+    fn resume(&self, queue: &mut Queue, sample: &str, root: &Path) -> Result<bool, CliError> {
         let question = format!(
             "The capture of {sample} was interrupted. Put the sample on the bench as it was, then Enter; s leaves the session as it is, q ends"
         );
@@ -223,7 +236,7 @@ impl Work<'_> {
     }
 
     /// When all is done, the last sample can still be repeated.
-    fn end(&mut self, queue: &mut Queue) -> Result<bool, CliError> {
+    fn end(&self, queue: &mut Queue) -> Result<bool, CliError> {
         let Some(last) = queue.last() else {
             return Ok(false);
         };
@@ -241,8 +254,9 @@ impl Work<'_> {
 
     fn begin(&self, sample: &Sample) -> Result<Job, CliError> {
         let config = &self.request.rig.config;
-        let plan = self.plans.iter().find(|plan| plan.sample == sample.name);
-        let lights = plan.map_or(Lights::All, |plan| plan.lights.clone());
+        let chosen = lights_of(sample, self.request);
+        let plan = (self.plans.iter()).find(|plan| Some(&plan.chosen) == chosen.as_ref());
+        let lights = plan.map_or(Lights::Listed(Vec::new()), |plan| plan.listed.clone());
         let asked = CaptureRequest {
             sample: Some(sample.name.clone()),
             material: sample.material.clone(),
@@ -316,6 +330,10 @@ impl Work<'_> {
             if !read.is_ok_and(|bytes| bytes > 0) {
                 write_stderr("\n");
                 return Ok(Answer::Quit);
+            }
+            // A terminal has shown the line's end itself.
+            if !std::io::stdin().is_terminal() {
+                write_stderr("\n");
             }
             match String::from_utf8_lossy(&line)
                 .trim()

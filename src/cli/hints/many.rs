@@ -17,7 +17,7 @@ pub(super) fn for_queue(error: &QueueError) -> Option<String> {
         QueueError::Journal { .. } => {
             "restore the queue's journal from a copy, or remove it to begin anew with other names or another --out".into()
         }
-        QueueError::Locked { .. } => "wait until the other queue has ended, or end it".into(),
+        QueueError::Locked { .. } => "one process at a time goes through a queue: end the other one first".into(),
         QueueError::Io { source, .. } => return for_io(source),
     })
 }
