@@ -110,7 +110,7 @@ fn a_queue_is_interrupted_and_goes_on_where_it_was() {
     assert_fails(
         &output,
         130,
-        "the lamp is off",
+        "the queue was interrupted during a capture",
         "the same command goes on with this capture",
     );
     let asked = text(&output.stderr);
