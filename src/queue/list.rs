@@ -53,7 +53,7 @@ impl SampleList {
         let mut samples: Vec<Sample> = Vec::new();
         for mut table in tables {
             let sample = Sample::read(&mut table)?;
-            let refused = |allowed: &str| table.conflict("name", &quoted(&sample.name), allowed);
+            let refused = |allowed: &str| table.conflict("name", quoted(&sample.name), allowed);
             if let Some(first) = samples.iter().position(|other| other.name == sample.name) {
                 let allowed = format!(
                     "another name than that of sample[{first}]; `repeats` asks for more sessions of one sample"
