@@ -138,7 +138,7 @@ fn a_queue_is_interrupted_and_goes_on_where_it_was() {
         .collect();
     assert_eq!(rows.len(), 5, "{table}");
     assert_eq!(rows[4], ["jar", "left", "out"], "{table}");
-    assert_eq!(sessions(folder, "bowl"), [bowl.clone()]);
+    assert_eq!(sessions(folder, "bowl"), std::slice::from_ref(&bowl));
     assert_eq!(sessions(folder, "cup").len(), 2);
     for root in sessions(folder, "cup").iter().chain([&bowl]) {
         assert_eq!(state(root), SessionState::Complete);
