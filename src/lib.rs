@@ -8,6 +8,8 @@
 //! | capture a sample by a rig file, simulated or real | [`capture::prepare`], [`capture::open`] |
 //! | fit a captured session, or images of a scene | [`workflow::fit_session`], [`workflow::fit_images`] |
 //! | read sessions and fits | [`session::Session`], [`session::fit_record`] |
+//! | list the sessions of a folder, compare repeats | [`catalogue`] |
+//! | capture many samples, one after the other | [`queue`] |
 //! | merge exposure brackets into radiance | [`radiometry`] |
 //! | calibrate camera, lights, lens, pose | [`calibration`] |
 //! | write a material for other programs | [`export`] |
@@ -21,12 +23,12 @@
 //!
 //! | floor | modules |
 //! |---|---|
-//! | 0 | [`interrupt`], [`checksum`], [`plot`] |
+//! | 0 | [`interrupt`], [`checksum`], [`beneath`], [`fault`], [`plot`] |
 //! | 2 | [`radiometry`] |
 //! | 3 | [`device`], [`simulation`] |
 //! | 4 | [`benchmark`], [`config`], [`session`], [`calibration`] |
-//! | 5 | [`capture`], [`evaluate`], [`material`], [`rendering`] |
-//! | 6 | [`workflow`] |
+//! | 5 | [`capture`], [`catalogue`], [`evaluate`], [`material`], [`rendering`] |
+//! | 6 | [`queue`], [`workflow`] |
 //! | 7 | [`report`], [`export`] |
 //! | 8 | `console` |
 //! | 9 | [`cli`] |
@@ -37,7 +39,9 @@ pub use rig_core::{
     simplex, statistics, transport, units, whole_file,
 };
 
+pub mod beneath;
 pub mod checksum;
+pub mod fault;
 pub mod interrupt;
 #[cfg(feature = "figures")]
 pub mod plot;
@@ -53,11 +57,13 @@ pub mod config;
 pub mod session;
 
 pub mod capture;
+pub mod catalogue;
 #[cfg(feature = "experiments")]
 pub mod evaluate;
 pub mod material;
 pub mod rendering;
 
+pub mod queue;
 pub mod workflow;
 
 pub mod export;

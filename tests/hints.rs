@@ -240,6 +240,10 @@ const ELSEWHERE: &[(&str, &str)] = &[
         "reduce it (in MeshLab: Simplification)",
         "a mesh of hundreds of millions of facets",
     ),
+    (
+        "fit the sessions anew with one version",
+        "fits of another version: `src/catalogue/reproducibility.rs`",
+    ),
     ("name one with --materials", "`tests/evaluate_command.rs`"),
 ];
 

@@ -3,6 +3,7 @@
 //! - [`prepare`]: a capture as a program does it, from a rig file to a session;
 //! - [`open`]: the devices of a rig file;
 //! - [`records`], [`light_choice`]: calibration records it uses; the lights that are most informative;
+//! - [`lights`]: which light directions are wanted;
 //! - [`reach`]: where light can come from: the stage's limits, the camera's shadow;
 //! - [`directions`]: which light directions, from what is within reach;
 //! - [`plan`]: the whole plan with its estimates and checks, before anything moves;
@@ -29,6 +30,7 @@ pub mod events;
 pub mod exposure_check;
 pub mod findings;
 pub mod light_choice;
+pub mod lights;
 mod merge_sink;
 pub mod open;
 mod pace;

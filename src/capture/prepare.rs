@@ -48,24 +48,12 @@ use crate::session::{
 use crate::transport::visibility::{Concern, Visibility};
 use crate::units::StageAngles;
 
+pub use super::lights::Lights;
+
 /// Angle that [`Lights::All`] keeps between two lights, degrees.
 pub const ALL_SPACING_DEG: f64 = 15.0;
 /// Directions closer than this are one, radians: 0.001°.
 const SAME_LIGHT_RAD: f64 = 1.7e-5;
-
-/// Which light directions are wanted.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Lights {
-    /// This many, spread evenly.
-    Count(usize),
-    /// All that keep [`ALL_SPACING_DEG`] between them.
-    All,
-    /// This many, 1 to [`light_choice::CANDIDATES`]: those that are most informative about a material
-    /// of which nothing is known.
-    Best(usize),
-    /// These, in this order.
-    Listed(Vec<StageAngles>),
-}
 
 /// What is to be captured.
 #[derive(Clone, Debug, PartialEq)]
@@ -75,6 +63,10 @@ pub struct CaptureRequest {
     /// Name of the sample: letters, digits, dots, hyphens, underscores. `None`: the material's
     /// name on a simulated rig, else `sample`.
     pub sample: Option<String>,
+    /// What the operator notes of its material.
+    pub material: Option<String>,
+    /// What the operator notes otherwise.
+    pub comment: Option<String>,
     /// The folder that receives the session's folder.
     pub folder: PathBuf,
     /// Nothing will be captured: without a record the noise of a usual sensor is taken for
@@ -88,6 +80,8 @@ impl CaptureRequest {
         Self {
             lights,
             sample: None,
+            material: None,
+            comment: None,
             folder: folder.into(),
             only_plan: false,
         }
@@ -98,6 +92,8 @@ impl CaptureRequest {
 pub struct Prepared<'a> {
     rig: &'a ResolvedRig,
     sample: String,
+    material: Option<String>,
+    comment: Option<String>,
     folder: PathBuf,
     records: Records,
     noise: SensorNoise,
@@ -159,6 +155,8 @@ pub fn prepare<'a>(
             .sample
             .clone()
             .unwrap_or_else(|| sample_name(config)),
+        material: request.material.clone(),
+        comment: request.comment.clone(),
         folder: request.folder.clone(),
         records,
         noise,
@@ -235,6 +233,8 @@ impl Prepared<'_> {
             created_utc: created.strftime("%Y-%m-%dT%H:%M:%SZ").to_string(),
             simulated: config.is_simulated(),
             true_material: true_material(config),
+            material: self.material,
+            comment: self.comment,
             seed: (config.simulation.as_ref()).map_or(config.fit.seed, |s| s.seed),
             rig: self.rig.file.clone(),
             config: config.text.clone(),

@@ -7,9 +7,9 @@ use crate::capture::open::open_devices;
 use crate::config::ResolvedRig;
 use crate::console::bench::{BenchPorts, Opened};
 use crate::console::control::Control;
-use crate::console::fault::{Advisor, Fault};
 use crate::console::picture::levels::SensorRecords;
 use crate::device::CameraSettings;
+use crate::fault::{Advisor, Fault};
 use crate::units::Seconds;
 
 /// Exposure of the live picture before a page has set another one, as far as the camera has

@@ -1,7 +1,6 @@
 //! `rig capture`: from a plan to a session, its fit and its report.
 
 use std::path::{Path, PathBuf};
-use std::time::Instant;
 
 use serde_json::json;
 
@@ -9,21 +8,22 @@ use serde_json::json;
 use super::capture_console::ConsoleOptions;
 use super::capture_events::EventLines;
 use super::capture_notices::{Terminal, advised};
-use super::capture_progress::Bar;
+use super::capture_queue::{self, QueueRequest};
+use super::capture_run::{self, Ran};
 use super::context::Context;
 use super::error::CliError;
 use super::output::{write_json, write_path};
 use super::progress::duration;
 use super::rig_choice::RigArg;
 use super::{fit, interrupt, open};
-use crate::capture::light_choice::{CANDIDATES, Ranking};
-use crate::capture::open::{OpenOptions, open_devices};
-use crate::capture::prepare::{self, CaptureRequest, Job, Lights, Prepared, prepare};
-use crate::capture::{Outcome, Spent};
+use crate::capture::Outcome;
+use crate::capture::light_choice::Ranking;
+use crate::capture::open::open_devices;
+use crate::capture::prepare::{CaptureRequest, Job, Lights, Prepared, prepare};
 use crate::interrupt::{Interrupt, Signal};
 use crate::out;
 use crate::session::Session;
-use crate::session::layout::{QUARANTINE_FOLDER, SESSIONS_FOLDER};
+use crate::session::layout::SESSIONS_FOLDER;
 use crate::units::StageAngles;
 use crate::workflow::{FitWork, work_of};
 
@@ -36,7 +36,7 @@ pub struct CaptureArgs {
     rig: RigArg,
     /// How many light directions (around the sample at several heights, past the camera's body);
     /// `all` that keep 15° between them; or `best:N`, those that are most informative about an unknown material
-    #[arg(long, value_name = "N|all|best:N", value_parser = parse_lights, required_unless_present_any = ["light", "resume"], conflicts_with_all = ["light", "resume"])]
+    #[arg(long, value_name = "N|all|best:N", required_unless_present_any = ["light", "resume", "queue"], conflicts_with_all = ["light", "resume"])]
     lights: Option<Lights>,
     /// One light direction, azimuth and elevation in degrees; may be repeated
     #[arg(long, value_name = "AZ,EL", value_parser = parse_angles, allow_hyphen_values = true, conflicts_with = "resume")]
@@ -56,6 +56,12 @@ pub struct CaptureArgs {
     #[arg(long, conflicts_with = "resume")]
     #[cfg_attr(feature = "console", arg(conflicts_with = "console"))]
     dry_run: bool,
+    /// Captures the samples of this file one after the other, asking for each; the same command
+    /// goes on with an interrupted queue. Lights are those of a sample in the file, else the ones
+    /// named here
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["sample", "resume", "events"])]
+    #[cfg_attr(feature = "console", arg(conflicts_with = "console"))]
+    queue: Option<PathBuf>,
     /// Go on with an interrupted session; plan and configuration are in it
     #[arg(long, value_name = "SESSION", conflicts_with = "rig")]
     resume: Option<PathBuf>,
@@ -87,6 +93,7 @@ impl CaptureArgs {
             out,
             sample: None,
             dry_run: false,
+            queue: None,
             resume: None,
             no_fit: false,
             json: false,
@@ -94,25 +101,6 @@ impl CaptureArgs {
             #[cfg(feature = "console")]
             console: ConsoleOptions::default(),
         }
-    }
-}
-
-fn parse_lights(text: &str) -> Result<Lights, String> {
-    if text == "all" {
-        return Ok(Lights::All);
-    }
-    if let Some(count) = text.strip_prefix("best:") {
-        return match count.parse() {
-            Ok(count) if (1..=CANDIDATES).contains(&count) => Ok(Lights::Best(count)),
-            _ => Err(format!("best:N takes a number N from 1 to {}", CANDIDATES)),
-        };
-    }
-    match text.parse() {
-        Ok(count @ 1..=100_000) => Ok(Lights::Count(count)),
-        _ => Err(format!(
-            "a number from 1 to 100000, all, or best:N with N from 1 to {}",
-            CANDIDATES
-        )),
     }
 }
 
@@ -129,16 +117,44 @@ fn parse_angles(text: &str) -> Result<StageAngles, String> {
     })
 }
 
+impl CaptureArgs {
+    /// The lights that are named.
+    fn named_lights(&self) -> Option<Lights> {
+        match &self.lights {
+            Some(lights) => Some(lights.clone()),
+            None if self.light.is_empty() => None,
+            None => Some(Lights::Listed(self.light.clone())),
+        }
+    }
+}
+
 /// `rig capture`.
 pub fn run(args: &CaptureArgs, context: &Context) -> Result<(), CliError> {
     #[cfg(feature = "console")]
     if args.console.is_wanted()? {
         return args.console.run(std::env::args_os().skip(1), context);
     }
+    if let Some(file) = &args.queue {
+        let request = QueueRequest {
+            rig: &args.rig.resolve(context)?,
+            file,
+            folder: &args.out,
+            lights: args.named_lights(),
+            only_plan: args.dry_run,
+            fits: !args.no_fit,
+            json: args.json,
+        };
+        return capture_queue::run(&request, context);
+    }
     let lines = args.events.then(EventLines::start).transpose()?;
     let lines = lines.as_ref();
     let begun = match &args.resume {
-        Some(root) => resume(root, context, lines).map(Some),
+        Some(root) => interrupt::listen().and_then(|interrupt| {
+            Ok(Some((
+                capture_run::resume(root, context, lines)?,
+                interrupt,
+            )))
+        }),
         None => start(args, context, lines),
     };
     match begun {
@@ -161,14 +177,11 @@ fn start(
 ) -> Result<Option<(Job, Interrupt)>, CliError> {
     // The plan, while nothing moves.
     let rig = args.rig.resolve(context)?;
+    let lights = args.named_lights();
     let request = CaptureRequest {
-        lights: match &args.lights {
-            Some(lights) => lights.clone(),
-            None => Lights::Listed(args.light.clone()),
-        },
         sample: args.sample.clone(),
-        folder: args.out.clone(),
         only_plan: args.dry_run,
+        ..CaptureRequest::new(lights.unwrap_or(Lights::Listed(Vec::new())), &args.out)
     };
     let mut terminal = Terminal::new(context, lines);
     let prepared = prepare(&rig, &request, &mut |notice| terminal.show(notice));
@@ -193,37 +206,6 @@ fn start(
     Ok(Some((job, interrupt)))
 }
 
-/// An interrupted session with its devices.
-fn resume(
-    root: &Path,
-    context: &Context,
-    lines: Option<&EventLines>,
-) -> Result<(Job, Interrupt), CliError> {
-    let interrupt = interrupt::listen()?;
-    let interrupted = prepare::resume(root)?;
-    if interrupted.has_quarantined() {
-        let quarantine = root.join(QUARANTINE_FOLDER);
-        let text = format!(
-            "files that no journal record vouches for were moved to {}",
-            quarantine.display()
-        );
-        warn(context, lines, &text);
-    }
-    let options = OpenOptions {
-        begun: interrupted.begun().to_vec(),
-        ..open::options(interrupted.rig())?
-    };
-    let devices = open_devices(interrupted.rig(), &options)?;
-    Ok((interrupted.go_on(devices)?, interrupt))
-}
-
-fn warn(context: &Context, lines: Option<&EventLines>, text: &str) {
-    context.warn(text);
-    if let Some(lines) = lines {
-        lines.warn(text);
-    }
-}
-
 /// Captures, then fits and reports; prints the session's folder.
 fn carry_out(
     args: &CaptureArgs,
@@ -234,37 +216,23 @@ fn carry_out(
 ) -> Result<(), CliError> {
     // The capture.
     let root = job.root().to_owned();
-    let is_instant = job.rig().is_instant();
-    let began = Instant::now();
-    if job.lacks_watchdog() {
-        let text = "the stage's firmware has no watchdog: if the computer or the cable fails, the lamp stays on";
-        warn(context, lines, text);
-    }
-    let mut observers = (lines, Bar::new(context));
-    let captured = job.run(&mut observers, interrupt.clone());
-    let (_, bar) = observers;
-    bar.finish();
-    let elapsed_s = began.elapsed().as_secs_f64();
-
-    // How it ended.
-    let outcome = match captured {
-        Ok(outcome) => outcome,
-        Err(error) => {
-            print_result(args, &root, Outcome::Interrupted, elapsed_s, bar.spent())?;
-            return Err(suspended(error, &root));
+    let ran = capture_run::run(job, interrupt.clone(), context, lines);
+    let again = resume_hint(&root);
+    match ran.ended {
+        Ok(Outcome::Complete) => {}
+        Ok(Outcome::Interrupted) => {
+            let signal = interrupt.signal().unwrap_or(Signal::Interrupt);
+            print_result(args, &root, &ran)?;
+            let fact = "the capture was interrupted; the lamp is off";
+            return Err(CliError::interrupted(signal, fact).hint(again));
         }
-    };
-    if outcome == Outcome::Interrupted {
-        let signal = interrupt.signal().unwrap_or(Signal::Interrupt);
-        print_result(args, &root, outcome, elapsed_s, bar.spent())?;
-        return Err(
-            CliError::interrupted(signal, "the capture was interrupted; the lamp is off")
-                .hint(resume_hint(&root)),
-        );
-    }
-    context.note(format!("captured in {elapsed_s:.1} s"));
-    if let Some(spent) = bar.spent().filter(|_| !is_instant) {
-        context.note(spent.to_string());
+        Err(_) => {
+            print_result(args, &root, &ran)?;
+            return ran
+                .ended
+                .map(drop)
+                .map_err(|error| capture_run::suspended(error, &again));
+        }
     }
 
     // The fit.
@@ -273,7 +241,7 @@ fn carry_out(
         interrupt::end_on_signal(context, &interrupt, unfitted)?;
         fit::fit_and_report(&root, context, lines)?;
     }
-    print_result(args, &root, outcome, elapsed_s, bar.spent())
+    print_result(args, &root, &ran)
 }
 
 /// What marks a plan without a sensor record.
@@ -324,32 +292,17 @@ fn resume_hint(root: &Path) -> String {
     format!("`rig capture --resume {}` continues it", root.display())
 }
 
-/// What a capture met that cannot go on now; its session can be resumed.
-fn suspended(error: crate::capture::CaptureError, root: &Path) -> CliError {
-    let error = CliError::from(error);
-    let advice = match error.advice() {
-        Some(advice) => format!("{advice}; then {}", resume_hint(root)),
-        None => resume_hint(root),
-    };
-    CliError::new(format!("the capture is suspended: {}", error.fact())).hint(advice)
-}
-
-fn print_result(
-    args: &CaptureArgs,
-    root: &Path,
-    outcome: Outcome,
-    elapsed_s: f64,
-    spent: Option<Spent>,
-) -> Result<(), CliError> {
+fn print_result(args: &CaptureArgs, root: &Path, ran: &Ran) -> Result<(), CliError> {
     if args.events {
         return Ok(());
     }
     if args.json {
         let summary = Session::open(root)?.summary();
+        let spent = ran.spent;
         return write_json(&json!({
             "session": root.to_string_lossy(),
-            "complete": outcome == Outcome::Complete,
-            "elapsed_s": elapsed_s,
+            "complete": matches!(ran.ended, Ok(Outcome::Complete)),
+            "elapsed_s": ran.elapsed_s,
             "spent": spent,
             "wall_over_devices": spent.and_then(|spent| spent.over_devices()),
             "wall_over_plan": spent.and_then(|spent| spent.over_plan()),
@@ -419,24 +372,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn lights_are_a_number_or_all_or_the_best() {
-        assert_eq!(parse_lights("4"), Ok(Lights::Count(4)));
-        assert_eq!(parse_lights("all"), Ok(Lights::All));
-        assert_eq!(parse_lights("best:6"), Ok(Lights::Best(6)));
-        for bad in ["0", "-1", "four", "1.5", "", "1000000", "best", "Best:3"] {
-            assert!(parse_lights(bad).is_err(), "{bad}");
-        }
-        for bad in [
-            "best:0",
-            "best:x",
-            "best:1000",
-            "best:",
-            "best:-1",
-            "best:2.5",
-        ] {
-            let error = parse_lights(bad).unwrap_err();
-            assert!(error.contains("from 1 to 60"), "{bad}: {error}");
-        }
+    fn a_direction_is_two_numbers() {
         assert!(parse_angles("-40, 35.5").is_ok());
         for bad in ["40", "a,b", "nan,1", "1,2,3", ""] {
             assert!(parse_angles(bad).is_err(), "{bad}");

@@ -20,15 +20,15 @@ use super::rig_choice::RigArg;
 use super::{bench_ports, definition, interrupt};
 use crate::config::{Origin, ResolvedRig, RigConfig};
 use crate::console::bench::{self, Bench};
-use crate::console::catalogue::{self, Catalogue};
+use crate::console::catalogue::{self, SessionPages};
 use crate::console::control::Control;
 use crate::console::facts::{Mode, facts};
-use crate::console::fault::Fault;
 use crate::console::frames;
 use crate::console::hub::Hub;
 use crate::console::jobs::{self, JobError, Jobs, Kind, Program, Work};
 use crate::console::picture::outline_routes;
 use crate::console::server::{ListenOptions, Parts, Running, Server};
+use crate::fault::Fault;
 use crate::interrupt::Signal;
 use crate::session::Session;
 use crate::session::layout::SESSIONS_FOLDER;
@@ -235,7 +235,7 @@ impl Console {
         };
         let jobs = Jobs::new(program, hub.clone());
         let bench = Bench::new(hub.clone(), bench_ports::of_rig(rig, &control))?;
-        let catalogue = Arc::new(Catalogue::new(folder, bench_ports::advisor()));
+        let pages = Arc::new(SessionPages::new(folder, bench_ports::advisor()));
 
         // A capture gets the devices that the bench holds.
         let lender = bench.clone();
@@ -256,7 +256,7 @@ impl Console {
                 Some(rig.config.clone()),
                 bench_ports::advisor(),
             ))
-            .merge(catalogue::routes(catalogue))
+            .merge(catalogue::routes(pages))
             .merge(catalogue::action_routes(jobs.clone()));
         let address = server.address();
         let running = server.start(Parts {

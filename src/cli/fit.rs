@@ -7,6 +7,7 @@ use super::fit_args::FitArgs;
 use super::fit_progress::FitProgress;
 use super::{CliError, Context, HintExt, output};
 use crate::capture::events::CaptureEvent;
+use crate::session::fit_record::Verdict;
 use crate::workflow::{FitOutcome, FitRequest, ImageFit, fit_images, fit_session};
 
 /// Fits a BRDF to a session, or to images of a described scene.
@@ -136,12 +137,12 @@ fn fit(
     Ok(outcome)
 }
 
-/// Fits a captured session with the rig file's choices and writes its report.
+/// Fits a captured session with the rig file's choices, writes its report, returns the verdict.
 pub(super) fn fit_and_report(
     session: &Path,
     context: &Context,
     lines: Option<&EventLines>,
-) -> Result<(), CliError> {
+) -> Result<Verdict, CliError> {
     let again = format!(
         "the capture is complete; `rig fit {}` fits it",
         session.display()
@@ -155,7 +156,7 @@ pub(super) fn fit_and_report(
     if let Some(lines) = lines {
         lines.send(fitted(&outcome, report.as_deref()));
     }
-    Ok(())
+    Ok(outcome.record.verdict())
 }
 
 /// Writes the report; where this program can.

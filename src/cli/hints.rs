@@ -6,6 +6,7 @@ mod capture;
 mod device;
 #[cfg(feature = "experiments")]
 mod evaluate;
+mod many;
 mod session;
 mod workflow;
 
@@ -17,6 +18,7 @@ use capture::{for_open, for_prepare};
 use device::for_device;
 #[cfg(feature = "experiments")]
 use evaluate::for_evaluate;
+use many::{for_queue, for_reproducibility};
 #[cfg(feature = "reports")]
 use session::for_loading;
 use session::{for_capture, for_fit_record, for_record, for_session};
@@ -66,6 +68,8 @@ const ADVICE: &[Advice] = &[
     |error| of_type(error, for_device),
     #[cfg(feature = "console")]
     |error| of_type(error, for_unstopped),
+    |error| of_type(error, for_queue),
+    |error| of_type(error, for_reproducibility),
     |error| of_type(error, for_config),
     |error| of_type(error, for_record),
     |error| of_type(error, for_session),

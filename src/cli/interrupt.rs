@@ -5,6 +5,9 @@
 //! Only commands that hold hardware or a session listen; every other command
 //! keeps the system's default and ends at once.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
 use std::time::Duration;
 
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGTSTP};
@@ -60,12 +63,23 @@ pub fn end_on_signal(
     interrupt: &Interrupt,
     error: impl Fn(Signal) -> CliError + Send + 'static,
 ) -> Result<(), CliError> {
+    ending_on_signal(context, interrupt, error).map(std::mem::forget)
+}
+
+/// Likewise, until what is returned is dropped.
+pub fn ending_on_signal(
+    context: &Context,
+    interrupt: &Interrupt,
+    error: impl Fn(Signal) -> CliError + Send + 'static,
+) -> Result<EndingOnSignal, CliError> {
     let color = context.color;
     let interrupt = interrupt.clone();
-    std::thread::Builder::new()
+    let over = Arc::new(AtomicBool::new(false));
+    let is_over = Arc::clone(&over);
+    let thread = std::thread::Builder::new()
         .name("end on signal".into())
         .spawn(move || {
-            loop {
+            while !is_over.load(Ordering::SeqCst) {
                 if let Some(signal) = interrupt.signal() {
                     let error = error(signal);
                     write_stderr(&error.render(color));
@@ -78,7 +92,28 @@ pub fn end_on_signal(
                 std::thread::sleep(LOOK);
             }
         })?;
-    Ok(())
+    Ok(EndingOnSignal {
+        over,
+        thread: Some(thread),
+    })
+}
+
+/// As long as it lives, a signal ends the program.
+#[must_use]
+pub struct EndingOnSignal {
+    over: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Drop for EndingOnSignal {
+    /// Afterwards no signal ends the program any more.
+    fn drop(&mut self) {
+        self.over.store(true, Ordering::SeqCst);
+        if let Some(thread) = self.thread.take() {
+            // It does not panic; if it did, it would end no program either.
+            drop(thread.join());
+        }
+    }
 }
 
 /// So often [`end_on_signal`] looks whether there was a signal.

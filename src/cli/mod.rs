@@ -20,6 +20,9 @@ mod capture_console;
 mod capture_events;
 mod capture_notices;
 mod capture_progress;
+mod capture_queue;
+mod capture_run;
+pub mod catalogue;
 pub mod completions;
 #[cfg(feature = "console")]
 pub mod console;
@@ -61,6 +64,7 @@ mod shape_inspect;
 mod sharpness;
 pub mod stage;
 pub mod stderr;
+mod table;
 mod trace;
 mod write_queue;
 
@@ -95,6 +99,7 @@ commands! {
     #[cfg(feature = "console")]
     Console(console::ConsoleArgs) => console::run,
     Init(init::InitArgs) => init::run,
+    Catalogue(catalogue::CatalogueArgs) => catalogue::run,
     Session(session::SessionArgs) => session::run,
     Devices(devices::DevicesArgs) => devices::run,
     Doctor(doctor::DoctorArgs) => doctor::run,

@@ -2,12 +2,10 @@
 //! page shows, and for the buttons on it.
 //!
 //! - [`hub`]: what is published to every page, newest state only.
-//! - [`beneath`]: files below a folder that nothing leads out of.
 //! - [`mod@bench`]: camera and stage held open while nothing is captured.
 //! - [`picture`]: frames as pictures.
-//! - [`catalogue`]: the sessions of a folder.
+//! - [`catalogue`]: the sessions of a folder, with their pictures and files.
 //! - [`frames`]: the last captured frame.
-//! - [`fault`]: what went wrong, with advice.
 //! - [`server`]: listening, who is let in, the stream of events, the page's files.
 //! - [`jobs`]: captures, fits and exports as processes of this program, and short commands.
 //! - [`facts`]: what a page learns about the rig.
@@ -18,12 +16,10 @@
 //! happens to the console can harm it.
 
 pub mod bench;
-pub mod beneath;
 mod blocking;
 pub mod catalogue;
 pub mod control;
 pub mod facts;
-pub mod fault;
 pub mod frames;
 pub mod hub;
 pub mod jobs;

@@ -11,6 +11,8 @@ pub(crate) fn record() -> SessionRecord {
         created_utc: "2026-11-21T02:34:00Z".to_owned(),
         simulated: true,
         true_material: Some("red plastic".to_owned()),
+        material: None,
+        comment: None,
         seed: 7,
         rig: "simulated".to_owned(),
         config: "[camera]\nname = \"x\"\n".to_owned(),

@@ -53,6 +53,22 @@ pub fn radiance_file(light: u32) -> String {
     format!("{DERIVED_FOLDER}/radiance_L{light:03}.exr")
 }
 
+/// Whether a sample can have this name: 1 to 64 letters, digits, dots, hyphens, underscores,
+/// the first a letter or digit.
+pub fn is_sample_name(name: &str) -> bool {
+    let starts_well = name.starts_with(|c: char| c.is_ascii_alphanumeric());
+    let allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '.' | '-' | '_');
+    starts_well && name.len() <= 64 && name.chars().all(allowed)
+}
+
+/// The sample's name in a [`session_name`]; `None` of another name.
+pub fn sample_of(session: &str) -> Option<&str> {
+    let (stamp, rest) = session.split_once('_')?;
+    let (sample, _) = rest.rsplit_once('_')?;
+    let is_stamp = stamp.len() == 16 && stamp.ends_with('Z');
+    (is_stamp && is_sample_name(sample)).then_some(sample)
+}
+
 /// The session's folder name from its start (`20261121T023400Z`), the sample's
 /// name and a short random id.
 pub fn session_name(
@@ -60,9 +76,7 @@ pub fn session_name(
     sample: &str,
     short_id: &str,
 ) -> Result<String, SessionError> {
-    let starts_well = sample.starts_with(|c: char| c.is_ascii_alphanumeric());
-    let allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '.' | '-' | '_');
-    if !starts_well || sample.len() > 64 || !sample.chars().all(allowed) {
+    if !is_sample_name(sample) {
         return Err(SessionError::SampleName {
             name: sample.to_owned(),
         });
@@ -112,6 +126,11 @@ mod tests {
             session_name(created, "red-plastic", "0f3a9c").unwrap(),
             "20261121T023400Z_red-plastic_0f3a9c"
         );
+        let name = session_name(created, "red_plastic", "0f3a9c").unwrap();
+        assert_eq!(sample_of(&name), Some("red_plastic"));
+        for other in ["cup", "20261121T023400Z_cup", "a_b_c", "_cup_"] {
+            assert_eq!(sample_of(other), None, "{other}");
+        }
     }
 
     #[test]

@@ -24,6 +24,12 @@ pub struct SessionRecord {
     /// The material that the simulated sample is made of; only on a simulated rig.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub true_material: Option<String>,
+    /// What the operator has noted of the sample's material.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub material: Option<String>,
+    /// What the operator has noted otherwise.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub comment: Option<String>,
     /// Seed of every random stream.
     pub seed: u64,
     /// The rig's configuration by its file or name.

@@ -550,6 +550,8 @@ pub fn record() -> SessionRecord {
         created_utc: "2026-11-21T02:34:00Z".into(),
         simulated: true,
         true_material: None,
+        material: None,
+        comment: None,
         seed: 1,
         rig: "memory".into(),
         config: String::new(),

@@ -107,6 +107,20 @@ impl Section {
         })
     }
 
+    /// An integer or a text, as the text that `parse` accepts; `allowed` completes "must be …".
+    pub fn integer_or_text<T>(
+        &mut self,
+        key: &'static str,
+        allowed: &str,
+        parse: impl FnOnce(&str) -> Option<T>,
+    ) -> Result<Found<T>, ConfigError> {
+        self.value(key, allowed.to_owned(), |value| match value {
+            Value::Text(text) => parse(text),
+            Value::Integer(number) => parse(&number.to_string()),
+            _ => None,
+        })
+    }
+
     /// `true` or `false`.
     pub fn flag(&mut self, key: &'static str) -> Result<Found<bool>, ConfigError> {
         self.value(key, "true or false".into(), |value| match value {

@@ -11,10 +11,10 @@ use super::ports::BenchPorts;
 use super::shared::{Action, Command, Shared, lock};
 use super::state::{Busy, State};
 use super::stop;
-use crate::console::fault::{Advisor, Fault};
 use crate::console::hub::Hub;
 use crate::console::picture::live::LiveFrame;
 use crate::device::{CameraSettings, LampChannel, LampState};
+use crate::fault::{Advisor, Fault};
 use crate::units::{Seconds, StageAngles};
 
 /// Between two looks whether the thread has ended.

@@ -10,8 +10,8 @@ use super::shared::{Command, SetOnDrop, Shared, lock};
 use super::stage::{self, Ended};
 use super::state::CameraFacts;
 use super::{camera, stop};
-use crate::console::fault::Fault;
 use crate::device::{Camera, DeviceError, LightStage};
+use crate::fault::Fault;
 
 /// Opens and closes the devices as commanded, until the bench ends.
 pub(super) fn obey(shared: &Arc<Shared>, ports: &BenchPorts, commands: &Receiver<Command>) {

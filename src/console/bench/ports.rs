@@ -4,9 +4,9 @@ use std::fmt;
 use std::time::Duration;
 
 use crate::capture::open::Devices;
-use crate::console::fault::{Advisor, Fault};
 use crate::console::picture::levels::SensorLevels;
 use crate::device::{Camera, CameraSettings};
+use crate::fault::{Advisor, Fault};
 
 /// Devices that were opened.
 pub enum Opened {

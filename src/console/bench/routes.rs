@@ -13,11 +13,11 @@ use serde_json::{Value, json};
 use super::handle::Bench;
 use crate::console::blocking::blocking;
 use crate::console::control::Controlled;
-use crate::console::fault::Fault;
 use crate::console::picture::Marks;
 use crate::console::refusal::{Accepted, Refusal, accepted};
 use crate::console::request::{Asked, Viewer};
 use crate::device::{CameraSettings, LampChannel};
+use crate::fault::Fault;
 use crate::units::{Seconds, StageAngles};
 
 /// Says which frame a picture shows.

@@ -5,10 +5,10 @@ use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use super::state::State;
-use crate::console::fault::Fault;
 use crate::console::hub::Hub;
 use crate::console::picture::live::LiveFrame;
 use crate::device::{CameraSettings, LampState, StopHandle};
+use crate::fault::Fault;
 use crate::units::StageAngles;
 
 /// A command for the thread that holds the devices.

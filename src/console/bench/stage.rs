@@ -9,9 +9,9 @@ use super::lamp_timer::LampTimer;
 use super::ports::BenchPorts;
 use super::shared::{Action, Command, SetOnDrop, Shared};
 use super::state::{Busy, StageFacts};
-use crate::console::fault::Fault;
 use crate::device::guardian::{Step, Watchdog};
 use crate::device::{DeviceError, LampState, LightStage, StageStatus};
+use crate::fault::Fault;
 
 /// Commands are waited for in parts of this length.
 const TICK: Duration = Duration::from_millis(50);

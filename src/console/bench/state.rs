@@ -2,10 +2,10 @@
 
 use serde::{Serialize, Serializer};
 
-use crate::console::fault::Fault;
 use crate::console::picture::levels::SensorLevels;
 use crate::device::frame_figures::FrameFigures;
 use crate::device::{CameraInfo, CameraSettings, LampChannel, LampState, StageActivity};
+use crate::fault::Fault;
 use crate::units::{Seconds, StageAngles};
 
 /// What keeps the bench from taking another command.

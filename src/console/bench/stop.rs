@@ -6,8 +6,8 @@ use std::time::{Duration, Instant};
 
 use super::shared::{Shared, lock};
 use super::state::Busy;
-use crate::console::fault::Advisor;
 use crate::device::DeviceError;
+use crate::fault::Advisor;
 
 /// One that is stopping and one that waits for it: more would do nothing.
 const MOST_STOPPING: usize = 2;

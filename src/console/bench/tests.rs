@@ -7,11 +7,11 @@ use std::time::{Duration, Instant};
 use super::state::{Busy, State};
 use super::*;
 use crate::capture::open::Devices;
-use crate::console::fault::{Advisor, Fault};
 use crate::console::hub::Hub;
 use crate::console::picture::Marks;
 use crate::console::picture::levels::SensorLevels;
 use crate::device::*;
+use crate::fault::{Advisor, Fault};
 use crate::units::{Seconds, StageAngles};
 
 /// What nothing here should ever take.

@@ -13,8 +13,8 @@ use serde::Deserialize;
 use serde_json::json;
 
 use super::files::{EXPORTS_FOLDER, EXPORTS_ROOT};
-use super::row::check_name;
-use crate::console::beneath;
+use crate::beneath;
+use crate::catalogue::row::check_name;
 use crate::console::blocking::blocking;
 use crate::console::control::Controlled;
 use crate::console::jobs::{Jobs, Kind, Work};

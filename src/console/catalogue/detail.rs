@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 
-use super::list::Catalogue;
+use super::pages::SessionPages;
 use super::pictures::{self, Named};
-use super::row::{self, EntryError, FitRow, Row, entry_fault, read_fit};
+use crate::catalogue::row::{self, EntryError, FitRow, Row, entry_fault, read_fit};
 use crate::session::fit_record::{self, FitRecord, Warning};
 use crate::session::{Event, Session, SessionState};
 
@@ -38,18 +38,19 @@ pub struct FitDetail {
     pub pictures: Vec<Named>,
 }
 
-impl Catalogue {
+impl SessionPages {
     /// A session in full; one that cannot be read has its error and little else.
     ///
     /// # Errors
     /// There is no such folder, or the name leaves the catalogue's.
     pub fn detail(&self, name: &str) -> Result<Detail, EntryError> {
-        let session = match row::open(self.folder(), name) {
+        let (folder, advisor) = (self.catalogue().folder(), self.catalogue().advisor());
+        let session = match row::open(folder, name) {
             Ok(session) => session,
             Err(error @ EntryError::File(_)) => return Err(error),
             Err(error) => {
                 return Ok(Detail {
-                    row: Row::failed(name, entry_fault(&error, self.advisor())),
+                    row: Row::failed(name, entry_fault(&error, advisor)),
                     pictures: Vec::new(),
                     warnings: Vec::new(),
                 });
@@ -59,7 +60,7 @@ impl Catalogue {
         let fit = |number| match read_fit(&session, number) {
             Ok(record) => fit_detail(&session, number, &record),
             Err(error) => FitDetail {
-                row: FitRow::failed(number, entry_fault(&error, self.advisor())),
+                row: FitRow::failed(number, entry_fault(&error, advisor)),
                 warnings: Vec::new(),
                 remarks: Vec::new(),
                 settings: BTreeMap::new(),

@@ -2,11 +2,11 @@
 
 use std::sync::Arc;
 
-use super::list::Catalogue;
+use super::pages::SessionPages;
 use super::pictures::{self, PictureOf};
-use super::row;
 use super::served::{FileError, Served, Shown};
-use crate::console::beneath;
+use crate::beneath;
+use crate::catalogue::row;
 use crate::session::layout::{FITS_FOLDER, REPORT_FILE};
 
 /// Under which a page finds the exports of a session.
@@ -67,7 +67,7 @@ fn allowed(file: &str) -> Option<Allowed> {
         .then_some(Allowed::File(PLAIN, Shown::Inline))
 }
 
-impl Catalogue {
+impl SessionPages {
     /// A file of a session: one that is there, or a picture that is made of its images.
     /// Takes up to some seconds for a picture that is not known yet.
     ///
@@ -84,7 +84,7 @@ impl Catalogue {
                     Some(export) => format!("{EXPORTS_ROOT}/{session}{export}"),
                     None => row::path(session, file),
                 };
-                let bytes = beneath::read(self.folder(), &path, LARGEST_FILE_BYTES)?;
+                let bytes = beneath::read(self.catalogue().folder(), &path, LARGEST_FILE_BYTES)?;
                 Ok(Served {
                     kind,
                     shown,
@@ -92,7 +92,7 @@ impl Catalogue {
                 })
             }
             Allowed::Picture(picture) => self.kept_or(session, file, || {
-                let open = row::open(self.folder(), session)?;
+                let open = row::open(self.catalogue().folder(), session)?;
                 Ok(Served {
                     kind: "image/png",
                     shown: Shown::Inline,

@@ -1,8 +1,6 @@
-//! The sessions of one folder: which there are, what became of them, and what of them a page
-//! may read.
+//! What a page may read of a folder's sessions, which [`crate::catalogue`] lists.
 //!
-//! - [`Catalogue`]: the list, newest first, kept in memory by the files' times;
-//! - [`row`]: one line of the list;
+//! - [`SessionPages`]: the list, with pictures that were made;
 //! - [`detail`]: everything that a page shows of one session;
 //! - [`files`]: which files of a session may be read; [`served`]: what a page gets;
 //! - [`pictures`]: images of a session as PNG;
@@ -11,14 +9,13 @@
 mod actions;
 pub mod detail;
 pub mod files;
-mod list;
+mod pages;
 pub mod pictures;
 mod routes;
-pub mod row;
 pub mod served;
 #[cfg(test)]
 mod tests;
 
 pub use actions::action_routes;
-pub use list::Catalogue;
+pub use pages::SessionPages;
 pub use routes::routes;

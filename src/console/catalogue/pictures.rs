@@ -8,12 +8,12 @@ use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
 use serde::Serialize;
 
-use super::row::read_fit;
 use super::served::FileError;
+use crate::beneath;
 use crate::brdf::environment::EnvironmentMap;
 use crate::brdf::source;
 use crate::brdf::sphere::sphere_images;
-use crate::console::beneath;
+use crate::catalogue::row::read_fit;
 use crate::plot::Picture;
 use crate::radiance_image::exr;
 use crate::report::images::{RESIDUAL_RANGE, residual, tone_mapped, white_level};

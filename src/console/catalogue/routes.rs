@@ -12,12 +12,12 @@ use axum::routing::get;
 use axum::{Json, Router};
 use serde::{Deserialize, Serialize};
 
-use super::list::Catalogue;
-use super::row::EntryError;
+use super::pages::SessionPages;
 use super::served::{FileError, Served, Shown};
+use crate::catalogue::row::EntryError;
 use crate::console::blocking::blocking;
-use crate::console::fault::{Advisor, Fault};
 use crate::console::refusal::Refusal;
+use crate::fault::{Advisor, Fault};
 
 /// A report has no rights: no scripts, no forms, nothing from elsewhere. Its styles and
 /// pictures are inside it.
@@ -25,12 +25,12 @@ const REPORT_POLICY: &str =
     "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'self'";
 
 /// `api/sessions`, `api/sessions/NAME`, `sessions/NAME/FILE`.
-pub fn routes(catalogue: Arc<Catalogue>) -> Router {
+pub fn routes(pages: Arc<SessionPages>) -> Router {
     Router::new()
         .route("/api/sessions", get(list))
         .route("/api/sessions/{name}", get(detail))
         .route("/sessions/{name}/{*file}", get(file))
-        .with_state(catalogue)
+        .with_state(pages)
 }
 
 #[derive(Deserialize)]
@@ -40,18 +40,18 @@ struct Search {
 }
 
 async fn list(
-    State(catalogue): State<Arc<Catalogue>>,
+    State(pages): State<Arc<SessionPages>>,
     search: Result<Query<Search>, QueryRejection>,
 ) -> Result<Response, Refusal> {
     let Query(Search { search }) = search.map_err(|error| Refusal::bad(error.body_text()))?;
-    blocking(move || match catalogue.list(&search) {
+    blocking(move || match pages.catalogue().list(&search) {
         Ok(rows) => {
             let rows: Vec<_> = rows.iter().map(|row| &**row).collect();
             Ok(json(&rows))
         }
         Err(error) => {
-            let fault = catalogue.advisor().fault(&error);
-            let folder = catalogue.folder().display();
+            let fault = pages.catalogue().advisor().fault(&error);
+            let folder = pages.catalogue().folder().display();
             Err(Refusal::failed(format!("{folder}: {}", fault.error)).hint(fault.hint))
         }
     })
@@ -59,10 +59,10 @@ async fn list(
 }
 
 async fn detail(
-    State(catalogue): State<Arc<Catalogue>>,
+    State(pages): State<Arc<SessionPages>>,
     Path(name): Path<String>,
 ) -> Result<Response, Refusal> {
-    blocking(move || match catalogue.detail(&name) {
+    blocking(move || match pages.detail(&name) {
         Ok(detail) => Ok(json(&detail)),
         Err(EntryError::File(error)) if error.is_missing() => {
             Err(Refusal::missing(format!("there is no session {name:?}")))
@@ -73,12 +73,12 @@ async fn detail(
 }
 
 async fn file(
-    State(catalogue): State<Arc<Catalogue>>,
+    State(pages): State<Arc<SessionPages>>,
     Path((name, file)): Path<(String, String)>,
 ) -> Result<Response, Refusal> {
     let served = blocking(move || {
-        let served = catalogue.file(&name, &file);
-        served.map_err(|error| refusal(&error, catalogue.advisor()))
+        let served = pages.file(&name, &file);
+        served.map_err(|error| refusal(&error, pages.catalogue().advisor()))
     });
     Ok(response(served.await??))
 }

@@ -2,9 +2,9 @@
 
 use std::sync::Arc;
 
-use super::row::EntryError;
+use crate::beneath::BeneathError;
 use crate::brdf::BrdfError;
-use crate::console::beneath::BeneathError;
+use crate::catalogue::row::EntryError;
 use crate::radiance_image::exr::ExrError;
 use crate::session::SessionError;
 

@@ -1,68 +1,21 @@
-//! Sessions on the disk, whole and hostile.
+//! Sessions on the disk as pages see them, whole and hostile.
 
 use std::os::unix::fs::symlink;
-use std::path::Path;
 use std::sync::Arc;
 
 use super::*;
-use crate::console::fault::Advisor;
-use crate::radiance_image::RadianceImage;
+use crate::catalogue::tests::fitted_session;
+use crate::fault::Advisor;
+use crate::session::SessionWriter;
 use crate::session::commit::SystemDisk;
 use crate::session::fit_record::{self, FitImages, Verdict};
-use crate::session::layout::session_name;
-use crate::session::*;
-
-fn record(sample: &str, began: &str) -> SessionRecord {
-    SessionRecord {
-        sample: sample.to_owned(),
-        created_utc: began.to_owned(),
-        true_material: Some("ggx:0.1,1.5".to_owned()),
-        ..example::record()
-    }
-}
-
-/// Makes an interrupted session in the folder and returns its name.
-pub fn session(folder: &Path, sample: &str, began: &str) -> String {
-    let new = NewSession {
-        parent: folder,
-        created: began.parse().unwrap(),
-        short_id: "0f3a",
-        record: &record(sample, began),
-        calibration: &[],
-    };
-    let writer = SessionWriter::create(Arc::new(SystemDisk), &new).unwrap();
-    drop(writer);
-    session_name(began.parse().unwrap(), sample, "0f3a").unwrap()
-}
-
-/// With a fit of two lights and a report, its capture ended.
-pub fn fitted_session(folder: &Path) -> String {
-    let name = session(folder, "bowl", "2026-11-21T02:34:00Z");
-    let mut writer = SessionWriter::open(Arc::new(SystemDisk), &folder.join(&name)).unwrap();
-    let image = || {
-        let mut image = RadianceImage::new(6, 4);
-        image.mean.fill([1.0, -2.0, 0.5]);
-        image
-    };
-    let images = FitImages {
-        rendered: vec![image(), image()],
-        residual: vec![image(), image()],
-        cells_csv: String::new(),
-    };
-    fit_record::commit(&mut writer, &fit_record::tests::sample(), &images).unwrap();
-    writer
-        .commit_file("report.html", b"<!doctype html>report")
-        .unwrap();
-    writer.finish().unwrap();
-    name
-}
 
 #[test]
 fn a_session_is_shown_with_its_fits_and_pictures() {
     let folder = tempfile::tempdir().unwrap();
     let name = fitted_session(folder.path());
-    let catalogue = Catalogue::new(folder.path(), Advisor::silent());
-    let row = catalogue.list("").unwrap().remove(0);
+    let pages = SessionPages::new(folder.path(), Advisor::silent());
+    let row = pages.catalogue().list("").unwrap().remove(0);
     assert!(row.complete && row.report && row.error.is_none(), "{row:?}");
     let [fit] = row.fits.as_slice() else {
         panic!("{row:?}");
@@ -75,7 +28,7 @@ fn a_session_is_shown_with_its_fits_and_pictures() {
     );
     assert!(fit.environment_error.is_some_and(|error| error > 0.0));
 
-    let detail = serde_json::to_value(catalogue.detail(&name).unwrap()).unwrap();
+    let detail = serde_json::to_value(pages.detail(&name).unwrap()).unwrap();
     assert_eq!(detail["name"], name.as_str());
     let fits = detail["fits"].as_array().unwrap();
     assert_eq!(fits.len(), 1, "{detail}");
@@ -86,7 +39,7 @@ fn a_session_is_shown_with_its_fits_and_pictures() {
     assert_eq!(pictures.len(), 5, "{pictures:?}");
     let mut sizes = Vec::new();
     for picture in pictures {
-        let served = catalogue
+        let served = pages
             .file(&name, picture["name"].as_str().unwrap())
             .unwrap();
         let picture = image::load_from_memory(&served.bytes).unwrap();
@@ -96,12 +49,7 @@ fn a_session_is_shown_with_its_fits_and_pictures() {
     assert_eq!(sizes[1..], [(30, 4), (6, 4), (30, 4), (6, 4)]);
     assert!(sizes[0].0 > 256 && sizes[0].1 == 2 * 132, "{sizes:?}");
     // Made once.
-    let residual = || {
-        catalogue
-            .file(&name, "fits/0/residual_L000.png")
-            .unwrap()
-            .bytes
-    };
+    let residual = || pages.file(&name, "fits/0/residual_L000.png").unwrap().bytes;
     assert!(Arc::ptr_eq(&residual(), &residual()));
 }
 
@@ -115,8 +63,8 @@ fn a_damaged_fit_is_shown_with_its_error_next_to_the_others() {
     fit_record::commit(&mut writer, &record, &FitImages::default()).unwrap();
     drop(writer);
     std::fs::write(root.join("fits/0/fit.toml"), "format = 1\n").unwrap();
-    let catalogue = Catalogue::new(folder.path(), Advisor::silent());
-    let row = catalogue.list("").unwrap().remove(0);
+    let pages = SessionPages::new(folder.path(), Advisor::silent());
+    let row = pages.catalogue().list("").unwrap().remove(0);
     assert_eq!(row.fits.len(), 2);
     assert!(row.fits[0].error.is_some() && row.fits[0].verdict.is_none());
     assert!(row.fits[1].error.is_none());
@@ -132,7 +80,7 @@ fn a_damaged_fit_is_shown_with_its_error_next_to_the_others() {
         root.join("fits/1/fit.toml"),
     )
     .unwrap();
-    let detail = catalogue.detail(&name).unwrap();
+    let detail = pages.detail(&name).unwrap();
     let fault = detail.row.fits[1].row.error.as_ref().unwrap();
     assert!(fault.error.contains("symbolic link"), "{fault:?}");
 }
@@ -156,12 +104,12 @@ fn nothing_outside_the_folder_and_nothing_by_a_link_is_read() {
     .unwrap();
     std::fs::create_dir(folder.join("plain")).unwrap();
     symlink(&secret, folder.join("plain/report.html")).unwrap();
-    let catalogue = Catalogue::new(&folder, Advisor::silent());
+    let pages = SessionPages::new(&folder, Advisor::silent());
 
-    let report = catalogue.file(&name, "report.html").unwrap();
+    let report = pages.file(&name, "report.html").unwrap();
     assert_eq!(report.shown, served::Shown::Page);
     assert_eq!(
-        *catalogue.file(&name, "exports/brdf.json").unwrap().bytes,
+        *pages.file(&name, "exports/brdf.json").unwrap().bytes,
         b"{}"
     );
     for (session, file) in [
@@ -182,10 +130,10 @@ fn nothing_outside_the_folder_and_nothing_by_a_link_is_read() {
         (&name, "fits/9/spheres.png"),
         (&name, "fits/0/residual_L007.png"),
     ] {
-        let error = catalogue.file(session, file).unwrap_err();
+        let error = pages.file(session, file).unwrap_err();
         assert!(error.is_missing(), "{session} {file}: {error}");
     }
     for session in ["..", "", "link", "none", "../others", "a/b", "\0"] {
-        assert!(catalogue.detail(session).is_err(), "{session:?}");
+        assert!(pages.detail(session).is_err(), "{session:?}");
     }
 }

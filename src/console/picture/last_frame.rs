@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use super::levels::SensorLevels;
 use super::{Counts, Marks, PictureError, jpeg};
-use crate::console::beneath::{self, BeneathError};
+use crate::beneath::{self, BeneathError};
 use crate::device::RawFrame;
 use crate::radiometry::framing::{Framing, saturation_dn};
 use crate::session::Sidecar;

@@ -14,8 +14,8 @@ use super::last_frame::LastFrame;
 use super::outline::{Outline, outline};
 use crate::config::RigConfig;
 use crate::console::blocking::blocking;
-use crate::console::fault::{Advisor, Fault};
 use crate::console::refusal::Refusal;
+use crate::fault::{Advisor, Fault};
 
 const NUMBER: HeaderName = HeaderName::from_static("x-rig-number");
 

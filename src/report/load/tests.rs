@@ -24,6 +24,8 @@ fn record(true_material: Option<&str>) -> SessionRecord {
     let mut record = SessionRecord {
         sample: "red-plastic".into(),
         true_material: true_material.map(str::to_owned),
+        material: None,
+        comment: None,
         config: "[camera]\ndriver = \"simulated\"\n".into(),
         plan: plan(),
         calibration: vec![CalibrationCopy {

@@ -4,8 +4,8 @@ use std::path::Path;
 
 use serde::Serialize;
 
-use crate::console::beneath::{self, BeneathError};
-use crate::console::fault::{Advisor, Fault};
+use crate::beneath::{self, BeneathError};
+use crate::fault::{Advisor, Fault};
 use crate::session::fit_record::{self, FitRecord, FitRecordError, Verdict};
 use crate::session::layout::{FITS_FOLDER, JOURNAL_FILE, REPORT_FILE, SESSION_FILE};
 use crate::session::{Session, SessionError};
@@ -17,8 +17,10 @@ pub struct Row<F = FitRow> {
     pub name: String,
     /// The sample's name.
     pub sample: Option<String>,
-    /// The true material of a simulated sample.
+    /// What the operator has noted of the material, else the true one of a simulated sample.
     pub material: Option<String>,
+    /// What the operator has noted otherwise.
+    pub comment: Option<String>,
     /// When the capture began, RFC 3339, UTC; by the folder's name where nothing else is
     /// known.
     pub began: Option<String>,
@@ -28,6 +30,8 @@ pub struct Row<F = FitRow> {
     pub lights_finished: usize,
     /// Frames taken.
     pub frames: usize,
+    /// Size of all its journalled files.
+    pub bytes: u64,
     /// Whether the capture ran to its end.
     pub complete: bool,
     /// Whether any device was a simulated one.
@@ -45,8 +49,11 @@ pub struct Row<F = FitRow> {
 /// A fit of a session.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct FitRow {
-    /// Its number in `fits/`.
+    /// Its number in `fits/`, as the console names it.
     pub name: String,
+    /// Its number in `fits/`.
+    #[serde(skip)]
+    pub number: u32,
     /// Name of the dictionary.
     pub dictionary: Option<String>,
     /// Whether it can be trusted.
@@ -126,7 +133,7 @@ pub fn read_fit(session: &Session, number: u32) -> Result<FitRecord, EntryError>
 ///
 /// # Errors
 /// It cannot.
-pub(super) fn check_name(name: &str) -> Result<(), BeneathError> {
+pub fn check_name(name: &str) -> Result<(), BeneathError> {
     match name.contains('/') || name.starts_with('.') {
         true => Err(BeneathError::Path {
             path: name.to_owned(),
@@ -136,7 +143,7 @@ pub(super) fn check_name(name: &str) -> Result<(), BeneathError> {
 }
 
 /// A path below the folder.
-pub(super) fn path(name: &str, file: &str) -> String {
+pub fn path(name: &str, file: &str) -> String {
     format!("{name}/{file}")
 }
 
@@ -155,12 +162,13 @@ impl Row {
         Self::of(&session, name, fits.into_iter().map(fit).collect())
     }
 
-    /// Whether each word of a search is part of name, sample or material, in any case.
+    /// Whether each word of a search is part of name, sample, material or comment, in any case.
     pub fn matches(&self, search: &str) -> bool {
         let texts = [
             Some(&self.name),
             self.sample.as_ref(),
             self.material.as_ref(),
+            self.comment.as_ref(),
         ];
         let texts: Vec<String> = texts
             .into_iter()
@@ -175,17 +183,26 @@ impl Row {
 }
 
 impl<F> Row<F> {
+    /// Its latest fit.
+    pub fn latest(&self) -> Option<&F> {
+        self.fits.last()
+    }
+
     /// Of an open session with these fits.
     pub fn of(session: &Session, name: &str, fits: Vec<F>) -> Self {
         let (summary, record) = (session.summary(), session.record());
         Self {
             name: name.to_owned(),
             sample: Some(summary.sample),
-            material: record.true_material.clone(),
+            material: (record.material.as_ref())
+                .or(record.true_material.as_ref())
+                .cloned(),
+            comment: record.comment.clone(),
             began: Some(summary.created_utc),
             lights: summary.lights_planned,
             lights_finished: summary.lights_finished,
             frames: summary.frames,
+            bytes: session.journal().files().iter().map(|f| f.bytes).sum(),
             complete: summary.complete,
             simulated: summary.simulated,
             suspect: summary.suspect,
@@ -201,10 +218,12 @@ impl<F> Row<F> {
             name: name.to_owned(),
             sample: None,
             material: None,
+            comment: None,
             began: began_of_name(name),
             lights: 0,
             lights_finished: 0,
             frames: 0,
+            bytes: 0,
             complete: false,
             simulated: false,
             suspect: false,
@@ -222,6 +241,7 @@ impl FitRow {
         let score = record.score.as_ref();
         Self {
             name: number.to_string(),
+            number,
             dictionary: Some(record.dictionary.clone()),
             verdict: Some(verdict),
             verdict_text: Some(verdict.sentence()),
@@ -235,14 +255,15 @@ impl FitRow {
     pub fn failed(number: u32, error: Fault) -> Self {
         Self {
             name: number.to_string(),
+            number,
             error: Some(error),
             ..Self::default()
         }
     }
 }
 
-/// The advice belongs to the inner error.
-pub(super) fn entry_fault(error: &EntryError, advisor: &Advisor) -> Fault {
+/// The error with the advice that belongs to the inner one.
+pub fn entry_fault(error: &EntryError, advisor: &Advisor) -> Fault {
     match error {
         EntryError::Session(inner) => advisor.fault(inner),
         EntryError::Fit(inner) => advisor.fault(inner),

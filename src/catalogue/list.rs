@@ -1,25 +1,23 @@
 //! The list of sessions, kept in memory.
 
-use std::collections::{HashMap, VecDeque};
+use std::collections::HashMap;
 use std::fs::FileType;
 use std::io;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use rayon::prelude::*;
+
 use super::row::Row;
-use super::served::Served;
-use crate::console::fault::{Advisor, Fault};
+use crate::fault::{Advisor, Fault};
 use crate::session::layout::{JOURNAL_FILE, REPORT_FILE, SESSION_FILE};
 
-/// Pictures that are kept after they were made.
-const KEPT_PICTURES: usize = 64;
-
 /// Which file it was, and in which state: inode, length, time of the last change in ns.
-pub(super) type FileStamp = Option<[i128; 3]>;
+type FileStamp = Option<[i128; 3]>;
 /// The files by which a session changes. Everything that is added to a session is
 /// journalled.
-pub(super) type Stamp = [FileStamp; 3];
+pub type Stamp = [FileStamp; 3];
 
 /// The sessions of one folder. A session is read anew only when its journal, `session.toml`
 /// or report has changed.
@@ -28,16 +26,6 @@ pub struct Catalogue {
     folder: PathBuf,
     advisor: Advisor,
     known: Mutex<HashMap<String, (Stamp, Arc<Row>)>>,
-    pictures: Mutex<VecDeque<KeptPicture>>,
-}
-
-/// A picture that was made of a session's images.
-#[derive(Debug)]
-struct KeptPicture {
-    session: String,
-    file: String,
-    stamp: Stamp,
-    served: Served,
 }
 
 impl Catalogue {
@@ -47,7 +35,6 @@ impl Catalogue {
             folder: folder.into(),
             advisor,
             known: Mutex::default(),
-            pictures: Mutex::default(),
         }
     }
 
@@ -72,11 +59,8 @@ impl Catalogue {
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
             Err(error) => return Err(error),
         };
-        let mut known = lock(&self.known);
-        let mut before = std::mem::take(&mut *known);
-        let mut rows = Vec::new();
-        for entry in entries {
-            let Ok(entry) = entry else { continue };
+        let (mut names, mut rows) = (Vec::new(), Vec::new());
+        for entry in entries.flatten() {
             // Hidden: also a session that is being made.
             let name = entry.file_name();
             if name.as_encoded_bytes().starts_with(b".") {
@@ -85,60 +69,35 @@ impl Catalogue {
             let Ok(kind) = entry.file_type() else {
                 continue;
             };
-            let row = match name.to_str() {
-                Some(name) if kind.is_dir() => {
-                    let stamp = stamp(&self.folder.join(name));
-                    let row = match before.remove(name) {
-                        Some((then, row)) if then == stamp => row,
-                        _ => Arc::new(Row::read(&self.folder, name, &self.advisor)),
-                    };
-                    known.insert(name.to_owned(), (stamp, Arc::clone(&row)));
-                    row
+            match name.to_str() {
+                Some(name) if kind.is_dir() => names.push(name.to_owned()),
+                _ => {
+                    let failed =
+                        |fact| Arc::new(Row::failed(&name.to_string_lossy(), Fault::new(fact)));
+                    rows.extend(unreadable(kind).map(failed));
                 }
-                _ => match unreadable(kind) {
-                    Some(fact) => Arc::new(Row::failed(&name.to_string_lossy(), Fault::new(fact))),
-                    None => continue,
-                },
-            };
-            rows.push(row);
+            }
         }
-        drop(known);
+        rows.extend(self.read(names));
         rows.retain(|row| row.matches(search));
         rows.sort_by(|a, b| (&b.began, &b.name).cmp(&(&a.began, &a.name)));
         Ok(rows)
     }
 
-    /// A file that was made of this session's images in its present state, or else what
-    /// `make` makes.
-    ///
-    /// # Errors
-    /// Those of `make`.
-    pub(super) fn kept_or<E>(
-        &self,
-        session: &str,
-        file: &str,
-        make: impl FnOnce() -> Result<Served, E>,
-    ) -> Result<Served, E> {
-        let stamp = stamp(&self.folder.join(session));
-        // Held while it is made: pictures are made one at a time.
-        let mut pictures = lock(&self.pictures);
-        let is_it = |kept: &&KeptPicture| {
-            kept.session == session && kept.file == file && kept.stamp == stamp
+    /// The rows of these folders, from memory where nothing has changed.
+    fn read(&self, names: Vec<String>) -> Vec<Arc<Row>> {
+        let mut known = lock(&self.known);
+        let read = |name: String| {
+            let stamp = stamp(&self.folder.join(&name));
+            let row = match known.get(&name) {
+                Some((then, row)) if *then == stamp => Arc::clone(row),
+                _ => Arc::new(Row::read(&self.folder, &name, &self.advisor)),
+            };
+            (name, (stamp, row))
         };
-        if let Some(kept) = pictures.iter().find(is_it) {
-            return Ok(kept.served.clone());
-        }
-        let served = make()?;
-        if pictures.len() >= KEPT_PICTURES {
-            pictures.pop_front();
-        }
-        pictures.push_back(KeptPicture {
-            session: session.to_owned(),
-            file: file.to_owned(),
-            stamp,
-            served: served.clone(),
-        });
-        Ok(served)
+        // What is gone is forgotten.
+        *known = names.into_par_iter().map(read).collect();
+        known.values().map(|(_, row)| Arc::clone(row)).collect()
     }
 }
 
@@ -158,7 +117,8 @@ fn unreadable(kind: FileType) -> Option<&'static str> {
     }
 }
 
-fn stamp(session: &Path) -> Stamp {
+/// In which state a session is, as far as the times of its files tell.
+pub fn stamp(session: &Path) -> Stamp {
     [JOURNAL_FILE, SESSION_FILE, REPORT_FILE].map(|name| {
         let found = session.join(name).symlink_metadata().ok()?;
         let changed_ns = i128::from(found.mtime()) * 1_000_000_000 + i128::from(found.mtime_nsec());
@@ -173,7 +133,7 @@ mod tests {
     use std::time::Instant;
 
     use super::*;
-    use crate::console::catalogue::tests::{fitted_session, session};
+    use crate::catalogue::tests::{fitted_session, session};
 
     fn names(rows: &[Arc<Row>]) -> Vec<&str> {
         rows.iter().map(|row| row.name.as_str()).collect()

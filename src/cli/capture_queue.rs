@@ -1,0 +1,419 @@
+//! `rig capture --queue`: sample after sample, asked for at the terminal or by a pipe.
+
+use std::io::{BufRead, IsTerminal};
+use std::path::Path;
+
+use serde_json::json;
+
+use super::capture_notices::{Terminal, advised};
+use super::capture_run;
+use super::context::Context;
+use super::error::CliError;
+use super::output::{write_json, write_stderr};
+use super::progress::duration;
+use super::table::{Table, size};
+use super::{catalogue, fit, interrupt, open};
+use crate::capture::Outcome;
+use crate::capture::open::open_devices;
+use crate::capture::prepare::{CaptureRequest, Job, Lights, prepare};
+use crate::config::ResolvedRig;
+use crate::interrupt::{Interrupt, Signal};
+use crate::queue::{Entry, Queue, RunState, Sample, Step};
+use crate::shown::escaped;
+
+/// Advice on everything that ends a queue before its end.
+const GO_ON: &str = "the same command goes on with the queue";
+
+/// What `rig capture --queue` was asked for.
+pub(super) struct QueueRequest<'a> {
+    /// Which bench.
+    pub(super) rig: &'a ResolvedRig,
+    /// The list of samples.
+    pub(super) file: &'a Path,
+    /// The folder of the sessions.
+    pub(super) folder: &'a Path,
+    /// Lights of samples that name none.
+    pub(super) lights: Option<Lights>,
+    /// Whether to stop after the check.
+    pub(super) only_plan: bool,
+    /// Whether captures are fitted.
+    pub(super) fits: bool,
+    /// Whether the table at the end is JSON.
+    pub(super) json: bool,
+}
+
+/// What the operator answers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Answer {
+    Go,
+    Repeat,
+    LeaveOut,
+    Quit,
+}
+
+/// Carries out the queue.
+pub(super) fn run(request: &QueueRequest<'_>, context: &Context) -> Result<(), CliError> {
+    let mut queue = Queue::open(request.file, request.folder)?;
+    let plans = check(request, &queue, context)?;
+    if request.only_plan {
+        return print(request, &queue);
+    }
+    let interrupt = interrupt::listen()?;
+    let work = Work {
+        request,
+        plans,
+        interrupt,
+        context,
+    };
+    loop {
+        let goes_on = match queue.step() {
+            Step::Resume { sample, session } => work.resume(&mut queue, &sample, &session)?,
+            Step::Fit { session } => work.fit(&mut queue, &session)?,
+            Step::Capture { sample, run, of } => work.next(&mut queue, &sample, run, of)?,
+            Step::End => work.end(&mut queue)?,
+        };
+        if !goes_on {
+            break;
+        }
+    }
+    print(request, &queue)?;
+    match queue.left() {
+        0 => {}
+        1 => context.note(format!("1 capture is left; {GO_ON}")),
+        left => context.note(format!("{left} captures are left; {GO_ON}")),
+    }
+    let failed = |run: &&Entry| matches!(&run.state, RunState::Done { error: Some(_), .. });
+    match queue.entries().iter().find(failed) {
+        None => Ok(()),
+        Some(first) => {
+            let count = queue.entries().iter().filter(failed).count();
+            let session = request.folder.join(&first.session);
+            let fact = format!("{count} of the captures could not be fitted");
+            let hint = format!("`rig fit {}` says why", session.display());
+            Err(CliError::new(fact).hint(hint))
+        }
+    }
+}
+
+/// What was planned for a choice of lights.
+struct Plan {
+    chosen: Lights,
+    /// The directions that it came to.
+    listed: Lights,
+    seconds: f64,
+    bytes: u64,
+}
+
+/// Plans what is to be captured, before anybody carries samples: each different choice of
+/// lights once.
+fn check(
+    request: &QueueRequest<'_>,
+    queue: &Queue,
+    context: &Context,
+) -> Result<Vec<Plan>, CliError> {
+    let mut plans: Vec<Plan> = Vec::new();
+    let (mut captures, mut seconds, mut bytes) = (0, 0.0, 0);
+    for (number, sample) in queue.samples().iter().enumerate() {
+        let of_sample = format!("{}: `sample[{number}].lights`", request.file.display());
+        let Some(chosen) = lights_of(sample, request) else {
+            let fact = format!("{of_sample} is missing, and the command names no lights");
+            return Err(CliError::new(fact)
+                .hint("add `lights = 8` to the sample, or --lights 8 to the command for all samples without"));
+        };
+        if !plans.iter().any(|plan| plan.chosen == chosen) {
+            let planned = plan(request, chosen.clone(), context).map_err(|error| {
+                let hint = error.advice().map(str::to_owned);
+                let error = CliError::new(format!("{of_sample}: {}", error.fact()));
+                hint.into_iter().fold(error, CliError::hint)
+            });
+            plans.push(planned?);
+        }
+        let left = queue.left_of(sample);
+        captures += left;
+        for plan in plans.iter().filter(|plan| plan.chosen == chosen) {
+            seconds += left as f64 * plan.seconds;
+            bytes += left as u64 * plan.bytes;
+        }
+    }
+    if captures > 0 {
+        let (samples, time, bytes) = (queue.samples().len(), duration(seconds), size(bytes));
+        context.note(format!(
+            "{samples} samples, {captures} captures to do: about {time} on the bench and {bytes}, without the fits"
+        ));
+    }
+    Ok(plans)
+}
+
+/// The lights that are wanted for a sample.
+fn lights_of(sample: &Sample, request: &QueueRequest<'_>) -> Option<Lights> {
+    sample.lights.clone().or_else(|| request.lights.clone())
+}
+
+fn plan(request: &QueueRequest<'_>, chosen: Lights, context: &Context) -> Result<Plan, CliError> {
+    let asked = CaptureRequest {
+        only_plan: request.only_plan,
+        ..CaptureRequest::new(chosen.clone(), request.folder)
+    };
+    let mut terminal = Terminal::new(context, None);
+    let prepared = prepare(request.rig, &asked, &mut |notice| terminal.show(notice));
+    terminal.finish();
+    let prepared = prepared.map_err(|error| advised(error, &request.rig.config))?;
+    prepared.check_space()?;
+    let planned = prepared.plan();
+    Ok(Plan {
+        chosen,
+        listed: Lights::Listed(planned.lights.clone()),
+        seconds: planned.estimated_s.0,
+        bytes: planned.estimated_bytes,
+    })
+}
+
+/// What every step needs. Each returns whether the queue goes on.
+struct Work<'a> {
+    request: &'a QueueRequest<'a>,
+    plans: Vec<Plan>,
+    interrupt: Interrupt,
+    context: &'a Context,
+}
+
+impl Work<'_> {
+    /// Asks for a sample and captures it.
+    fn next(
+        &self,
+        queue: &mut Queue,
+        sample: &Sample,
+        run: usize,
+        of: usize,
+    ) -> Result<bool, CliError> {
+        let name = &sample.name;
+        let mut put = format!("Put the sample {name} on the bench");
+        if run > 1 {
+            put = format!("Take the sample {name} off the bench and put it back");
+        }
+        if of > 1 {
+            put += &format!(" ({run} of {of})");
+        }
+        let notes = [&sample.material, &sample.comment];
+        let notes: Vec<_> = notes.into_iter().flatten().map(String::as_str).collect();
+        if !notes.is_empty() {
+            put += &format!(" [{}]", notes.join("; "));
+        }
+        let question =
+            format!("{put}, then Enter; r repeats the last one, s leaves this one out, q ends");
+        match self.ask(&question, true)? {
+            Answer::Quit => return Ok(false),
+            Answer::LeaveOut => queue.leave_out(name)?,
+            Answer::Repeat => match queue.again()? {
+                Some(_) => {}
+                None => self.tell("nothing was captured yet that could be repeated"),
+            },
+            Answer::Go => {
+                queue.next(name)?;
+                let job = self.begin(sample)?;
+                let session = name_of(job.root());
+                queue.begun(name, &session)?;
+                self.capture(queue, job, &session)?;
+            }
+        }
+        Ok(true)
+    }
+
+    /// Goes on with an interrupted capture, if the operator wants to.
+    fn resume(&self, queue: &mut Queue, sample: &str, root: &Path) -> Result<bool, CliError> {
+        let question = format!(
+            "The capture of {sample} was interrupted. Put the sample on the bench as it was, then Enter; s leaves the session as it is, q ends"
+        );
+        let session = name_of(root);
+        match self.ask(&question, false)? {
+            Answer::Quit => return Ok(false),
+            Answer::LeaveOut => queue.abandon(&session)?,
+            Answer::Go | Answer::Repeat => {
+                let job = capture_run::resume(root, self.context, None)?;
+                self.capture(queue, job, &session)?;
+            }
+        }
+        Ok(true)
+    }
+
+    /// When all is done, the last sample can still be repeated.
+    fn end(&self, queue: &mut Queue) -> Result<bool, CliError> {
+        let Some(last) = queue.last() else {
+            return Ok(false);
+        };
+        let question = format!("All samples are done; Enter ends, r repeats the last one ({last})");
+        match self.ask(&question, true)? {
+            Answer::Repeat => {
+                if queue.again()?.is_none() {
+                    self.tell("the list has it no more");
+                }
+                Ok(true)
+            }
+            _ => Ok(false),
+        }
+    }
+
+    fn begin(&self, sample: &Sample) -> Result<Job, CliError> {
+        let config = &self.request.rig.config;
+        let chosen = lights_of(sample, self.request);
+        let plan = (self.plans.iter()).find(|plan| Some(&plan.chosen) == chosen.as_ref());
+        let lights = plan.map_or(Lights::Listed(Vec::new()), |plan| plan.listed.clone());
+        let asked = CaptureRequest {
+            sample: Some(sample.name.clone()),
+            material: sample.material.clone(),
+            comment: sample.comment.clone(),
+            ..CaptureRequest::new(lights, self.request.folder)
+        };
+        // What is to be noticed was shown when the queue was checked.
+        let prepared = prepare(self.request.rig, &asked, &mut |_| ());
+        let prepared = prepared.map_err(|error| advised(error, config))?;
+        prepared.check_space()?;
+        let devices = open_devices(config, &open::options(config)?)?;
+        Ok(prepared.begin(devices, &mut |_| ())?)
+    }
+
+    /// Captures, then fits.
+    fn capture(&self, queue: &mut Queue, job: Job, session: &str) -> Result<(), CliError> {
+        let root = job.root().to_owned();
+        let ran = capture_run::run(job, self.interrupt.clone(), self.context, None);
+        match ran.ended {
+            Ok(Outcome::Complete) => {}
+            Ok(Outcome::Interrupted) => {
+                let signal = self.interrupt.signal().unwrap_or(Signal::Interrupt);
+                let fact = "the queue was interrupted during a capture; the lamp is off";
+                return Err(CliError::interrupted(signal, fact)
+                    .hint("the same command goes on with this capture"));
+            }
+            Err(error) => {
+                let go_on = "the same command goes on with this capture";
+                return Err(capture_run::suspended(error, go_on));
+            }
+        }
+        queue.captured(session)?;
+        self.fit(queue, &root).map(drop)
+    }
+
+    /// A fit that fails holds up no queue.
+    fn fit(&self, queue: &mut Queue, root: &Path) -> Result<bool, CliError> {
+        let session = name_of(root);
+        if !self.request.fits {
+            queue.done(&session, None, None)?;
+            return Ok(true);
+        }
+        let interrupted = |signal| {
+            CliError::interrupted(signal, "the fit was interrupted; the capture is complete")
+                .hint("the same command fits it and goes on with the queue")
+        };
+        let ending = interrupt::ending_on_signal(self.context, &self.interrupt, interrupted)?;
+        let fitted = fit::fit_and_report(root, self.context, None);
+        drop(ending);
+        match fitted {
+            Ok(verdict) => queue.done(&session, Some(verdict), None)?,
+            Err(error) => {
+                let fact = error.fact().to_owned();
+                self.context
+                    .warn(format!("{session} was not fitted: {fact}"));
+                queue.done(&session, None, Some(fact))?;
+            }
+        }
+        Ok(true)
+    }
+
+    /// Asks until there is an answer; the end of the input is `q`.
+    fn ask(&self, question: &str, repeats: bool) -> Result<Answer, CliError> {
+        let interrupted =
+            |signal| CliError::interrupted(signal, "the queue was interrupted").hint(GO_ON);
+        let _ending = interrupt::ending_on_signal(self.context, &self.interrupt, interrupted)?;
+        loop {
+            write_stderr(&format!("\n{} ", escaped(question)));
+            let mut line = Vec::new();
+            let read = std::io::stdin().lock().read_until(b'\n', &mut line);
+            if !read.is_ok_and(|bytes| bytes > 0) {
+                write_stderr("\n");
+                return Ok(Answer::Quit);
+            }
+            // A terminal has shown the line's end itself.
+            if !std::io::stdin().is_terminal() {
+                write_stderr("\n");
+            }
+            match String::from_utf8_lossy(&line)
+                .trim()
+                .to_lowercase()
+                .as_str()
+            {
+                "" => return Ok(Answer::Go),
+                "r" if repeats => return Ok(Answer::Repeat),
+                "s" => return Ok(Answer::LeaveOut),
+                "q" => return Ok(Answer::Quit),
+                _ => self.tell("that is none of the answers"),
+            }
+        }
+    }
+
+    fn tell(&self, text: &str) {
+        write_stderr(&format!("{text}\n"));
+    }
+}
+
+fn name_of(root: &Path) -> String {
+    let name = root.file_name().unwrap_or_default();
+    name.to_string_lossy().into_owned()
+}
+
+/// What became of every sample, on stdout.
+fn print(request: &QueueRequest<'_>, queue: &Queue) -> Result<(), CliError> {
+    if request.json {
+        let samples = queue.samples().iter().map(|sample| {
+            let runs = queue
+                .entries()
+                .iter()
+                .filter(|run| run.sample == sample.name);
+            json!({
+                "sample": sample.name,
+                "sessions": runs.collect::<Vec<_>>(),
+                "left": queue.left_of(sample),
+            })
+        });
+        return write_json(&json!({
+            "folder": request.folder.to_string_lossy(),
+            "samples": samples.collect::<Vec<_>>(),
+            "left": queue.left(),
+        }));
+    }
+    let mut table = Table::new(&["sample", " run", "state", "session"]);
+    for sample in queue.samples() {
+        let name = || sample.name.clone();
+        let runs = queue
+            .entries()
+            .iter()
+            .filter(|run| run.sample == sample.name);
+        let mut count = 0;
+        for run in runs {
+            count += 1;
+            let session = run.session.clone();
+            table.row([name(), count.to_string(), state(&run.state), session]);
+        }
+        match (count, queue.left_of(sample)) {
+            (0, 0) => table.row([name(), String::new(), "left out".into(), String::new()]),
+            (_, 0) => {}
+            (_, 1) => table.row([name(), String::new(), "to do".into(), String::new()]),
+            (_, left) => {
+                let state = format!("{left} to do");
+                table.row([name(), String::new(), state, String::new()]);
+            }
+        }
+    }
+    table.print()
+}
+
+fn state(state: &RunState) -> String {
+    match state {
+        RunState::Begun | RunState::Abandoned => "interrupted".to_owned(),
+        RunState::Captured => "captured".to_owned(),
+        RunState::Done { error: Some(_), .. } => "fit failed".to_owned(),
+        RunState::Done { verdict: None, .. } => "captured, not fitted".to_owned(),
+        RunState::Done {
+            verdict: Some(verdict),
+            ..
+        } => catalogue::word(*verdict).to_owned(),
+    }
+}

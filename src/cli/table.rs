@@ -1,0 +1,101 @@
+//! Tables for people: columns of text, as wide as they must be.
+
+use super::error::CliError;
+use crate::out;
+use crate::shown::escaped;
+
+/// A table with a line of headings.
+pub struct Table {
+    right: Vec<bool>,
+    rows: Vec<Vec<String>>,
+}
+
+impl Table {
+    /// With these columns; a heading that begins with a space aligns its column to the right.
+    pub fn new(headings: &[&str]) -> Self {
+        Self {
+            right: headings.iter().map(|text| text.starts_with(' ')).collect(),
+            rows: vec![headings.iter().map(|text| text.trim().to_owned()).collect()],
+        }
+    }
+
+    /// One more line, a text for each column.
+    pub fn row(&mut self, cells: impl IntoIterator<Item = String>) {
+        let shown = cells.into_iter().map(|cell| escaped(&cell).into_owned());
+        self.rows.push(shown.collect());
+    }
+
+    /// The lines, without columns in which no line has anything.
+    fn lines(&self) -> Vec<String> {
+        let (headings, rows) = self.rows.split_at(1);
+        let width = |column: usize, rows: &[Vec<String>]| {
+            let cells = rows.iter().filter_map(|row| row.get(column));
+            cells.map(|cell| cell.chars().count()).max().unwrap_or(0)
+        };
+        let used = (0..headings[0].len()).filter(|&column| width(column, rows) > 0);
+        let columns: Vec<(usize, usize)> = used.map(|at| (at, width(at, &self.rows))).collect();
+        let line = |row: &Vec<String>| {
+            let cells = columns.iter().map(|&(column, width)| {
+                let cell = row.get(column).map_or("", String::as_str);
+                match self.right[column] {
+                    true => format!("{cell:>width$}"),
+                    false => format!("{cell:<width$}"),
+                }
+            });
+            cells.collect::<Vec<_>>().join("  ").trim_end().to_owned()
+        };
+        self.rows.iter().map(line).collect()
+    }
+
+    /// Prints it to stdout.
+    ///
+    /// # Errors
+    /// stdout takes nothing.
+    pub fn print(&self) -> Result<(), CliError> {
+        self.lines().iter().try_for_each(|line| out!("{line}"))
+    }
+}
+
+/// A size with its unit: `12.3 MB`.
+pub fn size(bytes: u64) -> String {
+    let bytes = bytes as f64;
+    match bytes {
+        1e9.. => format!("{:.1} GB", bytes / 1e9),
+        1e6.. => format!("{:.1} MB", bytes / 1e6),
+        _ => format!("{:.1} kB", bytes / 1e3),
+    }
+}
+
+/// A relative figure in per cent with two significant digits: `0.34%`, `3.4%`, `34%`.
+pub fn percent(part: f64) -> String {
+    let percent = 100.0 * part;
+    match percent.abs() {
+        9.95.. => format!("{percent:.0}%"),
+        0.995.. => format!("{percent:.1}%"),
+        _ => format!("{percent:.2}%"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn columns_are_aligned_and_empty_ones_left_out() {
+        let mut table = Table::new(&["sample", "material", " size"]);
+        table.row(["cup".to_owned(), String::new(), size(1_234_000)]);
+        table.row(["bowl é".to_owned(), String::new(), size(56_700_000_000)]);
+        assert_eq!(
+            table.lines(),
+            ["sample     size", "cup      1.2 MB", "bowl é  56.7 GB"]
+        );
+        let empty = Table::new(&["a", "b"]);
+        assert_eq!(empty.lines(), [""]);
+    }
+
+    #[test]
+    fn parts_have_two_digits() {
+        let shown = [0.0034, 0.034, 0.34, 1.0, 0.0].map(percent);
+        assert_eq!(shown, ["0.34%", "3.4%", "34%", "100%", "0.00%"]);
+    }
+}

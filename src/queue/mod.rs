@@ -1,0 +1,34 @@
+//! Many samples at one bench: which comes next, what became of each, kept on disk so that an
+//! interrupted queue goes on where it was.
+//!
+//! - [`SampleList`]: the file that names the samples;
+//! - [`Queue`]: the next [`Step`], and what was done, in a journal next to the sessions;
+//! - [`QueueError`]: what can be wrong with either.
+//!
+//! The queue captures nothing itself and asks nobody: whoever uses it carries out its steps and
+//! tells it what came of them.
+//!
+//! ```
+//! use rig::queue::{Queue, Step};
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! # let folder = tempfile::tempdir()?;
+//! let samples = folder.path().join("samples.toml");
+//! std::fs::write(&samples, "[[sample]]\nname = \"cup\"\nrepeats = 2\n")?;
+//! let mut queue = Queue::open(&samples, &folder.path().join("sessions"))?;
+//! let Step::Capture { sample, run, of } = queue.step() else { panic!() };
+//! assert_eq!((sample.name.as_str(), run, of), ("cup", 1, 2));
+//! queue.leave_out("cup")?;
+//! assert_eq!(queue.step(), Step::End);
+//! # Ok(())
+//! # }
+//! ```
+
+mod error;
+mod journal;
+mod list;
+mod state;
+
+pub use error::QueueError;
+pub use list::{Sample, SampleList};
+pub use state::{Entry, Queue, RunState, Step};
