@@ -7,6 +7,7 @@
 //! |---|---|
 //! | capture a sample by a rig file, simulated or real | [`capture::prepare`], [`capture::open`] |
 //! | fit a captured session, or images of a scene | [`workflow::fit_session`], [`workflow::fit_images`] |
+//! | fit and report many sessions, on one machine or many | [`batch`] |
 //! | read sessions and fits | [`session::Session`], [`session::fit_record`] |
 //! | merge exposure brackets into radiance | [`radiometry`] |
 //! | calibrate camera, lights, lens, pose | [`calibration`] |
@@ -21,14 +22,14 @@
 //!
 //! | floor | modules |
 //! |---|---|
-//! | 0 | [`interrupt`], [`checksum`], [`plot`] |
+//! | 0 | [`interrupt`], [`checksum`], [`plot`], [`result_table`], [`shard`], [`shell_words`], [`slurm`] |
 //! | 2 | [`radiometry`] |
 //! | 3 | [`device`], [`simulation`] |
 //! | 4 | [`benchmark`], [`config`], [`session`], [`calibration`] |
 //! | 5 | [`capture`], [`evaluate`], [`material`], [`rendering`] |
 //! | 6 | [`workflow`] |
 //! | 7 | [`report`], [`export`] |
-//! | 8 | `console` |
+//! | 8 | [`batch`], `console` |
 //! | 9 | [`cli`] |
 
 pub use rig_core::{
@@ -41,6 +42,10 @@ pub mod checksum;
 pub mod interrupt;
 #[cfg(feature = "figures")]
 pub mod plot;
+pub mod result_table;
+pub mod shard;
+pub mod shell_words;
+pub mod slurm;
 
 pub mod radiometry;
 
@@ -64,6 +69,8 @@ pub mod export;
 #[cfg(feature = "reports")]
 pub mod report;
 
+#[cfg(feature = "reports")]
+pub mod batch;
 #[cfg(feature = "console")]
 pub mod console;
 
