@@ -44,9 +44,9 @@ impl FromStr for Shard {
 
     /// `i/n` with 1 ≤ i ≤ n.
     fn from_str(text: &str) -> Result<Self, String> {
-        let parts = text.split_once('/').and_then(|(number, of)| {
-            Some((number.parse().ok()?, of.parse().ok()?))
-        });
+        let parts = text
+            .split_once('/')
+            .and_then(|(number, of)| Some((number.parse().ok()?, of.parse().ok()?)));
         let Some((number, of)) = parts else {
             return Err("a shard is written i/n, such as 3/8".to_owned());
         };
@@ -54,7 +54,9 @@ impl FromStr for Shard {
             return Err(format!("there are 1 to {} shards, not {of}", Self::MOST));
         }
         if !(1..=of).contains(&number) {
-            return Err(format!("of {of} shards the first is 1/{of} and the last {of}/{of}"));
+            return Err(format!(
+                "of {of} shards the first is 1/{of} and the last {of}/{of}"
+            ));
         }
         Ok(Self { number, of })
     }
@@ -82,7 +84,9 @@ mod tests {
 
     #[test]
     fn what_is_no_shard_is_refused() {
-        for text in ["0/4", "5/4", "1/0", "3", "/", "a/b", "-1/2", "1/200000", "1/2/3"] {
+        for text in [
+            "0/4", "5/4", "1/0", "3", "/", "a/b", "-1/2", "1/200000", "1/2/3",
+        ] {
             assert!(text.parse::<Shard>().is_err(), "{text}");
         }
     }

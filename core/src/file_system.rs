@@ -127,9 +127,7 @@ fn file_lock(file: &File) -> Result<Option<Lack>, TryLockError> {
     file_lock_by(|| call::lock(file))
 }
 
-fn file_lock_by(
-    call: impl Fn() -> Result<(), TryLockError>,
-) -> Result<Option<Lack>, TryLockError> {
+fn file_lock_by(call: impl Fn() -> Result<(), TryLockError>) -> Result<Option<Lack>, TryLockError> {
     loop {
         match call() {
             Err(TryLockError::Error(e)) if e.kind() == io::ErrorKind::Interrupted => {}

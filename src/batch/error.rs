@@ -136,7 +136,9 @@ pub enum BatchError {
         path: PathBuf,
     },
     /// So many fits at a time do not fit into the memory.
-    #[error("{parallel} fits at a time need about {needed_mib} MiB of memory, and {free_mib} MiB are free")]
+    #[error(
+        "{parallel} fits at a time need about {needed_mib} MiB of memory, and {free_mib} MiB are free"
+    )]
     Memory {
         /// Fits at a time.
         parallel: usize,

@@ -5,12 +5,13 @@ use std::path::{Path, PathBuf};
 
 use super::job::resolved;
 use super::jobs_file::{FORMAT, JOBS_FILE, JobEntry, JobsFile, List};
+use super::options::OptionsReader;
 use super::{Batch, BatchError, Job, ParseOptions, RECORDS_FOLDER};
 use crate::checksum::sha256_hex;
 use crate::session::{Session, SessionState, layout};
 use crate::transport::Kernel;
 use crate::whole_file;
-use crate::workflow::{WorkflowError, expected};
+use crate::workflow::{FitRequest, WorkflowError, expected};
 
 /// The sessions of a new batch and the options of their fits.
 #[derive(Clone, Debug, Default)]
@@ -49,11 +50,16 @@ impl Batch {
         }
 
         // The jobs, on the kernel of the batch that is there.
-        let kernel = former.as_ref().map_or(Kernel::detect(), |batch| batch.kernel);
+        let kernel = former
+            .as_ref()
+            .map_or(Kernel::detect(), |batch| batch.kernel);
         let here = std::env::current_dir().map_err(BatchError::io("."))?;
         let mut jobs = Vec::new();
+        let mut reader = OptionsReader::new(parse);
         for (number, (session, options)) in (1..).zip(named(new)?) {
-            jobs.push(job(number, &session, options, kernel, &here, parse)?);
+            let mut request = resolved(reader.request(number, &options)?, &here);
+            request.kernel = Some(request.kernel.unwrap_or(kernel));
+            jobs.push(job(number, &session, options, request)?);
         }
         if jobs.is_empty() {
             return Err(BatchError::Empty);
@@ -119,16 +125,13 @@ fn named(new: &NewBatch<'_>) -> Result<Vec<(PathBuf, String)>, BatchError> {
     Ok(named)
 }
 
-/// A job, once its session and options are checked.
+/// A job, once its session is checked.
 fn job(
     number: usize,
     named: &Path,
     options: String,
-    kernel: Kernel,
-    here: &Path,
-    parse: &ParseOptions,
+    mut request: FitRequest,
 ) -> Result<Job, BatchError> {
-    let mut request = resolved(super::parsed(number, &options, parse)?, here);
     let of_session = |source: WorkflowError| BatchError::Session {
         job: number,
         source: Box::new(source),
@@ -148,7 +151,6 @@ fn job(
     let root = named.canonicalize().map_err(BatchError::io(named))?;
 
     // What its fit will take, which depends on no machine.
-    request.kernel = Some(request.kernel.unwrap_or(kernel));
     let config = session.rig().map_err(|error| of_session(error.into()))?;
     let lights = session.stage_positions();
     let lights = lights.map_err(|error| of_session(error.into()))?;
@@ -197,7 +199,9 @@ fn difference(then: &[Job], now: &[Job]) -> Option<String> {
         }
         if a.request != b.request {
             let (a, b) = (&a.options, &b.options);
-            return Some(format!("the options of job {number} were \"{a}\", are \"{b}\""));
+            return Some(format!(
+                "the options of job {number} were \"{a}\", are \"{b}\""
+            ));
         }
     }
     let (then, now) = (then.len(), now.len());

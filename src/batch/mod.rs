@@ -37,6 +37,7 @@ mod job;
 mod jobs_file;
 mod make;
 mod one_job;
+mod options;
 mod page;
 mod record;
 mod row;
@@ -49,21 +50,19 @@ pub use job::Job;
 pub use jobs_file::JOBS_FILE;
 pub use make::NewBatch;
 pub use one_job::JobEnd;
+pub use options::ParseOptions;
 pub use run::{RunSummary, Selection};
 pub use tasks::{ArrayRequest, TaskPlan};
 
 use std::path::{Path, PathBuf};
 
 use self::jobs_file::{JobEntry, JobsFile};
-use crate::shell_words;
+use self::options::OptionsReader;
 use crate::transport::Kernel;
 use crate::workflow::FitRequest;
 
 /// Records of jobs, one file each.
 const RECORDS_FOLDER: &str = "records";
-
-/// The request of a fit by its options' words; an error is a fact in one line.
-pub type ParseOptions = dyn Fn(&[String]) -> Result<FitRequest, String>;
 
 /// The jobs of a folder.
 #[derive(Debug)]
@@ -97,8 +96,9 @@ impl Batch {
             let fact = format!("\"{}\" is no kernel", file.kernel);
             return Err(BatchError::Record { path, fact });
         };
+        let mut options = OptionsReader::new(parse);
         let jobs = (1..).zip(file.job).map(|(number, entry)| {
-            let request = parsed(number, &entry.fit, parse)?;
+            let request = options.request(number, &entry.fit)?;
             Ok(opened(number, entry, request, kernel, &file.folder))
         });
         let jobs = jobs.collect::<Result<Vec<_>, BatchError>>()?;
@@ -125,7 +125,8 @@ impl Batch {
 
     /// The job's key.
     fn key(&self, job: &Job) -> Result<String, BatchError> {
-        job.key().map_err(|(path, error)| BatchError::io(path)(error))
+        job.key()
+            .map_err(|(path, error)| BatchError::io(path)(error))
     }
 }
 
@@ -149,16 +150,4 @@ fn opened(
         expected_cpu_s: entry.expected_cpu_s,
         expected_mib: entry.expected_mib,
     }
-}
-
-/// The request that a job's options make.
-fn parsed(number: usize, options: &str, parse: &ParseOptions) -> Result<FitRequest, BatchError> {
-    let words = shell_words::split(options).ok_or_else(|| "a quote is not closed".to_owned());
-    words
-        .and_then(|words| parse(&words))
-        .map_err(|fact| BatchError::Options {
-            job: number,
-            options: options.to_owned(),
-            fact,
-        })
 }

@@ -85,11 +85,7 @@ impl Batch {
 
     /// The fit, found or made, its report, and the row. All that the row says is read from the
     /// disk, so that a fit which is found gives the same row as one which was just made.
-    fn fit_and_report(
-        &self,
-        job: &Job,
-        key: &str,
-    ) -> Result<(Row, String), JobFailure> {
+    fn fit_and_report(&self, job: &Job, key: &str) -> Result<(Row, String), JobFailure> {
         let session = Session::open(&job.session)?;
         let (number, fit) = match fit_of(&session, key) {
             Some(found) => found,

@@ -65,7 +65,10 @@ pub(super) fn row(job: &Job, status: Status, found: &Found<'_>) -> Result<Row, J
         .with("job", job.number)
         .with("session", job.session_name())
         .with("sample", text(found.sample))
-        .with("simulated", text(found.simulated.map(|is| if is { "yes" } else { "no" })))
+        .with(
+            "simulated",
+            text(found.simulated.map(|is| if is { "yes" } else { "no" })),
+        )
         .with("status", status.name())
         .with("verdict", text(verdict.as_deref()))
         .with(

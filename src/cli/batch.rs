@@ -146,7 +146,9 @@ pub fn run(args: &BatchArgs, context: &Context) -> Result<(), CliError> {
             do_jobs(&batch, Selection::All, args.parallel.parallel, context)?;
             show(&batch, &batch.collect()?, args.json, context)
         }
-        (None, None) => Err(CliError::new("neither sessions nor a part of a batch are named")),
+        (None, None) => Err(CliError::new(
+            "neither sessions nor a part of a batch are named",
+        )),
     }
 }
 
@@ -199,7 +201,11 @@ fn do_jobs(
         };
         bar.inc(1);
         bar.suspend(|| {
-            context.note(format!("job {}, {}: {text}", job.number, job.session_name()));
+            context.note(format!(
+                "job {}, {}: {text}",
+                job.number,
+                job.session_name()
+            ));
         });
     });
     bar.finish_and_clear();
@@ -224,7 +230,11 @@ fn run_part(batch: &Batch, args: &RunArgs, context: &Context) -> Result<(), CliE
             Err(CliError::new(format!("job {number} failed: {reason}")).hint(AFTER_FAILURE))
         }
         (failed, []) => {
-            let fact = format!("{} of {} failed", failed.len(), count(summary.wanted, "job"));
+            let fact = format!(
+                "{} of {} failed",
+                failed.len(),
+                count(summary.wanted, "job")
+            );
             Err(CliError::new(fact).hint(AFTER_FAILURE))
         }
         (_, busy) => Err(busy_error(busy)),
@@ -237,7 +247,10 @@ const AFTER_FAILURE: &str =
 fn busy_error(busy: &[usize]) -> CliError {
     let numbers: Vec<String> = busy.iter().map(usize::to_string).collect();
     let fact = match busy {
-        [_] => format!("another process is at work on the session of job {}", numbers[0]),
+        [_] => format!(
+            "another process is at work on the session of job {}",
+            numbers[0]
+        ),
         _ => format!(
             "other processes are at work on the sessions of jobs {}",
             numbers.join(", ")
@@ -267,10 +280,16 @@ fn show(
     let table = Path::new("table.csv").display();
     match (collected.failed, collected.open) {
         (0, 0) => Ok(()),
-        (0, open) => Err(CliError::new(format!("{open} of {jobs} {} open", is_are(open)))
-            .hint("`rig batch run` does them, unless another process is at work on their sessions")),
-        (failed, 0) => Err(CliError::new(format!("{failed} of {jobs} failed"))
-            .hint(format!("{table} has the reasons; the same command tries them again"))),
+        (0, open) => Err(
+            CliError::new(format!("{open} of {jobs} {} open", is_are(open))).hint(
+                "`rig batch run` does them, unless another process is at work on their sessions",
+            ),
+        ),
+        (failed, 0) => Err(
+            CliError::new(format!("{failed} of {jobs} failed")).hint(format!(
+                "{table} has the reasons; the same command tries them again"
+            )),
+        ),
         (failed, open) => Err(CliError::new(format!(
             "of {jobs}, {failed} failed and {open} {} open",
             is_are(open)

@@ -5,9 +5,9 @@ use std::path::{Path, PathBuf};
 use super::interrupt::{end_on_signal, listen};
 use super::slurm_args::{SlurmArgs, program};
 use super::{CliError, Context, light_choice, output};
+use crate::cells::DEFAULT_CELLS;
 use crate::evaluate::experiment::{Overrides, Run, Settings, run as run_experiment};
 use crate::evaluate::lab::Lab;
-use crate::cells::DEFAULT_CELLS;
 use crate::evaluate::{EXPERIMENTS, find};
 use crate::out;
 use crate::shard::Shard;
@@ -126,7 +126,14 @@ pub fn run(args: &EvaluateArgs, context: &Context) -> Result<(), CliError> {
     let lab = Lab::new(settings, overrides.portable)?;
     if let Some(tasks) = args.slurm {
         let cases = (experiment.cases)(&lab)?.len();
-        return print_job_array(name, folder, usize::from(tasks), cases, &lab.settings, &args.task);
+        return print_job_array(
+            name,
+            folder,
+            usize::from(tasks),
+            cases,
+            &lab.settings,
+            &args.task,
+        );
     }
     // Finished cases are on disk already: the run may end at any moment.
     let shown = folder.display().to_string();

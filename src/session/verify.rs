@@ -9,7 +9,9 @@ use serde::{Serialize, Serializer};
 
 use super::journal::{Event, Journal};
 pub use super::journalled::check;
-use super::layout::{self, JOB_LOCK_FILE, JOURNAL_FILE, LOCK_FILE, QUARANTINE_FOLDER, SESSION_FILE};
+use super::layout::{
+    self, JOB_LOCK_FILE, JOURNAL_FILE, LOCK_FILE, QUARANTINE_FOLDER, SESSION_FILE,
+};
 use super::{Session, SessionError, journalled};
 
 /// What a check of a session found.

@@ -18,7 +18,11 @@ pub(super) fn ample_mib(plan: &FitPlan, work: &FitWork) -> u64 {
         cells: (work.cells as f64 * (1.0 + MORE_CELLS)) as usize,
         lights: work.lights,
         atoms: plan.dictionary.len(),
-        bench_parameters: if work.refines_bench { BENCH_PARAMETERS } else { 0 },
+        bench_parameters: if work.refines_bench {
+            BENCH_PARAMETERS
+        } else {
+            0
+        },
     };
     let paths = plan.options.cache.max_bytes as u64;
     size.least_bytes().saturating_add(paths).div_ceil(1 << 20)

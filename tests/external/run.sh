@@ -1,6 +1,6 @@
 #!/bin/sh
-# Exports loaded in the programs they are for: run.sh RIG_BINARY
-# Fails where Mitsuba cannot be had, unless ALLOW_SKIP=1.
+# Exports loaded in the programs they are for, and batches run by those who run jobs: run.sh RIG_BINARY
+# Fails where Mitsuba, Snakemake or Slurm cannot be had, unless ALLOW_SKIP=1.
 set -eu
 here=$(dirname "$0")
 venv=target/external-venv
@@ -17,3 +17,5 @@ skip() {
 "$venv/bin/python" "$here/mitsuba_export.py" "$1"
 "$venv/bin/python" "$here/mitsuba_render.py" "$1"
 "$venv/bin/python" "$here/mitsuba_images.py" "$1"
+"$venv/bin/python" "$here/snakemake_batch.py" "$1" "$venv/bin/snakemake"
+"$here/slurm.sh" "$1"

@@ -29,7 +29,9 @@ pub(super) fn for_batch(error: &BatchError) -> Option<String> {
                 session.display()
             ));
         }
-        Options { .. } => "`rig fit --help` explains the options; `--pose`, `--out` and the like belong to single fits",
+        Options { .. } => {
+            "`rig fit --help` explains the options; `--pose`, `--out` and the like belong to single fits"
+        }
         OtherSession { .. } => "put the session back, or begin another batch",
         OtherOptions { .. } => {
             "a mask, a dictionary or jobs.toml has changed since: put it back, or begin another batch"

@@ -24,10 +24,10 @@ use rustix::process::Signal;
 use serde_json::Value;
 
 pub use self::capture_state::{CaptureState, StoredFrame};
-pub use crate::shell_words::command_line as shown;
 pub use self::job_state::{Kind, State};
 pub use self::query::{Answer, QueryError, query};
 pub use self::routes::routes;
+pub use crate::shell_words::command_line as shown;
 
 use self::job_state::JobState;
 use self::process::Process;
