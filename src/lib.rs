@@ -7,6 +7,7 @@
 //! |---|---|
 //! | capture a sample by a rig file, simulated or real | [`capture::prepare`], [`capture::open`] |
 //! | fit a captured session, or images of a scene | [`workflow::fit_session`], [`workflow::fit_images`] |
+//! | fit and report many sessions, on one machine or many | [`batch`] |
 //! | read sessions and fits | [`session::Session`], [`session::fit_record`] |
 //! | list the sessions of a folder, compare repeats | [`catalogue`] |
 //! | capture many samples, one after the other | [`queue`] |
@@ -23,14 +24,14 @@
 //!
 //! | floor | modules |
 //! |---|---|
-//! | 0 | [`interrupt`], [`checksum`], [`beneath`], [`fault`], [`plot`] |
+//! | 0 | [`interrupt`], [`checksum`], [`beneath`], [`fault`], [`plot`], [`result_table`], [`shard`], [`shell_words`], [`slurm`] |
 //! | 2 | [`radiometry`] |
 //! | 3 | [`device`], [`simulation`] |
 //! | 4 | [`benchmark`], [`config`], [`session`], [`calibration`] |
 //! | 5 | [`capture`], [`catalogue`], [`evaluate`], [`material`], [`rendering`] |
 //! | 6 | [`queue`], [`workflow`] |
 //! | 7 | [`report`], [`export`] |
-//! | 8 | `console` |
+//! | 8 | [`batch`], `console` |
 //! | 9 | [`cli`] |
 
 pub use rig_core::{
@@ -45,6 +46,10 @@ pub mod fault;
 pub mod interrupt;
 #[cfg(feature = "figures")]
 pub mod plot;
+pub mod result_table;
+pub mod shard;
+pub mod shell_words;
+pub mod slurm;
 
 pub mod radiometry;
 
@@ -70,6 +75,8 @@ pub mod export;
 #[cfg(feature = "reports")]
 pub mod report;
 
+#[cfg(feature = "reports")]
+pub mod batch;
 #[cfg(feature = "console")]
 pub mod console;
 

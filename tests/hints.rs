@@ -202,6 +202,11 @@ const ELSEWHERE: &[(&str, &str)] = &[
         "takes what is missing and merges the raw frames again",
         "a session whose merged images are gone",
     ),
+    // Batches.
+    (
+        "would do; `--fit \"--memory MIB\"` bounds each fit",
+        "more fits at a time than the machine has memory for",
+    ),
     // Images and scenes.
     (
         "the equations of the fit hold no finite numbers",

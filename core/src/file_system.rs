@@ -114,9 +114,22 @@ pub fn lock(file: &File, path: &Path) -> Result<(), TryLockError> {
     Ok(())
 }
 
+/// Locks a file together with others that do the same, and keeps away who would [`lock`] it.
+///
+/// # Errors
+/// As [`lock`].
+pub fn lock_shared(file: &File, path: &Path) -> Result<(), TryLockError> {
+    said(file_lock_by(|| call::lock_shared(file))?, path);
+    Ok(())
+}
+
 fn file_lock(file: &File) -> Result<Option<Lack>, TryLockError> {
+    file_lock_by(|| call::lock(file))
+}
+
+fn file_lock_by(call: impl Fn() -> Result<(), TryLockError>) -> Result<Option<Lack>, TryLockError> {
     loop {
-        match call::lock(file) {
+        match call() {
             Err(TryLockError::Error(e)) if e.kind() == io::ErrorKind::Interrupted => {}
             Err(TryLockError::Error(e))
                 if is_one_of(&e, &NOT_OFFERED) || is_one_of(&e, &NO_LOCKS) =>
@@ -267,6 +280,11 @@ mod call {
     pub fn lock(file: &File) -> Result<(), TryLockError> {
         injected(Call::Lock).map_err(TryLockError::Error)?;
         file.try_lock()
+    }
+
+    pub fn lock_shared(file: &File) -> Result<(), TryLockError> {
+        injected(Call::Lock).map_err(TryLockError::Error)?;
+        file.try_lock_shared()
     }
 
     pub fn rename(from: &Path, to: &Path) -> io::Result<()> {

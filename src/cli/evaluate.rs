@@ -1,13 +1,19 @@
 //! `rig evaluate`: experiments against a known truth.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use super::interrupt::{end_on_signal, listen};
+use super::slurm_args::{SlurmArgs, program};
 use super::{CliError, Context, light_choice, output};
+use crate::cells::DEFAULT_CELLS;
 use crate::evaluate::experiment::{Overrides, Run, Settings, run as run_experiment};
 use crate::evaluate::lab::Lab;
 use crate::evaluate::{EXPERIMENTS, find};
 use crate::out;
+use crate::shard::Shard;
+use crate::shell_words;
+use crate::slurm::{JobArray, MOST_TASKS, Resources};
+use crate::workflow::FitWork;
 
 /// Runs an experiment against a known truth: a table (CSV, JSON) and figures (SVG, PNG).
 #[derive(clap::Args, Debug)]
@@ -70,6 +76,15 @@ pub struct EvaluateArgs {
         hide_default_value = true
     )]
     only: String,
+    /// Only every n-th of the cases, such as 3/8: for several processes or machines with one
+    /// folder; a run without it joins what they did
+    #[arg(long, value_name = "I/N", conflicts_with_all = ["list", "session", "restart", "json"])]
+    shard: Option<Shard>,
+    /// Prints a script that submits the run as a job array of Slurm with so many tasks, 1 to 1000
+    #[arg(long, value_name = "N", conflicts_with_all = ["list", "session", "shard", "restart", "json"], value_parser = clap::value_parser!(u16).range(1..=MOST_TASKS as i64))]
+    slurm: Option<u16>,
+    #[command(flatten)]
+    task: SlurmArgs,
     /// Forget what the folder holds of an earlier run
     #[arg(long)]
     restart: bool,
@@ -109,6 +124,17 @@ pub fn run(args: &EvaluateArgs, context: &Context) -> Result<(), CliError> {
     };
     let settings = Settings::new(experiment, &overrides)?;
     let lab = Lab::new(settings, overrides.portable)?;
+    if let Some(tasks) = args.slurm {
+        let cases = (experiment.cases)(&lab)?.len();
+        return print_job_array(
+            name,
+            folder,
+            usize::from(tasks),
+            cases,
+            &lab.settings,
+            &args.task,
+        );
+    }
     // Finished cases are on disk already: the run may end at any moment.
     let shown = folder.display().to_string();
     end_on_signal(context, &listen()?, move |signal| {
@@ -124,6 +150,7 @@ pub fn run(args: &EvaluateArgs, context: &Context) -> Result<(), CliError> {
             folder,
             restart: args.restart,
             only: &args.only,
+            shard: args.shard,
         },
         &|done| {
             bar.set_length(done.total as u64);
@@ -142,7 +169,11 @@ pub fn run(args: &EvaluateArgs, context: &Context) -> Result<(), CliError> {
         n => context.note(format!("{n} cases were finished before")),
     }
     match outcome.left {
+        0 if args.shard.is_some() => {
+            context.note("all cases are done; the same command without --shard joins them");
+        }
         0 => {}
+        n if args.shard.is_some() => context.note(format!("{n} cases of other shards are open")),
         1 => context.note("1 other case is open; figures are drawn when all are done"),
         n => context.note(format!(
             "{n} other cases are open; figures are drawn when all are done"
@@ -155,6 +186,68 @@ pub fn run(args: &EvaluateArgs, context: &Context) -> Result<(), CliError> {
         return output::write_json(&outcome.json);
     }
     output::write_path(folder)
+}
+
+/// Prints the script that submits this very command in shards.
+fn print_job_array(
+    name: &str,
+    folder: &Path,
+    tasks: usize,
+    cases: usize,
+    settings: &Settings,
+    task: &SlurmArgs,
+) -> Result<(), CliError> {
+    let tasks = tasks.min(cases).max(1);
+    let command = shell_words::command_line(&program()?, &words_without_slurm());
+    let logs = format!("{}.slurm", folder.display());
+    let shows = format!("rig evaluate {name}: {cases} cases as {tasks} tasks");
+    let here = std::env::current_dir()?;
+    let array = JobArray {
+        name: &format!("rig-{name}"),
+        shows: &shows,
+        tasks,
+        resources: Resources {
+            cpus: task.cpus().unwrap_or(1),
+            memory_mib: task.memory_mib().unwrap_or_else(|| memory_mib(settings)),
+            minutes: task.minutes(),
+        },
+        folder: &here,
+        logs: Path::new(&logs),
+        task: &format!("{command} --shard \"$SLURM_ARRAY_TASK_ID\"/{tasks}"),
+        afterwards: &command,
+    };
+    output::write_bytes(array.script().as_bytes())
+}
+
+/// Memory of a task, MiB: the fit of a case and as much for its images, for each processor.
+fn memory_mib(settings: &Settings) -> u64 {
+    let pixels = settings.resolution_px * settings.resolution_px;
+    let work = FitWork {
+        cells: pixels.min(DEFAULT_CELLS),
+        lights: settings.lights.max(1),
+        paths_per_cell: settings.samples_per_pixel,
+        refines_bench: true,
+    };
+    let bytes = work.expected_bytes() + (pixels * settings.lights.max(1) * 100) as f64;
+    (bytes / f64::from(1 << 20)).ceil() as u64 + 512
+}
+
+/// The arguments of this process but those that are about Slurm.
+fn words_without_slurm() -> Vec<String> {
+    const ABOUT_SLURM: [&str; 4] = ["--slurm", "--cpus", "--task-memory", "--time"];
+    let mut kept = Vec::new();
+    let mut words = std::env::args().skip(1);
+    while let Some(word) = words.next() {
+        if ABOUT_SLURM.contains(&word.as_str()) {
+            words.next();
+        } else if !ABOUT_SLURM.iter().any(|name| {
+            let value = word.strip_prefix(name);
+            value.is_some_and(|value| value.starts_with('='))
+        }) {
+            kept.push(word);
+        }
+    }
+    kept
 }
 
 fn list(json: bool) -> Result<(), CliError> {

@@ -141,15 +141,16 @@ impl FitArgs {
             mask: self.mask.clone(),
             cells: self.cells.map(|cells| cells as usize),
             memory_mib: self.memory,
-            kernel: self.kernel.map(|kernel| match kernel {
-                KernelArg::Portable => Kernel::Portable,
-                KernelArg::Avx2 => Kernel::Avx2,
-                KernelArg::Avx512 => Kernel::Avx512,
-                KernelArg::Auto => Kernel::detect(),
+            kernel: self.kernel.and_then(|kernel| match kernel {
+                KernelArg::Portable => Some(Kernel::Portable),
+                KernelArg::Avx2 => Some(Kernel::Avx2),
+                KernelArg::Avx512 => Some(Kernel::Avx512),
+                KernelArg::Auto => None,
             }),
             refine_bench: self.refine_bench,
             uncertainty: self.uncertainty.clone(),
             pose: None,
+            job: None,
         }
     }
 }

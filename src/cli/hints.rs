@@ -2,6 +2,8 @@
 //! for each kind, by the floor that states it. `tests/hints.rs` holds every row to a test
 //! that runs the program.
 
+#[cfg(feature = "reports")]
+mod batch;
 mod capture;
 mod device;
 #[cfg(feature = "experiments")]
@@ -14,6 +16,8 @@ use std::error::Error;
 
 use rustix::io::Errno;
 
+#[cfg(feature = "reports")]
+use batch::for_batch;
 use capture::{for_open, for_prepare};
 use device::for_device;
 #[cfg(feature = "experiments")]
@@ -77,6 +81,8 @@ const ADVICE: &[Advice] = &[
     |error| of_type(error, for_capture),
     |error| of_type(error, for_open),
     |error| of_type(error, for_prepare),
+    #[cfg(feature = "reports")]
+    |error| of_type(error, for_batch),
     #[cfg(feature = "reports")]
     |error| of_type(error, for_report),
     #[cfg(feature = "reports")]

@@ -6,6 +6,8 @@
 //! `pub mod` line and one line in `commands!` below.
 
 mod as_model;
+#[cfg(feature = "reports")]
+pub mod batch;
 pub mod bench;
 #[cfg(feature = "console")]
 mod bench_ports;
@@ -62,6 +64,8 @@ pub mod session;
 pub mod shape;
 mod shape_inspect;
 mod sharpness;
+#[cfg(any(feature = "reports", feature = "experiments"))]
+mod slurm_args;
 pub mod stage;
 pub mod stderr;
 mod table;
@@ -115,6 +119,8 @@ commands! {
     Evaluate(evaluate::EvaluateArgs) => evaluate::run,
     #[cfg(feature = "reports")]
     Report(report::ReportArgs) => report::run,
+    #[cfg(feature = "reports")]
+    Batch(batch::BatchArgs) => batch::run,
     Export(export::ExportArgs) => export::run,
     Bench(bench::BenchArgs) => bench::run,
     Completions(completions::CompletionsArgs) => completions::run,
@@ -235,14 +241,20 @@ fn subcommand(arguments: &[OsString]) -> String {
 
 /// clap's paragraphs as one fact and one hint.
 fn usage_error(rendered: &str, subcommand: &str) -> CliError {
-    let mut paragraphs = rendered.split("\n\n");
-    let fact = paragraphs.next().unwrap_or(rendered);
-    let tips = paragraphs
+    let tips = rendered
+        .split("\n\n")
+        .skip(1)
         .flat_map(str::lines)
         .filter_map(|line| line.trim().strip_prefix("tip: "));
     let help = format!("`{subcommand} --help` explains the arguments");
     let hints: Vec<_> = tips.chain([help.as_str()]).collect();
-    CliError::new(fact.trim_start_matches("error: ")).hint(hints.join("; "))
+    CliError::new(usage_fact(rendered)).hint(hints.join("; "))
+}
+
+/// What clap finds wrong, without its tips.
+fn usage_fact(rendered: &str) -> String {
+    let fact = rendered.split("\n\n").next().unwrap_or(rendered);
+    crate::shown::line(fact.trim_start_matches("error: "))
 }
 
 /// `--color` as it is needed before anything is parsed.

@@ -132,6 +132,8 @@ pub struct FitSettings {
     pub shared_weights: Option<bool>,
     /// Relative error of the model that the weighting allowed for.
     pub model_error: Option<f64>,
+    /// The job of a batch that the fit was made for; none for any other fit.
+    pub job: Option<String>,
     /// Mask of the compared pixels, as it was named.
     pub mask: Option<String>,
     /// Scene file, as it was named; none for a session.

@@ -12,6 +12,9 @@ pub const JOURNAL_FILE: &str = "journal.jsonl";
 /// Locked by the process that adds to the session. A file that nobody reads or writes,
 /// because some file systems keep every other handle from a locked one.
 pub const LOCK_FILE: &str = ".lock";
+/// Locked, likewise, by the job of a batch that fits the session, from its first look at the
+/// fits to its last word on them; the session may be added to meanwhile.
+pub const JOB_LOCK_FILE: &str = ".job.lock";
 /// Raw frames and their sidecars.
 pub const RAW_FOLDER: &str = "raw";
 /// Copies of the calibration records that were used.

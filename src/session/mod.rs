@@ -45,4 +45,4 @@ pub use frame::{FrameTimes, Sidecar};
 pub use journal::{Event, FileDigest, Journal, Record};
 pub use record::{CalibrationCopy, ExposureRules, PlanRecord, SessionRecord, Versions};
 pub(crate) use store::utc_now;
-pub use store::{FrameEntry, NewSession, Session, SessionState, SessionWriter};
+pub use store::{FrameEntry, NewSession, Session, SessionState, SessionWriter, lock_for_job};

@@ -269,7 +269,7 @@ impl SessionWriter {
             disk.rename(&hidden, &root)
                 .map_err(|e| SessionError::io("rename to", &root, e))?;
             // Not before: some file systems rename no folder in which a file is open.
-            writer._lock = Some(lock(&root)?);
+            writer._lock = Some(lock(&root, layout::LOCK_FILE)?);
             writer.root = root;
             commit::sync_dir(&*disk, new.parent)?;
             Ok(writer)
@@ -324,7 +324,7 @@ impl SessionWriter {
     pub fn open(disk: Arc<dyn Disk>, root: &Path) -> Result<Self, SessionError> {
         // Read once before locking, for the better error where there is no session.
         Journal::read(root)?;
-        let lock = lock(root)?;
+        let lock = lock(root, layout::LOCK_FILE)?;
         let journal = Journal::read(root)?;
         Ok(Self {
             disk,
@@ -555,8 +555,16 @@ pub(crate) fn utc_now() -> String {
         .to_string()
 }
 
-fn lock(root: &Path) -> Result<File, SessionError> {
-    let path = root.join(layout::LOCK_FILE);
+/// Holds [`layout::JOB_LOCK_FILE`] of a session until the file is dropped.
+///
+/// # Errors
+/// [`SessionError::Locked`] where another process, or another part of this one, holds it.
+pub fn lock_for_job(root: &Path) -> Result<File, SessionError> {
+    lock(root, layout::JOB_LOCK_FILE)
+}
+
+fn lock(root: &Path, name: &str) -> Result<File, SessionError> {
+    let path = root.join(name);
     // A link or a named pipe in its place is neither followed nor waited for.
     let flags = OFlags::NOFOLLOW | OFlags::NONBLOCK;
     let file = OpenOptions::new()

@@ -9,7 +9,9 @@ use serde::{Serialize, Serializer};
 
 use super::journal::{Event, Journal};
 pub use super::journalled::check;
-use super::layout::{self, JOURNAL_FILE, LOCK_FILE, QUARANTINE_FOLDER, SESSION_FILE};
+use super::layout::{
+    self, JOB_LOCK_FILE, JOURNAL_FILE, LOCK_FILE, QUARANTINE_FOLDER, SESSION_FILE,
+};
 use super::{Session, SessionError, journalled};
 
 /// What a check of a session found.
@@ -137,7 +139,7 @@ pub fn strays(root: &Path, journal: &Journal) -> Result<Vec<PathBuf>, SessionErr
         .files()
         .iter()
         .map(|file| PathBuf::from(&file.path))
-        .chain([PathBuf::from(JOURNAL_FILE), PathBuf::from(LOCK_FILE)])
+        .chain([JOURNAL_FILE, LOCK_FILE, JOB_LOCK_FILE].map(PathBuf::from))
         .collect();
     let own = journalled::own_names(journal);
     let mut strays = Vec::new();

@@ -21,6 +21,8 @@ pub(super) struct FitPlan {
     pub dictionary: Arc<Dictionary>,
     pub options: FitOptions,
     pub mask: Option<PathBuf>,
+    /// Whose work it is, if anybody's.
+    pub job: Option<String>,
     /// Memory of the whole fit, MiB, if it is limited.
     pub memory_mib: Option<u64>,
     /// How well the bench is known; `None`: exactly.
@@ -93,6 +95,7 @@ impl FitPlan {
             dictionary: Arc::new(dictionary),
             options,
             mask: request.mask.clone(),
+            job: request.job.clone(),
             memory_mib: request.memory_mib,
             priors: refines_bench.then_some(priors),
             cells: request.cells,

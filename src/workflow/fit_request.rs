@@ -44,4 +44,7 @@ pub struct FitRequest {
     /// Record of the sample's pose in place of the session's copy; of no use for images of a
     /// scene file.
     pub pose: Option<PathBuf>,
+    /// Whose work the fit is, as its record is to state it: a job that is repeated finds its fit
+    /// by that.
+    pub job: Option<String>,
 }

@@ -9,7 +9,7 @@ use super::notice::{Notice, Observer};
 use super::scene_check::check_scene;
 use super::scene_concern::DescribedIn;
 use super::session_images::{CapturedSession, captured_session, measured_pose};
-use super::{BenchRecords, FitOutcome, FitRequest, FitWork, WorkflowError, lamp_drift};
+use super::{BenchRecords, FitOutcome, FitRequest, FitWork, WorkflowError, fit_memory, lamp_drift};
 use crate::config::RigConfig;
 use crate::inverse::bench::with_sample_at;
 use crate::session::commit::SystemDisk;
@@ -109,9 +109,34 @@ pub fn fit_session(
 /// # Errors
 /// A rig whose scene cannot be built.
 pub fn work_of(config: &RigConfig, lights: &[StageAngles]) -> Result<FitWork, WorkflowError> {
+    expected(config, lights, &FitRequest::default()).map(|expected| expected.work)
+}
+
+/// What a fit is going to take.
+#[derive(Clone, Copy, Debug)]
+pub struct Expected {
+    /// How much there is to do.
+    pub work: FitWork,
+    /// With this as [`FitRequest::memory_mib`], memory keeps no path from being traced: what a
+    /// fit takes at most where nothing limits it.
+    pub memory_mib: u64,
+}
+
+/// What a fit by this request is going to take, of images under these lights.
+///
+/// # Errors
+/// A rig whose scene cannot be built, or a request that cannot be met.
+pub fn expected(
+    config: &RigConfig,
+    lights: &[StageAngles],
+    request: &FitRequest,
+) -> Result<Expected, WorkflowError> {
     let form_error = config.geometry.sample.form_error;
-    let request = FitRequest::default();
-    let plan = FitPlan::new(&request, Some(&config.fit), &config.uncertainty, form_error)?;
+    let plan = FitPlan::new(request, Some(&config.fit), &config.uncertainty, form_error)?;
     let scene = config.geometry.scene(lights)?;
-    Ok(plan.work(plan.cells_of(&scene), lights.len()))
+    let work = plan.work(plan.cells_of(&scene), lights.len());
+    Ok(Expected {
+        work,
+        memory_mib: fit_memory::ample_mib(&plan, &work),
+    })
 }

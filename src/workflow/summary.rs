@@ -105,6 +105,7 @@ fn settings(plan: &FitPlan, fit: &Fit) -> FitSettings {
         adapted_paths: Some(options.adapt_paths),
         shared_weights: Some(options.channels == Channels::Shared),
         model_error: Some(options.model_error),
+        job: plan.job.clone(),
         mask: plan.mask.as_ref().map(|path| path.display().to_string()),
         scene: None,
         images: Vec::new(),

@@ -1,6 +1,7 @@
 #!/bin/sh
-# Exports loaded in the programs they are for, and the notebooks: run.sh RIG_BINARY WHEEL
-# Fails where Mitsuba cannot be had, unless ALLOW_SKIP=1.
+# Exports loaded in the programs they are for, the notebooks, and batches run by those who run
+# jobs: run.sh RIG_BINARY WHEEL
+# Fails where one of these programs cannot be had, unless ALLOW_SKIP=1.
 set -eu
 here=$(dirname "$0")
 venv=target/external-venv
@@ -17,6 +18,7 @@ skip() {
 "$venv/bin/python" "$here/mitsuba_export.py" "$1"
 "$venv/bin/python" "$here/mitsuba_render.py" "$1"
 "$venv/bin/python" "$here/mitsuba_images.py" "$1"
+<<<<<<< HEAD
 
 # The notebooks, with the wheel as it is now.
 "$venv/bin/pip" install --quiet --force-reinstall --no-deps "$2"
@@ -42,3 +44,7 @@ for material in red-plastic light-brown-fabric silver-paint; do
 done
 node "$here/gltf_validate.mjs" "$validator" "$validator"/*.glb
 "$venv/bin/python" "$here/birdf.py" "$1"
+=======
+"$venv/bin/python" "$here/snakemake_batch.py" "$1" "$venv/bin/snakemake"
+"$here/slurm.sh" "$1"
+>>>>>>> batch

@@ -25,6 +25,9 @@ pub enum Kernel {
 }
 
 impl Kernel {
+    /// All that there are, the fastest last.
+    pub const ALL: [Self; 3] = [Self::Portable, Self::Avx2, Self::Avx512];
+
     /// The fastest that this processor has.
     pub fn detect() -> Self {
         *Self::available().last().unwrap_or(&Kernel::Portable)
@@ -32,7 +35,6 @@ impl Kernel {
 
     /// Those that this processor has, the fastest last.
     pub fn available() -> &'static [Self] {
-        const ALL: [Kernel; 3] = [Kernel::Portable, Kernel::Avx2, Kernel::Avx512];
         #[cfg(target_arch = "x86_64")]
         let count = {
             use std::arch::is_x86_feature_detected as has;
@@ -43,7 +45,7 @@ impl Kernel {
         };
         #[cfg(not(target_arch = "x86_64"))]
         let count = 1;
-        &ALL[..count]
+        &Self::ALL[..count]
     }
 }
 

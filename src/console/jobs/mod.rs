@@ -6,7 +6,6 @@
 //! longer than a pipe that is full, which a capture does not wait for.
 
 mod capture_state;
-mod command_line;
 mod job_state;
 mod log;
 mod process;
@@ -25,10 +24,10 @@ use rustix::process::Signal;
 use serde_json::Value;
 
 pub use self::capture_state::{CaptureState, StoredFrame};
-pub use self::command_line::shown;
 pub use self::job_state::{Kind, State};
 pub use self::query::{Answer, QueryError, query};
 pub use self::routes::routes;
+pub use crate::shell_words::command_line as shown;
 
 use self::job_state::JobState;
 use self::process::Process;

@@ -12,15 +12,14 @@ mod panels;
 mod run;
 pub(super) mod settings;
 mod statistics;
-pub(super) mod table;
 
 pub use super::error::EvaluateError;
+pub use crate::result_table::{Row, Table, Value};
 pub use crate::statistics::quantile;
 pub use panels::{Medians, Scatter, doublings};
 pub use run::{Done, Outcome, Run, run};
 pub use settings::{Overrides, Scale, Settings};
 pub use statistics::{Spread, spread};
-pub use table::{Row, Table, Value};
 
 use std::path::PathBuf;
 

@@ -8,6 +8,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use super::journal::Journal;
 use super::{EvaluateError, Experiment, Row, Table};
 use crate::evaluate::lab::Lab;
+use crate::shard::Shard;
 use crate::whole_file;
 
 /// What to run, and where the results go.
@@ -22,6 +23,9 @@ pub struct Run<'a> {
     pub restart: bool,
     /// Only cases whose key holds this; empty for all. The folder keeps the others of earlier runs.
     pub only: &'a str,
+    /// Only every n-th of those, kept in a journal of its own; tables and figures are left to a
+    /// run without, which finds what all shards have done.
+    pub shard: Option<Shard>,
 }
 
 /// How far a run is.
@@ -38,9 +42,9 @@ pub struct Done<'a> {
 /// What a run leaves.
 #[derive(Debug)]
 pub struct Outcome {
-    /// All rows.
+    /// All rows; none of a shard.
     pub table: Table,
-    /// The table's JSON, as written.
+    /// The table's JSON, as written; null of a shard.
     pub json: serde_json::Value,
     /// Files written, tables first.
     pub files: Vec<PathBuf>,
@@ -78,7 +82,13 @@ pub fn run(run: &Run<'_>, progress: &(dyn Fn(&Done) + Sync)) -> Result<Outcome, 
             first: first.key.clone(),
         });
     }
-    let journal = Journal::open(run.folder, &lab.settings, run.restart)?;
+    let journal = Journal::open(run.folder, &lab.settings, run.restart, run.shard)?;
+    let is_own = |number: usize| run.shard.is_none_or(|shard| shard.has(number));
+    let numbered = (1..).zip(wanted);
+    let wanted: Vec<_> = numbered
+        .filter(|&(number, _)| is_own(number))
+        .map(|(_, case)| case)
+        .collect();
     let total = wanted.len();
     let open: Vec<_> = wanted
         .into_iter()
@@ -140,6 +150,15 @@ pub fn run(run: &Run<'_>, progress: &(dyn Fn(&Done) + Sync)) -> Result<Outcome, 
         .filter_map(|case| journal.rows(&case.key))
         .collect();
     let left = cases.len() - kept.len();
+    if run.shard.is_some() {
+        return Ok(Outcome {
+            table: Table::default(),
+            json: serde_json::Value::Null,
+            files: Vec::new(),
+            resumed,
+            left,
+        });
+    }
     let table = Table {
         rows: kept.into_iter().flatten().cloned().collect(),
     };

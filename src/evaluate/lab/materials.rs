@@ -7,7 +7,7 @@ use super::{Sample, short_hash, synthetic};
 use crate::brdf::nbrdf::NAMES;
 use crate::brdf::{Brdf, BrdfError, in_span, source};
 use crate::evaluate::error::EvaluateError;
-use crate::evaluate::experiment::table::Row;
+use crate::result_table::Row;
 
 /// Where a material comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

@@ -4,7 +4,7 @@ use super::{Lab, Material};
 use crate::brdf::score::{brdf_errors, cells};
 use crate::brdf::{Brdf, Mixture};
 use crate::evaluate::error::EvaluateError;
-use crate::evaluate::experiment::table::Row;
+use crate::result_table::Row;
 
 /// Environment, BRDF and cube-root error of one estimate over all channels.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -48,6 +48,7 @@ pub(crate) fn sample() -> FitRecord {
             adapted_paths: Some(true),
             shared_weights: Some(false),
             model_error: Some(0.02),
+            job: Some("5f0c".to_owned()),
             mask: Some("mask.png".to_owned()),
             scene: Some("bench.toml".to_owned()),
             images: vec!["a.exr".to_owned(), "b.exr".to_owned()],

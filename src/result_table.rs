@@ -1,4 +1,4 @@
-//! Rows of named columns, as CSV and JSON.
+//! Rows of named columns, as CSV and JSON: what experiments and batches come to.
 
 use std::fmt;
 

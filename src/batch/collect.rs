@@ -1,0 +1,94 @@
+//! One table and one page of all jobs, from their records.
+
+use std::path::PathBuf;
+
+use super::record::{JobRecord, replace};
+use super::row::{Found, Status, row};
+use super::{Batch, BatchError, Job, page};
+use crate::result_table::{Row, Table};
+
+/// What the records of a batch come to.
+#[derive(Debug)]
+pub struct Collected {
+    /// One row per job, in their order.
+    pub table: Table,
+    /// The table's JSON, as written.
+    pub json: serde_json::Value,
+    /// Jobs that failed.
+    pub failed: usize,
+    /// Jobs that are yet to be done.
+    pub open: usize,
+    /// Files written, the table first, the page last.
+    pub files: Vec<PathBuf>,
+}
+
+impl Batch {
+    /// Writes `table.csv`, `table.json`, `times.csv` and `index.html` of the jobs as they
+    /// stand. The tables depend on the jobs alone: not on who did them, when, in which order and
+    /// how often.
+    ///
+    /// # Errors
+    /// A record that is damaged or was made with other options, or a file that cannot be written.
+    pub fn collect(&self) -> Result<Collected, BatchError> {
+        let mut rows = Vec::new();
+        let mut times = Vec::new();
+        let (mut failed, mut open) = (0, 0);
+        for job in &self.jobs {
+            let record = self.record(job, &self.key(job)?)?;
+            match &record {
+                Some(record) if record.failure.is_none() => {}
+                Some(_) => failed += 1,
+                None => open += 1,
+            }
+            rows.push(match &record {
+                Some(record) => record.row.clone(),
+                // Without a fit, nothing of the row can fail.
+                None => row(job, Status::Open, &Found::default()).unwrap_or_default(),
+            });
+            times.extend(record.map(|record| times_row(job, &record)));
+        }
+        let table = Table { rows };
+        let json = serde_json::json!({
+            "rig": env!("CARGO_PKG_VERSION"),
+            "kernel": self.kernel.to_string(),
+            "jobs": self.jobs.len(),
+            "failed": failed,
+            "open": open,
+            "columns": table.columns(),
+            "rows": table.rows,
+        });
+        let times = Table { rows: times };
+        let page = page::render(self, &table)?;
+        let mut files = Vec::new();
+        for (name, text) in [
+            ("table.csv", table.to_csv()),
+            ("table.json", format!("{json:#}\n")),
+            ("times.csv", times.to_csv()),
+            ("index.html", page),
+        ] {
+            let path = self.folder.join(name);
+            replace(&path, text.as_bytes())?;
+            files.push(path);
+        }
+        Ok(Collected {
+            table,
+            json,
+            failed,
+            open,
+            files,
+        })
+    }
+}
+
+/// When and where a job was done.
+fn times_row(job: &Job, record: &JobRecord) -> Row {
+    Row::new()
+        .with("job", job.number)
+        .with("session", job.session_name())
+        .with("fit", record.fit.as_deref().unwrap_or_default())
+        .with("seconds", (record.seconds * 1e3).round() / 1e3)
+        .with("expected_cpu_s", job.expected_cpu_s)
+        .with("threads", record.threads)
+        .with("host", record.host.as_str())
+        .with("began_utc", record.began_utc.as_str())
+}

@@ -1,0 +1,313 @@
+//! `rig batch`: many sessions, on one machine or many.
+
+use std::path::{Path, PathBuf};
+
+use clap::error::ErrorKind;
+use clap::{Args, Command, FromArgMatches};
+
+use super::fit_args::FitArgs;
+use super::interrupt::{end_on_signal, listen};
+use super::slurm_args::SlurmArgs;
+use super::{CliError, Context, output, usage_fact};
+use crate::batch::{ArrayRequest, Batch, Collected, JobEnd, NewBatch, RunSummary, Selection};
+use crate::shard::Shard;
+use crate::workflow::FitRequest;
+
+/// Fits and reports many sessions: one table, one page.
+#[derive(Args, Debug)]
+#[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
+pub struct BatchArgs {
+    #[command(subcommand)]
+    part: Option<Part>,
+    #[command(flatten)]
+    whole: Option<WholeArgs>,
+}
+
+/// The whole of a batch, by one process.
+#[derive(Args, Debug)]
+struct WholeArgs {
+    #[command(flatten)]
+    new: NewArgs,
+    #[command(flatten)]
+    parallel: ParallelArgs,
+    /// The table as JSON on stdout
+    #[arg(long)]
+    json: bool,
+}
+
+/// A part of a batch, for those who divide it among processes or machines.
+#[derive(clap::Subcommand, Debug)]
+enum Part {
+    /// Checks the sessions and writes the jobs; nothing is fitted yet
+    New(NewArgs),
+    /// Does jobs that are open: all, one, or every n-th
+    Run(RunArgs),
+    /// Joins what is done into table and page
+    Collect(CollectArgs),
+    /// Prints a script that submits the batch as a job array of Slurm
+    Slurm(BatchSlurmArgs),
+}
+
+#[derive(Args, Debug)]
+struct NewArgs {
+    /// Folders of sessions
+    #[arg(value_name = "SESSIONS", required_unless_present = "list")]
+    sessions: Vec<PathBuf>,
+    /// TOML with further sessions: `[[job]]` with `session` and, where it differs from `fit` of all, `fit`
+    #[arg(long, value_name = "FILE")]
+    list: Option<PathBuf>,
+    /// Folder for jobs, records, table and page; the same command completes what it holds
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Options of the fits, as of `rig fit`, such as "--dictionary rig26 --seed 3"
+    #[arg(
+        long,
+        value_name = "OPTIONS",
+        default_value = "",
+        hide_default_value = true,
+        allow_hyphen_values = true
+    )]
+    fit: String,
+}
+
+#[derive(Args, Debug)]
+struct ParallelArgs {
+    /// So many fits at a time, which share the processors; each needs its memory
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    parallel: u16,
+}
+
+#[derive(Args, Debug)]
+struct RunArgs {
+    /// The batch's folder, or its jobs.toml
+    #[arg(value_name = "BATCH")]
+    batch: PathBuf,
+    /// Only this job, counted from 1
+    #[arg(long, value_name = "I")]
+    index: Option<usize>,
+    /// Only every n-th job, such as 3/8: the third, the eleventh, …
+    #[arg(long, value_name = "I/N", conflicts_with = "index")]
+    shard: Option<Shard>,
+    #[command(flatten)]
+    parallel: ParallelArgs,
+}
+
+#[derive(Args, Debug)]
+struct CollectArgs {
+    /// The batch's folder, or its jobs.toml
+    #[arg(value_name = "BATCH")]
+    batch: PathBuf,
+    /// The table as JSON on stdout
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Args, Debug)]
+struct BatchSlurmArgs {
+    /// The batch's folder, or its jobs.toml
+    #[arg(value_name = "BATCH")]
+    batch: PathBuf,
+    /// Number of tasks, 1 to 1000 (default: tasks of about ten minutes)
+    #[arg(long, value_name = "N")]
+    tasks: Option<usize>,
+    #[command(flatten)]
+    slurm: SlurmArgs,
+}
+
+/// `rig batch`.
+pub fn run(args: &BatchArgs, context: &Context) -> Result<(), CliError> {
+    match (&args.part, &args.whole) {
+        (Some(Part::New(new)), _) => {
+            let batch = make(new)?;
+            context.note(count(batch.jobs().len(), "job"));
+            output::write_path(batch.folder())
+        }
+        (Some(Part::Run(args)), _) => {
+            let batch = Batch::open(&args.batch, &parse_options)?;
+            run_part(&batch, args, context)
+        }
+        (Some(Part::Collect(args)), _) => {
+            let batch = Batch::open(&args.batch, &parse_options)?;
+            show(&batch, &batch.collect()?, args.json, context)
+        }
+        (Some(Part::Slurm(args)), _) => {
+            let batch = Batch::open(&args.batch, &parse_options)?;
+            let request = ArrayRequest {
+                tasks: args.tasks,
+                cpus: args.slurm.cpus(),
+                memory_mib: args.slurm.memory_mib(),
+                minutes: args.slurm.minutes(),
+            };
+            let program = super::slurm_args::program()?;
+            output::write_bytes(batch.job_array(&request, &program)?.as_bytes())
+        }
+        (None, Some(args)) => {
+            let batch = make(&args.new)?;
+            do_jobs(&batch, Selection::All, args.parallel.parallel, context)?;
+            show(&batch, &batch.collect()?, args.json, context)
+        }
+        (None, None) => Err(CliError::new(
+            "neither sessions nor a part of a batch are named",
+        )),
+    }
+}
+
+fn make(args: &NewArgs) -> Result<Batch, CliError> {
+    let new = NewBatch {
+        sessions: &args.sessions,
+        options: &args.fit,
+        list: args.list.as_deref(),
+    };
+    Ok(Batch::make(&args.out, &new, &parse_options)?)
+}
+
+/// The options of a fit by the very parser of `rig fit`.
+fn parse_options(words: &[String]) -> Result<FitRequest, String> {
+    let command = FitArgs::augment_args(Command::new("fit").no_binary_name(true))
+        .disable_help_flag(true)
+        .color(clap::ColorChoice::Never);
+    let fact = |error: clap::Error| match error.kind() {
+        ErrorKind::UnknownArgument => {
+            let word = error.get(clap::error::ContextKind::InvalidArg);
+            let word = word.map_or(String::new(), |word| format!(" '{word}'"));
+            format!("`rig fit` has no option{word} that a batch could give")
+        }
+        _ => usage_fact(&error.render().to_string()),
+    };
+    let matches = command.try_get_matches_from(words).map_err(fact)?;
+    let args = FitArgs::from_arg_matches(&matches).map_err(fact)?;
+    Ok(args.request())
+}
+
+/// Does what is open of a selection, with a line for each job.
+fn do_jobs(
+    batch: &Batch,
+    selection: Selection,
+    parallel: u16,
+    context: &Context,
+) -> Result<RunSummary, CliError> {
+    let shown = batch.folder().display().to_string();
+    end_on_signal(context, &listen()?, move |signal| {
+        CliError::interrupted(signal, format!("stopped; {shown} keeps what is finished"))
+            .hint("the same command completes it")
+    })?;
+    let bar = context.bar(0, "sessions");
+    let summary = batch.run(selection, usize::from(parallel), &|job, end| {
+        let text = match end {
+            JobEnd::Before => return bar.inc(1),
+            JobEnd::Done => "done".to_owned(),
+            JobEnd::Failed(reason) => format!("failed: {reason}"),
+            JobEnd::Busy => "another process is at work on its session".to_owned(),
+        };
+        bar.inc(1);
+        bar.suspend(|| {
+            context.note(format!(
+                "job {}, {}: {text}",
+                job.number,
+                job.session_name()
+            ));
+        });
+    });
+    bar.finish_and_clear();
+    let summary = summary?;
+    if summary.before > 0 {
+        context.note(format!("{} done before", were(summary.before, "job")));
+    }
+    Ok(summary)
+}
+
+/// Does some jobs; table and page are left to `collect`.
+fn run_part(batch: &Batch, args: &RunArgs, context: &Context) -> Result<(), CliError> {
+    let selection = match (args.index, args.shard) {
+        (Some(index), _) => Selection::One(index),
+        (None, Some(shard)) => Selection::Shard(shard),
+        (None, None) => Selection::All,
+    };
+    let summary = do_jobs(batch, selection, args.parallel.parallel, context)?;
+    match (&summary.failed[..], &summary.busy[..]) {
+        ([], []) => output::write_path(batch.folder()),
+        ([(number, reason)], []) if summary.wanted == 1 => {
+            Err(CliError::new(format!("job {number} failed: {reason}")).hint(AFTER_FAILURE))
+        }
+        (failed, []) => {
+            let fact = format!(
+                "{} of {} failed",
+                failed.len(),
+                count(summary.wanted, "job")
+            );
+            Err(CliError::new(fact).hint(AFTER_FAILURE))
+        }
+        (_, busy) => Err(busy_error(busy)),
+    }
+}
+
+const AFTER_FAILURE: &str =
+    "`rig batch collect` puts the reasons into the table; the same command tries those jobs again";
+
+fn busy_error(busy: &[usize]) -> CliError {
+    let numbers: Vec<String> = busy.iter().map(usize::to_string).collect();
+    let fact = match busy {
+        [_] => format!(
+            "another process is at work on the session of job {}",
+            numbers[0]
+        ),
+        _ => format!(
+            "other processes are at work on the sessions of jobs {}",
+            numbers.join(", ")
+        ),
+    };
+    CliError::new(fact).hint(
+        "this batch or another one is being run elsewhere: wait for it, then the same command completes this one",
+    )
+}
+
+/// Shows what was collected; jobs without a result are an error.
+fn show(
+    batch: &Batch,
+    collected: &Collected,
+    json: bool,
+    context: &Context,
+) -> Result<(), CliError> {
+    for file in &collected.files {
+        context.note(file.display());
+    }
+    if json {
+        output::write_json(&collected.json)?;
+    } else {
+        output::write_path(batch.folder())?;
+    }
+    let jobs = count(batch.jobs().len(), "job");
+    let table = Path::new("table.csv").display();
+    match (collected.failed, collected.open) {
+        (0, 0) => Ok(()),
+        (0, open) => Err(
+            CliError::new(format!("{open} of {jobs} {} open", is_are(open))).hint(
+                "`rig batch run` does them, unless another process is at work on their sessions",
+            ),
+        ),
+        (failed, 0) => Err(
+            CliError::new(format!("{failed} of {jobs} failed")).hint(format!(
+                "{table} has the reasons; the same command tries them again"
+            )),
+        ),
+        (failed, open) => Err(CliError::new(format!(
+            "of {jobs}, {failed} failed and {open} {} open",
+            is_are(open)
+        ))
+        .hint(format!(
+            "{table} has the reasons; `rig batch run` tries those and does the others"
+        ))),
+    }
+}
+
+fn count(n: usize, what: &str) -> String {
+    format!("{n} {what}{}", if n == 1 { "" } else { "s" })
+}
+
+fn were(n: usize, what: &str) -> String {
+    format!("{} {}", count(n, what), if n == 1 { "was" } else { "were" })
+}
+
+fn is_are(n: usize) -> &'static str {
+    if n == 1 { "is" } else { "are" }
+}
