@@ -76,7 +76,7 @@ def test_mixtures_and_angles():
     brdf = rig.Brdf.mixture(atoms, [0.5, 0.5])
     with pytest.raises(rig.InputError, match="theta_i_deg has 95"):
         brdf.at(95, 0, 0)
-    with pytest.raises(rig.InputError, match="theta_h_deg has nan"):
+    with pytest.raises(rig.InputError, match="theta_h_deg has NaN"):
         brdf.table([np.nan], [0])
     with pytest.raises(rig.InputError, match="no environment map \"moon\"; known: city"):
         brdf.environment_sphere("moon")
