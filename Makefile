@@ -61,12 +61,17 @@ RIG ?= target/release/rig
 PYTHON_VENV := target/python-venv
 PYTHON_FRESH := target/python-fresh
 
+# Features of the wheel, none as it ships. With those of the workspace's tests, such as
+# `rig/default,rig/genicam`, nothing of them is compiled again; such a wheel is for this machine.
+PYTHON_FEATURES ?=
+WHEEL_OPTIONS := $(if $(PYTHON_FEATURES),--features $(PYTHON_FEATURES) --compatibility linux --auditwheel skip)
+
 # maturin, in an environment of its own; of several wheels only the newest is kept.
 python-wheel:
 	@[ -x $(PYTHON_VENV)/bin/maturin ] || $(PYTHON) -m venv $(PYTHON_VENV)
 	@$(PYTHON_VENV)/bin/pip install --quiet maturin==1.16.0
 	@rm -f target/wheels/rig_reflectometry-*.whl
-	$(PYTHON_VENV)/bin/maturin build --quiet --release --locked --manifest-path python/Cargo.toml
+	$(PYTHON_VENV)/bin/maturin build --quiet --release --locked --manifest-path python/Cargo.toml $(WHEEL_OPTIONS)
 
 python: python-wheel
 	@[ -x $(RIG) ] || $(MAKE) --no-print-directory build

@@ -3,7 +3,9 @@
 use std::path::PathBuf;
 
 use pyo3::prelude::*;
-use rig::transport::{RenderOptions, render_polarised, render_with_progress, suited_proposal};
+use rig::transport::{
+    RenderOptions, Steering, render_polarised, render_with_progress, suited_proposal,
+};
 use rig_core::SceneFile;
 
 use crate::brdf::Brdf;
@@ -131,6 +133,7 @@ impl Scene {
                 samples_per_pixel,
                 max_reflections,
                 seed,
+                steering: Steering::default(),
                 ..RenderOptions::default()
             };
             options.proposal = suited_proposal(&scene, &*brdf, &options);
