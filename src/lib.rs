@@ -36,8 +36,8 @@
 
 pub use rig_core::{
     bench_priors, brdf, cells, file_system, frames, geometry, inverse, least_squares, outside_file,
-    outside_table, outside_text, plausibility, progress, radiance_image, random, scores, shown,
-    simplex, statistics, transport, units, whole_file,
+    outside_table, outside_text, parametric, plausibility, progress, radiance_image, random,
+    scores, shown, simplex, statistics, transport, units, whole_file,
 };
 
 pub mod beneath;

@@ -43,9 +43,11 @@ pub fn convert(
             out,
         )
     } else {
+        let brdf = load(spec)?;
+        let description = format!("{spec}, by rig {}", env!("CARGO_PKG_VERSION"));
         let subject = Subject {
-            brdf: load(spec)?.as_ref(),
-            description: &format!("{spec}, by rig {}", env!("CARGO_PKG_VERSION")),
+            brdf: brdf.as_ref(),
+            description: &description,
             simulated: false,
             out,
         };

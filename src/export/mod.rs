@@ -194,9 +194,10 @@ pub fn export(record: &FitRecord, format: Format, out: &Path) -> Result<Exported
             files.push(bsdf);
         }
         Format::Model(format) => {
+            let (material, description) = (record.material()?, summary(record));
             let subject = Subject {
-                brdf: &*record.material()?,
-                description: &summary(record),
+                brdf: &*material,
+                description: &description,
                 simulated: record.simulated,
                 out,
             };
