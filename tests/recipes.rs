@@ -1,4 +1,5 @@
-//! The commands of docs/recipes.md, run as they stand there, on small spheres.
+//! The commands of docs/recipes.md, run as they stand there, on small spheres and with a
+//! small dictionary.
 
 mod fitted_session;
 
@@ -23,12 +24,16 @@ fn every_recipe_does_what_it_says() {
     symlink(env!("CARGO_BIN_EXE_rig"), programs.join("rig")).unwrap();
     let path = format!("{}:/usr/bin:/bin", programs.display());
 
+    let two = "atoms = [{ type = \"ggx\", alpha = 0.1, eta = 1.5 }, { type = \"lambertian\", albedo = 1.0 }]";
+    std::fs::write(home.path().join("two.toml"), two).unwrap();
     let blocks = blocks();
     assert!(blocks.len() >= 8, "{} blocks", blocks.len());
     for block in &blocks {
         let quick = block
             .replace("rig brdf compare", "rig brdf compare --size 12")
             .replace("rig brdf project", "rig brdf project --size 12")
+            .replace("--dictionary paper42", "--dictionary two.toml")
+            .replace("*.binary", "back.binary")
             .replace("--out red.png", "--size 12 --out red.png")
             .replace("--out spheres.png", "--size 12 --out spheres.png");
         let done = Command::new("sh")

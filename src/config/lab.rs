@@ -156,7 +156,9 @@ mod tests {
     use crate::config::{BUILT_IN, RigConfig};
 
     fn with(table: &str) -> Result<RigConfig, ConfigError> {
-        let text = format!("{}\n[lab]\n{table}\n", BUILT_IN[0].1);
+        let text = BUILT_IN[0]
+            .1
+            .replace("\n[lab]\n", &format!("\n[lab]\n{table}\n"));
         RigConfig::parse("rig.toml", Path::new(""), &text)
     }
 

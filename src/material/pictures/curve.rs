@@ -23,6 +23,9 @@ pub(super) struct Piece {
     pub band: Vec<[f64; 3]>,
 }
 
+/// Index into the palette, and the curve's pieces.
+pub(super) type Curve = (usize, Vec<Piece>);
+
 /// f of one channel at each (position, angles). Neighbouring pieces share a point, so that no
 /// gap shows.
 pub(super) fn pieces(

@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-use super::curve::{Piece, decades, pieces};
+use super::curve::{Curve, Piece, decades, pieces};
 use super::{Channel, Named, Panels};
 use crate::brdf::HalfDifference;
 use crate::plot::{Axis, Chart, Figure, Lobe, Mark, NEUTRAL, PolarPanel, Series, charts, polars};
@@ -21,7 +21,7 @@ pub enum Axes {
 pub fn lobes(all: &[Named], incidence_deg: &[f64], channels: &[Channel], axes: Axes) -> Figure {
     let panels = Panels::new(all, channels);
     // Every curve of every panel, in rows of angles.
-    let mut drawn: Vec<(String, f64, Vec<(usize, Vec<Piece>)>)> = Vec::new();
+    let mut drawn: Vec<(String, f64, Vec<Curve>)> = Vec::new();
     for row in 0..panels.rows.len() {
         for &theta_i_deg in incidence_deg {
             let title = panels.title(row, &format!("light at θi = {theta_i_deg}°"));
@@ -54,7 +54,7 @@ pub fn lobes(all: &[Named], incidence_deg: &[f64], channels: &[Channel], axes: A
             let chart = |(n, (title, theta_i_deg, curves)): (usize, &(String, f64, Vec<_>))| {
                 let mut series: Vec<Series> = curves
                     .iter()
-                    .flat_map(|(color, pieces): &(usize, Vec<Piece>)| {
+                    .flat_map(|(color, pieces): &Curve| {
                         pieces.iter().map(|piece| line(*color, piece))
                     })
                     .collect();

@@ -1,6 +1,6 @@
 //! Slices over the half angle at fixed difference angles.
 
-use super::curve::{Piece, decades, pieces};
+use super::curve::{Curve, decades, pieces};
 use super::lobes::line;
 use super::{Channel, Named, Panels};
 use crate::brdf::HalfDifference;
@@ -9,7 +9,7 @@ use crate::plot::{Axis, Chart, Figure, Series, charts};
 /// f over θh at φd = 90° for each of these difference angles (degrees, 0..90), one column each.
 pub fn slices(all: &[Named], difference_deg: &[f64], channels: &[Channel]) -> Figure {
     let panels = Panels::new(all, channels);
-    let mut drawn: Vec<(String, Vec<(usize, Vec<Piece>)>)> = Vec::new();
+    let mut drawn: Vec<(String, Vec<Curve>)> = Vec::new();
     for row in 0..panels.rows.len() {
         for &theta_d_deg in difference_deg {
             let title = panels.title(row, &format!("difference angle θd = {theta_d_deg}°"));
@@ -21,7 +21,7 @@ pub fn slices(all: &[Named], difference_deg: &[f64], channels: &[Channel]) -> Fi
     }
     let scale = decades(drawn.iter().flat_map(|d| d.1.iter().flat_map(|c| &c.1)));
     let legend = panels.legend();
-    let chart = |(n, (title, curves)): (usize, &(String, Vec<(usize, Vec<Piece>)>))| {
+    let chart = |(n, (title, curves)): (usize, &(String, Vec<Curve>))| {
         let lines = curves.iter();
         let lines =
             lines.flat_map(|(color, pieces)| pieces.iter().map(|piece| line(*color, piece)));
