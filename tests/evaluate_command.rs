@@ -122,14 +122,19 @@ fn a_table_its_figures_and_a_run_taken_up_again() {
 fn shards_give_the_table_of_one_process() {
     let folder = tempfile::tempdir().unwrap();
     let files = |out: &str| {
-        ["table.csv", "table.json", "shapes.svg"].map(|file| read(&folder.path().join(out).join(file)))
+        ["table.csv", "table.json", "shapes.svg"]
+            .map(|file| read(&folder.path().join(out).join(file)))
     };
     let done = |words: &str| {
         let (code, stdout, stderr) = rig(folder.path(), words);
         assert_eq!(code, Some(0), "{stderr}");
         (stdout, stderr)
     };
-    let into = |out: &str| SHAPES.replace("--spp 16", "--spp 4").replace("--out out", &format!("--out {out}"));
+    let into = |out: &str| {
+        SHAPES
+            .replace("--spp 16", "--spp 4")
+            .replace("--out out", &format!("--out {out}"))
+    };
     done(&into("alone"));
 
     for of in [2, 7] {
@@ -145,7 +150,10 @@ fn shards_give_the_table_of_one_process() {
             }
         });
         // Killed while it wrote its last case.
-        let journal = folder.path().join(&out).join(format!("journal-1-of-{of}.jsonl"));
+        let journal = folder
+            .path()
+            .join(&out)
+            .join(format!("journal-1-of-{of}.jsonl"));
         let text = read(&journal);
         assert_eq!(text.lines().count(), 1 + [3, 1][usize::from(of == 7)]);
         std::fs::write(&journal, &text[..text.len() - 9]).unwrap();
@@ -169,21 +177,34 @@ fn shards_give_the_table_of_one_process() {
         file.try_lock().unwrap();
         let (code, _, stderr) = rig(folder.path(), &format!("{}{words}", into("of-2")));
         assert_eq!(code, Some(1), "{stderr}");
-        assert!(stderr.contains("another process is at work in this folder"), "{stderr}");
+        assert!(
+            stderr.contains("another process is at work in this folder"),
+            "{stderr}"
+        );
     }
     let shared = open("journal.jsonl");
     shared.try_lock_shared().unwrap();
     let (code, _, stderr) = rig(folder.path(), &into("of-2"));
     assert_eq!(code, Some(1), "{stderr}");
     done(&format!("{} --shard 2/2", into("of-2")));
-    let (code, _, stderr) = rig(folder.path(), &SHAPES.replace("--out out", "--out of-2 --shard 1/2"));
+    let (code, _, stderr) = rig(
+        folder.path(),
+        &SHAPES.replace("--out out", "--out of-2 --shard 1/2"),
+    );
     assert_eq!(code, Some(1));
-    assert!(stderr.contains("samples_per_pixel was 4, is 16"), "{stderr}");
+    assert!(
+        stderr.contains("samples_per_pixel was 4, is 16"),
+        "{stderr}"
+    );
     drop(shared);
 
     // The script, which submits nothing.
     let (script, _) = done(&format!("{} --slurm 3 --time 7", into("new")));
-    for part in ["#SBATCH --array=1-3\n", "#SBATCH --time=7\n", "--out new --shard \"$SLURM_ARRAY_TASK_ID\"/3\n"] {
+    for part in [
+        "#SBATCH --array=1-3\n",
+        "#SBATCH --time=7\n",
+        "--out new --shard \"$SLURM_ARRAY_TASK_ID\"/3\n",
+    ] {
         assert!(script.contains(part), "{part} in\n{script}");
     }
     assert!(!script.contains("--slurm") && !folder.path().join("new").exists());

@@ -20,14 +20,7 @@ pub struct BatchArgs {
     #[command(subcommand)]
     part: Option<Part>,
     #[command(flatten)]
-    whole: Option<WholeArgs>,
-}
-
-/// The whole of a batch, by one process.
-#[derive(Args, Debug)]
-struct WholeArgs {
-    #[command(flatten)]
-    new: NewArgs,
+    new: Option<NewArgs>,
     #[command(flatten)]
     parallel: ParallelArgs,
     /// The table as JSON on stdout
@@ -116,7 +109,7 @@ struct BatchSlurmArgs {
 
 /// `rig batch`.
 pub fn run(args: &BatchArgs, context: &Context) -> Result<(), CliError> {
-    match (&args.part, &args.whole) {
+    match (&args.part, &args.new) {
         (Some(Part::New(new)), _) => {
             let batch = make(new)?;
             context.note(count(batch.jobs().len(), "job"));
@@ -141,8 +134,8 @@ pub fn run(args: &BatchArgs, context: &Context) -> Result<(), CliError> {
             let program = super::slurm_args::program()?;
             output::write_bytes(batch.job_array(&request, &program)?.as_bytes())
         }
-        (None, Some(args)) => {
-            let batch = make(&args.new)?;
+        (None, Some(new)) => {
+            let batch = make(new)?;
             do_jobs(&batch, Selection::All, args.parallel.parallel, context)?;
             show(&batch, &batch.collect()?, args.json, context)
         }
