@@ -123,8 +123,8 @@ fn unit_vectors(array: &Bound<'_, PyArrayDyn<f64>>, name: &str) -> Result<Vec<Ve
     let mut vectors = Vec::with_capacity(array.len() / 3);
     for row in array.rows() {
         let vector = glam::DVec3::new(row[0], row[1], row[2]);
-        // A NaN is in no range.
-        if !((vector.length() - 1.0).abs() <= UNIT_TOLERANCE) {
+        let deviation = (vector.length() - 1.0).abs();
+        if deviation.is_nan() || deviation > UNIT_TOLERANCE {
             let index = vectors.len();
             return Err(input(format!(
                 "vector {index} of {name} is ({}, {}, {}), of length {}; unit vectors are needed",

@@ -21,6 +21,7 @@ use rig::workflow::WorkflowError;
 
 /// An exception class of `rig_reflectometry.errors`, by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[expect(clippy::enum_variant_names, reason = "the names of the classes")]
 pub enum Kind {
     InputError,
     FileError,

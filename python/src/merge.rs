@@ -59,11 +59,9 @@ pub fn merge(
         Ok(one) => vec![one],
         Err(_) => frames.extract::<Vec<PathBuf>>()?,
     };
-    let mosaic: Mosaic = mosaic.parse().map_err(|allowed| {
-        Fault::from(input(format!(
-            "mosaic is {mosaic:?}, but must be {allowed}"
-        )))
-    })?;
+    let mosaic: Mosaic = mosaic
+        .parse()
+        .map_err(|allowed| input(format!("mosaic is {mosaic:?}, but must be {allowed}")))?;
     if let Some(bits) = bit_depth {
         within("bit_depth", bits, 1..=16)?;
     }
