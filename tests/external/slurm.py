@@ -224,6 +224,8 @@ def experiment(cluster, work, chance):
 
 
 def main():
+    # Ended from outside, it takes the daemons with it.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit("FAILED it was ended"))
     chance = random.Random(SEED)
     with tempfile.TemporaryDirectory(prefix="rig-slurm-") as base:
         base = Path(base)
