@@ -8,7 +8,7 @@ use std::process::{Command, Output};
 
 use fitted_session::{LAB, fit, session};
 use rig::brdf::HalfDifference;
-use rig::report::certificate::{CertificateRequest, Reproducibility, certificate};
+use rig::report::certificate::{CertificateRequest, certificate};
 use rig::session::fit_record::{self, FitImages, Grade, Warning};
 use serde_json::Value;
 
@@ -284,19 +284,45 @@ fn a_certificates_figures_are_the_fits_and_its_squares_add() {
 #[test]
 fn scatter_between_sessions_enters_a_certificate() {
     let home = tempfile::tempdir().unwrap();
-    let root = session(home.path(), &fit(false), LAB, true);
+    let sessions = home.path();
+    let mut repeat = fit(false);
+    repeat.budget.as_mut().unwrap().row[0].value *= 1.1;
+    let repeated = session(sessions, &repeat, LAB, true);
+    std::fs::rename(repeated, sessions.join("repeat")).unwrap();
+    let root = session(sessions, &fit(false), LAB, true);
     let request = CertificateRequest {
-        session: root,
+        session: root.clone(),
         fit: None,
-        reproducibility: Some(Reproducibility {
-            sessions: ["a", "b", "c", "d"].map(str::to_owned).into(),
-            rows: vec![[0.0, 15.0, 0.05]],
-        }),
+        repeats: Some(sessions.to_owned()),
     };
     let html = certificate(&request).unwrap();
-    assert!(html.contains("reproducibility over 4 sessions"));
+    assert!(html.contains("reproducibility over 2 sessions"));
+    // The values x and 1.1 x have a variance of 2 (0.05 / 1.05)²; the fits state 0.3 u² of it, as
+    // capture noise and pose.
+    let stated = 0.041_234_567_8f64;
+    let between = (2.0 * (0.05f64 / 1.05).powi(2) - 0.3 * stated.powi(2)).sqrt();
     let total = cells(&html, "combined")[0].1;
-    assert!((total - 0.041_234_567_8f64.hypot(0.05)).abs() < 1e-12);
+    assert!((total - stated.hypot(between)).abs() < 1e-12, "{total}");
+
+    // One session alone, and no folder.
+    std::fs::remove_dir_all(sessions.join("repeat")).unwrap();
+    let root = root.to_str().unwrap();
+    let certify = |folder: &str| {
+        rig(
+            sessions,
+            &["report", root, "--certificate", "--repeats", folder],
+        )
+    };
+    assert_fails(
+        &certify("."),
+        "allowed is 2 or more",
+        "`rig catalogue DIR --repeats SAMPLE` shows which sessions count",
+    );
+    assert_fails(
+        &certify("none"),
+        "none: No such file",
+        "--repeats takes the folder that holds the sessions",
+    );
 }
 
 #[test]

@@ -26,6 +26,10 @@ pub struct ReportArgs {
     /// browser that prints, else as .html; here, unless --out names a file
     #[arg(long)]
     certificate: bool,
+    /// With --certificate: a folder of sessions; the scatter between those of this sample, as
+    /// `rig catalogue --repeats` shows it, becomes a source of uncertainty
+    #[arg(long, value_name = "DIR", requires = "certificate")]
+    repeats: Option<PathBuf>,
 }
 
 /// `rig report`.
@@ -86,7 +90,7 @@ fn certificate(args: &ReportArgs, context: &Context) -> Result<(), CliError> {
     let request = CertificateRequest {
         session: args.session.clone(),
         fit: args.fit,
-        reproducibility: None,
+        repeats: args.repeats.clone(),
     };
     let html = certificate::certificate(&request).map_err(refused)?;
     let bytes = match &browser {
@@ -110,6 +114,10 @@ fn refused(error: CertificateError) -> CliError {
         }
         CertificateError::NotWhole { .. } => {
             "`rig session verify SESSION` lists what is wrong; `rig capture --resume SESSION` completes a capture"
+        }
+        CertificateError::Folder { .. } => "--repeats takes the folder that holds the sessions",
+        CertificateError::Repeats { .. } => {
+            "`rig catalogue DIR --repeats SAMPLE` shows which sessions count and why others do not"
         }
         CertificateError::NoBudget { .. } => "`rig fit SESSION` makes a new fit, with a budget",
         _ => {

@@ -5,17 +5,8 @@
 //! supplement), so a source's uncertainty is stated in the unit of the result, as a part of
 //! f, and every sensitivity is 1.
 
+use crate::catalogue::reproducibility::Reproducibility;
 use crate::session::fit_record::{AngleTable, BudgetRecord};
-
-/// Scatter between repeated sessions of one sample: a contribution of type A, which no single
-/// session can state.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Reproducibility {
-    /// Names of the sessions.
-    pub sessions: Vec<String>,
-    /// (θh in degrees, θd in degrees, standard deviation of the mean of f over f).
-    pub rows: Vec<[f64; 3]>,
-}
 
 /// How a source's uncertainty is known (GUM 4.2, 4.3).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -92,7 +83,8 @@ pub struct Budget {
 }
 
 impl Budget {
-    /// From a fit's budget and table, and, where known, the scatter between sessions.
+    /// From a fit's budget and table, and, where known, the scatter between sessions of the
+    /// sample: what varies beyond that which the fit states, a contribution of type A.
     pub fn new(
         record: &BudgetRecord,
         table: &AngleTable,
@@ -133,10 +125,11 @@ impl Budget {
         // The scatter between sessions, independent of them.
         if let Some(scatter) = reproducibility {
             let at = |column: &Column| {
-                let mut rows = scatter.rows.iter();
-                let found =
-                    rows.find(|[h, d, _]| *h == column.theta_h_deg && *d == column.theta_d_deg);
-                found.map_or(0.0, |row| row[2])
+                let angles = |theta_h_deg, theta_d_deg| [theta_h_deg, theta_d_deg];
+                let of_column = angles(column.theta_h_deg, column.theta_d_deg);
+                let mut rows = scatter.row.iter();
+                let found = rows.find(|row| angles(row.theta_h_deg, row.theta_d_deg) == of_column);
+                found.map_or(0.0, |row| row.between_relative_std)
             };
             let contribution: Vec<f64> = columns.iter().map(at).collect();
             for (column, std) in columns.iter_mut().zip(&contribution) {
@@ -157,6 +150,7 @@ impl Budget {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::catalogue::reproducibility::Repeat;
     use crate::session::fit_record::{BudgetRow, Interval};
 
     fn record() -> BudgetRecord {
@@ -209,10 +203,22 @@ mod tests {
 
     #[test]
     fn scatter_between_sessions_is_one_more_source() {
-        let scatter = Reproducibility {
-            sessions: ["a", "b", "c"].map(str::to_owned).into(),
-            rows: vec![[0.0, 10.0, 0.03]],
+        // Three sessions whose fits state no uncertainty: all of their spread is between them.
+        let repeat = |(session, value): (&str, f64)| Repeat {
+            session: session.to_owned(),
+            budget: BudgetRecord {
+                sources: Vec::new(),
+                row: vec![BudgetRow {
+                    theta_h_deg: 0.0,
+                    theta_d_deg: 10.0,
+                    value,
+                    relative_std: 0.0,
+                    share: Vec::new(),
+                }],
+            },
         };
+        let repeats = [("a", 0.97), ("b", 1.0), ("c", 1.03)].map(repeat);
+        let scatter = Reproducibility::of("cup", &repeats).unwrap();
         let budget = Budget::new(&record(), &table(), Some(&scatter));
         assert_squares_add(&budget);
         assert!((budget.columns[0].combined - 0.05).abs() < 1e-12, "3, 4, 5");

@@ -11,8 +11,11 @@ mod template;
 
 use std::path::{Path, PathBuf};
 
-pub use budget::{Budget, Column, Evaluation, Reproducibility, Source};
+pub use budget::{Budget, Column, Evaluation, Source};
 
+use crate::catalogue::Catalogue;
+use crate::catalogue::reproducibility::{Reproducibility, ReproducibilityError};
+use crate::fault::Advisor;
 use crate::plot::PlotError;
 use crate::session::fit_record::Verdict;
 use crate::session::{SessionError, verify};
@@ -53,6 +56,22 @@ pub enum CertificateError {
         /// The fit's number.
         number: u32,
     },
+    /// The folder of repeats.
+    #[error("{}: {source}", path.display())]
+    Folder {
+        /// The folder.
+        path: PathBuf,
+        /// The system's error.
+        source: std::io::Error,
+    },
+    /// The repeats cannot be compared.
+    #[error("{}: {source}", path.display())]
+    Repeats {
+        /// The folder.
+        path: PathBuf,
+        /// Why.
+        source: ReproducibilityError,
+    },
     /// A figure failed.
     #[error(transparent)]
     Plot(#[from] PlotError),
@@ -68,8 +87,9 @@ pub struct CertificateRequest {
     pub session: PathBuf,
     /// Number of the fit; the latest if `None`.
     pub fit: Option<u32>,
-    /// Scatter between repeated sessions of the sample, where it is known.
-    pub reproducibility: Option<Reproducibility>,
+    /// Folder of sessions: the scatter between those of this session's sample becomes a source
+    /// of uncertainty.
+    pub repeats: Option<PathBuf>,
 }
 
 /// The certificate as one HTML document of two pages, without any external resource.
@@ -85,9 +105,28 @@ pub fn certificate(request: &CertificateRequest) -> Result<String, CertificateEr
         session: request.session.clone(),
         number: result.number,
     })?;
-    let scatter = request.reproducibility.as_ref();
-    let budget = Budget::new(record, &result.record.table, scatter);
+    let scatter = match &request.repeats {
+        Some(folder) => Some(between_sessions(folder, &result.session.record().sample)?),
+        None => None,
+    };
+    let budget = Budget::new(record, &result.record.table, scatter.as_ref());
     template::render(&result, &budget)
+}
+
+/// How well the measurement of this sample is reproduced by the sessions of a folder.
+fn between_sessions(folder: &Path, sample: &str) -> Result<Reproducibility, CertificateError> {
+    let path = folder.to_owned();
+    let found = std::fs::metadata(folder)
+        .and_then(|_| Catalogue::new(folder, Advisor::silent()).repeats(Some(sample)));
+    let repeats = match found {
+        Ok(repeats) => repeats,
+        Err(source) => return Err(CertificateError::Folder { path, source }),
+    };
+    let none = || Reproducibility::of(sample, &[]);
+    let found = repeats.first();
+    found
+        .map_or_else(none, |repeats| repeats.reproducibility())
+        .map_err(|source| CertificateError::Repeats { path, source })
 }
 
 /// Refuses what nobody should sign.
