@@ -14,14 +14,11 @@ pub fn command_line(program: &str, arguments: &[impl AsRef<OsStr>]) -> String {
         .join(" ")
 }
 
-/// One argument, quoted where a POSIX shell needs it.
+/// One argument, quoted where a POSIX shell needs it. A NUL, which no argument can hold, is left
+/// out.
 pub fn quoted(text: &str) -> String {
-    let is_plain = |c: char| c.is_ascii_alphanumeric() || "-_=+./,:@%".contains(c);
-    if !text.is_empty() && text.chars().all(is_plain) {
-        return text.to_owned();
-    }
-    // Within single quotes only a single quote is special.
-    format!("'{}'", text.replace('\'', "'\\''"))
+    let text = text.replace('\0', "");
+    shlex::try_quote(&text).map_or_else(|_| text.clone(), Into::into)
 }
 
 /// The words of a text as a POSIX shell splits it, without expansions: at blanks, with single
@@ -34,36 +31,7 @@ pub fn quoted(text: &str) -> String {
 /// assert_eq!(split("--mask 'my"), None);
 /// ```
 pub fn split(text: &str) -> Option<Vec<String>> {
-    let mut words = Vec::new();
-    let mut word: Option<String> = None;
-    let mut chars = text.chars();
-    while let Some(c) = chars.next() {
-        match c {
-            c if c.is_whitespace() => words.extend(word.take()),
-            '\'' => {
-                let (inside, after) = chars.as_str().split_once('\'')?;
-                word.get_or_insert_default().push_str(inside);
-                chars = after.chars();
-            }
-            '"' => {
-                let word = word.get_or_insert_default();
-                loop {
-                    match chars.next()? {
-                        '"' => break,
-                        '\\' => match chars.next()? {
-                            c @ ('"' | '\\' | '$' | '`') => word.push(c),
-                            c => word.extend(['\\', c]),
-                        },
-                        c => word.push(c),
-                    }
-                }
-            }
-            '\\' => word.get_or_insert_default().push(chars.next()?),
-            c => word.get_or_insert_default().push(c),
-        }
-    }
-    words.extend(word);
-    Some(words)
+    shlex::split(text)
 }
 
 #[cfg(test)]
