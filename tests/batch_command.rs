@@ -54,7 +54,7 @@ fn words_of(words: &str) -> Vec<&str> {
     ["batch"].into_iter().chain(words).collect()
 }
 
-/// What must be the same, whoever did the jobs.
+/// What must be the same, wherever the jobs were done.
 fn results(folder: &TempDir) -> [String; 3] {
     ["table.csv", "table.json", "index.html"]
         .map(|file| fs::read_to_string(folder.path().join("out").join(file)).unwrap())
@@ -199,7 +199,7 @@ fn shards_and_killed_jobs_give_the_tables_of_one_process() {
     assert_eq!(times.lines().count(), 5);
 }
 
-/// Two processes for one session: one is told, nothing is done twice.
+/// Two processes for one session: one reports it, nothing is done twice.
 #[test]
 fn a_session_is_one_jobs_at_a_time() {
     let folder = sessions(&["a", "b"]);

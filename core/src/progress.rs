@@ -4,7 +4,7 @@
 /// Receives the progress of work; its methods may be called from any thread.
 ///
 /// A receiver that wants the work to end unwinds from any of them, by
-/// [`std::panic::resume_unwind`]: nothing is written then, and whoever began the work catches it.
+/// [`std::panic::resume_unwind`]: nothing is written then, and the caller catches it.
 ///
 /// ```
 /// use std::sync::Mutex;

@@ -113,7 +113,7 @@ fn attend(
     }
 }
 
-/// The phase that Python was told of.
+/// The phase that was last reported to Python.
 #[derive(Default)]
 struct Shown {
     phase: String,
@@ -172,7 +172,7 @@ pub struct Reporter<'a> {
 impl Reporter<'_> {
     fn report(&self, report: Report) {
         self.pulse();
-        // Whoever attends does so until this sender is gone.
+        // The calling thread attends until this sender is gone.
         let _ = self.sender.send(report);
     }
 }

@@ -47,7 +47,7 @@ impl Batch {
             // A session that is gone or cannot be written: the fit says so.
             Err(_) => None,
         };
-        // Whoever held the lock may have done it.
+        // The process that held the lock may have done it.
         if is_done()? {
             return Ok(JobEnd::Before);
         }

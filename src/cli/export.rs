@@ -109,7 +109,7 @@ pub(super) fn stated_result_error(error: StatedResultError) -> CliError {
     }
 }
 
-/// What whoever takes the export must know.
+/// What a user of the export must know.
 fn warn_of(record: &FitRecord, context: &Context) {
     if record.simulated {
         context.warn("this BRDF comes from a simulated bench; the export is marked as simulated");

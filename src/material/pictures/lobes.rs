@@ -36,7 +36,7 @@ pub fn lobes(all: &[Named], incidence_deg: &[f64], channels: &[Channel], axes: A
     let columns = incidence_deg.len().min(3);
     match axes {
         Axes::Polar => {
-            // The darkest values are not at the centre, where a curve cannot be told from another.
+            // The darkest values are not at the centre, where curves cannot be distinguished.
             let scale = scale.start - 0.2 * (scale.end - scale.start)..scale.end;
             let polar = drawn.iter().map(|(title, theta_i_deg, curves)| PolarPanel {
                 title: title.clone(),

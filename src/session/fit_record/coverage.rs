@@ -58,7 +58,7 @@ impl MeasuredCoverage {
     }
 }
 
-/// One sentence for whoever reads the intervals: what is stated, and what was measured.
+/// One sentence for readers of the intervals: what is stated, and what was measured.
 pub fn statement(record: &FitRecord) -> String {
     let percent = |share: f64| format!("{:.1}%", 100.0 * share);
     match MeasuredCoverage::of(record) {
