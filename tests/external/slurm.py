@@ -21,8 +21,8 @@ from small_sessions import capture
 
 RIG = str(Path(sys.argv[1]).resolve())
 SEED = int(sys.argv[2]) if len(sys.argv) > 2 else 1
-SESSIONS = 12
-FIT = "--spp 64 --dictionary rig26 --kernel portable"
+SESSIONS = 8
+FIT = "--spp 16 --dictionary rig26 --kernel portable"
 EXPERIMENT = ["evaluate", "shapes", "--quick", "--resolution", "16", "--spp", "64", "--portable"]
 EXPERIMENT += ["--materials", "synthetic:cream-satin", "nbrdf:pvc"]
 
@@ -144,11 +144,12 @@ def rig_processes(folder):
 
 
 def submit_and_kill(cluster, script, folder, chance, kills):
-    """Submits once and kills tasks with `chance` per look, in three ways, until all have ended."""
+    """Submits once, kills some tasks at random moments in three ways, and waits for the end."""
     subprocess.run(["sh"], input=script, text=True, check=True, stdout=subprocess.DEVNULL)
+    left = chance.randint(3, 6)
     while queue := cluster.queue():
         running = [job for job, state in queue if state == "RUNNING"]
-        if running and chance.random() < 0.35:
+        if running and left > 0 and chance.random() < 0.2:
             way = chance.choice(["scancel", "requeue", "kill -9"])
             if way == "scancel":
                 cluster.ask("scancel", chance.choice(running))
@@ -157,6 +158,7 @@ def submit_and_kill(cluster, script, folder, chance, kills):
             elif processes := rig_processes(folder):
                 os.kill(chance.choice(processes), signal.SIGKILL)
             kills[way] = kills.get(way, 0) + 1
+            left -= 1
         # A requeued task would wait for minutes: Slurm holds it back by its begin time.
         for job, state in queue:
             if state == "PENDING":
@@ -180,7 +182,7 @@ def batch(cluster, work, chance):
     alone_s = time.monotonic() - began
 
     run(RIG, "--quiet", "batch", "new", *names, "--out", "batch", "--fit", FIT, cwd=work)
-    script = run(RIG, "batch", "slurm", "batch", "--tasks", "6", "--task-memory", "700", cwd=work)
+    script = run(RIG, "batch", "slurm", "batch", "--tasks", "4", "--task-memory", "700", cwd=work)
     check("nothing is submitted by printing", cluster.queue() == [])
     kills, submissions = {}, 0
     while not (work / "batch/table.json").exists() or '"open": 0' not in (work / "batch/table.json").read_text():
@@ -201,7 +203,7 @@ def batch(cluster, work, chance):
     subprocess.run(["sh"], input=script, text=True, check=True, stdout=subprocess.DEVNULL)
     cluster.until("the queue is empty", lambda: cluster.queue() == [], 120)
     idle_s = time.monotonic() - began
-    print(f"   {SESSIONS} jobs by one process: {alone_s:.1f} s; 6 tasks with nothing to do: {idle_s:.1f} s")
+    print(f"   {SESSIONS} jobs by one process: {alone_s:.1f} s; 4 tasks with nothing to do: {idle_s:.1f} s")
 
 
 def experiment(cluster, work, chance):
