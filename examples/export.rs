@@ -21,7 +21,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     println!("{}", record.verdict().sentence());
     for format in [Format::Merl, Format::Mitsuba] {
         let file: &Path = &out.with_extension(format.ending());
-        for written in export(&record, format, file)? {
+        for written in export(&record, format, file)?.files {
             println!("wrote {}", written.display());
         }
     }

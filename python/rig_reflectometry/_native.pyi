@@ -28,7 +28,9 @@ _Progress: TypeAlias = Callable[[str, int, int | None], object]
 _Optimizer: TypeAlias = Literal["gauss-newton", "exponentiated-gradient", "single-bounce"]
 _Kernel: TypeAlias = Literal["portable", "avx2", "avx512", "auto"]
 _Mosaic: TypeAlias = Literal["none", "rggb", "grbg", "gbrg", "bggr"]
-_Format: TypeAlias = Literal["json", "merl", "rgl", "rgl-spectral", "mitsuba", "pbrt"]
+_Format: TypeAlias = Literal[
+    "json", "merl", "rgl", "rgl-spectral", "mitsuba", "pbrt", "openpbr", "blender", "gltf"
+]
 
 @final
 class Brdf:

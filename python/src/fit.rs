@@ -6,7 +6,7 @@ use std::sync::Arc;
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use rig::export::{self, Format};
+use rig::export::{self, Format, ModelFormat};
 use rig::session::Session;
 use rig::session::fit_record::{self, BudgetRecord, FitImages, FitRecord, Interval};
 use rig::workflow::fit_images_in_memory;
@@ -258,7 +258,8 @@ impl Fit {
 
     /// Write the BRDF for another program, as `rig export` does; returns the files written.
     ///
-    /// format: "json", "merl", "rgl", "rgl-spectral", "mitsuba" or "pbrt".
+    /// format: "json", "merl", "rgl", "rgl-spectral", "mitsuba", "pbrt", "openpbr", "blender"
+    /// or "gltf".
     fn export(&self, py: Python<'_>, path: PathBuf, format: &str) -> PyResult<Vec<PathBuf>> {
         let format = match format {
             "json" => Format::Json,
@@ -267,13 +268,17 @@ impl Fit {
             "rgl-spectral" => Format::RglSpectral,
             "mitsuba" => Format::Mitsuba,
             "pbrt" => Format::Pbrt,
+            "openpbr" => Format::Model(ModelFormat::OpenPbr),
+            "blender" => Format::Model(ModelFormat::Blender),
+            "gltf" => Format::Model(ModelFormat::Gltf),
             _ => {
-                let known = "json, merl, rgl, rgl-spectral, mitsuba or pbrt";
+                let known =
+                    "json, merl, rgl, rgl-spectral, mitsuba, pbrt, openpbr, blender or gltf";
                 return Err(input(format!("format is {format:?}, but must be {known}")).into());
             }
         };
         let written = work::detached(py, || export::export(&self.record, format, &path))?;
-        Ok(written.map_err(Fault::from)?)
+        Ok(written.map_err(Fault::from)?.files)
     }
 
     fn __repr__(&self) -> String {

@@ -184,6 +184,8 @@ fn record(simulated: bool, lab: &str) -> SessionRecord {
     let rig = rig.replace("\n[lab]\n", "\n");
     SessionRecord {
         sample: "red-plastic".to_owned(),
+        material: None,
+        comment: None,
         created_utc: "2026-11-21T02:34:00Z".to_owned(),
         simulated,
         true_material: None,
