@@ -14,11 +14,15 @@ pub fn command_line(program: &str, arguments: &[impl AsRef<OsStr>]) -> String {
         .join(" ")
 }
 
-/// One argument, quoted where a POSIX shell needs it. A NUL, which no argument can hold, is left
-/// out.
+/// One argument, quoted where a POSIX shell needs it: fewer than a library quotes, because
+/// people read it.
 pub fn quoted(text: &str) -> String {
-    let text = text.replace('\0', "");
-    shlex::try_quote(&text).map_or_else(|_| text.clone(), Into::into)
+    let is_plain = |c: char| c.is_ascii_alphanumeric() || "-_=+./,:@%".contains(c);
+    if !text.is_empty() && text.chars().all(is_plain) {
+        return text.to_owned();
+    }
+    // Within single quotes only a single quote is special.
+    format!("'{}'", text.replace('\'', "'\\''"))
 }
 
 /// The words of a text as a POSIX shell splits it, without expansions: at blanks, with single

@@ -141,7 +141,9 @@ fn a_capture_is_paused_continued_and_stopped_even_while_it_is_paused() {
     std::thread::sleep(Duration::from_millis(1200));
     assert_eq!(state(&hub), "paused");
     jobs.finish();
-    assert_eq!(state(&hub), "ending");
+    // Unless the program has ended already.
+    let after = state(&hub);
+    assert!(["ending", "interrupted"].contains(&&*after), "{after}");
     assert_eq!(jobs.wait().unwrap().code(), Some(130));
     assert_eq!(topic(&hub, "capture")["state"], "interrupted");
     let (_folder, jobs, hub) = begin("2");
