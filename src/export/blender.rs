@@ -69,6 +69,10 @@ pub fn to_script(material: &AsModel, subject: &Subject<'_>) -> String {
     let note = subject.lines(material).join("; ");
     let _ = writeln!(script, "NOTE = {}", quoted(&note));
     let _ = writeln!(script, "ENVIRONMENT_ERROR = {:.4}", material.loss.error());
+    let maps = material.loss.environment.maps.iter();
+    let by_map = maps.map(|(map, error)| format!("\"{map}\": {error:.4}"));
+    let by_map: Vec<String> = by_map.collect();
+    let _ = writeln!(script, "ERROR_BY_MAP = {{{}}}", by_map.join(", "));
     script += "VALUES = {\n";
     for (socket, value) in sockets {
         let _ = writeln!(script, "    \"{socket}\": {value},");

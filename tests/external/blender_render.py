@@ -1,8 +1,8 @@
 """Exported materials in Blender itself: blender_render.py RIG_BINARY [PICTURE_FOLDER]
 
 Each script is run in Blender (`bpy`), a sphere of its material rendered by Cycles on the CPU
-under the four environment maps, and compared with spheres of the measured material (a MERL
-table, evaluated in spheres.py). Blender's error must be the one that the script states.
+under two of the four environment maps, and compared with spheres of the measured material (a
+MERL table, evaluated in spheres.py). Blender's errors must be those that the script states.
 """
 
 import subprocess
@@ -18,11 +18,13 @@ from spheres import error, merl_lookup, read_merl, sphere
 RIG = sys.argv[1]
 PICTURES = Path(sys.argv[2]) if len(sys.argv) > 2 else None
 ROOT = Path(__file__).resolve().parents[2]
-MAPS = ["city", "forest", "studio", "sunset"]
-MATERIALS = ["nbrdf:red-plastic", "nbrdf:alum-bronze", "nbrdf:light-brown-fabric", "nbrdf:blue-metallic-paint"]
-SIZE = 48
-SAMPLES = 256
-# What Monte Carlo noise, 48 instead of 128 pixels and a table instead of a network may add.
+MAPS = ["city", "studio"]
+# A dielectric, metal with a coat, fibres.
+MATERIALS = ["nbrdf:red-plastic", "nbrdf:alum-bronze", "nbrdf:light-brown-fabric"]
+# As the stated errors have it: what is at the rim depends on it.
+SIZE = 128
+SAMPLES = 1024
+# What Monte Carlo noise and a table in place of a network may add.
 ALLOWED = 0.02
 failures = []
 
@@ -118,23 +120,22 @@ with tempfile.TemporaryDirectory() as folder:
         module = {"__name__": "made"}
         exec(compile(text, "made.py", "exec"), module)
         material = module["make_material"]()
-        stated = module["ENVIRONMENT_ERROR"]
-        assert abs(material["rig_environment_error"] - stated) < 1e-9
+        assert abs(material["rig_environment_error"] - module["ENVIRONMENT_ERROR"]) < 1e-9
         scene = scene_of(material)
         merl = read_merl(table)
         errors, rows = [], []
         for name in MAPS:
             map_file = ROOT / "core/data/envmaps" / f"{name}.exr"
             lit_by(scene, map_file)
-            inside, truth = sphere(lambda l, v: merl_lookup(merl, l, v), pixels_of(map_file), SIZE)
+            inside, truth = sphere(lambda l, v: merl_lookup(merl, l, v), pixels_of(map_file), SIZE, 1)
             image = render(scene, folder) * inside[..., None]
             errors.append(error(image, truth))
             rows.append(np.concatenate([truth, image], axis=1) / np.quantile(truth[inside], 0.97))
-        mean = float(np.mean(errors))
-        verdict = "ok" if abs(mean - stated) <= ALLOWED else "FAILED"
-        print(f"{verdict:6} {spec}: environment error in Blender {mean:.3f}, stated {stated:.3f} (allowed {ALLOWED} apart)")
-        if verdict != "ok":
-            failures.append(spec)
+            there, said = errors[-1], module["ERROR_BY_MAP"][name]
+            passes = abs(there - said) <= ALLOWED
+            print(f"{'ok' if passes else 'FAILED':6} {spec}, {name}: error in Blender {there:.3f}, stated {said:.3f} (allowed {ALLOWED} apart)", flush=True)
+            if not passes:
+                failures.append(f"{spec} under {name}")
         if PICTURES:
             save(np.concatenate(rows), PICTURES / f"blender-{spec.split(':')[1]}.png")
 
