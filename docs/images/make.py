@@ -118,6 +118,11 @@ def main():
     run("brdf", "plot", "fit", "--out", "tutorial-spheres.png")
     save(Image.open(work / "tutorial-spheres.png").resize((800, 200), Image.Resampling.LANCZOS), "tutorial-spheres.png", 200)
 
+    # A measured material as OpenPBR holds it.
+    run("brdf", "convert", "nbrdf:red-plastic", "--out", "red.mtlx")
+    as_openpbr = Image.open(work / "red.mtlx.png")
+    save(as_openpbr.resize((552, as_openpbr.height * 552 // as_openpbr.width), Image.Resampling.LANCZOS), "as-openpbr.png", 200)
+
     # Figures of experiments.
     for experiment in ("atoms", "table-visits", "shape-construction"):
         run("evaluate", experiment, "--out", f"evaluate/{experiment}")
