@@ -6,7 +6,7 @@ mod command_support;
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Output, Stdio};
+use std::process::{Child, Output, Stdio};
 use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
@@ -17,7 +17,13 @@ use rig::session::{Session, fit_record, lock_for_job};
 use tempfile::TempDir;
 
 /// Few paths, and the same numbers everywhere.
-const OPTIONS: &str = "--spp 4 --cells 256 --dictionary rig26 --kernel portable";
+const OPTIONS: &str = "--spp 4 --cells 256 --dictionary few.toml --kernel portable";
+/// A dictionary with which the comparison with the truth is quick.
+const DICTIONARY: &str = r#"atoms = [
+  { type = "lambertian", albedo = 1.0 },
+  { type = "ggx", alpha = 0.3, eta = 1.5 },
+  { type = "black" },
+]"#;
 
 /// A session of one light, captured once for all tests.
 fn captured() -> &'static Path {
@@ -35,6 +41,7 @@ fn captured() -> &'static Path {
 /// A folder with copies of the session of these names.
 fn sessions(names: &[&str]) -> TempDir {
     let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("few.toml"), DICTIONARY).unwrap();
     for name in names {
         copy(captured(), &folder.path().join(name));
     }
@@ -69,244 +76,190 @@ fn spoil(session: &Path) {
     fs::write(session.join("derived/radiance_L000.exr"), "no image").unwrap();
 }
 
+/// Runs a child for at most this long, then kills it; whether it ended by itself.
+fn ended_within(mut child: Child, patience: Duration) -> bool {
+    let began = Instant::now();
+    while began.elapsed() < patience {
+        if child.try_wait().unwrap().is_some() {
+            return true;
+        }
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    false
+}
+
+fn start(folder: &TempDir, words: &str) -> Child {
+    let mut command = rig(folder, &words_of(words));
+    let command = command.stderr(Stdio::piped()).stdout(Stdio::piped());
+    command.spawn().unwrap()
+}
+
 #[test]
 fn shards_and_killed_jobs_give_the_tables_of_one_process() {
-    let names = ["a", "b", "c", "d"];
+    let names = ["a", "b", "c"];
     let (alone, divided) = (sessions(&names), sessions(&names));
     for folder in [&alone, &divided] {
-        spoil(&folder.path().join("c"));
+        spoil(&folder.path().join("b"));
     }
 
     // One process, with a failure that stops nobody else.
-    let whole = "a b c d --out out --parallel 2 --fit OPTIONS";
-    let output = batch(&alone, whole);
+    let output = batch(&alone, "a b c --out out --parallel 2 --fit OPTIONS");
     assert_fails(
         &output,
         1,
-        "1 of 4 jobs failed",
+        "1 of 3 jobs failed",
         "table.csv has the reasons; the same command tries them again",
     );
     let [csv, json, page] = results(&alone);
     let rows: Vec<&str> = csv.lines().collect();
     assert!(rows[0].starts_with("job,session,sample,simulated,status,verdict,"));
-    for (row, start) in rows[1..].iter().zip([
+    let starts = [
         "1,a,cup,yes,done,",
-        "2,b,cup,yes,done,",
-        "3,c,cup,yes,failed,",
-        "4,d,cup,yes,done,",
-    ]) {
+        "2,b,cup,yes,failed,",
+        "3,c,cup,yes,done,",
+    ];
+    for (row, start) in rows[1..].iter().zip(starts) {
         assert!(row.starts_with(start), "{row}");
     }
-    assert!(
-        rows[3].contains("c/derived/radiance_L000.exr has 8 bytes"),
-        "{}",
-        rows[3]
-    );
+    let reason = "b/derived/radiance_L000.exr has 8 bytes";
+    assert!(rows[2].contains(reason), "{}", rows[2]);
     assert!(!csv.contains(alone.path().to_str().unwrap()));
     let json: serde_json::Value = serde_json::from_str(&json).unwrap();
-    let page = page.replace("&#x2f;", "/");
     assert_eq!((&json["failed"], &json["open"]), (&1.into(), &0.into()));
-    assert!(
-        page.contains("href=\"../a/report.html\"") && !page.contains("../c/report.html"),
-        "{page}"
-    );
+    let page = page.replace("&#x2f;", "/");
+    assert!(page.contains("href=\"../a/report.html\"") && !page.contains("../b/report.html"));
     assert!(alone.path().join("a/report.html").is_file());
+    let times = fs::read_to_string(alone.path().join("out/times.csv")).unwrap();
+    assert_eq!(times.lines().count(), 4);
 
-    // Job 1 is killed at any moments until it is done; what it began is no fit.
-    assert_done(&batch(&divided, "new a b c d --out out --fit OPTIONS"));
+    // Job 1 is killed at its beginning and in its midst, then done; what it began is no fit.
+    assert_done(&batch(&divided, "new a b c --out out --fit OPTIONS"));
     assert_eq!(fits(&divided.path().join("a")), 0);
-    let mut kills = 0;
-    for doubling in 0.. {
-        let patience = Duration::from_millis(20 << doubling);
-        let mut child = rig(&divided, &words_of("run out --index 1"))
-            .stderr(Stdio::null())
-            .stdout(Stdio::null())
-            .spawn()
-            .unwrap();
-        let began = Instant::now();
-        while child.try_wait().unwrap().is_none() && began.elapsed() < patience {
-            std::thread::sleep(Duration::from_millis(2));
-        }
-        if child.try_wait().unwrap().is_some() {
-            break;
-        }
-        child.kill().unwrap();
-        child.wait().unwrap();
-        kills += 1;
+    for patience_ms in [30, 400] {
+        let child = start(&divided, "run out --index 1");
+        assert!(!ended_within(child, Duration::from_millis(patience_ms)));
     }
-    assert!(kills > 0);
+    assert_done(&batch(&divided, "run out --index 1"));
     assert_eq!(fits(&divided.path().join("a")), 1);
 
     // As if it had died between its fit and its record: the fit is found.
     fs::remove_file(divided.path().join("out/records/00001.json")).unwrap();
-    let output = batch(&divided, "run out --index 1");
-    assert_done(&output);
+    assert_done(&batch(&divided, "run out --index 1"));
     assert_eq!(fits(&divided.path().join("a")), 1);
     let output = batch(&divided, "run out/jobs.toml --index 1");
     assert_done(&output);
     assert!(text(&output.stderr).contains("1 job was done before"));
 
+    // Another process is at work on a session: of this batch, or of another one.
+    assert_done(&batch(&divided, "new c --out other --fit OPTIONS"));
+    let lock = lock_for_job(&divided.path().join("c")).unwrap();
+    for (words, fact) in [
+        ("run out --index 3", "at work on the session of job 3"),
+        ("run other", "at work on the session of job 1"),
+    ] {
+        let hint = "this batch or another one is being run elsewhere";
+        assert_fails(&batch(&divided, words), 1, fact, hint);
+    }
+    drop(lock);
+
     // What is open so far; then two shards at once.
     let output = batch(&divided, "collect out");
-    assert_fails(
-        &output,
-        1,
-        "3 of 4 jobs are open",
-        "`rig batch run` does them, unless another process",
-    );
-    let shards = ["1/2", "2/2"].map(|shard| {
-        let words = format!("run out --shard {shard}");
-        let mut command = rig(&divided, &words_of(&words));
-        command
-            .stderr(Stdio::piped())
-            .stdout(Stdio::piped())
-            .spawn()
-            .unwrap()
-    });
+    let hint = "`rig batch run` does them, unless another process";
+    assert_fails(&output, 1, "2 of 3 jobs are open", hint);
+    let shards = ["run out --shard 1/2", "run out --shard 2/2"].map(|w| start(&divided, w));
     let [first, second] = shards.map(|child| child.wait_with_output().unwrap());
+    assert_done(&first);
+    let hint = "puts the reasons into the table; the same command tries those jobs again";
     assert_fails(
-        &first,
+        &second,
         1,
-        "1 of 2 jobs failed",
-        "puts the reasons into the table; the same command tries those jobs again",
+        "job 2 failed: b/derived/radiance_L000.exr has 8 bytes",
+        hint,
     );
-    assert_done(&second);
     let output = batch(&divided, "collect out");
     assert_fails(
         &output,
         1,
-        "1 of 4 jobs failed",
+        "1 of 3 jobs failed",
         "the same command tries them again",
     );
     assert_eq!(results(&divided), results(&alone));
-    for name in ["a", "b", "d"] {
-        assert_eq!(fits(&divided.path().join(name)), 1, "{name}");
-    }
 
-    // Once the cause is removed, the same command completes both.
-    for folder in [&alone, &divided] {
-        fs::copy(
-            captured().join("derived/radiance_L000.exr"),
-            folder.path().join("c/derived/radiance_L000.exr"),
-        )
-        .unwrap();
-        let output = batch(folder, whole);
-        assert_done(&output);
-        assert!(text(&output.stderr).contains("3 jobs were done before"));
-    }
-    assert_eq!(results(&divided), results(&alone));
-    let times = fs::read_to_string(alone.path().join("out/times.csv")).unwrap();
-    assert_eq!(times.lines().count(), 5);
-}
-
-/// Two processes for one session: one reports it, nothing is done twice.
-#[test]
-fn a_session_is_one_jobs_at_a_time() {
-    let folder = sessions(&["a", "b"]);
-    assert_done(&batch(&folder, "new a b --out out --fit OPTIONS"));
-    assert_done(&batch(&folder, "new b --out other --fit OPTIONS"));
-    let lock = lock_for_job(&folder.path().join("b")).unwrap();
-    for (words, fact) in [
-        (
-            "run out",
-            "another process is at work on the session of job 2",
-        ),
-        (
-            "run other --index 1",
-            "another process is at work on the session of job 1",
-        ),
-    ] {
-        let output = batch(&folder, words);
-        assert_fails(
-            &output,
-            1,
-            fact,
-            "this batch or another one is being run elsewhere",
-        );
-    }
-    assert_eq!(
-        (
-            fits(&folder.path().join("a")),
-            fits(&folder.path().join("b"))
-        ),
-        (1, 0)
-    );
-    drop(lock);
     // The other batch finds the fit that this one made, since it wants the same.
-    assert_done(&batch(&folder, "run out"));
-    assert_done(&batch(&folder, "run other"));
-    assert_eq!(fits(&folder.path().join("b")), 1);
-    assert_done(&run(&folder, &["session", "verify", "b"]));
+    assert_done(&batch(&divided, "run other"));
+    for (name, count) in [("a", 1), ("b", 0), ("c", 1)] {
+        assert_eq!(fits(&divided.path().join(name)), count, "{name}");
+    }
+    assert_done(&run(&divided, &["session", "verify", "c"]));
+
+    // As a job array, whose tasks find it done.
+    as_job_array(&divided);
+    assert_eq!(results(&divided), results(&alone));
 }
 
-/// The script, with an `sbatch` that does at once what it is given.
-#[test]
-fn the_printed_script_does_the_batch() {
-    let (alone, divided) = (sessions(&["a", "b"]), sessions(&["a", "b"]));
-    assert_done(&batch(&alone, "a b --out out --fit OPTIONS"));
-    assert_done(&batch(&divided, "new a b --out out --fit OPTIONS"));
-    let output = batch(&divided, "slurm out --tasks 2 --cpus 1 --time 5");
+/// Runs the script that is printed for `out`, with an `sbatch` that does at once what it is
+/// given.
+fn as_job_array(folder: &TempDir) {
+    let output = batch(folder, "slurm out --tasks 2 --cpus 1 --time 5");
     assert_done(&output);
     let script = text(&output.stdout);
-    let parts = [
+    for part in [
         "#SBATCH --array=1-2\n",
         "#SBATCH --time=5\n",
         "#SBATCH --cpus-per-task=1\n",
-    ];
-    for part in parts {
+    ] {
         assert!(script.contains(part), "{part} in\n{script}");
     }
-    assert!(
-        !divided.path().join("out/records/00001.json").exists(),
-        "it only prints"
-    );
-    fs::write(divided.path().join("script"), script).unwrap();
+    fs::write(folder.path().join("script"), script).unwrap();
     let sbatch = r#"#!/bin/sh
-job=$(mktemp)
+job=$(mktemp -p "$PLACE")
 cat > "$job"
 tasks=$(sed -n 's/^#SBATCH --array=1-//p' "$job")
 for task in $(seq "${tasks:-1}"); do
-    SLURM_CPUS_PER_TASK=1 SLURM_ARRAY_TASK_ID=$task sh "$job" >&2 || exit 1
+    SLURM_CPUS_PER_TASK=1 SLURM_ARRAY_TASK_ID=$task sh "$job" >> "$PLACE/said" 2>&1
 done
 echo 7
 "#;
-    fs::write(divided.path().join("sbatch"), sbatch).unwrap();
-    let line = format!(
-        "chmod +x sbatch; PATH={}:$PATH sh script",
-        divided.path().display()
-    );
+    fs::write(folder.path().join("sbatch"), sbatch).unwrap();
+    fs::remove_file(folder.path().join("out/table.csv")).unwrap();
+    let line = "chmod +x sbatch; PLACE=$PWD PATH=$PWD:$PATH sh script";
     let mut command = std::process::Command::new("sh");
-    let output = command
-        .args(["-c", &line])
-        .current_dir(&divided)
-        .output()
-        .unwrap();
-    assert_done(&output);
-    assert_eq!(results(&divided), results(&alone));
-    let output = batch(&divided, "slurm out --tasks 1001");
-    assert_fails(
-        &output,
-        1,
-        "a job array has 1 to 1000 tasks, not 1001",
-        "a task does as many jobs as it has to",
-    );
+    let output = command.args(["-c", line]).current_dir(folder).output();
+    assert_done(&output.unwrap());
+    let said = fs::read_to_string(folder.path().join("said")).unwrap();
+    for part in [
+        "2 jobs were done before",
+        "job 2 failed",
+        "1 of 3 jobs failed",
+    ] {
+        assert!(said.contains(part), "{part} in\n{said}");
+    }
+    let output = batch(folder, "slurm out --tasks 1001");
+    let fact = "a job array has 1 to 1000 tasks, not 1001";
+    assert_fails(&output, 1, fact, "a task does as many jobs as it has to");
 }
 
 /// A list with options of its own for one session.
 #[test]
 fn a_list_states_options_for_each_session() {
     let folder = sessions(&["a", "b"]);
-    let list = format!(
-        "fit = \"{OPTIONS}\"\n[[job]]\nsession = \"a\"\n[[job]]\nsession = \"b\"\nfit = \"{OPTIONS} --seed 3\"\n"
+    let write = |text: &str| fs::write(folder.path().join("list.toml"), text).unwrap();
+    write(
+        "fit = \"--spp 4\"\n[[job]]\nsession = \"a\"\n[[job]]\nsession = \"b\"\nfit = \"--seed 3\"\n",
     );
-    fs::write(folder.path().join("list.toml"), &list).unwrap();
-    assert_done(&batch(&folder, "--list list.toml --out out"));
-    for (name, seed) in [("a", 1), ("b", 3)] {
-        let session = Session::open(&folder.path().join(name)).unwrap();
-        assert_eq!(
-            fit_record::read_in(&session, 0).unwrap().settings.seed,
-            seed,
-            "{name}"
+    assert_done(&batch(&folder, "new --list list.toml --out out"));
+    let jobs = fs::read_to_string(folder.path().join("out/jobs.toml")).unwrap();
+    let jobs: toml::Value = toml::from_str(&jobs).unwrap();
+    for (at, (name, options)) in [("a", "--spp 4"), ("b", "--seed 3")].iter().enumerate() {
+        let job = &jobs["job"][at];
+        assert_eq!(job["fit"].as_str(), Some(*options));
+        assert!(
+            job["session"]
+                .as_str()
+                .unwrap()
+                .ends_with(&format!("/{name}"))
         );
     }
     for (change, fact, hint) in [
@@ -321,17 +274,15 @@ fn a_list_states_options_for_each_session() {
             "`--pose`, `--out` and the like belong to single fits",
         ),
     ] {
-        fs::write(
-            folder.path().join("list.toml"),
-            format!("{change}[[job]]\nsession = \"a\"\n"),
-        )
-        .unwrap();
-        assert_fails(&batch(&folder, "--list list.toml --out bad"), 1, fact, hint);
+        write(&format!("{change}[[job]]\nsession = \"a\"\n"));
+        let output = batch(&folder, "--list list.toml --out bad");
+        assert_fails(&output, 1, fact, hint);
         assert!(!folder.path().join("bad").exists());
     }
-    fs::write(folder.path().join("list.toml"), "").unwrap();
+    write("");
+    let output = batch(&folder, "--list list.toml --out bad");
     assert_fails(
-        &batch(&folder, "--list list.toml --out bad"),
+        &output,
         1,
         "no session is named",
         "or a list of them with --list",
@@ -407,7 +358,9 @@ fn what_cannot_be_done_is_refused_at_once() {
     }
 
     // What is there stays as it is.
-    assert_done(&batch(&folder, "a b --out out --fit OPTIONS"));
+    assert_done(&batch(&folder, "new a b --out out --fit OPTIONS"));
+    spoil(&at("a"));
+    assert_eq!(batch(&folder, "run out --index 1").status.code(), Some(1));
     let jobs = fs::read_to_string(at("out/jobs.toml")).unwrap();
     for (words, fact, hint) in [
         (
@@ -478,5 +431,5 @@ fn what_cannot_be_done_is_refused_at_once() {
         "is another session than the one that the batch was made with",
         "put the session back, or begin another batch",
     );
-    assert_eq!(fits(&at("a")), 1);
+    assert!(!at("b/fits").exists());
 }

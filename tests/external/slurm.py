@@ -17,12 +17,11 @@ import tempfile
 import time
 from pathlib import Path
 
-from small_sessions import capture
+from small_sessions import FIT, capture
 
 RIG = str(Path(sys.argv[1]).resolve())
 SEED = int(sys.argv[2]) if len(sys.argv) > 2 else 1
 SESSIONS = 8
-FIT = "--spp 16 --dictionary rig26 --kernel portable"
 EXPERIMENT = ["evaluate", "shapes", "--quick", "--resolution", "16", "--spp", "64", "--portable"]
 EXPERIMENT += ["--materials", "synthetic:cream-satin", "nbrdf:pvc"]
 
@@ -176,6 +175,7 @@ def batch(cluster, work, chance):
     sessions = capture(RIG, work, SESSIONS)
     other = work / "alone"
     shutil.copytree(work / "sessions", other / "sessions")
+    shutil.copy(work / "few.toml", other)
     names = [str(path.relative_to(work)) for path in sessions]
     began = time.monotonic()
     run(RIG, "--quiet", "batch", *names, "--out", "batch", "--fit", FIT, cwd=other)

@@ -17,6 +17,14 @@ QUICK = {
     "segments": "32",
     "timing": '"instant"',
 }
+# Options of quick fits, the same numbers everywhere; `capture` writes the dictionary.
+FIT = "--spp 16 --dictionary few.toml --kernel portable"
+DICTIONARY = """atoms = [
+  { type = "lambertian", albedo = 1.0 },
+  { type = "ggx", alpha = 0.3, eta = 1.5 },
+  { type = "black" },
+]
+"""
 ALBEDOS = [0.8, 0.5, 0.3]
 
 
@@ -44,6 +52,7 @@ def capture(rig, folder, count, lights=1):
         command += ["--sample", f"grey-{albedo}"]
         done = subprocess.run(command, cwd=place, check=True, stdout=subprocess.PIPE, text=True)
         originals.append(place / done.stdout.splitlines()[-1])
+    (folder / "few.toml").write_text(DICTIONARY)
     sessions = folder / "sessions"
     sessions.mkdir()
     paths = []

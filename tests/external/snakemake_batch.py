@@ -8,10 +8,9 @@ import sys
 import tempfile
 from pathlib import Path
 
-from small_sessions import ROOT, capture
+from small_sessions import FIT, ROOT, capture
 
 RIG, SNAKEMAKE = [str(Path(path).absolute()) for path in sys.argv[1:3]]
-FIT = "--spp 16 --dictionary rig26 --kernel portable"
 
 
 def main():

@@ -106,7 +106,7 @@ pub fn fit(brdf: &dyn Brdf, model: Model) -> Result<Fitted, FitError> {
     }
 
     // The base from every start; the layers on the best two of different kinds.
-    let plain = search.from_each(&starts(&target), &base);
+    let plain = search.each_start_fitted(&starts(&target), &base);
     let core = plain[0].1;
     let kinds = match model {
         Model::Gltf => 1,
@@ -122,7 +122,7 @@ pub fn fit(brdf: &dyn Brdf, model: Model) -> Result<Fitted, FitError> {
         free.extend(COAT.into_iter().filter(|_| coat));
         free.extend(FUZZ.into_iter().filter(|_| fuzz));
         let starts: Vec<Parameters> = grounds.iter().flat_map(starts).collect();
-        search.from_each(&starts, &free)[0]
+        search.each_start_fitted(&starts, &free)[0]
     };
     let mut found = match model {
         Model::Gltf => layered([false, false], &|ground| vec![*ground]),
@@ -211,7 +211,7 @@ impl Search<'_> {
     }
 
     /// Minima from each start, with their sums of squares, the least first.
-    fn from_each(&self, starts: &[Parameters], free: &[usize]) -> Vec<(f64, Parameters)> {
+    fn each_start_fitted(&self, starts: &[Parameters], free: &[usize]) -> Vec<(f64, Parameters)> {
         let mut found: Vec<(f64, Parameters)> = starts
             .par_iter()
             .map(|start| {
