@@ -142,10 +142,9 @@ def rig_processes(folder):
     return found
 
 
-def submit_and_kill(cluster, script, folder, chance, kills):
-    """Submits once, kills some tasks at random moments in three ways, and waits for the end."""
+def submit_and_kill(cluster, script, folder, chance, kills, left):
+    """Submits once, kills `left` times at random moments in three ways, and waits for the end."""
     subprocess.run(["sh"], input=script, text=True, check=True, stdout=subprocess.DEVNULL)
-    left = chance.randint(3, 6)
     while queue := cluster.queue():
         running = [job for job, state in queue if state == "RUNNING"]
         if running and left > 0 and chance.random() < 0.2:
@@ -187,8 +186,8 @@ def batch(cluster, work, chance):
     kills, submissions = {}, 0
     while not (work / "batch/table.json").exists() or '"open": 0' not in (work / "batch/table.json").read_text():
         submissions += 1
-        submit_and_kill(cluster, script, work, chance, kills)
-        if submissions > 30:
+        submit_and_kill(cluster, script, work, chance, kills, 8 - 2 * submissions)
+        if submissions > 8:
             sys.exit("FAILED the batch does not end")
     check(f"a batch survives kills ({kills}, {submissions} submissions)", sum(kills.values()) > 3)
     check(
@@ -215,8 +214,8 @@ def experiment(cluster, work, chance):
     kills, submissions = {}, 0
     while not (work / "shards/shapes.svg").exists():
         submissions += 1
-        submit_and_kill(cluster, script, work, chance, kills)
-        if submissions > 30:
+        submit_and_kill(cluster, script, work, chance, kills, 8 - 2 * submissions)
+        if submissions > 8:
             sys.exit("FAILED the experiment does not end")
     results = ["table.csv", "table.json", "shapes.svg"]
     check(
