@@ -280,7 +280,9 @@ impl Brdf {
     #[pyo3(signature = (truth, *, size = rig::brdf::score::SPHERE_SIZE))]
     fn errors(&self, py: Python<'_>, truth: &Self, size: usize) -> PyResult<Py<PyAny>> {
         let size = score::sphere_size(size)?;
-        let errors = work::detached(py, || material::compare(&*self.brdf, &*truth.brdf, size))?;
+        let errors = work::detached(py, || {
+            material::errors_between(&*self.brdf, &*truth.brdf, size)
+        })?;
         score::errors_record(py, &errors)
     }
 

@@ -94,6 +94,7 @@ pub fn request(function: &str, options: Option<&Bound<'_, PyDict>>) -> PyResult<
             None => Vec::new(),
         },
         pose: keywords.take("pose")?,
+        job: None,
     };
     keywords.finish()?;
     Ok(request)

@@ -57,7 +57,7 @@ pub enum ConstrainedError {
 pub fn compare(estimate: &Named, truth: &Named, sphere_px: usize) -> Comparison {
     let (a, b) = (&*estimate.brdf, &*truth.brdf);
     Comparison {
-        errors: errors::compare(a, b, sphere_px),
+        errors: errors::errors_between(a, b, sphere_px),
         plain: plain_error::plain_errors(a, b),
     }
 }

@@ -23,7 +23,7 @@ pub struct Errors {
 }
 
 /// Errors of `estimate` against `truth`, with spheres of `sphere_px` pixels a side.
-pub fn compare(estimate: &dyn Brdf, truth: &dyn Brdf, sphere_px: usize) -> Errors {
+pub fn errors_between(estimate: &dyn Brdf, truth: &dyn Brdf, sphere_px: usize) -> Errors {
     Errors {
         environment: score::environment_error(estimate, truth, &EnvironmentMap::all(), sphere_px),
         brdf: score::brdf_errors(estimate, truth, &score::cells(AZIMUTHS)),

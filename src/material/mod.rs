@@ -17,7 +17,7 @@ pub use check::{MaterialCheck, SAMPLER_ANGLES_DEG, check_material};
 pub use comparison::{
     Comparison, ConstrainedComparison, ConstrainedError, compare, compare_constrained,
 };
-pub use errors::{Errors, Projected, project};
+pub use errors::{Errors, Projected, errors_between, project};
 pub use named::Named;
 
 use crate::brdf::environment::EnvironmentMap;
