@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::brdf::load;
+use super::brdf::spec::load;
 use super::output::{self, unwritable};
 use super::{CliError, Context};
 use crate::export::{self, ExportError, Exported, Format, LARGEST_ERROR, ModelFormat, Subject};

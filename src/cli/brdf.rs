@@ -2,16 +2,18 @@
 
 mod compare;
 mod plot;
+pub(super) mod spec;
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 use clap::{Args, Subcommand};
+
+use spec::{advise, load};
 
 use super::output::{unwritable, write_json, write_path};
 use super::{CliError, Context, as_model};
 use crate::brdf::check::ALBEDO_ANGLES_DEG;
-use crate::brdf::{Brdf, BrdfError, Dictionary, nbrdf, score};
+use crate::brdf::{Dictionary, score};
 use crate::export::{self, ExportError, ModelFormat, TableFormat};
 use crate::material::{self, Angles, Errors, Evaluated, MaterialError};
 use crate::out;
@@ -126,32 +128,6 @@ pub fn run(args: &BrdfArgs, context: &Context) -> Result<(), CliError> {
             Some(format) => as_model::convert(brdf, format, out, context),
             None => convert(brdf, out),
         },
-    }
-}
-
-pub(super) fn load(spec: &str) -> Result<Arc<dyn Brdf>, CliError> {
-    material::load(spec).map_err(advise)
-}
-
-fn advise(error: MaterialError) -> CliError {
-    match error {
-        MaterialError::Fit(error) => error.into(),
-        MaterialError::Brdf(error) => match &error {
-            BrdfError::UnknownSource { .. }
-            | BrdfError::Dictionary { .. }
-            | BrdfError::Weights { .. } => {
-                CliError::from(error).hint("`rig brdf --help` lists what names a BRDF")
-            }
-            _ => error.into(),
-        },
-        MaterialError::UnknownMaterial { .. } => {
-            CliError::from(error).hint(format!("known are {}", nbrdf::NAMES.join(", ")))
-        }
-        MaterialError::Angles { .. } => {
-            CliError::from(error).hint("the columns are theta_i_deg,theta_o_deg,phi_deg")
-        }
-        MaterialError::Projection(error) => error.into(),
-        MaterialError::File { .. } => error.into(),
     }
 }
 
