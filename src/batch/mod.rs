@@ -12,10 +12,10 @@
 //!
 //! A job ([`Job`]) is idempotent: done again it finds its record, or else its fit in the
 //! session, by the key that the fit states ([`Job::key`]). It holds a lock of its session, so
-//! that of two processes one is told and nothing is done twice; the system drops the lock of a
-//! process that dies. No two processes write one file. So it doesn't matter who does which
-//! job: [`Batch::run`] does some or all of them, N at a time, [`Batch::collect`] joins the
-//! records of all, and [`Batch::job_array`] has Slurm do them.
+//! that of two processes with one session one reports it and nothing is done twice; the
+//! system drops the lock of a process that dies. No two processes write one file. So it
+//! doesn't matter who does which job: [`Batch::run`] does some or all of them, N at a time,
+//! [`Batch::collect`] joins the records of all, and [`Batch::job_array`] has Slurm do them.
 //!
 //! ```no_run
 //! use std::path::{Path, PathBuf};

@@ -15,7 +15,7 @@ const EXAMPLES: &str = "Examples:
   rig brdf plot SESSION nbrdf:red-plastic --kind slices --channels rgb --out slices.png
   rig brdf plot SESSION nbrdf:red-plastic --kind difference --out difference.png";
 
-/// Draws BRDFs: spheres, lobes, slices, differences, several over each other
+/// Plots BRDFs: spheres, lobes, slices, differences; several are overlaid
 #[derive(Args, Debug)]
 #[command(after_help = format!("{EXAMPLES}\n\n{SPEC_HELP}"))]
 pub struct PlotArgs {

@@ -14,7 +14,7 @@ const BAND_DECADES: f64 = 0.5;
 /// Room at either end.
 const MARGIN_DECADES: f64 = 0.1;
 
-/// A piece of a curve that is constrained throughout, or nowhere.
+/// A section of a curve whose points are all constrained by the images, or all not.
 pub(super) struct Piece {
     pub constrained: bool,
     /// Position and log10 f.
