@@ -24,7 +24,7 @@
 //!
 //! | floor | modules |
 //! |---|---|
-//! | 0 | [`interrupt`], [`checksum`], [`beneath`], [`fault`], [`plot`], [`result_table`], [`shard`], [`shell_words`], [`slurm`] |
+//! | 0 | [`interrupt`], [`checksum`], [`beneath`], [`fault`], [`plot`], [`result_table`], [`cluster`], [`shell_words`] |
 //! | 2 | [`radiometry`] |
 //! | 3 | [`device`], [`simulation`] |
 //! | 4 | [`benchmark`], [`config`], [`session`], [`calibration`] |
@@ -42,14 +42,13 @@ pub use rig_core::{
 
 pub mod beneath;
 pub mod checksum;
+pub mod cluster;
 pub mod fault;
 pub mod interrupt;
 #[cfg(feature = "figures")]
 pub mod plot;
 pub mod result_table;
-pub mod shard;
 pub mod shell_words;
-pub mod slurm;
 
 pub mod radiometry;
 

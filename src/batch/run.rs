@@ -5,8 +5,8 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 use super::make::session_sha256;
 use super::{Batch, BatchError, JOBS_FILE, Job, JobEnd};
+use crate::cluster::Shard;
 use crate::inverse::memory::free_bytes;
-use crate::shard::Shard;
 
 /// Which jobs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -3,9 +3,8 @@
 use std::path::Path;
 
 use super::{Batch, BatchError, Job};
-use crate::shard::Shard;
+use crate::cluster::{JobArray, MOST_TASKS, Resources, Shard};
 use crate::shell_words::quoted;
-use crate::slurm::{JobArray, MOST_TASKS, Resources};
 
 /// A task should last about this long, seconds: what a scheduler does per task costs seconds.
 const TASK_S: f64 = 600.0;

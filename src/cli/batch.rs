@@ -10,7 +10,7 @@ use super::interrupt::{end_on_signal, listen};
 use super::slurm_args::SlurmArgs;
 use super::{CliError, Context, output, usage_fact};
 use crate::batch::{ArrayRequest, Batch, Collected, JobEnd, NewBatch, RunSummary, Selection};
-use crate::shard::Shard;
+use crate::cluster::Shard;
 use crate::workflow::FitRequest;
 
 /// Fits and reports many sessions: one table, one page.

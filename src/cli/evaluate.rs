@@ -6,13 +6,12 @@ use super::interrupt::{end_on_signal, listen};
 use super::slurm_args::{SlurmArgs, program};
 use super::{CliError, Context, light_choice, output};
 use crate::cells::DEFAULT_CELLS;
+use crate::cluster::{JobArray, MOST_TASKS, Resources, Shard};
 use crate::evaluate::experiment::{Overrides, Run, Settings, run as run_experiment};
 use crate::evaluate::lab::Lab;
 use crate::evaluate::{EXPERIMENTS, find};
 use crate::out;
-use crate::shard::Shard;
 use crate::shell_words;
-use crate::slurm::{JobArray, MOST_TASKS, Resources};
 use crate::workflow::FitWork;
 
 /// Runs an experiment against a known truth: a table (CSV, JSON) and figures (SVG, PNG).

@@ -16,8 +16,8 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use super::{EvaluateError, Row, Settings};
+use crate::cluster::Shard;
 use crate::file_system;
-use crate::shard::Shard;
 
 /// Name of the journal of a run of all cases, in the output folder.
 pub const FILE: &str = "journal.jsonl";

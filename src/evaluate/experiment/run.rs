@@ -7,8 +7,8 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 use super::journal::Journal;
 use super::{EvaluateError, Experiment, Row, Table};
+use crate::cluster::Shard;
 use crate::evaluate::lab::Lab;
-use crate::shard::Shard;
 use crate::whole_file;
 
 /// What to run, and where the results go.
