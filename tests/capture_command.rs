@@ -61,7 +61,7 @@ fn a_capture_is_complete_verified_and_listed() {
         run(&folder, &["session", "verify", root]).status.code(),
         Some(0)
     );
-    let list = run(&folder, &["session", "list", "--json"]);
+    let list = run(&folder, &["catalogue", "--json"]);
     let list: serde_json::Value = serde_json::from_slice(&list.stdout).unwrap();
     assert_eq!(list[0]["lights_finished"], 2);
     assert_eq!(list[0]["complete"], true);

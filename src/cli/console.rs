@@ -422,7 +422,7 @@ fn as_it_ended(status: Option<ExitStatus>) -> Result<(), CliError> {
         None => {
             let how = status.map_or_else(|| "unknown".to_owned(), |status| status.to_string());
             return Err(CliError::new(format!("the capture's process ended: {how}")).hint(
-                "`rig session list` shows its session; `rig capture --resume SESSION` continues it",
+                "`rig catalogue` shows its session; `rig capture --resume SESSION` continues it",
             ));
         }
     };

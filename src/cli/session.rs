@@ -5,10 +5,10 @@ use std::path::{Path, PathBuf};
 use serde_json::json;
 
 use super::context::Context;
-use super::error::{CliError, HintExt};
+use super::error::CliError;
 use super::output::{write_json, write_line};
 use crate::out;
-use crate::session::layout::{self, JOURNAL_FILE, SESSION_FILE};
+use crate::session::layout;
 use crate::session::verify::{Summary, verify};
 use crate::session::{Session, SessionError};
 use crate::units::StageAngles;
@@ -27,7 +27,7 @@ enum SessionCommand {
     /// Exit code 1 if a file is missing, changed or unknown. An interrupted
     /// session can be intact.
     Verify(VerifyArgs),
-    /// Lists the lights of a session, or the sessions of a folder
+    /// Lists the lights of a session
     List(ListArgs),
 }
 
@@ -43,30 +43,20 @@ struct VerifyArgs {
 
 #[derive(clap::Args, Debug)]
 struct ListArgs {
-    /// A session, or a folder of sessions
-    #[arg(value_name = "SESSION", default_value = "sessions")]
-    folder: PathBuf,
+    /// The session's folder
+    #[arg(value_name = "SESSION")]
+    session: PathBuf,
     /// The list as JSON
     #[arg(long)]
     json: bool,
 }
 
 /// `rig session`.
-pub fn run(args: &SessionArgs, context: &Context) -> Result<(), CliError> {
+pub fn run(args: &SessionArgs, _: &Context) -> Result<(), CliError> {
     match &args.command {
         SessionCommand::Verify(args) => run_verify(args),
-        SessionCommand::List(args) if is_session(&args.folder) => {
-            list_lights(&args.folder, args.json)
-        }
-        SessionCommand::List(args) => list_sessions(&args.folder, args.json, context),
+        SessionCommand::List(args) => list_lights(&args.session, args.json),
     }
-}
-
-/// Also one that has lost half of what makes it a session, which is then said.
-fn is_session(folder: &Path) -> bool {
-    [JOURNAL_FILE, SESSION_FILE]
-        .iter()
-        .any(|name| folder.join(name).exists())
 }
 
 fn run_verify(args: &VerifyArgs) -> Result<(), CliError> {
@@ -173,40 +163,6 @@ fn list_lights(root: &Path, as_json: bool) -> Result<(), CliError> {
         out!("  light {light}: {angles}: {frames} frames, {state}")?;
     }
     Ok(())
-}
-
-fn list_sessions(folder: &Path, as_json: bool, context: &Context) -> Result<(), CliError> {
-    let entries = std::fs::read_dir(folder)
-        .map_err(|error| CliError::new(format!("{}: {error}", folder.display())))
-        .hint(
-            "name a session or the folder that holds them; captures go to ./sessions by default",
-        )?;
-    let mut paths: Vec<PathBuf> = entries
-        .flatten()
-        .map(|entry| entry.path())
-        .filter(|path| is_session(path))
-        .filter(|path| {
-            !path
-                .file_name()
-                .is_some_and(|n| n.to_string_lossy().starts_with('.'))
-        })
-        .collect();
-    paths.sort();
-    let mut summaries = Vec::new();
-    for path in paths {
-        match Session::open(&path) {
-            Ok(session) => summaries.push(session.summary()),
-            Err(error) => warn(context, &error),
-        }
-    }
-    if as_json {
-        return write_json(&summaries);
-    }
-    summaries.iter().try_for_each(print)
-}
-
-fn warn(context: &Context, error: &SessionError) {
-    context.warn(error);
 }
 
 fn print(summary: &Summary) -> Result<(), CliError> {

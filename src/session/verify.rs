@@ -167,7 +167,7 @@ pub fn strays(root: &Path, journal: &Journal) -> Result<Vec<PathBuf>, SessionErr
     Ok(strays)
 }
 
-/// One session in a list.
+/// A session in short.
 #[derive(Clone, Debug, Serialize)]
 pub struct Summary {
     /// Its folder; serialised with U+FFFD for bytes that are no UTF-8.

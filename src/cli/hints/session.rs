@@ -13,7 +13,7 @@ pub(super) fn for_session(error: &SessionError) -> Option<String> {
     use SessionError::*;
     Some(match error {
         Exists { .. } => "nothing was overwritten; choose another folder or name".into(),
-        NotASession { .. } => "name the session's own folder, the one with session.toml in it".into(),
+        NotASession { .. } => "name the session's own folder, the one with session.toml in it; `rig catalogue DIR` lists those of a folder".into(),
         DiskFull { .. } => {
             "nothing that was journalled is lost; free some space and try again".into()
         }
