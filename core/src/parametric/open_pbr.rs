@@ -10,14 +10,14 @@ use super::diffuse::RoughDiffuse;
 use super::fresnel::f82;
 use super::lobe::{Curve, Lobe};
 use super::parameters::{COAT_IOR, Parameters};
-use super::sheen::Microfiber;
+use super::sheen::Fuzz;
 use crate::brdf::ggx;
 
 /// A material of OpenPBR.
 #[derive(Clone, Debug)]
 pub struct OpenPbr {
     parameters: Parameters,
-    fuzz: (f64, [f64; 3], Microfiber),
+    fuzz: Fuzz,
     coat: Option<Layer>,
     base: Layer,
     diffuse: RoughDiffuse,
@@ -62,14 +62,13 @@ impl OpenPbr {
     /// With the tables that these parameters need.
     pub fn new(parameters: &Parameters) -> Self {
         let p = parameters;
-        let (fuzz_weight, fuzz_color) = p.fuzz_weight_and_color();
         let mix = |a: f64, b: f64| a + p.coat_weight * (b - a);
         // A rough coat blurs what is below, and the base's contrast is to the coat, not to air.
         let blurred = (p.roughness.powi(4) + 2.0 * p.coat_roughness.powi(4)).min(1.0);
         let below = (p.ior / COAT_IOR).max(COAT_IOR / p.ior);
         Self {
             parameters: *p,
-            fuzz: (fuzz_weight, fuzz_color, Microfiber::new(p.fuzz_roughness)),
+            fuzz: Fuzz::of(p),
             coat: (p.coat_weight > 0.0).then(|| Layer::new(p.coat_roughness, COAT_IOR)),
             base: Layer::new(mix(p.roughness, blurred.powf(0.25)), mix(p.ior, below)),
             diffuse: RoughDiffuse::new(p.diffuse_roughness),
@@ -81,12 +80,7 @@ impl OpenPbr {
         let p = &self.parameters;
         let (at, cos_o) = (&to.at, to.at.cos_o);
         // Fibres and coat, and what they leave.
-        let (fuzz_weight, fuzz_color, fibres) = &self.fuzz;
-        let (mut sheen, mut left) = (0.0, 1.0);
-        if *fuzz_weight > 0.0 {
-            sheen = fuzz_weight * fibres.value(to);
-            left -= fuzz_weight * fibres.albedo(cos_o);
-        }
+        let (fuzz, mut left) = self.fuzz.value(to);
         let mut coat = 0.0;
         if let Some(layer) = &self.coat {
             let fresnel = ggx::fresnel(layer.ior, at.cos_d);
@@ -105,7 +99,7 @@ impl OpenPbr {
             let metal = Layer::value(lobe, lost, f82(color, tint, at.cos_d));
             let dielectric = tint * glass + passed * diffuse.of_color(color);
             let base = p.metalness * metal + (1.0 - p.metalness) * dielectric;
-            fuzz_color[c] * sheen + coat + left * base
+            fuzz[c] + coat + left * base
         })
     }
 }

@@ -11,14 +11,14 @@ use super::Directions;
 use super::fresnel::{dielectric_share, dielectric_share_mean, f0_from_ior, f82, f82_mean};
 use super::lobe::{Curve, Lobe};
 use super::parameters::{COAT_IOR, Parameters};
-use super::sheen::Microfiber;
+use super::sheen::Fuzz;
 use crate::brdf::ggx;
 
 /// A material of the Principled BSDF.
 #[derive(Clone, Debug)]
 pub struct Principled {
     parameters: Parameters,
-    fuzz: (f64, [f64; 3], Microfiber),
+    fuzz: Fuzz,
     /// The coat, and the mean reflectance of its visible facets.
     coat: Option<(Lobe, Curve)>,
     base: Lobe,
@@ -35,7 +35,6 @@ impl Principled {
     /// With the tables that these parameters need.
     pub fn new(parameters: &Parameters) -> Self {
         let p = parameters;
-        let (fuzz_weight, fuzz_color) = p.fuzz_weight_and_color();
         let coat = (p.coat_weight > 0.0).then(|| {
             let coat = Lobe::of_roughness(p.coat_roughness);
             let (bare, reflected) = coat.albedo(|cos_d| ggx::fresnel(COAT_IOR, cos_d));
@@ -50,7 +49,7 @@ impl Principled {
         let brightest = f0.into_iter().fold(0.0, f64::max);
         Self {
             parameters: *p,
-            fuzz: (fuzz_weight, fuzz_color, Microfiber::new(p.fuzz_roughness)),
+            fuzz: Fuzz::of(p),
             coat,
             base,
             lost: Curve::new(|cos| (1.0 - bare.at(cos)) / bare.at(cos)),
@@ -69,12 +68,7 @@ impl Principled {
         let p = &self.parameters;
         let (at, cos_o) = (&to.at, to.at.cos_o);
         // Fibres and coat, and what they leave.
-        let (fuzz_weight, fuzz_color, fibres) = &self.fuzz;
-        let (mut sheen, mut left) = (0.0, 1.0);
-        if *fuzz_weight > 0.0 {
-            sheen = fuzz_weight * fibres.value(to);
-            left -= fuzz_weight * fibres.albedo(cos_o);
-        }
+        let (fuzz, mut left) = self.fuzz.value(to);
         let mut coat = 0.0;
         if let Some((lobe, reflects)) = &self.coat {
             coat = left * p.coat_weight * ggx::fresnel(COAT_IOR, at.cos_d) * lobe.value(at);
@@ -91,7 +85,7 @@ impl Principled {
             let glass = lobe * glass * (1.0 + self.dielectric_returns[c] * lost);
             let dielectric = glass + passed * color * FRAC_1_PI;
             let base = p.metalness * lobe * metal + (1.0 - p.metalness) * dielectric;
-            fuzz_color[c] * sheen + coat + left * base
+            fuzz[c] + coat + left * base
         })
     }
 }

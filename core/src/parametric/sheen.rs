@@ -12,6 +12,7 @@ use glam::DVec3;
 
 use super::Directions;
 use super::lobe::Curve;
+use super::parameters::Parameters;
 use crate::brdf::quadrature;
 
 /// The sheen of OpenPBR and Blender, of colour 1.
@@ -49,6 +50,37 @@ impl Microfiber {
         let sheared = scale * along + shear * up;
         let length2 = sheared * sheared + (scale * across).powi(2) + up * up;
         self.albedo(x) * FRAC_1_PI * (scale / length2).powi(2)
+    }
+}
+
+/// The fibres of OpenPBR and Blender over a material, in their colour and weight.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Fuzz {
+    weight: f64,
+    color: [f64; 3],
+    fibres: Microfiber,
+}
+
+impl Fuzz {
+    /// Those of a material.
+    pub fn of(parameters: &Parameters) -> Self {
+        let (weight, color) = parameters.fuzz_weight_and_color();
+        let fibres = Microfiber::new(parameters.fuzz_roughness);
+        Self {
+            weight,
+            color,
+            fibres,
+        }
+    }
+
+    /// f of R, G, B, 1/sr, and the share of light that they leave to what is below.
+    pub fn value(&self, to: &Directions) -> ([f64; 3], f64) {
+        if self.weight == 0.0 {
+            return ([0.0; 3], 1.0);
+        }
+        let value = self.weight * self.fibres.value(to);
+        let left = 1.0 - self.weight * self.fibres.albedo(to.at.cos_o);
+        (self.color.map(|color| color * value), left)
     }
 }
 
