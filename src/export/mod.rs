@@ -64,7 +64,7 @@ pub enum Format {
 
 impl Format {
     /// The usual ending of its files.
-    pub fn ending(self) -> &'static str {
+    pub const fn ending(self) -> &'static str {
         match self {
             Self::Json => "json",
             Self::Merl => "binary",

@@ -20,7 +20,7 @@ pub enum ModelFormat {
 
 impl ModelFormat {
     /// The usual ending of its files.
-    pub fn ending(self) -> &'static str {
+    pub const fn ending(self) -> &'static str {
         match self {
             Self::OpenPbr => "mtlx",
             Self::Blender => "py",

@@ -20,7 +20,7 @@ use crate::console::control::Controlled;
 use crate::console::jobs::{Jobs, Kind, Work};
 use crate::console::refusal::{Accepted, Refusal, accepted};
 use crate::console::request::Asked;
-use crate::export::Format;
+use crate::export::{Format, ModelFormat};
 use crate::session::layout::FITS_FOLDER;
 
 /// `api/sessions/NAME/fit` and `api/sessions/NAME/export`.
@@ -88,14 +88,18 @@ struct ExportForm {
     format: String,
 }
 
-/// The formats of `rig export` by their names there.
-const FORMATS: &[(&str, Format)] = &[
-    ("json", Format::Json),
-    ("merl", Format::Merl),
-    ("rgl", Format::Rgl),
-    ("rgl-spectral", Format::RglSpectral),
-    ("mitsuba", Format::Mitsuba),
-    ("pbrt", Format::Pbrt),
+/// The formats of `rig export` by their names there, with the usual ending of their files.
+const FORMATS: &[(&str, &str)] = &[
+    ("json", Format::Json.ending()),
+    ("birdf", "json"),
+    ("merl", Format::Merl.ending()),
+    ("rgl", Format::Rgl.ending()),
+    ("rgl-spectral", Format::RglSpectral.ending()),
+    ("mitsuba", Format::Mitsuba.ending()),
+    ("pbrt", Format::Pbrt.ending()),
+    ("openpbr", Format::Model(ModelFormat::OpenPbr).ending()),
+    ("blender", Format::Model(ModelFormat::Blender).ending()),
+    ("gltf", Format::Model(ModelFormat::Gltf).ending()),
 ];
 
 async fn export(
@@ -108,7 +112,7 @@ async fn export(
         // What is exported.
         let session = session(jobs, &name)?;
         let named = FORMATS.iter().find(|(named, _)| *named == form.format);
-        let Some((format, kind)) = named else {
+        let Some((format, ending)) = named else {
             let format = form.format;
             return Err(Refusal::bad(format!("there is no format {format:?}")));
         };
@@ -119,7 +123,7 @@ async fn export(
         let fit = session.join(FITS_FOLDER).join(number.to_string());
 
         // Where to.
-        let file = format!("fit-{number}-{format}.{}", kind.ending());
+        let file = format!("fit-{number}-{format}.{ending}");
         let folder = jobs.program().folder.join(EXPORTS_ROOT).join(&name);
         std::fs::create_dir_all(&folder)
             .map_err(|error| Refusal::failed(format!("{}: {error}", folder.display())))?;
@@ -166,6 +170,19 @@ fn session(jobs: &Jobs, name: &str) -> Result<PathBuf, Refusal> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_page_offers_all_formats() {
+        let page = include_str!("../page/session.js");
+        let (_, list) = page.split_once("const FORMATS = [").unwrap();
+        let (list, _) = list.split_once("];").unwrap();
+        let offered: Vec<_> = list
+            .lines()
+            .filter_map(|line| line.split('"').nth(1))
+            .collect();
+        let known: Vec<_> = FORMATS.iter().map(|(name, _)| *name).collect();
+        assert_eq!(offered, known);
+    }
 
     #[test]
     fn a_form_becomes_options_that_cannot_be_taken_for_others() {
