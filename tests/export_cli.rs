@@ -3,9 +3,10 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::{Command, Output};
+use std::sync::Arc;
 
-use rig::brdf::Dictionary;
-use rig::session::fit_record::{self, AngleTable, AtomRecord, FitImages, FitRecord, FitSettings};
+use rig::brdf::{Dictionary, Mixture};
+use rig::session::fit_record::{self, FitImages, FitRecord};
 
 fn rig(arguments: &[&str], folder: &Path) -> Output {
     Command::new(env!("CARGO_BIN_EXE_rig"))
@@ -21,43 +22,17 @@ fn stderr(output: &Output) -> String {
 
 fn write_fit(folder: &Path) {
     let dictionary = Dictionary::paper42();
-    let atoms = dictionary.atoms();
     let channel = |gloss: usize, share: f64| {
-        let mut weights = vec![0.0; atoms.len()];
+        let mut weights = vec![0.0; dictionary.len()];
         (weights[gloss], weights[4], weights[40], weights[41]) = (share, 0.1, 0.3, 0.6 - share);
         weights
     };
+    let weights = [channel(6, 0.5), channel(2, 0.35), channel(10, 0.6)];
+    let mixture = Mixture::new(Arc::new(dictionary), weights).unwrap();
     let record = FitRecord {
         simulated: true,
-        dictionary: dictionary.name().to_owned(),
-        atoms: (0..atoms.len())
-            .map(|n| AtomRecord::new(n, &atoms[n]))
-            .collect(),
-        weights: [channel(6, 0.5), channel(2, 0.35), channel(10, 0.6)],
-        weight_deviations: [(); 3].map(|()| vec![0.01; atoms.len()]),
-        settings: FitSettings {
-            optimizer: "gauss-newton".to_owned(),
-            samples_per_pixel: 64,
-            max_reflections: 16,
-            seed: 3,
-            kernel: "portable".to_owned(),
-            ..FitSettings::default()
-        },
-        loss: 1.0,
         reduced_chi_square: vec![[1.0; 3]],
-        truncation_remainder: Vec::new(),
-        outlier_fraction: Vec::new(),
-        discrepancy: None,
-        termination: "converged".to_owned(),
-        trace: Vec::new(),
-        timings: Vec::new(),
-        versions: BTreeMap::new(),
-        score: None,
-        table: AngleTable::default(),
-        warnings: Vec::new(),
-        remarks: Vec::new(),
-        bench: None,
-        budget: None,
+        ..FitRecord::of_mixture(&mixture)
     };
     fit_record::write(folder, &record, &FitImages::default()).unwrap();
 }

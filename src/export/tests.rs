@@ -1,4 +1,3 @@
-use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use glam::Vec3;
@@ -8,12 +7,9 @@ use serde_json::Value;
 use super::*;
 use crate::brdf::discrepancy::{self, Discrepancy};
 use crate::brdf::{Brdf, Dictionary, Mixture};
-use crate::session::fit_record::{
-    AngleTable, AtomRecord, DiscrepancyRecord, FitSettings, Interval,
-};
+use crate::session::fit_record::{AngleTable, DiscrepancyRecord, Interval};
 
 fn record(simulated: bool) -> FitRecord {
-    let dictionary = Dictionary::paper42();
     let channel = |gloss: usize, matte: f64| {
         let mut weights = vec![0.0; 42];
         (weights[gloss], weights[40]) = (0.3, matte);
@@ -26,41 +22,17 @@ fn record(simulated: bool) -> FitRecord {
         upper: [0.6, 0.3, 0.2],
         constrained: true,
     };
+    let weights = [channel(12, 0.6), channel(13, 0.2), channel(22, 0.1)];
+    let mixture = Mixture::new(Arc::new(Dictionary::paper42()), weights).unwrap();
     FitRecord {
         simulated,
-        dictionary: dictionary.name().to_owned(),
-        atoms: (0..42)
-            .map(|n| AtomRecord::new(n, &dictionary.atoms()[n]))
-            .collect(),
-        weights: [channel(12, 0.6), channel(13, 0.2), channel(22, 0.1)],
-        weight_deviations: [const { Vec::new() }; 3].map(|_: Vec<f64>| vec![0.01; 42]),
-        settings: FitSettings {
-            optimizer: "gauss-newton".to_owned(),
-            samples_per_pixel: 64,
-            max_reflections: 16,
-            seed: 3,
-            kernel: "portable".to_owned(),
-            ..FitSettings::default()
-        },
-        loss: 1.0,
         reduced_chi_square: vec![[1.0; 3]],
-        truncation_remainder: Vec::new(),
-        outlier_fraction: Vec::new(),
-        discrepancy: None,
-        termination: "converged".to_owned(),
-        trace: Vec::new(),
-        timings: Vec::new(),
-        versions: BTreeMap::new(),
-        score: None,
         table: AngleTable {
             theta_h_deg: vec![0.0, 30.0],
             theta_d_deg: vec![0.0, 20.0, 40.0],
             cells: vec![cell; 6],
         },
-        warnings: Vec::new(),
-        remarks: Vec::new(),
-        bench: None,
-        budget: None,
+        ..FitRecord::of_mixture(&mixture)
     }
 }
 

@@ -5,8 +5,8 @@ use crate::brdf::discrepancy::Discrepancy;
 use crate::brdf::{Brdf, Dictionary, Mixture};
 use crate::random::{Purpose, stream};
 use crate::session::fit_record::{
-    AngleTable, AtomRecord, BudgetRecord, BudgetRow, ChannelScore, DiscrepancyRecord, FitSettings,
-    Grade, Interval, MetricScores, ScoreSheet, Timing, TracePoint, Warning,
+    AngleTable, BudgetRecord, BudgetRow, ChannelScore, DiscrepancyRecord, FitSettings, Grade,
+    Interval, MetricScores, ScoreSheet, Timing, TracePoint, Warning,
 };
 
 const WIDTH: usize = 48;
@@ -119,16 +119,8 @@ fn record(estimate: &Mixture) -> FitRecord {
         floor: score(own * 0.75),
         single_bounce_start: Some(score(own * 7.0)),
     };
-    let atoms = estimate.dictionary().atoms();
     FitRecord {
         simulated: true,
-        dictionary: estimate.dictionary().name().to_owned(),
-        atoms: atoms
-            .iter()
-            .enumerate()
-            .map(|(n, atom)| AtomRecord::new(n, atom))
-            .collect(),
-        weights: estimate.weights().clone(),
         weight_deviations: estimate
             .weights()
             .clone()
@@ -165,7 +157,6 @@ fn record(estimate: &Mixture) -> FitRecord {
                 seconds,
             })
             .into(),
-        versions: Default::default(),
         score: Some(ScoreSheet {
             truth: "paper white".to_owned(),
             environment_error: metric(0.048),
@@ -174,9 +165,6 @@ fn record(estimate: &Mixture) -> FitRecord {
             plain: None,
         }),
         table: table(estimate),
-        warnings: Vec::new(),
-        remarks: Vec::new(),
-        bench: None,
         budget: Some(BudgetRecord {
             sources: ["noise", "paths", "model", "prior"]
                 .map(str::to_owned)
@@ -191,6 +179,7 @@ fn record(estimate: &Mixture) -> FitRecord {
                 })
                 .into(),
         }),
+        ..FitRecord::of_mixture(estimate)
     }
 }
 

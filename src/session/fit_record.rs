@@ -272,6 +272,35 @@ mod amplitude {
 }
 
 impl FitRecord {
+    /// Of a mixture of which nothing else is known.
+    pub fn of_mixture(mixture: &Mixture) -> Self {
+        let dictionary = mixture.dictionary();
+        let atoms = dictionary.atoms().iter().enumerate();
+        Self {
+            simulated: false,
+            dictionary: dictionary.name().to_owned(),
+            atoms: atoms.map(|(i, atom)| AtomRecord::new(i, atom)).collect(),
+            weights: mixture.weights().clone(),
+            weight_deviations: [(); 3].map(|()| vec![0.0; dictionary.len()]),
+            settings: FitSettings::default(),
+            loss: 0.0,
+            reduced_chi_square: Vec::new(),
+            truncation_remainder: Vec::new(),
+            outlier_fraction: Vec::new(),
+            discrepancy: None,
+            termination: String::new(),
+            trace: Vec::new(),
+            timings: Vec::new(),
+            versions: BTreeMap::new(),
+            score: None,
+            table: AngleTable::default(),
+            warnings: Vec::new(),
+            remarks: Vec::new(),
+            bench: None,
+            budget: None,
+        }
+    }
+
     /// The fitted BRDF.
     ///
     /// # Errors

@@ -10,8 +10,7 @@ use crate::brdf::{Brdf, Mixture};
 use crate::inverse::{Channels, Fit, intervals};
 use crate::scores::score;
 use crate::session::fit_record::{
-    AngleTable, AtomRecord, BudgetRecord, DiscrepancyRecord, FitRecord, FitSettings, Timing,
-    TracePoint,
+    AngleTable, BudgetRecord, DiscrepancyRecord, FitRecord, FitSettings, Timing, TracePoint,
 };
 
 /// The record of a fit by `plan`, still without warnings, remarks, bench and truncated light.
@@ -57,18 +56,13 @@ pub(super) fn of_fit(
         })
         .collect();
 
-    let atoms = dictionary.atoms().iter().enumerate();
     let timings = fit.timings.iter().copied().chain([scoring]);
     Ok(FitRecord {
         simulated,
-        dictionary: dictionary.name().to_owned(),
-        atoms: atoms.map(|(i, atom)| AtomRecord::new(i, atom)).collect(),
-        weights: mixture.weights().clone(),
         weight_deviations: intervals::weight_deviations(&fit.posterior_samples, dictionary.len()),
         settings: settings(plan, fit),
         loss: trace.last().map_or(0.0, |last| last.loss),
         reduced_chi_square: fit.comparison.reduced_chi2(),
-        truncation_remainder: Vec::new(),
         outlier_fraction: fit.outlier_fraction.clone(),
         discrepancy: (fit.discrepancy > 0.0).then(|| DiscrepancyRecord {
             amplitude: fit.discrepancy,
@@ -85,10 +79,8 @@ pub(super) fn of_fit(
         versions: BTreeMap::from([("rig".to_owned(), env!("CARGO_PKG_VERSION").to_owned())]),
         score,
         table: AngleTable::of(fit),
-        warnings: Vec::new(),
-        remarks: Vec::new(),
-        bench: None,
         budget: BudgetRecord::of(fit),
+        ..FitRecord::of_mixture(mixture)
     })
 }
 

@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use rig::brdf::Dictionary;
+use rig::brdf::{Dictionary, Mixture};
 use rig::config::BUILT_IN;
 use rig::device::{
     CameraInfo, CameraSettings, FrameKey, FrameKind, LampChannel, LampState, Mosaic, RawFrame,
@@ -16,8 +16,7 @@ use rig::device::{
 };
 use rig::session::commit::SystemDisk;
 use rig::session::fit_record::{
-    self, AngleTable, AtomRecord, BudgetRecord, BudgetRow, FitImages, FitRecord, FitSettings,
-    Interval,
+    self, AngleTable, BudgetRecord, BudgetRow, FitImages, FitRecord, Interval,
 };
 use rig::session::{
     CalibrationCopy, Event, ExposureRules, NewSession, PlanRecord, SessionRecord, SessionWriter,
@@ -61,9 +60,8 @@ irradiance_w_m2 = [{ value = 3.1, std = 0.0155 }, { value = 3.2, std = 0.016 }, 
 /// A fit of `paper42` with a table that is constrained up to θh = 40° and a budget of two rows.
 pub fn fit(simulated: bool) -> FitRecord {
     let dictionary = Dictionary::paper42();
-    let atoms = dictionary.atoms();
     let channel = |gloss: usize, share: f64| {
-        let mut weights = vec![0.0; atoms.len()];
+        let mut weights = vec![0.0; dictionary.len()];
         (weights[gloss], weights[40], weights[41]) = (share, 0.3, 0.7 - share);
         weights
     };
@@ -87,40 +85,17 @@ pub fn fit(simulated: bool) -> FitRecord {
         relative_std,
         share: vec![0.1, 0.2, 0.7],
     };
+    let weights = [channel(6, 0.5), channel(2, 0.35), channel(10, 0.6)];
+    let mixture = Mixture::new(Arc::new(dictionary), weights).unwrap();
     FitRecord {
         simulated,
-        dictionary: dictionary.name().to_owned(),
-        atoms: (0..atoms.len())
-            .map(|n| AtomRecord::new(n, &atoms[n]))
-            .collect(),
-        weights: [channel(6, 0.5), channel(2, 0.35), channel(10, 0.6)],
-        weight_deviations: [(); 3].map(|()| vec![0.01; atoms.len()]),
-        settings: FitSettings {
-            optimizer: "gauss-newton".to_owned(),
-            samples_per_pixel: 64,
-            max_reflections: 16,
-            seed: 3,
-            kernel: "portable".to_owned(),
-            ..FitSettings::default()
-        },
-        loss: 1.0,
         reduced_chi_square: vec![[1.0; 3]],
-        truncation_remainder: Vec::new(),
-        outlier_fraction: Vec::new(),
-        discrepancy: None,
-        termination: "converged".to_owned(),
-        trace: Vec::new(),
-        timings: Vec::new(),
         versions: BTreeMap::from([("rig".to_owned(), "0.2.0".to_owned())]),
-        score: None,
         table: AngleTable {
             cells: cells.collect(),
             theta_h_deg,
             theta_d_deg,
         },
-        warnings: Vec::new(),
-        remarks: Vec::new(),
-        bench: None,
         budget: Some(BudgetRecord {
             sources: ["capture noise", "pose", "model"].map(str::to_owned).into(),
             row: vec![
@@ -128,6 +103,7 @@ pub fn fit(simulated: bool) -> FitRecord {
                 row(40.0, 45.0, 0.123_456_789, 0.087_654_321),
             ],
         }),
+        ..FitRecord::of_mixture(&mixture)
     }
 }
 
