@@ -3,10 +3,12 @@
 use std::fmt;
 
 use tracing::{Event, Level, Subscriber};
-use tracing_subscriber::EnvFilter;
+use tracing_subscriber::filter::Targets;
 use tracing_subscriber::fmt::format::Writer;
 use tracing_subscriber::fmt::{FmtContext, FormatEvent, FormatFields};
+use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::registry::LookupSpan;
+use tracing_subscriber::util::SubscriberInitExt;
 
 use super::stderr;
 
@@ -19,18 +21,29 @@ pub(super) fn start(quiet: bool, verbose: u8, color: bool) {
         _ => "trace",
     };
     let wanted = std::env::var("RUST_LOG").ok();
+    let wanted = wanted.filter(|text| !text.trim().is_empty());
     let shows_places = wanted.is_some() || verbose > 0;
-    let filter = wanted.unwrap_or_else(|| level.to_owned());
+    let parsed = wanted.as_deref().unwrap_or(level).parse();
+    let (targets, fault) = match parsed {
+        Ok(targets) => (targets, None),
+        Err(error) => (Targets::new().with_default(Level::WARN), Some(error)),
+    };
     let subscriber = tracing_subscriber::fmt()
-        .with_env_filter(EnvFilter::new(filter))
+        .with_max_level(Level::TRACE)
         .with_writer(|| stderr::Trace)
         .with_ansi(color)
         .log_internal_errors(false);
     // Fails where there is one already, which is as good.
     let _ = match shows_places {
-        true => subscriber.try_init(),
-        false => subscriber.event_format(AsWarning { color }).try_init(),
+        true => subscriber.finish().with(targets).try_init(),
+        false => {
+            let subscriber = subscriber.event_format(AsWarning { color });
+            subscriber.finish().with(targets).try_init()
+        }
     };
+    if let (Some(wanted), Some(fault)) = (wanted, fault) {
+        tracing::warn!("RUST_LOG is {wanted:?}, no filter such as \"rig=debug\": {fault}");
+    }
 }
 
 /// `warning: …`, as the program's own warnings are shown.
