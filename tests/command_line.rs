@@ -51,6 +51,21 @@ fn a_full_stdout_is_an_error_with_a_hint() {
     assert_eq!(lines.len(), 3, "{stderr}");
 }
 
+/// What cannot be a filter is said; the command runs all the same.
+#[test]
+fn a_wrong_rust_log_is_warned_of() {
+    let show = |filter| {
+        let mut check = rig();
+        check.args(["brdf", "check", "lambertian:1"]);
+        let output = check.env("RUST_LOG", filter).output().unwrap();
+        assert_eq!(output.status.code(), Some(0));
+        String::from_utf8(output.stderr).unwrap()
+    };
+    assert_eq!(show(""), "");
+    assert_eq!(show("rig=warn,off"), "");
+    assert!(show("rig==x").contains("RUST_LOG is \"rig==x\", no filter such as"));
+}
+
 #[test]
 fn help_version_completions_and_man_pages() {
     for args in [&["--help"][..], &["--version"], &["doctor", "--help"]] {
