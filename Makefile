@@ -13,8 +13,6 @@
 # `make test-external`: exports loaded in the programs they are for (tests/external/README.md).
 
 CARGO ?= cargo
-# Options of cargo, such as another profile; `make python` gives them to maturin.
-CARGO_FLAGS ?=
 SUDO := $(if $(filter 0,$(shell id -u)),,sudo)
 
 .PHONY: deb demo docs python python-wheel release test test-deb test-long test-vm test-external test-console console-pictures build deps deps-test deps-console deps-genicam
@@ -29,7 +27,7 @@ build: deps
 FEATURES ?=
 
 test: deps-test
-	$(CARGO) test $(CARGO_FLAGS) --locked --release --workspace --features "$(FEATURES)"
+	$(CARGO) test --locked --release --workspace --features "$(FEATURES)"
 
 # mdBook is built quickly rather than well: it runs for a second. Its warnings are errors;
 # links and anchors are checked by `cargo test --test docs_links`.
@@ -73,7 +71,7 @@ python-wheel:
 	@[ -x $(PYTHON_VENV)/bin/maturin ] || $(PYTHON) -m venv $(PYTHON_VENV)
 	@$(PYTHON_VENV)/bin/pip install --quiet maturin==1.16.0
 	@rm -f target/wheels/rig_reflectometry-*.whl
-	$(PYTHON_VENV)/bin/maturin build --quiet $(CARGO_FLAGS) --release --locked --manifest-path python/Cargo.toml $(WHEEL_OPTIONS)
+	$(PYTHON_VENV)/bin/maturin build --quiet --release --locked --manifest-path python/Cargo.toml $(WHEEL_OPTIONS)
 
 python: python-wheel
 	@[ -x $(RIG) ] || $(MAKE) --no-print-directory build
