@@ -9,9 +9,15 @@ use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
+use std::thread;
+use std::time::{Duration, Instant};
 
 use rustix::fs::{CWD, RenameFlags, StatVfs, renameat_with, statvfs};
 use rustix::io::Errno;
+
+/// How long a lock that is held is asked for again. A program that is being started holds
+/// copies of the locks of the one that starts it, for a moment.
+const LOCK_PATIENCE: Duration = Duration::from_millis(200);
 
 /// What a file system cannot do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -108,7 +114,7 @@ fn folder_sync(folder: &Path) -> io::Result<Option<Lack>> {
 /// it: SMB keeps them from it.
 ///
 /// # Errors
-/// Another process holds it, or what the system says.
+/// Another process holds it and does not let go at once, or what the system says.
 pub fn lock(file: &File, path: &Path) -> Result<(), TryLockError> {
     said(file_lock(file)?, path);
     Ok(())
@@ -128,8 +134,12 @@ fn file_lock(file: &File) -> Result<Option<Lack>, TryLockError> {
 }
 
 fn file_lock_by(call: impl Fn() -> Result<(), TryLockError>) -> Result<Option<Lack>, TryLockError> {
+    let end = Instant::now() + LOCK_PATIENCE;
     loop {
         match call() {
+            Err(TryLockError::WouldBlock) if Instant::now() < end => {
+                thread::sleep(Duration::from_millis(5));
+            }
             Err(TryLockError::Error(e)) if e.kind() == io::ErrorKind::Interrupted => {}
             Err(TryLockError::Error(e))
                 if is_one_of(&e, &NOT_OFFERED) || is_one_of(&e, &NO_LOCKS) =>
@@ -416,6 +426,21 @@ mod tests {
         assert!(sync_folder(&folder.path().join("none")).is_err());
         assert_eq!(std::fs::read(&b).unwrap(), b"b");
         assert_eq!(names(folder.path()), ["a", "b"]);
+    }
+
+    /// As that of a program that is being started.
+    #[test]
+    fn a_lock_that_is_let_go_at_once_is_waited_for() {
+        let path = tempfile::NamedTempFile::new().unwrap();
+        let held = File::options().write(true).open(path.path()).unwrap();
+        lock(&held, path.path()).unwrap();
+        let ends = thread::spawn(move || {
+            thread::sleep(Duration::from_millis(20));
+            drop(held);
+        });
+        let other = File::options().write(true).open(path.path()).unwrap();
+        lock(&other, path.path()).unwrap();
+        ends.join().unwrap();
     }
 
     #[test]
