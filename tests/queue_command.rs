@@ -21,7 +21,15 @@ name = "cup"
 name = "bowl"
 material = "red paint, batch 12"
 comment = "matte side up"
-light = [{ azimuth_deg = 40, elevation_deg = 55 }]
+# Many lights: its capture lasts long enough to be interrupted.
+light = [
+    { azimuth_deg = 40, elevation_deg = 55 },
+    { azimuth_deg = 70, elevation_deg = 55 },
+    { azimuth_deg = 100, elevation_deg = 55 },
+    { azimuth_deg = 130, elevation_deg = 55 },
+    { azimuth_deg = 160, elevation_deg = 55 },
+    { azimuth_deg = -170, elevation_deg = 55 },
+]
 
 [[sample]]
 name = "jar"
@@ -88,16 +96,12 @@ fn a_queue_is_interrupted_and_goes_on_where_it_was() {
     let folder = folder.path();
     fs::write(folder.join("samples.toml"), SAMPLES).unwrap();
 
-    // The cup, then instead of the bowl the cup again, then the bowl, and Ctrl-C in it.
-    let mut child = start(folder, "\nr\n\n\n");
-    let is_frame = |event: &Event| matches!(event, Event::Frame { .. });
-    let bowl = wait_for(&mut child, || {
-        let bowl = sessions(folder, "bowl").pop()?;
-        let journal = Journal::read(&bowl).ok()?;
-        let frames = journal.records.iter().filter(|r| is_frame(&r.event));
-        (frames.count() >= 3).then_some(bowl)
+    // The cup, then instead of the bowl the cup again.
+    let mut child = start(folder, "\nr\n\n");
+    wait_for(&mut child, || {
+        (sessions(folder, "cup").len() == 2).then_some(())
     });
-    // A second queue of the same file is kept out meanwhile.
+    // A second queue of the same file is kept out while this one waits for an answer.
     let second = answered(folder, "\n");
     assert_fails(
         &second,
@@ -105,6 +109,15 @@ fn a_queue_is_interrupted_and_goes_on_where_it_was() {
         "another process works on this queue",
         "end the other one first",
     );
+    // Then the bowl, and Ctrl-C in it.
+    child.stdin.as_mut().unwrap().write_all(b"\n").unwrap();
+    let is_frame = |event: &Event| matches!(event, Event::Frame { .. });
+    let bowl = wait_for(&mut child, || {
+        let bowl = sessions(folder, "bowl").pop()?;
+        let journal = Journal::read(&bowl).ok()?;
+        let frames = journal.records.iter().filter(|r| is_frame(&r.event));
+        (frames.count() >= 3).then_some(bowl)
+    });
     kill_process(Pid::from_child(&child), Signal::INT).unwrap();
     let output = child.wait_with_output().unwrap();
     assert_fails(
@@ -168,7 +181,7 @@ fn a_queue_is_interrupted_and_goes_on_where_it_was() {
     ));
     assert_eq!(found.as_array().unwrap().len(), 1);
     assert_eq!(found[0]["sample"], "bowl");
-    assert_eq!(found[0]["lights_finished"], 1);
+    assert_eq!(found[0]["lights_finished"], 6);
     assert!(found[0]["bytes"].as_u64().unwrap() > 10_000);
     fs::create_dir(folder.join("sessions/photos")).unwrap();
     let shown = text(&good(run(folder, &["catalogue"])).stdout);

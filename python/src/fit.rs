@@ -6,7 +6,7 @@ use std::sync::Arc;
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use rig::export::{self, Format, ModelFormat};
+use rig::export::{self, Format};
 use rig::session::Session;
 use rig::session::fit_record::{self, BudgetRecord, FitImages, FitRecord, Interval};
 use rig::workflow::fit_images_in_memory;
@@ -261,21 +261,9 @@ impl Fit {
     /// format: "json", "merl", "rgl", "rgl-spectral", "mitsuba", "pbrt", "openpbr", "blender"
     /// or "gltf".
     fn export(&self, py: Python<'_>, path: PathBuf, format: &str) -> PyResult<Vec<PathBuf>> {
-        let format = match format {
-            "json" => Format::Json,
-            "merl" => Format::Merl,
-            "rgl" => Format::Rgl,
-            "rgl-spectral" => Format::RglSpectral,
-            "mitsuba" => Format::Mitsuba,
-            "pbrt" => Format::Pbrt,
-            "openpbr" => Format::Model(ModelFormat::OpenPbr),
-            "blender" => Format::Model(ModelFormat::Blender),
-            "gltf" => Format::Model(ModelFormat::Gltf),
-            _ => {
-                let known =
-                    "json, merl, rgl, rgl-spectral, mitsuba, pbrt, openpbr, blender or gltf";
-                return Err(input(format!("format is {format:?}, but must be {known}")).into());
-            }
+        let Some(format) = Format::named(format) else {
+            let known = Format::ALL.map(|(name, _)| name).join(", ");
+            return Err(input(format!("format is {format:?}, but must be one of {known}")).into());
         };
         let written = work::detached(py, || export::export(&self.record, format, &path))?;
         Ok(written.map_err(Fault::from)?.files)

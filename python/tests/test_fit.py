@@ -103,3 +103,5 @@ def test_exports_are_those_of_the_program(program, quick_fit, tmp_path):
         assert list(map(str, quick_fit.export(ours, format))) == [str(ours)]
         program("export", tmp_path / "fit", "--format", format, "--out", theirs)
         assert ours.read_bytes() == theirs.read_bytes()
+    with pytest.raises(rig.InputError, match='"obj", but must be one of json, merl, '):
+        quick_fit.export(tmp_path / "x.obj", "obj")

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::ValueEnum;
 
 use super::{CliError, Context, as_model, output};
-use crate::export::{self, ExportError, Format, ModelFormat};
+use crate::export::{self, ExportError, Format};
 use crate::session::fit_record::{self, FitRecord, Verdict};
 use crate::workflow::{StatedResult, StatedResultError};
 
@@ -49,19 +49,22 @@ enum FormatArg {
     Birdf,
 }
 
+impl FormatArg {
+    fn name(self) -> String {
+        let value = self.to_possible_value().expect("no format is hidden");
+        value.get_name().to_owned()
+    }
+
+    /// As a format of [`export::export`]; none is the one that needs the fit's session.
+    fn of_any_fit(self) -> Option<Format> {
+        Format::named(&self.name())
+    }
+}
+
 /// `rig export`.
 pub fn run(args: &ExportArgs, context: &Context) -> Result<(), CliError> {
-    let format = match args.format {
-        FormatArg::Birdf => return birdf(args, context),
-        FormatArg::Json => Format::Json,
-        FormatArg::Merl => Format::Merl,
-        FormatArg::Rgl => Format::Rgl,
-        FormatArg::RglSpectral => Format::RglSpectral,
-        FormatArg::Mitsuba => Format::Mitsuba,
-        FormatArg::Pbrt => Format::Pbrt,
-        FormatArg::OpenPbr => Format::Model(ModelFormat::OpenPbr),
-        FormatArg::Blender => Format::Model(ModelFormat::Blender),
-        FormatArg::Gltf => Format::Model(ModelFormat::Gltf),
+    let Some(format) = args.format.of_any_fit() else {
+        return birdf(args, context);
     };
     let ending = format.ending();
     let path = args.out.clone();
@@ -120,5 +123,18 @@ fn warn_of(record: &FitRecord, context: &Context) {
             Some(reason) => format!("{}: {reason}", record.verdict().sentence()),
             None => record.verdict().sentence().to_owned(),
         });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_format_has_its_name_here() {
+        let here = FormatArg::value_variants().iter().map(|of| of.name());
+        let mut known: Vec<_> = Format::ALL.map(|(name, _)| name.to_owned()).into();
+        known.push("birdf".into());
+        assert_eq!(here.collect::<Vec<_>>(), known);
     }
 }

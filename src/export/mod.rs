@@ -63,6 +63,25 @@ pub enum Format {
 }
 
 impl Format {
+    /// All formats by their names on the command line, in the console and in Python.
+    pub const ALL: [(&str, Self); 9] = [
+        ("json", Self::Json),
+        ("merl", Self::Merl),
+        ("rgl", Self::Rgl),
+        ("rgl-spectral", Self::RglSpectral),
+        ("mitsuba", Self::Mitsuba),
+        ("pbrt", Self::Pbrt),
+        ("openpbr", Self::Model(ModelFormat::OpenPbr)),
+        ("blender", Self::Model(ModelFormat::Blender)),
+        ("gltf", Self::Model(ModelFormat::Gltf)),
+    ];
+
+    /// The format of this name.
+    pub fn named(name: &str) -> Option<Self> {
+        let found = Self::ALL.into_iter().find(|(known, _)| *known == name);
+        found.map(|(_, format)| format)
+    }
+
     /// The usual ending of its files.
     pub const fn ending(self) -> &'static str {
         match self {

@@ -20,7 +20,7 @@ use crate::console::control::Controlled;
 use crate::console::jobs::{Jobs, Kind, Work};
 use crate::console::refusal::{Accepted, Refusal, accepted};
 use crate::console::request::Asked;
-use crate::export::{Format, ModelFormat};
+use crate::export::Format;
 use crate::session::layout::FITS_FOLDER;
 
 /// `api/sessions/NAME/fit` and `api/sessions/NAME/export`.
@@ -89,18 +89,10 @@ struct ExportForm {
 }
 
 /// The formats of `rig export` by their names there, with the usual ending of their files.
-const FORMATS: &[(&str, &str)] = &[
-    ("json", Format::Json.ending()),
-    ("birdf", "json"),
-    ("merl", Format::Merl.ending()),
-    ("rgl", Format::Rgl.ending()),
-    ("rgl-spectral", Format::RglSpectral.ending()),
-    ("mitsuba", Format::Mitsuba.ending()),
-    ("pbrt", Format::Pbrt.ending()),
-    ("openpbr", Format::Model(ModelFormat::OpenPbr).ending()),
-    ("blender", Format::Model(ModelFormat::Blender).ending()),
-    ("gltf", Format::Model(ModelFormat::Gltf).ending()),
-];
+fn formats() -> impl Iterator<Item = (&'static str, &'static str)> {
+    let of_any_fit = Format::ALL.map(|(name, format)| (name, format.ending()));
+    of_any_fit.into_iter().chain([("birdf", "json")])
+}
 
 async fn export(
     State(jobs): State<Jobs>,
@@ -111,7 +103,7 @@ async fn export(
     start(jobs, move |jobs| {
         // What is exported.
         let session = session(jobs, &name)?;
-        let named = FORMATS.iter().find(|(named, _)| *named == form.format);
+        let named = formats().find(|(named, _)| *named == form.format);
         let Some((format, ending)) = named else {
             let format = form.format;
             return Err(Refusal::bad(format!("there is no format {format:?}")));
@@ -180,7 +172,7 @@ mod tests {
             .lines()
             .filter_map(|line| line.split('"').nth(1))
             .collect();
-        let known: Vec<_> = FORMATS.iter().map(|(name, _)| *name).collect();
+        let known: Vec<_> = formats().map(|(name, _)| name).collect();
         assert_eq!(offered, known);
     }
 

@@ -10,7 +10,6 @@ import { badge, latest, quality } from "./verdict.js";
 
 const FORMATS = [
   ["json", "JSON: weights, discrepancy, table with intervals"],
-  ["birdf", "Universal BRDF JSON (BiRD), with expanded uncertainty"],
   ["merl", "MERL .binary, for many renderers"],
   ["rgl", "RGL .bsdf in RGB, for Mitsuba 3"],
   ["rgl-spectral", "RGL .bsdf with spectra, for pbrt-v4"],
@@ -19,6 +18,7 @@ const FORMATS = [
   ["openpbr", "OpenPBR in MaterialX, the nearest of that model"],
   ["blender", "Script for Blender's Principled BSDF, likewise"],
   ["gltf", "Sphere in binary glTF 2.0, likewise"],
+  ["birdf", "Universal BRDF JSON (BiRD), with expanded uncertainty"],
 ];
 
 /** The address of a file of a session. */
