@@ -8,7 +8,7 @@ use serde::Serialize;
 use super::QueueError;
 use super::journal::{Event, Journal};
 use super::list::{Sample, SampleList};
-use crate::session::fit_record::Verdict;
+use crate::session::fit_record::{self, Verdict};
 use crate::session::layout::sample_of;
 use crate::session::{Session, SessionState};
 
@@ -67,6 +67,13 @@ pub enum RunState {
     },
     /// Its interrupted capture was left as it is.
     Abandoned,
+}
+
+impl RunState {
+    /// Whether its capture is complete and no fit of it is known.
+    fn lacks_fit(&self) -> bool {
+        matches!(self, Self::Captured | Self::Done { verdict: None, .. })
+    }
 }
 
 /// A session of the queue.
@@ -166,7 +173,8 @@ impl Queue {
     }
 
     /// Takes over what the process could not write any more before it died: a session that it had
-    /// just made, a capture that was complete.
+    /// just made, a capture that was complete. Takes over fits that were made since, by other
+    /// commands.
     fn catch_up(&mut self, there: &[String]) -> Result<(), QueueError> {
         if let Some((sample, before)) = self.known.next.clone() {
             let is_new =
@@ -184,7 +192,17 @@ impl Queue {
         let complete: Vec<_> = complete.map(|run| run.session.clone()).collect();
         complete
             .iter()
-            .try_for_each(|session| self.captured(session))
+            .try_for_each(|session| self.captured(session))?;
+
+        let unfitted = self.known.runs.iter().filter(|run| run.state.lacks_fit());
+        let fitted = unfitted.filter_map(|run| {
+            let fit = fit_record::find(&self.folder.join(&run.session)).ok()?;
+            Some((run.session.clone(), fit.verdict()))
+        });
+        let fitted: Vec<_> = fitted.collect();
+        fitted
+            .iter()
+            .try_for_each(|(session, verdict)| self.done(session, Some(*verdict), None))
     }
 
     /// Samples in the file's order.
@@ -351,7 +369,7 @@ fn sessions_in(folder: &Path) -> Result<Vec<String>, QueueError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::catalogue::tests::session;
+    use crate::catalogue::tests::{add_fit, session};
 
     const LIST: &str = "
 [[sample]]
@@ -530,5 +548,39 @@ name = \"jar\"
         queue.next("bowl").unwrap();
         drop(queue);
         assert_eq!(next(&bench.open().unwrap()), ("bowl".to_owned(), 1, 1));
+    }
+
+    #[test]
+    fn fits_that_others_made_are_taken_over() {
+        let bench = Bench::new();
+        let mut queue = bench.open().unwrap();
+        let failed = Some("the disk is full".to_owned());
+        let made: Vec<String> = [(0, "cup"), (1, "bowl"), (2, "bowl")]
+            .map(|(minute, sample)| {
+                queue.next(sample).unwrap();
+                let session = bench.make(sample, minute);
+                queue.begun(sample, &session).unwrap();
+                queue.captured(&session).unwrap();
+                session
+            })
+            .into();
+        queue.done(&made[0], None, failed.clone()).unwrap();
+        queue.done(&made[1], None, None).unwrap();
+        drop(queue);
+        let states = |queue: &Queue| -> Vec<RunState> {
+            let entries = queue.entries().iter();
+            entries.map(|entry| entry.state.clone()).collect()
+        };
+        let done = |verdict, error| RunState::Done { verdict, error };
+        let before = vec![done(None, failed), done(None, None), RunState::Captured];
+        assert_eq!(states(&bench.open().unwrap()), before);
+
+        let fit = fit_record::tests::sample();
+        for session in &made {
+            add_fit(&bench.sessions(), session, &fit);
+        }
+        let queue = bench.open().unwrap();
+        assert_eq!(states(&queue), vec![done(Some(fit.verdict()), None); 3]);
+        assert_eq!(next(&queue), ("jar".into(), 1, 1));
     }
 }

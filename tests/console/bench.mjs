@@ -32,6 +32,10 @@ export async function workplace({ timing = "realistic", small = true } = {}) {
     samples_per_pixel: small ? "2" : "16",
     max_reflections: small ? "2" : "8",
     timing: `"${timing}"`,
+    // Simulated devices share a busy machine with the tests.
+    reply_timeout_s: "20.0",
+    connect_timeout_s: "20.0",
+    frame_timeout_s: "20.0",
     ...(small ? { resolution_px: "[64, 64]", extent_mm: "[22.0, 22.0]", point_spread_px: "0.0" } : {}),
   };
   const lines = text.split("\n").map((line) => {

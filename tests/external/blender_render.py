@@ -23,6 +23,8 @@ MAPS = ["city", "studio"]
 MATERIALS = ["nbrdf:red-plastic", "nbrdf:alum-bronze", "nbrdf:light-brown-fabric"]
 # As the stated errors have it: what is at the rim depends on it.
 SIZE = 128
+# A quarter of the pixels says as much as all, in a quarter of the time.
+EVERY = 1 if PICTURES else 2
 # Of each of two renders.
 SAMPLES = 128
 # What a table in place of a network and the rest of the noise may add.
@@ -129,7 +131,8 @@ with tempfile.TemporaryDirectory() as folder:
         for name in MAPS:
             map_file = ROOT / "core/data/envmaps" / f"{name}.exr"
             lit_by(scene, map_file)
-            inside, truth = sphere(lambda l, v: merl_lookup(merl, l, v), pixels_of(map_file), SIZE, 1)
+            reflect = lambda l, v: merl_lookup(merl, l, v)
+            inside, truth = sphere(reflect, pixels_of(map_file), SIZE, every=EVERY)
             one, other = (render(scene, folder, seed) * inside[..., None] for seed in (1, 2))
             errors.append(error_without_noise(one, other, truth))
             rows.append(np.concatenate([truth, (one + other) / 2], axis=1) / np.quantile(truth[inside], 0.97))
