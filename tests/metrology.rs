@@ -118,6 +118,10 @@ fn the_universal_json_holds_the_constrained_cells() {
     assert!(text("/metadata/adhoc_section/traceability").contains("reflectance 0.985 ± 0.004"));
     let sensors = "/metadata/instrumentation/detection_system/sensors/0/name";
     assert_eq!(text(sensors), "bench");
+    let area = "/metadata/instrumentation/illumination_system/beam/dimensions/area";
+    let area = &document.pointer(area).unwrap();
+    assert!((area["value"].as_f64().unwrap() - 29.3 * 22.0).abs() < 1e-9);
+    assert_eq!(area["unit"], "mm^2");
     assert!(!String::from_utf8(bytes).unwrap().contains("SIMULATED"));
 }
 

@@ -13,6 +13,7 @@
 
 use std::path::Path;
 
+use glam::DVec3;
 use serde_json::{Map, Value, json};
 
 use super::{ExportError, SIMULATED_NOTE, replace};
@@ -256,7 +257,9 @@ fn instrumentation(result: &StatedResult) -> Value {
     );
     let lowest = bands.iter().map(|band| band[0]).fold(f64::MAX, f64::min);
     let highest = bands.iter().map(|band| band[1]).fold(f64::MIN, f64::max);
-    let aperture = result.config.geometry.camera.object_na.asin();
+    let view = &result.config.geometry.camera;
+    let aperture = view.object_na.asin();
+    let seen_mm = view.field_mm(DVec3::ZERO);
     let solid_angle_sr = std::f64::consts::TAU * (1.0 - aperture.cos());
     let mut instrumentation = json!({
         "name": format!("rig {}", result.config.name),
@@ -272,7 +275,13 @@ fn instrumentation(result: &StatedResult) -> Value {
                 "power": { "value": power_w, "unit": "W" },
                 "wl_range": { "min_value": lowest, "max_value": highest, "unit": "nm" },
             },
-            "beam": { "shape": "covers the sample", "dimensions": {} },
+            "beam": {
+                "shape": "covers the sample",
+                "dimensions": {
+                    "area": { "value": seen_mm.x * seen_mm.y, "unit": "mm^2" },
+                    "comments": "What the camera sees; the beam is at least as large.",
+                },
+            },
         },
         "detection_system": {
             "name": result.camera_geometry(),
@@ -350,7 +359,7 @@ mod tests {
         ] {
             let [theta, phi] = directions_deg(theta_h_deg, theta_d_deg).map(f64::to_radians);
             let direction = |phi: f64| {
-                glam::DVec3::new(
+                DVec3::new(
                     theta.sin() * phi.cos(),
                     theta.sin() * phi.sin(),
                     theta.cos(),

@@ -85,6 +85,21 @@ impl Camera {
         })
     }
 
+    /// Width and height of what an ideal lens shows at the depth of a point of the sample's
+    /// frame, millimetres; nothing behind the camera.
+    pub fn field_mm(&self, point_mm: DVec3) -> DVec2 {
+        let [width, height] = self.resolution_px.map(|n| n as f64);
+        match self.projection {
+            Projection::Orthographic { extent_mm } => extent_mm,
+            Projection::Perspective { fov_rad } => {
+                let camera_from_sample = self.sample_from_camera.inverse();
+                let depth_mm = camera_from_sample.point(point_mm).z.max(0.0);
+                let across = 2.0 * depth_mm * (0.5 * fov_rad).tan();
+                DVec2::new(across, across * height / width)
+            }
+        }
+    }
+
     /// The camera with a lens that is not ideal.
     ///
     /// # Errors

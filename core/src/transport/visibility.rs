@@ -152,7 +152,7 @@ impl Visibility {
             bounds_mm: [low, high],
             projected_px: projection.bounds_px,
             resolution_px: camera.resolution_px,
-            field_mm: field_mm(camera, 0.5 * (low + high)),
+            field_mm: camera.field_mm(0.5 * (low + high)),
             in_view: in_view(scene),
             covered_px: size.x * size.y * seen.sample as f64 / (GRID * GRID) as f64,
             front: part(seen.front, seen.sample),
@@ -352,24 +352,6 @@ fn evenly(point: usize) -> [f32; 2] {
         [1.0 - u, 1.0 - v]
     } else {
         [u, v]
-    }
-}
-
-/// Width and height of what an ideal lens shows at the depth of a point.
-fn field_mm(camera: &Camera, point_mm: DVec3) -> DVec2 {
-    let [width, height] = camera.resolution_px.map(|n| n as f64);
-    match camera.projection {
-        Projection::Orthographic { extent_mm } => extent_mm,
-        Projection::Perspective { fov_rad } => {
-            let depth_mm = camera
-                .sample_from_camera
-                .inverse()
-                .point(point_mm)
-                .z
-                .max(0.0);
-            let across = 2.0 * depth_mm * (0.5 * fov_rad).tan();
-            DVec2::new(across, across * height / width)
-        }
     }
 }
 
