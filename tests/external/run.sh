@@ -23,7 +23,7 @@ skip() {
 
 # The notebooks, with the wheel as it is now.
 "$venv/bin/pip" install --quiet --force-reinstall --no-deps "$2"
-RIG=$(realpath "$1") "$venv/bin/python" -m pytest -q --nbmake "$here/../../python/notebooks"
+RIG=$(realpath "$1") "$venv/bin/python" -m pytest -q --nbmake --nbmake-timeout=1800 "$here/../../python/notebooks"
 
 # Batches.
 "$venv/bin/python" "$here/snakemake_batch.py" "$1" "$venv/bin/snakemake"
