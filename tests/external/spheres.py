@@ -91,9 +91,9 @@ def sphere(reflect, image, size, factor=2, every=1):
     image = finer(image, factor)
     directions, solid = texels(*image.shape[:2])
     arriving = image.reshape(-1, 3) * solid[:, None]
-    inside, all_normals = normals(size)
-    row, column = np.indices(inside.shape)
-    inside &= (row % every == 0) & (column % every == 0)
+    on_sphere, all_normals = normals(size)
+    inside = np.zeros_like(on_sphere)
+    inside[::every, ::every] = on_sphere[::every, ::every]
     out = np.zeros((size, size, 3))
     for row, column in zip(*np.nonzero(inside)):
         n = all_normals[row, column]
