@@ -102,8 +102,14 @@ fn a_capture_is_paused_and_stopped_by_buttons_and_can_be_resumed() {
 
     let name = only_session(folder.path()).unwrap();
     let name = name.file_name().unwrap().to_str().unwrap().to_owned();
-    let resumed = console.post("a", "/api/capture/resume", &json!({"session": name}));
+    let form = json!({"session": name, "fit": false});
+    let resumed = console.post("a", "/api/capture/resume", &form);
     assert_eq!(resumed.status, 202, "{}", resumed.text());
+    let job = events.wait_for("job", |job| job["state"] == "running");
+    assert!(
+        job["command"].as_str().unwrap().ends_with(" --no-fit"),
+        "{job}"
+    );
     // After this frame.
     events.wait_for("capture", |capture| {
         capture["frame"]["number"].as_u64() >= Some(1)

@@ -66,7 +66,7 @@ test("stopped after a frame, a capture is resumed to its end", async () => {
   await untilCapture(page, "exposing");
   await press(page, "#finish");
   await untilCapture(page, "interrupted");
-  await press(page, "#resume");
+  await press(page, "#resume-only");
   await untilCapture(page, "complete");
   await isWhole(place.folder, await sessionOf(place.folder, "finished"));
   assert.deepEqual(page.complaints, []);

@@ -60,11 +60,14 @@ impl CaptureForm {
         arguments.extend(self.sample.iter().map(|sample| option("--sample=", sample)));
         arguments.extend(self.lights.iter().map(|lights| option("--lights=", lights)));
         arguments.extend(self.light.iter().map(|light| option("--light=", light)));
-        if self.fit == Some(false) {
-            arguments.push("--no-fit".into());
-        }
+        arguments.extend(without_fit(self.fit));
         Ok(arguments)
     }
+}
+
+/// What tells a capture that no fit follows; it does if the page does not say.
+fn without_fit(fit: Option<bool>) -> Option<OsString> {
+    (fit == Some(false)).then(|| "--no-fit".into())
 }
 
 /// `--name=value` as one argument.
@@ -212,6 +215,7 @@ async fn start(
 #[derive(Deserialize)]
 struct Resumed {
     session: String,
+    fit: Option<bool>,
 }
 
 async fn resume(State(jobs): State<Jobs>, _: Controlled, Asked(form): Asked<Resumed>) -> Accepted {
@@ -219,11 +223,13 @@ async fn resume(State(jobs): State<Jobs>, _: Controlled, Asked(form): Asked<Resu
     if !is_session(folder, &form.session) {
         return Err(Refusal::missing("there is no such session"));
     }
-    let session = option("--resume=", folder.join(&form.session));
+    let mut arguments = vec!["capture".into()];
+    arguments.push(option("--resume=", folder.join(&form.session)));
+    arguments.extend(without_fit(form.fit));
     let work = Work {
         hidden: vec!["--events".into()],
         session: Some(form.session),
-        ..Work::new(Kind::Capture, vec!["capture".into(), session])
+        ..Work::new(Kind::Capture, arguments)
     };
     capture(jobs, work).await
 }

@@ -20,6 +20,7 @@ const STATES = {
   merging: "Merging the frames",
   paused: "Paused, lamp off",
   fitting: "Fitting the BRDF",
+  ending: "Ending",
   complete: "Complete",
   interrupted: "Interrupted; everything captured is kept",
   failed: "Failed",
@@ -32,6 +33,13 @@ const LIGHT_STATES = { "to-come": "to come", now: "now", done: "done" };
 /** The name of a session's folder. */
 export function sessionName(path) {
   return (path ?? "").replace(/\/+$/, "").split("/").pop();
+}
+
+/** Two buttons that resume the capture of the session of this name, with its fit and without; each does `then`. */
+export function resumeButtons(id, name, then = () => {}) {
+  const resume = (label, fit, about) =>
+    h("button", { type: "button", ...about, onclick: async () => (await attempt("api/capture/resume", { session: name(), fit })) && then() }, label);
+  return [resume("Resume, then fit", true, { id, class: "primary" }), resume("Resume without a fit", false, { id: `${id}-only` })];
 }
 
 /** The part of the view; `onleave` when the operator wants the next capture. */
@@ -72,12 +80,11 @@ function progressPanel(onleave) {
   const goOn = command("Continue", "continue", { id: "continue", class: "primary" });
   const finish = command("Stop after this frame", "finish", { id: "finish" });
   const halt = command("STOP now", "stop", { id: "stop-now", class: "danger" });
-  const resume = h("button", { type: "button", id: "resume", class: "primary" }, "Resume, then fit");
-  resume.addEventListener("click", () => attempt("api/capture/resume", { session: sessionName(state.capture?.session) }));
+  const resumes = resumeButtons("resume", () => sessionName(state.capture?.session));
   const open = h("a", { class: "button primary", id: "open-session" }, "Open the session");
   const next = h("button", { type: "button", id: "next", onclick: onleave }, "New capture");
   const error = h("p", { class: "error", role: "alert" });
-  const element = h("section", { class: "panel" }, title, doing, verdict, h("div", { class: "progress-row" }, bar, share), list, h("div", { class: "row" }, pause, goOn, finish, halt, resume, open, next), why, error);
+  const element = h("section", { class: "panel" }, title, doing, verdict, h("div", { class: "progress-row" }, bar, share), list, h("div", { class: "row" }, pause, goOn, finish, halt, ...resumes, open, next), why, error);
 
   let lastState = null;
   function show(capture, job) {
@@ -86,7 +93,8 @@ function progressPanel(onleave) {
     const paused = running && (job.state === "paused" || capture?.state === "paused");
     const fitting = capture?.state === "fitting";
     say(title, capture?.sample || name || "Capture");
-    const phase = paused ? "paused" : (capture?.state ?? "preparing");
+    // A fit may follow what the capture calls its end.
+    const phase = paused ? "paused" : running && ENDED.includes(capture?.state) ? "ending" : (capture?.state ?? "preparing");
     const stage = capture?.fit_stage ?? job?.progress?.stage;
     const fit = fitting && stage ? `: ${stage}` : "";
     verdict.hidden = !(ENDED.includes(phase) && capture?.verdict);
@@ -104,18 +112,18 @@ function progressPanel(onleave) {
     for (const control of [pause, goOn, finish, halt]) control.hidden = ended;
     pause.hidden ||= paused;
     goOn.hidden ||= !paused;
-    resume.hidden = !(ended && capture && ["interrupted", "failed"].includes(capture.state) && name);
+    for (const resume of resumes) resume.hidden = !(ended && capture && ["interrupted", "failed"].includes(capture.state) && name);
     open.hidden = !(ended && name);
     next.hidden = !ended;
     // Whoever pressed a button that is gone stands on the next one.
-    const buttons = [pause, goOn, finish, halt, open, resume, next];
+    const buttons = [pause, goOn, finish, halt, open, ...resumes, next];
     if (buttons.includes(focused) && focused.hidden) buttons.find((button) => !button.hidden)?.focus();
     if (name) open.setAttribute("href", `#sessions/${encodeURIComponent(name)}`);
     const reason = blocked();
     gate(pause, reason ?? (job?.state === "ending" ? "The capture is ending." : null));
     gate(goOn, reason);
     gate(finish, reason ?? (job?.state === "ending" ? "The capture is ending." : null));
-    gate(resume, reason);
+    for (const resume of resumes) gate(resume, reason);
     say(why, reason ? `${reason} STOP works from every page.` : "");
     const failed = ended && (capture?.state === "failed" || (job?.kind === "capture" && job.state === "failed"));
     say(error, failed ? capital(capture?.error ?? (job?.log ?? []).slice(-3).join(" · ")) : "");

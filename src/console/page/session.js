@@ -5,6 +5,7 @@ import { by, facts, field, gate, h, panel, redraw, say } from "./dom.js";
 import { when } from "./format.js";
 import { attempt, blocked, capturing } from "./header.js";
 import { announce, complain } from "./notices.js";
+import { resumeButtons } from "./running.js";
 import { state, watch } from "./stream.js";
 import { badge, latest, quality } from "./verdict.js";
 
@@ -69,10 +70,7 @@ export function sessionPart() {
 function details(session) {
   const fit = latest(session);
   const report = session.report ? fileOf(session.name, "report.html") : null;
-  const resume = h("button", { type: "button", class: "primary", id: "resume-session" }, "Resume the capture, then fit");
-  resume.addEventListener("click", async () => {
-    if (await attempt("api/capture/resume", { session: session.name })) location.hash = "#capture";
-  });
+  const resumes = resumeButtons("resume-session", () => session.name, () => (location.hash = "#capture"));
   const list = h("dl", { class: "facts across" });
   facts(list, [
     ["Captured", when(session.began)],
@@ -95,7 +93,7 @@ function details(session) {
         "div",
         { class: "row" },
         report ? h("a", { class: "button primary", id: "report", href: report, target: "_blank", rel: "noopener" }, "Open the report") : null,
-        session.complete || session.error ? null : resume,
+        ...(session.complete || session.error ? [] : resumes),
       ),
       report ? reportFrame(report) : null,
     ),
@@ -181,8 +179,9 @@ function workPanel() {
     const fits = [...(session.fits ?? [])].reverse();
     redraw(which, fits.map((one) => one.name), () => fits.map((one) => h("option", { value: one.name }, `fit ${one.name}, ${one.dictionary ?? ""}`)));
     const job = state.job;
-    const resume = by("resume-session");
-    if (resume) gate(resume, blocked() ?? (capturing() ? "A capture is running." : null));
+    for (const resume of [by("resume-session"), by("resume-session-only")]) {
+      if (resume) gate(resume, blocked() ?? (capturing() ? "A capture is running." : null));
+    }
     const busy = job && ["running", "paused", "ending"].includes(job.state) ? `A ${job.kind} is running.` : null;
     const reason = blocked() ?? busy;
     gate(fit, reason ?? (session.complete ? null : "The session is not complete."));
