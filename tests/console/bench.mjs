@@ -12,8 +12,8 @@ import puppeteer from "puppeteer-core";
 const ROOT = fileURLToPath(new URL("../../", import.meta.url));
 const RIG = path.resolve(ROOT, process.env.RIG ?? "target/release/rig");
 const CHROMIUM = process.env.CHROMIUM ?? "/usr/bin/chromium";
-/** A fit takes a quarter of a minute of a whole core. */
-const PATIENCE_MS = 180000;
+/** A fit takes a quarter of a minute of a whole core, which other tests may leave little of. */
+const PATIENCE_MS = 600000;
 
 const axe = await readFile(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
 

@@ -88,12 +88,17 @@ impl Camera {
     /// Width and height of what an ideal lens shows at the depth of a point of the sample's
     /// frame, millimetres; nothing behind the camera.
     pub fn field_mm(&self, point_mm: DVec3) -> DVec2 {
+        let depth_mm = self.sample_from_camera.inverse().point(point_mm).z;
+        self.field_at_depth_mm(depth_mm.max(0.0))
+    }
+
+    /// Width and height of what an ideal lens shows so many millimetres before the camera;
+    /// negative behind a perspective camera.
+    pub fn field_at_depth_mm(&self, depth_mm: f64) -> DVec2 {
         let [width, height] = self.resolution_px.map(|n| n as f64);
         match self.projection {
             Projection::Orthographic { extent_mm } => extent_mm,
             Projection::Perspective { fov_rad } => {
-                let camera_from_sample = self.sample_from_camera.inverse();
-                let depth_mm = camera_from_sample.point(point_mm).z.max(0.0);
                 let across = 2.0 * depth_mm * (0.5 * fov_rad).tan();
                 DVec2::new(across, across * height / width)
             }

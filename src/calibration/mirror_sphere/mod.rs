@@ -259,11 +259,7 @@ impl Sphere {
 
 /// Millimetres that one pixel spans at a point of the camera's frame.
 fn mm_per_px(camera: &Camera, point_mm: DVec3) -> f64 {
-    let width = camera.resolution_px[0] as f64;
-    match camera.projection {
-        Projection::Orthographic { extent_mm } => extent_mm.x / width,
-        Projection::Perspective { fov_rad } => 2.0 * (0.5 * fov_rad).tan() * point_mm.z / width,
-    }
+    camera.field_at_depth_mm(point_mm.z).x / camera.resolution_px[0] as f64
 }
 
 /// Where a point of the camera's frame is in the image, pixels from the top left corner;

@@ -16,7 +16,7 @@ use rayon::prelude::*;
 use super::regions::{Grid, Seen, Sight, is_lit};
 use crate::inverse::bench::with_sample_at;
 use crate::radiance_image::RadianceImage;
-use crate::transport::{Projection, Scene};
+use crate::transport::Scene;
 
 /// Rotations up to this angle are sought, degrees.
 pub const WIDEST_DEG: f64 = 45.0;
@@ -142,21 +142,14 @@ impl<'a> Level<'a> {
                 all += f64::from(*value);
             }
         }
-        let field_mm = match scene.camera.projection {
-            Projection::Orthographic { extent_mm } => extent_mm.max_element(),
-            Projection::Perspective { fov_rad } => {
-                let distance = scene.camera.sample_from_camera.translation_mm.length();
-                2.0 * distance * (0.5 * fov_rad).tan()
-            }
-        };
         Self {
             variance: brightness.iter().map(variance).collect(),
             bright_px: sum / f64::max(all, 1e-9),
+            field_mm: scene.camera.field_mm(DVec3::ZERO).max_element(),
             scene,
             sight,
             grid,
             brightness,
-            field_mm,
         }
     }
 
