@@ -11,24 +11,24 @@ import sys
 import tempfile
 from pathlib import Path
 
-import MaterialX as mx
 import moderngl
 import numpy as np
 import OpenEXR
 from MaterialX import PyMaterialXGenGlsl, PyMaterialXGenShader
 
-from spheres import error, merl_lookup, read_merl, sphere
+import openpbr
+from spheres import mean_error, read_merl
 
 RIG = sys.argv[1]
 ROOT = Path(__file__).resolve().parents[2]
-MAPS = ["city", "forest", "studio", "sunset"]
+MAPS = [ROOT / "core/data/envmaps" / f"{name}.exr" for name in ("city", "forest", "studio", "sunset")]
 MATERIALS = ["white-diffuse-bball", "red-plastic", "alum-bronze", "light-brown-fabric", "silver-paint", "blue-metallic-paint"]
 # As the stated errors have it: what is at the rim depends on it. A sixteenth of the pixels says
 # as much as all.
 SIZE, EVERY = 128, 4
 # What a table in place of a network, and fewer pixels, may make of difference.
 ALLOWED = 0.02
-# One fragment for each pair of directions, this many across and down.
+# One fragment for each pair of directions, this many across and down; a map has 8192 texels.
 SIDE = 128
 VERTEX = f"""#version 400
 in vec3 normal; in vec3 tangent; in vec3 viewer;
@@ -40,20 +40,20 @@ void main() {{
 }}"""
 
 
+def read_map(path):
+    with OpenEXR.File(str(path)) as file:
+        return file.channels()["RGB"].pixels.astype(float)
+
+
 def fragment_shader(path):
     """The material's GLSL, lit by nothing but one light."""
-    libraries, document = mx.createDocument(), mx.createDocument()
-    search = mx.getDefaultDataSearchPath()
-    mx.loadLibraries(mx.getDefaultDataLibraryFolders(), search, libraries)
-    mx.readFromXmlString(document, path.read_text())
-    document.setDataLibrary(libraries)
+    document = openpbr.read(path)
     generator = PyMaterialXGenGlsl.GlslShaderGenerator.create()
-    context = PyMaterialXGenShader.GenContext(generator)
-    context.registerSourceCodeSearchPath(search)
+    context = openpbr.context_of(generator)
     options = context.getOptions()
     options.hwSpecularEnvironmentMethod = PyMaterialXGenShader.HwSpecularEnvironmentMethod.SPECULAR_ENVIRONMENT_NONE
     options.hwMaxActiveLightSources = 1
-    light = libraries.getNodeDef("ND_directional_light")
+    light = openpbr.LIBRARY.getNodeDef("ND_directional_light")
     PyMaterialXGenShader.HwShaderGenerator.bindLightShader(light, 1, context)
     (material,) = document.getMaterialNodes()
     shader = generator.generate(material.getName(), material, context)
@@ -83,10 +83,7 @@ class Shaded:
 
     def __call__(self, light, viewer):
         """Unit vectors in the frame of the surface, whose normal is +z."""
-        parts = range(0, len(light), SIDE**2)
-        return np.concatenate([self.part(light[i : i + SIDE**2], viewer[i : i + SIDE**2]) for i in parts])
-
-    def part(self, light, viewer):
+        assert len(light) <= SIDE**2
         # The shader's light is fixed, so all else is turned until the light is at +z.
         across = unit(np.cross(light, np.where(np.abs(light[:, :1]) < 0.7, [1.0, 0, 0], [0, 1.0, 0])))
         axes = np.stack([across, np.cross(light, across), light], axis=1)
@@ -104,7 +101,7 @@ class Shaded:
 
 gl = moderngl.create_standalone_context(backend="egl")
 print(f"OpenGL: {gl.info['GL_RENDERER']}")
-failures = []
+images, failures = [read_map(path) for path in MAPS], []
 with tempfile.TemporaryDirectory() as folder:
     for name in MATERIALS:
         document, table = Path(folder) / "x.mtlx", Path(folder) / "x.binary"
@@ -112,14 +109,7 @@ with tempfile.TemporaryDirectory() as folder:
             subprocess.run([RIG, "brdf", "convert", f"nbrdf:{name}", "--out", path], check=True, capture_output=True)
         stated = float(re.search(r"environment error ([\d.]+)%", document.read_text())[1]) / 100
         shaded, merl = Shaded(gl, fragment_shader(document)), read_merl(table)
-        errors = []
-        for environment in MAPS:
-            with OpenEXR.File(str(ROOT / "core/data/envmaps" / f"{environment}.exr")) as file:
-                image = file.channels()["RGB"].pixels.astype(float)
-            _, truth = sphere(lambda l, v: merl_lookup(merl, l, v), image, SIZE, 1, EVERY)
-            _, there = sphere(shaded, image, SIZE, 1, EVERY)
-            errors.append(error(there, truth))
-        mean = float(np.mean(errors))
+        mean = mean_error(shaded, merl, images, SIZE, EVERY)
         passes = abs(mean - stated) <= ALLOWED
         print(f"{'ok' if passes else 'FAILED':6} {name}: environment error as MaterialX shades it {mean:.3f}, stated {stated:.3f}")
         if not passes:

@@ -15,8 +15,7 @@ skip() {
 [ -x "$models/bin/python" ] || python3 -m venv "$models" || skip "there is no Python with venv"
 "$models/bin/pip" install --quiet -r "$here/requirements-models.txt" || skip "MaterialX and Blender could not be installed"
 "$models/bin/python" "$here/materialx_document.py" "$1"
-opengl() { "$models/bin/python" -c 'import moderngl; moderngl.create_standalone_context(backend="egl")' 2>/dev/null; }
-if ! opengl; then
+if ! "$models/bin/python" -c 'import moderngl; moderngl.create_standalone_context(backend="egl")' 2>/dev/null; then
     apt-get install -y -qq --no-install-recommends libegl1 libgl1 libgl1-mesa-dri >/dev/null ||
         skip "OpenGL in software (libegl1, libgl1, libgl1-mesa-dri) could not be installed"
 fi

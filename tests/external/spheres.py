@@ -117,3 +117,14 @@ def error(a, b):
 def error_without_noise(one, other, b):
     """The same of an image that was rendered twice, with different noise, which cancels."""
     return np.sqrt(max(((one - b) * (other - b)).sum(), 0) / (b**2).sum())
+
+
+def mean_error(reflect, measured, images, size, every=1):
+    """Error of spheres of `reflect` against those of a measured MERL table, mean of the maps;
+    their texels are taken as they are."""
+    errors = []
+    for image in images:
+        _, truth = sphere(lambda l, v: merl_lookup(measured, l, v), image, size, 1, every)
+        _, there = sphere(reflect, image, size, 1, every)
+        errors.append(error(there, truth))
+    return float(np.mean(errors))

@@ -1,7 +1,7 @@
 // One session: verdict, report, pictures, its fits, fit again, export.
 
 import { ask } from "./api.js";
-import { by, facts, field, gate, h, panel, redraw, say } from "./dom.js";
+import { facts, field, gate, h, panel, redraw, say } from "./dom.js";
 import { when } from "./format.js";
 import { attempt, blocked, capturing } from "./header.js";
 import { announce, complain } from "./notices.js";
@@ -179,9 +179,7 @@ function workPanel() {
     const fits = [...(session.fits ?? [])].reverse();
     redraw(which, fits.map((one) => one.name), () => fits.map((one) => h("option", { value: one.name }, `fit ${one.name}, ${one.dictionary ?? ""}`)));
     const job = state.job;
-    for (const resume of [by("resume-session"), by("resume-session-only")]) {
-      if (resume) gate(resume, blocked() ?? (capturing() ? "A capture is running." : null));
-    }
+    for (const resume of document.querySelectorAll("[id^=resume-session]")) gate(resume, blocked() ?? (capturing() ? "A capture is running." : null));
     const busy = job && ["running", "paused", "ending"].includes(job.state) ? `A ${job.kind} is running.` : null;
     const reason = blocked() ?? busy;
     gate(fit, reason ?? (session.complete ? null : "The session is not complete."));
