@@ -88,7 +88,8 @@ fn quick_bench(folder: &Path, is_triggered: bool) -> Result<ResolvedRig, Any> {
     let file = folder.join("rig.toml");
     std::fs::write(&file, text)?;
     // The records.
-    let records = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/small_bench/calibration");
+    let records =
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/support/small_bench/calibration");
     for kind in ["sensor", "flat", "scale"] {
         let to = folder.join("calibration/simulated").join(kind);
         std::fs::create_dir_all(&to)?;

@@ -1,5 +1,5 @@
 //! What is fuzzed: every parser that reads bytes from a device or a file. Used by
-//! the fuzzing programs in `fuzz_targets/` and by `tests/fuzz_corpus.rs`, which
+//! the fuzzing programs in `fuzz_targets/` and by `tests/fuzz_corpus/main.rs`, which
 //! replays the corpus.
 //!
 //! A target fails where the parser panics, or where it allocates more than its

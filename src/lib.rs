@@ -19,7 +19,7 @@
 //!
 //! The core (BRDFs, geometry, transport, the fit) is the crate [`rig_core`]; its modules
 //! are re-exported here, so that one path serves both. The modules of this crate stand on
-//! it; they are floors, and a floor imports only from floors below it (`tests/floors.rs`
+//! it; they are floors, and a floor imports only from floors below it (`tests/source/floors.rs`
 //! checks that from the source):
 //!
 //! | floor | modules |

@@ -15,7 +15,7 @@
 //!
 //! The library supplies what every path tracer has: the scene with its ray queries, the
 //! values of the atoms, a density from which to draw directions, random numbers. Everything
-//! that the paper is about stands below. `tests/paper.rs` checks it against the library's
+//! that the paper is about stands below. `tests/fit/paper.rs` checks it against the library's
 //! renderer and fit, which are made for speed: they trace paths once and reuse them in every
 //! step (`transport::cache`), differentiate without division by f_r (docs/adr/0002), and take
 //! Gauss–Newton steps (`inverse`).

@@ -59,7 +59,7 @@
 //! # Floors
 //!
 //! The modules are floors; a floor imports only from floors below it
-//! (`tests/floors.rs` checks that from the source):
+//! (`tests/source/floors.rs` checks that from the source):
 //!
 //! | floor | modules |
 //! |---|---|

@@ -108,7 +108,7 @@ def captured(program, tmp_path_factory):
     material = "brdf = { mixture = [ { weight = 1.0, lambertian = { albedo = 0.8 } } ] }"
     simulation = re.sub(r"(?m)^material = .*$", material, simulation, count=1)
     (folder / "rig.toml").write_text(f"{bench}[simulation]{simulation}")
-    records = SOURCE / "tests/small_bench/calibration"
+    records = SOURCE / "tests/support/small_bench/calibration"
     shutil.copytree(records, folder / "calibration/simulated")
     capture = "capture --rig rig.toml --lights 2 --no-fit --sample cup".split()
     printed = program(*capture, folder=folder)

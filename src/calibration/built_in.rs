@@ -11,7 +11,7 @@ macro_rules! shipped {
 }
 
 /// `<kind>/<file>` and its bytes. They were made by `rig calibrate` on the
-/// simulated rig; `tests/radiometry.rs` makes them again and compares.
+/// simulated rig; `tests/physics/radiometry.rs` makes them again and compares.
 pub(super) const SIMULATED: &[(&str, &[u8])] = &[
     shipped!("sensor/20261121T020000Z-sensor.toml"),
     shipped!("sensor/20261121T020000Z-sensor-dark.png"),

@@ -1,5 +1,5 @@
 //! Advice for typed errors. The library states facts; here is what to do about them: a row
-//! for each kind, by the floor that states it. `tests/hints.rs` holds every row to a test
+//! for each kind, by the floor that states it. `tests/source/hints.rs` holds every row to a test
 //! that runs the program.
 
 #[cfg(feature = "reports")]

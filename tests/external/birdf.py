@@ -57,7 +57,7 @@ def captured(folder, lab):
         assert old in text, old
         text = text.replace(old, new, 1)
     (folder / "rig.toml").write_text(text)
-    shutil.copytree(ROOT / "tests/small_bench/calibration", folder / "calibration/simulated")
+    shutil.copytree(ROOT / "tests/support/small_bench/calibration", folder / "calibration/simulated")
     rig(folder, "capture", "--lights", "2", "--sample", "red-plastic")
     return next((folder / "sessions").iterdir())
 

@@ -1,4 +1,4 @@
-"""Sessions of the small simulated bench of tests/small_bench, captured in a moment."""
+"""Sessions of the small simulated bench of tests/support/small_bench, captured in a moment."""
 
 import shutil
 import subprocess
@@ -38,7 +38,7 @@ def capture(rig, folder, count, lights=1):
     originals = []
     for albedo in ALBEDOS[:count]:
         place = folder / f"bench-{albedo}"
-        shutil.copytree(ROOT / "tests/small_bench/calibration", place / "calibration/simulated")
+        shutil.copytree(ROOT / "tests/support/small_bench/calibration", place / "calibration/simulated")
         lines = []
         for line in simulation.splitlines():
             key = line.split(" = ")[0]

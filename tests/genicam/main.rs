@@ -2,9 +2,11 @@
 //! simulated bench, over loopback, and against Aravis' own fake camera.
 #![allow(clippy::print_stdout, reason = "figures, next to the tests' names")]
 
-#[path = "../camera_support/mod.rs"]
+#[path = "../support/camera.rs"]
 mod camera_support;
-#[path = "../command_support/mod.rs"]
+#[path = "../support/small_bench/mod.rs"]
+mod small_bench;
+#[path = "../support/command.rs"]
 mod support;
 
 mod captures;

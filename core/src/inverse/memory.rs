@@ -4,7 +4,7 @@
 //! matrix, what a discrepancy makes of the light, residual weights, modelled values and what a
 //! diagnosis compares, in proportion to the cells under every light; and the sums over
 //! groups of cells, of which there are at most `GROUPS`. [`Size::values_bytes`] is an upper
-//! estimate of all of that at its peak, by counted allocations (`tests/fuzz_corpus.rs` counts
+//! estimate of all of that at its peak, by counted allocations (`tests/fuzz_corpus/main.rs` counts
 //! again) and by the resident memory of whole fits of up to 512² cells with 1 to 4 lights.
 //! The images themselves are averaged while they are read.
 

@@ -1,0 +1,442 @@
+//! `rig fit` on images of a described scene: what its options do, and how the fit's record
+//! states them.
+
+use std::path::Path;
+use std::process::{Command, Output};
+use std::sync::Mutex;
+
+use image::{GrayImage, Luma};
+use rig::progress::Progress;
+use rig::session::fit_record::{self, FitRecord, Grade, Verdict};
+use rig::transport::Kernel;
+use rig::workflow::{FitRequest, ImageFit, Notice, Observer, fit_images};
+
+const SCENE: &str = r#"
+[camera]
+model = "orthographic"
+resolution_px = [16, 16]
+extent_mm = [2.2, 2.2]
+position_mm = [0.0, 0.0, 5.0]
+
+[[light]]
+kind = "directional"
+to_light = [0.0, 0.0, 1.0]
+irradiance = 3.14
+
+[[light]]
+kind = "directional"
+to_light = [0.4, 0.1, 0.9]
+irradiance = 3.14
+
+[sample]
+shape = { kind = "bowl", radius_mm = 1.0, segments = 48 }
+shading = "smooth"
+
+[brdf]
+mixture = [
+  { weight = [0.4, 0.3, 0.2], lambertian = { albedo = 1.0 } },
+  { weight = 0.2, ggx = { alpha = 0.3, eta = 1.5 } },
+  { weight = [0.4, 0.5, 0.6], black = {} },
+]
+
+[uncertainty]
+light_deg = 0.1
+intensity = 0.0
+rotation_deg = 0.0
+translation_mm = 0.0
+"#;
+
+const FIT: &str = "fit --scene s.toml --image i_L000.exr i_L001.exr --spp 32 --kernel portable";
+
+fn rig(folder: &Path, words: &str) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_rig"))
+        .args(words.split_whitespace())
+        .current_dir(folder)
+        .output()
+        .unwrap()
+}
+
+/// A folder with a scene and its images.
+fn photographed() -> tempfile::TempDir {
+    let home = tempfile::tempdir().unwrap();
+    std::fs::write(home.path().join("s.toml"), SCENE).unwrap();
+    let done = rig(
+        home.path(),
+        "render --scene s.toml --out i.exr --spp 128 --seed 5",
+    );
+    assert!(done.status.success(), "{done:?}");
+    home
+}
+
+/// The folder of the fit with these options.
+fn folder_of(options: &str) -> String {
+    format!("fit{}", options.replace(['-', ' ', '=', '.'], ""))
+}
+
+fn fitted(folder: &Path, options: &str) -> FitRecord {
+    let name = folder_of(options);
+    let done = rig(folder, &format!("{FIT} --out {name} {options}"));
+    let stderr = String::from_utf8_lossy(&done.stderr);
+    assert!(done.status.success(), "{options}: {stderr}");
+    fit_record::read(&folder.join(name)).unwrap()
+}
+
+/// Of a bowl under lamps that are described 25% too bright, with a scale of which nothing is
+/// known: it follows from how strong the interreflections are.
+#[test]
+fn a_free_common_scale_is_found() {
+    let light = |to_light: &str| {
+        format!("[[light]]\nkind = \"directional\"\nto_light = {to_light}\nirradiance = 3.14\n")
+    };
+    let more = ["[-0.35, 0.61, 0.71]", "[-0.2, -0.55, 0.81]"].map(light);
+    let free = SCENE
+        .replace("[16, 16]", "[24, 24]")
+        .replace("[sample]", &format!("{}[sample]", more.concat()))
+        .replace("light_deg = 0.1", "light_deg = 0.0")
+        .replace(
+            "intensity = 0.0",
+            "intensity = 0.01\ncommon_intensity = 1.0",
+        );
+    let home = tempfile::tempdir().unwrap();
+    let write = |name: &str, scene: &str| std::fs::write(home.path().join(name), scene).unwrap();
+    write("s.toml", &free.replace("segments = 48", "segments = 240"));
+    let done = rig(
+        home.path(),
+        "render --scene s.toml --out i.exr --spp 1024 --seed 77",
+    );
+    assert!(done.status.success(), "{done:?}");
+    let described = free.replace("segments = 48", "segments = 128");
+    write("s.toml", &described.replace("3.14", "3.925"));
+    let done = rig(
+        home.path(),
+        "fit --scene s.toml --image i_L000.exr i_L001.exr i_L002.exr i_L003.exr --spp 256 \
+         --kernel portable --out fit --refine-bench",
+    );
+    assert!(done.status.success(), "{done:?}");
+    let record = fit_record::read(&home.path().join("fit")).unwrap();
+    assert_eq!(scale_reservation(&record), None);
+    let bench = record.bench.unwrap();
+    assert!(bench.settled);
+    assert_eq!(bench.parameter.len(), 4);
+    for lamp in &bench.parameter {
+        let off = lamp.value - 0.8f64.ln();
+        println!(
+            "{}: off by {off:+.4}, stated {:.4}",
+            lamp.name, lamp.deviation
+        );
+        assert!(off.abs() < 3.0 * lamp.deviation, "{lamp:?}");
+        assert!(lamp.deviation < 0.05, "{lamp:?}");
+    }
+}
+
+#[test]
+fn the_record_states_how_the_fit_was_made() {
+    let home = photographed();
+    let mut mask = GrayImage::from_pixel(16, 16, Luma([255]));
+    for y in 0..16 {
+        for x in 0..4 {
+            mask.put_pixel(x, y, Luma([0]));
+        }
+    }
+    mask.save(home.path().join("m.png")).unwrap();
+
+    let plain = fitted(home.path(), "");
+    let settings = &plain.settings;
+    assert_eq!(settings.optimizer, "gauss-newton");
+    assert_eq!(settings.samples_requested, Some(32));
+    assert_eq!(settings.memory_mib, Some(512));
+    assert_eq!(settings.shared_weights, Some(false));
+    assert_eq!(settings.adapted_paths, Some(true));
+    assert_eq!(settings.model_error, Some(0.02));
+    assert_eq!(settings.mask, None);
+    assert_eq!(settings.scene.as_deref(), Some("s.toml"));
+    assert_eq!(settings.images, ["i_L000.exr", "i_L001.exr"]);
+    assert!(plain.bench.is_none());
+    assert_eq!(plain.remarks, [""; 0]);
+
+    let options = "--mask m.png --shared-weights --model-error 0.05 --memory 64";
+    let other = fitted(home.path(), options);
+    let settings = &other.settings;
+    assert_eq!(settings.memory_mib, Some(64));
+    assert_eq!(settings.shared_weights, Some(true));
+    assert_eq!(settings.model_error, Some(0.05));
+    assert_eq!(settings.mask.as_deref(), Some("m.png"));
+    // The same weights, and nothing compared where the mask is black.
+    assert_eq!(other.weights[0], other.weights[2]);
+    assert_ne!(plain.weights[0], plain.weights[2]);
+    let residual = home
+        .path()
+        .join(folder_of(options))
+        .join("residual_L000.exr");
+    let residual = rig::radiance_image::exr::read(&residual).unwrap().image;
+    let sums = [0..4, 4..16].map(|columns| {
+        let pixels = (0..16).flat_map(|y| columns.clone().map(move |x| y * 16 + x));
+        pixels.map(|p| residual.mean[p][0].abs()).sum::<f32>()
+    });
+    assert!(sums[0] == 0.0 && sums[1] > 0.0, "{sums:?}");
+}
+
+/// Phases and notices, one line each.
+#[derive(Default)]
+struct Seen(Mutex<Vec<String>>);
+
+impl Progress for Seen {
+    fn begin(&self, phase: &str, _: Option<usize>) {
+        self.0.lock().unwrap().push(phase.to_owned());
+    }
+}
+
+impl Observer for Seen {
+    fn notice(&self, notice: Notice<'_>) {
+        self.0.lock().unwrap().push(notice.to_string());
+    }
+}
+
+#[test]
+fn the_library_fits_as_the_command_does() {
+    let home = photographed();
+    let by_command = fitted(home.path(), "");
+    let images = ["i_L000.exr", "i_L001.exr"].map(|name| home.path().join(name));
+    let files = ImageFit {
+        scene: &home.path().join("s.toml"),
+        images: &images,
+        out: &home.path().join("by-library"),
+    };
+    let request = FitRequest {
+        samples_per_cell: Some(32),
+        kernel: Some(Kernel::Portable),
+        ..FitRequest::default()
+    };
+    let seen = Seen::default();
+    let outcome = fit_images(files, &request, &seen).unwrap();
+    assert_eq!(outcome.record.weights, by_command.weights);
+    assert_eq!(outcome.record.table, by_command.table);
+    assert_eq!(fit_record::find(&outcome.folder).unwrap(), outcome.record);
+    let seen = seen.0.into_inner().unwrap();
+    for line in ["tracing paths", "uncertainty"] {
+        assert!(seen.iter().any(|seen| seen == line), "{seen:?}");
+    }
+    assert!(seen[0].contains("32 light paths each"), "{seen:?}");
+}
+
+/// Remarks at the terminal are in the record too, without effect on its verdict.
+#[test]
+fn remarks_stay_with_the_fit() {
+    let home = photographed();
+    let flat = SCENE.replace("\"smooth\"", "\"flat\"");
+    std::fs::write(home.path().join("flat.toml"), flat).unwrap();
+    let images = "--image i_L000.exr i_L001.exr";
+    let done = rig(
+        home.path(),
+        &format!("fit --scene flat.toml {images} --spp 4096 --memory 40 --out flat --json"),
+    );
+    let stderr = String::from_utf8_lossy(&done.stderr);
+    assert!(done.status.success(), "{stderr}");
+    let record = fit_record::read(&home.path().join("flat")).unwrap();
+    let [coarse, fewer] = &record.remarks[..] else {
+        panic!("{:?}", record.remarks);
+    };
+    assert!(coarse.contains("facets turn by 7.52°"), "{coarse}");
+    assert!(fewer.contains("of 4096 paths per cell"), "{fewer}");
+    assert!(
+        stderr.contains(coarse) && stderr.contains(fewer),
+        "{stderr}"
+    );
+    let told: serde_json::Value = serde_json::from_slice(&done.stdout).unwrap();
+    assert_eq!(told["remarks"], serde_json::json!(record.remarks));
+}
+
+/// Another program's image, which states no variance, is fitted with an assumed one, and the
+/// record names that image.
+#[test]
+fn noise_that_no_image_states_is_remarked_on() {
+    let home = photographed();
+    let known = rig::radiance_image::exr::read(&home.path().join("i_L001.exr")).unwrap();
+    let bare = home.path().join("bare.exr");
+    exr::prelude::write_rgb_file(&bare, 16, 16, |x, y| {
+        let [r, g, b] = known.image.mean[16 * y + x];
+        (r, g, b)
+    })
+    .unwrap();
+    let done = rig(
+        home.path(),
+        "fit --scene s.toml --image i_L000.exr bare.exr --spp 32 --out bare",
+    );
+    let stderr = String::from_utf8_lossy(&done.stderr);
+    assert!(done.status.success(), "{stderr}");
+    let record = fit_record::read(&home.path().join("bare")).unwrap();
+    let [remark] = &record.remarks[..] else {
+        panic!("{:?}", record.remarks);
+    };
+    assert!(
+        remark.starts_with("bare.exr: no variance is stated"),
+        "{remark}"
+    );
+    assert!(stderr.contains(remark), "{stderr}");
+}
+
+#[test]
+fn other_optimisers_and_a_refined_bench() {
+    let home = photographed();
+    let gradient = fitted(home.path(), "--optimizer exponentiated-gradient");
+    assert_eq!(gradient.settings.optimizer, "exponentiated-gradient");
+    let once = fitted(home.path(), "--optimizer single-bounce");
+    assert_eq!(once.settings.optimizer, "single-bounce");
+
+    let refined = fitted(
+        home.path(),
+        "--refine-bench --uncertainty intensity=0.01 --uncertainty stray_light=0.001",
+    );
+    let bench = refined.bench.as_ref().unwrap();
+    let names: Vec<&str> = bench.parameter.iter().map(|p| p.name.as_str()).collect();
+    for name in [
+        "azimuth of light 0",
+        "elevation of light 1",
+        "intensity of light 1",
+        "stray light in image 0",
+    ] {
+        assert!(names.contains(&name), "{name} in {names:?}");
+    }
+    assert!(names.iter().all(|name| !name.contains("rotation")));
+    for p in &bench.parameter {
+        // The images were rendered on the bench as described.
+        assert!(p.value.abs() < 5.0 * p.prior_deviation, "{p:?}");
+        assert!(p.deviation <= 1.001 * p.prior_deviation, "{p:?}");
+    }
+    assert_eq!(scale_reservation(&refined), None);
+}
+
+/// What a fit says of a scale that it does not know.
+fn scale_reservation(fit: &FitRecord) -> Option<&str> {
+    let mut warnings = fit.warnings.iter();
+    let warning = warnings.find(|w| w.what.contains("irradiance is known within"))?;
+    assert_eq!(warning.grade, Grade::Reservation);
+    assert!(warning.likely_cause.contains("rig calibrate white"));
+    Some(&warning.what)
+}
+
+/// A sphere has no interreflection: a darker lamp and a brighter material make the same images.
+#[test]
+fn a_scale_that_nothing_shows_is_a_reservation() {
+    let home = tempfile::tempdir().unwrap();
+    let scene = SCENE
+        .replace(
+            "{ kind = \"bowl\", radius_mm = 1.0, segments = 48 }",
+            "{ kind = \"sphere\", radius_mm = 1.0, segments = 48 }",
+        )
+        .replace(
+            "intensity = 0.0",
+            "intensity = 0.01\ncommon_intensity = 1.0",
+        );
+    std::fs::write(home.path().join("s.toml"), scene).unwrap();
+    let done = rig(
+        home.path(),
+        "render --scene s.toml --out i.exr --spp 128 --seed 5",
+    );
+    assert!(done.status.success(), "{done:?}");
+    let fit = fitted(home.path(), "--refine-bench");
+    let what = scale_reservation(&fit);
+    assert!(what.is_some(), "{:?} {:?}", fit.bench, fit.warnings);
+    assert_ne!(fit.verdict(), Verdict::Explains);
+}
+
+#[test]
+fn options_that_would_do_nothing_are_refused() {
+    let home = photographed();
+    for (options, fact, hint) in [
+        (
+            "--uncertainty light_deg=0.5",
+            "the bench is not refined",
+            "add --refine-bench, or leave --uncertainty out",
+        ),
+        ("--refine-bench --uncertainty light=0.5", "light_deg", ""),
+        (
+            "--mask gone.png",
+            "gone.png",
+            "a mask is a PNG of the images' size",
+        ),
+    ] {
+        let done = rig(home.path(), &format!("{FIT} --out no {options}"));
+        let stderr = String::from_utf8_lossy(&done.stderr);
+        assert_eq!(done.status.code(), Some(1), "{options}: {stderr}");
+        assert!(stderr.contains(fact), "{options}: {stderr}");
+        let (_, advice) = stderr.split_once("\n\nhint: ").unwrap();
+        assert!(advice.contains(hint), "{options}: {stderr}");
+        assert!(!home.path().join("no").exists());
+    }
+    let done = rig(home.path(), "render --scene s.toml --out i.png");
+    assert_eq!(done.status.code(), Some(1));
+    assert!(!home.path().join("i.png").exists());
+}
+
+/// What would take more memory than is allowed is refused before anything is traced, with what
+/// would do; that then does.
+#[test]
+fn a_fit_beyond_its_memory_is_refused_with_what_would_do() {
+    let home = photographed();
+    let refused = |words: &str| {
+        let done = rig(home.path(), words);
+        let stderr = String::from_utf8(done.stderr).unwrap();
+        assert_eq!(done.status.code(), Some(1), "{words}: {stderr}");
+        assert!(stderr.contains("of memory, but"), "{words}: {stderr}");
+        stderr
+    };
+    let said =
+        refused("fit --scene s.toml --image i_L000.exr i_L001.exr --out refused --memory 16");
+    let enough = said
+        .split("`--memory ")
+        .nth(1)
+        .and_then(|rest| rest.split('`').next());
+    let enough: u64 = enough.unwrap().parse().unwrap();
+    assert!((17..256).contains(&enough), "{said}");
+    assert!(!home.path().join("refused").exists());
+    let quick = "--spp 2 --optimizer single-bounce";
+    let done = rig(
+        home.path(),
+        &format!("{FIT} {quick} --out done --memory {enough}").replace("--spp 32", ""),
+    );
+    assert!(done.status.success(), "{done:?}");
+}
+
+/// Sizes are compared before anything is decoded: an image that would fill the memory, one that
+/// is a little larger, and a mask of another size.
+#[test]
+fn images_of_another_size_are_refused_by_their_headers() {
+    let home = photographed();
+    let bomb = include_bytes!("../../fuzz/corpus/exr/bomb");
+    std::fs::write(home.path().join("bomb.exr"), bomb).unwrap();
+    let other = SCENE.replace("[16, 16]", "[17, 16]");
+    std::fs::write(home.path().join("other.toml"), other).unwrap();
+    GrayImage::new(16, 17)
+        .save(home.path().join("mask.png"))
+        .unwrap();
+    for (words, fact) in [
+        (
+            "fit --scene s.toml --image i_L000.exr bomb.exr",
+            "bomb.exr is 4096 x 4096 pixels; the camera's image is 16 x 16",
+        ),
+        (
+            "fit --scene other.toml --image i_L000.exr i_L001.exr",
+            "i_L000.exr is 16 x 16 pixels; the camera's image is 17 x 16",
+        ),
+        (
+            "fit --scene s.toml --image i_L000.exr i_L001.exr --mask mask.png",
+            "mask.png: it is 16 x 17 pixels; 16 x 16 are needed",
+        ),
+        // Nobody knows the size here, but no image of so few bytes has so many pixels.
+        (
+            "calibrate white bomb.exr --rig simulated --reflectance 0.9 --reflectance-std 0.01",
+            "bytes cannot hold",
+        ),
+    ] {
+        let out = if words.starts_with("fit") {
+            " --out o"
+        } else {
+            ""
+        };
+        let done = rig(home.path(), &format!("{words}{out}"));
+        let stderr = String::from_utf8(done.stderr).unwrap();
+        assert_eq!(done.status.code(), Some(1), "{words}: {stderr}");
+        assert!(stderr.contains(fact), "{words}: {stderr}");
+    }
+}

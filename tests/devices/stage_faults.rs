@@ -1,0 +1,460 @@
+//! What goes wrong between a light stage and its driver, row by row: faults of
+//! the line through a byte proxy, faults of the firmware and the stage in the
+//! simulators. The table in docs/faults.md is made of these rows.
+
+use std::time::Duration;
+
+use mock_devices::bench::{Bench, BenchConfig};
+use mock_devices::clock::Clock;
+use mock_devices::dome::DomeSimulator;
+use mock_devices::grbl::{Fault, GrblSimulator, Trigger};
+use mock_devices::proxy::{Damage, Proxy};
+use mock_devices::zaber::ZaberSimulator;
+use rig::device::dome::{DomeConfig, DomeStage, DomeWiring};
+use rig::device::grbl::{GrblConfig, GrblStage};
+use rig::device::kinematics::{AxisMap, FixedLights, Mechanism, TwoAxes};
+use rig::device::zaber::{LampSwitch, ZaberConfig, ZaberStage};
+use rig::device::{DeviceError, LampChannel, LampState, LightStage};
+use rig::units::{Seconds, StageAngles};
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Protocol {
+    Grbl,
+    Zaber,
+    Dome,
+}
+
+const PROTOCOLS: [Protocol; 3] = [Protocol::Grbl, Protocol::Zaber, Protocol::Dome];
+
+/// What must come of a fault.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Outcome {
+    /// The command ends as if nothing had been.
+    GoesOn,
+    NoReply,
+    Garbled,
+    Restarted,
+    Alarm,
+    Disconnected,
+    NotApplied,
+    /// The stage reports a lamp that is on.
+    NotSeen,
+    Measured,
+    CannotTell,
+    /// There is no such fault.
+    None,
+}
+
+impl Outcome {
+    /// As the documentation has it.
+    fn words(self) -> &'static str {
+        match self {
+            Self::GoesOn => "goes on",
+            Self::NoReply => "error: no reply; then unknown position",
+            Self::Garbled => "error: garbled; then unknown position",
+            Self::Restarted => "error: not homed; unknown position",
+            Self::Alarm => "error: alarm with its cause; unknown position",
+            Self::Disconnected => "error: disconnected; a new connection moves nothing",
+            Self::NotApplied => "error: the lamp read back as dark",
+            Self::NotSeen => "not seen by the stage; the images stay dark, which ends the capture",
+            Self::Measured => {
+                "found and measured when the reference is checked: after its last light a capture is marked as suspect"
+            }
+            Self::CannotTell => "not seen: the check of the reference says that it cannot tell",
+            Self::None => "–",
+        }
+    }
+
+    /// Whether it leaves the position unknown.
+    fn unhomes(self) -> bool {
+        matches!(
+            self,
+            Self::NoReply | Self::Garbled | Self::Restarted | Self::Alarm
+        )
+    }
+}
+
+/// What is done to the stage.
+#[derive(Clone, Copy, Debug)]
+enum Cause {
+    /// To this many lines of the device, or to all.
+    Line(Damage, Option<u32>),
+    RestartInMotion,
+    FirmwareAlarm,
+    Stall,
+    LostSteps,
+    DarkLamp,
+    PortGone,
+}
+
+struct Row {
+    fault: &'static str,
+    cause: Cause,
+    /// In the order of [`PROTOCOLS`].
+    outcomes: [Outcome; 3],
+}
+
+const fn row(fault: &'static str, cause: Cause, outcomes: [Outcome; 3]) -> Row {
+    Row {
+        fault,
+        cause,
+        outcomes,
+    }
+}
+
+const ROWS: &[Row] = &[
+    row(
+        "one reply is lost",
+        Cause::Line(Damage::Drop, Some(1)),
+        [Outcome::GoesOn; 3],
+    ),
+    row(
+        "no reply any more",
+        Cause::Line(Damage::Drop, None),
+        [Outcome::NoReply; 3],
+    ),
+    row(
+        "replies are slow, within the time-out",
+        Cause::Line(Damage::Delay(Duration::from_millis(40)), None),
+        [Outcome::GoesOn; 3],
+    ),
+    row(
+        "one reply is cut",
+        Cause::Line(Damage::Truncate(2), Some(1)),
+        [Outcome::GoesOn; 3],
+    ),
+    row(
+        "every reply is cut",
+        Cause::Line(Damage::Truncate(2), None),
+        [Outcome::NoReply; 3],
+    ),
+    row(
+        "one reply is garbled",
+        Cause::Line(Damage::Garble, Some(1)),
+        [Outcome::GoesOn; 3],
+    ),
+    row(
+        "every reply is garbled",
+        Cause::Line(Damage::Garble, None),
+        [Outcome::Garbled; 3],
+    ),
+    row(
+        "every reply comes twice",
+        Cause::Line(Damage::Duplicate, None),
+        [Outcome::GoesOn; 3],
+    ),
+    row(
+        "the controller restarts in mid-move",
+        Cause::RestartInMotion,
+        [Outcome::Restarted; 3],
+    ),
+    row(
+        "the firmware raises an alarm in mid-move",
+        Cause::FirmwareAlarm,
+        [Outcome::Alarm, Outcome::None, Outcome::None],
+    ),
+    row(
+        "a motor stalls",
+        Cause::Stall,
+        [Outcome::None, Outcome::Alarm, Outcome::None],
+    ),
+    row(
+        "steps are lost",
+        Cause::LostSteps,
+        [Outcome::CannotTell, Outcome::Measured, Outcome::None],
+    ),
+    row(
+        "the lamp does not light",
+        Cause::DarkLamp,
+        [Outcome::NotSeen, Outcome::NotApplied, Outcome::NotApplied],
+    ),
+    row(
+        "the port goes away and comes back",
+        Cause::PortGone,
+        [Outcome::Disconnected; 3],
+    ),
+];
+
+const START: [f64; 2] = [0.0, 80.0];
+const TARGET: [f64; 2] = [60.0, 45.0];
+const REPLY_TIMEOUT: Seconds = Seconds(0.9);
+
+fn angles([azimuth_deg, elevation_deg]: [f64; 2]) -> StageAngles {
+    StageAngles {
+        azimuth_deg,
+        elevation_deg,
+    }
+}
+
+fn axes(scale: f64) -> TwoAxes {
+    let map = |min, max| AxisMap {
+        scale,
+        offset: min,
+        min,
+        max,
+    };
+    TwoAxes {
+        mechanism: Mechanism::Rotary,
+        first: map(-180.0, 180.0),
+        second: map(0.0, 90.0),
+        approach: 2.0,
+    }
+}
+
+enum Simulator {
+    Grbl(GrblSimulator),
+    Zaber(ZaberSimulator),
+    Dome(DomeSimulator),
+}
+
+/// A simulated stage behind a cable that can fail.
+struct Bed {
+    protocol: Protocol,
+    simulator: Simulator,
+    bench: Bench,
+    proxy: Proxy,
+}
+
+impl Bed {
+    fn new(protocol: Protocol) -> Self {
+        let bench = Bench::new(BenchConfig::default(), Clock::instant());
+        let simulator = match protocol {
+            Protocol::Grbl => {
+                let mut config = mock_devices::grbl::GrblConfig::default();
+                config.settings.homing_pull_off = 0.0;
+                config.settings.max_travel = [360.0, 90.0, 1.0];
+                Simulator::Grbl(GrblSimulator::spawn(config, bench.clone()).unwrap())
+            }
+            Protocol::Zaber => {
+                let config = mock_devices::zaber::ZaberConfig::default();
+                Simulator::Zaber(ZaberSimulator::spawn(config, bench.clone()).unwrap())
+            }
+            Protocol::Dome => {
+                let lights = vec![START, TARGET];
+                let config = mock_devices::dome::DomeConfig::of_lights(lights);
+                Simulator::Dome(DomeSimulator::spawn(config, bench.clone()).unwrap())
+            }
+        };
+        let path = match &simulator {
+            Simulator::Grbl(simulator) => simulator.path(),
+            Simulator::Zaber(simulator) => simulator.path(),
+            Simulator::Dome(simulator) => simulator.path(),
+        };
+        Self {
+            proxy: Proxy::to(path).unwrap(),
+            protocol,
+            simulator,
+            bench,
+        }
+    }
+
+    fn connect(&self) -> Box<dyn LightStage> {
+        let port = self.proxy.path().display().to_string();
+        match self.protocol {
+            Protocol::Grbl => {
+                let config = GrblConfig {
+                    kinematics: axes(1.0),
+                    lamp_on: vec![vec!["M3 S1000".to_owned()]],
+                    reply_timeout: REPLY_TIMEOUT,
+                    ..GrblConfig::of_port(&port, 115_200)
+                };
+                Box::new(GrblStage::open(config).unwrap())
+            }
+            Protocol::Zaber => {
+                let config = ZaberConfig {
+                    kinematics: axes(1000.0),
+                    lamp: vec![LampSwitch::Output {
+                        device: 1,
+                        output: 1,
+                    }],
+                    reply_timeout: REPLY_TIMEOUT,
+                    ..ZaberConfig::of_port(&port, 115_200)
+                };
+                Box::new(ZaberStage::open(config).unwrap())
+            }
+            Protocol::Dome => {
+                let config = DomeConfig {
+                    port,
+                    baud: 115_200,
+                    lights: FixedLights {
+                        directions: vec![angles(START), angles(TARGET)],
+                        tolerance_deg: 1.0,
+                    },
+                    wiring: DomeWiring::Line,
+                    channels: 3,
+                    level: 255,
+                    connect_timeout: Seconds(5.0),
+                    reply_timeout: REPLY_TIMEOUT,
+                };
+                Box::new(DomeStage::open(config).unwrap())
+            }
+        }
+    }
+
+    /// Connected, homed, at the start with its lamp off.
+    fn ready(&self) -> Box<dyn LightStage> {
+        let mut stage = self.connect();
+        stage.home().unwrap();
+        stage.move_to(angles(START)).unwrap();
+        stage
+    }
+
+    fn strike(&self, cause: Cause) {
+        match (cause, &self.simulator) {
+            (Cause::Line(damage, None), _) => self.proxy.damage("", damage),
+            (Cause::Line(damage, Some(times)), _) => self.proxy.damage_times("", damage, times),
+            (Cause::RestartInMotion, Simulator::Grbl(firmware)) => firmware
+                .faults()
+                .inject(Trigger::InMotion { after_s: 0.2 }, Fault::Reset),
+            (Cause::RestartInMotion, Simulator::Zaber(devices)) => {
+                devices.power_cycle_in_motion(0.2);
+            }
+            // A dome has no motion: it restarts before it is asked for a light.
+            (Cause::RestartInMotion, Simulator::Dome(dome)) => {
+                dome.restart();
+                std::thread::sleep(Duration::from_millis(50));
+            }
+            (Cause::FirmwareAlarm, Simulator::Grbl(firmware)) => firmware
+                .faults()
+                .inject(Trigger::InMotion { after_s: 0.2 }, Fault::Alarm(1)),
+            (Cause::Stall, Simulator::Zaber(devices)) => devices.jam_in_motion(0.2),
+            (Cause::LostSteps, _) => self.bench.push_stage([0.6, 0.0, 0.0]),
+            (Cause::DarkLamp, Simulator::Grbl(_)) => self.bench.set_lamp_dead(0, true),
+            (Cause::DarkLamp, Simulator::Zaber(devices)) => devices.break_output(0),
+            (Cause::DarkLamp, Simulator::Dome(dome)) => dome.break_light(1),
+            (Cause::PortGone, _) => self.proxy.unplug(),
+            (cause, _) => panic!("{:?} knows no {cause:?}", self.protocol),
+        }
+    }
+
+    fn assert_at_target(&self) {
+        let truth = self.bench.stage_angles_deg();
+        for (is, wanted) in truth.iter().zip(TARGET) {
+            assert!((is - wanted).abs() < 0.02, "{:?}: {truth:?}", self.protocol);
+        }
+    }
+}
+
+const LIT: LampState = LampState::On(LampChannel(0));
+
+/// What a capture does for a light.
+fn light_up(stage: &mut dyn LightStage) -> Result<(), DeviceError> {
+    stage.move_to(angles(TARGET))?;
+    stage.set_lamp(LIT)?;
+    stage.set_lamp(LampState::Off)?;
+    Ok(())
+}
+
+fn kind(error: &DeviceError) -> Option<Outcome> {
+    Some(match error {
+        DeviceError::NoReply { .. } => Outcome::NoReply,
+        DeviceError::Garbled { .. } => Outcome::Garbled,
+        DeviceError::NotHomed { .. } => Outcome::Restarted,
+        DeviceError::Alarm { .. } => Outcome::Alarm,
+        DeviceError::Disconnected { .. } => Outcome::Disconnected,
+        DeviceError::NotApplied { .. } => Outcome::NotApplied,
+        _ => return None,
+    })
+}
+
+fn run(row: &Row, protocol: Protocol, expected: Outcome) {
+    let name = format!("{} ({protocol:?})", row.fault);
+    let bed = Bed::new(protocol);
+    let mut stage = bed.ready();
+    bed.strike(row.cause);
+    if matches!(row.cause, Cause::LostSteps) {
+        let check = stage.check_reference().unwrap();
+        match expected {
+            Outcome::Measured => {
+                let off = check.expect(&name).off;
+                assert!(
+                    (off[0] + 0.6).abs() < 0.01 && off[1].abs() < 0.01,
+                    "{name}: {off:?}"
+                );
+            }
+            _ => assert_eq!(check, None, "{name}"),
+        }
+        return;
+    }
+    let outcome = light_up(&mut *stage);
+    match (&outcome, expected) {
+        (Ok(()), Outcome::GoesOn) => bed.assert_at_target(),
+        (Ok(()), Outcome::NotSeen) => {
+            stage.set_lamp(LIT).unwrap();
+            assert_eq!(bed.bench.illumination().channels, [0.0; 3], "{name}");
+        }
+        (Err(error), expected) => assert_eq!(kind(error), Some(expected), "{name}: {error}"),
+        (Ok(()), _) => panic!("{name}: it went on"),
+    }
+    if expected.unhomes() {
+        bed.proxy.clear();
+        let refused = light_up(&mut *stage).unwrap_err();
+        let locked = matches!(
+            refused,
+            DeviceError::NotHomed { .. } | DeviceError::Alarm { .. }
+        );
+        assert!(locked, "{name}: {refused}");
+    }
+    if expected == Outcome::Disconnected {
+        let before = bed.bench.motor_position();
+        drop(stage);
+        bed.proxy.plug_in().unwrap();
+        stage = bed.connect();
+        let refused = light_up(&mut *stage).unwrap_err();
+        assert!(
+            matches!(refused, DeviceError::NotHomed { .. }),
+            "{name}: {refused}"
+        );
+        assert_eq!(bed.bench.motor_position(), before, "{name}");
+    }
+    if matches!(expected, Outcome::NotApplied | Outcome::NotSeen) {
+        drop(stage);
+    } else {
+        // Whatever it was, homing puts it right.
+        stage
+            .home()
+            .unwrap_or_else(|error| panic!("{name}: {error}"));
+        light_up(&mut *stage).unwrap_or_else(|error| panic!("{name}: {error}"));
+        bed.assert_at_target();
+        drop(stage);
+    }
+    assert_eq!(bed.bench.lamp_drive(), [0.0; 3], "{name}: the lamp is off");
+}
+
+fn run_all(protocol: Protocol) {
+    let column = PROTOCOLS.iter().position(|&p| p == protocol).unwrap();
+    for row in ROWS {
+        if row.outcomes[column] != Outcome::None {
+            run(row, protocol, row.outcomes[column]);
+        }
+    }
+}
+
+#[test]
+fn grbl() {
+    run_all(Protocol::Grbl);
+}
+
+#[test]
+fn zaber() {
+    run_all(Protocol::Zaber);
+}
+
+#[test]
+fn dome() {
+    run_all(Protocol::Dome);
+}
+
+#[test]
+fn the_documented_table_is_this_one() {
+    let mut table = "| fault | GRBL | Zaber | dome |\n|---|---|---|---|\n".to_owned();
+    for row in ROWS {
+        let cells = row.outcomes.map(Outcome::words).join(" | ");
+        table += &format!("| {} | {cells} |\n", row.fault);
+    }
+    let documented = include_str!("../../docs/faults.md");
+    assert!(
+        documented.contains(&table),
+        "docs/faults.md has another table under `Light stage`; it should be\n{table}"
+    );
+}
