@@ -3,7 +3,7 @@
 # `make test-long`: coverage of the intervals and rates of warnings, in full; captures
 #   cut at every record and 200 killed at random moments; 200 under a constant lamp; a
 #   session of a camera of five megapixels, and memory of a 20 MP sensor.
-# `make test-console`: the operator's console in a browser (tests/console/README.md).
+# `make test-console`: the operator's console in a browser (tests/browser/README.md).
 # `make test-vm`: the program against the kernel's own drivers in a virtual machine.
 # `make docs`: the documentation as a site, target/book/index.html.
 # `make deb`: the Debian package, target/debian/rig-reflectometry_*.deb (docs/install.md).
@@ -26,11 +26,22 @@ build: deps
 # Features beyond the default ones, such as `rig/genicam`.
 FEATURES ?=
 
+# Every test program is a folder with a main.rs.
+PROGRAMS := $(notdir $(patsubst %/main.rs,%,$(wildcard tests/*/main.rs */tests/*/main.rs)))
+# These mostly wait for devices, and run next to those that compute.
+WAITING := console devices
+COMPUTING := $(filter-out $(WAITING) $(if $(findstring genicam,$(FEATURES)),,genicam),$(PROGRAMS))
+CARGO_TEST = $(CARGO) test --locked --release --workspace --features "$(FEATURES)"
+
 test: deps-test
-	$(CARGO) test --locked --release --workspace --features "$(FEATURES)"
+	$(CARGO_TEST) --no-run
+	@env --default-signal=INT,QUIT $(CARGO_TEST) $(addprefix --test ,$(WAITING)) -- --test-threads 6 \
+	  >target/waiting.log 2>&1 & waiting=$$!; \
+	$(CARGO_TEST) --lib --bins $(addprefix --test ,$(COMPUTING)) && $(CARGO_TEST) --doc; passed=$$?; \
+	wait $$waiting || passed=1; cat target/waiting.log; exit $$passed
 
 # mdBook is built quickly rather than well: it runs for a second. Its warnings are errors;
-# links and anchors are checked by `cargo test --test docs_links`.
+# links and anchors are checked by `cargo test --test source`.
 MDBOOK = $(shell command -v mdbook || echo "$${CARGO_HOME:-$$HOME/.cargo}/bin/mdbook")
 
 docs:
@@ -87,11 +98,11 @@ deps-console:
 	@$(MAKE) --no-print-directory deps EXTRA_DEPS="$(CONSOLE_DEPS)"
 
 test-console: deps-console build
-	cd tests/console && npm ci --no-audit --no-fund && node --test
+	cd tests/browser && npm ci --no-audit --no-fund && node --test
 
 # The pictures of docs/console.md, made anew.
 console-pictures: build
-	cd tests/console && npm ci --no-audit --no-fund && node pictures.mjs ../../docs/images
+	cd tests/browser && npm ci --no-audit --no-fund && node pictures.mjs ../../docs/images
 
 # Cameras and serial ports as the kernel shows them; needs root or sudo once, for apt.
 test-vm: deps
@@ -101,11 +112,11 @@ test-vm: deps
 
 # Hours of one core at full size; an interrupted run goes on where it stopped.
 test-long: build
-	RIG_KILLS=200 RIG_CUTS=all $(CARGO) test --locked --release --test resume_command \
-	  -- --nocapture killed cut_at
-	RIG_CAMERA=full $(CARGO) test --locked --release --test capture_command \
+	RIG_KILLS=200 RIG_CUTS=all $(CARGO) test --locked --release --test captures \
+	  -- --nocapture resume::a_capture
+	RIG_CAMERA=full $(CARGO) test --locked --release --test captures \
 	  -- --nocapture a_bayer_camera
-	RIG_DRIFT_CAPTURES=200 $(CARGO) test --locked --release --test lamp_drift \
+	RIG_DRIFT_CAPTURES=200 $(CARGO) test --locked --release --test physics \
 	  -- --nocapture constant_lamps
 	RIG_LARGE=1 $(CARGO) test --locked --release --test fuzz_corpus \
 	  -- --nocapture large_sensor
