@@ -264,7 +264,7 @@ fn a_certificates_figures_are_the_fits_and_its_squares_add() {
         "R: 605 nm to 640 nm",
         "hollow hemisphere",
         "standard uncertainty 1.00%",
-        "k = 2 with a coverage of 95% is not met",
+        "The stated coverage of 95.0% is not met",
         "fits/0/fit.toml",
         "page 2 of 2",
         "approved by",
@@ -319,7 +319,7 @@ fn scatter_between_sessions_enters_a_certificate() {
     };
     assert_fails(
         &certify("."),
-        "allowed is 2 or more",
+        "a spread needs 2 at least",
         "`rig catalogue DIR --repeats SAMPLE` shows which sessions count",
     );
     assert_fails(
