@@ -6,7 +6,7 @@ use clap::ValueEnum;
 
 use super::{CliError, Context, as_model, output};
 use crate::export::{self, ExportError, Format};
-use crate::session::fit_record::{self, FitRecord, Verdict};
+use crate::session::fit_record::{self, FitRecord, FitRecordError, Verdict};
 use crate::session::layout::FITS_FOLDER;
 use crate::workflow::{StatedResult, StatedResultError};
 
@@ -65,6 +65,9 @@ impl FormatArg {
     }
 }
 
+/// What to do where a session has no such fit.
+const LATEST_FIT: &str = "leave --fit out to take the latest";
+
 /// `rig export`.
 pub fn run(args: &ExportArgs, context: &Context) -> Result<(), CliError> {
     let Some(format) = args.format.of_any_fit() else {
@@ -78,7 +81,10 @@ pub fn run(args: &ExportArgs, context: &Context) -> Result<(), CliError> {
         Some(number) => args.dir.join(FITS_FOLDER).join(number.to_string()),
         None => args.dir.clone(),
     };
-    let record = fit_record::find(&dir)?;
+    let record = fit_record::find(&dir).map_err(|error| match (args.fit, &error) {
+        (Some(_), FitRecordError::NoFit { .. }) => CliError::from(error).hint(LATEST_FIT),
+        _ => error.into(),
+    })?;
     warn_of(&record, context);
     as_model::show(&export::export(&record, format, &path)?, context)
 }
@@ -112,7 +118,7 @@ pub(super) fn stated_result_error(error: StatedResultError) -> CliError {
             CliError::from(error).hint("`rig fit SESSION` fits a captured session; give that")
         }
         StatedResultError::NoSuchFit { .. } => {
-            CliError::from(error).hint("leave --fit out to take the latest")
+            CliError::from(error).hint(LATEST_FIT)
         }
         StatedResultError::Fit(error) => error.into(),
         StatedResultError::Session(error) => error.into(),
