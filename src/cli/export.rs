@@ -117,9 +117,7 @@ pub(super) fn stated_result_error(error: StatedResultError) -> CliError {
         StatedResultError::NoSession { .. } => {
             CliError::from(error).hint("`rig fit SESSION` fits a captured session; give that")
         }
-        StatedResultError::NoSuchFit { .. } => {
-            CliError::from(error).hint(LATEST_FIT)
-        }
+        StatedResultError::NoSuchFit { .. } => CliError::from(error).hint(LATEST_FIT),
         StatedResultError::Fit(error) => error.into(),
         StatedResultError::Session(error) => error.into(),
         StatedResultError::Config(error) => error.into(),
