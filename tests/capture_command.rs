@@ -158,6 +158,7 @@ fn a_session_is_fitted_with_the_mesh_it_was_captured_with() {
     );
     assert!(fitted.status.success(), "{}", text(&fitted.stderr));
     assert!(verify::verify(&moved).unwrap().is_intact());
+    assert!(moved.join("report.html").is_file());
 }
 
 /// The session of a bench whose lamp nobody measured, as no simulated one is: the record of its
