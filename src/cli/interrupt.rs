@@ -90,18 +90,32 @@ pub fn ending_on_signal(
 /// is returned is dropped: a frame may take long.
 pub fn announcing(context: &Context, interrupt: &Interrupt) -> Result<Watching, CliError> {
     let context = context.clone();
-    let (mut stops, mut pauses) = (false, false);
+    let mut said = Said::default();
     watching(interrupt, move |interrupt| {
-        let asked = interrupt.level() == StopLevel::AfterThisFrame;
-        if asked && !std::mem::replace(&mut stops, asked) {
-            context.note("stopping after this frame; Ctrl-C again stops now");
+        if let Some(text) = said.next(interrupt) {
+            context.note(text);
         }
-        let asked = interrupt.wants_pause();
-        if asked && !pauses {
-            context.note("pausing after this frame");
-        }
-        pauses = asked;
     })
+}
+
+/// What was said of the requests.
+#[derive(Default)]
+struct Said {
+    stop: bool,
+    pause: bool,
+}
+
+impl Said {
+    /// What is to be said now.
+    fn next(&mut self, interrupt: &Interrupt) -> Option<&'static str> {
+        let stop = interrupt.level() == StopLevel::AfterThisFrame;
+        if stop && !std::mem::replace(&mut self.stop, true) {
+            return Some("stopping after this frame; Ctrl-C again stops now");
+        }
+        let pause = interrupt.wants_pause();
+        let is_new = !std::mem::replace(&mut self.pause, pause);
+        (pause && is_new).then_some("pausing after this frame")
+    }
 }
 
 /// Has a thread look at the requests every [`LOOK`], until what is returned is dropped.
@@ -152,6 +166,24 @@ mod tests {
     use std::time::Instant;
 
     use super::*;
+
+    #[test]
+    fn each_request_is_announced_once() {
+        let (interrupt, mut said) = (Interrupt::new(), Said::default());
+        let mut next = |interrupt: &Interrupt| [said.next(interrupt), said.next(interrupt)];
+        assert_eq!(next(&interrupt), [None, None]);
+        for _ in 0..2 {
+            interrupt.ask_for_pause();
+            assert_eq!(next(&interrupt), [Some("pausing after this frame"), None]);
+            interrupt.take_pause();
+            assert_eq!(next(&interrupt), [None, None]);
+        }
+        interrupt.raise(Signal::Interrupt);
+        let stopping = "stopping after this frame; Ctrl-C again stops now";
+        assert_eq!(next(&interrupt), [Some(stopping), None]);
+        interrupt.raise(Signal::Interrupt);
+        assert_eq!(next(&interrupt), [None, None]);
+    }
 
     /// Every signal to the process makes the request more urgent.
     #[test]
