@@ -19,11 +19,28 @@ impl Seconds {
 
 impl std::fmt::Display for Seconds {
     fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        if self.0.abs() < 1.0 {
-            write!(out, "{:.3} ms", self.0 * 1e3)
-        } else {
-            write!(out, "{:.3} s", self.0)
-        }
+        let (count, unit) = match self.0.abs() < 1.0 {
+            true => (self.0 * 1e3, "ms"),
+            false => (self.0, "s"),
+        };
+        let count = format!("{count:.3}");
+        let count = count.trim_end_matches('0').trim_end_matches('.');
+        write!(out, "{count} {unit}")
+    }
+}
+
+/// A number of bytes for people, with two digits or more: `320 B`, `9.7 MB`, `69 GB`.
+pub fn size(bytes: u64) -> String {
+    let bytes = bytes as f64;
+    let (count, unit) = match bytes {
+        999.5e6.. => (bytes / 1e9, "GB"),
+        999.5e3.. => (bytes / 1e6, "MB"),
+        999.5.. => (bytes / 1e3, "kB"),
+        _ => return format!("{bytes} B"),
+    };
+    match count {
+        9.95.. => format!("{count:.0} {unit}"),
+        _ => format!("{count:.1} {unit}"),
     }
 }
 
@@ -109,6 +126,30 @@ mod tests {
                 (back.elevation_deg - elevation_deg).abs() < 1e-9,
                 "elevation {elevation_deg}"
             );
+        }
+    }
+
+    #[test]
+    fn people_read_sizes_and_times() {
+        for (bytes, shown) in [
+            (0, "0 B"),
+            (320, "320 B"),
+            (999_600, "1.0 MB"),
+            (9_700_000, "9.7 MB"),
+            (69_314_000_000, "69 GB"),
+            (1_341_400_000, "1.3 GB"),
+            (u64::MAX, "18446744074 GB"),
+        ] {
+            assert_eq!(size(bytes), shown);
+        }
+        for (seconds, shown) in [
+            (1e-4, "0.1 ms"),
+            (0.00707, "7.07 ms"),
+            (0.5, "500 ms"),
+            (2.0, "2 s"),
+            (0.0, "0 ms"),
+        ] {
+            assert_eq!(Seconds(seconds).to_string(), shown);
         }
     }
 

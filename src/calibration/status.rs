@@ -188,7 +188,7 @@ fn of_directions(v: &DirectionsValues) -> String {
         None => String::new(),
     };
     format!(
-        "{} lights, each within {:.3}°, all together within {:.3}°{distance}",
+        "{} lights, each to ±{:.3}° and in common to ±{:.3}°{distance}",
         v.lights.len(),
         v.light_std_deg,
         v.common_std_deg

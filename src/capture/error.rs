@@ -4,7 +4,7 @@ use crate::device::DeviceError;
 use crate::radiometry::exposure::PlanError;
 use crate::session::SessionError;
 use crate::transport::Obstruction;
-use crate::units::StageAngles;
+use crate::units::{StageAngles, size};
 
 /// A capture could not be planned, or did not come to its end.
 #[derive(Debug, thiserror::Error)]
@@ -62,9 +62,8 @@ pub enum CaptureError {
     },
     /// The disk cannot hold the session.
     #[error(
-        "the session takes about {estimated_bytes} bytes and {reserve_bytes} shall remain, \
-         but {folder} has only {free_bytes} bytes free",
-        folder = folder.display()
+        "the session takes about {} and {} shall remain, but {} has only {} free",
+        size(*estimated_bytes), size(*reserve_bytes), folder.display(), size(*free_bytes)
     )]
     NotEnoughSpace {
         /// Where the session would go.
@@ -78,8 +77,8 @@ pub enum CaptureError {
     },
     /// The disk is nearly full in mid-capture.
     #[error(
-        "the disk of {folder} has only {free_bytes} bytes free, and {reserve_bytes} shall remain",
-        folder = folder.display()
+        "the disk of {} has only {} free, and {} shall remain",
+        folder.display(), size(*free_bytes), size(*reserve_bytes)
     )]
     LowDisk {
         /// The session.

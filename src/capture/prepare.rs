@@ -39,7 +39,7 @@ use crate::config::simulation::MaterialSpec;
 use crate::config::{ResolvedRig, RigConfig};
 use crate::interrupt::Interrupt;
 use crate::radiometry::sensor::SensorNoise;
-use crate::session::commit::SystemDisk;
+use crate::session::commit::{SystemDisk, check_creatable};
 use crate::session::layout::{CALIBRATION_FOLDER, session_name};
 use crate::session::scene_files;
 use crate::session::{
@@ -102,8 +102,8 @@ pub struct Prepared<'a> {
     ranking: Option<Ranking>,
 }
 
-/// Plans a capture and checks what can be checked without a device: calibration records,
-/// what the camera sees of the sample, what the lights reach. Remarks go to `notice`.
+/// Plans a capture and checks what can be checked without a device: the session's name and
+/// place, calibration records, what the camera sees of the sample, what the lights reach. Remarks go to `notice`.
 ///
 /// # Errors
 /// What refuses the capture.
@@ -113,6 +113,13 @@ pub fn prepare<'a>(
     notice: &mut dyn FnMut(Notice<'_>),
 ) -> Result<Prepared<'a>, PrepareError> {
     let config = &rig.config;
+    // The session's name and place.
+    let sample = request.sample.clone();
+    let sample = sample.unwrap_or_else(|| sample_name(config));
+    let now = jiff::Timestamp::now();
+    session_name(now, &sample, &short_id(now))?;
+    check_creatable(&request.folder)?;
+
     // Calibration records.
     let records = Records::load(&Library::of_rig(rig), config)?;
     records.check(config, jiff::Timestamp::now(), notice);
@@ -151,10 +158,7 @@ pub fn prepare<'a>(
     check_lights(config, &planned.lights)?;
     Ok(Prepared {
         rig,
-        sample: request
-            .sample
-            .clone()
-            .unwrap_or_else(|| sample_name(config)),
+        sample,
         material: request.material.clone(),
         comment: request.comment.clone(),
         folder: request.folder.clone(),
@@ -189,16 +193,6 @@ impl Prepared<'_> {
     pub fn check_space(&self) -> Result<(), CaptureError> {
         let reserve_bytes = self.rig.config.capture.disk_reserve_bytes;
         check_space(&self.plan, &self.folder, reserve_bytes)
-    }
-
-    /// Whether the sample's name can be that of a session.
-    ///
-    /// # Errors
-    /// [`SessionError::SampleName`](crate::session::SessionError::SampleName).
-    pub fn check_name(&self) -> Result<(), PrepareError> {
-        let now = jiff::Timestamp::now();
-        session_name(now, &self.sample, &short_id(now))?;
-        Ok(())
     }
 
     /// Makes the session on these devices. Nothing has moved afterwards either.

@@ -83,7 +83,7 @@ pub struct ReproducibilityRow {
 pub enum ReproducibilityError {
     /// A standard deviation needs two values.
     #[error(
-        "sample {sample:?} has {count} session{} with a trusted fit and an error budget, allowed is 2 or more",
+        "sample {sample:?} has {count} session{} with a trusted fit and an error budget; a spread needs 2 at least",
         if *count == 1 { "" } else { "s" }
     )]
     TooFew {

@@ -44,6 +44,7 @@ mod console {
 
     use super::super::bench_ports::{advisor, fault};
     use super::super::error::HintExt;
+    use super::super::exit::Exit;
     use super::super::interrupt;
     use super::*;
     use crate::console::bench::{self, Bench, BenchPorts, Opened};
@@ -105,8 +106,9 @@ mod console {
         }
         drop(running);
         bench.end(CLOSING);
+        // As it was asked to.
         let signal = interrupt.signal().unwrap_or(Signal::Interrupt);
-        Err(CliError::interrupted(signal, "the preview has ended"))
+        Err(CliError::stated(Exit::Signal(signal)))
     }
 
     /// The camera that is open serves the first connection; later ones open it anew.

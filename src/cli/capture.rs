@@ -24,7 +24,7 @@ use crate::interrupt::{Interrupt, Signal};
 use crate::out;
 use crate::session::Session;
 use crate::session::layout::SESSIONS_FOLDER;
-use crate::units::StageAngles;
+use crate::units::{StageAngles, size};
 use crate::workflow::{FitWork, work_of};
 
 /// Captures a sample under several lights, then fits and reports it
@@ -197,7 +197,6 @@ fn start(
         return Ok(None);
     }
     prepared.check_space()?;
-    prepared.check_name()?;
 
     // The devices.
     let interrupt = interrupt::listen()?;
@@ -334,7 +333,7 @@ fn print_plan(prepared: &Prepared<'_>, fit: &FitWork, as_json: bool) -> Result<(
         out!("  light {light}: {angles}")?;
     }
     out!(
-        "exposures {} to {}, neighbours at most {} times as long, up to {} frames averaged",
+        "exposures from {} to {}, each at most {} times the one before, up to {} frames of each averaged",
         rules.shortest_s,
         rules.longest_s,
         rules.ratio,
@@ -345,10 +344,10 @@ fn print_plan(prepared: &Prepared<'_>, fit: &FitWork, as_json: bool) -> Result<(
         rules.dark_snr
     )?;
     out!(
-        "about {} on the bench, {} merged images and {:.1} MB for a scene of usual contrast{mark}",
+        "about {} on the bench, {} merged images and {} for a scene of usual contrast{mark}",
         duration(plan.estimated_s.0),
         plan.lights.len(),
-        plan.estimated_bytes as f64 / 1e6
+        size(plan.estimated_bytes)
     )?;
     out!("then a fit: {fit}")
 }

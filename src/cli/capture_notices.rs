@@ -12,7 +12,7 @@ use crate::capture::findings::{Notice, PrepareError};
 use crate::config::RigConfig;
 
 /// What else to do about a record that does not match its checksum.
-pub(super) const CHANGED_ON_PURPOSE: &str =
+const CHANGED_ON_PURPOSE: &str =
     ", or remove the record's line `checksum` if it was changed on purpose";
 
 /// Shows notices as they come: warnings, and a spinner while directions are compared.
@@ -34,35 +34,16 @@ impl<'a> Terminal<'a> {
 
     pub(super) fn show(&mut self, notice: Notice<'_>) {
         self.finish();
-        let text = match notice {
-            Notice::Comparing { directions } => {
-                let spinner = self.context.spinner();
-                spinner.set_message(format!("comparing {directions} light directions"));
-                self.spinner = Some(spinner);
-                return;
-            }
-            Notice::Record { kind, concern } => {
-                let otherwise = match concern {
-                    Concern::Changed { .. } => CHANGED_ON_PURPOSE,
-                    _ => "",
-                };
-                let (kind, command) = (kind.folder(), kind.command());
-                format!("{kind}: {concern}; run `rig calibrate {command}`{otherwise}")
-            }
-            Notice::Temperature(concern) => {
-                format!("{concern}; let the camera warm up as it had then, or calibrate anew")
-            }
-            Notice::WarmUp { needed_s, stated_s } => format!(
-                "lamp: it takes {needed_s:.0} s to warm up and capture.lamp_warm_up_s is \
-                 {stated_s:.0}; set it to {:.0}",
-                needed_s.ceil()
-            ),
-            Notice::File(remark) => remark.to_string(),
-            Notice::View { concern, seen } => preflight::fact(concern, seen),
-            Notice::Blur { blur, limit_px } => {
-                let concern = sharpness::concern(&blur, limit_px);
-                format!("{concern}; {}", sharpness::REMEDY)
-            }
+        if let Notice::Comparing { directions } = notice {
+            let spinner = self.context.spinner();
+            spinner.set_message(format!("comparing {directions} light directions"));
+            self.spinner = Some(spinner);
+            return;
+        }
+        let (fact, remedy) = described(&notice);
+        let text = match remedy {
+            Some(remedy) => format!("{fact}; {remedy}"),
+            None => fact,
         };
         if let Some(lines) = self.lines {
             lines.warn(&text);
@@ -75,6 +56,37 @@ impl<'a> Terminal<'a> {
         if let Some(spinner) = self.spinner.take() {
             spinner.finish_and_clear();
         }
+    }
+}
+
+/// A remark, and what to do about it.
+pub(super) fn described(notice: &Notice<'_>) -> (String, Option<String>) {
+    match notice {
+        Notice::Comparing { directions } => (format!("comparing {directions} directions"), None),
+        Notice::Record { kind, concern } => {
+            let otherwise = match concern {
+                Concern::Changed { .. } => CHANGED_ON_PURPOSE,
+                _ => "",
+            };
+            let remedy = format!("run `rig calibrate {}`{otherwise}", kind.command());
+            (format!("{}: {concern}", kind.folder()), Some(remedy))
+        }
+        Notice::Temperature(concern) => {
+            let remedy = "let the camera warm up as it had then, or calibrate anew";
+            (concern.to_string(), Some(remedy.to_owned()))
+        }
+        Notice::WarmUp { needed_s, stated_s } => (
+            format!(
+                "lamp: it takes {needed_s:.0} s to warm up, and capture.lamp_warm_up_s is {stated_s:.0}"
+            ),
+            Some(format!("set it to {:.0}", needed_s.ceil())),
+        ),
+        Notice::File(remark) => (remark.to_string(), None),
+        Notice::View { concern, seen } => (preflight::fact(concern, seen), None),
+        Notice::Blur { blur, limit_px } => (
+            sharpness::concern(blur, *limit_px),
+            Some(sharpness::REMEDY.to_owned()),
+        ),
     }
 }
 

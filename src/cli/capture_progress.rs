@@ -18,6 +18,7 @@ pub struct Bar<'a> {
     context: &'a Context,
     bar: ProgressBar,
     left: Left,
+    lamps: Vec<&'static str>,
     spent: Option<Spent>,
 }
 
@@ -44,8 +45,8 @@ impl Left {
 const LENGTH: u64 = 1000;
 
 impl<'a> Bar<'a> {
-    /// Drawn if stderr is a terminal.
-    pub fn new(context: &'a Context) -> Self {
+    /// Drawn if stderr is a terminal; `lamps` are the names of the lamp's channels.
+    pub fn new(context: &'a Context, lamps: Vec<&'static str>) -> Self {
         let left = Left::default();
         let shown = left.clone();
         let style = ProgressStyle::with_template("{bar:30} {percent:>3}%  {left}  {wide_msg}")
@@ -63,6 +64,7 @@ impl<'a> Bar<'a> {
             context,
             bar,
             left,
+            lamps,
             spent: None,
         }
     }
@@ -108,9 +110,12 @@ impl Observer for Bar<'_> {
             } => {
                 self.bar.set_position((done * LENGTH as f64) as u64);
                 let what = match (key.kind, lamp) {
-                    (FrameKind::Light, LampState::On(channel)) => format!("lamp {}", channel.0),
-                    (FrameKind::Dark, _) => "dark".to_owned(),
-                    _ => "lamp off".to_owned(),
+                    (FrameKind::Light, LampState::On(channel)) => {
+                        let lamp = self.lamps.get(usize::from(channel.0));
+                        lamp.copied().unwrap_or("lamp")
+                    }
+                    (FrameKind::Dark, _) => "dark",
+                    _ => "lamp off",
                 };
                 self.bar
                     .set_message(format!("light {}, {what}, {exposure}", key.light));

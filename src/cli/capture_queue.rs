@@ -82,6 +82,15 @@ pub(super) fn run(request: &QueueRequest<'_>, context: &Context) -> Result<(), C
         1 => context.note(format!("1 capture is left; {GO_ON}")),
         left => context.note(format!("{left} captures are left; {GO_ON}")),
     }
+    let left_out = |sample: &&Sample| queue.left_out_of(sample) > 0;
+    if let Some(sample) = queue.samples().iter().find(left_out) {
+        context.note(format!(
+            "to capture what was left out after all, raise `repeats` in {} (for {}: {})",
+            request.file.display(),
+            sample.name,
+            sample.repeats + queue.left_out_of(sample)
+        ));
+    }
     let failed = |run: &&Entry| matches!(&run.state, RunState::Done { error: Some(_), .. });
     match queue.entries().iter().find(failed) {
         None => Ok(()),
@@ -198,15 +207,15 @@ impl Work<'_> {
         if !notes.is_empty() {
             put += &format!(" [{}]", notes.join("; "));
         }
-        let question =
-            format!("{put}, then Enter; r repeats the last one, s leaves this one out, q ends");
-        match self.ask(&question, true)? {
+        let repeats = match queue.last() {
+            Some(_) => " r repeats the last one,",
+            None => "",
+        };
+        let question = format!("{put}, then Enter;{repeats} s leaves this one out, q ends");
+        match self.ask(&question, !repeats.is_empty())? {
             Answer::Quit => return Ok(false),
             Answer::LeaveOut => queue.leave_out(name)?,
-            Answer::Repeat => match queue.again()? {
-                Some(_) => {}
-                None => self.tell("nothing was captured yet that could be repeated"),
-            },
+            Answer::Repeat => drop(queue.again()?),
             Answer::Go => {
                 queue.next(name)?;
                 let job = self.begin(sample)?;
@@ -242,12 +251,7 @@ impl Work<'_> {
         };
         let question = format!("All samples are done; Enter ends, r repeats the last one ({last})");
         match self.ask(&question, true)? {
-            Answer::Repeat => {
-                if queue.again()?.is_none() {
-                    self.tell("the list has it no more");
-                }
-                Ok(true)
-            }
+            Answer::Repeat => Ok(queue.again()?.is_some()),
             _ => Ok(false),
         }
     }
@@ -370,6 +374,7 @@ fn print(request: &QueueRequest<'_>, queue: &Queue) -> Result<(), CliError> {
             json!({
                 "sample": sample.name,
                 "sessions": runs.collect::<Vec<_>>(),
+                "left_out": queue.left_out_of(sample),
                 "left": queue.left_of(sample),
             })
         });
@@ -386,20 +391,21 @@ fn print(request: &QueueRequest<'_>, queue: &Queue) -> Result<(), CliError> {
             .entries()
             .iter()
             .filter(|run| run.sample == sample.name);
-        let mut count = 0;
-        for run in runs {
-            count += 1;
+        for (number, run) in (1..).zip(runs) {
             let session = run.session.clone();
-            table.row([name(), count.to_string(), state(&run.state), session]);
+            table.row([name(), number.to_string(), state(&run.state), session]);
         }
-        match (count, queue.left_of(sample)) {
-            (0, 0) => table.row([name(), String::new(), "left out".into(), String::new()]),
-            (_, 0) => {}
-            (_, 1) => table.row([name(), String::new(), "to do".into(), String::new()]),
-            (_, left) => {
-                let state = format!("{left} to do");
-                table.row([name(), String::new(), state, String::new()]);
-            }
+        let others = [
+            (queue.left_out_of(sample), "left out"),
+            (queue.left_of(sample), "to do"),
+        ];
+        for (count, state) in others {
+            let state = match count {
+                0 => continue,
+                1 => state.to_owned(),
+                count => format!("{count} {state}"),
+            };
+            table.row([name(), String::new(), state, String::new()]);
         }
     }
     table.print()

@@ -8,7 +8,7 @@ use super::capture_events::EventLines;
 use super::capture_progress::Bar;
 use super::context::Context;
 use super::error::CliError;
-use super::open;
+use super::{interrupt, open};
 use crate::capture::open::{OpenOptions, open_devices};
 use crate::capture::prepare::{self, Job};
 use crate::capture::{CaptureError, Outcome, Spent};
@@ -63,14 +63,19 @@ pub(super) fn run(
     lines: Option<&EventLines>,
 ) -> Ran {
     let is_instant = job.rig().is_instant();
+    let lamps = job.rig().stage.measures.iter();
+    let lamps = lamps.map(|of| of.colour()).collect();
     let began = Instant::now();
     if job.lacks_watchdog() {
         let text = "the stage's firmware has no watchdog: if the computer or the cable fails, the lamp stays on";
         warn(context, lines, text);
     }
-    let mut observers = (lines, Bar::new(context));
+    // Without its thread the capture obeys all the same.
+    let announcing = interrupt::announcing(context, &interrupt).ok();
+    let mut observers = (lines, Bar::new(context, lamps));
     let ended = job.run(&mut observers, interrupt);
     let (_, bar) = observers;
+    drop(announcing);
     bar.finish();
     let (elapsed_s, spent) = (began.elapsed().as_secs_f64(), bar.spent());
     if matches!(ended, Ok(Outcome::Complete)) {

@@ -25,6 +25,11 @@ impl Context {
         }
     }
 
+    /// [`Self::note`] of several lines, each [`escaped`] by itself.
+    pub fn note_lines(&self, lines: impl IntoIterator<Item = impl std::fmt::Display>) {
+        lines.into_iter().for_each(|line| self.note(line));
+    }
+
     /// A remark that matters: `warning: …` on stderr, also with `--quiet`.
     pub fn warn(&self, text: impl std::fmt::Display) {
         self.warn_lines(&[&text.to_string()]);

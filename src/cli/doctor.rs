@@ -11,7 +11,7 @@ use jiff::Timestamp;
 use rustix::fs::{Access, access};
 use serde::Serialize;
 
-use super::capture_notices::CHANGED_ON_PURPOSE;
+use super::capture_notices::described;
 use super::context::Context;
 use super::error::CliError;
 use super::output::{write_json, write_line};
@@ -25,14 +25,17 @@ use crate::calibration::record::{
     FlatValues, Kind, LightsValues, ScaleValues, SensorValues, Values,
 };
 use crate::calibration::slanted_edge::FocusValues;
-use crate::calibration::{Library, RecordError, Seal};
+use crate::calibration::{Library, Loaded, RecordError, Seal};
+use crate::capture::findings::Notice;
 use crate::capture::prepare::sample_blur;
 use crate::capture::reach::StageReach;
+use crate::capture::records::Records;
 use crate::config::stage::StageDriver;
 use crate::config::{CameraDriver, Origin, ResolvedRig};
 use crate::device::discovery;
 use crate::device::dome::DomeWiring;
 use crate::file_system::{self, Lack};
+use crate::units::size;
 
 /// Checks configuration, devices, permissions, disk and calibration
 ///
@@ -88,10 +91,13 @@ pub fn run(args: &DoctorArgs, context: &Context) -> Result<(), CliError> {
     let failed = report(all_checks(&rig), args.json)?;
     match failed {
         0 => Ok(()),
-        1 => Err(CliError::new("1 check failed").hint("its remedy stands below it")),
-        n => Err(CliError::new(format!("{n} checks failed")).hint("the remedies stand below them")),
+        1 => Err(CliError::new("1 check failed").hint(REMEDIES)),
+        n => Err(CliError::new(format!("{n} checks failed")).hint(REMEDIES)),
     }
 }
+
+/// Where to look, once the checks are printed.
+const REMEDIES: &str = "what to do stands after the arrow of each check above that FAILED";
 
 /// Prints the checks and returns how many failed.
 fn report(checks: Vec<Check>, json: bool) -> Result<usize, CliError> {
@@ -138,6 +144,12 @@ impl Check {
         }
     }
 
+    /// What a capture refuses, with the advice that it gives.
+    fn refused(name: &'static str, error: &(dyn std::error::Error + 'static)) -> Self {
+        let remedy = hints::for_error(error).unwrap_or_else(|| "calibrate anew".to_owned());
+        Self::failed(name, error.to_string(), remedy)
+    }
+
     fn failed(name: &'static str, fact: impl Into<String>, remedy: impl Into<String>) -> Self {
         Self {
             verdict: Verdict::Failed,
@@ -156,42 +168,7 @@ fn all_checks(rig: &ResolvedRig) -> Vec<Check> {
     };
     checks.extend(folder(rig, place));
     let library = Library::of_rig(rig);
-    let named = &rig.config.calibration;
-    checks.push(calibration::<SensorValues>(
-        rig,
-        &library,
-        named.sensor.as_deref(),
-    ));
-    checks.push(calibration::<FlatValues>(
-        rig,
-        &library,
-        named.flat.as_deref(),
-    ));
-    checks.push(calibration::<ScaleValues>(
-        rig,
-        &library,
-        named.scale.as_deref(),
-    ));
-    checks.push(calibration::<LightsValues>(
-        rig,
-        &library,
-        named.lights.as_deref(),
-    ));
-    checks.push(calibration::<DirectionsValues>(
-        rig,
-        &library,
-        named.directions.as_deref(),
-    ));
-    checks.push(calibration::<CameraValues>(
-        rig,
-        &library,
-        named.camera.as_deref(),
-    ));
-    checks.push(calibration::<FocusValues>(
-        rig,
-        &library,
-        named.focus.as_deref(),
-    ));
+    checks.extend(calibrations(rig, &library));
     let view = verdict_on("view", preflight::outlook(&rig.config));
     let is_in_view = view.verdict != Verdict::Failed;
     checks.push(view);
@@ -393,7 +370,7 @@ fn folder(rig: &ResolvedRig, folder: &Path) -> Vec<Check> {
             "see to it that there is enough: a capture cannot stop before the disk is full",
         ),
         Ok(free) => {
-            let fact = format!("{} MB free, {} MB stay reserved", free >> 20, reserve >> 20);
+            let fact = format!("{} free, {} stay reserved", size(free), size(reserve));
             if free <= reserve {
                 let remedy = "free some space, or lower capture.disk_reserve_mb in the rig file";
                 Check::failed("disk space", fact, remedy)
@@ -403,8 +380,8 @@ fn folder(rig: &ResolvedRig, folder: &Path) -> Vec<Check> {
         }
         Err(error) => Check::failed("disk space", error.to_string(), "run in another folder"),
     };
-    let speed = match write_rate_mb_s(folder) {
-        Ok(rate) => Check::ok("disk speed", format!("{rate:.0} MB/s written and synced")),
+    let speed = match write_rate_bytes_s(folder) {
+        Ok(rate) => Check::ok("disk speed", format!("{}/s written and synced", size(rate))),
         Err(error) => Check::failed("disk speed", error.to_string(), "run in another folder"),
     };
     vec![file_system_of(folder), space, speed]
@@ -437,29 +414,26 @@ fn file_system_of(folder: &Path) -> Check {
 }
 
 /// Writes and syncs a few megabytes as a capture would.
-fn write_rate_mb_s(folder: &Path) -> std::io::Result<f64> {
-    const MEGABYTES: usize = 8;
+fn write_rate_bytes_s(folder: &Path) -> std::io::Result<u64> {
+    const BLOCKS: usize = 8;
     let block = vec![0x5a; 1 << 20];
     // Closed before it is removed, which not every file system does with an open one.
     let (mut file, path) = tempfile::NamedTempFile::new_in(folder)?.into_parts();
     let start = Instant::now();
-    for _ in 0..MEGABYTES {
+    for _ in 0..BLOCKS {
         file.write_all(&block)?;
     }
     file_system::sync_file(&file, &path)?;
-    let rate = MEGABYTES as f64 / start.elapsed().as_secs_f64().max(1e-9);
+    let rate = (BLOCKS * block.len()) as f64 / start.elapsed().as_secs_f64().max(1e-9);
     drop(file);
     path.close()?;
-    Ok(rate)
+    Ok(rate as u64)
 }
 
 /// What a kind of record is called, and what its lack means.
 fn named(kind: Kind) -> (&'static str, &'static str) {
     match kind {
-        Kind::Sensor => (
-            "sensor",
-            "`rig calibrate sensor` measures it; without it the noise is only estimated",
-        ),
+        Kind::Sensor => ("sensor", "a capture needs it"),
         Kind::Flat => ("flat", "without it every pixel counts as equally sensitive"),
         Kind::Scale => (
             "scale",
@@ -483,49 +457,72 @@ fn named(kind: Kind) -> (&'static str, &'static str) {
         ),
         Kind::Pose => ("pose", "without it the sample lies as the rig file states"),
         Kind::Camera => ("lens", "without it the lens is as the rig file states"),
-        Kind::Lamp => (
-            "lamp",
-            "`rig calibrate lamp` finds how long it must warm up; without it that is unknown",
-        ),
+        Kind::Lamp => ("lamp", "without it nobody knows how long it must warm up"),
     }
 }
 
-fn calibration<V: Values>(rig: &ResolvedRig, library: &Library, id: Option<&str>) -> Check {
-    let (name, without) = named(V::KIND);
-    let failed = |error: RecordError| {
-        let remedy = hints::for_error(&error).unwrap_or_else(|| "calibrate anew".to_owned());
-        Check::failed(name, error.to_string(), remedy)
+/// The records of the bench, judged as a capture judges them.
+fn calibrations(rig: &ResolvedRig, library: &Library) -> Vec<Check> {
+    let (ids, gain) = (&rig.config.calibration, rig.config.camera.gain);
+    let mut checks = vec![
+        record::<SensorValues>(rig, library.load_for(ids.sensor.as_deref(), gain), library),
+        record::<FlatValues>(rig, library.load_for(ids.flat.as_deref(), gain), library),
+        record::<ScaleValues>(rig, library.load_for(ids.scale.as_deref(), gain), library),
+        record::<LightsValues>(rig, library.load(ids.lights.as_deref()), library),
+        record::<DirectionsValues>(rig, library.load(ids.directions.as_deref()), library),
+        record::<CameraValues>(rig, library.load(ids.camera.as_deref()), library),
+        record::<FocusValues>(rig, library.load(ids.focus.as_deref()), library),
+    ];
+    // A record that cannot be used has its own line.
+    let Ok(records) = Records::load(library, &rig.config) else {
+        return checks;
     };
-    // The record.
-    let loaded = match library.load::<V>(id) {
-        Err(error) => return failed(error),
+    if let Err(error) = records.noise(&rig.config) {
+        checks[0] = Check::refused(named(Kind::Sensor).0, &error);
+    }
+    records.check(&rig.config, Timestamp::now(), &mut |notice| {
+        if let Notice::WarmUp { .. } = notice {
+            let (fact, remedy) = described(&notice);
+            let name = named(Kind::Lamp).0;
+            checks.push(Check::warning(name, fact, remedy.unwrap_or_default()));
+        }
+    });
+    checks
+}
+
+fn record<V: Values>(
+    rig: &ResolvedRig,
+    loaded: Result<Option<Loaded<V>>, RecordError>,
+    library: &Library,
+) -> Check {
+    let (name, without) = named(V::KIND);
+    let loaded = match loaded {
+        Err(error) => return Check::refused(name, &error),
         Ok(None) => {
-            let fact = format!("no record in {}", library.place());
-            return Check::warning(name, fact, without);
+            let fact = format!("no record in {}: {without}", library.place());
+            let remedy = format!("run `rig calibrate {}`", V::KIND.command());
+            return Check::warning(name, fact, remedy);
         }
         Ok(Some(loaded)) => loaded,
     };
     let serial = rig.config.camera.serial.as_deref().unwrap_or_default();
-    let of_the_camera = V::KIND.is_of_the_camera();
-    if of_the_camera && let Err(error) = loaded.check_camera(serial, &rig.config.camera) {
-        return failed(error);
-    }
-    // Its checksum and its age.
-    let record = &loaded.record;
-    if loaded.seal == Seal::Broken {
-        let id = record.id.clone();
-        let remedy = format!("restore it, or calibrate anew{CHANGED_ON_PURPOSE}");
-        return Check::warning(name, Concern::Changed { id }.to_string(), remedy);
-    }
-    if loaded.is_expired(Timestamp::now()) {
-        let until = record.valid_until.as_deref().unwrap_or_default();
-        let fact = format!("record {} was valid until {until}", record.id);
-        return Check::warning(name, fact, "calibrate anew");
+    let is_simulated = rig.config.is_simulated();
+    let concerns = loaded.concerns_on(is_simulated, serial, &rig.config.camera, Timestamp::now());
+    match concerns.into_iter().next() {
+        Some(Concern::Other(error)) => return Check::refused(name, &error),
+        Some(concern) => {
+            let fact = concern.to_string();
+            let kind = V::KIND;
+            let (_, remedy) = described(&Notice::Record { kind, concern });
+            return Check::warning(name, fact, remedy.unwrap_or_default());
+        }
+        None => {}
     }
     let unsealed = match loaded.seal {
         Seal::Missing => "; it has no checksum, so a change would not be noticed",
         _ => "",
     };
+    let record = &loaded.record;
     let fact = format!("record {} of {}{unsealed}", record.id, record.date);
     Check::ok(name, fact)
 }

@@ -6,7 +6,8 @@ use clap::ValueEnum;
 
 use super::{CliError, Context, as_model, output};
 use crate::export::{self, ExportError, Format};
-use crate::session::fit_record::{self, FitRecord, Verdict};
+use crate::session::fit_record::{self, FitRecord, FitRecordError, Verdict};
+use crate::session::layout::FITS_FOLDER;
 use crate::workflow::{StatedResult, StatedResultError};
 
 /// Writes a fitted BRDF for other programs.
@@ -15,6 +16,9 @@ pub struct ExportArgs {
     /// A fit's folder, or a session (its latest fit)
     #[arg(value_name = "DIR")]
     dir: PathBuf,
+    /// Of a session: which fit, by its number in `fits/`; the latest if not given
+    #[arg(long, value_name = "N")]
+    fit: Option<u32>,
     /// What to write
     #[arg(long, value_enum)]
     format: FormatArg,
@@ -61,6 +65,9 @@ impl FormatArg {
     }
 }
 
+/// What to do where a session has no such fit.
+const LATEST_FIT: &str = "leave --fit out to take the latest";
+
 /// `rig export`.
 pub fn run(args: &ExportArgs, context: &Context) -> Result<(), CliError> {
     let Some(format) = args.format.of_any_fit() else {
@@ -70,7 +77,14 @@ pub fn run(args: &ExportArgs, context: &Context) -> Result<(), CliError> {
     let path = args.out.clone();
     let path = path.unwrap_or_else(|| PathBuf::from(format!("brdf.{ending}")));
     output::check_ending(&path, ending)?;
-    let record = fit_record::find(&args.dir)?;
+    let dir = match args.fit {
+        Some(number) => args.dir.join(FITS_FOLDER).join(number.to_string()),
+        None => args.dir.clone(),
+    };
+    let record = fit_record::find(&dir).map_err(|error| match (args.fit, &error) {
+        (Some(_), FitRecordError::NoFit { .. }) => CliError::from(error).hint(LATEST_FIT),
+        _ => error.into(),
+    })?;
     warn_of(&record, context);
     as_model::show(&export::export(&record, format, &path)?, context)
 }
@@ -80,14 +94,14 @@ fn birdf(args: &ExportArgs, context: &Context) -> Result<(), CliError> {
     let path = args.out.clone();
     let path = path.unwrap_or_else(|| PathBuf::from("birdf.json"));
     output::check_ending(&path, "json")?;
-    let result = StatedResult::load(&args.dir, None).map_err(stated_result_error)?;
+    let result = StatedResult::load(&args.dir, args.fit).map_err(stated_result_error)?;
     warn_of(&result.record, context);
     let lacking = result.config.lab.missing();
     if !lacking.is_empty() {
         context.note(format!(
-            "the format wants {}, which [lab] of the session's rig file does not state: \"{}\" stands there",
-            lacking.join(", "),
-            export::birdf::NOT_STATED
+            "\"{}\" in the file: {}; state them in [lab] of the rig file before the capture",
+            export::birdf::NOT_STATED,
+            lacking.join(", ")
         ));
     }
     export::birdf::write(&result, &path).map_err(|error| match error {
@@ -103,9 +117,7 @@ pub(super) fn stated_result_error(error: StatedResultError) -> CliError {
         StatedResultError::NoSession { .. } => {
             CliError::from(error).hint("`rig fit SESSION` fits a captured session; give that")
         }
-        StatedResultError::NoSuchFit { .. } => {
-            CliError::from(error).hint("leave --fit out to take the latest")
-        }
+        StatedResultError::NoSuchFit { .. } => CliError::from(error).hint(LATEST_FIT),
         StatedResultError::Fit(error) => error.into(),
         StatedResultError::Session(error) => error.into(),
         StatedResultError::Config(error) => error.into(),

@@ -10,7 +10,9 @@ use crate::capture::events::CaptureEvent;
 use crate::session::fit_record::Verdict;
 use crate::workflow::{FitOutcome, FitRequest, ImageFit, fit_images, fit_session};
 
-/// Fits a BRDF to a session, or to images of a described scene.
+/// Fits a BRDF to a session, or to images of a described scene
+///
+/// A session's report.html is written anew and shows this fit.
 #[derive(clap::Args, Debug)]
 pub struct FitCommandArgs {
     /// The session's folder
@@ -46,8 +48,16 @@ pub fn run(args: &FitCommandArgs, context: &Context) -> Result<(), CliError> {
     let outcome = reported(lines.as_ref(), || {
         fit_what_is_named(args, context, lines.as_ref())
     })?;
+    // The session's report is of its latest fit.
+    let report = match (&args.session, &args.out) {
+        (Some(session), None) => report(session, context).unwrap_or_else(|error| {
+            context.warn(format!("the report was not written: {}", error.fact()));
+            None
+        }),
+        _ => None,
+    };
     if let Some(lines) = &lines {
-        lines.send(fitted(&outcome, None));
+        lines.send(fitted(&outcome, report.as_deref()));
         return Ok(());
     }
     print(args, &outcome)

@@ -125,7 +125,7 @@ fn for_config(error: &ConfigError) -> String {
         }
         Read { source, .. } => match for_io(source) {
             Some(hint) if source.kind() != std::io::ErrorKind::NotFound => hint,
-            _ => "check the path; a bare name is looked for in rig-configs/ and among the built-in rigs".into(),
+            _ => "check the path: it starts at the folder in which the command runs".into(),
         },
         Syntax { slip: Some(slip), .. } => for_slip(*slip),
         ControlCharacter { .. } => for_slip(Slip::Backslash),
@@ -447,6 +447,7 @@ fn for_io(error: &std::io::Error) -> Option<String> {
         QuotaExceeded => {
             "remove some of your files there (`quota` lists what counts), or choose another folder; nothing already written is lost"
         }
+        NotADirectory => "choose another folder: a part of this path is a file",
         InvalidFilename => "shorten the name: most file systems take at most 255 bytes",
         // The system's own, of a name that FAT and exFAT don't take.
         InvalidInput if error.raw_os_error().is_some() => {

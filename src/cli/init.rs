@@ -85,14 +85,15 @@ pub fn run(args: &InitArgs, context: &Context) -> Result<(), CliError> {
 }
 
 fn list_steps(steps: &[Step], context: &Context) {
-    context.note("\nNext, in this order (docs/calibration.md explains each; what stands in capitals is yours):");
+    context.note_lines([
+        "",
+        "Next, in this order; replace the words in capitals. docs/calibration.md explains each step.",
+    ]);
     for (i, step) in steps.iter().enumerate() {
-        context.note(format_args!(
-            "{:>3}. {}\n     {}",
-            i + 1,
-            step.command,
-            step.purpose
-        ));
+        context.note_lines([
+            format!("{:>3}. {}", i + 1, step.command),
+            format!("     {}", step.purpose),
+        ]);
     }
 }
 
@@ -226,6 +227,9 @@ impl<'a> Session<'a> {
 /// What is wrong with an answer, at the terminal, where the question stands above.
 fn fault(error: &AnswerError) -> String {
     match error {
+        AnswerError::Invalid { value, allowed, .. } if value.is_empty() => {
+            format!("an answer is needed: {allowed}")
+        }
         AnswerError::Invalid { value, allowed, .. } => {
             format!("{value} is not possible: it must be {allowed}")
         }

@@ -17,7 +17,7 @@ use super::context::Context;
 use super::error::CliError;
 use super::output::write_stderr;
 use super::stderr;
-use crate::interrupt::{Interrupt, Signal};
+use crate::interrupt::{Interrupt, Signal, StopLevel};
 
 /// Starts to listen; from now on the command must poll what this returns.
 pub fn listen() -> Result<Interrupt, CliError> {
@@ -71,52 +71,94 @@ pub fn ending_on_signal(
     context: &Context,
     interrupt: &Interrupt,
     error: impl Fn(Signal) -> CliError + Send + 'static,
-) -> Result<EndingOnSignal, CliError> {
+) -> Result<Watching, CliError> {
     let color = context.color;
+    watching(interrupt, move |interrupt| {
+        if let Some(signal) = interrupt.signal() {
+            let error = error(signal);
+            write_stderr(&error.render(color));
+            stderr::flush(stderr::LAST_WORDS);
+            std::process::exit(error.exit().code().into());
+        }
+        if interrupt.take_pause() {
+            suspend();
+        }
+    })
+}
+
+/// Says at once that work which obeys between frames was asked to stop or to pause, until what
+/// is returned is dropped: a frame may take long.
+pub fn announcing(context: &Context, interrupt: &Interrupt) -> Result<Watching, CliError> {
+    let context = context.clone();
+    let mut said = Said::default();
+    watching(interrupt, move |interrupt| {
+        if let Some(text) = said.next(interrupt) {
+            context.note(text);
+        }
+    })
+}
+
+/// What was said of the requests.
+#[derive(Default)]
+struct Said {
+    stop: bool,
+    pause: bool,
+}
+
+impl Said {
+    /// What is to be said now.
+    fn next(&mut self, interrupt: &Interrupt) -> Option<&'static str> {
+        let stop = interrupt.level() == StopLevel::AfterThisFrame;
+        if stop && !std::mem::replace(&mut self.stop, true) {
+            return Some("stopping after this frame; Ctrl-C again stops now");
+        }
+        let pause = interrupt.wants_pause();
+        let is_new = !std::mem::replace(&mut self.pause, pause);
+        (pause && is_new).then_some("pausing after this frame")
+    }
+}
+
+/// Has a thread look at the requests every [`LOOK`], until what is returned is dropped.
+fn watching(
+    interrupt: &Interrupt,
+    mut look: impl FnMut(&Interrupt) + Send + 'static,
+) -> Result<Watching, CliError> {
     let interrupt = interrupt.clone();
     let over = Arc::new(AtomicBool::new(false));
     let is_over = Arc::clone(&over);
     let thread = std::thread::Builder::new()
-        .name("end on signal".into())
+        .name("watching signals".into())
         .spawn(move || {
             while !is_over.load(Ordering::SeqCst) {
-                if let Some(signal) = interrupt.signal() {
-                    let error = error(signal);
-                    write_stderr(&error.render(color));
-                    stderr::flush(stderr::LAST_WORDS);
-                    std::process::exit(error.exit().code().into());
-                }
-                if interrupt.take_pause() {
-                    suspend();
-                }
+                look(&interrupt);
                 std::thread::sleep(LOOK);
             }
         })?;
-    Ok(EndingOnSignal {
+    Ok(Watching {
         over,
         thread: Some(thread),
     })
 }
 
-/// As long as it lives, a signal ends the program.
+/// As long as it lives, signals are looked at.
 #[must_use]
-pub struct EndingOnSignal {
+pub struct Watching {
     over: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
 
-impl Drop for EndingOnSignal {
-    /// Afterwards no signal ends the program any more.
+impl Drop for Watching {
+    /// Afterwards nobody looks any more.
     fn drop(&mut self) {
         self.over.store(true, Ordering::SeqCst);
         if let Some(thread) = self.thread.take() {
-            // It does not panic; if it did, it would end no program either.
+            // It does not panic; if it did, nothing would depend on it either.
             drop(thread.join());
         }
     }
 }
 
-/// So often [`end_on_signal`] looks whether there was a signal.
+/// How often requests are looked at.
 const LOOK: Duration = Duration::from_millis(20);
 
 #[cfg(test)]
@@ -124,7 +166,24 @@ mod tests {
     use std::time::Instant;
 
     use super::*;
-    use crate::interrupt::StopLevel;
+
+    #[test]
+    fn each_request_is_announced_once() {
+        let (interrupt, mut said) = (Interrupt::new(), Said::default());
+        let mut next = |interrupt: &Interrupt| [said.next(interrupt), said.next(interrupt)];
+        assert_eq!(next(&interrupt), [None, None]);
+        for _ in 0..2 {
+            interrupt.ask_for_pause();
+            assert_eq!(next(&interrupt), [Some("pausing after this frame"), None]);
+            interrupt.take_pause();
+            assert_eq!(next(&interrupt), [None, None]);
+        }
+        interrupt.raise(Signal::Interrupt);
+        let stopping = "stopping after this frame; Ctrl-C again stops now";
+        assert_eq!(next(&interrupt), [Some(stopping), None]);
+        interrupt.raise(Signal::Interrupt);
+        assert_eq!(next(&interrupt), [None, None]);
+    }
 
     /// Every signal to the process makes the request more urgent.
     #[test]

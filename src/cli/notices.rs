@@ -11,10 +11,9 @@ impl Observer for Context {
     fn notice(&self, notice: Notice<'_>) {
         use Notice::*;
         match notice {
-            Work(work) => tracing::info!("{work}"),
-            ByRecord { .. } | AssumedNoise { .. } | HomingCycle { .. } | Discrepancy { .. } => {
-                self.note(notice);
-            }
+            // Of every sound fit; the report and the fit's record state the discrepancy.
+            Work(_) | Discrepancy { .. } => tracing::info!("{notice}"),
+            ByRecord { .. } | AssumedNoise { .. } | HomingCycle { .. } => self.note(notice),
             ScaleAsDescribed => self.note(format_args!(
                 "{notice}; `rig calibrate white` measures it; where it is unknown, \
                  --refine-bench --uncertainty common_intensity=1 allows for that"

@@ -60,10 +60,12 @@ pub fn check_ending(path: &Path, ending: &str) -> Result<(), CliError> {
     {
         return Ok(());
     }
-    let fact = format!("{}: what is written here ends in .{ending}", path.display());
-    let mut named = path.as_os_str().to_owned();
-    named.push(format!(".{ending}"));
-    Err(CliError::new(fact).hint(format!("for instance {}", named.display())))
+    let fact = format!(
+        "{}: the name of such a file ends in .{ending}",
+        path.display()
+    );
+    let named = path.with_extension(ending);
+    Err(CliError::new(fact).hint(format!("name it {}", named.display())))
 }
 
 /// Refuses, before the work, a file that could not be written after it.

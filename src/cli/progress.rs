@@ -32,6 +32,10 @@ impl Context {
         let style = ProgressStyle::with_template("{bar:30} {percent:>3}%  {wide_msg}");
         let bar = ProgressBar::with_draw_target(Some(STEPS), self.draw_target())
             .with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
+        if self.shows_progress() {
+            // Drawn anew after a remark.
+            bar.enable_steady_tick(Duration::from_secs(1));
+        }
         StagedBar {
             bar,
             began: Instant::now(),

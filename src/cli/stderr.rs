@@ -47,9 +47,31 @@ fn queue() -> Option<&'static WriteQueue> {
     })
 }
 
-/// Writes a message. Never waits; a closed stderr is ignored.
+/// Clears the line of the cursor.
+const CLEAR_LINE: &str = "\r\x1b[2K";
+/// Whether the last line of the terminal is a bar, which a message must clear first.
+static BAR_IS_SHOWN: Mutex<bool> = Mutex::new(false);
+
+/// Writes a message, in place of a bar that stands there (the next drawing follows the
+/// message). Never waits; a closed stderr is ignored.
 pub fn write(text: &str, worth: Worth) {
+    // Held until the text is queued, so that no drawing comes in between.
+    let mut bar = BAR_IS_SHOWN.lock().unwrap_or_else(PoisonError::into_inner);
+    match std::mem::replace(&mut *bar, worth == Worth::Progress && draws(text)) {
+        true if worth != Worth::Progress => put(&format!("{CLEAR_LINE}{text}"), worth),
+        _ => put(text, worth),
+    }
+}
+
+/// Whether something of a drawing remains on its last line.
+fn draws(drawing: &str) -> bool {
+    let last = drawing.rsplit(CLEAR_LINE).next();
+    last.is_some_and(|last| !last.trim().is_empty())
+}
+
+fn put(text: &str, worth: Worth) {
     match queue() {
+        _ if text.is_empty() => {}
         Some(queue) => queue.put(text, worth.waiting_bytes(), worth != Worth::Progress),
         None => drop(io::stderr().write_all(text.as_bytes())),
     }
@@ -62,8 +84,9 @@ pub fn flush(longest: Duration) {
     }
 }
 
-/// Waits shortly until stderr has taken all messages, unless it takes none.
+/// Clears a bar, then waits shortly until stderr has taken all messages, unless it takes none.
 pub fn flush_in_order() {
+    write("", Worth::Remark);
     if let Some(queue) = queue() {
         queue.flush_unless_stuck(IN_ORDER);
     }
@@ -106,12 +129,17 @@ impl Drawing {
     }
 }
 
+/// Columns that a bar leaves free: a terminal shows Ctrl-C as `^C` where the cursor is, and
+/// beyond its last column on a line of its own.
+const FREE_COLUMNS: u16 = 4;
+
 impl TermLike for Drawing {
     fn width(&self) -> u16 {
-        match rustix::termios::tcgetwinsize(io::stderr()) {
+        let columns = match rustix::termios::tcgetwinsize(io::stderr()) {
             Ok(size) if size.ws_col > 0 => size.ws_col,
             _ => 80,
-        }
+        };
+        columns.saturating_sub(FREE_COLUMNS).max(1)
     }
 
     fn move_cursor_up(&self, lines: usize) -> io::Result<()> {
@@ -140,13 +168,15 @@ impl TermLike for Drawing {
     }
 
     fn clear_line(&self) -> io::Result<()> {
-        self.add("\r\x1b[2K")
+        self.add(CLEAR_LINE)
     }
 
     fn flush(&self) -> io::Result<()> {
         let drawn = std::mem::take(&mut *self.0.lock().unwrap_or_else(PoisonError::into_inner));
+        // The blanks that fill the line were cleared before.
+        let drawn = drawn.trim_end_matches(' ');
         if !drawn.is_empty() {
-            write(&drawn, Worth::Progress);
+            write(drawn, Worth::Progress);
         }
         Ok(())
     }
@@ -164,5 +194,13 @@ mod tests {
         drawing.write_str("half").unwrap();
         drawing.move_cursor_up(2).unwrap();
         assert_eq!(*drawing.0.lock().unwrap(), "\r\x1b[2Khalf\x1b[2A");
+        for (drawing, remains) in [
+            ("", false),
+            ("\r\x1b[2K", false),
+            ("\r\x1b[2K██ 96%", true),
+            ("██ 96%\r\x1b[2K", false),
+        ] {
+            assert_eq!(draws(drawing), remains, "{drawing:?}");
+        }
     }
 }

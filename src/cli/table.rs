@@ -56,15 +56,7 @@ impl Table {
     }
 }
 
-/// A size with its unit: `12.3 MB`.
-pub fn size(bytes: u64) -> String {
-    let bytes = bytes as f64;
-    match bytes {
-        1e9.. => format!("{:.1} GB", bytes / 1e9),
-        1e6.. => format!("{:.1} MB", bytes / 1e6),
-        _ => format!("{:.1} kB", bytes / 1e3),
-    }
-}
+pub use crate::units::size;
 
 /// A relative figure in per cent with two significant digits: `0.34%`, `3.4%`, `34%`.
 pub fn percent(part: f64) -> String {
@@ -87,7 +79,7 @@ mod tests {
         table.row(["bowl é".to_owned(), String::new(), size(56_700_000_000)]);
         assert_eq!(
             table.lines(),
-            ["sample     size", "cup      1.2 MB", "bowl é  56.7 GB"]
+            ["sample    size", "cup     1.2 MB", "bowl é   57 GB"]
         );
         let empty = Table::new(&["a", "b"]);
         assert_eq!(empty.lines(), [""]);

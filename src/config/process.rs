@@ -68,7 +68,8 @@ impl CaptureConfig {
             lamp_warm_up: Seconds(table.number("lamp_warm_up_s", 0.0..=7200.0)?.or(0.0)),
             revisit_first: table.flag("revisit_first")?.optional(),
             blur_limit_px: table.number("blur_limit_px", 0.01..=1000.0)?.or(1.0),
-            disk_reserve_bytes: table.integer("disk_reserve_mb", 0..=1_000_000)?.or(500) << 20,
+            disk_reserve_bytes: table.integer("disk_reserve_mb", 0..=1_000_000)?.or(500)
+                * 1_000_000,
         };
         table.finish()?;
         Ok(capture)

@@ -6,7 +6,7 @@ use glam::DVec3;
 use serde_json::{Value, json};
 
 use crate::config::RigConfig;
-use crate::config::stage::{Measures, StageDriver};
+use crate::config::stage::StageDriver;
 use crate::device::kinematics::{Kinematics, Mechanism};
 use crate::units::StageAngles;
 
@@ -39,12 +39,6 @@ pub fn facts(rig: &RigConfig, file: &str, folder: &Path, mode: Mode) -> Value {
     };
     let to_camera = rig.geometry.coaxial();
     let direction = (to_camera != DVec3::ZERO).then(|| StageAngles::from_direction(to_camera));
-    let colour = |measures: &Measures| match measures {
-        Measures::Red => "red",
-        Measures::Green => "green",
-        Measures::Blue => "blue",
-        Measures::All => "white",
-    };
     json!({
         "version": env!("CARGO_PKG_VERSION"),
         "mode": mode.name(),
@@ -53,7 +47,7 @@ pub fn facts(rig: &RigConfig, file: &str, folder: &Path, mode: Mode) -> Value {
             "name": rig.name,
             "file": file,
             "simulated": rig.is_simulated(),
-            "channels": rig.stage.measures.iter().map(colour).collect::<Vec<_>>(),
+            "channels": rig.stage.measures.iter().map(|of| of.colour()).collect::<Vec<_>>(),
             "azimuth_range_deg": ranges.map(|[azimuth, _]| azimuth),
             "elevation_range_deg": ranges.map(|[_, elevation]| elevation),
             "has_stage": !matches!(rig.stage.driver, StageDriver::Manual(_)),

@@ -40,9 +40,9 @@ pub enum Step {
     Capture {
         /// The sample.
         sample: Sample,
-        /// Which of its sessions, from 1.
+        /// Which of its sessions, from 1; those that were left out count.
         run: usize,
-        /// How many it shall have.
+        /// How many are planned.
         of: usize,
     },
     /// Nothing is left to do.
@@ -225,8 +225,8 @@ impl Queue {
 
     /// How many sessions of a sample are still to be captured.
     pub fn left_of(&self, sample: &Sample) -> usize {
-        let runs = self.runs_of(&sample.name);
-        self.wanted(sample).saturating_sub(runs)
+        let over = self.runs_of(&sample.name) + self.left_out_of(sample);
+        self.planned(sample).saturating_sub(over)
     }
 
     fn runs_of(&self, name: &str) -> usize {
@@ -234,15 +234,21 @@ impl Queue {
         runs.filter(|run| run.sample == name).count()
     }
 
-    /// How many sessions a sample shall have in the end.
-    fn wanted(&self, sample: &Sample) -> usize {
-        let of = |counts: &HashMap<String, usize>| counts.get(&sample.name).copied().unwrap_or(0);
-        (sample.repeats + of(&self.known.again)).saturating_sub(of(&self.known.left_out))
+    /// How many sessions of a sample were left out.
+    pub fn left_out_of(&self, sample: &Sample) -> usize {
+        self.known.left_out.get(&sample.name).copied().unwrap_or(0)
     }
 
-    /// The sample that was captured last.
+    /// How many sessions are planned for a sample, those that were left out among them.
+    fn planned(&self, sample: &Sample) -> usize {
+        sample.repeats + self.known.again.get(&sample.name).copied().unwrap_or(0)
+    }
+
+    /// The sample that was captured last, unless the list has it no more.
     pub fn last(&self) -> Option<&str> {
-        self.known.runs.last().map(|run| run.sample.as_str())
+        let last = &self.known.runs.last()?.sample;
+        let is_listed = self.samples().iter().any(|sample| sample.name == *last);
+        is_listed.then_some(last)
     }
 
     /// What is next: an interrupted session, one without its fit, the next sample, in this order.
@@ -263,8 +269,8 @@ impl Queue {
             .filter(is_open)
             .or_else(|| self.samples().iter().find(is_open));
         open.map_or(Step::End, |sample| Step::Capture {
-            run: self.runs_of(&sample.name) + 1,
-            of: self.wanted(sample),
+            run: self.runs_of(&sample.name) + self.left_out_of(sample) + 1,
+            of: self.planned(sample),
             sample: sample.clone(),
         })
     }
@@ -318,9 +324,7 @@ impl Queue {
     /// The sample that was captured last gets one more session, which is next. Returns its name;
     /// `None` where nothing was captured, or the list has it no more.
     pub fn again(&mut self) -> Result<Option<String>, QueueError> {
-        let last = self.last().map(str::to_owned);
-        let is_listed = |name: &String| self.samples().iter().any(|s| s.name == *name);
-        let Some(sample) = last.filter(is_listed) else {
+        let Some(sample) = self.last().map(str::to_owned) else {
             return Ok(None);
         };
         self.record(Event::Again {
@@ -455,6 +459,13 @@ name = \"jar\"
             .map(|run| run.sample.as_str())
             .collect();
         assert_eq!(samples, ["cup", "cup", "bowl"]);
+        let left_out = queue.samples().iter().map(|of| queue.left_out_of(of));
+        assert_eq!(left_out.collect::<Vec<_>>(), [0, 1, 1]);
+        drop(queue);
+        // A higher number asks for what was left out.
+        let list = LIST.replace("repeats = 2", "repeats = 3");
+        std::fs::write(bench.folder.path().join("samples.toml"), list).unwrap();
+        assert_eq!(next(&bench.open().unwrap()), ("bowl".to_owned(), 3, 3));
     }
 
     /// Killed after each of its writes, it does nothing twice and forgets nothing.

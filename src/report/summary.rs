@@ -53,11 +53,10 @@ pub(super) fn verdict_view(record: Option<&FitRecord>) -> Value {
             &score.environment_error.floor,
         );
         text = format!(
-            "Against the true material ({}), the environment error is {}, {} times the least that \
-             the dictionary {} can reach ({}). {text}",
+            "The environment error against the true material ({}) is {}. The best mixture of {} \
+             would reach {}. {text}",
             score.truth,
             percent(own.overall),
-            short(own.overall / floor.overall),
             record.dictionary,
             percent(floor.overall),
         );

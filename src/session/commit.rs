@@ -10,6 +10,8 @@ use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
+use rustix::fs::{Access, access};
+
 use super::SessionError;
 use crate::file_system;
 
@@ -179,14 +181,30 @@ pub(crate) fn sync_dir(disk: &dyn Disk, path: &Path) -> Result<(), SessionError>
 /// Bytes that this process may still write on the disk that holds `path`, or
 /// the nearest of its parents that exists.
 pub fn free_bytes(path: &Path) -> Result<u64, SessionError> {
-    let absolute = std::path::absolute(path).map_err(|e| SessionError::io("find", path, e))?;
-    let existing = absolute
-        .ancestors()
-        .find(|p| p.exists())
-        .unwrap_or(Path::new("/"));
+    let existing = existing(path)?;
     SystemDisk
-        .free_bytes(existing)
-        .map_err(|e| SessionError::io("ask for the free space of", existing, e))
+        .free_bytes(&existing)
+        .map_err(|e| SessionError::io("ask for the free space of", &existing, e))
+}
+
+/// Refuses a folder that could not be made, or in which none could.
+///
+/// # Errors
+/// What is there is no folder, or may not be written.
+pub fn check_creatable(path: &Path) -> Result<(), SessionError> {
+    let existing = existing(path)?;
+    let checked = match existing.is_dir() {
+        true => access(&existing, Access::WRITE_OK | Access::EXEC_OK).map_err(io::Error::from),
+        false => Err(io::ErrorKind::NotADirectory.into()),
+    };
+    checked.map_err(|e| SessionError::io("make a folder in", &existing, e))
+}
+
+/// The path, or the nearest of the folders above it that exists.
+fn existing(path: &Path) -> Result<PathBuf, SessionError> {
+    let absolute = std::path::absolute(path).map_err(|e| SessionError::io("find", path, e))?;
+    let existing = absolute.ancestors().find(|p| p.symlink_metadata().is_ok());
+    Ok(existing.unwrap_or(Path::new("/")).to_owned())
 }
 
 #[cfg(test)]

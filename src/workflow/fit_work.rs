@@ -1,5 +1,7 @@
 //! What a fit is going to cost, known before it begins.
 
+use crate::units::size;
+
 /// How much a fit does.
 #[derive(Clone, Copy, Debug, serde::Serialize)]
 pub struct FitWork {
@@ -59,11 +61,11 @@ impl std::fmt::Display for FitWork {
     fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(
             out,
-            "{} cells, {} light paths each, about {:.0} s of processor time and {:.0} MB",
+            "{} cells, {} light paths each, about {:.0} s of processor time and {} of memory",
             self.cells,
             self.paths_per_cell,
             self.expected_cpu_s().max(1.0),
-            self.expected_bytes() / 1e6
+            size(self.expected_bytes() as u64)
         )
     }
 }

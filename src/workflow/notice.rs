@@ -106,7 +106,7 @@ impl fmt::Display for Notice<'_> {
                 amplitude,
             } => write!(
                 out,
-                "the material differs from every mixture of {dictionary}, {amplitude:.1} times as much as measured materials usually do; its f in table.csv and in exports to merl, rgl and pbrt allows for it, weights and an export to mitsuba are the closest mixture"
+                "the material differs from every mixture of {dictionary} by {amplitude:.1} times what measured materials usually do; table.csv and exports to merl, rgl and pbrt include this, weights and an export to mitsuba do not"
             ),
         }
     }

@@ -60,7 +60,7 @@ pub fn extent_in_image(seen: &Visibility) -> String {
     let [width, height] = seen.resolution_px;
     let in_image = match seen.projected_px {
         Some([from, to]) => format!(
-            "x {:.1} to {:.1} and y {:.1} to {:.1} px of an image of {width} × {height} px",
+            "columns {:.0} to {:.0} and rows {:.0} to {:.0} of {width} × {height} px",
             from.x, to.x, from.y, to.y
         ),
         None => format!(

@@ -98,7 +98,7 @@ fn describe_excess(fit: &Fit, mut warn: impl FnMut(String, &str)) -> bool {
             });
         warn(
             format!(
-                "the images differ from those of the material by {deviations:.1} times what noise and model error allow (root mean square), {part:.0}% of it as {} would",
+                "the residual is {deviations:.1} times what noise and model error allow (root mean square); {part:.0}% of it looks like {}",
                 looks_like(cause)
             ),
             advice(cause),
@@ -107,7 +107,7 @@ fn describe_excess(fit: &Fit, mut warn: impl FnMut(String, &str)) -> bool {
     } else if diagnosis.is_unexplained() {
         warn(
             format!(
-                "the images differ from those of the material by {deviations:.1} times what noise and model error allow (root mean square), not as any one fault would"
+                "the residual is {deviations:.1} times what noise and model error allow (root mean square); no single fault explains it"
             ),
             "a depth or shape that is not the mesh's, light that spreads below the surface, or a material beyond the mixtures and the model discrepancy; the report's residuals show where",
         );

@@ -156,6 +156,7 @@ fn a_session_is_fitted_with_the_mesh_it_was_captured_with() {
     );
     assert!(fitted.status.success(), "{}", text(&fitted.stderr));
     assert!(verify::verify(&moved).unwrap().is_intact());
+    assert!(moved.join("report.html").is_file());
 }
 
 /// The session of a bench whose lamp nobody measured, as no simulated one is: the record of its
@@ -443,8 +444,7 @@ fn the_first_run_is_clean() {
     let words = without_numbers(&stderr.replace(name, "SESSION"));
     insta::assert_snapshot!(words, @r"
     captured in N s
-    N times the devices' N s (camera N s, stage N s, settling N s), N times exposures (N s), motion and settling alone
-    the material differs from every mixture of rigN, N times as much as measured materials usually do; its f in table.csv and in exports to merl, rgl and pbrt allows for it, weights and an export to mitsuba are the closest mixture
+    of this the devices took N s: camera N s (exposures N s), stage N s, settling N s
     verdict: The fit explains the images
     fit: sessions/SESSION/fits/N
     report: sessions/SESSION/report.html

@@ -157,7 +157,7 @@ fn a_disk_that_is_too_small_is_said_before() {
     });
     let output = command_support::run(folder.path(), CAPTURE);
     let hint = "free some space, choose another disk with --out";
-    assert_fails(&output, 1, "bytes free", hint);
+    assert_fails(&output, 1, "has only ", hint);
     assert!(only_session(folder.path()).is_none());
 }
 

@@ -30,6 +30,7 @@ light = [
 
 [[sample]]
 name = "jar"
+repeats = 2
 "#;
 
 const QUEUE: [&str; 6] = [
@@ -125,7 +126,8 @@ fn a_queue_is_interrupted_and_goes_on_where_it_was() {
     );
     let asked = text(&output.stderr);
     for question in [
-        "Put the sample cup on the bench, then Enter; r repeats the last one, s leaves this one out, q ends",
+        "Put the sample cup on the bench, then Enter; s leaves this one out, q ends",
+        "then Enter; r repeats the last one, s leaves this one out, q ends",
         "Take the sample cup off the bench and put it back (2 of 2)",
         "Put the sample bowl on the bench [red paint, batch 12; matte side up]",
     ] {
@@ -147,7 +149,10 @@ fn a_queue_is_interrupted_and_goes_on_where_it_was() {
         .map(|line| line.split_whitespace().collect())
         .collect();
     assert_eq!(rows.len(), 5, "{table}");
-    assert_eq!(rows[4], ["jar", "left", "out"], "{table}");
+    assert_eq!(rows[4], ["jar", "2", "left", "out"], "{table}");
+    let way_back =
+        "to capture what was left out after all, raise `repeats` in samples.toml (for jar: 4)";
+    assert!(asked.contains(way_back), "{asked}");
     assert_eq!(sessions(folder, "bowl"), std::slice::from_ref(&bowl));
     assert_eq!(sessions(folder, "cup").len(), 2);
     for root in sessions(folder, "cup").iter().chain([&bowl]) {

@@ -312,7 +312,7 @@ fn a_disk_that_fills_suspends_before_it_is_full() {
         assert_eq!(session.frames().count(), heard.done.len());
         let last = &session.journal().records.last().unwrap().event;
         assert!(
-            matches!(last, Event::Interrupted { reason } if reason.contains("bytes free")),
+            matches!(last, Event::Interrupted { reason } if reason.contains(" free, and ")),
             "{last:?}"
         );
         resume(Arc::new(UnsyncedDisk), &root);

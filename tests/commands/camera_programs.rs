@@ -113,7 +113,7 @@ fn the_preview_is_a_page_with_picture_and_figures() {
         .current_dir(folder.path())
         .env_remove("RIG_CONFIG")
         .stdout(Stdio::piped())
-        .stderr(Stdio::null())
+        .stderr(Stdio::piped())
         .spawn()
         .unwrap();
     let mut line = String::new();
@@ -156,6 +156,10 @@ fn the_preview_is_a_page_with_picture_and_figures() {
     let pid = rustix::process::Pid::from_child(&preview.0);
     rustix::process::kill_process(pid, rustix::process::Signal::INT).unwrap();
     assert_eq!(preview.0.wait().unwrap().code(), Some(130));
+    let mut said = String::new();
+    let stderr = preview.0.stderr.take().unwrap();
+    BufReader::new(stderr).read_to_string(&mut said).unwrap();
+    assert!(!said.contains("error"), "{said}");
 }
 
 #[cfg(not(feature = "console"))]

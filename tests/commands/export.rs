@@ -275,7 +275,7 @@ fn failures_are_one_line_and_a_hint() {
                 "--out",
                 "whole/fit.toml",
             ],
-            "whole/fit.toml: what is written here ends in .binary",
+            "whole/fit.toml: the name of such a file ends in .binary",
         ),
         (&["bench", "--only", "nothing"], "no case's name holds"),
     ];

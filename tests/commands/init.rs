@@ -398,7 +398,10 @@ fn a_session_at_a_terminal() {
         terminal.answer(title, "");
     }
     terminal.answer("Wait with the lamp on", "600");
+    terminal.wait_for("\r\nNext, in this order");
+    terminal.wait_for("\r\n  1. rig doctor\r\n     ");
     terminal.wait_for("rig calibrate sensor");
+    assert!(!terminal.text.contains("\\n"), "{}", terminal.text);
     let status = terminal.child.wait().unwrap();
     assert!(status.success(), "{}", terminal.text);
     let mut printed = String::new();

@@ -85,7 +85,16 @@ fn bad_input_is_refused_before_anything_moves() {
         assert_refused(&output, fact);
         assert_eq!(text(&output.stdout), "", "{arguments:?}");
         no_session(&folder);
+        // A dry run refuses what the capture refuses, in the same words.
+        if arguments[0] == "capture" && !arguments.contains(&"--resume") {
+            let dry = run(&folder, &[arguments, &["--dry-run"]].concat());
+            assert_refused(&dry, fact);
+            assert_eq!(text(&dry.stderr), text(&output.stderr), "{arguments:?}");
+        }
     }
+    let beneath_a_file = ["capture", "--lights", "1", "--out", "file/x"];
+    let hint = "a part of this path is a file";
+    assert!(text(&run(&folder, &beneath_a_file).stderr).contains(hint));
     let twice = ["capture", "--light", "0,60", "--light", "0,60"];
     let hint = "name each direction once; how well";
     assert!(text(&run(&folder, &twice).stderr).contains(hint));
@@ -110,8 +119,8 @@ fn bad_input_is_refused_before_anything_moves() {
     let crowded =
         workplace(|text| text.replace("disk_reserve_mb = 200", "disk_reserve_mb = 1000000"));
     let free = rig::session::commit::free_bytes(crowded.path()).unwrap();
-    if free < 1_000_000 << 20 {
-        assert_refused(&run(&crowded, &["capture", "--lights", "1"]), "bytes free");
+    if free < 1_000_000_000_000 {
+        assert_refused(&run(&crowded, &["capture", "--lights", "1"]), "has only ");
     }
 }
 
@@ -433,8 +442,21 @@ fn a_dry_run_without_records_marks_its_estimates() {
     assert!(plan["estimated_s"].as_f64().unwrap() > 1.0);
     let refused = run(&folder, &["capture", "--lights", "2"]);
     assert_refused(&refused, "there is no sensor record");
-    let hint = "measure the sensor once with `rig calibrate sensor`";
+    let hint = "run `rig calibrate sensor`, once for each camera and gain";
     assert!(text(&refused.stderr).contains(hint));
+    // The doctor judges the same, in the same words.
+    let doctor = run(&folder, &["doctor"]);
+    assert_eq!(doctor.status.code(), Some(1));
+    let checks = text(&doctor.stdout);
+    let lines = checks
+        .lines()
+        .skip_while(|line| !line.starts_with("FAILED "));
+    let lines: Vec<&str> = lines.take(2).map(str::trim).collect();
+    assert!(
+        lines[0].ends_with("there is no sensor record in calibration/new-bench"),
+        "{checks}"
+    );
+    assert_eq!(lines[1], format!("-> {hint}"));
     no_session(&folder);
     let known = run(workplace(|text| text), &[&dry[..], &["--json"]].concat());
     let plan: serde_json::Value = serde_json::from_slice(&known.stdout).unwrap();

@@ -67,12 +67,12 @@ pub(super) fn run(args: &StatusArgs, context: &Context) -> Result<(), CliError> 
             days => format!("{days:.0} d"),
         });
         let kind = status.kind.folder();
-        out!("{kind:<9} {mark:<9} {age:>6}  {}", status.summary)?;
+        out!("{kind:<10} {mark:<9} {age:>6}  {}", status.summary)?;
         for concern in &status.concerns {
-            out!("{:<26}  {concern}", "")?;
+            out!("{:<27}  {concern}", "")?;
         }
         if let Some(run) = run {
-            out!("{:<26}  run `{run}`", "")?;
+            out!("{:<27}  run `{run}`", "")?;
         }
     }
     Ok(())

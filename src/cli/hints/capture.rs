@@ -21,7 +21,7 @@ pub(super) fn for_prepare(error: &PrepareError) -> Option<String> {
             "`mesh`, `table` and `weights` in the rig file are relative to that file".into()
         }
         PrepareError::NoSensorRecord { .. } => {
-            "measure the sensor once with `rig calibrate sensor`".into()
+            "run `rig calibrate sensor`, once for each camera and gain".into()
         }
         PrepareError::SameLight { .. } => {
             "name each direction once; how well a light repeats, `rig stage repeatability` tells"

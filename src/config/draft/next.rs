@@ -34,7 +34,7 @@ impl Draft {
         };
         step(
             "rig doctor@",
-            "checks the file, the devices, permissions and the view",
+            "checks the file, the devices, permissions and the view; the sensor's record is still missing",
         );
         step(
             "rig camera preview@",
@@ -64,15 +64,17 @@ impl Draft {
                 false => "rig calibrate camera VIEWS… --squares N,M --square MM@",
             },
             match is_telecentric {
-                true => "magnification and distortion, from a checkerboard that lies flat",
+                true => {
+                    "magnification and distortion, from a checkerboard that lies flat, taken by rig capture --light 0,90 --sample board --no-fit"
+                }
                 false => {
-                    "focal length and distortion, from six or more views of a checkerboard, tilted"
+                    "focal length and distortion, from six or more views of a checkerboard, tilted, each taken by rig capture --light 0,90 --sample board --no-fit"
                 }
             },
         );
         step(
             "rig calibrate focus LOW.exr MIDDLE.exr HIGH.exr --heights=MM,MM,MM@",
-            "sharpness over the sample's depth, from a slanted edge",
+            "sharpness over the sample's depth, from a slanted edge at three heights, taken likewise",
         );
         step(
             "rig capture --lights 12 --sample sphere --no-fit@",

@@ -99,7 +99,7 @@ impl Question {
             Kind::YesNo => "yes or no".to_owned(),
             Kind::Text => self
                 .text
-                .map_or("a text that is not empty", |rule| rule.allowed)
+                .map_or("one or more characters", |rule| rule.allowed)
                 .to_owned(),
             Kind::Choice => {
                 let values = self.choices.iter().map(|choice| choice.value.as_str());

@@ -130,14 +130,14 @@ fn of_the_camera(found: &Found) -> Vec<Question> {
     vec![
         camera,
         any_text("camera_address", "Address of the camera")
-            .help("v4l: path below /dev/v4l/by-id; gphoto2: port = any; genicam: serial number or IP address; command: program {exposure_s} {output}; folder: its path")
+            .help("a Video4Linux camera has a path such as /dev/v4l/by-id/NAME, a gphoto2 camera `port = any`, a GenICam camera its serial number or IP address; a program is called as PROGRAM {exposure_s} {output}; a folder is named by its path")
             .when("camera", &absent),
         whole("width_px", "Width of a frame", "pixels", [16.0, 16384.0])
             .default(1920.0)
             .help("from the data sheet, or the region of interest that the camera is set to"),
         whole("height_px", "Height of a frame", "pixels", [16.0, 16384.0])
             .default(1200.0)
-            .help("likewise"),
+            .help("from the data sheet, or the region of interest that the camera is set to"),
         whole("bit_depth", "Significant bits of a raw count", "bits", [8.0, 16.0])
             .default(12.0)
             .help("machine-vision cameras have 10 or 12, still cameras mostly 14, webcams 8"),
@@ -355,13 +355,13 @@ fn of_the_axes() -> Vec<Question> {
             .when("stage", &["zaber"]),
         text("second_device", "Zaber device and axis of the elevation, or of y", ZABER_AXIS)
             .default("1/2")
-            .help("likewise")
+            .help("its number on the chain, and the axis on it")
             .when("stage", &["zaber"]),
         number("first_scale", "Microsteps per degree (or mm) of the first axis", "", [-1e7, 1e7])
             .help("from the data sheet: microsteps per turn / 360, or per mm; negative turns the other way")
             .when("stage", &["zaber"]),
         number("second_scale", "Microsteps per degree (or mm) of the second axis", "", [-1e7, 1e7])
-            .help("likewise")
+            .help("from the data sheet: microsteps per turn / 360, or per mm; negative turns the other way")
             .when("stage", &["zaber"]),
     ]
 }

@@ -18,7 +18,7 @@ impl Draft {
 
     fn head(&self, out: &mut Lines) {
         out.remark(&format!(
-            "The bench {}, written by `rig init`. Change what is not so, then check it with\n    rig doctor\nLengths are millimetres. Directions and positions are in the sample frame: origin on the\nsample's datum, +z towards the camera. Keys in comments are set to their defaults; those of\nother drivers stand in simulated.toml of the program's folder rig-configs.",
+            "Bench {}, written by `rig init`. Change what is not so, then check it with\n    rig doctor\nLengths are millimetres. Directions and positions are in the sample frame: origin on the\nsample's datum, +z towards the camera. Keys in comments are set to their defaults; those of\nother drivers stand in simulated.toml of the program's folder rig-configs.",
             self.name
         ));
         out.table("[rig]");

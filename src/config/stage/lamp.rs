@@ -34,6 +34,16 @@ impl Measures {
             Measures::All => "RGB",
         }
     }
+
+    /// The light's colour: `red`, `green`, `blue` or `white`.
+    pub fn colour(self) -> &'static str {
+        match self {
+            Measures::Red => "red",
+            Measures::Green => "green",
+            Measures::Blue => "blue",
+            Measures::All => "white",
+        }
+    }
 }
 
 /// Reads the `[[stage.lamp]]` tables: what each channel measures, and what

@@ -63,17 +63,17 @@ pub fn statement(record: &FitRecord) -> String {
     let percent = |share: f64| format!("{:.1}%", 100.0 * share);
     match MeasuredCoverage::of(record) {
         Some(found) => format!(
-            "The intervals state {}. Measured over {} simulated captures of {}, they held the truth in {} of the captures (median cell), {} (worst tenth of the cells) and {} (worst cell): a coverage of 95% is {}.",
+            "The stated coverage of {} is {}: in {} simulated captures of {}, the intervals held the truth in {} of the captures (median cell), {} (worst tenth of the cells) and {} (worst cell).",
             percent(STATED),
+            if found.is_reached() { "met" } else { "not met" },
             found.captures,
             found.class,
             percent(found.median_cell),
             percent(found.worst_decile),
             percent(found.worst_cell),
-            if found.is_reached() { "met" } else { "not met" },
         ),
         None => format!(
-            "The intervals state {}. How often they hold the truth with the dictionary {} was not measured: a coverage of 95% is not shown.",
+            "The stated coverage of {} is not shown: how often the intervals hold the truth with the dictionary {} was not measured.",
             percent(STATED),
             record.dictionary
         ),
@@ -112,7 +112,7 @@ mod tests {
         let mut record = sample();
         record.dictionary = Dictionary::DEFAULT.to_owned();
         assert!(statement(&record).contains("87.0% of the captures"));
-        assert!(statement(&record).ends_with("is not met."));
+        assert!(statement(&record).starts_with("The stated coverage of 95.0% is not met: "));
         record.bench = None;
         assert!(statement(&record).contains("75.0% (worst cell)"));
         record.dictionary = "other".to_owned();
