@@ -211,16 +211,21 @@ impl ColourTally {
         let mut all = self.steady;
         all.add(&self.unsteady);
         let reduced_chi2 = sums.reduced_chi2();
-        let (signal_ratio, signal_ratio_std) = match sums.ratio() {
-            Some((ratio, std)) => (ratio, (std * sums.excess()).hypot(sums.common_std())),
-            None => (1.0, 0.0),
+        // Where the shorter exposures saw no light, nothing was compared.
+        let (pixels, signal_ratio, signal_ratio_std) = match sums.ratio() {
+            Some((ratio, std)) => (
+                sums.pixels,
+                ratio,
+                (std * sums.excess()).hypot(sums.common_std()),
+            ),
+            None => (0, 1.0, 0.0),
         };
         let (drift, drift_std) = self.drift();
         let repeats = || self.repeats.iter();
         ExposureAgreement {
             exposure_s,
             frames,
-            pixels: sums.pixels,
+            pixels,
             signal_ratio,
             signal_ratio_std,
             reduced_chi2,
