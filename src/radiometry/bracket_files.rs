@@ -171,10 +171,8 @@ fn first_with<T>(
     notes: &[CameraNote],
     of: impl Fn(&CameraNote) -> Option<T>,
 ) -> Option<(PathBuf, T)> {
-    let stated = files.iter().zip(notes);
-    stated
-        .filter_map(|(path, note)| Some((path.clone(), of(note)?)))
-        .next()
+    let mut stated = files.iter().zip(notes);
+    stated.find_map(|(path, note)| Some((path.clone(), of(note)?)))
 }
 
 /// Refuses a file that is named twice, by whatever paths: it would count as two frames.

@@ -125,8 +125,8 @@ fn named_columns(row: &Row) -> Option<Result<Columns, String>> {
     let file = file.unwrap_or(0);
     let known = [Some(file), Some(exposure), role];
     let is_known = |at: usize, name: &str| {
-        let remark = |remark: &&str| name.eq_ignore_ascii_case(remark);
-        name.is_empty() || known.contains(&Some(at)) || REMARK_NAMES.iter().any(|n| remark(&n))
+        let is_remark = || REMARK_NAMES.iter().any(|n| n.eq_ignore_ascii_case(name));
+        name.is_empty() || known.contains(&Some(at)) || is_remark()
     };
     let mut others = row.fields.iter().enumerate();
     if let Some((_, name)) = others.find(|(at, name)| !is_known(*at, name)) {
