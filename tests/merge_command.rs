@@ -299,7 +299,7 @@ fn raw_frames_that_do_not_agree_are_warned_of() {
     };
     // A pattern over single pixels that is another one in each frame.
     let patched =
-        |p: usize, frame: usize| 1e4 * (1.0 + 0.2 * ((p * 7919 + frame * 104_729) as f64).sin());
+        |p: usize, frame: usize| 1e4 * (1.0 + 0.2 * ((p * (7919 + 131 * frame)) as f64).sin());
     let late = |p: usize, frame: usize| 1e4 * if frame == 1 { 1.1 } else { 1.0 } + p as f64;
     let red = |p: usize, frame: usize| rggb(p, [if frame == 1 { 9e3 } else { 6e3 }, 8e3, 1.2e4]);
     let dark = |_: usize, frame: usize| if frame == 1 { 0.0 } else { 1e4 };
