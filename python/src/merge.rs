@@ -86,6 +86,7 @@ pub fn merge(
             model: &model,
             mosaic,
             full_resolution,
+            measured_exposures: false,
             out: &path,
         };
         let merged = bracket_merge::merge(&request, progress)?;

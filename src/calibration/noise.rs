@@ -67,6 +67,7 @@ pub fn noise_without_maps(
         gain_dn_per_e: sensor.gain_dn_per_e.value,
         read_noise_e: sensor.read_noise_e.value,
         black_level_dn: sensor.black_level_dn.value,
+        black_level_std_dn: sensor.black_level_dn.std,
         black_level_spread_dn: sensor.black_level_spread_dn.value,
         saturation_dn: sensor.saturation_dn,
         linear_max_dn: sensor.linear_max_dn,

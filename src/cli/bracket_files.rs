@@ -6,10 +6,12 @@ use super::{CliError, Context, hints};
 use crate::radiometry::bracket_files::{self, BracketError, BracketFile, Problem};
 
 /// The frames that `paths` (files, or folders of frames) name, with their exposures; notes
-/// frames of a turned camera.
+/// frames of a turned camera and, of frames that are not `raw`, warns of what the camera did to
+/// them by itself.
 pub(super) fn find(
     paths: &[PathBuf],
     table: Option<&Path>,
+    raw: bool,
     context: &Context,
 ) -> Result<Vec<BracketFile>, CliError> {
     let bracket = bracket_files::find(paths, table).map_err(advised)?;
@@ -17,6 +19,20 @@ pub(super) fn find(
         context.note(format_args!(
             "{}: its EXIF data say orientation {orientation}; frames are not turned, because \
              the camera's calibration holds for the sensor as it is",
+            path.display()
+        ));
+    }
+    if let Some(path) = bracket.automatic_white_balance.filter(|_| !raw) {
+        context.warn(format_args!(
+            "{}: its EXIF data say automatic white balance: the camera may have scaled the \
+             channels of each frame otherwise, and colours are then wrong; set it by hand",
+            path.display()
+        ));
+    }
+    if let Some((path, how)) = bracket.processed.filter(|_| !raw) {
+        context.warn(format_args!(
+            "{}: its EXIF data say that it is {how}: such a frame has no one response; switch \
+             that off",
             path.display()
         ));
     }

@@ -49,6 +49,8 @@ pub mod interrupt;
 pub mod keeper;
 pub mod light_choice;
 pub mod merge;
+mod merge_sensor;
+mod merge_warnings;
 mod notices;
 pub mod open;
 mod operator;

@@ -5,10 +5,11 @@
 //!
 //! All are sums over pixels, so those of bands of rows add up.
 
+use super::comparison::{RowSum, Step, Sums, row_scatter};
 use super::rate::{Agreement, Level};
 use super::sensor::SensorNoise;
 
-/// How one light exposure agrees with the shorter ones.
+/// How one light exposure, in one colour, agrees with the shorter ones.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct ExposureAgreement {
     /// Exposure, seconds.
@@ -21,11 +22,18 @@ pub struct ExposureAgreement {
     /// those pixels: 1 if exposures and linearity are as stated. 1 for the
     /// shortest.
     pub signal_ratio: f64,
-    /// Standard uncertainty of that ratio from noise; 0 for the shortest.
+    /// Standard uncertainty of that ratio: noise, as large as the pixels show it, and
+    /// what they share, the black level or the response; 0 for the shortest.
     pub signal_ratio_std: f64,
     /// Mean squared deviation from that prediction over its variance; about 1
     /// if the noise model holds. 0 for the shortest.
     pub reduced_chi2: f64,
+    /// Relative root mean square by which single pixels deviate, beyond noise, from the
+    /// ratio that they have in common, or repeats from each other.
+    pub pixel_scatter: f64,
+    /// The same of the means of rows, without what changes slowly over the image: a lamp that
+    /// flickers under a rolling shutter. 0 where noise explains it.
+    pub row_scatter: f64,
     /// Pixels, in groups, that deviate from the shorter exposures or from earlier
     /// frames of this one although most do not: something moved there, or the
     /// light changed by more than 5% between frames.
@@ -73,19 +81,36 @@ pub(super) fn deviates(noise: &SensorNoise, level: &Level, agreement: &Agreement
 }
 
 /// A frame against the mean of the earlier ones of its exposure, summed over pixels.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct RepeatSum {
-    signal_dn: f64,
-    earlier_dn: f64,
-    /// Variance of the frame's own signal.
-    variance_dn2: f64,
+#[derive(Clone, Debug, Default)]
+pub(super) struct Repeat {
+    sums: Sums,
+    rows: Vec<RowSum>,
 }
 
-impl RepeatSum {
-    /// Adds a pixel's count, `sum_dn` being that of the `earlier` frames. Returns
+impl Repeat {
+    /// The pixels that follow are of the next row.
+    pub fn begin_row(&mut self) {
+        self.rows.push(RowSum::default());
+    }
+
+    /// Adds a pixel; `variance` is that of the frame's own signal.
+    pub fn take(&mut self, signal: f64, before: f64, variance: f64, earlier: u32) {
+        let step = Step {
+            signal,
+            predicted: before,
+            variance: variance * (1.0 + 1.0 / f64::from(earlier)),
+            common: 0.0,
+        };
+        self.sums.take(&step, step.chi2());
+        if let Some(row) = self.rows.last_mut() {
+            row.take(&step);
+        }
+    }
+
+    /// Adds a pixel's raw count, `sum_dn` being that of the `earlier` frames. Returns
     /// whether the pixel deviates. Which pixels are summed is decided from all
     /// frames together, so that the choice favours neither side.
-    pub fn add(
+    pub fn take_count(
         &mut self,
         noise: &SensorNoise,
         count_dn: f64,
@@ -93,136 +118,123 @@ impl RepeatSum {
         earlier: u32,
         counts: bool,
     ) -> bool {
-        let earlier = f64::from(earlier);
-        let before_dn = noise.signal_dn(sum_dn / earlier);
+        let frames = f64::from(earlier);
+        let before_dn = noise.signal_dn(sum_dn / frames);
         let signal_dn = noise.signal_dn(count_dn);
-        let pooled_dn = (earlier * before_dn + signal_dn) / (earlier + 1.0);
+        let pooled_dn = (frames * before_dn + signal_dn) / (frames + 1.0);
         let variance_dn2 = noise.count_variance_dn2(pooled_dn / noise.gain_dn_per_e);
         if counts && pooled_dn < REPEAT_BELOW * noise.usable_range_dn() {
-            self.signal_dn += signal_dn;
-            self.earlier_dn += before_dn;
-            self.variance_dn2 += variance_dn2;
+            self.take(signal_dn, before_dn, variance_dn2, earlier);
         }
         beyond(
             signal_dn - before_dn,
-            variance_dn2 * (1.0 + 1.0 / earlier),
+            variance_dn2 * (1.0 + 1.0 / frames),
             pooled_dn,
             noise.gain_dn_per_e,
         )
     }
 }
 
-#[derive(Clone, Copy, Debug, Default)]
-struct Sums {
-    pixels: usize,
-    signal_dn: f64,
-    predicted_dn: f64,
-    variance_dn2: f64,
-    chi2: f64,
-}
-
-impl Sums {
-    fn add(&mut self, other: &Self) {
-        self.pixels += other.pixels;
-        self.signal_dn += other.signal_dn;
-        self.predicted_dn += other.predicted_dn;
-        self.variance_dn2 += other.variance_dn2;
-        self.chi2 += other.chi2;
-    }
-
-    /// Signal over prediction and its uncertainty.
-    fn ratio(&self) -> Option<(f64, f64)> {
-        let known = self.pixels > 0 && self.predicted_dn > 0.0;
-        known.then(|| {
-            (
-                self.signal_dn / self.predicted_dn,
-                self.variance_dn2.sqrt() / self.predicted_dn,
-            )
-        })
-    }
-}
-
-/// Sums over the pixels of one light exposure.
+/// Sums over the pixels of one light exposure, by colour.
 #[derive(Clone, Debug, Default)]
 pub(super) struct ExposureTally {
     exposure_s: f64,
     frames: u32,
+    /// One on a monochrome sensor, or red, green and blue.
+    pub colours: Vec<ColourTally>,
+}
+
+/// Sums over the pixels of one colour.
+#[derive(Clone, Debug, Default)]
+pub(super) struct ColourTally {
     /// Each frame after the first.
-    pub repeats: Vec<RepeatSum>,
+    pub repeats: Vec<Repeat>,
     pub moved_pixels: usize,
     seen: usize,
     deviating: usize,
     steady: Sums,
     unsteady: Sums,
+    rows: Vec<RowSum>,
 }
 
-impl ExposureTally {
-    /// No pixel seen yet.
-    pub fn of(exposure_s: f64, frames: u32) -> Self {
-        Self {
-            exposure_s,
-            frames,
-            ..Self::default()
-        }
+impl ColourTally {
+    /// The pixels that follow are of the next row.
+    pub fn begin_row(&mut self) {
+        self.rows.push(RowSum::default());
     }
 
-    /// Takes in a pixel; `step` is how the exposure agreed with the shorter ones.
-    pub fn take_in(&mut self, deviates: bool, step: Option<(&Level, &Agreement)>) {
+    /// Takes in a pixel; `step` is how the exposure agreed with the shorter ones, with its
+    /// χ², where it counts in full.
+    pub fn take_in(&mut self, deviates: bool, step: Option<(Step, f64)>) {
         self.seen += 1;
         self.deviating += usize::from(deviates);
-        if let Some((level, agreement)) = step
-            && agreement.share == 1.0
-        {
-            let sums = if deviates {
-                &mut self.unsteady
-            } else {
-                &mut self.steady
+        if let Some((step, chi2)) = step {
+            let sums = match deviates {
+                true => &mut self.unsteady,
+                false => &mut self.steady,
             };
-            sums.add(&Sums {
-                pixels: 1,
-                signal_dn: level.signal_dn,
-                predicted_dn: agreement.predicted_dn,
-                variance_dn2: agreement.innovation_dn2,
-                chi2: agreement.chi2,
-            });
+            sums.take(&step, chi2);
+            if let Some(row) = self.rows.last_mut() {
+                row.take(&step);
+            }
         }
     }
 
-    /// Adds another part of the image.
-    pub fn add(&mut self, other: &Self) {
-        self.moved_pixels += other.moved_pixels;
+    /// Adds the sums alone.
+    fn add_sums(&mut self, other: &Self) {
         self.seen += other.seen;
         self.deviating += other.deviating;
         self.steady.add(&other.steady);
         self.unsteady.add(&other.unsteady);
+    }
+
+    fn add(&mut self, other: &Self) {
+        self.add_sums(other);
+        self.moved_pixels += other.moved_pixels;
+        self.rows.extend_from_slice(&other.rows);
         for (mine, theirs) in self.repeats.iter_mut().zip(&other.repeats) {
-            mine.signal_dn += theirs.signal_dn;
-            mine.earlier_dn += theirs.earlier_dn;
-            mine.variance_dn2 += theirs.variance_dn2;
+            mine.sums.add(&theirs.sums);
+            mine.rows.extend_from_slice(&theirs.rows);
         }
     }
 
-    /// Whether the exposure as a whole deviates, so that single pixels prove
-    /// nothing: most do, or the others are off together.
-    pub fn deviates_everywhere(&self) -> bool {
+    fn deviates_everywhere(&self) -> bool {
         let off = |(ratio, std): (f64, f64)| (ratio - 1.0).abs() > TOLERATED + 3.0 * std;
         2 * self.deviating > self.seen || self.steady.ratio().is_some_and(off)
     }
 
-    pub fn agreement(&self) -> ExposureAgreement {
+    fn agreement(&self, exposure_s: f64, frames: u32) -> ExposureAgreement {
         let mut sums = self.steady;
         if self.deviates_everywhere() {
             sums.add(&self.unsteady);
         }
-        let (signal_ratio, signal_ratio_std) = sums.ratio().unwrap_or((1.0, 0.0));
+        let mut all = self.steady;
+        all.add(&self.unsteady);
+        let reduced_chi2 = sums.reduced_chi2();
+        // Where the shorter exposures saw no light, nothing was compared.
+        let (pixels, signal_ratio, signal_ratio_std) = match sums.ratio() {
+            Some((ratio, std)) => (
+                sums.pixels,
+                ratio,
+                (std * sums.excess()).hypot(sums.common_std()),
+            ),
+            None => (0, 1.0, 0.0),
+        };
         let (drift, drift_std) = self.drift();
+        let repeats = || self.repeats.iter();
         ExposureAgreement {
-            exposure_s: self.exposure_s,
-            frames: self.frames,
-            pixels: sums.pixels,
+            exposure_s,
+            frames,
+            pixels,
             signal_ratio,
             signal_ratio_std,
-            reduced_chi2: sums.chi2 / sums.pixels.max(1) as f64,
+            reduced_chi2,
+            pixel_scatter: repeats()
+                .map(|repeat| repeat.sums.scatter())
+                .fold(all.scatter(), f64::max),
+            row_scatter: repeats()
+                .map(|repeat| row_scatter(&repeat.rows))
+                .fold(row_scatter(&self.rows), f64::max),
             moved_pixels: self.moved_pixels,
             drift,
             drift_std,
@@ -233,13 +245,14 @@ impl ExposureTally {
     fn drift(&self) -> (f64, f64) {
         let mut levels = vec![1.0];
         let mut own_variance = 0.0;
-        for repeat in &self.repeats {
-            if repeat.earlier_dn <= 0.0 {
+        for Repeat { sums, .. } in &self.repeats {
+            if sums.predicted <= 0.0 {
                 return (0.0, 0.0);
             }
-            let before = levels.iter().sum::<f64>() / levels.len() as f64;
-            levels.push(before * repeat.signal_dn / repeat.earlier_dn);
-            own_variance += repeat.variance_dn2 / repeat.earlier_dn.powi(2);
+            let earlier = levels.len() as f64;
+            let before = levels.iter().sum::<f64>() / earlier;
+            levels.push(before * sums.signal / sums.predicted);
+            own_variance += sums.variance / (1.0 + 1.0 / earlier) / sums.predicted.powi(2);
         }
         let n = levels.len() as f64;
         if n < 2.0 {
@@ -259,6 +272,64 @@ impl ExposureTally {
             whole * (own_variance / information).sqrt(),
         )
     }
+}
+
+impl ExposureTally {
+    /// No pixel seen yet.
+    pub fn of(exposure_s: f64, frames: u32, colours: usize) -> Self {
+        Self {
+            exposure_s,
+            frames,
+            colours: vec![ColourTally::default(); colours],
+        }
+    }
+
+    /// Adds another part of the image, further down.
+    pub fn add(&mut self, other: &Self) {
+        for (mine, theirs) in self.colours.iter_mut().zip(&other.colours) {
+            mine.add(theirs);
+        }
+    }
+
+    /// Whether the exposure as a whole deviates, so that single pixels prove
+    /// nothing: most do, or the others are off together.
+    pub fn deviates_everywhere(&self) -> bool {
+        let mut all = ColourTally::default();
+        for colour in &self.colours {
+            all.add_sums(colour);
+        }
+        all.deviates_everywhere()
+    }
+}
+
+/// Adds another part of the image, further down, to each exposure.
+pub(super) fn add_all(tallies: &mut Vec<ExposureTally>, more: Vec<ExposureTally>) {
+    if tallies.is_empty() {
+        *tallies = more;
+        return;
+    }
+    for (tally, more) in tallies.iter_mut().zip(&more) {
+        tally.add(more);
+    }
+}
+
+/// How the exposures agree, per colour.
+pub(super) fn by_colour(tallies: &[ExposureTally]) -> Vec<Vec<ExposureAgreement>> {
+    let colours = tallies.first().map_or(0, |tally| tally.colours.len());
+    let of = |colour: usize| {
+        let agreement = tallies
+            .iter()
+            .map(|tally| tally.colours[colour].agreement(tally.exposure_s, tally.frames));
+        agreement.collect()
+    };
+    (0..colours).map(of).collect()
+}
+
+/// The exposures, as a set of [`bit`]s, of which single deviating pixels prove something.
+pub(super) fn trusted(tallies: &[ExposureTally]) -> u16 {
+    (0..tallies.len())
+        .filter(|&e| !tallies[e].deviates_everywhere())
+        .fold(0, |set, e| set | bit(e))
 }
 
 /// Bit of an exposure in a pixel's set of deviating exposures.

@@ -34,6 +34,11 @@ pub struct Bracket {
     /// The first frame whose EXIF data state that the camera was turned, and the EXIF
     /// orientation, 2 to 8. Frames are never turned.
     pub turned: Option<(PathBuf, u32)>,
+    /// The first frame whose white balance the camera chose by itself: its channels may be
+    /// scaled otherwise than those of the next one, unless the counts are raw.
+    pub automatic_white_balance: Option<PathBuf>,
+    /// The first frame that the camera processed beyond the usual, and how.
+    pub processed: Option<(PathBuf, &'static str)>,
 }
 
 /// Files that do not make a bracket.
@@ -62,7 +67,8 @@ pub enum Problem {
     SameFrame,
     /// Frames of two sizes, depths or numbers of channels.
     OtherKind,
-    /// Frames of two ISO speeds or apertures.
+    /// Frames of two ISO speeds, apertures, focal lengths, lenses or cameras, or with and
+    /// without flash.
     OtherSetting,
     /// Name and EXIF data disagree, or the latter state no usable exposure.
     UnclearExposure,
@@ -127,10 +133,13 @@ pub fn find(paths: &[PathBuf], table: Option<&Path>) -> Result<Bracket, BracketE
     let notes = files.iter().map(|path| Ok(CameraNote::read(&read(path)?)));
     let notes = notes.collect::<Result<Vec<_>, BracketError>>()?;
     same_setting(&files, &notes)?;
-    let turned = files.iter().zip(&notes).find_map(|(path, note)| {
-        let orientation = note.orientation.filter(|n| (2..=8).contains(n))?;
-        Some((path.clone(), orientation))
+    let turned = first_with(&files, &notes, |note| {
+        note.orientation.filter(|n| (2..=8).contains(n))
     });
+    let automatic = first_with(&files, &notes, |note| {
+        note.automatic_white_balance.then_some(())
+    });
+    let processed = first_with(&files, &notes, |note| note.processing);
     let table = match table {
         Some(path) => Some((path, read_table(path)?)),
         None => None,
@@ -152,7 +161,18 @@ pub fn find(paths: &[PathBuf], table: Option<&Path>) -> Result<Bracket, BracketE
     Ok(Bracket {
         files: files.collect::<Result<_, BracketError>>()?,
         turned,
+        automatic_white_balance: automatic.map(|(path, ())| path),
+        processed,
     })
+}
+
+fn first_with<T>(
+    files: &[PathBuf],
+    notes: &[CameraNote],
+    of: impl Fn(&CameraNote) -> Option<T>,
+) -> Option<(PathBuf, T)> {
+    let mut stated = files.iter().zip(notes);
+    stated.find_map(|(path, note)| Some((path.clone(), of(note)?)))
 }
 
 /// Refuses a file that is named twice, by whatever paths: it would count as two frames.
@@ -328,22 +348,19 @@ fn stated(path: &Path, note: &CameraNote) -> Result<f64, BracketError> {
     }
 }
 
-/// A bracket has one ISO speed and aperture throughout, as far as they are stated.
+/// A bracket is taken by one camera with one setting throughout, as far as they are stated.
 fn same_setting(files: &[PathBuf], notes: &[CameraNote]) -> Result<(), BracketError> {
-    type Setting = (&'static str, fn(&CameraNote) -> Option<f64>);
-    let settings: [Setting; 2] = [("ISO", |note| note.iso), ("f/", |note| note.f_number)];
-    for (what, of) in settings {
-        let stated = files.iter().zip(notes);
-        let mut stated = stated.filter_map(|(path, note)| Some((path, of(note)?)));
-        let Some((first, a)) = stated.next() else {
-            continue;
-        };
-        if let Some((path, value)) = stated.find(|(_, b)| (a - b).abs() > 1e-6 * a.abs()) {
-            return Err(Problem::OtherSetting.with(format_args!(
-                "{} was taken at {what} {value}, but {} at {what} {a}",
-                path.display(),
-                first.display()
-            )));
+    let mut first: HashMap<u16, (&Path, &str)> = HashMap::new();
+    for (path, note) in files.iter().zip(notes) {
+        for (tag, words) in &note.settings {
+            let (one, before) = *first.entry(*tag).or_insert((path, words));
+            if before != words {
+                return Err(Problem::OtherSetting.with(format_args!(
+                    "{} was taken {words}, but {} {before}",
+                    path.display(),
+                    one.display()
+                )));
+            }
         }
     }
     Ok(())

@@ -4,14 +4,17 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
+use super::adopted_exposures::{UsedExposure, adopt};
 use super::agreement::ExposureAgreement;
 use super::bracket_files::{BracketError, BracketFile, FrameReader};
+use super::filter_order::{FilterDoubt, FilterOrder};
 use super::frame_file::{FrameFile, Tone};
+use super::merge::FrameRole;
 use super::mosaic::Mosaic;
 use super::plane::MergedPlane;
 use super::response::Response;
 use super::sensor::SensorNoise;
-use super::stack::{Band, Stack, StackError};
+use super::stack::{Band, Bands, ResponseBands, Stack, StackError};
 use crate::progress::Progress;
 use crate::radiance_image::RadianceImage;
 use crate::radiance_image::exr::{self, ExrError};
@@ -21,8 +24,21 @@ use crate::radiance_image::exr::{self, ExrError};
 pub enum CountModel {
     /// Raw counts, proportional to light, of a sensor with this noise.
     Linear(Box<SensorNoise>),
+    /// The same with other noise in each colour: red, green, blue.
+    Colours(Box<[SensorNoise; 3]>),
     /// 8-bit counts through a response curve per channel.
     Response(Vec<Response>),
+}
+
+impl CountModel {
+    /// Red's sensor, or the only one; `None` with response curves.
+    fn noise(&self) -> Option<&SensorNoise> {
+        match self {
+            Self::Linear(noise) => Some(noise),
+            Self::Colours(noise) => noise.first(),
+            Self::Response(_) => None,
+        }
+    }
 }
 
 /// A merge to be done.
@@ -37,6 +53,8 @@ pub struct MergeRequest<'a> {
     /// Whether a mosaic keeps its resolution: colours that a pixel did not measure are then
     /// means of its nearest neighbours; else a cell of 2 × 2 becomes one pixel.
     pub full_resolution: bool,
+    /// Whether the exposures that the frames show replace the stated ones, the shortest apart.
+    pub measured_exposures: bool,
     /// The radiance image to be written (OpenEXR). The frames wait in its folder.
     pub out: &'a Path,
 }
@@ -48,9 +66,13 @@ pub struct Merged {
     pub size: [usize; 2],
     /// Pixels without a valid value: clipped in every exposure, hot, or moving.
     pub masked_pixels: usize,
-    /// How the exposures agree, per channel of the frames, shortest first; empty with
-    /// response curves.
+    /// How the exposures agree, per channel of the frames or colour of the mosaic, shortest
+    /// first.
     pub agreement: Vec<Vec<ExposureAgreement>>,
+    /// The exposures in use, shortest first, where measured ones were asked for.
+    pub exposures: Vec<UsedExposure>,
+    /// What speaks against the stated order of colour filters.
+    pub filter_doubt: Option<FilterDoubt>,
 }
 
 /// Why a bracket cannot be merged.
@@ -66,6 +88,12 @@ pub enum BracketMergeError {
         path: PathBuf,
         /// Its channels.
         channels: usize,
+    },
+    /// Colours of a sensor that has none.
+    #[error("the sensor is described for red, green and blue, but {} is grey", path.display())]
+    NoColours {
+        /// The frame.
+        path: PathBuf,
     },
     /// Raw counts are asked of a format that bends them.
     #[error("{} is a JPEG, whose counts are not proportional to light", path.display())]
@@ -118,12 +146,17 @@ pub enum BracketMergeError {
 /// See [`BracketMergeError`].
 pub fn merge(request: &MergeRequest, progress: &dyn Progress) -> Result<Merged, BracketMergeError> {
     progress.begin("reading frames", Some(request.files.len()));
-    let (stack, [width, height]) = gather(request, progress)?;
-    let mut masked_pixels = 0;
-    let mut count = |image: RadianceImage| {
-        progress.advance(image.height);
-        masked_pixels += image.valid.iter().filter(|&&valid| !valid).count();
-        Ok::<_, BracketMergeError>(image)
+    let Gathered {
+        mut stack,
+        size: [width, height],
+        filters,
+    } = gather(request, progress)?;
+    let exposures = match request.measured_exposures {
+        true => {
+            progress.begin("measuring exposures", None);
+            adopt(&mut stack, |stack| survey(stack, request))?
+        }
+        false => Vec::new(),
     };
     let size = match request.mosaic {
         _ if request.full_resolution => [width, height],
@@ -131,34 +164,67 @@ pub fn merge(request: &MergeRequest, progress: &dyn Progress) -> Result<Merged, 
         _ => [width / 2, height / 2],
     };
     progress.begin("merging", Some(size[1]));
-    let agreement = match request.model {
-        CountModel::Linear(noise) => {
-            let margin = usize::from(request.full_resolution);
-            let mut bands = stack.bands(noise, request.mosaic, margin);
-            exr::write_rows(request.out, size[0], size[1], || {
-                let band = bands.next_band().map_err(BracketMergeError::Merge)?;
-                let no_more = || io::Error::from(io::ErrorKind::UnexpectedEof).into();
-                let band = band.ok_or_else(|| BracketMergeError::Merge(no_more()))?;
-                count(image_of(request, &band)?)
-            })?;
-            bands.agreement()
-        }
-        CountModel::Response(responses) => {
-            let mut at = 0;
-            exr::write_rows(request.out, width, height, || {
-                let rows = at..(at + stack.band_rows()).min(height);
-                at = rows.end;
-                let planes = stack.through_response(responses, rows);
-                count(to_image(&planes.map_err(BracketMergeError::Merge)?)?)
-            })?;
-            Vec::new()
-        }
-    };
+    let mut masked_pixels = 0;
+    let mut work = Work::new(&stack, request);
+    exr::write_rows(request.out, size[0], size[1], || {
+        let no_more = || io::Error::from(io::ErrorKind::UnexpectedEof).into();
+        let band = work.next_band()?;
+        let band = band.ok_or_else(|| BracketMergeError::Merge(no_more()))?;
+        let image = image_of(request, &band)?;
+        progress.advance(image.height);
+        masked_pixels += image.valid.iter().filter(|&&valid| !valid).count();
+        Ok::<_, BracketMergeError>(image)
+    })?;
     Ok(Merged {
         size,
         masked_pixels,
-        agreement,
+        agreement: work.agreement(),
+        exposures,
+        filter_doubt: filters.and_then(|filters| filters.doubt(request.mosaic)),
     })
+}
+
+/// The bands of a merge.
+enum Work<'a> {
+    Linear(Bands<'a>),
+    Response(ResponseBands<'a>),
+}
+
+impl<'a> Work<'a> {
+    fn new(stack: &'a Stack, request: &MergeRequest<'a>) -> Self {
+        let margin = usize::from(request.full_resolution);
+        let bands = |noise| stack.bands(noise, request.mosaic, margin);
+        match request.model {
+            CountModel::Linear(noise) => Self::Linear(bands(noise)),
+            CountModel::Colours(noise) => Self::Linear(bands(&noise[0]).of_colours(noise)),
+            CountModel::Response(responses) => Self::Response(stack.response_bands(responses)),
+        }
+    }
+
+    fn next_band(&mut self) -> Result<Option<Band>, BracketMergeError> {
+        match self {
+            Self::Linear(bands) => bands.next_band(),
+            Self::Response(bands) => bands.next_band(),
+        }
+        .map_err(BracketMergeError::Merge)
+    }
+
+    fn agreement(&self) -> Vec<Vec<ExposureAgreement>> {
+        match self {
+            Self::Linear(bands) => bands.agreement(),
+            Self::Response(bands) => bands.agreement(),
+        }
+    }
+}
+
+/// How the exposures of a stack agree.
+fn survey(
+    stack: &Stack,
+    request: &MergeRequest,
+) -> Result<Vec<Vec<ExposureAgreement>>, BracketMergeError> {
+    let mut work = Work::new(stack, request);
+    while work.next_band()?.is_some() {}
+    Ok(work.agreement())
 }
 
 /// Whether a frame can be merged with this mosaic.
@@ -192,16 +258,25 @@ pub fn check_linear(path: &Path, frame: &FrameFile) -> Result<(), BracketMergeEr
     }
 }
 
-/// All frames, checked, on disk; and their size.
-fn gather(
-    request: &MergeRequest,
-    progress: &dyn Progress,
-) -> Result<(Stack, [usize; 2]), BracketMergeError> {
+/// All frames, checked, on disk.
+struct Gathered {
+    stack: Stack,
+    /// Pixels per row, rows.
+    size: [usize; 2],
+    /// What the frames say of the colour filters, where they are of one channel.
+    filters: Option<FilterOrder>,
+}
+
+fn gather(request: &MergeRequest, progress: &dyn Progress) -> Result<Gathered, BracketMergeError> {
     let folder = request.out.parent();
     let folder = folder.filter(|p| !p.as_os_str().is_empty());
     let folder = folder.unwrap_or(Path::new("."));
     let mut reader = FrameReader::default();
-    let mut gathered: Option<(Stack, [usize; 2])> = None;
+    let mut gathered: Option<Gathered> = None;
+    let noise = request.model.noise();
+    let (black_dn, ceiling) = noise.map_or((0.0, f64::from(u8::MAX)), |noise| {
+        (noise.black_level_dn, noise.ceiling_dn())
+    });
     for BracketFile {
         path,
         role,
@@ -209,19 +284,20 @@ fn gather(
     } in request.files
     {
         let frame = reader.read(path)?;
-        let (stack, _) = match &mut gathered {
+        let Gathered { stack, filters, .. } = match &mut gathered {
             Some(gathered) => gathered,
             None => {
                 check_first(request, path, &frame)?;
                 let (size, channels) = ([frame.width, frame.height], frame.planes.len());
                 let stack = Stack::new(folder, size[0], size[1], channels);
-                gathered.insert((stack.map_err(BracketMergeError::Disk)?, size))
+                gathered.insert(Gathered {
+                    stack: stack.map_err(BracketMergeError::Disk)?,
+                    size,
+                    filters: (channels == 1).then(FilterOrder::default),
+                })
             }
         };
-        let bits = match request.model {
-            CountModel::Linear(noise) => noise.bit_depth,
-            CountModel::Response(_) => frame.bits,
-        };
+        let bits = noise.map_or(frame.bits, |noise| noise.bit_depth);
         let full_scale = ((1u32 << bits) - 1) as u16;
         let count = frame.planes.iter().flatten().max().copied().unwrap_or(0);
         if count > full_scale {
@@ -231,6 +307,9 @@ fn gather(
                 bits,
                 full_scale,
             });
+        }
+        if let (FrameRole::Light, [grey], Some(filters)) = (role, &*frame.planes, filters) {
+            filters.add(grey, frame.width, black_dn, ceiling);
         }
         stack
             .add(*role, *exposure_s, &frame.planes)
@@ -254,6 +333,11 @@ fn check_first(
                 curves: curves.len(),
                 channels,
                 bits: frame.bits,
+            })
+        }
+        CountModel::Colours(_) if channels != 3 && request.mosaic == Mosaic::None => {
+            Err(BracketMergeError::NoColours {
+                path: path.to_owned(),
             })
         }
         _ => Ok(()),

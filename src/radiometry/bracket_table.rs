@@ -1,5 +1,5 @@
 //! The table of the exposures of a bracket's frames: CSV with
-//! the columns file, exposure, and optionally role.
+//! the columns file, exposure, and optionally role (what was lit).
 
 use std::collections::HashSet;
 use std::path::Path;
@@ -43,6 +43,12 @@ const EXPOSURE_NAMES: [(&str, f64); 3] = [
     ("exposure_us", 1e-6),
 ];
 
+/// Name of the column of roles.
+const ROLE_NAME: &str = "role";
+
+/// Names of columns for people.
+const REMARK_NAMES: [&str; 5] = ["note", "notes", "comment", "comments", "remark"];
+
 /// Where a table has what.
 struct Columns {
     file: usize,
@@ -53,19 +59,31 @@ struct Columns {
     most: usize,
 }
 
-/// Parses the rows `file,exposure_s[,role]`, or those below a first row that names its columns
-/// (others than these are ignored). An exposure is a number of seconds, a fraction (`1/250`) or
+/// Parses the rows `file,exposure_s[,role]`, or those below a first row that names its columns. An exposure is a number of seconds, a fraction (`1/250`) or
 /// has a unit (`4 ms`).
 ///
 /// # Errors
-/// The first row that is wrong; a file named twice.
+/// The first row that is wrong; a column of another name; a file named twice.
 pub fn parse_bracket_table(text: &str) -> Result<Vec<BracketRow>, TableError> {
     let table = rows(text).map_err(|unclosed| TableError {
         line: unclosed.line,
         problem: "a double quote has no partner".into(),
         is_repeated: false,
     })?;
-    let named = table.first().and_then(named_columns);
+    let named = match table
+        .first()
+        .and_then(|row| Some((row, named_columns(row)?)))
+    {
+        Some((_, Ok(columns))) => Some(columns),
+        Some((row, Err(problem))) => {
+            return Err(TableError {
+                line: row.line,
+                problem,
+                is_repeated: false,
+            });
+        }
+        None => None,
+    };
     let first = usize::from(named.is_some());
     let columns = named.unwrap_or(Columns {
         file: 0,
@@ -95,20 +113,39 @@ pub fn parse_bracket_table(text: &str) -> Result<Vec<BracketRow>, TableError> {
     Ok(parsed)
 }
 
-fn named_columns(row: &Row) -> Option<Columns> {
+/// The columns of a first row that names them; or the one that is not known, which might say
+/// what else a frame is.
+fn named_columns(row: &Row) -> Option<Result<Columns, String>> {
     let (exposure, unit_s) = EXPOSURE_NAMES
         .iter()
         .find_map(|(name, unit_s)| Some((row.column(name)?, *unit_s)))?;
     let file = FILE_NAMES.iter().find_map(|name| row.column(name));
+    let role = row.column(ROLE_NAME);
     // `exposure_s` in the second column was enough of a name.
     let file = file.unwrap_or(0);
-    Some(Columns {
+    let known = [Some(file), Some(exposure), role];
+    let is_known = |at: usize, name: &str| {
+        let is_remark = || REMARK_NAMES.iter().any(|n| n.eq_ignore_ascii_case(name));
+        name.is_empty() || known.contains(&Some(at)) || is_remark()
+    };
+    let mut others = row.fields.iter().enumerate();
+    if let Some((_, name)) = others.find(|(at, name)| !is_known(*at, name)) {
+        return Some(Err(format!(
+            "the column {:?} is not known: there are {} (also {}), exposure_s (exposure_ms, \
+             exposure_us), {ROLE_NAME} (light, ambient or dark) and {}, which is not read",
+            excerpt(name),
+            FILE_NAMES[0],
+            FILE_NAMES[1..].join(", "),
+            REMARK_NAMES[0]
+        )));
+    }
+    Some(Ok(Columns {
         file,
         exposure,
         unit_s,
-        role: row.column("role").unwrap_or(usize::MAX),
+        role: role.unwrap_or(usize::MAX),
         most: usize::MAX,
-    })
+    }))
 }
 
 fn bracket_row(row: &Row, columns: &Columns) -> Result<BracketRow, String> {
@@ -232,7 +269,7 @@ mod tests {
     #[test]
     fn columns_are_found_by_name_and_exposures_by_unit() {
         for text in [
-            "exposure_ms;Date;File\n20;today;a.png\n",
+            "exposure_ms;Note;File\n20;today;a.png\n",
             "\"File\",\"Exposure_s\"\n\"a.png\",\"0,02\"\n",
             "a.png,20 ms\n",
             "a.png;0,02;Light\n",
@@ -254,6 +291,16 @@ mod tests {
             ("a.png,1/0\n", 1, "\"1/0\""),
             ("a.png,1/2/4\n", 1, "\"1/2/4\""),
             ("a.png,1,bright\n", 1, "\"bright\""),
+            (
+                "file,exposure_s,kind\na.png,1,dark\n",
+                1,
+                "\"kind\" is not known",
+            ),
+            (
+                "# a\nDate;exposure_ms;File\n1;20;a.png\n",
+                2,
+                "role (light, ambient or dark)",
+            ),
             ("a.png,0,02\n", 1, "decimal comma"),
             ("a.png;1,250\n", 1, "1.25 s or 1250 s"),
             ("a.png,1,dark,x\n", 1, "fourth"),

@@ -14,7 +14,10 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-use super::agreement::{ExposureTally, RepeatSum, bit, deviates, moved};
+use super::agreement::{
+    ColourTally, ExposureTally, Repeat, bit, by_colour, deviates, moved, trusted,
+};
+use super::comparison::Step;
 use super::mosaic::Mosaic;
 use super::neighbourhood::{AMBIENT, DARK, LIT, Neighbourhood, POOL_RADIUS, PixelRates};
 use super::plane::MergedPlane;
@@ -68,7 +71,8 @@ const MAX_FRAMES: u32 = 1 << 16;
 /// The sums of a bracket while its frames come in.
 #[derive(Clone, Debug)]
 pub struct BracketMerge<N> {
-    noise: N,
+    /// One for all pixels, or those of the colours of the mosaic.
+    noise: Vec<N>,
     mosaic: Mosaic,
     width: usize,
     height: usize,
@@ -87,8 +91,8 @@ struct ExposureSum {
     sum_dn: Vec<u32>,
     /// Whether any frame clips.
     clipped: Vec<bool>,
-    /// Light frames after the first against the earlier ones.
-    repeats: Vec<RepeatSum>,
+    /// Light frames after the first against the earlier ones, by colour.
+    repeats: Vec<Vec<Repeat>>,
     /// Whether a pixel deviates in any of them; empty where there are none.
     unsteady: Vec<bool>,
 }
@@ -103,7 +107,20 @@ impl<N: Borrow<SensorNoise>> BracketMerge<N> {
     /// An empty bracket of `width * height` pixels. With a mosaic, every pixel
     /// is merged by itself and only compared with neighbours of its own colour.
     pub fn new(noise: N, mosaic: Mosaic, width: usize, height: usize) -> Result<Self, MergeError> {
-        noise.borrow().check(width * height)?;
+        Self::with_colours(vec![noise], mosaic, width, height)
+    }
+
+    /// [`Self::new`] with one noise for all pixels, or one for each colour of the mosaic: red,
+    /// green, blue.
+    pub fn with_colours(
+        noise: Vec<N>,
+        mosaic: Mosaic,
+        width: usize,
+        height: usize,
+    ) -> Result<Self, MergeError> {
+        for noise in &noise {
+            noise.borrow().check(width * height)?;
+        }
         Ok(Self {
             noise,
             mosaic,
@@ -166,21 +183,23 @@ impl<N: Borrow<SensorNoise>> BracketMerge<N> {
         if exposure.frames == MAX_FRAMES {
             return Err(MergeError::TooManyFrames);
         }
-        let noise: &SensorNoise = self.noise.borrow();
-        let ceiling_dn = noise.ceiling_dn();
+        let colours = Colours::new(&self.noise, self.mosaic, self.width);
         if role == FrameRole::Light && exposure.frames > 0 {
-            let counted = self.counted.start * self.width..self.counted.end * self.width;
-            exposure.compare(noise, counts, &counted);
+            exposure.compare(&colours, counts, &self.counted);
         }
         exposure.frames += 1;
-        for ((sum, clipped), &count) in exposure
-            .sum_dn
-            .iter_mut()
-            .zip(&mut exposure.clipped)
-            .zip(counts)
-        {
-            *sum += u32::from(count);
-            *clipped |= f64::from(count) >= ceiling_dn;
+        let ceilings_dn: Vec<f64> = colours
+            .noise
+            .iter()
+            .map(|noise| noise.ceiling_dn())
+            .collect();
+        for (pixel, &count) in counts.iter().enumerate() {
+            exposure.sum_dn[pixel] += u32::from(count);
+            let ceiling_dn = match ceilings_dn.as_slice() {
+                [one] => *one,
+                several => several[colours.of(pixel)],
+            };
+            exposure.clipped[pixel] |= f64::from(count) >= ceiling_dn;
         }
         Ok(())
     }
@@ -191,7 +210,7 @@ impl<N: Borrow<SensorNoise>> BracketMerge<N> {
     /// No light frame.
     pub fn finish(self) -> Result<MergedPlane, MergeError> {
         let (mut plane, tallies) = self.finish_band()?;
-        plane.agreement = tallies.iter().map(ExposureTally::agreement).collect();
+        plane.agreement = by_colour(&tallies).concat();
         Ok(plane)
     }
 
@@ -200,7 +219,7 @@ impl<N: Borrow<SensorNoise>> BracketMerge<N> {
         self.exposures
             .sort_by(|a, b| a.exposure_s.total_cmp(&b.exposure_s));
         let bracket = Bracket {
-            noise: self.noise.borrow(),
+            colours: Colours::new(&self.noise, self.mosaic, self.width),
             light: of_role(&self.exposures, FrameRole::Light),
             ambient: of_role(&self.exposures, FrameRole::Ambient),
             dark: of_role(&self.exposures, FrameRole::Dark),
@@ -226,13 +245,13 @@ impl<N: Borrow<SensorNoise>> BracketMerge<N> {
         let lines: Vec<Line> = (0..self.height)
             .into_par_iter()
             .map(|y| {
-                let mut line = Line::new(&bracket, width);
                 let counts = self.counted.contains(&y);
+                let mut line = Line::new(&bracket, width, counts);
                 for x in 0..width {
                     let expected = neighbourhood.expectations(x, y);
                     let pixel = y * width + x;
                     let usable =
-                        first[pixel].usable && bracket.fits_shortest(expected[LIT].rate_e_s);
+                        first[pixel].usable && bracket.fits_shortest(pixel, expected[LIT].rate_e_s);
                     bracket.second_pass(pixel, &expected, usable, counts, &mut line);
                 }
                 line
@@ -242,16 +261,17 @@ impl<N: Borrow<SensorNoise>> BracketMerge<N> {
         // How the exposures agree.
         let mut tallies = bracket.tallies();
         for (tally, exposure) in tallies.iter_mut().zip(&bracket.light) {
-            tally.repeats.clone_from(&exposure.repeats);
+            for (colour, part) in tally.colours.iter_mut().enumerate() {
+                let repeats = exposure.repeats.iter();
+                part.repeats = repeats.map(|repeat| repeat[colour].clone()).collect();
+            }
         }
         for line in &lines {
             for (tally, more) in tallies.iter_mut().zip(&line.tallies) {
                 tally.add(more);
             }
         }
-        let trusted = (0..tallies.len())
-            .filter(|&e| !tallies[e].deviates_everywhere())
-            .fold(0, |set, e| set | bit(e));
+        let trusted = trusted(&tallies);
         let deviating: Vec<u16> = lines.iter().flat_map(|l| l.deviating.clone()).collect();
         // The plane, without what moved.
         let mut plane = MergedPlane {
@@ -268,9 +288,11 @@ impl<N: Borrow<SensorNoise>> BracketMerge<N> {
             for (x, valid) in line.valid.into_iter().enumerate() {
                 let step = self.mosaic.period();
                 let moved = moved(&deviating, width, [x, y], step, trusted);
+                let colour = bracket.colours.of(y * width + x);
                 for (exposure, tally) in tallies.iter_mut().enumerate() {
                     let counts = valid && self.counted.contains(&y);
-                    tally.moved_pixels += usize::from(counts && moved & bit(exposure) != 0);
+                    tally.colours[colour].moved_pixels +=
+                        usize::from(counts && moved & bit(exposure) != 0);
                 }
                 plane.valid.push(valid && moved == 0);
             }
@@ -280,17 +302,29 @@ impl<N: Borrow<SensorNoise>> BracketMerge<N> {
 }
 
 impl ExposureSum {
-    /// Compares a further frame with the mean of the earlier ones.
-    fn compare(&mut self, noise: &SensorNoise, counts: &[u16], counted: &Range<usize>) {
+    /// Compares a further frame with the mean of the earlier ones; sums over the `counted` rows.
+    fn compare(&mut self, colours: &Colours<'_>, counts: &[u16], counted: &Range<usize>) {
         self.unsteady.resize(counts.len(), false);
-        let mut repeat = RepeatSum::default();
-        for (pixel, &count) in counts.iter().enumerate() {
-            let sum_dn = f64::from(self.sum_dn[pixel]);
-            let counts = counted.contains(&pixel);
-            let count_dn = f64::from(count);
-            self.unsteady[pixel] |= repeat.add(noise, count_dn, sum_dn, self.frames, counts);
+        let mut repeats = vec![Repeat::default(); colours.mosaic.colours()];
+        for (y, row) in counts.chunks(colours.width.max(1)).enumerate() {
+            let counts = counted.contains(&y);
+            if counts {
+                repeats.iter_mut().for_each(Repeat::begin_row);
+            }
+            for (x, &count) in row.iter().enumerate() {
+                let pixel = y * colours.width + x;
+                let sum_dn = f64::from(self.sum_dn[pixel]);
+                let (noise, count_dn) = (colours.noise_of(pixel), f64::from(count));
+                self.unsteady[pixel] |= repeats[colours.of(pixel)].take_count(
+                    noise,
+                    count_dn,
+                    sum_dn,
+                    self.frames,
+                    counts,
+                );
+            }
         }
-        self.repeats.push(repeat);
+        self.repeats.push(repeats);
     }
 
     fn is_unsteady(&self, pixel: usize) -> bool {
@@ -309,13 +343,18 @@ struct Line {
 }
 
 impl Line {
-    fn new(bracket: &Bracket<'_>, width: usize) -> Self {
+    fn new(bracket: &Bracket<'_>, width: usize, counts: bool) -> Self {
+        let mut tallies = bracket.tallies();
+        if counts {
+            let colours = tallies.iter_mut().flat_map(|tally| &mut tally.colours);
+            colours.for_each(ColourTally::begin_row);
+        }
         Self {
             mean: Vec::with_capacity(width),
             variance: Vec::with_capacity(width),
             valid: Vec::with_capacity(width),
             deviating: Vec::with_capacity(width),
-            tallies: bracket.tallies(),
+            tallies,
         }
     }
 }
@@ -324,8 +363,42 @@ fn of_role(exposures: &[ExposureSum], role: FrameRole) -> Vec<&ExposureSum> {
     exposures.iter().filter(|e| e.role == role).collect()
 }
 
+/// The noise of each pixel.
+struct Colours<'a> {
+    /// One for all, or red's, green's and blue's.
+    noise: Vec<&'a SensorNoise>,
+    mosaic: Mosaic,
+    width: usize,
+}
+
+impl<'a> Colours<'a> {
+    fn new<N: Borrow<SensorNoise>>(noise: &'a [N], mosaic: Mosaic, width: usize) -> Self {
+        Self {
+            noise: noise.iter().map(Borrow::borrow).collect(),
+            mosaic,
+            width,
+        }
+    }
+
+    /// A pixel's colour; 0 on a monochrome sensor.
+    fn of(&self, pixel: usize) -> usize {
+        let colour = match self.mosaic {
+            Mosaic::None => None,
+            mosaic => mosaic.channel(pixel % self.width, pixel / self.width),
+        };
+        colour.unwrap_or(0)
+    }
+
+    fn noise_of(&self, pixel: usize) -> &'a SensorNoise {
+        match self.noise.as_slice() {
+            [one] => one,
+            several => several[self.of(pixel)],
+        }
+    }
+}
+
 struct Bracket<'a> {
-    noise: &'a SensorNoise,
+    colours: Colours<'a>,
     light: Vec<&'a ExposureSum>,
     ambient: Vec<&'a ExposureSum>,
     dark: Vec<&'a ExposureSum>,
@@ -333,34 +406,36 @@ struct Bracket<'a> {
 
 impl Bracket<'_> {
     fn levels(&self, exposures: &[&ExposureSum], pixel: usize) -> impl Iterator<Item = Level> {
-        let offset_dn = self.noise.offset_dn(pixel);
+        let noise = self.colours.noise_of(pixel);
+        let offset_dn = noise.offset_dn(pixel);
         exposures.iter().map(move |e| {
             let mean_dn = f64::from(e.sum_dn[pixel]) / f64::from(e.frames) - offset_dn;
             Level {
                 exposure_s: e.exposure_s,
                 frames: e.frames,
-                signal_dn: self.noise.signal_dn(mean_dn),
-                per_linearity: self.noise.per_linearity(mean_dn),
+                signal_dn: noise.signal_dn(mean_dn),
+                per_linearity: noise.per_linearity(mean_dn),
                 clipped: e.clipped[pixel],
             }
         })
     }
 
     fn first_pass(&self, pixel: usize) -> PixelRates {
+        let noise = self.colours.noise_of(pixel);
         let mut rates = PixelRates::default();
         for (index, exposures) in [&self.light, &self.ambient, &self.dark]
             .into_iter()
             .enumerate()
         {
             let levels = self.levels(exposures, pixel);
-            if let Some(estimate) = follow(levels, self.noise, None, |_, _, _| {}) {
+            if let Some(estimate) = follow(levels, noise, None, |_, _, _| {}) {
                 rates.rate_e_s[index] = estimate.rate_e_s as f32;
                 rates.variance[index] = estimate.variance as f32;
             }
         }
         let clipped =
             |exposures: &[&ExposureSum]| exposures.first().is_some_and(|e| e.clipped[pixel]);
-        let hot = self.noise.hot_pixels.as_ref().is_some_and(|hot| hot[pixel]);
+        let hot = noise.hot_pixels.as_ref().is_some_and(|hot| hot[pixel]);
         rates.usable = !hot
             && !clipped(&self.light)
             && !clipped(&self.ambient)
@@ -368,16 +443,18 @@ impl Bracket<'_> {
         rates
     }
 
-    /// Whether this lit rate keeps clear of clipping in the shortest exposure.
-    fn fits_shortest(&self, lit_e_s: f64) -> bool {
+    /// Whether a pixel's lit rate keeps clear of clipping in the shortest exposure.
+    fn fits_shortest(&self, pixel: usize, lit_e_s: f64) -> bool {
+        let noise = self.colours.noise_of(pixel);
         let electrons = lit_e_s * self.light[0].exposure_s;
-        let noise_dn = self.noise.count_variance_dn2(electrons).sqrt();
-        electrons * self.noise.gain_dn_per_e + 4.0 * noise_dn <= self.noise.usable_range_dn()
+        let noise_dn = noise.count_variance_dn2(electrons).sqrt();
+        electrons * noise.gain_dn_per_e + 4.0 * noise_dn <= noise.usable_range_dn()
     }
 
     /// No pixel seen yet.
     fn tallies(&self) -> Vec<ExposureTally> {
-        let empty = |e: &&ExposureSum| ExposureTally::of(e.exposure_s, e.frames);
+        let colours = self.colours.mosaic.colours();
+        let empty = |e: &&ExposureSum| ExposureTally::of(e.exposure_s, e.frames, colours);
         self.light.iter().map(empty).collect()
     }
 
@@ -391,22 +468,33 @@ impl Bracket<'_> {
         line: &mut Line,
     ) {
         let mut deviating = 0;
+        let (noise, colour) = (self.colours.noise_of(pixel), self.colours.of(pixel));
         let mut watch = |index: usize, deviates: bool, step: Option<(&Level, &Agreement)>| {
             if deviates {
                 deviating |= bit(index);
             }
             if counts && usable {
-                line.tallies[index].take_in(deviates, step);
+                let step = step.filter(|(_, agreement)| agreement.share == 1.0);
+                let step = step.map(|(level, agreement)| {
+                    let step = Step {
+                        signal: level.signal_dn,
+                        predicted: agreement.predicted_dn,
+                        variance: agreement.innovation_dn2,
+                        common: agreement.per_offset * noise.black_level_std_dn,
+                    };
+                    (step, agreement.chi2)
+                });
+                line.tallies[index].colours[colour].take_in(deviates, step);
             }
         };
         watch(0, self.light[0].is_unsteady(pixel), None);
         let lit = follow(
             self.levels(&self.light, pixel),
-            self.noise,
+            noise,
             Some(expected[LIT]),
             |index, level, agreement| {
                 let deviates =
-                    self.light[index].is_unsteady(pixel) || deviates(self.noise, level, &agreement);
+                    self.light[index].is_unsteady(pixel) || deviates(noise, level, &agreement);
                 watch(index, deviates, Some((level, &agreement)));
             },
         );
@@ -424,24 +512,25 @@ impl Bracket<'_> {
         lit: &RateEstimate,
         expected: &[Expectation; 3],
     ) -> (f64, f64) {
+        let noise = self.colours.noise_of(pixel);
         let from = |exposures: &[&ExposureSum], expected: Expectation| {
             let levels = self.levels(exposures, pixel);
-            follow(levels, self.noise, Some(expected), |_, _, _| {})
+            follow(levels, noise, Some(expected), |_, _, _| {})
         };
         let dark = from(&self.dark, expected[DARK]);
         let ambient = from(&self.ambient, expected[AMBIENT]);
-        let by_record = || RateEstimate::by_record(self.noise, pixel);
+        let by_record = || RateEstimate::by_record(noise, pixel);
         let unlit = ambient.or(dark).unwrap_or_else(by_record);
         let only_for_offset = ambient.and(dark.as_ref());
-        let (rate_e_s, variance) = difference(lit, &unlit, only_for_offset, self.noise);
-        let (response, response_std) = match &self.noise.flat_field {
+        let (rate_e_s, variance) = difference(lit, &unlit, only_for_offset, noise);
+        let (response, response_std) = match &noise.flat_field {
             Some(flat) => (
                 f64::from(flat.response[pixel]),
                 f64::from(flat.std_dev[pixel]),
             ),
             None => (1.0, 0.0),
         };
-        let per_radiance = self.noise.responsivity_e_s * response;
+        let per_radiance = noise.responsivity_e_s * response;
         let radiance = rate_e_s / per_radiance;
         let flat_variance = (radiance * response_std / response).powi(2);
         (radiance, variance / per_radiance.powi(2) + flat_variance)

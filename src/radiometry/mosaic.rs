@@ -23,18 +23,25 @@ impl FromStr for Mosaic {
 
     /// `none`, or the letters of the first cell.
     fn from_str(text: &str) -> Result<Self, Self::Err> {
-        match text {
-            "none" => Ok(Self::None),
-            "rggb" => Ok(Self::Rggb),
-            "grbg" => Ok(Self::Grbg),
-            "gbrg" => Ok(Self::Gbrg),
-            "bggr" => Ok(Self::Bggr),
-            _ => Err("none, rggb, grbg, gbrg or bggr"),
-        }
+        [Self::None, Self::Rggb, Self::Grbg, Self::Gbrg, Self::Bggr]
+            .into_iter()
+            .find(|mosaic| mosaic.name() == text)
+            .ok_or("none, rggb, grbg, gbrg or bggr")
     }
 }
 
 impl Mosaic {
+    /// As it is read: `none`, or the letters of the first cell.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::None => "none",
+            Self::Rggb => "rggb",
+            Self::Grbg => "grbg",
+            Self::Gbrg => "gbrg",
+            Self::Bggr => "bggr",
+        }
+    }
+
     /// Channel (0 red, 1 green, 2 blue) of a sensor pixel; `None` on a
     /// monochrome sensor.
     pub fn channel(self, x: usize, y: usize) -> Option<usize> {
@@ -46,6 +53,11 @@ impl Mosaic {
             Self::Bggr => [2, 1, 1, 0],
         };
         Some(cell[(y % 2) * 2 + x % 2])
+    }
+
+    /// How many colours the sensor sees: 1 or 3.
+    pub fn colours(self) -> usize {
+        if self == Self::None { 1 } else { 3 }
     }
 
     /// Distance in pixels to the next pixel of the same position in the cell.
@@ -71,7 +83,7 @@ mod tests {
                 .map(|&(x, y)| ['r', 'g', 'b'][mosaic.channel(x, y).unwrap()])
                 .collect();
             assert_eq!(spelled, name);
-            assert_eq!(name.parse(), Ok(mosaic));
+            assert_eq!((mosaic.name(), name.parse()), (name, Ok(mosaic)));
         }
         assert_eq!(Mosaic::None.channel(3, 5), None);
     }

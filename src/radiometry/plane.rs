@@ -19,7 +19,8 @@ pub struct MergedPlane {
     pub variance: Vec<f32>,
     /// `false` where the pixel is hot, clips in every exposure, or something moved.
     pub valid: Vec<bool>,
-    /// How the light exposures agree, shortest first.
+    /// How the light exposures agree, shortest first; of a mosaic those of red, then of green
+    /// and blue.
     pub agreement: Vec<ExposureAgreement>,
 }
 

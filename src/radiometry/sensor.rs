@@ -17,8 +17,12 @@ pub struct SensorNoise {
     pub gain_dn_per_e: f64,
     /// Standard deviation of the read noise, electrons; >= 0.
     pub read_noise_e: f64,
-    /// Mean count without light at zero exposure, DN; >= 0.
+    /// Mean count without light at zero exposure, DN. Below 0 where counts were cut to fewer
+    /// bits after the black level was subtracted: cutting loses half a count in the mean.
     pub black_level_dn: f64,
+    /// Standard uncertainty of that mean, which all pixels share, DN. It enters how well
+    /// exposures can be compared, and no pixel's value.
+    pub black_level_std_dn: f64,
     /// Standard deviation of the black level between pixels, DN; 0 means that
     /// every pixel has the same. The merge estimates each pixel's own level as
     /// far as the frames determine it.
@@ -46,6 +50,9 @@ pub struct SensorNoise {
     /// Pixels whose dark current makes them useless; `None`: none known.
     pub hot_pixels: Option<Vec<bool>>,
 }
+
+/// Standard uncertainty of a black level that is stated as a whole count, DN.
+const STATED_TO_ONE_DN: f64 = 0.288_675;
 
 /// Each pixel's deviation from the mean darkness, row by row. The spreads of the
 /// noise model are then those of what remains unknown.
@@ -109,6 +116,7 @@ impl SensorNoise {
             gain_dn_per_e,
             read_noise_e,
             black_level_dn,
+            black_level_std_dn: STATED_TO_ONE_DN,
             black_level_spread_dn: 0.0,
             saturation_dn: full_scale_dn,
             linear_max_dn: full_scale_dn,
@@ -174,8 +182,15 @@ impl SensorNoise {
         range(
             "black_level_dn",
             self.black_level_dn,
-            0.0,
+            -full_scale_dn,
             self.linear_max_dn,
+            false,
+        )?;
+        range(
+            "black_level_std_dn",
+            self.black_level_std_dn,
+            0.0,
+            full_scale_dn,
             false,
         )?;
         range(

@@ -7,7 +7,7 @@ use std::ops::Range;
 use std::os::unix::fs::FileExt;
 use std::path::Path;
 
-use super::agreement::{ExposureAgreement, ExposureTally};
+use super::agreement::{ExposureAgreement, ExposureTally, add_all, by_colour};
 use super::merge::{BracketMerge, FrameRole, MergeError, halo_rows};
 use super::mosaic::Mosaic;
 use super::plane::MergedPlane;
@@ -136,7 +136,7 @@ impl Stack {
         Bands {
             stack: self,
             frames,
-            noise,
+            noise: vec![noise],
             mosaic,
             margin: margin.next_multiple_of(mosaic.period()),
             rows: self.band_rows(),
@@ -145,16 +145,31 @@ impl Stack {
         }
     }
 
-    /// Merges some rows through the response of each plane. Noise is estimated
-    /// from these rows.
-    ///
-    /// # Errors
-    /// The disk refuses.
-    pub fn through_response(
+    /// Merges band after band, from the top, through the response of each plane. Noise is
+    /// estimated in each band.
+    pub fn response_bands<'a>(&'a self, responses: &'a [Response]) -> ResponseBands<'a> {
+        ResponseBands {
+            stack: self,
+            responses,
+            at: 0,
+            tallies: vec![Vec::new(); self.planes],
+        }
+    }
+
+    /// Gives every frame another exposure: what `of` makes of its present one, seconds.
+    pub fn change_exposures(&mut self, of: impl Fn(f64) -> f64) {
+        for (_, exposure_s) in &mut self.frames {
+            *exposure_s = of(*exposure_s);
+        }
+    }
+
+    /// Merges some rows through the response of each plane, and returns how the light exposures
+    /// of each agree.
+    fn through_response(
         &self,
         responses: &[Response],
         rows: Range<usize>,
-    ) -> Result<Vec<MergedPlane>, StackError> {
+    ) -> Result<Vec<(MergedPlane, Vec<ExposureTally>)>, StackError> {
         // A pixel depends on its neighbours.
         let (top, bottom) = (
             rows.start.saturating_sub(1),
@@ -175,8 +190,10 @@ impl Stack {
                 return Err(MergeError::NoLightFrame.into());
             }
             let views = frames.iter().map(|(s, counts)| (*s, counts.as_slice()));
-            let whole = ResponseMerge::new(response, self.width, views.collect()).finish();
-            Ok(whole.rows(rows.start - top..rows.end - top))
+            let merge = ResponseMerge::new(response, self.width, views.collect());
+            let counted = rows.start - top..rows.end - top;
+            let (whole, tallies) = merge.finish_band(counted.clone());
+            Ok((whole.rows(counted), tallies))
         };
         responses
             .iter()
@@ -187,7 +204,7 @@ impl Stack {
     }
 
     /// Rows of a band that takes little memory.
-    pub fn band_rows(&self) -> usize {
+    fn band_rows(&self) -> usize {
         let per_row = self.width.max(1) * (PIXEL_BYTES + EXPOSURE_BYTES * self.frames.len());
         (BAND_BYTES / per_row).next_multiple_of(2).max(16)
     }
@@ -203,7 +220,8 @@ impl Stack {
 pub struct Bands<'a> {
     stack: &'a Stack,
     frames: Vec<usize>,
-    noise: &'a SensorNoise,
+    /// One for all pixels, or red's, green's and blue's.
+    noise: Vec<&'a SensorNoise>,
     mosaic: Mosaic,
     margin: usize,
     rows: usize,
@@ -222,7 +240,14 @@ pub struct Band {
     pub rows: usize,
 }
 
-impl Bands<'_> {
+impl<'a> Bands<'a> {
+    /// The noise of each colour: red, green, blue, of the planes or of the mosaic.
+    #[must_use]
+    pub fn of_colours(mut self, noise: &'a [SensorNoise; 3]) -> Self {
+        self.noise = noise.iter().collect();
+        self
+    }
+
     /// Bands of this many rows (rounded up to an even number).
     #[must_use]
     pub fn of_rows(mut self, rows: usize) -> Self {
@@ -243,11 +268,16 @@ impl Bands<'_> {
         let halo = halo_rows(self.mosaic) + self.margin;
         let (top, bottom) = (start.saturating_sub(halo), (end + halo).min(stack.height));
         let merged = start.saturating_sub(self.margin)..(end + self.margin).min(stack.height);
-        let noise = self.noise.rows(stack.width, top..bottom);
+        let noise = self.noise.iter();
+        let noise: Vec<SensorNoise> = noise.map(|n| n.rows(stack.width, top..bottom)).collect();
         let mut counts = vec![0u16; (bottom - top) * stack.width];
         let mut planes = Vec::with_capacity(stack.planes);
         for (plane, tallies) in self.tallies.iter_mut().enumerate() {
-            let merge = BracketMerge::new(&noise, self.mosaic, stack.width, bottom - top)?;
+            let noise = match self.mosaic {
+                Mosaic::None => vec![&noise[plane.min(noise.len() - 1)]],
+                _ => noise.iter().collect(),
+            };
+            let merge = BracketMerge::with_colours(noise, self.mosaic, stack.width, bottom - top)?;
             let mut merge =
                 merge.only(merged.start - top..merged.end - top, start - top..end - top);
             for &frame in &self.frames {
@@ -260,13 +290,7 @@ impl Bands<'_> {
             }
             let (merged, more) = merge.finish_band()?;
             planes.push(merged);
-            if tallies.is_empty() {
-                *tallies = more;
-            } else {
-                for (tally, more) in tallies.iter_mut().zip(&more) {
-                    tally.add(more);
-                }
-            }
+            add_all(tallies, more);
         }
         self.at = end;
         Ok(Some(Band {
@@ -276,11 +300,53 @@ impl Bands<'_> {
         }))
     }
 
+    /// How the light exposures of each plane, or of each colour of a mosaic, agree, as far as
+    /// merged, shortest first.
+    pub fn agreement(&self) -> Vec<Vec<ExposureAgreement>> {
+        let planes = self.tallies.iter();
+        planes.flat_map(|tallies| by_colour(tallies)).collect()
+    }
+}
+
+/// The bands of a stack, through response curves.
+#[derive(Debug)]
+pub struct ResponseBands<'a> {
+    stack: &'a Stack,
+    responses: &'a [Response],
+    at: usize,
+    tallies: Vec<Vec<ExposureTally>>,
+}
+
+impl ResponseBands<'_> {
+    /// The next band; `None` below the last.
+    ///
+    /// # Errors
+    /// No light frame, or the disk refuses.
+    pub fn next_band(&mut self) -> Result<Option<Band>, StackError> {
+        let rows = self.at..(self.at + self.stack.band_rows()).min(self.stack.height);
+        if rows.is_empty() {
+            return Ok(None);
+        }
+        self.at = rows.end;
+        let merged = self.stack.through_response(self.responses, rows.clone())?;
+        let planes = merged
+            .into_iter()
+            .zip(&mut self.tallies)
+            .map(|((plane, more), tallies)| {
+                add_all(tallies, more);
+                plane
+            });
+        Ok(Some(Band {
+            planes: planes.collect(),
+            above: 0,
+            rows: rows.len(),
+        }))
+    }
+
     /// How the light exposures of each plane agree, as far as merged, shortest first.
     pub fn agreement(&self) -> Vec<Vec<ExposureAgreement>> {
-        let plane =
-            |tallies: &Vec<ExposureTally>| tallies.iter().map(ExposureTally::agreement).collect();
-        self.tallies.iter().map(plane).collect()
+        let planes = self.tallies.iter();
+        planes.flat_map(|tallies| by_colour(tallies)).collect()
     }
 }
 
@@ -345,8 +411,10 @@ mod tests {
                     at += band.rows;
                 }
                 assert_eq!(at, height);
-                let agreement = &bands.agreement()[0];
-                assert_eq!(agreement.len(), 2);
+                let agreement = bands.agreement();
+                assert_eq!(agreement.len(), mosaic.colours());
+                let agreement = agreement.concat();
+                assert_eq!(agreement.len(), whole.agreement.len());
                 for (band, whole) in agreement.iter().zip(&whole.agreement) {
                     assert_eq!(band.pixels, whole.pixels);
                     assert!((band.signal_ratio / whole.signal_ratio - 1.0).abs() < 1e-12);

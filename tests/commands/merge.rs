@@ -231,3 +231,428 @@ fn one_frame_given_twice_is_named() {
         }
     }
 }
+
+/// A PNG of three channels.
+fn write_rgb(path: &Path, width: u32, counts: Vec<u16>) {
+    let height = counts.len() as u32 / width / 3;
+    image::ImageBuffer::<image::Rgb<u16>, _>::from_raw(width, height, counts)
+        .unwrap()
+        .save(path)
+        .unwrap();
+}
+
+/// `rig merge . --json` in a folder: its report, or nothing, and what it says.
+fn merge(folder: &Path, options: &str) -> (serde_json::Value, String) {
+    let output = rig()
+        .current_dir(folder)
+        .args(["merge", ".", "--json"])
+        .args(options.split(' '))
+        .output()
+        .unwrap();
+    let said = String::from_utf8(output.stderr).unwrap();
+    (
+        serde_json::from_slice(&output.stdout).unwrap_or_default(),
+        said,
+    )
+}
+
+const SIDE: usize = 32;
+
+/// Raw frames of `seconds` under `electrons` per second by (pixel, frame), with noise; the
+/// sensor has gain 1, read noise 2, black level 64, 12 bits.
+fn raw(seconds: &[f64], electrons: impl Fn(usize, usize) -> f64) -> tempfile::TempDir {
+    use rig::random::{Purpose, stream};
+    let folder = tempfile::tempdir().unwrap();
+    for (frame, exposure_s) in seconds.iter().enumerate() {
+        let count = |p: usize| {
+            let mut random = stream(5, Purpose::Experiment, frame as u64, p as u64, 0);
+            let mean = exposure_s * electrons(p, frame);
+            let noisy = mean + (mean + 4.0).sqrt() * random.normal();
+            (64.0 + noisy).round().clamp(0.0, 4095.0) as u16
+        };
+        let letter = ["a", "b", "c"][frame];
+        let name = format!("{letter}_{}ms.png", exposure_s * 1e3);
+        write_grey(
+            &folder.path().join(name),
+            SIDE as u32,
+            (0..SIDE * SIDE).map(count).collect(),
+        );
+    }
+    folder
+}
+
+const SENSOR: &str = "--gain 1 --read-noise 2 --black-level 64 --bit-depth 12";
+
+/// A filter's part of the light at a pixel of an RGGB sensor.
+fn rggb(p: usize, colours: [f64; 3]) -> f64 {
+    colours[[0, 1, 1, 2][(p / SIDE % 2) * 2 + p % 2]]
+}
+
+/// What is wrong with raw frames is said with its cause; and nothing where nothing is.
+#[test]
+fn raw_frames_that_do_not_agree_are_warned_of() {
+    let even = |_: usize, _: usize| 1e4;
+    let mosaic = |p: usize, _: usize| rggb(p, [2e3, 8e3, 1.2e4]);
+    // A dimmed lamp while rows are read one after another; another phase in each frame.
+    let flicker = |p: usize, frame: usize| {
+        1e4 * (1.0 + 0.2 * ((p / SIDE) as f64 * 1.9 + 2.0 * frame as f64).sin())
+    };
+    // A pattern over single pixels that is another one in each frame.
+    let patched =
+        |p: usize, frame: usize| 1e4 * (1.0 + 0.2 * ((p * (7919 + 131 * frame)) as f64).sin());
+    let late = |p: usize, frame: usize| 1e4 * if frame == 1 { 1.1 } else { 1.0 } + p as f64;
+    let red = |p: usize, frame: usize| rggb(p, [if frame == 1 { 9e3 } else { 6e3 }, 8e3, 1.2e4]);
+    let dark = |_: usize, frame: usize| if frame == 1 { 0.0 } else { 1e4 };
+    let bracket = &[0.02, 0.08][..];
+    let repeats = &[0.05, 0.05][..];
+    for (what, folder, options, says) in [
+        ("even light", raw(bracket, even), "", &[][..]),
+        ("even repeats", raw(repeats, even), "", &[]),
+        ("mosaic", raw(bracket, mosaic), "--mosaic rggb", &[]),
+        (
+            "another order",
+            raw(bracket, mosaic),
+            "--mosaic grbg",
+            &["the two greens of the order grbg", "is rggb or bggr"],
+        ),
+        (
+            "no order",
+            raw(bracket, mosaic),
+            "",
+            &["needs --mosaic rggb or bggr"],
+        ),
+        ("flicker", raw(bracket, flicker), "", &["the lamp flickers"]),
+        (
+            "flickering repeats",
+            raw(repeats, flicker),
+            "",
+            &["the lamp flickers"],
+        ),
+        (
+            "pattern",
+            raw(bracket, patched),
+            "",
+            &["reduced chi-square"],
+        ),
+        (
+            "exposure",
+            raw(bracket, late),
+            "",
+            &["0.08 s collected 1.", "--measured-exposures"],
+        ),
+        (
+            "one colour",
+            raw(bracket, red),
+            "--mosaic rggb",
+            &["(red), ", "the colours differ"],
+        ),
+        (
+            "dark frame",
+            raw(repeats, dark),
+            "",
+            &["have the role `dark`"],
+        ),
+    ] {
+        let options = format!("{SENSOR} {options}");
+        let (report, said) = merge(folder.path(), options.trim());
+        assert!(report["width"].is_u64(), "{what}: {said}");
+        for says in says {
+            assert!(said.contains(says), "{what}: {said}");
+        }
+        assert_eq!(said.contains("warning"), !says.is_empty(), "{what}: {said}");
+    }
+}
+
+/// Colours of few counts, cut to whole ones after the black level was subtracted, say little of
+/// the exposure, and the report says so.
+#[test]
+fn each_colour_has_its_ratio_with_an_honest_uncertainty() {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, exposure) in [("a_50ms.png", 1.0), ("b_200ms.png", 4.0)] {
+        let counts = (0..SIDE * SIDE).map(|p| {
+            let colours = [1.3, 60.0, 2.6];
+            let level = rggb(p, colours) * (1.0 + 0.2 * (p as f64).sin());
+            (exposure * level) as u16
+        });
+        write_grey(&folder.path().join(name), SIDE as u32, counts.collect());
+    }
+    let options = "--mosaic rggb --gain 0.03 --read-noise 10";
+    let (report, said) = merge(folder.path(), &format!("{options} --black-level 0"));
+    let step = |colour: usize| &report["channels"][colour][1];
+    let value = |colour: usize, key: &str| step(colour)[key].as_f64().unwrap();
+    for colour in [0, 2] {
+        let off = (value(colour, "signal_ratio") - 1.0).abs();
+        let std = value(colour, "signal_ratio_std");
+        assert!(off > 0.05 && off < 3.0 * std, "{off} ± {std}: {said}");
+    }
+    assert!((value(1, "signal_ratio") - 1.0).abs() < 0.03, "{report}");
+    assert!(value(1, "signal_ratio_std") > 1e-3);
+    assert!(!said.contains("0.000 "), "{said}");
+    // Half a count is what cutting loses.
+    let (report, said) = merge(folder.path(), &format!("{options} --black-level -0.5"));
+    let off = (report["channels"][1][1]["signal_ratio"].as_f64().unwrap() - 1.0).abs();
+    assert!(off < 3e-3, "{off}: {said}");
+}
+
+/// Gain, read noise and black level of each colour: counts whose white was balanced become the
+/// radiances that they were, on RGB frames and on a mosaic.
+#[test]
+fn each_colour_has_its_sensor() {
+    let gains = [1.0, 1.2, 1.5];
+    let folder = tempfile::tempdir().unwrap();
+    let count = |gain: f64, signal: f64, black: f64| (black + gain * signal).round() as u16;
+    let blacks = [60.0, 64.0, 70.0];
+    let channel = |colour: usize, signal: f64| count(gains[colour], signal, blacks[colour]);
+    for (name, signal) in [("a_10ms.png", 100.0), ("b_40ms.png", 400.0)] {
+        let rgb = (0..SIDE * SIDE).flat_map(|_| [0, 1, 2].map(|c| channel(c, signal)));
+        let grey = (0..SIDE * SIDE).map(|p| rggb(p, [0, 1, 2].map(|c| channel(c, signal).into())));
+        for kind in ["rgb", "grey"] {
+            std::fs::create_dir_all(folder.path().join(kind)).unwrap();
+        }
+        write_rgb(
+            &folder.path().join("rgb").join(name),
+            SIDE as u32,
+            rgb.collect(),
+        );
+        let grey = grey.map(|count| count as u16).collect();
+        write_grey(&folder.path().join("grey").join(name), SIDE as u32, grey);
+    }
+    let sensor = "--gain 1,1.2,1.5 --read-noise 2,2,3 --black-level 60,64,70";
+    for (kind, options) in [("rgb", ""), ("grey", " --mosaic rggb")] {
+        let path = folder.path().join(kind);
+        let (_, said) = merge(&path, &format!("{sensor}{options}"));
+        assert!(!said.contains("warning"), "{kind}: {said}");
+        let file = rig::radiance_image::exr::read(&path.join("radiance.exr")).unwrap();
+        for value in file.image.mean[7] {
+            assert!((value / 1e4 - 1.0).abs() < 1e-4, "{kind}: {value}");
+        }
+        // More DN per electron: less of the rounding, more of the blue's read noise.
+        let [red, green, blue] = file.image.variance[7];
+        assert!(blue > red && green < red, "{kind}: {red} {green} {blue}");
+    }
+    let (_, said) = merge(&folder.path().join("grey"), sensor);
+    assert!(
+        said.contains("is grey") && said.contains("hint: give one value"),
+        "{said}"
+    );
+    let (_, said) = merge(
+        &folder.path().join("grey"),
+        &sensor.replace("1,1.2,1.5", "1,2"),
+    );
+    assert!(said.contains("three for red, green and blue"), "{said}");
+}
+
+/// The exposures that the frames show replace the stated ones, with their uncertainty.
+#[test]
+fn measured_exposures_are_used_on_request() {
+    // The second frame took 1.3 times, the third 0.9 times what its name states.
+    let truth = [1.0, 1.3, 0.9];
+    let folder = raw(&[0.005, 0.02, 0.08], |p, frame| {
+        rggb(p, [4e3, 2e4, 9e3]) * truth[frame] * (1.0 + 0.5 * (p as f64 * 0.01).sin())
+    });
+    let options = format!("{SENSOR} --mosaic rggb --measured-exposures");
+    let (report, said) = merge(folder.path(), &options);
+    for (index, (stated_s, factor)) in [0.005, 0.02, 0.08].into_iter().zip(truth).enumerate() {
+        let used = &report["measured_exposures"][index];
+        assert_eq!(used["stated_s"], stated_s);
+        let found = used["used_s"].as_f64().unwrap() / stated_s;
+        let std = used["relative_std"].as_f64().unwrap();
+        assert!((found / factor - 1.0).abs() <= 4.0 * std, "{found} ± {std}");
+        assert!(std < 0.02 && (index == 0) == (std == 0.0), "{std}");
+        let ratio = report["channels"][1][index]["signal_ratio"]
+            .as_f64()
+            .unwrap();
+        assert!((ratio - 1.0).abs() < 0.01, "{ratio}");
+    }
+    assert!(
+        said.contains("is used as stated, the others against it"),
+        "{said}"
+    );
+    assert!(
+        said.contains("as its light shows") && !said.contains("warning"),
+        "{said}"
+    );
+    let (report, said) = merge(folder.path(), &options.replace(" --measured-exposures", ""));
+    assert_eq!(report["measured_exposures"].as_array().unwrap().len(), 0);
+    assert!(said.contains("0.02 s collected 1."), "{said}");
+}
+
+/// A column that might say something else is not passed over.
+#[test]
+fn a_column_that_is_not_known_is_named() {
+    let folder = raw(&[0.02, 0.08], |_, _| 1e4);
+    let table = "file,exposure_s,kind\na_20ms.png,0.02,light\nb_80ms.png,0.08,dark\n";
+    std::fs::write(folder.path().join("table.csv"), table).unwrap();
+    let options = format!("{SENSOR} --exposures table.csv");
+    let (_, said) = merge(folder.path(), &options);
+    assert!(
+        said.contains("\"kind\" is not known") && said.contains("role (light"),
+        "{said}"
+    );
+    let table = table.replace("kind", "role");
+    std::fs::write(folder.path().join("table.csv"), table).unwrap();
+    let (report, said) = merge(folder.path(), &options);
+    assert_eq!(report["channels"][0].as_array().unwrap().len(), 1, "{said}");
+}
+
+/// Frames through a response are compared as raw ones are.
+#[test]
+fn exposures_through_a_response_are_compared() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    std::fs::create_dir(path("good")).unwrap();
+    named_bracket(&path("good"));
+    rig()
+        .current_dir(&folder)
+        .args(["calibrate", "response", "good", "--rig", "simulated"])
+        .args(["--out", "records", "--id", "r"])
+        .assert()
+        .success();
+    let change = |name: &str, of: &dyn Fn(u32, u32, [u8; 3]) -> [f64; 3]| {
+        std::fs::create_dir(path(name)).unwrap();
+        named_bracket(&path(name));
+        let file = path(name).join("scene_1-4s.png");
+        let mut frame = image::open(&file).unwrap().to_rgb8();
+        for (x, y, pixel) in frame.enumerate_pixels_mut() {
+            let counts = of(x, y, pixel.0);
+            pixel.0 = counts.map(|count| count.round().clamp(0.0, 255.0) as u8);
+        }
+        frame.save(&file).unwrap();
+    };
+    change("white", &|_, _, [r, g, b]| {
+        [f64::from(r) * 0.8, g.into(), f64::from(b) * 1.1]
+    });
+    change("tone", &|x, _, counts| {
+        counts.map(|count| f64::from(count) * (1.0 + 0.25 * (f64::from(x) * 0.26).sin()))
+    });
+    change(
+        "moved",
+        &|x, y, counts| match (10..16).contains(&x) && (10..16).contains(&y) {
+            true => [150.0; 3],
+            false => counts.map(f64::from),
+        },
+    );
+    std::fs::create_dir(path("time")).unwrap();
+    named_bracket(&path("time"));
+    let time = |name: &str| path("time").join(name);
+    std::fs::rename(time("scene_1-4s.png"), time("scene_500ms.png")).unwrap();
+    std::fs::rename(time("scene_1-2s.png"), time("scene_501ms.png")).unwrap();
+    for (name, says) in [
+        ("good", &[][..]),
+        (
+            "white",
+            &["0.25 s collected", "the colours differ: white balance"],
+        ),
+        (
+            "tone",
+            &["0.25 s", "a response that changes from frame to frame"],
+        ),
+        (
+            "moved",
+            &[
+                "of the exposure of 0.25 s differ",
+                "something moved; they are not masked",
+            ],
+        ),
+        (
+            "time",
+            &["0.501 s collected", "an exposure time that is wrong"],
+        ),
+    ] {
+        let (report, said) = merge(&path(name), "--response ../records/response/r.toml");
+        let steps = report["channels"].as_array().unwrap();
+        assert_eq!(
+            (steps.len(), steps[2].as_array().unwrap().len()),
+            (3, 5),
+            "{said}"
+        );
+        for says in says {
+            assert!(said.contains(says), "{name}: {said}");
+        }
+        assert_eq!(said.contains("warning"), !says.is_empty(), "{name}: {said}");
+    }
+}
+
+/// A bracket is taken by one camera with one setting; what a camera did to its frames by itself
+/// is said of those that are not raw.
+#[test]
+fn exif_data_of_other_settings_are_refused() {
+    use exif::{Field, In, Rational, Tag, Value, experimental::Writer};
+    let folder = tempfile::tempdir().unwrap();
+    let write = |name: &str, tag: Tag, value: &Value| {
+        let field = Field {
+            tag,
+            ifd_num: In::PRIMARY,
+            value: value.clone(),
+        };
+        let mut writer = Writer::new();
+        writer.push_field(&field);
+        let mut bytes = std::io::Cursor::new(Vec::new());
+        writer.write(&mut bytes, false).unwrap();
+        std::fs::write(folder.path().join(name), bytes.into_inner()).unwrap();
+    };
+    let tenths = |num| Value::Rational(vec![Rational { num, denom: 10 }]);
+    let short = |value| Value::Short(vec![value]);
+    let text = |text: &str| Value::Ascii(vec![text.as_bytes().to_vec()]);
+    for (tag, one, other, says) in [
+        (
+            Tag::FocalLength,
+            tenths(42),
+            tenths(69),
+            "at 6.9 mm, but ./a_1s.tif at 4.2 mm",
+        ),
+        (
+            Tag::FocalLengthIn35mmFilm,
+            short(26),
+            short(51),
+            "at 51 mm in terms of 35 mm film",
+        ),
+        (
+            Tag::DigitalZoomRatio,
+            tenths(0),
+            tenths(15),
+            "with a digital zoom of 1.5",
+        ),
+        (
+            Tag::LensModel,
+            text("wide"),
+            text("tele"),
+            "with the lens tele",
+        ),
+        (Tag::Model, text("one"), text("two"), "with the camera two"),
+        (
+            Tag::Flash,
+            short(0),
+            short(1),
+            "with flash, but ./a_1s.tif without flash",
+        ),
+        (
+            Tag::WhiteBalance,
+            short(0),
+            short(0),
+            "a_1s.tif: its EXIF data say automatic white",
+        ),
+        (
+            Tag::CustomRendered,
+            short(0),
+            short(3),
+            "b_2s.tif: its EXIF data say that it is proc",
+        ),
+        (
+            Tag::CompositeImage,
+            short(3),
+            short(3),
+            "composed of several exposures",
+        ),
+    ] {
+        write("a_1s.tif", tag, &one);
+        write("b_2s.tif", tag, &other);
+        let response = bracket().join("none.toml");
+        let (_, said) = merge(folder.path(), &format!("--response {}", response.display()));
+        assert!(said.contains(says), "{tag}: {said}");
+        let refused = said.contains("hint: a bracket varies the exposure time alone");
+        assert_eq!(refused, said.contains("was taken"), "{tag}: {said}");
+        let (_, said) = merge(folder.path(), SENSOR);
+        assert_eq!(said.contains(says), refused, "{tag}, raw: {said}");
+    }
+}

@@ -14,11 +14,14 @@ use crate::calibration::figures;
 use crate::calibration::record::{ResponseCurve, ResponseValues};
 use crate::calibration::white::Region;
 use crate::cli::bracket_files;
+use crate::cli::merge_warnings::{Counts, warn_agreement};
 use crate::cli::output::{write_json, write_path};
 use crate::cli::{CliError, Context, HintExt};
 use crate::radiometry::bracket_files::{BracketFile, FrameReader};
 use crate::radiometry::frame_file::FrameFile;
-use crate::radiometry::response::{Estimator, ResponseOptions, responses};
+use crate::radiometry::response::{
+    Estimator, Response, ResponseMerge, ResponseOptions, contrast_spread, responses,
+};
 
 #[derive(clap::Args, Debug)]
 pub(super) struct ResponseArgs {
@@ -72,6 +75,9 @@ struct ResponseReport<'a> {
 const SCENE_HINT: &str = "photograph a still scene of many brightnesses with manual exposure, at \
     least three exposures a factor of two to four apart, from nearly black to nearly white";
 
+/// Channels of a digital camera share their curve; more than this part is another cause.
+const CONTRAST_WARNING: f64 = 0.12;
+
 fn inside(region: Region, frame: &FrameFile) -> Result<FrameFile, CliError> {
     let Region {
         x,
@@ -89,6 +95,28 @@ fn inside(region: Region, frame: &FrameFile) -> Result<FrameFile, CliError> {
     })
 }
 
+/// Warns of what no response explains: frames that differ otherwise than by their exposures, and
+/// channels that differ from each other.
+fn warn_frames(frames: &[FrameFile], exposures_s: &[f64], curves: &[Response], context: &Context) {
+    let agreement = |(channel, curve): (usize, &Response)| {
+        let counts = frames.iter().map(|frame| frame.planes[channel].as_slice());
+        let merged = exposures_s.iter().copied().zip(counts).collect();
+        let width = frames.first().map_or(1, |frame| frame.width);
+        ResponseMerge::new(curve, width, merged).finish().agreement
+    };
+    let channels: Vec<_> = curves.iter().enumerate().map(agreement).collect();
+    warn_agreement(&channels, Counts::ThroughResponse, context);
+    let spread = contrast_spread(curves);
+    if spread > CONTRAST_WARNING {
+        context.warn(format_args!(
+            "the contrast of the channels' curves differs by {:.0}%: the camera's white balance \
+             or the lamp's colour changed from frame to frame, and colours merged with this \
+             record are wrong; set the white balance by hand (films may differ so)",
+            100.0 * spread
+        ));
+    }
+}
+
 pub(super) fn run(args: &ResponseArgs, context: &Context) -> Result<(), CliError> {
     if let Some(smoothness) = args.smoothness
         && !(smoothness.is_finite() && smoothness > 0.0)
@@ -97,7 +125,7 @@ pub(super) fn run(args: &ResponseArgs, context: &Context) -> Result<(), CliError
             .hint("it must be a number above 0; larger is smoother"));
     }
     let rig = args.common.rig.resolve(context)?;
-    let files = bracket_files::find(&args.frames, args.exposures.as_deref(), context)?;
+    let files = bracket_files::find(&args.frames, args.exposures.as_deref(), false, context)?;
     // The frames.
     let first_path = files[0].path.as_path();
     let mut reader = FrameReader::default();
@@ -128,6 +156,7 @@ pub(super) fn run(args: &ResponseArgs, context: &Context) -> Result<(), CliError
         samples: args.samples as usize,
     };
     let curves = responses(&frames, &exposures_s, &options).hint(SCENE_HINT)?;
+    warn_frames(&frames, &exposures_s, &curves, context);
     let values = ResponseValues {
         channels: curves.into_iter().map(ResponseCurve::from).collect(),
     };

@@ -5,9 +5,12 @@
 //! a frame is weighted by what the pixel's pooled radiance predicts for it, never
 //! by its own count.
 
+use std::ops::Range;
+
 use rayon::prelude::*;
 
 use super::{COUNTS, Response};
+use crate::radiometry::agreement::{ExposureTally, by_colour};
 use crate::radiometry::plane::MergedPlane;
 use crate::statistics::{STD_OVER_MAD, median};
 
@@ -15,17 +18,17 @@ use crate::statistics::{STD_OVER_MAD, median};
 /// and the camera's processing rule; near white, clipping.
 const USABLE: std::ops::RangeInclusive<f64> = 4.0..=248.0;
 /// Counts at or above this are clipped.
-const WHITE: u16 = (COUNTS - 1) as u16;
+pub(super) const WHITE: u16 = (COUNTS - 1) as u16;
 /// Least standard deviation of a count: rounding.
 const ROUNDING_DN: f64 = 0.288_675;
 
 /// The frames of one channel, with the response that they share.
 #[derive(Clone, Debug)]
 pub struct ResponseMerge<'a> {
-    response: &'a Response,
-    width: usize,
+    pub(super) response: &'a Response,
+    pub(super) width: usize,
     /// Exposure, seconds, and counts of each frame.
-    frames: Vec<(f64, &'a [u16])>,
+    pub(super) frames: Vec<(f64, &'a [u16])>,
 }
 
 impl<'a> ResponseMerge<'a> {
@@ -38,34 +41,48 @@ impl<'a> ResponseMerge<'a> {
         }
     }
 
-    /// Relative radiance (relative exposure per second) with its variance. The
-    /// plane's agreement is empty.
+    /// Relative radiance (relative exposure per second) with its variance.
     pub fn finish(&self) -> MergedPlane {
+        let (mut plane, tallies) = self.finish_band(0..usize::MAX);
+        plane.agreement = by_colour(&tallies).concat();
+        plane
+    }
+
+    /// [`Self::finish`], with how the exposures agree in the `counted` rows, shortest first, in
+    /// place of the plane's agreement.
+    pub(in crate::radiometry) fn finish_band(
+        &self,
+        counted: Range<usize>,
+    ) -> (MergedPlane, Vec<ExposureTally>) {
         let pixels = self.frames.first().map_or(0, |(_, counts)| counts.len());
         let first: Vec<f64> = (0..pixels)
             .into_par_iter()
             .map(|pixel| self.estimate(pixel, None, ROUNDING_DN).0)
             .collect();
         let noise_dn = self.noise_dn(&first);
+        let pooled: Vec<f64> = (0..pixels)
+            .into_par_iter()
+            .map(|pixel| self.pooled(&first, pixel))
+            .collect();
         let results: Vec<(f64, f64, bool)> = (0..pixels)
             .into_par_iter()
-            .map(|pixel| {
-                let pooled = self.pooled(&first, pixel);
-                self.estimate(pixel, Some(pooled), noise_dn)
-            })
+            .map(|pixel| self.estimate(pixel, Some(pooled[pixel]), noise_dn))
             .collect();
-        MergedPlane {
+        let plane = MergedPlane {
             width: self.width,
             height: pixels / self.width.max(1),
             mean: results.iter().map(|r| r.0 as f32).collect(),
             variance: results.iter().map(|r| r.1 as f32).collect(),
             valid: results.iter().map(|r| r.2).collect(),
             agreement: Vec::new(),
-        }
+        };
+        let rows = counted.start..counted.end.min(plane.height);
+        let tallies = self.compare(&first, &pooled, rows);
+        (plane, tallies)
     }
 
     /// Whether a predicted count depends on light.
-    fn usable(&self, predicted: f64) -> bool {
+    pub(super) fn usable(&self, predicted: f64) -> bool {
         USABLE.contains(&predicted) && predicted >= f64::from(self.response.darkest)
     }
 
@@ -139,6 +156,30 @@ impl<'a> ResponseMerge<'a> {
                 usable.then(|| (f64::from(counts[pixel]) - predicted).abs())
             })
         });
+        self.std_dn(deviations)
+    }
+
+    /// The same from how these deviations differ from one pixel to the next: an exposure, a
+    /// curve or a processing of the image that is off moves neighbours alike.
+    pub(super) fn local_noise_dn(&self, first: &[f64]) -> f64 {
+        let stride = (first.len() / 4096).max(1);
+        let deviation = |pixel: usize, exposure_s: f64, counts: &[u16]| {
+            let predicted = self.response.count(first[pixel] * exposure_s);
+            let usable = self.usable(predicted) && counts[pixel] < WHITE;
+            usable.then(|| f64::from(counts[pixel]) - predicted)
+        };
+        let differences = (1..first.len()).step_by(stride).flat_map(|pixel| {
+            self.frames.iter().filter_map(move |&(exposure_s, counts)| {
+                let before = deviation(pixel - 1, exposure_s, counts)?;
+                let difference = deviation(pixel, exposure_s, counts)? - before;
+                Some(difference.abs() / f64::sqrt(2.0))
+            })
+        });
+        self.std_dn(differences)
+    }
+
+    /// Standard deviation of a count from absolute deviations.
+    fn std_dn(&self, deviations: impl Iterator<Item = f64>) -> f64 {
         let Some(median) = median(deviations) else {
             return 1.0;
         };

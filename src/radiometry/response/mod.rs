@@ -6,6 +6,7 @@
 //! Both end in the same penalised least squares, which keeps the curve smooth and
 //! lets it grow with every count.
 
+mod compare;
 mod debevec;
 mod merge;
 mod robertson;
@@ -125,6 +126,22 @@ pub fn responses(
         }
     };
     (0..channels).map(response).collect()
+}
+
+/// How much the contrast of the curves differs: the largest over the smallest growth of ln
+/// exposure over the middle half of the counts, less 1.
+pub fn contrast_spread(curves: &[Response]) -> f64 {
+    let contrast = |curve: &Response| curve.ln_exposure[192] - curve.ln_exposure[64];
+    let all = || curves.iter().map(contrast);
+    let (least, most) = (
+        all().fold(f64::INFINITY, f64::min),
+        all().fold(0.0, f64::max),
+    );
+    if least > 0.0 && least.is_finite() {
+        most / least - 1.0
+    } else {
+        0.0
+    }
 }
 
 /// Why samples do not make a response.
