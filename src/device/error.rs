@@ -12,6 +12,12 @@ pub enum DeviceError {
         /// Path or name.
         device: String,
     },
+    /// An address on a network where a serial port is wanted.
+    #[error("{device} is an address on a network, and controllers there are not supported")]
+    OnNetwork {
+        /// As it was given.
+        device: String,
+    },
     /// The system refuses access.
     #[error("{device}: permission denied")]
     PermissionDenied {
@@ -332,6 +338,12 @@ pub enum FirmwareFault {
     /// FluidNC could not read its configuration file.
     #[error("its configuration is faulty, and it moves nothing ({0})")]
     Configuration(String),
+    /// The processor restarts, because its supply voltage falls.
+    #[error("it restarts again and again, because its supply voltage falls ({0:?})")]
+    Undervoltage(String),
+    /// The firmware restarts for another reason.
+    #[error("it restarts again and again ({0:?})")]
+    Restarting(String),
     /// A command that this build lacks.
     #[error("it refused {command:?}: {reason}")]
     Unsupported {
