@@ -3,7 +3,6 @@
 
 use std::fs::File;
 use std::io::{Read, Write};
-use std::net::IpAddr;
 use std::os::fd::{AsRawFd, BorrowedFd, OwnedFd};
 use std::sync::{Mutex, MutexGuard, PoisonError, TryLockError};
 use std::time::{Duration, Instant};
@@ -49,9 +48,8 @@ impl SerialLine {
     /// # Errors
     /// [`DeviceError::OnNetwork`] for an address in place of a path.
     pub fn open(path: &str, baud: u32) -> Result<Self, DeviceError> {
-        if is_on_network(path) {
-            let device = path.to_owned();
-            return Err(DeviceError::OnNetwork { device });
+        if let Some(error) = DeviceError::of_address(path) {
+            return Err(error);
         }
         let port = open_when_free(path, baud)?;
         let _ = port.clear(ClearBuffer::Input);
@@ -285,17 +283,6 @@ impl LineReader<'_> {
     }
 }
 
-/// Whether this is the address of a controller on a network and not a path: a URL, or a host
-/// with a port's number, or an IP address.
-fn is_on_network(port: &str) -> bool {
-    let is_host = |host: &str| !host.is_empty() && !host.contains('/');
-    let has_port = |(host, number): (&str, &str)| is_host(host) && number.parse::<u16>().is_ok();
-    let is_url = port
-        .split_once("://")
-        .is_some_and(|(kind, _)| is_host(kind));
-    is_url || port.rsplit_once(':').is_some_and(has_port) || port.parse::<IpAddr>().is_ok()
-}
-
 fn open_when_free(path: &str, baud: u32) -> Result<TTYPort, DeviceError> {
     let deadline = Instant::now() + BUSY_PATIENCE;
     loop {
@@ -382,33 +369,6 @@ mod tests {
             let message = message(kind, "Not a typewriter");
             assert!(message.starts_with("/dev/ttyUSB0"), "{message}");
             assert!(message.ends_with(expected), "{message}");
-        }
-    }
-
-    #[test]
-    fn addresses_are_no_paths() {
-        for address in [
-            "socket://192.168.1.50:23",
-            "rfc2217://bench:2217",
-            "192.168.1.50:23",
-            "fluidnc.local:23",
-            "[fe80::1]:23",
-            "192.168.1.50",
-            "fe80::1",
-        ] {
-            let opened = SerialLine::open(address, 115_200);
-            assert!(
-                matches!(opened, Err(DeviceError::OnNetwork { .. })),
-                "{address}"
-            );
-        }
-        for path in [
-            "/dev/serial/by-path/pci-0000:00:14.0-usb-0:2:1.0",
-            "/dev/tty:23",
-            "tty",
-            "COM3:",
-        ] {
-            assert!(!is_on_network(path), "{path}");
         }
     }
 

@@ -16,9 +16,10 @@ pub(super) fn for_device(error: &DeviceError) -> String {
             "check the path in the rig file or on the command line: nothing of that name is there (`rig devices` lists what is connected)"
         }
         OnNetwork { device } => {
-            let address = device.rsplit('/').next().unwrap_or_default();
+            let address = device.split_once("://").map_or(&**device, |(_, rest)| rest);
+            let number = if address.contains(':') { "" } else { ":PORT" };
             return format!(
-                "socat makes a port of it: `socat pty,raw,echo=0,link=$HOME/stage tcp:{address}`, then port = that link's path; a cable is safer, because a network that fails leaves the lamp as it was"
+                "socat makes a port of it: `socat pty,raw,echo=0,link=$HOME/stage tcp:{address}{number}`, then port = that link's path; a cable is safer, because a network that fails leaves the lamp as it was"
             );
         }
         PermissionDenied { device } if device.starts_with("/dev/") => {
