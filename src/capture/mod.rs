@@ -43,6 +43,7 @@ pub mod region_of_interest;
 pub mod return_check;
 pub mod run;
 mod spent;
+mod wall_clock;
 mod worker;
 
 pub use disk::{BracketSink, SinkError, WRITE_QUEUE};

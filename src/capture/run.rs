@@ -22,6 +22,7 @@ use super::disk::{BracketSink, Disk, Merger};
 use super::duration::Expected;
 use super::plan::Pace;
 use super::progress::{Observer, Outcome, Progress};
+use super::wall_clock::WallClock;
 use super::{CaptureError, Spent};
 use crate::device::temperature::Part;
 use crate::device::{Camera, CameraInfo, FrameKey, FrameKind, LightStage};
@@ -166,6 +167,7 @@ impl Capture<'_> {
             unproven_reported: false,
             warm_reported: Vec::new(),
             clock,
+            wall_clock: WallClock::start(),
         };
         let result = run.all_lights().await;
         run.leave(result, spent).await
@@ -255,6 +257,7 @@ struct Run<'a> {
     /// Parts of which it was reported that they are nearly too hot.
     warm_reported: Vec<Part>,
     clock: Clock,
+    wall_clock: WallClock,
 }
 
 impl Run<'_> {
@@ -275,7 +278,9 @@ impl Run<'_> {
             self.observer.observe(Progress::LightDone { light });
         }
         self.revisit_first_light().await?;
-        self.check_reference().await
+        self.check_reference().await?;
+        self.check_wall_clock(self.lights.saturating_sub(1) as u32)
+            .await
     }
 
     /// Feeds the merge from the disk.

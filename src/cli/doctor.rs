@@ -32,8 +32,8 @@ use crate::capture::reach::StageReach;
 use crate::capture::records::Records;
 use crate::config::stage::StageDriver;
 use crate::config::{CameraDriver, Origin, ResolvedRig};
-use crate::device::discovery;
 use crate::device::dome::DomeWiring;
+use crate::device::{DeviceError, discovery};
 use crate::file_system::{self, Lack};
 use crate::units::size;
 
@@ -293,6 +293,10 @@ fn stage(rig: &ResolvedRig) -> Check {
 /// Whether a device file exists, may be opened, is free, and has a lasting name.
 fn device_file(name: &'static str, path: &str, lasting: &str) -> Check {
     let file = Path::new(path);
+    if let Some(error) = DeviceError::of_address(path) {
+        let remedy = hints::for_error(&error).unwrap_or_default();
+        return Check::failed(name, error.to_string(), remedy);
+    }
     if !file.exists() {
         return Check::failed(
             name,
@@ -578,6 +582,12 @@ mod tests {
         let name = path.display().to_string();
         let verdict = |lasting: &str| device_file("stage", &name, lasting);
         assert!(verdict("/dev").fact.contains("does not exist"));
+        let network = device_file("stage", "bench:23", "/dev");
+        assert!(
+            network
+                .remedy
+                .is_some_and(|remedy| remedy.contains("tcp:bench:23"))
+        );
         std::fs::write(&path, "").unwrap();
         assert_eq!(verdict("/dev/serial/by-id").verdict, Verdict::Warning);
         assert_eq!(verdict("/").verdict, Verdict::Ok);

@@ -79,6 +79,7 @@ fn run_verify(args: &VerifyArgs) -> Result<(), CliError> {
             "strays": strays.collect::<Vec<_>>(),
             "torn_bytes": found.torn_bytes,
             "suspect": found.suspicion,
+            "clock_step": found.clock_step,
         }))?;
     } else {
         for problem in &found.problems {
@@ -93,6 +94,9 @@ fn run_verify(args: &VerifyArgs) -> Result<(), CliError> {
         }
         if let Some(suspicion) = &found.suspicion {
             out!("suspect  {suspicion}")?;
+        }
+        if let Some(step) = &found.clock_step {
+            out!("times    {step}")?;
         }
         out!(
             "{state}, {} files, {} bytes good",
@@ -173,8 +177,13 @@ fn print(summary: &Summary) -> Result<(), CliError> {
     };
     let simulated = if summary.simulated { ", simulated" } else { "" };
     let suspect = if summary.suspect { ", suspect" } else { "" };
+    let clocks = if summary.clock_step {
+        ", times not of one clock"
+    } else {
+        ""
+    };
     write_line(format_args!(
-        "{}  {}, {} of {} lights, {} frames, {state}{simulated}{suspect}",
+        "{}  {}, {} of {} lights, {} frames, {state}{simulated}{suspect}{clocks}",
         summary.session.display(),
         summary.sample,
         summary.lights_finished,

@@ -12,6 +12,12 @@ pub enum DeviceError {
         /// Path or name.
         device: String,
     },
+    /// An address on a network where a serial port is wanted.
+    #[error("{device} is an address on a network, and controllers there are not supported")]
+    OnNetwork {
+        /// As it was given.
+        device: String,
+    },
     /// The system refuses access.
     #[error("{device}: permission denied")]
     PermissionDenied {
@@ -249,6 +255,24 @@ pub enum DeviceError {
     },
 }
 
+impl DeviceError {
+    /// Where a port is not named by a path but by the address of a controller on a network: a
+    /// URL, a host with a port's number, or an IP address.
+    pub fn of_address(port: &str) -> Option<Self> {
+        let is_host = |host: &str| !host.is_empty() && !host.contains('/');
+        let has_port =
+            |(host, number): (&str, &str)| is_host(host) && number.parse::<u16>().is_ok();
+        let is_url = port
+            .split_once("://")
+            .is_some_and(|(kind, _)| is_host(kind));
+        let is_address =
+            port.rsplit_once(':').is_some_and(has_port) || port.parse::<std::net::IpAddr>().is_ok();
+        (is_url || is_address).then(|| Self::OnNetwork {
+            device: port.to_owned(),
+        })
+    }
+}
+
 fn other_node(image_node: Option<&str>) -> String {
     match image_node {
         Some(node) => format!("; those of the same camera come from {node}"),
@@ -332,6 +356,12 @@ pub enum FirmwareFault {
     /// FluidNC could not read its configuration file.
     #[error("its configuration is faulty, and it moves nothing ({0})")]
     Configuration(String),
+    /// The processor restarts, because its supply voltage falls.
+    #[error("it restarts again and again, because its supply voltage falls ({0:?})")]
+    Undervoltage(String),
+    /// The firmware restarts for another reason.
+    #[error("it restarts again and again ({0:?})")]
+    Restarting(String),
     /// A command that this build lacks.
     #[error("it refused {command:?}: {reason}")]
     Unsupported {
@@ -413,4 +443,29 @@ pub enum ProgramFault {
         /// The loader's own words.
         said: String,
     },
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn addresses_are_told_from_paths() {
+        for (port, expected) in [
+            ("socket://192.168.1.50:23", true),
+            ("rfc2217://bench:2217", true),
+            ("192.168.1.50:23", true),
+            ("fluidnc.local:23", true),
+            ("[fe80::1]:23", true),
+            ("192.168.1.50", true),
+            ("fe80::1", true),
+            ("/dev/serial/by-path/pci-0000:00:14.0-usb-0:2:1.0", false),
+            ("/dev/tty:23", false),
+            ("tty", false),
+            ("COM3:", false),
+        ] {
+            let is_address = DeviceError::of_address(port).is_some();
+            assert_eq!(is_address, expected, "{port}");
+        }
+    }
 }

@@ -2,13 +2,12 @@
 
 use std::path::Path;
 
+use image::ImageFormat;
+
 use super::RawFrame;
 use super::retake::FrameFault;
 use crate::outside_file::read_regular;
 use crate::radiometry::frame_file::{FrameFileError, decode_sized};
-
-/// The first bytes of every JPEG file.
-const JPEG_START: &[u8] = b"\xff\xd8\xff";
 
 /// Largest raw frame, bytes: 250 megapixels of 16 bits, not compressed.
 const LARGEST_BYTES: u64 = 1 << 29;
@@ -47,8 +46,9 @@ pub fn read(path: &Path, expected: [u32; 2], bit_depth: u32) -> Result<RawFrame,
         kind: kind.to_owned(),
     };
     let bytes = read_regular(path, LARGEST_BYTES).map_err(|error| unreadable(&error))?;
-    if bytes.starts_with(JPEG_START) {
-        return Err(not_raw("a JPEG file"));
+    match image::guess_format(&bytes) {
+        Ok(ImageFormat::Png | ImageFormat::Tiff) | Err(_) => {}
+        Ok(other) => return Err(not_raw(&format!("a {} file", name_of(other)))),
     }
     let [width, height] = expected;
     let size = [width as usize, height as usize];
@@ -83,10 +83,17 @@ pub fn read(path: &Path, expected: [u32; 2], bit_depth: u32) -> Result<RawFrame,
     })
 }
 
+fn name_of(format: ImageFormat) -> String {
+    match format {
+        ImageFormat::OpenExr => "EXR".to_owned(),
+        other => format!("{other:?}").to_uppercase(),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use image::{ImageBuffer, ImageFormat, Luma, Rgb};
+    use image::{ImageBuffer, Luma, Rgb};
 
     #[test]
     fn counts_of_8_and_16_bits_are_read_as_they_are() {
@@ -145,6 +152,18 @@ mod tests {
         let jpeg = ImageBuffer::from_pixel(5, 3, Luma([9_u8]));
         jpeg.save_with_format(&path, ImageFormat::Jpeg).unwrap();
         assert_eq!(fault(12), "a.png holds no raw counts: it is a JPEG file");
+        for (bytes, name) in [
+            (&b"BM\x36\0\0\0"[..], "BMP"),
+            (b"\x76\x2f\x31\x01\x02\0\0\0", "EXR"),
+            (b"RIFF\x10\0\0\0WEBPVP8 ", "WEBP"),
+        ] {
+            std::fs::write(&path, bytes).unwrap();
+            assert!(
+                fault(12).ends_with(&format!("it is a {name} file")),
+                "{name}: {}",
+                fault(12)
+            );
+        }
         ImageBuffer::from_pixel(3, 5, Luma([1_u16]))
             .save(&path)
             .unwrap();

@@ -49,9 +49,20 @@ pub enum FrameFault {
         /// As requested, with what it may differ by.
         wanted: String,
     },
+    /// Packets of it did not arrive, also when they were requested again.
+    #[error("packets of it were lost on the network")]
+    LostPackets,
     /// It began before it was requested, so that lamp and settings may be older.
     #[error("it began before it was requested")]
     Late,
+}
+
+impl FrameFault {
+    /// Whether the next frame may be right: a file of another format is what the camera's
+    /// program makes of every frame.
+    pub fn may_pass(&self) -> bool {
+        !matches!(self, Self::NotRaw { .. })
+    }
 }
 
 /// What went wrong before a frame was right.
@@ -111,9 +122,10 @@ impl Retakes {
 
     fn count(&mut self, fault: &FrameFault) {
         match fault {
-            FrameFault::Damaged | FrameFault::Undecodable(_) | FrameFault::NotRaw { .. } => {
-                self.damaged += 1;
-            }
+            FrameFault::Damaged
+            | FrameFault::Undecodable(_)
+            | FrameFault::NotRaw { .. }
+            | FrameFault::LostPackets => self.damaged += 1,
             FrameFault::Size { .. } => self.wrong_size += 1,
             FrameFault::Settings { .. } => self.exposure_ignored += 1,
             FrameFault::Late => self.late += 1,
@@ -146,7 +158,7 @@ impl std::fmt::Display for Retakes {
 ///
 /// # Errors
 /// The camera's last one, after [`MAX_WRONG`] wrong frames or [`MAX_MISSING`]
-/// waits without any; every other at once.
+/// waits without any; every other at once, and so a fault that every frame will have.
 pub fn grab_right(
     camera: &mut dyn Camera,
     key: FrameKey,
@@ -171,7 +183,7 @@ pub fn grab_right(
             Err(error) => error,
         };
         match &error {
-            DeviceError::BadFrame { fault, .. } => {
+            DeviceError::BadFrame { fault, .. } if fault.may_pass() => {
                 retakes.count(fault);
                 wrong += 1;
             }
@@ -328,6 +340,15 @@ mod tests {
                 device: "camera".to_owned(),
             })
         };
+        let other_format: Answer = || {
+            bad(FrameFault::NotRaw {
+                name: "frame.tif".to_owned(),
+                kind: "a JPEG file".to_owned(),
+            })
+        };
+        let (result, retakes, left) = run(&[other_format, no_reply]);
+        assert!(matches!(result, Err(DeviceError::BadFrame { .. })));
+        assert!(retakes.is_none() && left == 1);
         let (result, retakes, left) = run(&[gone, no_reply]);
         assert!(matches!(result, Err(DeviceError::Disconnected { .. })));
         assert!(retakes.is_none() && left == 1);

@@ -44,7 +44,13 @@ impl SerialLine {
     /// Opens and configures the port (8 data bits, no parity, 1 stop bit), and
     /// drops what has come before. Nothing is sent. A port in use is waited for,
     /// a second at most.
+    ///
+    /// # Errors
+    /// [`DeviceError::OnNetwork`] for an address in place of a path.
     pub fn open(path: &str, baud: u32) -> Result<Self, DeviceError> {
+        if let Some(error) = DeviceError::of_address(path) {
+            return Err(error);
+        }
         let port = open_when_free(path, baud)?;
         let _ = port.clear(ClearBuffer::Input);
         // SAFETY: the descriptor is the port's, which is open until after the call.

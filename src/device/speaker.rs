@@ -9,6 +9,10 @@ pub enum Speaker {
     Zaber,
     /// Marlin or other firmware of 3D printers.
     Marlin,
+    /// Klipper, the program or its board.
+    Klipper,
+    /// RepRapFirmware.
+    RepRap,
     /// Smoothieware.
     Smoothie,
     /// TinyG or g2core.
@@ -21,6 +25,8 @@ impl std::fmt::Display for Speaker {
             Self::Grbl => "a GRBL controller",
             Self::Zaber => "a Zaber device",
             Self::Marlin => "a 3D printer's firmware (Marlin)",
+            Self::Klipper => "Klipper",
+            Self::RepRap => "RepRapFirmware",
             Self::Smoothie => "Smoothieware",
             Self::TinyG => "TinyG or g2core",
         })
@@ -42,6 +48,13 @@ impl Speaker {
         }
         if line.starts_with("Smoothie") {
             return Some(Self::Smoothie);
+        }
+        // Klipper's answers are comments; its errors have two exclamation marks.
+        if ["// ", "!! "].iter().any(|start| line.starts_with(start)) {
+            return Some(Self::Klipper);
+        }
+        if line.starts_with("Error: Bad command") || line.contains("RepRapFirmware") {
+            return Some(Self::RepRap);
         }
         if ["echo:", "FIRMWARE_NAME:", "Marlin "]
             .iter()
@@ -83,6 +96,13 @@ mod tests {
             ("@01 0 12 OK BUSY WR 0:5A", Some(Speaker::Zaber)),
             ("!02 1 IDLE --", Some(Speaker::Zaber)),
             ("echo:Unknown command: \"$I\"", Some(Speaker::Marlin)),
+            ("// Unknown command:\"????\"", Some(Speaker::Klipper)),
+            ("!! Must home axis first", Some(Speaker::Klipper)),
+            ("Error: Bad command: ????", Some(Speaker::RepRap)),
+            (
+                "FIRMWARE_NAME: RepRapFirmware for Duet 3",
+                Some(Speaker::RepRap),
+            ),
             ("Smoothie", Some(Speaker::Smoothie)),
             ("{\"r\":{\"fv\":0.97},\"f\":[1,0,10]}", Some(Speaker::TinyG)),
             ("ok", None),

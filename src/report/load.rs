@@ -110,7 +110,13 @@ fn load_with(
     Ok(ReportInput {
         sample: record.sample.clone(),
         session: folder_name(root),
-        captured: readable_time(&record.created_utc),
+        captured: match session.journal().clock_step() {
+            Some(_) => format!(
+                "{}, by a clock that was set",
+                readable_time(&record.created_utc)
+            ),
+            None => readable_time(&record.created_utc),
+        },
         simulated: record.simulated,
         incomplete: incomplete(&session),
         provenance: provenance(&session, fit.as_ref(), unknown),
@@ -306,6 +312,9 @@ fn provenance(
             ("Captured with", format!("rig {}", record.versions.rig)),
         ],
     )];
+    if let Some(step) = session.journal().clock_step() {
+        groups[0].entries.push(("Times".to_owned(), step));
+    }
     if let Some(name) = &record.true_material {
         let reason = unknown_truth.map(|reason| format!(" (cannot be evaluated: {reason})"));
         let text = format!("{name}{}", reason.unwrap_or_default());

@@ -76,6 +76,11 @@ pub enum Event {
         /// directions of lights before are not what they claim to be.
         suspect: bool,
     },
+    /// The computer's clock was set: times before and after are of two clocks.
+    ClockStep {
+        /// Later by so much, s.
+        by_s: f64,
+    },
     /// Frames of a light direction follow.
     LightStart {
         /// Index in the plan.
@@ -279,6 +284,29 @@ impl Journal {
         })
     }
 
+    /// What is known of the computer's clock having been set while the session was written;
+    /// `None`: nothing.
+    pub fn clock_step(&self) -> Option<String> {
+        let noticed = self.records.iter().filter_map(|record| match record.event {
+            Event::ClockStep { by_s } => Some(by_s),
+            _ => None,
+        });
+        // The largest is the one that tells most.
+        let largest = noticed.max_by(|a, b| a.abs().total_cmp(&b.abs()));
+        largest.or_else(|| self.step_back()).map(clock_fact)
+    }
+
+    /// The first record that is earlier than the one before it, by so much, s.
+    fn step_back(&self) -> Option<f64> {
+        let time = |record: &Record| record.utc.parse::<jiff::Timestamp>().ok();
+        self.records.windows(2).find_map(|pair| {
+            let by_s = time(&pair[1])?
+                .duration_since(time(&pair[0])?)
+                .as_secs_f64();
+            (by_s < -LEAST_STEP_BACK_S).then_some(by_s)
+        })
+    }
+
     /// What a person reads of it.
     pub fn suspicion(&self) -> Option<String> {
         self.steps_lost().map(|[first, second]| {
@@ -287,6 +315,22 @@ impl Journal {
             )
         })
     }
+}
+
+/// A clock that is slewed does not go back by so much, s.
+const LEAST_STEP_BACK_S: f64 = 1.0;
+
+/// The fact that the computer's clock was set, forwards by so many seconds.
+pub fn clock_fact(by_s: f64) -> String {
+    let by = match by_s.abs() {
+        seconds if seconds < 120.0 => format!("{by_s:+.1} s"),
+        seconds if seconds < 7200.0 => format!("{:+.1} min", by_s / 60.0),
+        seconds if seconds < 172_800.0 => format!("{:+.1} h", by_s / 3600.0),
+        _ => format!("{:+.1} days", by_s / 86_400.0),
+    };
+    format!(
+        "this computer's clock was set by {by} while the session was written: its times before and after are not one clock's"
+    )
 }
 
 impl Record {
@@ -330,6 +374,7 @@ mod tests {
                 sidecar: FileDigest::of("raw/a.toml", b"sidecar"),
             },
             Event::LightStop { light: 0 },
+            Event::ClockStep { by_s: 1.5e9 },
             Event::Reference {
                 off: [0.0125, -1.5],
                 suspect: true,
@@ -362,12 +407,53 @@ mod tests {
     fn what_is_written_is_read() {
         let bytes = example();
         let journal = Journal::parse(&bytes).unwrap();
-        assert_eq!(journal.records.len(), 12);
+        assert_eq!(journal.records.len(), 13);
         assert_eq!(journal.torn_bytes, 0);
         assert!(journal.is_complete());
         assert_eq!(journal.files().len(), 4);
         let again: Vec<u8> = journal.records.iter().flat_map(encode).collect();
         assert_eq!(again, bytes);
+    }
+
+    #[test]
+    fn a_clock_that_was_set_is_told() {
+        let at = |events: &[(&str, Event)]| {
+            let records = events
+                .iter()
+                .enumerate()
+                .map(|(number, (utc, event))| Record {
+                    number: number as u64,
+                    utc: (*utc).to_owned(),
+                    event: event.clone(),
+                });
+            let records = records.collect();
+            let journal = Journal {
+                records,
+                ..Journal::default()
+            };
+            journal.clock_step().unwrap_or_default()
+        };
+        let (early, late) = ("1972-02-01T00:00:00.000Z", "2026-11-21T02:34:00.500Z");
+        let homed = |utc| (utc, Event::Homed);
+        let set = |by_s| (late, Event::ClockStep { by_s });
+        // A resume can come as late as it likes.
+        for events in [&[homed(early), homed(late), homed(late)][..], &[]] {
+            assert_eq!(at(events), "");
+        }
+        assert!(at(&[homed(late), homed("2026-11-21T02:34:00.100Z")]).is_empty());
+        for (events, by) in [
+            (
+                &[homed(early), set(2.0), set(-1.728e9)][..],
+                "by -20000.0 days",
+            ),
+            (&[homed(late), set(3.0)], "by +3.0 s"),
+            (
+                &[homed(late), homed("2026-11-21T01:04:00.500Z")],
+                "by -90.0 min",
+            ),
+        ] {
+            assert!(at(events).contains(by), "{}", at(events));
+        }
     }
 
     /// Every bit of every byte, one at a time: never the same records again

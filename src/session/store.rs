@@ -221,6 +221,7 @@ impl Session {
                 .count(),
             frames: self.frames().count(),
             suspect: self.journal().steps_lost().is_some(),
+            clock_step: self.journal().clock_step().is_some(),
         }
     }
 }

@@ -33,6 +33,8 @@ pub struct Verification {
     /// Why the frames may not be what they claim to be although every byte is
     /// the one that was written.
     pub suspicion: Option<String>,
+    /// Why the session's times are not one clock's.
+    pub clock_step: Option<String>,
 }
 
 impl Verification {
@@ -58,6 +60,7 @@ pub fn verify(root: &Path) -> Result<Verification, SessionError> {
         strays: strays(root, &journal)?,
         torn_bytes: journal.torn_bytes,
         suspicion: journal.suspicion(),
+        clock_step: journal.clock_step(),
     };
     for file in journal.files() {
         match journalled::check(root, file) {
@@ -189,6 +192,8 @@ pub struct Summary {
     pub frames: usize,
     /// Whether the stage was found to have lost steps.
     pub suspect: bool,
+    /// Whether its times are not one clock's.
+    pub clock_step: bool,
 }
 
 fn as_text<S: Serializer>(path: &Path, out: S) -> Result<S::Ok, S::Error> {

@@ -514,11 +514,53 @@ fn who_answers_on_a_port_is_named() {
             "that is TinyG",
             "this firmware is not supported",
         ),
+        (
+            "Brownout detector was triggered",
+            "its supply voltage falls (\"Brownout",
+            "see to its power supply",
+        ),
+        (
+            "rst:0x10 (RTCWDT_RTC_RESET),boot:0x13",
+            "it restarts again and again (\"rst:0x10",
+            "is not that of this board",
+        ),
     ] {
         let simulator = saying(report);
         let (_folder, file) = rig_file(simulator.path());
         let output = run(&["stage", "status", "--rig", &file]);
         assert_fails(&output, 1, fact, hint);
+    }
+    // Those that answer whole lines alone.
+    for (answers, fact) in [
+        (
+            &["// Unknown command:\"????\"", "ok"][..],
+            "that is Klipper",
+        ),
+        (
+            &["Error: Bad command: ????", "ok"],
+            "that is RepRapFirmware",
+        ),
+        (&["ok"], "answered \"ok\": that is a 3D printer's firmware"),
+    ] {
+        let simulator = DialectSimulator::spawn(Dialect {
+            report: "",
+            banner: &[],
+            refusals: Vec::leak(vec![("", answers)]),
+            ..Dialect::GRBL
+        })
+        .unwrap();
+        let port = simulator.path().display().to_string();
+        let output = run(&["stage", "status", "--port", &port]);
+        assert_fails(&output, 1, fact, "this firmware is not supported");
+    }
+    for address in ["socket://127.0.0.1:23", "127.0.0.1:23"] {
+        let output = run(&["stage", "status", "--port", address]);
+        assert_fails(
+            &output,
+            1,
+            "is an address on a network",
+            "socat makes a port of it",
+        );
     }
     let refusals: &[(&str, &[&str])] = &[("/", &["error:2"])];
     let grbl = DialectSimulator::spawn(Dialect {

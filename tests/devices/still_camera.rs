@@ -395,20 +395,31 @@ impl Tethered {
             let real = Path::new("/usr/bin").join(program);
             std::os::unix::fs::symlink(real, bin.join(program)).unwrap();
         }
+        let tethered = Self(folder);
         if let Some(script) = gphoto2 {
-            let path = bin.join("gphoto2");
-            std::fs::write(&path, format!("#!/bin/sh\n{script}\n")).unwrap();
-            std::fs::set_permissions(&path, PermissionsExt::from_mode(0o755)).unwrap();
+            tethered.install("gphoto2", script);
         }
-        Self(folder)
+        tethered
+    }
+
+    fn install(&self, program: &str, script: &str) {
+        let path = self.0.path().join("bin").join(program);
+        std::fs::write(&path, format!("#!/bin/sh\n{script}\n")).unwrap();
+        std::fs::set_permissions(&path, PermissionsExt::from_mode(0o755)).unwrap();
     }
 
     /// stdout and stderr of `rig` with these arguments, the rig file's body at `port`.
     fn rig(&self, arguments: &str, port: &str) -> String {
+        let body = format!("serial = \"{SERIAL}\"\nbody = \"port = {port}\"");
+        self.rig_with(arguments, &body)
+    }
+
+    /// Likewise with these lines about the body in the rig file.
+    fn rig_with(&self, arguments: &str, body: &str) -> String {
         let text = include_str!("../outside/shared/program-camera.toml");
         let command = "driver = \"command\"\ncommand = \"./camera {output} {exposure_s}\"";
         assert!(text.contains(command));
-        let body = format!("driver = \"gphoto2\"\nserial = \"{SERIAL}\"\nbody = \"port = {port}\"");
+        let body = format!("driver = \"gphoto2\"\n{body}");
         let file = self.0.path().join("still.toml");
         std::fs::write(&file, text.replace(command, &body)).unwrap();
         let output = Command::new(env!("CARGO_BIN_EXE_rig"))
@@ -430,6 +441,8 @@ const LIBRAW: [&str; 2] = ["unprocessed_raw", "raw-identify"];
 #[test]
 fn missing_programs_and_a_camera_that_is_claimed_come_with_the_remedy() {
     let claimed = "echo \"*** Error (-53: 'Could not claim the USB device') ***\" >&2; exit 1";
+    let killed = Tethered::new(&LIBRAW, Some("kill -9 $$")).rig(GRAB, "usb:001,004");
+    assert!(killed.contains("gphoto2: signal 9 ended it"), "{killed}");
     for (tethered, fact, hint) in [
         (
             Tethered::new(&[], None),
@@ -461,6 +474,98 @@ fn another_body_than_the_rig_file_names_comes_with_the_remedy() {
     assert!(said.contains(&fact), "{said}");
     assert!(
         said.contains("connect the camera of that serial number"),
+        "{said}"
+    );
+}
+
+/// A body whose numbers are PTP's, the printed one and the one in its files, as a script; it
+/// adds notes of the loader to all that it says.
+fn body_of_numbers(numbers: [&str; 3]) -> Tethered {
+    let [ptp, printed, in_files] = numbers;
+    let gphoto2 = format!(
+        r#"PATH=/usr/bin:/bin
+echo "gphoto2: /opt/lib/libjpeg.so.8: no version information available" >&2
+text() {{ printf 'Label: x\nReadonly: 0\nType: TEXT\nCurrent: %s\nEND\n' "$1"; }}
+[ "$1" = --auto-detect ] && printf 'Model  Port\n-----\nBody  usb:001,004\n'
+while [ $# -gt 0 ]; do
+    case "$1 $2" in
+    --list-config*)
+        echo /main/status/serialnumber
+        [ "{printed}" ] && echo /main/status/eosserialnumber
+        echo /main/status/lensserialnumber
+        echo /main/capturesettings/shutterspeed ;;
+    "--get-config "*/eosserialnumber) text "{printed}" ;;
+    "--get-config "*/serialnumber) text "{ptp}" ;;
+    "--get-config "*/shutterspeed)
+        printf 'Label: x\nReadonly: 0\nType: RADIO\nCurrent: 1/50\nChoice: 0 1/50\nEND\n' ;;
+    "--filename "*) : > "${{2%.%C}}.cr2" ;;
+    esac
+    shift
+done"#
+    );
+    let tethered = Tethered::new(&[], Some(&gphoto2));
+    let frame = concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/tests/outside/programs/answers/frame.png"
+    );
+    let size = "echo 'Raw size: 6x4'; echo 'Image size: 6x4'; echo 'Margins: top=0, left=0'";
+    let unprocessed = format!("/bin/cp {frame} \"$2.tiff\"; {size}");
+    tethered.install("unprocessed_raw", &unprocessed);
+    let identify = format!("echo 'Body#: {in_files} Lens#: 7'; echo 'Shutter: 1/50.0'");
+    tethered.install("raw-identify", &identify);
+    tethered
+}
+
+#[test]
+fn all_numbers_of_a_body_are_its_own() {
+    const PTP: &str = "6e1c42d90fab4c3e8d27b5a1907f3c64";
+    let canon = [PTP, "12345678", "12345678"];
+    let fujifilm = ["5932363036160F2B4C20DA0C4B7C", "", "42001234"];
+    for (numbers, named, refused) in [
+        (canon, "12345678", None),
+        (canon, PTP, None),
+        (canon, "", None),
+        (
+            canon,
+            "12345679",
+            Some("is the camera \"12345678\", and \"12345679\" is wanted"),
+        ),
+        (
+            [PTP, "12345678", "87654321"],
+            "12345678",
+            Some("is the camera \"87654321\""),
+        ),
+        (["000000000000012345678", "", "12345678"], "12345678", None),
+        (["000000000000012345678", "", "12345678"], "", None),
+        (fujifilm, "42001234", None),
+        (fujifilm, fujifilm[0], None),
+        (["", "", ""], "", None),
+    ] {
+        let serial = match named {
+            "" => String::new(),
+            named => format!("serial = {named:?}\n"),
+        };
+        let body = format!("{serial}body = \"port = any\"");
+        let said = body_of_numbers(numbers).rig_with(GRAB, &body);
+        match refused {
+            None => assert!(said.contains("20.000 ms"), "{numbers:?} {named}: {said}"),
+            Some(fact) => assert!(said.contains(fact), "{numbers:?} {named}: {said}"),
+        }
+    }
+}
+
+#[test]
+fn a_file_of_another_body_is_noticed_without_any_number_before() {
+    let tethered = body_of_numbers(["", "", ""]);
+    let count = tethered.0.path().join("count");
+    let identify = format!(
+        "echo x >> {0}; echo Body#: 100$(/usr/bin/wc -l < {0}); echo 'Shutter: 1/50.0'",
+        count.display()
+    );
+    tethered.install("raw-identify", &identify);
+    let said = tethered.rig_with(GRAB, "body = \"port = any\"");
+    assert!(
+        said.contains("is the camera \"1003\", and \"1001\" is wanted"),
         "{said}"
     );
 }

@@ -140,6 +140,7 @@ fn each_fault_is_seen_and_passes() {
                 found: [160, 80],
                 ..
             } | FrameFault::Damaged
+                | FrameFault::LostPackets
         ),
         "{fault}"
     );
@@ -147,7 +148,10 @@ fn each_fault_is_seen_and_passes() {
     faults.change_format(1);
     let fault = fault_of(&mut camera);
     assert!(
-        matches!(fault, FrameFault::Undecodable(_) | FrameFault::Damaged),
+        matches!(
+            fault,
+            FrameFault::Undecodable(_) | FrameFault::Damaged | FrameFault::LostPackets
+        ),
         "{fault}"
     );
     good(&mut camera);

@@ -45,6 +45,10 @@ const ELSEWHERE: &[(&str, &str)] = &[
         "a USB bus that is full",
     ),
     (
+        "give the camera a network interface of its own",
+        "a GigE Vision camera whose packets are lost",
+    ),
+    (
         "check the cable, and that nothing else shares",
         "a camera whose driver marks frames",
     ),

@@ -10,6 +10,7 @@ use crate::device::ReferenceCheck;
 use crate::device::temperature::{Part, Warmth};
 use crate::interrupt::StopLevel;
 use crate::session::Event;
+use crate::session::journal::clock_fact;
 
 /// Bytes of a sidecar and of the journal's line, generously.
 const SIDECAR_BYTES: u64 = 4096;
@@ -95,6 +96,16 @@ impl Run<'_> {
             self.warn(last, text).await?;
         }
         Ok(())
+    }
+
+    /// Whether the computer's clock is still the one by which the session's times began.
+    pub(super) async fn check_wall_clock(&mut self, light: u32) -> Result<(), CaptureError> {
+        let Some(by_s) = self.wall_clock.step_s() else {
+            return Ok(());
+        };
+        self.disk.record(Event::ClockStep { by_s }).await?;
+        let text = format!("light {light}: {}", clock_fact(by_s));
+        self.warn(light, text).await
     }
 
     /// Whether a part is cool enough to continue; reported once where it nearly is not.

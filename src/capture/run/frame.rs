@@ -140,6 +140,7 @@ impl Run<'_> {
             }
             None => {
                 self.before_frame().await?;
+                self.check_wall_clock(shot.key.light).await?;
                 self.check_return(&shot, reference).await?;
                 let place = self.disk.place().await?;
                 let (frame, sidecar) = self.expose_again_if_lost(shot, reference).await?;

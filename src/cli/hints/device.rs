@@ -15,6 +15,13 @@ pub(super) fn for_device(error: &DeviceError) -> String {
         NotFound { .. } => {
             "check the path in the rig file or on the command line: nothing of that name is there (`rig devices` lists what is connected)"
         }
+        OnNetwork { device } => {
+            let address = device.split_once("://").map_or(&**device, |(_, rest)| rest);
+            let number = if address.contains(':') { "" } else { ":PORT" };
+            return format!(
+                "socat makes a port of it: `socat pty,raw,echo=0,link=$HOME/stage tcp:{address}{number}`, then port = that link's path; a cable is safer, because a network that fails leaves the lamp as it was"
+            );
+        }
         PermissionDenied { device } if device.starts_with("/dev/") => {
             "`rig devices` shows which users may open it: where that is a group, add yourself to it (`sudo usermod -aG dialout,video $USER`), then log in again"
         }
@@ -109,7 +116,11 @@ fn for_firmware_family(speaks: Speaker) -> &'static str {
         Speaker::Zaber => {
             "name it as what it is: driver = \"zaber\" in the rig file's [stage] table, or --driver zaber"
         }
-        Speaker::Marlin | Speaker::Smoothie | Speaker::TinyG => {
+        Speaker::Marlin
+        | Speaker::Klipper
+        | Speaker::RepRap
+        | Speaker::Smoothie
+        | Speaker::TinyG => {
             "this firmware is not supported: put GRBL 1.1, grblHAL or FluidNC on the board, or take another port (`rig devices`)"
         }
     }
@@ -146,6 +157,12 @@ fn for_firmware(fault: &FirmwareFault) -> &'static str {
         Asleep => "`rig stage home` resets it and wakes it",
         Configuration(_) => {
             "correct the controller's configuration file (FluidNC: `$SS` shows its messages at start-up), then restart it"
+        }
+        Undervoltage(_) => {
+            "see to its power supply: a USB hub without power of its own, a thin or long cable, a motor or lamp on the controller's own supply; then `rig stage status`"
+        }
+        Restarting(_) => {
+            "its firmware fails or is not that of this board: write GRBL 1.1, grblHAL or FluidNC for this board anew; `rig stage status` shows whether it answers"
         }
         Unsupported { .. } => {
             "take commands in the rig file that this firmware has, or build it with these: M7 of GRBL needs ENABLE_M7 in its config.h"
@@ -190,6 +207,9 @@ fn for_frame(fault: &FrameFault) -> &'static str {
         }
         FrameFault::Settings { .. } => {
             "pass {exposure_s} on to the camera in camera.command, its automatic exposure switched off; where it only rounds, camera.step_ms in the rig file must be its step, and shortest_ms and longest_ms its range"
+        }
+        FrameFault::LostPackets => {
+            "give the camera a network interface of its own, with an MTU of 9000 for jumbo frames (`sudo ip link set eth1 mtu 9000`), and enlarge the receive buffer (`sudo sysctl net.core.rmem_max=33554432`)"
         }
         FrameFault::Damaged | FrameFault::Late => {
             "check the cable, and that nothing else shares the camera's USB bus"

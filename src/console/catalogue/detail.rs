@@ -119,7 +119,9 @@ fn settings(record: &FitRecord) -> BTreeMap<&'static str, String> {
 
 /// What the journal says against a capture.
 fn warnings(session: &Session) -> Vec<String> {
-    let mut warnings: Vec<String> = session.journal().suspicion().into_iter().collect();
+    let journal = session.journal();
+    let known = journal.suspicion().into_iter().chain(journal.clock_step());
+    let mut warnings: Vec<String> = known.collect();
     if session.state() == SessionState::Interrupted {
         let events = session.journal().records.iter().rev();
         let mut reasons = events.filter_map(|record| match &record.event {

@@ -10,6 +10,8 @@ use crate::units::Seconds;
 
 /// Longest serial number, characters.
 const LONGEST_SERIAL: usize = 80;
+/// So much of an answer is quoted, characters.
+const QUOTED: usize = 60;
 /// Keys that begin so are the program's own.
 const OWN: &str = "_";
 
@@ -46,17 +48,22 @@ struct Written {
 }
 
 /// What `stdout` reports. The answer begins with the first line that begins with `{` and
-/// goes to the end; what stands before is for people. Without such a line nothing is
-/// reported. Keys that begin with `_` are not read.
+/// goes to the end; what stands before is for people. Where no line begins so, what stands
+/// between braces is the answer, because one that is not seen would leave settings unchecked;
+/// without any nothing is reported. Keys that begin with `_` are not read.
 ///
 /// # Errors
 /// An answer that is no object, has an unknown key, or a value outside its range.
 pub(super) fn parse(stdout: &str) -> Result<Stated, AnswerFault> {
-    let Some(text) = answer_in(stdout) else {
+    // What encodings leave behind: byte order marks, the zeros of UTF-16.
+    let stdout = stdout.replace(['\u{feff}', '\0'], "");
+    let Some(text) = answer_in(&stdout) else {
         return Ok(Stated::default());
     };
-    let written: Written =
-        serde_json::from_str(text).map_err(|error| AnswerFault::Malformed(error.to_string()))?;
+    let written: Written = serde_json::from_str(text).map_err(|error| {
+        let begin: String = text.trim().chars().take(QUOTED).collect();
+        AnswerFault::Malformed(format!("{error}, in {begin:?}"))
+    })?;
     if let Some(unknown) = written.others.keys().find(|key| !key.starts_with(OWN)) {
         return Err(AnswerFault::UnknownKey(unknown.clone()));
     }
@@ -81,7 +88,7 @@ pub(super) fn parse(stdout: &str) -> Result<Stated, AnswerFault> {
     })
 }
 
-/// From the first line that begins with `{`.
+/// From the first line that begins with `{`, or else from the first brace to the last.
 fn answer_in(stdout: &str) -> Option<&str> {
     let mut start = 0;
     for line in stdout.split_inclusive('\n') {
@@ -90,7 +97,15 @@ fn answer_in(stdout: &str) -> Option<&str> {
         }
         start += line.len();
     }
-    None
+    let from = stdout.find('{')?;
+    match stdout[from..].rfind('}') {
+        Some(length) => Some(&stdout[from..=from + length]),
+        // One that was cut.
+        None => stdout[from + 1..]
+            .trim_start()
+            .starts_with('"')
+            .then(|| &stdout[from..]),
+    }
 }
 
 fn within(key: &'static str, is: Option<f64>, [from, to]: [f64; 2]) -> Result<(), AnswerFault> {
@@ -120,6 +135,21 @@ mod tests {
             sensor_c: Some(-7.5),
         };
         assert_eq!(parse(whole), Ok(expected));
+        // However it is encoded, and wherever it stands.
+        for text in [
+            "\u{feff}{\"gain\":2}",
+            "\0{\"gain\":2}\r\n",
+            "{\0\"\0g\0a\0i\0n\0\"\0:\0\x32\0}\0",
+            "done {\"gain\":2}",
+            "done\r\nanswer: {\"gain\":\r\n2}\r\nbye\r\n",
+            "mode {fast}\n{\"gain\":2}\n",
+        ] {
+            assert_eq!(
+                parse(text).map(|stated| stated.gain),
+                Ok(Some(2.0)),
+                "{text:?}"
+            );
+        }
         for nothing in ["", "done\n", "saved 3 files [ok]", "{}", "{\"gain\": null}"] {
             assert_eq!(parse(nothing), Ok(Stated::default()), "{nothing:?}");
         }
@@ -133,6 +163,10 @@ mod tests {
             ("{\"exposure_s\": NaN}", "expected value"),
             ("{\"gain\": 1e999}", "number out of range"),
             ("{\"gain\": 1} {\"gain\": 1}", "trailing characters"),
+            ("{\"gain\": 1}\n{\"gain\": 1}\n", "trailing characters"),
+            ("got {\"gain\": 1} {\"gain\": 1}", "trailing characters"),
+            ("mode {fast}", "in \"{fast}\""),
+            ("got {\"gain\": 1", "EOF while parsing"),
             ("{\"gain\": 1, \"gain\": 2}", "duplicate field `gain`"),
             ("{\"exposure\": 0.02}", "unknown key \"exposure\""),
             (

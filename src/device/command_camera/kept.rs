@@ -3,21 +3,23 @@
 
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
-use std::os::unix::process::CommandExt;
+use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 use rustix::process::{Pid, Signal, kill_process_group};
 
 use super::program;
+use super::started::{MARK, end_marked};
 use super::workplace::Workplace;
 use crate::device::DeviceError;
 use crate::device::described::io_error;
+use crate::outside_text;
 
 /// Time between two looks whether the program has ended.
 const POLL: Duration = Duration::from_millis(5);
-/// So much of its output is read, from the start of stdout and the end of stderr, bytes.
-const READ_BYTES: u64 = 1 << 18;
+/// So much of its output is read, from the end of stdout and of stderr, bytes.
+const READ_BYTES: u64 = 1 << 22;
 
 /// How a program ended, and what it wrote.
 #[derive(Debug)]
@@ -45,6 +47,7 @@ impl Workplace {
         let mut output = self.scratch().map_err(io)?;
         let mut errors = self.scratch().map_err(io)?;
         let child = command
+            .env(MARK, self.path())
             .stdin(Stdio::null())
             .stdout(output.try_clone().map_err(io)?)
             .stderr(errors.try_clone().map_err(io)?)
@@ -70,13 +73,13 @@ impl Workplace {
             std::thread::sleep(POLL);
         };
         drop(running);
+        if status.is_none_or(|status| !status.success()) {
+            end_marked(self.path());
+        }
         Ok(Ended {
             status,
-            stdout: text_of(&mut output, 0).map_err(io)?,
-            stderr: {
-                let length = errors.seek(SeekFrom::End(0)).map_err(io)?;
-                text_of(&mut errors, length.saturating_sub(READ_BYTES)).map_err(io)?
-            },
+            stdout: text_of(&mut output).map_err(io)?,
+            stderr: text_of(&mut errors).map_err(io)?,
         })
     }
 }
@@ -93,9 +96,19 @@ impl Drop for Running<'_> {
     }
 }
 
-fn text_of(file: &mut File, from: u64) -> std::io::Result<String> {
-    file.seek(SeekFrom::Start(from))?;
+/// The end of what a file holds, as text of any encoding.
+fn text_of(file: &mut File) -> std::io::Result<String> {
+    let length = file.seek(SeekFrom::End(0))?;
+    file.seek(SeekFrom::Start(length.saturating_sub(READ_BYTES)))?;
     let mut bytes = Vec::new();
     file.take(READ_BYTES).read_to_end(&mut bytes)?;
-    Ok(String::from_utf8_lossy(&bytes).into_owned())
+    Ok(outside_text::decode_any(&bytes))
+}
+
+/// How a program ended.
+pub(in crate::device) fn how_it_ended(status: ExitStatus) -> String {
+    match status.code() {
+        Some(code) => format!("it ended with exit code {code}"),
+        None => format!("signal {} ended it", status.signal().unwrap_or_default()),
+    }
 }

@@ -5,10 +5,10 @@
 mod answer;
 mod kept;
 pub mod program;
+mod started;
 mod workplace;
 
 use std::ffi::OsStr;
-use std::os::unix::process::ExitStatusExt;
 use std::path::Path;
 use std::process::Command;
 use std::sync::Arc;
@@ -18,7 +18,7 @@ use super::retake::FrameFault;
 use super::{CameraInfo, DeviceError};
 
 pub use self::answer::AnswerFault;
-pub(super) use self::kept::Ended;
+pub(super) use self::kept::{Ended, how_it_ended};
 pub(super) use self::workplace::Workplace;
 pub use self::workplace::keep;
 
@@ -135,12 +135,9 @@ impl FrameSource for CameraProgram {
             Some(status) if !status.success() => Err(match status.code() {
                 Some(code) => match program::fault_at_end(&device, code, &stderr) {
                     Some(fault) => unrunnable(fault),
-                    None => refused(format!("it ended with exit code {code}")),
+                    None => refused(how_it_ended(status)),
                 },
-                None => refused(format!(
-                    "signal {} ended it",
-                    status.signal().unwrap_or_default()
-                )),
+                None => refused(how_it_ended(status)),
             }),
             Some(_) if !output.exists() => Err(refused("it wrote no file".to_owned())),
             Some(_) => {
@@ -327,14 +324,24 @@ mod tests {
     #[test]
     fn a_program_that_hangs_is_ended_with_all_it_started() {
         let folder = tempfile::tempdir().unwrap();
-        let script = "echo waiting >&2; sleep 600 & echo $! > $4/pid; wait";
-        let mut camera = camera(folder.path(), script, 1.0);
-        let began = Instant::now();
-        let error = camera.grab(KEY).unwrap_err();
-        assert!(matches!(error, DeviceError::NoReply { .. }), "{error}");
-        assert!(error.to_string().contains("waiting"), "{error}");
-        assert!(began.elapsed() < Duration::from_secs(60));
-        let pid = std::fs::read_to_string(folder.path().join("pid")).unwrap();
+        // One in its process group, and one that has left it and its parent.
+        for start in [
+            "sleep 600 & echo $! > $4/pid",
+            "(setsid sh -c 'echo $$ > '$4'/pid; exec sleep 600' &)",
+        ] {
+            let script = format!("echo waiting >&2; {start}; sleep 600");
+            let mut camera = camera(folder.path(), &script, 1.0);
+            let began = Instant::now();
+            let error = camera.grab(KEY).unwrap_err();
+            assert!(matches!(error, DeviceError::NoReply { .. }), "{error}");
+            assert!(error.to_string().contains("waiting"), "{error}");
+            assert!(began.elapsed() < Duration::from_secs(60));
+            assert_dies(&folder.path().join("pid"));
+        }
+    }
+
+    fn assert_dies(file: &Path) {
+        let pid = std::fs::read_to_string(file).unwrap();
         let state = format!("/proc/{}/stat", pid.trim());
         // Whoever inherits the dead process may take a moment to bury it.
         let is_dead = || std::fs::read_to_string(&state).map_or(true, |text| text.contains(") Z "));

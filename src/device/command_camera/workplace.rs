@@ -13,6 +13,7 @@ use std::time::{Duration, Instant};
 use rustix::process::{Pid, Signal, kill_process_group};
 use tempfile::TempDir;
 
+use super::started::end_marked;
 use crate::device::DeviceError;
 
 /// A keeper that takes longer to end is left alone.
@@ -59,6 +60,11 @@ impl Workplace {
         TempDir::new_in(self.folder.path()).map_err(temporary)
     }
 
+    /// The folder.
+    pub(super) fn path(&self) -> &Path {
+        self.folder.path()
+    }
+
     /// A file that nobody else sees.
     pub(in crate::device) fn scratch(&self) -> std::io::Result<File> {
         tempfile::tempfile_in(self.folder.path())
@@ -79,6 +85,7 @@ impl Workplace {
 
 impl Drop for Workplace {
     fn drop(&mut self) {
+        end_marked(self.folder.path());
         if let Some(keeper) = &mut self.keeper {
             let keeper = keeper.get_mut().unwrap_or_else(PoisonError::into_inner);
             drop(keeper.stdin.take());
@@ -99,7 +106,7 @@ fn temporary(source: std::io::Error) -> DeviceError {
 }
 
 /// The keeper: is told which program runs, until the other end is closed; then ends
-/// that program with all it has started, and removes the folder.
+/// that program with all that any program of the folder has started, and removes the folder.
 pub fn keep(pipe: impl BufRead, folder: &Path) -> std::io::Result<()> {
     let mut running = None;
     for line in pipe.lines().map_while(Result::ok) {
@@ -109,6 +116,7 @@ pub fn keep(pipe: impl BufRead, folder: &Path) -> std::io::Result<()> {
         // Fails where all have ended already.
         let _ = kill_process_group(program, Signal::KILL);
     }
+    end_marked(folder);
     remove(folder)
 }
 

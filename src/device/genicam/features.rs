@@ -26,6 +26,11 @@ impl Features {
         implemented.unwrap_or(false)
     }
 
+    /// Whether it is a GigE Vision camera.
+    pub fn is_on_network(&self) -> bool {
+        self.device.is::<GvDevice>()
+    }
+
     /// An error that the camera or its link gives to `command`.
     pub fn refused(&self, command: &str, reason: impl ToString) -> DeviceError {
         DeviceError::Refused {

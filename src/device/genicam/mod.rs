@@ -126,7 +126,8 @@ impl GenicamCamera {
         self.is_disturbed = true;
         let timeout = Seconds(settings.exposure.0 + self.timeout.0);
         let deadline = Instant::now() + timeout.to_duration();
-        let taken = link.take(deadline, |buffer| self.read(buffer))?;
+        let is_on_network = link.features.is_on_network();
+        let taken = link.take(deadline, |buffer| self.read(buffer, is_on_network))?;
         if let Some(frame) = taken {
             self.is_disturbed = false;
             return Ok(frame);
@@ -143,9 +144,14 @@ impl GenicamCamera {
     }
 
     /// What a buffer holds, if that is the frame that was requested.
-    fn read(&mut self, buffer: &Buffer) -> Result<RawFrame, DeviceError> {
-        if buffer.status() != BufferStatus::Success {
-            return Err(self.bad_frame(FrameFault::Damaged));
+    fn read(&mut self, buffer: &Buffer, is_on_network: bool) -> Result<RawFrame, DeviceError> {
+        match buffer.status() {
+            BufferStatus::Success => {}
+            // Aravis gives a frame up whose packets did not come, or not in time.
+            BufferStatus::MissingPackets | BufferStatus::Timeout if is_on_network => {
+                return Err(self.bad_frame(FrameFault::LostPackets));
+            }
+            _ => return Err(self.bad_frame(FrameFault::Damaged)),
         }
         // Which frame. Numbers run on without gaps, from 65 535 to 1 on old links.
         let (number, start_ns) = (buffer.frame_id(), buffer.timestamp());

@@ -6,9 +6,10 @@ use std::time::Duration;
 use super::body_choice::{BodyChoice, Times};
 use super::finding::find;
 use super::program::{Gphoto, SETTINGS_TIME};
+use super::serial::Serials;
 use super::speeds::{self, Speed};
 use crate::device::command_camera::Workplace;
-use crate::device::{Camera, CameraInfo, CameraSettings, DeviceError, FrameKey, RawFrame};
+use crate::device::{Camera, CameraInfo, CameraSettings, DeviceError, FrameKey, RawFrame, Stated};
 use crate::units::Seconds;
 
 /// How long a body that went away is waited for during a capture.
@@ -28,6 +29,7 @@ pub struct StillCamera {
     /// Exposures that raw files state, by the label of the speed.
     pub(super) known: BTreeMap<String, Seconds>,
     pub(super) set: Option<Set>,
+    pub(super) serials: Serials,
 }
 
 /// What was set last.
@@ -103,11 +105,35 @@ impl Camera for StillCamera {
         RETURNS_WITHIN
     }
 
+    /// Where neither body nor rig file has a serial number, the files' stands for them.
+    fn stated_with_frame(&self) -> Stated {
+        let serial = self.serials.of_files.clone();
+        Stated {
+            serial: serial.filter(|_| self.info.serial.is_empty()),
+            ..Stated::default()
+        }
+    }
+
     fn reconnect(&mut self) -> Result<(), DeviceError> {
-        let found = find(&self.choice, &self.info.serial, &self.workplace)?;
-        // Its port is the same where the rig file names one; it must also answer.
-        found.names(&self.workplace)?;
-        self.gphoto = found;
+        let mut wanted = self.serials.of_body.clone();
+        if !self.info.serial.is_empty() {
+            wanted.insert(0, self.info.serial.clone());
+        }
+        let found = find(&self.choice, &wanted, &self.workplace)?;
+        // One that reports no number is known by its files.
+        if let (false, Some(is)) = (found.is_proven, found.serials.first()) {
+            return Err(match &self.choice.port {
+                Some(port) => DeviceError::OtherCamera {
+                    device: port.clone(),
+                    is: is.clone(),
+                    wanted: wanted.swap_remove(0),
+                },
+                None => DeviceError::Disconnected {
+                    device: format!("the still camera {}", wanted[0]),
+                },
+            });
+        }
+        self.gphoto = found.gphoto;
         if let Some(set) = self.set.take() {
             self.configure(set.applied)?;
         }

@@ -41,7 +41,7 @@ impl StillCamera {
     }
 
     /// A frame and what its file states.
-    fn take(&self, exposure: Seconds) -> Result<(Stated, RawFrame), DeviceError> {
+    pub(super) fn take(&self, exposure: Seconds) -> Result<(Stated, RawFrame), DeviceError> {
         let time = Seconds(exposure.0 + self.timeout.0).to_duration();
         let deadline = Instant::now() + time;
         let place = self.workplace.place()?;
@@ -59,7 +59,7 @@ impl StillCamera {
     /// A frame whose file states what was set. Where it does not, the settings are sent once
     /// more, because a body can have missed them.
     pub(super) fn take_as_set(
-        &self,
+        &mut self,
         speed: &Speed,
         iso: Option<&(f64, String)>,
     ) -> Result<(Seconds, RawFrame), DeviceError> {
@@ -74,7 +74,7 @@ impl StillCamera {
     }
 
     fn check(
-        &self,
+        &mut self,
         speed: &Speed,
         iso: Option<&(f64, String)>,
         stated: &Stated,
@@ -97,16 +97,11 @@ impl StillCamera {
         {
             return differs("sensitivity", format!("ISO {is}"), format!("ISO {label}"));
         }
-        if !stated.serial.is_empty()
-            && !self.info.serial.is_empty()
-            && stated.serial != self.info.serial
-        {
-            return Err(DeviceError::OtherCamera {
-                device: self.gphoto.port.clone(),
-                is: stated.serial.clone(),
-                wanted: self.info.serial.clone(),
-            });
-        }
-        Ok(())
+        let noted = self.serials.note_file(&stated.serial);
+        noted.map_err(|wanted| DeviceError::OtherCamera {
+            device: self.gphoto.port.clone(),
+            is: stated.serial.clone(),
+            wanted,
+        })
     }
 }

@@ -12,6 +12,7 @@ mod opening;
 mod output;
 mod program;
 mod raw_file;
+mod serial;
 mod speeds;
 
 use self::body_choice::BodyChoice;

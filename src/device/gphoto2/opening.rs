@@ -5,7 +5,8 @@ use std::ffi::OsStr;
 
 use super::body_choice::BodyChoice;
 use super::camera::StillCamera;
-use super::finding::{find, must_be, programs_are_there};
+use super::finding::{Body, find, must_be, programs_are_there};
+use super::serial::{self, Serials};
 use super::speeds;
 use crate::device::command_camera::Workplace;
 use crate::device::described::Description;
@@ -21,26 +22,30 @@ impl StillCamera {
         programs_are_there()?;
         let choice = BodyChoice::parse(&text.to_string_lossy()).unwrap_or_default();
         let workplace = Workplace::new(description.keeper)?;
-        let wanted_serial = description.info.serial.clone();
-        let gphoto = find(&choice, &wanted_serial, &workplace)?;
-        // Model and serial number.
-        let names = gphoto.names(&workplace)?;
+        let of_rig_file = description.info.serial.clone();
+        let wanted: Vec<String> = (!of_rig_file.is_empty())
+            .then(|| of_rig_file.clone())
+            .into_iter()
+            .collect();
+        let Body {
+            gphoto,
+            names,
+            serials,
+            is_proven,
+        } = find(&choice, &wanted, &workplace)?;
+        // Model and serial number; by the rig file's, records are the body's.
         let named = |name: &str| {
             let is_it = |path: &&String| path.rsplit('/').next() == Some(name);
             names.iter().find(is_it).map(String::as_str)
         };
-        let of_body = |name| -> Result<String, DeviceError> {
-            let Some(path) = named(name) else {
-                return Ok(String::new());
-            };
-            let settings = gphoto.get(&workplace, &[path])?;
-            Ok(settings
-                .into_iter()
-                .next()
-                .map_or(String::new(), |setting| setting.current))
+        let model = match named("cameramodel") {
+            Some(path) => gphoto.get(&workplace, &[path])?.swap_remove(0).current,
+            None => String::new(),
         };
-        let model = of_body("cameramodel")?;
-        let serial = of_body("serialnumber")?;
+        let serial = match of_rig_file.is_empty() {
+            true => serials.first().cloned().unwrap_or_default(),
+            false => of_rig_file,
+        };
         // Settings of the rig file. A file stays in the body's memory only until it was fetched.
         let mut wanted = choice.settings.clone();
         if let Some(path) = named("capturetarget") {
@@ -99,7 +104,7 @@ impl StillCamera {
             exposure_range: range,
             ..description.info
         };
-        Ok(Self {
+        let mut camera = Self {
             speed_name: speed_name.to_owned(),
             choice,
             gphoto,
@@ -110,6 +115,44 @@ impl StillCamera {
             isos,
             known: BTreeMap::new(),
             set: None,
-        })
+            serials: Serials {
+                of_body: serials,
+                of_files: None,
+            },
+        };
+        if !is_proven {
+            camera.prove_by_file()?;
+        }
+        Ok(camera)
+    }
+
+    /// The rig file's serial number is none of those that the body reports: the one in its
+    /// files can be it, which a frame shows.
+    fn prove_by_file(&mut self) -> Result<(), DeviceError> {
+        let wanted = self.info.serial.clone();
+        let other = |is: String| DeviceError::OtherCamera {
+            device: self.gphoto.port.clone(),
+            is,
+            wanted: wanted.clone(),
+        };
+        let reported = self.serials.of_body.first().cloned().unwrap_or_default();
+        let stated = self.speeds.first().map(|speed| {
+            self.send(speed, self.isos.first())?;
+            self.take(speed.nominal)
+        });
+        let stated = match stated {
+            Some(Ok((stated, _))) => stated,
+            Some(Err(error)) if reported.is_empty() => return Err(error),
+            _ => return Err(other(reported)),
+        };
+        if !serial::is_same(&stated.serial, &wanted) {
+            let is = match reported.is_empty() {
+                true => stated.serial,
+                false => reported,
+            };
+            return Err(other(is));
+        }
+        self.serials.of_files = Some(stated.serial);
+        Ok(())
     }
 }

@@ -26,6 +26,13 @@ pub(super) fn is_busy(complaint: &str) -> bool {
         .any(|words| complaint.contains(words))
 }
 
+/// Whether gphoto2 reports an error on stderr: other lines are notes of the loader, of
+/// libraries and of itself.
+pub(super) fn has_error(stderr: &str) -> bool {
+    let mut lines = stderr.lines();
+    lines.any(|line| line.trim_start().starts_with("*** Error"))
+}
+
 /// What gphoto2 wrote to stderr, without the advice on debugging that it appends.
 pub(super) fn complaint(stderr: &str) -> String {
     let text = stderr
@@ -102,6 +109,23 @@ mod tests {
         assert_eq!(settings[0].choices, ["bulb", "1/60"]);
         assert_eq!(settings[0].current, "1/60");
         assert!(settings[1].is_read_only && settings[1].current == "42 A");
+    }
+
+    #[test]
+    fn notes_are_no_errors() {
+        for (stderr, expected) in [
+            ("", false),
+            (
+                "gphoto2: libjpeg.so.8: no version information available\n",
+                false,
+            ),
+            ("Error loading a library, which is not needed\n", false),
+            ("\n*** Error ***\nAn error occurred\n", true),
+            ("a note\n*** Error (-1: 'Unspecified error') ***\n", true),
+            ("*** Error: No camera found. ***\n", true),
+        ] {
+            assert_eq!(has_error(stderr), expected, "{stderr}");
+        }
     }
 
     proptest! {

@@ -1,11 +1,13 @@
 //! The program `gphoto2`: how it is run, and what its failures mean.
 
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Command, ExitStatus};
 use std::time::{Duration, Instant};
 
-use super::output::{Setting, complaint, is_busy, one_line, parse_detected, parse_settings};
-use crate::device::command_camera::Workplace;
+use super::output::{
+    Setting, complaint, has_error, is_busy, one_line, parse_detected, parse_settings,
+};
+use crate::device::command_camera::{Workplace, how_it_ended};
 use crate::device::{DeviceError, ProgramFault};
 use crate::units::Seconds;
 
@@ -31,7 +33,14 @@ pub(super) fn detect(workplace: &Workplace) -> Result<Vec<(String, String)>, Dev
     let mut command = Command::new(GPHOTO2);
     command.env("LC_ALL", "C").arg("--auto-detect");
     let ended = workplace.run(command, Instant::now() + SETTINGS_TIME)?;
-    Ok(parse_detected(&ended.stdout))
+    let usb = Gphoto {
+        port: "USB".to_owned(),
+    };
+    match ended.status {
+        Some(status) if status.success() => Ok(parse_detected(&ended.stdout)),
+        Some(status) => Err(usb.error(&["--auto-detect"], &complaint(&ended.stderr), status)),
+        None => Err(usb.no_reply(&["--auto-detect"], SETTINGS_TIME)),
+    }
 }
 
 impl Gphoto {
@@ -139,14 +148,10 @@ impl Gphoto {
             let ended = workplace.run(command, deadline)?;
             let complaint = complaint(&ended.stderr);
             let Some(status) = ended.status else {
-                return Err(DeviceError::NoReply {
-                    device: self.port.clone(),
-                    timeout: Seconds(time.as_secs_f64()),
-                    sent: arguments.join(" "),
-                });
+                return Err(self.no_reply(arguments, time));
             };
             // Some failures end with code 0.
-            if status.success() && complaint.is_empty() {
+            if status.success() && !has_error(&ended.stderr) {
                 return Ok(ended.stdout);
             }
             tries += 1;
@@ -154,12 +159,20 @@ impl Gphoto {
                 std::thread::sleep(BUSY_PAUSE);
                 continue;
             }
-            return Err(self.error(arguments, &complaint, status.code()));
+            return Err(self.error(arguments, &complaint, status));
+        }
+    }
+
+    fn no_reply(&self, arguments: &[&str], time: Duration) -> DeviceError {
+        DeviceError::NoReply {
+            device: self.port.clone(),
+            timeout: Seconds(time.as_secs_f64()),
+            sent: arguments.join(" "),
         }
     }
 
     /// What a complaint of gphoto2 means.
-    fn error(&self, arguments: &[&str], complaint: &str, code: Option<i32>) -> DeviceError {
+    fn error(&self, arguments: &[&str], complaint: &str, status: ExitStatus) -> DeviceError {
         let device = self.port.clone();
         let has = |words: &[&str]| words.iter().any(|word| complaint.contains(word));
         if has(&["Could not claim", "-53:"]) {
@@ -188,9 +201,10 @@ impl Gphoto {
         DeviceError::Refused {
             device,
             command: arguments.join(" "),
-            reason: match complaint {
-                "" => format!("gphoto2 ended with code {}", code.unwrap_or_default()),
-                complaint => complaint.to_owned(),
+            reason: match (complaint, status.code()) {
+                ("", _) => format!("gphoto2: {}", how_it_ended(status)),
+                (complaint, None) => format!("{}, and wrote: {complaint}", how_it_ended(status)),
+                (complaint, Some(_)) => complaint.to_owned(),
             },
         }
     }
@@ -198,6 +212,8 @@ impl Gphoto {
 
 #[cfg(test)]
 mod tests {
+    use std::os::unix::process::ExitStatusExt;
+
     use super::*;
 
     #[test]
@@ -205,7 +221,11 @@ mod tests {
         let gphoto = Gphoto {
             port: "usb:001,004".to_owned(),
         };
-        let error = |text: &str| gphoto.error(&["--list-config"], &complaint(text), Some(1));
+        let ended = |text: &str, status: i32| {
+            let status = ExitStatus::from_raw(status);
+            gphoto.error(&["--list-config"], &complaint(text), status)
+        };
+        let error = |text: &str| ended(text, 1 << 8);
         let claimed = "\n*** Error ***\nAn error occurred in the io-library ('Could not claim the USB device'): Could not claim interface 0 (Device or resource busy).\n*** Error (-53: 'Could not claim the USB device') ***\n\nFor debugging messages, please use";
         assert!(matches!(error(claimed), DeviceError::Claimed { .. }));
         let gone = "*** Error: No camera found. ***\n\n";
@@ -217,6 +237,14 @@ mod tests {
                 assert!(reason.contains("not found"), "{reason}")
             }
             other => panic!("{other}"),
+        }
+        for (text, status, reason) in [
+            ("", 3 << 8, "gphoto2: it ended with exit code 3"),
+            ("", 9, "gphoto2: signal 9 ended it"),
+            ("a note", 11, "signal 11 ended it, and wrote: a note"),
+        ] {
+            let error = ended(text, status).to_string();
+            assert!(error.ends_with(reason), "{error}");
         }
         assert!(is_busy("PTP Device Busy") && !is_busy(&complaint(claimed)));
     }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Instant;
 
-use crate::device::command_camera::{Ended, Workplace};
+use crate::device::command_camera::{Ended, Workplace, how_it_ended};
 use crate::device::retake::FrameFault;
 use crate::device::{DeviceError, RawFrame, image_file};
 use crate::units::Seconds;
@@ -44,10 +44,11 @@ impl RawReader<'_> {
         match ended.status {
             None => Err(self.bad(format!("{program} did not end in time"))),
             Some(status) if !status.success() => {
-                Err(self.bad(format!("{program} cannot read it ({status}): {complaint}")))
+                let how = how_it_ended(status);
+                Err(self.bad(format!("{program} cannot read it ({how}): {complaint}")))
             }
             // Some failures end with code 0.
-            Some(_) if complaint.starts_with("Cannot ") => {
+            Some(_) if complaint.lines().any(|line| line.starts_with("Cannot ")) => {
                 Err(self.bad(format!("{program}: {complaint}")))
             }
             Some(_) => Ok(ended),
@@ -160,8 +161,11 @@ fn parse_stated(text: &str) -> Option<Stated> {
         None => shutter.parse().ok()?,
     };
     let number = |key| value(text, key)?.split(' ').next()?.parse::<f64>().ok();
+    // Other numbers may follow on its line.
     let serial = value(text, "Body#:").unwrap_or_default();
-    let serial = serial.split(" DNG Version").next().unwrap_or_default();
+    let others = [" DNG Version", " BodyAssy#:", " Lens#:", " LensAssy#:"];
+    let ends = others.iter().filter_map(|other| serial.find(other));
+    let serial = &serial[..ends.min().unwrap_or(serial.len())];
     Some(Stated {
         exposure: Seconds(positive(seconds)?),
         iso: number("ISO speed:").and_then(positive),
@@ -183,6 +187,8 @@ mod tests {
         assert!((stated.exposure.0 - 1.0 / 60.0).abs() < 1e-12);
         assert_eq!((stated.iso, stated.black_dn), (Some(100.0), Some(64.0)));
         assert_eq!(stated.serial, "S0001");
+        let many = parse_stated("Body#: 42 A BodyAssy#: 7 Lens#: 9\nShutter: 1/60.0\n");
+        assert_eq!(many.unwrap().serial, "42 A");
         let long = parse_stated("Shutter: 2.0 sec\n").unwrap();
         assert_eq!(long.exposure, Seconds(2.0));
         assert_eq!((long.iso, long.serial.as_str()), (None, ""));

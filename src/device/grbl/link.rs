@@ -44,6 +44,8 @@ pub struct Known {
     pub speed: Option<f64>,
     /// What the machine is doing by the last report since the last restart.
     pub state: Option<MachineState>,
+    /// A message that the supply voltage fell, until the firmware has started.
+    pub undervoltage: Option<String>,
     /// A restart that is wanted, so that its banner is reported as what caused it.
     pub restart_cause: Option<String>,
 }
@@ -68,6 +70,7 @@ impl SharedLine<Known> {
             accessories: None,
             speed: None,
             state: None,
+            undervoltage: None,
             restart_cause: None,
         };
         Self::with(path, baud, Speaker::Grbl, known)
@@ -143,13 +146,21 @@ impl SharedLine<Known> {
     pub fn no_reply(&self, sent: &[u8], timeout: Duration) -> DeviceError {
         let sent = printable(sent);
         self.distrust(&format!("{sent:?} was not answered"));
-        self.line().no_reply(&sent, timeout)
+        let silent = self.line().no_reply(&sent, timeout);
+        self.undervoltage().unwrap_or(silent)
     }
 
     /// The error for an answer that the protocol does not allow.
     pub fn garbled(&self, answer: &str, expected: &str) -> DeviceError {
         self.distrust("an answer was garbled");
-        self.line().garbled(answer, expected)
+        let garbled = self.line().garbled(answer, expected);
+        self.undervoltage().unwrap_or(garbled)
+    }
+
+    /// The error for a controller whose supply voltage fell, if it says so.
+    pub fn undervoltage(&self) -> Option<DeviceError> {
+        let said = self.known().undervoltage.clone();
+        said.map(|said| self.firmware(FirmwareFault::Undervoltage(said)))
     }
 
     /// The error for a firmware that is not as it must be.
@@ -176,8 +187,11 @@ impl Known {
                 self.dialect = *dialect;
                 self.restarts += 1;
                 let cause = self.restart_cause.clone();
-                let cause = cause.unwrap_or_else(|| "the firmware restarted by itself".to_owned());
-                self.unhomed_since = Some(cause);
+                let by_itself = match self.undervoltage.take() {
+                    Some(_) => "its supply voltage fell and it restarted",
+                    None => "the firmware restarted by itself",
+                };
+                self.unhomed_since = Some(cause.unwrap_or_else(|| by_itself.to_owned()));
                 self.needs_reset = false;
                 self.accessories = None;
                 self.state = None;
@@ -199,6 +213,9 @@ impl Known {
                 self.state = text[1..].split(',').next().and_then(machine_state);
             }
             Reply::Info { key, text } if key == "VER" => self.dialect = Dialect::of(text),
+            Reply::Unknown(text) if is_undervoltage(text) => {
+                self.undervoltage = Some(text.clone());
+            }
             _ => {}
         }
         reply
@@ -226,4 +243,11 @@ impl Known {
                 .get_or_insert_with(|| "the firmware locked itself".to_owned());
         }
     }
+}
+
+/// Whether a processor reports that it restarts because its supply voltage fell, as those of
+/// Espressif do: `Brownout detector was triggered`, `rst:0xf (RTCWDT_BROWN_OUT_RESET)`.
+fn is_undervoltage(text: &str) -> bool {
+    let text = text.to_ascii_lowercase().replace(['_', '-', ' '], "");
+    text.contains("brownout")
 }

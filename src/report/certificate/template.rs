@@ -104,6 +104,8 @@ fn facts(result: &StatedResult) -> Vec<(String, String)> {
         ),
     };
     let fact = |name: &str, text: String| (name.to_owned(), text);
+    let clock = result.session.journal().clock_step();
+    let clock = clock.map_or(String::new(), |step| format!("; {step}"));
     let ended = result.session.journal().records.iter().rev();
     let mut ended = ended.filter(|record| matches!(record.event, Event::Stop));
     vec![
@@ -136,8 +138,8 @@ fn facts(result: &StatedResult) -> Vec<(String, String)> {
         fact(
             "Measured",
             match ended.next() {
-                Some(end) => format!("{} to {}, {} frames", session.created_utc, end.utc, frames.len()),
-                None => format!("{}, {} frames", session.created_utc, frames.len()),
+                Some(end) => format!("{} to {}, {} frames{clock}", session.created_utc, end.utc, frames.len()),
+                None => format!("{}, {} frames{clock}", session.created_utc, frames.len()),
             },
         ),
         fact(

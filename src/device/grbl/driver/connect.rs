@@ -6,23 +6,64 @@ use std::time::{Duration, Instant};
 use super::GrblStage;
 use crate::device::grbl::link::{RESET, STATUS};
 use crate::device::grbl::protocol::{Reply, is_old};
-use crate::device::{DeviceError, FirmwareFault};
+use crate::device::{DeviceError, FirmwareFault, Speaker};
 
 /// How long a version before 1.1 may take to say which it is.
 const VERSION_PATIENCE: Duration = Duration::from_secs(1);
 
+/// So many restarts in a row are no start.
+const RESTARTS: usize = 3;
+
+/// What came instead of a status report.
+#[derive(Default)]
+struct Heard {
+    /// The last line.
+    last: Option<String>,
+    /// The first line that tells who speaks.
+    other: Option<String>,
+    /// The processor's reports of restarts.
+    restarts: Vec<String>,
+    /// A line was accepted.
+    is_accepted: bool,
+}
+
+impl Heard {
+    fn note(&mut self, text: String) {
+        // As the boot loaders of ESP32 and ESP8266 have it.
+        if ["rst:0x", "rst cause:"]
+            .iter()
+            .any(|start| text.contains(start))
+        {
+            self.restarts.push(text.clone());
+        }
+        if Speaker::of(&text).is_some_and(|speaker| speaker != Speaker::Grbl) {
+            self.other.get_or_insert_with(|| text.clone());
+        }
+        self.last = Some(text);
+    }
+
+    fn is_nothing(&self) -> bool {
+        self.last.is_none() && !self.is_accepted
+    }
+}
+
 impl GrblStage {
     /// Asks until the firmware speaks. If it stays silent for half of the time it
-    /// may be locked up by a limit switch, which only a reset ends.
+    /// may be locked up by a limit switch, which only a reset ends. Controllers of other
+    /// kinds answer whole lines alone, so that an empty one is tried last.
     pub(super) fn wait_until_alive(&self) -> Result<(), DeviceError> {
         let timeout = self.config.connect_timeout.to_duration();
         let start = Instant::now();
-        let mut last_words = None;
-        let mut was_reset = false;
-        while start.elapsed() < timeout {
+        let mut heard = Heard::default();
+        let (mut was_reset, mut was_tried) = (false, false);
+        while start.elapsed() < timeout && !(was_tried && heard.other.is_some()) {
             if !was_reset && start.elapsed() > timeout / 2 {
                 was_reset = true;
                 self.link.send(&[RESET])?;
+            }
+            if !was_tried && start.elapsed() > timeout * 3 / 4 && heard.is_nothing() {
+                was_tried = true;
+                self.link.send(b"\n")?;
             }
             self.link.send(&[STATUS])?;
             let next = Instant::now() + (timeout / 10).min(Duration::from_millis(250));
@@ -34,18 +75,40 @@ impl GrblStage {
                     Reply::OldStatus(_) => return Err(self.old_by_status()),
                     Reply::Status(_) | Reply::Banner { .. } => {
                         self.link.drain()?;
-                        self.link.known().unhomed_since = Some("it was connected".to_owned());
+                        let mut known = self.link.known();
+                        known.unhomed_since = Some("it was connected".to_owned());
+                        known.undervoltage = None;
                         return Ok(());
                     }
-                    Reply::Unknown(text) => last_words = Some(text),
+                    Reply::Unknown(text) => heard.note(text),
+                    Reply::Ok => heard.is_accepted = true,
                     _ => {}
                 }
             }
         }
-        Err(match last_words {
-            Some(text) => self.link.garbled(&text, "a GRBL status report"),
+        Err(self.no_grbl(heard, timeout))
+    }
+
+    /// What is on the port instead.
+    fn no_grbl(&self, mut heard: Heard, timeout: Duration) -> DeviceError {
+        let expected = "a GRBL status report";
+        if heard.restarts.len() >= RESTARTS
+            && let Some(last) = heard.restarts.pop()
+        {
+            let restarting = self.link.firmware(FirmwareFault::Restarting(last));
+            return self.link.undervoltage().unwrap_or(restarting);
+        }
+        match heard.other.or(heard.last) {
+            Some(text) => self.link.garbled(&text, expected),
+            // Whatever it accepts, it gives no reports.
+            None if heard.is_accepted => DeviceError::OtherProtocol {
+                device: self.link.line().device().to_owned(),
+                answer: "ok".to_owned(),
+                speaks: Speaker::Marlin,
+                expected: expected.to_owned(),
+            },
             None => self.link.no_reply(&[STATUS], timeout),
-        })
+        }
     }
 
     fn old(&self, version: &str) -> DeviceError {
