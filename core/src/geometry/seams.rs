@@ -54,7 +54,7 @@ pub fn close(positions: &mut [Vec3], triangles: &[[u32; 3]]) -> Option<OpenSeam>
 
     // The nearest earlier vertex of each, by cells of that width.
     let mut groups = Groups::new(positions.len());
-    let mut cells: HashMap<[i32; 3], Vec<(u32, f32)>> = HashMap::new();
+    let mut cells: HashMap<[i64; 3], Vec<(u32, f32)>> = HashMap::new();
     let mut seam = OpenSeam {
         vertices: 0,
         apart: 0.0,
@@ -62,8 +62,10 @@ pub fn close(positions: &mut [Vec3], triangles: &[[u32; 3]]) -> Option<OpenSeam>
     let mut joined = false;
     for (vertex, reach) in open {
         let at = positions[vertex as usize];
-        let [x, y, z] = ((at - low) / cell).to_array().map(|c| c as i32);
-        let around = (0..27).map(|k| [x + k % 3 - 1, y + k / 3 % 3 - 1, z + k / 9 - 1]);
+        let from_low = at.as_dvec3() - low.as_dvec3();
+        let [x, y, z] = (from_low / f64::from(cell)).to_array().map(|c| c as i64);
+        let step = |from: i64, k: i64| from.wrapping_add(k % 3 - 1);
+        let around = (0..27).map(|k| [step(x, k), step(y, k / 3), step(z, k / 9)]);
         let near = around
             .filter_map(|key| cells.get(&key))
             .flatten()
@@ -93,8 +95,9 @@ pub fn close(positions: &mut [Vec3], triangles: &[[u32; 3]]) -> Option<OpenSeam>
         }
     }
     if joined {
-        for vertex in 0..positions.len() {
-            positions[vertex] = positions[groups.root(topology.welded[vertex]) as usize];
+        // Of each group the first stays where it is.
+        for (vertex, first) in topology.welded.iter().enumerate() {
+            positions[vertex] = positions[groups.root(*first) as usize];
         }
     }
     (seam.vertices > 0).then_some(seam)
