@@ -43,6 +43,8 @@ pub struct Draft {
     pub vertices: Vec<DVec3>,
     /// Lines of the vertices that are not finite, where the file is text.
     pub broken_lines: Vec<(u32, usize)>,
+    /// Whether the file holds them as 32-bit numbers.
+    pub are_single: bool,
     /// Of any length.
     pub normals: Vec<Vec3>,
     corners: Vec<Corner>,
@@ -294,8 +296,7 @@ impl Draft {
         let used = || triangles.iter().flatten().map(|c| c.vertex as usize);
         let in_file = || used().map(|v| self.vertices[v]);
         let placed = || used().map(|v| positions_mm[v].as_dvec3());
-        let are_single = in_file().all(|p| p == p.as_vec3().as_dvec3());
-        let file = are_single.then(|| Steps::of(in_file())).flatten();
+        let file = self.are_single.then(|| Steps::of(in_file())).flatten();
         let file = file.map(|steps| (steps, false));
         let placed = Steps::of(placed()).map(|steps| (steps, true));
         // The file's own, if the placement brings it back; else what is left of it.
@@ -464,28 +465,36 @@ mod tests {
     /// What single precision has taken, in the file or by the placement, is remarked on.
     #[test]
     fn coarse_coordinates_are_remarked_on() {
-        let at = |x: f64, moved: f64| {
+        let at = |x: f64, moved: f64, are_single: bool| {
             let far = [[x, 0.0, 0.0], [x + 20.0, 0.0, 0.0], [x, 20.0, 0.0]];
+            let draft = Draft {
+                are_single,
+                ..draft(&far, &[&[0, 1, 2]])
+            };
             let placement = Placement {
                 sample_from_mesh: Rigid::new(glam::DQuat::IDENTITY, DVec3::new(moved, 0.0, 0.0)),
                 ..Placement::default()
             };
-            let mesh = draft(&far, &[&[0, 1, 2]]).mesh(&placement).unwrap();
+            let mesh = draft.mesh(&placement).unwrap();
             whats(&mesh)
                 .iter()
                 .map(MeshRemark::to_string)
                 .collect::<Vec<_>>()
                 .join("\n")
         };
-        let said = at(4e6, 0.0);
+        let said = at(4e6, 0.0, true);
         assert!(
             said.contains("reach 4000020, where 32-bit numbers are 0.25 apart, 1.25% of the mesh's size of 20 (in the file's unit)"),
             "{said}"
         );
-        assert_eq!(at(4e6, -4e6), said, "moving it back brings no digits back");
-        assert!(at(4e6 + 0.1, 0.0).contains("of 20 (mm); `translate_mm`"));
-        assert_eq!(at(4e6 + 0.1, -4e6), "");
-        assert_eq!(at(1000.0, 0.0), "");
+        assert_eq!(
+            at(4e6, -4e6, true),
+            said,
+            "moving it back brings no digits back"
+        );
+        assert!(at(4e6, 0.0, false).contains("of 20 (mm); `translate_mm`"));
+        assert_eq!(at(4e6, -4e6, false), "");
+        assert_eq!(at(1000.0, 0.0, true), "");
     }
 
     /// Far from the file's origin a coordinate keeps its digits where the placement brings

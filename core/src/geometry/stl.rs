@@ -60,6 +60,7 @@ fn declared(bytes: &[u8]) -> Option<usize> {
 
 /// Reads one solid after the other: some programs put several in one file.
 fn binary(mut bytes: &[u8], weld: &mut Weld) -> Result<(), MeshError> {
+    weld.draft.are_single = true;
     loop {
         let Some(count) = declared(bytes) else {
             return Err(MeshError::format(format!(
