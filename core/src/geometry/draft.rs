@@ -467,10 +467,8 @@ mod tests {
     fn coarse_coordinates_are_remarked_on() {
         let at = |x: f64, moved: f64, are_single: bool| {
             let far = [[x, 0.0, 0.0], [x + 20.0, 0.0, 0.0], [x, 20.0, 0.0]];
-            let draft = Draft {
-                are_single,
-                ..draft(&far, &[&[0, 1, 2]])
-            };
+            let mut draft = draft(&far, &[&[0, 1, 2]]);
+            draft.are_single = are_single;
             let placement = Placement {
                 sample_from_mesh: Rigid::new(glam::DQuat::IDENTITY, DVec3::new(moved, 0.0, 0.0)),
                 ..Placement::default()

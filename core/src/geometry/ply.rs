@@ -39,11 +39,9 @@ pub(super) fn draft(bytes: &[u8]) -> Result<Draft, MeshError> {
     let mut reader = Reader {
         body,
         has_normals: ["nx", "ny", "nz"].into_iter().all(names),
-        draft: Draft {
-            are_single: of_vertices().any(is_single),
-            ..Draft::default()
-        },
+        draft: Draft::default(),
     };
+    reader.draft.are_single = of_vertices().any(is_single);
     for element in &header.elements {
         // Rows of nothing take no bytes, whatever their number.
         if element.properties.is_empty() {
