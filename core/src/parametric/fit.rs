@@ -162,10 +162,14 @@ fn coated(ground: &Parameters) -> Vec<Parameters> {
     vec![with(0.12), with((0.6 * ground.roughness).max(0.15))]
 }
 
-fn fuzzy(ground: &Parameters) -> Parameters {
+fn fuzzy(ground: &Parameters, tinted: bool) -> Parameters {
     let grey = ground.base_color.iter().sum::<f64>() / 3.0;
+    let color = match tinted {
+        true => ground.base_color,
+        false => [grey; 3],
+    };
     Parameters {
-        fuzz: [0.1 + 0.2 * grey; 3],
+        fuzz: color.map(|value| 0.1 + 0.2 * value),
         fuzz_roughness: 0.4,
         ..*ground
     }
@@ -265,24 +269,36 @@ impl Search<'_> {
     /// The nearest of a base alone and with a coat, fibres or both.
     fn with_layers(&self, bases: &[Found]) -> Found {
         let mut best = bases[0];
-        let grounds: Vec<Parameters> = match self.model {
+        let mut grounds: Vec<Parameters> = match self.model {
             Model::Gltf => vec![best.parameters],
             _ => bases.iter().take(2).map(|found| found.parameters).collect(),
         };
+        if self.model != Model::Gltf && best.error > POOR {
+            grounds.push(self.matt().parameters);
+        }
         if self.model == Model::Gltf {
             best = self.nearer(best, &grounds, &self.all_of(&best.parameters, false));
         }
         let coat: Vec<Parameters> = grounds.iter().flat_map(coated).collect();
-        let fibres: Vec<Parameters> = grounds.iter().map(fuzzy).collect();
-        let both: Vec<Parameters> = coat.iter().map(fuzzy).collect();
-        for starts in [coat, fibres, both] {
-            best = self.nearer(best, &starts, &self.all_of(&starts[0], false));
+        best = self.nearer(best, &coat, &self.all_of(&coat[0], false));
+        // Fibres of no colour; then, if the material has one, in it.
+        for tints in [false, true]
+            .into_iter()
+            .take(1 + usize::from(self.target.is_tinted()))
+        {
+            for below in [&grounds, &coat] {
+                let starts: Vec<Parameters> = below.iter().map(|p| fuzzy(p, tints)).collect();
+                best = self.nearer(best, &starts, &self.all_of(&starts[0], tints));
+            }
         }
         best
     }
 
     /// With tints of its reflections, where these are needed.
     fn with_tints(&self, plain: Found) -> Found {
+        if !self.target.is_tinted() {
+            return plain;
+        }
         let start = plain.parameters;
         self.nearer(plain, &[start], &self.all_of(&start, true))
     }
