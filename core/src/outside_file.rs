@@ -13,6 +13,12 @@ use rustix::io::Errno;
 
 use crate::outside_text;
 
+/// Whether the file's name ends in this, which has no dot, in capitals or not.
+pub fn ends_in(path: &Path, ending: &str) -> bool {
+    let found = path.extension();
+    found.is_some_and(|found| found.eq_ignore_ascii_case(ending))
+}
+
 /// Opens a regular file, or a link to one, for reading, and never waits.
 ///
 /// # Errors

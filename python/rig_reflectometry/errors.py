@@ -10,7 +10,23 @@ class InputError(RigError, ValueError):
 
 
 class FileError(RigError, OSError):
-    """A file that cannot be read or written, is damaged, or is not what its name promises."""
+    """A file that cannot be read or written, is damaged, or is not what its name promises.
+
+    Where the system refused, errno, strerror and filename say how, as in every OSError.
+    """
+
+    def __str__(self):
+        return str(self.args[0]) if self.args else ""
+
+    def __reduce__(self):
+        return file_error, (type(self), str(self), self.errno, self.strerror, self.filename)
+
+
+def file_error(kind, message, errno, strerror, filename):
+    """An exception of this kind of FileError, by what the library and the system say."""
+    error = kind(message)
+    error.errno, error.strerror, error.filename = errno, strerror, filename
+    return error
 
 
 class MissingFileError(FileError, FileNotFoundError):

@@ -15,7 +15,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class RadianceImage:
-    """Radiance over a grid of pixels, R, G, B; row 0 is the top."""
+    """Radiance over a grid of pixels, R, G, B; row 0 is the top.
+
+    What is masked in a masked array is not valid.
+    """
 
     mean: NDArray[np.float32]
     """(rows, columns, 3); negative values are kept."""

@@ -6,22 +6,47 @@
 
 use glam::Vec3;
 use numpy::{Element, IntoPyArray, PyArray, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn};
+use pyo3::exceptions::PyMemoryError;
 use pyo3::prelude::*;
 
-use crate::errors::{Fault, input};
+use crate::errors::{Fault, check_room, input};
 
+/// Two directions and a value.
+const BYTES_PER_PAIR: usize = 3 * size_of::<Vec3>();
 /// Largest difference of a direction's length from one.
 const UNIT_TOLERANCE: f64 = 1e-3;
 
-/// Real numbers of any type as f64; anything else is refused.
+/// Real numbers of any type as f64; anything else is refused, and so are masked values.
 pub fn numbers<'py>(
     value: &Bound<'py, PyAny>,
     name: &str,
 ) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+    if masked(value)?.is_some() {
+        return Err(input(format!(
+            "{name} has masked values, which have no meaning here"
+        ))
+        .into());
+    }
     converted(value, name, "float64")
 }
 
-/// Real numbers as f32; those that f32 cannot hold become infinite.
+/// Where a masked array is masked, as an array of its shape; `None` where nothing is.
+pub fn masked<'py>(value: &Bound<'py, PyAny>) -> PyResult<Option<Bound<'py, PyArrayDyn<bool>>>> {
+    let ma = value.py().import("numpy.ma")?;
+    if !value.is_instance(&ma.getattr("MaskedArray")?)? {
+        return Ok(None);
+    }
+    let mask = ma.call_method1("getmaskarray", (value,))?;
+    let mask = mask.cast_into::<PyArrayDyn<bool>>();
+    let mask = mask.map_err(|_| input("a structured mask has no meaning here"))?;
+    let is_masked = readable(&mask, "mask")?
+        .as_array()
+        .iter()
+        .any(|&masked| masked);
+    Ok(is_masked.then_some(mask))
+}
+
+/// Real numbers as f32, masked or not; those that f32 cannot hold become infinite.
 pub fn singles<'py>(
     value: &Bound<'py, PyAny>,
     name: &str,
@@ -35,9 +60,12 @@ fn converted<'py, T: Element>(
     dtype: &str,
 ) -> PyResult<Bound<'py, PyArrayDyn<T>>> {
     let numpy = value.py().import("numpy")?;
-    let array = numpy
-        .call_method1("asarray", (value,))
-        .map_err(|error| input(format!("{name} is no array: {error}")))?;
+    let array = numpy.call_method1("asarray", (value,)).map_err(|error| {
+        match error.is_instance_of::<PyMemoryError>(value.py()) {
+            true => error,
+            false => input(format!("{name} is no array: {error}")).into(),
+        }
+    })?;
     let kind: String = array.getattr("dtype")?.getattr("kind")?.extract()?;
     if !matches!(kind.as_str(), "f" | "i" | "u") {
         let found = array.getattr("dtype")?;
@@ -84,6 +112,7 @@ impl Pairs {
         }
         let [to_light, to_viewer] = broadcast(&arrays, ["wi", "wo"])?;
         let shape = readable(&to_light, "wi")?.as_array().shape().to_vec();
+        check_room(product(&shape[..shape.len() - 1]), BYTES_PER_PAIR)?;
         Ok(Self {
             to_light: unit_vectors(&to_light, "wi")?,
             to_viewer: unit_vectors(&to_viewer, "wo")?,
@@ -148,6 +177,7 @@ pub fn list_within(
     let array = numbers(value, name)?;
     let array = readable(&array, name)?;
     let array = array.as_array();
+    check_room(Some(array.len()), size_of::<f64>())?;
     if array.ndim() > 1 {
         let shape = shown(array.shape());
         return Err(input(format!("{name} has shape {shape}, but must be a list")).into());
@@ -161,6 +191,13 @@ pub fn list_within(
             Err(input(message).into())
         }
     }
+}
+
+/// Elements of an array of this shape; `None` beyond what can be counted.
+pub fn product(shape: &[usize]) -> Option<usize> {
+    shape
+        .iter()
+        .try_fold(1usize, |product, side| product.checked_mul(*side))
 }
 
 /// A shape as Python shows it.

@@ -14,12 +14,16 @@ use rig::export::{self, TableFormat};
 use rig::material::{self, Angles};
 
 use crate::arrays::{self, Pairs};
-use crate::errors::{Fault, input};
+use crate::errors::{Fault, check_room, input};
+use crate::numbers::Integer;
 use crate::records::record;
 use crate::{score, work};
 
 /// Pairs of directions from which on they are shared among processors.
 const MANY: usize = 4096;
+/// Three angles twice, with f, and f alone.
+const BYTES_PER_ANGLES: usize =
+    3 * size_of::<f64>() + size_of::<Angles>() + size_of::<material::Evaluated>() + 12;
 
 /// How much light a surface reflects, f(wi, wo) in 1/sr, in R, G and B. Isotropic, without the
 /// cosine.
@@ -176,6 +180,11 @@ impl Brdf {
             arrays::numbers(phi_deg, names[2])?,
         ];
         let views = arrays::broadcast(&given, names)?;
+        let shape = arrays::readable(&views[0], names[0])?
+            .as_array()
+            .shape()
+            .to_vec();
+        check_room(arrays::product(&shape), BYTES_PER_ANGLES)?;
         let mut columns: [Vec<f64>; 3] = Default::default();
         for ((column, view), name) in columns.iter_mut().zip(&views).zip(names) {
             let array = arrays::readable(view, name)?;
@@ -190,10 +199,6 @@ impl Brdf {
                 return Err(input(message).into());
             }
         }
-        let shape = arrays::readable(&views[0], names[0])?
-            .as_array()
-            .shape()
-            .to_vec();
         let [theta_i, theta_o, phi] = columns;
         let angles = theta_i.into_iter().zip(theta_o).zip(phi);
         let angles = angles.map(|((theta_i_deg, theta_o_deg), phi_deg)| Angles {
@@ -220,6 +225,7 @@ impl Brdf {
         let half = arrays::list_within(theta_h_deg, "theta_h_deg", 0.0..=90.0)?;
         let difference = arrays::list_within(theta_d_deg, "theta_d_deg", 0.0..=90.0)?;
         let shape = [half.len(), difference.len()];
+        check_room(arrays::product(&shape), 2 * size_of::<[f32; 3]>())?;
         let values = py.detach(|| {
             let rows = half.iter().flat_map(|h| {
                 difference.iter().map(|d| {
@@ -243,12 +249,12 @@ impl Brdf {
     /// size: pixels a side, 8 to 512.
     ///
     /// Returns linear radiance, float32 (size, size, 3), 0 outside the sphere; row 0 is the top.
-    #[pyo3(signature = (map = PathBuf::from("studio"), size = 128))]
+    #[pyo3(signature = (map = PathBuf::from("studio"), size = Integer::from(128)), text_signature = "($self, map='studio', size=128)")]
     fn environment_sphere<'py>(
         &self,
         py: Python<'py>,
         map: PathBuf,
-        size: usize,
+        size: Integer,
     ) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
         let size = score::sphere_size(size)?;
         let map = match map.to_str().and_then(EnvironmentMap::embedded) {
@@ -268,8 +274,8 @@ impl Brdf {
     /// the picture of `rig brdf plot`.
     ///
     /// Returns sRGB, uint8 (size, 4 * size, 3).
-    #[pyo3(signature = (size = material::DRAWN_SPHERE_PX))]
-    fn spheres<'py>(&self, py: Python<'py>, size: usize) -> PyResult<Bound<'py, PyArrayDyn<u8>>> {
+    #[pyo3(signature = (size = (material::DRAWN_SPHERE_PX as u64).into()))]
+    fn spheres<'py>(&self, py: Python<'py>, size: Integer) -> PyResult<Bound<'py, PyArrayDyn<u8>>> {
         let size = score::sphere_size(size)?;
         let picture = work::detached(py, || material::spheres(&*self.brdf, size))?;
         let shape = [picture.height() as usize, picture.width() as usize, 3];
@@ -277,8 +283,8 @@ impl Brdf {
     }
 
     /// How far it is from a known truth; see Errors. Published figures use size = 128.
-    #[pyo3(signature = (truth, *, size = rig::brdf::score::SPHERE_SIZE))]
-    fn errors(&self, py: Python<'_>, truth: &Self, size: usize) -> PyResult<Py<PyAny>> {
+    #[pyo3(signature = (truth, *, size = (rig::brdf::score::SPHERE_SIZE as u64).into()))]
+    fn errors(&self, py: Python<'_>, truth: &Self, size: Integer) -> PyResult<Py<PyAny>> {
         let size = score::sphere_size(size)?;
         let errors = work::detached(py, || {
             material::errors_between(&*self.brdf, &*truth.brdf, size)
@@ -287,8 +293,8 @@ impl Brdf {
     }
 
     /// What a dictionary can reach of it; see Projection.
-    #[pyo3(signature = (dictionary = Dictionary::DEFAULT.to_owned(), *, size = rig::brdf::score::SPHERE_SIZE))]
-    fn project(&self, py: Python<'_>, dictionary: String, size: usize) -> PyResult<Py<PyAny>> {
+    #[pyo3(signature = (dictionary = Dictionary::DEFAULT.to_owned(), *, size = (rig::brdf::score::SPHERE_SIZE as u64).into()))]
+    fn project(&self, py: Python<'_>, dictionary: String, size: Integer) -> PyResult<Py<PyAny>> {
         let size = score::sphere_size(size)?;
         let projected = work::detached(py, || material::project(&*self.brdf, &dictionary, size))?;
         let projected = projected.map_err(Fault::from)?;

@@ -4,6 +4,7 @@ use std::error::Error;
 use std::fmt::Display;
 use std::io;
 
+use pyo3::exceptions::PyMemoryError;
 use pyo3::prelude::*;
 use rig::brdf::BrdfError;
 use rig::calibration::RecordError;
@@ -18,6 +19,7 @@ use rig::session::SessionError;
 use rig::session::fit_record::FitRecordError;
 use rig::transport::polarised::NotPolarisable;
 use rig::workflow::WorkflowError;
+use rig_core::inverse::memory::free_bytes;
 
 /// An exception class of `rig_reflectometry.errors`, by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -37,14 +39,75 @@ pub enum Kind {
 pub struct Fault {
     kind: Kind,
     message: String,
+    refused: Option<Refused>,
 }
+
+/// How the system refused a file.
+#[derive(Debug)]
+struct Refused {
+    code: Option<i32>,
+    text: String,
+    file: Option<String>,
+}
+
+impl Refused {
+    /// By the system's error, and the text of the one that it caused, which names the file.
+    fn of(system: &io::Error, message: &str) -> Self {
+        let text = system.to_string();
+        let code = system.raw_os_error().or(match system.kind() {
+            io::ErrorKind::NotFound => Some(ENOENT),
+            _ => None,
+        });
+        // "file: text" or "cannot read file: text", perhaps after where it is named.
+        let before = message.strip_suffix(text.as_str());
+        let before = before.and_then(|before| before.strip_suffix(": "));
+        let file = before.and_then(|before| before.rsplit(": ").next());
+        let file = file.map(|file| match file.strip_prefix("cannot ") {
+            Some(rest) => rest.split_once(' ').map_or(rest, |(_, file)| file),
+            None => file,
+        });
+        Self {
+            code,
+            file: file.map(str::to_owned),
+            text: text
+                .split(" (os error")
+                .next()
+                .unwrap_or_default()
+                .to_owned(),
+        }
+    }
+}
+
+/// "No such file or directory", of every Unix.
+const ENOENT: i32 = 2;
 
 /// An argument that cannot be used.
 pub fn input(message: impl Display) -> Fault {
     Fault {
         kind: Kind::InputError,
         message: message.to_string(),
+        refused: None,
     }
+}
+
+/// Refuses a result that the machine's memory cannot hold: `count` values with what becomes of
+/// them on the way, this many bytes each. Where memory is used up, the process would be ended.
+pub fn check_room(count: Option<usize>, bytes_each: usize) -> PyResult<()> {
+    let bytes = count.and_then(|count| count.checked_mul(bytes_each));
+    let is_there = bytes.is_some_and(|bytes| {
+        let is_free = free_bytes().is_none_or(|free| bytes as u64 <= free);
+        is_free && Vec::<u8>::new().try_reserve_exact(bytes).is_ok()
+    });
+    if is_there {
+        return Ok(());
+    }
+    let needed = match bytes {
+        Some(bytes) => format!("{:.1} GiB", bytes as f64 / f64::from(1 << 30)),
+        None => "more bytes than can be counted".to_owned(),
+    };
+    Err(PyMemoryError::new_err(format!(
+        "{needed} are needed, which this process cannot have: use fewer values at a time"
+    )))
 }
 
 impl Fault {
@@ -56,13 +119,15 @@ impl Fault {
             refused = refused.or(error.downcast_ref::<io::Error>());
             cause = error.source();
         }
+        let message = error.to_string();
         Self {
             kind: match refused.map(io::Error::kind) {
                 Some(io::ErrorKind::NotFound) => Kind::MissingFileError,
                 Some(_) => Kind::FileError,
                 None => kind,
             },
-            message: error.to_string(),
+            refused: refused.map(|system| Refused::of(system, &message)),
+            message,
         }
     }
 }
@@ -70,11 +135,18 @@ impl Fault {
 impl From<Fault> for PyErr {
     fn from(fault: Fault) -> Self {
         Python::attach(|py| {
-            let raised = py
-                .import("rig_reflectometry.errors")
-                .and_then(|errors| errors.getattr(format!("{:?}", fault.kind).as_str()))
-                .and_then(|class| class.call1((fault.message,)));
-            match raised {
+            let raised = || {
+                let errors = py.import("rig_reflectometry.errors")?;
+                let class = errors.getattr(format!("{:?}", fault.kind).as_str())?;
+                match &fault.refused {
+                    None => class.call1((fault.message,)),
+                    Some(Refused { code, text, file }) => {
+                        let arguments = (class, fault.message, code, text, file);
+                        errors.call_method1("file_error", arguments)
+                    }
+                }
+            };
+            match raised() {
                 Ok(exception) => PyErr::from_value(exception),
                 Err(error) => error,
             }

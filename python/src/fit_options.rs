@@ -16,7 +16,7 @@ use rig::workflow::FitRequest;
 
 use crate::brdf::text_of;
 use crate::errors::input;
-use crate::scene::within;
+use crate::numbers::{Integer, Real};
 
 /// Reads the keywords of `function`, each once.
 struct Keywords<'a, 'py> {
@@ -68,8 +68,8 @@ pub fn request(function: &str, options: Option<&Bound<'_, PyDict>>) -> PyResult<
     let kernel = keywords.take::<String>("kernel")?;
     let uncertainty = keywords.take::<Bound<'_, PyDict>>("uncertainty")?;
     let shared_weights = keywords.take::<bool>("shared_weights")?;
-    let number = |name: &str, range| match keywords.take::<u64>(name)? {
-        Some(value) => PyResult::Ok(Some(within(name, value, range)?)),
+    let number = |name: &str, range| match keywords.take::<Integer>(name)? {
+        Some(value) => PyResult::Ok(Some(value.within(name, range)?)),
         None => Ok(None),
     };
     let request = FitRequest {
@@ -79,8 +79,8 @@ pub fn request(function: &str, options: Option<&Bound<'_, PyDict>>) -> PyResult<
         max_reflections: number("max_reflections", 2..=64)?.map(|count| count as u32),
         seed: number("seed", 0..=i64::MAX as u64)?,
         channels: (shared_weights == Some(true)).then_some(Channels::Shared),
-        model_error: match keywords.take::<f64>("model_error")? {
-            Some(error) => Some(within("model_error", error, 0.0..=1.0)?),
+        model_error: match keywords.take::<Real>("model_error")? {
+            Some(error) => Some(error.within("model_error", 0.0..=1.0)?),
             None => None,
         },
         mask: keywords.take("mask")?,
@@ -130,7 +130,7 @@ fn kernel_of(name: &str) -> PyResult<Kernel> {
 fn deviations(uncertainty: &Bound<'_, PyDict>) -> PyResult<Vec<Deviation>> {
     let mut deviations = Vec::new();
     for (key, value) in uncertainty {
-        let (key, value): (String, f64) = (key.extract()?, value.extract()?);
+        let (key, Real(value)): (String, Real) = (key.extract()?, value.extract()?);
         let deviation = format!("{key}={value}").parse();
         deviations.push(deviation.map_err(|fact: String| input(format!("uncertainty: {fact}")))?);
     }

@@ -4,21 +4,29 @@ use std::path::{Path, PathBuf};
 
 use pyo3::prelude::*;
 use rig::radiance_image::RadianceImage;
-use rig::radiance_image::exr::{self, RadianceFile};
+use rig::radiance_image::exr::{self, ExrRows, RadianceFile};
 use rig::workflow::NamedImage;
 
 use crate::arrays;
-use crate::errors::{Fault, input};
+use crate::errors::{Fault, check_room, input};
 use crate::records::record;
 
+/// Mean, variance and validity of a pixel.
+pub const BYTES_PER_PIXEL: usize = 2 * size_of::<[f32; 3]>() + 1;
 /// Most pixels a side.
 const LARGEST_SIDE_PX: usize = 1 << 16;
 
 /// Reads an OpenEXR file.
 #[pyfunction]
 pub fn read_exr(py: Python<'_>, path: PathBuf) -> PyResult<Py<PyAny>> {
-    let file = py.detach(|| exr::read(&path)).map_err(Fault::from)?;
+    let file = read(py, &path)?;
     image_record(py, file.image, file.has_variance)
+}
+
+/// The image of a file, if there is room for it.
+pub fn read(py: Python<'_>, path: &Path) -> PyResult<RadianceFile> {
+    check_size_of(&ExrRows::open(path, None).map_err(Fault::from)?)?;
+    Ok(py.detach(|| exr::read(path)).map_err(Fault::from)?)
 }
 
 /// Writes an OpenEXR file.
@@ -76,11 +84,16 @@ pub fn images_of(images: &Bound<'_, PyAny>) -> PyResult<Vec<NamedImage>> {
     Ok(named)
 }
 
-fn read_named(py: Python<'_>, path: &Path) -> Result<NamedImage, Fault> {
+/// Refuses the image of a file for which there is no room.
+pub fn check_size_of(rows: &ExrRows) -> PyResult<()> {
+    check_room(arrays::product(&rows.size()), 2 * BYTES_PER_PIXEL)
+}
+
+fn read_named(py: Python<'_>, path: &Path) -> PyResult<NamedImage> {
     let RadianceFile {
         image,
         has_variance,
-    } = py.detach(|| exr::read(path))?;
+    } = read(py, path)?;
     Ok(NamedImage {
         name: path.display().to_string(),
         image,
@@ -91,6 +104,7 @@ fn read_named(py: Python<'_>, path: &Path) -> Result<NamedImage, Fault> {
 /// A RadianceImage, or an array of means.
 fn image_of(image: &Bound<'_, PyAny>, name: &str) -> PyResult<RadianceFile> {
     let [mean, variance, valid] = parts_of(image)?;
+    let masks = [&mean, &variance, &valid].map(arrays::masked);
     let (mean, [height, width]) = pixels_of(&mean, &format!("{name}: mean"))?;
     let variance = match variance.is_none() {
         true => None,
@@ -101,10 +115,20 @@ fn image_of(image: &Bound<'_, PyAny>, name: &str) -> PyResult<RadianceFile> {
             Some(variance)
         }
     };
-    let valid = match valid.is_none() {
+    let mut valid = match valid.is_none() {
         true => vec![true; width * height],
         false => validity_of(&valid, [height, width], &format!("{name}: valid"))?,
     };
+    // What is masked in any of them is not valid.
+    for mask in masks {
+        let Some(mask) = mask? else { continue };
+        let mask = arrays::readable(&mask, name)?;
+        let mask = mask.as_array();
+        let per_pixel = (mask.len() / valid.len()).max(1);
+        for (index, masked) in mask.iter().enumerate() {
+            valid[index / per_pixel] &= !masked;
+        }
+    }
     let has_variance = variance.is_some();
     let mut image = RadianceImage {
         width,
@@ -153,6 +177,7 @@ fn pixels_of(values: &Bound<'_, PyAny>, name: &str) -> PyResult<(Vec<[f32; 3]>, 
         );
         return Err(input(message).into());
     }
+    check_room(arrays::product(&size), 2 * BYTES_PER_PIXEL)?;
     let pixels = match is_grey {
         true => array.iter().map(|&value| [value; 3]).collect(),
         false => array

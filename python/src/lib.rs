@@ -6,6 +6,7 @@
 //! |---|---|
 //! | [`arrays`] | NumPy arrays in and out |
 //! | [`errors`] | which exception an error becomes |
+//! | [`numbers`] | integers and real numbers of any size, and their ranges |
 //! | [`records`] | the dataclasses of `rig_reflectometry.records` |
 //! | [`work`] | long work: the lock released, Ctrl-C, progress, forked processes |
 //! | [`brdf`], [`score`] | BRDFs, and how far one is from another |
@@ -22,6 +23,7 @@ mod fit;
 mod fit_options;
 mod image;
 mod merge;
+mod numbers;
 mod records;
 mod scene;
 mod score;

@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 use pyo3::prelude::*;
 use rig::calibration::record::ResponseValues;
 use rig::calibration::record_in;
-use rig::radiance_image::exr;
 use rig::radiometry::bracket_files::{self, BracketFile, read_frame};
 use rig::radiometry::bracket_merge::{self, CountModel, MergeRequest, check_linear, check_mosaic};
 use rig::radiometry::frame_file::FrameFile;
@@ -14,9 +13,9 @@ use rig::radiometry::response::Response;
 use rig::radiometry::sensor::SensorNoise;
 
 use crate::errors::{Fault, input};
-use crate::image::image_record;
+use crate::image::{self, image_record};
+use crate::numbers::{Integer, Real};
 use crate::records::{plain, record};
-use crate::scene::within;
 use crate::work;
 
 /// Merge an exposure bracket into a radiance image with variances: the image of `rig merge`.
@@ -36,19 +35,19 @@ use crate::work;
 /// Returns Merged. Raises InputError for frames that make no bracket or a sensor that is not
 /// described, MissingFileError or FileError.
 #[pyfunction]
-#[pyo3(signature = (frames, *, exposures = None, gain = None, read_noise = None, black_level = None, saturation = None, bit_depth = None, dark_current = 0.0, responsivity = 1.0, response = None, mosaic = "none", full_resolution = false, out = None, progress = None))]
+#[pyo3(signature = (frames, *, exposures = None, gain = None, read_noise = None, black_level = None, saturation = None, bit_depth = None, dark_current = Real(0.0), responsivity = Real(1.0), response = None, mosaic = "none", full_resolution = false, out = None, progress = None))]
 #[expect(clippy::too_many_arguments, reason = "keywords of a Python function")]
 pub fn merge(
     py: Python<'_>,
     frames: &Bound<'_, PyAny>,
     exposures: Option<PathBuf>,
-    gain: Option<f64>,
-    read_noise: Option<f64>,
-    black_level: Option<f64>,
-    saturation: Option<f64>,
-    bit_depth: Option<u32>,
-    dark_current: f64,
-    responsivity: f64,
+    gain: Option<Real>,
+    read_noise: Option<Real>,
+    black_level: Option<Real>,
+    saturation: Option<Real>,
+    bit_depth: Option<Integer>,
+    dark_current: Real,
+    responsivity: Real,
     response: Option<PathBuf>,
     mosaic: &str,
     full_resolution: bool,
@@ -62,17 +61,16 @@ pub fn merge(
     let mosaic: Mosaic = mosaic
         .parse()
         .map_err(|allowed| input(format!("mosaic is {mosaic:?}, but must be {allowed}")))?;
-    if let Some(bits) = bit_depth {
-        within("bit_depth", bits, 1..=16)?;
-    }
+    let bit_depth = bit_depth.map(|bits| bits.within("bit_depth", 1..=16));
+    let number = |value: Option<Real>| value.map(|Real(value)| value);
     let sensor = Sensor {
-        gain,
-        read_noise,
-        black_level,
-        saturation,
-        bit_depth,
-        dark_current,
-        responsivity,
+        gain: number(gain),
+        read_noise: number(read_noise),
+        black_level: number(black_level),
+        saturation: number(saturation),
+        bit_depth: bit_depth.transpose()?,
+        dark_current: dark_current.0,
+        responsivity: responsivity.0,
     };
     let bracket = bracket_files::find(&frames, exposures.as_deref()).map_err(Fault::from)?;
     let model = count_model(&bracket.files, response.as_deref(), &sensor, mosaic)?;
@@ -89,10 +87,10 @@ pub fn merge(
             measured_exposures: false,
             out: &path,
         };
-        let merged = bracket_merge::merge(&request, progress)?;
-        Ok((merged, exr::read(&path)?))
+        bracket_merge::merge(&request, progress)
     })?;
-    let (merged, file) = merged.map_err(|error: Fault| PyErr::from(error))?;
+    let merged = merged.map_err(Fault::from)?;
+    let file = image::read(py, &path)?;
     record!(
         py,
         "Merged",

@@ -8,9 +8,11 @@ use rig::transport::{
 };
 use rig_core::SceneFile;
 
+use crate::arrays;
 use crate::brdf::Brdf;
-use crate::errors::{Fault, input};
-use crate::image::image_record;
+use crate::errors::{Fault, check_room, input};
+use crate::image::{BYTES_PER_PIXEL, image_record};
+use crate::numbers::Integer;
 use crate::work;
 
 /// Camera, lights and sample, as a scene file describes them. Immutable.
@@ -104,20 +106,24 @@ impl Scene {
     ///
     /// Raises InputError for choices out of range and a scene without a material, SceneError for
     /// a shape that cannot be had.
-    #[pyo3(signature = (brdf = None, *, samples_per_pixel = RenderOptions::default().samples_per_pixel, max_reflections = RenderOptions::default().max_reflections, seed = RenderOptions::default().seed, polarised = None, progress = None))]
+    #[pyo3(signature = (brdf = None, *, samples_per_pixel = u64::from(RenderOptions::default().samples_per_pixel).into(), max_reflections = u64::from(RenderOptions::default().max_reflections).into(), seed = RenderOptions::default().seed.into(), polarised = None, progress = None))]
     #[expect(clippy::too_many_arguments, reason = "keywords of a Python function")]
     fn render(
         &self,
         py: Python<'_>,
         brdf: Option<&Brdf>,
-        samples_per_pixel: u32,
-        max_reflections: u32,
-        seed: u64,
+        samples_per_pixel: Integer,
+        max_reflections: Integer,
+        seed: Integer,
         polarised: Option<bool>,
         progress: Option<Py<PyAny>>,
     ) -> PyResult<Vec<Py<PyAny>>> {
-        within("samples_per_pixel", samples_per_pixel, 2..=1_000_000)?;
-        within("max_reflections", max_reflections, 1..=64)?;
+        let samples_per_pixel = samples_per_pixel.within("samples_per_pixel", 2..=1_000_000)?;
+        let max_reflections = max_reflections.within("max_reflections", 1..=64)?;
+        let seed = seed.within("seed", 0..=u64::MAX)?;
+        let [width, height] = self.file.camera.resolution_px;
+        let pixels = arrays::product(&[width, height, self.file.lights.len()]);
+        check_room(pixels, 2 * BYTES_PER_PIXEL)?;
         let brdf = match (brdf, &self.file.brdf) {
             (Some(brdf), _) => brdf.inner().clone(),
             (None, Some(own)) => work::detached(py, || own.load())?.map_err(Fault::from)?,
@@ -156,21 +162,5 @@ impl Scene {
             "<Scene {}: {lights} lights, {width} x {height} px>",
             self.name
         )
-    }
-}
-
-/// Refuses a choice out of its range.
-pub fn within<T: PartialOrd + std::fmt::Display>(
-    name: &str,
-    value: T,
-    range: std::ops::RangeInclusive<T>,
-) -> Result<T, Fault> {
-    match range.contains(&value) {
-        true => Ok(value),
-        false => Err(input(format!(
-            "{name} is {value}, but must be from {} to {}",
-            range.start(),
-            range.end()
-        ))),
     }
 }

@@ -5,15 +5,13 @@ use pyo3::types::PyDict;
 use rig::brdf::score::PerChannel;
 use rig::material::Errors;
 
-use crate::errors::{Fault, input};
+use crate::errors::Fault;
+use crate::numbers::Integer;
 use crate::records::record;
 
 /// Pixels a side of a sphere, checked.
-pub fn sphere_size(size: usize) -> Result<usize, Fault> {
-    match size {
-        8..=512 => Ok(size),
-        _ => Err(input(format!("size is {size}, but must be from 8 to 512"))),
-    }
+pub fn sphere_size(size: Integer) -> Result<usize, Fault> {
+    Ok(size.within("size", 8..=512u32)? as usize)
 }
 
 /// Python's Errors.

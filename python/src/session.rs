@@ -6,7 +6,7 @@ use numpy::PyArrayDyn;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use rig::device::FrameKind;
-use rig::radiance_image::exr;
+use rig::radiance_image::exr::{self, ExrRows};
 use rig::session::fit_record;
 use rig::session::{SessionState, layout};
 use rig::workflow::fit_session;
@@ -14,7 +14,8 @@ use rig::workflow::fit_session;
 use crate::arrays;
 use crate::errors::{Fault, input};
 use crate::fit::Fit;
-use crate::image::image_record;
+use crate::image::{self, image_record};
+use crate::numbers::Integer;
 use crate::records::{plain, record};
 use crate::{fit_options, work};
 
@@ -123,17 +124,16 @@ impl Session {
     ///
     /// Raises InputError for a light that is not in the plan, SessionError for one that was not
     /// captured.
-    fn radiance(&self, py: Python<'_>, light: usize) -> PyResult<Py<PyAny>> {
+    fn radiance(&self, py: Python<'_>, light: Integer) -> PyResult<Py<PyAny>> {
         let session = self.open()?;
         let lights = session.record().plan.lights.len();
-        if light >= lights {
-            return Err(input(format!("light is {light}, but the session has {lights}")).into());
-        }
-        let name = layout::radiance_file(light as u32);
-        let read = py.detach(|| {
-            let file = session.open_file(&name)?;
-            Ok::<_, Fault>(exr::read_opened(file, &self.root.join(&name), None)?)
-        });
+        let last = lights.saturating_sub(1) as u32;
+        let light = light.within("light", 0..=last)?;
+        let name = layout::radiance_file(light);
+        let path = self.root.join(&name);
+        let open = || Ok::<_, Fault>(session.open_file(&name)?);
+        image::check_size_of(&ExrRows::of_file(open()?, &path, None).map_err(Fault::from)?)?;
+        let read = py.detach(|| Ok::<_, Fault>(exr::read_opened(open()?, &path, None)?));
         let file = read?;
         image_record(py, file.image, file.has_variance)
     }

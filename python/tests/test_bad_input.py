@@ -1,5 +1,9 @@
 """What cannot be used becomes an exception of a documented kind, never a panic."""
 
+import errno
+import os
+import pickle
+
 import numpy as np
 import pytest
 from conftest import QUICK, SCENE
@@ -88,6 +92,52 @@ def test_mixtures_and_angles():
         brdf.save("no/such/folder/brdf.binary")
 
 
+HUGE = 10**400
+
+
+@pytest.mark.parametrize("number", [-1, -HUGE, HUGE, 2**64])
+def test_numbers_out_of_range(number, scene, images, session_folder):
+    brdf, session = rig.Brdf.load("ggx:0.2,1.5"), rig.Session(session_folder)
+    for name, call in {
+        "light": lambda: session.radiance(number),
+        "size": lambda: brdf.spheres(number),
+        "samples_per_pixel": lambda: scene.render(samples_per_pixel=number),
+        "max_reflections": lambda: scene.render(max_reflections=number),
+        "seed": lambda: scene.render(seed=number),
+        "cells": lambda: rig.fit(scene, images, cells=number),
+        "memory_mib": lambda: session.fit(memory_mib=number),
+        "model_error": lambda: session.fit(model_error=number),
+        "bit_depth": lambda: rig.merge([], bit_depth=number),
+    }.items():
+        with pytest.raises(rig.InputError, match=f"{name} is .*, but must be from [0-9]+ to [0-9]+"):
+            call()
+    with pytest.raises(rig.InputError, match="seed is .*, but must be from 0 to"):
+        session.fit(seed=number)
+    for other in ({"seed": "one"}, {"samples_per_pixel": 2.5}):
+        with pytest.raises(TypeError):
+            scene.render(**other)
+
+
+def test_results_that_memory_cannot_hold(scene):
+    brdf = rig.Brdf.load("ggx:0.2,1.5")
+    many = np.zeros(10**6)
+    up = np.array(UP)
+    directions = np.broadcast_to(up, (10**6, 1, 3)), np.broadcast_to(up, (1, 10**6, 3))
+    image = np.broadcast_to(np.float32(1), (65536, 65536, 3))
+    light = "[[light]]\nkind = \"directional\"\nto_light = [0.1, 0.2, 0.9]\n"
+    large = SCENE.replace("[20, 16]", "[16384, 16384]").replace("[sample]", 500 * light + "[sample]")
+    for call in (
+        lambda: brdf.at(many[:, None], many[None, :], 0),
+        lambda: brdf(*directions),
+        lambda: brdf.table(many, many),
+        lambda: brdf.table(np.broadcast_to(0.0, 10**13), [0]),
+        lambda: rig.fit(scene, [image, image]),
+        lambda: rig.Scene.parse(large).render(),
+    ):
+        with pytest.raises(MemoryError, match="GiB are needed"):
+            call()
+
+
 def test_scenes(tmp_path, scene):
     with pytest.raises(rig.MissingFileError):
         rig.Scene.load(tmp_path / "scene.toml")
@@ -136,6 +186,53 @@ def test_images(scene, images):
     assert rig.fit(scene, changed(images, mean=nan, valid=valid), **QUICK).loss > 0
     with pytest.raises(rig.FitError):
         rig.fit(scene, [np.zeros((16, 20, 3))] * 2, **QUICK)
+
+
+def test_masked_arrays(scene, images, tmp_path):
+    masked = np.ma.array(np.ones((8, 8, 3), np.float32))
+    masked[0, 0] = 777
+    masked[0, 0] = np.ma.masked
+    masked[3, 4, 1] = np.ma.masked
+    no_information = [[0, 0], [3, 4]]
+    for image in (
+        rig.RadianceImage(masked),
+        rig.RadianceImage(np.ones((8, 8, 3)), variance=masked),
+        rig.RadianceImage(np.ones((8, 8, 3)), valid=np.ma.array(np.ones((8, 8), bool), mask=masked.mask.any(-1))),
+    ):
+        image.save(tmp_path / "image.exr")
+        back = rig.RadianceImage.load(tmp_path / "image.exr")
+        assert np.argwhere(~back.valid).tolist() == no_information
+        assert not back.mean[0, 0].any()
+    # In a fit they count as little.
+    nan = np.ma.masked_invalid(np.where(np.arange(20)[:, None] == 6, np.nan, images[0].mean))
+    assert rig.fit(scene, [nan, images[1].mean], **QUICK).loss > 0
+    directions = np.ma.array([UP, UP], mask=[[0, 0, 0], [1, 1, 1]])
+    with pytest.raises(rig.InputError, match="wi has masked values"):
+        rig.Brdf.load("ggx:0.2,1.5")(directions, UP)
+    with pytest.raises(rig.InputError, match="theta_h_deg has masked values"):
+        rig.Brdf.load("ggx:0.2,1.5").table(np.ma.masked_greater([10.0, 95.0], 90), [0])
+
+
+def test_what_the_system_says(tmp_path, scene):
+    missing = tmp_path / "no"
+    for call, file in [
+        (lambda: rig.Scene.load(missing), missing),
+        (lambda: rig.Brdf.load(f"{missing}.binary"), f"{missing}.binary"),
+        (lambda: rig.RadianceImage.load(missing), missing),
+        (lambda: rig.fit(scene, [missing, missing]), missing),
+        (lambda: rig.Scene.parse(SCENE.replace('shape = { kind = "bowl", radius_mm = 10.0, segments = 64 }', f'mesh = "{missing}.ply"')).render(), f"{missing}.ply"),
+    ]:
+        with pytest.raises(rig.MissingFileError) as raised:
+            call()
+        error = raised.value
+        assert (error.errno, error.filename) == (errno.ENOENT, str(file))
+        assert error.strerror == os.strerror(errno.ENOENT)
+        assert str(file) in str(error)
+        again = pickle.loads(pickle.dumps(error))
+        assert (type(again), str(again), again.errno) == (type(error), str(error), error.errno)
+    with pytest.raises(rig.FileError) as raised:
+        rig.RadianceImage.load(tmp_path)
+    assert (raised.value.errno, raised.value.filename) == (errno.EISDIR, str(tmp_path))
 
 
 def test_choices_of_a_fit(scene, images, tmp_path):

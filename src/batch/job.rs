@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use crate::brdf::Dictionary;
 use crate::checksum::sha256_hex;
+use crate::outside_file::ends_in;
 use crate::workflow::FitRequest;
 
 /// A session that is to be fitted and reported.
@@ -64,9 +65,8 @@ impl Job {
 
 /// Whether a dictionary is named by its file.
 fn is_file(dictionary: &str) -> bool {
-    let extension = Path::new(dictionary).extension();
-    !Dictionary::NAMES.contains(&dictionary)
-        && extension.is_some_and(|extension| extension == "toml" || extension == "json")
+    let is_of_kind = |ending| ends_in(Path::new(dictionary), ending);
+    !Dictionary::NAMES.contains(&dictionary) && ["toml", "json"].into_iter().any(is_of_kind)
 }
 
 /// The request with its relative paths taken from this folder.

@@ -38,9 +38,10 @@ use crate::export::ExportError;
 use crate::geometry::MeshError;
 use crate::geometry::mesh_error::Content;
 use crate::inverse::FitError;
+use crate::outside_file::ends_in;
 use crate::parametric::FitError as ModelFitError;
 use crate::plausibility::Implausible;
-use crate::radiance_image::exr::ExrError;
+use crate::radiance_image::exr::{self, ExrError};
 use crate::radiometry::frame_file::FrameFileError;
 #[cfg(feature = "reports")]
 use crate::report::ReportError;
@@ -181,8 +182,14 @@ fn for_brdf(error: &BrdfError) -> Option<String> {
         } => Some(
             "the database has each material in RGB as well, named …_rgb.bsdf; `rig export --format rgl` writes that".into(),
         ),
+        RglKind {
+            kind: RglFault::OtherKind(_),
+            ..
+        } => Some(
+            "its samples cannot be read: take the material as a tensor file of the RGL database, or as a MERL .binary".into(),
+        ),
         RglKind { .. } => Some("take an isotropic material: such files have one azimuth of incidence".into()),
-        File { path, .. } if path.extension().is_some_and(|e| e == "toml" || e == "json") => Some(
+        File { path, .. } if ["toml", "json"].into_iter().any(|ending| ends_in(path, ending)) => Some(
             "a dictionary is a list `atoms`, such as [{ type = \"ggx\", alpha = 0.1, eta = 1.5 }]"
                 .into(),
         ),
@@ -222,6 +229,18 @@ fn for_exr(error: &ExrError) -> Option<String> {
     use ExrError::*;
     match error {
         Io { source, .. } => for_io(source),
+        OtherKind {
+            found: exr::OtherKind::Radiance(_),
+            ..
+        } => Some(
+            "convert it to OpenEXR in linear 32-bit floats, for instance `oiiotool IN -d float -o OUT.exr`; add variances where they are known".into(),
+        ),
+        OtherKind {
+            found: exr::OtherKind::Frame(_),
+            ..
+        } => Some(
+            "a frame is no radiance: merge the exposures of each light first, `rig merge FRAMES --out IMAGE.exr`".into(),
+        ),
         Format { .. } | Size { .. } => {
             Some("the image is damaged or no OpenEXR file: render or merge it again".into())
         }

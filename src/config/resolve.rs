@@ -4,6 +4,7 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use super::{ConfigError, RigConfig};
+use crate::outside_file::ends_in;
 
 /// The rig files that are built into the program, by name.
 pub const BUILT_IN: &[(&str, &str)] = &[
@@ -132,7 +133,7 @@ pub fn resolve_rig(
 }
 
 fn named(asked: &str, folder: &Path, origin: Origin) -> Result<ResolvedRig, ConfigError> {
-    if asked.contains('/') || asked.ends_with(".toml") {
+    if asked.contains('/') || ends_in(Path::new(asked), "toml") {
         return from_file(&folder.join(asked), origin);
     }
     let local = folder.join(FOLDER).join(format!("{asked}.toml"));

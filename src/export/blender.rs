@@ -4,6 +4,7 @@ use std::fmt::Write;
 
 use super::Subject;
 use super::model::AsModel;
+use super::text::literal;
 use crate::parametric::COAT_IOR;
 
 /// What follows the values.
@@ -64,10 +65,9 @@ pub fn to_script(material: &AsModel, subject: &Subject<'_>) -> String {
         "# `blender --python FILE`; then choose the material for an object. Colours are linear,\n";
     script += "# with the primaries of Rec. 709, Blender's default working space.\n\n";
     script += "import bpy\n\n";
-    let quoted = |text: &str| format!("\"{}\"", text.replace('\\', "\\\\").replace('"', "\\\""));
-    let _ = writeln!(script, "NAME = {}", quoted(&subject.identifier()));
+    let _ = writeln!(script, "NAME = {}", literal(&subject.name()));
     let note = subject.lines(material).join("; ");
-    let _ = writeln!(script, "NOTE = {}", quoted(&note));
+    let _ = writeln!(script, "NOTE = {}", literal(&note));
     let _ = writeln!(script, "ENVIRONMENT_ERROR = {:.4}", material.loss.error());
     let maps = material.loss.environment.maps.iter();
     let by_map = maps.map(|(map, error)| format!("\"{map}\": {error:.4}"));

@@ -60,7 +60,7 @@ fn document(material: &AsModel, subject: &Subject<'_>, sphere: &Sphere) -> Value
     let core = &material.fitted.core;
     let [r, g, b] = core.base_color;
     let mut surface = json!({
-        "name": subject.identifier(),
+        "name": subject.name(),
         "pbrMetallicRoughness": {
             "baseColorFactor": [r, g, b, 1.0],
             "metallicFactor": core.metalness,
@@ -107,8 +107,13 @@ fn extensions(p: &Parameters) -> Map<String, Value> {
         all.insert("KHR_materials_ior".into(), json!({ "ior": p.ior }));
     }
     if p.specular_color != [1.0; 3] {
-        let factor = json!({ "specularColorFactor": p.specular_color });
-        all.insert("KHR_materials_specular".into(), factor);
+        // The factor is that of all the reflection, the colour's that at normal incidence.
+        let (weight, color) = p.specular_weight_and_color();
+        let mut specular = json!({ "specularFactor": weight });
+        if color != [1.0; 3] {
+            specular["specularColorFactor"] = json!(color);
+        }
+        all.insert("KHR_materials_specular".into(), specular);
     }
     if p.coat_weight > 0.0 {
         all.insert(

@@ -4,6 +4,7 @@ use std::fmt::Write;
 
 use super::Subject;
 use super::model::AsModel;
+use super::text::{xml_comment, xml_value};
 use crate::parametric::COAT_IOR;
 
 /// The document's text.
@@ -35,9 +36,8 @@ pub fn to_xml(material: &AsModel, subject: &Subject<'_>) -> String {
     ];
     let name = subject.identifier();
     let mut xml = String::from("<?xml version=\"1.0\"?>\n");
-    // A comment may hold no two hyphens in a row.
     for line in subject.lines(material) {
-        let _ = writeln!(xml, "<!-- {} -->", line.replace("--", "- -"));
+        let _ = writeln!(xml, "{}", xml_comment(&line));
     }
     let _ = writeln!(
         xml,
@@ -54,7 +54,11 @@ pub fn to_xml(material: &AsModel, subject: &Subject<'_>) -> String {
         );
     }
     let _ = writeln!(xml, "  </open_pbr_surface>");
-    let _ = writeln!(xml, "  <surfacematerial name=\"{name}\" type=\"material\">");
+    let _ = writeln!(
+        xml,
+        "  <surfacematerial name=\"{name}\" type=\"material\" uiname=\"{}\">",
+        xml_value(&subject.name())
+    );
     let _ = writeln!(
         xml,
         "    <input name=\"surfaceshader\" type=\"surfaceshader\" nodename=\"{name}_surface\" />"

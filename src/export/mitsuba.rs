@@ -13,6 +13,7 @@
 use std::fmt::Write;
 
 use super::SIMULATED_NOTE;
+use super::text::xml_comment;
 use crate::brdf::Mixture;
 use crate::brdf::atom::{Diffuse, Distribution, Facets};
 
@@ -76,10 +77,10 @@ pub fn to_xml(mixture: &Mixture, simulated: bool, note: Option<&str>) -> String 
     let mut xml = String::from("<?xml version=\"1.0\" encoding=\"utf-8\"?>\n");
     xml += "<!-- BRDF fitted by rig; for the RGB variants of Mitsuba 3. -->\n";
     if simulated {
-        let _ = writeln!(xml, "<!-- {SIMULATED_NOTE}. -->");
+        let _ = writeln!(xml, "{}", xml_comment(&format!("{SIMULATED_NOTE}.")));
     }
     if let Some(note) = note {
-        let _ = writeln!(xml, "<!-- {note} -->");
+        let _ = writeln!(xml, "{}", xml_comment(note));
     }
     xml += "<scene version=\"3.0.0\">\n";
     write_blend(&mut xml, &parts, 1, &format!(" id=\"{BSDF_ID}\""));

@@ -31,6 +31,7 @@ pub mod pbrt;
 pub mod rgl;
 mod spectrum;
 mod tensor_file;
+mod text;
 mod warp;
 
 use std::path::{Path, PathBuf};
@@ -39,9 +40,10 @@ use above_horizon::AboveHorizon;
 pub use model::{AsModel, LARGEST_ERROR, ModelFormat};
 
 use crate::brdf::{Brdf, BrdfError, merl};
+use crate::outside_file::ends_in;
 use crate::parametric::FitError;
 use crate::session::fit_record::FitRecord;
-use crate::whole_file;
+use crate::{checksum, shown, whole_file};
 
 /// A file format of [`export`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -107,11 +109,9 @@ pub enum TableFormat {
 impl TableFormat {
     /// The format that a file's ending stands for.
     pub fn of(path: &Path) -> Option<Self> {
-        match path.extension()?.to_str()? {
-            "binary" => Some(Self::Merl),
-            "bsdf" => Some(Self::Rgl),
-            _ => None,
-        }
+        let known = [("binary", Self::Merl), ("bsdf", Self::Rgl)];
+        let found = known.into_iter().find(|(ending, _)| ends_in(path, ending));
+        found.map(|(_, format)| format)
     }
 }
 
@@ -267,21 +267,31 @@ impl Subject<'_> {
         })
     }
 
-    /// The file's name as programs take names: letters, digits, underscores.
-    fn identifier(&self) -> String {
+    /// The file's name without its ending, for programs that take any text.
+    fn name(&self) -> String {
         let stem = self.out.file_stem().unwrap_or_default().to_string_lossy();
+        shown::escaped(&stem).into_owned()
+    }
+
+    /// The same of letters, digits and underscores; where that is another name, with a mark
+    /// that tells it from those of other files.
+    fn identifier(&self) -> String {
+        let stem = self.out.file_stem().unwrap_or_default();
         let plain = |c: char| if c.is_ascii_alphanumeric() { c } else { '_' };
-        let name: String = stem.chars().map(plain).collect();
-        match name.chars().next() {
-            Some(first) if first.is_ascii_alphabetic() => name,
-            _ => format!("material_{name}"),
+        let mut name: String = stem.to_string_lossy().chars().map(plain).collect();
+        if !name.starts_with(|first: char| first.is_ascii_alphabetic()) {
+            name.insert_str(0, "material_");
         }
+        if stem != name.as_str() {
+            let mark = checksum::sha256_hex(stem.as_encoded_bytes());
+            name = format!("{name}_{}", &mark[..8]);
+        }
+        name
     }
 
     /// What the file says of itself: where it comes from, and what it lost.
     fn lines(&self, model: &AsModel) -> Vec<String> {
-        let one_line = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
-        let mut lines = vec![one_line(self.description)];
+        let mut lines = vec![shown::line(self.description)];
         lines.extend(model.statements());
         lines
     }
@@ -320,7 +330,7 @@ fn summary(record: &FitRecord) -> String {
     };
     note + &format!(
         "Mixture of the dictionary {}{discrepancy}, rig {}: the images constrain {share:.0}% of the (half angle, difference angle) cells, and the other values are the dictionary's.",
-        record.dictionary,
+        shown::line(&record.dictionary),
         env!("CARGO_PKG_VERSION"),
     )
 }

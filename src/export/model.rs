@@ -5,6 +5,7 @@ use std::path::Path;
 use crate::brdf::Brdf;
 use crate::brdf::environment::EnvironmentMap;
 use crate::brdf::score;
+use crate::outside_file::ends_in;
 use crate::parametric::{self, FitError, Fitted, LEAST_ROUGHNESS, Loss, Model, Parameters};
 
 /// A program's material file.
@@ -39,10 +40,9 @@ impl ModelFormat {
 
     /// The format that a file's ending stands for.
     pub fn of(path: &Path) -> Option<Self> {
-        let ending = path.extension()?.to_str()?;
         [Self::OpenPbr, Self::Blender, Self::Gltf]
             .into_iter()
-            .find(|format| format.ending() == ending)
+            .find(|format| ends_in(path, format.ending()))
     }
 
     /// The model behind it.
@@ -221,7 +221,7 @@ mod tests {
             ModelFormat::of(Path::new("a/b.mtlx")),
             Some(ModelFormat::OpenPbr)
         );
-        assert_eq!(ModelFormat::of(Path::new("b.glb")), Some(ModelFormat::Gltf));
+        assert_eq!(ModelFormat::of(Path::new("b.GLB")), Some(ModelFormat::Gltf));
         assert_eq!(ModelFormat::of(Path::new("b.binary")), None);
     }
 }

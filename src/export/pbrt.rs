@@ -5,6 +5,7 @@
 //! and `conductor` has no factor per channel.
 
 use super::SIMULATED_NOTE;
+use super::text::literal;
 
 /// The material's name in the fragment.
 pub const MATERIAL_NAME: &str = "rig";
@@ -16,10 +17,9 @@ pub fn to_text(bsdf: &str, simulated: bool) -> String {
     if simulated {
         text += &format!("# {SIMULATED_NOTE}.\n");
     }
-    // A quote or backslash in a name would end the string.
-    let name = bsdf.replace('\\', "\\\\").replace('"', "\\\"");
+    let name = literal(bsdf);
     text + &format!(
-        "MakeNamedMaterial \"{MATERIAL_NAME}\"\n    \"string type\" \"measured\"\n    \"string filename\" \"{name}\"\n"
+        "MakeNamedMaterial \"{MATERIAL_NAME}\"\n    \"string type\" \"measured\"\n    \"string filename\" {name}\n"
     )
 }
 

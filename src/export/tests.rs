@@ -207,3 +207,38 @@ fn an_unusable_fit_or_place_is_an_error() {
     let error = export(&record(false), Format::Json, &nowhere).unwrap_err();
     assert!(error.to_string().contains("missing/a.json"), "{error}");
 }
+
+/// Files of different names hold materials of different names.
+#[test]
+fn names_of_materials_differ_as_those_of_files() {
+    let brdf = Dictionary::paper42();
+    let brdf = Mixture::grey(Arc::new(brdf), vec![1.0 / 42.0; 42]).unwrap();
+    let names = [
+        "赤漆",
+        "青漆",
+        "Größe",
+        "Grüße",
+        "a b",
+        "a_b",
+        "a-b",
+        "1",
+        "material_1",
+    ];
+    let mut known = std::collections::HashSet::new();
+    for name in names {
+        let out = PathBuf::from(format!("{name}.mtlx"));
+        let subject = Subject {
+            brdf: &brdf,
+            description: "",
+            simulated: false,
+            out: &out,
+        };
+        assert_eq!(subject.name(), name);
+        let identifier = subject.identifier();
+        let is_allowed = |c: char| c.is_ascii_alphanumeric() || c == '_';
+        assert!(identifier.chars().all(is_allowed), "{identifier}");
+        assert!(identifier.starts_with(|c: char| c.is_ascii_alphabetic()));
+        assert_eq!(identifier == name, ["a_b", "material_1"].contains(&name));
+        assert!(known.insert(identifier), "{name}");
+    }
+}

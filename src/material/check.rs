@@ -10,6 +10,7 @@ use crate::brdf::chi_square::{ChiSquare, check_lobes};
 use crate::brdf::merl;
 use crate::brdf::rgl::{AsMeasured, RglBrdf};
 use crate::brdf::table::Gaps;
+use crate::outside_file::ends_in;
 
 /// Angles of the viewer at which the importance sampler is tested, degrees.
 pub const SAMPLER_ANGLES_DEG: [f64; 4] = [0.0, 45.0, 80.0, 88.0];
@@ -50,12 +51,11 @@ impl MaterialCheck {
 pub fn check_material(spec: &str) -> Result<MaterialCheck, MaterialError> {
     let brdf = load(spec)?;
     let path = Path::new(spec);
-    let ends_in = |ending: &str| path.extension().is_some_and(|e| e == ending);
-    let reciprocity_as_measured = match ends_in("bsdf") {
+    let reciprocity_as_measured = match ends_in(path, "bsdf") {
         true => Some(check::check(&AsMeasured(&RglBrdf::read(path)?)).reciprocity),
         false => None,
     };
-    let gaps = match ends_in("binary") {
+    let gaps = match ends_in(path, "binary") {
         true => Some(merl::read(path)?.gaps()),
         false => None,
     };

@@ -122,10 +122,9 @@ fn a_fit_becomes_the_material_of_other_programs() {
     assert_eq!(elements[0].1["colorspace"], "lin_rec709");
     assert_eq!(elements[1].0, "open_pbr_surface");
     let (kind, material) = &elements[elements.len() - 2];
-    assert_eq!(
-        (kind.as_str(), material["name"].as_str()),
-        ("surfacematerial", "a_b")
-    );
+    assert_eq!(kind, "surfacematerial");
+    assert!(material["name"].starts_with("a_b_"), "{material:?}");
+    assert_eq!(material["uiname"], "a b");
     assert_eq!(
         elements[elements.len() - 1].1["nodename"],
         elements[1].1["name"]
@@ -171,6 +170,46 @@ fn a_fit_becomes_the_material_of_other_programs() {
         "Specular Tint",
     ] {
         assert!(script.contains(&format!("\"{socket}\": ")), "{socket}");
+    }
+}
+
+/// A dictionary's name is text, whatever it holds.
+#[test]
+fn names_from_outside_break_no_file() {
+    let home = tempfile::tempdir().unwrap();
+    let fit = home.path().join("fit");
+    write_fit(&fit);
+    let file = fit.join("fit.toml");
+    let text = std::fs::read_to_string(&file).unwrap();
+    let named = text.replace(
+        "dictionary = \"paper42\"",
+        "dictionary = \"red---v2 ---> \\u0001 \\\" \\n --\"",
+    );
+    assert_ne!(text, named);
+    std::fs::write(&file, named).unwrap();
+    for (format, name) in [
+        ("openpbr", "a.mtlx"),
+        ("blender", "a.py"),
+        ("merl", "a.binary"),
+    ] {
+        let done = rig(
+            &["export", "fit", "--format", format, "--out", name],
+            home.path(),
+        );
+        assert!(done.status.success(), "{}", stderr(&done));
+    }
+    let read = |name: &str| std::fs::read_to_string(home.path().join(name)).unwrap();
+    let xml = read("a.mtlx");
+    assert_eq!(elements(&xml)[0].0, "materialx");
+    let script = read("a.py");
+    let note = script
+        .lines()
+        .find(|line| line.starts_with("NOTE = "))
+        .unwrap();
+    assert!(note.contains("red---v2 ---> \\\\u{1} \\\" --"), "{note}");
+    for text in [xml, script, read("a.binary.txt")] {
+        let is_bad = |c: char| c.is_control() && c != '\n';
+        assert!(text.contains("red-") && !text.contains(is_bad));
     }
 }
 

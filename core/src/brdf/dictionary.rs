@@ -12,6 +12,7 @@ use super::evaluator::Evaluator;
 pub use super::evaluator::MAX_ATOMS;
 use super::ggx::Cosines;
 use super::half_difference::HalfDifference;
+use crate::outside_file::ends_in;
 use crate::shown::{MESSAGE, shortened};
 
 /// A named list of atoms, each with parameters in range.
@@ -164,8 +165,8 @@ impl Dictionary {
     }
 
     fn read(path: &Path) -> Result<Self, BrdfError> {
-        let extension = path.extension().and_then(|e| e.to_str()).unwrap_or("");
-        if !matches!(extension, "json" | "toml") {
+        let is_json = ends_in(path, "json");
+        if !is_json && !ends_in(path, "toml") {
             return Err(BrdfError::UnknownSource {
                 spec: path.display().to_string(),
                 known: format!("{}, a .json or .toml file", Self::NAMES.join(", ")),
@@ -179,7 +180,7 @@ impl Dictionary {
                 }
             })?;
         let stem = path.file_stem().and_then(|s| s.to_str()).unwrap_or("file");
-        Self::parse(stem, &text, extension == "json").map_err(|fact| match fact {
+        Self::parse(stem, &text, is_json).map_err(|fact| match fact {
             BrdfError::Dictionary { fact, .. } => BrdfError::File {
                 path: path.into(),
                 fact,

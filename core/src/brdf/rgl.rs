@@ -35,6 +35,9 @@ pub enum RglFault {
         /// How many wavelengths.
         wavelengths: usize,
     },
+    /// Another kind of file of the same ending, in words.
+    #[error("the file is {0}; tensor files of the RGL database are read")]
+    OtherKind(&'static str),
     /// What is wrong with it, in words.
     #[error("{0}")]
     Damaged(String),
@@ -86,6 +89,9 @@ impl RglBrdf {
 
     /// [`Self::read`] from memory.
     pub fn parse(bytes: &[u8]) -> Result<Self, RglFault> {
+        if let Some(kind) = other_kind(bytes) {
+            return Err(RglFault::OtherKind(kind));
+        }
         let fields = read_fields(bytes)?;
         let (_, phi_i) = floats(&fields, "phi_i", 1)?;
         if phi_i.len() > 2 {
@@ -400,6 +406,45 @@ struct Field<'a> {
 }
 
 /// The named arrays of a tensor file, each within the file.
+/// What else ends in `.bsdf`, or is met in the place of any file.
+fn other_kind(bytes: &[u8]) -> Option<&'static str> {
+    const STARTS: [(&str, &str); 8] = [
+        ("scatfun", "a Fourier BSDF of pbrt-v3 or layerlab"),
+        ("<?xml", "XML (a BSDF of WINDOW and Radiance, or another)"),
+        ("<windowelement", "XML (a BSDF of WINDOW and Radiance)"),
+        ("<!doctype", "a web page"),
+        ("<html", "a web page"),
+        (
+            "version https://git-lfs",
+            "a pointer of Git LFS in place of the file",
+        ),
+        ("pk\u{3}\u{4}", "a ZIP archive"),
+        ("\u{1f}", "compressed by gzip"),
+    ];
+    /// Words of the tables of scatter that programs for illumination exchange.
+    const OF_SCATTER: [&str; 4] = [
+        "scattertype",
+        "symmetry",
+        "spectralcontent",
+        "angleofincidence",
+    ];
+    let head = String::from_utf8_lossy(&bytes[..bytes.len().min(2048)]).to_ascii_lowercase();
+    let head = head.trim_start_matches('\u{feff}').trim_start();
+    let known = STARTS.iter().find(|(start, _)| head.starts_with(start));
+    let is_scatter = || {
+        OF_SCATTER
+            .iter()
+            .filter(|word| head.contains(*word))
+            .count()
+            >= 2
+    };
+    match known {
+        Some((_, kind)) => Some(kind),
+        None if is_scatter() => Some("a table of scatter in text (Zemax, Radiant, LightTools)"),
+        None => None,
+    }
+}
+
 fn read_fields(bytes: &[u8]) -> Result<HashMap<String, Field<'_>>, String> {
     let mut rest = bytes;
     let magic = take(&mut rest, 12)?;
@@ -573,6 +618,23 @@ mod tests {
             body.extend(data);
         }
         [head, body].concat()
+    }
+
+    #[test]
+    fn other_files_of_that_ending_are_named() {
+        for (start, kind) in [
+            (
+                &b"# paint\nSymmetry  PlaneSymmetrical\nScatterType  BRDF\n"[..],
+                "Zemax",
+            ),
+            (b"SCATFUN\x01\0\0", "layerlab"),
+            (b"\xef\xbb\xbf<?xml version=\"1.0\"?>", "WINDOW"),
+            (b"version https://git-lfs.github.com/spec/v1", "Git LFS"),
+            (b"tensor_fil", "inside its header"),
+        ] {
+            let error = RglBrdf::parse(start).unwrap_err().to_string();
+            assert!(error.contains(kind), "{error}");
+        }
     }
 
     #[test]

@@ -8,6 +8,7 @@ use super::mixture::Mixture;
 use super::nbrdf::{NAMES, NeuralBrdf};
 use super::rgl::RglBrdf;
 use super::{Brdf, BrdfError, merl, weights};
+use crate::outside_file::ends_in;
 
 /// Loads a BRDF:
 ///
@@ -46,21 +47,23 @@ pub fn load(spec: &str) -> Result<Box<dyn Brdf>, BrdfError> {
         return Ok(Box::new(Mixture::grey(Arc::new(dictionary), vec![1.0])?));
     }
     if let Some((dictionary, file)) = spec.rsplit_once(':')
-        && file.ends_with(".csv")
+        && ends_in(Path::new(file), "csv")
     {
         let dictionary = Arc::new(Dictionary::load(dictionary)?);
         let mixture = weights::read(Path::new(file), dictionary)?;
         return Ok(Box::new(mixture));
     }
     let path = Path::new(spec);
-    match path.extension().and_then(|e| e.to_str()) {
-        Some("binary") => Ok(Box::new(merl::read(path)?)),
-        Some("bsdf") => Ok(Box::new(RglBrdf::read(path)?)),
-        _ => Err(unknown(
-            "nbrdf:NAME, lambertian:ALBEDO, ggx:ALPHA,ETA, FILE.binary, FILE.bsdf, DICTIONARY:WEIGHTS.csv"
-                .to_owned(),
-        )),
+    if ends_in(path, "binary") {
+        return Ok(Box::new(merl::read(path)?));
     }
+    if ends_in(path, "bsdf") {
+        return Ok(Box::new(RglBrdf::read(path)?));
+    }
+    Err(unknown(
+        "nbrdf:NAME, lambertian:ALBEDO, ggx:ALPHA,ETA, FILE.binary, FILE.bsdf, DICTIONARY:WEIGHTS.csv"
+            .to_owned(),
+    ))
 }
 
 /// `lambertian:0.5` or `ggx:0.1,1.5`; ranges are checked by the dictionary.
@@ -92,7 +95,11 @@ mod tests {
             ("nbrdf:gold", "red-plastic"),
             ("nothing.xyz", "known"),
             ("missing.binary", "missing.binary"),
+            ("MISSING.BINARY", "MISSING.BINARY: "),
+            ("Missing.Bsdf", "Missing.Bsdf: "),
             ("paper42:missing.csv", "missing.csv"),
+            ("paper42:MISSING.CSV", "MISSING.CSV: "),
+            ("MISSING.TOML:x.csv", "MISSING.TOML: "),
         ] {
             let error = load(bad).err().map(|e| e.to_string()).unwrap_or_default();
             assert!(error.contains(said), "{bad}: {error}");

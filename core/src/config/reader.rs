@@ -219,6 +219,17 @@ impl Section {
         self.value(key, allowed, |value| value.numbers(&range))
     }
 
+    /// The numbers of a list, in any number, without taking it.
+    pub fn listed(&self, key: &str) -> Option<Vec<f64>> {
+        match &self.entries.get(key)?.value {
+            Value::List(nodes) => nodes
+                .iter()
+                .map(|node| node.value.number(&(f64::MIN..=f64::MAX)))
+                .collect(),
+            _ => None,
+        }
+    }
+
     /// Three numbers, or one that stands for all three.
     pub fn channels(
         &mut self,

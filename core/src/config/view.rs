@@ -83,7 +83,14 @@ pub fn take_lens(
     let [width, height] = resolution_px.map(f64::from);
     let principal_point_px = table.numbers("principal_point_px", 0.0..=1e5)?.optional();
     let aspect = table.number("pixel_aspect", 0.5..=2.0)?.optional();
-    let radial = table.numbers("radial", -1e6..=1e6)?.optional();
+    let opencv = table
+        .listed("radial")
+        .and_then(|list| in_opencvs_order(&list));
+    let radial = table.numbers("radial", -1e6..=1e6);
+    let radial = match (radial, opencv) {
+        (Err(_), Some((list, allowed))) => return Err(table.conflict("radial", list, &allowed)),
+        (radial, _) => radial?.optional(),
+    };
     let tangential = table.numbers("tangential", -1e3..=1e3)?.optional();
     if (principal_point_px, aspect, radial, tangential) == (None, None, None, None) {
         return Ok(None);
@@ -104,6 +111,24 @@ pub fn take_lens(
             tangential: tangential.unwrap_or_default(),
         },
     }))
+}
+
+/// OpenCV's coefficients in the place of radial ones, as a file has them, and what belongs
+/// there.
+fn in_opencvs_order(list: &[f64]) -> Option<(String, String)> {
+    let &[k1, k2, p1, p2, ref rest @ ..] = list else {
+        return None;
+    };
+    let k3 = rest.first().unwrap_or(&0.0);
+    let order =
+        "a list of 3, k1, k2, k3; OpenCV's coefficients stand in the order k1, k2, p1, p2, k3";
+    let further = match rest.iter().skip(1).any(|k| *k != 0.0) {
+        true => "; those after k3 have no place here: calibrate with these five".to_owned(),
+        false => {
+            format!(", which is radial = [{k1}, {k2}, {k3}] and tangential = [{p1}, {p2}] here")
+        }
+    };
+    Some((format!("{list:?}"), format!("{order}{further}")))
 }
 
 /// The camera with this lens, stated under `key`.
@@ -243,6 +268,31 @@ mod tests {
     fn sample(keys: &str) -> Result<SampleSpec, ConfigError> {
         let text = format!("mesh = \"scan.ply\"\n{keys}");
         SampleSpec::read(Section::parse("rig.toml", Path::new(""), &text)?)
+    }
+
+    #[test]
+    fn coefficients_in_opencvs_order_are_told_apart() {
+        for (list, said) in [
+            (
+                "[-0.1, 0.02, 0.001, -0.0005, 0.003]",
+                "radial = [-0.1, 0.02, 0.003] and tangential = [0.001, -0.0005]",
+            ),
+            (
+                "[-1, 0.02, 0.001, 0.0]",
+                "radial = [-1, 0.02, 0] and tangential = [0.001, 0]",
+            ),
+            ("[1, 2, 3, 4, 5, 0, 0, 0]", "radial = [1, 2, 5]"),
+            ("[1, 2, 3, 4, 5, 6, 7, 8]", "those after k3 have no place"),
+            ("[1, 2]", "must be a list of 3, each"),
+        ] {
+            let text = format!("radial = {list}");
+            let mut table = Section::parse("rig.toml", Path::new(""), &text).unwrap();
+            let error = take_lens(&mut table, [64, 64]).unwrap_err().to_string();
+            assert!(
+                error.starts_with("rig.toml:1: `radial` is [") && error.contains(said),
+                "{error}"
+            );
+        }
     }
 
     #[test]

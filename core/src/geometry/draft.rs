@@ -8,8 +8,9 @@ use std::collections::HashSet;
 use glam::{DVec3, Vec3};
 
 use super::mesh::{MAX_TRIANGLES, Mesh, face_normal, has_area};
-use super::mesh_error::{FileRemark, MeshError, MeshRemark};
+use super::mesh_error::{FileRemark, MeshError, MeshRemark, Steps};
 use super::placement::Placement;
+use super::seams;
 use super::topology::{Topology, welded};
 use super::triangulate::{Cut, MAX_CORNERS, triangulate};
 
@@ -42,6 +43,8 @@ pub struct Draft {
     pub vertices: Vec<DVec3>,
     /// Lines of the vertices that are not finite, where the file is text.
     pub broken_lines: Vec<(u32, usize)>,
+    /// Whether the file holds them as 32-bit numbers.
+    pub are_single: bool,
     /// Of any length.
     pub normals: Vec<Vec3>,
     corners: Vec<Corner>,
@@ -110,13 +113,19 @@ impl Draft {
             });
         }
         self.check_corners()?;
-        let positions_mm: Vec<Vec3> = self
+        let mut positions_mm: Vec<Vec3> = self
             .vertices
             .iter()
             .map(|&position| placement.point(position).as_vec3())
             .collect();
         let triangles = self.triangles();
-        let triangles = self.tidied(triangles, &positions_mm)?;
+        let mut triangles = self.tidied(triangles, &positions_mm)?;
+        self.remark_on_distance(&triangles, &positions_mm, placement);
+        let facets: Vec<[u32; 3]> = triangles.iter().map(|t| t.map(|c| c.vertex)).collect();
+        if let Some(seam) = seams::close(&mut positions_mm, &facets) {
+            self.remarks.push(MeshRemark::OpenSeam(seam));
+        }
+        triangles.retain(|t| has_area(t.map(|c| positions_mm[c.vertex as usize])));
         let shaded = self.are_normals_usable(&triangles);
 
         // A vertex for each position and normal that is used, in the file's order.
@@ -276,10 +285,38 @@ impl Draft {
         Ok(triangles)
     }
 
+    /// Remarks on coordinates so far away that single precision makes steps of them, in the
+    /// file or after its placement.
+    fn remark_on_distance(
+        &mut self,
+        triangles: &[[Corner; 3]],
+        positions_mm: &[Vec3],
+        placement: &Placement,
+    ) {
+        let used = || triangles.iter().flatten().map(|c| c.vertex as usize);
+        let in_file = || used().map(|v| self.vertices[v]);
+        let placed = || used().map(|v| positions_mm[v].as_dvec3());
+        let file = self.are_single.then(|| Steps::of(in_file())).flatten();
+        let file = file.map(|steps| (steps, false));
+        let placed = Steps::of(placed()).map(|steps| (steps, true));
+        // The file's own, if the placement brings it back; else what is left of it.
+        let of_file_mm = |steps: &Steps| steps.step * placement.mm_per_unit;
+        let worst = match (file, placed) {
+            (Some(file), Some(placed)) if of_file_mm(&file.0) < placed.0.step => Some(placed),
+            (file, placed) => file.or(placed),
+        };
+        if let Some((steps, is_placed)) = worst {
+            self.remarks.push(match is_placed {
+                true => MeshRemark::PlacedFar(steps),
+                false => MeshRemark::Far(steps),
+            });
+        }
+    }
+
     /// Whether every corner has a normal of some length.
     fn are_normals_usable(&mut self, triangles: &[[Corner; 3]]) -> bool {
         let corners = || triangles.iter().flatten();
-        if corners().any(|c| c.normal == NO_NORMAL) {
+        if corners().all(|c| c.normal == NO_NORMAL) {
             return false;
         }
         let is_none = |c: &&Corner| {
@@ -423,6 +460,39 @@ mod tests {
         assert!(matches!(none, Err(MeshError::NoArea { facets: 1 })));
         let none = draft(&SQUARE, &[]).mesh(&Placement::default());
         assert!(matches!(none, Err(MeshError::Empty { vertices: 5 })));
+    }
+
+    /// What single precision has taken, in the file or by the placement, is remarked on.
+    #[test]
+    fn coarse_coordinates_are_remarked_on() {
+        let at = |x: f64, moved: f64, are_single: bool| {
+            let far = [[x, 0.0, 0.0], [x + 20.0, 0.0, 0.0], [x, 20.0, 0.0]];
+            let mut draft = draft(&far, &[&[0, 1, 2]]);
+            draft.are_single = are_single;
+            let placement = Placement {
+                sample_from_mesh: Rigid::new(glam::DQuat::IDENTITY, DVec3::new(moved, 0.0, 0.0)),
+                ..Placement::default()
+            };
+            let mesh = draft.mesh(&placement).unwrap();
+            whats(&mesh)
+                .iter()
+                .map(MeshRemark::to_string)
+                .collect::<Vec<_>>()
+                .join("\n")
+        };
+        let said = at(4e6, 0.0, true);
+        assert!(
+            said.contains("reach 4000020, where 32-bit numbers are 0.25 apart, 1.25% of the mesh's size of 20 (in the file's unit)"),
+            "{said}"
+        );
+        assert_eq!(
+            at(4e6, -4e6, true),
+            said,
+            "moving it back brings no digits back"
+        );
+        assert!(at(4e6, 0.0, false).contains("of 20 (mm); `translate_mm`"));
+        assert_eq!(at(4e6, -4e6, false), "");
+        assert_eq!(at(1000.0, 0.0, true), "");
     }
 
     /// Far from the file's origin a coordinate keeps its digits where the placement brings

@@ -13,7 +13,8 @@ use super::mesh::{Mesh, MeshError};
 use super::mesh_error::Content;
 use super::placement::Placement;
 use super::{obj, ply, stl};
-use crate::{outside_file, whole_file};
+use crate::outside_file::{self, ends_in};
+use crate::whole_file;
 
 /// Largest file that is read, bytes: more than the most triangles take in any format.
 const MAX_BYTES: u64 = 4 << 30;
@@ -46,15 +47,13 @@ pub enum MeshFormat {
 impl MeshFormat {
     /// By the end of the file's name, in capitals or not.
     pub fn of(path: &Path) -> Result<Self, MeshError> {
-        let end = path.extension().and_then(|e| e.to_str()).unwrap_or("");
-        match end.to_ascii_lowercase().as_str() {
-            "ply" => Ok(Self::Ply),
-            "obj" => Ok(Self::Obj),
-            "stl" => Ok(Self::Stl),
-            _ => Err(MeshError::Kind {
+        let known = [("ply", Self::Ply), ("obj", Self::Obj), ("stl", Self::Stl)];
+        let found = known.into_iter().find(|(ending, _)| ends_in(path, ending));
+        found
+            .map(|(_, format)| format)
+            .ok_or_else(|| MeshError::Kind {
                 path: path.display().to_string(),
-            }),
-        }
+            })
     }
 
     /// The mesh of a file's bytes.

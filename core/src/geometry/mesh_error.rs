@@ -1,5 +1,9 @@
 //! What can be wrong with a mesh, and what is worth a remark though it can be used.
 
+use glam::DVec3;
+
+use super::seams::OpenSeam;
+
 /// Largest coordinate that a mesh may have, millimetres.
 pub const MAX_DISTANCE_MM: f32 = 1e7;
 
@@ -150,6 +154,51 @@ pub enum MeshError {
     },
 }
 
+/// How coarse single precision is for a mesh far from the origin.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[error(
+    "coordinates reach {}, where 32-bit numbers are {} apart, {}% of the mesh's size of {}",
+    brief(*distance), brief(*step), brief(100.0 * step / size), brief(*size)
+)]
+pub struct Steps {
+    /// Largest coordinate, absolute.
+    pub distance: f64,
+    /// From there to the next number.
+    pub step: f64,
+    /// Largest extent.
+    pub size: f64,
+}
+
+/// With three digits, or all before the point.
+fn brief(value: f64) -> String {
+    let decimals = (2.0 - value.abs().log10().floor()).clamp(0.0, 12.0) as usize;
+    let text = format!("{value:.decimals$}");
+    match text.contains('.') {
+        true => text.trim_end_matches('0').trim_end_matches('.').to_owned(),
+        false => text,
+    }
+}
+
+impl Steps {
+    /// Steps of which this part of the size is worth a remark.
+    const COARSE: f64 = 1e-4;
+
+    /// Of these positions, where the steps are coarse.
+    pub fn of(positions: impl Iterator<Item = DVec3>) -> Option<Self> {
+        let first = [DVec3::INFINITY, DVec3::NEG_INFINITY];
+        let [low, high] = positions.fold(first, |[low, high], p| [low.min(p), high.max(p)]);
+        let distance = low.abs().max(high.abs()).max_element();
+        let size = (high - low).max_element();
+        let single = distance as f32;
+        let step = f64::from(single.next_up() - single);
+        (step > Self::COARSE * size).then_some(Self {
+            distance,
+            step,
+            size,
+        })
+    }
+}
+
 /// What is worth a remark about a mesh file that can be used.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum MeshRemark {
@@ -200,6 +249,19 @@ pub enum MeshRemark {
         "the file's normals point to the backs of its facets and are turned: the order of a facet's corners defines its front"
     )]
     NormalsTurned,
+    /// Open edges whose vertices nearly meet.
+    #[error(
+        "{} vertices of open edges nearly meet another, at most {:.1e} of the mesh's size apart: such a seam is an opening, and smooth shading has a crease there", _0.vertices, _0.apart
+    )]
+    OpenSeam(OpenSeam),
+    /// Coordinates that have lost their digits in the file.
+    #[error(
+        "{0} (in the file's unit); moved to the origin before its export, the mesh keeps its digits"
+    )]
+    Far(Steps),
+    /// Coordinates that lose their digits where the mesh is placed.
+    #[error("{0} (mm); `translate_mm` brings the mesh to the origin")]
+    PlacedFar(Steps),
     /// A binary file that goes on after its facets.
     #[error("{bytes} bytes after the {facets} facets are passed over")]
     BytesAfter {

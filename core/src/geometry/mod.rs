@@ -45,6 +45,7 @@ pub mod obj;
 pub mod placement;
 pub mod ply;
 mod ply_header;
+pub mod seams;
 pub mod shapes;
 pub mod smooth;
 pub mod stl;

@@ -134,8 +134,9 @@ impl File {
         if self.farthest.is_none_or(|(number, _)| vertex + 1 > number) {
             self.farthest = Some((vertex + 1, line));
         }
+        // 0, which no number of OBJ is, stands for none in files of some programs.
         let normal = match parts.nth(1) {
-            None | Some("") => NO_NORMAL,
+            None | Some("" | "0") => NO_NORMAL,
             Some(text) => index(text, self.draft.normals.len(), "normal")? as u32,
         };
         Ok(Corner {
@@ -219,6 +220,16 @@ mod tests {
         let mesh = read(no_length).unwrap();
         assert!(mesh.normals.is_none());
         assert_eq!(mesh.remarks.len(), 1);
+        for none in ["1//0", "1/0/0", "1"] {
+            let mesh = read(
+                &no_length
+                    .replace("0 0 0\nf", "0 0 1\nf")
+                    .replace("1//1", none),
+            )
+            .unwrap();
+            assert!(mesh.normals.is_none(), "{none}");
+            assert_eq!(mesh.remarks.len(), 1, "{none}");
+        }
         let backwards = read(&no_length.replace("vn 0 0 0", "vn 0 0 -2")).unwrap();
         assert_eq!(backwards.normals.unwrap(), [Vec3::Z; 3]);
     }

@@ -29,16 +29,19 @@ pub(super) fn draft(bytes: &[u8]) -> Result<Draft, MeshError> {
         Encoding::LittleEndian => Body::Binary(header.body, false),
         Encoding::BigEndian => Body::Binary(header.body, true),
     };
-    let names = |axis: &str| {
-        let is_named = |p: &Property| matches!(p, Property::Single(name, _) if name == axis);
+    let of_vertices = || {
         let vertices = header.elements.iter().filter(|e| e.name == "vertex");
-        vertices.flat_map(|e| &e.properties).any(is_named)
+        vertices.flat_map(|e| &e.properties)
     };
+    let names =
+        |axis: &str| of_vertices().any(|p| matches!(p, Property::Single(name, _) if name == axis));
+    let is_single = |p: &Property| matches!(p, Property::Single(name, Scalar::F32) if name == "x");
     let mut reader = Reader {
         body,
         has_normals: ["nx", "ny", "nz"].into_iter().all(names),
         draft: Draft::default(),
     };
+    reader.draft.are_single = of_vertices().any(is_single);
     for element in &header.elements {
         // Rows of nothing take no bytes, whatever their number.
         if element.properties.is_empty() {

@@ -60,6 +60,7 @@ fn declared(bytes: &[u8]) -> Option<usize> {
 
 /// Reads one solid after the other: some programs put several in one file.
 fn binary(mut bytes: &[u8], weld: &mut Weld) -> Result<(), MeshError> {
+    weld.draft.are_single = true;
     loop {
         let Some(count) = declared(bytes) else {
             return Err(MeshError::format(format!(
@@ -130,7 +131,12 @@ fn ascii(bytes: &[u8], weld: &mut Weld) -> Result<(), MeshError> {
         let mut words = line.split_ascii_whitespace().peekable();
         // Some programs write a facet on one line.
         while let Some(word) = words.next() {
-            match word.to_ascii_lowercase().as_str() {
+            let mut keyword = word.to_ascii_lowercase();
+            if keyword == "end" {
+                // Some write "end solid".
+                keyword.extend(words.next().map(str::to_ascii_lowercase));
+            }
+            match keyword.as_str() {
                 // A name follows, of any words.
                 "solid" => {
                     ended = false;
@@ -285,6 +291,7 @@ mod tests {
             SQUARE.replace('\n', "\r"),
             format!("\u{feff}{SQUARE}"),
             SQUARE.replace("solid a square", "solid"),
+            SQUARE.replace("end", "end "),
             SQUARE.replace("0 0 1\n", "nan nan -1.#IND\n"),
             SQUARE.replace(" facet", " color 1 0 0\n facet"),
             SQUARE.replace(" facet", "endsolid a\nsolid facet of two words\n facet"),

@@ -4,7 +4,7 @@ use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
 use super::residuals::Target;
-use super::{COUNT, LIMITS, Model, Parameters, ParametricBrdf};
+use super::{COUNT, LIMITS, Model, Parameters, ParametricBrdf, USUAL_IOR};
 use crate::brdf::environment::EnvironmentMap;
 use crate::brdf::{Brdf, score};
 use crate::least_squares::{Equations, Options, Problem, minimise};
@@ -54,7 +54,8 @@ const ROUGHNESS: usize = 5;
 const IOR: usize = 6;
 const SPECULAR: [usize; 3] = [7, 8, 9];
 const COAT: [usize; 2] = [10, 11];
-const FUZZ: [usize; 4] = [12, 13, 14, 15];
+const FUZZ: [usize; 3] = [12, 13, 14];
+const FUZZ_ROUGHNESS: usize = 15;
 
 /// Roughnesses from which a base is sought.
 const START_ROUGHNESS: [f64; 3] = [0.15, 0.35, 0.65];
@@ -62,8 +63,14 @@ const START_ROUGHNESS: [f64; 3] = [0.15, 0.35, 0.65];
 const START_METALNESS: [f64; 2] = [0.02, 0.9];
 /// Pixels a side of the spheres by which candidates are chosen.
 const SMALL_SPHERE: usize = 20;
-/// A layer more must lower the sum of squares by this part.
+/// A layer or a tint more must lower the sum of squares by this part,
 const LEAST_GAIN: f64 = 0.03;
+/// and the environment error by this much.
+const LEAST_GAIN_OF_ERROR: f64 = 0.005;
+/// Environment error of the best base above which OpenPBR's is another start.
+const POOR: f64 = 0.25;
+/// A diffuse material is sought darker and brighter than the nearest by its values.
+const SHARES_OF_MATT: [f64; 8] = [0.4, 0.6, 0.8, 0.9, 1.1, 1.3, 1.7, 2.5];
 
 const OPTIONS: Options = Options {
     rounds: 40,
@@ -72,8 +79,18 @@ const OPTIONS: Options = Options {
     least_gain: 1e-12,
 };
 
+/// Parameters that a fit may change, in groups that change alike.
+type Free = Vec<Vec<usize>>;
+
+fn each(parameters: &[usize]) -> Free {
+    parameters.iter().map(|&k| vec![k]).collect()
+}
+
 /// The parameters of `model` whose ∛(f·cos θi) is nearest to that of `brdf`, over directions
-/// up to θd = 80°. Several starts; layers (coat, fibres) that gain less than 3% are left out.
+/// up to θd = 80°, of several starts the one that is nearest by environment error too. Never farther
+/// in that error than the nearest diffuse material. Layers (coat, fibres), tints of reflections
+/// and, in glTF, an index of refraction that gain less than 3% are left out: what is neutral
+/// stays neutral.
 ///
 /// For glTF the base, which all programs show, is found first and alone; the extensions are
 /// then fitted around it.
@@ -95,64 +112,23 @@ pub fn fit(brdf: &dyn Brdf, model: Model) -> Result<Fitted, FitError> {
         brdf,
         maps: &maps,
     };
-    let mut base: Vec<usize> = BASE.into_iter().chain([METALNESS, ROUGHNESS]).collect();
-    let mut extensions: Vec<usize> = vec![IOR];
-    extensions.extend(SPECULAR);
-    if model != Model::Gltf {
-        base.append(&mut extensions);
-    }
-    if model == Model::OpenPbr {
-        base.push(DIFFUSE_ROUGHNESS);
-    }
-
-    // The base from every start; the layers on the best two of different kinds.
-    let plain = search.each_start_fitted(&starts(&target), &base);
-    let core = plain[0].1;
-    let kinds = match model {
-        Model::Gltf => 1,
-        _ => 2,
-    };
-    let grounds: Vec<Parameters> = plain.iter().take(kinds).map(|(_, found)| *found).collect();
-    let layered = |layers: [bool; 2], starts: &dyn Fn(&Parameters) -> Vec<Parameters>| {
-        let [coat, fuzz] = layers;
-        let mut free = match model {
-            Model::Gltf => extensions.clone(),
-            _ => base.clone(),
-        };
-        free.extend(COAT.into_iter().filter(|_| coat));
-        free.extend(FUZZ.into_iter().filter(|_| fuzz));
-        let starts: Vec<Parameters> = grounds.iter().flat_map(starts).collect();
-        search.each_start_fitted(&starts, &free)[0]
-    };
-    let mut found = match model {
-        Model::Gltf => layered([false, false], &|ground| vec![*ground]),
-        _ => plain[0],
-    };
-    let with = [
-        layered([true, false], &coated),
-        layered([false, true], &|ground| vec![fuzzy(ground)]),
-        layered([true, true], &|ground| {
-            coated(ground).iter().map(fuzzy).collect()
-        }),
-    ];
-    // A layer stays that lowers both measures.
-    let mut error = search.environment_error(&found.1);
-    for candidate in with {
-        if candidate.0 < (1.0 - LEAST_GAIN) * found.0 {
-            let with_layer = search.environment_error(&candidate.1);
-            if with_layer < error {
-                (found, error) = (candidate, with_layer);
-            }
-        }
+    let grounds = search.bases();
+    let mut core = grounds[0];
+    let found = search.with_layers(&grounds);
+    let mut found = search.without_needless(search.with_tints(found));
+    let matt = search.matt();
+    if found.error > matt.error {
+        (found, core) = (matt, matt);
+        core.parameters.specular_color = [1.0; 3];
     }
     Ok(Fitted {
         model,
-        parameters: found.1,
+        parameters: found.parameters,
         core: match model {
-            Model::Gltf => core,
-            _ => found.1,
+            Model::Gltf => core.parameters,
+            _ => found.parameters,
         },
-        difference: (found.0 / target.len() as f64).sqrt(),
+        difference: (found.squares / target.len() as f64).sqrt(),
     })
 }
 
@@ -186,11 +162,34 @@ fn coated(ground: &Parameters) -> Vec<Parameters> {
     vec![with(0.12), with((0.6 * ground.roughness).max(0.15))]
 }
 
-fn fuzzy(ground: &Parameters) -> Parameters {
+fn fuzzy(ground: &Parameters, tinted: bool) -> Parameters {
+    let grey = ground.base_color.iter().sum::<f64>() / 3.0;
+    let color = match tinted {
+        true => ground.base_color,
+        false => [grey; 3],
+    };
     Parameters {
-        fuzz: ground.base_color.map(|value| 0.1 + 0.2 * value),
+        fuzz: color.map(|value| 0.1 + 0.2 * value),
         fuzz_roughness: 0.4,
         ..*ground
+    }
+}
+
+/// A material and how far it is from the one that is sought.
+#[derive(Clone, Copy, Debug)]
+struct Found {
+    parameters: Parameters,
+    /// Sum of squares over the target.
+    squares: f64,
+    /// Environment error of small spheres.
+    error: f64,
+}
+
+impl Found {
+    /// Whether more parameters have lowered both measures by enough.
+    fn is_nearer(&self, fewer: &Self) -> bool {
+        self.squares < (1.0 - LEAST_GAIN) * fewer.squares
+            && self.error < fewer.error - LEAST_GAIN_OF_ERROR
     }
 }
 
@@ -203,6 +202,180 @@ struct Search<'a> {
 }
 
 impl Search<'_> {
+    /// What of the base is free: all that programs show without extensions.
+    fn base(&self) -> Free {
+        let mut free = each(&BASE);
+        free.extend(each(&[METALNESS, ROUGHNESS]));
+        match self.model {
+            Model::Gltf => return free,
+            Model::OpenPbr => free.push(vec![DIFFUSE_ROUGHNESS]),
+            Model::Principled => {}
+        }
+        free.extend([vec![IOR], SPECULAR.to_vec()]);
+        free
+    }
+
+    /// Bases, the nearest first: from every start, and the plain diffuse one.
+    fn bases(&self) -> Vec<Found> {
+        let free = self.base();
+        let mut bases = self.each_start_fitted(&starts(self.target), &free);
+        if self.model != Model::Gltf {
+            let matt = self.matt();
+            bases.push(matt);
+            bases.extend(self.each_start_fitted(&[matt.parameters], &free));
+            sort(&mut bases);
+        }
+        if bases[0].error > POOR && self.model == Model::Principled {
+            let open_pbr = Search {
+                model: Model::OpenPbr,
+                ..*self
+            };
+            let nearest = open_pbr.with_layers(&open_pbr.bases());
+            bases.extend(self.each_start_fitted(&[nearest.parameters], &free));
+            sort(&mut bases);
+        }
+        bases
+    }
+
+    /// The nearest diffuse material without an interface, by environment error.
+    fn matt(&self) -> Found {
+        let guess = self.target.diffuse_guess();
+        let mut matt = Parameters {
+            base_color: guess.map(|value| value.clamp(0.0, 0.95)),
+            roughness: 1.0,
+            ..Parameters::default()
+        };
+        match self.model {
+            // Schlick's curve reflects at grazing incidence whatever the index.
+            Model::Gltf => matt.specular_color = [0.0; 3],
+            _ => matt.ior = 1.0,
+        }
+        let matt = self.each_start_fitted(&[matt], &each(&BASE))[0];
+        let scaled = SHARES_OF_MATT.map(|share| {
+            let base_color = matt
+                .parameters
+                .base_color
+                .map(|value| (share * value).min(1.0));
+            let parameters = Parameters {
+                base_color,
+                ..matt.parameters
+            };
+            self.each_start_fitted(&[parameters], &Free::new())[0]
+        });
+        let nearer = |best: Found, next: Found| if next.error < best.error { next } else { best };
+        scaled.into_iter().fold(matt, nearer)
+    }
+
+    /// The nearest of a base alone and with a coat, fibres or both.
+    fn with_layers(&self, bases: &[Found]) -> Found {
+        let mut best = bases[0];
+        let mut grounds: Vec<Parameters> = match self.model {
+            Model::Gltf => vec![best.parameters],
+            _ => bases.iter().take(2).map(|found| found.parameters).collect(),
+        };
+        if self.model != Model::Gltf && best.error > POOR {
+            grounds.push(self.matt().parameters);
+        }
+        if self.model == Model::Gltf {
+            best = self.nearer(best, &grounds, &self.all_of(&best.parameters, false));
+        }
+        let coat: Vec<Parameters> = grounds.iter().flat_map(coated).collect();
+        best = self.nearer(best, &coat, &self.all_of(&coat[0], false));
+        // Fibres of no colour; then, if the material has one, in it.
+        for tints in [false, true]
+            .into_iter()
+            .take(1 + usize::from(self.target.is_tinted()))
+        {
+            for below in [&grounds, &coat] {
+                let starts: Vec<Parameters> = below.iter().map(|p| fuzzy(p, tints)).collect();
+                best = self.nearer(best, &starts, &self.all_of(&starts[0], tints));
+            }
+        }
+        best
+    }
+
+    /// With tints of its reflections, where these are needed.
+    fn with_tints(&self, plain: Found) -> Found {
+        if !self.target.is_tinted() {
+            return plain;
+        }
+        let start = plain.parameters;
+        self.nearer(plain, &[start], &self.all_of(&start, true))
+    }
+
+    /// Without those extensions of glTF that change little.
+    fn without_needless(&self, found: Found) -> Found {
+        if self.model != Model::Gltf {
+            return found;
+        }
+        let [r, g, b] = found.parameters.specular_color;
+        let with = |specular_color: [f64; 3]| Parameters {
+            ior: USUAL_IOR,
+            specular_color,
+            ..found.parameters
+        };
+        for start in [with([1.0; 3]), with([r, g, b])] {
+            let mut free = self.all_of(&start, (r, g) != (g, b));
+            free.retain(|group| {
+                let is_specular = SPECULAR.contains(&group[0]);
+                group[0] != IOR && !(is_specular && start.specular_color == [1.0; 3])
+            });
+            let simple = self.each_start_fitted(&[start], &free)[0];
+            if !found.is_nearer(&simple) {
+                return simple;
+            }
+        }
+        found
+    }
+
+    /// What is free in a material of these layers: in glTF, of the extensions. The channels of
+    /// a tint are so one by one, or alike.
+    fn all_of(&self, layers: &Parameters, tints: bool) -> Free {
+        let tint = |channels: &[usize]| match tints {
+            true => each(channels),
+            false => vec![channels.to_vec()],
+        };
+        let mut free = match self.model {
+            Model::Gltf => each(&[IOR]),
+            _ => self.base(),
+        };
+        free.retain(|group| group[0] != SPECULAR[0]);
+        free.extend(tint(&SPECULAR));
+        if layers.coat_weight > 0.0 {
+            free.extend(each(&COAT));
+        }
+        if layers.fuzz != [0.0; 3] {
+            free.extend(tint(&FUZZ));
+            free.push(vec![FUZZ_ROUGHNESS]);
+        }
+        free
+    }
+
+    /// Minima from each start, that of the least environment error first.
+    fn each_start_fitted(&self, starts: &[Parameters], free: &Free) -> Vec<Found> {
+        let of_start = |start: &Parameters| {
+            let mut problem = Nearest {
+                target: self.target,
+                model: self.model,
+                free,
+            };
+            let start = start.to_array();
+            let point = match free.is_empty() {
+                true => start,
+                false => minimise(&mut problem, start, &OPTIONS).point,
+            };
+            let parameters = Parameters::from_array(point);
+            Found {
+                parameters,
+                squares: problem.cost(&point),
+                error: self.environment_error(&parameters),
+            }
+        };
+        let mut found: Vec<Found> = starts.par_iter().map(of_start).collect();
+        sort(&mut found);
+        found
+    }
+
     /// By small spheres.
     fn environment_error(&self, parameters: &Parameters) -> f64 {
         let model = ParametricBrdf::new(self.model, parameters);
@@ -210,30 +383,30 @@ impl Search<'_> {
         error.mean.all
     }
 
-    /// Minima from each start, with their sums of squares, the least first.
-    fn each_start_fitted(&self, starts: &[Parameters], free: &[usize]) -> Vec<(f64, Parameters)> {
-        let mut found: Vec<(f64, Parameters)> = starts
-            .par_iter()
-            .map(|start| {
-                let mut problem = Nearest {
-                    target: self.target,
-                    model: self.model,
-                    free,
-                };
-                let point = minimise(&mut problem, start.to_array(), &OPTIONS).point;
-                (problem.cost(&point), Parameters::from_array(point))
-            })
-            .collect();
-        found.sort_by(|a, b| a.0.total_cmp(&b.0));
-        found
+    /// A minimum from these starts that is nearer than the best so far, or that.
+    fn nearer(&self, best: Found, starts: &[Parameters], free: &Free) -> Found {
+        let found = self.each_start_fitted(starts, free).into_iter();
+        let mut nearer = found.filter(|found| found.is_nearer(&best));
+        nearer.next().unwrap_or(best)
     }
+}
+
+/// By environment error, but first those whose differences are at most twice the least.
+fn sort(found: &mut [Found]) {
+    let squares = found.iter().map(|found| found.squares);
+    let least = squares.fold(f64::INFINITY, f64::min);
+    let key = |found: &Found| (found.squares > 4.0 * least, found.error);
+    found.sort_by(|a, b| {
+        let ((a_far, a), (b_far, b)) = (key(a), key(b));
+        a_far.cmp(&b_far).then(a.total_cmp(&b))
+    });
 }
 
 /// The problem that [`minimise`] solves, for some of the parameters.
 struct Nearest<'a> {
     target: &'a Target,
     model: Model,
-    free: &'a [usize],
+    free: &'a Free,
 }
 
 /// Step of the differences that stand for derivatives.
@@ -245,14 +418,15 @@ impl Nearest<'_> {
         self.target.residuals(self.model, &parameters)
     }
 
-    /// Derivative of the residuals by one parameter, taken towards the inside.
-    fn column(&self, at: &[f64; COUNT], here: &[f64], parameter: usize) -> Vec<f64> {
+    /// Derivative of the residuals by a group, taken towards the inside.
+    fn column(&self, at: &[f64; COUNT], here: &[f64], group: &[usize]) -> Vec<f64> {
         let mut moved = *at;
-        let step = match at[parameter] + DIFFERENCE > LIMITS[parameter][1] {
+        let is_high = |&k: &usize| at[k] + DIFFERENCE > LIMITS[k][1];
+        let step = match group.iter().any(is_high) {
             true => -DIFFERENCE,
             false => DIFFERENCE,
         };
-        moved[parameter] += step;
+        group.iter().for_each(|&k| moved[k] += step);
         let there = self.residuals(&moved);
         let pairs = there.iter().zip(here);
         pairs.map(|(there, here)| (here - there) / step).collect()
@@ -265,7 +439,7 @@ impl Problem for Nearest<'_> {
     fn linearise(&mut self, at: &Self::Point) -> Equations {
         let here = self.residuals(at);
         let columns = self.free.iter();
-        let columns: Vec<Vec<f64>> = columns.map(|&k| self.column(at, &here, k)).collect();
+        let columns: Vec<Vec<f64>> = columns.map(|group| self.column(at, &here, group)).collect();
         let n = columns.len();
         let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         let mut normal = DMatrix::from_fn(n, n, |i, j| match i <= j {
@@ -279,9 +453,10 @@ impl Problem for Nearest<'_> {
             }
         }
         // What would leave the limits stays, and what changes nothing too.
-        for (i, &k) in self.free.iter().enumerate() {
-            let [low, high] = LIMITS[k];
-            let leaves = (at[k] <= low && right[i] < 0.0) || (at[k] >= high && right[i] > 0.0);
+        for (i, group) in self.free.iter().enumerate() {
+            let is_low = group.iter().any(|&k| at[k] <= LIMITS[k][0]);
+            let is_high = group.iter().any(|&k| at[k] >= LIMITS[k][1]);
+            let leaves = (is_low && right[i] < 0.0) || (is_high && right[i] > 0.0);
             if leaves {
                 for j in 0..n {
                     normal[(i, j)] = 0.0;
@@ -304,8 +479,10 @@ impl Problem for Nearest<'_> {
 
     fn moved(&self, from: &Self::Point, step: &DVector<f64>) -> Self::Point {
         let mut to = *from;
-        for (&k, step) in self.free.iter().zip(step) {
-            to[k] = (to[k] + step).clamp(LIMITS[k][0], LIMITS[k][1]);
+        for (group, step) in self.free.iter().zip(step) {
+            for &k in group {
+                to[k] = (to[k] + step).clamp(LIMITS[k][0], LIMITS[k][1]);
+            }
         }
         to
     }

@@ -87,3 +87,45 @@ fn what_has_no_values_has_no_fit() {
     let black = source::load("lambertian:0").unwrap();
     assert_eq!(fit(black.as_ref(), Model::Gltf), Err(FitError::Black));
 }
+
+/// Whatever the model: what is neutral stays so, without extensions that change nothing, and
+/// no diffuse grey is nearer.
+#[test]
+fn neutral_materials_stay_neutral_and_no_grey_is_nearer() {
+    let maps = EnvironmentMap::all();
+    for spec in [
+        "lambertian:0.9",
+        "ggx:0.25,1.8",
+        "nbrdf:black-phenolic",
+        "nbrdf:aluminium",
+    ] {
+        let material = source::load(spec).unwrap();
+        for model in MODELS {
+            let found = fit(material.as_ref(), model).unwrap();
+            let p = found.parameters;
+            if spec.starts_with("lambertian") && model == Model::Gltf {
+                assert_eq!((p.ior, p.coat_weight, p.fuzz), (USUAL_IOR, 0.0, [0.0; 3]));
+            }
+            let tints = [p.fuzz_weight_and_color().1, p.specular_weight_and_color().1];
+            for [r, g, b] in tints {
+                let spread = r.max(g).max(b) - r.min(g).min(b);
+                assert!(spread < 0.01, "{spec} {model:?}: {p:?}");
+            }
+            let error = |of: &dyn Brdf| {
+                score::environment_error(of, material.as_ref(), &maps, SMALL_SPHERE)
+                    .mean
+                    .all
+            };
+            let grey = [0.01, 0.03, 0.1, 0.3, 0.9].map(|albedo| {
+                error(
+                    source::load(&format!("lambertian:{albedo}"))
+                        .unwrap()
+                        .as_ref(),
+                )
+            });
+            let grey = grey.into_iter().fold(f64::INFINITY, f64::min);
+            let own = error(&found.brdf());
+            assert!(own < grey + 1e-3, "{spec} {model:?}: {own}, a grey {grey}");
+        }
+    }
+}

@@ -21,6 +21,8 @@ const THETA_D_DEG: f64 = 80.0;
 const FLOOR: f64 = 3e-4;
 /// Of sin θh · sin θd in a square's weight.
 const SINE_EXPONENT: f64 = 0.75;
+/// Difference of the channels, of the brightest, from which a material has a colour.
+const TINTED: f64 = 0.15;
 /// Least cosine of both directions.
 const LEAST_COS: f64 = 0.03;
 
@@ -91,6 +93,14 @@ impl Target {
             [0, 1, 2].map(|c| node.weight * (want[c] - root(got[c] * node.to.at.cos_i)))
         };
         pairs.flat_map(of_node).collect()
+    }
+
+    /// Whether the material has a colour where a lobe shows least; the noise of measurements
+    /// is none.
+    pub fn is_tinted(&self) -> bool {
+        let [r, g, b] = self.diffuse_guess();
+        let brightest = r.max(g).max(b);
+        brightest - r.min(g).min(b) > TINTED * brightest
     }
 
     /// Per channel, π·f where a lobe shows least: a first guess of the diffuse colour.

@@ -46,6 +46,14 @@ pub enum ExrError {
         /// The message of the decoder.
         problem: String,
     },
+    /// An image of another kind.
+    #[error("{file} is {found}, not OpenEXR, which is read")]
+    OtherKind {
+        /// The file.
+        file: PathBuf,
+        /// What it is.
+        found: OtherKind,
+    },
     /// The file ends before its image does.
     #[error("{file} is cut short: it has {bytes} bytes, but its image needs at least {needed}")]
     CutShort {
@@ -153,6 +161,44 @@ pub enum ExrError {
         /// Mask values.
         valid: usize,
     },
+}
+
+/// Images that are met in the place of OpenEXR files.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum OtherKind {
+    /// May hold radiance.
+    #[error("{0}")]
+    Radiance(&'static str),
+    /// Holds what a camera or a program shows.
+    #[error("{0}")]
+    Frame(&'static str),
+}
+
+impl OtherKind {
+    /// By a file's first bytes.
+    pub fn of(start: &[u8]) -> Option<Self> {
+        const KNOWN: [(&[u8], OtherKind); 11] = [
+            (
+                b"#?RADIANCE",
+                OtherKind::Radiance("a Radiance HDR image (RGBE)"),
+            ),
+            (
+                b"#?RGBE",
+                OtherKind::Radiance("a Radiance HDR image (RGBE)"),
+            ),
+            (b"PF\n", OtherKind::Radiance("a PFM image")),
+            (b"Pf\n", OtherKind::Radiance("a PFM image")),
+            (b"PF4\n", OtherKind::Radiance("a PFM image")),
+            (b"II*\0", OtherKind::Radiance("a TIFF image")),
+            (b"MM\0*", OtherKind::Radiance("a TIFF image")),
+            (b"\x93NUMPY", OtherKind::Radiance("a NumPy array")),
+            (b"\x89PNG", OtherKind::Frame("a PNG image")),
+            (b"\xff\xd8\xff", OtherKind::Frame("a JPEG image")),
+            (b"BM", OtherKind::Frame("a BMP image")),
+        ];
+        let known = KNOWN.iter().find(|(magic, _)| start.starts_with(magic));
+        known.map(|(_, kind)| *kind)
+    }
 }
 
 const COLOURS: [&str; 3] = ["R", "G", "B"];

@@ -13,7 +13,7 @@ use exr::meta::{BlockDescription, MetaData};
 use super::layers::{self, Layer};
 use super::planes::{Planes, drop_meaningless, sample_bytes};
 use super::window::{Window, size_error};
-use super::{ExrError, MAX_EXPANSION, MOST_BYTES, io_error};
+use super::{ExrError, MAX_EXPANSION, MOST_BYTES, OtherKind, io_error};
 use crate::outside_file::open_regular;
 use crate::radiance_image::RadianceImage;
 
@@ -262,20 +262,24 @@ fn cut_short(path: &Path, bytes: u64, needed: u64) -> ExrError {
 }
 
 /// Why something could not be read: where the file has ended, that is why.
-fn read_error<R: Seek>(
+fn read_error<R: Read + Seek>(
     source: &mut R,
     bytes: u64,
     path: &Path,
     error: exr::error::Error,
 ) -> ExrError {
+    let position = source.stream_position();
+    let mut start = Vec::new();
+    let reread = source
+        .rewind()
+        .and_then(|()| source.take(16).read_to_end(&mut start));
+    if let (Ok(_), Some(found)) = (reread, OtherKind::of(&start)) {
+        let file = path.to_owned();
+        return ExrError::OtherKind { file, found };
+    }
     match error {
         exr::error::Error::Io(source) => io_error(path, source),
-        _ if source
-            .stream_position()
-            .is_ok_and(|position| position >= bytes) =>
-        {
-            cut_short(path, bytes, bytes + 1)
-        }
+        _ if position.is_ok_and(|position| position >= bytes) => cut_short(path, bytes, bytes + 1),
         error => not_read(path, error),
     }
 }

@@ -91,8 +91,19 @@ fn missing_channels_are_named() {
 fn missing_and_foreign_files_are_told_apart() {
     let error = read(Path::new("/nonexistent/x.exr")).unwrap_err();
     assert!(matches!(error, ExrError::Io { .. }), "{error}");
-    let error = decode(b"\x89PNG and so on", Path::new("x.exr")).unwrap_err();
+    let error = decode(b"no image at all", Path::new("x.exr")).unwrap_err();
     assert!(matches!(error, ExrError::Format { .. }), "{error}");
+    for (start, said) in [
+        (
+            &b"\x89PNG and so on"[..],
+            "x.exr is a PNG image, not OpenEXR",
+        ),
+        (b"#?RADIANCE\n", "x.exr is a Radiance HDR image (RGBE)"),
+        (b"PF\n1 1\n", "x.exr is a PFM image"),
+    ] {
+        let error = decode(start, Path::new("x.exr")).unwrap_err().to_string();
+        assert!(error.starts_with(said), "{error}");
+    }
 }
 
 /// Only the declared window of a small file is changed, to 2^30 x 2^30.
