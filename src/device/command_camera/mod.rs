@@ -19,7 +19,7 @@ use super::{CameraInfo, DeviceError};
 
 pub use self::answer::AnswerFault;
 pub(super) use self::kept::Ended;
-pub(super) use self::workplace::Workplace;
+pub(crate) use self::workplace::Workplace;
 pub use self::workplace::keep;
 
 /// `camera.driver = "command"`.
