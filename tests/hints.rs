@@ -62,6 +62,10 @@ const ELSEWHERE: &[(&str, &str)] = &[
     ),
     ("its file system is not mounted `noexec`", "a mount"),
     (
+        "remove files there, as small and old ones as you like",
+        "a file system that has no more files to give",
+    ),
+    (
         "it may still move, and its lamp be lit",
         "a stop that a stage does not confirm, with the console's unit tests",
     ),
