@@ -62,7 +62,7 @@ const ELSEWHERE: &[(&str, &str)] = &[
     ),
     ("its file system is not mounted `noexec`", "a mount"),
     (
-        "remove files there, as small and old ones as you like",
+        "remove some files there, of any size",
         "a file system that has no more files to give",
     ),
     (

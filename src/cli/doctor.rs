@@ -422,7 +422,7 @@ fn files(folder: &Path) -> Option<Check> {
         ..FEW => Check::failed(
             "files",
             fact,
-            "remove files there (`df -i` counts them), or give `rig capture` another disk with --out",
+            "remove some files there (`df -i` counts them), or give `rig capture` another disk with --out",
         ),
         _ => Check::ok("files", fact),
     })

@@ -9,7 +9,7 @@ use crate::report::load::LoadError;
 use crate::session::SessionError;
 use crate::session::fit_record::FitRecordError;
 
-const FOR_NO_MORE_FILES: &str = "remove files there, as small and old ones as you like (`df -i` counts them), or choose another disk with --out; nothing that was journalled is lost";
+const FOR_NO_MORE_FILES: &str = "remove some files there, of any size (`df -i` counts them), or choose another disk with --out; nothing that was journalled is lost";
 
 pub(super) fn for_session(error: &SessionError) -> Option<String> {
     use SessionError::*;
