@@ -19,6 +19,10 @@ use rustix::io::Errno;
 /// copies of the locks of the one that starts it, for a moment.
 const LOCK_PATIENCE: Duration = Duration::from_millis(200);
 
+/// End of the names under which is written what gets another name when it is whole
+/// ([`crate::whole_file`]).
+pub const PART: &str = ".rig-part";
+
 /// What a file system cannot do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Lack {
@@ -220,6 +224,22 @@ pub fn free_bytes(folder: &Path) -> io::Result<u64> {
     })
 }
 
+/// Files that may still be made where this folder is; none where the file system does not say,
+/// or makes room for them as it does for bytes.
+pub fn free_files(folder: &Path) -> io::Result<Option<u64>> {
+    let StatVfs {
+        f_files, f_favail, ..
+    } = statvfs(folder)?;
+    Ok((f_files > 0).then_some(f_favail))
+}
+
+/// Whether no file can be made where this is or shall be, although there may be room for bytes.
+pub fn has_no_more_files(path: &Path) -> bool {
+    let absolute = std::path::absolute(path).unwrap_or_default();
+    let existing = absolute.ancestors().find(|path| path.is_dir());
+    existing.is_some_and(|folder| free_files(folder).is_ok_and(|free| free == Some(0)))
+}
+
 /// Tries in a folder all that a session needs of its file system: writes a file, locks and
 /// synchronises it, synchronises the folder, renames the file and replaces it. What is
 /// lacking; nothing stays behind.
@@ -230,9 +250,11 @@ pub fn probe(folder: &Path) -> io::Result<Vec<Lack>> {
     let scratch = |name: &str| -> io::Result<(File, tempfile::TempPath)> {
         let file = tempfile::Builder::new()
             .prefix(".rig-probe-")
-            .suffix(name)
+            .suffix(&format!("{name}{PART}"))
             .tempfile_in(folder)?;
         let (mut file, path) = file.into_parts();
+        // Else another program might take it for what a killed one has left.
+        let _ = file.try_lock();
         file.write_all(b"rig")?;
         Ok((file, path))
     };

@@ -27,12 +27,34 @@ pub fn ends_in(path: &Path, ending: &str) -> bool {
 pub fn open_regular(path: &Path) -> io::Result<File> {
     // Before the opening, which alone makes some devices act.
     check(&std::fs::metadata(path)?)?;
-    let never_wait = (OFlags::NONBLOCK | OFlags::NOCTTY).bits() as i32;
+    let never_wait = OFlags::NONBLOCK | OFlags::NOCTTY;
     let file = OpenOptions::new()
         .read(true)
-        .custom_flags(never_wait)
+        .custom_flags(never_wait.bits().cast_signed())
         .open(path)?;
     // Again, because another may stand there by now.
+    check(&file.metadata()?)?;
+    Ok(file)
+}
+
+/// Opens a regular file, or makes one, for reading from its beginning and appending at its
+/// end: a journal. Never waits, and follows no link.
+///
+/// # Errors
+/// As [`open_regular`]; a link stands there.
+pub fn append_regular(path: &Path) -> io::Result<File> {
+    match std::fs::symlink_metadata(path) {
+        Ok(there) => check(&there)?,
+        Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+        Err(error) => return Err(error),
+    }
+    let flags = OFlags::NONBLOCK | OFlags::NOCTTY | OFlags::NOFOLLOW;
+    let file = OpenOptions::new()
+        .create(true)
+        .read(true)
+        .append(true)
+        .custom_flags(flags.bits().cast_signed())
+        .open(path)?;
     check(&file.metadata()?)?;
     Ok(file)
 }
@@ -43,7 +65,14 @@ pub fn open_regular(path: &Path) -> io::Result<File> {
 /// # Errors
 /// As [`open_regular`]; the file is larger ([`io::ErrorKind::FileTooLarge`]).
 pub fn read_regular(path: &Path, max_bytes: u64) -> io::Result<Vec<u8>> {
-    let file = open_regular(path)?;
+    read_opened(&open_regular(path)?, max_bytes)
+}
+
+/// What follows in an open file, at most `max_bytes`.
+///
+/// # Errors
+/// The file is larger ([`io::ErrorKind::FileTooLarge`]), or the system refuses.
+pub fn read_opened(file: &File, max_bytes: u64) -> io::Result<Vec<u8>> {
     let length = file.metadata()?.len();
     if length > max_bytes {
         return Err(too_large(&format!("it has {length} bytes"), max_bytes));
@@ -143,8 +172,10 @@ mod tests {
             (Path::new("/dev/zero"), "a device"),
             (folder.path(), "directory"),
         ] {
-            let error = read_regular(path, 100).unwrap_err().to_string();
-            assert!(error.contains(words), "{error}");
+            for error in [read_regular(path, 100).err(), append_regular(path).err()] {
+                let error = error.unwrap().to_string();
+                assert!(error.contains(words), "{error}");
+            }
         }
     }
 }

@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use crate::cluster::LineBreak;
 use crate::report::ReportError;
 use crate::session::SessionError;
 use crate::session::fit_record::FitRecordError;
@@ -157,6 +158,9 @@ pub enum BatchError {
         /// How many are possible.
         most: usize,
     },
+    /// A command line that no job script can hold.
+    #[error(transparent)]
+    Script(#[from] LineBreak),
     /// The page could not be made: a defect of the program.
     #[error("page of the batch: {0}")]
     Page(#[from] minijinja::Error),
@@ -165,6 +169,12 @@ pub enum BatchError {
 /// Why one job has no result; its text is what the table states.
 #[derive(Debug, thiserror::Error)]
 pub enum JobFailure {
+    /// Its session is gone.
+    #[error("there is no {}, where jobs.toml states the session", path.display())]
+    Gone {
+        /// As the file of jobs has it.
+        path: PathBuf,
+    },
     /// The fit.
     #[error("{0}")]
     Fit(#[from] WorkflowError),

@@ -4,8 +4,11 @@ use std::path::{Path, PathBuf};
 
 use crate::brdf::Dictionary;
 use crate::checksum::sha256_hex;
-use crate::outside_file::ends_in;
+use crate::outside_file::{ends_in, read_regular};
 use crate::workflow::FitRequest;
+
+/// More than any mask or dictionary has.
+const LARGEST_FILE_BYTES: u64 = 1 << 30;
 
 /// A session that is to be fitted and reported.
 #[derive(Clone, Debug)]
@@ -54,7 +57,8 @@ impl Job {
         ];
         for (what, file) in files {
             if let Some(file) = file {
-                let bytes = std::fs::read(&file).map_err(|error| (file, error))?;
+                let bytes = read_regular(&file, LARGEST_FILE_BYTES);
+                let bytes = bytes.map_err(|error| (file, error))?;
                 text += &format!("{what} {}\n", sha256_hex(&bytes));
             }
         }

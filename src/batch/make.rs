@@ -1,6 +1,7 @@
 //! Making a batch: which sessions, with which options; all of it checked before any work.
 
 use std::collections::HashMap;
+use std::fs::DirEntry;
 use std::path::{Path, PathBuf};
 
 use super::job::resolved;
@@ -8,7 +9,10 @@ use super::jobs_file::{FORMAT, JOBS_FILE, JobEntry, JobsFile, List};
 use super::options::OptionsReader;
 use super::{Batch, BatchError, Job, ParseOptions, RECORDS_FOLDER};
 use crate::checksum::sha256_hex;
-use crate::session::{Session, SessionState, layout};
+use crate::outside_file::read_regular;
+use crate::queue::JOURNAL_ENDING;
+use crate::session::layout::JOURNAL_FILE;
+use crate::session::{LARGEST_RECORD_BYTES, Session, SessionState, layout};
 use crate::transport::Kernel;
 use crate::whole_file;
 use crate::workflow::{FitRequest, WorkflowError, expected};
@@ -16,7 +20,7 @@ use crate::workflow::{FitRequest, WorkflowError, expected};
 /// The sessions of a new batch and the options of their fits.
 #[derive(Clone, Debug, Default)]
 pub struct NewBatch<'a> {
-    /// Sessions that are fitted with `options`.
+    /// Sessions that are fitted with `options`; what is [`passed_over`] among them is not.
     pub sessions: &'a [PathBuf],
     /// Options of their fits, as on the command line of `rig fit`.
     pub options: &'a str,
@@ -42,8 +46,16 @@ impl Batch {
             true => Some(Self::open(folder, parse)?),
             false => None,
         };
+        whole_file::clear_once(folder);
+        // Where it was killed before, there are no jobs yet.
+        let is_own = |entry: std::io::Result<DirEntry>| {
+            entry.is_ok_and(|entry| {
+                let mut inside = std::fs::read_dir(entry.path()).into_iter().flatten();
+                entry.file_name() == RECORDS_FOLDER && inside.next().is_none()
+            })
+        };
         let mut entries = std::fs::read_dir(folder).into_iter().flatten();
-        if former.is_none() && entries.next().is_some() || folder.is_file() {
+        if former.is_none() && !entries.all(is_own) || folder.is_file() {
             return Err(BatchError::ForeignFolder {
                 path: folder.to_owned(),
             });
@@ -112,6 +124,7 @@ fn named(new: &NewBatch<'_>) -> Result<Vec<(PathBuf, String)>, BatchError> {
     let mut named: Vec<_> = new
         .sessions
         .iter()
+        .filter(|path| passed_over(path).is_none())
         .map(|session| (session.clone(), new.options.to_owned()))
         .collect();
     if let Some(path) = new.list {
@@ -123,6 +136,22 @@ fn named(new: &NewBatch<'_>) -> Result<Vec<(PathBuf, String)>, BatchError> {
         }));
     }
     Ok(named)
+}
+
+/// What the program itself has put among sessions, where a path leads to that: `sessions/*` of a
+/// shell names it, too.
+pub fn passed_over(path: &Path) -> Option<&'static str> {
+    let name = path.file_name()?.as_encoded_bytes();
+    if path.join(JOURNAL_FILE).exists() {
+        return None;
+    }
+    if name.ends_with(JOURNAL_ENDING.as_bytes()) && path.is_file() {
+        return Some("what was done of a queue");
+    }
+    if path.join(JOBS_FILE).is_file() {
+        return Some("a batch");
+    }
+    name.starts_with(b".").then_some("hidden")
 }
 
 /// A job, once its session is checked.
@@ -171,7 +200,7 @@ fn job(
 /// SHA-256 of a session's `session.toml`.
 pub(super) fn session_sha256(root: &Path) -> Result<String, BatchError> {
     let path = root.join(layout::SESSION_FILE);
-    let bytes = std::fs::read(&path).map_err(BatchError::io(&path))?;
+    let bytes = read_regular(&path, LARGEST_RECORD_BYTES).map_err(BatchError::io(&path))?;
     Ok(sha256_hex(&bytes))
 }
 

@@ -48,7 +48,7 @@ pub use collect::Collected;
 pub use error::{BatchError, JobFailure};
 pub use job::Job;
 pub use jobs_file::JOBS_FILE;
-pub use make::NewBatch;
+pub use make::{NewBatch, passed_over};
 pub use one_job::JobEnd;
 pub use options::ParseOptions;
 pub use run::{RunSummary, Selection};
@@ -74,7 +74,8 @@ pub struct Batch {
 }
 
 impl Batch {
-    /// Opens a batch by its folder or its file of jobs. `parse` reads the options of fits.
+    /// Opens a batch by its folder or its file of jobs. `parse` reads the options of fits. A
+    /// session that is no more where the file states it is looked for as it lay to the batch.
     ///
     /// # Errors
     /// No batch, one of another version of the program, or a file of jobs that was damaged or
@@ -99,6 +100,8 @@ impl Batch {
         let mut options = OptionsReader::new(parse);
         let jobs = (1..).zip(file.job).map(|(number, entry)| {
             let request = options.request(number, &entry.fit)?;
+            let session = found(entry.session, &entry.session_sha256, folder);
+            let entry = JobEntry { session, ..entry };
             Ok(opened(number, entry, request, kernel, &file.folder))
         });
         let jobs = jobs.collect::<Result<Vec<_>, BatchError>>()?;
@@ -128,6 +131,27 @@ impl Batch {
         job.key()
             .map_err(|(path, error)| BatchError::io(path)(error))
     }
+}
+
+/// Folders above the batch, and names at the end of a session's path, by which it is looked for.
+const FOLDERS: usize = 6;
+
+/// Where a session lies: where it was, or as it lay to the batch that was moved with it, or that
+/// is mounted elsewhere on this machine. It is known by the checksum of its `session.toml`.
+fn found(stated: PathBuf, sha256: &str, batch: &Path) -> PathBuf {
+    if stated.symlink_metadata().is_ok() {
+        return stated;
+    }
+    let batch = batch.canonicalize().unwrap_or_default();
+    let names: Vec<_> = stated.iter().collect();
+    let ends = (1..names.len().min(FOLDERS)).map(|n| names[names.len() - n..].iter().collect());
+    let ends: Vec<PathBuf> = ends.collect();
+    let mut places = batch
+        .ancestors()
+        .take(FOLDERS)
+        .flat_map(|folder| ends.iter().map(|end| folder.join(end)));
+    let is_it = |place: &PathBuf| make::session_sha256(place).is_ok_and(|there| there == sha256);
+    places.find(is_it).unwrap_or(stated)
 }
 
 /// A job as the file has it.

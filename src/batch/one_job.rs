@@ -6,6 +6,7 @@ use std::time::Instant;
 use super::record::JobRecord;
 use super::row::{Found, Status, row};
 use super::{Batch, BatchError, Job, JobFailure};
+use crate::report::load::FitChoice;
 use crate::report::{self, ReportRequest};
 use crate::result_table::Row;
 use crate::session::fit_record::{FitRecord, numbers_in, read_in};
@@ -86,6 +87,10 @@ impl Batch {
     /// The fit, found or made, its report, and the row. All that the row says is read from the
     /// disk, so that a fit which is found gives the same row as one which was just made.
     fn fit_and_report(&self, job: &Job, key: &str) -> Result<(Row, String), JobFailure> {
+        if job.session.symlink_metadata().is_err() {
+            let path = job.session.clone();
+            return Err(JobFailure::Gone { path });
+        }
         let session = Session::open(&job.session)?;
         let (number, fit) = match fit_of(&session, key) {
             Some(found) => found,
@@ -102,7 +107,7 @@ impl Batch {
             }
         };
         report::write(&ReportRequest {
-            fit: Some(number),
+            fit: Some(FitChoice::Number(number)),
             ..ReportRequest::of(&job.session)
         })?;
         let record = session.record();
@@ -126,9 +131,13 @@ fn fit_of(session: &Session, key: &str) -> Option<(u32, FitRecord)> {
     readable.find(|(_, fit)| fit.settings.job.as_deref() == Some(key))
 }
 
-/// The reason with the session by its name alone, which is the same wherever it lies.
+/// The reason with the session by its name alone, which is the same wherever it lies; of one that
+/// is gone, its path.
 fn reason(job: &Job, failure: &JobFailure) -> String {
     let text = crate::shown::line(&crate::shown::with_causes(failure));
+    if matches!(failure, JobFailure::Gone { .. }) {
+        return text;
+    }
     text.replace(&*job.session.to_string_lossy(), &job.session_name())
 }
 

@@ -5,8 +5,12 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use super::{Batch, BatchError, Job, RECORDS_FOLDER};
+use crate::outside_file::read_regular;
 use crate::result_table::Row;
 use crate::whole_file;
+
+/// A record has some kilobytes.
+const LARGEST_RECORD_BYTES: u64 = 4 << 20;
 
 /// A job's record.
 #[derive(Debug, Serialize, Deserialize)]
@@ -44,7 +48,7 @@ impl Batch {
     /// It is damaged, or of another key than this.
     pub(super) fn record(&self, job: &Job, key: &str) -> Result<Option<JobRecord>, BatchError> {
         let path = self.record_path(job);
-        let bytes = match std::fs::read(&path) {
+        let bytes = match read_regular(&path, LARGEST_RECORD_BYTES) {
             Ok(bytes) => bytes,
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
             Err(error) => return Err(BatchError::io(path)(error)),

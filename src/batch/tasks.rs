@@ -81,7 +81,7 @@ impl Batch {
     /// The script that submits the batch; `program` is this program on the nodes.
     ///
     /// # Errors
-    /// As [`Self::task_plan`], or the folder cannot be found.
+    /// As [`Self::task_plan`]; the folder cannot be found, or the program's path has a line break.
     pub fn job_array(&self, request: &ArrayRequest, program: &str) -> Result<String, BatchError> {
         let plan = self.task_plan(request)?;
         let folder = self.folder.canonicalize();
@@ -106,6 +106,6 @@ impl Batch {
             task: &format!("{program} batch run . --shard \"$SLURM_ARRAY_TASK_ID\"/{tasks}"),
             afterwards: &format!("{program} batch collect ."),
         };
-        Ok(array.script())
+        Ok(array.script()?)
     }
 }

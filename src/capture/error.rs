@@ -75,6 +75,20 @@ pub enum CaptureError {
         /// Free, bytes.
         free_bytes: u64,
     },
+    /// The file system cannot hold the session's files.
+    #[error(
+        "the session takes about {estimated_files} files, \
+         but in {folder} only {free_files} more can be made",
+        folder = folder.display()
+    )]
+    NotEnoughFiles {
+        /// Where the session would go.
+        folder: std::path::PathBuf,
+        /// Estimate.
+        estimated_files: u64,
+        /// What the file system has left.
+        free_files: u64,
+    },
     /// The disk is nearly full in mid-capture.
     #[error(
         "the disk of {} has only {} free, and {} shall remain",

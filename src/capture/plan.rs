@@ -13,7 +13,7 @@ use super::reach::StageReach;
 use crate::config::RigConfig;
 use crate::device::{CameraInfo, LampChannel};
 use crate::radiometry::sensor::SensorNoise;
-use crate::session::commit::free_bytes;
+use crate::session::commit::{free_bytes, free_files};
 use crate::session::{ExposureRules, PlanRecord};
 use crate::units::{Seconds, StageAngles};
 
@@ -84,6 +84,7 @@ impl PlanRequest {
             limits: rig.limits.temperature,
             estimated_s: Seconds(0.0),
             estimated_bytes: 0,
+            estimated_files: 0,
             lights: Vec::new(),
         };
         Self {
@@ -118,6 +119,9 @@ const FRAME_OVERHEAD_BYTES: u64 = 2048;
 /// Mean, variance (32 bits each for three colours) and mask of a merged pixel, bytes.
 const MERGED_PIXEL_BYTES: u64 = 28;
 
+/// Files and folders of a session that are of no light, and those of a fit and a report.
+const OTHER_FILES: u64 = 40;
+
 /// Makes the plan and checks every light against the soft limits.
 ///
 /// # Errors
@@ -144,6 +148,8 @@ pub fn plan(request: &PlanRequest, noise: &SensorNoise) -> Result<PlanRecord, Ca
     // The frames of the light that is merged lie there twice.
     planned.estimated_bytes =
         lights as u64 * (frames_bytes + MERGED_PIXEL_BYTES * pixels) + frames_bytes;
+    // Each frame with its sidecar, the merged image and a fit's two.
+    planned.estimated_files = lights as u64 * (2 * expected.frames_per_light + 3) + OTHER_FILES;
     Ok(planned)
 }
 
@@ -173,14 +179,26 @@ fn choose_lights(request: &PlanRequest) -> Result<Vec<StageAngles>, CaptureError
 }
 
 /// Checks that the disk that holds (or will hold) `folder` has room for the
-/// plan and `reserve_bytes` beyond.
+/// plan and `reserve_bytes` beyond, and that so many files can be made there.
 pub fn check_space(
     plan: &PlanRecord,
     folder: &Path,
     reserve_bytes: u64,
 ) -> Result<(), CaptureError> {
     let free_bytes = free_bytes(folder)?;
-    let estimated_bytes = plan.estimated_bytes;
+    let PlanRecord {
+        estimated_bytes,
+        estimated_files,
+        ..
+    } = *plan;
+    if let Some(free_files) = free_files(folder)?.filter(|free| *free < estimated_files) {
+        let folder = folder.to_owned();
+        return Err(CaptureError::NotEnoughFiles {
+            folder,
+            estimated_files,
+            free_files,
+        });
+    }
     if free_bytes >= estimated_bytes.saturating_add(reserve_bytes) {
         return Ok(());
     }
@@ -226,6 +244,7 @@ mod tests {
                 limits: TemperatureLimits::default(),
                 estimated_s: Seconds(0.0),
                 estimated_bytes: 0,
+                estimated_files: 0,
                 lights: Vec::new(),
             },
             resolution_px: [64, 48],

@@ -9,7 +9,9 @@ use super::fit_args::FitArgs;
 use super::interrupt::{end_on_signal, listen};
 use super::slurm_args::SlurmArgs;
 use super::{CliError, Context, output, usage_fact};
-use crate::batch::{ArrayRequest, Batch, Collected, JobEnd, NewBatch, RunSummary, Selection};
+use crate::batch::{
+    ArrayRequest, Batch, Collected, JobEnd, NewBatch, RunSummary, Selection, passed_over,
+};
 use crate::cluster::Shard;
 use crate::workflow::FitRequest;
 
@@ -111,7 +113,7 @@ struct BatchSlurmArgs {
 pub fn run(args: &BatchArgs, context: &Context) -> Result<(), CliError> {
     match (&args.part, &args.new) {
         (Some(Part::New(new)), _) => {
-            let batch = make(new)?;
+            let batch = make(new, context)?;
             context.note(count(batch.jobs().len(), "job"));
             output::write_path(batch.folder())
         }
@@ -135,7 +137,7 @@ pub fn run(args: &BatchArgs, context: &Context) -> Result<(), CliError> {
             output::write_bytes(batch.job_array(&request, &program)?.as_bytes())
         }
         (None, Some(new)) => {
-            let batch = make(new)?;
+            let batch = make(new, context)?;
             do_jobs(&batch, Selection::All, args.parallel.parallel, context)?;
             show(&batch, &batch.collect()?, args.json, context)
         }
@@ -145,7 +147,12 @@ pub fn run(args: &BatchArgs, context: &Context) -> Result<(), CliError> {
     }
 }
 
-fn make(args: &NewArgs) -> Result<Batch, CliError> {
+fn make(args: &NewArgs, context: &Context) -> Result<Batch, CliError> {
+    for path in &args.sessions {
+        if let Some(what) = passed_over(path) {
+            context.note(format!("{}: passed over ({what})", path.display()));
+        }
+    }
     let new = NewBatch {
         sessions: &args.sessions,
         options: &args.fit,

@@ -18,8 +18,8 @@ use crate::capture::open::open_devices;
 use crate::capture::prepare::{CaptureRequest, Job, Lights, prepare};
 use crate::config::ResolvedRig;
 use crate::interrupt::{Interrupt, Signal};
-use crate::queue::{Entry, Queue, RunState, Sample, Step};
-use crate::shown::escaped;
+use crate::queue::{Entry, Queue, RunState, Sample, Step, Unreadable};
+use crate::shown::{escaped, with_causes};
 
 /// Advice on everything that ends a queue before its end.
 const GO_ON: &str = "the same command goes on with the queue";
@@ -54,6 +54,14 @@ enum Answer {
 /// Carries out the queue.
 pub(super) fn run(request: &QueueRequest<'_>, context: &Context) -> Result<(), CliError> {
     let mut queue = Queue::open(request.file, request.folder)?;
+    for Unreadable { session, error, .. } in queue.unreadable() {
+        let session = request.folder.join(session);
+        context.warn(format!(
+            "{} counts as not captured, because it cannot be read: {}",
+            session.display(),
+            with_causes(error)
+        ));
+    }
     let plans = check(request, &queue, context)?;
     if request.only_plan {
         return print(request, &queue);
@@ -375,6 +383,7 @@ fn print(request: &QueueRequest<'_>, queue: &Queue) -> Result<(), CliError> {
                 "sample": sample.name,
                 "sessions": runs.collect::<Vec<_>>(),
                 "left_out": queue.left_out_of(sample),
+                "unreadable": unreadable(queue, sample).collect::<Vec<_>>(),
                 "left": queue.left_of(sample),
             })
         });
@@ -395,6 +404,10 @@ fn print(request: &QueueRequest<'_>, queue: &Queue) -> Result<(), CliError> {
             let session = run.session.clone();
             table.row([name(), number.to_string(), state(&run.state), session]);
         }
+        for session in unreadable(queue, sample) {
+            let state = "cannot be read".to_owned();
+            table.row([name(), String::new(), state, session.to_owned()]);
+        }
         let others = [
             (queue.left_out_of(sample), "left out"),
             (queue.left_of(sample), "to do"),
@@ -409,6 +422,13 @@ fn print(request: &QueueRequest<'_>, queue: &Queue) -> Result<(), CliError> {
         }
     }
     table.print()
+}
+
+/// The sessions of a sample that are none any more.
+fn unreadable<'a>(queue: &'a Queue, sample: &'a Sample) -> impl Iterator<Item = &'a str> {
+    let all = queue.unreadable().iter();
+    let own = all.filter(|one| one.sample == sample.name);
+    own.map(|one| one.session.as_str())
 }
 
 fn state(state: &RunState) -> String {

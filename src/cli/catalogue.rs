@@ -16,6 +16,7 @@ use crate::fault::Advisor;
 use crate::out;
 use crate::session::fit_record::Verdict;
 use crate::session::layout::SESSIONS_FOLDER;
+use crate::shown::{LINE, shortened};
 
 /// Lists the sessions of a folder with their verdicts, or compares repeats of one sample
 #[derive(clap::Args, Debug)]
@@ -79,7 +80,7 @@ fn list(args: &CatalogueArgs, catalogue: &Catalogue, context: &Context) -> Resul
     }
     for row in unreadable {
         let fault = row.error.as_ref().map_or("", |fault| fault.error.as_str());
-        out!("{}  cannot be read: {fault}", row.name)?;
+        out!("{}  cannot be read: {}", row.name, shortened(fault, LINE))?;
     }
     Ok(())
 }

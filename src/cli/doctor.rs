@@ -388,7 +388,25 @@ fn folder(rig: &ResolvedRig, folder: &Path) -> Vec<Check> {
         Ok(rate) => Check::ok("disk speed", format!("{}/s written and synced", size(rate))),
         Err(error) => Check::failed("disk speed", error.to_string(), "run in another folder"),
     };
-    vec![file_system_of(folder), space, speed]
+    let mut checks = vec![file_system_of(folder), space, speed];
+    checks.extend(files(folder));
+    checks
+}
+
+/// Whether the files of a capture can be made, where the file system says.
+fn files(folder: &Path) -> Option<Check> {
+    /// Of a capture of one light.
+    const FEW: u64 = 100;
+    let free = file_system::free_files(folder).ok()??;
+    let fact = format!("{free} more can be made");
+    Some(match free {
+        ..FEW => Check::failed(
+            "files",
+            fact,
+            "remove some files there (`df -i` counts them), or give `rig capture` another disk with --out",
+        ),
+        _ => Check::ok("files", fact),
+    })
 }
 
 /// Whether a session can be written as it should be: tried with a file that goes again.
@@ -422,7 +440,13 @@ fn write_rate_bytes_s(folder: &Path) -> std::io::Result<u64> {
     const BLOCKS: usize = 8;
     let block = vec![0x5a; 1 << 20];
     // Closed before it is removed, which not every file system does with an open one.
-    let (mut file, path) = tempfile::NamedTempFile::new_in(folder)?.into_parts();
+    let file = tempfile::Builder::new()
+        .prefix(".rig-speed-")
+        .suffix(file_system::PART)
+        .tempfile_in(folder)?;
+    let (mut file, path) = file.into_parts();
+    // Else another program might take it for what a killed one has left.
+    let _ = file.try_lock();
     let start = Instant::now();
     for _ in 0..BLOCKS {
         file.write_all(&block)?;

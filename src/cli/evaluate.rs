@@ -215,7 +215,7 @@ fn print_job_array(
         task: &format!("{command} --shard \"$SLURM_ARRAY_TASK_ID\"/{tasks}"),
         afterwards: &command,
     };
-    output::write_bytes(array.script().as_bytes())
+    output::write_bytes(array.script()?.as_bytes())
 }
 
 /// Memory of a task, MiB: the fit of a case and as much for its images, for each processor.

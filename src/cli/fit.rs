@@ -7,8 +7,11 @@ use super::fit_args::FitArgs;
 use super::fit_progress::FitProgress;
 use super::{CliError, Context, HintExt, output};
 use crate::capture::events::CaptureEvent;
+use crate::session::SessionError;
 use crate::session::fit_record::Verdict;
-use crate::workflow::{FitOutcome, FitRequest, ImageFit, fit_images, fit_session};
+use crate::workflow::{
+    FitOutcome, FitRequest, ImageFit, WorkflowError, fit_images, fit_session, fit_session_into,
+};
 
 /// Fits a BRDF to a session, or to images of a described scene
 ///
@@ -16,7 +19,7 @@ use crate::workflow::{FitOutcome, FitRequest, ImageFit, fit_images, fit_session}
 #[derive(clap::Args, Debug)]
 pub struct FitCommandArgs {
     /// The session's folder
-    #[arg(value_name = "SESSION", required_unless_present = "scene", conflicts_with_all = ["scene", "image", "out"])]
+    #[arg(value_name = "SESSION", required_unless_present = "scene", conflicts_with_all = ["scene", "image"])]
     session: Option<PathBuf>,
     /// Scene file: camera, lights and the sample's shape
     #[arg(long, value_name = "S", requires = "image", requires = "out")]
@@ -25,7 +28,8 @@ pub struct FitCommandArgs {
     /// FILE:NAME names one of several parts or layers
     #[arg(long, value_name = "EXR", num_args = 1..)]
     image: Vec<PathBuf>,
-    /// Folder for the result; it must not exist or be empty
+    /// Folder for the result; it must not exist or be empty. With SESSION, the fit goes there
+    /// instead of into the session, which is only read
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Record of the sample's pose, by `rig calibrate pose` (default: the session's copy, if
@@ -94,7 +98,7 @@ fn fit_what_is_named(
         ..args.fit.request()
     };
     match (&args.session, &args.scene, &args.out) {
-        (Some(session), _, _) => fit(session, &request, context, lines),
+        (Some(session), _, out) => fit(session, out.as_deref(), &request, context, lines),
         (None, Some(scene), Some(out)) => {
             let images = &args.image;
             let files = ImageFit { scene, images, out };
@@ -134,17 +138,40 @@ fn print(args: &FitCommandArgs, outcome: &FitOutcome) -> Result<(), CliError> {
     }))
 }
 
-/// Fits a session and prints the verdict.
+/// Fits a session, into it or into a folder, and prints the verdict.
 fn fit(
     session: &Path,
+    out: Option<&Path>,
     request: &FitRequest,
     context: &Context,
     lines: Option<&EventLines>,
 ) -> Result<FitOutcome, CliError> {
     let progress = FitProgress::new(context, lines);
-    let outcome = fit_session(session, request, &progress)?;
+    let outcome = match out {
+        None => fit_session(session, request, &progress).map_err(|error| elsewhere(session, error)),
+        Some(out) => Ok(fit_session_into(session, out, request, &progress)?),
+    }?;
     progress.finish(&outcome.record);
     Ok(outcome)
+}
+
+/// The error, with the way out where it is that nothing can be written in the session.
+fn elsewhere(session: &Path, error: WorkflowError) -> CliError {
+    use std::io::ErrorKind::{PermissionDenied, ReadOnlyFilesystem};
+    let is_closed = matches!(
+        &error,
+        WorkflowError::Session(SessionError::Io { operation, source, .. })
+            if *operation != "read"
+                && matches!(source.kind(), ReadOnlyFilesystem | PermissionDenied)
+    );
+    let error = CliError::from(error);
+    match is_closed {
+        true => error.hint(format!(
+            "`rig fit {} --out DIR` only reads the session and writes the fit elsewhere",
+            session.display()
+        )),
+        false => error,
+    }
 }
 
 /// Fits a captured session with the rig file's choices, writes its report, returns the verdict.
@@ -158,7 +185,7 @@ pub(super) fn fit_and_report(
         session.display()
     );
     let (outcome, report) = reported(lines, || {
-        let outcome = fit(session, &FitRequest::default(), context, lines).hint(&again)?;
+        let outcome = fit(session, None, &FitRequest::default(), context, lines).hint(&again)?;
         context.note(format!("fit: {}", outcome.folder.display()));
         let report = report(session, context).hint(&again)?;
         Ok((outcome, report))

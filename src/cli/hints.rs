@@ -32,6 +32,7 @@ use crate::brdf::BrdfError;
 use crate::brdf::rgl::RglFault;
 use crate::calibration::procedure::ProcedureError;
 use crate::cells::AverageError;
+use crate::cluster::LineBreak;
 use crate::config::BuildError;
 use crate::config::{ConfigError, Slip};
 use crate::export::ExportError;
@@ -98,6 +99,7 @@ const ADVICE: &[Advice] = &[
     |error| of_type(error, for_procedure),
     |error| of_type(error, for_exr),
     |error| of_type(error, for_mesh),
+    |error| of_type(error, for_line_break),
     |error| of_type(error, for_io),
 ];
 
@@ -198,6 +200,10 @@ fn for_brdf(error: &BrdfError) -> Option<String> {
         }
         Dictionary { .. } | Weights { .. } => None,
     }
+}
+
+fn for_line_break(_: &LineBreak) -> String {
+    "name files and folders without line breaks".to_owned()
 }
 
 fn for_export(error: &ExportError) -> Option<String> {
@@ -461,7 +467,7 @@ fn for_io(error: &std::io::Error) -> Option<String> {
         NotFound => "check the path's spelling and the folder the command runs in",
         PermissionDenied => "check who owns the file and the folder, and their permissions",
         StorageFull => {
-            "free some space or choose another folder with --out; nothing already written is lost"
+            "free some space, or choose another folder with --out; where `df` shows some, `df -i` may show that no more files can be made; nothing already written is lost"
         }
         QuotaExceeded => {
             "remove some of your files there (`quota` lists what counts), or choose another folder; nothing already written is lost"

@@ -9,6 +9,14 @@ use crate::config::RigConfig;
 use crate::config::stage::StageDriver;
 use crate::device::DeviceError;
 
+/// This program as the keeper of another one that it runs.
+#[cfg(feature = "reports")]
+pub fn keeper() -> Result<std::process::Command, CliError> {
+    let mut command = std::process::Command::new(std::env::current_exe()?);
+    command.arg("keeper");
+    Ok(command)
+}
+
 /// This program as guardian and keeper, the terminal as operator of a manual stage.
 pub fn options(rig: &RigConfig) -> Result<OpenOptions, CliError> {
     let mut options = of_port()?;

@@ -6,7 +6,7 @@ use super::output::{check_writable, unwritable, write_path};
 use super::{CliError, Context, HintExt};
 use crate::report::certificate::browser::Browser;
 use crate::report::certificate::{self, CertificateError, CertificateRequest};
-use crate::report::load::LoadError;
+use crate::report::load::{FitChoice, LoadError};
 use crate::report::{self, ReportError, ReportRequest};
 use crate::whole_file;
 
@@ -16,9 +16,10 @@ pub struct ReportArgs {
     /// The session's folder
     #[arg(value_name = "SESSION")]
     session: PathBuf,
-    /// Which fit to show, by its number in `fits/`; the latest if not given
-    #[arg(long, value_name = "N")]
-    fit: Option<u32>,
+    /// Which fit to show, by its number in `fits/`, or the folder of one that `rig fit SESSION
+    /// --out` wrote; the session's latest if not given
+    #[arg(long, value_name = "FIT", value_parser = fit_choice)]
+    fit: Option<FitChoice>,
     /// Writes here instead of report.html in the session
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
@@ -32,6 +33,12 @@ pub struct ReportArgs {
     repeats: Option<PathBuf>,
 }
 
+/// A number, or a folder of another name.
+fn fit_choice(text: &str) -> Result<FitChoice, std::convert::Infallible> {
+    let number = text.parse().map(FitChoice::Number);
+    Ok(number.unwrap_or_else(|_| FitChoice::Folder(text.into())))
+}
+
 /// `rig report`.
 pub fn run(args: &ReportArgs, context: &Context) -> Result<(), CliError> {
     if args.certificate {
@@ -39,7 +46,7 @@ pub fn run(args: &ReportArgs, context: &Context) -> Result<(), CliError> {
     }
     let request = ReportRequest {
         session: args.session.clone(),
-        fit: args.fit,
+        fit: args.fit.clone(),
         out: args.out.clone(),
     };
     let written = report::write(&request).map_err(|error| match error {
@@ -63,6 +70,18 @@ fn certificate(args: &ReportArgs, context: &Context) -> Result<(), CliError> {
                 .is_some_and(|e| e.eq_ignore_ascii_case(ending))
         };
         args.out.as_ref().map(ending_of)
+    };
+    let fit = match &args.fit {
+        None => None,
+        Some(FitChoice::Number(number)) => Some(*number),
+        Some(FitChoice::Folder(folder)) => {
+            let fact = format!(
+                "{}: a certificate is made of a fit in its session",
+                folder.display()
+            );
+            return Err(CliError::new(fact)
+                .hint("copy the session to where it can be written, and fit it there"));
+        }
     };
     let browser = Browser::find();
     let is_pdf = ends_in("pdf").unwrap_or(browser.is_some());
@@ -89,13 +108,13 @@ fn certificate(args: &ReportArgs, context: &Context) -> Result<(), CliError> {
     // The pages.
     let request = CertificateRequest {
         session: args.session.clone(),
-        fit: args.fit,
+        fit,
         repeats: args.repeats.clone(),
     };
     let html = certificate::certificate(&request).map_err(refused)?;
     let bytes = match &browser {
         Some(browser) => browser
-            .print(&html)
+            .print(&html, Some(super::open::keeper()?))
             .hint("write a .html file instead and print it from any browser")?,
         None => html.into_bytes(),
     };
@@ -134,6 +153,9 @@ fn refused(error: CertificateError) -> CliError {
 fn advise(error: LoadError) -> CliError {
     let hint = match &error {
         LoadError::Fit(_) => "`rig fit SESSION` makes a new fit; --fit N shows another one",
+        LoadError::OtherSession { .. } => {
+            "give the session that `rig fit SESSION --out DIR` was given"
+        }
         LoadError::NoSuchFit { .. } => {
             "leave --fit out to show the latest, or run `rig fit SESSION`"
         }

@@ -11,6 +11,7 @@ use crate::out;
 use crate::session::layout;
 use crate::session::verify::{Summary, verify};
 use crate::session::{Session, SessionError};
+use crate::shown::excerpt;
 use crate::units::StageAngles;
 
 /// Checks sessions and lists what they hold.
@@ -185,7 +186,7 @@ fn print(summary: &Summary) -> Result<(), CliError> {
     write_line(format_args!(
         "{}  {}, {} of {} lights, {} frames, {state}{simulated}{suspect}{clocks}",
         summary.session.display(),
-        summary.sample,
+        excerpt(&summary.sample),
         summary.lights_finished,
         summary.lights_planned,
         summary.frames

@@ -2,7 +2,10 @@
 
 use super::error::CliError;
 use crate::out;
-use crate::shown::escaped;
+use crate::shown::{escaped, shortened};
+
+/// Characters of a cell at most; a session's name has up to 88.
+const WIDEST: usize = 100;
 
 /// A table with a line of headings.
 pub struct Table {
@@ -19,9 +22,13 @@ impl Table {
         }
     }
 
-    /// One more line, a text for each column.
+    /// One more line, a text for each column, of which no more than [`WIDEST`] characters are
+    /// shown.
     pub fn row(&mut self, cells: impl IntoIterator<Item = String>) {
-        let shown = cells.into_iter().map(|cell| escaped(&cell).into_owned());
+        let shown = cells.into_iter().map(|cell| {
+            let cell = escaped(&cell);
+            shortened(&cell, WIDEST).into_owned()
+        });
         self.rows.push(shown.collect());
     }
 
@@ -81,6 +88,10 @@ mod tests {
             table.lines(),
             ["sample    size", "cup     1.2 MB", "bowl é   57 GB"]
         );
+        let mut long = Table::new(&["a", "b"]);
+        long.row(["é".repeat(66_000), "b".to_owned()]);
+        let shown = format!("{}…  b", "é".repeat(WIDEST));
+        assert_eq!(long.lines()[1], shown);
         let empty = Table::new(&["a", "b"]);
         assert_eq!(empty.lines(), [""]);
     }

@@ -5,4 +5,4 @@ mod shard;
 mod slurm;
 
 pub use shard::Shard;
-pub use slurm::{JobArray, MOST_TASKS, Resources};
+pub use slurm::{JobArray, LineBreak, MOST_TASKS, Resources};

@@ -4,6 +4,7 @@
 use std::path::Path;
 
 use crate::shell_words::quoted;
+use crate::shown::{escaped, excerpt};
 
 /// Slurm allows task numbers up to 1000 unless `MaxArraySize` is configured otherwise.
 pub const MOST_TASKS: usize = 1000;
@@ -29,6 +30,14 @@ pub struct JobArray<'a> {
     pub afterwards: &'a str,
 }
 
+/// A command line that no job script can hold: its end would be the script's.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("the command line of a job has a line break: {}", excerpt(&escaped(command)))]
+pub struct LineBreak {
+    /// The command line.
+    pub command: String,
+}
+
 /// What a task may have of a node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Resources {
@@ -43,7 +52,15 @@ pub struct Resources {
 impl JobArray<'_> {
     /// The script. It submits the array and the job afterwards, and prints how to watch them:
     /// by `squeue`, which needs no accounting.
-    pub fn script(&self) -> String {
+    ///
+    /// # Errors
+    /// A command line with a line break.
+    pub fn script(&self) -> Result<String, LineBreak> {
+        let broken = [self.task, self.afterwards].into_iter();
+        if let Some(command) = broken.into_iter().find(|c| c.contains(['\n', '\r'])) {
+            let command = command.to_owned();
+            return Err(LineBreak { command });
+        }
         let name: String = self.name.chars().map(plain).collect();
         let Resources {
             cpus,
@@ -58,7 +75,7 @@ impl JobArray<'_> {
         let folder = quoted(&self.folder.to_string_lossy());
         let logs = quoted(&self.logs.to_string_lossy());
         let (task, afterwards) = (self.task, self.afterwards);
-        format!(
+        Ok(format!(
             r#"#!/bin/sh
 # {shows}
 # Submitted by running this script; run again, it does only what is still open.
@@ -96,7 +113,7 @@ collect=${{collect%%;*}}
 
 echo "submitted: tasks $array, then $collect; squeue -j $array,$collect shows them"
 "#
-        )
+        ))
     }
 }
 
@@ -130,7 +147,7 @@ mod tests {
             task: "rig run --shard \"$SLURM_ARRAY_TASK_ID\"/7",
             afterwards: "rig collect",
         };
-        std::fs::write(folder.path().join("script"), array.script()).unwrap();
+        std::fs::write(folder.path().join("script"), array.script().unwrap()).unwrap();
         let sbatch = "#!/bin/sh\necho \"$@\" >> submitted\ncat >> submitted\necho '41;cluster'\n";
         std::fs::write(folder.path().join("sbatch"), sbatch).unwrap();
         let line = format!(
@@ -164,5 +181,11 @@ mod tests {
             assert!(submitted.contains(part), "{part} in\n{submitted}");
         }
         assert!(place.join("logs of it").is_dir());
+        let broken = JobArray {
+            afterwards: "rig collect 'a\nEND\n'",
+            ..array
+        };
+        let error = broken.script().unwrap_err().to_string();
+        assert!(error.ends_with(": rig collect 'a\\nEND\\n'"), "{error}");
     }
 }

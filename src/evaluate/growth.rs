@@ -18,6 +18,7 @@ use crate::random::{Purpose, stream};
 use crate::transport::{
     Camera, Light, Projection, RenderOptions, Scene, Shading, render, suited_proposal,
 };
+use crate::whole_file;
 
 /// Sizes of the images, pixels. The largest is what a Bayer sensor of 20 MP merges to.
 const SIZES: [[usize; 2]; 4] = [[64, 48], [640, 480], [1280, 1024], [2736, 1824]];
@@ -137,7 +138,7 @@ pub fn run(folder: &Path, note: &dyn Fn(&str)) -> Result<Growth, EvaluateError> 
     let io = |path: &Path| EvaluateError::io(path.to_owned());
     fs::create_dir_all(folder).map_err(io(folder))?;
     let program = std::env::current_exe().map_err(io(Path::new("this program")))?;
-    let images = tempfile::tempdir_in(folder).map_err(io(folder))?;
+    let images = whole_file::Part::folder(&folder.join("images")).map_err(io(folder))?;
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let costs = measure(&program, images.path(), threads, note)?;
     let figure = figure(&costs);
@@ -148,7 +149,7 @@ pub fn run(folder: &Path, note: &dyn Fn(&str)) -> Result<Growth, EvaluateError> 
         ("growth.png", &figure.png()?),
     ] {
         let path = folder.join(name);
-        fs::write(&path, bytes).map_err(io(&path))?;
+        whole_file::replace(&path, |out| out.write_all(bytes)).map_err(io(&path))?;
     }
     Ok(Growth {
         costs,

@@ -3,16 +3,19 @@
 //! Lines are appended whole and synced; a process that dies leaves at most its last line torn,
 //! and that line is dropped when the journal is opened again.
 
-use std::fs::{File, OpenOptions, TryLockError};
-use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::fs::{File, TryLockError};
+use std::io::{Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
 use super::QueueError;
 use crate::file_system;
+use crate::outside_file::{append_regular, read_opened};
 use crate::session::fit_record::Verdict;
 
+/// End of the journal's name, after that of the list.
+pub const JOURNAL_ENDING: &str = ".queue.jsonl";
 /// Version of the journal.
 const FORMAT: u32 = 1;
 /// Far more than a queue writes.
@@ -65,32 +68,22 @@ impl Journal {
     /// returns what it holds.
     pub(super) fn open(samples: &Path, folder: &Path) -> Result<(Self, Vec<Event>), QueueError> {
         let mut name = samples.file_stem().unwrap_or_default().to_owned();
-        name.push(".queue.jsonl");
+        name.push(JOURNAL_ENDING);
         let path = folder.join(name);
         let io = |path: &Path| {
             let path = path.to_owned();
             move |source| QueueError::Io { path, source }
         };
         std::fs::create_dir_all(folder).map_err(io(folder))?;
-        let is_other = path.symlink_metadata().is_ok_and(|found| !found.is_file());
-        if is_other {
-            return Err(io(&path)(io::Error::other("it is no regular file")));
-        }
-        let file = OpenOptions::new()
-            .create(true)
-            .read(true)
-            .append(true)
-            .open(&path)
-            .map_err(io(&path))?;
+        let file = append_regular(&path).map_err(io(&path))?;
         match file_system::lock(&file, &path) {
             Ok(()) => {}
             Err(TryLockError::WouldBlock) => return Err(QueueError::Locked { path }),
             Err(TryLockError::Error(source)) => return Err(QueueError::Io { path, source }),
         }
-        let mut bytes = Vec::new();
         let mut journal = Self { path, file };
-        let read = (&journal.file).take(LARGEST_BYTES).read_to_end(&mut bytes);
-        read.map_err(io(&journal.path))?;
+        let read = read_opened(&journal.file, LARGEST_BYTES);
+        let mut bytes = read.map_err(io(&journal.path))?;
         // What follows the last end of line was torn.
         let whole = bytes.iter().rposition(|&b| b == b'\n');
         bytes.truncate(whole.map_or(0, |at| at + 1));

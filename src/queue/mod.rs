@@ -30,5 +30,6 @@ mod list;
 mod state;
 
 pub use error::QueueError;
+pub use journal::JOURNAL_ENDING;
 pub use list::{Sample, SampleList};
-pub use state::{Entry, Queue, RunState, Step};
+pub use state::{Entry, Queue, RunState, Step, Unreadable};

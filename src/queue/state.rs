@@ -10,7 +10,7 @@ use super::journal::{Event, Journal};
 use super::list::{Sample, SampleList};
 use crate::session::fit_record::{self, Verdict};
 use crate::session::layout::sample_of;
-use crate::session::{Session, SessionState};
+use crate::session::{Session, SessionError, SessionState};
 
 /// A queue of samples whose sessions go to one folder.
 #[derive(Debug)]
@@ -19,6 +19,18 @@ pub struct Queue {
     folder: PathBuf,
     journal: Journal,
     known: Known,
+    unreadable: Vec<Unreadable>,
+}
+
+/// A session of the queue that is there, but is none any more: it counts as never made.
+#[derive(Debug)]
+pub struct Unreadable {
+    /// The sample's name.
+    pub sample: String,
+    /// Name of the session.
+    pub session: String,
+    /// Why.
+    pub error: SessionError,
 }
 
 /// What is to be done next.
@@ -145,8 +157,8 @@ impl Known {
 
 impl Queue {
     /// Opens the queue of a file of samples, whose sessions go to `folder`; what was done of it
-    /// before is known again. The list may have been changed since. Sessions that were removed
-    /// count as never made.
+    /// before is known again. The list may have been changed since. Sessions that were removed or
+    /// cannot be read count as never made.
     ///
     /// # Errors
     /// The list or the journal cannot be used, or another process works on the queue.
@@ -162,11 +174,29 @@ impl Queue {
             let taken = there.iter().find(is_of);
             taken.filter(|_| !known.has_sample(name)).cloned()
         })?;
+        let mut unreadable = Vec::new();
+        known.runs.retain(
+            |Entry {
+                 sample, session, ..
+             }| {
+                let opened = Session::open(&folder.join(session));
+                let failed = opened.map_err(|error| Unreadable {
+                    sample: sample.clone(),
+                    session: session.clone(),
+                    error,
+                });
+                let failed = failed.err();
+                let is_readable = failed.is_none();
+                unreadable.extend(failed);
+                is_readable
+            },
+        );
         let mut queue = Self {
             list,
             folder: folder.to_owned(),
             journal,
             known,
+            unreadable,
         };
         queue.catch_up(&there)?;
         Ok(queue)
@@ -213,6 +243,11 @@ impl Queue {
     /// The sessions of the queue, in the order in which they were begun.
     pub fn entries(&self) -> &[Entry] {
         &self.known.runs
+    }
+
+    /// The sessions of the queue that cannot be read, in the same order.
+    pub fn unreadable(&self) -> &[Unreadable] {
+        &self.unreadable
     }
 
     /// How many sessions are still to be captured.
@@ -421,12 +456,13 @@ name = \"jar\"
         }
     }
 
-    fn capture(bench: &Bench, queue: &mut Queue, sample: &str, minute: u32) {
+    fn capture(bench: &Bench, queue: &mut Queue, sample: &str, minute: u32) -> String {
         queue.next(sample).unwrap();
         let session = bench.make(sample, minute);
         queue.begun(sample, &session).unwrap();
         queue.captured(&session).unwrap();
         queue.done(&session, Some(Verdict::Explains), None).unwrap();
+        session
     }
 
     #[test]
@@ -508,6 +544,33 @@ name = \"jar\"
         drop(queue);
         std::fs::remove_dir_all(bench.sessions().join(&made)).unwrap();
         assert_eq!(next(&bench.open().unwrap()), ("cup".to_owned(), 1, 1));
+    }
+
+    /// Emptied, or with a named pipe in the place of its journal.
+    #[test]
+    fn a_session_that_is_none_any_more_is_named_and_captured_anew() {
+        let bench = Bench::new();
+        let mut queue = bench.open().unwrap();
+        let names: Vec<_> = ["cup", "bowl", "bowl"]
+            .into_iter()
+            .zip(1..)
+            .map(|(sample, minute)| capture(&bench, &mut queue, sample, minute))
+            .collect();
+        drop(queue);
+        for (name, has_pipe) in [(&names[0], false), (&names[1], true)] {
+            let session = bench.sessions().join(name);
+            std::fs::remove_dir_all(&session).unwrap();
+            std::fs::create_dir(&session).unwrap();
+            if has_pipe {
+                let (pipe, mode) = (session.join("journal.jsonl"), rustix::fs::Mode::RUSR);
+                rustix::fs::mkfifoat(rustix::fs::CWD, pipe, mode).unwrap();
+            }
+        }
+        let queue = bench.open().unwrap();
+        let named: Vec<_> = queue.unreadable().iter().map(|one| &one.session).collect();
+        assert_eq!(named, [&names[0], &names[1]]);
+        assert_eq!(next(&queue), ("cup".to_owned(), 1, 1));
+        assert_eq!((queue.entries().len(), queue.left()), (1, 3));
     }
 
     #[test]

@@ -44,6 +44,14 @@ pub enum LoadError {
         /// What is wrong.
         fact: String,
     },
+    /// A fit outside the session that is none of it.
+    #[error("the fit in {} is none of {}", folder.display(), session.display())]
+    OtherSession {
+        /// The fit's folder.
+        folder: PathBuf,
+        /// The session.
+        session: PathBuf,
+    },
     /// A fit that the session doesn't have.
     #[error("{} has no fit {number}; it has {existing}", session.display())]
     NoSuchFit {
@@ -56,33 +64,36 @@ pub enum LoadError {
     },
 }
 
-/// Loads a session with its fit of the given number, or its latest one. A
-/// session without fits loads, too.
+/// Which fit of a session.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum FitChoice {
+    /// The one of this number.
+    Number(u32),
+    /// The one in this folder, outside the session.
+    Folder(PathBuf),
+}
+
+/// Loads a session with the fit that is chosen, or its latest one. A session without fits loads,
+/// too.
 ///
 /// # Errors
 /// Anything on disk that is broken; a report is not made of half a fit.
-pub fn load(root: &Path, fit_number: Option<u32>) -> Result<ReportInput, LoadError> {
-    load_with(root, fit_number, SPHERE_PX)
+pub fn load(root: &Path, fit: Option<&FitChoice>) -> Result<ReportInput, LoadError> {
+    load_with(root, fit, SPHERE_PX)
 }
 
 fn load_with(
     root: &Path,
-    fit_number: Option<u32>,
+    fit: Option<&FitChoice>,
     sphere_px: usize,
 ) -> Result<ReportInput, LoadError> {
     let session = Session::open(root)?;
     let record = session.record();
-    let fit = chosen_fit(&session, fit_number)?
-        .map(|number| -> Result<FitInput, LoadError> {
-            let record = fit_record::read_in(&session, number)?;
-            Ok(FitInput {
-                name: number.to_string(),
-                images: fit_record::read_images_in(&session, number)?,
-                estimate: record.material()?,
-                record,
-            })
-        })
-        .transpose()?;
+    let fit = match fit {
+        Some(FitChoice::Folder(folder)) => Some(fit_elsewhere(&session, folder)?),
+        Some(FitChoice::Number(number)) => chosen_fit(&session, Some(*number))?,
+        None => chosen_fit(&session, None)?,
+    };
     // A material that this version cannot evaluate is named, and takes only the comparison away.
     let material = record.true_material.as_deref();
     let truth = material.map(|name| (name, source::load(name)));
@@ -127,13 +138,20 @@ fn load_with(
     })
 }
 
-fn chosen_fit(session: &Session, number: Option<u32>) -> Result<Option<u32>, LoadError> {
-    let mut fits = fit_record::numbers_in(session);
-    let Some(number) = number else {
-        return Ok(fits.pop());
+/// The session's fit of this number, or its latest one.
+fn chosen_fit(session: &Session, number: Option<u32>) -> Result<Option<FitInput>, LoadError> {
+    let fits = fit_record::numbers_in(session);
+    let Some(number) = number.or(fits.last().copied()) else {
+        return Ok(None);
     };
     if fits.contains(&number) {
-        return Ok(Some(number));
+        let record = fit_record::read_in(session, number)?;
+        return Ok(Some(FitInput {
+            name: number.to_string(),
+            images: fit_record::read_images_in(session, number)?,
+            estimate: record.material()?,
+            record,
+        }));
     }
     let existing: Vec<String> = fits.iter().map(u32::to_string).collect();
     Err(LoadError::NoSuchFit {
@@ -143,6 +161,24 @@ fn chosen_fit(session: &Session, number: Option<u32>) -> Result<Option<u32>, Loa
             [] => "none".to_owned(),
             numbers => numbers.join(", "),
         },
+    })
+}
+
+/// The fit of a folder outside the session, which must be one of its images.
+fn fit_elsewhere(session: &Session, folder: &Path) -> Result<FitInput, LoadError> {
+    let record = fit_record::read(folder)?;
+    let of = record.settings.session.as_deref().map(Path::new);
+    if of.map(folder_name) != Some(folder_name(session.root())) {
+        return Err(LoadError::OtherSession {
+            folder: folder.to_owned(),
+            session: session.root().to_owned(),
+        });
+    }
+    Ok(FitInput {
+        name: folder_name(folder),
+        images: fit_record::read_images(folder)?,
+        estimate: record.material()?,
+        record,
     })
 }
 

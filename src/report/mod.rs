@@ -22,6 +22,7 @@ use std::sync::Arc;
 
 pub use captured::{CapturedInput, SignalToNoise};
 
+use self::load::FitChoice;
 use crate::brdf::Brdf;
 use crate::plot::PlotError;
 use crate::radiance_image::RadianceImage;
@@ -61,8 +62,8 @@ pub enum ReportError {
 pub struct ReportRequest {
     /// The session's folder.
     pub session: PathBuf,
-    /// Number of the fit to show; the latest if `None`.
-    pub fit: Option<u32>,
+    /// The fit to show; the latest if `None`.
+    pub fit: Option<FitChoice>,
     /// The file to write; the session's own `report.html` if `None`.
     pub out: Option<PathBuf>,
 }
@@ -94,7 +95,7 @@ pub struct WrittenReport {
 /// Anything on disk that is damaged, a fit that the session doesn't have, a figure that
 /// could not be drawn, or a file that could not be written.
 pub fn write(request: &ReportRequest) -> Result<WrittenReport, ReportError> {
-    let input = load::load(&request.session, request.fit)?;
+    let input = load::load(&request.session, request.fit.as_ref())?;
     let html = render(&input)?;
     let path = match &request.out {
         Some(path) => {

@@ -181,10 +181,17 @@ pub(crate) fn sync_dir(disk: &dyn Disk, path: &Path) -> Result<(), SessionError>
 /// Bytes that this process may still write on the disk that holds `path`, or
 /// the nearest of its parents that exists.
 pub fn free_bytes(path: &Path) -> Result<u64, SessionError> {
+    free(path, file_system::free_bytes)
+}
+
+/// Files that may still be made there, where the file system says.
+pub fn free_files(path: &Path) -> Result<Option<u64>, SessionError> {
+    free(path, file_system::free_files)
+}
+
+fn free<T>(path: &Path, ask: impl Fn(&Path) -> io::Result<T>) -> Result<T, SessionError> {
     let existing = existing(path)?;
-    SystemDisk
-        .free_bytes(&existing)
-        .map_err(|e| SessionError::io("ask for the free space of", &existing, e))
+    ask(&existing).map_err(|e| SessionError::io("ask for the free space of", &existing, e))
 }
 
 /// Refuses a folder that could not be made, or in which none could.

@@ -3,6 +3,8 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
+use crate::file_system::has_no_more_files;
+
 /// A session could not be written, read or trusted.
 #[derive(Debug, thiserror::Error)]
 pub enum SessionError {
@@ -26,6 +28,14 @@ pub enum SessionError {
         /// What was being written.
         path: PathBuf,
         /// Which operation met the end of the disk.
+        operation: &'static str,
+    },
+    /// The file system holds as many files as it can.
+    #[error("the file system of {} has no more files to give ({operation})", path.display())]
+    NoMoreFiles {
+        /// What was being written.
+        path: PathBuf,
+        /// Which operation met it.
         operation: &'static str,
     },
     /// What the user may write is used up.
@@ -155,6 +165,9 @@ impl SessionError {
     pub(crate) fn io(operation: &'static str, path: &Path, source: io::Error) -> Self {
         let path = path.to_owned();
         match source.kind() {
+            io::ErrorKind::StorageFull if has_no_more_files(&path) => {
+                Self::NoMoreFiles { path, operation }
+            }
             io::ErrorKind::StorageFull => Self::DiskFull { path, operation },
             io::ErrorKind::QuotaExceeded => Self::OverQuota { path, operation },
             io::ErrorKind::AlreadyExists => Self::Exists { path },

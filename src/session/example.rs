@@ -66,6 +66,7 @@ pub(crate) fn plan() -> PlanRecord {
         limits: Default::default(),
         estimated_s: Seconds(12.0),
         estimated_bytes: 1000,
+        estimated_files: 0,
         lights: vec![
             StageAngles {
                 azimuth_deg: 10.0,

@@ -136,6 +136,8 @@ pub struct FitSettings {
     pub job: Option<String>,
     /// Mask of the compared pixels, as it was named.
     pub mask: Option<String>,
+    /// Session, as it was named; none for a fit in its session, and for a scene file.
+    pub session: Option<String>,
     /// Scene file, as it was named; none for a session.
     pub scene: Option<String>,
     /// Images, as they were named, in the lights' order; none for a session.

@@ -23,7 +23,7 @@ use crate::device::FrameKey;
 use crate::outside_file::read_regular;
 
 /// Far more than the longest capture writes.
-const LARGEST_JOURNAL_BYTES: u64 = 256 << 20;
+pub(crate) const LARGEST_JOURNAL_BYTES: u64 = 256 << 20;
 
 /// Version of the session's layout that this program writes and reads.
 pub const FORMAT: u32 = 1;

@@ -44,5 +44,5 @@ pub use error::SessionError;
 pub use frame::{FrameTimes, Sidecar};
 pub use journal::{Event, FileDigest, Journal, Record};
 pub use record::{CalibrationCopy, ExposureRules, PlanRecord, SessionRecord, Versions};
-pub(crate) use store::utc_now;
 pub use store::{FrameEntry, NewSession, Session, SessionState, SessionWriter, lock_for_job};
+pub(crate) use store::{LARGEST_RECORD_BYTES, utc_now};

@@ -178,6 +178,9 @@ pub struct PlanRecord {
     pub estimated_s: Seconds,
     /// Estimated size of the session for a scene of usual contrast, bytes.
     pub estimated_bytes: u64,
+    /// Estimated number of its files; not kept.
+    #[serde(skip)]
+    pub estimated_files: u64,
     /// Light directions in the order of capture.
     pub lights: Vec<StageAngles>,
 }

@@ -16,11 +16,11 @@ use super::layout::{self, CALIBRATION_FOLDER, JOURNAL_FILE, MANIFEST_FILE, SESSI
 use super::record::SessionRecord;
 use super::verify::{self, Summary};
 use crate::device::{FrameKey, RawFrame};
-use crate::file_system;
+use crate::file_system::{self, PART};
 use crate::whole_file;
 
 /// A rig file has at most 256 KiB, and a light takes about 60 bytes.
-const LARGEST_RECORD_BYTES: u64 = 4 << 20;
+pub(crate) const LARGEST_RECORD_BYTES: u64 = 4 << 20;
 
 /// Whether a capture ran to its end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -247,7 +247,7 @@ pub struct SessionWriter {
     journal: Journal,
     /// The journal may hold a torn line, because the last append failed.
     torn: bool,
-    /// Held locked as long as the writer lives; none while the session is being made.
+    /// Held locked as long as the writer lives; while the session is being made, its folder.
     _lock: Option<File>,
 }
 
@@ -265,18 +265,20 @@ impl SessionWriter {
             return Err(SessionError::Exists { path: root });
         }
         commit::create_dirs(&*disk, new.parent)?;
-        let hidden = new.parent.join(format!(".{name}.part"));
+        whole_file::clear_once(new.parent);
+        let hidden = new.parent.join(format!(".{name}{PART}"));
         let made = Self::create_hidden(Arc::clone(&disk), &hidden, new).and_then(|mut writer| {
+            // Some file systems rename no folder that is open, or in which a file is.
+            writer._lock = None;
             disk.rename(&hidden, &root)
                 .map_err(|e| SessionError::io("rename to", &root, e))?;
-            // Not before: some file systems rename no folder in which a file is open.
             writer._lock = Some(lock(&root, layout::LOCK_FILE)?);
             writer.root = root;
             commit::sync_dir(&*disk, new.parent)?;
             Ok(writer)
         });
         if made.is_err() {
-            // Best effort: a hidden folder that stays behind is in nobody's way.
+            // Best effort: a hidden folder that stays behind is cleared later.
             drop(fs::remove_dir_all(&hidden));
         }
         made
@@ -289,6 +291,9 @@ impl SessionWriter {
     ) -> Result<Self, SessionError> {
         disk.create_dir(hidden)
             .map_err(|e| SessionError::io("create the folder", hidden, e))?;
+        // Locked, it is not taken for what a killed program has left.
+        let open = File::open(hidden).ok();
+        drop(open.as_ref().map(File::try_lock));
         for folder in [
             layout::RAW_FOLDER,
             CALIBRATION_FOLDER,
@@ -309,7 +314,7 @@ impl SessionWriter {
             root: hidden.to_owned(),
             journal: Journal::default(),
             torn: false,
-            _lock: None,
+            _lock: open,
         };
         writer.record(Event::Start {
             format: FORMAT,

@@ -13,7 +13,7 @@ use super::{BenchRecords, FitOutcome, FitRequest, FitWork, WorkflowError, fit_me
 use crate::config::RigConfig;
 use crate::inverse::bench::with_sample_at;
 use crate::session::commit::SystemDisk;
-use crate::session::fit_record::{self, Grade, Warning};
+use crate::session::fit_record::{self, FitImages, FitRecord, Grade, Warning};
 use crate::session::{SessionWriter, layout};
 use crate::units::StageAngles;
 
@@ -30,6 +30,39 @@ pub fn fit_session(
 ) -> Result<FitOutcome, WorkflowError> {
     // Before a fit that may take hours, and released until it is there.
     SessionWriter::open(Arc::new(SystemDisk), root)?.check_writable(layout::FITS_FOLDER)?;
+    let (record, images) = fit_captured(root, request, observer)?;
+    let mut writer = SessionWriter::open(Arc::new(SystemDisk), root)?;
+    let folder = fit_record::commit(&mut writer, &record, &images)?;
+    writer.refresh_manifest()?;
+    Ok(FitOutcome { folder, record })
+}
+
+/// Likewise into a folder outside the session, of which nothing is locked or changed: it may lie
+/// where nothing can be written.
+///
+/// # Errors
+/// As [`fit_session`]; `out` exists and is not empty.
+pub fn fit_session_into(
+    root: &Path,
+    out: &Path,
+    request: &FitRequest,
+    observer: &dyn Observer,
+) -> Result<FitOutcome, WorkflowError> {
+    fit_record::check_folder(out)?;
+    let (mut record, images) = fit_captured(root, request, observer)?;
+    record.settings.session = Some(root.display().to_string());
+    fit_record::write(out, &record, &images)?;
+    Ok(FitOutcome {
+        folder: out.to_owned(),
+        record,
+    })
+}
+
+fn fit_captured(
+    root: &Path,
+    request: &FitRequest,
+    observer: &dyn Observer,
+) -> Result<(FitRecord, FitImages), WorkflowError> {
     let captured = captured_session(root)?;
     let images = captured.image_rows(root)?;
     let CapturedSession {
@@ -95,13 +128,7 @@ pub fn fit_session(
         observer.notice(Notice::Remark(&remark));
         fit.remarks.push(remark);
     }
-    let mut writer = SessionWriter::open(Arc::new(SystemDisk), root)?;
-    let folder = fit_record::commit(&mut writer, &fit, &images)?;
-    writer.refresh_manifest()?;
-    Ok(FitOutcome {
-        folder,
-        record: fit,
-    })
+    Ok((fit, images))
 }
 
 /// How much a fit without any request will have to do, of images under these lights.

@@ -43,7 +43,7 @@ pub use error::WorkflowError;
 pub use facets::{coarse_facets, remark_on_facets};
 pub use fit_images::{ImageFit, NamedImage, fit_images, fit_images_in_memory};
 pub use fit_request::FitRequest;
-pub use fit_session::{Expected, expected, fit_session, work_of};
+pub use fit_session::{Expected, expected, fit_session, fit_session_into, work_of};
 pub use fit_work::FitWork;
 pub use notice::{Notice, Observer};
 pub use repeatability::{Repeatability, measure_repeatability};

@@ -99,6 +99,7 @@ fn settings(plan: &FitPlan, fit: &Fit) -> FitSettings {
         model_error: Some(options.model_error),
         job: plan.job.clone(),
         mask: plan.mask.as_ref().map(|path| path.display().to_string()),
+        session: None,
         scene: None,
         images: Vec::new(),
         max_reflections: options.cache.max_reflections,

@@ -286,6 +286,73 @@ fn a_list_states_options_for_each_session() {
     );
 }
 
+/// What the program itself puts next to sessions is no session: `sessions/*` names it, too.
+#[test]
+fn what_is_the_programs_own_is_passed_over() {
+    let folder = sessions(&["a"]);
+    let at = |name: &str| folder.path().join(name);
+    fs::write(at("samples.queue.jsonl"), "{}").unwrap();
+    assert_done(&batch(&folder, "new a --out first --fit OPTIONS"));
+    let words = "new a samples.queue.jsonl first --out out --fit OPTIONS";
+    let output = batch(&folder, words);
+    assert_done(&output);
+    let said = text(&output.stderr);
+    let queue = "samples.queue.jsonl: passed over (what was done of a queue)";
+    assert!(
+        said.contains(queue) && said.contains("first: passed over (a batch)"),
+        "{said}"
+    );
+    let jobs = fs::read_to_string(at("out/jobs.toml")).unwrap();
+    assert_eq!(jobs.matches("[[job]]").count(), 1);
+
+    // Killed before it had written the jobs.
+    fs::remove_file(at("out/jobs.toml")).unwrap();
+    fs::write(at("out/.jobs.toml.rig-part"), "half").unwrap();
+    assert_done(&batch(&folder, words));
+    assert!(!at("out/.jobs.toml.rig-part").exists());
+}
+
+/// With its sessions it is found again; without them, the path that is missing is named.
+#[test]
+fn a_batch_that_was_moved_finds_its_sessions() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    fs::create_dir_all(at("then/sessions")).unwrap();
+    fs::write(at("then/few.toml"), DICTIONARY).unwrap();
+    copy(captured(), &at("then/sessions/a"));
+    let options = OPTIONS.replace("few.toml", at("few.toml").to_str().unwrap());
+    fs::write(at("few.toml"), DICTIONARY).unwrap();
+    let new = [
+        "batch",
+        "new",
+        "sessions/a",
+        "--out",
+        "batch",
+        "--fit",
+        &options,
+    ];
+    assert_done(&run(at("then"), &new));
+    fs::rename(at("then"), at("now")).unwrap();
+    assert_done(&batch(&folder, "run now/batch --index 1"));
+    assert_eq!(fits(&at("now/sessions/a")), 1);
+
+    fs::remove_file(at("now/batch/records/00001.json")).unwrap();
+    fs::rename(at("now/sessions"), at("elsewhere")).unwrap();
+    let stated = at("then")
+        .canonicalize()
+        .unwrap_or(at("then"))
+        .join("sessions/a");
+    assert_fails(
+        &batch(&folder, "run now/batch --index 1"),
+        1,
+        &format!(
+            "there is no {}, where jobs.toml states the session",
+            stated.display()
+        ),
+        "the same command tries those jobs again",
+    );
+}
+
 /// Everything is refused before any work, in one line.
 #[test]
 fn what_cannot_be_done_is_refused_at_once() {
@@ -419,6 +486,31 @@ fn what_cannot_be_done_is_refused_at_once() {
         "remove the file: the job finds its fit again",
     );
     fs::remove_file(at("out/records/00002.json")).unwrap();
+    // One that is no file is neither waited for nor read without end.
+    for (there, fact) in [
+        ("/dev/zero", "a device"),
+        ("full", "directory"),
+        ("pipe", "a named pipe"),
+    ] {
+        let record = at("out/records/00002.json");
+        match there {
+            "pipe" => {
+                let mode = rustix::fs::Mode::RUSR;
+                rustix::fs::mkfifoat(rustix::fs::CWD, &record, mode).unwrap();
+            }
+            _ => std::os::unix::fs::symlink(at(there), &record).unwrap(),
+        }
+        for words in ["run out", "collect out"] {
+            let output = batch(&folder, words);
+            let said = text(&output.stderr);
+            assert_eq!(output.status.code(), Some(1), "{said}");
+            assert!(
+                said.contains("00002.json: ") && said.contains(fact),
+                "{said}"
+            );
+        }
+        fs::remove_file(&record).unwrap();
+    }
     let session = fs::read_to_string(at("b/session.toml")).unwrap();
     fs::write(at("b/session.toml"), session.replace("cup", "cap")).unwrap();
     let output = batch(&folder, "run out");

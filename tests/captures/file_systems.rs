@@ -25,15 +25,26 @@ const RENAME: &[i64] = &[libc::SYS_renameat];
 
 /// The program in this folder, where these calls end with this error.
 fn run_where(faults: &[(&[i64], Errno)], folder: &Path, arguments: &[&str]) -> Output {
+    let faults = faults.iter().map(|(calls, errno)| {
+        let rules = calls.iter().map(|&call| (call, Vec::new())).collect();
+        (rules, *errno)
+    });
+    run_with(faults.collect(), folder, arguments)
+}
+
+/// Calls, and the conditions under which they fail.
+type Rules = Vec<(i64, Vec<seccompiler::SeccompRule>)>;
+
+fn run_with(faults: Vec<(Rules, Errno)>, folder: &Path, arguments: &[&str]) -> Output {
     let arch = match cfg!(target_arch = "x86_64") {
         true => TargetArch::x86_64,
         false => TargetArch::aarch64,
     };
     let filters: Vec<BpfProgram> = faults
-        .iter()
-        .map(|(calls, errno)| {
-            let rules = calls.iter().map(|&call| (call, Vec::new())).collect();
+        .into_iter()
+        .map(|(rules, errno)| {
             let fails = SeccompAction::Errno(errno.raw_os_error() as u32);
+            let rules = rules.into_iter().collect();
             let filter = SeccompFilter::new(rules, SeccompAction::Allow, fails, arch).unwrap();
             filter.try_into().unwrap()
         })
@@ -49,6 +60,21 @@ fn run_where(faults: &[(&[i64], Errno)], folder: &Path, arguments: &[&str]) -> O
         });
     }
     command.output().unwrap()
+}
+
+/// The program in this folder, where no file can be made, as on a file system that is read-only.
+fn run_where_nothing_is_made(folder: &Path, arguments: &[&str]) -> Output {
+    use seccompiler::{
+        SeccompCmpArgLen::Dword, SeccompCmpOp::MaskedEq, SeccompCondition, SeccompRule,
+    };
+    let flag = libc::O_CREAT as u64;
+    let condition = SeccompCondition::new(2, Dword, MaskedEq(flag), flag).unwrap();
+    let rule = SeccompRule::new(vec![condition]).unwrap();
+    run_with(
+        vec![(vec![(libc::SYS_openat, vec![rule])], Errno::ROFS)],
+        folder,
+        arguments,
+    )
 }
 
 /// SMB and shared folders synchronise no folder: the capture is whole, and says so once.
@@ -142,6 +168,77 @@ fn a_folder_for_temporary_files_that_is_none_is_named() {
         1,
         "/no/such/folder",
         "the variable TMPDIR names that folder",
+    );
+}
+
+/// Where nothing can be made, the fit of a session goes elsewhere, and nothing of the session
+/// changes.
+#[test]
+fn a_session_that_cannot_be_written_is_fitted_elsewhere() {
+    let folder = workplace(|text| text);
+    assert_done(&command_support::run(folder.path(), CAPTURE));
+    let root = only_session(folder.path()).unwrap();
+    fs::remove_file(root.join(".lock")).unwrap();
+    let session = root.to_str().unwrap();
+    let fit = [
+        "fit",
+        session,
+        "--spp",
+        "4",
+        "--cells",
+        "64",
+        "--dictionary",
+        "rig26",
+    ];
+    let output = run_where_nothing_is_made(folder.path(), &fit);
+    let hint = format!("`rig fit {session} --out DIR` only reads the session");
+    assert_fails(&output, 1, "Read-only file system", &hint);
+    let tree = || {
+        let listed = std::process::Command::new("ls")
+            .args(["-lR", "--full-time", session])
+            .output();
+        text(&listed.unwrap().stdout)
+    };
+    let before = tree();
+    let elsewhere = [&fit[..], &["--out", "result/fit"]].concat();
+    assert_done(&command_support::run(folder.path(), &elsewhere));
+    let report = [
+        "report",
+        session,
+        "--fit",
+        "result/fit",
+        "--out",
+        "result/report.html",
+    ];
+    assert_done(&command_support::run(folder.path(), &report));
+    assert_eq!(tree(), before);
+    let page = fs::read_to_string(folder.path().join("result/report.html")).unwrap();
+    assert!(page.contains("rig26"));
+    let other = workplace(|text| text);
+    assert_done(&command_support::run(other.path(), CAPTURE));
+    let other = only_session(other.path()).unwrap();
+    let report = [
+        "report",
+        other.to_str().unwrap(),
+        "--fit",
+        "result/fit",
+        "--out",
+        "x.html",
+    ];
+    let output = command_support::run(folder.path(), &report);
+    assert_fails(
+        &output,
+        1,
+        "the fit in result/fit is none of",
+        "that `rig fit SESSION --out DIR` was given",
+    );
+    let certificate = ["report", session, "--fit", "result/fit", "--certificate"];
+    let output = command_support::run(folder.path(), &certificate);
+    assert_fails(
+        &output,
+        1,
+        "is made of a fit in its session",
+        "and fit it there",
     );
 }
 

@@ -372,6 +372,38 @@ fn what_is_wrong_is_said_before_anything_is_written() {
         );
         assert!(!folder.path().join("a").exists(), "{words}");
     }
+    // A journal that is no file, and a path that would end the script's text.
+    let of_shard = folder.path().join("b/journal-1-of-2.jsonl");
+    std::fs::create_dir(folder.path().join("b")).unwrap();
+    std::os::unix::fs::symlink("/dev/zero", &of_shard).unwrap();
+    for (words, said) in [
+        (
+            "evaluate atoms --quick --out b",
+            "it is a device, not a regular file",
+        ),
+        (
+            "evaluate atoms --quick --out b --shard 1/2",
+            "it is a link, not a regular file",
+        ),
+        (
+            "evaluate atoms --out y\u{2}END --slurm 2",
+            "the command line of a job has a line break: ",
+        ),
+    ] {
+        let arguments = words.split(' ').map(|word| word.replace('\u{2}', "\n"));
+        let output = Command::new(env!("CARGO_BIN_EXE_rig"))
+            .args(arguments)
+            .current_dir(folder.path())
+            .output()
+            .unwrap();
+        let stderr = String::from_utf8_lossy(&output.stderr);
+        assert!(
+            output.stdout.is_empty() && stderr.contains(said),
+            "{words}: {stderr}"
+        );
+        let breaks = stderr.contains("name files and folders without line breaks");
+        assert_eq!(breaks, words.contains("--slurm"), "{stderr}");
+    }
     let (code, stdout, _) = rig(folder.path(), "evaluate --list");
     assert_eq!(code, Some(0));
     assert!(stdout.lines().count() > 10 && stdout.contains("light-count"));

@@ -35,6 +35,82 @@ fn column(document: &Value, path: &str) -> Vec<f64> {
     values.map(|value| value.as_f64().unwrap()).collect()
 }
 
+/// However the program ends, its browser ends with all that it has started, and its files go.
+#[test]
+fn nothing_of_a_browser_stays() {
+    use rustix::process::{Pid, Signal, kill_process};
+    let home = tempfile::tempdir().unwrap();
+    let at = |name: &str| home.path().join(name);
+    let root = session(home.path(), &fit(false), LAB, true);
+    for folder in ["bin", "tmp"] {
+        std::fs::create_dir(at(folder)).unwrap();
+    }
+    let start = |script: &str| {
+        let here = home.path().display();
+        let script = format!("#!/bin/sh\nHERE={here}\n{script}\n");
+        std::fs::write(at("bin/chromium"), script).unwrap();
+        let mode = std::os::unix::fs::PermissionsExt::from_mode(0o755);
+        std::fs::set_permissions(at("bin/chromium"), mode).unwrap();
+        Command::new(env!("CARGO_BIN_EXE_rig"))
+            .args([
+                "report",
+                root.to_str().unwrap(),
+                "--certificate",
+                "--out",
+                "c.pdf",
+            ])
+            .current_dir(home.path())
+            .env("PATH", format!("{here}/bin:/usr/bin:/bin"))
+            .env("TMPDIR", at("tmp"))
+            .stderr(std::process::Stdio::piped())
+            .spawn()
+            .unwrap()
+    };
+    let wait = |what: &str, is_so: &dyn Fn() -> bool| {
+        let began = std::time::Instant::now();
+        while !is_so() {
+            assert!(began.elapsed().as_secs() < 60, "{what}");
+            std::thread::sleep(std::time::Duration::from_millis(5));
+        }
+    };
+    let is_over = |pid: &str| {
+        let state = std::fs::read_to_string(format!("/proc/{pid}/stat"));
+        state.map_or(true, |state| state.contains(") Z "))
+    };
+    let is_clear = || std::fs::read_dir(at("tmp")).unwrap().next().is_none();
+
+    for signal in [Signal::INT, Signal::TERM, Signal::HUP, Signal::KILL] {
+        let mut child = start("sleep 300 & echo $$ $! > $HERE/new; mv $HERE/new $HERE/pids; wait");
+        wait("started", &|| at("pids").exists());
+        let pids = std::fs::read_to_string(at("pids")).unwrap();
+        std::fs::remove_file(at("pids")).unwrap();
+        kill_process(Pid::from_child(&child), signal).unwrap();
+        assert!(!child.wait().unwrap().success());
+        wait("ended", &|| pids.split_whitespace().all(is_over));
+        wait("cleared", &is_clear);
+    }
+    for (act, fact) in [
+        (
+            "mkfifo $file",
+            "its file cannot be read: it is a named pipe",
+        ),
+        (
+            "ln -s /dev/zero $file",
+            "its file cannot be read: it is a device",
+        ),
+        ("echo none > $file", "what it wrote is none"),
+        ("exit 3", "it failed (exit status: 3)"),
+        (":", "it wrote no file"),
+    ] {
+        let options = "for a in \"$@\"; do case $a in --print-to-pdf=*) file=${a#*=};; esac; done";
+        let output = start(&format!("{options}\n{act}"))
+            .wait_with_output()
+            .unwrap();
+        assert_fails(&output, fact, "write a .html file instead");
+        assert!(is_clear() && !at("c.pdf").exists(), "{act}");
+    }
+}
+
 /// Every row is a constrained cell of the fit's table, at directions that have its angles.
 #[test]
 fn the_universal_json_holds_the_constrained_cells() {

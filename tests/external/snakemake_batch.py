@@ -16,11 +16,18 @@ RIG, SNAKEMAKE = [str(Path(path).absolute()) for path in sys.argv[1:3]]
 def main():
     with tempfile.TemporaryDirectory(prefix="rig-snakemake-") as work:
         work = Path(work)
-        sessions = [str(path.relative_to(work)) for path in capture(RIG, work, 3)]
+        sessions = []
+        for path in capture(RIG, work, 3):
+            moved = work / "my sessions" / path.name
+            moved.parent.mkdir(exist_ok=True)
+            path.rename(moved)
+            sessions.append(str(moved.relative_to(work)))
+        # What a queue leaves among them is passed over.
+        (work / "my sessions/samples.queue.jsonl").write_text("")
         # One of them cannot be fitted.
         (work / sessions[1] / "derived/radiance_L000.exr").write_text("no image")
         command = [SNAKEMAKE, "--snakefile", str(ROOT / "examples/workflow/Snakefile"), "--cores", "2"]
-        command += ["--quiet", "all", "--config", f"sessions={' '.join(sessions)}", f"fit={FIT}", f"rig={RIG}"]
+        command += ["--quiet", "all", "--config", f"sessions={' '.join(sessions)} my sessions/*.jsonl", f"fit={FIT}", f"rig={RIG}"]
         done = subprocess.run(command, cwd=work, capture_output=True, text=True)
         if done.returncode != 0:
             sys.exit(f"FAILED the workflow: {done.stdout}{done.stderr}")

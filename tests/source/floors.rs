@@ -388,6 +388,60 @@ fn some_words_stay_out_of_some_rooms() {
     }
 }
 
+/// `rig_core::outside_file` and what builds on it never wait for a file, and bound what they
+/// read. Whatever else opens a file for reading is named here, with what it opens.
+#[test]
+fn files_are_read_by_the_one_bounded_reader() {
+    const READS: &[&str] = &[
+        "fs::read(",
+        "fs::read_to_string(",
+        "File::open(",
+        ".read(true)",
+        "image::open(",
+        "ImageReader::open(",
+        "fs::copy(",
+    ];
+    const ELSEWHERE: &[(&str, &str)] = &[
+        ("core/src/outside_file.rs", "the reader itself"),
+        ("core/src/file_system.rs", "folders, to synchronise them"),
+        (
+            "core/src/whole_file.rs",
+            "its own temporary files and folders, to lock them",
+        ),
+        ("core/src/inverse/memory.rs", "/proc"),
+        (
+            "src/session/store.rs",
+            "lock files, of which nothing is read",
+        ),
+        (
+            "src/evaluate/growth.rs",
+            "/proc, and what its own child wrote",
+        ),
+        ("src/device/discovery.rs", "/sys, and /etc/group"),
+        ("src/device/webcam/nokhwa_device.rs", "/sys"),
+        ("src/device/genicam/find.rs", "/sys"),
+    ];
+    let mut used = BTreeSet::new();
+    for source_folder in CRATES.into_iter().chain(["python/src"]) {
+        for (_, path, source) in files(source_folder) {
+            let path = format!("{source_folder}/{}", path.display());
+            let code = code(&source);
+            let code = without_tests(&code);
+            let is_test = path.ends_with("tests.rs") || path.contains("/tests/");
+            let Some(read) = READS.iter().find(|read| !is_test && code.contains(**read)) else {
+                continue;
+            };
+            let known = ELSEWHERE.iter().find(|(file, _)| path.starts_with(file));
+            let Some((file, _)) = known else {
+                panic!("{path}: {read}…) may wait or never end; take outside_file");
+            };
+            used.insert(*file);
+        }
+    }
+    let unused = ELSEWHERE.iter().filter(|(file, _)| !used.contains(file));
+    assert_eq!(unused.collect::<Vec<_>>(), [] as [&(&str, &str); 0]);
+}
+
 #[test]
 fn a_circle_of_files_would_be_found() {
     let path = |text: &str| -> Vec<String> { text.split("::").map(str::to_owned).collect() };

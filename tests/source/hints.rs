@@ -66,6 +66,10 @@ const ELSEWHERE: &[(&str, &str)] = &[
     ),
     ("its file system is not mounted `noexec`", "a mount"),
     (
+        "remove some files there, of any size",
+        "a file system that has no more files to give",
+    ),
+    (
         "it may still move, and its lamp be lit",
         "a stop that a stage does not confirm, with the console's unit tests",
     ),

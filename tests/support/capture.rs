@@ -584,6 +584,7 @@ pub fn record() -> SessionRecord {
             limits: Default::default(),
             estimated_s: Seconds(10.0),
             estimated_bytes: 1000,
+            estimated_files: 0,
             lights: vec![at(0.0, 90.0), at(40.0, 35.0)],
         },
         calibration: vec![],

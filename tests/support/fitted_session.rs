@@ -211,6 +211,7 @@ fn record(simulated: bool, lab: &str) -> SessionRecord {
             limits: Default::default(),
             estimated_s: Seconds(12.0),
             estimated_bytes: 1000,
+            estimated_files: 0,
             lights: vec![StageAngles {
                 azimuth_deg: 10.0,
                 elevation_deg: 80.0,

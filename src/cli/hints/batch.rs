@@ -1,6 +1,6 @@
 //! Advice on batches.
 
-use super::{for_error, for_io};
+use super::{for_error, for_io, for_line_break};
 use crate::batch::BatchError;
 
 pub(super) fn for_batch(error: &BatchError) -> Option<String> {
@@ -44,6 +44,7 @@ pub(super) fn for_batch(error: &BatchError) -> Option<String> {
             ));
         }
         Tasks { .. } => "clusters refuse larger arrays; a task does as many jobs as it has to",
+        Script(error) => return Some(for_line_break(error)),
         Page(_) => return None,
     };
     Some(advice.into())

@@ -9,6 +9,8 @@ use crate::report::load::LoadError;
 use crate::session::SessionError;
 use crate::session::fit_record::FitRecordError;
 
+const FOR_NO_MORE_FILES: &str = "remove some files there, of any size (`df -i` counts them), or choose another disk with --out; nothing that was journalled is lost";
+
 pub(super) fn for_session(error: &SessionError) -> Option<String> {
     use SessionError::*;
     Some(match error {
@@ -17,6 +19,7 @@ pub(super) fn for_session(error: &SessionError) -> Option<String> {
         DiskFull { .. } => {
             "nothing that was journalled is lost; free some space and try again".into()
         }
+        NoMoreFiles { .. } => FOR_NO_MORE_FILES.into(),
         OverQuota { .. } => {
             "nothing that was journalled is lost; remove some of your files there (`quota` lists what counts), or use another disk, and try again".into()
         }
@@ -49,6 +52,7 @@ pub(super) fn for_capture(error: &CaptureError) -> Option<String> {
         TooManyLights { reachable, .. } => format!("ask for at most {reachable}, or `--lights all`"),
         Empty { .. } => "ask for at least one light, e.g. `--lights 4`".into(),
         NotEnoughSpace { .. } => "free some space, choose another disk with --out, or ask for fewer lights".into(),
+        NotEnoughFiles { .. } => FOR_NO_MORE_FILES.into(),
         LowDisk { .. } => "nothing that was journalled is lost; free some space".into(),
         LampDrift { .. } => "let the lamp warm up (capture.lamp_warm_up_s in the rig file) and check its supply; if it doesn't come back to what it was, start a new session".into(),
         LightMoved { .. } | NotAsBefore { .. } => "resume once more, which homes the stage again; `rig stage repeatability` shows how well it finds its switches; if the sample was touched or the stage repeats no better, start a new session".into(),
@@ -73,6 +77,8 @@ pub(super) fn for_loading(error: &LoadError) -> Option<String> {
         Brdf(error) => super::for_brdf(error),
         Image(error) => for_exr(error),
         Sidecar { .. } => Some("`rig session verify` lists every damaged file".into()),
+        // `rig report` says what to do.
+        OtherSession { .. } => None,
         NoSuchFit { .. } => {
             Some("`rig fit SESSION` makes one; without --fit the newest is taken".into())
         }

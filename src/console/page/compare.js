@@ -2,7 +2,7 @@
 
 import { ask } from "./api.js";
 import { facts, field, h, redraw } from "./dom.js";
-import { digits, when } from "./format.js";
+import { digits, short, when } from "./format.js";
 import { complain } from "./notices.js";
 import { fileOf, warningList } from "./session.js";
 import { badge, latest } from "./verdict.js";
@@ -59,7 +59,7 @@ function side(label) {
     fit = session?.fits?.find((one) => one.name === number) ?? (session ? latest(session) : null);
     verdict.replaceChildren(badge(fit));
     facts(list, session ? [
-      ["Sample", session.sample ?? "–"],
+      ["Sample", short(session.sample) ?? "–"],
       ["Captured", when(session.began)],
       ["Lights", String(session.lights)],
       ["Dictionary", fit?.dictionary ?? "–"],

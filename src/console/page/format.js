@@ -19,6 +19,11 @@ export function fixed(value, places) {
   return Number.isFinite(value) ? signed(value.toFixed(places)) : "–";
 }
 
+/** The first hundred characters of a text. */
+export function short(text) {
+  return text?.length > 100 ? `${text.slice(0, 100)}…` : text;
+}
+
 /** An exposure: µs, ms or s. */
 export function exposure(seconds) {
   if (!Number.isFinite(seconds)) return "–";

@@ -2,7 +2,7 @@
 
 import { ask } from "./api.js";
 import { facts, field, gate, h, panel, redraw, say } from "./dom.js";
-import { when } from "./format.js";
+import { short, when } from "./format.js";
 import { attempt, blocked, capturing } from "./header.js";
 import { announce, complain } from "./notices.js";
 import { resumeButtons } from "./running.js";
@@ -76,7 +76,7 @@ function details(session) {
     ["Captured", when(session.began)],
     ["Lights", String(session.lights)],
     ["Bench", session.simulated ? "simulated" : null],
-    ["True material", session.material ?? null],
+    ["True material", short(session.material) ?? null],
     ["Latest fit", quality(fit)],
     ["Folder", session.name],
   ]);
@@ -84,7 +84,7 @@ function details(session) {
     h(
       "section",
       { class: "panel" },
-      h("h3", { class: "headline" }, session.sample || session.name),
+      h("h3", { class: "headline" }, short(session.sample) || session.name),
       h("p", { class: "verdict" }, badge(fit), " ", fit?.verdict_text ? `${fit.verdict_text}.` : "This session has not been fitted."),
       list,
       session.error ? h("p", { class: "error" }, `${session.error.error}${session.error.hint ? ` – ${session.error.hint}` : ""}`) : null,

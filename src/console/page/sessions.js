@@ -3,7 +3,7 @@
 import { ask } from "./api.js";
 import { comparePart } from "./compare.js";
 import { gate, h, redraw, say } from "./dom.js";
-import { when } from "./format.js";
+import { short, when } from "./format.js";
 import { complain } from "./notices.js";
 import { sessionPart } from "./session.js";
 import { state, watch } from "./stream.js";
@@ -99,14 +99,14 @@ function listPart() {
 
 function card(session, ticked, tick) {
   const fit = latest(session);
-  const box = h("input", { type: "checkbox", value: session.name, "aria-label": `Compare ${session.sample ?? session.name} of ${when(session.began)}` });
+  const box = h("input", { type: "checkbox", value: session.name, "aria-label": `Compare ${short(session.sample) ?? session.name} of ${when(session.began)}` });
   box.checked = ticked.includes(session.name);
   box.disabled = !fit;
   box.addEventListener("change", () => tick(session.name, box.checked));
   const lights = `${session.lights} ${session.lights === 1 ? "light" : "lights"}`;
   const facts = [
     session.complete || session.lights_finished == null ? lights : `${session.lights_finished} of ${lights} captured`,
-    session.simulated ? `simulated${session.material ? `: ${session.material}` : ""}` : null,
+    session.simulated ? `simulated${session.material ? `: ${short(session.material)}` : ""}` : null,
     session.suspect ? "the stage lost steps" : null,
     session.fits?.length > 1 ? `${session.fits.length} fits` : null,
     quality(fit) === "–" ? null : quality(fit),
@@ -118,7 +118,7 @@ function card(session, ticked, tick) {
     h(
       "div",
       {},
-      h("h4", {}, h("a", { href: `#sessions/${encodeURIComponent(session.name)}` }, session.sample || session.name)),
+      h("h4", {}, h("a", { href: `#sessions/${encodeURIComponent(session.name)}` }, short(session.sample) || session.name)),
       h("p", { class: "fine" }, when(session.began), " · ", facts.join(" · ")),
     ),
     session.error ? h("span", { class: "badge incomplete", title: session.error.error }, "can’t be read") : session.complete ? badge(fit) : h("span", { class: "badge incomplete" }, "not complete"),

@@ -23,13 +23,13 @@ const READ_BYTES: u64 = 1 << 22;
 
 /// How a program ended, and what it wrote.
 #[derive(Debug)]
-pub(in crate::device) struct Ended {
+pub(crate) struct Ended {
     /// `None`: it was ended, because its time was over.
-    pub(in crate::device) status: Option<ExitStatus>,
+    pub(crate) status: Option<ExitStatus>,
     /// Its standard output.
-    pub(in crate::device) stdout: String,
+    pub(crate) stdout: String,
     /// Its standard error.
-    pub(in crate::device) stderr: String,
+    pub(crate) stderr: String,
 }
 
 impl Workplace {
@@ -37,7 +37,7 @@ impl Workplace {
     ///
     /// # Errors
     /// [`DeviceError::Program`] if it cannot be run, or the system's error.
-    pub(in crate::device) fn run(
+    pub(crate) fn run(
         &self,
         mut command: Command,
         deadline: Instant,

@@ -19,7 +19,7 @@ use super::{CameraInfo, DeviceError};
 
 pub use self::answer::AnswerFault;
 pub(super) use self::kept::{Ended, how_it_ended};
-pub(super) use self::workplace::Workplace;
+pub use self::workplace::Workplace;
 pub use self::workplace::keep;
 
 /// `camera.driver = "command"`.

@@ -1,6 +1,6 @@
-//! The folder in which a camera's program leaves its files, and the keeper: a
-//! small process that ends the program and removes the folder when this process
-//! is gone, however it ended.
+//! The folder in which a program that is run (a camera's, a browser) leaves its files,
+//! and the keeper: a small process that ends the program and removes the folder when
+//! this process is gone, however it ended.
 
 use std::fs::File;
 use std::io::{BufRead, Write};
@@ -21,7 +21,7 @@ const END: Duration = Duration::from_secs(1);
 
 /// The folder, which is removed with this.
 #[derive(Debug)]
-pub(in crate::device) struct Workplace {
+pub(crate) struct Workplace {
     folder: TempDir,
     keeper: Option<Mutex<Child>>,
 }
@@ -29,7 +29,7 @@ pub(in crate::device) struct Workplace {
 impl Workplace {
     /// A new folder in the temporary one. `keeper` is to call [`keep`] with its
     /// standard input and the folder, which is added as its last argument.
-    pub(in crate::device) fn new(keeper: Option<Command>) -> Result<Self, DeviceError> {
+    pub(crate) fn new(keeper: Option<Command>) -> Result<Self, DeviceError> {
         let folder = tempfile::Builder::new()
             .prefix("rig-camera-")
             .tempdir()
@@ -45,7 +45,7 @@ impl Workplace {
                 .spawn()
                 .map(Mutex::new)
                 .map_err(|source| DeviceError::Io {
-                    device: "the keeper of the camera's program".to_owned(),
+                    device: "the keeper of a program that is run".to_owned(),
                     source,
                 })
         });
@@ -56,7 +56,7 @@ impl Workplace {
     }
 
     /// A folder of its own for a frame, removed with the result.
-    pub(in crate::device) fn place(&self) -> Result<TempDir, DeviceError> {
+    pub(crate) fn place(&self) -> Result<TempDir, DeviceError> {
         TempDir::new_in(self.folder.path()).map_err(temporary)
     }
 

@@ -9,8 +9,8 @@
 //! torn, and that line is dropped when its journal is opened again.
 
 use std::collections::HashMap;
-use std::fs::{File, OpenOptions, TryLockError};
-use std::io::{Read, Seek, Write};
+use std::fs::{File, TryLockError};
+use std::io::{Seek, Write};
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -18,6 +18,10 @@ use serde::{Deserialize, Serialize};
 use super::{EvaluateError, Row, Settings};
 use crate::cluster::Shard;
 use crate::file_system;
+use crate::outside_file::{append_regular, read_opened, read_regular};
+
+/// Far more than the longest experiment writes.
+const LARGEST_BYTES: u64 = 256 << 20;
 
 /// Name of the journal of a run of all cases, in the output folder.
 pub const FILE: &str = "journal.jsonl";
@@ -92,8 +96,8 @@ impl Journal {
         };
         let mut bytes = Vec::new();
         if !restart {
-            let read = journal.file.read_to_end(&mut bytes);
-            read.map_err(EvaluateError::io(&journal.path))?;
+            let read = read_opened(&journal.file, LARGEST_BYTES);
+            bytes = read.map_err(EvaluateError::io(&journal.path))?;
         }
         let whole = whole_lines(&bytes).len();
         journal
@@ -106,7 +110,7 @@ impl Journal {
         for path in journals(folder)? {
             let bytes = match path == journal.path {
                 true => std::mem::take(&mut bytes),
-                false => std::fs::read(&path).map_err(EvaluateError::io(&path))?,
+                false => read_regular(&path, LARGEST_BYTES).map_err(EvaluateError::io(&path))?,
             };
             journal.replay(&path, whole_lines(&bytes), settings, folder)?;
         }
@@ -184,9 +188,7 @@ fn whole_lines(bytes: &[u8]) -> &[u8] {
 }
 
 fn open_file(path: &Path) -> Result<File, EvaluateError> {
-    let mut options = OpenOptions::new();
-    let options = options.create(true).read(true).append(true);
-    options.open(path).map_err(EvaluateError::io(path))
+    append_regular(path).map_err(EvaluateError::io(path))
 }
 
 fn locked(lock: Result<(), TryLockError>, folder: &Path) -> Result<(), EvaluateError> {

@@ -1,10 +1,13 @@
 //! A page as PDF, by a browser that this machine has.
 
-use std::fs;
-use std::io;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::Command;
 use std::time::{Duration, Instant};
+
+use crate::device::DeviceError;
+use crate::device::command_camera::Workplace;
+use crate::outside_file::read_regular;
+use crate::whole_file;
 
 /// Programs that print a page without showing it, in the order in which they are tried.
 const NAMES: [&str; 5] = [
@@ -18,16 +21,22 @@ const NAMES: [&str; 5] = [
 /// A page of two sheets takes a second; a browser's first start some more.
 const LONGEST: Duration = Duration::from_secs(60);
 
+/// Two sheets have some 100 kB.
+const LARGEST_PDF_BYTES: u64 = 256 << 20;
+
 /// Why there is no PDF.
 #[derive(Debug, thiserror::Error)]
 pub enum BrowserError {
-    /// The browser could not be run, or its files not be written.
-    #[error("{}: {source}", program.display())]
-    Io {
-        /// The program.
-        program: PathBuf,
+    /// The browser could not be run.
+    #[error(transparent)]
+    Run(#[from] DeviceError),
+    /// The page could not be written for it.
+    #[error("{}: {source}", path.display())]
+    Page {
+        /// The file.
+        path: PathBuf,
         /// The system's error.
-        source: io::Error,
+        source: std::io::Error,
     },
     /// It ended without a PDF.
     #[error("{} made no PDF: {fact}", program.display())]
@@ -57,22 +66,21 @@ impl Browser {
         })
     }
 
-    /// Prints a document as PDF and returns its bytes.
+    /// Prints a document as PDF and returns its bytes. However this process ends meanwhile, the
+    /// browser ends with all that it has started, and its files go: by `keeper`, which is this
+    /// program as its [`keep`](crate::device::command_camera::keep).
     ///
     /// # Errors
     /// The browser cannot be run, or makes no PDF within a minute.
-    pub fn print(&self, html: &str) -> Result<Vec<u8>, BrowserError> {
-        let failed = |source| BrowserError::Io {
-            program: self.program.clone(),
-            source,
-        };
+    pub fn print(&self, html: &str, keeper: Option<Command>) -> Result<Vec<u8>, BrowserError> {
         // A profile of its own: a running browser of the user would take the page over.
-        let folder = tempfile::tempdir().map_err(failed)?;
-        let (page, pdf) = (
-            folder.path().join("page.html"),
-            folder.path().join("page.pdf"),
-        );
-        fs::write(&page, html).map_err(failed)?;
+        let workplace = Workplace::new(keeper)?;
+        let folder = workplace.place()?;
+        let [page, pdf] = ["page.html", "page.pdf"].map(|name| folder.path().join(name));
+        whole_file::create(&page, html.as_bytes()).map_err(|source| BrowserError::Page {
+            path: page.clone(),
+            source,
+        })?;
         let mut command = Command::new(&self.program);
         command
             .arg("--headless=new")
@@ -80,27 +88,26 @@ impl Browser {
             .arg("--no-pdf-header-footer")
             .arg(option("--user-data-dir=", &folder.path().join("profile")))
             .arg(option("--print-to-pdf=", &pdf))
-            .arg(option("file://", &page))
-            .stdin(Stdio::null())
-            .stdout(Stdio::null())
-            .stderr(Stdio::null());
+            .arg(option("file://", &page));
         // The browser refuses its sandbox to the administrator; the page has no scripts.
         if rustix::process::geteuid().is_root() {
             command.arg("--no-sandbox");
         }
-        let mut child = command.spawn().map_err(failed)?;
-        let ended = wait(&mut child).map_err(failed)?;
-        match (ended, fs::read(&pdf)) {
-            (Some(true), Ok(bytes)) if bytes.starts_with(b"%PDF") => Ok(bytes),
-            (ended, _) => Err(BrowserError::NoPdf {
-                program: self.program.clone(),
-                fact: match ended {
-                    Some(true) => "it wrote no file".to_owned(),
-                    Some(false) => "it failed".to_owned(),
-                    None => format!("it was not done after {} s", LONGEST.as_secs()),
-                },
-            }),
-        }
+        let ended = workplace.run(command, Instant::now() + LONGEST)?;
+        let fact = match (ended.status, read_regular(&pdf, LARGEST_PDF_BYTES)) {
+            (None, _) => format!("it was not done after {} s", LONGEST.as_secs()),
+            (Some(status), _) if !status.success() => format!("it failed ({status})"),
+            (_, Ok(bytes)) if bytes.starts_with(b"%PDF") => return Ok(bytes),
+            (_, Ok(_)) => "what it wrote is none".to_owned(),
+            (_, Err(error)) if error.kind() == std::io::ErrorKind::NotFound => {
+                "it wrote no file".to_owned()
+            }
+            (_, Err(error)) => format!("its file cannot be read: {error}"),
+        };
+        Err(BrowserError::NoPdf {
+            program: self.program.clone(),
+            fact,
+        })
     }
 }
 
@@ -108,20 +115,4 @@ fn option(name: &str, path: &Path) -> std::ffi::OsString {
     let mut option = std::ffi::OsString::from(name);
     option.push(path);
     option
-}
-
-/// Whether it succeeded; `None` where it was ended because it took too long.
-fn wait(child: &mut Child) -> io::Result<Option<bool>> {
-    let begun = Instant::now();
-    loop {
-        if let Some(status) = child.try_wait()? {
-            return Ok(Some(status.success()));
-        }
-        if begun.elapsed() > LONGEST {
-            child.kill()?;
-            child.wait()?;
-            return Ok(None);
-        }
-        std::thread::sleep(Duration::from_millis(50));
-    }
 }

@@ -6,9 +6,11 @@ use minijinja::{Environment, UndefinedBehavior, context};
 use super::CertificateError;
 use super::budget::Budget;
 use crate::checksum::sha256_hex;
+use crate::outside_file::read_regular;
 use crate::report::figures;
 use crate::report::value::{value, values};
 use crate::session::fit_record::coverage;
+use crate::session::journal::LARGEST_JOURNAL_BYTES;
 use crate::session::layout::{FITS_FOLDER, JOURNAL_FILE, SESSION_FILE};
 use crate::session::{Event, FrameEntry, SessionError};
 use crate::workflow::StatedResult;
@@ -272,7 +274,8 @@ fn checksums(result: &StatedResult) -> Result<Vec<(String, String)>, SessionErro
         })
         .collect();
     let path = result.session.root().join(JOURNAL_FILE);
-    let bytes = std::fs::read(&path).map_err(|error| SessionError::io("read", &path, error))?;
+    let bytes = read_regular(&path, LARGEST_JOURNAL_BYTES);
+    let bytes = bytes.map_err(|error| SessionError::io("read", &path, error))?;
     let name = format!("{JOURNAL_FILE} (has those of all {} files)", files.len());
     found.push((name, sha256_hex(&bytes)));
     Ok(found)

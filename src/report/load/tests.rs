@@ -152,7 +152,7 @@ fn an_unfinished_session_without_a_fit_loads_as_what_it_is() {
 fn a_fitted_session_loads_with_its_fit_and_truth() {
     let home = tempfile::tempdir().unwrap();
     let root = session(home.path(), Some("lambertian:0.5"), true);
-    let input = load_with(&root, Some(0), 8).unwrap();
+    let input = load_with(&root, Some(&FitChoice::Number(0)), 8).unwrap();
     let synthetic = synthetic();
     let fit = input.fit.as_ref().unwrap();
     assert_eq!(fit.record, synthetic.fit.unwrap().record);
@@ -170,7 +170,10 @@ fn a_fitted_session_loads_with_its_fit_and_truth() {
         check.strays
     );
 
-    let error = load_with(&root, Some(3), 8).err().unwrap().to_string();
+    let error = load_with(&root, Some(&FitChoice::Number(3)), 8)
+        .err()
+        .unwrap()
+        .to_string();
     assert!(
         error.contains("no fit 3") && error.contains("has 0"),
         "{error}"

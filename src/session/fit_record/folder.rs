@@ -132,10 +132,7 @@ pub fn write(folder: &Path, record: &FitRecord, images: &FitImages) -> Result<()
         _ => Path::new("."),
     };
     std::fs::create_dir_all(parent).map_err(io(parent))?;
-    let partial = tempfile::Builder::new()
-        .prefix(".fit-partial-")
-        .tempdir_in(parent)
-        .map_err(io(parent))?;
+    let partial = whole_file::Part::folder(folder).map_err(io(parent))?;
     for (name, bytes) in files {
         let path = partial.path().join(name);
         let written = File::create(&path).and_then(|mut file| {
@@ -145,23 +142,12 @@ pub fn write(folder: &Path, record: &FitRecord, images: &FitImages) -> Result<()
         written.map_err(io(&path))?;
     }
     file_system::sync_folder(partial.path()).map_err(io(partial.path()))?;
-    make_readable(partial.path());
     // Not every file system can rename a folder onto another. One with files in it
     // stays, and stops the rename.
     drop(std::fs::remove_dir(folder));
-    file_system::rename(partial.path(), folder).map_err(io(folder))?;
-    let _ = partial.keep(); // Renamed: nothing is left to remove.
+    let renamed = partial.renamed(|partial| file_system::rename(partial, folder));
+    renamed.map_err(io(folder))?;
     file_system::sync_folder(parent).map_err(io(parent))
-}
-
-/// A temporary folder is private to its owner; a result is not. Where the file system has
-/// no permissions, there is nothing to be done.
-fn make_readable(folder: &Path) {
-    use std::os::unix::fs::PermissionsExt;
-    drop(std::fs::set_permissions(
-        folder,
-        std::fs::Permissions::from_mode(0o755),
-    ));
 }
 
 fn image_name(kind: &str, light: usize) -> String {

@@ -50,6 +50,7 @@ pub(crate) fn sample() -> FitRecord {
             model_error: Some(0.02),
             job: Some("5f0c".to_owned()),
             mask: Some("mask.png".to_owned()),
+            session: None,
             scene: Some("bench.toml".to_owned()),
             images: vec!["a.exr".to_owned(), "b.exr".to_owned()],
             samples_per_pixel: 256,
