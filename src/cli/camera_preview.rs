@@ -104,7 +104,7 @@ mod console {
             std::thread::sleep(LOOK);
         }
         drop(running);
-        bench.end(CLOSING);
+        bench.end(CLOSING, || interrupt.level() == StopLevel::Now);
         let signal = interrupt.signal().unwrap_or(Signal::Interrupt);
         Err(CliError::interrupted(signal, "the preview has ended"))
     }
