@@ -524,11 +524,13 @@ impl Jobs {
     }
 
     fn set_ending(&self) {
-        let state = &mut locked(&self.0.shown).job.state;
-        if !matches!(state, Some(State::Running | State::Paused)) {
+        let mut shown = locked(&self.0.shown);
+        if !matches!(shown.job.state, Some(State::Running | State::Paused)) {
             return;
         }
-        *state = Some(State::Ending);
+        shown.job.state = Some(State::Ending);
+        // Publishing takes the lock.
+        drop(shown);
         self.publish();
     }
 
