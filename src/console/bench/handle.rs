@@ -198,6 +198,7 @@ impl Bench {
             return true;
         };
         let (mut end, mut is_stopped) = (began + longest, false);
+        let mut waiting_since = began;
         while !thread.is_finished() {
             let state = self.state();
             let is_lit = state
@@ -210,9 +211,11 @@ impl Bench {
             if is_urgent() {
                 end = end.min(Instant::now() + URGENT);
             }
-            // The stage is not closed, or nothing is open yet.
-            let hangs = state.stage.is_some() || !state.connected;
-            if hangs && began.elapsed() >= HOPELESS_AFTER || Instant::now() >= end {
+            // The camera's thread is in a frame, and the stage's has ended.
+            if state.stage.is_none() && state.camera.is_some() {
+                waiting_since = Instant::now();
+            }
+            if waiting_since.elapsed() >= HOPELESS_AFTER || Instant::now() >= end {
                 return false;
             }
             std::thread::sleep(LOOK);

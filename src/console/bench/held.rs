@@ -115,7 +115,9 @@ fn used(
             None => Ok(stage::wait(commands, leave)),
         };
         drop(leaving);
-        let seen = match watching.join() {
+        let seen = watching.join();
+        shared.change(|state| state.camera = None);
+        let seen = match seen {
             Ok(seen) => seen,
             Err(panic) => std::panic::resume_unwind(panic),
         };
