@@ -24,6 +24,9 @@ const RETURN_POLL: Seconds = Seconds(0.5);
 const REPLY_GRACE: Duration = Duration::from_secs(1);
 /// How long a stage's driver may take to notice that it was stopped.
 const LET_GO: Duration = Duration::from_secs(2);
+/// A lamp that is lit goes off so long after a request to stop, also where a frame is under
+/// way that takes longer.
+const LIT_GRACE: Duration = Duration::from_secs(3);
 /// A lamp's temperature changes little within so long.
 const READING_HOLDS: Duration = Duration::from_secs(10);
 /// A stage that stands further than this from its target did not get there.
@@ -234,11 +237,17 @@ impl Devices {
         let answer = self.camera.call(move |camera| job(camera.as_mut()));
         self.camera_is_lost = false;
         let watch = Stopwatch::start();
-        let result = self.answer(None, answer).await;
+        let result = self.answer(self.frame_grace(), answer).await;
         watch.add_to(&mut self.spent.camera_s);
         let result = result?;
         self.camera_is_lost = matches!(result, Err(DeviceError::Disconnected { .. }));
         Ok(result?)
+    }
+
+    /// A frame ends before a capture that is to stop does, but not a long one under the lamp.
+    fn frame_grace(&self) -> Option<Duration> {
+        let is_dark = !self.guard.armed || self.known.lamp == Some(LampState::Off);
+        (!is_dark).then_some(LIT_GRACE)
     }
 
     /// Whether the camera was gone when it was last used.
@@ -458,7 +467,7 @@ impl Devices {
             SettingsChange::UnderWay { requested, answer } => (requested, answer),
         };
         let watch = Stopwatch::start();
-        let result = self.answer(None, answer).await;
+        let result = self.answer(self.frame_grace(), answer).await;
         watch.add_to(&mut self.spent.camera_s);
         let failed = match result? {
             Ok((applied, thrown)) => {

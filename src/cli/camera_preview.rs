@@ -105,7 +105,7 @@ mod console {
             std::thread::sleep(LOOK);
         }
         drop(running);
-        bench.end(CLOSING);
+        bench.end(CLOSING, || interrupt.level() == StopLevel::Now);
         // As it was asked to.
         let signal = interrupt.signal().unwrap_or(Signal::Interrupt);
         Err(CliError::stated(Exit::Signal(signal)))

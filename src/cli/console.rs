@@ -5,8 +5,9 @@ use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
 use std::process::ExitStatus;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender};
 use std::sync::{Arc, mpsc};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use rustix::process::Signal as Sent;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGTSTP};
@@ -27,7 +28,7 @@ use crate::console::frames;
 use crate::console::hub::Hub;
 use crate::console::jobs::{self, JobError, Jobs, Kind, Program, Work};
 use crate::console::picture::outline_routes;
-use crate::console::server::{ListenOptions, Parts, Running, Server};
+use crate::console::server::{ListenOptions, Parts, Running, Server, is_host_name};
 use crate::fault::Fault;
 use crate::interrupt::Signal;
 use crate::session::Session;
@@ -60,7 +61,7 @@ pub struct ListenArgs {
     #[arg(long, value_name = "PORT")]
     port: Option<u16>,
     /// Name that browsers reach the console by, such as that of a TLS proxy; may be repeated
-    #[arg(long, value_name = "NAME")]
+    #[arg(long, value_name = "NAME", value_parser = parse_host_name)]
     host_name: Vec<String>,
 }
 
@@ -94,8 +95,24 @@ fn parse_listen(text: &str) -> Result<(IpAddr, Option<u16>), String> {
         .map_err(|_| "an IP address, e.g. 0.0.0.0 or 192.168.1.5:8080 or [::1]:8080".to_owned())
 }
 
+fn parse_host_name(text: &str) -> Result<String, String> {
+    match is_host_name(text) {
+        true => Ok(text.to_owned()),
+        false => Err("a name alone, as bench.example.org: letters, digits, hyphens and dots, without http:// and port; `*` stands for nothing".to_owned()),
+    }
+}
+
 /// The devices are closed in this time, or the guardian sees to the lamp.
 const CLOSING: Duration = Duration::from_secs(15);
+/// Before it is suspended the console waits no longer for that.
+const SUSPENDING: Duration = Duration::from_secs(4);
+/// A job that was told to end is continued so often: it may be about to pause.
+const CONTINUE: Duration = Duration::from_millis(250);
+/// A job has so long to end after a second signal; then it is killed, and the guardian turns
+/// the lamp off.
+const KILL_AFTER: Duration = Duration::from_millis(2500);
+/// A job that was killed is not waited for any longer.
+const GIVE_UP_AFTER: Duration = Duration::from_millis(4500);
 
 /// `rig console`.
 pub fn run(args: &ConsoleArgs, context: &Context) -> Result<(), CliError> {
@@ -204,18 +221,14 @@ enum Woken {
     JobEnded,
 }
 
+/// How the capture ended that the console is around, if it is, and the last signal.
+type Ended = (Option<Option<ExitStatus>>, Option<Signal>);
+
 /// A console that answers.
 struct Console {
     jobs: Jobs,
     bench: Bench,
     _server: Running,
-}
-
-impl Drop for Console {
-    /// Lamp off, devices closed.
-    fn drop(&mut self) {
-        self.bench.end(CLOSING);
-    }
 }
 
 impl Console {
@@ -277,8 +290,23 @@ impl Console {
     fn stay(self, work: Option<Work>, context: &Context) -> Result<(), CliError> {
         // Signals and the ends of jobs wake this thread.
         let (wake, woken) = mpsc::channel();
+        let ended = self.run(work, &wake, &woken, context);
+        self.close(&woken, context);
+        match ended? {
+            (Some(status), _) => as_it_ended(status),
+            (None, Some(signal)) => Err(CliError::stated(Exit::Signal(signal))),
+            (None, None) => Ok(()),
+        }
+    }
+
+    fn run(
+        &self,
+        work: Option<Work>,
+        wake: &Sender<Woken>,
+        woken: &Receiver<Woken>,
+        context: &Context,
+    ) -> Result<Ended, CliError> {
         let mut signals = signal_hook::iterator::Signals::new([SIGINT, SIGTERM, SIGHUP, SIGTSTP])?;
-        let has_terminal = terminal().is_some();
         let caught = wake.clone();
         std::thread::Builder::new()
             .name("signals".into())
@@ -289,20 +317,36 @@ impl Console {
                     }
                 }
             })?;
-        let mut captured = None;
         let is_capture = work.is_some();
         if let Some(work) = work {
             self.jobs.start(work)?;
-            self.wait_for_job(&wake)?;
+            self.wait_for_job(wake)?;
         } else {
             context.note("Ctrl-C ends the console");
         }
+        self.until_ended(is_capture, wake, woken, context)
+    }
 
-        // Until a signal has ended the console and the job has ended.
-        let mut ending: Option<Signal> = None;
-        while let Ok(woken) = woken.recv() {
-            match woken {
-                Woken::JobEnded => {
+    /// Returns when a signal has ended the console and the job has ended.
+    fn until_ended(
+        &self,
+        is_capture: bool,
+        wake: &Sender<Woken>,
+        woken: &Receiver<Woken>,
+        context: &Context,
+    ) -> Result<Ended, CliError> {
+        let had_terminal = terminal().is_some();
+        let (mut captured, mut ending) = (None, None::<Signal>);
+        // A second signal.
+        let mut urgent_since = None::<Instant>;
+        loop {
+            match woken.recv_timeout(CONTINUE) {
+                Err(RecvTimeoutError::Disconnected) => break,
+                Err(RecvTimeoutError::Timeout) if ending.is_some() => {
+                    self.jobs.send(&[Sent::CONT]);
+                }
+                Err(RecvTimeoutError::Timeout) => {}
+                Ok(Woken::JobEnded) => {
                     if is_capture && captured.is_none() {
                         captured = Some(self.jobs.wait());
                         if let Some(session) = self.jobs.result() {
@@ -317,36 +361,62 @@ impl Console {
                         break;
                     }
                 }
-                Woken::Signal(SIGTSTP) => {
+                Ok(Woken::Signal(SIGTSTP)) => {
                     // The lamp must not stay on while nobody watches over it.
-                    drop(self.bench.lend("nobody: the console is suspended", CLOSING));
+                    drop(
+                        self.bench
+                            .lend("nobody: the console is suspended", SUSPENDING),
+                    );
                     interrupt::suspend();
                 }
-                Woken::Signal(number) => {
+                Ok(Woken::Signal(number)) => {
                     let signal = Signal::from_number(number).unwrap_or(Signal::Terminate);
                     self.jobs.close();
-                    if ending.is_none() {
-                        let Some(kind) = self.jobs.running() else {
-                            ending = Some(signal);
-                            break;
-                        };
-                        context.note(format!(
-                            "{} is running: the console ends when it has stopped",
-                            kind.what()
-                        ));
-                        self.wait_for_job(&wake)?;
+                    if ending.replace(signal).is_some() {
+                        urgent_since.get_or_insert_with(Instant::now);
+                        self.jobs.stop();
+                        continue;
                     }
-                    ending = Some(signal);
-                    if !reaches_children(number, has_terminal) {
-                        self.jobs.send(&[sent(signal)]);
-                    }
+                    let Some(kind) = self.jobs.running() else {
+                        break;
+                    };
+                    context.note(format!(
+                        "{} is running: the console ends when it has stopped",
+                        kind.what()
+                    ));
+                    self.wait_for_job(wake)?;
+                    let knows = is_capture && captured.is_none();
+                    let signals = match knows && reaches_the_capture(number, had_terminal) {
+                        true => &[][..],
+                        false => &[sent(signal)],
+                    };
+                    self.jobs.pass_on(signals);
                 }
             }
+            match urgent_since.map(|since| since.elapsed()) {
+                Some(waited) if waited >= GIVE_UP_AFTER => break,
+                Some(waited) if waited >= KILL_AFTER => self.jobs.send(&[Sent::KILL]),
+                _ => {}
+            }
         }
-        match (captured, ending) {
-            (Some(status), _) => as_it_ended(status),
-            (None, Some(signal)) => Err(CliError::stated(Exit::Signal(signal))),
-            (None, None) => Ok(()),
+        Ok((captured, ending))
+    }
+
+    /// Lamp off, devices closed; another signal hurries it.
+    fn close(&self, woken: &Receiver<Woken>, context: &Context) {
+        let is_urgent = || {
+            let signals = woken.try_iter();
+            signals
+                .into_iter()
+                .any(|woken| matches!(woken, Woken::Signal(number) if number != SIGTSTP))
+        };
+        let before = self.bench.state().error;
+        let is_closed = self.bench.end(CLOSING, is_urgent);
+        let error = self.bench.state().error;
+        if let Some(fault) = error.filter(|error| Some(error) != before.as_ref()) {
+            context.warn(fault.error);
+        } else if !is_closed {
+            context.warn("the bench's devices are not closed yet; its guardian turns a lamp off");
         }
     }
 
@@ -385,18 +455,19 @@ fn terminal() -> Option<OwnedFd> {
     rustix::fs::open("/dev/tty", flags, Mode::empty()).ok()
 }
 
-/// Whether a signal has come from the terminal, which sends it to the job as well: passed on,
-/// it would count twice.
-fn reaches_children(number: i32, had_terminal: bool) -> bool {
-    let is_in_front = || {
-        let group = terminal().and_then(|tty| rustix::termios::tcgetpgrp(tty).ok());
-        group == Some(rustix::process::getpgrp())
-    };
+/// Whether a signal has come from the terminal, which sends it to the capture there as well:
+/// passed on, it would count twice.
+fn reaches_the_capture(number: i32, had_terminal: bool) -> bool {
+    let terminal = terminal();
     match number {
-        SIGINT => is_in_front(),
-        // The kernel tells the leader of a session alone.
+        SIGINT => {
+            let group = terminal.and_then(|tty| rustix::termios::tcgetpgrp(tty).ok());
+            group == Some(rustix::process::getpgrp())
+        }
+        // Of a terminal that is gone; the kernel tells the leader of a session alone.
         SIGHUP => {
-            had_terminal && rustix::process::getsid(None).ok() != Some(rustix::process::getpid())
+            let is_leader = rustix::process::getsid(None).ok() == Some(rustix::process::getpid());
+            had_terminal && terminal.is_none() && !is_leader
         }
         _ => false,
     }
@@ -452,6 +523,33 @@ mod tests {
         assert!(options("10.0.0.5:8080", Some(1)).is_err());
         let default = ListenArgs::default().options().unwrap().address;
         assert!(default.ip().is_loopback() && default.port() == 0);
+        for good in [
+            "bench",
+            "bench.example.org",
+            "Bench-2.lab",
+            "10.0.0.5",
+            "my_bench.lan",
+        ] {
+            assert_eq!(parse_host_name(good).as_deref(), Ok(good));
+        }
+        let long = "a".repeat(64);
+        for bad in [
+            "",
+            "*",
+            "*.lab",
+            "a\nb",
+            "http://bench/",
+            "bench:80",
+            "bench/",
+            "-a",
+            "a..b",
+            "a b",
+            "[::1]",
+            "münchen",
+            &long,
+        ] {
+            assert!(parse_host_name(bad).is_err(), "{bad}");
+        }
         for bad in ["", "localhost", "0.0.0.0:", "0.0.0.0:99999", "[::1", ":80"] {
             assert!(parse_listen(bad).is_err(), "{bad}");
         }

@@ -161,6 +161,7 @@ impl Check {
 fn all_checks(rig: &ResolvedRig) -> Vec<Check> {
     let mut checks = vec![configuration(rig), camera(rig), stage(rig)];
     checks.extend(watchdog(rig));
+    checks.extend(lamp_report(rig));
     let sessions = Path::new(crate::session::layout::SESSIONS_FOLDER);
     let place = match sessions.is_dir() {
         true => sessions,
@@ -349,6 +350,22 @@ fn watchdog(rig: &ResolvedRig) -> Option<Check> {
         "watchdog",
         format!("{fact}: the lamp stays on if the computer or the cable fails"),
         "fit a hardware emergency stop, and don't leave a capture alone with a lamp that can do harm",
+    ))
+}
+
+/// A lamp whose state nothing reports: that it is off is sent and not verified.
+fn lamp_report(rig: &ResolvedRig) -> Option<Check> {
+    let who = match &rig.config.stage.driver {
+        StageDriver::Manual(_) => "an operator switches the lamp",
+        StageDriver::Dome(dome) if matches!(dome.wiring, DomeWiring::Dmx { .. }) => {
+            "a DMX interface does not report its lights"
+        }
+        _ => return None,
+    };
+    Some(Check::warning(
+        "lamp off",
+        format!("sent, not verified: {who}"),
+        "look at the lamp before you reach into the bench",
     ))
 }
 

@@ -74,6 +74,8 @@ const ADVICE: &[Advice] = &[
     |error| of_type(error, for_device),
     #[cfg(feature = "console")]
     |error| of_type(error, for_unstopped),
+    #[cfg(feature = "console")]
+    |error| of_type(error, for_disobeyed),
     |error| of_type(error, for_queue),
     |error| of_type(error, for_reproducibility),
     |error| of_type(error, for_config),
@@ -114,6 +116,13 @@ fn of_type<E: Error + 'static, A: Into<Option<String>>>(
 #[cfg(feature = "console")]
 fn for_unstopped(_: &crate::console::bench::Unstopped) -> String {
     "stop the stage at its supply or by its emergency stop: it may still move, and its lamp be lit"
+        .to_owned()
+}
+
+/// Likewise.
+#[cfg(feature = "console")]
+fn for_disobeyed(_: &crate::console::bench::LampDisobeyed) -> String {
+    "look at the lamp: if it is still lit, turn it off at its supply or by the emergency stop; correct the commands of [[stage.lamp]] and lamp_off in the rig file, and home the stage before the next move"
         .to_owned()
 }
 

@@ -10,9 +10,7 @@ use super::output::write_json;
 use super::rig_choice::RigArg;
 use super::{interrupt, repeatability};
 use crate::capture::open::{PortDriver, Stage, open_port, open_stage, stop_port, stop_stage};
-use crate::device::{
-    DeviceError, LampChannel, LampState, LightStage, StageActivity, StageInfo, StageStatus,
-};
+use crate::device::{DeviceError, LampChannel, LampState, LightStage, StageActivity, StageStatus};
 use crate::interrupt::{Interrupt, StopLevel};
 use crate::out;
 use crate::units::StageAngles;
@@ -133,7 +131,7 @@ pub fn run(args: &StageArgs, context: &Context) -> Result<(), CliError> {
         Action::Home(which) => {
             let mut open = which.open(context)?.guarded()?;
             let status = stoppable(&mut *open.stage, |stage, _| Ok(stage.home()?))?;
-            which.report(open.stage.info(), &status)
+            which.report(&*open.stage, &status, Some(LampState::Off))
         }
         Action::Move {
             which,
@@ -151,7 +149,7 @@ pub fn run(args: &StageArgs, context: &Context) -> Result<(), CliError> {
                 stage.move_to(target)?;
                 Ok(stage.status()?)
             })?;
-            which.report(open.stage.info(), &status)
+            which.report(&*open.stage, &status, Some(LampState::Off))
         }
         Action::Lamp {
             which,
@@ -172,7 +170,7 @@ pub fn run(args: &StageArgs, context: &Context) -> Result<(), CliError> {
         Action::Status(which) => {
             let mut open = which.open(context)?;
             let status = open.stage.status()?;
-            which.report(open.stage.info(), &status)
+            which.report(&*open.stage, &status, None)
         }
         Action::Stop(which) => stop(which, context),
     }
@@ -208,7 +206,7 @@ fn light(
             keep_lit(stage, lamp, seconds, wishes)?;
             stage.set_lamp(LampState::Off).map_err(while_lit)?;
             if wishes.interrupt.take_pause() {
-                suspend_dark(context);
+                suspend_dark(stage.reports_lamp(), context);
             }
         }
         Ok(stage.status()?)
@@ -217,7 +215,7 @@ fn light(
         Err(error) if error.fact().contains("locked") => {
             Err(error.hint("make sure that the stage is free to move, then add --home"))
         }
-        status => which.report(open.stage.info(), &status?),
+        status => which.report(&*open.stage, &status?, Some(LampState::Off)),
     }
 }
 
@@ -295,9 +293,21 @@ impl Which {
         Ok(open_stage(&rig.config, &open::options(&rig.config)?)?)
     }
 
-    fn report(&self, info: &StageInfo, status: &StageStatus) -> Result<(), CliError> {
+    /// `sent` is what the lamp was told last, for a stage that does not report it.
+    fn report(
+        &self,
+        stage: &dyn LightStage,
+        status: &StageStatus,
+        sent: Option<LampState>,
+    ) -> Result<(), CliError> {
+        let info = stage.info();
+        let sent = sent.filter(|_| !stage.reports_lamp());
         if self.json {
-            return write_json(&serde_json::json!({ "stage": info, "status": status }));
+            let mut found = serde_json::json!({ "stage": info, "status": status });
+            if let Some(sent) = sent {
+                found["lamp_sent"] = serde_json::json!(sent);
+            }
+            return write_json(&found);
         }
         let activity = match status.activity {
             StageActivity::Idle => "idle",
@@ -317,13 +327,17 @@ impl Which {
             Some(angles) => out!("position  {angles}")?,
             None => out!("position  unknown until it is homed")?,
         }
-        match status.lamp {
-            Some(LampState::Off) => out!("lamp      off"),
-            Some(LampState::On(LampChannel(channel))) => out!("lamp      channel {channel}"),
-            None => out!("lamp      not reported"),
+        match (status.lamp, sent) {
+            (_, Some(LampState::Off)) => out!("lamp      off: {SENT}"),
+            (Some(LampState::Off), _) => out!("lamp      off"),
+            (Some(LampState::On(LampChannel(channel))), _) => out!("lamp      channel {channel}"),
+            (None, _) => out!("lamp      not reported"),
         }
     }
 }
+
+/// Of the lamp of a stage that does not report it.
+const SENT: &str = "sent, not verified; this stage does not report its lamp: look at it";
 
 /// How often signals are looked at.
 const LOOK: Duration = Duration::from_millis(20);
@@ -337,6 +351,7 @@ fn stoppable<T>(
 ) -> Result<T, CliError> {
     let interrupt = interrupt::listen()?;
     let mut handle = stage.stop_handle()?;
+    let reports_lamp = stage.reports_lamp();
     let done = AtomicBool::new(false);
     let stopped = AtomicBool::new(false);
     let (outcome, stop) = std::thread::scope(|scope| {
@@ -364,7 +379,10 @@ fn stoppable<T>(
     match (stop, interrupt.signal()) {
         (Some(Ok(())), Some(signal)) => Err(CliError::interrupted(
             signal,
-            "stopped: motion ended, lamp off, position unknown",
+            match reports_lamp {
+                true => "stopped: motion ended, lamp off, position unknown".to_owned(),
+                false => format!("stopped: motion ended, position unknown; lamp off: {SENT}"),
+            },
         )),
         (Some(Err(error)), _) => Err(CliError::from(error)
             .hint("use the emergency stop: the stage did not confirm that it stopped")),
@@ -429,8 +447,11 @@ fn keep_lit(
 
 /// Suspends this process with the lamp off, and leaves it off afterwards: nobody may
 /// be at the bench when it goes on.
-fn suspend_dark(context: &Context) {
-    context.note("suspended: the lamp is off");
+fn suspend_dark(reports_lamp: bool, context: &Context) {
+    context.note(match reports_lamp {
+        true => "suspended: the lamp is off".to_owned(),
+        false => format!("suspended; lamp off: {SENT}"),
+    });
     interrupt::suspend();
     context.note("going on: the lamp stays off; run the command again to light it");
 }

@@ -177,6 +177,11 @@ pub trait LightStage: Send {
     fn set_lamp(&mut self, lamp: LampState) -> Result<LampState, DeviceError>;
     /// Queries the device.
     fn status(&mut self) -> Result<StageStatus, DeviceError>;
+    /// Whether the device reports if its lamp is lit. Where it does not, that it is off is
+    /// sent and not verified.
+    fn reports_lamp(&self) -> bool {
+        false
+    }
     /// The lamp's temperature now, °C; `None` where the device does not report. A reading
     /// that fails is none: nothing depends on it but a limit.
     fn temperature_c(&mut self) -> Option<f64> {

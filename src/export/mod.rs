@@ -95,6 +95,20 @@ impl Format {
             Self::Model(format) => format.ending(),
         }
     }
+
+    /// The files that [`export`] makes where `out` was asked for: that first, then what
+    /// belongs to it.
+    pub fn files(self, out: &Path) -> Vec<PathBuf> {
+        let mut files = vec![out.to_owned()];
+        match self {
+            Self::Merl => files.push(with_ending_added(out, "txt")),
+            Self::Pbrt => files.push(out.with_extension("spectral.bsdf")),
+            #[cfg(feature = "figures")]
+            Self::Model(_) => files.push(with_ending_added(out, "png")),
+            _ => {}
+        }
+        files
+    }
 }
 
 /// A file format of [`table`].
@@ -183,7 +197,7 @@ pub struct Exported {
 /// # Errors
 /// An unusable fit, or the system's error.
 pub fn export(record: &FitRecord, format: Format, out: &Path) -> Result<Exported, ExportError> {
-    let mut files = vec![out.to_owned()];
+    let files = format.files(out);
     match format {
         Format::Json => replace(out, json::to_json(record).as_bytes())?,
         Format::Mitsuba => {
@@ -198,19 +212,16 @@ pub fn export(record: &FitRecord, format: Format, out: &Path) -> Result<Exported
         }
         Format::Merl => {
             merl::write(out, &*record.material()?)?;
-            let note = with_ending_added(out, "txt");
-            replace(&note, merl_note(record).as_bytes())?;
-            files.push(note);
+            replace(&files[1], merl_note(record).as_bytes())?;
         }
         Format::Rgl | Format::RglSpectral => {
             replace(out, &rgl_bytes(record, format == Format::RglSpectral)?)?;
         }
         Format::Pbrt => {
-            let bsdf = out.with_extension("spectral.bsdf");
-            replace(&bsdf, &rgl_bytes(record, true)?)?;
+            let bsdf = &files[1];
+            replace(bsdf, &rgl_bytes(record, true)?)?;
             let name = bsdf.file_name().unwrap_or_default().to_string_lossy();
             replace(out, pbrt::to_text(&name, record.simulated).as_bytes())?;
-            files.push(bsdf);
         }
         Format::Model(format) => {
             let (material, description) = (record.material()?, summary(record));
@@ -252,14 +263,9 @@ impl Subject<'_> {
             ModelFormat::Blender => blender::to_script(&model, self).into_bytes(),
             ModelFormat::Gltf => gltf::to_glb(&model, self),
         };
-        #[cfg_attr(not(feature = "figures"), expect(unused_mut))]
-        let mut files = vec![self.out.to_owned()];
+        let files = Format::Model(format).files(self.out);
         #[cfg(feature = "figures")]
-        {
-            let picture = with_ending_added(self.out, "png");
-            replace(&picture, &comparison::to_png(&model)?)?;
-            files.push(picture);
-        }
+        replace(&files[1], &comparison::to_png(&model)?)?;
         replace(self.out, &bytes)?;
         Ok(Exported {
             files,

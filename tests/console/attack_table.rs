@@ -324,15 +324,16 @@ pub fn paths_and_methods() -> Vec<Row> {
 
 /// Heads and bodies that are too long, cut short, or meant to be read in two ways.
 pub fn forms() -> Vec<Row> {
-    let stop = "/api/capture/stop";
+    // Not STOP, whose body is not waited for.
+    let pause = "/api/capture/pause";
     let x = |count: usize| "x".repeat(count);
     let many: String = (0..1000).map(|n| format!("X-{n}: y\r\n")).collect();
     let length = |length: &str| {
-        format!("POST /{{T}}{stop} HTTP/1.1\r\n{ACTION}Content-Length: {length}\r\n\r\n{{}}")
+        format!("POST /{{T}}{pause} HTTP/1.1\r\n{ACTION}Content-Length: {length}\r\n\r\n{{}}")
     };
     // The second request is the smuggled one.
     let both = format!(
-        "POST /{{T}}{stop} HTTP/1.1\r\n{ACTION}Content-Length: 5\r\nTransfer-Encoding: chunked\r\n\r\n\
+        "POST /{{T}}{pause} HTTP/1.1\r\n{ACTION}Content-Length: 5\r\nTransfer-Encoding: chunked\r\n\r\n\
          0\r\n\r\nGET /{{T}}/ HTTP/1.1\r\nHost: {{H}}\r\n\r\n"
     );
     let pipelined = "GET /{T}/nothing HTTP/1.1\r\nHost: {H}\r\n\r\n".repeat(3);
@@ -366,7 +367,7 @@ pub fn forms() -> Vec<Row> {
             length("100000000"),
             &[413],
         ),
-        with("a huge body", stop, ACTION, &x(1 << 20), &[413]),
+        with("a huge body", pause, ACTION, &x(1 << 20), &[413]),
         raw("a length that is negative", length("-1"), &[400]),
         raw("a length that is no number", length("2a"), &[400]),
         raw(
@@ -378,7 +379,7 @@ pub fn forms() -> Vec<Row> {
         raw(
             "a body in chunks",
             format!(
-                "POST /{{T}}{stop} HTTP/1.1\r\n{ACTION}Transfer-Encoding: chunked\r\n\r\n2\r\n{{}}\r\n0\r\n\r\n"
+                "POST /{{T}}{pause} HTTP/1.1\r\n{ACTION}Transfer-Encoding: chunked\r\n\r\n2\r\n{{}}\r\n0\r\n\r\n"
             ),
             &[411],
         ),
@@ -386,16 +387,28 @@ pub fn forms() -> Vec<Row> {
         raw(
             "an encoding that is none",
             format!(
-                "POST /{{T}}{stop} HTTP/1.1\r\n{ACTION}Transfer-Encoding: xchunked\r\n\r\n{{}}"
+                "POST /{{T}}{pause} HTTP/1.1\r\n{ACTION}Transfer-Encoding: xchunked\r\n\r\n{{}}"
             ),
             &[400, 411],
         ),
         raw("three requests at once", pipelined, &[404]),
         raw("a body that stops before its end", length("50"), &[408]),
         raw(
+            "a STOP whose body never comes",
+            format!("POST /{{T}}/api/capture/stop HTTP/1.1\r\n{ACTION}Content-Length: 50\r\n\r\n"),
+            &[202],
+        ),
+        with(
+            "a STOP with a huge body",
+            "/api/bench/stop",
+            ACTION,
+            &x(1 << 20),
+            &[202],
+        ),
+        raw(
             "Expect and no body",
             format!(
-                "POST /{{T}}{stop} HTTP/1.1\r\n{ACTION}Expect: 100-continue\r\nContent-Length: 2\r\n\r\n"
+                "POST /{{T}}{pause} HTTP/1.1\r\n{ACTION}Expect: 100-continue\r\nContent-Length: 2\r\n\r\n"
             ),
             &[100],
         ),

@@ -146,12 +146,12 @@ fn slow_clients_are_cut_off_and_hold_nobody_up() {
 }
 
 #[test]
-fn five_hundred_open_connections_keep_nobody_out() {
+fn eight_hundred_open_connections_keep_nobody_out() {
     let folder = workplace();
     let console = start(folder.path());
     let partial = console.filled("GET /{T}/ HTTP/1.1\r\nHost: {H}\r\n");
     for first in [&b""[..], partial.as_bytes()] {
-        let held: Vec<TcpStream> = (0..500)
+        let held: Vec<TcpStream> = (0..800)
             .map(|_| {
                 let mut stream = console.connect();
                 let _ = stream.write_all(first);
@@ -159,7 +159,7 @@ fn five_hundred_open_connections_keep_nobody_out() {
             })
             .collect();
         let began = Instant::now();
-        assert_page_is_there(&console, "500 connections, while they are open");
+        assert_page_is_there(&console, "800 connections, while they are open");
         assert!(
             began.elapsed() < Duration::from_secs(10),
             "{:?}",
@@ -167,10 +167,51 @@ fn five_hundred_open_connections_keep_nobody_out() {
         );
         let open = fs::read_dir(format!("/proc/{}/fd", console.child.id())).unwrap();
         let open = open.count();
-        assert!(open < 100, "{open} files are open");
+        assert!(open < 600, "{open} files are open");
         drop(held);
-        assert_page_is_there(&console, "500 connections");
+        assert_page_is_there(&console, "800 connections");
     }
+}
+
+/// Every page that may look on, and as many dry runs as may wait and more: each STOP is
+/// answered, also between connections that say nothing.
+#[test]
+fn stop_is_answered_whatever_else_is_open() {
+    let folder = workplace();
+    let console = start(folder.path());
+    let streams: Vec<_> = (0..24).map(|n| console.events(&format!("v{n}"))).collect();
+    let body = r#"{"lights": "best:40"}"#;
+    let head = ACTION.replace("{H}", &format!("127.0.0.1:{}", console.port));
+    let plan = format!(
+        "POST /{{T}}/api/plan HTTP/1.1\r\n{head}Content-Length: {}\r\n\r\n{body}",
+        body.len()
+    );
+    let plans: Vec<_> = (0..150)
+        .map(|_| {
+            let mut stream = console.connect();
+            stream.write_all(console.filled(&plan).as_bytes()).unwrap();
+            stream
+        })
+        .collect();
+    let silent: Vec<_> = (0..300).map(|_| console.connect()).collect();
+    let mut took: Vec<_> = (0..120)
+        .map(|n| {
+            let path = ["/api/bench/stop", "/api/capture/stop", "/api/jobs/stop"][n % 3];
+            let began = Instant::now();
+            assert_eq!(console.post("x", path, &json!({})).status, 202, "{n}");
+            began.elapsed()
+        })
+        .collect();
+    took.sort();
+    assert!(took[60] < Duration::from_millis(500), "{:?}", took[60]);
+    // What is too much is refused with its reason, and not dropped.
+    let mut statuses = BTreeSet::new();
+    for mut stream in plans.into_iter().skip(130) {
+        let _ = stream.set_read_timeout(Some(Duration::from_secs(2)));
+        statuses.insert(Answer::read(&mut stream).status);
+    }
+    assert_eq!(statuses, BTreeSet::from([503]));
+    drop((streams, silent));
 }
 
 #[test]
@@ -322,6 +363,20 @@ fn without_a_job_a_signal_ends_it_at_once() {
         assert_eq!(console.wait(), Some(code), "{}", console.stderr());
         assert!(began.elapsed() < Duration::from_secs(10));
         assert!(!console.stderr().contains("error:"), "{}", console.stderr());
+    }
+}
+
+#[test]
+fn a_host_name_is_a_name_alone() {
+    let folder = workplace();
+    for bad in ["*", "a\nb", "http://x/", "x:80"] {
+        let output = command_support::run(folder.path(), &["console", "--host-name", bad]);
+        assert!(!output.status.success(), "{bad}");
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(
+            said.contains("a name alone, as bench.example.org"),
+            "{said}"
+        );
     }
 }
 

@@ -206,6 +206,40 @@ fn write_rig(folder: &Path, port: &str) {
     std::fs::write(folder.join("photo.sh"), "cp ramp.tif $2").unwrap();
 }
 
+/// The controller lights the lamp otherwise than it was told: it is not left so.
+#[test]
+fn a_lamp_that_does_not_obey_is_reset() {
+    let port = Port::new(Clock::instant());
+    let rig = port.folder.path().join("rig.toml");
+    let text = std::fs::read_to_string(&rig).unwrap();
+    // The firmware limits to S1000, and reports that.
+    let beyond = text.replacen("on = \"M3 S1000\"", "on = \"M3 S5000\"", 1);
+    assert_ne!(text, beyond);
+    std::fs::write(&rig, beyond).unwrap();
+    let console = port.console();
+    let mut events = connect(&console);
+    accepted(&console, "/api/bench/home", &json!({}));
+    done(&mut events, |b| !b["stage"]["position"].is_null());
+    accepted(&console, "/api/bench/lamp", &json!({"channel": 0}));
+    let state = events.wait_for("bench", |b| b["busy"].is_null() && !b["error"].is_null());
+    assert!(!port.is_lit(), "{state}");
+    let fault = state["error"].to_string();
+    assert!(
+        fault.contains("the stage was stopped and reports its lamp off now"),
+        "{fault}"
+    );
+    let hint = "look at the lamp: if it is still lit, turn it off at its supply";
+    assert!(fault.contains(hint), "{fault}");
+    assert_eq!(
+        (
+            &state["connected"],
+            &state["stage"]["lamp"],
+            &state["stage"]["lamp_word"]
+        ),
+        (&json!(true), &Value::Null, &json!("reported"))
+    );
+}
+
 /// However the console ends, and without a word of the page that lit it.
 #[test]
 fn no_lamp_stays_lit() {

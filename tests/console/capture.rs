@@ -138,6 +138,34 @@ fn a_console_that_is_ended_passes_it_on_and_waits() {
     ));
 }
 
+/// A paused process takes no signal but the one that continues it.
+#[test]
+fn a_console_is_ended_while_its_capture_is_paused() {
+    std::thread::scope(|scope| {
+        for (signal, code) in [(Signal::INT, 130), (Signal::TERM, 143), (Signal::HUP, 129)] {
+            scope.spawn(move || {
+                let folder = workplace(|text| {
+                    text.replace("timing = \"instant\"", "timing = \"realistic\"")
+                });
+                let mut console = console(folder.path());
+                let mut events = console.events("a");
+                assert_eq!(console.post("a", "/api/capture/start", &form()).status, 202);
+                let job = events.wait_for("job", |job| job["pid"].is_u64());
+                events.wait_for("capture", |capture| {
+                    capture["frame"]["number"].as_u64() >= Some(1)
+                });
+                console.post("a", "/api/capture/pause", &json!({}));
+                events.wait_for("capture", |capture| capture["state"] == "paused");
+                let began = std::time::Instant::now();
+                console.send(signal);
+                assert_eq!(console.wait(), Some(code), "{}", console.stderr());
+                assert!(began.elapsed() < Duration::from_secs(15), "{signal:?}");
+                assert!(!Path::new(&format!("/proc/{}", job["pid"])).exists());
+            });
+        }
+    });
+}
+
 #[test]
 fn a_console_that_is_killed_harms_no_capture() {
     let folder = workplace(|text| text);

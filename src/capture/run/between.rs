@@ -32,13 +32,20 @@ impl Kept {
 impl Run<'_> {
     /// Whether and when the next frame may be taken.
     pub(super) async fn before_frame(&mut self) -> Result<(), CaptureError> {
+        self.check_stop()?;
+        // Whoever requests both wants the end.
         if self.interrupt.take_pause() {
             self.pause().await?;
-        }
-        if self.interrupt.level() >= StopLevel::AfterThisFrame {
-            return Err(CaptureError::Interrupted);
+            self.check_stop()?;
         }
         self.check_room()
+    }
+
+    fn check_stop(&self) -> Result<(), CaptureError> {
+        match self.interrupt.level() {
+            StopLevel::Continue => Ok(()),
+            StopLevel::AfterThisFrame | StopLevel::Now => Err(CaptureError::Interrupted),
+        }
     }
 
     async fn pause(&mut self) -> Result<(), CaptureError> {

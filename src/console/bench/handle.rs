@@ -20,6 +20,13 @@ use crate::units::{Seconds, StageAngles};
 /// Between two looks whether the thread has ended.
 const LOOK: Duration = Duration::from_millis(5);
 
+/// At the end a lamp that is still lit after this time is stopped by another thread.
+const STOPPED_AFTER: Duration = Duration::from_millis(1500);
+/// At the end nothing is waited for after this time but a frame of the camera.
+const HOPELESS_AFTER: Duration = Duration::from_secs(4);
+/// Where it is urgent, what ends by itself has so long.
+const URGENT: Duration = Duration::from_secs(2);
+
 /// The bench of a console. Clones are the same; no call but [`Self::end`] and [`Self::lend`]
 /// waits for a device. What comes of a command is published as topic `bench`.
 #[derive(Clone)]
@@ -180,16 +187,35 @@ impl Bench {
     }
 
     /// Ends motion, turns the lamp off, closes the devices and ends the thread; for the end of
-    /// the process. `false` if that takes longer: the guardian sees to the lamp then.
-    pub fn end(&self, longest: Duration) -> bool {
-        let end = Instant::now() + longest;
+    /// the process. `false` if that takes longer: the guardian sees to the lamp then. A stage
+    /// that hangs is stopped from another thread, and not waited for; neither are devices that
+    /// are still being opened, nor anything once `is_urgent`.
+    pub fn end(&self, longest: Duration, is_urgent: impl Fn() -> bool) -> bool {
+        let began = Instant::now();
         self.disconnect();
         self.send(Command::End);
         let Some(thread) = lock(&self.thread).take() else {
             return true;
         };
+        let (mut end, mut is_stopped) = (began + longest, false);
+        let mut waiting_since = began;
         while !thread.is_finished() {
-            if Instant::now() >= end {
+            let state = self.state();
+            let is_lit = state
+                .stage
+                .is_some_and(|stage| stage.lamp != LampState::Off);
+            if is_lit && !is_stopped && began.elapsed() >= STOPPED_AFTER {
+                is_stopped = true;
+                self.stop();
+            }
+            if is_urgent() {
+                end = end.min(Instant::now() + URGENT);
+            }
+            // The camera's thread is in a frame, and the stage's has ended.
+            if state.stage.is_none() && state.camera.is_some() {
+                waiting_since = Instant::now();
+            }
+            if waiting_since.elapsed() >= HOPELESS_AFTER || Instant::now() >= end {
                 return false;
             }
             std::thread::sleep(LOOK);

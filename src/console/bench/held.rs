@@ -70,7 +70,7 @@ fn used(
     let facts = match &mut stage {
         Some(stage) => {
             *lock(&shared.stop) = Some(stage.stop_handle()?);
-            Some(stage::facts(&stage.status()?, None))
+            Some(stage::facts(&stage.status()?, None, stage.reports_lamp()))
         }
         None => None,
     };
@@ -106,11 +106,18 @@ fn used(
         };
         let (watching, _watcher) = (watching.map_err(io)?, watcher.map_err(io)?);
         let ended = match stage {
-            Some(stage) => stage::obey(stage, shared, ports, commands, leave),
+            Some(stage) => {
+                let ended = stage::obey(stage, shared, ports, commands, leave);
+                // The camera may be in a long frame.
+                shared.change(|state| state.stage = None);
+                ended
+            }
             None => Ok(stage::wait(commands, leave)),
         };
         drop(leaving);
-        let seen = match watching.join() {
+        let seen = watching.join();
+        shared.change(|state| state.camera = None);
+        let seen = match seen {
             Ok(seen) => seen,
             Err(panic) => std::panic::resume_unwind(panic),
         };

@@ -26,4 +26,5 @@ mod tests;
 pub use handle::{Bench, Loan};
 pub use ports::{BenchPorts, Opened};
 pub use routes::routes;
+pub use stage::LampDisobeyed;
 pub use stop::Unstopped;

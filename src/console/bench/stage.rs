@@ -8,9 +8,9 @@ use std::time::{Duration, Instant};
 use super::lamp_timer::LampTimer;
 use super::ports::BenchPorts;
 use super::shared::{Action, Command, SetOnDrop, Shared};
-use super::state::{Busy, StageFacts};
+use super::state::{Busy, LampWord, StageFacts};
 use crate::device::guardian::{Step, Watchdog};
-use crate::device::{DeviceError, LampState, LightStage, StageStatus};
+use crate::device::{DeviceError, LampState, LightStage, StageStatus, StopHandle};
 use crate::fault::Fault;
 
 /// Commands are waited for in parts of this length.
@@ -31,6 +31,11 @@ pub(super) enum Ended {
     /// The bench ends.
     ForGood,
 }
+
+/// The lamp did not become what it was to be.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}; the stage was stopped and reports its lamp off now")]
+pub struct LampDisobeyed(pub DeviceError);
 
 /// Without a stage: waits until that is to end.
 pub(super) fn wait(commands: &Receiver<Command>, leave: &AtomicBool) -> Ended {
@@ -57,6 +62,7 @@ pub(super) fn obey(
 ) -> Result<Ended, DeviceError> {
     let watchdog = stage.watchdog();
     let mut loop_ = StageLoop {
+        stop: stage.stop_handle()?,
         stage,
         shared,
         ports,
@@ -68,10 +74,9 @@ pub(super) fn obey(
     };
     let ended = loop_.run(commands, leave);
     // Also after an error, as far as it goes; dropping the stage tries again.
-    if loop_.is_lit() {
-        drop(loop_.stage.set_lamp(LampState::Off));
-    }
-    ended
+    let dark = loop_.go_dark();
+    let ended = ended?;
+    dark.map(|()| ended)
 }
 
 /// Keeps a step announced to the guardian between the stage's own ones, so that a thread
@@ -102,6 +107,8 @@ impl Alive {
 
 struct StageLoop<'a> {
     stage: &'a mut dyn LightStage,
+    /// Ends motion and lamp where the stage does not obey otherwise.
+    stop: Box<dyn StopHandle>,
     shared: &'a Shared,
     ports: &'a BenchPorts,
     alive: Alive,
@@ -141,8 +148,8 @@ impl StageLoop<'_> {
             // The lamp of a page that is silent.
             if self.time_left().is_some_and(|left| left.is_zero()) {
                 let fact = "the lamp was turned off: the page that controls is silent";
-                self.switch(LampState::Off)?;
-                self.report(Some(Fault::new(fact)))?;
+                let fault = self.switch(LampState::Off)?;
+                self.report(Some(fault.unwrap_or_else(|| Fault::new(fact))))?;
             }
             if self.queried.elapsed() >= QUERY {
                 self.report(None)?;
@@ -166,29 +173,89 @@ impl StageLoop<'_> {
         self.shared.acting.store(true, Ordering::SeqCst);
         let is_stopped = self.shared.stops() != stops;
         let outcome = match (is_stopped, action) {
-            (true, _) => Ok(()),
-            (false, Action::Home) => self.on_stage(|stage| stage.home().map(drop)),
-            (false, Action::Move(target)) => self.on_stage(|stage| stage.move_to(target).map(drop)),
+            (true, _) => Ok(None),
+            (false, Action::Home) => self.on_stage(|stage| stage.home().map(|_| None)),
+            (false, Action::Move(target)) => {
+                self.on_stage(|stage| stage.move_to(target).map(|_| None))
+            }
             (false, Action::Lamp(lamp)) => self.switch(lamp),
         };
         self.shared.acting.store(false, Ordering::SeqCst);
         let was_stopped = self.shared.stops() != stops;
         match outcome {
             // What a stop interrupts fails: whether the stage is there, its state shows.
-            Err(_) if was_stopped => Ok(()),
+            Err(_) | Ok(Some(_)) if was_stopped => Ok(()),
             Err(error) if ends_the_connection(&error) => Err(error),
             Err(error) => self.report(Some(self.ports.advisor.fault(&error))),
-            Ok(()) => self.report(None),
+            Ok(fault) => self.report(fault),
         }
     }
 
-    fn switch(&mut self, lamp: LampState) -> Result<(), DeviceError> {
-        let applied = self.on_stage(|stage| stage.set_lamp(lamp))?;
-        self.switched = Some(applied);
-        self.timer = match applied {
+    /// Switches the lamp; what went wrong, if the stage is usable nevertheless. A lamp that is
+    /// not reported as it was to be is not left so: the stage is stopped, by a reset where it
+    /// has one.
+    fn switch(&mut self, lamp: LampState) -> Result<Option<Fault>, DeviceError> {
+        let error = match self.on_stage(|stage| stage.set_lamp(lamp)) {
+            Ok(applied) => {
+                self.lamp_is(applied);
+                return Ok(None);
+            }
+            // Closing the stage turns the lamp off.
+            Err(error) if ends_the_connection(&error) => return Err(error),
+            Err(error) => error,
+        };
+        let is = self.on_stage(|stage| stage.status())?.lamp;
+        if is == Some(LampState::Off) {
+            self.lamp_is(LampState::Off);
+            let is_as_wanted = lamp == LampState::Off;
+            return Ok((!is_as_wanted).then(|| self.ports.advisor.fault(&error)));
+        }
+        // Refused before anything was sent, such as a channel that the lamp does not have.
+        let reports = self.stage.reports_lamp();
+        let is_as_before = is == self.switched || is.is_none() && !reports;
+        let is_refused = matches!(error, DeviceError::Refused { .. }) && lamp != LampState::Off;
+        if is_refused && is_as_before {
+            return Ok(Some(self.ports.advisor.fault(&error)));
+        }
+        self.stop_stage()?;
+        Ok(Some(match reports {
+            true => self.ports.advisor.fault(&LampDisobeyed(error)),
+            false => self.ports.advisor.fault(&error),
+        }))
+    }
+
+    fn lamp_is(&mut self, lamp: LampState) {
+        self.switched = Some(lamp);
+        self.timer = match lamp {
             LampState::Off => None,
             LampState::On(_) => Some(LampTimer::lit(Instant::now())),
         };
+    }
+
+    /// Motion and lamp end, as the stage then reports itself.
+    fn stop_stage(&mut self) -> Result<(), DeviceError> {
+        self.alive.pass();
+        let stopped = self.stop.stop();
+        self.alive.renew();
+        stopped?;
+        // This tells driver and guardian so. A stage that is locked after a stop may refuse.
+        match self.on_stage(|stage| stage.set_lamp(LampState::Off)) {
+            Err(error @ DeviceError::NotApplied { .. }) => Err(error),
+            Err(error) if ends_the_connection(&error) => Err(error),
+            _ => {
+                self.lamp_is(LampState::Off);
+                Ok(())
+            }
+        }
+    }
+
+    /// At the end: a fault is shown where the devices are closed.
+    fn go_dark(&mut self) -> Result<(), DeviceError> {
+        if self.is_lit()
+            && let Some(fault) = self.switch(LampState::Off)?
+        {
+            self.shared.change(|state| state.error = Some(fault));
+        }
         Ok(())
     }
 
@@ -198,17 +265,13 @@ impl StageLoop<'_> {
             self.alive.renew();
             std::thread::sleep(TICK);
         }
-        if self.is_lit() {
-            // The stop did it; this tells driver and guardian so. A stage that is locked
-            // after a stop may refuse.
-            match self.on_stage(|stage| stage.set_lamp(LampState::Off)) {
-                Err(error) if ends_the_connection(&error) => return Err(error),
-                _ => {}
-            }
-        }
-        self.switched = Some(LampState::Off);
-        self.timer = None;
-        self.report(None)
+        // The stop did it; this tells driver and guardian so, and whether it is so.
+        let fault = match self.is_lit() {
+            true => self.switch(LampState::Off)?,
+            false => None,
+        };
+        self.lamp_is(LampState::Off);
+        self.report(fault)
     }
 
     fn is_lit(&self) -> bool {
@@ -238,7 +301,7 @@ impl StageLoop<'_> {
             self.switched = Some(LampState::Off);
         }
         let left = self.time_left();
-        let facts = facts(&status, self.switched);
+        let facts = facts(&status, self.switched, self.stage.reports_lamp());
         self.shared.change(|state| {
             state.stage = Some(facts);
             state.lamp_off_in_s = left.map(|left| left.as_secs_f64());
@@ -260,8 +323,17 @@ impl StageLoop<'_> {
 }
 
 /// What a page is shown of a status.
-pub(super) fn facts(status: &StageStatus, switched: Option<LampState>) -> StageFacts {
+pub(super) fn facts(
+    status: &StageStatus,
+    switched: Option<LampState>,
+    reports_lamp: bool,
+) -> StageFacts {
+    let lamp_word = match reports_lamp {
+        true => Some(LampWord::Reported),
+        false => switched.map(|_| LampWord::Sent),
+    };
     StageFacts {
+        lamp_word,
         activity: status.activity,
         position: status.position,
         target: None,

@@ -110,6 +110,18 @@ pub struct StageFacts {
     /// As it reports, or as it was switched last where it reports nothing.
     #[serde(serialize_with = "channel")]
     pub lamp: LampState,
+    /// Whose word that is; `None` where nothing is known.
+    pub lamp_word: Option<LampWord>,
+}
+
+/// How the state of a lamp is known.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum LampWord {
+    /// The stage reports it.
+    Reported,
+    /// The command was sent, and the stage reports nothing.
+    Sent,
 }
 
 fn channel<S: Serializer>(lamp: &LampState, out: S) -> Result<S::Ok, S::Error> {
@@ -145,10 +157,12 @@ mod tests {
             position: None,
             target: None,
             lamp,
+            lamp_word: Some(LampWord::Sent),
         };
         let json = |lamp| serde_json::to_value(facts(lamp)).unwrap();
         assert_eq!(json(LampState::Off)["lamp"], serde_json::Value::Null);
         assert_eq!(json(LampState::On(LampChannel(2)))["lamp"], 2);
+        assert_eq!(json(LampState::Off)["lamp_word"], "sent");
         let state = State {
             busy: Some(Busy::Homing),
             settings: Some(AppliedSettings {

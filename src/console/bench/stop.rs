@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use super::shared::{Shared, lock};
 use super::state::Busy;
-use crate::device::DeviceError;
+use crate::device::{DeviceError, LampState};
 use crate::fault::Advisor;
 
 /// One that is stopping and one that waits for it: more would do nothing.
@@ -54,6 +54,9 @@ fn stop_now(shared: &Shared, advisor: &Advisor) {
         if let Some(stage) = &mut state.stage {
             // Until it is reported anew.
             (stage.position, stage.target) = (None, None);
+            if outcome.is_ok() {
+                (stage.lamp, state.lamp_off_in_s) = (LampState::Off, None);
+            }
         }
         if let Err(error) = outcome {
             state.error = Some(advisor.fault(&Unstopped(error)));

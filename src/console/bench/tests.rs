@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
-use super::state::{Busy, State};
+use super::state::{Busy, LampWord, State};
 use super::*;
 use crate::capture::open::Devices;
 use crate::console::hub::Hub;
@@ -35,6 +35,12 @@ struct World {
     camera_panics: AtomicBool,
     /// Stops are not confirmed.
     is_deaf: AtomicBool,
+    /// Only a stop turns the lamp off.
+    lamp_sticks: AtomicBool,
+    /// Nobody knows of the lamp.
+    lamp_is_unseen: AtomicBool,
+    /// The stage answers nothing any more.
+    stage_hangs: AtomicBool,
 }
 
 impl World {
@@ -87,20 +93,35 @@ impl LightStage for Stage {
                 reason: "there is none".to_owned(),
             });
         }
+        if World::is(&self.0.lamp_sticks) && World::is(&self.0.lit) {
+            return Err(DeviceError::NotApplied {
+                device: "stage".to_owned(),
+                what: "the lamp".to_owned(),
+                is: "lit".to_owned(),
+                wanted: "another".to_owned(),
+            });
+        }
         self.0.lit.store(lamp != LampState::Off, Ordering::SeqCst);
         Ok(lamp)
+    }
+    fn reports_lamp(&self) -> bool {
+        !World::is(&self.0.lamp_is_unseen)
     }
     fn status(&mut self) -> Result<StageStatus, DeviceError> {
         if World::is(&self.0.stage_is_gone) {
             return Err(gone("stage"));
         }
+        while World::is(&self.0.stage_hangs) {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        let lamp = match World::is(&self.0.lit) {
+            true => LampState::On(LampChannel(0)),
+            false => LampState::Off,
+        };
         Ok(StageStatus {
             activity: StageActivity::Idle,
             position: Some(TARGET),
-            lamp: Some(match World::is(&self.0.lit) {
-                true => LampState::On(LampChannel(0)),
-                false => LampState::Off,
-            }),
+            lamp: self.reports_lamp().then_some(lamp),
         })
     }
     fn stop_handle(&self) -> Result<Box<dyn StopHandle>, DeviceError> {
@@ -219,10 +240,7 @@ fn wait_for(bench: &Bench, what: &str, is: impl Fn(&State) -> bool) -> State {
 /// Connected, with the lamp on, in the middle of a move.
 fn lit_and_moving(world: &Arc<World>) -> Bench {
     let bench = connected(world);
-    bench.set_lamp(Some(LampChannel(0))).unwrap();
-    wait_for(&bench, "lit", |state| {
-        state.busy.is_none() && World::is(&world.lit)
-    });
+    light(world, &bench);
     bench.move_to(TARGET).unwrap();
     wait_for(&bench, "moving", |state| state.busy == Some(Busy::Moving));
     bench
@@ -330,6 +348,81 @@ fn a_stop_that_is_not_confirmed_is_an_error_with_advice() {
     assert_eq!(fault.hint.as_deref(), Some("the button"));
 }
 
+fn light(world: &World, bench: &Bench) {
+    bench.set_lamp(Some(LampChannel(0))).unwrap();
+    wait_for(bench, "lit", |state| {
+        state.busy.is_none() && World::is(&world.lit)
+    });
+}
+
+#[test]
+fn a_lamp_that_does_not_obey_is_stopped() {
+    for channel in [None, Some(LampChannel(1))] {
+        let world = Arc::<World>::default();
+        let bench = connected(&world);
+        light(&world, &bench);
+        World::set(&world.lamp_sticks);
+        bench.set_lamp(channel).unwrap();
+        let state = wait_for(&bench, "reported", |state| {
+            state.busy.is_none() && state.error.is_some()
+        });
+        let stage = state.stage.unwrap();
+        assert!(state.connected && !World::is(&world.lit), "{channel:?}");
+        assert_eq!(stage.lamp, LampState::Off, "{channel:?}");
+        let fact = state.error.unwrap().error;
+        assert!(
+            fact.ends_with("was stopped and reports its lamp off now"),
+            "{fact}"
+        );
+    }
+    // Also when the devices are closed, and where the stop is not confirmed.
+    for (is_deaf, fact) in [(false, "reports its lamp off now"), (true, "disconnected")] {
+        let world = Arc::<World>::default();
+        let bench = connected(&world);
+        light(&world, &bench);
+        World::set(&world.lamp_sticks);
+        world.is_deaf.store(is_deaf, Ordering::SeqCst);
+        bench.disconnect();
+        let state = wait_for(&bench, "closed", |state| !state.connected);
+        assert!(!World::is(&world.lit));
+        assert!(state.error.unwrap().error.ends_with(fact), "{fact}");
+    }
+}
+
+#[test]
+fn a_lamp_that_is_not_reported_is_said_to_be_sent() {
+    let world = Arc::<World>::default();
+    World::set(&world.lamp_is_unseen);
+    let bench = connected(&world);
+    let word = |state: State| state.stage.unwrap().lamp_word;
+    assert_eq!(word(bench.state()), None);
+    light(&world, &bench);
+    assert_eq!(word(bench.state()), Some(LampWord::Sent));
+    bench.set_lamp(None).unwrap();
+    let state = wait_for(&bench, "off", |state| state.busy.is_none());
+    assert_eq!(word(state), Some(LampWord::Sent));
+    world.lamp_is_unseen.store(false, Ordering::SeqCst);
+    let reported = |state: &State| state.stage.unwrap().lamp_word == Some(LampWord::Reported);
+    wait_for(&bench, "reported", reported);
+}
+
+#[test]
+fn a_stage_that_hangs_is_stopped_and_not_waited_for() {
+    let world = Arc::<World>::default();
+    let bench = connected(&world);
+    light(&world, &bench);
+    World::set(&world.stage_hangs);
+    let began = Instant::now();
+    assert!(!bench.end(PATIENCE, || false) || !World::is(&world.lit));
+    assert!(!World::is(&world.lit), "the stop reaches it");
+    assert!(
+        began.elapsed() < Duration::from_secs(5),
+        "{:?}",
+        began.elapsed()
+    );
+    world.stage_hangs.store(false, Ordering::SeqCst);
+}
+
 #[test]
 fn what_a_stage_refuses_leaves_it_connected() {
     let world = Arc::<World>::default();
@@ -400,7 +493,7 @@ fn the_end_closes_the_devices_whatever_they_do() {
     let world = Arc::<World>::default();
     let bench = lit_and_moving(&world);
     let began = Instant::now();
-    assert!(bench.end(PATIENCE));
+    assert!(bench.end(PATIENCE, || false));
     assert!(
         began.elapsed() < Duration::from_secs(5),
         "{:?}",
@@ -408,5 +501,8 @@ fn the_end_closes_the_devices_whatever_they_do() {
     );
     assert!(!World::is(&world.lit));
     assert_eq!(world.open.load(Ordering::SeqCst), 0);
-    assert!(bench.end(PATIENCE), "a second end finds nothing to do");
+    assert!(
+        bench.end(PATIENCE, || false),
+        "a second end finds nothing to do"
+    );
 }

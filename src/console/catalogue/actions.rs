@@ -1,26 +1,24 @@
 //! What a page may do with a session: fit it anew, export a fit.
-//!
-//! Exports are no files of the session, whose folder has nothing but what its journal names:
-//! they stand in a hidden folder next to the sessions.
 
 use std::ffi::OsString;
-use std::path::PathBuf;
+use std::path::{Path as FilePath, PathBuf};
 
 use axum::Router;
 use axum::extract::{Path, State};
+use axum::http::StatusCode;
 use axum::routing::post;
 use serde::Deserialize;
 use serde_json::json;
 
-use super::files::{EXPORTS_FOLDER, EXPORTS_ROOT};
+use super::exports::{self, EXPORTS_FOLDER};
 use crate::beneath;
+use crate::brdf::Dictionary;
 use crate::catalogue::row::check_name;
 use crate::console::blocking::blocking;
 use crate::console::control::Controlled;
 use crate::console::jobs::{Jobs, Kind, Work};
 use crate::console::refusal::{Accepted, Refusal, accepted};
 use crate::console::request::Asked;
-use crate::export::Format;
 use crate::session::layout::FITS_FOLDER;
 
 /// `api/sessions/NAME/fit` and `api/sessions/NAME/export`.
@@ -44,9 +42,12 @@ struct FitForm {
 
 impl FitForm {
     /// Values stand behind `=` and are never read as options.
-    fn arguments(&self) -> Vec<OsString> {
+    ///
+    /// # Errors
+    /// A dictionary that is neither built in nor a file below the folder of sessions, to which
+    /// no link leads.
+    fn arguments(&self, folder: &FilePath) -> Result<Vec<OsString>, Refusal> {
         let options = [
-            ("--dictionary", self.dictionary.clone()),
             ("--model-error", self.model_error.map(|e| e.to_string())),
             ("--refine-bench", self.refine_bench.map(|is| is.to_string())),
             ("--seed", self.seed.map(|seed| seed.to_string())),
@@ -58,7 +59,25 @@ impl FitForm {
         if self.shared_weights == Some(true) {
             arguments.push("--shared-weights".into());
         }
-        arguments
+        if let Some(named) = &self.dictionary {
+            let mut argument = OsString::from("--dictionary=");
+            if Dictionary::NAMES.contains(&named.as_str()) {
+                argument.push(named);
+            } else if beneath::open(folder, named).is_ok() {
+                argument.push(folder.join(named));
+            } else {
+                let fact = format!(
+                    "{named:?} is no dictionary of the program's own, and no file below the folder of sessions"
+                );
+                let hint = format!(
+                    "take one of {}, or put the file there",
+                    Dictionary::NAMES.join(", ")
+                );
+                return Err(Refusal::new(StatusCode::UNPROCESSABLE_ENTITY, fact).hint(hint));
+            }
+            arguments.push(argument);
+        }
+        Ok(arguments)
     }
 }
 
@@ -71,7 +90,7 @@ async fn fit(
     start(jobs, move |jobs| {
         let session = session(jobs, &name)?;
         let mut arguments = vec!["fit".into(), session.into_os_string()];
-        arguments.extend(form.arguments());
+        arguments.extend(form.arguments(&jobs.program().folder)?);
         Ok(Work {
             hidden: vec!["--events".into()],
             session: Some(name),
@@ -88,12 +107,6 @@ struct ExportForm {
     format: String,
 }
 
-/// The formats of `rig export` by their names there, with the usual ending of their files.
-fn formats() -> impl Iterator<Item = (&'static str, &'static str)> {
-    let of_any_fit = Format::ALL.map(|(name, format)| (name, format.ending()));
-    of_any_fit.into_iter().chain([("birdf", "json")])
-}
-
 async fn export(
     State(jobs): State<Jobs>,
     Path(name): Path<String>,
@@ -102,33 +115,34 @@ async fn export(
 ) -> Accepted {
     start(jobs, move |jobs| {
         // What is exported.
-        let session = session(jobs, &name)?;
-        let named = formats().find(|(named, _)| *named == form.format);
-        let Some((format, ending)) = named else {
-            let format = form.format;
-            return Err(Refusal::bad(format!("there is no format {format:?}")));
-        };
+        session(jobs, &name)?;
         let Ok(number) = form.fit.parse::<u32>() else {
             let fit = form.fit;
             return Err(Refusal::bad(format!("fit {fit:?} is no number")));
         };
-        let fit = session.join(FITS_FOLDER).join(number.to_string());
+        let format = form.format;
+        let Some(files) = exports::files(number, &format) else {
+            return Err(Refusal::bad(format!("there is no format {format:?}")));
+        };
+        let sessions = &jobs.program().folder;
+        let fit = format!("{name}/{FITS_FOLDER}/{number}");
+        beneath::check_folder(sessions, &fit)
+            .map_err(|_| Refusal::missing(format!("the session has no fit {number}")))?;
 
         // Where to.
-        let file = format!("fit-{number}-{format}.{ending}");
-        let folder = jobs.program().folder.join(EXPORTS_ROOT).join(&name);
-        std::fs::create_dir_all(&folder)
-            .map_err(|error| Refusal::failed(format!("{}: {error}", folder.display())))?;
+        let folder =
+            exports::folder(sessions, &name).map_err(|error| Refusal::failed(error.to_string()))?;
         let arguments = vec![
             "export".into(),
-            fit.into_os_string(),
+            sessions.join(fit).into_os_string(),
             format!("--format={format}").into(),
             "--out".into(),
-            folder.join(&file).into_os_string(),
+            folder.join(&files[0]).into_os_string(),
         ];
+        let address = |file| format!("sessions/{name}/{EXPORTS_FOLDER}/{file}");
         Ok(Work {
-            download: Some(format!("sessions/{name}/{EXPORTS_FOLDER}/{file}")),
-            session: Some(name),
+            downloads: files.into_iter().map(address).collect(),
+            session: Some(name.clone()),
             ..Work::new(Kind::Export, arguments)
         })
     })
@@ -164,34 +178,50 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_page_offers_all_formats() {
-        let page = include_str!("../page/session.js");
-        let (_, list) = page.split_once("const FORMATS = [").unwrap();
-        let (list, _) = list.split_once("];").unwrap();
-        let offered: Vec<_> = list
-            .lines()
-            .filter_map(|line| line.split('"').nth(1))
-            .collect();
-        let known: Vec<_> = formats().map(|(name, _)| name).collect();
-        assert_eq!(offered, known);
-    }
-
-    #[test]
     fn a_form_becomes_options_that_cannot_be_taken_for_others() {
         let form: FitForm = serde_json::from_value(json!({
-            "dictionary": "--out", "model_error": 0.05, "refine_bench": false,
+            "dictionary": "rig26", "model_error": 0.05, "refine_bench": false,
             "shared_weights": true, "seed": 3
         }))
         .unwrap();
         let expected = [
-            "--dictionary=--out",
             "--model-error=0.05",
             "--refine-bench=false",
             "--seed=3",
             "--shared-weights",
+            "--dictionary=rig26",
         ];
-        assert_eq!(form.arguments(), expected.map(OsString::from));
+        let folder = tempfile::tempdir().unwrap();
+        let arguments = |form: &FitForm| form.arguments(&folder.path().join("sessions"));
+        assert_eq!(arguments(&form).unwrap(), expected.map(OsString::from));
         assert!(serde_json::from_value::<FitForm>(json!({"out": "/x"})).is_err());
-        assert!(FitForm::default().arguments().is_empty());
+        assert!(arguments(&FitForm::default()).unwrap().is_empty());
+
+        // Files of dictionaries stand below the folder of sessions.
+        std::fs::create_dir(folder.path().join("sessions")).unwrap();
+        std::fs::write(folder.path().join("outside.toml"), "secret = 1").unwrap();
+        std::fs::write(folder.path().join("sessions/own.toml"), "").unwrap();
+        std::os::unix::fs::symlink("../outside.toml", folder.path().join("sessions/link.toml"))
+            .unwrap();
+        let named = |dictionary: &str| {
+            let dictionary = Some(dictionary.to_owned());
+            arguments(&FitForm {
+                dictionary,
+                ..FitForm::default()
+            })
+        };
+        assert_eq!(named("own.toml").unwrap().len(), 1);
+        let outside = folder.path().join("outside.toml").display().to_string();
+        for bad in [
+            &*outside,
+            "../outside.toml",
+            "link.toml",
+            "--out",
+            "",
+            "none.toml",
+        ] {
+            let refused = named(bad).unwrap_err();
+            assert_eq!(refused.status, StatusCode::UNPROCESSABLE_ENTITY, "{bad}");
+        }
     }
 }

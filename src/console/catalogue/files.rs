@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use super::exports::{EXPORTS_FOLDER, EXPORTS_ROOT, is_export};
 use super::pages::SessionPages;
 use super::pictures::{self, PictureOf};
 use super::served::{FileError, Served, Shown};
@@ -9,10 +10,6 @@ use crate::beneath;
 use crate::catalogue::row;
 use crate::session::layout::{FITS_FOLDER, REPORT_FILE};
 
-/// Under which a page finds the exports of a session.
-pub const EXPORTS_FOLDER: &str = "exports";
-/// Where they are, next to the sessions: a folder for each.
-pub const EXPORTS_ROOT: &str = ".exports";
 /// A MERL table has 35 MB, a spectral one up to some 100 MB.
 const LARGEST_FILE_BYTES: u64 = 512 << 20;
 
@@ -27,16 +24,6 @@ const OF_A_FIT: &[&str] = &[
     "trace.csv",
     "cells.csv",
     "discrepancy.csv",
-];
-
-/// Endings of exports, with what they are.
-const EXPORTS: &[(&str, &str)] = &[
-    ("json", "application/json"),
-    ("binary", BYTES),
-    ("bsdf", BYTES),
-    ("xml", PLAIN),
-    ("pbrt", PLAIN),
-    ("txt", PLAIN),
 ];
 
 /// What may be read under a name.
@@ -56,9 +43,7 @@ fn allowed(file: &str) -> Option<Allowed> {
     }
     let (folder, name) = file.rsplit_once('/')?;
     if folder == EXPORTS_FOLDER {
-        let (_, ending) = name.rsplit_once('.')?;
-        let export = EXPORTS.iter().find(|(of, _)| *of == ending)?;
-        return Some(Allowed::File(export.1, Shown::Download));
+        return is_export(name).then_some(Allowed::File(BYTES, Shown::Download));
     }
     let number = folder.strip_prefix(FITS_FOLDER)?.strip_prefix('/')?;
     number.parse::<u32>().ok()?;
@@ -114,8 +99,8 @@ mod tests {
             ("report.html", Page),
             ("fits/0/fit.toml", Inline),
             ("fits/12/table.csv", Inline),
-            ("exports/brdf.binary", Download),
-            ("exports/brdf.binary.txt", Download),
+            ("exports/fit-0-merl.binary", Download),
+            ("exports/fit-0-merl.binary.txt", Download),
         ] {
             match allowed(file) {
                 Some(Allowed::File(_, as_what)) => assert_eq!(as_what, shown, "{file}"),
@@ -138,8 +123,9 @@ mod tests {
             "fits/0/../1/fit.toml",
             "fits/0/secret.csv",
             "exports/run.sh",
+            "exports/brdf.binary",
             "exports/page.html",
-            "exports/deep/brdf.binary",
+            "exports/deep/fit-0-merl.binary",
             "exports/binary",
             "calibration/sensor.toml",
         ] {

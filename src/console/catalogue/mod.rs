@@ -3,11 +3,13 @@
 //! - [`SessionPages`]: the list, with pictures that were made;
 //! - [`detail`]: everything that a page shows of one session;
 //! - [`files`]: which files of a session may be read; [`served`]: what a page gets;
+//! - [`exports`]: what exports make;
 //! - [`pictures`]: images of a session as PNG;
 //! - [`routes()`] and [`action_routes`]: the addresses.
 
 mod actions;
 pub mod detail;
+pub mod exports;
 pub mod files;
 mod pages;
 pub mod pictures;

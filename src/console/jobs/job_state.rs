@@ -63,7 +63,7 @@ pub(super) struct JobState {
     began: Option<String>,
     exit: Option<i32>,
     session: Option<String>,
-    download: Option<String>,
+    downloads: Vec<String>,
     progress: Option<Value>,
     verdict: Option<Value>,
 }
@@ -77,7 +77,7 @@ impl JobState {
             pid: Some(pid),
             began: Some(format!("{:.3}", jiff::Timestamp::now())),
             session: work.session.clone(),
-            download: work.download.clone(),
+            downloads: work.downloads.clone(),
             ..Self::default()
         }
     }
@@ -114,7 +114,7 @@ impl JobState {
             _ => State::Failed,
         });
         if self.state != Some(State::Done) {
-            self.download = None;
+            self.downloads.clear();
         }
     }
 
@@ -127,7 +127,8 @@ impl JobState {
             "state": self.state,
             "exit": self.exit,
             "session": self.session,
-            "download": self.download,
+            "download": self.downloads.first(),
+            "downloads": self.downloads,
             "verdict": self.verdict,
             "log": self.log.lines().collect::<Vec<_>>(),
             "result": self.result,

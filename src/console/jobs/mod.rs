@@ -14,6 +14,7 @@ mod reading;
 mod routes;
 
 use std::ffi::OsString;
+use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitStatus, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
@@ -43,6 +44,10 @@ const DISK: Duration = Duration::from_secs(2);
 /// What a job has printed before its end is awaited for so long: another process may have
 /// inherited its pipes.
 const LAST_WORDS: Duration = Duration::from_secs(2);
+/// Short commands that run at once.
+const MOST_QUERIES: usize = 2;
+/// Short commands that run or wait: a part of the server's places stays free for actions.
+const MOST_ASKED: usize = 64;
 /// A job that is stopped again so long after the first time is killed; the guardian turns
 /// the lamp off.
 const KILL_AFTER: Duration = Duration::from_secs(10);
@@ -78,8 +83,8 @@ pub struct Work {
     pub hidden: Vec<OsString>,
     /// The session that it works on, by name.
     pub session: Option<String>,
-    /// Where a page gets its result, relative to the page.
-    pub download: Option<String>,
+    /// Where a page gets its results, relative to the page.
+    pub downloads: Vec<String>,
     /// Whether the job has the console's terminal: its messages go there.
     pub at_terminal: bool,
 }
@@ -92,7 +97,7 @@ impl Work {
             arguments,
             hidden: Vec::new(),
             session: None,
-            download: None,
+            downloads: Vec::new(),
             at_terminal: false,
         }
     }
@@ -134,7 +139,10 @@ struct Shared {
     hub: Hub,
     lend: OnceLock<Lend>,
     stored: OnceLock<Stored>,
+    /// Short commands that run.
     queries: Arc<tokio::sync::Semaphore>,
+    /// Those, and the ones that wait.
+    asked: Arc<tokio::sync::Semaphore>,
     run: Mutex<Run>,
     ended: Condvar,
     shown: Mutex<Shown>,
@@ -169,15 +177,15 @@ fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl Jobs {
-    /// No job yet; at most this many short commands at once.
+    /// No job yet.
     pub fn new(program: Program, hub: Hub) -> Self {
-        const QUERIES: usize = 2;
         let jobs = Self(Arc::new(Shared {
             program,
             hub,
             lend: OnceLock::new(),
             stored: OnceLock::new(),
-            queries: Arc::new(tokio::sync::Semaphore::new(QUERIES)),
+            queries: Arc::new(tokio::sync::Semaphore::new(MOST_QUERIES)),
+            asked: Arc::new(tokio::sync::Semaphore::new(MOST_ASKED)),
             run: Mutex::default(),
             ended: Condvar::new(),
             shown: Mutex::default(),
@@ -257,6 +265,10 @@ impl Jobs {
                 command: line.clone(),
                 source,
             };
+            // The devices may have been waited for.
+            if locked(&self.0.run).is_closed {
+                return Err(JobError::Ending);
+            }
             Ok((loan, self.spawn(&work).map_err(failed)?))
         });
         let (loan, (process, stdout, stderr)) = match begun {
@@ -302,6 +314,8 @@ impl Jobs {
         if !work.at_terminal {
             command
                 .env("NO_COLOR", "1")
+                // What the terminal sends is for the console, which passes it on.
+                .process_group(0)
                 .stdin(Stdio::null())
                 .stderr(Stdio::piped());
         }
@@ -366,7 +380,8 @@ impl Jobs {
                 }
                 next = heard.recv_timeout(latest.saturating_duration_since(Instant::now()));
             }
-            if disk_read.is_none_or(|read| read.elapsed() >= DISK) {
+            // Also at the end, which may have been a full disk.
+            if ended.is_some() || disk_read.is_none_or(|read| read.elapsed() >= DISK) {
                 disk_read = Some(Instant::now());
                 let free = free_bytes(&self.0.program.folder).ok();
                 if let Some(capture) = &mut locked(&self.0.shown).capture {
@@ -463,8 +478,13 @@ impl Jobs {
 
     /// Stops it after its present frame, as Ctrl-C does.
     pub fn finish(&self) {
-        self.set_state(State::Ending);
-        self.send(&[Signal::INT]);
+        self.pass_on(&[Signal::INT]);
+    }
+
+    /// Passes on that it is to end; one that is paused goes on, so that it can.
+    pub fn pass_on(&self, signals: &[Signal]) {
+        self.set_ending();
+        self.send(signals);
         self.wake();
     }
 
@@ -478,7 +498,7 @@ impl Jobs {
             true => self.send(&[Signal::KILL]),
             false => self.send(&[Signal::INT, Signal::TERM]),
         }
-        self.set_state(State::Ending);
+        self.set_ending();
         self.wake();
     }
 
@@ -503,11 +523,15 @@ impl Jobs {
         });
     }
 
-    fn set_state(&self, state: State) {
-        if self.running().is_some() {
-            locked(&self.0.shown).job.state = Some(state);
-            self.publish();
+    fn set_ending(&self) {
+        let mut shown = locked(&self.0.shown);
+        if !matches!(shown.job.state, Some(State::Running | State::Paused)) {
+            return;
         }
+        shown.job.state = Some(State::Ending);
+        // Publishing takes the lock.
+        drop(shown);
+        self.publish();
     }
 
     /// A short command, on this thread.
@@ -534,12 +558,15 @@ impl Jobs {
         limit: Duration,
     ) -> Result<Answer, QueryError> {
         let jobs = self.clone();
+        let Ok(place) = self.0.asked.clone().try_acquire_owned() else {
+            return Err(QueryError::Many);
+        };
         // The semaphore is never closed. The command keeps its place also when the page that
         // asked is gone.
-        let one_of_two = self.0.queries.clone().acquire_owned().await.ok();
+        let turn = self.0.queries.clone().acquire_owned().await.ok();
         let asked = tokio::task::spawn_blocking(move || {
             let answer = jobs.query(&arguments, &stdin, limit);
-            drop(one_of_two);
+            drop((turn, place));
             answer
         });
         asked.await.unwrap_or_else(|_| {

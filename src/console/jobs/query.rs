@@ -27,6 +27,9 @@ pub enum QueryError {
         /// The system's error.
         source: std::io::Error,
     },
+    /// It did not begin: too many wait.
+    #[error("too many pages wait for the program")]
+    Many,
     /// It was ended.
     #[error("rig {command} did not end within {limit_s} s")]
     Slow {

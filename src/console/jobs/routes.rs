@@ -95,6 +95,7 @@ impl From<QueryError> for Refusal {
     fn from(error: QueryError) -> Self {
         let status = match error {
             QueryError::Begin { .. } => StatusCode::INTERNAL_SERVER_ERROR,
+            QueryError::Many => StatusCode::SERVICE_UNAVAILABLE,
             QueryError::Slow { .. } => StatusCode::GATEWAY_TIMEOUT,
             QueryError::Failed { .. } => StatusCode::UNPROCESSABLE_ENTITY,
         };

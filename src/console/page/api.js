@@ -66,19 +66,55 @@ async function answer(request) {
   throw new Refused(body?.error ?? `the console answered ${response.status}`, body?.hint ?? null, response.status);
 }
 
+/**
+ * A browser opens six connections to one address, and all that waits for an answer holds one.
+ * Questions keep to so many: with the stream and the picture one is left for STOP.
+ */
+const MOST_QUESTIONS = 3;
+const questions = new Set();
+const turns = [];
+
+/** A question, in its turn. */
+async function inTurn(send, signal) {
+  while (questions.size >= MOST_QUESTIONS) await new Promise((turn) => turns.push(turn));
+  const mine = new AbortController();
+  if (signal?.aborted) mine.abort();
+  signal?.addEventListener("abort", () => mine.abort());
+  questions.add(mine);
+  try {
+    return await answer(send(mine.signal));
+  } finally {
+    questions.delete(mine);
+    turns.shift()?.();
+  }
+}
+
 /** Reads an address. */
 export function ask(address, signal) {
-  return answer(fetch(address, { signal, cache: "no-store" }));
+  return inTurn((until) => fetch(address, { signal: until, cache: "no-store" }), signal);
+}
+
+/** A question that takes a form, such as a dry run. */
+export function askWith(address, body, signal) {
+  return inTurn((until) => post(address, body, until), signal);
+}
+
+/** STOP waits behind no question of this page. */
+export function giveUpQuestions() {
+  for (const question of questions) question.abort();
 }
 
 /** Carries out an action. */
-export function act(address, body = {}, signal) {
-  return answer(
-    fetch(address, {
-      method: "POST",
-      signal,
-      headers: { "Content-Type": "application/json", "X-Rig-Viewer": me },
-      body: JSON.stringify(body),
-    }),
-  );
+export function act(address, body = {}) {
+  return answer(post(address, body));
+}
+
+function post(address, body, signal) {
+  return fetch(address, {
+    method: "POST",
+    signal,
+    priority: "high",
+    headers: { "Content-Type": "application/json", "X-Rig-Viewer": me },
+    body: JSON.stringify(body),
+  });
 }

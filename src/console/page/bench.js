@@ -200,7 +200,10 @@ function lampPanel() {
     const lit = state.bench?.stage?.lamp ?? null;
     const name = state.console?.rig?.channels?.[lit] ?? `channel ${lit}`;
     const left = offAt === null ? "" : `; off in ${span((offAt - now()) / 1000)} unless its page keeps control`;
-    say(status, lit === null ? "Off." : `On: ${name}${left}.`);
+    const word = state.bench?.stage?.lamp_word;
+    const sent = state.bench?.stage && word !== "reported" ? "Sent, not verified: this stage does not report its lamp." : "";
+    const is = lit === null ? (word === null ? "Not known." : "Off.") : `On: ${name}${left}.`;
+    say(status, [is, sent].filter(Boolean).join(" "));
   }
   setInterval(tick, 1000);
   return { element, show };

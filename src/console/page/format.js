@@ -86,7 +86,8 @@ export function count(value) {
 
 /** A UTC time as date and time of this computer's zone. */
 export function when(utc) {
-  const date = new Date(utc);
+  // Null would be 1970.
+  const date = new Date(utc ?? NaN);
   if (Number.isNaN(date.getTime())) return "–";
   const two = (number) => String(number).padStart(2, "0");
   return `${date.getFullYear()}-${two(date.getMonth() + 1)}-${two(date.getDate())} ${two(date.getHours())}:${two(date.getMinutes())}`;

@@ -1,6 +1,6 @@
 // What is always in reach: the rig's name, the connection, who controls, STOP.
 
-import { act, viewer } from "./api.js";
+import { act, giveUpQuestions, viewer } from "./api.js";
 import { by, gate, say } from "./dom.js";
 import { span } from "./format.js";
 import { announce, complain } from "./notices.js";
@@ -53,6 +53,7 @@ async function stop() {
   const button = by("stop");
   button.classList.add("pressed");
   announce("STOP sent");
+  giveUpQuestions();
   // Both, always: what this page last heard of a capture may be old.
   const outcomes = await Promise.allSettled([act("api/capture/stop"), act("api/bench/stop")]);
   const failed = outcomes.find((outcome) => outcome.status === "rejected");

@@ -1,6 +1,6 @@
 // Before a capture: what to capture, the dry run, the checks and the calibrations.
 
-import { act, ask } from "./api.js";
+import { ask, askWith } from "./api.js";
 import { copyButton, facts, field, gate, h, panel, say } from "./dom.js";
 import { age, bytes, digits, direction, exposure, span } from "./format.js";
 import { attempt, blocked } from "./header.js";
@@ -137,13 +137,17 @@ function captureForm() {
     request = mine;
     say(status, "Planning …");
     try {
-      const answer = await act("api/plan", body(), mine.signal);
+      const answer = await askWith("api/plan", body(), mine.signal);
       say(command, answer.command);
       if (answer.error) throw Object.assign(new Error(answer.error), { hint: answer.hint });
       plan = answer.plan;
       say(status, wanted ? "Dry run: nothing was opened and nothing moved." : "");
     } catch (error) {
-      if (error.name === "AbortError") return;
+      if (error.name === "AbortError") {
+        // Another one follows, or STOP came in between.
+        if (request === mine) say(status, "");
+        return;
+      }
       plan = null;
       say(status, `${capital(error.message)}${error.hint ? ` – ${error.hint}` : ""}`);
     }

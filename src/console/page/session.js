@@ -27,6 +27,11 @@ export function fileOf(session, file) {
   return `sessions/${encodeURIComponent(session)}/${file.split("/").map(encodeURIComponent).join("/")}`;
 }
 
+/** The name of the file at an address. */
+function nameOf(address) {
+  return decodeURIComponent(address.split("/").pop());
+}
+
 /** Pictures with captions. A click opens one in full. */
 export function gallery(session, pictures) {
   return h(
@@ -73,8 +78,8 @@ function details(session) {
   const resumes = resumeButtons("resume-session", () => session.name, () => (location.hash = "#capture"));
   const list = h("dl", { class: "facts across" });
   facts(list, [
-    ["Captured", when(session.began)],
-    ["Lights", String(session.lights)],
+    ["Captured", session.began ? when(session.began) : null],
+    ["Lights", session.error ? null : String(session.lights)],
     ["Bench", session.simulated ? "simulated" : null],
     ["True material", short(session.material) ?? null],
     ["Latest fit", quality(fit)],
@@ -168,7 +173,8 @@ function workPanel() {
   const log = h("pre", { class: "log", tabindex: "0", "aria-label": "Log" });
   const logBox = h("details", {}, h("summary", {}, "What the program says"), log);
   const halt = h("button", { type: "button", id: "stop-job", onclick: () => attempt("api/jobs/stop") }, "Stop this job");
-  const progress = h("div", { class: "panel work" }, status, bar, halt, download, logBox);
+  const more = h("div", { class: "row" });
+  const progress = h("div", { class: "panel work" }, status, bar, halt, download, more, logBox);
   const why = h("p", { class: "why" });
   const element = h("div", { class: "stack" }, progress, why, h("div", { class: "two" }, panel("Fit again", {}, fitForm), panel("Export", {}, exportForm)));
 
@@ -203,8 +209,10 @@ function workPanel() {
     download.hidden = !(job.kind === "export" && job.state === "done" && job.download);
     if (!download.hidden) {
       download.setAttribute("href", job.download);
-      say(download, `Download ${decodeURIComponent(job.download.split("/").pop())}`);
+      say(download, `Download ${nameOf(job.download)}`);
     }
+    const others = download.hidden ? [] : (job.downloads ?? []).slice(1);
+    redraw(more, others, () => others.map((address) => h("a", { class: "button", href: address, download: true }, `Download ${nameOf(address)}`)));
     say(log, (job.log ?? []).join("\n"));
     logBox.open ||= job.state === "failed";
   }

@@ -97,19 +97,27 @@ function listPart() {
   return { element, load };
 }
 
+/** What is known of a session that can be read. */
+function known(session, fit) {
+  const lights = `${session.lights} ${session.lights === 1 ? "light" : "lights"}`;
+  return [
+    session.complete || session.lights_finished == null ? lights : `${session.lights_finished} of ${lights} captured`,
+    session.simulated ? `simulated${session.material ? `: ${short(session.material)}` : ""}` : null,
+    session.suspect ? "the stage lost steps" : null,
+    session.fits?.length > 1 ? `${session.fits.length} fits` : null,
+    quality(fit) === "–" ? null : quality(fit),
+  ];
+}
+
 function card(session, ticked, tick) {
   const fit = latest(session);
   const box = h("input", { type: "checkbox", value: session.name, "aria-label": `Compare ${short(session.sample) ?? session.name} of ${when(session.began)}` });
   box.checked = ticked.includes(session.name);
   box.disabled = !fit;
   box.addEventListener("change", () => tick(session.name, box.checked));
-  const lights = `${session.lights} ${session.lights === 1 ? "light" : "lights"}`;
   const facts = [
-    session.complete || session.lights_finished == null ? lights : `${session.lights_finished} of ${lights} captured`,
-    session.simulated ? `simulated${session.material ? `: ${short(session.material)}` : ""}` : null,
-    session.suspect ? "the stage lost steps" : null,
-    session.fits?.length > 1 ? `${session.fits.length} fits` : null,
-    quality(fit) === "–" ? null : quality(fit),
+    session.began ? when(session.began) : null,
+    ...(session.error ? [session.error.error] : known(session, fit)),
   ].filter(Boolean);
   return h(
     "article",
@@ -119,7 +127,7 @@ function card(session, ticked, tick) {
       "div",
       {},
       h("h4", {}, h("a", { href: `#sessions/${encodeURIComponent(session.name)}` }, short(session.sample) || session.name)),
-      h("p", { class: "fine" }, when(session.began), " · ", facts.join(" · ")),
+      h("p", { class: "fine" }, facts.join(" · ")),
     ),
     session.error ? h("span", { class: "badge incomplete", title: session.error.error }, "can’t be read") : session.complete ? badge(fit) : h("span", { class: "badge incomplete" }, "not complete"),
   );

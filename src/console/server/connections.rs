@@ -1,13 +1,18 @@
 //! Accepts connections and bounds what they cost: their number, the size and time of a
 //! request's head, the time that a reader may stall.
+//!
+//! A connection takes a place when it has said what it wants and shown the token. A STOP has
+//! places of its own and is never refused: neither for want of one, nor for its body, which
+//! is not waited for.
 
 use std::convert::Infallible;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, OnceLock, Weak};
 use std::time::Duration;
 
 use axum::Router;
-use axum::http::Request;
+use axum::body::Body;
+use axum::http::request::Parts;
+use axum::http::{Method, Request, StatusCode};
 use axum::response::{IntoResponse, Response};
 use hyper::body::Incoming;
 use hyper::server::conn::http1;
@@ -16,14 +21,25 @@ use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::task::AbortHandle;
 
-use super::gate::{Gate, Outside, secure, with_body};
+use super::gate::{Gate, secure, with_body};
 use super::patient::Patient;
 use crate::console::control::Control;
+use crate::console::refusal::Refusal;
 
-/// Connections at once. Browsers open about six.
-const MOST_CONNECTIONS: usize = 64;
+/// Requests that are answered at once, streams of events among them. Browsers make about six.
+const MOST_PLACES: usize = 128;
+/// STOPs that are answered at once and give way to nobody; more are answered as well.
+const MOST_STOPS: usize = 32;
+/// Connections at once that have no place: most have not said yet what they want.
+const MOST_UNPLACED: usize = 512;
+/// Connections that the system keeps until they are accepted: one more would have to knock
+/// again, after a second.
+pub const LONGEST_QUEUE: i32 = 4096;
+/// Where no connection can be accepted, for want of files, this is waited for.
+const NO_FILES: Duration = Duration::from_millis(10);
 /// The head of a request has so long to arrive.
 const HEAD_PATIENCE: Duration = Duration::from_secs(5);
 /// The head of a request is at most so long (bytes).
@@ -37,57 +53,86 @@ const LINGER: Duration = Duration::from_secs(1);
 #[derive(Clone, Debug)]
 pub struct Inside {
     /// Who is let in.
-    pub gate: Arc<Gate>,
+    gate: Arc<Gate>,
     /// Put into every request that is.
-    pub control: Control,
+    control: Control,
     /// What answers it.
-    pub routes: Router,
+    routes: Router,
+    places: Arc<Semaphore>,
+    places_of_stops: Arc<Semaphore>,
 }
+
+impl Inside {
+    /// No connection yet.
+    pub fn new(gate: Gate, control: Control, routes: Router) -> Self {
+        Self {
+            gate: Arc::new(gate),
+            control,
+            routes,
+            places: Arc::new(Semaphore::new(MOST_PLACES)),
+            places_of_stops: Arc::new(Semaphore::new(MOST_STOPS)),
+        }
+    }
+}
+
+/// Of one connection, once it has one.
+type Place = OnceLock<OwnedSemaphorePermit>;
 
 /// A connection that is open.
 struct Open {
-    /// It has sent a request with the token.
-    is_known: Arc<AtomicBool>,
+    place: Weak<Place>,
     task: AbortHandle,
+}
+
+impl Open {
+    fn has_place(&self) -> bool {
+        let place = self.place.upgrade();
+        place.is_some_and(|place| place.get().is_some())
+    }
 }
 
 /// Accepts connections until it is dropped.
 ///
-/// Where there are too many, the oldest that has not shown the token gives way: whoever
-/// opens connections and stays silent keeps nobody out.
+/// Where there are too many, the oldest without a place gives way: whoever opens connections
+/// and stays silent keeps nobody out.
 pub async fn accept(listener: TcpListener, inside: Inside) {
     let mut open: Vec<Open> = Vec::new();
     loop {
-        let Ok((stream, _)) = listener.accept().await else {
-            // Too many open files, or a connection that was gone at once.
-            tokio::time::sleep(Duration::from_millis(50)).await;
-            continue;
-        };
+        let accepted = listener.accept().await;
         open.retain(|connection| !connection.task.is_finished());
-        if open.len() >= MOST_CONNECTIONS {
-            let is_stranger = |c: &Open| !c.is_known.load(Ordering::Relaxed);
-            match open.iter().position(is_stranger) {
-                Some(oldest) => open.remove(oldest).task.abort(),
-                None => continue,
+        let unplaced = open.iter().filter(|connection| !connection.has_place());
+        if unplaced.count() >= MOST_UNPLACED || accepted.is_err() {
+            let oldest = open.iter().position(|connection| !connection.has_place());
+            if let Some(oldest) = oldest {
+                open.remove(oldest).task.abort();
             }
         }
-        let is_known = Arc::new(AtomicBool::new(false));
-        let serving = serve(stream, inside.clone(), is_known.clone());
-        let task = tokio::spawn(serving).abort_handle();
-        open.push(Open { is_known, task });
+        match accepted {
+            Ok((stream, _)) => {
+                let place = Arc::new(Place::new());
+                let of = Arc::downgrade(&place);
+                let serving = serve(stream, inside.clone(), place);
+                let task = tokio::spawn(serving).abort_handle();
+                open.push(Open { place: of, task });
+                // What it has sent already is read before the next one is accepted.
+                tokio::task::yield_now().await;
+            }
+            // Too many open files, or a connection that was gone at once.
+            Err(_) => tokio::time::sleep(NO_FILES).await,
+        }
     }
 }
 
 /// One request, one answer: a kept connection would end just when the page sends its next.
-async fn serve(stream: TcpStream, inside: Inside, is_known: Arc<AtomicBool>) {
+async fn serve(stream: TcpStream, inside: Inside, place: Arc<Place>) {
     let millis = WRITE_PATIENCE.as_millis() as u32;
     // A client that has vanished from the network is noticed; best effort.
     let _ = rustix::net::sockopt::set_tcp_user_timeout(&stream, millis);
     let _ = stream.set_nodelay(true);
     let mut io = TokioIo::new(Patient::new(stream, WRITE_PATIENCE));
     let service = service_fn(move |request| {
-        let (inside, is_known) = (inside.clone(), is_known.clone());
-        async move { Ok::<_, Infallible>(secure(answer(request, inside, &is_known).await)) }
+        let (inside, place) = (inside.clone(), place.clone());
+        async move { Ok::<_, Infallible>(secure(answer(request, inside, &place).await)) }
     });
     let ended = http1::Builder::new()
         .timer(TokioTimer::new())
@@ -102,26 +147,41 @@ async fn serve(stream: TcpStream, inside: Inside, is_known: Arc<AtomicBool>) {
     }
 }
 
-async fn answer(request: Request<Incoming>, inside: Inside, is_known: &AtomicBool) -> Response {
+async fn answer(request: Request<Incoming>, inside: Inside, place: &Place) -> Response {
     let (mut head, body) = request.into_parts();
     match inside.gate.admit(&head) {
         Ok(uri) => head.uri = uri,
-        Err(outside) => {
-            is_known.store(outside != Outside::Stranger, Ordering::Relaxed);
-            return outside.into_response();
-        }
+        Err(outside) => return outside.into_response(),
     }
-    is_known.store(true, Ordering::Relaxed);
     head.extensions.insert(inside.control);
-    let request = match with_body(Request::from_parts(head, body)).await {
-        Ok(request) => request,
-        Err(refusal) => return refusal.into_response(),
+    let request = if is_stop(&head) {
+        if let Ok(permit) = inside.places_of_stops.try_acquire_owned() {
+            let _ = place.set(permit);
+        }
+        Request::from_parts(head, Body::from("{}"))
+    } else {
+        let Ok(permit) = inside.places.try_acquire_owned() else {
+            let fact = format!("{MOST_PLACES} requests are being answered already");
+            return Refusal::new(StatusCode::SERVICE_UNAVAILABLE, fact)
+                .hint("close some of the open pages".to_owned())
+                .into_response();
+        };
+        let _ = place.set(permit);
+        match with_body(Request::from_parts(head, body)).await {
+            Ok(request) => request,
+            Err(refusal) => return refusal.into_response(),
+        }
     };
     let routes = TowerToHyperService::new(inside.routes);
     match routes.call(request).await {
         Ok(response) => response,
         Err(never) => match never {},
     }
+}
+
+/// The addresses of all STOPs end so, and no other action's does. Their bodies say nothing.
+fn is_stop(head: &Parts) -> bool {
+    head.method == Method::POST && head.uri.path().ends_with("/stop")
 }
 
 /// A connection that is closed while bytes of its client wait is reset, and the client may

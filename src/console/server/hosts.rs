@@ -58,6 +58,19 @@ impl Hosts {
     }
 }
 
+/// Whether a text is a name alone, as a browser puts it into its `Host`: labels of letters,
+/// digits, hyphens and underscores between dots (RFC 1123, and what networks at home have).
+pub fn is_host_name(text: &str) -> bool {
+    let is_label = |label: &str| {
+        let allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_');
+        (1..=63).contains(&label.len())
+            && label.chars().all(allowed)
+            && !label.starts_with('-')
+            && !label.ends_with('-')
+    };
+    text.len() <= 253 && text.split('.').all(is_label)
+}
+
 /// Name or address in lower case, and the port (80 where none is named).
 fn parts(host: &str) -> Option<(String, u16)> {
     let is_bare = host.starts_with('[') && host.ends_with(']');

@@ -12,7 +12,6 @@ mod patient;
 mod token;
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket};
-use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -21,10 +20,11 @@ use axum::http::StatusCode;
 use serde_json::Value;
 use tokio::sync::oneshot;
 
-use self::connections::{Inside, accept};
+use self::connections::{Inside, LONGEST_QUEUE, accept};
 use self::events::Viewers;
 use self::gate::Gate;
 use self::hosts::Hosts;
+pub use self::hosts::is_host_name;
 use self::token::Token;
 use super::control::{self, Control};
 use super::hub::Hub;
@@ -82,7 +82,8 @@ pub struct Parts {
     pub control: Control,
     /// The topic `console`, without the number of viewers.
     pub facts: Value,
-    /// The addresses of the other parts, such as `/api/bench/stop`.
+    /// The addresses of the other parts. Those that end with `/stop` are STOPs: answered
+    /// whatever else is under way, without their body.
     pub routes: Router,
 }
 
@@ -106,6 +107,8 @@ impl Server {
         };
         let listener = std::net::TcpListener::bind(options.address).map_err(failed)?;
         listener.set_nonblocking(true).map_err(failed)?;
+        // It listens already, for a queue of 128.
+        rustix::net::listen(&listener, LONGEST_QUEUE).map_err(|errno| failed(errno.into()))?;
         let address = listener.local_addr().map_err(failed)?;
         let gate = Gate {
             token: Token::random().map_err(ServerError::Token)?,
@@ -147,16 +150,13 @@ impl Server {
         let nothing = || async { Refusal::missing("there is no such address") };
         let other_method =
             || async { Refusal::new(StatusCode::METHOD_NOT_ALLOWED, "not with this method") };
-        let inside = Inside {
-            gate: Arc::new(self.gate),
-            control: parts.control.clone(),
-            routes: pages::routes()
-                .merge(events::routes(viewers))
-                .merge(control::routes(parts.control.clone()))
-                .merge(parts.routes)
-                .fallback(nothing)
-                .method_not_allowed_fallback(other_method),
-        };
+        let routes = pages::routes()
+            .merge(events::routes(viewers))
+            .merge(control::routes(parts.control.clone()))
+            .merge(parts.routes)
+            .fallback(nothing)
+            .method_not_allowed_fallback(other_method);
+        let inside = Inside::new(self.gate, parts.control.clone(), routes);
         let (stop, stopped) = oneshot::channel::<()>();
         let serving = move || {
             runtime.block_on(async {

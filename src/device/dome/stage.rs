@@ -259,6 +259,10 @@ impl LightStage for DomeStage {
         })
     }
 
+    fn reports_lamp(&self) -> bool {
+        self.port.reports_lights()
+    }
+
     fn temperature_c(&mut self) -> Option<f64> {
         if !self.has_temperature {
             return None;
@@ -278,7 +282,7 @@ impl LightStage for DomeStage {
             port: self.port.line().duplicate()?,
             name: self.config.port.clone(),
             exchanges: self.port.off_exchanges(),
-            reports_lamp: self.port.reports_lights(),
+            reports_lamp: self.reports_lamp(),
             gate: self.port.line().gate(),
         }))
     }

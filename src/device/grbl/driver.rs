@@ -449,6 +449,7 @@ impl GrblStage {
             let timeout = self.config.connect_timeout.to_duration();
             self.link
                 .restart(true, "it was restarted to turn the lamp off", timeout)?;
+            stop::confirm_stopped(&self.link)?;
         }
         self.lamp = Some(LampState::Off);
         Ok(LampState::Off)
@@ -596,6 +597,10 @@ impl LightStage for GrblStage {
         })
     }
 
+    fn reports_lamp(&self) -> bool {
+        self.link.known().reports_outputs
+    }
+
     fn stop_handle(&self) -> Result<Box<dyn StopHandle>, DeviceError> {
         Ok(Box::new(GrblStop {
             link: Arc::downgrade(&self.link),
@@ -612,7 +617,7 @@ impl LightStage for GrblStage {
                 Exchange::new(&[RESET], BANNERS),
                 Exchange::new(&[STATUS], STANDING),
             ],
-            reports_lamp: true,
+            reports_lamp: self.reports_lamp(),
             gate: self.link.line().gate(),
         }))
     }

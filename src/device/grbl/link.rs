@@ -40,6 +40,8 @@ pub struct Known {
     pub work_offset: Option<Vec<f64>>,
     /// Outputs by the last report that had them.
     pub accessories: Option<Accessories>,
+    /// Some report named its outputs: there are builds that never do.
+    pub reports_outputs: bool,
     /// Spindle speed by the last report that had it.
     pub speed: Option<f64>,
     /// What the machine is doing by the last report since the last restart.
@@ -68,6 +70,7 @@ impl SharedLine<Known> {
             reports: 0,
             work_offset: None,
             accessories: None,
+            reports_outputs: false,
             speed: None,
             state: None,
             undervoltage: None,
@@ -229,6 +232,7 @@ impl Known {
         }
         if report.accessories.is_some() {
             self.accessories = report.accessories;
+            self.reports_outputs = true;
         }
         if report.speed.is_some() {
             self.speed = report.speed;

@@ -199,6 +199,12 @@ impl LightStage for GuardedStage {
         self.step(StageStep::Query, |stage| stage.status())
     }
 
+    fn reports_lamp(&self) -> bool {
+        self.stage
+            .as_deref()
+            .is_some_and(|stage| stage.reports_lamp())
+    }
+
     fn temperature_c(&mut self) -> Option<f64> {
         let read = self.step(StageStep::Query, |stage| Ok(stage.temperature_c()));
         read.ok().flatten()

@@ -466,6 +466,10 @@ impl LightStage for ZaberStage {
         })
     }
 
+    fn reports_lamp(&self) -> bool {
+        true
+    }
+
     fn check_reference(&mut self) -> Result<Option<ReferenceCheck>, DeviceError> {
         self.check_homed()?;
         self.in_motion = true;
@@ -507,7 +511,7 @@ impl LightStage for ZaberStage {
             port: self.link.line().duplicate()?,
             name: self.config.port.clone(),
             exchanges,
-            reports_lamp: true,
+            reports_lamp: self.reports_lamp(),
             gate: self.link.line().gate(),
         }))
     }

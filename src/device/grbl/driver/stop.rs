@@ -32,7 +32,7 @@ impl StopHandle for GrblStop {
 /// Queries after a restart what the machine does and which outputs are on. It may
 /// be the driver that reads the answers. A build that never reports its outputs
 /// has reported with its banner that it began anew.
-fn confirm_stopped(link: &Link) -> Result<(), DeviceError> {
+pub(super) fn confirm_stopped(link: &Link) -> Result<(), DeviceError> {
     for _ in 0..REPORTS_WITH_OUTPUTS {
         link.send(&[STATUS])?;
         let deadline = Instant::now() + STOP_PATIENCE;

@@ -1,0 +1,122 @@
+//! The files that exports of a session's fits make: their formats, names and folder.
+//!
+//! They are no files of the session, whose folder has nothing but what its journal names:
+//! they stand in a hidden folder next to the sessions.
+
+use std::path::{Path, PathBuf};
+
+use crate::beneath::{self, BeneathError};
+use crate::export::Format;
+
+/// Under which a page finds the exports of a session.
+pub const EXPORTS_FOLDER: &str = "exports";
+/// Where they are, next to the sessions: a folder for each.
+pub const EXPORTS_ROOT: &str = ".exports";
+
+/// The formats of `rig export` by their names there.
+pub fn formats() -> impl Iterator<Item = &'static str> {
+    let of_any_fit = Format::ALL.iter().map(|(name, _)| *name);
+    of_any_fit.chain(["birdf"])
+}
+
+/// The names of the files that an export of fit `number` makes, the one with the format's
+/// usual ending first; `None` if there is no such format.
+pub fn files(number: u32, format: &str) -> Option<Vec<String>> {
+    let format = formats().find(|known| *known == format)?;
+    let known = Format::named(format);
+    let ending = known.map_or("json", Format::ending);
+    let file = PathBuf::from(format!("fit-{number}-{format}.{ending}"));
+    let files = match known {
+        Some(known) => known.files(&file),
+        None => vec![file],
+    };
+    let names = files
+        .into_iter()
+        .filter_map(|file| file.into_os_string().into_string().ok());
+    Some(names.collect())
+}
+
+/// Whether an export makes a file of this name.
+pub fn is_export(name: &str) -> bool {
+    let number = name
+        .strip_prefix("fit-")
+        .and_then(|rest| rest.split_once('-'));
+    let Some(number) = number.and_then(|(number, _)| number.parse().ok()) else {
+        return false;
+    };
+    formats()
+        .any(|format| files(number, format).is_some_and(|made| made.iter().any(|of| of == name)))
+}
+
+/// The folder of a session's exports, made where it is missing; no link leads to it.
+///
+/// # Errors
+/// A link in its place, or the system's error.
+pub fn folder(sessions: &Path, session: &str) -> Result<PathBuf, BeneathError> {
+    let relative = format!("{EXPORTS_ROOT}/{session}");
+    for path in [EXPORTS_ROOT, &relative] {
+        let made = std::fs::create_dir(sessions.join(path));
+        if let Err(source) = made
+            && source.kind() != std::io::ErrorKind::AlreadyExists
+        {
+            let path = sessions.join(path);
+            return Err(BeneathError::Io { path, source });
+        }
+        beneath::check_folder(sessions, path)?;
+    }
+    Ok(sessions.join(relative))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_page_offers_all_formats_and_may_read_what_they_make() {
+        let page = include_str!("../page/session.js");
+        let (_, list) = page.split_once("const FORMATS = [").unwrap();
+        let (list, _) = list.split_once("];").unwrap();
+        let offered = list.lines().filter_map(|line| line.split('"').nth(1));
+        assert_eq!(offered.collect::<Vec<_>>(), formats().collect::<Vec<_>>());
+        for format in formats() {
+            let files = files(3, format).unwrap();
+            assert!(files.iter().all(|name| is_export(name)), "{files:?}");
+        }
+        assert_eq!(
+            files(0, "pbrt").unwrap(),
+            ["fit-0-pbrt.pbrt", "fit-0-pbrt.spectral.bsdf"]
+        );
+        assert_eq!(files(0, "exe"), None);
+        for name in [
+            "fit-0-json.exe",
+            "fit--json.json",
+            "json",
+            "fit-0-gltf.json",
+            "fit-0-json.json/",
+        ] {
+            assert!(!is_export(name), "{name}");
+        }
+    }
+
+    #[test]
+    fn no_link_leads_to_the_folder_of_exports() {
+        let folder = tempfile::tempdir().unwrap();
+        let (sessions, outside) = (
+            folder.path().join("sessions"),
+            folder.path().join("outside"),
+        );
+        std::fs::create_dir(&sessions).unwrap();
+        std::fs::create_dir(&outside).unwrap();
+        for _ in 0..2 {
+            let made = super::folder(&sessions, "a").unwrap();
+            assert!(made.is_dir());
+        }
+        let link = |at: &str| std::os::unix::fs::symlink(&outside, sessions.join(at)).unwrap();
+        link(".exports/b");
+        assert!(super::folder(&sessions, "b").is_err());
+        std::fs::remove_dir_all(sessions.join(EXPORTS_ROOT)).unwrap();
+        link(EXPORTS_ROOT);
+        assert!(super::folder(&sessions, "a").is_err());
+        assert_eq!(std::fs::read_dir(&outside).unwrap().count(), 0);
+    }
+}
