@@ -25,6 +25,10 @@ impl Observer for Context {
             UnmeasuredIntensities { .. } => self.warn(format_args!(
                 "{notice}; run `rig calibrate white SESSION` with all of them"
             )),
+            ImageOrder { .. } => self.warn(format_args!(
+                "{notice}; name the images in the order of the scene's lights \
+                 (a shell's pattern puts 10 before 2; 02 comes before 10)"
+            )),
             Scene(concern) => {
                 self.warn(format_args!("{notice}; {}", preflight::remedy_of(concern)))
             }

@@ -113,7 +113,8 @@ fn mean_radiance(rows: &mut impl Rows) -> Result<f32, ExrError> {
 /// Largest mask, bytes: 250 megapixels of 16-bit RGB, not compressed.
 const LARGEST_MASK_BYTES: u64 = 3 << 29;
 
-/// Averages the images of a scene's lights over its cells, without what is dark in `mask`.
+/// Averages the images of a scene's lights over its cells, without what is dark or transparent in
+/// the mask.
 ///
 /// # Errors
 /// An image or mask that cannot be read or has another size, or of which nothing is valid.
@@ -174,6 +175,8 @@ fn read_mask(path: &Path, resolution_px: [usize; 2]) -> Result<Vec<bool>, Workfl
     let bytes = outside_file::read_regular(path, LARGEST_MASK_BYTES)
         .map_err(|error| failed(error.to_string()))?;
     let mask = picture(&bytes, Some(resolution_px)).map_err(|error| failed(error.to_string()))?;
-    let mask = mask.to_luma8();
-    Ok(mask.as_raw().iter().map(|luma| *luma >= 128).collect())
+    // As over black: what is transparent was not painted.
+    let used = |pixel: &[u8]| u16::from(pixel[0]) * u16::from(pixel[1]) >= 128 * 255;
+    let mask = mask.to_luma_alpha8();
+    Ok(mask.as_raw().chunks_exact(2).map(used).collect())
 }

@@ -7,7 +7,7 @@ use super::fit_plan::FitPlan;
 use super::notice::{Notice, Observer};
 use super::scene_check::check_scene;
 use super::scene_concern::DescribedIn;
-use super::{FitOutcome, FitRequest, WorkflowError};
+use super::{FitOutcome, FitRequest, WorkflowError, image_order};
 use crate::cells::AverageError;
 use crate::config::scene::SceneFile;
 use crate::radiance_image::RadianceImage;
@@ -121,6 +121,12 @@ fn fit<R: Rows>(
     observer: &dyn Observer,
 ) -> Result<(FitRecord, FitImages), WorkflowError> {
     let mut remarks = Vec::new();
+    let names: Vec<&str> = sources.iter().map(|source| &source.file[..]).collect();
+    if let Some(given) = &image_order::disorder(&names) {
+        let notice = Notice::ImageOrder { given };
+        observer.notice(notice);
+        remarks.push(notice.to_string());
+    }
     let unstated = sources.iter().filter(|s| s.mean_of_unstated.is_some());
     for Source { file, .. } in unstated {
         let notice = Notice::AssumedNoise { file };

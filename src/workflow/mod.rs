@@ -26,6 +26,7 @@ mod fit_request;
 mod fit_run;
 mod fit_session;
 mod fit_work;
+mod image_order;
 mod lamp_drift;
 mod notice;
 mod repeatability;

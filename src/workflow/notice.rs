@@ -50,6 +50,11 @@ pub enum Notice<'a> {
         /// The image.
         file: &'a str,
     },
+    /// Images whose names carry numbers that are not in order.
+    ImageOrder {
+        /// The names, in the order in which the images are taken for the lights'.
+        given: &'a str,
+    },
     /// A fact that the fit's record keeps among its remarks.
     Remark(&'a str),
     /// A cycle of repeated homing is done.
@@ -94,6 +99,10 @@ impl fmt::Display for Notice<'_> {
             AssumedNoise { file } => write!(
                 out,
                 "{file}: no variance is stated; a relative noise of {UNSTATED_NOISE} is assumed"
+            ),
+            ImageOrder { given } => write!(
+                out,
+                "the numbers in the images' names are not in order: {given} are taken for lights 0, 1, …"
             ),
             HomingCycle { cycle, of, off } => write!(
                 out,

@@ -18,13 +18,22 @@ pub(super) fn of_fit(fit: &Fit, record: &FitRecord) -> Vec<Warning> {
         });
     };
 
-    // By the residual and the images.
+    // By the residual and the images. Stray light that the shadows show comes before what else
+    // it may cause.
     let grave = match record.worst_reduced_chi_square() {
         Some(worst) if worst > UNEXPLAINED_CHI_SQUARE => Grade::Distrust,
         _ => Grade::Reservation,
     };
-    let has_cause = describe_excess(fit, |what, likely_cause| warn(grave, what, likely_cause));
-    for finding in &fit.findings {
+    let is_stray = |finding: &&Finding| matches!(finding, Finding::StrayLight { .. });
+    for finding in fit.findings.iter().filter(is_stray) {
+        let (_, what, likely_cause) = describe(finding);
+        warn(grave, what, likely_cause);
+    }
+    let is_said = fit.findings.iter().any(|finding| is_stray(&finding))
+        && fit.diagnosis.finding() == Some(Cause::StrayLight);
+    let has_cause =
+        is_said || describe_excess(fit, |what, likely_cause| warn(grave, what, likely_cause));
+    for finding in fit.findings.iter().filter(|finding| !is_stray(finding)) {
         if matches!(finding, Finding::Misfit { .. }) && has_cause {
             continue;
         }
@@ -36,12 +45,19 @@ pub(super) fn of_fit(fit: &Fit, record: &FitRecord) -> Vec<Warning> {
     if let Some(deviation) = record.bench.as_ref().and_then(common_scale_deviation)
         && deviation > NOTABLE_SCALE_DEVIATION
     {
+        let percent = 100.0 * deviation;
+        let is_open = record.bench.as_ref().is_some_and(holds_scale);
         warn(
             Grade::Reservation,
-            format!(
-                "the irradiance is known within ±{:.0}% after the fit, and f as a whole no better",
-                100.0 * deviation
-            ),
+            if is_open {
+                format!(
+                    "nothing in these images determines the scale: the stated irradiance is kept, known within ±{percent:.0}% as stated, and f as a whole no better"
+                )
+            } else {
+                format!(
+                    "the irradiance is known within ±{percent:.0}% after the fit, and f as a whole no better"
+                )
+            },
             "images that show little interreflection, by which alone a fit finds the scale; `rig calibrate white` measures it",
         );
     }
@@ -129,6 +145,14 @@ fn describe(finding: &Finding) -> (Grade, String, &'static str) {
         }
     };
     match *finding {
+        Finding::StrayLight { image, share } => (
+            Reservation,
+            format!(
+                "image {image} has stray light: {:.1}% of its bright parts (99th percentile) where neither the lamp nor the sample sends light",
+                100.0 * share
+            ),
+            advice(Cause::StrayLight),
+        ),
         Finding::NoInformation { channel } => (
             Distrust,
             format!(
@@ -256,6 +280,14 @@ fn common_scale_deviation(bench: &BenchRecord) -> Option<f64> {
     intensities
         .map(|intensity| intensity.deviation)
         .min_by(f64::total_cmp)
+}
+
+/// Whether the images leave the intensities' common scale open.
+fn holds_scale(bench: &BenchRecord) -> bool {
+    bench
+        .held
+        .iter()
+        .any(|name| name.starts_with("intensity of"))
 }
 
 /// Standard deviation of the common scale up to which it needs no warning.

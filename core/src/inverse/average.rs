@@ -173,6 +173,7 @@ mod tests {
             prior: Vec::new(),
             excess_error: 0.0,
             informed: 1,
+            scale_deviation: 0.0,
             discrepancies: vec![g.clone(); 400],
             budget: None,
         };

@@ -128,6 +128,7 @@ mod tests {
             prior: Vec::new(),
             excess_error: 0.0,
             informed: 1,
+            scale_deviation: 0.0,
             discrepancies: Vec::new(),
             budget: None,
         }]

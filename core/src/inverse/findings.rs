@@ -44,6 +44,13 @@ impl Flip {
 /// A fact that speaks against a fit. Lights, images and channels count from 0.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Finding {
+    /// Where neither the lamp nor the sample sends light, the image has some.
+    StrayLight {
+        /// Index of the image.
+        image: usize,
+        /// Its root mean square over the image's 99th percentile, of the worst channel.
+        share: f64,
+    },
     /// The posterior of a channel's weights is the prior.
     NoInformation {
         /// 0 to 2: red, green, blue; 0 stands for all where the weights are shared.
@@ -123,6 +130,8 @@ pub(super) struct Judged<'a> {
     /// Per channel group: directions in which the images have more information than noise could feign; `None`
     /// where no posterior was sought.
     pub informed: Vec<Option<usize>>,
+    /// Variance of light in the shadows, per light and channel.
+    pub stray_light: &'a [[f64; 3]],
     /// Per channel: weight of black in the reported mixture; `None` without such an atom.
     pub black: [Option<f64>; 3],
     /// Per channel: largest directional albedo of the material before it was bounded.
@@ -139,6 +148,8 @@ pub const EXPLAINED_MEAN_SQUARE: f64 = 1.3;
 const SIGNIFICANT_DEVIATIONS: f64 = 5.0;
 /// Part of the light that the model may put elsewhere.
 const TOLERATED_SHARE: f64 = 0.4;
+/// Stray light over the image's 99th percentile that is worth a word.
+const NOTABLE_STRAY_LIGHT: f64 = 2e-3;
 /// Relative scatter that a model's image must have before one without any is remarkable.
 const NOTABLE_SHADING: f64 = 0.05;
 /// Standard deviation of the cells' scatter over the stated one, either way, that is
@@ -176,6 +187,9 @@ pub(super) fn find(judged: &Judged<'_>) -> Vec<Finding> {
     let values: Vec<Vec<Compared>> = (0..objective.lights())
         .map(|light| compared(objective, model, light))
         .collect();
+    for (image, values) in values.iter().enumerate() {
+        found.extend(stray_light(values, image, judged.stray_light[image]));
+    }
     let excess_error = judged.reduced_chi2.iter().flatten();
     let excess_error = excess_error.fold(0.0, |worst: f64, &chi2| worst.max(chi2));
     if excess_error > EXPLAINED_MEAN_SQUARE {
@@ -269,6 +283,20 @@ fn compared(objective: &Objective<'_>, model: &[ModelImage], light: usize) -> Ve
         })
     };
     cells.flat_map(of_pixel).collect()
+}
+
+fn stray_light(values: &[Compared], image: usize, variance: [f64; 3]) -> Option<Finding> {
+    let share_of = |channel: usize| {
+        let of_channel = values.iter().filter(|v| v.channel == channel);
+        let mut captured: Vec<f64> = of_channel.map(|v| v.captured).collect();
+        let last = captured.len().checked_sub(1)?;
+        let bright = *captured
+            .select_nth_unstable_by(99 * last / 100, f64::total_cmp)
+            .1;
+        (bright > 0.0).then(|| variance[channel].sqrt() / bright)
+    };
+    let share = (0..3).filter_map(share_of).fold(0.0, f64::max);
+    (share > NOTABLE_STRAY_LIGHT).then_some(Finding::StrayLight { image, share })
 }
 
 fn dark_channels(values: &[Compared], image: usize) -> Vec<Finding> {

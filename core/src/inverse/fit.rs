@@ -204,6 +204,7 @@ pub(super) fn fit_on_bench(
             .iter()
             .map(|group| (!group.posterior.is_empty()).then_some(group.informed))
             .collect(),
+        stray_light: &solved.pass.stray_light,
         black: black_weights(&material),
         albedo,
         reduced_chi2: &reduced_chi2,

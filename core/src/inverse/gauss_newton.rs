@@ -126,6 +126,9 @@ fn merge(before: Linearised, mut after: Linearised, keep_after: &[bool]) -> Line
                 .zip(old)
                 .for_each(|(n, o)| n[group] = o[group]);
         }
+        for (new, old) in after.stray_light.iter_mut().zip(&before.stray_light) {
+            new[group] = old[group];
+        }
     }
     after
 }

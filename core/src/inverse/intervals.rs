@@ -137,6 +137,7 @@ mod tests {
             prior: (0..=100).map(|i| draw(0.01 * f64::from(i))).collect(),
             excess_error: 0.0,
             informed: 1,
+            scale_deviation: 0.0,
             discrepancies: Vec::new(),
             budget: None,
         };
@@ -156,6 +157,7 @@ mod tests {
             prior: group().prior,
             excess_error: 0.0,
             informed: 1,
+            scale_deviation: 0.0,
             discrepancies: Vec::new(),
             budget: None,
         }];

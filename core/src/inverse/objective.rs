@@ -4,8 +4,9 @@
 //!
 //! Residual and derivative come from independent halves of the paths, so that
 //! the render's own noise biases neither the loss nor its gradient. Each value is
-//! weighted by 1/(σ²_captured + σ²_rendered + (τ I)²), the last term standing for
-//! what no mixture of the dictionary can explain; I and σ_rendered as estimated by paths are
+//! weighted by 1/(σ²_captured + σ²_rendered + (τ I)² + a²), the third term standing for
+//! what no mixture of the dictionary can explain, the last for stray light that the shadows
+//! show; I and σ_rendered as estimated by paths are
 //! those of the cell's neighbours, because a weight that follows a cell's own noise
 //! pulls the fit low ([`Modelled`]).
 
@@ -23,6 +24,7 @@ mod discrepancy;
 mod modelled;
 mod noise;
 mod pass;
+mod stray_light;
 
 pub use compared::Value;
 pub use discrepancy::DiscrepancyModel;
@@ -299,8 +301,8 @@ impl<'a> Objective<'a> {
     pub fn weights(&self, model: Option<&[ModelImage]>) -> ResidualWeights {
         let model_error = vec![self.model_error; self.groups()];
         match model {
-            Some(model) => self.weights_allowing(model, true, &model_error),
-            None => self.weights_allowing(&self.as_model(), false, &model_error),
+            Some(model) => self.weights_allowing(model, true, &model_error, None),
+            None => self.weights_allowing(&self.as_model(), false, &model_error, None),
         }
     }
 
@@ -324,15 +326,18 @@ impl<'a> Objective<'a> {
             Some(pass) => self.found_error(pass),
             None => vec![self.model_error; self.groups()],
         };
-        self.weights_allowing(&model, earlier.is_some(), &found)
+        let stray_light = earlier.map(|pass| &pass.stray_light[..]);
+        self.weights_allowing(&model, earlier.is_some(), &found, stray_light)
     }
 
     /// Weights after a fit that ended with `pass`: the model is allowed the error that it
-    /// was found to have, if that is more than the stated one (docs/adr/0027).
+    /// was found to have, if that is more than the stated one (docs/adr/0027), and the stray
+    /// light that the shadows show.
     pub fn weights_after(&self, pass: &Linearised) -> ResidualWeights {
         let found = self.found_error(pass);
         log::debug!("model error by channel group: {found:?}");
-        self.weights_allowing(&pass.model, true, &found)
+        log::debug!("variance of stray light: {:?}", pass.stray_light);
+        self.weights_allowing(&pass.model, true, &found, Some(&pass.stray_light))
     }
 
     /// Modelled radiance at `mixture`, without the matrices of a whole pass.
@@ -369,9 +374,11 @@ impl<'a> Objective<'a> {
         model: &[ModelImage],
         robust: bool,
         model_error: &[f64],
+        stray_light: Option<&[[f64; 3]]>,
     ) -> ResidualWeights {
         (0..self.lights())
             .map(|light| {
+                let stray_light = stray_light.map_or([0.0; 3], |of| of[light]);
                 let robust_weight = robust.then(|| self.robust_weights(model, light));
                 (0..self.cells.len())
                     .map(|cell| {
@@ -389,7 +396,7 @@ impl<'a> Objective<'a> {
                                 .max(VARIANCE_FLOOR * self.near_variance(light, cell, c));
                             let model =
                                 (model_error[self.channels.group(c)] * intensity).powi(2) / area;
-                            let total = captured + rendered + model;
+                            let total = captured + rendered + model + stray_light[c];
                             let robust_weight = robust_weight.as_ref().map_or(1.0, |t| t[cell][c]);
                             if total > 0.0 {
                                 robust_weight / total

@@ -36,8 +36,8 @@ pub(super) struct Posterior {
 }
 
 impl Posterior {
-    /// Gives each sample its error that no dictionary explains ([`unexplained_deviation`]), and bounds samples
-    /// and material by energy conservation. Returns the largest directional albedo that the
+    /// Gives each sample its error that no dictionary explains ([`unexplained_deviation`]) and its
+    /// scale, where that is open, and bounds samples and material by energy conservation. Returns the largest directional albedo that the
     /// material had before, per channel.
     pub fn be_physical(&mut self, seed: u64) -> [f64; 3] {
         if self.discrepancy == 0.0
@@ -67,9 +67,15 @@ impl Posterior {
                 of_set
                     .discrepancies
                     .resize_with(of_set.posterior.len(), Discrepancy::none);
+                // The same for all channels.
+                let mut scales = stream(seed, Purpose::Posterior, 0, 5, 0);
+                let scale_deviation = of_set.scale_deviation;
                 for (x, g) in of_set.posterior.iter().zip(&mut of_set.discrepancies) {
                     let normal = DVector::from_fn(fields.ncols(), |_, _| numbers.normal());
                     g.0 += deviations.component_mul(&(fields * normal));
+                    if scale_deviation > 0.0 {
+                        g.0.add_scalar_mut(scale_deviation * scales.normal());
+                    }
                     *g = energy.bounded(x.as_slice(), g);
                 }
             });
@@ -198,6 +204,9 @@ pub(super) fn posterior(
     if let Some(bench) = &coupling {
         let pass = discrepancy_pass.as_ref().unwrap_or(&solved.pass);
         posterior_samples = draw(Some(bench), &center, pass, &discrepancy);
+        for group in &mut posterior_samples {
+            group.scale_deviation = bench.scale_deviation;
+        }
     }
     Ok(Posterior {
         posterior_samples: with_excess_errors(posterior_samples),

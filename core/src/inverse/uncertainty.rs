@@ -31,6 +31,9 @@ pub struct PosteriorSamples {
     /// Directions of the space of weights in which the images have more information than
     /// their noise and the paths' could feign; 0: none at all, and the posterior is the prior.
     pub informed: usize,
+    /// Standard deviation of the natural logarithm of the scale common to all of f, where the
+    /// images say nothing of it; 0 where the samples of the weights contain it.
+    pub scale_deviation: f64,
     /// The model discrepancy of each posterior sample; empty where there is none.
     pub discrepancies: Vec<Discrepancy>,
     /// Where the posterior's spread comes from, where that is known.
@@ -128,6 +131,7 @@ fn sample_group(
         prior: chain(DMatrix::zeros(n, n), prior.clone(), 1),
         excess_error: 0.0,
         informed,
+        scale_deviation: 0.0,
         discrepancies,
         posterior,
         budget,

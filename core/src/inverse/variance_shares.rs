@@ -52,7 +52,9 @@ pub fn at(
             .map(|d| d.factor(theta_h_deg, theta_d_deg).ln())
             .collect();
         let beyond = deviation(&discrepancies);
-        cell.relative_variance[Source::Model as usize] += beyond * beyond / 3.0;
+        let scale = group.scale_deviation.min(beyond);
+        cell.relative_variance[Source::Model as usize] += (beyond * beyond - scale * scale) / 3.0;
+        cell.relative_variance[Source::Intensities as usize] += scale * scale / 3.0;
     }
     Some(cell)
 }

@@ -18,6 +18,7 @@ use rig_core::geometry::shapes::Form;
 use rig_core::geometry::{FormError, Shape};
 use rig_core::inverse::budget::Source;
 use rig_core::inverse::exponentiated_gradient::ExponentiatedGradient;
+use rig_core::inverse::findings::Finding;
 use rig_core::inverse::variance_shares;
 use rig_core::inverse::{Channels, Fit, FitOptions, Optimizer, fit, fit_with_progress, intervals};
 use rig_core::progress::Progress;
@@ -289,6 +290,63 @@ fn dust_counts_for_less() {
     assert!(with.0 < 0.02 && with.0 < 2.0 * without.0);
     for (without, with) in without.1.iter().zip(&with.1) {
         assert!(*without == 0.0 && *with > 0.004, "{without}, {with}");
+    }
+}
+
+/// Light of the room in the attached shadow of a ball, where the model is black, does not take the
+/// weight of the lit cells; it is reported.
+#[test]
+fn stray_light_does_not_decide() {
+    let sphere = |segments| Shape::Sphere {
+        radius_mm: 1.0,
+        segments,
+    };
+    let lamp = [DVec3::new(0.68, 0.0, 0.73)];
+    let dictionary = Arc::new(Dictionary::paper42());
+    let atoms = vec![Atom::Lambertian { albedo: 1.0 }, Atom::Black];
+    let grey = Arc::new(Dictionary::new("grey", atoms).unwrap());
+    for albedo in [0.5, 0.1] {
+        let truth = Mixture::grey(grey.clone(), vec![albedo, 1.0 - albedo]).unwrap();
+        let photographed = RenderOptions {
+            samples_per_pixel: 64,
+            max_reflections: 1,
+            seed: 7,
+            ..RenderOptions::default()
+        };
+        for share in [0.0, 0.005, 0.01f32] {
+            let mut images = render(&scene(sphere(96), &lamp), &truth, &photographed);
+            let level = share * albedo as f32 / std::f32::consts::PI;
+            let noise = 2e-4 * albedo as f32;
+            for (k, (mean, variance)) in images[0]
+                .mean
+                .iter_mut()
+                .zip(&mut images[0].variance)
+                .enumerate()
+            {
+                // Rising to the right in one of the cases.
+                let rise = if share == 0.01 {
+                    (k % 24) as f32 / 23.0
+                } else {
+                    1.0
+                };
+                let stray = [1.0, 2.0, 0.5].map(|lamp| level * lamp * rise);
+                *mean = std::array::from_fn(|c| mean[c] + stray[c]);
+                *variance = variance.map(|v| v + noise * noise);
+            }
+            let mut options = options();
+            options.model_error = FitOptions::default().model_error;
+            options.cache.samples_per_cell = 16;
+            let scene = scene(sphere(64), &lamp);
+            let fit = fit(&scene, &averaged(&scene, &images), &dictionary, &options).unwrap();
+            for (theta_h_deg, theta_d_deg) in [(15.0, 10.0), (40.0, 2.0)] {
+                let found = fit.interval(theta_h_deg, theta_d_deg).value[1];
+                let ratio = found * std::f64::consts::PI / albedo;
+                println!("albedo {albedo}, stray light {share}: {ratio:.3}");
+                assert!((ratio - 1.0).abs() < 0.04, "{albedo} {share}: {ratio}");
+            }
+            let is_stray = |f: &Finding| matches!(f, Finding::StrayLight { image: 0, .. });
+            assert_eq!(fit.findings.first().is_some_and(is_stray), share > 0.0);
+        }
     }
 }
 

@@ -92,6 +92,14 @@ impl Parameter {
     }
 }
 
+/// Deviation of the common scale before any image, ln, above which weights that know their own
+/// size within their prior would know the scale better.
+const WIDE_SCALE: f64 = 0.1;
+
+/// λ below which a direction is fixed: the posterior's deviation would be above 87% of
+/// the prior's.
+pub const MIN_INFORMATION: f64 = 1.0 / 3.0;
+
 /// A described bench and what may differ from the description. Values of the
 /// parameters are differences: all zero is the description.
 pub struct Bench {
@@ -202,6 +210,26 @@ impl Bench {
     /// Lower triangular root L of the prior covariance L Lᵀ.
     pub fn prior_root(&self) -> &DMatrix<f64> {
         &self.root
+    }
+
+    /// The parameters moved by a scale common to all intensities: 1 for each, 0 for others.
+    pub fn common_scale(&self) -> DVector<f64> {
+        let is_intensity = |p: &Parameter| matches!(p, Parameter::Intensity(_));
+        let moved = self.parameters.iter().map(is_intensity);
+        DVector::from_iterator(self.parameters.len(), moved.map(|m| f64::from(u8::from(m))))
+    }
+
+    /// Whether images with this information on the parameters leave that scale open. One that
+    /// is described well, within `WIDE_SCALE`, is held by the description
+    /// whatever the weights' prior claims.
+    pub fn leaves_scale_open(&self, information: &DMatrix<f64>) -> bool {
+        let common = self.common_scale();
+        let whitened = self.root.solve_lower_triangular(&common);
+        let precision = whitened.map_or(0.0, |q| q.norm_squared());
+        let by_images = common.dot(&(information * &common));
+        precision > 0.0
+            && precision < WIDE_SCALE.powi(-2)
+            && by_images < MIN_INFORMATION * precision
     }
 
     /// Half the diagonal of the box around the sample.

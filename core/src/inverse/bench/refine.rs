@@ -238,6 +238,7 @@ pub fn refine_bench(
             bench,
             derivatives: last.derivatives,
             spectrum: known,
+            scale_is_open: last.scale_is_open,
         });
     }
     Ok(RefinedBench {
@@ -281,6 +282,8 @@ struct Round {
     score: DVector<f64>,
     /// How the score answers to the bench.
     response: DMatrix<f64>,
+    /// Whether the images say nothing of the intensities' common scale.
+    scale_is_open: bool,
     derivatives: DerivativeImages,
     image: Compared,
     /// Mean squared residual over its deviation, the stated error of the model included.
@@ -431,6 +434,7 @@ impl Rounds<'_> {
             },
             score: reduced.score,
             response: reduced.response,
+            scale_is_open: reduced.scale_is_open,
             derivatives,
             chi2,
             image,

@@ -8,12 +8,8 @@
 
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
-use super::parameters::{Bench, Parameter};
+use super::parameters::{Bench, MIN_INFORMATION, Parameter};
 use crate::inverse::normal_equations::scatter;
-
-/// λ below which a direction is fixed: the posterior's deviation would be above 87% of
-/// the prior's.
-pub const MIN_INFORMATION: f64 = 1.0 / 3.0;
 
 /// Longest step along one direction, in prior deviations: the images are not linear
 /// in the bench beyond.

@@ -39,6 +39,8 @@ pub struct Reduced {
     pub response: DMatrix<f64>,
     /// P.
     pub score: DVector<f64>,
+    /// Whether the images say nothing of the intensities' common scale.
+    pub scale_is_open: bool,
     /// The score's parts by block of cells.
     pub block_scores: Vec<DVector<f64>>,
 }
@@ -119,13 +121,27 @@ impl Columns<'_> {
                 scores.join(&part_scores);
             },
         );
-        let mut inverse = DMatrix::zeros(groups * n, groups * n);
-        for (group, (mixture, information)) in mixture.iter().zip(information).enumerate() {
-            let at = (group * n, group * n);
-            let on_face = inverse_on_face(information, mixture);
-            inverse.view_mut(at, (n, n)).copy_from(&on_face);
-        }
-        let marginal = Marginal::new(&own, &coupling, &inverse);
+        let marginal = |scale_is_free: bool| {
+            let mut inverse = DMatrix::zeros(groups * n, groups * n);
+            for (group, (mixture, information)) in mixture.iter().zip(information).enumerate() {
+                let at = (group * n, group * n);
+                let mut of_group = inverse_on_face(information, mixture);
+                if scale_is_free {
+                    of_group = with_free_scale(of_group, information, mixture);
+                }
+                inverse.view_mut(at, (n, n)).copy_from(&of_group);
+            }
+            Marginal::new(&own, &coupling, &inverse)
+        };
+        // What the images say of the common scale if the material may be as bright as it likes:
+        // by interreflection alone. If that is nothing, neither the weights' prior nor white as
+        // the brightest material may decide.
+        let free = marginal(true);
+        let scale_is_open = self.bench.leaves_scale_open(&free.information);
+        let marginal = match scale_is_open {
+            true => free,
+            false => marginal(false),
+        };
         // F_wp, by symmetry of the halves.
         let by_parameters = self.couplings(objective, residual_weights, mixture);
         let response = by_parameters
@@ -135,6 +151,7 @@ impl Columns<'_> {
                 sum - 0.5 * marginal.gain.columns(group * n, n) * (a + b)
             });
         Reduced {
+            scale_is_open,
             response,
             score: marginal.score(&scores.total),
             block_scores: scores.each(|s| marginal.score(s)),
@@ -198,6 +215,23 @@ fn inverse_on_face(information: &DMatrix<f64>, mixture: &DVector<f64>) -> DMatri
     all
 }
 
+/// The inverse on the face with the material's brightness, a factor of all weights, marginalised
+/// as well and without a prior: a further column x to the face's.
+fn with_free_scale(
+    on_face: DMatrix<f64>,
+    information: &DMatrix<f64>,
+    mixture: &DVector<f64>,
+) -> DMatrix<f64> {
+    let by_scale = information * mixture;
+    let own = mixture - &on_face * &by_scale;
+    let left = by_scale.dot(&own);
+    // Else the face contains it.
+    if left <= IN_USE * by_scale.dot(mixture).abs() {
+        return on_face;
+    }
+    &on_face + &own * own.transpose() / left
+}
+
 /// How images change with a refined bench, for a fit that shall know how much the
 /// bench's remaining uncertainty adds to its own.
 pub struct BenchLinearisation {
@@ -207,6 +241,8 @@ pub struct BenchLinearisation {
     pub derivatives: DerivativeImages,
     /// What is known about the bench.
     pub spectrum: Spectrum,
+    /// Whether the images say nothing of the intensities' common scale.
+    pub scale_is_open: bool,
 }
 
 impl BenchLinearisation {
@@ -223,9 +259,20 @@ impl BenchLinearisation {
         };
         let to_weights = columns.couplings(objective, residual_weights, mixture);
         let root = self.spectrum.posterior_root();
+        let mut covariance = &root * root.transpose();
+        let mut scale_deviation = 0.0;
+        // An open scale is a factor of f, for which the weights' linear answer is no
+        // approximation: what varies with it is taken out.
+        let common = self.bench.common_scale();
+        if let (true, Some(factor)) = (self.scale_is_open, covariance.clone().cholesky()) {
+            let variance = 1.0 / common.dot(&factor.solve(&common));
+            scale_deviation = variance.sqrt();
+            covariance.ger(-variance, &common, &common, 1.0);
+        }
         BenchCoupling {
             to_weights,
-            covariance: &root * root.transpose(),
+            scale_deviation,
+            covariance,
             parameters: self.bench.parameters().to_vec(),
         }
     }
@@ -237,8 +284,10 @@ impl BenchLinearisation {
 pub struct BenchCoupling {
     /// F_wp per channel group, N × P, from independent halves.
     to_weights: Vec<[DMatrix<f64>; 2]>,
-    /// The bench's posterior covariance, P × P.
+    /// The bench's posterior covariance, P × P, at a fixed scale where that is open.
     covariance: DMatrix<f64>,
+    /// Deviation of the natural logarithm of the common scale where that is open, else 0.
+    pub scale_deviation: f64,
     parameters: Vec<Parameter>,
 }
 
@@ -290,6 +339,7 @@ mod tests {
         let count = parameters.len();
         let coupling = |to_weights: [DMatrix<f64>; 2]| BenchCoupling {
             to_weights: vec![to_weights],
+            scale_deviation: 0.0,
             covariance: DMatrix::identity(count, count),
             parameters: parameters.clone(),
         };

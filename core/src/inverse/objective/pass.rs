@@ -2,6 +2,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
+use super::stray_light::ShadowSums;
 use super::{ModelImage, Modelled, Objective, ResidualWeights};
 use crate::inverse::normal_equations::NormalEquations;
 use crate::simplex::Quadratic;
@@ -21,8 +22,11 @@ pub struct Linearised {
     /// Modelled radiance, `[light][cell][channel]`.
     pub model: Vec<ModelImage>,
     /// Per set: Σ w (r_A r_B − σ²_captured), which the noise of neither capture nor render
-    /// makes: what the model leaves unexplained, as a part of χ².
+    /// makes: what the model leaves unexplained, as a part of χ², without `stray_light`.
     pub unexplained: Vec<f64>,
+    /// Variance of the light that is neither the lamp's nor the sample's, over the lamp's
+    /// strength, `[light][channel]`; 0 where the shadows show none.
+    pub stray_light: Vec<[f64; 3]>,
     /// Σ w I² per channel group, by which a relative error of the model counts as a part of χ².
     pub power: Vec<f64>,
     /// Per set and block of cells of one light: Jᵀ W r.
@@ -134,6 +138,7 @@ impl Objective<'_> {
                 let product = residual[0] * residual[1];
                 sums.loss += 0.5 * w * product;
                 sums.unexplained += w * (product - value.variance);
+                part.shadows[value.light][value.channel].add(value, self.is_shadow(value));
                 sums.power += w * value.model[0] * value.model[1];
                 let difference = residual[0] - residual[1];
                 let [a, b] = value.by_weights;
@@ -185,6 +190,7 @@ impl Objective<'_> {
     fn gather(&self, parts: Vec<Part>) -> Linearised {
         let (n, groups) = (self.atoms(), self.groups());
         let mut total = Part::new(n, groups, self.lights());
+        let mut stray_light = vec![[0.0; 3]; self.lights()];
         let mut model = vec![Vec::with_capacity(self.cells.len()); self.lights()];
         for part in parts {
             for (total, part) in total.groups.iter_mut().zip(&part.groups) {
@@ -197,6 +203,10 @@ impl Objective<'_> {
             }
             let reductions = part.reduction.iter().flatten();
             for (total, part) in total.reduction.iter_mut().flatten().zip(reductions) {
+                total.join(part);
+            }
+            let shadows = part.shadows.iter().flatten();
+            for (total, part) in total.shadows.iter_mut().flatten().zip(shadows) {
                 total.join(part);
             }
             for cell in part.model {
@@ -213,12 +223,21 @@ impl Objective<'_> {
                 }
             }
         }
+        for (light, shadows) in total.shadows.iter().enumerate() {
+            for (channel, shadows) in shadows.iter().enumerate() {
+                let variance = shadows.variance();
+                stray_light[light][channel] = variance;
+                let group = &mut total.groups[self.channels.group(channel)];
+                group.unexplained -= variance * shadows.weight;
+            }
+        }
         let mut pass = Linearised {
             quadratics: Vec::with_capacity(groups),
             information: Vec::with_capacity(groups),
             noise: Vec::with_capacity(groups),
             model,
             unexplained: Vec::with_capacity(groups),
+            stray_light,
             power: Vec::with_capacity(groups),
             block_scores: Vec::with_capacity(groups),
         };
@@ -246,6 +265,8 @@ struct Part {
     model: Vec<ModelImage>,
     /// Per light and channel.
     reduction: Vec<[VarianceReduction; 3]>,
+    /// Per light and channel.
+    shadows: Vec<[ShadowSums; 3]>,
 }
 
 /// Sums over the values of a channel group.
@@ -270,6 +291,7 @@ impl Part {
             groups: (0..groups).map(none).collect(),
             model: Vec::new(),
             reduction: vec![[VarianceReduction::default(); 3]; lights],
+            shadows: vec![[ShadowSums::default(); 3]; lights],
         }
     }
 }
