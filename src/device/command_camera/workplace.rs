@@ -21,7 +21,7 @@ const END: Duration = Duration::from_secs(1);
 
 /// The folder, which is removed with this.
 #[derive(Debug)]
-pub(crate) struct Workplace {
+pub struct Workplace {
     folder: TempDir,
     keeper: Option<Mutex<Child>>,
 }
