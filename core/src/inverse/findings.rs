@@ -150,6 +150,8 @@ const SIGNIFICANT_DEVIATIONS: f64 = 5.0;
 const TOLERATED_SHARE: f64 = 0.4;
 /// Stray light over the image's 99th percentile that is worth a word.
 const NOTABLE_STRAY_LIGHT: f64 = 2e-3;
+/// What is brighter in the shadows is the image of another light or sample.
+const MAX_STRAY_LIGHT: f64 = 0.2;
 /// Relative scatter that a model's image must have before one without any is remarkable.
 const NOTABLE_SHADING: f64 = 0.05;
 /// Standard deviation of the cells' scatter over the stated one, either way, that is
@@ -296,7 +298,9 @@ fn stray_light(values: &[Compared], image: usize, variance: [f64; 3]) -> Option<
         (bright > 0.0).then(|| variance[channel].sqrt() / bright)
     };
     let share = (0..3).filter_map(share_of).fold(0.0, f64::max);
-    (share > NOTABLE_STRAY_LIGHT).then_some(Finding::StrayLight { image, share })
+    (NOTABLE_STRAY_LIGHT..MAX_STRAY_LIGHT)
+        .contains(&share)
+        .then_some(Finding::StrayLight { image, share })
 }
 
 fn dark_channels(values: &[Compared], image: usize) -> Vec<Finding> {
