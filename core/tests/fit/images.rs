@@ -317,12 +317,9 @@ fn stray_light_does_not_decide() {
             let mut images = render(&scene(sphere(96), &lamp), &truth, &photographed);
             let level = share * albedo as f32 / std::f32::consts::PI;
             let noise = 2e-4 * albedo as f32;
-            for (k, (mean, variance)) in images[0]
-                .mean
-                .iter_mut()
-                .zip(&mut images[0].variance)
-                .enumerate()
-            {
+            let image = &mut images[0];
+            let pixels = image.mean.iter_mut().zip(&mut image.variance);
+            for (k, (mean, variance)) in pixels.enumerate() {
                 // Rising to the right in one of the cases.
                 let rise = if share == 0.01 {
                     (k % 24) as f32 / 23.0

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use super::*;
 use crate::catalogue::tests::fitted_session;
+use crate::console::catalogue::exports::EXPORTS_ROOT;
 use crate::fault::Advisor;
 use crate::session::SessionWriter;
 use crate::session::commit::SystemDisk;
@@ -92,7 +93,7 @@ fn nothing_outside_the_folder_and_nothing_by_a_link_is_read() {
     let name = fitted_session(&folder);
     let other = fitted_session(&outside.path().join("others"));
     std::fs::write(outside.path().join("report.html"), "secret").unwrap();
-    let exports = folder.join(files::EXPORTS_ROOT).join(&name);
+    let exports = folder.join(EXPORTS_ROOT).join(&name);
     std::fs::create_dir_all(&exports).unwrap();
     std::fs::write(exports.join("brdf.json"), "{}").unwrap();
     let secret = outside.path().join("report.html");
