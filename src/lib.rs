@@ -40,44 +40,18 @@ pub use rig_core::{
     scores, shown, simplex, statistics, transport, units, whole_file,
 };
 
-pub mod beneath;
-pub mod checksum;
-pub mod cluster;
-pub mod fault;
-pub mod interrupt;
+pub use rig_bench::{beneath, calibration, capture, catalogue, checksum, config, fault, queue, rendering, session, shell_words, simulation, workflow};
 #[cfg(feature = "figures")]
-pub mod plot;
-pub mod result_table;
-pub mod shell_words;
-
-pub mod radiometry;
-
-pub mod device;
-pub mod simulation;
-
-pub mod benchmark;
-pub mod calibration;
-pub mod config;
-pub mod session;
-
-pub mod capture;
-pub mod catalogue;
-#[cfg(feature = "experiments")]
-pub mod evaluate;
-pub mod material;
-pub mod rendering;
-
-pub mod queue;
-pub mod workflow;
-
-pub mod export;
-#[cfg(feature = "reports")]
-pub mod report;
-
-#[cfg(feature = "reports")]
-pub mod batch;
+pub use rig_bench::plot;
 #[cfg(feature = "console")]
-pub mod console;
+pub use rig_console::console;
+pub use rig_desk::{cluster, export, material, result_table};
+#[cfg(feature = "reports")]
+pub use rig_desk::{batch, report};
+pub use rig_device::{device, interrupt, radiometry};
+pub use rig_lab::benchmark;
+#[cfg(feature = "experiments")]
+pub use rig_lab::evaluate;
 
 pub mod cli;
 

@@ -9,23 +9,23 @@ use super::{ConfigError, RigConfig};
 pub const BUILT_IN: &[(&str, &str)] = &[
     (
         "simulated",
-        include_str!("../../rig-configs/simulated.toml"),
+        include_str!("../../../../rig-configs/simulated.toml"),
     ),
     (
         "grbl-arm-v4l2",
-        include_str!("../../rig-configs/grbl-arm-v4l2.toml"),
+        include_str!("../../../../rig-configs/grbl-arm-v4l2.toml"),
     ),
     (
         "dmx-dome-v4l2",
-        include_str!("../../rig-configs/dmx-dome-v4l2.toml"),
+        include_str!("../../../../rig-configs/dmx-dome-v4l2.toml"),
     ),
     (
         "zaber-gantry-v4l2",
-        include_str!("../../rig-configs/zaber-gantry-v4l2.toml"),
+        include_str!("../../../../rig-configs/zaber-gantry-v4l2.toml"),
     ),
     (
         "simulated-5mp-bayer",
-        include_str!("../../rig-configs/simulated-5mp-bayer.toml"),
+        include_str!("../../../../rig-configs/simulated-5mp-bayer.toml"),
     ),
 ];
 
@@ -34,15 +34,15 @@ pub const BUILT_IN: &[(&str, &str)] = &[
 const REHEARSALS: &[(&str, &str)] = &[
     (
         "rehearsal-flat",
-        include_str!("../../rig-configs/rehearsal-flat.toml"),
+        include_str!("../../../../rig-configs/rehearsal-flat.toml"),
     ),
     (
         "rehearsal-ball",
-        include_str!("../../rig-configs/rehearsal-ball.toml"),
+        include_str!("../../../../rig-configs/rehearsal-ball.toml"),
     ),
     (
         "rehearsal-tile",
-        include_str!("../../rig-configs/rehearsal-tile.toml"),
+        include_str!("../../../../rig-configs/rehearsal-tile.toml"),
     ),
 ];
 

@@ -88,7 +88,7 @@ mod tests {
     /// The figures are those of the document in which they were measured.
     #[test]
     fn coverage_is_what_was_measured() {
-        let document = include_str!("../../../docs/measurements/intervals.md");
+        let document = include_str!("../../../../../docs/measurements/intervals.md");
         let table = document.split("With `paper42` alone").next().unwrap();
         for (found, row) in [
             (KNOWN, "| measured | known |"),

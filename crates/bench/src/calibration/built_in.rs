@@ -5,7 +5,7 @@ macro_rules! shipped {
     ($path:literal) => {
         (
             $path,
-            include_bytes!(concat!("../../calibration/simulated/", $path)),
+            include_bytes!(concat!("../../../../calibration/simulated/", $path)),
         )
     };
 }

@@ -11,7 +11,7 @@ const SEEN: std::ops::RangeInclusive<usize> = 45..=230;
 const WIDTH: usize = 48;
 
 fn folder() -> std::path::PathBuf {
-    std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/response")
+    std::path::Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../..")).join("tests/data/response")
 }
 
 /// One column per channel.

@@ -74,7 +74,7 @@ const PNG_SCALE: f32 = 2.5;
 
 static FONTS: LazyLock<Arc<usvg::fontdb::Database>> = LazyLock::new(|| {
     let mut fonts = usvg::fontdb::Database::new();
-    fonts.load_font_data(include_bytes!("../../data/fonts/DejaVuSans.ttf").to_vec());
+    fonts.load_font_data(include_bytes!("../../../../data/fonts/DejaVuSans.ttf").to_vec());
     fonts.set_sans_serif_family(FONT);
     Arc::new(fonts)
 });

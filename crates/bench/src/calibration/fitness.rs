@@ -168,7 +168,7 @@ mod tests {
 
     #[test]
     fn age_end_and_other_devices_speak_against_a_record() {
-        let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
+        let root = std::path::Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."));
         let rig = crate::config::RigConfig::load(&root.join("rig-configs/simulated.toml")).unwrap();
         let library = Library::Folder(root.join("calibration/simulated"));
         let mut loaded: Loaded<SensorValues> = library.load(None).unwrap().unwrap();

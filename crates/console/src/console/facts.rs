@@ -68,7 +68,7 @@ mod tests {
 
     #[test]
     fn a_page_learns_what_the_rig_can_do() {
-        let text = include_str!("../../rig-configs/simulated.toml");
+        let text = include_str!("../../../../rig-configs/simulated.toml");
         let rig = RigConfig::parse("simulated.toml", Path::new(""), text).unwrap();
         let facts = facts(&rig, "simulated.toml", Path::new("sessions"), Mode::Bench);
         let shown = &facts["rig"];
