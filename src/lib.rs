@@ -40,14 +40,17 @@ pub use rig_core::{
     scores, shown, simplex, statistics, transport, units, whole_file,
 };
 
-pub use rig_bench::{beneath, calibration, capture, catalogue, checksum, config, fault, queue, rendering, session, shell_words, simulation, workflow};
 #[cfg(feature = "figures")]
 pub use rig_bench::plot;
+pub use rig_bench::{
+    beneath, calibration, capture, catalogue, checksum, config, fault, queue, rendering, session,
+    shell_words, simulation, workflow,
+};
 #[cfg(feature = "console")]
 pub use rig_console::console;
-pub use rig_desk::{cluster, export, material, result_table};
 #[cfg(feature = "reports")]
 pub use rig_desk::{batch, report};
+pub use rig_desk::{cluster, export, material, result_table};
 pub use rig_device::{device, interrupt, radiometry};
 pub use rig_lab::benchmark;
 #[cfg(feature = "experiments")]

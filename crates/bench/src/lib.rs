@@ -3,22 +3,26 @@
 //!
 //! Part of `rig`, whose library re-exports these modules.
 
-use rig_core::{bench_priors, brdf, cells, file_system, frames, geometry, inverse, least_squares, outside_file, plausibility, progress, radiance_image, random, scores, shown, statistics, transport, units, whole_file};
+use rig_core::{
+    bench_priors, brdf, cells, file_system, frames, geometry, inverse, least_squares, outside_file,
+    plausibility, progress, radiance_image, random, scores, shown, statistics, transport, units,
+    whole_file,
+};
 
 use rig_device::{device, interrupt, radiometry};
 
 pub mod beneath;
-pub mod checksum;
-pub mod fault;
-#[cfg(feature = "figures")]
-pub mod plot;
-pub mod shell_words;
-pub mod simulation;
-pub mod config;
-pub mod session;
 pub mod calibration;
 pub mod capture;
 pub mod catalogue;
-pub mod rendering;
-pub mod workflow;
+pub mod checksum;
+pub mod config;
+pub mod fault;
+#[cfg(feature = "figures")]
+pub mod plot;
 pub mod queue;
+pub mod rendering;
+pub mod session;
+pub mod shell_words;
+pub mod simulation;
+pub mod workflow;

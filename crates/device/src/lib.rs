@@ -3,9 +3,10 @@
 //!
 //! Part of `rig`, whose library re-exports these modules.
 
-use rig_core::{outside_file, outside_table, outside_text, progress, radiance_image, random, shown, statistics, units};
+use rig_core::{
+    outside_file, outside_table, outside_text, progress, radiance_image, shown, statistics, units,
+};
 
-
+pub mod device;
 pub mod interrupt;
 pub mod radiometry;
-pub mod device;

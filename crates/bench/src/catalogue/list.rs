@@ -132,7 +132,7 @@ mod tests {
     use std::os::unix::fs::symlink;
 
     use super::*;
-    use crate::catalogue::tests::{fitted_session, session};
+    use crate::session::example::{fitted_session, session};
 
     fn names(rows: &[Arc<Row>]) -> Vec<&str> {
         rows.iter().map(|row| row.name.as_str()).collect()

@@ -24,6 +24,3 @@ pub mod row;
 
 pub use list::{Catalogue, Stamp, stamp};
 pub use row::{FitRow, Row};
-
-#[cfg(test)]
-pub(crate) mod tests;

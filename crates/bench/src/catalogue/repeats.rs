@@ -129,9 +129,9 @@ impl Catalogue {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::catalogue::tests::{add_fit, session};
     use crate::fault::Advisor;
-    use crate::session::fit_record::tests::sample as record;
+    use crate::session::example::fit as record;
+    use crate::session::example::{add_fit, session};
     use crate::session::fit_record::{BudgetRow, FitRecord, Grade, Warning};
 
     /// A fit whose error budget has this value at one pair of angles.

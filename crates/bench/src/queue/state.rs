@@ -369,7 +369,7 @@ fn sessions_in(folder: &Path) -> Result<Vec<String>, QueueError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::catalogue::tests::{add_fit, session};
+    use crate::session::example::{add_fit, session};
 
     const LIST: &str = "
 [[sample]]
@@ -575,7 +575,7 @@ name = \"jar\"
         let before = vec![done(None, failed), done(None, None), RunState::Captured];
         assert_eq!(states(&bench.open().unwrap()), before);
 
-        let fit = fit_record::tests::sample();
+        let fit = crate::session::example::fit();
         for session in &made {
             add_fit(&bench.sessions(), session, &fit);
         }

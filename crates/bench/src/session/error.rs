@@ -152,7 +152,7 @@ pub enum SessionError {
 
 impl SessionError {
     /// Sorts a system error into what it means.
-    pub(crate) fn io(operation: &'static str, path: &Path, source: io::Error) -> Self {
+    pub fn io(operation: &'static str, path: &Path, source: io::Error) -> Self {
         let path = path.to_owned();
         match source.kind() {
             io::ErrorKind::StorageFull => Self::DiskFull { path, operation },
@@ -176,7 +176,8 @@ impl SessionError {
         }
     }
 
-    pub(crate) fn malformed(path: &Path, why: impl ToString) -> Self {
+    /// What is written there is no such thing, and why.
+    pub fn malformed(path: &Path, why: impl ToString) -> Self {
         Self::Malformed {
             path: path.to_owned(),
             why: why.to_string(),

@@ -1,11 +1,19 @@
-//! The record of a small session, for tests of what reads and writes sessions.
+//! Small sessions and their records, for tests of what reads and writes them.
 
-use super::{ExposureRules, PlanRecord, SessionRecord, Versions};
+use std::path::Path;
+use std::sync::Arc;
+
+use super::commit::SystemDisk;
+pub use super::fit_record::example::fit;
+use super::fit_record::{self, FitImages, FitRecord};
+use super::layout::session_name;
+use super::{ExposureRules, NewSession, PlanRecord, SessionRecord, SessionWriter, Versions};
 use crate::device::{CameraInfo, LampChannel, Mosaic, StageInfo};
+use crate::radiance_image::RadianceImage;
 use crate::units::{Seconds, StageAngles};
 
 /// Two lights at one direction, a camera of 4 × 3 pixels.
-pub(crate) fn record() -> SessionRecord {
+pub fn record() -> SessionRecord {
     SessionRecord {
         sample: "bowl".to_owned(),
         created_utc: "2026-11-21T02:34:00Z".to_owned(),
@@ -41,7 +49,7 @@ pub(crate) fn record() -> SessionRecord {
 }
 
 /// The plan of [`record`].
-pub(crate) fn plan() -> PlanRecord {
+pub fn plan() -> PlanRecord {
     PlanRecord {
         channels: vec![LampChannel(0)],
         gain: 1.0,
@@ -74,4 +82,56 @@ pub(crate) fn plan() -> PlanRecord {
             2
         ],
     }
+}
+
+fn of(sample: &str, began: &str) -> SessionRecord {
+    SessionRecord {
+        sample: sample.to_owned(),
+        created_utc: began.to_owned(),
+        true_material: Some("ggx:0.1,1.5".to_owned()),
+        ..record()
+    }
+}
+
+/// Makes an interrupted session in the folder and returns its name.
+pub fn session(folder: &Path, sample: &str, began: &str) -> String {
+    let new = NewSession {
+        parent: folder,
+        created: began.parse().unwrap(),
+        short_id: "0f3a",
+        record: &of(sample, began),
+        calibration: &[],
+    };
+    let writer = SessionWriter::create(Arc::new(SystemDisk), &new).unwrap();
+    drop(writer);
+    session_name(began.parse().unwrap(), sample, "0f3a").unwrap()
+}
+
+/// Adds a fit without images to a session.
+pub fn add_fit(folder: &Path, session: &str, record: &FitRecord) {
+    let root = folder.join(session);
+    let mut writer = SessionWriter::open(Arc::new(SystemDisk), &root).unwrap();
+    fit_record::commit(&mut writer, record, &FitImages::default()).unwrap();
+}
+
+/// With a fit of two lights and a report, its capture ended.
+pub fn fitted_session(folder: &Path) -> String {
+    let name = session(folder, "bowl", "2026-11-21T02:34:00Z");
+    let mut writer = SessionWriter::open(Arc::new(SystemDisk), &folder.join(&name)).unwrap();
+    let image = || {
+        let mut image = RadianceImage::new(6, 4);
+        image.mean.fill([1.0, -2.0, 0.5]);
+        image
+    };
+    let images = FitImages {
+        rendered: vec![image(), image()],
+        residual: vec![image(), image()],
+        cells_csv: String::new(),
+    };
+    fit_record::commit(&mut writer, &fit(), &images).unwrap();
+    writer
+        .commit_file("report.html", b"<!doctype html>report")
+        .unwrap();
+    writer.finish().unwrap();
+    name
 }

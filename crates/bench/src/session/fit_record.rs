@@ -18,6 +18,8 @@
 mod bench;
 mod budget;
 pub mod coverage;
+#[doc(hidden)]
+pub mod example;
 mod find;
 mod folder;
 pub mod lookup;
@@ -520,4 +522,4 @@ fn check(folder: &Path, record: &FitRecord) -> Result<(), FitRecordError> {
 }
 
 #[cfg(test)]
-pub(crate) mod tests;
+mod tests;

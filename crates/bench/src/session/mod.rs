@@ -26,8 +26,8 @@ pub(crate) mod captured_rig;
 pub mod commit;
 pub mod drift;
 mod error;
-#[cfg(test)]
-pub(crate) mod example;
+#[doc(hidden)]
+pub mod example;
 pub mod faults;
 pub mod fit_record;
 pub mod frame;
@@ -44,5 +44,5 @@ pub use error::SessionError;
 pub use frame::{FrameTimes, Sidecar};
 pub use journal::{Event, FileDigest, Journal, Record};
 pub use record::{CalibrationCopy, ExposureRules, PlanRecord, SessionRecord, Versions};
-pub(crate) use store::utc_now;
+pub use store::utc_now;
 pub use store::{FrameEntry, NewSession, Session, SessionState, SessionWriter, lock_for_job};

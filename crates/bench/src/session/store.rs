@@ -549,7 +549,7 @@ impl SessionWriter {
 }
 
 /// Now, RFC 3339 to the millisecond.
-pub(crate) fn utc_now() -> String {
+pub fn utc_now() -> String {
     jiff::Timestamp::now()
         .strftime("%Y-%m-%dT%H:%M:%S%.3fZ")
         .to_string()

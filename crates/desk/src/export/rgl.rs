@@ -234,7 +234,7 @@ mod tests {
     use crate::brdf::ggx::sample_visible;
     use crate::brdf::rgl::RglBrdf;
     use crate::brdf::{Dictionary, Mixture};
-    use crate::random::{Purpose, stream};
+    use rig_core::random::{Purpose, stream};
 
     fn mixture(parts: &[(usize, f64)]) -> Mixture {
         let dictionary = Arc::new(Dictionary::paper42());

@@ -3,11 +3,11 @@ use glam::Vec3;
 use super::*;
 use crate::brdf::discrepancy::Discrepancy;
 use crate::brdf::{Brdf, Dictionary, Mixture};
-use crate::random::{Purpose, stream};
 use crate::session::fit_record::{
     AngleTable, BudgetRecord, BudgetRow, ChannelScore, DiscrepancyRecord, FitSettings, Grade,
     Interval, MetricScores, ScoreSheet, Timing, TracePoint, Warning,
 };
+use rig_core::random::{Purpose, stream};
 
 const WIDTH: usize = 48;
 

@@ -347,7 +347,7 @@ fn shared_rounding_variance_dn2(variance_dn2: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::random::{Purpose, stream};
+    use rig_core::random::{Purpose, stream};
 
     /// Mean of n rounded normal numbers over random positions between counts,
     /// against the formula; 5 standard deviations of a sample variance.

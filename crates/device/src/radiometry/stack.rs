@@ -287,7 +287,7 @@ impl Bands<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::random::{Purpose, stream};
+    use rig_core::random::{Purpose, stream};
 
     /// A ramp with an edge, a mosaic, repeats and dark frames.
     fn frames(width: usize, height: usize) -> Vec<(FrameRole, f64, Vec<u16>)> {

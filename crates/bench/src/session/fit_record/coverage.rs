@@ -83,7 +83,7 @@ pub fn statement(record: &FitRecord) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::session::fit_record::tests::sample;
+    use crate::session::example::fit as sample;
 
     /// The figures are those of the document in which they were measured.
     #[test]

@@ -79,7 +79,7 @@ impl FitRecord {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::session::fit_record::tests::sample;
+    use crate::session::example::fit as sample;
 
     #[test]
     fn the_gravest_reason_decides() {

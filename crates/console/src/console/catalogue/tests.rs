@@ -4,10 +4,10 @@ use std::os::unix::fs::symlink;
 use std::sync::Arc;
 
 use super::*;
-use crate::catalogue::tests::fitted_session;
 use crate::fault::Advisor;
 use crate::session::SessionWriter;
 use crate::session::commit::SystemDisk;
+use crate::session::example::fitted_session;
 use crate::session::fit_record::{self, FitImages, Verdict};
 
 #[test]
@@ -20,7 +20,7 @@ fn a_session_is_shown_with_its_fits_and_pictures() {
     let [fit] = row.fits.as_slice() else {
         panic!("{row:?}");
     };
-    let sample = fit_record::tests::sample();
+    let sample = crate::session::example::fit();
     assert_eq!(fit.verdict, Some(sample.verdict()));
     assert_eq!(
         (fit.name.as_str(), fit.chi2),
@@ -59,7 +59,7 @@ fn a_damaged_fit_is_shown_with_its_error_next_to_the_others() {
     let name = fitted_session(folder.path());
     let root = folder.path().join(&name);
     let mut writer = SessionWriter::open(Arc::new(SystemDisk), &root).unwrap();
-    let record = fit_record::tests::sample();
+    let record = crate::session::example::fit();
     fit_record::commit(&mut writer, &record, &FitImages::default()).unwrap();
     drop(writer);
     std::fs::write(root.join("fits/0/fit.toml"), "format = 1\n").unwrap();

@@ -3,7 +3,7 @@
 
 use super::*;
 use crate::radiometry::frame_file::decode;
-use crate::random::{Purpose, stream};
+use rig_core::random::{Purpose, stream};
 
 const EXPOSURES: [u32; 5] = [16, 8, 4, 2, 1];
 /// Counts that occur in all three channels.
