@@ -131,7 +131,7 @@ fn class(count: u16, largest_dn: u16) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::random::{Purpose, stream};
+    use rig_core::random::{Purpose, stream};
 
     const SIZE: usize = 128;
 
