@@ -17,22 +17,16 @@
 //! | drive a camera or stage | [`device`] |
 //! | simulate the bench | [`simulation`], [`device::simulated`] |
 //!
-//! The core (BRDFs, geometry, transport, the fit) is the crate [`rig_core`]; its modules
-//! are re-exported here, so that one path serves both. The modules of this crate stand on
-//! it; they are floors, and a floor imports only from floors below it (`tests/source/floors.rs`
-//! checks that from the source):
+//! The modules come from crates by reader, re-exported here, so that one path serves all:
 //!
-//! | floor | modules |
+//! | crate | modules |
 //! |---|---|
-//! | 0 | [`interrupt`], [`checksum`], [`beneath`], [`fault`], [`plot`], [`result_table`], [`cluster`], [`shell_words`] |
-//! | 2 | [`radiometry`] |
-//! | 3 | [`device`], [`simulation`] |
-//! | 4 | [`benchmark`], [`config`], [`session`], [`calibration`] |
-//! | 5 | [`capture`], [`catalogue`], [`evaluate`], [`material`], [`rendering`] |
-//! | 6 | [`queue`], [`workflow`] |
-//! | 7 | [`report`], [`export`] |
-//! | 8 | [`batch`], `console` |
-//! | 9 | [`cli`] |
+//! | [`rig_core`] | [`brdf`], [`geometry`], [`transport`], [`inverse`] and what they stand on |
+//! | [`rig_device`] | [`device`], [`radiometry`], [`interrupt`] |
+//! | [`rig_bench`] | [`config`], [`session`], [`calibration`], [`simulation`], [`capture`], [`catalogue`], [`workflow`], [`queue`] |
+//! | [`rig_desk`] | [`material`], [`export`], [`report`], [`batch`] |
+//! | [`rig_lab`] | [`evaluate`], [`benchmark`] |
+//! | `rig_console` | `console` |
 
 pub use rig_core::{
     bench_priors, brdf, cells, file_system, frames, geometry, inverse, least_squares, outside_file,

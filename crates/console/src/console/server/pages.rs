@@ -4,7 +4,7 @@ use axum::Router;
 use axum::http::header::CONTENT_TYPE;
 use axum::routing::get;
 
-/// The files of `src/console/page`, with their content.
+/// The files of `crates/console/src/console/page`, with their content.
 macro_rules! files {
     ($($name:literal),* $(,)?) => {
         &[$(($name, include_str!(concat!("../page/", $name)))),*]
