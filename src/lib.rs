@@ -17,22 +17,16 @@
 //! | drive a camera or stage | [`device`] |
 //! | simulate the bench | [`simulation`], [`device::simulated`] |
 //!
-//! The core (BRDFs, geometry, transport, the fit) is the crate [`rig_core`]; its modules
-//! are re-exported here, so that one path serves both. The modules of this crate stand on
-//! it; they are floors, and a floor imports only from floors below it (`tests/source/floors.rs`
-//! checks that from the source):
+//! The modules come from crates by reader, re-exported here, so that one path serves all:
 //!
-//! | floor | modules |
+//! | crate | modules |
 //! |---|---|
-//! | 0 | [`interrupt`], [`checksum`], [`beneath`], [`fault`], [`plot`], [`result_table`], [`cluster`], [`shell_words`] |
-//! | 2 | [`radiometry`] |
-//! | 3 | [`device`], [`simulation`] |
-//! | 4 | [`benchmark`], [`config`], [`session`], [`calibration`] |
-//! | 5 | [`capture`], [`catalogue`], [`evaluate`], [`material`], [`rendering`] |
-//! | 6 | [`queue`], [`workflow`] |
-//! | 7 | [`report`], [`export`] |
-//! | 8 | [`batch`], `console` |
-//! | 9 | [`cli`] |
+//! | [`rig_core`] | [`brdf`], [`geometry`], [`transport`], [`inverse`] and what they stand on |
+//! | [`rig_device`] | [`device`], [`radiometry`], [`interrupt`] |
+//! | [`rig_bench`] | [`config`], [`session`], [`calibration`], [`simulation`], [`capture`], [`catalogue`], [`workflow`], [`queue`] |
+//! | [`rig_desk`] | [`material`], [`export`], [`report`], [`batch`] |
+//! | [`rig_lab`] | [`evaluate`], [`benchmark`] |
+//! | `rig_console` | `console` |
 
 pub use rig_core::{
     bench_priors, brdf, cells, file_system, frames, geometry, inverse, least_squares, outside_file,
@@ -40,44 +34,21 @@ pub use rig_core::{
     scores, shown, simplex, statistics, transport, units, whole_file,
 };
 
-pub mod beneath;
-pub mod checksum;
-pub mod cluster;
-pub mod fault;
-pub mod interrupt;
 #[cfg(feature = "figures")]
-pub mod plot;
-pub mod result_table;
-pub mod shell_words;
-
-pub mod radiometry;
-
-pub mod device;
-pub mod simulation;
-
-pub mod benchmark;
-pub mod calibration;
-pub mod config;
-pub mod session;
-
-pub mod capture;
-pub mod catalogue;
-#[cfg(feature = "experiments")]
-pub mod evaluate;
-pub mod material;
-pub mod rendering;
-
-pub mod queue;
-pub mod workflow;
-
-pub mod export;
-#[cfg(feature = "reports")]
-pub mod report;
-
-#[cfg(feature = "reports")]
-pub mod batch;
+pub use rig_bench::plot;
+pub use rig_bench::{
+    beneath, calibration, capture, catalogue, checksum, config, fault, queue, rendering, session,
+    shell_words, simulation, workflow,
+};
 #[cfg(feature = "console")]
-pub mod console;
+pub use rig_console::console;
+#[cfg(feature = "reports")]
+pub use rig_desk::{batch, report};
+pub use rig_desk::{cluster, export, material, result_table};
+pub use rig_device::{device, interrupt, radiometry};
+pub use rig_lab::benchmark;
+#[cfg(feature = "experiments")]
+pub use rig_lab::evaluate;
 
 pub mod cli;
 

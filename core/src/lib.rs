@@ -58,8 +58,8 @@
 //!
 //! # Floors
 //!
-//! The modules are floors; a floor imports only from floors below it
-//! (`tests/source/floors.rs` checks that from the source):
+//! The modules are floors; a floor imports only from floors below it, and no modules import each
+//! other in a circle (`tests/source/floors.rs` checks that from the source):
 //!
 //! | floor | modules |
 //! |---|---|

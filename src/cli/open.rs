@@ -1,9 +1,8 @@
 //! How the devices of a rig are opened from the command line.
 
-use clap::ValueEnum;
-use clap::builder::PossibleValue;
-
 use super::error::{CliError, HintExt};
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+
 use crate::capture::open::{OpenError, OpenOptions, PortDriver, Stopped};
 use crate::config::RigConfig;
 use crate::config::stage::StageDriver;
@@ -59,17 +58,14 @@ pub fn stopped(outcome: Result<Stopped, OpenError>) -> Result<&'static str, CliE
     })
 }
 
-impl ValueEnum for PortDriver {
-    fn value_variants<'a>() -> &'a [Self] {
-        &[Self::Grbl, Self::Zaber]
-    }
-
-    fn to_possible_value(&self) -> Option<PossibleValue> {
-        Some(match self {
-            Self::Grbl => PossibleValue::new("grbl").help("GRBL 1.1 or grblHAL"),
-            Self::Zaber => {
-                PossibleValue::new("zaber").help("Zaber ASCII; axes 1 and 2 of device 1")
-            }
-        })
-    }
+/// Reads the name of a driver that a port is opened with.
+pub fn port_driver() -> impl TypedValueParser<Value = PortDriver> {
+    PossibleValuesParser::new([
+        PossibleValue::new("grbl").help("GRBL 1.1 or grblHAL"),
+        PossibleValue::new("zaber").help("Zaber ASCII; axes 1 and 2 of device 1"),
+    ])
+    .map(|name| match name.as_str() {
+        "zaber" => PortDriver::Zaber,
+        _ => PortDriver::Grbl,
+    })
 }

@@ -98,7 +98,7 @@ struct Which {
     #[arg(long, value_name = "PATH", conflicts_with = "rig")]
     port: Option<String>,
     /// Protocol of the controller on --port
-    #[arg(long, value_enum, default_value_t = PortDriver::Grbl, requires = "port")]
+    #[arg(long, value_parser = open::port_driver(), default_value = "grbl", requires = "port")]
     driver: PortDriver,
     /// Bits per second on --port
     #[arg(long, default_value_t = 115_200, requires = "port")]

@@ -116,7 +116,7 @@ async function serveFromSource(page, address) {
     const name = request.url().startsWith(address) ? request.url().slice(address.length).split(/[?#]/)[0] || "index.html" : "";
     const kind = name.includes("/") ? undefined : kinds[path.extname(name)];
     if (!kind) return request.continue();
-    const body = await readFile(path.join(ROOT, "src/console/page", name));
+    const body = await readFile(path.join(ROOT, "crates/console/src/console/page", name));
     request.respond({ contentType: kind, body });
   });
 }

@@ -176,7 +176,7 @@ const ELSEWHERE: &[(&str, &str)] = &[
         "the fit was changed by hand or damaged",
         "a fit that was edited",
     ),
-    // Calibration records: `src/calibration` and `tests/commands/calibrate.rs`.
+    // Calibration records: `crates/bench/src/calibration` and `tests/commands/calibrate.rs`.
     (
         "the permissions of the calibration folder",
         "a folder that cannot be read",
@@ -258,7 +258,7 @@ const ELSEWHERE: &[(&str, &str)] = &[
     ),
     (
         "fit the sessions anew with one version",
-        "fits of another version: `src/catalogue/reproducibility.rs`",
+        "fits of another version: `crates/bench/src/catalogue/reproducibility.rs`",
     ),
     ("name one with --materials", "`tests/commands/evaluate.rs`"),
 ];

@@ -1,0 +1,176 @@
+use proptest::prelude::*;
+
+use super::*;
+use crate::session::example::fit as sample;
+
+fn written() -> (tempfile::TempDir, PathBuf) {
+    let home = tempfile::tempdir().unwrap();
+    let folder = home.path().join("fits/0");
+    write(&folder, &sample(), &FitImages::default()).unwrap();
+    (home, folder)
+}
+
+#[test]
+fn record_and_images_come_back_as_they_were() {
+    let home = tempfile::tempdir().unwrap();
+    let mut image = RadianceImage::new(3, 2);
+    image.mean[4] = [0.5, -0.25, 2.0];
+    image.variance[4] = [0.01, 0.02, 0.03];
+    let images = FitImages {
+        rendered: vec![image.clone(), image.clone()],
+        residual: vec![image.clone(), image],
+        cells_csv: String::new(),
+    };
+    let folder = next_folder(home.path());
+    assert_eq!(folder, home.path().join("fits/0"));
+    write(&folder, &sample(), &images).unwrap();
+    assert_eq!(read(&folder).unwrap(), sample());
+    assert_eq!(read_images(&folder).unwrap(), images);
+    assert_eq!(next_folder(home.path()), home.path().join("fits/1"));
+    let names: Vec<_> = std::fs::read_dir(home.path().join("fits"))
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name())
+        .collect();
+    assert_eq!(names, ["0"], "no temporary folder is left");
+}
+
+#[test]
+fn a_filled_folder_is_never_overwritten() {
+    let (_home, folder) = written();
+    let error = write(&folder, &sample(), &FitImages::default()).unwrap_err();
+    assert!(matches!(error, FitRecordError::Exists { .. }), "{error}");
+}
+
+#[test]
+fn what_is_not_a_fit_is_not_written() {
+    let home = tempfile::tempdir().unwrap();
+    let folder = home.path().join("fit");
+    let mut record = sample();
+    record.weights[1][2] = f64::NAN;
+    let error = write(&folder, &record, &FitImages::default()).unwrap_err();
+    assert!(error.to_string().contains("weight_g"), "{error}");
+    assert!(!folder.exists());
+}
+
+/// (file, text to replace, replacement, what the error must name)
+const CORRUPTIONS: &[(&str, &str, &str, &str)] = &[
+    ("fit.toml", "loss = 1.25", "loss = \"low\"", "loss"),
+    ("fit.toml", "loss = 1.25", "", "loss"),
+    ("fit.toml", "loss = 1.25", "loss = inf", "loss"),
+    ("fit.toml", "format = 1", "format = 9", "format"),
+    ("fit.toml", "seed = 7", "seed = -7", "seed"),
+    ("fit.toml", "[settings]", "[settings", "settings"),
+    ("weights.csv", "sd_b", "sd_x", "sd_b"),
+    ("weights.csv", "0.05", "rough", "alpha"),
+    ("weights.csv", "0.7", "0.9", "weight_g"),
+    ("weights.csv", "0.7", "-0.7", "weight_g"),
+    ("weights.csv", "black,", "black,,", "row"),
+    ("table.csv", "45.0,30.0", "45.0,31.0", "theta_d_deg"),
+    ("table.csv", "45.0,60.0,", "45.0,60.0,1e999,", "row"),
+    ("table.csv", "true", "perhaps", "constrained"),
+    ("table.csv", "45.0,", "95.0,", "theta_h_deg"),
+    ("trace.csv", "0.125", "soon", "seconds"),
+    (
+        "fit.toml",
+        "discrepancy = 0.35",
+        "discrepancy = -1.0",
+        "discrepancy",
+    ),
+    ("discrepancy.csv", "ln_factor_g", "g", "ln_factor_g"),
+    ("discrepancy.csv", ",0.1,", ",60.0,", "ln_factor_r"),
+    ("discrepancy.csv", "1.0,12.0", "1.0,13.0", "theta_d_deg"),
+    ("discrepancy.csv", "82.0,88.0,0.1,-0.2,0.0\n", "", "rows"),
+];
+
+const FILES: [&str; 5] = [
+    "fit.toml",
+    "weights.csv",
+    "table.csv",
+    "trace.csv",
+    "discrepancy.csv",
+];
+
+/// Fits of version 0.1 have the discrepancy and the outlier fractions under other names.
+#[test]
+fn former_names_are_read() {
+    let (_home, folder) = written();
+    let path = folder.join("fit.toml");
+    let text = std::fs::read_to_string(&path).unwrap();
+    let former = text
+        .replace("discrepancy = ", "departure = ")
+        .replace("outlier_fraction = ", "doubted = ");
+    assert_ne!(text, former);
+    std::fs::write(&path, former).unwrap();
+    std::fs::rename(folder.join("discrepancy.csv"), folder.join("departure.csv")).unwrap();
+    assert_eq!(read(&folder).unwrap(), sample());
+}
+
+#[test]
+fn a_corrupted_file_is_named_with_its_key() {
+    for (file, from, to, key) in CORRUPTIONS {
+        let (_home, folder) = written();
+        let path = folder.join(file);
+        let text = std::fs::read_to_string(&path).unwrap();
+        assert!(text.contains(from), "{file} has no {from:?}");
+        std::fs::write(&path, text.replace(from, to)).unwrap();
+        let error = read(&folder).expect_err(to).to_string();
+        assert!(
+            error.contains(file) && error.contains(key),
+            "{from} -> {to}: {error}"
+        );
+        assert!(!error.contains('\n'), "one line: {error}");
+    }
+    for file in FILES {
+        let (_home, folder) = written();
+        std::fs::remove_file(folder.join(file)).unwrap();
+        let error = read(&folder).expect_err(file).to_string();
+        assert!(error.contains(file), "{file} missing: {error}");
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    #[test]
+    fn any_valid_record_survives_the_disk(
+        raw in prop::collection::vec((1e-12f64..1.0, 0.0f64..1e3, 1e-4f64..1.0), 1..12),
+        loss in -1e300f64..1e300,
+        termination in "\\PC{0,40}",
+        chi2 in prop::collection::vec(prop::array::uniform3(0.0f64..1e9), 0..5),
+        values in prop::collection::vec(prop::array::uniform3(0.0f64..1e30), 6),
+        scored in any::<bool>(),
+        departs in any::<bool>(),
+        seed in 0u64..=i64::MAX as u64,
+    ) {
+        let mut record = sample();
+        let sum: f64 = raw.iter().map(|(weight, ..)| weight).sum();
+        record.atoms = raw.iter().enumerate().map(|(index, (_, _, alpha))| AtomRecord {
+            index, kind: "ggx".to_owned(), alpha: Some(*alpha), eta: Some(1.5), albedo: None,
+        }).collect();
+        for channel in 0..3 {
+            record.weights[channel] = raw.iter().map(|(weight, ..)| weight / sum).collect();
+            record.weight_deviations[channel] = raw.iter().map(|(_, sd, _)| *sd).collect();
+        }
+        record.loss = loss;
+        record.termination = termination;
+        record.reduced_chi_square = chi2;
+        record.settings.seed = seed;
+        for (cell, value) in record.table.cells.iter_mut().zip(values) {
+            cell.value = value;
+            cell.constrained = value[0] > 1.0;
+        }
+        if !scored { record.score = None; }
+        if !departs { record.discrepancy = None; }
+        let home = tempfile::tempdir().unwrap();
+        let folder = home.path().join("fit");
+        write(&folder, &record, &FitImages::default()).unwrap();
+        prop_assert_eq!(read(&folder).unwrap(), record);
+    }
+
+    #[test]
+    fn arbitrary_text_never_panics(text in "\\PC{0,200}", file in prop::sample::select(&FILES[..])) {
+        let (_home, folder) = written();
+        std::fs::write(folder.join(file), text).unwrap();
+        let _ = read(&folder);
+    }
+}

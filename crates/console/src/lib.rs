@@ -1,0 +1,13 @@
+//! The bench in a browser: one server, its jobs, its pages.
+//!
+//! Part of `rig`, whose library re-exports this module.
+
+use rig_core::{brdf, file_system, geometry, radiance_image, transport, units};
+
+use rig_bench::plot;
+use rig_bench::{beneath, calibration, capture, catalogue, config, fault, session, shell_words};
+use rig_desk::export;
+use rig_desk::report;
+use rig_device::{device, radiometry};
+
+pub mod console;
