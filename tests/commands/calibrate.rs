@@ -92,7 +92,7 @@ fn records_figures_and_status() {
     }
     let shown = rig(at).args(["calibrate", "status"]).output().unwrap();
     let shown = String::from_utf8(shown.stdout).unwrap();
-    assert!(shown.contains("sensor    ok"), "{shown}");
+    assert!(shown.contains("sensor     ok"), "{shown}");
 
     // The same as JSON, of a measurement of fewer frames.
     let two = [

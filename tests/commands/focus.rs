@@ -112,7 +112,7 @@ fn a_lens_is_measured_and_captures_use_it() {
     check(&found["lens"]["object_na"], OBJECT_NA, 0.01);
     assert!(at.join("calibration/simulated/plots/lens.svg").exists());
     let status = text(&good(run(at, &["calibrate", "status"])).stdout);
-    assert!(status.contains("focus     ok"), "{status}");
+    assert!(status.contains("focus      ok"), "{status}");
 
     // The bowl is deeper than the depth of field, which is said; a session gets its copy.
     let planned = good(run(at, &["capture", "--lights", "2", "--dry-run"]));

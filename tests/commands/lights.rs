@@ -128,7 +128,7 @@ fn a_stage_is_found_where_it_truly_stands_and_a_fit_uses_it() {
         );
     }
     let status = text(&good(run(at, &["calibrate", "status"])).stdout);
-    assert!(status.contains("9 lights, each within"), "{status}");
+    assert!(status.contains("9 lights, each to ±"), "{status}");
 
     // A second record of the name is refused; the first stays.
     let record = records.join("one.toml");

@@ -111,5 +111,5 @@ fn lights_of_a_session_are_compared() {
         );
     }
     let status = text(&good(run(at, &["calibrate", "status"])).stdout);
-    assert!(status.contains("lights    ok"), "{status}");
+    assert!(status.contains("lights     ok"), "{status}");
 }

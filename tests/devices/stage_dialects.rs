@@ -521,7 +521,7 @@ fn who_answers_on_a_port_is_named() {
         ),
         (
             "rst:0x10 (RTCWDT_RTC_RESET),boot:0x13",
-            "it restarts again and again (\"rst:0x10",
+            "it restarts instead of answering (\"rst:0x10",
             "is not that of this board",
         ),
     ] {

@@ -323,6 +323,10 @@ fn files_are_read_by_the_one_bounded_reader() {
         ),
         ("core/src/inverse/memory.rs", "/proc"),
         (
+            "crates/device/src/device/command_camera/started.rs",
+            "/proc",
+        ),
+        (
             "crates/bench/src/session/store.rs",
             "lock files, of which nothing is read",
         ),

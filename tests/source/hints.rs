@@ -66,8 +66,8 @@ const ELSEWHERE: &[(&str, &str)] = &[
     ),
     ("its file system is not mounted `noexec`", "a mount"),
     (
-        "remove some files there, of any size",
-        "a file system that has no more files to give",
+        "nothing was overwritten; choose another folder or name",
+        "a session that another program makes under the same name in the same second",
     ),
     (
         "it may still move, and its lamp be lit",

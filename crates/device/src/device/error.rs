@@ -360,7 +360,7 @@ pub enum FirmwareFault {
     #[error("it restarts again and again, because its supply voltage falls ({0:?})")]
     Undervoltage(String),
     /// The firmware restarts for another reason.
-    #[error("it restarts again and again ({0:?})")]
+    #[error("it restarts instead of answering ({0:?})")]
     Restarting(String),
     /// A command that this build lacks.
     #[error("it refused {command:?}: {reason}")]

@@ -95,9 +95,9 @@ fn nothing_outside_the_folder_and_nothing_by_a_link_is_read() {
     std::fs::write(outside.path().join("report.html"), "secret").unwrap();
     let exports = folder.join(EXPORTS_ROOT).join(&name);
     std::fs::create_dir_all(&exports).unwrap();
-    std::fs::write(exports.join("brdf.json"), "{}").unwrap();
+    std::fs::write(exports.join("fit-0-json.json"), "{}").unwrap();
     let secret = outside.path().join("report.html");
-    symlink(&secret, exports.join("x.json")).unwrap();
+    symlink(&secret, exports.join("fit-1-json.json")).unwrap();
     symlink(
         outside.path().join("others").join(&other),
         folder.join("link"),
@@ -110,7 +110,7 @@ fn nothing_outside_the_folder_and_nothing_by_a_link_is_read() {
     let report = pages.file(&name, "report.html").unwrap();
     assert_eq!(report.shown, served::Shown::Page);
     assert_eq!(
-        *pages.file(&name, "exports/brdf.json").unwrap().bytes,
+        *pages.file(&name, "exports/fit-0-json.json").unwrap().bytes,
         b"{}"
     );
     for (session, file) in [
@@ -124,7 +124,7 @@ fn nothing_outside_the_folder_and_nothing_by_a_link_is_read() {
         ("plain", "report.html"),
         ("none", "report.html"),
         ("link", "fits/0/spheres.png"),
-        (&name, "exports/x.json"),
+        (&name, "exports/fit-1-json.json"),
         (&name, "exports/../../x.json"),
         (&name, "../report.html"),
         (&name, "session.toml"),

@@ -157,7 +157,11 @@ impl SharedLine<Known> {
     pub fn garbled(&self, answer: &str, expected: &str) -> DeviceError {
         self.distrust("an answer was garbled");
         let garbled = self.line().garbled(answer, expected);
-        self.undervoltage().unwrap_or(garbled)
+        let named = match is_restart(answer) {
+            true => self.firmware(FirmwareFault::Restarting(answer.to_owned())),
+            false => garbled,
+        };
+        self.undervoltage().unwrap_or(named)
     }
 
     /// The error for a controller whose supply voltage fell, if it says so.
@@ -247,6 +251,13 @@ impl Known {
                 .get_or_insert_with(|| "the firmware locked itself".to_owned());
         }
     }
+}
+
+/// Whether a processor reports that it restarts, as the boot loaders of ESP32 and ESP8266 do.
+pub(super) fn is_restart(text: &str) -> bool {
+    ["rst:0x", "rst cause:"]
+        .iter()
+        .any(|start| text.contains(start))
 }
 
 /// Whether a processor reports that it restarts because its supply voltage fell, as those of

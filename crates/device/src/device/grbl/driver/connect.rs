@@ -4,15 +4,12 @@
 use std::time::{Duration, Instant};
 
 use super::GrblStage;
-use crate::device::grbl::link::{RESET, STATUS};
+use crate::device::grbl::link::{RESET, STATUS, is_restart};
 use crate::device::grbl::protocol::{Reply, is_old};
 use crate::device::{DeviceError, FirmwareFault, Speaker};
 
 /// How long a version before 1.1 may take to say which it is.
 const VERSION_PATIENCE: Duration = Duration::from_secs(1);
-
-/// So many restarts in a row are no start.
-const RESTARTS: usize = 3;
 
 /// What came instead of a status report.
 #[derive(Default)]
@@ -21,20 +18,16 @@ struct Heard {
     last: Option<String>,
     /// The first line that tells who speaks.
     other: Option<String>,
-    /// The processor's reports of restarts.
-    restarts: Vec<String>,
+    /// The last report of the processor that it restarts.
+    restart: Option<String>,
     /// A line was accepted.
     is_accepted: bool,
 }
 
 impl Heard {
     fn note(&mut self, text: String) {
-        // As the boot loaders of ESP32 and ESP8266 have it.
-        if ["rst:0x", "rst cause:"]
-            .iter()
-            .any(|start| text.contains(start))
-        {
-            self.restarts.push(text.clone());
+        if is_restart(&text) {
+            self.restart = Some(text.clone());
         }
         if Speaker::of(&text).is_some_and(|speaker| speaker != Speaker::Grbl) {
             self.other.get_or_insert_with(|| text.clone());
@@ -90,15 +83,9 @@ impl GrblStage {
     }
 
     /// What is on the port instead.
-    fn no_grbl(&self, mut heard: Heard, timeout: Duration) -> DeviceError {
+    fn no_grbl(&self, heard: Heard, timeout: Duration) -> DeviceError {
         let expected = "a GRBL status report";
-        if heard.restarts.len() >= RESTARTS
-            && let Some(last) = heard.restarts.pop()
-        {
-            let restarting = self.link.firmware(FirmwareFault::Restarting(last));
-            return self.link.undervoltage().unwrap_or(restarting);
-        }
-        match heard.other.or(heard.last) {
+        match heard.other.or(heard.restart).or(heard.last) {
             Some(text) => self.link.garbled(&text, expected),
             // Whatever it accepts, it gives no reports.
             None if heard.is_accepted => DeviceError::OtherProtocol {
