@@ -149,7 +149,7 @@ const SIGNIFICANT_DEVIATIONS: f64 = 5.0;
 /// Part of the light that the model may put elsewhere.
 const TOLERATED_SHARE: f64 = 0.4;
 /// Stray light over the image's 99th percentile that is worth a word.
-const NOTABLE_STRAY_LIGHT: f64 = 2e-3;
+const NOTABLE_STRAY_LIGHT: f64 = 1e-3;
 /// What is brighter in the shadows is the image of another light or sample.
 const MAX_STRAY_LIGHT: f64 = 0.2;
 /// Relative scatter that a model's image must have before one without any is remarkable.

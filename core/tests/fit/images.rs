@@ -297,6 +297,8 @@ fn dust_counts_for_less() {
 /// weight of the lit cells; it is reported.
 #[test]
 fn stray_light_does_not_decide() {
+    // The attached shadow must have cells of its own, away from the edge.
+    const SIZE: usize = 64;
     let sphere = |segments| Shape::Sphere {
         radius_mm: 1.0,
         segments,
@@ -314,7 +316,7 @@ fn stray_light_does_not_decide() {
             ..RenderOptions::default()
         };
         for share in [0.0, 0.005, 0.01f32] {
-            let mut images = render(&scene(sphere(96), &lamp), &truth, &photographed);
+            let mut images = render(&scene_of(SIZE, sphere(96), &lamp), &truth, &photographed);
             let level = share * albedo as f32 / std::f32::consts::PI;
             let noise = 2e-4 * albedo as f32;
             let image = &mut images[0];
@@ -322,7 +324,7 @@ fn stray_light_does_not_decide() {
             for (k, (mean, variance)) in pixels.enumerate() {
                 // Rising to the right in one of the cases.
                 let rise = if share == 0.01 {
-                    (k % 24) as f32 / 23.0
+                    (k % SIZE) as f32 / (SIZE - 1) as f32
                 } else {
                     1.0
                 };
@@ -333,7 +335,7 @@ fn stray_light_does_not_decide() {
             let mut options = options();
             options.model_error = FitOptions::default().model_error;
             options.cache.samples_per_cell = 16;
-            let scene = scene(sphere(64), &lamp);
+            let scene = scene_of(SIZE, sphere(64), &lamp);
             let fit = fit(&scene, &averaged(&scene, &images), &dictionary, &options).unwrap();
             for (theta_h_deg, theta_d_deg) in [(15.0, 10.0), (40.0, 2.0)] {
                 let found = fit.interval(theta_h_deg, theta_d_deg).value[1];
