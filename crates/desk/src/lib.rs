@@ -3,14 +3,15 @@
 //!
 //! Part of `rig`, whose library re-exports these modules.
 
-use rig_core::{
-    brdf, inverse, outside_file, outside_table, parametric, radiance_image, shown, transport,
-    units, whole_file,
-};
-
 #[cfg(feature = "figures")]
 use rig_bench::plot;
-use rig_bench::{calibration, catalogue, checksum, fault, queue, session, shell_words, workflow};
+#[cfg(feature = "reports")]
+use rig_bench::{calibration, catalogue, fault, queue};
+use rig_bench::{checksum, session, shell_words, workflow};
+use rig_core::{brdf, outside_file, outside_table, parametric, shown, whole_file};
+#[cfg(feature = "reports")]
+use rig_core::{inverse, radiance_image, transport, units};
+#[cfg(feature = "reports")]
 use rig_device::device;
 
 #[cfg(feature = "reports")]

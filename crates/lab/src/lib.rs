@@ -2,15 +2,14 @@
 //!
 //! Part of `rig`, whose library re-exports these modules.
 
-use rig_core::{
-    bench_priors, brdf, cells, file_system, frames, geometry, inverse, outside_file,
-    radiance_image, random, simplex, statistics, transport, units, whole_file,
-};
-
 #[cfg(feature = "experiments")]
-use rig_bench::plot;
-use rig_bench::{calibration, capture, checksum, config, simulation};
+use rig_bench::{calibration, capture, checksum, config, plot, simulation};
+use rig_core::{bench_priors, brdf, cells, frames, geometry, inverse, random, transport};
+#[cfg(feature = "experiments")]
+use rig_core::{file_system, outside_file, radiance_image, simplex, statistics, units, whole_file};
+#[cfg(feature = "experiments")]
 use rig_desk::{cluster, result_table};
+#[cfg(feature = "experiments")]
 use rig_device::{device, radiometry};
 
 pub mod benchmark;
