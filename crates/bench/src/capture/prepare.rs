@@ -2,10 +2,10 @@
 //! devices, resumed from its folder.
 //!
 //! ```no_run
-//! use rig::capture::open::{OpenOptions, open_devices};
-//! use rig::capture::prepare::{CaptureRequest, Lights, prepare};
-//! use rig::config::{Surroundings, resolve_rig};
-//! use rig::interrupt::Interrupt;
+//! use rig_bench::capture::open::{OpenOptions, open_devices};
+//! use rig_bench::capture::prepare::{CaptureRequest, Lights, prepare};
+//! use rig_bench::config::{Surroundings, resolve_rig};
+//! use rig_device::interrupt::Interrupt;
 //!
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
 //! let rig = resolve_rig(Some("simulated"), &Surroundings::of_process(), Vec::new)?;

@@ -7,8 +7,8 @@
 //! - [`reproducibility`]: what their spread says about the uncertainty.
 //!
 //! ```
-//! use rig::catalogue::Catalogue;
-//! use rig::fault::Advisor;
+//! use rig_bench::catalogue::Catalogue;
+//! use rig_bench::fault::Advisor;
 //!
 //! let catalogue = Catalogue::new("sessions", Advisor::silent());
 //! for row in catalogue.list("red-plastic")? {

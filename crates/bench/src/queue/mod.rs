@@ -9,7 +9,7 @@
 //! tells it what came of them.
 //!
 //! ```
-//! use rig::queue::{Queue, Step};
+//! use rig_bench::queue::{Queue, Step};
 //!
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
 //! # let folder = tempfile::tempdir()?;

@@ -4,7 +4,7 @@
 //!
 //! ```no_run
 //! use std::path::Path;
-//! use rig::workflow::{FitRequest, fit_session};
+//! use rig_bench::workflow::{FitRequest, fit_session};
 //!
 //! let request = FitRequest {
 //!     samples_per_cell: Some(256),
@@ -12,7 +12,7 @@
 //! };
 //! let outcome = fit_session(Path::new("sessions/red-plastic"), &request, &())?;
 //! println!("{:?}: {:?}", outcome.folder, outcome.record.verdict());
-//! # Ok::<(), rig::workflow::WorkflowError>(())
+//! # Ok::<(), rig_bench::workflow::WorkflowError>(())
 //! ```
 
 mod bench_records;

@@ -19,8 +19,8 @@
 //!
 //! ```no_run
 //! use std::path::{Path, PathBuf};
-//! use rig::batch::{Batch, NewBatch, Selection};
-//! use rig::workflow::FitRequest;
+//! use rig_desk::batch::{Batch, NewBatch, Selection};
+//! use rig_bench::workflow::FitRequest;
 //!
 //! let sessions = [PathBuf::from("sessions/red"), PathBuf::from("sessions/green")];
 //! let new = NewBatch { sessions: &sessions, ..NewBatch::default() };
@@ -28,7 +28,7 @@
 //! let batch = Batch::make(Path::new("batch"), &new, &parse)?;
 //! batch.run(Selection::All, 1, &|_, _| {})?;
 //! let table = batch.collect()?.table;
-//! # Ok::<(), rig::batch::BatchError>(())
+//! # Ok::<(), rig_desk::batch::BatchError>(())
 //! ```
 
 mod collect;

@@ -7,7 +7,7 @@ use std::str::FromStr;
 /// from 1. Written `3/8`.
 ///
 /// ```
-/// use rig::cluster::Shard;
+/// use rig_desk::cluster::Shard;
 /// let shard: Shard = "2/3".parse().unwrap();
 /// let own: Vec<usize> = (1..=7).filter(|&job| shard.has(job)).collect();
 /// assert_eq!(own, [2, 5]);
