@@ -11,6 +11,7 @@ use std::time::{Duration, Instant};
 
 use rustix::process::Signal as Sent;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGTSTP};
+use signal_hook::iterator::Signals;
 
 use super::console_address::show_address;
 use super::context::Context;
@@ -228,6 +229,8 @@ type Ended = (Option<Option<ExitStatus>>, Option<Signal>);
 struct Console {
     jobs: Jobs,
     bench: Bench,
+    /// Caught before the address is shown; the thread that waits for them has them then.
+    signals: Option<Signals>,
     _server: Running,
 }
 
@@ -278,19 +281,22 @@ impl Console {
             facts: facts(&rig.config, &rig.file, folder, Mode::Bench),
             routes,
         })?;
+        let signals = Signals::new([SIGINT, SIGTERM, SIGHUP, SIGTSTP])?;
         show_address(&address, context)?;
         Ok(Self {
             jobs,
             bench,
+            signals: Some(signals),
             _server: running,
         })
     }
 
     /// Runs `work`, if any, and stays until a signal ends the console.
-    fn stay(self, work: Option<Work>, context: &Context) -> Result<(), CliError> {
+    fn stay(mut self, work: Option<Work>, context: &Context) -> Result<(), CliError> {
         // Signals and the ends of jobs wake this thread.
         let (wake, woken) = mpsc::channel();
-        let ended = self.run(work, &wake, &woken, context);
+        let signals = self.signals.take();
+        let ended = self.run(work, signals, &wake, &woken, context);
         self.close(&woken, context);
         match ended? {
             (Some(status), _) => as_it_ended(status),
@@ -302,15 +308,16 @@ impl Console {
     fn run(
         &self,
         work: Option<Work>,
+        signals: Option<Signals>,
         wake: &Sender<Woken>,
         woken: &Receiver<Woken>,
         context: &Context,
     ) -> Result<Ended, CliError> {
-        let mut signals = signal_hook::iterator::Signals::new([SIGINT, SIGTERM, SIGHUP, SIGTSTP])?;
         let caught = wake.clone();
         std::thread::Builder::new()
             .name("signals".into())
             .spawn(move || {
+                let Some(mut signals) = signals else { return };
                 for number in signals.forever() {
                     if caught.send(Woken::Signal(number)).is_err() {
                         return;
