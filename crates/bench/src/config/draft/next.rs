@@ -6,6 +6,7 @@ use std::path::Path;
 use serde::Serialize;
 
 use super::bench::{Draft, Lens, Stage};
+use crate::shell_words::quoted;
 
 /// A step, as a command line. What stands in capitals is to be filled in.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -23,7 +24,7 @@ impl Draft {
         let is_telecentric = matches!(self.lens, Lens::Telecentric { .. });
         let rig = match file == Path::new("rig.toml") {
             true => String::new(),
-            false => format!(" --rig {}", shell_word(&file.display().to_string())),
+            false => format!(" --rig {}", quoted(&file.display().to_string())),
         };
         let mut steps = Vec::new();
         let mut step = |command: &str, purpose| {
@@ -105,14 +106,5 @@ impl Draft {
             "where the sample lay; then `rig fit SESSION --pose RECORD --refine-bench`",
         );
         steps
-    }
-}
-
-/// A word that a shell takes as it is.
-fn shell_word(text: &str) -> String {
-    let plain = |b: u8| b.is_ascii_alphanumeric() || b"/._-+,:=".contains(&b);
-    match !text.is_empty() && text.bytes().all(plain) {
-        true => text.to_owned(),
-        false => format!("'{}'", text.replace('\'', "'\\''")),
     }
 }
