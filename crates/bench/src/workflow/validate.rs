@@ -330,3 +330,110 @@ fn pictured(
         predicted,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::brdf::Brdf;
+    use crate::transport::{RenderOptions, render};
+    use glam::Vec3;
+
+    /// A lobe that no dictionary has, over a diffuse base.
+    struct Measured;
+
+    impl Brdf for Measured {
+        fn eval(&self, to_light: Vec3, to_viewer: Vec3) -> [f32; 3] {
+            if to_light.z <= 0.0 || to_viewer.z <= 0.0 {
+                return [0.0; 3];
+            }
+            let half = (to_light + to_viewer).normalize();
+            let lobe = 0.4 * (-(1.0 - half.z * half.z) / 0.06).exp();
+            [0.12, 0.08, 0.05].map(|diffuse| diffuse + lobe)
+        }
+    }
+
+    fn scene() -> SceneFile {
+        let mut text = "[camera]\nmodel = \"orthographic\"\nresolution_px = [32, 32]\nextent_mm = [2.2, 2.2]\nposition_mm = [0.0, 0.0, 9.0]\n[sample]\nshape = { kind = \"sphere\", radius_mm = 1.0, segments = 96 }\nshading = \"smooth\"\n".to_owned();
+        for [x, y] in [[0.0, 0.1], [0.5, 0.1], [-0.4, 0.3], [0.1, -0.6]] {
+            text += &format!(
+                "[[light]]\nkind = \"directional\"\nto_light = [{x}, {y}, 1.0]\nirradiance = 3.0\n"
+            );
+        }
+        SceneFile::parse("scene.toml", Path::new(""), &text).unwrap()
+    }
+
+    #[test]
+    fn what_is_stated_is_the_error_against_the_rendered_truth() {
+        let file = scene();
+        let options = RenderOptions {
+            samples_per_pixel: 64,
+            max_reflections: 2,
+            ..RenderOptions::default()
+        };
+        let truth = render(&file.scene().unwrap(), &Measured, &options);
+        let images: Vec<NamedImage> = truth
+            .iter()
+            .map(|image| NamedImage {
+                name: "captured".to_owned(),
+                image: RadianceImage {
+                    variance: image
+                        .mean
+                        .iter()
+                        .map(|m| m.map(|m| (0.003 * m).powi(2) + 1e-8))
+                        .collect(),
+                    ..image.clone()
+                },
+                has_variance: true,
+            })
+            .collect();
+        let request = FitRequest {
+            dictionary: Some("paper42".to_owned()),
+            samples_per_cell: Some(16),
+            max_reflections: Some(2),
+            ..FitRequest::default()
+        };
+        let found =
+            validate_images_in_memory(&file, &images, &HoldOut::default(), &request, &()).unwrap();
+        let score = &found.validation.all.overall;
+        assert_eq!(found.validation.fitted_lights, [0, 1, 3]);
+        let prediction = &found.predictions[0];
+        assert_eq!(prediction.light, 2);
+        let (mut error, mut square) = (0.0, 0.0);
+        for pixel in (0..truth[2].mean.len()).filter(|&p| prediction.predicted.valid[p]) {
+            for c in 0..3 {
+                let true_value = f64::from(truth[2].mean[pixel][c]);
+                error += (f64::from(prediction.predicted.mean[pixel][c]) - true_value).powi(2);
+                square += true_value * true_value;
+            }
+        }
+        let expected = (error / square).sqrt();
+        let stated = score.relative_rms.unwrap();
+        assert!((stated - expected).abs() < 1e-9, "{stated} {expected}");
+        assert!(score.pixels > 300, "{score:?}");
+        assert!(
+            stated < 0.06 && stated < 0.5 * score.lambertian.unwrap(),
+            "{score:?}"
+        );
+        assert_eq!(score.neighbours, None, "too few lights");
+        assert_eq!(found.validation.posterior_samples, 32);
+        eprintln!("{:#?}", found.validation.all);
+    }
+
+    #[test]
+    fn lights_are_divided_or_refused() {
+        let quarter = HoldOut::Quarter;
+        assert_eq!(quarter.divide(8), Ok([vec![0, 1, 3, 4, 5, 7], vec![2, 6]]));
+        assert_eq!(quarter.divide(2), Ok([vec![0], vec![1]]));
+        let these = HoldOut::Fitted(vec![2, 0]);
+        assert_eq!(these.divide(4), Ok([vec![0, 2], vec![1, 3]]));
+        for (choice, lights) in [
+            (quarter, 1),
+            (HoldOut::Count(0), 4),
+            (HoldOut::Count(4), 4),
+            (HoldOut::Fitted(vec![4]), 4),
+            (HoldOut::Fitted(vec![0, 1]), 2),
+        ] {
+            assert!(choice.divide(lights).is_err(), "{choice:?}");
+        }
+    }
+}

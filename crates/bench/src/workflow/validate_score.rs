@@ -184,3 +184,47 @@ impl Tally {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::{Purpose, stream};
+
+    #[test]
+    fn coverage_tells_intervals_that_are_too_wide_right_or_too_narrow() {
+        const DEVIATION: f32 = 0.05;
+        let mut numbers = stream(1, Purpose::Experiment, 0, 0, 0);
+        let mut captured = RadianceImage::new(100, 40);
+        let mut predicted = captured.clone();
+        for (c, p) in captured.mean.iter_mut().zip(&mut predicted.mean) {
+            *p = [1.0; 3];
+            *c = p.map(|p| p + DEVIATION * numbers.normal() as f32);
+        }
+        let pixel = |index| Pixel {
+            index,
+            theta_h_rad: 0.01 * index as f64 / 40.0,
+            theta_d_rad: 0.2,
+            irradiance: [1.0; 3],
+        };
+        let pixels: Vec<Pixel> = (0..4000).map(pixel).collect();
+        // Of a normal variable, the part within 1.96 times 3, 1 and 1/3 deviations.
+        for (factor, expected) in [(3.0, 1.0), (1.0, 0.95), (1.0 / 3.0, 0.4865)] {
+            let stated = vec![[factor * DEVIATION; 3]; 4000];
+            let compared = Compared {
+                pixels: &pixels,
+                left_out: LeftOut::default(),
+                captured: &captured,
+                predicted: &predicted,
+                deviations: Some(&stated),
+                lambertian: [1.0; 3],
+            };
+            let score = Tally::of(&compared, &mut None).score(0, true);
+            // Three deviations of the scatter of 12000 values.
+            let coverage = score.coverage.unwrap();
+            assert!((coverage - expected).abs() < 0.014, "{factor}: {coverage}");
+            let half_width = 1.96 * f64::from(factor * DEVIATION);
+            assert!((score.median_half_width.unwrap() / half_width - 1.0).abs() < 1e-3);
+            assert!((score.overall.relative_rms.unwrap() - 0.05).abs() < 0.002);
+        }
+    }
+}
