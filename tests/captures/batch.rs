@@ -109,6 +109,13 @@ fn shards_and_killed_jobs_give_the_tables_of_one_process() {
         "1 of 3 jobs failed",
         "table.csv has the reasons; the same command tries them again",
     );
+    assert_eq!(
+        text(&output.stderr)
+            .lines()
+            .filter(|line| line.starts_with(char::is_numeric))
+            .collect::<Vec<_>>(),
+        ["2 fits explain the images", "1 job failed"]
+    );
     let [csv, json, page] = results(&alone);
     let rows: Vec<&str> = csv.lines().collect();
     assert!(rows[0].starts_with("job,session,sample,simulated,status,verdict,"));
