@@ -377,13 +377,7 @@ impl Devices {
         let (applied, lamp_c) = self.stage(switch).await?;
         self.lamp_c = lamp_c.map(|lamp_c| (lamp_c, Instant::now()));
         if applied != wanted {
-            let words = |lamp| match lamp {
-                LampState::Off => "off".to_owned(),
-                LampState::On(channel) => format!("channel {}", channel.0),
-            };
-            return Err(self
-                .stage_differs("the lamp", words(applied), words(wanted))
-                .into());
+            return Err(self.stage_differs("the lamp", applied, wanted).into());
         }
         self.known.lamp = Some(applied);
         self.pause(settle).await

@@ -58,7 +58,7 @@ pub(super) fn confirm_stopped(link: &Link) -> Result<(), DeviceError> {
         device: link.line().device().to_owned(),
         what: "its state".to_owned(),
         is: match known.state {
-            Some(state) => format!("{state:?} with {outputs:?}"),
+            Some(state) => format!("{state}, {outputs}"),
             None => "not reported".to_owned(),
         },
         wanted: "a stop".to_owned(),
