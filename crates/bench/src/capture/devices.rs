@@ -187,7 +187,13 @@ impl Devices {
         } else {
             Ok(())
         };
-        if matches!(
+        if stopped.is_err() {
+            // Its driver would ask a mute stage in vain, which its guardian stops now.
+            let is_guarded = self.watchdog.is_kept();
+            let patience = if is_guarded { Duration::ZERO } else { LET_GO };
+            self.stage.abandon(patience);
+            self.camera.abandon(Duration::ZERO);
+        } else if matches!(
             why,
             CaptureError::StoppedNow
                 | CaptureError::Device(

@@ -612,7 +612,11 @@ impl LightStage for GrblStage {
     fn stop_handle(&self) -> Result<Box<dyn StopHandle>, DeviceError> {
         Ok(Box::new(GrblStop {
             link: Arc::downgrade(&self.link),
-            timeout: self.config.connect_timeout.to_duration(),
+            timeout: self
+                .config
+                .connect_timeout
+                .to_duration()
+                .min(stop::RESTARTED),
         }))
     }
 
@@ -649,7 +653,9 @@ impl Drop for GrblStage {
         if !self.is_alive || (is_off && !self.in_motion) {
             return;
         }
-        let turned_off = !self.in_motion && self.set_lamp(LampState::Off).is_ok();
+        // Silent since it was reset, it takes no command either.
+        let takes_commands = !self.in_motion && !known.needs_reset;
+        let turned_off = takes_commands && self.set_lamp(LampState::Off).is_ok();
         if !turned_off {
             // The firmware's restart ends motion and turns all outputs off.
             let _ = self
