@@ -658,9 +658,11 @@ impl Drop for GrblStage {
         let turned_off = takes_commands && self.set_lamp(LampState::Off).is_ok();
         if !turned_off {
             // The firmware's restart ends motion and turns all outputs off.
-            let _ = self
-                .link
-                .restart(true, "its driver ended", self.reply_timeout());
+            let timeout = match known.needs_reset {
+                true => STATE_PATIENCE,
+                false => self.reply_timeout(),
+            };
+            let _ = self.link.restart(true, "its driver ended", timeout);
         }
     }
 }
