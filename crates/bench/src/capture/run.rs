@@ -181,7 +181,7 @@ fn check_camera(found: &CameraInfo, expected: &CameraInfo) -> Result<(), Capture
         [
             ("resolution", format!("{width} x {height}")),
             ("bit depth", info.bit_depth.to_string()),
-            ("colour filter", format!("{:?}", info.mosaic).to_lowercase()),
+            ("colour filter", info.mosaic.to_string()),
             ("serial number", info.serial.clone()),
         ]
     };

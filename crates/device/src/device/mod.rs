@@ -73,6 +73,15 @@ pub enum LampState {
     On(LampChannel),
 }
 
+impl std::fmt::Display for LampState {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Off => f.write_str("off"),
+            Self::On(channel) => write!(f, "channel {}", channel.0),
+        }
+    }
+}
+
 /// What the stage is doing, as it reports itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]

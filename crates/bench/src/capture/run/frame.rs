@@ -363,7 +363,7 @@ fn check_same(shot: &Shot, sidecar: &Sidecar) -> Result<(), CaptureError> {
     }
     let words = |exposure: Seconds, lamp: LampState, pilot: bool| {
         let role = if pilot { "pilot" } else { "bracket" };
-        format!("{exposure}, lamp {lamp:?}, as {role}")
+        format!("{exposure}, lamp {lamp}, as {role}")
     };
     Err(CaptureError::OtherFrame {
         frame: layout::frame_stem(shot.key),

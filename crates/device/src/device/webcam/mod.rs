@@ -94,7 +94,7 @@ impl<W: Webcam> WebcamCamera<W> {
             reason,
         };
         if info.bit_depth != 8 || info.mosaic != Mosaic::None {
-            let wanted = format!("{} bits, filters {:?}", info.bit_depth, info.mosaic);
+            let wanted = format!("{} bits, filters {}", info.bit_depth, info.mosaic);
             let reason = "a webcam's frames are luma of 8 bits without filters";
             return Err(refused(&wanted, reason.to_owned()));
         }
