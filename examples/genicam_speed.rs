@@ -24,12 +24,12 @@ use rig::units::Seconds;
 struct Time(Option<Spent>);
 
 impl Observer for Time {
-    fn observe(&mut self, progress: Progress<'_>) {
+    fn observe(&mut self, progress: &Progress) {
         if let Progress::Ended {
             spent: Some(spent), ..
         } = progress
         {
-            self.0 = Some(spent);
+            self.0 = Some(*spent);
         }
     }
 }

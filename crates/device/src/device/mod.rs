@@ -336,6 +336,10 @@ pub trait Camera: Send {
     fn longest_frame(&self, exposure: Seconds) -> Seconds {
         Seconds(2.0 * exposure.0.max(0.0) + 10.0)
     }
+    /// Least time between frames of a live picture: a mechanical shutter wears.
+    fn least_period(&self) -> Duration {
+        Duration::ZERO
+    }
     /// How long a camera that went away is worth waiting for; 0: it cannot come back.
     fn may_return_within(&self) -> Seconds {
         Seconds(0.0)

@@ -337,6 +337,10 @@ impl Camera for GuardedCamera {
         self.camera.longest_frame(exposure)
     }
 
+    fn least_period(&self) -> Duration {
+        self.camera.least_period()
+    }
+
     fn may_return_within(&self) -> Seconds {
         self.camera.may_return_within()
     }
