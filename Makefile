@@ -108,7 +108,7 @@ console-pictures: build
 # Cameras and serial ports as the kernel shows them; needs root or sudo once, for apt.
 test-vm: deps
 	$(CARGO) build --locked --release --features webcam
-	$(CARGO) build --locked --release --package mock-devices --example usb_devices
+	$(CARGO) build --locked --release --package mock-cameras --example usb_devices
 	tests/vm/run.sh target/release/rig target/release/examples/usb_devices
 
 # Hours of one core at full size; an interrupted run goes on where it stopped.

@@ -7,7 +7,7 @@
 use std::net::Ipv4Addr;
 use std::path::Path;
 
-use mock_devices::gige::{Exposer, GigeCamera};
+use mock_cameras::gige::{Exposer, GigeCamera};
 use mock_devices::sensor::SensorModel;
 use rig::capture::open::Devices;
 use rig::capture::prepare::{CaptureRequest, Lights, prepare};

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use mock_devices::bench::{Bench, BenchConfig};
 use mock_devices::camera::{CameraConfig, SimulatedCamera};
 use mock_devices::clock::Clock;
-use mock_devices::ptp::{Body, BodyConfig, PtpServer};
+use mock_cameras::ptp::{Body, BodyConfig, PtpServer};
 use mock_devices::sensor::{SensorConfig, SensorModel};
 use mock_devices::{Illumination, RadianceSource};
 

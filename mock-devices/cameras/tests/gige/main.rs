@@ -8,7 +8,7 @@ use std::sync::Arc;
 use mock_devices::bench::{Bench, BenchConfig};
 use mock_devices::camera::CameraConfig;
 use mock_devices::clock::Clock;
-use mock_devices::gige::{Exposer, GigeCamera};
+use mock_cameras::gige::{Exposer, GigeCamera};
 use mock_devices::sensor::{SensorConfig, SensorModel};
 use mock_devices::{Illumination, RadianceSource};
 
