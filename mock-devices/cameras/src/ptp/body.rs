@@ -425,10 +425,10 @@ impl Body {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::ptp::BodyFault;
     use mock_devices::bench::{Bench, BenchConfig};
     use mock_devices::camera::CameraConfig;
     use mock_devices::clock::Clock;
-    use crate::ptp::BodyFault;
     use mock_devices::sensor::{SensorConfig, SensorModel};
     use mock_devices::{Illumination, RadianceSource};
     use std::sync::Arc;
