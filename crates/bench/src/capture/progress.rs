@@ -342,7 +342,10 @@ mod tests {
             kept: true,
             done: 0.25,
         });
-        assert_eq!((&frame["event"], &frame["kind"]), (&"frame".into(), &"ambient".into()));
+        assert_eq!(
+            (&frame["event"], &frame["kind"]),
+            (&"frame".into(), &"ambient".into())
+        );
         assert!(frame["lamp"].is_null() && frame["done"] == 0.25, "{frame}");
         let planned = json(Progress::Planned {
             light: 0,
@@ -354,7 +357,10 @@ mod tests {
         });
         assert_eq!(planned["steps"][0]["frames"], 2);
         assert!(planned["dark_snr"].is_null(), "{planned}");
-        assert_eq!(json(Progress::LightDone { light: 1 })["event"], "light-done");
+        assert_eq!(
+            json(Progress::LightDone { light: 1 })["event"],
+            "light-done"
+        );
         let ended = json(Progress::Ended {
             outcome: Ending::Complete,
             session: Some("sessions/a".to_owned()),
@@ -363,6 +369,9 @@ mod tests {
             spent: None,
         });
         assert_eq!(ended["outcome"], "complete");
-        assert!(ended["error"].is_null() && ended.get("spent").is_none(), "{ended}");
+        assert!(
+            ended["error"].is_null() && ended.get("spent").is_none(),
+            "{ended}"
+        );
     }
 }

@@ -131,9 +131,14 @@ fn of_the_camera(found: &Found) -> Vec<Question> {
         whole("height_px", "Height of a frame", "pixels", [16.0, 16384.0])
             .default(1200.0)
             .help("from the data sheet, or the region of interest that the camera is set to"),
-        whole("bit_depth", "Significant bits of a raw count", "bits", [8.0, 16.0])
-            .default(12.0)
-            .help("machine-vision cameras have 10 or 12, still cameras mostly 14, webcams 8"),
+        whole(
+            "bit_depth",
+            "Significant bits of a raw count",
+            "bits",
+            [8.0, 16.0],
+        )
+        .default(12.0)
+        .help("machine-vision cameras have 10 or 12, still cameras mostly 14, webcams 8"),
         choice(
             "mosaic",
             "Colour filters over the sensor",

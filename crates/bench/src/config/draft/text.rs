@@ -31,7 +31,11 @@ impl Draft {
 
     fn camera(&self, out: &mut Lines) {
         out.table("[camera]");
-        let Camera { driver, key, address } = &self.camera;
+        let Camera {
+            driver,
+            key,
+            address,
+        } = &self.camera;
         out.key("driver", quoted(driver), "What speaks to the camera.");
         out.key(key, quoted(address), "Which camera.");
         match &self.serial {
