@@ -1,8 +1,9 @@
 # `make demo`: build, then the whole pipeline on the simulated rig.
 # `make test`: all tests.
-# `make test-long`: coverage of the intervals and rates of warnings, in full; captures
-#   cut at every record and 200 killed at random moments; 200 under a constant lamp; a
-#   session of a camera of five megapixels, and memory of a 20 MP sensor.
+# `make test-long`: coverage of the intervals and rates of warnings, in full; the core's tests
+#   with all paths and materials; captures cut at every record and 200 killed at random
+#   moments; 200 under a constant lamp; a session of a camera of five megapixels, and memory
+#   of a 20 MP sensor.
 # `make test-console`: the operator's console in a browser (tests/browser/README.md).
 # `make test-vm`: the program against the kernel's own drivers in a virtual machine.
 # `make docs`: the documentation as a site, target/book/index.html.
@@ -107,7 +108,7 @@ console-pictures: build
 # Cameras and serial ports as the kernel shows them; needs root or sudo once, for apt.
 test-vm: deps
 	$(CARGO) build --locked --release --features webcam
-	$(CARGO) build --locked --release --package mock-devices --example usb_devices
+	$(CARGO) build --locked --release --package mock-cameras --example usb_devices
 	tests/vm/run.sh target/release/rig target/release/examples/usb_devices
 
 # Hours of one core at full size; an interrupted run goes on where it stopped.
@@ -118,6 +119,7 @@ test-long: build
 	  -- --nocapture a_bayer_camera
 	RIG_DRIFT_CAPTURES=200 $(CARGO) test --locked --release --test physics \
 	  -- --nocapture constant_lamps
+	RIG_LONG=1 $(CARGO) test --locked --release --package rig-core
 	RIG_LARGE=1 $(CARGO) test --locked --release --test fuzz_corpus \
 	  -- --nocapture large_sensor
 	target/release/rig evaluate intervals --out target/long/intervals

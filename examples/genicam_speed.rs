@@ -7,7 +7,7 @@
 use std::net::Ipv4Addr;
 use std::path::Path;
 
-use mock_devices::gige::{Exposer, GigeCamera};
+use mock_cameras::gige::{Exposer, GigeCamera};
 use mock_devices::sensor::SensorModel;
 use rig::capture::open::Devices;
 use rig::capture::prepare::{CaptureRequest, Lights, prepare};
@@ -24,12 +24,12 @@ use rig::units::Seconds;
 struct Time(Option<Spent>);
 
 impl Observer for Time {
-    fn observe(&mut self, progress: Progress<'_>) {
+    fn observe(&mut self, progress: &Progress) {
         if let Progress::Ended {
             spent: Some(spent), ..
         } = progress
         {
-            self.0 = Some(spent);
+            self.0 = Some(*spent);
         }
     }
 }

@@ -2,8 +2,8 @@
 //! renamed.
 //!
 //! That name is `.NAME.rig-part`, after the name that is to come, and what has it is locked as
-//! long as it is written. So what a killed program has left is told from what a living one
-//! writes, and the next program that writes into the folder removes it.
+//! long as it is written. A file of that name without a lock was left by a program that was
+//! killed: the next program that writes into the folder removes it.
 
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{self, BufWriter, Seek, Write};

@@ -10,17 +10,14 @@ pub mod camera;
 pub mod clock;
 pub mod dmx;
 pub mod dome;
-pub mod gige;
 pub mod grbl;
 pub mod motion;
 pub mod proxy;
-pub mod ptp;
 pub mod sensor;
-pub mod usb;
 pub mod zaber;
 
 mod pty;
-mod random;
+pub mod random;
 
 use std::sync::Arc;
 

@@ -4,7 +4,7 @@
 /// A counter-based stream: each draw advances the state by an odd constant and
 /// mixes it (the SplitMix64 finaliser, Steele et al. 2014).
 #[derive(Clone, Debug)]
-pub(crate) struct Stream {
+pub struct Stream {
     state: u64,
 }
 
@@ -17,31 +17,31 @@ fn mix(mut z: u64) -> u64 {
 }
 
 /// One word from many; different words, orders or counts give unrelated results.
-pub(crate) fn hash(key: &[u64]) -> u64 {
+pub fn hash(key: &[u64]) -> u64 {
     key.iter().fold(mix(key.len() as u64), |state, &word| {
         mix(state ^ mix(word.wrapping_add(GOLDEN)).rotate_left(17))
     })
 }
 
 /// The stream of one key.
-pub(crate) fn stream(key: &[u64]) -> Stream {
+pub fn stream(key: &[u64]) -> Stream {
     Stream { state: hash(key) }
 }
 
 impl Stream {
     /// 64 uniform bits.
-    pub(crate) fn bits(&mut self) -> u64 {
+    pub fn bits(&mut self) -> u64 {
         self.state = self.state.wrapping_add(GOLDEN);
         mix(self.state)
     }
 
     /// Uniform in [0, 1).
-    pub(crate) fn uniform(&mut self) -> f64 {
+    pub fn uniform(&mut self) -> f64 {
         (self.bits() >> 11) as f64 * (1.0 / (1u64 << 53) as f64)
     }
 
     /// Standard normal (Box–Muller, one of the pair).
-    pub(crate) fn normal(&mut self) -> f64 {
+    pub fn normal(&mut self) -> f64 {
         let radius = (-2.0 * (1.0 - self.uniform()).ln()).sqrt();
         radius * (std::f64::consts::TAU * self.uniform()).cos()
     }
@@ -52,7 +52,7 @@ impl Stream {
     /// (Knuth); from 10 on by transformed rejection with squeeze (PTRS,
     /// Hörmann 1993, "The transformed rejection method for generating Poisson
     /// random variables").
-    pub(crate) fn poisson(&mut self, mean: f64) -> f64 {
+    pub fn poisson(&mut self, mean: f64) -> f64 {
         if mean.is_nan() || mean <= 0.0 {
             return 0.0;
         }

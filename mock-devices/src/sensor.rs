@@ -30,6 +30,9 @@ pub struct SensorConfig {
     pub gain_dn_per_e: f64,
     /// Count without any electron, DN.
     pub black_level_dn: f64,
+    /// What differs between the pixels of a cell of 2 × 2, such as those behind filters of
+    /// different colours whose counts were multiplied to balance white; `None`: nothing.
+    pub cell: Option<[PixelCounts; 4]>,
     /// Bits of a count, 1 to 16; it saturates at 2^bits − 1.
     pub bit_depth: u32,
     /// Fraction of pixels that are hot.
@@ -41,6 +44,17 @@ pub struct SensorConfig {
     pub hot_current_e_s: f64,
     /// Key of the fixed patterns: which sensor this is.
     pub seed: u64,
+}
+
+/// How the electrons of a pixel become counts.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PixelCounts {
+    /// In place of [`SensorConfig::gain_dn_per_e`].
+    pub gain_dn_per_e: f64,
+    /// In place of [`SensorConfig::read_noise_e`].
+    pub read_noise_e: f64,
+    /// In place of [`SensorConfig::black_level_dn`].
+    pub black_level_dn: f64,
 }
 
 impl SensorConfig {
@@ -60,6 +74,7 @@ impl SensorConfig {
             full_well_e: 10_500.0,
             gain_dn_per_e: 0.38,
             black_level_dn: 64.0,
+            cell: None,
             bit_depth: 12,
             hot_fraction: 2e-4,
             hot_pixels: Vec::new(),
@@ -201,6 +216,19 @@ impl SensorModel {
         counts
     }
 
+    fn counts_of(&self, pixel: usize) -> PixelCounts {
+        let config = &self.config;
+        let width = config.resolution_px[0] as usize;
+        match &config.cell {
+            Some(cell) => cell[pixel / width % 2 * 2 + pixel % width % 2],
+            None => PixelCounts {
+                gain_dn_per_e: config.gain_dn_per_e,
+                read_noise_e: config.read_noise_e,
+                black_level_dn: config.black_level_dn,
+            },
+        }
+    }
+
     fn count(&self, pixel: usize, radiance: f32, exposure_s: f64, gain: f64, key: NoiseKey) -> u16 {
         let FrameKey {
             light,
@@ -223,9 +251,10 @@ impl SensorModel {
         } else {
             numbers.poisson(mean).min(full_well)
         };
-        let read = f64::from(self.offset_e[pixel]) + self.config.read_noise_e * numbers.normal();
+        let counts = self.counts_of(pixel);
+        let read = f64::from(self.offset_e[pixel]) + counts.read_noise_e * numbers.normal();
         let read_as = electrons * (1.0 + self.config.nonlinearity * electrons / full_well);
-        let dn = self.config.black_level_dn + self.config.gain_dn_per_e * gain * (read_as + read);
+        let dn = counts.black_level_dn + counts.gain_dn_per_e * gain * (read_as + read);
         dn.round().clamp(0.0, f64::from(self.saturation_dn())) as u16
     }
 }
@@ -301,6 +330,28 @@ mod tests {
                 "{electrons} e, gain {gain}: chi2 {chi2} over {n}"
             );
         }
+    }
+
+    #[test]
+    fn each_pixel_of_a_cell_counts_in_its_own_way() {
+        let pixel = |place: usize| PixelCounts {
+            gain_dn_per_e: 0.1 * (place + 1) as f64,
+            read_noise_e: 0.0,
+            black_level_dn: 10.0 * place as f64 - 0.5,
+        };
+        let sensor = SensorModel::new(SensorConfig {
+            cell: Some([0, 1, 2, 3].map(pixel)),
+            dark_current_e_s: 0.0,
+            full_well_e: 1000.0,
+            resolution_px: [3, 3],
+            ..uniform_sensor()
+        });
+        // Every pixel is full.
+        let counts = sensor.expose(&[1e9; 9], 1.0, 1.0, key(0));
+        let [a, b, c, d] = [0, 1, 2, 3].map(|place| {
+            (pixel(place).black_level_dn + 1000.0 * pixel(place).gain_dn_per_e).round() as u16
+        });
+        assert_eq!(counts, [a, b, a, c, d, c, a, b, a]);
     }
 
     #[test]

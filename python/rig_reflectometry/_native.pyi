@@ -201,6 +201,7 @@ def merge(
     response: _Path | None = None,
     mosaic: _Mosaic = "none",
     full_resolution: bool = False,
+    measured_exposures: bool = False,
     out: _Path | None = None,
     progress: _Progress | None = None,
 ) -> Merged: ...

@@ -189,3 +189,6 @@ class Merged:
     """Pixels that are not valid: clipped in every exposure, hot, or moving."""
     agreement: list[list[dict[str, Any]]]
     """How the exposures agree, per channel of the frames, shortest first; as in `rig merge --json`."""
+    exposures: list[dict[str, Any]]
+    """With measured_exposures, each exposure as stated and as used (s) with its relative standard
+    uncertainty, shortest first; else empty. `rig merge --json` calls them `measured_exposures`."""

@@ -29,13 +29,15 @@ use crate::work;
 /// response: record by `rig calibrate response`, for 8-bit frames that are not linear.
 /// mosaic: "none", "rggb", "grbg", "gbrg" or "bggr"; a cell becomes one pixel unless
 ///     full_resolution.
+/// measured_exposures: use the exposures that the frames show in place of the stated ones, the
+///     shortest apart; Merged.exposures has them.
 /// out: OpenEXR file to keep the image in as well.
 /// progress: called as progress(phase, done, total) with frames, then rows of pixels.
 ///
 /// Returns Merged. Raises InputError for frames that make no bracket or a sensor that is not
 /// described, MissingFileError or FileError.
 #[pyfunction]
-#[pyo3(signature = (frames, *, exposures = None, gain = None, read_noise = None, black_level = None, saturation = None, bit_depth = None, dark_current = Real(0.0), responsivity = Real(1.0), response = None, mosaic = "none", full_resolution = false, out = None, progress = None))]
+#[pyo3(signature = (frames, *, exposures = None, gain = None, read_noise = None, black_level = None, saturation = None, bit_depth = None, dark_current = Real(0.0), responsivity = Real(1.0), response = None, mosaic = "none", full_resolution = false, measured_exposures = false, out = None, progress = None))]
 #[expect(clippy::too_many_arguments, reason = "keywords of a Python function")]
 pub fn merge(
     py: Python<'_>,
@@ -51,6 +53,7 @@ pub fn merge(
     response: Option<PathBuf>,
     mosaic: &str,
     full_resolution: bool,
+    measured_exposures: bool,
     out: Option<PathBuf>,
     progress: Option<Py<PyAny>>,
 ) -> PyResult<Py<PyAny>> {
@@ -84,7 +87,7 @@ pub fn merge(
             model: &model,
             mosaic,
             full_resolution,
-            measured_exposures: false,
+            measured_exposures,
             out: &path,
         };
         bracket_merge::merge(&request, progress)
@@ -97,6 +100,7 @@ pub fn merge(
         image = image_record(py, file.image, file.has_variance)?,
         masked_pixels = merged.masked_pixels,
         agreement = plain(py, &merged.agreement)?,
+        exposures = plain(py, &merged.exposures)?,
     )
 }
 

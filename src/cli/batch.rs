@@ -13,6 +13,7 @@ use crate::batch::{
     ArrayRequest, Batch, Collected, JobEnd, NewBatch, RunSummary, Selection, passed_over,
 };
 use crate::cluster::Shard;
+use crate::session::fit_record::Verdict;
 use crate::workflow::FitRequest;
 
 /// Fits and reports many sessions: one table, one page.
@@ -25,9 +26,8 @@ pub struct BatchArgs {
     new: Option<NewArgs>,
     #[command(flatten)]
     parallel: ParallelArgs,
-    /// The table as JSON on stdout
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    shown: ShownArgs,
 }
 
 /// A part of a batch, for those who divide it among processes or machines.
@@ -73,6 +73,32 @@ struct ParallelArgs {
 }
 
 #[derive(Args, Debug)]
+struct ShownArgs {
+    /// The table as JSON on stdout
+    #[arg(long)]
+    json: bool,
+    /// End with exit code 1 if a fit has this verdict or a worse one, for scripts
+    #[arg(long, value_name = "VERDICT", value_enum)]
+    fail_on: Option<FailOn>,
+}
+
+/// Verdicts of fits that are not the best.
+#[derive(clap::ValueEnum, Clone, Copy, Debug)]
+enum FailOn {
+    Reservations,
+    NotToBeTrusted,
+}
+
+impl From<FailOn> for Verdict {
+    fn from(fail_on: FailOn) -> Self {
+        match fail_on {
+            FailOn::Reservations => Self::Reservations,
+            FailOn::NotToBeTrusted => Self::NotToBeTrusted,
+        }
+    }
+}
+
+#[derive(Args, Debug)]
 struct RunArgs {
     /// The batch's folder, or its jobs.toml
     #[arg(value_name = "BATCH")]
@@ -92,9 +118,8 @@ struct CollectArgs {
     /// The batch's folder, or its jobs.toml
     #[arg(value_name = "BATCH")]
     batch: PathBuf,
-    /// The table as JSON on stdout
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    shown: ShownArgs,
 }
 
 #[derive(Args, Debug)]
@@ -123,7 +148,7 @@ pub fn run(args: &BatchArgs, context: &Context) -> Result<(), CliError> {
         }
         (Some(Part::Collect(args)), _) => {
             let batch = Batch::open(&args.batch, &parse_options)?;
-            show(&batch, &batch.collect()?, args.json, context)
+            show(&batch, &batch.collect()?, &args.shown, context)
         }
         (Some(Part::Slurm(args)), _) => {
             let batch = Batch::open(&args.batch, &parse_options)?;
@@ -139,7 +164,7 @@ pub fn run(args: &BatchArgs, context: &Context) -> Result<(), CliError> {
         (None, Some(new)) => {
             let batch = make(new, context)?;
             do_jobs(&batch, Selection::All, args.parallel.parallel, context)?;
-            show(&batch, &batch.collect()?, args.json, context)
+            show(&batch, &batch.collect()?, &args.shown, context)
         }
         (None, None) => Err(CliError::new(
             "neither sessions nor a part of a batch are named",
@@ -265,13 +290,14 @@ fn busy_error(busy: &[usize]) -> CliError {
 fn show(
     batch: &Batch,
     collected: &Collected,
-    json: bool,
+    args: &ShownArgs,
     context: &Context,
 ) -> Result<(), CliError> {
     for file in &collected.files {
         context.note(file.display());
     }
-    if json {
+    context.note_lines(summary(collected));
+    if args.json {
         output::write_json(&collected.json)?;
     } else {
         output::write_path(batch.folder())?;
@@ -279,7 +305,7 @@ fn show(
     let jobs = count(batch.jobs().len(), "job");
     let table = Path::new("table.csv").display();
     match (collected.failed, collected.open) {
-        (0, 0) => Ok(()),
+        (0, 0) => check_verdicts(&collected.verdicts, args.fail_on),
         (0, open) => Err(
             CliError::new(format!("{open} of {jobs} {} open", is_are(open))).hint(
                 "`rig batch run` does them, unless another process is at work on their sessions",
@@ -298,6 +324,51 @@ fn show(
             "{table} has the reasons; `rig batch run` tries those and does the others"
         ))),
     }
+}
+
+/// How many jobs came to what, a line each.
+fn summary(collected: &Collected) -> Vec<String> {
+    let of_fits = collected.verdicts.iter().map(|&(verdict, fits)| {
+        let (explain, is) = if fits == 1 {
+            ("explains", "is")
+        } else {
+            ("explain", "are")
+        };
+        let come_to = match verdict {
+            Verdict::Explains => format!("{explain} the images"),
+            Verdict::Reservations => {
+                format!("{explain} the images with reservations: look at the reasons")
+            }
+            Verdict::NotToBeTrusted => format!("{is} not to be trusted"),
+        };
+        format!("{} {come_to}", count(fits, "fit"))
+    });
+    let others = [(collected.failed, "failed"), (collected.open, "to be done")];
+    let others = others.into_iter().filter(|(jobs, _)| *jobs > 0);
+    let others = others.map(|(jobs, what)| format!("{} {what}", count(jobs, "job")));
+    of_fits.chain(others).collect()
+}
+
+/// An error where fits have the verdict that the operator does not accept, or a worse one.
+fn check_verdicts(found: &[(Verdict, usize)], fail_on: Option<FailOn>) -> Result<(), CliError> {
+    let Some(worst) = fail_on.map(Verdict::from) else {
+        return Ok(());
+    };
+    let bad = found.iter().filter(|(verdict, _)| *verdict >= worst);
+    let (bad, all): (usize, usize) = (
+        bad.map(|(_, fits)| fits).sum(),
+        found.iter().map(|(_, fits)| fits).sum(),
+    );
+    if bad == 0 {
+        return Ok(());
+    }
+    let fact = format!(
+        "--fail-on {}: {bad} of {} {} such a verdict or a worse one",
+        worst.name(),
+        count(all, "fit"),
+        if bad == 1 { "has" } else { "have" }
+    );
+    Err(CliError::new(fact).hint("table.csv has each fit's verdict and reason"))
 }
 
 fn count(n: usize, what: &str) -> String {

@@ -272,7 +272,7 @@ fn print_info(info: &CameraInfo) -> Result<(), CliError> {
     out!("camera    {} ({})", info.model, info.driver)?;
     out!("serial    {}", info.serial)?;
     out!(
-        "frame     {width} x {height} pixels, {} bits, colour filters {:?}",
+        "frame     {width} x {height} pixels, {} bits, colour filters {}",
         info.bit_depth,
         info.mosaic
     )?;

@@ -221,12 +221,13 @@ fn carry_out(
         Ok(Outcome::Complete) => {}
         Ok(Outcome::Interrupted) => {
             let signal = interrupt.signal().unwrap_or(Signal::Interrupt);
-            print_result(args, &root, &ran)?;
+            // A stdout that is gone, as with a closed terminal, is not how it ended.
+            drop(print_result(args, &root, &ran));
             let fact = "the capture was interrupted; the lamp is off";
             return Err(CliError::interrupted(signal, fact).hint(again));
         }
         Err(_) => {
-            print_result(args, &root, &ran)?;
+            drop(print_result(args, &root, &ran));
             return ran
                 .ended
                 .map(drop)

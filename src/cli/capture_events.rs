@@ -12,8 +12,7 @@ use super::error::CliError;
 use super::output::json_for_terminals;
 use super::stderr::LAST_WORDS;
 use super::write_queue::WriteQueue;
-use crate::capture::events::{CaptureEvent, Ending, Stamped};
-use crate::capture::{Observer, Progress};
+use crate::capture::{Ending, Observer, Progress, Stamped};
 
 /// Room for events that a later one supersedes, bytes.
 const SUPERSEDED: usize = 1 << 18;
@@ -30,35 +29,35 @@ impl EventLines {
     /// Of this process's stdout, which nothing else may write to from now on.
     pub(super) fn start() -> Result<Self, CliError> {
         let stdout = File::from(io::stdout().as_fd().try_clone_to_owned()?);
-        let dropped = |count| line(CaptureEvent::Dropped { count });
+        let dropped = |count| line(&Progress::Dropped { count });
         Ok(Self(WriteQueue::start("events", stdout, dropped)?))
     }
 
     /// Puts an event into the queue. Never waits.
-    pub(super) fn send(&self, event: CaptureEvent) {
-        let room = room_of(&event);
-        self.0.put(&line(event), room, true);
+    pub(super) fn send(&self, event: &Progress) {
+        self.0.put(&line(event), room_of(event), true);
     }
 
     /// A warning that the capture itself does not report.
     pub(super) fn warn(&self, text: &str) {
         let text = text.to_owned();
-        self.send(CaptureEvent::Warning { text });
+        self.send(&Progress::Warning { text });
     }
 
     /// The end of a capture that did not begin.
     pub(super) fn not_begun(&self, error: &CliError) {
-        self.send(CaptureEvent::Ended {
+        self.send(&Progress::Ended {
             outcome: Ending::Failed,
             session: None,
             elapsed_s: 0.0,
             error: Some(error.fact().to_owned()),
+            spent: None,
         });
     }
 
     /// The end of a fit that was made in vain.
     pub(super) fn fit_failed(&self, error: &CliError) {
-        self.send(CaptureEvent::FitFailed {
+        self.send(&Progress::FitFailed {
             error: error.fact().to_owned(),
             hint: error.advice().map(str::to_owned),
         });
@@ -78,8 +77,8 @@ impl Drop for EventLines {
 }
 
 impl Observer for &EventLines {
-    fn observe(&mut self, progress: Progress<'_>) {
-        self.send(progress.into());
+    fn observe(&mut self, progress: &Progress) {
+        self.send(progress);
     }
 
     /// The reader gets the news of the pause before this process is suspended.
@@ -88,13 +87,13 @@ impl Observer for &EventLines {
     }
 }
 
-fn line(event: CaptureEvent) -> String {
+fn line(event: &Progress) -> String {
     let text = serde_json::to_string(&Stamped::now(event)).expect("events have only string keys");
     json_for_terminals(&text)
 }
 
-fn room_of(event: &CaptureEvent) -> usize {
-    use CaptureEvent::*;
+fn room_of(event: &Progress) -> usize {
+    use Progress::*;
     match event {
         Frame { .. } | Left { .. } | Fit { .. } => SUPERSEDED,
         Begun { .. } | Paused | Continued | Ended { .. } | Fitted { .. } | FitFailed { .. } => {

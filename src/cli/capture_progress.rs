@@ -10,7 +10,7 @@ use super::context::Context;
 use super::interrupt;
 use super::progress::duration;
 use crate::capture::{Observer, Progress, Spent};
-use crate::device::{FrameKind, LampState};
+use crate::device::FrameKind;
 use crate::units::Seconds;
 
 /// A bar on stderr, or nothing where that is no terminal; warnings always.
@@ -81,14 +81,14 @@ impl<'a> Bar<'a> {
 }
 
 impl Observer for Bar<'_> {
-    fn observe(&mut self, progress: Progress<'_>) {
+    fn observe(&mut self, progress: &Progress) {
         match progress {
             Progress::Resumed { frames } => {
                 self.bar.suspend(|| {
                     self.context.note(format!("frames there already: {frames}"));
                 });
             }
-            Progress::Left(left) => self.left.set(Some(left)),
+            Progress::Left { seconds } => self.left.set(Some(Seconds(*seconds))),
             Progress::Homing => self.bar.set_message("homing"),
             Progress::Moving { light, target } => {
                 self.bar
@@ -96,37 +96,36 @@ impl Observer for Bar<'_> {
             }
             Progress::Begun { .. }
             | Progress::Planned { .. }
-            | Progress::Stored(_)
+            | Progress::Stored { .. }
             | Progress::Drift { .. }
             | Progress::LightDone { .. }
             | Progress::Paused
-            | Progress::Continued => {}
-            Progress::Frame {
-                key,
-                exposure,
-                lamp,
-                done,
-                ..
-            } => {
+            | Progress::Continued
+            | Progress::Fit { .. }
+            | Progress::Fitted { .. }
+            | Progress::FitFailed { .. }
+            | Progress::Dropped { .. } => {}
+            Progress::Frame { frame, done, .. } => {
                 self.bar.set_position((done * LENGTH as f64) as u64);
-                let what = match (key.kind, lamp) {
-                    (FrameKind::Light, LampState::On(channel)) => {
+                let what = match (frame.kind, frame.lamp) {
+                    (FrameKind::Light, Some(channel)) => {
                         let lamp = self.lamps.get(usize::from(channel.0));
                         lamp.copied().unwrap_or("lamp")
                     }
                     (FrameKind::Dark, _) => "dark",
                     _ => "lamp off",
                 };
+                let exposure = Seconds(frame.exposure_s);
                 self.bar
-                    .set_message(format!("light {}, {what}, {exposure}", key.light));
+                    .set_message(format!("light {}, {what}, {exposure}", frame.light));
             }
             Progress::Merging => {
                 self.bar.set_position(LENGTH);
                 self.bar.set_message("merging");
                 self.left.set(None);
             }
-            Progress::Ended { spent, .. } => self.spent = spent,
-            Progress::Warning(text) => self.bar.suspend(|| self.context.warn(text)),
+            Progress::Ended { spent, .. } => self.spent = *spent,
+            Progress::Warning { text } => self.bar.suspend(|| self.context.warn(text)),
         }
     }
 

@@ -227,7 +227,7 @@ fn print(
         " mean f",
         " spread",
         " stated",
-        " of it new",
+        " independent",
         " between",
         " combined",
         " share",
@@ -253,7 +253,7 @@ fn print(
     // What it means.
     out!("spread: standard deviation between the sessions; stated: that of the fits")?;
     out!(
-        "of it new: the part that is drawn anew in each session ({})",
+        "independent: the part of stated that differs from session to session ({}); the rest is common to all",
         found.drawn_anew.join(", ")
     )?;
     out!(

@@ -107,7 +107,7 @@ fn parse_host_name(text: &str) -> Result<String, String> {
 const CLOSING: Duration = Duration::from_secs(15);
 /// Before it is suspended the console waits no longer for that.
 const SUSPENDING: Duration = Duration::from_secs(4);
-/// A job that was told to end is continued so often: it may be about to pause.
+/// How often a job that was asked to end is sent SIGCONT: it may have paused itself at that moment.
 const CONTINUE: Duration = Duration::from_millis(250);
 /// A job has so long to end after a second signal; then it is killed, and the guardian turns
 /// the lamp off.
@@ -123,8 +123,8 @@ pub fn run(args: &ConsoleArgs, context: &Context) -> Result<(), CliError> {
         rig,
         folder: args.out.clone(),
     };
-    let console = Console::start(&subject, &args.listen, context)?;
-    console.stay(None, context)
+    let (console, signals) = Console::start(&subject, &args.listen, context)?;
+    console.stay(None, signals, context)
 }
 
 /// The console around a capture, as `rig capture --console` is: `arguments` are those of the
@@ -137,7 +137,7 @@ pub fn run_with_capture(
     context: &Context,
 ) -> Result<(), CliError> {
     let subject = Subject::of_capture(&arguments, context)?;
-    let console = Console::start(&subject, listen, context)?;
+    let (console, signals) = Console::start(&subject, listen, context)?;
     let events = OsString::from("--events");
     let work = Work {
         hidden: vec![events.clone()],
@@ -147,7 +147,7 @@ pub fn run_with_capture(
             arguments.into_iter().filter(|a| *a != events).collect(),
         )
     };
-    console.stay(Some(work), context)
+    console.stay(Some(work), signals, context)
 }
 
 /// What a console is about.
@@ -229,14 +229,17 @@ type Ended = (Option<Option<ExitStatus>>, Option<Signal>);
 struct Console {
     jobs: Jobs,
     bench: Bench,
-    /// Caught before the address is shown; the thread that waits for them has them then.
-    signals: Option<Signals>,
     _server: Running,
 }
 
 impl Console {
-    /// Listens, answers, and shows the address.
-    fn start(subject: &Subject, listen: &ListenArgs, context: &Context) -> Result<Self, CliError> {
+    /// Listens, answers, and shows the address. Also returns the signals, which are caught before
+    /// the address is shown.
+    fn start(
+        subject: &Subject,
+        listen: &ListenArgs,
+        context: &Context,
+    ) -> Result<(Self, Signals), CliError> {
         let Subject { rig, named, folder } = subject;
         let options = listen.options()?;
         let server = bind(&options, context)?;
@@ -283,19 +286,18 @@ impl Console {
         })?;
         let signals = Signals::new([SIGINT, SIGTERM, SIGHUP, SIGTSTP])?;
         show_address(&address, context)?;
-        Ok(Self {
+        let console = Self {
             jobs,
             bench,
-            signals: Some(signals),
             _server: running,
-        })
+        };
+        Ok((console, signals))
     }
 
     /// Runs `work`, if any, and stays until a signal ends the console.
-    fn stay(mut self, work: Option<Work>, context: &Context) -> Result<(), CliError> {
+    fn stay(self, work: Option<Work>, signals: Signals, context: &Context) -> Result<(), CliError> {
         // Signals and the ends of jobs wake this thread.
         let (wake, woken) = mpsc::channel();
-        let signals = self.signals.take();
         let ended = self.run(work, signals, &wake, &woken, context);
         self.close(&woken, context);
         match ended? {
@@ -308,7 +310,7 @@ impl Console {
     fn run(
         &self,
         work: Option<Work>,
-        signals: Option<Signals>,
+        mut signals: Signals,
         wake: &Sender<Woken>,
         woken: &Receiver<Woken>,
         context: &Context,
@@ -317,7 +319,6 @@ impl Console {
         std::thread::Builder::new()
             .name("signals".into())
             .spawn(move || {
-                let Some(mut signals) = signals else { return };
                 for number in signals.forever() {
                     if caught.send(Woken::Signal(number)).is_err() {
                         return;

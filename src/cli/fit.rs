@@ -6,7 +6,7 @@ use super::capture_events::EventLines;
 use super::fit_args::FitArgs;
 use super::fit_progress::FitProgress;
 use super::{CliError, Context, HintExt, output};
-use crate::capture::events::CaptureEvent;
+use crate::capture::Progress;
 use crate::session::SessionError;
 use crate::session::fit_record::Verdict;
 use crate::workflow::{
@@ -61,7 +61,7 @@ pub fn run(args: &FitCommandArgs, context: &Context) -> Result<(), CliError> {
         _ => None,
     };
     if let Some(lines) = &lines {
-        lines.send(fitted(&outcome, report.as_deref()));
+        lines.send(&fitted(&outcome, report.as_deref()));
         return Ok(());
     }
     print(args, &outcome)
@@ -79,9 +79,9 @@ fn reported<T>(
     })
 }
 
-fn fitted(outcome: &FitOutcome, report: Option<&Path>) -> CaptureEvent {
+fn fitted(outcome: &FitOutcome, report: Option<&Path>) -> Progress {
     let text = |path: &Path| path.to_string_lossy().into_owned();
-    CaptureEvent::Fitted {
+    Progress::Fitted {
         verdict: outcome.record.verdict(),
         fit: text(&outcome.folder),
         report: report.map(text),
@@ -191,7 +191,7 @@ pub(super) fn fit_and_report(
         Ok((outcome, report))
     })?;
     if let Some(lines) = lines {
-        lines.send(fitted(&outcome, report.as_deref()));
+        lines.send(&fitted(&outcome, report.as_deref()));
     }
     Ok(outcome.record.verdict())
 }

@@ -5,7 +5,7 @@ use std::sync::{Mutex, PoisonError};
 use super::Context;
 use super::capture_events::EventLines;
 use super::progress::StagedBar;
-use crate::capture::events::CaptureEvent;
+use crate::capture;
 use crate::progress::Progress;
 use crate::session::fit_record::{FitRecord, Warning};
 use crate::workflow::{Notice, Observer};
@@ -98,7 +98,7 @@ impl Progress for FitProgress<'_> {
         let done = reached.part_over(phase);
         self.bar.at(phase, done);
         if let Some(lines) = self.lines {
-            lines.send(CaptureEvent::Fit {
+            lines.send(&capture::Progress::Fit {
                 stage: phase.to_owned(),
                 done,
             });

@@ -8,6 +8,7 @@ use serde::Serialize;
 use super::context::Context;
 use super::error::{CliError, HintExt};
 use super::output::{unwritable, write_json, write_path, write_stderr};
+use crate::config::RIG_FILE;
 use crate::config::draft::{
     AnswerError, Answers, DraftError, Found, Kind, Question, Step, Written, check_so_far,
     questions, write,
@@ -15,8 +16,6 @@ use crate::config::draft::{
 use crate::shown::escaped;
 use crate::{outside_file, whole_file};
 
-/// Where the file goes unless --out says otherwise: commands find it there by themselves.
-const RIG_FILE: &str = "rig.toml";
 /// Answers are short; anything larger is another file.
 const LARGEST_ANSWERS_BYTES: u64 = 1 << 20;
 

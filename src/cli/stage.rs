@@ -293,7 +293,8 @@ impl Which {
         Ok(open_stage(&rig.config, &open::options(&rig.config)?)?)
     }
 
-    /// `sent` is what the lamp was told last, for a stage that does not report it.
+    /// `sent`: the state of the lamp that was last commanded, shown where the stage does not
+    /// report its lamp.
     fn report(
         &self,
         stage: &dyn LightStage,

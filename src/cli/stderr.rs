@@ -57,14 +57,14 @@ static BAR_IS_SHOWN: Mutex<bool> = Mutex::new(false);
 pub fn write(text: &str, worth: Worth) {
     // Held until the text is queued, so that no drawing comes in between.
     let mut bar = BAR_IS_SHOWN.lock().unwrap_or_else(PoisonError::into_inner);
-    match std::mem::replace(&mut *bar, worth == Worth::Progress && draws(text)) {
+    match std::mem::replace(&mut *bar, worth == Worth::Progress && leaves_a_line(text)) {
         true if worth != Worth::Progress => put(&format!("{CLEAR_LINE}{text}"), worth),
         _ => put(text, worth),
     }
 }
 
-/// Whether something of a drawing remains on its last line.
-fn draws(drawing: &str) -> bool {
+/// Whether the last line of a bar's drawing still shows something when it is done.
+fn leaves_a_line(drawing: &str) -> bool {
     let last = drawing.rsplit(CLEAR_LINE).next();
     last.is_some_and(|last| !last.trim().is_empty())
 }
@@ -110,7 +110,7 @@ impl Write for Trace {
     }
 }
 
-/// The terminal that a progress bar draws on: each drawing is one text of the queue.
+/// The terminal as a progress bar sees it: each redraw of the bar is one text in the queue.
 #[derive(Debug, Default)]
 pub struct Drawing(Mutex<String>);
 
@@ -200,7 +200,7 @@ mod tests {
             ("\r\x1b[2K██ 96%", true),
             ("██ 96%\r\x1b[2K", false),
         ] {
-            assert_eq!(draws(drawing), remains, "{drawing:?}");
+            assert_eq!(leaves_a_line(drawing), remains, "{drawing:?}");
         }
     }
 }

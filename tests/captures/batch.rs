@@ -109,6 +109,13 @@ fn shards_and_killed_jobs_give_the_tables_of_one_process() {
         "1 of 3 jobs failed",
         "table.csv has the reasons; the same command tries them again",
     );
+    assert_eq!(
+        text(&output.stderr)
+            .lines()
+            .filter(|line| line.starts_with(char::is_numeric))
+            .collect::<Vec<_>>(),
+        ["2 fits are not to be trusted", "1 job failed"]
+    );
     let [csv, json, page] = results(&alone);
     let rows: Vec<&str> = csv.lines().collect();
     assert!(rows[0].starts_with("job,session,sample,simulated,status,verdict,"));
@@ -335,6 +342,28 @@ fn a_batch_that_was_moved_finds_its_sessions() {
     fs::rename(at("then"), at("now")).unwrap();
     assert_done(&batch(&folder, "run now/batch --index 1"));
     assert_eq!(fits(&at("now/sessions/a")), 1);
+
+    // Its verdict, for scripts.
+    for (fail_on, is_bad) in [
+        ("", false),
+        (" --fail-on not-to-be-trusted", true),
+        (" --fail-on reservations", true),
+    ] {
+        let output = batch(&folder, &format!("collect now/batch{fail_on}"));
+        let said = text(&output.stderr);
+        assert!(said.contains("1 fit is not to be trusted"), "{said}");
+        if is_bad {
+            let fact = "1 of 1 fit has such a verdict or a worse one";
+            assert_fails(
+                &output,
+                1,
+                fact,
+                "table.csv has each fit's verdict and reason",
+            );
+        } else {
+            assert_done(&output);
+        }
+    }
 
     fs::remove_file(at("now/batch/records/00001.json")).unwrap();
     fs::rename(at("now/sessions"), at("elsewhere")).unwrap();

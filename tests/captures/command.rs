@@ -163,15 +163,12 @@ fn a_session_is_fitted_with_the_mesh_it_was_captured_with() {
 /// fit says what the albedo rests on.
 #[test]
 fn a_scale_that_nobody_measured_is_remarked_on() {
-    let folder = shipped_workplace(|text| text);
+    let folder = workplace(|text| text);
     let captured = run(&folder, &["capture", "--lights", "1", "--no-fit"]);
     assert!(captured.status.success(), "{}", text(&captured.stderr));
     let root = session_of(&folder, &captured);
     let fit = |root: &Path| {
-        let fitted = run(
-            &folder,
-            &["fit", root.to_str().unwrap(), "--spp", "64", "--json"],
-        );
+        let fitted = run(&folder, &["fit", root.to_str().unwrap(), "--json"]);
         assert!(fitted.status.success(), "{}", text(&fitted.stderr));
         let told: serde_json::Value = serde_json::from_slice(&fitted.stdout).unwrap();
         (told["remarks"].clone(), text(&fitted.stderr).to_owned())

@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 use crate::command_support::*;
 use rig::capture::DriftSpan;
 use rig::capture::Outcome;
-use rig::capture::events::{CaptureEvent, Ending, FrameEvent, Stamped};
+use rig::capture::{Ending, FrameEvent, Progress, Stamped};
 use rig::session::faults::UnsyncedDisk;
 use rig::session::{Event, Journal, Session, drift};
 use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
@@ -28,7 +28,7 @@ fn with_events(arguments: &[&'static str]) -> Vec<&'static str> {
 
 /// Every line of stdout is an event.
 #[track_caller]
-fn events(stdout: &[u8]) -> Vec<CaptureEvent> {
+fn events(stdout: &[u8]) -> Vec<Progress> {
     let lines = str::from_utf8(stdout).unwrap().lines();
     let read = |line| serde_json::from_str(line).unwrap_or_else(|e| panic!("{line}: {e}"));
     let stamped: Vec<Stamped> = lines.map(read).collect();
@@ -48,12 +48,12 @@ fn identity(frame: &FrameEvent) -> (u32, u32, u32, String) {
 /// Every frame that is kept was announced before it was stored; files in the order of the
 /// journal from `first` on.
 #[track_caller]
-fn check_frames(events: &[CaptureEvent], root: &Path, first: usize) {
+fn check_frames(events: &[Progress], root: &Path, first: usize) {
     let mut announced = Vec::new();
     let (mut stored, mut files) = (Vec::new(), Vec::new());
     for event in events {
         match event {
-            CaptureEvent::Frame {
+            Progress::Frame {
                 frame,
                 kept: true,
                 done,
@@ -61,7 +61,7 @@ fn check_frames(events: &[CaptureEvent], root: &Path, first: usize) {
                 assert!((0.0..=1.0).contains(done));
                 announced.push(identity(frame));
             }
-            CaptureEvent::Stored { frame, file, .. } => {
+            Progress::Stored { frame, file, .. } => {
                 stored.push(identity(frame));
                 files.push(file.clone());
                 assert_eq!(
@@ -79,14 +79,14 @@ fn check_frames(events: &[CaptureEvent], root: &Path, first: usize) {
     assert_eq!(files, journalled[first..]);
 }
 
-fn end(events: &[CaptureEvent]) -> Option<Ending> {
+fn end(events: &[Progress]) -> Option<Ending> {
     match events.last() {
-        Some(CaptureEvent::Ended { outcome, .. }) => Some(*outcome),
+        Some(Progress::Ended { outcome, .. }) => Some(*outcome),
         _ => None,
     }
 }
 
-fn position(events: &[CaptureEvent], wanted: &CaptureEvent) -> usize {
+fn position(events: &[Progress], wanted: &Progress) -> usize {
     let found = events.iter().position(|event| event == wanted);
     found.unwrap_or_else(|| panic!("no {wanted:?} in {events:?}"))
 }
@@ -99,7 +99,7 @@ fn a_capture_reports_all_that_happens_in_its_order() {
     let session = Session::open(&root).unwrap();
     let events = events(&output.stdout);
     // The plan first, the end last.
-    let CaptureEvent::Begun {
+    let Progress::Begun {
         session: named,
         sample,
         lights,
@@ -118,21 +118,21 @@ fn a_capture_reports_all_that_happens_in_its_order() {
     // Every light in its order.
     let at = |wanted| position(&events, wanted);
     let planned = |light| {
-        let is_planned = |event: &CaptureEvent| matches!(event, CaptureEvent::Planned { light: at, steps, .. } if *at == light && !steps.is_empty());
+        let is_planned = |event: &Progress| matches!(event, Progress::Planned { light: at, steps, .. } if *at == light && !steps.is_empty());
         events.iter().position(is_planned).unwrap()
     };
     let order = [
-        at(&CaptureEvent::Homing),
+        at(&Progress::Homing),
         planned(0),
-        at(&CaptureEvent::LightDone { light: 0 }),
+        at(&Progress::LightDone { light: 0 }),
         planned(1),
-        at(&CaptureEvent::LightDone { light: 1 }),
-        at(&CaptureEvent::Merging),
+        at(&Progress::LightDone { light: 1 }),
+        at(&Progress::Merging),
     ];
     assert!(order.is_sorted(), "{order:?}");
     // The lamp, as the session has it.
     let reported = events.iter().filter_map(|event| match *event {
-        CaptureEvent::Drift {
+        Progress::Drift {
             light,
             channel,
             span,
@@ -188,17 +188,17 @@ fn an_interrupted_capture_says_so_and_a_resumed_one_goes_on_from_there() {
     let resume = ["capture", "--no-fit", "--events", "--resume", root_text];
     let second = events(&good(run(folder.path(), &resume)).stdout);
     assert!(
-        matches!(second[0], CaptureEvent::Begun { .. }),
+        matches!(second[0], Progress::Begun { .. }),
         "{:?}",
         second[0]
     );
-    assert_eq!(second[1], CaptureEvent::Resumed { frames: there });
+    assert_eq!(second[1], Progress::Resumed { frames: there });
     assert_eq!(end(&second), Some(Ending::Complete));
     check_frames(&second, &root, there);
 
     // Nothing is left to do.
     let third = events(&good(run(folder.path(), &resume)).stdout);
-    let done = |light| CaptureEvent::LightDone { light };
+    let done = |light| Progress::LightDone { light };
     assert_eq!(third[1..3], [done(0), done(1)]);
     assert_eq!(end(&third), Some(Ending::Complete));
 }
@@ -217,7 +217,7 @@ fn a_pause_is_reported_before_the_process_is_suspended() {
         let line = lines.next()?.unwrap();
         Some(serde_json::from_str::<Stamped>(&line).unwrap().event)
     };
-    let mut until = |is: &dyn Fn(&CaptureEvent) -> bool| {
+    let mut until = |is: &dyn Fn(&Progress) -> bool| {
         let mut before = Vec::new();
         while let Some(event) = next() {
             let found = is(&event);
@@ -228,19 +228,19 @@ fn a_pause_is_reported_before_the_process_is_suspended() {
         }
         panic!("not among {before:?}");
     };
-    let is_stored = |event: &CaptureEvent| matches!(event, CaptureEvent::Stored { .. });
+    let is_stored = |event: &Progress| matches!(event, Progress::Stored { .. });
     until(&is_stored);
     let pid = Pid::from_child(&child);
     kill_process(pid, Signal::TSTP).unwrap();
-    until(&|event| *event == CaptureEvent::Paused);
+    until(&|event| *event == Progress::Paused);
     wait_until_stopped(&child);
     let root = only_session(folder.path()).unwrap();
     let last = Journal::read(&root).unwrap().records.pop().unwrap();
     assert_eq!(last.event, Event::Paused);
     kill_process(pid, Signal::CONT).unwrap();
-    assert_eq!(until(&|_| true), [CaptureEvent::Continued]);
-    let rest = until(&|event| matches!(event, CaptureEvent::Ended { .. }));
-    assert!(rest.contains(&CaptureEvent::Homing), "{rest:?}");
+    assert_eq!(until(&|_| true), [Progress::Continued]);
+    let rest = until(&|event| matches!(event, Progress::Ended { .. }));
+    assert!(rest.contains(&Progress::Homing), "{rest:?}");
     assert_eq!(end(&rest), Some(Ending::Complete));
     assert!(child.wait().unwrap().success());
 }
@@ -334,12 +334,12 @@ fn the_fit_is_reported_in_the_same_stream() {
     let folder = workplace(|text| text);
     let capture = with_events(&["capture", "--lights", "2"]);
     let events_of_capture = events(&good(run(folder.path(), &capture)).stdout);
-    let is_end = |event: &CaptureEvent| matches!(event, CaptureEvent::Ended { .. });
+    let is_end = |event: &Progress| matches!(event, Progress::Ended { .. });
     let ended = events_of_capture.iter().position(is_end).unwrap();
     assert_eq!(end(&events_of_capture[..=ended]), Some(Ending::Complete));
     let root = only_session(folder.path()).unwrap();
-    let check = |events: &[CaptureEvent], has_report: bool| {
-        let Some((CaptureEvent::Fitted { fit, report, .. }, phases)) = events.split_last() else {
+    let check = |events: &[Progress], has_report: bool| {
+        let Some((Progress::Fitted { fit, report, .. }, phases)) = events.split_last() else {
             panic!("{events:?}");
         };
         assert!(folder.path().join(fit).join("fit.toml").exists(), "{fit}");
@@ -350,7 +350,7 @@ fn the_fit_is_reported_in_the_same_stream() {
         let done: Vec<f64> = phases
             .iter()
             .map(|event| match event {
-                CaptureEvent::Fit { done, .. } => *done,
+                Progress::Fit { done, .. } => *done,
                 other => panic!("{other:?}"),
             })
             .collect();
@@ -368,7 +368,7 @@ fn the_fit_is_reported_in_the_same_stream() {
     std::fs::remove_file(root.join("derived/radiance_L001.exr")).unwrap();
     let output = run(folder.path(), &fit);
     assert_eq!(output.status.code(), Some(1));
-    let [.., CaptureEvent::FitFailed { error, hint }] = &events(&output.stdout)[..] else {
+    let [.., Progress::FitFailed { error, hint }] = &events(&output.stdout)[..] else {
         panic!("{}", text(&output.stdout));
     };
     assert!(text(&output.stderr).contains(error), "{error}");
@@ -383,7 +383,7 @@ fn a_capture_that_cannot_begin_ends_without_a_session() {
         match &events(&output.stdout)[..] {
             [
                 ..,
-                CaptureEvent::Ended {
+                Progress::Ended {
                     outcome: Ending::Failed,
                     session: None,
                     error,
@@ -435,7 +435,7 @@ fn options_of_the_console_need_it() {
     }
 }
 
-fn capture_in_memory(world: impl FnOnce(&mut bench::World)) -> Vec<CaptureEvent> {
+fn capture_in_memory(world: impl FnOnce(&mut bench::World)) -> Vec<Progress> {
     let folder = tempfile::tempdir().unwrap();
     let disk = Arc::new(UnsyncedDisk);
     let session = bench::create(disk, folder.path()).unwrap();
@@ -453,27 +453,27 @@ fn capture_in_memory(world: impl FnOnce(&mut bench::World)) -> Vec<CaptureEvent>
 #[test]
 fn the_end_is_the_last_event_and_has_the_reason() {
     let events = capture_in_memory(|world| world.fail_at_grab = Some(25));
-    let Some(CaptureEvent::Ended { outcome, error, .. }) = events.last() else {
+    let Some(Progress::Ended { outcome, error, .. }) = events.last() else {
         panic!("{events:?}");
     };
     assert_eq!(*outcome, Ending::Failed);
     assert!(error.is_some());
-    let stored = |event: &&CaptureEvent| matches!(event, CaptureEvent::Stored { .. });
+    let stored = |event: &&Progress| matches!(event, Progress::Stored { .. });
     assert!(events.iter().filter(stored).count() > 4, "{events:?}");
-    let ends = |event: &&CaptureEvent| matches!(event, CaptureEvent::Ended { .. });
+    let ends = |event: &&Progress| matches!(event, Progress::Ended { .. });
     assert_eq!(events.iter().filter(ends).count(), 1);
 
     let events = capture_in_memory(|world| world.pause_at_grab = Some(25));
     let at = |wanted| position(&events, wanted);
-    assert_eq!(at(&CaptureEvent::Paused) + 1, at(&CaptureEvent::Continued));
+    assert_eq!(at(&Progress::Paused) + 1, at(&Progress::Continued));
     // Every frame that was taken before was reported before.
     let [mut taken, mut stored] = [0, 0];
-    for event in &events[..at(&CaptureEvent::Paused)] {
-        taken += u32::from(matches!(event, CaptureEvent::Frame { .. }));
-        stored += u32::from(matches!(event, CaptureEvent::Stored { .. }));
+    for event in &events[..at(&Progress::Paused)] {
+        taken += u32::from(matches!(event, Progress::Frame { .. }));
+        stored += u32::from(matches!(event, Progress::Stored { .. }));
     }
     assert!(stored > 0 && taken == stored, "{taken} {stored}");
     // The light is compared by a frame that becomes no file.
-    let unkept = |event: &CaptureEvent| matches!(event, CaptureEvent::Frame { kept: false, .. });
+    let unkept = |event: &Progress| matches!(event, Progress::Frame { kept: false, .. });
     assert!(events.iter().any(unkept), "{events:?}");
 }

@@ -265,6 +265,62 @@ fn no_page_names_a_program() {
     );
 }
 
+/// A rig file of the page's names no file elsewhere on the machine, and replaces no other one.
+#[test]
+fn a_page_sets_up_a_bench_below_its_folder_alone() {
+    let folder = workplace();
+    let at = |name: &str| folder.path().join(name);
+    let console = start(folder.path());
+    let set_up = |answers: serde_json::Value| {
+        let answer = console.post("a", "/api/setup", &json!({"answers": answers}));
+        (answer.status, answer.json())
+    };
+    std::fs::write(at("own.ply"), "").unwrap();
+    std::fs::create_dir(at("frames")).unwrap();
+    std::os::unix::fs::symlink("own.ply", at("link.ply")).unwrap();
+    std::os::unix::fs::symlink("/tmp", at("linked")).unwrap();
+    let mesh = |file: &str| json!({"sample_shape": "mesh", "sample_mesh": file});
+    let frames = |place: &str| json!({"camera": "folder", "camera_address": place});
+    for bad in [
+        "/etc/passwd",
+        "../own.ply",
+        "link.ply",
+        "linked/x.ply",
+        "none.ply",
+        "",
+    ] {
+        let (status, answer) = set_up(mesh(bad));
+        assert_eq!(status, 422, "{bad}: {answer}");
+        let error = answer["error"].to_string();
+        assert!(
+            error.contains("is not below the console's folder"),
+            "{error}"
+        );
+    }
+    for bad in ["/tmp", "..", "linked"] {
+        let (status, answer) = set_up(frames(bad));
+        let error = answer["error"].to_string();
+        assert_eq!(status, 422, "{bad}: {answer}");
+        assert!(
+            error.contains("is not below the console's folder"),
+            "{error}"
+        );
+    }
+    for good in [mesh("own.ply"), frames("frames")] {
+        let (_, answer) = set_up(good);
+        let error = answer["error"].to_string();
+        assert!(!error.contains("is not below"), "{error}");
+    }
+    std::fs::write(at("rig.toml"), "").unwrap();
+    let (status, answer) = set_up(json!({}));
+    assert_eq!(
+        (status, &answer["error"]),
+        (409, &"rig.toml exists in the console's folder".into())
+    );
+    let hint = answer["hint"].to_string();
+    assert!(hint.contains("rename it"), "{hint}");
+}
+
 #[test]
 fn one_viewer_controls_and_anyone_can_stop() {
     let folder = workplace();

@@ -335,6 +335,18 @@ fn one_writer_at_a_time_and_asked_twice_it_stops_in_mid_motion() {
     assert!(text(&report.stderr).contains("rig fit"));
 }
 
+/// As where its terminal is closed.
+#[test]
+fn a_stdout_that_is_gone_hides_no_signal() {
+    let folder = workplace(realistic);
+    let arguments = ["capture", "--lights", "2", "--no-fit"];
+    let (mut child, _) = begin(folder.path(), &arguments, |_| true);
+    drop(child.stdout.take());
+    kill_process(Pid::from_child(&child), Signal::HUP).unwrap();
+    let output = child.wait_with_output().unwrap();
+    assert_fails(&output, 129, "interrupted; the lamp is off", "--resume");
+}
+
 #[test]
 fn a_signal_during_the_fit_ends_it_and_leaves_the_capture_complete() {
     let folder = workplace(|text| text);

@@ -11,8 +11,8 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crate::camera_support::{assert_same_within_noise, documented_faults};
+use mock_cameras::ptp::{Body, BodyConfig, BodyFault, PtpServer};
 use mock_devices::camera::{CameraConfig, SimulatedCamera};
-use mock_devices::ptp::{Body, BodyConfig, BodyFault, PtpServer};
 use mock_devices::sensor::SensorModel;
 use mock_devices::{Illumination, RadianceSource};
 use rig::capture::open::Devices;

@@ -400,3 +400,33 @@ fn a_capture_that_does_not_go_on_is_relieved() {
         }
     });
 }
+
+/// A stage that answers nothing any more, though it obeys, costs no more than a few seconds:
+/// its time-outs do not follow each other.
+#[test]
+fn a_stage_that_falls_mute_is_not_waited_for() {
+    std::thread::scope(|scope| {
+        for signals in [1, 2] {
+            scope.spawn(move || {
+                let bench = start_bench();
+                let folder = tempfile::tempdir().unwrap();
+                let mut child = start(&bench, folder.path(), "", 2.0);
+                wait_until("lit", || is_lit(&bench));
+                bench.stage_faults().inject(Trigger::Always, Fault::NoReply);
+                let asked = Instant::now();
+                for _ in 0..signals {
+                    kill_process(Pid::from_child(&child), Signal::INT).unwrap();
+                }
+                wait_until("ended", || child.try_wait().unwrap().is_some());
+                let took = asked.elapsed();
+                assert!(took < Duration::from_secs(5), "{signals}: {took:?}");
+                wait_until("dark", || !is_lit(&bench));
+                assert!(asked.elapsed() < Duration::from_secs(5), "{signals}");
+                let output = output_in_time(child, "mute");
+                let said = String::from_utf8_lossy(&output.stderr);
+                assert_eq!(output.status.code(), Some(1), "{said}");
+                assert!(said.contains("did not confirm that it stopped"), "{said}");
+            });
+        }
+    });
+}

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use mock_devices::gige::GigeFaults;
+use mock_cameras::gige::GigeFaults;
 use rig::capture::open::Devices;
 use rig::capture::prepare::{CaptureRequest, Lights, prepare};
 use rig::capture::{CaptureError, Outcome};

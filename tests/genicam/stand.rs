@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
 
+use mock_cameras::gige::{Exposer, GigeCamera};
 use mock_devices::camera::CameraConfig;
-use mock_devices::gige::{Exposer, GigeCamera};
 use mock_devices::sensor::SensorModel;
 use mock_devices::{Illumination, RadianceSource};
 use rig::capture::open::Devices;

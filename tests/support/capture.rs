@@ -9,7 +9,6 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 
-use rig::capture::events::CaptureEvent;
 use rig::capture::plan::Pace;
 use rig::capture::{BracketSink, Capture, CaptureError, Observer, Outcome, Progress};
 use rig::device::*;
@@ -486,7 +485,7 @@ impl BracketSink for SumSink {
 /// Keeps what was reported.
 #[derive(Default)]
 pub struct Heard {
-    pub events: Vec<CaptureEvent>,
+    pub events: Vec<Progress>,
     pub warnings: Vec<String>,
     pub done: Vec<f64>,
     pub resumed: usize,
@@ -505,21 +504,21 @@ fn hang() -> ! {
 }
 
 impl Observer for Heard {
-    fn observe(&mut self, progress: Progress<'_>) {
-        self.events.push(progress.into());
+    fn observe(&mut self, progress: &Progress) {
+        self.events.push(progress.clone());
         match progress {
-            Progress::Warning(text) => self.warnings.push(text.to_owned()),
+            Progress::Warning { text } => self.warnings.push(text.to_owned()),
             // One that only compares the light after a new homing becomes no file.
             Progress::Frame {
                 done, kept: true, ..
             } => {
-                self.done.push(done);
+                self.done.push(*done);
                 assert!(self.panic_at_frame != Some(self.done.len()), "a defect");
                 if self.hang_at_frame == Some(self.done.len()) {
                     hang();
                 }
             }
-            Progress::Resumed { frames } => self.resumed = frames,
+            Progress::Resumed { frames } => self.resumed = *frames,
             _ => {}
         }
     }

@@ -192,8 +192,7 @@ pub(super) fn find(judged: &Judged<'_>) -> Vec<Finding> {
     for (image, values) in values.iter().enumerate() {
         found.extend(stray_light(values, image, judged.stray_light[image]));
     }
-    let excess_error = judged.reduced_chi2.iter().flatten();
-    let excess_error = excess_error.fold(0.0, |worst: f64, &chi2| worst.max(chi2));
+    let excess_error = excess_error(judged, &values);
     if excess_error > EXPLAINED_MEAN_SQUARE {
         for image in 0..values.len() {
             found.extend(exchanged(objective, model, image));
@@ -247,8 +246,8 @@ struct Compared {
     noise: f64,
     /// Variance of noise and model error.
     variance: f64,
-    /// Whether it counts as an isolated outlier.
-    outlier: bool,
+    /// Less than 1 for an isolated outlier.
+    robust_weight: f64,
 }
 
 impl Compared {
@@ -280,11 +279,30 @@ fn compared(objective: &Objective<'_>, model: &[ModelImage], light: usize) -> Ve
                 indirect: modelled.indirect,
                 noise,
                 variance: noise + allowed,
-                outlier: robust_weight[channel] < 1.0,
+                robust_weight: robust_weight[channel],
             }
         })
     };
     cells.flat_map(of_pixel).collect()
+}
+
+/// Mean square residual in variances, of the worst image and channel; stray light is allowed for.
+fn excess_error(judged: &Judged<'_>, values: &[Vec<Compared>]) -> f64 {
+    let mut worst = 0.0f64;
+    for (image, values) in values.iter().enumerate() {
+        for channel in 0..3 {
+            let stray_light = judged.stray_light[image][channel];
+            worst = worst.max(if stray_light > 0.0 {
+                let of_channel = || values.iter().filter(|v| v.channel == channel);
+                let squares = of_channel()
+                    .map(|v| v.robust_weight * v.residual().powi(2) / (v.variance + stray_light));
+                squares.sum::<f64>() / of_channel().count().max(1) as f64
+            } else {
+                judged.reduced_chi2[image][channel]
+            });
+        }
+    }
+    worst
 }
 
 fn stray_light(values: &[Compared], image: usize, variance: [f64; 3]) -> Option<Finding> {
@@ -414,7 +432,7 @@ fn scatter(objective: &Objective<'_>, model: &[ModelImage], image: usize) -> Opt
 /// Factor by which the model's images would have to be brighter: Σ y m/σ² over Σ m²/σ².
 fn brightness<'a>(values: impl Iterator<Item = &'a Compared>) -> f64 {
     let [mut cross, mut square] = [0.0, 0.0];
-    for v in values.filter(|v| v.variance > 0.0 && !v.outlier) {
+    for v in values.filter(|v| v.variance > 0.0 && v.robust_weight >= 1.0) {
         cross += v.captured * v.modelled() / v.variance;
         square += v.modelled().powi(2) / v.variance;
     }
@@ -429,7 +447,9 @@ fn brightness<'a>(values: impl Iterator<Item = &'a Compared>) -> f64 {
 /// ρ′, the model's parts must be scaled by a = sρ/ρ′ and b = sρ²/ρ′², so s = a²/b. Their
 /// covariance is the sandwich over blocks of cells.
 fn scale<'a>(values: impl Iterator<Item = &'a Compared>) -> Option<[f64; 2]> {
-    let values: Vec<&Compared> = values.filter(|v| v.variance > 0.0 && !v.outlier).collect();
+    let values: Vec<&Compared> = values
+        .filter(|v| v.variance > 0.0 && v.robust_weight >= 1.0)
+        .collect();
     let blocks = 1 + values.iter().map(|v| v.block).max()?;
     let row = |v: &Compared| Vector2::new(v.direct, v.indirect);
     let (mut normal, mut right) = (Matrix2::zeros(), Vector2::zeros());

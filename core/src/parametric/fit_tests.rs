@@ -100,7 +100,19 @@ fn neutral_materials_stay_neutral_and_no_grey_is_nearer() {
         "nbrdf:aluminium",
     ] {
         let material = source::load(spec).unwrap();
-        for model in MODELS {
+        let error = |of: &dyn Brdf| {
+            score::environment_error(of, material.as_ref(), &maps, SMALL_SPHERE)
+                .mean
+                .all
+        };
+        let grey = [0.01, 0.03, 0.1, 0.3, 0.9].map(|albedo| {
+            let grey = source::load(&format!("lambertian:{albedo}")).unwrap();
+            error(grey.as_ref())
+        });
+        let grey = grey.into_iter().fold(f64::INFINITY, f64::min);
+        // In full with RIG_LONG; otherwise every model of the hardest one, and one of the others.
+        let every = std::env::var_os("RIG_LONG").is_some() || spec.ends_with("phenolic");
+        for model in MODELS.into_iter().filter(|&m| every || m == Model::Gltf) {
             let found = fit(material.as_ref(), model).unwrap();
             let p = found.parameters;
             if spec.starts_with("lambertian") && model == Model::Gltf {
@@ -111,19 +123,6 @@ fn neutral_materials_stay_neutral_and_no_grey_is_nearer() {
                 let spread = r.max(g).max(b) - r.min(g).min(b);
                 assert!(spread < 0.01, "{spec} {model:?}: {p:?}");
             }
-            let error = |of: &dyn Brdf| {
-                score::environment_error(of, material.as_ref(), &maps, SMALL_SPHERE)
-                    .mean
-                    .all
-            };
-            let grey = [0.01, 0.03, 0.1, 0.3, 0.9].map(|albedo| {
-                error(
-                    source::load(&format!("lambertian:{albedo}"))
-                        .unwrap()
-                        .as_ref(),
-                )
-            });
-            let grey = grey.into_iter().fold(f64::INFINITY, f64::min);
             let own = error(&found.brdf());
             assert!(own < grey + 1e-3, "{spec} {model:?}: {own}, a grey {grey}");
         }

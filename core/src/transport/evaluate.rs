@@ -122,15 +122,44 @@ impl Cache {
             Kernel::available().contains(&kernel),
             "this processor lacks kernel {kernel}"
         );
+        // The threads' work knows the visitor, and what is compiled for each size of records and
+        // number of channels does not: together they would be compiled ninety times.
+        let groups = self.groups(kernel, weights, discrepancy);
+        (0..groups.count())
+            .into_par_iter()
+            // Groups differ in size: a thread that is done takes the next.
+            .with_max_len(1)
+            .map(|index| {
+                let mut accumulator = group();
+                groups.visit(index, &mut |rows| visit(&mut accumulator, rows));
+                accumulator
+            })
+            .collect()
+    }
+
+    fn groups<'a>(
+        &'a self,
+        kernel: Kernel,
+        weights: ChannelWeights<'_>,
+        discrepancy: &NodeFactors<'_>,
+    ) -> Box<dyn Groups + 'a> {
         macro_rules! by_channels {
             ($chunks:expr, $b:literal) => {
                 match weights.len() {
-                    1 => {
-                        self.run::<$b, 1, _>(kernel, $chunks, weights, discrepancy, &group, &visit)
-                    }
-                    3 => {
-                        self.run::<$b, 3, _>(kernel, $chunks, weights, discrepancy, &group, &visit)
-                    }
+                    1 => Box::new(Pass::<$b, 1>::new(
+                        self,
+                        kernel,
+                        $chunks,
+                        weights,
+                        discrepancy,
+                    )),
+                    3 => Box::new(Pass::<$b, 3>::new(
+                        self,
+                        kernel,
+                        $chunks,
+                        weights,
+                        discrepancy,
+                    )),
                     n => panic!("{n} channels of weights; 1 or 3 are possible"),
                 }
             };
@@ -143,76 +172,96 @@ impl Cache {
             Records::Blocks8(c) => by_channels!(c, 8),
         }
     }
+}
 
-    fn run<const B: usize, const C: usize, T: Send>(
-        &self,
+/// Cells of a cache in groups, each for one thread.
+trait Groups: Sync {
+    fn count(&self) -> usize;
+
+    /// Evaluates the cells of one group in order.
+    fn visit(&self, group: usize, visit: &mut dyn FnMut(&CellRows<'_>));
+}
+
+/// An evaluation of records of `B` blocks of lanes for `C` channels.
+struct Pass<'a, const B: usize, const C: usize> {
+    cache: &'a Cache,
+    kernel: Kernel,
+    groups: Vec<&'a [Chunk<B>]>,
+    mixture: Mixture<B, C>,
+    by_node: bool,
+}
+
+impl<'a, const B: usize, const C: usize> Pass<'a, B, C> {
+    fn new(
+        cache: &'a Cache,
         kernel: Kernel,
-        chunks: &[Chunk<B>],
+        chunks: &'a [Chunk<B>],
         weights: ChannelWeights<'_>,
         discrepancy: &NodeFactors<'_>,
-        new: &(impl Fn() -> T + Sync),
-        visit: &(impl Fn(&mut T, &CellRows<'_>) + Sync),
-    ) -> Vec<T> {
-        let mixture = Mixture::<B, C>::new(&self.atoms, weights, discrepancy.factors);
-        let atoms = self.atoms.atoms();
-        let rows = self.lights * C;
-        chunks
-            .par_chunks(chunks.len().div_ceil(MAX_GROUPS).max(1))
-            // Groups differ in size: a thread that is done takes the next.
-            .with_max_len(1)
-            .map(|group| {
-                // Room for one cell, used again for all of the group.
-                let mut accumulator = new();
-                let mut scratch = Scratch::new();
-                let mut sums =
-                    [(); 2].map(|()| Sums::<B, C>::new(self.lights, discrepancy.by_node));
-                let mut jacobian = [(); 2].map(|()| vec![0.0; rows * atoms]);
-                let nodes = if discrepancy.by_node { rows * NODES } else { 0 };
-                let mut nodes = [(); 2].map(|()| vec![0.0; nodes]);
-                let mut values = [(); 2].map(|()| vec![0.0; rows]);
-                let mut variance = vec![0.0; rows];
-                for records in group {
-                    for p in 0..records.start.len() / 2 {
-                        for half in 0..2 {
-                            let range = records.start[2 * p + half] as usize
-                                ..records.start[2 * p + half + 1] as usize;
-                            pass(
-                                kernel,
-                                &records.records[range],
-                                &mixture,
-                                &mut scratch,
-                                &mut sums[half],
-                            );
-                            sums[half].rows(
-                                &self.atoms,
-                                self.samples_per_half,
-                                &mut values[half],
-                                &mut jacobian[half],
-                            );
-                            sums[half].by_node(self.samples_per_half, &mut nodes[half]);
-                        }
-                        // Variance of the mean over both halves' paths.
-                        let n = 2.0 * self.samples_per_half as f32;
-                        for (r, out) in variance.iter_mut().enumerate() {
-                            let mean = 0.5 * (values[0][r] + values[1][r]);
-                            let square = (sums[0].square(r) + sums[1].square(r)) / n;
-                            *out = ((square - mean * mean) / (n - 1.0)).max(0.0);
-                        }
-                        visit(
-                            &mut accumulator,
-                            &CellRows {
-                                cell: records.first_cell + p,
-                                value: [&values[0], &values[1]],
-                                variance: &variance,
-                                jacobian: [&jacobian[0], &jacobian[1]],
-                                nodes: [&nodes[0], &nodes[1]],
-                            },
-                        );
-                    }
+    ) -> Self {
+        let per_group = chunks.len().div_ceil(MAX_GROUPS).max(1);
+        Self {
+            cache,
+            kernel,
+            groups: chunks.chunks(per_group).collect(),
+            mixture: Mixture::new(&cache.atoms, weights, discrepancy.factors),
+            by_node: discrepancy.by_node,
+        }
+    }
+}
+
+impl<const B: usize, const C: usize> Groups for Pass<'_, B, C> {
+    fn count(&self) -> usize {
+        self.groups.len()
+    }
+
+    fn visit(&self, group: usize, visit: &mut dyn FnMut(&CellRows<'_>)) {
+        let cache = self.cache;
+        let rows = cache.lights * C;
+        // Room for one cell, used again for all of the group.
+        let mut scratch = Scratch::new();
+        let mut sums = [(); 2].map(|()| Sums::<B, C>::new(cache.lights, self.by_node));
+        let mut jacobian = [(); 2].map(|()| vec![0.0; rows * cache.atoms.atoms()]);
+        let nodes = if self.by_node { rows * NODES } else { 0 };
+        let mut nodes = [(); 2].map(|()| vec![0.0; nodes]);
+        let mut values = [(); 2].map(|()| vec![0.0; rows]);
+        let mut variance = vec![0.0; rows];
+        for records in self.groups[group] {
+            for p in 0..records.start.len() / 2 {
+                for half in 0..2 {
+                    let range = records.start[2 * p + half] as usize
+                        ..records.start[2 * p + half + 1] as usize;
+                    pass(
+                        self.kernel,
+                        &records.records[range],
+                        &self.mixture,
+                        &mut scratch,
+                        &mut sums[half],
+                    );
+                    sums[half].rows(
+                        &cache.atoms,
+                        cache.samples_per_half,
+                        &mut values[half],
+                        &mut jacobian[half],
+                    );
+                    sums[half].by_node(cache.samples_per_half, &mut nodes[half]);
                 }
-                accumulator
-            })
-            .collect()
+                // Variance of the mean over both halves' paths.
+                let n = 2.0 * cache.samples_per_half as f32;
+                for (r, out) in variance.iter_mut().enumerate() {
+                    let mean = 0.5 * (values[0][r] + values[1][r]);
+                    let square = (sums[0].square(r) + sums[1].square(r)) / n;
+                    *out = ((square - mean * mean) / (n - 1.0)).max(0.0);
+                }
+                visit(&CellRows {
+                    cell: records.first_cell + p,
+                    value: [&values[0], &values[1]],
+                    variance: &variance,
+                    jacobian: [&jacobian[0], &jacobian[1]],
+                    nodes: [&nodes[0], &nodes[1]],
+                });
+            }
+        }
     }
 }
 

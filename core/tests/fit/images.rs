@@ -345,6 +345,18 @@ fn stray_light_does_not_decide() {
             }
             let is_stray = |f: &Finding| matches!(f, Finding::StrayLight { image: 0, .. });
             assert_eq!(fit.findings.first().is_some_and(is_stray), share > 0.0);
+            let is_misfit = |f: &Finding| matches!(f, Finding::Misfit { .. });
+            assert!(!fit.findings.iter().any(is_misfit), "{:?}", fit.findings);
+            if (albedo, share) == (0.5, 0.01) {
+                // Half of the sample is of another material.
+                for (k, mean) in images[0].mean.iter_mut().enumerate() {
+                    let factor = if k / SIZE < SIZE / 2 { 0.6 } else { 1.0 };
+                    *mean = mean.map(|v| factor * v);
+                }
+                let both = averaged(&scene, &images);
+                let both = rig_core::inverse::fit(&scene, &both, &dictionary, &options).unwrap();
+                assert!(both.findings.iter().any(is_misfit), "{:?}", both.findings);
+            }
         }
     }
 }

@@ -88,11 +88,6 @@ impl ZaberSimulator {
         &self.bench
     }
 
-    /// The supply dips: positions are forgotten, outputs go off.
-    pub fn power_cycle(&self) {
-        self.port.board().power_up();
-    }
-
     /// The supply dips this long after the next motion has begun, seconds.
     pub fn power_cycle_in_motion(&self, after_s: f64) {
         self.port.board().restart_after_s = Some(after_s);

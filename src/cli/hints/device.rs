@@ -217,7 +217,7 @@ fn for_frame(fault: &FrameFault) -> &'static str {
     }
 }
 
-/// What a camera's program may report stands in docs/cameras.md.
+/// What a camera's program may report stands in docs/camera-programs.md.
 fn for_answer(fault: &AnswerFault) -> &'static str {
     match fault {
         AnswerFault::Malformed(_) => {

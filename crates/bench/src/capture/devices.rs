@@ -187,7 +187,13 @@ impl Devices {
         } else {
             Ok(())
         };
-        if matches!(
+        if stopped.is_err() {
+            // Its driver would ask a mute stage in vain, which its guardian stops now.
+            let is_guarded = self.watchdog.is_kept();
+            let patience = if is_guarded { Duration::ZERO } else { LET_GO };
+            self.stage.abandon(patience);
+            self.camera.abandon(Duration::ZERO);
+        } else if matches!(
             why,
             CaptureError::StoppedNow
                 | CaptureError::Device(
@@ -377,13 +383,7 @@ impl Devices {
         let (applied, lamp_c) = self.stage(switch).await?;
         self.lamp_c = lamp_c.map(|lamp_c| (lamp_c, Instant::now()));
         if applied != wanted {
-            let words = |lamp| match lamp {
-                LampState::Off => "off".to_owned(),
-                LampState::On(channel) => format!("channel {}", channel.0),
-            };
-            return Err(self
-                .stage_differs("the lamp", words(applied), words(wanted))
-                .into());
+            return Err(self.stage_differs("the lamp", applied, wanted).into());
         }
         self.known.lamp = Some(applied);
         self.pause(settle).await

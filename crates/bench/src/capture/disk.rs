@@ -7,7 +7,7 @@ use std::time::Duration;
 use tokio::sync::{mpsc, oneshot};
 
 use super::CaptureError;
-use super::progress::StoredFrame;
+use super::progress::{FrameEvent, Progress};
 use crate::device::RawFrame;
 use crate::device::guardian::Watchdog;
 use crate::session::{Event, SessionWriter, Sidecar, layout};
@@ -61,7 +61,7 @@ impl Disk {
     pub(super) fn spawn(
         mut session: SessionWriter,
         watchdog: Watchdog,
-    ) -> Result<(Self, mpsc::UnboundedReceiver<StoredFrame>), CaptureError> {
+    ) -> Result<(Self, mpsc::UnboundedReceiver<Progress>), CaptureError> {
         let (jobs, mut inbox) = mpsc::channel(WRITE_QUEUE);
         let (journalled, stored) = mpsc::unbounded_channel();
         let end = spawn("disk", move || {
@@ -169,12 +169,10 @@ impl Place {
     }
 }
 
-fn stored_frame(sidecar: &Sidecar) -> StoredFrame {
-    StoredFrame {
-        key: sidecar.key,
-        pilot: sidecar.pilot,
-        exposure: sidecar.applied.exposure,
-        lamp: sidecar.lamp,
+fn stored_frame(sidecar: &Sidecar) -> Progress {
+    let (key, exposure) = (sidecar.key, sidecar.applied.exposure);
+    Progress::Stored {
+        frame: FrameEvent::new(key, sidecar.pilot, exposure, sidecar.lamp),
         file: layout::image_file(sidecar.key),
         retakes: sidecar.time.retakes.total(),
     }

@@ -12,7 +12,7 @@
 //! - [`exposure_check`]: whether an exposure was what it claims, from the images;
 //! - [`return_check`]: whether the lamp is back where it was, from the images;
 //! - [`run`]: the execution, interruptible and resumable;
-//! - [`events`]: what it reports meanwhile, in a form for other programs.
+//! - [`Progress`]: what it reports meanwhile, to this program and others.
 //!
 //! Every decision during a run is a pure function of the plan and of the frames
 //! taken so far. A resumed run therefore decides what the uninterrupted one
@@ -26,7 +26,6 @@ pub mod directions;
 mod disk;
 pub mod duration;
 mod error;
-pub mod events;
 pub mod exposure_check;
 pub mod findings;
 pub mod light_choice;
@@ -49,6 +48,6 @@ mod worker;
 pub use disk::{BracketSink, SinkError, WRITE_QUEUE};
 pub use error::CaptureError;
 pub use merge_sink::RadianceSink;
-pub use progress::{DriftSpan, Observer, Outcome, Progress, StoredFrame};
+pub use progress::{DriftSpan, Ending, FrameEvent, Observer, Outcome, Progress, Stamped};
 pub use run::Capture;
 pub use spent::Spent;

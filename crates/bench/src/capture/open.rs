@@ -96,7 +96,7 @@ pub enum OpenError {
     #[error("the stage is manual, and no operator is given")]
     NoOperator,
     /// The camera's colour filters are others than the rig file's.
-    #[error("{device}: the format's colour filters are {is:?}, the rig file's {stated:?}")]
+    #[error("{device}: the format's colour filters are {is}, the rig file's {stated}")]
     Mosaic {
         /// Path.
         device: String,

@@ -10,6 +10,7 @@ mod revisit;
 mod stored;
 
 use std::collections::HashMap;
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -21,7 +22,7 @@ use super::devices::Devices;
 use super::disk::{BracketSink, Disk, Merger};
 use super::duration::Expected;
 use super::plan::Pace;
-use super::progress::{Observer, Outcome, Progress};
+use super::progress::{Ending, Observer, Outcome, Progress};
 use super::wall_clock::WallClock;
 use super::{CaptureError, Spent};
 use crate::device::temperature::Part;
@@ -32,7 +33,8 @@ use crate::radiometry::sensor::SensorNoise;
 use crate::session::{
     Event, FrameEntry, PlanRecord, Session, SessionRecord, SessionWriter, commit, layout,
 };
-use crate::units::{Seconds, StageAngles};
+use crate::shown::with_causes;
+use crate::units::StageAngles;
 
 /// Everything that a capture needs. The session was created, or opened by
 /// [`SessionWriter::resume`]; its plan says what is done.
@@ -62,6 +64,11 @@ pub struct Capture<'a> {
     pub interrupt: Interrupt,
 }
 
+/// A path as other programs read it.
+fn shown(path: &Path) -> String {
+    path.to_string_lossy().into_owned()
+}
+
 impl Capture<'_> {
     /// Carries out the plan. On every way out the lamp is off; where the session
     /// was not finished, it can be resumed. The observer is informed of the end last,
@@ -71,7 +78,7 @@ impl Capture<'_> {
     /// What the capture met that it cannot continue with.
     pub fn run(self) -> Result<Outcome, CaptureError> {
         let began = Instant::now();
-        let root = self.session.root().to_owned();
+        let root = shown(self.session.root());
         let observer = self.observer;
         let mut spent = None;
         let run = Capture {
@@ -88,10 +95,15 @@ impl Capture<'_> {
             interrupt: self.interrupt,
         };
         let result = run.until_ended(&mut spent);
-        observer.observe(Progress::Ended {
-            session: &root,
-            result: result.as_ref().copied(),
-            elapsed: Seconds(began.elapsed().as_secs_f64()),
+        observer.observe(&Progress::Ended {
+            outcome: match result {
+                Ok(Outcome::Complete) => Ending::Complete,
+                Ok(Outcome::Interrupted) => Ending::Interrupted,
+                Err(_) => Ending::Failed,
+            },
+            session: Some(root),
+            elapsed_s: began.elapsed().as_secs_f64(),
+            error: result.as_ref().err().map(|error| with_causes(error)),
             spent,
         });
         result
@@ -101,11 +113,12 @@ impl Capture<'_> {
     fn until_ended(mut self, spent: &mut Option<Spent>) -> Result<Outcome, CaptureError> {
         let session = Session::open(self.session.root())?;
         let SessionRecord { sample, plan, .. } = session.record();
-        self.observer.observe(Progress::Begun {
-            session: session.root(),
-            sample,
-            lights: &plan.lights,
-            channels: &plan.channels,
+        self.observer.observe(&Progress::Begun {
+            session: shown(session.root()),
+            sample: sample.clone(),
+            lights: plan.lights.clone(),
+            channels: plan.channels.clone(),
+            pid: std::process::id(),
         });
         check_camera(self.camera.info(), &session.record().versions.camera)?;
         if session.journal().is_complete() && missing_radiance(&session).is_empty() {
@@ -113,7 +126,7 @@ impl Capture<'_> {
                 self.session.write_manifest()?;
             }
             for light in 0..plan.lights.len() as u32 {
-                self.observer.observe(Progress::LightDone { light });
+                self.observer.observe(&Progress::LightDone { light });
             }
             return Ok(Outcome::Complete);
         }
@@ -181,7 +194,7 @@ fn check_camera(found: &CameraInfo, expected: &CameraInfo) -> Result<(), Capture
         [
             ("resolution", format!("{width} x {height}")),
             ("bit depth", info.bit_depth.to_string()),
-            ("colour filter", format!("{:?}", info.mosaic).to_lowercase()),
+            ("colour filter", info.mosaic.to_string()),
             ("serial number", info.serial.clone()),
         ]
     };
@@ -264,10 +277,10 @@ impl Run<'_> {
     async fn all_lights(&mut self) -> Result<(), CaptureError> {
         if !self.present.is_empty() {
             let frames = self.present.len();
-            self.observer.observe(Progress::Resumed { frames });
+            self.observer.observe(&Progress::Resumed { frames });
         }
-        self.observer
-            .observe(Progress::Left(Seconds(self.clock.left_s())));
+        let seconds = self.clock.left_s();
+        self.observer.observe(&Progress::Left { seconds });
         let unmerged = missing_radiance(&self.session);
         for light in 0..self.lights as u32 {
             if !self.session.light_is_finished(light) {
@@ -275,7 +288,7 @@ impl Run<'_> {
             } else if unmerged.contains(&light) {
                 self.merge_again(light).await?;
             }
-            self.observer.observe(Progress::LightDone { light });
+            self.observer.observe(&Progress::LightDone { light });
         }
         self.revisit_first_light().await?;
         self.check_reference().await?;
@@ -449,10 +462,10 @@ impl Run<'_> {
     ) -> Result<(), CaptureError> {
         let rules = self.plan.exposure;
         self.clock.decided(steps, &rules, self.plan.channels.len());
-        self.observer.observe(Progress::Planned {
+        self.observer.observe(&Progress::Planned {
             light,
-            steps,
-            dark_snr,
+            steps: steps.to_vec(),
+            dark_snr: Some(dark_snr).filter(|snr| snr.is_finite()),
         });
         if clips {
             let shortest_s = self.plan.exposure.shortest_s;
@@ -472,7 +485,8 @@ impl Run<'_> {
     }
 
     async fn warn(&mut self, light: u32, text: String) -> Result<(), CaptureError> {
-        self.observer.observe(Progress::Warning(&text));
+        let warning = Progress::Warning { text: text.clone() };
+        self.observer.observe(&warning);
         self.disk.record(Event::Warning { light, text }).await
     }
 

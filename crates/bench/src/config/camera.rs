@@ -64,6 +64,42 @@ pub enum CameraDriver {
     },
 }
 
+/// A driver that a new rig file may name: all but the simulated one.
+#[derive(Clone, Copy)]
+pub(super) struct Offered {
+    /// Value of `camera.driver`.
+    pub name: &'static str,
+    /// What it is, while no camera of it is connected.
+    pub offer: &'static str,
+    /// The key that says which camera.
+    pub key: &'static str,
+    /// What that key may be.
+    pub allowed: &'static str,
+    /// Whether the key may be this.
+    pub accepts: fn(&OsStr) -> bool,
+}
+
+/// Video4Linux, whose further keys have defaults.
+pub(super) const V4L: Offered = Offered {
+    name: "v4l",
+    offer: "a Video4Linux camera that is not connected now",
+    key: "device",
+    allowed: "a path such as /dev/v4l/by-id/NAME",
+    accepts: |text| !text.to_string_lossy().trim().is_empty(),
+};
+
+/// The drivers that a new rig file may name.
+pub(super) fn offered() -> impl Iterator<Item = Offered> {
+    let described = DRIVERS.iter().map(|driver| Offered {
+        name: driver.name,
+        offer: driver.offer,
+        key: driver.key,
+        allowed: driver.allowed,
+        accepts: driver.accepts,
+    });
+    std::iter::once(V4L).chain(described)
+}
+
 #[derive(Clone, Copy)]
 enum Kind {
     Simulated,
@@ -78,7 +114,7 @@ impl CameraConfig {
         let described = DRIVERS
             .iter()
             .map(|driver| (driver.name, Kind::Described(driver)));
-        let mut drivers = vec![("v4l", Kind::V4l)];
+        let mut drivers = vec![(V4L.name, Kind::V4l)];
         drivers.extend(described);
         drivers.push(("simulated", Kind::Simulated));
         let kind = table.choice("driver", &drivers)?.required()?;
@@ -96,7 +132,7 @@ impl CameraConfig {
                 let name = table.text("temperature_control")?.optional();
                 temperature = name.map(|name| TemperatureControl { name, unit_c });
                 CameraDriver::V4l {
-                    device: table.text("device")?.required()?,
+                    device: table.text(V4L.key)?.required()?,
                     format: table
                         .parsed("format", FORMAT_NAME, fourcc_of_name)?
                         .optional(),

@@ -63,6 +63,9 @@ pub struct ResolvedRig {
     pub folder: Option<PathBuf>,
 }
 
+/// The rig file of the working folder, which needs no naming.
+pub const RIG_FILE: &str = "rig.toml";
+
 /// Why a rig was chosen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Origin {
@@ -116,7 +119,7 @@ pub fn resolve_rig(
     if let Some(named_there) = environment {
         return named(&named_there, folder, Origin::Environment);
     }
-    let local = folder.join("rig.toml");
+    let local = folder.join(RIG_FILE);
     if local.exists() {
         return from_file(&local, Origin::WorkingFolder);
     }

@@ -1,9 +1,11 @@
 //! The `[simulation]` table: the truth of a simulated bench, which the capture
 //! and the fit never see.
 
+use std::ops::RangeInclusive;
+
 use mock_devices::bench::{LampModel, StageErrors};
 use mock_devices::camera::CameraConfig as MockCamera;
-use mock_devices::sensor::SensorConfig;
+use mock_devices::sensor::{PixelCounts, SensorConfig};
 
 #[cfg(feature = "serial")]
 use super::RigConfig;
@@ -15,6 +17,7 @@ use super::view::take_lens;
 use super::{CameraConfig, ConfigError};
 #[cfg(feature = "serial")]
 use crate::device::simulated::SimulatedConfig;
+use crate::radiometry::mosaic::Mosaic;
 use crate::transport::{Camera, Folded, LensSpec};
 
 /// What is true on a simulated bench.
@@ -172,15 +175,39 @@ fn read_sensor(
     camera: &CameraConfig,
     seed: u64,
 ) -> Result<SensorConfig, ConfigError> {
+    // Counts, those of pixels behind each colour filter where three numbers are given.
+    let mut each = |key, range: RangeInclusive<f64>, default| -> Result<[f64; 3], ConfigError> {
+        let found = table.channels(key, range)?.or([default; 3]);
+        let is_one = found == [found[0]; 3];
+        match camera.mosaic {
+            Mosaic::None if !is_one => {
+                let allowed = "one number for a camera without colour filters";
+                Err(table.conflict(key, format!("{found:?}"), allowed))
+            }
+            _ => Ok(found),
+        }
+    };
+    let gain_dn_per_e = each("gain_dn_per_e", 1e-4..=100.0, 0.38)?;
+    let read_noise_e = each("read_noise_e", 0.0..=1000.0, 2.4)?;
+    let black_level_dn = each("black_level_dn", -16_384.0..=16_384.0, 64.0)?;
+    let counts = |colour: usize| PixelCounts {
+        gain_dn_per_e: gain_dn_per_e[colour],
+        read_noise_e: read_noise_e[colour],
+        black_level_dn: black_level_dn[colour],
+    };
+    let by_place = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(x, y)| camera.mosaic.channel(x, y));
+    let cell = by_place.map(|colour| counts(colour.unwrap_or(0)));
+    let of_green = counts(1);
     let sensor = SensorConfig {
         resolution_px: camera.resolution_px,
         bit_depth: camera.bit_depth,
         responsivity: table.number("responsivity", 1.0..=1e12)?.or(1e6),
-        gain_dn_per_e: table.number("gain_dn_per_e", 1e-4..=100.0)?.or(0.38),
-        read_noise_e: table.number("read_noise_e", 0.0..=1000.0)?.or(2.4),
+        gain_dn_per_e: of_green.gain_dn_per_e,
+        read_noise_e: of_green.read_noise_e,
         nonlinearity: table.number("nonlinearity", -0.2..=0.2)?.or(0.0),
         full_well_e: table.number("full_well_e", 100.0..=1e7)?.or(10_500.0),
-        black_level_dn: table.number("black_level_dn", 0.0..=16_384.0)?.or(64.0),
+        black_level_dn: of_green.black_level_dn,
+        cell: (cell != [of_green; 4]).then_some(cell),
         dark_current_e_s: table.number("dark_current_e_s", 0.0..=1e6)?.or(3.0),
         dsnu_e_s: table.number("dsnu_e_s", 0.0..=1e6)?.or(0.6),
         offset_dsnu_e: table.number("offset_dsnu_e", 0.0..=1000.0)?.or(0.5),
@@ -289,6 +316,37 @@ mod tests {
     use crate::device::simulated::SimulatedBench;
     use crate::device::{LampChannel, LampState, LightStage};
     use crate::units::StageAngles;
+
+    /// Gain, read noise and black level of each colour, where the camera has colours.
+    #[test]
+    fn what_counts_differ_in_may_be_stated_for_each_colour() {
+        let rig = |mosaic: &str, gain: &str| {
+            let text = BUILT_IN[0].1.replace("mosaic = \"none\"", mosaic);
+            let text = text.replace("gain_dn_per_e = 0.38", gain);
+            let text = text.replace("black_level_dn = 64.0", "black_level_dn = -0.5");
+            RigConfig::parse("rig.toml", Path::new(""), &text)
+        };
+        let sensor = |mosaic, gain| {
+            let rig = rig(mosaic, gain).unwrap();
+            rig.simulation.unwrap().sensor
+        };
+        let gain = "gain_dn_per_e = [0.6, 0.38, 0.5]";
+        let each = sensor("mosaic = \"grbg\"", gain);
+        let cell = each.cell.unwrap();
+        assert_eq!(
+            cell.map(|pixel| pixel.gain_dn_per_e),
+            [0.38, 0.6, 0.5, 0.38]
+        );
+        assert_eq!(cell.map(|pixel| pixel.black_level_dn), [-0.5; 4]);
+        assert_eq!(each.gain_dn_per_e, 0.38);
+        let one = sensor("mosaic = \"grbg\"", "gain_dn_per_e = 0.4");
+        assert_eq!((one.cell, one.gain_dn_per_e), (None, 0.4));
+        let refused = rig("mosaic = \"none\"", gain).unwrap_err().to_string();
+        assert!(
+            refused.contains("one number for a camera without colour filters"),
+            "{refused}"
+        );
+    }
 
     /// The simulated rig as it is shipped runs: its stage homes, reaches its
     /// limits, and each lamp channel lights the colour that it claims to measure.

@@ -53,7 +53,8 @@ impl SampleList {
         let mut samples: Vec<Sample> = Vec::new();
         for mut table in tables {
             let sample = Sample::read(&mut table)?;
-            let refused = |allowed: &str| table.conflict("name", quoted(&sample.name), allowed);
+            let refused =
+                |allowed: &str| table.conflict("name", format!("{:?}", sample.name), allowed);
             if let Some(first) = samples.iter().position(|other| other.name == sample.name) {
                 let allowed = format!(
                     "another name than that of sample[{first}]; `repeats` asks for more sessions of one sample"
@@ -128,10 +129,6 @@ fn lights(table: &mut Section) -> Result<Option<Lights>, ConfigError> {
     };
     let directions = directions.into_iter().map(direction);
     Ok(Some(Lights::Listed(directions.collect::<Result<_, _>>()?)))
-}
-
-fn quoted(text: &str) -> String {
-    format!("{text:?}")
 }
 
 #[cfg(test)]

@@ -55,8 +55,6 @@ pub use verdict::{EXPLAINED_CHI_SQUARE, Grade, UNEXPLAINED_CHI_SQUARE, Verdict, 
 /// The record itself, written last: a folder without it holds no fit.
 pub const FIT_FILE: &str = "fit.toml";
 const DISCREPANCY_FILE: &str = "discrepancy.csv";
-/// Its name in fits of versions before 0.2.
-const FORMER_DISCREPANCY_FILE: &str = "departure.csv";
 
 /// Version of the folder's layout; a reader refuses any other.
 pub const FORMAT: u32 = 1;
@@ -206,11 +204,11 @@ pub struct FitRecord {
     #[serde(default)]
     pub truncation_remainder: Vec<f64>,
     /// Outlier fraction: part of the compared values that counted for less, per light.
-    #[serde(default, alias = "doubted")]
+    #[serde(default)]
     pub outlier_fraction: Vec<f64>,
     /// Model discrepancy: how the material differs from the mixture of the weights; `None`
     /// where the images give no evidence of any.
-    #[serde(default, alias = "departure", with = "amplitude")]
+    #[serde(default, with = "amplitude")]
     pub discrepancy: Option<DiscrepancyRecord>,
     /// How it was run.
     pub settings: FitSettings,

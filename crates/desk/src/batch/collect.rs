@@ -6,6 +6,7 @@ use super::record::{JobRecord, replace};
 use super::row::{Found, Status, row};
 use super::{Batch, BatchError, Job, page};
 use crate::result_table::{Row, Table};
+use crate::session::fit_record::Verdict;
 
 /// What the records of a batch come to.
 #[derive(Debug)]
@@ -14,6 +15,8 @@ pub struct Collected {
     pub table: Table,
     /// The table's JSON, as written.
     pub json: serde_json::Value,
+    /// Fits by their verdict, the best first; verdicts that no fit has are left out.
+    pub verdicts: Vec<(Verdict, usize)>,
     /// Jobs that failed.
     pub failed: usize,
     /// Jobs that are yet to be done.
@@ -47,6 +50,7 @@ impl Batch {
             });
             times.extend(record.map(|record| times_row(job, &record)));
         }
+        let verdicts = count_verdicts(&rows);
         let table = Table { rows };
         let json = serde_json::json!({
             "rig": env!("CARGO_PKG_VERSION"),
@@ -73,11 +77,30 @@ impl Batch {
         Ok(Collected {
             table,
             json,
+            verdicts,
             failed,
             open,
             files,
         })
     }
+}
+
+fn count_verdicts(rows: &[Row]) -> Vec<(Verdict, usize)> {
+    let count = |verdict: Verdict| {
+        let with = rows
+            .iter()
+            .filter(|row| row.text("verdict") == verdict.name());
+        (verdict, with.count())
+    };
+    let all = [
+        Verdict::Explains,
+        Verdict::Reservations,
+        Verdict::NotToBeTrusted,
+    ];
+    all.map(count)
+        .into_iter()
+        .filter(|(_, fits)| *fits > 0)
+        .collect()
 }
 
 /// When and where a job was done.

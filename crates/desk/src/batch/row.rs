@@ -47,10 +47,7 @@ pub(super) struct Found<'a> {
 /// The fit states no material.
 pub(super) fn row(job: &Job, status: Status, found: &Found<'_>) -> Result<Row, JobFailure> {
     let fit = found.fit;
-    let verdict = fit.map(|fit| match serde_json::to_value(fit.verdict()) {
-        Ok(serde_json::Value::String(name)) => name,
-        _ => String::new(),
-    });
+    let verdict = fit.map(|fit| fit.verdict().name());
     let reflectance = match fit {
         Some(fit) => {
             let (sin, cos) = INCIDENCE_DEG.to_radians().sin_cos();
@@ -70,7 +67,7 @@ pub(super) fn row(job: &Job, status: Status, found: &Found<'_>) -> Result<Row, J
             text(found.simulated.map(|is| if is { "yes" } else { "no" })),
         )
         .with("status", status.name())
-        .with("verdict", text(verdict.as_deref()))
+        .with("verdict", text(verdict))
         .with(
             "worst_chi_square",
             fit.and_then(FitRecord::worst_reduced_chi_square),

@@ -374,7 +374,7 @@ fn provenance(
             (
                 "Sensor",
                 format!(
-                    "{width} × {height} pixels, {} bits, mosaic {:?}",
+                    "{width} × {height} pixels, {} bits, colour filters {}",
                     camera.bit_depth, camera.mosaic
                 ),
             ),

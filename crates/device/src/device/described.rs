@@ -24,6 +24,8 @@ pub type Open = fn(&OsStr, Description) -> Result<Box<dyn Camera>, DeviceError>;
 pub struct Driver {
     /// Value of `camera.driver`.
     pub name: &'static str,
+    /// How `rig init` offers it while no camera of it is connected.
+    pub offer: &'static str,
     /// The one key of `[camera]` that is this driver's own.
     pub key: &'static str,
     /// What the key may be, as errors state it.

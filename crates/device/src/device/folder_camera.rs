@@ -19,6 +19,7 @@ use crate::units::Seconds;
 /// `camera.driver = "folder"`.
 pub const DRIVER: Driver = Driver {
     name: "folder",
+    offer: "a folder into which another program writes frames",
     key: "folder",
     allowed: "a path",
     is_path: true,

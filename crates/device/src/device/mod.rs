@@ -73,6 +73,15 @@ pub enum LampState {
     On(LampChannel),
 }
 
+impl std::fmt::Display for LampState {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Off => f.write_str("off"),
+            Self::On(channel) => write!(f, "channel {}", channel.0),
+        }
+    }
+}
+
 /// What the stage is doing, as it reports itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -326,6 +335,10 @@ pub trait Camera: Send {
     /// or fails.
     fn longest_frame(&self, exposure: Seconds) -> Seconds {
         Seconds(2.0 * exposure.0.max(0.0) + 10.0)
+    }
+    /// Least time between frames of a live picture: a mechanical shutter wears.
+    fn least_period(&self) -> Duration {
+        Duration::ZERO
     }
     /// How long a camera that went away is worth waiting for; 0: it cannot come back.
     fn may_return_within(&self) -> Seconds {

@@ -1,5 +1,7 @@
 //! Which exposures a scene needs: pure planning from a pilot frame.
 
+use serde::{Deserialize, Serialize};
+
 use super::sensor::SensorNoise;
 
 /// Statistics of pilot frames of a scene, in electrons per second at the sensor,
@@ -80,7 +82,7 @@ impl Default for BracketTarget {
 }
 
 /// One exposure of a bracket.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BracketStep {
     /// Exposure of one frame, seconds, on the camera's step.
     pub exposure_s: f64,

@@ -30,6 +30,12 @@ impl FromStr for Mosaic {
     }
 }
 
+impl std::fmt::Display for Mosaic {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
 impl Mosaic {
     /// As it is read: `none`, or the letters of the first cell.
     pub fn name(self) -> &'static str {

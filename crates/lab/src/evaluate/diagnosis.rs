@@ -42,7 +42,7 @@ pub static DIAGNOSIS: Experiment = Experiment {
 /// Captures per defect.
 const CAPTURES: u64 = 100;
 /// The same in the small version.
-const QUICK_CAPTURES: u64 = 4;
+const QUICK_CAPTURES: u64 = 2;
 
 /// Kinds of captures, with the cause that should be named.
 const KINDS: [(&str, Option<Cause>); 7] = [

@@ -70,8 +70,8 @@ impl Known {
         match (quick, self) {
             (false, Self::Refined) => 100,
             (false, _) => 200,
-            (true, Self::Refined) => 2,
-            (true, _) => 8,
+            (true, Self::Refined) => 1,
+            (true, _) => 4,
         }
     }
 }

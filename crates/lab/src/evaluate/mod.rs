@@ -25,7 +25,6 @@ mod rank;
 mod realism;
 mod shape_construction;
 mod shapes;
-mod sharpness;
 mod table_visits;
 mod tables;
 mod tolerance;
@@ -55,7 +54,6 @@ pub static EXPERIMENTS: &[&Experiment] = &[
     &misalignment::MISALIGNMENT,
     &form::FORM,
     &tolerance::TOLERANCE,
-    &sharpness::SHARPNESS,
     &calibration::CALIBRATION,
 ];
 

@@ -35,7 +35,7 @@ pub enum SphereError {
         allowed: &'static str,
     },
     /// Images of different sizes, or not of the camera's.
-    #[error("an image has {found:?} pixels, the camera {camera:?}")]
+    #[error("an image has {} x {} pixels, the camera {} x {}", found[0], found[1], camera[0], camera[1])]
     Size {
         /// Width and height of the image.
         found: [usize; 2],

@@ -110,7 +110,7 @@ pub enum EdgeError {
         heights: usize,
     },
     /// Not the camera's image.
-    #[error("image {image} has {found:?} pixels, the camera {camera:?}")]
+    #[error("image {image} has {} x {} pixels, the camera {} x {}", found[0], found[1], camera[0], camera[1])]
     Size {
         /// Which image.
         image: usize,

@@ -55,9 +55,9 @@ impl Run<'_> {
         self.disk.record(Event::Paused).await?;
         self.disk.settle().await?;
         self.stored.report(self.observer);
-        self.observer.observe(Progress::Paused);
+        self.observer.observe(&Progress::Paused);
         self.observer.pause();
-        self.observer.observe(Progress::Continued);
+        self.observer.observe(&Progress::Continued);
         self.clock.forget_until(self.clock.now_s());
         self.disk.record(Event::Continued).await
     }

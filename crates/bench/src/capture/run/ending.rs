@@ -44,7 +44,7 @@ impl Run<'_> {
         drop(devices);
         let result = match result {
             Ok(()) => {
-                observer.observe(Progress::Merging);
+                observer.observe(&Progress::Merging);
                 let merged = wait_for_merges(merger, &interrupt);
                 stored.report_during(observer, merged).await
             }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use super::Run;
 use crate::capture::CaptureError;
 use crate::capture::exposure_check::Exposed;
-use crate::capture::progress::{DriftSpan, Progress};
+use crate::capture::progress::{DriftSpan, FrameEvent, Progress};
 use crate::device::temperature::Part;
 use crate::device::{CameraSettings, FrameKey, FrameKind, LampChannel, LampState, RawFrame};
 use crate::session::{Event, FrameTimes, Sidecar, drift, layout, utc_now};
@@ -190,7 +190,7 @@ impl Run<'_> {
         } else {
             0.0
         };
-        self.observer.observe(Progress::Drift {
+        self.observer.observe(&Progress::Drift {
             light: shot.key.light,
             channel,
             span,
@@ -225,13 +225,10 @@ impl Run<'_> {
         let change = self.devices.begin_settings(requested, latency, discards);
         let stage_position = self.go_to(shot.key.light).await?;
         self.stored.report(self.observer);
-        self.observer
-            .observe(Progress::Left(Seconds(self.clock.left_s())));
-        self.observer.observe(Progress::Frame {
-            key: shot.key,
-            exposure: shot.exposure,
-            lamp: shot.lamp,
-            pilot: shot.pilot,
+        let seconds = self.clock.left_s();
+        self.observer.observe(&Progress::Left { seconds });
+        self.observer.observe(&Progress::Frame {
+            frame: FrameEvent::new(shot.key, shot.pilot, shot.exposure, shot.lamp),
             kept: is_kept(shot.key),
             done: self.clock.done(),
         });
@@ -321,7 +318,7 @@ impl Run<'_> {
         let target = self.plan.lights[light as usize];
         self.devices.lamp(LampState::Off, Seconds(0.0)).await?;
         if !self.devices.is_homed() {
-            self.observer.observe(Progress::Homing);
+            self.observer.observe(&Progress::Homing);
             let homed = self.devices.home();
             self.stored.report_during(self.observer, homed).await?;
             self.clock.homed(self.clock.now_s());
@@ -329,7 +326,7 @@ impl Run<'_> {
             self.granted = None;
             self.disk.record(Event::Homed).await?;
         }
-        self.observer.observe(Progress::Moving { light, target });
+        self.observer.observe(&Progress::Moving { light, target });
         let moved = self.devices.move_to(target);
         let position = self.stored.report_during(self.observer, moved).await?;
         self.devices.pause(self.plan.settle_s).await?;
@@ -363,7 +360,7 @@ fn check_same(shot: &Shot, sidecar: &Sidecar) -> Result<(), CaptureError> {
     }
     let words = |exposure: Seconds, lamp: LampState, pilot: bool| {
         let role = if pilot { "pilot" } else { "bracket" };
-        format!("{exposure}, lamp {lamp:?}, as {role}")
+        format!("{exposure}, lamp {lamp}, as {role}")
     };
     Err(CaptureError::OtherFrame {
         frame: layout::frame_stem(shot.key),

@@ -2,21 +2,21 @@
 
 use tokio::sync::mpsc::UnboundedReceiver;
 
-use crate::capture::progress::{Observer, Progress, StoredFrame};
+use crate::capture::progress::{Observer, Progress};
 
 /// What the disk's thread has journalled and nobody has reported yet; as many frames as are
 /// taken between two reports, a few.
-pub(super) struct Stored(UnboundedReceiver<StoredFrame>);
+pub(super) struct Stored(UnboundedReceiver<Progress>);
 
 impl Stored {
-    pub(super) fn new(frames: UnboundedReceiver<StoredFrame>) -> Self {
+    pub(super) fn new(frames: UnboundedReceiver<Progress>) -> Self {
         Self(frames)
     }
 
     /// Reports what there is.
     pub(super) fn report(&mut self, observer: &mut dyn Observer) {
         while let Ok(frame) = self.0.try_recv() {
-            observer.observe(Progress::Stored(&frame));
+            observer.observe(&frame);
         }
     }
 
@@ -31,7 +31,7 @@ impl Stored {
             tokio::select! {
                 biased;
                 result = &mut work => return result,
-                Some(frame) = self.0.recv() => observer.observe(Progress::Stored(&frame)),
+                Some(frame) = self.0.recv() => observer.observe(&frame),
             }
         }
     }

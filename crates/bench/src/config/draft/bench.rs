@@ -3,14 +3,15 @@
 use super::answer::{AnswerError, Answers};
 use super::found::Found;
 use super::table::directions;
+use crate::config::camera::offered;
 
 /// A bench, from answers that are complete and fit each other.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Draft {
     /// Its name.
     pub name: String,
-    /// Driver of the camera, and its address.
-    pub camera: [String; 2],
+    /// What takes the frames.
+    pub camera: Camera,
     /// The camera's serial number, where it shows one.
     pub serial: Option<String>,
     /// Width and height of a frame, pixels.
@@ -35,6 +36,17 @@ pub struct Draft {
     pub lamp: Lamp,
     /// Wait with the lamp on before the first light, s.
     pub warm_up_s: f64,
+}
+
+/// The camera, as rig files name it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Camera {
+    /// Its driver.
+    pub driver: &'static str,
+    /// The driver's key that says which camera.
+    pub key: &'static str,
+    /// What stands there.
+    pub address: String,
 }
 
 /// How the camera sees.
@@ -171,9 +183,16 @@ impl Draft {
     pub fn of(answers: &Answers, found: &Found) -> Result<Self, AnswerError> {
         let take = Take(answers);
         let choice = take.text("camera")?;
-        let camera = match choice.split_once(' ') {
-            Some((driver, address)) => [driver.to_owned(), address.to_owned()],
-            None => [choice.clone(), take.text("camera_address")?],
+        let (name, address) = match choice.split_once(' ') {
+            Some((name, address)) => (name, address.to_owned()),
+            None => (choice.as_str(), take.text("camera_address")?),
+        };
+        let driver = offered().find(|driver| driver.name == name);
+        let driver = driver.ok_or_else(|| Take::missing("camera"))?;
+        let camera = Camera {
+            driver: driver.name,
+            key: driver.key,
+            address,
         };
         let housing_mm = match answers.is_yes("housing") {
             true => Some([

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use super::question::Choice;
+use crate::config::camera::V4L;
 use crate::device::DeviceError;
 use crate::device::described::FoundCamera;
 use crate::device::described_drivers::DRIVERS;
@@ -62,7 +63,7 @@ impl Found {
                 DeviceKind::Camera if node.first_node.is_none() => {
                     found.cameras.push(FoundChoice {
                         choice: Choice {
-                            value: format!("v4l {path}"),
+                            value: format!("{} {path}", V4L.name),
                             label: format!("{model}Video4Linux, {path}{problem}"),
                         },
                         serial: node.serial,

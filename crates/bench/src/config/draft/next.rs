@@ -6,6 +6,7 @@ use std::path::Path;
 use serde::Serialize;
 
 use super::bench::{Draft, Lens, Stage};
+use crate::config::RIG_FILE;
 use crate::shell_words::quoted;
 
 /// A step, as a command line. What stands in capitals is to be filled in.
@@ -22,7 +23,7 @@ impl Draft {
     pub(super) fn next(&self, file: &Path) -> Vec<Step> {
         let moves = matches!(self.stage, Stage::Grbl { .. } | Stage::Zaber { .. });
         let is_telecentric = matches!(self.lens, Lens::Telecentric { .. });
-        let rig = match file == Path::new("rig.toml") {
+        let rig = match file == Path::new(RIG_FILE) {
             true => String::new(),
             false => format!(" --rig {}", quoted(&file.display().to_string())),
         };

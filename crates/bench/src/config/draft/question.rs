@@ -1,5 +1,7 @@
 //! A question of `rig init`: what is asked, in which unit, and what may be answered.
 
+use std::borrow::Cow;
+
 use serde::Serialize;
 
 use super::answer::{Answer, AnswerError, Answers};
@@ -12,7 +14,7 @@ pub struct Question {
     /// What is asked, a few words.
     pub title: &'static str,
     /// Why, and where to find the answer: one line.
-    pub help: &'static str,
+    pub help: Cow<'static, str>,
     /// What kind of answer it takes.
     pub kind: Kind,
     /// Unit of a number.

@@ -1,15 +1,11 @@
 //! The questions, in the order in which they are asked.
 
+use std::borrow::Cow;
+
 use super::answer::Answer;
 use super::found::Found;
 use super::question::{Choice, Kind, Question, TextRule, When};
-use crate::device::described_drivers::DRIVERS;
-
-/// The cameras that are not connected now: value of `camera`, then a text is asked for.
-fn absent_cameras() -> Vec<&'static str> {
-    let described = DRIVERS.iter().map(|driver| driver.name);
-    ["v4l"].into_iter().chain(described).collect()
-}
+use crate::config::camera::offered;
 
 /// Stages with axes, with serial ports, and with fixed lights.
 pub(super) const WITH_AXES: [&str; 2] = ["grbl", "zaber"];
@@ -27,10 +23,9 @@ const NAME: TextRule = TextRule {
 const CAMERA: TextRule = TextRule {
     allowed: "a driver and the camera's address, such as `v4l /dev/video0`",
     accepts: |text| match text.split_once(' ') {
-        Some(("v4l", address)) => !address.trim().is_empty(),
-        Some((name, address)) => DRIVERS
-            .iter()
-            .any(|driver| driver.name == name && (driver.accepts)(address.as_ref())),
+        Some((name, address)) => {
+            offered().any(|driver| driver.name == name && (driver.accepts)(address.as_ref()))
+        }
         None => false,
     },
 };
@@ -104,21 +99,19 @@ pub fn questions(found: &Found) -> Vec<Question> {
 }
 
 fn of_the_camera(found: &Found) -> Vec<Question> {
-    let absent = absent_cameras();
     let mut cameras: Vec<Choice> = found
         .cameras
         .iter()
         .map(|found| found.choice.clone())
         .collect();
-    cameras.extend(absent.iter().map(|&driver| Choice {
-        value: driver.to_owned(),
-        label: match driver {
-            "v4l" => "a Video4Linux camera that is not connected now".to_owned(),
-            "command" => "a program that takes each frame".to_owned(),
-            "folder" => "a folder into which another program writes frames".to_owned(),
-            other => format!("a {other} camera that is not connected now"),
-        },
+    // Those that are not connected now: then a text is asked for.
+    cameras.extend(offered().map(|driver| Choice {
+        value: driver.name.to_owned(),
+        label: driver.offer.to_owned(),
     }));
+    let names: Vec<&str> = offered().map(|driver| driver.name).collect();
+    let addresses = offered().map(|driver| format!("{}: {}", driver.name, driver.allowed));
+    let addresses = addresses.collect::<Vec<_>>().join("; ");
     let mut camera =
         choice("camera", "Camera", cameras).help("as `rig devices` lists them; none is opened now");
     camera.others = true;
@@ -130,17 +123,22 @@ fn of_the_camera(found: &Found) -> Vec<Question> {
     vec![
         camera,
         any_text("camera_address", "Address of the camera")
-            .help("a Video4Linux camera has a path such as /dev/v4l/by-id/NAME, a gphoto2 camera `port = any`, a GenICam camera its serial number or IP address; a program is called as PROGRAM {exposure_s} {output}; a folder is named by its path")
-            .when("camera", &absent),
+            .help(addresses)
+            .when("camera", &names),
         whole("width_px", "Width of a frame", "pixels", [16.0, 16384.0])
             .default(1920.0)
             .help("from the data sheet, or the region of interest that the camera is set to"),
         whole("height_px", "Height of a frame", "pixels", [16.0, 16384.0])
             .default(1200.0)
             .help("from the data sheet, or the region of interest that the camera is set to"),
-        whole("bit_depth", "Significant bits of a raw count", "bits", [8.0, 16.0])
-            .default(12.0)
-            .help("machine-vision cameras have 10 or 12, still cameras mostly 14, webcams 8"),
+        whole(
+            "bit_depth",
+            "Significant bits of a raw count",
+            "bits",
+            [8.0, 16.0],
+        )
+        .default(12.0)
+        .help("machine-vision cameras have 10 or 12, still cameras mostly 14, webcams 8"),
         choice(
             "mosaic",
             "Colour filters over the sensor",
@@ -461,7 +459,7 @@ fn asked(key: &'static str, title: &'static str, kind: Kind) -> Question {
     Question {
         key,
         title,
-        help: "",
+        help: Cow::Borrowed(""),
         kind,
         unit: None,
         whole: false,
@@ -519,8 +517,11 @@ fn whole(key: &'static str, title: &'static str, unit: &'static str, range: [f64
 }
 
 impl Question {
-    fn help(self, help: &'static str) -> Self {
-        Self { help, ..self }
+    fn help(self, help: impl Into<Cow<'static, str>>) -> Self {
+        Self {
+            help: help.into(),
+            ..self
+        }
     }
 
     fn default(self, answer: impl Into<Answer>) -> Self {

@@ -2,7 +2,7 @@
 
 use std::fmt::Display;
 
-use super::bench::{Axes, Draft, Lamp, Lens, Sample, Stage};
+use super::bench::{Axes, Camera, Draft, Lamp, Lens, Sample, Stage};
 
 impl Draft {
     /// The rig file, with a comment for every key.
@@ -31,14 +31,12 @@ impl Draft {
 
     fn camera(&self, out: &mut Lines) {
         out.table("[camera]");
-        let [driver, address] = &self.camera;
+        let Camera {
+            driver,
+            key,
+            address,
+        } = &self.camera;
         out.key("driver", quoted(driver), "What speaks to the camera.");
-        let key = match driver.as_str() {
-            "command" => "command",
-            "folder" => "folder",
-            "gphoto2" => "body",
-            _ => "device",
-        };
         out.key(key, quoted(address), "Which camera.");
         match &self.serial {
             Some(serial) => out.key("serial", quoted(serial), "Serial number that it must have: another camera has another calibration."),

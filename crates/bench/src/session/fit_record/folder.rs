@@ -8,8 +8,8 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    DISCREPANCY_FILE, FIT_FILE, FORMAT, FORMER_DISCREPANCY_FILE, FitImages, FitRecord,
-    FitRecordError, Verdict, check, out_of_range, tables,
+    DISCREPANCY_FILE, FIT_FILE, FORMAT, FitImages, FitRecord, FitRecordError, Verdict, check,
+    out_of_range, tables,
 };
 use crate::file_system;
 use crate::outside_file::read_regular;
@@ -221,8 +221,7 @@ pub fn parse(
     let (path, csv) = text("table.csv")?;
     record.table = tables::table_from_csv(&path, &csv)?;
     if let Some(discrepancy) = &mut record.discrepancy {
-        let (path, csv) = text(DISCREPANCY_FILE)
-            .or_else(|error| text(FORMER_DISCREPANCY_FILE).map_err(|_| error))?;
+        let (path, csv) = text(DISCREPANCY_FILE)?;
         discrepancy.by_channel = tables::discrepancy_from_csv(&path, &csv)?;
     }
     let (path, csv) = text("trace.csv")?;

@@ -90,21 +90,6 @@ const FILES: [&str; 5] = [
     "discrepancy.csv",
 ];
 
-/// Fits of version 0.1 have the discrepancy and the outlier fractions under other names.
-#[test]
-fn former_names_are_read() {
-    let (_home, folder) = written();
-    let path = folder.join("fit.toml");
-    let text = std::fs::read_to_string(&path).unwrap();
-    let former = text
-        .replace("discrepancy = ", "departure = ")
-        .replace("outlier_fraction = ", "doubted = ");
-    assert_ne!(text, former);
-    std::fs::write(&path, former).unwrap();
-    std::fs::rename(folder.join("discrepancy.csv"), folder.join("departure.csv")).unwrap();
-    assert_eq!(read(&folder).unwrap(), sample());
-}
-
 #[test]
 fn a_corrupted_file_is_named_with_its_key() {
     for (file, from, to, key) in CORRUPTIONS {

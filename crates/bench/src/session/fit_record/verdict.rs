@@ -18,6 +18,15 @@ pub enum Verdict {
 }
 
 impl Verdict {
+    /// As records, tables and JSON name it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Verdict::Explains => "explains",
+            Verdict::Reservations => "reservations",
+            Verdict::NotToBeTrusted => "not-to-be-trusted",
+        }
+    }
+
     /// As a sentence without its full stop.
     pub fn sentence(self) -> &'static str {
         match self {
@@ -96,6 +105,7 @@ mod tests {
             ),
         ];
         for (grades, chi2, verdict) in cases {
+            assert_eq!(serde_json::to_value(verdict).unwrap(), verdict.name());
             let mut record = sample();
             record.reduced_chi_square = chi2.map(|chi2| [chi2, 0.5, 0.9]).into_iter().collect();
             let warning = |&grade: &Grade| Warning {

@@ -14,8 +14,6 @@ use crate::device::{Camera, CameraSettings, DeviceError, FrameKey, FrameKind};
 
 /// Frames are not taken faster: nobody sees more, and the machine has other work.
 const LEAST_PERIOD: Duration = Duration::from_millis(80);
-/// The driver of still cameras, and the time between two of their frames: shutters wear.
-const WITH_SHUTTER: (&str, Duration) = ("gphoto2", Duration::from_secs(5));
 /// Figures of frames are not published more often.
 const FIGURES_PERIOD: Duration = Duration::from_millis(200);
 
@@ -28,10 +26,7 @@ pub(super) fn show(
     leave: &AtomicBool,
 ) -> Result<(), DeviceError> {
     let info = camera.info().clone();
-    let period = match info.driver == WITH_SHUTTER.0 {
-        true => WITH_SHUTTER.1,
-        false => LEAST_PERIOD,
-    };
+    let period = camera.least_period().max(LEAST_PERIOD);
     let mut levels = (ports.levels)(settings.gain);
     let (mut rate, mut figures_at) = (Rate::default(), None::<Instant>);
     for number in 1.. {

@@ -61,6 +61,7 @@ pub(super) fn obey(
     leave: &AtomicBool,
 ) -> Result<Ended, DeviceError> {
     let watchdog = stage.watchdog();
+    let is_guarded = watchdog.is_kept();
     let mut loop_ = StageLoop {
         stop: stage.stop_handle()?,
         stage,
@@ -73,6 +74,15 @@ pub(super) fn obey(
         stops_seen: shared.stops(),
     };
     let ended = loop_.run(commands, leave);
+    // A mute stage is dropped at once: its guardian stops it then.
+    if is_guarded
+        && matches!(
+            ended,
+            Err(DeviceError::NoReply { .. } | DeviceError::Garbled { .. })
+        )
+    {
+        return ended;
+    }
     // Also after an error, as far as it goes; dropping the stage tries again.
     let dark = loop_.go_dark();
     let ended = ended?;

@@ -3,10 +3,10 @@
 use serde::Serialize;
 use serde_json::Value;
 
-use crate::capture::DriftSpan;
-use crate::capture::events::{CaptureEvent, Ending, FrameEvent, Stamped};
-use crate::device::FrameKind;
+use crate::capture::{DriftSpan, Ending, FrameEvent, Progress, Stamped};
+use crate::radiometry::exposure::BracketStep;
 use crate::session::fit_record::Verdict;
+use crate::units::StageAngles;
 
 /// The newest warnings are kept.
 const MOST_WARNINGS: usize = 50;
@@ -35,7 +35,7 @@ pub struct CaptureState {
     /// The newest frame on the disk.
     pub frame: Option<StoredFrame>,
     /// The exposures of the present light.
-    pub bracket: Vec<crate::capture::events::Step>,
+    pub bracket: Vec<BracketStep>,
     /// Change of the lamp over the whole session, percent.
     pub drift_percent: Option<f64>,
     /// Its standard uncertainty, percent.
@@ -88,10 +88,9 @@ pub enum Phase {
 pub struct Light {
     /// Its index in the plan.
     pub index: usize,
-    /// Stage angles, degrees.
-    pub azimuth_deg: f64,
-    /// Stage angles, degrees.
-    pub elevation_deg: f64,
+    /// Where it is.
+    #[serde(flatten)]
+    pub angles: StageAngles,
     /// Whether it has been captured.
     pub state: LightState,
     /// Expected signal-to-noise ratio of the sample's dark pixels.
@@ -123,14 +122,9 @@ pub enum LightState {
 pub struct StoredFrame {
     /// Counts the frames up that captures of this console have stored, from 1.
     pub number: u64,
-    /// Index of the light.
-    pub light: u32,
-    /// What it is for.
-    pub kind: FrameKind,
-    /// As the camera reported it, seconds.
-    pub exposure_s: f64,
-    /// The channel that was lit.
-    pub lamp: Option<usize>,
+    /// Which.
+    #[serde(flatten)]
+    pub frame: FrameEvent,
     /// When it was reported, UTC.
     pub stored_at: String,
     /// Its histogram and the like, once somebody has looked.
@@ -156,7 +150,7 @@ impl CaptureState {
 
     /// What an event changes.
     pub fn apply(&mut self, stamped: Stamped) {
-        use CaptureEvent::*;
+        use Progress::*;
         let at = stamped.at;
         match stamped.event {
             Begun {
@@ -312,10 +306,7 @@ impl CaptureState {
         self.stored += 1;
         self.frame = Some(StoredFrame {
             number: self.stored,
-            light: frame.light,
-            kind: frame.kind,
-            exposure_s: frame.exposure_s,
-            lamp: frame.lamp.map(|channel| usize::from(channel.0)),
+            frame,
             stored_at: at,
             figures: None,
             file,
@@ -349,11 +340,10 @@ impl CaptureState {
 }
 
 impl Light {
-    fn to_come(index: usize, angles: crate::units::StageAngles) -> Self {
+    fn to_come(index: usize, angles: StageAngles) -> Self {
         Self {
             index,
-            azimuth_deg: angles.azimuth_deg,
-            elevation_deg: angles.elevation_deg,
+            angles,
             state: LightState::ToCome,
             dark_snr: None,
             frames: 0,
@@ -427,8 +417,8 @@ mod tests {
         assert_eq!(state["left_at"], "2026-11-27T08:00:06Z");
         assert_eq!(
             state["frame"],
-            json!({"number": 1, "light": 0, "kind": "light", "exposure_s": 0.02, "lamp": 1,
-                "stored_at": "2026-11-27T08:00:05Z", "figures": null})
+            json!({"number": 1, "light": 0, "exposure": 0, "repeat": 0, "kind": "light",
+                "pilot": false, "exposure_s": 0.02, "lamp": 1, "stored_at": "2026-11-27T08:00:05Z", "figures": null})
         );
         assert_eq!(state["bracket"], json!([{"exposure_s": 0.01, "frames": 2}]));
     }

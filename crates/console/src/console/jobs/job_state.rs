@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 
 use super::Work;
 use super::log::Log;
-use crate::capture::events::CaptureEvent;
+use crate::capture::Progress;
 
 /// What a job is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -82,18 +82,18 @@ impl JobState {
         }
     }
 
-    pub fn apply(&mut self, event: &CaptureEvent) {
+    pub fn apply(&mut self, event: &Progress) {
         match event {
-            CaptureEvent::Paused if self.state == Some(State::Running) => {
+            Progress::Paused if self.state == Some(State::Running) => {
                 self.state = Some(State::Paused);
             }
-            CaptureEvent::Continued if self.state == Some(State::Paused) => {
+            Progress::Continued if self.state == Some(State::Paused) => {
                 self.state = Some(State::Running);
             }
-            CaptureEvent::Fit { stage, done } => {
+            Progress::Fit { stage, done } => {
                 self.progress = Some(json!({"stage": stage, "done": done}));
             }
-            CaptureEvent::Fitted { verdict, .. } => self.verdict = Some(json!(verdict)),
+            Progress::Fitted { verdict, .. } => self.verdict = Some(json!(verdict)),
             _ => {}
         }
     }

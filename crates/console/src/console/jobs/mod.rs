@@ -34,7 +34,7 @@ use self::job_state::JobState;
 use self::process::Process;
 use self::reading::{Heard, read_events, read_messages};
 use super::hub::Hub;
-use crate::capture::events::CaptureEvent;
+use crate::capture::Progress;
 use crate::file_system::free_bytes;
 
 /// States are published so often at most.
@@ -399,7 +399,7 @@ impl Jobs {
     fn hear(&self, heard: Heard) {
         let mut shown = locked(&self.0.shown);
         let is_frame = matches!(&heard, Heard::Event(stamped)
-            if matches!(stamped.event, CaptureEvent::Stored { .. }));
+            if matches!(stamped.event, Progress::Stored { .. }));
         shown.hear(heard);
         drop(shown);
         if is_frame

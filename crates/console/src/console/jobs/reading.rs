@@ -4,7 +4,7 @@ use std::io::{BufRead, BufReader, Read};
 use std::process::ExitStatus;
 use std::sync::mpsc::SyncSender;
 
-use crate::capture::events::{CaptureEvent, Stamped};
+use crate::capture::{Progress, Stamped};
 
 /// An event is at most so long (bytes).
 const LONGEST_EVENT: u64 = 1 << 20;
@@ -39,8 +39,8 @@ pub fn read_events(stdout: impl Read, sender: &SyncSender<Heard>) {
         let heard = match serde_json::from_str::<Stamped>(text) {
             Ok(stamped) => {
                 let result = match &stamped.event {
-                    CaptureEvent::Fitted { fit, .. } => Some(fit.clone()),
-                    CaptureEvent::Ended { session, .. } => session.clone(),
+                    Progress::Fitted { fit, .. } => Some(fit.clone()),
+                    Progress::Ended { session, .. } => session.clone(),
                     _ => None,
                 };
                 if let Some(result) = result

@@ -1,6 +1,7 @@
 //! Addresses of the console that start, steer and query commands of the program.
 
 use std::ffi::OsString;
+use std::path::Path as FilePath;
 use std::time::Duration;
 
 use axum::Json;
@@ -13,6 +14,8 @@ use serde_json::{Value, json};
 
 use super::job_state::Kind;
 use super::{Answer, JobError, Jobs, QueryError, Work, is_session, shown};
+use crate::beneath;
+use crate::config::RIG_FILE;
 use crate::console::blocking::blocking;
 use crate::console::control::Controlled;
 use crate::console::refusal::{Accepted, Refusal, accepted};
@@ -164,6 +167,21 @@ fn is_program(camera: Option<&Value>) -> bool {
     named.trim_start().to_lowercase().starts_with("command")
 }
 
+/// A mesh, or a folder of a camera's frames, that is named and is not below the folder of the rig
+/// file: a page has no other files of this machine read.
+fn elsewhere<'a>(
+    answers: &'a serde_json::Map<String, Value>,
+    folder: &FilePath,
+) -> Option<&'a str> {
+    let answer = |key: &str| answers.get(key).and_then(Value::as_str);
+    let mesh = answer("sample_mesh").filter(|mesh| beneath::open(folder, mesh).is_err());
+    let frames = match answer("camera").map(|camera| camera.trim().to_lowercase()) {
+        Some(camera) if camera.starts_with("folder") => answer("camera_address"),
+        _ => None,
+    };
+    mesh.or_else(|| frames.filter(|frames| beneath::check_folder(folder, frames).is_err()))
+}
+
 #[derive(Deserialize)]
 struct SetUp {
     answers: serde_json::Map<String, Value>,
@@ -173,6 +191,18 @@ async fn set_up(State(jobs): State<Jobs>, _: Controlled, Asked(form): Asked<SetU
     if is_program(form.answers.get("camera")) {
         let fact = "camera = \"command\": a page may not name a program";
         let hint = "run `rig init` at the terminal";
+        return Err(Refusal::new(StatusCode::UNPROCESSABLE_ENTITY, fact).hint(Some(hint.into())));
+    }
+    // `init` would advise an option that a page does not have.
+    if FilePath::new(RIG_FILE).symlink_metadata().is_ok() {
+        let refused = Refusal::conflict(format!("{RIG_FILE} exists in the console's folder"));
+        let hint = "a rig file is never replaced: rename it, or write another one with `rig init --out FILE` at the terminal";
+        return Err(refused.hint(Some(hint.into())));
+    }
+    if let Some(named) = elsewhere(&form.answers, FilePath::new(".")) {
+        let fact =
+            format!("{named:?} is not below the console's folder, where {RIG_FILE} is written");
+        let hint = "put it there and name it by its path from there (links are not followed), or run `rig init` at the terminal";
         return Err(Refusal::new(StatusCode::UNPROCESSABLE_ENTITY, fact).hint(Some(hint.into())));
     }
     let arguments = ["init", "--answers=-", "--json"].map(OsString::from);

@@ -26,6 +26,7 @@ pub use self::workplace::keep;
 /// `camera.driver = "command"`.
 pub const DRIVER: Driver = Driver {
     name: "command",
+    offer: "a program that takes each frame",
     key: "command",
     allowed: "a program with its arguments, among them {exposure_s} and {output}",
     is_path: false,

@@ -27,6 +27,7 @@ use crate::units::Seconds;
 /// `camera.driver = "genicam"`.
 pub const DRIVER: Driver = Driver {
     name: "genicam",
+    offer: "a genicam camera that is not connected now",
     key: "device",
     allowed: choice::ALLOWED,
     is_path: false,

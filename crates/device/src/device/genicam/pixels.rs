@@ -161,7 +161,7 @@ impl PixelFormat {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use mock_devices::gige::pixels::FORMATS as SENT;
+    use mock_cameras::gige::pixels::FORMATS as SENT;
 
     #[test]
     fn every_format_that_the_simulated_camera_sends_is_read() {

@@ -44,7 +44,7 @@ pub fn prepare(
     let format = pixels::best_of(&offered, info.bit_depth, info.mosaic);
     let format = format.ok_or_else(|| {
         let wanted = format!(
-            "a pixel format of {} bits and colour filters {:?}",
+            "a pixel format of {} bits and colour filters {}",
             info.bit_depth, info.mosaic
         );
         features.refused(&wanted, format!("it offers {}", offered.join(", ")))

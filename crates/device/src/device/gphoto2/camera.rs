@@ -12,6 +12,8 @@ use crate::device::command_camera::Workplace;
 use crate::device::{Camera, CameraInfo, CameraSettings, DeviceError, FrameKey, RawFrame, Stated};
 use crate::units::Seconds;
 
+/// Time between two frames of a live picture: shutters wear.
+const SHUTTER_PERIOD: Duration = Duration::from_secs(5);
 /// How long a body that went away is waited for during a capture.
 const RETURNS_WITHIN: Seconds = Seconds(30.0);
 /// A still camera.
@@ -99,6 +101,10 @@ impl Camera for StillCamera {
     fn longest_frame(&self, exposure: Seconds) -> Seconds {
         let settings = 2.0 * Duration::as_secs_f64(&SETTINGS_TIME);
         Seconds(2.0 * (exposure.0 + self.timeout.0) + settings)
+    }
+
+    fn least_period(&self) -> Duration {
+        SHUTTER_PERIOD
     }
 
     fn may_return_within(&self) -> Seconds {

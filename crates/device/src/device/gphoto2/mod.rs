@@ -22,6 +22,7 @@ use super::described::Driver;
 /// `camera.driver = "gphoto2"`.
 pub const DRIVER: Driver = Driver {
     name: "gphoto2",
+    offer: "a gphoto2 camera that is not connected now",
     key: "body",
     allowed: body_choice::ALLOWED,
     is_path: false,

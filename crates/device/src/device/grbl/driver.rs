@@ -10,7 +10,9 @@ use std::time::{Duration, Instant};
 use self::stop::GrblStop;
 use super::codes;
 use super::link::{HOLD, Link, RESET, STATUS};
-use super::protocol::{Accessories, Code, Dialect, MachineState, Reply, StatusReport, effect_of};
+use super::protocol::{
+    Accessories, Code, Dialect, MachineState, Reply, Spindle, StatusReport, effect_of,
+};
 use super::{GrblConfig, axis_index};
 use crate::device::guardian::{Exchange, PortStop};
 use crate::device::kinematics::Pose;
@@ -358,16 +360,14 @@ impl GrblStage {
                     idle_elsewhere = None;
                 }
                 state => {
-                    return Err(
-                        self.refused(&line, &format!("the controller is in state {state:?}"))
-                    );
+                    return Err(self.refused(&line, &format!("the controller is in state {state}")));
                 }
             }
             if start.elapsed() > timeout {
                 self.link.forget_position("a move did not end in time");
                 let what = match self.check_open(report.state) {
                     Ok(()) => "position".to_owned(),
-                    Err(_) => format!("position (in state {:?})", report.state),
+                    Err(_) => format!("position (in state {})", report.state),
                 };
                 return Err(self.not_applied(&what, pose, to));
             }
@@ -479,6 +479,14 @@ impl GrblStage {
     }
 }
 
+/// The outputs, and the speed of a spindle that is on.
+fn with_speed(outputs: Accessories, speed: Option<f64>) -> String {
+    match speed {
+        Some(speed) if outputs.spindle != Spindle::Off => format!("{outputs} at S{speed}"),
+        _ => outputs.to_string(),
+    }
+}
+
 fn activity(state: MachineState) -> StageActivity {
     match state {
         MachineState::Idle | MachineState::Check => StageActivity::Idle,
@@ -542,7 +550,7 @@ impl LightStage for GrblStage {
         let (report, from) = self.report_with_position()?;
         self.check_open(report.state)?;
         if report.state != MachineState::Idle {
-            let reason = format!("the controller is in state {:?}", report.state);
+            let reason = format!("the controller is in state {}", report.state);
             return Err(self.refused("move", &reason));
         }
         let mut at = from;
@@ -567,7 +575,7 @@ impl LightStage for GrblStage {
                 Err(error) => return Err(error),
             }
         }
-        let (expected, _) = self.outputs_of(lamp);
+        let (expected, speed) = self.outputs_of(lamp);
         self.lamp = self.read_lamp()?;
         let known = self.link.known().clone();
         match (self.lamp, known.accessories) {
@@ -580,8 +588,8 @@ impl LightStage for GrblStage {
             (_, Some(outputs)) => Err(DeviceError::NotApplied {
                 device: self.link.line().device().to_owned(),
                 what: "the lamp's outputs".to_owned(),
-                is: format!("{outputs:?} at S{}", known.speed.unwrap_or(0.0)),
-                wanted: format!("{expected:?} ({})", commands.join("; ")),
+                is: with_speed(outputs, known.speed),
+                wanted: format!("{} ({})", with_speed(expected, speed), commands.join("; ")),
             }),
         }
     }
@@ -604,7 +612,11 @@ impl LightStage for GrblStage {
     fn stop_handle(&self) -> Result<Box<dyn StopHandle>, DeviceError> {
         Ok(Box::new(GrblStop {
             link: Arc::downgrade(&self.link),
-            timeout: self.config.connect_timeout.to_duration(),
+            timeout: self
+                .config
+                .connect_timeout
+                .to_duration()
+                .min(stop::RESTARTED),
         }))
     }
 
@@ -641,12 +653,16 @@ impl Drop for GrblStage {
         if !self.is_alive || (is_off && !self.in_motion) {
             return;
         }
-        let turned_off = !self.in_motion && self.set_lamp(LampState::Off).is_ok();
+        // Silent since it was reset, it takes no command either.
+        let takes_commands = !self.in_motion && !known.needs_reset;
+        let turned_off = takes_commands && self.set_lamp(LampState::Off).is_ok();
         if !turned_off {
             // The firmware's restart ends motion and turns all outputs off.
-            let _ = self
-                .link
-                .restart(true, "its driver ended", self.reply_timeout());
+            let timeout = match known.needs_reset {
+                true => STATE_PATIENCE,
+                false => self.reply_timeout(),
+            };
+            let _ = self.link.restart(true, "its driver ended", timeout);
         }
     }
 }

@@ -118,6 +118,41 @@ pub struct Accessories {
     pub mist: bool,
 }
 
+/// As the firmware writes it.
+impl std::fmt::Display for MachineState {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Hold(step) => write!(f, "Hold:{step}"),
+            Self::Door(step) => write!(f, "Door:{step}"),
+            other => write!(f, "{other:?}"),
+        }
+    }
+}
+
+/// The outputs that are on.
+impl std::fmt::Display for Accessories {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let on = [
+            (self.spindle == Spindle::Clockwise, "spindle (M3)"),
+            (
+                self.spindle == Spindle::Counterclockwise,
+                "spindle backwards (M4)",
+            ),
+            (self.mist, "mist (M7)"),
+            (self.flood, "flood (M8)"),
+        ];
+        let on: Vec<&str> = on
+            .iter()
+            .filter(|(is_on, _)| *is_on)
+            .map(|(_, name)| *name)
+            .collect();
+        match &on[..] {
+            [] => f.write_str("all off"),
+            on => write!(f, "{} on", on.join(", ")),
+        }
+    }
+}
+
 /// A real-time status report.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StatusReport {

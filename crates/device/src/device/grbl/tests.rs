@@ -45,6 +45,16 @@ fn assert_there(bench: &SimulatedBench, expected: [f64; 2]) {
     }
 }
 
+/// Its position is unknown until it is homed.
+fn moves_once_homed(stage: &mut dyn LightStage) {
+    assert!(matches!(
+        stage.move_to(angles(0.0, 45.0)),
+        Err(DeviceError::NotHomed { .. })
+    ));
+    stage.home().unwrap();
+    stage.move_to(angles(0.0, 45.0)).unwrap();
+}
+
 #[test]
 fn connecting_identifies_the_firmware_and_moves_nothing() {
     let bench = simulated(Clock::instant(), stage_config());
@@ -142,6 +152,12 @@ fn a_lamp_that_does_not_follow_is_told() {
     stage.home().unwrap();
     let error = stage.set_lamp(LampState::On(LampChannel(0))).unwrap_err();
     assert!(matches!(error, DeviceError::NotApplied { .. }), "{error}");
+    let said = error.to_string();
+    let words = [
+        "spindle (M3) on at S1000",
+        "spindle (M3) on at S5000 (M5; M9; M3 S5000)",
+    ];
+    assert!(words.iter().all(|words| said.contains(words)), "{said}");
     drop(stage);
     assert_eq!(bench.bench().lamp_drive(), [0.0; 3]);
 }
@@ -217,12 +233,7 @@ fn a_limit_switch_in_motion_is_an_alarm_with_its_meaning() {
         matches!(&error, DeviceError::Alarm { reason, .. } if reason.contains("limit switch")),
         "{error}"
     );
-    assert!(matches!(
-        stage.move_to(angles(0.0, 45.0)),
-        Err(DeviceError::NotHomed { .. })
-    ));
-    stage.home().unwrap();
-    stage.move_to(angles(0.0, 45.0)).unwrap();
+    moves_once_homed(&mut stage);
 }
 
 #[test]
@@ -271,12 +282,7 @@ fn silence_ends_in_time_and_makes_the_position_unknown() {
     assert!(matches!(error, DeviceError::NoReply { .. }), "{error}");
     assert!(begin.elapsed() < Duration::from_secs(2));
     bench.stage_faults().clear();
-    assert!(matches!(
-        stage.move_to(angles(0.0, 45.0)),
-        Err(DeviceError::NotHomed { .. })
-    ));
-    stage.home().unwrap();
-    stage.move_to(angles(0.0, 45.0)).unwrap();
+    moves_once_homed(&mut stage);
 }
 
 #[test]

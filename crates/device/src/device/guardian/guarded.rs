@@ -34,6 +34,8 @@ pub struct GuardedStage {
     told_off: bool,
     /// The lamp was lit and not turned off since, as far as this process knows.
     is_lit: bool,
+    /// The last step had no answer that could be read.
+    is_mute: bool,
 }
 
 impl GuardedStage {
@@ -72,6 +74,7 @@ impl GuardedStage {
             may_go_on: false,
             told_off: false,
             is_lit: false,
+            is_mute: false,
         }))
     }
 
@@ -93,6 +96,10 @@ impl GuardedStage {
         let under_way = self.watchdog.step(stage.longest(step));
         let result = act(stage);
         drop(under_way);
+        self.is_mute = matches!(
+            result,
+            Err(DeviceError::NoReply { .. } | DeviceError::Garbled { .. })
+        );
         // Whatever the driver met, this is why.
         self.watchdog.check()?;
         result
@@ -155,8 +162,10 @@ fn spawn(mut command: Command, stop: PortStop) -> std::io::Result<(UnixStream, C
 
 impl Drop for GuardedStage {
     fn drop(&mut self) {
-        let status = self.last_status();
-        let is_safe = !std::thread::panicking() && status.is_ok_and(|status| self.is_safe(&status));
+        // One that is mute is left to its guardian at once.
+        let status = (!self.is_mute).then(|| self.last_status());
+        let is_safe = !std::thread::panicking()
+            && status.is_some_and(|status| status.is_ok_and(|status| self.is_safe(&status)));
         self.stage = None;
         self.watchdog.end(is_safe, END);
     }
@@ -326,6 +335,10 @@ impl Camera for GuardedCamera {
 
     fn longest_frame(&self, exposure: Seconds) -> Seconds {
         self.camera.longest_frame(exposure)
+    }
+
+    fn least_period(&self) -> Duration {
+        self.camera.least_period()
     }
 
     fn may_return_within(&self) -> Seconds {

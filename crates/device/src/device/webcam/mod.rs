@@ -32,6 +32,7 @@ use worker::Worker;
 /// `camera.driver = "webcam"`.
 pub const DRIVER: Driver = Driver {
     name: "webcam",
+    offer: "a webcam camera that is not connected now",
     key: "device",
     allowed: "a path such as /dev/v4l/by-id/…; where there are none, a number as `rig devices` lists it",
     is_path: false,
@@ -94,7 +95,7 @@ impl<W: Webcam> WebcamCamera<W> {
             reason,
         };
         if info.bit_depth != 8 || info.mosaic != Mosaic::None {
-            let wanted = format!("{} bits, filters {:?}", info.bit_depth, info.mosaic);
+            let wanted = format!("{} bits, filters {}", info.bit_depth, info.mosaic);
             let reason = "a webcam's frames are luma of 8 bits without filters";
             return Err(refused(&wanted, reason.to_owned()));
         }

@@ -263,7 +263,7 @@ fn only_the_described_camera_in_this_mode_is_opened() {
     );
     let mut bayer = description("S1");
     bayer.info.mosaic = Mosaic::Rggb;
-    assert!(open("which", &bayer).unwrap_err().contains("Rggb"));
+    assert!(open("which", &bayer).unwrap_err().contains("rggb"));
     // Without a number its model is its name.
     Fake::plug_in("unnumbered", None);
     let named = open("unnumbered", &description("Webcam 4x2"));

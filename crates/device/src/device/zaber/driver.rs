@@ -17,6 +17,11 @@ use crate::units::StageAngles;
 
 /// A question is asked this often before its device counts as lost.
 const ATTEMPTS: u32 = 3;
+/// How long each answer to a stop may take, and where one did not come.
+const ANSWERED: Duration = Duration::from_secs(1);
+const ANSWERED_AFTER_SILENCE: Duration = Duration::from_millis(300);
+/// Axes that were told to stop stand within this time.
+const STANDS: Duration = Duration::from_secs(2);
 /// Longest pause between two looks at a motion.
 const POLL_PAUSE: Duration = Duration::from_millis(50);
 /// Data of `maxspeed` per microstep/s, and 10⁴ times that of `accel` per microstep/s².
@@ -343,7 +348,7 @@ impl ZaberStage {
             axes: self.config.axes,
             lamp: self.config.lamp.clone(),
             reply_timeout: self.reply_timeout(),
-            timeout: self.config.connect_timeout.to_duration(),
+            timeout: self.config.connect_timeout.to_duration().min(STANDS),
         }
     }
 }
@@ -579,18 +584,21 @@ fn stop(
     timeout: Duration,
 ) -> Result<(), DeviceError> {
     let mut outcome = Ok(());
+    // A chain that has not answered is told the rest and hardly waited for.
+    let patience = |so_far: &Result<(), DeviceError>| {
+        reply_timeout.min(match so_far {
+            Ok(()) => ANSWERED,
+            Err(_) => ANSWERED_AFTER_SILENCE,
+        })
+    };
     for address in axes {
-        let stopped = link.ask(
-            address.device,
-            address.axis,
-            "stop",
-            reply_timeout,
-            ATTEMPTS,
-        );
+        let timeout = patience(&outcome);
+        let stopped = link.ask(address.device, address.axis, "stop", timeout, ATTEMPTS);
         outcome = outcome.and(stopped.map(drop));
     }
     for &switch in lamp {
-        outcome = outcome.and(ZaberStage::switch(link, switch, false, reply_timeout));
+        let timeout = patience(&outcome);
+        outcome = outcome.and(ZaberStage::switch(link, switch, false, timeout));
     }
     outcome?;
     for &switch in lamp {

@@ -11,6 +11,10 @@ use crate::device::{DeviceError, StageActivity, StopHandle};
 
 /// How long a report may take while a stop is confirmed.
 const STOP_PATIENCE: Duration = Duration::from_millis(500);
+/// How long a firmware may take to say that it restarted: that is no start of the board.
+pub(super) const RESTARTED: Duration = Duration::from_secs(2);
+/// How long the reports that confirm a stop may take together.
+const CONFIRMED: Duration = Duration::from_secs(1);
 
 /// Stops a [`GrblStage`] without its driver.
 pub(super) struct GrblStop {
@@ -33,14 +37,15 @@ impl StopHandle for GrblStop {
 /// be the driver that reads the answers. A build that never reports its outputs
 /// has reported with its banner that it began anew.
 pub(super) fn confirm_stopped(link: &Link) -> Result<(), DeviceError> {
+    let end = Instant::now() + CONFIRMED;
     for _ in 0..REPORTS_WITH_OUTPUTS {
         link.send(&[STATUS])?;
-        let deadline = Instant::now() + STOP_PATIENCE;
+        let deadline = end.min(Instant::now() + STOP_PATIENCE);
         let before = link.known().reports;
         while link.known().reports == before && Instant::now() < deadline {
             link.try_receive(deadline.min(Instant::now() + Duration::from_millis(20)))?;
         }
-        if link.known().accessories.is_some() {
+        if link.known().accessories.is_some() || Instant::now() >= end {
             break;
         }
     }
@@ -58,7 +63,7 @@ pub(super) fn confirm_stopped(link: &Link) -> Result<(), DeviceError> {
         device: link.line().device().to_owned(),
         what: "its state".to_owned(),
         is: match known.state {
-            Some(state) => format!("{state:?} with {outputs:?}"),
+            Some(state) => format!("{state}, {outputs}"),
             None => "not reported".to_owned(),
         },
         wanted: "a stop".to_owned(),

@@ -25,7 +25,7 @@ use gvcp::{Command, Request, Status};
 use memory::{Identity, Memory};
 use stream::Streaming;
 
-use crate::clock::lock;
+use mock_devices::clock::lock;
 
 /// How often a thread looks whether it is to end.
 const TICK: Duration = Duration::from_millis(20);

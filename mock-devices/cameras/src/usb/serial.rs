@@ -86,9 +86,9 @@ impl UsbDevice for UsbSerial {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bench::{Bench, BenchConfig};
-    use crate::clock::Clock;
-    use crate::grbl::{GrblConfig, GrblSimulator};
+    use mock_devices::bench::{Bench, BenchConfig};
+    use mock_devices::clock::Clock;
+    use mock_devices::grbl::{GrblConfig, GrblSimulator};
 
     #[test]
     fn the_firmware_is_reached_while_dtr_is_up() {

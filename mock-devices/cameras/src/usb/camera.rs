@@ -8,10 +8,10 @@ use std::sync::{Arc, Mutex};
 
 use super::descriptors::Identity;
 use super::{Descriptors, Setup, Stall, UsbDevice};
-use crate::RadianceSource;
-use crate::bench::Bench;
-use crate::clock::lock;
-use crate::sensor::{FrameKey, NoiseKey, SensorModel};
+use mock_devices::RadianceSource;
+use mock_devices::bench::Bench;
+use mock_devices::clock::lock;
+use mock_devices::sensor::{FrameKey, NoiseKey, SensorModel};
 
 /// Most bytes of one payload, its header included.
 const PAYLOAD: usize = 16_384;
@@ -426,10 +426,10 @@ fn streaming_interface(width: u32, height: u32) -> Vec<u8> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Illumination;
-    use crate::bench::BenchConfig;
-    use crate::clock::Clock;
-    use crate::sensor::SensorConfig;
+    use mock_devices::Illumination;
+    use mock_devices::bench::BenchConfig;
+    use mock_devices::clock::Clock;
+    use mock_devices::sensor::SensorConfig;
 
     struct Grey;
 

@@ -3,7 +3,7 @@
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use crate::clock::lock;
+use mock_devices::clock::lock;
 
 /// Something that goes wrong.
 #[derive(Clone, Copy, Debug, PartialEq)]

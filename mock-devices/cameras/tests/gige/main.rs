@@ -5,10 +5,10 @@ use std::net::Ipv4Addr;
 use std::process::{Command, Output};
 use std::sync::Arc;
 
+use mock_cameras::gige::{Exposer, GigeCamera};
 use mock_devices::bench::{Bench, BenchConfig};
 use mock_devices::camera::CameraConfig;
 use mock_devices::clock::Clock;
-use mock_devices::gige::{Exposer, GigeCamera};
 use mock_devices::sensor::{SensorConfig, SensorModel};
 use mock_devices::{Illumination, RadianceSource};
 

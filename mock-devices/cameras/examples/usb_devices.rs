@@ -8,14 +8,14 @@
 use std::io::{self, BufRead, Write};
 use std::sync::Arc;
 
+use mock_cameras::usb::Plugged;
+use mock_cameras::usb::camera::{CameraFaults, UsbCamera};
+use mock_cameras::usb::ftdi::UsbFtdi;
+use mock_cameras::usb::serial::UsbSerial;
 use mock_devices::bench::{Bench, BenchConfig};
 use mock_devices::clock::Clock;
 use mock_devices::grbl::{GrblConfig, GrblSimulator};
 use mock_devices::sensor::{SensorConfig, SensorModel};
-use mock_devices::usb::Plugged;
-use mock_devices::usb::camera::{CameraFaults, UsbCamera};
-use mock_devices::usb::ftdi::UsbFtdi;
-use mock_devices::usb::serial::UsbSerial;
 use mock_devices::{Illumination, RadianceSource};
 
 const WIDTH: u32 = 128;

@@ -4,10 +4,10 @@
 
 use std::sync::Arc;
 
+use mock_cameras::ptp::{Body, BodyConfig, PtpServer};
 use mock_devices::bench::{Bench, BenchConfig};
 use mock_devices::camera::{CameraConfig, SimulatedCamera};
 use mock_devices::clock::Clock;
-use mock_devices::ptp::{Body, BodyConfig, PtpServer};
 use mock_devices::sensor::{SensorConfig, SensorModel};
 use mock_devices::{Illumination, RadianceSource};
 

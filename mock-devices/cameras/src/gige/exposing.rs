@@ -4,10 +4,10 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::memory::{Identity, Memory, TICKS_PER_S};
-use crate::RadianceSource;
-use crate::bench::Bench;
-use crate::camera::CameraConfig;
-use crate::sensor::{FrameKey, NoiseKey, SensorModel};
+use mock_devices::RadianceSource;
+use mock_devices::bench::Bench;
+use mock_devices::camera::CameraConfig;
+use mock_devices::sensor::{FrameKey, NoiseKey, SensorModel};
 
 /// Settings of a frame as the registers have them.
 #[derive(Clone, Copy, Debug, PartialEq)]

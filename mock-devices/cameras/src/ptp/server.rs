@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use super::body::Body;
 use super::faults::BodyFaults;
 use super::packet::Packet;
-use crate::clock::lock;
+use mock_devices::clock::lock;
 
 const VERSION: u32 = 0x1_0000;
 /// A client that is connected already keeps others out.

@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use super::dataset::{Dataset, Property, Width};
 use super::dng::RawFile;
 use super::faults::BodyFaults;
-use crate::camera::SimulatedCamera;
-use crate::sensor::FrameKey;
+use mock_devices::camera::SimulatedCamera;
+use mock_devices::sensor::FrameKey;
 
 /// Code of the exposure time, in units of 0.1 ms.
 pub const EXPOSURE_TIME: u16 = 0x500d;
@@ -425,12 +425,12 @@ impl Body {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bench::{Bench, BenchConfig};
-    use crate::camera::CameraConfig;
-    use crate::clock::Clock;
     use crate::ptp::BodyFault;
-    use crate::sensor::{SensorConfig, SensorModel};
-    use crate::{Illumination, RadianceSource};
+    use mock_devices::bench::{Bench, BenchConfig};
+    use mock_devices::camera::CameraConfig;
+    use mock_devices::clock::Clock;
+    use mock_devices::sensor::{SensorConfig, SensorModel};
+    use mock_devices::{Illumination, RadianceSource};
     use std::sync::Arc;
 
     struct Even;

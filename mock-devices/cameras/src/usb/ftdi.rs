@@ -106,9 +106,9 @@ impl UsbDevice for UsbFtdi {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bench::{Bench, BenchConfig};
-    use crate::clock::Clock;
-    use crate::grbl::{GrblConfig, GrblSimulator};
+    use mock_devices::bench::{Bench, BenchConfig};
+    use mock_devices::clock::Clock;
+    use mock_devices::grbl::{GrblConfig, GrblSimulator};
 
     #[test]
     fn packets_begin_with_the_status_and_dtr_opens_the_port() {

@@ -3,8 +3,8 @@
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use crate::clock::lock;
-use crate::random::stream;
+use mock_devices::clock::lock;
+use mock_devices::random::stream;
 
 #[derive(Debug, Default)]
 struct Faults {

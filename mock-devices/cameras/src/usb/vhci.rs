@@ -64,13 +64,6 @@ impl Plugged {
             thread: Some(thread),
         })
     }
-
-    /// Whether the kernel still holds the other end.
-    pub fn is_attached(&self) -> bool {
-        self.thread
-            .as_ref()
-            .is_some_and(|thread| !thread.is_finished())
-    }
 }
 
 impl Drop for Plugged {
