@@ -8,14 +8,14 @@ use crate::progress::Progress;
 use crate::radiance_image::RadianceImage;
 use crate::transport::{RenderOptions, Scene, Steering, render_with_progress, suited_proposal};
 
-/// Posterior samples that are rendered: their standard deviation is then known within 13%.
-pub(super) const SAMPLES: usize = 32;
+/// Posterior samples that are rendered: their standard deviation is then known within 18%.
+pub(super) const SAMPLES: usize = 16;
 /// Paths per pixel of the prediction.
-const PATHS: u32 = 64;
+const PATHS: u32 = 32;
 /// Most paths per pixel of a posterior sample, and paths of all of them together: a scatter
 /// over the same random numbers needs few.
 const PATHS_OF_SAMPLE: u32 = 16;
-const PATHS_OF_ALL: usize = 40_000_000;
+const PATHS_OF_ALL: usize = 10_000_000;
 
 /// The predicted image of each light of a scene.
 pub(super) struct Predicted {
