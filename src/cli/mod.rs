@@ -72,6 +72,7 @@ pub mod stage;
 pub mod stderr;
 mod table;
 mod trace;
+pub mod validate;
 mod write_queue;
 
 use std::ffi::OsString;
@@ -114,6 +115,7 @@ commands! {
     Calibrate(calibrate::CalibrateArgs) => calibrate::run,
     Merge(merge::MergeArgs) => merge::run,
     Fit(fit::FitCommandArgs) => fit::run,
+    Validate(validate::ValidateArgs) => validate::run,
     Render(render::RenderArgs) => render::run,
     Brdf(brdf::BrdfArgs) => brdf::run,
     Shape(shape::ShapeArgs) => shape::run,

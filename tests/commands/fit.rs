@@ -525,3 +525,26 @@ fn images_of_another_size_are_refused_by_their_headers() {
         assert!(stderr.contains(fact), "{words}: {stderr}");
     }
 }
+
+/// One of two lights is fitted and the other predicted.
+#[test]
+fn a_light_that_was_not_fitted_is_predicted() {
+    let home = photographed();
+    let validate = "validate --scene s.toml --image i_L000.exr i_L001.exr --spp 32 --json";
+    let done = rig(home.path(), &format!("{validate} --fit-lights 1"));
+    assert!(done.status.success(), "{done:?}");
+    let found: serde_json::Value = serde_json::from_slice(&done.stdout).unwrap();
+    assert_eq!(found["fitted_lights"], serde_json::json!([1]));
+    assert_eq!(found["lights"][0]["light"], 0);
+    let error = found["all"]["overall"]["relative_rms"].as_f64().unwrap();
+    let coverage = found["all"]["coverage"].as_f64().unwrap();
+    assert!(error < 0.08 && coverage > 0.85, "{found}");
+
+    let refused = rig(home.path(), &format!("{validate} --hold-out 2"));
+    let stderr = String::from_utf8_lossy(&refused.stderr);
+    assert_eq!(refused.status.code(), Some(1));
+    assert!(
+        stderr.contains("2 of 2 lights are to be predicted; allowed are 1 to 1"),
+        "{stderr}"
+    );
+}

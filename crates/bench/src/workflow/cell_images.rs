@@ -167,7 +167,10 @@ pub(super) fn average<R: Rows>(
 }
 
 /// Which pixels a mask leaves, row by row.
-fn read_mask(path: &Path, resolution_px: [usize; 2]) -> Result<Vec<bool>, WorkflowError> {
+pub(super) fn read_mask(
+    path: &Path,
+    resolution_px: [usize; 2],
+) -> Result<Vec<bool>, WorkflowError> {
     let failed = |fact: String| WorkflowError::Mask {
         path: path.to_owned(),
         fact,

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use super::SceneConcern;
+use super::{HoldOutError, SceneConcern};
 use crate::brdf::BrdfError;
 use crate::brdf::projection::ProjectionError;
 use crate::calibration::RecordError;
@@ -91,6 +91,9 @@ pub enum WorkflowError {
     /// The fit failed.
     #[error("{0}")]
     Fit(#[from] FitError),
+    /// Lights that cannot be divided into those that are fitted and those that are predicted.
+    #[error("{0}")]
+    HoldOut(#[from] HoldOutError),
     /// The fit cannot be compared with the truth.
     #[error("{0}")]
     Score(#[from] ProjectionError),

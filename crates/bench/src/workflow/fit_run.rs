@@ -5,7 +5,7 @@ use super::notice::{Notice, Observer};
 use super::{WorkflowError, coarse_facets, fit_memory, summary, warnings};
 use crate::brdf::Brdf;
 use crate::cells::Captured;
-use crate::inverse::{RefineOptions, fit_with_progress, refine_bench};
+use crate::inverse::{Fit, RefineOptions, fit_with_progress, refine_bench};
 use crate::session::fit_record::{BenchRecord, FitImages, FitRecord};
 use crate::transport::{RenderOptions, Scene, truncation_remainder};
 
@@ -25,6 +25,27 @@ impl FitPlan {
         truth: Option<(&str, &dyn Brdf)>,
         observer: &dyn Observer,
     ) -> Result<(FitRecord, FitImages), WorkflowError> {
+        let (record, fit) = self.find(scene, captured, simulated, truth, observer)?;
+        let images = FitImages {
+            rendered: fit.comparison.rendered(),
+            residual: fit.comparison.residual(),
+            cells_csv: fit.comparison.to_csv(),
+        };
+        Ok((record, images))
+    }
+
+    /// [`Self::run`], with the fit as the core leaves it in place of its images.
+    ///
+    /// # Errors
+    /// Likewise.
+    pub fn find(
+        &self,
+        scene: &Scene,
+        captured: &Captured,
+        simulated: bool,
+        truth: Option<(&str, &dyn Brdf)>,
+        observer: &dyn Observer,
+    ) -> Result<(FitRecord, Fit), WorkflowError> {
         let mut remarks: Vec<String> = scene.remarks().iter().map(ToString::to_string).collect();
         let mut remark = |text: String| {
             observer.notice(Notice::Remark(&text));
@@ -81,11 +102,6 @@ impl FitPlan {
                 amplitude: fit.discrepancy,
             });
         }
-        let images = FitImages {
-            rendered: fit.comparison.rendered(),
-            residual: fit.comparison.residual(),
-            cells_csv: fit.comparison.to_csv(),
-        };
-        Ok((record, images))
+        Ok((record, fit))
     }
 }

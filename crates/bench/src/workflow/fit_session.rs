@@ -12,9 +12,11 @@ use super::session_images::{CapturedSession, captured_session, measured_pose};
 use super::{BenchRecords, FitOutcome, FitRequest, FitWork, WorkflowError, fit_memory, lamp_drift};
 use crate::config::RigConfig;
 use crate::inverse::bench::with_sample_at;
+use crate::radiance_image::exr::ExrRows;
 use crate::session::commit::SystemDisk;
 use crate::session::fit_record::{self, FitImages, FitRecord, Grade, Warning};
-use crate::session::{SessionWriter, layout};
+use crate::session::{LampDrift, Session, SessionWriter, layout};
+use crate::transport::Scene;
 use crate::units::StageAngles;
 
 /// Fits a session's merged images, on the bench as rig file and calibration records describe
@@ -58,11 +60,27 @@ pub fn fit_session_into(
     })
 }
 
-fn fit_captured(
+/// A captured session as a fit is made of it: the bench as measured, the plan, the images still
+/// unread.
+pub(super) struct Prepared {
+    pub session: Session,
+    pub config: RigConfig,
+    pub scene: Scene,
+    pub plan: FitPlan,
+    pub images: Vec<ExrRows>,
+    drift: LampDrift,
+    is_scale_described: bool,
+}
+
+/// Reads what a fit of a session by this request starts from.
+///
+/// # Errors
+/// A session, record or choice that cannot be used, a scene whose images say nothing.
+pub(super) fn prepared(
     root: &Path,
     request: &FitRequest,
     observer: &dyn Observer,
-) -> Result<(FitRecord, FitImages), WorkflowError> {
+) -> Result<Prepared, WorkflowError> {
     let captured = captured_session(root)?;
     let images = captured.image_rows(root)?;
     let CapturedSession {
@@ -93,6 +111,31 @@ fn fit_captured(
     let sample = &config.geometry.sample;
     let plan = FitPlan::new(request, Some(&config.fit), &uncertainty, sample.form_error)?;
     check_scene(&scene, DescribedIn::Rig, &sample.surface, observer)?;
+    Ok(Prepared {
+        session,
+        config,
+        scene,
+        plan,
+        images,
+        drift,
+        is_scale_described,
+    })
+}
+
+fn fit_captured(
+    root: &Path,
+    request: &FitRequest,
+    observer: &dyn Observer,
+) -> Result<(FitRecord, FitImages), WorkflowError> {
+    let Prepared {
+        session,
+        config,
+        scene,
+        plan,
+        images,
+        drift,
+        is_scale_described,
+    } = prepared(root, request, observer)?;
 
     // The images, and the truth where the bench is simulated.
     let sources = (0..).zip(images).map(|(light, rows)| Source {

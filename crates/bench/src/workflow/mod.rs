@@ -36,6 +36,11 @@ mod session_images;
 mod stated_result;
 mod summary;
 mod traceability;
+mod validate;
+mod validate_baselines;
+mod validate_pixels;
+mod validate_predict;
+mod validate_score;
 mod warnings;
 
 pub use bench_records::{BenchRecords, KnownBench, apply_lens};
@@ -53,6 +58,12 @@ pub use scene_concern::{DescribedIn, SceneConcern, extent_in_image, millimetres}
 pub use session_images::{SessionImages, session_images};
 pub use stated_result::{StatedResult, StatedResultError};
 pub use traceability::{Reference, Traceability};
+pub use validate::{
+    HoldOut, HoldOutError, LightPrediction, Validated, validate_images, validate_images_in_memory,
+    validate_session,
+};
+pub use validate_pixels::LeftOut;
+pub use validate_score::{LightScore, RegionScore, Validation};
 
 use std::path::PathBuf;
 
