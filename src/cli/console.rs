@@ -356,11 +356,7 @@ impl Console {
                 Err(RecvTimeoutError::Timeout) => {}
                 Ok(Woken::JobEnded) => {
                     if is_capture && captured.is_none() {
-                        captured = Some(self.jobs.wait());
-                        if let Some(session) = self.jobs.result() {
-                            // Whoever reads stdout may be gone; pages may not be.
-                            drop(write_path(Path::new(&session)));
-                        }
+                        captured = Some(self.captured());
                         if ending.is_none() {
                             context.note("the console stays; Ctrl-C ends it");
                         }
@@ -386,6 +382,10 @@ impl Console {
                         continue;
                     }
                     let Some(kind) = self.jobs.running() else {
+                        // Its end may not have woken this thread yet.
+                        if is_capture && captured.is_none() {
+                            captured = Some(self.captured());
+                        }
                         break;
                     };
                     context.note(format!(
@@ -408,6 +408,16 @@ impl Console {
             }
         }
         Ok((captured, ending))
+    }
+
+    /// How the capture ended; its session goes to stdout.
+    fn captured(&self) -> Option<ExitStatus> {
+        let status = self.jobs.wait();
+        if let Some(session) = self.jobs.result() {
+            // Whoever reads stdout may be gone; pages may not be.
+            drop(write_path(Path::new(&session)));
+        }
+        status
     }
 
     /// Lamp off, devices closed; another signal hurries it.

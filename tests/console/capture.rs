@@ -6,7 +6,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use crate::command_support::{good, only_session, run, workplace};
-use crate::support::Console;
+use crate::support::{Console, PATIENCE};
 use rustix::process::Signal;
 use serde_json::json;
 
@@ -209,15 +209,18 @@ fn a_capture_with_a_console_prints_its_session_and_ends_as_it_did() {
     let mut events = console.events("a");
     events.wait_for("job", |job| job["state"] == "done");
     assert_eq!(console.get("/").status, 200, "the console stays");
+    let began = std::time::Instant::now();
+    while !console
+        .stderr()
+        .contains("the console stays; Ctrl-C ends it")
+    {
+        assert!(began.elapsed() < PATIENCE, "{}", console.stderr());
+        std::thread::sleep(Duration::from_millis(50));
+    }
     console.send(Signal::INT);
     assert_eq!(console.wait(), Some(0), "{}", console.stderr());
     let mut rest = String::new();
     console.stdout.read_to_string(&mut rest).unwrap();
     let session = only_session(folder.path()).unwrap();
     assert_eq!(folder.path().join(rest.trim()), session);
-    assert!(
-        console
-            .stderr()
-            .contains("the console stays; Ctrl-C ends it")
-    );
 }

@@ -15,7 +15,7 @@ use serde_json::Value;
 use crate::command_support::rig;
 
 /// A client gives up after this.
-const PATIENCE: Duration = Duration::from_secs(30);
+pub const PATIENCE: Duration = Duration::from_secs(30);
 
 /// A console that answers; ended when dropped.
 pub struct Console {
