@@ -540,6 +540,12 @@ fn a_light_that_was_not_fitted_is_predicted() {
     let coverage = found["all"]["coverage"].as_f64().unwrap();
     assert!(error < 0.08 && coverage > 0.85, "{found}");
 
+    // The images of a wrong order are remarked on, as before a fit.
+    let exchanged = validate.replace("i_L000.exr i_L001.exr", "i_L001.exr i_L000.exr");
+    let stderr = rig(home.path(), &exchanged).stderr;
+    let stderr = String::from_utf8_lossy(&stderr);
+    assert!(stderr.contains("i_L001.exr, i_L000.exr"), "{stderr}");
+
     let refused = rig(home.path(), &format!("{validate} --hold-out 2"));
     let stderr = String::from_utf8_lossy(&refused.stderr);
     assert_eq!(refused.status.code(), Some(1));

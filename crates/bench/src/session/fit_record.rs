@@ -35,6 +35,7 @@ use serde::{Deserialize, Serialize};
 use crate::brdf::discrepancy::{self, Discrepancy, Material};
 use crate::brdf::mixture::SUM_TOLERANCE;
 use crate::brdf::{Atom, Brdf, BrdfError, Dictionary, Mixture};
+use crate::inverse::comparison::Comparison;
 use crate::radiance_image::RadianceImage;
 use crate::radiance_image::exr::ExrError;
 use crate::session::SessionError;
@@ -348,6 +349,16 @@ pub struct FitImages {
     pub residual: Vec<RadianceImage>,
     /// Table of the compared cells, comma-separated; empty where read from a folder.
     pub cells_csv: String,
+}
+
+impl From<&Comparison> for FitImages {
+    fn from(comparison: &Comparison) -> Self {
+        Self {
+            rendered: comparison.rendered(),
+            residual: comparison.residual(),
+            cells_csv: comparison.to_csv(),
+        }
+    }
 }
 
 /// What can be wrong with a fit's folder; facts only.

@@ -89,11 +89,17 @@ impl<R: Rows> Source<R> {
     fn next_rows(&mut self) -> Result<RadianceImage, ExrError> {
         let mut rows = self.rows.next_rows(ROWS)?;
         if let Some(mean) = self.mean_of_unstated {
-            for (variance, radiance) in rows.variance.iter_mut().zip(&rows.mean) {
-                *variance = radiance.map(|m| (UNSTATED_NOISE * m.abs().max(DARK * mean)).powi(2));
-            }
+            assume_noise(&mut rows, mean);
         }
         Ok(rows)
+    }
+}
+
+/// Sets the variances of an image, or of some of its rows, where none is stated; `mean`: mean
+/// radiance of the whole image.
+pub(super) fn assume_noise(image: &mut RadianceImage, mean: f32) {
+    for (variance, radiance) in image.variance.iter_mut().zip(&image.mean) {
+        *variance = radiance.map(|m| (UNSTATED_NOISE * m.abs().max(DARK * mean)).powi(2));
     }
 }
 

@@ -86,7 +86,20 @@ pub fn fit_images_in_memory(
 ) -> Result<(FitRecord, FitImages), WorkflowError> {
     let plan = plan(file, request)?;
     let scene = file.scene()?;
-    let expected = scene.camera.resolution_px;
+    let sources = sources_of(images, scene.camera.resolution_px)?;
+    let (mut record, fit_images) = fit(file, &scene, &plan, sources, observer)?;
+    record.settings.images = images.iter().map(|image| image.name.clone()).collect();
+    Ok((record, fit_images))
+}
+
+/// Images in memory, about to be read.
+///
+/// # Errors
+/// One of another size than the camera's.
+pub(super) fn sources_of(
+    images: &[NamedImage],
+    expected: [usize; 2],
+) -> Result<Vec<Source<MemoryRows<'_>>>, WorkflowError> {
     let mut sources = Vec::new();
     for (index, NamedImage { name, image, .. }) in images.iter().enumerate() {
         let (width, height) = (image.width, image.height);
@@ -104,9 +117,7 @@ pub fn fit_images_in_memory(
         let source = Source::new(rows(), name.clone(), has_variance, || Ok(rows()))?;
         sources.push(source);
     }
-    let (mut record, fit_images) = fit(file, &scene, &plan, sources, observer)?;
-    record.settings.images = images.iter().map(|image| image.name.clone()).collect();
-    Ok((record, fit_images))
+    Ok(sources)
 }
 
 fn plan(file: &SceneFile, request: &FitRequest) -> Result<FitPlan, WorkflowError> {
@@ -120,6 +131,16 @@ fn fit<R: Rows>(
     sources: Vec<Source<R>>,
     observer: &dyn Observer,
 ) -> Result<(FitRecord, FitImages), WorkflowError> {
+    let remarks = remarks_on(&sources, observer);
+    check_scene(scene, DescribedIn::Scene, &file.sample.surface, observer)?;
+    let captured = plan.average(scene, sources)?;
+    let (mut record, fit) = plan.run(scene, &captured, false, None, observer)?;
+    record.remarks.extend(remarks);
+    Ok((record, FitImages::from(&fit.comparison)))
+}
+
+/// What is to be known of images before they are fitted: reported, and for the fit's record.
+pub(super) fn remarks_on<R>(sources: &[Source<R>], observer: &dyn Observer) -> Vec<String> {
     let mut remarks = Vec::new();
     let names: Vec<&str> = sources.iter().map(|source| &source.file[..]).collect();
     if let Some(given) = &image_order::disorder(&names) {
@@ -133,9 +154,5 @@ fn fit<R: Rows>(
         observer.notice(notice);
         remarks.push(notice.to_string());
     }
-    check_scene(scene, DescribedIn::Scene, &file.sample.surface, observer)?;
-    let captured = plan.average(scene, sources)?;
-    let (mut record, images) = plan.run(scene, &captured, false, None, observer)?;
-    record.remarks.extend(remarks);
-    Ok((record, images))
+    remarks
 }

@@ -6,7 +6,7 @@ use super::{WorkflowError, coarse_facets, fit_memory, summary, warnings};
 use crate::brdf::Brdf;
 use crate::cells::Captured;
 use crate::inverse::{Fit, RefineOptions, fit_with_progress, refine_bench};
-use crate::session::fit_record::{BenchRecord, FitImages, FitRecord};
+use crate::session::fit_record::{BenchRecord, FitRecord};
 use crate::transport::{RenderOptions, Scene, truncation_remainder};
 
 /// Paths per pixel that the estimate of the truncated light takes.
@@ -18,27 +18,6 @@ impl FitPlan {
     /// # Errors
     /// Too little memory, or equations without a solution.
     pub fn run(
-        &self,
-        scene: &Scene,
-        captured: &Captured,
-        simulated: bool,
-        truth: Option<(&str, &dyn Brdf)>,
-        observer: &dyn Observer,
-    ) -> Result<(FitRecord, FitImages), WorkflowError> {
-        let (record, fit) = self.find(scene, captured, simulated, truth, observer)?;
-        let images = FitImages {
-            rendered: fit.comparison.rendered(),
-            residual: fit.comparison.residual(),
-            cells_csv: fit.comparison.to_csv(),
-        };
-        Ok((record, images))
-    }
-
-    /// [`Self::run`], with the fit as the core leaves it in place of its images.
-    ///
-    /// # Errors
-    /// Likewise.
-    pub fn find(
         &self,
         scene: &Scene,
         captured: &Captured,

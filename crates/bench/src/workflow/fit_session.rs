@@ -127,18 +127,10 @@ fn fit_captured(
     request: &FitRequest,
     observer: &dyn Observer,
 ) -> Result<(FitRecord, FitImages), WorkflowError> {
-    let Prepared {
-        session,
-        config,
-        scene,
-        plan,
-        images,
-        drift,
-        is_scale_described,
-    } = prepared(root, request, observer)?;
+    let prepared = prepared(root, request, observer)?;
 
     // The images, and the truth where the bench is simulated.
-    let sources = (0..).zip(images).map(|(light, rows)| Source {
+    let sources = (0..).zip(prepared.images).map(|(light, rows)| Source {
         rows,
         file: root
             .join(layout::radiance_file(light))
@@ -146,32 +138,36 @@ fn fit_captured(
             .to_string(),
         mean_of_unstated: None,
     });
-    let captured = plan.average(&scene, sources.collect())?;
-    let truth = match &config.simulation {
+    let captured = prepared.plan.average(&prepared.scene, sources.collect())?;
+    let truth = match &prepared.config.simulation {
         Some(simulation) => Some(simulation.material.load()?),
         None => None,
     };
-    let record = session.record();
+    let record = prepared.session.record();
     let name = record.true_material.as_deref();
     let name = name.unwrap_or("simulated material");
     let truth = truth.as_ref().map(|brdf| (name, &**brdf));
 
     // The fit, and what the session adds to what is to be known of it.
-    let (mut fit, images) = plan.run(&scene, &captured, record.simulated, truth, observer)?;
-    if is_scale_described {
+    let scene = &prepared.scene;
+    let (mut fit, found) =
+        prepared
+            .plan
+            .run(scene, &captured, record.simulated, truth, observer)?;
+    if prepared.is_scale_described {
         fit.remarks.push(Notice::ScaleAsDescribed.to_string());
     }
     fit.warnings
-        .extend(session.journal().suspicion().map(|what| Warning {
+        .extend(prepared.session.journal().suspicion().map(|what| Warning {
             what,
             likely_cause: "an axis that slipped or was blocked: the fit takes the lights to be where they were asked for; capture anew".to_owned(),
             grade: Grade::Reservation,
         }));
-    if let Some(remark) = lamp_drift::remark(&drift) {
+    if let Some(remark) = lamp_drift::remark(&prepared.drift) {
         observer.notice(Notice::Remark(&remark));
         fit.remarks.push(remark);
     }
-    Ok((fit, images))
+    Ok((fit, FitImages::from(&found.comparison)))
 }
 
 /// How much a fit without any request will have to do, of images under these lights.

@@ -4,7 +4,8 @@
 use std::borrow::Cow;
 use std::path::Path;
 
-use super::cell_images::{MemoryRows, Source, UNSTATED_NOISE, read_mask};
+use super::cell_images::{assume_noise, read_mask};
+use super::fit_images::{remarks_on, sources_of};
 use super::fit_plan::FitPlan;
 use super::fit_session::prepared;
 use super::notice::Observer;
@@ -210,22 +211,23 @@ fn validate(
     hold_out: &HoldOut,
     observer: &dyn Observer,
 ) -> Result<Validated, WorkflowError> {
-    check_images(scene, images)?;
+    let (given, lights) = (images.len(), scene.lights.len());
+    if given != lights {
+        let images = given;
+        return Err(AverageError::ImageCount { images, lights }.into());
+    }
+    let sources = sources_of(images, scene.camera.resolution_px)?;
+    let remarks = remarks_on(&sources, observer);
+    let unstated: Vec<Option<f32>> = sources.iter().map(|s| s.mean_of_unstated).collect();
     let [fitted, held_out] = hold_out.divide(images.len())?;
 
     // The fit of a part.
     let part = under(scene, &fitted);
-    let sources = fitted.iter().map(|&light| {
-        let NamedImage {
-            name,
-            image,
-            has_variance,
-        } = &images[light];
-        let rows = || MemoryRows::of(image);
-        Source::new(rows(), name.clone(), *has_variance, || Ok(rows()))
-    });
-    let captured = plan.average(&part, sources.collect::<Result<_, _>>()?)?;
-    let (record, fit) = plan.find(&part, &captured, false, None, observer)?;
+    let sources = sources.into_iter().enumerate();
+    let of_part = sources.filter(|(light, _)| fitted.contains(light));
+    let captured = plan.average(&part, of_part.map(|(_, source)| source).collect())?;
+    let (mut record, fit) = plan.run(&part, &captured, false, None, observer)?;
+    record.remarks.extend(remarks);
 
     // The pixels, and what else predicts them.
     let mask = plan.mask.as_deref();
@@ -254,7 +256,7 @@ fn validate(
     let images_of = predicted.images.into_iter().zip(predicted.deviations);
     for (&light, (image, deviations)) in held_out.iter().zip(images_of) {
         let (pixels, left_out) = pixels_of(light);
-        let captured = with_noise(&images[light]);
+        let captured = with_noise(&images[light].image, unstated[light]);
         let tally = Tally::of(
             &Compared {
                 pixels: &pixels,
@@ -282,37 +284,13 @@ fn validate(
     })
 }
 
-/// An image with the noise that a fit assumes where none is stated.
-fn with_noise(named: &NamedImage) -> Cow<'_, RadianceImage> {
-    let mut image = Cow::Borrowed(&named.image);
-    if !named.has_variance {
-        let RadianceImage { mean, variance, .. } = image.to_mut();
-        for (variance, mean) in variance.iter_mut().zip(mean) {
-            *variance = mean.map(|mean| (UNSTATED_NOISE * mean).powi(2));
-        }
+/// An image with the noise that the fit assumes where none is stated, given its mean then.
+fn with_noise(image: &RadianceImage, mean_of_unstated: Option<f32>) -> Cow<'_, RadianceImage> {
+    let mut image = Cow::Borrowed(image);
+    if let Some(mean) = mean_of_unstated {
+        assume_noise(image.to_mut(), mean);
     }
     image
-}
-
-/// Whether there is an image of the camera's size for each light.
-fn check_images(scene: &Scene, images: &[NamedImage]) -> Result<(), AverageError> {
-    let (lights, expected) = (scene.lights.len(), scene.camera.resolution_px);
-    if images.len() != lights {
-        let images = images.len();
-        return Err(AverageError::ImageCount { images, lights });
-    }
-    for (index, NamedImage { image, .. }) in images.iter().enumerate() {
-        let (width, height) = (image.width, image.height);
-        if [width, height] != expected {
-            return Err(AverageError::ImageSize {
-                image: index,
-                width,
-                height,
-                expected,
-            });
-        }
-    }
-    Ok(())
 }
 
 /// The images of a light, valid where they are compared.
