@@ -256,6 +256,11 @@ pub enum DeviceError {
 }
 
 impl DeviceError {
+    /// Whether no answer came, or none that can be read: whatever is asked next may wait in vain.
+    pub fn is_without_answer(&self) -> bool {
+        matches!(self, Self::NoReply { .. } | Self::Garbled { .. })
+    }
+
     /// Where a port is not named by a path but by the address of a controller on a network: a
     /// URL, a host with a port's number, or an IP address.
     pub fn of_address(port: &str) -> Option<Self> {

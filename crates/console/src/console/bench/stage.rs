@@ -75,12 +75,8 @@ pub(super) fn obey(
     };
     let ended = loop_.run(commands, leave);
     // A mute stage is dropped at once: its guardian stops it then.
-    if is_guarded
-        && matches!(
-            ended,
-            Err(DeviceError::NoReply { .. } | DeviceError::Garbled { .. })
-        )
-    {
+    let is_mute = ended.as_ref().is_err_and(DeviceError::is_without_answer);
+    if is_guarded && is_mute {
         return ended;
     }
     // Also after an error, as far as it goes; dropping the stage tries again.

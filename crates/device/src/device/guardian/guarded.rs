@@ -96,10 +96,7 @@ impl GuardedStage {
         let under_way = self.watchdog.step(stage.longest(step));
         let result = act(stage);
         drop(under_way);
-        self.is_mute = matches!(
-            result,
-            Err(DeviceError::NoReply { .. } | DeviceError::Garbled { .. })
-        );
+        self.is_mute = result.as_ref().is_err_and(DeviceError::is_without_answer);
         // Whatever the driver met, this is why.
         self.watchdog.check()?;
         result
