@@ -230,8 +230,8 @@ fn neither_modules_nor_files_import_each_other_in_a_circle() {
     }
 }
 
-/// A graph's circles and what leads to them, empty where there is none: whatever imports nothing of the rest is
-/// taken out until nothing is left to take.
+/// A graph's circles and what leads to them, empty where there is none: whatever imports nothing
+/// of the rest is taken out until nothing is left to take.
 fn without_leaves(
     mut edges: BTreeMap<String, BTreeSet<String>>,
 ) -> BTreeMap<String, BTreeSet<String>> {

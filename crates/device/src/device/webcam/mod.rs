@@ -32,7 +32,7 @@ use worker::Worker;
 /// `camera.driver = "webcam"`.
 pub const DRIVER: Driver = Driver {
     name: "webcam",
-    offer: "a webcam camera that is not connected now",
+    offer: "a webcam that is not connected now",
     key: "device",
     allowed: "a path such as /dev/v4l/by-id/…; where there are none, a number as `rig devices` lists it",
     is_path: false,

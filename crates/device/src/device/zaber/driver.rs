@@ -20,7 +20,7 @@ const ATTEMPTS: u32 = 3;
 /// How long each answer to a stop may take, and where one did not come.
 const ANSWERED: Duration = Duration::from_secs(1);
 const ANSWERED_AFTER_SILENCE: Duration = Duration::from_millis(300);
-/// Axes that were told to stop stand within this time.
+/// Longest time that axes take to come to rest after `stop`.
 const STANDS: Duration = Duration::from_secs(2);
 /// Longest pause between two looks at a motion.
 const POLL_PAUSE: Duration = Duration::from_millis(50);
@@ -584,7 +584,7 @@ fn stop(
     timeout: Duration,
 ) -> Result<(), DeviceError> {
     let mut outcome = Ok(());
-    // A chain that has not answered is told the rest and hardly waited for.
+    // After a missing answer the remaining commands are still sent, with a short wait for each.
     let patience = |so_far: &Result<(), DeviceError>| {
         reply_timeout.min(match so_far {
             Ok(()) => ANSWERED,
