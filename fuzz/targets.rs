@@ -72,21 +72,6 @@ pub const TARGETS: &[Target] = &[
         64,
     ),
     target(
-        "dome",
-        |bytes| {
-            use rig::device::dome::protocol::{Line, info, parse, state};
-            if let Line::Answer {
-                outcome: Ok(data), ..
-            } = parse(bytes)
-            {
-                drop((info(&data), state(&data)));
-            }
-            // The same data without a checksum, which hardly any change survives.
-            text(bytes, |text| drop((info(text), state(text))));
-        },
-        64,
-    ),
-    target(
         "dmx_widget",
         |bytes| {
             use rig::device::dome::widget::{serial_number, take_message, version};

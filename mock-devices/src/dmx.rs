@@ -2,7 +2,6 @@
 //! behind it. DMX carries nothing back: the lights can't be asked.
 
 use crate::bench::Bench;
-use crate::dome::point_bench;
 use crate::pty::{Board, Port};
 use std::path::Path;
 
@@ -114,6 +113,20 @@ impl Widget {
         }
         self.bench.set_lamp(self.bench.clock().now_s(), drive);
     }
+}
+
+/// The bench's lamp is where this light is.
+fn point_bench(bench: &Bench, [azimuth_deg, elevation_deg]: [f64; 2]) {
+    let kinematics = bench.config().kinematics;
+    let mut by_mm = [0.0; 3];
+    for (axis, angle_deg) in [
+        (kinematics.azimuth, azimuth_deg),
+        (kinematics.elevation, elevation_deg),
+    ] {
+        let motor_mm = (angle_deg - axis.offset_deg) / axis.deg_per_mm;
+        by_mm[axis.axis as usize] = motor_mm - bench.motor_position()[axis.axis as usize];
+    }
+    bench.push_stage(by_mm);
 }
 
 impl Board for Widget {

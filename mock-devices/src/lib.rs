@@ -9,7 +9,6 @@ pub mod bench;
 pub mod camera;
 pub mod clock;
 pub mod dmx;
-pub mod dome;
 pub mod grbl;
 pub mod motion;
 pub mod proxy;

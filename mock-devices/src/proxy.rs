@@ -231,7 +231,7 @@ mod tests {
     use super::*;
     use crate::bench::{Bench, BenchConfig};
     use crate::clock::Clock;
-    use crate::dome::{DomeConfig, DomeSimulator};
+    use crate::zaber::{ZaberConfig, ZaberSimulator};
     use std::fs::OpenOptions;
 
     struct Host(File);
@@ -271,30 +271,28 @@ mod tests {
     #[test]
     fn lines_are_damaged_as_told_and_the_port_comes_back() {
         let bench = Bench::new(BenchConfig::default(), Clock::instant());
-        let dome = DomeConfig::of_lights(vec![[0.0, 90.0]]);
-        let dome = DomeSimulator::spawn(dome, bench).unwrap();
-        let proxy = Proxy::to(dome.path()).unwrap();
+        let devices = ZaberSimulator::spawn(ZaberConfig::default(), bench).unwrap();
+        let proxy = Proxy::to(devices.path()).unwrap();
         let mut host = Host::open(proxy.path());
-        // The exclusive-or of "3 off" is 0x7c.
-        let request = "3 off*7C\n";
-        let whole = host.ask(request, "3 ok*00\r\n".len());
+        let request = "/1 0 get version\n";
+        let whole = host.ask(request, "@01 0 OK IDLE -- 7.00\r\n".len());
         assert!(
-            whole.starts_with("3 ok*") && whole.ends_with("\r\n"),
+            whole.starts_with("@01 0 OK") && whole.ends_with("\r\n"),
             "{whole:?}"
         );
         for (damage, expected) in [
             (Damage::Drop, String::new()),
-            (Damage::Truncate(3), "3 o".to_owned()),
+            (Damage::Truncate(3), "@01".to_owned()),
             (Damage::Duplicate, whole.repeat(2)),
             (Damage::Delay(Duration::from_millis(50)), whole.clone()),
         ] {
-            proxy.damage_times("3", damage, 1);
+            proxy.damage_times("@", damage, 1);
             assert_eq!(host.ask(request, expected.len()), expected, "{damage:?}");
         }
         proxy.damage("", Damage::Garble);
         let garbled = host.ask(request, whole.len());
         assert_eq!(garbled.len(), whole.len());
-        assert!(!garbled.contains("ok"), "{garbled:?}");
+        assert!(!garbled.contains("OK"), "{garbled:?}");
         proxy.clear();
         proxy.unplug();
         assert!(!proxy.path().exists());

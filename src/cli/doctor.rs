@@ -32,7 +32,6 @@ use crate::capture::reach::StageReach;
 use crate::capture::records::Records;
 use crate::config::stage::StageDriver;
 use crate::config::{CameraDriver, Origin, ResolvedRig};
-use crate::device::dome::DomeWiring;
 use crate::device::{DeviceError, discovery};
 use crate::file_system::{self, Lack};
 use crate::units::size;
@@ -336,15 +335,7 @@ fn watchdog(rig: &ResolvedRig) -> Option<Check> {
         StageDriver::Simulated(_) | StageDriver::Manual(_) => return None,
         StageDriver::Grbl(_) => "stock GRBL has none",
         StageDriver::Zaber(_) => "Zaber's protocol has none",
-        StageDriver::Dome(dome) => match dome.wiring {
-            DomeWiring::Dmx { .. } => "a DMX interface has none and repeats its last packet",
-            DomeWiring::Line => {
-                return Some(Check::ok(
-                    "watchdog",
-                    "the dome reports at connection whether it has one; `rig capture` warns where it has not",
-                ));
-            }
-        },
+        StageDriver::Dome(_) => "a DMX interface has none and repeats its last packet",
     };
     Some(Check::warning(
         "watchdog",
@@ -357,9 +348,7 @@ fn watchdog(rig: &ResolvedRig) -> Option<Check> {
 fn lamp_report(rig: &ResolvedRig) -> Option<Check> {
     let who = match &rig.config.stage.driver {
         StageDriver::Manual(_) => "an operator switches the lamp",
-        StageDriver::Dome(dome) if matches!(dome.wiring, DomeWiring::Dmx { .. }) => {
-            "a DMX interface does not report its lights"
-        }
+        StageDriver::Dome(_) => "a DMX interface does not report its lights",
         _ => return None,
     };
     Some(Check::warning(
@@ -589,12 +578,6 @@ mod tests {
             })
         };
         let dmx = include_str!("../../rig-configs/dmx-dome-v4l2.toml");
-        let is_for_dmx =
-            |line: &&str| line.starts_with("dmx_address") || line.starts_with("level =");
-        let lines: Vec<&str> = dmx.lines().filter(|line| !is_for_dmx(line)).collect();
-        let dome = lines
-            .join("\n")
-            .replace("driver = \"dmx\"", "driver = \"dome\"");
         for (text, verdict, fact) in [
             (
                 include_str!("../../rig-configs/grbl-arm-v4l2.toml"),
@@ -607,7 +590,6 @@ mod tests {
                 "Zaber's protocol has none",
             ),
             (dmx, Verdict::Warning, "a DMX interface has none"),
-            (&dome, Verdict::Ok, "the dome reports at connection"),
         ] {
             let check = check(text).unwrap();
             assert_eq!(check.verdict, verdict, "{fact}");

@@ -47,7 +47,6 @@ pub fn stopped(outcome: Result<Stopped, OpenError>) -> Result<&'static str, CliE
         outcome => outcome?,
     };
     Ok(match stopped {
-        Stopped::LightsOff => "all lights are off",
         Stopped::LightsUnconfirmed => {
             "all lights were sent the command to go off; DMX does not confirm whether they did"
         }

@@ -56,7 +56,7 @@ fn init(folder: &Path, answers: &str, more: &[&str]) -> std::process::Output {
 /// and by a dry run.
 #[test]
 fn the_written_file_serves_the_other_commands() {
-    for stage in ["grbl", "zaber", "dmx", "dome", "manual"] {
+    for stage in ["grbl", "zaber", "dmx", "manual"] {
         let folder = tempfile::tempdir().unwrap();
         let at = folder.path();
         let made = json(init(at, &answers(stage).to_string(), &["--json"]));

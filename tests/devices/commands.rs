@@ -210,65 +210,41 @@ fn lights() -> impl Iterator<Item = ([f64; 2], usize)> {
         .map(|(light, at)| (at, 3 * light + 1))
 }
 
-/// Neither dome has a watchdog; the lights on DMX confirm nothing.
+/// A dome on DMX has no watchdog, and its lights confirm nothing.
 #[test]
 fn a_killed_program_leaves_no_light_of_a_dome_lit() {
     use mock_devices::dmx::{DmxConfig, DmxSimulator};
-    use mock_devices::dome::{DomeConfig, DomeSimulator};
-    let bench = || Bench::new(BenchConfig::default(), Clock::real_time());
     let built_in = include_str!("../../rig-configs/dmx-dome-v4l2.toml");
-    let lines = built_in
-        .lines()
-        .filter(|line| !line.starts_with("dmx_address"));
-    let of_line: String = lines.map(|line| format!("{line}\n")).collect();
-    let of_line = of_line.replace("driver = \"dmx\"", "driver = \"dome\"");
-    let line = DomeSimulator::spawn(
-        DomeConfig {
-            watchdog_s: 0.0,
-            ..DomeConfig::of_lights(lights().map(|(at, _)| at).collect())
-        },
-        bench(),
-    )
-    .unwrap();
     let lights = lights().collect();
-    let packets = DmxSimulator::spawn(DmxConfig { lights }, bench()).unwrap();
-    for (built_in, port, bench, done) in [
-        (&of_line[..], line.path(), line.bench(), "turned it off"),
-        (
-            built_in,
-            packets.path(),
-            packets.bench(),
-            "sent it the command to turn off",
-        ),
-    ] {
-        let (_folder, file) = rig_file_on_port(built_in, &port.display().to_string());
-        let at = ["--azimuth", "60", "--elevation", "30", "--rig", &file];
-        let lamp = |more: &[&str]| rig(&[&["stage", "lamp", "0"][..], more, &at].concat());
-        let is_lit = || bench.lamp_drive() != [0.0; 3];
-        let until = |what: &str, is: &dyn Fn() -> bool| {
-            let began = Instant::now();
-            while !is() {
-                assert!(began.elapsed() < Duration::from_secs(30), "{what}");
-                std::thread::sleep(Duration::from_millis(5));
-            }
-            began.elapsed()
-        };
-        let ended = lamp(&["--seconds", "0.1"]).output().unwrap();
-        assert_eq!(ended.status.code(), Some(0), "{}", text(&ended.stderr));
-        assert!(
-            !text(&ended.stderr).contains("guardian"),
-            "{}",
-            text(&ended.stderr)
-        );
-        until("the end of the first", &|| !is_lit());
-        let mut child = lamp(&[]).stderr(Stdio::piped()).spawn().unwrap();
-        until("the lamp", &is_lit);
-        child.kill().unwrap();
-        let took = until("the guardian", &|| !is_lit());
-        assert!(took < Duration::from_secs(3), "{took:?}");
-        let said = text(&child.wait_with_output().unwrap().stderr);
-        assert!(said.contains(done), "{said}");
-    }
+    let bench = Bench::new(BenchConfig::default(), Clock::real_time());
+    let packets = DmxSimulator::spawn(DmxConfig { lights }, bench).unwrap();
+    let (_folder, file) = rig_file_on_port(built_in, &packets.path().display().to_string());
+    let at = ["--azimuth", "60", "--elevation", "30", "--rig", &file];
+    let lamp = |more: &[&str]| rig(&[&["stage", "lamp", "0"][..], more, &at].concat());
+    let is_lit = || packets.bench().lamp_drive() != [0.0; 3];
+    let until = |what: &str, is: &dyn Fn() -> bool| {
+        let began = Instant::now();
+        while !is() {
+            assert!(began.elapsed() < Duration::from_secs(30), "{what}");
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        began.elapsed()
+    };
+    let ended = lamp(&["--seconds", "0.1"]).output().unwrap();
+    assert_eq!(ended.status.code(), Some(0), "{}", text(&ended.stderr));
+    assert!(
+        !text(&ended.stderr).contains("guardian"),
+        "{}",
+        text(&ended.stderr)
+    );
+    until("the end of the first", &|| !is_lit());
+    let mut child = lamp(&[]).stderr(Stdio::piped()).spawn().unwrap();
+    until("the lamp", &is_lit);
+    child.kill().unwrap();
+    let took = until("the guardian", &|| !is_lit());
+    assert!(took < Duration::from_secs(3), "{took:?}");
+    let said = text(&child.wait_with_output().unwrap().stderr);
+    assert!(said.contains("sent it the command to turn off"), "{said}");
 }
 
 #[test]

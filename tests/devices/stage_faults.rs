@@ -6,13 +6,11 @@ use std::time::Duration;
 
 use mock_devices::bench::{Bench, BenchConfig};
 use mock_devices::clock::Clock;
-use mock_devices::dome::DomeSimulator;
 use mock_devices::grbl::{Fault, GrblSimulator, Trigger};
 use mock_devices::proxy::{Damage, Proxy};
 use mock_devices::zaber::ZaberSimulator;
-use rig::device::dome::{DomeConfig, DomeStage, DomeWiring};
 use rig::device::grbl::{GrblConfig, GrblStage};
-use rig::device::kinematics::{AxisMap, FixedLights, Mechanism, TwoAxes};
+use rig::device::kinematics::{AxisMap, Mechanism, TwoAxes};
 use rig::device::zaber::{LampSwitch, ZaberConfig, ZaberStage};
 use rig::device::{DeviceError, LampChannel, LampState, LightStage};
 use rig::units::{Seconds, StageAngles};
@@ -21,10 +19,9 @@ use rig::units::{Seconds, StageAngles};
 enum Protocol {
     Grbl,
     Zaber,
-    Dome,
 }
 
-const PROTOCOLS: [Protocol; 3] = [Protocol::Grbl, Protocol::Zaber, Protocol::Dome];
+const PROTOCOLS: [Protocol; 2] = [Protocol::Grbl, Protocol::Zaber];
 
 /// What must come of a fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -91,10 +88,10 @@ struct Row {
     fault: &'static str,
     cause: Cause,
     /// In the order of [`PROTOCOLS`].
-    outcomes: [Outcome; 3],
+    outcomes: [Outcome; 2],
 }
 
-const fn row(fault: &'static str, cause: Cause, outcomes: [Outcome; 3]) -> Row {
+const fn row(fault: &'static str, cause: Cause, outcomes: [Outcome; 2]) -> Row {
     Row {
         fault,
         cause,
@@ -106,72 +103,72 @@ const ROWS: &[Row] = &[
     row(
         "one reply is lost",
         Cause::Line(Damage::Drop, Some(1)),
-        [Outcome::GoesOn; 3],
+        [Outcome::GoesOn; 2],
     ),
     row(
         "no reply any more",
         Cause::Line(Damage::Drop, None),
-        [Outcome::NoReply; 3],
+        [Outcome::NoReply; 2],
     ),
     row(
         "replies are slow, within the time-out",
         Cause::Line(Damage::Delay(Duration::from_millis(40)), None),
-        [Outcome::GoesOn; 3],
+        [Outcome::GoesOn; 2],
     ),
     row(
         "one reply is cut",
         Cause::Line(Damage::Truncate(2), Some(1)),
-        [Outcome::GoesOn; 3],
+        [Outcome::GoesOn; 2],
     ),
     row(
         "every reply is cut",
         Cause::Line(Damage::Truncate(2), None),
-        [Outcome::NoReply; 3],
+        [Outcome::NoReply; 2],
     ),
     row(
         "one reply is garbled",
         Cause::Line(Damage::Garble, Some(1)),
-        [Outcome::GoesOn; 3],
+        [Outcome::GoesOn; 2],
     ),
     row(
         "every reply is garbled",
         Cause::Line(Damage::Garble, None),
-        [Outcome::Garbled; 3],
+        [Outcome::Garbled; 2],
     ),
     row(
         "every reply comes twice",
         Cause::Line(Damage::Duplicate, None),
-        [Outcome::GoesOn; 3],
+        [Outcome::GoesOn; 2],
     ),
     row(
         "the controller restarts in mid-move",
         Cause::RestartInMotion,
-        [Outcome::Restarted; 3],
+        [Outcome::Restarted; 2],
     ),
     row(
         "the firmware raises an alarm in mid-move",
         Cause::FirmwareAlarm,
-        [Outcome::Alarm, Outcome::None, Outcome::None],
+        [Outcome::Alarm, Outcome::None],
     ),
     row(
         "a motor stalls",
         Cause::Stall,
-        [Outcome::None, Outcome::Alarm, Outcome::None],
+        [Outcome::None, Outcome::Alarm],
     ),
     row(
         "steps are lost",
         Cause::LostSteps,
-        [Outcome::CannotTell, Outcome::Measured, Outcome::None],
+        [Outcome::CannotTell, Outcome::Measured],
     ),
     row(
         "the lamp does not light",
         Cause::DarkLamp,
-        [Outcome::NotSeen, Outcome::NotApplied, Outcome::NotApplied],
+        [Outcome::NotSeen, Outcome::NotApplied],
     ),
     row(
         "the port goes away and comes back",
         Cause::PortGone,
-        [Outcome::Disconnected; 3],
+        [Outcome::Disconnected; 2],
     ),
 ];
 
@@ -204,7 +201,6 @@ fn axes(scale: f64) -> TwoAxes {
 enum Simulator {
     Grbl(GrblSimulator),
     Zaber(ZaberSimulator),
-    Dome(DomeSimulator),
 }
 
 /// A simulated stage behind a cable that can fail.
@@ -229,16 +225,10 @@ impl Bed {
                 let config = mock_devices::zaber::ZaberConfig::default();
                 Simulator::Zaber(ZaberSimulator::spawn(config, bench.clone()).unwrap())
             }
-            Protocol::Dome => {
-                let lights = vec![START, TARGET];
-                let config = mock_devices::dome::DomeConfig::of_lights(lights);
-                Simulator::Dome(DomeSimulator::spawn(config, bench.clone()).unwrap())
-            }
         };
         let path = match &simulator {
             Simulator::Grbl(simulator) => simulator.path(),
             Simulator::Zaber(simulator) => simulator.path(),
-            Simulator::Dome(simulator) => simulator.path(),
         };
         Self {
             proxy: Proxy::to(path).unwrap(),
@@ -272,22 +262,6 @@ impl Bed {
                 };
                 Box::new(ZaberStage::open(config).unwrap())
             }
-            Protocol::Dome => {
-                let config = DomeConfig {
-                    port,
-                    baud: 115_200,
-                    lights: FixedLights {
-                        directions: vec![angles(START), angles(TARGET)],
-                        tolerance_deg: 1.0,
-                    },
-                    wiring: DomeWiring::Line,
-                    channels: 3,
-                    level: 255,
-                    connect_timeout: Seconds(5.0),
-                    reply_timeout: REPLY_TIMEOUT,
-                };
-                Box::new(DomeStage::open(config).unwrap())
-            }
         }
     }
 
@@ -309,11 +283,6 @@ impl Bed {
             (Cause::RestartInMotion, Simulator::Zaber(devices)) => {
                 devices.power_cycle_in_motion(0.2);
             }
-            // A dome has no motion: it restarts before it is asked for a light.
-            (Cause::RestartInMotion, Simulator::Dome(dome)) => {
-                dome.restart();
-                std::thread::sleep(Duration::from_millis(50));
-            }
             (Cause::FirmwareAlarm, Simulator::Grbl(firmware)) => firmware
                 .faults()
                 .inject(Trigger::InMotion { after_s: 0.2 }, Fault::Alarm(1)),
@@ -321,7 +290,6 @@ impl Bed {
             (Cause::LostSteps, _) => self.bench.push_stage([0.6, 0.0, 0.0]),
             (Cause::DarkLamp, Simulator::Grbl(_)) => self.bench.set_lamp_dead(0, true),
             (Cause::DarkLamp, Simulator::Zaber(devices)) => devices.break_output(0),
-            (Cause::DarkLamp, Simulator::Dome(dome)) => dome.break_light(1),
             (Cause::PortGone, _) => self.proxy.unplug(),
             (cause, _) => panic!("{:?} knows no {cause:?}", self.protocol),
         }
@@ -441,13 +409,8 @@ fn zaber() {
 }
 
 #[test]
-fn dome() {
-    run_all(Protocol::Dome);
-}
-
-#[test]
 fn the_documented_table_is_this_one() {
-    let mut table = "| fault | GRBL | Zaber | dome |\n|---|---|---|---|\n".to_owned();
+    let mut table = "| fault | GRBL | Zaber |\n|---|---|---|\n".to_owned();
     for row in ROWS {
         let cells = row.outcomes.map(Outcome::words).join(" | ");
         table += &format!("| {} | {cells} |\n", row.fault);

@@ -63,8 +63,6 @@ pub enum PortDriver {
 /// What stopping a stage has achieved.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stopped {
-    /// All lights of a dome are off.
-    LightsOff,
     /// All lights were switched off over a line that confirms nothing.
     LightsUnconfirmed,
     /// The axes stand and the lamp is off.
@@ -213,7 +211,7 @@ pub use stages::{stop_port, stop_stage};
 mod stages {
     use super::*;
     use crate::config::stage::StageDriver;
-    use crate::device::dome::{self, DomeStage, DomeWiring};
+    use crate::device::dome::{self, DomeStage};
     use crate::device::grbl::{self, GrblConfig, GrblStage};
     use crate::device::manual::ManualStage;
     use crate::device::simulated::SimulatedBench;
@@ -292,10 +290,7 @@ mod stages {
             StageDriver::Manual(_) => Ok(Stopped::ByHand),
             StageDriver::Dome(config) => {
                 dome::stop_port(config)?;
-                Ok(match config.wiring {
-                    DomeWiring::Line => Stopped::LightsOff,
-                    DomeWiring::Dmx { .. } => Stopped::LightsUnconfirmed,
-                })
+                Ok(Stopped::LightsUnconfirmed)
             }
             StageDriver::Zaber(config) => {
                 zaber::stop_port(config)?;

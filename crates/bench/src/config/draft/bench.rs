@@ -110,14 +110,14 @@ pub enum Stage {
         /// Microsteps per degree or mm of each.
         scales: [f64; 2],
     },
-    /// A dome, on DMX or on the dome line protocol.
+    /// A dome on DMX.
     Dome {
         /// Its serial port.
         port: String,
         /// Directions, degrees.
         lights: Vec<[f64; 2]>,
-        /// DMX address of the first light; `None`: the dome line protocol.
-        dmx_first: Option<u32>,
+        /// DMX address of the first light.
+        dmx_first: u32,
     },
     /// By hand.
     Manual {
@@ -305,7 +305,7 @@ impl Take<'_> {
             _ => Stage::Dome {
                 port: self.text("port")?,
                 lights: lights()?,
-                dmx_first: self.0.whole("dmx_first"),
+                dmx_first: self.whole("dmx_first")?,
             },
         })
     }

@@ -9,8 +9,8 @@ use crate::config::camera::offered;
 
 /// Stages with axes, with serial ports, and with fixed lights.
 pub(super) const WITH_AXES: [&str; 2] = ["grbl", "zaber"];
-const ON_A_PORT: [&str; 4] = ["grbl", "zaber", "dmx", "dome"];
-const FIXED: [&str; 3] = ["dmx", "dome", "manual"];
+const ON_A_PORT: [&str; 3] = ["grbl", "zaber", "dmx"];
+const FIXED: [&str; 2] = ["dmx", "manual"];
 const WITH_RADIUS: [&str; 5] = ["bowl", "sphere", "cap", "tetrahedron", "groove"];
 
 const NAME: TextRule = TextRule {
@@ -284,7 +284,6 @@ fn of_the_stage(found: &Found) -> Vec<Question> {
                 ("grbl", "two axes on a GRBL 1.1 controller"),
                 ("zaber", "two axes on Zaber devices"),
                 ("dmx", "a dome of lights on DMX512"),
-                ("dome", "a dome of lights on the dome line protocol"),
                 ("manual", "a person places and switches the light"),
             ]),
         )

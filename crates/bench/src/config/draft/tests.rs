@@ -23,13 +23,12 @@ const CAMERAS: [(&str, Option<&str>); 5] = [
     ("command", Some("./photo.sh {exposure_s} {output}")),
     ("folder", Some("incoming \"frames\"")),
 ];
-const STAGES: [(&str, &str); 7] = [
+const STAGES: [(&str, &str); 6] = [
     ("grbl", "rotary"),
     ("grbl", "arc"),
     ("grbl", "gantry"),
     ("zaber", "gantry"),
     ("dmx", ""),
-    ("dome", ""),
     ("manual", ""),
 ];
 

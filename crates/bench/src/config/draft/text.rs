@@ -75,12 +75,7 @@ impl Draft {
         let (driver, port) = match &self.stage {
             Stage::Grbl { port, .. } => ("grbl", Some(port)),
             Stage::Zaber { port, .. } => ("zaber", Some(port)),
-            Stage::Dome {
-                port,
-                dmx_first: Some(_),
-                ..
-            } => ("dmx", Some(port)),
-            Stage::Dome { port, .. } => ("dome", Some(port)),
+            Stage::Dome { port, .. } => ("dmx", Some(port)),
             Stage::Manual { .. } => ("manual", None),
         };
         out.key("driver", quoted(driver), "What brings the light.");
@@ -147,11 +142,7 @@ impl Draft {
                     "255",
                     "Drive of a lit light (1 to 255). Full drive: a dimmed lamp flickers.",
                 );
-                fixed_lights(
-                    out,
-                    lights,
-                    dmx_first.map(|first| (first, self.lamp.channels)),
-                );
+                fixed_lights(out, lights, Some((*dmx_first, self.lamp.channels)));
             }
             Stage::Manual { lights } => fixed_lights(out, lights, None),
         }

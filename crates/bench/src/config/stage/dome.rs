@@ -4,7 +4,7 @@ use super::Measures;
 use super::lamp;
 use crate::config::ConfigError;
 use crate::config::reader::Section;
-use crate::device::dome::{DomeConfig, DomeWiring};
+use crate::device::dome::DomeConfig;
 use crate::device::kinematics::FixedLights;
 use crate::device::manual::ManualConfig;
 use crate::units::{Seconds, StageAngles};
@@ -16,11 +16,11 @@ pub fn read_manual(table: &mut Section) -> Result<(ManualConfig, Vec<Measures>),
     Ok((ManualConfig { lights, channels }, measures))
 }
 
-/// Reads the `[stage]` table of a dome: on DMX, or on the dome line protocol.
-pub fn read(table: &mut Section, dmx: bool) -> Result<(DomeConfig, Vec<Measures>), ConfigError> {
+/// Reads the `[stage]` table of a dome on DMX.
+pub fn read(table: &mut Section) -> Result<(DomeConfig, Vec<Measures>), ConfigError> {
     // A DMX USB Pro sets its own rate; any does.
     let (port, baud) = super::read_port(table, 115_200)?;
-    let (lights, addresses) = read_lights(table, dmx)?;
+    let (lights, addresses) = read_lights(table, true)?;
     let (measures, channels) = read_channels(table)?;
     let last = addresses.iter().copied().max().unwrap_or(0);
     if usize::from(last) + usize::from(channels) > 513 {
@@ -31,15 +31,10 @@ pub fn read(table: &mut Section, dmx: bool) -> Result<(DomeConfig, Vec<Measures>
         port,
         baud: baud as u32,
         lights,
-        wiring: if dmx {
-            DomeWiring::Dmx { addresses }
-        } else {
-            DomeWiring::Line
-        },
+        addresses,
         channels,
         level: table.integer("level", 1..=255)?.or(255) as u8,
         connect_timeout: Seconds(table.number("connect_timeout_s", 0.1..=60.0)?.or(5.0)),
-        reply_timeout: Seconds(table.number("reply_timeout_s", 0.05..=60.0)?.or(2.0)),
     };
     Ok((config, measures))
 }

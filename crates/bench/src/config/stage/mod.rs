@@ -8,7 +8,7 @@ mod zaber;
 
 use super::ConfigError;
 use super::reader::Section;
-use crate::device::dome::{DomeConfig, DomeWiring};
+use crate::device::dome::DomeConfig;
 use crate::device::grbl::GrblConfig;
 use crate::device::kinematics::Kinematics;
 use crate::device::manual::ManualConfig;
@@ -37,7 +37,7 @@ pub enum StageDriver {
     Grbl(GrblConfig),
     /// Zaber devices on a serial port.
     Zaber(ZaberConfig),
-    /// A dome of fixed lights on a serial port, by its own line protocol or DMX.
+    /// A dome of fixed lights on DMX512, behind an interface on a serial port.
     Dome(DomeConfig),
     /// A person places and switches the light.
     Manual(ManualConfig),
@@ -50,7 +50,6 @@ impl StageConfig {
         enum Kind {
             Grbl,
             Zaber,
-            Dome,
             Dmx,
             Manual,
             Simulated,
@@ -58,7 +57,6 @@ impl StageConfig {
         let drivers = [
             ("grbl", Kind::Grbl),
             ("zaber", Kind::Zaber),
-            ("dome", Kind::Dome),
             ("dmx", Kind::Dmx),
             ("manual", Kind::Manual),
             ("simulated", Kind::Simulated),
@@ -72,8 +70,8 @@ impl StageConfig {
                 let (config, measures) = zaber::read(&mut table)?;
                 (StageDriver::Zaber(config), measures)
             }
-            kind @ (Kind::Dome | Kind::Dmx) => {
-                let (config, measures) = dome::read(&mut table, matches!(kind, Kind::Dmx))?;
+            Kind::Dmx => {
+                let (config, measures) = dome::read(&mut table)?;
                 (StageDriver::Dome(config), measures)
             }
             Kind::Manual => {
@@ -96,10 +94,7 @@ impl StageConfig {
             StageDriver::Grbl(_) => "grbl",
             StageDriver::Zaber(_) => "zaber",
             StageDriver::Manual(_) => "manual",
-            StageDriver::Dome(config) => match config.wiring {
-                DomeWiring::Line => "dome",
-                DomeWiring::Dmx { .. } => "dmx",
-            },
+            StageDriver::Dome(_) => "dmx",
         }
     }
 

@@ -1,10 +1,9 @@
-//! A dome on DMX512. DMX carries no answers: what the lights do is not known.
+//! The interface of a dome on DMX512. DMX carries no answers: what the lights do is not known.
 
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use super::Lit;
-use super::port::{Found, LightPort, ReadBack};
 use super::widget::{Label, SLOTS, START, message, packet, serial_number, take_message, version};
 use crate::device::DeviceError;
 use crate::device::guardian::Exchange;
@@ -69,12 +68,14 @@ impl DmxPort {
     }
 }
 
-impl LightPort for DmxPort {
-    fn line(&self) -> &SerialLine {
+impl DmxPort {
+    /// The port and its errors.
+    pub fn line(&self) -> &SerialLine {
         &self.line
     }
 
-    fn identify(&self, timeout: Duration) -> Result<Found, DeviceError> {
+    /// Version and serial number of the interface.
+    pub fn identify(&self, timeout: Duration) -> Result<String, DeviceError> {
         let garbled = |data: &[u8], expected: &str| {
             let answer = format!("{} bytes of data", data.len());
             self.line.garbled(&answer, expected)
@@ -85,31 +86,19 @@ impl LightPort for DmxPort {
         let number = self.ask(Label::SerialNumber, timeout)?;
         let number = serial_number(&number)
             .ok_or_else(|| garbled(&number, "the serial number of a DMX USB Pro"))?;
-        Ok(Found {
-            firmware: format!("{version} (DMX interface {number}; lights unverified)"),
-            lights: None,
-            watchdog: None,
-        })
+        Ok(format!(
+            "{version} (DMX interface {number}; lights unverified)"
+        ))
     }
 
-    fn show(&self, lit: Option<Lit>) -> Result<(), DeviceError> {
-        self.line.send(&packet(&self.levels(lit)?))
+    /// Lights one, all others off; the interface has taken it if its port is still there.
+    pub fn show(&self, lit: Option<Lit>) -> Result<(), DeviceError> {
+        self.line.send(&packet(&self.levels(lit)?))?;
+        self.line.check_connected()
     }
 
-    fn read_back(&self) -> Result<ReadBack, DeviceError> {
-        self.line.check_connected()?;
-        Ok(ReadBack::Unverified)
-    }
-
-    fn restarts(&self) -> u64 {
-        0
-    }
-
-    fn off_now(&self) -> Result<(), DeviceError> {
-        self.show(None)
-    }
-
-    fn off_exchanges(&self) -> Vec<Exchange> {
+    /// What another process sends to turn all off, whatever was under way, and what confirms it.
+    pub fn off_exchanges(&self) -> Vec<Exchange> {
         // Zeros fill a packet that was begun, which then has no end and is
         // dropped. The interface answers once it has taken what came before.
         let dark = packet(&[0; SLOTS]);
@@ -119,9 +108,5 @@ impl LightPort for DmxPort {
             &[padding, dark, question].concat(),
             &[&[START, Label::Parameters as u8]],
         )]
-    }
-
-    fn reports_lights(&self) -> bool {
-        false
     }
 }

@@ -5,9 +5,7 @@ use std::sync::{Arc, Weak};
 use std::time::Duration;
 
 use super::dmx::DmxPort;
-use super::line::{DomeLine, KeepAlive};
-use super::port::{LightPort, ReadBack};
-use super::{DomeConfig, DomeWiring, Lit};
+use super::{DomeConfig, Lit};
 use crate::device::guardian::PortStop;
 use crate::device::{
     DeviceError, LampChannel, LampState, LightStage, StageActivity, StageInfo, StageStatus,
@@ -20,7 +18,7 @@ use crate::units::StageAngles;
 /// Dropping it turns the lights off.
 pub struct DomeStage {
     config: DomeConfig,
-    pub(super) port: Arc<dyn LightPort>,
+    pub(super) port: Arc<DmxPort>,
     info: StageInfo,
     /// The light that the last target chose.
     chosen: Option<usize>,
@@ -29,48 +27,20 @@ pub struct DomeStage {
     /// Stops from another thread, and how many of them are accounted for.
     stops: Arc<AtomicU64>,
     stops_seen: u64,
-    restarts_seen: u64,
-    /// Whether the firmware knows its temperature, as far as is known.
-    has_temperature: bool,
-    _keep_alive: Option<KeepAlive>,
 }
 
 impl DomeStage {
-    /// Opens the port and asks the dome what it is. Nothing is switched on; a dome
-    /// that cannot say whether it is lit is turned off, as its port may have been
-    /// lost with a light on.
+    /// Opens the port and asks the interface what it is. Nothing is switched on; the lights are
+    /// turned off, as the port may have been lost with one on.
     pub fn open(config: DomeConfig) -> Result<Self, DeviceError> {
         let port = open_port(&config)?;
-        let found = port.identify(config.connect_timeout.to_duration())?;
-        let wanted = (config.lights.directions.len(), config.channels);
-        if let Some((lights, channels)) = found.lights
-            && (lights, channels) != wanted
-        {
-            let reason = format!(
-                "the dome has {lights} lights of {channels} channels, not {} of {}",
-                wanted.0, wanted.1
-            );
-            return Err(port.line().refused("info", &reason));
-        }
-        if !port.reports_lights() {
-            port.show(None)?;
-        }
-        let keep_alive = found.watchdog.map(|watchdog| {
-            let port: Weak<dyn LightPort> = Arc::downgrade(&port);
-            KeepAlive::start(port, watchdog / 3)
-        });
-        let keep_alive = keep_alive.transpose().map_err(|source| DeviceError::Io {
-            device: config.port.clone(),
-            source,
-        })?;
+        let firmware = port.identify(config.connect_timeout.to_duration())?;
+        port.show(None)?;
         let info = StageInfo {
-            driver: match config.wiring {
-                DomeWiring::Line => "dome".to_owned(),
-                DomeWiring::Dmx { .. } => "dmx".to_owned(),
-            },
-            firmware: found.firmware,
+            driver: "dmx".to_owned(),
+            firmware,
             port: config.port.clone(),
-            has_watchdog: found.watchdog.is_some(),
+            has_watchdog: false,
         };
         Ok(Self {
             lamp: None,
@@ -79,9 +49,6 @@ impl DomeStage {
             unhomed_since: Some("it was connected".to_owned()),
             stops: Arc::default(),
             stops_seen: 0,
-            restarts_seen: port.restarts(),
-            has_temperature: true,
-            _keep_alive: keep_alive,
             port,
             config,
         })
@@ -90,14 +57,10 @@ impl DomeStage {
     /// What has happened since the last look makes the state unknown.
     fn look_around(&mut self) {
         let stops = self.stops.load(Ordering::Acquire);
-        let restarts = self.port.restarts();
-        if restarts != self.restarts_seen {
-            self.forget("the dome restarted");
-        }
         if stops != self.stops_seen {
             self.forget("it was stopped");
         }
-        (self.stops_seen, self.restarts_seen) = (stops, restarts);
+        self.stops_seen = stops;
     }
 
     fn forget(&mut self, since: &str) {
@@ -116,37 +79,16 @@ impl DomeStage {
         }
     }
 
-    /// Brings the lights into a state and believes what the dome then says.
+    /// Sends the lights' new state.
     fn show(&mut self, lit: Option<Lit>) -> Result<(), DeviceError> {
-        let outcome = self.port.show(lit).and_then(|()| self.port.read_back());
-        let is = match outcome {
-            Ok(is) => is,
-            Err(error) => {
-                if !matches!(error, DeviceError::Refused { .. }) {
-                    self.forget("a command was not answered as it should");
-                }
-                return Err(error);
-            }
-        };
-        let same = match (is, lit) {
-            (ReadBack::Unverified, _) | (ReadBack::Off, None) => true,
-            (ReadBack::Lit(is), Some(wanted)) => is == wanted,
-            _ => false,
-        };
-        if same {
-            return Ok(());
+        let shown = self.port.show(lit);
+        if shown
+            .as_ref()
+            .is_err_and(|error| !matches!(error, DeviceError::Refused { .. }))
+        {
+            self.forget("a command was not taken as it should");
         }
-        let words = |lit: Lit| format!("light {}, channel {}", lit.light, lit.channel);
-        Err(DeviceError::NotApplied {
-            device: self.config.port.clone(),
-            what: "the dome".to_owned(),
-            is: match is {
-                ReadBack::Off | ReadBack::Unverified => "off".to_owned(),
-                ReadBack::Lit(is) => words(is),
-                ReadBack::Dark(is) => format!("dark, without current, at {}", words(is)),
-            },
-            wanted: lit.map_or("off".to_owned(), words),
-        })
+        shown
     }
 
     fn lit(&self, light: usize, channel: LampChannel) -> Lit {
@@ -158,15 +100,9 @@ impl DomeStage {
     }
 }
 
-fn open_port(config: &DomeConfig) -> Result<Arc<dyn LightPort>, DeviceError> {
-    let reply_timeout = config.reply_timeout.to_duration();
-    Ok(match &config.wiring {
-        DomeWiring::Line => Arc::new(DomeLine::open(&config.port, config.baud, reply_timeout)?),
-        DomeWiring::Dmx { addresses } => {
-            let port = DmxPort::open(&config.port, config.baud, addresses.clone())?;
-            Arc::new(port)
-        }
-    })
+fn open_port(config: &DomeConfig) -> Result<Arc<DmxPort>, DeviceError> {
+    let addresses = config.addresses.clone();
+    DmxPort::open(&config.port, config.baud, addresses).map(Arc::new)
 }
 
 impl LightStage for DomeStage {
@@ -180,8 +116,6 @@ impl LightStage for DomeStage {
         self.look_around();
         self.show(None)?;
         self.lamp = Some(LampState::Off);
-        // Also what the last answers told.
-        self.look_around();
         self.unhomed_since = None;
         self.status()
     }
@@ -230,16 +164,19 @@ impl LightStage for DomeStage {
         };
         self.lamp = None;
         self.show(lit)?;
-        self.look_around();
-        if lit.is_some() {
-            self.check_homed()?;
+        if lit.is_some()
+            && let Err(stopped) = self.check_homed()
+        {
+            // The stop came between the look and the light.
+            self.show(None)?;
+            return Err(stopped);
         }
         self.lamp = Some(lamp);
         Ok(lamp)
     }
 
     fn status(&mut self) -> Result<StageStatus, DeviceError> {
-        let is = self.port.read_back()?;
+        self.port.line().check_connected()?;
         self.look_around();
         let homed = self.unhomed_since.is_none();
         Ok(StageStatus {
@@ -251,30 +188,13 @@ impl LightStage for DomeStage {
             position: self
                 .chosen
                 .map(|light| self.config.lights.directions[light]),
-            lamp: match is {
-                ReadBack::Off => Some(LampState::Off),
-                ReadBack::Lit(lit) => Some(LampState::On(LampChannel(lit.channel))),
-                ReadBack::Dark(_) | ReadBack::Unverified => None,
-            },
+            // DMX does not say.
+            lamp: None,
         })
     }
 
     fn reports_lamp(&self) -> bool {
-        self.port.reports_lights()
-    }
-
-    fn temperature_c(&mut self) -> Option<f64> {
-        if !self.has_temperature {
-            return None;
-        }
-        match self.port.temperature_c() {
-            Ok(reading) => reading,
-            Err(error) => {
-                // Firmware of before answers that there is no such request.
-                self.has_temperature = !matches!(error, DeviceError::Refused { .. });
-                None
-            }
-        }
+        false
     }
 
     fn port_stop(&self) -> Result<Option<PortStop>, DeviceError> {
@@ -288,8 +208,8 @@ impl LightStage for DomeStage {
     }
 
     fn longest(&self, _: StageStep) -> Duration {
-        // Two requests and what they are read back by; nothing moves.
-        4 * self.config.reply_timeout.to_duration() + Duration::from_secs(1)
+        // A packet; nothing moves.
+        Duration::from_secs(1)
     }
 
     fn stop_handle(&self) -> Result<Box<dyn StopHandle>, DeviceError> {
@@ -302,14 +222,14 @@ impl LightStage for DomeStage {
 
 impl Drop for DomeStage {
     fn drop(&mut self) {
-        if self.lamp != Some(LampState::Off) && self.show(None).is_err() {
-            let _ = self.port.off_now();
+        if self.lamp != Some(LampState::Off) {
+            let _ = self.port.show(None);
         }
     }
 }
 
 struct DomeStop {
-    port: Weak<dyn LightPort>,
+    port: Weak<DmxPort>,
     stops: Arc<AtomicU64>,
 }
 
@@ -320,26 +240,11 @@ impl StopHandle for DomeStop {
             return Ok(());
         };
         self.stops.fetch_add(1, Ordering::AcqRel);
-        turn_off(&*port)
-    }
-}
-
-fn turn_off(port: &dyn LightPort) -> Result<(), DeviceError> {
-    port.off_now()?;
-    // Again in its turn, behind whatever was under way.
-    port.show(None)?;
-    match port.read_back()? {
-        ReadBack::Off | ReadBack::Unverified => Ok(()),
-        ReadBack::Lit(_) | ReadBack::Dark(_) => Err(DeviceError::NotApplied {
-            device: port.line().device().to_owned(),
-            what: "the dome".to_owned(),
-            is: "lit".to_owned(),
-            wanted: "off".to_owned(),
-        }),
+        port.show(None)
     }
 }
 
 /// Turns off a dome that no driver holds.
 pub fn stop_port(config: &DomeConfig) -> Result<(), DeviceError> {
-    turn_off(&*open_port(config)?)
+    open_port(config)?.show(None)
 }
