@@ -30,6 +30,10 @@ impl Host {
             .custom_flags(rustix::fs::OFlags::NOCTTY.bits() as i32)
             .open(simulator.path())
             .expect("the port opens");
+        // A driver elsewhere, whose own port is gone, may look for it under this one's name,
+        // which the system gives anew: the drivers ask for this lock, too, and keep out.
+        rustix::fs::flock(&port, rustix::fs::FlockOperation::LockExclusive)
+            .expect("the port is this host's alone");
         Self {
             port,
             pending: Vec::new(),
