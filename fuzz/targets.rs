@@ -59,6 +59,9 @@ fn exr_rows(bytes: &[u8]) {
     }
 }
 
+/// What a TIFF's tag may take, whose values are read before the reader can be given a limit.
+const BEFORE_TIFF_LIMITS: usize = 256 << 20;
+
 /// All of them.
 pub const TARGETS: &[Target] = &[
     target(
@@ -189,16 +192,16 @@ pub const TARGETS: &[Target] = &[
             drop((decode(bytes), picture(bytes, Some([8, 4]))));
         },
         memory_per_byte: 8 * DEFLATE,
-        // A TIFF's tag of up to 2²⁰ values is read before the reader can be given a limit.
-        memory_at_least: 256 << 20,
+        memory_at_least: BEFORE_TIFF_LIMITS,
     },
-    target(
-        "exif",
-        |bytes| {
+    Target {
+        name: "exif",
+        parse: |bytes| {
             let _ = rig::radiometry::frame_exposure::CameraNote::read(bytes).exposure_s();
         },
-        256,
-    ),
+        memory_per_byte: 256,
+        memory_at_least: BEFORE_TIFF_LIMITS,
+    },
     target(
         "pixel_map",
         |bytes| {

@@ -3,7 +3,7 @@
 use std::io::Cursor;
 
 use exif::{Context, Exif, In, Tag, Value};
-use tiff::decoder::{Decoder, ifd};
+use tiff::decoder::{Decoder, Limits, ifd};
 
 pub use super::written_time::{Ambiguous, from_name};
 use crate::shown::excerpt;
@@ -100,7 +100,10 @@ impl CameraNote {
 
     /// BigTIFF, which the EXIF reader does not know.
     fn of_big_tiff(bytes: &[u8]) -> Option<Self> {
-        let mut decoder = Decoder::new(Cursor::new(bytes)).ok()?;
+        let mut limits = Limits::default();
+        limits.decoding_buffer_size = bytes.len();
+        limits.ifd_value_size = bytes.len();
+        let mut decoder = Decoder::new(Cursor::new(bytes)).ok()?.with_limits(limits);
         let pointer = decoder
             .find_tag(tiff::tags::Tag::ExifDirectory)
             .ok()
