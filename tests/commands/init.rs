@@ -389,7 +389,7 @@ fn a_session_at_a_terminal() {
     terminal.answer("Shape of the sample", "2");
     terminal.answer("Radius of the sample", "14");
     terminal.correct("14 is not possible: it must be such that the sample (14 mm from its middle) is within 11.25 mm", "9");
-    terminal.answer("Stage that brings", "5");
+    terminal.answer("Stage that brings", "4");
     for title in [
         "Distance from the lamp",
         "Directions of the lights",
