@@ -489,9 +489,11 @@ impl Jobs {
     }
 
     /// Stops it now, as a second Ctrl-C does. Two signals of one kind at once may arrive as
-    /// one, so the second is another. Where it does not end, a repetition kills it.
-    pub fn stop(&self) {
+    /// one, so the second is another. Where it does not end, a repetition kills it. What is
+    /// being stopped; `None` where no job runs.
+    pub fn stop(&self) -> Option<Kind> {
         let mut run = locked(&self.0.run);
+        let kind = run.kind?;
         let first = *run.first_stop.get_or_insert_with(Instant::now);
         drop(run);
         match first.elapsed() >= KILL_AFTER {
@@ -500,6 +502,7 @@ impl Jobs {
         }
         self.set_ending();
         self.wake();
+        Some(kind)
     }
 
     /// A paused process takes no signal but this; it may be about to suspend itself, so it
