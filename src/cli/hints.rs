@@ -123,7 +123,7 @@ fn for_unstopped(_: &crate::console::bench::Unstopped) -> String {
 
 #[cfg(feature = "console")]
 fn for_not_stopped(_: &crate::console::bench::NotStopped) -> String {
-    "end the program that has the stage (Ctrl-C in its terminal), or use the emergency stop"
+    "end the program that has the stage (Ctrl-C in its terminal), or press the emergency stop"
         .to_owned()
 }
 
