@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGTSTP};
+use signal_hook::consts::{SIGCONT, SIGHUP, SIGINT, SIGTERM, SIGTSTP};
 use signal_hook::low_level::emulate_default_handler;
 
 use super::context::Context;
@@ -19,18 +19,23 @@ use super::output::write_stderr;
 use super::stderr;
 use crate::interrupt::{Interrupt, Signal, StopLevel};
 
+/// What is listened to.
+pub(super) const HEARD: [i32; 5] = [SIGINT, SIGTERM, SIGHUP, SIGTSTP, SIGCONT];
+
 /// Starts to listen; from now on the command must poll what this returns.
 pub fn listen() -> Result<Interrupt, CliError> {
-    let mut signals = signal_hook::iterator::Signals::new([SIGINT, SIGTERM, SIGHUP, SIGTSTP])?;
+    let mut signals = signal_hook::iterator::Signals::new(HEARD)?;
     let interrupt = Interrupt::new();
     let raised = interrupt.clone();
     std::thread::Builder::new()
         .name("signals".into())
         .spawn(move || {
             for number in signals.forever() {
+                hear(number);
                 match Signal::from_number(number) {
                     Some(signal) => raised.raise(signal),
-                    None => raised.ask_for_pause(),
+                    None if number == SIGTSTP => raised.ask_for_pause(),
+                    None => {}
                 }
             }
         })?;
@@ -48,10 +53,25 @@ pub fn outlive_file_limits() {
     ));
 }
 
+/// SIGCONT came after the last SIGTSTP.
+static CONTINUED: AtomicBool = AtomicBool::new(false);
+
+/// Keeps in mind what [`suspend`] must know of the signals, each of which comes here first.
+pub(super) fn hear(number: i32) {
+    match number {
+        SIGTSTP => CONTINUED.store(false, Ordering::SeqCst),
+        SIGCONT => CONTINUED.store(true, Ordering::SeqCst),
+        _ => {}
+    }
+}
+
 /// Suspends this process as Ctrl-Z does where nobody listens; returns when it is
-/// continued (`fg`, SIGCONT).
+/// continued (`fg`, SIGCONT), at once where it already was: making the bench safe takes time.
 pub fn suspend() {
     stderr::flush_in_order();
+    if CONTINUED.load(Ordering::SeqCst) {
+        return;
+    }
     // It can only fail for a signal that does not exist.
     drop(emulate_default_handler(SIGTSTP));
 }
