@@ -288,6 +288,24 @@ fn no_lamp_stays_lit() {
     });
 }
 
+/// A console that is continued while it still makes the bench safe is not suspended.
+#[test]
+fn a_console_that_is_continued_answers() {
+    let port = Port::new(Clock::instant());
+    let (console, _events) = port.lit();
+    for pause_ms in [0, 20, 500] {
+        console.send(Signal::TSTP);
+        wait_until("dark", || !port.is_lit());
+        std::thread::sleep(Duration::from_millis(pause_ms));
+        console.send(Signal::CONT);
+        let answer = console.post("x", "/api/bench/stop", &json!({}));
+        assert!(
+            [202, 409].contains(&answer.status),
+            "{pause_ms}: {answer:?}"
+        );
+    }
+}
+
 #[test]
 fn a_stop_ends_a_motion_at_once() {
     let port = Port::new(Clock::real_time());
