@@ -10,7 +10,7 @@ use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
 
 use rustix::process::Signal as Sent;
-use signal_hook::consts::{SIGCONT, SIGHUP, SIGINT, SIGTSTP};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTSTP};
 use signal_hook::iterator::Signals;
 
 use super::console_address::show_address;
@@ -288,7 +288,7 @@ impl Console {
             facts: facts(&rig.config, &rig.file, folder, Mode::Bench),
             routes,
         })?;
-        let signals = Signals::new(interrupt::HEARD)?;
+        let signals = interrupt::signals()?;
         show_address(&address, context)?;
         let console = Self {
             jobs,
@@ -324,10 +324,6 @@ impl Console {
             .name("signals".into())
             .spawn(move || {
                 for number in signals.forever() {
-                    interrupt::hear(number);
-                    if number == SIGCONT {
-                        continue;
-                    }
                     if caught.send(Woken::Signal(number)).is_err() {
                         return;
                     }
