@@ -10,7 +10,7 @@ use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
 
 use rustix::process::Signal as Sent;
-use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGTSTP};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTSTP};
 use signal_hook::iterator::Signals;
 
 use super::console_address::show_address;
@@ -266,6 +266,10 @@ impl Console {
             let loan = lender.lend("a capture", CLOSING).map_err(devices)?;
             Ok(Box::new(loan) as jobs::Loan)
         }));
+        let borrowers = jobs.clone();
+        bench.stop_borrower_by(Box::new(move || {
+            borrowers.is_capturing() && borrowers.stop().is_some()
+        }));
 
         // The server.
         let routes = jobs::routes(jobs.clone())
@@ -284,7 +288,7 @@ impl Console {
             facts: facts(&rig.config, &rig.file, folder, Mode::Bench),
             routes,
         })?;
-        let signals = Signals::new([SIGINT, SIGTERM, SIGHUP, SIGTSTP])?;
+        let signals = interrupt::signals()?;
         show_address(&address, context)?;
         let console = Self {
             jobs,
@@ -378,7 +382,7 @@ impl Console {
                     self.jobs.close();
                     if ending.replace(signal).is_some() {
                         urgent_since.get_or_insert_with(Instant::now);
-                        self.jobs.stop();
+                        let _ = self.jobs.stop();
                         continue;
                     }
                     let Some(kind) = self.jobs.running() else {

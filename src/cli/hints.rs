@@ -75,6 +75,8 @@ const ADVICE: &[Advice] = &[
     #[cfg(feature = "console")]
     |error| of_type(error, for_unstopped),
     #[cfg(feature = "console")]
+    |error| of_type(error, for_not_stopped),
+    #[cfg(feature = "console")]
     |error| of_type(error, for_disobeyed),
     |error| of_type(error, for_queue),
     |error| of_type(error, for_reproducibility),
@@ -119,7 +121,13 @@ fn for_unstopped(_: &crate::console::bench::Unstopped) -> String {
         .to_owned()
 }
 
-/// Likewise.
+#[cfg(feature = "console")]
+fn for_not_stopped(_: &crate::console::bench::NotStopped) -> String {
+    "end the program that has the stage (Ctrl-C in its terminal), or press the emergency stop"
+        .to_owned()
+}
+
+/// The error is of a device, and its own advice would be the wrong one.
 #[cfg(feature = "console")]
 fn for_disobeyed(_: &crate::console::bench::LampDisobeyed) -> String {
     "look at the lamp: if it is still lit, turn it off at its supply or by the emergency stop; correct the commands of [[stage.lamp]] and lamp_off in the rig file, and home the stage before the next move"

@@ -21,6 +21,14 @@ impl Counts {
     fn ratio_limit(self) -> f64 {
         match self {
             Self::Raw => 0.01,
+            Self::ThroughResponse => 0.025,
+        }
+    }
+
+    /// Rows or columns that differ by more than this are reported, also where they do so slowly.
+    fn line_limit(self) -> f64 {
+        match self {
+            Self::Raw => 0.02,
             Self::ThroughResponse => 0.05,
         }
     }
@@ -32,8 +40,10 @@ const DRIFT_WARNING: f64 = 0.005;
 const NO_LIGHT: f64 = 0.7;
 /// Rows that differ by more than this are reported, ...
 const ROW_WARNING: f64 = 0.02;
-/// ... if they explain this part of the pixels' squared deviations.
+/// ... if they explain this part of the pixels' squared deviations, ...
 const ROW_SHARE: f64 = 0.5;
+/// ... and columns, or rows, differ by less than this part of it: else the whole image does.
+const OTHER_LINES: f64 = 0.5;
 /// Deviations are reported where their mean square is this many times what noise explains; ...
 const CHI2_WARNING: f64 = 4.0;
 /// ... with a response, whose noise is only known from the frames, where they are this part of
@@ -53,7 +63,15 @@ pub(in crate::cli) fn warn_agreement(
         let steps: Vec<&ExposureAgreement> = channels.iter().map(|c| &c[index]).collect();
         let explained = warn_ratio(&steps, counts, context) | warn_rows(&steps, context);
         if !explained {
-            warn_deviations(&steps, counts, context);
+            // Curves that change with the scene's brightness look as slow changes do.
+            let _ = match counts {
+                Counts::Raw => {
+                    warn_lines(&steps, counts, context) || warn_deviations(&steps, counts, context)
+                }
+                Counts::ThroughResponse => {
+                    warn_deviations(&steps, counts, context) || warn_lines(&steps, counts, context)
+                }
+            };
         }
         warn_drift(&steps, context);
         warn_moved(&steps, counts, context);
@@ -144,7 +162,39 @@ fn warn_rows(steps: &[&ExposureAgreement], context: &Context) -> bool {
     true
 }
 
-fn warn_deviations(steps: &[&ExposureAgreement], counts: Counts, context: &Context) {
+/// Warns of rows that differ slowly over the image, and of columns.
+fn warn_lines(steps: &[&ExposureAgreement], counts: Counts, context: &Context) -> bool {
+    let worst = |change: fn(&ExposureAgreement) -> f64, other: fn(&ExposureAgreement) -> f64| {
+        let off = steps.iter().filter(|step| {
+            change(step) > counts.line_limit()
+                && change(step).powi(2) > ROW_SHARE * step.pixel_scatter.powi(2)
+                && other(step) < OTHER_LINES * change(step)
+        });
+        off.max_by(|a, b| change(a).total_cmp(&change(b)))
+    };
+    let exposure = format!("of the exposure of {} s", shown_s(steps[0].exposure_s));
+    if let Some(step) = worst(|step| step.row_change, |step| step.column_change) {
+        context.warn(format_args!(
+            "rows {exposure} differ by {:.1}% from the other frames', slowly over the image's \
+             height: the lamp flickers about once while the sensor reads the image (feed it with \
+             direct current, or expose for whole periods), or it was moved",
+            100.0 * step.row_change
+        ));
+        return true;
+    }
+    if let Some(step) = worst(|step| step.column_scatter, |step| step.row_change) {
+        context.warn(format_args!(
+            "columns {exposure} differ by {:.1}% from the other frames': offsets or gains of the \
+             sensor's columns that are others at this exposure (take dark frames of each exposure, \
+             turn HDR modes off), or, where the image was turned, a lamp that flickers",
+            100.0 * step.column_scatter
+        ));
+        return true;
+    }
+    false
+}
+
+fn warn_deviations(steps: &[&ExposureAgreement], counts: Counts, context: &Context) -> bool {
     let seen = steps.iter().filter(|step| step.pixels >= LEAST_PIXELS);
     match counts {
         Counts::Raw => {
@@ -160,6 +210,7 @@ fn warn_deviations(steps: &[&ExposureAgreement], counts: Counts, context: &Conte
                     step.reduced_chi2,
                     100.0 * step.pixel_scatter
                 ));
+                return true;
             }
         }
         Counts::ThroughResponse => {
@@ -173,9 +224,11 @@ fn warn_deviations(steps: &[&ExposureAgreement], counts: Counts, context: &Conte
                     shown_s(step.exposure_s),
                     100.0 * step.pixel_scatter
                 ));
+                return true;
             }
         }
     }
+    false
 }
 
 fn warn_drift(steps: &[&ExposureAgreement], context: &Context) {

@@ -82,6 +82,14 @@ test("the stage is moved and lit by the page", async () => {
   await until(page, "the lamp is on", () => document.querySelector('#view-bench [aria-pressed="true"].toggle') && document.querySelector("#view-bench").innerText.includes("On: red"));
   await press(page, "#stop");
   await until(page, "STOP has put the lamp out", () => document.querySelector("#view-bench").innerText.includes("Off."));
+  assert.equal(await textOf(page, "#spoken"), "STOP reached the stage");
+  // What this console does not hold it cannot stop, and the page says so.
+  await enabled("Disconnect");
+  await (await button("Disconnect")).evaluate((element) => element.click());
+  await enabled("Connect");
+  await press(page, "#stop");
+  await until(page, "STOP has reached nothing", () => document.querySelector("#notices").innerText.includes("its stage was not stopped"));
+  assert.equal(await textOf(page, "#spoken"), "STOP reached nothing");
   assert.deepEqual(page.complaints, []);
 });
 

@@ -1,5 +1,6 @@
 //! `rig merge` and `rig calibrate response` on folders of frames.
 
+use std::f64::consts::TAU;
 use std::path::Path;
 
 fn rig() -> assert_cmd::Command {
@@ -301,6 +302,23 @@ fn raw_frames_that_do_not_agree_are_warned_of() {
     let patched =
         |p: usize, frame: usize| 1e4 * (1.0 + 0.2 * ((p * (7919 + 131 * frame)) as f64).sin());
     let late = |p: usize, frame: usize| 1e4 * if frame == 1 { 1.1 } else { 1.0 } + p as f64;
+    // One period of a flicker over the image's height, at any phase; another one in each frame.
+    let once = |phase: f64| {
+        move |p: usize, frame: usize| {
+            let height = (p / SIDE) as f64 / SIDE as f64;
+            1e4 * (1.0 + 0.05 * (TAU * height + phase + 2.0 * frame as f64).sin())
+        }
+    };
+    let columns = |p: usize, frame: usize| {
+        1e4 * match (p % 2, frame) {
+            (0, 1) => 0.96,
+            (1, 1) => 1.04,
+            _ => 1.0,
+        }
+    };
+    let brighter = |p: usize, frame: usize| 1e4 * if frame == 1 { 1.03 } else { 1.0 } + p as f64;
+    // The same in all frames is the scene.
+    let ribbed = |p: usize, _: usize| 1e4 * (1.0 + 0.05 * (p % 2) as f64);
     let red = |p: usize, frame: usize| rggb(p, [if frame == 1 { 9e3 } else { 6e3 }, 8e3, 1.2e4]);
     let dark = |_: usize, frame: usize| if frame == 1 { 0.0 } else { 1e4 };
     let bracket = &[0.02, 0.08][..];
@@ -327,6 +345,31 @@ fn raw_frames_that_do_not_agree_are_warned_of() {
             raw(repeats, flicker),
             "",
             &["the lamp flickers"],
+        ),
+        (
+            "one period",
+            raw(bracket, once(0.0)),
+            "",
+            &["slowly over the image's height: the lamp flickers"],
+        ),
+        (
+            "one period, later",
+            raw(bracket, once(1.6)),
+            "",
+            &["slowly over the image's height: the lamp flickers"],
+        ),
+        (
+            "columns",
+            raw(bracket, columns),
+            "",
+            &["columns of the exposure of 0.08 s differ by "],
+        ),
+        ("ribs", raw(bracket, ribbed), "", &[]),
+        (
+            "3% brighter",
+            raw(bracket, brighter),
+            "",
+            &["0.08 s collected 1.02"],
         ),
         (
             "pattern",
@@ -537,6 +580,10 @@ fn exposures_through_a_response_are_compared() {
     let time = |name: &str| path("time").join(name);
     std::fs::rename(time("scene_1-4s.png"), time("scene_500ms.png")).unwrap();
     std::fs::rename(time("scene_1-2s.png"), time("scene_501ms.png")).unwrap();
+    std::fs::create_dir(path("rounded")).unwrap();
+    named_bracket(&path("rounded"));
+    let rounded = |name: &str| path("rounded").join(name);
+    std::fs::rename(rounded("scene_1-2s.png"), rounded("scene_480ms.png")).unwrap();
     for (name, says) in [
         ("good", &[][..]),
         (
@@ -558,6 +605,7 @@ fn exposures_through_a_response_are_compared() {
             "time",
             &["0.501 s collected", "an exposure time that is wrong"],
         ),
+        ("rounded", &["0.48 s collected 1.04"]),
     ] {
         let (report, said) = merge(&path(name), "--response ../records/response/r.toml");
         let steps = report["channels"].as_array().unwrap();

@@ -403,7 +403,7 @@ pub fn forms() -> Vec<Row> {
             "/api/bench/stop",
             ACTION,
             &x(1 << 20),
-            &[202],
+            &[409],
         ),
         raw(
             "Expect and no body",

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use image::{ImageBuffer, Luma};
 use mock_devices::bench::{Bench, BenchConfig};
 use mock_devices::clock::Clock;
-use mock_devices::grbl::{GrblConfig, GrblSimulator};
+use mock_devices::grbl::{Fault, GrblConfig, GrblSimulator, Trigger};
 use rustix::process::Signal;
 use serde_json::{Value, json};
 use tempfile::TempDir;
@@ -288,6 +288,24 @@ fn no_lamp_stays_lit() {
     });
 }
 
+/// A console that is continued while it still makes the bench safe is not suspended.
+#[test]
+fn a_console_that_is_continued_answers() {
+    let port = Port::new(Clock::instant());
+    let (console, _events) = port.lit();
+    for pause_ms in [0, 20, 500] {
+        console.send(Signal::TSTP);
+        wait_until("dark", || !port.is_lit());
+        std::thread::sleep(Duration::from_millis(pause_ms));
+        console.send(Signal::CONT);
+        let answer = console.post("x", "/api/bench/stop", &json!({}));
+        assert!(
+            [202, 409].contains(&answer.status),
+            "{pause_ms}: {answer:?}"
+        );
+    }
+}
+
 #[test]
 fn a_stop_ends_a_motion_at_once() {
     let port = Port::new(Clock::real_time());
@@ -317,6 +335,73 @@ fn a_stop_ends_a_motion_at_once() {
         (&true.into(), &Value::Null)
     );
     assert_eq!(state["stage"]["position"], Value::Null);
+}
+
+/// What another program holds, a STOP does not reach, and says so.
+#[test]
+fn a_stop_says_that_it_reached_nothing() {
+    let port = Port::new(Clock::instant());
+    let (holder, mut events) = port.lit();
+    let other = port.console();
+    let stop = |console: &Console| {
+        let answer = console.post("x", "/api/bench/stop", &json!({}));
+        (answer.status, answer.json())
+    };
+    accepted(&other, "/api/bench/connect", &json!({}));
+    let refused = other
+        .events("operator")
+        .wait_for("bench", |b| !b["error"].is_null());
+    assert!(refused["busy"].is_null(), "{refused}");
+    let (status, answer) = stop(&other);
+    assert_eq!(status, 409, "{answer}");
+    let fact = "the bench is not connected to this console: its stage was not stopped";
+    assert_eq!(answer["error"], fact);
+    let hint = answer["hint"].to_string();
+    assert!(
+        hint.contains("end the program that has the stage"),
+        "{hint}"
+    );
+    let no_job = other.post("x", "/api/jobs/stop", &json!({}));
+    assert_eq!(
+        (no_job.status, no_job.json()),
+        (202, json!({"stopping": null}))
+    );
+    assert!(port.is_lit());
+    assert_eq!(stop(&holder), (202, json!({"stopping": "the stage"})));
+    wait_until("dark", || !port.is_lit());
+    done(&mut events, |b| b["stage"]["lamp"].is_null());
+}
+
+/// Whatever a stage answers, its console is gone within 5 s: its time-outs do not follow each
+/// other.
+#[test]
+fn a_stage_without_answers_is_not_waited_for() {
+    std::thread::scope(|scope| {
+        for (fault, is_lit, signal) in [
+            (Fault::Garbled, true, Signal::TERM),
+            (Fault::NoReply, true, Signal::INT),
+            (Fault::Garbled, false, Signal::HUP),
+            (Fault::Delayed { seconds: 1.5 }, true, Signal::TERM),
+        ] {
+            scope.spawn(move || {
+                let port = Port::new(Clock::real_time());
+                let (mut console, _events) = port.lit();
+                if !is_lit {
+                    accepted(&console, "/api/bench/lamp", &json!({"channel": null}));
+                    wait_until("dark", || !port.is_lit());
+                }
+                let case = format!("{fault:?} {is_lit} {signal:?}");
+                port.simulator.faults().inject(Trigger::Always, fault);
+                let asked = Instant::now();
+                console.send(signal);
+                wait_until("dark", || !port.is_lit());
+                assert!(asked.elapsed() < Duration::from_secs(4), "{case}");
+                assert!(console.wait().is_some_and(|code| code > 128), "{case}");
+                let took = asked.elapsed();
+                assert!(took < Duration::from_secs(5), "{case}: {took:?}");
+            });
+        }
+    });
 }
 
 #[test]

@@ -89,8 +89,11 @@ fn a_capture_is_paused_and_stopped_by_buttons_and_can_be_resumed() {
     events.wait_for("job", |job| job["state"] == "paused");
     assert_eq!(act("a", "continue").0, 202);
     events.wait_for("capture", |capture| capture["state"] != "paused");
-    // By anyone.
-    assert_eq!(act("b", "stop").0, 202);
+    // By anyone, and by either address.
+    let stopping = r#"{"stopping":"a capture"}"#.to_owned();
+    let at_bench = console.post("b", "/api/bench/stop", &json!({}));
+    assert_eq!((at_bench.status, at_bench.text()), (202, stopping.clone()));
+    assert_eq!(act("b", "stop"), (202, stopping));
     events.wait_for("capture", |capture| capture["state"] == "interrupted");
     let job = events.wait_for("job", |job| job["state"] == "interrupted");
     assert!([130, 143].contains(&job["exit"].as_i64().unwrap()), "{job}");

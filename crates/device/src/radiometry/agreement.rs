@@ -5,7 +5,7 @@
 //!
 //! All are sums over pixels, so those of bands of rows add up.
 
-use super::comparison::{RowSum, Step, Sums, row_scatter};
+use super::comparison::{LineScatter, LineSum, Step, Sums, line_scatter};
 use super::rate::{Agreement, Level};
 use super::sensor::SensorNoise;
 
@@ -34,6 +34,12 @@ pub struct ExposureAgreement {
     /// The same of the means of rows, without what changes slowly over the image: a lamp that
     /// flickers under a rolling shutter. 0 where noise explains it.
     pub row_scatter: f64,
+    /// The same of rows with what changes slowly over the image, as one period of a flicker.
+    pub row_change: f64,
+    /// As `row_scatter`, of columns against the shorter exposures.
+    pub column_scatter: f64,
+    /// As `row_change`, of columns against the shorter exposures.
+    pub column_change: f64,
     /// Pixels, in groups, that deviate from the shorter exposures or from earlier
     /// frames of this one although most do not: something moved there, or the
     /// light changed by more than 5% between frames.
@@ -84,13 +90,13 @@ pub(super) fn deviates(noise: &SensorNoise, level: &Level, agreement: &Agreement
 #[derive(Clone, Debug, Default)]
 pub(super) struct Repeat {
     sums: Sums,
-    rows: Vec<RowSum>,
+    rows: Vec<LineSum>,
 }
 
 impl Repeat {
     /// The pixels that follow are of the next row.
     pub fn begin_row(&mut self) {
-        self.rows.push(RowSum::default());
+        self.rows.push(LineSum::default());
     }
 
     /// Adds a pixel; `variance` is that of the frame's own signal.
@@ -154,18 +160,19 @@ pub(super) struct ColourTally {
     deviating: usize,
     steady: Sums,
     unsteady: Sums,
-    rows: Vec<RowSum>,
+    rows: Vec<LineSum>,
+    columns: Vec<LineSum>,
 }
 
 impl ColourTally {
     /// The pixels that follow are of the next row.
     pub fn begin_row(&mut self) {
-        self.rows.push(RowSum::default());
+        self.rows.push(LineSum::default());
     }
 
-    /// Takes in a pixel; `step` is how the exposure agreed with the shorter ones, with its
-    /// χ², where it counts in full.
-    pub fn take_in(&mut self, deviates: bool, step: Option<(Step, f64)>) {
+    /// Takes in a pixel of this column; `step` is how the exposure agreed with the shorter ones,
+    /// with its χ², where it counts in full.
+    pub fn take_in(&mut self, column: usize, deviates: bool, step: Option<(Step, f64)>) {
         self.seen += 1;
         self.deviating += usize::from(deviates);
         if let Some((step, chi2)) = step {
@@ -177,6 +184,10 @@ impl ColourTally {
             if let Some(row) = self.rows.last_mut() {
                 row.take(&step);
             }
+            if self.columns.len() <= column {
+                self.columns.resize(column + 1, LineSum::default());
+            }
+            self.columns[column].take(&step);
         }
     }
 
@@ -192,6 +203,11 @@ impl ColourTally {
         self.add_sums(other);
         self.moved_pixels += other.moved_pixels;
         self.rows.extend_from_slice(&other.rows);
+        let columns = self.columns.len().max(other.columns.len());
+        self.columns.resize(columns, LineSum::default());
+        for (mine, theirs) in self.columns.iter_mut().zip(&other.columns) {
+            mine.add(theirs);
+        }
         for (mine, theirs) in self.repeats.iter_mut().zip(&other.repeats) {
             mine.sums.add(&theirs.sums);
             mine.rows.extend_from_slice(&theirs.rows);
@@ -222,6 +238,10 @@ impl ColourTally {
         };
         let (drift, drift_std) = self.drift();
         let repeats = || self.repeats.iter();
+        let rows = repeats()
+            .map(|repeat| line_scatter(&repeat.rows))
+            .fold(line_scatter(&self.rows), LineScatter::max);
+        let columns = line_scatter(&self.columns);
         ExposureAgreement {
             exposure_s,
             frames,
@@ -232,9 +252,10 @@ impl ColourTally {
             pixel_scatter: repeats()
                 .map(|repeat| repeat.sums.scatter())
                 .fold(all.scatter(), f64::max),
-            row_scatter: repeats()
-                .map(|repeat| row_scatter(&repeat.rows))
-                .fold(row_scatter(&self.rows), f64::max),
+            row_scatter: rows.sharp,
+            row_change: rows.whole,
+            column_scatter: columns.sharp,
+            column_change: columns.whole,
             moved_pixels: self.moved_pixels,
             drift,
             drift_std,

@@ -1,4 +1,4 @@
-//! Signals against what other frames predict for them, summed over pixels and over rows.
+//! Signals against what other frames predict for them, summed over pixels, rows and columns.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -106,75 +106,107 @@ impl Sums {
     }
 }
 
-/// Sums over a row's pixels.
+/// Sums over the pixels of a row or a column.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct RowSum {
+pub(super) struct LineSum {
     signal: f64,
     predicted: f64,
     variance: f64,
 }
 
-impl RowSum {
+impl LineSum {
     pub fn take(&mut self, step: &Step) {
         self.signal += step.signal;
         self.predicted += step.predicted;
         self.variance += step.variance;
     }
+
+    pub fn add(&mut self, other: &Self) {
+        self.signal += other.signal;
+        self.predicted += other.predicted;
+        self.variance += other.variance;
+    }
 }
 
-/// Rows that it takes to speak of them.
-const LEAST_ROWS: usize = 12;
-/// Standard deviations by which rows must differ beyond noise.
-const ROWS_SIGMA: f64 = 5.0;
+/// Rows or columns that it takes to speak of them.
+const LEAST_LINES: usize = 12;
+/// Standard deviations by which they must differ beyond noise.
+const LINES_SIGMA: f64 = 5.0;
 
-/// Root mean square of the rows' ratios of signal to prediction about a parabola over the
-/// image's height, beyond noise; 0 where noise explains it. A parabola, because counts that
-/// are not proportional to light, or a lamp that is moved, change rows smoothly.
-pub(super) fn row_scatter(rows: &[RowSum]) -> f64 {
-    let seen: Vec<(f64, f64, RowSum)> = (0..)
-        .zip(rows)
-        .filter(|(_, row)| row.predicted > 0.0)
-        .map(|(y, row)| {
-            let height = f64::from(y) / rows.len() as f64;
-            (height, row.signal / row.predicted, *row)
+/// How the ratios of signal to prediction of rows, or of columns, differ: root mean square
+/// beyond noise, relative; 0 where noise explains it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct LineScatter {
+    /// About a parabola over the image: counts that are not proportional to light, or a lamp
+    /// that is moved, change lines smoothly.
+    pub sharp: f64,
+    /// About the ratio that all have in common, slow changes included.
+    pub whole: f64,
+}
+
+impl LineScatter {
+    pub fn max(self, other: Self) -> Self {
+        Self {
+            sharp: self.sharp.max(other.sharp),
+            whole: self.whole.max(other.whole),
+        }
+    }
+}
+
+/// The scatter of all rows, or of all columns, in their order.
+pub(super) fn line_scatter(lines: &[LineSum]) -> LineScatter {
+    let seen: Vec<(f64, f64, LineSum)> = (0..)
+        .zip(lines)
+        .filter(|(_, line)| line.predicted > 0.0)
+        .map(|(at, line)| {
+            let at = f64::from(at) / lines.len() as f64;
+            (at, line.signal / line.predicted, *line)
         })
         .collect();
-    if seen.len() < LEAST_ROWS {
-        return 0.0;
+    if seen.len() < LEAST_LINES {
+        return LineScatter::default();
     }
     // The parabola, with weights p².
     let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
-    let terms = |height: f64| Vector3::new(1.0, height, height * height);
-    for (height, ratio, row) in &seen {
-        let weight = row.predicted * row.predicted;
-        normal += weight * terms(*height) * terms(*height).transpose();
-        right += weight * *ratio * terms(*height);
+    let terms = |at: f64| Vector3::new(1.0, at, at * at);
+    for (at, ratio, line) in &seen {
+        let weight = line.predicted * line.predicted;
+        normal += weight * terms(*at) * terms(*at).transpose();
+        right += weight * *ratio * terms(*at);
     }
     let Some(parabola) = normal.cholesky().map(|c| c.solve(&right)) else {
-        return 0.0;
+        return LineScatter::default();
     };
-    // What remains, against noise.
-    let (mut remains, mut noise, mut noise2, mut weights) = (0.0, 0.0, 0.0, 0.0);
-    for (height, ratio, row) in &seen {
-        let off = row.predicted * (ratio - parabola.dot(&terms(*height)));
-        remains += off * off;
-        noise += row.variance;
-        noise2 += row.variance * row.variance;
-        weights += row.predicted * row.predicted;
-    }
-    if remains > noise + ROWS_SIGMA * (2.0 * noise2).sqrt() {
-        ((remains - noise) / weights).sqrt()
-    } else {
-        0.0
+    let common = right[0] / normal[(0, 0)];
+    // What remains about either, against noise.
+    let about = |trend: &dyn Fn(f64) -> f64| {
+        let (mut remains, mut noise, mut noise2, mut weights) = (0.0, 0.0, 0.0, 0.0);
+        for (at, ratio, line) in &seen {
+            let off = line.predicted * (ratio - trend(*at));
+            remains += off * off;
+            noise += line.variance;
+            noise2 += line.variance * line.variance;
+            weights += line.predicted * line.predicted;
+        }
+        match remains > noise + LINES_SIGMA * (2.0 * noise2).sqrt() {
+            true => ((remains - noise) / weights).sqrt(),
+            false => 0.0,
+        }
+    };
+    LineScatter {
+        sharp: about(&|at| parabola.dot(&terms(at))),
+        whole: about(&|_| common),
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use std::f64::consts::TAU;
+
     use super::*;
 
-    fn rows(ratio: impl Fn(usize) -> f64) -> Vec<RowSum> {
-        let row = |y| RowSum {
+    fn rows(ratio: impl Fn(usize) -> f64) -> Vec<LineSum> {
+        let row = |y| LineSum {
             signal: 1000.0 * ratio(y),
             predicted: 1000.0,
             variance: 25.0,
@@ -185,15 +217,22 @@ mod tests {
     #[test]
     fn rows_that_flicker_differ_and_a_slow_change_is_none() {
         let flicker = |y: usize| 1.0 + 0.3 * (y as f64).sin();
-        let found = row_scatter(&rows(flicker));
+        let found = line_scatter(&rows(flicker)).sharp;
         assert!((found - 0.3 / 2f64.sqrt()).abs() < 0.02, "{found}");
+        // One period over the image is slow, and is in the whole.
+        for phase in [0.0, 0.8, 1.6] {
+            let period = |y: usize| 1.0 + 0.1 * (TAU * y as f64 / 48.0 + phase).sin();
+            let LineScatter { sharp, whole } = line_scatter(&rows(period));
+            assert!((whole - 0.1 / 2f64.sqrt()).abs() < 0.002, "{whole}");
+            assert!(sharp < 0.7 * whole, "{sharp}");
+        }
         for (name, still) in [
             ("noise", rows(|y| 1.0 + 0.005 * (y as f64).sin())),
             ("parabola", rows(|y| 1.2 + 1e-4 * (y as f64 - 20.0).powi(2))),
             ("few rows", rows(flicker)[..11].to_vec()),
-            ("no light", vec![RowSum::default(); 48]),
+            ("no light", vec![LineSum::default(); 48]),
         ] {
-            assert_eq!(row_scatter(&still), 0.0, "{name}");
+            assert_eq!(line_scatter(&still).sharp, 0.0, "{name}");
         }
     }
 }

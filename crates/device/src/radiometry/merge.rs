@@ -65,6 +65,8 @@ pub enum MergeError {
     NoLightFrame,
 }
 
+/// Rows that a thread merges before their sums are added.
+pub(super) const ROWS_PER_THREAD: usize = 4;
 /// Largest number of frames at one exposure: 16-bit counts summed in 32 bits.
 const MAX_FRAMES: u32 = 1 << 16;
 
@@ -240,23 +242,19 @@ impl<N: Borrow<SensorNoise>> BracketMerge<N> {
             height: self.height,
             step: self.mosaic.period(),
         };
-        // One tally per row, added in order: the same sum for any thread count.
         let width = self.width;
-        let lines: Vec<Line> = (0..self.height)
-            .into_par_iter()
-            .map(|y| {
-                let counts = self.counted.contains(&y);
-                let mut line = Line::new(&bracket, width, counts);
-                for x in 0..width {
-                    let expected = neighbourhood.expectations(x, y);
-                    let pixel = y * width + x;
-                    let usable =
-                        first[pixel].usable && bracket.fits_shortest(pixel, expected[LIT].rate_e_s);
-                    bracket.second_pass(pixel, &expected, usable, counts, &mut line);
-                }
-                line
-            })
-            .collect();
+        let line = |y: usize| {
+            let counts = self.counted.contains(&y);
+            let mut line = Line::new(&bracket, width, counts);
+            for x in 0..width {
+                let expected = neighbourhood.expectations(x, y);
+                let pixel = y * width + x;
+                let usable =
+                    first[pixel].usable && bracket.fits_shortest(pixel, expected[LIT].rate_e_s);
+                bracket.second_pass(pixel, &expected, usable, counts, &mut line);
+            }
+            line
+        };
 
         // How the exposures agree.
         let mut tallies = bracket.tallies();
@@ -266,9 +264,19 @@ impl<N: Borrow<SensorNoise>> BracketMerge<N> {
                 part.repeats = repeats.map(|repeat| repeat[colour].clone()).collect();
             }
         }
-        for line in &lines {
-            for (tally, more) in tallies.iter_mut().zip(&line.tallies) {
-                tally.add(more);
+        // One tally per row, added in order: the same sum for any thread count. Each has all
+        // columns, so that few of them stand in memory at a time.
+        let mut lines = Vec::with_capacity(self.height);
+        let at_once = ROWS_PER_THREAD * rayon::current_num_threads();
+        for from in (0..self.height).step_by(at_once) {
+            let rows = from..(from + at_once).min(self.height);
+            let some: Vec<Line> = rows.into_par_iter().map(line).collect();
+            for mut line in some {
+                for (tally, more) in tallies.iter_mut().zip(&line.tallies) {
+                    tally.add(more);
+                }
+                line.tallies = Vec::new();
+                lines.push(line);
             }
         }
         let trusted = trusted(&tallies);
@@ -469,6 +477,7 @@ impl Bracket<'_> {
     ) {
         let mut deviating = 0;
         let (noise, colour) = (self.colours.noise_of(pixel), self.colours.of(pixel));
+        let column = pixel % self.colours.width;
         let mut watch = |index: usize, deviates: bool, step: Option<(&Level, &Agreement)>| {
             if deviates {
                 deviating |= bit(index);
@@ -484,7 +493,7 @@ impl Bracket<'_> {
                     };
                     (step, agreement.chi2)
                 });
-                line.tallies[index].colours[colour].take_in(deviates, step);
+                line.tallies[index].colours[colour].take_in(column, deviates, step);
             }
         };
         watch(0, self.light[0].is_unsteady(pixel), None);

@@ -2,7 +2,7 @@
 
 use std::sync::atomic::Ordering;
 use std::sync::mpsc::{Sender, channel};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, OnceLock};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -10,7 +10,7 @@ use super::held;
 use super::ports::BenchPorts;
 use super::shared::{Action, Command, Shared, lock};
 use super::state::{Busy, State};
-use super::stop;
+use super::stop::{self, NotStopped, Stopping};
 use crate::console::hub::Hub;
 use crate::console::picture::live::LiveFrame;
 use crate::device::{CameraSettings, LampChannel, LampState};
@@ -22,7 +22,7 @@ const LOOK: Duration = Duration::from_millis(5);
 
 /// At the end a lamp that is still lit after this time is stopped by another thread.
 const STOPPED_AFTER: Duration = Duration::from_millis(1500);
-/// At the end nothing is waited for after this time but a frame of the camera.
+/// At the end all that is waited for but a frame of the camera takes no longer together.
 const HOPELESS_AFTER: Duration = Duration::from_secs(4);
 /// Where it is urgent, what ends by itself has so long.
 const URGENT: Duration = Duration::from_secs(2);
@@ -35,7 +35,11 @@ pub struct Bench {
     commands: Arc<Mutex<Sender<Command>>>,
     advisor: Advisor,
     thread: Arc<Mutex<Option<JoinHandle<()>>>>,
+    stop_borrower: Arc<OnceLock<StopBorrower>>,
 }
+
+/// Ends what the devices are lent to; `false` where nothing is to be ended.
+pub type StopBorrower = Box<dyn Fn() -> bool + Send + Sync>;
 
 impl std::fmt::Debug for Bench {
     fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
@@ -63,6 +67,7 @@ impl Bench {
             commands: Arc::new(Mutex::new(sender)),
             advisor,
             thread: Arc::new(Mutex::new(Some(thread))),
+            stop_borrower: Arc::default(),
         })
     }
 
@@ -88,6 +93,7 @@ impl Bench {
             if !self.shared.hold() {
                 return Err(Fault::new("the bench is connected already"));
             }
+            self.shared.stop_when_open.store(false, Ordering::SeqCst);
             state.busy = Some(Busy::Connecting);
             state.error = None;
             Ok(())
@@ -156,9 +162,36 @@ impl Bench {
         Ok(())
     }
 
-    /// Stops motion and lamp at once, whatever is under way.
-    pub fn stop(&self) {
+    /// How a STOP of the bench reaches what its devices are lent to.
+    pub fn stop_borrower_by(&self, stop: StopBorrower) {
+        let _ = self.stop_borrower.set(stop);
+    }
+
+    /// Stops motion and lamp at once, whatever is under way; what is being stopped.
+    ///
+    /// # Errors
+    /// This console holds no stage: nothing was stopped.
+    pub fn stop(&self) -> Result<Stopping, NotStopped> {
+        let has_stage = self.shared.has_stage.load(Ordering::SeqCst);
         stop::stop(&self.shared, &self.advisor);
+        let state = self.state();
+        let borrower = state.lent_to.filter(|_| {
+            let stop = self.stop_borrower.get();
+            stop.is_some_and(|stop| stop())
+        });
+        match (borrower, state.lent_to) {
+            (Some(to), _) => Ok(Stopping(to)),
+            _ if has_stage => Ok(Stopping("the stage")),
+            (None, Some(to)) => Err(NotStopped::Lent(to)),
+            _ if state.connected => Err(NotStopped::NoStage),
+            _ if self.shared.is_held() => Ok(Stopping("the bench, as soon as it is connected")),
+            _ => Err(NotStopped::NotConnected),
+        }
+    }
+
+    /// The error with the advice on it.
+    pub(super) fn fault(&self, error: NotStopped) -> Fault {
+        self.advisor.fault(&error)
     }
 
     /// Closes the devices for another process, waits until they are closed, and keeps pages
@@ -198,7 +231,7 @@ impl Bench {
             return true;
         };
         let (mut end, mut is_stopped) = (began + longest, false);
-        let mut waiting_since = began;
+        let (mut last, mut waited) = (began, Duration::ZERO);
         while !thread.is_finished() {
             let state = self.state();
             let is_lit = state
@@ -206,16 +239,18 @@ impl Bench {
                 .is_some_and(|stage| stage.lamp != LampState::Off);
             if is_lit && !is_stopped && began.elapsed() >= STOPPED_AFTER {
                 is_stopped = true;
-                self.stop();
+                stop::stop(&self.shared, &self.advisor);
             }
             if is_urgent() {
                 end = end.min(Instant::now() + URGENT);
             }
-            // The camera's thread is in a frame, and the stage's has ended.
-            if state.stage.is_none() && state.camera.is_some() {
-                waiting_since = Instant::now();
+            let now = Instant::now();
+            // Else the camera's thread is in a frame, and the stage's has ended.
+            if state.stage.is_some() || state.camera.is_none() {
+                waited += now - last;
             }
-            if waiting_since.elapsed() >= HOPELESS_AFTER || Instant::now() >= end {
+            last = now;
+            if waited >= HOPELESS_AFTER || now >= end {
                 return false;
             }
             std::thread::sleep(LOOK);
@@ -254,7 +289,7 @@ impl Bench {
     fn stop_action(&self) {
         let busy = self.state().busy;
         if matches!(busy, Some(Busy::Homing | Busy::Moving)) || self.shared.is_acting() {
-            self.stop();
+            stop::stop(&self.shared, &self.advisor);
         } else {
             // What was accepted a moment ago doesn't begin.
             self.shared.stops.fetch_add(1, Ordering::SeqCst);

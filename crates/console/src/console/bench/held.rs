@@ -6,7 +6,7 @@ use std::sync::atomic::AtomicBool;
 use std::sync::mpsc::Receiver;
 
 use super::ports::{BenchPorts, Opened};
-use super::shared::{Command, SetOnDrop, Shared, lock};
+use super::shared::{Command, SetOnDrop, Shared};
 use super::stage::{self, Ended};
 use super::state::CameraFacts;
 use super::{camera, stop};
@@ -25,7 +25,7 @@ pub(super) fn obey(shared: &Arc<Shared>, ports: &BenchPorts, commands: &Receiver
                     let fact = "a defect of this program ended the connection to the bench";
                     Err(Fault::new(fact))
                 });
-                *lock(&shared.stop) = None;
+                shared.set_stop(None);
                 let is_over = matches!(ended, Ok(Ended::ForGood));
                 shared.let_go(ended.err());
                 if is_over {
@@ -50,7 +50,7 @@ fn connected(
             let stage = &mut *devices.stage;
             let ended = used(shared, ports, commands, Some(stage), &mut *devices.camera);
             // No stop holds it any longer than the stage lives.
-            *lock(&shared.stop) = None;
+            shared.set_stop(None);
             ended
         }
         Opened::Camera(mut camera) => used(shared, ports, commands, None, &mut *camera),
@@ -67,9 +67,10 @@ fn used(
 ) -> Result<Ended, DeviceError> {
     // What they are and do now.
     let applied = camera.configure(ports.settings)?;
+    let mut is_stopped = false;
     let facts = match &mut stage {
         Some(stage) => {
-            *lock(&shared.stop) = Some(stage.stop_handle()?);
+            is_stopped = shared.set_stop(Some(stage.stop_handle()?));
             Some(stage::facts(&stage.status()?, None, stage.reports_lamp()))
         }
         None => None,
@@ -81,6 +82,9 @@ fn used(
         state.settings = Some(applied.into());
         state.stage = facts;
     });
+    if is_stopped {
+        stop::stop(shared, &ports.advisor);
+    }
 
     // Camera and stage each on a thread of its own: the picture goes on while the stage moves.
     let leave = AtomicBool::new(false);

@@ -23,8 +23,8 @@ mod stop;
 #[cfg(test)]
 mod tests;
 
-pub use handle::{Bench, Loan};
+pub use handle::{Bench, Loan, StopBorrower};
 pub use ports::{BenchPorts, Opened};
 pub use routes::routes;
 pub use stage::LampDisobeyed;
-pub use stop::Unstopped;
+pub use stop::{NotStopped, Stopping, Unstopped};

@@ -11,6 +11,7 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 
 use super::handle::Bench;
+use super::stop::Stopping;
 use crate::console::blocking::blocking;
 use crate::console::control::Controlled;
 use crate::console::picture::Marks;
@@ -93,10 +94,12 @@ async fn lamp(State(bench): State<Bench>, _: Controlled, Asked(lamp): Asked<Lamp
     begun(bench.set_lamp(lamp.channel))
 }
 
-/// By any page, whichever controls.
+/// By any page, whichever controls. What is being stopped, or that nothing is.
 async fn stop(State(bench): State<Bench>, _: Viewer, _: Asked<Value>) -> Accepted {
-    bench.stop();
-    begun(Ok(()))
+    match bench.stop() {
+        Ok(Stopping(what)) => accepted(json!({"stopping": what})),
+        Err(error) => begun(Err(bench.fault(error))),
+    }
 }
 
 #[derive(Deserialize)]

@@ -38,6 +38,10 @@ pub(super) struct Shared {
     pub(super) wanted: Mutex<Option<CameraSettings>>,
     /// Stops the stage while it is held open.
     pub(super) stop: Mutex<Option<Box<dyn StopHandle>>>,
+    /// Whether there is such a handle, for whoever does not wait for the one who stops.
+    pub(super) has_stage: AtomicBool,
+    /// A stop came before there was one.
+    pub(super) stop_when_open: AtomicBool,
     /// How often a stop was requested.
     pub(super) stops: AtomicU64,
     /// Threads that stop the stage, or wait to.
@@ -57,6 +61,8 @@ impl Shared {
             state: Mutex::default(),
             wanted: Mutex::default(),
             stop: Mutex::default(),
+            has_stage: AtomicBool::new(false),
+            stop_when_open: AtomicBool::new(false),
             stops: AtomicU64::new(0),
             stopping: AtomicUsize::new(0),
             acting: AtomicBool::new(false),
@@ -85,6 +91,14 @@ impl Shared {
 
     pub(super) fn stops(&self) -> u64 {
         self.stops.load(Ordering::SeqCst)
+    }
+
+    /// The stage is open, and stopped so; `None`: no more. Whether a stop came before.
+    pub(super) fn set_stop(&self, handle: Option<Box<dyn StopHandle>>) -> bool {
+        let mut stop = lock(&self.stop);
+        self.has_stage.store(handle.is_some(), Ordering::SeqCst);
+        *stop = handle;
+        self.stop_when_open.swap(false, Ordering::SeqCst)
     }
 
     pub(super) fn is_acting(&self) -> bool {

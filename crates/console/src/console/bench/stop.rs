@@ -22,6 +22,24 @@ const LOOK: Duration = Duration::from_millis(5);
 #[error("the stage did not confirm that it stopped: {0}")]
 pub struct Unstopped(pub DeviceError);
 
+/// What a STOP has reached; its end is published.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Stopping(pub &'static str);
+
+/// Why a STOP has reached nothing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum NotStopped {
+    /// The devices are not open here; another program may use them.
+    #[error("the bench is not connected to this console: its stage was not stopped")]
+    NotConnected,
+    /// The devices are open here, and no stage is among them.
+    #[error("this console holds no stage: no motion and no lamp was stopped")]
+    NoStage,
+    /// Something else has the devices that this console does not end.
+    #[error("the devices are in use by {0}: the stage was not stopped")]
+    Lent(&'static str),
+}
+
 /// Stops motion and lamp, in a thread of its own; returns at once.
 pub(super) fn stop(shared: &Arc<Shared>, advisor: &Advisor) {
     // Before anything else: what was accepted before doesn't begin any more.
@@ -67,6 +85,8 @@ fn stop_now(shared: &Shared, advisor: &Advisor) {
 fn until_stopped(shared: &Shared) -> Result<(), DeviceError> {
     let mut slot = lock(&shared.stop);
     let Some(handle) = &mut *slot else {
+        // Where it is being opened.
+        shared.stop_when_open.store(true, Ordering::SeqCst);
         return Ok(());
     };
     let mut outcome = handle.stop();

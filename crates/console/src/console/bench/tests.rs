@@ -41,6 +41,8 @@ struct World {
     lamp_is_unseen: AtomicBool,
     /// The stage answers nothing any more.
     stage_hangs: AtomicBool,
+    /// The devices are not open yet.
+    opens_late: AtomicBool,
 }
 
 impl World {
@@ -211,7 +213,12 @@ fn bench(world: &Arc<World>) -> Bench {
                 error: "the port is in use".to_owned(),
                 hint: Some("end the other program".to_owned()),
             }),
-            false => Ok(Opened::Rig(devices(&world))),
+            false => {
+                while World::is(&world.opens_late) {
+                    std::thread::sleep(Duration::from_millis(1));
+                }
+                Ok(Opened::Rig(devices(&world)))
+            }
         }),
         advisor: Advisor::new(|error| error.is::<Unstopped>().then(|| "the button".to_owned())),
         levels: Box::new(|_| SensorLevels::default()),
@@ -319,7 +326,7 @@ fn a_stop_waits_behind_no_move_and_the_picture_goes_on() {
     let before = picture_number(&bench);
     wait_for(&bench, "going on", |_| picture_number(&bench) > before + 2);
     let began = Instant::now();
-    bench.stop();
+    assert_eq!(bench.stop(), Ok(Stopping("the stage")));
     let state = wait_for(&bench, "stopped", |state| state.busy.is_none());
     assert!(
         began.elapsed() < Duration::from_secs(5),
@@ -338,7 +345,7 @@ fn a_stop_that_is_not_confirmed_is_an_error_with_advice() {
     let world = Arc::<World>::default();
     let bench = connected(&world);
     World::set(&world.is_deaf);
-    bench.stop();
+    assert!(bench.stop().is_ok());
     let state = wait_for(&bench, "reported", |state| state.error.is_some());
     let fault = state.error.unwrap();
     assert!(
@@ -346,6 +353,35 @@ fn a_stop_that_is_not_confirmed_is_an_error_with_advice() {
         "{fault:?}"
     );
     assert_eq!(fault.hint.as_deref(), Some("the button"));
+}
+
+#[test]
+fn a_stop_says_what_it_has_reached() {
+    let world = Arc::<World>::default();
+    let bench = bench(&world);
+    assert_eq!(bench.stop(), Err(NotStopped::NotConnected));
+    // Devices that are being opened are stopped when they are open.
+    World::set(&world.opens_late);
+    bench.connect().unwrap();
+    assert_eq!(
+        bench.stop(),
+        Ok(Stopping("the bench, as soon as it is connected"))
+    );
+    world.opens_late.store(false, Ordering::SeqCst);
+    wait_for(&bench, "stopped", |_| {
+        world.stops.load(Ordering::SeqCst) >= 1
+    });
+    wait_for(&bench, "connected", |state| {
+        state.connected && state.busy.is_none()
+    });
+    assert_eq!(bench.stop(), Ok(Stopping("the stage")));
+    // What they are lent to may be ended or not.
+    let loan = bench.lend("a capture", PATIENCE).unwrap();
+    assert_eq!(bench.stop(), Err(NotStopped::Lent("a capture")));
+    bench.stop_borrower_by(Box::new(|| true));
+    assert_eq!(bench.stop(), Ok(Stopping("a capture")));
+    drop(loan);
+    assert_eq!(bench.stop(), Err(NotStopped::NotConnected));
 }
 
 fn light(world: &World, bench: &Bench) {

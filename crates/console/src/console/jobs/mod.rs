@@ -44,6 +44,8 @@ const DISK: Duration = Duration::from_secs(2);
 /// What a job has printed before its end is awaited for so long: another process may have
 /// inherited its pipes.
 const LAST_WORDS: Duration = Duration::from_secs(2);
+/// Likewise where the console is ending: a guardian may go on for seconds.
+const LAST_WORDS_AT_END: Duration = Duration::from_millis(300);
 /// Short commands that run at once.
 const MOST_QUERIES: usize = 2;
 /// Short commands that run or wait: a part of the server's places stays free for actions.
@@ -347,10 +349,14 @@ impl Jobs {
             }
             let _ = done.send(());
         });
-        let process = process.clone();
+        let (process, jobs) = (process.clone(), self.clone());
         std::thread::spawn(move || {
             let status = process.wait();
-            let latest = Instant::now() + LAST_WORDS;
+            let patience = match locked(&jobs.0.run).is_closed {
+                true => LAST_WORDS_AT_END,
+                false => LAST_WORDS,
+            };
+            let latest = Instant::now() + patience;
             for _ in 0..2 {
                 let left = latest.saturating_duration_since(Instant::now());
                 let _ = both_done.recv_timeout(left);
@@ -489,9 +495,11 @@ impl Jobs {
     }
 
     /// Stops it now, as a second Ctrl-C does. Two signals of one kind at once may arrive as
-    /// one, so the second is another. Where it does not end, a repetition kills it.
-    pub fn stop(&self) {
+    /// one, so the second is another. Where it does not end, a repetition kills it. What is
+    /// being stopped; `None` where no job runs.
+    pub fn stop(&self) -> Option<Kind> {
         let mut run = locked(&self.0.run);
+        let kind = run.kind?;
         let first = *run.first_stop.get_or_insert_with(Instant::now);
         drop(run);
         match first.elapsed() >= KILL_AFTER {
@@ -500,6 +508,7 @@ impl Jobs {
         }
         self.set_ending();
         self.wake();
+        Some(kind)
     }
 
     /// A paused process takes no signal but this; it may be about to suspend itself, so it

@@ -286,8 +286,8 @@ async fn finish(State(jobs): State<Jobs>, _: Controlled, _: Asked<Value>) -> Acc
     of_capture(&jobs, Jobs::finish)
 }
 
-/// By anyone, at any time.
+/// By anyone, at any time. What is being stopped: null where no job runs.
 async fn stop(State(jobs): State<Jobs>) -> Accepted {
-    jobs.stop();
-    accepted(json!({}))
+    let stopping = jobs.stop().map(Kind::what);
+    accepted(json!({"stopping": stopping}))
 }

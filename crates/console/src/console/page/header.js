@@ -1,6 +1,6 @@
 // What is always in reach: the rig's name, the connection, who controls, STOP.
 
-import { act, giveUpQuestions, viewer } from "./api.js";
+import { Refused, act, giveUpQuestions, viewer } from "./api.js";
 import { by, gate, say } from "./dom.js";
 import { span } from "./format.js";
 import { announce, complain } from "./notices.js";
@@ -56,8 +56,11 @@ async function stop() {
   giveUpQuestions();
   // Both, always: what this page last heard of a capture may be old.
   const outcomes = await Promise.allSettled([act("api/capture/stop"), act("api/bench/stop")]);
+  const reached = new Set(outcomes.map((outcome) => outcome.value?.stopping).filter(Boolean));
+  announce(reached.size > 0 ? `STOP reached ${[...reached].join(" and ")}` : "STOP reached nothing");
   const failed = outcomes.find((outcome) => outcome.status === "rejected");
-  if (failed) complain(failed.reason);
+  if (failed?.reason.status === 0) complain(new Refused("STOP had no answer: nothing may have been stopped", "use the emergency stop", 0));
+  else if (failed) complain(failed.reason);
   setTimeout(() => button.classList.remove("pressed"), 600);
 }
 

@@ -9,6 +9,7 @@ use super::ResponseMerge;
 use super::merge::WHITE;
 use crate::radiometry::agreement::{ExposureTally, Repeat, add_all, bit, moved, trusted};
 use crate::radiometry::comparison::Step;
+use crate::radiometry::merge::ROWS_PER_THREAD;
 
 /// A pixel deviates where it differs by this many standard deviations of noise and ...
 const DEPARTURE_SIGMA: f64 = 5.0;
@@ -81,17 +82,25 @@ impl ResponseMerge<'_> {
     ) -> Vec<ExposureTally> {
         let noise_dn = self.local_noise_dn(first);
         let groups = self.groups();
-        // One tally per row, added in order: the same sum for any thread count.
-        let rows: Vec<(Vec<u16>, Vec<ExposureTally>)> = pooled
-            .par_chunks(self.width.max(1))
-            .enumerate()
-            .map(|(y, row)| self.compare_row(&groups, y, row, noise_dn, counted.contains(&y)))
-            .collect();
+        // One tally per row, added in order: the same sum for any thread count. Each has all
+        // columns, so that few of them stand in memory at a time.
         let mut tallies = Vec::new();
         let mut deviating = Vec::with_capacity(pooled.len());
-        for (off, more) in rows {
-            deviating.extend(off);
-            add_all(&mut tallies, more);
+        let width = self.width.max(1);
+        let at_once = ROWS_PER_THREAD * rayon::current_num_threads();
+        for (part, pixels) in pooled.chunks(at_once * width).enumerate() {
+            let rows: Vec<(Vec<u16>, Vec<ExposureTally>)> = pixels
+                .par_chunks(width)
+                .enumerate()
+                .map(|(y, row)| {
+                    let y = part * at_once + y;
+                    self.compare_row(&groups, y, row, noise_dn, counted.contains(&y))
+                })
+                .collect();
+            for (off, more) in rows {
+                deviating.extend(off);
+                add_all(&mut tallies, more);
+            }
         }
         // What moved.
         let trusted = trusted(&tallies);
@@ -145,7 +154,7 @@ impl ResponseMerge<'_> {
                     *deviating |= bit(index);
                 }
                 if counts {
-                    tally.take_in(off, step.map(|step| (step, step.chi2())));
+                    tally.take_in(x, off, step.map(|step| (step, step.chi2())));
                 }
             }
         }
